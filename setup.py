@@ -1,4 +1,4 @@
-"""Compile the kernels where there is a C compiler; without one the install succeeds and they run interpreted.
+"""List the packages, and compile the kernels: without a C compiler the install succeeds and they run interpreted.
 
 Everything else about the package stands in pyproject.toml. Each fusion/kernels/*.py with a .pxd beside it becomes
 an extension. With LOCFUSE_KERNELS=checked every access to an array is checked, for tests: slower.
@@ -14,6 +14,7 @@ from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
 from setuptools.errors import CompileError
 
+FOLDERS = ("cli", "formats", "fusion", "robots", "sample_logs")
 KERNELS, BUILD = Path("fusion/kernels"), Path("build/kernels")
 PACKAGE = "locfuse.fusion.kernels"
 ABI = "0x030B0000"  # Python 3.11 and later: one wheel for each platform
@@ -29,6 +30,13 @@ DIRECTIVES = {
     # but for a checked access nothing in a kernel raises: no caller asks
     "legacy_implicit_noexcept": not CHECKED,
 }
+
+
+def packages(root: Path) -> dict[str, str]:
+    """Return the folder of each package: cli/facade is `locfuse`, every other folder with code lies below it."""
+    inits = sorted(path for top in FOLDERS for path in (root / top).rglob("__init__.py"))
+    folders = [path.parent.relative_to(root).as_posix() for path in inits]
+    return {"locfuse" if f == "cli/facade" else "locfuse." + f.replace("/", "."): f for f in folders}
 
 
 def mirrored() -> Path:
@@ -73,17 +81,21 @@ class Build(build_ext):
         super().build_extension(extension)
 
 
-setup(
-    ext_modules=[
-        Extension(
-            f"{PACKAGE}.{path.stem}",
-            [path.with_suffix(".py").as_posix()],
-            define_macros=[("Py_LIMITED_API", ABI), ("_USE_MATH_DEFINES", "1")],
-            py_limited_api=True,
-            optional=True,
-        )
-        for path in sorted(KERNELS.glob("*.pxd"))
-    ],
-    cmdclass={"build_ext": Build},
-    options={"bdist_wheel": {"py_limited_api": "cp311"}},
-)
+if __name__ == "__main__":
+    placed = packages(Path())
+    setup(
+        packages=list(placed),
+        package_dir=placed,
+        ext_modules=[
+            Extension(
+                f"{PACKAGE}.{path.stem}",
+                [path.with_suffix(".py").as_posix()],
+                define_macros=[("Py_LIMITED_API", ABI), ("_USE_MATH_DEFINES", "1")],
+                py_limited_api=True,
+                optional=True,
+            )
+            for path in sorted(KERNELS.glob("*.pxd"))
+        ],
+        cmdclass={"build_ext": Build},
+        options={"bdist_wheel": {"py_limited_api": "cp311"}},
+    )

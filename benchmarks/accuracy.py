@@ -20,7 +20,7 @@ from typing import Any
 import click
 import numpy as np
 
-from locfuse.cli.pipeline.load import make_robot
+from locfuse.cli.analysis.load import make_robot
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import ArrayStream, Drive, Evaluation
 from locfuse.fusion.fuse import fuse
@@ -28,7 +28,7 @@ from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.smooth import fuse_and_smooth
+from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import in_memory
 

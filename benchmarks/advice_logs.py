@@ -24,9 +24,9 @@ from benchmarks.building import FAR_S
 from benchmarks.relations import EPOCH_S, relation_errors
 from locfuse.cli.advice.evaluator import standard
 from locfuse.cli.advice.trial import Trial
-from locfuse.cli.pipeline.settings import silent
+from locfuse.cli.analysis.settings import silent
 from locfuse.cli.session.session import Session, load
-from locfuse.formats.tables.findings import length
+from locfuse.formats.report.findings import length
 
 
 @dataclass(frozen=True)

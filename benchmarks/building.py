@@ -21,12 +21,12 @@ import click
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.cli.pipeline.load import load
-from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.analysis.load import load
+from locfuse.cli.analysis.settings import LogOptions
 from locfuse.fusion.data import Array, Estimates, Ints, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.sensors import lrf
-from locfuse.fusion.smooth import fuse_and_smooth
+from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 
 from .relations import EPOCH_S, relation_errors, summary
 

@@ -14,7 +14,7 @@ import click
 import numpy as np
 
 from benchmarks.accuracy import FIRST_SEED, streams_by_role
-from locfuse.cli.pipeline.load import make_robot
+from locfuse.cli.analysis.load import make_robot
 from locfuse.fusion.data import Drive
 from locfuse.fusion.measure import measure
 from locfuse.fusion.wheels.calibrate import WheelCalibration, calibrate_wheels

@@ -27,15 +27,15 @@ import click
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.cli.pipeline.load import make_robot
+from locfuse.cli.analysis.load import make_robot
 from locfuse.formats.robot import robot_toml
+from locfuse.fusion.checks.clocks import lag_of_run
+from locfuse.fusion.checks.lag import SAID_SIGMAS, Lag
 from locfuse.fusion.data import Array, ArrayStream, Drive
-from locfuse.fusion.doctor.clocks import lag_of_run
-from locfuse.fusion.doctor.lag import SAID_SIGMAS, Lag
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.smooth import fuse_and_smooth
+from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import in_memory
 

@@ -16,9 +16,9 @@ from typing import NamedTuple
 import click
 import numpy as np
 
+from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.inspect.inspect_log import inspect_log
-from locfuse.cli.pipeline.settings import LogOptions
-from locfuse.fusion.doctor.finding import Finding
+from locfuse.fusion.checks.finding import Finding
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import on_truth, write_log
 

@@ -16,10 +16,10 @@ from typing import Any, NamedTuple
 import click
 import numpy as np
 
-from locfuse.cli.pipeline.load import make_robot
+from locfuse.cli.analysis.load import make_robot
 from locfuse.formats.robot import robot_toml
+from locfuse.fusion.checks.clocks import clock_lags
 from locfuse.fusion.data import Array, Drive, Evaluation
-from locfuse.fusion.doctor.clocks import clock_lags
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure

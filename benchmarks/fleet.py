@@ -247,7 +247,7 @@ def opening_command(log: Path) -> None:
     """Bytes read to open a log, such as: python -m benchmarks.make_log raw.mcap --raw-image-hz 10."""
     from locfuse.formats.container.file_bytes import FileBytes
     from locfuse.formats.container.losses import Losses
-    from locfuse.formats.mcap.source import McapSource
+    from locfuse.formats.container.mcap_source import McapSource
 
     data = FileBytes(log, Losses())
     source = McapSource(data, data.losses)

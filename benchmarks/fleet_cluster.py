@@ -177,7 +177,7 @@ def main(count: int, jobs: int) -> None:
     """Compare a bucket here and on two workers, and the tables."""
     import obstore
 
-    from locfuse.formats.remote.objects import store
+    from locfuse.formats.container.remote_objects import store
 
     scratch = Path(tempfile.mkdtemp(prefix="fleet-"))
     with ExitStack() as stack:

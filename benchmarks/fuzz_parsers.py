@@ -23,17 +23,16 @@ from pathlib import Path
 import click
 import numpy as np
 
-from locfuse.cli.pipeline.load import make_robot
-from locfuse.formats.container import ros1_records
+from locfuse.cli.analysis.load import make_robot
+from locfuse.formats.container import mcap_records, ros1_records
 from locfuse.formats.container.decompress import DamagedError
+from locfuse.formats.container.mcap_chunk import scan
 from locfuse.formats.container.source import ChannelInfo
 from locfuse.formats.container.sqlite_journal import journal_of
-from locfuse.formats.log import file_stream
-from locfuse.formats.log.file_stream import read_file
-from locfuse.formats.log.files import log_files
-from locfuse.formats.log.log import open_log
-from locfuse.formats.mcap import records as mcap_records
-from locfuse.formats.mcap.chunk import scan
+from locfuse.formats.logs import file_stream
+from locfuse.formats.logs.file_stream import read_file
+from locfuse.formats.logs.files import log_files
+from locfuse.formats.logs.log import open_log
 from locfuse.formats.messages.decode import make_decoder
 from locfuse.formats.messages.fields import paths
 from locfuse.formats.messages.schema import SchemaError, parse, signature

@@ -12,7 +12,7 @@ import tomli_w
 
 from benchmarks.advice_logs import ARENA
 from benchmarks.building import SETTINGS
-from locfuse.formats.mcap.write import LogWriter
+from locfuse.formats.container.mcap_write import LogWriter
 from locfuse.sample_logs import floor_plan, load
 from locfuse.sample_logs.messages import RawMessage
 from locfuse.sample_logs.record import to_log

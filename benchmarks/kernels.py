@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import textbook_lines
-from locfuse.cli.pipeline.load import load
-from locfuse.cli.pipeline.memory import settle_heap
-from locfuse.cli.pipeline.settings import LogOptions
-from locfuse.formats.log.log import open_log
+from locfuse.cli.analysis.load import load
+from locfuse.cli.analysis.memory import settle_heap
+from locfuse.cli.analysis.settings import LogOptions
+from locfuse.formats.logs.log import open_log
 from locfuse.fusion import se2
 from locfuse.fusion.camera.detect import Detector, detect
 from locfuse.fusion.data import Drive, Measurements, Motions

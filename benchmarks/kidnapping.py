@@ -16,7 +16,7 @@ from typing import NamedTuple
 import click
 import numpy as np
 
-from locfuse.cli.pipeline.load import make_robot
+from locfuse.cli.analysis.load import make_robot
 from locfuse.fusion.data import Drive, LocfuseError
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate

@@ -17,7 +17,7 @@ import numpy as np
 import tomli_w
 from mcap.writer import CompressionType, Writer
 
-from locfuse.formats.mcap.write import Messages
+from locfuse.formats.container.mcap_write import Messages
 
 if not __package__:  # run as a script: python benchmarks/make_log.py
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))

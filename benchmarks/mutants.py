@@ -27,14 +27,14 @@ from typing import NamedTuple
 import click
 
 ROOT = Path(__file__).parents[1]
-MCAP = tuple(f"tests/mcap/test_mcap_{name}.py" for name in ("chunk", "survey", "elsewhere", "walk"))
+MCAP = tuple(f"tests/container/test_mcap_{name}.py" for name in ("chunk", "survey", "elsewhere", "walk"))
 PROTOBUF = ("tests/messages/test_protobuf_messages.py",)
 # file -> the tests that must know what is right there
 TESTS: dict[str, tuple[str, ...]] = {  # the sharpest and fastest first
     "fusion/se2.py": ("tests/fusion/test_se2.py",),
-    "fusion/ekf/belief_arrays.py": ("tests/ekf", "tests/atlas/test_anchors.py", "tests/fusion/test_fuse.py"),
+    "fusion/ekf/belief_arrays.py": ("tests/ekf", "tests/map/test_anchors.py", "tests/fusion/test_fuse.py"),
     "fusion/ekf/equations.py": ("tests/ekf/test_equations.py", "tests/fusion/test_fuse.py"),
-    "fusion/ekf/events.py": ("tests/fusion/test_smooth.py", "tests/tune/test_tune.py"),
+    "fusion/ekf/events.py": ("tests/whole_drive/test_smooth.py", "tests/tune/test_tune.py"),
     "fusion/ekf/map_frame.py": ("tests/ekf/test_map_frame.py",),
     "fusion/ekf/robust.py": ("tests/fusion/test_robust.py",),
     "fusion/kernels/angles.py": ("tests/kernels/test_line_fits.py", "tests/kernels/test_sight.py"),
@@ -44,13 +44,13 @@ TESTS: dict[str, tuple[str, ...]] = {  # the sharpest and fastest first
         "tests/kernels/test_curves.py",
         "tests/lines/test_lines.py",
     ),
-    "fusion/kernels/places.py": ("tests/recovery/test_places.py",),
+    "fusion/kernels/places.py": ("tests/map/test_places.py",),
     "fusion/kernels/red.py": ("tests/kernels/test_red.py", "tests/camera/test_camera.py"),
     "fusion/kernels/segments.py": ("tests/kernels/test_segments.py", "tests/lines/test_lines.py"),
     "fusion/kernels/sight.py": (
         "tests/kernels/test_sight.py",
-        "tests/linemap/test_prediction.py",
-        "tests/linemap/test_map_keeping.py",
+        "tests/map/test_prediction.py",
+        "tests/map/test_map_keeping.py",
         "tests/sensors/test_lrf.py",
     ),
     "fusion/kernels/wheels.py": ("tests/kernels/test_wheel_intervals.py", "tests/wheels/test_motion.py"),
@@ -68,21 +68,21 @@ TESTS: dict[str, tuple[str, ...]] = {  # the sharpest and fastest first
     "fusion/sensors/sonar.py": ("tests/sensors/test_sonar.py", "tests/sensors/test_contract.py"),
     "fusion/sensors/twist.py": ("tests/sensors/test_twist.py", "tests/sensors/test_contract.py"),
     "fusion/sensors/camera.py": ("tests/camera/test_camera.py", "tests/sensors/test_contract.py"),
-    "fusion/linemap/line_map.py": (
-        "tests/linemap/test_prediction.py",
-        "tests/linemap/test_map_keeping.py",
-        "tests/linemap/test_given_map.py",
+    "fusion/map/line_map.py": (
+        "tests/map/test_prediction.py",
+        "tests/map/test_map_keeping.py",
+        "tests/map/test_given_map.py",
         "tests/kernels/test_sight.py",
         "tests/sensors/test_lrf.py",
     ),
-    "fusion/linemap/laser_mount.py": ("tests/kernels/test_sight.py", "tests/fusion/test_mount.py"),
-    "fusion/linemap/scan.py": (
-        "tests/linemap/test_standing.py",
-        "tests/linemap/test_map_keeping.py",
+    "fusion/map/laser_mount.py": ("tests/kernels/test_sight.py", "tests/fusion/test_mount.py"),
+    "fusion/map/scan.py": (
+        "tests/map/test_standing.py",
+        "tests/map/test_map_keeping.py",
         "tests/sensors/test_lrf.py",
     ),
-    "fusion/linemap/sonar_echo.py": ("tests/sensors/test_sonar.py",),
-    "fusion/linemap/tidy.py": ("tests/linemap/test_map_keeping.py",),
+    "fusion/map/sonar_echo.py": ("tests/sensors/test_sonar.py",),
+    "fusion/map/tidy.py": ("tests/map/test_map_keeping.py",),
     "fusion/judge/evaluate.py": (
         "tests/judge/test_evaluate.py",
         "tests/judge/test_nees.py",
@@ -99,21 +99,24 @@ TESTS: dict[str, tuple[str, ...]] = {  # the sharpest and fastest first
     "fusion/judge/innovations.py": ("tests/judge/test_innovations.py", "tests/judge/test_consistency.py"),
     "fusion/judge/predictive.py": ("tests/judge/test_predictive.py",),
     "fusion/judge/against.py": ("tests/judge/test_against.py",),
-    "fusion/smooth.py": ("tests/fusion/test_smooth.py",),
-    **{f"formats/mcap/{name}.py": MCAP for name in ("chunk", "parts", "promised", "ranged", "records", "resync")},
-    **{f"formats/mcap/{name}.py": MCAP for name in ("source", "summary", "survey")},
-    "formats/mcap/template.py": ("tests/mcap/test_mcap_columns.py",),
-    "formats/mcap/write.py": ("tests/mcap/test_mcap_write.py",),
-    "formats/mcap/write_columns.py": ("tests/mcap/test_mcap_columns.py",),
+    "fusion/whole_drive/smooth.py": ("tests/whole_drive/test_smooth.py",),
+    **{
+        f"formats/container/{name}.py": MCAP
+        for name in ("chunk", "parts", "promised", "ranged", "records", "resync")
+    },
+    **{f"formats/container/{name}.py": MCAP for name in ("source", "summary", "survey")},
+    "formats/results/template.py": ("tests/container/test_mcap_columns.py",),
+    "formats/container/mcap_write.py": ("tests/container/test_mcap_write.py",),
+    "formats/container/mcap_write_columns.py": ("tests/container/test_mcap_columns.py",),
     "formats/messages/cdr.py": ("tests/messages/test_layout.py", "tests/messages/test_cdr.py"),
     "formats/messages/decode.py": ("tests/messages/test_decode.py",),
-    "formats/messages/fields.py": ("tests/messages/test_schema.py", "tests/messages/test_cdr.py"),
+    "formats/messages/fields.py": ("tests/messages/test_message_schema.py", "tests/messages/test_cdr.py"),
     "formats/messages/json_messages.py": ("tests/messages/test_json_messages.py",),
-    "formats/messages/kinds.py": ("tests/messages/test_schema.py", "tests/messages/test_kinds.py"),
+    "formats/messages/kinds.py": ("tests/messages/test_message_schema.py", "tests/messages/test_kinds.py"),
     "formats/messages/layout.py": ("tests/messages/test_layout.py", "tests/messages/test_cdr.py"),
     "formats/messages/objects.py": ("tests/messages/test_json_messages.py", *PROTOBUF),
     **{f"formats/messages/protobuf_{name}.py": PROTOBUF for name in ("messages", "schema", "wire")},
-    "formats/messages/schema.py": ("tests/messages/test_schema.py", "tests/messages/test_layout.py"),
+    "formats/messages/schema.py": ("tests/messages/test_message_schema.py", "tests/messages/test_layout.py"),
 }
 BOTH_FORMS = "interpreted or compiled or either"  # words in names of tests that compare two forms of a kernel
 SPELLED: dict[type[ast.AST], str] = {

@@ -20,7 +20,7 @@ from typing import Any, cast
 import click
 import numpy as np
 
-from locfuse.cli.pipeline.load import make_robot
+from locfuse.cli.analysis.load import make_robot
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import Array, Drive, Stream
 from locfuse.fusion.fuse import fuse

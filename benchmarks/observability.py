@@ -13,7 +13,7 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 
-from locfuse.cli.pipeline.load import make_robot
+from locfuse.cli.analysis.load import make_robot
 from locfuse.fusion.data import Array, Drive, Measurements
 from locfuse.fusion.fuse import Filter
 from locfuse.fusion.instants import Due, due_readings, steps_of

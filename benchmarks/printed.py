@@ -20,7 +20,7 @@ import click
 import numpy as np
 
 from benchmarks.accuracy import FIRST_SEED, LOCK_STEP, figures, streams_by_role
-from locfuse.cli.pipeline.load import make_robot
+from locfuse.cli.analysis.load import make_robot
 from locfuse.fusion.camera.bearing import predict_bearing
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements
 from locfuse.fusion.fuse import fuse

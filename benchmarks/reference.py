@@ -14,8 +14,8 @@ from typing import Any
 
 import click
 
+from locfuse.cli.analysis.load import table_types
 from locfuse.cli.main import COMMANDS, locfuse
-from locfuse.cli.pipeline.load import table_types
 from locfuse.cli.reference.json_schema import report_schema, robot_schema
 from locfuse.fusion.sensors.registry import REGISTRY
 

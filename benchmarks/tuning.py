@@ -15,7 +15,7 @@ from typing import Any
 
 import click
 
-from locfuse.cli.pipeline.load import make_robot
+from locfuse.cli.analysis.load import make_robot
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot

@@ -16,7 +16,7 @@ from functools import partial
 import click
 
 from benchmarks.accuracy import FIRST_SEED, streams_by_role
-from locfuse.cli.pipeline.load import make_robot
+from locfuse.cli.analysis.load import make_robot
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.credit import credit, subsets

@@ -18,7 +18,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # 3 x 3 matrices need no thr
 
 import click
 
-from locfuse.cli.pipeline.memory import leave_as_it_is, settle_heap
+from locfuse.cli.analysis.memory import leave_as_it_is, settle_heap
 from locfuse.cli.terminal.numpy_warnings import silence_overflows
 from locfuse.cli.terminal.screen import reader_may_leave, say, settle_streams
 

@@ -16,6 +16,7 @@ from locfuse.fusion.ekf.belief_arrays import InMap, JointBelief
 from locfuse.fusion.ekf.equations import predicted
 from locfuse.fusion.ekf.events import Before, Events
 from locfuse.fusion.ekf.map_frame import Pose, Triangle
+from locfuse.fusion.ekf.record import MANY, Record, Track
 from locfuse.fusion.ekf.robust import inflate
 from locfuse.fusion.kernels.ekf import Innovation, Steps
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -24,7 +25,6 @@ from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 from .data import Array, Drive, Estimates, Measurements, matrices
 from .instants import BLOCK, Due, due_readings, steps_of
 from .progress import say_done
-from .record import MANY, Record, Track
 from .robot import Robot, StartSettings
 from .sensor import Model, Reading
 

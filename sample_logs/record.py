@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import tomli_w
 
-from locfuse.formats.mcap.write import LogWriter
+from locfuse.formats.container.mcap_write import LogWriter
 from locfuse.fusion.data import ArrayStream, Column, Ints, Ragged
 
 from .load import dumps

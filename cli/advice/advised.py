@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import msgspec
 
-from locfuse.fusion.advice.search import Advice, Fixes, together
+from locfuse.fusion.checks.search import Advice, Fixes, together
 
 
 class Advised(msgspec.Struct, frozen=True):

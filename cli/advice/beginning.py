@@ -12,8 +12,8 @@ from typing import cast
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.cli.pipeline.compare import Compared
-from locfuse.cli.pipeline.trust import evidence
+from locfuse.cli.analysis.compare import Compared
+from locfuse.cli.analysis.trust import evidence
 from locfuse.fusion.data import Audit, Drive, Estimates, Evaluation
 from locfuse.fusion.judge.consistency import Run
 from locfuse.fusion.judge.evaluate import Align, evaluate

@@ -8,11 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
-from locfuse.fusion.advice.search import Fixes
+from locfuse.fusion.checks.clocks import clock_lags, lag_of_run, lags_by_truth
+from locfuse.fusion.checks.finding import Finding
+from locfuse.fusion.checks.lag import SAID_SIGMAS, Lag, worth_saying
+from locfuse.fusion.checks.search import Fixes
 from locfuse.fusion.data import Truth
-from locfuse.fusion.doctor.clocks import clock_lags, lag_of_run, lags_by_truth
-from locfuse.fusion.doctor.finding import Finding
-from locfuse.fusion.doctor.lag import SAID_SIGMAS, Lag, worth_saying
 
 from .judged import FINE, LASER, Judged, Offer
 

@@ -12,12 +12,12 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 
 from msgspec.structs import replace
 
-from locfuse.cli.pipeline.compare import Compared, Heard, Watch, compare_log
-from locfuse.cli.pipeline.configurations import Configuration, for_comparison
-from locfuse.cli.pipeline.load import Loaded
-from locfuse.cli.pipeline.settings import Progress, silent
-from locfuse.fusion.advice.score import MAX_CHANCE_LOSS, Score, improves, spoils, spoils_alone
-from locfuse.fusion.advice.search import Advice, Candidate, Fixes, search, together, total
+from locfuse.cli.analysis.compare import Compared, Heard, Watch, compare_log
+from locfuse.cli.analysis.configurations import Configuration, for_comparison
+from locfuse.cli.analysis.load import Loaded
+from locfuse.cli.analysis.settings import Progress, silent
+from locfuse.fusion.checks.score import MAX_CHANCE_LOSS, Score, improves, spoils, spoils_alone
+from locfuse.fusion.checks.search import Advice, Candidate, Fixes, search, together, total
 from locfuse.fusion.data import Estimates
 from locfuse.fusion.robot import Robot
 

@@ -12,13 +12,13 @@ from functools import cached_property
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.cli.pipeline.trust import overconfident
-from locfuse.fusion.advice.probes import beyond_prior, of_mount, of_offsets, of_probe, of_scale, probe_of
-from locfuse.fusion.advice.search import Candidate, Fixes, together
-from locfuse.fusion.doctor.examine import scales
-from locfuse.fusion.doctor.finding import Finding, Least
-from locfuse.fusion.doctor.laser import OPEN_SCALE
-from locfuse.fusion.doctor.truth import WHEEL_SCALE
+from locfuse.cli.analysis.trust import overconfident
+from locfuse.fusion.checks.examine import scales
+from locfuse.fusion.checks.finding import Finding, Least
+from locfuse.fusion.checks.laser import OPEN_SCALE
+from locfuse.fusion.checks.probes import beyond_prior, of_mount, of_offsets, of_probe, of_scale, probe_of
+from locfuse.fusion.checks.search import Candidate, Fixes, together
+from locfuse.fusion.checks.truth import WHEEL_SCALE
 from locfuse.fusion.judge.consistency import Consistency
 from locfuse.fusion.judge.consistency import Evidence as Said
 from locfuse.fusion.judge.innovations import heard

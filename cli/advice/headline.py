@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from locfuse.formats.tables.findings import length
+from locfuse.formats.report.findings import length
 from locfuse.fusion.sensors.registry import REGISTRY
 
 NAMES = {"lrf": "laser", "gps": "GPS", "imu": "IMU"}

@@ -7,13 +7,13 @@ from functools import cached_property
 
 import numpy as np
 
-from locfuse.cli.pipeline.compare import Compared
-from locfuse.cli.pipeline.load import Loaded
-from locfuse.cli.pipeline.trust import sensors_consistency
-from locfuse.fusion.advice.search import Candidate, Fixes
+from locfuse.cli.analysis.compare import Compared
+from locfuse.cli.analysis.load import Loaded
+from locfuse.cli.analysis.trust import sensors_consistency
+from locfuse.fusion.checks.examine import examine
+from locfuse.fusion.checks.finding import Finding, Least
+from locfuse.fusion.checks.search import Candidate, Fixes
 from locfuse.fusion.data import Estimates
-from locfuse.fusion.doctor.examine import examine
-from locfuse.fusion.doctor.finding import Finding, Least
 from locfuse.fusion.judge.covariance import honesty
 
 from .trial import Trial
@@ -42,7 +42,7 @@ class Judged:
 
     @cached_property
     def doctor(self) -> list[Finding]:
-        """Return what the sensors say of each other (`fusion.doctor`)."""
+        """Return what the sensors say of each other (`fusion.checks`)."""
         loaded = self.trial.whole_under(self.fixes)
         if loaded is None or any(loaded.window) or loaded.robot.preset != "default":
             return []  # the doctor looks at whole drives

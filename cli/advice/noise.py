@@ -7,10 +7,10 @@ from functools import cached_property
 
 from msgspec.structs import replace
 
-from locfuse.fusion.advice.search import Candidate, Fixes
-from locfuse.fusion.advice.slip import Slip, slip
-from locfuse.fusion.doctor.finding import Finding
-from locfuse.fusion.doctor.laser_driver import ranges_sigma, scatter_more
+from locfuse.fusion.checks.finding import Finding
+from locfuse.fusion.checks.laser_driver import ranges_sigma, scatter_more
+from locfuse.fusion.checks.search import Candidate, Fixes
+from locfuse.fusion.checks.slip import Slip, slip
 from locfuse.fusion.judge.consistency import Consistency
 from locfuse.fusion.judge.innovations import Own, own
 from locfuse.fusion.judge.noise_verdicts import MAX_SIGMA_FACTOR, many_refused

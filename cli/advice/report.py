@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Any
 
-from locfuse.cli.choose.standing import STANDS
+from locfuse.cli.analysis.standing import STANDS
 from locfuse.formats.report import json_report
-from locfuse.fusion.advice.probes import MOUNT
-from locfuse.fusion.doctor.truth import Jumps
+from locfuse.fusion.checks.probes import MOUNT
+from locfuse.fusion.checks.truth import Jumps
 from locfuse.fusion.mount import OTHER_MOUNT
 
 from .advised import Advised

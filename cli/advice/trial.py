@@ -12,13 +12,13 @@ from typing import cast
 
 from msgspec.structs import replace
 
-from locfuse.cli.pipeline.compare import PLAIN_FRAME, Compared
-from locfuse.cli.pipeline.configurations import Configuration
-from locfuse.cli.pipeline.load import Loaded, with_settings
-from locfuse.cli.pipeline.memory import lean
-from locfuse.cli.pipeline.settings import Progress
-from locfuse.fusion.advice.score import Score
-from locfuse.fusion.advice.search import Fixes
+from locfuse.cli.analysis.compare import PLAIN_FRAME, Compared
+from locfuse.cli.analysis.configurations import Configuration
+from locfuse.cli.analysis.load import Loaded, with_settings
+from locfuse.cli.analysis.memory import lean
+from locfuse.cli.analysis.settings import Progress
+from locfuse.fusion.checks.score import Score
+from locfuse.fusion.checks.search import Fixes
 from locfuse.fusion.data import Drive, Estimates, Evaluation, LocfuseError
 from locfuse.fusion.judge.covariance import honesty
 from locfuse.fusion.judge.evaluate import Align, evaluate, shape_error

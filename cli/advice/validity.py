@@ -11,9 +11,9 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from locfuse.formats.tables.findings import options
+from locfuse.formats.report.findings import options
+from locfuse.fusion.checks.truth import Jumps
 from locfuse.fusion.data import result_name
-from locfuse.fusion.doctor.truth import Jumps
 from locfuse.fusion.judge.evaluate import ERROR_KEYS
 
 from .advised import Advised

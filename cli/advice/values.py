@@ -8,8 +8,8 @@ from typing import Any
 from msgspec.structs import replace
 
 from locfuse.formats.robot import robot_toml
-from locfuse.fusion.advice.score import Score
-from locfuse.fusion.advice.search import Advice, together
+from locfuse.fusion.checks.score import Score
+from locfuse.fusion.checks.search import Advice, together
 
 from .advised import Advised
 

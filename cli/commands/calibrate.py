@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.findings import end, findings_options, print_findings
 from locfuse.cli.terminal.options import log_options
@@ -32,10 +32,10 @@ def calibrate(log: tuple[str, ...], out: Path | None, overwrite: bool, as_json: 
     locfuse calibrate straight.mcap turns.mcap -o robot.toml
     locfuse compare drive.mcap --robot robot.toml
     """
-    from locfuse.cli.choose.grouping import logs_of
-    from locfuse.cli.jobs import calibrate
-    from locfuse.cli.pipeline import results
-    from locfuse.cli.pipeline.load import find_log, load
+    from locfuse.cli.analysis import results
+    from locfuse.cli.analysis.grouping import logs_of
+    from locfuse.cli.analysis.load import find_log, load
+    from locfuse.cli.session import calibrate
     from locfuse.cli.terminal import show
     from locfuse.formats.whole_files import may_replace
 

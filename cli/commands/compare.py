@@ -7,8 +7,7 @@ from typing import Any
 
 import click
 
-from locfuse.cli.comparison.one_log import Wish, one
-from locfuse.cli.pipeline.settings import OF_COMPARISON as KINDS
+from locfuse.cli.analysis.settings import OF_COMPARISON as KINDS
 from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.fleet_options import fleet_options
 from locfuse.cli.terminal.options import (
@@ -24,6 +23,8 @@ from locfuse.cli.terminal.options import (
     window_options,
 )
 from locfuse.cli.terminal.rerun_options import rerun_options
+
+from .compare_one_log import Wish, one
 
 
 @click.command()
@@ -109,7 +110,7 @@ def compare(log: tuple[str, ...], **asked: Any) -> int:
     locfuse compare @logs.txt --robot-from "fleet/([^/]+)/" --robot "robots/{robot}.toml"
     locfuse compare locfuse-out/before locfuse-out/after
     """
-    from locfuse.cli.choose.grouping import logs_of, results_of
+    from locfuse.cli.analysis.grouping import logs_of, results_of
     from locfuse.cli.fleet.words import expanded
 
     wish = Wish(**asked)
@@ -118,12 +119,12 @@ def compare(log: tuple[str, ...], **asked: Any) -> int:
         raise click.UsageError("Missing argument 'LOG...'.", click.get_current_context())
     finished = results_of(words)
     if finished is not None:
-        from locfuse.cli.comparison.changes import changes
+        from .compare_changes import changes
 
         return changes(finished, wish)
     listed = any(word.startswith("@") for word in log) or wish.fleet.asked
     if not listed and (len(words) == 1 or len(logs_of(words)) == 1):
         return one(words, wish)
-    from locfuse.cli.comparison.several import several
+    from .compare_several import several
 
     return several(words, wish)

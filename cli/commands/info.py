@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.options import advice_option, log_options
 from locfuse.cli.terminal.screen import put, reader_may_leave
@@ -59,12 +59,12 @@ def info(
     """
     if topics:
         return _list_topics(log, as_json, how.quiet)
+    from locfuse.cli.analysis.load import find_log
     from locfuse.cli.inspect import values
     from locfuse.cli.inspect.inspect_log import inspect_log
-    from locfuse.cli.pipeline.load import find_log
     from locfuse.cli.terminal import info_text, show
     from locfuse.formats.report import json_report
-    from locfuse.formats.tables.findings import void_reasons
+    from locfuse.formats.report.findings import void_reasons
 
     with show.progress(how.quiet) as progress:
         overview = inspect_log(find_log(log), how, progress)
@@ -100,10 +100,10 @@ def _tried(log: tuple[str, ...], how: LogOptions, progress: Callable[[str], None
 
 def _list_topics(words: tuple[str, ...], as_json: bool, quiet: bool) -> int:
     """Print what a log says of itself: of one that is elsewhere the summary alone is read."""
+    from locfuse.cli.analysis.load import find_log
     from locfuse.cli.inspect import values
-    from locfuse.cli.pipeline.load import find_log
     from locfuse.cli.terminal import info_text, show
-    from locfuse.formats.log.log import open_log
+    from locfuse.formats.logs.log import open_log
     from locfuse.formats.report import json_report
 
     log = open_log(find_log(words))
@@ -125,7 +125,7 @@ def _typed(log: tuple[str, ...], how: LogOptions) -> list[str]:
 def _preview(overview: Overview, folder: Path) -> list[str]:
     """Write preview pictures; return what to print of them."""
     from locfuse.formats.results.preview import write_pictures
-    from locfuse.fusion.doctor.preview import preview as pictures_of
+    from locfuse.fusion.checks.preview import preview as pictures_of
 
     topic = _topic_of_pictures(overview)
     shown = pictures_of(overview.log.stream(topic, overview.robot.order), overview.robot.settings("camera"))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from msgspec.structs import replace
 
-from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.options import log_options
 from locfuse.cli.terminal.screen import put, reader_may_leave, say
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from locfuse.cli.inspect.template import Draft
-    from locfuse.formats.url import Place
+    from locfuse.formats.container.url import Place
 
 LOSS = 3
 SCHEMA = "robot.schema.json"  # beside robot.toml: a path that holds on every machine, and wherever both are moved
@@ -58,8 +58,8 @@ def init(
     locfuse init bag/ --set wheels.radius=0.033 --set wheels.track=0.16 > robot.toml
     locfuse compare bag/ --robot robot.toml
     """
+    from locfuse.cli.analysis.load import find_log
     from locfuse.cli.inspect.template import draft
-    from locfuse.cli.pipeline.load import find_log
     from locfuse.cli.terminal import show
     from locfuse.formats.robot.commented_toml import printable
     from locfuse.formats.whole_files import may_replace, whole_file
@@ -100,7 +100,7 @@ def _translated(places: Sequence[Place], ekf: Path | None) -> tuple[dict[str, di
     """Return the tables that an ekf.yaml gives for a log, by the file's name, and what does not map."""
     if ekf is None:
         return {}, ()
-    from locfuse.formats.log.log import open_log
+    from locfuse.formats.logs.log import open_log
     from locfuse.formats.robot import robot_localization
 
     found = robot_localization.read(ekf, list(open_log(places).topics))

@@ -33,7 +33,7 @@ def paper(out: Path, overwrite: bool, jobs: int, as_json: bool, shown: bool, qui
     locfuse paper -o paper
     locfuse paper -o paper --open
     """
-    from locfuse.cli.jobs import paper as job
+    from locfuse.cli.session import paper as job
     from locfuse.cli.terminal import show
     from locfuse.formats.report import json_report, paper_page
     from locfuse.formats.whole_files import may_write, write_results

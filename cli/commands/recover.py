@@ -34,9 +34,9 @@ def recover(log: tuple[str, ...], out: Path, overwrite: bool, as_json: bool, qui
     locfuse recover crashed.mcap -o fixed.mcap
     locfuse recover bag/ -o fixed.mcap && mcap doctor fixed.mcap
     """
-    from locfuse.cli.pipeline.load import find_log
+    from locfuse.cli.analysis.load import find_log
     from locfuse.cli.terminal import show
-    from locfuse.formats.log.log import open_log
+    from locfuse.formats.logs.log import open_log
     from locfuse.formats.results.recovered_log import recover as copy
     from locfuse.formats.whole_files import may_replace
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from locfuse.cli.pipeline.settings import OF_RUN as KINDS
-from locfuse.cli.pipeline.settings import LogOptions, MapOptions
+from locfuse.cli.analysis.settings import OF_RUN as KINDS
+from locfuse.cli.analysis.settings import LogOptions, MapOptions
 from locfuse.cli.rerun.record import RerunOptions, record, sketched
 from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.options import (
@@ -81,7 +81,7 @@ def run(
     locfuse run rounded_rectangle --sensors all
     locfuse run bag/ --sensors compass,lrf --robot robot.toml -o out
     """
-    from locfuse.cli.pipeline.results import LOSS, default_folder
+    from locfuse.cli.analysis.results import LOSS, default_folder
     from locfuse.cli.session.session import opened
     from locfuse.cli.terminal import show
     from locfuse.formats.whole_files import may_replace, may_write

@@ -45,7 +45,7 @@ def simulate(
     """
     import json
 
-    from locfuse.cli.jobs import simulate as job
+    from locfuse.cli.session import simulate as job
     from locfuse.formats.whole_files import may_replace
     from locfuse.fusion.data import UsageError
     from locfuse.sample_logs import load

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.findings import Table, end, findings_options, print_findings
 from locfuse.cli.terminal.options import log_options
@@ -51,10 +51,10 @@ def tune(
     locfuse tune monday.mcap tuesday.mcap --hold-out friday.mcap -o robot.toml
     locfuse compare friday.mcap --robot robot.toml
     """
-    from locfuse.cli.choose.grouping import logs_of
-    from locfuse.cli.jobs import tune
-    from locfuse.cli.pipeline import results
-    from locfuse.cli.pipeline.load import find_log
+    from locfuse.cli.analysis import results
+    from locfuse.cli.analysis.grouping import logs_of
+    from locfuse.cli.analysis.load import find_log
+    from locfuse.cli.session import tune
     from locfuse.cli.terminal import show
     from locfuse.formats.whole_files import may_replace
 

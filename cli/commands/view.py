@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 import msgspec
 
-from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.rerun.record import RECORDING
 from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.options import log_options
@@ -125,7 +125,7 @@ def _record(
     what: Sequence[str], made: Path | None, wish: Wish, target: Path, tab: str | None, progress: Progress
 ) -> Path:
     """Write the recording of a log or of a results' folder to `target`, or copy the one that is made."""
-    from locfuse.cli.pipeline.memory import give_back
+    from locfuse.cli.analysis.memory import give_back
     from locfuse.cli.rerun.folder import report_of, scene_of
     from locfuse.formats.rerun.file import copy, save_recording
     from locfuse.formats.rerun.recording import sketch

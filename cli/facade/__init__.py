@@ -22,9 +22,9 @@ if sys.version_info < (3, 11):  # noqa: UP036  an old pip, or a copied folder, i
     raise ImportError(f"locfuse needs Python 3.11 or newer, this is {this}: python3.11 -m pip install locfuse")
 
 if TYPE_CHECKING:
-    from locfuse.cli.jobs.simulate import simulate
     from locfuse.cli.session.result import Comparison, Run
     from locfuse.cli.session.session import Session, load
+    from locfuse.cli.session.simulate import simulate
     from locfuse.cli.session.steps import evaluate, fuse, open_log, smooth
     from locfuse.cli.session.summary import Summary, compare
     from locfuse.fusion.data import Drive, Estimates, Evaluation, LocfuseError
@@ -38,7 +38,7 @@ _HOMES = {
     "fuse": "cli.session.steps",
     "smooth": "cli.session.steps",
     "evaluate": "cli.session.steps",
-    "simulate": "cli.jobs.simulate",
+    "simulate": "cli.session.simulate",
     "open_log": "cli.session.steps",
     "Session": "cli.session.session",
     "Run": "cli.session.result",

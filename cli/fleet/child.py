@@ -13,9 +13,9 @@ from pathlib import Path
 
 import msgspec
 
-from locfuse.cli.pipeline.load import find_log, load
-from locfuse.cli.pipeline.memory import give_back, settle_heap
-from locfuse.cli.pipeline.settings import silent
+from locfuse.cli.analysis.load import find_log, load
+from locfuse.cli.analysis.memory import give_back, settle_heap
+from locfuse.cli.analysis.settings import silent
 from locfuse.cli.rerun.recordings import write
 from locfuse.cli.session.session import Session
 from locfuse.fusion.data import LocfuseError, UsageError

@@ -14,8 +14,8 @@ from typing import Any
 import msgspec
 from msgspec.structs import replace
 
-from locfuse.cli.jobs.ci_gates import OPERATORS, Gate, Tolerance, figure, parse_gate, parse_tolerance
-from locfuse.cli.jobs.ci_gates import failures as failures_of_log
+from locfuse.cli.analysis.ci_gates import OPERATORS, Gate, Tolerance, figure, parse_gate, parse_tolerance
+from locfuse.cli.analysis.ci_gates import failures as failures_of_log
 from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.inputs import read_small
 from locfuse.formats.report.summary import OVER_LOGS

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import msgspec
 from msgspec import field
 
-from locfuse.cli.pipeline.results import lost_in
+from locfuse.cli.analysis.results import lost_in
 from locfuse.formats.fleet.entry import Entry, slim
 
 from .gates import FleetGates

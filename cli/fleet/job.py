@@ -7,8 +7,8 @@ from typing import Literal
 
 import msgspec
 
-from locfuse.cli.pipeline.key import Asked
-from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.analysis.key import Asked
+from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.rerun.recordings import Recording
 
 State = Literal["done", "failed"]

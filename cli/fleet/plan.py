@@ -7,13 +7,13 @@ from pathlib import Path
 
 import msgspec
 
-from locfuse.cli.choose.grouping import logs_of
-from locfuse.cli.pipeline.key import Asked
-from locfuse.cli.pipeline.load import find_log
-from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.analysis.grouping import logs_of
+from locfuse.cli.analysis.key import Asked
+from locfuse.cli.analysis.load import find_log
+from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.rerun.recordings import Recording
 from locfuse.cli.session import sweep
-from locfuse.formats.log.files import log_name
+from locfuse.formats.logs.files import log_name
 from locfuse.formats.visible import writable
 from locfuse.fusion.data import UsageError
 

@@ -9,9 +9,9 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from locfuse.formats.container.url import Url, is_url
 from locfuse.formats.inputs import read_small
-from locfuse.formats.log.files import ENDINGS
-from locfuse.formats.url import Url, is_url
+from locfuse.formats.logs.files import ENDINGS
 from locfuse.formats.whole_files import RESULTS
 from locfuse.fusion.data import LocfuseError, UsageError
 
@@ -48,7 +48,7 @@ def _expanded(word: str) -> list[str]:
 
 def _fitting(pattern: Url) -> list[str]:
     """Return the objects that fit a pattern: ** is any number of folders, * and ? stay within one."""
-    from locfuse.formats.remote.objects import below
+    from locfuse.formats.container.remote_objects import below
 
     fixed = re.split(r"[*?\[]", pattern.key)[0].rpartition("/")[0]
     wanted = re.compile(_regex(pattern.key))
@@ -72,7 +72,7 @@ def _characters(word: str) -> str:
 
 def _objects(folder: Url) -> Iterator[str]:
     """Yield every log below a folder of a store, by key; the parts of a recording one by one."""
-    from locfuse.formats.remote.objects import below
+    from locfuse.formats.container.remote_objects import below
 
     for found in below(folder):
         if any(Path(found.name).match(ending) for ending in ENDINGS):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from locfuse.cli.choose.topics import Choice
-from locfuse.formats.log.clock import ON_STAMPS
-from locfuse.fusion.doctor.finding import Finding
+from locfuse.cli.analysis.topics import Choice
+from locfuse.formats.logs.clock import ON_STAMPS
+from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 

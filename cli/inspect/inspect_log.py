@@ -12,22 +12,22 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import replace
 
-from locfuse.cli.choose.body_topics import NoWheelsError
-from locfuse.cli.choose.choose import choose_sensor, choose_truth
-from locfuse.cli.choose.mounts import mount_tables, shared_turns, transforms_of
-from locfuse.cli.choose.presented_topics import offer_presented
-from locfuse.cli.choose.standing import STANDS
-from locfuse.cli.choose.tag_frames import offer_tags
-from locfuse.cli.choose.topics import Choice
-from locfuse.cli.choose.wheel_topics import choose_wheels
-from locfuse.cli.pipeline.load import Loaded, make_robot, measured, merged_tables, named_by_hand
-from locfuse.formats.log.log import Log, open_log
+from locfuse.cli.analysis.adapted_topics import offer_presented
+from locfuse.cli.analysis.body_topics import NoWheelsError
+from locfuse.cli.analysis.choose import choose_sensor, choose_truth
+from locfuse.cli.analysis.load import Loaded, make_robot, measured, merged_tables, named_by_hand
+from locfuse.cli.analysis.mounts import mount_tables, shared_turns, transforms_of
+from locfuse.cli.analysis.standing import STANDS
+from locfuse.cli.analysis.tag_frames import offer_tags
+from locfuse.cli.analysis.topics import Choice
+from locfuse.cli.analysis.wheel_topics import choose_wheels
+from locfuse.formats.container.url import Place
+from locfuse.formats.logs.log import Log, open_log
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.transforms import StaticTransforms
-from locfuse.formats.url import Place
+from locfuse.fusion.checks.examine import examine
+from locfuse.fusion.checks.finding import Finding, of_error
 from locfuse.fusion.data import LocfuseError
-from locfuse.fusion.doctor.examine import examine
-from locfuse.fusion.doctor.finding import Finding, of_error
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -38,7 +38,7 @@ from .sensors import raw_findings
 from .topics import derived_facts, topic_facts
 
 if TYPE_CHECKING:
-    from locfuse.cli.pipeline.settings import LogOptions
+    from locfuse.cli.analysis.settings import LogOptions
 from .overview import Overview
 
 

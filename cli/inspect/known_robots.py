@@ -11,7 +11,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 from locfuse import robots
-from locfuse.cli.choose.topics import of_type
+from locfuse.cli.analysis.topics import of_type
 from locfuse.formats.robot.robot_toml import as_set
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -22,7 +22,7 @@ from locfuse.fusion.wheels.sources import JOINTS, NUMBERS, TICKS
 from .overview import Overview
 
 if TYPE_CHECKING:
-    from locfuse.formats.log.log import Log
+    from locfuse.formats.logs.log import Log
 
 # Name -> what only its logs hold, any of: a package of message types, a word of a topic's name, a set of frames.
 SIGNS: dict[str, tuple[str | frozenset[str], ...]] = {

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from locfuse.cli.choose.mounts import is_base, mount_of, moved_by
-from locfuse.fusion.doctor.finding import Finding
+from locfuse.cli.analysis.mounts import is_base, mount_of, moved_by
+from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.sensors.registry import REGISTRY
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def conflicts(overview: Overview) -> list[Finding]:
         elif mount.get("by") in {
             "/tf_static",
             "/tf",
-        }:  # whether it is wrong the walls tell, see fusion.doctor.laser
+        }:  # whether it is wrong the walls tell, see fusion.checks.laser
             keys = [k for k in ("x", "y", "yaw_deg") if isinstance(mount.get(k), float)]
             wrong = any(o.role == role and o.code == "yaw" for o in overview.findings)
             fixes = () if wrong else tuple(f"{role}.{k}={mount[k]:.4g}" for k in keys)

@@ -7,11 +7,11 @@ from typing import Any
 import msgspec
 from msgspec import field
 
-from locfuse.cli.choose.topics import Choice
-from locfuse.cli.pipeline.load import Loaded
-from locfuse.formats.log.log import Log
+from locfuse.cli.analysis.load import Loaded
+from locfuse.cli.analysis.topics import Choice
+from locfuse.formats.logs.log import Log
 from locfuse.formats.robot.transforms import StaticTransforms
-from locfuse.fusion.doctor.finding import Finding
+from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.robot import Robot
 
 from .robot_facts import RobotFacts

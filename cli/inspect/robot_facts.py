@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, cast
 import msgspec
 import numpy as np
 
-from locfuse.cli.choose.topics import Choice, of_type
+from locfuse.cli.analysis.topics import Choice, of_type
 from locfuse.formats.robot.urdf import WheelGeometry, wheel_geometry
+from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.data import Array, LocfuseError, Ragged
-from locfuse.fusion.doctor.finding import Finding
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import merged
 from locfuse.fusion.truth import FIX, TRUTH_READS, looks_like_truth
@@ -20,7 +20,7 @@ from locfuse.fusion.wheels.read import counts_ticks
 from locfuse.fusion.wheels.sources import JOINTS, USUAL_TICKS, joint_names
 
 if TYPE_CHECKING:
-    from locfuse.formats.log.log import Log
+    from locfuse.formats.logs.log import Log
 
 ESTIMATE_WORDS = ("odom", "amcl", "slam", "ekf", "filter", "goal", "initial", "estimate", "fused", "map")
 MIN_MOVEMENT = 0.05  # of a joint's readings, in its unit: a joint that never moves is no wheel
@@ -117,7 +117,7 @@ def geometry(robot: Robot, found: RobotFacts) -> tuple[dict[str, float], str]:
 
 def _unused_counters(log: Log, choice: Choice) -> tuple[str, ...]:
     """Return topics of wheel turns that lost to an odometry for lack of geometry."""
-    from locfuse.cli.choose.wheel_topics import array_topics, pair_topics
+    from locfuse.cli.analysis.wheel_topics import array_topics, pair_topics
     from locfuse.fusion.wheels.sources import SPEEDS, TICKS
 
     taken = {t for role in choice.topics for t in choice.of(role)}

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from locfuse.cli.choose.topics import Choice, of_type
-from locfuse.cli.pipeline.maps import GRID
+from locfuse.cli.analysis.maps import GRID
+from locfuse.cli.analysis.topics import Choice, of_type
+from locfuse.fusion.checks.finding import Finding, of_error
+from locfuse.fusion.checks.laser_driver import driver
 from locfuse.fusion.data import LocfuseError
-from locfuse.fusion.doctor.finding import Finding, of_error
-from locfuse.fusion.doctor.laser_driver import driver
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
 if TYPE_CHECKING:
-    from locfuse.formats.log.log import Log
+    from locfuse.formats.logs.log import Log
 
 
 def raw_findings(log: Log, robot: Robot, choice: Choice) -> list[Finding]:
@@ -67,6 +67,6 @@ def _scans(stream: Any, _: Any) -> list[Finding]:
 
 
 def _pictures(stream: Any, settings: Any) -> list[Finding]:
-    from locfuse.fusion.doctor.pictures import of_pictures
+    from locfuse.fusion.checks.pictures import of_pictures
 
     return of_pictures(stream, settings)

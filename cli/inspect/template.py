@@ -7,14 +7,14 @@ from typing import Any, NamedTuple
 
 from msgspec.structs import replace
 
-from locfuse.cli.pipeline.load import ATTACHMENT, make_robot, table_types
-from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.analysis.load import ATTACHMENT, make_robot, table_types
+from locfuse.cli.analysis.settings import LogOptions
+from locfuse.formats.container.url import Place
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.commented_toml import Section
-from locfuse.formats.url import Place
+from locfuse.fusion.checks.finding import Finding
+from locfuse.fusion.checks.laser import OPEN_SCALE
 from locfuse.fusion.data import LocfuseError
-from locfuse.fusion.doctor.finding import Finding
-from locfuse.fusion.doctor.laser import OPEN_SCALE
 
 from .inspect_log import inspect_log
 from .known_robots import open_figures, recognise

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from locfuse.formats.log.topics import UnreadableTopicError
+from locfuse.formats.logs.topics import UnreadableTopicError
+from locfuse.fusion.checks.examine import gaps
 from locfuse.fusion.data import LocfuseError
-from locfuse.fusion.doctor.examine import gaps
 
 if TYPE_CHECKING:
-    from locfuse.formats.log.log import Log
+    from locfuse.formats.logs.log import Log
 
 MAX_GAPS_LISTED = 20  # listed for machines
 OTHER_CLOCK_S = 1.0  # s between stamp and recording: more is no delay

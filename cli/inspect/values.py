@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from locfuse.cli.choose.topics import types
-from locfuse.fusion.doctor.finding import Finding
+from locfuse.cli.analysis.topics import types
+from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .mounts import extrinsics
 from .overview import Overview
 
 if TYPE_CHECKING:
-    from locfuse.formats.log.log import Log
+    from locfuse.formats.logs.log import Log
 
 
 def listed(log: Log) -> dict[str, dict[str, Any]]:

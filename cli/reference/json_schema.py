@@ -11,8 +11,8 @@ from typing import Any, get_args
 
 import msgspec
 
-from locfuse.cli.pipeline.load import table_types
-from locfuse.cli.pipeline.settings import ORDERS, PRESETS
+from locfuse.cli.analysis.load import table_types
+from locfuse.cli.analysis.settings import ORDERS, PRESETS
 from locfuse.formats.report.structure import Report
 from locfuse.fusion.sensors.registry import REGISTRY
 

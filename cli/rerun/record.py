@@ -98,7 +98,7 @@ def _at_worst_a_warning(say: Say, named: Path | None) -> Iterator[None]:
 
 
 def _saved(path: Path, sketch: Sketch, say: Say, named: Path | None) -> bool:
-    from locfuse.cli.pipeline.memory import give_back
+    from locfuse.cli.analysis.memory import give_back
     from locfuse.formats.rerun.file import save_recording
 
     give_back()  # Rerun's import takes as much as an hour's estimates did

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from locfuse.cli.pipeline.load import Loaded
-from locfuse.cli.pipeline.outputs import events
+from locfuse.cli.analysis.load import Loaded
+from locfuse.cli.analysis.outputs import events
 from locfuse.cli.session.result import Result
 from locfuse.formats.figures.palette import Trace, colours, traces_of
 from locfuse.formats.report import markdown

@@ -1,1 +1,1 @@
-"""A measured log and what it gives: run, compare, and a summary over several logs. No click, no print."""
+"""The Python API: a measured log and what it gives; and what `calibrate`, `tune`, `paper`, `simulate` do."""

@@ -8,9 +8,9 @@ from typing import cast
 
 import numpy as np
 
-from locfuse.cli.pipeline.load import Loaded
-from locfuse.formats.log.log import Log
-from locfuse.formats.presented.kinds import PRESENTED, presented_name
+from locfuse.cli.analysis.load import Loaded
+from locfuse.formats.logs.adapters import PRESENTED, presented_name
+from locfuse.formats.logs.log import Log
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Estimates, LocfuseError, Stream, UsageError
 from locfuse.fusion.judge.against import interpolated

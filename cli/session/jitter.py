@@ -15,13 +15,13 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.cli.pipeline.compare import Compared, compare_log
-from locfuse.cli.pipeline.configurations import Configuration
-from locfuse.cli.pipeline.load import Loaded
-from locfuse.cli.pipeline.settings import Progress
-from locfuse.cli.pipeline.verdicts import verdicts
+from locfuse.cli.analysis.compare import Compared, compare_log
+from locfuse.cli.analysis.configurations import Configuration
+from locfuse.cli.analysis.load import Loaded
+from locfuse.cli.analysis.settings import Progress
+from locfuse.cli.analysis.verdicts import verdicts
 from locfuse.fusion.data import Estimates, UsageError
-from locfuse.fusion.jitter import DROPPED_SHARE, MOVED_S, jittered
+from locfuse.fusion.judge.jitter import DROPPED_SHARE, MOVED_S, jittered
 
 MAX_RUNS = 1000
 DIRECTIONS = {"helps": 1, "seems to help": 1, "hurts": -1, "seems to hurt": -1}

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from locfuse.cli.advice.values import fixes_file
-from locfuse.cli.pipeline import exports, maps, outputs, results
-from locfuse.cli.pipeline.compare import Compared
-from locfuse.cli.pipeline.load import Loaded
-from locfuse.cli.pipeline.settings import OF_COMPARISON, OF_RUN, PathLike, chosen, path_of
-from locfuse.formats.tables.findings import void_reasons
+from locfuse.cli.analysis import exports, maps, outputs, results
+from locfuse.cli.analysis.compare import Compared
+from locfuse.cli.analysis.load import Loaded
+from locfuse.cli.analysis.settings import OF_COMPARISON, OF_RUN, PathLike, chosen, path_of
+from locfuse.formats.report.findings import void_reasons
 from locfuse.formats.visible import visible
 from locfuse.fusion.data import Drive, Estimates, Evaluation, UsageError
 from locfuse.fusion.judge.credit import Credit
@@ -56,7 +56,7 @@ class Result(msgspec.Struct, frozen=True, eq=False):
     @property
     def notes(self) -> list[str]:
         """What a reader of the figures must know, of the log and of what the configurations found in it."""
-        from locfuse.formats.tables.notes import notes_of
+        from locfuse.formats.report.notes import notes_of
 
         return notes_of(self.report)
 

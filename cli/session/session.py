@@ -10,14 +10,14 @@ from msgspec.structs import replace
 
 from locfuse.cli.advice.advised import Advised
 from locfuse.cli.advice.report import complete
-from locfuse.cli.pipeline import maps
-from locfuse.cli.pipeline.compare import Compared, compare_log, report_of, report_of_run
-from locfuse.cli.pipeline.configurations import Configuration, Sensors, for_comparison, parse
-from locfuse.cli.pipeline.key import Asked
-from locfuse.cli.pipeline.load import Loaded, find_log, load_to_fuse, start_error, with_settings
-from locfuse.cli.pipeline.memory import lean
-from locfuse.cli.pipeline.outputs import Drawn
-from locfuse.cli.pipeline.settings import (
+from locfuse.cli.analysis import maps
+from locfuse.cli.analysis.compare import Compared, compare_log, report_of, report_of_run
+from locfuse.cli.analysis.configurations import Configuration, Sensors, for_comparison, parse
+from locfuse.cli.analysis.key import Asked
+from locfuse.cli.analysis.load import Loaded, find_log, load_to_fuse, start_error, with_settings
+from locfuse.cli.analysis.memory import lean
+from locfuse.cli.analysis.outputs import Drawn
+from locfuse.cli.analysis.settings import (
     MAX_REFERENCE_INSTANTS,
     LogOptions,
     PathLike,
@@ -30,12 +30,12 @@ from locfuse.cli.pipeline.settings import (
     silent,
     words_of,
 )
-from locfuse.cli.pipeline.trust import evidence
-from locfuse.formats.log.log import Log
+from locfuse.cli.analysis.trust import evidence
+from locfuse.formats.logs.log import Log
 from locfuse.formats.robot.robot_toml import as_set
 from locfuse.formats.visible import visible
+from locfuse.fusion.checks.truth import jumps_of
 from locfuse.fusion.data import Drive, Estimates, Evaluation, UsageError
-from locfuse.fusion.doctor.truth import jumps_of
 from locfuse.fusion.judge.evaluate import Align, evaluate
 from locfuse.fusion.robot import Robot
 
@@ -233,7 +233,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         short = smooth or len(self.drive.t) <= MAX_REFERENCE_INSTANTS
         if wanted is False or jitter or not (wanted or (short and self.drive.truth is None)):
             return False
-        from locfuse.fusion.reference import possible, refuse  # the graph comes with it
+        from locfuse.fusion.whole_drive.reference import possible, refuse  # the graph comes with it
 
         if wanted:
             refuse(self.drive, self.robot)

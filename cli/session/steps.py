@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import cast, get_args
 
-from locfuse.cli.pipeline.configurations import Sensors, parse
-from locfuse.cli.pipeline.load import find_log
-from locfuse.cli.pipeline.settings import PathLike, one_of, words_of
-from locfuse.formats.log import log as logs
-from locfuse.formats.log.log import Log
+from locfuse.cli.analysis.configurations import Sensors, parse
+from locfuse.cli.analysis.load import find_log
+from locfuse.cli.analysis.settings import PathLike, one_of, words_of
+from locfuse.formats.logs import log as logs
+from locfuse.formats.logs.log import Log
 from locfuse.fusion.data import Drive, Estimates, Evaluation
 from locfuse.fusion.judge import evaluate as judge
 from locfuse.fusion.judge.evaluate import Align

@@ -8,11 +8,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypedDict, Unpack, overload
 
-from locfuse.cli.choose.grouping import logs_of
-from locfuse.cli.pipeline import results
-from locfuse.cli.pipeline.configurations import Sensors
-from locfuse.cli.pipeline.load import find_log
-from locfuse.cli.pipeline.settings import (
+from locfuse.cli.analysis import results
+from locfuse.cli.analysis.configurations import Sensors
+from locfuse.cli.analysis.grouping import logs_of
+from locfuse.cli.analysis.load import find_log
+from locfuse.cli.analysis.settings import (
     OF_COMPARISON,
     PathLike,
     Progress,
@@ -23,10 +23,10 @@ from locfuse.cli.pipeline.settings import (
     silent,
     words_of,
 )
-from locfuse.cli.pipeline.verdicts import credit_values, verdicts
+from locfuse.cli.analysis.verdicts import credit_values, verdicts
 from locfuse.formats.fleet.entry import Entry, slim
 from locfuse.formats.fleet.files import summary_files
-from locfuse.formats.log.files import log_name
+from locfuse.formats.logs.files import log_name
 from locfuse.formats.report import json_report
 from locfuse.formats.report import summary as over
 from locfuse.formats.versions import own

@@ -45,7 +45,7 @@ def settings(context: click.Context, parameter: click.Parameter, begun: str) -> 
     """Offer keys of robot.toml with their units; after TABLE.topic= the topics of the log that was typed."""
     from msgspec.structs import fields
 
-    from locfuse.cli.pipeline.load import table_types
+    from locfuse.cli.analysis.load import table_types
     from locfuse.formats.robot import units
 
     key, equals, word = begun.partition("=")
@@ -62,8 +62,8 @@ def settings(context: click.Context, parameter: click.Parameter, begun: str) -> 
 
 def topics(context: click.Context) -> list[str]:
     """Return the topics of the log on the command line; none where it cannot be opened."""
-    from locfuse.cli.pipeline.load import find_log
-    from locfuse.formats.log.log import open_log
+    from locfuse.cli.analysis.load import find_log
+    from locfuse.formats.logs.log import open_log
     from locfuse.fusion.data import LocfuseError
 
     # an option without its value ends click's parsing before LOG is found: the shell's own words know it

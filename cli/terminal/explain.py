@@ -16,7 +16,7 @@ def explain(term: str | None) -> int:
     locfuse explain ANEES
     locfuse explain drift
     """
-    from locfuse.formats.tables.glossary import GLOSSARY, explained, similar
+    from locfuse.formats.report.glossary import GLOSSARY, explained, similar
     from locfuse.fusion.data import UsageError
 
     words = None if term is None else explained(term)

@@ -33,7 +33,7 @@ def findings_options(what: str, tables: str) -> Callable[[Command], Command]:
 def print_findings(values: Any, tables: Iterable[Table], out: Path | None, as_json: bool, held: str = "") -> None:
     """Print what was found as JSON, or as tables and with how the file is used; `held`: what it holds instead."""
     from locfuse.formats.report import json_report
-    from locfuse.formats.tables.table import of_words, texts
+    from locfuse.formats.report.table import of_words, texts
 
     from . import show
 
@@ -52,7 +52,7 @@ def print_findings(values: Any, tables: Iterable[Table], out: Path | None, as_js
 
 def end(notes: Iterable[str], lost: Sequence[str], quiet: bool) -> int:
     """Say what else there is to know on stderr; return the exit code."""
-    from locfuse.cli.pipeline.results import LOSS
+    from locfuse.cli.analysis.results import LOSS
 
     for line in (*(() if quiet else (f"note: {n}" for n in notes)), *(f"lost: {n}" for n in lost)):
         say(line, err=True)  # the reason of exit code 3 is said under --quiet too

@@ -18,7 +18,7 @@ class Folder(click.Path):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return it as a word."""
-        from locfuse.formats.url import is_url
+        from locfuse.formats.container.url import is_url
 
         return value if is_url(str(value)) else str(super().convert(value, param, ctx))
 

@@ -11,9 +11,9 @@ from locfuse.cli.inspect.mounts import extrinsics
 from locfuse.cli.inspect.overview import Overview
 from locfuse.cli.inspect.topics import TopicFacts, clock_word
 from locfuse.cli.inspect.values import absent, configurations, wheels_missing
-from locfuse.formats.tables.table import Cell, Column, Table
-from locfuse.fusion.doctor.finding import Finding
-from locfuse.fusion.doctor.laser import OPEN_SCALE
+from locfuse.formats.report.table import Cell, Column, Table
+from locfuse.fusion.checks.finding import Finding
+from locfuse.fusion.checks.laser import OPEN_SCALE
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from . import text_table

@@ -10,9 +10,9 @@ from typing import Any, TypeVar
 import click
 from msgspec.structs import replace
 
-from locfuse.cli.pipeline import settings
-from locfuse.cli.pipeline.exports import KINDS as EXPORTS
-from locfuse.cli.pipeline.settings import LogOptions, MapOptions
+from locfuse.cli.analysis import settings
+from locfuse.cli.analysis.exports import KINDS as EXPORTS
+from locfuse.cli.analysis.settings import LogOptions, MapOptions
 
 from . import completion
 

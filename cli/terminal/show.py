@@ -9,11 +9,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
-from locfuse.formats.report import json_report
-from locfuse.formats.tables import tables
-from locfuse.formats.tables.findings import banner_of, findings_of, together
-from locfuse.formats.tables.notes import notes_of
-from locfuse.formats.tables.table import Table
+from locfuse.formats.report import json_report, tables
+from locfuse.formats.report.findings import banner_of, findings_of, together
+from locfuse.formats.report.notes import notes_of
+from locfuse.formats.report.table import Table
 from locfuse.fusion.progress import heard_by
 
 from . import text_table

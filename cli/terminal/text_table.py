@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import msgspec
 from msgspec.structs import replace
 
-from locfuse.formats.tables.table import Cell, Column, Table, text
+from locfuse.formats.report.table import Cell, Column, Table, text
 from locfuse.formats.visible import visible
 
 MIN_CELL_WIDTH = 12  # characters of a text that is cut

@@ -1,1 +1,1 @@
-"""Files of recorded logs: bytes in, batches of raw messages out; .mcap has its own room."""
+"""Files of recorded logs (MCAP, .db3, .bag; here, in a bucket or on a web server): bytes <-> raw messages."""

@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from locfuse.formats import inputs
-from locfuse.formats.url import Place
 from locfuse.fusion.data import LocfuseError
 
 from .losses import Losses
+from .url import Place
 
 MIN_WINDOW_BYTES = 1 << 12  # read ahead after a jump: a walk from chunk to chunk wants little of each
 WINDOW_BYTES = 1 << 18  # read ahead where reads follow each other

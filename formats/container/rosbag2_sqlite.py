@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_CHUNK, MAX_DATABASE_SECONDS, MAX_MESSAGE
-from locfuse.formats.known_types.definition import MAX_SAMPLE, definition
-from locfuse.formats.url import Place
 from locfuse.fusion.data import Ints, LocfuseError
 
 from .file_bytes import FileBytes
+from .known_types import MAX_SAMPLE, definition
 from .losses import Losses
 from .source import Batch, ChannelInfo, Messages, message_type
 from .sqlite_journal import journal_of
+from .url import Place
 
 ERRORS = (sqlite3.Error, UnicodeDecodeError, ValueError, MemoryError)  # of a damaged database
 BATCH_BYTES = 1 << 20

@@ -9,12 +9,12 @@ from typing import BinaryIO
 
 import zstandard
 
-from locfuse.formats.url import Place
 from locfuse.formats.whole_files import scratch_prefix
 from locfuse.fusion.data import LocfuseError
 
 from .file_bytes import FileBytes
 from .losses import Losses
+from .url import Place
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 PIECE_BYTES = 1 << 20

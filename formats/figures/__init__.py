@@ -1,1 +1,1 @@
-"""Figures of a report as values: what each panel shows, in which role and colour."""
+"""Figures of a report: what each panel shows, as values, and how it is drawn: SVG for a page, PDF for print."""

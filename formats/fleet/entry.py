@@ -8,7 +8,7 @@ from typing import Any, Literal
 import msgspec
 from msgspec import field
 
-from locfuse.formats.tables.findings import void_reasons
+from locfuse.formats.report.findings import void_reasons
 
 State = Literal["done", "failed", "not run"]
 COUNTS = ("accepted", "rejected", "absent", "nis")  # of a sensor in a configuration

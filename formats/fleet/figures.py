@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from locfuse.formats.figures.panels import Band, Curve, Dots, Panel, Section
-from locfuse.formats.tables.tables import RMSE
+from locfuse.formats.report.tables import RMSE
 from locfuse.fusion.data import Array
 
 from .entry import Entry

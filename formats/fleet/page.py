@@ -14,14 +14,14 @@ from statistics import median
 from typing import Any, Literal
 from urllib.parse import quote
 
-from locfuse.formats.drawing.svg import slugs_of
 from locfuse.formats.figures import palette
 from locfuse.formats.figures.palette import Trace
+from locfuse.formats.figures.svg import slugs_of
 from locfuse.formats.report import summary as over
 from locfuse.formats.report.html import TONES, section_drawings, style_sheet
-from locfuse.formats.tables.render import SIGNS, Swatches, html, html_text
-from locfuse.formats.tables.table import Column, Table, of_values
-from locfuse.formats.tables.tables import RMSE
+from locfuse.formats.report.render import SIGNS, Swatches, html, html_text
+from locfuse.formats.report.table import Column, Table, of_values
+from locfuse.formats.report.tables import RMSE
 from locfuse.fusion.data import Colour
 
 from .entry import Entry

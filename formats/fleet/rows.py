@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from locfuse.formats.no_pandas import without_pandas
-from locfuse.formats.tables.render import csv_text
+from locfuse.formats.report.render import csv_text
 
 from .entry import COUNTS, Entry
 

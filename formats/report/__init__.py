@@ -1,1 +1,1 @@
-"""The report: JSON, Markdown, HTML, CSV, LaTeX, and summaries over logs."""
+"""The report: its tables, notes and words, as JSON, Markdown, HTML, CSV and LaTeX; summaries over logs."""

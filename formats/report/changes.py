@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from locfuse.formats.tables.render import escape, markdown
-from locfuse.formats.tables.table import Column, Table, of_words, texts
-from locfuse.formats.tables.tables import MAIN
-
 from .json_report import same_input
+from .render import escape, markdown
 from .summary import is_figure
+from .table import Column, Table, of_words, texts
+from .tables import MAIN
 
 Report = Mapping[str, Any]
 COLUMNS = texts("configuration", "figure", "before", "after", "change", left=2)

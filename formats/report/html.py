@@ -15,17 +15,18 @@ from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
-from locfuse.formats.drawing.svg import HEIGHT, WIDTH, slugs_of, svg
 from locfuse.formats.figures import palette
 from locfuse.formats.figures.palette import Trace
 from locfuse.formats.figures.panels import Section
-from locfuse.formats.tables import tables
-from locfuse.formats.tables.findings import findings_of, together
-from locfuse.formats.tables.glossary import GLOSSARY
-from locfuse.formats.tables.notes import fingerprint, notes_of, title_of
-from locfuse.formats.tables.render import SIGNS, Swatches, data, html
-from locfuse.formats.tables.table import Path, Piece, Table, written
+from locfuse.formats.figures.svg import HEIGHT, WIDTH, slugs_of, svg
 from locfuse.fusion.data import REFUSED, Colour
+
+from . import tables
+from .findings import findings_of, together
+from .glossary import GLOSSARY
+from .notes import fingerprint, notes_of, title_of
+from .render import SIGNS, Swatches, data, html
+from .table import Path, Piece, Table, written
 
 if TYPE_CHECKING:
     from jinja2 import Template

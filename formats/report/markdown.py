@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from locfuse.formats.tables import tables
-from locfuse.formats.tables.findings import banner_of, findings_of, together
-from locfuse.formats.tables.notes import fingerprint, notes_of, title_of
-from locfuse.formats.tables.render import SIGNS, code, escape, markdown
+from . import tables
+from .findings import banner_of, findings_of, together
+from .notes import fingerprint, notes_of, title_of
+from .render import SIGNS, code, escape, markdown
 
 
 def render(report: Mapping[str, Any]) -> str:

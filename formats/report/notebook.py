@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from locfuse.formats.tables.render import html, html_text
-from locfuse.formats.tables.tables import configurations
-
 from . import summary as over
+from .render import html, html_text
+from .tables import configurations
 
 
 def render(report: Mapping[str, Any]) -> str:

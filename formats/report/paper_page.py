@@ -6,18 +6,18 @@ from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
-from locfuse.formats.drawing.svg import slugs_of
 from locfuse.formats.figures.palette import SHAPES
 from locfuse.formats.figures.panels import Panel, Section
-from locfuse.formats.tables.findings import length
-from locfuse.formats.tables.render import Swatches, html
-from locfuse.formats.tables.render import csv as csv_of
-from locfuse.formats.tables.render import latex as latex_of
-from locfuse.formats.tables.table import Column, Table, of_values
-from locfuse.formats.tables.tables import CONFIGURATION
+from locfuse.formats.figures.svg import slugs_of
 from locfuse.fusion.data import Colour
 
+from .findings import length
 from .html import compact, hash_of, section_drawings, style_sheet
+from .render import Swatches, html
+from .render import csv as csv_of
+from .render import latex as latex_of
+from .table import Column, Table, of_values
+from .tables import CONFIGURATION
 
 COLUMNS = (
     CONFIGURATION,

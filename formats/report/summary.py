@@ -8,9 +8,9 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from locfuse.formats.tables.render import escape, markdown
-from locfuse.formats.tables.table import Column, Table, of_values
-from locfuse.formats.tables.tables import CONFIGURATION, DURATION, MAIN, RMSE
+from .render import escape, markdown
+from .table import Column, Table, of_values
+from .tables import CONFIGURATION, DURATION, MAIN, RMSE
 
 OVER_LOGS = ("mean", "median", "p90", "worst")  # of a figure over the logs
 BRIEF = (

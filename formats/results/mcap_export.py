@@ -14,14 +14,14 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from locfuse.formats.log.log import TF_TYPES, Log
-from locfuse.formats.mcap.template import MESSAGES
-from locfuse.formats.mcap.write import LATCHED
-from locfuse.formats.mcap.write_columns import Block, ColumnWriter
+from locfuse.formats.container.mcap_write import LATCHED
+from locfuse.formats.container.mcap_write_columns import Block, ColumnWriter
+from locfuse.formats.logs.log import TF_TYPES, Log
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Truth
 
 from .recovered_log import copy_messages
 from .ros_messages import PATH, Series, odometry, path, points, poses, transforms
+from .template import MESSAGES
 from .trajectory import stamps, with_truth_rows
 
 BASE = "base_link"

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import msgspec
 
+from locfuse.formats.container.mcap_write import LATCHED
+from locfuse.formats.container.mcap_write_columns import Block, ColumnWriter
 from locfuse.formats.container.source import Recorded
-from locfuse.formats.log.log import Log
-from locfuse.formats.mcap.write import LATCHED
-from locfuse.formats.mcap.write_columns import Block, ColumnWriter
+from locfuse.formats.logs.log import Log
 from locfuse.formats.visible import writable
 from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import LocfuseError

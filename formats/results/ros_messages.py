@@ -10,11 +10,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from locfuse.formats.container.mcap_write import nested, time_message
 from locfuse.formats.geometry import quaternions
-from locfuse.formats.mcap.template import MESSAGES, Columns, Template, stamps
-from locfuse.formats.mcap.write import nested, time_message
 from locfuse.fusion.data import Array, Ints, matrices
 
+from .template import MESSAGES, Columns, Template, stamps
 from .trajectory import SIX
 
 MAP = "map"

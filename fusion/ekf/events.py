@@ -1,6 +1,6 @@
 """What happened to the state in one run of the filter, in order: for whoever goes through it again.
 
-The verbs of the belief write this list. The smoother (fusion.smooth) goes through it backward: an event is undone
+The verbs of the belief write this list. The smoother (whole_drive) goes through it backward: an event is undone
 by before = c + G after + an independent rest of covariance D (Rauch, Tung, Striebel 1965), and a correction only
 adds knowledge. The tuner (fusion.tune) goes through it forward with other noise, on the deviations from the run.
 Walls and offsets do not move, so only the rows of what does are kept: a few times n numbers an instant.

@@ -55,7 +55,7 @@ LONE_D2, LONE_TURN_RAD, LONE_OFFSET_M = 5.0, 3.0 * (pi / 180.0), 0.15
 
 
 class Walls:
-    """The line map as columns (J,), shared with fusion.linemap.LineMap."""
+    """The line map as columns (J,), shared with fusion.map.LineMap."""
 
     columns: Any
     anchors: Any
@@ -113,7 +113,7 @@ class Doubles:
 
 
 class Audit:
-    """Columns (rows,) of what became of every measurement (fusion.record)."""
+    """Columns (rows,) of what became of every measurement (fusion.ekf.record)."""
 
     instant: Any
     row: Any
@@ -139,7 +139,7 @@ class Audit:
 
 
 class Sight:
-    """The lines of one scan, associated with the map; fusion.linemap.line_map owns the arrays."""
+    """The lines of one scan, associated with the map; fusion.map.line_map owns the arrays."""
 
     rows: Any
     match: Any

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, upper_triangles
+from locfuse.fusion.ekf.record import Record
 from locfuse.fusion.fuse import configuration_name
 from locfuse.fusion.instants import BLOCK
 from locfuse.fusion.progress import say_done
-from locfuse.fusion.record import Record
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.wheels.motion import Wheels
 

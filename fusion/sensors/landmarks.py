@@ -43,9 +43,6 @@ from locfuse.fusion.data import (
     plausible,
 )
 from locfuse.fusion.kernels.ekf import Innovation
-from locfuse.fusion.landmarks.geometry import Point, Row, detector_at, predict
-from locfuse.fusion.landmarks.messages import PIXELS, READS, Looks, Sighted, sighted
-from locfuse.fusion.landmarks.places import MIN_DETECTIONS, wrong_places
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.se2 import direction, wrap, wrap_all
 from locfuse.fusion.sensor import (
@@ -61,6 +58,10 @@ from locfuse.fusion.sensor import (
     WheelMotion,
 )
 from locfuse.fusion.streams import MergedStream, count_dropped
+
+from .landmark_geometry import Point, Row, detector_at, predict
+from .landmark_messages import PIXELS, READS, Looks, Sighted, sighted
+from .landmark_places import MIN_DETECTIONS, wrong_places
 
 GROW = "grow"
 LEVER = ("x", "y", "yaw")  # of a detection, where several cameras look

@@ -20,7 +20,7 @@ import numpy as np
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, Measurements, Stream
 from locfuse.fusion.kernels.ekf import Innovation
-from locfuse.fusion.linemap.sonar_echo import Cone, nearest_echo
+from locfuse.fusion.map.sonar_echo import Cone, nearest_echo
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.sensor import GATE, Ask, Model, Sensor, SensorSettings, WheelMotion
 from locfuse.fusion.streams import MergedStream, count_dropped

@@ -1,1 +1,1 @@
-"""Wheel motion: reading and repairing wheel data, exact arcs, wheel geometry and noise."""
+"""Wheel motion: reading and repairing wheels, exact arcs, noise, calibration; motion by scans without wheels."""

@@ -64,7 +64,7 @@ STEERED: Mapping[str, tuple[str, str]] = {
     "ackermann_msgs/msg/AckermannDriveStamped": ("drive.speed", "drive.steering_angle"),
     "ackermann_msgs/msg/AckermannDrive": ("speed", "steering_angle"),
 }
-SCANS = "sensor_msgs/msg/LaserScan"  # matched with each other (fusion.laser_odometry): their fields are big
+SCANS = "sensor_msgs/msg/LaserScan"  # matched with each other (fusion.wheels): their fields are big
 BODY_READS: Mapping[str, tuple[str, ...]] = {
     **{
         kind: tuple(field for fields in (POSE, PLANAR, SPEED, STEERED) for field in fields.get(kind, ()))

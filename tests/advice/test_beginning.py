@@ -8,9 +8,9 @@ import pytest
 from locfuse.cli.advice import trial as trials
 from locfuse.cli.advice.beginning import Beginning
 from locfuse.cli.advice.trial import Trial, score_of
-from locfuse.cli.pipeline.compare import compare_log
-from locfuse.cli.pipeline.configurations import for_comparison
-from locfuse.cli.pipeline.settings import silent
+from locfuse.cli.analysis.compare import compare_log
+from locfuse.cli.analysis.configurations import for_comparison
+from locfuse.cli.analysis.settings import silent
 from locfuse.cli.session.session import load
 
 LOG = "rounded_rectangle"

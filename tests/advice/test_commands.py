@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from trap_logs import TRUTH, Drive, seconds
 from traps_sensors import elsewhere, pitched_imu, short_metre, upside_down
 
-from locfuse.cli.pipeline.load import start_error
+from locfuse.cli.analysis.load import start_error
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,9 @@ from msgspec.structs import replace
 
 from locfuse.cli.advice import clocks as module
 from locfuse.cli.advice.evidence import Evidence
+from locfuse.fusion.checks.finding import Finding
+from locfuse.fusion.checks.lag import Lag
 from locfuse.fusion.data import Measurements
-from locfuse.fusion.doctor.finding import Finding
-from locfuse.fusion.doctor.lag import Lag
 from locfuse.fusion.judge.consistency import Consistency
 from locfuse.fusion.judge.covariance import Honesty
 from locfuse.fusion.judge.noise_verdicts import Verdict

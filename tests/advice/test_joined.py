@@ -10,9 +10,9 @@ from msgspec.structs import replace
 from locfuse.cli.advice.advised import Advised
 from locfuse.cli.advice.validity import add_validity
 from locfuse.cli.advice.values import add_findings
-from locfuse.formats.tables.findings import sentence
-from locfuse.fusion.advice.search import Advice
-from locfuse.fusion.doctor.finding import Finding
+from locfuse.formats.report.findings import sentence
+from locfuse.fusion.checks.finding import Finding
+from locfuse.fusion.checks.search import Advice
 
 SURE = Finding("lrf", "lag", "late (correlation 0.9 as stamped, 0.99 shifted). It is the laser's", severe=True)
 LATE = Advice(Finding("lrf", "lag", "stamps look 0.1 s late"), ("lrf.time_offset=-0.1",))

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from locfuse.cli.advice import evaluator
-from locfuse.fusion.advice.score import Score
-from locfuse.fusion.advice.search import Advice, Fixes
-from locfuse.fusion.doctor.finding import Finding
+from locfuse.fusion.checks.finding import Finding
+from locfuse.fusion.checks.score import Score
+from locfuse.fusion.checks.search import Advice, Fixes
 
 CLOCK, NOISE = "compass.time_offset=0", "lrf.sigma_range=0.03"
 LATE = Advice(Finding("compass", "lag", "late", severe=True), tried=((CLOCK,),))

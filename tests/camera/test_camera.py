@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 from omni_scene import Lens, Picture, Pole, picture, wrapped_deg
 from said import one_by_one, said
 
-from locfuse.cli.choose.choose import choose
-from locfuse.cli.pipeline.load import make_robot
+from locfuse.cli.analysis.choose import choose
+from locfuse.cli.analysis.load import make_robot
 from locfuse.formats.results.preview import write_pictures
 from locfuse.fusion.camera import detect as landmark_module
 from locfuse.fusion.camera.bearing import paper_orientation, predict_bearing
 from locfuse.fusion.camera.image_header import image_size
 from locfuse.fusion.camera.images import FIELDS
+from locfuse.fusion.checks.preview import preview
 from locfuse.fusion.data import VERDICTS, ArrayStream, LocfuseError, Measurements
-from locfuse.fusion.doctor.preview import preview
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.se2 import wrap, wrap_all
@@ -578,7 +578,7 @@ def sample_errors_deg(name: str, chain: str) -> NDArray[np.float64]:
     """Error of the bearing in every picture of a shipped log, by the simulator's truth, [deg]."""
     import tomllib
 
-    from locfuse.formats.log.log import open_log
+    from locfuse.formats.logs.log import open_log
     from locfuse.fusion.truth import TRUTH_READS
 
     log: Any = open_log([SAMPLES / f"{name}.mcap"])

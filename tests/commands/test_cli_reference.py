@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from commands import Done, locfuse
 
-from locfuse.cli.jobs import ci_gates
+from locfuse.cli.analysis import ci_gates
 from locfuse.formats.report.changes import changes, remarks
 
 LOG = "rounded_triangle"

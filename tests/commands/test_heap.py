@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from locfuse.cli.pipeline import memory
+from locfuse.cli.analysis import memory
 
 
 @pytest.mark.parametrize(("peak", "trimmed"), [(memory.SMALL_KB, 0), (memory.SMALL_KB + 1, 1)])

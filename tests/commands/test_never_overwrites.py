@@ -18,9 +18,9 @@ from hostile import write
 from locfuse.formats import inputs, whole_files
 from locfuse.formats.container.file_bytes import WRITTEN_TO, FileBytes
 from locfuse.formats.container.losses import Losses
-from locfuse.formats.log.files import log_name
-from locfuse.formats.log.log import open_log
-from locfuse.formats.mcap.write import LogWriter
+from locfuse.formats.container.mcap_write import LogWriter
+from locfuse.formats.logs.files import log_name
+from locfuse.formats.logs.log import open_log
 from locfuse.formats.whole_files import temporary_for, whole_file, write_results
 from locfuse.fusion.data import LocfuseError
 

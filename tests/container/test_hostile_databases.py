@@ -17,7 +17,7 @@ from hostile import crashed_recording, sample
 from locfuse.formats.container import rosbag2_sqlite, sqlite_journal
 from locfuse.formats.container.rosbag2_sqlite import Leash
 from locfuse.formats.container.sqlite_journal import HEADER, journal_of
-from locfuse.formats.log.log import open_log
+from locfuse.formats.logs.log import open_log
 from locfuse.fusion.data import LocfuseError
 
 PAGE = 4096

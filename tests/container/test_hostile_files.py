@@ -12,8 +12,8 @@ from hostile import write
 
 from locfuse.formats.container.decompress import DamagedError
 from locfuse.formats.container.ros1_records import scan
-from locfuse.formats.log.files import log_files
-from locfuse.formats.log.log import open_log
+from locfuse.formats.logs.files import log_files
+from locfuse.formats.logs.log import open_log
 
 
 def cpu_seconds(path: Path) -> float:

@@ -23,7 +23,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_typestore
 
-from locfuse.formats.log.log import Log, open_log
+from locfuse.formats.logs.log import Log, open_log
 from locfuse.formats.messages.decode import make_decoder
 from locfuse.formats.messages.fields import paths
 from locfuse.fusion.data import LocfuseError

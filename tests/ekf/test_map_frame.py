@@ -17,7 +17,7 @@ from locfuse.fusion.ekf.events import Before, Events
 from locfuse.fusion.ekf.map_frame import Triangle, in_map_P
 from locfuse.fusion.kernels.ekf import bent
 from locfuse.fusion.sensor import Block
-from locfuse.fusion.smooth import Backward
+from locfuse.fusion.whole_drive.smooth import Backward
 
 Array = np.ndarray
 START = (1.0, -2.0, 0.4)

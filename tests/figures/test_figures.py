@@ -13,9 +13,8 @@ import small_scene
 from colour_vision import VISION, contrast, linear_rgb, oklab, page
 from numpy.typing import NDArray
 
-from locfuse.formats.drawing import svg, svg_path, ticks
-from locfuse.formats.drawing.for_paper import paper_figures
-from locfuse.formats.figures import palette
+from locfuse.formats.figures import palette, svg, svg_path, ticks
+from locfuse.formats.figures.for_paper import paper_figures
 from locfuse.formats.figures.panels import Band, Curve, Dots, Panel, Strokes
 from locfuse.formats.figures.sections import sections
 from locfuse.fusion.data import VERDICTS

@@ -14,11 +14,11 @@ import pytest
 from commands import locfuse
 
 from benchmarks.fleet import tables, write_logs
+from locfuse.cli.analysis.key import Asked
 from locfuse.cli.fleet import cluster as clusters
 from locfuse.cli.fleet import process
 from locfuse.cli.fleet.job import Job, Outcome
 from locfuse.cli.fleet.queue import run_all
-from locfuse.cli.pipeline.key import Asked
 from locfuse.fusion.data import LocfuseError
 
 ONE = ("--sensors", "odometry", "--write", "json,csv", "-q")

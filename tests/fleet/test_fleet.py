@@ -23,13 +23,13 @@ from counted_jobs import counted_jobs
 from jobs_here import jobs_here
 
 from benchmarks.fleet import killed, tables, write_logs
+from locfuse.cli.analysis.key import Asked, asked_tables
+from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.fleet import process
 from locfuse.cli.fleet.job import Job, Outcome
 from locfuse.cli.fleet.queue import Standing, duration, run_all
 from locfuse.cli.fleet.words import _regex, expanded
-from locfuse.cli.pipeline.key import Asked, asked_tables
-from locfuse.cli.pipeline.settings import LogOptions
-from locfuse.formats.log.log import open_log
+from locfuse.formats.logs.log import open_log
 from locfuse.formats.whole_files import RUN_LOCK, sole_writer
 from locfuse.fusion.data import UsageError
 
@@ -221,7 +221,8 @@ def test_ctrl_c_keeps_what_is_done(logs: list[Path], tmp_path: Path) -> None:
         "print(msgspec.json.encode(outcome(job)).decode())\n"
     )
     code = (
-        "import sys\nfrom locfuse.cli.comparison import several\nfrom locfuse.cli.fleet import process\n"
+        "import sys\nfrom locfuse.cli.commands import compare_several as several\n"
+        "from locfuse.cli.fleet import process\n"
         f"process.COMMAND = (sys.executable, {str(slow)!r})\n"
         "several.STILL_S = 0.0\n"  # says at every look how far it is
         "from locfuse.cli.main import main\nmain(sys.argv[1:])\n"

@@ -16,7 +16,7 @@ from locfuse.fusion.instants import due_readings, steps_of
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot, StartSettings
-from locfuse.fusion.smooth import fuse_and_smooth
+from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 
 SIGMAS = [  # degrees, m
     (0.0, 0.0),

@@ -11,16 +11,16 @@ import pytest
 from worlds import World
 
 from locfuse import sample_logs
-from locfuse.cli.pipeline.compare import Compared, compare_log
-from locfuse.cli.pipeline.configurations import for_comparison
-from locfuse.cli.pipeline.load import load
-from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.analysis.compare import Compared, compare_log
+from locfuse.cli.analysis.configurations import for_comparison
+from locfuse.cli.analysis.load import load
+from locfuse.cli.analysis.settings import LogOptions
 from locfuse.fusion.data import Audit, Estimates, Measurements
+from locfuse.fusion.ekf.record import Record
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.innovations import own
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.measure import measure
-from locfuse.fusion.record import Record
 
 LINES = 100_000
 

@@ -12,17 +12,17 @@ from lock_step import simulated
 from said import written
 from textbook import numeric_jacobian, wrap
 
-from locfuse.fusion.atlas.tracker import LineTracker
 from locfuse.fusion.camera.bearing import predict_bearing
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.kernels.places import shares_into_base
 from locfuse.fusion.kernels.sight import Rules
-from locfuse.fusion.linemap.laser_mount import seat_of
-from locfuse.fusion.linemap.line_map import Association, LineMap
-from locfuse.fusion.linemap.scan import Scan
 from locfuse.fusion.lines.extract import rows_of
+from locfuse.fusion.map.laser_mount import seat_of
+from locfuse.fusion.map.line_map import Association, LineMap
+from locfuse.fusion.map.scan import Scan
+from locfuse.fusion.map.tracker import LineTracker
 from locfuse.fusion.mount import Mount
 from locfuse.fusion.se2 import sight
 from locfuse.fusion.sensors.camera import BearingModel, CameraSettings

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from bags import real_log
 
-from locfuse.cli.pipeline.load import load
-from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.analysis.load import load
+from locfuse.cli.analysis.settings import LogOptions
 from locfuse.fusion import se2
 from locfuse.fusion.data import Drive
 from locfuse.fusion.fuse import fuse

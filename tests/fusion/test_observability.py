@@ -18,7 +18,7 @@ from locfuse.fusion.instants import due_readings, steps_of
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot, StartSettings
-from locfuse.fusion.smooth import fuse_and_smooth
+from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 
 KNOWN = {"compass": {"offset_deg": math.degrees(0.7)}}
 TRUE = (1.5, 1.5, 0.0)

@@ -8,8 +8,8 @@ import numpy as np
 
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.kernels.sight import Seat
-from locfuse.fusion.linemap.line_map import LineMap
-from locfuse.fusion.linemap.scan import Scan
+from locfuse.fusion.map.line_map import LineMap
+from locfuse.fusion.map.scan import Scan
 
 # of `seated`, m, m, rad: a mount as configured, and how far it is from there
 MOUNT, MOVED = np.array([0.2, -0.3, 0.0]), np.array([0.03, -0.02, 0.05])

@@ -9,7 +9,7 @@ import numpy as np
 import small_drive
 from numpy.typing import NDArray
 
-from locfuse.cli.pipeline.verdicts import prediction_values, verdicts
+from locfuse.cli.analysis.verdicts import prediction_values, verdicts
 from locfuse.formats.figures.scene import Scene, Stretches
 from locfuse.formats.report import json_report
 from locfuse.fusion.data import (

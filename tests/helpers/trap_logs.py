@@ -11,7 +11,7 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
-from locfuse.formats.mcap.write import LogWriter
+from locfuse.formats.container.mcap_write import LogWriter
 from locfuse.sample_logs import load
 from locfuse.sample_logs.messages import RawMessage
 from locfuse.sample_logs.simulate import EPOCH_NS, Simulation

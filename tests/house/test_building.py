@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from benchmarks.building import SETTINGS, contained
 from benchmarks.relations import relation_errors
-from locfuse.cli.pipeline.load import load
-from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.analysis.load import load
+from locfuse.cli.analysis.settings import LogOptions
 from locfuse.fusion import se2
 from locfuse.fusion.data import Drive, Motions
 from locfuse.fusion.fuse import fuse

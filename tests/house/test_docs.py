@@ -10,8 +10,8 @@ import click
 import msgspec
 import pytest
 
+from locfuse.cli.analysis.load import table_types
 from locfuse.cli.main import COMMANDS, locfuse
-from locfuse.cli.pipeline.load import table_types
 from locfuse.sample_logs.scenario import Scenario
 
 ROOT = Path(__file__).parents[2]

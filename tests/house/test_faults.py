@@ -8,8 +8,8 @@ import pytest
 from lock_step import simulated
 
 from benchmarks import faults
+from locfuse.fusion.checks.clocks import clock_lags
 from locfuse.fusion.data import Drive, Evaluation
-from locfuse.fusion.doctor.clocks import clock_lags
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 import locfuse
-from locfuse.formats.log.log import open_log
+from locfuse.formats.logs.log import open_log
 
 DATA = os.environ.get("LOCFUSE_DATA")
 pytestmark = pytest.mark.skipif(not DATA, reason="LOCFUSE_DATA is not set: no real logs to try")

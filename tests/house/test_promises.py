@@ -28,7 +28,7 @@ from mcap.writer import CompressionType
 from locfuse import sample_logs
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
-from locfuse.formats.mcap.source import McapSource
+from locfuse.formats.container.mcap_source import McapSource
 
 ROBOT = {"robot.toml": b"[wheels]\nradius = 0.05\ntrack = 0.4\n[camera]\nlandmark = [1.0, 1.0]\n"}
 ROBOT["robot.toml"] += b"centre = [8.0, 8.0]\ninner = 2.0\nouter = 7.0\n"
@@ -198,7 +198,7 @@ def test_empty_or_not_mcap_is_one_line(tmp_path: Path, content: bytes) -> None:
 LIMITED = """
 import resource, sys
 import cv2, rosbags.typesys, zstandard
-import locfuse.cli.pipeline.load, locfuse.cli.commands.run, locfuse.cli.pipeline.results
+import locfuse.cli.analysis.load, locfuse.cli.commands.run, locfuse.cli.analysis.results
 import locfuse.fusion.judge.evaluate
 from locfuse.cli.main import main
 size = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize() + (400 << 20)

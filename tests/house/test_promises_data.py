@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from wheel_bags import GEOMETRY, angles, joint_states, log_of, pose_of
 from worlds import World
 
-from locfuse.cli.pipeline.load import load
-from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.analysis.load import load
+from locfuse.cli.analysis.settings import LogOptions
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure

@@ -20,8 +20,8 @@ from traps_sensors import short_metre
 
 from locfuse import sample_logs
 from locfuse.cli.terminal import text_table
-from locfuse.formats.tables.findings import void_reasons
-from locfuse.formats.tables.table import Column, of_words
+from locfuse.formats.report.findings import void_reasons
+from locfuse.formats.report.table import Column, of_words
 
 SAMPLES = ("rounded_rectangle", "rounded_triangle", "disturbed")
 GEOMETRY = ("--set", "wheels.radius=0.05", "--set", "wheels.track=0.4")

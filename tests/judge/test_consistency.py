@@ -14,7 +14,7 @@ from commands import locfuse
 from msgspec.structs import replace
 from small_drive import Array
 
-from locfuse.cli.pipeline.trust import unless_overconfident
+from locfuse.cli.analysis.trust import unless_overconfident
 from locfuse.fusion.data import Audit, Drive, Evaluation, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy import stats
 
-from locfuse.cli.pipeline.verdicts import credit_values, verdicts
+from locfuse.cli.analysis.verdicts import credit_values, verdicts
 from locfuse.fusion.data import Drive, Estimates
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge import bootstrap

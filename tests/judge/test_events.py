@@ -9,8 +9,8 @@ from small_drive import drive as small_drive
 from small_drive import robot as small_robot
 
 from locfuse import sample_logs
-from locfuse.cli.pipeline.load import load
-from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.analysis.load import load
+from locfuse.cli.analysis.settings import LogOptions
 from locfuse.fusion.data import (
     FAULT,
     LOOP,

@@ -19,9 +19,9 @@ from locfuse.fusion.data import Array
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.kernels import ekf, sight
 from locfuse.fusion.kernels.arrays import view
-from locfuse.fusion.linemap import tidy
-from locfuse.fusion.linemap.line_map import LineMap
-from locfuse.fusion.linemap.scan import Scan
+from locfuse.fusion.map import tidy
+from locfuse.fusion.map.line_map import LineMap
+from locfuse.fusion.map.scan import Scan
 
 ANGLE, OFFSET = math.radians(25.0), 1.0  # rad, m: pairs further apart are not looked at
 COMMON = 0.05  # m of one map line that two measured lines may both claim

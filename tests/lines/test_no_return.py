@@ -11,11 +11,11 @@ from ring_drive import box, scan
 from scan_streams import scan_stream
 
 from locfuse.fusion.data import Array, ArrayStream, Measurements
-from locfuse.fusion.laser_odometry.clouds import Standing
-from locfuse.fusion.laser_odometry.motion import match_scans
 from locfuse.fusion.lines.no_return import Longest
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings, laser_of
+from locfuse.fusion.wheels.motion_by_scans import match_scans
+from locfuse.fusion.wheels.scan_clouds import Standing
 
 BEAMS, SCANS, WORD = 120, 60, 8.0  # m; range_max of the scans is 12 m
 YARD = np.array(box(-4.0, -3.0, 4.5, 3.5)[:3] + box(1.0, 2.6, 2.2, 3.4))  # a room without its fourth wall

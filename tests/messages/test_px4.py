@@ -11,9 +11,9 @@ import pytest
 from numpy.typing import NDArray
 from wheel_bags import custom
 
-from locfuse.cli.choose.choose import choose
-from locfuse.cli.pipeline.load import make_robot
-from locfuse.formats.log.log import Log, open_log
+from locfuse.cli.analysis.choose import choose
+from locfuse.cli.analysis.load import make_robot
+from locfuse.formats.logs.log import Log, open_log
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.gyro import GyroSettings, up_rate

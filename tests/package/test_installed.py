@@ -52,7 +52,7 @@ def test_a_missing_package_is_one_line_with_the_pip_command(
 
 
 def test_a_module_of_our_own_that_is_missing_is_a_bug_and_shown_as_one() -> None:
-    done = command("sys.modules['locfuse.cli.pipeline.compare'] = None", "compare", "rounded_triangle")
+    done = command("sys.modules['locfuse.cli.analysis.compare'] = None", "compare", "rounded_triangle")
     assert "Traceback" in done.stderr
 
 

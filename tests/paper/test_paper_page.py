@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from commands import locfuse
 
-from locfuse.cli.jobs import paper, path_following
-from locfuse.cli.jobs.path_following import Driven
+from locfuse.cli.session import paper, path_following
+from locfuse.cli.session.path_following import Driven
 from locfuse.cli.session.session import load
 from locfuse.formats.report import paper_page
 from locfuse.formats.whole_files import write_results

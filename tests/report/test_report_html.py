@@ -19,10 +19,9 @@ from commands import locfuse
 
 from locfuse.formats.figures.sections import sections
 from locfuse.formats.report import html as report_html
-from locfuse.formats.report import markdown
-from locfuse.formats.tables import tables
-from locfuse.formats.tables.findings import findings_of
-from locfuse.formats.tables.glossary import GLOSSARY
+from locfuse.formats.report import markdown, tables
+from locfuse.formats.report.findings import findings_of
+from locfuse.formats.report.glossary import GLOSSARY
 from locfuse.fusion.sensors.registry import colours
 
 SENSORS = colours()

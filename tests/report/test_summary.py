@@ -16,14 +16,14 @@ from jobs_here import jobs_here
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from locfuse.cli.choose.grouping import logs_of, results_of
-from locfuse.cli.pipeline.verdicts import credit_values
+from locfuse.cli.analysis.grouping import logs_of, results_of
+from locfuse.cli.analysis.verdicts import credit_values
 from locfuse.cli.session.summary import summarised
 from locfuse.formats.fleet.entry import Entry, slim
 from locfuse.formats.fleet.rows import Rows, csv
 from locfuse.formats.report import changes as sides
 from locfuse.formats.report import summary as over
-from locfuse.formats.tables.table import records
+from locfuse.formats.report.table import records
 from locfuse.fusion.data import UsageError
 from locfuse.fusion.judge.credit import Credit, SensorCredit
 from locfuse.fusion.judge.verdict import Effect

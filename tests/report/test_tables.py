@@ -13,8 +13,8 @@ import pytest
 import small_scene
 
 from locfuse.cli.terminal import show, text_table
-from locfuse.formats.tables import render, tables
-from locfuse.formats.tables.table import Cell, Column, Table, of_values, of_words, records, text, texts
+from locfuse.formats.report import render, tables
+from locfuse.formats.report.table import Cell, Column, Table, of_values, of_words, records, text, texts
 
 EVIL = "<b>&|*_`$\\"
 LENGTH = Column("length_m", "length", "m", "{:.2f}", brief="len", brief_form="{:.1f}")

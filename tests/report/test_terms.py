@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from commands import locfuse
 
-from locfuse.formats.tables.glossary import GLOSSARY, explained
-from locfuse.formats.tables.notes import notes_of
-from locfuse.formats.tables.tables import COUNTS, MAIN
+from locfuse.formats.report.glossary import GLOSSARY, explained
+from locfuse.formats.report.notes import notes_of
+from locfuse.formats.report.tables import COUNTS, MAIN
 
 
 @pytest.mark.parametrize("heading", [(c.brief or c.heading).split("/")[0].strip() for c in (*MAIN, *COUNTS)])

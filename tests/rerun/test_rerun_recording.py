@@ -13,10 +13,10 @@ from mcap_ros2.decoder import DecoderFactory
 from recordings import Entity, read, read_blueprint
 
 from locfuse import sample_logs
-from locfuse.cli.pipeline import results
-from locfuse.cli.pipeline.configurations import for_comparison
-from locfuse.cli.pipeline.load import Loaded, load
-from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.analysis import results
+from locfuse.cli.analysis.configurations import for_comparison
+from locfuse.cli.analysis.load import Loaded, load
+from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.rerun.scene import make_scene
 from locfuse.formats.report import markdown
 from locfuse.formats.rerun.file import save_recording

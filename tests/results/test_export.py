@@ -25,7 +25,7 @@ from rosbags.typesys import Stores, get_typestore
 from locfuse import sample_logs
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
-from locfuse.formats.mcap.source import McapSource
+from locfuse.formats.container.mcap_source import McapSource
 from locfuse.formats.results.mcap_export import ros_name
 from locfuse.formats.whole_files import write_results
 from locfuse.fusion.data import LocfuseError

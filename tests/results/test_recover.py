@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 
-from locfuse.formats.log.log import open_log
+from locfuse.formats.logs.log import open_log
 
 Messages = list[tuple[str, int, int, int, bytes]]
 

@@ -11,7 +11,7 @@ import pytest
 from bags import T0, Said, cdr, real_log, write
 from scipy.spatial.transform import Rotation
 
-from locfuse.formats.log.log import open_log
+from locfuse.formats.logs.log import open_log
 from locfuse.formats.robot.transforms import (
     FIELDS,
     Mount,

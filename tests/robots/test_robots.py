@@ -12,8 +12,8 @@ from commands import locfuse
 from wheel_bags import CREATE, CREATE_TEXT, TURTLE, TURTLE_TEXT, angles, custom, joint_states, log_of
 
 from locfuse import robots
+from locfuse.cli.analysis.load import make_robot
 from locfuse.cli.inspect.known_robots import SIGNS
-from locfuse.cli.pipeline.load import make_robot
 
 
 @pytest.mark.parametrize("name", robots.names())

@@ -19,10 +19,10 @@ from benchmarks.consistency_kept import Kept
 from benchmarks.consistency_starts import Start, alone, often_short
 from benchmarks.consistency_starts import inside as share
 from benchmarks.consistency_table import HEAD, row
-from locfuse.cli.pipeline.load import make_robot
+from locfuse.cli.analysis.load import make_robot
 from locfuse.formats.robot import robot_toml
+from locfuse.fusion.checks.lag import Lag
 from locfuse.fusion.data import Drive, Estimates
-from locfuse.fusion.doctor.lag import Lag
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from locfuse.cli.commands.simulate import simulate
-from locfuse.cli.jobs.simulate import localise
+from locfuse.cli.session.simulate import localise
 from locfuse.fusion.data import LocfuseError, UsageError
 from locfuse.sample_logs import load
 from locfuse.sample_logs.messages import streams

@@ -17,8 +17,8 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 from said import one_by_one, said
 
-from locfuse.cli.pipeline.load import make_robot
-from locfuse.cli.pipeline.results import robot_file
+from locfuse.cli.analysis.load import make_robot
+from locfuse.cli.analysis.results import robot_file
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import ArrayStream, LocfuseError, Measurements, Ragged
 from locfuse.fusion.ekf.belief_arrays import JointBelief
@@ -26,7 +26,7 @@ from locfuse.fusion.fuse import Filter
 from locfuse.fusion.instants import due_readings, steps_of
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.kernels.sight import Walls
-from locfuse.fusion.linemap.line_map import Association
+from locfuse.fusion.map.line_map import Association
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Model, Reversal, Sensor
 from locfuse.fusion.sensors.compass import CompassSettings

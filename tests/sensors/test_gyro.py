@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from said import one_by_one, said
 from told import step
 
-from locfuse.cli.pipeline.load import make_robot
+from locfuse.cli.analysis.load import make_robot
 from locfuse.fusion.data import ArrayStream, Column, Drive, LocfuseError, Measurements, Ragged
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
@@ -21,8 +21,8 @@ from locfuse.fusion.mount import rotation
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Block
 from locfuse.fusion.sensors.gyro import BEFORE, BIAS, Gyro, GyroSettings, rests
-from locfuse.fusion.smooth import fuse_and_smooth
 from locfuse.fusion.wheels.motion import Wheels
+from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 
 Array = NDArray[np.float64]
 T0 = 1_700_000_000_000_000_000

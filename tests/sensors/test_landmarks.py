@@ -22,8 +22,8 @@ from wheel_bags import GEOMETRY, angles, joint_states, log_of
 from locfuse.formats.robot import landmark_map
 from locfuse.fusion.data import LocfuseError, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.landmarks.geometry import predict
 from locfuse.fusion.sensors import landmarks
+from locfuse.fusion.sensors.landmark_geometry import predict
 from locfuse.fusion.sensors.landmarks import LandmarksModel, LandmarksSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 

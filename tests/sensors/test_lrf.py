@@ -13,16 +13,16 @@ from sighted import equation_of, sighted
 from textbook import numeric_jacobian, wrap
 from worlds import ROOM, World
 
-from locfuse.fusion.atlas.tracker import LineTracker
+from locfuse.fusion.checks.examine import blind
 from locfuse.fusion.data import MapLine
-from locfuse.fusion.doctor.examine import blind
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.linemap.line_map import LineMap
-from locfuse.fusion.linemap.scan import Scan
 from locfuse.fusion.lines.extract import Lines
 from locfuse.fusion.lines.scans import Gathered
+from locfuse.fusion.map.line_map import LineMap
+from locfuse.fusion.map.scan import Scan
+from locfuse.fusion.map.tracker import LineTracker
 from locfuse.fusion.measure import measure
 
 UPPER = (0.01, 0.001, 0.0005, 0.02, -0.0004, 0.001)

@@ -18,19 +18,19 @@ from said import one_by_one, said
 from textbook import move, numeric_jacobian
 from told import step
 
-from locfuse.cli.pipeline.load import make_robot
+from locfuse.cli.analysis.load import make_robot
 from locfuse.fusion import se2
 from locfuse.fusion.data import ArrayStream, Column, Drive, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.landmarks.messages import DETECTIONS
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Block
+from locfuse.fusion.sensors.landmark_messages import DETECTIONS
 from locfuse.fusion.sensors.pose import PoseSettings, plane_covariance
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.smooth import fuse_and_smooth
+from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 from locfuse.sample_logs.messages import RawMessage
 
 Array = NDArray[np.float64]

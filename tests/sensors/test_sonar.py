@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from locfuse.cli.pipeline.configurations import for_comparison, parse
-from locfuse.cli.pipeline.load import make_robot
+from locfuse.cli.analysis.configurations import for_comparison, parse
+from locfuse.cli.analysis.load import make_robot
 from locfuse.fusion.data import ArrayStream, Drive, UsageError
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.linemap.line_map import LineMap
-from locfuse.fusion.linemap.sonar_echo import Cone, Echo, nearest_echo
+from locfuse.fusion.map.line_map import LineMap
+from locfuse.fusion.map.sonar_echo import Cone, Echo, nearest_echo
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.sonar import Sonar, SonarSettings, likelier

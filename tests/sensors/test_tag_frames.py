@@ -16,7 +16,7 @@ from landmark_drive import MAP, path_of
 from numpy.typing import NDArray
 from wheel_bags import GEOMETRY, angles, joint_states, log_of
 
-from locfuse.formats.log.log import open_log
+from locfuse.formats.logs.log import open_log
 from locfuse.formats.robot import landmark_map
 from locfuse.formats.robot.tag_frames import named_as_tag, number_of
 from locfuse.fusion import se2

@@ -20,7 +20,7 @@ from wheel_bags import GEOMETRY, angles, joint_states, log_of
 from locfuse.formats.robot import landmark_map
 from locfuse.fusion import se2
 from locfuse.fusion.data import ArrayStream, Ragged
-from locfuse.fusion.landmarks.messages import Looks, sighted
+from locfuse.fusion.sensors.landmark_messages import Looks, sighted
 
 Array = NDArray[np.float64]
 CAMERA = np.array([0.1, -0.05, math.radians(30.0)])  # on the base; turned, so that a forgotten mount shows

@@ -12,11 +12,11 @@ from bags import T0, S, build, header
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from locfuse.formats.log.log import open_log
+from locfuse.formats.logs.log import open_log
 from locfuse.formats.messages.fields import resolve
 from locfuse.formats.messages.schema import Record, Scalar
 from locfuse.fusion.data import LocfuseError
-from locfuse.fusion.landmarks.messages import NO_ID, Looks, Sighted, sighted
+from locfuse.fusion.sensors.landmark_messages import NO_ID, Looks, Sighted, sighted
 
 FX, CX = 400.0, 320.0
 LOOKS = Looks(FX, CX, 0.0)

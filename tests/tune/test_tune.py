@@ -20,9 +20,9 @@ from scipy.stats import norm
 from trap_logs import Drive as LogDrive
 from traps_sensors import elsewhere
 
-from locfuse.cli.jobs.tune import lasting_errors, tune_logs
-from locfuse.cli.pipeline.load import find_log, load
-from locfuse.cli.pipeline.settings import LogOptions
+from locfuse.cli.analysis.load import find_log, load
+from locfuse.cli.analysis.settings import LogOptions
+from locfuse.cli.session.tune import lasting_errors, tune_logs
 from locfuse.fusion.data import Array, Drive, LocfuseError, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.robot import Robot

@@ -26,7 +26,7 @@ from wheel_bags import (
     turned,
 )
 
-from locfuse.formats.log.log import open_log
+from locfuse.formats.logs.log import open_log
 from locfuse.fusion.data import ArrayStream, LocfuseError
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import MergedStream

@@ -28,12 +28,12 @@ from wheel_bags import (
     turned,
 )
 
-from locfuse.cli.choose.choose import choose
-from locfuse.cli.choose.mounts import mount_of, on_moving_parts, transforms_of
-from locfuse.cli.choose.topics import Choice
-from locfuse.cli.pipeline.load import load, make_robot
-from locfuse.cli.pipeline.settings import LogOptions
-from locfuse.formats.log.log import Log, open_log
+from locfuse.cli.analysis.choose import choose
+from locfuse.cli.analysis.load import load, make_robot
+from locfuse.cli.analysis.mounts import mount_of, on_moving_parts, transforms_of
+from locfuse.cli.analysis.settings import LogOptions
+from locfuse.cli.analysis.topics import Choice
+from locfuse.formats.logs.log import Log, open_log
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.wheels.geometry import by_odometry

@@ -29,7 +29,7 @@ from wheel_bags import (
     pose_of,
 )
 
-from locfuse.cli.pipeline.load import make_robot
+from locfuse.cli.analysis.load import make_robot
 from locfuse.fusion import se2
 from locfuse.fusion.data import ArrayStream, Column, LocfuseError, Ragged
 from locfuse.fusion.measure import measure
@@ -483,7 +483,7 @@ def test_an_odometry_far_from_zero_counts_by_increments_and_a_frozen_pose_by_twi
 
 @pytest.mark.skipif(not os.environ.get("LOCFUSE_DATA"), reason="LOCFUSE_DATA is not set: no real logs to try")
 def test_turning_the_reverse_driving_of_fr079_round_brings_its_short_relations_to_33_mm() -> None:
-    from locfuse.formats.log.log import open_log
+    from locfuse.formats.logs.log import open_log
 
     folder = Path(os.environ["LOCFUSE_DATA"]) / "fr079"
     stream = open_log([folder / "fr079.mcap"]).stream("/odom")

@@ -1,0 +1,282 @@
+"""Which topics say how the body moved, where no wheels with known geometry do.
+
+In this order: an odometry topic, an odometry that only /tf has, a measured twist. Where a log has none of these,
+nor wheels that count, what stands in is taken and said: the scans of a laser, else poses that another program
+estimated, else speeds that were only commanded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.truth import looks_like_truth
+from locfuse.fusion.wheels.odometry import ODOMETRY, PLANAR, POSE, SCANS, SPEED, STEERED, TRANSFORM, commanded
+from locfuse.fusion.wheels.read import WHEEL_READS
+
+from .motor_topics import motor_of, motor_words
+from .mounts import is_base, is_odometry, is_room
+from .not_read import not_read
+from .topics import ONLY, Choice, likeliest, of_type, one
+
+if TYPE_CHECKING:
+    from locfuse.formats.logs.log import Log
+
+TWISTS = tuple(kind for kind in SPEED if kind not in (*POSE, *PLANAR))
+POSES = tuple(kind for kind in (*POSE, *PLANAR) if kind not in (ODOMETRY, TRANSFORM))
+MADE_OF_MORE = (
+    "filter",
+    "ekf",
+    "ukf",
+    "fused",
+    "visual",
+    "vio",
+    "camera",
+    "icp",
+    "slam",
+    "map",
+    "amcl",
+    "lidar",
+    "zed",
+    "vins",
+    "loam",
+    "lio",
+    "rtabmap",
+    "realsense",
+    "t265",
+    "combined",
+    "global",
+    "rf2o",
+    "kiss",
+    "laser",
+    "scan",
+    "mavros",
+)
+BY_FIXES = ("fix_vel", "gps", "gnss", "navsat", "ublox", "novatel", "septentrio")  # speeds north and east
+MADE_OF_FIXES = ("gps", "gnss", "navsat")  # navsat_transform's has no heading
+ONLY_CORRECT = ("sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Imu")  # types that make no motion by themselves
+RAW = ("unfiltered", "raw", "wheel", "encoder", "_enc")
+PRESENTED_AS = ("odometry",)  # how topics end that are another type made into an Odometry
+NOTHING_ELSE = "nothing else says how the robot moved"
+NEAREST = "the odometry nearest to the wheels"
+OBEYED = ("cmd_vel", "ackermann_cmd")  # what drivers of bases listen to: the end of a chain of commands
+PASSED_ON = ("teleop", "joy", "key", "nav", "raw", "smooth", "mux", "input", "plan", "auto", "unstamped")
+OF_COMMANDS = "; of several commands ({others} beside it) the base obeys it, by its name"
+ASKED_FOR = ("goal", "initial", "waypoint")  # poses that are wishes or guesses of a person
+ESTIMATED = (
+    "{topic} holds poses that another program estimated. They are taken, since nothing else in this log says how "
+    "the robot moved; sensors that they were made of count twice"
+)
+ONLY_COMMANDED = (
+    "{topic} holds commanded speeds. They are taken, since nothing in this log measured how the robot moved; a "
+    "command lasts until the next one, a second at most, and wheels.noise=0.004 is usual for such a motion"
+)
+
+
+class Body(NamedTuple):
+    """The topic that says how the body moved."""
+
+    topic: str
+    why: str
+    note: str = ""  # what a user has to know of it
+    fixes: tuple[str, ...] = ()  # settings that choose the same
+    beside: tuple[str, ...] = ()  # a car's steering, beside its motor
+
+
+def choose_body(log: Log, robot: Robot, choice: Choice, scans: bool, stand_in: bool) -> Body | None:
+    """Return the topic that says how the body moved, None where no topic does. Raises LocfuseError for several.
+
+    `scans`: whether scans will do; `stand_in`: whether estimated poses and commanded speeds will.
+    """
+    topics, why, others = _measured(log, robot, choice)
+    topic = one(log, "wheels", None, topics, WHEEL_READS)
+    if topic is not None and others:
+        looks = "looks" if len(others) == 1 else "look"
+        words = f"{topic} is used: {' and '.join(others)} {looks} made of more than the wheels"
+        return Body(topic, why, words, (f"wheels.topic={topic}",))
+    if topic is not None:
+        return Body(topic, why)
+    if found := motor_of(log, robot):
+        return Body(found[0], f"its motor's speed, steered as {found[1]} says", beside=tuple(found[1:]))
+    in_map = [t for t in _filled(log, robot, choice, (ODOMETRY,)) if in_room(log, t)]
+    if (body := _estimate(log, in_map)) is not None:
+        return body
+    if scans and (laser := _scans(log, robot)) is not None:
+        lacks = "no wheels and no odometry" if stand_in else "no wheels of known size and no odometry"
+        return Body(laser, f"{lacks}: its scans are matched with each other", motor_words(log, robot))
+    return _stand_in(log, robot, choice) if stand_in else None
+
+
+def _stand_in(log: Log, robot: Robot, choice: Choice) -> Body | None:
+    """Return what stands in for a measured motion: poses, else commands, else a steering angle."""
+    if (body := _estimate(log, _poses(log, robot, choice))) is not None:
+        return body
+    for topics, note in (
+        (_twists(log, robot, choice, asked=True), ONLY_COMMANDED),
+        (_filled(log, robot, choice, tuple(STEERED)), ""),  # lacks the wheelbase, which its reader asks for
+    ):
+        best, others = nearest_to_base(topics)
+        if (topic := one(log, "wheels", None, best, WHEEL_READS)) is not None:
+            beside = OF_COMMANDS.format(topic=topic, others=" and ".join(others)) if others else ""
+            fixes = (f"wheels.topic={topic}",) if others else ()
+            words = [note.format(topic=topic) + beside, motor_words(log, robot)]
+            return Body(topic, NOTHING_ELSE, ". ".join(filter(None, words)), fixes)
+    return None
+
+
+def nearest_to_base(topics: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return of several commands those that the base obeys, by their names, and the others."""
+
+    def rank(topic: str) -> int:
+        name = topic.rpartition("/")[2].lower()
+        return 0 if name in OBEYED else 2 if any(word in topic.lower() for word in PASSED_ON) else 1
+
+    least = min(map(rank, topics), default=0)
+    best = [t for t in topics if rank(t) == least]
+    return best, [t for t in topics if t not in best]
+
+
+def _estimate(log: Log, topics: list[str]) -> Body | None:
+    """Return what another program estimated as the motion. Raises LocfuseError for several."""
+    topic = one(log, "wheels", None, topics, WHEEL_READS)
+    return None if topic is None else Body(topic, NOTHING_ELSE, ESTIMATED.format(topic=topic))
+
+
+def _measured(log: Log, robot: Robot, choice: Choice) -> tuple[list[str], str, list[str]]:
+    """Return topics that measured how the body moved, those of the best kind, why, and which others they beat.
+
+    An odometry that says where the robot is in the room is somebody's estimate: what was measured comes before it.
+    """
+    odometry = _filled(log, robot, choice, (ODOMETRY,))
+    estimated = [t for t in odometry if in_room(log, t)]
+    if rolled := [t for t in odometry if t not in estimated]:
+        best, why, others = _least_made(rolled)
+        return best, why if not estimated else NEAREST, [*others, *estimated]
+    if pairs := odometry_frames(log):
+        return pairs, "the only odometry in /tf", estimated
+    poses = [t for t in _filled(log, robot, choice, POSES) if not asked_for(t)]
+    if poses := [t for t in poses if is_odometry(log.stream(t).frame_id)]:
+        return poses, "poses in the frame of an odometry", estimated
+    return _twists(log, robot, choice, asked=False), ONLY, estimated
+
+
+def _filled(log: Log, robot: Robot, choice: Choice, kinds: Sequence[str]) -> list[str]:
+    """Return recorded topics of these types that hold messages and that nobody else reads.
+
+    A topic that the settings give to a sensor of its own (`[pose] topic`) is left to it where there are others.
+    """
+    taken = {topic for role in choice.topics for topic in choice.of(role)}
+    found = [
+        t
+        for t in of_type(log, kinds)
+        if log.topics[t].count and t not in taken and _a_topic(t) and not looks_like_truth(t)
+    ]
+    asked = {robot.settings(name).topic for name, sensor in REGISTRY.items() if sensor.asked_only}
+    return [t for t in found if t not in asked] or found
+
+
+def _a_topic(name: str) -> bool:
+    """Return whether a name is a topic, or what a topic is presented as: not frames of /tf, nor a field."""
+    return ":" not in name or name.rpartition(":")[2] in PRESENTED_AS
+
+
+def _least_made(odometry: Sequence[str]) -> tuple[list[str], str, list[str]]:
+    """Return the odometries whose names say that they are nearest to the wheels, why, and the others."""
+    found = [[t for t in odometry if _made(t) == rank] for rank in range(4)]
+    best = next(topics for topics in found if topics)
+    others = [t for t in odometry if t not in best]
+    return best, NEAREST if others else ONLY, others
+
+
+def _made(topic: str) -> int:
+    """Return 0 where an odometry's name says that it is raw, 2: of more than wheels, 3: of fixes; else 1."""
+    name = topic.lower()
+    if any(word in name for word in RAW):
+        return 0
+    if any(word in name for word in MADE_OF_FIXES):
+        return 3
+    return 2 if any(word in name for word in MADE_OF_MORE) else 1
+
+
+def _twists(log: Log, robot: Robot, choice: Choice, asked: bool) -> list[str]:
+    """Return topics of speeds that can be read: commanded ones (`asked`), or those that were measured.
+
+    Speeds in a frame that does not turn with the robot (odom, map), or of a receiver, are not those ahead.
+    """
+    steers = robot.wheels.wheelbase or robot.wheels.steering != "angle"
+    kinds = (*TWISTS, *STEERED) if steers else TWISTS
+    found = [t for t in _filled(log, robot, choice, kinds) if commanded(t, log.topics[t].msgtype) == asked]
+    return [t for t in found if asked or not (_beside_body(log.stream(t).frame_id) or by_fixes(t))]
+
+
+def by_fixes(topic: str) -> bool:
+    """Return whether a receiver of satellites measured the speeds, by the topic's name: along east and north."""
+    return any(word in topic.lower() for word in BY_FIXES)
+
+
+def _beside_body(frame: str) -> bool:
+    return is_odometry(frame) or is_room(frame)
+
+
+def _poses(log: Log, robot: Robot, choice: Choice) -> list[str]:
+    """Return poses of the robot that another program estimated: topics, else frames of /tf."""
+    topics = [t for t in _filled(log, robot, choice, POSES) if not asked_for(t)]
+    return topics or moving_frames(log, lambda frame: is_odometry(frame) or is_room(frame))
+
+
+def asked_for(topic: str) -> bool:
+    """Return whether a topic's name says that its poses are wishes or guesses of a person."""
+    return any(word in topic.lower() for word in ASKED_FOR)
+
+
+def _scans(log: Log, robot: Robot) -> str | None:
+    """Return the laser whose scans say how the robot moved: the one that the sensor reads."""
+    named = robot.settings("lrf").topic
+    filled = [t for t in of_type(log, (SCANS,)) if log.topics[t].count]
+    return named if named in filled else likeliest(filled, REGISTRY["lrf"].unlikely or ()) if filled else None
+
+
+def odometry_frames(log: Log) -> list[str]:
+    """Return the pairs of frames in /tf that are an odometry, as topics: a base that moves in a frame odom."""
+    return moving_frames(log, is_odometry)
+
+
+def in_room(log: Log, topic: str) -> bool:
+    """Return whether the poses of a topic are given in a frame that stands still in the room."""
+    return is_room(log.stream(topic).frame_id)
+
+
+def moving_frames(log: Log, fixed: Callable[[str], bool]) -> list[str]:
+    """Return pairs of frames in /tf, as topics, that move in a fixed one; only a base's where there is one."""
+    found: dict[str, bool] = {}
+    for topic in log.transform_topics:
+        for (parent, child), edge in log.frames(topic).items():
+            if edge.moves and fixed(parent) and not (is_odometry(child) or is_room(child)):
+                found[f"{topic}:{parent}:{child}"] = is_base(child)
+    based = [name for name, base in found.items() if base]
+    names = based or list(found)
+    return [name for name in names if log.find(name) is not None]
+
+
+class NoWheelsError(LocfuseError):
+    """No topic gives the wheels' motion; the hint lists the topics that there are."""
+
+
+def nothing_moves(log: Log) -> NoWheelsError:
+    """Return the error that says what is missing, and which topics this log has."""
+    have = ", ".join(sorted(log.topics)[:12]) or "no topics"
+    words = (
+        f"nothing says how the robot moved: {log.name} has no wheels, no odometry (nor one in /tf), no laser, no "
+        "poses and no speeds"
+    )
+    others = [other for role in ("wheels", "lrf") if (other := not_read(log, role))]
+    beside = [t for t in of_type(log, ONLY_CORRECT) if log.topics[t].count]
+    corrects = f"; {' and '.join(beside)} can only correct a motion (a fix has no heading, an IMU no speed)"
+    return NoWheelsError(
+        ". ".join([f"{words}{corrects if beside else ''}", *others]) + ".",
+        role="wheels",
+        hint=f"It has {have}",
+    )

@@ -1,0 +1,186 @@
+"""Choosing topics: one for the wheels, one for each sensor, one for the truth.
+
+Truth is never guessed by type: /odom and /amcl_pose are estimates, and an estimate must not judge another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensor import Sensor
+from locfuse.fusion.sensors.registry import REGISTRY, unmet
+from locfuse.fusion.truth import KNOWN_TRUTH, TRUTH_READS, looks_like_truth
+from locfuse.fusion.wheels.odometry import SCANS, commanded
+
+from .adapted_topics import offer_presented
+from .body_topics import asked_for, by_fixes
+from .not_read import not_read
+from .tag_frames import offer_tags
+from .topics import NAMED, ONLY, Choice, Note, checked, likeliest, of_type, one, several_fit, types
+from .wheel_topics import choose_wheels
+
+NO_TRUTH = "none"  # truth.topic: the log's truth is left out
+
+if TYPE_CHECKING:
+    from locfuse.formats.logs.log import Log
+
+
+def choose(log: Log, robot: Robot, insisted: Collection[str] = ()) -> Choice:
+    """Choose topics. Raises LocfuseError where several fit, none gives the wheels, or a named one is unfit.
+
+    A robot.toml serves many logs, so a sensor or truth topic that it names may be missing; one named by --set
+    (`insisted`) may not.
+    """
+    choice = Choice()
+    offer_presented(log)
+    with suppress(LocfuseError):  # frames of /tf in a loop: said where somebody names them
+        offer_tags(log, robot)
+    choose_truth(log, robot, "truth" in insisted, choice)
+    choose_wheels(log, robot, choice)
+    for name in REGISTRY:
+        choose_sensor(log, robot, name, name in insisted, choice)
+    for name, why in unmet(choice.topics).items():
+        del choice.topics[name]
+        choice.absent[name] = why
+    return choice
+
+
+def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Choice) -> None:
+    """Take the topics of one sensor, or say why it has none."""
+    sensor, settings = REGISTRY[name], robot.settings(name)
+    named = _names(settings)
+    gone = [t for t in named if log.find(t) is None]
+    if gone and getattr(settings, "file", None) == gone[0]:
+        raise LocfuseError(f"no such file: {gone[0]} (.csv and .tum are read)", role=name)
+    if gone and not insisted:
+        choice.absent[name] = f"{log.name} has no topic {gone[0]}, which robot.toml names"
+        return
+    candidates = _candidates(log, name, choice)
+    if sensor.asked_only and not named:
+        _offer(name, candidates, choice)
+        return
+    unset = sensor.missing(settings) if candidates or named else None
+    if unset:
+        choice.absent[name] = unset
+        return
+    if named:
+        _refuse_twice(named, sensor, choice)
+        choice.take(name, [checked(log, name, topic, sensor.reads) for topic in named], NAMED)
+    elif not candidates:
+        other = not_read(log, name)
+        if other:
+            choice.absent[name] = other
+        elif not sensor.extra:  # nobody expects what lies beside the paper's sensors
+            choice.absent[name] = f"no topic of type {types(sensor.reads)} in {log.name}"
+        if not other and not hasattr(settings, "file"):  # a file that nobody named is not missed
+            choice.foreign.add(name)
+        return
+    else:
+        _by_type(log, name, candidates, choice)
+    _leave_empty(log, name, choice)
+
+
+def _leave_empty(log: Log, name: str, choice: Choice) -> None:
+    """Take a sensor's topics away again where none of them holds a message."""
+    if name in choice.topics and all(log.topics[t].count == 0 for t in choice.of(name)):
+        choice.absent[name] = f"{choice.topics.pop(name)} holds no messages"
+
+
+def _offer(name: str, candidates: Sequence[str], choice: Choice) -> None:
+    """Say that a sensor that is used only where it is asked for could read these topics."""
+    others = (commanded, looks_like_truth, asked_for, by_fixes)
+    candidates = [t for t in candidates if not any(is_one(t) for is_one in others)]
+    if candidates:
+        fixes = (f"{name}.topic={candidates[0]}",)
+        why = REGISTRY[name].asked_only
+        choice.leave(name, f"{' or '.join(candidates)} may be one: {why}. If not: {fixes[0]}", fixes)
+
+
+def _refuse_twice(named: Collection[str], sensor: Sensor, choice: Choice) -> None:
+    """Raise LocfuseError where a sensor that must be independent is to read the wheels' topic, or the truth's."""
+    for role, why in (
+        ("wheels", "what counts twice makes the filter overconfident"),
+        ("truth", "it would judge itself"),
+    ):
+        for topic in choice.of(role):
+            if sensor.asked_only and topic in named:
+                raise LocfuseError(f"{topic} is read as {role} already: {why}", role=sensor.name)
+
+
+def _names(settings: Any) -> tuple[str, ...]:
+    """Return the topics that a sensor's table names."""
+    several = tuple(getattr(settings, "topics", None) or ())
+    field = getattr(settings, "field", None)
+    suffix = f":{field}" if field else ""
+    topic = settings.topic if settings.topic is not None else getattr(settings, "file", None)
+    return several or ((f"{topic}{suffix}",) if topic is not None else ())
+
+
+def _candidates(log: Log, name: str, choice: Choice) -> list[str]:
+    """Return the topics that a sensor could read and nobody but another sensor does, those with messages first."""
+    sensor = REGISTRY[name]
+    wheels = [t for t in choice.of("wheels") if log.topics[t].msgtype != SCANS]  # without wheels: scans serve both
+    taken = {*choice.of("truth"), *wheels}
+    found = [t for t in of_type(log, sensor.reads) if t not in taken]
+    found = [t for t in found if _named_well(t, log.topics[t].msgtype, sensor)]
+    found = [t for t in found if log.topics[t].count != 0] or found
+    if len(found) > 1 and type(sensor).carries is not Sensor.carries:  # to ask costs reading the topics
+        found = [t for t in found if sensor.carries(log.stream(t))] or [likeliest(found, sensor.unlikely or ())]
+    return best_of(log, sensor, found)
+
+
+def best_of(log: Log, sensor: Sensor, topics: list[str]) -> list[str]:
+    """Return topics of a sensor's types without those that say less than another one of them."""
+    return [t for t in topics if log.topics[t].msgtype not in sensor.second_best] or topics
+
+
+def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None:
+    """Take the only candidate, or all; the likeliest; where a sensor beside it has one, the same."""
+    sensor = REGISTRY[name]
+    if len(candidates) == 1:
+        same = [t for t in of_type(log, [log.topics[candidates[0]].msgtype]) if log.topics[t].count]
+        choice.take(name, candidates, ONLY if len(same) < 2 else "the only one of its type that fits")
+    elif sensor.extra and (shared := [t for t in candidates if t in choice.topics.values()]):
+        choice.take(name, shared[:1], "another sensor reads it too")
+    elif sensor.several or (sensor.several_frames and _of_frames(log, candidates)):
+        choice.take(name, candidates, f"all {len(candidates)} topics of its type")
+    elif sensor.unlikely is not None:
+        best = likeliest(candidates, sensor.unlikely, choice.topics.get("wheels", ""))
+        choice.take(name, [best], "the likeliest of several")
+        words = f"{log.name} has {len(candidates)} topics that fit: {', '.join(candidates)}; {best} is used"
+        choice.notes.append(Note(name, words, (f"{name}.topic={best}",)))
+    elif not sensor.extra:
+        raise several_fit(log, name, candidates)
+    else:  # beside the paper's sensors: a guess would be worse than none, and an error would stop the others
+        why = several_fit(log, name, candidates)
+        choice.leave(name, why.sentence, why.fixes)
+
+
+def _of_frames(log: Log, topics: Sequence[str]) -> bool:
+    """Return whether topics are of one type and each has a frame of its own: what sits in different places."""
+    frames = {log.stream(t).frame_id for t in topics}
+    return len({log.topics[t].msgtype for t in topics}) == 1 and len(frames - {""}) == len(topics)
+
+
+def _named_well(topic: str, msgtype: str, sensor: Sensor) -> bool:
+    """Return whether a bare number's topic says what the number is; other types need no such word."""
+    return msgtype not in sensor.named or any(word in topic.lower() for word in sensor.named[msgtype])
+
+
+def choose_truth(log: Log, robot: Robot, insisted: bool, choice: Choice) -> None:
+    """Take the truth's topic: by its name only."""
+    named = robot.truth.topic
+    if named == NO_TRUTH:
+        return
+    if named is not None and log.find(named) is None and not insisted:
+        return
+    known = [t for t in of_type(log, TRUTH_READS) if log.topics[t].msgtype in KNOWN_TRUTH]
+    candidates = [t for t in of_type(log, TRUTH_READS) if looks_like_truth(t) or t in known]
+    topic = one(log, "truth", named, candidates, TRUTH_READS)
+    if topic is not None:
+        why = "its type says so" if topic in known else "its name says so"
+        choice.take("truth", [topic], NAMED if named else why)

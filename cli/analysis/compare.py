@@ -1,0 +1,316 @@
+"""Several configurations over one measured log, judged: by truth, else by a reference and by prediction."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, cast, get_args
+
+import msgspec
+import numpy as np
+from msgspec.structs import replace
+
+from locfuse.formats.report import json_report
+from locfuse.fusion import se2
+from locfuse.fusion.data import Drive, Estimates, Evaluation
+from locfuse.fusion.judge.against import Reference
+from locfuse.fusion.judge.consistency import Run
+from locfuse.fusion.judge.credit import Credit, credit
+from locfuse.fusion.judge.evaluate import Align, evaluate
+from locfuse.fusion.judge.predictive import Score, contradictions, listeners, scores
+from locfuse.fusion.paper.preset import fuser
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.registry import REGISTRY, needed
+
+from . import results
+from .configurations import Configuration
+from .key import Asked, key
+from .load import Loaded
+from .memory import lean
+from .settings import Progress, one_of
+from .trust import add_consistency, evidence, judge_values, noise_factors, reference_values
+from .verdicts import ByReference, by_reference, credit_values, prediction_values, verdicts
+
+if TYPE_CHECKING:
+    from locfuse.fusion.whole_drive.reference import References
+
+OTHER_FRAME_M, OTHER_FRAME_RAD = 0.5, math.radians(20.0)  # a first pose this far from the truth's: another frame
+PLAIN_FRAME = "none"  # no alignment: the covariance can be judged
+Watch = Callable[[Estimates, Evaluation], None]
+Heard = Callable[[Estimates], None]
+
+
+class Compared(msgspec.Struct, frozen=True):
+    """What one `compare` found out about one log."""
+
+    loaded: Loaded
+    configurations: Sequence[Configuration]
+    estimates: Sequence[Estimates]  # without audits, unless they were to be kept
+    evaluations: Sequence[Evaluation]
+    runs: Sequence[Run]  # evidence of the sensors' noise
+    credit: Credit | None  # where there is truth
+    scores: Sequence[Score]  # where there is none
+    reference: Referenced | None = None  # where there is none, and a reference takes its place
+
+
+class Referenced(msgspec.Struct, frozen=True):
+    """What took the place of truth."""
+
+    references: References
+    judges: Mapping[str, Reference]  # result -> the one that judged it
+    effects: Mapping[str, ByReference]  # by sensor
+
+
+class Judged(NamedTuple):
+    """One configuration's result, and what its audits say of the sensors' noise."""
+
+    estimates: Estimates
+    evaluation: Evaluation
+    evidence: list[Run]
+
+
+def compare_log(
+    loaded: Loaded,
+    configurations: Sequence[Configuration],
+    align: str,
+    progress: Progress,
+    smooth: bool = False,
+    watch: Sequence[Watch] = (),
+    audits: bool = False,
+    foreign: Sequence[Estimates] = (),
+    heard: Sequence[Heard] = (),
+    reference: bool = False,
+) -> Compared:
+    """Run and judge every configuration; smoothed ones come after all others.
+
+    `foreign` are other people's estimates, judged beside ours. With `reference` the whole drive is solved, and its
+    solution takes the place of a truth that the log lacks; what watches is given evaluations without it.
+
+    Audits are most of what a run holds. Unless `audits` are kept they end as soon as it is judged: who draws them
+    takes what is drawn then (`watch`). So it is with the runs that other sensors only listen to (`heard`).
+    """
+    one_of(align, get_args(Align), "align")
+    drive, robot = loaded.drive, loaded.robot
+    if smooth:
+        refuse_smoothing(robot, configurations)
+    filtered, smoothed = [], []
+    solved: dict[frozenset[str], Estimates] = {}
+    solves = _solved_sets(drive) if reference else set()
+    for c in configurations:
+        progress(f"fusing {c.name}")
+        both = smooth or (frozenset(c.sensors) in solves and not c.rates)
+        first, *after = lean(_judged, c, loaded, align, both, watch, audits, shown=smooth)
+        filtered.append(first)
+        smoothed += after if smooth else []
+        solved |= {frozenset(c.sensors): j.estimates for j in after if not c.rates}
+    plain = {
+        frozenset(c.sensors): j.evaluation for c, j in zip(configurations, filtered, strict=True) if not c.rates
+    }
+    present = [s for s in REGISTRY if s in drive.measurements]
+    found = credit(plain, present) if drive.truth is not None else None
+    predicted = [] if found is not None else predict(drive, robot, configurations, progress, heard)
+    progress("solving the whole drive" if reference else "judging")
+    runs = [run for j in filtered for run in j.evidence]
+    references = (
+        lean(_references, drive, robot, solved, noise_factors(runs, robot), quarrels(configurations, predicted))
+        if reference
+        else None
+    )
+    others = [_in_frame_of(e, drive, references, align) for e in foreign]
+    every = [*filtered, *smoothed, *(_judged_foreign(e, drive, how) for e, how in others)]
+    hows = [*([cast("Align", align)] * (len(every) - len(others))), *(how for _, how in others)]
+    referenced = None if references is None else _referenced(references, every, hows, filtered)
+    return Compared(
+        loaded=loaded,
+        configurations=configurations,
+        estimates=[j.estimates for j in every],
+        evaluations=[j.evaluation for j in every] if referenced is None else referenced[1],
+        runs=[run for j in every for run in j.evidence],
+        credit=found,
+        scores=predicted,
+        reference=None if referenced is None else referenced[0],
+    )
+
+
+def _solved_sets(drive: Drive) -> set[frozenset[str]]:
+    from locfuse.fusion.whole_drive.reference import sets
+
+    return {frozenset(sensors) for sensors in sets(drive)}
+
+
+def _references(
+    drive: Drive,
+    robot: Robot,
+    solved: Mapping[frozenset[str], Estimates],
+    noise: Mapping[str, float],
+    contradict: Sequence[tuple[str, str]],
+) -> References | None:
+    from locfuse.fusion.whole_drive.reference import References
+
+    return References.of(drive, robot, solved, noise, contradict)
+
+
+def quarrels(configurations: Sequence[Configuration], found: Sequence[Score]) -> list[tuple[str, str]]:
+    """Return pairs of sensors that contradict each other, as prediction shows."""
+    alone = {c.sensors[0]: c.name for c in configurations if len(c.sensors) == 1 and not c.rates}
+    return contradictions(found, alone)
+
+
+def _referenced(
+    references: References,
+    every: Sequence[Judged],
+    hows: Sequence[Align],
+    filtered: Sequence[Judged],
+) -> tuple[Referenced, list[Evaluation]]:
+    """Return every result judged by a reference, each moved onto it as `hows` says, and which judged what."""
+    pairs = [references.judged(j.evaluation, j.estimates, how) for j, how in zip(every, hows, strict=True)]
+    plain = {frozenset(j.estimates.sensors): j for j in filtered if not j.estimates.rates}
+    found = {s: _effect(references, s, plain, hows[0]) for s in references.present}
+    effects = {s: effect for s, effect in found.items() if effect is not None}
+    judges = {j.estimates.name: reference for j, (_, reference) in zip(every, pairs, strict=True)}
+    return Referenced(references, judges, effects), [evaluation for evaluation, _ in pairs]
+
+
+def _effect(
+    references: References, sensor: str, plain: Mapping[frozenset[str], Judged], align: Align
+) -> ByReference | None:
+    """Return what the reference that a sensor has no part in says of its effect; None where nothing was run."""
+    reference, before = references.without(sensor), frozenset(needed(sensor))
+    after = before | {sensor}
+    if reference is None or before not in plain or after not in plain:
+        return None
+    judged = {s: reference.judge(plain[s].evaluation, plain[s].estimates, align) for s in (before, after)}
+    errors = [e.figures["position_rmse_m"] or 0.0 for e in judged.values()]
+    some = min(errors) > 0.0  # no error is a share of none
+    found = credit(judged, [sensor]) if some and reference.can_judge(max(errors)) else None
+    alone = None if found is None else found.sensors[sensor].alone
+    effect = None if alone is None else reference.widened(alone, errors[0], errors[1])
+    return ByReference(errors[0], errors[1], reference.can_judge(errors[1]), effect)
+
+
+def _judged(
+    c: Configuration,
+    loaded: Loaded,
+    align: str,
+    smooth: bool,
+    watch: Sequence[Watch],
+    audits: bool,
+    shown: bool,
+) -> list[Judged]:
+    """Fuse and judge one configuration: filtered, and perhaps smoothed, which is watched if it is `shown`."""
+    drive, robot, judged = c.drive(loaded.drive), loaded.robot, []
+    how = cast("Align", align)
+    for e in lean(c.fuse, loaded.drive, robot, smooth and bool(c.sensors)):
+        evaluation = lean(evaluate, e, drive, how)
+        for look in watch if shown or not e.smoothed else ():
+            look(e, evaluation)
+        kept = e if audits else replace(e, audits={})
+        judged.append(Judged(kept, evaluation, evidence(drive, e, robot)))
+    return judged
+
+
+def _other_frame(estimates: Estimates, drive: Drive) -> float | None:
+    """Return how far [m] a foreign estimate begins from the truth, where that means another frame; else None."""
+    if drive.truth is None or estimates.truth_pose is None:
+        return None
+    rows = np.flatnonzero(np.isfinite(estimates.truth_pose[:, 0]))
+    if not len(rows):
+        return None
+    first, pose = rows[0], estimates.truth_pose[rows[0]]
+    point = se2.transform(pose[None], np.array([drive.truth.point]))[0]
+    away = float(np.hypot(*(point - drive.truth.xy[first])))
+    theta = drive.truth.theta
+    turned = 0.0 if theta is None else abs(float(se2.wrap_all(np.array([pose[2] - theta[first]]))[0]))
+    return away if away > OTHER_FRAME_M or turned > OTHER_FRAME_RAD else None
+
+
+def _in_frame_of(e: Estimates, drive: Drive, references: References | None, align: str) -> tuple[Estimates, Align]:
+    """Return an estimate that is not ours and how to judge it: one of another frame is moved at its first pose."""
+    whole = None if references is None else references.whole
+    seen, judge, what = (e, drive, "truth") if whole is None else (whole.seen(e), whole.drive, "reference")
+    away = _other_frame(seen, judge) if align == "none" else None
+    if away is None:
+        return e, cast("Align", align)
+    words = f"{e.name}: begins {away:.2f} m from the {what}, so it is of another frame: aligned at its first pose"
+    return replace(e, notes=(*e.notes, words)), "origin"
+
+
+def _judged_foreign(e: Estimates, drive: Drive, how: Align) -> Judged:
+    """Judge an estimate that is not ours."""
+    return Judged(e, evaluate(e, drive, how), [])
+
+
+def refuse_smoothing(robot: Robot, configurations: Sequence[Configuration]) -> None:
+    """Raise UsageError before any work is done where one of the filters does not weigh optimally."""
+    from locfuse.fusion.whole_drive.smooth import check_optimal
+
+    for c in configurations:
+        check_optimal(robot, c.sensors)
+
+
+def predict(
+    drive: Drive,
+    robot: Robot,
+    configurations: Sequence[Configuration],
+    progress: Progress,
+    heard: Sequence[Heard] = (),
+) -> list[Score]:
+    """Return how well each configuration predicts the sensors that only listen to it."""
+    if not drive.measurements:
+        return []
+    sets = [((), "odometry"), *((c.sensors, c.name) for c in configurations if c.sensors and not c.rates)]
+
+    def tried() -> Iterator[Estimates]:
+        for sensors, name in sets:
+            progress(f"trying how {name} predicts the rest")
+            e = lean(fuser(robot.preset), drive, robot, sensors, name, listeners(drive, sensors))
+            for take in heard:
+                take(e)
+            yield e
+            del e
+
+    return scores(drive, tried())
+
+
+def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
+    """Return the report as plain values: report.json. With what was `asked` it has a key."""
+    report = results.build(compared.loaded, compared.evaluations)
+    tables = compared.loaded.asked
+    report["key"] = key(compared.loaded.log.identity, tables, asked) if asked and tables is not None else None
+    report["repeat"] = results.repeat(compared.loaded, asked) if asked else None
+    report["changed_settings"] = results.changed_settings(compared.loaded)
+    sets = {c.name: c.sensors for c in compared.configurations if not c.rates}
+    report["verdicts"] = verdicts(compared.credit, compared.scores, sets)
+    report["credit"] = None if compared.credit is None else credit_values(compared.credit)
+    report["prediction"] = prediction_values(compared.scores, list(sets)) if compared.scores else None
+    add_consistency(report, compared.runs, compared.evaluations, compared.loaded.robot)
+    add_reference(report, compared)
+    return json_report.plain(report)
+
+
+def add_reference(report: dict[str, Any], compared: Compared) -> None:
+    """Add `reference` to the report and to every result, and let it speak of the sensors that it can judge."""
+    found = compared.reference
+    report["reference"] = None
+    if found is None:
+        return
+    references = found.references
+    for name, values in report["configurations"].items():
+        values["reference"] = judge_values(found.judges[name], references.whole, values["sensors"])
+    report["reference"] = reference_values(references.whole, references.contradict)
+    for sensor in references.present:
+        own, effect = report["verdicts"].get(sensor), found.effects.get(sensor)
+        reference = references.without(sensor)
+        quarrel = None if reference is None else references.quarrel(reference, (sensor,))
+        if own is not None or effect is not None:
+            report["verdicts"][sensor] = by_reference(own, reference, effect, quarrel)
+
+
+def report_of_run(
+    loaded: Loaded, c: Configuration, estimates: Sequence[Estimates], evaluations: Sequence[Evaluation]
+) -> dict[str, Any]:
+    """Return the report of one configuration, filtered and perhaps smoothed, as plain values: run.json."""
+    report = results.build(loaded, evaluations)
+    runs = evidence(c.drive(loaded.drive), estimates[0], loaded.robot)
+    add_consistency(report, runs, evaluations, loaded.robot)
+    return json_report.plain(report)

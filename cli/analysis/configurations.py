@@ -1,0 +1,145 @@
+"""Which sets of sensors a command runs: the words of --sensors, or the paper's five, or every subset."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+
+import msgspec
+from msgspec import field
+from msgspec.structs import replace
+
+from locfuse.formats.nearest import did_you_mean
+from locfuse.fusion.data import Drive, Estimates, LocfuseError, UsageError
+from locfuse.fusion.fuse import configuration_name
+from locfuse.fusion.judge.credit import subsets
+from locfuse.fusion.measure import thinned
+from locfuse.fusion.paper.preset import fuser
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.registry import REGISTRY, needed
+
+RATE = re.compile(r"(\d+(?:\.\d+)?)\s*hz", re.IGNORECASE)
+MAX_SUBSET_SENSORS = 6  # sensors: 64 subsets
+Sensors = str | Iterable[str]  # of one configuration
+
+
+class Configuration(msgspec.Struct, frozen=True):
+    """A set of sensors in registry order, some perhaps at a lower rate than the log has them."""
+
+    name: str
+    sensors: tuple[str, ...]
+    rates: Mapping[str, float] = field(default_factory=dict)  # Hz
+
+    def drive(self, drive: Drive) -> Drive:
+        """Return the drive as this configuration sees it."""
+        return thinned(drive, self.rates) if self.rates else drive
+
+    def fuse(self, drive: Drive, robot: Robot, smooth: bool = False) -> tuple[Estimates, ...]:
+        """Run the filter, and perhaps the smoother: (filtered,) or (filtered, smoothed).
+
+        Raises UsageError where a filter does not weigh optimally that is to be smoothed.
+        """
+        found: tuple[Estimates, ...]
+        if smooth:
+            from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
+
+            found = fuse_and_smooth(self.drive(drive), robot, self.sensors, self.name)
+        else:
+            found = (fuser(robot.preset)(self.drive(drive), robot, self.sensors, self.name),)
+        return tuple(replace(e, rates=self.rates) for e in found) if self.rates else found
+
+
+def parse(sensors: Sensors, drive: Drive) -> Configuration:
+    """Return the configuration that one --sensors names: "all", "odometry", "compass,lrf", or a list of sensors.
+
+    Raises UsageError for an unknown word, LocfuseError for a sensor that this log lacks.
+    """
+    words = sensors if isinstance(sensors, str) else ",".join(sensors)
+    present = tuple(s for s in REGISTRY if s in drive.measurements)
+    names = [w.strip() for w in words.replace("+", ",").split(",") if w.strip()]
+    names = list(dict.fromkeys(names))
+    if names == ["all"]:
+        return plain(present, drive)
+    if names == ["odometry"]:
+        return plain((), drive)
+    refuse_beside_others(words, names)
+    rates: dict[str, float] = {}
+    written: dict[str, str] = {}
+    for name in names:
+        sensor, at, rate = name.partition("@")
+        if sensor not in REGISTRY:
+            raise unknown_sensor(sensor)
+        if sensor not in present:
+            why = drive.absent.get(sensor, "no topic of its type in this log")
+            raise LocfuseError(f"--sensors {name}: {why}", fixes=drive.fixes.get(sensor, ()))
+        written[sensor] = name
+        if at:
+            rates[sensor] = _rate(name, rate)
+    used = tuple(s for s in REGISTRY if s in written)
+    for sensor in used:
+        _check_needs(sensor, written, words)
+    if not rates:
+        return plain(used, drive)
+    return Configuration("+".join(written[s] for s in used), used, rates)
+
+
+def _check_needs(sensor: str, written: Mapping[str, str], words: str) -> None:
+    """Raise UsageError where a sensor that this one needs is not among those written."""
+    for other, why in REGISTRY[sensor].needs.items():
+        if other not in written:
+            enough = ",".join((other, *written.values()))
+            raise UsageError(f"--sensors {words}: {sensor} is {why}; write --sensors {enough}")
+
+
+def unknown_sensor(name: str) -> UsageError:
+    """Return the error of a name that is no sensor's, with the one that was probably meant."""
+    known = ("odometry", *REGISTRY, "all")
+    near = did_you_mean(name, known)
+    choose = f"choose from {', '.join(known)}"
+    return UsageError(f"--sensors: unknown sensor {name!r}; {f'{near} Or ' if near else ''}{choose}")
+
+
+def refuse_beside_others(words: str, names: Sequence[str]) -> None:
+    """Raise UsageError where `all` or `odometry` is named together with other words."""
+    meaning = {"all": "every sensor of the log", "odometry": "the wheels and no sensor"}
+    for word, what in meaning.items():
+        others = [name for name in names if name != word]
+        if word in names and others:
+            raise UsageError(
+                f"--sensors {words}: {word} stands alone, it means {what}; write --sensors {word} or --sensors "
+                f"{','.join(name for name in others if name not in meaning) or others[0]}"
+            )
+
+
+def _rate(name: str, text: str) -> float:
+    """Return Hz. Raises UsageError for anything but a positive number followed by Hz."""
+    found = RATE.fullmatch(text.strip())
+    if found is None or float(found[1]) <= 0.0:
+        raise UsageError(f"--sensors {name}: a lower rate reads like lrf@2Hz")
+    return float(found[1])
+
+
+def plain(sensors: tuple[str, ...], drive: Drive) -> Configuration:
+    """Return a configuration of sensors at the rates of the log."""
+    return Configuration(configuration_name(sensors, drive), sensors)
+
+
+def for_comparison(words: Sequence[Sensors], drive: Drive, every: bool = False) -> list[Configuration]:
+    """Return the configurations to compare.
+
+    Those named; else odometry, each sensor alone (or with the one whose map it reads), and all; `every`: all
+    subsets, and those named beside them.
+    """
+    present = tuple(s for s in REGISTRY if s in drive.measurements)
+    named = [parse(w, drive) for w in words]
+    if every:
+        if len(present) > MAX_SUBSET_SENSORS:
+            raise UsageError(
+                f"--all-subsets: {len(present)} sensors have {2 ** len(present)} subsets; leave it out"
+            )
+        named = [plain(s, drive) for s in subsets(present)] + named
+    if not named:
+        alone = [tuple(s for s in present if s in (name, *needed(name))) for name in present]
+        together = [present] if len(present) > 1 else []
+        named = [plain(s, drive) for s in [(), *alone, *together]]
+    return list({c.name: c for c in named}.values())

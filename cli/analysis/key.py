@@ -1,0 +1,119 @@
+"""The key of a result: equal for equal input, settings, configurations and version, so that nothing is run twice.
+
+It is known before a log is opened: settings that the log itself carries are part of its content.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from locfuse.formats.caps import MAX_ROBOT_TOML, MAX_TEXT_FILE
+from locfuse.formats.inputs import read_small
+from locfuse.formats.logs.file_stream import SUFFIXES
+from locfuse.formats.logs.identity import Identity
+from locfuse.formats.report.json_report import SCHEMA_VERSION, made_with
+from locfuse.formats.robot import robot_toml
+from locfuse.formats.versions import own
+from locfuse.fusion.sensors.landmarks import GROW
+
+from .configurations import Sensors
+from .settings import LogOptions
+
+FILES = "files"  # beside the settings: the files that they name -> the hash of their content
+
+
+class Asked(msgspec.Struct, frozen=True):
+    """What is asked of a log beyond its settings."""
+
+    sensors: tuple[str, ...]  # as --sensors names them; none: the default configurations
+    all_subsets: bool
+    align: str
+    smooth: bool
+    jitter: int = 0  # runs
+    reference: bool = False  # one takes the place of truth
+
+    @classmethod
+    def of(
+        cls,
+        sensors: Iterable[Sensors],
+        all_subsets: bool,
+        align: str,
+        smooth: bool,
+        jitter: int = 0,
+        reference: bool = False,
+    ) -> Asked:
+        """Return it with every configuration as one word."""
+        words = tuple(s if isinstance(s, str) else ",".join(s) for s in sensors)
+        return cls(words, all_subsets, align, smooth, jitter, reference)
+
+
+def asked_tables(how: LogOptions, more: Sequence[str] = ()) -> dict[str, Any]:
+    """Return the settings that --robot, --set and `more` words of --set give, without what the log carries.
+
+    The content of files that they name is among them, as a hash.
+    """
+    layers = [robot_toml.parse(read_small(file, MAX_ROBOT_TOML), str(file)) for file in how.robot_files]
+    layers.append(robot_toml.apply_sets((*how.sets, *more)))
+    given = {"order": how.order, "preset": how.preset, "from": how.begin, "to": how.end}
+    given = {name: value for name, value in given.items() if value is not None}
+    return with_files(robot_toml.layered(*layers, given))
+
+
+def with_files(tables: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings with the hash of every text file that they name: a truth, detections, a map.
+
+    Take it before the files are read: one that changes in between then has another hash at the next run.
+    """
+    settings = {name: value for name, value in tables.items() if name != FILES}
+    found = {text: digest for text in _texts(settings) if (digest := _digest(text)) is not None}
+    return {**settings, FILES: found} if found else settings
+
+
+def files_of(tables: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """Yield table, key and text of every setting that names a text file: detections, a map, a topic "x.tum"."""
+    for table, keys in tables.items():
+        for key, value in keys.items() if isinstance(keys, Mapping) else ():
+            for text in _texts(value):
+                a_map = (table, key) == ("landmarks", "map") and text != GROW
+                if a_map or Path(text).suffix.lower() in SUFFIXES:
+                    yield table, key, text
+
+
+def _texts(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping):
+        for inner in value.values():
+            yield from _texts(inner)
+    elif isinstance(value, list | tuple):
+        for inner in value:
+            yield from _texts(inner)
+
+
+def _digest(text: str) -> str | None:
+    """Return the hash of the file that a setting names, None for a setting that names none."""
+    try:
+        path = Path(text).expanduser()
+        if not path.is_file():
+            return None
+    except (OSError, ValueError, RuntimeError):  # too long, or a NUL in it: no path
+        return None
+    return hashlib.sha256(read_small(path, MAX_TEXT_FILE)).hexdigest()
+
+
+def key(content: Identity, tables: Mapping[str, Any], asked: Asked) -> str:
+    """Return the key of a comparison: 64 hexadecimal digits."""
+    parts = {
+        "content": content._asdict(),
+        "settings": tables,
+        "asked": asked,
+        "locfuse": own(),
+        "schema_version": SCHEMA_VERSION,
+        "made_with": made_with(),
+    }
+    return hashlib.sha256(msgspec.json.encode(parts, order="deterministic")).hexdigest()

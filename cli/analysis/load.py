@@ -1,0 +1,508 @@
+"""From what the user typed to a measured drive: log, robot, topics, streams, Drive."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Collection, Mapping, Sequence
+from copy import deepcopy
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import numpy as np
+from msgspec import field
+from msgspec.structs import replace
+
+from locfuse.formats.caps import MAX_ROBOT_TOML
+from locfuse.formats.container.url import Place, Url, place
+from locfuse.formats.inputs import read_small
+from locfuse.formats.logs.labels import labels
+from locfuse.formats.logs.log import Log, open_log
+from locfuse.formats.nearest import did_you_mean
+from locfuse.formats.robot import landmark_map, robot_toml
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Drive, Event, LocfuseError, Measurements, Stream, UsageError
+from locfuse.fusion.measure import measure, windowed
+from locfuse.fusion.paper import preset as filters
+from locfuse.fusion.robot import Robot, StartSettings, TruthSettings, WheelSettings
+from locfuse.fusion.sensors.lrf import laser_of
+from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.streams import MergedStream, merged
+from locfuse.fusion.wheels.odometry import SCANS
+from locfuse.fusion.wheels.read import WheelReading, read_wheels
+
+from .choose import choose
+from .key import asked_tables, files_of, with_files
+from .memory import give_back
+from .mounts import mount_tables, on_moving_parts, optics_tables, shared_turns, transforms_of
+from .settings import ORDERS, PRESETS, LogOptions, Progress, silent
+from .standing import refuse_standing, standing_notes
+from .tilt import level_compass
+from .topics import Choice
+
+if TYPE_CHECKING:
+    from locfuse.fusion.wheels.motion_by_scans import MatchedScans
+
+ATTACHMENT = "robot.toml"
+# scans that are matched with each other say nothing of where their laser sits: any place fits them as well
+EXACT_LASER = {"lrf": {"sigma_x": 0.0, "sigma_y": 0.0, "sigma_yaw_deg": 0.0}}
+MAX_LISTED = 1000  # entries of a folder among which a mistyped name is looked for
+BASE_TABLES: dict[str, type[msgspec.Struct]] = {
+    "wheels": WheelSettings,
+    "start": StartSettings,
+    "truth": TruthSettings,
+}
+
+
+class Loaded(msgspec.Struct, frozen=True, dict=True):
+    """A measured log and everything that says where its numbers came from."""
+
+    log: Log
+    robot: Robot
+    choice: Choice
+    drive: Drive
+    tables: Mapping[str, Any] = field(default_factory=dict)  # robot.toml as merged, without mounts from /tf_static
+    sources: Mapping[str, str] = field(default_factory=dict)  # "lrf.x" -> who set it, of keys that somebody set
+    asked: Mapping[str, Any] | None = None  # what the user gave of them; None: the result has no key
+    hash_all: bool = False  # whether every byte is to be hashed
+    matched: MatchedScans | None = None  # the motion by scans, where there are no wheels
+    reading: WheelReading | None = None  # the motion of the whole log; None: it has to be read again
+
+    def stream(self, role: str) -> Stream:
+        """Return the raw readings of a role, of all its topics."""
+        return merged([self.log.stream(topic, self.robot.order) for topic in self.choice.of(role)])
+
+    @cached_property
+    def labels(self) -> tuple[Event, ...]:
+        """Faults that the log labels itself, read when a figure asks for them."""
+        return tuple(labels(self.log, self.drive, self.robot.order))
+
+    window: tuple[float | None, float | None] = (
+        None,
+        None,
+    )  # s: the part of the drive that is used; None: no bound
+
+
+def find_log(words: Sequence[str]) -> list[Place]:
+    """Return where the logs named on the command line are; a file beats a sample log's name."""
+    return [_find(word) for word in words]
+
+
+def _find(word: str) -> Place:
+    path = place(word)
+    if isinstance(path, Url):
+        return path
+    if path.exists():
+        return path
+    from locfuse import sample_logs
+
+    samples = sample_logs.names()
+    if word in samples:
+        return sample_logs.path(word)
+    near = did_you_mean(word, [*samples, *_beside(path)])
+    raise UsageError(f"no such log: {word}{f'; {near}' if near else '.'} Sample logs: {', '.join(samples)}")
+
+
+def _beside(path: Path) -> list[str]:
+    """Return what lies in the folder of a path that does not exist, as the path would name it."""
+    try:
+        return [str(path.parent / entry.name) for entry in itertools.islice(path.parent.iterdir(), MAX_LISTED)]
+    except OSError:
+        return []
+
+
+def load(
+    paths: Sequence[Place],
+    how: LogOptions,
+    progress: Progress = silent,
+    only: Collection[str] | None = None,
+    aside: Collection[str] = (),
+) -> Loaded:
+    """Open, describe, choose topics, and measure all sensors, or `only` some; those `aside` are chosen only.
+
+    Raises LocfuseError with one line on what is wrong.
+    """
+    progress("opening")
+    asked = asked_tables(how)  # before anything is read: what changes meanwhile has another key
+    log = open_log(paths)
+    tables = merged_tables(log, how)
+    choice = choose(log, make_robot(tables), named_by_hand(how.sets))
+    found = measured(log, tables, choice, progress, only, aside)
+    found = replace(found, sources=_sources(log, how), asked=asked, hash_all=how.hash_all)
+    return _within(found, (how.begin, how.end))
+
+
+def _within(loaded: Loaded, window: tuple[float | None, float | None]) -> Loaded:
+    """Return the part of a drive between two times [s]; None: no bound."""
+    if window == (None, None):
+        return loaded
+    drive, robot = windowed(loaded.drive, loaded.robot, *window)
+    return replace(loaded, drive=drive, robot=robot, window=window)
+
+
+def load_to_fuse(paths: Sequence[Place], how: LogOptions, progress: Progress, read_again: bool = False) -> Loaded:
+    """Load a log whose columns are needed no more once it is measured, unless it is `read_again`."""
+    loaded = load(paths, how, progress)
+    if not read_again:
+        loaded.log.forget()
+    give_back()
+    return loaded
+
+
+def measured(
+    log: Log,
+    tables: Mapping[str, Any],
+    choice: Choice,
+    progress: Progress = silent,
+    only: Collection[str] | None = None,
+    aside: Collection[str] = (),
+    known: Mapping[str, Measurements] | None = None,
+    before: Loaded | None = None,
+) -> Loaded:
+    """Measure the chosen topics of a log under the tables of robot.toml; those of roles in `aside` are not.
+
+    Sensors that are `known` are not measured again: their settings, and those of the wheels, must be the same.
+    What the same log showed `before`, under other settings, may spare a second look at its readings and scans.
+    """
+    _leave_out(choice, only, tables["preset"])
+    progress("reading")
+    streams = _streams(log, choice, str(tables.get("order", "auto")))
+    _refuse_lost_wheels(log, choice, streams)
+    sensed = {s: parts(streams[s]) for s in REGISTRY if s in streams}
+    if by_scans := "wheels" in streams and streams["wheels"].msgtype == SCANS:
+        sensed.setdefault("lrf", parts(streams["wheels"]))  # where it sits matters, whether or not it is a sensor
+    frames = [part.frame_id for s in sensed for part in sensed[s]]
+    transforms = transforms_of(log, frames)
+    placed = EXACT_LASER if by_scans else {}
+    mounts = robot_toml.merge(placed, mount_tables(transforms, sensed), optics_tables(log, sensed, tables))
+    robot = with_landmarks(make_robot(robot_toml.merge(mounts, shared_turns(tables, sensed), tables)))
+    moving = on_moving_parts(transforms, sensed, tables)
+    if by_scans and "lrf" in moving:
+        raise LocfuseError(moving["lrf"], role="lrf")
+    wanted = {role: s for role, s in streams.items() if role not in aside and role not in moving}
+    wanted = level_compass(log, wanted, robot, transforms)
+    matched = _matched_scans(streams["wheels"], robot, progress, before) if by_scans else None
+    if matched is not None:
+        motion = matched.reading(robot.wheels, robot.settings("lrf").time_offset)
+    elif before is not None and before.reading is not None:
+        motion = before.reading.with_noise(robot.wheels.noise)
+    else:
+        progress("measuring the wheels")
+        motion = read_wheels(wanted["wheels"], robot.wheels)
+    shown = None if before is None else before.drive.measurements
+    drive = measure(wanted, robot, {**choice.absent, **moving}, progress, known, motion, shown)
+    refuse_standing(log, choice, drive.wheels)
+    _refuse_other_clock(log, drive)
+    preset = (filters.NOTE,) if robot.preset == "paper" else ()
+    chosen = (f"{note.role}: {note.words}" for note in choice.notes if note.role in streams)
+    notes = (
+        *preset,
+        *chosen,
+        *_clock_notes(streams),
+        *start_notes(robot, drive),
+        *standing_notes(drive.wheels),
+        *drive.notes,
+    )
+    drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})
+    return Loaded(log, robot, choice, drive, tables, matched=matched, reading=motion)
+
+
+def _matched_scans(stream: Stream, robot: Robot, progress: Progress, before: Loaded | None) -> MatchedScans:
+    """Return how the robot moved by its laser alone: it has no wheels that anybody recorded."""
+    from locfuse.fusion.wheels.motion_by_scans import match_scans  # SciPy comes with it
+
+    laser = laser_of(robot.settings("lrf"))
+    if before is not None and before.matched is not None and before.matched.of(laser):
+        return before.matched
+    progress("matching scans")
+    return match_scans(stream, laser)
+
+
+def _refuse_other_clock(log: Log, drive: Drive) -> None:
+    """Say that a truth file is of another clock, or of another drive, where no row lies within the drive."""
+    truth = drive.truth
+    if truth is None or not log.is_file(truth.topic) or ((truth.t >= 0.0) & (truth.t <= drive.t[-1])).any():
+        return
+    epoch = drive.epoch_ns * 1e-9
+    spans = [f"{a + epoch:.3f} to {b + epoch:.3f} s" for a, b in ((truth.t[0], truth.t[-1]), (0.0, drive.t[-1]))]
+    raise LocfuseError(
+        f"{truth.topic} covers {spans[0]}, the drive {spans[1]}: another clock, or another drive.",
+        role="truth",
+        hint=f"If both began together: --set truth.time_offset={-truth.t[0]:.3f}",
+    )
+
+
+def with_landmarks(robot: Robot) -> Robot:
+    """Return the robot with its landmarks' map read from the file that the settings name."""
+    settings = robot.settings("landmarks")
+    if not isinstance(settings.map, str) or settings.grows:
+        return robot
+    path = Path(settings.map).expanduser()
+    if not path.is_file():
+        raise LocfuseError(
+            f"no such file: {path}", role="landmarks", hint="--set landmarks.map=<id, x, y as .csv>"
+        )
+    read = msgspec.structs.replace(settings, map=landmark_map.read(path))
+    return replace(robot, sensors={**robot.sensors, "landmarks": read})
+
+
+def _refuse_lost_wheels(log: Log, choice: Choice, streams: Mapping[str, Any]) -> None:
+    """Say that the file is damaged where the wheels' messages are all lost: their names are then not at fault."""
+    promised = sum(log.topics[topic].count for topic in choice.of("wheels"))
+    if "wheels" not in streams or not promised or len(streams["wheels"].t_ns):
+        return
+    why = log.losses.lines() or [f"{n} {reason}" for reason, n in streams["wheels"].dropped.items()]
+    if why:
+        topics = " and ".join(choice.of("wheels"))
+        raise LocfuseError(f"wheels: none of {promised} messages on {topics} can be read: {why[0]}")
+
+
+def _leave_out(choice: Choice, only: Collection[str] | None, preset: str) -> None:
+    """Drop sensors that nobody asks for, and those that the preset's filter does not know."""
+    for sensor in REGISTRY:
+        if only is not None and sensor not in only:
+            choice.topics.pop(sensor, None)
+        if preset == "paper" and sensor not in filters.PAPER_SENSORS and choice.topics.pop(sensor, ""):
+            choice.absent[sensor] = "the paper has no equation for it (--preset paper)"
+
+
+def merged_tables(log: Log, how: LogOptions) -> dict[str, Any]:
+    """Return robot.toml as tables: the preset's, then the log's attachment, --robot, and --set, key by key."""
+    tables = robot_toml.layered(*_layers(log, how).values())
+    tables.setdefault("preset", "default")
+    return robot_toml.merge(filters.TABLES[tables["preset"]], tables)
+
+
+def _layers(log: Log, how: LogOptions) -> dict[str, dict[str, Any]]:
+    """Return the tables that somebody gave, by who did; what comes later wins."""
+    layers: dict[str, dict[str, Any]] = {}
+    files = [_checked(read_small(file, MAX_ROBOT_TOML), str(file)) for file in how.robot_files]
+    if files:
+        layers["--robot"] = robot_toml.merge(*files)
+    sets = _set_tables(how.sets)
+    if how.order:
+        sets["order"] = how.order
+    if how.preset:
+        sets["preset"] = how.preset
+    layers["--set"] = sets
+    if ATTACHMENT in log.attachments:
+        attached = _checked(log.attachments[ATTACHMENT], f"{log.name}: attachment {ATTACHMENT}")
+        layers = {"robot.toml in the log": _of_log(log, attached, layers), **layers}
+    return layers
+
+
+def _of_log(log: Log, tables: dict[str, Any], above: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+    """Return the log's own tables, the files that they name in the log's folder.
+
+    The log may be a stranger's: it names no other file of the reader. Raises LocfuseError where it does, unless
+    a place above says the same key.
+    """
+    said = {key for others in above.values() for key in _keys(others)}
+    for table, key, text in list(files_of(tables)):
+        if f"{table}.{key}" in said or log.recorded(text):
+            continue
+        folder = log.paths[0].parent
+        if not isinstance(folder, Path) or not _is_below(folder, text):
+            raise LocfuseError(
+                f"{log.name}: attachment {ATTACHMENT}: {table}.{key} names the file {text!r}: a log may name only "
+                "files in its own folder, by a path without '..'",
+                hint=f"give {table}.{key} in a file of your own: --robot FILE",
+            )
+        place = str(folder / text)
+        before = tables[table][key]
+        now = place if isinstance(before, str) else [place if one == text else one for one in before]
+        tables = robot_toml.merge(tables, {table: {key: now}})
+    return tables
+
+
+def _is_below(folder: Path, text: str) -> bool:
+    """Return whether a path is relative and leads into a folder, links followed."""
+    path = Path(text)
+    if path.is_absolute() or ".." in path.parts or text.startswith("~") or "\0" in text:
+        return False
+    return (folder / path).resolve().is_relative_to(folder.resolve())
+
+
+def _sources(log: Log, how: LogOptions) -> dict[str, str]:
+    """Return who set each key, "lrf.x" -> "--robot"."""
+    return {key: who for who, tables in _layers(log, how).items() for key in _keys(tables)}
+
+
+def _keys(tables: Mapping[str, Any]) -> list[str]:
+    """Return "table.key" of every key in tables; keys above all tables by their own names."""
+    inside = ((t, list(v) if isinstance(v, Mapping) else [""]) for t, v in tables.items())
+    return [f"{table}.{key}".rstrip(".") for table, keys in inside for key in keys]
+
+
+def check_settings(how: LogOptions) -> None:
+    """Raise LocfuseError for settings that fit no log at all: known before the first of many is opened."""
+    _set_tables(how.sets)
+    for file in how.robot_files:
+        _checked(read_small(file, MAX_ROBOT_TOML), str(file))
+
+
+def _set_tables(words: Sequence[str]) -> dict[str, Any]:
+    """Return the words of --set as tables. Raises UsageError for a key or value that fits nothing."""
+    try:
+        sets = robot_toml.apply_sets(words)
+        make_robot(sets)
+    except LocfuseError as e:
+        raise UsageError(e.message, role=e.role, fixes=e.fixes, hint=e.hint) from None
+    return sets
+
+
+def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = silent) -> Loaded:
+    """Return the same log under other settings: only sensors whose own tables change are measured again.
+
+    Raises UsageError for settings that choose what is read, which needs a new `load`.
+    """
+    sets = _set_tables(words)
+    _refuse_other_reading(loaded, sets)
+    tables = robot_toml.layered(loaded.tables, sets)
+    same = {table for table in tables if _measured_by(tables, table) == _measured_by(loaded.tables, table)}
+    by_scans = loaded.drive.wheels.matched is not None
+    moving = ("wheels", "lrf") if by_scans else ("wheels",)  # what the motion comes from
+    wheels = all(table in same or table not in tables for table in moving)
+    unchanged = {s: m for s, m in loaded.drive.measurements.items() if wheels and (s in same or s not in tables)}
+    if make_robot(tables).wheels.noise != loaded.robot.wheels.noise:  # so much is uncertain of a deskewed scan
+        unchanged = {s: m for s, m in unchanged.items() if "shared" not in m.extra}
+    if "gyro" in tables and "gyro" not in same:
+        unchanged.pop("compass", None)  # its field is levelled by the IMU, as that is mounted
+    asked = None if loaded.asked is None else with_files(robot_toml.layered(loaded.asked, sets))
+    choice = deepcopy(loaded.choice)
+    before = loaded if wheels else replace(loaded, reading=None)
+    found = measured(loaded.log, tables, choice, progress, known=unchanged, before=before)
+    sources = {**loaded.sources, **dict.fromkeys(_keys(sets), "--set")}
+    return _within(replace(found, sources=sources, asked=asked, hash_all=loaded.hash_all), loaded.window)
+
+
+def _measured_by(tables: Mapping[str, Any], table: str) -> Any:
+    """Return the keys of a table that measuring depends on: gates, states and the wheels' noise are fusing's."""
+    keys = tables.get(table, {})
+    if not isinstance(keys, Mapping):
+        return keys
+    only_fused = getattr(table_types().get(table), "only_fused", ())
+    return {key: value for key, value in keys.items() if key not in only_fused}
+
+
+def _refuse_other_reading(loaded: Loaded, sets: Mapping[str, Any]) -> None:
+    keys = {f"{table}.{key}" for table, values in sets.items() if isinstance(values, Mapping) for key in values}
+    reading = [k for k in (*sets, *keys) if k in {"order", "preset"} or k.endswith((".topic", ".topics"))]
+    if reading:
+        raise UsageError(f"{reading[0]} decides what is read of the log: give it when the log is loaded (--set)")
+    if loaded.robot.lines:
+        raise UsageError("this session was given a map: change the settings first, then with_map(FILE)")
+
+
+def named_by_hand(sets: Sequence[str]) -> set[str]:
+    """Return the tables whose topic the command line names."""
+    tables = robot_toml.apply_sets(sets).items()
+    return {table for table, keys in tables if isinstance(keys, dict) and ("topic" in keys or "topics" in keys)}
+
+
+def _checked(data: bytes, source: str) -> dict[str, Any]:
+    """Parse one robot.toml and check its keys while its name is known."""
+    tables = robot_toml.parse(data, source)
+    try:
+        make_robot(tables)
+    except LocfuseError as e:
+        raise LocfuseError(f"{source}: {e}") from None
+    return tables
+
+
+def table_types() -> dict[str, type[msgspec.Struct]]:
+    """Return the tables of robot.toml with their keys: the robot's, then every sensor's."""
+    return {**BASE_TABLES, **{name: sensor.Settings for name, sensor in REGISTRY.items()}}
+
+
+def make_robot(tables: Mapping[str, Any]) -> Robot:
+    """Turn tables into typed settings; an unknown key is an error that names the nearest."""
+    tables = dict(tables)
+    order = tables.pop("order", "auto")
+    if order not in ORDERS:
+        raise LocfuseError(f"order = {order!r}; choose from {', '.join(ORDERS)}")
+    preset = tables.pop("preset", "default")
+    if preset not in PRESETS:
+        raise LocfuseError(f"preset = {preset!r}; choose from {', '.join(PRESETS)}")
+    types = table_types()
+    settings = robot_toml.convert(tables, types)
+    defaults = {name: kind() for name, kind in types.items()}
+    found: dict[str, Any] = {**defaults, **settings}
+    return Robot(
+        wheels=found["wheels"],
+        start=found["start"],
+        truth=found["truth"],
+        sensors={name: found[name] for name in REGISTRY},
+        order=order,
+        preset=preset,
+        start_given="start" in tables,
+    )
+
+
+def _streams(log: Log, choice: Choice, order: str) -> dict[str, Any]:
+    """Return the stream of every role, light columns read in one walk; what two roles share is read once."""
+    wants: dict[str, tuple[str, ...]] = {}
+    for role in choice.topics:
+        for topic in choice.of(role):
+            fields = _light(role, log.topics[topic].msgtype)
+            wants[topic] = tuple(dict.fromkeys((*wants.get(topic, ()), *fields)))
+    streams = log.streams(wants, order=order)
+    return {role: merged([streams[topic] for topic in choice.of(role)]) for role in choice.topics}
+
+
+def _light(role: str, msgtype: str) -> tuple[str, ...]:
+    """Return the fields to read in the common walk: none of a sensor that reads in blocks."""
+    from locfuse.fusion.truth import TRUTH_READS
+    from locfuse.fusion.wheels.read import WHEEL_READS
+
+    reads = {"wheels": WHEEL_READS, "truth": TRUTH_READS}
+    if role in reads:
+        return reads[role][msgtype]
+    return () if REGISTRY[role].in_blocks else REGISTRY[role].reads[msgtype]
+
+
+def _clock_notes(streams: Mapping[str, Any]) -> list[str]:
+    """Say which clock was taken where it is not simply the header's, and what is odd about it."""
+    notes: dict[str, None] = {}  # as a set in order: several topics of one role may say the same
+    for role, stream in streams.items():
+        for part in parts(stream):
+            words = [] if part.as_stamped else [part.clock]
+            notes |= dict.fromkeys(f"{role}: {word}" for word in (*words, *part.notes))
+    return list(notes)
+
+
+def parts(stream: Any) -> tuple[Any, ...]:
+    """Return the streams of single topics that a role's stream is made of."""
+    return stream.parts if isinstance(stream, MergedStream) else (stream,)
+
+
+def start_error(robot: Robot, drive: Drive) -> float | None:
+    """Return how far [m] the truth begins from where the wheels then are; None: no truth, or [start] is given.
+
+    The wheels count from the configured start: a truth that begins metres later has not begun elsewhere.
+    """
+    places = _first_places(robot, drive)
+    return None if places is None else math.hypot(*(places[0] - places[1]))
+
+
+def _first_places(robot: Robot, drive: Drive) -> tuple[Array, Array] | None:
+    """Return where the truth begins, and its body point by the wheels at that time, (2,) m each."""
+    truth = drive.truth
+    if truth is None or robot.start_given or not len(truth.t):
+        return None
+    pose = se2.compose(np.array(robot.start.pose), drive.wheels.at(truth.t[:1])[2])
+    return truth.xy[0], (pose[:, :2] + se2.rotated(pose[:, 2], np.array([truth.point])))[0]
+
+
+def start_notes(robot: Robot, drive: Drive) -> list[str]:
+    """Warn where the truth begins elsewhere than the wheels are, and nobody said where the drive starts."""
+    places = _first_places(robot, drive)
+    if places is None or math.hypot(*(places[0] - places[1])) < 0.05:
+        return []
+    (x, y), (own_x, own_y) = places
+    return [
+        f"truth starts at ({x:.2f}, {y:.2f}) m but the drive at ({own_x:z.2f}, {own_y:z.2f}): "
+        "set [start], or judge the shape only with --align origin"
+    ]

@@ -1,0 +1,144 @@
+"""A map leaves one run and is given to another: --save-map and --map; landmarks as a .csv.
+
+A given map may also be an occupancy grid, as an image with its YAML or as a topic of the log: its walls become the
+lines of the map. Where the drive begins in it is looked for unless [start] says it.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from msgspec.structs import replace
+
+from locfuse.fusion.data import Estimates, LocfuseError, MapLine, Ragged, UsageError
+from locfuse.fusion.map.given_grid import Grid
+from locfuse.fusion.robot import Robot
+
+from .load import Loaded, start_notes
+
+UNKNOWN_START_M = 1.0  # a start whose standard deviation is more is none
+FOUND_XY, FOUND_THETA_DEG = 0.15, 3.0  # m, degrees: standard deviations of a start that was found
+GRID = "nav_msgs/msg/OccupancyGrid"
+ORIGIN = tuple(f"info.origin.{part}" for part in ("position.x", "position.y", "orientation.z", "orientation.w"))
+
+
+def give(loaded: Loaded, file: Path) -> Loaded:
+    """Return the log with a robot that localises in the map of a file: lines as JSON, or the .yaml of an image.
+
+    Raises LocfuseError for a bad file and where the map is of another building, UsageError for the printed filter:
+    its map is the first scan's.
+    """
+    if loaded.robot.preset == "paper":
+        raise UsageError("--map: the paper's filter knows its first scan's walls only; leave --preset paper out")
+    from locfuse.formats.robot import line_map, map_image
+
+    if file.suffix in map_image.PICTURES:
+        raise UsageError(f"--map {file}: name the .yaml beside the image, which says where it lies")
+    if file.suffix not in map_image.SUFFIXES:
+        return replace(loaded, asked=None, robot=_within(loaded.robot, line_map.read(file)))
+    return _give_grid(replace(loaded, asked=None), Grid(*map_image.read(file)), str(file))
+
+
+def give_topic(loaded: Loaded) -> Loaded:
+    """Return the log with a robot that localises in the map of `[lrf] map_topic`, where that is set.
+
+    Raises LocfuseError where the topic is missing, holds no map, or one of another building.
+    """
+    topic = loaded.robot.settings("lrf").map_topic
+    if topic is None or loaded.robot.preset == "paper":
+        return loaded
+    from locfuse.formats.robot import map_image
+
+    info = loaded.log.find(topic)
+    if info is None or info.msgtype != GRID:
+        what = "is not there" if info is None else f"is {info.msgtype}"
+        raise LocfuseError(f"lrf.map_topic: {topic} {what}; it takes a {GRID}", role="lrf")
+    columns = loaded.log.stream(topic, loaded.robot.order).columns(
+        "info.resolution", "info.width", "info.height", *ORIGIN, "data"
+    )
+    cells = columns["data"]
+    if not isinstance(cells, Ragged) or not len(cells):
+        raise LocfuseError(f"lrf.map_topic: {topic} holds no map", role="lrf")
+    x, y, qz, qw, cell, width, height = (
+        float(np.asarray(columns[name])[-1]) for name in (*ORIGIN, "info.resolution", "info.width", "info.height")
+    )
+    origin = np.array([x, y, 2.0 * math.atan2(qz, qw)])
+    last = cells.values[cells.first[-2] : cells.first[-1]]
+    return _give_grid(
+        loaded, Grid(*map_image.of_message(last, int(width), int(height), cell, origin, topic)), topic
+    )
+
+
+def _give_grid(loaded: Loaded, grid: Grid, name: str) -> Loaded:
+    from locfuse.fusion.map.given_walls import walls_of
+
+    if "lrf" not in loaded.drive.measurements:
+        raise loaded.drive.lacks("lrf")
+    try:
+        lines = walls_of(grid)
+    except LocfuseError as problem:
+        raise LocfuseError(f"{name}: {problem.message}", role="map") from None
+    if not lines:
+        raise LocfuseError(f"{name} has no wall of 0.3 m or more: nothing can be localised in it")
+    found = replace(loaded, robot=_within(loaded.robot, lines))
+    start = found.robot.start
+    if found.robot.start_given and start.sigma_xy < UNKNOWN_START_M:
+        return found
+    return _begun(found, grid, name)
+
+
+def _begun(loaded: Loaded, grid: Grid, name: str) -> Loaded:
+    """Return the log with the start that the map and the first scans say."""
+    from locfuse.fusion.map.given_search import at_start, find_start
+
+    drive, robot = loaded.drive, loaded.robot
+    m = drive.measurements["lrf"]
+    if m.points is None:
+        raise LocfuseError(f"the start in {name} cannot be looked for: set [start] x, y, theta_deg", role="start")
+    try:
+        found = find_start(grid, m.t, m.points, drive.wheels)
+    except LocfuseError as problem:
+        raise LocfuseError(f"{name}: {problem.message}", role="map") from None
+    x, y, theta = at_start(found, drive.wheels).tolist()
+    start = msgspec.structs.replace(
+        robot.start,
+        x=x,
+        y=y,
+        theta_deg=math.degrees(theta),
+        sigma_xy=FOUND_XY,
+        sigma_theta_deg=FOUND_THETA_DEG,
+    )
+    words = (
+        f"the drive begins in {name} at x {x:.2f} m, y {y:.2f} m, {math.degrees(theta):.0f} deg: looked for in "
+        f"all of the map by the scans up to {found.until:.1f} s ({found.share:.0%} of the beams end at walls)"
+    )
+    placed = replace(robot, start=start, start_given=True)
+    stale = start_notes(robot, drive)  # about the start that is no longer
+    notes = (*(note for note in drive.notes if note not in stale), words, *start_notes(placed, drive))
+    return replace(loaded, robot=placed, drive=replace(drive, notes=notes))
+
+
+def _within(robot: Robot, lines: list[MapLine]) -> Robot:
+    lrf = msgspec.structs.replace(robot.settings("lrf"), map="given")
+    return replace(robot, sensors={**robot.sensors, "lrf": lrf}, lines=tuple(lines))
+
+
+def keep(estimates: Estimates, file: Path, made_from: str) -> None:
+    """Write the map that a run ended with."""
+    from locfuse.formats.robot import line_map
+    from locfuse.formats.whole_files import whole_file
+
+    with whole_file(file) as path:
+        path.write_text(line_map.encode(estimates.final_map, made_from))
+
+
+def keep_landmarks(estimates: Estimates, file: Path) -> None:
+    """Write the landmarks that a run placed, as the .csv that `landmarks.map` reads."""
+    from locfuse.formats.robot import landmark_map
+    from locfuse.formats.whole_files import whole_file
+
+    with whole_file(file) as path:
+        path.write_text(landmark_map.encode(estimates.points))

@@ -1,0 +1,204 @@
+"""Where /tf_static puts the sensors on the base, or /tf where nothing is static, as tables of robot.toml."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import permutations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from msgspec.structs import replace
+
+from locfuse.formats.messages.kinds import CAMERA_MATRIX
+from locfuse.formats.robot.transforms import Mount, StaticTransforms, planar_mount
+from locfuse.fusion.data import Stream
+from locfuse.fusion.mount import rotation
+from locfuse.fusion.sensors.registry import REGISTRY
+
+from .topics import of_type
+
+if TYPE_CHECKING:
+    from locfuse.formats.logs.log import Log
+
+TURNS = ("roll_deg", "pitch_deg")
+MAX_TILT = 0.7  # of the z axis, along the vertical: more is a frame whose z axis is up, no optical one
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+BASE_FRAMES = ("base_link", "base_footprint", "base")
+ODOMETRY_WORD = "odom"
+ROOM_FRAMES = ("map", "world", "earth", "utm")  # last word of frames that stand still in the room
+
+
+def transforms_of(log: Log, frames: Iterable[str]) -> StaticTransforms:
+    """Return the transforms of /tf_static, and where they do not place all frames those of /tf that never change.
+
+    ROS 1 publishes mounts on /tf. Reading it takes time, so it is asked only where something is missing. It also
+    says which frame is the body where that is not called like one: the frame that moves in a frame odom, else in a
+    frame map or world.
+    """
+    static = log.static_transforms()
+    if all(is_base(frame) or mount_of(static, frame) is not None for frame in frames if frame):
+        return static
+    return replace(log.all_mounts(), bases=tuple(_bodies(log)), moving=tuple(log.moving_transforms()))
+
+
+def _bodies(log: Log) -> list[str]:
+    """Return the frames of /tf that move in the frame of an odometry, else in that of a room."""
+    edges = [edge for topic in log.transform_topics for edge in log.frames(topic).values() if edge.moves]
+    bodies = [e for e in edges if not (is_odometry(e.child) or is_room(e.child))]
+    return [e.child for e in bodies if is_odometry(e.parent)] or [e.child for e in bodies if is_room(e.parent)]
+
+
+def is_base(frame: str) -> bool:
+    """Return whether a frame is called like a robot's body, with or without the robot's name before it."""
+    return last_word(frame) in BASE_FRAMES
+
+
+def is_odometry(frame: str) -> bool:
+    """Return whether a frame is called like one in which an odometry says its poses: odom, odom_combined."""
+    word = last_word(frame)
+    return word.startswith(ODOMETRY_WORD) or word.endswith(ODOMETRY_WORD)
+
+
+def is_room(frame: str) -> bool:
+    """Return whether a frame is called like one that stands still in the room."""
+    return last_word(frame) in ROOM_FRAMES
+
+
+def last_word(frame: str) -> str:
+    """Return what a frame is called without its robot's name: "/robot1/base_link" is base_link."""
+    return frame.rpartition("/")[2].lower()
+
+
+def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[Stream]]) -> dict[str, Any]:
+    """Return the mounts that /tf_static knows of sensors (name -> its topics' streams), for the keys they have."""
+    tables: dict[str, Any] = {}
+    for sensor, parts in streams.items():
+        keys = set(REGISTRY[sensor].Settings.__struct_fields__)
+        mounts = {part.topic: m for part in parts if (m := mount_of(transforms, part.frame_id)) is not None}
+        if "mounts" in keys and (len(parts) > 1 or "x" not in keys):
+            looks = {t: _looks(m) if "fx" in keys else {} for t, m in mounts.items()}
+            tables[sensor] = {"mounts": {t: [*_placed(m, looks[t]), *_down(looks[t])] for t, m in mounts.items()}}
+        elif parts[0].topic in mounts:
+            mount = mounts[parts[0].topic]
+            looks = _looks(mount) if "fx" in keys else {}
+            tables[sensor] = {k: v for k, v in (_table(mount) | looks).items() if k in keys}
+    return tables
+
+
+def _placed(mount: Mount, looks: Mapping[str, Any]) -> tuple[float, float, float]:
+    return mount.x, mount.y, looks.get("yaw_deg", math.degrees(mount.yaw))
+
+
+def _down(looks: Mapping[str, Any]) -> tuple[float, ...]:
+    return (looks["pitch_deg"],) if looks else ()
+
+
+def _looks(mount: Mount) -> dict[str, Any]:
+    """Return where an optical frame (REP 103: z ahead) looks; nothing of a frame whose z axis is up."""
+    ahead = rotation(*(math.degrees(angle) for angle in (mount.roll, mount.pitch, mount.yaw)))[:, 2]
+    if abs(ahead[2]) > MAX_TILT:
+        return {}
+    return {
+        "yaw_deg": math.degrees(math.atan2(ahead[1], ahead[0])),
+        "pitch_deg": math.degrees(math.asin(-ahead[2])) + 0.0,
+    }
+
+
+def on_moving_parts(
+    transforms: StaticTransforms, streams: Mapping[str, Sequence[Stream]], tables: Mapping[str, Any]
+) -> dict[str, str]:
+    """Return the sensors whose place on the base changes, in words, but for those that somebody placed."""
+    found = {}
+    for sensor, parts in streams.items():
+        keys = {"x", "y", "yaw_deg"} & set(REGISTRY[sensor].Settings.__struct_fields__)
+        told = keys & set(tables.get(sensor, {}))
+        if len(keys) == 3 and not told and (moves := moved_by(transforms, parts[0].frame_id)):
+            found[sensor] = (
+                f"{parts[0].frame_id} moves on the robot ({moves} by /tf), and only sensors bolted to its "
+                f"base are read; if it stood still, say where: {sensor}.x, {sensor}.y, {sensor}.yaw_deg"
+            )
+    return found
+
+
+def optics_tables(log: Log, streams: Mapping[str, Sequence[Stream]], tables: Mapping[str, Any]) -> dict[str, Any]:
+    """Return focal length and middle of the picture [px] by the log's CameraInfo, of sensors that ask for them.
+
+    The CameraInfo is the one of the sensor's frame, else the only one.
+    """
+    infos = [t for t in of_type(log, (CAMERA_INFO,)) if log.topics[t].count]
+    found: dict[str, Any] = {}
+    for sensor, parts in streams.items():
+        if "fx" not in REGISTRY[sensor].Settings.__struct_fields__ or "fx" in tables.get(sensor, {}):
+            continue
+        optics = {part.topic: _optics(log, infos, part.frame_id) for part in parts}
+        known = {topic: [fx, cx] for topic, (fx, cx) in optics.items() if fx > 0.0}
+        if len(parts) > 1:
+            found[sensor] = {"optics": known}
+        elif known:
+            ((fx, cx),) = known.values()
+            found[sensor] = {"fx": fx, "cx": cx}
+    return found
+
+
+def _optics(log: Log, infos: Sequence[str], frame: str) -> tuple[float, float]:
+    """Return focal length and middle of the picture [px] of a frame by its CameraInfo, zeros without one."""
+    same = [t for t in infos if log.stream(t).frame_id == frame]
+    for topic in same[:1] or (infos if len(infos) == 1 else []):
+        matrix = np.asarray(log.stream(topic).columns(CAMERA_MATRIX)[CAMERA_MATRIX], np.float64).reshape(-1, 9)
+        if len(matrix) and matrix[0, 0] > 0.0:
+            return float(matrix[0, 0]), float(matrix[0, 2])
+    return 0.0, 0.0
+
+
+def shared_turns(tables: Mapping[str, Any], streams: Mapping[str, Sequence[Stream]]) -> dict[str, Any]:
+    """Return roll and pitch that are given for one sensor and hold for another of the same topic or frame.
+
+    An IMU is compass and gyro: it is bolted to the robot once.
+    """
+    found: dict[str, Any] = {}
+    turned = [s for s in streams if {*TURNS} <= set(REGISTRY[s].Settings.__struct_fields__)]
+    for given, other in permutations(turned, 2):
+        a, b = streams[given][0], streams[other][0]
+        if a.topic != b.topic and not (a.frame_id and a.frame_id == b.frame_id):
+            continue
+        if not any(key in tables.get(other, {}) for key in TURNS):
+            keys = {key: tables[given][key] for key in TURNS if key in tables.get(given, {})}
+            found |= {other: keys} if keys else {}
+    return found
+
+
+def mount_of(transforms: StaticTransforms, frame: str) -> Mount | None:
+    """Return where a frame sits on the base, None where nothing says so."""
+    return planar_mount(transforms, _bases_in(transforms), frame) if frame else None
+
+
+def moved_by(transforms: StaticTransforms, frame: str) -> str:
+    """Return what moves between the body and a frame, such as "pan_link in base_link"; "" where nothing does."""
+    if not frame or mount_of(transforms, frame) is not None:
+        return ""
+    parent = {edge.child: edge.parent for edge in (*transforms.edges, *transforms.moving)}
+    moving, bodies = {edge.child for edge in transforms.moving}, set(_bases_in(transforms))
+    way = [frame.lstrip("/")]
+    while way[-1] in parent and way[-1] not in bodies and len(way) <= len(parent):  # a loop ends too
+        way.append(parent[way[-1]])
+    found = [f"{child} in {parent[child]}" for child in way[:-1] if child in moving]
+    return found[0] if found and way[-1] in bodies else ""
+
+
+def _bases_in(transforms: StaticTransforms) -> list[str]:
+    """Return the frames that may be the body: by its name, with a robot's name before it, by its motion."""
+    frames = dict.fromkeys(name for edge in transforms.edges for name in (edge.parent, edge.child))
+    named = [frame for base in BASE_FRAMES for frame in frames if last_word(frame) == base]
+    return [*BASE_FRAMES, *named, *transforms.bases]
+
+
+def _table(mount: Mount) -> dict[str, Any]:
+    return {
+        "x": mount.x,
+        "y": mount.y,
+        "roll_deg": math.degrees(mount.roll),
+        "pitch_deg": math.degrees(mount.pitch),
+        "yaw_deg": math.degrees(mount.yaw),
+        "flipped": mount.flipped,
+    }

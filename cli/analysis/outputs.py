@@ -1,0 +1,144 @@
+"""The files of a comparison, by kind. Each kind imports what it needs: `--write json` needs no plotting."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from locfuse.fusion.chi_square import chi_square
+from locfuse.fusion.data import Estimates, Evaluation, Event
+from locfuse.fusion.judge.events import events_of_drive, events_of_run
+from locfuse.fusion.judge.nis_over_time import Running, running_nis
+from locfuse.fusion.measure import thinned
+from locfuse.fusion.sensors.registry import REGISTRY, colours
+from locfuse.fusion.wheels.states import WHEEL_STATES
+
+from . import results
+from .compare import Compared
+from .verdicts import credit_values
+
+if TYPE_CHECKING:
+    from locfuse.formats.figures.scene import Scene
+    from locfuse.formats.whole_files import Content
+
+    from .load import Loaded
+
+
+class Drawn:
+    """What figures show of the audits, taken as each configuration is judged."""
+
+    def __init__(self) -> None:
+        self.nis: dict[tuple[str, str], Running] = {}  # (configuration, sensor)
+        self.best: Estimates | None = None  # with most sensors: its audit is drawn reading by reading
+
+    def take(self, e: Estimates, _evaluation: Evaluation) -> None:
+        """Take what is drawn of one run."""
+        self.nis |= {(e.name, s): running_nis(audit, e.t) for s, audit in e.audits.items()}
+        if self.best is None or len(e.sensors) > len(self.best.sensors):
+            self.best = e
+
+
+def files(
+    compared: Compared, drawn: Drawn, report: Mapping[str, Any], kinds: Collection[str]
+) -> dict[str, Content]:
+    """Return the content of every file of these kinds by its name; `drawn` is what .html shows of the audits."""
+    from locfuse.formats.report import json_report, markdown, tables
+
+    out: dict[str, Content] = {"robot.toml": results.robot_file(compared.loaded.robot)}
+    if "tum" in kinds:
+        out |= trajectories(compared)
+    if "html" in kinds:
+        out["report.html"] = page(compared, drawn, report)
+    if "md" in kinds:
+        out["report.md"] = markdown.render(report)
+    if "csv" in kinds:
+        out["report.csv"] = tables.csv(report)
+    if "tex" in kinds:
+        out["report.tex"] = tables.latex(report)
+    if "json" in kinds:
+        out["report.json"] = json_report.encode(report)
+    return out
+
+
+def files_of_run(
+    loaded: Loaded, named: Mapping[str, Estimates], report: Mapping[str, Any], kinds: Collection[str]
+) -> dict[str, Content]:
+    """Return the content of every file of one configuration; `named` are its trajectories by file name."""
+    from locfuse.formats.report import json_report
+    from locfuse.formats.results import trajectory as to
+
+    out: dict[str, Content] = {"robot.toml": results.robot_file(loaded.robot)}
+    for name, e in named.items():
+        if "tum" in kinds:
+            out[f"{name}.tum"] = partial(to.write_blocks, to.tum_blocks(loaded.drive, e))
+        if "csv" in kinds:
+            out[f"{name}.csv"] = partial(to.write_blocks, to.csv_blocks(loaded.drive, e))
+    if "json" in kinds:
+        out["run.json"] = json_report.encode(report)
+    return out
+
+
+def trajectories(compared: Compared) -> dict[str, Content]:
+    """Return one .tum for each configuration, and the truth's."""
+    from locfuse.formats.results import trajectory
+
+    drive = compared.loaded.drive
+    out: dict[str, Content] = {
+        f"{e.name}.tum": partial(trajectory.write_blocks, trajectory.tum_blocks(drive, e))
+        for e in compared.estimates
+    }
+    if drive.truth is not None:
+        out["truth.tum"] = trajectory.truth_tum(drive, drive.truth)
+    return out
+
+
+def page(compared: Compared, drawn: Drawn, report: Mapping[str, Any]) -> str:
+    """Return report.html."""
+    from locfuse.formats.figures.sections import sections
+    from locfuse.formats.report import html
+
+    return html.render(report, sections(scene(compared, drawn)), colours())
+
+
+def figure_files(compared: Compared, drawn: Drawn) -> dict[str, bytes]:
+    """Return every figure as SVG and PDF by its file's name."""
+    from locfuse.formats.figures.for_paper import paper_figures
+    from locfuse.formats.figures.palette import traces_of
+    from locfuse.formats.figures.sections import sections
+
+    return paper_figures(sections(scene(compared, drawn)), traces_of(compared.estimates), colours())
+
+
+def scene(compared: Compared, drawn: Drawn) -> Scene:
+    """Return what the figures show: estimates, judgements, and consistency with its chi-square bounds."""
+    from locfuse.formats.figures.scene import Scene, Stretches
+
+    drive = compared.loaded.drive
+    dof = 3 if any(j.heading is not None for j in compared.evaluations) else 2
+    return Scene(
+        drive=drive,
+        estimates=[drawn.best if drawn.best and drawn.best.name == e.name else e for e in compared.estimates],
+        evaluations=compared.evaluations,
+        nis={run: Stretches(*running) for run, running in drawn.nis.items()},
+        nees_bounds=(chi_square(0.025, dof) / dof, chi_square(0.975, dof) / dof),
+        components={sensor: REGISTRY[sensor].components for sensor in drive.measurements},
+        credit=credit_values(compared.credit) if compared.credit else None,
+        landmarks=_landmarks(compared.loaded),
+        events=events(compared.loaded, () if drawn.best is None else (drawn.best,)),
+        states=WHEEL_STATES | {name: shown for s in REGISTRY.values() for name, shown in s.states.items()},
+    )
+
+
+def _landmarks(loaded: Loaded) -> list[tuple[float, float]]:
+    """Return the places [m, map] that the bearings of the log's sensors point at."""
+    found = (REGISTRY[s].landmark(loaded.robot.settings(s)) for s in loaded.drive.measurements)
+    return [place for place in found if place is not None]
+
+
+def events(loaded: Loaded, runs: Iterable[Estimates]) -> list[Event]:
+    """Return what happened when: by the log's own labels, in the drive, and in some runs with audits."""
+    found = [*loaded.labels, *events_of_drive(loaded.drive)]
+    for e in runs:
+        found += events_of_run(thinned(loaded.drive, e.rates) if e.rates else loaded.drive, e)
+    return sorted(found)

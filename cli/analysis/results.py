@@ -1,0 +1,176 @@
+"""From a measured log to what is written and said: report, files, exit code."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from locfuse import sample_logs
+from locfuse.formats.logs.log import Log
+from locfuse.formats.report import json_report
+from locfuse.formats.robot import robot_toml, units
+from locfuse.formats.versions import own
+from locfuse.fusion.data import Evaluation
+from locfuse.fusion.robot import Robot
+
+from .key import Asked
+from .load import Loaded, make_robot
+
+LOSS = 3
+REFUSED_SHARE = 0.01  # of a used sensor's readings: more is a loss
+# exact repeats, readings before or after the wheels, messages of an arm on the wheels' topic
+NOT_A_LOSS = ("repeat", "outside_wheels", "other_joints", "other_bodies", "not_in_map", "ignored")
+
+
+def settings_tables(robot: Robot) -> dict[str, Any]:
+    """Return the effective settings as robot.toml tables, keys without a value left out."""
+    structs = {"wheels": robot.wheels, "start": robot.start, "truth": robot.truth, **robot.sensors}
+    tables: dict[str, Any] = {"order": robot.order, "preset": robot.preset}
+    for name, struct in structs.items():
+        tables[name] = {k: v for k, v in msgspec.to_builtins(struct).items() if v is not None}
+    return tables
+
+
+def robot_file(robot: Robot) -> str:
+    """Return the effective settings as robot.toml."""
+    return robot_toml.dump(settings_tables(robot))
+
+
+def changed_settings(loaded: Loaded) -> dict[str, dict[str, Any]]:
+    """Return the settings that are not as they are by default: "lrf.x" -> value, unit, and who set it.
+
+    Those of sensors that the log lacks are left out. Found in the log are mounts (/tf_static) and the like.
+    """
+    plain = settings_tables(make_robot({}))
+    found: dict[str, dict[str, Any]] = {}
+    for table, values in settings_tables(loaded.robot).items():
+        if table in loaded.drive.absent:
+            continue
+        inside = values if isinstance(values, dict) else {"": values}
+        before = plain[table] if isinstance(values, dict) else {"": plain[table]}
+        for key, value in inside.items():
+            if key not in before or before[key] != value:
+                path = f"{table}.{key}".rstrip(".")
+                source = loaded.sources.get(path, "found in the log")
+                found[path] = {"value": value, "unit": units.of(table, key), "from": source}
+    return found
+
+
+def repeat(loaded: Loaded, asked: Asked) -> str:
+    """Return the command that gives this result again, from the folder of results with the log beside it.
+
+    All settings are in the folder's robot.toml. It holds no date, no path and no -o: equal for equal results,
+    whether they were asked for on the command line or in Python.
+    """
+    words = ["locfuse", "compare", *_log_words(loaded.log), "--robot", "robot.toml"]
+    words += [word for sensors in asked.sensors for word in ("--sensors", sensors)]
+    words += ["--all-subsets"] * asked.all_subsets + ["--smooth"] * asked.smooth
+    words += ["--jitter", str(asked.jitter)] if asked.jitter else []
+    words += ["--reference" if asked.reference else "--no-reference"] if loaded.drive.truth is None else []
+    words += ["--align", asked.align] if asked.align != "none" else []
+    for option, bound in zip(("--from", "--to"), loaded.window, strict=True):
+        words += [] if bound is None else [option, f"{bound:g}"]
+    return shlex.join(words)
+
+
+def _log_words(log: Log) -> list[str]:
+    """Return how a command names a log that lies in the folder where it is run; a sample log by its name."""
+    if log.name in sample_logs.names() and log.paths[0] == sample_logs.path(log.name):
+        return [log.name]
+    names = [path.name for path in log.paths]
+    in_folder = len({p.parent for p in log.paths}) == 1 and log.paths[0].parent.name == log.name
+    return [f"{log.name}/"] if in_folder and log.name not in names else names
+
+
+def build(loaded: Loaded, evaluations: Sequence[Evaluation]) -> dict[str, Any]:
+    """Return the report as plain values."""
+    return json_report.report(
+        loaded.drive,
+        evaluations,
+        source(loaded),
+        settings_tables(loaded.robot),
+        own(),
+    )
+
+
+def source(loaded: Loaded) -> dict[str, Any]:
+    """Return what the input was: names, hash, topics by role, counts, what was lost."""
+    log = loaded.log
+    return {
+        "name": log.name,
+        "files": [p.name for p in log.paths],
+        "size": log.identity.size,
+        "identity": log.identity.digest,
+        "sha256": log.sha256 if loaded.hash_all or log.all_read else None,
+        **({"etag": ", ".join(log.etags)} if log.etags else {}),  # of a log that is elsewhere
+        "start": _date(loaded.drive.epoch_ns),
+        "topics": dict(loaded.choice.topics),
+        "messages": {topic: info.count for topic, info in log.topics.items()},
+        "losses": log.losses.by_reason(),
+        "refused": _refusals(loaded),
+    }
+
+
+def _refusals(loaded: Loaded) -> dict[str, dict[str, int]]:
+    """Return how many readings of each stream were refused, of how many; streams without any are left out."""
+    found = {
+        stream: {
+            "readings": _refused(reasons),
+            "of": sum(loaded.log.topics[t].count for t in loaded.choice.of(stream)),
+        }
+        for stream, reasons in loaded.drive.dropped.items()
+    }
+    return {stream: counts for stream, counts in found.items() if counts["readings"]}
+
+
+def _date(epoch_ns: int) -> str | None:
+    """Return the time of the first wheel reading in UTC, by the log's own clock; None where it is no date."""
+    try:
+        return datetime.fromtimestamp(epoch_ns // 1_000_000_000, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    except (ValueError, OverflowError, OSError):
+        return None
+
+
+def default_folder(name: str) -> Path:
+    """Return where results go unless -o says otherwise."""
+    return Path("locfuse-out") / name
+
+
+def loss_lines(loaded: Loaded, used: Sequence[str], strict: bool) -> list[str]:
+    """Return in words what was lost: bytes of the file, or too large a share of a used stream's readings."""
+    return [*loaded.log.losses.lines(), *_refused_lines(_refusals(loaded), loaded.drive.dropped, used, strict)]
+
+
+def lost_in(report: Mapping[str, Any], strict: bool) -> list[str]:
+    """Return in words what a finished report says was lost, as `loss_lines` does of a log."""
+    source = report["input"]
+    bytes_lost = [f"{reason} ({lost['bytes']} bytes)" for reason, lost in source.get("losses", {}).items()]
+    used = sorted({s for values in report["configurations"].values() for s in values["sensors"]})
+    return [*bytes_lost, *_refused_lines(source.get("refused", {}), source.get("dropped", {}), used, strict)]
+
+
+def _refused_lines(
+    refused: Mapping[str, Mapping[str, int]],
+    dropped: Mapping[str, Mapping[str, int]],
+    used: Sequence[str],
+    strict: bool,
+) -> list[str]:
+    lines = []
+    for stream in (s for s in ("wheels", *used) if s in refused):
+        count, total = refused[stream]["readings"], refused[stream]["of"]
+        if count > (0 if strict else REFUSED_SHARE * total):
+            lines.append(f"{stream}: {count} of {total} readings refused ({_words(dropped[stream])})")
+    return lines
+
+
+def _refused(reasons: Mapping[str, int]) -> int:
+    return sum(count for reason, count in reasons.items() if reason not in NOT_A_LOSS)
+
+
+def _words(reasons: Mapping[str, int]) -> str:
+    return ", ".join(f"{c} {r.replace('_', ' ')}" for r, c in reasons.items() if r not in NOT_A_LOSS)

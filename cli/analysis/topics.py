@@ -1,0 +1,116 @@
+"""Topics by role, and the rules that every role shares: named, of the right type, the only candidate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
+from msgspec import field
+
+from locfuse.formats.logs.adapters import PRESENTED, presented_name
+from locfuse.formats.nearest import did_you_mean
+from locfuse.fusion.data import LocfuseError
+
+if TYPE_CHECKING:
+    from locfuse.formats.logs.log import Log
+
+NAMED = "named in the settings"
+ONLY = "the only topic of its type"
+
+
+class Note(NamedTuple):
+    """A choice that the user has to know of."""
+
+    role: str
+    words: str
+    fixes: tuple[str, ...] = ()  # settings that say the same for good
+
+
+class Choice(msgspec.Struct):
+    """Topics by role ("wheels", a sensor, "truth"), and why a sensor has none."""
+
+    topics: dict[str, str] = field(default_factory=dict)  # the first of each role
+    more: dict[str, tuple[str, ...]] = field(default_factory=dict)  # the others of a role that has several
+    why: dict[str, str] = field(default_factory=dict)  # role -> how its topic was chosen
+    absent: dict[str, str] = field(default_factory=dict)
+    fixes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # absent role -> settings that may bring it in
+    foreign: set[str] = field(default_factory=set)  # sensors for which the log has no topic at all
+    notes: list[Note] = field(default_factory=list)
+
+    def of(self, role: str) -> tuple[str, ...]:
+        """Return all topics of a role."""
+        return (self.topics[role], *self.more.get(role, ())) if role in self.topics else ()
+
+    def take(self, role: str, topics: Sequence[str], why: str) -> None:
+        """Give a role its topics."""
+        self.topics[role], self.why[role] = topics[0], why
+        if len(topics) > 1:
+            self.more[role] = tuple(topics[1:])
+
+    def leave(self, role: str, why: str, fixes: Sequence[str] = ()) -> None:
+        """Leave a role without a topic; `fixes` are the settings that may bring it in."""
+        self.absent[role], self.fixes[role] = why, tuple(fixes)
+
+
+def of_type(log: Log, reads: Iterable[str]) -> list[str]:
+    """Return the readable topics of these types."""
+    return [t for t, info in sorted(log.topics.items()) if info.msgtype in reads and info.problem is None]
+
+
+def one(log: Log, role: str, named: str | None, candidates: list[str], reads: Iterable[str]) -> str | None:
+    """Return the named topic if it fits, else the only candidate with messages, else None."""
+    if named is not None:
+        return checked(log, role, named, reads)
+    filled = [t for t in candidates if log.topics[t].count != 0]
+    if len(filled) > 1:
+        raise several_fit(log, role, filled)
+    fit = filled or candidates
+    return fit[0] if fit else None
+
+
+def likeliest(topics: Sequence[str], unlikely: Iterable[str], beside: str = "") -> str:
+    """Return the first of several topics: of the robot of the topic `beside`, then without these words."""
+    words, robot = tuple(unlikely), _robot(beside)
+    return min(topics, key=lambda t: (_robot(t) != robot, any(word in t.lower() for word in words)))
+
+
+def _robot(topic: str) -> str:
+    """Return the first part of a topic's name, which may be a robot's: "robot1" of "/robot1/scan"."""
+    return topic.lstrip("/").partition("/")[0] if topic.count("/") > 1 else ""
+
+
+def several_fit(log: Log, role: str, topics: Sequence[str]) -> LocfuseError:
+    """Return the error that names the candidates and how to choose."""
+    fix = f"{role}.topic={topics[0]}"
+    return LocfuseError(
+        f"{log.name} has {len(topics)} topics that fit: {', '.join(topics)}.",
+        role=role,
+        fixes=(fix,),
+        hint=f"Choose one with --set {fix}",
+    )
+
+
+def checked(log: Log, role: str, topic: str, reads: Iterable[str]) -> str:
+    """Return a topic that was named. Raises LocfuseError where it is missing or cannot be read."""
+    info = log.find(topic)
+    if info is None:
+        have = ", ".join(sorted(log.topics)[:12]) or "no topics"
+        near = did_you_mean(topic, log.topics)
+        raise LocfuseError(
+            f"{log.name} has no topic {topic}; {f'{near} It' if near else 'it'} has {have}.", role=role
+        )
+    other = presented_name(topic, info.msgtype)
+    if other is not None and PRESENTED[info.msgtype].msgtype in reads:
+        return checked(log, role, other, reads)
+    if info.msgtype not in reads:
+        raise LocfuseError(f"{topic} is {info.msgtype}; accepted: {types(reads)}", role=role)
+    if info.problem is not None:
+        raise LocfuseError(f"{topic} cannot be read: {info.problem}", role=role)
+    return topic
+
+
+def types(reads: Iterable[str]) -> str:
+    """Return message types as people write them, those of ROS where there are any."""
+    kinds = list(reads)
+    return " or ".join(t.replace("/msg/", "/") for t in [k for k in kinds if "foxglove" not in k] or kinds)

@@ -1,0 +1,186 @@
+"""Which topics feed the wheels: angles, ticks or speeds of the wheels, else what says how the body moved."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, cast
+
+from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.wheels.motor import MOTOR
+from locfuse.fusion.wheels.read import WHEEL_READS, counts_ticks
+from locfuse.fusion.wheels.sources import ARRAYS, JOINTS, NUMBERS, SPEEDS, TICKS, joint_names
+
+from .body_topics import choose_body, nothing_moves
+from .motor_topics import with_steering
+from .topics import NAMED, ONLY, Choice, Note, checked, of_type, several_fit
+
+if TYPE_CHECKING:
+    from locfuse.formats.logs.log import Log
+
+OTHER_SIDE = {"left": "right", "l": "r", "lwheel": "rwheel", "lw": "rw"}
+COUNTER_WORDS = ("tick", "enc", "wheel", "count", "angle")  # what a wheel's own topic is called ...
+COMMAND_WORDS = (
+    "cmd",
+    "command",
+    "speed",
+    "vel",
+    "power",
+    "pwm",
+    "current",
+    "effort",
+    "target",
+    "setpoint",
+    "rpm",
+)
+
+
+def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
+    """Take the wheels' topic, or topics. Raises LocfuseError where none fits, or several do."""
+    settings = robot.wheels
+    if settings.left_topic is not None or settings.right_topic is not None:
+        choice.take("wheels", _named_pair(log, robot), NAMED)
+        return
+    if settings.topic is not None:
+        topic = checked(log, "wheels", settings.topic, WHEEL_READS)
+        if log.topics[topic].msgtype in NUMBERS:
+            fix = f"wheels.left_topic={topic}"
+            raise LocfuseError(
+                f"{topic} holds one number, which is one wheel.",
+                role="wheels",
+                fixes=(fix,),
+                hint=f"Name both with --set {fix} --set wheels.right_topic=<topic>",
+            )
+        found = with_steering(log, robot, topic) if log.topics[topic].msgtype in MOTOR else [topic]
+        choice.take("wheels", found, NAMED)
+        return
+    counters, kind = _counters(log, robot)
+    unknown = _unknown(log, robot, counters)
+    if counters and not unknown:
+        choice.take("wheels", counters, kind)
+        return
+    wheeled = bool(counters) and _turn(log, counters, robot)
+    asked = wheeled and _size_is_near(log, robot)
+    body = choose_body(log, robot, choice, scans=not asked, stand_in=not wheeled)
+    if body is None:
+        if not counters:
+            raise nothing_moves(log)
+        choice.take("wheels", counters, kind)
+        return
+    choice.take("wheels", [body.topic, *body.beside], body.why)
+    if body.note:
+        choice.notes.append(Note("wheels", body.note, body.fixes))
+    if counters:
+        choice.notes.append(Note("wheels", _passed_over(body.topic, counters, unknown if wheeled else "")))
+
+
+def _size_is_near(log: Log, robot: Robot) -> bool:
+    """Return whether half of the wheels' size is set, or a robot description knows it: then it is asked for."""
+    described = any(t.rpartition("/")[2] == "robot_description" and log.topics[t].count for t in log.topics)
+    return described or robot.wheels.radius is not None or robot.wheels.track is not None
+
+
+def _passed_over(used: str, counters: Sequence[str], unknown: str) -> str:
+    """Say why what counts is not used: what is not known of the wheels, or which joints they are."""
+    if unknown:
+        gives = "give" if len(counters) > 1 else "gives"
+        are = "are" if " and " in unknown else "is"
+        return f"{used} is used, since {' and '.join(counters)} {gives} wheel angles and no {unknown} {are} set"
+    words = f"{used} is used, since no joint of {counters[0]} is named like a wheel"
+    return f"{words}; wheels.left and wheels.right name them"
+
+
+def _turn(log: Log, counters: Sequence[str], robot: Robot) -> bool:
+    """Return whether what counts does count wheels: joints may be an arm's."""
+    return log.topics[counters[0]].msgtype != JOINTS or _has_wheels(log, counters[0], robot)
+
+
+def _unknown(log: Log, robot: Robot, counters: Sequence[str]) -> str:
+    """Return which settings are missing before these counters become metres, in words; "" for none."""
+    settings = robot.wheels
+    missing = [key for key in ("radius", "track") if getattr(settings, key) is None]
+    if counters and counts_ticks(log.topics[counters[0]].msgtype) and settings.ticks_per_revolution is None:
+        missing.append("ticks_per_revolution")
+    return " and ".join(f"wheels.{key}" for key in missing)
+
+
+def _named_pair(log: Log, robot: Robot) -> list[str]:
+    """Return the topics that the settings name, left first."""
+    pair = []
+    for side in ("left", "right"):
+        topic = getattr(robot.wheels, f"{side}_topic")
+        if topic is None:
+            raise LocfuseError(
+                "one wheel has its topic;",
+                role="wheels",
+                hint=f"name the other with --set wheels.{side}_topic=<topic>",
+            )
+        pair.append(checked(log, "wheels", topic, NUMBERS))
+    return pair
+
+
+def _counters(log: Log, robot: Robot) -> tuple[list[str], str]:
+    """Return what counts wheel turns, best kind first, and why; nothing where nothing does."""
+    joints, ticks, speeds = (
+        [t for t in of_type(log, kind) if log.topics[t].count != 0] for kind in ((JOINTS,), TICKS, SPEEDS)
+    )
+    arrays = array_topics(log)
+    pairs = pair_topics(log)
+    if len(joints) + len(ticks) + len(speeds) + len(pairs) > 1:
+        joints = [t for t in joints if _has_wheels(log, t, robot)]
+    for found in (joints, ticks, [] if pairs or arrays else speeds, [] if pairs else arrays):
+        if len(found) > 1:
+            raise several_fit(log, "wheels", found)
+        if found:
+            return found, ONLY
+    if len(pairs) > 1:
+        listed = "; ".join(f"{left} and {right}" for left, right in pairs)
+        fixes = (f"wheels.left_topic={pairs[0][0]}", f"wheels.right_topic={pairs[0][1]}")
+        raise LocfuseError(
+            f"{log.name} has {len(pairs)} pairs of topics that fit: {listed}.",
+            role="wheels",
+            fixes=fixes,
+            hint=f"Choose one with --set {fixes[0]} --set {fixes[1]}",
+        )
+    return (list(pairs[0]), "the only pair of numbers named left and right") if pairs else ([], "")
+
+
+def _has_wheels(log: Log, topic: str, robot: Robot) -> bool:
+    """Return whether joints on a topic are named like wheels: an arm's joints share the type."""
+    names = cast("list[tuple[str, ...]]", log.stream(topic).columns("name")["name"])
+    try:
+        joint_names(names, topic, robot.wheels)
+    except LocfuseError:
+        return False
+    return True
+
+
+def array_topics(log: Log) -> list[str]:
+    """Return topics of arrays whose names read like counters of wheels."""
+    return [t for t in of_type(log, ARRAYS) if log.topics[t].count and _counts_by_name(t)]
+
+
+def _counts_by_name(topic: str) -> bool:
+    low = topic.lower()
+    return any(w in low for w in COUNTER_WORDS) and not any(w in low for w in COMMAND_WORDS)
+
+
+def pair_topics(log: Log) -> list[tuple[str, str]]:
+    """Return pairs of topics with a number each, named alike but for left and right, that read like wheels."""
+    numbers = [t for t in of_type(log, NUMBERS) if log.topics[t].count != 0]
+    found = []
+    for topic in numbers:
+        partner = other_side(topic)
+        if partner in numbers and _counts_by_name(topic):
+            found.append((topic, partner))
+    return found
+
+
+def other_side(topic: str) -> str | None:
+    """Return the right wheel's topic for the left one's: /left_ticks -> /right_ticks, /lwheel -> /rwheel."""
+    words = re.split(r"([/_])", topic)
+    for i, word in enumerate(words):
+        if word.lower() in OTHER_SIDE:
+            return "".join([*words[:i], OTHER_SIDE[word.lower()], *words[i + 1 :]])
+    return None

@@ -1,1 +1,0 @@
-"""Choosing topics: which topic feeds the wheels, each sensor and the truth."""

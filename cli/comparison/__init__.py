@@ -1,1 +1,0 @@
-"""What `locfuse compare` does: with one log, with many, with finished results."""

@@ -1,1 +1,0 @@
-"""Jobs on top of the pipeline: CI gates, calibration, tuning, the control loop's estimator."""

@@ -1,0 +1,287 @@
+"""What `calibrate` found, as values, as rows for people, and as robot.toml."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from locfuse.cli.analysis.load import Loaded
+from locfuse.cli.analysis.settings import Progress, silent
+from locfuse.formats.robot import commented_edit, robot_toml
+from locfuse.formats.whole_files import whole_file
+from locfuse.fusion.data import Array, LocfuseError
+from locfuse.fusion.robot import WheelSettings
+from locfuse.fusion.sensors.iron import Iron, fit_iron
+from locfuse.fusion.wheels.calibrate import PAPER_PERIOD_S, WheelCalibration, calibrate_wheels
+from locfuse.fusion.wheels.likelihood import Figure
+
+from .calibrate_laser import SIGMAS_95, ByLaser, by_laser
+
+FIELD = "sensor_msgs/msg/MagneticField"
+ODOMETRY = "nav_msgs/msg/Odometry"
+MIN_LN_RATIO = 3.0  # ln of a likelihood ratio that is worth saying (20 to 1)
+
+
+class Calibration(msgspec.Struct, frozen=True):
+    """Everything that the logs told."""
+
+    settings: WheelSettings  # as they were
+    wheels: WheelCalibration | None
+    laser: ByLaser | None  # where no truth tells of the wheels
+    iron: Iron | None
+    notes: tuple[str, ...]
+
+    def geometry(self) -> dict[str, Figure]:
+        """Return radius, ratio and track with their intervals, those that the logs can tell."""
+        old, found = self.settings, self.wheels or self.laser
+        if found is None or old.radius is None or old.track is None:
+            return {}
+        mean, difference, track = found.parameters[:3].tolist()
+        left, right = mean - 0.5 * difference, mean + 0.5 * difference
+        share_left, share_right = (s * (1.0 + p) for s, p in zip(old.shares, (left, right), strict=True))
+        values = {
+            "radius": old.radius * 0.5 * (share_left + share_right),
+            "ratio": share_right / share_left,
+            "track": old.track * (1.0 + track),
+        }
+        spread = dict(
+            zip(values, (SIGMAS_95 * found.sigmas[:3] * np.array(list(values.values()))).tolist(), strict=True)
+        )
+        return {
+            key: Figure(value, value - spread[key], value + spread[key])
+            for key, value in values.items()
+            if math.isfinite(spread[key])
+        }
+
+    def moved(self, key: str, figure: Figure) -> bool:
+        """Return whether a length of the wheels is surely not what was set."""
+        return not figure.low <= getattr(self.settings, key) <= figure.high
+
+    def tables(self) -> dict[str, dict[str, Any]]:
+        """Return what was found as robot.toml tables; geometry that may be as it was set is left out."""
+        tables: dict[str, dict[str, Any]] = {}
+        if self.wheels is not None:
+            tables["wheels"] = {"noise": _short(self.wheels.k.value)}
+        geometry = {key: _short(f.value) for key, f in self.geometry().items() if self.moved(key, f)}
+        if geometry:
+            tables.setdefault("wheels", {}).update(geometry)
+        if self.laser is not None and (mount := self.laser.table()):
+            tables["lrf"] = {key: _short(value) for key, value in mount.items()}
+        if self.iron is not None:
+            tables["compass"] = {
+                "hard_iron": [_short(v) for v in self.iron.hard.tolist()],
+                "soft_iron": [_short(v) for v in self.iron.soft.ravel().tolist()],
+            }
+        return tables
+
+    def values(self) -> dict[str, Any]:
+        """Return everything as plain values: SI units, null for what could not be found."""
+        return {
+            "wheels": None if self.wheels is None else self._wheel_values(self.wheels),
+            "laser": None if self.laser is None else self._laser_values(self.laser),
+            "compass": None if self.iron is None else _iron_values(self.iron),
+            "robot": self.tables(),
+            "notes": list(self.notes),
+        }
+
+    def _wheel_values(self, found: WheelCalibration) -> dict[str, Any]:
+        figures = {"noise_m": found.k, "delta": found.delta, **self.geometry()}
+        return {
+            **{name: {"value": f.value, "low": f.low, "high": f.high} for name, f in figures.items()},
+            "delta_period_s": PAPER_PERIOD_S,
+            "ln_likelihood_noise_over_delta": found.prefers_k,
+            "straight_pieces": found.pieces["straight"],
+            "turn_pieces": found.pieces["turn"],
+            "straight_m": found.straight_m,
+            "turned_deg": math.degrees(found.turned_rad),
+            "outliers": found.outliers,
+        }
+
+    def _laser_values(self, found: ByLaser) -> dict[str, Any]:
+        figures = {**self.geometry(), **found.mount()}
+        return {
+            **{name: {"value": f.value, "low": f.low, "high": f.high} for name, f in figures.items()},
+            "pieces": found.fit.intervals,
+            "way_m": found.fit.way_m,
+            "turned_deg": math.degrees(found.fit.turned_rad),
+            "outliers": found.fit.outliers,
+        }
+
+    def rows(self) -> list[tuple[str, str, str, str]]:
+        """Return (setting, value, interval, what it was) for people."""
+        rows: list[tuple[str, str, str, str]] = []
+        if self.wheels is not None:
+            rows.append(_row("wheels.noise [m]", self.wheels.k, self.settings.noise))
+        for key, figure in self.geometry().items():
+            unit = "" if key == "ratio" else " [m]"
+            rows.append(_row(f"wheels.{key}{unit}", figure, getattr(self.settings, key)))
+        if self.laser is not None:
+            rows += [_row(f"lrf.{key}{unit}", figure, was) for key, figure, unit, was in self.laser.mount_rows()]
+        if self.wheels is not None:
+            rows.append(_row(f"paper's delta ({PAPER_PERIOD_S:g} s)", self.wheels.delta, None))
+        if self.iron is not None:
+            rows += _iron_rows(self.iron)
+        return rows
+
+
+def calibrate_logs(loaded: Sequence[Loaded], progress: Progress = silent) -> Calibration:
+    """Calibrate what the logs of one robot allow. Raises LocfuseError where they allow nothing."""
+    settings = _one_robot(loaded)
+    notes: list[str] = []
+    wheels = _try(lambda: _wheels(loaded), notes)
+    laser = None if wheels is not None else _try(lambda: by_laser(loaded, settings, progress), notes)
+    iron = _try(lambda: fit_iron(fields(loaded)), notes)
+    if wheels is None and laser is None and iron is None:
+        raise LocfuseError("; ".join(notes))
+    if wheels is not None:
+        notes += _wheel_notes(wheels, settings)
+    if laser is not None:
+        notes += laser.notes(settings)
+    if iron is not None:
+        notes.append(
+            f"compass: iron bends the raw headings by {iron.error_before_deg:.1f} degrees (rms over a turn); the "
+            f"field scatters by {math.degrees(iron.scatter):.2f} degrees about the fit"
+        )
+    found = Calibration(settings, wheels, laser, iron, tuple(notes))
+    return msgspec.structs.replace(found, notes=(*notes, *_left_as_set(found)))
+
+
+def _left_as_set(found: Calibration) -> list[str]:
+    """Return a note about the lengths in the table that robot.toml will not have."""
+    kept = [key for key, figure in found.geometry().items() if not found.moved(key, figure)]
+    return (
+        [f"wheels: {', '.join(kept)} left as set: inside the interval, so nothing speaks against it"]
+        if kept
+        else []
+    )
+
+
+def write(path: Path, found: Calibration, robot: Path | None = None, over: Sequence[Path] = ()) -> None:
+    """Write robot.toml: what the user's own said, comments included, with later files' keys and those found."""
+    before = commented_edit.text_of(robot) or "# found by locfuse calibrate\n"
+    later = (robot_toml.parse(file.read_bytes(), str(file)) for file in over)
+    changes = robot_toml.merge(*later, found.tables())
+    with whole_file(path) as temporary:
+        temporary.write_text(commented_edit.updated(before, changes, "locfuse calibrate"), encoding="utf-8")
+
+
+def fields(loaded: Sequence[Loaded]) -> Array:
+    """Return the raw field readings (n, 2) of all logs. Raises LocfuseError where no log has any."""
+    found = [np.zeros((0, 2))]
+    for one in loaded:
+        topic = one.choice.topics.get("compass")
+        if topic is not None and one.log.topics[topic].msgtype == FIELD:
+            columns = one.log.stream(topic, one.robot.order).columns("magnetic_field.x", "magnetic_field.y")
+            found.append(np.stack([np.asarray(c, np.float64) for c in columns.values()], axis=-1))
+    if len(found) == 1:
+        raise LocfuseError("no log has a magnetometer (sensor_msgs/MagneticField)", role="compass")
+    return np.concatenate(found)
+
+
+def _one_robot(loaded: Sequence[Loaded]) -> WheelSettings:
+    """Return the wheel settings; logs of robots with different wheels cannot be calibrated together."""
+    first = loaded[0].robot.wheels
+    if any(one.log.topics[one.choice.topics["wheels"]].msgtype == ODOMETRY for one in loaded):
+        return msgspec.structs.replace(first, radius=None)  # an odometry has no wheels to correct
+    for one in loaded[1:]:
+        for key in ("radius", "ratio", "track"):
+            a, b = getattr(first, key), getattr(one.robot.wheels, key)
+            if a != b:
+                raise LocfuseError(
+                    f"wheels.{key} is {a} in {loaded[0].log.name} and {b} in {one.log.name}: these are different "
+                    "robots;",
+                    role="calibrate",
+                    hint=f"give one with --set wheels.{key}=",
+                )
+    return first
+
+
+def _wheels(loaded: Sequence[Loaded]) -> WheelCalibration:
+    drives = [one.drive for one in loaded if one.drive.truth is not None]
+    if not drives:
+        names = ", ".join(one.log.name for one in loaded)
+        raise LocfuseError(
+            f"no truth in {names} to compare the wheels with",
+            role="wheels",
+            hint="(--set truth.topic=/TOPIC names it)",
+        )
+    return calibrate_wheels(drives)
+
+
+def _try(find: Any, notes: list[str]) -> Any:
+    """Return what `find` finds; where it cannot, note why."""
+    try:
+        return find()
+    except LocfuseError as problem:
+        notes.append(str(problem))
+        return None
+
+
+def _wheel_notes(found: WheelCalibration, settings: WheelSettings) -> list[str]:
+    pieces = ", ".join(
+        f"{n} pieces of {what}"
+        for n, what in (
+            (found.pieces["straight"], f"straight runs ({found.straight_m:.1f} m)"),
+            (found.pieces["turn"], f"turns on the spot ({math.degrees(found.turned_rad):.0f} degrees)"),
+        )
+        if n
+    )
+    notes = [f"wheels: {pieces}"]
+    if found.outliers:
+        notes.append(
+            f"wheels: {found.outliers} pieces do not fit the others (slip, or a jump of the truth): not used"
+        )
+    if settings.radius is not None:
+        untold = [
+            n for n, s in zip(("radius", "ratio", "track"), found.sigmas.tolist(), strict=True) if math.isnan(s)
+        ]
+        lacking = {"radius": "straight runs", "ratio": "a truth with heading", "track": "turns on the spot"}
+        notes += [
+            f"wheels: {name} cannot be told without {lacking[name]}; it is taken as given" for name in untold
+        ]
+    if abs(found.prefers_k) > MIN_LN_RATIO:
+        better, worse = ("noise per metre", "the paper's delta")[:: 1 if found.prefers_k > 0 else -1]
+        notes.append(
+            f"wheels: {better} explains these drives better than {worse} "
+            f"(ln of the likelihoods' ratio: {abs(found.prefers_k):.1f})"
+        )
+    return notes
+
+
+def _iron_values(iron: Iron) -> dict[str, Any]:
+    return {
+        "hard_iron": iron.hard.tolist(),
+        "hard_iron_sigma": iron.hard_sigma.tolist(),
+        "soft_iron": iron.soft.ravel().tolist(),
+        "soft_iron_sigma": iron.soft_sigma.ravel().tolist(),
+        "strength": iron.strength,
+        "scatter_deg": math.degrees(iron.scatter),
+        "error_before_deg": iron.error_before_deg,
+        "gap_deg": iron.gap_deg,
+        "readings": iron.readings,
+    }
+
+
+def _iron_rows(iron: Iron) -> list[tuple[str, str, str, str]]:
+    rows = []
+    for name, values, sigmas in (("hard", iron.hard, iron.hard_sigma), ("soft", iron.soft, iron.soft_sigma)):
+        where = ("x", "y") if name == "hard" else ("xx", "xy", "yx", "yy")
+        for axis, value, sigma in zip(where, values.ravel().tolist(), sigmas.ravel().tolist(), strict=True):
+            figure = Figure(value, value - SIGMAS_95 * sigma, value + SIGMAS_95 * sigma)
+            rows.append(_row(f"compass.{name}_iron {axis}", figure, None))
+    return rows
+
+
+def _row(name: str, figure: Figure, was: float | None) -> tuple[str, str, str, str]:
+    interval = f"{figure.low:.4g} .. {figure.high:.4g}"
+    return name, f"{figure.value:.4g}", interval, "" if was is None else f"{was:.4g}"
+
+
+def _short(value: float) -> float:
+    """Six digits: more is noise."""
+    return float(f"{value:.6g}")

@@ -1,1 +1,0 @@
-"""Panels drawn: as SVG for a page that can be hovered and zoomed, or by matplotlib for print."""

@@ -1,0 +1,217 @@
+"""The same panels for a paper: SVG and PDF by matplotlib, one column wide, in the colours of a light page.
+
+Same input, same bytes: no date, ids from a fixed salt. Text stays text, so that a paper's fonts can replace it.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from typing import Any
+
+import numpy as np
+
+from locfuse.formats.thin import extremes
+from locfuse.fusion.data import Colour
+
+from . import palette, ticks
+from .palette import Trace
+from .panels import Band, Curve, Dots, Mark, Panel, Section, Spots, Strokes, ranges
+
+INCHES = (3.5, 2.1)  # one column of a two-column paper
+SQUARE = (3.5, 3.0)
+AREA = (0.17, 0.19, 0.8, 0.66)  # of the axes in the figure: a layout engine costs a third of the time
+HEIGHT_IN_COLUMN = 1.45  # inches of each of several panels over each other
+COLUMN = {"top": 0.88, "bottom": 0.12, "hspace": 0.12}
+LANES = (0.24, 0.19, 0.73, 0.66)
+MAX_LEGEND_SPOT = 5.0  # points: dots are drawn larger in the legend, spots are large enough
+LEGEND: dict[str, Any] = {
+    "ncols": 4,
+    "loc": "lower left",
+    "bbox_to_anchor": (-0.12, 1.0),
+    "columnspacing": 0.9,
+    "handlelength": 1.3,
+    "handletextpad": 0.4,
+    "labelspacing": 0.25,
+    "markerscale": 4.0,
+    "borderpad": 0.1,
+}
+POINTS = 1600  # of a curve: more than 3.5 inches at 300 dpi can show
+TRUTH_DASH = (0, (1, 2))
+DASHES = {"dash": (0, (4, 2)), "over": (0, (7, 3))}
+WIDE_PT = 1.8
+SPOTS: dict[str, dict[str, Any]] = {
+    "dot": {"marker": "o", "ms": 1.6, "mew": 0},
+    "ring": {"marker": "o", "ms": 4.5, "mfc": "white", "mew": 0.9},
+    "square": {"marker": "s", "ms": 4.0, "mew": 0},
+    "target": {"marker": "*", "ms": 6.5, "mew": 0},
+    "cross": {"marker": "x", "ms": 2.6, "mew": 0.6},
+}
+STYLE: dict[Any, Any] = {
+    "svg.hashsalt": "locfuse",
+    "svg.fonttype": "none",
+    "pdf.fonttype": 42,
+    "font.size": 7.0,
+    "axes.linewidth": 0.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.linewidth": 0.3,
+    "grid.color": "#dddfe3",
+    "lines.linewidth": 0.9,
+    "legend.frameon": False,
+    "legend.fontsize": 5.8,
+    "xtick.major.width": 0.5,
+    "ytick.major.width": 0.5,
+    "path.simplify": True,
+}
+
+
+def paper_figures(
+    sections: Sequence[Section], traces: Mapping[str, Trace], sensors: Mapping[str, Colour]
+) -> dict[str, bytes]:
+    """Return {name}.svg and {name}.pdf of every panel.
+
+    `traces` are the configurations drawn, `sensors` the colours of all sensors known to the product.
+    """
+    names = list(dict.fromkeys(m.of for s in sections for p in s.panels for m in p.marks))
+    every = {**{s: Trace(s, (s,)) for s in names if s in sensors}, **traces}
+    inks = {**{n: c.light for n, c in palette.colours(every, sensors).items()}, **_light_roles()}
+    looks = palette.looks_of(traces)
+    out: dict[str, bytes] = {}
+    for section in sections:
+        for panel in section.panels:
+            name = file_name(panel.name)
+            out[f"{name}.svg"], out[f"{name}.pdf"] = draw(panel, inks, looks)
+    return out
+
+
+def file_name(panel: str) -> str:
+    """Return a panel's name as a file's: letters, digits, and what configurations are written with."""
+    return "".join(c if c.isalnum() or c in "_-+@." else "_" for c in panel)
+
+
+def draw(panel: Panel, inks: dict[str, str], looks: Mapping[str, str] | None = None) -> tuple[bytes, bytes]:
+    """Return one panel as (SVG, PDF)."""
+    from matplotlib.figure import Figure
+
+    with _style():
+        figure = Figure(figsize=SQUARE if panel.equal else INCHES)
+        _fill(figure.add_axes(LANES if panel.lanes else AREA), panel, inks, looks or {})
+        return _saved(figure)
+
+
+def draw_column(
+    panels: Sequence[Panel], inks: dict[str, str], looks: Mapping[str, str] | None = None
+) -> tuple[bytes, bytes]:
+    """Return panels over each other on one x axis, such as the deviations in x and in y, as (SVG, PDF)."""
+    from matplotlib.figure import Figure
+
+    with _style():
+        n = len(panels)
+        figure = Figure(figsize=(INCHES[0], 0.45 + HEIGHT_IN_COLUMN * n))
+        grid = figure.add_gridspec(n, 1, left=AREA[0], right=AREA[0] + AREA[2], **COLUMN)
+        axes = [figure.add_subplot(grid[i]) for i in range(n)]
+        for i, (own, panel) in enumerate(zip(axes, panels, strict=True)):
+            _fill(own, panel, inks, looks or {})
+            if i and (legend := own.get_legend()) is not None:
+                legend.remove()
+            if i < n - 1:
+                own.set_xlabel("")
+                own.tick_params(labelbottom=False)
+        return _saved(figure)
+
+
+def _fill(axes: Any, panel: Panel, inks: dict[str, str], looks: Mapping[str, str]) -> None:
+    for mark in panel.marks:
+        _mark(axes, panel, mark, inks, looks)
+    _dress(axes, panel)
+
+
+def _saved(figure: Any) -> tuple[bytes, bytes]:
+    from matplotlib.backends.backend_pdf import FigureCanvasPdf
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    svg, pdf = io.BytesIO(), io.BytesIO()
+    to_svg: Any = FigureCanvasSVG(figure)
+    to_pdf: Any = FigureCanvasPdf(figure)
+    to_svg.print_svg(svg, metadata={"Date": None, "Creator": "locfuse"})
+    to_pdf.print_pdf(pdf, metadata={"CreationDate": None, "Creator": "locfuse", "Producer": None})
+    return svg.getvalue(), pdf.getvalue()
+
+
+def _style() -> AbstractContextManager[Any]:
+    from matplotlib import rc_context
+
+    return rc_context(STYLE)
+
+
+def _light_roles() -> dict[str, str]:
+    return {role: colour.light for role, colour in palette.ROLES.items()}
+
+
+def _dress(axes: Any, panel: Panel) -> None:
+    """Set limits, words and the legend."""
+    x, y = ranges(panel)
+    axes.set_xlabel(panel.x_label)
+    axes.set_ylabel(panel.y_label)
+    if panel.equal:
+        axes.set_aspect("equal", adjustable="datalim")
+    else:
+        _scales(axes, panel, x, y)
+    if panel.lanes:
+        axes.set_yticks([i + 0.5 for i in range(len(panel.lanes))], panel.lanes)
+        axes.grid(visible=False, axis="y")
+    handles, labels = axes.get_legend_handles_labels()
+    if len(handles) > 1 or panel.keys:
+        legend = axes.legend(handles, labels, **LEGEND)
+        for handle in legend.legend_handles:
+            if getattr(handle, "get_markersize", lambda: 0.0)() > MAX_LEGEND_SPOT:
+                handle.set_markersize(MAX_LEGEND_SPOT)
+
+
+def _scales(axes: Any, panel: Panel, x: tuple[float, float], y: tuple[float, float]) -> None:
+    """Set limits and the page's own ticks."""
+    if panel.log:
+        axes.set_yscale("log")
+    if panel.x_log:
+        axes.set_xscale("log")
+    axes.set_xlim(*x)
+    axes.set_ylim(*y)
+    if not panel.lanes:
+        marks = ticks.logarithmic(*y) if panel.log else ticks.linear(*y)
+        axes.set_yticks(*map(list, zip(*marks, strict=True)))
+        axes.minorticks_off()
+
+
+def _mark(axes: Any, panel: Panel, mark: Mark, inks: dict[str, str], looks: Mapping[str, str]) -> None:
+    ink, label = inks[mark.of], _label(axes, panel, mark)
+    if isinstance(mark, Curve):
+        _curve(axes, mark, ink, label, DASHES.get(looks.get(mark.of, ""), "solid"))
+    elif isinstance(mark, Spots):
+        axes.plot(mark.x, mark.y, color=ink, ls="none", label=label, zorder=4, **SPOTS[palette.SHAPES[mark.of]])
+    elif isinstance(mark, Band):
+        kept = extremes(np.stack((mark.low, mark.high), axis=-1), POINTS)
+        alpha = 1.0 if mark.solid else 0.18
+        axes.fill_between(mark.x[kept], mark.low[kept], mark.high[kept], color=ink, alpha=alpha, lw=0, label=label)
+    elif isinstance(mark, Dots):
+        axes.plot(mark.x, mark.y, ".", color=ink, ms=1.2, mew=0, label=label, rasterized=len(mark.x) > POINTS)
+    elif isinstance(mark, Strokes):
+        for i, (a, b) in enumerate(mark.ends):
+            axes.plot((a[0], b[0]), (a[1], b[1]), color=ink, lw=1.8, label=label if i == 0 else None)
+
+
+def _curve(axes: Any, mark: Curve, ink: str, label: str | None, broken: Any) -> None:
+    dash = TRUTH_DASH if mark.of == "truth" else broken
+    grows = bool((np.diff(mark.x) >= 0).all())
+    kept = extremes(mark.y, POINTS) if grows else np.arange(len(mark.x))
+    width = {"lw": WIDE_PT} if mark.wide else {}
+    axes.plot(mark.x[kept], mark.y[kept], color=ink, ls=dash, label=label, **width)
+
+
+def _label(axes: Any, panel: Panel, mark: Mark) -> str | None:
+    """Return the mark's name for the legend, once."""
+    taken = set(axes.get_legend_handles_labels()[1])
+    name = panel.said.get(mark.of, "refused" if mark.of == "gate" else mark.of)
+    return None if name in taken or name == "bounds" else name

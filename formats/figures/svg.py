@@ -1,0 +1,210 @@
+"""A panel as inline SVG for the page: colours are CSS variables, words are text, one group per configuration.
+
+Written by hand and not by matplotlib, which serves the paper figures: 30 panels take 0.1 s instead of 3 s, a dark
+page needs no second copy, and a phone can set the words larger (benchmarks: "report").
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from html import escape
+
+import msgspec
+import numpy as np
+
+from locfuse.fusion.data import REFUSED, Array, Event
+
+from . import ticks
+from .palette import EVENTS, SHAPES
+from .panels import TIME, Band, Curve, Dots, Mark, Panel, Spots, Strokes, Track, ranges
+from .svg_path import band_path, curve_path, dots_path, free_path, places, spots_path, strokes_path
+
+WIDTH, HEIGHT = 460, 216  # px of an ordinary panel; the page scales it
+TOP, BOTTOM, RIGHT = 20, 34, 10
+CHARACTER = 6.4  # px, of a tick label at 11 px
+MIN_SHADE, SHADE_FOOT = 1.0, 6.0  # px: width of an instant, height of what lies at the foot
+FAR_PX = 1e6  # where nobody looks: lines to there leave the picture as those to anywhere beyond do
+
+
+class Axis(msgspec.Struct, frozen=True):
+    """Data to px."""
+
+    low: float
+    high: float
+    start: float  # px of `low`
+    end: float  # px of `high`
+    log: bool = False
+
+    def px(self, values: Array) -> Array:
+        """Return px of data values, FAR_PX away at most; what a logarithm cannot show is NaN."""
+        if not self.log:
+            px = self.start + (values - self.low) * ((self.end - self.start) / (self.high - self.low))
+            return np.clip(px, -FAR_PX, FAR_PX)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            v = np.log(np.where(values > 0.0, values, np.nan))
+        a, b = math.log(self.low), math.log(self.high)
+        return self.start + (v - a) * ((self.end - self.start) / (b - a))
+
+    def ticks(self, most: int) -> list[tuple[float, str]]:
+        """Return ticks as (px, label)."""
+        found = (ticks.logarithmic if self.log else ticks.linear)(self.low, self.high, most)
+        return [(float(self.px(np.array([v]))[0]), label) for v, label in found]
+
+
+def svg(
+    panel: Panel,
+    ident: str,
+    slugs: dict[str, str],
+    width: int = WIDTH,
+    height: int = HEIGHT,
+    looks: Mapping[str, str] | None = None,
+) -> str:
+    """Return one panel. `ident` is unique in the page; `slugs` gives every role its CSS class.
+
+    `looks` says of names how their lines are broken. The page's script reads both axes from `data-axes`: px and
+    values of their ends, whether logarithmic, and what they are (time, map, lanes, other).
+    """
+    (x0, x1), (y0, y1) = ranges(panel)
+    left = _left(panel, y0, y1)
+    inner_width = width - left - RIGHT
+    if panel.equal:
+        x0, x1, y0, y1, height = _equal(x0, x1, y0, y1, inner_width, height)
+    if panel.lanes:
+        height = TOP + BOTTOM + 30 * len(panel.lanes)
+    x = Axis(x0, x1, left, width - RIGHT, panel.x_log)
+    y = Axis(y0, y1, height - BOTTOM, TOP, panel.log)
+    parts = [
+        f'<svg class="{"fig lanes" if panel.lanes else "fig"}" id="{ident}"',
+        f' viewBox="0 0 {width} {height}" role="img"',
+        f' aria-labelledby="{ident}-t {ident}-d" data-axes="{_axes(panel, x, y)}">',
+        f'<title id="{ident}-t">{escape(panel.title)}</title><desc id="{ident}-d">{escape(panel.summary)}</desc>',
+        f'<clipPath id="{ident}-c"><path d="M{left} {TOP}H{width - RIGHT}V{height - BOTTOM}H{left}z"/></clipPath>',
+        _frame(panel, x, y),
+        f'<g clip-path="url(#{ident}-c)"><g>',
+        *(_shade(event, x, y, slugs) for event in panel.events),
+        '<g transform="scale(.1)">',
+        *(_mark(mark, x, y, slugs, looks or {}) for mark in panel.marks),
+        *(_track(track, x, y, slugs) for track in panel.tracks),
+        "</g></g></g></svg>",
+    ]
+    return "".join(parts)
+
+
+def _axes(panel: Panel, x: Axis, y: Axis) -> str:
+    """Return what a script must know to turn px into values: both axes, and the kind of panel."""
+    kind = "map" if panel.equal else "lanes" if panel.lanes else "time" if panel.x_label == TIME else "other"
+    ends = (f"{a.low:.9g} {a.high:.9g} {a.start:.5g} {a.end:.5g} {int(a.log)}" for a in (x, y))
+    return f"{' '.join(ends)} {kind}"
+
+
+def _left(panel: Panel, y0: float, y1: float) -> float:
+    """Return the margin that the y labels need."""
+    if panel.lanes:
+        return 12 + CHARACTER * max(len(lane) for lane in panel.lanes)
+    found = (ticks.logarithmic if panel.log else ticks.linear)(y0, y1, 6)
+    return round(12 + CHARACTER * max([len(label) for _, label in found] or [1]))
+
+
+def _equal(
+    x0: float, x1: float, y0: float, y1: float, inner: float, most: float
+) -> tuple[float, float, float, float, int]:
+    """Return limits and height with one scale for x and y, with a little air, at most `most` px high."""
+    pad = 0.04 * max(x1 - x0, y1 - y0, 1e-6)
+    x0, x1, y0, y1 = x0 - pad, x1 + pad, y0 - pad, y1 + pad
+    scale = min(inner / (x1 - x0), (most - TOP - BOTTOM) / (y1 - y0))
+    spare = inner / scale - (x1 - x0)
+    x0, x1 = x0 - 0.5 * spare, x1 + 0.5 * spare
+    return x0, x1, y0, y1, round(scale * (y1 - y0)) + TOP + BOTTOM
+
+
+def _frame(panel: Panel, x: Axis, y: Axis) -> str:
+    """Return grid, ticks, and the words of both axes."""
+    bottom, right = round(y.start), round(x.end)
+    rows = [] if panel.lanes else y.ticks(max(3, round((y.start - y.end) / 34)))
+    columns = x.ticks(max(3, round((x.end - x.start) / 60)))
+    across = "".join(f"M{x.start:g} {p:.1f}H{right}" for p, _ in rows)
+    up = "".join(f"M{p:.1f} {TOP}V{bottom}" for p, _ in columns)
+    beside = [f'<text class="e" x="{x.start - 5:g}" y="{p + 3.6:.1f}">{label}</text>' for p, label in rows]
+    below = [f'<text class="m" x="{p:.1f}" y="{bottom + 14}">{label}</text>' for p, label in columns]
+    middles = y.px(np.arange(0.5, len(panel.lanes))).tolist()
+    words = [
+        f'<text class="e" x="{x.start - 5:g}" y="{p + 3.6:.1f}">{escape(lane)}</text>'
+        for p, lane in zip(middles, panel.lanes, strict=True)
+    ]
+    words.append(f'<text class="l" x="2" y="11">{escape(panel.y_label)}</text>')
+    words.append(f'<text class="e l" x="{right}" y="{bottom + 29}">{escape(panel.x_label)}</text>')
+    ticked = (
+        f'<g class="{axis}"><path class="gridlines" d="{lines}"/>{"".join(labels)}</g>'
+        for axis, lines, labels in (("xt", up, below), ("yt", across, beside))
+    )
+    return "".join((*ticked, *words))
+
+
+def _mark(mark: Mark, x: Axis, y: Axis, slugs: dict[str, str], looks: Mapping[str, str]) -> str:
+    pixels = max(16, round(x.end - x.start))
+    draw: Callable[..., tuple[str, str]] = _DRAW[type(mark)]
+    kind, d = draw(mark, x, y, pixels)
+    if not d:
+        return ""
+    look = "truth" if mark.of == "truth" else looks.get(mark.of, "") if isinstance(mark, Curve) else ""
+    classes = " ".join(c for c in (kind, look, slugs[mark.of]) if c)
+    drawn = f'<path class="{classes}" d="{d}"><title>{escape(mark.of)}</title></path>'
+    hole = f'<path class="spot hole" d="{d}"/>' if kind in {"spot ring", "spot target"} else ""
+    return drawn + hole
+
+
+def _track(track: Track, x: Axis, y: Axis, slugs: dict[str, str]) -> str:
+    """Return a path without a drawing that knows its places at even times, for the cursor's spot."""
+    at = places(x.px(track.x), y.px(track.y))
+    name = f"<title>{escape(track.of)}</title>"
+    return f'<path class="here {slugs[track.of]}" data-at="{track.start:.9g} {track.end:.9g} {at}">{name}</path>'
+
+
+def _shade(event: Event, x: Axis, y: Axis, slugs: dict[str, str]) -> str:
+    """Return what happened when as a stretch behind the curves; what was refused in a row lies at the foot."""
+    start, end = x.px(np.array([event.start, event.end])).tolist()
+    width = max(end - start, MIN_SHADE)
+    top = y.start - SHADE_FOOT if event.kind == REFUSED else y.end
+    box = f'x="{start:.1f}" y="{top:g}" width="{width:.1f}" height="{y.start - top:g}"'
+    return f'<rect class="shade {slugs[EVENTS[event.kind]]}" {box}><title>{escape(event.words)}</title></rect>'
+
+
+def _curve(mark: Curve, x: Axis, y: Axis, pixels: int) -> tuple[str, str]:
+    px, py = x.px(mark.x), y.px(mark.y)
+    grows = len(px) < 2 or bool((np.diff(px) >= 0).all())
+    kind = "faint" if mark.faint else "curve wide" if mark.wide else "curve"
+    return kind, curve_path(px, py, pixels) if grows else free_path(px, py)
+
+
+def _band(mark: Band, x: Axis, y: Axis, pixels: int) -> tuple[str, str]:
+    low, high = y.px(mark.low), y.px(mark.high)
+    return "solid" if mark.solid else "band", band_path(x.px(mark.x), low, high, pixels)
+
+
+def _dots(mark: Dots, x: Axis, y: Axis, pixels: int) -> tuple[str, str]:
+    return "dots", dots_path(x.px(mark.x), y.px(mark.y))
+
+
+def _strokes(mark: Strokes, x: Axis, y: Axis, pixels: int) -> tuple[str, str]:
+    ends = np.stack((x.px(mark.ends[:, :, 0]), y.px(mark.ends[:, :, 1])), axis=-1)
+    return "stroke", strokes_path(ends)
+
+
+def _spots(mark: Spots, x: Axis, y: Axis, pixels: int) -> tuple[str, str]:
+    shape = SHAPES[mark.of]
+    return f"spot {shape}", spots_path(x.px(mark.x), y.px(mark.y), crossed=shape == "cross")
+
+
+_DRAW: dict[type, Callable[..., tuple[str, str]]] = {
+    Curve: _curve,
+    Band: _band,
+    Dots: _dots,
+    Strokes: _strokes,
+    Spots: _spots,
+}
+
+
+def slugs_of(names: Sequence[str]) -> dict[str, str]:
+    """Return a CSS class for every configuration or role; names from a log never become markup."""
+    return {name: f"k{i}" for i, name in enumerate(names)}

@@ -1,1 +1,0 @@
-"""Message definitions for bags that carry none, written down by their fields."""

@@ -1,1 +1,0 @@
-"""A log: topics over all its files, delivered as streams of columns on one clock."""

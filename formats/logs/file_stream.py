@@ -1,0 +1,213 @@
+"""Files beside a log as topics of it: a trajectory (.tum, .csv) or detections of landmarks (.csv).
+
+A reference or an estimate that somebody computed, and a detector's output, are often text files. A file is read
+like a topic: `[truth] topic = "vicon.tum"`. The first line of a .csv names its columns; `t` is seconds on the
+clock of the log, or whole nanoseconds.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from decimal import Decimal
+from pathlib import Path
+
+import numpy as np
+
+from locfuse.formats.caps import MAX_TEXT_FILE
+from locfuse.formats.geometry import quaternions
+from locfuse.formats.inputs import csv_rows, read_small
+from locfuse.formats.visible import visible
+from locfuse.fusion.data import END_OF_TIME, Array, Block, Column, Ints, LocfuseError
+
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+POINT = "geometry_msgs/msg/PointStamped"
+DETECTIONS = "locfuse/msg/Detections"
+SUFFIXES = (".tum", ".csv", ".txt")
+TIMES = ("t", "time", "timestamp", "stamp", "t_s", "time_s", "timestamp [ns]")
+HEADINGS = ("theta", "yaw", "heading", "theta_rad", "yaw_rad")
+PLANE = (0, 1, 5)  # where x, y and yaw stand in a pose covariance of ROS
+TRIANGLE = ("p_xx", "p_xy", "p_xt", "p_yy", "p_yt", "p_tt")
+MAX_IDENT = 2**53  # whole numbers below it are exact as floats
+MIN_NS = 1e14  # a time beyond this is no number of seconds, but of nanoseconds
+
+
+class FileStream:
+    """A text file with the face of a topic (formats.logs.stream.LogStream): the readings in the order of time."""
+
+    clock = "times of the file"
+    by_stamps = as_stamped = True
+    delay_s: float | None = None
+    notes: tuple[str, ...] = ()
+
+    def __init__(self, path: Path, msgtype: str, t_ns: Ints, data: Mapping[str, Column]) -> None:
+        order = np.argsort(t_ns, kind="stable")
+        self.topic = str(path)
+        self.msgtype = msgtype
+        self.frame_id = ""
+        self.t_ns = t_ns[order]
+        self.repaired: Mapping[str, int] = {}
+        self.dropped: Mapping[str, int] = {}
+        self._data = {name: np.asarray(column)[order] for name, column in data.items()}
+
+    def columns(self, *fields: str) -> dict[str, Column]:
+        """Return whole columns; a pose without a covariance, or a point without height, has zeros there."""
+        n = len(self.t_ns)
+        empty = {"pose.covariance": (n, 36)}
+        return {name: self._data.get(name, np.zeros(empty.get(name, (n,)))) for name in fields}
+
+    def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
+        """Yield everything as one block."""
+        yield np.arange(len(self.t_ns)), self.columns(*fields)
+
+
+def is_file_topic(name: str) -> bool:
+    """Return whether a topic's name is that of a text file that is there."""
+    path = Path(name).expanduser()
+    return path.suffix.lower() in SUFFIXES and path.is_file()
+
+
+def read_file(name: str) -> FileStream:
+    """Return a text file as a stream. Raises LocfuseError naming the line that cannot be read."""
+    path = Path(name).expanduser()
+    made = _csv(path) if path.suffix.lower() == ".csv" else _tum(path)
+    if not len(made.t_ns):
+        raise LocfuseError(f"{path} holds no readings")
+    return made
+
+
+def _tum(path: Path) -> FileStream:
+    """Read `t x y z qx qy qz qw` lines, perhaps with the 21 numbers of a covariance's upper triangle."""
+    text = read_small(path, MAX_TEXT_FILE).decode("utf-8", "replace").lstrip("\ufeff")
+    times, rows = [], []
+    unknown = text.startswith("# heading unknown")
+    for number, line in enumerate(text.splitlines(), 1):
+        words = line.replace(",", " ").split("#")[0].split()
+        if not words:
+            continue
+        if len(words) < 8:
+            raise LocfuseError(f"{path}: line {number} has {len(words)} numbers; t x y z qx qy qz qw are read")
+        times.append(_ns(path, number, words[0]))
+        rows.append([_number(path, number, word) for word in words[1:29]])
+    if len({len(row) for row in rows}) > 1:
+        raise LocfuseError(f"{path}: its lines differ in length")
+    values = np.array(rows).reshape(len(rows), -1) if rows else np.zeros((0, 7))
+    position, q = values[:, :2], values[:, 3:7]
+    if unknown:
+        return _points(path, times, position)
+    if values.shape[1] != 28:
+        return _poses(path, times, position, q, None)
+    P = np.zeros((len(rows), 6, 6))
+    for (i, j), column in zip(itertools.combinations_with_replacement(range(6), 2), values[:, 7:].T, strict=True):
+        P[:, i, j] = P[:, j, i] = column
+    return _poses(path, times, position, q, P)
+
+
+def _csv(path: Path) -> FileStream:
+    """Read a table whose first line names t and x, y (theta) of poses, or t and id, range, bearing."""
+    lines = csv_rows(path, MAX_TEXT_FILE)
+    if not lines:
+        raise LocfuseError(f"{path} is empty")
+    names = [word.strip().lstrip("#").strip().lower() for word in lines[0][1]]
+    at = {name: i for i, name in enumerate(names)}
+    time = next((name for name in TIMES if name in at), None)
+    if time is None:
+        raise LocfuseError(f"{path}: its first line names no column t; it has {_few(names)}")
+    body = lines[1:]
+    for number, row in body:
+        if len(row) != len(names):
+            raise LocfuseError(f"{path}: line {number} has {len(row)} values, the first line names {len(names)}")
+
+    def column(name: str) -> Array:
+        return np.array([_number(path, number, row[at[name]]) for number, row in body])
+
+    times = [_ns(path, number, row[at[time]]) for number, row in body]
+    if "id" in at and ("range" in at or "bearing" in at):
+        idents = [_ident(path, number, row[at["id"]]) for number, row in body]
+        return _detections(path, times, idents, at, column)
+    if not {"x", "y"} <= at.keys():
+        raise LocfuseError(
+            f"{path}: x and y of poses, or id, range and bearing of landmarks are read, not {_few(names)}"
+        )
+    return _table_of_poses(path, times, at, column)
+
+
+def _few(names: Sequence[str]) -> str:
+    """Return some names of columns as one line."""
+    return ", ".join(visible(name[:40]) for name in names[:12])
+
+
+def _detections(
+    path: Path, times: Sequence[int], idents: Sequence[int], at: Mapping[str, int], column: Callable[[str], Array]
+) -> FileStream:
+    missing = np.full(len(times), np.nan)
+    data: dict[str, Column] = {
+        "id": np.array(idents, np.int64),
+        **{name: column(name) if name in at else missing for name in ("range", "bearing")},
+    }
+    return FileStream(path, DETECTIONS, np.array(times, np.int64), data)
+
+
+def _table_of_poses(
+    path: Path, times: Sequence[int], at: Mapping[str, int], column: Callable[[str], Array]
+) -> FileStream:
+    position = np.stack((column("x"), column("y")), axis=-1)
+    heading = next((name for name in HEADINGS if name in at), None)
+    if heading is None and "qw" in at:
+        q = np.stack(
+            [column(name) if name in at else np.zeros(len(times)) for name in ("qx", "qy", "qz", "qw")], -1
+        )
+        return _poses(path, times, position, q, None)
+    if heading is None:
+        return _points(path, times, position)
+    theta = column(heading)
+    q = quaternions(np.where(np.isfinite(theta), theta, np.nan))  # an infinite heading is none; sin() would warn
+    if not set(TRIANGLE) <= at.keys():
+        return _poses(path, times, position, q, None)
+    P = np.zeros((len(times), 6, 6))
+    for (i, j), name in zip(itertools.combinations_with_replacement(PLANE, 2), TRIANGLE, strict=True):
+        P[:, i, j] = P[:, j, i] = column(name)
+    return _poses(path, times, position, q, P)
+
+
+def _points(path: Path, times: Sequence[int], xy: Array) -> FileStream:
+    return FileStream(path, POINT, np.array(times, np.int64), {"point.x": xy[:, 0], "point.y": xy[:, 1]})
+
+
+def _poses(path: Path, times: Sequence[int], xy: Array, q: Array, P: Array | None) -> FileStream:
+    data: dict[str, Column] = {"pose.pose.position.x": xy[:, 0], "pose.pose.position.y": xy[:, 1]}
+    data |= {f"pose.pose.orientation.{axis}": column for axis, column in zip("xyzw", q.T, strict=True)}
+    if P is not None:
+        data["pose.covariance"] = P.reshape(len(P), 36)
+    return FileStream(path, POSE, np.array(times, np.int64), data)
+
+
+def _number(path: Path, line: int, word: str) -> float:
+    try:
+        if "_" in word:  # Python's own way to group digits
+            raise ValueError
+        return float(word)
+    except ValueError:
+        raise LocfuseError(f"{path}: line {line}: {word.strip()[:40]!r} is no number") from None
+
+
+def _ident(path: Path, line: int, word: str) -> int:
+    """Return the number of a landmark: a whole one."""
+    value = _number(path, line, word)
+    if not abs(value) < MAX_IDENT or value != round(value):
+        raise LocfuseError(f"{path}: line {line}: {word.strip()[:40]!r} is no id: whole numbers are read")
+    return round(value)
+
+
+def _ns(path: Path, line: int, word: str) -> int:
+    """Return decimal seconds, or whole nanoseconds, as integer nanoseconds without rounding."""
+    value = _number(path, line, word)
+    try:
+        exact = Decimal(word.strip()) if math.isfinite(value) else Decimal(END_OF_TIME)
+        total = exact if abs(value) > MIN_NS else exact.scaleb(9)
+    except ArithmeticError:  # an exponent of many digits
+        total = Decimal(END_OF_TIME)
+    if abs(total) >= END_OF_TIME:
+        raise LocfuseError(f"{path}: line {line}: {word.strip()[:40]!r} is no time")
+    return int(total)

@@ -1,0 +1,133 @@
+"""Which files make up a log: one .mcap, several, or a rosbag2 directory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from fnmatch import fnmatch
+from itertools import takewhile
+from pathlib import Path
+
+from locfuse.formats.caps import MAX_METADATA
+from locfuse.formats.container.file_bytes import FileBytes
+from locfuse.formats.container.losses import Losses
+from locfuse.formats.container.mcap_records import MAGIC
+from locfuse.formats.container.mcap_source import McapSource
+from locfuse.formats.container.source import Source
+from locfuse.formats.container.url import Place, Url
+from locfuse.formats.container.zstd_file import ZSTD_MAGIC, unpack_file
+from locfuse.formats.inputs import read_small
+from locfuse.formats.visible import writable
+from locfuse.fusion.data import LocfuseError, UsageError
+
+
+def _sqlite(data: FileBytes, losses: Losses) -> Source:
+    from locfuse.formats.container.rosbag2_sqlite import SqliteSource
+
+    return SqliteSource(data, losses)
+
+
+def _bag(data: FileBytes, losses: Losses) -> Source:
+    from locfuse.formats.container.ros1_bag import BagSource
+
+    return BagSource(data, losses)
+
+
+SOURCES: dict[bytes, Callable[[FileBytes, Losses], Source]] = {
+    b"SQLite format 3\x00": _sqlite,
+    b"#ROSBAG V2.0\n": _bag,
+}
+ENDINGS = ("*.mcap", "*.mcap.zstd", "*.db3", "*.db3.zstd", "*.bag")  # of the files in a folder without metadata
+RESULTS = ("run.json", "report.json")
+UNNAMED = "log"  # what to call "...mcap": its stem ".." would lead results out of their folder
+
+
+def log_files(path: Place) -> list[Place]:
+    """Return the files of the log that `path` names: a file, a rosbag2 folder, or its metadata.yaml."""
+    if isinstance(path, Url):
+        return _objects(path)
+    try:
+        if not path.exists():
+            raise UsageError(f"{path}: no such file or folder")
+        if path.is_dir():
+            return _folder(path)
+        return _folder(path.parent) if path.name == "metadata.yaml" else [path]
+    except OSError as problem:
+        raise LocfuseError(f"{path}: cannot be read: {problem.strerror}") from None
+
+
+def _objects(url: Url) -> list[Place]:
+    """Return the objects of the log at an address: itself, or of a folder those of the first ending there are."""
+    if not url.is_folder:
+        return [url]
+    from locfuse.formats.container.remote_objects import below
+
+    inside = [file for file in below(url) if file.parent.key.rstrip("/") == url.key.rstrip("/")]
+    for ending in ENDINGS:
+        if files := [file for file in inside if fnmatch(file.name, ending)]:
+            return list(files)
+    raise LocfuseError(f"{url}: no log in this folder (.mcap, .db3, .bag); all logs below it: --each {url}")
+
+
+def _folder(folder: Path) -> list[Place]:
+    listed = [folder / name for name in _listed(folder / "metadata.yaml")]
+    if files := [file for file in listed if file.is_file()] or _by_ending(folder):
+        return list(files)
+    if any((folder / name).exists() for name in RESULTS):
+        raise LocfuseError(f"{folder} is a locfuse result, not a log; see: locfuse view {folder}")
+    raise LocfuseError(f"{folder}: no log in this folder (.mcap, .db3, .bag)")
+
+
+def _by_ending(folder: Path) -> list[Path]:
+    """Return the files of the first ending there are any of: kinds are not mixed."""
+    return next(
+        (files for ending in ENDINGS if (files := sorted(f for f in folder.glob(ending) if f.is_file()))),
+        [],
+    )
+
+
+def _listed(metadata: Path) -> list[str]:
+    """Return the files a rosbag2 metadata.yaml lists (after a crash there is none: then those of the folder)."""
+    if not metadata.is_file():  # a pipe would never end
+        return []
+    text = read_small(metadata, MAX_METADATA).decode("utf-8", "replace")
+    lines = iter(text.splitlines())
+    if not any(line.strip() == "relative_file_paths:" for line in lines):
+        return []
+    entries = takewhile(lambda line: line.startswith("- "), map(str.strip, lines))
+    listed = [Path(entry[2:].strip().strip("'\"")).name for entry in entries]
+    return [name for given in listed for name in (given, f"{given}.zstd")]  # some versions leave the .zstd out
+
+
+def log_name(paths: Sequence[Place]) -> str:
+    """Return what to call the log: the file without its ending, or the folder."""
+    first = paths[0].parent if paths[0].name == "metadata.yaml" else paths[0]
+    folder = first.is_folder if isinstance(first, Url) else first.is_dir()
+    whole = first.name if isinstance(first, Url) else first.resolve().name
+    name = whole if folder else Path(first.name.removesuffix(".zstd")).stem
+    return writable(name) if name.strip(".") else UNNAMED
+
+
+def open_bytes(file: Place, losses: Losses) -> FileBytes:
+    """Return the bytes of a file, here or elsewhere."""
+    if isinstance(file, Path):
+        return FileBytes(file, losses)
+    from locfuse.formats.container.remote_bytes import RemoteBytes
+
+    return RemoteBytes(file, losses)
+
+
+def open_source(file: Place, losses: Losses) -> Source:
+    """Open one file of a log by what its first bytes say it is."""
+    try:
+        data = open_bytes(file, losses)
+        if data.far and data.read(data.size - len(MAGIC), len(MAGIC)) != MAGIC:
+            data.copy_here()  # no whole MCAP: nothing says where what lies in it
+        if not data.far and data.read(0, len(ZSTD_MAGIC)) == ZSTD_MAGIC:
+            data = unpack_file(data, losses)
+        head = b"" if data.far else data.read(0, 64)
+        for magic, source in SOURCES.items():
+            if head.startswith(magic):
+                return source(data, losses)
+        return McapSource(data, losses)  # which says what else the file is
+    except OSError as problem:
+        raise LocfuseError(f"{file}: cannot be read: {problem.strerror}") from None

@@ -1,0 +1,404 @@
+"""A log: its topics, delivered as streams of columns."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
+from functools import cached_property
+
+import numpy as np
+from msgspec.structs import replace
+
+from locfuse.formats.caps import MAX_TOPICS, names_its_cap
+from locfuse.formats.container.compressed_messages import unpack
+from locfuse.formats.container.losses import Losses
+from locfuse.formats.container.source import Messages, Recorded, Source
+from locfuse.formats.container.url import Place
+from locfuse.formats.messages.fields import FieldError, resolve
+from locfuse.formats.messages.kinds import NUMBER as A_NUMBER
+from locfuse.formats.messages.kinds import check_kind, kind_of
+from locfuse.formats.messages.schema import SchemaError
+from locfuse.formats.nearest import did_you_mean
+from locfuse.formats.robot import transforms
+from locfuse.formats.robot.tag_frames import OF_CAMERA, TAGS
+from locfuse.fusion.data import Ints, LocfuseError, UsageError
+from locfuse.fusion.progress import say_done
+
+from . import clock as clocks
+from .adapters import PRESENTED, presented_name
+from .file_stream import FileStream, is_file_topic, read_file
+from .files import log_name, open_source
+from .identity import Identity, files_of, identity, identity_of, seen_of, seen_of_object
+from .stream import NUMBER, LogStream, NumberStream, PathStream, PresentedStream, field_of
+from .table import Raw, Table, dated, digest
+from .topics import Topic, UnreadableTopicError, by_topic
+from .transform_stream import (
+    TF_FIELDS,
+    TRANSFORM,
+    Edge,
+    TagStream,
+    TransformStream,
+    edges_of,
+    loop_in,
+    pair_of,
+    tags_of,
+)
+
+AnyStream = LogStream | TransformStream | TagStream | FileStream | NumberStream | PresentedStream
+MOVING = 0.005  # m, and of a quaternion (0.6 degrees): a mount that gives less is one
+FOXGLOVE_TF = tuple(f"foxglove{dot}FrameTransform{s}" for dot in (".", "_msgs/msg/") for s in ("", "s"))
+TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", *FOXGLOVE_TF)
+
+
+def open_log(paths: Sequence[Place]) -> Log:
+    """Open one log made of the given files and folders; messages are merged by topic over all files."""
+    files = files_of(paths)
+    losses = Losses()
+    return Log(files, [open_source(file, losses) for file in files], log_name(paths), losses)
+
+
+class Log:
+    """A log of one or more files. Streams with light columns are read together, in one walk over the files."""
+
+    def __init__(self, paths: Sequence[Place], sources: Sequence[Source], name: str, losses: Losses) -> None:
+        self.paths = tuple(paths)
+        self.name = name
+        self._sources = tuple(sources)
+        self.losses = losses
+        self._channels = by_topic(sources)
+        if len(self._channels) > MAX_TOPICS:
+            raise LocfuseError(names_its_cap(f"{name}: too many topics", len(self._channels), MAX_TOPICS))
+        self.topics = {topic: channels.topic for topic, channels in self._channels.items()}
+        self._tables: dict[str, Table] = {}
+        self._streams: dict[tuple[str, str], AnyStream] = {}
+        self._files: dict[str, FileStream] = {}
+        self._edges: dict[tuple[str, str], dict[tuple[str, str], Edge]] = {}
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of the input's bytes, file after file by name."""
+        state = hashlib.sha256()
+        for source in self._sources:
+            source.data.feed(state.update)
+        return state.hexdigest()
+
+    @property
+    def all_read(self) -> bool:
+        """Whether every byte of the files was read, so that their hash costs no reading."""
+        return all(source.data.all_read for source in self._sources)
+
+    @cached_property
+    def identity(self) -> Identity:
+        """What the content is known by without reading all of it."""
+        seen = [source.data.state for source in self._sources]
+        if all(state is None for state in seen):
+            return identity_of(self.paths)
+        return identity([seen_of_object(*s) if s else seen_of(p) for s, p in zip(seen, self.paths, strict=True)])
+
+    @property
+    def etags(self) -> list[str]:
+        """What stores know its files by; none of files on this machine."""
+        return [source.data.state[1] for source in self._sources if source.data.state is not None]
+
+    @property
+    def transfer(self) -> tuple[int, int] | None:
+        """Bytes that came over the network so far, and the size of the files there; None where all are here."""
+        found = [source.data.transfer for source in self._sources if source.data.transfer is not None]
+        return (sum(came for came, _ in found), sum(size for _, size in found)) if found else None
+
+    @cached_property
+    def attachments(self) -> dict[str, bytes]:
+        """Attachments of all files by name."""
+        return {name: data for source in self._sources for name, data in source.attachments.items()}
+
+    @property
+    def unchecked(self) -> list[str]:
+        """Names of the files in which a changed value cannot be noticed: without checksums, or not of MCAP."""
+        return [p.name for p, s in zip(self.paths, self._sources, strict=True) if not getattr(s, "checked", False)]
+
+    @property
+    def decoded_fast(self) -> int:
+        """Messages gathered by a layout that another message gave."""
+        return sum(table.decoder.fast for table in self._tables.values())
+
+    @property
+    def decoded_general(self) -> int:
+        """Messages walked by themselves."""
+        return sum(table.decoder.general for table in self._tables.values())
+
+    def stream(self, topic: str, order: str = "auto") -> AnyStream:
+        """Return a topic's stream; nothing is read before its rows are asked for.
+
+        "/tf:odom:base_link" is the frame base_link in the frame odom as /tf says (TransformStamped),
+        "/tf:camera_optical:tags" the tags that were seen in that frame, "/status:yaw.value" a number of any
+        message, "/points:scan" a cloud's level slice as a LaserScan, "/path:poses" the poses of a Path, and the
+        name of a .tum or .csv file is that file.
+        """
+        if order not in clocks.ORDERS:
+            raise UsageError(f"order = {order!r} is unknown; it is one of {', '.join(clocks.ORDERS)}")
+        if (topic, order) not in self._streams:
+            self._streams[topic, order] = self._made(topic, order)
+        return self._streams[topic, order]
+
+    def _made(self, topic: str, order: str) -> AnyStream:
+        self.find(topic)
+        if topic in self._files:
+            return self._files[topic]
+        number, pair = field_of(topic), pair_of(topic)
+        if (source := self._presents(topic)) is not None:
+            made = LogStream(self, source, self.topics[source].msgtype, order)
+            whole = PRESENTED[made.msgtype].make is None
+            return PathStream(topic, made) if whole else PresentedStream(topic, made)
+        if topic not in self._channels and topic in self.topics and number is not None:
+            return NumberStream(
+                topic, LogStream(self, number[0], self.topics[number[0]].msgtype, order), number[1]
+            )
+        if topic in self._channels or topic not in self.topics or pair is None:
+            self._check(topic)
+            return LogStream(self, topic, self.topics[topic].msgtype, order)
+        edges = self.frames(pair[0], order)
+        if self.topics[topic].msgtype == TAGS:
+            return TagStream(topic, order, tags_of(edges, pair[1]), self.all_mounts())
+        return TransformStream(topic, order, tuple(edges.values()), self.static_transforms())
+
+    def streams(self, wants: Mapping[str, Sequence[str]], order: str = "auto") -> dict[str, AnyStream]:
+        """Return the streams of several topics, their named fields read in one walk over the log."""
+        streams = {topic: self.stream(topic, order) for topic in wants}
+        self.read({topic: fields for topic, fields in wants.items() if isinstance(streams[topic], LogStream)})
+        return streams
+
+    def find(self, name: str) -> Topic | None:
+        """Return a topic by its name, two frames of /tf ("/tf:odom:base_link"), a number, a file; else None."""
+        pair = pair_of(name)
+        frames = pair is not None and name not in self.topics and self._is_tf(pair[0])
+        if pair is not None and frames and (made := self._of_frames(pair)) is not None:
+            self.topics[name] = made
+        if name not in self.topics and (shown := self._presents(name)) is not None:
+            self._check(shown)
+            self.topics[name] = replace(self.topics[shown], msgtype=PRESENTED[self.topics[shown].msgtype].msgtype)
+        number = field_of(name)
+        if name not in self.topics and number is not None and number[0] in self._channels:
+            self._check_number(*number)
+            self.topics[name] = replace(self.topics[number[0]], msgtype=NUMBER)
+        if name not in self.topics and is_file_topic(name):
+            file = self._files[name] = read_file(name)
+            self.topics[name] = Topic(file.msgtype, len(file.t_ns), "", "")
+        return self.topics.get(name)
+
+    def _of_frames(self, pair: tuple[str, str, str]) -> Topic | None:
+        """Return two frames of /tf, or the tags that were seen in a frame, as a topic; None without any tag."""
+        source, edges = self.topics[pair[0]], self.frames(pair[0])
+        if pair[2] == OF_CAMERA:
+            seen = sum(len(edge.stamp) for edge in tags_of(edges, pair[1]))
+            return Topic(TAGS, seen, source.encoding, source.schema_encoding) if seen else None
+        count = len(edges[pair[1:]].stamp) if pair[1:] in edges else source.count
+        return Topic(TRANSFORM, count, source.encoding, source.schema_encoding)
+
+    def _presents(self, name: str) -> str | None:
+        """Return the topic that is presented as another type under this name, None for any other name."""
+        source = name.rpartition(":")[0]
+        known = source in self._channels and name not in self._channels
+        return source if known and presented_name(source, self.topics[source].msgtype) == name else None
+
+    def _check_number(self, topic: str, field: str) -> None:
+        """Raise LocfuseError where a field is not there, or is no number."""
+        self._check(topic)
+        self._check_fields(topic, (field,))
+        if (kind := kind_of(resolve(self._channels[topic].decoder.message, field))) != A_NUMBER:
+            raise LocfuseError(f"{topic} ({self.topics[topic].msgtype}): {field} is {kind}, not {A_NUMBER}")
+
+    def recorded(self, name: str) -> bool:
+        """Return whether a topic was recorded; frames of /tf, numbers and files are made of something else."""
+        return name in self._channels
+
+    def is_file(self, name: str) -> bool:
+        """Return whether a topic is a file beside the log."""
+        return name in self._files
+
+    def _is_tf(self, name: str) -> bool:
+        topic = self.topics.get(name)
+        return topic is not None and topic.msgtype in TF_TYPES and not topic.problem
+
+    @property
+    def transform_topics(self) -> list[str]:
+        """Topics of transforms that may change: /tf, namespaced ones too."""
+        return [
+            name
+            for name, topic in sorted(self.topics.items())
+            if self._is_tf(name)
+            and (name.rpartition("/")[2] == "tf" or topic.msgtype in FOXGLOVE_TF)
+            and not _is_static_tf(name, topic)
+        ]
+
+    def frames(self, topic: str, order: str = "auto") -> dict[tuple[str, str], Edge]:
+        """Return the transforms of a /tf topic by (parent, child). Raises LocfuseError where they form a loop."""
+        if (topic, order) not in self._edges:
+            table = self.read({topic: TF_FIELDS})[topic]
+            assert table.log_time is not None
+            found = edges_of(table.log_time, table.columns, order)
+            if loop := loop_in(tuple(found.values())):
+                raise LocfuseError(f"{topic}: frames form a loop: {' -> '.join(loop)}")
+            self._edges[topic, order] = found
+        return self._edges[topic, order]
+
+    def static_transforms(self) -> transforms.StaticTransforms:
+        """Return the transforms of /tf_static, namespaced ones too, by all its publishers."""
+        topics = [name for name, topic in self.topics.items() if _is_static_tf(name, topic)]
+        self.read(dict.fromkeys(topics, transforms.FIELDS))
+        return transforms.static_transforms(self.stream(topic).columns(*transforms.FIELDS) for topic in topics)
+
+    def still_transforms(self) -> transforms.StaticTransforms:
+        """Return the transforms of /tf that never change: mounts, where nothing publishes /tf_static."""
+        return transforms.StaticTransforms(
+            tuple(
+                transforms.Transform(edge.parent, edge.child, transforms.matrices_of(edge.values[:1])[0])
+                for topic in self.transform_topics
+                for edge in self.frames(topic).values()
+                if not edge.moves
+            )
+        )
+
+    def moving_transforms(self) -> list[transforms.Transform]:
+        """Return the transforms of /tf that change, as they were first."""
+        return [
+            transforms.Transform(edge.parent, edge.child, transforms.matrices_of(edge.values[:1])[0])
+            for topic in self.transform_topics
+            for edge in self.frames(topic).values()
+            if np.ptp(edge.values, axis=0).max() > MOVING
+        ]
+
+    def all_mounts(self) -> transforms.StaticTransforms:
+        """Return what never moves: by /tf_static, of other frames by the transforms of /tf that never change."""
+        static = self.static_transforms()
+        known = {edge.child for edge in static.edges}
+        still = (edge for edge in self.still_transforms().edges if edge.child not in known)
+        return transforms.StaticTransforms((*static.edges, *still), static.conflicts)
+
+    @cached_property
+    def stamps_clock(self) -> tuple[Ints, Ints] | None:
+        """Log times and stamps (n,), where the light topics' stamps are of a clock that is not the recording's."""
+        readable = {name: t for name, t in self.topics.items() if self.recorded(name) and not t.problem}
+        types = {name: topic.msgtype for name, topic in readable.items()}
+        counts = {name: topic.count for name, topic in readable.items()}
+        pairs = []
+        for name in clocks.stamped_topics(types, counts):
+            with suppress(LocfuseError):  # a topic that cannot be read says so elsewhere
+                table = self.read({name: ()})[name]
+                if table.stamp is not None and table.log_time is not None and len(table.log_time):
+                    pairs.append((table.log_time, np.asarray(table.columns[table.stamp]).astype(np.int64)))
+        return clocks.common_clock(pairs)
+
+    @property
+    def time_span_ns(self) -> tuple[int, int] | None:
+        """First and last log time of the messages, None for an empty log."""
+        spans = [span for source in self._sources if (span := source.time_span_ns) is not None]
+        return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
+
+    def _check(self, topic: str) -> None:
+        if topic not in self.topics:
+            hint = did_you_mean(topic, self.topics) or f"it has {', '.join(self.topics) or 'no topics'}"
+            raise LocfuseError(f"{self.name} has no topic {topic}; {hint}")
+        if problem := self.topics[topic].problem:
+            raise UnreadableTopicError.of(self.name, topic, problem)
+
+    def read(self, wants: Mapping[str, Sequence[str]]) -> dict[str, Table]:
+        """Make sure that the fields are in memory; what is missing is read in one walk."""
+        tables = {topic: self._table(topic) for topic in wants}
+        reading = {t: table for t, table in tables.items() if not table.known or table.missing(wants[t])}
+        for topic, table in reading.items():
+            self._check_fields(topic, wants[topic])
+            table.begin(wants[topic])
+        for topic, raw in self._walk(reading) if reading else ():
+            reading[topic].feed(raw)
+        new = {topic: table for topic, table in reading.items() if not table.known}
+        tied = {topic: table for topic, table in reading.items() if table.end()}
+        digests = self._digests(tied)
+        for topic, table in new.items():
+            table.sort(digests.get(topic))
+        return tables
+
+    def _digests(self, tied: Mapping[str, Table]) -> dict[str, Ints]:
+        found: dict[str, list[Ints]] = {topic: [] for topic in tied}
+        times = {topic: table.tied() for topic, table in tied.items()}
+        for topic, raw in self._walk(tied) if tied else ():
+            found[topic].append(digest(raw, times[topic]))
+        return {topic: np.concatenate(parts) for topic, parts in found.items()}
+
+    def _table(self, topic: str) -> Table:
+        if topic not in self._tables:
+            try:
+                self._tables[topic] = Table(topic, self._channels[topic].decoder, self.topics[topic].count)
+            except SchemaError as problem:
+                raise UnreadableTopicError.of(self.name, topic, str(problem)) from None
+        return self._tables[topic]
+
+    def _check_fields(self, topic: str, fields: Sequence[str]) -> None:
+        for path in fields:
+            try:
+                parts = resolve(self._channels[topic].decoder.message, path)
+                check_kind(self.topics[topic].msgtype, path, parts)
+            except FieldError as problem:
+                raise LocfuseError(f"{topic} ({self.topics[topic].msgtype}): {problem.args[0]}") from None
+
+    def _walk(self, topics: Collection[str]) -> Iterator[tuple[str, Raw]]:
+        """Yield the messages of several topics, batch by batch over all files."""
+        span = self.time_span_ns
+        for source in self._sources:
+            wanted = {
+                ident: (topic, decoder)
+                for topic in topics
+                for ident, decoder in self._channels[topic].of(source).items()
+            }
+            for batch in source.batches(wanted.keys()):
+                for ident, messages in batch.messages.items():
+                    topic, decoder = wanted[ident]
+                    _say_read(messages, span)
+                    for data, unpacked in unpack(batch.data, messages):
+                        yield topic, dated(Raw(data, unpacked, decoder))
+        say_done(None)
+
+    def messages(self) -> Iterator[list[Recorded]]:
+        """Yield all messages as they lie in the files, whether or not they can be read, batch by batch.
+
+        Messages that were compressed one by one come in batches of their own: a file of 300 kB can hold gigabytes.
+        """
+        for source in self._sources:
+            for batch in source.batches(source.channels.keys()):
+                together = []
+                for ident, messages in batch.messages.items():
+                    channel = source.channels[ident]
+                    for data, unpacked in unpack(batch.data, messages):
+                        if data is batch.data:
+                            published = source.published(data, unpacked)
+                            together.append(Recorded(channel, data, unpacked, published))
+                        else:
+                            yield [Recorded(channel, data, unpacked, unpacked.log_time)]
+                if together:
+                    yield together
+
+    def raw(self, topic: str, fields: Sequence[str]) -> Iterator[Raw]:
+        """Yield the messages of one topic, of which `fields` will be asked, batch by batch."""
+        self._check_fields(topic, fields)
+        for _, raw in self._walk({topic}):
+            yield raw
+
+    def forget(self) -> None:
+        """Let go of what was read; what is asked for again is read again."""
+        self._tables.clear()
+        self._streams.clear()
+        self._edges.clear()
+
+    def left_out(self, topic: str) -> Mapping[str, int]:
+        """Count the messages on a topic that are of another type than the rest of it."""
+        return self._channels[topic].left_out()
+
+
+def _is_static_tf(name: str, topic: Topic) -> bool:
+    return name.rpartition("/")[2] == "tf_static" and topic.msgtype in TF_TYPES and not topic.problem
+
+
+def _say_read(messages: Messages, span: tuple[int, int] | None) -> None:
+    """Say by log time how far the reading has come."""
+    if span is not None and span[0] < span[1] and len(messages.log_time):
+        say_done(min(1.0, max(0.0, (int(messages.log_time[0]) - span[0]) / (span[1] - span[0]))))

@@ -1,0 +1,287 @@
+"""Transforms of /tf between two frames as a topic of their own, "/tf:odom:base_link".
+
+A TFMessage holds any frames in any order; what a filter wants is one frame in another over time. So a pair of
+frames is presented as a geometry_msgs/TransformStamped topic: odometry that exists only in /tf, a SLAM pose, a
+reference. Frames that are not neighbours are chained, the slower transforms interpolated to the times of the
+fastest one (as tf2 does: positions linearly, rotations along the shorter way).
+
+Tags that a detector publishes as frames of its camera are a topic too, "/tf:camera_optical:tags".
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+from typing import NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from locfuse.formats.robot.tag_frames import TAGS, in_optical_axes, named_as_tag, number_of
+from locfuse.formats.robot.transforms import (
+    FIELDS,
+    StaticTransforms,
+    as_lists,
+    inverse_of,
+    matrices_of,
+    quaternions_of,
+)
+from locfuse.fusion.data import Array, Block, Column, Ints, LocfuseError, Ragged
+
+from . import clock as clocks
+
+TRANSFORM = "geometry_msgs/msg/TransformStamped"
+STAMP = "transforms.header.stamp|transforms.timestamp|timestamp"
+TF_FIELDS = (STAMP, *FIELDS)
+STILL = 1e-6  # m, and of a quaternion: what moves by less does not move
+NAMES = tuple(f"transform.{part}" for part in ("translation.x", "translation.y", "translation.z")) + tuple(
+    f"transform.rotation.{axis}" for axis in "xyzw"
+)
+
+
+class Edge(NamedTuple):
+    """One frame in its parent over time, as often as it was published."""
+
+    parent: str
+    child: str
+    clock: clocks.Clock
+    log_time: Ints  # (n,) ns
+    stamp: Ints  # (n,) ns
+    values: Array  # (n, 7) x, y, z [m], quaternion x, y, z, w
+
+    @property
+    def moves(self) -> bool:
+        """Whether it ever changes."""
+        return bool(np.ptp(self.values, axis=0).max() > STILL)
+
+
+def pair_of(name: str) -> tuple[str, str, str] | None:
+    """Return topic, parent and child of a name like "/tf:odom:base_link", None for any other name."""
+    parts = name.split(":")
+    return (parts[0], parts[1].lstrip("/"), parts[2].lstrip("/")) if len(parts) == 3 and all(parts) else None
+
+
+def edges_of(log_time: Ints, columns: Mapping[str, Column], order: str) -> dict[tuple[str, str], Edge]:
+    """Return the transforms of a /tf topic by (parent, child); `log_time` (m,) is of its messages."""
+    columns = as_lists(columns)
+    parents, children = (cast("list[tuple[str, ...]]", columns[name]) for name in FIELDS[:2])
+    stamps = cast("Ragged", columns[STAMP])
+    numbers = [cast("Ragged", columns[name]) for name in FIELDS[2:]]
+    values = np.stack([column.values for column in numbers], axis=-1).astype(np.float64)
+    places: dict[tuple[str, str], list[int]] = {}
+    rows: dict[tuple[str, str], list[int]] = {}
+    first = stamps.first.tolist()
+    for row, (names, kids) in enumerate(zip(parents, children, strict=True)):
+        for k, (parent, child) in enumerate(zip(names, kids, strict=False)):
+            key = parent.lstrip("/"), child.lstrip("/")
+            places.setdefault(key, []).append(first[row] + k)
+            rows.setdefault(key, []).append(row)
+    found = {}
+    for key, at in places.items():
+        good = np.isfinite(values[at]).all(axis=1) & (np.square(values[at, 3:]).sum(axis=1) > STILL)
+        use = np.array(at)[good]
+        if len(use):
+            said, recorded = np.asarray(stamps.values)[use].astype(np.int64), log_time[np.array(rows[key])[good]]
+            found[key] = Edge(*key, clocks.settle(recorded, said, order), recorded, said, values[use])
+    return found
+
+
+class TransformStream(clocks.Dated):
+    """One frame in another over time, with the face of a topic (formats.logs.stream.LogStream)."""
+
+    def __init__(self, topic: str, order: str, edges: Sequence[Edge], static: StaticTransforms) -> None:
+        self.topic = topic
+        self.msgtype = TRANSFORM
+        self.order = order
+        pair = pair_of(topic)
+        assert pair is not None
+        self.source, self._parent, self._child = pair
+        self._edges = edges
+        self._static = static
+
+    @cached_property
+    def _steps(self) -> list[Step]:
+        """The way from the parent to the child, edge by edge. Raises LocfuseError where there is none."""
+        return _way(self._parent, self._child, self._edges, self._static, self.source)
+
+    @cached_property
+    def _main(self) -> Edge:
+        """The transform that dates the stream: the most frequent one of the way."""
+        moving = [step.edge for step in self._steps if isinstance(step.edge, Edge)]
+        if not moving:
+            words = f"{self.source}: {self._child} never moves in {self._parent}: both are on one rigid body"
+            raise LocfuseError(words)
+        return max(moving, key=lambda edge: (edge.moves, len(edge.stamp)))
+
+    @property
+    def _clock(self) -> clocks.Clock:
+        return self._main.clock
+
+    @cached_property
+    def _keep(self) -> NDArray[np.bool_]:
+        """Which times of the main transform lie within those of all others."""
+        t = self._main.clock.t_ns
+        keep = np.ones(len(t), dtype=bool)
+        for step in self._steps:
+            if isinstance(step.edge, Edge) and step.edge is not self._main and step.edge.moves:
+                keep &= (t >= step.edge.clock.t_ns[0]) & (t <= step.edge.clock.t_ns[-1])
+        return keep
+
+    @property
+    def frame_id(self) -> str:
+        """The parent frame."""
+        return self._parent
+
+    @property
+    def t_ns(self) -> Ints:
+        """When, (n,), never decreasing."""
+        return self._main.clock.t_ns[self._keep]
+
+    @property
+    def delay_s(self) -> float | None:
+        """By how much recording lags behind the stamps, median [s]."""
+        return float(np.median(self._main.log_time - self._main.stamp)) * 1e-9
+
+    @property
+    def dropped(self) -> Mapping[str, int]:
+        """Transforms that are not among the rows, by reason."""
+        outside = int((~self._keep).sum())
+        return {**self._main.clock.dropped, **({"outside_chain": outside} if outside else {})}
+
+    @cached_property
+    def _values(self) -> Array:
+        """Positions and quaternions (n, 7) of the child in the parent."""
+        T = np.broadcast_to(np.eye(4), (len(self.t_ns), 4, 4))
+        for step in self._steps:
+            one = step.edge if not isinstance(step.edge, Edge) else _at(step.edge, self.t_ns)
+            T = T @ (inverse_of(one) if step.backward else one)
+        return np.concatenate((T[:, :3, 3], quaternions_of(T[:, :3, :3])), axis=1)
+
+    def columns(self, *fields: str) -> dict[str, Column]:
+        """Return columns of a TransformStamped."""
+        return {name: self._values[:, NAMES.index(name)] for name in fields}
+
+    def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
+        """Yield everything as one block."""
+        yield np.arange(len(self.t_ns)), self.columns(*fields)
+
+
+class TagStream(clocks.Dated):
+    """The tags that a camera saw, a row for each, with the face of a topic; made of frames of /tf.
+
+    A transform that says the same to the bit as the one before of its tag was published again, not seen again.
+    """
+
+    msgtype = TAGS
+
+    def __init__(self, topic: str, order: str, edges: Sequence[Edge], static: StaticTransforms) -> None:
+        self.topic = topic
+        self.order = order
+        self.frame_id = edges[0].parent
+        recorded, stamps = (np.concatenate([getattr(e, name) for e in edges]) for name in ("log_time", "stamp"))
+        ids = np.concatenate([np.full(len(e.stamp), number_of(e.child)) for e in edges])
+        places = in_optical_axes(np.concatenate([e.values for e in edges])[:, :3], self.frame_id, static)
+        again = np.concatenate([_again(e) for e in edges])
+        self.delay_s = float(np.median(recorded - stamps)) * 1e-9
+        by_record = np.argsort(recorded, kind="stable")
+        by_record = by_record[~again[by_record]]
+        self._settled = settled = clocks.settle(recorded[by_record], stamps[by_record], order)
+        rows = by_record if settled.rows is None else by_record[settled.rows]
+        self.t_ns = settled.t_ns
+        self.dropped = {**settled.dropped, **({"repeat": int(again.sum())} if again.any() else {})}
+        self._data: dict[str, Column] = {"id": ids[rows].astype(np.int64)}
+        self._data |= {axis: places[rows, k] for k, axis in enumerate("xyz")}
+
+    @property
+    def _clock(self) -> clocks.Clock:
+        return self._settled
+
+    def columns(self, *fields: str) -> dict[str, Column]:
+        """Return columns: id, and x, y, z [m] in optical axes."""
+        return {name: self._data[name] for name in fields}
+
+    def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
+        """Yield everything as one block."""
+        yield np.arange(len(self.t_ns)), self.columns(*fields)
+
+
+def tags_of(edges: Mapping[tuple[str, str], Edge], camera: str) -> list[Edge]:
+    """Return the numbered frames that were seen in a frame, those called like tags where there are any.
+
+    What never moves there is a part of the robot.
+    """
+    found = [
+        edge
+        for (parent, child), edge in edges.items()
+        if parent == camera and number_of(child) is not None and (edge.moves or len(edge.stamp) == 1)
+    ]
+    return [edge for edge in found if named_as_tag(edge.child)] or found
+
+
+def _again(edge: Edge) -> NDArray[np.bool_]:
+    """Mark the transforms (n,) that are those before them, to the bit."""
+    same = np.zeros(len(edge.stamp), dtype=bool)
+    same[1:] = (edge.values[1:] == edge.values[:-1]).all(axis=1)
+    return same
+
+
+class Step(NamedTuple):
+    """One edge on the way from a frame to another."""
+
+    edge: Edge | Array  # an array (4, 4) where it never moves
+    backward: bool
+
+
+def _at(edge: Edge, t_ns: Ints) -> Array:
+    """Return the transforms (n, 4, 4) at some times within those of the edge, interpolated."""
+    rows = edge.clock.rows
+    values = edge.values if rows is None else edge.values[rows]
+    last = np.append(np.diff(edge.clock.t_ns) > 0, True)  # of several at one time the last one counts
+    at, values = edge.clock.t_ns[last], values[last].copy()
+    signs = np.where((values[1:, 3:] * values[:-1, 3:]).sum(axis=1) < 0.0, -1.0, 1.0)
+    values[1:, 3:] *= np.cumprod(signs)[:, None]  # q and -q are one rotation: interpolate along the shorter way
+    zero = at[0]
+    grid, times = (at - zero) * 1e-9, (t_ns - zero) * 1e-9
+    return matrices_of(np.stack([np.interp(times, grid, column) for column in values.T], axis=-1))
+
+
+def _way(start: str, goal: str, edges: Sequence[Edge], static: StaticTransforms, source: str) -> list[Step]:
+    """Return the shortest way between two frames over edges in either direction."""
+    at: dict[str, list[tuple[str, Step]]] = {}
+    every = [(e.parent, e.child, cast("Edge | Array", e)) for e in edges]
+    every += [(e.parent, e.child, e.T_parent_child) for e in static.edges]
+    for parent, child, edge in every:
+        at.setdefault(parent, []).append((child, Step(edge, backward=False)))
+        at.setdefault(child, []).append((parent, Step(edge, backward=True)))
+    missing = [frame for frame in (start, goal) if frame not in at]
+    if missing:
+        have = ", ".join(sorted(at)[:12]) or "no frames"
+        raise LocfuseError(f"{source} has no frame {missing[0]}; it has {have}")
+    ways: dict[str, list[Step]] = {start: []}
+    waiting = deque([start])
+    while waiting and goal not in ways:
+        here = waiting.popleft()
+        for there, step in at[here]:
+            if there not in ways:
+                ways[there] = [*ways[here], step]
+                waiting.append(there)
+    if goal not in ways:
+        raise LocfuseError(f"{source}: nothing connects the frames {start} and {goal}")
+    return ways[goal]
+
+
+def loop_in(edges: Sequence[Edge]) -> tuple[str, ...]:
+    """Return the frames of a loop in the tree (a frame that is its own ancestor), nothing where there is none."""
+    above: dict[str, set[str]] = {}
+    for edge in edges:
+        above.setdefault(edge.child, set()).add(edge.parent)
+    while free := [child for child, parents in above.items() if not parents & above.keys()]:
+        for child in free:  # its parents have no parents: it is in no loop
+            del above[child]
+    if not above:
+        return ()
+    trail = [min(above)]
+    while trail[-1] not in trail[:-1]:
+        trail.append(min(above[trail[-1]] & above.keys()))
+    return tuple(trail[trail.index(trail[-1]) :])

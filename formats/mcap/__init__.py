@@ -1,1 +1,0 @@
-"""MCAP files: reading whole and damaged ones, writing."""

@@ -1,0 +1,151 @@
+"""Fixes that a run itself estimates: a mount, the track, an offset that were states, once they are known well."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from locfuse.fusion.data import Drive, Estimates
+from locfuse.fusion.mount import MAX_PRIOR_SIGMAS, SIGMA_DEG, SIGMA_M, MountedSettings, to_a_tenth_of
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.se2 import wrap
+from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.wheels.states import WHEELS
+
+from .finding import Finding
+
+MOUNT = "mount"  # code of the finding on one
+MIN_SIGMAS = 4.0  # standard deviations by which an estimate must differ from what is configured
+MIN_MOUNT_M, MIN_MOUNT_DEG, MIN_TRACK = 0.004, 0.2, 0.005  # m, degrees, relative: smaller errors are left alone
+MIN_SCALE, MIN_TRUTH = 0.002, 50  # relative; readings of the truth
+# prior standard deviations of the states of a probe: wide enough for a rough measurement with a ruler
+PROBE_XY_M, PROBE_YAW_DEG = 0.05, 4.0
+MOUNT_KEYS = {"x": ("x", 1.0), "y": ("y", 1.0), "yaw": ("yaw_deg", math.degrees(1.0))}
+
+
+def probe_of(robot: Robot, sensor: str) -> tuple[str, ...]:
+    """Return the settings that make a sensor's mount and the track states, () where it has no mount."""
+    settings = robot.settings(sensor)
+    if not hasattr(settings, "sigma_yaw_deg") or settings.sigma_x or settings.sigma_yaw_deg:
+        return ()
+    mount = (
+        f"{sensor}.sigma_x={PROBE_XY_M}",
+        f"{sensor}.sigma_y={PROBE_XY_M}",
+        f"{sensor}.sigma_yaw_deg={PROBE_YAW_DEG}",
+    )
+    track = () if robot.wheels.estimate or robot.wheels.track is None else ("wheels.estimate=true",)
+    return (*mount, *track)
+
+
+def of_probe(robot: Robot, sensor: str, e: Estimates, judged: bool) -> Iterator[Finding]:
+    """Yield the mount and the track that a probe's run estimates, where they differ from what is configured."""
+    yield from of_mount(robot, sensor, e, judged, PROBE_XY_M, PROBE_YAW_DEG)
+    yield from _track(robot, e)
+
+
+def of_mount(
+    robot: Robot,
+    sensor: str,
+    e: Estimates,
+    judged: bool,
+    prior_xy: float = SIGMA_M,
+    prior_yaw_deg: float = SIGMA_DEG,
+) -> Iterator[Finding]:
+    """Yield the mount that a run estimates as a state, where it differs from what is configured.
+
+    Where no truth has `judged` it, not one that is further off than the run took for likely, `prior_xy` [m] and
+    `prior_yaw_deg` (1 sigma) unless the sensor's settings say more: something else may look like a mount. Nor one
+    that is nearer than people measure: on a drive of left turns 20 ms look like a third of a degree.
+    """
+    fixes, words = [], []
+    for part, (key, scale) in MOUNT_KEYS.items():
+        name = f"{sensor}_{part}"
+        if name not in e.blocks:
+            continue
+        value, sigma = scale * float(e.blocks[name][-1, 0]), scale * float(e.block_sigmas[name][-1, 0])
+        configured = float(getattr(robot.settings(sensor), key))
+        stated = getattr(robot.settings(sensor), "sigma_yaw_deg" if part == "yaw" else f"sigma_{part}")
+        likely = MAX_PRIOR_SIGMAS * (stated or (prior_yaw_deg if part == "yaw" else prior_xy))
+        if not judged and abs(value - configured) > likely:
+            return
+        least = (MIN_MOUNT_DEG if judged else SIGMA_DEG) if part == "yaw" else MIN_MOUNT_M if judged else SIGMA_M
+        if abs(value - configured) > max(MIN_SIGMAS * sigma, least):
+            shown = to_a_tenth_of(sigma, value)
+            fixes.append(f"{sensor}.{key}={shown:g}")
+            unit = "°" if key == "yaw_deg" else " m"
+            words.append(f"{part} is {shown:g}{unit} (± {sigma:.1g}), configured {configured:g}{unit}")
+    if fixes:
+        yield Finding(sensor, MOUNT, f"mount by the drive itself: {', '.join(words)}", tuple(fixes))
+
+
+def beyond_prior(robot: Robot, sensor: str, e: Estimates) -> bool:
+    """Return whether a run found the mount surely, and further off than its settings took for likely.
+
+    What such a state says is pulled to what is configured: a run that takes more for likely tells the mount.
+    """
+    settings = robot.settings(sensor)
+    if not isinstance(settings, MountedSettings):
+        return False
+    for part, configured, prior in zip(MOUNT_KEYS, settings.mount, settings.sigmas(True), strict=True):
+        name = f"{sensor}_{part}"
+        if name in e.blocks:
+            off, sigma = abs(float(e.blocks[name][-1, 0]) - configured), float(e.block_sigmas[name][-1, 0])
+            if off > max(MIN_SIGMAS * sigma, MAX_PRIOR_SIGMAS * prior):
+                return True
+    return False
+
+
+def _track(robot: Robot, e: Estimates) -> Iterator[Finding]:
+    if WHEELS not in e.blocks or robot.wheels.track is None or robot.wheels.estimate:
+        return
+    right, left, turning = e.blocks[WHEELS][-1].tolist()
+    # the radius stays as it is configured, so that the track alone is to turn the robot as far as the states do
+    off = 1.0 / (1.0 + 0.5 * (right + left) - turning) - 1.0
+    by = np.array([-0.5, -0.5, 1.0]) * (1.0 + off) ** 2
+    sigma = math.sqrt(float((by**2 * e.block_sigmas[WHEELS][-1] ** 2).sum()))
+    if abs(off) > max(MIN_SIGMAS * sigma, MIN_TRACK):
+        track = robot.wheels.track * (1.0 + off)
+        words = f"the track by the drive itself is {track:.4g} m, configured {robot.wheels.track:g} m"
+        yield Finding("wheels", "track", words, (f"wheels.track={track:.4g}",))
+
+
+def of_scale(robot: Robot, e: Estimates, drive: Drive) -> Iterator[Finding]:
+    """Yield the laser's range scale by the size of its own run beside the truth's.
+
+    The least squares of a similarity (Umeyama, PAMI 1991), in complex numbers: walls fix the size of what the
+    laser drives along, so that its metre is the map's.
+    """
+    if drive.truth is None or e.truth_pose is None:
+        return
+    found = np.isfinite(e.truth_pose[:, 0]) & np.isfinite(drive.truth.xy[:, 0])
+    if found.sum() < MIN_TRUTH:
+        return
+    own, truth = (xy[found] @ np.array([1.0, 1.0j]) for xy in (e.truth_pose[:, :2], drive.truth.xy))
+    own, truth = own - own.mean(), truth - truth.mean()
+    scale = abs(np.vdot(own, truth)) / float(np.vdot(own, own).real)
+    if abs(scale - 1.0) < MIN_SCALE:
+        return
+    words = f"its trajectory is {1.0 / scale:.4f} times as large as the truth's"
+    value = float(robot.settings("lrf").range_scale) * scale
+    yield Finding("lrf", "way", words, (f"lrf.range_scale={value:.4g}",))
+
+
+def of_offsets(robot: Robot, e: Estimates) -> Iterator[Finding]:
+    """Yield the offsets that a run estimated as states: known beforehand, they help from the first second on."""
+    for sensor in e.sensors:
+        bias: Any = REGISTRY[sensor].bias
+        name = f"{sensor}_offset"
+        if bias is None or not bias.estimated or getattr(robot.settings(sensor), bias.key) is not None:
+            continue
+        if name not in e.blocks or REGISTRY[sensor].drift_key is None:
+            continue
+        if float(getattr(robot.settings(sensor), REGISTRY[sensor].drift_key or "")) > 0.0:
+            continue  # an offset that drifts has no one value
+        scale = REGISTRY[sensor].components[0].scale
+        value, sigma = scale * float(e.blocks[name][-1, 0]), scale * float(e.block_sigmas[name][-1, 0])
+        value = math.degrees(wrap(math.radians(value)))
+        words = f"its offset is estimated anew on every drive; this one found {value:.2f}° (± {sigma:.1g})"
+        yield Finding(sensor, "offset", words, (f"{sensor}.{bias.key}={value:.2f}",))

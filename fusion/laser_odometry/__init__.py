@@ -1,1 +1,0 @@
-"""Laser odometry: the motion of a robot without wheels, by matching scans with scans."""

@@ -1,1 +1,0 @@
-"""The line map: (rho, beta) of walls, data association and map upkeep."""

@@ -1,0 +1,307 @@
+"""When the scan and the map disagree: slips are found again, being carried away is noticed, and lost is said.
+
+The guard watches how much of what a scan shows is matched. New lines are no disagreement: a robot that explores
+sees new walls. Disagreement is seeing *through* walls that the map has, or walls that all jump from one scan to
+the next. A wheel that slipped is a wrong heading: a few near the old one are tried. What stays is a robot that was
+carried off, or a map that was moved: nothing is corrected or learnt, the covariance says so, and the pose is
+looked for on the whole map until one place fits all that was seen since. A growing map is left after some metres
+(`gives_up`): the robot is adrift in a new one until its place is recognised.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.ekf.map_frame import Pose
+
+from .line_map import Association, LineMap
+from .relocalise import behind_walls, find_pose
+from .scan import Scan
+from .scan_history import Trail
+from .slips import CARRIED, Seen, Series, after_slip, continues
+
+MIN_MATCHED_SHARE = 0.5  # share of the seen length that must match in an ordinary scan
+THROUGH = 0.3  # share of the seen length that lies behind known walls: more is disagreement
+WELL, LOOK_BACK = 0.9, 3.0  # share of the seen length in a scan that fits; s by which being lost is dated back
+SUSTAINED, SUSTAINED_SCANS = 0.5, 4  # s and scans of disagreement before the robot counts as lost
+MOVED, TURNED = 0.01, math.radians(0.5)  # since the last scan: at rest nothing slips
+GAP = 1.0  # s without a scan after which walls need not continue
+AGREES = 0.25  # share that still matches: doors stand open in walls that are known as one, and nobody is lost
+WALLS_BEHIND = 3  # seen walls that must lie behind known ones: fewer are seen through a door
+VIEW, SCANS = math.radians(90.0), 5  # that walls must fill to contradict a map; scans before a jump that count
+SLIP_VIEW = math.radians(45.0)  # that walls must fill to show a slip: a few short lines match at some heading
+HARDLY = 0.2  # a slip turns everything: where more than this share still matches, there was none
+LOST_XY = 5.0  # m: standard deviation of a robot that does not know where it is
+PLACED_XY, PLACED_THETA = 0.15, math.radians(3.0)  # m, rad: after it was found again
+CARRY, CARRY_TURN = 0.5, math.radians(30.0)  # m, rad within a second: somebody may carry a lost robot
+CONFIRMED, WITH_HEADING = 5, 3  # scans in a row, from different places, that must agree on where a lost robot is
+HEADING_KNOWN = math.radians(10.0)  # rad: standard deviation of a heading that other sensors tell
+SAME_XY, SAME_THETA = 0.12, math.radians(4.0)  # m, rad: within which they agree
+
+PATIENCE = 60  # scans along 12 m of a lost robot's way that did not tell its place: then it begins a map anew
+
+Late = tuple[float, Pose, Callable[[], Scan]]  # a scan that is made when it is asked for; compare slips.Seen
+Again = Callable[[], Association]  # associates the scan at hand with the belief as it is now
+
+
+class Guard:
+    """Watches the agreement of scans and map over one run."""
+
+    def __init__(self) -> None:
+        self._since: float | None = None
+        self._scans = 0
+        self._lost_from: float | None = None
+        self._intervals: list[tuple[float, float]] = []
+        self.slips = 0
+        self._place: tuple[Array, Pose, int] | None = None  # belief and pose found first, scans that agree
+        self._series = Series()
+        self._trail = Trail()  # since it is lost
+        self._well = (0.0, 0)  # when a scan last fitted well, and the number of the first line born after it
+        self._before: deque[Late] = deque(maxlen=SCANS)  # the last scans
+        self._before_torn: list[Seen] = []  # the last ones before the walls jumped
+        self._torn = False  # the walls jumped, and little has matched since
+        self._last = (math.inf, math.inf, math.inf)
+        self._now = 0.0
+        self._after: Pose | None = None  # where the robot was believed to be once the last scan had corrected it
+        self._wheels: Pose = (0.0, 0.0, 0.0)  # by the wheels alone
+        self._tried = 0  # scans along the way of a lost robot
+        self._adrift: float | None = None  # s: since then the robot is in a map whose place is not known
+
+    def stood(self, pose: Pose) -> None:
+        """Take in where a scan has put the robot: from here on the wheels lead."""
+        self._after = pose
+
+    def fits(self, t: float, share: float, pose: Pose, scan: Callable[[], Scan], next_id: int) -> bool:
+        """Take in a scan of which this share matches; False: nothing is taken in, `watch` must see to it.
+
+        `pose` is predicted, `next_id` the number of the next map line.
+        """
+        if self._lost_from is not None or not share >= MIN_MATCHED_SHARE:
+            return False
+        self._now, self._last = t, pose
+        self._before.append((t, self._rolled(pose), scan))
+        if share >= WELL:
+            self._well = (t, next_id)
+        self._since, self._torn = None, False
+        return True
+
+    def watch(
+        self, t: float, scan: Scan, found: Association, lines: LineMap, belief: JointBelief, again: Again
+    ) -> tuple[Association, bool]:
+        """Return the association to use and whether the scan may correct the pose and teach the map."""
+        dt, self._now = t - self._now, t
+        moved = self._moved(belief)
+        now = (t, self._rolled(belief.pose()), scan)
+        before = tuple(self._before)
+        self._before.append((t, now[1], lambda: scan))
+        if self._lost_from is not None:
+            _keep_open(belief, dt)
+            return self._search(t, scan, found, lines, belief, again)
+        share = found.share()
+        if moved and share < HARDLY and _view(scan) >= SLIP_VIEW:
+            believed = (belief.x, belief.y, belief.theta)
+            slipped = after_slip(scan, lines, belief, again)
+            if slipped is not None:
+                self._since, self._torn = None, False
+                self.slips += 1
+                if _view(scan) < VIEW or not self._series.goes_on(now, _made(before), believed):
+                    return slipped, True
+                self.slips -= CARRIED
+                if self._series.mistaken(now):
+                    self._take_back(now, lines, belief)
+                    return again(), True
+                self._lose(self._series.begun, lines, belief)
+                return slipped, False
+        return found, self._believed(_made(before), now, share, lines, belief)
+
+    def _believed(self, before: list[Seen], now: Seen, share: float, lines: LineMap, belief: JointBelief) -> bool:
+        """Return whether a scan of which little is matched may correct and teach; after several it is lost."""
+        t, _, scan = now
+        if _view(scan) < VIEW:  # a doorway, clutter: too little to contradict anything
+            return not self._torn
+        if self._torn:
+            self._torn = not continues(self._before_torn, now)
+        elif share < HARDLY and _jumped(before, now):
+            self._torn, self._before_torn = True, before
+        if self._torn:
+            return self._disagree(t, lines, belief)
+        if share >= AGREES or not _sees_through(scan, lines, belief):
+            self._since = None
+            return True
+        return self._disagree(t, lines, belief)
+
+    def _take_back(self, now: Seen, lines: LineMap, belief: JointBelief) -> None:
+        """Go back to before a series of slips, on by the wheels, and forget what was learnt meanwhile."""
+        self._forget_since_well(lines, belief)
+        belief.place(self._series.undone(now), PLACED_XY**2, PLACED_THETA**2)
+
+    def _lose(self, since: float, lines: LineMap, belief: JointBelief) -> None:
+        """Mark the robot as lost from the last scan that fitted well; what was learnt after it is forgotten."""
+        well, _ = self._well
+        self._lost_from = max(min(since, well), since - LOOK_BACK)
+        if self._intervals and self._lost_from <= self._intervals[-1][1]:  # what was found was no place
+            self._lost_from = min(self._lost_from, self._intervals.pop()[0])
+        belief.lost = True
+        self._forget_since_well(lines, belief)
+        self._trail.forget()
+        self._tried = 0
+        belief.place((belief.x, belief.y, belief.theta), LOST_XY**2, math.pi**2 / 3.0)
+
+    def _forget_since_well(self, lines: LineMap, belief: JointBelief) -> None:
+        gone = np.flatnonzero(lines.ids >= self._well[1])
+        if len(gone) < len(lines):
+            belief.remove(lines.drop(gone))
+
+    def _rolled(self, here: Pose) -> Pose:
+        """Return where the wheels alone put the robot, on from where they did at the last scan."""
+        self._wheels = se2.carried(self._wheels, self._after or here, here)
+        self._after = here
+        return self._wheels
+
+    def turn_page(self) -> None:
+        """Go on in another map: what was seen before in this one's frame is void."""
+        self._before.clear()
+        self._since = self._after = None
+        self._series = Series()
+        self._last = (math.inf, math.inf, math.inf)
+        self._torn = False
+
+    def gives_up(self) -> bool:
+        """Return whether a lost robot has driven on for long and its place on the map was not found."""
+        return self._lost_from is not None and self._tried >= PATIENCE
+
+    def leave(self) -> None:
+        """Leave the map, where the robot is in it is not known: it is adrift until the next one is recognised."""
+        self._adrift, self._lost_from = self._since_lost(), None
+
+    def recognised(self, t: float) -> None:
+        """Know again where the map lies that a lost robot began."""
+        if self._adrift is not None:
+            self._intervals.append((self._adrift, t))
+        self._adrift = None
+
+    def begin_anew(self, t: float, belief: JointBelief) -> None:
+        """Begin with a map that begins now, where the robot is in it is exactly known."""
+        self._before.clear()
+        self._since = self._place = None
+        self._series = Series()
+        self._last = (math.inf, math.inf, math.inf)
+        self._trail.forget()
+        self._after = None
+        if self._lost_from is not None or belief.lost:
+            self._found(t, belief)
+
+    def _found(self, t: float, belief: JointBelief) -> None:
+        if self._lost_from is not None:
+            self._intervals.append((self._lost_from, t))
+        self._lost_from = self._since = self._place = None
+        self._torn = False
+        belief.lost = False
+
+    def _disagree(self, t: float, lines: LineMap, belief: JointBelief) -> bool:
+        if self._since is None:
+            self._since, self._scans = t, 0
+        self._scans += 1
+        if t - self._since >= SUSTAINED and self._scans >= SUSTAINED_SCANS:
+            self._lose(self._since, lines, belief)
+        return False
+
+    def _search(
+        self, t: float, scan: Scan, found: Association, lines: LineMap, belief: JointBelief, again: Again
+    ) -> tuple[Association, bool]:
+        if not self._trail.note(np.array([belief.x, belief.y, belief.theta]), scan):
+            return found, False  # from the same place nothing new is seen
+        self._tried += 1
+        pose = find_pose(scan, lines, belief, self._trail)
+        if pose is None or self._lost_from is None or not self._confirmed(pose, belief):
+            return found, False
+        belief.place(pose, PLACED_XY**2, PLACED_THETA**2)
+        self._found(t, belief)
+        return again(), True
+
+    def _confirmed(self, pose: Pose, belief: JointBelief) -> bool:
+        """Return whether CONFIRMED scans in a row put the robot where the wheels took it from the last place.
+
+        One scan of a few walls fits somewhere by chance; several, from places a robot drove between, hardly do.
+        """
+        here = np.array([belief.x, belief.y, belief.theta])
+        if self._place is not None:
+            there, place, times = self._place
+            off = np.array(pose) - se2.compose(np.array(place), se2.between(there, here))
+            if math.hypot(off[0], off[1]) < SAME_XY and abs(se2.wrap(float(off[2]))) < SAME_THETA:
+                self._place = (there, place, times + 1)
+                known = float(belief.matrix()[2, 2]) < HEADING_KNOWN**2
+                return times + 1 >= (WITH_HEADING if known else CONFIRMED)
+        self._place = (here, pose, 1)
+        return False
+
+    def _moved(self, belief: JointBelief) -> bool:
+        x, y, theta = self._last
+        self._last = (belief.x, belief.y, belief.theta)
+        return math.hypot(belief.x - x, belief.y - y) > MOVED or abs(belief.theta - theta) > TURNED
+
+    def intervals(self) -> list[tuple[float, float]]:
+        """Return when the robot was lost, (start, end) [s]; one that never ended is open (infinite)."""
+        since = self._since_lost()
+        return [*self._intervals, *([] if since is None else [(since, math.inf)])]
+
+    def _since_lost(self) -> float | None:
+        return min((t for t in (self._lost_from, self._adrift) if t is not None), default=None)
+
+    def words(self) -> list[str]:
+        """Say what happened."""
+        words = [f"lost from {a:.1f} s to {b:.1f} s after the start, then found again" for a, b in self._intervals]
+        if (since := self._since_lost()) is not None:
+            lost = f"lost from {since:.1f} s after the start until the end"
+            words.append(f"{lost}: no place on the map fits, or several do")
+        if self.slips:
+            slips = "1 wheel slip" if self.slips == 1 else f"{self.slips} wheel slips"
+            words.append(f"{slips} recovered by the lines of the map")
+        return words
+
+
+def _made(seen: Sequence[Late]) -> list[Seen]:
+    return [(t, pose, scan()) for t, pose, scan in seen]
+
+
+def _jumped(before: Sequence[Seen], now: Seen) -> bool:
+    """Return whether the walls of this scan continue those of none of the scans before it, a slip allowed for.
+
+    A robot that explores sees new walls, but not only new ones, and not at once. In clutter lines come and go from
+    scan to scan, but some scan of the last ones had them.
+    """
+    recent = [one for one in before if now[0] - one[0] <= GAP]
+    if not recent or max(_view(one[2]) for one in recent) < VIEW:
+        return False
+    return not continues(recent, now, HARDLY)
+
+
+def _view(scan: Scan) -> float:
+    """Return the angle that the walls of a scan fill, as seen from the robot [rad]."""
+    r = np.abs(scan.z[:, :1])
+    bearings = np.arctan2(scan.ends, np.maximum(r, 1e-6))
+    return float((bearings[:, 1] - bearings[:, 0]).sum())
+
+
+def _sees_through(scan: Scan, lines: LineMap, belief: JointBelief) -> bool:
+    """Return whether much of the scan, and several walls of it, lie behind known walls.
+
+    One wall may be seen through a door of a wall that is known as one; what was never seen contradicts nothing.
+    """
+    behind = behind_walls(scan, lines, lines.values(belief), (belief.x, belief.y, belief.theta))
+    length = scan.ends[:, 1] - scan.ends[:, 0]
+    return bool((behind * length).sum() >= THROUGH * length.sum() and (behind > 0.5).sum() >= WALLS_BEHIND)
+
+
+def _keep_open(belief: JointBelief, dt: float) -> None:
+    """Let what is known of a lost pose fade: its wheels may hang in the air; a compass keeps it up to date."""
+    theta = float(belief.matrix()[2, 2])
+    fades = min(CARRY_TURN**2 * dt, max(math.pi**2 / 3.0 - theta, 0.0))
+    belief.shift(0.0, CARRY**2 * dt, fades)

@@ -1,0 +1,557 @@
+"""The line map inside one run: what a scan says of the pose, what it teaches the map, and the maps of a building.
+
+`LineTracker` keeps one map. `AtlasTracker` keeps small maps, one after another, held together by a graph of
+anchors: a map that the robot has left is frozen, and the next one begins at an anchor. The map frame moves on
+to the pose (fusion.ekf.map_frame), so that what one scan costs does not grow with the building. Where the map
+at hand is found to be a part of an earlier one, the loop is closed: the graph says where all anchors lie, and
+the pose jumps. Hierarchical SLAM (Estrada, Neira and Tardos, IEEE T-RO 2005) with the graph of Lu and Milios
+(1997).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from locfuse.fusion import se2
+from locfuse.fusion.chi_square import chi_square
+from locfuse.fusion.data import VERDICTS, Array, Ints, LocfuseError, MapLine, Measurements, SeenAgain
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.ekf.map_frame import Pose, by_frame
+from locfuse.fusion.kernels.ekf import Innovation
+from locfuse.fusion.kernels.sight import Rules
+from locfuse.fusion.lines.extract import rows_in_base
+from locfuse.fusion.lines.flatness import bend
+from locfuse.fusion.mount import Mount
+from locfuse.fusion.sensor import Block, Model
+
+from .anchors import NOWHERE, Anchors, Edge, inverted
+from .bridge import Bridge, cross, heading_among, seen_from_here
+from .closing import Closure, Here, find_closure
+from .frozen import FrozenMap, box_of, frozen, joint_covariance, thaw
+from .guard import Guard
+from .laser_mount import by_mount, moved_mount, seat_of
+from .line_map import NO_SHARES, Association, LineMap, about_middle, associate
+from .looks import INSISTING, Looks, is_open
+from .scan import Scan, Scans, Standing
+from .tidy import MIN_HITS, TIDY_EVERY, merge_doubles, prune, untidy
+from .way import Way, WayByScans
+
+UNMATCHED, AMBIGUOUS, NEW, LOST, REPEATED = (
+    VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost", "repeated")
+)
+REACH, MANY = 12.0, 100  # m from the anchor, and lines, beyond which the next map begins
+# rad: 1 sigma of the heading among the walls in view, with which a map may be left; times the reach, beyond which
+# it must be: the next map keeps for good what of its frame is wrong when it begins
+TOLD, WAIT = math.radians(0.5), 1.5
+FIRST_ASK, ASK_AGAIN = 3.0, 1.5  # m of way in a map before it is looked for in earlier ones, and between two looks
+BACK_WITHIN = 0.8  # share of the reach within which the robot returns to a map that it left
+BACK_XY, BACK_THETA = 0.3, math.radians(3.0)  # m, rad: standard deviations of where that is, at most
+WORSE = 30.0  # chi-square by which a closure may make all others worse
+RECENT = 3  # scans: what was seen in them leads over to the next map
+# what adds to the variances of where a map ends: neighbouring beams and scans share errors that no filter counts,
+# and clutter is taken for walls. In one real building (aces) headings there were 2 degrees wrong at 0.4 claimed
+LESS_SURE, LEAST = 8.0, np.square((0.02, 0.02, math.radians(0.3)))
+KNOWN_BETTER = 1e-3  # share by which a variance must have fallen to count as told by another sensor
+
+
+class LineTracker(Model):
+    """Association, extents and growth of the line map; `mode` is how the map enters the filter."""
+
+    local = True
+    leads = True
+
+    def __init__(self, mode: str, gate: float, recover: bool = True, mount: Mount | None = None) -> None:
+        self.mode = mode
+        self.mount = mount if mount is not None and mount.free else None  # None: known exactly
+        self.map = LineMap()
+        self.joint = mode != "first-scan"
+        self.maps = mode != "given"
+        # only a map that holds what was seen since can say that something is wrong
+        self.guard = Guard() if recover and mode in ("grow", "given") else None
+        self._first_map: list[MapLine] = []
+        self.gate = chi_square(gate, 2)
+        new = NEW if mode == "grow" else UNMATCHED
+        self.rules = Rules(self.gate, self.joint, mode == "grow", UNMATCHED, AMBIGUOUS, new)
+        self._scan = 0
+        self._scans = Scans()
+        self._standing = Standing()
+        self._sight: Association | None = None  # the scan at hand, where it is seen as expected
+        self._found: Association | None = None  # the scan at hand; None: the map begins with it
+        self._late: Callable[[], Scan]  # the same in the base, by the mount as it was predicted
+        self._rows = np.zeros((0, 7))  # its lines, in the base as configured: at rest the mean since the last use
+        self._teach = True
+        self._asked = -1  # the reading that `innovations` was asked for last
+        self._of: Measurements | None = None  # whose numbers these are:
+        self._first: list[int] = []
+        self._t: list[float] = []
+        self._uneven = self._floor = self._bend = (0.0, 0.0)  # variances [m^2, rad^2]
+
+    def blocks(self) -> list[Block]:
+        """Return what is uncertain of the laser's mount."""
+        return self.mount.blocks() if self.mount is not None else []
+
+    def begin(self, given: Sequence[MapLine], belief: Any) -> None:
+        """Enter a given map: its lines are considered, so their covariance counts and they stay as they are."""
+        if self.mode != "given":
+            return
+        if not given:
+            raise LocfuseError(
+                "lrf.map = given needs a map: add --map FILE, written by locfuse run LOG --save-map FILE"
+            )
+        for line in given:
+            anchor, half, P = about_middle(line)
+            column = belief.augment(np.array([0.0, line.beta]), np.zeros((2, 3)), P)
+            belief.consider(np.array([column, column + 1]))
+            self.map.append(anchor, np.array([0.0, line.beta]), P, column, (-half, half), 0)
+        self.map.hits = np.array([max(line.hits, MIN_HITS) for line in given])
+        self._first_map = list(given)
+
+    def begins_map(self, m: Measurements, i: int) -> bool:
+        """Return whether scan i is the first with lines, or the first after all of the map was lost."""
+        return self.maps and not self.map.ids.size and bool(m.first[i] < m.first[i + 1])
+
+    def rolled(self, u: Sequence[float]) -> None:
+        """Take in the wheels' motion: a robot that stands still learns nothing new."""
+        self._standing.rolled(u)
+
+    def innovations(self, m: Measurements, i: int, belief: Any) -> Sequence[Innovation] | Association:
+        """Associate the lines of scan i (eq. 13, 17, 18): each is judged; those that match correct the pose."""
+        first, last = self._bounds(m, i)
+        if self._found is not None:  # of another scan at this instant, whose rows are still to be used
+            self._sight = None
+        self._asked, self._found, self._teach = i, None, True
+        if first == last:
+            return []
+        if len(self.map.ids) == 0:
+            self._standing.forget()
+        rows = self._standing.take(self._scans.read(m, first, last))
+        if rows is None:
+            self._teach = False
+            return [Innovation.unpredicted(row, REPEATED, 2, self.gate) for row in range(first, last)]
+        self._rows = rows
+        if len(self.map.ids) == 0:
+            offset = None if self.mount is None else moved_mount(self.mount, belief)
+            self._late = partial(_in_base, rows, offset)
+            return [Innovation.unpredicted(row, NEW, 2, self.gate) for row in range(first, last)]
+        if self._sight is None:
+            self._sight = Association(self.rules, seat_of(self.mount, belief))
+        shared = self._shared(m, first, last)
+        found = self._sight
+        share = found.compare(belief, self.map, rows, shared)
+        late = self._late = partial(_in_base, rows, None if self.mount is None else found.moved())
+        if self.guard is not None and not self.guard.fits(
+            self._t[i], share, belief.pose(), late, self.map.next_id
+        ):
+            again = partial(associate, rows, self.map, belief, found, shared)
+            found, self._teach = self.guard.watch(self._t[i], late(), found, self.map, belief, again)
+        if not self._teach:
+            self._standing.forget()
+            return [Innovation.unpredicted(row, LOST, 2, self.gate) for row in range(first, last)]
+        if self.mode == "grow":
+            found.refuse_alone()
+        self._found = found
+        found.row = first
+        found.state_rows(belief)
+        return found
+
+    def _bounds(self, m: Measurements, i: int) -> tuple[int, int]:
+        """Return the first line of scan i and the end; begin with a log's numbers where it is another one."""
+        if m is not self._of:
+            self._of, self._first, self._t = m, m.first.tolist(), m.t.tolist()
+            uneven, floor = self.loosened(m)
+            self._uneven, self._floor, self._bend = (_pair(part) for part in (uneven, floor, bend(uneven)))
+        return self._first[i], self._first[i + 1]
+
+    def _shared(self, m: Measurements, first: int, last: int) -> Array:
+        """Return what the errors of rows first:last share (k, 2, s)."""
+        if not self.joint or "shared" not in m.extra:
+            return NO_SHARES
+        return np.ascontiguousarray(m.extra["shared"][first:last], np.float64)
+
+    def _scan_in_base(self, belief: Any) -> Scan:
+        """Return the scan at hand, put into the base by the mount as the belief has it."""
+        if self.mount is None:
+            return Scan(self._rows)
+        return _in_base(self._rows, moved_mount(self.mount, belief))
+
+    def learn(self, m: Measurements, i: int, belief: Any) -> None:
+        """Let matched extents grow, and add what is new: all of the first scan, later only in `grow`."""
+        first, last = self._first[i], self._first[i + 1]
+        if self.guard is not None and last > first:
+            self.guard.stood(belief.pose())
+        if i != self._asked:  # two scans at one instant: what is known of matches is of the last one
+            return
+        found, self._found = self._found, None
+        if first == last or not self._teach or self.mode == "given":
+            return
+        self._scan += 1
+        if found is None:
+            if self.guard is not None:
+                self.guard.begin_anew(float(m.t[i]), belief)
+            scan = self._scan_in_base(belief)
+            for k in range(last - first):
+                self._add(scan, k, belief)
+            self._first_map = self._first_map or self.map.lines(belief)
+            return
+        found.extend(self._scan)
+        if self.joint:
+            self._revise(found, belief)
+
+    def _revise(self, found: Association, belief: JointBelief) -> None:
+        """Loosen uneven walls, add new lines; now and then drop worthless lines and join doubles (`grow`)."""
+        uneven = self._uneven
+        if uneven[0] > 0.0 or uneven[1] > 0.0:
+            found.bend(belief, uneven, self._bend)
+        if self.mode == "grow":
+            if found.new_lines():
+                scan = self._scan_in_base(belief)
+                for k in found.new():
+                    self._add(scan, k, belief)
+            if self._scan % TIDY_EVERY == 0 and untidy(self.map, belief, self._scan):
+                prune(self.map, belief, self._scan)
+                merge_doubles(self.map, belief, self._scan, np.array(uneven))
+        if self._floor[0] > 0.0 or self._floor[1] > 0.0:
+            self.map.keep_floor(belief, self._floor)
+
+    def loosened(self, m: Measurements) -> tuple[Array, Array]:
+        """Return by which variances (2,) [m^2, rad^2] walls are uneven, and those below which no line is known.
+
+        Of a wall that is not flat another part is seen next, so lines that were seen are loosened; where no wall
+        is measured as uneven, all lines keep a floor: no wall is a plane to less. Considered lines stay.
+        """
+        if self.mode == "consider":
+            return np.zeros(2), np.zeros(2)
+        if "uneven" in m.extra:
+            return m.extra["uneven"][0] if len(m.z) else np.zeros(2), np.zeros(2)
+        return np.zeros(2), np.diagonal(m.floor)
+
+    # ---- results ----
+
+    def lines(self, belief: Any) -> tuple[list[MapLine], list[MapLine]]:
+        """Return the map after the first scan and the map now."""
+        return self._first_map, self.map.lines(belief)
+
+    def slips(self) -> int:
+        """Return how many slips of a wheel the walls have told."""
+        return self.guard.slips if self.guard is not None else 0
+
+    def lost_intervals(self) -> list[tuple[float, float]]:
+        """Return when the robot did not know where it was, (start, end) [s]."""
+        return self.guard.intervals() if self.guard is not None else []
+
+    def notes(self, belief: Any) -> list[str]:
+        """Say in words what the guard did and where the laser was found to sit."""
+        words = self.guard.words() if self.guard is not None else []
+        return words + (self.mount.words(belief) if self.mount is not None else [])
+
+    def _add(self, scan: Scan, k: int, belief: JointBelief) -> None:
+        """New line from (r, psi), the inverse of LineMap.predict; its anchor is the middle of the segment."""
+        r, psi = map(float, scan.z[k])
+        beta = se2.wrap(psi + belief.theta)
+        c, s = math.cos(beta), math.sin(beta)
+        middle = 0.5 * float(scan.ends[k, 0] + scan.ends[k, 1])
+        half = 0.5 * float(scan.ends[k, 1] - scan.ends[k, 0])
+        anchor = np.array([belief.x + r * c - middle * s, belief.y + r * s + middle * c])
+        dx, dy = belief.x - anchor[0], belief.y - anchor[1]
+        u = dy * c - dx * s
+        value = np.array([r + dx * c + dy * s, beta])
+        G = np.array([[c, s, u], [0.0, 0.0, 1.0]])
+        G_z = np.array([[1.0, u], [0.0, 1.0]])
+        noise = G_z @ scan.R[k] @ G_z.T
+        columns: tuple[int, ...] = ()
+        if self.mount is not None:  # what the reading is predicted to be falls by what the line in the base rises
+            columns = self.mount.columns(belief)
+            G = np.hstack((G, -G_z @ by_mount(self.mount, belief, psi)))
+        column, P = -1, np.zeros((2, 2))
+        if self.joint:
+            column = belief.augment(value, G, noise, columns)
+            if self.mode == "consider":
+                belief.consider(np.array([column, column + 1]))
+        else:
+            P = belief.spread(G, columns) + noise
+        self.map.append(anchor, value, P, column, (-half, half), self._scan)
+
+
+class AtlasTracker(LineTracker):
+    """Line maps of stretches of the way, and where they lie."""
+
+    def __init__(self, mode: str, gate: float, recover: bool = True, mount: Mount | None = None) -> None:
+        super().__init__(mode, gate, recover, mount)
+        self._anchors = Anchors()
+        self._frozen: list[FrozenMap] = []
+        self._way = Way()
+        self._at = 0  # the anchor of the map at hand
+        self._origin: Array = np.zeros(3)
+        self._origin_x = self._origin_y = 0.0
+        self._now: tuple[Measurements, int] | None = None  # the reading at hand
+        self._along: WayByScans | None = None  # from where this map began; None: it was taken up again
+        self._left: tuple[Array, Array] | None = None  # where in the map before the next one began, and P
+        self._full = False
+        self._asked_at = 0.0  # m of way
+        self._looks = Looks()  # at the frozen maps, from this one
+        self._loops: list[Edge] = []
+        # frozen map in which this one was seen -> m of way to look again
+        self._ask_known_at: dict[int, float] = {}
+        self.closed: list[SeenAgain] = []
+
+    def learn(self, m: Measurements, i: int, belief: Any) -> None:
+        """Teach the map at hand, look for it in earlier ones, and leave it where its anchor is far."""
+        begins = not len(self.map.ids)
+        super().learn(m, i, belief)
+        self._now = m, i
+        if self._first[i] == self._first[i + 1] or not self._teach or self.mode != "grow":
+            return
+        pose = belief.pose()
+        if begins and len(self.map.ids):
+            self._enter(np.array(pose), belief)
+        elif self._along is not None:
+            self._along.went(i, pose)
+        self._go_on(i, pose, belief)
+
+    def _go_on(self, i: int, pose: Pose, belief: JointBelief) -> None:
+        """Follow the way, look for the map at hand in earlier ones, and tell whether it is full."""
+        if self._way.goes(pose):
+            self._way.keep(self._t[i], pose, self._late())
+        if self._way.length - self._asked_at >= (ASK_AGAIN if self._asked_at else FIRST_ASK):
+            self._asked_at = self._way.length
+            self._look(self._t[i], belief)
+        away = math.hypot(pose[0] - self._origin_x, pose[1] - self._origin_y)
+        self._full = away > REACH or len(self.map.ids) > MANY
+
+    # ---- from one map to the next ----
+
+    def turn_page(self, belief: JointBelief) -> bool:
+        """Leave a map that is full; the next one begins at once, where a scan has just told the pose."""
+        if self.guard is not None and self.guard.gives_up():
+            self._leave(belief, bridges=False)  # the next scan begins a map, whose place nothing tells
+            self.guard.leave()
+            self._full = False
+            return False
+        full, self._full = self._full, False
+        if not full:
+            return False
+        back = self._beside(belief)
+        if back is not None:
+            self._leave(belief, bridges=False)
+            self._return_to(back, belief)
+            return True
+        leading = self._seen_last()
+        if not len(leading) or not self._may_turn(leading, belief):
+            return False  # no wall leads over yet, or this scan has not told the heading
+        bridge = seen_from_here(self.map, leading, belief)
+        self._leave(belief, bridges=True)
+        self._begin_next(bridge, belief)
+        return True
+
+    def _begin_next(self, bridge: Bridge, belief: JointBelief) -> None:
+        """Begin a map at the pose with walls as they are seen from there."""
+        belief.begin_frame()
+        self._enter(np.array(belief.pose()), belief)
+        cross(bridge, self.map, belief, self._scan)
+
+    def _leave(self, belief: JointBelief, bridges: bool) -> None:
+        """Freeze the map at hand; the pose is where the next one lies, if walls lead over to it."""
+        self._take_in_absolutes(belief)
+        lines = frozen(self.map, belief)
+        box = box_of(lines, lines.value, self._way)
+        joint = joint_covariance(self.map, belief)
+        self._frozen.append(FrozenMap(self._at, lines, self._way, box, self._origin, joint))
+        if bridges:
+            belief.loosen(np.arange(3), LESS_SURE * np.diagonal(belief.matrix()) + LEAST)
+            if self._along is not None:
+                self._along.end(self.mount, belief)
+            if self.guard is not None:
+                self.guard.turn_page()
+        self._left = np.array(belief.pose()), belief.matrix()
+        belief.remove(self.map.drop(np.arange(len(self.map))))
+
+    def _seen_last(self) -> Ints:
+        """Return the walls that were seen last."""
+        return np.flatnonzero((self.map.seen >= self._scan - RECENT) & (self.map.hits >= MIN_HITS))
+
+    def _may_turn(self, leading: Ints, belief: JointBelief) -> bool:
+        """Return whether the heading is well known among the walls that lead over, or waiting must end."""
+        x, y = (np.array(belief.pose()) - self._origin)[:2].tolist()
+        return math.hypot(x, y) > WAIT * REACH or heading_among(self.map, leading, belief) < TOLD
+
+    def _beside(self, belief: JointBelief) -> FrozenMap | None:
+        """Return the map beside the one at hand, by an edge of the graph, in which the robot is; None: in none."""
+        if not belief.framed:
+            return None
+        beside, best, found = self._anchors.beside(self._at), BACK_WITHIN * REACH, None
+        for old in self._frozen:
+            if old.anchor not in beside or len(old.lines) > MANY:
+                continue
+            R, P = self._anchors.relative(old.anchor, self._at)
+            here = se2.compose(R, np.array(belief.pose()))
+            away = math.hypot(*(here[:2] - old.origin[:2]))
+            if away < best and float(P[0, 0] + P[1, 1]) < BACK_XY**2 and float(P[2, 2]) < BACK_THETA**2:
+                best, found = away, old
+        return found
+
+    def _return_to(self, old: FrozenMap, belief: JointBelief) -> None:
+        """Take up a map again: its lines are states again, and the pose is where the graph says it is in it.
+
+        G o q stays what it is: G goes back by R, which leads from the old anchor to the last one, and q on by R.
+        """
+        R, P = self._anchors.relative(old.anchor, self._at)
+        q, frame = np.array(belief.pose()), belief.frame_pose()
+        assert belief.framed
+        assert frame is not None
+        back = se2.inverse(R)
+        G = np.array(frame)
+        columns = np.arange(belief.frame, belief.frame + 3)
+        belief.transform(columns, se2.compose(G, back), by_frame(G[None], back[None])[0])
+        belief.know_frame(self._anchors.pose[old.anchor], self._anchors.covariance((old.anchor,)))
+        belief.transform(np.arange(3), se2.compose(R, q), se2.rotation(R[2]))
+        J = by_frame(R[None], q[None])[0]
+        spread = J @ P @ J.T
+        belief.loosen(np.arange(3), np.abs(spread).sum(axis=1))  # no less than `spread`, and independent
+        n = len(old.lines)
+        first = belief.augment(old.lines.value.reshape(-1), np.zeros((2 * n, 3)), old.joint)
+        thaw(old.lines, self.map, first)
+        self.map.seen, self.map.born = np.full(n, self._scan), np.zeros(n, np.int64)
+        self._frozen = [one for one in self._frozen if one is not old]
+        self._at, self._way, self._origin, self._along = old.anchor, old.way, old.origin, None
+        self._origin_x, self._origin_y, _ = self._origin.tolist()
+        self._way.resume()
+        self._asked_at, self._looks, self._ask_known_at = self._way.length, Looks(), {}
+        if self.guard is not None:
+            self.guard.turn_page()
+
+    def _enter(self, pose: Array, belief: JointBelief) -> None:
+        """Begin a map at an anchor, which is the map frame."""
+        frame = belief.frame_pose()
+        if self._left is None:
+            own = np.zeros((3, 3)) if frame is None else np.array(belief.with_frame().own)
+            self._at = self._anchors.first(np.zeros(3) if frame is None else np.array(frame), own)
+        else:
+            z, P = self._left
+            still = frame is None  # the pose was known exactly: the map frame is the map's
+            self._at = self._anchors.next(self._at, 0.0 * z if still else z, 0.0 * P if still else P)
+            if frame is not None:
+                self._anchors.pose[-1] = frame
+        self._way, self._origin, self._asked_at, self._looks = Way(), pose, 0.0, Looks()
+        self._origin_x, self._origin_y, _ = pose.tolist()
+        if self._now is not None:
+            m, i = self._now
+            self._along = WayByScans(m, i, (pose[0], pose[1], pose[2]))
+        self._ask_known_at = {}
+
+    def _take_in_absolutes(self, belief: JointBelief) -> None:
+        """Tell the graph what other sensors have said of the map frame since it began: the information gained."""
+        frame = belief.frame_pose()
+        if frame is None:
+            return
+        at = self._at
+        before, now = self._anchors.covariance((at,)), np.array(belief.with_frame().own)
+        if (np.diagonal(now) > (1.0 - KNOWN_BETTER) * np.diagonal(before)).all():
+            return
+        L = inverted(now)
+        gained, turned = np.linalg.eigh(L - inverted(before))
+        gained = np.where(gained > KNOWN_BETTER * np.diagonal(L).min(), gained, 0.0)
+        step = np.array(frame) - self._anchors.pose[at]
+        back = np.divide(1.0, gained, out=np.zeros(3), where=gained > 0.0)
+        z = self._anchors.pose[at] + turned @ (back * (turned.T @ (L @ step)))
+        self._anchors.add(Edge(NOWHERE, at, z, turned @ np.diag(gained) @ turned.T))
+        self._anchors.solve()
+
+    # ---- loops ----
+
+    def _look(self, t: float, belief: JointBelief) -> None:
+        """Look for the map at hand in those that were left."""
+        here = Here(self.map, self.map.values(belief), self.map.covariances(belief), self._way)
+        at, beside = self._at, self._anchors.beside(self._at)
+        known = {e.of if e.to == at else e.to for e in self._loops if at in (e.of, e.to)}
+        low, high = box_of(here.lines, here.values, here.way)
+        corners = np.array([(x, y) for x in (low[0], high[0]) for y in (low[1], high[1])])
+        for old in self._frozen:
+            k = old.anchor
+            expected, P = self._anchors.relative(k, at)
+            unknown = is_open(P)
+            if k in beside and k not in known and not unknown:
+                continue
+            if self._way.length < self._ask_known_at.get(k, 0.0):
+                continue
+            slack = 3.0 * math.sqrt(max(float(P[0, 0] + P[1, 1]), 0.0))
+            there = se2.transform(expected, corners)
+            if (there.min(axis=0) > old.box[1] + slack).any() or (there.max(axis=0) < old.box[0] - slack).any():
+                continue
+            found = find_closure(Here(old.lines, old.lines.value, old.lines.P, old.way), here, expected, P)
+            if self._looks.agree(k, found, unknown, self._anchors):
+                assert found is not None
+                self._close(t, old, at, found, belief)
+
+    def _close(self, t: float, seen: FrozenMap, at: int, found: Closure, belief: JointBelief) -> None:
+        """Add a closure to the graph, unless it contradicts the others, and let the pose follow."""
+        if not belief.framed:
+            return
+        self._take_in_absolutes(belief)
+        of, poses = seen.anchor, self._anchors.pose.copy()
+        edge = Edge(of, at, found.pose, inverted(found.P))
+        old = [e for e in self._loops if (e.of, e.to) == (of, at)]
+        for e in old:
+            self._anchors.remove(e)
+        before = self._anchors.cost()
+        self._anchors.add(edge)
+        self._anchors.solve()
+        worse = self._anchors.cost() - before
+        if worse > WORSE:
+            self._anchors.remove(edge)
+            if self._looks.count(of) < INSISTING:
+                for e in old:
+                    self._anchors.add(e)
+                self._anchors.pose = poses
+                return
+            self._anchors.loosen(of, at, worse / 3.0)
+            self._anchors.add(edge)
+            self._anchors.solve()
+        self._ask_known_at[of] = 2.0 * self._way.length
+        self._loops = [e for e in self._loops if all(e is not o for o in old)] + [edge]
+        if not old:
+            here = se2.compose(found.pose, np.array(belief.pose()))
+            sight = seen.way.nearest(here[:2])
+            self.closed.append(SeenAgain(sight.t, t, se2.between(sight.pose, here)))
+        belief.know_frame(self._anchors.pose[at], self._anchors.covariance((at,)))
+        if self.guard is not None and not is_open(self._anchors.relative(0, at)[1]):
+            self.guard.recognised(t)
+
+    # ---- results ----
+
+    def closed_loops(self) -> list[SeenAgain]:
+        """Return the places that were recognised, in order of time."""
+        return self.closed
+
+    def lines(self, belief: Any) -> tuple[list[MapLine], list[MapLine]]:
+        """Return the map after the first scan, and all maps as they lie now."""
+        first, now = super().lines(belief)
+        left = [line for old in self._frozen for line in old.lines.placed_at(*self._place(old))]
+        return first, left + now
+
+    def _place(self, old: FrozenMap) -> tuple[Any, Array]:
+        return self._anchors.pose[old.anchor], self._anchors.covariance((old.anchor,))
+
+    def notes(self, belief: Any) -> list[str]:
+        """Say how many maps there are, and how many loops were closed."""
+        words = super().notes(belief)
+        if self._frozen:
+            n, loops = len(self._frozen) + 1, len(self.closed)
+            told = f"{loops} places were recognised" if loops != 1 else "1 place was recognised"
+            closed = told if loops else "no place was recognised: no loop is closed"
+            words.append(f"the map is made of {n} pieces, and {closed}")
+        return words
+
+
+def _pair(values: Array) -> tuple[float, float]:
+    a, b = values.tolist()
+    return a, b
+
+
+def _in_base(rows: Array, offset: tuple[float, float, float] | None) -> Scan:
+    """Return lines in the base as configured, moved by an offset x, y [m], yaw [rad] of the mount, if any."""
+    return Scan(rows if offset is None else rows_in_base(rows, *offset))

@@ -1,0 +1,318 @@
+"""Wheels and laser mount from wheels and laser alone: no truth, no map, no measured lengths.
+
+Over an interval the robot moves by u, by its wheels, and the laser by s, by matching its scans. With the laser at
+l on the robot both say the same,
+
+    s = (-)l (+) u (+) l
+
+Where the wheels' scales and track and the mount l are unknown, intervals of different curvature tell all of them
+(Censi, Franchi, Marchionni and Oriolo, IEEE T-RO 2013). Their closed form gives the first mount: turns tell how
+far the wheels roll apart, and then (b, l_x, l_y, cos, sin) is linear up to cos^2 + sin^2 = 1. From there all
+parameters, the laser's delay among them, are fitted by weighted least squares: wheel noise by the way, matches by
+their covariance, the scale of either by restricted likelihood (fusion.wheels.likelihood). The laser's metre is
+taken for the right one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from locfuse.fusion import se2
+from locfuse.fusion.chi_square import chi_square
+from locfuse.fusion.data import Array, LocfuseError
+
+from .calibrate import CHI_SQUARE_MEDIANS, FROM_PARAMETERS, OUTLIER_CONFIDENCE
+from .likelihood import Residuals
+from .motion import Wheels
+
+NAMES = ("scale", "difference", "track", "x", "y", "yaw", "delay")
+# of numerical derivatives; that by the delay is long, so that it is of the motion and not of the wheels' noise
+STEPS = np.array([1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 0.15])
+PRIOR = np.array([0.1, 0.1, 0.3, 0.5, 0.5, 1.0, 0.5])  # 1 sigma: relative (3), m (2), rad, s; wide, to say nothing
+BY_WAY, BY_TURN = (
+    [0, 3, 4, 5],
+    [2, 3, 4],
+)  # what only ways tell of: scale and mount; what only turns do: track, x, y
+UNTOLD = 0.3  # share of the prior's sigma that is left where a drive does not tell
+WAY_M, TURN_RAD, SPAN_S = (
+    0.4,
+    np.radians(25.0),
+    3.0,
+)  # an interval ends when the laser moved so far, or after so long
+MOVED_M, MOVED_RAD = 0.03, np.radians(1.5)  # less is standing still, which tells nothing
+MIN_INTERVALS = 12
+DELAYS_S = sorted(np.linspace(-1.0, 1.0, 41).tolist(), key=abs)  # tried for the first guess, the smallest first
+NEAR_BASE = np.diag([0.0, 1e-3, 1e-3])  # without turns nothing says where the laser sits: at the middle, then
+MIN_TURN_RATIO = 0.2  # of the laser's turns over the wheels': less, and they do not tell of the track
+MATCH_SCALES = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)  # of the matches' covariance, which is no more than a guess
+# 1 sigma that no drive goes below: matches repeat errors of about 1 cm per radian of turn, and of 0.4 % of the way
+REPEATED = np.array([0.004, 0.002, 0.004, 0.015, 0.015, 0.005, 0.005])
+FLOOR = np.diag([0.001**2, 0.001**2, np.radians(0.02) ** 2])  # m^2, rad^2: no match is better
+ROUNDS, SETTLED = 10, 1e-2  # Gauss-Newton steps at most; sigmas of a step that is none
+MAX_SCALE = 0.6  # of a wheel: one that is further off is another unit
+
+
+class Motion(NamedTuple):
+    """How wheels and laser moved in one drive, on one clock."""
+
+    wheels: Wheels  # the robot, as configured
+    laser: Wheels  # the laser, by its scans: a frame that looks along its first beam's zero
+    delay: float  # s to add to the laser's times
+
+
+class LaserCalibration(msgspec.Struct, frozen=True):
+    """What the drives say; of NAMES: relative (3), m (2), rad, s."""
+
+    parameters: Array  # (7,)
+    sigmas: Array  # (7,) NaN where the drives cannot tell
+    noise: float  # m: wheel noise per metre that fits best
+    intervals: int
+    outliers: int
+    way_m: float
+    turned_rad: float
+
+    def untold(self) -> list[str]:
+        """Return the names of what the drives cannot tell."""
+        return [name for name, sigma in zip(NAMES, self.sigmas.tolist(), strict=True) if np.isnan(sigma)]
+
+
+class Intervals(msgspec.Struct, frozen=True):
+    """Times (n,) between which wheels and laser are compared, and what the laser says."""
+
+    motion: Motion
+    t_from: Array
+    t_to: Array
+    s: Array  # (n, 3) the laser's motion, seen from where it was
+    T: Array  # (n, 3, 3) its covariance
+
+    @classmethod
+    def of(cls, motion: Motion) -> Intervals:
+        """Cut a drive where the laser has moved far enough; intervals at rest are left out."""
+        t, pose = motion.laser.t, motion.laser.pose
+        a, b = _cut(t, pose)
+        inside = (t[a] + motion.delay > motion.wheels.t[0]) & (t[b] + motion.delay < motion.wheels.t[-1])
+        moved = se2.between(pose[a], pose[b])
+        turned = np.abs(moved[:, 2]) > MOVED_RAD
+        used = inside & ((np.hypot(moved[:, 0], moved[:, 1]) > MOVED_M) | turned)
+        t_from, t_to = t[a[used]], t[b[used]]
+        found = motion.laser.between(t_from, t_to)
+        return cls(motion, t_from + motion.delay, t_to + motion.delay, found.u, found.Q)
+
+    def predicted(self, p: Array) -> Array:
+        """Return the laser's motions (n, 3) that the wheels and parameters p (7,) mean."""
+        wheels = corrected(self.motion.wheels, p[:3])
+        u = wheels.relative(self.t_from + p[6], self.t_to + p[6])
+        return seen_from_laser(u, p[3:6])
+
+    def errors(self, p: Array) -> Array:
+        """Return the laser's motions less the predicted ones, (n, 3)."""
+        e = self.s - self.predicted(p)
+        return np.column_stack((e[:, :2], se2.wrap_all(e[:, 2])))
+
+    def derivative(self, p: Array) -> Array:
+        """Return d predicted / dp, (n, 3, 7), by central differences."""
+        columns = []
+        for k, h in enumerate(STEPS.tolist()):
+            step = np.zeros(7)
+            step[k] = h
+            d = self.predicted(p + step) - self.predicted(p - step)
+            d[:, 2] = se2.wrap_all(d[:, 2])
+            columns.append(d / (2.0 * h))
+        return np.stack(columns, axis=-1)
+
+    def wheel_noise(self, p: Array) -> Array:
+        """Return the covariance (n, 3, 3) of the predicted motions per metre^2 of wheel noise."""
+        wheels = replace(corrected(self.motion.wheels, p[:3]), noise=1.0)
+        found = wheels.between(self.t_from + p[6], self.t_to + p[6])
+        J = np.broadcast_to(np.eye(3), found.Q.shape).copy()
+        lever = se2.rotated(found.u[:, 2], np.broadcast_to(p[3:5], (len(J), 2)))
+        J[:, 0, 2], J[:, 1, 2] = -lever[:, 1], lever[:, 0]
+        J = se2.rotation(np.array(-p[5])) @ J
+        out: Array = J @ found.Q @ J.transpose(0, 2, 1)
+        return out
+
+    def take(self, keep: NDArray[np.bool_]) -> Intervals:
+        """Return some of the intervals."""
+        return Intervals(self.motion, self.t_from[keep], self.t_to[keep], self.s[keep], self.T[keep])
+
+
+def calibrate(motions: Sequence[Motion]) -> LaserCalibration:
+    """Fit wheels, mount and delay over the drives of one robot.
+
+    Raises LocfuseError where the drives are too short, or wheels and laser tell of different motions.
+    """
+    every = [Intervals.of(motion) for motion in motions]
+    n = sum(len(one.t_from) for one in every)
+    if n < MIN_INTERVALS:
+        raise LocfuseError(
+            f"{n} pieces of way are seen by wheels and laser; at least {MIN_INTERVALS} of {WAY_M:g} m or "
+            f"{np.degrees(TURN_RAD):.0f} degrees are needed",
+            role="calibrate",
+        )
+    first = first_guess(every)
+    _refuse_another_unit(first)
+    p, _, _ = _fitted(every, first, first)
+    inside = [_inside(one, p) for one in every]
+    used = [one.take(keep) for one, keep in zip(every, inside, strict=True)]
+    p, spread, scale = _fitted(used, p, first)
+    sigmas = np.hypot(np.sqrt(np.diagonal(spread)), REPEATED)
+    if _on_the_spot(_moved(used, float(p[6]))):  # a mount turned about the axle looks the same
+        sigmas[BY_WAY] = np.inf
+    s = np.concatenate([one.s for one in used])
+    if _straight(s):  # what looks like turns is the noise of wheels and matches
+        sigmas[BY_TURN] = np.inf
+    _refuse_another_unit(np.where(sigmas < UNTOLD * PRIOR, p, 0.0))
+    return LaserCalibration(
+        parameters=p,
+        sigmas=np.where(sigmas < UNTOLD * PRIOR, sigmas, np.nan),
+        noise=scale,
+        intervals=len(s),
+        outliers=n - len(s),
+        way_m=float(np.hypot(s[:, 0], s[:, 1]).sum()),
+        turned_rad=float(np.abs(s[:, 2]).sum()),
+    )
+
+
+def _refuse_another_unit(p: Array) -> None:
+    if np.abs(FROM_PARAMETERS @ p[:3]).max() > MAX_SCALE:
+        raise LocfuseError(
+            f"by the laser the robot goes {1.0 + p[0]:.3g} times as far as by the wheels, with a track "
+            f"{1.0 + p[2]:.3g} times the configured one: another unit (wheels.radius, "
+            "wheels.ticks_per_revolution), or wheels and laser of different drives",
+            role="calibrate",
+        )
+
+
+def corrected(wheels: Wheels, p: Array) -> Wheels:
+    """Return the wheels with mean scale, scale difference and track changed by p (3,), relative.
+
+    Of an odometry, whose poses also move sideways, the way is scaled, and the turn by wheels of that track.
+    """
+    left, right, track = (FROM_PARAMETERS @ p).tolist()
+    if not wheels.twist[:, 1].any():
+        sides = wheels.rolled * (1.0 + np.array([left, right]))
+        ds, turn = 0.5 * sides.sum(axis=1), np.diff(sides, axis=1)[:, 0] / (wheels.track * (1.0 + track))
+        twist = np.stack((ds, np.zeros_like(ds), turn), axis=-1)
+    else:
+        twist = wheels.twist * (1.0 + 0.5 * (left + right))
+        twist[:, 2] /= 1.0 + track
+        twist[:, 2] += (right - left) * wheels.twist[:, 0] / wheels.track
+    return Wheels.from_twists(wheels.t, twist, wheels.track * (1.0 + track), wheels.noise)
+
+
+def seen_from_laser(u: Array, mount: Array) -> Array:
+    """Return motions (n, 3) of the robot as a laser at mount (3,) makes them, seen from where it was."""
+    at = np.broadcast_to(mount, u.shape)
+    return se2.between(at, se2.compose(u, at))
+
+
+def first_guess(every: Sequence[Intervals]) -> Array:
+    """Return parameters (7,) by the closed form: delay and turns first, then scale and mount together.
+
+    R(yaw) s = b u + (R(turn) - 1) l with u the way by the wheels and b its scale: linear in (b, l, cos, sin).
+    """
+    s = np.concatenate([one.s for one in every])
+    delay = min(DELAYS_S, key=lambda delay: _turn_mismatch(every, s, delay))
+    u = _moved(every, delay)
+    if _on_the_spot(u):
+        return np.append(np.zeros(6), delay)
+    turns = float(u[:, 2] @ s[:, 2]) / max(float(u[:, 2] @ u[:, 2]), 1e-12)
+    c, sn = np.cos(s[:, 2]) - 1.0, np.sin(s[:, 2])
+    A = np.stack((np.stack((u[:, 0], c, -sn), axis=-1), np.stack((u[:, 1], sn, c), axis=-1)), axis=1)
+    B = -np.stack((np.stack((s[:, 0], -s[:, 1]), axis=-1), np.stack((s[:, 1], s[:, 0]), axis=-1)), axis=1)
+    A, B = A.reshape(-1, 3), B.reshape(-1, 2)
+    solved = np.linalg.solve(A.T @ A + NEAR_BASE, A.T @ B)
+    way = np.linalg.eigh(B.T @ B - (A.T @ B).T @ solved)[1][:, 0]  # cos and sin of the yaw, up to their sign
+    b, x, y = -solved @ way
+    way, x, y = (way, x, y) if b > 0.0 else (-way, -x, -y)
+    tells = turns > MIN_TURN_RATIO and not _straight(s)
+    track = abs(float(b)) / turns - 1.0 if tells else 0.0
+    return np.array([abs(float(b)) - 1.0, 0.0, track, x, y, np.arctan2(way[1], way[0]), delay])
+
+
+def _moved(every: Sequence[Intervals], delay: float) -> Array:
+    """Return the robot's motions (n, 3) by its wheels as configured, the laser's times moved by a delay [s]."""
+    return np.concatenate([one.motion.wheels.relative(one.t_from + delay, one.t_to + delay) for one in every])
+
+
+def _on_the_spot(u: Array) -> bool:
+    """Return whether the robot hardly went anywhere in its motions (n, 3)."""
+    return bool(np.hypot(u[:, 0], u[:, 1]).mean() < MOVED_M)
+
+
+def _straight(s: Array) -> bool:
+    """Return whether the laser hardly turned in its motions (n, 3)."""
+    return bool(np.abs(s[:, 2]).mean() < MOVED_RAD)
+
+
+def _turn_mismatch(every: Sequence[Intervals], s: Array, delay: float) -> float:
+    """Return how much of the turns of s (n, 3) is no multiple of the wheels'."""
+    turn = _moved(every, delay)[:, 2]
+    left = s[:, 2] - turn * (float(turn @ s[:, 2]) / max(float(turn @ turn), 1e-12))
+    return float(left @ left)
+
+
+def _cut(t: Array, pose: Array) -> tuple[Array, Array]:
+    """Return the first and last scan of every interval, (n,) each."""
+    cuts, at = [0], 0
+    way = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(pose[:, :2], axis=0).T))))
+    turn = np.concatenate(([0.0], np.cumsum(np.abs(np.diff(pose[:, 2])))))
+    for k in range(1, len(t)):
+        if way[k] - way[at] >= WAY_M or turn[k] - turn[at] >= TURN_RAD or t[k] - t[at] >= SPAN_S:
+            cuts.append(k)
+            at = k
+    return np.array(cuts[:-1], np.int64), np.array(cuts[1:], np.int64)
+
+
+def _residuals(every: Sequence[Intervals], p: Array) -> Residuals:
+    """Return the linear problem about p: errors, derivatives, covariances."""
+    return Residuals(
+        np.concatenate([one.errors(p) for one in every]),
+        np.concatenate([one.derivative(p) for one in every]),
+        np.concatenate([one.wheel_noise(p) for one in every]),
+        np.concatenate([one.T for one in every]),
+        PRIOR,
+    )
+
+
+def _scaled(residuals: Residuals, match: float) -> Residuals:
+    """Return the problem with the matches' covariance scaled."""
+    return replace(residuals, T=match * residuals.T + FLOOR)
+
+
+def _noise(residuals: Residuals) -> tuple[float, float]:
+    """Return the likeliest scale of the matches' covariance and wheel noise [m]."""
+    tried = [(_scaled(residuals, match).best(), match) for match in MATCH_SCALES]
+    (noise, _), match = max(tried, key=lambda one: one[0][1])
+    return match, noise
+
+
+def _fitted(every: Sequence[Intervals], p: Array, guess: Array) -> tuple[Array, Array, float]:
+    """Return parameters (7,), their covariance (7, 7), and the wheel noise [m], from p on.
+
+    The prior holds what nothing tells of at the guess.
+    """
+    for _ in range(2):  # the noise is known once the parameters nearly are
+        match, noise = _noise(_residuals(every, p))
+        for _ in range(ROUNDS):
+            step, spread = _scaled(_residuals(every, p), match).parameters(noise)
+            step = step - spread @ ((p - guess) / PRIOR**2)
+            p = p + step
+            if (np.abs(step) < SETTLED * np.sqrt(np.diagonal(spread))).all():
+                break
+    return p, spread, noise
+
+
+def _inside(one: Intervals, p: Array) -> NDArray[np.bool_]:
+    """Return which intervals are believable where the median one is (n,): no slip, no wrong match."""
+    residuals = _residuals([one], p)
+    match, noise = _noise(residuals)
+    squares = _scaled(residuals, match).squares(noise, np.zeros(7))
+    squares = squares / (float(np.median(squares)) / CHI_SQUARE_MEDIANS[3])
+    return np.asarray(squares <= chi_square(OUTLIER_CONFIDENCE, 3))

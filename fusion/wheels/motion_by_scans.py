@@ -1,0 +1,264 @@
+"""Motion from scans alone: every scan is matched with a key scan some decimetres back.
+
+Two scans one after the other say how fast the robot is (velocity): where it will be. From there each scan is
+matched with its key, so that errors add up from key to key and not from scan to scan. Where a match says nothing,
+along a corridor or where nothing is in sight, the robot goes on as fast as before, and P says how little that is
+worth. Nothing looks ahead.
+"""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Ints, LocfuseError, Stream
+from locfuse.fusion.lines.scans import Laser
+from locfuse.fusion.robot import VIRTUAL_TRACK, WheelSettings
+from locfuse.fusion.scan_matching.clouds import Clouds
+from locfuse.fusion.scan_matching.match import Matches, Targets, match, se2_difference, sources_of
+
+from .constant_velocity import Velocity, inverse, standing
+from .motion import Wheels
+from .read import WheelReading
+from .scan_clouds import Scans, Standing, read_scans
+
+SCANS_AT_ONCE = 400
+KEY_WAY_M, KEY_TURN_RAD, MAX_KEY_SCANS = 0.4, np.radians(20.0), 100  # a new key after as much
+FIRST_PRIOR = np.diag([0.2**-2, 0.2**-2, np.radians(10.0) ** -2])  # of such a guess
+FLOOR = np.diag([1e-6, 1e-6, 1e-8])  # m^2, rad^2: two scans of one instant
+TURNS_RAD = np.radians([-40.0, -28.0, -18.0, -10.0, 10.0, 18.0, 28.0, 40.0])  # tried where a match fits badly
+GOOD_INLIERS, TURN_GAIN = 0.8, 0.1
+MIN_INLIERS, MIN_OVERLAP = 0.5, 0.2  # of a match that is believed
+REACH_M = 0.6  # how far a point's partner may be at first
+MIN_SEEN = 0.01  # of what is said across the walls: what is said along them is noise of their directions
+TRUST = 0.3  # of the matches' information: neighbouring scans share errors that the matcher counts as their own
+USUAL_NOISE = WheelSettings().noise
+NO_RETURNS = "no scan of {topic} sees enough to be matched with another"
+
+
+class _Way(msgspec.Struct):
+    """What is known of n scans: the step (3,) that leads to each from the one before, and its covariance."""
+
+    t: Array  # (n,) s
+    step: Array  # (n, 3) pose of each scan seen from the one before; [0] is none
+    P: Array  # (n, 3, 3) of a body's motion in the frame of the scan before
+    blind: Array  # (n,) of bool: nothing matched; the velocity before was taken
+
+
+class MatchedScans(msgspec.Struct, frozen=True):
+    """The way of a laser by its scans, before any setting of wheels or clocks has a say."""
+
+    laser: Laser  # that was matched so
+    way: _Way
+    epoch_ns: int  # the stream's first stamp
+    dropped: dict[str, int]
+    notes: tuple[str, ...]
+
+    def of(self, laser: Laser) -> bool:
+        """Return whether this is the way of a laser with these settings."""
+        return np.array_equal(self.laser.mount, laser.mount) and self.laser[1:] == laser[1:]
+
+    def reading(self, settings: WheelSettings, time_offset: float) -> WheelReading:
+        """Return it as the motion of wheels.
+
+        `wheels.noise` scales the covariance of the matches: its default leaves it as it was found. The times are
+        those of the laser, `time_offset` [s] applied.
+        """
+        begin = float(self.way.t[0])
+        epoch_ns = self.epoch_ns + round((begin + time_offset + settings.time_offset) * 1e9)
+        return WheelReading(_wheels(self.way, settings, begin), epoch_ns, dict(self.dropped), self.notes)
+
+
+def match_scans(stream: Stream, laser: Laser) -> MatchedScans:
+    """Return the motion by the scans of a laser alone. Raises LocfuseError where they cannot be matched."""
+    if len(stream.t_ns) < 2:
+        raise LocfuseError(f"{stream.topic} has {len(stream.t_ns)} scans; two are the least", role="wheels")
+    scans = read_scans(stream, laser, Standing())
+    if scans.t[0] == scans.t[-1]:
+        raise LocfuseError(f"the {len(scans.t)} scans of {stream.topic} have one stamp", role="wheels")
+    way = _matched(scans)
+    if scans.skewed:
+        way = _matched(read_scans(stream, laser, _wheels(way, WheelSettings())))
+    if way.blind[1:].all():
+        raise LocfuseError(NO_RETURNS.format(topic=stream.topic), role="wheels")
+    return MatchedScans(laser, way, int(stream.t_ns[0]), dict(stream.dropped), _notes(stream, way))
+
+
+def _notes(stream: Stream, way: _Way) -> tuple[str, ...]:
+    words = [f"the motion is matched from scan to scan of {stream.topic}"]
+    blind = way.blind[1:]
+    if blind.any():
+        at = np.flatnonzero(blind) + 1
+        words.append(
+            f"{len(at)} of {len(blind)} scans match none before them (first at {way.t[at[0]] - way.t[0]:.1f} s): "
+            "constant velocity is assumed there"
+        )
+    return tuple(words)
+
+
+def _wheels(way: _Way, settings: WheelSettings, begin: float = 0.0) -> Wheels:
+    later = np.append(True, np.diff(way.t) > 0.0)  # of two scans of one stamp the first counts
+    twist = se2.log(way.step[later][1:])
+    return Wheels.from_matches(
+        way.t[later] - begin,
+        twist,
+        way.P[later][1:] * (settings.noise / USUAL_NOISE),
+        settings.track or VIRTUAL_TRACK,
+        settings.noise,
+    )
+
+
+def _matched(scans: Scans) -> _Way:
+    """Match all scans, some hundreds at once: a block begins with the last key of the block before."""
+    n = len(scans.t)
+    way = _Way(scans.t, np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros(n, dtype=bool))
+    velocity, begin = standing(), 0
+    while begin < n - 1:
+        rows = np.arange(begin, min(begin + SCANS_AT_ONCE, n))
+        velocity, key = _block(scans, rows, velocity, way)
+        begin = int(rows[key]) if rows[-1] < n - 1 else n
+    return way
+
+
+def _block(scans: Scans, rows: Ints, velocity: Velocity, way: _Way) -> tuple[Velocity, int]:
+    """Match the scans at these rows (m,); return the velocity at the last key, and where that is among them."""
+    clouds = scans.clouds(rows)
+    if not np.isfinite(clouds.normal[:, 0]).any():
+        found, keys = _expected(velocity, scans.t[rows], way, rows)
+        return found, keys
+    targets, sources = Targets(clouds), sources_of(clouds)
+    dt = np.diff(scans.t[rows])
+    velocities, spread, fits = _followed(targets, sources, dt, velocity)
+    steps = np.stack([v.v for v in velocities]) * dt[:, None]
+    chain = se2.chain(se2.exp(steps))
+    key = _keys(chain)
+    _to_keys(targets, sources, chain, key, spread, way, rows)
+    way.blind[rows[1:]] = np.logical_not(fits)
+    last = int(key[-1])
+    return (velocities[last - 1] if last else velocities[-1]), (last or len(rows) - 1)
+
+
+def _expected(velocity: Velocity, t: Array, way: _Way, rows: Ints) -> tuple[Velocity, int]:
+    """Go on as before through scans (m,) that saw nothing."""
+    for row, span in zip(rows[1:].tolist(), np.diff(t).tolist(), strict=True):
+        velocity = velocity.after(span)
+        way.step[row], way.P[row] = se2.exp(velocity.v * span), velocity.spread(velocity, span)
+        way.blind[row] = True
+    return velocity, len(rows) - 1
+
+
+def _followed(
+    targets: Targets, sources: Clouds, dt: Array, known: Velocity
+) -> tuple[list[Velocity], Array, Array]:
+    """Match every scan with the one before, from where the velocity leads.
+
+    Returns the n velocities found, the covariances (n, 3, 3) of the steps, and which pairs match (n,). One after
+    the other: two scans of a corridor match nearly as well half a step too short, and only the velocity so far
+    says which it is.
+    """
+    found, spread, fits = [], [], []
+    for k, span in enumerate(dt.tolist()):
+        before = known.after(span)
+        pair = _neighbours(targets, sources, np.array([k]), before, span)
+        fits.append(bool(_fits(pair)[0]))
+        known = before.corrected(span, se2.log(pair.pose)[0], _believed(pair)[0])
+        found.append(known)
+        spread.append(known.spread(before, span))
+    return found, np.array(spread), np.array(fits)
+
+
+def _neighbours(targets: Targets, sources: Clouds, k: Ints, known: Velocity, dt: float) -> Matches:
+    """Match scan k + 1 with scan k (1,); where that fits badly, as if the robot had turned."""
+    guess = se2.exp(known.v * dt)[None]
+    prior = inverse(known.P * dt * dt + FLOOR)[None]
+    found = match(targets, k, sources, k + 1, guess, prior, REACH_M)
+    if found.inliers[0] > GOOD_INLIERS and found.overlap[0] > MIN_OVERLAP:
+        return found
+    n = len(TURNS_RAD)
+    guesses = guess + np.outer(TURNS_RAD, (0.0, 0.0, 1.0))
+    again = np.repeat(k, n)
+    turned = match(targets, again, sources, again + 1, guesses, np.broadcast_to(FIRST_PRIOR, (n, 3, 3)), REACH_M)
+    score = turned.inliers * np.sqrt(turned.overlap)
+    better = score.max() > found.inliers[0] * np.sqrt(found.overlap[0]) + TURN_GAIN
+    return turned.take(np.array([int(score.argmax())])) if better else found
+
+
+def _fits(found: Matches) -> Array:
+    return np.asarray((found.inliers > MIN_INLIERS) & (found.overlap > MIN_OVERLAP))
+
+
+def _believed(found: Matches) -> Array:
+    """Return the information (p, 3, 3) of the matches, none of those that do not fit."""
+    return np.asarray(np.where(_fits(found)[:, None, None], TRUST * seen(found.information), 0.0))
+
+
+def seen(information: Array) -> Array:
+    """Return the information (p, 3, 3) without that about a direction of which the walls say next to nothing.
+
+    The noise of the walls' directions passes for information along a corridor, about no motion at all.
+    """
+    across = information[:, :2, 2]
+    place = (
+        information[:, :2, :2]
+        - across[:, :, None] * across[:, None, :] / np.maximum(information[:, 2, 2], 1e-9)[:, None, None]
+    )
+    values, vectors = np.linalg.eigh(place)
+    d = np.concatenate((vectors[:, :, 0], np.zeros((len(place), 1))), axis=1)  # where least is said
+    Hd = np.einsum("nij,nj->ni", information, d)
+    about = np.maximum(np.einsum("ni,ni->n", Hd, d), 1e-12)
+    without = information - Hd[:, :, None] * Hd[:, None, :] / about[:, None, None]
+    return np.asarray(np.where((values[:, 0] < MIN_SEEN * values[:, 1])[:, None, None], without, information))
+
+
+def _keys(chain: Array) -> Ints:
+    """Return the key of each scan (m,): an earlier one, neither far nor turned away; the first is its own."""
+    key, at = np.zeros(len(chain), dtype=np.int64), 0
+    for k, (x, y, theta) in enumerate(chain.tolist()):
+        key[k] = at
+        far = np.hypot(x - chain[at, 0], y - chain[at, 1]) >= KEY_WAY_M
+        if far or abs(theta - chain[at, 2]) >= KEY_TURN_RAD or k - at >= MAX_KEY_SCANS:
+            at = k
+    return key
+
+
+def _to_keys(
+    targets: Targets, sources: Clouds, chain: Array, key: Ints, spread: Array, way: _Way, rows: Ints
+) -> None:
+    """Match every scan with its key, and write down the steps from scan to scan."""
+    later = np.arange(1, len(rows))
+    mine = key[later]
+    guess = se2.between(chain[mine], chain[later])
+    total = np.concatenate((np.zeros((1, 3, 3)), np.cumsum(_turned(spread, chain[:-1, 2]), axis=0)))
+    P = _turned(total[later] - total[mine], -chain[mine, 2]) + FLOOR
+    found = match(targets, mine, sources, later, guess, inverse(P), REACH_M / 2.0)
+    pose, C = _updated(guess, inverse(P), found)
+    of_key = np.concatenate((np.zeros((1, 3)), pose))  # of each scan, seen from its key
+    same = key[:-1] == mine  # the scan before has the same key
+    start = np.where((same & (later - 1 != mine))[:, None], of_key[:-1], 0.0)
+    way.step[rows[1:]] = se2.between(start, pose)
+    way.P[rows[1:]] = _shared(C, mine, start)
+
+
+def _updated(guess: Array, prior: Array, found: Matches) -> tuple[Array, Array]:
+    """Return poses (p, 3) and covariances: those of the matches, and the guess's where the walls say nothing."""
+    full = np.where(_fits(found)[:, None, None], seen(found.information), 0.0)
+    off = se2_difference(found.pose, guess)
+    step = np.linalg.solve(prior + full, (full @ off[:, :, None]))[:, :, 0]
+    return guess + step, inverse(prior + TRUST * full)
+
+
+def _shared(C: Array, key: Ints, start: Array) -> Array:
+    """Return a covariance for each step: those of one key add up to that of the key's last match.
+
+    The errors of the scans in between are not the steps': a scan is matched with its key, not with the one before.
+    """
+    _, at, counts = np.unique(key, return_inverse=True, return_counts=True)
+    last = np.cumsum(counts) - 1
+    return np.asarray(_turned((C[last] / counts[:, None, None])[at], -start[:, 2]))
+
+
+def _turned(P: Array, theta: Array) -> Array:
+    """Return covariances (n, 3, 3) in frames that are turned by theta (n,) [rad]."""
+    R = se2.rotation(theta)
+    return np.asarray(R @ P @ R.transpose(0, 2, 1))

@@ -1,0 +1,234 @@
+"""The whole drive at once: keys, their neighbours, loops, one last solve; then what lies between the keys.
+
+keys -> wheels and neighbouring scans -> loops, round by round -> every visit again -> key poses
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+
+import msgspec
+import numpy as np
+
+from locfuse.fusion import se2
+from locfuse.fusion.checks.clocks import clock_lags
+from locfuse.fusion.checks.lag import worth_saying
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, MapLine
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.scan_matching.clouds import clouds_of
+from locfuse.fusion.scan_matching.free_space import Views
+from locfuse.fusion.scan_matching.match import Targets, sources_of
+from locfuse.fusion.wheels.states import WHEELS
+
+from .between import scans_between
+from .bridge import Fixes, bridged
+from .chain import again, sequential, wheel_edges
+from .closures import GRADUATIONS, Loops, close
+from .keys import choose_keys
+from .odometry import Odometry, odometry_of
+from .others import Others
+from .recognised import recognised
+from .solve import Anchor, Edges, Normal, Problem
+from .submaps import Submaps, submaps_of
+from .walls import straightened
+
+LASER = "lrf"
+MIN_KEYS = 10
+START_FLOOR = np.diag([1e-4**2, 1e-4**2, 1e-5**2])  # m^2, rad^2: a start that is known exactly
+SPAN_GAP_S = 30.0  # closures further apart in time are told apart
+MAX_EXTENT_VIEWS = 1.5  # extent of a drive over how far its scans reach, up to which there is no loop to close
+SAMPLE_SCANS = 20
+FAR_SHARE = 0.95  # of a scan's points that are nearer than how far it reaches
+MIN_GAIN, MIN_GAIN_M = 1.5, 0.01  # by how much the graph must fit the loops better than the filter
+
+
+class Graph(msgspec.Struct, frozen=True, dict=True):
+    """The key poses of a drive, and what was found on the way to them."""
+
+    drive: Drive
+    odometry: Odometry  # with what the wheels' own noise leaves out
+    keys: Ints  # (m,) instants
+    readings: Ints  # (m,) of the laser
+    x: Array  # (m, 3) key poses in the map
+    fixes: Fixes  # what the wheels miss between them
+    normal: Normal  # the normal equations there
+    loops: Loops
+    maps: Submaps
+    lag: float  # s by which the wheels' clock was moved
+    systematic: Array  # (2,) rad/m by which headings of scans drift, rad by which the laser is turned
+    wheels: Array | None
+    sensors: tuple[str, ...]
+
+    @property
+    def closures(self) -> Edges:
+        """What closed loops, between keys."""
+        return self.loops.edges
+
+    def poses(self) -> tuple[Array, Array]:
+        """Return pose (n, 3) and covariance (n, 3, 3) at every instant of the drive."""
+        return self._between(self.odometry, np.arange(len(self.drive.t)))
+
+    def at_truth(self) -> tuple[Array | None, Array | None]:
+        """Return the same at the truth's stamps; NaN outside the drive."""
+        drive = self.drive
+        if drive.truth_motions is None or drive.truth_instant is None:
+            return None, None
+        k = np.maximum(drive.truth_instant, 0)
+        pose, P = self._between(self.odometry.grown(k, drive.truth_motions, self.wheels), k)
+        outside = drive.truth_instant < 0
+        pose[outside], P[outside] = np.nan, np.nan
+        return pose, P
+
+    def _between(self, stamps: Odometry, k: Ints) -> tuple[Array, Array]:
+        return bridged(self.odometry, stamps, k, self.keys, self.x, *self.spread, self.fixes)
+
+    @cached_property
+    def spread(self) -> tuple[Array, Array]:
+        """Covariance of each key pose (m, 3, 3), and that with the next one (m - 1, 3, 3)."""
+        return self.normal.chain(len(self.x))
+
+    def seen_again(self) -> tuple[Array, Array]:
+        """Return when places were seen before and when they were recognised, (m, 2) [s], and how (m, 3).
+
+        That is where the second pose lies as seen from the first, which is the earlier one.
+        """
+        when = self.drive.t[self.keys][np.column_stack((self.closures.i, self.closures.j))]
+        order = np.argsort(when[:, 1], kind="stable")
+        return when[order], self.closures.z[order]
+
+    def walls(self) -> list[MapLine]:
+        """Return the straightened map."""
+        return straightened(self.drive.measurements[LASER], self.readings, self.x, self.spread[0])
+
+    def misfit(self, pose: Array) -> float:
+        """Return how far poses (n, 3) of the drive are from what the closures say, rms [m]."""
+        return _rms(self.closures.errors(pose[self.keys]))
+
+    def needed(self, filtered: Estimates) -> bool:
+        """Return whether the filter's own map does not hold the closed loops together, or it was lost on the way.
+
+        Where it does, a backward pass through the filter is better than the graph: it weighs every line of every
+        scan. Both are judged by the same closures: how far apart they leave what two visits of a place saw.
+        """
+        if not len(self.closures):
+            return bool(filtered.lost)
+        return bool(filtered.lost) or self.misfit(filtered.pose) > MIN_GAIN * self.misfit_of_keys() + MIN_GAIN_M
+
+    def misfit_of_keys(self) -> float:
+        """Return the same of the graph's own poses, rms [m]."""
+        return _rms(self.closures.errors(self.x))
+
+    def notes(self, used: bool = True) -> tuple[str, ...]:
+        """Say which loops were closed and when, what stayed undecided, and whether the graph was needed."""
+        return tuple(f"smoothing: {words}" for words in self._words(used))
+
+    def _words(self, used: bool) -> list[str]:
+        closed = len(self.closures)
+        if not closed:
+            said = ["no loop was closed: no place was recognised as seen before"]
+        elif not used:
+            return [f"the filter's own map holds its {closed} loops together; no loop had to be closed"]
+        else:
+            said = [f"closed {closed} loops onto places seen before (at {self._when()})"]
+        if used and self.lag:
+            side = "behind" if self.lag < 0 else "ahead of"
+            said.append(f"the laser's stamps run {abs(self.lag):.2f} s {side} the wheels', which was allowed for")
+        if self.loops.undecided:
+            n, why = len(self.loops.undecided), "; ".join(sorted(set(self.loops.undecided.values())))
+            said.append(f"{n} possible loops stayed open ({why})")
+        return said
+
+    def _when(self) -> str:
+        """Return the spans of time in which places were seen again."""
+        t = self.drive.t[self.keys]
+        spans: list[list[float]] = []
+        for at in sorted(t[self.closures.j].tolist()):
+            if spans and at - spans[-1][1] < SPAN_GAP_S:
+                spans[-1][1] = at
+            else:
+                spans.append([at, at])
+        return ", ".join(f"{a:.0f}-{b:.0f} s" if b > a else f"{a:.0f} s" for a, b in spans)
+
+
+def _rms(errors: Array) -> float:
+    return float(np.sqrt((errors[:, :2] ** 2).sum(axis=1).mean())) if len(errors) else 0.0
+
+
+def whole_drive(
+    drive: Drive, robot: Robot, sensors: Sequence[str], filtered: Estimates | None = None
+) -> Graph | None:
+    """Return the graph of a drive with a laser; None without one, or where it has no room for a loop.
+
+    Of the filter's run it takes over the places that were recognised, and the wheels where they were estimated.
+    """
+    m = drive.measurements.get(LASER)
+    if LASER not in sensors or m is None or m.points is None or robot.settings(LASER).map != "grow":
+        return None
+    if in_one_view(drive):
+        return None
+    lag = clock_lag(drive)
+    estimated = None if filtered is None else filtered.blocks.get(WHEELS)
+    wheels = None if estimated is None else estimated[-1]
+    odometry = odometry_of(drive, lag, wheels)
+    readings = choose_keys(odometry, drive.instant[LASER])
+    if len(readings) < MIN_KEYS:
+        return None
+    keys = drive.instant[LASER][readings]
+    clouds = clouds_of(m, readings)
+    if not np.isfinite(clouds.normal[:, 0]).any():
+        return None
+    targets, sources = Targets(clouds), sources_of(clouds)
+    others = Others(drive, robot, [s for s in sensors if s != LASER], odometry, keys)
+    problem = Problem(start(robot, odometry, int(keys[0])), others if others.sensors else None)
+    way = odometry.way()[keys]
+    x, edges = sequential(targets, sources, wheel_edges(odometry, keys), way, problem)
+    maps = submaps_of(clouds, x, way)
+    views = Views.of(clouds, np.array(m.points.origin))
+    hints = Edges.none() if filtered is None else recognised(filtered, odometry, keys)
+    x, closed, loops = close(x, edges, problem, maps, way, clouds, views, hints)
+    if len(loops.edges):
+        closed = Edges.joined(closed, again(targets, sources, x, way))
+    x, normal = problem.solve(x, closed, GRADUATIONS if len(loops.edges) else (1.0,))
+    loosened = odometry.loosened()
+    fixes = scans_between(loosened, drive, LASER, readings, clouds, x)
+    return Graph(
+        drive=drive,
+        odometry=loosened,
+        keys=keys,
+        readings=readings,
+        x=x,
+        fixes=fixes,
+        normal=normal,
+        loops=loops,
+        maps=maps,
+        lag=lag,
+        systematic=problem.systematic,
+        wheels=wheels,
+        sensors=(LASER, *others.sensors),
+    )
+
+
+def in_one_view(drive: Drive) -> bool:
+    """Return whether all of a drive lies within sight of its middle: a filter's map then holds it together."""
+    m = drive.measurements[LASER]
+    if m.points is None or not len(m.t):
+        return False
+    t = np.linspace(drive.t[0], drive.t[-1], 10 * SAMPLE_SCANS)
+    extent = np.hypot(*np.ptp(drive.wheels.relative(np.full(len(t), t[0]), t)[:, :2], axis=0))
+    some = np.unique(np.linspace(0, len(m.t) - 1, SAMPLE_SCANS).round().astype(int))
+    seen = [np.hypot(*(p - np.array(m.points.origin)).T) for p in m.points.read(some) if len(p)]
+    return bool(seen) and bool(extent <= MAX_EXTENT_VIEWS * np.median([np.quantile(r, FAR_SHARE) for r in seen]))
+
+
+def clock_lag(drive: Drive) -> float:
+    """Return by how much later the wheels' stamps are than the laser's [s], 0 where that is not clear."""
+    lag = clock_lags({LASER: drive.measurements[LASER]}, drive.wheels).get(LASER)
+    return lag.offset if lag is not None and worth_saying(lag) else 0.0
+
+
+def start(robot: Robot, odometry: Odometry, first: int) -> Anchor:
+    """Return what is known of the first key pose."""
+    u, C = odometry.between(np.array([0]), np.array([first]))
+    P = np.diag(robot.start.variances) + START_FLOOR + C[0]
+    return Anchor(0, se2.compose(np.array(robot.start.pose), u[0]), np.linalg.inv(P))

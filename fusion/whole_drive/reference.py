@@ -1,0 +1,151 @@
+"""References of a drive without truth: its whole-drive solution, and those that leave one sensor out.
+
+drive, robot -> which sets of sensors to solve -> the whole drive with each (`smooth`) -> what judges what
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+
+import msgspec
+from msgspec.structs import replace
+
+from locfuse.fusion.data import Drive, Estimates, Evaluation, UsageError
+from locfuse.fusion.judge.against import Reference
+from locfuse.fusion.judge.evaluate import Align
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.registry import REGISTRY, needed
+
+from .smooth import check_optimal, fuse_and_smooth
+
+Subset = frozenset[str]
+
+
+def refuse(drive: Drive, robot: Robot) -> None:
+    """Raise UsageError where this log can have no reference."""
+    if drive.truth is not None:
+        raise UsageError(
+            f"--reference: this log has a truth, {drive.truth.topic}, and is judged by that.",
+            fixes=("truth.topic=none",),
+            hint="Leave --reference out, or hide the truth: --set truth.topic=none",
+        )
+    if drive.wheels.stands:
+        raise UsageError("--reference: the robot does not move in this log, so no sensor can be judged")
+    check_optimal(robot, _present(drive))
+    if not _locates(_present(drive)):
+        raise UsageError(
+            "--reference: no sensor of this log says where the robot is, so its whole-drive solution judges nobody"
+        )
+
+
+def possible(drive: Drive, robot: Robot) -> bool:
+    """Return whether this log can have a reference."""
+    try:
+        refuse(drive, robot)
+    except UsageError:
+        return False
+    return True
+
+
+def sets(drive: Drive) -> list[tuple[str, ...]]:
+    """Return the sets of sensors to solve: all, then all but each one (and what needs it), without repeats.
+
+    A set in which nothing says where the robot is, is none: a wrong wheel radius would judge the sensors.
+    """
+    present = _present(drive)
+    found = [present, *(_without(s, present) for s in present)]
+    return list(dict.fromkeys(s for s in found if _locates(s)))
+
+
+class References(msgspec.Struct, frozen=True):
+    """The references of one drive."""
+
+    solved: Mapping[Subset, Reference]
+    present: tuple[str, ...]
+    contradict: Sequence[tuple[str, str]] = ()  # sensors of which one must be wrong, and nobody knows which
+
+    @classmethod
+    def of(
+        cls,
+        drive: Drive,
+        robot: Robot,
+        known: Mapping[Subset, Estimates],
+        noise: Mapping[str, float],
+        contradict: Sequence[tuple[str, str]] = (),
+    ) -> References | None:
+        """Return the references of a drive; None where its whole-drive solution is lost on the way.
+
+        `known` are smoothed estimates that were made anyway, by their sensors. `noise`: by how much the sigma of a
+        sensor is too small, as its residuals show; references are solved with the larger one, else they would be
+        as wrong and as sure as the estimates that they judge.
+        """
+        present = _present(drive)
+        larger = {s: factor for s, factor in noise.items() if factor > 1.0}
+        honest = _noisier(drive, larger)
+        solved: dict[Subset, Reference] = {}
+        for sensors in sets(drive):
+            subset = frozenset(sensors)
+            found = known.get(subset) if subset.isdisjoint(larger) else None
+            e = found or fuse_and_smooth(honest, robot, sensors)[1]
+            if not e.lost:
+                solved[subset] = Reference.of(e, drive, tuple(s for s in present if s not in subset))
+        return cls(solved, present, contradict) if frozenset(present) in solved else None
+
+    @property
+    def whole(self) -> Reference:
+        """The reference of all sensors but one that contradicts all others."""
+        every = frozenset(self.present)
+        return self.solved.get(every - {self.outlier}) or self.solved[every]
+
+    @property
+    def outlier(self) -> str | None:
+        """The one sensor that contradicts all others, none of which contradict each other; None for none."""
+        for sensor in self.present:
+            others = {o for pair in self.contradict if sensor in pair for o in pair if o != sensor}
+            if len(others) > 1 and others == {*self.present} - {sensor} and len(self.contradict) == len(others):
+                return sensor
+        return None
+
+    def without(self, sensor: str) -> Reference | None:
+        """Return the reference that a sensor has no part in; None where there is none."""
+        return self.solved.get(frozenset(_without(sensor, self.present)))
+
+    def quarrel(self, reference: Reference, judged: Collection[str]) -> tuple[str, str] | None:
+        """Return two sensors that contradict each other where one judges, with the other or against it.
+
+        All others together may judge the one that contradicts them all.
+        """
+        known = {*reference.sensors, *(s for s in judged if s != self.outlier)}
+        return next((pair for pair in self.contradict if set(pair) <= known), None)
+
+    def judged(self, judged: Evaluation, e: Estimates, align: Align) -> tuple[Evaluation, Reference]:
+        """Return an evaluation against a reference, and which: one that shares no sensor if it is exact enough."""
+        others = [
+            r
+            for r in self.solved.values()
+            if e.sensors and not set(r.sensors) & set(e.sensors) and self.quarrel(r, e.sensors) is None
+        ]
+        for reference in sorted(others, key=lambda r: r.sigma):
+            found = reference.judge(judged, e, align)
+            if reference.can_judge(found.figures["position_rmse_m"]):
+                return found, reference
+        return self.whole.judge(judged, e, align), self.whole
+
+
+def _noisier(drive: Drive, factors: Mapping[str, float]) -> Drive:
+    """Return a drive whose sensors have sigmas larger by these factors."""
+    scaled = {s: replace(m, scale=m.scale * factors.get(s, 1.0)) for s, m in drive.measurements.items()}
+    return replace(drive, measurements=scaled) if factors else drive
+
+
+def _present(drive: Drive) -> tuple[str, ...]:
+    """Return the sensors that measured something: a dead one makes no reference."""
+    return tuple(s for s in REGISTRY if s in drive.measurements and len(drive.measurements[s].z))
+
+
+def _without(sensor: str, present: Sequence[str]) -> tuple[str, ...]:
+    return tuple(s for s in present if s != sensor and sensor not in needed(s))
+
+
+def _locates(sensors: Collection[str]) -> bool:
+    return any(REGISTRY[s].locates for s in sensors)

@@ -1,0 +1,259 @@
+"""Smoothing: what the whole drive, its end included, says of every instant (Rauch, Tung, Striebel 1965).
+
+One smoother for the user, two ways of solving it. Where a laser came back to places that the filter's own map does
+not hold together, the graph of key poses (whole_drive.pose_graph) closes these loops. Else the backward pass below
+is the better one: it weighs every line of every scan.
+
+Backward through the events of the filter: undo each prediction; map lines leave where they were born, and dropped
+ones return. Holds where the filter's gain is the optimal one: not for the frozen and the considered map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from msgspec.structs import replace
+
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Drive, Estimates, UsageError, upper_triangles
+from locfuse.fusion.ekf.equations import eq5_x, eq6_noise, eq7_A
+from locfuse.fusion.ekf.events import (
+    Added,
+    Changed,
+    Dropped,
+    Events,
+    FrameMoved,
+    FrameTurned,
+    Loosened,
+    Moved,
+    Undone,
+)
+from locfuse.fusion.ekf.map_frame import in_map_P
+from locfuse.fusion.fuse import fuse
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.wheels.states import WHEELS
+
+from .pose_graph import Graph, whole_drive
+
+NOT_OPTIMAL = ("first-scan", "consider")
+RANK = 1e-12  # relative eigenvalue below which the wheels' noise has no extent
+
+
+def check_optimal(robot: Robot, sensors: Sequence[str]) -> None:
+    """Raise UsageError where these sensors' filter does not weigh optimally: smoothing assumes that it does."""
+    if robot.preset == "paper":
+        raise UsageError(
+            "--smooth: the filter as printed in the paper has no optimal gain; leave --preset paper out"
+        )
+    for sensor in sensors:
+        mode = getattr(robot.settings(sensor), "map", None)
+        if mode in NOT_OPTIMAL:
+            fix = f"{sensor}.map=refine"
+            raise UsageError(
+                f"--smooth: {sensor}.map = {mode} does not weigh optimally, and smoothing assumes that it does.",
+                fixes=(fix,),
+                hint=f"Use --set {fix} or grow",
+            )
+
+
+def fuse_and_smooth(
+    drive: Drive, robot: Robot, sensors: Sequence[str], name: str | None = None
+) -> tuple[Estimates, Estimates]:
+    """Run the filter and the smoother: (filtered, smoothed). Raises UsageError where the gain is not optimal."""
+    check_optimal(robot, sensors)
+    events = Events(backward=True)
+    filtered = fuse(drive, robot, sensors, name, events=events)
+    graph = whole_drive(drive, robot, sensors, filtered)
+    if graph is None:
+        return filtered, smoothed(drive, filtered, events)
+    if graph.needed(filtered):
+        return filtered, by_graph(filtered, graph)
+    found = smoothed(drive, filtered, events)
+    return filtered, replace(found, notes=(*found.notes, *graph.notes(used=False)))
+
+
+def by_graph(filtered: Estimates, graph: Graph) -> Estimates:
+    """Return the drive as the graph has it, its map straightened. States beside the pose stay the filter's."""
+    pose, P = graph.poses()
+    truth_pose, truth_P = graph.at_truth()
+    loops, loop_poses = graph.seen_again()
+    return replace(
+        filtered,
+        pose=pose,
+        triangles=upper_triangles(P),
+        truth_pose=truth_pose,
+        truth_P=truth_P,
+        final_map=graph.walls(),
+        lost=(),
+        loops=loops,
+        loop_poses=loop_poses,
+        notes=(*filtered.notes, *graph.notes()),
+        smoothed=True,
+    )
+
+
+def smoothed(drive: Drive, filtered: Estimates, events: Events) -> Estimates:
+    """Return the smoothed estimates of a run that noted `events`. Map and audits stay the filter's."""
+    back = Backward(drive, filtered, events)
+    back.run(events)
+    wheels = back.blocks.get(WHEELS)
+    truth_pose, truth_P = between_instants(drive, events, back, None if wheels is None else wheels[-1])
+    return replace(
+        filtered,
+        pose=back.pose,
+        triangles=upper_triangles(in_map_P(back.frame, back.local, back.P)),
+        blocks=back.blocks,
+        block_sigmas=back.block_sigmas,
+        truth_pose=truth_pose,
+        truth_P=truth_P,
+        smoothed=True,
+    )
+
+
+class Backward:
+    """The backward pass: the smoothed state from the last instant to the first.
+
+    Before the first scan of a growing map, and without one, the frame is the map and known exactly: G = 0. A frame
+    that begins at instant k is that of `local[k]`, but `arrived[k]` is still of the frame before.
+    """
+
+    def __init__(self, drive: Drive, filtered: Estimates, events: Events) -> None:
+        n = len(drive.t)
+        self.local, self.frame = np.empty((n, 3)), np.zeros((n, 3))  # q and G
+        self.P = np.zeros((n, 6, 6))  # of both
+        self.arrived = np.zeros((n, 3))  # q as the motion ended: before a shift
+        self.arrived_P = np.zeros((n, 3, 6))  # its covariance with itself and with G
+        self.ahead = np.zeros((n, 3, 3))  # covariance of q at k (rows) and as it arrived at k + 1 (columns)
+        self.blocks = {name: np.empty_like(v) for name, v in filtered.blocks.items()}
+        self.block_sigmas = {name: np.empty_like(v) for name, v in filtered.blocks.items()}
+        self._columns = {b: events.columns[b] for b in self.blocks}
+        frames = [e.before for e in events.list if isinstance(e, Added) and e.frame]
+        self._frame = frames[-1] if frames else None
+        assert events.final is not None
+        self._x, self._S = events.final.x.copy(), events.final.P.copy()
+        self._found = self._x[self._of_frame].copy()  # G by the whole drive: it does not move
+        self._swung = np.eye(6)  # from the errors of (q, G) as they were taken at an instant to those of `_found`
+
+    @property
+    def pose(self) -> Array:
+        """Poses in the map, (n, 3)."""
+        return se2.compose(self.frame, self.local)
+
+    def run(self, events: Events) -> None:
+        """Go through the events from the last; what lies before the first instant is left."""
+        k = len(self.local) - 1
+        self._note(k)
+        for event in reversed(events.list):
+            if isinstance(event, Moved):
+                if k > 0:
+                    self._undo_motion(event, k)
+                    k -= 1
+                    self._note(k)
+            elif isinstance(event, Added):
+                self._x, self._S = self._x[: event.before], self._S[: event.before, : event.before]
+                self._frame = None if event.frame else self._frame
+            elif isinstance(event, FrameTurned):
+                self._step(event.back)
+                self._swung[3, 5] -= event.dy
+                self._swung[4, 5] += event.dx
+            elif isinstance(event, FrameMoved):
+                self._found, self._swung = self._x[self._of_frame].copy(), np.eye(6)
+            elif isinstance(event, Dropped):
+                self._restore(event.back)
+            elif isinstance(event, Changed | Loosened):
+                self._step(event.back)
+
+    def _undo_motion(self, event: Moved, k: int) -> None:
+        """Go back over the motion to instant k, and keep what `between_instants` needs of it."""
+        self.arrived[k], self.arrived_P[k, :, :3] = self._x[:3], self._S[:3, :3]
+        if self._frame is not None:
+            self.arrived_P[k, :, 3:] = self._S[:3, self._of_frame] @ self._swung[3:, 3:].T
+        self.ahead[k - 1] = self._step(event.back)[:3, :3]
+
+    @property
+    def _of_frame(self) -> slice:
+        first = self._frame or 0
+        return slice(first, first + 3)
+
+    def _step(self, step: Undone | None) -> Array:
+        assert step is not None
+        rows, G, S = step.rows, step.G, self._S
+        cross: Array = G @ S
+        own = cross @ G.T + step.D
+        self._x[rows] = step.c + G @ self._x
+        S[rows, :] = cross
+        S[:, rows] = cross.T
+        S[np.ix_(rows, rows)] = 0.5 * (own + own.T)
+        return cross
+
+    def _restore(self, drop: Undone | None) -> None:
+        assert drop is not None
+        n = len(self._x) + len(drop.rows)
+        stay = np.setdiff1d(np.arange(n), drop.rows)
+        cross = drop.G @ self._S
+        x, S = np.empty(n), np.empty((n, n))
+        x[stay], x[drop.rows] = self._x, drop.c + drop.G @ self._x
+        S[np.ix_(stay, stay)] = self._S
+        S[np.ix_(drop.rows, stay)], S[np.ix_(stay, drop.rows)] = cross, cross.T
+        S[np.ix_(drop.rows, drop.rows)] = cross @ drop.G.T + drop.D
+        self._x, self._S = x, S
+
+    def _note(self, k: int) -> None:
+        x, S = self._x, self._S
+        self.local[k], self.P[k, :3, :3] = x[:3], S[:3, :3]
+        if self._frame is not None:
+            at = [0, 1, 2, *range(self._frame, self._frame + 3)]
+            self.frame[k], self.P[k] = self._found, self._swung @ S[np.ix_(at, at)] @ self._swung.T
+        for name, column in self._columns.items():
+            where = slice(column, column + self.blocks[name].shape[1])
+            self.blocks[name][k] = self._x[where]
+            self.block_sigmas[name][k] = np.sqrt(np.maximum(np.diagonal(self._S)[where], 0.0))
+
+
+def between_instants(
+    drive: Drive, events: Events, back: Backward, wheels: Array | None
+) -> tuple[Array | None, Array | None]:
+    """Return smoothed poses (q, 3) and covariances at the truth's stamps; NaN outside the drive.
+
+    A stamp lies on a bridge between two smoothed instants: what the wheels said on the way there, plus the share
+    of what they missed over the whole interval that their noise assigns to the part before the stamp. All in the
+    local frame and about the filter's own poses, since across the wheels' direction the noise is micrometres and
+    bending is not. Then the frame puts it into the map.
+    """
+    if drive.truth_motions is None or drive.truth_instant is None:
+        return None, None
+    k = np.maximum(drive.truth_instant, 0)
+    after = np.minimum(k + 1, len(drive.t) - 1)
+    u, v = drive.truth_motions.u, drive.motions.u[after]
+    if wheels is not None:  # their covariance is left out: over a part of an interval it is nothing
+        u, v = u + drive.truth_motions.J @ wheels, v + drive.motions.J[after] @ wheels
+    assert events.final is not None
+    starts = [event.start for event in events.list if isinstance(event, Moved)]
+    start = np.array([*starts[1:], events.final.x[:3]])[k]  # of every motion, and where the last led
+    at, end = eq5_x(start, u), eq5_x(start, v)
+    to_at, to_end, on = eq7_A(start, at), eq7_A(start, end), eq7_A(at, end)
+    turn = se2.rotation(start[:, 2])
+    Q = eq6_noise(turn, drive.truth_motions.Q)
+    whole = eq6_noise(turn, drive.motions.Q[after])
+    share = Q @ on.transpose(0, 2, 1) @ np.linalg.pinv(whole, rcond=RANK, hermitian=True)
+    share[k == after] = 0.0
+    near = to_at - share @ to_end
+    out = at + _apply(near, back.local[k] - start) + _apply(share, back.arrived[after] - end)
+    cross = near @ back.ahead[k] @ share.transpose(0, 2, 1)
+    P = back.P[k]  # of q and G at k; from here on that of `out` and G
+    to_frame = near @ P[:, :3, 3:] + share @ back.arrived_P[after, :, 3:]
+    own = near @ P[:, :3, :3] @ near.transpose(0, 2, 1)
+    own += share @ back.arrived_P[after, :, :3] @ share.transpose(0, 2, 1)
+    own += cross + cross.transpose(0, 2, 1) + Q - share @ on @ Q
+    P[:, :3, :3], P[:, :3, 3:], P[:, 3:, :3] = own, to_frame, to_frame.transpose(0, 2, 1)
+    placed, P = se2.compose(back.frame[k], out), in_map_P(back.frame[k], out, P)
+    outside = drive.truth_instant < 0
+    placed[outside], P[outside] = np.nan, np.nan
+    return placed, P
+
+
+def _apply(M: Array, x: Array) -> Array:
+    """Matrix (n, 3, 3) times vector (n, 3)."""
+    product: Array = np.einsum("nij,nj->ni", M, x)
+    return product

@@ -1,0 +1,348 @@
+"""Gates for CI: what fails, what does not exist, what is a typing mistake."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+from commands import locfuse
+
+from locfuse.cli.analysis.ci_gates import (
+    failures,
+    figure,
+    parse_gate,
+    parse_tolerance,
+    read_baseline,
+    refuse_another_log,
+)
+from locfuse.formats.logs.identity import Identity
+from locfuse.fusion.data import LocfuseError, UsageError
+
+# the cheapest comparison that has a figure for a gate
+ODOMETRY = ("compare", "rounded_rectangle", "--no-advice", "--sensors", "odometry", "--write", "json")
+REPORT: dict[str, Any] = {
+    "truth": {"topic": "/gt"},
+    "configurations": {
+        "odometry": {"position_rmse_m": 0.5, "position_max_m": 0.9, "heading_rmse_deg": None, "sensors": {}},
+        "all": {
+            "position_rmse_m": 0.02,
+            "position_max_m": 0.05,
+            "anees": 1.1,
+            "align": "none",
+            "sensors": {"lrf": {"accepted": 10, "nis": 1.5}},
+        },
+        "lrf@2.5Hz": {"position_rmse_m": 0.03, "sensors": {}},
+    },
+}
+
+
+def lines(*gates: str) -> list[str]:
+    return failures(REPORT, [parse_gate(g) for g in gates], None)
+
+
+@pytest.mark.parametrize(
+    "gate", ["all.position_rmse_m > 0.01", "all.position_rmse_m>=0.02", "all.anees < 2", "all.anees <= 1.1"]
+)
+def test_a_gate_that_holds_fails_with_one_line_that_names_it_and_the_number(gate: str) -> None:
+    (line,) = lines(gate)
+    assert line.startswith(gate)
+    assert "it is" in line
+
+
+@pytest.mark.parametrize(
+    "gate", ["all.position_rmse_m > 0.02", "all.position_rmse_m >= 0.0200001", "all.anees < 1.1", "all.anees <= 1"]
+)
+def test_a_gate_that_does_not_hold_says_nothing(gate: str) -> None:
+    assert lines(gate) == []
+
+
+def test_gates_reach_into_sensors_and_names_with_dots() -> None:
+    assert figure(REPORT["configurations"], "all.sensors.lrf.nis") == ("all", 1.5)
+    assert figure(REPORT["configurations"], "lrf@2.5Hz.position_rmse_m") == ("lrf@2.5Hz", 0.03)
+
+
+@pytest.mark.parametrize(
+    ("gate", "why"),
+    [
+        ("camera.position_rmse_m > 1", "no such configuration"),
+        ("all.positon_rmse_m > 1", "no such figure"),
+        ("odometry.heading_rmse_deg > 1", "does not exist"),
+        ("all.align > 1", "does not exist"),
+        ("all.sensors.camera.nis > 1", "no such figure"),
+    ],
+)
+def test_a_figure_that_does_not_exist_fails(gate: str, why: str) -> None:
+    (line,) = lines(gate)
+    assert why in line
+
+
+def test_every_violated_gate_has_its_line() -> None:
+    assert len(lines("all.position_rmse_m > 0.01", "all.anees > 9", "odometry.position_max_m > 0.1")) == 2
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["all.position_rmse_m", "all.position_rmse_m = 1", "all.position_rmse_m > x", "> 1", "all > 1", "all.x > nan"],
+)
+def test_a_gate_that_is_none_is_a_usage_error(text: str) -> None:
+    with pytest.raises(UsageError, match="write it like"):
+        parse_gate(text)
+
+
+@pytest.mark.parametrize(("text", "value"), [("5%", 0.05), ("0.05", 0.05), ("0", 0.0), (" 12.5 % ", 0.125)])
+def test_tolerance_is_a_share(text: str, value: float) -> None:
+    assert parse_tolerance(text).share == pytest.approx(value)
+
+
+@pytest.mark.parametrize(
+    ("text", "share", "metres", "degrees"),
+    [("5%,1mm", 0.05, 0.001, 0.0), ("2cm, 1 %", 0.01, 0.02, 0.0), ("0.1deg,0.5m", 0.0, 0.5, 0.1), ("1°", 0, 0, 1)],
+)
+def test_a_tolerance_may_have_a_floor(text: str, share: float, metres: float, degrees: float) -> None:
+    found = parse_tolerance(text)
+    assert (found.share, found.metres, found.degrees) == pytest.approx((share, metres, degrees))
+
+
+def test_five_without_a_per_cent_sign_is_refused_as_it_would_be_500_per_cent() -> None:
+    with pytest.raises(UsageError, match="write it like 5%, or"):
+        parse_tolerance("5")
+    assert parse_tolerance("500%").share == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize(
+    "text", ["-1%", "much", "", "inf", "1", "5%,", "5%,1%", "1mm,1cm", "m", "1km", "nan%", "5%,-1mm", "5% 1mm"]
+)
+def test_a_tolerance_that_is_none_is_a_usage_error(text: str) -> None:
+    with pytest.raises(UsageError, match="tolerance"):
+        parse_tolerance(text)
+
+
+def baseline(tmp_path: Path, tolerance: str, **changes: float | None) -> list[str]:
+    old = json.loads(json.dumps(REPORT))
+    old["configurations"]["all"] |= changes
+    path = tmp_path / "old.json"
+    path.write_text(json.dumps(old))
+    return failures(REPORT, [], read_baseline(path, tolerance))
+
+
+def test_only_what_grew_by_more_than_the_tolerance_fails(tmp_path: Path) -> None:
+    assert baseline(tmp_path, "5%") == []
+    assert baseline(tmp_path, "5%", position_rmse_m=0.0191) == []
+    (line,) = baseline(tmp_path, "5%", position_rmse_m=0.0189)
+    assert line.startswith("all.position_rmse_m: 0.02 is 5.8% more")
+
+
+def test_a_floor_lets_small_lengths_and_angles_grow_by_more_than_their_share(tmp_path: Path) -> None:
+    assert len(baseline(tmp_path, "5%", position_rmse_m=0.0185)) == 1
+    assert baseline(tmp_path, "5%,2mm", position_rmse_m=0.0185) == []
+    (line,) = baseline(tmp_path, "5%,1mm", position_rmse_m=0.0185)
+    assert line.endswith("(tolerance 5%,1mm)")
+    assert len(baseline(tmp_path, "5%,2deg", position_rmse_m=0.0185)) == 1
+    limit = parse_tolerance("5%,1mm,0.1deg").limit
+    assert limit("heading_rmse_deg", 1.0) == pytest.approx(1.1)
+    assert limit("position_rmse_m", 1.0) == pytest.approx(1.05)
+    assert limit("drift_5m", 0.01) == pytest.approx(0.0105)  # a share of the way, no length
+
+
+def test_what_got_better_and_what_is_no_error_does_not_fail(tmp_path: Path) -> None:
+    assert baseline(tmp_path, "0%", position_rmse_m=1.0, anees=0.1) == []
+
+
+def test_a_figure_only_one_report_has_is_not_compared(tmp_path: Path) -> None:
+    assert baseline(tmp_path, "0%", heading_rmse_deg=0.001) == []
+    assert baseline(tmp_path, "0%", position_rmse_m=None) == []
+
+
+def test_a_baseline_with_nothing_in_common_fails(tmp_path: Path) -> None:
+    path = tmp_path / "old.json"
+    path.write_text(json.dumps({"configurations": {"else": {"position_rmse_m": 1.0}}}))
+    (line,) = failures(REPORT, [], read_baseline(path, "5%"))
+    assert "no error figure in common" in line
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", '{"configurations": 3}', '{"configurations": {"all": 1}}', "\xff"]
+)
+def test_a_baseline_that_is_no_report_is_one_line(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "old.json"
+    path.write_text(text, encoding="latin-1")
+    with pytest.raises(LocfuseError, match="not a report"):
+        read_baseline(path, "5%")
+
+
+def test_the_command_exits_with_4_and_one_line_per_gate_and_writes_its_results(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = (*ODOMETRY, "-o", out, "-q")
+    assert locfuse(*words, "--fail-if", "odometry.position_rmse_m > 100").exit_code == 0
+    done = locfuse(*words, "--fail-if", "odometry.position_rmse_m > 0", "--fail-if", "all.anees > 1")
+    assert done.exit_code == 4
+    assert len(done.stderr.splitlines()) == 2
+    assert (out / "report.json").exists()
+
+
+@pytest.mark.parametrize("how", [(), ("--json",)])
+def test_gates_hold_although_the_reader_of_the_table_has_left(tmp_path: Path, how: tuple[str, ...]) -> None:
+    """As with `| head -1`, whose pipe closes early; here it is closed from the start."""
+    read, write = os.pipe()
+    os.close(read)
+    words = (*ODOMETRY, "-q", "-o", str(tmp_path))
+    gate = ("--fail-if", "odometry.position_rmse_m > 0")
+    command = [sys.executable, "-m", "locfuse.cli", *words, *gate, *how]
+    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True, check=False, timeout=300)
+    os.close(write)
+    assert done.returncode == 4
+    assert done.stderr.startswith("gate: ")
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize("how", [(), ("--json",)])
+def test_gates_hold_although_the_reader_of_stdout_and_stderr_has_left(
+    tmp_path: Path, how: tuple[str, ...]
+) -> None:
+    """As with `2>&1 | head -1`: the notes and the gate's own line have no reader either."""
+    read, write = os.pipe()
+    os.close(read)
+    words = (*ODOMETRY, "-o", str(tmp_path))
+    gate = ("--fail-if", "odometry.position_rmse_m > 0")
+    command = [sys.executable, "-m", "locfuse.cli", *words, *gate, *how]
+    done = subprocess.run(command, stdout=write, stderr=write, check=False, timeout=300)
+    os.close(write)
+    assert done.returncode == 4
+    assert (tmp_path / "report.json").exists()
+
+
+def test_a_baseline_of_another_log_is_refused_before_anything_is_fused(tmp_path: Path) -> None:
+    words = ("--sensors", "odometry", "--write", "json", "-o")
+    assert locfuse("compare", "rounded_rectangle", "--no-advice", *words, tmp_path / "a").exit_code == 0
+    baseline = ("--baseline", tmp_path / "a" / "report.json", "--tolerance", "900%")
+    same = locfuse("compare", "rounded_rectangle", "--no-advice", *words, tmp_path / "b", *baseline)
+    assert (same.exit_code, "baseline" in same.stderr) == (0, False)
+    other = locfuse("compare", "rounded_triangle", "--no-advice", *words, tmp_path / "c", *baseline)
+    assert other.exit_code == 1
+    assert "is of rounded_rectangle, and this is rounded_triangle" in other.stderr
+    assert "locfuse compare rounded_triangle -o DIR" in other.stderr
+    assert not (tmp_path / "c").exists()
+
+
+class Known(NamedTuple):
+    """What gates ask of a log."""
+
+    name: str
+    identity: Identity
+    sha256: str
+
+
+def test_a_baseline_of_other_bytes_under_the_same_name_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "old.json"
+    path.write_text(json.dumps({**REPORT, "input": {"name": "drive", "sha256": "00"}}))
+    before = read_baseline(path, "5%")
+    refuse_another_log(before, Known("drive", Identity(5, "a"), "00"))
+    with pytest.raises(LocfuseError, match="another log that is also called drive"):
+        refuse_another_log(before, Known("drive", Identity(5, "a"), "11"))
+    path.write_text(json.dumps(REPORT))  # an early report that does not say of which log it is
+    refuse_another_log(read_baseline(path, "5%"), Known("drive", Identity(5, "a"), "11"))
+
+
+def test_a_baseline_is_of_a_log_by_its_identity_where_it_has_one(tmp_path: Path) -> None:
+    path = tmp_path / "old.json"
+    path.write_text(json.dumps({**REPORT, "input": {"name": "drive", "identity": "a", "sha256": None}}))
+    before = read_baseline(path, "5%")
+    refuse_another_log(before, Known("drive", Identity(5, "a"), "not read"))
+    with pytest.raises(LocfuseError, match="another log that is also called drive"):
+        refuse_another_log(before, Known("drive", Identity(5, "b"), "not read"))
+
+
+@pytest.mark.parametrize(
+    ("command", "words", "instead"),
+    [
+        ("run", "all,lrf", "--sensors all or --sensors lrf"),
+        ("compare", "lrf,odometry", "--sensors odometry or --sensors lrf"),
+        ("compare", "all,odometry", "--sensors all or --sensors odometry"),
+        ("tune", "all,lrf", "--sensors all or --sensors lrf"),
+    ],
+)
+def test_all_and_odometry_stand_alone(tmp_path: Path, command: str, words: str, instead: str) -> None:
+    done = locfuse(command, "rounded_rectangle", "--sensors", words, "-o", tmp_path / "out")
+    assert done.exit_code == 2
+    assert "stands alone" in done.stderr
+    assert instead in done.stderr
+
+
+def test_the_command_compares_with_a_baseline(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = (*ODOMETRY, "-q", "-o")
+    assert locfuse(*words, out).exit_code == 0
+    assert locfuse(*words, tmp_path / "b", "--baseline", out / "report.json", "--tolerance", "0%").exit_code == 0
+    report = json.loads((out / "report.json").read_text())
+    report["configurations"]["odometry"]["position_rmse_m"] *= 0.9
+    worse = tmp_path / "worse.json"
+    worse.write_text(json.dumps(report))
+    done = locfuse(*words, tmp_path / "c", "--baseline", worse)
+    assert done.exit_code == 4
+    assert "odometry.position_rmse_m" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (("--fail-if", "nonsense"), 2),
+        (("--baseline", "no/such/file.json"), 2),
+        (("--sensors", "lrf@fast"), 2),
+        (("--sensors", "lrf@0Hz"), 2),
+        (("--sensors", "sonar@2Hz"), 1),
+    ],
+)
+def test_mistakes_are_found_before_anything_is_written(tmp_path: Path, words: tuple[str, ...], code: int) -> None:
+    done = locfuse("compare", "rounded_rectangle", "--no-advice", "-o", tmp_path / "out", *words)
+    assert done.exit_code == code
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_what_if_keeps_its_name(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = ("--sensors", "compass,lrf@2Hz", "--sensors", "compass@1Hz", "--write", "json,tum")
+    assert locfuse("compare", "rounded_rectangle", "--no-advice", "-o", out, *words).exit_code == 0
+    report = json.loads((out / "report.json").read_text())
+    assert list(report["configurations"]) == ["compass+lrf@2Hz", "compass@1Hz"]
+    counts = report["configurations"]["compass@1Hz"]["sensors"]["compass"]
+    assert sum(counts["verdicts"].values()) == pytest.approx(55, abs=1)
+    assert (out / "compass+lrf@2Hz.tum").exists()
+
+
+OF_0_1: dict[str, Any] = {  # locfuse 0.1 wrote no schema_version, and smoothed results by name alone
+    "locfuse": "0.1.0",
+    "configurations": {
+        "all": {"position_rmse_m": 0.02, "smoothed": False},
+        "all smoothed": {"position_rmse_m": 0.01, "smoothed": True},
+    },
+}
+
+
+def test_a_baseline_of_0_1_is_compared_result_by_result_though_smoothed_ones_had_another_name(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "old.json").write_text(json.dumps(OF_0_1))
+    now = {
+        "truth": {},
+        "configurations": {"all": {"position_rmse_m": 0.02}, "all-smoothed": {"position_rmse_m": 1}},
+    }
+    (line,) = failures(now, [], read_baseline(tmp_path / "old.json", "5%"))
+    assert line.startswith("all-smoothed.position_rmse_m: 1 is")
+
+
+def test_a_baseline_of_a_later_version_is_refused_in_one_line_with_the_fix(tmp_path: Path) -> None:
+    (tmp_path / "new.json").write_text(json.dumps({**OF_0_1, "schema_version": 2, "locfuse": "9.9"}))
+    with pytest.raises(LocfuseError, match=r"schema_version 2.*9\.9.*[Uu]pdate locfuse"):
+        read_baseline(tmp_path / "new.json", "5%")
+
+
+@pytest.mark.parametrize("text", ["[" * 200_000, '{"configurations": {"all": {}}, "input": []}'])
+def test_a_baseline_that_is_no_report_is_refused_before_the_work(tmp_path: Path, text: str) -> None:
+    (tmp_path / "b.json").write_text(text)
+    with pytest.raises(LocfuseError, match=r"not a report\.json of locfuse"):
+        read_baseline(tmp_path / "b.json", "5%")

@@ -1,0 +1,380 @@
+"""The doctor's measurements on drives whose answer is known exactly, and its silence where it cannot know."""
+
+from __future__ import annotations
+
+import math
+import pickle
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+from numpy.typing import NDArray
+from small_drive import NOISE, START, TRACK, drive, path, robot
+
+import locfuse
+from locfuse.formats.robot.urdf import wheel_geometry
+from locfuse.fusion import se2
+from locfuse.fusion.checks.clocks import of_clocks
+from locfuse.fusion.checks.compass import angles, by_gravity
+from locfuse.fusion.checks.examine import gaps
+from locfuse.fusion.checks.finding import Finding, Least, of_error
+from locfuse.fusion.checks.laser import laser_motion, of_laser, of_radius
+from locfuse.fusion.checks.start import start_pose
+from locfuse.fusion.checks.truth import jumps_of, metre, of_truth, wheels_metre
+from locfuse.fusion.checks.turning import explain, of_track, turnings
+from locfuse.fusion.data import Drive, LocfuseError, Truth, UsageError
+from locfuse.fusion.mount import rotation
+from locfuse.fusion.wheels.motion import Wheels
+
+Array = NDArray[np.float64]
+
+
+def told(found: list[Finding]) -> dict[str, float]:
+    """The numbers that the cures set."""
+    pairs = (cure.split("=") for f in found for cure in f.fixes)
+    return {key: float(value) for key, value in pairs}
+
+
+def truth_of(drive: Drive) -> Truth:
+    assert drive.truth is not None
+    return drive.truth
+
+
+# the laser's walls
+
+
+@pytest.mark.parametrize("scale", [0.8, 1.0, 1.25])
+def test_the_laser_s_metre_is_measured_by_walls_seen_twice(scale: float) -> None:
+    healthy = drive(1, robot())
+    m = healthy.measurements["lrf"]
+    shrunk = replace(m, z=m.z * [1.0 / scale, 1.0])
+    motion = laser_motion(shrunk, m.t, healthy, robot())
+    assert motion is not None
+    assert motion.scale == pytest.approx(scale, rel=0.02)
+    found = of_laser(motion, robot())
+    assert bool(found) == (scale != 1.0)
+    assert not found or f"wheels.radius={0.05 / motion.scale:.4g}" in found[0].message  # who is right is not known
+    by_truth = of_laser(motion, robot(), by_truth=True)
+    assert [f.code for f in by_truth] == ["range scale"] * bool(found)
+    assert not any("wheels.radius" in f.message for f in by_truth)
+
+
+@pytest.mark.parametrize("yaw_deg", [-120.0, 20.0, 90.0, 180.0])
+def test_the_laser_s_yaw_is_measured_by_how_walls_come_nearer(yaw_deg: float) -> None:
+    """The lines of a laser that looks elsewhere than its settings say."""
+    healthy = drive(2, robot())
+    m = healthy.measurements["lrf"]
+    turned = replace(m, z=np.stack((m.z[:, 0], m.z[:, 1] - math.radians(yaw_deg)), axis=-1))
+    motion = laser_motion(turned, m.t, healthy, robot())
+    assert motion is not None
+    off = (math.degrees(se2.wrap(-motion.yaw)) - yaw_deg + 180) % 360 - 180
+    assert abs(off) < 2.0
+    assert told(of_laser(motion, robot()))["lrf.yaw_deg"] == pytest.approx(
+        se2.wrap(math.radians(yaw_deg)) * 57.3, abs=2
+    )
+
+
+def test_nothing_is_said_of_a_laser_that_sees_too_few_walls() -> None:
+    healthy = drive(3, robot(), laps=0.1)
+    m = healthy.measurements["lrf"].take(np.arange(12))
+    assert laser_motion(m, m.t, healthy, robot()) is None
+
+
+def test_the_track_is_measured_by_the_turning_of_the_walls() -> None:
+    right = drive(4, robot())
+    wheels = right.wheels
+    left, other = (np.concatenate(([0.0], np.cumsum(c))) for c in wheels.rolled.T)
+    wrong = replace(right, wheels=Wheels.from_wheels(wheels.t, left, other, 0.8 * TRACK, wheels.noise))
+    settings = robot().wheels
+    m = right.measurements["lrf"]
+    motion = laser_motion(m, m.t, wrong, robot())
+    narrow = type(settings)(radius=0.05, track=0.8 * TRACK)
+    assert told(of_track(narrow, turnings(wrong), motion))["wheels.track"] == pytest.approx(TRACK, rel=0.03)
+    assert of_track(settings, turnings(right), laser_motion(m, m.t, right, robot())) == []
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.06])
+def test_ways_and_turns_that_are_too_long_alike_are_a_wrong_radius(factor: float) -> None:
+    """What the encoders count is multiplied by a radius that is off."""
+    right = drive(4, robot())
+    rolled = np.concatenate((np.zeros((1, 2)), np.cumsum(factor * right.wheels.rolled, axis=0)))
+    wrong = replace(right, wheels=Wheels.from_wheels(right.wheels.t, rolled[:, 0], rolled[:, 1], TRACK, NOISE))
+    m = right.measurements["lrf"]
+    found = of_radius(laser_motion(m, m.t, wrong, robot()), robot(), least=Least(0.005, 2.0))
+    assert told(found)["wheels.radius"] == pytest.approx(0.05 / factor, rel=0.02)
+
+
+def test_a_wrong_track_or_range_scale_alone_is_no_wrong_radius() -> None:
+    right = drive(4, robot())
+    m = right.measurements["lrf"]
+    rolled = np.concatenate((np.zeros((1, 2)), np.cumsum(right.wheels.rolled, axis=0)))
+    narrow = replace(
+        right, wheels=Wheels.from_wheels(right.wheels.t, rolled[:, 0], rolled[:, 1], 0.8 * TRACK, NOISE)
+    )
+    shrunk = replace(m, z=m.z * [0.9, 1.0])
+    least = Least(0.005, 2.0)
+    for readings, motion in ((m, right), (m, narrow), (shrunk, right)):
+        assert of_radius(laser_motion(readings, m.t, motion, robot()), robot(), least=least) == []
+
+
+def test_a_straight_run_tells_no_track() -> None:
+    """What the wheels tell of turning there is their noise."""
+    rng = np.random.default_rng(0)
+    healthy = drive(5, robot())
+    n = len(healthy.wheels.t)
+    left, right = np.cumsum(0.006 + 0.001 * rng.normal(size=(2, n)), axis=1)
+    straight = replace(healthy, wheels=Wheels.from_wheels(healthy.wheels.t, left, right, TRACK, 4e-4))
+    m = healthy.measurements["lrf"]
+    motion = laser_motion(m, m.t, straight, robot())
+    assert motion is None or motion.turns is None
+
+
+# turning
+
+
+SENSES = {(1, 1): (1, -1), (-1, 1): (1, 1), (1, -1): (-1, -1), (-1, -1): (-1, 1)}  # signs of counters -> of a, b
+
+
+@pytest.mark.parametrize("signs", SENSES)
+def test_how_wheels_turn_the_robot_tells_which_one_counts_backward(signs: tuple[int, int]) -> None:
+    """At constant speed, where both wheels move as one: turns are R - L over the track, whatever is counted."""
+    t, pose = path(1.0)
+    twist = se2.log(se2.between(pose[:-1], pose[1:]))
+    ways = [np.concatenate(([0.0], np.cumsum(twist[:, 0] + side * 0.5 * TRACK * twist[:, 2]))) for side in (-1, 1)]
+    wheels = Wheels.from_wheels(t, signs[0] * ways[0], signs[1] * ways[1], TRACK, 4e-4)
+    found = explain(t[::5], np.unwrap(pose[::5, 2]), wheels, np.zeros(len(t[::5])))
+    assert found is not None
+    assert (found.a, found.b) == pytest.approx(tuple(sense / TRACK for sense in SENSES[signs]), rel=0.05)
+
+
+# clocks
+
+
+def late(drive: Drive, **by: float) -> Drive:
+    """The drive with the stamps of some sensors, or of the truth, moved."""
+    truth = truth_of(drive)
+    m = {name: replace(m, t=m.t + by.get(name, 0.0)) for name, m in drive.measurements.items()}
+    return replace(drive, measurements=m, truth=replace(truth, t=truth.t + by.get("truth", 0.0)))
+
+
+def test_of_two_clocks_alone_nobody_knows_which_is_off() -> None:
+    moved = late(drive(6, robot()), truth=0.3)
+    (found,) = of_clocks(replace(moved, measurements={}), robot())
+    assert found.role == "truth"
+    assert "no third clock says which of the two is off: wheels.time_offset=0.3" in found.message
+    (found,) = of_clocks(moved, robot())
+    assert found.role == "truth"
+    assert "third clock" not in found.message  # compass and laser agree with the wheels
+
+
+def test_one_late_sensor_is_cured_by_its_own_offset() -> None:
+    found = of_clocks(late(drive(6, robot()), compass=0.3), robot())
+    assert told(found) == pytest.approx({"compass.time_offset": -0.3}, abs=0.03)
+    assert found[0].severe
+
+
+def test_where_all_others_are_late_alike_the_wheels_are_early() -> None:
+    found = of_clocks(late(drive(7, robot()), compass=0.2, lrf=0.2, truth=0.2), robot())
+    assert told(found) == pytest.approx({"wheels.time_offset": 0.2}, abs=0.03)
+
+
+def test_two_of_three_late_alike_are_two_late_sensors() -> None:
+    found = of_clocks(late(drive(8, robot()), compass=0.2, lrf=0.2), robot())
+    assert told(found) == pytest.approx({"compass.time_offset": -0.2, "lrf.time_offset": -0.2}, abs=0.03)
+
+
+def test_an_offset_that_is_set_already_is_added_to() -> None:
+    settings = robot(compass={"time_offset": 0.5})
+    found = of_clocks(late(drive(9, settings), compass=0.3), settings)
+    assert told(found) == pytest.approx({"compass.time_offset": 0.2}, abs=0.03)
+
+
+def test_clocks_that_agree_are_not_mentioned() -> None:
+    for seed in range(10, 15):
+        assert of_clocks(drive(seed, robot()), robot()) == []
+
+
+# truth
+
+
+@pytest.mark.parametrize("headings", [True, False])
+def test_where_the_drive_started_by_poses_and_by_points_only(headings: bool) -> None:
+    healthy = drive(16, robot())
+    truth = truth_of(healthy)
+    start = start_pose(truth if headings else replace(truth, theta=None), healthy)
+    assert start is not None
+    assert start.pose[:2] == pytest.approx(START[:2], abs=0.01 if headings else 0.1)
+    assert abs(se2.wrap(start.pose[2] - START[2])) < math.radians(1.0 if headings else 8.0)
+
+
+def test_a_start_by_points_does_not_depend_on_the_wheels_metre() -> None:
+    healthy = drive(17, robot())
+    truth = replace(truth_of(healthy), theta=None)
+    w = healthy.wheels
+    left, right = (1.2 * np.concatenate(([0.0], np.cumsum(c))) for c in w.rolled.T)
+    larger = replace(healthy, wheels=Wheels.from_wheels(w.t, left, right, 1.2 * TRACK, w.noise))
+    one, other = start_pose(truth, healthy), start_pose(truth, larger)
+    assert one is not None
+    assert other is not None
+    assert other.pose == pytest.approx(one.pose, abs=0.01)
+
+
+def test_a_body_point_is_told_before_the_start_that_depends_on_it() -> None:
+    healthy = drive(18, robot(), laps=1.5)
+    truth = truth_of(healthy)
+    assert truth.theta is not None
+    c, s = np.cos(truth.theta), np.sin(truth.theta)
+    point = np.stack((0.3 * c - 0.1 * s, 0.3 * s + 0.1 * c), axis=-1)
+    found = of_truth(replace(healthy, truth=replace(truth, xy=truth.xy + point)), robot())
+    assert told(found) == pytest.approx({"truth.x": 0.3, "truth.y": 0.1}, abs=0.05)
+
+
+@pytest.mark.parametrize(("x", "y"), [(0.0, 0.0), (0.3, 0.1)])
+@pytest.mark.parametrize("seed", range(3))
+def test_wheels_whose_turns_are_noisy_make_no_body_point(x: float, y: float, seed: int) -> None:
+    """Their noise is in how far they turned; the truth knows that, and the point is what it is."""
+    healthy = drive(18, robot(), laps=1.5)
+    truth, w, rng = truth_of(healthy), healthy.wheels, np.random.default_rng(seed)
+    turn = rng.normal(0.0, math.radians(5.0), len(w.t) - 1) * np.sqrt(np.diff(w.t))  # 5 degrees in a second
+    left, right = (
+        np.concatenate(([0.0], np.cumsum(r))) for r in (w.rolled + np.outer(turn, (-0.5, 0.5)) * TRACK).T
+    )
+    noisy = replace(healthy, wheels=Wheels.from_wheels(w.t, left, right, TRACK, w.noise))
+    assert truth.theta is not None
+    c, s = np.cos(truth.theta), np.sin(truth.theta)
+    point = np.stack((x * c - y * s, x * s + y * c), axis=-1)
+    found = of_truth(replace(noisy, truth=replace(truth, xy=truth.xy + point)), robot())
+    if x:
+        assert told(found) == pytest.approx({"truth.x": x, "truth.y": y}, abs=0.05)
+    else:
+        assert "body point" not in {f.code for f in found}
+
+
+def test_a_healthy_truth_is_not_mentioned() -> None:
+    for seed in range(19, 24):
+        assert of_truth(drive(seed, robot()), robot()) == []
+
+
+@pytest.mark.parametrize("place", [0.0, 5e-324])
+def test_a_truth_that_does_not_move_measures_no_wheels(place: float) -> None:
+    healthy = drive(1, robot())
+    assert wheels_metre(healthy) is not None
+    truth = truth_of(healthy)
+    rng = np.random.default_rng(1)
+    still = replace(healthy, truth=replace(truth, xy=place * rng.integers(0, 3, truth.xy.shape)))
+    assert wheels_metre(still) is None
+    assert metre(still, robot()) == (1.0, [])
+
+
+@pytest.mark.parametrize(("every", "spoil"), [(400, False), (50, True)])
+def test_a_truth_with_a_jump_in_more_than_one_of_a_hundred_steps_judges_nothing(every: int, spoil: bool) -> None:
+    healthy = drive(1, robot())
+    assert jumps_of(healthy) is None
+    truth = truth_of(healthy)
+    moved = 4.0 * (np.arange(len(truth.t)) // every % 2)
+    found = jumps_of(replace(healthy, truth=replace(truth, xy=truth.xy + moved[:, None])))
+    assert found is not None
+    assert (found.number, found.steps) == ((len(truth.t) - 1) // every, len(truth.t) - 1)
+    assert found.spoil is spoil
+
+
+def test_the_noise_of_a_truth_is_measured_at_rest_unless_it_is_told() -> None:
+    session = locfuse.load("rounded_triangle", between=(None, 20.0))
+    truth, rng = truth_of(session.drive), np.random.default_rng(25)
+    assert truth.theta is not None
+    noisy = replace(
+        truth,
+        xy=truth.xy + rng.normal(0.0, 0.006, truth.xy.shape),
+        theta=truth.theta + rng.normal(0.0, math.radians(0.4), len(truth.t)),
+    )
+    (found,) = of_truth(replace(session.drive, truth=noisy), session.robot)
+    assert found.code == "noise"
+    assert told([found]) == pytest.approx({"truth.sigma": 0.006, "truth.sigma_theta_deg": 0.4}, rel=0.15)
+    assert not found.severe  # it spoils no estimate
+    (found,) = of_truth(replace(session.drive, truth=replace(noisy, theta=None)), session.robot)
+    assert told([found]) == pytest.approx({"truth.sigma": 0.006}, rel=0.15)  # no heading, no noise of it
+    known = replace(noisy, sigma=0.006, sigma_theta=math.radians(0.4))
+    assert of_truth(replace(session.drive, truth=known), session.robot) == []
+
+
+# smaller instruments
+
+
+@pytest.mark.parametrize(("roll", "pitch"), [(0, 0), (90, 0), (180, 0), (-90, 0), (0, 90), (0, -90), (30, -20)])
+def test_gravity_tells_roll_and_pitch(roll: int, pitch: int) -> None:
+    up = by_gravity(9.81 * np.tile(rotation(roll, pitch, 0.0)[2], (20, 1)))
+    assert up is not None
+    assert angles(up) == (roll, pitch)
+
+
+def test_what_is_not_gravity_tells_no_mount() -> None:
+    assert by_gravity(np.zeros((20, 3))) is None
+    assert by_gravity(np.full((20, 3), np.nan)) is None
+
+
+def test_gaps_are_silences_of_several_periods() -> None:
+    t = np.concatenate((np.arange(0.0, 5.0, 0.1), np.arange(7.0, 9.0, 0.1)))
+    ((start, end),) = gaps(t)
+    assert (start, end) == pytest.approx((4.9, 7.0))
+    assert gaps(np.arange(0.0, 30.0, 3.0)) == []
+
+
+def test_a_finding_says_what_an_error_says_and_carries_its_fixes() -> None:
+    error = LocfuseError(
+        "2 topics fit: /a, /b.", role="lrf", fixes=("lrf.topic=/a",), hint="Choose one with --set lrf.topic=/a"
+    )
+    assert str(error) == "lrf: 2 topics fit: /a, /b. Choose one with --set lrf.topic=/a"
+    finding = of_error(error, "lrf", "choice")
+    assert (finding.role, finding.code, finding.fixes, finding.severe) == (
+        "lrf",
+        "choice",
+        ("lrf.topic=/a",),
+        True,
+    )
+    assert finding.sentence == "2 topics fit: /a, /b. Choose one with --set lrf.topic=/a"
+    assert finding.brief == "2 topics fit: /a, /b"  # what says how is printed below it
+
+
+def test_a_finding_about_another_role_names_it() -> None:
+    assert of_error(LocfuseError("no way", role="wheels"), "log", "unusable").message == "wheels: no way"
+    assert of_error(LocfuseError("bag.mcap: cut short"), "log", "unusable").message == "bag.mcap: cut short"
+
+
+def test_an_error_survives_the_way_between_processes() -> None:
+    error = UsageError("no such path:", fixes=("lrf.map=grow",), hint="see --help")
+    again = pickle.loads(pickle.dumps(error))
+    assert (type(again), str(again), again.hint, again.fixes) == (
+        UsageError, "no such path: see --help", "see --help", ("lrf.map=grow",)
+    )  # fmt: skip
+
+
+JOINT = """<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>
+<origin xyz="{xyz}" rpy="{rpy}"/></joint>"""
+WHEEL = """<link name="{0}"><collision>
+<geometry><cylinder radius="0.033" length="0.02"/></geometry></collision></link>"""
+NO_ROBOTS = ("", "<robot", "<!DOCTYPE x [<!ENTITY a 'b'>]><robot/>", "<robot name='x'/>")
+
+
+def wheel(name: str, link: str, x: float) -> str:
+    return JOINT.format(name=name, kind="continuous", parent="axle", child=link, xyz=f"{x} 0 0", rpy="0 0 0")
+
+
+def urdf(*joints: str) -> str:
+    links = "".join(WHEEL.format(n) for n in ("wl", "wr")) + '<link name="base"/><link name="axle"/>'
+    return f'<robot name="r">{links}{"".join(joints)}</robot>'
+
+
+def test_a_robot_description_tells_radius_and_track_through_its_fixed_joints() -> None:
+    """The axle is turned by 90 degrees, so that the wheels' x is the robot's y."""
+    axle = JOINT.format(name="a", kind="fixed", parent="base", child="axle", xyz="0 0 0.03", rpy="0 0 1.5708")
+    text = urdf(axle, wheel("wheel_left_joint", "wl", 0.08), wheel("wheel_right_joint", "wr", -0.08))
+    found = wheel_geometry(text)
+    assert found is not None
+    assert (found.left, found.right) == ("wheel_left_joint", "wheel_right_joint")
+    assert found.radius == pytest.approx(0.033)
+    assert found.track == pytest.approx(0.16, abs=1e-4)
+
+
+@pytest.mark.parametrize("text", [*NO_ROBOTS, urdf()])
+def test_a_description_without_two_wheels_tells_nothing(text: str) -> None:
+    assert wheel_geometry(text) is None

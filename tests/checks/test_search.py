@@ -1,0 +1,301 @@
+"""Which fixes are offered: held to scores written by hand, as if they were those of runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import pytest
+from msgspec.structs import replace
+
+from locfuse.fusion.checks.finding import Finding
+from locfuse.fusion.checks.score import Score, gain, improves, spoils
+from locfuse.fusion.checks.search import Advice, Candidate, Fixes, Scores, search, together
+
+LATE = Candidate(Finding("lrf", "lag", "late"), (("lrf.time_offset=-0.1",),), ("lrf", "all"))
+BIASED = Candidate(Finding("compass", "offset", "biased"), (("compass.offset_deg=5",),), ("compass", "all"))
+NOISY = Candidate(
+    Finding("camera", "noise", "noisy"), (("camera.sigma_deg=1",), ("camera.sigma_deg=2",)), ("camera", "all")
+)
+
+
+class Trials:
+    """Position errors [m] by settings, and which settings were asked for."""
+
+    def __init__(self, errors: Mapping[frozenset[str], float]) -> None:
+        self.errors, self.asked = errors, list[Fixes]()
+
+    def __call__(self, fixes: Fixes, names: Sequence[str]) -> Scores:
+        self.asked.append(fixes)
+        error = self.errors.get(frozenset(fixes))
+        return {} if error is None else {name: Score(error) for name in names}
+
+
+def keys(*fixes: str) -> frozenset[str]:
+    return frozenset(fixes)
+
+
+LAG, OFFSET = "lrf.time_offset=-0.1", "compass.offset_deg=5"
+
+
+def helpful(found: Sequence[Advice]) -> list[Fixes]:
+    return [a.fixes for a in found if a.helps]
+
+
+def test_what_helps_alone_and_not_beside_a_better_fix_is_no_longer_offered() -> None:
+    trial = Trials({keys(): 0.1, keys(LAG): 0.01, keys(OFFSET): 0.05, keys(LAG, OFFSET): 0.02})
+    assert helpful(search([BIASED, LATE], (), trial)) == [(LAG,)]
+
+
+def test_fixes_that_combine_are_tried_together_the_most_valuable_first() -> None:
+    trial = Trials({keys(): 0.1, keys(LAG): 0.05, keys(OFFSET): 0.08, keys(LAG, OFFSET): 0.01})
+    found = search([BIASED, LATE], (), trial)
+    assert helpful(found) == [(LAG,), (OFFSET,)]
+    assert found[1].before is not None
+    assert found[1].before["all"].position == 0.05  # on top of the first
+
+
+def test_a_finding_that_no_fix_helps_against_is_kept_without_one_and_an_offer_is_not() -> None:
+    trial = Trials({keys(): 0.1, keys(LAG): 0.1})
+    assert [(a.finding.role, a.fixes) for a in search([LATE], (), trial)] == [("lrf", ())]
+    offer = Candidate(LATE.finding, LATE.alternatives, LATE.judges, offer=True)
+    assert search([offer], (), trial) == []
+
+
+def test_of_several_alternatives_the_best_is_offered_and_one_that_cannot_be_applied_is_not() -> None:
+    trial = Trials({keys(): 0.1, keys("camera.sigma_deg=2"): 0.05})
+    assert helpful(search([NOISY], (), trial)) == [("camera.sigma_deg=2",)]
+
+
+def test_a_later_value_of_the_same_key_wins() -> None:
+    assert together(("a.b=1", "c.d=2"), ("a.b=3",)) == ("a.b=3", "c.d=2")
+
+
+@pytest.mark.parametrize(("after", "harmless"), [(0.1, True), (0.15, False)])
+def test_of_a_fix_that_does_not_help_it_is_known_whether_it_harms(after: float, harmless: bool) -> None:
+    (found,) = search([LATE], (), Trials({keys(): 0.1, keys(LAG): after}))
+    assert not found.helps
+    assert found.harmless == harmless
+
+
+@pytest.mark.parametrize(
+    ("lost", "gained", "minor", "taken"),
+    [
+        (0.015, 0.0, True, True),
+        (0.04, 0.0, True, False),
+        (0.04, 0.06, True, True),
+        (0.04, 0.06, False, False),
+        (0.06, 0.06, True, False),
+    ],
+)
+def test_a_configuration_that_nobody_would_keep_may_predict_worse_by_what_chance_does_where_another_gains(
+    lost: float, gained: float, minor: bool, taken: bool
+) -> None:
+    """A mount that the drive shows by eight sigmas: where others gain, a hundred bearings say little against it.
+
+    Where nothing gains, they were right: the laser's own error grew by a third.
+    """
+    scores = {("lrf", ()): 3.24, ("all", ()): 3.03, ("lrf", (LAG,)): 3.24 - lost, ("all", (LAG,)): 3.03 + gained}
+
+    def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
+        return {name: Score(prediction=scores[name, fixes]) for name in names}
+
+    candidate = Candidate(
+        LATE.finding, LATE.alternatives, LATE.judges, minor=("lrf",) if minor else (), measured=True
+    )
+    assert helpful(search([candidate], (), trial)) == ([(LAG,)] if taken else [])
+
+
+def test_rivals_that_explain_the_same_are_not_both_kept_before_the_log_is_looked_at_again() -> None:
+    """The laser is late, or the wheels are early: once one is set, the other's value is of yesterday."""
+    early = "wheels.time_offset=0.1"
+    wheels = Candidate(Finding("wheels", "lag", "early"), ((early,),), ("all",), rivals=("lrf", "compass"))
+    trial = Trials({keys(): 0.1, keys(LAG): 0.01, keys(early): 0.05, keys(LAG, early): 0.002})
+    assert helpful(search([wheels, LATE], (), trial)) == [(LAG,)]
+    trial = Trials({keys(): 0.1, keys(LAG): 0.05, keys(early): 0.01, keys(LAG, early): 0.002})
+    assert helpful(search([wheels, LATE], (), trial)) == [(early,)]
+
+
+@pytest.mark.parametrize(("camera", "taken"), [(0.019, True), (0.034, False)])
+def test_a_track_that_makes_odometry_better_may_not_ruin_the_camera(camera: float, taken: bool) -> None:
+    """14 mm before: 19 mm are chance, 34 mm say that the track fits the slips of this drive."""
+    track = "wheels.track=0.624"
+    scores = {("odometry", ()): 0.319, ("odometry", (track,)): 0.166, ("camera", ()): 0.014}
+    scores |= {("camera", (track,)): camera, ("all", ()): 0.0035, ("all", (track,)): 0.0035}
+
+    def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
+        return {name: Score(scores[name, fixes]) for name in names}
+
+    judges = ("camera", "all", "odometry")
+    finding = Finding("wheels", "track", "4 % off")
+    candidate = Candidate(finding, ((track,),), judges, ("camera", "odometry"), ("camera",), offer=True)
+    assert helpful(search([candidate], (), trial)) == ([(track,)] if taken else [])
+
+
+BOUNDS = (0.5, 2.0)
+
+
+@pytest.mark.parametrize(("anees", "taken"), [(7.8, True), (1.0, False)])
+def test_an_error_that_was_small_by_chance_may_grow_where_another_falls_to_less_than_half(
+    anees: float, taken: bool
+) -> None:
+    """A radius 6 % off: odometry's two errors cancel on this drive, and its covariance says that it is chance."""
+    radius = "wheels.radius=0.05"
+    scores = {
+        ("camera", ()): Score(0.540, 27.0, BOUNDS),
+        ("camera", (radius,)): Score(0.043, 0.95, BOUNDS),
+        ("odometry", ()): Score(0.277, anees, BOUNDS),
+        ("odometry", (radius,)): Score(0.391, 0.9, BOUNDS),
+    }
+
+    def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
+        return {name: scores[name, fixes] for name in names}
+
+    finding = Finding("wheels", "wheel scale", "6 % long", severe=True)
+    candidate = Candidate(finding, ((radius,),), ("camera", "odometry"), ("odometry",))
+    assert helpful(search([candidate], (), trial)) == ([(radius,)] if taken else [])
+
+
+def test_a_filter_that_only_becomes_underconfident_is_not_spoiled_beside_a_sensor_that_is_settled() -> None:
+    """A compass 30 degrees off: 1.3 m -> 25 mm; of `all` the error shrinks below what was claimed anyway."""
+    scores = {
+        ("compass", ()): Score(1.35, 380.0, BOUNDS),
+        ("compass", (OFFSET,)): Score(0.025, 0.7, BOUNDS),
+        ("all", ()): Score(0.00312, 0.48, BOUNDS),
+        ("all", (OFFSET,)): Score(0.00296, 0.38, BOUNDS),
+    }
+
+    def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
+        return {name: scores[name, fixes] for name in names}
+
+    assert helpful(search([BIASED], (), trial)) == [(OFFSET,)]
+    assert spoils(scores["all", ()], scores["all", (OFFSET,)])  # which a gain of its own would have to outweigh
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "worse", "better"),
+    [
+        (Score(0.100), Score(0.089), False, True),
+        (Score(0.100), Score(0.095), False, False),  # less than a tenth
+        (Score(0.100), Score(0.103), True, False),
+        (Score(0.0010), Score(0.00119), False, False),  # 0.2 mm are nothing
+        (Score(0.1, 40.0, BOUNDS), Score(0.1, 1.0, BOUNDS), False, True),
+        (Score(0.1, 0.8, BOUNDS), Score(0.1, 1.0, BOUNDS), False, False),  # chance, both
+        (Score(0.1, 1.0, BOUNDS), Score(0.1, 3.0, BOUNDS), True, False),
+        (Score(0.1, 5.4, BOUNDS), Score(0.12, 1.0, BOUNDS), True, True),  # no ANEES is worth a larger error
+        (Score(0.295, 220.0, BOUNDS), Score(0.328, 176.0, BOUNDS), True, False),  # nor is a little of it a gain
+        (Score(0.3, 220.0, BOUNDS), Score(0.303, 100.0, BOUNDS), False, True),
+        (Score(0.1, 1.0, BOUNDS), Score(0.05, 3.0, BOUNDS), False, True),  # half the error
+        (Score(0.1, 1.0, BOUNDS), Score(0.091, 3.0, BOUNDS), True, False),  # less than a tenth
+        (Score(0.1), Score(0.01, lost=0.2), True, True),  # lost is worse, whatever else
+        (Score(0.1), Score(), True, False),
+        (Score(prediction=1.0), Score(prediction=1.2), False, True),
+        (Score(prediction=1.0), Score(prediction=0.9), True, False),
+    ],
+)
+def test_what_counts_as_worse_and_as_better(before: Score, after: Score, worse: bool, better: bool) -> None:
+    assert (spoils(before, after), improves(before, after)) == (worse, better)
+
+
+def test_half_the_error_is_worth_as_much_as_a_quarter_of_the_anees_outside_its_range() -> None:
+    less = gain(Score(0.2, 1.0, BOUNDS), Score(0.1, 1.0, BOUNDS))
+    surer = gain(Score(0.1, 32.0, BOUNDS), Score(0.1, 8.0, BOUNDS))
+    assert less == pytest.approx(surer)
+
+
+class Accusers:
+    """Two sensors that contradict each other: either gains once it moves, and all sensors know who is right."""
+
+    def __call__(self, fixes: Fixes, names: Sequence[str]) -> Scores:
+        gains = {frozenset({LAG}): {"lrf": 1.0, "all": 1.0}, frozenset({OFFSET}): {"compass": 3.0, "all": 0.2}}
+        gained = gains.get(frozenset(fixes), {})
+        return {name: Score(prediction=1.0 + gained.get(name, 0.0 if len(fixes) < 2 else -1.0)) for name in names}
+
+
+def test_of_two_sensors_that_accuse_each_other_that_one_is_moved_that_all_the_others_gain_by() -> None:
+    assert helpful(search([BIASED, LATE], (), Accusers())) == [(LAG,)]
+
+
+@pytest.mark.parametrize(
+    ("gained", "measured", "helps"),
+    [(0.01, True, True), (0.01, False, False), (-0.01, True, True), (-0.03, True, False)],
+)
+def test_without_truth_a_measured_value_need_not_gain_but_must_not_lose(
+    gained: float, measured: bool, helps: bool
+) -> None:
+    def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
+        return {name: Score(prediction=1.0 + gained * bool(fixes)) for name in names}
+
+    candidate = Candidate(LATE.finding, LATE.alternatives, LATE.judges, measured=measured)
+    assert [a.helps for a in search([candidate], (), trial)] == [helps]
+
+
+@pytest.mark.parametrize(
+    ("alone", "offer", "helps"), [(0.04, False, True), (0.04, True, False), (0.07, False, False)]
+)
+def test_what_takes_a_sensor_s_own_error_to_less_than_half_may_cost_the_rest_what_chance_does(
+    alone: float, offer: bool, helps: bool
+) -> None:
+    def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
+        errors = {"lrf": alone, "all": 0.0055} if fixes else {"lrf": 0.1, "all": 0.005}
+        return {name: Score(errors[name]) for name in names}
+
+    candidate = Candidate(LATE.finding, LATE.alternatives, LATE.judges, offer=offer)
+    assert any(a.helps for a in search([candidate], (), trial)) == helps
+
+
+class Uneven(Trials):
+    """The same, of a configuration that gains by a fix and one that loses by it: "all" and "compass"."""
+
+    def __init__(self, loss: float) -> None:
+        super().__init__({})
+        self.loss = loss
+
+    def __call__(self, fixes: Fixes, names: Sequence[str]) -> Scores:
+        errors = {"all": 0.006, "compass": 0.030} if not fixes else {"all": 0.004, "compass": 0.030 * self.loss}
+        return {name: Score(errors[name]) for name in names}
+
+
+@pytest.mark.parametrize(("loss", "minor", "helps"), [(1.1, True, True), (1.1, False, False), (1.3, True, False)])
+def test_what_nobody_would_keep_may_lose_what_chance_does_and_no_more(
+    loss: float, minor: bool, helps: bool
+) -> None:
+    candidate = Candidate(
+        Finding("compass", "lag", "late"),
+        (("compass.time_offset=-0.05",),),
+        ("compass", "all"),
+        ("compass",) if minor else (),
+    )
+    assert [a.helps for a in search([candidate], (), Uneven(loss))] == [helps]
+
+
+@pytest.mark.parametrize(
+    ("shape", "measured", "helps"),
+    [(0.0049, True, True), (0.0049, False, False), (0.0040, False, True), (0.006, True, False)],
+)
+def test_a_fix_that_moves_a_map_which_nothing_holds_in_the_world_is_judged_by_the_path_s_shape(
+    shape: float, measured: bool, helps: bool
+) -> None:
+    """The map's direction is drawn anew: the position gets worse by chance, whatever becomes of the shape."""
+
+    def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
+        return {
+            name: Score(0.02, 1.0, BOUNDS, shape=shape) if fixes else Score(0.015, 1.0, BOUNDS, shape=0.005)
+            for name in names
+        }
+
+    candidate = Candidate(LATE.finding, LATE.alternatives, LATE.judges, measured=measured, by_shape=True)
+    (found,) = search([candidate], (), trial)
+    assert found.helps == helps
+    assert not any(a.helps for a in search([replace(candidate, by_shape=False)], (), trial))
+    if helps and found.before is not None and found.after is not None:
+        assert found.after["lrf"] == Score(shape, shape=shape, aligned=True)
+        assert found.before["lrf"].position == 0.005
+
+
+def test_where_the_position_itself_gains_the_shape_is_not_asked() -> None:
+    def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
+        return {name: Score(0.01 if fixes else 0.02, shape=0.004) for name in names}
+
+    (found,) = search([replace(LATE, by_shape=True)], (), trial)
+    assert found.helps
+    assert found.before == {name: Score(0.02, shape=0.004) for name in LATE.judges}

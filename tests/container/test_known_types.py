@@ -1,0 +1,217 @@
+"""Types of robots in .db3 files that carry no definitions (ROS 2 before Iron): bytes laid out by hand decide."""
+
+from __future__ import annotations
+
+import sqlite3
+import struct
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from locfuse.formats.logs.log import open_log
+from locfuse.fusion.data import Ragged
+
+NS = 1_700_000_000_000_000_000
+HEADER = struct.pack("<iiI5sxxx", NS // 10**9, 0, 5, b"base\0")  # 20 bytes after the encapsulation
+
+
+def database(path: Path, msgtype: str, body: bytes) -> Path:
+    """Two messages as rosbag2 stores them."""
+    with closing(sqlite3.connect(path)) as made:
+        made.execute(
+            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)"
+        )
+        made.execute(
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)"
+        )
+        made.execute("INSERT INTO topics VALUES(1, '/a', ?, 'cdr')", (msgtype,))
+        for i in range(2):
+            data = b"\0\1\0\0" + body
+            made.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES(1, ?, ?)", (NS + i, data))
+        made.commit()
+    return path
+
+
+TAG = (
+    HEADER + struct.pack("<I", 1) + struct.pack("<I9sxxxii2f", 9, b"tag36h11\0", 7, 0, 0.0, 50.0)
+    + struct.pack("<2d", 320.5, 240.5) + bytes(8 * 8) + bytes(9 * 8)
+)  # fmt: skip
+ARUCO = (
+    HEADER + struct.pack("<Iq", 1, 23) + struct.pack("<I", 1) + bytes(4)
+    + struct.pack("<7d", 0.1, 0.2, 1.5, 0, 0, 0, 1)
+)  # fmt: skip
+FIX = (
+    HEADER + HEADER[:17] + struct.pack("<xHIHxx4I", 0, 0, 0, 0, 0, 0, 0) + struct.pack("<h3H", 2, 1, 0, 1)
+    + struct.pack("<25d", 52.5, 13.25, *range(23)) + struct.pack("<9d", 0.25, 0, 0, 0, 0.5, 0, 0, 0, 1)
+    + struct.pack("<B", 2)
+)  # fmt: skip
+
+
+class Cdr:
+    """Numbers laid out by hand: each at a multiple of its own size (OMG CDR, version 1)."""
+
+    def __init__(self) -> None:
+        self.body = b""
+
+    def add(self, kinds: str, *values: float) -> Cdr:
+        for kind, value in zip(kinds, values, strict=True):
+            size = struct.calcsize(kind)
+            self.body += bytes(-len(self.body) % size) + struct.pack(f"<{kind}", value)
+        return self
+
+    def text(self, words: str) -> Cdr:
+        self.add("I", len(words) + 1)
+        self.body += words.encode() + b"\0"
+        return self
+
+    def header(self) -> Cdr:
+        return self.add("iI", NS // 10**9, 0).text("base")
+
+    def pose(self, covariance: bool = False) -> Cdr:
+        rest = (0,) * 36 if covariance else ()
+        return self.add("d" * (7 + len(rest)), 0.1, 0.2, 1.5, 0, 0, 0, 1, *rest)
+
+
+def hypothesis(made: Cdr) -> Cdr:
+    return made.add("I", 1).text("tag_7").add("d", 0.9).pose(covariance=True)
+
+
+def _to_heading() -> Cdr:
+    made = Cdr().add("QQBBBB", 5, 5, 1, 1, 1, 1).add("fff", 1.5, -2.5, 0).add("ffBfB", 0, 0, 1, 0, 1)
+    return made.add("ffff", 0.25, 0.5, 0, 0).add("ffBfB", 0, 0, 1, 0, 1).add("ffff", 0, 0, 9, 0.75)
+
+
+def _reference(made: Cdr, tilt: str) -> Cdr:
+    return made.add(tilt, *[0.5] * len(tilt)).add("BBQddf", 1, 1, 5, 47.0, 8.0, 400.0)
+
+
+LAID_OUT: dict[str, tuple[str, Cdr, dict[str, float]]] = {
+    "isaac": (
+        "isaac_ros_apriltag_interfaces/msg/AprilTagDetectionArray",
+        Cdr().header().add("I", 1).text("tag36h11").add("i" + "d" * 15, 7, *range(15)).header()
+        .pose(True),
+        {"detections.id": 7, "detections.pose.pose.pose.position.z": 1.5},
+    ),
+    "aruco_opencv": (
+        "aruco_opencv_msgs/msg/ArucoDetection",
+        Cdr().header().add("IH", 1, 7).pose().add("I", 0),
+        {"markers.marker_id": 7, "markers.pose.position.z": 1.5},
+    ),
+    "aruco": (
+        "aruco_msgs/msg/MarkerArray",
+        Cdr().header().add("I", 1).header().add("I", 7).pose(True).add("d", 1.0),
+        {"markers.id": 7, "markers.pose.pose.position.z": 1.5},
+    ),
+    "aruco with corners": (
+        "aruco_msgs/msg/MarkerArray",
+        Cdr().header().add("I", 1).header().add("II", 7, 1).add("d" * 6, *range(6)).pose(True).add("d", 1.0),
+        {"markers.id": 7, "markers.pose.pose.position.z": 1.5},
+    ),
+    "detections in the picture": (
+        "vision_msgs/msg/Detection2DArray",
+        hypothesis(Cdr().header().add("I", 1).header()).add("ddddd", 320.5, 240.0, 0.0, 8.0, 8.0).text("7"),
+        {"detections.bbox.center.position.x|detections.bbox.center.x": 320.5},
+    ),
+    "detections in space": (
+        "vision_msgs/msg/Detection3DArray",
+        hypothesis(Cdr().header().add("I", 1).header()).pose().add("ddd", 0.1, 0.1, 0.1).text(""),
+        {"detections.bbox.center.position.z": 1.5},
+    ),
+    "bodies": (
+        "mocap4r2_msgs/msg/RigidBodies",
+        Cdr().header().add("II", 9, 1).text("robot").add("I", 1).add("bi", 0, 3).text("m").add("ddd", 1, 2, 3)
+        .pose(),
+        {"rigidbodies.pose.position.y": 0.2},
+    ),
+    "model states": (
+        "gazebo_msgs/msg/ModelStates",
+        Cdr().add("I", 1).text("robot").add("I", 1).pose().add("I", 1).add("d" * 6, *range(6)),
+        {"pose.position.y": 0.2},
+    ),
+    "vehicle odometry": (
+        "px4_msgs/msg/VehicleOdometry",
+        Cdr().add("QQB", 5, 5, 1).add("f" * 7, 1.5, -2.5, 0, 1, 0, 0, 0).add("B", 3).add("f" * 15, *range(15))
+        .add("Bb", 0, 100),
+        {"position": 1.5, "q": 1.0, "velocity_frame": 3, "angular_velocity": 3.0},
+    ),
+    **{
+        f"local position of PX4 {release}": (
+            "px4_msgs/msg/VehicleLocalPosition",
+            _reference(_to_heading().add("f" * len(headings) + "BB", *headings, 1, 1), tilt)
+            .add(bottom, *[1] * len(bottom)),
+            {"x": 1.5, "y": -2.5, "vx": 0.25, "vy": 0.5, "heading": 0.75},
+        )
+        for release, headings, tilt, bottom in (
+            ("1.14", (0.1, 0.2), "", "fBBffffBffff"),
+            ("1.15", (0.1, 0.2, 0.3), "f", "BfffBBffffBffff"),
+            ("1.16", (0.1, 0.2, 0.3), "f", "BfffBBffffBfffff"),
+        )
+    },
+    "sensors of a vehicle": (
+        "px4_msgs/msg/SensorCombined",
+        Cdr().add("Q", 5).add("fffI", 0.5, 0, 0, 4000).add("ifffI", 0, 9.5, 0, 0, 4000).add("BBBB", 0, 0, 1, 1),
+        {"gyro_rad": 0.5, "accelerometer_m_s2": 9.5},
+    ),
+    "a legged robot": (
+        "unitree_go/msg/SportModeState",
+        Cdr().add("iII", 5, 0, 0).add("f" * 13, 1, *(0,) * 12).add("bBfBf", 30, 1, 0, 0, 0.1)
+        .add("f" * 12, 1.5, *(0,) * 11).add("h" * 4, 1, 2, 3, 4).add("f" * 24, *(0,) * 24),
+        {"position": 1.5, "imu_state.quaternion": 1.0},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("which", LAID_OUT)
+def test_tags_bodies_and_vehicles_are_read_without_a_definition(which: str, tmp_path: Path) -> None:
+    """Of arrays the first value."""
+    msgtype, made, expected = LAID_OUT[which]
+    columns: Any = open_log([database(tmp_path / "x.db3", msgtype, made.body)]).stream("/a").columns(*expected)
+    for name, value in expected.items():
+        column = columns[name]
+        numbers = column.values if isinstance(column, Ragged) else np.asarray(column).reshape(2, -1)[:, 0]
+        assert np.asarray(numbers)[0] == pytest.approx(value), name
+
+
+def test_a_message_of_another_release_is_not_read_as_what_it_is_not(tmp_path: Path) -> None:
+    """VehicleOdometry of PX4 1.13 has covariances where that of 1.14 has variances."""
+    made = Cdr().add("QQB", 5, 5, 1).add("f" * 32, *range(32)).add("B", 1).add("f" * 27, *range(27))
+    log = open_log([database(tmp_path / "x.db3", "px4_msgs/msg/VehicleOdometry", made.body)])
+    assert "not described" in str(log.topics["/a"].problem)
+
+
+@pytest.mark.parametrize(
+    ("msgtype", "body", "expected"),
+    [
+        (
+            "autoware_vehicle_msgs/msg/VelocityReport",
+            HEADER + struct.pack("<3f", 1.5, 0.25, -0.5),
+            {"longitudinal_velocity": 1.5, "heading_rate": -0.5},
+        ),
+        (
+            "ackermann_msgs/msg/AckermannDrive",
+            struct.pack("<5f", 0.25, 0.0, 2.0, 0.0, 0.0),
+            {"speed": 2.0, "steering_angle": 0.25},
+        ),
+        ("apriltag_msgs/msg/AprilTagDetectionArray", TAG, {"detections.id": 7, "detections.centre.x": 320.5}),
+        ("ros2_aruco_interfaces/msg/ArucoMarkers", ARUCO, {"marker_ids": 23, "poses.position.z": 1.5}),
+        (
+            "gps_msgs/msg/GPSFix",
+            FIX,
+            {"status.status": 2, "latitude": 52.5, "longitude": 13.25, "position_covariance_type": 2},
+        ),
+    ],
+    ids=["velocity report", "ackermann drive", "apriltags", "aruco markers", "GPSFix"],
+)
+def test_its_fields_are_read_without_a_definition_in_the_file(
+    msgtype: str, body: bytes, expected: dict[str, float], tmp_path: Path
+) -> None:
+    stream = open_log([database(tmp_path / "x.db3", msgtype, body)]).stream("/a")
+    columns: Any = stream.columns(*expected)
+    assert dict(stream.dropped) == {}
+    for name, value in expected.items():
+        column = columns[name]
+        found = column.values if isinstance(column, Ragged) else np.asarray(column)
+        assert found.tolist() == [value, value], name

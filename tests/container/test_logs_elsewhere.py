@@ -1,0 +1,324 @@
+"""Logs on a server: results are those of the same log here, few bytes come, and every failure is one line."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zstandard
+from bags import STORE, cdr, header
+from commands import locfuse
+from counted_jobs import counted_jobs
+from range_server import Shelf, serving
+from rosbags.rosbag2 import Writer
+
+from benchmarks.make_log import main as make_log
+from locfuse.cli.fleet.words import expanded
+from locfuse.formats.container import remote_objects as objects
+from locfuse.formats.container.losses import Losses
+from locfuse.formats.container.mcap_summary import read_summary
+from locfuse.formats.container.remote_bytes import RemoteBytes
+from locfuse.formats.container.url import Url
+from locfuse.formats.logs.log import Log, open_log
+from locfuse.fusion.data import LocfuseError, UsageError
+
+pytest.importorskip("obstore")
+WHAT_DIFFERS = ("identity", "sha256", "etag")  # of the input
+TOPICS = ("/joint_states", "/magnetic_field", "/ground_truth")
+
+
+@pytest.fixture
+def shelf() -> Iterator[Shelf]:
+    with serving() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Six seconds with raw pictures that nothing reads, by compression."""
+    folder = tmp_path_factory.mktemp("logs")
+    words = ["--minutes", "0.1", "--raw-image-hz", "5", "--image-size", "320x240", "--chunk-size", "400000"]
+    for kind in ("none", "zstd"):
+        make_log([str(folder / f"{kind}.mcap"), *words, "--compression", kind], standalone_mode=False)
+    return {kind: folder / f"{kind}.mcap" for kind in ("none", "zstd")}
+
+
+def columns(log: Log) -> dict[str, dict[str, np.ndarray]]:
+    fields = {
+        "/joint_states": ("position",),
+        "/magnetic_field": ("magnetic_field.x",),
+        "/ground_truth": ("pose.position.x",),
+    }
+    streams = log.streams(fields)
+    return {
+        topic: {"t": streams[topic].t_ns, **{k: np.asarray(v) for k, v in streams[topic].columns(*names).items()}}
+        for topic, names in fields.items()
+    }
+
+
+@pytest.mark.parametrize("kind", ["none", "zstd"])
+def test_every_file_is_that_of_the_log_here_but_for_its_identity(
+    kind: str, logs: dict[str, Path], shelf: Shelf, tmp_path: Path
+) -> None:
+    url = shelf.put(f"{kind}.mcap", logs[kind].read_bytes())
+    words = ("--sensors", "odometry", "--sensors", "compass", "--write", "json,tum,csv,md")
+    for where, folder in ((logs[kind], "here"), (url, "there")):
+        done = locfuse("compare", where, "-o", tmp_path / folder, *words)
+        assert done.exit_code == 0, done.stderr
+    assert "MB over the network" in done.stderr
+    for file in sorted((tmp_path / "here").iterdir()):
+        other = tmp_path / "there" / file.name
+        if file.suffix in {".tum", ".csv", ".toml"}:
+            assert other.read_bytes() == file.read_bytes()
+    here, there = (json.loads((tmp_path / f / "report.json").read_text()) for f in ("here", "there"))
+    assert there["input"]["sha256"] is None
+    assert there["input"]["etag"] == '"one"'
+    for report in (here, there):
+        report.pop("key")
+        for key in WHAT_DIFFERS:
+            report["input"].pop(key, None)
+    assert there == here
+
+
+def test_of_stored_chunks_only_the_wanted_messages_come(logs: dict[str, Path], shelf: Shelf) -> None:
+    url = shelf.put("stored.mcap", logs["none"].read_bytes())
+    shelf.asked.clear()
+    here, there = open_log([logs["none"]]), open_log([Url(url)])
+    found, expected = columns(there), columns(here)
+    for topic, values in expected.items():
+        for name, column in values.items():
+            np.testing.assert_array_equal(found[topic][name], column)
+    size = logs["none"].stat().st_size
+    assert there.transfer == (shelf.sent, size)
+    assert shelf.sent < size / 10
+    before = shelf.sent
+    there.forget()
+    columns(there)
+    assert shelf.sent == before  # a second walk finds all of it at hand
+
+
+def test_of_packed_chunks_those_that_hold_something_wanted_come(logs: dict[str, Path], shelf: Shelf) -> None:
+    data = logs["zstd"].read_bytes()
+    shelf.asked.clear()
+    log = open_log([Url(shelf.put("packed.mcap", data))])
+    expected = columns(open_log([logs["zstd"]]))
+    np.testing.assert_array_equal(columns(log)["/joint_states"]["position"], expected["/joint_states"]["position"])
+    assert not log.losses
+    assert log.transfer is not None
+    assert log.transfer[0] <= len(data) + 100_000  # most of it is wanted: copied, once
+
+
+def test_topics_are_listed_by_one_or_two_requests(logs: dict[str, Path], shelf: Shelf) -> None:
+    url = shelf.put("listed.mcap", logs["none"].read_bytes())
+    shelf.asked.clear()
+    done = locfuse("info", "--topics", url)
+    assert done.exit_code == 0, done.stderr
+    assert len(shelf.asked) <= 2
+    assert done.stdout == locfuse("info", "--topics", logs["none"]).stdout
+    assert "/front/image_raw" in done.stdout
+
+
+def test_other_kinds_of_files_are_copied_and_read(logs: dict[str, Path], shelf: Shelf, tmp_path: Path) -> None:
+    data = logs["none"].read_bytes()
+    cut_off = tmp_path / "cut.mcap"
+    cut_off.write_bytes(data[: len(data) // 2])
+    for name, content, like in (
+        ("whole.mcap.zstd", zstandard.compress(data), logs["none"]),
+        ("cut.mcap", cut_off.read_bytes(), cut_off),
+    ):
+        there, here = open_log([Url(shelf.put(name, content))]), open_log([like])
+        np.testing.assert_array_equal(columns(there)["/joint_states"]["t"], columns(here)["/joint_states"]["t"])
+        assert list(there.losses.by_reason()) == list(here.losses.by_reason())
+        assert there.identity.size == len(content)
+    with Writer(tmp_path / "bag", version=9) as writer:
+        connection = writer.add_connection("/imu", "sensor_msgs/msg/Imu", typestore=STORE)
+        writer.write(connection, 10**18, cdr("sensor_msgs/msg/Imu", header=header(10**18)))
+    bag = next((tmp_path / "bag").glob("*.db3"))
+    log = open_log([Url(shelf.put("bag.db3", bag.read_bytes()))])
+    assert log.topics.keys() == open_log([bag]).topics.keys()
+
+
+def test_a_hash_is_taken_of_all_bytes_as_they_are_on_the_server(logs: dict[str, Path], shelf: Shelf) -> None:
+    data = zstandard.compress(logs["none"].read_bytes())
+    log = open_log([Url(shelf.put("hashed.mcap.zstd", data))])
+    import hashlib
+
+    assert log.sha256 == hashlib.sha256(data).hexdigest()
+    assert not log.all_read
+
+
+def rewritten_summary(data: bytes, change: bytes, to: bytes) -> bytes:
+    """Return a log whose summary says something else, with a checksum that fits."""
+    at = data.rindex(change)
+    changed = bytearray(data[:at] + to + data[at + len(change) :])
+    start = int.from_bytes(changed[-8 - 20 : -8 - 12], "little")
+    crc = zlib.crc32(changed[start : len(changed) - 8 - 4])
+    changed[-12:-8] = crc.to_bytes(4, "little")
+    return bytes(changed)
+
+
+def test_a_summary_that_contradicts_itself_is_not_believed(
+    logs: dict[str, Path], shelf: Shelf, tmp_path: Path
+) -> None:
+    data = logs["none"].read_bytes()
+    here = tmp_path / "plain.mcap"
+    here.write_bytes(data)
+    summary = read_summary(RemoteBytes(Url(shelf.put("plain.mcap", data)), Losses()))
+    assert summary is not None
+    assert summary.statistics is not None
+    count = summary.statistics.messages
+    wrong = rewritten_summary(data, count.to_bytes(8, "little"), (count + 1).to_bytes(8, "little"))
+    shelf.asked.clear()
+    log = open_log([Url(shelf.put("wrong.mcap", wrong))])
+    assert shelf.sent >= len(wrong)  # copied and walked
+    np.testing.assert_array_equal(
+        columns(log)["/joint_states"]["t"], columns(open_log([here]))["/joint_states"]["t"]
+    )
+
+
+def test_damage_to_what_is_read_is_counted_and_other_messages_stay(logs: dict[str, Path], shelf: Shelf) -> None:
+    data = bytearray(logs["none"].read_bytes())
+    summary = read_summary(RemoteBytes(Url(shelf.put("whole.mcap", bytes(data))), Losses()))
+    assert summary is not None
+    chunk = summary.chunks[min(summary.chunks)]
+    whole = columns(open_log([logs["none"]]))["/joint_states"]["t"]
+    index = min(at for at in chunk.indexes.values())
+    data[index + 9 + 6 + 8 : index + 9 + 6 + 16] = b"\xff" * 8  # where its first message should lie
+    log = open_log([Url(shelf.put("damaged.mcap", bytes(data)))])
+    found = columns(log)["/joint_states"]["t"]
+    assert 0 < len(found) < len(whole)
+    assert log.losses.messages > 0
+    assert set(found) <= set(whole)
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    for name, value in (("SILENCE_S", 0.2), ("CONNECT_S", 1.0), ("RETRIES", 1), ("RETRY_S", 2.0)):
+        monkeypatch.setattr(objects, name, value)
+    objects.store.cache_clear()
+    yield
+    objects.store.cache_clear()
+
+
+def refused(url: str) -> str:
+    done = locfuse("compare", url, "--write", "json")
+    assert done.exit_code == 1
+    assert len(done.stderr.strip().splitlines()) == 1
+    return done.stderr
+
+
+@pytest.mark.usefixtures("impatient")
+def test_what_a_server_refuses_or_does_not_give_is_one_line(logs: dict[str, Path], shelf: Shelf) -> None:
+    data = logs["none"].read_bytes()
+    for status, said in (
+        (403, "access denied (403)"),
+        (404, "no such object (404)"),
+        (401, "not signed in (401)"),
+    ):
+        url = shelf.put(f"{status}.mcap", data)
+        shelf.refuse[f"{status}.mcap"] = status
+        assert said in refused(url)
+    shelf.refuse["500.mcap"] = 500
+    assert "500 Internal Server Error" in refused(shelf.put("500.mcap", data))
+    assert "empty (0 bytes)" in refused(shelf.put("empty.mcap", b""))
+    assert "not an MCAP file: it is a text file" in refused(shelf.put("text.mcap", b"no log at all\n"))
+    shelf.stall.add("stall.mcap")
+    assert "the connection stalled" in refused(shelf.put("stall.mcap", data))
+    shelf.drop.add("drop.mcap")
+    assert "drop.mcap: " in refused(shelf.put("drop.mcap", data))
+    shelf.whole = True
+    assert "does not answer for parts" in refused(shelf.put("parts.mcap", data))
+    shelf.whole = False
+
+
+@pytest.mark.usefixtures("impatient")
+def test_without_credentials_the_line_names_them(shelf: Shelf, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY", "AWS_PROFILE"):
+        monkeypatch.delenv(name, raising=False)
+    shelf.refuse["latest/api/token"] = 403
+    monkeypatch.setenv("AWS_METADATA_ENDPOINT", shelf.root)  # where a machine of the cloud would ask
+    assert "set AWS_ACCESS_KEY_ID" in refused("s3://bucket/drive.mcap")
+
+
+def test_a_bucket_is_searched_by_patterns_by_folders_and_as_one_log(
+    logs: dict[str, Path], shelf: Shelf, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings = {"AWS_ENDPOINT_URL": shelf.root, "AWS_ACCESS_KEY_ID": "a", "AWS_SECRET_ACCESS_KEY": "b"}
+    for name, value in {**settings, "AWS_REGION": "us-east-1"}.items():
+        monkeypatch.setenv(name, value)
+    objects.store.cache_clear()
+    for key in ("day1/a.mcap", "day1/b.mcap", "day1/deep/c.mcap", "day2/d.mcap", "day1/notes.txt"):
+        shelf.put(f"bucket/{key}", logs["none"].read_bytes())
+    day1 = ["s3://bucket/day1/a.mcap", "s3://bucket/day1/b.mcap"]
+    assert expanded(["s3://bucket/day1/*.mcap"]) == day1
+    assert expanded(["s3://bucket/day?/[bd].mcap"]) == [day1[1], "s3://bucket/day2/d.mcap"]
+    assert expanded(["s3://bucket/**/*.mcap"]) == expanded([], ["s3://bucket/"])
+    assert expanded([], ["s3://bucket/day1/"]) == [*day1, "s3://bucket/day1/deep/c.mcap"]
+    one = open_log([Url("s3://bucket/day1/")])
+    assert (one.name, [str(path) for path in one.paths]) == ("day1", day1)
+    with pytest.raises(UsageError, match="nothing fits"):
+        expanded(["s3://bucket/day3/*.mcap"])
+    with pytest.raises(LocfuseError, match="a web server has no list"):
+        expanded([], [f"{shelf.root}/bucket/"])
+    objects.store.cache_clear()
+
+
+def test_an_object_that_changes_while_it_is_read_ends_the_job(logs: dict[str, Path], shelf: Shelf) -> None:
+    data = logs["none"].read_bytes()
+    log = open_log([Url(shelf.put("changing.mcap", data))])
+    shelf.put("changing.mcap", data, tag="two")
+    with pytest.raises(LocfuseError, match="it was replaced while it was read"):
+        columns(log)
+
+
+def test_a_connection_that_drops_in_the_middle_is_one_line(
+    logs: dict[str, Path], shelf: Shelf, impatient: None
+) -> None:
+    log = open_log([Url(shelf.put("middle.mcap", logs["none"].read_bytes()))])
+    shelf.drop.add("middle.mcap")
+    with pytest.raises(LocfuseError, match=r"middle\.mcap: "):
+        columns(log)
+
+
+def test_copies_leave_no_file_behind(
+    logs: dict[str, Path], shelf: Shelf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    log = open_log([Url(shelf.put("gone.mcap.zstd", zstandard.compress(logs["none"].read_bytes())))])
+    assert len(list(tmp_path.iterdir())) == 2  # packed and unpacked
+    del log
+    assert not list(tmp_path.iterdir())
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10, 10, 0))
+    with pytest.raises(LocfuseError, match="set TMPDIR to a larger place"):
+        open_log([Url(shelf.put("large.mcap.zstd", zstandard.compress(b"1" * 1000)))])
+
+
+def test_a_log_that_was_finished_is_not_run_again_until_its_tag_changes(
+    logs: dict[str, Path], shelf: Shelf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ran = counted_jobs(monkeypatch)
+    url = shelf.put("day/a.mcap", logs["none"].read_bytes())
+    (tmp_path / "list.txt").write_text(url)
+    words = (f"@{tmp_path / 'list.txt'}", "-o", tmp_path / "out", "--sensors", "odometry", "--write", "json", "-q")
+    for expected in (["a"], []):
+        ran.clear()
+        done = locfuse("compare", *words)
+        assert done.exit_code == 0, done.stderr
+        assert ran == expected
+    shelf.put("day/a.mcap", b"", tag="another")
+    assert locfuse("compare", *words).exit_code == 1
+    assert ran == ["a"]
+
+
+def test_without_obstore_the_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    import sys
+
+    objects.store.cache_clear()
+    monkeypatch.setitem(sys.modules, "obstore.store", None)
+    with pytest.raises(LocfuseError, match=r"pip install 'locfuse\[remote\]'"):
+        objects.store("s3://bucket")

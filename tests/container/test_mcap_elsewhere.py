@@ -1,0 +1,375 @@
+"""A file that is elsewhere: its summary is believed where it fits together, and the bytes are held against it."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from bags import T0, S, Said, drive, write
+from mcap.writer import CompressionType
+
+from locfuse.formats.container import mcap_ranged as ranged
+from locfuse.formats.container.file_bytes import FileBytes
+from locfuse.formats.container.losses import Losses
+from locfuse.formats.container.mcap_parts import ChunkRef, LooseRun, Part, put_in_order
+from locfuse.formats.container.mcap_promised import promised
+from locfuse.formats.container.mcap_source import McapSource
+from locfuse.formats.container.mcap_summary import read_summary, summary_section
+
+NONE, ZSTD = CompressionType.NONE, CompressionType.ZSTD
+SCHEMA, CHANNEL, CHUNK_INDEX, ATTACHMENT_INDEX, STATISTICS = 3, 4, 8, 10, 11  # https://mcap.dev/spec
+END = 13 + 29 + 8  # bytes of DataEnd, footer and magic
+Record = tuple[int, bytearray]
+
+
+class Far(FileBytes):
+    """A file whose every read is counted like a request over the network."""
+
+    def __init__(self, path: Path, losses: Losses) -> None:
+        super().__init__(path, losses)
+        self.far = True
+        self.fetched: list[tuple[int, int]] = []
+        self.asked = 0
+        self.wanted: list[tuple[int, int]] = []
+
+    def read(self, at: int, n: int) -> bytes:
+        if self.far:
+            self.asked += n
+        return self._pread(n, at)
+
+    def fetch(self, spans: Iterable[tuple[int, int]]) -> None:
+        self.fetched += (group := list(spans))
+        self.wanted = group or self.wanted
+
+    def copy_here(self) -> None:
+        self.far = False
+
+
+def opened(path: Path) -> tuple[McapSource, Far, Losses]:
+    losses = Losses()
+    data = Far(path, losses)
+    return McapSource(data, losses), data, losses
+
+
+def payloads(source: McapSource, *topics: str) -> list[tuple[str, int, int, bytes]]:
+    """(topic, log time, sequence, bytes) of the messages of some topics, in the order of their times."""
+    wanted = {ident for ident, channel in source.channels.items() if channel.topic in topics}
+    return sorted(
+        (
+            source.channels[ident].topic,
+            int(m.log_time[i]),
+            int(m.sequence[i]),
+            batch.data[m.start[i] : m.start[i] + m.length[i]].tobytes(),
+        )
+        for batch in source.batches(wanted)
+        for ident, m in batch.messages.items()
+        for i in range(len(m.start))
+    )
+
+
+def said_of(said: list[Said], *topics: str) -> list[tuple[str, int, int, bytes]]:
+    return sorted((m.topic, m.log_time, m.sequence, m.data) for m in said if m.topic in topics)
+
+
+def stored(path: Path, said: list[Said], **options: Any) -> Path:
+    return write(path, said, chunk_size=4000, **options)
+
+
+@pytest.mark.parametrize("compression", [NONE, ZSTD])
+@pytest.mark.parametrize("topics", [("/heading",), ("/heading", "/scan"), ("/joint_states", "/heading", "/scan")])
+def test_the_messages_are_those_that_were_written(
+    tmp_path: Path, compression: CompressionType, topics: tuple[str, ...]
+) -> None:
+    said = drive(100)
+    source, data, losses = opened(stored(tmp_path / "x.mcap", said, compression=compression))
+    assert data.asked < data.size / 2  # opened by its summary
+    assert payloads(source, *topics) == said_of(said, *topics)
+    assert data.far == (compression == NONE and "/joint_states" not in topics)  # else they are most of the file
+    assert not losses
+    assert [c.n for c in source.channels.values()] == [100, 50, 25]
+
+
+def test_of_a_stored_chunk_only_indexes_and_wanted_messages_are_fetched(tmp_path: Path) -> None:
+    said = drive(100)
+    source, data, _ = opened(stored(tmp_path / "x.mcap", said, compression=NONE))
+    before = data.asked
+    found = payloads(source, "/heading")
+    ranges = sum(31 + len(payload) for *_, payload in found)
+    indexes = sum(9 + 6 + 16 * n for n in (100, 50, 25))
+    assert ranges <= data.asked - before <= ranges + 3 * indexes
+    assert sum(stop - start for start, stop in data.fetched) <= ranges + 3 * indexes
+
+
+def test_chunks_are_fetched_in_groups_of_a_bounded_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ranged, "GROUP_BYTES", 500)
+    said = drive(200)
+    path = stored(tmp_path / "x.mcap", said, compression=NONE)
+    groups: list[int] = []
+
+    class Grouped(Far):
+        def fetch(self, spans: Iterable[tuple[int, int]]) -> None:
+            groups.append(sum(b - a for a, b in spans))
+
+    source = McapSource(Grouped(path, losses := Losses()), losses)
+    assert payloads(source, "/heading") == said_of(said, "/heading")
+    each = groups[1:]  # the first ones are the message indexes
+    assert len(each) > 3
+    assert all(500 <= n < 1000 for n in each[:-1])
+
+
+def test_where_the_checksums_are_is_asked_of_the_chunks_themselves(tmp_path: Path) -> None:
+    for crcs in (True, False):
+        path = stored(tmp_path / f"{crcs}.mcap", drive(60), enable_crcs=crcs)
+        assert opened(path)[0].checked is crcs
+
+
+def records(section: bytes) -> list[Record]:
+    found, at = [], 0
+    while at < len(section):
+        opcode, length = struct.unpack_from("<BQ", section, at)
+        found.append((opcode, bytearray(section[at + 9 : at + 9 + length])))
+        at += 9 + length
+    return found
+
+
+def lying(path: Path, change: Callable[[list[Record]], None]) -> Path:
+    """Rewrite the summary of a file; its checksum fits."""
+    data = path.read_bytes()
+    section = summary_section(FileBytes(path, Losses()))
+    assert section is not None
+    start = len(data) - 29 - 8 - len(section)
+    change(said := records(section))
+    new = b"".join(struct.pack("<BQ", opcode, len(content)) + content for opcode, content in said)
+    footer = struct.pack("<BQQQ", 2, 20, start, 0)
+    path.write_bytes(data[:start] + new + footer + struct.pack("<I", zlib.crc32(new + footer)) + data[-8:])
+    return path
+
+
+def put(opcode: int, layout: str, at: int, value: int, which: int = 0) -> Callable[[list[Record]], None]:
+    """Set a number of the `which`-th record of a kind."""
+
+    def change(said: list[Record]) -> None:
+        struct.pack_into("<" + layout, [content for code, content in said if code == opcode][which], at, value)
+
+    return change
+
+
+def add(opcode: int, layout: str, at: int, more: int, which: int = 0) -> Callable[[list[Record]], None]:
+    def change(said: list[Record]) -> None:
+        content = [content for code, content in said if code == opcode][which]
+        (old,) = struct.unpack_from("<" + layout, content, at)
+        struct.pack_into("<" + layout, content, at, old + more)
+
+    return change
+
+
+def without(opcode: int, which: int = 0) -> Callable[[list[Record]], None]:
+    def change(said: list[Record]) -> None:
+        said.remove([one for one in said if one[0] == opcode][which])
+
+    return change
+
+
+def nothing(said: list[Record]) -> None:
+    """A summary that says all there is."""
+
+
+# Of a ChunkIndex: first, last, offset, length (8 bytes each); size of the map (4); channel and offset of each
+# index (10); length of all indexes (8); name of the compression (4 + n); packed and unpacked size (8 each).
+MAP = 32 + 4
+INDEX_LENGTH = MAP + 3 * 10  # of three channels
+PACKED = INDEX_LENGTH + 8 + 4  # of a stored chunk
+
+
+@pytest.mark.parametrize(
+    ("change", "believed"),
+    [
+        (nothing, True),
+        (without(STATISTICS), False),
+        (without(CHUNK_INDEX), False),
+        (without(CHANNEL), False),
+        (without(SCHEMA), False),
+        (without(ATTACHMENT_INDEX), False),
+        (add(STATISTICS, "Q", 0, 1), False),  # all messages
+        (add(STATISTICS, "I", 14, 1), False),  # attachments
+        (add(STATISTICS, "I", 22, 1), False),  # chunks
+        (add(STATISTICS, "Q", 48, 1), False),  # messages of the first channel
+        (add(CHUNK_INDEX, "Q", 24, 1), False),  # length of the chunk
+        (add(CHUNK_INDEX, "Q", 24, -1), False),
+        (add(CHUNK_INDEX, "Q", 16, 1), False),  # where it begins
+        (add(CHUNK_INDEX, "Q", INDEX_LENGTH, 1), False),
+        (add(CHUNK_INDEX, "Q", INDEX_LENGTH, 16), False),  # as of one message more
+        (add(CHUNK_INDEX, "Q", MAP + 2, 1), False),  # where its first index begins
+        (add(CHUNK_INDEX, "Q", MAP + 2, -16), False),
+        (add(CHUNK_INDEX, "Q", MAP + 12, 1), False),  # where its second one begins
+        (add(CHUNK_INDEX, "Q", MAP + 12, 16), False),  # 16 bytes are a message: the counts are others
+        (put(CHUNK_INDEX, "I", 32, 0), False),  # no indexes, and what follows is shifted
+        (add(CHUNK_INDEX, "Q", PACKED, 1), False),
+        (put(ATTACHMENT_INDEX, "Q", 8, 9), False),  # an attachment as long as the front of a record
+        (put(ATTACHMENT_INDEX, "Q", 8, 10), True),
+        (put(CHANNEL, "H", 2, 77), False),  # its schema
+        (put(CHANNEL, "H", 2, 0), True),  # 0 = it has none
+    ],
+)
+def test_a_summary_is_believed_where_all_it_says_fits_together(
+    tmp_path: Path, change: Callable[[list[Record]], None], believed: bool
+) -> None:
+    path = stored(tmp_path / "x.mcap", drive(60), compression=NONE, attachments={"note": b"hello"})
+    assert read_summary(FileBytes(lying(path, change), Losses())) is not None or change is not nothing
+    assert (promised(FileBytes(path, Losses())) is not None) == believed
+
+
+def test_the_indexes_of_a_chunk_take_the_bytes_behind_it_to_the_last(tmp_path: Path) -> None:
+    path = stored(tmp_path / "x.mcap", drive(60), compression=NONE, attachments={"note": b"hello"})
+    survey = promised(FileBytes(path, Losses()))
+    assert survey is not None
+    content = path.read_bytes()
+    for part in survey.parts:
+        assert isinstance(part, ChunkRef)
+        assert part.counts is not None
+        for ident, (at, length) in part.index.items():
+            assert content[at - 9] == 7
+            assert struct.unpack_from("<QHI", content, at - 8) == (length, ident, length - 6)
+            assert part.counts[ident] == (length - 6) // 16
+    assert [content[at - 9 : at] for at, _ in survey.attachments] == [struct.pack("<BQ", 9, 55)]
+    assert survey.attachments[0][1] == 55
+    assert survey.expected == {1: 60, 2: 30, 3: 15}
+
+
+def test_a_stored_chunk_as_large_as_can_be_held_is_read_by_ranges_and_a_larger_one_is_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said = drive(60)
+    for compression in (NONE, ZSTD):
+        path = stored(tmp_path / f"{compression}.mcap", said, compression=compression)
+        summary = read_summary(FileBytes(path, Losses()))
+        assert summary is not None
+        largest = max(chunk.packed for chunk in summary.chunks.values())
+        for cap, believed in ((largest, True), (largest - 1, compression == ZSTD)):
+            monkeypatch.setattr("locfuse.formats.container.mcap_promised.LARGE_CHUNK_BYTES", cap)
+            assert (promised(FileBytes(path, Losses())) is not None) == believed
+
+
+def damaged(path: Path, at: int, value: bytes) -> None:
+    content = bytearray(path.read_bytes())
+    content[at : at + len(value)] = value
+    path.write_bytes(content)
+
+
+def first_chunk(path: Path) -> ChunkRef:
+    survey = promised(FileBytes(path, Losses()))
+    assert survey is not None
+    chunk = survey.parts[0]
+    assert isinstance(chunk, ChunkRef)
+    return chunk
+
+
+@pytest.mark.parametrize("field", ["opcode", "first", "last", "plain"])
+def test_a_chunk_whose_own_front_says_otherwise_is_lost_where_all_of_it_is_wanted(
+    tmp_path: Path, field: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("locfuse.formats.container.mcap_source.MAX_SHARE", 2.0)
+    said = drive(60)
+    path = stored(tmp_path / "x.mcap", said, compression=NONE)
+    chunk = first_chunk(path)
+    at = chunk.offset + {"opcode": 0, "first": 9, "last": 17, "plain": 25}[field]
+    damaged(path, at, bytes([path.read_bytes()[at] ^ 1]))
+    source, data, losses = opened(path)
+    topics = "/joint_states", "/heading", "/scan"
+    found = payloads(source, *topics)
+    assert data.far
+    assert chunk.counts is not None
+    assert set(found) < set(said_of(said, *topics))
+    assert len(found) == len(said) - sum(chunk.counts.values())
+    assert [(one.reason, one.messages) for one in lost(losses)] == [
+        ("a chunk is not what the summary says", sum(chunk.counts.values()))
+    ]
+    assert not source.checked
+
+
+class Lost:
+    def __init__(self, reason: str, messages: int | None, n_bytes: int) -> None:
+        self.reason, self.messages, self.bytes = reason, messages, n_bytes
+
+
+def lost(losses: Losses) -> list[Lost]:
+    return [Lost(reason, found["messages"], found["bytes"]) for reason, found in losses.by_reason().items()]
+
+
+@pytest.mark.parametrize("what", ["channel", "size", "offset", "late offset"])
+def test_an_index_that_contradicts_itself_loses_the_wanted_messages_of_its_chunk(
+    tmp_path: Path, what: str
+) -> None:
+    said = drive(100)
+    path = stored(tmp_path / "x.mcap", said, compression=NONE)
+    chunk = first_chunk(path)
+    ident = 2  # /heading
+    at, length = chunk.index[ident]
+    place, value = {
+        "channel": (at, struct.pack("<H", 1)),
+        "size": (at + 2, struct.pack("<I", length - 6 - 1)),
+        "offset": (at + 6 + 8, struct.pack("<Q", 2**63)),  # the first message begins beyond all numbers
+        "late offset": (at + 6 + 8, struct.pack("<Q", chunk.header.uncompressed_size - 30)),  # too short for one
+    }[what]
+    damaged(path, place, value)
+    source, data, losses = opened(path)
+    found = payloads(source, "/heading")
+    assert data.far
+    assert chunk.counts is not None
+    assert len(found) == 50 - chunk.counts[ident]
+    assert set(found) < set(said_of(said, "/heading"))
+    assert [one.messages for one in lost(losses)] == [chunk.counts[ident]]
+
+
+def test_a_message_that_fills_its_place_to_the_last_byte_is_good_and_one_byte_more_is_not(tmp_path: Path) -> None:
+    said = drive(100)
+    path = stored(tmp_path / "x.mcap", said, compression=NONE)
+    chunk = first_chunk(path)
+    content = path.read_bytes()
+    at = content.index([m.data for m in said if m.topic == "/heading"][3]) - 31  # a message follows it
+    (length,) = struct.unpack_from("<Q", content, at + 1)
+    for more, kept in ((1, 49), (-1, 50)):
+        damaged(path, at + 1, struct.pack("<Q", length + more))
+        source, _, losses = opened(path)
+        assert len(payloads(source, "/heading")) == kept
+        assert [(one.reason, one.messages, one.bytes) for one in lost(losses)] == (
+            [("messages are not where the index says", 1, 31 + 12)] if kept == 49 else []
+        )
+    assert chunk.counts is not None
+
+
+def span(first: int, last: int) -> Part:
+    return LooseRun(0, 0, {}, (first, last))
+
+
+@pytest.mark.parametrize(
+    ("spans", "expected"),
+    [
+        ([(0, 9), (10, 19), (20, 29)], [0, 1, 2]),
+        ([(20, 29), (0, 9), (10, 19)], [1, 2, 0]),
+        ([(10, 19), (0, 10)], [0, 1]),  # they touch: none ends before the other begins
+        ([(10, 19), (0, 9)], [1, 0]),
+        ([(0, 9), (30, 39), (20, 29)], [0, 2, 1]),
+        ([(0, 30), (5, 9), (6, 8)], [0, 1, 2]),  # they overlap
+        ([(40, 49), (20, 29), (30, 45)], [1, 2, 0]),
+        ([(40, 49), (0, 30), (10, 20)], [2, 1, 0]),  # by their ends
+    ],
+)
+def test_parts_are_sorted_only_where_one_ends_before_an_earlier_one_begins(
+    spans: list[tuple[int, int]], expected: list[int]
+) -> None:
+    parts = [span(*one) for one in spans]
+    put_in_order(parts)
+    assert [spans.index(part.span) for part in parts] == expected
+
+
+def test_the_time_span_is_that_of_what_holds_messages(tmp_path: Path) -> None:
+    said = drive(40)
+    source, _, _ = opened(stored(tmp_path / "x.mcap", said, compression=NONE))
+    assert source.time_span_ns == (T0 + 5_000_000, T0 + 39 * S // 20 + 5_000_000)
+    nothing_in_it = McapSource(FileBytes(write(tmp_path / "no.mcap", []), losses := Losses()), losses)
+    assert nothing_in_it.time_span_ns is None

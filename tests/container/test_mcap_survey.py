@@ -1,0 +1,569 @@
+"""The walk over a file laid by hand: where it goes on after damage, and what it counts as lost."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from locfuse.formats.container.file_bytes import FileBytes
+from locfuse.formats.container.losses import Losses
+from locfuse.formats.container.mcap_parts import ChunkRef, Survey
+from locfuse.formats.container.mcap_source import McapSource
+from locfuse.formats.container.mcap_summary import read_summary
+from locfuse.formats.container.mcap_survey import survey
+from locfuse.fusion.data import LocfuseError
+
+MAGIC = b"\x89MCAP0\r\n"
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX, ATTACHMENT = range(1, 10)
+ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(10, 16)
+
+
+def record(opcode: int, content: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(content)) + content
+
+
+def text(value: str) -> bytes:
+    return struct.pack("<I", len(value)) + value.encode()
+
+
+def message(channel: int, log_time: int, payload: bytes) -> bytes:
+    return record(MESSAGE, struct.pack("<HIQQ", channel, log_time % 1000, log_time, log_time) + payload)
+
+
+START = MAGIC + record(HEADER, text("") + text(""))
+SCHEMAS = record(SCHEMA, struct.pack("<H", 1) + text("pkg/A") + text("ros2msg") + text("int8 a"))
+CHANNELS = b"".join(
+    record(CHANNEL, struct.pack("<HH", i, 1) + text(f"/{i}") + text("cdr") + bytes(4)) for i in (1, 2)
+)
+END = record(DATA_END, bytes(4))
+NO_SUMMARY = record(FOOTER, bytes(20)) + MAGIC
+GARBAGE = b"\x00" + bytes(range(200, 231)) + b"\x00"
+
+
+class Chunk(NamedTuple):
+    """A stored chunk of three messages of channel 1 and one of channel 2, with its indexes."""
+
+    record: bytes
+    indexes: tuple[bytes, bytes]
+    first: int
+
+    @property
+    def all(self) -> bytes:
+        return self.record + b"".join(self.indexes)
+
+
+def chunk(first: int, crc: bool = True, plain: bytes | None = None) -> Chunk:
+    inside = [message(1 + i // 3, first + i, bytes([i]) * 40) for i in range(4)]
+    data = b"".join(inside) if plain is None else plain
+    places = np.cumsum([0, *map(len, inside)]).tolist()
+    entries = [struct.pack("<QQ", first + i, places[i]) for i in range(4)]
+    checksum = zlib.crc32(data) if crc else 0
+    head = struct.pack("<QQQI", first, first + 3, len(data), checksum) + text("") + struct.pack("<Q", len(data))
+    indexes = tuple(
+        record(MESSAGE_INDEX, struct.pack("<HI", i, 16 * len(some)) + b"".join(some))
+        for i, some in ((1, entries[:3]), (2, entries[3:]))
+    )
+    return Chunk(record(CHUNK, head + data), (indexes[0], indexes[1]), first)
+
+
+A, B, C = chunk(100), chunk(200), chunk(300)
+
+
+def summarised(data: bytes, chunks: list[Chunk], messages: int = 0) -> bytes:
+    """Add a summary of these chunks, as they lie in the data, with definitions and counts."""
+    content = SCHEMAS + CHANNELS
+    n = len(chunks)
+    counts = struct.pack("<IHQHQ", 20, 1, 3 * n, 2, n)
+    content += record(STATISTICS, struct.pack("<QHIIIIQQ", 4 * n + messages, 1, 2, 0, 0, n, 0, 0) + counts)
+    for one in chunks:
+        at = data.index(one.record)
+        first = at + len(one.record)
+        places = struct.pack("<IHQHQ", 20, 1, first, 2, first + len(one.indexes[0]))
+        size = len(one.record) - 9 - 40
+        length = sum(map(len, one.indexes))
+        front = struct.pack("<QQQQ", one.first, one.first + 3, at, len(one.record))
+        content += record(
+            CHUNK_INDEX, front + places + struct.pack("<Q", length) + text("") + struct.pack("<QQ", size, size)
+        )
+    footer = struct.pack("<BQQQ", FOOTER, 20, len(data), 0)
+    return data + content + footer + struct.pack("<I", zlib.crc32(content + footer)) + MAGIC
+
+
+def walked(folder: Path, content: bytes) -> tuple[Survey, list[tuple[str, int, int, int | None]]]:
+    """What the walk finds, and (reason, place, bytes, messages) of what it lost."""
+    path = folder / "f.mcap"
+    path.write_bytes(content)
+    losses = Losses()
+    found = survey(FileBytes(path, losses), losses)
+    return found, [(reason, at, one.bytes, one.messages) for (_, reason, at), one in losses.places.items()]
+
+
+def times(folder: Path, content: bytes) -> tuple[list[int], list[str]]:
+    """The log times of all messages in the order in which they come, and the reasons of losses."""
+    path = folder / "f.mcap"
+    path.write_bytes(content)
+    losses = Losses()
+    source = McapSource(FileBytes(path, losses), losses)
+    found = [
+        sorted(t for m in batch.messages.values() for t in m.log_time.tolist()) for batch in source.batches({1, 2})
+    ]
+    return [t for some in found for t in some], [reason for _, reason, _ in losses.places]
+
+
+def of(*chunks: Chunk) -> list[int]:
+    return [one.first + i for one in chunks for i in range(4)]
+
+
+FRONT = START + SCHEMAS + CHANNELS
+WHOLE = FRONT + A.all + B.all + C.all + END
+
+
+def test_a_whole_file_is_walked_without_loss(tmp_path: Path) -> None:
+    notes = record(ATTACHMENT, bytes(60)) + record(METADATA, bytes(8)) + record(0x80, b"own") + record(255, b"")
+    data = FRONT + A.all + notes + B.all + END
+    for content in (data + NO_SUMMARY, summarised(data, [A, B])):
+        found, lost = walked(tmp_path, content)
+        assert not lost
+        parts = [part for part in found.parts if isinstance(part, ChunkRef)]
+        assert len(parts) == len(found.parts)
+        assert [part.offset for part in parts] == [data.index(A.record), data.index(B.record)]
+        assert [(part.size, part.available, part.cut_off) for part in parts] == 2 * [(4 * 71, 4 * 71, False)]
+        assert found.attachments == [(data.index(notes) + 9, 60)]
+        assert list(found.channels) == [1, 2]
+        assert times(tmp_path, content) == (of(A, B), [])
+
+
+def test_only_a_summary_that_confirms_the_indexes_lets_chunks_be_skipped(tmp_path: Path) -> None:
+    assert [part.counts for part in walked(tmp_path, WHOLE + NO_SUMMARY)[0].parts] == [None] * 3
+    confirmed = walked(tmp_path, summarised(WHOLE, [A, B, C]))[0]
+    assert [part.counts for part in confirmed.parts] == [{1: 3, 2: 1}] * 3
+    other = bytearray(summarised(WHOLE, [A, B, C]))
+    other[WHOLE.index(A.indexes[1]) + 9] = 7  # an index of another channel than the summary says
+    assert [part.counts for part in walked(tmp_path, bytes(other))[0].parts] == [None, *[{1: 3, 2: 1}] * 2]
+
+
+@pytest.mark.parametrize("rest", [0, 1, 8, 9, 100])
+def test_a_file_that_ends_anywhere_is_cut_off(tmp_path: Path, rest: int) -> None:
+    """Without a record at its end, within the front of one, and within its content."""
+    data = FRONT + A.all
+    found, lost = walked(tmp_path, data + B.record[:rest])
+    assert len(found.parts) == (2 if rest == 100 else 1)
+    reasons = {0: [], 1: 1, 8: 8, 9: 9, 100: []}[rest]
+    cut = ("the file ends without an end mark: the recording was cut off", 0, 0, None)
+    inside = [one for one in lost if one != cut]
+    assert cut in lost
+    assert [n_bytes for _, _, n_bytes, _ in inside] == ([reasons] if isinstance(reasons, int) else [])
+
+
+def test_a_message_is_read_from_a_chunk_that_is_cut_off(tmp_path: Path) -> None:
+    cut = B.record[: 9 + 40 + 2 * 71 + 70]
+    found, reasons = times(tmp_path, FRONT + A.all + cut)
+    assert found == [*of(A), 200, 201]
+    assert "the file is cut off inside a chunk" in reasons
+
+
+@pytest.mark.parametrize("summary", [True, False])
+def test_bytes_that_are_no_record_cost_what_lies_up_to_the_next_chunk(tmp_path: Path, summary: bool) -> None:
+    data = FRONT + A.all + GARBAGE + B.all + C.all + END
+    content = summarised(data, [A, B, C]) if summary else data + NO_SUMMARY
+    found, lost = walked(tmp_path, content)
+    assert lost == [("bytes that are no record", data.index(GARBAGE), len(GARBAGE), None)]
+    assert [part.offset for part in found.parts] == [data.index(one.record) for one in (A, B, C)]
+    assert times(tmp_path, content)[0] == of(A, B, C)
+    last = walked(
+        tmp_path, summarised(FRONT + A.all + GARBAGE + END, [A]) if summary else FRONT + A.all + GARBAGE
+    )[1]
+    assert last[0][1:3] == (len(FRONT + A.all), len(GARBAGE) + len(END) * summary)
+
+
+@pytest.mark.parametrize("opcode", [0, FOOTER, 16, 127])
+def test_what_is_no_record_of_the_data_is_damage(tmp_path: Path, opcode: int) -> None:
+    bad = record(opcode, bytes(20))
+    content = FRONT + A.all + bad + B.all + END + NO_SUMMARY
+    assert walked(tmp_path, content)[1] == [("bytes that are no record", len(FRONT + A.all), len(bad), None)]
+    assert times(tmp_path, content)[0] == of(A, B)
+
+
+@pytest.mark.parametrize("opcode", [HEADER, METADATA, SUMMARY_OFFSET, 128, 255])
+def test_other_records_are_passed_over(tmp_path: Path, opcode: int) -> None:
+    content = FRONT + A.all + record(opcode, b"anything") + B.all + END + NO_SUMMARY
+    assert walked(tmp_path, content)[1] == []
+    assert times(tmp_path, content)[0] == of(A, B)
+
+
+def test_an_end_mark_is_one_of_four_bytes_before_the_summary(tmp_path: Path) -> None:
+    """One elsewhere is a flipped bit: chunks behind it are still read."""
+    data = FRONT + A.all + END + B.all + END
+    found, reasons = times(tmp_path, summarised(data, [A, B]))
+    assert found == of(A, B)
+    assert reasons == ["bytes that are no record"]
+    longer = FRONT + A.all + record(DATA_END, bytes(5)) + B.all + END
+    assert times(tmp_path, longer + NO_SUMMARY) == (of(A, B), ["bytes that are no record"])
+
+
+@pytest.mark.parametrize(("behind", "is_end"), [(b"", True), (b"\x00", False), (b"\x10", False), (b"\x0f", True)])
+def test_without_a_summary_an_end_mark_is_one_that_a_record_or_nothing_follows(
+    tmp_path: Path, behind: bytes, is_end: bool
+) -> None:
+    _, lost = walked(tmp_path, FRONT + A.all + END + behind)
+    cut_off = any("without an end mark" in reason for reason, *_ in lost)
+    assert cut_off is not is_end
+
+
+def test_a_footer_is_the_end_only_right_before_the_last_magic(tmp_path: Path) -> None:
+    assert walked(tmp_path, FRONT + A.all + NO_SUMMARY)[1] == []
+    inside = record(FOOTER, bytes(20)) + B.all
+    assert times(tmp_path, FRONT + A.all + inside + NO_SUMMARY) == (of(A, B), ["bytes that are no record"])
+
+
+def test_a_record_longer_than_the_file_is_damage_and_one_that_ends_with_it_is_not(tmp_path: Path) -> None:
+    bad = struct.pack("<BQ", METADATA, 1 << 40)
+    data = FRONT + A.all + bad + B.all + END
+    assert walked(tmp_path, data + NO_SUMMARY)[1] == [
+        ("a record reaches beyond the end of the file", len(FRONT + A.all), 9, None)
+    ]
+    fits = FRONT + A.all + record(METADATA, b"note")
+    assert [reason for reason, *_ in walked(tmp_path, fits)[1]] == [
+        "the file ends without an end mark: the recording was cut off"
+    ]
+
+
+def test_a_chunk_longer_than_the_file_is_damage_where_another_follows_and_cut_off_where_none_does(
+    tmp_path: Path,
+) -> None:
+    long = bytearray(B.record)
+    for at in (1, 9 + 32):  # the length of the record and that of its content
+        struct.pack_into("<Q", long, at, struct.unpack_from("<Q", long, at)[0] + 10_000)
+    found, reasons = times(tmp_path, FRONT + A.all + bytes(long) + C.all + END + NO_SUMMARY)
+    assert found == of(A, C)
+    assert reasons == ["a chunk reaches beyond the end of the file"]
+    found, reasons = times(tmp_path, FRONT + A.all + bytes(long) + END + NO_SUMMARY)
+    assert found == of(A, B)
+
+
+def test_a_chunk_whose_lengths_contradict_each_other_is_damage(tmp_path: Path) -> None:
+    for at, reason in (
+        (1, "a chunk header that contradicts itself"),
+        (41, "a chunk header that contradicts itself"),
+    ):
+        bad = bytearray(B.record)
+        bad[at] += 1
+        found, reasons = times(tmp_path, FRONT + A.all + bytes(bad) + C.all + END + NO_SUMMARY)
+        assert (found, reasons) == (of(A, C), [reason])
+
+
+@pytest.mark.parametrize("place", ["size", "whole entries"])
+def test_a_message_index_that_contradicts_itself_is_damage(tmp_path: Path, place: str) -> None:
+    content = struct.pack("<HI", 1, 48 - (place == "size")) + bytes(48)
+    if place == "whole entries":
+        content = struct.pack("<HI", 1, 40) + bytes(40)
+    bad = record(MESSAGE_INDEX, content)
+    data = FRONT + A.record + bad + B.all + END + NO_SUMMARY
+    assert walked(tmp_path, data)[1] == [
+        ("a message index that contradicts itself", len(FRONT + A.record), len(bad), None)
+    ]
+    assert times(tmp_path, data)[0] == of(A, B)
+
+
+def test_what_the_index_calls_a_chunk_must_be_one(tmp_path: Path) -> None:
+    data = FRONT + A.all + B.all + C.all + END
+    changed = bytearray(summarised(data, [A, B, C]))
+    at = data.index(B.record)
+    changed[at] = METADATA
+    _, lost = walked(tmp_path, bytes(changed))
+    assert lost[0] == ("no chunk where the index promises one", at, len(B.all), None)
+    assert times(tmp_path, bytes(changed))[0] == of(A, C)
+
+
+def test_between_a_chunk_and_the_end_of_its_indexes_stand_indexes_only(tmp_path: Path) -> None:
+    data = FRONT + A.all + B.all + END
+    changed = bytearray(summarised(data, [A, B]))
+    at = data.index(A.indexes[1])
+    changed[at] = METADATA
+    found, lost = walked(tmp_path, bytes(changed))
+    assert lost == [("no message index where the chunk index promises one", at, len(A.indexes[1]), None)]
+    assert found.parts[0].counts is None
+    assert times(tmp_path, bytes(changed))[0] == of(A, B)
+
+
+def test_a_summary_that_is_damaged_is_counted_and_one_that_was_never_written_is_not(tmp_path: Path) -> None:
+    content = bytearray(summarised(WHOLE, [A, B, C]))
+    content[len(WHOLE) + 12] ^= 1
+    found, lost = walked(tmp_path, bytes(content))
+    assert lost == [
+        (
+            "the summary is damaged: messages may be missing that nobody counts",
+            len(WHOLE) - len(END),
+            len(content) - len(WHOLE) + len(END),
+            None,
+        )
+    ]
+    assert len(found.parts) == 3
+    assert walked(tmp_path, WHOLE + NO_SUMMARY)[1] == []
+    for place in (-1, -9 - 20 - 8):  # the last magic, and the footer's opcode
+        broken = bytearray(WHOLE + NO_SUMMARY)
+        broken[place] ^= METADATA ^ FOOTER
+        assert [reason for reason, *_ in walked(tmp_path, bytes(broken))[1]] == [lost[0][0]]
+
+
+def test_messages_that_the_statistics_count_and_nobody_finds_are_lost(tmp_path: Path) -> None:
+    content = bytearray(summarised(WHOLE, [A, B, C]))
+    counts = struct.pack("<HQHQ", 1, 9, 2, 3)
+    at = content.rindex(counts)
+    for claimed, missing in ((9, 0), (14, 5), (8, 0)):
+        struct.pack_into("<Q", content, at + 2, claimed)
+        struct.pack_into("<I", content, len(content) - 12, 0)  # the summary is without a checksum
+        path = tmp_path / "f.mcap"
+        path.write_bytes(content)
+        losses = Losses()
+        McapSource(FileBytes(path, losses), losses)
+        assert [(loss.reason, loss.messages) for loss in losses.places.values()] == (
+            [("messages the file's statistics promise are missing", missing)] if missing else []
+        )
+
+
+def test_a_file_that_begins_otherwise_is_refused_unless_its_summary_is_whole(tmp_path: Path) -> None:
+    content = bytearray(summarised(WHOLE, [A, B, C]))
+    content[0] ^= 1
+    assert times(tmp_path, bytes(content))[0] == of(A, B, C)
+    with pytest.raises(LocfuseError, match="not an MCAP file: it is"):
+        walked(tmp_path, bytes(content[:-1]))
+
+
+def test_messages_outside_chunks_are_taken_in_runs_with_their_times(tmp_path: Path) -> None:
+    loose = message(1, 50, b"a") + message(2, 40, b"bc") + message(1, 60, b"")
+    found, lost = walked(tmp_path, FRONT + loose + A.all + message(2, 210, b"z") + END + NO_SUMMARY)
+    assert not lost
+    assert [
+        (part.offset, part.size, part.counts, part.span) for part in found.parts if not isinstance(part, ChunkRef)
+    ] == [
+        (len(FRONT), len(loose), {1: 2, 2: 1}, (40, 60)),
+        (len(FRONT + loose + A.all), 32, {2: 1}, (210, 210)),
+    ]
+    assert sorted(times(tmp_path, FRONT + loose + A.all + END + NO_SUMMARY)[0]) == [40, 50, 60, *of(A)]
+
+
+@pytest.mark.parametrize("extra", [0, 1])
+def test_an_uncompressed_chunk_up_to_the_cap_is_one_part_and_a_larger_one_is_walked_into(
+    tmp_path: Path, extra: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("locfuse.formats.container.mcap_survey.LARGE_CHUNK_BYTES", 4 * 71 - extra)
+    content = FRONT + A.all + END + NO_SUMMARY
+    found, lost = walked(tmp_path, content)
+    assert isinstance(found.parts[0], ChunkRef) is (extra == 0)
+    assert not lost
+    assert times(tmp_path, content)[0] == of(A)
+    if extra:
+        damaged = bytearray(content)
+        damaged[len(FRONT) + 9 + 40 + 50] ^= 1
+        found, lost = walked(tmp_path, bytes(damaged))
+        assert lost == [("a chunk fails its checksum", len(FRONT) + 49, 4 * 71, None)]
+        assert not found.parts
+
+
+def test_in_a_file_without_chunks_damage_ends_where_three_records_follow_each_other(tmp_path: Path) -> None:
+    before = [message(1, t, b"p" * 10) for t in (1, 2, 3)]
+    after = [message(2, t, b"q" * 20) for t in (4, 5, 6, 7)]
+    data = FRONT + b"".join(before) + GARBAGE + b"".join(after) + END + NO_SUMMARY
+    _, lost = walked(tmp_path, data)
+    at = data.index(GARBAGE)
+    # the message before the damage may be part of it
+    assert lost == [("bytes that are no record", at - len(before[-1]), len(before[-1]) + len(GARBAGE), None)]
+    assert times(tmp_path, data)[0] == [1, 2, 4, 5, 6, 7]
+    stranger = record(MESSAGE, struct.pack("<HIQQ", 9, 0, 0, 0)) * 3  # of a channel nobody defined
+    data = FRONT + b"".join(before) + GARBAGE + stranger + b"".join(after) + END + NO_SUMMARY
+    assert times(tmp_path, data)[0] == [1, 2, 4, 5, 6, 7]
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_damage_may_end_at_the_last_messages_before_the_end(tmp_path: Path, n: int) -> None:
+    """Three records in a row, or fewer and the end mark."""
+    first = b"".join(message(1, t, b"p" * 10) for t in (1, 2))
+    rest = b"".join(message(2, t, b"") for t in range(10, 10 + n))
+    assert times(tmp_path, FRONT + first + GARBAGE + rest + END + NO_SUMMARY)[0] == [1, *range(10, 10 + n)]
+    cut_off = times(tmp_path, FRONT + first + GARBAGE + rest)[0]
+    assert cut_off == ([1, 10, 11, 12] if n == 3 else [1])
+
+
+def test_places_are_found_in_every_window_of_a_long_hole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The next chunk may lie in the first window that is searched, in a later one, and across two."""
+    for size in range(40, 140):
+        monkeypatch.setattr("locfuse.formats.container.mcap_resync.SEARCH_BYTES", size)
+        data = FRONT + A.all + GARBAGE * 3 + B.all + GARBAGE + C.all + END + NO_SUMMARY
+        found, lost = walked(tmp_path, data)
+        assert [part.offset for part in found.parts] == [data.index(one.record) for one in (A, B, C)]
+        assert [n_bytes for _, _, n_bytes, _ in lost] == [3 * len(GARBAGE), len(GARBAGE)]
+
+
+def test_a_chunk_is_recognised_by_all_that_its_front_says(tmp_path: Path) -> None:
+    """After damage one that contradicts itself, or reaches too far, or is compressed otherwise, is passed over."""
+    for at, value in ((1, 1), (9 + 32, 1), (8, 1), (9 + 28, 1)):
+        bad = bytearray(B.record)
+        bad[at] += value
+        data = FRONT + A.all + GARBAGE + bytes(bad) + C.all + END + NO_SUMMARY
+        found, lost = walked(tmp_path, data)
+        assert [part.offset for part in found.parts] == [data.index(A.record), data.index(C.record)]
+        assert [n_bytes for _, _, n_bytes, _ in lost] == [len(GARBAGE) + len(bad)]
+
+
+def test_a_summary_section_may_be_as_short_as_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "f.mcap"
+    for start, whole in ((len(WHOLE), True), (len(WHOLE) + 1, False), (8, False), (7, False)):
+        footer = struct.pack("<BQQQ", FOOTER, 20, start, 0)
+        content = WHOLE + footer + struct.pack("<I", zlib.crc32(footer)) + MAGIC
+        path.write_bytes(content)
+        assert (read_summary(FileBytes(path, Losses())) is not None) == whole
+
+
+# --- what a source gives of such files
+
+
+def lost_by(
+    folder: Path, content: bytes, wanted: set[int]
+) -> tuple[list[int], list[tuple[str, int, int, int | None]]]:
+    """The log times of some channels' messages, and (reason, place, bytes, messages) of all losses."""
+    path = folder / "f.mcap"
+    path.write_bytes(content)
+    losses = Losses()
+    source = McapSource(FileBytes(path, losses), losses)
+    found = [t for batch in source.batches(wanted) for m in batch.messages.values() for t in m.log_time.tolist()]
+    return sorted(found), [(reason, at, one.bytes, one.messages) for (_, reason, at), one in losses.places.items()]
+
+
+def other_channel(first: int) -> Chunk:
+    """A chunk of two messages of channel 2, with its index."""
+    inside = [message(2, first + i, b"x") for i in range(2)]
+    data = b"".join(inside)
+    head = struct.pack("<QQQI", first, first + 1, len(data), zlib.crc32(data)) + text("")
+    entries = struct.pack("<4Q", first, 0, first + 1, len(inside[0]))
+    index = record(MESSAGE_INDEX, struct.pack("<HI", 2, 32) + entries)
+    return Chunk(record(CHUNK, head + struct.pack("<Q", len(data)) + data), (index, b""), first)
+
+
+@pytest.mark.parametrize("summary", [True, False])
+def test_a_chunk_that_fails_its_checksum_is_lost_with_as_many_messages_as_are_known(
+    tmp_path: Path, summary: bool
+) -> None:
+    content = bytearray(summarised(WHOLE, [A, B, C]) if summary else WHOLE + NO_SUMMARY)
+    at = WHOLE.index(B.record)
+    content[at + 9 + 40 + 35] ^= 1
+    found, lost = lost_by(tmp_path, bytes(content), {1, 2})
+    assert found == of(A, C)
+    assert lost == [("a chunk fails its checksum", at, 4 * 71, 4 if summary else None)]
+
+
+@pytest.mark.parametrize("summary", [True, False])
+def test_of_a_chunk_without_checksum_what_lies_outside_the_damage_is_read(tmp_path: Path, summary: bool) -> None:
+    loose = chunk(200, crc=False)
+    data = FRONT + A.all + loose.all + END
+    content = bytearray(summarised(data, [A, loose]) if summary else data + NO_SUMMARY)
+    at = data.index(loose.record)
+    content[at + 49 + 71] = 0  # the opcode of the second message
+    found, lost = lost_by(tmp_path, bytes(content), {1, 2})
+    assert found == [*of(A), 202, 203]
+    missing = 2 if summary else None  # the message before it may be part of the damage
+    assert lost == [("a chunk holds bytes that are no record", at, 4 * 71, missing)]
+
+
+def test_a_chunk_that_holds_nothing_wanted_is_not_opened(tmp_path: Path) -> None:
+    """So that damage to it is nobody's loss; where nothing says what it holds it is opened."""
+    other = other_channel(200)
+    for indexed in (True, False):
+        data = FRONT + A.all + (other.all if indexed else other.record) + END
+        content = bytearray(summarised_with(data, A, other, indexed))
+        content[data.index(other.record) + 60] ^= 1
+        found, lost = lost_by(tmp_path, bytes(content), {1})
+        assert found == of(A)[:3]
+        assert [reason for reason, *_ in lost] == ([] if indexed else ["a chunk fails its checksum"])
+
+
+def summarised_with(data: bytes, first: Chunk, other: Chunk, indexed: bool) -> bytes:
+    """A summary of a chunk with two channels and one with channel 2 alone, whose index may be left out."""
+    content = SCHEMAS + CHANNELS
+    for one, channels in ((first, (1, 2)), (other, (2,) if indexed else ())):
+        at = data.index(one.record)
+        places, end = b"", at + len(one.record)
+        for channel, index in zip(channels, one.indexes, strict=False):
+            places, end = places + struct.pack("<HQ", channel, end), end + len(index)
+        size = len(one.record) - 9 - 40
+        front = struct.pack("<QQQQ", one.first, one.first + 3, at, len(one.record))
+        index_length = struct.pack("<Q", end - at - len(one.record))
+        content += record(
+            CHUNK_INDEX,
+            front
+            + struct.pack("<I", len(places))
+            + places
+            + index_length
+            + text("")
+            + struct.pack("<QQ", size, size),
+        )
+    footer = struct.pack("<BQQQ", FOOTER, 20, len(data), 0)
+    return data + content + footer + struct.pack("<I", zlib.crc32(content + footer)) + MAGIC
+
+
+def test_messages_of_a_channel_that_nobody_defines_are_counted(tmp_path: Path) -> None:
+    alone = CHANNELS[: len(CHANNELS) // 2]
+    found, lost = lost_by(tmp_path, START + SCHEMAS + alone + A.all + B.all + END + NO_SUMMARY, {1})
+    assert found == [t for t in of(A, B) if t % 100 < 3]
+    assert lost == [("messages of a channel nobody defines", 2, 0, 2)]
+
+
+def test_definitions_are_found_inside_chunks_too(tmp_path: Path) -> None:
+    inside = SCHEMAS + CHANNELS + message(1, 100, b"a")
+    content = START + chunk(100, plain=inside).record + END + NO_SUMMARY
+    path = tmp_path / "f.mcap"
+    path.write_bytes(content)
+    losses = Losses()
+    source = McapSource(FileBytes(path, losses), losses)
+    assert not losses
+    assert [(c.topic, c.msgtype, c.n) for c in source.channels.values()] == [
+        ("/1", "pkg/A", 1),
+        ("/2", "pkg/A", 0),
+    ]
+
+
+@pytest.mark.parametrize(("length", "found"), [(40, True), (41, False)])
+def test_attachments_up_to_the_cap_are_read(
+    tmp_path: Path, length: int, found: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("locfuse.formats.container.mcap_source.MAX_ATTACHMENT", 40)
+    front = struct.pack("<QQ", 1, 1) + text("a") + text("t")
+    front += struct.pack("<Q", length - len(front) - 8 - 4)
+    content = front + bytes(length - len(front) - 4)
+    for crc in (zlib.crc32(content), 0, 1):
+        path = tmp_path / "f.mcap"
+        attached = record(ATTACHMENT, content + struct.pack("<I", crc))
+        assert len(attached) == 9 + length
+        path.write_bytes(FRONT + attached + A.all + END + NO_SUMMARY)
+        losses = Losses()
+        source = McapSource(FileBytes(path, losses), losses)
+        assert list(source.attachments) == (["a"] if found and crc != 1 else [])
+        assert [(r, at, one.bytes) for (_, r, at), one in losses.places.items()] == (
+            [("an attachment fails its checksum", len(FRONT) + 9, length)] if found and crc == 1 else []
+        )
+
+
+def test_when_a_message_was_published_stands_before_its_payload(tmp_path: Path) -> None:
+    path = tmp_path / "f.mcap"
+    one = record(MESSAGE, struct.pack("<HIQQ", 1, 0, 500, 77) + b"x")
+    path.write_bytes(FRONT + one + message(1, 501, b"") + END + NO_SUMMARY)
+    losses = Losses()
+    source = McapSource(FileBytes(path, losses), losses)
+    (batch,) = source.batches({1})
+    assert source.published(batch.data, batch.messages[1]).tolist() == [77, 501]
+    assert source.time_span_ns == (500, 501)
+
+
+@pytest.mark.parametrize(("cap", "whole"), [(4 * 71, True), (4 * 71 - 1, False)])
+def test_a_chunk_as_large_as_the_cap_is_read(
+    tmp_path: Path, cap: int, whole: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("locfuse.formats.container.mcap_source.MAX_CHUNK", cap)
+    found, lost = lost_by(tmp_path, FRONT + A.all + END + NO_SUMMARY, {1, 2})
+    assert found == (of(A) if whole else [])
+    assert [reason for reason, *_ in lost] == ([] if whole else ["a chunk is larger than 0 MiB"])

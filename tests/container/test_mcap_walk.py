@@ -1,0 +1,492 @@
+"""Damaged files: everything outside the damage is read, and what is lost is counted."""
+
+from __future__ import annotations
+
+import random
+import resource
+import struct
+import subprocess
+import sys
+import textwrap
+import zlib
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import lz4.frame
+import numpy as np
+import pytest
+import zstandard
+from bags import LIGHT, T0, Said, cdr, drive, real_log, write
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType
+
+from locfuse.formats.caps import MAX_CHUNK
+from locfuse.formats.container.decompress import DamagedError, decompress
+from locfuse.formats.container.file_bytes import FileBytes
+from locfuse.formats.container.losses import Losses
+from locfuse.formats.container.mcap_chunk import records, scan
+from locfuse.formats.container.mcap_parts import ChunkRef
+from locfuse.formats.container.mcap_promised import promised
+from locfuse.formats.container.mcap_ranged import Wanted
+from locfuse.formats.container.mcap_records import message_index
+from locfuse.formats.container.mcap_source import McapSource
+from locfuse.formats.container.mcap_summary import summary_section
+from locfuse.formats.logs.log import Log, open_log
+from locfuse.fusion.data import LocfuseError
+
+TOPICS = ("/joint_states", "/scan", "/heading")
+PLAIN: dict[str, Any] = {"enable_crcs": False, "chunk_size": 4000}
+
+
+def payloads(path: Path) -> list[tuple[str, int, bytes]]:
+    """(topic, log time, bytes) of every message the source delivers."""
+    source = McapSource(FileBytes(path, losses := Losses()), losses)
+    return [
+        (
+            source.channels[ident].topic,
+            int(m.log_time[i]),
+            batch.data[m.start[i] : m.start[i] + m.length[i]].tobytes(),
+        )
+        for batch in source.batches(source.channels.keys())
+        for ident, m in batch.messages.items()
+        for i in range(len(m.start))
+    ]
+
+
+def whole(said: list[Said]) -> list[tuple[str, int, bytes]]:
+    return sorted((m.topic, m.log_time, m.data) for m in said)
+
+
+def losses_of(path: Path) -> Losses:
+    """What is lost when everything is read."""
+    log = open_log([path])
+    for topic in log.topics.values():
+        assert topic.problem is None
+    for name in log.topics:
+        assert log.stream(name).t_ns is not None
+    return log.losses
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_the_message_index_and_the_record_scan_find_the_same(tmp_path: Path, compression: CompressionType) -> None:
+    path = write(tmp_path / "x.mcap", drive(60), compression=compression, chunk_size=3000)
+    n_chunks = 0
+    with path.open("rb") as file:
+        index: dict[int, Any] = {}
+        data = np.empty(0, np.uint8)
+        record: Any
+        for record in StreamReader(file, emit_chunks=True).records:
+            kind = type(record).__name__
+            if kind == "Chunk":
+                n_chunks += 1
+                plain = decompress(record.data, record.compression, record.uncompressed_size)
+                data, index = np.frombuffer(plain, np.uint8), {}
+            if kind == "MessageIndex":
+                index[record.channel_id] = np.array(record.records, "<u8").reshape(-1, 2)
+                continue
+            if index and kind != "Chunk":
+                by_index, by_scan = records(data, index), scan(data)
+                assert by_index.end == by_scan.end == len(data)
+                assert by_index.definitions == by_scan.definitions
+                for ident, messages in by_scan.messages.items():
+                    for one, other in zip(by_index.messages[ident], messages, strict=True):
+                        np.testing.assert_array_equal(one, other)
+                index = {}
+    assert n_chunks > 3
+
+
+def test_chunks_that_stand_in_any_order_come_in_that_of_their_times(tmp_path: Path) -> None:
+    said = drive(60)
+    shuffled = [said[i] for i in np.random.default_rng(1).permutation(len(said))]
+    found = payloads(write(tmp_path / "x.mcap", shuffled, chunk_size=1))
+    assert [t for _, t, _ in found] == sorted(m.log_time for m in said)
+    assert sorted(found) == whole(said)
+
+
+def test_the_order_of_the_file_is_kept_where_log_times_jitter(tmp_path: Path) -> None:
+    """Every tenth message was written 0.3 s before its neighbours; chunks overlap, and none is moved."""
+    said = [m._replace(log_time=m.log_time - 300_000_000 * (i % 10 == 9)) for i, m in enumerate(drive(60))]
+    path = write(tmp_path / "x.mcap", said, chunk_size=3000)
+    found = [t for topic, t, _ in payloads(path) if topic == "/scan"]
+    assert found == [m.log_time for m in said if m.topic == "/scan"]
+    assert found != sorted(found)
+
+
+def test_an_index_that_misses_messages_is_not_believed(tmp_path: Path) -> None:
+    path = write(tmp_path / "x.mcap", drive(60))
+    source = McapSource(FileBytes(path, losses := Losses()), losses)
+    batch = next(iter(source.batches(source.channels.keys())))
+    messages = batch.messages[1]
+    entries = np.stack([messages.log_time, messages.start - 31], axis=1).astype("<u8")
+    found = records(batch.data, {1: entries[:-3]})
+    assert sum(len(m.start) for m in found.messages.values()) == len(drive(60))
+
+
+@pytest.mark.parametrize("offset", [2**63 - 1, 2**63, 2**64 - 1])
+def test_an_index_that_points_beyond_all_numbers_is_not_believed(tmp_path: Path, offset: int) -> None:
+    path = write(tmp_path / "x.mcap", drive(60))
+    source = McapSource(FileBytes(path, losses := Losses()), losses)
+    batch = next(iter(source.batches(source.channels.keys())))
+    found = records(batch.data, {1: np.array([[batch.messages[1].log_time[0], offset]], "<u8")})
+    assert sum(len(m.start) for m in found.messages.values()) == len(drive(60))
+
+
+@pytest.mark.parametrize("layout", [PLAIN, {"use_chunking": False}, {"chunk_size": 4000}])
+def test_a_truncated_file_gives_every_message_that_is_wholly_there(tmp_path: Path, layout: dict[str, Any]) -> None:
+    said = drive(40)
+    content = write(tmp_path / "whole.mcap", said, **layout).read_bytes()
+    ends = {content.index(m.data) + len(m.data): (m.topic, m.log_time, m.data) for m in said}
+    path = tmp_path / "cut.mcap"
+    for cut in range(300, len(content), 173):
+        path.write_bytes(content[:cut])
+        there = sorted(message for end, message in ends.items() if end <= cut)
+        assert sorted(payloads(path)) == there, cut
+        assert losses_of(path) or len(there) == len(said)
+
+
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
+def test_a_truncated_compressed_file_gives_all_whole_chunks_at_least(
+    tmp_path: Path, compression: CompressionType
+) -> None:
+    said = drive(100)
+    path = write(tmp_path / "whole.mcap", said, compression=compression, chunk_size=4000)
+    content = path.read_bytes()
+    in_order = [(m.topic, m.log_time, m.data) for m in said]
+    chunks = []  # (end in the file, messages up to there)
+    with path.open("rb") as file:
+        n = 0
+        record: Any
+        for record in StreamReader(file, emit_chunks=True).records:
+            if type(record).__name__ == "Chunk":
+                plain = decompress(record.data, record.compression, record.uncompressed_size)
+                n += sum(len(m.start) for m in scan(np.frombuffer(plain, np.uint8)).messages.values())
+                chunks.append((content.index(record.data) + len(record.data), n))
+    cut_path = tmp_path / "cut.mcap"
+    for cut in range(200, len(content), 307):
+        cut_path.write_bytes(content[:cut])
+        found = sorted(payloads(cut_path), key=in_order.index)
+        assert found == in_order[: len(found)]
+        assert len(found) >= max([n for end, n in chunks if end <= cut], default=0)
+
+
+def test_a_real_truncated_file_gives_the_messages_of_its_whole_twin() -> None:
+    cut, twin = (real_log(f"bags/tiryoh/test_sample{suffix}.mcap") for suffix in ("_truncated", ""))
+    assert payloads(cut) == payloads(twin)
+    assert any("cut off" in line for line in losses_of(cut).lines())
+
+
+@pytest.mark.parametrize(
+    "layout", [{"chunk_size": 3000}, {"chunk_size": 3000, "compression": CompressionType.ZSTD}]
+)
+def test_a_flipped_bit_is_noticed_or_without_effect_where_the_file_has_checksums(
+    tmp_path: Path, layout: dict[str, Any]
+) -> None:
+    said = drive(40)
+    content = write(tmp_path / "whole.mcap", said, **layout).read_bytes()
+    original = set(whole(said))
+    rng = random.Random(0)
+    path = tmp_path / "bad.mcap"
+    n_lossy = 0
+    for _ in range(100):
+        bad = bytearray(content)
+        bad[rng.randrange(len(bad))] ^= 1 << rng.randrange(8)
+        path.write_bytes(bad)
+        log = opened(path)
+        if log is None:
+            continue
+        found = read_everything(log)
+        assert found <= original
+        assert found == original or log.losses
+        n_lossy += bool(log.losses)
+    assert n_lossy > 20
+
+
+def opened(path: Path) -> Log | None:
+    """The log, or None where it is refused with one line."""
+    try:
+        return open_log([path])
+    except LocfuseError as problem:
+        line = str(problem)
+    assert "\n" not in line
+    return None
+
+
+def read_everything(log: Log) -> set[tuple[str, int, bytes]]:
+    """Read every stream, as the product does, then every payload."""
+    found: set[tuple[str, int, bytes]] = set()
+    for name, topic in log.topics.items():
+        if topic.problem is None:
+            with suppress(LocfuseError):  # a damaged definition
+                assert (np.diff(log.stream(name).t_ns) >= 0).all()
+    for path in log.paths:
+        assert isinstance(path, Path)
+        found.update(payloads(path))
+    return found
+
+
+def test_flipped_bits_without_checksums_never_raise_and_never_lose_more_than_a_chunk_in_silence(
+    tmp_path: Path,
+) -> None:
+    said = drive(40)
+    content = write(tmp_path / "whole.mcap", said, **PLAIN).read_bytes()
+    rng = random.Random(1)
+    path = tmp_path / "bad.mcap"
+    for _ in range(100):
+        bad = bytearray(content)
+        for _ in range(rng.choice([1, 1, 3])):
+            bad[rng.randrange(8, len(bad))] ^= 1 << rng.randrange(8)
+        path.write_bytes(bad)
+        log = opened(path)
+        if log is None:
+            continue
+        found = read_everything(log)
+        assert len(found) >= len(said) - 3 or log.losses
+
+
+@pytest.mark.parametrize("summary", [True, False])
+@pytest.mark.parametrize("layout", [PLAIN, {"chunk_size": 4000}, {"use_chunking": False}])
+def test_a_hole_loses_what_lies_in_it_and_nothing_behind(
+    tmp_path: Path, layout: dict[str, Any], summary: bool
+) -> None:
+    said = drive(200)
+    content = bytearray(write(tmp_path / "whole.mcap", said, **layout).read_bytes())
+    places = {(m.topic, m.log_time, m.data): content.index(m.data) for m in said}
+    if not summary:
+        content[-40:] = b""
+    start, stop = len(content) // 3, len(content) // 3 + 700
+    content[start:stop] = bytes(stop - start)
+    path = tmp_path / "hole.mcap"
+    path.write_bytes(content)
+    found = set(payloads(path))
+    reach = 0 if layout.get("enable_crcs") is False else 4000  # with checksums a chunk goes as a whole
+    outside = {m for m, at in places.items() if at + len(m[2]) < start - 200 - reach or at > stop + 800 + reach}
+    assert outside <= found <= set(places)
+    assert len(outside) > len(said) // 2
+    assert losses_of(path)
+
+
+def test_losses_are_counted_in_messages_where_the_statistics_know(tmp_path: Path) -> None:
+    said = drive(60)
+    content = bytearray(write(tmp_path / "whole.mcap", said, chunk_size=4000).read_bytes())
+    at = content.index(said[30].data)
+    content[at + 20] ^= 1
+    path = tmp_path / "bad.mcap"
+    path.write_bytes(content)
+    log = open_log([path])
+    n_found = len(read_everything(log))
+    assert log.losses.messages == len(said) - n_found > 0
+    assert log.losses.lines() == [
+        f"{path}: a chunk fails its checksum ({log.losses.bytes} bytes, {log.losses.messages} messages)"
+    ]
+
+
+def test_a_loss_met_by_two_walks_counts_once(tmp_path: Path) -> None:
+    content = bytearray(write(tmp_path / "whole.mcap", drive(60), chunk_size=4000).read_bytes())
+    content[len(content) // 2] ^= 1
+    path = tmp_path / "bad.mcap"
+    path.write_bytes(content)
+    log = open_log([path])
+    streams = log.streams(LIGHT)
+    before = log.losses.lines()
+    for stream in streams.values():
+        list(stream.blocks())
+    assert log.losses.lines() == before != []
+
+
+def test_a_file_of_loose_messages_fails_its_data_checksum(tmp_path: Path) -> None:
+    said = drive(40)
+    path = write(tmp_path / "x.mcap", said, use_chunking=False, enable_data_crcs=True)
+    assert not losses_of(path)
+    content = bytearray(path.read_bytes())
+    content[content.index(said[20].data) + 30] ^= 1
+    path.write_bytes(content)
+    assert losses_of(path).lines() == [f"{path}: the file fails its checksum: values may be wrong"]
+
+
+def test_a_file_of_loose_messages_that_is_cut_in_its_end_keeps_every_message(tmp_path: Path) -> None:
+    """Cut anywhere from behind the last message on, within the data section's own checksum too."""
+    said = drive(4)
+    path = write(tmp_path / "x.mcap", said, use_chunking=False, enable_data_crcs=True)
+    content = path.read_bytes()
+    behind = content.index(said[-1].data) + len(said[-1].data)
+    for end in range(behind, min(behind + 40, len(content))):
+        path.write_bytes(content[:end])
+        assert whole(said) == sorted(payloads(path)), end
+
+
+def test_a_damaged_attachment_is_lost_and_counted(tmp_path: Path) -> None:
+    path = write(tmp_path / "x.mcap", drive(5), attachments={"robot.toml": b"radius = 0.1", "note": b"hello"})
+    content = bytearray(path.read_bytes())
+    content[content.index(b"radius = 0.1") + 3] ^= 1
+    path.write_bytes(content)
+    log = open_log([path])
+    assert log.attachments == {"note": b"hello"}
+    assert "an attachment fails its checksum" in log.losses.lines()[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "pack"), [("zstd", zstandard.ZstdCompressor().compress), ("lz4", lz4.frame.compress)]
+)
+def test_decompression_gives_exactly_the_declared_size(name: str, pack: Any) -> None:
+    plain = bytes(range(256)) * 100
+    packed = pack(plain)
+    assert decompress(packed, name, len(plain)) == plain
+    for size in (len(plain) - 1, len(plain) + 1):
+        with pytest.raises(DamagedError, match="size is not the declared one"):
+            decompress(packed, name, size)
+    with pytest.raises(DamagedError, match="does not decompress"):
+        decompress(b"garbage" + packed, name, len(plain))
+
+
+def test_a_zstd_frame_without_its_size_is_read_too() -> None:
+    plain = b"abc" * 1000
+    packer = zstandard.ZstdCompressor(write_content_size=False)
+    assert decompress(packer.compress(plain), "zstd", len(plain)) == plain
+    two_frames = packer.compress(plain[:100]) + zstandard.ZstdCompressor().compress(plain[100:])
+    assert decompress(two_frames, "zstd", len(plain)) == plain
+
+
+def test_an_unknown_compression_and_a_giant_are_refused_by_name() -> None:
+    with pytest.raises(DamagedError, match="unknown compression 'brotli'"):
+        decompress(b"", "brotli", 10)
+    with pytest.raises(DamagedError, match="claims more than 256 MiB"):
+        decompress(b"x", "zstd", MAX_CHUNK + 1)
+
+
+BOMB = """
+    import resource, sys
+    from pathlib import Path
+    from locfuse.formats.logs.log import open_log
+    resource.setrlimit(resource.RLIMIT_AS, (1 << 30, 1 << 30))
+    log = open_log([Path(sys.argv[1])])
+    for name in log.topics:
+        print(name, len(log.stream(name).t_ns))
+    print(log.losses.lines())
+"""
+
+
+@pytest.mark.parametrize("declared", ["the truth", "a lie"])
+def test_a_decompression_bomb_is_refused_within_the_memory_limit(tmp_path: Path, declared: str) -> None:
+    """A gigabyte of zeros in some kilobytes of zstd."""
+    assert resource.getrlimit(resource.RLIMIT_AS)
+    path = write(tmp_path / "x.mcap", drive(20), compression=CompressionType.ZSTD)
+    packer = zstandard.ZstdCompressor(level=1).compressobj()
+    bomb = b"".join(packer.compress(bytes(1 << 20)) for _ in range(1024)) + packer.flush()
+    size = 1024 << 20 if declared == "the truth" else 50_000
+    content = path.read_bytes()
+    at = content.index(b"\x28\xb5\x2f\xfd")
+    chunk_at = at - 9 - 3 * 8 - 4 - 4 - len("zstd") - 8
+    head = struct.pack("<QQQI", T0, T0, size, 0) + struct.pack("<I4sQ", 4, b"zstd", len(bomb))
+    path.write_bytes(content[:chunk_at] + struct.pack("<BQ", 6, len(head) + len(bomb)) + head + bomb)
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(BOMB), str(path)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr[-500:]
+    assert (
+        "claims more than 256 MiB" if declared == "the truth" else "size is not the declared one"
+    ) in done.stdout
+
+
+def test_a_lone_giant_message_is_refused_and_the_others_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("locfuse.formats.container.mcap_source.MAX_CHUNK", 1_200_000)
+    said = drive(20)
+    giant = Said(
+        "/scan", "sensor_msgs/msg/LaserScan", cdr("sensor_msgs/msg/LaserScan", ranges=[1.0] * 400_000), T0
+    )
+    path = write(tmp_path / "x.mcap", [*said[:10], giant, *said[10:]], use_chunking=False)
+    assert len(payloads(path)) == len(said)
+
+
+@pytest.mark.parametrize("crcs", [True, False])
+def test_an_uncompressed_chunk_too_large_to_hold_is_walked_into(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, crcs: bool
+) -> None:
+    monkeypatch.setattr("locfuse.formats.container.mcap_survey.LARGE_CHUNK_BYTES", 5000)
+    monkeypatch.setattr("locfuse.formats.container.mcap_survey.RUN_BYTES", 2000)
+    said = drive(100)
+    path = write(tmp_path / "x.mcap", said, chunk_size=20_000, enable_crcs=crcs)
+    assert sorted(payloads(path)) == whole(said)
+    assert not losses_of(path)
+    content = bytearray(path.read_bytes())
+    content[content.index(said[10].data) + 30] ^= 1
+    path.write_bytes(content)
+    assert bool(losses_of(path)) is crcs
+
+
+def test_a_message_index_record_says_channel_times_and_offsets() -> None:
+    data = struct.pack("<HI4Q", 7, 32, 1, 2, 3, 4)
+    ident, entries = message_index(data)
+    assert (ident, entries.tolist()) == (7, [[1, 2], [3, 4]])
+    with pytest.raises(DamagedError):
+        message_index(data[:-1])
+
+
+def test_checksums_are_what_zlib_says() -> None:
+    """The specification's crc32 is zlib's: one fixed value holds both to it."""
+    assert zlib.crc32(b"123456789") == 0xCBF43926
+
+
+def test_a_summary_whose_checksum_is_wrong_is_not_believed(tmp_path: Path) -> None:
+    path = write(tmp_path / "x.mcap", drive())
+    assert summary_section(FileBytes(path, Losses())) is not None
+    data = bytearray(path.read_bytes())
+    start = struct.unpack_from("<Q", data, len(data) - 8 - 20)[0]
+    for bit in range(0, 8 * (len(data) - 8 - 20 - start), 97):
+        damaged = bytearray(data)
+        damaged[start + bit // 8] ^= 1 << bit % 8
+        path.write_bytes(damaged)
+        assert summary_section(FileBytes(path, Losses())) is None
+
+
+def test_a_message_outside_chunks_has_no_checksum(tmp_path: Path) -> None:
+    path = write(tmp_path / "x.mcap", drive(), enable_crcs=True)
+    data = path.read_bytes()
+    assert McapSource(FileBytes(path, losses := Losses()), losses).checked
+    start = struct.unpack_from("<Q", data, len(data) - 8 - 20)[0]
+    alone = struct.pack("<BQHIQQ", 5, 26, 1, 0, T0, T0) + bytes(4)
+    front = data[: start - 13]  # without the record that ends the data
+    path.write_bytes(
+        front + alone + struct.pack("<BQI", 15, 4, 0) + struct.pack("<BQQQI", 2, 20, 0, 0, 0) + data[-8:]
+    )
+    assert not McapSource(FileBytes(path, losses := Losses()), losses).checked
+
+
+@pytest.mark.parametrize(("shift", "believed"), [(0, True), (-2000, False)])
+def test_a_summary_whose_chunks_overlap_is_not_believed(tmp_path: Path, shift: int, believed: bool) -> None:
+    path = write(tmp_path / "x.mcap", drive(), chunk_size=4000)
+    data = bytearray(path.read_bytes())
+    start = struct.unpack_from("<Q", data, len(data) - 8 - 20)[0]
+    struct.pack_into("<I", data, len(data) - 12, 0)  # the summary is without a checksum
+    at, seen = start, 0
+    while data[at] != 2:
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        body = at + 9
+        if opcode == 8:
+            seen += 1
+            if seen == 2:  # what it says of the second chunk begins in the first
+                size = struct.unpack_from("<I", data, body + 32)[0]
+                for place in (body + 16, *range(body + 36 + 2, body + 36 + size, 10)):
+                    struct.pack_into("<Q", data, place, struct.unpack_from("<Q", data, place)[0] + shift)
+        at = body + length
+    path.write_bytes(data)
+    assert seen > 2
+    assert (promised(FileBytes(path, Losses())) is not None) == believed
+
+
+def test_a_message_that_is_longer_than_its_index_says_is_lost_alone(tmp_path: Path) -> None:
+    path = write(tmp_path / "x.mcap", drive(), chunk_size=4000, compression=CompressionType.NONE)
+    data = bytearray(path.read_bytes())
+    survey = promised(FileBytes(path, Losses()))
+    assert survey is not None
+    chunk = next(part for part in survey.parts if isinstance(part, ChunkRef))
+    channels = list(chunk.index)[:2]  # of three: messages are fetched one by one
+    last_but_one = Wanted(FileBytes(path, Losses()), chunk, channels).spans[-2][0]
+    struct.pack_into("<Q", data, last_but_one + 1, struct.unpack_from("<Q", data, last_but_one + 1)[0] + 1)
+    path.write_bytes(data)
+    _, found = Wanted(FileBytes(path, Losses()), chunk, channels).messages(losses := Losses())
+    assert chunk.counts is not None
+    assert sum(len(m.start) for m in found.values()) == sum(chunk.counts[ident] for ident in channels) - 1
+    assert [loss.messages for loss in losses.places.values()] == [1]

@@ -1,0 +1,211 @@
+"""The logs we write, read by others: rosbags, mcap-ros2-support, `rerun mcap check`, and mcap's own CRCs."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.exceptions import McapError
+from mcap.reader import NonSeekingReader, make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+from zstandard import ZstdError
+
+from locfuse.formats.container.mcap_write import LogWriter
+from locfuse.fusion.data import LocfuseError
+
+EPOCH = 1_700_000_000_000_000_000
+STAMP = EPOCH + 123_456_789
+# message type -> fields by dotted path, one of every type that the simulator and the exports write
+MESSAGES: dict[str, dict[str, Any]] = {
+    "sensor_msgs/msg/JointState": {"name": ("left", "right"), "position": np.array([1.5, -2.5]), "effort": []},
+    "sensor_msgs/msg/MagneticField": {"magnetic_field.x": 1.25e-5, "magnetic_field_covariance": np.arange(9.0)},
+    "sensor_msgs/msg/LaserScan": {"angle_min": -1.5, "range_max": 80.0, "ranges": np.array([1.0, math.inf, 3.0])},
+    "sensor_msgs/msg/CompressedImage": {"format": "jpeg", "data": b"\xff\xd8\x00\xd9"},
+    "geometry_msgs/msg/PoseStamped": {"pose.position.x": 1.0, "pose.orientation.w": 0.5},
+    "sensor_msgs/msg/Range": {"radiation_type": 0, "range": math.inf, "max_range": 4.0},
+    "sensor_msgs/msg/NavSatFix": {"latitude": 21.038, "position_covariance": np.eye(3).ravel()},
+    "std_msgs/msg/String": {"data": '{"event": "begin", "what": "Ütä"}'},
+    "std_msgs/msg/Bool": {"data": True},
+    "std_msgs/msg/Int32": {"data": -7},
+    "tf2_msgs/msg/TFMessage": {
+        "transforms": [{"header": {"frame_id": "base_link"}, "transform": {"rotation": {"w": 1.0}}}]
+    },
+}  # fmt: skip
+
+
+def topic(msgtype: str) -> str:
+    return "/" + msgtype.rsplit("/", 1)[1].lower()
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("log") / "all_types.mcap"
+    with LogWriter(path) as writer:
+        writer.attach("robot.toml", b"[wheels]\nradius = 0.05\n")
+        for i in range(3):
+            for msgtype, fields in MESSAGES.items():
+                latched = msgtype.endswith("TFMessage")
+                ns = EPOCH + i
+                writer.write(topic(msgtype), msgtype, fields, ns, stamp_ns=STAMP, frame_id="f", latched=latched)
+    return path
+
+
+def at(message: Any, path: str) -> Any:
+    for name in path.split("."):
+        message = getattr(message, name)
+    return message
+
+
+def same(read: Any, written: Any) -> bool:
+    if isinstance(written, list) and written and isinstance(written[0], dict):
+        return len(read) == 1 and read[0].header.frame_id == "base_link" and read[0].transform.rotation.w == 1.0
+    if isinstance(written, bytes):
+        return bytes(read) == written
+    if isinstance(written, str | bool):
+        return bool(read == written)
+    if isinstance(written, tuple):
+        return tuple(read) == written
+    return bool(np.array_equal(np.asarray(read, float), np.asarray(written, float)))
+
+
+def check(msgtype: str, message: Any) -> None:
+    for path, value in MESSAGES[msgtype].items():
+        assert same(at(message, path), value), f"{msgtype}.{path}"
+    if hasattr(message, "header"):
+        assert message.header.frame_id == "f"
+        assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == STAMP
+
+
+def test_rosbags_reads_back_every_type(log: Path) -> None:
+    with AnyReader([log]) as reader:
+        seen = [(c.msgtype, reader.deserialize(raw, c.msgtype)) for c, _, raw in reader.messages()]
+    assert len(seen) == 3 * len(MESSAGES)
+    for msgtype, message in seen:
+        check(msgtype, message)
+
+
+def decoded(log: Path, *topics: str) -> list[tuple[str, Any, int]]:
+    """Return (type, message, log time) as mcap-ros2-support reads them by the schemas in the file."""
+    with log.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        messages = reader.iter_decoded_messages(topics or None)
+        return [(schema.name, message, raw.log_time) for schema, _, raw, message in messages if schema]
+
+
+def test_mcap_ros2_support_reads_back_every_type_by_the_schemas_in_the_file(log: Path) -> None:
+    seen = decoded(log)
+    assert len(seen) == 3 * len(MESSAGES)
+    assert {ns for _, _, ns in seen} == {EPOCH, EPOCH + 1, EPOCH + 2}
+    for msgtype, message, _ in seen:
+        check(msgtype, message)
+
+
+def test_rerun_finds_nothing_to_complain_about(log: Path) -> None:
+    rerun = Path(sys.executable).parent / "rerun"
+    done = subprocess.run([rerun, "mcap", "check", log], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    rows = [line for line in done.stdout.splitlines() if "/" in line and line.startswith("ok")]
+    assert len(rows) == len(MESSAGES)
+
+
+def test_the_file_is_what_rosbag2_writes(log: Path) -> None:
+    with log.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        assert reader.get_header().profile == "ros2"
+        summary = reader.get_summary()
+        assert summary is not None
+        assert {s.encoding for s in summary.schemas.values()} == {"ros2msg"}
+        assert {c.message_encoding for c in summary.channels.values()} == {"cdr"}
+        assert {c.compression for c in summary.chunk_indexes} == {"zstd"}
+        attachments = [(a.name, a.data, a.log_time, a.media_type) for a in reader.iter_attachments()]
+        sequences = [m.sequence for _, c, m in reader.iter_messages() if c.topic == "/string"]
+    latched = [c.topic for c in summary.channels.values() if "durability: 1" in c.metadata["offered_qos_profiles"]]
+    assert attachments == [("robot.toml", b"[wheels]\nradius = 0.05\n", 0, "application/toml")]
+    assert latched == ["/tfmessage"]
+    assert sequences == [1, 2, 3]
+
+
+def test_a_flipped_bit_anywhere_in_the_data_is_found_by_its_crc(log: Path, tmp_path: Path) -> None:
+    raw = bytearray(log.read_bytes())
+    with log.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    chunk = summary.chunk_indexes[0]
+    ends = chunk.chunk_start_offset + 60, chunk.chunk_start_offset + chunk.chunk_length - 60
+    damaged = tmp_path / "damaged.mcap"
+    for offset in range(*ends, 97):
+        raw[offset] ^= 0x10
+        damaged.write_bytes(raw)
+        raw[offset] ^= 0x10
+        with damaged.open("rb") as file, pytest.raises((McapError, ValueError, ZstdError)):
+            list(NonSeekingReader(file, validate_crcs=True).iter_messages())
+
+
+def test_what_is_left_out_is_zero_or_empty(log: Path) -> None:
+    scan = decoded(log, "/laserscan")[0][1]
+    assert scan.scan_time == 0.0
+    assert len(scan.intensities) == 0
+
+
+def test_a_log_that_fails_midway_leaves_nothing_behind(tmp_path: Path) -> None:
+    def interrupted() -> None:
+        with LogWriter(tmp_path / "log.mcap") as writer:
+            writer.write("/s", "std_msgs/msg/String", {"data": "x"}, EPOCH)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_existing_log_stays_whole_until_the_new_one_is(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    path.write_bytes(b"old")
+    with LogWriter(path) as writer:
+        writer.write("/s", "std_msgs/msg/String", {"data": "x"}, EPOCH)
+        assert path.read_bytes() == b"old"
+    assert path.read_bytes().startswith(b"\x89MCAP")
+    assert [p.name for p in tmp_path.iterdir()] == ["log.mcap"]
+
+
+def test_a_full_disk_leaves_no_half_file(tmp_path: Path) -> None:
+    resource = pytest.importorskip("resource", reason="file size limits are Unix")
+    path = tmp_path / "log.mcap"
+    noise = np.random.default_rng(1).integers(0, 256, 200_000, np.uint8).tobytes()
+    _, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, hard))
+    try:
+        with pytest.raises(OSError, match="File too large"), LogWriter(path) as writer:
+            writer.write("/i", "sensor_msgs/msg/CompressedImage", {"data": noise}, EPOCH)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(LocfuseError, match=r"log\.mcap cannot be written: .*nowhere: No such file"):
+        LogWriter(tmp_path / "nowhere" / "log.mcap")
+
+
+def test_what_is_not_a_standard_message_is_refused(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "log.mcap") as writer:
+        with pytest.raises(LocfuseError, match="my_msgs/msg/Thing is not a standard ROS 2 message type"):
+            writer.write("/t", "my_msgs/msg/Thing", {}, EPOCH)
+        with pytest.raises(ValueError, match="has no field dat"):
+            writer.write("/s", "std_msgs/msg/String", {"dat": "x"}, EPOCH)
+        with pytest.raises(ValueError, match=r"/s holds std_msgs/msg/String, not std_msgs/msg/Bool"):
+            writer.write("/s", "std_msgs/msg/Bool", {"data": True}, EPOCH)
+
+
+def test_the_same_messages_give_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        with LogWriter(tmp_path / f"{name}.mcap") as writer:
+            for i in range(100):
+                writer.write("/s", "std_msgs/msg/String", {"data": str(i)}, EPOCH + i)
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()

@@ -1,0 +1,233 @@
+"""Clouds, echoes and joints of ros2_control are read as scans and joint states; what was written is the oracle."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bags import T0, S, Said, cdr, header, write
+from commands import locfuse
+from numpy.typing import NDArray
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from wheel_bags import GEOMETRY, angles, joint_states, log_of, pose_of
+
+from locfuse.formats.logs.as_scan import BEAMS, level_slice
+from locfuse.formats.logs.log import open_log
+from locfuse.fusion.data import Ragged
+
+Array = NDArray[np.float64]
+CLOUD, ECHOES = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/MultiEchoLaserScan"
+LENGTH, WIDTH = 8.0, 6.0  # m of a room; its walls are the oracle
+RINGS_RAD = np.radians(np.arange(-15.0, 16.0, 2.0))  # as of a laser of 16 rings
+SPEED, RATE_HZ = 0.3, 10.0
+
+
+def ranges(x: float, bearings: Array) -> Array:
+    """How far the walls are from (x, 0) in the middle of the room, looking along its length."""
+    with np.errstate(divide="ignore"):
+        along = np.where(np.cos(bearings) > 0.0, LENGTH / 2 - x, LENGTH / 2 + x) / np.abs(np.cos(bearings))
+        across = (WIDTH / 2 + np.where(np.sin(bearings) > 0.0, -0.5, 0.5)) / np.abs(np.sin(bearings))
+    return np.minimum(along, across)
+
+
+def seen(x: float) -> Array:
+    """A cloud (n, 3) [m] of 16 rings from 0.5 m above the floor."""
+    bearings = np.radians(np.arange(0.0, 360.0, 0.4))
+    away = ranges(x, bearings)
+    rings = []
+    for elevation in RINGS_RAD:
+        far = np.minimum(away, 0.5 / -math.tan(elevation)) if elevation < 0.0 else away  # the floor comes first
+        rings.append(np.stack((far * np.cos(bearings), far * np.sin(bearings), far * math.tan(elevation)), -1))
+    return np.concatenate(rings)
+
+
+def cloud(ns: int, xyz: Array, frame: str = "velodyne", big: bool = False, kind: str = "f4") -> Said:
+    """Points with an intensity between them, as drivers pad them."""
+    order = ">" if big else "<"
+    size = int(kind[1])
+    offsets = [0, size, 2 * size]
+    layout = np.dtype(
+        {"names": list("xyz"), "formats": [order + kind] * 3, "offsets": offsets, "itemsize": 3 * size + 4}
+    )
+    data = np.zeros(len(xyz), layout)
+    for i, axis in enumerate("xyz"):
+        data[axis] = xyz[:, i]
+    datatype = {"f4": 7, "f8": 8}[kind]
+    fields = [
+        {"name": n, "offset": o, "datatype": datatype, "count": 1} for n, o in zip("xyz", offsets, strict=True)
+    ]
+    fields.append({"name": "intensity", "offset": 3 * size, "datatype": 7, "count": 1})
+    message = cdr(
+        CLOUD,
+        header=header(ns, frame),
+        height=1,
+        width=len(xyz),
+        fields=fields,
+        is_bigendian=int(big),
+        point_step=layout.itemsize,
+        row_step=layout.itemsize * len(xyz),
+        data=np.frombuffer(data.tobytes(), np.uint8),
+    )
+    return Said("/velodyne_points", CLOUD, message, ns)
+
+
+def stamps(n: int) -> list[int]:
+    return [T0 + round(i / RATE_HZ * S) for i in range(n)]
+
+
+def report_of(log: Path, out: Path, *words: str) -> Any:
+    done = locfuse("run", log, "-o", out, "--write", "json,tum", *words)
+    assert done.exit_code == 0, done.stderr
+    return json.loads((out / "run.json").read_text())
+
+
+def way_of(out: Path) -> Array:
+    rows = np.loadtxt(out / "trajectory.tum")
+    return rows[-1, 1:3] - rows[0, 1:3]
+
+
+def test_a_cloud_of_rings_is_a_laser_that_says_how_the_robot_moved(tmp_path: Path) -> None:
+    n = 41
+    said = [cloud(ns, seen(SPEED * i / RATE_HZ)) for i, ns in enumerate(stamps(n))]
+    log = write(tmp_path / "x.mcap", said)
+    report = report_of(log, tmp_path / "out")
+    assert way_of(tmp_path / "out") == pytest.approx([SPEED * (n - 1) / RATE_HZ, 0.0], abs=0.02)
+    assert "matched from scan to scan of /velodyne_points:scan" in json.dumps(report)
+    info = locfuse("info", log).stdout
+    assert "/velodyne_points:scan" in info
+    drafted = locfuse("init", log).stdout
+    assert 'topic = "/velodyne_points:scan"' in drafted
+
+
+@pytest.mark.parametrize("kind", ["f4", "f8"])
+@pytest.mark.parametrize("big", [False, True])
+def test_every_beam_of_the_slice_is_the_wall_at_its_bearing(kind: str, big: bool, tmp_path: Path) -> None:
+    log = open_log([write(tmp_path / "x.mcap", [cloud(T0, seen(0.0), big=big, kind=kind)])])
+    (stream,) = (log.stream("/velodyne_points:scan"),)
+    columns: Any = stream.columns("angle_min", "angle_increment", "ranges")
+    bearings = columns["angle_min"][0] + columns["angle_increment"][0] * np.arange(BEAMS)
+    off = np.radians(0.25)  # a beam stands for half a degree
+    expected = np.stack([ranges(0.0, bearings + d) for d in np.linspace(-off, off, 11)])
+    found = columns["ranges"][0]
+    assert (found >= expected.min(axis=0) - 1e-4).all()
+    assert (found <= expected.max(axis=0) + 1e-4).all()
+
+
+def test_of_a_picture_of_depth_the_axis_ahead_is_the_third() -> None:
+    ahead = level_slice(np.array([[0.0, 0.0, 3.0], [1.0, -0.05, 2.0]]), optical=True)  # x right, y down, z ahead
+    beams = -math.pi + (np.arange(BEAMS) + 0.5) * 2 * math.pi / BEAMS
+    hit = np.flatnonzero(np.isfinite(ahead))
+    assert beams[hit] == pytest.approx([math.atan2(-1.0, 2.0), 0.0], abs=np.radians(0.26))
+    assert ahead[hit] == pytest.approx([math.hypot(1.0, 2.0), 3.0])
+
+
+def test_a_cloud_that_is_a_map_is_no_laser(tmp_path: Path) -> None:
+    said = [cloud(ns, seen(0.0), frame="map") for ns in stamps(10)]
+    done = locfuse("run", write(tmp_path / "x.mcap", said), "-o", tmp_path / "out")
+    assert done.exit_code == 1
+    assert "nothing says how the robot moved" in done.stderr
+
+
+@pytest.mark.parametrize("step", [0, 8, 2**32 - 1])
+def test_a_cloud_whose_fields_lie_outside_its_points_gives_no_beam(step: int, tmp_path: Path) -> None:
+    message = cdr(
+        CLOUD,
+        header=header(T0, "velodyne"),
+        height=1,
+        width=2,
+        fields=[{"name": n, "offset": 4 * i, "datatype": 7, "count": 1} for i, n in enumerate("xyz")],
+        point_step=step,
+        row_step=16,
+        data=np.zeros(16, np.uint8),
+    )
+    log = open_log([write(tmp_path / "x.mcap", [Said("/points", CLOUD, message, T0)])])
+    columns: Any = log.stream("/points:scan").columns("ranges")
+    assert np.isinf(columns["ranges"][0]).all()
+
+
+def test_the_first_echo_of_a_beam_counts_and_none_is_no_return(tmp_path: Path) -> None:
+    beams = [[1.5, 4.0], [], [2.5], [3.0, 3.5, 9.0]]
+    rows = [beams, [[7.0], [8.0], [], []]]  # of another pattern
+    said = [
+        Said("/laser", ECHOES, cdr(ECHOES, header=header(ns, "laser"), angle_min=-0.1, angle_increment=0.05,
+                                   range_max=30.0, ranges=[{"echoes": e} for e in row]), ns)
+        for ns, row in zip(stamps(2), rows, strict=True)
+    ]  # fmt: skip
+    log = open_log([write(tmp_path / "x.mcap", said)])
+    columns: Any = log.stream("/laser:scan").columns("ranges", "angle_min")
+    assert columns["ranges"][0].tolist() == [1.5, math.inf, 2.5, 3.0]
+    assert columns["ranges"][1].tolist() == [7.0, 8.0, math.inf, math.inf]
+    assert columns["angle_min"] == pytest.approx(-0.1)
+    assert [len(r) for _, c in log.stream("/laser:scan").blocks("ranges") for r in [c["ranges"]]] == [2]
+    locfuse("info", write(tmp_path / "y.mcap", said))  # is read as lrf's
+    assert json.loads(locfuse("info", tmp_path / "y.mcap", "--json").stdout)["roles"]["lrf"]["topics"] == [
+        "/laser:scan"
+    ]
+
+
+DYNAMIC = "control_msgs/msg/DynamicJointState"
+DYNAMIC_TEXT = (
+    "std_msgs/Header header\nstring[] joint_names\ncontrol_msgs/InterfaceValue[] interface_values\n"
+    f"{'=' * 80}\nMSG: control_msgs/InterfaceValue\nstring[] interface_names\nfloat64[] values\n"
+)
+
+
+def dynamic(t: Array, angle: Array) -> list[tuple[int, bytes, str]]:
+    """Messages of two wheels and a gripper whose interfaces differ in number and order."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(DYNAMIC_TEXT, DYNAMIC))
+    value, kind = store.types["control_msgs/msg/InterfaceValue"], store.types[DYNAMIC]
+    stamp, head = store.types["builtin_interfaces/msg/Time"], store.types["std_msgs/msg/Header"]
+    out = []
+    for i, (s, (left, right)) in enumerate(zip(t.tolist(), angle.tolist(), strict=True)):
+        ns = T0 + round(s * S)
+        values = [
+            value(interface_names=["velocity", "position"], values=np.array([9.0, left])),
+            value(interface_names=["effort"] * (i % 2), values=np.array([1.0] * (i % 2))),
+            value(interface_names=["position"], values=np.array([right])),
+        ]
+        header = head(stamp=stamp(sec=ns // S, nanosec=ns % S), frame_id="")
+        names = ["left_wheel_joint", "gripper", "right_wheel_joint"]
+        message = kind(header=header, joint_names=names, interface_values=values)
+        out.append((ns, bytes(store.serialize_cdr(message, DYNAMIC)), DYNAMIC_TEXT))
+    return out
+
+
+def recorded(path: Path, said: list[tuple[int, bytes, str]]) -> Path:
+    from mcap.writer import Writer
+    from wheel_bags import HEADER_TEXT
+
+    with path.open("wb") as file:
+        writer: Any = Writer(file)
+        writer.start()
+        schema = writer.register_schema(DYNAMIC, "ros2msg", (said[0][2].rstrip() + HEADER_TEXT).encode())
+        channel = writer.register_channel("/dynamic_joint_states", "cdr", schema)
+        for ns, data, _ in said:
+            writer.add_message(channel, ns, data, ns, 0)
+        writer.finish()
+    return path
+
+
+def test_joints_of_ros2_control_drive_as_joint_states_do(tmp_path: Path) -> None:
+    t, angle = angles()
+    log = recorded(tmp_path / "x.mcap", dynamic(t, angle))
+    report = report_of(log, tmp_path / "out", *GEOMETRY)
+    rows = np.loadtxt(tmp_path / "out" / "trajectory.tum")
+    assert rows[-1, 1:3] == pytest.approx(pose_of(angle)[:2], abs=1e-9)
+    assert "/dynamic_joint_states:joints" in json.dumps(report)
+    columns: Any = open_log([log]).stream("/dynamic_joint_states:joints").columns("name", "position", "velocity")
+    assert columns["name"][1] == ("left_wheel_joint", "gripper", "right_wheel_joint")
+    position: Ragged = columns["position"]
+    np.testing.assert_array_equal(position[1], [angle[1, 0], np.nan, angle[1, 1]])
+    np.testing.assert_array_equal(columns["velocity"][0], [9.0, np.nan, np.nan])
+
+
+def test_joint_states_are_taken_before_joints_of_ros2_control(tmp_path: Path) -> None:
+    t, angle = angles()
+    log = log_of(tmp_path / "x.mcap", joint_states(t, angle))
+    both = json.loads(locfuse("info", log, recorded(tmp_path / "y.mcap", dynamic(t, angle)), "--json").stdout)
+    assert both["roles"]["wheels"]["topics"] == ["/joint_states"]

@@ -1,0 +1,256 @@
+"""The times of a stream never decrease, trust the stamps where they can be trusted, and say where they are not."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from locfuse.formats.logs.clock import ON_STAMPS, Clock, common_clock, on_clock, settle
+from locfuse.formats.logs.monotone import never_decreasing
+from locfuse.fusion.data import Ints
+
+S = 10**9
+MS = 10**6
+T0 = 1_700_000_000 * S
+
+
+def recording(n: int = 200, period: int = 50 * MS, delay: int = 30 * MS) -> tuple[Ints, Ints]:
+    """Log times and stamps of a healthy stream with a jitter of some milliseconds in the delay."""
+    stamp = T0 + np.arange(n, dtype=np.int64) * period
+    jitter = np.random.default_rng(0).integers(0, 5 * MS, n)
+    return stamp + delay + jitter, stamp
+
+
+def error(clock: Clock, truth: Ints) -> float:
+    """Largest error of the times, seconds."""
+    return float(np.abs(clock.t_ns - truth).max()) / S
+
+
+def test_a_healthy_stream_keeps_its_stamps() -> None:
+    log_time, stamp = recording()
+    clock = settle(log_time, stamp)
+    np.testing.assert_array_equal(clock.t_ns, stamp)
+    assert (clock.words, clock.repaired, clock.dropped, clock.notes) == ("header stamps", {}, {}, ())
+
+
+def test_without_a_header_log_time_is_the_time() -> None:
+    log_time, _ = recording()
+    clock = settle(log_time, None)
+    np.testing.assert_array_equal(clock.t_ns, log_time)
+    assert clock.words == "log time (no header)"
+
+
+def test_repeated_stamps_are_kept() -> None:
+    log_time, stamp = recording()
+    stamp[7] = stamp[6]
+    clock = settle(log_time, stamp)
+    np.testing.assert_array_equal(clock.t_ns, stamp)
+    assert not clock.repaired
+
+
+@pytest.mark.parametrize(
+    ("rows", "value", "reason"),
+    [
+        ([50], 0, "zero"),
+        ([0], 0, "zero"),
+        ([199], 0, "zero"),
+        ([0, 1, 2, 60, 61, 199], 0, "zero"),
+        ([50], -5 * S, "negative"),
+        ([50], T0 + 10**6 * S, "off the stream's clock"),
+        ([0], 100 * S, "off the stream's clock"),
+        ([199], T0 + 3600 * S, "off the stream's clock"),
+        ([199], np.iinfo(np.int64).max, "off the stream's clock"),
+        ([50], T0 + 1 * S, "backwards"),
+        ([50], T0 + 4 * S, "backwards"),
+    ],
+)
+def test_a_stamp_that_cannot_be_true_is_dated_by_its_recording_time(
+    rows: list[int], value: int, reason: str
+) -> None:
+    log_time, truth = recording()
+    stamp = truth.copy()
+    stamp[rows] = value
+    clock = settle(log_time, stamp)
+    assert error(clock, truth) < 0.011  # the jitter of the delay, twice
+    assert clock.repaired == {reason: len(rows)}
+    assert f"{len(rows)} {reason}" in clock.words
+    good = np.setdiff1d(np.arange(200), rows)
+    np.testing.assert_array_equal(clock.t_ns[good], truth[good])
+
+
+def test_a_log_whose_stamps_run_backwards_keeps_the_order_of_recording() -> None:
+    """The Intel lab log: 631 of 13 631 stamps run backwards by up to 0.9 s, and file order is the true order."""
+    rng = np.random.default_rng(2)
+    n = 13_631
+    truth = T0 + np.arange(n, dtype=np.int64) * 200 * MS
+    stamp = truth.copy()
+    late = rng.choice(np.arange(10, n - 10), 640, replace=False)
+    stamp[late] -= rng.integers(250 * MS, 900 * MS, len(late))
+    clock = settle(truth + 10 * MS, stamp)
+    assert (np.diff(clock.t_ns) >= 0).all()
+    assert (np.abs(clock.t_ns - truth) > 1 * MS).mean() < 0.002  # late stamps beside later ones contradict nothing
+    assert 600 < clock.repaired["backwards"] <= 640
+    assert clock.rows is None
+
+
+def test_a_clock_that_is_set_back_for_good_goes_on() -> None:
+    """As when a simulation is reset: the smaller part is dated on the clock of the larger one."""
+    log_time, truth = recording(300)
+    stamp = truth.copy()
+    stamp[200:] -= truth[200] - 5 * S
+    clock = settle(log_time, stamp)
+    assert (np.diff(clock.t_ns) >= 0).all()
+    assert error(clock, truth) < 0.011
+    assert clock.repaired == {"off the stream's clock": 100}
+
+
+def test_a_clock_that_jumps_ahead_for_good_goes_on() -> None:
+    log_time, truth = recording(300)
+    stamp = truth.copy()
+    stamp[100:] += 500 * S
+    clock = settle(log_time, stamp)
+    assert error(clock, truth + 500 * S) < 0.011
+    assert clock.repaired == {"off the stream's clock": 100}
+
+
+def test_a_recording_that_stalls_and_catches_up_keeps_its_stamps() -> None:
+    log_time, stamp = recording(300)
+    log_time[100:160] = log_time[160]
+    clock = settle(np.sort(log_time), stamp)
+    np.testing.assert_array_equal(clock.t_ns, stamp)
+
+
+def test_a_pause_of_the_whole_recording_is_no_fault() -> None:
+    log_time, stamp = recording(300)
+    log_time[150:] += 100 * S
+    stamp[150:] += 100 * S
+    assert settle(log_time, stamp).words == "header stamps"
+
+
+def test_a_slow_simulation_is_one_clock() -> None:
+    """A simulation at half speed for an hour: the delay grows by half an hour without a fault."""
+    stamp = 1 * S + np.arange(36_000, dtype=np.int64) * 100 * MS
+    clock = settle(T0 + 2 * stamp, stamp)
+    np.testing.assert_array_equal(clock.t_ns, stamp)
+    assert "two clocks" in clock.notes[0]
+
+
+def test_stamps_that_are_mostly_unusable_give_way_to_recording_times() -> None:
+    log_time, truth = recording()
+    stamp = truth.copy()
+    stamp[:150] = 0
+    clock = settle(log_time, stamp)
+    assert error(clock, truth) < 0.011
+    assert clock.words.startswith(
+        "recording order: most header stamps contradict it; log time less the median delay"
+    )
+
+
+def test_all_stamps_zero_is_log_time() -> None:
+    log_time, _ = recording()
+    clock = settle(log_time, np.zeros(200, np.int64))
+    np.testing.assert_array_equal(clock.t_ns, log_time)
+
+
+def test_order_recorded_takes_log_time_less_the_median_delay() -> None:
+    log_time, stamp = recording()
+    clock = settle(log_time, stamp, "recorded")
+    assert (np.diff(clock.t_ns) == np.diff(log_time)).all()
+    assert np.median(clock.t_ns - stamp) == pytest.approx(0, abs=1)
+
+
+def test_order_recorded_with_another_clock_takes_log_time_itself() -> None:
+    log_time, stamp = recording()
+    clock = settle(log_time, stamp - T0 + S, "recorded")
+    np.testing.assert_array_equal(clock.t_ns, log_time)
+
+
+def test_order_stamp_sorts_the_rows_and_drops_what_has_no_stamp() -> None:
+    log_time, stamp = recording(10)
+    stamp[[3, 4]] = stamp[[4, 3]]
+    stamp[7] = 0
+    clock = settle(log_time, stamp, "stamp")
+    assert clock.rows is not None
+    assert clock.rows.tolist() == [0, 1, 2, 4, 3, 5, 6, 8, 9]
+    np.testing.assert_array_equal(clock.t_ns, stamp[clock.rows])
+    assert clock.dropped == {"zero or negative stamp": 1}
+
+
+def test_two_clocks_are_noted() -> None:
+    log_time, stamp = recording()
+    assert settle(log_time + 2 * S, stamp).notes == (
+        f"header stamps and log times differ by {2 + np.median(log_time - stamp) / S:.3f} s (median): two clocks; "
+        "header stamps are used",
+    )
+
+
+@pytest.mark.parametrize("order", ["auto", "stamp", "recorded"])
+def test_no_messages_and_one_message(order: str) -> None:
+    none = np.empty(0, np.int64)
+    assert len(settle(none, none, order).t_ns) == 0
+    one = np.array([T0])
+    assert settle(one, one - MS, order).t_ns.tolist() == [T0 - MS]
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.integers(0, 12), max_size=9))
+def test_the_largest_believable_part_is_the_largest_of_all_subsets(values: list[int]) -> None:
+    keep = never_decreasing(np.array(values, np.int64), np.ones(len(values)))
+    kept = [value for value, good in zip(values, keep, strict=True) if good]
+    assert kept == sorted(kept)
+    subsets = (choice for n in range(len(values) + 1) for choice in combinations(values, n))
+    assert len(kept) == max(len(choice) for choice in subsets if list(choice) == sorted(choice))
+
+
+def test_of_two_contradicting_stamps_the_weightier_one_is_believed() -> None:
+    values = np.array([1, 2, 9, 4, 5], np.int64)
+    assert never_decreasing(values, np.ones(5)).tolist() == [True, True, False, True, True]
+    values = np.array([3, 2], np.int64)
+    assert never_decreasing(values, np.array([0.2, 1])).tolist() == [False, True]
+    assert never_decreasing(values, np.array([1, 0.2])).tolist() == [True, False]
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 3 * S), st.one_of(st.integers(-(10**10), 10**10), st.integers(-(2**62), 2**62))),
+        max_size=40,
+    ),
+    st.sampled_from(["auto", "stamp", "recorded"]),
+)
+def test_times_never_decrease_whatever_the_stamps_are(rows: list[tuple[int, int]], order: str) -> None:
+    log_time = T0 + np.cumsum(np.array([step for step, _ in rows], np.int64))
+    stamp = T0 + np.array([value for _, value in rows], np.int64)
+    clock = settle(log_time, stamp, order)
+    assert (np.diff(clock.t_ns) >= 0).all()
+    expected = len(stamp) if clock.rows is None else len(clock.rows)
+    assert len(clock.t_ns) == expected
+
+
+def test_what_has_no_header_is_dated_on_the_clock_of_the_others_stamps() -> None:
+    """A simulation at 0.8 of the wall's speed, its stamps from 12 s on: recorded together is happened together."""
+    true = np.arange(0, 100 * S, S // 10)
+    wall = T0 + (true * 5) // 4
+    known = common_clock([(wall, true + 12 * S), (wall + 10**6, true + 12 * S)])
+    assert known is not None
+    some = Clock(wall[55:900:7] + 2, None, "log time (no header)")
+    dated = on_clock(some, known)
+    np.testing.assert_allclose(dated.t_ns, true[55:900:7] + 12 * S, atol=1000)
+    assert dated.words == ON_STAMPS
+    outside = on_clock(Clock(wall[[0, -1]] + np.array([-S, S]), None, ""), known)
+    np.testing.assert_allclose(outside.t_ns, true[[0, -1]] + 12 * S + np.array([-S, S]), atol=1000)
+
+
+def test_stamps_of_the_recordings_clock_or_of_several_clocks_date_nothing_else() -> None:
+    true = T0 + np.arange(0, 10 * S, S // 10)
+    late, other = (true + 20_000_000, true), (true, true - 3600 * S)
+    assert common_clock([late]) is None
+    assert common_clock([late, other]) is None
+    assert common_clock([other, (true, true - 5 * S)]) is None
+    assert common_clock([(true, true[::-1] - 3600 * S)]) is None
+    assert common_clock([]) is None
+    assert common_clock([other]) is not None

@@ -1,0 +1,124 @@
+"""Numbers inside messages of any type, and bags without definitions recorded under older ROS releases."""
+
+from __future__ import annotations
+
+import json
+import math
+import sqlite3
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bags import Said, cdr, header
+from commands import locfuse
+from rosbags.typesys import Stores, get_typestore
+from wheel_bags import GEOMETRY, RADIUS, TRACK, angles, joint_states, log_of, stamps
+
+from locfuse.formats.logs.log import open_log
+from locfuse.fusion.data import LocfuseError
+
+VECTOR = "geometry_msgs/msg/Vector3Stamped"
+RANGE = "sensor_msgs/msg/Range"
+
+
+def log_with_vector(path: Path) -> Path:
+    """Vector3Stamped as a driver may misuse it: x is a compass heading in degrees, y a yaw rate in degrees/s."""
+    t, angle = angles(30.0)
+    theta = (angle[:, 1] - angle[:, 0]) * RADIUS / TRACK
+    rate = np.gradient(theta, t)
+    said = [
+        Said(
+            "/ahrs",
+            VECTOR,
+            cdr(
+                VECTOR, header=header(ns), vector={"x": math.degrees(math.pi / 2 - th) % 360, "y": math.degrees(w)}
+            ),
+            ns,
+        )
+        for ns, th, w in list(zip(stamps(t), theta, rate, strict=True))[::5]
+    ]
+    return log_of(path, joint_states(t, angle), said)
+
+
+def test_a_number_of_any_message_is_a_compass_or_a_gyro(tmp_path: Path) -> None:
+    log = log_with_vector(tmp_path / "x.mcap")
+    compass = (
+        "compass.topic=/ahrs",
+        "compass.field=vector.x",
+        "compass.unit=deg",
+        "compass.convention=compass_rad",
+    )
+    gyro = ("gyro.topic=/ahrs", "gyro.field=vector.y", "gyro.unit=deg")
+    sets = [word for key in (*compass, *gyro) for word in ("--set", key)]
+    done = locfuse("compare", log, *GEOMETRY, *sets, "-o", tmp_path / "out", "--json")
+    assert done.exit_code == 0, done.stderr
+    report: dict[str, Any] = json.loads(done.stdout)["configurations"]
+    assert {"compass", "gyro", "all"} <= report.keys()
+    for name in ("compass", "gyro"):
+        figures = report[name]["sensors"][name]
+        assert figures["rejected"] == 0
+        assert figures["nis"] < 0.5  # the numbers are exact: far fewer than the noise that is assumed
+    info = locfuse("info", log, *GEOMETRY, *sets).stdout
+    assert "/ahrs:vector.x" in info
+
+
+@pytest.mark.parametrize(
+    ("field", "says"),
+    [
+        ("vector.w", "vector has no field 'w'"),
+        ("header.frame_id", "is a text, not a number"),
+        ("vector", "structure"),
+    ],
+)
+def test_a_field_that_is_no_number_is_refused_in_one_line(field: str, says: str, tmp_path: Path) -> None:
+    log = log_with_vector(tmp_path / "x.mcap")
+    words = ("--set", "compass.topic=/ahrs", "--set", f"compass.field={field}")
+    done = locfuse("run", log, *GEOMETRY, *words, "-o", tmp_path / "out")
+    assert done.exit_code == 1
+    (line,) = done.stderr.splitlines()
+    assert says in line
+
+
+def database(path: Path, release: Stores, msgtype: str, messages: list[dict[str, Any]]) -> Path:
+    """A .db3 without definitions, as rosbag2 wrote it before ROS 2 Iron, with messages of that release's types."""
+    store = get_typestore(release)
+    from bags import build
+
+    with closing(sqlite3.connect(path)) as made:
+        made.execute(
+            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)"
+        )
+        made.execute(
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)"
+        )
+        made.execute("INSERT INTO topics VALUES(1, '/sonar', ?, 'cdr')", (msgtype,))
+        for i, fields in enumerate(messages):
+            data = bytes(store.serialize_cdr(build(msgtype, store, **fields), msgtype))
+            ns = 10**18 + i * 10**8
+            made.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES(1, ?, ?)", (ns, data))
+        made.commit()
+    return path
+
+
+@pytest.mark.parametrize("release", [Stores.ROS2_FOXY, Stores.ROS2_HUMBLE, Stores.ROS2_JAZZY, Stores.LATEST])
+def test_ranges_of_every_ros_release_are_read_from_bags_without_definitions(
+    release: Stores, tmp_path: Path
+) -> None:
+    rows = [
+        {"header": header(10**18 + i * 10**8, "s" * (i % 3)), "max_range": 4.0, "range": 0.5 + 0.25 * i}
+        for i in range(8)
+    ]
+    stream = open_log([database(tmp_path / "x.db3", release, RANGE, rows)]).stream("/sonar")
+    values = stream.columns("range", "max_range")
+    np.testing.assert_array_equal(values["range"], 0.5 + 0.25 * np.arange(8))
+    np.testing.assert_array_equal(values["max_range"], np.full(8, 4.0))
+    assert dict(stream.dropped) == {}
+
+
+def test_a_topic_that_is_not_there_is_no_number_either(tmp_path: Path) -> None:
+    log = open_log([log_with_vector(tmp_path / "x.mcap")])
+    assert log.find("/nowhere:a.b") is None
+    with pytest.raises(LocfuseError, match="has no topic /nowhere"):
+        log.stream("/nowhere:a.b").columns("data")

@@ -1,0 +1,112 @@
+"""Matching two scans: the pose between them is found; what the walls do not say is left to the prior."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from ring_drive import box, scan, walls
+
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array
+from locfuse.fusion.scan_matching.clouds import CELL_M, Clouds, normals, thinned
+from locfuse.fusion.scan_matching.free_space import Views
+from locfuse.fusion.scan_matching.match import Targets, match, sources_of
+from locfuse.fusion.whole_drive.submaps import correlate
+
+LOOSE = np.diag([1.0 / 0.3**2, 1.0 / 0.3**2, 1.0 / np.radians(10.0) ** 2])[None]
+
+
+def clouds(*scans: Array) -> Clouds:
+    first = np.concatenate(([0], np.cumsum([len(s) for s in scans])))
+    xy, owner = np.concatenate(scans), np.repeat(np.arange(len(scans)), np.diff(first))
+    return Clouds(first, xy, normals(xy, owner, np.zeros(2)))
+
+
+def two(segments: Array, a: Array, b: Array, seed: int = 0) -> Clouds:
+    rng = np.random.default_rng(seed)
+    return clouds(scan(a, segments, rng), scan(b, segments, rng))
+
+
+def matched(c: Clouds, guess: Array, prior: Array = LOOSE):  # type: ignore[no-untyped-def]
+    return match(Targets(c), np.array([0]), sources_of(c), np.array([1]), guess[None], prior)
+
+
+@pytest.mark.parametrize("step", [(0.4, 0.0, 0.0), (0.3, 0.1, 0.3), (0.0, 0.0, -0.35), (-0.4, 0.0, 0.1)])
+def test_the_pose_between_two_scans_is_found(step: tuple[float, float, float]) -> None:
+    a = np.array([2.0, 0.1, 3.0])  # near the wrap at pi
+    c = two(walls(alike=False), a, se2.compose(a, np.array(step)))
+    found = matched(c, np.array(step) + np.array([0.1, -0.08, np.radians(3.0)]))
+    error = found.pose[0] - step
+    assert np.hypot(error[0], error[1]) < 0.02
+    assert abs(np.degrees(error[2])) < 0.5
+    assert found.inliers[0] > 0.9
+    assert found.rms[0] < 0.03
+
+
+def test_along_a_corridor_without_ends_the_prior_holds() -> None:
+    corridor = np.array([(-50.0, -1.0, 50.0, -1.0), (-50.0, 1.0, 50.0, 1.0)])
+    a, step = np.zeros(3), np.array([0.5, 0.0, 0.0])
+    c = two(corridor, a, step)
+    guess = np.array([0.45, 0.1, 0.05])
+    found = matched(c, guess)
+    assert abs(found.pose[0, 0] - guess[0]) < 0.02, "nothing but the prior says how far it went"
+    assert abs(found.pose[0, 1]) < 0.02
+    weak = np.linalg.eigvalsh(found.information[0][:2, :2])
+    assert weak[0] < 0.02 * weak[1]
+
+
+def test_the_other_side_of_a_wall_is_not_the_wall() -> None:
+    """Through a door: before it the robot sees one face of the wall, behind it the other, 0.15 m further on."""
+    sides = [(-50.0, y, 50.0, y) for y in (-3.0, 3.0)]
+    faces = [(x, s * 0.6, x, s * 3.0) for x in (-0.075, 0.075) for s in (-1.0, 1.0)]
+    frame = [(-0.075, y, 0.075, y) for y in (-0.6, 0.6)]
+    before, step = np.array([-1.5, 0.0, 0.0]), np.array([3.0, 0.05, 0.02])
+    c = two(np.array([*sides, *faces, *frame]), before, se2.compose(before, step))
+    found = matched(c, step)
+    assert abs(found.pose[0, 0] - step[0]) < 0.02
+
+
+def test_no_match_fits_where_the_walls_are_others() -> None:
+    rng = np.random.default_rng(1)
+    here = scan(np.zeros(3), np.array(box(-2.0, -1.5, 3.0, 2.0)), rng)
+    there = scan(np.zeros(3), np.array([*box(-4.0, -4.0, 4.0, 5.0), *box(1.0, 1.0, 1.8, 1.8)]), rng)
+    found = matched(clouds(here, there), np.zeros(3))
+    assert found.inliers[0] * found.overlap[0] < 0.5
+
+
+def test_correlation_finds_a_shift_of_metres_and_says_where_two_places_fit() -> None:
+    rng = np.random.default_rng(2)
+    ours = scan(np.array([4.0, 0.0, 0.0]), walls(alike=False), rng)
+    pose = np.array([-1.6, 0.2, 0.2])
+    theirs = scan(se2.compose(np.array([4.0, 0.0, 0.0]), pose), walls(alike=False), rng)
+    peak = correlate(ours, theirs, pose + np.array([1.2, -0.8, 0.15]), np.array([0.8, 0.8, 0.1]))
+    assert np.hypot(*(peak.pose - pose)[:2]) < 0.4
+    assert peak.decided
+    comb = np.concatenate(
+        [np.stack((np.full(30, x), np.linspace(-1.0, 1.0, 30)), axis=-1) for x in range(-6, 7, 2)]
+    )
+    assert not correlate(comb, comb[60:150], np.array([0.3, 0.0, 0.0]), np.array([1.5, 0.3, 0.05])).decided
+
+
+def test_looking_through_a_wall_is_a_contradiction() -> None:
+    a, b = np.zeros(3), np.array([0.5, 0.0, 0.1])
+    c = two(walls(alike=False), a, b)
+    views = Views.of(c, np.zeros(2))
+    right, seen = views.contradicted(c, np.array([0]), np.array([1]), b[None])
+    assert right[0] / seen[0] < 0.02
+    wrong, seen = views.contradicted(c, np.array([0]), np.array([1]), np.array([[0.5, 0.0, 1.5]]))
+    assert wrong[0] / seen[0] > 0.1
+
+
+def test_a_cloud_of_many_scans_is_thinned_to_one_point_in_each_square() -> None:
+    one = np.column_stack((np.linspace(0.0, 2.0, 81), np.full(81, 1.01)))
+    both = clouds(np.vstack((one, one + 0.001)), one + np.array((0.0, 1.0)))
+    thin = thinned(both)
+    assert len(thin) == 2
+    for k in range(2):
+        kept = thin.xy[thin.first[k] : thin.first[k + 1]]
+        squares = np.floor(kept / CELL_M)
+        assert len(np.unique(squares, axis=0)) == len(kept)
+        own = both.xy[both.first[k] : both.first[k + 1]]
+        surfaces = own[np.isfinite(both.normal[both.first[k] : both.first[k + 1], 0])]
+        assert len(kept) == len(np.unique(np.floor(surfaces / CELL_M), axis=0)), "no square lost its only point"

@@ -1,0 +1,350 @@
+"""A session and its results: the commands' files byte for byte, arrays, tables, and what a notebook shows."""
+
+from __future__ import annotations
+
+import csv
+import json
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from commands import locfuse as command
+from rewrite_log import rewritten
+
+import locfuse
+from locfuse.cli.analysis import load
+from locfuse.fusion.camera import detect
+from locfuse.fusion.instants import BLOCK
+from locfuse.fusion.lines.scans import lines_in_base
+from locfuse.fusion.progress import heard_by
+from locfuse.fusion.sensors import lrf
+from locfuse.fusion.wheels.read import read_wheels
+
+LOG = "rounded_rectangle"
+WORDS = ("odometry", "lrf", "compass,lrf@2Hz")
+TO = 20.0  # s: enough of the drive for everything to happen
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {p.name: p.read_bytes() for p in folder.iterdir()}
+
+
+@pytest.fixture(scope="module")
+def session() -> locfuse.Session:
+    return locfuse.load(LOG, between=(None, TO))
+
+
+@pytest.fixture(scope="module")
+def compared(session: locfuse.Session) -> locfuse.Comparison:
+    return session.compare(WORDS, smooth=True)
+
+
+@pytest.fixture(scope="module")
+def by_command(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("command") / "out"
+    words = [w for sensors in WORDS for w in ("--sensors", sensors)]
+    done = command("compare", LOG, "--to", TO, *words, "--smooth", "--export", "kitti,mcap", "-o", out)
+    assert done.exit_code == 0, done.stderr
+    return out
+
+
+def test_other_settings_do_not_decode_the_pictures_again(
+    session: locfuse.Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looked: list[Any] = []
+
+    def none(stream: Any, by: Any) -> list[Any]:
+        looked.append(stream)
+        return []
+
+    monkeypatch.setattr(detect, "detections", none)
+    later = session.with_settings({"camera.time_offset": 0.05})
+    before, now = session.drive.measurements["camera"], later.drive.measurements["camera"]
+    assert now.t[0] == pytest.approx(before.t[0] + 0.05)
+    np.testing.assert_array_equal(now.z[:50], before.z[:50])
+    assert not looked
+    session.with_settings({"camera.red_ratio": 0.6})
+    assert len(looked) == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "again"),
+    [
+        ({"lrf.gate": 0.999, "compass.outliers": "inflate"}, ()),
+        ({"lrf.sigma_x": 0.05, "lrf.recover": False, "wheels.estimate": True}, ()),
+        ({"lrf.sigma_range": 0.05}, ("lines",)),
+        ({"wheels.noise": 1e-3}, ("lines",)),  # a deskewed scan is as uncertain as the wheels
+        ({"wheels.track": 0.61}, ("wheels", "lines")),
+    ],
+)
+def test_other_settings_measure_again_what_depends_on_them_and_are_those_of_a_new_load(
+    session: locfuse.Session, monkeypatch: pytest.MonkeyPatch, changes: dict[str, Any], again: tuple[str, ...]
+) -> None:
+    looked: list[str] = []
+
+    def noted(name: str, work: Any) -> Any:
+        def done(*args: Any) -> Any:
+            looked.append(name)
+            return work(*args)
+
+        return done
+
+    monkeypatch.setattr(load, "read_wheels", noted("wheels", read_wheels))
+    monkeypatch.setattr(lrf, "lines_in_base", noted("lines", lines_in_base))
+    later = session.with_settings(changes)
+    assert set(looked) == set(again)
+    fresh = locfuse.load(LOG, sets=changes, between=(None, TO))
+    for one in ("odometry", "compass+lrf"):
+        a, b = (s.run(one.replace("+", ",")).estimates[one] for s in (later, fresh))
+        assert (a.pose.tobytes(), a.triangles.tobytes()) == (b.pose.tobytes(), b.triangles.tobytes())
+
+
+def test_a_comparison_writes_the_commands_files_byte_for_byte(
+    compared: locfuse.Comparison, by_command: Path, tmp_path: Path
+) -> None:
+    written = compared.write(tmp_path / "out", export=["kitti", "mcap"])
+    assert contents(tmp_path / "out") == contents(by_command)
+    assert {p.name for p in written} == {p.name for p in by_command.iterdir()}
+
+
+def test_without_audits_the_files_are_the_same(session: locfuse.Session, by_command: Path, tmp_path: Path) -> None:
+    lean = session.compare(WORDS, smooth=True, audits=False)
+    assert not any(e.audits for e in lean.estimates.values())
+    lean.write(tmp_path / "out", write="html,json")
+    for name in ("report.html", "report.json"):
+        assert (tmp_path / "out" / name).read_bytes() == (by_command / name).read_bytes()
+
+
+def test_a_run_writes_the_commands_files_byte_for_byte(session: locfuse.Session, tmp_path: Path) -> None:
+    words = (
+        "--sensors",
+        "compass,lrf",
+        "--smooth",
+        "--audit",
+        tmp_path / "a.csv",
+        "--save-map",
+        tmp_path / "a.json",
+    )
+    done = command("run", LOG, "--to", TO, *words, "-o", tmp_path / "a")
+    assert done.exit_code == 0, done.stderr
+    run = session.run(["compass", "lrf"], smooth=True)
+    run.write(tmp_path / "b")
+    run.write_audit(tmp_path / "b.csv")
+    run.save_map(tmp_path / "b.json")
+    assert contents(tmp_path / "a") == contents(tmp_path / "b")
+    for kind in ("csv", "json"):
+        assert (tmp_path / f"a.{kind}").read_bytes() == (tmp_path / f"b.{kind}").read_bytes()
+
+
+def test_settings_are_those_of_the_command(tmp_path: Path) -> None:
+    (tmp_path / "robot.toml").write_text("[compass]\nsigma_deg = 7.0\n[lrf]\nsigma_range = 0.05\n")
+    how = ("--robot", tmp_path / "robot.toml", "--set", "lrf.topic=/scan", "--set", "lrf.sigma_range=0.04")
+    done = command("run", LOG, "--sensors", "odometry", *how, "--order", "stamp", "-o", tmp_path / "a")
+    assert done.exit_code == 0, done.stderr
+    sets = {"lrf": {"topic": "/scan"}, "lrf.sigma_range": np.float64(0.04)}
+    session = locfuse.load(LOG, robot=str(tmp_path / "robot.toml"), sets=sets, order="stamp")
+    session.run("odometry").write(tmp_path / "b")
+    assert contents(tmp_path / "a") == contents(tmp_path / "b")
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        ("/scan", '"/scan"'),
+        ("5", '"5"'),
+        (True, "true"),
+        (3, "3"),
+        (0.5, "0.5"),
+        (np.array([1.0, 2.0]), "[1.0,2.0,]"),
+    ],
+)
+def test_a_set_keeps_the_type_of_its_value(value: Any, text: str) -> None:
+    from locfuse.cli.analysis.settings import set_words
+    from locfuse.formats.robot.robot_toml import apply_sets
+
+    assert set_words({"table.key": value}) == (f"table.key={text}",)
+    back = apply_sets(set_words({"table.key": value}))["table"]["key"]
+    assert type(back) is (list if isinstance(value, np.ndarray) else type(value))
+    assert np.array_equal(back, value)
+
+
+def test_poses_and_covariances_have_the_shapes_the_page_promises(compared: locfuse.Comparison) -> None:
+    e = compared.estimates["lrf"]
+    assert e.pose.shape == (len(e.t), 3)
+    assert e.P.shape == (len(e.t), 3, 3)
+    np.testing.assert_array_equal(e.t, compared.drive.t)
+    assert len(e.audits["lrf"].nis) > 1000
+
+
+def test_a_result_says_what_it_is_of_as_values(compared: locfuse.Comparison) -> None:
+    e = compared.estimates["compass+lrf@2Hz-smoothed"]
+    assert (e.configuration, e.smoothed, e.sensors, e.rates) == (
+        "compass+lrf@2Hz", True, ("compass", "lrf"), {"lrf": 2.0},
+    )  # fmt: skip
+    row = compared.report["configurations"][e.name]
+    assert (row["configuration"], row["smoothed"], row["rates_hz"]) == ("compass+lrf@2Hz", True, {"lrf": 2.0})
+    assert compared.report["schema_version"] == 1
+    assert compared.evaluations[e.name].name == e.name
+
+
+def test_the_report_is_what_the_file_holds(compared: locfuse.Comparison, by_command: Path) -> None:
+    assert compared.report == json.loads((by_command / "report.json").read_text())
+
+
+def test_the_table_has_the_columns_and_figures_of_the_csv(compared: locfuse.Comparison, by_command: Path) -> None:
+    with (by_command / "report.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    table = compared.table()
+    assert [list(row) for row in table] == [list(row) for row in rows]
+    for row, text in zip(table, rows, strict=True):
+        assert {k: "" if v is None else str(v) for k, v in row.items()} == text
+
+
+class Cells(HTMLParser):
+    """The words of a page, and its tags."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.words: list[str] = []
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+
+def test_a_notebook_shows_verdicts_and_the_main_table(compared: locfuse.Comparison) -> None:
+    page = Cells(compared._repr_html_())
+    assert f"lrf {compared.verdicts['lrf']['verdict']}." in page.words
+    assert f"{compared.evaluations['lrf'].figures['position_rmse_m']:.4f}" in page.words
+    assert page.tags.count("tr") == 1 + len(compared.estimates)
+
+
+def test_text_from_a_log_is_no_markup_in_a_notebook(compared: locfuse.Comparison) -> None:
+    from locfuse.formats.report import notebook
+
+    evil = "<script>alert(1)</script>"
+    report = {**compared.report, "verdicts": {"lrf": {"verdict": "helps", "words": evil}}}
+    assert "script" not in Cells(notebook.render(report)).tags
+
+
+def test_what_is_printed_is_one_short_line(session: locfuse.Session, compared: locfuse.Comparison) -> None:
+    for thing in (session, compared, compared.estimates, session.run("odometry", advice=False)):
+        assert "\n" not in repr(thing)
+        assert len(repr(thing)) < 200
+    assert "truth /ground_truth/pose" in repr(session)
+
+
+def test_step_by_step_gives_the_numbers_of_the_session(
+    session: locfuse.Session, compared: locfuse.Comparison
+) -> None:
+    for sensors, name in (("lrf", "lrf"), (["compass", "lrf@2Hz"], "compass+lrf@2Hz")):
+        filtered = locfuse.fuse(session.drive, session.robot, sensors)
+        np.testing.assert_array_equal(filtered.pose, compared.estimates[name].pose)
+        figures = locfuse.evaluate(filtered, session.drive).figures
+        assert figures == compared.evaluations[name].figures
+    smoothed = locfuse.smooth(session.drive, session.robot, "lrf")
+    np.testing.assert_array_equal(smoothed.pose, compared.estimates["lrf-smoothed"].pose)
+
+
+def test_the_papers_filter_is_fused_where_the_session_asks_for_it() -> None:
+    session = locfuse.load(LOG, preset="paper", between=(None, TO))
+    run = session.run("compass", advice=False)
+    direct = locfuse.fuse(session.drive, session.robot, "compass")
+    np.testing.assert_array_equal(direct.pose, run.filtered.pose)
+    ours = locfuse.load(LOG, between=(None, TO)).run("compass", advice=False).filtered
+    assert np.abs(direct.pose - ours.pose).max() > 1e-3
+
+
+def test_a_map_of_one_run_is_localised_in_by_another_and_the_session_stays_as_it_was(
+    session: locfuse.Session, tmp_path: Path
+) -> None:
+    session.run("lrf", advice=False).save_map(tmp_path / "room.json")
+    again = session.with_map(tmp_path / "room.json")
+    assert len(again.robot.lines) > 3
+    assert not session.robot.lines
+    assert again.run("lrf", advice=False).report["settings"]["lrf"]["map"] == "given"
+
+
+def test_a_log_opens_without_being_measured() -> None:
+    log = locfuse.open_log(LOG)
+    assert log.topics["/scan"].count == 548
+    assert len(log.stream("/scan").columns("range_max")["range_max"]) == 548
+
+
+def test_progress_names_the_steps() -> None:
+    steps: list[str] = []
+    locfuse.load(LOG, progress=steps.append).run("odometry")
+    assert steps[:4] == ["opening", "reading", "measuring the wheels", "measuring compass"]
+    assert "fusing" in steps
+
+
+def test_reading_and_fusing_say_which_share_of_the_log_is_done() -> None:
+    heard: dict[str, list[float | None]] = {}
+    doing: list[str] = []
+
+    def begin(step: str) -> None:
+        doing.append(step)
+        heard[step] = []
+
+    def hear(share: float | None) -> None:
+        heard[doing[-1]].append(share)
+
+    with heard_by(hear):
+        session = locfuse.load(LOG, progress=begin)
+        session.run("all")
+    for step in ("reading", "measuring camera", "fusing"):
+        assert heard[step][-1] is None, "the loop has ended: what comes next is unknown"
+        shares = [share for share in heard[step][: heard[step].index(None)] if share is not None]
+        assert min(np.diff(shares)) > -0.05, "a chunk's topics come one after the other"
+        assert 0.0 <= shares[0] < 0.2
+        assert 0.8 < shares[-1] <= 1.0
+    fused = [share for share in heard["fusing"] if share is not None]
+    assert len(session.drive.t) / BLOCK > 6.0
+    assert max(np.diff([*fused, 1.0])) < 0.25, "the core goes on for several blocks, but not for long"
+
+
+def test_losses_are_those_of_the_command(tmp_path: Path) -> None:
+    path = locfuse.open_log(LOG).paths[0]
+    assert isinstance(path, Path)
+    data = path.read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
+    sets = {"wheels.radius": 0.05, "wheels.track": 0.6}
+    words = [w for k, v in sets.items() for w in ("--set", f"{k}={v}")]
+    done = command("run", tmp_path / "cut.mcap", "--sensors", "odometry", *words, "-o", tmp_path / "out")
+    assert done.exit_code == 3, done.stderr
+    run = locfuse.load(tmp_path / "cut.mcap", sets=sets).run("odometry", advice=False)
+    assert [f"lost: {line}" for line in run.losses()] == [x for x in done.stderr.splitlines() if "lost:" in x]
+    assert not locfuse.load(LOG).run("odometry", advice=False).losses(strict=True)
+
+
+def test_without_truth_figures_are_none_and_configurations_are_ranked(tmp_path: Path) -> None:
+    log = rewritten(tmp_path / "untrue.mcap", seed=None, without="/ground_truth/pose")
+    session = locfuse.load(log, between=(None, TO))
+    result = session.compare(["odometry", "compass", "lrf"], reference=False, advice=False)
+    assert all(row["position_rmse_m"] is None for row in result.table())
+    assert result.credit is None
+    assert result.report["prediction"]["ranking"]
+    assert "no truth" in repr(locfuse.load(log))
+
+
+def test_a_simulated_drive_is_the_commands_log_and_a_temporary_one_goes_with_its_session(tmp_path: Path) -> None:
+    sets = {"camera.enabled": False, "lrf.enabled": False, "path.legs": [{"forward": 0.5}]}
+    words = ("--set", "camera.enabled=false", "--set", "lrf.enabled=false", "--set", "path.legs=[{forward=0.5}]")
+    done = command("simulate", "straight_runs", "-o", tmp_path / "a.mcap", "--seed", 3, *words)
+    assert done.exit_code == 0, done.stderr
+    kept = locfuse.simulate("straight_runs", tmp_path / "b.mcap", seed=3, sets=sets)
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+    temporary = locfuse.simulate("straight_runs", seed=3, sets=sets)
+    assert temporary.log.sha256 == kept.log.sha256
+    (path,) = temporary.log.paths
+    del temporary
+    assert isinstance(path, Path)
+    assert not path.parent.exists()
+    with pytest.raises(locfuse.LocfuseError, match="exists"):
+        locfuse.simulate("straight_runs", tmp_path / "b.mcap", sets=sets)

@@ -1,0 +1,452 @@
+"""Smoothing: against textbook RTS, a filter that carries all its past, batch least squares, and the truth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, cast
+
+import numpy as np
+import pytest
+import six_sensors
+import small_drive
+from lock_step import simulated
+from msgspec.structs import replace
+from scipy.optimize import least_squares
+from textbook import TextbookEkf, move, numeric_jacobian, wrap
+from told import Told, correct, step
+from worlds import World
+
+import locfuse
+from locfuse.fusion import fuse as loop
+from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Motions, Stream, UsageError
+from locfuse.fusion.ekf import events as noted_events
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.ekf.events import Before, Events, undone
+from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.evaluate import evaluate
+from locfuse.fusion.kernels.ekf import State, Steps
+from locfuse.fusion.measure import measure
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensor import Block
+from locfuse.fusion.whole_drive.smooth import fuse_and_smooth, smoothed
+
+OFFSET = 0.7
+
+
+def drive_of(world: World) -> tuple[Drive, Robot]:
+    robot = world.robot()
+    return measure(cast("dict[str, Stream]", world.streams()), robot), robot
+
+
+# --- textbook Rauch-Tung-Striebel on poses alone
+
+
+def textbook_rts(drive: Drive, robot: Robot, found: Estimates) -> tuple[Array, Array]:
+    """Filter by the compass with plain matrices, then Särkkä, Bayesian Filtering and Smoothing, eq. 8.6."""
+    start = robot.start
+    P0 = np.diag([start.sigma_xy, start.sigma_xy, math.radians(start.sigma_theta_deg)]) ** 2
+    book = TextbookEkf(np.array([start.x, start.y, math.radians(start.theta_deg)]), P0)
+    m, audit = drive.measurements["compass"], found.audits["compass"]
+    kept: list[tuple[Array, Array, Array, Array, Array]] = []
+    posterior, spread = book.x.copy(), book.P.copy()
+    for k in range(len(drive.t)):
+        A = np.eye(3)
+        book.predict(drive.motions.u[k], drive.motions.Q[k])
+        A[:2, 2] = -(book.x[1] - posterior[1]), book.x[0] - posterior[0]
+        kept.append((posterior, spread, A, book.x.copy(), book.P.copy()))
+        for row in audit.row[(audit.instant == k) & (audit.verdict == 0)]:
+            y = np.array([wrap(m.z[row, 0] - book.x[2] - OFFSET)])
+            book.correct(y, np.array([[0.0, 0.0, 1.0]]), m.R[row])
+        posterior, spread = book.x.copy(), book.P.copy()
+    x, P = posterior, spread
+    poses, covariances = [x], [P]
+    for before, V, A, predicted, W in kept[:0:-1]:
+        G = V @ A.T @ np.linalg.inv(W)
+        x, P = before + G @ (x - predicted), V + G @ (P - W) @ G.T
+        poses.append(x)
+        covariances.append(P)
+    return np.array(poses[::-1]), np.array(covariances[::-1])
+
+
+def test_poses_alone_equal_the_textbook_smoother() -> None:
+    world = World(seconds=12.0, settings={"compass": {"offset_deg": math.degrees(OFFSET)}})
+    drive, robot = drive_of(world)
+    robot = replace(robot, start=type(robot.start)(x=1.5, y=1.5, sigma_xy=0.1, sigma_theta_deg=5.0))
+    filtered, found = fuse_and_smooth(drive, robot, ["compass"])
+    pose, P = textbook_rts(drive, robot, filtered)
+    np.testing.assert_allclose(found.pose, pose, atol=1e-9)
+    np.testing.assert_allclose(found.P, P, atol=1e-9)
+    assert np.abs(filtered.pose - pose).max() > 1e-3, "smoothing changed nothing: the test shows nothing"
+
+
+# --- a filter whose state holds every pose it ever had: its last state is the smoothed drive
+
+
+class Remembering(JointBelief):
+    """Clones the pose into the state before every motion; correlations do the smoothing."""
+
+    clones: list[int]
+    local: list[bool]  # whether a clone's pose was in the frame of a map of its own
+
+    def predict(self, steps: Steps, k: int) -> None:
+        if not hasattr(self, "clones"):
+            self.clones, self.local = [], []
+        else:
+            where = self._grow(3)
+            self.copy_pose(where.start, 0, 3)
+            self.clones.append(where.start)
+            self.local.append(self.framed)
+        super().predict(steps, k)
+
+    def remove(self, columns: Any) -> None:
+        columns = np.asarray(columns)
+        self.clones = [c - int((columns < c).sum()) for c in self.clones]
+        super().remove(columns)
+
+
+def remembered(drive: Drive, robot: Robot, sensors: Sequence[str]) -> tuple[Array, Array]:
+    made: list[Remembering] = []
+
+    def joint(*args: Any) -> Remembering:
+        made.append(Remembering(*args))
+        return made[0]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(loop, "JointBelief", joint)
+        fuse(drive, robot, sensors)
+    belief, poses, covariances = made[0], [], []
+    for column, local in zip([*belief.clones, 0], [*belief.local, belief.framed], strict=True):
+        at = list(range(column, column + 3))
+        if local:
+            at += range(belief.frame, belief.frame + 3)
+        pose, P = in_map(belief.state[at], belief.covariance[np.ix_(at, at)])
+        poses.append(pose)
+        covariances.append(P)
+    return np.array(poses), np.array(covariances)
+
+
+def in_map(x: Array, P: Array) -> tuple[Array, Array]:
+    """Return a pose, or one in a frame, in the map; what a bent Gaussian adds along the lever included."""
+    if len(x) == 3:
+        return x, P
+    J = numeric_jacobian(lambda v: move(v[3:], v[:3]), x)
+    pose = move(x[3:], x[:3])
+    out = J @ P @ J.T
+    out[:2, :2] += 0.75 * P[5, 5] ** 2 * np.outer(pose[:2] - x[3:5], pose[:2] - x[3:5])
+    return pose, out
+
+
+CASES: dict[str, dict[str, Any]] = {
+    "refine": {"settings": {"lrf": {"map": "refine"}}},
+    "grow": {"settings": {"lrf": {"map": "grow"}}, "turning": 0.5},
+    "an offset that drifts": {"settings": {"lrf": {"map": "grow"}, "compass": {"offset_drift_deg": 0.5}}},
+    "wheel parameters": {"settings": {"lrf": {"map": "grow"}}, "wheels": {"estimate": True}},
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_smoothing_equals_a_filter_that_carries_all_its_past(case: str) -> None:
+    drive, robot = drive_of(World(**{"seconds": 6.0, **CASES[case]}))
+    sensors = ["compass", "lrf"]
+    filtered, found = fuse_and_smooth(drive, robot, sensors)
+    pose, P = remembered(drive, robot, sensors)
+    np.testing.assert_allclose(found.pose, pose, atol=1e-9)
+    np.testing.assert_allclose(found.P, P, atol=1e-10, rtol=1e-5)
+    assert np.abs(filtered.pose - pose).max() > 1e-4
+
+
+def test_walls_that_bend_are_smoothed_as_what_moves() -> None:
+    """Walls that are not flat loosen with every scan (wall_floor): the events must undo that too."""
+    drive, robot = drive_of(World(seconds=6.0))
+    m = drive.measurements["lrf"]
+    uneven = replace(m, extra={**m.extra, "uneven": np.broadcast_to([1e-4, 7e-5], m.z.shape)})
+    bent = replace(drive, measurements={**drive.measurements, "lrf": uneven})
+    filtered, found = fuse_and_smooth(bent, robot, ["lrf"])
+    pose, P = remembered(bent, robot, ["lrf"])
+    np.testing.assert_allclose(found.pose, pose, atol=1e-9)
+    np.testing.assert_allclose(found.P, P, atol=1e-10, rtol=1e-5)
+    assert np.trace(filtered.P[-1]) > 1.03 * np.trace(fuse(drive, robot, ["lrf"]).P[-1])
+
+
+def test_lines_that_are_dropped_on_the_way_still_count_for_what_was_before() -> None:
+    """Drops, births, slips, being carried off and corrections, straight on the beliefs."""
+    rng = np.random.default_rng(4)
+    block = [Block("offset", np.zeros(1), np.eye(1), np.array([0.01]))]
+    start = ((0.0, 0.0, 0.0), (0.01, 0.0, 0.0, 0.01, 0.0, 0.001))
+    noted, oracle, events = JointBelief(*start, block), Remembering(*start, block), Events(backward=True)
+    noted.note_events(events)
+    oracle_lines: list[int] = []
+    lines: list[int] = []
+    poses = 12
+    for k in range(poses):
+        u, Q = rng.normal(size=3).tolist(), (0.02, 0.001, 0.0, 0.03, 0.002, 0.01)
+        for belief, columns in ((noted, lines), (oracle, oracle_lines)):
+            belief.predict(step(u, Q, 0.1), 0)
+            _see(belief, columns, k)
+    events.final = Before(noted.state, noted.covariance)
+    x, P = final_clones(oracle)
+    drive = _instants(poses)
+    blocks = {"offset": np.zeros((poses, 1))}
+    shell = Estimates("x", (), drive.t, np.zeros((poses, 3)), np.zeros((poses, 6)), {}, blocks)
+    found = smoothed(drive, shell, events)
+    np.testing.assert_allclose(found.pose, x, atol=1e-9)
+    np.testing.assert_allclose(found.P, P, atol=1e-9)
+
+
+def _see(belief: JointBelief, columns: list[int], k: int) -> None:
+    """Sight of the lines known, then a new one, and in some steps the end of an old one."""
+    rng = np.random.default_rng(k)
+    for j in range(len(columns)):
+        H = ((-0.6, -0.8, 0.0), (0.0, 0.0, -1.0))
+        y = tuple((0.05 * rng.normal(size=2)).tolist())
+        at = (columns[j], columns[j] + 1)
+        correct(belief, Told(y, H, ((0.01, 0.0), (0.0, 0.02)), at, ((1, 0.3), (0, 1))))
+    G = np.array([[0.6, 0.8, 0.2], [0.0, 0.0, 1.0]])
+    columns.append(belief.augment(rng.normal(size=2), G, 0.02 * np.eye(2)))
+    if k == 4:
+        belief.shift(0.2, 0.01, 0.02)
+    if k == 7:
+        belief.place((3.0, 2.0, 1.0), 4.0, 2.0)
+    if k % 3 == 2:
+        gone = columns.pop(k % len(columns))
+        belief.remove(np.array([gone, gone + 1]))
+        columns[:] = [c - 2 if c > gone else c for c in columns]
+
+
+def final_clones(belief: Remembering) -> tuple[Array, Array]:
+    columns = np.array([*belief.clones, 0])[:, None] + np.arange(3)
+    return belief.state[columns], belief.covariance[columns[:, :, None], columns[:, None, :]]
+
+
+def _instants(n: int) -> Drive:
+    motions = Motions(np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3, 0)))
+    return Drive(0, 0.1 * np.arange(n, dtype=np.float64), motions, {}, {}, {})
+
+
+# --- batch least squares: all poses and walls at once
+
+
+def test_smoothing_agrees_with_batch_least_squares() -> None:
+    """Small noise, so that the problem is nearly linear; walls and poses are one big fit, without a filter."""
+    robot = small_drive.robot(compass={"offset_deg": 0.0, "sigma_deg": 1.0})
+    drive = small_drive.drive(5, robot, laps=0.03, scans=10.0, headings=2.0, truth=False)
+    filtered, found = fuse_and_smooth(drive, robot, ["compass", "lrf"])
+    assert (filtered.audits["lrf"].verdict != 0).sum() == 4, "only the first scan's lines are new"
+    problem = Batch(drive, filtered, np.array(small_drive.START))
+    fit = least_squares(problem.residuals, problem.start(), x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14)
+    pose = fit.x[: 3 * len(drive.t) - 3].reshape(-1, 3)
+    spread = np.linalg.inv(fit.jac.T @ fit.jac)
+    sigma = np.sqrt(np.diag(spread))[: pose.size].reshape(-1, 3)
+    assert np.abs((found.pose[1:] - pose) / sigma).max() < 0.05
+    mine = np.sqrt(np.diagonal(found.P[1:], axis1=1, axis2=2))
+    np.testing.assert_allclose(mine, sigma, rtol=0.1)  # across the way all is nearly zero: linearised elsewhere
+    assert np.abs((filtered.pose[1:] - pose) / sigma).max() > 0.5
+
+
+class Batch:
+    """Whitened residuals of every motion and measurement of a drive with a known start."""
+
+    def __init__(self, drive: Drive, filtered: Estimates, start: Array) -> None:
+        self.drive, self.filtered, self.x0 = drive, filtered, start
+        lrf, compass = filtered.audits["lrf"], filtered.audits["compass"]
+        new = np.cumsum(lrf.landmark < 0) - 1
+        self.lines = np.where(lrf.landmark < 0, new, lrf.landmark)
+        self.scans, self.headings = (lrf.instant, lrf.row), (compass.instant, compass.row)
+        self.steps = [np.linalg.cholesky(np.linalg.inv(Q + 1e-14 * np.eye(3))).T for Q in drive.motions.Q[1:]]
+        m = drive.measurements
+        self.white = [np.linalg.cholesky(np.linalg.inv(R)).T for R in m["lrf"].R[lrf.row]]
+        self.white_heading = 1.0 / np.sqrt(m["compass"].R[compass.row, 0, 0])
+
+    def start(self) -> Array:
+        walls = [(rho, beta) for rho, beta, _, _ in small_drive.ROOM]
+        z, pose = self.drive.measurements["lrf"].z, self.filtered.pose
+        order = []
+        for row in self.scans[1][: len(walls)]:  # the walls in the order in which the first scan lists them
+            beta = z[row, 1] + pose[self.scans[0][0], 2]
+            order.append(min(walls, key=lambda w: abs(wrap(w[1] - beta))))
+        return np.concatenate((pose[1:].ravel(), np.array(order).ravel()))
+
+    def residuals(self, v: Array) -> Array:
+        n = len(self.drive.t)
+        pose = np.vstack((self.x0, v[: 3 * n - 3].reshape(-1, 3)))
+        walls = v[3 * n - 3 :].reshape(-1, 2)
+        out = []
+        for k, W in enumerate(self.steps):
+            e = pose[k + 1] - move(pose[k], self.drive.motions.u[k + 1])
+            c, s = math.cos(pose[k, 2]), math.sin(pose[k, 2])
+            out.append(W @ (c * e[0] + s * e[1], c * e[1] - s * e[0], wrap(e[2])))
+        z = self.drive.measurements["lrf"].z
+        for (k, row), line, W in zip(zip(*self.scans, strict=True), self.lines, self.white, strict=True):
+            x, y, a = pose[k]
+            rho, beta = walls[line]
+            r, psi = rho - x * math.cos(beta) - y * math.sin(beta), beta - a
+            e = np.array([z[row, 0] - r, wrap(z[row, 1] - psi)])
+            out.append(W @ e)
+        at, rows = self.headings
+        headings = self.drive.measurements["compass"].z[rows, 0]
+        e = (headings - pose[at, 2] + math.pi) % (2 * math.pi) - math.pi
+        return np.concatenate((*out, e * self.white_heading))
+
+
+# --- the truth's stamps, consistency, what must not change
+
+
+def test_truth_between_instants_is_smoothed_as_if_it_were_an_instant() -> None:
+    """Readings of an unused sensor at the truth's stamps make instants of them."""
+    robot = small_drive.robot()
+    drive = small_drive.drive(2, robot, laps=0.15)
+    assert drive.truth is not None
+    nothing = np.zeros(len(drive.truth.t) + 1, np.int64)
+    blind = Measurements(drive.truth.t, nothing, np.zeros((0, 1)), np.zeros((0, 1, 1)), 1.0, np.zeros((1, 1)))
+    wheels = drive.wheels
+    t = np.union1d(drive.t, drive.truth.t)
+    finer = replace(
+        drive,
+        t=t,
+        motions=wheels.between(np.concatenate((t[:1], t[:-1])), t, False),
+        measurements={**drive.measurements, "camera": blind},
+        instant={s: np.searchsorted(t, m.t) for s, m in {**drive.measurements, "camera": blind}.items()},
+        truth_motions=None,
+    )
+    _, coarse = fuse_and_smooth(drive, robot, ["compass", "lrf"])
+    _, exact = fuse_and_smooth(finer, robot, ["compass", "lrf"])
+    at = np.searchsorted(t, drive.truth.t)
+    assert coarse.truth_pose is not None
+    assert coarse.truth_P is not None
+    inside = np.isfinite(coarse.truth_pose[:, 0])
+    np.testing.assert_allclose(coarse.truth_pose[inside], exact.pose[at][inside], atol=1e-8)
+    np.testing.assert_allclose(coarse.truth_P[inside], exact.P[at][inside], atol=1e-10)
+    assert inside.sum() > 50
+
+
+def test_smoothed_errors_are_smaller_and_as_large_as_the_smoother_says() -> None:
+    """Three of the drives that `python -m benchmarks.accuracy --smooth --no-camera` runs by the fifty."""
+    gain, anees = [], []
+    for seed in (1000, 1001, 1002):
+        drive, robot = simulated(seed)
+        judged = [evaluate(e, drive).figures for e in fuse_and_smooth(drive, robot, ["compass", "lrf"])]
+        gain.append(float(judged[0]["position_rmse_m"] or 0) / float(judged[1]["position_rmse_m"] or 1))
+        anees.append(float(judged[1]["anees"] or 0))
+    assert np.mean(gain) > 1.1
+    assert 0.6 < np.mean(anees) < 1.7, anees
+
+
+@pytest.mark.parametrize("sensors", ["gyro,twist,pose", "compass,gyro,twist,pose,landmarks"])
+def test_states_that_are_copies_of_one_another_leave_every_variance_as_small_as_it_is(
+    sensors: str,
+) -> None:
+    """A gyro keeps a heading, a twist and a pose source a pose: at an instant of all, they are the pose.
+
+    Where a gain is the least solution of several, it is not the best one: a variance may be larger by a quarter.
+    """
+    filtered, found = fuse_and_smooth(*six_sensors.drive(), sensors.split(","))
+    variances, most = (np.diagonal(run.P, axis1=1, axis2=2) for run in (found, filtered))
+    assert variances.min() >= 0.0
+    assert (variances <= 1.25 * most + 1e-12).all()
+    assert np.sqrt(variances).max() < 0.02
+    assert np.linalg.eigvalsh(found.P).min() > -1e-12
+
+
+def test_a_solver_that_rounding_fools_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two states that follow from each other exactly (a frame that swings about a start known exactly).
+
+    LU finds a pivot of 1e-17 there instead of none, and a solution of 1e16 along the direction that is not there.
+    """
+    rng = np.random.default_rng(3)
+    F, relation = rng.normal(size=(5, 5)), np.vstack((np.eye(5), 0.7 * np.eye(5)[4]))
+    P = relation @ F @ F.T @ relation.T
+    nowhere = np.array([0.0, 0.0, 0.0, 0.0, 0.7, -1.0])[:, None]
+    B = P[:, :3] @ np.array([[1.0, 0.0, 0.3], [0.0, 1.0, -0.2], [0.0, 0.0, 1.0]])
+    least = np.linalg.lstsq(P, B, rcond=1e-12)[0]
+
+    def fooled(unit: Array, right: Array) -> Array:
+        found: Array = np.linalg.lstsq(unit, right, rcond=1e-12)[0] + 1e16 * nowhere
+        return found
+
+    monkeypatch.setattr(np.linalg, "solve", fooled)
+    found = noted_events._solved(P, B)
+    assert P @ found == pytest.approx(B, abs=1e-9)
+    assert np.abs(found).max() < 10.0 * np.abs(least).max()
+
+
+def test_the_filter_is_the_same_whether_its_events_are_noted_or_not() -> None:
+    drive, robot = drive_of(World(seconds=6.0))
+    for sensors in ([], ["compass"], ["compass", "lrf"]):
+        plain = fuse(drive, robot, sensors)
+        filtered, _ = fuse_and_smooth(drive, robot, sensors)
+        np.testing.assert_allclose(filtered.pose, plain.pose, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(filtered.P, plain.P, rtol=0, atol=1e-11)
+
+
+def test_a_variance_that_rounding_took_below_zero_is_zero() -> None:
+    """A frame has just begun, the robot moves straight on, and what it does sideways is known to 1e-17 m."""
+    before, noise = np.diag((0.0, 0.0, 0.0, 1e-4)), np.diag((1e-6, 0.0, 1e-6))
+    after = np.diag((1e-6, 0.0, 1e-6, 1e-4))
+    x, x_next, rows = np.zeros(4), np.array([0.1, 0.0, 0.0, 0.0]), np.arange(3)
+    right = undone(Before(x, before), Before(x_next, after), rows, noise)
+    after[1, 1] = -1e-35
+    with np.errstate(all="raise"):
+        rounded = undone(Before(x, before), Before(x_next, after), rows, noise)
+    for got, wanted in zip(rounded, right, strict=True):
+        np.testing.assert_array_equal(got, wanted)
+
+
+def test_odometry_is_its_own_smoother() -> None:
+    drive, robot = drive_of(World(seconds=5.0))
+    filtered, found = fuse_and_smooth(drive, robot, [])
+    np.testing.assert_allclose(found.pose, filtered.pose, atol=1e-12)
+    np.testing.assert_allclose(found.P, filtered.P, atol=1e-12)
+    assert found.truth_pose is not None
+    assert filtered.truth_pose is not None
+    np.testing.assert_allclose(found.truth_pose, filtered.truth_pose, atol=1e-12)
+
+
+def test_the_last_instant_is_not_changed() -> None:
+    drive, robot = drive_of(World(seconds=5.0))
+    filtered, found = fuse_and_smooth(drive, robot, ["lrf"])
+    np.testing.assert_array_equal(found.pose[-1], filtered.pose[-1])
+
+
+def test_every_way_to_change_a_belief_is_noted_or_needs_no_note() -> None:
+    """A new method of a belief that moves P must be thought about in the events."""
+    known = {"predict", "augment", "remove", "shift", "place", "clone_heading", "clone_pose", "transform"}
+    known |= {"begin_frame", "loosen", "loosen_all", "note_events"}
+    known |= {"correct", "know", "know_frame", "listen"}  # knowledge only
+    known |= {"consider", "add", "drive_with", "own_point", "stand", "still"}  # before the first motion; none of P
+    known |= {
+        "begin",
+        "compare",
+        "queue",
+        "queue_rows",
+        "loosen_row",
+        "lost",
+        "keeps",
+    }  # the equation, not the state
+    of_the_kernel = {"move", "correct_queued", "turn_frame", "copy_pose", "replace", "loosen_states"}
+    of_the_kernel |= {"hold", "hold_rows", "hold_room", "drift"}
+    reading = {"x", "y", "theta", "pose", "triangle", "state", "covariance", "matrix", "block", "variances"}
+    reading |= {"spread", "variance", "variance_of", "frame_pose", "with_frame", "located", "fit", "fit_of"}
+    reading |= {"equation", "framed"}
+    reading |= {"column", "value", "heading", "x_in_map", "y_in_map", "note", "whiten"}
+    reading |= {"n", "frame", "wheels", "written", "queued", "frame_x", "frame_y", "more_rows", "not_positive"}
+    public = {name for name in (*vars(JointBelief), *vars(State)) if not name.startswith("_")}
+    assert public <= known | of_the_kernel | reading, public - known - of_the_kernel - reading
+    assert known | of_the_kernel | reading <= public, (known | of_the_kernel | reading) - public
+
+
+@pytest.mark.parametrize("mode", ["first-scan", "consider"])
+def test_maps_that_are_not_weighed_optimally_are_refused(mode: str) -> None:
+    drive, robot = drive_of(World(seconds=3.0, settings={"lrf": {"map": mode}}))
+    with pytest.raises(UsageError, match=f"lrf.map = {mode}.*refine or grow"):
+        fuse_and_smooth(drive, robot, ["compass", "lrf"])
+    fuse_and_smooth(drive, robot, ["compass"])
+
+
+def test_a_laser_of_which_no_scan_is_used_leaves_the_rest_to_be_smoothed() -> None:
+    session = locfuse.load("rounded_triangle", sets=("lrf.time_offset=3600",))
+    found = session.run("compass,lrf", smooth=True, advice=False)
+    alone = session.run("compass", smooth=True, advice=False)
+    np.testing.assert_array_equal(
+        found.estimates["compass+lrf-smoothed"].pose, alone.estimates["compass-smoothed"].pose
+    )

@@ -101,10 +101,10 @@ TESTS: dict[str, tuple[str, ...]] = {  # the sharpest and fastest first
     "fusion/judge/against.py": ("tests/judge/test_against.py",),
     "fusion/whole_drive/smooth.py": ("tests/whole_drive/test_smooth.py",),
     **{
-        f"formats/container/{name}.py": MCAP
+        f"formats/container/mcap_{name}.py": MCAP
         for name in ("chunk", "parts", "promised", "ranged", "records", "resync")
     },
-    **{f"formats/container/{name}.py": MCAP for name in ("source", "summary", "survey")},
+    **{f"formats/container/mcap_{name}.py": MCAP for name in ("source", "summary", "survey")},
     "formats/results/template.py": ("tests/container/test_mcap_columns.py",),
     "formats/container/mcap_write.py": ("tests/container/test_mcap_write.py",),
     "formats/container/mcap_write_columns.py": ("tests/container/test_mcap_columns.py",),

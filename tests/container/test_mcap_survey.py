@@ -411,6 +411,19 @@ def test_a_chunk_is_recognised_by_all_that_its_front_says(tmp_path: Path) -> Non
         assert [n_bytes for _, _, n_bytes, _ in lost] == [len(GARBAGE) + len(bad)]
 
 
+def test_a_chunk_that_reaches_beyond_the_file_is_passed_over_with_the_damage_before_it(tmp_path: Path) -> None:
+    """Its two lengths agree; at the end of a file it is what is left of a chunk, and may end with the file."""
+    size = len(B.record)
+    long = bytearray(B.record)
+    behind = len(C.all + END + NO_SUMMARY)
+    for more, reaches in ((behind + 1, True), (behind, False)):
+        for at in (1, 9 + 32):
+            struct.pack_into("<Q", long, at, struct.unpack_from("<Q", B.record, at)[0] + more)
+        data = FRONT + A.all + GARBAGE + bytes(long) + C.all + END + NO_SUMMARY
+        _, lost = walked(tmp_path, data)
+        assert lost[0] == ("bytes that are no record", len(FRONT + A.all), len(GARBAGE) + size * reaches, None)
+
+
 def test_a_summary_section_may_be_as_short_as_nothing(tmp_path: Path) -> None:
     path = tmp_path / "f.mcap"
     for start, whole in ((len(WHOLE), True), (len(WHOLE) + 1, False), (8, False), (7, False)):

@@ -287,9 +287,11 @@ def test_a_walk_says_where_each_field_lies() -> None:
     assert [b - a for _, wire, a, b in found if wire in {1, 5}] == [8, 4]
     numbers = {f.name: f.number for f in All.DESCRIPTOR.fields}
     assert sorted(n for n, *_ in found) == sorted(numbers[name] for name in ("double", "float", "int64", "text"))
-    long = All(raw=bytes(200)).SerializeToString()  # its length takes two bytes
-    ((_, _, first, stop),) = walk(long, 0, len(long))
-    assert (stop - first, stop) == (200, len(long))
+    for n in (127, 128, 200):  # from 128 on the length takes two bytes
+        long = All(raw=bytes(n)).SerializeToString()
+        ((_, _, first, stop),) = walk(long, 0, len(long))
+        assert (stop - first, stop) == (n, len(long))
+    assert list(walk(b"\x80\x01\x07", 0, 3)) == [(16, 0, 2, 3)]  # so do fields from number 16 on
 
 
 def test_names_of_one_field_in_several_releases_are_all_read() -> None:

@@ -270,6 +270,30 @@ def test_a_claim_that_is_singular_is_not_judged(variances: tuple[float, float, f
     assert (anees is not None) is judged
 
 
+@pytest.mark.parametrize("away", [False, True])
+def test_without_a_truth_in_the_drive_columns_are_empty_and_figures_none(away: bool) -> None:
+    estimates, drive = wandering(True)
+    if away:  # a truth that was recorded before the drive began
+        assert estimates.truth_pose is not None
+        never = np.full_like(estimates.truth_pose, np.nan)
+        found = evaluate(replace(estimates, truth_pose=never), drive)
+    else:
+        found = evaluate(estimates, replace(drive, truth=None))
+    columns = (
+        found.t,
+        found.deviation,
+        found.along_cross,
+        found.sigma,
+        found.nees,
+        found.distance,
+        found.estimate_xy,
+    )
+    assert [c.shape for c in columns] == [(0,), (0, 2), (0, 2), (0, 3), (0,), (0,), (0, 2)]
+    assert found.heading is None
+    assert {name for name, value in found.figures.items() if value is not None} == {"duration_s", "distance_m"}
+    assert found.figures.keys() == evaluate(estimates, drive).figures.keys()
+
+
 def test_readings_are_counted_by_their_verdicts_and_the_mean_nis_is_of_those_accepted() -> None:
     estimates, drive = wandering(True)
     names = ["accepted"] * 3 + ["gate"] * 2 + ["new"] + ["repeated"] + ["ambiguous"]

@@ -25,7 +25,7 @@ class Honesty(msgspec.Struct, frozen=True):
     bounds: tuple[float, float]  # of an honest filter's ANEES at CONFIDENCE, for one drive's worth of errors
     states: Mapping[str, float] = field(default_factory=dict)  # of x, y and theta, each on its own
     state_bounds: tuple[float, float] = (0.0, math.inf)
-    independent: float = 1.0  # how many independent errors the drive is worth
+    independent: float = math.nan  # how many independent errors the drive is worth
     words: str = ""
 
     @property

@@ -128,6 +128,16 @@ def test_the_least_squares_alignment_is_that_of_evo() -> None:
 def test_there_is_no_error_of_the_shape_without_truth() -> None:
     estimates, drive = exact((0.0, 0.0))
     assert shape_error(estimates, replace(drive, truth=None)) is None
+    assert estimates.truth_pose is not None
+    for n, error in (
+        (0, None),
+        (1, pytest.approx(0.0, abs=1e-12)),
+    ):  # so many stamps of the truth lie in the drive
+        known = np.arange(N)[:, None] < n
+        assert (
+            shape_error(replace(estimates, truth_pose=np.where(known, estimates.truth_pose, np.nan)), drive)
+            == error
+        )
 
 
 def exact(point: tuple[float, float]) -> tuple[Estimates, Drive]:

@@ -7,8 +7,7 @@
 Both with the same LOCFUSE_DATA. Sample logs, simulated drives and real logs are fused under many options
 (`benchmarks.golden_cases`). Kept are poses, covariances, states, the verdict on every measurement, maps, reports
 and what commands print. Simulated logs are made when they are first needed and stay in the folder, so that both
-sides read the same bytes. Where the code takes stretches of a drive at once (`fusion.coast`), they go through the
-loop in Python instead.
+sides read the same bytes.
 
 Two numbers are equal within 1e-9: metres and radians of a pose, numbers of a report relative to their size (floor
 1e-12). Other columns are equal within 1e-7 of their largest number, a covariance within 1e-7 of its sigmas. Where
@@ -18,7 +17,6 @@ an atlas closes loops, all this is ten times wider, as the solver of its graph s
 from __future__ import annotations
 
 import contextlib
-import importlib
 import io
 import json
 import multiprocessing
@@ -59,15 +57,6 @@ class Found(NamedTuple):
 
     columns: Columns  # "run/what" -> array
     values: Values  # numbers and words, by their path in reports
-
-
-def loop_only() -> None:
-    """Let no stretch of a drive be taken at once: every instant goes through the loop."""
-    try:
-        coast = importlib.import_module("locfuse.fusion.coast.stretches")
-    except ModuleNotFoundError:
-        return
-    coast.Stretches.until = lambda self, k: k
 
 
 def evenly(n: int) -> NDArray[np.intp]:
@@ -173,7 +162,6 @@ def file_of(case: Case) -> str:
 
 def run(case: Case, logs: Path, file: Path) -> None:
     """Run a case in this process and keep what came of it."""
-    loop_only()
     began = time.process_time()
     try:
         with tempfile.TemporaryDirectory() as spare:

@@ -59,7 +59,7 @@ class LineMap(msgspec.Struct):
     _table: sight.Walls | None = None  # for the kernel, of the columns that are `_shown`
     _shown: tuple[Any, ...] = ()
     _room: int = 0  # states in `_lacking`
-    _lacking: Loosening = field(default_factory=lambda: Loosening(np.zeros(0, np.intp), np.zeros(0)))
+    _lacking: Loosening | None = None  # that a floor loosened last
 
     def __len__(self) -> int:
         """Return the number of lines."""
@@ -115,7 +115,7 @@ class LineMap(msgspec.Struct):
 
     def keep_floor(self, belief: JointBelief, floor: tuple[float, float]) -> None:
         """Know no line better than its floor (2,) [m^2, rad^2], whatever was averaged: no wall is a plane."""
-        if self._room < 2 * len(self.ids):
+        if self._lacking is None or self._room < 2 * len(self.ids):
             self._room = 4 * len(self.ids)
             self._lacking = Loosening(np.empty(self._room, np.intp), np.empty(self._room))
         sight.lacks(belief, self.table(), *floor, self._lacking)

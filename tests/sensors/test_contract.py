@@ -24,7 +24,7 @@ from locfuse.fusion.data import ArrayStream, LocfuseError, Measurements, Ragged
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import Filter
 from locfuse.fusion.instants import due_readings, steps_of
-from locfuse.fusion.kernels.ekf import Innovation
+from locfuse.fusion.kernels.ekf import Innovation, Loosening
 from locfuse.fusion.kernels.sight import Walls
 from locfuse.fusion.map.line_map import Association
 from locfuse.fusion.robot import Robot
@@ -327,7 +327,7 @@ def walked(
 def copied(model: Model) -> Model:
     """A copy without what the kernels work on, which it makes anew."""
     with pytest.MonkeyPatch.context() as patch:
-        for kernel in (Association, Walls):
+        for kernel in (Association, Loosening, Walls):
             patch.setitem(copyreg.dispatch_table, kernel, lambda _: (type(None), ()))
         return deepcopy(model)
 

@@ -17,7 +17,7 @@ from collections import Counter
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import click
 
@@ -29,6 +29,7 @@ from locfuse.cli.terminal.numpy_warnings import silence_overflows
 FORK = multiprocessing.get_context("fork")
 SLEEP = 20  # x the limit of CPU time: as long may a case take by the clock, for one that waits uses no CPU
 TICK = os.sysconf("SC_CLK_TCK")  # clock ticks a second, in which /proc counts CPU time
+SLOW_SHARE = 1 / 3  # of the CPU time a case may take: what takes longer is named
 BATCH = 50  # cases per process: what leaks or is poisoned does not live long
 GIB = 1 << 30
 
@@ -55,6 +56,14 @@ class Shop(Protocol):
 
     def judge(self, case: Any, folder: Path) -> str:
         """Return what is wrong with what came of a case, "" for nothing."""
+
+
+class Answer(NamedTuple):
+    """What came of a case."""
+
+    title: str
+    seconds: float  # of CPU
+    wrong: str  # "" for nothing
 
 
 class Worker:
@@ -88,14 +97,14 @@ class Worker:
             return f"no answer within {cpu:.0f} s of CPU"
         return f"no answer within {wall:.0f} s, and only {cpu:.0f} s of CPU" if wall > SLEEP * seconds else ""
 
-    def answer(self) -> str | None:
-        """Return what is wrong with the case at hand, None where the process has ended without an answer."""
+    def answer(self) -> Answer | None:
+        """Return what came of the case at hand, None where the process has ended without an answer."""
         try:
-            wrong: str = self.answers.recv()
+            answer: Answer = self.answers.recv()
         except EOFError:
             return None
         self._start()
-        return wrong
+        return answer
 
     def end(self) -> int | None:
         """End the process and return its exit code."""
@@ -111,13 +120,17 @@ def _work(shop: Shop, seeds: list[int], folder: Path, memory: int, answers: Conn
     resource.setrlimit(resource.RLIMIT_AS, (baseline + memory, baseline + memory))
     silence_overflows()  # as the program does
     for seed in seeds:
-        case = shop.case(seed)
+        case, began = shop.case(seed), _cpu()
         try:
             wrong = shop.judge(case, folder)
         except Exception as e:
             wrong = f"the oracle: {type(e).__name__}: {e}"
-        answers.send(wrong)
-    answers.send("done")
+        answers.send(Answer(case.title, _cpu() - began, wrong))
+
+
+def _cpu() -> float:
+    """Return the CPU time of this process and of what it has waited for (s)."""
+    return sum(os.times()[:4])
 
 
 class Pool:
@@ -132,6 +145,7 @@ class Pool:
         self.busy: dict[Connection, tuple[Worker, Path]] = {}
         self.wrong: dict[int, str] = {}  # seed -> what went wrong
         self.judged = 0  # cases
+        self.kinds: Counter[str] = Counter()  # of them, by what was done to the input
         self.end = math.inf  # monotonic time (s) at which to stop
 
     def run(self) -> dict[int, str]:
@@ -158,15 +172,19 @@ class Pool:
 
     def _take(self, worker: Worker) -> None:
         answer = worker.answer()
-        if answer == "done":
+        if not worker.seeds:  # all are done
             self._close(worker, [])
             return
         seed, worker.seeds = worker.seeds[0], worker.seeds[1:]
         self.judged += 1
         if answer is None:
             self._note(seed, f"the process died (exit code {self._close(worker, worker.seeds)})")
-        elif answer:
-            self._note(seed, answer)
+            return
+        self.kinds.update(answer.title.partition(": ")[2].split(", "))
+        if answer.seconds > SLOW_SHARE * self.seconds:
+            click.echo(f"seed {seed}: {answer.title}: {answer.seconds:.0f} s of CPU")
+        if answer.wrong:
+            self._note(seed, answer.wrong)
 
     def _note(self, seed: int, wrong: str) -> None:
         """Save and say what failed, at once: a long run may be stopped at any time."""
@@ -190,6 +208,7 @@ class Pool:
 @click.option("--minutes", default=math.inf, help="Stop after so long by the clock.  [default: never]")
 @click.option("--only", type=int, help="Run the case of one seed.")
 @click.option("--directed", is_flag=True, help="Build logs that lie (fuzz_directed.py) instead of damaging some.")
+@click.option("--deeds", default="", help="Of --directed: do one of these first, such as odd_scans,line_maps.")
 @click.option("--jobs", default=2, show_default=True)
 @click.option("--memory", default=1.0, show_default=True, help="GiB of address space a case may take on top.")
 @click.option("--seconds", default=60.0, show_default=True, help="CPU time a case may take.")
@@ -206,6 +225,7 @@ def main(
     minutes: float,
     only: int | None,
     directed: bool,
+    deeds: str,
     jobs: int,
     memory: float,
     seconds: float,
@@ -215,7 +235,7 @@ def main(
     seeds = list(range(first, first + cases)) if only is None else [only]
     memory_first = Path("/dev/shm")  # results are synced to the disk, thousands of times
     with tempfile.TemporaryDirectory(dir=memory_first if memory_first.is_dir() else None) as temporary:
-        shop: Shop = DirectedShop() if directed else Workshop(bases())
+        shop: Shop = DirectedShop(tuple(filter(None, deeds.split(",")))) if directed else Workshop(bases())
         shop.learn(Path(temporary) / "healthy")
         began = time.monotonic()
         pool = Pool(shop, seeds, Path(temporary), jobs, int(memory * GIB), seconds, keep)
@@ -224,6 +244,7 @@ def main(
         kinds: Counter[str] = Counter(shop.case(seed).title.split(": ", 1)[1] for seed in wrong)
         for kind, count in kinds.most_common():
             click.echo(f"{count} failed: {kind}")
+    click.echo(", ".join(f"{kind} {count}" for kind, count in pool.kinds.most_common()))
     click.echo(f"{pool.judged} cases, {len(wrong)} failed, {time.monotonic() - began:.0f} s")
     raise SystemExit(1 if wrong else 0)
 

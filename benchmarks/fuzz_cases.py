@@ -25,6 +25,7 @@ from mcap.writer import CompressionType
 
 from benchmarks import fuzz_damage as damage
 from benchmarks.fuzz_logs import Base, Spoken, contents, written
+from benchmarks.fuzz_sensors import scans
 from locfuse.cli.main import main
 
 REAL_ROBOT = ("--set", "wheels.radius=0.033", "--set", "wheels.track=0.16")  # for logs that do not say
@@ -203,7 +204,7 @@ def other_channel(rng: Random, spoken: list[Spoken]) -> list[Spoken]:
 
 
 Deed = Callable[[Random, list[Spoken]], list[Spoken]]
-MESSAGES: list[Deed] = [odd_payloads, odd_payloads, odd_times, other_order, other_channel]
+MESSAGES: list[Deed] = [odd_payloads, odd_payloads, odd_times, other_order, other_channel, scans]
 
 
 def run(case: Case, folder: Path) -> Done:

@@ -28,6 +28,7 @@ from benchmarks.fuzz_cases import Done, files_are_wrong, locfuse, words_are_wron
 from benchmarks.fuzz_damage import INTERESTING, NUMBERS, VALUES
 from benchmarks.fuzz_logs import Spoken, contents, short_drive, written
 from benchmarks.fuzz_parsers import TARGETS, mutated
+from benchmarks.fuzz_sensors import DEEDS as OF_SENSORS
 from locfuse.formats.visible import UNSEEN
 from locfuse.formats.whole_files import TEMPORARY
 
@@ -114,6 +115,7 @@ Deed = Callable[[Random, Directed], Directed]
 class DirectedShop:
     """The drive that the cases start from."""
 
+    first: tuple[str, ...] = ()  # one of these deeds is done first; (): any
     spoken: tuple[Spoken, ...] = ()
     robot: bytes = b""
 
@@ -129,8 +131,11 @@ class DirectedShop:
         """Return the case that belongs to a seed."""
         rng = random.Random(f"directed {seed}")
         case = Directed("", self.spoken, self.robot, command=rng.choice(COMMANDS), seed=seed)
-        names = []
-        for deed in rng.sample(DEEDS, rng.choice((1, 1, 2, 3))):
+        names: list[str] = []
+        deeds = rng.sample(DEEDS, rng.choice((1, 1, 2, 3)))
+        if self.first:
+            deeds[0] = rng.choice([deed for deed in DEEDS if deed.__name__ in self.first])
+        for deed in deeds:
             case = deed(rng, case)
             names.append(deed.__name__)
         known = OPTIONS[: KNOWN_OPTIONS.get(case.command[0])]
@@ -588,5 +593,5 @@ def another_container(rng: Random, case: Directed) -> Directed:
 DEEDS: list[Deed] = [
     another_kind, another_kind, acting_names, acting_values, odd_numbers, odd_numbers, huge_counts, odd_stamps,
     odd_stamps, foreign_topics, foreign_topics, odd_json, odd_definition, odd_robot, odd_set, files_beside,
-    files_beside, outputs_onto_inputs, another_container,
+    files_beside, outputs_onto_inputs, another_container, *OF_SENSORS,
 ]  # fmt: skip

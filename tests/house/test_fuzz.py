@@ -1,4 +1,4 @@
-"""Random damage to logs and robots, held to the promise (benchmarks/fuzz_cases.py): a hundred cases.
+"""Random damage to logs and robots, and to what a drive is located by, held to the promise.
 
 `python -m benchmarks.fuzz --cases 10000` is the whole of it, for a change of what reads logs.
 """
@@ -10,13 +10,22 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 
 
-def test_no_random_damage_breaks_the_promise(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("cases", "words"),
+    [
+        (100, ()),
+        (30, ("--directed", "--deeds", "map_pictures,line_maps,detection_files,detection_messages,odd_scans")),
+    ],
+)
+def test_no_random_damage_breaks_the_promise(tmp_path: Path, cases: int, words: tuple[str, ...]) -> None:
     environment = {k: v for k, v in os.environ.items() if k != "LOCFUSE_DATA"}  # real logs take longer
     done = subprocess.run(
-        [sys.executable, "-m", "benchmarks.fuzz", "--cases", "100", "--keep", str(tmp_path)],
+        [sys.executable, "-m", "benchmarks.fuzz", "--cases", f"{cases}", *words, "--keep", str(tmp_path)],
         cwd=ROOT,
         env=environment,
         capture_output=True,
@@ -24,4 +33,5 @@ def test_no_random_damage_breaks_the_promise(tmp_path: Path) -> None:
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr[-2000:]
-    assert "100 cases, 0 failed" in done.stdout
+    assert f"{cases} cases, 0 failed" in done.stdout
+    assert all(f"{deed} " in done.stdout for word in words[2:] for deed in word.split(","))

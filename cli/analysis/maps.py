@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
+from locfuse.formats.caps import MAX_WALLS, names_its_cap
 from locfuse.fusion.data import Estimates, LocfuseError, MapLine, Ragged, UsageError
 from locfuse.fusion.map.given_grid import Grid
 from locfuse.fusion.robot import Robot
@@ -38,7 +39,7 @@ def give(loaded: Loaded, file: Path) -> Loaded:
     if file.suffix in map_image.PICTURES:
         raise UsageError(f"--map {file}: name the .yaml beside the image, which says where it lies")
     if file.suffix not in map_image.SUFFIXES:
-        return replace(loaded, asked=None, robot=_within(loaded.robot, line_map.read(file)))
+        return replace(loaded, asked=None, robot=_within(loaded.robot, line_map.read(file), str(file)))
     return _give_grid(replace(loaded, asked=None), Grid(*map_image.read(file)), str(file))
 
 
@@ -83,7 +84,7 @@ def _give_grid(loaded: Loaded, grid: Grid, name: str) -> Loaded:
         raise LocfuseError(f"{name}: {problem.message}", role="map") from None
     if not lines:
         raise LocfuseError(f"{name} has no wall of 0.3 m or more: nothing can be localised in it")
-    found = replace(loaded, robot=_within(loaded.robot, lines))
+    found = replace(loaded, robot=_within(loaded.robot, lines, name))
     start = found.robot.start
     if found.robot.start_given and start.sigma_xy < UNKNOWN_START_M:
         return found
@@ -121,7 +122,10 @@ def _begun(loaded: Loaded, grid: Grid, name: str) -> Loaded:
     return replace(loaded, robot=placed, drive=replace(drive, notes=notes))
 
 
-def _within(robot: Robot, lines: list[MapLine]) -> Robot:
+def _within(robot: Robot, lines: list[MapLine], name: str) -> Robot:
+    """Return the robot in a map. Raises LocfuseError where its walls are more than a filter can hold."""
+    if len(lines) > MAX_WALLS:
+        raise LocfuseError(names_its_cap(name, len(lines), MAX_WALLS, "walls"), role="map")
     lrf = msgspec.structs.replace(robot.settings("lrf"), map="given")
     return replace(robot, sensors={**robot.sensors, "lrf": lrf}, lines=tuple(lines))
 

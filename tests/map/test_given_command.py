@@ -105,6 +105,24 @@ def test_a_floor_too_large_to_be_looked_through_is_one_line(given: Path) -> None
     assert len(done.stderr.splitlines()) == 1
 
 
+def test_a_map_of_very_many_walls_is_refused_before_the_filter_holds_them(given: Path) -> None:
+    """Two states each: 8 000 plates in a picture of 40 kB took 10 GiB, 10 000 walls in a line map 3 GiB."""
+    pixels = np.full((1800, 1800), 254, np.uint8)
+    pixels[5::20] = np.arange(1800) % 40 // 36 * 254  # 90 x 45 plates of 1.8 m, each with two sides
+    given.with_name("plates.png").write_bytes(cv2.imencode(".png", pixels)[1].tobytes())
+    picture, walls = given.with_name("plates.yaml"), given.with_name("walls.json")
+    picture.write_text("image: plates.png\nresolution: 0.05\norigin: [-1, -1, 0]\n")
+    lines = [{"id": i, "from": [0, i], "to": [1, i]} for i in range(3001)]
+    walls.write_text(json.dumps({"format": "locfuse line map", "version": 1, "lines": lines}))
+    for file, found in ((picture, 90 * 45 * 2), (walls, 3001)):
+        done = locfuse("run", LOG, "--map", file, "--sensors", "lrf", "-o", given.parent / "out")
+        assert done.exit_code == 1
+        said = re.search(r"([\d ]+) walls, more than the cap of 3 000", done.stderr)
+        assert said is not None, done.stderr
+        assert int(said[1].replace(" ", "")) == found
+        assert len(done.stderr.splitlines()) == 1
+
+
 def test_the_image_itself_is_refused_with_what_to_name(given: Path) -> None:
     done = locfuse("run", LOG, "--map", given.with_suffix(".pgm"))
     assert done.exit_code == 2

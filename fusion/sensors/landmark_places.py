@@ -13,6 +13,7 @@ from locfuse.fusion.data import Array
 from .landmark_geometry import Point
 
 MIN_DETECTIONS = 8  # of one landmark before its place is judged
+MAX_WRONG = 20  # notes on them
 WRONG_SIGMAS = 3.0  # of one detection's place: the median of many is much better known than that
 
 
@@ -44,7 +45,8 @@ def wrong_places(places: Mapping[int, Point], seen_at: Mapping[int, Array]) -> l
                 f"id {key} is seen at ({x:.2f}, {y:.2f}) m, {away(key, key):.2f} m from its place in the map "
                 f"({len(seen_at[key])} detections)"
             )
-    return words
+    left = len(words) - MAX_WRONG
+    return [*words[:MAX_WRONG], f"{left} more notes of this kind"] if left > 0 else words
 
 
 def _scatter(rows: Array) -> float:

@@ -71,7 +71,8 @@ KNOWN_DEPTH, SAID_DEPTH = 0.2, 0.5  # 1 sigma, and value, from which it is said 
 NEW = VERDICTS.index("new")
 MIN_FIT = 50  # detections that are held against poses
 MIN_SEEN = 3  # detections of an id from which its landmark is placed in a map that is made
-MAX_LANDMARKS = 1000  # in a map that is made: memory and time grow with the square of their number
+MAX_LANDMARKS = 300  # in a map that is made: each detection costs the square of their number, 0.2 ms at 300
+MAX_LISTED = 20  # ids in a note
 MIN_SHARE = 0.1  # of a distance that a depth is taken for: a detector looks ahead
 ZEROS = 0.0, 0.0  # derivatives of a bearing by offset and depth
 MAX_SIGMA_M = 0.3  # m of the robot's position: beyond it a detection does not tell where its landmark stands
@@ -561,13 +562,17 @@ class GrowingModel(LandmarksModel):
 
     def notes(self, belief: Any) -> list[str]:
         """Say how many landmarks the map has, and which were seen too rarely to be in it for sure."""
-        rare = [landmark for landmark, n in sorted(self._known.items()) if n < MIN_SEEN]
+        rare = [str(landmark) for landmark, n in sorted(self._known.items()) if n < MIN_SEEN]
         words = f"a map of {len(self._known)} landmarks was made"
         depth = self._depth_notes(belief)
-        rarely = f"; seen less than {MIN_SEEN} times: {', '.join(map(str, rare))}" if rare else ""
+        more = f" and {len(rare) - MAX_LISTED} more" if len(rare) > MAX_LISTED else ""
+        rarely = f"; seen less than {MIN_SEEN} times: {', '.join(rare[:MAX_LISTED])}{more}" if rare else ""
         moving = [k for k, n in sorted(self._known.items()) if n >= MIN_DETECTIONS and 2 * self._refused[k] > n]
         if not moving:
             return [words + rarely, *depth]
+        if len(moving) > MAX_LISTED:
+            many = f"{len(moving)} of {len(self._known)} landmarks do not stand still"
+            return [words + rarely, *depth, f"{many}: are the ranges in m and the bearings in rad?"]
         ids = ", ".join(map(str, moving))
         stand = f"ids {ids} do not stand still" if len(moving) > 1 else f"id {ids} does not stand still"
         fix = f"leave out with landmarks.ignore=[{ids}]"

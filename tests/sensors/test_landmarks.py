@@ -24,6 +24,7 @@ from locfuse.fusion.data import LocfuseError, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.sensors import landmarks
 from locfuse.fusion.sensors.landmark_geometry import predict
+from locfuse.fusion.sensors.landmark_places import wrong_places
 from locfuse.fusion.sensors.landmarks import LandmarksModel, LandmarksSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -314,10 +315,13 @@ def test_the_key_that_takes_out_a_constant_bearing_moves_against_it() -> None:
     assert bias.sign * innovation == pytest.approx(5.0)
 
 
-def grown(tmp_path: Path, detections: list[tuple[float, int]], *words: str) -> Any:
-    """Run a drive of 10 s with detections (s, id) of landmarks that nobody has mapped."""
+def grown(tmp_path: Path, detections: list[tuple[float, int]], *words: str, jump: float = 0.0) -> Any:
+    """Run a drive of 10 s with detections (s, id) of unmapped landmarks; `jump`: rad in odd seconds."""
     log = written(tmp_path, seconds=10.0)[0]
-    rows = "".join(f"{T0 // 10**9 + t:.6f},{key},{2 + key % 5},{key % 20 / 10 - 1}\n" for t, key in detections)
+    rows = "".join(
+        f"{T0 // 10**9 + t:.6f},{key},{2 + key % 5},{key % 20 / 10 - 1 + int(t) % 2 * jump}\n"
+        for t, key in detections
+    )
     (tmp_path / "many.csv").write_text(f"t,id,range,bearing\n{rows}")
     file = ("--set", f"landmarks.file={tmp_path / 'many.csv'}")
     return locfuse("run", log, *GEOMETRY, *file, "--sensors", "landmarks", "-o", tmp_path / "o", *words)
@@ -343,6 +347,24 @@ def test_of_more_ids_than_the_cap_those_seen_most_often_are_placed(
     told = " ".join(done.stderr.split())
     assert "3 of 6 ids are not placed in the map: beyond the 3 seen most often" in told
     assert "a map of 3 landmarks was made" in told
+
+
+def test_notes_on_many_landmarks_stay_short(tmp_path: Path) -> None:
+    """400 ids jump about: 100 are beyond the cap, and the 300 that are placed were listed one by one, twice."""
+    often = sorted((0.5 + 0.8 * k, key) for key in range(400) for k in range(9))
+    done = grown(tmp_path, often, jump=2.0)
+    told = " ".join(done.stderr.split())
+    assert "100 of 400 ids are not placed in the map: beyond the 300 seen most often" in told
+    assert "of 300 landmarks do not stand still" in told
+    assert max(map(len, done.stderr.splitlines())) < 400
+
+
+def test_a_map_with_many_wrong_places_names_the_first_of_them(tmp_path: Path) -> None:
+    keys = range(100)
+    seen = {key: np.array([[key + (key % 3 == 0), 0.0, 0.01]] * 8) for key in keys}
+    words = wrong_places({key: (float(key), 0.0) for key in keys}, seen)
+    assert len(words) == 21  # of 34
+    assert words[-1] == "14 more notes of this kind"
 
 
 def test_a_tracker_that_counts_up_is_refused_in_one_line(tmp_path: Path) -> None:

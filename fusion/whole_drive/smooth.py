@@ -37,11 +37,12 @@ from locfuse.fusion.wheels.states import WHEELS
 from .pose_graph import Graph, whole_drive
 
 NOT_OPTIMAL = ("first-scan", "consider")
+MAX_WALLS = 300  # of a given map: each is two states, and each instant costs the square of their number
 RANK = 1e-12  # relative eigenvalue below which the wheels' noise has no extent
 
 
 def check_optimal(robot: Robot, sensors: Sequence[str]) -> None:
-    """Raise UsageError where these sensors' filter does not weigh optimally: smoothing assumes that it does."""
+    """Raise UsageError where these sensors' filter does not weigh optimally, or holds too many walls to smooth."""
     if robot.preset == "paper":
         raise UsageError(
             "--smooth: the filter as printed in the paper has no optimal gain; leave --preset paper out"
@@ -54,6 +55,11 @@ def check_optimal(robot: Robot, sensors: Sequence[str]) -> None:
                 f"--smooth: {sensor}.map = {mode} does not weigh optimally, and smoothing assumes that it does.",
                 fixes=(fix,),
                 hint=f"Use --set {fix} or grow",
+            )
+        if mode == "given" and len(robot.lines) > MAX_WALLS:
+            raise UsageError(
+                f"--smooth: the given map has {len(robot.lines)} walls, and smoothing takes at most {MAX_WALLS}; "
+                "leave --smooth out, or cut out the part of the map that the drive is in"
             )
 
 

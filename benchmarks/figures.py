@@ -68,7 +68,7 @@ def figures(logs: Logs, out: Path, length: str) -> list[Figure]:
         Figure("60 s, 600 pictures: five configurations / stock", 1.40, pictures, stock_minute),
         Figure("60 s, 600 pictures: five configurations / one", 1.25, pictures, locfuse("run", logs.minute, *how)),
         Figure(f"{length}: one configuration, frozen map / stock", 0.35, one, stock),
-        Figure(f"{length}: five configurations, frozen map / stock", 0.45, five, stock, peak=200.0),
+        Figure(f"{length}: five configurations, frozen map / stock", 0.50, five, stock, peak=200.0),
         Figure(f"{length}: five configurations with a Rerun recording / without", 1.5, recorded, five, peak=300.0),
         Figure(
             f"{length}: five configurations with advice / without",
@@ -79,7 +79,7 @@ def figures(logs: Logs, out: Path, length: str) -> list[Figure]:
         Figure(f"{length}: one configuration, `grow` / stock", 0.45, locfuse("run", logs.hour, *how), stock),
         Figure(f"{length}: reading and decoding / stock", 0.10, ours, stock),
         Figure(f"{length}: reading and decoding / rosbags", 0.35, ours, module("decode", "rosbags", logs.hour)),
-        Figure(f"{length}: five configurations / one", 1.30, five, one),
+        Figure(f"{length}: five configurations / one", 1.50, five, one),
         Figure("10 min, compass and laser: `compare`, `grow` / stock", 0.50, ten, decoded(logs.ten)),
         *buildings,
         Figure(
@@ -101,10 +101,10 @@ def decoded(log: Path) -> Command:
 def kernels(logs: Logs) -> list[Kernel]:
     """Return the inner loops that are measured."""
     return [
-        Kernel("EKF step, predict + heading / filterpy", 0.06, module("kernels", "ekf_heading", logs.minute)),
+        Kernel("EKF step, predict + heading / filterpy", 0.30, module("kernels", "ekf_heading", logs.minute)),
         Kernel(
             "EKF step, predict + six lines, matched and recorded / filterpy",
-            0.05,
+            0.30,
             module("kernels", "ekf_lines", logs.minute),
         ),
         Kernel("lines of a 361-beam scan / small_gicp ICP", 0.025, module("kernels", "lines", logs.minute)),

@@ -227,14 +227,18 @@ def scratch_prefix() -> str:
 
 
 def alive(pid: int) -> bool:
-    """Return whether a process of this number runs."""
+    """Return whether a process of this number runs. One that ended and waits for its parent does not."""
     try:
         os.kill(pid, 0)
     except (ProcessLookupError, OverflowError):
         return False
     except OSError:
         pass
-    return True
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2]
+    except OSError:  # no such files on this system
+        return True
+    return not state.lstrip().startswith(("Z", "X"))
 
 
 def _remove(path: Path) -> None:

@@ -118,6 +118,22 @@ def test_left_overs_of_a_killed_run_are_cleared_away_and_do_not_count(tmp_path: 
     assert names(tmp_path) == sorted(FILES)
 
 
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc: processes are not shown as files")
+def test_what_a_process_left_is_cleared_away_before_its_parent_has_asked_for_its_end(tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, "-c", ""], stdout=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        child.stdout.read()
+        left = tmp_path / f".report.csv.{child.pid}{whole_files.TEMPORARY}"
+        left.write_text("x")
+        for _ in range(200):
+            if not whole_files.alive(child.pid):
+                break
+            time.sleep(0.01)
+        assert child.returncode is None
+        write_results(tmp_path, {"report.json": "{}"})
+        assert not left.exists()
+
+
 def test_a_whole_file_keeps_the_old_one_when_the_block_fails(tmp_path: Path) -> None:
     target = tmp_path / "log.mcap"
     target.write_text("old")

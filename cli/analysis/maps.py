@@ -126,7 +126,7 @@ def _within(robot: Robot, lines: list[MapLine], name: str) -> Robot:
     """Return the robot in a map. Raises LocfuseError where its walls are more than a filter can hold."""
     if len(lines) > MAX_WALLS:
         many = names_its_cap(name, len(lines), MAX_WALLS, "walls")
-        raise LocfuseError(f"{many}; cut out the part that the drive is in", role="map")
+        raise LocfuseError(f"{many}; keep only the part that the drive is in", role="map")
     lrf = msgspec.structs.replace(robot.settings("lrf"), map="given")
     return replace(robot, sensors={**robot.sensors, "lrf": lrf}, lines=tuple(lines))
 

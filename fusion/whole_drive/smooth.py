@@ -59,7 +59,7 @@ def check_optimal(robot: Robot, sensors: Sequence[str]) -> None:
         if mode == "given" and len(robot.lines) > MAX_WALLS:
             raise UsageError(
                 f"--smooth: the given map has {len(robot.lines)} walls, and smoothing takes at most {MAX_WALLS}; "
-                "leave --smooth out, or cut out the part of the map that the drive is in"
+                "leave --smooth out, or keep only the part of the map that the drive is in"
             )
 
 

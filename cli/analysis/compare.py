@@ -242,10 +242,10 @@ def _judged_foreign(e: Estimates, drive: Drive, how: Align) -> Judged:
 
 def refuse_smoothing(robot: Robot, configurations: Sequence[Configuration]) -> None:
     """Raise UsageError before any work is done where one of the filters does not weigh optimally."""
-    from locfuse.fusion.whole_drive.smooth import check_optimal
+    from locfuse.fusion.whole_drive.smooth import check_smoothing
 
     for c in configurations:
-        check_optimal(robot, c.sensors)
+        check_smoothing(robot, c.sensors)
 
 
 def predict(

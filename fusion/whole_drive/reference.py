@@ -16,7 +16,7 @@ from locfuse.fusion.judge.evaluate import Align
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed
 
-from .smooth import check_optimal, fuse_and_smooth
+from .smooth import check_smoothing, fuse_and_smooth
 
 Subset = frozenset[str]
 
@@ -31,7 +31,7 @@ def refuse(drive: Drive, robot: Robot) -> None:
         )
     if drive.wheels.stands:
         raise UsageError("--reference: the robot does not move in this log, so no sensor can be judged")
-    check_optimal(robot, _present(drive))
+    check_smoothing(robot, _present(drive))
     if not _locates(_present(drive)):
         raise UsageError(
             "--reference: no sensor of this log says where the robot is, so its whole-drive solution judges nobody"

@@ -41,7 +41,7 @@ MAX_WALLS = 300  # of a given map: each is two states, and each instant costs th
 RANK = 1e-12  # relative eigenvalue below which the wheels' noise has no extent
 
 
-def check_optimal(robot: Robot, sensors: Sequence[str]) -> None:
+def check_smoothing(robot: Robot, sensors: Sequence[str]) -> None:
     """Raise UsageError where these sensors' filter does not weigh optimally, or holds too many walls to smooth."""
     if robot.preset == "paper":
         raise UsageError(
@@ -67,7 +67,7 @@ def fuse_and_smooth(
     drive: Drive, robot: Robot, sensors: Sequence[str], name: str | None = None
 ) -> tuple[Estimates, Estimates]:
     """Run the filter and the smoother: (filtered, smoothed). Raises UsageError where the gain is not optimal."""
-    check_optimal(robot, sensors)
+    check_smoothing(robot, sensors)
     events = Events(backward=True)
     filtered = fuse(drive, robot, sensors, name, events=events)
     graph = whole_drive(drive, robot, sensors, filtered)

@@ -29,7 +29,7 @@ from locfuse.fusion.kernels.ekf import State, Steps
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Block
-from locfuse.fusion.whole_drive.smooth import MAX_WALLS, check_optimal, fuse_and_smooth, smoothed
+from locfuse.fusion.whole_drive.smooth import MAX_WALLS, check_smoothing, fuse_and_smooth, smoothed
 
 OFFSET = 0.7
 
@@ -446,10 +446,10 @@ def test_maps_that_are_not_weighed_optimally_are_refused(mode: str) -> None:
 def test_a_given_map_of_too_many_walls_to_smooth_is_refused_with_both_numbers() -> None:
     walls = tuple(MapLine(i, float(i), 0.0, (0.0, 1.0), 1e-6 * np.eye(2)) for i in range(MAX_WALLS + 1))
     robot = replace(World(settings={"lrf": {"map": "given"}}).robot(), lines=walls)
-    check_optimal(replace(robot, lines=walls[1:]), ["lrf"])
-    check_optimal(robot, ["compass"])
+    check_smoothing(replace(robot, lines=walls[1:]), ["lrf"])
+    check_smoothing(robot, ["compass"])
     with pytest.raises(UsageError, match=r"the given map has 301 walls, and smoothing takes at most 300; leave"):
-        check_optimal(robot, ["lrf"])
+        check_smoothing(robot, ["lrf"])
 
 
 def test_a_laser_of_which_no_scan_is_used_leaves_the_rest_to_be_smoothed() -> None:

@@ -19,8 +19,9 @@ from typing import Any
 import click
 import numpy as np
 
-from benchmarks.advice import PAGE, put
+from benchmarks.advice import PAGE
 from benchmarks.building import FAR_S
+from benchmarks.experiment import put
 from benchmarks.relations import EPOCH_S, relation_errors
 from locfuse.cli.advice.evaluator import standard
 from locfuse.cli.advice.trial import Trial

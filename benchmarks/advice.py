@@ -25,7 +25,7 @@ import math
 import os
 import re
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
 from statistics import median
@@ -48,7 +48,10 @@ FIRST_SEED = 3000
 MAX_LOSS, MAX_LOSS_M, MAX_LOSS_DEG = 0.02, 2e-4, 0.02
 MIN_COST, MIN_COST_M = 0.2, 1e-3  # relative, m: a fault that costs less costs nothing
 LOADED = (CAMERA,)  # set when a log is opened: with another camera noise its pictures are searched again
-PLASTER = re.compile(r"^wheels\.noise=|\.sigma\w*=|\.field_tolerance=|\.topic=none")
+PLASTER = re.compile(
+    r"wheels\.noise=|(compass|camera)\.sigma_deg=|lrf\.sigma_(range|angle_deg)=|(truth|start)\.sigma|"
+    r".*\.field_tolerance=|.*\.topic=none"
+)
 LEAVE_OUT = re.compile(r"leave (?:the )?(\w+)[^.]* out")
 Errors = dict[str, tuple[float, float]]  # configuration -> position error [m], heading error [deg]; rms
 
@@ -95,47 +98,63 @@ def work(name: str, seed: int, truth: bool, folder: Path) -> Row:
     case = CASES[name]
     clean = lap(seed, CASES["none"].scenario, folder)
     drive = lap(seed, case.scenario, folder)
-    before = drive.errors(case.sets)
-    right = drive.errors(case.right) if case.has_key else clean.errors(case.right)
     report = drive.report(case.sets, truth)
     obeyed = (*case.sets, *report["fixes"])
-    after = drive.errors(obeyed)
     row = {
-        "unfixed": sorted({f["role"] for f in report["findings"] if not f["fixes"]}),
         "fixes": report["fixes"],
         "headline": report["headline"],
-        "messages": [f"{f['role']}: {f['message']}" for f in report["findings"]],
-        "right": right,
-        "before": before,
-        "after": after,
-        "worse": worse(right, before, after),
-        **named(case, report),
+        "findings": [[f["role"], f["fixes"], f["message"]] for f in report["findings"]],
+        "right": drive.errors(case.right) if case.has_key else clean.errors(case.right),
+        "before": drive.errors(case.sets),
+        "after": drive.errors(obeyed),
     }
-    position = [{n: e for n, (e, _) in one.items()} for one in (right, before, after)]
     if case.of_truth:
-        shown = report, drive.report(obeyed, truth=True, advice=False)
-        position[1:] = [printed(one, position[0]) for one in shown]
-    return row | gap(*position)
+        row["printed"] = printed(report), printed(drive.report(obeyed, truth=True, advice=False))
+    return row
 
 
-def named(case: Case, report: Mapping[str, Any]) -> Row:
+def printed(report: Mapping[str, Any]) -> dict[str, float | None]:
+    """Return the position errors that a report prints [m]; None where it withholds one."""
+    return {name: values["position_rmse_m"] for name, values in report["configurations"].items()}
+
+
+def judged(row: Row) -> Row:
+    """Return a row with what there is to say of it: named, others, plaster, worse, closed, errors_m."""
+    case = CASES[row["task"][0]]
+    return {
+        **row,
+        **named(case, row),
+        "worse": worse(row["right"], row["before"], row["after"]),
+        **gap(*_positions(row)),
+    }
+
+
+def _positions(row: Row) -> Iterator[dict[str, float]]:
+    """Yield position errors [m] with the right settings, before and after; those printed where the truth is wrong.
+
+    A printed error that is withheld misleads nobody, as the right one.
+    """
+    right = {name: error for name, (error, _) in row["right"].items()}
+    yield right
+    if "printed" not in row:
+        yield from ({name: error for name, (error, _) in row[key].items()} for key in ("before", "after"))
+        return
+    for one in row["printed"]:
+        yield {name: right[name] if error is None else error for name, error in one.items() if name in right}
+
+
+def named(case: Case, row: Row) -> Row:
     """Return whether the right key is set or the right sensor named, and what else is said."""
-    keys = {fix.partition("=")[0] for fix in report["fixes"]}
-    roles = {f["role"] for f in report["findings"]}
-    plaster = [fix for fix in report["fixes"] if PLASTER.search(fix)]
-    plaster += [f"leave {what} out" for what in LEAVE_OUT.findall(report["headline"])]
+    keys = {fix.partition("=")[0] for fix in row["fixes"]}
+    roles = {role for role, _, _ in row["findings"]}
+    plaster = [fix for fix in row["fixes"] if PLASTER.match(fix)]
+    plaster += [f"leave {what} out" for what in LEAVE_OUT.findall(row["headline"])]
     own = {key for fault in case.faults for key in fault.keys}
     return {
         "named": all(keys & set(f.keys) if f.keys else not f.roles or roles & set(f.roles) for f in case.faults),
-        "others": sorted({f["role"] for f in report["findings"] if f["fixes"]} - case.roles),
+        "others": sorted({role for role, fixes, _ in row["findings"] if fixes} - case.roles),
         "plaster": [p for p in plaster if case.has_key and p.partition("=")[0] not in own],
     }
-
-
-def printed(report: Mapping[str, Any], right: Mapping[str, float]) -> dict[str, float]:
-    """Return the errors that a report prints; one that it withholds misleads nobody, as the right one."""
-    found = {name: values["position_rmse_m"] for name, values in report["configurations"].items()}
-    return {name: right[name] if error is None else error for name, error in found.items() if name in right}
 
 
 def worse(right: Errors, before: Errors, after: Errors) -> list[str]:
@@ -251,10 +270,11 @@ def clean_table(found: Sequence[Row]) -> list[str]:
     return [*experiment.table(("drives", "runs", "with a line", "with a fix", "worse"), lines, "1234"), "", *said]
 
 
-def _shown(row: Row) -> str:
+def _shown(raw: Row) -> str:
+    row = judged(raw)
     name, seed, truth = row["task"]
     part = "" if row["closed"] is None else f" {row['closed']:.0%} closed"
-    what = " ".join(row["fixes"]) or f"no fix; named: {', '.join(row['unfixed']) or '-'}"
+    what = " ".join(row["fixes"]) or f"no fix; named: {', '.join(f[0] for f in row['findings']) or '-'}"
     bad = "".join(f" {key.upper()} {row[key]}" for key in ("others", "plaster", "worse") if row[key])
     return f"{seed} {name}, {'truth' if truth else 'no truth'}: {what}{part}{bad}"
 
@@ -292,7 +312,7 @@ def main(
         made = experiment.rows(
             partial(work, folder=Path(folder)), tasks, out, jobs, unit=lambda task: task[:2], show=_shown
         )
-    found = experiment.well(made)
+    found = [judged(row) for row in experiment.well(made)]
     lines = clean_table(found) if clean else [*goals(found), "", *table(found)]
     for line in (*lines, *experiment.failures(made)):
         click.echo(line)

@@ -9,31 +9,23 @@ compass and camera as exact as maths allows. `--set` changes the scenario, `--ro
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Iterator, Sequence
 from typing import Any
 
-import click
 import numpy as np
 
-from locfuse.cli.analysis.load import make_robot
-from locfuse.formats.robot import robot_toml
-from locfuse.fusion.data import ArrayStream, Drive, Evaluation
+from benchmarks import experiment
+from benchmarks.experiment import Row
+from locfuse.fusion.data import Drive, Evaluation
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
-from locfuse.sample_logs.load import load
-from locfuse.sample_logs.record import in_memory
 
-FIRST_SEED = 1000  # the shipped logs use small seeds: nothing here has been looked at before
-MODES = ("first-scan", "consider", "refine", "grow")
+MODES = "first-scan,consider,refine,grow"
+WITHOUT_CAMERA = ("camera.enabled=false",)
 SMOOTHED = ("refine", "grow")  # smoothing assumes optimal weights
 # Every sensor at each step of 0.1 s and truth just after: the set-up of the paper. The compass is the sketch's,
 # white and calibrated; its rate and the camera's are those of the laser. The filter is told the noise as it is: of
@@ -55,39 +47,30 @@ LOCK_STEP = (
 )
 
 
-@dataclass(frozen=True)
-class Task:
-    """One drive and everything that is to be done with it."""
-
-    seed: int
-    scenario: str
-    sets: tuple[str, ...]
-    robot_sets: tuple[str, ...]
-    modes: tuple[str, ...]
-    configurations: tuple[tuple[str, ...], ...]
-    smooth: bool = False
-
-
-def streams_by_role(topics: dict[str, ArrayStream], tables: dict[str, Any]) -> dict[str, ArrayStream]:
-    """Return the streams that the robot's tables name."""
-    roles = ("wheels", "truth", *REGISTRY)
-    return {r: topics[tables[r]["topic"]] for r in roles if r in tables and tables[r].get("topic") in topics}
-
-
-def drive(task: Task) -> dict[str, dict[str, Any]]:
+def work(
+    seed: int,
+    scenario: str = "rounded_rectangle",
+    sets: tuple[str, ...] = (),
+    robot_sets: tuple[str, ...] = (),
+    modes: str = MODES,
+    as_shipped: bool = False,
+    no_camera: bool = False,
+    smooth: bool = False,
+) -> Row:
     """Simulate one drive and judge it: "<mode> <configuration>" -> figures."""
-    topics, tables, _ = in_memory(load(task.scenario, task.sets), task.seed)
+    base = () if as_shipped else LOCK_STEP
+    run = experiment.simulated(scenario, (*base, *(WITHOUT_CAMERA if no_camera else ()), *sets), seed)
+    sensors = ("compass", "lrf", "camera")[: 2 if no_camera else 3]
     found: dict[str, dict[str, Any]] = {}
-    measured = None
-    for mode in task.modes:
-        sets = robot_toml.apply_sets((f"lrf.map={mode}", *task.robot_sets))
-        robot = make_robot(robot_toml.layered(tables, sets))
-        measured = measured or measure(streams_by_role(topics, tables), robot)
-        for sensors in task.configurations:
-            if set(sensors) <= set(measured.measurements):
-                for judged in judgements(measured, robot, sensors, task.smooth and mode in SMOOTHED):
+    measured: Drive | None = None
+    for mode in modes.split(","):
+        robot = run.robot((f"lrf.map={mode}", *robot_sets))
+        measured = measured or measure(run.streams, robot)
+        for used in ((), *((s,) for s in sensors), sensors):
+            if set(used) <= set(measured.measurements):
+                for judged in judgements(measured, robot, used, smooth and mode in SMOOTHED):
                     found[f"{mode} {judged.name}"] = figures(judged)
-    return found
+    return {"found": found}
 
 
 def judgements(measured: Drive, robot: Robot, sensors: tuple[str, ...], smooth: bool) -> list[Evaluation]:
@@ -137,68 +120,48 @@ def over_drives(results: Sequence[dict[str, dict[str, Any]]]) -> dict[str, dict[
 
 def markdown(table: dict[str, dict[str, float]]) -> str:
     """Return the table for people."""
+    head = (
+        "map, configuration",
+        "rmse of all",
+        "mean of drives",
+        "median",
+        "worst",
+        "heading",
+        "ANEES",
+        "x",
+        "y",
+        "theta",
+    )
     lines = [
-        "| map, configuration | rmse of all | mean of drives | median | worst | heading | ANEES | x | y | theta |",
-        "|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|",
-    ]
-    for name, r in table.items():
-        lines.append(
-            f"| {name} | {r['position_rmse_mm']:.2f} mm | {r['mean_mm']:.2f} | {r['median_mm']:.2f} "
-            f"| {r['worst_mm']:.2f} "
-            f"| {r['heading_rmse_deg']:.4f}° | {r['anees']:.2f} | {r['nees_x']:.2f} | {r['nees_y']:.2f} "
-            f"| {r['nees_theta']:.2f} |"
+        (
+            name,
+            f"{r['position_rmse_mm']:.2f} mm",
+            *(f"{r[key]:.2f}" for key in ("mean_mm", "median_mm", "worst_mm")),
+            f"{r['heading_rmse_deg']:.4f}°",
+            *(f"{r[key]:.2f}" for key in ("anees", "nees_x", "nees_y", "nees_theta")),
         )
-    return "\n".join(lines)
+        for name, r in table.items()
+    ]
+    return "\n".join(experiment.table(head, lines, "123456789"))
 
 
-def run(task: Task, drives: int, jobs: int) -> list[dict[str, dict[str, Any]]]:
-    """Run the task over `drives` seeds."""
-    tasks = [Task(FIRST_SEED + i, *task_fields(task)) for i in range(drives)]
-    if jobs == 1:
-        return [drive(t) for t in tasks]
-    with ProcessPoolExecutor(jobs) as pool:
-        return list(pool.map(partial(drive), tasks))
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield the table of all drives."""
+    yield markdown(over_drives([row["found"] for row in rows]))
 
 
-def task_fields(task: Task) -> tuple[Any, ...]:
-    """Return everything but the seed."""
-    return task.scenario, task.sets, task.robot_sets, task.modes, task.configurations, task.smooth
-
-
-@click.command()
-@click.option("--drives", default=50, show_default=True)
-@click.option("--scenario", default="rounded_rectangle", show_default=True)
-@click.option("--set", "sets", multiple=True, help="Scenario key, after lock-step.")
-@click.option("--robot-set", "robot_sets", multiple=True, help="robot.toml key: what the filter is told.")
-@click.option("--modes", default=",".join(MODES), show_default=True)
-@click.option(
-    "--as-shipped", is_flag=True, help="Sensors asynchronous as in the shipped scenario, not in lock-step."
+OPTIONS = (
+    experiment.option("--scenario", default="rounded_rectangle"),
+    experiment.option("--set", "sets", multiple=True, help="Scenario key, after lock-step."),
+    experiment.option(
+        "--robot-set", "robot_sets", multiple=True, help="robot.toml key: how the filter is configured."
+    ),
+    experiment.option("--modes", default=MODES),
+    experiment.option("--as-shipped", is_flag=True, help="Sensors asynchronous, as in the shipped scenario."),
+    experiment.option("--no-camera", is_flag=True, help="Leave out the camera: rendering takes most of the time."),
+    experiment.option("--smooth", is_flag=True, help="Also judge the smoothed drives, where the map allows it."),
 )
-@click.option("--no-camera", is_flag=True, help="Leave out the camera: rendering takes most of the time.")
-@click.option("--smooth", is_flag=True, help="Also judge the smoothed drives, where the map allows it.")
-@click.option("--jobs", default=2, show_default=True)
-@click.option("--json", "as_json", is_flag=True)
-def main(
-    drives: int,
-    scenario: str,
-    sets: tuple[str, ...],
-    robot_sets: tuple[str, ...],
-    modes: str,
-    as_shipped: bool,
-    no_camera: bool,
-    smooth: bool,
-    jobs: int,
-    as_json: bool,
-) -> None:
-    """Judge every configuration over many simulated drives."""
-    base = () if as_shipped else LOCK_STEP
-    camera = ("camera.enabled=false",) if no_camera else ()
-    sensors = ("compass", "lrf") if no_camera else ("compass", "lrf", "camera")
-    configurations = ((), *((s,) for s in sensors), sensors)
-    task = Task(0, scenario, (*base, *camera, *sets), robot_sets, tuple(modes.split(",")), configurations, smooth)
-    table = over_drives(run(task, drives, jobs))
-    click.echo(json.dumps(table, indent=2) if as_json else markdown(table))
-
+main = experiment.command(work, table, drives=50, options=OPTIONS)
 
 if __name__ == "__main__":
     main()

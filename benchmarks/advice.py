@@ -204,7 +204,7 @@ def share(rows: Sequence[Row], key: str) -> str:
 
 def closed(rows: Iterable[Row]) -> str:
     """Return the median share of the gap that is closed; more than all of it counts as all."""
-    values = [min(row["closed"], 1.0) for row in rows if CASES[row["task"][0]].has_key]
+    values = [min(row["closed"], 1.0) for row in rows if CASES[row["task"][0]].closes]
     return f"{median(values):.0%}" if values else "-"
 
 

@@ -33,6 +33,7 @@ class Fault:
     faults: tuple[str, ...] = ()  # the same, entries of its [[faults]] as inline TOML
     right: tuple[str, ...] = ()  # what sets it right, where that is not the log's own settings
     printed: bool = False  # only what is printed is wrong: of the truth itself
+    closes: bool = True  # whether the right settings take the error away
 
 
 def _noise(role: str, factor: float, **sigmas: float) -> Fault:
@@ -109,7 +110,12 @@ FAULTS: dict[str, Fault] = {
         _happens("truth", "displaced", 'sensor="truth", x=0.06, y=0.03', "truth.x", "truth.y")
     ),
     "truth with 8 mm of noise": _of_truth(
-        Fault(("truth",), ("truth.sigma",), scenario=("truth.noise=0.008", "truth.noise_deg=0.5"))
+        Fault(
+            ("truth",),
+            ("truth.sigma", "truth.sigma_theta_deg"),
+            scenario=("truth.noise=0.008", "truth.noise_deg=0.5"),
+            closes=False,
+        )
     ),
     # the start
     "start 4 degrees wrong": Fault(
@@ -214,6 +220,11 @@ class Case:
     def has_key(self) -> bool:
         """Whether settings can set everything right."""
         return all(fault.keys for fault in self.faults)
+
+    @property
+    def closes(self) -> bool:
+        """Whether the right settings take the error away."""
+        return self.has_key and all(fault.closes for fault in self.faults)
 
     @property
     def of_truth(self) -> bool:

@@ -19,54 +19,41 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cache, lru_cache, partial
+from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any
 
 import click
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.cli.analysis.load import make_robot
-from locfuse.formats.robot import robot_toml
 from locfuse.fusion.checks.clocks import lag_of_run
 from locfuse.fusion.checks.lag import SAID_SIGMAS, Lag
-from locfuse.fusion.data import Array, ArrayStream, Drive
+from locfuse.fusion.data import Array, Drive
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 from locfuse.sample_logs.load import load
-from locfuse.sample_logs.record import in_memory
 
-from .accuracy import FIRST_SEED, streams_by_role
+from . import experiment
 from .consistency_before import BEFORE
 from .consistency_bound import Bound, bound, drive_once, path_in_frame, shape_error
 from .consistency_cases import ALONE, CASES, LASER, Case
 from .consistency_figures import Figures, Means, figures, means
-from .consistency_kept import Kept
 from .consistency_starts import ENOUGH, Start, alone, often_short, start_of
-from .consistency_table import HEAD, row
+from .consistency_table import HEAD
+from .consistency_table import row as row_of
+from .experiment import FIRST_SEED, Row, simulated
 
-STARTS = (ALONE, *(c.name for c in CASES if c.name.startswith("laser, start")))
-DRAWN = (*STARTS, *(c.name for c in CASES if c.name.startswith("placed anew")))  # the start is never observed
+NAMED = {case.name: case for case in CASES}
+STARTS = (ALONE, *(name for name in NAMED if name.startswith("laser, start")))
+DRAWN = (*STARTS, *(name for name in NAMED if name.startswith("placed anew")))  # the start is never observed
 LEEWAY = 0.005  # of the share inside 3 sigma, for the errors of the drive itself
 RATES = (ALONE, "laser at 40 Hz")
 
 
-@lru_cache(maxsize=32)
-def simulated(scenario: str, sets: tuple[str, ...], seed: int) -> tuple[dict[str, ArrayStream], dict[str, Any]]:
-    """Return one drive as raw streams, and its robot.toml; cases in a row often share their drives."""
-    topics, tables, _ = in_memory(load(scenario, sets), seed)
-    return topics, tables
-
-
 def drive_of(case: Case, seed: int) -> tuple[Drive, Robot]:
     """Simulate one drive and measure it."""
-    topics, tables = simulated(case.scenario, case.sets, seed)
-    tables = robot_toml.layered(tables, robot_toml.apply_sets(case.given))
-    robot = make_robot(tables)
-    return measure(streams_by_role(topics, tables), robot), robot
+    return simulated(case.scenario, case.sets, seed).measured(case.given)
 
 
 @lru_cache(maxsize=64)
@@ -170,28 +157,35 @@ def clock_words(lags: Sequence[Lag], late_by: float) -> str:
     )
 
 
+def work(name: str, seed: int) -> Row:
+    """Return the figures of one drive, and how long it took [s]."""
+    begin = time.perf_counter()
+    return {"figures": list(judged(NAMED[name], seed)), "s": time.perf_counter() - begin}
+
+
 @click.command()
 @click.option("--drives", default=30, show_default=True)
-@click.option("--case", "names", multiple=True, type=click.Choice([c.name for c in CASES]))
+@click.option("--case", "names", multiple=True, type=click.Choice(list(NAMED)))
 @click.option("--seed", default=FIRST_SEED, show_default=True, help="Of the first drive.")
 @click.option("--record", is_flag=True, help="Print the figures as lines of consistency_before.py.")
 @click.option("--keep", type=click.Path(path_type=Path), help="Finished drives: they are not driven again.")
-def main(drives: int, names: tuple[str, ...], seed: int, record: bool, keep: Path | None) -> None:
+@click.option("--jobs", default=1, show_default=True)
+def main(drives: int, names: tuple[str, ...], seed: int, record: bool, keep: Path | None, jobs: int) -> None:
     """Print how accurate and how consistent the filter is in every case."""
+    seeds = range(seed, seed + drives)
+    tasks = [(name, s) for name in NAMED if not names or name in names for s in seeds]
+    made = experiment.rows(work, tasks, keep, jobs)
     found: dict[str, Means] = {}
-    kept = Kept(keep)
     if not record:
         click.echo(HEAD)
-    seeds = range(seed, seed + drives)
-    for case in (fair(c, seeds) for c in CASES if not names or c.name in names):
-        begin = time.perf_counter()
-        every = [kept.figures(case.name, s, partial(judged, case, s)) for s in seeds]
-        found[case.name], before = means(every), BEFORE.get(case.name)
-        seconds = time.perf_counter() - begin
+    for name in dict.fromkeys(row["task"][0] for row in experiment.well(made)):
+        mine = [row for row in experiment.well(made) if row["task"][0] == name]
+        case, every = fair(NAMED[name], seeds), [Figures(*row["figures"]) for row in mine]
+        found[name], before, seconds = means(every), BEFORE.get(name), sum(row["s"] for row in mine)
         same = means(every[: before.drives]) if before and seed == FIRST_SEED and drives > before.drives else None
-        click.echo(recorded(case, found[case.name]) if record else row(case, found, before, seconds, same))
-    if not record:
-        click.echo("\n" + "\n".join(invariants(found, seeds)))
+        click.echo(recorded(case, found[name]) if record else row_of(case, found, before, seconds, same))
+    for line in (*([] if record else ["", *invariants(found, seeds)]), *experiment.failures(made)):
+        click.echo(line)
 
 
 def recorded(case: Case, m: Means) -> str:

@@ -13,9 +13,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-import click
 import numpy as np
 
+from benchmarks import experiment
+from benchmarks.experiment import Row
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.inspect.inspect_log import inspect_log
 from locfuse.fusion.checks.finding import Finding
@@ -23,7 +24,6 @@ from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import on_truth, write_log
 
 SETTINGS = ("camera.enabled=false", "control.estimator=truth")
-FIRST_SEED = 500
 
 
 class Wrong(NamedTuple):
@@ -35,7 +35,7 @@ class Wrong(NamedTuple):
     within: float | None = None  # of a number: how far the fix may be off; None: a word
     also: str = ""  # a key that has to follow
 
-    def cured(self, found: list[Finding]) -> float | None:
+    def fixed(self, found: list[Finding]) -> float | None:
         """Return by how much the fix is off (0 for the right word), None where there is none."""
         fixes = dict(c.partition("=")[::2] for o in found for c in o.fixes)
         if self.key not in fixes:
@@ -61,53 +61,47 @@ WRONG = (
 )
 
 
-def drives(number: int, folder: Path) -> Iterator[tuple[Path, float]]:
-    """Yield logs of random tours, and the heading [deg] at which each starts."""
-    scenario = load("tour", SETTINGS)
-    for seed in range(FIRST_SEED, FIRST_SEED + number):
-        path = folder / f"{seed}.mcap"
-        outcome = write_log(scenario, seed, on_truth, path)
-        yield path, float(np.degrees(outcome.truth[0, 2]))
-
-
 def findings(log: Path, *sets: str) -> list[Finding]:
     """Return what would spoil an estimate under these settings."""
     overview = inspect_log([log], LogOptions(None, sets, None, strict=False, quiet=True))
     return [o for o in overview.findings if o.severe]
 
 
-def row(wrong: Wrong, off: list[float | None], others: int) -> str:
-    """Return one line of the table."""
-    known = [o for o in off if o is not None]
-    right = sum(o <= (wrong.within or 0.0) for o in known)
-    worst = f"{max(known):.3g}" if known and wrong.within is not None else ""
-    median = f"{np.median(known):.2g}" if known and wrong.within is not None else ""
-    return f"| `{wrong.key}` = {wrong.value} | {len(known)} | {right} | {median} | {worst} | {others} |"
-
-
-@click.command()
-@click.option("--drives", "number", default=20, show_default=True)
-def main(number: int) -> None:
-    """Print a table."""
+def work(seed: int) -> Row:
+    """Return the complaints of a right tour, and what becomes of each wrong setting."""
     with tempfile.TemporaryDirectory() as folder:
-        logs = list(drives(number, Path(folder)))
-        click.echo(
-            f"nothing is wrong: {sum(bool(findings(log)) for log, _ in logs)} of {number} drives complain\n"
-        )
-        click.echo(
-            "| wrong | found | cured | median error | worst | other complaints |\n|---|--:|--:|--:|--:|--:|"
-        )
-        for wrong in WRONG:
-            off, others = [], 0
-            for log, heading in logs:
-                right = wrong._replace(right=str(heading)) if wrong.key == "start.theta_deg" else wrong
-                value = str(heading + float(wrong.value)) if right is not wrong else wrong.value
-                found = findings(log, f"{wrong.key}={value}")
-                off.append(right.cured(found))
-                told = [key for o in found for key in {c.partition("=")[0] for c in o.fixes[:1]}]
-                others += sum(key not in {wrong.key, wrong.also} for key in told)
-            click.echo(row(wrong, off, others))
+        log = Path(folder) / "tour.mcap"
+        outcome = write_log(load("tour", SETTINGS), seed, on_truth, log)
+        heading = float(np.degrees(outcome.truth[0, 2]))
+        return {"complaints": len(findings(log)), "wrong": [tried(log, wrong, heading) for wrong in WRONG]}
 
+
+def tried(log: Path, wrong: Wrong, heading: float) -> tuple[float | None, int]:
+    """Return by how much the fix is off, None without one, and how many others are named."""
+    right = wrong._replace(right=str(heading)) if wrong.key == "start.theta_deg" else wrong
+    value = str(heading + float(wrong.value)) if right is not wrong else wrong.value
+    found = findings(log, f"{wrong.key}={value}")
+    named = [key for o in found for key in {c.partition("=")[0] for c in o.fixes[:1]}]
+    return right.fixed(found), sum(key not in {wrong.key, wrong.also} for key in named)
+
+
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield how often a right log is complained of, and a line for each wrong setting."""
+    yield f"nothing is wrong: {sum(row['complaints'] > 0 for row in rows)} of {len(rows)} drives complain\n"
+    lines = []
+    for i, wrong in enumerate(WRONG):
+        known = [off for row in rows for off, _ in [row["wrong"][i]] if off is not None]
+        spread = ("", "")
+        if known and wrong.within is not None:
+            spread = f"{np.median(known):.2g}", f"{max(known):.3g}"
+        right = sum(off <= (wrong.within or 0.0) for off in known)
+        others = sum(row["wrong"][i][1] for row in rows)
+        lines.append((f"`{wrong.key}` = {wrong.value}", len(known), right, *spread, others))
+    head = ("wrong", "found", "fixed", "median error", "worst", "other complaints")
+    yield from experiment.table(head, lines, "12345")
+
+
+main = experiment.command(work, table, first=500)
 
 if __name__ == "__main__":
     main()

@@ -4,6 +4,8 @@ A question of benchmarks/ is a function that makes the row of one task, and one 
 
     found = experiment.rows(work, [(case, seed) for seed in seeds for case in cases], Path("out.jsonl"), jobs=2)
 
+Most are a command of these two: `main = experiment.command(work, table, CASES)`. `simulated` makes their drives.
+
 `work(*task)` returns a dict that JSON can hold. Every row is appended to the file as soon as it is there; tasks
 that the file holds are not done again, so that an experiment can be stopped at any time. A task that raises an
 error is a row as well, with the error's words under "failed", and is done again the next time. Delete the file
@@ -18,15 +20,57 @@ import re
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 
+from locfuse.cli.analysis.load import make_robot
+from locfuse.formats.robot import robot_toml
+from locfuse.fusion.data import ArrayStream, Drive
+from locfuse.fusion.measure import measure
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.sample_logs.load import load
+from locfuse.sample_logs.record import in_memory
+from locfuse.sample_logs.simulate import Outcome
+
+FIRST_SEED = 1000  # the shipped logs use small seeds: nothing here has been looked at before
 Part = str | int | bool
 Task = tuple[Part, ...]
 Row = dict[str, Any]
 FAILED = "failed"
+
+
+class Simulated(NamedTuple):
+    """A simulated drive in memory, not measured yet."""
+
+    streams: dict[str, ArrayStream]  # by role
+    tables: dict[str, dict[str, Any]]  # of the robot.toml that its user would write
+    outcome: Outcome
+
+    def robot(self, sets: Iterable[str] = ()) -> Robot:
+        """Return the robot under more settings of robot.toml."""
+        return make_robot(robot_toml.layered(self.tables, robot_toml.apply_sets(tuple(sets))))
+
+    def measured(self, sets: Iterable[str] = ()) -> tuple[Drive, Robot]:
+        """Return the measured drive, and the robot under more settings of robot.toml."""
+        robot = self.robot(sets)
+        return measure(self.streams, robot), robot
+
+
+@lru_cache(maxsize=8)
+def simulated(scenario: str, sets: tuple[str, ...], seed: int) -> Simulated:
+    """Return a drive of a scenario under more settings of it; tasks in a row often share their drives."""
+    topics, tables, outcome = in_memory(load(scenario, sets), seed)
+    return Simulated(streams_by_role(topics, tables), tables, outcome)
+
+
+def streams_by_role(topics: Mapping[str, ArrayStream], tables: Mapping[str, Any]) -> dict[str, ArrayStream]:
+    """Return the streams that the robot's tables name."""
+    roles = ("wheels", "truth", *REGISTRY)
+    return {r: topics[tables[r]["topic"]] for r in roles if r in tables and tables[r].get("topic") in topics}
 
 
 def rows(
@@ -36,6 +80,7 @@ def rows(
     jobs: int = 1,
     unit: Callable[[Task], Any] = lambda task: task,
     show: Callable[[Row], str] = lambda row: f"{row['task']}",
+    about: Mapping[str, Any] | None = None,
 ) -> list[Row]:
     """Return the rows of all tasks, in their order: {"task": [...], ...} and what `work` returned.
 
@@ -46,11 +91,13 @@ def rows(
         jobs: processes; 1 works in this one.
         unit: neighbouring tasks with the same unit run in the same process, one after the other.
         show: words for stderr when a row is there.
+        about: options under which the rows are made; a row of other options is not taken from the file.
     """
-    wanted = list(tasks)
-    done = {task: row for task, row in _kept(out) if FAILED not in row}
+    wanted, options = list(tasks), json.loads(json.dumps(about or {}))
+    done = {task: row for task, row in _kept(out) if FAILED not in row and row.get("about", {}) == options}
     left = [list(group) for _, group in itertools.groupby((t for t in wanted if t not in done), unit)]
-    for row in _made(work, left, jobs):
+    for made in _made(work, left, jobs):
+        row = {**made, "about": options} if options else made
         done[_key(row["task"])] = row
         click.echo(f"{row['task']} FAILED: {row[FAILED]}" if FAILED in row else show(row), err=True)
         if out is not None:
@@ -136,3 +183,51 @@ def put(page: Path, name: str, lines: Sequence[str]) -> None:
         raise click.ClickException(f"{page} has no place for {name}")
     whole = "\n".join((f"<!-- {name} -->", *lines, "<!-- end -->"))
     page.write_text(block.sub(lambda _: whole, text), encoding="utf-8")
+
+
+def command(
+    work: Callable[..., Mapping[str, Any]],
+    table: Callable[[list[Row]], Iterable[str]],
+    cases: Iterable[str] = (),
+    *,
+    drives: int = 20,
+    first: int = FIRST_SEED,
+    options: Sequence[click.Option] = (),
+) -> click.Command:
+    """Return a command that runs `work` on every case and seed and prints `table` of the rows.
+
+    Args:
+        work: called with (case, seed), or with (seed) where there are no cases, and the values of `options`.
+        table: returns lines of the rows that did not fail.
+        cases: names; `--case` takes those that hold a word.
+        drives: seeds, unless `--drives` says another number.
+        first: the first seed.
+        options: more options of the command; they change the rows.
+    """
+
+    def main(drives: int, first: int, words: tuple[str, ...], jobs: int, out: Path | None, **more: Any) -> None:
+        names: list[Task] = [(name,) for name in cases if not words or any(word in name for word in words)] or [()]
+        tasks = [(*name, seed) for seed in range(first, first + drives) for name in names]
+        made = rows(partial(work, **more), tasks, out, jobs, about=more)
+        for line in (*table(well(made)), *failures(made)):
+            click.echo(line)
+
+    usual = [
+        click.Option(("--drives", "--seeds", "drives"), default=drives, show_default=True),
+        click.Option(("--first",), default=first, show_default=True, help="The first seed."),
+        click.Option(
+            ("--case", "words"), multiple=True, help="Only cases whose name holds this word. Repeatable."
+        ),
+        click.Option(("--jobs",), default=2, show_default=True),
+        click.Option(
+            ("-o", "out"), type=click.Path(path_type=Path), help="File of rows: goes on where it stopped."
+        ),
+    ]
+    return click.Command(
+        None, callback=main, params=[*usual, *options], help="Print a table over simulated drives."
+    )
+
+
+def option(*names: str, **how: Any) -> click.Option:
+    """Return an option for `command`."""
+    return click.Option(names, show_default=True, **how)

@@ -10,24 +10,18 @@ clock offset must be reported within 20 ms and cost nothing once it is set.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, NamedTuple
 
-import click
 import numpy as np
 
-from locfuse.cli.analysis.load import make_robot
-from locfuse.formats.robot import robot_toml
+from benchmarks import experiment
+from benchmarks.experiment import Row, Simulated
 from locfuse.fusion.checks.clocks import clock_lags
 from locfuse.fusion.data import Array, Drive, Evaluation
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
-from locfuse.sample_logs.load import load
-from locfuse.sample_logs.record import in_memory
-
-from .accuracy import FIRST_SEED, streams_by_role
 
 START, END, RECOVERY = 15.0, 25.0, 5.0  # s
 OFFSET = 0.12  # s, of the shifted clock
@@ -39,7 +33,6 @@ ALL = ("compass", "lrf", "camera")
 class Case:
     """One fault, the sensor it hits, and how much worse `all` may become than its yardstick."""
 
-    name: str
     fault: str  # inline TOML
     sensor: str  # the yardstick is `all` without it; "" = `all` without the fault
     factor: float
@@ -49,22 +42,14 @@ def _interval(kind: str, more: str) -> str:
     return f'{{kind="{kind}", start={START}, end={END}, {more}}}'
 
 
-CASES = (
-    *(Case(f"dropout of {s}", _interval("dropout", f'sensor="{s}"'), s, 2.0) for s in ALL),
-    Case("magnet", _interval("magnetic", "x=6.9, y=2.2, strength=8e-6, axis_deg=20.0"), "compass", 2.0),
-    Case("people", _interval("people", "path=[[7.4, 1.0], [5.5, 2.6], [7.2, 5.0]]"), "lrf", 2.0),
-    Case("hidden landmark", _interval("hidden_landmark", "colour=[120, 120, 118]"), "camera", 2.0),
-    Case("wrong red object", _interval("red_object", "x=1.1, y=5.6, radius=0.08"), "camera", 2.0),
-    Case("slip", f'{{kind="slip", start={START}, end={START + 1.5}, wheel="left", ratio=0.35}}', "", 3.0),
-)
-
-
-def simulated(seed: int, faults: str) -> tuple[Drive, Robot, dict[str, Any]]:
-    """Return a measured drive of the shipped scenario, steered on truth, with these faults."""
-    sets = (f"faults=[{faults}]",) if faults else ()
-    topics, tables, _ = in_memory(load("rounded_rectangle", sets), seed)
-    robot = make_robot(tables)
-    return measure(streams_by_role(topics, tables), robot), robot, {"topics": topics, "tables": tables}
+CASES = {
+    **{f"dropout of {s}": Case(_interval("dropout", f'sensor="{s}"'), s, 2.0) for s in ALL},
+    "magnet": Case(_interval("magnetic", "x=6.9, y=2.2, strength=8e-6, axis_deg=20.0"), "compass", 2.0),
+    "people": Case(_interval("people", "path=[[7.4, 1.0], [5.5, 2.6], [7.2, 5.0]]"), "lrf", 2.0),
+    "hidden landmark": Case(_interval("hidden_landmark", "colour=[120, 120, 118]"), "camera", 2.0),
+    "wrong red object": Case(_interval("red_object", "x=1.1, y=5.6, radius=0.08"), "camera", 2.0),
+    "slip": Case(f'{{kind="slip", start={START}, end={START + 1.5}, wheel="left", ratio=0.35}}', "", 3.0),
+}
 
 
 def judged(drive: Drive, robot: Robot, sensors: tuple[str, ...]) -> Evaluation:
@@ -84,27 +69,34 @@ def anees_outside(e: Evaluation) -> float:
     return float(nees[np.isfinite(nees)].mean())
 
 
-class Clock(NamedTuple):
-    """What is found of the shifted clock in one drive."""
+def work(name: str, seed: int) -> Row:
+    """Return the error [m] with the fault and that of the yardstick, and the ANEES outside the fault."""
+    if name == CLOCK:
+        return clock(seed)
+    case = CASES[name]
+    drive, robot = driven(case.fault, seed).measured()
+    e = judged(drive, robot, ALL)
+    if case.sensor:
+        yard = judged(drive, robot, tuple(s for s in ALL if s != case.sensor))
+    else:
+        yard = judged(*driven("", seed).measured(), ALL)
+    return {"error": rmse(e), "yard": rmse(yard), "anees": anees_outside(e)}
 
-    off: float  # s, error of the reported lag
-    alone: float  # s, the same where only the wheels are there to compare with
-    ratio: float  # how much worse `all` is once the reported lag is set
+
+def driven(fault: str, seed: int) -> Simulated:
+    """Return a drive of the shipped scenario, steered on truth, with a fault; "" has none."""
+    return experiment.simulated("rounded_rectangle", (f"faults=[{fault}]",) if fault else (), seed)
 
 
-def clock_case(seed: int) -> Clock:
-    """Return what is found of the laser's clock in one drive."""
-    fault = f'{{kind="clock_offset", sensor="lrf", seconds={OFFSET}}}'
-    drive, _, raw = simulated(seed, fault)
-    lag = clock_lags(drive.measurements, drive.wheels).get("lrf")
-    alone = clock_lags({"lrf": drive.measurements["lrf"]}, drive.wheels).get("lrf")
-    if lag is None or alone is None:
-        return Clock(math.inf, math.inf, math.inf)
-    cure = {"lrf": {"time_offset": lag.offset}}
-    robot = make_robot(robot_toml.layered(raw["tables"], cure))
-    cured = judged(measure(streams_by_role(raw["topics"], raw["tables"]), robot), robot, ALL)
-    clean, plain, _ = simulated(seed, "")
-    return Clock(lag.offset + OFFSET, alone.offset + OFFSET, rmse(cured) / rmse(judged(clean, plain, ALL)))
+def clock(seed: int) -> Row:
+    """Return what is found of the laser's clock in one drive: how far off [s], also without the compass."""
+    run = driven(f'{{kind="clock_offset", sensor="lrf", seconds={OFFSET}}}', seed)
+    drive, _ = run.measured()
+    lag = clock_lags(drive.measurements, drive.wheels)["lrf"]
+    alone = clock_lags({"lrf": drive.measurements["lrf"]}, drive.wheels)["lrf"]
+    fixed = judged(*run.measured((f"lrf.time_offset={lag.offset}",)), ALL)
+    clean = judged(*driven("", seed).measured(), ALL)
+    return {"off": lag.offset + OFFSET, "alone": alone.offset + OFFSET, "ratio": rmse(fixed) / rmse(clean)}
 
 
 def in_ms(errors: Array) -> str:
@@ -117,39 +109,28 @@ def in_ms(errors: Array) -> str:
     )
 
 
-def cost(case: Case, seeds: range) -> tuple[float, float, float]:
-    """Return the error with the fault [m], its ratio to the yardstick, and the worst ANEES outside the fault."""
-    with_fault, yard, anees = [], [], []
-    for seed in seeds:
-        drive, robot, _ = simulated(seed, case.fault)
-        e = judged(drive, robot, ALL)
-        with_fault.append(rmse(e))
-        anees.append(anees_outside(e))
-        if case.sensor:
-            yard.append(rmse(judged(drive, robot, tuple(s for s in ALL if s != case.sensor))))
-        else:
-            clean, plain, _ = simulated(seed, "")
-            yard.append(rmse(judged(clean, plain, ALL)))
-    return float(np.mean(with_fault)), float(np.mean(with_fault) / np.mean(yard)), float(np.mean(anees))
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield what each fault costs."""
+    lines: list[tuple[str, ...]] = []
+    after = []
+    for name in dict.fromkeys(row["task"][0] for row in rows):
+        mine = [row for row in rows if row["task"][0] == name]
+        if name == CLOCK:
+            ratios = np.array([row["ratio"] for row in mine])
+            words = f"{ratios.mean():.2f}, at most {ratios.max():.2f}"
+            lines.append((f"{CLOCK}, once set as reported", "", words, "2", ""))
+            after.append(f"\nreported: {in_ms(np.array([row['off'] for row in mine]))}")
+            after.append(f"without the compass: {in_ms(np.array([row['alone'] for row in mine]))}")
+            continue
+        error, yard, anees = (float(np.mean([row[key] for row in mine])) for key in ("error", "yard", "anees"))
+        lines.append(
+            (name, f"{1000 * error:.1f} mm", f"{error / yard:.2f}", f"{CASES[name].factor:g}", f"{anees:.2f}")
+        )
+    head = ("fault", "all with it", "against yardstick", "allowed", "ANEES outside")
+    yield from (*experiment.table(head, lines, "1234"), *after)
 
 
-@click.command()
-@click.option("--drives", default=10, show_default=True)
-@click.option("--case", "names", multiple=True, type=click.Choice([*(c.name for c in CASES), CLOCK]))
-def main(drives: int, names: tuple[str, ...]) -> None:
-    """Print what each fault costs."""
-    seeds = range(FIRST_SEED, FIRST_SEED + drives)
-    click.echo("| fault | all with it | against yardstick | allowed | ANEES outside |\n|---|--:|--:|--:|--:|")
-    for case in (c for c in CASES if not names or c.name in names):
-        error, ratio, anees = cost(case, seeds)
-        click.echo(f"| {case.name} | {1000 * error:.1f} mm | {ratio:.2f} | {case.factor:g} | {anees:.2f} |")
-    if not names or CLOCK in names:
-        found = [clock_case(seed) for seed in seeds]
-        ratios = np.array([f.ratio for f in found])
-        click.echo(f"| {CLOCK}, once set as reported | | {ratios.mean():.2f}, at most {ratios.max():.2f} | 2 | |")
-        click.echo(f"\nreported: {in_ms(np.array([f.off for f in found]))}")
-        click.echo(f"without the compass: {in_ms(np.array([f.alone for f in found]))}")
-
+main = experiment.command(work, table, (*CASES, CLOCK), drives=10)
 
 if __name__ == "__main__":
     main()

@@ -11,84 +11,66 @@ bare rectangle looks the same turned by 180 degrees: without a compass nothing m
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import Any
 
-import click
 import numpy as np
 
-from locfuse.cli.analysis.load import make_robot
+from benchmarks import experiment
+from benchmarks.experiment import Row
 from locfuse.fusion.data import Drive, LocfuseError
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
-from locfuse.sample_logs.load import load
-from locfuse.sample_logs.record import in_memory
-
-from .accuracy import FIRST_SEED, streams_by_role
 
 AT = 20.0  # s
 SETTLES = 0.15  # s: between two scans nobody can know
+ROOMS = {"with plates": (), "bare rectangle": ("room.plates=[]",)}
+SENSORS = (("lrf",), ("compass", "lrf"))
 
 
-class Run(NamedTuple):
-    """What one run said of being carried."""
-
-    marked: float  # s after AT, NaN never
-    before: float  # m, largest error before AT
-    worst: float  # m, largest error outside what was marked
-    found: bool
-
-
-def carried(seed: int, seconds: float, bare: bool) -> tuple[Drive, Robot] | None:
-    """Return a drive in which the robot is carried off; None where that would end in a wall."""
+def work(room: str, seed: int, seconds: float) -> Row:
+    """Return what the runs of one drive say of being carried off; nothing where that would end in a wall."""
     rng = np.random.default_rng(seed)
     x, y, turn = rng.uniform(-2.5, -0.3), rng.uniform(0.2, 2.0), rng.uniform(-150.0, 150.0)
     fault = f'{{kind="kidnap", start={AT}, end={AT + seconds}, x={x:.3f}, y={y:.3f}, theta_deg={turn:.2f}}}'
-    sets = ("camera.enabled=false", 'control.estimator="truth"', f"faults=[{fault}]")
+    sets = ("camera.enabled=false", 'control.estimator="truth"', f"faults=[{fault}]", *ROOMS[room])
     try:
-        topics, tables, _ = in_memory(
-            load("rounded_rectangle", (*sets, *(("room.plates=[]",) if bare else ()))), seed
-        )
+        drive, robot = experiment.simulated("rounded_rectangle", sets, seed).measured()
     except LocfuseError:
-        return None
-    robot = make_robot(tables)
-    return measure(streams_by_role(topics, tables), robot), robot
+        return {"runs": {}}
+    return {"runs": {"+".join(sensors): judged(drive, robot, sensors) for sensors in SENSORS}}
 
 
-def judged(drive: Drive, robot: Robot, sensors: tuple[str, ...]) -> Run:
-    """Run the filter and say what it said."""
+def judged(drive: Drive, robot: Robot, sensors: tuple[str, ...]) -> dict[str, Any]:
+    """Return when the run marked it [s after AT, NaN never], and the largest errors [m] before it and unmarked."""
     estimates = fuse(drive, robot, sensors)
     e = evaluate(estimates, drive)
     error = np.hypot(*e.deviation.T)
     known = ~np.any([(e.t >= a) & (e.t <= b) for a, b in (*estimates.lost, (AT, AT + SETTLES))], axis=0)
-    marked = min((a - AT for a, _ in estimates.lost if a > AT - 1.0), default=math.nan)
-    found = not estimates.lost or estimates.lost[-1][1] < drive.t[-1] - 1e-6
-    return Run(marked, float(error[e.t < AT].max()), float(error[known].max()), found)
+    return {
+        "marked": min((a - AT for a, _ in estimates.lost if a > AT - 1.0), default=math.nan),
+        "before": float(error[e.t < AT].max()),
+        "worst": float(error[known].max()),
+        "found": not estimates.lost or bool(estimates.lost[-1][1] < drive.t[-1] - 1e-6),
+    }
 
 
-@click.command()
-@click.option("--drives", default=20, show_default=True)
-@click.option("--seconds", default=2.0, show_default=True, help="How long the robot is in the air.")
-def main(drives: int, seconds: float) -> None:
-    """Print what became of robots that were carried off."""
-    click.echo("| room | sensors | drives | marked at the latest | worst before | worst outside | found again |")
-    click.echo("|---|---|--:|--:|--:|--:|--:|")
-    for bare in (False, True):
-        made = (carried(seed, seconds, bare) for seed in range(FIRST_SEED, FIRST_SEED + drives))
-        logs = [one for one in made if one is not None]
-        for sensors in (("lrf",), ("compass", "lrf")):
-            runs = [judged(drive, robot, sensors) for drive, robot in logs]
-            late = float(np.max([r.marked for r in runs]))
-            before, worst = (
-                1000.0 * max(values) for values in ([r.before for r in runs], [r.worst for r in runs])
-            )
-            room = "bare rectangle" if bare else "with plates"
-            click.echo(
-                f"| {room} | {'+'.join(sensors)} | {len(runs)} | {late:+.1f} s | {before:.0f} mm | {worst:.0f} mm "
-                f"| {sum(r.found for r in runs)} |"
-            )
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield what became of robots that were carried off."""
+    lines = []
+    for room in dict.fromkeys(row["task"][0] for row in rows):
+        for sensors in ("+".join(s) for s in SENSORS):
+            runs = [row["runs"][sensors] for row in rows if row["task"][0] == room and row["runs"]]
+            late = f"{float(np.max([r['marked'] for r in runs])):+.1f} s"
+            errors = (f"{1000.0 * max(r[key] for r in runs):.0f} mm" for key in ("before", "worst"))
+            lines.append((room, sensors, len(runs), late, *errors, sum(r["found"] for r in runs)))
+    head = ("room", "sensors", "drives", "marked at the latest", "worst before", "worst outside", "found again")
+    yield from experiment.table(head, lines, "23456")
 
+
+SECONDS = experiment.option("--seconds", default=2.0, help="How long the robot is in the air.")
+main = experiment.command(work, table, ROOMS, options=[SECONDS])
 
 if __name__ == "__main__":
     main()

@@ -11,27 +11,19 @@ The simulated camera is more exact than any real mirror, so 0.5 degrees of white
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any, cast
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
-import click
 import numpy as np
+from msgspec.structs import replace
 
-from locfuse.cli.analysis.load import make_robot
-from locfuse.formats.robot import robot_toml
-from locfuse.fusion.data import Array, Drive, Stream
+from benchmarks import experiment
+from benchmarks.experiment import Row, Simulated
+from locfuse.fusion.data import Array, Drive
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import Consistency, Run, judge
-from locfuse.fusion.measure import measure
 from locfuse.fusion.se2 import wrap_all
-from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.sample_logs.load import load
-from locfuse.sample_logs.record import in_memory
 
-FIRST_SEED = 2000
 SCENARIO = ("compass.hard_iron=[0, 0]", "compass.soft_iron=[1, 1, 0]", "compass.sigma_deg=0.5")
 CAMERA_NOISE = math.radians(0.5)
 NORTH_DEG = -65.0  # what compass.offset_deg should be: the scenario's magnetic north
@@ -106,21 +98,16 @@ CASES = {
 }
 
 
-def drive_of(
-    topics: dict[str, Any], tables: dict[str, Any], case: Case, seed: int
-) -> tuple[Drive, dict[str, Consistency]]:
-    """Measure and judge one drive under one case: the drive, and the verdict on every sensor."""
-    robot = make_robot(robot_toml.layered(tables, robot_toml.apply_sets(case.sets)))
-    roles = ("wheels", "truth", *REGISTRY)
-    streams = {r: topics[tables[r]["topic"]] for r in roles if r in tables}
-    drive = measure(cast("dict[str, Stream]", streams), robot)
+def found(run: Simulated, case: Case, seed: int) -> dict[str, Consistency]:
+    """Measure and judge one drive under one case: the verdict on every sensor."""
+    drive, robot = run.measured(case.sets)
     rng = np.random.default_rng(seed)
     drive = noisy(drive, "camera", CAMERA_NOISE * rng.normal(size=drive.measurements["camera"].z.shape))
     if case.slow_compass:
         m = drive.measurements["compass"]
         drive = noisy(drive, "compass", slow_noise(m.t, rng)[:, None])
     runs = [Run.of(drive, fuse(drive, robot, sensors)) for sensors in CONFIGURATIONS]
-    return drive, judge(runs, robot)["all"]
+    return judge(runs, robot)["all"]
 
 
 def noisy(drive: Drive, sensor: str, noise: Array) -> Drive:
@@ -151,35 +138,27 @@ def is_right(case: Case, found: dict[str, Consistency]) -> bool:
     return accused == {case.sensor} and mine.verdict == case.verdict and named and case.right(mine.cures[case.key])
 
 
-def one_seed(seed: int, names: Sequence[str]) -> dict[str, tuple[bool, str]]:
-    """Return for every case whether the verdicts were right, and what was said."""
-    topics, tables, _ = in_memory(load("rounded_rectangle", SCENARIO), seed)
-    out = {}
-    for name in names:
-        _, found = drive_of(topics, tables, CASES[name], seed)
-        said = "; ".join(c.words for c in found.values() if c.verdict not in {"consistent", "unclear"})
-        out[name] = is_right(CASES[name], found), said
-    return out
+def work(name: str, seed: int) -> Row:
+    """Return whether the verdicts of one case were right, and what was said."""
+    verdicts = found(experiment.simulated("rounded_rectangle", SCENARIO, seed), CASES[name], seed)
+    words = [c.words for c in verdicts.values() if c.verdict not in {"consistent", "unclear"}]
+    return {"right": is_right(CASES[name], verdicts), "words": "; ".join(words) or "nothing"}
 
 
-@click.command()
-@click.option("--seeds", default=20, show_default=True)
-@click.option("--jobs", default=2, show_default=True)
-@click.option("--case", "cases", multiple=True, type=click.Choice(list(CASES)))
-def main(seeds: int, jobs: int, cases: tuple[str, ...]) -> None:
-    """Count the right verdicts."""
-    names = list(cases or CASES)
-    with ProcessPoolExecutor(jobs) as pool:
-        found = list(pool.map(partial(one_seed, names=names), range(FIRST_SEED, FIRST_SEED + seeds)))
-    click.echo("| case | right | said first |\n|---|--:|---|")
-    for name in names:
-        right = sum(f[name][0] for f in found)
-        click.echo(f"| {name} | {right} of {seeds} | {found[0][name][1] or 'nothing'} |")
-    for i, f in enumerate(found):
-        for name in names:
-            if not f[name][0]:
-                click.echo(f"seed {FIRST_SEED + i}, {name}: {f[name][1] or 'nothing'}", err=True)
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield how often the verdicts were right, then what was said where they were not."""
+    lines = []
+    for name in dict.fromkeys(row["task"][0] for row in rows):
+        mine = [row for row in rows if row["task"][0] == name]
+        lines.append((name, f"{sum(row['right'] for row in mine)} of {len(mine)}", mine[0]["words"]))
+    yield from experiment.table(("case", "right", "said first"), lines, "1")
+    for row in rows:
+        if not row["right"]:
+            name, seed = row["task"]
+            yield f"seed {seed}, {name}: {row['words']}"
 
+
+main = experiment.command(work, table, CASES, first=2000)
 
 if __name__ == "__main__":
     main()

@@ -13,16 +13,13 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 
-from locfuse.cli.analysis.load import make_robot
 from locfuse.fusion.data import Array, Drive, Measurements
 from locfuse.fusion.fuse import Filter
 from locfuse.fusion.instants import Due, due_readings, steps_of
-from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 
-from .accuracy import streams_by_role
-from .consistency import simulated
 from .consistency_cases import MOVING, SCENARIO
+from .experiment import simulated
 
 SEED = 1000
 PICTURE = Path(__file__).parents[1] / "docs" / "images" / "observability.svg"
@@ -63,6 +60,4 @@ def draw(drive: Drive, robot: Robot, path: Path) -> None:
 
 
 if __name__ == "__main__":
-    topics, tables = simulated(SCENARIO, MOVING, SEED)
-    machine = make_robot(tables)
-    draw(measure(streams_by_role(topics, tables), machine), machine, PICTURE)
+    draw(*simulated(SCENARIO, MOVING, SEED).measured(), PICTURE)

@@ -9,30 +9,25 @@ Both filters get the same measurements of the same simulated drives, and the sam
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
-from functools import partial
 from typing import Any
 from unittest.mock import patch
 
-import click
 import numpy as np
 
-from benchmarks.accuracy import FIRST_SEED, LOCK_STEP, figures, streams_by_role
-from locfuse.cli.analysis.load import make_robot
+from benchmarks import experiment
+from benchmarks.accuracy import LOCK_STEP, figures
+from benchmarks.experiment import Row
 from locfuse.fusion.camera.bearing import predict_bearing
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.measure import measure
 from locfuse.fusion.paper import equations
 from locfuse.fusion.paper import rows as paper_rows
 from locfuse.fusion.paper.filter import fuse_as_printed
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import wrap
-from locfuse.sample_logs.load import load
-from locfuse.sample_logs.record import in_memory
 
 PRINTED_W = equations.eq8_W
 SETS: tuple[tuple[str, ...], ...] = ((), ("compass",), ("lrf",), ("camera",), ("compass", "lrf", "camera"))
@@ -100,48 +95,41 @@ def repaired(names: tuple[str, ...]) -> Callable[..., Estimates]:
     return run
 
 
-def drive(seed: int, scenario: str, sets: tuple[str, ...]) -> dict[str, dict[str, Any]]:
-    """Simulate one drive and judge both filters on it: "<filter> | <configuration>" -> figures."""
-    topics, tables, _ = in_memory(load(scenario, sets), seed)
-    tables["camera"] = {**tables["camera"], "chain": "paper"}
-    robot = make_robot(tables)
-    measured = measure(streams_by_role(topics, tables), robot)
+def work(seed: int, scenario: str, sets: tuple[str, ...], lock_step: bool) -> Row:
+    """Simulate one drive and judge both filters on it: filter -> configuration -> figures."""
+    run = experiment.simulated(scenario, (*(LOCK_STEP if lock_step else ()), *sets), seed)
+    measured, robot = run.measured(("camera.chain=paper",))
     filters: dict[str, Callable[..., Estimates]] = {name: repaired(put_right) for name, put_right in ROWS.items()}
-    found = {}
-    for name, run in {**filters, "default": fuse}.items():
-        for sensors in SETS:
-            judged = evaluate(run(measured, robot, sensors), measured)
-            found[f"{name} | {judged.name}"] = figures(judged)
-    return found
+    found: dict[str, dict[str, Any]] = {}
+    for name, fused in {**filters, "default": fuse}.items():
+        judged = (evaluate(fused(measured, robot, sensors), measured) for sensors in SETS)
+        found[name] = {e.name: figures(e) for e in judged}
+    return {"found": found}
 
 
-@click.command()
-@click.option("--drives", default=20, show_default=True)
-@click.option("--scenario", default="rounded_rectangle", show_default=True)
-@click.option("--set", "sets", multiple=True, help="Scenario key.")
-@click.option(
-    "--lock-step", is_flag=True, help="Every sensor once per 0.1 s and at the same instant, as in the paper."
-)
-@click.option("--jobs", default=2, show_default=True)
-def main(drives: int, scenario: str, sets: tuple[str, ...], lock_step: bool, jobs: int) -> None:
-    """Judge the printed filter, its repairs, and the product's over many simulated drives."""
-    base = LOCK_STEP if lock_step else ()
-    with ProcessPoolExecutor(jobs) as pool:
-        run = partial(drive, scenario=scenario, sets=(*base, *sets))
-        found = list(pool.map(run, range(FIRST_SEED, FIRST_SEED + drives)))
-    click.echo("| filter | " + " | ".join(name.split(" | ")[1] for name in list(found[0])[: len(SETS)]) + " |")
-    click.echo("|---|" + "--:|" * len(SETS))
-    for row in (*ROWS, "default"):
-        names = [name for name in found[0] if name.startswith(f"{row} | ")]
-        click.echo(f"| {row} | " + " | ".join(cell([f[name] for f in found]) for name in names) + " |")
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield the printed filter, its repairs, and the product's over all drives."""
+    found = [row["found"] for row in rows]
+    names = list(found[0]["default"])
+    lines = [(row, *(cell([f[row][name] for f in found]) for name in names)) for row in (*ROWS, "default")]
+    yield from experiment.table(("filter", *names), lines, "12345")
 
 
 def cell(rows: list[dict[str, Any]]) -> str:
-    """Mean position rmse over drives [mm], and the median ANEES."""
+    """Return the mean position rmse over drives [mm], and the median ANEES."""
     position = 1000 * float(np.mean([r["position_rmse_m"] for r in rows]))
     anees = float(np.median([r["anees"] for r in rows]))
     return f"{position:.1f} mm ({float(f'{anees:.2g}'):g})" if anees < 1000 else f"{position:.1f} mm (> 1000)"
 
+
+OPTIONS = (
+    experiment.option("--scenario", default="rounded_rectangle"),
+    experiment.option("--set", "sets", multiple=True, help="Scenario key."),
+    experiment.option(
+        "--lock-step", is_flag=True, help="Every sensor once per 0.1 s, at one instant, as in the paper."
+    ),
+)
+main = experiment.command(work, table, options=OPTIONS)
 
 if __name__ == "__main__":
     main()

@@ -1,4 +1,4 @@
-"""How well does the laser hold a simulated building, whose truth is known? One line per run, then their means.
+"""How well does the laser hold a simulated building, whose truth is known? Means over drives; -o keeps each run.
 
     python -m benchmarks.simulated_building --drives 20
     python -m benchmarks.simulated_building --scenario hall --drives 5 --robot-set lrf.recover=false
@@ -19,43 +19,37 @@ Version 0.1 on these drives, from seed 2000 on (no drive was called lost):
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterator
 from typing import Any
 
-import click
 import numpy as np
 
-from benchmarks.accuracy import streams_by_role
-from locfuse.cli.analysis.load import make_robot
-from locfuse.formats.robot import robot_toml
+from benchmarks import experiment
+from benchmarks.experiment import Row
 from locfuse.fusion.data import Drive, Estimates
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
-from locfuse.sample_logs.load import load
-from locfuse.sample_logs.record import in_memory
 
-FIRST_SEED = 2000  # nothing else looks at these drives
 SENSORS = ["lrf"]
 FIGURES = ("aligned_m", "aligned_worst_m", "position_m", "heading_deg", "anees", "lost")
 
 
-def one_drive(
-    scenario: str, seed: int, sets: tuple[str, ...], robot_sets: tuple[str, ...], smooth: bool
-) -> Iterator[dict[str, Any]]:
-    """Simulate a drive, fuse it causally and smoothed, and yield the figures of each."""
+def work(seed: int, scenario: str, sets: tuple[str, ...], robot_sets: tuple[str, ...], smooth: bool) -> Row:
+    """Simulate a drive, fuse it causally and smoothed, and return the figures of each."""
     begin = time.process_time()
-    topics, tables, outcome = in_memory(load(scenario, ("compass.enabled=false", *sets)), seed)
-    simulated = time.process_time() - begin
-    robot = make_robot(robot_toml.layered(tables, robot_toml.apply_sets(robot_sets)))
-    drive = measure(streams_by_role(topics, tables), robot)
-    facts = {"seed": seed, "way_m": outcome.way, "duration_s": outcome.duration, "simulation_cpu_s": simulated}
-    for kind in ("causal", "smoothed") if smooth else ("causal",):
-        yield {**facts, "kind": kind, **timed(drive, robot, kind == "smoothed")}
+    run = experiment.simulated(scenario, ("compass.enabled=false", *sets), seed)
+    seconds = time.process_time() - begin
+    drive, robot = run.measured(robot_sets)
+    kinds = ("causal", "smoothed") if smooth else ("causal",)
+    facts = {"way_m": run.outcome.way, "duration_s": run.outcome.duration, "simulation_cpu_s": seconds}
+    return {
+        **facts,
+        "scenario": scenario,
+        "runs": {kind: timed(drive, robot, kind == "smoothed") for kind in kinds},
+    }
 
 
 def timed(drive: Drive, robot: Robot, smooth: bool) -> dict[str, Any]:
@@ -83,20 +77,17 @@ def judged(estimates: Estimates, drive: Drive) -> dict[str, Any]:
     }
 
 
-def markdown(rows: list[dict[str, Any]], scenario: str) -> str:
-    """Return the means over all drives as a table, with the worst aligned error of any drive."""
-    lines = [
-        "| scenario | drives | failed | aligned rmse (worst drive) | unaligned | heading | ANEES | lost | CPU |",
-        "|---|--:|--:|--:|--:|--:|--:|--:|--:|",
-    ]
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield the means over all drives, with the worst aligned error of any drive."""
+    lines = []
     for kind in ("causal", "smoothed"):
-        of_kind = [r for r in rows if r["kind"] == kind]
+        of_kind = [row["runs"][kind] for row in rows if kind in row["runs"]]
         good = [r for r in of_kind if "failed" not in r]
         if good:
             m = {key: float(np.mean([r[key] for r in good])) for key in (*FIGURES, "cpu_s")}
             worst = max(r["aligned_m"] for r in good)
             cells = (
-                f"{scenario}, {kind}",
+                f"{rows[0]['scenario']}, {kind}",
                 f"{len(of_kind)}",
                 f"{len(of_kind) - len(good)}",
                 f"{m['aligned_m']:.3f} m ({worst:.3f})",
@@ -106,25 +97,28 @@ def markdown(rows: list[dict[str, Any]], scenario: str) -> str:
                 f"{m['lost']:.0%}",
                 f"{m['cpu_s']:.1f} s",
             )
-            lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
+            lines.append(cells)
+    head = (
+        "scenario",
+        "drives",
+        "failed",
+        "aligned rmse (worst drive)",
+        "unaligned",
+        "heading",
+        "ANEES",
+        "lost",
+        "CPU",
+    )
+    yield from experiment.table(head, lines, "12345678")
 
 
-@click.command()
-@click.option("--scenario", default="office", show_default=True)
-@click.option("--drives", default=20, show_default=True)
-@click.option("--set", "sets", multiple=True, help="Scenario key.")
-@click.option("--robot-set", "robot_sets", multiple=True, help="robot.toml key: how the filter is configured.")
-@click.option("--smooth/--no-smooth", default=True, show_default=True, help="Also judge the smoothed drives.")
-def main(scenario: str, drives: int, sets: tuple[str, ...], robot_sets: tuple[str, ...], smooth: bool) -> None:
-    """Judge the laser over simulated drives through a building; one JSON line per run, then a table."""
-    found = []
-    for seed in range(FIRST_SEED, FIRST_SEED + drives):
-        for row in one_drive(scenario, seed, sets, robot_sets, smooth):
-            found.append(row)
-            click.echo(json.dumps(row))
-    click.echo(markdown(found, scenario))
-
+OPTIONS = (
+    experiment.option("--scenario", default="office"),
+    experiment.option("--set", "sets", multiple=True, help="Scenario key."),
+    experiment.option("--robot-set", "robot_sets", multiple=True, help="robot.toml key."),
+    experiment.option("--smooth/--no-smooth", default=True, help="Also judge the smoothed drives."),
+)
+main = experiment.command(work, table, first=2000, options=OPTIONS)  # nothing else looks at these drives
 
 if __name__ == "__main__":
     main()

@@ -13,7 +13,7 @@ from locfuse.fusion.data import Drive, Evaluation
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 
-CASES = [c for c in faults.CASES if c.sensor in {"compass", "lrf", ""}]
+CASES = {name: case for name, case in faults.CASES.items() if case.sensor in {"compass", "lrf", ""}}
 SEEDS = (1000, 1001)
 
 
@@ -23,7 +23,7 @@ def judged(seed: int, fault: str, without: str = "") -> tuple[Drive, Evaluation]
     return drive, evaluate(fuse(drive, robot, [s for s in ("compass", "lrf") if s != without]), drive)
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda c: c.name)
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_a_fault_costs_no_more_than_is_allowed_and_passes(case: faults.Case) -> None:
     drives = [judged(seed, case.fault) for seed in SEEDS]
     yard = [judged(seed, case.fault if case.sensor else "", case.sensor) for seed in SEEDS]

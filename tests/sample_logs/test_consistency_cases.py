@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import math
-from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
 from benchmarks import consistency
-from benchmarks.accuracy import streams_by_role
 from benchmarks.consistency_before import BEFORE
 from benchmarks.consistency_cases import CASES, LASER, MOVING, Case, Goal, vague
-from benchmarks.consistency_figures import Figures, Means, inside, means, without
-from benchmarks.consistency_kept import Kept
+from benchmarks.consistency_figures import Means, inside, means, without
 from benchmarks.consistency_starts import Start, alone, often_short
 from benchmarks.consistency_starts import inside as share
 from benchmarks.consistency_table import HEAD, row
@@ -25,7 +21,6 @@ from locfuse.fusion.checks.lag import Lag
 from locfuse.fusion.data import Drive, Estimates
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.measure import measure
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.simulate import Simulation
 
@@ -34,9 +29,7 @@ SHORT = Case("short", LASER, Goal(), (*MOVING, "path.laps=0.1"))
 
 @pytest.fixture(scope="module")
 def short() -> tuple[Drive, Estimates]:
-    topics, tables = consistency.simulated(SHORT.scenario, SHORT.sets, 1)
-    robot = make_robot(tables)
-    drive = measure(streams_by_role(topics, tables), robot)
+    drive, robot = consistency.drive_of(SHORT, 1)
     return drive, fuse(drive, robot, LASER)
 
 
@@ -127,21 +120,6 @@ def test_a_vague_start_s_goal_is_what_its_draws_allow_and_others_keep_theirs() -
     vaguely = next(c for c in CASES if c.name == "laser, start 2°, 0.05 m")
     assert consistency.fair(vaguely, seeds).goal.inside == pytest.approx(0.9806 - consistency.LEEWAY, abs=0.002)
     assert consistency.fair(SHORT, seeds) == SHORT
-
-
-def test_a_run_that_was_stopped_goes_on_where_it_was(tmp_path: Path) -> None:
-    driven: list[int] = []
-
-    def judge(seed: int) -> Figures:
-        driven.append(seed)
-        return Figures(1.0 + seed, 5.0, 3.0, 0.99, math.nan)
-
-    for seeds in ((0, 1), (0, 1, 2)):
-        kept = Kept(tmp_path / "drives.jsonl")
-        found = [kept.figures("a", seed, partial(judge, seed)) for seed in seeds]
-    assert driven == [0, 1, 2]
-    assert [f.anees for f in found] == [1.0, 2.0, 3.0]
-    assert math.isnan(found[0].walls)
 
 
 def test_a_laser_whose_clock_is_off_is_judged_as_the_drive_tells_it() -> None:

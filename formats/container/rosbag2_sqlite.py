@@ -49,9 +49,8 @@ class Leash:
 
     def __init__(self, path: Place, size: int) -> None:
         self._path = path
-        self._allowed = MAX_DATABASE_SECONDS + size / BYTES_PER_SECOND
-        self._end = 0.0
-        self._late = False
+        self._allowed_s = MAX_DATABASE_SECONDS + size / BYTES_PER_SECOND
+        self._end_s = 0.0
         self._raised: BaseException | None = None
         self._watch = self._watching()
         next(self._watch)
@@ -63,7 +62,7 @@ class Leash:
 
     def begin(self) -> None:
         """Restart the clock."""
-        self._end = time.thread_time() + self._allowed
+        self._end_s = time.thread_time() + self._allowed_s
 
     @contextmanager
     def step(self) -> Iterator[None]:
@@ -75,23 +74,22 @@ class Leash:
             raised, self._raised = self._raised, None
             if raised is not None:
                 raise raised from None
-            if self._late:
-                raise LocfuseError(
-                    f"{self._path}: the database keeps sqlite busy for more than the cap of {self._allowed:.0f} s"
-                ) from None
             raise
 
-    def _watching(self) -> Iterator[int]:
-        stop = 0
+    def _watching(self) -> Iterator[bool]:
+        """Yield whether sqlite is to stop."""
         while True:
             try:
-                yield stop
-                self._late = time.thread_time() > self._end
-                stop = int(self._late)
+                yield self._raised is not None
+                if time.thread_time() > self._end_s:
+                    raise LocfuseError(
+                        f"{self._path}: the database keeps sqlite busy for more than the cap of "
+                        f"{self._allowed_s:.0f} s"
+                    )
             except GeneratorExit:
                 raise
             except BaseException as problem:
-                self._raised, stop = problem, 1
+                self._raised = problem
 
 
 class SqliteSource:

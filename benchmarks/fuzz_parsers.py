@@ -24,11 +24,11 @@ import click
 import numpy as np
 
 from locfuse.cli.analysis.load import make_robot
-from locfuse.formats.container import mcap_records, ros1_records
+from locfuse.formats.container import mcap_records, ros1_bag
 from locfuse.formats.container.decompress import DamagedError
 from locfuse.formats.container.mcap_chunk import scan
+from locfuse.formats.container.rosbag2_sqlite import journal_of
 from locfuse.formats.container.source import ChannelInfo
-from locfuse.formats.container.sqlite_journal import journal_of
 from locfuse.formats.logs import file_stream
 from locfuse.formats.logs.file_stream import read_file
 from locfuse.formats.logs.files import log_files
@@ -203,7 +203,7 @@ def file_of(ending: str) -> Callable[[bytes], object]:
 
 
 def bag_record(data: bytes) -> object:
-    return ros1_records.scan(np.frombuffer(data, np.uint8), 5000)
+    return ros1_bag.scan_chunk(np.frombuffer(data, np.uint8), 5000)
 
 
 def journal(data: bytes) -> object:
@@ -306,7 +306,7 @@ TARGETS: dict[str, Target] = {
     "mcap record": Target(mcap_record, (MCAP[8:], MCAP[25:], MCAP[80:]), BYTES, (DamagedError,)),
     "mcap": Target(file_of(".mcap"), (MCAP,), BYTES, OURS),
     "bag record": Target(bag_record, (bag_bytes(),), (*BYTES, b"op=\x02", b"conn=", b"time="), (DamagedError,)),
-    "bag": Target(file_of(".bag"), (ros1_records.MAGIC + bag_bytes(),), (*BYTES, b"op=\x05"), OURS),
+    "bag": Target(file_of(".bag"), (ros1_bag.MAGIC + bag_bytes(),), (*BYTES, b"op=\x05"), OURS),
     "journal": Target(journal, (JOURNAL,), BYTES, ()),
     "tum": Target(beside_the_log(".tum"), corpus("tum"), CSV_WORDS, OURS),
     "csv": Target(beside_the_log(".csv"), corpus("csv"), CSV_WORDS, OURS),

@@ -100,22 +100,19 @@ TESTS: dict[str, tuple[str, ...]] = {  # the sharpest and fastest first
     "fusion/judge/predictive.py": ("tests/judge/test_predictive.py",),
     "fusion/judge/against.py": ("tests/judge/test_against.py",),
     "fusion/whole_drive/smooth.py": ("tests/whole_drive/test_smooth.py",),
-    **{
-        f"formats/container/mcap_{name}.py": MCAP
-        for name in ("chunk", "parts", "promised", "ranged", "records", "resync")
-    },
-    **{f"formats/container/mcap_{name}.py": MCAP for name in ("source", "summary", "survey")},
+    **{f"formats/container/mcap_{name}.py": MCAP for name in ("chunk", "ranged", "records", "source", "survey")},
     "formats/results/template.py": ("tests/container/test_mcap_columns.py",),
-    "formats/container/mcap_write.py": ("tests/container/test_mcap_write.py",),
-    "formats/container/mcap_write_columns.py": ("tests/container/test_mcap_columns.py",),
+    "formats/container/mcap_write.py": (
+        "tests/container/test_mcap_write.py",
+        "tests/container/test_mcap_columns.py",
+    ),
     "formats/messages/cdr.py": ("tests/messages/test_layout.py", "tests/messages/test_cdr.py"),
     "formats/messages/decode.py": ("tests/messages/test_decode.py",),
-    "formats/messages/fields.py": ("tests/messages/test_message_schema.py", "tests/messages/test_cdr.py"),
-    "formats/messages/json_messages.py": ("tests/messages/test_json_messages.py",),
-    "formats/messages/kinds.py": ("tests/messages/test_message_schema.py", "tests/messages/test_kinds.py"),
-    "formats/messages/layout.py": ("tests/messages/test_layout.py", "tests/messages/test_cdr.py"),
-    "formats/messages/objects.py": ("tests/messages/test_json_messages.py", *PROTOBUF),
-    **{f"formats/messages/protobuf_{name}.py": PROTOBUF for name in ("messages", "schema", "wire")},
+    "formats/messages/fields.py": tuple(
+        f"tests/messages/test_{name}.py" for name in ("message_schema", "cdr", "kinds")
+    ),
+    "formats/messages/json_messages.py": ("tests/messages/test_json_messages.py", *PROTOBUF),
+    "formats/messages/protobuf_messages.py": PROTOBUF,
     "formats/messages/schema.py": ("tests/messages/test_message_schema.py", "tests/messages/test_layout.py"),
 }
 BOTH_FORMS = "interpreted or compiled or either"  # words in names of tests that compare two forms of a kernel

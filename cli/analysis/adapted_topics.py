@@ -4,11 +4,25 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from locfuse.formats.logs.adapters import presented_name
-from locfuse.formats.logs.as_joints import DYNAMIC, FEEDBACK, FOXGLOVE_JOINTS, JOINTS
-from locfuse.formats.logs.as_odometry import FOXGLOVE_ODOMETRY, SPORT_STATE
-from locfuse.formats.logs.as_px4 import IMU, LOCAL_POSITION, ODOMETRY, SENSOR_COMBINED, VEHICLE_ODOMETRY
-from locfuse.formats.logs.as_scan import CLOUD, ECHOES, FOXGLOVE, FOXGLOVE_CLOUD, SCAN
+from locfuse.formats.logs.adapters import (
+    CLOUD,
+    DYNAMIC,
+    ECHOES,
+    FEEDBACK,
+    FOXGLOVE,
+    FOXGLOVE_CLOUD,
+    FOXGLOVE_JOINTS,
+    FOXGLOVE_ODOMETRY,
+    IMU,
+    JOINTS,
+    LOCAL_POSITION,
+    ODOMETRY,
+    SCAN,
+    SENSOR_COMBINED,
+    SPORT_STATE,
+    VEHICLE_ODOMETRY,
+    presented_name,
+)
 
 from .topics import of_type
 

@@ -17,7 +17,7 @@ import msgspec
 
 from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.inputs import read_small
-from locfuse.formats.logs.identity import Identity
+from locfuse.formats.logs.files import Identity
 from locfuse.formats.report import json_report
 from locfuse.fusion.data import LocfuseError, UsageError
 

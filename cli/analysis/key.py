@@ -15,7 +15,7 @@ import msgspec
 from locfuse.formats.caps import MAX_ROBOT_TOML, MAX_TEXT_FILE
 from locfuse.formats.inputs import read_small
 from locfuse.formats.logs.file_stream import SUFFIXES
-from locfuse.formats.logs.identity import Identity
+from locfuse.formats.logs.files import Identity
 from locfuse.formats.report.json_report import SCHEMA_VERSION, made_with
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.versions import own

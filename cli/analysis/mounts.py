@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.formats.messages.kinds import CAMERA_MATRIX
+from locfuse.formats.messages.fields import CAMERA_MATRIX
 from locfuse.formats.robot.transforms import Mount, StaticTransforms, planar_mount
 from locfuse.fusion.data import Stream
 from locfuse.fusion.mount import rotation

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from locfuse.cli.analysis.settings import OF_COMPARISON as KINDS
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.fleet.options import FleetOptions
-from locfuse.cli.rerun.record import RerunOptions, record, sketched
+from locfuse.cli.rerun.record import RerunOptions, record
 from locfuse.cli.terminal.options import chosen
 
 
@@ -90,9 +90,7 @@ def one(log: Sequence[str], wish: Wish) -> int:
     show.result(report, files, wish.as_json)
     show.notes(report, lost, how.quiet)
     show.transfer(session.log.transfer, how.quiet)
-    sketch = sketched(rerun, result, show.say)
-    del session, result  # Rerun's import takes as much memory as they do
-    record(rerun, sketch, files[0].parent, show.say)
+    record(rerun, result, files[0].parent, show.say)
     show.end(files, wish.as_json, wish.open)
     failed = gates.failures(report)
     for line in failed:

@@ -8,7 +8,7 @@ import click
 
 from locfuse.cli.analysis.settings import OF_RUN as KINDS
 from locfuse.cli.analysis.settings import LogOptions, MapOptions
-from locfuse.cli.rerun.record import RerunOptions, record, sketched
+from locfuse.cli.rerun.record import RerunOptions, record
 from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.options import (
     advice_option,
@@ -106,7 +106,5 @@ def run(
     show.result(result.report, files, as_json)
     show.notes(result.report, lost, how.quiet)
     show.transfer(session.log.transfer, how.quiet)
-    sketch = sketched(rerun, result, show.say)
-    del session, result  # Rerun's import takes as much memory as they do
-    record(rerun, sketch, files[0].parent, show.say)
+    record(rerun, result, files[0].parent, show.say)
     return LOSS if lost else 0

@@ -106,7 +106,7 @@ def ready(what: Sequence[str]) -> Path | None:
     Raises LocfuseError for a recording that was cut short.
     """
     from locfuse.cli.rerun.folder import report_of
-    from locfuse.formats.rerun.file import check
+    from locfuse.formats.rerun.recording import check
 
     path = Path(what[0])
     if len(what) == 1 and path.is_file() and path.suffix == ".rrd":
@@ -125,10 +125,8 @@ def _record(
     what: Sequence[str], made: Path | None, wish: Wish, target: Path, tab: str | None, progress: Progress
 ) -> Path:
     """Write the recording of a log or of a results' folder to `target`, or copy the one that is made."""
-    from locfuse.cli.analysis.memory import give_back
     from locfuse.cli.rerun.folder import report_of, scene_of
-    from locfuse.formats.rerun.file import copy, save_recording
-    from locfuse.formats.rerun.recording import sketch
+    from locfuse.formats.rerun.recording import copy, save_recording
 
     if made is not None:
         copy(made, target)
@@ -136,9 +134,7 @@ def _record(
     progress("recording")
     folder = Path(what[0])
     is_result = len(what) == 1 and report_of(folder) is not None
-    drawn = sketch(scene_of(folder) if is_result else _scene_of_log(what, wish, progress), tab)
-    give_back()
-    save_recording(target, drawn)
+    save_recording(target, scene_of(folder) if is_result else _scene_of_log(what, wish, progress), tab)
     return target
 
 

@@ -14,7 +14,7 @@ from locfuse.cli.analysis.key import asked_tables, key
 from locfuse.cli.analysis.load import find_log
 from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.inputs import read_small
-from locfuse.formats.logs.identity import files_of, identity_of
+from locfuse.formats.logs.files import files_of, identity_of
 from locfuse.formats.whole_files import TEMPORARY
 from locfuse.fusion.data import LocfuseError
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from locfuse.formats.logs.topics import UnreadableTopicError
+from locfuse.formats.logs.log import UnreadableTopicError
 from locfuse.fusion.checks.examine import gaps
 from locfuse.fusion.data import LocfuseError
 

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from locfuse.formats.rerun.scene import Picture
-from locfuse.formats.rerun.style import GROUP_OF
+from locfuse.formats.rerun.scene import GROUP_OF, Picture
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, Stream
 
 JPEG_QUALITY = 80  # JPEG, of what has to be encoded: panoramas, and raw Image messages

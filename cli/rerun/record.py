@@ -1,12 +1,11 @@
-"""The one call of `run` and `compare` that records and shows.
+"""Recording a result and showing it: what `run` and `compare` do last.
 
 Whatever goes wrong here costs one warning: the results are already written.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +13,6 @@ import msgspec
 
 if TYPE_CHECKING:
     from locfuse.cli.session.result import Result
-    from locfuse.formats.rerun.recording import Sketch
 
 Say = Callable[[str], None]  # prints a line on stderr
 RECORDING = "recording.rrd"  # in the results' folder, unless --rerun-save names another
@@ -35,91 +33,55 @@ class RerunOptions(msgspec.Struct, frozen=True):
         return self.show or self.save is not None or self.connect is not None
 
 
-def sketched(options: RerunOptions, result: Result, say: Say) -> Sketch | None:
-    """Return the recording of a result in values, None where none is wanted or none can be made."""
-    return _drawn(result, options.images, options.full, say, options.save) if options.wanted else None
-
-
-def _drawn(result: Result, images: int | None, full: bool, say: Say, named: Path | None = None) -> Sketch | None:
-    with _at_worst_a_warning(say, named):
-        from locfuse.formats.rerun.recording import sketch
-
-        from .scene import scene_of_result
-
-        return sketch(scene_of_result(result, images, full))
-    return None
-
-
-def record(options: RerunOptions, sketch: Sketch | None, folder: Path, say: Say) -> None:
-    """Write a recording and show it as the options say; at worst warn.
+def record(options: RerunOptions, result: Result, folder: Path, say: Say) -> None:
+    """Write the recording of a result and show it as the options say; at worst warn.
 
     Without --rerun-save the recording lies beside the results, where `locfuse view FOLDER` finds it. With it, the
     file was asked for by name: LocfuseError where it cannot be written.
     """
-    if sketch is None:
+    if not options.wanted:
         return
-    path = options.save or folder / RECORDING
-    if _saved(path, sketch, say, options.save):
-        say(f"{path}: Rerun recording")
-        _show(path, options, say)
-
-
-def saved(path: Path, result: Result, images: int | None, full: bool, say: Say) -> None:
-    """Write the recording of a result to a file, show it nowhere; at worst say in one line why there is none.
-
-    A catalog lists it by the file's name.
-    """
-    if (drawn := _drawn(result, images, full, say)) is not None:
-        _saved(path, drawn._replace(identity=path.stem), say, None)
-
-
-def _why(problem: Exception) -> str:
-    if isinstance(problem, ModuleNotFoundError):
-        return "Rerun is not installed (python -m pip install rerun-sdk)"
-    return f"{type(problem).__name__}: {problem}"
-
-
-@contextmanager
-def _at_worst_a_warning(say: Say, named: Path | None) -> Iterator[None]:
-    """Let nothing fail the run: a Rerun of another version, or none, or broken. The results stand.
-
-    Raises LocfuseError where the recording was asked for by the name of its file.
-    """
-    from locfuse.fusion.data import LocfuseError
-
-    try:
-        yield
-    except Exception as problem:
-        ours = isinstance(problem, LocfuseError)
-        words = str(problem) if ours else f"no recording was made: {_why(problem)}"
-        if named is not None:
-            raise LocfuseError(f"--rerun-save {named}: {words}. The other results are written") from None
-        say(warning(words))
-
-
-def _saved(path: Path, sketch: Sketch, say: Say, named: Path | None) -> bool:
-    from locfuse.cli.analysis.memory import give_back
-    from locfuse.formats.rerun.file import save_recording
-
-    give_back()  # Rerun's import takes as much as an hour's estimates did
-    with _at_worst_a_warning(say, named):
-        save_recording(path, sketch)
-        return True
-    return False
-
-
-def _show(path: Path, options: RerunOptions, say: Say) -> None:
     from locfuse.fusion.data import LocfuseError
 
     from .viewer import send, show
 
+    path = options.save or folder / RECORDING
+    problem = saved(path, result, options.images, options.full)
+    if problem and options.save is not None:
+        raise LocfuseError(f"--rerun-save {path}: {problem}. The other results are written")
+    if problem:
+        say(warning(problem))
+        return
+    say(f"{path}: Rerun recording")
     try:
         if options.connect is not None:
             send(path, options.connect)
         if options.show:
             show(path)
+    except LocfuseError as unseen:
+        say(warning(f"{unseen}. The recording is whole; open it with: locfuse view {path}"))
+
+
+def saved(path: Path, result: Result, images: int | None, full: bool, identity: str | None = None) -> str:
+    """Write the recording of a result; return in one line why there is none, else "".
+
+    Nothing fails the run, not a Rerun of another version, none, or a broken one: the results stand.
+    """
+    from locfuse.fusion.data import LocfuseError
+
+    try:
+        from locfuse.formats.rerun.recording import save_recording
+
+        from .scene import scene_of_result
+
+        save_recording(path, scene_of_result(result, images, full), identity=identity)
     except LocfuseError as problem:
-        say(warning(f"{problem}. The recording is whole; open it with: locfuse view {path}"))
+        return str(problem)
+    except ModuleNotFoundError:
+        return "no recording was made: Rerun is not installed (python -m pip install rerun-sdk)"
+    except Exception as problem:
+        return f"no recording was made: {type(problem).__name__}: {problem}"
+    return ""
 
 
 def warning(text: str) -> str:

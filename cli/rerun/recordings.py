@@ -10,7 +10,7 @@ import msgspec
 
 from locfuse.formats.visible import writable
 
-from .record import saved
+from .record import saved, warning
 
 if TYPE_CHECKING:
     from locfuse.cli.session.result import Result
@@ -33,9 +33,9 @@ class Recording(msgspec.Struct, frozen=True):
 
 def write(wanted: Recording, name: str, result: Result) -> str:
     """Write the recording of a result that has its audits; return in one line why there is none, else ""."""
-    said: list[str] = []
-    saved(wanted.file(name), result, wanted.images, wanted.full, said.append)
-    return f"{name}: {said[0]}" if said else ""
+    path = wanted.file(name)
+    problem = saved(path, result, wanted.images, wanted.full, identity=path.stem)  # by which the catalog lists it
+    return f"{name}: {warning(problem)}" if problem else ""
 
 
 def catalog(folder: Path) -> str:

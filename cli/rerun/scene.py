@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, cast
 
 import numpy as np
 
@@ -14,23 +14,27 @@ from locfuse.cli.analysis.outputs import events
 from locfuse.cli.session.result import Result
 from locfuse.formats.figures.palette import Trace, colours, traces_of
 from locfuse.formats.report import markdown
-from locfuse.formats.rerun.scene import Detail, Picture, RawTopic, Rgb, ScanPoints, Scene, Sight
+from locfuse.formats.rerun.scene import Detail, DrawnScans, Picture, RawTopic, Rgb, Scene, Sight
+from locfuse.formats.thin import evenly
 from locfuse.formats.visible import visible
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Array, Column, Estimates, Evaluation, Ragged
+from locfuse.fusion.data import Array, Column, Drive, Estimates, Evaluation, Ints, Ragged, Stream
+from locfuse.fusion.lines.points import ScanPoints
+from locfuse.fusion.lines.scans import Laser, points_in_base
 from locfuse.fusion.measure import thinned
 from locfuse.fusion.robot import VIRTUAL_TRACK
 from locfuse.fusion.sensor import Sensor
+from locfuse.fusion.sensors.lrf import LrfSettings, laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.sensors.registry import colours as sensor_colours
 from locfuse.fusion.truth import TRUTH_READS
 from locfuse.fusion.wheels.read import WHEEL_READS
 
-from .scans import MAX_BEAMS, scan_points
-
+MAX_BEAMS = 360  # of a scan that are drawn: more than a screen shows
 MAX_PICTURES = 600  # kept by default
 MAX_ARRAY_COLUMNS = 8  # of a numeric array that is drawn as curves: a scan's ranges are not
 SHADE = 0.65  # of the light of a colour, for the smoothed result
+SCAN_FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "range_max", "ranges")
 NIS_LOW, NIS_HIGH = 0.025, 0.975  # between them lie 95 % of consistent NIS
 
 
@@ -71,7 +75,7 @@ def make_scene(
         sights=sights(loaded),
         track=loaded.robot.wheels.track or VIRTUAL_TRACK,
         table=table,
-        scans=_scans(loaded, best, detail, full),
+        scans=_scans(loaded, detail, full),
         pictures=shown,
         picture_rows=rows,
         raw=raw_topics(loaded),
@@ -118,11 +122,49 @@ def _stream(loaded: Loaded, role: str) -> Any:
     return loaded.log.stream(loaded.choice.topics[role], order=loaded.robot.order)
 
 
-def _scans(loaded: Loaded, best: Estimates, detail: Detail, full: bool) -> ScanPoints | None:
+def _scans(loaded: Loaded, detail: Detail, full: bool) -> DrawnScans | None:
     if "lrf" not in loaded.drive.measurements:
         return None
     beams = 2**62 if full else MAX_BEAMS
     return scan_points(_stream(loaded, "lrf"), loaded.robot.settings("lrf"), loaded.drive, detail.scans, beams)
+
+
+def scan_points(stream: Stream, settings: LrfSettings, drive: Drive, scans: int, beams: int) -> DrawnScans:
+    """Return at most `scans` scans of at most `beams` points, evenly over the log, read as the lines were."""
+    measured = drive.measurements["lrf"].points
+    laser = measured.laser if isinstance(measured, ScanPoints) else laser_of(settings)
+    wanted = evenly(len(stream.t_ns), scans)
+    t = np.zeros(len(wanted))
+    points: list[Array] = [np.zeros((0, 2))] * len(wanted)
+    for rows, columns in stream.blocks(*SCAN_FIELDS, rows=128):
+        for at, scan in _chosen(rows, columns, wanted):
+            stamp = (stream.t_ns[wanted[at]] - drive.epoch_ns) * 1e-9 + settings.time_offset
+            t[at], points[at] = _points(scan, float(stamp), laser, drive, beams)
+    keep = np.flatnonzero((t >= drive.t[0]) & (t <= drive.t[-1]))
+    keep = keep[np.argsort(t[keep], kind="stable")]
+    chosen = [points[i] for i in keep.tolist()]
+    counts = np.array([len(p) for p in chosen], dtype=np.int64)
+    return DrawnScans(t[keep], counts, np.concatenate([*chosen, np.zeros((0, 2))]))
+
+
+def _chosen(rows: Ints, columns: dict[str, Any], wanted: Ints) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Yield (position among the wanted, its fields) for the rows of a block that are wanted."""
+    at = np.searchsorted(wanted, rows)
+    hit = np.flatnonzero(wanted[np.minimum(at, len(wanted) - 1)] == rows)
+    ranges = cast("Ragged", columns["ranges"])
+    for i in hit.tolist():
+        scalars = {k: float(v[i]) for k, v in columns.items() if k != "ranges"}
+        yield int(at[i]), {**scalars, "ranges": ranges[i]}
+
+
+def _points(scan: dict[str, Any], stamp: float, laser: Laser, drive: Drive, beams: int) -> tuple[float, Array]:
+    """Return one scan's middle instant and its returns (k, 2) [m, base frame at that instant]."""
+    one = {
+        name: np.atleast_1d(value)[None] if name == "ranges" else np.array([value]) for name, value in scan.items()
+    }
+    points, middle = points_in_base(one, np.array([stamp]), laser, drive.wheels)
+    drawn = points[0, evenly(points.shape[1], beams)]
+    return float(middle[0]), drawn[np.isfinite(drawn[:, 0])]
 
 
 def _pictures(loaded: Loaded, best: Estimates, images: int | None) -> tuple[Any, int | None]:

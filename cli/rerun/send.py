@@ -11,7 +11,7 @@ import sys
 
 def main(path: str, url: str) -> None:
     """Send the recording and its blueprint under their own names."""
-    from locfuse.formats.rerun.file import quiet_rust
+    from locfuse.formats.rerun.recording import quiet_rust
 
     quiet_rust()
     import rerun as rr

@@ -7,12 +7,26 @@ the declared and the actual size are held against the cap before and while bytes
 from __future__ import annotations
 
 import bz2
-from collections.abc import Callable
+import os
+import struct
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import BinaryIO
 
 import lz4.frame
+import numpy as np
 import zstandard
+from numpy.typing import NDArray
 
-from locfuse.formats.caps import MAX_CHUNK
+from locfuse.formats.caps import MAX_CHUNK, MAX_MESSAGE
+from locfuse.formats.columns import view
+from locfuse.formats.whole_files import scratch_prefix
+from locfuse.fusion.data import LocfuseError
+
+from .file_bytes import FileBytes
+from .losses import Losses
+from .source import Messages
+from .url import Place
 
 Codec = Callable[[bytes, int], bytes]  # (data, at most so many bytes) -> bytes
 
@@ -110,3 +124,156 @@ def _lz4_prefix(data: bytes, limit: int) -> bytes:
 
 
 CODECS: dict[str, Codec] = {"": _stored, "zstd": _zstd, "lz4": _lz4, "bz2": _bz2}
+
+
+# --- Messages that were compressed one by one (rosbag2 "message mode"), found by their first bytes: no serialised
+# message begins with zstd's magic number, so this needs no metadata.yaml, which crashes lose
+
+ZSTD_WORD = 0xFD2FB528
+MAX_PORTION_BYTES = 16 * 1024 * 1024  # bytes of unpacked messages handed on at once
+
+Bytes = NDArray[np.uint8]
+
+
+def unpack(data: Bytes, messages: Messages) -> Iterator[tuple[Bytes, Messages]]:
+    """Yield the messages as they are, or unpacked in portions; one that does not unpack comes out empty."""
+    if not _packed(data, messages):
+        yield data, messages
+        return
+    pieces: list[bytes] = []
+    first, size = 0, 0
+    for i, (at, n) in enumerate(zip(messages.start.tolist(), messages.length.tolist(), strict=True)):
+        pieces.append(_unpacked_message(data[at : at + n].tobytes()))
+        size += len(pieces[-1])
+        if size >= MAX_PORTION_BYTES:
+            yield _portion(pieces, messages.take(slice(first, i + 1)))
+            pieces, first, size = [], i + 1, 0
+    if pieces:
+        yield _portion(pieces, messages.take(slice(first, None)))
+
+
+def _packed(data: Bytes, messages: Messages) -> bool:
+    whole = messages.length >= 4
+    return bool(whole.any() and (view(data, "<u4", messages.start[whole]) == ZSTD_WORD).any())
+
+
+def _unpacked_message(message: bytes) -> bytes:
+    if int.from_bytes(message[:4], "little") != ZSTD_WORD:
+        return message
+    try:
+        declared = zstandard.frame_content_size(message)  # -1: the frame does not say
+        plain = zstandard.ZstdDecompressor().stream_reader(message, read_across_frames=True).read(MAX_MESSAGE + 1)
+    except zstandard.ZstdError:
+        return b""
+    return plain if declared <= len(plain) <= MAX_MESSAGE else b""  # a cut-off frame gives less
+
+
+def _portion(pieces: list[bytes], messages: Messages) -> tuple[Bytes, Messages]:
+    ends = np.cumsum([len(piece) for piece in pieces], dtype=np.int64)
+    length = np.diff(ends, prepend=0)
+    return np.frombuffer(b"".join(pieces), np.uint8), messages._replace(start=ends - length, length=length)
+
+
+# --- A log file compressed as a whole (rosbag2 "file mode": .mcap.zstd, .db3.zstd), unpacked to a temporary file
+
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+PIECE_BYTES = 1 << 20
+HEAD_BYTES = 18  # of the longest frame header
+BLOCK_HEAD_BYTES, CHECKSUM_BYTES, SKIPPED_HEAD_BYTES = 3, 4, 8
+CHECKSUM_FLAG = 4  # in the byte behind the magic number
+REPEATED = 1  # kind of a block: one byte that stands for many
+SKIPPED_MAGIC = 0x184D2A50  # of frames that hold no data, its last four bits at will
+MIN_CAP_BYTES = 1 << 30  # any file may unpack to a gigabyte,
+MAX_UNPACK_RATIO = 200  # a larger one to so many times its size (real bags: 2 to 20)
+
+
+def unpack_file(data: FileBytes, losses: Losses) -> FileBytes:
+    """Return the unpacked bytes; what a cut-off or damaged file still gives is kept and the rest counted."""
+    return data.unpacked(lambda packed: _unpacked(packed, data.path, losses))
+
+
+def _unpacked(packed: Path, name: Place, losses: Losses) -> Path:
+    """Return a temporary file with what `packed` holds; messages call it `name`."""
+    import tempfile
+
+    handle, place = tempfile.mkstemp(prefix=scratch_prefix())
+    temporary = Path(place)
+    try:
+        with os.fdopen(handle, "wb") as plain:
+            _unpack(packed, name, plain, losses)
+    except OSError as problem:
+        temporary.unlink()
+        raise LocfuseError(f"{name}: cannot be unpacked to {temporary.parent}: {problem.strerror}") from None
+    except BaseException:
+        temporary.unlink()
+        raise
+    return temporary
+
+
+def _unpack(path: Path, name: Place, plain: BinaryIO, losses: Losses) -> None:
+    size = path.stat().st_size
+    cap = max(MIN_CAP_BYTES, MAX_UNPACK_RATIO * size)
+    total, complete = 0, True
+    with path.open("rb") as packed:
+        declared = _declared_size(packed.read(HEAD_BYTES))
+        packed.seek(0)
+        reader = zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
+        try:
+            while piece := reader.read(PIECE_BYTES):
+                total += len(piece)
+                if total > cap:
+                    raise LocfuseError(f"{name}: unpacks to more than {cap >> 20} MiB; try: zstd -d {name.name}")
+                plain.write(piece)
+        except zstandard.ZstdError:
+            complete = False
+        complete = complete and _ends_whole(packed, size)
+    if not total:
+        raise LocfuseError(f"{name}: its compression is damaged from the beginning ({size} bytes)")
+    if not complete or total < declared:
+        losses.add(str(name), "the compression is damaged or cut off", 0, max(declared - total, 0))
+
+
+def _ends_whole(packed: BinaryIO, size: int) -> bool:
+    """Tell whether the last frame ends where the file does, by the lengths of its blocks.
+
+    A frame need not say its size, and of a cut-off frame the library returns what there is without an error.
+    Format: RFC 8878, section 3.1.
+    """
+    at = 0
+    while at < size:
+        packed.seek(at)
+        head = packed.read(HEAD_BYTES)
+        if len(head) < SKIPPED_HEAD_BYTES:
+            return False
+        magic, length = struct.unpack_from("<II", head)
+        if magic & ~0xF == SKIPPED_MAGIC:
+            at += SKIPPED_HEAD_BYTES + length
+            continue
+        try:
+            checksum = CHECKSUM_BYTES if head[4] & CHECKSUM_FLAG else 0
+            at = _end_of_blocks(packed, at + zstandard.frame_header_size(head)) + checksum
+        except (zstandard.ZstdError, EOFError):
+            return False
+    return at == size
+
+
+def _end_of_blocks(packed: BinaryIO, at: int) -> int:
+    """Return where the last block of a frame ends. Raises EOFError where the file ends before."""
+    last = False
+    while not last:
+        packed.seek(at)
+        head = packed.read(BLOCK_HEAD_BYTES)
+        if len(head) < BLOCK_HEAD_BYTES:
+            raise EOFError
+        word = int.from_bytes(head, "little")
+        last, repeated = bool(word & 1), (word >> 1) & 3 == REPEATED
+        at += BLOCK_HEAD_BYTES + (1 if repeated else word >> 3)
+    return at
+
+
+def _declared_size(head: bytes) -> int:
+    """Return the size that the first frame declares, 0 where it declares none."""
+    try:
+        return max(zstandard.frame_content_size(head), 0)
+    except zstandard.ZstdError:
+        return 0

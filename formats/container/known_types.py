@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
+import re
+import tomllib
+from functools import cache
+from importlib.resources import files
 from typing import Any
 
-from . import known_robots as robots
-from . import known_tags as tags
-from . import known_vehicles as vehicles
-from .known_parts import PARTS
-
-TABLES = (robots, tags, vehicles)
-ROBOTS: dict[str, str] = {name: text for table in TABLES for name, text in table.TYPES.items()}
-LAID_OUT: dict[str, tuple[str, ...]] = {name: texts for table in TABLES for name, texts in table.LAID_OUT.items()}
-ALIGNMENT = 4  # bytes: a message may be padded at its end
+DIVIDER = "=" * 80
+USED = re.compile(r"^\s*(\w+/\w+)", re.MULTILINE)  # types of the fields of a definition that are structures
+ALIGNMENT_BYTES = 4  # a message may be padded at its end
 RELEASES = ("LATEST", "ROS2_HUMBLE", "ROS2_FOXY")  # definitions of a type may differ between them
 MAX_SAMPLE = 1 << 16  # bytes of a message that is tried: of bigger types the definition never changed
 
@@ -20,20 +18,34 @@ MAX_SAMPLE = 1 << 16  # bytes of a message that is tried: of bigger types the de
 def definition(msgtype: str, sample: bytes = b"") -> str | None:
     """Return the ros2msg text of a standard or common robot message type, None for an unknown one.
 
-    Some types gained fields from one ROS release to the next (sensor_msgs/Range its variance). Of several
-    definitions the newest is returned under which `sample`, a message of the bag, is as long as it is; of some
-    packages none, if none fits.
+    Some types gained fields from one release to the next (sensor_msgs/Range its variance). Of several definitions
+    the newest is returned under which `sample`, a message of the bag, is as long as it is. If none fits, it is the
+    newest of a standard type, and none of another.
     """
-    if msgtype in ROBOTS:
-        return ROBOTS[msgtype] + PARTS
-    if msgtype in LAID_OUT:
-        texts = [text + PARTS for text in LAID_OUT[msgtype]]
-        fitting = (text for text in texts if not sample or _fits(_store(msgtype, text), msgtype, sample))
-        return next(fitting, None)
+    if texts := _texts(msgtype.replace("/msg/", "/")):
+        return next((text for text in texts if not sample or _fits(_store(msgtype, text), msgtype, sample)), None)
     known = _definitions(msgtype)
     if len(known) < 2 or not sample or len(sample) > MAX_SAMPLE:
         return next(iter(known), None)
     return next((text for text, store in known.items() if _fits(store, msgtype, sample)), next(iter(known)))
+
+
+@cache
+def _fields() -> dict[str, list[str]]:
+    """Return the fields of all types of the table, a line each; of several definitions the newest is first."""
+    table = tomllib.loads((files(__package__) / "known_types.toml").read_text(encoding="utf-8"))
+    return {name: [re.sub(r",\s+", "\n", text) + "\n" for text in texts] for name, texts in table.items()}
+
+
+def _texts(name: str) -> list[str]:
+    """Return the definitions of a type of the table with all types that they use, the newest first."""
+    table = _fields()
+    used = [name] if name in table else []
+    for one in used:
+        used += [other for text in table[one] for other in USED.findall(text) if other not in used]
+    versions = max((len(table[one]) for one in used), default=0)
+    chosen = [[table[one][min(i, len(table[one]) - 1)] for one in used] for i in range(versions)]
+    return [f"\n{DIVIDER}\n".join([own, *map("MSG: {}\n{}".format, used[1:], rest)]) for own, *rest in chosen]
 
 
 def _store(msgtype: str, text: str) -> Any:
@@ -64,4 +76,4 @@ def _fits(store: Any, msgtype: str, sample: bytes) -> bool:
         written = len(store.serialize_cdr(message, msgtype, little_endian=sample[1:2] == b"\x01"))
     except Exception:
         return False
-    return abs(len(sample) - written) < ALIGNMENT
+    return abs(len(sample) - written) < ALIGNMENT_BYTES

@@ -20,10 +20,8 @@ from .decompress import DamagedError, decompress, decompress_prefix
 from .file_bytes import FileBytes
 from .losses import Losses
 from .mcap_chunk import Index, Records, counted, records
-from .mcap_parts import ChunkRef, LooseRun, Part, Survey
-from .mcap_promised import promised
-from .mcap_ranged import Wanted, fetched, own_header, wanted_of
-from .mcap_survey import survey
+from .mcap_ranged import Wanted, fetched, own_header, promised, wanted_of
+from .mcap_survey import ChunkRef, LooseRun, Part, Survey, survey
 from .source import Batch, ChannelInfo, Messages
 
 MAX_SHARE = 0.5  # of a file that is elsewhere: where more is wanted all of it is copied at once

@@ -6,20 +6,304 @@ is the safety net: its chunk index says where to go on after a hole, its statist
 
 from __future__ import annotations
 
+import zlib
+from bisect import bisect_left
+from collections.abc import Collection
+
+import msgspec
 import numpy as np
+from msgspec import field
+from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_CHUNK
 from locfuse.fusion.data import LocfuseError
 
 from . import mcap_records as rec
-from .decompress import DamagedError
+from .decompress import CODECS, DamagedError
 from .file_bytes import FileBytes
 from .losses import Losses
 from .mcap_chunk import scan
-from .mcap_parts import ChunkRef, LooseRun, Survey, put_in_order
-from .mcap_resync import CHUNK_HEAD, Resync
-from .mcap_summary import Summary, lost_summary, read_summary
-from .signatures import describe
+
+
+class ChunkRef(msgspec.Struct):
+    """One chunk of the file."""
+
+    offset: int  # of its record
+    header: rec.ChunkHeader
+    index: dict[int, tuple[int, int]] = field(default_factory=dict)  # channel -> (file offset, content length)
+    available: int = 0  # compressed bytes present: less than header.length where the file is cut off
+    counts: dict[int, int] | None = None  # channel -> messages, once known
+    promised: bool = False  # whether only the summary says all this: its checksum is then not known yet
+
+    @property
+    def start(self) -> int:
+        """File offset of the compressed bytes."""
+        return self.offset + rec.RECORD.size + self.header.start
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """Log times of its first and last message, ns."""
+        return self.header.first, self.header.last
+
+    @property
+    def size(self) -> int:
+        """Bytes to read: fewer than the header says where the file is cut off."""
+        return self.available
+
+    @property
+    def cut_off(self) -> bool:
+        """Whether the file ends inside this chunk."""
+        return self.available < self.header.length
+
+
+class LooseRun(msgspec.Struct):
+    """Consecutive messages outside any chunk."""
+
+    offset: int
+    size: int
+    counts: dict[int, int] | None = field(default_factory=dict)
+    span: tuple[int, int] = (0, 0)  # log times, ns
+    cut_off: bool = False
+
+    @property
+    def start(self) -> int:
+        """File offset of the bytes."""
+        return self.offset
+
+
+Part = ChunkRef | LooseRun
+
+
+def put_in_order(parts: list[Part]) -> None:
+    """Sort parts by time where one of them ends before an earlier one begins: chunks may stand in any order.
+
+    Those whose times overlap stay as they are: stamps jitter, the order of a file does not.
+    """
+    latest = 0
+    for first, last in (part.span for part in parts):
+        if last < latest:
+            parts.sort(key=lambda part: part.span[1])
+            return
+        latest = max(latest, first)
+
+
+class Survey(msgspec.Struct):
+    """What the walk found."""
+
+    parts: list[Part] = field(default_factory=list)
+    schemas: dict[int, rec.Schema] = field(default_factory=dict)
+    channels: dict[int, rec.Channel] = field(default_factory=dict)
+    attachments: list[tuple[int, int]] = field(default_factory=list)  # (content offset, length)
+    expected: dict[int, int] | None = None  # channel -> messages, by the statistics
+
+    def define(self, opcode: int, content: bytes) -> None:
+        """Take a Schema or Channel record; what was said first (by the summary, where there is one) counts."""
+        if opcode == rec.SCHEMA:
+            schema = rec.schema(content)
+            self.schemas.setdefault(schema.id, schema)
+        elif opcode == rec.CHANNEL:
+            channel = rec.channel(content)
+            self.channels.setdefault(channel.id, channel)
+
+
+# --- The summary section at the end, believed only when footer, checksum and records are whole
+
+
+class Summary(msgspec.Struct):
+    """What the writer said about the whole file."""
+
+    start: int  # file offset of the section
+    schemas: dict[int, rec.Schema] = field(default_factory=dict)
+    channels: dict[int, rec.Channel] = field(default_factory=dict)
+    chunks: dict[int, rec.ChunkIndex] = field(default_factory=dict)  # by file offset
+    attachments: list[rec.AttachmentIndex] = field(default_factory=list)
+    statistics: rec.Statistics | None = None
+
+    @property
+    def counts(self) -> dict[int, int] | None:
+        """Channel -> messages; None where the writer counted none."""
+        return None if self.statistics is None else self.statistics.counts
+
+
+TAIL = rec.RECORD.size + rec.FOOTER_LENGTH + len(rec.MAGIC)  # bytes of footer and magic
+
+
+def lost_summary(data: FileBytes) -> bool:
+    """Tell whether a file without a summary to believe should have one: its footer is damaged or points at it."""
+    foot = _footer(data)
+    return not foot or rec.Cursor(foot, rec.RECORD.size).integers("QQI")[0] != 0
+
+
+def _footer(data: FileBytes) -> bytes:
+    """Return the footer's record and the magic behind it, nothing where either is not there."""
+    foot = data.read(max(data.size - TAIL, 0), TAIL)
+    whole = len(foot) == TAIL and foot[-len(rec.MAGIC) :] == rec.MAGIC and foot[0] == rec.FOOTER
+    return foot if whole else b""
+
+
+def summary_section(data: FileBytes) -> bytes | None:
+    """Return the bytes of the summary section, None where there are none or their checksum is wrong."""
+    foot = _footer(data)
+    if not foot:
+        return None
+    start, _, crc = rec.Cursor(foot, rec.RECORD.size).integers("QQI")
+    end = data.size - TAIL
+    if not len(rec.MAGIC) <= start <= end or end - start > MAX_CHUNK:
+        return None
+    section = data.read(start, end - start)
+    if crc and zlib.crc32(section + foot[: rec.RECORD.size + rec.FOOTER_LENGTH - 4]) != crc:
+        return None
+    return section
+
+
+def read_summary(data: FileBytes) -> Summary | None:
+    """Return the summary, None where there is none to believe."""
+    section = summary_section(data)
+    if section is None:
+        return None
+    try:
+        return _parse(section, data.size - TAIL - len(section))
+    except DamagedError:
+        return None
+
+
+def _parse(section: bytes, start: int) -> Summary:
+    summary = Summary(start)
+    at = 0
+    while at < len(section):
+        cursor = rec.Cursor(section, at)
+        opcode, length = cursor.integers("BQ")
+        content = cursor.take(length)
+        at = cursor.at
+        if opcode == rec.SCHEMA:
+            schema = rec.schema(content)
+            summary.schemas[schema.id] = schema
+        elif opcode == rec.CHANNEL:
+            channel = rec.channel(content)
+            summary.channels[channel.id] = channel
+        elif opcode == rec.CHUNK_INDEX:
+            chunk = rec.chunk_index(content)
+            summary.chunks[chunk.offset] = chunk
+        elif opcode == rec.STATISTICS:
+            summary.statistics = rec.statistics(content)
+        elif opcode == rec.ATTACHMENT_INDEX:
+            summary.attachments.append(rec.attachment_index(content))
+    return summary
+
+
+# --- Where records go on behind damage
+
+SEARCH_BYTES = 1 << 20
+CHUNK_HEAD = rec.RECORD.size + 64  # bytes that hold a chunk's header
+
+
+class Resync:
+    """Finds the next place that can be read: by the chunk index, else by looking for records."""
+
+    def __init__(self, data: FileBytes, summary: Summary | None) -> None:
+        self.data = data
+        self.starts = sorted(summary.chunks) if summary else []
+        self.end = summary.start if summary else data.size
+        self._window = range(0)  # the bytes last searched
+        self._places: NDArray[np.int64] = np.empty(0, np.int64)  # where in them a record might begin
+        self._chunked = False  # whether these are places of chunks only
+
+    def next(self, at: int, chunked: bool, channels: Collection[int]) -> int | None:
+        """Return the offset of the next chunk at or after `at` (in an unchunked file: message), None without."""
+        if self.starts:
+            i = bisect_left(self.starts, at)
+            return self.starts[i] if i < len(self.starts) else None
+        return self._search(at, chunked, channels)
+
+    def _search(self, at: int, chunked: bool, channels: Collection[int]) -> int | None:
+        while at + rec.RECORD.size <= self.end:
+            if at not in self._window or chunked != self._chunked:
+                self._search_window(at, chunked)
+            for i in range(int(np.searchsorted(self._places, at)), len(self._places)):
+                place = int(self._places[i])
+                if self._is_chunk(place) or (not chunked and self._are_records(place, channels)):
+                    return place
+            at = self._window.stop
+        return None
+
+    def _search_window(self, at: int, chunked: bool) -> None:
+        """Note where a record might begin, once for all holes in these bytes."""
+        window = np.frombuffer(self.data.read(at, SEARCH_BYTES), np.uint8)
+        n = len(window) - rec.RECORD.size + 1
+        wanted = window[:n] == rec.CHUNK
+        if not chunked:
+            wanted |= window[:n] == rec.MESSAGE
+        wanted &= np.ndarray((n,), "<u4", window, 5, (1,)) == 0  # the upper half of the length: shorter than 4 GiB
+        self._window, self._chunked = range(at, at + n), chunked
+        self._places = np.flatnonzero(wanted) + at
+
+    def _is_chunk(self, at: int) -> bool:
+        head = self.data.read(at, CHUNK_HEAD)
+        if len(head) < rec.RECORD.size or head[0] != rec.CHUNK:
+            return False
+        length = rec.opcode_and_length(head)[1]
+        try:
+            header = rec.chunk_header(head[rec.RECORD.size :])
+        except DamagedError:
+            return False
+        fits = at + rec.RECORD.size + length <= self.data.size
+        return fits and header.compression in CODECS and header.start + header.length == length
+
+    def _are_records(self, at: int, channels: Collection[int]) -> bool:
+        """Tell whether three plausible records in a row begin here, messages of known channels only."""
+        for _ in range(3):
+            head = self.data.read(at, rec.RECORD.size + 2)
+            if len(head) < rec.RECORD.size + 2:
+                return False
+            opcode, length = rec.opcode_and_length(head)
+            if opcode == rec.MESSAGE and rec.Cursor(head, rec.RECORD.size).integer("H") not in channels:
+                return False
+            if not 0 < opcode <= rec.DATA_END or at + rec.RECORD.size + length > self.data.size:
+                return False
+            if opcode == rec.DATA_END:
+                return True
+            at += rec.RECORD.size + length
+        return True
+
+
+# --- What a file is by its first bytes, for a refusal
+
+SIGNATURES = (
+    (b"\x89MCAP0\r\n", "an MCAP file"),
+    (b"SQLite format 3\x00", "a sqlite3 database (a rosbag2 .db3 is one)"),
+    (b"#ROSBAG V2.0", "a ROS 1 bag"),
+    (b"#ROSBAG", "a ROS 1 bag of an old version"),
+    (b"\x28\xb5\x2f\xfd", "zstd-compressed data"),
+    (b"\x04\x22\x4d\x18", "lz4-compressed data"),
+    (b"\x1f\x8b", "gzip-compressed data"),
+    (b"BZh", "bzip2-compressed data"),
+    (b"PK\x03\x04", "a zip archive"),
+    (b"\xff\xd8\xff", "a JPEG image"),
+    (b"\x89PNG", "a PNG image"),
+    (b"%PDF", "a PDF document"),
+    (b"RRF", "a Rerun recording"),
+    (b"rosbag2_bagfile_information", "a rosbag2 metadata.yaml"),
+    (b"{", "JSON text"),
+)
+
+
+def describe(head: bytes) -> str:
+    """Return what a file that starts with `head` (the first 64 bytes or more) is, in words."""
+    if not head:
+        return "empty (0 bytes)"
+    for signature, words in SIGNATURES:
+        if head.startswith(signature):
+            return words
+    if not head.strip(b"\x00"):
+        return "filled with zeros"
+    try:
+        text = head[:60].decode()
+    except UnicodeDecodeError:
+        return "of an unknown kind"
+    return "a text file" if text.isprintable() or "\n" in text else "of an unknown kind"
+
+
+# --- The walk
 
 RUN_BYTES = 1 << 20  # loose messages are read in runs of at most this size, if they are not larger themselves
 LARGE_CHUNK_BYTES = 32 * 1024 * 1024

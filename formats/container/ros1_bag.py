@@ -1,10 +1,15 @@
-"""A ROS 1 bag as a source of message batches: chunk by chunk, finished or cut off."""
+"""A ROS 1 bag as a source of message batches: chunk by chunk, finished or cut off.
+
+Format 2.0: https://wiki.ros.org/Bags/Format/2.0.
+"""
 
 from __future__ import annotations
 
 import re
+import struct
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -13,11 +18,136 @@ from numpy.typing import NDArray
 from locfuse.formats.caps import FREE_RECORDS, MAX_CHUNK
 from locfuse.fusion.data import Ints, LocfuseError
 
-from . import ros1_records as rec
 from .decompress import CODECS, DamagedError, decompress, decompress_prefix
 from .file_bytes import FileBytes
 from .losses import Losses
 from .source import Batch, ChannelInfo, Messages
+
+MAGIC = b"#ROSBAG V2.0\n"
+MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
+WORD = struct.Struct("<I")
+TIME = struct.Struct("<II")  # seconds, nanoseconds
+HEAD_BYTES = 1 << 16  # record headers are read up to this size
+
+Fields = dict[bytes, bytes]
+
+
+class Entry(NamedTuple):
+    """One record: its fields, and where its data lies."""
+
+    at: int
+    op: int
+    fields: Fields
+    start: int
+    length: int
+
+    @property
+    def end(self) -> int:
+        """Where the next record begins."""
+        return self.start + self.length
+
+    def number(self, name: bytes) -> int:
+        """Return a 4-byte field."""
+        value = self.fields.get(name, b"")
+        if len(value) != WORD.size:
+            raise DamagedError("a record without its fields")
+        return int(WORD.unpack(value)[0])
+
+    def time_ns(self, name: bytes) -> int:
+        """Return a time field in nanoseconds."""
+        value = self.fields.get(name, b"")
+        if len(value) != TIME.size:
+            raise DamagedError("a record without its fields")
+        seconds, nanoseconds = TIME.unpack(value)
+        return int(seconds) * 10**9 + int(nanoseconds)
+
+
+def read_entry(data: FileBytes, at: int) -> Entry:
+    """Read the record at a file offset. Raises DamagedError for what is none."""
+    word = data.read(at, WORD.size)
+    n = WORD.unpack(word)[0] if len(word) == WORD.size else HEAD_BYTES
+    header = data.read(at + WORD.size, min(n, HEAD_BYTES) + WORD.size)
+    if n > HEAD_BYTES - WORD.size or len(header) < n + WORD.size:
+        raise DamagedError("bytes that are no record")
+    found = fields_of(header[:n])
+    op = found.get(b"op", b"")
+    if len(op) != 1:
+        raise DamagedError("bytes that are no record")
+    return Entry(at, op[0], found, at + 2 * WORD.size + n, int(WORD.unpack_from(header, n)[0]))
+
+
+def fields_of(header: bytes) -> Fields:
+    """Read the name=value fields of a record header."""
+    found: Fields = {}
+    at = 0
+    while at < len(header):
+        if at + 4 > len(header):
+            raise DamagedError("a record header that contradicts itself")
+        (n,) = WORD.unpack_from(header, at)
+        name, equals, value = header[at + 4 : at + 4 + n].partition(b"=")
+        at += 4 + n
+        if at > len(header) or not equals:
+            raise DamagedError("a record header that contradicts itself")
+        found[name] = value
+    return found
+
+
+class Scanned(NamedTuple):
+    """The records inside a chunk."""
+
+    connections: dict[int, tuple[Fields, bytes]]  # id -> (fields, data)
+    connection: Ints  # (k,) of every message
+    time_ns: Ints  # (k,)
+    start: Ints  # (k,) payload in the chunk
+    length: Ints  # (k,)
+    end: int  # where the records stop making sense
+
+
+def scan_chunk(data: NDArray[np.uint8], most: int) -> Scanned:
+    """Walk a chunk's decompressed bytes record by record. Raises DamagedError at more than `most` records."""
+    buffer = data.data
+    connections: dict[int, tuple[Fields, bytes]] = {}
+    rows: list[tuple[int, int, int, int]] = []
+    at = count = 0
+    while at < len(buffer):
+        count += 1
+        if count > most:
+            raise DamagedError(f"a chunk unpacks to more than {most} records, the cap for its size")
+        try:
+            entry = _entry(buffer, at)
+            _take(entry, buffer, rows, connections)
+        except (struct.error, DamagedError):
+            break
+        at = entry.end
+    connection, time_ns, start, length = np.array(rows, np.int64).reshape(-1, 4).T
+    return Scanned(connections, connection, time_ns, start, length, at)
+
+
+def _entry(buffer: memoryview, at: int) -> Entry:
+    (n,) = WORD.unpack_from(buffer, at)
+    (length,) = WORD.unpack_from(buffer, at + WORD.size + n)
+    start = at + 2 * WORD.size + n
+    if start + length > len(buffer):
+        raise DamagedError("a record reaches beyond its chunk")
+    found = fields_of(bytes(buffer[at + WORD.size : start - WORD.size]))
+    return Entry(at, (found.get(b"op") or b"\x00")[0], found, start, length)
+
+
+def _take(
+    entry: Entry,
+    buffer: memoryview,
+    rows: list[tuple[int, int, int, int]],
+    connections: dict[int, tuple[Fields, bytes]],
+) -> None:
+    if entry.op == MESSAGE:
+        rows.append((entry.number(b"conn"), entry.time_ns(b"time"), entry.start, entry.length))
+    elif entry.op == CONNECTION:
+        connections[entry.number(b"conn")] = entry.fields, bytes(buffer[entry.start : entry.end])
+    else:
+        raise DamagedError("bytes that are no record")
+
+
+# --- Bags as sources of message batches, finished or cut off
 
 CUT_OFF = "the bag was not closed: the recording was cut off"
 WINDOW_BYTES = 1 << 20
@@ -47,7 +177,7 @@ class BagSource:
         self.losses = losses
         self.data = data
         self._parts: list[Part] = []
-        self._connections: dict[int, tuple[rec.Fields, bytes]] = {}
+        self._connections: dict[int, tuple[Fields, bytes]] = {}
         self._span: tuple[int, int] | None = None
         self._survey()
         self._discover()
@@ -78,12 +208,12 @@ class BagSource:
 
     def _survey(self) -> None:
         """Walk the outermost records: chunks and their indexes, connections, the span of time."""
-        at = len(rec.MAGIC)
+        at = len(MAGIC)
         closed = False
         while at < self.data.size:
             try:
-                entry = rec.read_entry(self.data, at)
-                if entry.end > self.data.size and entry.op != rec.CHUNK:
+                entry = read_entry(self.data, at)
+                if entry.end > self.data.size and entry.op != CHUNK:
                     raise DamagedError("a record reaches beyond the end of the file")
                 closed = self._take(entry) or closed
             except DamagedError as problem:
@@ -93,27 +223,27 @@ class BagSource:
         if not closed:
             self.losses.add(str(self.path), CUT_OFF, 0, 0)
 
-    def _take(self, entry: rec.Entry) -> bool:
+    def _take(self, entry: Entry) -> bool:
         """Note one record; tell whether it is of the index that closes a bag."""
-        if entry.op == rec.BAG_HEADER:
+        if entry.op == BAG_HEADER:
             if entry.fields.get(b"encryptor"):
                 raise LocfuseError(f"{self.path}: the bag is encrypted")
-        elif entry.op == rec.CHUNK:
+        elif entry.op == CHUNK:
             self._take_chunk(entry)
-        elif entry.op == rec.INDEX and self._parts:
+        elif entry.op == INDEX and self._parts:
             chunk = self._parts[-1]
             chunk.counts = (chunk.counts or {}) | {entry.number(b"conn"): entry.number(b"count")}
-        elif entry.op == rec.CONNECTION:
+        elif entry.op == CONNECTION:
             data = self.data.read(entry.start, entry.length)
             self._connections.setdefault(entry.number(b"conn"), (entry.fields, data))
-        elif entry.op == rec.MESSAGE:
+        elif entry.op == MESSAGE:
             self._take_loose(entry)
-        elif entry.op == rec.CHUNK_INFO:
+        elif entry.op == CHUNK_INFO:
             self._widen(entry.time_ns(b"start_time"), entry.time_ns(b"end_time"))
             return True
         return False
 
-    def _take_chunk(self, entry: rec.Entry) -> None:
+    def _take_chunk(self, entry: Entry) -> None:
         name = entry.fields.get(b"compression", b"").decode("utf-8", "replace")
         available = min(entry.length, self.data.size - entry.start)
         part = Part(entry.at, entry.start, available, "" if name == "none" else name, entry.number(b"size"))
@@ -121,7 +251,7 @@ class BagSource:
         if part.length:
             self._parts.append(part)
 
-    def _take_loose(self, entry: rec.Entry) -> None:
+    def _take_loose(self, entry: Entry) -> None:
         """Collect messages that a crash left outside a chunk, whose header was never completed."""
         before = self._parts[-1] if self._parts else None
         if (
@@ -160,21 +290,21 @@ class BagSource:
 
     def _is_chunk(self, at: int) -> bool:
         try:
-            entry = rec.read_entry(self.data, at)
+            entry = read_entry(self.data, at)
         except DamagedError:
             return False
-        return entry.op == rec.CHUNK and entry.end <= self.data.size
+        return entry.op == CHUNK and entry.end <= self.data.size
 
-    def _load(self, part: Part) -> tuple[NDArray[np.uint8], rec.Scanned]:
+    def _load(self, part: Part) -> tuple[NDArray[np.uint8], Scanned]:
         """Read one part; what is damaged is counted and left out."""
         try:
             data = np.frombuffer(self._bytes(part), np.uint8)
-            found = rec.scan(data, FREE_RECORDS + part.length)
+            found = scan_chunk(data, FREE_RECORDS + part.length)
         except DamagedError as problem:
             known = None if part.counts is None else sum(part.counts.values())
             self.losses.add(str(self.path), str(problem), part.at, part.length, known)
             data = np.empty(0, np.uint8)
-            found = rec.scan(data, 0)
+            found = scan_chunk(data, 0)
         if found.end < len(data):
             reason = (
                 "the file is cut off inside a chunk" if part.cut_off else "a chunk holds bytes that are no record"
@@ -211,7 +341,7 @@ class BagSource:
         found = {}
         for ident, (head, data) in self._connections.items():
             try:
-                said = rec.fields(data)
+                said = fields_of(data)
             except DamagedError:
                 continue
             topic = head.get(b"topic", said.get(b"topic", b"")).decode("utf-8", "replace")
@@ -223,9 +353,9 @@ class BagSource:
 
 def _heads(window: bytes, start: int, end: int) -> bool:
     """Tell whether a record that starts here has a header that reaches `end` and is as short as a chunk's."""
-    length = int(rec.WORD.unpack_from(window, start)[0])
-    return end <= start + rec.WORD.size + length <= start + 2 * BEFORE.stop
+    length = int(WORD.unpack_from(window, start)[0])
+    return end <= start + WORD.size + length <= start + 2 * BEFORE.stop
 
 
-def _messages(found: rec.Scanned) -> Messages:
+def _messages(found: Scanned) -> Messages:
     return Messages(found.start, found.length, found.time_ns, np.zeros(len(found.start), np.int64))

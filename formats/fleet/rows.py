@@ -6,7 +6,6 @@ import io
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from locfuse.formats.no_pandas import without_pandas
 from locfuse.formats.report.render import csv_text
 
 from .entry import COUNTS, Entry
@@ -79,17 +78,16 @@ def csv(rows: Rows) -> str:
 
 def parquet(rows: Rows) -> bytes | None:
     """Return the rows as Parquet; None where pyarrow, which comes with rerun-sdk, is not installed."""
-    with without_pandas():
-        try:
-            import pyarrow as pa
-            from pyarrow import parquet as written
-        except ImportError:
-            return None
-        text = {*TEXT, *rows.sweep, *(c for c in rows.columns if c.endswith("_verdict"))}
-        found = list(rows)
-        columns = {c: _column(pa, [row.get(c) for row in found], c in text) for c in rows.columns}
-        sink = io.BytesIO()
-        written.write_table(pa.table(columns), sink, compression="zstd")
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet as written
+    except ImportError:
+        return None
+    text = {*TEXT, *rows.sweep, *(c for c in rows.columns if c.endswith("_verdict"))}
+    found = list(rows)
+    columns = {c: _column(pa, [row.get(c) for row in found], c in text) for c in rows.columns}
+    sink = io.BytesIO()
+    written.write_table(pa.table(columns), sink, compression="zstd")
     return sink.getvalue()
 
 

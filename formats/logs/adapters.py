@@ -3,59 +3,359 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
-from locfuse.fusion.data import Column
+import numpy as np
 
-from .as_joints import (
-    DYNAMIC,
-    FEEDBACK,
-    FOXGLOVE_JOINTS,
-    JOINTS,
-    OF_DYNAMIC,
-    OF_FEEDBACK,
-    OF_FOXGLOVE_JOINTS,
-    as_joints,
-    joints_of_feedback,
-    joints_of_foxglove,
+from locfuse.formats.geometry import headings, quaternions
+from locfuse.fusion.data import Array, Column, Ints, Ragged
+
+JOINTS = "sensor_msgs/msg/JointState"
+DYNAMIC = "control_msgs/msg/DynamicJointState"
+INTERFACES, VALUES = "interface_values.interface_names", "interface_values.values"
+OF_DYNAMIC = ("joint_names", INTERFACES, VALUES, f"{VALUES}.length")
+SAID = ("position", "velocity", "effort")  # interfaces that a JointState has too
+FOXGLOVE_JOINTS = ("foxglove.JointStates", "foxglove_msgs/msg/JointStates")
+OF_FOXGLOVE_JOINTS = ("joints.name", *(f"joints.{name}" for name in SAID))
+# The Jackal's two motors: left before right, angle [rad] and rate [rad/s] of the wheel.
+FEEDBACK = ("jackal_msgs/msg/Feedback", "clearpath_platform_msgs/msg/Feedback")
+OF_FEEDBACK = ("drivers.measured_travel", "drivers.measured_velocity")
+DRIVERS = ("left_wheel", "right_wheel")
+
+
+def as_joints(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
+    """Return fields of JointStates made of k messages; `columns` are OF_DYNAMIC. What is not said is NaN."""
+    names = cast("list[tuple[str, ...]]", columns["joint_names"])
+    made: dict[str, Column] = {"name": names}
+    first = np.concatenate(([0], np.cumsum([len(row) for row in names], dtype=np.int64)))
+    for field in (f for f in fields if f != "name"):
+        made[field] = Ragged(_interface(columns, names, field), first)
+    return {name: made[name] for name in fields}
+
+
+def joints_of_foxglove(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
+    """Return fields of JointStates made of k of Foxglove's; `columns` are OF_FOXGLOVE_JOINTS."""
+    return {name: columns[f"joints.{name}"] for name in fields}
+
+
+def joints_of_feedback(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
+    """Return fields of JointStates made of k Feedbacks of two motors; `columns` are OF_FEEDBACK."""
+    travel, rate = (cast("Ragged", columns[name]) for name in OF_FEEDBACK)
+    made: dict[str, Column] = {"position": travel, "velocity": rate}
+    made["name"] = [DRIVERS if n == len(DRIVERS) else ("",) * n for n in travel.lengths.tolist()]
+    return {name: made[name] for name in fields}
+
+
+def _interface(columns: Mapping[str, Column], names: list[tuple[str, ...]], field: str) -> Array:
+    """Return one interface of every joint of every message, end to end; messages alike share the search."""
+    interfaces = cast("list[tuple[str, ...]]", columns[INTERFACES])
+    values, lengths = cast("Ragged", columns[VALUES]), cast("Ragged", columns[f"{VALUES}.length"])
+    places: dict[tuple[object, ...], Ints] = {}
+    out = []
+    for i, row in enumerate(names):
+        key = (row, interfaces[i], lengths[i].tobytes())
+        if key not in places:
+            places[key] = _places(len(row), interfaces[i], lengths[i], field)
+        at, said = places[key], np.append(values[i].astype(np.float64), np.nan)
+        out.append(said[at])
+    return np.concatenate([np.empty(0), *out])
+
+
+def _places(joints: int, interfaces: tuple[str, ...], lengths: Ints, field: str) -> Ints:
+    """Return where each joint's value of an interface stands among all values of a message, -1: nowhere."""
+    at = np.full(joints, -1)
+    if len(interfaces) != lengths.sum() or len(lengths) != joints:
+        return at
+    begin = np.cumsum(lengths) - lengths
+    for j, (first, n) in enumerate(zip(begin.tolist(), lengths.tolist(), strict=True)):
+        own = interfaces[first : first + n]
+        if field in own:
+            at[j] = first + own.index(field)
+    return at
+
+
+# --- Odometry: Foxglove's, and the state that Unitree's legged robots publish
+
+FOXGLOVE_ODOMETRY = ("foxglove.Odometry", "foxglove_msgs/msg/Odometry")
+SPORT_STATE = "unitree_go/msg/SportModeState"
+PLANE_POSE = tuple(
+    f"pose.{part}.{axis}" for part, axes in (("position", "xy"), ("orientation", "xyzw")) for axis in axes
 )
-from .as_odometry import (
-    FOXGLOVE_ODOMETRY,
-    OF_FOXGLOVE_ODOMETRY,
-    OF_SPORT_STATE,
-    SPORT_STATE,
-    odometry_of_foxglove,
-    odometry_of_sport_state,
+SPEEDS = ("linear_velocity.x", "angular_velocity.z")  # of the body, in its own axes
+COVARIANCES = ("pose_covariance", "velocity_covariance")
+OF_FOXGLOVE_ODOMETRY = (*PLANE_POSE, *SPEEDS, *COVARIANCES)
+OF_SPORT_STATE = ("position", "imu_state.quaternion")
+
+
+def odometry_of_foxglove(
+    columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str
+) -> dict[str, Column]:
+    """Return fields of Odometry made of k of Foxglove's, which may leave velocities out."""
+    made: dict[str, Column] = {f"pose.{name}": columns[name] for name in PLANE_POSE}
+    for name, speed in zip(("linear.x", "angular.z"), SPEEDS, strict=True):
+        made[f"twist.twist.{name}"] = np.nan_to_num(_numbers(columns[speed]), nan=0.0)
+    for name, of in zip(("pose", "twist"), COVARIANCES, strict=True):
+        made[f"{name}.covariance"] = _six_by_six(columns[of])
+    return {name: made[name] for name in fields}
+
+
+def odometry_of_sport_state(
+    columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str
+) -> dict[str, Column]:
+    """Return fields of Odometry made of k SportModeStates: their poses; `columns` are OF_SPORT_STATE."""
+    place, (w, x, y, z) = _numbers(columns["position"]), _numbers(columns["imu_state.quaternion"]).T
+    made: dict[str, Column] = {"pose.pose.position.x": place[:, 0], "pose.pose.position.y": place[:, 1]}
+    made |= {f"pose.pose.orientation.{axis}": value for axis, value in zip("xyzw", (x, y, z, w), strict=True)}
+    made |= {f"twist.twist.{name}": np.zeros(len(place)) for name in ("linear.x", "angular.z")}
+    made |= {f"{name}.covariance": np.zeros((len(place), 36)) for name in ("pose", "twist")}
+    return {name: made[name] for name in fields}
+
+
+def _numbers(column: Column) -> Array:
+    return np.asarray(cast("Array", column), np.float64)
+
+
+def _six_by_six(column: Column) -> Array:
+    """Return covariances as (n, 36); one of another length is none: zeros."""
+    if not isinstance(column, Ragged):
+        return _numbers(column).reshape(-1, 36)
+    matrix = np.zeros((len(column), 36))
+    whole = column.lengths == matrix.shape[1]
+    matrix[whole] = column.values[column.first[:-1][whole][:, None] + np.arange(36)]
+    return matrix
+
+
+# --- PX4: it gives the world in north, east, down and the body in forward, right, down; ROS in east, north, up and
+# forward, left, up (REP 103). Headings then turn the other way, from east: yaw = pi / 2 - yaw of PX4.
+
+ODOMETRY, IMU = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
+VEHICLE_ODOMETRY = "px4_msgs/msg/VehicleOdometry"
+LOCAL_POSITION = "px4_msgs/msg/VehicleLocalPosition"
+SENSOR_COMBINED = "px4_msgs/msg/SensorCombined"
+OF_ODOMETRY = ("position", "q", "velocity_frame", "velocity", "angular_velocity")
+OF_POSITION = ("x", "y", "heading", "vx", "vy")
+OF_SENSOR = ("gyro_rad", "accelerometer_m_s2")
+BODY_FRAME = 3  # of velocity_frame: forward, right, down
+
+
+def odometry_of_vehicle(
+    columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str
+) -> dict[str, Column]:
+    """Return fields of Odometry made of k VehicleOdometry messages; `columns` are OF_ODOMETRY."""
+    place, q, velocity, rates = (_numbers(columns[k]) for k in ("position", "q", "velocity", "angular_velocity"))
+    w, x, y, z = q.T
+    yaw = headings(x, y, z, w)
+    along = velocity[:, 0] * np.cos(yaw) + velocity[:, 1] * np.sin(yaw)
+    ahead = np.where(_numbers(columns["velocity_frame"]) == BODY_FRAME, velocity[:, 0], along)
+    return _odometry(place[:, 0], place[:, 1], yaw, ahead, -rates[:, 2], fields)
+
+
+def odometry_of_position(
+    columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str
+) -> dict[str, Column]:
+    """Return fields of Odometry made of k VehicleLocalPosition messages; `columns` are OF_POSITION."""
+    north, east, yaw, vx, vy = (_numbers(columns[name]) for name in OF_POSITION)
+    return _odometry(north, east, yaw, vx * np.cos(yaw) + vy * np.sin(yaw), np.zeros(len(yaw)), fields)
+
+
+def imu_of_sensor(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
+    """Return fields of Imu without an orientation, made of k SensorCombined messages; `columns` are OF_SENSOR."""
+    rates, accelerations = (_numbers(columns[name]) for name in OF_SENSOR)
+    n = len(rates)
+    turned = np.array([1.0, -1.0, -1.0])
+    none = np.zeros((n, 9))
+    made: dict[str, Column] = {"angular_velocity_covariance": none, "linear_acceleration_covariance": none}
+    made["orientation_covariance"] = np.where(np.arange(9) == 0, -1.0, none)
+    for name, values in (("angular_velocity", rates * turned), ("linear_acceleration", accelerations * turned)):
+        made |= {f"{name}.{axis}": values[:, k] for k, axis in enumerate("xyz")}
+    made |= {f"orientation.{axis}": np.zeros(n) for axis in "xyzw"}
+    return {name: made[name] for name in fields}
+
+
+def _odometry(
+    north: Array, east: Array, yaw: Array, ahead: Array, rate: Array, fields: tuple[str, ...]
+) -> dict[str, Column]:
+    turned = quaternions(0.5 * np.pi - yaw)
+    made: dict[str, Column] = {
+        "pose.pose.position.x": east,
+        "pose.pose.position.y": north,
+        **{f"pose.pose.orientation.{axis}": turned[:, k] for k, axis in enumerate("xyzw")},
+        "twist.twist.linear.x": ahead,
+        "twist.twist.angular.z": rate,
+        **{f"{part}.covariance": np.zeros((len(yaw), 36)) for part in ("pose", "twist")},
+    }
+    return {name: made[name] for name in fields}
+
+
+# --- A laser's scans: a level slice of a point cloud, the first echoes of a MultiEchoLaserScan.
+# Of a cloud those points count that lie 0.2 degrees below to 2.2 degrees above the level of the sensor: one or two
+# rings of a spinning laser (16 rings are 2 degrees apart), which the floor does not reach. Their directions are
+# sorted into half degrees, and of each the point nearest to its middle is the beam.
+
+SCAN = "sensor_msgs/msg/LaserScan"
+CLOUD = "sensor_msgs/msg/PointCloud2"
+ECHOES = "sensor_msgs/msg/MultiEchoLaserScan"
+FOXGLOVE = ("foxglove.LaserScan", "foxglove_msgs/msg/LaserScan")
+FOXGLOVE_CLOUD = ("foxglove.PointCloud", "foxglove_msgs/msg/PointCloud")
+OF_CLOUD = (
+    *(f"fields.{name}" for name in ("name", "offset", "datatype")),
+    *("height", "width", "point_step", "row_step", "is_bigendian", "data"),
 )
-from .as_px4 import (
-    IMU,
-    LOCAL_POSITION,
-    ODOMETRY,
-    OF_ODOMETRY,
-    OF_POSITION,
-    OF_SENSOR,
-    SENSOR_COMBINED,
-    VEHICLE_ODOMETRY,
-    imu_of_sensor,
-    odometry_of_position,
-    odometry_of_vehicle,
+LIKE_A_SCAN = ("angle_min", "angle_increment", "time_increment", "range_min", "range_max")
+FIRST_ECHOES = ("ranges.echoes", "ranges.echoes.length")
+OF_ECHOES = (*LIKE_A_SCAN, *FIRST_ECHOES)
+TURN = tuple(f"pose.orientation.{axis}" for axis in "xyzw")
+PLACE = tuple(f"pose.position.{axis}" for axis in "xyz")
+OF_FOXGLOVE_CLOUD = (
+    "point_stride",
+    *(f"fields.{part}" for part in ("name", "offset", "type")),
+    "data",
+    *PLACE,
+    *TURN,
 )
-from .as_scan import (
-    CLOUD,
-    ECHOES,
-    FOXGLOVE,
-    FOXGLOVE_CLOUD,
-    OF_CLOUD,
-    OF_ECHOES,
-    OF_FOXGLOVE,
-    OF_FOXGLOVE_CLOUD,
-    SCAN,
-    cloud_as_scans,
-    echoes_as_scans,
-    foxglove_as_scans,
-    foxglove_clouds_as_scans,
-    level_frame,
-)
+OF_FOXGLOVE = ("start_angle", "end_angle", "ranges", *TURN)
+BEAMS = 720
+LOW_RAD, HIGH_RAD = np.radians((-0.2, 2.2))  # of a point above the sensor's level
+NEAR_M, FAR_M = 0.3, 100.0  # m: nearer is the robot itself
+DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField
+PACKED = np.array([0, 2, 1, 4, 3, 6, 5, 7, 8])  # foxglove.PackedElementField's numeric type -> PointField's
+OPTICAL = "_optical"  # a camera's frame: x right, y down, z ahead
+
+
+def level_frame(frame_id: str) -> str:
+    """Return the frame in which a scan lies: that of the camera's body for its optical frame."""
+    return frame_id.replace(OPTICAL, "")
+
+
+def echoes_as_scans(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
+    """Return fields of LaserScans made of k MultiEchoLaserScans; `columns` are OF_ECHOES."""
+    return {name: _first_echoes(columns) if name == "ranges" else columns[name] for name in fields}
+
+
+def cloud_as_scans(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
+    """Return fields of LaserScans made of k clouds in the frame `frame_id`; `columns` are OF_CLOUD."""
+    n = len(cast("Array", columns["width"]))
+    return _as_scans(n, lambda i: points(columns, i), fields, frame_id)
+
+
+def _as_scans(n: int, cloud: Callable[[int], Array], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
+    """Return fields of LaserScans made of n clouds; `cloud` gives the points (m, 3) [m] of one of them."""
+    step = 2.0 * np.pi / BEAMS
+    fixed = {"angle_min": -np.pi + 0.5 * step, "angle_increment": step, "time_increment": 0.0}
+    fixed |= {"range_min": NEAR_M, "range_max": FAR_M}
+    made: dict[str, Column] = {name: np.full(n, value) for name, value in fixed.items()}
+    if "ranges" in fields:
+        ranges = [level_slice(cloud(i), OPTICAL in frame_id) for i in range(n)]
+        values = np.concatenate([np.empty(0), *ranges]).astype(np.float32)
+        made["ranges"] = Ragged(values, np.arange(n + 1) * BEAMS)
+    return {name: made[name] for name in fields}
+
+
+def foxglove_clouds_as_scans(
+    columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str
+) -> dict[str, Column]:
+    """Return fields of LaserScans made of k of Foxglove's clouds, placed by their pose; OF_FOXGLOVE_CLOUD."""
+    step = np.asarray(columns["point_stride"], np.float64)
+    data = cast("list[bytes]", columns["data"])
+    bytes_of = np.array([len(one) for one in data], np.float64)
+    kinds = cast("Ragged", columns["fields.type"])
+    known = (kinds.values >= 0) & (kinds.values < len(PACKED))
+    packed = PACKED[np.where(known, kinds.values, 0).astype(np.int64)]
+    flat = {"height": np.ones(len(step)), "width": bytes_of // np.maximum(step, 1.0), "row_step": bytes_of}
+    cloud: dict[str, Column] = {**columns, **flat, "is_bigendian": np.zeros(len(step), bool), "point_step": step}
+    cloud["fields.datatype"] = Ragged(packed, kinds.first)
+    place, turn = (
+        np.stack([np.asarray(columns[name], np.float64) for name in names], axis=-1) for names in (PLACE, TURN)
+    )
+    return _as_scans(len(step), lambda i: _moved(points(cloud, i), place[i], turn[i]), fields, frame_id)
+
+
+def _moved(xyz: Array, place: Array, quaternion: Array) -> Array:
+    """Return points (n, 3) [m] seen from where their frame has a place (3,) and a turn x, y, z, w (4,)."""
+    axis, w = quaternion[:3], quaternion[3]
+    norm = float(quaternion @ quaternion)
+    if not 0.0 < norm < np.inf:  # no orientation: none is meant
+        return xyz + np.nan_to_num(place)
+    across = np.cross(axis, xyz)
+    turned: Array = xyz + 2.0 / norm * (w * across + np.cross(axis, across))
+    return turned + np.nan_to_num(place)
+
+
+def foxglove_as_scans(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
+    """Return fields of LaserScans made of k of Foxglove's, evenly spaced from start to end; turned by their pose.
+
+    They say neither how long a scan takes nor which ranges are none: what is no number or not above zero.
+    """
+    start, end = (np.asarray(columns[name], np.float64) for name in ("start_angle", "end_angle"))
+    ranges = cast("Ragged", columns["ranges"])
+    beams = np.maximum(ranges.lengths - 1, 1)
+    turn = headings(*(np.asarray(columns[name], np.float64) for name in TURN))
+    made: dict[str, Column] = {
+        "angle_min": start + np.where(np.isfinite(turn), turn, 0.0),
+        "angle_increment": (end - start) / beams,
+        **{name: np.zeros(len(start)) for name in ("time_increment", "range_min")},
+        "range_max": np.full(len(start), FAR_M),
+        "ranges": Ragged(ranges.values.astype(np.float32), ranges.first),
+    }
+    return {name: made[name] for name in fields}
+
+
+def _first_echoes(columns: Mapping[str, Column]) -> Ragged:
+    """Return the first echo of each beam, Inf where there is none."""
+    echoes, lengths = cast("Ragged", columns["ranges.echoes"]), cast("Ragged", columns["ranges.echoes.length"])
+    counts = lengths.values.astype(np.int64)
+    first = np.cumsum(counts) - counts
+    values = np.full(len(counts), np.inf, np.float32)
+    values[counts > 0] = echoes.values[first[counts > 0]]
+    return Ragged(values, lengths.first)
+
+
+def points(columns: Mapping[str, Any], i: int) -> Array:
+    """Return the points of cloud i, (n, 3) m in its frame; none where its fields do not say x, y and z."""
+    nothing: Array = np.empty((0, 3))
+    names, first = columns["fields.name"][i], columns["fields.offset"].first[i]
+    if not {"x", "y", "z"} <= set(names):
+        return nothing
+    at = [names.index(axis) for axis in "xyz"]
+    kinds = [DATATYPES.get(int(columns["fields.datatype"].values[first + k]), "") for k in at]
+    offsets = [int(columns["fields.offset"].values[first + k]) for k in at]
+    step, width, height, row = (int(columns[k][i]) for k in ("point_step", "width", "height", "row_step"))
+    if (
+        not all(kinds)
+        or not 1 <= step <= len(columns["data"][i])  # one point at least, and no dtype of gigabytes
+        or max(o + np.dtype(k).itemsize for o, k in zip(offsets, kinds, strict=True)) > step
+    ):
+        return nothing
+    order = ">" if columns["is_bigendian"][i] else "<"
+    layout = np.dtype(
+        {"names": list("xyz"), "formats": [order + k for k in kinds], "offsets": offsets, "itemsize": step}
+    )
+    data = np.frombuffer(columns["data"][i], np.uint8)
+    if height > 1 and row > width * step:  # rows that are padded
+        data = data[: len(data) // row * row].reshape(-1, row)[:, : width * step].reshape(-1)
+    cloud = np.frombuffer(data[: len(data) // step * step].tobytes(), layout)
+    return np.stack([cloud[axis].astype(np.float64) for axis in "xyz"], axis=-1)
+
+
+def level_slice(xyz: Array, optical: bool = False) -> Array:
+    """Return the ranges (BEAMS,) [m] of points (n, 3) [m] about the sensor's level, Inf where there is none."""
+    if optical:
+        xyz = np.stack((xyz[:, 2], -xyz[:, 0], -xyz[:, 1]), axis=-1)
+    ranges = np.full(BEAMS, np.inf)
+    away = np.hypot(xyz[:, 0], xyz[:, 1])
+    with np.errstate(invalid="ignore"):
+        level = (xyz[:, 2] >= away * np.tan(LOW_RAD)) & (xyz[:, 2] <= away * np.tan(HIGH_RAD))
+        seen = level & (away >= NEAR_M) & (away <= FAR_M)
+    away, xyz = away[seen], xyz[seen]
+    turned = (np.arctan2(xyz[:, 1], xyz[:, 0]) + np.pi) * (BEAMS / (2.0 * np.pi))
+    beam = np.minimum(turned.astype(np.int64), BEAMS - 1)
+    order = np.lexsort((away, np.abs(turned - beam - 0.5), beam))
+    found, nearest = np.unique(beam[order], return_index=True)
+    ranges[found] = away[order][nearest]
+    return ranges
+
+
+# --- All of them
 
 PATH, POSE = "nav_msgs/msg/Path", "geometry_msgs/msg/PoseStamped"
 OF_PATH = (

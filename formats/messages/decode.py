@@ -6,8 +6,7 @@ from collections.abc import Callable
 
 from locfuse.formats.container.source import ChannelInfo
 
-from .decoded import MessageDecoder
-from .schema import SchemaError
+from .schema import MessageDecoder, SchemaError
 
 
 def encoding_problem(channel: ChannelInfo) -> str | None:
@@ -30,16 +29,14 @@ def make_decoder(channel: ChannelInfo) -> MessageDecoder:
 
 
 def _cdr(channel: ChannelInfo) -> MessageDecoder:
-    from .cdr import Decoder
-    from .layout import CDR
+    from .cdr import CDR, Decoder
     from .schema import parse
 
     return Decoder(parse(channel.msgtype, channel.schema_encoding, _text(channel)), CDR)
 
 
 def _ros1(channel: ChannelInfo) -> MessageDecoder:
-    from .cdr import Decoder
-    from .layout import ROS1
+    from .cdr import ROS1, Decoder
     from .schema import parse
 
     return Decoder(parse(channel.msgtype, channel.schema_encoding, _text(channel), filler=False), ROS1)
@@ -52,8 +49,7 @@ def _json(channel: ChannelInfo) -> MessageDecoder:
 
 
 def _protobuf(channel: ChannelInfo) -> MessageDecoder:
-    from .protobuf_messages import ProtobufDecoder
-    from .protobuf_schema import parse_descriptors
+    from .protobuf_messages import ProtobufDecoder, parse_descriptors
 
     return ProtobufDecoder(*parse_descriptors(channel.msgtype, channel.schema))
 

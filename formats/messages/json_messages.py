@@ -1,7 +1,12 @@
-"""JSON messages, such as Foxglove's, as the same columns: a value that is missing is NaN, "" or an empty array."""
+"""JSON messages as columns, and columns out of any messages that were read into Python objects (Protobuf too).
+
+A value that is missing is NaN, "" or an empty array; a time that is none is zero, which the clock repairs.
+"""
 
 from __future__ import annotations
 
+import base64
+import binascii
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -12,12 +17,127 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_DEPTH, MAX_MESSAGE
-from locfuse.fusion.data import Ints
+from locfuse.formats.visible import writable
+from locfuse.fusion.data import Column, Ints, Ragged
 
-from .decoded import Decoded
-from .fields import resolve
-from .objects import NANOSECONDS, NUMBER, TIME, column
-from .schema import Many, Node, Record, Scalar, SchemaError, Text, refuse_large
+from .fields import Part, resolve
+from .schema import TIMES, Counts, Decoded, Many, Node, Record, Scalar, SchemaError, Text, refuse_large
+
+NUMBER = Scalar("f8", 8)
+WHOLE = Scalar("i8", 8)
+TIME = Record(min(TIMES - {"builtin_interfaces/msg/Duration"}), {"sec": WHOLE, "nanosec": WHOLE})
+NANOSECONDS = ("nsec", "nanosec", "nsecs")
+NAN = float("nan")
+
+
+def column(objects: list[dict[str, Any]], path: str, parts: tuple[Part, ...]) -> Column:
+    """Return one field of all messages; `parts` is what `path` was resolved to."""
+    inside = parts[0].inside
+    if inside and isinstance(parts[0].node, Many | Counts):
+        return _nested(parts[0], objects)
+    path = parts[0].path.rpartition(".")[0] if len(parts) == 2 else parts[0].path
+    values = [_at(one, path.split(".")) for one in objects]
+    node = TIME if len(parts) == 2 else parts[0].node
+    if inside:
+        rows = [_flat(value, parts[0].depth) if isinstance(value, list) else [] for value in values]
+        if isinstance(node, Text):
+            return [tuple(_text(v) for v in row) for row in rows]
+        return _ragged([_scalars(node, row) for row in rows], _dtype(node))
+    if isinstance(node, Many):
+        return _many(node, values)
+    return [_text(v) for v in values] if isinstance(node, Text) else _scalars(node, values)
+
+
+def _nested(part: Part, objects: list[dict[str, Any]]) -> Column:
+    """Return the arrays inside an array end to end, or how long each is."""
+    found = [_at(one, part.path.split(".")) for one in objects]
+    rows = [[v if isinstance(v, list) else [] for v in row] if isinstance(row, list) else [] for row in found]
+    if isinstance(part.node, Counts):
+        return _ragged([np.array([len(v) for v in row], np.int64) for row in rows], "i8")
+    if isinstance(part.node, Many) and isinstance(part.node.element, Text):
+        return [tuple(_text(v) for inner in row for v in inner) for row in rows]
+    return _ragged([_floats([v for inner in row for v in inner]) for row in rows], "f8")
+
+
+def _flat(values: list[Any], depth: int) -> list[Any]:
+    """Return the values of structures that lie in `depth` arrays, one inside the other, end to end."""
+    for _ in range(depth - 1):
+        values = [v for one in values if isinstance(one, list) for v in one]
+    return values
+
+
+def _at(value: Any, names: Sequence[str]) -> Any:
+    """Follow a path; through an array of objects it gives one value per element."""
+    for i, name in enumerate(names):
+        if isinstance(value, list):
+            return [_at(one, names[i:]) for one in value]
+        value = value.get(name) if isinstance(value, dict) else None
+    return value
+
+
+def _scalars(node: Node, values: list[Any]) -> NDArray[Any]:
+    convert = _nanoseconds if node is TIME else bool if _dtype(node) == "?" else _number
+    return np.array([convert(value) for value in values], _dtype(node))
+
+
+def _dtype(node: Node) -> str:
+    return "i8" if node is TIME else node.dtype if isinstance(node, Scalar) else "f8"
+
+
+def _number(value: Any) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        return NAN
+
+
+def _nanoseconds(value: Any) -> int:
+    """Return a time in ns, 0 where there is none (the clock then repairs it)."""
+    if not isinstance(value, dict):
+        return 0
+    fraction = next((value[key] for key in NANOSECONDS if key in value), 0)
+    total = _number(value.get("sec", 0)), _number(fraction)
+    if not all(abs(one) < 2**32 for one in total):
+        return 0
+    return int(total[0]) * 10**9 + int(total[1])
+
+
+def _text(value: Any) -> str:
+    return writable(value) if isinstance(value, str) else ""  # JSON can spell half a surrogate pair
+
+
+def _many(node: Many, values: list[Any]) -> Column:
+    if isinstance(node.element, Scalar) and node.element.dtype == "u1":
+        return [_bytes(value) for value in values]
+    rows = [value if isinstance(value, list) else [] for value in values]
+    if isinstance(node.element, Text):
+        return [tuple(_text(v) for v in row) for row in rows]
+    return _ragged([_floats(row) for row in rows], "f8")
+
+
+def _floats(row: list[Any]) -> NDArray[Any]:
+    try:
+        numbers = np.array(row, float)  # None (what JSON has for NaN) becomes NaN
+    except (TypeError, ValueError, OverflowError):
+        numbers = np.empty((0, 0))
+    return numbers if numbers.ndim == 1 else np.array([_number(value) for value in row], float)
+
+
+def _ragged(rows: list[NDArray[Any]], dtype: str) -> Ragged:
+    first = np.concatenate(([0], np.cumsum([len(row) for row in rows], dtype=np.int64)))
+    return Ragged(np.concatenate([np.empty(0, dtype), *rows]).astype(dtype), first)
+
+
+def _bytes(value: Any) -> bytes:
+    if isinstance(value, bytes):
+        return value
+    try:
+        return base64.b64decode(value)
+    except (TypeError, ValueError, binascii.Error):
+        return b""
+
+
+# --- JSON messages, such as Foxglove's
 
 SCALARS: dict[str, Node] = {"number": NUMBER, "integer": NUMBER, "boolean": Scalar("?", 1), "string": Text()}
 

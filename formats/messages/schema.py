@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, cast
+from collections import Counter
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple, Protocol, cast
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from locfuse.formats.caps import (
     MAX_DEFINITION,
@@ -16,6 +20,7 @@ from locfuse.formats.caps import (
     names_its_cap,
 )
 from locfuse.formats.container.source import message_type
+from locfuse.fusion.data import Column, Ints
 
 if TYPE_CHECKING:
     from rosbags.interfaces.typing import FieldDesc, Typesdict
@@ -201,3 +206,25 @@ def signature(node: Node) -> object:
     if isinstance(node, Many):
         return (node.count, signature(node.element))
     return node.dtype if isinstance(node, Scalar) else "text"
+
+
+# --- What a decoder gives, whatever the encoding
+
+
+class Decoded(NamedTuple):
+    """The messages of one channel in one batch, as columns of those that could be read."""
+
+    good: NDArray[np.bool_]  # (k,) which of the messages are rows
+    columns: dict[str, Column]
+    bad: Counter[str]  # reason -> messages that are not
+
+
+class MessageDecoder(Protocol):
+    """Columns out of the messages of one type. Which messages are good must not depend on the fields."""
+
+    message: Record
+    fast: int  # messages decoded together with others
+    general: int  # messages decoded by themselves
+
+    def decode(self, data: NDArray[np.uint8], start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:
+        """Return the fields of the messages that lie at data[start[i] : start[i] + length[i]]."""

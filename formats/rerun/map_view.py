@@ -1,78 +1,78 @@
-"""The map view: truth, each configuration's path, pose and 3-sigma ellipse, and the walls it believes in.
+"""The map view: truth, each configuration's path, pose, 3-sigma ellipse and map, and what the sensors measured.
 
-Data are in map coordinates, y up; one flip at the root turns them for the screen, where y grows down.
+Data are in map coordinates, y up; one flip at the root turns them for the screen, where y grows down. Segments,
+rays and headings are drawn from the configuration's own pose, so that a wrong pose shows: matched segments of a
+good estimate lie on its walls.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
+import rerun as rr
+from msgspec.structs import asdict
 
-from locfuse.formats.geometry import ellipses, quaternions, steps, wall, wall_band
+from locfuse.formats.geometry import ellipses, mounted, quaternions, segments, steps, to_map, wall, wall_band
 from locfuse.formats.thin import evenly, extremes
-from locfuse.fusion.data import Array, Estimates, Ints, MapLine, matrices
+from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, Ints, MapLine, Measurements, matrices
 
 from . import style
-from .deferred import rr
 from .recorder import Recorder, part
-from .scene import Rgb, Scene
+from .scene import GROUP_OF, Rgb, Scene, Sight
 
 ROOT = "world"
-PATH_ORDER = 40.0  # above walls and scans
+PATH_ORDER = 40.0  # draw order, above walls and scans
 TRUTH_ORDER = 35.0  # below the estimates, a broad line under thin ones: neither hides the other
 TRUTH_WIDTH, PATH_WIDTH = 2.75, 1.25  # points on the screen
+SIGHT_WIDTH = {"segments": 2.5, "bearing": 1.0, "heading": 1.5}  # points on the screen
 MIN_BODY_SHARE = 0.02  # of the map: smaller robots would not be seen
-FLIP = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0))
+HEADING_LENGTH = 1.5  # tracks
+BEARING_LENGTH = 2.0  # m, where no landmark says how far
+FLIP = rr.Transform3D(mat3x3=((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)))
 
 
 def draw_map(to: Recorder, scene: Scene) -> None:
-    """Send everything on the map but what the sensors saw."""
-    to.static(ROOT, rr.Transform3D(mat3x3=FLIP))
-    for order, estimates in enumerate(scene.estimates):
-        root = f"{ROOT}/{part(estimates.name)}"
-        colour = scene.colour(estimates.name)
-        picks = extremes(estimates.pose[:, :2], scene.detail.curve)
-        draw_path(
-            to,
-            f"{root}/path",
-            estimates.t[picks],
-            estimates.pose[picks, :2],
-            colour,
-            PATH_WIDTH,
-            PATH_ORDER + order,
-        )
-        _draw_pose(to, root, estimates, evenly(len(estimates.t), scene.detail.curve), colour)
-        width = 2.0 if estimates is scene.best else 1.0
-        body = rr.LineStrips2D([_body(scene)])
-        to.static(f"{root}/pose/body", body, style.lines(colour, width, PATH_ORDER + order))
-        _draw_walls(to, f"{root}/walls", estimates)
-        _draw_loops(to, f"{root}/loops", estimates)
+    """Draw everything that has a place on the map."""
+    to.static(ROOT, FLIP)
+    for order, e in enumerate(scene.estimates, start=int(PATH_ORDER)):
+        root, colour = f"{ROOT}/{part(e.name)}", scene.colour(e.name)
+        _draw_path(to, f"{root}/path", e.t, e.pose[:, :2], scene, style.lines(colour, PATH_WIDTH, order))
+        _draw_pose(to, root, e, evenly(len(e.t), scene.detail.curve), colour)
+        body = style.lines(colour, 2.0 if e is scene.best else 1.0, order)
+        to.static(f"{root}/pose/body", rr.LineStrips2D([_body(scene)]), body)
+        _draw_walls(to, f"{root}/walls", e)
+        _draw_loops(to, f"{root}/loops", e)
+        _draw_sights(to, f"{root}/seen", scene, e)
+    _draw_scans(to, scene)
     _draw_truth(to, scene)
-    _draw_landmarks(to, scene)
+    for sensor, sight in scene.sights.items():
+        if sight.landmark is not None:
+            point = rr.Points2D([sight.landmark], labels=["landmark"])
+            to.static(f"{ROOT}/landmark/{sensor}", point, style.points(style.LANDMARK, 6.0))
 
 
-def draw_path(
-    to: Recorder, path: str, t: Array, xy: Array, colour: style.Colour, width: float, order: float
-) -> None:
-    """Send a growing path: one short strip per step (n - 1), so that nothing is sent twice."""
-    to.static(path, style.lines(colour, width, order))
-    to.send(path, t[1:], rr.LineStrips2D.columns(strips=steps(xy).astype(np.float32)))
+def _draw_path(to: Recorder, path: str, t: Array, xy: Array, scene: Scene, look: rr.LineStrips2D) -> None:
+    """Draw a growing path: one short strip per step, so that nothing is written twice."""
+    picks = extremes(xy, scene.detail.curve)
+    to.static(path, look)
+    to.send(path, t[picks][1:], rr.LineStrips2D.columns(strips=steps(xy[picks]).astype(np.float32)))
 
 
 def _draw_pose(to: Recorder, root: str, e: Estimates, picks: Ints, colour: Rgb) -> None:
-
     t, pose = e.t[picks], e.pose[picks]
-    place = np.column_stack((pose[:, :2], np.zeros(len(pose))))
-    move = rr.Transform3D.columns(translation=place, quaternion=quaternions(pose[:, 2]))
-    to.send(f"{root}/pose", t, move)
+    to.send(f"{root}/pose", t, _moves(pose[:, :2], pose[:, 2]))
     if not e.triangles.any():
         return  # a trajectory from a file, without its covariances
     axes, angle = ellipses(matrices(e.triangles[picks]))
-    turned = rr.Transform3D.columns(translation=place, quaternion=quaternions(angle))
-    thin: Any = style.on_screen(0.75)
-    to.static(f"{root}/sigma", rr.Ellipses2D.from_fields(colors=[colour], line_radii=thin))
-    to.send(f"{root}/sigma", t, turned, rr.Ellipses2D.columns(half_sizes=axes))
+    to.static(f"{root}/sigma", rr.Ellipses2D.from_fields(colors=[colour], line_radii=style.on_screen(0.75)))
+    to.send(f"{root}/sigma", t, _moves(pose[:, :2], angle), rr.Ellipses2D.columns(half_sizes=axes))
+
+
+def _moves(xy: Array, angle: Array) -> rr.ComponentColumnList:
+    """Return places (n, 2) m and directions (n,) rad as transforms."""
+    place = np.column_stack((xy, np.zeros(len(xy))))
+    return rr.Transform3D.columns(translation=place, quaternion=quaternions(angle))
 
 
 def _body(scene: Scene) -> Array:
@@ -83,16 +83,16 @@ def _body(scene: Scene) -> Array:
 
 
 def _draw_walls(to: Recorder, root: str, e: Estimates) -> None:
-    """Send the first scan's walls, and the refined ones with their uncertainty, each from when it was matched."""
+    """Draw the first scan's walls, and the refined ones with their uncertainty, each from when it was matched."""
     if not e.first_map and not e.final_map:
         return
-    start = np.array([_first_scan(e)])
+    start, born = _first_matches(e)
     first = np.array([wall(line) for line in e.first_map]).reshape(-1, 2, 2)
     to.static(f"{root}/first_scan", style.lines(style.faded(style.FIRST_WALL, 200), 1.0))
-    to.send(f"{root}/first_scan", start, rr.LineStrips2D.columns(strips=first), lengths=[len(first)])
-    born = _births(e)
-    walls = sorted(e.final_map, key=lambda line: (born.get(line.id, start[0]), line.id))
-    t = np.array([born.get(line.id, start[0]) for line in walls])
+    columns = rr.LineStrips2D.columns(strips=first)
+    to.send(f"{root}/first_scan", np.array([start]), columns, lengths=[len(first)])
+    walls = sorted(e.final_map, key=lambda line: (born.get(line.id, start), line.id))
+    t = np.array([born.get(line.id, start) for line in walls])
     to.static(f"{root}/refined", style.lines(style.WALL, 1.5))
     ends = rr.LineStrips2D.columns(strips=[wall(line) for line in walls], labels=[_label(x) for x in walls])
     to.send(f"{root}/refined", t, ends)
@@ -100,30 +100,15 @@ def _draw_walls(to: Recorder, root: str, e: Estimates) -> None:
     to.send(f"{root}/three_sigma", t, rr.LineStrips2D.columns(strips=[wall_band(x) for x in walls]))
 
 
-def _draw_loops(to: Recorder, path: str, e: Estimates) -> None:
-    """Send a line for every place that was recognised: from where the robot is to where it was then."""
-    if not len(e.loops):
-        return
-    at = np.minimum(np.searchsorted(e.t, e.loops), len(e.t) - 1)
-    to.static(path, style.lines(style.faded(style.LOOP, 120), 0.75, PATH_ORDER - 1.0))
-    to.send(path, e.loops[:, 1], rr.LineStrips2D.columns(strips=e.pose[at][:, :, :2].astype(np.float32)))
-
-
-def _first_scan(e: Estimates) -> float:
-    """Return when the map began: the first instant at which a sensor with a map reported."""
-    instants = [a.instant[0] for a in e.audits.values() if len(a.instant) and (a.landmark >= 0).any()]
-    return float(e.t[min(instants, default=0)])
-
-
-def _births(e: Estimates) -> dict[int, float]:
-    """Return when each map line was first matched, by its id."""
+def _first_matches(e: Estimates) -> tuple[float, dict[int, float]]:
+    """Return when the map began [s], and when each of its lines was first matched [s], by its id."""
+    began = [a.instant[0] for a in e.audits.values() if len(a.instant) and (a.landmark >= 0).any()]
+    start = float(e.t[min(began, default=0)])
     found: dict[int, float] = {}
     for audit in e.audits.values():
         ids, at = np.unique(audit.landmark, return_index=True)
-        found |= {i: float(e.t[k]) for i, k in zip(ids.tolist(), audit.instant[at].tolist(), strict=True)}
-    for line in e.first_map:
-        found[line.id] = _first_scan(e)
-    return found
+        found |= dict(zip(ids.tolist(), e.t[audit.instant[at]].tolist(), strict=True))
+    return start, found | {line.id: start for line in e.first_map}
 
 
 def _label(line: MapLine) -> str:
@@ -134,29 +119,107 @@ def _label(line: MapLine) -> str:
     )
 
 
-def _draw_truth(to: Recorder, scene: Scene) -> None:
+def _draw_loops(to: Recorder, path: str, e: Estimates) -> None:
+    """Draw a line for every place that was recognised: from where the robot is to where it was then."""
+    if len(e.loops):
+        at = np.minimum(np.searchsorted(e.t, e.loops), len(e.t) - 1)
+        to.static(path, style.lines(style.faded(style.LOOP, 120), 0.75, PATH_ORDER - 1.0))
+        to.send(path, e.loops[:, 1], rr.LineStrips2D.columns(strips=e.pose[at][:, :, :2].astype(np.float32)))
 
+
+def _draw_truth(to: Recorder, scene: Scene) -> None:
     truth = scene.drive.truth
     if truth is None or len(truth.t) == 0:
         return
-    picks = extremes(truth.xy, scene.detail.curve)
-    draw_path(
-        to,
-        f"{ROOT}/truth/path",
-        truth.t[picks],
-        truth.xy[picks],
-        style.faded(style.TRUTH, 150),
-        TRUTH_WIDTH,
-        TRUTH_ORDER,
-    )
+    look = style.lines(style.faded(style.TRUTH, 150), TRUTH_WIDTH, TRUTH_ORDER)
+    _draw_path(to, f"{ROOT}/truth/path", truth.t, truth.xy, scene, look)
     now = evenly(len(truth.t), scene.detail.curve)
     to.static(f"{ROOT}/truth/now", style.points(style.TRUTH, 4.0))
     to.send(f"{ROOT}/truth/now", truth.t[now], rr.Points2D.columns(positions=truth.xy[now]))
 
 
-def _draw_landmarks(to: Recorder, scene: Scene) -> None:
+class Seen(NamedTuple):
+    """The audit rows (k,) of some readings (s,), in order."""
 
-    for sensor, sight in scene.sights.items():
-        if sight.landmark is not None:
-            point = rr.Points2D([sight.landmark], labels=["landmark"])
-            to.static(f"{ROOT}/landmark/{sensor}", point, style.points(style.LANDMARK, 6.0))
+    t: Array  # (s,) s, when each reading was taken
+    reading: Ints  # (k,) position among these readings
+    audit: Audit  # k rows
+    pose: Array  # (k, 3) the configuration's pose then
+
+
+def _draw_sights(to: Recorder, root: str, scene: Scene, e: Estimates) -> None:
+    """Draw segments, bearing rays and headings, one entity per group of verdicts.
+
+    A reading without a member of the group empties the entity.
+    """
+    drive = scene.seen_by(e.name)
+    for sensor, audit in e.audits.items():
+        sight = scene.sights.get(sensor)
+        if sight is None or not sight.kind or len(audit.instant) == 0:
+            continue
+        m = drive.measurements[sensor]
+        seen = _some_readings(m, drive.t[drive.instant[sensor]], audit, e, scene.detail.scans)
+        strips = _strips(m, seen, sight, scene.track).astype(np.float32)
+        group = np.array(GROUP_OF)[seen.audit.verdict]
+        for name, colour in style.GROUPS.items():
+            members = np.flatnonzero(group == name)
+            if len(members) == 0:
+                continue
+            counts = np.bincount(seen.reading[members], minlength=len(seen.t))
+            path = f"{root}/{sensor}/{name}"
+            to.static(path, style.lines(colour, SIGHT_WIDTH[sight.kind]))
+            columns = rr.LineStrips2D.columns(strips=strips[members], labels=_labels(seen.audit, members))
+            to.send(path, seen.t, columns, lengths=counts)
+
+
+def _some_readings(m: Measurements, t: Array, audit: Audit, e: Estimates, limit: int) -> Seen:
+    """Return the audit of at most `limit` readings, taken at t (n,), evenly over the drive."""
+    readings = evenly(len(m.t), limit)
+    owner = np.searchsorted(m.first, audit.row, side="right") - 1
+    at = np.searchsorted(readings, owner)
+    keep = np.flatnonzero(readings[np.minimum(at, len(readings) - 1)] == owner)
+    rows = Audit(*(column[keep] for name, column in asdict(audit).items() if name != "joint"))
+    return Seen(t[readings], at[keep], rows, e.pose[rows.instant])
+
+
+def _strips(m: Measurements, seen: Seen, sight: Sight, track: float) -> Array:
+    """Return what each audit row looks like on the map, (k, 2, 2) m."""
+    z = m.z[seen.audit.row]
+    if sight.kind == "segments":
+        return to_map(seen.pose[:, None], segments(z, m.extra["ends"][seen.audit.row]))
+    origin = mounted(seen.pose, sight.mount)
+    if sight.kind == "heading":
+        angle = seen.pose[:, 2] + np.nan_to_num(seen.audit.y[:, 0])
+        length = np.full(len(angle), HEADING_LENGTH * track)
+    else:
+        angle = origin[:, 2] + z[:, 0]
+        length = np.full(len(angle), BEARING_LENGTH)
+    if sight.landmark is not None:
+        length = np.hypot(sight.landmark[0] - origin[:, 0], sight.landmark[1] - origin[:, 1])
+    end = origin[:, :2] + length[:, None] * np.stack((np.cos(angle), np.sin(angle)), axis=-1)
+    return np.stack((origin[:, :2], end), axis=1)
+
+
+def _labels(audit: Audit, rows: Ints) -> list[str]:
+    """Return for each row what hovering shows: the verdict, the wall it was compared with, its NIS."""
+    columns = (audit.verdict[rows].tolist(), audit.landmark[rows].tolist(), audit.nis[rows].tolist())
+    return [
+        f"{VERDICTS[v]}: NIS {nis:.1f}" + (f", wall {line}" if line >= 0 else "")
+        if nis == nis  # noqa: PLR0124  NaN where nothing was predicted
+        else VERDICTS[v]
+        for v, line, nis in zip(*columns, strict=True)
+    ]
+
+
+def _draw_scans(to: Recorder, scene: Scene) -> None:
+    """Draw the scans once, in the robot's frame: the map shows them through the best pose."""
+    scans, best = scene.scans, scene.best
+    if scans is None or len(scans.t) == 0:
+        return
+    k = np.clip(np.searchsorted(best.t, scans.t), 0, len(best.t) - 1)
+    pose, root = best.pose[k], f"{ROOT}/{part(best.name)}/scan"
+    to.send(root, scans.t, _moves(pose[:, :2], pose[:, 2]))
+    to.static(f"{root}/points", style.points(style.faded(style.SCAN, 190), 1.25))
+    points = rr.Points2D.columns(positions=scans.xy.astype(np.float32))
+    to.send(f"{root}/points", scans.t, points, lengths=scans.counts)
+    to.static(f"{root}/screen", FLIP)

@@ -1,76 +1,72 @@
-"""A scene as a Rerun recording: map, sights, curves, pictures, table, and a blueprint that opens tidy."""
+"""A scene as a Rerun recording: map, curves, pictures, table, and a layout that opens tidy.
+
+Rerun takes half a second and 90 MB to import, so its first import is in the functions of this file.
+"""
 
 from __future__ import annotations
 
+import os
 import re
-from collections import Counter
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+import shutil
+import warnings
 from pathlib import Path
-from typing import Any, NamedTuple
 
-from .blueprint import blueprint
-from .deferred import made, rr
-from .events import draw_events
-from .images import draw_pictures
-from .map_view import draw_map
-from .recorder import Recorder
-from .scene import Picture, Scene
-from .series import draw_series
-from .sights import draw_sights
-from .style import draw_legend
+from locfuse.formats.whole_files import whole_file
+from locfuse.fusion.data import LocfuseError
+
+from .scene import Scene
 
 APPLICATION = "locfuse"
 
 
-class Sketch(NamedTuple):
-    """A recording in values: thinned, free of the estimates it shows, and of Rerun."""
+def save_recording(path: Path, scene: Scene, tab: str | None = None, identity: str | None = None) -> None:
+    """Write a recording of a scene to `path`, whole or not at all; `tab` names the tab of curves in front.
 
-    name: str
-    application: str
-    layout: Any  # the blueprint, to be made
-    noted: Recorder
-    pictures: Iterable[Picture]  # read from the log as they are written: too big to be held
-    picture_rows: int | None
-    identity: str | None = None  # in a catalog; None: a new one, so that two runs never mix in a viewer
-
-
-def sketch(scene: Scene, tab: str | None = None) -> Sketch:
-    """Draw a scene; `tab` names the tab of curves in front."""
-    to = Recorder(scene.drive)
-    draw_map(to, scene)
-    draw_sights(to, scene)
-    draw_series(to, scene)
-    draw_events(to, scene.events)
-    draw_legend(to, scene)
-    if scene.table:
-        to.static("result", rr.TextDocument(unfolded(scene.table), media_type=rr.MediaType.MARKDOWN))
-    return Sketch(scene.name, application(scene), blueprint(scene, tab), to, scene.pictures, scene.picture_rows)
-
-
-def write_recording(path: Path, drawn: Sketch) -> Counter[str]:
-    """Write a sketch to an .rrd and return how many rows every entity must have when it is read back.
-
-    Raises RuntimeError where the disk is full or the file cannot be written.
+    `identity` names it in a catalog; without one it gets a new name, so that two runs never mix in a viewer.
+    Raises LocfuseError where it cannot be written.
     """
-    import rerun
+    quiet_rust()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(path) as temporary:
+            _write(temporary, scene, tab, identity)
+    except OSError as problem:
+        raise LocfuseError(f"cannot write {path}: {problem.strerror or problem}") from None
+    except RuntimeError as problem:  # what Rerun's writer thread says when the disk is full
+        full = "prematurely" in str(problem)
+        why = "the disk is full or went away" if full else _first_line(problem)
+        raise LocfuseError(f"cannot write {path}: {why}") from None
 
-    stream = rerun.RecordingStream(drawn.application, recording_id=drawn.identity)
+
+def _write(path: Path, scene: Scene, tab: str | None, identity: str | None) -> None:
+    import rerun as rr
+
+    from .blueprint import blueprint
+    from .images import draw_pictures
+    from .map_view import draw_map
+    from .recorder import Recorder
+    from .series import draw_series
+    from .style import draw_legend
+
+    rr.set_strict_mode(True)  # raise where it would warn: a recording with a hole in it is not written
+    stream = rr.RecordingStream(application(scene), recording_id=identity)
     stream.set_log_time_enabled(False)
     stream.set_log_tick_enabled(False)
-    with _strict():
-        stream.save(path)
-        try:
-            stream.send_blueprint(made(drawn.layout))  # active at once, in a viewer that runs already too
-            stream.send_recording_name(drawn.name)
-            drawn.noted.write(stream)
-            if drawn.picture_rows is not None:
-                for _ in draw_pictures(drawn.noted, drawn.pictures, drawn.picture_rows):
-                    drawn.noted.write(stream)
-            stream.flush()
-        finally:
-            stream.disconnect()
-    return drawn.noted.rows
+    to = Recorder(stream, scene.drive)
+    stream.save(path)
+    try:
+        stream.send_blueprint(blueprint(scene, tab))  # active at once, in a viewer that runs already too
+        stream.send_recording_name(scene.name)
+        draw_map(to, scene)
+        draw_series(to, scene)
+        draw_legend(to, scene)
+        if scene.table:
+            to.static("result", rr.TextDocument(unfolded(scene.table), media_type=rr.MediaType.MARKDOWN))
+        if scene.picture_rows is not None:
+            draw_pictures(to, scene.pictures, scene.picture_rows)
+        stream.flush()
+    finally:
+        stream.disconnect()
 
 
 def application(scene: Scene) -> str:
@@ -87,14 +83,36 @@ def unfolded(table: str) -> str:
     return re.sub(r"</?details>", "", table)
 
 
-@contextmanager
-def _strict() -> Iterator[None]:
-    """Let Rerun raise where it would warn: a recording with a hole in it is not written."""
-    from rerun.error_utils import set_strict_mode, strict_mode
+def check(path: Path) -> None:
+    """Raise LocfuseError for a file that is no recording, was cut short, or has no layout."""
+    quiet_rust()
+    from rerun.chunk import RrdReader
 
-    before = strict_mode()
-    set_strict_mode(True)
     try:
-        yield
-    finally:
-        set_strict_mode(before)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # a file without its footer was cut short
+            reader = RrdReader(path)
+            whole = bool(reader.recordings()) and bool(reader.blueprints())
+            for _ in reader.stream():  # a damaged chunk raises
+                pass
+    except Warning:
+        raise LocfuseError(f"{path.name} is no whole recording: it was cut short") from None
+    except (RuntimeError, ValueError, OSError) as problem:
+        raise LocfuseError(f"{path.name} is no whole recording: {_first_line(problem)}") from None
+    if not whole:
+        raise LocfuseError(f"{path.name} was not made by locfuse: it holds no drive or no layout")
+
+
+def copy(source: Path, target: Path) -> None:
+    """Copy a recording, whole or not at all. Raises LocfuseError where it cannot be written."""
+    with whole_file(target) as temporary:
+        shutil.copyfile(source, temporary)
+
+
+def quiet_rust() -> None:
+    """Keep Rerun's own log off the terminal, where locfuse reports what goes wrong. Before Rerun's import."""
+    os.environ.setdefault("RUST_LOG", "off")
+
+
+def _first_line(problem: BaseException) -> str:
+    return str(problem).strip().splitlines()[0][:200] if str(problem).strip() else type(problem).__name__

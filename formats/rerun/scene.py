@@ -1,4 +1,4 @@
-"""What a recording shows, as values: everything that `rerun_recording` draws, and nothing of Rerun."""
+"""What a recording shows, as values, without Rerun."""
 
 from __future__ import annotations
 
@@ -12,10 +12,13 @@ from msgspec import field
 
 from locfuse.formats.geometry import wall
 from locfuse.formats.thin import MAX_CURVE_POINTS, MAX_SCANS
-from locfuse.fusion.data import Array, Component, Drive, Estimates, Evaluation, Event, Ints
+from locfuse.fusion.data import VERDICTS, Array, Component, Drive, Estimates, Evaluation, Event, Ints
 
 Rgb = tuple[int, int, int]
 GREY: Rgb = (148, 151, 156)
+MATCHED, REJECTED, NEW = "matched", "rejected", "new"  # groups of verdicts that share a colour
+GROUP = {"accepted": MATCHED, "repeated": MATCHED, "new": NEW}  # verdict -> group, REJECTED for the others
+GROUP_OF = tuple(GROUP.get(v, REJECTED) for v in VERDICTS)
 
 
 class Sight(msgspec.Struct, frozen=True):
@@ -28,7 +31,7 @@ class Sight(msgspec.Struct, frozen=True):
     landmark: tuple[float, float] | None = None  # m, map: what a bearing points at
 
 
-class ScanPoints(NamedTuple):
+class DrawnScans(NamedTuple):
     """Some scans as points in the base frame, each deskewed to its instant."""
 
     t: Array  # (s,) s since Drive.epoch_ns
@@ -78,7 +81,7 @@ class Scene(msgspec.Struct, frozen=True, dict=True):
     sights: Mapping[str, Sight] = field(default_factory=dict)  # by sensor
     track: float = 0.3  # m, size of the robot on the map
     table: str = ""  # the result table, Markdown
-    scans: ScanPoints | None = None
+    scans: DrawnScans | None = None
     pictures: Iterable[Picture] = ()
     picture_rows: int | None = None  # px, height of the panoramas; None without pictures
     raw: Sequence[RawTopic] = ()

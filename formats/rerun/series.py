@@ -1,40 +1,93 @@
-"""Curves over time: deviation from truth, NIS with its bounds, innovations with 2 sigma, gates, raw numbers."""
+"""What is shown over time: deviation from truth, NIS, innovations, gates, raw numbers, and events as texts."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+import rerun as rr
 
 from locfuse.formats.thin import extremes
-from locfuse.fusion.data import VERDICTS, Array, Audit, Component, Estimates, Evaluation, Ints, Measurements
+from locfuse.fusion.data import (
+    FAULT,
+    LOST,
+    REFUSED,
+    VERDICTS,
+    Array,
+    Audit,
+    Component,
+    Estimates,
+    Evaluation,
+    Event,
+    Ints,
+    Measurements,
+)
 
 from . import style
-from .deferred import rr
 from .recorder import Recorder, part
 from .scene import Rgb, Scene, Sight
 
 DEVIATIONS = ("x [m]", "y [m]", "heading [deg]")
 BAND = 3.0  # sigmas of a deviation
 INNOVATION_BAND = 2.0  # sigmas of an innovation
+EVENTS = "events"
+LEVELS = {LOST: "ERROR", FAULT: "WARN", REFUSED: "WARN"}  # what asks for attention first; the rest is INFO
 ACCEPTED, NEW, REPEATED = (VERDICTS.index(v) for v in ("accepted", "new", "repeated"))
 
 
 def draw_series(to: Recorder, scene: Scene) -> None:
-    """Send all curves."""
+    """Draw all curves, states and events."""
+    limit = scene.detail.curve
     for e in scene.estimates:
-        colour, limit, name = scene.colour(e.name), scene.detail.curve, part(e.name)
+        pen, name = Pen(to, e.name, scene.colour(e.name), limit), part(e.name)
         drive = scene.seen_by(e.name)
         if e.name in scene.evaluations:
-            draw_deviation(to, scene.evaluations[e.name], colour, limit)
+            draw_deviation(pen, scene.evaluations[e.name])
         for sensor, audit in e.audits.items():
-            draw_nis(to, f"nis/{sensor}/{name}", e, audit, colour, limit)
-            draw_innovation(to, f"innovation/{sensor}", e, audit, scene.sights.get(sensor), colour, limit)
+            compared = np.flatnonzero(np.isfinite(audit.nis))
+            pen.dots(f"nis/{sensor}/{name}", e.t[audit.instant[compared]], audit.nis[compared])
+            draw_innovation(pen, f"innovation/{sensor}", e, audit, scene.sights.get(sensor))
             m, instant = drive.measurements[sensor], drive.instant[sensor]
             draw_gate(to, f"gate/{sensor}/{name}", drive.t[instant], m, audit, limit)
     for sensor, sight in scene.sights.items():
         draw_limits(to, scene, sensor, sight)
-    draw_raw(to, scene)
+    for topic in scene.raw:
+        for i, (name, values) in enumerate(topic.fields.items()):
+            colour = style.FIELDS[i % len(style.FIELDS)]
+            Pen(to, name, colour, limit).curve(raw_path(topic.topic, name), topic.t, values)
+    draw_events(to, scene.events)
+
+
+class Pen(NamedTuple):
+    """Draws curves of one name and colour, thinned to `limit` points."""
+
+    to: Recorder
+    name: str  # in the legend
+    colour: Rgb
+    limit: int
+
+    def curve(self, path: str, t: Array, values: Array) -> None:
+        """Draw one line."""
+        look = rr.SeriesLines(colors=[self.colour], names=[self.name], widths=[1.5])
+        self._draw(path, t, values, look)
+
+    def dots(self, path: str, t: Array, values: Array) -> None:
+        """Draw one cloud of dots."""
+        look = rr.SeriesPoints(colors=[self.colour], names=[self.name], markers=["circle"], marker_sizes=[1.5])
+        self._draw(path, t, values, look)
+
+    def band(self, path: str, t: Array, bound: Array) -> None:
+        """Draw two lines at +-bound (n,); under the curve's own name the legend switches both."""
+        faint = style.faded(self.colour, 200)
+        look = rr.SeriesLines(colors=[faint, faint], names=[self.name, self.name], widths=[0.75, 0.75])
+        self._draw(path, t, np.column_stack((bound, -bound)), look)
+
+    def _draw(self, path: str, t: Array, values: Array, look: Any) -> None:
+        if len(t):
+            picks = extremes(values if values.ndim == 1 else values[:, 0], self.limit)
+            self.to.static(path, look)
+            self.to.send(path, t[picks], rr.Scalars.columns(scalars=values[picks]))
 
 
 def entity(name: str) -> str:
@@ -43,59 +96,57 @@ def entity(name: str) -> str:
 
 
 def component(sight: Sight | None, i: int) -> Component:
-    """Return how number i of a sensor's innovation is shown, y0, y1, ... where nobody says."""
+    """Return how number i of a sensor's innovation is shown, y0, y1, ... for a sensor without a description."""
     return sight.components[i] if sight else Component(f"y{i}", "")
 
 
-def draw_deviation(to: Recorder, judged: Evaluation, colour: Rgb, limit: int) -> None:
-    """Send estimate - truth in x, y, heading, and the 3 sigma that the filter claims around zero."""
+def raw_path(topic: str, name: str = "") -> str:
+    """Return the entity of a raw topic, or of one of its fields."""
+    return "/".join(("raw", *(part(p) for p in (*topic.split("/"), name) if p)))
+
+
+def draw_deviation(pen: Pen, judged: Evaluation) -> None:
+    """Draw estimate - truth in x, y, heading, and the 3 sigma that the filter claims around zero."""
     columns = [judged.deviation[:, 0], judged.deviation[:, 1]]
     if judged.heading is not None:
         columns.append(np.degrees(judged.heading))
     to_unit = (1.0, 1.0, 180.0 / np.pi)
     for i, values in enumerate(columns):
         path = f"deviation/{entity(DEVIATIONS[i])}/{part(judged.name)}"
-        curve(to, path, judged.t, values, judged.name, colour, limit)
+        pen.curve(path, judged.t, values)
         bound = BAND * to_unit[i] * judged.sigma[:, i]
         if bound.any():
-            band(to, f"{path}/three_sigma", judged.t, bound, judged.name, colour, limit)
+            pen.band(f"{path}/three_sigma", judged.t, bound)
 
 
-def draw_nis(to: Recorder, path: str, e: Estimates, audit: Audit, colour: Rgb, limit: int) -> None:
-    """Send the NIS of every measurement that was compared, as dots."""
-    some = np.flatnonzero(np.isfinite(audit.nis))
-    dots(to, path, e.t[audit.instant[some]], audit.nis[some], e.name, colour, limit)
-
-
-def draw_limits(to: Recorder, scene: Scene, sensor: str, sight: Sight) -> None:
-    """Send the gate of a sensor and between what 95 % of consistent NIS lie, as level lines."""
-    audits = [e.audits[sensor] for e in scene.estimates if sensor in e.audits]
-    gates = [float(a.threshold[0]) for a in audits if len(a.threshold)]
-    if not gates:
-        return
-    t = scene.drive.t[[0, -1]]
-    if np.isfinite(gates[0]):
-        curve(to, f"nis/{sensor}/limits/gate", t, np.full(2, gates[0]), "gate", style.LIMIT, 2)
-    for name, value in zip(("low", "high"), sight.bounds, strict=True):
-        curve(to, f"nis/{sensor}/limits/{name}", t, np.full(2, value), "95 %", style.LEVEL, 2)
-
-
-def draw_innovation(
-    to: Recorder, root: str, e: Estimates, audit: Audit, sight: Sight | None, colour: Rgb, limit: int
-) -> None:
-    """Send every component of the innovation as dots, and its predicted 2 sigma around zero."""
+def draw_innovation(pen: Pen, root: str, e: Estimates, audit: Audit, sight: Sight | None) -> None:
+    """Draw every component of the innovation as dots, and its predicted 2 sigma around zero."""
     some = np.flatnonzero(np.isfinite(audit.y).all(axis=1))
     t = e.t[audit.instant[some]]
     for i in range(audit.y.shape[1]):
         name, _, scale = component(sight, i)
         path = f"{root}/{part(name)}/{part(e.name)}"
-        dots(to, path, t, scale * audit.y[some, i], e.name, colour, limit)
-        bound = INNOVATION_BAND * scale * audit.sigma[some, i]
-        band(to, f"{path}/two_sigma", t, bound, e.name, colour, limit)
+        pen.dots(path, t, scale * audit.y[some, i])
+        pen.band(f"{path}/two_sigma", t, INNOVATION_BAND * scale * audit.sigma[some, i])
+
+
+def draw_limits(to: Recorder, scene: Scene, sensor: str, sight: Sight) -> None:
+    """Draw the gate of a sensor and between what 95 % of consistent NIS lie, as level lines."""
+    audits = [e.audits[sensor] for e in scene.estimates if sensor in e.audits]
+    gates = [float(a.threshold[0]) for a in audits if len(a.threshold)]
+    if not gates:
+        return
+    low, high = sight.bounds
+    levels = [("low", low, "95 %", style.LEVEL), ("high", high, "95 %", style.LEVEL)]
+    if np.isfinite(gates[0]):
+        levels.append(("gate", gates[0], "gate", style.LIMIT))
+    for entity_name, value, name, colour in levels:
+        path = f"nis/{sensor}/limits/{entity_name}"
+        Pen(to, name, colour, 2).curve(path, scene.drive.t[[0, -1]], np.full(2, value))
 
 
 def draw_gate(to: Recorder, path: str, t: Array, m: Measurements, audit: Audit, limit: int) -> None:
-    """Send what became of each reading, where that changes."""
+    """Draw the state of each reading where it changes."""
     names = list(style.STATES)
     states = thinned_states(reading_states(m, audit), limit)
     changes = np.flatnonzero(np.diff(states.code, prepend=-1))
@@ -106,7 +157,7 @@ def draw_gate(to: Recorder, path: str, t: Array, m: Measurements, audit: Audit, 
 
 
 class States(NamedTuple):
-    """What became of some readings."""
+    """The states of some readings."""
 
     reading: Ints  # (k,)
     code: Ints  # (k,) position in style.STATES: the higher the worse
@@ -135,43 +186,18 @@ def thinned_states(code: Ints, limit: int) -> States:
     return States(first, np.maximum.reduceat(code, first))
 
 
-def draw_raw(to: Recorder, scene: Scene) -> None:
-    """Send the numbers of every topic that was read, as the log holds them."""
-    for topic in scene.raw:
-        for i, (name, values) in enumerate(topic.fields.items()):
-            colour = style.FIELDS[i % len(style.FIELDS)]
-            path = raw_path(topic.topic, name)
-            curve(to, path, topic.t, values, name, colour, scene.detail.curve)
+def draw_events(to: Recorder, events: Sequence[Event]) -> None:
+    """Draw each event as a text where it begins, and where it ends if it lasted; one entity for each kind."""
+    for kind in dict.fromkeys(e.kind for e in events):
+        some = sorted(line for e in events if e.kind == kind for line in _lines(e))
+        texts = [text for _, text in some]
+        columns = rr.TextLog.columns(text=texts, level=[LEVELS.get(kind, "INFO")] * len(some))
+        to.send(f"{EVENTS}/{part(kind)}", np.array([t for t, _ in some]), columns)
 
 
-def raw_path(topic: str, name: str = "") -> str:
-    """Return the entity of a raw topic, or of one of its fields."""
-    return "/".join(("raw", *(part(p) for p in (*topic.split("/"), name) if p)))
-
-
-def curve(to: Recorder, path: str, t: Array, values: Array, name: str, colour: Rgb, limit: int) -> None:
-    """Send one line."""
-    if len(t) == 0:
-        return
-    picks = extremes(values, limit)
-    to.static(path, rr.SeriesLines(colors=[colour], names=[name], widths=[1.5]))
-    to.send(path, t[picks], rr.Scalars.columns(scalars=values[picks]))
-
-
-def dots(to: Recorder, path: str, t: Array, values: Array, name: str, colour: Rgb, limit: int) -> None:
-    """Send one cloud of dots."""
-    if len(t) == 0:
-        return
-    picks = extremes(values, limit)
-    to.static(path, rr.SeriesPoints(colors=[colour], names=[name], markers=["circle"], marker_sizes=[1.5]))
-    to.send(path, t[picks], rr.Scalars.columns(scalars=values[picks]))
-
-
-def band(to: Recorder, path: str, t: Array, bound: Array, name: str, colour: Rgb, limit: int) -> None:
-    """Send the two lines +-bound around zero; under the curve's own name the legend switches both."""
-    if len(t) == 0:
-        return
-    picks = extremes(bound, limit)
-    faint = style.faded(colour, 200)
-    to.static(path, rr.SeriesLines(colors=[faint, faint], names=[name, name], widths=[0.75, 0.75]))
-    to.send(path, t[picks], rr.Scalars.columns(scalars=np.column_stack((bound[picks], -bound[picks]))))
+def _lines(event: Event) -> list[tuple[float, str]]:
+    who = f"{event.configuration}: " if event.configuration else ""
+    begin = (event.start, f"{event.kind}: {who}{event.words}")
+    if event.end <= event.start:
+        return [begin]
+    return [begin, (event.end, f"{event.kind} ends: {who}{event.words}")]

@@ -8,11 +8,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from locfuse.fusion.data import VERDICTS
+import rerun as rr
 
-from .deferred import rr
 from .recorder import Recorder, part
-from .scene import Rgb, Scene
+from .scene import MATCHED, NEW, REJECTED, Rgb, Scene
 
 Colour = tuple[int, int, int] | tuple[int, int, int, int]
 
@@ -44,10 +43,7 @@ LIMIT: Rgb = (255, 235, 60)
 LEVEL: Rgb = (205, 205, 210)
 LOOP: Rgb = (225, 195, 255)
 
-MATCHED, REJECTED, NEW = "matched", "rejected", "new"
 GROUPS: dict[str, Rgb] = {MATCHED: (40, 185, 50), REJECTED: (240, 60, 50), NEW: (0, 225, 235)}
-GROUP = {"accepted": MATCHED, "repeated": MATCHED, "new": NEW}  # verdict -> group, REJECTED for the others
-GROUP_OF = tuple(GROUP.get(v, REJECTED) for v in VERDICTS)
 
 # states of one reading on the gate timeline, the worst last: a stretch that is drawn as one shows its worst
 STATES: dict[str, Rgb] = {

@@ -14,8 +14,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from locfuse.formats.container.mcap_write import LATCHED
-from locfuse.formats.container.mcap_write_columns import Block, ColumnWriter
+from locfuse.formats.container.mcap_write import LATCHED, Block, ColumnWriter
 from locfuse.formats.logs.log import TF_TYPES, Log
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Truth
 

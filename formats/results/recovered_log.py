@@ -11,8 +11,7 @@ from pathlib import Path
 
 import msgspec
 
-from locfuse.formats.container.mcap_write import LATCHED
-from locfuse.formats.container.mcap_write_columns import Block, ColumnWriter
+from locfuse.formats.container.mcap_write import LATCHED, Block, ColumnWriter
 from locfuse.formats.container.source import Recorded
 from locfuse.formats.logs.log import Log
 from locfuse.formats.visible import writable

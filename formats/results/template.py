@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.formats.container.mcap_write import Messages, nested
+from locfuse.formats.messages.cdr import CDR, read_layout
 from locfuse.formats.messages.fields import resolve
-from locfuse.formats.messages.layout import CDR, read_layout
 from locfuse.formats.messages.schema import Many, Node, Scalar, parse
 from locfuse.fusion.data import Ints
 

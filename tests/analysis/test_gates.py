@@ -20,7 +20,7 @@ from locfuse.cli.analysis.ci_gates import (
     read_baseline,
     refuse_another_log,
 )
-from locfuse.formats.logs.identity import Identity
+from locfuse.formats.logs.files import Identity
 from locfuse.fusion.data import LocfuseError, UsageError
 
 # the cheapest comparison that has a figure for a gate

@@ -13,13 +13,11 @@ import pytest
 import zstandard
 
 from locfuse.formats.caps import MAX_CHUNK
-from locfuse.formats.container import compressed_messages, zstd_file
-from locfuse.formats.container.compressed_messages import unpack
-from locfuse.formats.container.decompress import DamagedError, decompress, decompress_prefix
+from locfuse.formats.container import decompress as unpacking
+from locfuse.formats.container.decompress import DamagedError, decompress, decompress_prefix, unpack, unpack_file
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.source import Messages
-from locfuse.formats.container.zstd_file import unpack_file
 from locfuse.fusion.data import LocfuseError
 
 NOISE = random.Random(1).randbytes(300_000)  # several blocks of every codec
@@ -97,7 +95,7 @@ def unpacked(*contents: bytes) -> list[list[tuple[int, bytes]]]:
 
 
 def test_messages_that_were_packed_one_by_one_come_out_in_portions(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compressed_messages, "BATCH_BYTES", 250)
+    monkeypatch.setattr(unpacking, "MAX_PORTION_BYTES", 250)
     plain = [bytes([i]) * 100 for i in range(7)]
     found = unpacked(*map(zstandard.compress, plain))
     assert [entry for portion in found for entry in portion] == list(enumerate(plain))
@@ -112,7 +110,7 @@ def test_messages_that_are_not_packed_are_handed_on_untouched() -> None:
 
 
 def test_a_message_that_does_not_unpack_or_is_too_long_comes_out_empty(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compressed_messages, "MAX_MESSAGE", 1000)
+    monkeypatch.setattr(unpacking, "MAX_MESSAGE", 1000)
     packed = zstandard.compress(NOISE[:900])
     bad = (packed[:9] + b"\xff" * 90, zstandard.compress(bytes(1001)), packed[:-1], packed[:500])
     found = unpacked(b"plain", packed, *bad)
@@ -178,7 +176,7 @@ def test_a_full_disk_of_temporary_files_is_one_line_and_leaves_nothing(
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(zstd_file, "_unpack", full)
+    monkeypatch.setattr(unpacking, "_unpack", full)
     with pytest.raises(LocfuseError, match=r"cannot be unpacked to .*: No space left on device"):
         unpack_file(FileBytes(file, Losses()), Losses())
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap.zstd"]

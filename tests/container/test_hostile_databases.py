@@ -14,9 +14,8 @@ import pytest
 from commands import locfuse
 from hostile import crashed_recording, sample
 
-from locfuse.formats.container import rosbag2_sqlite, sqlite_journal
-from locfuse.formats.container.rosbag2_sqlite import Leash
-from locfuse.formats.container.sqlite_journal import HEADER, journal_of
+from locfuse.formats.container import rosbag2_sqlite
+from locfuse.formats.container.rosbag2_sqlite import HEADER, Leash, journal_of
 from locfuse.formats.logs.log import open_log
 from locfuse.fusion.data import LocfuseError
 
@@ -72,7 +71,7 @@ def test_a_flipped_bit_in_the_journal_is_a_loss(recording: Path) -> None:
     wal.write_bytes(data)
     n, losses = count(recording)
     assert 0 < n < 600
-    assert any(sqlite_journal.DAMAGED in line for line in losses)
+    assert any(rosbag2_sqlite.JOURNAL_DAMAGED in line for line in losses)
     assert locfuse("info", recording).exit_code == 3
 
 
@@ -135,7 +134,7 @@ def test_a_transaction_that_was_not_finished_is_told(recording: Path) -> None:
     wal.write_bytes(data[: len(data) - FRAME])  # the frame that commits is gone
     n, losses = count(recording)
     assert n < 600
-    assert any(sqlite_journal.UNFINISHED in line for line in losses)
+    assert any(rosbag2_sqlite.JOURNAL_UNFINISHED in line for line in losses)
 
 
 def test_frames_of_an_older_journal_are_no_loss(tmp_path: Path) -> None:

@@ -21,8 +21,8 @@ from benchmarks.make_log import main as make_log
 from locfuse.cli.fleet.words import expanded
 from locfuse.formats.container import remote_objects as objects
 from locfuse.formats.container.losses import Losses
-from locfuse.formats.container.mcap_summary import read_summary
-from locfuse.formats.container.remote_bytes import RemoteBytes
+from locfuse.formats.container.mcap_survey import read_summary
+from locfuse.formats.container.remote_objects import RemoteBytes
 from locfuse.formats.container.url import Url
 from locfuse.formats.logs.log import Log, open_log
 from locfuse.fusion.data import LocfuseError, UsageError

@@ -14,7 +14,7 @@ from bags import T0, cdr, header
 from mcap.reader import McapReader, NonSeekingReader, make_reader
 from mcap.stream_reader import StreamReader
 
-from locfuse.formats.container.mcap_write_columns import Block, ColumnWriter
+from locfuse.formats.container.mcap_write import Block, ColumnWriter
 from locfuse.formats.results.template import Template, stamps
 
 PAYLOADS = np.arange(12, dtype=np.uint8).reshape(4, 3)

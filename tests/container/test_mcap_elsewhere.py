@@ -15,10 +15,16 @@ from mcap.writer import CompressionType
 from locfuse.formats.container import mcap_ranged as ranged
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
-from locfuse.formats.container.mcap_parts import ChunkRef, LooseRun, Part, put_in_order
-from locfuse.formats.container.mcap_promised import promised
+from locfuse.formats.container.mcap_ranged import promised
 from locfuse.formats.container.mcap_source import McapSource
-from locfuse.formats.container.mcap_summary import read_summary, summary_section
+from locfuse.formats.container.mcap_survey import (
+    ChunkRef,
+    LooseRun,
+    Part,
+    put_in_order,
+    read_summary,
+    summary_section,
+)
 
 NONE, ZSTD = CompressionType.NONE, CompressionType.ZSTD
 SCHEMA, CHANNEL, CHUNK_INDEX, ATTACHMENT_INDEX, STATISTICS = 3, 4, 8, 10, 11  # https://mcap.dev/spec
@@ -250,7 +256,7 @@ def test_a_stored_chunk_as_large_as_can_be_held_is_read_by_ranges_and_a_larger_o
         assert summary is not None
         largest = max(chunk.packed for chunk in summary.chunks.values())
         for cap, believed in ((largest, True), (largest - 1, compression == ZSTD)):
-            monkeypatch.setattr("locfuse.formats.container.mcap_promised.LARGE_CHUNK_BYTES", cap)
+            monkeypatch.setattr("locfuse.formats.container.mcap_ranged.LARGE_CHUNK_BYTES", cap)
             assert (promised(FileBytes(path, Losses())) is not None) == believed
 
 

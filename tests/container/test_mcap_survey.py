@@ -12,10 +12,8 @@ import pytest
 
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
-from locfuse.formats.container.mcap_parts import ChunkRef, Survey
 from locfuse.formats.container.mcap_source import McapSource
-from locfuse.formats.container.mcap_summary import read_summary
-from locfuse.formats.container.mcap_survey import survey
+from locfuse.formats.container.mcap_survey import ChunkRef, Survey, read_summary, survey
 from locfuse.fusion.data import LocfuseError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -393,7 +391,7 @@ def test_damage_may_end_at_the_last_messages_before_the_end(tmp_path: Path, n: i
 def test_places_are_found_in_every_window_of_a_long_hole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The next chunk may lie in the first window that is searched, in a later one, and across two."""
     for size in range(40, 140):
-        monkeypatch.setattr("locfuse.formats.container.mcap_resync.SEARCH_BYTES", size)
+        monkeypatch.setattr("locfuse.formats.container.mcap_survey.SEARCH_BYTES", size)
         data = FRONT + A.all + GARBAGE * 3 + B.all + GARBAGE + C.all + END + NO_SUMMARY
         found, lost = walked(tmp_path, data)
         assert [part.offset for part in found.parts] == [data.index(one.record) for one in (A, B, C)]

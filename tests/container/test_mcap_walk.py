@@ -26,12 +26,10 @@ from locfuse.formats.container.decompress import DamagedError, decompress
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.mcap_chunk import records, scan
-from locfuse.formats.container.mcap_parts import ChunkRef
-from locfuse.formats.container.mcap_promised import promised
-from locfuse.formats.container.mcap_ranged import Wanted
+from locfuse.formats.container.mcap_ranged import Wanted, promised
 from locfuse.formats.container.mcap_records import message_index
 from locfuse.formats.container.mcap_source import McapSource
-from locfuse.formats.container.mcap_summary import summary_section
+from locfuse.formats.container.mcap_survey import ChunkRef, summary_section
 from locfuse.formats.logs.log import Log, open_log
 from locfuse.fusion.data import LocfuseError
 

@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from locfuse.formats.container.remote_ranges import Ranges, cut, joined
+from locfuse.formats.container.remote_objects import Ranges, cut, joined
 from locfuse.formats.container.url import Url, is_url, place
 from locfuse.fusion.data import UsageError
 

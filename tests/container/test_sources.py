@@ -185,7 +185,7 @@ def test_temporary_files_go_with_the_log(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_a_bomb_of_a_compressed_file_stops_at_its_cap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("locfuse.formats.container.zstd_file.MIN_CAP_BYTES", 1 << 20)
+    monkeypatch.setattr("locfuse.formats.container.decompress.MIN_CAP_BYTES", 1 << 20)
     file = tmp_path / "x.mcap.zstd"
     file.write_bytes(zstandard.ZstdCompressor().compress(bytes(64 << 20)))
     with pytest.raises(LocfuseError, match="unpacks to more than 1 MiB"):

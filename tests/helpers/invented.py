@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from locfuse.formats.messages.cdr import Decoder
-from locfuse.formats.messages.decoded import Decoded
+from locfuse.formats.messages.schema import Decoded
 
 
 def decode(decoder: Decoder, messages: list[bytes], fields: list[str]) -> Decoded:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from wheel_bags import GEOMETRY, angles, joint_states, log_of, pose_of
 
-from locfuse.formats.logs.as_scan import BEAMS, level_slice
+from locfuse.formats.logs.adapters import BEAMS, level_slice
 from locfuse.formats.logs.log import open_log
 from locfuse.fusion.data import Ragged
 

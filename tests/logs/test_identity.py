@@ -17,7 +17,7 @@ from locfuse import sample_logs
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.mcap_source import McapSource
-from locfuse.formats.logs.identity import files_of, identity_of
+from locfuse.formats.logs.files import files_of, identity_of
 
 PICTURE = 900_000  # bytes
 

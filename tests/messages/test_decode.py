@@ -8,10 +8,9 @@ import pytest
 from google.protobuf import descriptor_pb2, timestamp_pb2
 
 from locfuse.formats.container.source import ChannelInfo
-from locfuse.formats.messages.cdr import Decoder
+from locfuse.formats.messages.cdr import CDR, ROS1, Decoder
 from locfuse.formats.messages.decode import encoding_problem, make_decoder
 from locfuse.formats.messages.json_messages import JsonDecoder
-from locfuse.formats.messages.layout import CDR, ROS1
 from locfuse.formats.messages.protobuf_messages import ProtobufDecoder
 from locfuse.formats.messages.schema import SchemaError
 

@@ -12,10 +12,9 @@ from bags import build, rows
 from invented import assert_same, at_path, decode, invented_type, invented_value
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from locfuse.formats.messages import cdr, layout
-from locfuse.formats.messages.cdr import Decoder
+from locfuse.formats.messages import cdr
+from locfuse.formats.messages.cdr import CDR, ROS1, Decoder, fixed_size
 from locfuse.formats.messages.fields import paths
-from locfuse.formats.messages.layout import CDR, ROS1, fixed_size
 from locfuse.formats.messages.schema import Many, Node, Record, Scalar, Text, parse
 from locfuse.fusion.data import Ragged
 
@@ -167,7 +166,7 @@ def test_an_empty_message_takes_a_byte_in_ros_2_and_none_in_ros_1() -> None:
 @pytest.mark.parametrize(("length", "good"), [(4, True), (5, False)])
 def test_a_text_has_a_cap(length: int, good: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """With the byte that ends it; whether it is wanted or not."""
-    monkeypatch.setattr(layout, "MAX_TEXT", 5)
+    monkeypatch.setattr(cdr, "MAX_TEXT", 5)
     decoder = Decoder(parse("t/Top", "ros2msg", "string b"))
     message = b"\0\1\0\0" + struct.pack("<I", length + 1) + b"x" * length + b"\0"
     for fields in (["b"], []):
@@ -180,7 +179,7 @@ def test_a_text_has_a_cap(length: int, good: bool, monkeypatch: pytest.MonkeyPat
 def test_texts_and_structures_of_their_own_length_have_a_cap_together(
     n: int, good: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(layout, "MAX_ITEMS", 10)
+    monkeypatch.setattr(cdr, "MAX_ITEMS", 10)
     decoder = Decoder(parse("t/Top", "ros2msg", "string[] a\nstring[] b"))
     strings = struct.pack("<I", n) + struct.pack("<I", 0) * n
     few = struct.pack("<I", 5) + struct.pack("<I", 0) * 5

@@ -7,8 +7,16 @@ import pytest
 from hostile import DIVIDER
 
 from locfuse.formats.messages import schema
-from locfuse.formats.messages.fields import FieldError, frame_path, paths, resolve, stamp_path
-from locfuse.formats.messages.kinds import check_kind, expected, kind_of
+from locfuse.formats.messages.fields import (
+    FieldError,
+    check_kind,
+    expected,
+    frame_path,
+    kind_of,
+    paths,
+    resolve,
+    stamp_path,
+)
 from locfuse.formats.messages.schema import (
     DTYPES,
     Many,

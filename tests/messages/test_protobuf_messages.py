@@ -12,14 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from locfuse.formats.caps import MAX_DEFINITION
-from locfuse.formats.messages import protobuf_messages, protobuf_schema
-from locfuse.formats.messages.decoded import Decoded
+from locfuse.formats.messages import protobuf_messages
+from locfuse.formats.messages.cdr import MalformedError
 from locfuse.formats.messages.fields import paths
-from locfuse.formats.messages.layout import MalformedError
-from locfuse.formats.messages.protobuf_messages import ProtobufDecoder
-from locfuse.formats.messages.protobuf_schema import parse_descriptors
-from locfuse.formats.messages.protobuf_wire import varint, walk
-from locfuse.formats.messages.schema import SchemaError
+from locfuse.formats.messages.protobuf_messages import ProtobufDecoder, parse_descriptors, varint, walk
+from locfuse.formats.messages.schema import Decoded, SchemaError
 from locfuse.fusion.data import Ragged
 
 KINDS = descriptor_pb2.FieldDescriptorProto
@@ -310,20 +307,20 @@ def test_a_definition_nests_and_counts_fields_up_to_its_caps(monkeypatch: pytest
             message.field.add(name="y", number=2, type=KINDS.TYPE_DOUBLE, label=1)
         return bytes(found.SerializeToString())
 
-    monkeypatch.setattr(protobuf_schema, "MAX_DEPTH", 4)
+    monkeypatch.setattr(protobuf_messages, "MAX_DEPTH", 4)
     assert "x.x.x.x.y" in paths(parse_descriptors("c.T0", chain(4))[1])
     with pytest.raises(SchemaError, match="nests more than 4 structures"):
         parse_descriptors("c.T0", chain(5))
     monkeypatch.setattr(
-        protobuf_schema, "MAX_FIELDS", 9
+        protobuf_messages, "MAX_FIELDS", 9
     )  # five structures of which four are fields, and five numbers
     with pytest.raises(SchemaError, match="unfolds to too many fields: 10, more than the cap of 9"):
         parse_descriptors("c.T0", chain(4))
-    monkeypatch.setattr(protobuf_schema, "MAX_FIELDS", 10)
+    monkeypatch.setattr(protobuf_messages, "MAX_FIELDS", 10)
     parse_descriptors("c.T0", chain(4))
     length = len(chain(2))
     for cap in (length, length - 1):
-        monkeypatch.setattr(protobuf_schema, "MAX_DEFINITION", cap)
+        monkeypatch.setattr(protobuf_messages, "MAX_DEFINITION", cap)
         if cap == length:
             parse_descriptors("c.T0", chain(2))
         else:
@@ -340,7 +337,7 @@ def test_types_defined_in_types_nest_up_to_the_cap(monkeypatch: pytest.MonkeyPat
         message.field.add(name="y", number=1, type=KINDS.TYPE_DOUBLE, label=1)
         return bytes(found.SerializeToString())
 
-    monkeypatch.setattr(protobuf_schema, "MAX_DEPTH", 3)
+    monkeypatch.setattr(protobuf_messages, "MAX_DEPTH", 3)
     assert paths(parse_descriptors("T.T.T.T", inside(3))[1]) == ["y"]  # without a package
     with pytest.raises(SchemaError, match="cannot be parsed"):
         parse_descriptors("T.T.T.T", inside(4))

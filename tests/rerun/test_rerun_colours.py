@@ -11,6 +11,7 @@ from locfuse.cli.rerun.scene import palette as shades
 from locfuse.formats.figures import palette
 from locfuse.formats.figures.palette import Trace
 from locfuse.formats.rerun import style
+from locfuse.formats.rerun.scene import REJECTED
 from locfuse.fusion.sensors.registry import colours
 
 Array = NDArray[np.float64]
@@ -57,6 +58,6 @@ def test_a_smoothed_result_has_a_shade_of_its_own() -> None:
 
 
 def test_red_is_what_was_refused_and_nothing_else() -> None:
-    refused = lab(style.GROUPS[style.REJECTED])
+    refused = lab(style.GROUPS[REJECTED])
     others = [style.TRUTH, style.LANDMARK, style.LIMIT, style.LEVEL, *style.FIELDS]
     assert all(np.linalg.norm(lab(rgb) - refused) > 2.0 * APART for rgb in others)

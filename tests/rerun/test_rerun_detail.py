@@ -12,8 +12,7 @@ from recordings import read, read_blueprint
 from small_drive import drive as small_drive
 from small_drive import robot as small_robot
 
-from locfuse.formats.rerun.file import save_recording
-from locfuse.formats.rerun.recording import sketch, unfolded
+from locfuse.formats.rerun.recording import save_recording, unfolded
 from locfuse.formats.rerun.scene import Detail, RawTopic, Scene, Sight
 from locfuse.formats.rerun.series import reading_states, thinned_states
 from locfuse.formats.rerun.style import STATES
@@ -58,14 +57,14 @@ def long_scene(epoch_ns: int = 1_700_000_000_000_000_000) -> Scene:
 
 def test_a_long_drive_is_thinned_and_full_keeps_everything(tmp_path: Path) -> None:
     scene = long_scene()
-    save_recording(tmp_path / "light.rrd", sketch(scene))
+    save_recording(tmp_path / "light.rrd", scene)
     light = read(tmp_path / "light.rrd")
     rows = {path: len(e.ns) for path, e in light.items() if e.parts}
     assert max(rows.values()) <= 4000
     assert rows["world/compass/pose"] == 4000
     assert rows["world/compass/seen/compass/matched"] == 2000
     assert rows["nis/compass/compass"] > 3500
-    save_recording(tmp_path / "full.rrd", sketch(replace(scene, detail=Detail.everything())))
+    save_recording(tmp_path / "full.rrd", replace(scene, detail=Detail.everything()))
     full = read(tmp_path / "full.rrd")
     for path in ("world/compass/pose", "nis/compass/compass", "raw/imu/heading/data"):
         assert len(full[path].ns) == N
@@ -76,7 +75,7 @@ def test_a_long_drive_is_thinned_and_full_keeps_everything(tmp_path: Path) -> No
 
 
 def test_a_clock_that_counts_from_the_robots_start_is_shown_as_a_duration(tmp_path: Path) -> None:
-    save_recording(tmp_path / "boot.rrd", sketch(long_scene(epoch_ns=5_000_000_000)))
+    save_recording(tmp_path / "boot.rrd", long_scene(epoch_ns=5_000_000_000))
     pose = read(tmp_path / "boot.rrd")["world/compass/pose"]
     assert str(pose.parts[0].column("log time").type) == "duration[ns]"
     assert pose.ns[0] == 5_000_000_000
@@ -87,7 +86,7 @@ def test_a_drive_without_truth_and_without_sensors_is_drawn(tmp_path: Path) -> N
     drive = small_drive(1, robot, sensors=(), laps=0.1, truth=False)
     estimates = fuse(drive, robot, [])
     save_recording(
-        tmp_path / "poor.rrd", sketch(Scene("poor", drive, [estimates], {"odometry": evaluate(estimates, drive)}))
+        tmp_path / "poor.rrd", Scene("poor", drive, [estimates], {"odometry": evaluate(estimates, drive)})
     )
     entities = read(tmp_path / "poor.rrd")
     assert {"world/odometry/pose", "world/odometry/path", "world/odometry/sigma"} <= set(entities)
@@ -101,14 +100,14 @@ def test_names_that_are_grammar_to_rerun_are_drawn(tmp_path: Path) -> None:
     drive = small_drive(1, robot, laps=0.1)
     estimates = [fuse(drive, robot, ["compass", "lrf"], name) for name in ("compass+lrf", "lrf@2Hz", "ä b")]
     raw = [RawTopic("/a b/[x]", drive.t, {"field.0": drive.t})]
-    save_recording(tmp_path / "odd.rrd", sketch(Scene("a/b: c", drive, estimates, {}, SIGHTS, raw=raw)))
+    save_recording(tmp_path / "odd.rrd", Scene("a/b: c", drive, estimates, {}, SIGHTS, raw=raw))
     entities = read(tmp_path / "odd.rrd")
     assert {"world/compass\\+lrf/path", "world/lrf\\@2Hz/path", "world/ä\\ b/path"} <= set(entities)
     assert "raw/a\\ b/\\[x\\]/field.0" in entities
 
 
 def test_a_sensor_nobody_described_still_gets_its_curves(tmp_path: Path) -> None:
-    save_recording(tmp_path / "new.rrd", sketch(replace(long_scene(), sights={})))
+    save_recording(tmp_path / "new.rrd", replace(long_scene(), sights={}))
     entities = read(tmp_path / "new.rrd")
     assert {"innovation/compass/y0/compass", "nis/compass/compass", "gate/compass/compass"} <= set(entities)
     assert not any("/seen/" in path for path in entities)

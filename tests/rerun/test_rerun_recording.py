@@ -19,8 +19,7 @@ from locfuse.cli.analysis.load import Loaded, load
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.rerun.scene import make_scene
 from locfuse.formats.report import markdown
-from locfuse.formats.rerun.file import save_recording
-from locfuse.formats.rerun.recording import sketch
+from locfuse.formats.rerun.recording import save_recording
 from locfuse.fusion.data import VERDICTS, Estimates, Evaluation
 from locfuse.fusion.judge.evaluate import evaluate
 
@@ -46,7 +45,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     estimates = [c.fuse(loaded.drive, loaded.robot)[0] for c in configurations]
     judged = [evaluate(e, c.drive(loaded.drive)) for e, c in zip(estimates, configurations, strict=True)]
     table = markdown.render(results.build(loaded, judged))
-    save_recording(path, sketch(make_scene(loaded, estimates, judged, table, images=EVERY)))
+    save_recording(path, make_scene(loaded, estimates, judged, table, images=EVERY))
     return Made(
         loaded, {e.name: e for e in estimates}, {e.name: e for e in judged}, read(path), read_blueprint(path)
     )

@@ -43,7 +43,7 @@ def measure(
     """
     if motion is None:
         progress("measuring the wheels")
-    wheels, epoch_ns, dropped, notes = motion or read_wheels(streams["wheels"], robot.wheels)
+    wheels, epoch_ns, dropped, notes, _ = motion or read_wheels(streams["wheels"], robot.wheels)
     if abs(epoch_ns) >= END_OF_TIME:
         raise LocfuseError(
             f"the drive would begin at {epoch_ns * 1e-9:.3g} s, and stamps end at {END_OF_TIME * 1e-9:.3g} s",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Any
 
-from locfuse.cli.analysis.standing import STANDS
+from locfuse.cli.analysis.refused_motion import STANDS
 from locfuse.formats.report import json_report
 from locfuse.fusion.checks.probes import MOUNT
 from locfuse.fusion.checks.truth import Jumps

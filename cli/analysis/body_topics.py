@@ -1,13 +1,13 @@
 """Which topics say how the body moved, where no wheels with known geometry do.
 
-In this order: an odometry topic, an odometry that only /tf has, a measured twist. Where a log has none of these,
-nor wheels that count, what stands in is taken and said: the scans of a laser, else poses that another program
-estimated, else speeds that were only commanded.
+Candidates are ordered by what they hold: an odometry, an odometry that only /tf has, measured speeds, the scans of
+a laser, poses that another program estimated. With a laser they are judged by it (`motion_evidence`); a Twist
+never comes before scans. Last come commands and poses that are not the robot's, which spoil every figure.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from locfuse.fusion.data import LocfuseError
@@ -17,6 +17,7 @@ from locfuse.fusion.truth import looks_like_truth
 from locfuse.fusion.wheels.odometry import ODOMETRY, PLANAR, POSE, SCANS, SPEED, STEERED, TRANSFORM, commanded
 from locfuse.fusion.wheels.read import WHEEL_READS
 
+from .motion_evidence import Evidence
 from .motor_topics import motor_of, motor_words
 from .mounts import is_base, is_odometry, is_room
 from .not_read import not_read
@@ -65,15 +66,22 @@ NEAREST = "the odometry nearest to the wheels"
 OBEYED = ("cmd_vel", "ackermann_cmd")  # what drivers of bases listen to: the end of a chain of commands
 PASSED_ON = ("teleop", "joy", "key", "nav", "raw", "smooth", "mux", "input", "plan", "auto", "unstamped")
 OF_COMMANDS = "; of several commands ({others} beside it) the base obeys it, by its name"
-ASKED_FOR = ("goal", "initial", "waypoint")  # poses that are wishes or guesses of a person
 ESTIMATED = (
     "{topic} holds poses that another program estimated. They are taken, since nothing else in this log says how "
     "the robot moved; sensors that they were made of count twice"
 )
 ONLY_COMMANDED = (
-    "{topic} holds commanded speeds. They are taken, since nothing in this log measured how the robot moved; a "
-    "command lasts until the next one, a second at most, and wheels.noise=0.004 is usual for such a motion"
+    "{topic} holds commanded speeds, and nothing in this log measured how the robot moved. Use them only if it "
+    "did as it was told (a command lasts until the next one, a second at most; wheels.noise=0.004 is usual)"
 )
+WISHED = (
+    "{topic} holds poses that were asked for, by its name, and nothing in this log measured how the robot moved"
+)
+IN_CAMERA = (
+    "{topic} holds poses in the frame {frame}: of something that a camera sees. Nothing in this log says how the "
+    "robot moved"
+)
+CAMERA_WORDS = ("camera", "optical", "marker", "aruco", "tag")  # of frames whose poses are no robot's
 
 
 class Body(NamedTuple):
@@ -84,46 +92,115 @@ class Body(NamedTuple):
     note: str = ""  # what a user has to know of it
     fixes: tuple[str, ...] = ()  # settings that choose the same
     beside: tuple[str, ...] = ()  # a car's steering, beside its motor
+    spoils: bool = False  # it is not the robot's motion: the note says why
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """All its topics."""
+        return (self.topic, *self.beside)
 
 
 def choose_body(log: Log, robot: Robot, choice: Choice, scans: bool, stand_in: bool) -> Body | None:
     """Return the topic that says how the body moved, None where no topic does. Raises LocfuseError for several.
 
-    `scans`: whether scans will do; `stand_in`: whether estimated poses and commanded speeds will.
+    `scans`: whether scans will do; `stand_in`: whether estimated poses and commands will.
     """
-    topics, why, others = _measured(log, robot, choice)
-    topic = one(log, "wheels", None, topics, WHEEL_READS)
-    if topic is not None and others:
-        looks = "looks" if len(others) == 1 else "look"
-        words = f"{topic} is used: {' and '.join(others)} {looks} made of more than the wheels"
-        return Body(topic, why, words, (f"wheels.topic={topic}",))
-    if topic is not None:
-        return Body(topic, why)
-    if found := motor_of(log, robot):
-        return Body(found[0], f"its motor's speed, steered as {found[1]} says", beside=tuple(found[1:]))
-    in_map = [t for t in _filled(log, robot, choice, (ODOMETRY,)) if in_room(log, t)]
-    if (body := _estimate(log, in_map)) is not None:
-        return body
-    if scans and (laser := _scans(log, robot)) is not None:
+    laser = laser_topic(log, robot) if scans else None
+    evidence = None if laser is None else Evidence(log, robot, laser)
+    for same in _measured(log, robot, choice):
+        if (body := _one_of(log, same, evidence)) is not None:
+            return body if evidence is None else _judged(body, evidence)
+    if laser is not None and evidence is not None:
         lacks = "no wheels and no odometry" if stand_in else "no wheels of known size and no odometry"
-        return Body(laser, f"{lacks}: its scans are matched with each other", motor_words(log, robot))
+        for asked in (False, True):
+            evidence.look_at([t for t in _twists(log, robot, choice, asked) if _is_twist(log, t)])
+        body = Body(laser, f"{lacks}: its scans are matched with each other", motor_words(log, robot))
+        return _judged(body, evidence)
+    twists = [Body(t, ONLY) for t in _twists(log, robot, choice, asked=False) if _is_twist(log, t)]
+    if (body := _one_of(log, twists, None)) is not None:
+        return body
     return _stand_in(log, robot, choice) if stand_in else None
 
 
+def _judged(body: Body, evidence: Evidence) -> Body:
+    """Return a body with what the scans say of it and of those that were left out."""
+    why = ": ".join(filter(None, (body.why, evidence.why(body.topics))))
+    if not evidence.note:
+        return body._replace(why=why)
+    words = f"{body.topic} is used: {evidence.note}"
+    return body._replace(why="it agrees with the scans", note=words, fixes=(f"wheels.topic={body.topic}",))
+
+
+def _one_of(log: Log, same: Sequence[Body], evidence: Evidence | None) -> Body | None:
+    """Return the body of several of one kind; None for none, or none that agrees with the laser."""
+    if evidence is not None:
+        same = [body for body, kept in zip(same, evidence.keep([b.topics for b in same]), strict=True) if kept]
+    topic = one(log, "wheels", None, [body.topic for body in same], WHEEL_READS)
+    return next((body for body in same if body.topic == topic), None)
+
+
+def _measured(log: Log, robot: Robot, choice: Choice) -> Iterator[Sequence[Body]]:
+    """Yield what measured how the body moved, kind by kind, the best first.
+
+    An odometry that says where the robot is in the room is somebody's estimate: what was measured comes before it.
+    """
+    odometry = _filled(log, robot, choice, (ODOMETRY,))
+    estimated = [t for t in odometry if in_room(log, t)]
+    rolled = [t for t in odometry if t not in estimated]
+    ranks = [[t for t in rolled if _made(t) == rank] for rank in range(4)]
+    for same in filter(None, ranks):
+        others = [t for t in odometry if t not in same]
+        yield [_beside(t, NEAREST if others else ONLY, others) for t in same]
+    if not rolled:
+        yield [_beside(t, "the only odometry in /tf", estimated) for t in odometry_frames(log)]
+        poses = [t for t in _poses(log, robot, choice) if is_odometry(log.stream(t).frame_id)]
+        yield [_beside(t, "poses in the frame of an odometry", estimated) for t in poses]
+    measured = [t for t in _twists(log, robot, choice, asked=False) if not _is_twist(log, t)]
+    yield [_beside(t, ONLY, estimated) for t in measured]
+    if found := motor_of(log, robot):
+        yield [Body(found[0], f"its motor's speed, steered as {found[1]} says", beside=tuple(found[1:]))]
+    if not laser_topic(log, robot):
+        speeds = [t for t in _twists(log, robot, choice, asked=False) if _is_twist(log, t)]
+        yield [_beside(t, ONLY, estimated) for t in speeds]
+    yield [Body(t, NOTHING_ELSE, ESTIMATED.format(topic=t)) for t in estimated]
+
+
+def _beside(topic: str, why: str, others: Sequence[str]) -> Body:
+    """Return an odometry that is taken before others, which are named."""
+    if not others:
+        return Body(topic, why)
+    looks = "looks" if len(others) == 1 else "look"
+    words = f"{topic} is used: {' and '.join(others)} {looks} made of more than the wheels"
+    return Body(topic, why, words, (f"wheels.topic={topic}",))
+
+
+def _is_twist(log: Log, topic: str) -> bool:
+    return log.topics[topic].msgtype.startswith("geometry_msgs/")
+
+
 def _stand_in(log: Log, robot: Robot, choice: Choice) -> Body | None:
-    """Return what stands in for a measured motion: poses, else commands, else a steering angle."""
-    if (body := _estimate(log, _poses(log, robot, choice))) is not None:
+    """Return what stands in for a measured motion: poses, else commands, else a steering angle, else no motion."""
+    poses = _poses(log, robot, choice)
+    of_robot = [t for t in poses if not (of_camera(log, t) or commanded(t, log.topics[t].msgtype))]
+    if not of_robot:
+        of_robot = moving_frames(log, lambda frame: is_odometry(frame) or is_room(frame))
+    if (
+        body := _one_of(log, [Body(t, NOTHING_ELSE, ESTIMATED.format(topic=t)) for t in of_robot], None)
+    ) is not None:
         return body
-    for topics, note in (
-        (_twists(log, robot, choice, asked=True), ONLY_COMMANDED),
-        (_filled(log, robot, choice, tuple(STEERED)), ""),  # lacks the wheelbase, which its reader asks for
-    ):
-        best, others = nearest_to_base(topics)
-        if (topic := one(log, "wheels", None, best, WHEEL_READS)) is not None:
-            beside = OF_COMMANDS.format(topic=topic, others=" and ".join(others)) if others else ""
-            fixes = (f"wheels.topic={topic}",) if others else ()
-            words = [note.format(topic=topic) + beside, motor_words(log, robot)]
-            return Body(topic, NOTHING_ELSE, ". ".join(filter(None, words)), fixes)
+    best, others = nearest_to_base(_twists(log, robot, choice, asked=True))
+    if (topic := one(log, "wheels", None, best, WHEEL_READS)) is not None:
+        beside = OF_COMMANDS.format(others=" and ".join(others), topic=topic) if others else ""
+        words = [ONLY_COMMANDED.format(topic=topic) + beside, motor_words(log, robot)]
+        fixes = (f"wheels.topic={topic}",)
+        return Body(topic, NOTHING_ELSE, ". ".join(filter(None, words)), fixes, spoils=_is_twist(log, topic))
+    steered = _filled(log, robot, choice, tuple(STEERED))  # lacks the wheelbase, which its reader asks for
+    if (topic := one(log, "wheels", None, steered, WHEEL_READS)) is not None:
+        return Body(topic, NOTHING_ELSE, motor_words(log, robot))
+    for topic in poses:
+        why = IN_CAMERA if of_camera(log, topic) else WISHED
+        note = why.format(topic=topic, frame=log.stream(topic).frame_id)
+        return Body(topic, NOTHING_ELSE, note, spoils=True)
     return None
 
 
@@ -137,30 +214,6 @@ def nearest_to_base(topics: Sequence[str]) -> tuple[list[str], list[str]]:
     least = min(map(rank, topics), default=0)
     best = [t for t in topics if rank(t) == least]
     return best, [t for t in topics if t not in best]
-
-
-def _estimate(log: Log, topics: list[str]) -> Body | None:
-    """Return what another program estimated as the motion. Raises LocfuseError for several."""
-    topic = one(log, "wheels", None, topics, WHEEL_READS)
-    return None if topic is None else Body(topic, NOTHING_ELSE, ESTIMATED.format(topic=topic))
-
-
-def _measured(log: Log, robot: Robot, choice: Choice) -> tuple[list[str], str, list[str]]:
-    """Return topics that measured how the body moved, those of the best kind, why, and which others they beat.
-
-    An odometry that says where the robot is in the room is somebody's estimate: what was measured comes before it.
-    """
-    odometry = _filled(log, robot, choice, (ODOMETRY,))
-    estimated = [t for t in odometry if in_room(log, t)]
-    if rolled := [t for t in odometry if t not in estimated]:
-        best, why, others = _least_made(rolled)
-        return best, why if not estimated else NEAREST, [*others, *estimated]
-    if pairs := odometry_frames(log):
-        return pairs, "the only odometry in /tf", estimated
-    poses = [t for t in _filled(log, robot, choice, POSES) if not asked_for(t)]
-    if poses := [t for t in poses if is_odometry(log.stream(t).frame_id)]:
-        return poses, "poses in the frame of an odometry", estimated
-    return _twists(log, robot, choice, asked=False), ONLY, estimated
 
 
 def _filled(log: Log, robot: Robot, choice: Choice, kinds: Sequence[str]) -> list[str]:
@@ -181,14 +234,6 @@ def _filled(log: Log, robot: Robot, choice: Choice, kinds: Sequence[str]) -> lis
 def _a_topic(name: str) -> bool:
     """Return whether a name is a topic, or what a topic is presented as: not frames of /tf, nor a field."""
     return ":" not in name or name.rpartition(":")[2] in PRESENTED_AS
-
-
-def _least_made(odometry: Sequence[str]) -> tuple[list[str], str, list[str]]:
-    """Return the odometries whose names say that they are nearest to the wheels, why, and the others."""
-    found = [[t for t in odometry if _made(t) == rank] for rank in range(4)]
-    best = next(topics for topics in found if topics)
-    others = [t for t in odometry if t not in best]
-    return best, NEAREST if others else ONLY, others
 
 
 def _made(topic: str) -> int:
@@ -222,17 +267,16 @@ def _beside_body(frame: str) -> bool:
 
 
 def _poses(log: Log, robot: Robot, choice: Choice) -> list[str]:
-    """Return poses of the robot that another program estimated: topics, else frames of /tf."""
-    topics = [t for t in _filled(log, robot, choice, POSES) if not asked_for(t)]
-    return topics or moving_frames(log, lambda frame: is_odometry(frame) or is_room(frame))
+    """Return topics of poses, whoever's they are."""
+    return _filled(log, robot, choice, POSES)
 
 
-def asked_for(topic: str) -> bool:
-    """Return whether a topic's name says that its poses are wishes or guesses of a person."""
-    return any(word in topic.lower() for word in ASKED_FOR)
+def of_camera(log: Log, topic: str) -> bool:
+    """Return whether poses are given in the frame of a camera or a marker: they are not the robot's."""
+    return any(word in log.stream(topic).frame_id.lower() for word in CAMERA_WORDS)
 
 
-def _scans(log: Log, robot: Robot) -> str | None:
+def laser_topic(log: Log, robot: Robot) -> str | None:
     """Return the laser whose scans say how the robot moved: the one that the sensor reads."""
     named = robot.settings("lrf").topic
     filled = [t for t in of_type(log, (SCANS,)) if log.topics[t].count]

@@ -17,7 +17,7 @@ from locfuse.fusion.truth import KNOWN_TRUTH, TRUTH_READS, looks_like_truth
 from locfuse.fusion.wheels.odometry import SCANS, commanded
 
 from .adapted_topics import offer_presented
-from .body_topics import asked_for, by_fixes
+from .body_topics import by_fixes
 from .not_read import not_read
 from .tag_frames import offer_tags
 from .topics import NAMED, ONLY, Choice, Note, checked, likeliest, of_type, one, several_fit, types
@@ -61,7 +61,7 @@ def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Cho
         return
     candidates = _candidates(log, name, choice)
     if sensor.asked_only and not named:
-        _offer(name, candidates, choice)
+        _offer(log, name, candidates, choice)
         return
     unset = sensor.missing(settings) if candidates or named else None
     if unset:
@@ -90,9 +90,9 @@ def _leave_empty(log: Log, name: str, choice: Choice) -> None:
         choice.absent[name] = f"{choice.topics.pop(name)} holds no messages"
 
 
-def _offer(name: str, candidates: Sequence[str], choice: Choice) -> None:
+def _offer(log: Log, name: str, candidates: Sequence[str], choice: Choice) -> None:
     """Say that a sensor that is used only where it is asked for could read these topics."""
-    others = (commanded, looks_like_truth, asked_for, by_fixes)
+    others = (lambda t: commanded(t, log.topics[t].msgtype), looks_like_truth, by_fixes)
     candidates = [t for t in candidates if not any(is_one(t) for is_one in others)]
     if candidates:
         fixes = (f"{name}.topic={candidates[0]}",)

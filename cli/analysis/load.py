@@ -37,10 +37,10 @@ from .choose import choose
 from .key import asked_tables, files_of, with_files
 from .memory import give_back
 from .mounts import mount_tables, on_moving_parts, optics_tables, shared_turns, transforms_of
+from .refused_motion import spoiling, standing_notes
 from .settings import ORDERS, PRESETS, LogOptions, Progress, silent
-from .standing import refuse_standing, standing_notes
 from .tilt import level_compass
-from .topics import Choice
+from .topics import Choice, Note
 
 if TYPE_CHECKING:
     from locfuse.fusion.wheels.motion_by_scans import MatchedScans
@@ -69,6 +69,7 @@ class Loaded(msgspec.Struct, frozen=True, dict=True):
     hash_all: bool = False  # whether every byte is to be hashed
     matched: MatchedScans | None = None  # the motion by scans, where there are no wheels
     reading: WheelReading | None = None  # the motion of the whole log; None: it has to be read again
+    spoils: tuple[Note, ...] = ()  # why the motion is not the robot's: no figure means anything then
 
     def stream(self, role: str) -> Stream:
         """Return the raw readings of a role, of all its topics."""
@@ -193,10 +194,9 @@ def measured(
         motion = read_wheels(wanted["wheels"], robot.wheels)
     shown = None if before is None else before.drive.measurements
     drive = measure(wanted, robot, {**choice.absent, **moving}, progress, known, motion, shown)
-    refuse_standing(log, choice, drive.wheels)
     _refuse_other_clock(log, drive)
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
-    chosen = (f"{note.role}: {note.words}" for note in choice.notes if note.role in streams)
+    chosen = (f"{note.role}: {note.words}" for note in choice.notes if note.role in streams and not note.spoils)
     notes = (
         *preset,
         *chosen,
@@ -206,7 +206,8 @@ def measured(
         *drive.notes,
     )
     drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})
-    return Loaded(log, robot, choice, drive, tables, matched=matched, reading=motion)
+    spoils = spoiling(log, choice, motion)
+    return Loaded(log, robot, choice, drive, tables, matched=matched, reading=motion, spoils=spoils)
 
 
 def _matched_scans(stream: Stream, robot: Robot, progress: Progress, before: Loaded | None) -> MatchedScans:

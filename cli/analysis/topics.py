@@ -25,6 +25,7 @@ class Note(NamedTuple):
     role: str
     words: str
     fixes: tuple[str, ...] = ()  # settings that say the same for good
+    spoils: bool = False  # every figure of this log means nothing
 
 
 class Choice(msgspec.Struct):

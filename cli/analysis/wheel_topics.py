@@ -70,7 +70,7 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
         return
     choice.take("wheels", [body.topic, *body.beside], body.why)
     if body.note:
-        choice.notes.append(Note("wheels", body.note, body.fixes))
+        choice.notes.append(Note("wheels", body.note, body.fixes, body.spoils))
     if counters:
         choice.notes.append(Note("wheels", _passed_over(body.topic, counters, unknown if wheeled else "")))
 

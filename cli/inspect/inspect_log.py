@@ -17,7 +17,7 @@ from locfuse.cli.analysis.body_topics import NoWheelsError
 from locfuse.cli.analysis.choose import choose_sensor, choose_truth
 from locfuse.cli.analysis.load import Loaded, make_robot, measured, merged_tables, named_by_hand
 from locfuse.cli.analysis.mounts import mount_tables, shared_turns, transforms_of
-from locfuse.cli.analysis.standing import STANDS
+from locfuse.cli.analysis.refused_motion import STANDS
 from locfuse.cli.analysis.tag_frames import offer_tags
 from locfuse.cli.analysis.topics import Choice
 from locfuse.cli.analysis.wheel_topics import choose_wheels
@@ -93,7 +93,7 @@ def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) ->
                 finding = replace(finding, message=finding.brief, hint="")  # info lists the topics
             choice.leave(role, finding.sentence, finding.fixes)
             found.append(finding)
-    found += [Finding(note.role, "choice", note.words, note.fixes) for note in choice.notes]
+    found += [Finding(note.role, "choice", note.words, note.fixes) for note in choice.notes if not note.spoils]
     return choice
 
 
@@ -143,6 +143,7 @@ def _measure(overview: Overview, progress: Callable[[str], None]) -> None:
     progress("looking for findings")
     overview.loaded, overview.robot = loaded, loaded.robot
     streams = {role: loaded.stream(role) for role in loaded.choice.topics}
+    overview.findings += [Finding(n.role, "motion", n.words, n.fixes, severe=True) for n in loaded.spoils]
     if loaded.drive.wheels.stands:
         overview.findings.append(Finding("wheels", "standing", STANDS))
     overview.findings += examine(loaded.drive, loaded.robot, streams)

@@ -17,6 +17,7 @@ from locfuse.cli.analysis.key import Asked
 from locfuse.cli.analysis.load import Loaded, find_log, load_to_fuse, start_error, with_settings
 from locfuse.cli.analysis.memory import lean
 from locfuse.cli.analysis.outputs import Drawn
+from locfuse.cli.analysis.refused_motion import void_all
 from locfuse.cli.analysis.settings import (
     MAX_REFERENCE_INSTANTS,
     LogOptions,
@@ -152,6 +153,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
             stands=self.drive.wheels.stands,
             jumps=jumps_of(self.drive),
         )
+        void_all(report, self.loaded.spoils)
         self.progress("writing")
         return Run(
             self.loaded,
@@ -199,7 +201,8 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         wanted = for_comparison(words, self.drive, all_subsets)
         foreign = foreign_estimates(self.loaded, named_sources(estimates or {}), [c.name for c in wanted])
         drawn = Drawn()
-        evaluator = self._evaluator(align) if advice and not self.drive.wheels.stands else None
+        moves = not (self.drive.wheels.stands or self.loaded.spoils)
+        evaluator = self._evaluator(align) if advice and moves else None
         takes, hears = ([], []) if evaluator is None else (evaluator.takes, evaluator.hears)
         watch = [drawn.take, *takes]
         compared = compare_log(
@@ -216,6 +219,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         advised = None if evaluator is None else evaluator.advised()
         stands, jumps = self.drive.wheels.stands, jumps_of(self.drive)
         complete(report, advised, self._start_error(), [e.name for e in foreign], stands, jumps)
+        void_all(report, self.loaded.spoils)
         self.progress("writing")
         return Comparison(
             self.loaded,
@@ -271,7 +275,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
 
         runs = evidence(c.drive(self.drive), e, self.robot)
         one = Compared(self.loaded, [c], [e], [judged], runs, credit=None, scores=[])
-        if self.drive.wheels.stands or not looks_wrong(self.loaded, one):
+        if self.drive.wheels.stands or self.loaded.spoils or not looks_wrong(self.loaded, one):
             return Advised()
         return self._evaluator(align).advised()
 

@@ -75,12 +75,16 @@ BODY_READS: Mapping[str, tuple[str, ...]] = {
 MIN_STEP_M = 1e-3  # m: steps below say nothing about a direction
 MAX_STEP_RATIO = 3.0  # |pose step| and |twist| dt within this factor speak of the same motion
 MIN_AGREEING_SHARE = 0.8  # share of the moving steps that must agree before the twist is believed
-COMMANDED = ("cmd", "command", "target", "setpoint", "teleop", "joy")  # what the body was asked to do
+# words of topics of poses and speeds that the body was asked for
+COMMANDED = ("cmd", "command", "control", "target", "setpoint", "goal", "initial", "waypoint", "teleop", "joy")
 MEASURED = ("state", "status", "feedback", "report", "measured", "actual", "odom")  # of a type of commands
 MAX_HOLD_S = 1.0  # s that a command lasts at most: drivers stop the robot when nothing more comes
 MAX_TURN_RADPS = 1e6  # not even one in a unit that nobody told is faster
 SPEED_SETTING = "wheels.max_speed [m/s] says how far it may step"
 MAX_FRAME_SHARE = 0.5  # of the misfit to the body's axes: a speed that fits those of the frame so much better
+MIN_BODY_MISFIT = 0.3  # of the way that they say: a smaller misfit to the body's axes is none
+MAX_SIDEWAYS_MPS = 3.0  # m/s, 95th percentile: no base drives sideways faster
+MAX_JUMP_MPS, MAX_JUMPS_SHARE = 10.0, 0.05  # m/s of a jump, and the share of the steps that may be one
 MAX_REVERSE_SHARE = 0.1  # share of backing up that the pose may know of and still be called blind to it
 
 
@@ -91,6 +95,7 @@ class Way(NamedTuple):
     twist: Array  # (k-1, 3) forward, left [m], turn [rad] between the readings used
     spikes: int
     notes: tuple[str, ...]
+    doubt: str = ""  # why no robot moves like this
 
 
 def pose_and_speed(stream: Stream, settings: WheelSettings) -> Array:
@@ -142,12 +147,15 @@ def _headed(t: Array, speed: Array, heading: Array) -> Array:
     return out
 
 
-def commanded(topic: str, msgtype: str = "") -> bool:
-    """Return whether a topic's speeds were asked for, not measured: by its name, or by its type, a command's."""
+def commanded(topic: str, msgtype: str) -> bool:
+    """Return whether a topic's poses or speeds were asked for: by its name, or by its type, a command's.
+
+    An Odometry is none, whoever publishes it: /husky_velocity_controller/odom is measured.
+    """
     name = topic.lower()
-    return any(word in name for word in COMMANDED) or (
-        msgtype in STEERED and not any(word in name for word in MEASURED)
-    )
+    if msgtype in STEERED and not any(word in name for word in MEASURED):
+        return True
+    return msgtype not in (ODOMETRY, TRANSFORM) and any(word in name for word in COMMANDED)
 
 
 def obeyed(t: Array, speeds: Array) -> tuple[Array, Array]:
@@ -177,22 +185,45 @@ def wheelbase_of(stream: Stream, settings: WheelSettings) -> float:
 
 
 def travelled(t: Array, values: Array, by_twist: bool, max_speed: float | None, posed: bool = True) -> Way:
-    """Return the way of poses (n, 5); the twist counts only where the pose never changes, or for its sign.
+    """Return the way of poses (n, 5); the twist counts only where the place never changes, or for its sign.
 
     `posed` is whether the messages have a pose at all.
     """
-    if not posed or (np.ptp(values[:, :3], axis=0).max() <= 0.0 and values[:, 3:].any()):
+    placed = posed and not (np.ptp(values[:, :2], axis=0).max() <= 0.0 and values[:, 3:].any())
+    if posed and not placed and np.ptp(values[:, 2]) > 0.0:  # the heading is known, and the speed along it
+        values = np.column_stack((_headed(t, values[:, 3], values[:, 2]), values[:, 3:]))
+    elif not placed:
         notes = ("its pose never changes: its twist is used",) if posed else ()
         keep = possible(values[:, 3:], max_speed)
         return Way(keep, _integrated(t[keep], values[keep, 3:]), int((~keep).sum()), notes)
     bad = spikes(t, values[:, :2], _limits(t, values, max_speed))
     t, values = t[~bad], values[~bad]
     twist = _steps(values)
-    restart = restarted(t, twist, np.hypot(twist[:, 0], twist[:, 1]) > _limits(t, values, max_speed))
+    far = np.hypot(twist[:, 0], twist[:, 1]) > _limits(t, values, max_speed)
+    doubt = unlike_a_robot(t, twist, far)
+    restart = restarted(t, twist, far)
     steps = restart.steps
-    backing = backing_up(t, steps, values[:, 3], values[:, 0]) if by_twist else np.zeros(len(steps), dtype=bool)
+    said = 0.5 * (values[1:, 3] + values[:-1, 3]) * np.diff(t)
+    in_frame = along_the_frame(steps[:, 0], np.diff(values[:, 0]), said)
+    backing = backing_up(steps, said) if by_twist and not in_frame else np.zeros(len(steps), dtype=bool)
     steps[backing, :2] *= -1.0
-    return Way(~bad, steps, int(bad.sum()), tuple(_words(int(bad.sum()), restart.number, int(backing.sum()))))
+    words = [] if placed or not posed else ["its place never changes: its speed is used along its heading"]
+    words += ["its speeds are given along the axes of its poses, not of the body: not used"] if in_frame else []
+    words += _words(int(bad.sum()), restart.number, int(backing.sum()))
+    return Way(~bad, steps, int(bad.sum()), tuple(words), doubt)
+
+
+def unlike_a_robot(t: Array, twist: Array, far: Mask) -> str:
+    """Say why no robot takes steps (n-1, 3) like these; `far` marks those that the steps around do not explain."""
+    dt = np.diff(t)
+    dt = np.maximum(dt, np.median(dt)) if len(dt) else dt  # a burst of messages has tiny dt
+    sideways = float(np.percentile(np.abs(twist[:, 1]) / dt, 95.0)) if len(dt) else 0.0
+    if sideways > MAX_SIDEWAYS_MPS:
+        return f"it moves sideways at {sideways:.0f} m/s: its heading is not that of the body"
+    jumps = float(np.mean(far & (np.hypot(twist[:, 0], twist[:, 1]) > MAX_JUMP_MPS * dt))) if len(dt) else 0.0
+    if jumps > MAX_JUMPS_SHARE:
+        return f"{jumps:.0%} of its steps are jumps at more than {MAX_JUMP_MPS:.0f} m/s"
+    return ""
 
 
 def _words(spiked: int, restarts: int, turned: int) -> list[str]:
@@ -211,14 +242,12 @@ def _words(spiked: int, restarts: int, turned: int) -> list[str]:
     return words
 
 
-def backing_up(t: Array, steps: Array, speed: Array, x: Array) -> Mask:
-    """Mark steps (n-1, 3) that go ahead while the twist's speed (n,) says backward.
+def backing_up(steps: Array, said: Array) -> Mask:
+    """Mark steps (n-1, 3) that go ahead while the twist says that they go back: `said` (n-1,) [m].
 
-    None where the twist is not to be believed (it disagrees with most steps, or is the speed along the x axis of
-    the poses, x (n,) [m], as simulators give it), or where the pose does know how to back up, so that a
-    disagreement is something else.
+    None where the twist is not to be believed (it disagrees with most steps), or where the pose does know how to
+    back up, so that a disagreement is something else.
     """
-    said = 0.5 * (speed[1:] + speed[:-1]) * np.diff(t)
     ahead = steps[:, 0]
     moving = (np.abs(ahead) > MIN_STEP_M) & (np.abs(said) > MIN_STEP_M)
     wrong = moving & (said < 0.0) & (ahead > 0.0)
@@ -227,13 +256,10 @@ def backing_up(t: Array, steps: Array, speed: Array, x: Array) -> Mask:
     agrees = moving & (ratio < MAX_STEP_RATIO) & (ratio > 1.0 / MAX_STEP_RATIO)
     forward = moving & (said > 0.0) & (ahead > 0.0)
     known = moving & (said < 0.0) & (ahead < 0.0)
-    if along_the_frame(ahead, np.diff(x), said):
-        return np.zeros(len(said), dtype=bool)
     believed = agrees.sum() >= MIN_AGREEING_SHARE * moving.sum() and forward.sum() > wrong.sum()
     blind = known.sum() <= MAX_REVERSE_SHARE * wrong.sum()
-    return (
-        ((said < 0.0) & (ahead > 0.0)) if believed and blind and wrong.any() else np.zeros(len(said), dtype=bool)
-    )
+    found: Mask = (said < 0.0) & (ahead > 0.0) & bool(believed and blind and wrong.any())
+    return found
 
 
 def along_the_frame(ahead: Array, dx: Array, said: Array) -> bool:
@@ -244,7 +270,7 @@ def along_the_frame(ahead: Array, dx: Array, said: Array) -> bool:
     most = MAX_STEP_RATIO * np.maximum(np.abs(said), np.abs(ahead))  # a jump of the pose decides nothing
     ways = dx, np.copysign(ahead, said)
     in_frame, in_body = (float(np.minimum(np.abs(way - said), most).sum()) for way in ways)
-    return in_frame < MAX_FRAME_SHARE * in_body
+    return in_frame < MAX_FRAME_SHARE * in_body and in_body > MIN_BODY_MISFIT * float(np.abs(said).sum())
 
 
 def _steps(values: Array) -> Array:

@@ -56,6 +56,7 @@ class WheelReading(NamedTuple):
     epoch_ns: int  # the first reading used, time offset applied
     dropped: dict[str, int]  # readings that are not used, by reason
     notes: tuple[str, ...]  # repairs in words, each with the setting that controls it
+    doubt: str = ""  # why no robot moves like this, in words
 
     def with_noise(self, noise: float) -> WheelReading:
         """Return the same motion of wheels with another noise, m per metre rolled."""
@@ -162,11 +163,12 @@ def _from_body(stream: Stream, values: Array, settings: WheelSettings, posed: bo
         count_dropped(dropped, "spike", int((~can).sum()))
         t, twist = odometry.obeyed(t[can], values[keep[can], 3:])
         notes: tuple[str, ...] = ()
+        doubt = ""
     else:
         way = odometry.travelled(t, values[keep], settings.reverse_by_twist, settings.max_speed, posed)
         count_dropped(dropped, "spike", way.spikes)
-        t, twist, notes = t[way.keep], way.twist, way.notes
+        t, twist, notes, doubt = t[way.keep], way.twist, way.notes, way.doubt
     require_two(stream.topic, len(t), len(stream.t_ns))
     wheels = Wheels.from_twists(t - t[0], twist, settings.track or VIRTUAL_TRACK, settings.noise)
     epoch_ns = int(stream.t_ns[keep[0]]) + round((float(t[0]) + settings.time_offset) * 1e9)
-    return WheelReading(wheels, epoch_ns, dropped, notes)
+    return WheelReading(wheels, epoch_ns, dropped, notes, doubt)

@@ -182,10 +182,15 @@ def notes_of(report: Any) -> str:
     return json.dumps(report, ensure_ascii=False)
 
 
-def test_a_commanded_twist_is_the_last_resort_and_named_as_what_it_is(tmp_path: Path) -> None:
-    pose, report = final(log_of(tmp_path / "x.mcap", twists(T, "/cmd_vel")))
+def test_a_commanded_twist_is_the_last_resort_and_no_figure_of_it_means_anything(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "x.mcap", twists(T, "/cmd_vel"))
+    done = locfuse("run", log, "-o", tmp_path / "out")
+    assert done.exit_code == 3
+    assert "void: wheels: /cmd_vel holds commanded speeds" in done.stderr
+    assert locfuse("info", log, "--check", "--no-advice").exit_code == 3
+    pose, report = final(log, "--set", "wheels.topic=/cmd_vel")
     assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-9)
-    assert "/cmd_vel holds commanded speeds" in notes_of(report)
+    assert not report["validity"]
     measured = log_of(tmp_path / "measured.mcap", twists(T, "/cmd_vel", speed=2 * SPEED), twists(T, "/base/speed"))
     pose, report = final(measured)
     assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-9)
@@ -348,7 +353,7 @@ def test_an_odometry_that_stands_while_a_twist_moves_is_refused_in_words(tmp_pat
     still = odometry(T, np.zeros_like(CIRCLE))
     log = log_of(tmp_path / "x.mcap", still, twists(T, "/wheel_velocity"))
     done = locfuse("run", log, "-o", tmp_path / "out")
-    assert done.exit_code == 1
+    assert done.exit_code == 3
     assert "/odom never moves, but /wheel_velocity moves 8.0 m" in done.stderr
     assert "--set wheels.topic=/wheel_velocity" in done.stderr
     pose, _ = final(log, "--set", "wheels.topic=/wheel_velocity")
@@ -365,7 +370,7 @@ def test_an_odometry_that_stands_while_fixes_move_is_refused_in_words(tmp_path: 
     ]
     log = log_of(tmp_path / "x.mcap", odometry(T, np.zeros_like(CIRCLE)), fixes)
     done = locfuse("run", log, "-o", tmp_path / "out")
-    assert done.exit_code == 1
+    assert done.exit_code == 3
     assert "/odom never moves, but the fixes of /fix lie up to" in done.stderr
 
 
@@ -397,10 +402,9 @@ def test_init_asks_for_the_wheelbase_of_a_steering_angle(tmp_path: Path) -> None
 
 def test_an_arm_is_no_wheel_and_hides_none(tmp_path: Path) -> None:
     t, angle = angles()
-    log = log_of(tmp_path / "x.mcap", joint_states(t, angle, ("shoulder", "elbow")), twists(T, "/cmd_vel"))
-    pose, report = final(log)
+    log = log_of(tmp_path / "x.mcap", joint_states(t, angle, ("shoulder", "elbow")), twists(T, "/base/speed"))
+    pose, _ = final(log)
     assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-9)
-    assert "/cmd_vel holds commanded speeds" in notes_of(report)
 
 
 def test_of_several_odometries_those_made_of_more_come_last(tmp_path: Path) -> None:

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bags import Said, cdr, header, real_log, write
+from bags import real_log, write
 from commands import locfuse
+from laser_room import PERIOD, ROOM, circle, ranges_of, scans_of
 from msgspec.structs import replace
-from ring_drive import box, scan
-from scan_streams import SCAN, scan_stream
+from ring_drive import box
+from scan_streams import scan_stream
 from wheel_bags import stamps
 
 import locfuse as locfuse_api
@@ -27,25 +28,7 @@ from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.motion_by_scans import MatchedScans, match_scans, seen
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
-BEAMS, PERIOD = 120, 0.2  # of ring_drive's laser; s
-ROOM = np.array(box(-4.0, -3.0, 4.5, 3.5) + box(1.0, 2.6, 2.2, 3.5) + box(-4.0, -3.0, -3.2, -1.0))
 CORRIDOR = np.array([(-90.0, -1.0, 90.0, -1.0), (-90.0, 1.0, 90.0, 1.0)])
-
-
-def circle(duration: float = 12.0, radius: float = 1.2, rate: float = 0.35) -> tuple[Array, Array]:
-    """Stamps (n,) and true poses (n, 3) along a circle, in closed form."""
-    t = np.arange(0.0, duration, PERIOD)
-    turn = rate * t
-    return t, np.stack((radius * np.sin(turn), radius * (1.0 - np.cos(turn)), turn), axis=-1)
-
-
-def ranges_of(pose: Array, segments: Array, rng: np.random.Generator) -> Array:
-    """The ranges (BEAMS,) from a pose, inf without a return: ring_drive's ray caster in the form of a message."""
-    points = scan(pose, segments, rng)
-    beam = np.round((np.arctan2(points[:, 1], points[:, 0]) + np.pi) * BEAMS / (2.0 * np.pi)).astype(int) % BEAMS
-    out = np.full(BEAMS, np.inf)
-    out[beam] = np.hypot(*points.T)
-    return out
 
 
 def stream_of(t: Array, poses: Array, segments: Array) -> ArrayStream:
@@ -204,22 +187,7 @@ def test_scans_are_no_wheels_before_they_are_matched() -> None:
 
 
 def laser_bag(path: Path) -> Path:
-    t, truth = circle(8.0)
-    rng = np.random.default_rng(3)
-    said = []
-    for ns, pose in zip(stamps(t), truth, strict=True):
-        message = cdr(
-            SCAN,
-            header=header(ns, "laser"),
-            angle_min=-np.pi,
-            angle_max=np.pi,
-            angle_increment=2.0 * np.pi / BEAMS,
-            range_min=0.05,
-            range_max=12.0,
-            ranges=ranges_of(pose, ROOM, rng).astype(np.float32),
-        )
-        said.append(Said("/scan", SCAN, message, ns))
-    return write(path, said)
+    return write(path, scans_of(*circle(8.0)))
 
 
 def test_info_init_and_compare_take_a_log_with_a_laser_and_nothing_else(tmp_path: Path) -> None:

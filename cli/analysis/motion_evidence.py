@@ -1,0 +1,135 @@
+"""What the laser of a log says of each motion that the log holds: the share of a scan that agrees with it.
+
+A measured motion is kept where about as many points agree as by matching the scans with each other. What it does
+not see is said in `fusion.wheels.scan_agreement`; where the scans tell nothing, every motion is kept and the kinds
+of the topics decide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from msgspec.structs import replace
+
+from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.lrf import laser_of
+from locfuse.fusion.streams import merged
+from locfuse.fusion.wheels.read import WheelReading, read_wheels
+
+from .mounts import mount_tables, transforms_of
+
+if TYPE_CHECKING:
+    from locfuse.formats.logs.log import Log
+    from locfuse.fusion.lines.scans import Laser
+    from locfuse.fusion.wheels.scan_agreement import ScanPairs
+
+MAX_SPEEDS = 2  # topics of commanded or measured speeds that are looked at beside scans
+PLACE = ("x", "y", "yaw_deg", "flipped")  # of a laser on the base
+SURE_SHARE = 0.9  # s from which on no matching can be so much better
+WORSE_SHARE = 0.10  # s by which a motion may be worse than the matching of the scans
+BELOW_STILL_SHARE = 0.05  # s by which a motion may be worse than standing
+TELLING_SHARE = 0.03  # s by which matching must be better than standing: else the scans tell nothing
+ALIKE_SHARE = 0.10  # s by which two motions of one kind must differ: else neither is chosen
+
+
+class Evidence:
+    """Judges motions by the scans of one topic, which are looked at when the first motion is asked about."""
+
+    def __init__(self, log: Log, robot: Robot, laser: str) -> None:
+        self._log, self._robot, self._topic = log, robot, laser
+        self._pairs: ScanPairs | None = None
+        self._shares: dict[tuple[str, ...], float] = {}
+        self._gone: dict[tuple[str, ...], str] = {}
+
+    def keep(self, candidates: Sequence[Sequence[str]]) -> list[bool]:
+        """Tell which motions agree with the scans; of several that differ much in this only the best."""
+        read = {tuple(topics): self._motion(topics) for topics in candidates}
+        known = {topics: motion for topics, motion in read.items() if motion is not None}
+        if not known:
+            return [True] * len(candidates)
+        if self._pairs is None:
+            self._look([*known.values()])
+        if self._pairs is None or not self._pairs.judge:
+            return [True] * len(candidates)
+        kept = [self._stays(topics, motion) for topics, motion in known.items()]
+        left = [topics for topics, stays in zip(known, kept, strict=True) if stays]
+        best = max((self._shares[t] for t in left), default=0.0)
+        left = [t for t in left if self._shares[t] > best - ALIKE_SHARE]
+        return [tuple(topics) not in known or tuple(topics) in left for topics in candidates]
+
+    def look_at(self, speeds: Sequence[str]) -> None:
+        """Look at topics of speeds, which never come before scans, for the record of what they were worth."""
+        for topic in speeds[:MAX_SPEEDS]:
+            motion = self._motion([topic])
+            if motion is None or motion.wheels.stands:
+                continue
+            if self._pairs is None:
+                self._look([motion])
+            if self._pairs is not None and self._pairs.judge:
+                self._gone[topic,] = f"by {topic}, speeds, {self._pairs.of(motion):.0%}"
+
+    def why(self, topics: Sequence[str]) -> str:
+        """Return what the scans say of a motion that was kept, in words; "" where nobody asked them."""
+        share = self._shares.get(tuple(topics))
+        return "" if share is None else f"{share:.0%} of a scan's points agree with it"
+
+    @property
+    def note(self) -> str:
+        """Say which motions do not agree with the scans, with the numbers; "" where all do."""
+        if not self._gone:
+            return ""
+        return (
+            f"{'; '.join(self._gone.values())} of a scan's points lie within 10 cm of the scan a second before "
+            f"({self._matched:.0%} by matching the scans, {self._still:.0%} if the robot stood)"
+        )
+
+    def _stays(self, topics: tuple[str, ...], motion: WheelReading) -> bool:
+        assert self._pairs is not None
+        share = self._shares[topics] = self._pairs.of(motion)
+        stands = motion.wheels.stands
+        if share >= SURE_SHARE and not stands:
+            return True
+        if self._matched < self._still + TELLING_SHARE:
+            return True
+        if stands or share < max(self._matched - WORSE_SHARE, self._still - BELOW_STILL_SHARE):
+            does = "does not move: by it" if stands else "is not how the robot moved: by it"
+            self._gone[topics] = f"{' and '.join(topics)} {does} {share:.0%}"
+            return False
+        return True
+
+    @cached_property
+    def _matched(self) -> float:
+        assert self._pairs is not None
+        return self._pairs.matched()
+
+    @cached_property
+    def _still(self) -> float:
+        assert self._pairs is not None
+        return self._pairs.still
+
+    def _motion(self, topics: Sequence[str]) -> WheelReading | None:
+        """Return what topics say of the motion; None where they cannot be read: said where they are used."""
+        with suppress(LocfuseError):
+            streams = [self._log.stream(topic, self._robot.order) for topic in topics]
+            return read_wheels(merged(streams), self._robot.wheels)
+        return None
+
+    def _look(self, motions: Sequence[WheelReading]) -> None:
+        from locfuse.fusion.wheels.scan_agreement import scan_pairs  # SciPy comes with it
+
+        with suppress(LocfuseError):  # what is wrong with the scans is said where they are measured
+            stream = self._log.stream(self._topic, self._robot.order)
+            self._pairs = scan_pairs(stream, self._laser(), motions)
+
+    def _laser(self) -> Laser:
+        """Return the laser as configured, else where /tf_static puts it."""
+        stream, settings = self._log.stream(self._topic), self._robot.settings("lrf")
+        placed: Mapping[str, Any] = {}
+        with suppress(LocfuseError):  # frames in a loop: said where they are used
+            placed = mount_tables(transforms_of(self._log, [stream.frame_id]), {"lrf": [stream]}).get("lrf", {})
+        unset = {key: placed[key] for key in PLACE if key in placed and not getattr(settings, key)}
+        return laser_of(replace(settings, **unset))

@@ -1,0 +1,112 @@
+"""Motions that are not the robot's: commands, poses of other things, what no robot can do, what stands still.
+
+Such a log is fused, so that its files can be looked at, and every figure is void (exit code 3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from locfuse.formats.report.findings import options
+from locfuse.fusion.data import Array, LocfuseError
+from locfuse.fusion.geodesy import east_north
+from locfuse.fusion.judge.evaluate import ERROR_KEYS
+from locfuse.fusion.robot import WheelSettings
+from locfuse.fusion.truth import looks_like_truth
+from locfuse.fusion.wheels.motion import Wheels
+from locfuse.fusion.wheels.odometry import SPEED, commanded
+from locfuse.fusion.wheels.read import WheelReading, read_wheels
+
+from .topics import Choice, Note, of_type
+
+if TYPE_CHECKING:
+    from locfuse.formats.logs.log import Log
+
+STANDS = "the robot does not move in this log, so no sensor can be judged"
+MIN_WAY_M = 1.0  # m by another topic: more is one
+MIN_FIX_SPREAD_M = 15.0  # m: a standing receiver's fixes wander by some metres
+FIX = "sensor_msgs/msg/NavSatFix"
+VOID = (*ERROR_KEYS, "anees")  # figures that mean nothing then
+
+
+def spoiling(log: Log, choice: Choice, motion: WheelReading) -> tuple[Note, ...]:
+    """Return why the motion that is used is not the robot's; () where nothing speaks against it."""
+    found = [note for note in choice.notes if note.spoils]
+    topics = " and ".join(choice.of("wheels"))
+    if motion.doubt:
+        found.append(Note("wheels", f"{topics}: {motion.doubt}", (), spoils=True))
+    return (*found, *_standing(log, choice, motion.wheels))
+
+
+def void_all(report: dict[str, Any], spoils: Sequence[Note]) -> None:
+    """Take all figures and verdicts out of a report of a motion that is not the robot's."""
+    if not spoils:
+        return
+    message = "; ".join(f"{n.role}: {n.words}" + (f": {options(n.fixes)}" if n.fixes else "") for n in spoils)
+    for values in report["configurations"].values():
+        known = {key: values[key] for key in VOID if values.get(key) is not None}
+        values["void"] = {"reason": message, "figures": {**values.get("void", {}).get("figures", {}), **known}}
+        values.update(dict.fromkeys(known))
+    for verdict in (report.get("verdicts") or {}).values():
+        verdict.update(verdict="no verdict", words="What is used as the motion is not the robot's.")
+    report.update(dict.fromkeys(key for key in ("credit", "prediction") if report.get(key) is not None))
+    entry = {"code": "motion", "message": message, "since_s": 0.0, "void": True}
+    report["validity"] = [{**entry, "configurations": [*report["configurations"]]}, *report.get("validity", ())]
+    report["headline"] = f"No verdict on this log: {message}."
+
+
+def _standing(log: Log, choice: Choice, wheels: Wheels) -> Iterator[Note]:
+    """Say that the wheels' topic never moves while another topic does."""
+    if not wheels.stands:
+        return
+    own = " and ".join(choice.of("wheels"))
+    taken = set(choice.of("wheels"))
+    for topic in of_type(log, SPEED):
+        if (
+            topic in taken
+            or commanded(topic, log.topics[topic].msgtype)
+            or looks_like_truth(topic)
+            or not log.topics[topic].count
+        ):
+            continue
+        if (moved := _moved(log, topic)) > MIN_WAY_M:
+            words = f"{own} never moves, but {topic} moves {moved:.1f} m"
+            yield Note("wheels", words, (f"wheels.topic={topic}",), spoils=True)
+            return
+    for topic in of_type(log, (FIX,)):
+        if (spread := _spread(log, topic)) > MIN_FIX_SPREAD_M:
+            words = f"{own} never moves, but the fixes of {topic} lie up to {spread:.0f} m apart"
+            yield Note("wheels", words, spoils=True)
+            return
+
+
+def standing_notes(wheels: Wheels) -> tuple[str, ...]:
+    """Say that the robot does not move."""
+    return (f"wheels: {STANDS}",) if wheels.stands else ()
+
+
+def _moved(log: Log, topic: str) -> float:
+    """Return how far a topic says that the body moved [m], 0 where it cannot be read."""
+    with suppress(LocfuseError):
+        return way(read_wheels(log.stream(topic), WheelSettings()).wheels)
+    return 0.0
+
+
+def way(wheels: Wheels) -> float:
+    """Return how far the body moved in all [m]."""
+    return float(np.hypot(*np.diff(wheels.pose[:, :2], axis=0).T).sum())
+
+
+def _spread(log: Log, topic: str) -> float:
+    """Return the greatest extent of a receiver's fixes along east or north [m], outliers left out."""
+    columns = cast("dict[str, Array]", log.stream(topic).columns("latitude", "longitude"))
+    where = np.stack([columns["latitude"], columns["longitude"]], axis=-1)
+    where = where[np.isfinite(where).all(axis=1)]
+    if len(where) < 2:
+        return 0.0
+    xy = east_north(where[:, 0], where[:, 1], (float(where[0, 0]), float(where[0, 1])))
+    return float(np.ptp(np.percentile(xy, (5.0, 95.0), axis=0), axis=0).max())

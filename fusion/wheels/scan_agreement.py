@@ -1,0 +1,192 @@
+"""How well a motion agrees with a laser: the share of a scan that lies on the scan of a second before.
+
+Some pairs of scans are drawn from the whole log. A motion moves the later scan of each pair into the frame of the
+earlier one; a point that comes to lie within 10 cm of a point there agrees. The mean share over all pairs, s, is
+one number for each motion: of the wheels, of a standing robot, and of the matching of the scans themselves.
+
+What it does not see: a reversed motion looks like a laser that is turned by 180 degrees, so the best of four
+directions of the laser counts; along a single wall every motion agrees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Ints, Stream
+from locfuse.fusion.lines.points import SCANS_PER_BLOCK
+from locfuse.fusion.lines.scans import Laser, equal_scans, points_in_base
+from locfuse.fusion.scan_matching.clouds import MAX_RANGE_M, Clouds, normals
+from locfuse.fusion.scan_matching.match import Targets, match, sources_of
+
+from .read import WheelReading
+from .scan_clouds import FIELDS, Standing
+
+PAIRS, MIN_MOVING = 60, 20  # pairs that are looked at; so many that move: standing ones are not needed
+PAIR_S, MAX_PAIR_S = 1.0, 3.0  # s from the earlier to the later scan of a pair; scans further apart make none
+MOVES_M, MOVES_RAD = 0.05, np.radians(3.0)  # of a pair that moves
+NEAR_M = 0.1  # a point that lies so near to one of the earlier scan agrees
+POINTS, SURFACE_POINTS = 90, 360  # of the later and of the earlier scan
+TURNS_RAD = np.radians([0.0, 90.0, 180.0, -90.0])  # of the laser beside its mount
+LAGS_S, FINER_S = np.linspace(-0.5, 0.5, 11), np.array([-0.05, 0.05])  # of the laser's clock
+AHEAD_M = np.array([-0.3, -0.2, -0.1, 0.1, 0.2, 0.3])  # of the laser on a base of which nothing says where it is
+STEP_S = 0.2  # s from scan to scan while the scans between a pair are matched
+STEP_PRIOR = np.diag([0.2**-2, 0.2**-2, np.radians(12.0) ** -2])  # of a step of which nothing is known
+BETWEEN_PRIOR = np.diag([0.1**-2, 0.1**-2, np.radians(4.0) ** -2])  # of steps that were matched one by one
+STEP_REACH_M, REACH_M = 0.6, 0.3
+LANE_M = 1e4  # between two scans in the search tree
+
+
+class ScanPairs(msgspec.Struct, frozen=True, dict=True):
+    """Pairs of scans of one laser, and everything that is asked of them."""
+
+    stream: Stream
+    laser: Laser
+    t: Array  # (n,) s of all scans, since the first
+    first: Ints  # (p,) the earlier scan of each pair
+    later: Ints  # (p,)
+    surface: list[Array]  # p of (k, 2) m: what the earlier scan saw, in the laser's frame
+    points: list[Array]  # p of (k, 2) m: what the later one saw
+
+    @property
+    def judge(self) -> bool:
+        """Whether any pair saw something."""
+        return any(len(p) for p in self.points) and any(len(p) for p in self.surface)
+
+    def share(self, moved: Array) -> float:
+        """Return s for motions of the laser (p, 3), the later scan seen from the earlier one."""
+        counts = [len(p) for p in self.points]
+        lane = np.repeat(np.arange(len(counts)), counts)
+        at = se2.transform(moved[lane], np.concatenate(self.points))
+        distance, _ = self._tree.query(
+            np.column_stack((at, LANE_M * lane)), distance_upper_bound=NEAR_M, workers=1
+        )
+        near = np.bincount(lane, np.isfinite(distance), len(counts))
+        seen = np.array(counts) > 0
+        return float(np.mean(near[seen] / np.array(counts)[seen]))
+
+    @property
+    def still(self) -> float:
+        """S of a robot that does not move."""
+        return self.share(np.zeros((len(self.first), 3)))
+
+    def of(self, motion: WheelReading) -> float:
+        """Return s of a motion of the wheels, with the best direction, clock and place of the laser in turn."""
+        best = np.zeros(3)  # turn [rad], lag [s], ahead [m]
+        share = self.share(self._by(motion, best))
+        placed = self.laser.mount[:2].any()
+        for k, steps in enumerate((TURNS_RAD, LAGS_S, FINER_S, () if placed else AHEAD_M)):
+            tries = [best + step * np.eye(3)[(0, 1, 1, 2)[k]] for step in steps if step]
+            shares = [self.share(self._by(motion, one)) for one in tries]
+            if shares and max(shares) > share:
+                share, best = max(shares), tries[int(np.argmax(shares))]
+        return share
+
+    def matched(self) -> float:
+        """Return s of the scans' own matching: steps of a fraction of a second, then from end to end."""
+        chains = [self._rows_between(i, j) for i, j in zip(self.first.tolist(), self.later.tolist(), strict=True)]
+        rows, at = np.unique(np.concatenate(chains), return_inverse=True)
+        clouds = self._clouds(rows)
+        targets, sources = Targets(clouds), sources_of(clouds, POINTS)
+        ends = np.cumsum([len(chain) for chain in chains])
+        step = np.setdiff1d(np.arange(len(at) - 1), ends - 1)
+        found = _steps(targets, sources, at[step], at[step + 1])
+        moved = np.stack([se2.chain(part)[-1] for part in np.split(found, ends[:-1] - np.arange(1, len(chains)))])
+        i, j = at[ends - [len(chain) for chain in chains]], at[ends - 1]
+        prior = np.broadcast_to(BETWEEN_PRIOR, (len(i), 3, 3))
+        return max(self.share(moved), self.share(match(targets, i, sources, j, moved, prior, REACH_M).pose))
+
+    @cached_property
+    def _tree(self) -> Any:
+        from scipy.spatial import cKDTree
+
+        counts = [len(p) for p in self.surface]
+        lane = np.repeat(np.arange(len(counts)), counts)
+        return cKDTree(np.column_stack((np.concatenate(self.surface), LANE_M * lane)))
+
+    def _by(self, motion: WheelReading, how: Array) -> Array:
+        """Return by a motion of the wheels how the laser moved over each pair (p, 3); `how` as in `of`."""
+        turn, lag, ahead = how.tolist()
+        mount = self.laser.mount + np.array([ahead, 0.0, turn])
+        body = _moved(self.stream, motion, self.t[self.first] + lag, self.t[self.later] + lag)
+        laser = np.broadcast_to(mount, body.shape)
+        return se2.between(laser, se2.compose(body, laser))
+
+    def _rows_between(self, i: int, j: int) -> Ints:
+        """Return the scans from i to j, STEP_S apart."""
+        wanted = np.arange(self.t[i], self.t[j] - 0.5 * STEP_S, STEP_S)
+        return np.unique(np.append(np.clip(np.searchsorted(self.t, wanted), i, j - 1), j))
+
+    def _clouds(self, rows: Ints) -> Clouds:
+        """Return points and surfaces of scans, in the laser's frame."""
+        found = _points(self.stream, self.laser, rows, POINTS * 2)
+        first = np.concatenate(([0], np.cumsum([len(p) for p in found])))
+        xy = np.concatenate([np.zeros((0, 2)), *found])
+        return Clouds(first, xy, normals(xy, np.repeat(np.arange(len(found)), np.diff(first)), np.zeros(2)))
+
+
+def scan_pairs(stream: Stream, laser: Laser, motions: Sequence[WheelReading]) -> ScanPairs | None:
+    """Return pairs of scans, those during which one of the motions moves; None where there are no two scans."""
+    t: Array = (stream.t_ns - stream.t_ns[0]) * np.float64(1e-9) if len(stream.t_ns) else np.zeros(0)
+    later = np.searchsorted(t, t + PAIR_S - 1e-3)
+    first = np.flatnonzero(later < len(t))
+    later = later[first]
+    near = t[later] - t[first] <= MAX_PAIR_S
+    first, later = first[near], later[near]
+    if not len(first):
+        return None
+    moves = np.zeros(len(first), dtype=bool)
+    for motion in motions:
+        u = _moved(stream, motion, t[first], t[later])
+        moves |= (np.hypot(u[:, 0], u[:, 1]) > MOVES_M) | (np.abs(u[:, 2]) > MOVES_RAD)
+    of = np.flatnonzero(moves) if moves.sum() >= MIN_MOVING else np.arange(len(first))
+    some = of[np.unique(np.linspace(0, len(of) - 1, min(PAIRS, len(of))).astype(np.int64))]
+    first, later = first[some], later[some]
+    rows, at = np.unique(np.concatenate((first, later)), return_inverse=True)
+    found = _points(stream, laser, rows, SURFACE_POINTS)
+    surface, points = ([found[k] for k in part.tolist()] for part in np.split(at, 2))
+    moved = [not np.array_equal(a, b) for a, b in zip(surface, points, strict=True)]
+    if not any(moved):  # a laser that repeats itself tells nothing
+        return None
+    points = [p[:: max(1, len(p) // POINTS)] for p in points]
+    return ScanPairs(stream, laser, t, first, later, surface, points)
+
+
+def _steps(targets: Targets, sources: Clouds, i: Ints, j: Ints) -> Array:
+    """Return how far the laser moved from scan i to scan j (k,) each, of which nothing is known before, (k, 3)."""
+    start = np.zeros((len(i), 3))
+    return match(targets, i, sources, j, start, np.broadcast_to(STEP_PRIOR, (len(i), 3, 3)), STEP_REACH_M).pose
+
+
+def _moved(stream: Stream, motion: WheelReading, t_from: Array, t_to: Array) -> Array:
+    """Return how the body moved between times (p,) [s] since the first scan; beyond its ends it stands."""
+    shift = (int(stream.t_ns[0]) - motion.epoch_ns) * 1e-9
+    a, b = (np.clip(t + shift, motion.wheels.t[0], motion.wheels.t[-1]) for t in (t_from, t_to))
+    return motion.wheels.relative(a, b)
+
+
+def _points(stream: Stream, laser: Laser, rows: Ints, most: int) -> list[NDArray[np.float64]]:
+    """Return what some scans saw in the laser's frame, about `most` points each at most, beam by beam."""
+    plain = laser._replace(mount=np.zeros(3), deskew=False)
+    found: dict[int, Array] = {}
+    for at, columns in stream.blocks(*FIELDS, rows=SCANS_PER_BLOCK):
+        if not np.isin(at, rows).any():
+            continue
+        for group, scans in equal_scans(columns):
+            some = np.flatnonzero(np.isin(at[group], rows))
+            if not len(some):
+                continue
+            few = {name: column[some] for name, column in scans.items()}
+            xy, _ = points_in_base(few, np.zeros(len(some)), plain, Standing())
+            for row, p in zip(at[group][some].tolist(), xy, strict=True):
+                near = p[np.hypot(*p.T) < MAX_RANGE_M]
+                found[row] = near[:: max(1, -(-len(near) // most))]
+        if len(found) == len(rows):
+            break
+    return [found.get(row, np.zeros((0, 2))) for row in rows.tolist()]

@@ -1,0 +1,49 @@
+"""Scans of a laser that drives through a room of three boxes, as a bag holds them."""
+
+from __future__ import annotations
+
+import numpy as np
+from bags import Said, cdr, header
+from ring_drive import box, scan
+from scan_streams import SCAN
+from wheel_bags import stamps
+
+from locfuse.fusion.data import Array
+
+BEAMS, PERIOD = 120, 0.2  # of ring_drive's laser; s
+ROOM = np.array(box(-4.0, -3.0, 4.5, 3.5) + box(1.0, 2.6, 2.2, 3.5) + box(-4.0, -3.0, -3.2, -1.0))
+
+
+def circle(duration: float = 12.0, radius: float = 1.2, rate: float = 0.35) -> tuple[Array, Array]:
+    """Stamps (n,) and true poses (n, 3) along a circle, in closed form."""
+    t = np.arange(0.0, duration, PERIOD)
+    turn = rate * t
+    return t, np.stack((radius * np.sin(turn), radius * (1.0 - np.cos(turn)), turn), axis=-1)
+
+
+def ranges_of(pose: Array, segments: Array, rng: np.random.Generator) -> Array:
+    """The ranges (BEAMS,) from a pose, inf without a return: ring_drive's ray caster in the form of a message."""
+    points = scan(pose, segments, rng)
+    beam = np.round((np.arctan2(points[:, 1], points[:, 0]) + np.pi) * BEAMS / (2.0 * np.pi)).astype(int) % BEAMS
+    out = np.full(BEAMS, np.inf)
+    out[beam] = np.hypot(*points.T)
+    return out
+
+
+def scans_of(t: Array, poses: Array, segments: Array = ROOM) -> list[Said]:
+    """What the laser sees from poses (n, 3) at times t (n,)."""
+    rng = np.random.default_rng(3)
+    said = []
+    for ns, pose in zip(stamps(t), poses, strict=True):
+        message = cdr(
+            SCAN,
+            header=header(ns, "laser"),
+            angle_min=-np.pi,
+            angle_max=np.pi,
+            angle_increment=2.0 * np.pi / BEAMS,
+            range_min=0.05,
+            range_max=12.0,
+            ranges=ranges_of(pose, segments, rng).astype(np.float32),
+        )
+        said.append(Said("/scan", SCAN, message, ns))
+    return said

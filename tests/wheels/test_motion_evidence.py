@@ -1,0 +1,228 @@
+"""Which motion of a log is the robot's: by the share of a scan that lies on one a second before, else by kind."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bags import Said, cdr, header, real_log
+from commands import locfuse
+from laser_room import ROOM, circle, ranges_of, scans_of
+from scan_streams import scan_stream
+from wheel_bags import log_of, odometry, stamps, turned
+
+from locfuse.cli.analysis.choose import choose
+from locfuse.cli.analysis.load import make_robot
+from locfuse.cli.analysis.topics import Choice
+from locfuse.formats.logs.log import open_log
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array
+from locfuse.fusion.sensors.lrf import LrfSettings, laser_of
+from locfuse.fusion.wheels.motion import Wheels
+from locfuse.fusion.wheels.odometry import unlike_a_robot
+from locfuse.fusion.wheels.read import WheelReading
+from locfuse.fusion.wheels.scan_agreement import ScanPairs, scan_pairs
+
+TWIST, POSE = "geometry_msgs/msg/Twist", "geometry_msgs/msg/PoseStamped"
+T, TRUTH = circle()
+
+
+def twists(topic: str, x: float, turn: float) -> list[Said]:
+    return [Said(topic, TWIST, cdr(TWIST, linear={"x": x}, angular={"z": turn}), ns) for ns in stamps(T)]
+
+
+def poses(topic: str, frame: str) -> list[Said]:
+    return [
+        Said(topic, POSE, cdr(POSE, header=header(ns, frame),
+                              pose={"position": {"x": p[0], "y": p[1]}, "orientation": turned(p[2])}), ns)
+        for ns, p in zip(stamps(T), TRUTH.tolist(), strict=True)
+    ]  # fmt: skip
+
+
+def chosen(path: Path, *said: list[Said], **tables: Any) -> Choice:
+    return choose(open_log([log_of(path / "x.mcap", *said)]), make_robot(tables))
+
+
+# ---- the share itself ----
+
+
+def pairs_of(poses: Array, motion: WheelReading) -> ScanPairs:
+    rng = np.random.default_rng(1)
+    ranges = np.stack([ranges_of(pose, ROOM, rng) for pose in poses])
+    found = scan_pairs(scan_stream(stamps(T), ranges), laser_of(LrfSettings()), [motion])
+    assert found is not None
+    return found
+
+
+def moved_by(poses: Array) -> WheelReading:
+    twist = se2.log(se2.between(poses[:-1], poses[1:]))
+    return WheelReading(Wheels.from_twists(T, twist, 0.3, 0.0), stamps(T[:1])[0], {}, ())
+
+
+def test_points_agree_with_the_true_motion_and_with_matching_and_not_with_standing() -> None:
+    true = moved_by(TRUTH)
+    pairs = pairs_of(TRUTH, true)
+    assert pairs.of(true) > 0.74
+    assert pairs.matched() > 0.74
+    assert pairs.still < pairs.of(true) - 0.3
+
+
+def test_a_motion_twice_as_far_agrees_less_and_a_late_clock_and_a_turned_laser_do_not_matter() -> None:
+    true = moved_by(TRUTH)
+    pairs = pairs_of(TRUTH, true)
+    twice = moved_by(TRUTH * (2.0, 2.0, 1.0))
+    assert pairs.of(twice) < pairs.of(true) - 0.1
+    late = true._replace(epoch_ns=true.epoch_ns + 300_000_000)
+    assert pairs.of(late) > pairs.of(true) - 0.1
+    turned_laser = pairs_of(se2.compose(TRUTH, np.broadcast_to([0.0, 0.0, np.pi], TRUTH.shape)), true)
+    assert turned_laser.of(true) > 0.74
+
+
+# ---- which topic is taken ----
+
+
+def test_an_odometry_that_agrees_with_the_laser_is_kept_and_the_share_is_said(tmp_path: Path) -> None:
+    choice = chosen(tmp_path, odometry(T, TRUTH), scans_of(T, TRUTH))
+    assert choice.of("wheels") == ("/odom",)
+    assert "% of a scan's points agree with it" in choice.why["wheels"]
+    assert choice.notes == []
+
+
+def test_an_odometry_that_is_another_motion_gives_way_to_the_scans_with_its_numbers(
+    tmp_path: Path,
+) -> None:
+    other = np.stack((0.9 * T, 0.0 * T, -0.4 * T), axis=-1)
+    choice = chosen(tmp_path, odometry(T, other), scans_of(T, TRUTH))
+    assert choice.of("wheels") == ("/scan",)
+    (note,) = choice.notes
+    assert note.words.startswith("/scan is used: /odom is not how the robot moved: by it")
+    assert "by matching the scans" in note.words
+    assert note.fixes == ("wheels.topic=/scan",)
+    assert chosen(tmp_path, odometry(T, other), scans_of(T, TRUTH), wheels={"topic": "/odom"}).of("wheels") == (
+        "/odom",
+    )
+
+
+def test_of_two_odometries_that_look_alike_the_one_that_agrees_with_the_laser_is_taken(tmp_path: Path) -> None:
+    wrong = odometry(T, TRUTH * (-1.0, 2.5, 1.0), "/odom2")
+    choice = chosen(tmp_path, odometry(T, TRUTH, "/odom1"), wrong, scans_of(T, TRUTH))
+    assert choice.of("wheels") == ("/odom1",)
+
+
+@pytest.mark.parametrize("half", [0, 1], ids=["it never moves", "it ends half-way"])
+def test_an_odometry_that_stands_while_the_laser_moves_gives_way(half: int, tmp_path: Path) -> None:
+    still = odometry(T, np.zeros_like(TRUTH)) if not half else odometry(T[:20], TRUTH[:20])
+    choice = chosen(tmp_path, still, scans_of(T, TRUTH))
+    assert choice.of("wheels") == ("/scan",)
+    assert "/odom" in choice.notes[0].words
+
+
+def test_where_all_stand_the_odometry_stays(tmp_path: Path) -> None:
+    still = np.zeros_like(TRUTH)
+    choice = chosen(tmp_path, odometry(T, still), scans_of(T, still))
+    assert choice.of("wheels") == ("/odom",)
+
+
+def test_a_twist_never_comes_before_scans_and_what_it_is_worth_is_said(tmp_path: Path) -> None:
+    """The one is what was asked for, the other in the frame of the room; neither says so in any field."""
+    said = twists("/controller_output_linear", 0.8, 0.0), twists("/speed", 0.6, -0.2)
+    choice = chosen(tmp_path, *said, scans_of(T, TRUTH))
+    assert choice.of("wheels") == ("/scan",)
+    assert "/controller_output_linear" in choice.notes[0].words
+    assert "/speed" in choice.notes[0].words
+    assert chosen(tmp_path, twists("/speed", 0.6, -0.2)).of("wheels") == ("/speed",)
+
+
+def test_a_laser_that_repeats_one_scan_judges_nothing(tmp_path: Path) -> None:
+    frozen = scans_of(T[:1], TRUTH[:1])[0]
+    scans = [frozen._replace(log_time=ns) for ns in stamps(T)]
+    assert chosen(tmp_path, odometry(T, TRUTH), scans).of("wheels") == ("/odom",)
+
+
+def test_a_log_of_five_seconds_is_judged_as_well(tmp_path: Path) -> None:
+    t, truth = circle(5.0)
+    choice = chosen(tmp_path, odometry(t, truth), scans_of(t, truth))
+    assert choice.of("wheels") == ("/odom",)
+
+
+# ---- what is no motion of the robot ----
+
+
+@pytest.mark.parametrize(
+    ("topic", "frame", "words"),
+    [
+        ("/mavros/setpoint_position/local", "map", "holds poses that were asked for"),
+        ("/arm_controller/target", "map", "holds poses that were asked for"),
+        ("/aruco_single/pose", "camera_color_frame", "of something that a camera sees"),
+    ],
+)
+def test_poses_that_are_not_the_robots_void_every_figure(
+    topic: str, frame: str, words: str, tmp_path: Path
+) -> None:
+    log = log_of(tmp_path / "x.mcap", poses(topic, frame))
+    done = locfuse("compare", log, "-o", tmp_path / "out", "--write", "json")
+    assert done.exit_code == 3
+    assert words in done.stderr
+    report = json.loads((tmp_path / "out/report.json").read_text())
+    assert report["headline"].startswith("No verdict on this log: wheels:")
+    assert report["validity"][0]["void"]
+    assert locfuse("info", log, "--check", "--no-advice").exit_code == 3
+
+
+def test_poses_of_the_robot_are_taken_before_a_marker_and_a_setpoint(tmp_path: Path) -> None:
+    said = poses("/marker/pose", "camera_link"), poses("/setpoint", "map"), poses("/slam/pose", "map")
+    assert chosen(tmp_path, *said).of("wheels") == ("/slam/pose",)
+
+
+def test_no_robot_drives_sideways_at_ten_metres_a_second_and_a_mecanum_does_at_one() -> None:
+    t = np.arange(0.0, 20.0, 0.1)
+    steps = np.stack((0.03 * np.ones(199), np.full(199, 1.0), np.zeros(199)), axis=-1)
+    none = np.zeros(199, dtype=bool)
+    assert unlike_a_robot(t, steps, none) == "it moves sideways at 10 m/s: its heading is not that of the body"
+    assert not unlike_a_robot(t, steps * (1.0, 0.1, 1.0), none)
+
+
+def test_steps_that_jump_again_and_again_are_no_motion_and_a_fast_car_is_one() -> None:
+    t = np.arange(0.0, 20.0, 0.1)
+    fast = np.tile((2.5, 0.0, 0.0), (199, 1))  # 25 m/s, evenly
+    assert not unlike_a_robot(t, fast, np.zeros(199, dtype=bool))
+    jumps = np.arange(199) % 10 == 0
+    words = unlike_a_robot(t, np.where(jumps[:, None], fast, 0.0), jumps)
+    assert words == "10% of its steps are jumps at more than 10 m/s"
+
+
+# ---- real bags ----
+
+
+@pytest.mark.parametrize(
+    ("bag", "topic"),
+    [
+        ("strangers/controller_twist.bag", "/scan"),
+        ("strangers/pimouse.bag", "/odom"),
+        ("strangers/odometry_in_tf.bag", "/tf:odom:base_footprint"),
+        ("turtlebot4/tb4_mcap.mcap", "/odom"),
+        ("halls/edmonton.mcap", "/odom"),
+        ("fr079/fr079.mcap", "/odom"),
+        ("aces/aces.mcap", "/odom"),
+    ],
+)
+def test_no_healthy_odometry_is_lost_and_no_controller_is_taken(bag: str, topic: str) -> None:
+    assert choose(open_log([real_log(bag)]), make_robot({})).of("wheels") == (topic,)
+
+
+@pytest.mark.parametrize("bag", ["setpoints.bag", "marker_in_camera.bag", "sideways.bag"])
+def test_bags_of_strangers_without_a_motion_of_the_robot_are_refused(bag: str, tmp_path: Path) -> None:
+    done = locfuse("compare", real_log(f"strangers/{bag}"), "-o", tmp_path / "out", "--write", "json")
+    assert done.exit_code == 3
+    assert done.stderr.startswith("void: wheels: /")
+
+
+def test_the_scans_of_a_robot_whose_controller_was_recorded_give_its_path(tmp_path: Path) -> None:
+    log = real_log("strangers/controller_twist.bag")
+    done = locfuse("run", log, "--sensors", "lrf", "--align", "origin", "--no-advice", "-o", tmp_path / "out")
+    assert done.exit_code == 0
+    report = json.loads((tmp_path / "out/run.json").read_text())
+    assert report["configurations"]["lrf"]["position_rmse_m"] < 0.03

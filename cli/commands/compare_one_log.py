@@ -52,7 +52,7 @@ class Wish(msgspec.Struct, frozen=True):
 
 def one(log: Sequence[str], wish: Wish) -> int:
     """Compare one log, write and print it; return the exit code."""
-    from locfuse.cli.analysis import ci_gates
+    from locfuse.cli.analysis.gates import FAILED, Gates, refuse_another_log
     from locfuse.cli.analysis.results import LOSS, default_folder
     from locfuse.cli.session.foreign import named_sources
     from locfuse.cli.session.session import opened
@@ -62,11 +62,11 @@ def one(log: Sequence[str], wish: Wish) -> int:
     how, rerun = wish.how, wish.rerun
     kinds = chosen(wish.write, KINDS)
     sources = named_sources(wish.estimate)
-    gates = ci_gates.read(wish.fail_if, wish.baseline, wish.tolerance)
+    gates = Gates.read(wish.fail_if, wish.baseline, wish.tolerance)
     may_replace(rerun.save, wish.overwrite, log)
     with show.progress(how.quiet) as progress:
         session = opened(log, how, progress, read_again=rerun.wanted)
-        gates.refuse_another_log(session.log)
+        refuse_another_log(gates.baseline, session.log)
         if wish.given_map is not None:
             session = session.with_map(wish.given_map)
         inputs = (*how.robot_files, wish.baseline, wish.given_map)
@@ -95,4 +95,4 @@ def one(log: Sequence[str], wish: Wish) -> int:
     failed = gates.failures(report)
     for line in failed:
         show.say(f"gate: {line}")
-    return ci_gates.FAILED if failed else LOSS if lost else 0
+    return FAILED if failed else LOSS if lost else 0

@@ -10,12 +10,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from locfuse.cli.analysis import ci_gates
+from locfuse.cli.analysis.gates import FAILED, FleetGates
 from locfuse.cli.analysis.key import Asked
 from locfuse.cli.analysis.load import check_settings
 from locfuse.cli.analysis.results import LOSS
 from locfuse.cli.analysis.settings import OF_COMPARISON
-from locfuse.cli.fleet.gates import FleetGates
 from locfuse.cli.fleet.gather import Gathered, gather
 from locfuse.cli.fleet.job import Outcome
 from locfuse.cli.fleet.options import FleetOptions
@@ -67,7 +66,7 @@ def several(words: Sequence[str], wish: Wish) -> int:
     _print(summary, files, folder, wish)
     _say_recordings(ended, wanted.recording)
     show.end([folder / name for name in files], wish.as_json, wish.open)
-    return _code(found, gates.of_fleet(summary), ended)
+    return _code(found, gates.failures(summary), ended)
 
 
 def _wanted(wish: Wish, folder: Path) -> Wanted:
@@ -210,7 +209,7 @@ def _code(found: Gathered, failed_gates: Sequence[str], ended: Ended) -> int:
         show.say(f"stopped: {ended.stopped}")
     states = {e.state for e in found.entries}
     if gates:
-        return ci_gates.FAILED
+        return FAILED
     if "done" not in states:
         raise LocfuseError(f"none of {len(found.entries)} logs could be compared; the reasons stand above")
     return LOSS if void or lost or states != {"done"} else 0

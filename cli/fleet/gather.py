@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import msgspec
 from msgspec import field
 
+from locfuse.cli.analysis.gates import FleetGates
 from locfuse.cli.analysis.results import lost_in
 from locfuse.formats.fleet.entry import Entry, slim
 
-from .gates import FleetGates
 from .job import Job, Outcome
 from .plan import Plan
 from .resume import read_report
@@ -54,7 +54,7 @@ def _entry(job: Job, found: Gathered, gates: FleetGates, strict: bool) -> Entry:
         return Entry(job.name, job.group, "failed", GONE)
     for cell, report in whole.items():
         title = f"{job.name} [{cell}]" if cell else job.name
-        found.gates.extend(gates.of_log(title, report))
+        found.gates.extend(f"{title}: {line}" for line in gates.each.failures(report))
         if lines := lost_in(report, strict):
             found.lost[job.name] = lines
     return Entry(job.name, job.group, report=slim(whole), cells=tuple(whole))

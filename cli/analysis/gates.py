@@ -24,6 +24,8 @@ from locfuse.formats.report import json_report
 from locfuse.formats.report.summary import OVER_LOGS
 from locfuse.fusion.data import LocfuseError, UsageError
 
+from .settings import GateOptions
+
 FAILED = 4
 OF_REFERENCE = "reference."  # before a figure: that of a log without truth, against its reference
 OF_FLEET = "fleet."  # before a figure: that of all logs together
@@ -106,10 +108,10 @@ class Gates(msgspec.Struct, frozen=True):
     baseline: Baseline | None = None
 
     @classmethod
-    def read(cls, fail_if: Sequence[str], baseline: Path | None, tolerance: str) -> Gates:
+    def read(cls, typed: GateOptions) -> Gates:
         """Return the gates of --fail-if, --baseline, --tolerance. Raises LocfuseError for what cannot be one."""
-        limits = [parse_gate(text) for text in fail_if]
-        return cls(limits, read_baseline(baseline, tolerance) if baseline else None)
+        limits = [parse_gate(text) for text in typed.fail_if]
+        return cls(limits, read_baseline(typed.baseline, typed.tolerance) if typed.baseline else None)
 
     def failures(self, report: Mapping[str, Any]) -> list[str]:
         """Return one line per gate that failed or whose figure does not exist."""
@@ -125,11 +127,11 @@ class FleetGates(msgspec.Struct, frozen=True):
     baseline: Baseline | None
 
     @classmethod
-    def read(cls, fail_if: Sequence[str], baseline: Path | None, tolerance: str) -> FleetGates:
+    def read(cls, typed: GateOptions) -> FleetGates:
         """Return the gates of --fail-if, --baseline, --tolerance. Raises LocfuseError for what cannot be one."""
-        limits = [parse_gate(text) for text in fail_if]
+        limits = [parse_gate(text) for text in typed.fail_if]
         together = [gate for gate in limits if gate.figure.startswith(OF_FLEET)]
-        earlier = read_summary(baseline, tolerance) if baseline else None
+        earlier = read_summary(typed.baseline, typed.tolerance) if typed.baseline else None
         return cls(Gates([gate for gate in limits if gate not in together]), together, earlier)
 
     def failures(self, summary: Mapping[str, Any]) -> list[str]:
@@ -277,9 +279,10 @@ def _worse(report: Mapping[str, Any], baseline: Baseline) -> list[str]:
         if name in report["configurations"] and _judge(old) == _judge(report["configurations"][name])
     }
     pairs = [
-        (f"{name}.{key}", key, *(figure({name: values}, f"{name}.{key}")[1] for values in pair))
-        for name, pair in both.items()
+        (path, key, figure({name: old}, path)[1], figure({name: new}, path)[1])
+        for name, (old, new) in both.items()
         for key in ERROR_KEYS
+        for path in (f"{name}.{key}",)
     ]
     return _grown(baseline, pairs, "error figure in common with this report")
 

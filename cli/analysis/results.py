@@ -18,8 +18,8 @@ from locfuse.formats.versions import own
 from locfuse.fusion.data import Evaluation
 from locfuse.fusion.robot import Robot
 
-from .key import Asked
 from .load import Loaded, make_robot
+from .settings import Asked
 
 LOSS = 3
 REFUSED_SHARE = 0.01  # of a used sensor's readings: more is a loss

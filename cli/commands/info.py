@@ -10,7 +10,7 @@ import click
 
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.terminal import completion
-from locfuse.cli.terminal.options import advice_option, log_options
+from locfuse.cli.terminal.options import ADVICE, log_options
 from locfuse.cli.terminal.screen import put, reader_may_leave
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ TRIED = "tried by fusing"
     is_flag=True,
     help="Also try the fixes by fusing again. Exit with 3 if something would spoil an estimate, or a run is lost.",
 )
-@advice_option
+@ADVICE
 @click.option("--topics", is_flag=True, help="List the topics and nothing else: no message is read.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @click.option(

@@ -27,7 +27,7 @@ OF_KIND = {"html": "report.html", "md": "report.md", "csv": "report.csv", "tex":
 
 def is_finished(job: Job) -> bool:
     """Tell whether a job's results are there. Raises LocfuseError where its log or settings cannot be read."""
-    if job.again or job.export or job.figures is not None:  # exports are not looked for
+    if job.again or job.outputs.export or job.outputs.figures is not None:  # exports are not looked for
         return False
     if not all((job.place(cell) / REPORT).is_file() for cell in job.cells):
         return False
@@ -49,8 +49,8 @@ def _is_there(job: Job, cell: Cell, changed_ns: int, expected: str) -> bool:
         return False
     if (folder / REPORT).stat().st_mtime_ns < changed_ns:
         return False
-    names = [OF_KIND[kind] for kind in job.kinds if kind in OF_KIND]
-    names += [f"{name}.tum" for name in report["configurations"]] if "tum" in job.kinds else []
+    names = [OF_KIND[kind] for kind in job.outputs.write if kind in OF_KIND]
+    names += [f"{name}.tum" for name in report["configurations"]] if "tum" in job.outputs.write else []
     return all((folder / name).is_file() for name in names)
 
 

@@ -264,7 +264,7 @@ def predict(
 def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
     """Return the report as plain values: report.json. With what was `asked` it has a key."""
     report = results.build(compared.loaded, compared.evaluations)
-    tables = compared.loaded.asked
+    tables = compared.loaded.given
     report["key"] = key(compared.loaded.log.identity, tables, asked) if asked and tables is not None else None
     report["repeat"] = results.repeat(compared.loaded, asked) if asked else None
     report["changed_settings"] = results.changed_settings(compared.loaded)

@@ -39,8 +39,8 @@ def give(loaded: Loaded, file: Path) -> Loaded:
     if file.suffix in map_image.PICTURES:
         raise UsageError(f"--map {file}: name the .yaml beside the image, which says where it lies")
     if file.suffix not in map_image.SUFFIXES:
-        return replace(loaded, asked=None, robot=_within(loaded.robot, line_map.read(file), str(file)))
-    return _give_grid(replace(loaded, asked=None), Grid(*map_image.read(file)), str(file))
+        return replace(loaded, given=None, robot=_within(loaded.robot, line_map.read(file), str(file)))
+    return _give_grid(replace(loaded, given=None), Grid(*map_image.read(file)), str(file))
 
 
 def give_topic(loaded: Loaded) -> Loaded:

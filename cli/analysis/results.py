@@ -18,7 +18,8 @@ from locfuse.formats.versions import own
 from locfuse.fusion.data import Evaluation
 from locfuse.fusion.robot import Robot
 
-from .load import Loaded, make_robot
+from .load import Loaded
+from .robot_tables import make_robot
 from .settings import Asked
 
 LOSS = 3

@@ -12,8 +12,9 @@ from msgspec.structs import replace
 
 from locfuse.cli.analysis.gates import FleetGates
 from locfuse.cli.analysis.grouping import logs_of, named
-from locfuse.cli.analysis.load import check_settings, find_log
+from locfuse.cli.analysis.load import find_log
 from locfuse.cli.analysis.results import lost_in
+from locfuse.cli.analysis.robot_tables import given_layers
 from locfuse.cli.session import sweep
 from locfuse.formats.fleet.entry import Entry, slim
 from locfuse.fusion.data import UsageError
@@ -40,10 +41,10 @@ def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Seque
     """
     pattern = _pattern(robot_from, every.how.robot_files)
     fixed = tuple(file for file in every.how.robot_files if PLACE not in str(file))
-    check_settings(_with_robots(every, fixed).how)
+    given_layers(_with_robots(every, fixed).how)
     cells = tuple(Cell(*found) for found in sweep.cells(sweep.parse(sweeps)).items()) if sweeps else every.cells
     for cell in cells:
-        check_settings(replace(every.how, robot=None, over=(), sets=(*every.how.sets, *cell.sets)))
+        given_layers(replace(every.how, robot=None, over=(), sets=(*every.how.sets, *cell.sets)))
     figures = every.outputs.figures
     robots: dict[str, str | None] = {}
     jobs, refused = {}, {}

@@ -10,8 +10,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from locfuse.cli.analysis.key import asked_tables, key
+from locfuse.cli.analysis.key import key
 from locfuse.cli.analysis.load import find_log
+from locfuse.cli.analysis.robot_tables import given_tables
 from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.inputs import read_small
 from locfuse.formats.logs.files import files_of, identity_of
@@ -37,7 +38,7 @@ def is_finished(job: Job) -> bool:
     content = identity_of(files)
     changed = max((file.stat().st_mtime_ns for file in files if isinstance(file, Path)), default=0)
     return all(
-        _is_there(job, cell, changed, key(content, asked_tables(job.how, cell.sets), job.asked))
+        _is_there(job, cell, changed, key(content, given_tables(job.how, cell.sets), job.asked))
         for cell in job.cells
     )
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from msgspec.structs import replace
 
-from locfuse.cli.analysis.load import ATTACHMENT, make_robot, table_types
+from locfuse.cli.analysis.robot_tables import ATTACHMENT, make_robot, table_types
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.formats.container.url import Place
 from locfuse.formats.robot import robot_toml

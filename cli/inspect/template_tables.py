@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import msgspec
 
 from locfuse.cli.analysis.choose import best_of
-from locfuse.cli.analysis.load import table_types
 from locfuse.cli.analysis.motor_topics import motors
 from locfuse.cli.analysis.mounts import is_base, mount_tables
+from locfuse.cli.analysis.robot_tables import table_types
 from locfuse.cli.analysis.topics import of_type
 from locfuse.formats.robot.commented_toml import Line
 from locfuse.fusion.sensors.registry import REGISTRY

@@ -11,7 +11,7 @@ from typing import Any, get_args
 
 import msgspec
 
-from locfuse.cli.analysis.load import table_types
+from locfuse.cli.analysis.robot_tables import table_types
 from locfuse.cli.analysis.settings import ORDERS, PRESETS
 from locfuse.formats.report.structure import Report
 from locfuse.fusion.sensors.registry import REGISTRY

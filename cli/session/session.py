@@ -201,7 +201,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         takes, hears = ([], []) if evaluator is None else (evaluator.takes, evaluator.hears)
         watch = [drawn.take, *takes]
         compared = compare_log(self.loaded, wanted, asked, self.progress, watch, foreign, hears)
-        report = report_of(compared, None if foreign or self.loaded.asked is None else asked)
+        report = report_of(compared, None if foreign or self.loaded.given is None else asked)
         self._add_jitter(report, wanted, asked, compared.estimates)
         advised = None if evaluator is None else evaluator.advised()
         stands, jumps = self.drive.wheels.stands, jumps_of(self.drive)

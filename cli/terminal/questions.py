@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import click
 
-from locfuse.cli.analysis.load import make_robot
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import LocfuseError
 

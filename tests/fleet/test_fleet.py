@@ -25,7 +25,7 @@ from jobs_here import jobs_here
 from msgspec.structs import replace
 
 from benchmarks.fleet import killed, tables, write_logs
-from locfuse.cli.analysis.key import asked_tables
+from locfuse.cli.analysis.robot_tables import given_tables
 from locfuse.cli.analysis.settings import Asked, LogOptions, Outputs
 from locfuse.cli.fleet import process
 from locfuse.cli.fleet.job import Job, Outcome
@@ -140,12 +140,12 @@ def test_a_file_that_a_setting_names_is_part_of_the_key_by_its_content(key: str,
     file = tmp_path / "beside.csv"
     how = LogOptions(None, (f'{key}="{file}"',), None, strict=False, quiet=True)
     file.write_text("t,x,y\n0,0,0\n")
-    before = asked_tables(how)
+    before = given_tables(how)
     os.utime(file, (1, 1))
-    assert asked_tables(how) == before
+    assert given_tables(how) == before
     file.write_text("t,x,y\n0,0,1\n")
-    assert asked_tables(how) != before
-    assert asked_tables(how, (f"{key}=other",)) != asked_tables(how)  # a sweep's cell names another
+    assert given_tables(how) != before
+    assert given_tables(how, (f"{key}=other",)) != given_tables(how)  # a sweep's cell names another
 
 
 def test_another_truth_file_is_run_again_and_the_window_is_that_of_every_log(

@@ -17,9 +17,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # 3 x 3 matrices need no thr
 
 import click
 
-from locfuse.cli.analysis.errors import expected
+from locfuse.cli.analysis.errors import expected, silence_overflows
 from locfuse.cli.analysis.memory import leave_as_it_is, settle_heap
-from locfuse.cli.terminal.numpy_warnings import silence_overflows
 from locfuse.cli.terminal.screen import reader_may_leave, say, settle_streams
 
 COMMANDS = {
@@ -38,7 +37,6 @@ COMMANDS = {
     "simulate": "Drive a scenario and record it as a log with known truth.",
     "schema": "Print the JSON Schema of robot.toml or report.json, for editors and programs.",
 }
-ELSEWHERE = {"explain": "terminal", "schema": "reference"}  # the room of a command that is not in `commands`
 INTERRUPTED, TERMINATED = 130, 143
 
 
@@ -53,8 +51,7 @@ class LazyGroup(click.Group):
         """Import and return one command."""
         if cmd_name not in COMMANDS:
             return None
-        room = ELSEWHERE.get(cmd_name, "commands")
-        module = importlib.import_module(f"locfuse.cli.{room}.{cmd_name}")
+        module = importlib.import_module(f"locfuse.cli.commands.{cmd_name}")
         command: click.Command = getattr(module, cmd_name)
         return command
 

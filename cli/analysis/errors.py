@@ -1,10 +1,12 @@
-"""Errors that are no bug, as one line and an exit code: our own, and those of the machine."""
+"""Errors that are no bug, as one line and an exit code: our own, and those of the machine. Warnings of NumPy."""
 
 from __future__ import annotations
 
 import errno
 import os
+import warnings
 
+LOSS = 3  # exit code where something of a log was lost, or figures are void
 PACKAGES = {  # module -> what to install, where their names differ
     "cv2": "opencv-python-headless",
     "distributed": "locfuse[cluster]",
@@ -40,3 +42,12 @@ def _package_of(e: ModuleNotFoundError) -> str | None:
     """Return what to install for a module that is missing; None for one of ours, which is a bug."""
     module = (e.name or "").partition(".")[0]
     return None if module in {"", "locfuse"} else PACKAGES.get(module, module)
+
+
+def silence_overflows() -> None:
+    """Ignore RuntimeWarning from here on, in this process; `import locfuse` silences nothing.
+
+    Absurd readings (1e300 m, NaN) overflow on their way to the gate that counts and reports them. NumPy's
+    warning about it names a line of ours and no reading, so it helps nobody at a terminal.
+    """
+    warnings.simplefilter("ignore", RuntimeWarning)

@@ -22,7 +22,6 @@ from .load import Loaded
 from .robot_tables import make_robot
 from .settings import Asked
 
-LOSS = 3
 REFUSED_SHARE = 0.01  # of a used sensor's readings: more is a loss
 # exact repeats, readings before or after the wheels, messages of an arm on the wheels' topic
 NOT_A_LOSS = ("repeat", "outside_wheels", "other_joints", "other_bodies", "not_in_map", "ignored")

@@ -83,8 +83,9 @@ def _named(words: Sequence[str]) -> dict[str, str]:
 
 def one(log: Sequence[str], options: o.Options) -> int:
     """Compare one log, write and print it; return the exit code."""
+    from locfuse.cli.analysis.errors import LOSS
     from locfuse.cli.analysis.gates import FAILED, Gates, refuse_another_log
-    from locfuse.cli.analysis.results import LOSS, default_folder
+    from locfuse.cli.analysis.results import default_folder
     from locfuse.cli.rerun.record import record
     from locfuse.cli.session.session import opened
     from locfuse.cli.terminal import show

@@ -204,8 +204,8 @@ def _say_recordings(ended: Ended, recording: Recording | None) -> None:
 
 def _code(found: Gathered, failed_gates: Sequence[str], ended: Ended) -> int:
     """Say what is void, what was lost and which gates failed, and return the exit code."""
+    from locfuse.cli.analysis.errors import LOSS
     from locfuse.cli.analysis.gates import FAILED
-    from locfuse.cli.analysis.results import LOSS
 
     gates = [*found.gates, *failed_gates]
     # the reasons of exit code 3: said under --quiet too

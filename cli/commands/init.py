@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from msgspec.structs import replace
 
+from locfuse.cli.analysis.errors import LOSS
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.options import log_options
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from locfuse.cli.inspect.template import Draft
     from locfuse.formats.container.url import Place
 
-LOSS = 3
 SCHEMA = "robot.schema.json"  # beside robot.toml: a path that holds on every machine, and wherever both are moved
 FILE = click.Path(path_type=Path, dir_okay=False)
 

@@ -47,7 +47,8 @@ def run(log: tuple[str, ...], options: o.Options) -> int:
     locfuse run rounded_rectangle --sensors all
     locfuse run bag/ --sensors compass,lrf --robot robot.toml -o out
     """
-    from locfuse.cli.analysis.results import LOSS, default_folder
+    from locfuse.cli.analysis.errors import LOSS
+    from locfuse.cli.analysis.results import default_folder
     from locfuse.cli.rerun.record import record
     from locfuse.cli.session.session import opened
     from locfuse.cli.terminal import show

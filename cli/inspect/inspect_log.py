@@ -32,11 +32,10 @@ from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .clocks import of_stamps
 from .mounts import conflicts, unplaced
 from .robot_facts import find_robot_facts, of_robot
 from .sensors import raw_findings
-from .topics import derived_facts, topic_facts
+from .topics import derived_facts, of_stamps, topic_facts
 
 if TYPE_CHECKING:
     from locfuse.cli.analysis.settings import LogOptions

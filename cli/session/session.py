@@ -43,8 +43,7 @@ from locfuse.fusion.robot import Robot
 
 from .foreign import foreign_estimates, named_sources
 from .jitter import add_jitter, check_runs, jitter_runs
-from .named import Named
-from .result import Comparison, Run
+from .result import Comparison, Named, Run
 from .sweep import cells
 
 if TYPE_CHECKING:

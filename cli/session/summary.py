@@ -35,9 +35,8 @@ from locfuse.formats.whole_files import may_write, write_results
 from locfuse.fusion.data import LocfuseError, UsageError
 from locfuse.fusion.sensors.registry import colours
 
-from .named import Named
 from .replicates import add_intervals, add_ties, credit_over
-from .result import Comparison, Kinds
+from .result import Comparison, Kinds, Named
 from .session import opened
 
 FOLDER = "summary"

@@ -86,7 +86,6 @@ def one(log: Sequence[str], options: o.Options) -> int:
     from locfuse.cli.analysis.errors import LOSS
     from locfuse.cli.analysis.gates import FAILED, Gates, refuse_another_log
     from locfuse.cli.analysis.results import default_folder
-    from locfuse.cli.rerun.record import record
     from locfuse.cli.session.session import opened
     from locfuse.cli.terminal import show
     from locfuse.formats.whole_files import may_replace, may_write
@@ -103,13 +102,9 @@ def one(log: Sequence[str], options: o.Options) -> int:
         if outputs.figures is not None:
             progress("drawing figures")
             result.write_figures(outputs.figures)
-    report, lost = result.report, result.losses(how.strict)
-    show.result(report, files, outputs.as_json)
-    show.notes(report, lost, how.quiet)
-    show.transfer(session.log.transfer, how.quiet)
-    record(rerun, result, files[0].parent, show.say)
+    lost = show.outcome(result, files, options)
     show.end(files, outputs.as_json, outputs.open)
-    failed = gates.failures(report)
+    failed = gates.failures(result.report)
     for line in failed:
         show.say(f"gate: {line}")
     return FAILED if failed else LOSS if lost else 0

@@ -49,7 +49,6 @@ def run(log: tuple[str, ...], options: o.Options) -> int:
     """
     from locfuse.cli.analysis.errors import LOSS
     from locfuse.cli.analysis.results import default_folder
-    from locfuse.cli.rerun.record import record
     from locfuse.cli.session.session import opened
     from locfuse.cli.terminal import show
     from locfuse.formats.whole_files import may_replace, may_write
@@ -70,12 +69,7 @@ def run(log: tuple[str, ...], options: o.Options) -> int:
             result.save_map(outputs.save_map)
         if outputs.audit is not None:
             result.write_audit(outputs.audit)
-    lost = result.losses(how.strict)
-    show.result(result.report, files, outputs.as_json)
-    show.notes(result.report, lost, how.quiet)
-    show.transfer(session.log.transfer, how.quiet)
-    record(rerun, result, files[0].parent, show.say)
-    return LOSS if lost else 0
+    return LOSS if show.outcome(result, files, options) else 0
 
 
 def _refuse_maps_without_laser(options: o.Options, sensors: tuple[str, ...]) -> None:

@@ -22,10 +22,6 @@ COVARIANCE = "pose.covariance"
 PLANE = (0, 1, 5)  # where x, y and yaw stand in a pose covariance of ROS
 UPPER = np.triu_indices(3)
 WITH_COVARIANCE = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped")
-OTHER_FRAME_M, OTHER_FRAME_RAD = (
-    0.5,
-    np.radians(20.0),
-)  # a first pose this far from the truth's is of another frame
 
 
 def named_sources(words: Sequence[str] | Mapping[str, str]) -> dict[str, str]:

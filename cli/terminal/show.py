@@ -7,8 +7,9 @@ import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
+from locfuse.cli.rerun.record import record
 from locfuse.formats.report import json_report, tables
 from locfuse.formats.report.findings import banner_of, findings_of, together
 from locfuse.formats.report.notes import notes_of
@@ -18,6 +19,11 @@ from locfuse.fusion.progress import heard_by
 from . import text_table
 from .screen import put, reader_may_leave, screen
 from .screen import say as on_screen
+
+if TYPE_CHECKING:
+    from locfuse.cli.session.result import Result
+
+    from .options import Options
 
 BELOW = " rmse, max, final: distance to the truth. ANEES: 1 is right, more is overconfident. See: locfuse explain"
 BELOW_REFERENCE = (
@@ -78,6 +84,19 @@ def lines(text: Iterable[str], bold: Collection[str] = ()) -> None:
     console = screen(soft_wrap=True, highlight=False)
     for line in text:
         console.print(Text(line, "bold" if line in bold else ""))
+
+
+def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]:
+    """Print a result and its notes, record it for Rerun where asked, and return in words what was lost.
+
+    `files` are those that it was written to, in one folder.
+    """
+    quiet, lost = options.how.quiet, found.losses(options.how.strict)
+    result(found.report, files, options.outputs.as_json)
+    notes(found.report, lost, quiet)
+    transfer(found.loaded.log.transfer, quiet)
+    record(options.rerun, found, files[0].parent, say)
+    return lost
 
 
 def result(report: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> None:

@@ -74,7 +74,7 @@ class LazyGroup(click.Group):
 
 
 def _say_version(ctx: click.Context, _option: click.Parameter, asked: bool) -> None:
-    """Print the version, and say so where the kernels are not compiled: they are as right, and slower."""
+    """Print the version, and whether the kernels are compiled: the others are as exact, and slower."""
     if not asked or ctx.resilient_parsing:
         return
     from locfuse.formats.versions import own
@@ -135,14 +135,14 @@ def main(arguments: list[str] | None = None) -> NoReturn:
 
 
 def _stopped(by: BaseException) -> int:
-    """Say that a signal ended it."""
+    """Print that a signal ended the command."""
     if isinstance(by, _Terminated):
         return _say("terminated; nothing was left half-written", TERMINATED)
     return _say("interrupted; nothing was left half-written", INTERRUPTED)
 
 
 def _misused(e: click.ClickException) -> int:
-    """Say in one line what is wrong with the command line and where it is explained; no words get the help."""
+    """Print in one line what is wrong with the command line and where it is explained; without words the help."""
     if isinstance(e, getattr(click.exceptions, "NoArgsIsHelpError", ())):  # click 8.1 shows it by itself
         e.show()
         return 2

@@ -13,11 +13,11 @@ PACKAGES = {  # module -> what to install, where their names differ
     "obstore": "locfuse[remote]",
     "rerun": "rerun-sdk",
 }
-NO_ROOM = ("failed to map segment", "annot allocate memory")  # what the loader says when memory is short
+NO_ROOM = ("failed to map segment", "annot allocate memory")  # messages of the loader when memory is short
 
 
 def expected(e: Exception) -> tuple[str, int] | None:
-    """Return what to say of an error and the exit code; None for a bug."""
+    """Return the line to print for an error and the exit code; None for a bug."""
     from locfuse.fusion.data import LocfuseError
 
     if isinstance(e, LocfuseError):
@@ -48,6 +48,6 @@ def silence_overflows() -> None:
     """Ignore RuntimeWarning from here on, in this process; `import locfuse` silences nothing.
 
     Absurd readings (1e300 m, NaN) overflow on their way to the gate that counts and reports them. NumPy's
-    warning about it names a line of ours and no reading, so it helps nobody at a terminal.
+    warning about it names a line of our source and no reading, so it does not help at a terminal.
     """
     warnings.simplefilter("ignore", RuntimeWarning)

@@ -57,7 +57,7 @@ class Gate(msgspec.Struct, frozen=True):
     limit: float
 
     def line(self, value: float | None, missing: str) -> str | None:
-        """Return a line where a figure violates the gate; `missing` says why there is none."""
+        """Return a line where a figure violates the gate; `missing` is the reason why there is none."""
         if value is None:
             return f"{self.text}: {missing}"
         return f"{self.text}: it is {value:.6g}" if OPERATORS[self.op](value, self.limit) else None
@@ -72,7 +72,7 @@ class Tolerance(msgspec.Struct, frozen=True):
     degrees: float = 0.0
 
     def limit(self, key: str, old: float) -> float:
-        """Return the largest value that passes; the unit stands at the end of the key."""
+        """Return the largest value that passes; the unit is at the end of the key."""
         floor = self.metres if key.endswith("_m") else self.degrees if key.endswith("_deg") else 0.0
         return old + max(self.share * old, floor)
 
@@ -212,7 +212,7 @@ def refuse_another_log(baseline: Baseline | None, log: Content) -> None:
 
 
 def _is_of(then: Mapping[str, Any], log: Content) -> bool:
-    """Tell whether a report's input is this log: by its identity, in a report of 0.1 by the hash of all bytes."""
+    """Return whether a report is of this log: by its identity, in a report of 0.1 by the hash of all bytes."""
     if then.get("identity") is not None:
         return bool(then["identity"] == log.identity.digest)
     return then.get("sha256") is None or then["sha256"] == log.sha256
@@ -227,7 +227,7 @@ def _violated(report: Mapping[str, Any], gate: Gate) -> str | None:
 
 
 def _mixed(report: Mapping[str, Any], gate: Gate) -> str | None:
-    """Say where a gate on truth meets a reference, or the other way round: the two are different figures."""
+    """Return why a gate cannot be applied: errors against truth and against a reference are different figures."""
     from locfuse.fusion.judge.evaluate import ERROR_KEYS
 
     asked = gate.figure.startswith(OF_REFERENCE) and gate.figure not in report["configurations"]
@@ -340,7 +340,7 @@ def _worse_together(summary: Mapping[str, Any], baseline: Baseline) -> list[str]
 
 
 def _other_logs(summary: Mapping[str, Any], baseline: Baseline) -> str | None:
-    """Say where the two summaries are not over the same logs: what got worse may then be the drives."""
+    """Return a line where the two summaries are over different logs: the drives may then be the reason."""
     before, now = _contents(baseline.values), _contents(summary)
     missing = [name for content, name in before.items() if content not in now]
     new = [name for content, name in now.items() if content not in before]

@@ -75,7 +75,7 @@ def named(logs: Sequence[Sequence[str]]) -> dict[str, Sequence[str]]:
 def _name(parts: Sequence[str]) -> str:
     try:
         return log_name(find_log(parts))
-    except UsageError:  # no such file: who opens it says so
+    except UsageError:  # no such file: opening it raises this again
         return writable(Path(parts[0]).stem) or "log"
 
 

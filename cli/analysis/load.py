@@ -54,20 +54,20 @@ from .topics import Choice, Note
 if TYPE_CHECKING:
     from locfuse.fusion.wheels.motion_by_scans import MatchedScans
 
-# scans that are matched with each other say nothing of where their laser sits: any place fits them as well
+# matching scans with each other does not show where the laser sits: any mount fits as well
 EXACT_LASER = {"lrf": {"sigma_x": 0.0, "sigma_y": 0.0, "sigma_yaw_deg": 0.0}}
 MAX_LISTED = 1000  # entries of a folder among which a mistyped name is looked for
 
 
 class Loaded(msgspec.Struct, frozen=True, dict=True):
-    """A measured log and everything that says where its numbers came from."""
+    """A measured log, and where its numbers come from: the log, the settings and their sources."""
 
     log: Log
     robot: Robot
     choice: Choice
     drive: Drive
     tables: Mapping[str, Any] = field(default_factory=dict)  # robot.toml as merged, without mounts from /tf_static
-    sources: Mapping[str, str] = field(default_factory=dict)  # "lrf.x" -> who set it, of keys that somebody set
+    sources: Mapping[str, str] = field(default_factory=dict)  # "lrf.x" -> what set it, of keys that are set
     given: Mapping[str, Any] | None = None  # what the user gave of them; None: the result has no key
     hash_all: bool = False  # whether every byte is to be hashed
     matched: MatchedScans | None = None  # the motion by scans, where there are no wheels
@@ -225,7 +225,7 @@ def _matched_scans(stream: Stream, robot: Robot, progress: Progress, before: Loa
 
 
 def _refuse_other_clock(log: Log, drive: Drive) -> None:
-    """Say that a truth file is of another clock, or of another drive, where no row lies within the drive."""
+    """Raise LocfuseError where no row of a truth file lies within the drive: another clock, or another drive."""
     truth = drive.truth
     if truth is None or not log.is_file(truth.topic) or ((truth.t >= 0.0) & (truth.t <= drive.t[-1])).any():
         return
@@ -239,7 +239,7 @@ def _refuse_other_clock(log: Log, drive: Drive) -> None:
 
 
 def _refuse_lost_wheels(log: Log, choice: Choice, streams: Mapping[str, Any]) -> None:
-    """Say that the file is damaged where the wheels' messages are all lost: their names are then not at fault."""
+    """Raise LocfuseError where all messages of the wheels are lost: the file is damaged, not the settings."""
     promised = sum(log.topics[topic].count for topic in choice.of("wheels"))
     if "wheels" not in streams or not promised or len(streams["wheels"].t_ns):
         return
@@ -250,7 +250,7 @@ def _refuse_lost_wheels(log: Log, choice: Choice, streams: Mapping[str, Any]) ->
 
 
 def _leave_out(choice: Choice, only: Collection[str] | None, preset: str) -> None:
-    """Drop sensors that nobody asks for, and those that the preset's filter does not know."""
+    """Drop sensors that are not asked for, and those that the preset's filter has no equation for."""
     for sensor in REGISTRY:
         if only is not None and sensor not in only:
             choice.topics.pop(sensor, None)
@@ -324,7 +324,7 @@ def _light(role: str, msgtype: str) -> tuple[str, ...]:
 
 
 def _clock_notes(streams: Mapping[str, Any]) -> list[str]:
-    """Say which clock was taken where it is not simply the header's, and what is odd about it."""
+    """Return a note per role whose clock is not simply the header's, and what is unusual about it."""
     notes: dict[str, None] = {}  # as a set in order: several topics of one role may say the same
     for role, stream in streams.items():
         for part in parts(stream):
@@ -357,7 +357,7 @@ def _first_places(robot: Robot, drive: Drive) -> tuple[Array, Array] | None:
 
 
 def start_notes(robot: Robot, drive: Drive) -> list[str]:
-    """Warn where the truth begins elsewhere than the wheels are, and nobody said where the drive starts."""
+    """Return a note where the truth begins elsewhere than the wheels are, and [start] is not set."""
     places = _first_places(robot, drive)
     if places is None or math.hypot(*(places[0] - places[1])) < 0.05:
         return []

@@ -1,4 +1,4 @@
-"""From a measured log to what is written and said: report, files, exit code."""
+"""From a measured log to the report, the settings file and the losses."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def _date(epoch_ns: int) -> str | None:
 
 
 def default_folder(name: str) -> Path:
-    """Return where results go unless -o says otherwise."""
+    """Return the folder of results where no other is given."""
     return Path("locfuse-out") / name
 
 
@@ -147,7 +147,7 @@ def loss_lines(loaded: Loaded, used: Sequence[str], strict: bool) -> list[str]:
 
 
 def lost_in(report: Mapping[str, Any], strict: bool) -> list[str]:
-    """Return in words what a finished report says was lost, as `loss_lines` does of a log."""
+    """Return in words what was lost by a finished report, as `loss_lines` does for a log."""
     source = report["input"]
     bytes_lost = [f"{reason} ({lost['bytes']} bytes)" for reason, lost in source.get("losses", {}).items()]
     used = sorted({s for values in report["configurations"].values() for s in values["sensors"]})

@@ -57,7 +57,7 @@ def given_tables(how: LogOptions, more: Sequence[str] = ()) -> dict[str, Any]:
 
 
 def _layers(log: Log, how: LogOptions) -> dict[str, dict[str, Any]]:
-    """Return the tables that somebody gave, by who did; what comes later wins."""
+    """Return the tables that are set, by their source; later ones win."""
     layers = given_layers(how)
     if ATTACHMENT in log.attachments:
         attached = _checked(log.attachments[ATTACHMENT], f"{log.name}: attachment {ATTACHMENT}")
@@ -69,7 +69,7 @@ def _of_log(log: Log, tables: dict[str, Any], above: Mapping[str, dict[str, Any]
     """Return the log's own tables, the files that they name in the log's folder.
 
     The log may be a stranger's: it names no other file of the reader. Raises LocfuseError where it does, unless
-    a place above says the same key.
+    a layer above sets the same key.
     """
     given = {key for others in above.values() for key in keys_of(others)}
     for table, key, text in list(files_of(tables)):
@@ -98,7 +98,7 @@ def _is_below(folder: Path, text: str) -> bool:
 
 
 def sources_of(log: Log, how: LogOptions) -> dict[str, str]:
-    """Return who set each key, "lrf.x" -> "--robot"."""
+    """Return the source of each key that is set, "lrf.x" -> "--robot"."""
     return {key: who for who, tables in _layers(log, how).items() for key in keys_of(tables)}
 
 

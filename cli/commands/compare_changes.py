@@ -50,7 +50,7 @@ def changes(files: Sequence[Path], outputs: Outputs) -> int:
 
 
 def _refuse_what_needs_a_log() -> None:
-    """Raise UsageError for an option that finished results cannot follow: no gate passes by being passed over."""
+    """Raise UsageError for an option that finished results cannot follow: a gate is never skipped silently."""
     context = click.get_current_context()
     for option in context.command.params:
         given = context.get_parameter_source(str(option.name)) is ParameterSource.COMMANDLINE

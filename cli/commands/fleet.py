@@ -126,7 +126,7 @@ def _every(options: o.Options, folder: Path) -> Job:
 
 
 def _mark(folder: Path, todo: Plan) -> None:
-    """Leave a sign that the folder is ours, for a run that is killed before it has a summary."""
+    """Mark the folder as one of results, for a run that is killed before it has a summary."""
     from locfuse.formats.report import json_report
     from locfuse.formats.whole_files import UNFINISHED, write_results
 
@@ -147,15 +147,15 @@ def _run(todo: Plan, options: o.Options) -> Ended:
 
 
 def _watch(progress: show.Progress, quiet: bool) -> Watch:
-    said = time.monotonic()
+    printed = time.monotonic()
 
     def watch(standing: Standing, outcome: Outcome | None) -> None:
-        nonlocal said
+        nonlocal printed
         progress(standing.words())
         if outcome is not None and outcome.state == "failed":
             _say_failed(outcome)
-        if not quiet and not sys.stderr.isatty() and time.monotonic() - said > STILL_S:
-            said = time.monotonic()
+        if not quiet and not sys.stderr.isatty() and time.monotonic() - printed > STILL_S:
+            printed = time.monotonic()
             show.say(standing.words())
 
     return watch
@@ -196,19 +196,19 @@ def _print(summary: Mapping[str, Any], files: Mapping[str, Any], folder: Path, a
 
 
 def _say_recordings(ended: Ended, recording: Recording | None) -> None:
-    """Say what could not be recorded, and how to open all that was."""
+    """Print what could not be recorded, and how to open all recordings."""
     _say_some([line for outcome in ended.outcomes.values() for line in outcome.warnings], "warnings")
     if recording is not None and any(Path(recording.folder).glob("*.rrd")):
         show.say(f"all drives in one viewer: {catalog(Path(recording.folder))}")
 
 
 def _code(found: Gathered, failed_gates: Sequence[str], ended: Ended) -> int:
-    """Say what is void, what was lost and which gates failed, and return the exit code."""
+    """Print what is void, what was lost and which gates failed, and return the exit code."""
     from locfuse.cli.analysis.errors import LOSS
     from locfuse.cli.analysis.gates import FAILED
 
     gates = [*found.gates, *failed_gates]
-    # the reasons of exit code 3: said under --quiet too
+    # the reasons of exit code 3: printed with --quiet too
     _say_some([f"void: {line}" for line in found.void], "void figures")
     _say_some([f"lost: {line}" for line in found.lost], "losses")
     _say_some([f"gate: {line}" for line in gates], "gates")

@@ -95,11 +95,11 @@ def _tried(log: tuple[str, ...], how: LogOptions, progress: Callable[[str], None
     try:
         return opened(log, how, progress).findings()
     except LocfuseError:
-        return {}  # the findings of measuring say why
+        return {}  # the findings of measuring have the reason
 
 
 def _list_topics(words: tuple[str, ...], as_json: bool, quiet: bool) -> int:
-    """Print what a log says of itself: of one that is elsewhere the summary alone is read."""
+    """Print the topics that a log lists: of one that is elsewhere only the summary is read."""
     from locfuse.cli.analysis.load import find_log
     from locfuse.cli.inspect import values
     from locfuse.cli.terminal import info_text, show

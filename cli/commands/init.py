@@ -71,11 +71,11 @@ def init(
     may_replace(out, overwrite, log)
     place = update or out
     with show.progress(how.quiet) as progress:
-        said, notes = _translated(find_log(log), ekf)
-        made = draft(find_log(log), how, progress, said)
-    if place is not None and made.missing and not how.quiet and (told := _asked(made)):
+        foreign, notes = _translated(find_log(log), ekf)
+        made = draft(find_log(log), how, progress, foreign)
+    if place is not None and made.missing and not how.quiet and (typed := _asked(made)):
         with show.progress(how.quiet) as progress:
-            made = draft(find_log(log), replace(how, sets=(*how.sets, *told)), progress, said)
+            made = draft(find_log(log), replace(how, sets=(*how.sets, *typed)), progress, foreign)
     words = printable(shlex.join(log))
     name = printable(shlex.quote(str(place or "robot.toml")))
     text = _fresh(made, words, name) if update is None else _updated(made, update)
@@ -88,7 +88,7 @@ def init(
             put(text)
     lost = made.overview.log.losses.lines()
     for line in lost:
-        show.say(f"lost: {line}")  # the reason of exit code 3: said under --quiet too
+        show.say(f"lost: {line}")  # the reason of exit code 3: printed with --quiet too
     for note in notes:
         say(f"{ekf}: {note}")
     if not how.quiet:

@@ -117,7 +117,7 @@ def ready(what: Sequence[str]) -> Path | None:
     if len(what) > 1 or report is None or not recording.is_file():
         return None
     if recording.stat().st_mtime < report.stat().st_mtime:
-        return None  # a recording older than the report tells of other settings
+        return None  # a recording older than the report may be of other settings
     check(recording)
     return recording
 

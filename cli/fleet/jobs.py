@@ -108,7 +108,7 @@ def _file_of(file: Path, robot: str | None) -> Path:
 
 
 class Gathered(msgspec.Struct, frozen=True):
-    """A fleet as rows, and what must be said about it."""
+    """A fleet as rows, and the lines to print about it."""
 
     entries: list[Entry] = field(default_factory=list)
     gates: list[str] = field(default_factory=list)  # a line per gate that a log fails

@@ -1,4 +1,4 @@
-"""One job in a process of its own, whose end is a row, whatever happens to it.
+"""One job in a process of its own: whatever happens to it, the fleet gets a row.
 
 The process is `python -m locfuse.cli.fleet.process`: it reads the job on stdin and answers on stdout. It ends when
 its stdin does, so that nothing goes on running for a command that was killed.
@@ -62,7 +62,7 @@ def _in_a_process(job: Job, folder: str) -> Outcome:
         assert process.stdin is not None
         assert process.stdout is not None
         RUNNING.add(process)
-        with suppress(BrokenPipeError):  # it died at once: its exit code says how
+        with suppress(BrokenPipeError):  # it died at once: its exit code has the reason
             process.stdin.write(pickle.dumps(job))
             process.stdin.flush()
         answer = process.stdout.read()
@@ -76,7 +76,7 @@ def _in_a_process(job: Job, folder: str) -> Outcome:
 
 
 def _ended(code: int, words: bytes) -> str:
-    """Say how a process ended that left no answer."""
+    """Return in words how a process ended that left no answer."""
     if code < 0:
         name = signal.Signals(-code).name if -code in set(signal.Signals) else "unknown"
         hint = ": often too little memory for so many --jobs" if -code == signal.SIGKILL else ""

@@ -136,7 +136,7 @@ def already(job: Job) -> Outcome | None:
 
 
 def _outcome(future: Future[Outcome], job: Job) -> Outcome:
-    """Return how a job ended; an executor that could not even say so is a reason too."""
+    """Return how a job ended; where the executor itself failed, that is the reason."""
     try:
         return future.result()
     except Exception as problem:

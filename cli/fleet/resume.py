@@ -1,6 +1,6 @@
 """Resuming: results that a job would only repeat are left as they are.
 
-They are there when every report.json has the key that this run would give it, all its files stand beside it, and
+They are there when every report.json has the key that this run would give it, all its files lie beside it, and
 no file of the log was changed after it was written.
 """
 
@@ -22,12 +22,12 @@ from locfuse.fusion.data import LocfuseError
 from .job import Cell, Job
 
 REPORT = "report.json"
-OTHERS = ("robot.toml", "estimates.mcap")  # files of a result that are of no kind of output
+OTHERS = ("robot.toml", "estimates.mcap")  # files of a result beside the kinds of output
 OF_KIND = {"html": "report.html", "md": "report.md", "csv": "report.csv", "tex": "report.tex", "json": REPORT}
 
 
 def is_finished(job: Job) -> bool:
-    """Tell whether a job's results are there. Raises LocfuseError where its log or settings cannot be read."""
+    """Return whether a job's results are there. Raises LocfuseError where its log or settings cannot be read."""
     if job.again or job.outputs.export or job.outputs.figures is not None:  # exports are not looked for
         return False
     if not all((job.place(cell) / REPORT).is_file() for cell in job.cells):
@@ -56,14 +56,14 @@ def _is_there(job: Job, cell: Cell, changed_ns: int, expected: str) -> bool:
 
 
 def _is_recorded(job: Job, cell: Cell) -> bool:
-    """Tell whether the recording of a result is there, and not of an earlier one."""
+    """Return whether the recording of a result is there, and not older than the result."""
     assert job.recording is not None
     file, report = job.recording.file(job.recording_of(cell)), job.place(cell) / REPORT
     return file.is_file() and file.stat().st_mtime_ns >= report.stat().st_mtime_ns
 
 
 def is_replaceable(folder: Path) -> bool:
-    """Tell whether a folder holds nothing but files of a result, or the cells of a sweep with theirs.
+    """Return whether a folder holds nothing but files of a result, or the cells of a sweep with theirs.
 
     Such a folder has no report of its own where its writing was ended by force, or where a sweep wrote it.
     """

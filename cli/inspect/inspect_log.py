@@ -100,7 +100,7 @@ def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) ->
 def _transforms(log: Log, choice: Choice, found: list[Finding]) -> StaticTransforms:
     frames = []
     for topic in (t for name in REGISTRY for t in choice.of(name)):
-        with suppress(LocfuseError):  # a topic that cannot be read says so elsewhere
+        with suppress(LocfuseError):  # a topic that cannot be read has its own finding
             frames.append(log.stream(topic).frame_id)
     try:
         transforms = transforms_of(log, frames)
@@ -114,7 +114,7 @@ def _placed(log: Log, tables: dict[str, Any], choice: Choice, transforms: Static
     """Return the robot with the mounts of /tf_static, which are known before anything can be measured."""
     streams = {}
     for name in REGISTRY:
-        with suppress(LocfuseError):  # a topic that cannot be read says so elsewhere
+        with suppress(LocfuseError):  # a topic that cannot be read has its own finding
             if topics := choice.of(name):
                 streams[name] = [log.stream(topic) for topic in topics]
     turns = shared_turns(tables, streams)

@@ -1,4 +1,4 @@
-"""One table of a robot.toml after the other: what is known is active, the rest says how to find it."""
+"""The tables of a robot.toml: known keys are active, the others have a comment on how to find them."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from locfuse.fusion.wheels.sources import JOINTS
 from .mounts import placed_by
 from .overview import Overview
 
-Known = dict[str, tuple[Any, str]]  # "table.key" -> its value, and who says so
+Known = dict[str, tuple[Any, str]]  # "table.key" -> its value, and its source
 TOP = ("order", "preset")
 OF_COUNTERS = ("radius", "track", "ticks_per_revolution", "mirrored")  # an odometry needs none of them
 MOUNTED = ("x", "y", "yaw_deg")  # written even where zero: that is worth knowing
 MOUNT_DECIMALS = 6  # decimals of a mount: micrometres
 
-# how to measure what a log cannot tell; of a sensor's keys the sensor says it itself
+# how to measure what is in no log; a sensor has the words of its own keys (Sensor.asks)
 ASKS = {
     "wheels": {
         "radius": Ask(
@@ -140,7 +140,7 @@ def _mounts(overview: Overview) -> Known:
 
 
 def _placed(overview: Overview, frame: str) -> str:
-    """Say who places a frame on the base; a base frame is the base itself."""
+    """Return in words the source of a mount; a base frame is the base itself."""
     if is_base(frame):
         return f"its frame {frame} is the base"
     return f"by {placed_by(overview, frame)}: where {frame} sits on the base"
@@ -222,10 +222,10 @@ def _concerns(facts: Facts, table: str, key: str) -> bool:
 
 
 def _ask(table: str, key: str) -> Ask | None:
-    """Return what to ask the robot's owner of a key, None where nothing need be asked."""
+    """Return how the robot's owner finds the value of a key, None where nothing need be asked."""
     return (REGISTRY[table].asks if table in REGISTRY else ASKS.get(table, {})).get(key)
 
 
 def _guess(table: str, key: str) -> str | None:
-    """Return what a default means that holds unless somebody says otherwise, None where it is no guess."""
+    """Return the meaning of a default that is a guess, None where it is none."""
     return (REGISTRY[table].guesses if table in REGISTRY else GUESSES.get(table, {})).get(key)

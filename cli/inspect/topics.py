@@ -1,4 +1,4 @@
-"""What `locfuse info` says of every topic: how often, how regularly, by which clock, in which frame.
+"""Facts of every topic for `locfuse info`: how often, how regularly, by which clock, in which frame.
 
 And what its stamps show: repaired, of two clocks, or of a clock that the wheels do not share.
 """
@@ -81,7 +81,7 @@ def clock_word(f: TopicFacts) -> str:
 def topic_facts(log: Log, order: str) -> list[TopicFacts]:
     """Return the facts of all topics, by name. Only headers are read."""
     readable = [name for name, topic in log.topics.items() if topic.problem is None and topic.count]
-    with suppress(LocfuseError):  # where one of them cannot be read, each says so for itself below
+    with suppress(LocfuseError):  # where one of them cannot be read, each has its own problem below
         log.streams(dict.fromkeys(readable, ()), order=order)
     return [_facts(log, name, order) for name in sorted(log.topics) if log.recorded(name)]
 

@@ -45,7 +45,7 @@ class Localiser:
         self._rolled: list[tuple[float, float]] = []
         self._waiting: list[tuple[str, RawMessage]] = []
         self._epoch_ns = 0
-        self._at = 0.0  # s, where the filter stands
+        self._at = 0.0  # s: the time that the filter has reached
         start = robot.start
         self._pose = np.array([start.x, start.y, np.radians(start.theta_deg)])
 

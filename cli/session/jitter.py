@@ -1,7 +1,7 @@
-"""`--jitter N`: every configuration fused N times more, each time on a drive that differs by next to nothing.
+"""`--jitter N`: every configuration fused N times more, each time on a drive with tiny changes.
 
-The spread of a figure over these runs is what chance decides in it. A verdict that does not keep its direction in
-all of them is no verdict: no effect is seen.
+The range of a figure over these runs is how much of it is chance. A verdict that changes its direction in any of
+them becomes "no effect seen".
 """
 
 from __future__ import annotations

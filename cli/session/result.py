@@ -36,7 +36,7 @@ class UnknownNameError(UsageError, KeyError):
 
 
 class Named(Mapping[str, V]):
-    """A read-only mapping; `what` says what its values are."""
+    """A read-only mapping; `what` names its values in errors: "configuration"."""
 
     def __init__(self, what: str, values: Mapping[str, V]) -> None:
         self._what, self._values = what, dict(values)
@@ -176,7 +176,7 @@ class Run(Result, frozen=True, eq=False):
 
     @property
     def smoothed(self) -> Estimates | None:
-        """What the whole drive says of every instant; None where it was not asked for."""
+        """The smoothed estimate, from the whole drive; None where it was not asked for."""
         return next((e for e in self.estimates.values() if e.smoothed), None)
 
     def _files(self, write: Kinds) -> dict[str, Content]:

@@ -129,7 +129,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         Args:
             sensors: "all", "odometry", "compass,lrf", ["compass", "lrf"], or "lrf@2Hz" for a lower rate.
             align: "none", "origin" or "se2": how to move the estimate onto the truth before judging it.
-            smooth: also smooth: what the whole drive, its end included, says of every instant.
+            smooth: also smooth: every pose from the whole drive, its end included.
             advice: where something looks wrong, evaluate the log as `compare` does and try fixes.
             jitter: fuse as many times more with stamps moved by 1 us and 1 % of the readings dropped; the report
                 then has the range of every figure under `configurations.<name>.jitter`.
@@ -164,7 +164,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
     def compare(
         self, sensors: Sensors | Iterable[Sensors] | None = None, **choices: Unpack[Choices]
     ) -> Comparison:
-        """Run several configurations and say what each sensor is worth, as `locfuse compare` does.
+        """Run several configurations and evaluate what each sensor adds, as `locfuse compare` does.
 
         Args:
             sensors: the configurations, such as ["odometry", "compass+lrf", "all", "lrf@2Hz"]; None compares
@@ -305,7 +305,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         """Return the same drive with a laser that localises in the map of a file, which stays as it is.
 
         A line map that `Run.save_map` wrote, or the .yaml of a map as an image (ROS's map_server): there the start
-        is looked for unless `[start]` says it. Raises LocfuseError where the map is of another building.
+        is looked for unless `[start]` is set. Raises LocfuseError where the map is of another building.
         """
         return replace(self, loaded=maps.give(self.loaded, path_of(file)))
 

@@ -1,4 +1,4 @@
-"""Several logs compared one by one, and what they say together about each configuration."""
+"""Several logs compared one by one, and the figures and verdicts over all of them."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ FOLDER = "summary"
 
 
 class Summary:
-    """The comparisons of several logs, and what they say together.
+    """The comparisons of several logs, and the figures and verdicts over all of them.
 
     `results["monday"]` is the comparison of one log, `report` what summary.json holds.
     """
@@ -115,10 +115,10 @@ def compare(
     progress: Progress = silent,
     **choices: Unpack[Choices],
 ) -> Comparison | Summary:
-    """Say what each sensor is worth, over one log or over several of one robot.
+    """Evaluate what each sensor adds, over one log or over several of one robot.
 
     One log gives a Comparison, as `load(log).compare()`. Several give a Summary: every log compared by itself,
-    and what all say together. Arguments are those of `load` and of `Session.compare`; audits are kept of a single
+    and figures over all. Arguments are those of `load` and of `Session.compare`; audits are kept of a single
     log only.
 
         locfuse.compare("rounded_rectangle")
@@ -181,7 +181,7 @@ def _standing(entry: Entry) -> dict[str, Any]:
 
 
 def default_folder() -> Path:
-    """Return where a summary goes unless -o says otherwise."""
+    """Return the folder of a summary where no other is given."""
     return results.default_folder(FOLDER)
 
 

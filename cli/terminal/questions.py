@@ -1,6 +1,6 @@
-"""Questions to the person at the terminal: values of robot.toml that no log can tell.
+"""Questions to the person at the terminal: values of robot.toml that are in no log.
 
-Nobody is asked where stdin or stderr is a file or a pipe: scripts and CI run as before.
+Nothing is asked where stdin or stderr is a file or a pipe: scripts and CI run as before.
 """
 
 from __future__ import annotations

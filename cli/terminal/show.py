@@ -37,7 +37,7 @@ OR_REFERENCE = ", or measure against the solution of the whole drive: --referenc
 
 
 class Progress(Protocol):
-    """Says what is being worked on."""
+    """Shows the current step."""
 
     def __call__(self, what: str) -> None:
         """Name the current step."""
@@ -123,7 +123,7 @@ def end(files: Sequence[Path], as_json: bool, wanted: bool) -> None:
 
 
 def open_page(page: Path | None) -> None:
-    """Show a page in the user's browser; say so where there is none."""
+    """Show a page in the user's browser; print a line where there is none."""
     import webbrowser
 
     if page is None:
@@ -133,7 +133,7 @@ def open_page(page: Path | None) -> None:
 
 
 def figures(report: Mapping[str, Any]) -> None:
-    """Print the configurations and what became of each sensor's measurements."""
+    """Print the configurations, and how many measurements of each sensor were accepted and rejected."""
     table(tables.brief(report))
     if tables.has_figures(report):
         lines(BELOW_REFERENCE if report.get("reference") else (BELOW,))
@@ -154,7 +154,7 @@ def table(shown: Table) -> None:
 def notes(report: Mapping[str, Any], losses: Sequence[str], quiet: bool) -> None:
     """Print to stderr what a reader of the figures must know: absent sensors, findings, losses."""
     void = {v["message"] for v in report.get("validity") or () if v["void"]}
-    for line in losses:  # the reasons of exit code 3: said under --quiet too
+    for line in losses:  # the reasons of exit code 3: printed with --quiet too
         say(f"{'void' if line in void else 'lost'}: {line}")
     if quiet:
         return
@@ -186,10 +186,10 @@ def verdicts(report: Mapping[str, Any]) -> None:
     from rich.text import Text
 
     console = screen()
-    alike: dict[tuple[str, str], list[str]] = {}
+    equal: dict[tuple[str, str], list[str]] = {}
     for sensor, found in report.get("verdicts", {}).items():
-        alike.setdefault((found["verdict"], found["words"]), []).append(sensor)
-    for (verdict, words), sensors in alike.items():
+        equal.setdefault((found["verdict"], found["words"]), []).append(sensor)
+    for (verdict, words), sensors in equal.items():
         colour = COLOURS.get(verdict, "")
         console.print(Text.assemble((f"{', '.join(sensors)} {verdict}. ", f"bold {colour}"), words))
 

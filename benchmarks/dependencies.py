@@ -16,7 +16,7 @@ import sys
 from importlib import metadata
 from pathlib import Path
 
-from locfuse.cli.main import PACKAGES
+from locfuse.cli.analysis.errors import PACKAGES
 
 PAGE = Path(__file__).parent.parent / "docs" / "install.md"
 TABLE = re.compile(r"<!-- dependencies -->\n.*?<!-- end -->", re.DOTALL)

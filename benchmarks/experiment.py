@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 
 import click
 
-from locfuse.cli.analysis.load import make_robot
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import ArrayStream, Drive
 from locfuse.fusion.measure import measure

@@ -24,7 +24,7 @@ import click
 from benchmarks.fuzz_cases import Workshop
 from benchmarks.fuzz_directed import DirectedShop
 from benchmarks.fuzz_logs import bases
-from locfuse.cli.terminal.numpy_warnings import silence_overflows
+from locfuse.cli.analysis.errors import silence_overflows
 
 FORK = multiprocessing.get_context("fork")
 SLEEP = 20  # x the limit of CPU time: as long may a case take by the clock, for one that waits uses no CPU

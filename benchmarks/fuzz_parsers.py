@@ -23,7 +23,7 @@ from pathlib import Path
 import click
 import numpy as np
 
-from locfuse.cli.analysis.load import make_robot
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.container import mcap_records, ros1_bag
 from locfuse.formats.container.decompress import DamagedError
 from locfuse.formats.container.mcap_chunk import scan

@@ -14,9 +14,9 @@ from typing import Any
 
 import click
 
-from locfuse.cli.analysis.load import table_types
+from locfuse.cli.analysis.robot_tables import table_types
+from locfuse.cli.inspect.json_schema import report_schema, robot_schema
 from locfuse.cli.main import COMMANDS, locfuse
-from locfuse.cli.reference.json_schema import report_schema, robot_schema
 from locfuse.fusion.sensors.registry import REGISTRY
 
 DOCS = Path(__file__).parent.parent / "docs"

@@ -6,7 +6,6 @@ when the command is used.
 
 from __future__ import annotations
 
-import errno
 import importlib
 import os
 import signal
@@ -18,13 +17,14 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # 3 x 3 matrices need no thr
 
 import click
 
+from locfuse.cli.analysis.errors import expected, silence_overflows
 from locfuse.cli.analysis.memory import leave_as_it_is, settle_heap
-from locfuse.cli.terminal.numpy_warnings import silence_overflows
 from locfuse.cli.terminal.screen import reader_may_leave, say, settle_streams
 
 COMMANDS = {
     "run": "Run one configuration: trajectory, covariances, run.json.",
     "compare": "Run all configurations in one pass and report what each sensor adds.",
+    "fleet": "Compare each of many logs, and write tables and a page over all of them.",
     "info": "Say what is in a log, what reads what, what is missing, and what looks wrong, with the fix.",
     "init": "Print a commented robot.toml for a log: what it tells, what is guessed, what to measure.",
     "view": "Look at a log, a result or a recording in Rerun.",
@@ -37,15 +37,7 @@ COMMANDS = {
     "simulate": "Drive a scenario and record it as a log with known truth.",
     "schema": "Print the JSON Schema of robot.toml or report.json, for editors and programs.",
 }
-ELSEWHERE = {"explain": "terminal", "schema": "reference"}  # the room of a command that is not in `commands`
 INTERRUPTED, TERMINATED = 130, 143
-PACKAGES = {  # module -> what to install, where their names differ
-    "cv2": "opencv-python-headless",
-    "distributed": "locfuse[cluster]",
-    "obstore": "locfuse[remote]",
-    "rerun": "rerun-sdk",
-}
-NO_ROOM = ("failed to map segment", "annot allocate memory")  # what the loader says when memory is short
 
 
 class LazyGroup(click.Group):
@@ -59,8 +51,7 @@ class LazyGroup(click.Group):
         """Import and return one command."""
         if cmd_name not in COMMANDS:
             return None
-        room = ELSEWHERE.get(cmd_name, "commands")
-        module = importlib.import_module(f"locfuse.cli.{room}.{cmd_name}")
+        module = importlib.import_module(f"locfuse.cli.commands.{cmd_name}")
         command: click.Command = getattr(module, cmd_name)
         return command
 
@@ -83,7 +74,7 @@ class LazyGroup(click.Group):
 
 
 def _say_version(ctx: click.Context, _option: click.Parameter, asked: bool) -> None:
-    """Print the version, and say so where the kernels are not compiled: they are as right, and slower."""
+    """Print the version, and whether the kernels are compiled: the others are as exact, and slower."""
     if not asked or ctx.resilient_parsing:
         return
     from locfuse.formats.versions import own
@@ -131,8 +122,6 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         code = _misused(e)
     except (KeyboardInterrupt, click.Abort, _Interrupted, _Terminated) as e:
         code = _stopped(e)
-    except MemoryError:
-        code = _say("out of memory", 1)
     except Exception as e:
         # Python 3.11 makes a RuntimeError of a signal that arrives while a class is made, as in an import
         cause = e.__cause__
@@ -146,14 +135,14 @@ def main(arguments: list[str] | None = None) -> NoReturn:
 
 
 def _stopped(by: BaseException) -> int:
-    """Say that a signal ended it."""
+    """Print that a signal ended the command."""
     if isinstance(by, _Terminated):
         return _say("terminated; nothing was left half-written", TERMINATED)
     return _say("interrupted; nothing was left half-written", INTERRUPTED)
 
 
 def _misused(e: click.ClickException) -> int:
-    """Say in one line what is wrong with the command line and where it is explained; no words get the help."""
+    """Print in one line what is wrong with the command line and where it is explained; without words the help."""
     if isinstance(e, getattr(click.exceptions, "NoArgsIsHelpError", ())):  # click 8.1 shows it by itself
         e.show()
         return 2
@@ -164,28 +153,10 @@ def _misused(e: click.ClickException) -> int:
 
 def _expected(e: Exception) -> int:
     """Turn our own errors and the operating system's into one line; let bugs be seen."""
-    from locfuse.fusion.data import LocfuseError
-
-    if isinstance(e, LocfuseError):
-        return _say(str(e), e.exit_code)
-    if isinstance(e, OSError) and e.errno is not None:
-        what = os.strerror(e.errno)
-        where = f" {e.filename}" if e.filename else ""
-        hint = ". Free some space or choose another folder with -o" if e.errno == errno.ENOSPC else ""
-        return _say(f"{what}:{where}{hint}" if where else f"{what}{hint}", 1)
-    if isinstance(e, ImportError) and any(words in str(e) for words in NO_ROOM):
-        return _say(f"out of memory: a library could not be loaded ({str(e).splitlines()[-1].strip()})", 1)
-    if isinstance(e, ModuleNotFoundError) and (package := _package_of(e)) is not None:
-        return _say(f"this needs {package}, which is not installed: python -m pip install {package}", 1)
-    if isinstance(e, RuntimeError) and "can't start new thread" in str(e):
-        return _say("out of memory: a thread could not be started", 1)
-    raise e
-
-
-def _package_of(e: ModuleNotFoundError) -> str | None:
-    """Return what to install for a module that is missing; None for one of ours, which is a bug."""
-    module = (e.name or "").partition(".")[0]
-    return None if module in {"", "locfuse"} else PACKAGES.get(module, module)
+    known = expected(e)
+    if known is None:
+        raise e
+    return _say(*known)
 
 
 def _say(text: str, code: int) -> int:

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from locfuse.cli.analysis.compare import Compared, Heard, Watch, compare_log
 from locfuse.cli.analysis.configurations import Configuration, for_comparison
 from locfuse.cli.analysis.load import Loaded
-from locfuse.cli.analysis.settings import Progress, silent
+from locfuse.cli.analysis.settings import Asked, Progress, silent
 from locfuse.fusion.checks.score import MAX_CHANCE_LOSS, Score, improves, spoils, spoils_alone
 from locfuse.fusion.checks.search import Advice, Candidate, Fixes, search, together, total
 from locfuse.fusion.data import Estimates
@@ -93,7 +93,8 @@ def _compared(fixes: Fixes, loaded: Loaded, trial: Trial) -> Compared:
     def hear(e: Estimates) -> None:
         trial.heard(fixes, loaded, e)
 
-    return compare_log(loaded, configurations, trial.align, trial.progress, heard=[hear])
+    asked = Asked(align=trial.align, audits=False)
+    return compare_log(loaded, configurations, asked, trial.progress, heard=[hear])
 
 
 def _rounds(compared: Compared, trial: Trial) -> tuple[list[Advice], Fixes]:

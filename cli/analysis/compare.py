@@ -24,10 +24,10 @@ from locfuse.fusion.sensors.registry import REGISTRY, needed
 
 from . import results
 from .configurations import Configuration
-from .key import Asked, key
+from .key import key
 from .load import Loaded
 from .memory import lean
-from .settings import Progress, one_of
+from .settings import Asked, Progress, one_of
 from .trust import add_consistency, evidence, judge_values, noise_factors, reference_values
 from .verdicts import ByReference, by_reference, credit_values, prediction_values, verdicts
 
@@ -72,36 +72,33 @@ class Judged(NamedTuple):
 def compare_log(
     loaded: Loaded,
     configurations: Sequence[Configuration],
-    align: str,
+    asked: Asked,
     progress: Progress,
-    smooth: bool = False,
     watch: Sequence[Watch] = (),
-    audits: bool = False,
     foreign: Sequence[Estimates] = (),
     heard: Sequence[Heard] = (),
-    reference: bool = False,
 ) -> Compared:
     """Run and judge every configuration; smoothed ones come after all others.
 
-    `foreign` are other people's estimates, judged beside ours. With `reference` the whole drive is solved, and its
-    solution takes the place of a truth that the log lacks; what watches is given evaluations without it.
+    `foreign` are other people's estimates, judged beside ours. With `asked.reference` the whole drive is solved,
+    and its solution takes the place of a truth that the log lacks; `watch` is given evaluations without it.
 
-    Audits are most of what a run holds. Unless `audits` are kept they end as soon as it is judged: who draws them
-    takes what is drawn then (`watch`). So it is with the runs that other sensors only listen to (`heard`).
+    Audits are most of what a run holds. Unless `asked.audits` are kept they end as soon as it is judged: who draws
+    them takes what is drawn then (`watch`). So it is with the runs that other sensors only listen to (`heard`).
     """
-    one_of(align, get_args(Align), "align")
-    drive, robot = loaded.drive, loaded.robot
-    if smooth:
+    align = cast("Align", one_of(asked.align, get_args(Align), "align"))
+    drive, robot, reference = loaded.drive, loaded.robot, bool(asked.reference)
+    if asked.smooth:
         refuse_smoothing(robot, configurations)
     filtered, smoothed = [], []
     solved: dict[frozenset[str], Estimates] = {}
     solves = _solved_sets(drive) if reference else set()
     for c in configurations:
         progress(f"fusing {c.name}")
-        both = smooth or (frozenset(c.sensors) in solves and not c.rates)
-        first, *after = lean(_judged, c, loaded, align, both, watch, audits, shown=smooth)
+        both = asked.smooth or (frozenset(c.sensors) in solves and not c.rates)
+        first, *after = lean(_judged, c, loaded, asked, both, watch)
         filtered.append(first)
-        smoothed += after if smooth else []
+        smoothed += after if asked.smooth else []
         solved |= {frozenset(c.sensors): j.estimates for j in after if not c.rates}
     plain = {
         frozenset(c.sensors): j.evaluation for c, j in zip(configurations, filtered, strict=True) if not c.rates
@@ -118,7 +115,7 @@ def compare_log(
     )
     others = [_in_frame_of(e, drive, references, align) for e in foreign]
     every = [*filtered, *smoothed, *(_judged_foreign(e, drive, how) for e, how in others)]
-    hows = [*([cast("Align", align)] * (len(every) - len(others))), *(how for _, how in others)]
+    hows = [*([align] * (len(every) - len(others))), *(how for _, how in others)]
     referenced = None if references is None else _referenced(references, every, hows, filtered)
     return Compared(
         loaded=loaded,
@@ -188,23 +185,15 @@ def _effect(
     return ByReference(errors[0], errors[1], reference.can_judge(errors[1]), effect)
 
 
-def _judged(
-    c: Configuration,
-    loaded: Loaded,
-    align: str,
-    smooth: bool,
-    watch: Sequence[Watch],
-    audits: bool,
-    shown: bool,
-) -> list[Judged]:
-    """Fuse and judge one configuration: filtered, and perhaps smoothed, which is watched if it is `shown`."""
+def _judged(c: Configuration, loaded: Loaded, asked: Asked, smooth: bool, watch: Sequence[Watch]) -> list[Judged]:
+    """Fuse and judge one configuration: filtered, and perhaps smoothed, which is watched if it was asked for."""
     drive, robot, judged = c.drive(loaded.drive), loaded.robot, []
-    how = cast("Align", align)
+    how = cast("Align", asked.align)
     for e in lean(c.fuse, loaded.drive, robot, smooth and bool(c.sensors)):
         evaluation = lean(evaluate, e, drive, how)
-        for look in watch if shown or not e.smoothed else ():
+        for look in watch if asked.smooth or not e.smoothed else ():
             look(e, evaluation)
-        kept = e if audits else replace(e, audits={})
+        kept = e if asked.audits else replace(e, audits={})
         judged.append(Judged(kept, evaluation, evidence(drive, e, robot)))
     return judged
 
@@ -275,7 +264,7 @@ def predict(
 def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
     """Return the report as plain values: report.json. With what was `asked` it has a key."""
     report = results.build(compared.loaded, compared.evaluations)
-    tables = compared.loaded.asked
+    tables = compared.loaded.given
     report["key"] = key(compared.loaded.log.identity, tables, asked) if asked and tables is not None else None
     report["repeat"] = results.repeat(compared.loaded, asked) if asked else None
     report["changed_settings"] = results.changed_settings(compared.loaded)

@@ -91,6 +91,12 @@ def _check_needs(sensor: str, written: Mapping[str, str], words: str) -> None:
             raise UsageError(f"--sensors {words}: {sensor} is {why}; write --sensors {enough}")
 
 
+def configuration_words(sensors: Sensors | Iterable[Sensors] | None) -> tuple[str, ...]:
+    """Return one or several configurations as the words of --sensors, one word each; none for None."""
+    words = () if sensors is None else (sensors,) if isinstance(sensors, str) else sensors
+    return tuple(word if isinstance(word, str) else ",".join(word) for word in words)
+
+
 def unknown_sensor(name: str) -> UsageError:
     """Return the error of a name that is no sensor's, with the one that was probably meant."""
     known = ("odometry", *REGISTRY, "all")
@@ -124,7 +130,7 @@ def plain(sensors: tuple[str, ...], drive: Drive) -> Configuration:
     return Configuration(configuration_name(sensors, drive), sensors)
 
 
-def for_comparison(words: Sequence[Sensors], drive: Drive, every: bool = False) -> list[Configuration]:
+def for_comparison(words: Sequence[str], drive: Drive, every: bool = False) -> list[Configuration]:
     """Return the configurations to compare.
 
     Those named; else odometry, each sensor alone (or with the one whose map it reads), and all; `every`: all

@@ -8,7 +8,11 @@ from itertools import pairwise
 from pathlib import Path
 
 from locfuse.formats.container.url import Place, Url, is_url, place
+from locfuse.formats.logs.files import log_name
+from locfuse.formats.visible import writable
 from locfuse.fusion.data import LocfuseError, UsageError
+
+from .load import find_log
 
 PART = re.compile(r"(?P<name>.+)_(?P<number>\d+)\.(?:mcap(?:\.zstd)?|db3(?:\.zstd)?)")
 OVERLAP_NS = 1_000_000_000  # parts of one recording follow each other; two drives need not
@@ -53,6 +57,26 @@ def logs_of(words: Sequence[str]) -> list[list[str]]:
         key = (_folder(word), part["name"]) if part and (is_url(word) or Path(word).is_file()) else word
         groups.setdefault(key, []).append(word)
     return [log for parts in groups.values() for log in _split(parts)]
+
+
+def named(logs: Sequence[Sequence[str]]) -> dict[str, Sequence[str]]:
+    """Return the logs by a name for the folder of each; of equal names the later ones are numbered."""
+    found: dict[str, Sequence[str]] = {}
+    numbers: dict[str, int] = {}
+    for parts in logs:
+        name = stem = _name(parts)
+        while name in found:
+            numbers[stem] = numbers.get(stem, 1) + 1
+            name = f"{stem}_{numbers[stem]}"
+        found[name] = parts
+    return found
+
+
+def _name(parts: Sequence[str]) -> str:
+    try:
+        return log_name(find_log(parts))
+    except UsageError:  # no such file: opening it raises this again
+        return writable(Path(parts[0]).stem) or "log"
 
 
 def _folder(word: str) -> Place:

@@ -6,62 +6,25 @@ It is known before a log is opened: settings that the log itself carries are par
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from locfuse.formats.caps import MAX_ROBOT_TOML, MAX_TEXT_FILE
+from locfuse.formats.caps import MAX_TEXT_FILE
 from locfuse.formats.inputs import read_small
 from locfuse.formats.logs.file_stream import SUFFIXES
 from locfuse.formats.logs.files import Identity
 from locfuse.formats.report.json_report import SCHEMA_VERSION, made_with
-from locfuse.formats.robot import robot_toml
 from locfuse.formats.versions import own
 from locfuse.fusion.sensors.landmarks import GROW
 
-from .configurations import Sensors
-from .settings import LogOptions
+from .settings import Asked
 
+# what figures depend on, in the order in which it is hashed
+Keyed = msgspec.defstruct("Keyed", ("sensors", "all_subsets", "align", "smooth", "jitter", "reference"))
 FILES = "files"  # beside the settings: the files that they name -> the hash of their content
-
-
-class Asked(msgspec.Struct, frozen=True):
-    """What is asked of a log beyond its settings."""
-
-    sensors: tuple[str, ...]  # as --sensors names them; none: the default configurations
-    all_subsets: bool
-    align: str
-    smooth: bool
-    jitter: int = 0  # runs
-    reference: bool = False  # one takes the place of truth
-
-    @classmethod
-    def of(
-        cls,
-        sensors: Iterable[Sensors],
-        all_subsets: bool,
-        align: str,
-        smooth: bool,
-        jitter: int = 0,
-        reference: bool = False,
-    ) -> Asked:
-        """Return it with every configuration as one word."""
-        words = tuple(s if isinstance(s, str) else ",".join(s) for s in sensors)
-        return cls(words, all_subsets, align, smooth, jitter, reference)
-
-
-def asked_tables(how: LogOptions, more: Sequence[str] = ()) -> dict[str, Any]:
-    """Return the settings that --robot, --set and `more` words of --set give, without what the log carries.
-
-    The content of files that they name is among them, as a hash.
-    """
-    layers = [robot_toml.parse(read_small(file, MAX_ROBOT_TOML), str(file)) for file in how.robot_files]
-    layers.append(robot_toml.apply_sets((*how.sets, *more)))
-    given = {"order": how.order, "preset": how.preset, "from": how.begin, "to": how.end}
-    given = {name: value for name, value in given.items() if value is not None}
-    return with_files(robot_toml.layered(*layers, given))
 
 
 def with_files(tables: Mapping[str, Any]) -> dict[str, Any]:
@@ -111,7 +74,7 @@ def key(content: Identity, tables: Mapping[str, Any], asked: Asked) -> str:
     parts = {
         "content": content._asdict(),
         "settings": tables,
-        "asked": asked,
+        "asked": msgspec.convert(asked, Keyed, from_attributes=True),
         "locfuse": own(),
         "schema_version": SCHEMA_VERSION,
         "made_with": made_with(),

@@ -15,18 +15,16 @@ import numpy as np
 from msgspec import field
 from msgspec.structs import replace
 
-from locfuse.formats.caps import MAX_ROBOT_TOML
 from locfuse.formats.container.url import Place, Url, place
-from locfuse.formats.inputs import read_small
 from locfuse.formats.logs.labels import labels
 from locfuse.formats.logs.log import Log, open_log
 from locfuse.formats.nearest import did_you_mean
-from locfuse.formats.robot import landmark_map, robot_toml
+from locfuse.formats.robot import robot_toml
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Event, LocfuseError, Measurements, Stream, UsageError
 from locfuse.fusion.measure import measure, windowed
 from locfuse.fusion.paper import preset as filters
-from locfuse.fusion.robot import Robot, StartSettings, TruthSettings, WheelSettings
+from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream, merged
@@ -34,38 +32,43 @@ from locfuse.fusion.wheels.odometry import SCANS
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
 from .choose import choose
-from .key import asked_tables, files_of, with_files
+from .key import with_files
 from .memory import give_back
 from .mounts import mount_tables, on_moving_parts, optics_tables, shared_turns, transforms_of
 from .refused_motion import spoiling, standing_notes
-from .settings import ORDERS, PRESETS, LogOptions, Progress, silent
+from .robot_tables import (
+    given_tables,
+    keys_of,
+    make_robot,
+    merged_tables,
+    named_by_hand,
+    set_tables,
+    sources_of,
+    table_types,
+    with_landmarks,
+)
+from .settings import LogOptions, Progress, silent
 from .tilt import level_compass
 from .topics import Choice, Note
 
 if TYPE_CHECKING:
     from locfuse.fusion.wheels.motion_by_scans import MatchedScans
 
-ATTACHMENT = "robot.toml"
-# scans that are matched with each other say nothing of where their laser sits: any place fits them as well
+# matching scans with each other does not show where the laser sits: any mount fits as well
 EXACT_LASER = {"lrf": {"sigma_x": 0.0, "sigma_y": 0.0, "sigma_yaw_deg": 0.0}}
 MAX_LISTED = 1000  # entries of a folder among which a mistyped name is looked for
-BASE_TABLES: dict[str, type[msgspec.Struct]] = {
-    "wheels": WheelSettings,
-    "start": StartSettings,
-    "truth": TruthSettings,
-}
 
 
 class Loaded(msgspec.Struct, frozen=True, dict=True):
-    """A measured log and everything that says where its numbers came from."""
+    """A measured log, and where its numbers come from: the log, the settings and their sources."""
 
     log: Log
     robot: Robot
     choice: Choice
     drive: Drive
     tables: Mapping[str, Any] = field(default_factory=dict)  # robot.toml as merged, without mounts from /tf_static
-    sources: Mapping[str, str] = field(default_factory=dict)  # "lrf.x" -> who set it, of keys that somebody set
-    asked: Mapping[str, Any] | None = None  # what the user gave of them; None: the result has no key
+    sources: Mapping[str, str] = field(default_factory=dict)  # "lrf.x" -> what set it, of keys that are set
+    given: Mapping[str, Any] | None = None  # what the user gave of them; None: the result has no key
     hash_all: bool = False  # whether every byte is to be hashed
     matched: MatchedScans | None = None  # the motion by scans, where there are no wheels
     reading: WheelReading | None = None  # the motion of the whole log; None: it has to be read again
@@ -126,12 +129,12 @@ def load(
     Raises LocfuseError with one line on what is wrong.
     """
     progress("opening")
-    asked = asked_tables(how)  # before anything is read: what changes meanwhile has another key
+    given = given_tables(how)  # before anything is read: what changes meanwhile has another key
     log = open_log(paths)
     tables = merged_tables(log, how)
     choice = choose(log, make_robot(tables), named_by_hand(how.sets))
     found = measured(log, tables, choice, progress, only, aside)
-    found = replace(found, sources=_sources(log, how), asked=asked, hash_all=how.hash_all)
+    found = replace(found, sources=sources_of(log, how), given=given, hash_all=how.hash_all)
     return _within(found, (how.begin, how.end))
 
 
@@ -222,7 +225,7 @@ def _matched_scans(stream: Stream, robot: Robot, progress: Progress, before: Loa
 
 
 def _refuse_other_clock(log: Log, drive: Drive) -> None:
-    """Say that a truth file is of another clock, or of another drive, where no row lies within the drive."""
+    """Raise LocfuseError where no row of a truth file lies within the drive: another clock, or another drive."""
     truth = drive.truth
     if truth is None or not log.is_file(truth.topic) or ((truth.t >= 0.0) & (truth.t <= drive.t[-1])).any():
         return
@@ -235,22 +238,8 @@ def _refuse_other_clock(log: Log, drive: Drive) -> None:
     )
 
 
-def with_landmarks(robot: Robot) -> Robot:
-    """Return the robot with its landmarks' map read from the file that the settings name."""
-    settings = robot.settings("landmarks")
-    if not isinstance(settings.map, str) or settings.grows:
-        return robot
-    path = Path(settings.map).expanduser()
-    if not path.is_file():
-        raise LocfuseError(
-            f"no such file: {path}", role="landmarks", hint="--set landmarks.map=<id, x, y as .csv>"
-        )
-    read = msgspec.structs.replace(settings, map=landmark_map.read(path))
-    return replace(robot, sensors={**robot.sensors, "landmarks": read})
-
-
 def _refuse_lost_wheels(log: Log, choice: Choice, streams: Mapping[str, Any]) -> None:
-    """Say that the file is damaged where the wheels' messages are all lost: their names are then not at fault."""
+    """Raise LocfuseError where all messages of the wheels are lost: the file is damaged, not the settings."""
     promised = sum(log.topics[topic].count for topic in choice.of("wheels"))
     if "wheels" not in streams or not promised or len(streams["wheels"].t_ns):
         return
@@ -261,7 +250,7 @@ def _refuse_lost_wheels(log: Log, choice: Choice, streams: Mapping[str, Any]) ->
 
 
 def _leave_out(choice: Choice, only: Collection[str] | None, preset: str) -> None:
-    """Drop sensors that nobody asks for, and those that the preset's filter does not know."""
+    """Drop sensors that are not asked for, and those that the preset's filter has no equation for."""
     for sensor in REGISTRY:
         if only is not None and sensor not in only:
             choice.topics.pop(sensor, None)
@@ -269,97 +258,12 @@ def _leave_out(choice: Choice, only: Collection[str] | None, preset: str) -> Non
             choice.absent[sensor] = "the paper has no equation for it (--preset paper)"
 
 
-def merged_tables(log: Log, how: LogOptions) -> dict[str, Any]:
-    """Return robot.toml as tables: the preset's, then the log's attachment, --robot, and --set, key by key."""
-    tables = robot_toml.layered(*_layers(log, how).values())
-    tables.setdefault("preset", "default")
-    return robot_toml.merge(filters.TABLES[tables["preset"]], tables)
-
-
-def _layers(log: Log, how: LogOptions) -> dict[str, dict[str, Any]]:
-    """Return the tables that somebody gave, by who did; what comes later wins."""
-    layers: dict[str, dict[str, Any]] = {}
-    files = [_checked(read_small(file, MAX_ROBOT_TOML), str(file)) for file in how.robot_files]
-    if files:
-        layers["--robot"] = robot_toml.merge(*files)
-    sets = _set_tables(how.sets)
-    if how.order:
-        sets["order"] = how.order
-    if how.preset:
-        sets["preset"] = how.preset
-    layers["--set"] = sets
-    if ATTACHMENT in log.attachments:
-        attached = _checked(log.attachments[ATTACHMENT], f"{log.name}: attachment {ATTACHMENT}")
-        layers = {"robot.toml in the log": _of_log(log, attached, layers), **layers}
-    return layers
-
-
-def _of_log(log: Log, tables: dict[str, Any], above: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
-    """Return the log's own tables, the files that they name in the log's folder.
-
-    The log may be a stranger's: it names no other file of the reader. Raises LocfuseError where it does, unless
-    a place above says the same key.
-    """
-    said = {key for others in above.values() for key in _keys(others)}
-    for table, key, text in list(files_of(tables)):
-        if f"{table}.{key}" in said or log.recorded(text):
-            continue
-        folder = log.paths[0].parent
-        if not isinstance(folder, Path) or not _is_below(folder, text):
-            raise LocfuseError(
-                f"{log.name}: attachment {ATTACHMENT}: {table}.{key} names the file {text!r}: a log may name only "
-                "files in its own folder, by a path without '..'",
-                hint=f"give {table}.{key} in a file of your own: --robot FILE",
-            )
-        place = str(folder / text)
-        before = tables[table][key]
-        now = place if isinstance(before, str) else [place if one == text else one for one in before]
-        tables = robot_toml.merge(tables, {table: {key: now}})
-    return tables
-
-
-def _is_below(folder: Path, text: str) -> bool:
-    """Return whether a path is relative and leads into a folder, links followed."""
-    path = Path(text)
-    if path.is_absolute() or ".." in path.parts or text.startswith("~") or "\0" in text:
-        return False
-    return (folder / path).resolve().is_relative_to(folder.resolve())
-
-
-def _sources(log: Log, how: LogOptions) -> dict[str, str]:
-    """Return who set each key, "lrf.x" -> "--robot"."""
-    return {key: who for who, tables in _layers(log, how).items() for key in _keys(tables)}
-
-
-def _keys(tables: Mapping[str, Any]) -> list[str]:
-    """Return "table.key" of every key in tables; keys above all tables by their own names."""
-    inside = ((t, list(v) if isinstance(v, Mapping) else [""]) for t, v in tables.items())
-    return [f"{table}.{key}".rstrip(".") for table, keys in inside for key in keys]
-
-
-def check_settings(how: LogOptions) -> None:
-    """Raise LocfuseError for settings that fit no log at all: known before the first of many is opened."""
-    _set_tables(how.sets)
-    for file in how.robot_files:
-        _checked(read_small(file, MAX_ROBOT_TOML), str(file))
-
-
-def _set_tables(words: Sequence[str]) -> dict[str, Any]:
-    """Return the words of --set as tables. Raises UsageError for a key or value that fits nothing."""
-    try:
-        sets = robot_toml.apply_sets(words)
-        make_robot(sets)
-    except LocfuseError as e:
-        raise UsageError(e.message, role=e.role, fixes=e.fixes, hint=e.hint) from None
-    return sets
-
-
 def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = silent) -> Loaded:
     """Return the same log under other settings: only sensors whose own tables change are measured again.
 
     Raises UsageError for settings that choose what is read, which needs a new `load`.
     """
-    sets = _set_tables(words)
+    sets = set_tables(words)
     _refuse_other_reading(loaded, sets)
     tables = robot_toml.layered(loaded.tables, sets)
     same = {table for table in tables if _measured_by(tables, table) == _measured_by(loaded.tables, table)}
@@ -371,12 +275,12 @@ def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = sil
         unchanged = {s: m for s, m in unchanged.items() if "shared" not in m.extra}
     if "gyro" in tables and "gyro" not in same:
         unchanged.pop("compass", None)  # its field is levelled by the IMU, as that is mounted
-    asked = None if loaded.asked is None else with_files(robot_toml.layered(loaded.asked, sets))
+    given = None if loaded.given is None else with_files(robot_toml.layered(loaded.given, sets))
     choice = deepcopy(loaded.choice)
     before = loaded if wheels else replace(loaded, reading=None)
     found = measured(loaded.log, tables, choice, progress, known=unchanged, before=before)
-    sources = {**loaded.sources, **dict.fromkeys(_keys(sets), "--set")}
-    return _within(replace(found, sources=sources, asked=asked, hash_all=loaded.hash_all), loaded.window)
+    sources = {**loaded.sources, **dict.fromkeys(keys_of(sets), "--set")}
+    return _within(replace(found, sources=sources, given=given, hash_all=loaded.hash_all), loaded.window)
 
 
 def _measured_by(tables: Mapping[str, Any], table: str) -> Any:
@@ -395,51 +299,6 @@ def _refuse_other_reading(loaded: Loaded, sets: Mapping[str, Any]) -> None:
         raise UsageError(f"{reading[0]} decides what is read of the log: give it when the log is loaded (--set)")
     if loaded.robot.lines:
         raise UsageError("this session was given a map: change the settings first, then with_map(FILE)")
-
-
-def named_by_hand(sets: Sequence[str]) -> set[str]:
-    """Return the tables whose topic the command line names."""
-    tables = robot_toml.apply_sets(sets).items()
-    return {table for table, keys in tables if isinstance(keys, dict) and ("topic" in keys or "topics" in keys)}
-
-
-def _checked(data: bytes, source: str) -> dict[str, Any]:
-    """Parse one robot.toml and check its keys while its name is known."""
-    tables = robot_toml.parse(data, source)
-    try:
-        make_robot(tables)
-    except LocfuseError as e:
-        raise LocfuseError(f"{source}: {e}") from None
-    return tables
-
-
-def table_types() -> dict[str, type[msgspec.Struct]]:
-    """Return the tables of robot.toml with their keys: the robot's, then every sensor's."""
-    return {**BASE_TABLES, **{name: sensor.Settings for name, sensor in REGISTRY.items()}}
-
-
-def make_robot(tables: Mapping[str, Any]) -> Robot:
-    """Turn tables into typed settings; an unknown key is an error that names the nearest."""
-    tables = dict(tables)
-    order = tables.pop("order", "auto")
-    if order not in ORDERS:
-        raise LocfuseError(f"order = {order!r}; choose from {', '.join(ORDERS)}")
-    preset = tables.pop("preset", "default")
-    if preset not in PRESETS:
-        raise LocfuseError(f"preset = {preset!r}; choose from {', '.join(PRESETS)}")
-    types = table_types()
-    settings = robot_toml.convert(tables, types)
-    defaults = {name: kind() for name, kind in types.items()}
-    found: dict[str, Any] = {**defaults, **settings}
-    return Robot(
-        wheels=found["wheels"],
-        start=found["start"],
-        truth=found["truth"],
-        sensors={name: found[name] for name in REGISTRY},
-        order=order,
-        preset=preset,
-        start_given="start" in tables,
-    )
 
 
 def _streams(log: Log, choice: Choice, order: str) -> dict[str, Any]:
@@ -465,7 +324,7 @@ def _light(role: str, msgtype: str) -> tuple[str, ...]:
 
 
 def _clock_notes(streams: Mapping[str, Any]) -> list[str]:
-    """Say which clock was taken where it is not simply the header's, and what is odd about it."""
+    """Return a note per role whose clock is not simply the header's, and what is unusual about it."""
     notes: dict[str, None] = {}  # as a set in order: several topics of one role may say the same
     for role, stream in streams.items():
         for part in parts(stream):
@@ -498,7 +357,7 @@ def _first_places(robot: Robot, drive: Drive) -> tuple[Array, Array] | None:
 
 
 def start_notes(robot: Robot, drive: Drive) -> list[str]:
-    """Warn where the truth begins elsewhere than the wheels are, and nobody said where the drive starts."""
+    """Return a note where the truth begins elsewhere than the wheels are, and [start] is not set."""
     places = _first_places(robot, drive)
     if places is None or math.hypot(*(places[0] - places[1])) < 0.05:
         return []

@@ -1,7 +1,7 @@
 """A map leaves one run and is given to another: --save-map and --map; landmarks as a .csv.
 
 A given map may also be an occupancy grid, as an image with its YAML or as a topic of the log: its walls become the
-lines of the map. Where the drive begins in it is looked for unless [start] says it.
+lines of the map. Where the drive begins in it is searched for, unless [start] is set.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ def give(loaded: Loaded, file: Path) -> Loaded:
     if file.suffix in map_image.PICTURES:
         raise UsageError(f"--map {file}: name the .yaml beside the image, which says where it lies")
     if file.suffix not in map_image.SUFFIXES:
-        return replace(loaded, asked=None, robot=_within(loaded.robot, line_map.read(file), str(file)))
-    return _give_grid(replace(loaded, asked=None), Grid(*map_image.read(file)), str(file))
+        return replace(loaded, given=None, robot=_within(loaded.robot, line_map.read(file), str(file)))
+    return _give_grid(replace(loaded, given=None), Grid(*map_image.read(file)), str(file))
 
 
 def give_topic(loaded: Loaded) -> Loaded:
@@ -92,7 +92,7 @@ def _give_grid(loaded: Loaded, grid: Grid, name: str) -> Loaded:
 
 
 def _begun(loaded: Loaded, grid: Grid, name: str) -> Loaded:
-    """Return the log with the start that the map and the first scans say."""
+    """Return the log with the start found by matching the first scans with the map."""
     from locfuse.fusion.map.given_search import at_start, find_start
 
     drive, robot = loaded.drive, loaded.robot

@@ -1,4 +1,4 @@
-"""The heap of the process: the one place where the allocator and the garbage collector are told what to do."""
+"""The heap of the process: the one place that configures the allocator and the garbage collector."""
 
 from __future__ import annotations
 

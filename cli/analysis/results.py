@@ -1,4 +1,4 @@
-"""From a measured log to what is written and said: report, files, exit code."""
+"""From a measured log to the report, the settings file and the losses."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from locfuse.formats.versions import own
 from locfuse.fusion.data import Evaluation
 from locfuse.fusion.robot import Robot
 
-from .key import Asked
-from .load import Loaded, make_robot
+from .load import Loaded
+from .robot_tables import make_robot
+from .settings import Asked
 
-LOSS = 3
 REFUSED_SHARE = 0.01  # of a used sensor's readings: more is a loss
 # exact repeats, readings before or after the wheels, messages of an arm on the wheels' topic
 NOT_A_LOSS = ("repeat", "outside_wheels", "other_joints", "other_bodies", "not_in_map", "ignored")
@@ -137,7 +137,7 @@ def _date(epoch_ns: int) -> str | None:
 
 
 def default_folder(name: str) -> Path:
-    """Return where results go unless -o says otherwise."""
+    """Return the folder of results where no other is given."""
     return Path("locfuse-out") / name
 
 
@@ -147,7 +147,7 @@ def loss_lines(loaded: Loaded, used: Sequence[str], strict: bool) -> list[str]:
 
 
 def lost_in(report: Mapping[str, Any], strict: bool) -> list[str]:
-    """Return in words what a finished report says was lost, as `loss_lines` does of a log."""
+    """Return in words what was lost by a finished report, as `loss_lines` does for a log."""
     source = report["input"]
     bytes_lost = [f"{reason} ({lost['bytes']} bytes)" for reason, lost in source.get("losses", {}).items()]
     used = sorted({s for values in report["configurations"].values() for s in values["sensors"]})

@@ -1,4 +1,4 @@
-"""What the user chose, on the command line or in Python: how to read a log, and which outputs to write.
+"""What the user chose, on the command line or in Python: how to read a log, what to compute, what to write.
 
 Every command imports this for its options, so NumPy is imported inside the functions that need what needs it.
 """
@@ -8,9 +8,11 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import msgspec
+from msgspec import field
+from msgspec.structs import replace
 
 PathLike = str | os.PathLike[str]
 Sets = Mapping[str, Any] | Iterable[str]  # {"lrf.topic": "/scan"}, or as typed: ["lrf.topic=/scan"]
@@ -29,16 +31,17 @@ def silent(step: str) -> None:
 class LogOptions(msgspec.Struct, frozen=True):
     """How to read a log."""
 
-    robot: Path | None
-    sets: tuple[str, ...]
-    order: str | None
-    strict: bool
-    quiet: bool
+    robot: Path | None = None
+    sets: tuple[str, ...] = ()
+    order: str | None = None
+    strict: bool = False
+    quiet: bool = False
     preset: str | None = None
     begin: float | None = None  # s since the first wheel reading: only what comes later is used
     end: float | None = None  # s: only what comes earlier
     hash_all: bool = False  # hash every byte of the log for the report
     over: tuple[Path, ...] = ()  # more robot.toml files, merged over `robot`, later ones over earlier ones
+    given_map: Path | None = None  # the laser localises in it
 
     @property
     def robot_files(self) -> tuple[Path, ...]:
@@ -46,26 +49,70 @@ class LogOptions(msgspec.Struct, frozen=True):
         return () if self.robot is None else (self.robot, *self.over)
 
 
-class MapOptions(msgspec.Struct, frozen=True):
-    """Which map the laser is given, and where the map that it made goes."""
+class Choices(TypedDict, total=False):
+    """The keywords of `Session.compare`: the fields of `Asked`."""
 
-    given: Path | None
-    save: Path | None
+    all_subsets: bool
+    align: str
+    smooth: bool
+    jitter: int
+    reference: bool | None
+    advice: bool
+    estimates: Mapping[str, str]
+    audits: bool
 
-    def check(self, sensors: tuple[str, ...]) -> None:
-        """Raise UsageError where maps are asked of a run without a laser."""
+
+class Asked(msgspec.Struct, frozen=True):
+    """What is asked of a log: which configurations, how they are judged, and what is done beside that."""
+
+    sensors: tuple[str, ...] = ()  # a configuration each, as --sensors names them; none: the default ones
+    all_subsets: bool = False
+    align: str = "none"
+    smooth: bool = False
+    jitter: int = 0  # runs
+    reference: bool | None = None  # one takes the place of truth; None: where the drive is short enough
+    advice: bool = True  # fixes are tried
+    estimates: Mapping[str, str] = field(default_factory=dict)  # of other people: name -> topic or file
+    audits: bool = True  # every measurement's verdict is kept
+
+    def of_each(self) -> Asked:
+        """Return what is asked of each of many logs: they are compared, and a single log is advised on.
+
+        Raises UsageError for what only one drive can give.
+        """
         from locfuse.fusion.data import UsageError
 
-        asked = "--map" if self.given is not None else "--save-map" if self.save is not None else None
-        if (
-            asked == "--save-map"
-            and "landmarks" in sensors
-            and self.save is not None
-            and self.save.suffix == ".csv"
-        ):
-            return
-        if asked and "lrf" not in sensors:
-            raise UsageError(f"{asked}: only the laser has a map; add lrf to --sensors")
+        for name, source in self.estimates.items():
+            raise UsageError(f"--estimate {name}={source}: it is of one drive: compare one log at a time")
+        if self.jitter:
+            raise UsageError(
+                f"--jitter {self.jitter}: several logs say by themselves what is chance; give one log"
+            )
+        if self.reference:
+            raise UsageError("--reference: it is of one drive: compare one log at a time")
+        return replace(self, reference=False, advice=False, audits=False)
+
+
+class GateOptions(msgspec.Struct, frozen=True):
+    """What results must hold, as typed."""
+
+    fail_if: tuple[str, ...] = ()
+    baseline: Path | None = None
+    tolerance: str = "5%"
+
+
+class Outputs(msgspec.Struct, frozen=True):
+    """What is written, and where."""
+
+    out: Path | None = None  # folder; None: locfuse-out/<log name>
+    overwrite: bool = False
+    write: frozenset[str] = frozenset()  # kinds of output
+    export: frozenset[str] = frozenset()  # formats of other tools
+    figures: Path | None = None  # folder
+    audit: Path | None = None  # .csv
+    save_map: Path | None = None
+    as_json: bool = False  # the report on stdout
+    open: bool = False  # the page in the browser
 
 
 def log_options(robot: PathLike | None, sets: Sets | None, order: str | None, preset: str | None) -> LogOptions:
@@ -78,7 +125,7 @@ def log_options(robot: PathLike | None, sets: Sets | None, order: str | None, pr
     file = None if robot is None else path_of(robot)
     if file is not None and not file.is_file():
         raise UsageError(f"robot: {file} is no file; make one with: locfuse init LOG > robot.toml")
-    return LogOptions(file, set_words(sets), order, strict=False, quiet=True, preset=preset)
+    return LogOptions(file, set_words(sets), order, quiet=True, preset=preset)
 
 
 def set_words(sets: Sets | None) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""What a report says of trust: every sensor's noise without truth, every covariance with truth, any reference."""
+"""Trust in the report: each sensor's noise without truth, each covariance with truth, any reference."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from locfuse.fusion.robot import Robot
 
 
 def evidence(drive: Drive, estimates: Estimates, robot: Robot) -> list[Run]:
-    """Return what a run says of its sensors' noise; nothing where it is smoothed or has no noise to set.
+    """Return the evidence of a run about its sensors' noise; nothing where it is smoothed or has no noise to set.
 
-    The noise of the printed filter is the print's, whatever robot.toml says.
+    The noise of the paper's filter is fixed by the paper, whatever is set in robot.toml.
     """
     return [] if estimates.smoothed or robot.preset == "paper" else [Run.of(drive, estimates)]
 
@@ -27,7 +27,7 @@ def evidence(drive: Drive, estimates: Estimates, robot: Robot) -> list[Run]:
 def sensors_consistency(
     runs: Sequence[Run], robot: Robot, by_truth: Mapping[str, Honesty | None]
 ) -> dict[str, dict[str, Consistency]]:
-    """Return what all runs say of every sensor's noise: configuration -> sensor -> Consistency; {} for no runs."""
+    """Return the verdicts of runs on every sensor's noise, by configuration and sensor; {} for no runs."""
     return judge(runs, robot, overconfident(by_truth)) if runs else {}
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
+from locfuse.cli.analysis.settings import Outputs
 from locfuse.cli.terminal import show
 from locfuse.cli.terminal.screen import put, say
 from locfuse.formats.caps import MAX_REPORT
@@ -19,12 +20,10 @@ from locfuse.formats.report import json_report
 from locfuse.formats.whole_files import write_results
 from locfuse.fusion.data import LocfuseError, UsageError
 
-from .compare_one_log import Wish
-
 FOLLOWED = ("log", "out", "overwrite", "as_json", "quiet")  # options that finished results can follow
 
 
-def changes(files: Sequence[Path], wish: Wish) -> int:
+def changes(files: Sequence[Path], outputs: Outputs) -> int:
     """Set finished results beside the first of them and print what changed."""
     _refuse_what_needs_a_log()
     reports = [_read(file) for file in files]
@@ -33,11 +32,11 @@ def changes(files: Sequence[Path], wish: Wish) -> int:
     before = str(first[0].parent)
     values = {"before": before, "after": found}
     written: dict[str, str] = {}
-    if wish.out is not None:
+    if outputs.out is not None:
         texts = [sides.render((before, after), c) for after, c in found.items()]
         written = {"changes.json": json_report.encode(values), "changes.md": "\n".join(texts)}
-        write_results(wish.out, written, wish.overwrite)
-    if wish.as_json:
+        write_results(outputs.out, written, outputs.overwrite)
+    if outputs.as_json:
         put(json_report.encode(values))
         return 0
     for after, one in found.items():
@@ -46,12 +45,12 @@ def changes(files: Sequence[Path], wish: Wish) -> int:
         for line in sides.remarks(one):
             say(line)
     if written:
-        say(f"{wish.out}: {', '.join(written)}")
+        say(f"{outputs.out}: {', '.join(written)}")
     return 0
 
 
 def _refuse_what_needs_a_log() -> None:
-    """Raise UsageError for an option that finished results cannot follow: no gate passes by being passed over."""
+    """Raise UsageError for an option that finished results cannot follow: a gate is never skipped silently."""
     context = click.get_current_context()
     for option in context.command.params:
         given = context.get_parameter_source(str(option.name)) is ParameterSource.COMMANDLINE

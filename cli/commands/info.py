@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from locfuse.cli.analysis.errors import LOSS
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.terminal import completion
-from locfuse.cli.terminal.options import advice_option, log_options
+from locfuse.cli.terminal.options import ADVICE, log_options
 from locfuse.cli.terminal.screen import put, reader_may_leave
 
 if TYPE_CHECKING:
     from locfuse.cli.inspect.overview import Overview
 
-SOMETHING_LOST = 3
 PICTURES = "pictures"
 TRIED = "tried by fusing"
 
@@ -28,7 +28,7 @@ TRIED = "tried by fusing"
     is_flag=True,
     help="Also try the fixes by fusing again. Exit with 3 if something would spoil an estimate, or a run is lost.",
 )
-@advice_option
+@ADVICE
 @click.option("--topics", is_flag=True, help="List the topics and nothing else: no message is read.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @click.option(
@@ -84,7 +84,7 @@ def info(
     show.transfer(overview.log.transfer, how.quiet)
     losses = {"lost", "refused"} if how.strict else {"lost"}
     lost = any(o.code in losses for o in overview.findings)
-    return SOMETHING_LOST if lost or (check and (overview.severe or void_reasons(tried))) else 0
+    return LOSS if lost or (check and (overview.severe or void_reasons(tried))) else 0
 
 
 def _tried(log: tuple[str, ...], how: LogOptions, progress: Callable[[str], None]) -> dict[str, Any]:
@@ -95,11 +95,11 @@ def _tried(log: tuple[str, ...], how: LogOptions, progress: Callable[[str], None
     try:
         return opened(log, how, progress).findings()
     except LocfuseError:
-        return {}  # the findings of measuring say why
+        return {}  # the findings of measuring have the reason
 
 
 def _list_topics(words: tuple[str, ...], as_json: bool, quiet: bool) -> int:
-    """Print what a log says of itself: of one that is elsewhere the summary alone is read."""
+    """Print the topics that a log lists: of one that is elsewhere only the summary is read."""
     from locfuse.cli.analysis.load import find_log
     from locfuse.cli.inspect import values
     from locfuse.cli.terminal import info_text, show
@@ -113,7 +113,7 @@ def _list_topics(words: tuple[str, ...], as_json: bool, quiet: bool) -> int:
         else:
             show.lines(info_text.listed(values.listed(log), show.width()))
     show.transfer(log.transfer, quiet)
-    return SOMETHING_LOST if log.losses else 0
+    return LOSS if log.losses else 0
 
 
 def _typed(log: tuple[str, ...], how: LogOptions) -> list[str]:

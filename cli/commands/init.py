@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from msgspec.structs import replace
 
+from locfuse.cli.analysis.errors import LOSS
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.options import log_options
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from locfuse.cli.inspect.template import Draft
     from locfuse.formats.container.url import Place
 
-LOSS = 3
 SCHEMA = "robot.schema.json"  # beside robot.toml: a path that holds on every machine, and wherever both are moved
 FILE = click.Path(path_type=Path, dir_okay=False)
 
@@ -71,11 +71,11 @@ def init(
     may_replace(out, overwrite, log)
     place = update or out
     with show.progress(how.quiet) as progress:
-        said, notes = _translated(find_log(log), ekf)
-        made = draft(find_log(log), how, progress, said)
-    if place is not None and made.missing and not how.quiet and (told := _asked(made)):
+        foreign, notes = _translated(find_log(log), ekf)
+        made = draft(find_log(log), how, progress, foreign)
+    if place is not None and made.missing and not how.quiet and (typed := _asked(made)):
         with show.progress(how.quiet) as progress:
-            made = draft(find_log(log), replace(how, sets=(*how.sets, *told)), progress, said)
+            made = draft(find_log(log), replace(how, sets=(*how.sets, *typed)), progress, foreign)
     words = printable(shlex.join(log))
     name = printable(shlex.quote(str(place or "robot.toml")))
     text = _fresh(made, words, name) if update is None else _updated(made, update)
@@ -88,7 +88,7 @@ def init(
             put(text)
     lost = made.overview.log.losses.lines()
     for line in lost:
-        show.say(f"lost: {line}")  # the reason of exit code 3: said under --quiet too
+        show.say(f"lost: {line}")  # the reason of exit code 3: printed with --quiet too
     for note in notes:
         say(f"{ekf}: {note}")
     if not how.quiet:

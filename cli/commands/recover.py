@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING
 
 import click
 
+from locfuse.cli.analysis.errors import LOSS
 from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.screen import put, reader_may_leave, say
 
 if TYPE_CHECKING:
     from locfuse.formats.results.recovered_log import Recovered
-
-LOSS = 3
 
 
 @click.command()

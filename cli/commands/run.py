@@ -2,77 +2,43 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
 from locfuse.cli.analysis.settings import OF_RUN as KINDS
-from locfuse.cli.analysis.settings import LogOptions, MapOptions
-from locfuse.cli.rerun.record import RerunOptions, record
 from locfuse.cli.terminal import completion
-from locfuse.cli.terminal.options import (
-    advice_option,
-    chosen,
-    export_option,
-    jitter_option,
-    log_options,
-    map_options,
-    out_options,
-    preset_option,
-    smooth_option,
-    window_options,
-)
-from locfuse.cli.terminal.rerun_options import rerun_options
+from locfuse.cli.terminal import options as o
 
 
 @click.command()
 @click.argument("log", nargs=-1, required=True, shell_complete=completion.logs)
-@click.option(
-    "--sensors",
-    shell_complete=completion.sensors,
-    default="all",
-    show_default=True,
-    help="Comma-separated sensors, or: all, odometry.",
+@o.carried(
+    click.option(
+        "--sensors",
+        shell_complete=completion.sensors,
+        default="all",
+        show_default=True,
+        callback=lambda context, parameter, value: (value,),
+        help="Comma-separated sensors, or: all, odometry.",
+    ),
+    o.ALIGN,
+    o.SMOOTH,
+    o.ADVICE,
+    o.JITTER,
+    click.option(
+        "--audit",
+        type=o.FILE,
+        help="Write every measurement with its distance, threshold and verdict to this CSV.",
+    ),
+    *o.READING,
+    o.PRESET,
+    *o.WINDOW,
+    *o.written(KINDS),
+    o.EXPORT,
+    o.GIVEN_MAP,
+    click.option("--save-map", type=o.FILE, help="Write the line map of this run as JSON, its landmarks as .csv."),
+    *o.RERUN,
 )
-@click.option(
-    "--align",
-    type=click.Choice(["none", "origin", "se2"]),
-    default="none",
-    show_default=True,
-    help="Move the estimate onto the truth before judging it.",
-)
-@smooth_option
-@advice_option
-@jitter_option
-@click.option(
-    "--audit",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Write every measurement with its distance, threshold and verdict to this CSV.",
-)
-@log_options
-@preset_option
-@window_options
-@out_options(KINDS)
-@export_option
-@map_options
-@rerun_options
-def run(
-    log: tuple[str, ...],
-    sensors: str,
-    align: str,
-    smooth: bool,
-    advice: bool,
-    jitter: int,
-    audit: Path | None,
-    how: LogOptions,
-    out: Path | None,
-    overwrite: bool,
-    write: str | None,
-    as_json: bool,
-    export: set[str],
-    maps: MapOptions,
-    rerun: RerunOptions,
-) -> int:
+def run(log: tuple[str, ...], options: o.Options) -> int:
     """Estimate the trajectory of LOG with one set of sensors.
 
     LOG is an .mcap, the parts of a split one, a rosbag2 folder, or the name of a sample log.
@@ -81,30 +47,38 @@ def run(
     locfuse run rounded_rectangle --sensors all
     locfuse run bag/ --sensors compass,lrf --robot robot.toml -o out
     """
-    from locfuse.cli.analysis.results import LOSS, default_folder
+    from locfuse.cli.analysis.errors import LOSS
+    from locfuse.cli.analysis.results import default_folder
     from locfuse.cli.session.session import opened
     from locfuse.cli.terminal import show
     from locfuse.formats.whole_files import may_replace, may_write
 
-    kinds = chosen(write, KINDS)
-    for file in (audit, maps.save, rerun.save):
-        may_replace(file, overwrite, log)
+    how, asked, outputs, rerun = options.how, options.asked, options.outputs, options.rerun
+    for file in (outputs.audit, outputs.save_map, rerun.save):
+        may_replace(file, outputs.overwrite, log)
     with show.progress(how.quiet) as progress:
         session = opened(log, how, progress, read_again=rerun.wanted)
-        if maps.given is not None:
-            session = session.with_map(maps.given)
-        configuration = session.configuration(sensors)
-        maps.check(configuration.sensors)
-        may_write(out or default_folder(session.log.name), overwrite, (*how.robot_files, maps.given))
-        result = session.run(configuration, align=align, smooth=smooth, advice=advice, jitter=jitter)
-        files = result.write(out, write=kinds, export=export, overwrite=overwrite)
-        if maps.save is not None:
-            result.save_map(maps.save)
-        if audit is not None:
-            result.write_audit(audit)
-    lost = result.losses(how.strict)
-    show.result(result.report, files, as_json)
-    show.notes(result.report, lost, how.quiet)
-    show.transfer(session.log.transfer, how.quiet)
-    record(rerun, result, files[0].parent, show.say)
-    return LOSS if lost else 0
+        configuration = session.configuration(asked.sensors[0])
+        _refuse_maps_without_laser(options, configuration.sensors)
+        may_write(outputs.out or default_folder(session.log.name), outputs.overwrite, options.inputs)
+        result = session.run(
+            configuration, align=asked.align, smooth=asked.smooth, advice=asked.advice, jitter=asked.jitter
+        )
+        files = result.write(outputs.out, write=outputs.write, export=outputs.export, overwrite=outputs.overwrite)
+        if outputs.save_map is not None:
+            result.save_map(outputs.save_map)
+        if outputs.audit is not None:
+            result.write_audit(outputs.audit)
+    return LOSS if show.outcome(result, files, options) else 0
+
+
+def _refuse_maps_without_laser(options: o.Options, sensors: tuple[str, ...]) -> None:
+    """Raise UsageError where a map is given to a run without a laser, or is to be saved of one."""
+    from locfuse.fusion.data import UsageError
+
+    save = options.outputs.save_map
+    of_landmarks = save is not None and save.suffix == ".csv" and "landmarks" in sensors
+    saved = save is not None and not of_landmarks
+    option = "--map" if options.how.given_map is not None else "--save-map" if saved else None
+    if option and "lrf" not in sensors:
+        raise UsageError(f"{option}: only the laser has a map; add lrf to --sensors")

@@ -13,14 +13,14 @@ import msgspec
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.rerun.record import RECORDING
 from locfuse.cli.terminal import completion
-from locfuse.cli.terminal.options import log_options
-from locfuse.cli.terminal.rerun_options import address, detail_options
+from locfuse.cli.terminal.options import address, detail, log_options
 from locfuse.cli.terminal.screen import say
 
 if TYPE_CHECKING:
     from locfuse.cli.terminal.show import Progress
     from locfuse.formats.rerun.scene import Scene
 
+IMAGES, FULL = detail("")
 TABS = ("Deviation", "Close-up", "NIS", "Innovation", "Gates", "Result", "Raw topics")
 
 
@@ -52,7 +52,8 @@ class Wish(msgspec.Struct, frozen=True):
 @click.option("--web", is_flag=True, help="Serve it to a browser on this machine, on 127.0.0.1 only.")
 @click.option("--web-port", type=click.IntRange(1, 65535), default=9090, show_default=True)
 @click.option("--tab", type=click.Choice(TABS, case_sensitive=False), help="Which curves lie in front.")
-@detail_options("")
+@IMAGES
+@FULL
 @log_options
 def view(
     what: tuple[str, ...],
@@ -116,7 +117,7 @@ def ready(what: Sequence[str]) -> Path | None:
     if len(what) > 1 or report is None or not recording.is_file():
         return None
     if recording.stat().st_mtime < report.stat().st_mtime:
-        return None  # a recording older than the report tells of other settings
+        return None  # a recording older than the report may be of other settings
     check(recording)
     return recording
 

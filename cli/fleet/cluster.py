@@ -7,53 +7,29 @@ from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor as Pool
-from concurrent.futures import Future
+from collections.abc import Iterator
+from concurrent.futures import Executor
 from contextlib import contextmanager
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 from locfuse.formats.versions import own
 from locfuse.fusion.data import LocfuseError
-
-from . import process
-from .job import Job, Outcome
 
 INSTALL = "pip install 'locfuse[cluster]'"
 PATIENCE_S = 20.0  # for a scheduler to answer, and for its first worker
 RETRIES = 2  # of a job whose worker raised what no job raises
 
 
-class Cluster:
-    """The workers behind a scheduler. What is finished already is found here and not sent."""
-
-    def __init__(self, pool: Pool, slots: int) -> None:
-        self.slots = slots  # jobs at once
-        self._pool = pool
-        self._folder = str(Path.cwd())
-        self._version = own()
-
-    def submit(self, _fn: Callable[[Job], Outcome], job: Job, /) -> Future[Outcome]:
-        """Have a job run by some worker in the folder in which the command was typed."""
-        outcome = process.already(job)
-        if outcome is None:
-            return self._pool.submit(process.run_elsewhere, job, self._folder, self._version)
-        future: Future[Outcome] = Future()
-        future.set_result(outcome)
-        return future
-
-
 @contextmanager
-def cluster(address: str) -> Iterator[Cluster]:
-    """Connect to a scheduler, such as "tcp://127.0.0.1:8786".
+def cluster(address: str) -> Iterator[tuple[Executor, int]]:
+    """Connect to a scheduler, such as "tcp://127.0.0.1:8786"; yield its executor and how many jobs run at once.
 
     Raises LocfuseError where none answers, where it has no workers, or where a worker has another locfuse.
     """
     with _connected(address) as client:
         _check_workers(address, client)
-        yield Cluster(client.get_executor(retries=RETRIES, pure=False), sum(client.nthreads().values()))
+        yield client.get_executor(retries=RETRIES, pure=False), sum(client.nthreads().values())
 
 
 @contextmanager
@@ -90,17 +66,6 @@ def _check_workers(address: str, client: Any) -> None:
             raise LocfuseError(f"--cluster {address}: worker {worker} has no locfuse: pip install locfuse=={ours}")
         if found != ours:
             raise LocfuseError(f"--cluster {address}: worker {worker} has locfuse {found}, this is {ours}")
-
-
-def lost(job: Job, problem: BaseException) -> Outcome:
-    """Return what became of a job of which the cluster gave no outcome."""
-    kind = type(problem).__name__
-    words = {
-        "KilledWorker": "every worker that ran it died; often too little memory",
-        "CancelledError": "the connection to the scheduler was lost",
-        "ModuleNotFoundError": f"a worker cannot import what it needs: {_line(problem)}",
-    }
-    return Outcome(job.name, "failed", words.get(kind, f"the cluster failed it: {kind}: {_line(problem)}"))
 
 
 def _line(problem: Any) -> str:

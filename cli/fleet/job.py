@@ -1,4 +1,4 @@
-"""A job: one log, what is asked of it, and what became of it. Plain values, so that another machine can run it."""
+"""A job: one log, what is asked of it, and how it ended. Plain values, so that another machine can run it."""
 
 from __future__ import annotations
 
@@ -7,11 +7,25 @@ from typing import Literal
 
 import msgspec
 
-from locfuse.cli.analysis.key import Asked
-from locfuse.cli.analysis.settings import LogOptions
+from locfuse.cli.analysis.settings import Asked, LogOptions, Outputs
 from locfuse.cli.rerun.recordings import Recording
 
-State = Literal["done", "failed"]
+
+class FleetOptions(msgspec.Struct, frozen=True):
+    """What is asked of many logs beyond a single one."""
+
+    jobs: int = 1  # at once
+    max_failures: int | None = None
+    again: bool = False
+    each: tuple[str, ...] = ()  # folders
+    robot_from: str | None = None
+    sweep: tuple[str, ...] = ()  # as typed: "lrf.sigma_range=0.01,0.03"
+    cluster: str | None = None
+
+    @property
+    def asked(self) -> bool:
+        """Whether even a single log is treated as one of many."""
+        return bool(self.each or self.robot_from or self.sweep or self.again or self.cluster)
 
 
 class Cell(msgspec.Struct, frozen=True):
@@ -20,61 +34,40 @@ class Cell(msgspec.Struct, frozen=True):
     name: str = ""  # "lrf.sigma_range=0.03 compass.sigma_deg=2"
     sets: tuple[str, ...] = ()
 
+    @property
+    def folder(self) -> str:
+        """The name of its folder."""
+        return self.name.replace(" ", ",")
 
-class Job(msgspec.Struct, frozen=True, kw_only=True):
+
+class Job(msgspec.Struct, frozen=True):
     """One log to be compared into a folder of its own."""
 
     name: str
     log: tuple[str, ...]  # its parts
-    folder: str  # of its results; a sweep's cells have folders in it
-    group: str | None = None  # the robot that it is of
-    robot: str | None = None  # robot.toml
-    sets: tuple[str, ...] = ()
-    order: str | None = None
-    preset: str | None = None
-    begin: float | None = None  # s since the first wheel reading: only what comes later is used
-    end: float | None = None  # s: only what comes earlier
-    hash_all: bool = False
+    folder: Path  # of its results; a sweep's cells have folders in it
+    how: LogOptions
     asked: Asked
-    kinds: tuple[str, ...]  # of output
-    export: tuple[str, ...] = ()
-    figures: str | None = None  # folder
-    overwrite: bool = False
+    outputs: Outputs
+    robot: str | None = None  # the one that the log is of
     cells: tuple[Cell, ...] = (Cell(),)
     recording: Recording | None = None
     again: bool = False  # run it even where its results are there
-    within: str | None = None  # the folder that paths are meant from; None: the current one
-
-    @property
-    def how(self) -> LogOptions:
-        """How its log is read."""
-        robot = None if self.robot is None else Path(self.robot)
-        return LogOptions(
-            robot,
-            self.sets,
-            self.order,
-            strict=False,
-            quiet=True,
-            preset=self.preset,
-            begin=self.begin,
-            end=self.end,
-            hash_all=self.hash_all,
-        )
 
     def recording_of(self, cell: Cell) -> str:
         """Return the name of a cell's recording."""
-        return f"{self.name},{cell.name.replace(' ', ',')}" if cell.name else self.name
+        return f"{self.name},{cell.folder}" if cell.name else self.name
 
     def place(self, cell: Cell) -> Path:
         """Return the folder of a cell's results."""
-        return Path(self.folder) / cell.name.replace(" ", ",") if cell.name else Path(self.folder)
+        return self.folder / cell.folder
 
 
 class Outcome(msgspec.Struct, frozen=True):
-    """What became of a job. Its results are in its folder."""
+    """How a job ended. Its results are in its folder."""
 
     name: str
-    state: State
+    state: Literal["done", "failed"]
     reason: str = ""  # why it failed, in one line
     misused: bool = False  # it failed by what was asked for, not by the log
     resumed: bool = False  # its results were there already

@@ -1,11 +1,13 @@
-"""Running one job: not at all where its results are there, else in a process of its own, whose end is a row.
+"""One job in a process of its own: whatever happens to it, the fleet gets a row.
 
-`run` takes and returns plain values and needs nothing but the folders: any executor with `submit` can call it.
+The process is `python -m locfuse.cli.fleet.process`: it reads the job on stdin and answers on stdout. It ends when
+its stdin does, so that nothing goes on running for a command that was killed.
 """
 
 from __future__ import annotations
 
 import os
+import pickle
 import signal
 import socket
 import subprocess
@@ -14,51 +16,37 @@ import tempfile
 import threading
 from contextlib import suppress
 
-import msgspec
-
+from locfuse.cli.analysis import maps
+from locfuse.cli.analysis.errors import expected
+from locfuse.cli.analysis.load import find_log, load_to_fuse, with_settings
+from locfuse.cli.analysis.memory import settle_heap
+from locfuse.cli.analysis.settings import silent
+from locfuse.cli.rerun.recordings import write
+from locfuse.cli.session.session import Session
 from locfuse.formats.versions import own
-from locfuse.fusion.data import LocfuseError, UsageError
 
-from .job import Job, Outcome
-from .resume import is_finished
+from .job import Cell, Job, Outcome
+from .resume import is_replaceable
 
-COMMAND = (sys.executable, "-m", "locfuse.cli.fleet.child")
-_RUNNING: set[subprocess.Popen[bytes]] = set()
-_STOPPED = threading.Event()
-
-
-def run(job: Job) -> Outcome:
-    """Run a job and return what became of it; whatever happens to its process is a reason, never an exception."""
-    return already(job) or _started(job)
+COMMAND = (sys.executable, "-m", "locfuse.cli.fleet.process")
+ORPHANED = 1  # exit code where the command that started it is gone
+RUNNING: set[subprocess.Popen[bytes]] = set()
 
 
-def already(job: Job) -> Outcome | None:
-    """Return the outcome of a job that needs no process: its results are there, or its log cannot be opened."""
-    try:
-        return Outcome(job.name, "done", resumed=True) if is_finished(job) else None
-    except LocfuseError as problem:
-        return Outcome(job.name, "failed", " ".join(str(problem).split()), isinstance(problem, UsageError))
-
-
-def run_elsewhere(job: Job, folder: str, wanted: str) -> Outcome:
-    """Run a job on another machine: in `folder`, on disks that are shared, by locfuse of version `wanted`."""
+def run(job: Job, folder: str, version: str) -> Outcome:
+    """Run a job in a process: in `folder`, which machines share, by the locfuse of this `version`."""
     machine = socket.gethostname()
-    if (ours := own()) != wanted:
-        return Outcome(job.name, "failed", f"worker on {machine}: it has locfuse {ours}, wanted was {wanted}")
+    if (ours := own()) != version:
+        return Outcome(job.name, "failed", f"worker on {machine}: it has locfuse {ours}, wanted was {version}")
     if not os.path.isdir(folder):  # noqa: PTH112 - as typed elsewhere
         return Outcome(job.name, "failed", f"worker on {machine}: it does not see the folder {folder}")
-    return _started(msgspec.structs.replace(job, within=folder))
-
-
-def _started(job: Job) -> Outcome:
     try:
-        return _in_a_process(job)
+        return _in_a_process(job, folder)
     except OSError as problem:
         return Outcome(job.name, "failed", f"no process could be started for it: {problem.strerror or problem}")
 
 
-def _in_a_process(job: Job) -> Outcome:
-    environment = {"OPENBLAS_NUM_THREADS": "1", **os.environ}
+def _in_a_process(job: Job, folder: str) -> Outcome:
     with (
         tempfile.TemporaryFile() as words,
         subprocess.Popen(
@@ -66,31 +54,29 @@ def _in_a_process(job: Job) -> Outcome:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=words,
-            env=environment,
-            cwd=job.within,
+            env={"OPENBLAS_NUM_THREADS": "1", **os.environ},
+            cwd=folder,
             start_new_session=True,  # Ctrl-C is for the command, which ends its processes itself
         ) as process,
     ):
-        _RUNNING.add(process)
-        if _STOPPED.is_set():
-            process.terminate()
         assert process.stdin is not None
         assert process.stdout is not None
-        with suppress(BrokenPipeError):  # it died at once: its exit code says how
-            process.stdin.write(msgspec.json.encode(job) + b"\n")
+        RUNNING.add(process)
+        with suppress(BrokenPipeError):  # it died at once: its exit code has the reason
+            process.stdin.write(pickle.dumps(job))
             process.stdin.flush()
         answer = process.stdout.read()
         code = process.wait()
-        _RUNNING.discard(process)
-        with suppress(msgspec.DecodeError, msgspec.ValidationError):
-            if code == 0:
-                return msgspec.json.decode(answer, type=Outcome)
+        RUNNING.discard(process)
+        if code == 0 and answer:
+            outcome: Outcome = pickle.loads(answer)
+            return outcome
         words.seek(0)
         return Outcome(job.name, "failed", _ended(code, words.read()))
 
 
 def _ended(code: int, words: bytes) -> str:
-    """Say how a process ended that left no answer."""
+    """Return in words how a process ended that left no answer."""
     if code < 0:
         name = signal.Signals(-code).name if -code in set(signal.Signals) else "unknown"
         hint = ": often too little memory for so many --jobs" if -code == signal.SIGKILL else ""
@@ -101,12 +87,55 @@ def _ended(code: int, words: bytes) -> str:
 
 def stop() -> None:
     """End the processes of all jobs that run; their temporary files go with them."""
-    _STOPPED.set()
-    for process in tuple(_RUNNING):
+    for process in tuple(RUNNING):
         with suppress(OSError):
             process.terminate()
 
 
-def may_run() -> None:
-    """Let jobs run again after a stop."""
-    _STOPPED.clear()
+def main() -> None:
+    """Run the job on stdin."""
+    with os.fdopen(os.dup(1), "wb") as answer:
+        os.dup2(2, 1)  # what a library prints is no answer
+        job: Job = pickle.load(sys.stdin.buffer)
+        threading.Thread(target=_end_with_parent, daemon=True).start()
+        settle_heap()
+        answer.write(pickle.dumps(outcome(job)))
+
+
+def _end_with_parent() -> None:
+    os.read(0, 1)  # past the buffer of sys.stdin, whose lock the end of the interpreter needs
+    os._exit(ORPHANED)
+
+
+def outcome(job: Job) -> Outcome:
+    """Run a job in this process and return how it ended, in one line where it failed."""
+    try:
+        return Outcome(job.name, "done", warnings=compare(job))
+    except Exception as problem:
+        known = expected(problem)
+        if known is None:
+            raise  # a bug: its traceback is shown
+        line, code = known
+        return Outcome(job.name, "failed", line, misused=code == 2)
+
+
+def compare(job: Job) -> tuple[str, ...]:
+    """Measure the log of a job once and write the results of every cell; return what did not work beside them."""
+    again = job.cells != (Cell(),) or job.recording is not None
+    measured = load_to_fuse(find_log(job.log), job.how, silent, read_again=again)
+    outputs, warnings = job.outputs, []
+    for cell in job.cells:
+        loaded = with_settings(measured, cell.sets) if cell.sets else measured
+        found = Session(maps.give_topic(loaded), silent).compared(job.asked)
+        folder = job.place(cell)
+        overwrite = outputs.overwrite or is_replaceable(folder)
+        found.write(folder, write=outputs.write, export=outputs.export, overwrite=overwrite)
+        if outputs.figures is not None:
+            found.write_figures(outputs.figures / cell.folder)
+        if job.recording is not None and (why := write(job.recording, job.recording_of(cell), found)):
+            warnings.append(why)
+    return tuple(warnings)
+
+
+if __name__ == "__main__":
+    main()

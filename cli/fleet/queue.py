@@ -3,24 +3,28 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from pathlib import Path
+
+from locfuse.formats.versions import own
+from locfuse.fusion.data import LocfuseError, UsageError
 
 from . import process
-from .job import Job, Outcome
+from .job import FleetOptions, Job, Outcome
+from .resume import is_finished
 
 AHEAD = 4  # jobs that wait at the executor for each that runs
 NOT_RUN = "stopped before it was run"
 POLL_S = 0.5  # s between looks at the clock while jobs run
-
-
-class Executor(Protocol):
-    """Whatever runs jobs: threads here, workers of a cluster elsewhere."""
-
-    def submit(self, fn: Callable[[Job], Outcome], job: Job, /) -> Future[Outcome]:
-        """Run a job some time."""
+STOP_S = 0.1  # s between attempts to end the processes that run
+LOST = {  # by the name of the exception: why an executor gives no outcome of a job
+    "KilledWorker": "every worker that ran it died; often too little memory",
+    "CancelledError": "the connection to the scheduler was lost",
+    "ModuleNotFoundError": "a worker cannot import what it needs: {problem}",
+}
 
 
 @dataclass
@@ -58,6 +62,9 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
 
 
+Watch = Callable[[Standing, Outcome | None], None]
+
+
 @dataclass(frozen=True)
 class Ended:
     """The outcomes by the name of the log, and what stopped the queue before its end."""
@@ -67,27 +74,39 @@ class Ended:
     by: BaseException | None = None  # Ctrl-C or a signal, to be raised once the results are safe
 
 
-def run_all(
-    jobs: Sequence[Job],
-    executor: Executor,
-    slots: int,
-    max_failures: int | None,
-    watch: Callable[[Standing, Outcome | None], None],
-) -> Ended:
-    """Run jobs on an executor with so many slots and return what became of them."""
+@contextmanager
+def executor(fleet: FleetOptions) -> Iterator[tuple[Executor, int]]:
+    """Yield what runs jobs, and how many at once: threads that each wait for a process, or workers elsewhere."""
+    if fleet.cluster is None:
+        with ThreadPoolExecutor(fleet.jobs) as threads:
+            yield threads, fleet.jobs
+        return
+    from .cluster import cluster
+
+    with cluster(fleet.cluster) as workers:
+        yield workers
+
+
+def run_all(jobs: Sequence[Job], pool: Executor, slots: int, max_failures: int | None, watch: Watch) -> Ended:
+    """Run jobs on an executor with so many slots; those whose results are there are not sent to it."""
     found: dict[str, Outcome] = {}
     standing = Standing(len(jobs))
     waiting = iter(jobs)
     running: dict[Future[Outcome], Job] = {}
-    process.may_run()
     try:
         while standing.left:
             if max_failures is not None and standing.failed > max_failures:
                 return Ended(found, f"more than {max_failures} logs failed (--max-failures)")
-            _fill(running, waiting, executor, slots)
+            while len(running) < AHEAD * slots and (job := next(waiting, None)) is not None:
+                running[_submitted(job, pool)] = job
             finished, _ = wait(running, POLL_S, FIRST_COMPLETED)
             for future in finished:
-                _count(_outcome(future, running.pop(future)), found, standing, watch)
+                outcome = _outcome(future, running.pop(future))
+                found[outcome.name] = outcome
+                standing.done += outcome.state == "done"
+                standing.failed += outcome.state == "failed"
+                standing.resumed += outcome.resumed
+                watch(standing, outcome)
             watch(standing, None)
     except Exception:
         raise
@@ -98,38 +117,37 @@ def run_all(
     return Ended(found)
 
 
+def _submitted(job: Job, pool: Executor) -> Future[Outcome]:
+    """Hand a job over, unless its results are there or its log cannot be opened."""
+    outcome = already(job)
+    if outcome is None:
+        return pool.submit(process.run, job, str(Path.cwd()), own())
+    future: Future[Outcome] = Future()
+    future.set_result(outcome)
+    return future
+
+
+def already(job: Job) -> Outcome | None:
+    """Return the outcome of a job that need not run: its results are there, or its log cannot be opened."""
+    try:
+        return Outcome(job.name, "done", resumed=True) if is_finished(job) else None
+    except LocfuseError as problem:
+        return Outcome(job.name, "failed", " ".join(str(problem).split()), isinstance(problem, UsageError))
+
+
 def _outcome(future: Future[Outcome], job: Job) -> Outcome:
-    """Return what became of a job; an executor that could not even say so is a reason too."""
+    """Return how a job ended; where the executor itself failed, that is the reason."""
     try:
         return future.result()
     except Exception as problem:
-        from .cluster import lost
-
-        return lost(job, problem)
-
-
-def _fill(running: dict[Future[Outcome], Job], waiting: Any, executor: Executor, slots: int) -> None:
-    """Hand over jobs, few enough that none is far ahead of those that run."""
-    while len(running) < AHEAD * slots and (job := next(waiting, None)) is not None:
-        running[executor.submit(process.run, job)] = job
-
-
-def _count(
-    outcome: Outcome,
-    found: dict[str, Outcome],
-    standing: Standing,
-    watch: Callable[[Standing, Outcome | None], None],
-) -> None:
-    found[outcome.name] = outcome
-    standing.done += outcome.state == "done"
-    standing.failed += outcome.state == "failed"
-    standing.resumed += outcome.resumed
-    watch(standing, outcome)
+        kind, words = type(problem).__name__, " ".join(str(problem).split())[:200]
+        why = LOST.get(kind, f"the cluster failed it: {kind}: {{problem}}")
+        return Outcome(job.name, "failed", why.format(problem=words))
 
 
 def _cancel(running: Mapping[Future[Outcome], Job]) -> None:
     """Take back what has not begun and end what runs."""
     for future in running:
         future.cancel()
-    if running:
+    while wait(running, STOP_S).not_done:
         process.stop()

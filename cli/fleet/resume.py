@@ -1,6 +1,6 @@
 """Resuming: results that a job would only repeat are left as they are.
 
-They are there when every report.json has the key that this run would give it, all its files stand beside it, and
+They are there when every report.json has the key that this run would give it, all its files lie beside it, and
 no file of the log was changed after it was written.
 """
 
@@ -10,8 +10,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-from locfuse.cli.analysis.key import asked_tables, key
+from locfuse.cli.analysis.key import key
 from locfuse.cli.analysis.load import find_log
+from locfuse.cli.analysis.robot_tables import given_tables
 from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.inputs import read_small
 from locfuse.formats.logs.files import files_of, identity_of
@@ -21,13 +22,13 @@ from locfuse.fusion.data import LocfuseError
 from .job import Cell, Job
 
 REPORT = "report.json"
-OTHERS = ("robot.toml", "estimates.mcap")  # files of a result that are of no kind of output
+OTHERS = ("robot.toml", "estimates.mcap")  # files of a result beside the kinds of output
 OF_KIND = {"html": "report.html", "md": "report.md", "csv": "report.csv", "tex": "report.tex", "json": REPORT}
 
 
 def is_finished(job: Job) -> bool:
-    """Tell whether a job's results are there. Raises LocfuseError where its log or settings cannot be read."""
-    if job.again or job.export or job.figures is not None:  # exports are not looked for
+    """Return whether a job's results are there. Raises LocfuseError where its log or settings cannot be read."""
+    if job.again or job.outputs.export or job.outputs.figures is not None:  # exports are not looked for
         return False
     if not all((job.place(cell) / REPORT).is_file() for cell in job.cells):
         return False
@@ -37,7 +38,7 @@ def is_finished(job: Job) -> bool:
     content = identity_of(files)
     changed = max((file.stat().st_mtime_ns for file in files if isinstance(file, Path)), default=0)
     return all(
-        _is_there(job, cell, changed, key(content, asked_tables(job.how, cell.sets), job.asked))
+        _is_there(job, cell, changed, key(content, given_tables(job.how, cell.sets), job.asked))
         for cell in job.cells
     )
 
@@ -49,20 +50,20 @@ def _is_there(job: Job, cell: Cell, changed_ns: int, expected: str) -> bool:
         return False
     if (folder / REPORT).stat().st_mtime_ns < changed_ns:
         return False
-    names = [OF_KIND[kind] for kind in job.kinds if kind in OF_KIND]
-    names += [f"{name}.tum" for name in report["configurations"]] if "tum" in job.kinds else []
+    names = [OF_KIND[kind] for kind in job.outputs.write if kind in OF_KIND]
+    names += [f"{name}.tum" for name in report["configurations"]] if "tum" in job.outputs.write else []
     return all((folder / name).is_file() for name in names)
 
 
 def _is_recorded(job: Job, cell: Cell) -> bool:
-    """Tell whether the recording of a result is there, and not of an earlier one."""
+    """Return whether the recording of a result is there, and not older than the result."""
     assert job.recording is not None
     file, report = job.recording.file(job.recording_of(cell)), job.place(cell) / REPORT
     return file.is_file() and file.stat().st_mtime_ns >= report.stat().st_mtime_ns
 
 
 def is_replaceable(folder: Path) -> bool:
-    """Tell whether a folder holds nothing but files of a result, or the cells of a sweep with theirs.
+    """Return whether a folder holds nothing but files of a result, or the cells of a sweep with theirs.
 
     Such a folder has no report of its own where its writing was ended by force, or where a sweep wrote it.
     """

@@ -67,7 +67,7 @@ def _regex(pattern: str) -> str:
 
 def _characters(word: str) -> str:
     """Return "[abc]", "[a-c]" or "[!abc]" of the shell as a regular expression, as fnmatch reads it."""
-    return fnmatch.translate(word).removeprefix("(?s:")[:-3]  # without what stands for a whole name
+    return fnmatch.translate(word).removeprefix("(?s:")[:-3]  # without the marks of a whole name
 
 
 def _objects(folder: Url) -> Iterator[str]:

@@ -15,9 +15,10 @@ from msgspec.structs import replace
 from locfuse.cli.analysis.adapted_topics import offer_presented
 from locfuse.cli.analysis.body_topics import NoWheelsError
 from locfuse.cli.analysis.choose import choose_sensor, choose_truth
-from locfuse.cli.analysis.load import Loaded, make_robot, measured, merged_tables, named_by_hand
+from locfuse.cli.analysis.load import Loaded, measured
 from locfuse.cli.analysis.mounts import mount_tables, shared_turns, transforms_of
 from locfuse.cli.analysis.refused_motion import STANDS
+from locfuse.cli.analysis.robot_tables import make_robot, merged_tables, named_by_hand
 from locfuse.cli.analysis.tag_frames import offer_tags
 from locfuse.cli.analysis.topics import Choice
 from locfuse.cli.analysis.wheel_topics import choose_wheels
@@ -31,11 +32,10 @@ from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .clocks import of_stamps
 from .mounts import conflicts, unplaced
 from .robot_facts import find_robot_facts, of_robot
 from .sensors import raw_findings
-from .topics import derived_facts, topic_facts
+from .topics import derived_facts, of_stamps, topic_facts
 
 if TYPE_CHECKING:
     from locfuse.cli.analysis.settings import LogOptions
@@ -100,7 +100,7 @@ def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) ->
 def _transforms(log: Log, choice: Choice, found: list[Finding]) -> StaticTransforms:
     frames = []
     for topic in (t for name in REGISTRY for t in choice.of(name)):
-        with suppress(LocfuseError):  # a topic that cannot be read says so elsewhere
+        with suppress(LocfuseError):  # a topic that cannot be read has its own finding
             frames.append(log.stream(topic).frame_id)
     try:
         transforms = transforms_of(log, frames)
@@ -114,7 +114,7 @@ def _placed(log: Log, tables: dict[str, Any], choice: Choice, transforms: Static
     """Return the robot with the mounts of /tf_static, which are known before anything can be measured."""
     streams = {}
     for name in REGISTRY:
-        with suppress(LocfuseError):  # a topic that cannot be read says so elsewhere
+        with suppress(LocfuseError):  # a topic that cannot be read has its own finding
             if topics := choice.of(name):
                 streams[name] = [log.stream(topic) for topic in topics]
     turns = shared_turns(tables, streams)

@@ -1,6 +1,6 @@
-"""Robots that `init` knows by what their logs hold, and which of their figures a log does not tell.
+"""Robots that `init` recognises by their logs, and their figures that are in no log.
 
-A figure of a known robot is used only where nothing in the log and nobody says it.
+A figure of a known robot is used only where neither the log nor the user gives it.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Recognised(NamedTuple):
     """A known robot."""
 
     name: str
-    sign: str  # what in the log says so
+    sign: str  # what it was recognised by, in the log
 
 
 def recognise(overview: Overview) -> Recognised | None:
@@ -65,22 +65,22 @@ def recognise(overview: Overview) -> Recognised | None:
     return None
 
 
-def open_figures(known: Recognised, overview: Overview, said: Collection[str]) -> dict[str, tuple[str, str]]:
-    """Return the figures of a known robot that this log needs and does not say: key -> ("key=value", words).
+def open_figures(known: Recognised, overview: Overview, given: Collection[str]) -> dict[str, tuple[str, str]]:
+    """Return the figures of a known robot that this log needs and lacks: key -> ("key=value", words).
 
-    `said` are the keys that somebody or something says already.
+    `given` are the keys that have a value already.
     """
     found: dict[str, tuple[str, str]] = {}
     for key, figure in robots.figures(known.name).items():
         table, _, name = key.partition(".")
-        if key not in said and _needed(overview, table, name, figure.value, said):
+        if key not in given and _needed(overview, table, name, figure.value, given):
             found[key] = as_set(key, figure.value), f"by robots/{known.name}.toml, {figure.words}"
     return found
 
 
-def _needed(overview: Overview, table: str, name: str, value: object, said: Collection[str]) -> bool:
+def _needed(overview: Overview, table: str, name: str, value: object, given: Collection[str]) -> bool:
     if table in REGISTRY:  # a mount is taken as a whole
-        return bool(overview.choice.of(table)) and f"{table}.x" not in said
+        return bool(overview.choice.of(table)) and f"{table}.x" not in given
     kind = _wheels_kind(overview)
     if name in {"left", "right"}:
         return kind == JOINTS and value in _joints(overview.log)
@@ -103,7 +103,7 @@ def _joints(log: Log) -> set[str]:
     """Return the names on all topics of joints."""
     names: set[str] = set()
     for topic in of_type(log, (JOINTS,)):
-        with suppress(LocfuseError):  # a topic that cannot be read says so elsewhere
+        with suppress(LocfuseError):  # a topic that cannot be read has its own finding
             rows = cast("list[tuple[str, ...]]", log.stream(topic).columns("name")["name"])
             names |= {joint for row in set(rows) for joint in row}
     return names

@@ -1,4 +1,4 @@
-"""Where the sensors of a log sit, who says so, and where that is nobody, or two who contradict each other."""
+"""Mounts: where the sensors of a log sit, by which source; mounts without a source, and contradictions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MOUNT_KEYS = ("x", "y", "roll_deg", "pitch_deg", "yaw_deg", "flipped", "mounts")
 
 
 def extrinsics(overview: Overview) -> dict[str, dict[str, Any]]:
-    """Return where each sensor sits, and who says so."""
+    """Return where each sensor sits, and by which source."""
     found: dict[str, dict[str, Any]] = {}
     for name in overview.choice.topics:
         if name not in REGISTRY:
@@ -32,7 +32,7 @@ def extrinsics(overview: Overview) -> dict[str, dict[str, Any]]:
 
 
 def _mount_by(overview: Overview, name: str, keys: Mapping[str, Any]) -> str:
-    """Return who says where a sensor sits: the settings, its frame, /tf_static, or nobody."""
+    """Return the source of a sensor's mount: the settings, its frame, /tf_static, or "nobody"."""
     if any(key in overview.tables.get(name, {}) for key in keys):
         return "settings"
     facts = {f.topic: f for f in overview.facts}
@@ -49,7 +49,7 @@ def placed_by(overview: Overview, frame: str) -> str:
 
 
 def unplaced(overview: Overview) -> list[Finding]:
-    """Say of the sensors whose place matters that nobody says where they sit."""
+    """Return a finding per sensor that has no mount although its mount matters."""
     found = []
     for name, mount in extrinsics(overview).items():
         frames = {f.topic: f.frame_id for f in overview.facts}
@@ -62,7 +62,7 @@ def unplaced(overview: Overview) -> list[Finding]:
 
 
 def conflicts(overview: Overview) -> list[Finding]:
-    """Name the frames that are said to be in two places: those that matter one by one, the others together."""
+    """Return a finding per frame that has two mounts: those that matter one by one, the others together."""
     facts = {f.topic: f for f in overview.facts}
     frames = {
         facts[t].frame_id: role for role in overview.choice.topics for t in overview.choice.of(role) if t in facts
@@ -77,7 +77,7 @@ def conflicts(overview: Overview) -> list[Finding]:
         elif mount.get("by") in {
             "/tf_static",
             "/tf",
-        }:  # whether it is wrong the walls tell, see fusion.checks.laser
+        }:  # fusion.checks.laser tests it by the walls
             keys = [k for k in ("x", "y", "yaw_deg") if isinstance(mount.get(k), float)]
             wrong = any(o.role == role and o.code == "yaw" for o in overview.findings)
             fixes = () if wrong else tuple(f"{role}.{k}={mount[k]:.4g}" for k in keys)

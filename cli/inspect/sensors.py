@@ -1,4 +1,4 @@
-"""What the raw messages of single sensors say, whether or not the log can be measured."""
+"""Findings about the raw messages of single sensors, whether or not the log can be measured."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def _maps(log: Log, robot: Robot, choice: Choice) -> list[Finding]:
 
 
 def _costs(topic: str) -> bool:
-    """Return whether a grid says by its name what a way costs, and not where walls are."""
+    """Return whether a grid is a costmap by its name, which has no walls."""
     return "costmap" in topic.lower()
 
 

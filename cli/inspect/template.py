@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 from msgspec.structs import replace
 
-from locfuse.cli.analysis.load import ATTACHMENT, make_robot, table_types
-from locfuse.cli.analysis.settings import LogOptions
+from locfuse.cli.analysis.robot_tables import ATTACHMENT, make_robot, table_types
+from locfuse.cli.analysis.settings import LogOptions, set_words
 from locfuse.formats.container.url import Place
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.commented_toml import Section
@@ -53,7 +53,7 @@ def draft(
 
     `said` are tables that another program's configuration gives, by the name of its file.
     """
-    words = [word for tables in (said or {}).values() for word in _as_sets(tables)]
+    words = [word for tables in (said or {}).values() for word in set_words(tables)]
     typed, how = how, replace(how, sets=(*words, *how.sets))
     overview = inspect_log(paths, how, progress)
     given = _given(overview, typed, said or {})
@@ -83,17 +83,6 @@ def _with(
 ) -> Overview:
     """Look at the log again, under these settings."""
     return inspect_log(paths, replace(how, sets=(*how.sets, *(fix for fix, _ in fixes.values()))), progress)
-
-
-def _as_sets(tables: Mapping[str, Any]) -> list[str]:
-    """Return tables as the words of --set."""
-    return [f"{key}={_toml(value)}" for key, value in _flat(tables).items()]
-
-
-def _toml(value: Any) -> str:
-    return (
-        str(value).lower() if isinstance(value, bool) else repr(value) if isinstance(value, float) else str(value)
-    )
 
 
 def _given(overview: Overview, how: LogOptions, said: Mapping[str, Mapping[str, Any]]) -> Known:

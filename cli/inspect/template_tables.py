@@ -1,4 +1,4 @@
-"""One table of a robot.toml after the other: what is known is active, the rest says how to find it."""
+"""The tables of a robot.toml: known keys are active, the others have a comment on how to find them."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from typing import Any, NamedTuple
 import msgspec
 
 from locfuse.cli.analysis.choose import best_of
-from locfuse.cli.analysis.load import table_types
 from locfuse.cli.analysis.motor_topics import motors
 from locfuse.cli.analysis.mounts import is_base, mount_tables
+from locfuse.cli.analysis.robot_tables import table_types
 from locfuse.cli.analysis.topics import of_type
 from locfuse.formats.robot.commented_toml import Line
+from locfuse.fusion.sensor import Ask
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.motor import MOTOR, SERVO
 from locfuse.fusion.wheels.odometry import BODY_READS, STEERED
@@ -21,13 +22,50 @@ from locfuse.fusion.wheels.sources import JOINTS
 
 from .mounts import placed_by
 from .overview import Overview
-from .template_words import ask, guess
 
-Known = dict[str, tuple[Any, str]]  # "table.key" -> its value, and who says so
+Known = dict[str, tuple[Any, str]]  # "table.key" -> its value, and its source
 TOP = ("order", "preset")
 OF_COUNTERS = ("radius", "track", "ticks_per_revolution", "mirrored")  # an odometry needs none of them
 MOUNTED = ("x", "y", "yaw_deg")  # written even where zero: that is worth knowing
 MOUNT_DECIMALS = 6  # decimals of a mount: micrometres
+
+# how to measure what is in no log; a sensor has the words of its own keys (Sensor.asks)
+ASKS = {
+    "wheels": {
+        "radius": Ask(
+            "m: not in this log. Roll ten turns of a wheel along a ruler: way / (10 * 2 pi)", needed=True
+        ),
+        "track": Ask(
+            "m: not in this log. Between the middles of both tyres; `locfuse calibrate` refines it",
+            needed=True,
+        ),
+        "wheelbase": Ask("m: not in this log. Between the front and the rear axle", needed=True),
+        "erpm_per_mps": Ask(
+            "electrical revolutions per minute of the motor at 1 m/s: speed_to_erpm_gain of vesc.yaml", blank=True
+        ),
+        "servo_gain": Ask("of the servo's position: steering_angle_to_servo_gain of vesc.yaml", needed=True),
+        "ticks_per_revolution": Ask("not in this log. Turn a wheel ten times by hand: ticks / 10", needed=True),
+        "noise": Ask("m: variance per metre that a wheel rolls; `locfuse calibrate` finds it"),
+    },
+    "start": dict.fromkeys(
+        ("x", "y", "theta_deg"),
+        Ask("m, degrees: pose at the first wheel reading, where the map is not to begin at the robot"),
+    ),
+    "truth": {
+        **dict.fromkeys(
+            ("x", "y"), Ask("m: the point of the robot that was tracked, forward and left of the axle's middle")
+        ),
+        "sigma": Ask("m: how exact the truth is itself"),
+        "sigma_theta_deg": Ask("degrees: how exact its heading is"),
+    },
+}
+# Conventions that hold unless the user sets others; no log states them.
+GUESSES = {
+    "wheels": {
+        "mirrored": "guess: both counters rise while the robot drives forward",
+        "steering": "guess: radians of the front wheels (rate: rad/s of the body, heading: rad)",
+    }
+}
 
 
 class Facts(NamedTuple):
@@ -102,7 +140,7 @@ def _mounts(overview: Overview) -> Known:
 
 
 def _placed(overview: Overview, frame: str) -> str:
-    """Say who places a frame on the base; a base frame is the base itself."""
+    """Return in words the source of a mount; a base frame is the base itself."""
     if is_base(frame):
         return f"its frame {frame} is the base"
     return f"by {placed_by(overview, frame)}: where {frame} sits on the base"
@@ -135,7 +173,7 @@ def lines(facts: Facts, table: str, missing: list[str]) -> Iterator[Line]:
 
 
 def _unknown(table: str, key: str, default: Any, missing: list[str]) -> Iterator[Line]:
-    guessed, asked = guess(table, key), ask(table, key)
+    guessed, asked = _guess(table, key), _ask(table, key)
     if guessed is not None:
         yield Line(key, default, guessed)
     elif asked is not None:
@@ -181,3 +219,13 @@ def _concerns(facts: Facts, table: str, key: str) -> bool:
     if key in MOUNTED:
         return not any(f"{table}.{k}" in facts.known for k in (*MOUNTED, "mounts"))
     return REGISTRY[table].concerns(key, kind)
+
+
+def _ask(table: str, key: str) -> Ask | None:
+    """Return how the robot's owner finds the value of a key, None where nothing need be asked."""
+    return (REGISTRY[table].asks if table in REGISTRY else ASKS.get(table, {})).get(key)
+
+
+def _guess(table: str, key: str) -> str | None:
+    """Return the meaning of a default that is a guess, None where it is none."""
+    return (REGISTRY[table].guesses if table in REGISTRY else GUESSES.get(table, {})).get(key)

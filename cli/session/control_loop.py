@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from locfuse.cli.analysis.load import make_robot
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion import se2
 from locfuse.fusion.data import ArrayStream, Column, Measurements, Ragged
 from locfuse.fusion.fuse import Filter
@@ -45,7 +45,7 @@ class Localiser:
         self._rolled: list[tuple[float, float]] = []
         self._waiting: list[tuple[str, RawMessage]] = []
         self._epoch_ns = 0
-        self._at = 0.0  # s, where the filter stands
+        self._at = 0.0  # s: the time that the filter has reached
         start = robot.start
         self._pose = np.array([start.x, start.y, np.radians(start.theta_deg)])
 

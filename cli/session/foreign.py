@@ -19,13 +19,9 @@ from locfuse.fusion.wheels.odometry import POSE
 
 NAME = re.compile(r"[A-Za-z][\w.-]*")
 COVARIANCE = "pose.covariance"
-PLANE = (0, 1, 5)  # where x, y and yaw stand in a pose covariance of ROS
+PLANE = (0, 1, 5)  # the rows of x, y and yaw in a pose covariance of ROS
 UPPER = np.triu_indices(3)
 WITH_COVARIANCE = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped")
-OTHER_FRAME_M, OTHER_FRAME_RAD = (
-    0.5,
-    np.radians(20.0),
-)  # a first pose this far from the truth's is of another frame
 
 
 def named_sources(words: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
@@ -94,13 +90,13 @@ def _read(log: Log, drive: Drive, name: str, source: str) -> Estimates:
 
 
 def _columns(stream: Stream, epoch_ns: int) -> tuple[Array, Array, Array]:
-    """Return t (n,) [s], poses (n, 3) and triangles of their covariance (n, 6), zeros where none is said."""
+    """Return t (n,) [s], poses (n, 3) and triangles of their covariance (n, 6), zeros where none is given."""
     x, y, *q = (np.asarray(c, np.float64) for c in stream.columns(*POSE[stream.msgtype]).values())
     pose = np.stack((x, y, se2.yaw(*q)), axis=-1)
     triangles = np.zeros((len(pose), 6))
     if stream.msgtype in WITH_COVARIANCE:
         P = np.asarray(cast("Array", stream.columns(COVARIANCE)[COVARIANCE]), np.float64).reshape(-1, 6, 6)
         P = P[:, PLANE][:, :, PLANE]
-        said = np.isfinite(P).all(axis=(1, 2)) & (np.diagonal(P, axis1=1, axis2=2) > 0.0).all(axis=1)
-        triangles[said] = P[said][:, UPPER[0], UPPER[1]]
+        given = np.isfinite(P).all(axis=(1, 2)) & (np.diagonal(P, axis1=1, axis2=2) > 0.0).all(axis=1)
+        triangles[given] = P[given][:, UPPER[0], UPPER[1]]
     return (stream.t_ns - epoch_ns) * np.float64(1e-9), pose, triangles

@@ -1,7 +1,7 @@
-"""`--jitter N`: every configuration fused N times more, each time on a drive that differs by next to nothing.
+"""`--jitter N`: every configuration fused N times more, each time on a drive with tiny changes.
 
-The spread of a figure over these runs is what chance decides in it. A verdict that does not keep its direction in
-all of them is no verdict: no effect is seen.
+The range of a figure over these runs is how much of it is chance. A verdict that changes its direction in any of
+them becomes "no effect seen".
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from locfuse.cli.analysis.compare import Compared, compare_log
 from locfuse.cli.analysis.configurations import Configuration
 from locfuse.cli.analysis.load import Loaded
-from locfuse.cli.analysis.settings import Progress
+from locfuse.cli.analysis.settings import Asked, Progress, silent
 from locfuse.cli.analysis.verdicts import verdicts
 from locfuse.fusion.data import Estimates, UsageError
 from locfuse.fusion.judge.jitter import DROPPED_SHARE, MOVED_S, jittered
@@ -51,17 +51,16 @@ class Jittered(msgspec.Struct, frozen=True):
 def jitter_runs(
     loaded: Loaded,
     configurations: Sequence[Configuration],
-    align: str,
-    smooth: bool,
+    asked: Asked,
     plain: Mapping[str, Estimates],
-    runs: int,
     progress: Progress,
 ) -> Iterator[Jittered]:
-    """Fuse and judge every configuration on `runs` jittered drives; `plain` are the drive's own, by name."""
-    for seed in range(runs):
-        progress(f"jitter {seed + 1} of {runs}")
+    """Fuse and judge every configuration on jittered drives; `plain` are the estimates of the drive as it is."""
+    once = replace(asked, reference=False, audits=False)
+    for seed in range(asked.jitter):
+        progress(f"jitter {seed + 1} of {asked.jitter}")
         other = replace(loaded, drive=jittered(loaded.drive, loaded.robot, seed))
-        found = compare_log(other, configurations, align, lambda step: None, smooth)
+        found = compare_log(other, configurations, once, silent)
         yield Jittered(
             {e.name: e.figures for e in found.evaluations},
             {e.name: _away(plain[e.name], e) for e in found.estimates},

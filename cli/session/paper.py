@@ -118,5 +118,5 @@ def colours_of(found: Repeated) -> dict[str, Any]:
 
 
 def lines(found: Repeated) -> Sequence[str]:
-    """Return what to say of the drives of figure 14."""
+    """Return a line per drive of figure 14."""
     return [f"fig. {d.figure}, {d.steered}: {d.rms:.3f} m rms from the path" for d in found.distances()]

@@ -2,7 +2,7 @@
 
 Logs of one robot share its tyres, mounts and calibration, so they are no independent samples: figures are averaged
 within each robot first, and the interval is Student's t over the robots. Where robots are not named every log
-counts as one replicate, and the result says so.
+counts as one replicate, and the result names that.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def replicate_means(entries: Sequence[Entry], values: Mapping[str, float]) -> li
 
 
 def add_intervals(summary: dict[str, Any], entries: Sequence[Entry]) -> None:
-    """Make the means of all figures those over replicates, with intervals, and say what the replicates are."""
+    """Make the means of all figures those over replicates, with intervals, and note what the replicates are."""
     done = [e for e in entries if e.state == "done"]
     robots = {e.robot for e in done if e.robot is not None}
     summary["replicates"] = {"of": "robots" if robots else "logs", "robots": len(robots), "logs": len(done)}
@@ -72,7 +72,7 @@ def _values(entries: Sequence[Entry], configuration: str, key: str) -> dict[str,
 
 
 def add_ties(summary: dict[str, Any], entries: Sequence[Entry]) -> None:
-    """Name the configurations whose error cannot be told from the best one's: ratios per log, then per robot."""
+    """Name the configurations that tie with the best one: ratios of errors per log, then per robot."""
     best, ties = summary["best"], {}
     for name in summary["configurations"]:
         if best is not None and name != best:
@@ -99,7 +99,7 @@ def _ratio(entries: Sequence[Entry], name: str, best: str) -> Mean | None:
 
 
 def _is_tie(ratio: Mean) -> bool:
-    """Tell whether two errors are equal: within 2 %, or within what so few replicates leave open."""
+    """Return whether two errors are equal: within 2 %, or within the 95 % interval."""
     if abs(ratio.value) < MIN_EFFECT:
         return True
     return ratio.low is not None and ratio.high is not None and ratio.low <= 0.0 <= ratio.high
@@ -115,7 +115,7 @@ def credit_over(entries: Sequence[Entry]) -> tuple[Credit, str] | None:
         return None
     groups = by_robot(judged)
     over = "robots" if any(e.robot is not None for e in judged) else "drives"
-    if len(groups) < 2:  # one robot: its logs tell about it, and of no other
+    if len(groups) < 2:  # one robot: its logs are no sample of other robots
         groups, over = {e.name: [e] for e in judged}, "drives"
     credit = credit_over_logs([_of_robot([e.report["credit"] for e in group]) for group in groups.values()])
     return replace(credit, method=f"Student's t over {over.replace('drives', 'logs')}"), over

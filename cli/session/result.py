@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import difflib
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 
@@ -20,13 +21,50 @@ from locfuse.fusion.data import Drive, Estimates, Evaluation, UsageError
 from locfuse.fusion.judge.credit import Credit
 from locfuse.fusion.robot import Robot
 
-from .named import Named
-
 if TYPE_CHECKING:
     from locfuse.formats.whole_files import Content
 
+V = TypeVar("V")
 Kinds = str | Iterable[str] | None  # "json,tum" or ["json", "tum"]; None: all
 EXPORT = "--export: unknown format"
+
+
+class UnknownNameError(UsageError, KeyError):
+    """No value has this name. A KeyError too, as every mapping's, and yet one readable line."""
+
+    __str__ = Exception.__str__
+
+
+class Named(Mapping[str, V]):
+    """A read-only mapping; `what` names its values in errors: "configuration"."""
+
+    def __init__(self, what: str, values: Mapping[str, V]) -> None:
+        self._what, self._values = what, dict(values)
+
+    def __getitem__(self, name: str) -> V:
+        """Return a value. Raises UnknownNameError."""
+        if name in self._values:
+            return self._values[name]
+        near = difflib.get_close_matches(str(name), self._values, 1)
+        hint = f"; did you mean {near[0]}?" if near else "."
+        known = ", ".join(self._values) or "none"
+        raise UnknownNameError(f"no {self._what} {name!r} in this result{hint} There are: {known}")
+
+    def __iter__(self) -> Iterator[str]:
+        """Yield the names in order."""
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self._values)
+
+    def __repr__(self) -> str:
+        """Return the names: values are long columns."""
+        return f"<{len(self)} by {self._what}: {', '.join(self)}>"
+
+    def _ipython_key_completions_(self) -> list[str]:
+        """Return the names for `result.estimates["<TAB>`."""
+        return list(self)
 
 
 class Result(msgspec.Struct, frozen=True, eq=False):
@@ -93,6 +131,33 @@ class Result(msgspec.Struct, frozen=True, eq=False):
 
         return notebook.render(self.report)
 
+    def write(
+        self, folder: PathLike | None = None, *, write: Kinds = None, export: Kinds = (), overwrite: bool = False
+    ) -> list[Path]:
+        """Write what the command writes with -o FOLDER, byte for byte, and return the files.
+
+        Args:
+            folder: where to; None is locfuse-out/<log name>.
+            write: of "html", "md", "json", "tum", "csv", "tex" those to write (of a run: "tum", "csv", "json");
+                None writes all.
+            export: formats of other tools: "mcap", "log", "kitti", "tum-cov" ...
+            overwrite: write into a folder that holds something else.
+
+        Raises:
+            LocfuseError: the folder holds something else, or cannot be written.
+        """
+        files = self._files(write)
+        files |= fixes_file(self.report)
+        files |= exports.files(chosen(export, list(exports.KINDS), EXPORT), self.loaded, self._by_file())
+        return self._written(folder, files, overwrite)
+
+    def _files(self, write: Kinds) -> dict[str, Content]:
+        raise NotImplementedError
+
+    def _by_file(self) -> Mapping[str, Estimates]:
+        """Return the estimates by the names of their files."""
+        return self.estimates
+
     def _written(self, folder: PathLike | None, files: Mapping[str, Content], overwrite: bool) -> list[Path]:
         from locfuse.formats.whole_files import write_results
 
@@ -111,29 +176,14 @@ class Run(Result, frozen=True, eq=False):
 
     @property
     def smoothed(self) -> Estimates | None:
-        """What the whole drive says of every instant; None where it was not asked for."""
+        """The smoothed estimate, from the whole drive; None where it was not asked for."""
         return next((e for e in self.estimates.values() if e.smoothed), None)
 
-    def write(
-        self, folder: PathLike | None = None, *, write: Kinds = None, export: Kinds = (), overwrite: bool = False
-    ) -> list[Path]:
-        """Write what `locfuse run -o FOLDER` writes, byte for byte, and return the files.
+    def _files(self, write: Kinds) -> dict[str, Content]:
+        return outputs.files_of_run(self.loaded, self._by_file(), self.report, chosen(write, OF_RUN))
 
-        Args:
-            folder: where to; None is locfuse-out/<log name>.
-            write: of "tum", "csv", "json" those to write; None writes all.
-            export: formats of other tools: "mcap", "log", "kitti", "tum-cov" ...
-            overwrite: write into a folder that holds something else.
-
-        Raises:
-            LocfuseError: the folder holds something else, or cannot be written.
-        """
-        kinds = chosen(write, OF_RUN)
-        named = {"smoothed" if e.smoothed else "trajectory": e for e in self.estimates.values()}
-        files = outputs.files_of_run(self.loaded, named, self.report, kinds)
-        files |= fixes_file(self.report)
-        files |= exports.files(chosen(export, list(exports.KINDS), EXPORT), self.loaded, named)
-        return self._written(folder, files, overwrite)
+    def _by_file(self) -> Mapping[str, Estimates]:
+        return {"smoothed" if e.smoothed else "trajectory": e for e in self.estimates.values()}
 
     def _used(self) -> list[str]:
         return list(self.filtered.sensors)
@@ -182,25 +232,8 @@ class Comparison(Result, frozen=True, eq=False, dict=True):
         """What each sensor does to the position error, with intervals; None without truth."""
         return self.compared.credit
 
-    def write(
-        self, folder: PathLike | None = None, *, write: Kinds = None, export: Kinds = (), overwrite: bool = False
-    ) -> list[Path]:
-        """Write what `locfuse compare -o FOLDER` writes, byte for byte, and return the files.
-
-        Args:
-            folder: where to; None is locfuse-out/<log name>.
-            write: of "html", "md", "json", "tum", "csv", "tex" those to write; None writes all.
-            export: formats of other tools: "mcap", "log", "kitti", "tum-cov" ...
-            overwrite: write into a folder that holds something else.
-
-        Raises:
-            LocfuseError: the folder holds something else, or cannot be written.
-        """
-        kinds = chosen(write, OF_COMPARISON)
-        files = outputs.files(self.compared, self.drawn, self.report, kinds)
-        files |= fixes_file(self.report)
-        files |= exports.files(chosen(export, list(exports.KINDS), EXPORT), self.loaded, self.estimates)
-        return self._written(folder, files, overwrite)
+    def _files(self, write: Kinds) -> dict[str, Content]:
+        return outputs.files(self.compared, self.drawn, self.report, chosen(write, OF_COMPARISON))
 
     def write_figures(self, folder: PathLike) -> list[Path]:
         """Write every figure as SVG and PDF, for a paper, and return the files."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, cast, get_args
+from typing import TYPE_CHECKING, Any, Unpack, cast, get_args
 
 import msgspec
 from msgspec.structs import replace
@@ -12,14 +12,15 @@ from locfuse.cli.advice.advised import Advised
 from locfuse.cli.advice.report import complete
 from locfuse.cli.analysis import maps
 from locfuse.cli.analysis.compare import Compared, compare_log, report_of, report_of_run
-from locfuse.cli.analysis.configurations import Configuration, Sensors, for_comparison, parse
-from locfuse.cli.analysis.key import Asked
+from locfuse.cli.analysis.configurations import Configuration, Sensors, configuration_words, for_comparison, parse
 from locfuse.cli.analysis.load import Loaded, find_log, load_to_fuse, start_error, with_settings
 from locfuse.cli.analysis.memory import lean
 from locfuse.cli.analysis.outputs import Drawn
 from locfuse.cli.analysis.refused_motion import void_all
 from locfuse.cli.analysis.settings import (
     MAX_REFERENCE_INSTANTS,
+    Asked,
+    Choices,
     LogOptions,
     PathLike,
     Progress,
@@ -42,8 +43,7 @@ from locfuse.fusion.robot import Robot
 
 from .foreign import foreign_estimates, named_sources
 from .jitter import add_jitter, check_runs, jitter_runs
-from .named import Named
-from .result import Comparison, Run
+from .result import Comparison, Named, Run
 from .sweep import cells
 
 if TYPE_CHECKING:
@@ -82,8 +82,8 @@ def load(
 
 def opened(log: Sequence[str], how: LogOptions, progress: Progress, read_again: bool = False) -> Session:
     """Return the session of a log as a command line names it; `read_again`: its columns are needed once more."""
-    loaded = load_to_fuse(find_log(log), how, progress, read_again)
-    return Session(maps.give_topic(loaded), progress)
+    session = Session(maps.give_topic(load_to_fuse(find_log(log), how, progress, read_again)), progress)
+    return session if how.given_map is None else session.with_map(how.given_map)
 
 
 ADVISED = ("headline", "validity", "findings", "fixes")  # of a report: what to keep, what is void, what to set
@@ -129,7 +129,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         Args:
             sensors: "all", "odometry", "compass,lrf", ["compass", "lrf"], or "lrf@2Hz" for a lower rate.
             align: "none", "origin" or "se2": how to move the estimate onto the truth before judging it.
-            smooth: also smooth: what the whole drive, its end included, says of every instant.
+            smooth: also smooth: every pose from the whole drive, its end included.
             advice: where something looks wrong, evaluate the log as `compare` does and try fixes.
             jitter: fuse as many times more with stamps moved by 1 us and 1 % of the readings dropped; the report
                 then has the range of every figure under `configurations.<name>.jitter`.
@@ -138,14 +138,13 @@ class Session(msgspec.Struct, frozen=True, eq=False):
             LocfuseError: an unknown sensor, or one that this log lacks.
         """
         one_of(align, get_args(Align), "align")
-        runs = check_runs(jitter)
+        asked = Asked(align=align, smooth=smooth, jitter=check_runs(jitter))
         used = sensors if isinstance(sensors, Configuration) else self.configuration(sensors)
         self.progress("fusing")
         estimates = lean(used.fuse, self.drive, self.robot, smooth)
         evaluations = [evaluate(e, used.drive(self.drive), cast("Align", align)) for e in estimates]
         report = report_of_run(self.loaded, used, estimates, evaluations)
-        if runs:
-            self._jitter(report, [used], align, smooth, estimates, runs)
+        self._add_jitter(report, [used], asked, estimates)
         complete(
             report,
             self._advice_on_run(used, estimates[0], evaluations[0], align) if advice else None,
@@ -163,59 +162,46 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         )
 
     def compare(
-        self,
-        sensors: Sensors | Iterable[Sensors] | None = None,
-        *,
-        all_subsets: bool = False,
-        align: str = "none",
-        smooth: bool = False,
-        audits: bool = True,
-        estimates: Mapping[str, str] | None = None,
-        advice: bool = True,
-        jitter: int = 0,
-        reference: bool | None = None,
+        self, sensors: Sensors | Iterable[Sensors] | None = None, **choices: Unpack[Choices]
     ) -> Comparison:
-        """Run several configurations and say what each sensor is worth, as `locfuse compare` does.
+        """Run several configurations and evaluate what each sensor adds, as `locfuse compare` does.
 
         Args:
             sensors: the configurations, such as ["odometry", "compass+lrf", "all", "lrf@2Hz"]; None compares
                 odometry, each sensor alone, and all.
-            all_subsets: every subset of the sensors: what each is worth beside the others too.
-            align: "none", "origin" or "se2": how to move every estimate onto the truth before judging it.
-            smooth: also smooth every configuration that has sensors: "all-smoothed".
-            audits: keep every measurement's innovation and verdict, `estimates["lrf"].audits["lrf"]`. They are
-                most of what a result holds; False frees them as soon as the figures have what they show.
-            advice: where something looks wrong, try fixes by fusing again, and report what they did.
-            jitter: fuse as many times more with stamps moved by 1 us and 1 % of the readings dropped; the report
-                then has the range of every figure, and a verdict that changes becomes "no effect seen".
-            estimates: other people's estimates as rows of their own, {"amcl": "/amcl_pose", "slam": "slam.tum"}.
-            reference: where the log has no truth, measure errors against the solution of the whole drive. None:
-                where the drive is short enough for that, or is smoothed anyway.
+            **choices: any of these.
+                all_subsets (False): every subset of the sensors: what each is worth beside the others too.
+                align ("none"): "origin" or "se2" moves every estimate onto the truth before judging it.
+                smooth (False): also smooth every configuration that has sensors: "all-smoothed".
+                audits (True): keep every measurement's innovation and verdict,
+                `estimates["lrf"].audits["lrf"]`. They are most of what a result holds; False frees them as soon
+                as the figures have what they show.
+                advice (True): where something looks wrong, try fixes by fusing again, and report what they did.
+                jitter (0): fuse as many times more with stamps moved by 1 us and 1 % of the readings dropped; the
+                report then has the range of every figure, and a verdict that changes becomes "no effect seen".
+                estimates ({}): other people's estimates as rows, {"amcl": "/amcl_pose", "slam": "slam.tum"}.
+                reference (None): where the log has no truth, measure errors against the solution of the whole
+                drive. None: where the drive is short enough for that, or is smoothed anyway.
 
         Raises:
             LocfuseError: an unknown sensor, or one that this log lacks.
         """
-        runs = check_runs(jitter)
-        refer = self._refers(reference, smooth, runs)
-        words = () if sensors is None else (sensors,) if isinstance(sensors, str) else tuple(sensors)
-        wanted = for_comparison(words, self.drive, all_subsets)
-        foreign = foreign_estimates(self.loaded, named_sources(estimates or {}), [c.name for c in wanted])
+        return self.compared(Asked(configuration_words(sensors), **choices))
+
+    def compared(self, asked: Asked) -> Comparison:
+        """Return the comparison that is asked for, as `compare` does."""
+        check_runs(asked.jitter)
+        asked = replace(asked, reference=self._refers(asked))
+        wanted = for_comparison(asked.sensors, self.drive, asked.all_subsets)
+        foreign = foreign_estimates(self.loaded, named_sources(asked.estimates), [c.name for c in wanted])
         drawn = Drawn()
         moves = not (self.drive.wheels.stands or self.loaded.spoils)
-        evaluator = self._evaluator(align) if advice and moves else None
+        evaluator = self._evaluator(asked.align) if asked.advice and moves else None
         takes, hears = ([], []) if evaluator is None else (evaluator.takes, evaluator.hears)
         watch = [drawn.take, *takes]
-        compared = compare_log(
-            self.loaded, wanted, align, self.progress, smooth, watch, audits, foreign, hears, refer
-        )
-        report = report_of(
-            compared,
-            None
-            if foreign or self.loaded.asked is None
-            else Asked.of(words, all_subsets, align, smooth, runs, refer),
-        )
-        if runs:
-            self._jitter(report, wanted, align, smooth, compared.estimates, runs)
+        compared = compare_log(self.loaded, wanted, asked, self.progress, watch, foreign, hears)
+        report = report_of(compared, None if foreign or self.loaded.given is None else asked)
+        self._add_jitter(report, wanted, asked, compared.estimates)
         advised = None if evaluator is None else evaluator.advised()
         stands, jumps = self.drive.wheels.stands, jumps_of(self.drive)
         complete(report, advised, self._start_error(), [e.name for e in foreign], stands, jumps)
@@ -230,12 +216,15 @@ class Session(msgspec.Struct, frozen=True, eq=False):
             drawn,
         )
 
-    def _refers(self, wanted: bool | None, smooth: bool, jitter: int) -> bool:
+    def _refers(self, asked: Asked) -> bool:
         """Return whether a reference takes truth's place. Raises UsageError where one is asked for in vain."""
-        if wanted and jitter:
-            raise UsageError(f"--reference --jitter {jitter}: of a jittered drive there is no reference; use one")
-        short = smooth or len(self.drive.t) <= MAX_REFERENCE_INSTANTS
-        if wanted is False or jitter or not (wanted or (short and self.drive.truth is None)):
+        wanted = asked.reference
+        if wanted and asked.jitter:
+            raise UsageError(
+                f"--reference --jitter {asked.jitter}: of a jittered drive there is no reference; use one"
+            )
+        short = asked.smooth or len(self.drive.t) <= MAX_REFERENCE_INSTANTS
+        if wanted is False or asked.jitter or not (wanted or (short and self.drive.truth is None)):
             return False
         from locfuse.fusion.whole_drive.reference import possible, refuse  # the graph comes with it
 
@@ -251,20 +240,16 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         report = self.compare(audits=False).report
         return {key: report[key] for key in ADVISED}
 
-    def _jitter(
+    def _add_jitter(
         self,
         report: dict[str, Any],
         configurations: Sequence[Configuration],
-        align: str,
-        smooth: bool,
+        asked: Asked,
         estimates: Sequence[Estimates],
-        runs: int,
     ) -> None:
-        """Add what other drives that differ by next to nothing give to a report."""
+        """Add the range of every figure over the jittered runs to a report, where any are asked for."""
         plain = {e.name: e for e in estimates}
-        add_jitter(
-            report, list(jitter_runs(self.loaded, configurations, align, smooth, plain, runs, self.progress))
-        )
+        add_jitter(report, list(jitter_runs(self.loaded, configurations, asked, plain, self.progress)))
 
     def _start_error(self) -> float | None:
         return start_error(self.robot, self.drive)
@@ -301,26 +286,18 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         self,
         keys: Mapping[str, Iterable[Any]],
         sensors: Sensors | Iterable[Sensors] | None = None,
-        *,
-        all_subsets: bool = False,
-        align: str = "none",
-        smooth: bool = False,
+        **choices: Unpack[Choices],
     ) -> Named[Comparison]:
         """Compare under every combination of settings, {"lrf.sigma_range": [0.01, 0.03], "lrf.map": ["grow"]}.
 
         The log is measured once; a cell measures again only the sensors whose settings it changes. Returns the
-        comparisons by cell, "lrf.sigma_range=0.01 lrf.map=grow"; other arguments are those of `compare`,
-        audits are not kept. Raises UsageError as `with_settings` does, and for more than 1000 cells.
+        comparisons by cell, "lrf.sigma_range=0.01 lrf.map=grow"; other arguments are those of `compare`, but no
+        audits are kept, nothing is advised, and there is no reference unless they are asked for. Raises UsageError
+        as `with_settings` does, and for more than 1000 cells.
         """
         found = cells({key: [as_set(key, value) for value in values] for key, values in keys.items()})
-        asked: Any = {
-            "all_subsets": all_subsets,
-            "align": align,
-            "smooth": smooth,
-            "audits": False,
-            "advice": False,
-            "reference": False,
-        }
+        plain: Choices = {"audits": False, "advice": False, "reference": False}
+        asked: Choices = {**plain, **choices}
         results = {cell: self.with_settings(sets).compare(sensors, **asked) for cell, sets in found.items()}
         return Named("cell", results)
 
@@ -328,7 +305,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         """Return the same drive with a laser that localises in the map of a file, which stays as it is.
 
         A line map that `Run.save_map` wrote, or the .yaml of a map as an image (ROS's map_server): there the start
-        is looked for unless `[start]` says it. Raises LocfuseError where the map is of another building.
+        is looked for unless `[start]` is set. Raises LocfuseError where the map is of another building.
         """
         return replace(self, loaded=maps.give(self.loaded, path_of(file)))
 

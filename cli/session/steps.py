@@ -35,7 +35,7 @@ def fuse(drive: Drive, robot: Robot, sensors: Sensors = "all") -> Estimates:
 
 
 def smooth(drive: Drive, robot: Robot, sensors: Sensors = "all") -> Estimates:
-    """Run filter and smoother: what the whole drive, its end included, says of every instant.
+    """Run filter and smoother: every pose is estimated from the whole drive, its end included.
 
     Rauch, Tung and Striebel (1965). Raises LocfuseError as `fuse` does, and where a setting such as lrf.map =
     first-scan makes the filter's gain not the optimal one.

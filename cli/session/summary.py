@@ -1,4 +1,4 @@
-"""Several logs compared one by one, and what they say together about each configuration."""
+"""Several logs compared one by one, and the figures and verdicts over all of them."""
 
 from __future__ import annotations
 
@@ -6,14 +6,15 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypedDict, Unpack, overload
+from typing import Any, Unpack, overload
 
 from locfuse.cli.analysis import results
-from locfuse.cli.analysis.configurations import Sensors
-from locfuse.cli.analysis.grouping import logs_of
-from locfuse.cli.analysis.load import find_log
+from locfuse.cli.analysis.configurations import Sensors, configuration_words
+from locfuse.cli.analysis.grouping import logs_of, named
 from locfuse.cli.analysis.settings import (
     OF_COMPARISON,
+    Asked,
+    Choices,
     PathLike,
     Progress,
     Sets,
@@ -26,7 +27,6 @@ from locfuse.cli.analysis.settings import (
 from locfuse.cli.analysis.verdicts import credit_values, verdicts
 from locfuse.formats.fleet.entry import Entry, slim
 from locfuse.formats.fleet.files import summary_files
-from locfuse.formats.logs.files import log_name
 from locfuse.formats.report import json_report
 from locfuse.formats.report import summary as over
 from locfuse.formats.versions import own
@@ -35,16 +35,15 @@ from locfuse.formats.whole_files import may_write, write_results
 from locfuse.fusion.data import LocfuseError, UsageError
 from locfuse.fusion.sensors.registry import colours
 
-from .named import Named
 from .replicates import add_intervals, add_ties, credit_over
-from .result import Comparison, Kinds
+from .result import Comparison, Kinds, Named
 from .session import opened
 
 FOLDER = "summary"
 
 
 class Summary:
-    """The comparisons of several logs, and what they say together.
+    """The comparisons of several logs, and the figures and verdicts over all of them.
 
     `results["monday"]` is the comparison of one log, `report` what summary.json holds.
     """
@@ -85,7 +84,7 @@ class Summary:
         return notebook.render_summary(self.report)
 
 
-class Choices(TypedDict, total=False):
+class Keywords(Choices, total=False):
     """The keywords of `compare`."""
 
     robot: PathLike | None
@@ -93,19 +92,16 @@ class Choices(TypedDict, total=False):
     order: str | None
     preset: str | None
     sensors: Sensors | Sequence[Sensors] | None
-    all_subsets: bool
-    align: str
-    smooth: bool
     progress: Progress
 
 
 @overload
-def compare(log: PathLike | Sequence[PathLike], /, **choices: Unpack[Choices]) -> Comparison: ...
+def compare(log: PathLike | Sequence[PathLike], /, **keywords: Unpack[Keywords]) -> Comparison: ...
 
 
 @overload
 def compare(
-    log: PathLike | Sequence[PathLike], /, *more: PathLike | Sequence[PathLike], **choices: Unpack[Choices]
+    log: PathLike | Sequence[PathLike], /, *more: PathLike | Sequence[PathLike], **keywords: Unpack[Keywords]
 ) -> Summary: ...
 
 
@@ -116,15 +112,13 @@ def compare(
     order: str | None = None,
     preset: str | None = None,
     sensors: Sensors | Sequence[Sensors] | None = None,
-    all_subsets: bool = False,
-    align: str = "none",
-    smooth: bool = False,
     progress: Progress = silent,
+    **choices: Unpack[Choices],
 ) -> Comparison | Summary:
-    """Say what each sensor is worth, over one log or over several of one robot.
+    """Evaluate what each sensor adds, over one log or over several of one robot.
 
     One log gives a Comparison, as `load(log).compare()`. Several give a Summary: every log compared by itself,
-    and what all say together. Arguments are those of `load` and of `Session.compare`; audits are kept of a single
+    and figures over all. Arguments are those of `load` and of `Session.compare`; audits are kept of a single
     log only.
 
         locfuse.compare("rounded_rectangle")
@@ -134,15 +128,13 @@ def compare(
         LocfuseError: a log cannot be used, or a sensor is unknown; in one line that names the log.
     """
     how = log_options(robot, sets, order, preset)
-    asked: dict[str, Any] = {"all_subsets": all_subsets, "align": align, "smooth": smooth}
+    asked = Asked(configuration_words(sensors), **choices)
     if len(logs) == 1:
-        return opened(words_of(logs[0]), how, progress).compare(sensors, **asked)
+        return opened(words_of(logs[0]), how, progress).compared(asked)
     found = {}
     for name, parts in named(_each(logs)).items():
         with naming(name):
-            found[name] = opened(parts, how, progress).compare(
-                sensors, **asked, audits=False, advice=False, reference=False
-            )
+            found[name] = opened(parts, how, progress).compared(asked.of_each())
     return Summary(found)
 
 
@@ -152,18 +144,6 @@ def _each(logs: Sequence[PathLike | Sequence[PathLike]]) -> list[list[str]]:
         raise UsageError("which log? Name one or several, such as locfuse.compare('rounded_rectangle')")
     single = [word for log in logs if isinstance(log, str | os.PathLike) for word in words_of(log)]
     return [*logs_of(single), *(words_of(log) for log in logs if not isinstance(log, str | os.PathLike))]
-
-
-def named(logs: Sequence[Sequence[str]]) -> dict[str, Sequence[str]]:
-    """Return the logs by a name for the folder of each; of equal names the later ones are numbered."""
-    found: dict[str, Sequence[str]] = {}
-    for parts in logs:
-        name = stem = log_name(find_log(parts))
-        number = 2
-        while name in found:
-            name, number = f"{stem}_{number}", number + 1
-        found[name] = parts
-    return found
 
 
 @contextmanager
@@ -201,7 +181,7 @@ def _standing(entry: Entry) -> dict[str, Any]:
 
 
 def default_folder() -> Path:
-    """Return where a summary goes unless -o says otherwise."""
+    """Return the folder of a summary where no other is given."""
     return results.default_folder(FOLDER)
 
 

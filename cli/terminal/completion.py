@@ -45,7 +45,7 @@ def settings(context: click.Context, parameter: click.Parameter, begun: str) -> 
     """Offer keys of robot.toml with their units; after TABLE.topic= the topics of the log that was typed."""
     from msgspec.structs import fields
 
-    from locfuse.cli.analysis.load import table_types
+    from locfuse.cli.analysis.robot_tables import table_types
     from locfuse.formats.robot import units
 
     key, equals, word = begun.partition("=")

@@ -51,9 +51,9 @@ def print_findings(values: Any, tables: Iterable[Table], out: Path | None, as_js
 
 
 def end(notes: Iterable[str], lost: Sequence[str], quiet: bool) -> int:
-    """Say what else there is to know on stderr; return the exit code."""
-    from locfuse.cli.analysis.results import LOSS
+    """Print notes and losses on stderr; return the exit code."""
+    from locfuse.cli.analysis.errors import LOSS
 
     for line in (*(() if quiet else (f"note: {n}" for n in notes)), *(f"lost: {n}" for n in lost)):
-        say(line, err=True)  # the reason of exit code 3 is said under --quiet too
+        say(line, err=True)  # the reason of exit code 3 is printed with --quiet too
     return LOSS if lost else 0

@@ -148,7 +148,7 @@ def _roles(overview: Overview, width: int | None) -> Iterator[str]:
 
 
 def _place(mount: dict[str, Any], frame: str) -> str:
-    """Say where a sensor sits, and who says so."""
+    """Return in words the mount of a sensor and its source."""
     if mount["by"] == "nobody":
         return f"nothing says where {f'frame {frame}' if frame else 'it'} sits"
     if "mounts" in mount:
@@ -178,7 +178,7 @@ def _configurations(overview: Overview, width: int | None) -> Iterator[str]:
 
 
 def _briefly(words: str, role: str, overview: Overview) -> str:
-    """Say once what a finding says too."""
+    """Return a reason, or "see below" where a finding has the same words."""
     below = any(f.role == role and (f.severe or f.sentence == words) for f in overview.findings)
     return "see below" if below else words
 
@@ -238,7 +238,7 @@ def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None
 
 
 def _without(typed: Sequence[str], fixes: Collection[str]) -> list[str]:
-    """Return what was typed less the --set of keys that are cured."""
+    """Return what was typed without the --set of keys that are fixed."""
     kept: list[str] = []
     for word in typed:
         if kept and kept[-1] == "--set" and word.partition("=")[0] in fixes:

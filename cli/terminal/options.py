@@ -1,87 +1,114 @@
-"""Options that several commands share, declared once."""
+"""The options of commands that read logs, each declared once, and the one carrier that takes them to a command.
+
+The parameter of an option has the name of the field that it fills, in one of the parts of `Options`.
+"""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
-from msgspec.structs import replace
+import msgspec
+from msgspec import field
 
 from locfuse.cli.analysis import settings
 from locfuse.cli.analysis.exports import KINDS as EXPORTS
-from locfuse.cli.analysis.settings import LogOptions, MapOptions
+from locfuse.cli.analysis.settings import Asked, GateOptions, LogOptions, Outputs
+from locfuse.cli.fleet.job import FleetOptions
+from locfuse.cli.rerun.address import ADDRESS, LOCAL_VIEWER
+from locfuse.cli.rerun.record import RerunOptions
 
 from . import completion
 
 F = TypeVar("F", bound=Callable[..., Any])
+Declared = Callable[[Any], Any]  # what click.option returns
+P = TypeVar("P", bound=msgspec.Struct)
+SECONDS = "s since the first wheel reading"
+RERUN_PREFIX = "rerun_"  # of the parameters that fill RerunOptions
 
 
-def preset_option(command: F) -> F:
-    """Add --preset to a command with @log_options below it: it arrives in `how`."""
+class Options(msgspec.Struct, frozen=True):
+    """All that a command line asks. A part that a command has no options for is as by default."""
+
+    how: LogOptions = field(default_factory=LogOptions)  # how logs are read
+    asked: Asked = field(default_factory=Asked)  # what is computed of each
+    outputs: Outputs = field(default_factory=Outputs)  # what is written, and where
+    gates: GateOptions = field(default_factory=GateOptions)
+    rerun: RerunOptions = field(default_factory=RerunOptions)
+    fleet: FleetOptions = field(default_factory=FleetOptions)
+
+    @property
+    def inputs(self) -> tuple[Path | None, ...]:
+        """Files beside the log that are read, and must not be written over."""
+        return (*self.how.robot_files, self.gates.baseline, self.how.given_map)
+
+
+def carried(*declared: Declared) -> Callable[[F], F]:
+    """Add options to a command, which receives them as `options: Options`."""
+
+    def decorate(command: F) -> F:
+        @functools.wraps(command)
+        def wrapped(log: tuple[str, ...], **given: Any) -> Any:
+            return command(log, options=options_of(given))
+
+        decorated: F = _with(wrapped, declared)
+        return decorated
+
+    return decorate
+
+
+def options_of(given: Mapping[str, Any]) -> Options:
+    """Return what click gives a command, in one carrier. Raises click.UsageError for what contradicts itself."""
+    fleet = _part(FleetOptions, given)
+    if fleet.cluster is not None and fleet.jobs > 1:
+        raise click.UsageError("--jobs is for this machine; --cluster runs a job per thread of its workers")
+    of_rerun = {name.removeprefix(RERUN_PREFIX): given[name] for name in given if name.startswith(RERUN_PREFIX)}
+    return Options(
+        how=_how(given),
+        asked=_part(Asked, given),
+        outputs=_part(Outputs, given),
+        gates=_part(GateOptions, given),
+        rerun=_part(RerunOptions, of_rerun),
+        fleet=fleet,
+    )
+
+
+def _part(kind: type[P], given: Mapping[str, Any]) -> P:
+    return kind(**{name: given[name] for name in kind.__struct_fields__ if name in given})
+
+
+def log_options(command: F) -> F:
+    """Add the options that say how a log is read; the command receives them as `how: LogOptions`."""
 
     @functools.wraps(command)
-    def wrapped(*args: Any, how: LogOptions, preset: str | None, **kwargs: Any) -> Any:
-        return command(*args, how=replace(how, preset=preset), **kwargs)
+    def wrapped(*args: Any, **given: Any) -> Any:
+        own = {name: value for name, value in given.items() if name not in OF_READING}
+        return command(*args, how=_how(given), **own)
 
-    option = click.option(
-        "--preset",
-        type=click.Choice(["default", "paper"]),
-        help="The filter: our own, or the paper's equations as printed (docs/paper.md).  [default: default]",
-    )
-    return option(wrapped)  # type: ignore[return-value]
+    decorated: F = _with(wrapped, READING)
+    return decorated
 
 
-def window_options(command: F) -> F:
-    """Add --from and --to to a command with @log_options above it: they arrive in `how`."""
+def _how(given: Mapping[str, Any]) -> LogOptions:
+    robots, sets, truth = given["robots"], given["sets"], given["truth"]
+    begin, end = given.get("begin"), given.get("end")
+    if begin is not None and end is not None and begin >= end:
+        raise click.UsageError(f"--from {begin:g} --to {end:g}: the first must be the earlier one")
+    if truth is not None:
+        from locfuse.formats.robot.robot_toml import as_set
 
-    @functools.wraps(command)
-    def wrapped(*args: Any, how: LogOptions, begin: float | None, end: float | None, **kwargs: Any) -> Any:
-        if begin is not None and end is not None and begin >= end:
-            raise click.UsageError(f"--from {begin:g} --to {end:g}: the first must be the earlier one")
-        return command(*args, how=replace(how, begin=begin, end=end), **kwargs)
-
-    decorated: Any = wrapped
-    words = "s since the first wheel reading"
-    for option in (
-        click.option("--to", "end", type=float, metavar="S", help=f"Use only what comes before: {words}."),
-        click.option("--from", "begin", type=float, metavar="S", help=f"Use only what comes after: {words}."),
-    ):
-        decorated = option(decorated)
-    return decorated  # type: ignore[no-any-return]
+        sets = (*sets, as_set("truth.topic", str(truth)))
+    named = {"robot": robots[0] if robots else None, "over": robots[1:], "sets": sets}
+    return _part(LogOptions, {**given, **named})
 
 
-def smooth_option(command: F) -> F:
-    """Add --smooth."""
-    words = "Also smooth: what the whole drive, its end included, says of every instant."
-    return click.option("--smooth", is_flag=True, help=words)(command)
-
-
-def advice_option(command: F) -> F:
-    """Add --no-advice, which arrives as `advice`."""
-    words = "Try no fixes: report what the settings give as they are, without fusing again."
-    return click.option("--no-advice", "advice", flag_value=False, default=True, help=words)(command)
-
-
-def jitter_option(command: F) -> F:
-    """Add --jitter."""
-    words = (
-        "Also fuse N times with stamps moved by 1 µs and 1 % of the readings dropped: the range of every "
-        "figure is reported, and a verdict that changes becomes: no effect seen."
-    )
-    return click.option("--jitter", type=int, default=0, metavar="N", help=words)(command)
-
-
-def reference_option(command: F) -> F:
-    """Add --reference and --no-reference, which arrive as `reference`; None where neither was given."""
-    words = (
-        "Without truth: measure errors against the solution of the whole drive by all sensors, and judge each "
-        "sensor by one without it.  [default: with --smooth, and for drives of up to "
-        f"{settings.MAX_REFERENCE_INSTANTS} update times]"
-    )
-    return click.option("--reference/--no-reference", default=None, help=words)(command)
+def _with(command: Any, declared: Sequence[Declared]) -> Any:
+    for option in reversed(declared):
+        command = option(command)
+    return command
 
 
 class RobotFile(click.Path):
@@ -92,158 +119,300 @@ class RobotFile(click.Path):
         return Path(value) if "{robot}" in str(value) else super().convert(value, param, ctx)
 
 
-def log_options(command: F) -> F:
-    """Add --robot, --set, --order, --truth, --strict, --quiet; the command receives them as `how: LogOptions`."""
-    import functools
+class Folder(click.Path):
+    """A folder on this machine, or one in a store: s3://bucket/day1/."""
 
-    @functools.wraps(command)
-    def wrapped(
-        *args: Any,
-        robot: tuple[Path, ...],
-        sets: tuple[str, ...],
-        order: str | None,
-        strict: bool,
-        quiet: bool,
-        truth: Path | None,
-        hash_all: bool,
-        **kwargs: Any,
-    ) -> Any:
-        if truth is not None:
-            from locfuse.formats.robot.robot_toml import as_set
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Return it as a word."""
+        from locfuse.formats.container.url import is_url
 
-            sets = (*sets, as_set("truth.topic", str(truth)))
-        how = LogOptions(
-            robot[0] if robot else None, sets, order, strict, quiet, hash_all=hash_all, over=robot[1:]
-        )
-        return command(*args, how=how, **kwargs)
-
-    decorated: Any = wrapped
-    for option in reversed(
-        (
-            click.option(
-                "--robot",
-                multiple=True,
-                type=RobotFile(path_type=Path, exists=True, dir_okay=False),
-                help="robot.toml that describes the robot; merged over the one in the log. Repeatable: later "
-                "files win, e.g. --robot robot.toml --robot fixes.toml. Of many logs (--robot-from): "
-                "'robots/{robot}.toml'.",
-            ),
-            click.option(
-                "--set",
-                "sets",
-                multiple=True,
-                metavar="TABLE.KEY=VALUE",
-                shell_complete=completion.settings,
-                help="Set one key of robot.toml, e.g. --set lrf.sigma_range=0.03. Repeatable.",
-            ),
-            click.option(
-                "--order",
-                type=click.Choice(["auto", "stamp", "recorded"]),
-                help="Which clock wins where stamps run backwards.  [default: auto]",
-            ),
-            click.option(
-                "--truth",
-                type=click.Path(path_type=Path, exists=True, dir_okay=False),
-                metavar="FILE",
-                help="Reference poses beside the log: a .tum, or a .csv with columns t, x, y (theta).",
-            ),
-            click.option("--strict", is_flag=True, help="Exit with 3 on any loss of data."),
-            click.option(
-                "--hash",
-                "hash_all",
-                is_flag=True,
-                help="Read and hash every byte of the log for the report.  [default: only if all bytes are read]",
-            ),
-            click.option("-q", "--quiet", is_flag=True, help="Print no progress and no notes."),
-        )
-    ):
-        decorated = option(decorated)
-    return decorated  # type: ignore[no-any-return]
+        return value if is_url(str(value)) else str(super().convert(value, param, ctx))
 
 
-def out_options(kinds: tuple[str, ...]) -> Callable[[F], F]:
-    """Add -o, --overwrite and --write with these kinds of output."""
+def known(what: str, kinds: Sequence[str], default: str | None) -> Callable[..., frozenset[str]]:
+    """Return a callback that takes kinds of output, comma-separated; it raises click.UsageError for others."""
 
-    def decorate(command: F) -> F:
-        decorated: Any = command
-        for option in reversed(
-            (
-                click.option(
-                    "-o",
-                    "--out",
-                    type=click.Path(path_type=Path, file_okay=False),
-                    help="Folder for the results.  [default: locfuse-out/<log name>]",
-                ),
-                click.option(
-                    "--overwrite",
-                    is_flag=True,
-                    help="Replace files, and write into a folder that holds something else.",
-                ),
-                click.option(
-                    "--write",
-                    metavar="KINDS",
-                    help=f"Comma-separated outputs to write: {', '.join(kinds)}.  [default: all]",
-                ),
-                click.option(
-                    "--json", "as_json", is_flag=True, help="Print the report as JSON instead of a table."
-                ),
-            )
-        ):
-            decorated = option(decorated)
-        return decorated  # type: ignore[no-any-return]
+    def chosen(context: click.Context, parameter: click.Parameter, value: str | None) -> frozenset[str]:
+        from locfuse.fusion.data import UsageError
 
-    return decorate
+        try:
+            return frozenset(settings.chosen(default if value is None else value, kinds, what))
+        except UsageError as problem:
+            raise click.UsageError(str(problem)) from None
+
+    return chosen
 
 
-def chosen(write: str | None, kinds: tuple[str, ...]) -> set[str]:
-    """Return the kinds of output that --write names. Raises click.UsageError for an unknown one."""
-    return _known(write, kinds, "--write: unknown output")
+def every(ctx: click.Context, param: click.Parameter, value: str | None) -> int | None:
+    """Return N of `every=N`, 0 for `none`. Raises click.BadParameter for anything else."""
+    if value is None or value == "none":
+        return None if value is None else 0
+    word = value.strip().removeprefix("every=")
+    if not word.isdecimal() or int(word) == 0:
+        raise click.BadParameter(f"{value!r} is neither every=N (N from 1) nor none")
+    return int(word)
 
 
-def _known(words: str | None, known: Sequence[str], what: str) -> set[str]:
-    from locfuse.fusion.data import UsageError
-
-    try:
-        return settings.chosen(words, known, what)
-    except UsageError as problem:
-        raise click.UsageError(str(problem)) from None
+def address(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
+    """Return a viewer's address as it is. Raises click.BadParameter for what cannot be one."""
+    if value is not None and ADDRESS.fullmatch(value) is None:
+        raise click.BadParameter(f"{value!r} is no viewer's address; try {LOCAL_VIEWER}")
+    return value
 
 
-def export_option(command: F) -> F:
-    """Add --export; the command receives `export: set[str]`."""
-    words = "; ".join(f"{kind} ({what})" if what else kind for kind, what in EXPORTS.items())
-    option = click.option(
-        "--export",
-        callback=lambda context, parameter, value: exported(value),
-        metavar="KINDS",
-        help=f"Comma-separated formats of other tools to write as well: {words}.",
+FILE = click.Path(path_type=Path, dir_okay=False)
+EXISTING = click.Path(path_type=Path, dir_okay=False, exists=True)
+
+# --- how a log is read
+READING = (
+    click.option(
+        "--robot",
+        "robots",
+        multiple=True,
+        type=RobotFile(path_type=Path, exists=True, dir_okay=False),
+        help="robot.toml that describes the robot; merged over the one in the log. Repeatable: later files win, "
+        "e.g. --robot robot.toml --robot fixes.toml. Of many logs (--robot-from): 'robots/{robot}.toml'.",
+    ),
+    click.option(
+        "--set",
+        "sets",
+        multiple=True,
+        metavar="TABLE.KEY=VALUE",
+        shell_complete=completion.settings,
+        help="Set one key of robot.toml, e.g. --set lrf.sigma_range=0.03. Repeatable.",
+    ),
+    click.option(
+        "--order",
+        type=click.Choice(settings.ORDERS),
+        help="Which clock wins where stamps run backwards.  [default: auto]",
+    ),
+    click.option(
+        "--truth",
+        type=EXISTING,
+        metavar="FILE",
+        help="Reference poses beside the log: a .tum, or a .csv with columns t, x, y (theta).",
+    ),
+    click.option("--strict", is_flag=True, help="Exit with 3 on any loss of data."),
+    click.option(
+        "--hash",
+        "hash_all",
+        is_flag=True,
+        help="Read and hash every byte of the log for the report.  [default: only if all bytes are read]",
+    ),
+    click.option("-q", "--quiet", is_flag=True, help="Print no progress and no notes."),
+)
+OF_READING = ("robots", "sets", "order", "truth", "strict", "hash_all", "quiet")  # their parameters
+PRESET = click.option(
+    "--preset",
+    type=click.Choice(settings.PRESETS),
+    help="The filter: our own, or the paper's equations as printed (docs/paper.md).  [default: default]",
+)
+WINDOW = (
+    click.option("--from", "begin", type=float, metavar="S", help=f"Use only what comes after: {SECONDS}."),
+    click.option("--to", "end", type=float, metavar="S", help=f"Use only what comes before: {SECONDS}."),
+)
+GIVEN_MAP = click.option(
+    "--map",
+    "given_map",
+    type=EXISTING,
+    help="Localise in this map: the JSON of --save-map, or the .yaml of an image (map_server), in which the start "
+    "is looked for. It is not changed.",
+)
+
+# --- what is computed
+ALIGN = click.option(
+    "--align",
+    type=click.Choice(["none", "origin", "se2"]),
+    default="none",
+    show_default=True,
+    help="Move the estimate onto the truth before judging it.",
+)
+SMOOTH = click.option(
+    "--smooth", is_flag=True, help="Also smooth: what the whole drive, its end included, says of every instant."
+)
+REFERENCE = click.option(
+    "--reference/--no-reference",
+    default=None,
+    help="Without truth: measure errors against the solution of the whole drive by all sensors, and judge each "
+    "sensor by one without it.  [default: with --smooth, and for drives of up to "
+    f"{settings.MAX_REFERENCE_INSTANTS} update times]",
+)
+ADVICE = click.option(
+    "--no-advice",
+    "advice",
+    flag_value=False,
+    default=True,
+    help="Try no fixes: report what the settings give as they are, without fusing again.",
+)
+JITTER = click.option(
+    "--jitter",
+    type=int,
+    default=0,
+    metavar="N",
+    help="Also fuse N times with stamps moved by 1 µs and 1 % of the readings dropped: the range of every figure "
+    "is reported, and a verdict that changes becomes: no effect seen.",
+)
+CONFIGURATIONS = (
+    click.option(
+        "--sensors",
+        shell_complete=completion.sensors,
+        multiple=True,
+        help="A configuration to compare, e.g. --sensors odometry --sensors compass,lrf, or a what-if at a lower "
+        "rate, --sensors lrf@2Hz. Repeatable.  [default: odometry, each sensor alone, all]",
+    ),
+    click.option(
+        "--all-subsets",
+        is_flag=True,
+        help="Run every subset of the sensors: each one's credit, not only its effect alone.",
+    ),
+)
+
+# --- what must hold
+GATES = (
+    click.option(
+        "--fail-if",
+        multiple=True,
+        metavar="GATE",
+        help='Exit with 4 if it holds, e.g. "all.position_rmse_m > 0.02"; of several logs also '
+        '"fleet.all.position_rmse_m.p90 > 0.05". Repeatable.',
+    ),
+    click.option(
+        "--baseline",
+        type=EXISTING,
+        metavar="REPORT.JSON",
+        help="Exit with 4 if an error figure is worse than in this earlier report of the same log (of several "
+        "logs: their summary.json).",
+    ),
+    click.option(
+        "--tolerance",
+        default="5%",
+        show_default=True,
+        help="How much worse than the baseline is allowed: a share, a floor (1mm, 0.1deg), or both: 5%,1mm.",
+    ),
+)
+
+# --- what is written
+FIGURES = click.option(
+    "--figures",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Also write every figure there as SVG and PDF, for a paper.",
+)
+OPEN = click.option("--open", is_flag=True, help="Open the report in the browser when it is written.")
+EXPORT = click.option(
+    "--export",
+    callback=known("--export: unknown format", list(EXPORTS), ""),
+    metavar="KINDS",
+    help="Comma-separated formats of other tools to write as well: "
+    f"{'; '.join(f'{kind} ({what})' if what else kind for kind, what in EXPORTS.items())}.",
+)
+
+
+def written(kinds: Sequence[str]) -> tuple[Declared, ...]:
+    """Return the options of a command that writes a folder of these kinds of output."""
+    return (
+        click.option(
+            "-o",
+            "--out",
+            type=click.Path(path_type=Path, file_okay=False),
+            help="Folder for the results.  [default: locfuse-out/<log name>]",
+        ),
+        click.option(
+            "--overwrite", is_flag=True, help="Replace files, and write into a folder that holds something else."
+        ),
+        click.option(
+            "--write",
+            callback=known("--write: unknown output", kinds, None),
+            metavar="KINDS",
+            help=f"Comma-separated outputs to write: {', '.join(kinds)}.  [default: all]",
+        ),
+        click.option("--json", "as_json", is_flag=True, help="Print the report as JSON instead of a table."),
     )
-    return option(command)
 
 
-def exported(words: str | None) -> set[str]:
-    """Return the kinds that --export names. Raises click.UsageError for an unknown one."""
-    return _known(words or "", list(EXPORTS), "--export: unknown format")
+# --- Rerun
+def detail(prefix: str) -> tuple[Declared, ...]:
+    """Return --images and --full, with a prefix where the command has other outputs too."""
+    name = prefix.replace("-", "_")
+    return (
+        click.option(
+            f"--{prefix}images",
+            f"{name}images",
+            callback=every,
+            metavar="every=N|none",
+            help="Which pictures go into the recording.  [default: evenly, at most 600]",
+        ),
+        click.option(
+            f"--{prefix}full",
+            f"{name}full",
+            is_flag=True,
+            help="Record everything: no thinning of curves (4000 points) and scans (2000).",
+        ),
+    )
 
 
-def map_options(command: F) -> F:
-    """Add --map and --save-map; the command receives them as `maps: MapOptions`."""
+RERUN_SHOW = click.option(
+    "--rerun",
+    "rerun_show",
+    is_flag=True,
+    help="Show the drive in Rerun: in a running viewer, else a new one. Of several logs: record each, and print "
+    "the command that shows them all.",
+)
+RERUN = (
+    RERUN_SHOW,
+    click.option("--rerun-save", type=FILE, metavar="FILE.rrd", help="Write the Rerun recording to this file."),
+    click.option(
+        "--rerun-connect",
+        callback=address,
+        metavar="URL",
+        help=f"Send the recording to the viewer at this address, e.g. {LOCAL_VIEWER}.",
+    ),
+    *detail("rerun-"),
+)
 
-    @functools.wraps(command)
-    def wrapped(*args: Any, given_map: Path | None, save_map: Path | None, **kwargs: Any) -> Any:
-        return command(*args, maps=MapOptions(given_map, save_map), **kwargs)
 
-    words = "Write the line map of this run as JSON, its landmarks as .csv."
-    save = click.option("--save-map", type=click.Path(path_type=Path, dir_okay=False), help=words)
-    return given_map_option(save(wrapped))  # type: ignore[return-value]
-
-
-def given_map_option(command: F) -> F:
-    """Add --map, which arrives as `given_map`."""
-    return click.option(
-        "--map",
-        "given_map",
-        type=click.Path(path_type=Path, dir_okay=False, exists=True),
-        help="Localise in this map: the JSON of --save-map, or the .yaml of an image (map_server), in which the "
-        "start is looked for. It is not changed.",
-    )(command)
+# --- many logs
+def fleet(hidden: bool = False) -> tuple[Declared, ...]:
+    """Return the options of many logs; `hidden` from --help where another command is the place for them."""
+    option = functools.partial(click.option, hidden=hidden)
+    return (
+        option(
+            "-j",
+            "--jobs",
+            type=click.IntRange(min=1),
+            default=1,
+            show_default=True,
+            help="How many logs to compare at once, each in a process of its own.",
+        ),
+        option(
+            "--cluster",
+            metavar="ADDRESS",
+            help="Compare them on the workers of a Dask scheduler, such as tcp://127.0.0.1:8786 (docs/fleet.md).",
+        ),
+        option(
+            "--each",
+            type=Folder(exists=True, file_okay=False),
+            multiple=True,
+            metavar="DIR",
+            help="Compare every log below this folder. Repeatable.",
+        ),
+        option("--again", is_flag=True, help="Compare also logs whose results are there already."),
+        option(
+            "--max-failures",
+            type=click.IntRange(min=0),
+            metavar="N",
+            help="Stop when more than N logs have failed.  [default: go on]",
+        ),
+        option(
+            "--robot-from",
+            metavar="REGEX",
+            help="Which robot a log is of: a pattern of its path with a group, such as 'fleet/(?P<robot>[^/]+)/'.",
+        ),
+        option(
+            "--sweep",
+            multiple=True,
+            metavar="KEY=V1,V2",
+            help="Compare under each of these values of a key, e.g. lrf.sigma_range=0.01,0.03. A log is read "
+            "once. Repeatable.",
+        ),
+    )

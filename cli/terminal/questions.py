@@ -1,6 +1,6 @@
-"""Questions to the person at the terminal: values of robot.toml that no log can tell.
+"""Questions to the person at the terminal: values of robot.toml that are in no log.
 
-Nobody is asked where stdin or stderr is a file or a pipe: scripts and CI run as before.
+Nothing is asked where stdin or stderr is a file or a pipe: scripts and CI run as before.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import click
 
-from locfuse.cli.analysis.load import make_robot
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import LocfuseError
 

@@ -1,4 +1,4 @@
-"""The screen: lines by click, tables by rich, and text of a log that does nothing but stand there.
+"""The screen: lines by click, tables by rich, and text of a log with its control characters made visible.
 
 A reader of stdout that has gone (`| head`) is no error of ours.
 """
@@ -41,7 +41,7 @@ def screen(**options: Any) -> Console:
 def say(line: str, err: bool = False) -> None:
     """Print one line on stdout or stderr, whatever a log put into it.
 
-    On stderr to nobody where its reader has gone (`2>&1 | head`): the exit code is still due.
+    Where the reader of stderr has gone (`2>&1 | head`) it is dropped: the exit code is still returned.
     """
     try:
         click.echo(visible(line), err=err)
@@ -73,7 +73,7 @@ def settle_streams() -> None:
 
 @contextmanager
 def reader_may_leave() -> Iterator[None]:
-    """Say the rest to nobody once the reader of stdout has gone, and go on: files and exit code are still due."""
+    """Ignore a closed stdout (`| head`): drop further output, still write files and return the exit code."""
     try:
         yield
         sys.stdout.flush()

@@ -7,8 +7,9 @@ import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
+from locfuse.cli.rerun.record import record
 from locfuse.formats.report import json_report, tables
 from locfuse.formats.report.findings import banner_of, findings_of, together
 from locfuse.formats.report.notes import notes_of
@@ -18,6 +19,11 @@ from locfuse.fusion.progress import heard_by
 from . import text_table
 from .screen import put, reader_may_leave, screen
 from .screen import say as on_screen
+
+if TYPE_CHECKING:
+    from locfuse.cli.session.result import Result
+
+    from .options import Options
 
 BELOW = " rmse, max, final: distance to the truth. ANEES: 1 is right, more is overconfident. See: locfuse explain"
 BELOW_REFERENCE = (
@@ -31,7 +37,7 @@ OR_REFERENCE = ", or measure against the solution of the whole drive: --referenc
 
 
 class Progress(Protocol):
-    """Says what is being worked on."""
+    """Shows the current step."""
 
     def __call__(self, what: str) -> None:
         """Name the current step."""
@@ -80,6 +86,19 @@ def lines(text: Iterable[str], bold: Collection[str] = ()) -> None:
         console.print(Text(line, "bold" if line in bold else ""))
 
 
+def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]:
+    """Print a result and its notes, record it for Rerun where asked, and return in words what was lost.
+
+    `files` are those that it was written to, in one folder.
+    """
+    quiet, lost = options.how.quiet, found.losses(options.how.strict)
+    result(found.report, files, options.outputs.as_json)
+    notes(found.report, lost, quiet)
+    transfer(found.loaded.log.transfer, quiet)
+    record(options.rerun, found, files[0].parent, say)
+    return lost
+
+
 def result(report: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> None:
     """Print a finished report, and which files it was written to; they lie in one folder."""
     with reader_may_leave():
@@ -104,7 +123,7 @@ def end(files: Sequence[Path], as_json: bool, wanted: bool) -> None:
 
 
 def open_page(page: Path | None) -> None:
-    """Show a page in the user's browser; say so where there is none."""
+    """Show a page in the user's browser; print a line where there is none."""
     import webbrowser
 
     if page is None:
@@ -114,7 +133,7 @@ def open_page(page: Path | None) -> None:
 
 
 def figures(report: Mapping[str, Any]) -> None:
-    """Print the configurations and what became of each sensor's measurements."""
+    """Print the configurations, and how many measurements of each sensor were accepted and rejected."""
     table(tables.brief(report))
     if tables.has_figures(report):
         lines(BELOW_REFERENCE if report.get("reference") else (BELOW,))
@@ -135,7 +154,7 @@ def table(shown: Table) -> None:
 def notes(report: Mapping[str, Any], losses: Sequence[str], quiet: bool) -> None:
     """Print to stderr what a reader of the figures must know: absent sensors, findings, losses."""
     void = {v["message"] for v in report.get("validity") or () if v["void"]}
-    for line in losses:  # the reasons of exit code 3: said under --quiet too
+    for line in losses:  # the reasons of exit code 3: printed with --quiet too
         say(f"{'void' if line in void else 'lost'}: {line}")
     if quiet:
         return
@@ -167,10 +186,10 @@ def verdicts(report: Mapping[str, Any]) -> None:
     from rich.text import Text
 
     console = screen()
-    alike: dict[tuple[str, str], list[str]] = {}
+    equal: dict[tuple[str, str], list[str]] = {}
     for sensor, found in report.get("verdicts", {}).items():
-        alike.setdefault((found["verdict"], found["words"]), []).append(sensor)
-    for (verdict, words), sensors in alike.items():
+        equal.setdefault((found["verdict"], found["words"]), []).append(sensor)
+    for (verdict, words), sensors in equal.items():
         colour = COLOURS.get(verdict, "")
         console.print(Text.assemble((f"{', '.join(sensors)} {verdict}. ", f"bold {colour}"), words))
 

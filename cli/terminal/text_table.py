@@ -87,7 +87,7 @@ def _width(strips: Sequence[Strip], gap: int) -> int:
 
 
 def _cut(cell: str, width: int) -> str:
-    """Take out the middle: both ends of a topic's name tell more."""
+    """Take out the middle: both ends of a topic's name matter more."""
     if len(cell) <= width:
         return cell
     head = (width - 1) // 2

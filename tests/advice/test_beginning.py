@@ -10,7 +10,7 @@ from locfuse.cli.advice.beginning import Beginning
 from locfuse.cli.advice.trial import Trial, score_of
 from locfuse.cli.analysis.compare import compare_log
 from locfuse.cli.analysis.configurations import for_comparison
-from locfuse.cli.analysis.settings import silent
+from locfuse.cli.analysis.settings import Asked, silent
 from locfuse.cli.session.session import load
 
 LOG = "rounded_rectangle"
@@ -25,8 +25,8 @@ def test_a_watched_comparison_equals_one_of_the_beginning(truth: bool, monkeypat
     trial = Trial(loaded, {c.name: c for c in chosen}, "none", silent)
     assert len(trial.loaded.drive.t) < len(loaded.drive.t)
     seen = Beginning(trial)
-    compare_log(loaded, chosen, "none", silent, watch=[seen.take], heard=[seen.hear])
-    found, again = seen.compared(), compare_log(trial.loaded, chosen, "none", silent)
+    compare_log(loaded, chosen, Asked(audits=False), silent, watch=[seen.take], heard=[seen.hear])
+    found, again = seen.compared(), compare_log(trial.loaded, chosen, Asked(audits=False), silent)
     assert found is not None
     assert [score_of(e) for e in found.evaluations] == [score_of(e) for e in again.evaluations]
     for one, other in zip(found.runs, again.runs, strict=True):

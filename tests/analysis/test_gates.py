@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import pytest
 from commands import locfuse
 
-from locfuse.cli.analysis.ci_gates import (
-    failures,
+from locfuse.cli.analysis.gates import (
+    Gates,
     figure,
     parse_gate,
     parse_tolerance,
@@ -42,7 +42,7 @@ REPORT: dict[str, Any] = {
 
 
 def lines(*gates: str) -> list[str]:
-    return failures(REPORT, [parse_gate(g) for g in gates], None)
+    return Gates([parse_gate(g) for g in gates]).failures(REPORT)
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def baseline(tmp_path: Path, tolerance: str, **changes: float | None) -> list[st
     old["configurations"]["all"] |= changes
     path = tmp_path / "old.json"
     path.write_text(json.dumps(old))
-    return failures(REPORT, [], read_baseline(path, tolerance))
+    return Gates([], read_baseline(path, tolerance)).failures(REPORT)
 
 
 def test_only_what_grew_by_more_than_the_tolerance_fails(tmp_path: Path) -> None:
@@ -161,7 +161,7 @@ def test_a_figure_only_one_report_has_is_not_compared(tmp_path: Path) -> None:
 def test_a_baseline_with_nothing_in_common_fails(tmp_path: Path) -> None:
     path = tmp_path / "old.json"
     path.write_text(json.dumps({"configurations": {"else": {"position_rmse_m": 1.0}}}))
-    (line,) = failures(REPORT, [], read_baseline(path, "5%"))
+    (line,) = Gates([], read_baseline(path, "5%")).failures(REPORT)
     assert "no error figure in common" in line
 
 
@@ -331,7 +331,7 @@ def test_a_baseline_of_0_1_is_compared_result_by_result_though_smoothed_ones_had
         "truth": {},
         "configurations": {"all": {"position_rmse_m": 0.02}, "all-smoothed": {"position_rmse_m": 1}},
     }
-    (line,) = failures(now, [], read_baseline(tmp_path / "old.json", "5%"))
+    (line,) = Gates([], read_baseline(tmp_path / "old.json", "5%")).failures(now)
     assert line.startswith("all-smoothed.position_rmse_m: 1 is")
 
 

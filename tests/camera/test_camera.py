@@ -19,7 +19,7 @@ from omni_scene import Lens, Picture, Pole, picture, wrapped_deg
 from said import one_by_one, said
 
 from locfuse.cli.analysis.choose import choose
-from locfuse.cli.analysis.load import make_robot
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.results.preview import write_pictures
 from locfuse.fusion.camera import detect as landmark_module
 from locfuse.fusion.camera.bearing import paper_orientation, predict_bearing

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from locfuse.cli.analysis.load import make_robot
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion.checks.probes import beyond_prior, of_probe
 from locfuse.fusion.data import Estimates
 from locfuse.fusion.robot import Robot

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 from commands import Done, locfuse
 
-from locfuse.cli.analysis import ci_gates
+from locfuse.cli.analysis.gates import Gates
+from locfuse.cli.analysis.settings import GateOptions
 from locfuse.formats.report.changes import changes, remarks
 
 LOG = "rounded_triangle"
@@ -64,7 +65,7 @@ def test_a_verdict_names_the_reference_that_the_sensor_has_no_part_in(judged: tu
 
 
 def failed(report: dict[str, Any], gate: str) -> list[str]:
-    return ci_gates.read([gate], None, "5%").failures(report)
+    return Gates.read(GateOptions((gate,))).failures(report)
 
 
 def test_a_gate_on_truth_fails_on_a_reference_unless_it_says_so(judged: tuple[Done, Path]) -> None:
@@ -88,7 +89,7 @@ def test_truth_and_reference_are_never_mixed_by_a_gate_or_a_baseline(
     gate, other = [line for line in done.stderr.splitlines() if line.startswith("gate: ")]
     assert "no reference judged this log" in gate
     assert "its errors are against a reference of compass+lrf+camera, these against truth" in other
-    assert ci_gates.read([], baseline, "5%").failures(report(judged[1])) == []
+    assert Gates.read(GateOptions(baseline=baseline)).failures(report(judged[1])) == []
 
 
 def test_it_can_be_left_out_and_is_refused_where_there_is_truth(tmp_path: Path) -> None:

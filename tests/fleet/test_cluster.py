@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import sys
 from collections.abc import Iterator
-from concurrent.futures import Future
+from concurrent.futures import Executor, Future
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import pytest
 from commands import locfuse
 
 from benchmarks.fleet import tables, write_logs
-from locfuse.cli.analysis.key import Asked
+from locfuse.cli.analysis.settings import Asked, LogOptions, Outputs
 from locfuse.cli.fleet import cluster as clusters
 from locfuse.cli.fleet import process
 from locfuse.cli.fleet.job import Job, Outcome
@@ -22,7 +22,6 @@ from locfuse.cli.fleet.queue import run_all
 from locfuse.fusion.data import LocfuseError
 
 ONE = ("--sensors", "odometry", "--write", "json,csv", "-q")
-ASKED = Asked((), False, "none", False)
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +43,7 @@ def address() -> Iterator[str]:
 
 
 def job(name: str, folder: Path) -> Job:
-    return Job(name=name, log=(name,), folder=str(folder), asked=ASKED, kinds=("json",))
+    return Job(name, (name,), folder, LogOptions(), Asked(), Outputs())
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -57,17 +56,17 @@ def test_tables_are_those_of_this_machine_and_what_is_finished_is_not_sent(
         done = locfuse("compare", *names, "-o", tmp_path / out, *ONE, *words)
         assert done.exit_code == 3, done.stderr
     assert tables(tmp_path / "here") == tables(tmp_path / "there")
-    monkeypatch.setattr(process, "run_elsewhere", None)
+    monkeypatch.setattr(process, "run", None)
     again = locfuse("compare", *names[:2], "-o", tmp_path / "there", *ONE, "--cluster", address)
     assert again.exit_code == 0, again.stderr
 
 
 def test_a_worker_of_another_version_or_without_the_folder_is_a_row(tmp_path: Path) -> None:
-    found = process.run_elsewhere(job("a", tmp_path), str(tmp_path), "9.9")
+    found = process.run(job("a", tmp_path), str(tmp_path), "9.9")
     assert found.state == "failed"
     assert "wanted was 9.9" in found.reason
     assert socket.gethostname() in found.reason
-    found = process.run_elsewhere(job("a", tmp_path), str(tmp_path / "gone"), version("locfuse"))
+    found = process.run(job("a", tmp_path), str(tmp_path / "gone"), version("locfuse"))
     assert f"does not see the folder {tmp_path / 'gone'}" in found.reason
 
 
@@ -101,13 +100,13 @@ def test_workers_that_cannot_do_it_are_named_before_anything_is_sent(workers: An
     assert said in str(refused.value)
 
 
-class Dying:
+class Dying(Executor):
     """An executor whose workers die, lose the connection, or cannot import."""
 
     def __init__(self, *problems: BaseException) -> None:
         self.problems = list(problems)
 
-    def submit(self, _fn: Any, _job: Job, /) -> Future[Outcome]:
+    def submit(self, _fn: Any, /, *_given: Any, **_named: Any) -> Future[Any]:
         future: Future[Outcome] = Future()
         future.set_exception(self.problems.pop())
         return future

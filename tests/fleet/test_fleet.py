@@ -6,6 +6,7 @@ import csv
 import fnmatch
 import json
 import os
+import pickle
 import re
 import shutil
 import signal
@@ -13,7 +14,7 @@ import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import Future
+from concurrent.futures import Executor, Future
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +22,11 @@ import pytest
 from commands import locfuse
 from counted_jobs import counted_jobs
 from jobs_here import jobs_here
+from msgspec.structs import replace
 
 from benchmarks.fleet import killed, tables, write_logs
-from locfuse.cli.analysis.key import Asked, asked_tables
-from locfuse.cli.analysis.settings import LogOptions
+from locfuse.cli.analysis.robot_tables import given_tables
+from locfuse.cli.analysis.settings import Asked, LogOptions, Outputs
 from locfuse.cli.fleet import process
 from locfuse.cli.fleet.job import Job, Outcome
 from locfuse.cli.fleet.queue import Standing, duration, run_all
@@ -128,7 +130,7 @@ def test_a_setting_in_a_file_is_the_setting_on_the_command_line(
     first = locfuse("compare", *logs[:2], "-o", out, *ONE, "--set", "compass.sigma_deg=5")
     assert first.exit_code == 0, first.stderr
     (tmp_path / "robot.toml").write_text("# a comment\n[compass]\nsigma_deg = 5\n")
-    monkeypatch.setattr(process, "_in_a_process", lambda job: pytest.fail(f"{job.name} was run again"))
+    monkeypatch.setattr(process, "_in_a_process", lambda job, folder: pytest.fail(f"{job.name} was run again"))
     again = locfuse("compare", *logs[:2], "-o", out, *ONE, "--robot", tmp_path / "robot.toml")
     assert again.exit_code == 0, again.stderr
 
@@ -138,12 +140,12 @@ def test_a_file_that_a_setting_names_is_part_of_the_key_by_its_content(key: str,
     file = tmp_path / "beside.csv"
     how = LogOptions(None, (f'{key}="{file}"',), None, strict=False, quiet=True)
     file.write_text("t,x,y\n0,0,0\n")
-    before = asked_tables(how)
+    before = given_tables(how)
     os.utime(file, (1, 1))
-    assert asked_tables(how) == before
+    assert given_tables(how) == before
     file.write_text("t,x,y\n0,0,1\n")
-    assert asked_tables(how) != before
-    assert asked_tables(how, (f"{key}=other",)) != asked_tables(how)  # a sweep's cell names another
+    assert given_tables(how) != before
+    assert given_tables(how, (f"{key}=other",)) != given_tables(how)  # a sweep's cell names another
 
 
 def test_another_truth_file_is_run_again_and_the_window_is_that_of_every_log(
@@ -166,7 +168,7 @@ def test_another_truth_file_is_run_again_and_the_window_is_that_of_every_log(
     assert abs(run(5.0)[0] - zero[0]) > 0.1
     report = json.loads((tmp_path / "out" / logs[0].stem / "report.json").read_text())
     assert report["configurations"]["compass"]["duration_s"] <= 2.0
-    monkeypatch.setattr(process, "_in_a_process", lambda job: pytest.fail(f"{job.name} was run again"))
+    monkeypatch.setattr(process, "_in_a_process", lambda job, folder: pytest.fail(f"{job.name} was run again"))
     run(5.0)
 
 
@@ -204,8 +206,7 @@ def test_a_job_ends_with_the_command_that_started_it() -> None:
         process.COMMAND, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     ) as child:
         assert child.stdin is not None
-        job = b'{"name":"a","log":["/dev/stdin"],"folder":"/nowhere","asked":{"sensors":[],"all_subsets":false,'
-        child.stdin.write(job + b'"align":"none","smooth":false},"kinds":["json"]}\n')
+        child.stdin.write(pickle.dumps(replace(job("a"), log=("/dev/stdin",), folder=Path("/nowhere"))))
         child.stdin.close()
         assert child.wait(60) in {0, 1}
 
@@ -214,14 +215,13 @@ def test_ctrl_c_keeps_what_is_done(logs: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "out"
     slow = tmp_path / "slow.py"  # the first log is compared, every other one takes for ever
     slow.write_text(
-        "import sys, time, msgspec\nfrom locfuse.cli.fleet.child import outcome\n"
-        "from locfuse.cli.fleet.job import Job\n"
-        "job = msgspec.json.decode(sys.stdin.buffer.readline(), type=Job)\n"
-        f"job.name == {logs[0].stem!r} or time.sleep(600)\n"
-        "print(msgspec.json.encode(outcome(job)).decode())\n"
+        "import time\nfrom locfuse.cli.fleet import process\n"
+        "real = process.compare\n"
+        f"process.compare = lambda job: real(job) if job.name == {logs[0].stem!r} else time.sleep(600)\n"
+        "process.main()\n"
     )
     code = (
-        "import sys\nfrom locfuse.cli.commands import compare_several as several\n"
+        "import sys\nfrom locfuse.cli.commands import fleet as several\n"
         "from locfuse.cli.fleet import process\n"
         f"process.COMMAND = (sys.executable, {str(slow)!r})\n"
         "several.STILL_S = 0.0\n"  # says at every look how far it is
@@ -253,17 +253,17 @@ def test_two_runs_do_not_share_a_folder(logs: list[Path], tmp_path: Path) -> Non
     assert f"is being written by process {os.getpid()}" in done.stderr
 
 
-class Failing:
+class Failing(Executor):
     """An executor that runs nothing and fails everything."""
 
-    def submit(self, _fn: Any, job: Job, /) -> Future[Outcome]:
+    def submit(self, _fn: Any, /, *given: Any, **_named: Any) -> Future[Any]:
         future: Future[Outcome] = Future()
-        future.set_result(Outcome(job.name, "failed", "no luck"))
+        future.set_result(Outcome(given[0].name, "failed", "no luck"))
         return future
 
 
 def job(name: str) -> Job:
-    return Job(name=name, log=(name,), folder=name, asked=Asked((), False, "none", False), kinds=("json",))
+    return Job(name, (name,), Path(name), LogOptions(), Asked(), Outputs())
 
 
 def test_too_many_failures_stop_the_queue() -> None:
@@ -311,6 +311,34 @@ def test_a_list_gives_a_summary_even_of_one_log(
     done = locfuse("compare", f"@{tmp_path / 'logs.txt'}", "-o", tmp_path / "out", *ONE)
     assert done.exit_code == 0, done.stderr
     assert (tmp_path / "out" / logs[0].stem / "report.json").is_file()
+
+
+def test_fleet_is_the_command_and_compare_of_several_logs_gives_the_same(
+    logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    jobs_here(monkeypatch)
+    for command in ("fleet", "compare"):
+        done = locfuse(command, *logs[:2], "-o", tmp_path / command, "--sweep", "compass.sigma_deg=3,5", *ONE)
+        assert done.exit_code == 0, done.stderr
+    assert tables(tmp_path / "fleet") == tables(tmp_path / "compare")
+    assert locfuse("fleet", logs[0], "-o", tmp_path / "one", *ONE).exit_code == 0
+    assert [r["log"] for r in rows(tmp_path / "one")] == [logs[0].stem] * 2
+    assert "Missing argument 'LOG...'; see: locfuse fleet --help" in locfuse("fleet").stderr
+    assert "--jobs" in locfuse("fleet", "--help").stdout
+    assert "--jobs" not in locfuse("compare", "--help").stdout
+
+
+def test_a_later_robot_file_goes_over_the_robots_own(
+    logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    jobs_here(monkeypatch)
+    (tmp_path / "r0.toml").write_text("[compass]\nsigma_deg = 4\n")
+    (tmp_path / "fixes.toml").write_text("[compass]\nsigma_deg = 7\n")
+    words = ("--robot-from", r"/(r\d)/", "--robot", tmp_path / "{robot}.toml", "--robot", tmp_path / "fixes.toml")
+    done = locfuse("fleet", logs[0], *words, "-o", tmp_path / "out", *ONE)
+    assert done.exit_code == 0, done.stderr
+    report = json.loads((tmp_path / "out" / logs[0].stem / "report.json").read_text())
+    assert report["settings"]["compass"]["sigma_deg"] == 7.0
 
 
 def test_a_robot_has_its_own_settings(logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ from locfuse import sample_logs
 from locfuse.cli.analysis.compare import Compared, compare_log
 from locfuse.cli.analysis.configurations import for_comparison
 from locfuse.cli.analysis.load import load
-from locfuse.cli.analysis.settings import LogOptions
+from locfuse.cli.analysis.settings import Asked, LogOptions
 from locfuse.fusion.data import Audit, Estimates, Measurements
 from locfuse.fusion.ekf.record import Record
 from locfuse.fusion.fuse import fuse
@@ -60,7 +60,8 @@ def compared() -> tuple[Compared, list[Estimates]]:
     seen: list[Estimates] = []
     loaded = load([sample_logs.path("rounded_rectangle")], LogOptions(None, (), None, strict=False, quiet=True))
     wanted = for_comparison((), loaded.drive)
-    return compare_log(loaded, wanted, "none", lambda _: None, watch=[lambda e, _: seen.append(e)]), seen
+    asked = Asked(audits=False)
+    return compare_log(loaded, wanted, asked, lambda _: None, watch=[lambda e, _: seen.append(e)]), seen
 
 
 def test_audits_are_shown_to_who_draws_them_and_end_with_the_judgement(

@@ -13,9 +13,9 @@ def counted_jobs(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     ran: list[str] = []
     real = process._in_a_process
 
-    def counted(job: Job) -> Outcome:
+    def counted(job: Job, folder: str) -> Outcome:
         ran.append(job.name)
-        return real(job)
+        return real(job, folder)
 
     monkeypatch.setattr(process, "_in_a_process", counted)
     return ran

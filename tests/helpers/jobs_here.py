@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import pickle
 import threading
 
-import msgspec
 import pytest
 
-from locfuse.cli.fleet import child, process
+from locfuse.cli.fleet import process
 from locfuse.cli.fleet.job import Job, Outcome
 
 
@@ -15,8 +15,8 @@ def jobs_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Start no process from now on; a job still arrives as the bytes that a process would read."""
     one_at_a_time = threading.Lock()
 
-    def here(job: Job) -> Outcome:
+    def here(job: Job, _folder: str) -> Outcome:
         with one_at_a_time:
-            return child.outcome(msgspec.json.decode(msgspec.json.encode(job), type=Job))
+            return process.outcome(pickle.loads(pickle.dumps(job)))
 
     monkeypatch.setattr(process, "_in_a_process", here)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, cast
 
-from locfuse.cli.analysis.load import make_robot
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import ArrayStream, Drive, Stream
 from locfuse.fusion.measure import measure

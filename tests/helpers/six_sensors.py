@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from locfuse.cli.analysis.load import make_robot
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion.data import ArrayStream, Drive, Stream
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot

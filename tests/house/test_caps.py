@@ -21,17 +21,12 @@ MAX_FILE_LINES = 600
 
 # --- what is over a cap today
 ARGUMENTS: dict[str, int] = {
-    "cli/analysis/compare.py:compare_log": 10,
-    "cli/session/session.py:Session.compare": 9,
-    "cli/session/summary.py:compare": 9,
     "fusion/kernels/ekf.py:InMap.compare": 9,
     "fusion/kernels/ekf.py:State.compare": 10,
     "fusion/sensor.py:Belief.compare": 9,
     "fusion/whole_drive/closures.py:judged": 10,
 }
 RECORD_FIELDS: dict[str, int] = {
-    "cli/commands/compare_one_log.py:Wish": 22,
-    "cli/fleet/job.py:Job": 20,
     "cli/inspect/topics.py:TopicFacts": 15,
     "formats/figures/panels.py:Panel": 16,
     "formats/report/structure.py:Result": 30,

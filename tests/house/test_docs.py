@@ -10,7 +10,7 @@ import click
 import msgspec
 import pytest
 
-from locfuse.cli.analysis.load import table_types
+from locfuse.cli.analysis.robot_tables import table_types
 from locfuse.cli.main import COMMANDS, locfuse
 from locfuse.sample_logs.scenario import Scenario
 

@@ -20,8 +20,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from wheel_bags import stamps, turned
 
 from locfuse.cli.analysis.choose import choose
-from locfuse.cli.analysis.load import make_robot
 from locfuse.cli.analysis.mounts import mount_of, transforms_of
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.logs.log import Log, open_log
 from locfuse.fusion.data import Ragged
 from locfuse.fusion.robot import WheelSettings

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from wheel_bags import custom
 
 from locfuse.cli.analysis.choose import choose
-from locfuse.cli.analysis.load import make_robot
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.logs.log import open_log
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import WheelSettings

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from wheel_bags import custom, log_of, stamps
 
 from locfuse.cli.analysis.choose import choose_truth
-from locfuse.cli.analysis.load import make_robot
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.cli.analysis.topics import Choice
 from locfuse.formats import inputs
 from locfuse.formats.logs.file_stream import FileStream, read_file

@@ -15,8 +15,8 @@ from mcap.reader import make_reader
 from rewrite_log import rewritten
 
 from locfuse import sample_logs
-from locfuse.cli.analysis.load import make_robot, table_types
-from locfuse.cli.reference.json_schema import SCHEMAS
+from locfuse.cli.analysis.robot_tables import make_robot, table_types
+from locfuse.cli.inspect.json_schema import SCHEMAS
 from locfuse.fusion.data import LocfuseError
 
 jsonschema = pytest.importorskip("jsonschema")

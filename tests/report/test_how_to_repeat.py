@@ -15,7 +15,7 @@ from commands import locfuse
 
 import locfuse as api
 from locfuse import sample_logs
-from locfuse.cli.analysis.load import table_types
+from locfuse.cli.analysis.robot_tables import table_types
 from locfuse.formats.robot import units
 
 SETS = ("--sensors", "odometry", "--sensors", "compass", "--align", "origin", "--set", "compass.sigma_deg=4")

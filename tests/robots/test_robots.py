@@ -12,7 +12,7 @@ from commands import locfuse
 from wheel_bags import CREATE, CREATE_TEXT, TURTLE, TURTLE_TEXT, angles, custom, joint_states, log_of
 
 from locfuse import robots
-from locfuse.cli.analysis.load import make_robot
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.cli.inspect.known_robots import SIGNS
 
 

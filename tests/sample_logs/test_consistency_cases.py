@@ -15,7 +15,7 @@ from benchmarks.consistency_figures import Means, inside, means, without
 from benchmarks.consistency_starts import Start, alone, often_short
 from benchmarks.consistency_starts import inside as share
 from benchmarks.consistency_table import HEAD, row
-from locfuse.cli.analysis.load import make_robot
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.checks.lag import Lag
 from locfuse.fusion.data import Drive, Estimates

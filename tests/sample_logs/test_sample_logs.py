@@ -19,7 +19,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from locfuse import sample_logs
-from locfuse.cli.analysis.load import table_types
+from locfuse.cli.analysis.robot_tables import table_types
 from locfuse.cli.session.simulate import localise
 from locfuse.fusion.data import Array, ArrayStream, Ragged, UsageError
 from locfuse.sample_logs import load

@@ -17,8 +17,8 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 from said import one_by_one, said
 
-from locfuse.cli.analysis.load import make_robot
 from locfuse.cli.analysis.results import robot_file
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import ArrayStream, LocfuseError, Measurements, Ragged
 from locfuse.fusion.ekf.belief_arrays import JointBelief

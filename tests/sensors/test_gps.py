@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from said import one_by_one, said
 from textbook import numeric_jacobian
 
-from locfuse.cli.analysis.load import make_robot
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion.data import ArrayStream, Column, Drive, Estimates, LocfuseError, Measurements, Ragged
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import Filter, fuse

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from said import one_by_one, said
 from told import step
 
-from locfuse.cli.analysis.load import make_robot
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion.data import ArrayStream, Column, Drive, LocfuseError, Measurements, Ragged
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse

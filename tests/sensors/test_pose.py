@@ -18,7 +18,7 @@ from said import one_by_one, said
 from textbook import move, numeric_jacobian
 from told import step
 
-from locfuse.cli.analysis.load import make_robot
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion import se2
 from locfuse.fusion.data import ArrayStream, Column, Drive, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from locfuse.cli.analysis.configurations import for_comparison, parse
-from locfuse.cli.analysis.load import make_robot
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion.data import ArrayStream, Drive, UsageError
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from locfuse.cli.analysis.load import make_robot
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion import se2
 from locfuse.fusion.data import Drive, LocfuseError, Measurements, Truth
 from locfuse.fusion.measure import measure

@@ -15,7 +15,7 @@ from scan_streams import scan_stream
 from wheel_bags import log_of, odometry, stamps, turned
 
 from locfuse.cli.analysis.choose import choose
-from locfuse.cli.analysis.load import make_robot
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.cli.analysis.topics import Choice
 from locfuse.formats.logs.log import open_log
 from locfuse.fusion import se2

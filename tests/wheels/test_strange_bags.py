@@ -29,8 +29,9 @@ from wheel_bags import (
 )
 
 from locfuse.cli.analysis.choose import choose
-from locfuse.cli.analysis.load import load, make_robot
+from locfuse.cli.analysis.load import load
 from locfuse.cli.analysis.mounts import mount_of, on_moving_parts, transforms_of
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.analysis.topics import Choice
 from locfuse.formats.logs.log import Log, open_log

@@ -29,7 +29,7 @@ from wheel_bags import (
     pose_of,
 )
 
-from locfuse.cli.analysis.load import make_robot
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion import se2
 from locfuse.fusion.data import ArrayStream, Column, LocfuseError, Ragged
 from locfuse.fusion.measure import measure

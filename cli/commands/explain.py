@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from .screen import put, reader_may_leave
+from locfuse.cli.terminal.screen import put, reader_may_leave
 
 
 @click.command()

@@ -6,22 +6,25 @@ draft 2020-12 for one that may hold nothing.
 
 from __future__ import annotations
 
+import inspect
+import re
+import tokenize
 from collections.abc import Callable, Iterator, Mapping
+from io import StringIO
 from typing import Any, get_args
 
 import msgspec
 
-from locfuse.cli.analysis.load import table_types
+from locfuse.cli.analysis.robot_tables import table_types
 from locfuse.cli.analysis.settings import ORDERS, PRESETS
 from locfuse.formats.report.structure import Report
 from locfuse.fusion.sensors.registry import REGISTRY
-
-from .field_words import field_words
 
 DRAFT = "http://json-schema.org/draft-07/schema#"
 REF = "#/$defs/{name}"
 OF_ORDER = "Which times to trust: header stamps, recording order, or whichever fits (auto)."
 OF_PRESET = "The filter: locfuse's own (default), or the paper's equations as printed (paper)."
+FIELD = re.compile(r"\s+(\w+)\s*:")  # at the beginning of a line of a class
 Schema = dict[str, Any]
 
 
@@ -102,6 +105,31 @@ def _structs(kind: Any) -> Iterator[type[msgspec.Struct]]:
             yield one
             waiting += [field.type for field in msgspec.structs.fields(one)]
         waiting += get_args(one)
+
+
+def field_words(kind: type[Any]) -> dict[str, str]:
+    """Return the words beside each field of a class: the comment on its line, which says its unit and meaning.
+
+    Those of the classes that it extends too; {} for a class without source.
+    """
+    words: dict[str, str] = {}
+    for part in reversed(kind.__mro__):
+        if part.__module__.startswith("locfuse."):
+            words |= dict(_commented(part))
+    return words
+
+
+def _commented(kind: type[Any]) -> Iterator[tuple[str, str]]:
+    """Yield (field, comment) of every annotated line of a class that ends in a comment."""
+    try:
+        source = inspect.getsource(kind)
+    except (OSError, TypeError):  # shipped without its source
+        return
+    lines = source.splitlines()
+    for token in tokenize.generate_tokens(StringIO(source).readline):
+        field = FIELD.match(lines[token.start[0] - 1]) if token.type == tokenize.COMMENT else None
+        if field is not None and field.end() < token.start[1]:
+            yield field[1], token.string.lstrip("# ")
 
 
 SCHEMAS: dict[str, Callable[[], Schema]] = {"robot": robot_schema, "report": report_schema}

@@ -21,7 +21,7 @@ def schema(what: str) -> int:
     """
     import json
 
-    from .json_schema import SCHEMAS
+    from locfuse.cli.inspect.json_schema import SCHEMAS
 
     with reader_may_leave():
         put(json.dumps(SCHEMAS[what](), indent=2) + "\n")

@@ -1,0 +1,53 @@
+"""Errors that are no bug, as one line and an exit code: our own, and those of the machine. Warnings of NumPy."""
+
+from __future__ import annotations
+
+import errno
+import os
+import warnings
+
+LOSS = 3  # exit code where something of a log was lost, or figures are void
+PACKAGES = {  # module -> what to install, where their names differ
+    "cv2": "opencv-python-headless",
+    "distributed": "locfuse[cluster]",
+    "obstore": "locfuse[remote]",
+    "rerun": "rerun-sdk",
+}
+NO_ROOM = ("failed to map segment", "annot allocate memory")  # messages of the loader when memory is short
+
+
+def expected(e: Exception) -> tuple[str, int] | None:
+    """Return the line to print for an error and the exit code; None for a bug."""
+    from locfuse.fusion.data import LocfuseError
+
+    if isinstance(e, LocfuseError):
+        return str(e), e.exit_code
+    if isinstance(e, MemoryError):
+        return "out of memory", 1
+    if isinstance(e, OSError) and e.errno is not None:
+        what = os.strerror(e.errno)
+        where = f": {e.filename}" if e.filename else ""
+        hint = ". Free some space or choose another folder with -o" if e.errno == errno.ENOSPC else ""
+        return f"{what}{where}{hint}", 1
+    if isinstance(e, ImportError) and any(words in str(e) for words in NO_ROOM):
+        return f"out of memory: a library could not be loaded ({str(e).splitlines()[-1].strip()})", 1
+    if isinstance(e, ModuleNotFoundError) and (package := _package_of(e)) is not None:
+        return f"this needs {package}, which is not installed: python -m pip install {package}", 1
+    if isinstance(e, RuntimeError) and "can't start new thread" in str(e):
+        return "out of memory: a thread could not be started", 1
+    return None
+
+
+def _package_of(e: ModuleNotFoundError) -> str | None:
+    """Return what to install for a module that is missing; None for one of ours, which is a bug."""
+    module = (e.name or "").partition(".")[0]
+    return None if module in {"", "locfuse"} else PACKAGES.get(module, module)
+
+
+def silence_overflows() -> None:
+    """Ignore RuntimeWarning from here on, in this process; `import locfuse` silences nothing.
+
+    Absurd readings (1e300 m, NaN) overflow on their way to the gate that counts and reports them. NumPy's
+    warning about it names a line of our source and no reading, so it does not help at a terminal.
+    """
+    warnings.simplefilter("ignore", RuntimeWarning)

@@ -1,0 +1,365 @@
+"""Gates for CI: `--fail-if` and `--baseline`. A gate that fails, or whose figure does not exist, is exit code 4.
+
+On one log a gate is `<configuration>.<key> <op> number`, keys as in report.json, deeper ones with dots:
+all.sensors.lrf.nis. On many logs it is `fleet.<configuration>.<key>.<statistic> > 0.05`, with mean, median, p90 or
+worst; `fleet.failed` counts logs without a result.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import operator
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import msgspec
+
+from locfuse.formats.caps import MAX_REPORT
+from locfuse.formats.inputs import read_small
+from locfuse.formats.logs.files import Identity
+from locfuse.formats.report import json_report
+from locfuse.formats.report.summary import OVER_LOGS
+from locfuse.fusion.data import LocfuseError, UsageError
+
+from .settings import GateOptions
+
+FAILED = 4
+OF_REFERENCE = "reference."  # before a figure: that of a log without truth, against its reference
+OF_FLEET = "fleet."  # before a figure: that of all logs together
+OPERATORS: dict[str, Callable[[float, float], bool]] = {
+    ">=": operator.ge,
+    "<=": operator.le,
+    ">": operator.gt,
+    "<": operator.lt,
+}
+UNITS = {
+    "": ("share", 1.0),
+    "%": ("share", 0.01),
+    "mm": ("metres", 1e-3),
+    "cm": ("metres", 1e-2),
+    "m": ("metres", 1.0),
+    "deg": ("degrees", 1.0),
+    "°": ("degrees", 1.0),
+}
+PART = re.compile(r"(\S*?)\s*(%|mm|cm|m|deg|°|)")  # of a tolerance: a number and its unit
+GATE = re.compile(r"\s*(?P<figure>[^\s<>=]+)\s*(?P<op>>=|<=|>|<)\s*(?P<limit>\S+)\s*")
+
+
+class Gate(msgspec.Struct, frozen=True):
+    """Fail if `figure op limit`."""
+
+    text: str
+    figure: str  # "<configuration>.<key>"
+    op: str
+    limit: float
+
+    def line(self, value: float | None, missing: str) -> str | None:
+        """Return a line where a figure violates the gate; `missing` is the reason why there is none."""
+        if value is None:
+            return f"{self.text}: {missing}"
+        return f"{self.text}: it is {value:.6g}" if OPERATORS[self.op](value, self.limit) else None
+
+
+class Tolerance(msgspec.Struct, frozen=True):
+    """How much worse a figure may be: a share of the baseline's, or a length or an angle where that is more."""
+
+    text: str
+    share: float = 0.0
+    metres: float = 0.0
+    degrees: float = 0.0
+
+    def limit(self, key: str, old: float) -> float:
+        """Return the largest value that passes; the unit is at the end of the key."""
+        floor = self.metres if key.endswith("_m") else self.degrees if key.endswith("_deg") else 0.0
+        return old + max(self.share * old, floor)
+
+
+class Baseline(msgspec.Struct, frozen=True):
+    """Earlier results that these must not be worse than: a report of the same log, a summary of the same logs."""
+
+    path: Path
+    values: Mapping[str, Any]
+    tolerance: Tolerance
+
+
+class Content(Protocol):
+    """What a log is known by."""
+
+    @property
+    def name(self) -> str:
+        """What to call it."""
+
+    @property
+    def identity(self) -> Identity:
+        """What its content is known by without reading all of it."""
+
+    @property
+    def sha256(self) -> str:
+        """Hash of all its bytes."""
+
+
+class Gates(msgspec.Struct, frozen=True):
+    """Everything that the report of one log must hold."""
+
+    limits: Sequence[Gate]
+    baseline: Baseline | None = None
+
+    @classmethod
+    def read(cls, typed: GateOptions) -> Gates:
+        """Return the gates of --fail-if, --baseline, --tolerance. Raises LocfuseError for what cannot be one."""
+        limits = [parse_gate(text) for text in typed.fail_if]
+        return cls(limits, read_baseline(typed.baseline, typed.tolerance) if typed.baseline else None)
+
+    def failures(self, report: Mapping[str, Any]) -> list[str]:
+        """Return one line per gate that failed or whose figure does not exist."""
+        lines = [line for gate in self.limits if (line := _violated(report, gate))]
+        return lines + (_worse(report, self.baseline) if self.baseline else [])
+
+
+class FleetGates(msgspec.Struct, frozen=True):
+    """Everything that a fleet must hold."""
+
+    each: Gates  # for every log
+    together: Sequence[Gate]  # for all logs
+    baseline: Baseline | None
+
+    @classmethod
+    def read(cls, typed: GateOptions) -> FleetGates:
+        """Return the gates of --fail-if, --baseline, --tolerance. Raises LocfuseError for what cannot be one."""
+        limits = [parse_gate(text) for text in typed.fail_if]
+        together = [gate for gate in limits if gate.figure.startswith(OF_FLEET)]
+        earlier = read_summary(typed.baseline, typed.tolerance) if typed.baseline else None
+        return cls(Gates([gate for gate in limits if gate not in together]), together, earlier)
+
+    def failures(self, summary: Mapping[str, Any]) -> list[str]:
+        """Return one line per gate that all logs together fail."""
+        lines = [line for gate in self.together if (line := _violated_together(summary, gate))]
+        return lines + (_worse_together(summary, self.baseline) if self.baseline else [])
+
+
+def parse_gate(text: str) -> Gate:
+    """Return the gate that `--fail-if` names. Raises UsageError with an example."""
+    found = GATE.fullmatch(text)
+    limit = _number(found["limit"]) if found else None
+    if found is None or limit is None or "." not in found["figure"]:
+        raise UsageError(f'--fail-if {text!r}: write it like "all.position_rmse_m > 0.02" (one of > >= < <=)')
+    return Gate(text.strip(), found["figure"], found["op"], limit)
+
+
+def parse_tolerance(text: str) -> Tolerance:
+    """Return "5%", "0.05", "1mm" or "5%,1mm,0.1deg". Raises UsageError, also for 5, which would be 500 %."""
+    found: dict[str, float] = {}
+    for part in text.split(","):
+        read = PART.fullmatch(part.strip())
+        number, unit = read.groups() if read else ("", "")
+        kind, scale = UNITS[unit]
+        value = _number(number)
+        if value is None or value < 0.0 or kind in found or (not unit and value >= 1.0):
+            meant = f"{part.strip()}%, or " if value is not None and value >= 1.0 and not unit else ""
+            raise UsageError(f"--tolerance {text!r}: write it like {meant}5%, 0.05 or 5%,1mm,0.1deg")
+        found[kind] = value * scale
+    return Tolerance(text.strip(), **found)
+
+
+def read_baseline(path: Path, tolerance: str) -> Baseline:
+    """Return an earlier report.json. Raises LocfuseError where the file is none."""
+
+    def checked(values: Any) -> Any:
+        report = json_report.current(values, f"--baseline {path}")
+        _refuse_other_than_tables(report.get("input", {}), *report["configurations"].values())
+        return report
+
+    return _read(path, tolerance, checked, "report.json of locfuse; make one with: locfuse compare LOG -o DIR")
+
+
+def read_summary(path: Path, tolerance: str) -> Baseline:
+    """Return an earlier summary.json. Raises LocfuseError where the file is none."""
+
+    def checked(summary: Any) -> Any:
+        rows = [c["figures"] for c in summary["configurations"].values()]
+        _refuse_other_than_tables(summary["logs"], *summary["logs"].values(), *rows)
+        return summary
+
+    return _read(path, tolerance, checked, "summary.json of locfuse; make one with: locfuse fleet LOGS... -o DIR")
+
+
+def _read(path: Path, tolerance: str, checked: Callable[[Any], Any], wanted: str) -> Baseline:
+    try:
+        values = checked(json.loads(read_small(path, MAX_REPORT)))
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        raise LocfuseError(f"--baseline {path}: not a {wanted}") from None
+    return Baseline(path, values, parse_tolerance(tolerance))
+
+
+def _refuse_other_than_tables(*values: Any) -> None:
+    if not all(isinstance(value, dict) for value in values):
+        raise TypeError
+
+
+def refuse_another_log(baseline: Baseline | None, log: Content) -> None:
+    """Raise LocfuseError where the baseline is of another content: what got worse may be the drive."""
+    if baseline is None or _is_of(then := baseline.values.get("input", {}), log):
+        return
+    name, other = log.name, then.get("name")
+    which = f"{other}, and this is {name}" if other != name else f"another log that is also called {name}"
+    raise LocfuseError(
+        f"--baseline {baseline.path} is of {which}: the error figures of two drives cannot be compared. Make a "
+        f"baseline of this log: locfuse compare {name} -o DIR"
+    )
+
+
+def _is_of(then: Mapping[str, Any], log: Content) -> bool:
+    """Return whether a report is of this log: by its identity, in a report of 0.1 by the hash of all bytes."""
+    if then.get("identity") is not None:
+        return bool(then["identity"] == log.identity.digest)
+    return then.get("sha256") is None or then["sha256"] == log.sha256
+
+
+def _violated(report: Mapping[str, Any], gate: Gate) -> str | None:
+    if mixed := _mixed(report, gate):
+        return f"{gate.text}: {mixed}"
+    path = gate.figure.removeprefix(OF_REFERENCE)
+    name, value = figure(report["configurations"], path)
+    return gate.line(value, _missing(report, path, name) if value is None else "")
+
+
+def _mixed(report: Mapping[str, Any], gate: Gate) -> str | None:
+    """Return why a gate cannot be applied: errors against truth and against a reference are different figures."""
+    from locfuse.fusion.judge.evaluate import ERROR_KEYS
+
+    asked = gate.figure.startswith(OF_REFERENCE) and gate.figure not in report["configurations"]
+    if asked:
+        return None if report.get("reference") else "no reference judged this log; it needs a log without truth"
+    if report.get("reference") and gate.figure.rpartition(".")[2] in ERROR_KEYS:
+        return f"errors are against a reference, not truth; if that is meant: {OF_REFERENCE}{gate.text}"
+    return None
+
+
+def figure(configurations: Mapping[str, Any], path: str) -> tuple[str | None, float | None]:
+    """Return the configuration that a path names (it may hold dots) and its figure; None where there is none."""
+    fitting = [name for name in configurations if path.startswith(f"{name}.")]
+    if not fitting:
+        return None, None
+    name = max(fitting, key=len)
+    value: Any = configurations[name]
+    for key in path[len(name) + 1 :].split("."):
+        value = value.get(key) if isinstance(value, Mapping) else None
+    number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return name, float(value) if number else None
+
+
+def _missing(report: Mapping[str, Any], path: str, name: str | None) -> str:
+    configurations = report["configurations"]
+    if name is None:
+        return f"no such configuration in this report ({', '.join(configurations)})"
+    if path[len(name) + 1 :] in configurations[name]:
+        why = "without truth" if report.get("truth") is None else "here"
+        return f"the figure does not exist {why}"
+    return f"no such figure; there are {', '.join(k for k, v in configurations[name].items() if _is_figure(v))}"
+
+
+def _is_figure(value: Any) -> bool:
+    return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
+
+
+def _worse(report: Mapping[str, Any], baseline: Baseline) -> list[str]:
+    """Return error figures that both reports have and that grew by more than the tolerance."""
+    from locfuse.formats.report.changes import judged_by
+    from locfuse.fusion.judge.evaluate import ERROR_KEYS
+
+    then, now = judged_by(baseline.values), judged_by(report)
+    if then != now and None not in (then, now):
+        return [f"--baseline {baseline.path}: its errors are against {then}, these against {now}: no comparison"]
+    both = {
+        name: (old, report["configurations"][name])
+        for name, old in baseline.values["configurations"].items()
+        if name in report["configurations"] and _judge(old) == _judge(report["configurations"][name])
+    }
+    pairs = [
+        (path, key, figure({name: old}, path)[1], figure({name: new}, path)[1])
+        for name, (old, new) in both.items()
+        for key in ERROR_KEYS
+        for path in (f"{name}.{key}",)
+    ]
+    return _grown(baseline, pairs, "error figure in common with this report")
+
+
+def _grown(
+    baseline: Baseline, pairs: Iterable[tuple[str, str, float | None, float | None]], what: str
+) -> list[str]:
+    """Return a line per figure (its path, its key, old, new) that grew by more than the tolerance."""
+    known = [(path, key, old, new) for path, key, old, new in pairs if old is not None and new is not None]
+    if not known:
+        return [f"--baseline {baseline.path}: it has no {what}"]
+    return [
+        f"{path}: {new:.6g} is {f'{new / old - 1.0:.1%} more' if old > 0.0 else 'more'} than the baseline's "
+        f"{old:.6g} (tolerance {baseline.tolerance.text})"
+        for path, key, old, new in known
+        if new > baseline.tolerance.limit(key, old)
+    ]
+
+
+def _judge(values: Mapping[str, Any]) -> Any:
+    """Return the sensors of the reference that judged a result; None where it was no reference."""
+    return (values.get("reference") or {}).get("sensors")
+
+
+def _violated_together(summary: Mapping[str, Any], gate: Gate) -> str | None:
+    path = gate.figure.removeprefix(OF_FLEET)
+    if path == "failed":
+        return gate.line(float(sum(log["state"] != "done" for log in summary["logs"].values())), "")
+    configurations = {name: c["figures"] for name, c in summary["configurations"].items()}
+    name, value = figure(configurations, path)
+    if name is None:
+        return gate.line(None, f"no such configuration in these logs ({', '.join(configurations)})")
+    key = path[len(name) + 1 :].partition(".")[0]
+    if key in configurations[name]:
+        return gate.line(value, f"name a statistic: {OF_FLEET}{name}.{key}.{'|'.join(OVER_LOGS)}")
+    known = ", ".join(configurations[name]) or "none: no log has a truth"
+    return gate.line(value, f"no such figure; there are {known}")
+
+
+def _worse_together(summary: Mapping[str, Any], baseline: Baseline) -> list[str]:
+    """Return statistics that both summaries have and that grew by more than the tolerance."""
+    from locfuse.fusion.judge.evaluate import ERROR_KEYS
+
+    if other := _other_logs(summary, baseline):
+        return [other]
+    pairs = [
+        (f"{OF_FLEET}{name}.{key}.{which}", key, old["figures"][key].get(which), new[key].get(which))
+        for name, old in baseline.values["configurations"].items()
+        if (new := summary["configurations"].get(name, {}).get("figures"))
+        for key in ERROR_KEYS
+        if key in old["figures"] and key in new
+        for which in OVER_LOGS
+    ]
+    return _grown(baseline, pairs, "figure in common with these logs")
+
+
+def _other_logs(summary: Mapping[str, Any], baseline: Baseline) -> str | None:
+    """Return a line where the two summaries are over different logs: the drives may then be the reason."""
+    before, now = _contents(baseline.values), _contents(summary)
+    missing = [name for content, name in before.items() if content not in now]
+    new = [name for content, name in now.items() if content not in before]
+    if not missing and not new:
+        return None
+    parts = [f"{len(missing)} of its logs have no result now ({missing[0]})"] if missing else []
+    parts += [f"{len(new)} logs are not in it ({new[0]})"] if new else []
+    return f"--baseline {baseline.path}: it is over other logs: {'; '.join(parts)}"
+
+
+def _contents(summary: Mapping[str, Any]) -> dict[str, str]:
+    """Return the name of each log with a result by its content."""
+    logs = summary["logs"].items()
+    return {str(v.get("identity") or v.get("sha256")): n for n, v in logs if v.get("state", "done") == "done"}
+
+
+def _number(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None

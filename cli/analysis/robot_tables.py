@@ -1,0 +1,177 @@
+"""Settings: robot.toml as merged from the preset, the log's own, --robot and --set, and as typed values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from msgspec.structs import replace
+
+from locfuse.formats.caps import MAX_ROBOT_TOML
+from locfuse.formats.inputs import read_small
+from locfuse.formats.logs.log import Log
+from locfuse.formats.robot import landmark_map, robot_toml
+from locfuse.fusion.data import LocfuseError, UsageError
+from locfuse.fusion.paper import preset as filters
+from locfuse.fusion.robot import Robot, StartSettings, TruthSettings, WheelSettings
+from locfuse.fusion.sensors.registry import REGISTRY
+
+from .key import files_of, with_files
+from .settings import ORDERS, PRESETS, LogOptions
+
+ATTACHMENT = "robot.toml"  # of a log
+BASE_TABLES: dict[str, type[msgspec.Struct]] = {
+    "wheels": WheelSettings,
+    "start": StartSettings,
+    "truth": TruthSettings,
+}
+
+
+def merged_tables(log: Log, how: LogOptions) -> dict[str, Any]:
+    """Return robot.toml as tables: the preset's, then the log's attachment, --robot, and --set, key by key."""
+    tables = robot_toml.layered(*_layers(log, how).values())
+    tables.setdefault("preset", "default")
+    return robot_toml.merge(filters.TABLES[tables["preset"]], tables)
+
+
+def given_layers(how: LogOptions, more: Sequence[str] = ()) -> dict[str, dict[str, Any]]:
+    """Return the tables of --robot and of --set, which win over the former; `more` are further words of --set.
+
+    Raises LocfuseError for settings that fit no log at all.
+    """
+    files = [_checked(read_small(file, MAX_ROBOT_TOML), str(file)) for file in how.robot_files]
+    sets = set_tables((*how.sets, *more))
+    sets |= {key: word for key, word in (("order", how.order), ("preset", how.preset)) if word}
+    return {**({"--robot": robot_toml.merge(*files)} if files else {}), "--set": sets}
+
+
+def given_tables(how: LogOptions, more: Sequence[str] = ()) -> dict[str, Any]:
+    """Return what the user gives of the settings, without what the log carries: what a result's key depends on.
+
+    The content of files that they name is among them, as a hash.
+    """
+    window = {name: bound for name, bound in (("from", how.begin), ("to", how.end)) if bound is not None}
+    return with_files(robot_toml.layered(*given_layers(how, more).values(), window))
+
+
+def _layers(log: Log, how: LogOptions) -> dict[str, dict[str, Any]]:
+    """Return the tables that are set, by their source; later ones win."""
+    layers = given_layers(how)
+    if ATTACHMENT in log.attachments:
+        attached = _checked(log.attachments[ATTACHMENT], f"{log.name}: attachment {ATTACHMENT}")
+        layers = {"robot.toml in the log": _of_log(log, attached, layers), **layers}
+    return layers
+
+
+def _of_log(log: Log, tables: dict[str, Any], above: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+    """Return the log's own tables, the files that they name in the log's folder.
+
+    The log may be a stranger's: it names no other file of the reader. Raises LocfuseError where it does, unless
+    a layer above sets the same key.
+    """
+    given = {key for others in above.values() for key in keys_of(others)}
+    for table, key, text in list(files_of(tables)):
+        if f"{table}.{key}" in given or log.recorded(text):
+            continue
+        folder = log.paths[0].parent
+        if not isinstance(folder, Path) or not _is_below(folder, text):
+            raise LocfuseError(
+                f"{log.name}: attachment {ATTACHMENT}: {table}.{key} names the file {text!r}: a log may name only "
+                "files in its own folder, by a path without '..'",
+                hint=f"give {table}.{key} in a file of your own: --robot FILE",
+            )
+        place = str(folder / text)
+        before = tables[table][key]
+        now = place if isinstance(before, str) else [place if one == text else one for one in before]
+        tables = robot_toml.merge(tables, {table: {key: now}})
+    return tables
+
+
+def _is_below(folder: Path, text: str) -> bool:
+    """Return whether a path is relative and leads into a folder, links followed."""
+    path = Path(text)
+    if path.is_absolute() or ".." in path.parts or text.startswith("~") or "\0" in text:
+        return False
+    return (folder / path).resolve().is_relative_to(folder.resolve())
+
+
+def sources_of(log: Log, how: LogOptions) -> dict[str, str]:
+    """Return the source of each key that is set, "lrf.x" -> "--robot"."""
+    return {key: who for who, tables in _layers(log, how).items() for key in keys_of(tables)}
+
+
+def keys_of(tables: Mapping[str, Any]) -> list[str]:
+    """Return "table.key" of every key in tables; keys above all tables by their own names."""
+    inside = ((t, list(v) if isinstance(v, Mapping) else [""]) for t, v in tables.items())
+    return [f"{table}.{key}".rstrip(".") for table, keys in inside for key in keys]
+
+
+def set_tables(words: Sequence[str]) -> dict[str, Any]:
+    """Return the words of --set as tables. Raises UsageError for a key or value that fits nothing."""
+    try:
+        sets = robot_toml.apply_sets(words)
+        make_robot(sets)
+    except LocfuseError as e:
+        raise UsageError(e.message, role=e.role, fixes=e.fixes, hint=e.hint) from None
+    return sets
+
+
+def named_by_hand(sets: Sequence[str]) -> set[str]:
+    """Return the tables whose topic the command line names."""
+    tables = robot_toml.apply_sets(sets).items()
+    return {table for table, keys in tables if isinstance(keys, dict) and ("topic" in keys or "topics" in keys)}
+
+
+def _checked(data: bytes, source: str) -> dict[str, Any]:
+    """Parse one robot.toml and check its keys while its name is known."""
+    tables = robot_toml.parse(data, source)
+    try:
+        make_robot(tables)
+    except LocfuseError as e:
+        raise LocfuseError(f"{source}: {e}") from None
+    return tables
+
+
+def table_types() -> dict[str, type[msgspec.Struct]]:
+    """Return the tables of robot.toml with their keys: the robot's, then every sensor's."""
+    return {**BASE_TABLES, **{name: sensor.Settings for name, sensor in REGISTRY.items()}}
+
+
+def make_robot(tables: Mapping[str, Any]) -> Robot:
+    """Turn tables into typed settings; an unknown key is an error that names the nearest."""
+    tables = dict(tables)
+    order = tables.pop("order", "auto")
+    if order not in ORDERS:
+        raise LocfuseError(f"order = {order!r}; choose from {', '.join(ORDERS)}")
+    preset = tables.pop("preset", "default")
+    if preset not in PRESETS:
+        raise LocfuseError(f"preset = {preset!r}; choose from {', '.join(PRESETS)}")
+    types = table_types()
+    settings = robot_toml.convert(tables, types)
+    defaults = {name: kind() for name, kind in types.items()}
+    found: dict[str, Any] = {**defaults, **settings}
+    return Robot(
+        wheels=found["wheels"],
+        start=found["start"],
+        truth=found["truth"],
+        sensors={name: found[name] for name in REGISTRY},
+        order=order,
+        preset=preset,
+        start_given="start" in tables,
+    )
+
+
+def with_landmarks(robot: Robot) -> Robot:
+    """Return the robot with its landmarks' map read from the file that the settings name."""
+    settings = robot.settings("landmarks")
+    if not isinstance(settings.map, str) or settings.grows:
+        return robot
+    path = Path(settings.map).expanduser()
+    if not path.is_file():
+        raise LocfuseError(
+            f"no such file: {path}", role="landmarks", hint="--set landmarks.map=<id, x, y as .csv>"
+        )
+    read = msgspec.structs.replace(settings, map=landmark_map.read(path))
+    return replace(robot, sensors={**robot.sensors, "landmarks": read})

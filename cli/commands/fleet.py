@@ -1,0 +1,229 @@
+"""`locfuse fleet`: a job for each of many logs, then the tables over all of them."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+from msgspec.structs import replace
+
+from locfuse.cli.analysis.settings import OF_COMPARISON as KINDS
+from locfuse.cli.rerun.recordings import FOLDER, Recording, catalog
+from locfuse.cli.terminal import completion, show
+from locfuse.cli.terminal import options as o
+from locfuse.cli.terminal.screen import put, reader_may_leave, say, screen
+from locfuse.fusion.data import LocfuseError, UsageError
+
+if TYPE_CHECKING:
+    from locfuse.cli.fleet.job import Job, Outcome
+    from locfuse.cli.fleet.jobs import Gathered, Plan
+    from locfuse.cli.fleet.queue import Ended, Standing, Watch
+
+STILL_S = 60.0  # s between lines of progress where stderr is no terminal
+MAX_LINES = 20  # about losses and gates on stderr; all of them are in the tables
+
+
+@click.command()
+@click.argument("log", nargs=-1, shell_complete=completion.logs)
+@o.carried(
+    *o.fleet(),
+    *o.CONFIGURATIONS,
+    o.ALIGN,
+    o.SMOOTH,
+    o.FIGURES,
+    *o.GATES,
+    o.OPEN,
+    *o.READING,
+    o.PRESET,
+    *o.WINDOW,
+    *o.written(KINDS),
+    o.EXPORT,
+    o.RERUN_SHOW,
+    *o.detail("rerun-"),
+)
+def fleet(log: tuple[str, ...], options: o.Options) -> int:
+    """Compare each of many LOGS, and write tables and a page over all of them (docs/fleet.md).
+
+    LOGS are logs as `locfuse compare` takes them, also as @list.txt or "pattern*.mcap". Logs whose results are
+    there already are not run again.
+
+    \b
+    locfuse fleet rounded_rectangle rounded_triangle disturbed --jobs 2
+    locfuse fleet @logs.txt --robot-from "fleet/([^/]+)/" --robot "robots/{robot}.toml"
+    locfuse fleet --each day1 --sweep lrf.sigma_range=0.01,0.03
+    """
+    from locfuse.cli.fleet.words import expanded
+
+    words = expanded(log, options.fleet.each)
+    if not words:
+        raise click.UsageError("Missing argument 'LOG...'.", click.get_current_context())
+    return many(words, options)
+
+
+def many(words: Sequence[str], options: o.Options) -> int:
+    """Compare every log, write and print the summary; return the exit code."""
+    from locfuse.cli.analysis.gates import FleetGates
+    from locfuse.cli.fleet.jobs import gather, plan
+    from locfuse.cli.fleet.queue import NOT_RUN
+    from locfuse.cli.session import sweep
+    from locfuse.cli.session.summary import default_folder, summarised
+    from locfuse.formats.fleet.files import summary_files
+    from locfuse.formats.whole_files import RUN_LOCK, UNFINISHED, may_write, sole_writer, write_results
+    from locfuse.fusion.sensors.registry import colours
+
+    how, outputs, fleet = options.how, options.outputs, options.fleet
+    folder = outputs.out or default_folder()
+    every = _every(options, folder)
+    gates = FleetGates.read(options.gates)
+    may_write(folder, outputs.overwrite, options.inputs)
+    todo = plan(words, every, fleet.robot_from, fleet.sweep)
+    with sole_writer(folder, RUN_LOCK, patience_s=0.0):
+        _mark(folder, todo)
+        ended = _run(todo, options)
+        found = gather(todo, ended.outcomes, ended.stopped or NOT_RUN, gates, how.strict)
+        _refuse_misuse(found, ended, todo)
+        if ended.by is not None and not any(e.state == "done" for e in found.entries):
+            raise ended.by
+        summary = summarised(found.entries)
+        files = summary_files(summary, found.entries, outputs.write, colours(), tuple(sweep.parse(fleet.sweep)))
+        write_results(folder, files, overwrite=True)
+        (folder / UNFINISHED).unlink(missing_ok=True)
+    if ended.by is not None:
+        show.say(f"{folder}: {_standing(found)}; the same command goes on with the rest")
+        raise ended.by
+    _print(summary, files, folder, outputs.as_json)
+    _say_recordings(ended, every.recording)
+    show.end([folder / name for name in files], outputs.as_json, outputs.open)
+    return _code(found, gates.failures(summary), ended)
+
+
+def _every(options: o.Options, folder: Path) -> Job:
+    """Return the job of every log, without the log. Raises UsageError for what only one drive can give."""
+    from locfuse.cli.fleet.job import Job
+    from locfuse.cli.session.summary import of_each
+
+    how, rerun = options.how, options.rerun
+    if how.given_map is not None:
+        raise UsageError(f"--map {how.given_map}: it is of one drive: compare one log at a time")
+    for option, value in (("--rerun-save", rerun.save), ("--rerun-connect", rerun.connect)):
+        if value:
+            raise UsageError(f"{option}: one log at a time; of several logs --rerun records each")
+    recording = Recording(str((folder / FOLDER).absolute()), rerun.images, rerun.full) if rerun.show else None
+    return Job(
+        name="",
+        log=(),
+        folder=folder,
+        how=replace(how, quiet=True),
+        asked=replace(options.asked.of_each(), audits=recording is not None),
+        outputs=replace(options.outputs, write=frozenset(of_each(options.outputs.write))),
+        recording=recording,
+        again=options.fleet.again,
+    )
+
+
+def _mark(folder: Path, todo: Plan) -> None:
+    """Mark the folder as one of results, for a run that is killed before it has a summary."""
+    from locfuse.formats.report import json_report
+    from locfuse.formats.whole_files import UNFINISHED, write_results
+
+    if not (folder / "summary.json").exists():
+        write_results(folder, {UNFINISHED: json_report.encode({"logs": list(todo.robots)})}, overwrite=True)
+
+
+def _run(todo: Plan, options: o.Options) -> Ended:
+    """Run the jobs on this machine, or on a cluster."""
+    from locfuse.cli.fleet.queue import executor, run_all
+
+    quiet = options.how.quiet
+    with show.progress(quiet) as progress, executor(options.fleet) as (pool, slots):
+        for outcome in todo.refused.values():
+            _say_failed(outcome)
+        jobs = list(todo.jobs.values())
+        return run_all(jobs, pool, slots, options.fleet.max_failures, _watch(progress, quiet))
+
+
+def _watch(progress: show.Progress, quiet: bool) -> Watch:
+    printed = time.monotonic()
+
+    def watch(standing: Standing, outcome: Outcome | None) -> None:
+        nonlocal printed
+        progress(standing.words())
+        if outcome is not None and outcome.state == "failed":
+            _say_failed(outcome)
+        if not quiet and not sys.stderr.isatty() and time.monotonic() - printed > STILL_S:
+            printed = time.monotonic()
+            show.say(standing.words())
+
+    return watch
+
+
+def _say_failed(outcome: Outcome) -> None:
+    name = outcome.name
+    show.say(f"failed: {outcome.reason if name in outcome.reason else f'{name}: {outcome.reason}'}")
+
+
+def _refuse_misuse(found: Gathered, ended: Ended, todo: Plan) -> None:
+    """Raise UsageError where every log failed by what was asked for, as a single log would."""
+    outcomes = [*ended.outcomes.values(), *todo.refused.values()]
+    if outcomes and len(outcomes) == len(found.entries) and all(o.misused for o in outcomes):
+        raise UsageError(outcomes[0].reason)
+
+
+def _standing(found: Gathered) -> str:
+    states = [e.state for e in found.entries]
+    return ", ".join(f"{states.count(s)} {s}" for s in ("done", "failed", "not run") if s in states)
+
+
+def _print(summary: Mapping[str, Any], files: Mapping[str, Any], folder: Path, as_json: bool) -> None:
+    from rich.text import Text
+
+    from locfuse.formats.report import json_report
+    from locfuse.formats.report import summary as over
+
+    with reader_may_leave():
+        if as_json:
+            put(json_report.encode(summary))
+            return
+        if over.columns_of(summary):
+            show.table(over.brief(summary))
+        screen().print(Text(over.headline(summary)))
+        show.verdicts(summary)
+        say(f"{folder}: {', '.join(sorted(files))}; a folder with the report of each log")
+
+
+def _say_recordings(ended: Ended, recording: Recording | None) -> None:
+    """Print what could not be recorded, and how to open all recordings."""
+    _say_some([line for outcome in ended.outcomes.values() for line in outcome.warnings], "warnings")
+    if recording is not None and any(Path(recording.folder).glob("*.rrd")):
+        show.say(f"all drives in one viewer: {catalog(Path(recording.folder))}")
+
+
+def _code(found: Gathered, failed_gates: Sequence[str], ended: Ended) -> int:
+    """Print what is void, what was lost and which gates failed, and return the exit code."""
+    from locfuse.cli.analysis.errors import LOSS
+    from locfuse.cli.analysis.gates import FAILED
+
+    gates = [*found.gates, *failed_gates]
+    # the reasons of exit code 3: printed with --quiet too
+    _say_some([f"void: {line}" for line in found.void], "void figures")
+    _say_some([f"lost: {line}" for line in found.lost], "losses")
+    _say_some([f"gate: {line}" for line in gates], "gates")
+    if ended.stopped:
+        show.say(f"stopped: {ended.stopped}")
+    states = {e.state for e in found.entries}
+    if gates:
+        return FAILED
+    if "done" not in states:
+        raise LocfuseError(f"none of {len(found.entries)} logs could be compared; the reasons stand above")
+    return LOSS if found.void or found.lost or states != {"done"} else 0
+
+
+def _say_some(lines: Sequence[str], what: str) -> None:
+    for line in lines[:MAX_LINES]:
+        show.say(line)
+    if len(lines) > MAX_LINES:
+        show.say(f"and {len(lines) - MAX_LINES} more {what}")

@@ -1,0 +1,152 @@
+"""From the words of a command line to the jobs of a fleet, and from the folders of jobs to rows."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import msgspec
+from msgspec import field
+from msgspec.structs import replace
+
+from locfuse.cli.analysis.gates import FleetGates
+from locfuse.cli.analysis.grouping import logs_of, named
+from locfuse.cli.analysis.load import find_log
+from locfuse.cli.analysis.results import lost_in
+from locfuse.cli.analysis.robot_tables import given_layers
+from locfuse.cli.session import sweep
+from locfuse.formats.fleet.entry import Entry, slim
+from locfuse.fusion.data import UsageError
+
+from .job import Cell, Job, Outcome
+from .resume import read_report
+
+PLACE = "{robot}"  # in --robot: where the name of the robot goes
+GONE = "its report.json is gone or cannot be read; run it again with --again"
+
+
+class Plan(msgspec.Struct, frozen=True):
+    """Jobs to run, and logs that cannot even be tried; together in the order in which they were named."""
+
+    robots: dict[str, str | None]  # of each log
+    jobs: dict[str, Job]
+    refused: dict[str, Outcome]
+
+
+def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Sequence[str]) -> Plan:
+    """Return the jobs that words name, each as `every` job is, with a folder of its own below that one's.
+
+    Raises UsageError for settings, a pattern or a sweep that fit no log at all.
+    """
+    pattern = _pattern(robot_from, every.how.robot_files)
+    fixed = tuple(file for file in every.how.robot_files if PLACE not in str(file))
+    given_layers(_with_robots(every, fixed).how)
+    cells = tuple(Cell(*found) for found in sweep.cells(sweep.parse(sweeps)).items()) if sweeps else every.cells
+    for cell in cells:
+        given_layers(replace(every.how, robot=None, over=(), sets=(*every.how.sets, *cell.sets)))
+    figures = every.outputs.figures
+    robots: dict[str, str | None] = {}
+    jobs, refused = {}, {}
+    for name, log in named(logs_of(words)).items():
+        robots[name] = robot = None if pattern is None else robot_of(pattern, log)
+        try:
+            find_log(log)
+            jobs[name] = replace(
+                _with_robots(every, [_file_of(file, robot) for file in every.how.robot_files]),
+                name=name,
+                log=tuple(log),
+                folder=every.folder / name,
+                outputs=replace(every.outputs, figures=figures and figures / name),
+                robot=robot,
+                cells=cells,
+            )
+        except UsageError as problem:
+            refused[name] = Outcome(name, "failed", str(problem), misused=True)
+    return Plan(robots, jobs, refused)
+
+
+def _with_robots(job: Job, files: Sequence[Path]) -> Job:
+    return replace(job, how=replace(job.how, robot=files[0] if files else None, over=tuple(files[1:])))
+
+
+def _pattern(text: str | None, files: Sequence[Path]) -> re.Pattern[str] | None:
+    """Return the pattern of --robot-from. Raises UsageError for what is none, or where --robot needs one."""
+    if text is None:
+        if unnamed := [file for file in files if PLACE in str(file)]:
+            raise UsageError(f"--robot {unnamed[0]}: say how a log's path names its robot with --robot-from REGEX")
+        return None
+    try:
+        pattern = re.compile(text)
+    except re.error as problem:
+        raise UsageError(f"--robot-from {text!r}: not a regular expression: {problem}") from None
+    if not pattern.groups:
+        raise UsageError(
+            f"--robot-from {text!r}: put the robot's name in a group, such as 'fleet/(?P<robot>[^/]+)/'"
+        )
+    return pattern
+
+
+def robot_of(pattern: re.Pattern[str], log: Sequence[str]) -> str | None:
+    """Return the robot of a log by its path, as given or in full; None where the pattern is not in it."""
+    for path in (log[0], Path(log[0]).resolve().as_posix()):
+        if found := pattern.search(path):
+            return found["robot"] if "robot" in pattern.groupindex else found[1]
+    return None
+
+
+def _file_of(file: Path, robot: str | None) -> Path:
+    """Return a robot.toml with the robot's name in its path. Raises UsageError where there is none."""
+    if PLACE not in str(file):
+        return file
+    if robot is None or "/" in robot or robot.startswith("."):
+        raise UsageError(f"--robot-from finds no robot in its path, and --robot {file} needs one")
+    found = Path(str(file).replace(PLACE, robot))
+    if not found.is_file():
+        raise UsageError(f"--robot {file}: {found} is no file")
+    return found
+
+
+class Gathered(msgspec.Struct, frozen=True):
+    """A fleet as rows, and the lines to print about it."""
+
+    entries: list[Entry] = field(default_factory=list)
+    gates: list[str] = field(default_factory=list)  # a line per gate that a log fails
+    lost: list[str] = field(default_factory=list)  # a line per loss of a log
+
+    @property
+    def void(self) -> list[str]:
+        """A line per reason why figures of a log are void."""
+        return [f"{e.name}: {line}" for e in self.entries for line in e.void]
+
+
+def gather(plan: Plan, outcomes: Mapping[str, Outcome], stopped: str, gates: FleetGates, strict: bool) -> Gathered:
+    """Read the report of every job that is done; what `stopped` the others is their reason.
+
+    Results are read from the jobs' folders: the same whether they ran now or long ago.
+    """
+    found = Gathered()
+    for name, robot in plan.robots.items():
+        outcome = outcomes.get(name) or plan.refused.get(name)
+        if outcome is None:
+            found.entries.append(Entry(name, robot, "not run", stopped))
+        elif outcome.state == "failed":
+            found.entries.append(Entry(name, robot, "failed", outcome.reason))
+        else:
+            found.entries.append(_entry(plan.jobs[name], found, gates, strict))
+    return found
+
+
+def _entry(job: Job, found: Gathered, gates: FleetGates, strict: bool) -> Entry:
+    """Return what is kept of one log; its report is let go."""
+    reports = {cell.name: read_report(job.place(cell)) for cell in job.cells}
+    whole = {cell: report for cell, report in reports.items() if report is not None}
+    if len(whole) < len(reports):
+        return Entry(job.name, job.robot, "failed", GONE)
+    lost: list[str] = []
+    for cell, report in whole.items():
+        title = f"{job.name} [{cell}]" if cell else job.name
+        found.gates.extend(f"{title}: {line}" for line in gates.each.failures(report))
+        lost = lost_in(report, strict) or lost
+    found.lost.extend(f"{job.name}: {line}" for line in lost)
+    return Entry(job.name, job.robot, report=slim(whole), cells=tuple(whole))

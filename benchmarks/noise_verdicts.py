@@ -2,10 +2,10 @@
 
     python -m benchmarks.noise_verdicts --seeds 20
 
-Each seed is one lap of the paper's robot. The filter is told the noise that the simulator drew, except for one
-setting that is wrong; `compare`'s runs are judged. Right is: the sensor's verdict is the expected one, its words
-name the key to set, the value goes the right way, and no other sensor is accused. A clean drive gets no complaint.
-The simulated camera is more exact than any real mirror, so 0.5 degrees of white noise are added to its bearings.
+Each seed is one lap of the paper's robot. The filter is given the noise that the simulator drew, except for one
+setting that is wrong; `compare`'s runs are judged. Right is: the sensor's verdict is the expected one, its key
+gets a right value, and no other sensor is named. A clean drive gets no complaint. The simulated camera is more
+exact than any real mirror, so 0.5 degrees of white noise are added to its bearings.
 """
 
 from __future__ import annotations
@@ -129,13 +129,13 @@ def slow_noise(t: Array, rng: np.random.Generator) -> Array:
 
 
 def is_right(case: Case, found: dict[str, Consistency]) -> bool:
-    """Whether the expected sensor is accused of the expected fault with the right cure, and nobody else."""
+    """Whether the expected sensor is named, with its fault and a right value of its key, and nobody else."""
     accused = {s for s, c in found.items() if c.verdict not in {"consistent", "unclear"}}
     if not case.sensor:
         return not accused
     mine = found[case.sensor]
-    named = case.key.split(".")[1] in mine.words and case.key in mine.cures
-    return accused == {case.sensor} and mine.verdict == case.verdict and named and case.right(mine.cures[case.key])
+    value = mine.cures.get(case.key)
+    return accused == {case.sensor} and mine.verdict == case.verdict and value is not None and case.right(value)
 
 
 def work(name: str, seed: int) -> Row:

@@ -138,4 +138,4 @@ def _structs(of: Any) -> list[type[Table]]:
 def _without_none(value: Any) -> Any:
     if isinstance(value, dict):
         return {k: _without_none(v) for k, v in value.items() if v is not None}
-    return value
+    return [_without_none(v) for v in value] if isinstance(value, list | tuple) else value

@@ -48,6 +48,13 @@ def test_a_shipped_scenario_says_what_it_is_and_survives_being_written_out(name:
     assert load.load(str(copy)) == scenario
 
 
+def test_a_fault_whose_keys_are_left_out_survives_being_written_out(tmp_path: Path) -> None:
+    scenario = load.load("tour", ('faults=[{kind="creep", ratio=0.02}]',))
+    copy = tmp_path / "copy.toml"
+    copy.write_text(load.dumps(scenario))
+    assert load.load(str(copy)) == scenario
+
+
 @pytest.mark.parametrize("name", ["straight_runs", "turns_on_the_spot"])
 def test_the_delta_experiments_cover_the_lowest_to_the_highest_speed(name: str) -> None:
     legs = msgspec.to_builtins(load.load(name).path)["legs"]

@@ -1,0 +1,103 @@
+"""The ruler of the advice: what counts as named, as plaster, as worse, and as a gap that is closed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from benchmarks import advice
+from benchmarks.advice_cases import CASES, CLEAN, RIGHT
+from locfuse.cli.analysis.load import make_robot, table_types
+from locfuse.formats.robot import robot_toml
+from locfuse.sample_logs.load import load
+
+LAG = "truth.time_offset=-0.05"
+
+
+def judged(case: str, *findings: tuple[str, str], **more: Any) -> dict[str, Any]:
+    """Judge a case in which these (role, fix) were printed; errors are 4, 20 and 8 mm unless `more` says more."""
+    errors = {"right": {"all": (0.004, 0.2)}, "before": {"all": (0.02, 0.2)}, "after": {"all": (0.008, 0.2)}}
+    return advice.judged(
+        {
+            "task": [case, 3000, True],
+            "fixes": [fix for _, fix in findings if fix],
+            "headline": "Keep the laser: 4 mm.",
+            "findings": [[role, [fix] if fix else [], "words"] for role, fix in findings],
+            **errors,
+            **more,
+        }
+    )
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_every_case_is_a_drive_and_settings_that_exist(name: str) -> None:
+    case = CASES[name]
+    load("rounded_rectangle", case.scenario)
+    for sets in (case.sets, case.right):
+        make_robot(robot_toml.apply_sets(sets))
+    assert (case.roles == set()) == (name in CLEAN)
+    assert {key for fault in case.faults for key in fault.keys} <= set(keys_of_robot())
+
+
+def keys_of_robot() -> list[str]:
+    return [f"{table}.{key}" for table, kind in table_types().items() for key in kind.__struct_fields__]
+
+
+def test_a_key_that_is_set_is_named_and_another_role_is_another() -> None:
+    assert judged("laser 50 ms late", ("lrf", "lrf.time_offset=0.05"))["named"]
+    wrong = judged("laser 50 ms late", ("wheels", "wheels.time_offset=-0.05"))
+    assert not wrong["named"]
+    assert wrong["others"] == ["wheels"]
+
+
+def test_a_pair_is_named_when_both_keys_are_set() -> None:
+    name = "laser 50 ms late, compass + 5"
+    assert not judged(name, ("lrf", "lrf.time_offset=0.05"))["named"]
+    both = judged(name, ("lrf", "lrf.time_offset=0.05"), ("compass", "compass.offset_deg=-65"))
+    assert both["named"]
+    assert both["others"] == []
+
+
+def test_where_no_key_helps_a_finding_without_a_fix_names_the_sensor() -> None:
+    assert judged("laser bumped by 4 degrees", ("lrf", ""))["named"]
+    assert not judged("laser bumped by 4 degrees", ("compass", ""))["named"]
+
+
+def test_noise_and_leaving_out_are_plasters_where_another_key_is_wrong() -> None:
+    assert judged("hard iron 14 %", ("compass", "compass.sigma_deg=89"))["plaster"] == ["compass.sigma_deg=89"]
+    assert judged("compass sigma / 3", ("compass", "compass.sigma_deg=1"))["plaster"] == []
+    assert (
+        judged("a steel cabinet", ("compass", "compass.sigma_deg=15"))["plaster"] == []
+    )  # no key sets that right
+    assert judged("compass + 5", ("compass", "compass.sigma_offset_deg=0.3"))["plaster"] == []  # of a state
+    words = "Keep the laser: 4 mm. With all sensors it is 9 mm: leave the compass out."
+    assert judged("compass + 5", headline=words)["plaster"] == ["leave compass out"]
+
+
+def test_the_gap_is_measured_where_a_fault_costs_a_fifth_and_a_millimetre() -> None:
+    assert judged("compass + 5")["closed"] == pytest.approx((20 - 8) / (20 - 4))
+    cheap = {"before": {"all": (0.0057, 0.2)}}  # 1.2 * 4 + 1 = 5.8 mm
+    assert judged("compass + 5", **cheap)["closed"] is None
+    assert judged("compass + 5", before={"all": (0.0059, 0.2)}, after={"all": (0.004, 0.2)})["closed"] == 1.0
+
+
+def test_an_error_that_grows_in_position_or_heading_is_worse_but_not_than_the_right_one() -> None:
+    assert judged("compass + 5")["worse"] == []
+    assert judged("compass + 5", after={"all": (0.021, 0.2)})["worse"] == ["all 20.0 -> 21.0 mm"]
+    assert judged("compass + 5", after={"all": (0.004, 0.3)})["worse"] == ["all 0.20 -> 0.30 degrees"]
+    lucky = {"before": {"all": (0.003, 0.2)}, "after": {"all": (0.004, 0.2)}}  # chance: as the right settings are
+    assert judged("compass + 5", **lucky)["worse"] == []
+
+
+def test_a_wrong_truth_costs_what_is_printed_and_a_withheld_figure_costs_nothing() -> None:
+    same = {key: {"all": (0.004, 0.2)} for key in ("right", "before", "after")}
+    fixed = judged("truth 50 ms late", ("truth", LAG), **same, printed=[{"all": 0.016}, {"all": 0.004}])
+    assert fixed["closed"] == pytest.approx(1.0)
+    assert fixed["errors_m"] == [0.004, 0.016, 0.004]
+    void = judged("truth 50 ms late", ("truth", ""), **same, printed=[{"all": None}, {"all": None}])
+    assert void["closed"] is None
+
+
+def test_a_clean_drive_has_the_right_settings() -> None:
+    assert CASES["none"].sets == CASES["none"].right == RIGHT

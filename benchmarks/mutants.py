@@ -101,7 +101,7 @@ TESTS: dict[str, tuple[str, ...]] = {  # the sharpest and fastest first
     "fusion/judge/against.py": ("tests/judge/test_against.py",),
     "fusion/whole_drive/smooth.py": ("tests/whole_drive/test_smooth.py",),
     **{f"formats/container/mcap_{name}.py": MCAP for name in ("chunk", "ranged", "records", "source", "survey")},
-    "formats/results/template.py": ("tests/container/test_mcap_columns.py",),
+    "formats/results/mcap_export.py": ("tests/container/test_mcap_columns.py",),
     "formats/container/mcap_write.py": (
         "tests/container/test_mcap_write.py",
         "tests/container/test_mcap_columns.py",

@@ -126,16 +126,16 @@ def _fresh(made: Draft, words: str, name: str) -> str:
 
 def _updated(made: Draft, file: Path) -> str:
     """Return the text of a robot.toml with the keys that the log shows and it lacks."""
-    from locfuse.formats.robot import commented_edit, robot_toml
+    from locfuse.formats.robot import commented_toml, robot_toml
 
-    text = commented_edit.text_of(file)
+    text = commented_toml.text_of(file)
     there = robot_toml.parse(text, str(file))
     changes: dict[str, Any] = {}
     for section in (s for s in made.sections if s.name):
         values = {line.key: line.value for line in section.lines if line.holds and line.value is not None}
         new = {key: value for key, value in values.items() if key not in there.get(section.name, {})}
         changes |= {section.name: new} if new else {}
-    return commented_edit.updated(text, changes, "locfuse init --update")
+    return commented_toml.updated(text, changes, "locfuse init --update")
 
 
 def _head(made: Draft, words: str, name: str) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import Progress, silent
-from locfuse.formats.robot import commented_edit, robot_toml
+from locfuse.formats.robot import commented_toml, robot_toml
 from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings
@@ -163,11 +163,11 @@ def _left_as_set(found: Calibration) -> list[str]:
 
 def write(path: Path, found: Calibration, robot: Path | None = None, over: Sequence[Path] = ()) -> None:
     """Write robot.toml: what the user's own said, comments included, with later files' keys and those found."""
-    before = commented_edit.text_of(robot) or "# found by locfuse calibrate\n"
+    before = commented_toml.text_of(robot) or "# found by locfuse calibrate\n"
     later = (robot_toml.parse(file.read_bytes(), str(file)) for file in over)
     changes = robot_toml.merge(*later, found.tables())
     with whole_file(path) as temporary:
-        temporary.write_text(commented_edit.updated(before, changes, "locfuse calibrate"), encoding="utf-8")
+        temporary.write_text(commented_toml.updated(before, changes, "locfuse calibrate"), encoding="utf-8")
 
 
 def fields(loaded: Sequence[Loaded]) -> Array:

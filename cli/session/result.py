@@ -94,7 +94,7 @@ class Result(msgspec.Struct, frozen=True, eq=False):
     @property
     def notes(self) -> list[str]:
         """What a reader of the figures must know, of the log and of what the configurations found in it."""
-        from locfuse.formats.report.notes import notes_of
+        from locfuse.formats.report.findings import notes_of
 
         return notes_of(self.report)
 
@@ -190,7 +190,7 @@ class Run(Result, frozen=True, eq=False):
 
     def write_audit(self, file: PathLike) -> None:
         """Write every measurement with its distance, threshold and verdict as CSV."""
-        from locfuse.formats.results.audit import audit_csv
+        from locfuse.formats.results.trajectory import audit_csv
         from locfuse.formats.whole_files import whole_file
 
         with whole_file(path_of(file)) as path:

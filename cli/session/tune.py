@@ -16,7 +16,7 @@ from locfuse.cli.analysis.configurations import refuse_beside_others, unknown_se
 from locfuse.cli.analysis.load import Loaded, load, start_error, with_settings
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.formats.container.url import Place
-from locfuse.formats.robot import commented_edit, robot_toml
+from locfuse.formats.robot import commented_toml, robot_toml
 from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.checks.score import MAX_LOSS_NATS, Score, spoils
 from locfuse.fusion.data import Evaluation, Measurements
@@ -217,9 +217,9 @@ def write(path: Path, found: Tuning, how: LogOptions) -> None:
     later = [robot_toml.parse(file.read_bytes(), str(file)) for file in how.over]
     changes = robot_toml.merge(*later, robot_toml.apply_sets(how.sets), found.tables())
     head = "# without the noise that locfuse tune found: a log gets worse by it\n"
-    before = commented_edit.text_of(how.robot) or (head if found.refused else "# noise found by locfuse tune\n")
+    before = commented_toml.text_of(how.robot) or (head if found.refused else "# noise found by locfuse tune\n")
     with whole_file(path) as temporary:
-        temporary.write_text(commented_edit.updated(before, changes, "locfuse tune"), encoding="utf-8")
+        temporary.write_text(commented_toml.updated(before, changes, "locfuse tune"), encoding="utf-8")
 
 
 def _evaluated(one: Loaded) -> Evaluation:

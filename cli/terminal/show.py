@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from locfuse.cli.rerun.record import record
 from locfuse.formats.report import json_report, tables
-from locfuse.formats.report.findings import banner_of, findings_of, together
-from locfuse.formats.report.notes import notes_of
+from locfuse.formats.report.findings import banner_of, findings_of, notes_of, together
 from locfuse.formats.report.table import Table
 from locfuse.fusion.progress import heard_by
 

@@ -1,13 +1,16 @@
-"""Deviation from truth: signed over time as in the paper's fig. 12 and 13, with 3 sigma, and against distance."""
+"""Errors: deviations over time as in the paper's fig. 12 and 13, their sizes, and how each sensor changes them."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion.data import Array, Evaluation
 
-from .panels import TIME, Band, Curve, Mark, Panel, Section
+from .panels import TIME, Band, Curve, Mark, Panel, Section, Spots, Strokes
 from .scene import Scene, metres
 
 SIGMAS = 3.0
@@ -158,3 +161,117 @@ def _figures_words(judged: list[Evaluation], key: str, unit: str) -> str:
     """Return one figure of the report of every configuration, in words."""
     known = [(j.name, value) for j in judged if (value := j.figures.get(key)) is not None]
     return ", ".join(f"{name} rms {value:.4f} {unit}" for name, value in known) + "."
+
+
+# --- How often errors of which size occur: one histogram per configuration, below each other on one axis
+
+MIN_ERROR_DEG = 1e-3  # a smaller heading error is drawn there
+BINS_PER_DECADE = 12
+MAX_DECADES = 8
+TALLEST = 0.8  # of a lane: the fullest bin of all
+
+
+def spread(scene: Scene) -> Section:
+    """Return the histograms of position and heading errors, each on a common logarithmic axis, medians marked."""
+    judged = [j for _, j in scene.shown() if len(j.t)]
+    position = {j.name: _sizes(np.hypot(*j.deviation.T), MIN_ERROR_M) for j in judged}
+    scale, unit = metres(list(position.values()))
+    heading = {j.name: _sizes(np.degrees(j.heading), MIN_ERROR_DEG) for j in judged if j.heading is not None}
+    panels = (_histograms("position", position, scale, unit), _histograms("heading", heading, 1.0, "°"))
+    text = f"Share of the {scene.judged_by}'s stamps in bins of equal ratio. The upright line is the median."
+    return Section("spread", "How large the errors are", text, tuple(p for p in panels if p is not None))
+
+
+def _sizes(errors: Array, least: float) -> Array:
+    """Return the finite sizes (k,) of errors, none below what is drawn."""
+    found: Array = np.maximum(np.abs(errors[np.isfinite(errors)]), least)
+    return found
+
+
+def _histograms(what: str, errors: Mapping[str, Array], scale: float, unit: str) -> Panel | None:
+    """Return the histograms of one kind of error below each other; None without any."""
+    if not any(len(e) for e in errors.values()):
+        return None
+    edges = _bins(np.concatenate(list(errors.values())))
+    shares = {name: np.histogram(e, edges)[0] / max(1, len(e)) for name, e in errors.items()}
+    tallest = max(float(s.max()) for s in shares.values())
+    x = scale * np.repeat(edges, 2)[1:-1]
+    marks: list[Mark] = []
+    for lane, (name, share) in enumerate(shares.items()):
+        foot = lane + 0.92
+        marks.append(
+            Band(name, x, np.full_like(x, foot), foot - TALLEST * np.repeat(share, 2) / tallest, solid=True)
+        )
+        if len(errors[name]):
+            middle = scale * float(np.median(errors[name]))
+            marks.append(Strokes("median", np.array([[[middle, lane + 0.1], [middle, foot]]])))
+    medians = ", ".join(f"{name} {scale * np.median(e):.3g} {unit}" for name, e in errors.items() if len(e))
+    return Panel(
+        name=f"spread_{what}",
+        title=f"How large the {what} errors are",
+        y_label=f"{what} error",
+        x_label=f"{what} error, {unit}",
+        marks=tuple(marks),
+        summary=f"Histograms of the {what} errors: medians {medians}.",
+        x_log=True,
+        x_range=(scale * float(edges[0]), scale * float(edges[-1])),
+        y_range=(float(len(errors)), 0.0),
+        lanes=tuple(errors),
+    )
+
+
+def _bins(errors: Array) -> Array:
+    """Return edges of bins of equal ratio that hold all errors, of the largest decades where there are many."""
+    high = np.ceil(BINS_PER_DECADE * np.log10(errors.max()) + 1e-9)
+    low = np.floor(BINS_PER_DECADE * np.log10(errors.min()) - 1e-9)
+    low = max(low, high - MAX_DECADES * BINS_PER_DECADE)
+    edges: Array = 10.0 ** (np.arange(low, high + 1) / BINS_PER_DECADE)
+    return edges
+
+
+# --- What each sensor does to the position error: alone, beside the others, and on average
+
+EFFECTS = {"alone": 0.28, "leave_one_out": 0.55, "credit": 0.82}  # effect -> its place in a sensor's lane
+WORDS = {
+    "alone": "alone, against odometry",
+    "leave_one_out": "last, beside all others",
+    "credit": "credit: mean over every order",
+    "bounds": "no effect",
+}
+LIMITS = (1e-3, 1e5)  # factors beyond are drawn at the edge
+
+
+def credit(scene: Scene) -> Section:
+    """Return every sensor's factors with their 95 % intervals on one logarithmic axis; empty without any."""
+    sensors = dict((scene.credit or {}).get("sensors", {}))
+    marks: list[Mark] = []
+    for lane, (sensor, values) in enumerate(sensors.items()):
+        for kind, place in EFFECTS.items():
+            if values.get(kind):
+                marks += _effect(sensor, kind, lane + place, values[kind])
+    if not marks:
+        return Section("credit", "", "", ())
+    n = len(sensors)
+    marks.insert(0, Curve("bounds", np.ones(2), np.array([0.0, float(n)])))
+    values = [float(v) for m in marks for v in (m.ends[:, :, 0].ravel() if isinstance(m, Strokes) else m.x)]
+    panel = Panel(
+        name="credit",
+        title="How many times smaller each sensor makes the position error",
+        y_label="",
+        x_label="position error smaller by this factor",
+        marks=tuple(marks),
+        summary="Each sensor's effect with its 95 % interval; right of 1 the error shrinks.",
+        x_log=True,
+        x_range=(min(values) / 1.15, max(values) * 1.15),
+        y_range=(float(n), 0.0),
+        lanes=tuple(sensors),
+        keys=tuple(dict.fromkeys(m.of for m in marks if not isinstance(m, Strokes))),
+        said=WORDS,
+    )
+    return Section("credit", "Credit", "", (panel,))
+
+
+def _effect(sensor: str, kind: str, y: float, found: Mapping[str, Any]) -> list[Mark]:
+    ends = [[float(np.clip(found[k], *LIMITS)), y] for k in ("low", "high") if found[k] is not None]
+    interval = [Strokes(sensor, np.array([ends]))] if ends else []
+    return [*interval, Spots(kind, np.clip([found["factor"]], *LIMITS), np.array([y]))]

@@ -10,12 +10,9 @@ from .scene import Scene
 
 def sections(scene: Scene) -> list[Section]:
     """Return the figures of a report in reading order; a section that has nothing to show is left out."""
-    from .credit import credit
-    from .deviation import bands, deviations, uncertainty
+    from .deviation import bands, credit, deviations, spread, uncertainty
     from .filter import consistency, gates, innovations, learnt
-    from .spread import spread
-    from .trajectories import trajectories
-    from .where import where
+    from .where import trajectories, where
 
     found = [trajectories(scene), where(scene)]
     found += [deviations(scene), spread(scene), bands(scene)] if scene.has_truth else [uncertainty(scene)]

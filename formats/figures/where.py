@@ -1,4 +1,4 @@
-"""Where a drive went wrong: each path in the colours of its error, or of what the filter claims without truth."""
+"""Maps: trajectories over the line map, and each path in the colours of its error."""
 
 from __future__ import annotations
 
@@ -8,15 +8,119 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.formats.thin import evenly
-from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, Evaluation
+from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, Evaluation, MapLine
 
 from .palette import LEVELS
-from .panels import Curve, Mark, Panel, Section, Spots
-from .route import between, spots, step, timed_path
+from .panels import Curve, Mark, Panel, Section, Spots, Strokes, Track
 from .scene import Scene
 
+STEPS_S = (10.0, 30.0, 60.0, 300.0, 600.0, 3600.0)
+MAX_SPOTS = 60
+TRACK_STEP_S = 0.25
+MAX_TRACK = 600  # places of one track
+
+
+def timed_path(estimates: Estimates, judged: Evaluation) -> tuple[Array, Array]:
+    """Return times (n,) and path (n, 2): at every instant, or as aligned to the truth."""
+    if judged.align == "none":
+        return estimates.t, estimates.pose[:, :2]
+    return judged.t, judged.estimate_xy
+
+
+def spots(t: Array, xy: Array) -> list[Spots]:
+    """Return start, end and the spots between them; none of a path that has no place."""
+    good = np.isfinite(xy).all(axis=1)
+    t, xy = t[good], xy[good]
+    if len(t) == 0:
+        return []
+    at = between(t, xy, np.arange(t[0] + step(t), t[-1], step(t)))
+    return [Spots("time", *at.T), Spots("end", *xy[-1:].T), Spots("start", *xy[:1].T)]
+
+
+def step(t: Array) -> float:
+    """Return the time [s] between two spots: the shortest round one that leaves a path readable."""
+    span = float(t[-1] - t[0]) if len(t) else 0.0
+    return next((s for s in STEPS_S if span <= s * MAX_SPOTS), max(STEPS_S[-1], span / MAX_SPOTS))
+
+
+def between(t: Array, xy: Array, times: Array) -> Array:
+    """Return the places (k, 2) at `times` (k,) on the path."""
+    return np.stack([np.interp(times, t, column) for column in xy.T], axis=-1)
+
+
+def track(of: str, t: Array, xy: Array) -> list[Track]:
+    """Return where the path was at evenly spaced times; none of a path that has no place."""
+    good = np.isfinite(xy).all(axis=1)
+    t, xy = t[good], xy[good]
+    if len(t) < 2:
+        return []
+    start, end = float(t[0]), float(t[-1])
+    times = np.linspace(start, end, int(np.clip((end - start) / TRACK_STEP_S, 2, MAX_TRACK)))
+    return [Track(of, start, end, *between(t, xy, times).T)]
+
+
+# --- Trajectories over the line map
+
+MAX_POINTS = 20_000  # of all paths together
+WALLS = ("walls of the first scan", "walls seen later")
+
+
+def trajectories(scene: Scene) -> Section:
+    """Return the map figure: first and final lines, truth, one path per configuration."""
+    mapped = max(scene.estimates, key=lambda e: (len(e.final_map), len(e.sensors)))
+    marks: list[Mark] = []
+    if mapped.final_map:
+        first = {line.id for line in mapped.first_map}
+        old = [line for line in mapped.final_map if line.id in first]
+        new = [line for line in mapped.final_map if line.id not in first]
+        marks += [Strokes(role, ends(lines)) for role, lines in zip(WALLS, (old, new), strict=True) if lines]
+    paths = {e.name: timed_path(e, j) for e, j in scene.shown()}
+    most = MAX_POINTS // (len(paths) + 1)
+    marks += [_curve(name, xy, most) for name, (_, xy) in paths.items()]
+    truth = scene.drive.truth
+    if truth is not None:
+        paths["truth"] = truth.t, truth.xy
+        marks.append(_curve("truth", truth.xy, most))
+    marks += [Spots("landmark", np.array([x]), np.array([y])) for x, y in scene.landmarks]
+    led = paths["truth"] if truth is not None else paths[list(paths)[-1]]
+    marks += spots(*led)
+    every = f"every {step(led[0]):.0f} seconds"
+    names = ", ".join(e.name for e, _ in scene.shown())
+    panel = Panel(
+        name="trajectories",
+        title="Trajectories over the line map" if mapped.final_map else "Trajectories",
+        y_label="y, m",
+        x_label="x, m",
+        marks=tuple(marks),
+        summary=f"Paths of {names}{' and the truth' if truth else ''}, seen from above"
+        + (f", and the walls of the map that {mapped.name} ended with." if mapped.final_map else "."),
+        equal=True,
+        keys=tuple(m.of for m in marks if isinstance(m, Strokes | Spots)),
+        said={"time": every},
+        tracks=tuple(found for name, (t, xy) in paths.items() for found in track(name, t, xy)),
+    )
+    text = f"Walls are where “{mapped.name}” knew them at the end." if mapped.final_map else ""
+    return Section("trajectories", "Trajectories", text, (panel,), columns=1)
+
+
+def _curve(name: str, xy: Array, most: int) -> Curve:
+    return Curve(name, *xy[evenly(len(xy), most)].T)
+
+
+def ends(lines: list[MapLine]) -> Array:
+    """Return both ends of map lines, (k, 2, 2) m."""
+    beta = np.array([line.beta for line in lines])
+    foot = np.array([line.rho for line in lines])[:, None] * np.stack((np.cos(beta), np.sin(beta)), axis=-1)
+    tangent = np.stack((-np.sin(beta), np.cos(beta)), axis=-1)
+    along = np.array([line.ends for line in lines])
+    points: Array = foot[:, None, :] + along[:, :, None] * tangent[:, None, :]
+    return points
+
+
+# --- Paths in the colours of their error, or of what the filter claims without truth
+
 STRETCHES = 240  # of a path, each in one colour
-MAX_POINTS = 1500  # of a path on a small map
+MAX_POINTS_ON_SMALL_MAP = 1500  # of a path on a small map
 GATE = VERDICTS.index("gate")
 REFUSAL_CELL = 0.025  # of the map's extent: refusals in one cell share a cross
 HIGHEST = 0.6  # of the largest value: the last limit lies below, so that its colour is seen
@@ -109,7 +213,7 @@ def _coloured(route: Route, edges: Array) -> list[Curve]:
         stretch = route.value[first : last + 1]
         if np.isfinite(stretch).any():
             level = int(np.searchsorted(edges, np.sqrt(np.nanmean(stretch**2)), side="right"))
-            shown = route.xy[first : last + 1][evenly(last + 1 - first, MAX_POINTS // STRETCHES)]
+            shown = route.xy[first : last + 1][evenly(last + 1 - first, MAX_POINTS_ON_SMALL_MAP // STRETCHES)]
             _extend(pieces.setdefault(level, []), shown)
     paths = {level: np.concatenate(found) for level, found in sorted(pieces.items())}
     return [Curve(f"level {level}", xy[:, 0], xy[:, 1], wide=True) for level, xy in paths.items()]

@@ -10,7 +10,7 @@ wall's clock. What has no header is then dated by when it was recorded, read on 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import msgspec
 import numpy as np
@@ -18,7 +18,7 @@ from msgspec import field
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.data import Array, Block, Column, Ints
 
 from . import jitter
 from .monotone import never_decreasing
@@ -59,12 +59,25 @@ class Clock(msgspec.Struct, frozen=True):
 
 
 class Dated(ABC):
-    """What a stream says of the times that were taken for its rows."""
+    """A stream: the times that were taken for its rows, and all rows as one block where they are light."""
 
     @property
     @abstractmethod
     def _clock(self) -> Clock:
         """Return what was settled."""
+
+    @abstractmethod
+    def columns(self, *fields: str) -> dict[str, Column]:
+        """Return whole columns by dotted field path, each with n rows."""
+
+    def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
+        """Yield (row numbers (k,), columns), k at most `rows`, in file order; what is light as one block."""
+        yield np.arange(len(self.t_ns)), self.columns(*fields)
+
+    @property
+    def t_ns(self) -> Ints:
+        """When the readings were taken, (n,), never decreasing."""
+        return self._clock.t_ns
 
     @property
     def clock(self) -> str:

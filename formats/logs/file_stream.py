@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from decimal import Decimal
 from pathlib import Path
 
@@ -19,7 +19,9 @@ from locfuse.formats.caps import MAX_TEXT_FILE
 from locfuse.formats.geometry import quaternions
 from locfuse.formats.inputs import csv_rows, read_small
 from locfuse.formats.visible import visible
-from locfuse.fusion.data import END_OF_TIME, Array, Block, Column, Ints, LocfuseError
+from locfuse.fusion.data import END_OF_TIME, Array, Column, Ints, LocfuseError
+
+from .clock import Clock, Dated
 
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POINT = "geometry_msgs/msg/PointStamped"
@@ -33,33 +35,30 @@ MAX_IDENT = 2**53  # whole numbers below it are exact as floats
 MIN_NS = 1e14  # a time beyond this is no number of seconds, but of nanoseconds
 
 
-class FileStream:
+class FileStream(Dated):
     """A text file with the face of a topic (formats.logs.stream.LogStream): the readings in the order of time."""
 
-    clock = "times of the file"
-    by_stamps = as_stamped = True
+    words = "times of the file"
     delay_s: float | None = None
-    notes: tuple[str, ...] = ()
 
     def __init__(self, path: Path, msgtype: str, t_ns: Ints, data: Mapping[str, Column]) -> None:
         order = np.argsort(t_ns, kind="stable")
         self.topic = str(path)
         self.msgtype = msgtype
         self.frame_id = ""
-        self.t_ns = t_ns[order]
-        self.repaired: Mapping[str, int] = {}
+        self._times = Clock(t_ns[order], None, self.words, by_stamps=True)
         self.dropped: Mapping[str, int] = {}
         self._data = {name: np.asarray(column)[order] for name, column in data.items()}
+
+    @property
+    def _clock(self) -> Clock:
+        return self._times
 
     def columns(self, *fields: str) -> dict[str, Column]:
         """Return whole columns; a pose without a covariance, or a point without height, has zeros there."""
         n = len(self.t_ns)
         empty = {"pose.covariance": (n, 36)}
         return {name: self._data.get(name, np.zeros(empty.get(name, (n,)))) for name in fields}
-
-    def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
-        """Yield everything as one block."""
-        yield np.arange(len(self.t_ns)), self.columns(*fields)
 
 
 def is_file_topic(name: str) -> bool:

@@ -361,7 +361,7 @@ class Log:
         """Return the transforms of /tf that never change: mounts, where nothing publishes /tf_static."""
         return transforms.StaticTransforms(
             tuple(
-                transforms.Transform(edge.parent, edge.child, transforms.matrices_of(edge.values[:1])[0])
+                _at_first(edge)
                 for topic in self.transform_topics
                 for edge in self.frames(topic).values()
                 if not edge.moves
@@ -371,7 +371,7 @@ class Log:
     def moving_transforms(self) -> list[transforms.Transform]:
         """Return the transforms of /tf that change, as they were first."""
         return [
-            transforms.Transform(edge.parent, edge.child, transforms.matrices_of(edge.values[:1])[0])
+            _at_first(edge)
             for topic in self.transform_topics
             for edge in self.frames(topic).values()
             if np.ptp(edge.values, axis=0).max() > MOVING
@@ -501,6 +501,11 @@ class Log:
     def left_out(self, topic: str) -> Mapping[str, int]:
         """Count the messages on a topic that are of another type than the rest of it."""
         return self._channels[topic].left_out()
+
+
+def _at_first(edge: Edge) -> transforms.Transform:
+    """Return a transform as it was first."""
+    return transforms.Transform(edge.parent, edge.child, transforms.matrices_of(edge.values[:1])[0])
 
 
 def _is_static_tf(name: str, topic: Topic) -> bool:

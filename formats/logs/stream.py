@@ -296,11 +296,6 @@ class LogStream(clocks.Dated):
         return self._table.frame_id
 
     @property
-    def t_ns(self) -> Ints:
-        """When the readings were taken, (n,), never decreasing."""
-        return self._clock.t_ns
-
-    @property
     def delay_s(self) -> float | None:
         """By how much recording lags behind the header stamps, median [s]; None without headers or messages."""
         table = self._table
@@ -407,11 +402,6 @@ class DerivedStream(clocks.Dated):
         return self._source.frame_id
 
     @property
-    def t_ns(self) -> Ints:
-        """When the readings were taken, (n,), never decreasing."""
-        return self._source.t_ns
-
-    @property
     def delay_s(self) -> float | None:
         """By how much recording lags behind the header stamps, median [s]."""
         return self._source.delay_s
@@ -439,10 +429,6 @@ class NumberStream(DerivedStream):
         """Return the number as the column "data"."""
         values = np.asarray(self._source.columns(self._field)[self._field], dtype=np.float64)
         return dict.fromkeys(fields, values)
-
-    def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
-        """Yield everything as one block: numbers are light."""
-        yield np.arange(len(self.t_ns)), self.columns(*fields)
 
 
 class PresentedStream(DerivedStream):
@@ -483,7 +469,7 @@ class PathStream(FileStream):
     what it corrected since. Raises LocfuseError where the poses have no times of their own: a plan.
     """
 
-    clock = "stamps of its poses"
+    words = "stamps of its poses"
 
     def __init__(self, topic: str, source: LogStream) -> None:
         last = _last_message(source)

@@ -11,7 +11,7 @@ Tags that a detector publishes as frames of its camera are a topic too, "/tf:cam
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple, cast
 
@@ -27,7 +27,7 @@ from locfuse.formats.robot.transforms import (
     matrices_of,
     quaternions_of,
 )
-from locfuse.fusion.data import Array, Block, Column, Ints, LocfuseError, Ragged
+from locfuse.fusion.data import Array, Column, Ints, LocfuseError, Ragged
 
 from . import clock as clocks
 
@@ -162,10 +162,6 @@ class TransformStream(clocks.Dated):
         """Return columns of a TransformStamped."""
         return {name: self._values[:, NAMES.index(name)] for name in fields}
 
-    def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
-        """Yield everything as one block."""
-        yield np.arange(len(self.t_ns)), self.columns(*fields)
-
 
 class TagStream(clocks.Dated):
     """The tags that a camera saw, a row for each, with the face of a topic; made of frames of /tf.
@@ -188,7 +184,6 @@ class TagStream(clocks.Dated):
         by_record = by_record[~again[by_record]]
         self._settled = settled = clocks.settle(recorded[by_record], stamps[by_record], order)
         rows = by_record if settled.rows is None else by_record[settled.rows]
-        self.t_ns = settled.t_ns
         self.dropped = {**settled.dropped, **({"repeat": int(again.sum())} if again.any() else {})}
         self._data: dict[str, Column] = {"id": ids[rows].astype(np.int64)}
         self._data |= {axis: places[rows, k] for k, axis in enumerate("xyz")}
@@ -200,10 +195,6 @@ class TagStream(clocks.Dated):
     def columns(self, *fields: str) -> dict[str, Column]:
         """Return columns: id, and x, y, z [m] in optical axes."""
         return {name: self._data[name] for name in fields}
-
-    def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
-        """Yield everything as one block."""
-        yield np.arange(len(self.t_ns)), self.columns(*fields)
 
 
 def tags_of(edges: Mapping[tuple[str, str], Edge], camera: str) -> list[Edge]:

@@ -22,9 +22,8 @@ from locfuse.formats.figures.svg import HEIGHT, WIDTH, slugs_of, svg
 from locfuse.fusion.data import REFUSED, Colour
 
 from . import tables
-from .findings import findings_of, together
+from .findings import findings_of, fingerprint, notes_of, title_of, together
 from .glossary import GLOSSARY
-from .notes import fingerprint, notes_of, title_of
 from .render import SIGNS, Swatches, data, html
 from .table import Path, Piece, Table, written
 

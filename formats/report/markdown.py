@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from . import tables
-from .findings import banner_of, findings_of, together
-from .notes import fingerprint, notes_of, title_of
+from .findings import banner_of, findings_of, fingerprint, notes_of, title_of, together
 from .render import SIGNS, code, escape, markdown
 
 

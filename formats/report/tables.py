@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from .notes import fingerprint
+from .findings import fingerprint
 from .render import csv as csv_of
 from .render import latex as latex_of
 from .render import latex_text

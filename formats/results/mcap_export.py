@@ -7,21 +7,158 @@ frame on /tf; the truth; optionally every message of the log itself, with its by
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
-from locfuse.formats.container.mcap_write import LATCHED, Block, ColumnWriter
+from locfuse.formats.container.mcap_write import LATCHED, Block, ColumnWriter, Messages, nested, time_message
+from locfuse.formats.geometry import quaternions
 from locfuse.formats.logs.log import TF_TYPES, Log
-from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Truth
+from locfuse.formats.messages.cdr import CDR, read_layout
+from locfuse.formats.messages.fields import resolve
+from locfuse.formats.messages.schema import Many, Node, Scalar, parse
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Truth, matrices
 
 from .recovered_log import copy_messages
-from .ros_messages import PATH, Series, odometry, path, points, poses, transforms
-from .template import MESSAGES
-from .trajectory import stamps, with_truth_rows
+from .trajectory import SIX, stamps, with_truth_rows
+
+MESSAGES = Messages()
+Columns = Mapping[str, NDArray[Any]]  # dotted path of a field -> numbers (n,), or (n, k) for an array of k
+
+
+def stamp_columns(path: str, t_ns: Ints) -> dict[str, Ints]:
+    """Return the columns of a builtin_interfaces/Time."""
+    return {f"{path}.sec": t_ns // 1_000_000_000, f"{path}.nanosec": t_ns % 1_000_000_000}
+
+
+class Template:
+    """A message whose texts and lengths are settled; some of its numbers are columns, all others are zero."""
+
+    def __init__(self, msgtype: str, constant: Mapping[str, Any], columns: Collection[str]) -> None:
+        one = MESSAGES.cdr(msgtype, nested(constant))
+        message = parse(msgtype, "ros2msg", MESSAGES.schema(msgtype))
+        layout = read_layout(message, nested({path: path for path in columns}), memoryview(one), CDR)
+        self._bytes = np.frombuffer(one, np.uint8)
+        self._at = {path: layout.leaves[path].offsets[0] for path in columns}
+        self._dtype = {path: _number(resolve(message, path)[0].node) for path in columns}
+
+    def filled(self, columns: Columns) -> NDArray[np.uint8]:
+        """Return n messages as CDR bytes, (n, size)."""
+        n = len(next(iter(columns.values())))
+        out = np.tile(self._bytes, (n, 1))
+        for path, values in columns.items():
+            data = np.ascontiguousarray(values, self._dtype[path]).view(np.uint8).reshape(n, -1)
+            out[:, self._at[path] : self._at[path] + data.shape[1]] = data
+        return out
+
+
+def _number(node: Node) -> np.dtype[Any]:
+    scalar = cast("Scalar", node.element if isinstance(node, Many) else node)
+    return np.dtype(scalar.dtype).newbyteorder("<")
+
+
+# --- Poses as messages, by the thousand: nav_msgs/Odometry, PoseStamped, PointStamped, Path, and /tf
+
+MAP = "map"
+ODOMETRY, PATH, TF = "nav_msgs/msg/Odometry", "nav_msgs/msg/Path", "tf2_msgs/msg/TFMessage"
+POSE, POINT = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PointStamped"
+MAX_PATH_POSES = 2000  # of a path, which is to be looked at; every pose is on the odometry topic
+
+
+class Series(msgspec.Struct, frozen=True, dict=True):
+    """Messages of one type, stamped t_ns (n,), made when they are asked for."""
+
+    msgtype: str
+    t_ns: Ints
+    constant: dict[str, Any]
+    columns: Callable[[slice], Columns]  # of these rows
+
+    @cached_property
+    def _template(self) -> Template:
+        return Template(self.msgtype, self.constant, self.columns(slice(1)).keys())
+
+    def messages(self, rows: slice) -> NDArray[np.uint8]:
+        """Return the given rows as CDR bytes (k, size)."""
+        return self._template.filled(self.columns(rows))
+
+
+def odometry(t_ns: Ints, pose: Array, triangles: Array, twist: Array, child: str) -> Series:
+    """Return Odometry of poses (n, 3) with triangles of covariances (n, 6) and body twists (n, 3)."""
+
+    def columns(rows: slice) -> Columns:
+        covariance = np.zeros((len(t_ns[rows]), 6, 6))
+        covariance[:, np.array(SIX)[:, None], SIX] = matrices(triangles[rows])
+        return {
+            **stamp_columns("header.stamp", t_ns[rows]),
+            **_pose("pose.pose", pose[rows]),
+            "pose.covariance": covariance.reshape(-1, 36),
+            "twist.twist.linear.x": twist[rows, 0],
+            "twist.twist.linear.y": twist[rows, 1],
+            "twist.twist.angular.z": twist[rows, 2],
+        }
+
+    return Series(ODOMETRY, t_ns, {"header.frame_id": MAP, "child_frame_id": child}, columns)
+
+
+def poses(t_ns: Ints, pose: Array) -> Series:
+    """Return PoseStamped of poses (n, 3)."""
+    return Series(
+        POSE,
+        t_ns,
+        {"header.frame_id": MAP},
+        lambda rows: {**stamp_columns("header.stamp", t_ns[rows]), **_pose("pose", pose[rows])},
+    )
+
+
+def points(t_ns: Ints, xy: Array) -> Series:
+    """Return PointStamped of points (n, 2)."""
+    return Series(
+        POINT,
+        t_ns,
+        {"header.frame_id": MAP},
+        lambda rows: {**stamp_columns("header.stamp", t_ns[rows]), "point.x": xy[rows, 0], "point.y": xy[rows, 1]},
+    )
+
+
+def transforms(t_ns: Ints, pose: Array, child: str) -> Series:
+    """Return TFMessage from the map to a frame at poses (n, 3)."""
+    constant = {"transforms": [{"header": {"frame_id": MAP}, "child_frame_id": child}]}
+
+    def columns(rows: slice) -> Columns:
+        return {
+            **stamp_columns("transforms.header.stamp", t_ns[rows]),
+            **_pose("transforms.transform", pose[rows], "translation", "rotation"),
+        }
+
+    return Series(TF, t_ns, constant, columns)
+
+
+def path(t_ns: Ints, pose: Array) -> NDArray[np.uint8]:
+    """Return one Path (1, size) through poses (n, 3), thinned to MAX_PATH_POSES."""
+    rows = np.unique(np.linspace(0, len(t_ns) - 1, min(len(t_ns), MAX_PATH_POSES)).round().astype(np.int64))
+    columns = {**stamp_columns("header.stamp", t_ns[rows]), **_pose("pose", pose[rows])}
+    values = zip(*(column.tolist() for column in columns.values()), strict=True)
+    listed = [nested({"header.frame_id": MAP, **dict(zip(columns, one, strict=True))}) for one in values]
+    header = {"stamp": time_message(int(t_ns[0])), "frame_id": MAP}
+    return np.frombuffer(MESSAGES.cdr(PATH, {"header": header, "poses": listed}), np.uint8)[None]
+
+
+def _pose(at: str, pose: Array, position: str = "position", orientation: str = "orientation") -> dict[str, Array]:
+    turned = quaternions(pose[:, 2])
+    return {
+        f"{at}.{position}.x": pose[:, 0],
+        f"{at}.{position}.y": pose[:, 1],
+        f"{at}.{orientation}.z": turned[:, 2],
+        f"{at}.{orientation}.w": turned[:, 3],
+    }
+
+
+# --- Estimates and truth
 
 BASE = "base_link"
 CHUNK_BYTES = 1 << 20  # bytes before compression

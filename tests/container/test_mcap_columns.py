@@ -15,7 +15,7 @@ from mcap.reader import McapReader, NonSeekingReader, make_reader
 from mcap.stream_reader import StreamReader
 
 from locfuse.formats.container.mcap_write import Block, ColumnWriter
-from locfuse.formats.results.template import Template, stamps
+from locfuse.formats.results.mcap_export import Template, stamp_columns
 
 PAYLOADS = np.arange(12, dtype=np.uint8).reshape(4, 3)
 TIMES = np.array([T0 + 30, T0 + 10, T0 + 20, T0 + 40])
@@ -171,7 +171,7 @@ def test_columns_are_laid_over_the_bytes_of_one_message() -> None:
     n = 5
     t = T0 + 1_999_999_999 * np.arange(n)
     columns = {
-        **stamps("header.stamp", t),
+        **stamp_columns("header.stamp", t),
         "ranges": np.arange(3.0 * n).reshape(n, 3),
         "scan_time": np.linspace(0.0, 1.0, n),
     }
@@ -188,7 +188,7 @@ def test_columns_are_laid_over_the_bytes_of_one_message() -> None:
 
 
 def test_a_template_takes_numbers_and_time_stamps_at_the_second() -> None:
-    found = stamps("a", np.array([0, 999_999_999, 1_000_000_000, 2_500_000_000]))
+    found = stamp_columns("a", np.array([0, 999_999_999, 1_000_000_000, 2_500_000_000]))
     assert {name: column.tolist() for name, column in found.items()} == {
         "a.sec": [0, 0, 1, 2],
         "a.nanosec": [0, 999_999_999, 0, 500_000_000],

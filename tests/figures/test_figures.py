@@ -13,7 +13,7 @@ import small_scene
 from colour_vision import VISION, contrast, linear_rgb, oklab, page
 from numpy.typing import NDArray
 
-from locfuse.formats.figures import palette, svg, svg_path, ticks
+from locfuse.formats.figures import palette, svg, ticks
 from locfuse.formats.figures.for_paper import paper_figures
 from locfuse.formats.figures.panels import Band, Curve, Dots, Panel, Strokes
 from locfuse.formats.figures.sections import sections
@@ -116,7 +116,7 @@ def test_a_noisy_curve_keeps_its_peaks_and_loses_its_bulk() -> None:
     rng = np.random.default_rng(0)
     x, y = np.linspace(0.0, 400.0, 50_000), 100.0 + 20.0 * rng.normal(size=50_000)
     y[31_234], y[777] = 500.0, -300.0
-    path = svg_path.curve_path(x, y, 400)
+    path = svg.curve_path(x, y, 400)
     drawn = np.concatenate(points(path))
     assert drawn[:, 1].max() == 500.0
     assert drawn[:, 1].min() == -300.0
@@ -127,7 +127,7 @@ def test_a_noisy_curve_keeps_its_peaks_and_loses_its_bulk() -> None:
 def test_a_smooth_curve_is_drawn_within_a_third_of_a_pixel_from_few_points() -> None:
     x = np.linspace(0.0, 400.0, 5000)
     y = 100.0 + 80.0 * np.sin(x / 40.0)
-    drawn = points(svg_path.curve_path(x, y, 400))[0]
+    drawn = points(svg.curve_path(x, y, 400))[0]
     np.testing.assert_allclose(np.interp(x, drawn[:, 0], drawn[:, 1]), y, atol=0.4)
     assert len(drawn) < 150
 
@@ -135,15 +135,15 @@ def test_a_smooth_curve_is_drawn_within_a_third_of_a_pixel_from_few_points() -> 
 def test_nan_breaks_a_curve() -> None:
     y = np.full(100, 5.0)
     y[40:50] = np.nan
-    assert len(points(svg_path.curve_path(np.arange(100.0), y, 400))) == 2
+    assert len(points(svg.curve_path(np.arange(100.0), y, 400))) == 2
 
 
 def test_dots_that_touch_become_one_stroke_and_none_is_lost() -> None:
     x, y = np.array([3.0, 3.0, 3.0, 3.0, 8.0]), np.array([1.0, 2.0, 3.0, 30.0, 7.0])
-    path = svg_path.dots_path(x, y)
+    path = svg.dots_path(x, y)
     assert path.count("M") == 3
     assert "M30 10v20" in path
-    assert svg_path.dots_path(np.array([np.nan]), np.array([1.0])) == ""
+    assert svg.dots_path(np.array([np.nan]), np.array([1.0])) == ""
 
 
 def panel(**changes: object) -> Panel:

@@ -11,11 +11,9 @@ from colour_vision import VISION, contrast, linear_rgb, oklab, page
 from msgspec.structs import replace
 
 from locfuse.formats.figures import palette
-from locfuse.formats.figures.credit import credit
+from locfuse.formats.figures.deviation import credit, spread
 from locfuse.formats.figures.panels import Band, Curve, Spots, Strokes
-from locfuse.formats.figures.route import spots, step, track
-from locfuse.formats.figures.spread import spread
-from locfuse.formats.figures.where import where
+from locfuse.formats.figures.where import spots, step, track, where
 from locfuse.fusion.sensors.registry import colours
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from commands import locfuse
 
+from locfuse.formats.report.findings import notes_of
 from locfuse.formats.report.glossary import GLOSSARY, explained
-from locfuse.formats.report.notes import notes_of
 from locfuse.formats.report.tables import COUNTS, MAIN
 
 

@@ -7,7 +7,7 @@ import tomllib
 import pytest
 
 from locfuse.formats.robot import robot_toml
-from locfuse.formats.robot.commented_edit import updated
+from locfuse.formats.robot.commented_toml import updated
 from locfuse.fusion.data import LocfuseError
 
 MINE = """# Anna's robot

@@ -9,7 +9,7 @@ import pytest
 from lock_step import simulated
 from textbook import numeric_jacobian
 
-from locfuse.formats.report.notes import notes_of
+from locfuse.formats.report.findings import notes_of
 from locfuse.fusion.data import Estimates
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.wheels.motion import Wheels

@@ -1,7 +1,8 @@
 """When the readings of a stream were taken: header stamps, held against the order of recording.
 
 Real stamps go backwards, repeat, are zero or absurd. The order of recording is the true one, so a stamp that
-contradicts it is replaced: it is dated by its recording time, between the trusted readings around it.
+contradicts it is replaced: it is dated by its recording time, between the trusted readings around it. Where
+messages were recorded together, stamps are moved as little as their order asks for (isotonic regression).
 
 A simulation that is recorded by wall time has stamps of seconds since its start, and it seldom runs as fast as the
 wall's clock. What has no header is then dated by when it was recorded, read on the clock of the others' stamps.
@@ -121,7 +122,7 @@ def settle(log_time: Ints, stamp: Ints | None, order: str = "auto") -> Clock:
         return Clock(stamp, None, "header stamps", by_stamps=True, notes=_differ(log_time, stamp))
     if 2 * trusted.sum() < len(stamp):
         return _recorded(log_time, stamp, trusted, "recording order: most header stamps contradict it")
-    return _repaired(log_time, stamp, trusted, {why: int(m.sum()) for why, m in bad.items() if m.any()})
+    return _repaired(log_time, stamp, trusted, bad)
 
 
 def _by_stamp(log_time: Ints, stamp: Ints) -> Clock:
@@ -141,15 +142,19 @@ def _recorded(log_time: Ints, stamp: Ints, trusted: Mask, words: str) -> Clock:
     return Clock(log_time - delay, None, f"{words}; log time less the median delay of {delay / 1e9:.3f} s")
 
 
-def _repaired(log_time: Ints, stamp: Ints, trusted: Mask, counts: dict[str, int]) -> Clock:
+def _repaired(log_time: Ints, stamp: Ints, trusted: Mask, bad: dict[str, Mask]) -> Clock:
+    counts = {why: int(m.sum()) for why, m in bad.items() if m.any()}
     why = ", ".join(f"{n} {reason}" for reason, n in counts.items())
-    n_bad = int((~trusted).sum())
-    words = f"header stamps; {n_bad} of {len(stamp)} dated by recording time instead ({why})"
-    times, notes = _fill(log_time, stamp, trusted), _differ(log_time[trusted], stamp[trusted])
+    n_bad, notes = int((~trusted).sum()), _differ(log_time[trusted], stamp[trusted])
+    times, how = _fill(log_time, stamp, trusted), "dated by recording time instead"
+    if (np.diff(times)[np.diff(stamp) != 0] == 0).any():  # recorded together: only their order tells
+        ordered = trusted | bad["backwards"] | bad["off the beat"]
+        times, how = jitter.in_order(_fill(log_time, stamp, ordered, in_order=False)), "moved into their order"
+    words = f"header stamps; {n_bad} of {len(stamp)} {how} ({why})"
     return Clock(times, None, words, True, repaired=counts, notes=notes)
 
 
-def _fill(log_time: Ints, stamp: Ints, trusted: Mask) -> Ints:
+def _fill(log_time: Ints, stamp: Ints, trusted: Mask, in_order: bool = True) -> Ints:
     """Replace untrusted stamps: interpolated in recording time, beyond the ends with the nearest delay."""
     known = np.flatnonzero(trusted)
     first, last = known[0], known[-1]
@@ -160,7 +165,7 @@ def _fill(log_time: Ints, stamp: Ints, trusted: Mask) -> Ints:
     t[inside] = s0 + np.rint(between).astype(np.int64)
     t[:first] = log_time[:first] - (r0 - s0)
     t[last + 1 :] = log_time[last + 1 :] - (log_time[last] - stamp[last])
-    return np.maximum.accumulate(t)
+    return np.maximum.accumulate(t) if in_order else t
 
 
 def _untrusted(log_time: Ints, stamp: Ints) -> dict[str, Mask]:

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import isotonic_regression
 
 from locfuse.formats.logs.clock import ON_STAMPS, Clock, common_clock, on_clock, settle
+from locfuse.formats.logs.jitter import in_order
 from locfuse.formats.logs.monotone import never_decreasing
 from locfuse.fusion.data import Ints
 
@@ -95,6 +97,36 @@ def test_a_log_whose_stamps_run_backwards_keeps_the_order_of_recording() -> None
     assert (np.abs(clock.t_ns - truth) > 1 * MS).mean() < 0.002  # late stamps beside later ones contradict nothing
     assert 600 < clock.repaired["backwards"] <= 640
     assert clock.rows is None
+
+
+@pytest.mark.parametrize("wrong", ["swapped", "late"])
+def test_stamps_of_messages_that_were_recorded_together_are_moved_into_their_order(wrong: str) -> None:
+    """Both messages of a pair have one recording time: it cannot date either of them."""
+    true = T0 + np.arange(400) * 100 * MS
+    stamp, at = true.copy(), np.arange(20, 380, 37)
+    if wrong == "swapped":
+        stamp[at], stamp[at + 1] = true[at + 1], true[at]
+    else:
+        stamp[at] += 350 * MS
+    found = settle(np.maximum.accumulate(stamp) + 2 * MS, stamp)
+    assert (np.diff(found.t_ns) >= 49 * MS).all()
+    assert np.abs(found.t_ns - true).max() <= 51 * MS
+    away = np.ones(400, bool)
+    away[np.add.outer(at, np.arange(-1, 6))] = False
+    np.testing.assert_array_equal(found.t_ns[away], true[away])
+    assert "moved into their order" in found.words
+
+
+def test_moving_stamps_into_their_order_is_isotonic_regression() -> None:
+    """Against SciPy's, of stamps that scatter by more than their step and keep no beat to be off."""
+    rng = np.random.default_rng(5)
+    stamp = T0 + np.rint(np.cumsum(rng.exponential(1.0, 12)) * 1e8 + rng.normal(0.0, 3e7, 12)).astype(np.int64)
+    steps = np.diff(stamp)
+    half = 0.5 * np.median(steps[steps > 0])
+    room = np.append(0.0, np.cumsum(np.where(steps > 0, np.minimum(half, steps), half)))
+    expected = isotonic_regression((stamp - T0) - room).x + room
+    assert (steps < 0).any()
+    np.testing.assert_allclose(in_order(stamp) - T0, expected, atol=1.0)
 
 
 def test_a_clock_that_is_set_back_for_good_goes_on() -> None:

@@ -20,10 +20,11 @@ from locfuse.cli.analysis.topics import Choice
 from locfuse.formats.logs.log import open_log
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array
+from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.lrf import LrfSettings, laser_of
 from locfuse.fusion.wheels.motion import Wheels
-from locfuse.fusion.wheels.odometry import unlike_a_robot
-from locfuse.fusion.wheels.read import WheelReading
+from locfuse.fusion.wheels.odometry import pose_and_speed, unlike_a_robot
+from locfuse.fusion.wheels.read import WheelReading, read_wheels
 from locfuse.fusion.wheels.scan_agreement import ScanPairs, scan_pairs
 
 TWIST, POSE = "geometry_msgs/msg/Twist", "geometry_msgs/msg/PoseStamped"
@@ -226,3 +227,17 @@ def test_the_scans_of_a_robot_whose_controller_was_recorded_give_its_path(tmp_pa
     assert done.exit_code == 0
     report = json.loads((tmp_path / "out/run.json").read_text())
     assert report["configurations"]["lrf"]["position_rmse_m"] < 0.03
+
+
+def test_speeds_along_the_frame_of_the_poses_turn_nothing_and_no_reading_is_lost_to_swapped_stamps(
+    tmp_path: Path,
+) -> None:
+    """74 pairs of neighbours of this bag were recorded together with their stamps swapped."""
+    log = open_log([real_log("strangers/world_frame_twist.bag")])
+    stream = log.stream("/gazebo_odom")
+    poses = pose_and_speed(stream, WheelSettings())
+    reading = read_wheels(stream, WheelSettings())
+    assert reading.dropped == {}
+    end = se2.compose(poses[0, :3], reading.wheels.pose[-1])
+    assert np.hypot(*(end - poses[-1, :3])[:2]) < 0.1
+    assert any("along the axes of its poses" in note for note in reading.notes)

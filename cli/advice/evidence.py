@@ -6,28 +6,28 @@ and noise, since each of these looks like one. Clocks and noise have files of th
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import cached_property
 
 import numpy as np
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.trust import overconfident
+from locfuse.fusion.checks.clocks import CLOCK
 from locfuse.fusion.checks.examine import scales
 from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.laser import OPEN_SCALE
 from locfuse.fusion.checks.probes import beyond_prior, of_mount, of_offsets, of_probe, of_scale, probe_of
-from locfuse.fusion.checks.search import Candidate, Fixes, together
+from locfuse.fusion.checks.tried import Candidate, Fixes, together
 from locfuse.fusion.checks.truth import WHEEL_SCALE
-from locfuse.fusion.judge.consistency import Consistency
 from locfuse.fusion.judge.consistency import Evidence as Said
 from locfuse.fusion.judge.innovations import heard
 from locfuse.fusion.judge.noise_verdicts import NoiseVerdict, biased_against
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .clocks import CLOCK, Clocks
-from .judged import FINE, LASER, ODOMETRY, Offer
-from .noise import Noise, as_fixes
+from .clocks import Clocks
+from .judged import FINE, LASER, ODOMETRY, Offer, as_fixes
+from .noise import Noise
 
 SUSPICIOUS = Least(0.005, 2.5)  # what is reason enough to fuse again where nothing else looks wrong
 
@@ -46,7 +46,7 @@ class Evidence(Clocks, Noise):
             noise
             or claims_too_much
             or lost
-            or self._lags()
+            or bool(self.wrong)
             or self._worse_than_odometry()
             or bool(self._mounts_found)
             or bool(self._beyond_prior)
@@ -59,26 +59,16 @@ class Evidence(Clocks, Noise):
             or bool(scales(self.loaded.drive, self.loaded.robot, SUSPICIOUS))
         )
 
+    def classes(self) -> Sequence[Callable[[], Sequence[Candidate]]]:
+        """Return what may be wrong by class of evidence: while one holds, the later ones are not to be trusted."""
+        return self.clocks, self.geometry, self.offsets, self.slips, self.noise, self.unexplained
+
     def _worse_than_odometry(self) -> bool:
         errors = {e.name: e.figures.get("position_rmse_m") for e in self.compared.evaluations}
         base = errors.get(ODOMETRY)
         if base is not None:
             return any(e is not None and e > base for e in errors.values())
         return any(s.high < 0.0 for s in self.compared.scores)
-
-    def clocks(self) -> list[Candidate]:
-        """Return what measuring and the truth say of clocks: while one is wrong, the rest is not to be trusted."""
-        pictures = list(self._late_pictures())
-        offers = [*self._late, *self._late_wheels(), *pictures]
-        by_truth = self.loaded.drive.truth is not None
-        seen = [f for f in self.doctor if f.code == CLOCK]
-        named = {(f.role, f.code) for f in seen}
-        measured = {("wheels", CLOCK), *((f.role, f.code) for f, _ in self._late if by_truth)}
-        found = self._candidates(seen, offers, named, named | measured)
-        found = [replace(c, by_shape=by_truth and c.finding.role == LASER) for c in found]
-        sensors = tuple(self.loaded.drive.measurements)
-        found = [replace(c, rivals=sensors) if c.finding.role == "wheels" else c for c in found]
-        return [*found, *(self._constant_of(f.role) for f, _ in pictures if _constant(self.consistency[f.role]))]
 
     def geometry(self) -> list[Candidate]:
         """Return what measuring and a run with more states say of mounts, scales and directions."""
@@ -200,7 +190,7 @@ class Evidence(Clocks, Noise):
             for s, v in self._biases_again.items()
         ]
         for sensor, verdict in self.consistency.items():
-            options = _constant(verdict)
+            options = list(self.constant(verdict))
             if sensor == "camera" and verdict.verdict in {"biased", "outliers", "contradicts", "understated"}:
                 options.append(
                     (f"camera.clockwise={str(not self.loaded.robot.settings('camera').clockwise).lower()}",)
@@ -209,14 +199,6 @@ class Evidence(Clocks, Noise):
                 finding = Finding(sensor, verdict.verdict, verdict.words)
                 found.append(self._candidate(finding, tuple(options)))
         return found
-
-    def _constant_of(self, sensor: str) -> Candidate:
-        """Return the constant error of a sensor whose clock is guessed at: tried beside it, the better is kept.
-
-        On a drive of left turns both look alike.
-        """
-        verdict = self.consistency[sensor]
-        return self._candidate(Finding(sensor, verdict.verdict, verdict.words), tuple(_constant(verdict)), True)
 
     @cached_property
     def _biases_again(self) -> dict[str, NoiseVerdict]:
@@ -245,8 +227,3 @@ def _ways(finding: Finding) -> tuple[Fixes, ...]:
     if finding.code == WHEEL_SCALE and len(finding.fixes) > 1:
         return finding.fixes, finding.fixes[:1]
     return (finding.fixes,) if finding.fixes else ()
-
-
-def _constant(verdict: Consistency) -> list[Fixes]:
-    """Return the fix of a constant error, nothing where a verdict is about something else."""
-    return [as_fixes(verdict.cures)] if verdict.verdict == "biased" and verdict.cures else []

@@ -78,7 +78,6 @@ def _with_fixes(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], le
         t["configuration"]: t["after"]["position_rmse_m"]
         for t in tried
         if t["configuration"] in sets
-        and t["until_s"] is None
         and t["after"]["position_rmse_m"] is not None
         and not t["after"].get("aligned")  # of the path's shape: another figure
     }

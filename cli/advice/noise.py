@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import cached_property
 
 from msgspec.structs import replace
 
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser_driver import ranges_sigma, scatter_more
-from locfuse.fusion.checks.search import Candidate, Fixes
 from locfuse.fusion.checks.slip import Slip, slip
+from locfuse.fusion.checks.tried import Candidate, Fixes
 from locfuse.fusion.judge.consistency import Consistency
 from locfuse.fusion.judge.innovations import Own, own
 from locfuse.fusion.judge.noise_verdicts import MAX_SIGMA_FACTOR, many_refused
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .judged import LASER, ODOMETRY, Judged
+from .judged import LASER, ODOMETRY, Judged, as_fixes
 
 WHEEL_NOISE_FACTORS = (0.1, 0.3, 3.0, 10.0)
 TOO_LOW = 2.0  # a sigma that is set too low refuses the large residuals, so the observed one is a lower bound
@@ -245,8 +244,3 @@ def _above(verdict: Consistency) -> list[Fixes]:
     if verdict.verdict != "understated" or not verdict.cures:
         return []
     return [as_fixes({key: float(f"{TOO_LOW * value:.2g}") for key, value in verdict.cures.items()})]
-
-
-def as_fixes(cures: Mapping[str, float]) -> Fixes:
-    """Return settings as they are written."""
-    return tuple(f"{key}={value:g}" for key, value in cures.items())

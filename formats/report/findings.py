@@ -69,8 +69,7 @@ def _effect(tried: Mapping[str, Any]) -> str:
         gained = after["prediction_nats"] - before["prediction_nats"]
         same = abs(gained) < SAME_NATS
         parts.append("prediction as before" if same else f"prediction {gained:+.2f} nats per number")
-    until = f", first {tried['until_s']:.0f} s" if tried.get("until_s") else ""
-    return f"{tried['configuration']}{until}: {', '.join(parts)}"
+    return f"{tried['configuration']}: {', '.join(parts)}"
 
 
 def _ratio(value: float) -> str:

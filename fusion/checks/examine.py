@@ -23,7 +23,7 @@ from .compass import of_convention, tilted
 from .finding import Finding, Least
 from .laser import laser_motion, of_laser, of_radius
 from .laser_driver import of_scatter
-from .truth import WHEEL_SCALE, metre, of_truth, wheels_metre
+from .truth import metre, of_truth, wheels_metre
 from .turning import Turning, aligned, of_track, of_turning, turnings
 
 MIN_READINGS = 10  # readings from which a sensor is judged
@@ -66,8 +66,7 @@ def examine(
 
         found += of_handedness(drive, robot)
     scales = _scales(drive, robot, by_sensor, turning, least)
-    truth = of_truth(drive, robot, not any(o.code == WHEEL_SCALE for o in scales))
-    return [*found, *scales, *of_clocks(drive, robot), *truth]
+    return [*found, *scales, *of_clocks(drive, robot), *of_truth(drive, robot)]
 
 
 def scales(drive: Drive, robot: Robot, least: Least) -> list[Finding]:

@@ -270,7 +270,7 @@ def _point(truth: Truth, drive: Drive) -> list[Finding]:
 def _robust(A: Array, y: Array) -> Array:
     """Return the least squares (3,) of steps y (n, 2) by A (n, 2, 3), without those that do not fit."""
     keep = np.ones(len(y), dtype=bool)
-    x = np.zeros(3)
+    x: Array = np.zeros(3)
     for _ in range(3):
         x, *_ = np.linalg.lstsq(A[keep].reshape(-1, 3), y[keep].ravel(), rcond=None)
         rest = np.hypot(*(y - A @ x).T)

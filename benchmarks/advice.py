@@ -1,344 +1,323 @@
-"""Does obeying the advice help? Wrong settings, alone and in pairs: who is accused, what is offered, what it does.
+"""Does obeying the advice help? Faults of settings and robots, alone and in pairs: who is named, what a fix does.
 
-    python -m benchmarks.advice --seeds 8 -o advice.jsonl
+    python -m benchmarks.advice --seeds 8 --jobs 2 -o advice.jsonl
+    python -m benchmarks.advice --clean 15 -o clean.jsonl
 
-Each seed is one lap of the paper's robot with settings that are right but for one or two. `compare`'s findings are
-taken at their word: all their fixes are set, and the position error is compared with that before and with that of
-the right settings. Every case runs with and without truth in the log; without it the error is known to this
-benchmark only. Finished cases stand in the file of -o and are not run again; `--write` puts the table into
-docs/advice.md. Delete the file when the code changes: all rows of a table are of one state of it.
+Each seed is one lap of the paper's robot with one or two faults (benchmarks/advice_cases.py). `compare` is asked
+what is wrong, with and without truth in the log; all its fixes are set, and the errors are compared with those
+before and with those of the right settings. Errors are those by the simulator's own truth, which no fault touches.
+A fault costs something where an error is above 1.2 x + 1 mm of that with the right settings; it is judged there:
+
+- right key: a fix sets one of its keys; where no key can, a finding names the sensor.
+- others: somebody else gets a fix.
+- plaster: noise is raised or a sensor left out, where a key sets the fault right.
+- worse: an error of `all`, or of the best configuration, grew by more than 2 % + 0.2 mm (heading: 0.02 degrees).
+- gap closed: (before - after) / (before - right), the median. Where the truth itself is wrong, `before` and
+  `after` are the errors that `compare` prints, and `right` is what they should be.
+
+`--clean 15` takes 15 drives without any fault, the compass offset given or estimated, with and without truth: each
+line that is printed there is needless. `--write` puts the table into docs/advice.md.
 """
 
 from __future__ import annotations
 
-import json
 import math
+import os
 import re
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from functools import lru_cache, partial
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import click
+import numpy as np
 
-from locfuse.cli.session.session import Session, load
+from benchmarks import experiment
+from benchmarks.advice_cases import CAMERA, CASES, CLEAN, Case
+from benchmarks.experiment import Row
+from locfuse.cli.session.session import load
+from locfuse.fusion.data import Array
 from locfuse.sample_logs.load import load as scenario_of
 from locfuse.sample_logs.record import on_truth, write_log
+from locfuse.sample_logs.simulate import EPOCH_NS
 
 PAGE = Path(__file__).parent.parent / "docs" / "advice.md"
 FIRST_SEED = 3000
-SCENARIO = (
-    "truth.rate=20",
-    "compass.noise_deg=1",
-    "compass.sigma_deg=1",
-    "compass.hard_iron=[0, 0]",
-    "compass.soft_iron=[1, 1, 0]",
+MAX_LOSS, MAX_LOSS_M, MAX_LOSS_DEG = 0.02, 2e-4, 0.02
+MIN_COST, MIN_COST_M = 0.2, 1e-3  # relative, m: a fault that costs less costs nothing
+LOADED = (CAMERA,)  # set when a log is opened: with another camera noise its pictures are searched again
+PLASTER = re.compile(
+    r"wheels\.noise=|(compass|camera)\.sigma_deg=|lrf\.sigma_(range|angle_deg)=|(truth|start)\.sigma|"
+    r".*\.field_tolerance=|.*\.topic=none"
 )
-NORTH = -65.0  # compass.offset_deg: the scenario's magnetic north
-CAMERA_DEG = 0.18  # camera.sigma_deg, as its bearings against the truth show
-RIGHT = (f"compass.offset_deg={NORTH}", f"camera.sigma_deg={CAMERA_DEG}")
-MAX_LOSS, MAX_LOSS_M = 0.02, 2e-4
-MIN_GAP, MIN_GAP_M = 0.10, 5e-4  # relative, m: a fault that costs less leaves nothing to close
+LEAVE_OUT = re.compile(r"leave (?:the )?(\w+)[^.]* out")
+Errors = dict[str, tuple[float, float]]  # configuration -> position error [m], heading error [deg]; rms
 
 
-@dataclass(frozen=True)
-class Fault:
-    """Settings that are wrong, and who should be accused of what."""
+class Lap:
+    """One simulated lap: its log, the simulator's truth, and what was already found out."""
 
-    sets: tuple[str, ...]
-    role: str
-    keys: tuple[str, ...]  # one of which a right fix sets
-    right: tuple[
-        str, ...
-    ] = ()  # where the right value leaves something: a mount set by hand is a state from then on
+    def __init__(self, seed: int, scenario: tuple[str, ...], folder: Path) -> None:
+        path = folder / f"{seed}-{os.getpid()}-{len(list(folder.iterdir()))}.mcap"
+        outcome = write_log(scenario_of("rounded_rectangle", scenario), seed, on_truth, path)
+        self.t, self.truth = outcome.truth_t, outcome.truth
+        self.sessions = {True: load(path, sets=LOADED), False: load(path, sets=(*LOADED, "truth.topic=none"))}
+        self._errors: dict[tuple[str, ...], Errors] = {}
 
+    def report(self, sets: tuple[str, ...], truth: bool, advice: bool = True) -> dict[str, Any]:
+        """Return what `compare` says under settings, with the log's truth or without it."""
+        session = self.sessions[truth].with_settings(sets)
+        return session.compare(advice=advice, audits=False, reference=False).report
 
-def _noise(role: str, factor: float, **sigmas: float) -> Fault:
-    sets = tuple(f"{role}.{key}={value * factor:.4g}" for key, value in sigmas.items())
-    return Fault(sets, role, tuple(f"{role}.{key}" for key in sigmas))
+    def errors(self, sets: tuple[str, ...]) -> Errors:
+        """Return the error of every configuration by the simulator's truth, whatever the log's truth says."""
+        if sets not in self._errors:
+            session = self.sessions[True].with_settings(sets)
+            found = session.compare(advice=False, audits=False, reference=False).estimates
+            start = (session.drive.epoch_ns - EPOCH_NS) * 1e-9
+            self._errors[sets] = {name: self._error(e.t + start, e.pose) for name, e in found.items()}
+        return self._errors[sets]
 
-
-def _late(role: str, seconds: float) -> Fault:
-    return Fault((f"{role}.time_offset={seconds}",), role, (f"{role}.time_offset",))
-
-
-def _one(setting: str, *also: str) -> Fault:
-    key = setting.partition("=")[0]
-    return Fault((setting,), key.partition(".")[0], (key, *also))
-
-
-LASER_NOISE = {"sigma_range": 0.03, "sigma_angle_deg": 0.25}
-MOUNT = ("lrf.x", "lrf.y", "lrf.yaw_deg")
-FAULTS: dict[str, Fault] = {
-    "none": Fault((), "", ()),
-    "compass sigma x 3": _noise("compass", 3.0, sigma_deg=1.0),
-    "compass sigma / 3": _noise("compass", 1 / 3, sigma_deg=1.0),
-    "laser sigma x 3": _noise("lrf", 3.0, **LASER_NOISE),
-    "laser sigma / 3": _noise("lrf", 1 / 3, **LASER_NOISE),
-    "camera sigma x 3": _noise("camera", 3.0, sigma_deg=CAMERA_DEG),
-    "camera sigma / 3": _noise("camera", 1 / 3, sigma_deg=CAMERA_DEG),
-    "wheels noise x 9": _noise("wheels", 9.0, noise=4e-4),
-    "wheels noise / 9": _noise("wheels", 1 / 9, noise=4e-4),
-    **{f"compass {ms} ms late": _late("compass", ms / 1000) for ms in (20, 50, 100, 200)},
-    **{f"laser {ms} ms late": _late("lrf", ms / 1000) for ms in (20, 50, 100, 200)},
-    "camera 200 ms late": _late("camera", 0.2),
-    "wheels 100 ms late": _late("wheels", 0.1),
-    "truth 100 ms late": _late("truth", 0.1),
-    "laser 3 cm ahead": Fault(("lrf.x=0.03",), "lrf", MOUNT, ("lrf.x=0",)),
-    "laser 3 cm aside": Fault(("lrf.y=0.03",), "lrf", MOUNT, ("lrf.y=0",)),
-    "laser 2 degrees": Fault(("lrf.yaw_deg=2",), "lrf", MOUNT, ("lrf.yaw_deg=0",)),
-    "laser 10 degrees": Fault(("lrf.yaw_deg=10",), "lrf", MOUNT, ("lrf.yaw_deg=0",)),
-    "laser upside-down": _one("lrf.flipped=true"),
-    "range scale 1.05": _one("lrf.range_scale=1.05"),
-    "track + 3 %": _one("wheels.track=0.618"),
-    "track - 10 %": _one("wheels.track=0.54"),
-    "radius + 6 %": _one("wheels.radius=0.053", "wheels.track"),
-    "wheel mirrored": _one("wheels.mirrored=left"),
-    "camera zero + 5": _one("camera.zero_deg=5"),
-    "camera mirrored": _one("camera.clockwise=true", "camera.zero_deg"),
-    "compass + 5": _one(f"compass.offset_deg={NORTH + 5}"),
-    "compass + 30": _one(f"compass.offset_deg={NORTH + 30}"),
-    "compass upside-down": _one("compass.roll_deg=180"),
-}
-PAIRS = (
-    ("laser 50 ms late", "compass + 5"),
-    ("laser 2 degrees", "compass sigma / 3"),
-    ("laser 3 cm ahead", "track + 3 %"),
-    ("laser sigma / 3", "compass + 5"),
-    ("wheel mirrored", "laser 100 ms late"),
-    ("radius + 6 %", "laser 2 degrees"),
-    ("wheels noise x 9", "compass 100 ms late"),
-    ("camera zero + 5", "laser 20 ms late"),
-    ("compass 200 ms late", "laser sigma x 3"),
-    ("track - 10 %", "camera mirrored"),
-)
+    def _error(self, t: Array, pose: Array) -> tuple[float, float]:
+        x, y, theta = (np.interp(t, self.t, self.truth[:, i]) for i in range(3))
+        away = np.hypot(pose[:, 0] - x, pose[:, 1] - y)
+        turn = np.degrees((pose[:, 2] - theta + np.pi) % (2 * np.pi) - np.pi)
+        return math.sqrt(float((away**2).mean())), math.sqrt(float((turn**2).mean()))
 
 
-@dataclass(frozen=True)
-class Case:
-    """One or two faults together."""
-
-    name: str
-    faults: tuple[Fault, ...]
-
-    @property
-    def sets(self) -> tuple[str, ...]:
-        """All settings that are wrong."""
-        return tuple(s for fault in self.faults for s in fault.sets)
-
-    @property
-    def right(self) -> tuple[str, ...]:
-        """What sets the wrong settings right, where they then differ from those of the log."""
-        return tuple(s for fault in self.faults for s in fault.right)
-
-    @property
-    def roles(self) -> set[str]:
-        """Whom a right verdict accuses."""
-        return {fault.role for fault in self.faults if fault.role}
-
-    @property
-    def of_truth(self) -> bool:
-        """Whether the truth itself is wrong: without it nothing is."""
-        return any(fault.role == "truth" for fault in self.faults)
+@lru_cache(maxsize=3)
+def lap(seed: int, scenario: tuple[str, ...], folder: Path) -> Lap:
+    """Return a lap; the last ones are kept, since many cases share one."""
+    return Lap(seed, scenario, folder)
 
 
-def cases() -> list[Case]:
-    """Return single faults, then pairs."""
-    single = [Case(name, (fault,)) for name, fault in FAULTS.items()]
-    return [*single, *(Case(f"{a}, {b}", (FAULTS[a], FAULTS[b])) for a, b in PAIRS)]
-
-
-def drive(seed: int, folder: Path) -> Path:
-    """Write one lap of the robot and return the log."""
-    path = folder / f"{seed}.mcap"
-    write_log(scenario_of("rounded_rectangle", SCENARIO), seed, on_truth, path)
-    return path
-
-
-def errors(session: Session) -> dict[str, float]:
-    """Return the position error of every configuration that exists."""
-    found = session.compare(advice=False, audits=False).report["configurations"]
-    return {name: v["position_rmse_m"] for name, v in found.items() if v["position_rmse_m"] is not None}
-
-
-def run(
-    session: Session, seen: Session, case: Case, right: Mapping[str, float], before: Mapping[str, float]
-) -> dict[str, Any]:
-    """Return what is found in one case, and the errors before and after everything that is advised is set.
-
-    `session` is the log under the settings of the case, `seen` what is judged, perhaps without the log's truth.
-    Findings do not depend on a reference, so none is solved.
-    """
-    report = seen.compare(audits=False, reference=False).report
-    after = errors(session.with_settings(report["fixes"])) if report["fixes"] else before
-    return {
-        "accused": sorted({f["role"] for f in report["findings"] if f["fixes"]}),
-        "unfixed": sorted({f["role"] for f in report["findings"] if not f["fixes"]}),
+def work(name: str, seed: int, truth: bool, folder: Path) -> Row:
+    """Return what is found in one case, and the errors before and after everything that is advised is set."""
+    case = CASES[name]
+    clean = lap(seed, CASES["none"].scenario, folder)
+    drive = lap(seed, case.scenario, folder)
+    report = drive.report(case.sets, truth)
+    obeyed = (*case.sets, *report["fixes"])
+    row = {
         "fixes": report["fixes"],
-        "messages": [f"{f['role']}: {f['message']}" for f in report["findings"]],
-        "right_m": dict(right),
-        "before_m": dict(before),
-        "after_m": dict(after),
-        **judged(case, right, before, after, report["fixes"]),
+        "headline": report["headline"],
+        "findings": [[f["role"], f["fixes"], f["message"]] for f in report["findings"]],
+        "right": drive.errors(case.right) if case.has_key else clean.errors(case.right),
+        "before": drive.errors(case.sets),
+        "after": drive.errors(obeyed),
     }
+    if case.of_truth:
+        row["printed"] = printed(report), printed(drive.report(obeyed, truth=True, advice=False))
+    return row
 
 
-def judged(
-    case: Case,
-    right: Mapping[str, float],
-    before: Mapping[str, float],
-    after: Mapping[str, float],
-    fixes: Sequence[str],
-) -> dict[str, Any]:
-    """Judge advice: named, harmless, and which share of the gap to the right settings it closes."""
-    keys = {fix.partition("=")[0] for fix in fixes}
-    named = all(not f.keys or keys & set(f.keys) for f in case.faults)
-    both = [n for n in before if n in after and n in right]
-    # what the right settings give is no harm, even where chance made the wrong ones better on this drive
-    allowed = {n: max(before[n], right[n]) * (1 + MAX_LOSS) + MAX_LOSS_M for n in both}
-    worse = [n for n in dict.fromkeys(("all", _best(before))) if n in both and after[n] > allowed[n]]
-    gaps = {n: before[n] - right[n] for n in both if before[n] > right[n] * (1 + MIN_GAP) + MIN_GAP_M}
-    widest = max(gaps, key=lambda n: math.log(before[n] / right[n]), default=None) if gaps else None
-    closed = None if widest is None else (before[widest] - after[widest]) / gaps[widest]
+def printed(report: Mapping[str, Any]) -> dict[str, float | None]:
+    """Return the position errors that a report prints [m]; None where it withholds one."""
+    return {name: values["position_rmse_m"] for name, values in report["configurations"].items()}
+
+
+def judged(row: Row) -> Row:
+    """Return a row with what there is to say of it: named, others, plaster, worse, closed, errors_m."""
+    case = CASES[row["task"][0]]
     return {
-        "named": named,
-        "worse": worse,
-        "gap": widest,
-        "closed": closed,
-        "errors_m": None if widest is None else [right[widest], before[widest], after[widest]],
+        **row,
+        **named(case, row),
+        "worse": worse(row["right"], row["before"], row["after"]),
+        **gap(*_positions(row)),
     }
 
 
-def _best(found: Mapping[str, float]) -> str:
-    return min(found, key=lambda n: found[n])
+def _positions(row: Row) -> Iterator[dict[str, float]]:
+    """Yield position errors [m] with the right settings, before and after; those printed where the truth is wrong.
+
+    A printed error that is withheld misleads nobody, as the right one.
+    """
+    right = {name: error for name, (error, _) in row["right"].items()}
+    yield right
+    if "printed" not in row:
+        yield from ({name: error for name, (error, _) in row[key].items()} for key in ("before", "after"))
+        return
+    for one in row["printed"]:
+        yield {name: right[name] if error is None else error for name, error in one.items() if name in right}
 
 
-def results(seeds: range, out: Path, chosen: Sequence[Case], truths: Sequence[bool]) -> Iterator[dict[str, Any]]:
-    """Yield the result of every case, from the file where it was run before."""
-    done = {}
-    if out.exists():
-        rows = (json.loads(line) for line in out.read_text(encoding="utf-8").splitlines())
-        done = {(r["case"], r["seed"], r["truth"]): r for r in rows}
-    with tempfile.TemporaryDirectory() as folder:
-        for seed in seeds:
-            wanted = [(c, t) for c in chosen for t in truths if t or not c.of_truth]
-            left = [(c, t) for c, t in wanted if (c.name, seed, t) not in done]
-            yield from (done[c.name, seed, t] for c, t in wanted if (c.name, seed, t) in done)
-            if not left:
-                continue
-            log = drive(seed, Path(folder))
-            whole, blind = load(log, sets=RIGHT), load(log, sets=(*RIGHT, "truth.topic=none"))
-            right = errors(whole)
-            for case in dict.fromkeys(c for c, _ in left):
-                session = whole.with_settings(case.sets)  # measures only the sensors again that it changes
-                before = errors(session)
-                own = errors(session.with_settings(case.right)) if case.right else right
-                for truth in (t for c, t in left if c == case):
-                    row = {"case": case.name, "seed": seed, "truth": truth}
-                    seen = session if truth else blind.with_settings(case.sets)
-                    row |= run(session, seen, case, own, before)
-                    with out.open("a", encoding="utf-8") as file:
-                        file.write(json.dumps(row) + "\n")
-                    yield row
+def named(case: Case, row: Row) -> Row:
+    """Return whether the right key is set or the right sensor named, and what else is said."""
+    keys = {fix.partition("=")[0] for fix in row["fixes"]}
+    roles = {role for role, _, _ in row["findings"]}
+    plaster = [fix for fix in row["fixes"] if PLASTER.match(fix)]
+    plaster += [f"leave {what} out" for what in LEAVE_OUT.findall(row["headline"])]
+    own = {key for fault in case.faults for key in fault.keys}
+    return {
+        "named": all(keys & set(f.keys) if f.keys else not f.roles or roles & set(f.roles) for f in case.faults),
+        "others": sorted({role for role, fixes, _ in row["findings"] if fixes} - case.roles),
+        "plaster": [p for p in plaster if case.has_key and p.partition("=")[0] not in own],
+    }
 
 
-def table(rows: Sequence[Mapping[str, Any]], chosen: Sequence[Case]) -> list[str]:
-    """Return one line for each case: with truth, then without."""
-    lines = [
-        "| fault | right key | others accused | worse | gap closed | errors, mm: right, before, after |",
-        "|---|---|---|---|---|---|",
-    ]
-    for case in chosen:
-        sides = [[r for r in rows if r["case"] == case.name and r["truth"] == t] for t in (True, False)]
-        if not any(sides):
+def worse(right: Errors, before: Errors, after: Errors) -> list[str]:
+    """Return the configurations of which an error grew: `all` and the best one, before."""
+    found = []
+    for name in dict.fromkeys(("all", min(before, key=lambda n: before[n][0]))):
+        if name not in after or name not in right:
             continue
+        # what the right settings give is no harm, even where chance made the wrong ones better on this drive
+        (was, turned), (now, turns) = map(max, zip(before[name], right[name], strict=True)), after[name]
+        if now > was * (1 + MAX_LOSS) + MAX_LOSS_M:
+            found.append(f"{name} {1000 * before[name][0]:.1f} -> {1000 * now:.1f} mm")
+        elif turns > turned * (1 + MAX_LOSS) + MAX_LOSS_DEG:
+            found.append(f"{name} {before[name][1]:.2f} -> {turns:.2f} degrees")
+    return found
+
+
+def gap(right: Mapping[str, float], before: Mapping[str, float], after: Mapping[str, float]) -> Row:
+    """Return what a fault costs, and how much of it obeying gives back, where it costs most."""
+    both = [n for n in before if n in after and n in right]
+    gaps = {n: before[n] - right[n] for n in both if before[n] > right[n] * (1 + MIN_COST) + MIN_COST_M}
+    if not gaps:
+        return {"closed": None, "errors_m": None}
+    widest = max(gaps, key=lambda n: math.log(before[n] / right[n]))
+    return {
+        "closed": (before[widest] - after[widest]) / gaps[widest],
+        "errors_m": [right[widest], before[widest], after[widest]],
+    }
+
+
+def sides(found: Iterable[Row], names: Iterable[str]) -> list[list[Row]]:
+    """Return the rows of some cases with truth, and those without."""
+    wanted = set(names)
+    rows = [row for row in found if row["task"][0] in wanted]
+    return [[row for row in rows if row["task"][2] is truth] for truth in (True, False)]
+
+
+def costly(rows: Iterable[Row]) -> list[Row]:
+    """Return the rows whose fault costs something."""
+    return [row for row in rows if row["errors_m"] is not None]
+
+
+def share(rows: Sequence[Row], key: str) -> str:
+    """Return "3 of 4" rows of which something is so."""
+    return f"{sum(bool(row[key]) for row in rows)} of {len(rows)}" if rows else "-"
+
+
+def closed(rows: Iterable[Row]) -> str:
+    """Return the median share of the gap that is closed; more than all of it counts as all."""
+    values = [min(row["closed"], 1.0) for row in rows if CASES[row["task"][0]].has_key]
+    return f"{median(values):.0%}" if values else "-"
+
+
+def goals(found: Sequence[Row]) -> list[str]:
+    """Return what all cases come to, with truth and without."""
+    faulty = sides(found, (name for name in CASES if name not in CLEAN))
+    both = sides(found, CASES)
+    keyed = [[r for r in costly(side) if CASES[r["task"][0]].has_key] for side in faulty]
+    keyless = [[r for r in costly(side) if not CASES[r["task"][0]].has_key] for side in faulty]
+    lines = [
+        ("right key, where the fault costs something", *(share(side, "named") for side in keyed)),
+        ("the sensor is named, where no key sets that right", *(share(side, "named") for side in keyless)),
+        ("somebody else gets a fix", *(share(side, "others") for side in faulty)),
+        ("plaster where a key exists", *(share(side, "plaster") for side in faulty)),
+        ("an error grows", *(share(side, "worse") for side in both)),
+        ("gap closed, median", *(closed(costly(side)) for side in faulty)),
+    ]
+    return experiment.table(("all cases", "with truth", "without"), lines, "12")
+
+
+def table(found: Sequence[Row]) -> list[str]:
+    """Return one line for each case: with truth, then without."""
+    lines = []
+    for name in dict.fromkeys(row["task"][0] for row in found):
+        both = sides(found, (name,))
         cells = (
-            [f"{sum(r['named'] for r in side)} of {len(side)}" for side in sides],
-            [str(sum(bool(set(r["accused"]) - case.roles) for r in side)) for side in sides],
-            [str(sum(bool(r["worse"]) for r in side)) for side in sides],
-            [_mean(r["closed"] for r in side if r["closed"] is not None) for side in sides],
+            [share(costly(side), "named") for side in both],
+            *([share(side, key) for side in both] for key in ("others", "plaster", "worse")),
+            [closed(costly(side)) for side in both],
         )
-        beside = (", ".join(c if side else "-" for c, side in zip(cell, sides, strict=True)) for cell in cells)
-        lines.append(f"| {case.name} | {' | '.join(beside)} | {_errors(sides)} |")
-    return lines
+        lines.append((name, *(", ".join(cell) for cell in cells), _means([costly(side) for side in both])))
+    head = ("fault", "right key", "others", "plaster", "worse", "gap closed", "mm: right, before, after")
+    return experiment.table(head, lines)
 
 
-def _errors(sides: Sequence[Sequence[Mapping[str, Any]]]) -> str:
-    """Return the mean errors with the right and the wrong settings, and after advice with truth and without."""
-    known = [[r["errors_m"] for r in side if r["errors_m"]] for side in sides]
-    first = next((side for side in known if side), None)
+def _means(both: Sequence[Sequence[Row]]) -> str:
+    """Return the mean errors with right and wrong settings, and after advice with truth and without."""
+    first = next((side for side in both if side), None)
     if first is None:
         return ""
-    means = [sum(e[i] for e in first) / len(first) for i in (0, 1)]
-    means += [sum(e[2] for e in side) / len(side) for side in known if side]
+    means = [sum(r["errors_m"][i] for r in first) / len(first) for i in (0, 1)]
+    means += [sum(r["errors_m"][2] for r in side) / len(side) for side in both if side]
     return ", ".join(f"{1000 * mean:.1f}" for mean in means)
 
 
-def goals(rows: Sequence[Mapping[str, Any]], chosen: Sequence[Case]) -> list[str]:
-    """Return what the table comes to, with truth and without."""
-    lines = ["| all cases | with truth | without |", "|---|--:|--:|"]
-    faulty = {c.name: c for c in chosen if c.faults and c.roles}
-    sides = [[r for r in rows if r["truth"] == truth and r["case"] in faulty] for truth in (True, False)]
-    every = [[r for r in rows if r["truth"] == truth] for truth in (True, False)]
-
-    def row(name: str, cells: Sequence[str]) -> None:
-        lines.append(f"| {name} | {' | '.join(cells)} |")
-
-    gaps = [[r for r in side if r["closed"] is not None] for side in sides]
-    row("the right key is offered, where the fault costs anything", [_share(g, "named") for g in gaps])
-    others = [sum(bool(set(r["accused"]) - faulty[r["case"]].roles) for r in side) for side in sides]
-    row("somebody else gets a fix too", [f"{n} of {len(s)}" for n, s in zip(others, sides, strict=True)])
-    row("an error grows", [f"{sum(bool(r['worse']) for r in side)} of {len(side)}" for side in every])
-    row("of the gap to the right settings is closed", [_mean(r["closed"] for r in g) for g in gaps])
-    return lines
-
-
-def _share(rows: Sequence[Mapping[str, Any]], key: str) -> str:
-    return f"{sum(bool(r[key]) for r in rows)} of {len(rows)}"
+def clean_table(found: Sequence[Row]) -> list[str]:
+    """Return how many drives without any fault get a needless line, and these lines."""
+    lines = []
+    for name in CLEAN:
+        for side, words in zip(sides(found, (name,)), ("with truth", "without"), strict=True):
+            lines.append(
+                (
+                    f"{name}, {words}",
+                    len(side),
+                    share(side, "messages"),
+                    share(side, "fixes"),
+                    share(side, "worse"),
+                )
+            )
+    said = [
+        f"seed {r['task'][1]}, {r['task'][0]}: {m} {' '.join(r['fixes'])}" for r in found for m in r["messages"]
+    ]
+    return [*experiment.table(("drives", "runs", "with a line", "with a fix", "worse"), lines, "1234"), "", *said]
 
 
-def _mean(shares: Iterable[float]) -> str:
-    """Return the mean share; more than all of it counts as all."""
-    values = [min(share, 1.0) for share in shares]
-    return f"{sum(values) / len(values):.0%}" if values else "no gap"
-
-
-def put(page: Path, name: str, lines: Sequence[str]) -> None:
-    """Put lines into a page, between <!-- name --> and <!-- end -->."""
-    block = re.compile(rf"<!-- {name} -->\n.*?<!-- end -->", re.DOTALL)
-    text = page.read_text(encoding="utf-8")
-    if not block.search(text):
-        raise click.ClickException(f"{page} has no place for {name}")
-    whole = "\n".join((f"<!-- {name} -->", *lines, "<!-- end -->"))
-    page.write_text(block.sub(lambda _: whole, text), encoding="utf-8")
+def _shown(raw: Row) -> str:
+    row = judged(raw)
+    name, seed, truth = row["task"]
+    part = "" if row["closed"] is None else f" {row['closed']:.0%} closed"
+    what = " ".join(row["fixes"]) or f"no fix; named: {', '.join(f[0] for f in row['findings']) or '-'}"
+    bad = "".join(f" {key.upper()} {row[key]}" for key in ("others", "plaster", "worse") if row[key])
+    return f"{seed} {name}, {'truth' if truth else 'no truth'}: {what}{part}{bad}"
 
 
 @click.command()
 @click.option("--seeds", default=8, show_default=True)
 @click.option("--first", default=FIRST_SEED, show_default=True, help="The first seed: others are fresh drives.")
 @click.option("--case", "words", multiple=True, help="Only cases whose name holds this word. Repeatable.")
-@click.option(
-    "--truth", "which", type=click.Choice(["both", "with", "without"]), default="both", show_default=True
-)
+@click.option("--clean", type=int, help="Only drives without a fault, so many: what is printed is needless.")
+@click.option("--truth", type=click.Choice(["both", "with", "without"]), default="both", show_default=True)
+@click.option("--jobs", default=1, show_default=True)
 @click.option("-o", "out", type=click.Path(path_type=Path), default=Path("advice.jsonl"), show_default=True)
 @click.option("--write", is_flag=True, help="Put the table into docs/advice.md.")
-def main(seeds: int, first: int, words: tuple[str, ...], which: str, out: Path, write: bool) -> None:
+def main(
+    seeds: int,
+    first: int,
+    words: tuple[str, ...],
+    clean: int | None,
+    truth: str,
+    jobs: int,
+    out: Path,
+    write: bool,
+) -> None:
     """Print a table; cases that stand in the file of -o are not run again."""
-    chosen = [c for c in cases() if not words or any(word in c.name for word in words)]
-    truths = {"both": (True, False), "with": (True,), "without": (False,)}[which]
-    rows = []
-    for row in results(range(first, first + seeds), out, chosen, truths):
-        rows.append(row)
-        closed = "" if row["closed"] is None else f"{row['closed']:.0%} closed"
-        click.echo(
-            f"{row['seed']} {row['case']}: {' '.join(row['fixes']) or '-'} {closed} {row['worse']}", err=True
+    names = CLEAN if clean else [n for n in CASES if not words or any(word in n for word in words)]
+    truths = {"both": (True, False), "with": (True,), "without": (False,)}[truth]
+    tasks = [
+        (name, seed, with_truth)
+        for seed in range(first, first + (clean or seeds))
+        for name in names
+        for with_truth in truths
+        if with_truth or not CASES[name].of_truth
+    ]
+    with tempfile.TemporaryDirectory() as folder:
+        made = experiment.rows(
+            partial(work, folder=Path(folder)), tasks, out, jobs, unit=lambda task: task[:2], show=_shown
         )
-    lines = [*goals(rows, chosen), "", *table(rows, chosen)]
-    for line in lines:
+    found = [judged(row) for row in experiment.well(made)]
+    lines = clean_table(found) if clean else [*goals(found), "", *table(found)]
+    for line in (*lines, *experiment.failures(made)):
         click.echo(line)
     if write:
-        put(PAGE, "drives", lines)
+        experiment.put(PAGE, "clean" if clean else "drives", lines)
 
 
 if __name__ == "__main__":

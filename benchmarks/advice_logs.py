@@ -1,30 +1,37 @@
-"""Does obeying the advice help on real logs? Every printed fix is set, and the log is compared again.
+"""Does obeying the advice help on real logs? Every printed fix is set, and the whole log is compared again.
 
-    LOCFUSE_DATA=folder python -m benchmarks.advice_logs --write
+    LOCFUSE_DATA=folder python -m benchmarks.advice_logs -o advice_logs.jsonl --write
 
-Every log below that the folder holds is compared, then compared with all fixes that were found. With truth the
-figure is the position error of the best configuration and of `all`; without it, how well the sensors that only
-listen are predicted; beside a file of relations, that of the relative poses too. `--write` puts the table into
-docs/advice.md; `--log brenner` runs only some.
+Two tables. First every finding with its fix, the configuration by which it was judged and that one's figure
+before and after, as printed. Then what all fixes of a log together do when they are obeyed over the whole log:
+position error, heading error and ANEES of the best configurations, odometry and `all`, by the log's truth.
+Without truth it is how well the sensors are predicted that only listen, in nats per number (more is better; a
+reference would be another one under other settings). Beside a file of relations, the relative poses that people
+verified by hand count as well. "Worse" is an error that grows by more than 2 % + 0.2 mm (0.02 degrees). The last
+column is the CPU time of `compare` over that of `compare --no-advice`; at most 2 + the number of printed fixes is
+wanted.
+
+`--write` puts both tables into docs/advice.md; `--log brenner` runs only some.
 """
 
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 import numpy as np
 
-from benchmarks.advice import PAGE, put
+from benchmarks import experiment
+from benchmarks.advice import MAX_LOSS, MAX_LOSS_DEG, MAX_LOSS_M, PAGE
 from benchmarks.building import FAR_S
+from benchmarks.experiment import Row
 from benchmarks.relations import EPOCH_S, relation_errors
-from locfuse.cli.advice.evaluator import standard
-from locfuse.cli.advice.trial import Trial
-from locfuse.cli.analysis.settings import silent
 from locfuse.cli.session.session import Session, load
 from locfuse.formats.report.findings import length
 
@@ -33,9 +40,9 @@ from locfuse.formats.report.findings import length
 class RealLog:
     """A log, and what is known of its robot."""
 
-    name: str
     path: str
     sets: tuple[str, ...] = ()
+    align: str = "none"
 
 
 ARENA = (
@@ -46,137 +53,171 @@ ARENA = (
     "start.theta_deg=213",
     "truth.x=0.03",
 )
-LOGS = (
-    RealLog("brenner, as measured", "brenner/brenner.mcap", ARENA),
-    RealLog("turtlebot4", "turtlebot4/tb4_mcap.mcap"),
-    RealLog("pimouse", "strangers/pimouse.bag"),
-    RealLog("mrclam", "mrclam/mrclam.mcap"),
-    RealLog("fr079", "fr079/fr079.mcap"),
-    RealLog("aces", "aces/aces.mcap"),
-)
-HEAD = ("| log | finding | fix | judged by | before | after |", "|---|---|---|---|--:|--:|")
-AGAIN = "compared again: "
+DATA_SHEET = ("truth.topic=/icp_pose", "wheels.radius=0.30", "wheels.track=1.14")
+LOGS = {
+    "brenner, as measured": RealLog("brenner/brenner.mcap", ARENA),
+    "turtlebot4": RealLog("turtlebot4/tb4_mcap.mcap"),
+    "pimouse": RealLog("strangers/pimouse.bag"),
+    "mrclam": RealLog("mrclam/mrclam.mcap"),
+    "warthog": RealLog("warthog/warthog.mcap", DATA_SHEET, "origin"),
+    "freiburg-101": RealLog("halls/freiburg-101.mcap"),
+    "edmonton": RealLog("halls/edmonton.mcap"),
+    "fr079": RealLog("fr079/fr079.mcap"),
+    "aces": RealLog("aces/aces.mcap"),
+}
 
 
-def results(one: RealLog, path: Path) -> Iterator[str]:
-    """Yield the lines of one log: each finding, then what all fixes together do when they are obeyed."""
+def work(name: str, folder: Path) -> Row:
+    """Return what is found in one log, and its figures before and after everything that is advised is set."""
+    one = LOGS[name]
+    path = folder / one.path
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: missing")
     session = load(path, sets=one.sets)
-    before = session.compare().report
-    findings = before["findings"]
-    if not findings:
-        yield f"| {one.name} | nothing to fix |  | {_figures(before)} |"
-        return
-    for finding in findings:
-        yield f"| {one.name} | {finding['role']}: {finding['code']} | {' | '.join(_tried(finding))} |"
-    if not before["fixes"]:
-        return
-    obeyed = session.with_settings(before["fixes"])
-    compared = obeyed.compare()
-    again = " ".join(f"`{fix}`" for fix in compared.report["fixes"]) or "nothing to fix"
-    for name, *cells in _obeyed(session, before, obeyed, compared.report):
-        yield f"| {one.name} | **all of it, obeyed** | {AGAIN}{again} | {name} | {' | '.join(cells)} |"
-        again = "the same"
+    _, without = compared(session, one, advice=False)
+    report, cpu = compared(session, one)
+    obeyed = session.with_settings(report["fixes"]) if report["fixes"] else session
+    after = compared(obeyed, one)[0] if report["fixes"] else report
     relations = path.with_suffix(".relations")
-    if relations.exists():
-        cells = [_by_relations(s, relations) for s in (session, obeyed)]
-        yield f"| {one.name} | **all of it, obeyed** |  | {relations.name}, lrf | {' | '.join(cells)} |"
+    return {
+        "headline": report["headline"],
+        "fixes": report["fixes"],
+        "again": after["fixes"] if report["fixes"] else [],
+        "findings": [finding(f) for f in report["findings"]],
+        "before": figures(report),
+        "after": figures(after),
+        "cpu": [without, cpu],
+        "relations": [by_relations(s, relations) for s in (session, obeyed)] if relations.exists() else None,
+    }
 
 
-def _obeyed(
-    session: Session, before: Mapping[str, Any], obeyed: Session, after: Mapping[str, Any]
-) -> Iterator[tuple[str, str, str]]:
-    """Yield configurations with their figures before and after.
-
-    By truth the best ones and `all`; without truth the one of most sensors, by what it predicts: a reference would
-    be another one under other settings.
-    """
-    if before["truth"] is not None:
-        for name in dict.fromkeys((_best(before), _best(after), "all")):
-            if name in before["configurations"]:
-                yield name, _error(before, name), _error(after, name)
-        return
-    name = list(before["configurations"])[-1]
-    scores = [
-        Trial(s.loaded, {c.name: c for c in standard(s.loaded)}, "none", silent)((), (name,))[name]
-        for s in (session, obeyed)
-    ]
-    was, now = (_score({"position_rmse_m": None, "prediction_nats": score.prediction}) for score in scores)
-    yield name, was, now
+def compared(session: Session, one: RealLog, advice: bool = True) -> tuple[dict[str, Any], float]:
+    """Return the report of `compare` on the whole log, and its CPU time [s]."""
+    start = time.process_time()
+    report = session.compare(align=one.align, audits=False, advice=advice).report
+    return report, time.process_time() - start
 
 
-def _by_relations(session: Session, relations: Path) -> str:
-    """Return the mean errors of relative poses that people verified by hand: of scans near and far in time."""
-    drive = session.loaded.drive
+def finding(found: Mapping[str, Any]) -> Row:
+    """Return one finding: its fixes, or what became of those that were tried, and its figure before and after."""
+    tried = found["tried"]
+    row = {"what": f"{found['role']}: {found['code']}", "fixes": found["fixes"], "judged": None, "words": ""}
+    if not found["fixes"] or tried is None:
+        became = "changes little" if found["harmless"] else "makes it worse"
+        return row | {"words": became if found["alternatives"] else "nothing says which"}
+    scores = [tried[when]["position_rmse_m"] for when in ("before", "after")]
+    if None in scores:
+        scores = [tried[when]["prediction_nats"] for when in ("before", "after")]
+        return row | {"judged": [tried["configuration"], *(f"{score:.2f} nats" for score in scores)]}
+    return row | {"judged": [tried["configuration"], *map(length, scores)]}
+
+
+def figures(report: Mapping[str, Any]) -> Row:
+    """Return position error [m], heading error [deg] and ANEES of every configuration, void or not; else nats."""
+    found: dict[str, Any] = {}
+    for name, values in report["configurations"].items():
+        void = values.get("void")
+        seen = void["figures"] if void else values
+        keys = ("position_rmse_m", "heading_rmse_deg", "anees")
+        found[name] = {"errors": [seen.get(key) for key in keys], "void": bool(void)}
+    if report["truth"] is None:
+        ranking = (report["prediction"] or {"scores": []})["scores"]
+        for name in found:
+            nats = [s["score_nats"] for s in ranking if s["configuration"] == name]
+            found[name] = {"nats": float(np.mean(nats)) if nats else None}
+    return found
+
+
+def by_relations(session: Session, relations: Path) -> list[float]:
+    """Return mean errors of relative poses that people verified: near in time [m], [deg], and far [m]."""
+    drive = session.drive
     table = np.loadtxt(relations)
     table[:, :2] += EPOCH_S - drive.epoch_ns * 1e-9 + session.robot.settings("lrf").time_offset
     estimates = session.run("lrf", advice=False).filtered
     far = table[:, 1] - table[:, 0] > FAR_S
     (near, turn), (beyond, _) = (relation_errors(estimates.t, estimates.pose, table[rows]) for rows in (~far, far))
-    return f"{length(float(near.mean()))}, {np.degrees(turn.mean()):.2f}°; far {length(float(beyond.mean()))}"
+    return [float(near.mean()), float(np.degrees(turn.mean())), float(beyond.mean())]
 
 
-def _tried(finding: Mapping[str, Any]) -> tuple[str, str, str, str]:
-    """Return the fix, the configuration that gains most by it, and its figure before and after."""
-    fixes, tried = " ".join(f"`{fix}`" for fix in finding["fixes"]), finding["tried"]
-    if not fixes or tried is None:
-        tried = "changes little" if finding["harmless"] else "makes it worse"
-        return tried if finding["alternatives"] else "nothing says which", "", "", ""
-    return fixes, tried["configuration"], _score(tried["before"]), _score(tried["after"])
+def shown(row: Row) -> Iterator[str]:
+    """Yield the configurations that are worth a line: the best ones before and after, and `all`."""
+    by_truth = {n: v["errors"][0] for n, v in row["before"].items() if v.get("errors", [None])[0] is not None}
+    after = {n: v["errors"][0] for n, v in row["after"].items() if v.get("errors", [None])[0] is not None}
+    if not by_truth or not after:
+        yield [n for n in row["before"] if "reference" not in n][-1]
+        return
+    best = (min(found, key=lambda n: found[n]) for found in (by_truth, after))
+    yield from (n for n in dict.fromkeys((*best, "odometry", "all")) if n in by_truth and n in after)
 
 
-def _figures(report: Mapping[str, Any]) -> str:
-    best = _best(report)
-    return f"{best} | {_error(report, best)} | "
+def cells(figure: Mapping[str, Any]) -> list[str]:
+    """Return position error, heading error and ANEES, or how well sensors are predicted, in words."""
+    if "nats" in figure:
+        return ["" if figure["nats"] is None else f"{figure['nats']:.2f} nats", "", ""]
+    error, turn, anees = figure["errors"]
+    words = "" if error is None else f"{length(error)}{', void' if figure['void'] else ''}"
+    return [words, "" if turn is None else f"{turn:.2f}°", "" if anees is None else f"{anees:.3g}"]
 
 
-def _best(report: Mapping[str, Any]) -> str:
-    """Return the configuration with the smallest error, without truth the last, which uses most sensors."""
-    rows: Mapping[str, Any] = report["configurations"]
-    known = {n: v["position_rmse_m"] for n, v in rows.items() if v["position_rmse_m"] is not None}
-    return min(known, key=lambda n: known[n]) if known else list(rows)[-1]
+def grew(before: Mapping[str, Any], after: Mapping[str, Any]) -> bool:
+    """Return whether an error of a configuration grew, or a prediction got worse."""
+    if "nats" in before:
+        return None not in (before["nats"], after["nats"]) and after["nats"] < before["nats"] - MAX_LOSS
+    pairs = zip(before["errors"][:2], after["errors"][:2], (MAX_LOSS_M, MAX_LOSS_DEG), strict=True)
+    return any(None not in (was, now) and now > was * (1 + MAX_LOSS) + more for was, now, more in pairs)
 
 
-def _error(report: Mapping[str, Any], name: str) -> str:
-    """Return a configuration's position error, void or not; "" where it has none."""
-    values = report["configurations"][name]
-    if values["position_rmse_m"] is not None:
-        return length(values["position_rmse_m"])
-    void = values.get("void")
-    return f"{length(void['figures']['position_rmse_m'])}, void" if void else ""
+def found_table(rows: Sequence[Row]) -> list[str]:
+    """Return every finding with its fix, and what its trial showed."""
+    lines = []
+    for row in rows:
+        for f in row["findings"]:
+            fixes = " ".join(f"`{fix}`" for fix in f["fixes"]) or f["words"]
+            lines.append((row["task"][0], f["what"], fixes, *(f["judged"] or ("", "", ""))))
+        if not row["findings"]:
+            lines.append((row["task"][0], "nothing", "", "", "", ""))
+    return experiment.table(("log", "finding", "fix", "judged by", "before", "after"), lines, "45")
 
 
-def _score(score: Mapping[str, float | None]) -> str:
-    error, nats = score["position_rmse_m"], score["prediction_nats"]
-    return length(error) if error is not None else "" if nats is None else f"{nats:.2f} nats"
-
-
-def table(chosen: Sequence[RealLog], folder: Path) -> Iterator[str]:
-    """Yield the table's lines; a log that is not there is said to be missing."""
-    yield from HEAD
-    for one in chosen:
-        path = folder / one.path
-        if path.exists():
-            click.echo(one.name, err=True)
-            yield from results(one, path)
-        else:
-            click.echo(f"{path}: missing", err=True)
+def obeyed_table(rows: Sequence[Row]) -> list[str]:
+    """Return what obeying all fixes does to the figures of the whole log."""
+    lines = []
+    for row in rows:
+        ratio = f"{row['cpu'][1] / row['cpu'][0]:.1f} x, {len(row['fixes'])} fixes"
+        again = " ".join(f"`{fix}`" for fix in row["again"]) or "nothing"
+        for name in shown(row):
+            before, after = row["before"][name], row["after"][name]
+            pairs = (f"{a} -> {b}" if a or b else "" for a, b in zip(cells(before), cells(after), strict=True))
+            bad = "**yes**" if row["fixes"] and grew(before, after) else "no"
+            lines.append((row["task"][0], name, *pairs, bad, again, ratio))
+            again = ratio = ""
+        if row["relations"]:
+            near, turn, far = (f"{a:.3f} -> {b:.3f}" for a, b in zip(*row["relations"], strict=True))
+            lines.append(
+                (row["task"][0], "relations, lrf", f"near {near} m, far {far} m", f"{turn}°", "", "", "", "")
+            )
+    head = ("log", "configuration", "position error", "heading", "ANEES", "worse", "compared again", "CPU")
+    return experiment.table(head, lines)
 
 
 @click.command()
 @click.option("--log", "words", multiple=True, help="Only logs whose name holds this word. Repeatable.")
-@click.option("--write", is_flag=True, help="Put the table into docs/advice.md.")
-def main(words: tuple[str, ...], write: bool) -> None:
-    """Print a table of the real logs in LOCFUSE_DATA: every fix, and what obeying all of them does."""
+@click.option("--jobs", default=1, show_default=True)
+@click.option("-o", "out", type=click.Path(path_type=Path), default=Path("advice_logs.jsonl"), show_default=True)
+@click.option("--write", is_flag=True, help="Put the tables into docs/advice.md.")
+def main(words: tuple[str, ...], jobs: int, out: Path, write: bool) -> None:
+    """Print what is found in the real logs of LOCFUSE_DATA; logs in the file of -o are not run again."""
     data = os.environ.get("LOCFUSE_DATA")
     if not data:
         raise click.ClickException("LOCFUSE_DATA is not set: no real logs to try")
-    chosen = [one for one in LOGS if not words or any(word in one.name for word in words)]
-    lines = []
-    for line in table(chosen, Path(data)):
-        lines.append(line)
+    names = [(name,) for name in LOGS if not words or any(word in name for word in words)]
+    made = experiment.rows(partial(work, folder=Path(data)), names, out, jobs, show=lambda row: row["task"][0])
+    found = experiment.well(made)
+    lines = [*found_table(found), "", *obeyed_table(found)]
+    for line in (*lines, *experiment.failures(made)):
         click.echo(line)
     if write:
-        put(PAGE, "logs", lines)
+        experiment.put(PAGE, "logs", lines)
 
 
 if __name__ == "__main__":

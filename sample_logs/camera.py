@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array
-from locfuse.fusion.se2 import compose
 
 from .mirror import rays
 from .render import Standing, View
@@ -38,7 +37,7 @@ class OmniCamera:
 
     def read(self, t: float) -> dict[str, Any]:
         """Return the image taken at t as a JPEG."""
-        pose = compose(self.robot.trail.pose(np.array([t])), self.mount)[0]
+        pose = self.robot.sensor_pose("camera", np.array([t]), self.mount)[0]
         image = expose(self.painter.paint(pose, t), self.settings, self.rng)
         quality = [cv2.IMWRITE_JPEG_QUALITY, self.settings.quality]
         _, jpeg = cv2.imencode(".jpg", image, quality)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from locfuse.fusion.data import Array
@@ -33,7 +32,7 @@ def sensors(scenario: Scenario, scene: Scene, robot: Robot, streams: Streams) ->
     carried += [Ranger(s, scene, robot, streams(f"sonar {s.name}")) for s in scenario.sonar]
     if scenario.gps.enabled:
         carried.append(SatelliteReceiver(scenario.gps, robot, streams("gps")))
-    carried.append(GroundTruth(scenario.truth, robot))
+    carried.append(GroundTruth(scenario.truth, robot, streams("truth")))
     return carried
 
 
@@ -70,10 +69,11 @@ def static_transforms(scenario: Scenario, epoch_ns: int) -> RawMessage:
 
 
 def stated_start(scenario: Scenario, true: Pose, streams: Streams) -> Pose:
-    """Return the start pose that the user states: the true one plus one draw of the scenario's start sigmas."""
+    """Return the start pose that the user states: the true one, the user's error and one draw of the sigmas."""
     s = scenario.start
     sigma = np.array([s.sigma_xy, s.sigma_xy, math.radians(s.sigma_theta_deg)])
-    x, y, theta = (true + sigma * streams("start").standard_normal(3)).tolist()
+    wrong = np.array([*s.error[:2], math.radians(s.error[2])])
+    x, y, theta = (true + wrong + sigma * streams("start").standard_normal(3)).tolist()
     return x, y, theta
 
 
@@ -106,8 +106,8 @@ def robot_tables(scenario: Scenario, start: Pose) -> dict[str, dict[str, Any]]:
 
 def _start_table(scenario: Scenario, start: Pose) -> dict[str, Any]:
     x, y, theta = start
-    sigmas: dict[str, float] = msgspec.to_builtins(scenario.start)
-    return {"x": x, "y": y, "theta_deg": math.degrees(theta), **{k: s for k, s in sigmas.items() if s > 0}}
+    known = {k: getattr(scenario.start, k) for k in ("sigma_xy", "sigma_theta_deg")}
+    return {"x": x, "y": y, "theta_deg": math.degrees(theta), **{k: s for k, s in known.items() if s > 0}}
 
 
 def _lrf_table(scenario: Scenario) -> dict[str, Any]:
@@ -118,10 +118,6 @@ def _lrf_table(scenario: Scenario) -> dict[str, Any]:
 
 def _camera_table(scenario: Scenario) -> dict[str, Any]:
     camera, mark = scenario.camera, scenario.landmark
-    keys = ("inner", "outer", "zero_deg", "clockwise", "x", "y", "yaw_deg", "sigma_deg")
-    return {
-        "topic": OmniCamera.topic,
-        "landmark": [mark.x, mark.y],
-        "centre": list(camera.centre),
-        **{key: getattr(camera, key) for key in keys},
-    }
+    optics = ("centre", "inner", "outer", "zero_deg", "clockwise") if camera.calibrated else ()
+    tables = {"topic": OmniCamera.topic, "landmark": [mark.x, mark.y]}
+    return tables | {key: getattr(camera, key) for key in (*optics, "x", "y", "yaw_deg", "sigma_deg")}

@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from locfuse.fusion.se2 import compose
-
 from .robot import Robot
 from .scenario import Gps, Sonar
 from .world import Scene
@@ -37,7 +35,7 @@ class Ranger:
     def read(self, t: float) -> dict[str, Any]:
         """Return the range of the nearest thing within the cone."""
         s = self.settings
-        x, y, theta = compose(self.robot.trail.pose(np.array([t])), self.mount)[0]
+        x, y, theta = self.robot.sensor_pose("sonar", np.array([t]), self.mount)[0]
         eye = np.full((RAYS, 2), (x, y))
         echoes = self.scene.see(s.z, np.array([t]), eye, theta + self.angles, s.range_max)
         distance = float(echoes.min()) + s.sigma * self.rng.standard_normal()
@@ -63,7 +61,7 @@ class SatelliteReceiver:
     def read(self, t: float) -> dict[str, Any]:
         """Return latitude and longitude of the axle's middle."""
         s = self.settings
-        at = self.robot.trail.pose(np.array([t]))[0, :2] + s.sigma * self.rng.standard_normal(2)
+        at = self.robot.sensor_pose("gps", np.array([t]))[0, :2] + s.sigma * self.rng.standard_normal(2)
         east_axis = math.radians(s.east_deg)
         east = at[0] * math.cos(east_axis) + at[1] * math.sin(east_axis)
         north = -at[0] * math.sin(east_axis) + at[1] * math.cos(east_axis)

@@ -1,20 +1,22 @@
 """Faults as data: what goes wrong between `start` and `end`, and the labels that say so in the log.
 
 A fault changes the physics or the message it names and nothing else: no source of chance is shared, so the
-other sensors of a drive with open-loop wheels read the same numbers with and without it.
+other sensors of a drive with open-loop wheels read the same numbers with and without it. Faults act on messages
+(`MessageFault`), between wheels and ground (`GroundFault`), on a sensor's mount (`Displaced`), on the frame of the
+truth (`TruthStep`), and in the scene and the counters (the rest).
 """
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
 
 from locfuse.fusion.data import Array
 
-from .table import RED, Colour, Pillar, Point, Positive, Share, Table
+from .table import RED, Colour, NotNegative, Pillar, Point, Positive, Share, Table
 
 SensorWord = Literal["wheels", "compass", "lrf", "camera", "sonar", "gps", "truth"]
 Side = Literal["left", "right"]
@@ -35,25 +37,83 @@ class Interval(Table, frozen=True, tag_field="kind"):
             raise ValueError(f"end = {self.end:g} must come after start = {self.start:g}")
 
 
-class Dropout(Interval, frozen=True, kw_only=True, tag="dropout"):
+class Dates(NamedTuple):
+    """When one message was taken, as its stamp says and in truth, and when it arrives [s]."""
+
+    taken: float
+    stamp: float
+    arrival: float
+
+
+class MessageFault(Interval, frozen=True, kw_only=True):
+    """Something that happens to a sensor's messages on their way."""
+
+    sensor: SensorWord
+
+    def dated(self, dates: Dates, rng: np.random.Generator) -> Dates | None:
+        """Return what becomes of a message; None: it is lost."""
+        raise NotImplementedError
+
+
+class Dropout(MessageFault, frozen=True, kw_only=True, tag="dropout"):
     """The sensor's messages are lost."""
 
-    sensor: SensorWord
+    def dated(self, dates: Dates, rng: np.random.Generator) -> Dates | None:
+        """Return None: every message is lost."""
+        return None
 
 
-class Latency(Interval, frozen=True, kw_only=True, tag="latency"):
+class Latency(MessageFault, frozen=True, kw_only=True, tag="latency"):
     """The sensor's messages arrive late, and are dated on arrival unless the driver knows better."""
 
-    sensor: SensorWord
     seconds: float
     dated_on_arrival: bool = True
 
+    def dated(self, dates: Dates, rng: np.random.Generator) -> Dates | None:
+        """Return the later arrival, and a later stamp where the message is dated on arrival."""
+        later = self.seconds if self.dated_on_arrival else 0.0
+        return Dates(dates.taken, dates.stamp + later, dates.arrival + self.seconds)
 
-class ClockOffset(Interval, frozen=True, kw_only=True, tag="clock_offset"):
-    """The sensor's clock is ahead: messages arrive in time but are dated later than they were taken."""
+
+class ClockOffset(MessageFault, frozen=True, kw_only=True, tag="clock_offset"):
+    """The sensor's clock is ahead, runs too fast or is read at random times; messages arrive in time."""
+
+    seconds: float = 0.0  # at `start`; stamps are later than the readings
+    drift_ppm: float = 0.0  # microseconds per second by which the offset grows
+    jitter: NotNegative = 0.0  # s, 1 sigma of each stamp; stamps keep their order
+
+    def dated(self, dates: Dates, rng: np.random.Generator) -> Dates | None:
+        """Return the stamp of the wrong clock."""
+        ahead = self.seconds + 1e-6 * self.drift_ppm * (dates.taken - self.start)
+        return dates._replace(stamp=dates.stamp + ahead + self.jitter * rng.standard_normal())
+
+
+class Displaced(Interval, frozen=True, kw_only=True, tag="displaced"):
+    """The sensor sits elsewhere on the robot than robot.toml says: a bumped laser, a twisting compass, a marker.
+
+    Of the truth it moves the body point. A compass feels the turn alone.
+    """
 
     sensor: SensorWord
-    seconds: float
+    x: float = 0.0  # m, forward, left and counter-clockwise, in the base frame
+    y: float = 0.0
+    yaw_deg: float = 0.0
+    yaw_deg_per_s: float = 0.0  # the turn goes on from `start`
+
+    def shift(self, t: Array) -> Array:
+        """Return what is added to the sensor's mount at times t (n,), (n, 3) = (m, m, rad)."""
+        active = (self.start <= t) & (t < self.end)
+        turn = np.radians(self.yaw_deg + self.yaw_deg_per_s * np.where(active, t - self.start, 0.0))
+        still = np.ones_like(t)
+        return np.asarray(active[:, None] * np.stack((self.x * still, self.y * still, turn), axis=-1))
+
+
+class TruthStep(Interval, frozen=True, kw_only=True, tag="truth_step"):
+    """The frame of the truth moves at `start`, and back at `end`: its system was calibrated again."""
+
+    x: float = 0.0  # m, in the map frame
+    y: float = 0.0
+    theta_deg: float = 0.0  # about the map's origin
 
 
 class Magnetic(Interval, frozen=True, kw_only=True, tag="magnetic"):
@@ -73,11 +133,44 @@ class Magnetic(Interval, frozen=True, kw_only=True, tag="magnetic"):
         return np.asarray(self.strength * (3 * (unit @ axis)[:, None] * unit - axis) / distance**3)
 
 
-class Slip(Interval, frozen=True, kw_only=True, tag="slip"):
-    """A wheel moves the robot by less than it rolls."""
+class GroundFault(Interval, frozen=True, kw_only=True):
+    """Something that happens between the wheels and the ground."""
 
-    wheel: Side
+    def moved(self, ways: Array, heading: float) -> Array:
+        """Return how far both wheels and the robot's side move, (3, k) m: left, right, and to the left.
+
+        Args:
+            ways: (3, k) m, the same without this fault.
+            heading: rad, of the robot in the map.
+        """
+        raise NotImplementedError
+
+
+class Slip(GroundFault, frozen=True, kw_only=True, tag="slip"):
+    """A wheel, or both, move the robot by less than they roll."""
+
+    wheel: Side | Literal["both"]
     ratio: Share  # share of the way that is lost; 1 spins on the spot
+
+    def moved(self, ways: Array, heading: float) -> Array:
+        """Return the ways of the wheels that lose a share of theirs."""
+        left, right = (1.0 - self.ratio * (self.wheel in {side, "both"}) for side in ("left", "right"))
+        return np.asarray(ways * np.array([[left], [right], [1.0]]))
+
+
+class Creep(GroundFault, frozen=True, kw_only=True, tag="creep"):
+    """The robot creeps sideways as it drives: tyres that steer a little, or a floor that slopes."""
+
+    ratio: float  # m to the left per metre forward
+    downhill_deg: float | None = None  # a slope: where it falls to, map frame, and m per metre driven
+
+    def moved(self, ways: Array, heading: float) -> Array:
+        """Return the ways with a sideways one; a slope also lengthens or shortens those of the wheels."""
+        forward = (ways[0] + ways[1]) / 2
+        if self.downhill_deg is None:
+            return np.asarray(ways + self.ratio * forward * np.array([[0.0], [0.0], [1.0]]))
+        fall, down = self.ratio * np.abs(forward), math.radians(self.downhill_deg) - heading
+        return np.asarray(ways + fall * np.array([[math.cos(down)], [math.cos(down)], [math.sin(down)]]))
 
 
 class People(Interval, frozen=True, kw_only=True, tag="people"):
@@ -160,8 +253,11 @@ Fault = (
     Dropout
     | Latency
     | ClockOffset
+    | Displaced
+    | TruthStep
     | Magnetic
     | Slip
+    | Creep
     | People
     | HiddenLandmark
     | RedObject

@@ -16,7 +16,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array
 
 from .encoder import COUNTS_PER_SLOT, decode, phases
-from .faults import Kidnap, Slip
+from .faults import Displaced, GroundFault, Kidnap
 from .messages import Pose, Streams
 from .scenario import Motor, Scenario, Wheels
 
@@ -164,8 +164,7 @@ class Robot:
         )
         self.track = scenario.wheels.track * (1 + scenario.wheels.track_error)
         self.noise = scenario.wheels.noise
-        self.slips = [f for f in scenario.faults if isinstance(f, Slip)]
-        self.kidnaps = [f for f in scenario.faults if isinstance(f, Kidnap)]
+        self.faults = scenario.faults
         self.rng = streams("ground")
         self.trail = Trail(self.wheels[0].step, start)
         self.ticks: list[Tick] = [self._tick()]
@@ -174,23 +173,32 @@ class Robot:
         """Let one tick pass with the wheel speeds `targets` [rad/s] asked for."""
         t = self.trail.end
         rolled = np.array([w.radius * np.array(w.turn(s)) for w, s in zip(self.wheels, targets, strict=True)])
-        grip = self._grip(t)
-        left, right = grip * rolled + np.sqrt(self.noise * np.abs(rolled)) * self._gauss(rolled.shape)
-        twist = np.stack(((left + right) / 2, np.zeros_like(left), (right - left) / self.track), axis=-1)
-        lifted = next((f for f in self.kidnaps if f.active(t)), None)
+        ways = np.concatenate((rolled, np.zeros_like(rolled[:1])))
+        for fault in self.faults:
+            if isinstance(fault, GroundFault) and fault.active(t):
+                ways = fault.moved(ways, float(self.trail.knots()[-1, 2]))
+        left, right = ways[:2] + np.sqrt(self.noise * np.abs(rolled)) * self._gauss(rolled.shape)
+        twist = np.stack(((left + right) / 2, ways[2], (right - left) / self.track), axis=-1)
+        lifted = next((f for f in self.faults if isinstance(f, Kidnap) and f.active(t)), None)
         self.trail.extend(twist if lifted is None else self._carried(lifted, len(twist)))
         self.ticks.append(self._tick())
 
     def _gauss(self, shape: tuple[int, ...]) -> Array:
         return self.rng.standard_normal(shape)
 
-    def _grip(self, t: float) -> Array:
-        """Return the share of its rolling that each wheel passes on to the robot, (2, 1)."""
-        grip = np.ones((2, 1))
-        for slip in self.slips:
-            if slip.active(t):
-                grip[SIDES.index(slip.wheel)] *= 1 - slip.ratio
-        return grip
+    def sensor_pose(self, sensor: str, t: Array, mount: Array | None = None) -> Array:
+        """Return the true poses (n, 3) in the map of a sensor at times t (n,).
+
+        Args:
+            sensor: its role, by which faults name it.
+            t: s.
+            mount: (3,) where it sits on the robot: m, m, rad; None: in the middle of the axle.
+        """
+        seat = np.zeros(3) if mount is None else mount
+        for fault in self.faults:
+            if isinstance(fault, Displaced) and fault.sensor == sensor:
+                seat = seat + fault.shift(t)
+        return se2.compose(self.trail.pose(t), seat)
 
     def _carried(self, kidnap: Kidnap, steps: int) -> Array:
         """Return the twists (steps, 3) of a robot in someone's arms: its wheels move nothing."""

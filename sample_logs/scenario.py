@@ -146,6 +146,7 @@ class Lrf(Table, frozen=True, kw_only=True):
     range_max: Positive = 80.0
     sigma_range: float = 0.03
     sigma_angle_deg: float = 0.25
+    scale: Positive = 1.0  # what it reads per true metre; robot.toml does not say it
     lost: Share = 0.002  # share of rays that never return
     pattern: NotNegative = 0.0  # m, 1 sigma of an error of each beam that stays the same in the whole drive
 
@@ -175,6 +176,7 @@ class Camera(Table, frozen=True, kw_only=True):
     blur: float = 0.7  # px
     quality: Percent = 75  # of the JPEG
     sigma_deg: float = 0.5  # what its user would expect, for robot.toml
+    calibrated: bool = True  # whether robot.toml says centre, inner, outer, zero_deg and clockwise
 
 
 class Sonar(Table, frozen=True, kw_only=True):
@@ -207,17 +209,20 @@ class Gps(Table, frozen=True, kw_only=True):
 
 
 class Start(Table, frozen=True, kw_only=True):
-    """How well the user knows the start: robot.toml gets the true pose plus one draw, and these sigmas."""
+    """How well the user knows the start: robot.toml gets the true pose, the error, one draw, and these sigmas."""
 
     sigma_xy: NotNegative = 0.0  # m, of x and of y
     sigma_theta_deg: NotNegative = 0.0
+    error: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, m, degrees by which the user is wrong, unknown to him
 
 
 class Truth(Table, frozen=True, kw_only=True):
-    """The reference pose, without noise."""
+    """The reference pose and its white noise."""
 
     rate: Positive = 50.0
     phase: float = 0.007
+    noise: NotNegative = 0.0  # m, 1 sigma of x and of y
+    noise_deg: NotNegative = 0.0  # 1 sigma of the heading
 
 
 class Scenario(Table, frozen=True, kw_only=True):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from locfuse.fusion.data import Array
 from locfuse.fusion.se2 import compose
 
-from .faults import EncoderRollover, EncoderSpike
+from .faults import EncoderRollover, EncoderSpike, TruthStep
 from .robot import SIDES, Robot
 from .scenario import Compass, Lrf, Scenario, Truth
 from .world import Scene
@@ -82,7 +82,7 @@ class Magnetometer:
 
     def read(self, t: float) -> dict[str, Any]:
         """Return the field strength on the two axes; the module has no third."""
-        pose = self.robot.trail.pose(np.array([t]))
+        pose = self.robot.sensor_pose("compass", np.array([t]))
         field = self.earth + self.scene.magnetic(t, pose[:, :2])[0]
         c, s = np.cos(pose[0, 2]), np.sin(pose[0, 2])
         axes = self.iron @ np.array([[c, s], [-s, c]]) @ field + self.settings.hard_iron
@@ -135,29 +135,34 @@ class Laser:
 
     def _ranges(self, times: Array) -> NDArray[np.float32]:
         s = self.settings
-        laser = compose(self.robot.trail.pose(times), self.mount)
+        laser = self.robot.sensor_pose("lrf", times, self.mount)
         wobble = np.radians(s.sigma_angle_deg) * self.rng.standard_normal(s.beams)
         noise = s.sigma_range * self.rng.standard_normal(s.beams)
         lost = self.rng.random(s.beams) < s.lost
         angles = laser[:, 2] + self.angles + wobble
-        ranges = self.scene.see(s.z, times, laser[:, :2], angles, s.range_max) + noise + self.pattern
+        ranges = s.scale * self.scene.see(s.z, times, laser[:, :2], angles, s.range_max) + noise + self.pattern
         seen = ~lost & (ranges >= s.range_min) & (ranges <= s.range_max)
         return np.where(seen, ranges, np.inf).astype(np.float32)
 
 
 class GroundTruth:
-    """The robot's pose as it is."""
+    """The robot's pose, with the noise and the frame of what tracks it."""
 
     name, topic, msgtype, frame_id = "truth", "/ground_truth/pose", "geometry_msgs/msg/PoseStamped", "map"
     duration, latency = 0.0, 0.001
 
-    def __init__(self, truth: Truth, robot: Robot) -> None:
+    def __init__(self, truth: Truth, robot: Robot, rng: np.random.Generator) -> None:
         self.period, self.phase = 1 / truth.rate, truth.phase
-        self.robot = robot
+        self.sigma = np.array([truth.noise, truth.noise, np.radians(truth.noise_deg)])
+        self.robot, self.rng = robot, rng
 
     def read(self, t: float) -> dict[str, Any]:
         """Return position and heading, the latter as a quaternion about z."""
-        x, y, theta = self.robot.trail.pose(np.array([t]))[0].tolist()
+        pose = self.robot.sensor_pose("truth", np.array([t]))[0]
+        for fault in self.robot.faults:
+            if isinstance(fault, TruthStep) and fault.active(t):
+                pose = compose(np.array([fault.x, fault.y, np.radians(fault.theta_deg)]), pose)
+        x, y, theta = (pose + self.sigma * self.rng.standard_normal(3)).tolist()
         return {
             "pose.position.x": x,
             "pose.position.y": y,

@@ -13,7 +13,7 @@ from locfuse.fusion.data import Array, LocfuseError
 
 from . import equipment
 from .building_scene import scene_of
-from .faults import ClockOffset, Dropout, Fault, Latency, label
+from .faults import ClockOffset, Dates, Fault, MessageFault, label
 from .follow import Follower, LegFollower, PathFollower, Steering
 from .messages import Emit, Estimator, Pose, RawMessage, Streams, streams
 from .paths import polygon, tour, waypoints
@@ -115,8 +115,10 @@ class Recorder:
         self.sensors = sensors
         self.read = [0] * len(sensors)  # readings taken
         self.last = [0] * len(sensors)  # ns, latest arrival: one sensor's messages cannot overtake each other
+        self.dated = [0] * len(sensors)  # ns, latest stamp
         self.jitter = [streams(f"arrival of {s.topic}") for s in sensors]
-        self.faults = [f for f in faults if isinstance(f, Dropout | Latency | ClockOffset)]
+        self.chance = [streams(f"clock of {s.topic}") for s in sensors]
+        self.faults = [f for f in faults if isinstance(f, MessageFault)]
         self.waiting: list[tuple[int, int, RawMessage]] = []
         self.issued = 0
         for fault in faults:
@@ -137,16 +139,17 @@ class Recorder:
         self.read[i] += 1
         fields = sensor.read(t)
         delay = sensor.duration + sensor.latency * (1 + 0.5 * self.jitter[i].random())
-        stamp, arrival = t, t + delay
-        for fault in self.faults:
-            if fault.sensor != sensor.name or not fault.active(t):
-                continue
-            if isinstance(fault, Dropout):
-                return
-            stamp += fault.seconds if isinstance(fault, ClockOffset) or fault.dated_on_arrival else 0.0
-            arrival += fault.seconds if isinstance(fault, Latency) else 0.0
-        self.last[i] = max(nanoseconds(arrival), self.last[i] + 1)
-        stamp_ns = nanoseconds(stamp)
+        dates: Dates | None = Dates(t, t, t + delay)
+        active = [f for f in self.faults if f.sensor == sensor.name and f.active(t)]
+        for fault in active:
+            dates = dates and fault.dated(dates, self.chance[i])
+        if dates is None:
+            return
+        self.last[i] = max(nanoseconds(dates.arrival), self.last[i] + 1)
+        stamp_ns = nanoseconds(dates.stamp)
+        if any(isinstance(f, ClockOffset) and f.jitter for f in active):  # one thread dates all of them in turn
+            stamp_ns = max(stamp_ns, self.dated[i] + 1)
+        self.dated[i] = stamp_ns
         self._queue(RawMessage(sensor.topic, sensor.msgtype, self.last[i], stamp_ns, sensor.frame_id, fields))
 
     def _announce(self, fault: Fault) -> None:

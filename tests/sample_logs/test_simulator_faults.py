@@ -24,6 +24,10 @@ Drive = tuple[dict[str, ArrayStream], Outcome]
 # two metres of the default room's first straight, steered on the truth
 SHORT = load.load("rounded_rectangle", ("camera.rate=0.5", "control.estimator=truth"))
 SHORT = msgspec.structs.replace(SHORT, path=Legs(legs=(Leg(forward=2.0),), x=1.5, y=1.5))
+# the same with rays that are exact
+EXACT = msgspec.structs.replace(
+    SHORT, lrf=msgspec.structs.replace(SHORT.lrf, sigma_range=0.0, sigma_angle_deg=0.0)
+)
 
 
 @functools.cache
@@ -68,6 +72,13 @@ SENSOR_FAULTS = [
     (faults.EncoderSpike(start=3, end=3.03, wheel="left"), "/joint_states"),
     (faults.EncoderRollover(bits=12), "/joint_states"),
     (faults.HiddenLandmark(start=2, end=5), "/omni/image/compressed"),
+    (faults.ClockOffset(sensor="lrf", drift_ppm=500.0), "/scan"),
+    (faults.ClockOffset(sensor="wheels", jitter=0.005), "/joint_states"),
+    (faults.Displaced(start=4, sensor="lrf", x=0.02, y=-0.01, yaw_deg=3.0), "/scan"),
+    (faults.Displaced(start=4, sensor="camera", yaw_deg=3.0), "/omni/image/compressed"),
+    (faults.Displaced(sensor="compass", yaw_deg_per_s=0.5), "/compass"),
+    (faults.Displaced(sensor="truth", x=0.06, y=0.03), "/ground_truth/pose"),
+    (faults.TruthStep(start=4, x=0.06, theta_deg=2.0), "/ground_truth/pose"),
 ]
 
 
@@ -134,6 +145,138 @@ def test_a_clock_offset_moves_stamps_and_not_arrivals() -> None:
     assert all(a[0] - b[0] == 400_000_000 and a[1] == b[1] for a, b in zip(ahead, normal, strict=True))
 
 
+def delays(fault: faults.ClockOffset, topic: str, clean: Drive) -> tuple[Any, Any]:
+    """Return when the readings of a topic were taken, and by how much their stamps are later [s]."""
+    taken = seconds(clean[0][topic])
+    return taken, seconds(drive(fault)[0][topic]) - taken
+
+
+def test_a_clock_that_runs_too_fast_is_ahead_by_more_and_more(clean: Drive) -> None:
+    taken, ahead = delays(
+        faults.ClockOffset(start=2.0, sensor="lrf", seconds=0.01, drift_ppm=500.0), "/scan", clean
+    )
+    expected = np.where(taken < 2.0, 0.0, 0.01 + 5e-4 * (taken - 2.0))
+    np.testing.assert_allclose(ahead, expected, atol=1e-8)
+
+
+def test_jitter_scatters_the_stamps_of_the_wheels_and_keeps_their_order(clean: Drive) -> None:
+    _, ahead = delays(faults.ClockOffset(sensor="wheels", jitter=0.005), "/joint_states", clean)
+    n = len(ahead)
+    assert n > 300
+    assert abs(ahead.mean()) < 4 * 0.005 / math.sqrt(n)
+    assert ahead.std() == pytest.approx(0.005, rel=4 / math.sqrt(2 * n))
+    wild = drive(faults.ClockOffset(sensor="wheels", jitter=0.05))[0]["/joint_states"]
+    assert not wild.dropped  # none is dated before its predecessor
+    assert np.diff(wild.t_ns).min() > 0
+
+
+def hits(streams: dict[str, ArrayStream], outcome: Outcome, mount: tuple[float, float, float]) -> Any:
+    """Return where the rays of every scan end in the map (n, 181, 2) m, of a laser at `mount` = m, m, degrees."""
+    scan = streams["/scan"]
+    ranges, t = matrix(scan, "ranges"), seconds(scan)[:, None] + np.linspace(0, 0.025, 181)
+    x, y, theta = (np.interp(t, outcome.truth_t, outcome.truth[:, k]) for k in range(3))
+    laser_x = x + np.cos(theta) * mount[0] - np.sin(theta) * mount[1]
+    laser_y = y + np.sin(theta) * mount[0] + np.cos(theta) * mount[1]
+    angle = theta + np.radians(mount[2]) + np.radians(np.linspace(-90, 90, 181))
+    return np.stack((laser_x + ranges * np.cos(angle), laser_y + ranges * np.sin(angle)), axis=-1)
+
+
+def off_the_back_wall(scan: Any) -> float:
+    """Return how far the rays that look along +x end from the wall at x = 8 m, rms [m]."""
+    ends = scan[:, 85:96]
+    on_wall = (ends[..., 1] > 0.5) & (ends[..., 1] < 2.5)
+    return float(np.sqrt(np.mean((ends[on_wall][:, 0] - 8.0) ** 2)))
+
+
+def test_a_bumped_laser_sees_the_same_walls_from_its_new_place() -> None:
+    bumped = faults.Displaced(start=4.0, sensor="lrf", x=0.2, y=-0.1, yaw_deg=10.0)
+    streams, outcome = drive(bumped, scenario=EXACT)
+    late = seconds(streams["/scan"]) > 4.0
+    assert late.sum() > 20
+    as_told, as_it_is = (hits(streams, outcome, mount) for mount in ((0.2, 0.0, 0.0), (0.4, -0.1, 10.0)))
+    assert off_the_back_wall(as_told[~late]) < 2e-3
+    assert off_the_back_wall(as_it_is[late]) < 2e-3
+    assert off_the_back_wall(as_told[late]) > 0.1
+
+
+def test_a_laser_of_a_wrong_scale_reads_a_share_of_every_range() -> None:
+    short = msgspec.structs.replace(EXACT, lrf=msgspec.structs.replace(EXACT.lrf, scale=0.98))
+    read, true = (matrix(drive(scenario=s)[0]["/scan"], "ranges") for s in (short, EXACT))
+    seen = np.isfinite(true)
+    np.testing.assert_allclose(read[seen], 0.98 * true[seen], rtol=1e-5)
+
+
+def field_turn(fault: Any, clean: Drive) -> tuple[Any, Any]:
+    """Return the times of the compass and by how many degrees the field turned in its axes."""
+    now, then = (
+        np.arctan2(np.asarray(c.data["magnetic_field.y"]), np.asarray(c.data["magnetic_field.x"]))
+        for c in (drive(fault)[0]["/compass"], clean[0]["/compass"])
+    )
+    return seconds(clean[0]["/compass"]), np.degrees((now - then + np.pi) % (2 * np.pi) - np.pi)
+
+
+def test_a_compass_that_twists_on_its_mount_sees_north_turn_the_other_way(clean: Drive) -> None:
+    t, jump = field_turn(faults.Displaced(start=4.0, sensor="compass", yaw_deg=10.0), clean)
+    np.testing.assert_allclose(jump[t < 4.0], 0.0, atol=1e-12)
+    np.testing.assert_allclose(jump[t >= 4.0], -10.0, atol=0.5)  # soft iron and steps of 0.1 degrees
+    t, drift = field_turn(faults.Displaced(start=2.0, sensor="compass", yaw_deg_per_s=1.5), clean)
+    np.testing.assert_allclose(drift, -1.5 * np.maximum(t - 2.0, 0.0), atol=0.5)
+
+
+def truth_of(streams: dict[str, ArrayStream]) -> Any:
+    """Return the poses (n, 3) of the truth as the log has them."""
+    data = streams["/ground_truth/pose"].data
+    turn = 2 * np.arctan2(np.asarray(data["pose.orientation.z"]), np.asarray(data["pose.orientation.w"]))
+    return np.stack((np.asarray(data["pose.position.x"]), np.asarray(data["pose.position.y"]), turn), axis=-1)
+
+
+def test_a_marker_off_the_axle_is_carried_round_by_the_heading(clean: Drive) -> None:
+    curve = msgspec.structs.replace(SHORT, path=Legs(legs=(Leg(turn_deg=90.0),), x=4.0, y=3.0))
+    marker = faults.Displaced(sensor="truth", x=0.06, y=0.03)
+    at, axle = truth_of(drive(marker, scenario=curve)[0]), truth_of(drive(scenario=curve)[0])
+    assert np.ptp(axle[:, 2]) > 1.5
+    seen = (at[:, 0] - axle[:, 0]) + 1j * (at[:, 1] - axle[:, 1])
+    np.testing.assert_allclose(seen * np.exp(-1j * axle[:, 2]), 0.06 + 0.03j, atol=1e-9)
+    np.testing.assert_allclose(at[:, 2], axle[:, 2], atol=1e-12)
+
+
+def test_the_frame_of_the_truth_steps_at_one_instant_and_returns(clean: Drive) -> None:
+    step = faults.TruthStep(start=4.0, end=6.0, x=0.06, y=-0.02, theta_deg=2.0)
+    at, before, t = truth_of(drive(step)[0]), truth_of(clean[0]), seconds(clean[0]["/ground_truth/pose"])
+    inside = (t >= 4.0) & (t < 6.0)
+    np.testing.assert_array_equal(at[~inside], before[~inside])
+    seen, was = (p[inside, 0] + 1j * p[inside, 1] for p in (at, before))
+    np.testing.assert_allclose(seen, 0.06 - 0.02j + was * np.exp(1j * math.radians(2.0)), atol=1e-9)
+    np.testing.assert_allclose(at[inside, 2] - before[inside, 2], math.radians(2.0), atol=1e-9)
+
+
+def test_the_truth_has_the_noise_that_the_scenario_says_and_no_other_sensor_has_it(clean: Drive) -> None:
+    noisy = msgspec.structs.replace(SHORT, truth=msgspec.structs.replace(SHORT.truth, noise=0.004, noise_deg=0.3))
+    streams, _ = drive(scenario=noisy)
+    off = truth_of(streams) - truth_of(clean[0])
+    n = len(off)
+    allowed = 4 / math.sqrt(2 * n)
+    np.testing.assert_allclose(off.std(axis=0), (0.004, 0.004, math.radians(0.3)), rtol=allowed)
+    assert np.abs(off.mean(axis=0) / off.std(axis=0)).max() < 4 / math.sqrt(n)
+    assert all(same(stream, streams[topic]) for topic, stream in clean[0].items() if "truth" not in topic)
+
+
+def test_the_stated_start_is_wrong_by_the_users_error() -> None:
+    wrong = msgspec.structs.replace(SHORT.start, error=(0.1, -0.2, 4.0))
+    told, right = (
+        Simulation(msgspec.structs.replace(SHORT, start=start), 3).robot_tables["start"]
+        for start in (wrong, SHORT.start)
+    )
+    assert set(told) == {"x", "y", "theta_deg"}  # and called exact
+    assert {k: round(told[k] - right[k], 9) for k in told} == {"x": 0.1, "y": -0.2, "theta_deg": 4.0}
+
+
+def test_an_uncalibrated_cameras_optics_are_not_in_robot_toml() -> None:
+    camera = msgspec.structs.replace(SHORT.camera, calibrated=False)
+    tables = Simulation(msgspec.structs.replace(SHORT, camera=camera), 3).robot_tables["camera"]
+    assert set(tables) == {"topic", "landmark", "x", "y", "yaw_deg", "sigma_deg"}
+
+
 def test_a_magnet_is_a_dipole() -> None:
     """On its axis the field is 2 m / r^3 along it, across it m / r^3 against it."""
     magnet = faults.Magnetic(x=1.0, y=2.0, strength=4e-6, axis_deg=90.0)
@@ -166,6 +309,38 @@ def test_a_slipping_wheel_rolls_further_than_it_carries() -> None:
     before, after = (outcome.truth[i * 4] for i in ticks)
     turned = ((1 - 0.25) * rolled[1] - rolled[0]) / 0.6
     assert after[2] - before[2] == pytest.approx(turned, abs=1e-3)
+
+
+def ways(fault: Any) -> tuple[float, float, float, float]:
+    """Return how far [m] the wheels rolled and the robot went ahead and to its left, and its mean heading."""
+    still = msgspec.structs.replace(SHORT, wheels=msgspec.structs.replace(SHORT.wheels, noise=0.0))
+    _, outcome = drive(fault, scenario=still)
+    x, y, theta = outcome.truth.T
+    middle = (theta[1:] + theta[:-1]) / 2
+    ahead = np.diff(x) * np.cos(middle) + np.diff(y) * np.sin(middle)
+    left = np.diff(y) * np.cos(middle) - np.diff(x) * np.sin(middle)
+    assert np.ptp(theta) < 0.05
+    rolled = float((outcome.counts[-1] - outcome.counts[0]).mean()) * outcome.rad_per_count * outcome.radius
+    return rolled, float(ahead.sum()), float(left.sum()), float(np.average(middle, weights=np.abs(ahead)))
+
+
+def test_two_slipping_wheels_lose_their_share_of_the_way() -> None:
+    rolled, ahead, left, _ = ways(faults.Slip(wheel="both", ratio=0.1))
+    assert ahead == pytest.approx(0.9 * rolled, abs=3e-4)
+    assert left == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_robot_that_creeps_moves_sideways_by_a_share_of_its_way() -> None:
+    rolled, ahead, left, _ = ways(faults.Creep(ratio=0.02))
+    assert ahead == pytest.approx(rolled, abs=3e-4)  # a count is 0.16 mm
+    assert left == pytest.approx(0.02 * rolled, abs=1e-5)
+
+
+def test_a_sloping_floor_takes_the_robot_downhill_whichever_way_it_looks() -> None:
+    rolled, ahead, left, heading = ways(faults.Creep(ratio=0.02, downhill_deg=-60.0))
+    down = math.radians(-60) - heading
+    assert ahead == pytest.approx(rolled * (1 + 0.02 * math.cos(down)), abs=3e-4)
+    assert left == pytest.approx(0.02 * rolled * math.sin(down), abs=1e-4)
 
 
 def test_a_kidnapped_robot_is_carried_while_its_wheels_turn_in_the_air() -> None:

@@ -185,7 +185,7 @@ def test_truth_has_no_noise_and_encoders_only_their_counts() -> None:
     robot = Robot(scenario, (1.0, 2.0, 0.3), streams(5))
     for _ in range(100):
         robot.drive((5.0, 7.0))
-    truth: dict[str, Any] = GroundTruth(scenario.truth, robot).read(1.234)
+    truth: dict[str, Any] = GroundTruth(scenario.truth, robot, streams(1)("truth")).read(1.234)
     expected = robot.trail.pose(np.array([1.234]))[0]
     assert truth["pose.position.x"] == pytest.approx(expected[0], abs=1e-12)
     heading = 2 * math.atan2(truth["pose.orientation.z"], truth["pose.orientation.w"])

@@ -1,0 +1,230 @@
+"""What is wrong in each case of benchmarks.advice: a setting, or the robot itself; alone and in pairs.
+
+A drive is one lap of the paper's robot. Its settings are right, and nothing is wrong with the robot, but for what
+a fault says.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+SCENARIO = (
+    "truth.rate=20",
+    "compass.noise_deg=1",
+    "compass.sigma_deg=1",
+    "compass.hard_iron=[0, 0]",
+    "compass.soft_iron=[1, 1, 0]",
+)
+NORTH = -65.0  # compass.offset_deg: the scenario's magnetic north
+CAMERA_DEG = 0.18  # camera.sigma_deg, as its bearings against the truth show
+OFFSET, CAMERA = f"compass.offset_deg={NORTH}", f"camera.sigma_deg={CAMERA_DEG}"
+RIGHT = (OFFSET, CAMERA)
+MIDDLE_S = 30.0  # of the lap, when what happens in its middle happens
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What is wrong, who should be named, and what sets it right."""
+
+    roles: tuple[str, ...]  # who may be named: nobody else
+    keys: tuple[str, ...] = ()  # one of which a right fix sets; () = no key can, the finding alone is right
+    sets: tuple[str, ...] = ()  # settings that are wrong
+    scenario: tuple[str, ...] = ()  # what is wrong with the robot, as --set of `locfuse simulate`
+    faults: tuple[str, ...] = ()  # the same, entries of its [[faults]] as inline TOML
+    right: tuple[str, ...] = ()  # what sets it right, where that is not the log's own settings
+    printed: bool = False  # only what is printed is wrong: of the truth itself
+
+
+def _noise(role: str, factor: float, **sigmas: float) -> Fault:
+    sets = tuple(f"{role}.{key}={value * factor:.4g}" for key, value in sigmas.items())
+    return Fault((role,), tuple(f"{role}.{key}" for key in sigmas), sets)
+
+
+def _late(role: str, seconds: float) -> Fault:
+    return Fault((role,), (f"{role}.time_offset",), (f"{role}.time_offset={seconds}",))
+
+
+def _one(setting: str, *also: str) -> Fault:
+    key = setting.partition("=")[0]
+    return Fault((key.partition(".")[0],), (key, *also), (setting,))
+
+
+def _mount(setting: str) -> Fault:
+    """Return a wrong mount; one that is set by hand is a state from then on, so the right one is set as well."""
+    return Fault(("lrf",), MOUNT, (setting,), right=(f"{setting.partition('=')[0]}=0",))
+
+
+def _happens(roles: str, kind: str, values: str, *keys: str, right: tuple[str, ...] = ()) -> Fault:
+    """Return something that happens to the robot, by the simulator's kind of fault."""
+    separator = ", " if values else ""
+    entry = f'{{kind="{kind}"{separator}{values}}}'
+    return Fault(tuple(roles.split()), keys, faults=(entry,), right=right)
+
+
+def _of_truth(fault: Fault) -> Fault:
+    return replace(fault, printed=True)
+
+
+LASER_NOISE = {"sigma_range": 0.03, "sigma_angle_deg": 0.25}
+MOUNT = ("lrf.x", "lrf.y", "lrf.yaw_deg")
+FIELD_T = 20e-6  # of the earth, in the plane
+OPTICS = ("camera.centre=[241.5, 238.2]", "camera.inner=62", "camera.outer=232")
+FAULTS: dict[str, Fault] = {
+    "none": Fault(()),
+    "compass sigma x 3": _noise("compass", 3.0, sigma_deg=1.0),
+    "compass sigma / 3": _noise("compass", 1 / 3, sigma_deg=1.0),
+    "laser sigma x 3": _noise("lrf", 3.0, **LASER_NOISE),
+    "laser sigma / 3": _noise("lrf", 1 / 3, **LASER_NOISE),
+    "camera sigma x 3": _noise("camera", 3.0, sigma_deg=CAMERA_DEG),
+    "camera sigma / 3": _noise("camera", 1 / 3, sigma_deg=CAMERA_DEG),
+    "wheels noise x 9": _noise("wheels", 9.0, noise=4e-4),
+    "wheels noise / 9": _noise("wheels", 1 / 9, noise=4e-4),
+    **{f"compass {ms} ms late": _late("compass", ms / 1000) for ms in (20, 50, 100, 200)},
+    **{f"laser {ms} ms late": _late("lrf", ms / 1000) for ms in (20, 50, 100, 200)},
+    "camera 200 ms late": _late("camera", 0.2),
+    **{f"wheels {ms} ms late": _late("wheels", ms / 1000) for ms in (50, 100)},
+    "laser 3 cm ahead": _mount("lrf.x=0.03"),
+    "laser 3 cm aside": _mount("lrf.y=0.03"),
+    "laser 2 degrees": _mount("lrf.yaw_deg=2"),
+    "laser 10 degrees": _mount("lrf.yaw_deg=10"),
+    "laser upside-down": _one("lrf.flipped=true"),
+    "range scale 1.05": _one("lrf.range_scale=1.05"),
+    "track + 3 %": _one("wheels.track=0.618"),
+    "track - 10 %": _one("wheels.track=0.54"),
+    "radius + 6 %": _one("wheels.radius=0.053", "wheels.track"),
+    "wheel mirrored": _one("wheels.mirrored=left"),
+    "camera zero + 5": _one("camera.zero_deg=5"),
+    "camera mirrored": _one("camera.clockwise=true", "camera.zero_deg"),
+    "compass + 1.5": _one(f"compass.offset_deg={NORTH + 1.5}"),
+    "compass + 5": _one(f"compass.offset_deg={NORTH + 5}"),
+    "compass + 30": _one(f"compass.offset_deg={NORTH + 30}"),
+    "compass upside-down": _one("compass.roll_deg=180"),
+    # the truth
+    "truth 100 ms late": _of_truth(_late("truth", 0.1)),
+    "truth 50 ms late": _of_truth(
+        _happens("truth", "clock_offset", 'sensor="truth", seconds=0.05', "truth.time_offset")
+    ),
+    "truth steps 6 cm": _of_truth(_happens("truth", "truth_step", f"start={MIDDLE_S}, x=0.06")),
+    "truth 6, 3 cm off the axle": _of_truth(
+        _happens("truth", "displaced", 'sensor="truth", x=0.06, y=0.03', "truth.x", "truth.y")
+    ),
+    "truth with 8 mm of noise": _of_truth(
+        Fault(("truth",), ("truth.sigma",), scenario=("truth.noise=0.008", "truth.noise_deg=0.5"))
+    ),
+    # the start
+    "start 4 degrees wrong": Fault(
+        ("start", "truth"), ("start.theta_deg",), scenario=("start.error=[0, 0, 4]",), right=("start.theta_deg=0",)
+    ),
+    # iron, and a compass that moves
+    "hard iron 14 %": Fault(
+        ("compass",),
+        ("compass.hard_iron",),
+        scenario=(f"compass.hard_iron=[{0.14 * FIELD_T}, 0]",),
+        right=(f"compass.hard_iron=[{0.14 * FIELD_T}, 0]",),
+    ),
+    "soft iron 10 %": Fault(
+        ("compass",),
+        ("compass.soft_iron",),
+        scenario=("compass.soft_iron=[1.1, 0.9, 0]",),
+        right=(f"compass.soft_iron=[{1 / 1.1}, 0, 0, {1 / 0.9}]",),
+    ),
+    "a steel cabinet": _happens("compass", "magnetic", "x=4.0, y=5.4, strength=4e-6, axis_deg=20"),
+    "compass jumps 10 degrees": _happens(
+        "compass", "displaced", f'sensor="compass", start={MIDDLE_S}, yaw_deg=10'
+    ),
+    "compass drifts 0.1 degrees/s": _happens(
+        "compass",
+        "displaced",
+        'sensor="compass", yaw_deg_per_s=0.1',
+        "compass.offset_drift_deg",
+        right=("compass.sigma_offset_deg=1", "compass.offset_drift_deg=0.5"),
+    ),
+    # clocks that no offset sets right
+    "wheels jitter 8 ms": _happens("wheels", "clock_offset", 'sensor="wheels", jitter=0.008'),
+    "laser jitter 40 ms": _happens("lrf", "clock_offset", 'sensor="lrf", jitter=0.04'),
+    "laser clock 0.1 % fast": _happens("lrf", "clock_offset", 'sensor="lrf", drift_ppm=1000'),
+    # the laser and the ground
+    "range scale 0.98": Fault(
+        ("lrf",), ("lrf.range_scale",), scenario=("lrf.scale=0.98",), right=(f"lrf.range_scale={1 / 0.98}",)
+    ),
+    "laser bumped by 4 degrees": _happens(
+        "lrf", "displaced", f'sensor="lrf", start={MIDDLE_S}, x=0.02, yaw_deg=4'
+    ),
+    "side creep 2 %": _happens("wheels lrf", "creep", "ratio=0.02"),
+    "both wheels slip": _happens(
+        "wheels", "slip", f'wheel="both", ratio=0.3, start={MIDDLE_S}, end={MIDDLE_S + 3}'
+    ),
+    # the camera
+    "camera zero 25, uncalibrated": Fault(
+        ("camera",),
+        ("camera.zero_deg",),
+        scenario=("camera.zero_deg=25", "camera.calibrated=false"),
+        right=(*OPTICS, "camera.zero_deg=25"),
+    ),
+}
+PAIRS = (
+    ("laser 50 ms late", "compass + 5"),
+    ("laser 2 degrees", "compass sigma / 3"),
+    ("laser 3 cm ahead", "track + 3 %"),
+    ("laser sigma / 3", "compass + 5"),
+    ("wheel mirrored", "laser 100 ms late"),
+    ("radius + 6 %", "laser 2 degrees"),
+    ("wheels noise x 9", "compass 100 ms late"),
+    ("camera zero + 5", "laser 20 ms late"),
+    ("compass 200 ms late", "laser sigma x 3"),
+    ("track - 10 %", "camera mirrored"),
+    ("truth 50 ms late", "compass + 5"),
+    ("hard iron 14 %", "laser 50 ms late"),
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One or two faults together."""
+
+    name: str
+    faults: tuple[Fault, ...]
+    base: tuple[str, ...] = RIGHT  # what the user knows of the robot
+
+    def _all(self, field: str) -> tuple[str, ...]:
+        return tuple(value for fault in self.faults for value in getattr(fault, field))
+
+    @property
+    def scenario(self) -> tuple[str, ...]:
+        """The drive as --set of the simulator."""
+        faults = self._all("faults")
+        return (*SCENARIO, *self._all("scenario"), *((f"faults=[{', '.join(faults)}]",) if faults else ()))
+
+    @property
+    def sets(self) -> tuple[str, ...]:
+        """The user's settings, wrong ones included."""
+        return (*self.base, *self._all("sets"))
+
+    @property
+    def right(self) -> tuple[str, ...]:
+        """The settings that are right for this drive."""
+        return (*self.base, *self._all("right"))
+
+    @property
+    def roles(self) -> set[str]:
+        """Whom a right verdict names."""
+        return set(self._all("roles"))
+
+    @property
+    def has_key(self) -> bool:
+        """Whether settings can set everything right."""
+        return all(fault.keys for fault in self.faults)
+
+    @property
+    def of_truth(self) -> bool:
+        """Whether the truth itself is wrong: without it nothing is."""
+        return any(fault.printed for fault in self.faults)
+
+
+ESTIMATED = "none, offset estimated"
+CLEAN = ("none", ESTIMATED)
+CASES = {
+    **{name: Case(name, (fault,)) for name, fault in FAULTS.items()},
+    ESTIMATED: Case(ESTIMATED, (FAULTS["none"],), (CAMERA,)),
+    **{f"{a}, {b}": Case(f"{a}, {b}", (FAULTS[a], FAULTS[b])) for a, b in PAIRS},
+}

@@ -16,7 +16,7 @@ from locfuse.cli.analysis.compare import Compared, Heard, Watch, compare_log
 from locfuse.cli.analysis.configurations import Configuration, for_comparison
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import Progress, silent
-from locfuse.fusion.checks.score import improves, spoils
+from locfuse.fusion.checks.score import improves, spoils, spoils_alone, turns_right
 from locfuse.fusion.checks.tried import Advice, Fixes, scored, together, tried
 from locfuse.fusion.data import Estimates
 from locfuse.fusion.robot import Robot
@@ -96,7 +96,9 @@ def on_the_whole_drive(found: Sequence[Advice], trial: Trial) -> tuple[list[Advi
         role = advice.finding.role
         names = [n for n, c in trial.configurations.items() if role in REFERENCE or role in c.sensors]
         pairs = scored(kept, together(kept, fixes), names, trial.on_whole)
-        worse = any(spoils(*pair) for pair in pairs.values())
+        worse = any(
+            (spoils_alone if advice.measured and turns_right(*pair) else spoils)(*pair) for pair in pairs.values()
+        )
         if worse or not any(improves(*pair) for pair in pairs.values()):
             judged.append(replace(advice, fixes=(), before=None, after=None, tried=(fixes,), harmless=not worse))
             continue

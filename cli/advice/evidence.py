@@ -16,10 +16,11 @@ from locfuse.cli.analysis.trust import overconfident
 from locfuse.fusion.checks.clocks import CLOCK
 from locfuse.fusion.checks.examine import scales
 from locfuse.fusion.checks.finding import Finding, Least
+from locfuse.fusion.checks.iron import ROOM
 from locfuse.fusion.checks.laser import OPEN_SCALE
 from locfuse.fusion.checks.probes import beyond_prior, of_mount, of_offsets, of_probe, of_scale, probe_of
 from locfuse.fusion.checks.tried import Candidate, Fixes, together
-from locfuse.fusion.checks.truth import WHEEL_SCALE
+from locfuse.fusion.checks.truth import STEP, WHEEL_SCALE, of_point
 from locfuse.fusion.judge.consistency import Evidence as Said
 from locfuse.fusion.judge.innovations import heard
 from locfuse.fusion.judge.noise_verdicts import NoiseVerdict, biased_against
@@ -31,6 +32,8 @@ from .noise import Noise
 
 SUSPICIOUS = Least(0.005, 2.5)  # what is reason enough to fuse again where nothing else looks wrong
 
+# codes of findings whose value the truth itself or the field shows beyond chance
+MEASURED = (WHEEL_SCALE, "start", "body point", "iron", ROOM)
 Key = tuple[str, str]  # role and code of a finding
 
 
@@ -59,9 +62,13 @@ class Evidence(Clocks, Noise):
             or bool(scales(self.loaded.drive, self.loaded.robot, SUSPICIOUS))
         )
 
-    def classes(self) -> Sequence[Callable[[], Sequence[Candidate]]]:
-        """Return what may be wrong by class of evidence: while one holds, the later ones are not to be trusted."""
-        return self.clocks, self.geometry, self.offsets, self.slips, self.noise, self.unexplained
+    def classes(self) -> Sequence[Sequence[Callable[[], Sequence[Candidate]]]]:
+        """Return what may be wrong by class of evidence, in groups: the next waits while one of this is open."""
+        return (
+            (self.truth,),
+            (self.clocks, self.geometry),
+            (self.offsets, self.slips, self.noise, self.unexplained),
+        )
 
     def _worse_than_odometry(self) -> bool:
         errors = {e.name: e.figures.get("position_rmse_m") for e in self.compared.evaluations}
@@ -70,17 +77,22 @@ class Evidence(Clocks, Noise):
             return any(e is not None and e > base for e in errors.values())
         return any(s.high < 0.0 for s in self.compared.scores)
 
+    def truth(self) -> list[Candidate]:
+        """Return that the truth steps aside: by what it says after that nothing can be judged."""
+        return [self._candidate(f, ()) for f in self.doctor if f.code == STEP]
+
     def geometry(self) -> list[Candidate]:
         """Return what measuring and a run with more states say of mounts, scales and directions."""
         probed = [] if self._open_scale else [*self._probed(), *self._scaled()]
+        probed = [*self._points(), *probed]
         named = {(f.role, f.code) for f in probed}
         mounts = [] if self._open_scale else self._mounts_found
         found = [*probed, *(f for f in mounts if (f.role, f.code) not in named)]
         offers = [(f, (f.fixes,)) for f in found]
         # a state's sigma is evidence only where the run is consistent, or less sure than it could be
         measured = {(f.role, f.code) for f in found if self._verdict(f.role) in {*FINE, "overstated"}}
-        by_truth = {("wheels", WHEEL_SCALE)}  # the truth's own distances
-        return self._candidates([f for f in self.doctor if f.code != CLOCK], offers, by_truth, measured)
+        seen = [f for f in self.doctor if f.code != CLOCK]
+        return self._candidates(seen, offers, [(f.role, f.code) for f in seen if f.code in MEASURED], measured)
 
     def _candidates(
         self,
@@ -96,7 +108,9 @@ class Evidence(Clocks, Noise):
         seen = [self._decided(f) for f in seen]
         known = {(f.role, f.code) for f in seen}
         judged = [f for f in seen if (f.fixes or f.code == OPEN_SCALE) and self.judges(f.role)]
-        coarse = [self._candidate(f, (*_ways(f), *self._aimed(f)), not f.severe) for f in judged]
+        coarse = [
+            self._candidate(f, (*_ways(f), *self._aimed(f)), not (f.severe or f.code in MEASURED)) for f in judged
+        ]
         # of what measuring shows too, the value itself: it is tried beside that
         sharper = [
             self._candidate(f, tries[:1] if (f.role, f.code) in known else tries, True) for f, tries in offers
@@ -136,6 +150,18 @@ class Evidence(Clocks, Noise):
         if finding.code != OPEN_SCALE or any(REGISTRY[s].heading(m.take(few)) is None for s, m in known.items()):
             return finding  # what knows more than its own turning may tell
         return replace(finding, fixes=(), message=f"{finding.message}. Nothing in this log says which")
+
+    def _points(self) -> Iterator[Finding]:
+        """Yield the body point that the truth tracks by the run of all sensors, which does not slip as wheels."""
+        truth = self.loaded.drive.truth
+        for e in self.compared.estimates:
+            if (
+                truth is not None
+                and e.name == self._all()
+                and e.truth_pose is not None
+                and not (e.smoothed or e.lost)
+            ):
+                yield from of_point(truth, self.loaded.drive, e.truth_pose[:, :2])
 
     def _probed(self) -> Iterator[Finding]:
         """Yield mounts and the track as a run with `all` sensors estimates them, one sensor at a time."""

@@ -54,7 +54,8 @@ class Judged:
         if loaded is None or any(loaded.window) or loaded.robot.preset != "default":
             return []  # the doctor looks at whole drives
         streams = {role: loaded.stream(role) for role in loaded.choice.topics}
-        return examine(loaded.drive, loaded.robot, streams, WORTH_TRYING)
+        found = examine(loaded.drive, loaded.robot, streams, WORTH_TRYING)
+        return [f for f in found if f.code != "start" or self.trial.align == "none"]
 
     def _complained(self, sensor: str) -> bool:
         """Return whether a sensor's own run is inconsistent, or its residuals are unusual."""

@@ -13,6 +13,7 @@ MIN_GAIN = 0.1  # relative gain of the position error
 MIN_TURN_DEG = 0.1  # by which a heading error must change, and by how much it may grow beside MAX_LOSS
 MIN_LN_ANEES_GAIN = 0.2  # by which ln ANEES must come nearer to its chance range
 MAX_SETTLED_SHARE = 0.5  # of the error before: a fix that leaves less is right, whatever chance does elsewhere
+MAX_TURNED_SHARE = 1.0 / 3.0  # of the heading error: a fix that takes more away is right
 MIN_GAIN_M = 2e-4  # m: smaller gains of the position error are none, however large their share
 MAX_LOSS_NATS, MIN_GAIN_NATS = 0.02, 0.05  # nats per number; a sigma 10 % off costs about 0.01, 50 % about 0.1
 MAX_CHANCE_LOSS_NATS = MIN_GAIN_NATS  # nats per number, of a configuration that nobody would keep
@@ -64,6 +65,11 @@ def _turns_worse(before: Score, after: Score, allowed: float) -> bool:
     return after.heading > (1.0 + allowed) * before.heading + MIN_TURN_DEG
 
 
+def turns_right(before: Score, after: Score) -> bool:
+    """Return whether the heading error falls by more than a third: no chance of one drive does that."""
+    return _turned(before, after) > -math.log(1.0 - MAX_TURNED_SHARE)
+
+
 def spoils_alone(before: Score, after: Score) -> bool:
     """Return whether a configuration that nobody would keep gets notably worse.
 
@@ -99,6 +105,11 @@ def was_chance(before: Score, after: Score) -> bool:
     return _off(before) > MIN_LN_ANEES_GAIN and _off(after) == 0.0
 
 
+def leaves(before: Score, after: Score) -> bool:
+    """Return whether an ANEES that was within its chance range is so no longer."""
+    return before.bounds is not None and _off(before) == 0.0 and _off(after) > MAX_LN_ANEES_LOSS
+
+
 def improves(before: Score, after: Score) -> bool:
     """Return whether one figure gets notably better. An ANEES within its chance range has nothing to gain."""
     if before.lost - after.lost > MAX_LOST_SHARE:
@@ -106,6 +117,8 @@ def improves(before: Score, after: Score) -> bool:
     if before.position is not None and after.position is not None:
         less = before.position - after.position
         if less > max(MIN_GAIN * before.position, MIN_GAIN_M) or (less >= 0.0 and _turned(before, after) > 0.0):
+            return True
+        if turns_right(before, after) and less >= -MAX_CHANCE_LOSS * before.position:
             return True
         nearer = _off(before) - _off(after)
         # and outweighs an error that grows: 220 and 176 are both far off

@@ -14,7 +14,19 @@ import msgspec
 from msgspec.structs import replace
 
 from .finding import Finding
-from .score import MAX_CHANCE_LOSS, Score, gain, improves, ruins, settles, spoils, spoils_alone, was_chance
+from .score import (
+    MAX_CHANCE_LOSS,
+    Score,
+    gain,
+    improves,
+    leaves,
+    ruins,
+    settles,
+    spoils,
+    spoils_alone,
+    turns_right,
+    was_chance,
+)
 
 MAX_FIXES = 6  # of one log
 # findings that are measured again, better, once others are fixed
@@ -37,6 +49,7 @@ class Candidate(msgspec.Struct, frozen=True):
     others: tuple[str, ...] = ()  # of these, which no fix may ruin: what moves the wheels moves them too
     offer: bool = False  # no observation, only a setting that may help: silent where it does not
     measured: bool = False  # the drive shows the value: without truth and by shape it is taken if nothing is lost
+    guards: tuple[str, ...] = ()  # configurations whose ANEES may not leave its chance range: of noise
     by_shape: bool = False  # may be judged by the path's shape: nobody observes where its map lies, that is chance
 
     @property
@@ -83,8 +96,11 @@ class Case(Protocol):
     def suspicious(self) -> bool:
         """Return whether anything looks wrong at all: else nothing is tried, and nothing costs time."""
 
-    def classes(self) -> Sequence[Callable[[], Sequence[Candidate]]]:
-        """Return what may be wrong by class of evidence: while one holds, the later ones are not to be trusted."""
+    def classes(self) -> Sequence[Sequence[Callable[[], Sequence[Candidate]]]]:
+        """Return what may be wrong, in groups, by class of evidence: an earlier one may look like a later one.
+
+        Where something severe of a group is open, those of later groups are not asked.
+        """
 
     def kept(self, role: str) -> Collection[str]:
         """Return the configurations that somebody would keep who uses a role."""
@@ -125,7 +141,11 @@ def _first_that_helps(case: Case, kept: Fixes, trial: Try, done: Collection[tupl
     """
     open_: list[Advice] = []
     best: Advice | None = None
-    for candidates_of in case.classes():
+    last = 0
+    for group, candidates_of in ((i, one) for i, several in enumerate(case.classes()) for one in several):
+        if group != last and any(a.finding.severe for a in open_):
+            break  # while this is open, nothing is said of offsets and noise
+        last = group
         candidates = [c for c in candidates_of() if c.key not in done or c.finding.code in REFINED]
         results = [(c, best_of(c, kept, trial)) for c in candidates]
         helpful = [a for _, a in results if a.helps]
@@ -136,8 +156,6 @@ def _first_that_helps(case: Case, kept: Fixes, trial: Try, done: Collection[tupl
             if observed or worth(best) > CLEAR:
                 break
         open_ += (a for c, a in results if not a.helps and not c.offer)
-        if any(a.finding.severe for a in open_):
-            break  # while this is open, nothing is said of offsets and noise
     if best is not None:
         return [*(a for a in open_ if a.finding.severe), best]
     first_of: dict[str, Advice] = {}  # a sensor is told one thing at a time
@@ -241,6 +259,10 @@ def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advi
             before = {name: pair[0] for name, pair in pairs.items()}
             after = {name: pair[1] for name, pair in pairs.items()}
             advice = replace(unfixed, fixes=fixes, before=before, after=after)
+            if any(
+                leaves(*pair) for pair in scored(kept, together(kept, fixes), candidate.guards, trial).values()
+            ):
+                continue
             options += [advice] if (shown and not shape) or worth(advice) > 0.0 else []
     return max(options, key=worth, default=replace(unfixed, harmless=harmless))
 
@@ -266,7 +288,8 @@ def _pairs(
         if shape:
             before, after = ({name: scores[name].of_shape()} for scores in (before, after))
         # what takes one configuration's error to less than half is right: another one's may lose what chance does
-        chance = name in candidate.minor or settled
+        right = candidate.measured and turns_right(before[name], after[name])
+        chance = name in candidate.minor or settled or right
         worse = ruins if name in candidate.others else spoils_alone if chance else spoils
         lucky = settled and name in candidate.minor and was_chance(before[name], after[name])
         if worse(before[name], after[name]) and not lucky:

@@ -19,6 +19,7 @@ from locfuse.fusion.wheels.repairs import gaps_of, times
 from .finding import Finding, Least
 from .start import of_start
 
+STEP = "step"  # code of the finding on a truth that steps aside
 WHEEL_SCALE = "wheel scale"  # code of the finding on the wheels' metre
 MIN_READINGS = 5  # of a truth that is checked
 WINDOW_S = 1.0  # s over which ways are compared
@@ -43,7 +44,7 @@ def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
     if truth is None or len(truth.t) < MIN_READINGS:
         return []
     jumps = _jumps(drive) or _steps(truth, drive)
-    point = _point(truth, drive)
+    point = of_point(truth, drive, _by_wheels(truth, drive.wheels))
     # where a jump or another point is told, what it tells of the start is not the start
     start = [] if jumps or point else of_start(truth, drive, robot)
     return [*jumps, *_gaps(truth), *_noise(truth, drive), *point, *start]
@@ -91,7 +92,7 @@ def _steps(truth: Truth, drive: Drive) -> list[Finding]:
         return []  # so many are no steps of a truth: a robot that was carried, wheels that slipped
     where = ", ".join(f"{away:.2f} m at {t:.1f} s" for t, away in found)
     words = f"it steps aside by {where}, while the robot rolls on: errors after that are the truth's"
-    return [Finding("truth", "step", words, (), True)]
+    return [Finding("truth", STEP, words, (), True)]
 
 
 def _gaps(truth: Truth) -> list[Finding]:
@@ -110,7 +111,7 @@ def _noise(truth: Truth, drive: Drive) -> list[Finding]:
     if truth.sigma or truth.sigma_theta or (place < MIN_NOISE_M and turn < MIN_NOISE_RAD):
         return []
     words, fixes = f"{1e3 * place:.1f} mm", [f"truth.sigma={place:.2g}"]
-    if truth.theta is not None:
+    if truth.theta is not None and turn >= MIN_NOISE_RAD:
         words += f" and {math.degrees(turn):.2f}°"
         fixes.append(f"truth.sigma_theta_deg={math.degrees(turn):.2g}")
     return [Finding("truth", "noise", f"its own noise is {words} (1 sigma)", tuple(fixes))]
@@ -229,19 +230,19 @@ def metre(drive: Drive, robot: Robot, least: Least = WORTH_SAYING) -> tuple[floa
     return factor, [Finding("wheels", WHEEL_SCALE, words, tuple(fixes), abs(factor - 1.0) > SEVERE_SCALE_ERROR)]
 
 
-def _point(truth: Truth, drive: Drive) -> list[Finding]:
+def of_point(truth: Truth, drive: Drive, path: Array | None) -> list[Finding]:
     """Fit which body point was tracked: while the robot turns, a point off its axle swings.
 
-    With p(t) = base + R(theta) l, a step of the point is that of the base, scaled as the wheels' metre is, and
-    (R(theta') - R(theta)) l. The base goes as far as the wheels rolled, along the truth's own headings.
+    With p(t) = base + R(theta) l, a step of the point is that of the base's `path` (n, 2) [m] at the truth's
+    stamps, up to a factor, and (R(theta') - R(theta)) l. The path may be NaN where nothing is known of it.
     """
-    path = _by_wheels(truth, drive.wheels)
     if path is None or truth.theta is None or np.ptp(np.unwrap(truth.theta)) < MIN_TURN_RAD:
         return []
     wheels = drive.wheels
     last = np.searchsorted(truth.t, truth.t + WINDOW_S)
     first = np.flatnonzero((last < len(truth.t)) & (truth.t >= wheels.t[0]))
-    first = first[truth.t[last[first]] <= wheels.t[-1]]
+    known = (truth.t[last[first]] <= wheels.t[-1]) & np.isfinite(path[first] + path[last[first]]).all(axis=1)
+    first = first[known]
     if len(first) < 20:
         return []
     last = last[first]
@@ -272,7 +273,7 @@ def _robust(A: Array, y: Array) -> Array:
     keep = np.ones(len(y), dtype=bool)
     x: Array = np.zeros(3)
     for _ in range(3):
-        x, *_ = np.linalg.lstsq(A[keep].reshape(-1, 3), y[keep].ravel(), rcond=None)
+        x = np.asarray(np.linalg.lstsq(A[keep].reshape(-1, 3), y[keep].ravel(), rcond=None)[0])
         rest = np.hypot(*(y - A @ x).T)
         keep = rest <= 4.0 * max(float(np.median(rest)), 1e-4)
     return x

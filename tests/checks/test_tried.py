@@ -39,8 +39,8 @@ class Case:
     def suspicious(self) -> bool:
         return True
 
-    def classes(self) -> Sequence[Callable[[], Sequence[Candidate]]]:
-        return [lambda: self.candidates]
+    def classes(self) -> Sequence[Sequence[Callable[[], Sequence[Candidate]]]]:
+        return [[lambda: self.candidates]]
 
     def kept(self, role: str) -> Collection[str]:
         return {"all"}

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import msgspec
 
-from locfuse.fusion.checks.search import Advice, Fixes, together
+from locfuse.fusion.checks.tried import Advice, Fixes, together
 
 
 class Advised(msgspec.Struct, frozen=True):
     """What a log's evaluation found."""
 
     advice: tuple[Advice, ...] = ()  # what helps first, in the order in which it was found to help
-    until: float | None = None  # s: only the beginning of the drive was tried; None: all of it
     fusions: int = 0  # runs of the filter that it cost
 
     @property

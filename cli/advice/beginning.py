@@ -16,10 +16,10 @@ from locfuse.cli.analysis.compare import Compared
 from locfuse.cli.analysis.trust import evidence
 from locfuse.fusion.data import Audit, Drive, Estimates, Evaluation
 from locfuse.fusion.judge.consistency import Run
-from locfuse.fusion.judge.evaluate import Align, evaluate
+from locfuse.fusion.judge.evaluate import Align, evaluate, shape_error
 from locfuse.fusion.judge.predictive import Score, scores_of
 
-from .trial import Trial
+from .trial import Trial, predicted, score_of
 
 
 @dataclass
@@ -37,6 +37,8 @@ class Beginning:
             return
         tried = self.trial.loaded
         if tried is not self.trial.whole:
+            if self.trial.whole.drive.truth is not None:
+                self.trial.of_whole(e.name, score_of(judged, shape_error(e, self.trial.whole.drive)))
             found = head(e, self.trial.whole.drive, tried.drive)
             if found is None:
                 return
@@ -46,6 +48,8 @@ class Beginning:
     def hear(self, e: Estimates) -> None:
         """Take a run that others listened to while it has its audits; odometry's comes first."""
         tried = self.trial.loaded
+        if tried is not self.trial.whole and e.name in self.trial.configurations:
+            self.trial.of_whole(e.name, predicted(self.trial.whole.drive, e))
         found = e if tried is self.trial.whole else head(e, self.trial.whole.drive, tried.drive)
         if found is None:
             return

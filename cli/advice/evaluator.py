@@ -1,14 +1,14 @@
 """The evaluator: one log -> findings, each with the fix that was tried and what it did.
 
-`run`, `compare`, `tune`, `info --check`, the report and Rerun all show what this finds, and nothing else. It works
-in rounds: what looks wrong is tried, what helps is kept, and the log is judged again under it, so that no sensor
-is blamed for the fault of another.
+`run`, `compare`, `info --check`, the report and Rerun all show what this finds, and nothing else. The loop is
+`fusion.checks.tried`; here a log is fused for it. Long drives are tried by their beginning; what helps there is
+judged by the whole drive before it is offered.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Sequence
 
 from msgspec.structs import replace
 
@@ -16,22 +16,19 @@ from locfuse.cli.analysis.compare import Compared, Heard, Watch, compare_log
 from locfuse.cli.analysis.configurations import Configuration, for_comparison
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import Asked, Progress, silent
-from locfuse.fusion.checks.score import MAX_CHANCE_LOSS, Score, improves, spoils, spoils_alone
-from locfuse.fusion.checks.search import Advice, Candidate, Fixes, search, together, total
+from locfuse.fusion.checks.score import improves, spoils, spoils_alone, turns_right
+from locfuse.fusion.checks.tried import Advice, Fixes, scored, together, tried
 from locfuse.fusion.data import Estimates
 from locfuse.fusion.robot import Robot
 
 from .advised import Advised
 from .beginning import Beginning
 from .evidence import Evidence
+from .judged import REFERENCE
 from .trial import Trial
 
-MAX_ROUNDS = 4
-# findings that are measured again, better, once others are fixed
-REFINED = ("lag", "mount", "way", "biased", "understated", "overstated")
-CLEAR = 1.0  # worth of fixes beyond which nothing of a later stage is likely to explain the same
-CHANCE = 2.0 * math.log(1.0 + MAX_CHANCE_LOSS)  # worth that two configurations may gain or lose by chance
 MIN_DURATION_S = 5.0  # s: a shorter drive judges no setting
+MAX_WHOLE = 2  # findings that change little on the beginning, and are tried on the whole drive all the same
 
 
 def standard(loaded: Loaded) -> list[Configuration]:
@@ -62,11 +59,53 @@ class Evaluator:
         if not self._may_judge:
             return Advised()
         trial = self.trial
-        first = self._watch.compared() or _compared((), trial.loaded, trial)
-        found, kept = _rounds(first, trial)
-        found = changing(found, kept, trial.loaded.robot)
-        until = None if trial.loaded is trial.whole else float(trial.loaded.drive.t[-1])
-        return Advised(tuple(found), until, trial.fusions) if found or kept else Advised()
+        first = self._watch.compared()
+
+        def look(fixes: Fixes) -> Evidence | None:
+            loaded = trial.under(fixes)
+            if loaded is None:
+                return None
+            compared = first if not fixes and first is not None else _compared(fixes, loaded, trial)
+            trial.seed(fixes, compared)
+            return Evidence(compared, trial, fixes)
+
+        found, kept = tried(look, trial)
+        if trial.loaded is not trial.whole:
+            found, kept = on_the_whole_drive(found, trial)
+        return Advised(tuple(changing(found, kept, trial.whole.robot)), trial.fusions)
+
+
+def on_the_whole_drive(found: Sequence[Advice], trial: Trial) -> tuple[list[Advice], Fixes]:
+    """Return advice judged by the whole drive, in every configuration that uses the sensor, and its fixes.
+
+    A fix is none if one of them gets worse, or none of them better. What surely looks wrong and changes little on
+    the beginning is tried too: slow errors show later.
+    """
+    judged: list[Advice] = []
+    kept: Fixes = ()
+    more = MAX_WHOLE
+    for advice in found:
+        guess = () if advice.helps or not (advice.harmless and advice.finding.severe) else advice.tried[:1]
+        if guess and more == 0:
+            guess = ()
+        more -= len(guess)
+        fixes = advice.fixes or (guess[0] if guess else ())
+        if not fixes:
+            judged.append(advice)
+            continue
+        role = advice.finding.role
+        names = [n for n, c in trial.configurations.items() if role in REFERENCE or role in c.sensors]
+        pairs = scored(kept, together(kept, fixes), names, trial.on_whole)
+        worse = any(
+            (spoils_alone if advice.measured and turns_right(*pair) else spoils)(*pair) for pair in pairs.values()
+        )
+        if worse or not any(improves(*pair) for pair in pairs.values()):
+            judged.append(replace(advice, fixes=(), before=None, after=None, tried=(fixes,), harmless=not worse))
+            continue
+        before, after = ({name: pair[i] for name, pair in pairs.items()} for i in (0, 1))
+        judged.append(replace(advice, fixes=fixes, before=before, after=after))
+        kept = together(kept, fixes)
+    return sorted(judged, key=lambda a: not a.helps), kept
 
 
 def _may_judge(loaded: Loaded) -> bool:
@@ -97,111 +136,6 @@ def _compared(fixes: Fixes, loaded: Loaded, trial: Trial) -> Compared:
     return compare_log(loaded, configurations, asked, trial.progress, heard=[hear])
 
 
-def _rounds(compared: Compared, trial: Trial) -> tuple[list[Advice], Fixes]:
-    """Try, keep, look again; clocks before geometry, geometry before offsets, offsets before noise."""
-    helped: list[Advice] = []
-    without: dict[str, Advice] = {}
-    kept: Fixes = ()
-    for _ in range(MAX_ROUNDS):
-        trial.seed(kept, compared)
-        evidence = Evidence(compared, trial, kept)
-        if not evidence.suspicious():
-            without = {}  # what had no fix looked wrong only beside what now has one
-            break
-        found = _first_that_helps(evidence, kept, trial, done={(a.finding.role, a.finding.code) for a in helped})
-        without = {a.finding.role: a for a in found if not a.helps}
-        new = [a for a in found if a.helps] or _beside_another(found, kept, trial)
-        if not new:
-            break
-        helped += new
-        for advice in new:
-            kept = together(kept, advice.fixes)
-        loaded = trial.under(kept)
-        if loaded is None:
-            break
-        compared = _compared(kept, loaded, trial)
-    names = {a.finding.role for a in helped}
-    return [*helped, *(a for role, a in without.items() if a.finding.severe or role not in names)], kept
-
-
-def _beside_another(found: Sequence[Advice], kept: Fixes, trial: Trial) -> list[Advice]:
-    """Return a severe finding's fix with what else is wrong once it is set, where only both together help.
-
-    Two faults may hide each other: a compass that is refused because it is late does not disturb a laser whose
-    noise is set too high, and disturbs it as soon as it is used.
-    """
-    for advice in found:
-        for fixes in advice.tried if advice.finding.severe else ():
-            beside = together(kept, fixes)
-            loaded = trial.under(beside)
-            if loaded is None:
-                continue
-            evidence = Evidence(_compared(beside, loaded, trial), trial, beside)
-            trial.seed(beside, evidence.compared)
-            judges = evidence.judges(advice.finding.role)
-            if not any(improves(*pair) for pair in _pairs(kept, beside, judges, trial).values()):
-                continue
-            done = {(advice.finding.role, advice.finding.code)}
-            others = [a for a in _first_that_helps(evidence, beside, trial, done) if a.helps]
-            both = beside
-            for other in others:
-                both = together(both, other.fixes)
-            pairs = _pairs(kept, both, judges, trial)
-            if others and pairs and not _any_spoiled(pairs, evidence.kept(advice.finding.role)):
-                before, after = ({name: pair[i] for name, pair in pairs.items()} for i in (0, 1))
-                return [replace(advice, fixes=fixes, before=before, after=after), *others]
-    return []
-
-
-def _any_spoiled(pairs: Mapping[str, tuple[Score, Score]], kept: Collection[str]) -> bool:
-    """Return whether a configuration gets worse; one that nobody would keep may by what chance does."""
-    return any((spoils if name in kept else spoils_alone)(*pair) for name, pair in pairs.items())
-
-
-def _pairs(kept: Fixes, fixes: Fixes, judges: Sequence[str], trial: Trial) -> dict[str, tuple[Score, Score]]:
-    """Return the scores of configurations under two sets of fixes; {} where one has none."""
-    before, after = trial(kept, judges), trial(fixes, judges)
-    return {name: (before[name], after[name]) for name in before} if before and after else {}
-
-
-def _first_that_helps(evidence: Evidence, kept: Fixes, trial: Trial, done: set[tuple[str, str]]) -> list[Advice]:
-    """Return the advice of the first stage of evidence in which anything helps; else all that has no fix."""
-    stages: Sequence[Callable[[], list[Candidate]]] = (
-        evidence.clocks,
-        evidence.geometry,
-        evidence.offsets,
-        evidence.slips,
-        evidence.noise,
-        evidence.unexplained,
-    )
-    failed: list[Advice] = []
-    best: list[Advice] = []
-    for stage in stages:
-        candidates = [c for c in stage() if c.key not in done or c.finding.code in REFINED]
-        found = search(candidates, kept, trial)
-        best = max(best, found, key=_weight)
-        observed = {c.key for c in candidates if not c.offer}
-        if stage == evidence.slips and any(a.helps for a in found):
-            break
-        if total(best) > CLEAR or any(a.helps and (a.finding.role, a.finding.code) in observed for a in found):
-            break
-        failed += (a for a in found if not a.helps)
-        if any(a.finding.severe for a in found):
-            break  # while this is open, nothing is said of offsets and noise
-    if any(a.helps for a in best):
-        return [*(a for a in failed if a.finding.severe and not a.helps), *best]
-    return _one_each(failed)
-
-
-def _weight(found: Sequence[Advice]) -> float:
-    """Return what a stage's fixes are worth beside a later one's, which explains the same in another way.
-
-    A clock that is measured to be off and noise that would hide it: chance alone may make noise look better.
-    """
-    measured = any(a.helps and a.measured for a in found)
-    return total(found) + (CHANCE if measured else 0.0)
-
-
 def changing(found: Sequence[Advice], kept: Fixes, robot: Robot) -> list[Advice]:
     """Return advice without fixes that set, in the end, what is configured already.
 
@@ -222,11 +156,3 @@ def _is_configured(key: str, value: str, robot: Robot) -> bool:
         return now is not None and not isinstance(now, bool) and math.isclose(float(value), now, abs_tol=5e-5)
     except (TypeError, ValueError):
         return False
-
-
-def _one_each(found: Sequence[Advice]) -> list[Advice]:
-    """Return the first of every role: a sensor is told one thing at a time."""
-    first: dict[str, Advice] = {}
-    for advice in found:
-        first.setdefault(advice.finding.role, advice)
-    return list(first.values())

@@ -6,31 +6,34 @@ and noise, since each of these looks like one. Clocks and noise have files of th
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import cached_property
 
 import numpy as np
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.trust import overconfident
+from locfuse.fusion.checks.clocks import CLOCK
 from locfuse.fusion.checks.examine import scales
 from locfuse.fusion.checks.finding import Finding, Least
+from locfuse.fusion.checks.iron import ROOM
 from locfuse.fusion.checks.laser import OPEN_SCALE
 from locfuse.fusion.checks.probes import beyond_prior, of_mount, of_offsets, of_probe, of_scale, probe_of
-from locfuse.fusion.checks.search import Candidate, Fixes, together
-from locfuse.fusion.checks.truth import WHEEL_SCALE
-from locfuse.fusion.judge.consistency import Consistency
+from locfuse.fusion.checks.tried import Candidate, Fixes, together
+from locfuse.fusion.checks.truth import STEP, WHEEL_SCALE, of_point
 from locfuse.fusion.judge.consistency import Evidence as Said
 from locfuse.fusion.judge.innovations import heard
 from locfuse.fusion.judge.noise_verdicts import NoiseVerdict, biased_against
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .clocks import CLOCK, Clocks
-from .judged import FINE, LASER, ODOMETRY, Offer
-from .noise import Noise, as_fixes
+from .clocks import Clocks
+from .judged import FINE, LASER, ODOMETRY, Offer, as_fixes
+from .noise import Noise
 
 SUSPICIOUS = Least(0.005, 2.5)  # what is reason enough to fuse again where nothing else looks wrong
 
+# codes of findings whose value the truth itself or the field shows beyond chance
+MEASURED = (WHEEL_SCALE, "start", "body point", "iron", ROOM)
 Key = tuple[str, str]  # role and code of a finding
 
 
@@ -46,7 +49,7 @@ class Evidence(Clocks, Noise):
             noise
             or claims_too_much
             or lost
-            or self._lags()
+            or bool(self.wrong)
             or self._worse_than_odometry()
             or bool(self._mounts_found)
             or bool(self._beyond_prior)
@@ -59,6 +62,14 @@ class Evidence(Clocks, Noise):
             or bool(scales(self.loaded.drive, self.loaded.robot, SUSPICIOUS))
         )
 
+    def classes(self) -> Sequence[Sequence[Callable[[], Sequence[Candidate]]]]:
+        """Return what may be wrong by class of evidence, in groups: the next waits while one of this is open."""
+        return (
+            (self.truth,),
+            (self.clocks, self.geometry),
+            (self.offsets, self.slips, self.noise, self.unexplained),
+        )
+
     def _worse_than_odometry(self) -> bool:
         errors = {e.name: e.figures.get("position_rmse_m") for e in self.compared.evaluations}
         base = errors.get(ODOMETRY)
@@ -66,31 +77,22 @@ class Evidence(Clocks, Noise):
             return any(e is not None and e > base for e in errors.values())
         return any(s.high < 0.0 for s in self.compared.scores)
 
-    def clocks(self) -> list[Candidate]:
-        """Return what measuring and the truth say of clocks: while one is wrong, the rest is not to be trusted."""
-        pictures = list(self._late_pictures())
-        offers = [*self._late, *self._late_wheels(), *pictures]
-        by_truth = self.loaded.drive.truth is not None
-        seen = [f for f in self.doctor if f.code == CLOCK]
-        named = {(f.role, f.code) for f in seen}
-        measured = {("wheels", CLOCK), *((f.role, f.code) for f, _ in self._late if by_truth)}
-        found = self._candidates(seen, offers, named, named | measured)
-        found = [replace(c, by_shape=by_truth and c.finding.role == LASER) for c in found]
-        sensors = tuple(self.loaded.drive.measurements)
-        found = [replace(c, rivals=sensors) if c.finding.role == "wheels" else c for c in found]
-        return [*found, *(self._constant_of(f.role) for f, _ in pictures if _constant(self.consistency[f.role]))]
+    def truth(self) -> list[Candidate]:
+        """Return that the truth steps aside: by what it says after that nothing can be judged."""
+        return [self._candidate(f, ()) for f in self.doctor if f.code == STEP]
 
     def geometry(self) -> list[Candidate]:
         """Return what measuring and a run with more states say of mounts, scales and directions."""
         probed = [] if self._open_scale else [*self._probed(), *self._scaled()]
+        probed = [*self._points(), *probed]
         named = {(f.role, f.code) for f in probed}
         mounts = [] if self._open_scale else self._mounts_found
         found = [*probed, *(f for f in mounts if (f.role, f.code) not in named)]
         offers = [(f, (f.fixes,)) for f in found]
         # a state's sigma is evidence only where the run is consistent, or less sure than it could be
         measured = {(f.role, f.code) for f in found if self._verdict(f.role) in {*FINE, "overstated"}}
-        by_truth = {("wheels", WHEEL_SCALE)}  # the truth's own distances
-        return self._candidates([f for f in self.doctor if f.code != CLOCK], offers, by_truth, measured)
+        seen = [f for f in self.doctor if f.code != CLOCK]
+        return self._candidates(seen, offers, [(f.role, f.code) for f in seen if f.code in MEASURED], measured)
 
     def _candidates(
         self,
@@ -106,7 +108,9 @@ class Evidence(Clocks, Noise):
         seen = [self._decided(f) for f in seen]
         known = {(f.role, f.code) for f in seen}
         judged = [f for f in seen if (f.fixes or f.code == OPEN_SCALE) and self.judges(f.role)]
-        coarse = [self._candidate(f, (*_ways(f), *self._aimed(f)), not f.severe) for f in judged]
+        coarse = [
+            self._candidate(f, (*_ways(f), *self._aimed(f)), not (f.severe or f.code in MEASURED)) for f in judged
+        ]
         # of what measuring shows too, the value itself: it is tried beside that
         sharper = [
             self._candidate(f, tries[:1] if (f.role, f.code) in known else tries, True) for f, tries in offers
@@ -146,6 +150,18 @@ class Evidence(Clocks, Noise):
         if finding.code != OPEN_SCALE or any(REGISTRY[s].heading(m.take(few)) is None for s, m in known.items()):
             return finding  # what knows more than its own turning may tell
         return replace(finding, fixes=(), message=f"{finding.message}. Nothing in this log says which")
+
+    def _points(self) -> Iterator[Finding]:
+        """Yield the body point that the truth tracks by the run of all sensors, which does not slip as wheels."""
+        truth = self.loaded.drive.truth
+        for e in self.compared.estimates:
+            if (
+                truth is not None
+                and e.name == self._all()
+                and e.truth_pose is not None
+                and not (e.smoothed or e.lost)
+            ):
+                yield from of_point(truth, self.loaded.drive, e.truth_pose[:, :2])
 
     def _probed(self) -> Iterator[Finding]:
         """Yield mounts and the track as a run with `all` sensors estimates them, one sensor at a time."""
@@ -200,7 +216,7 @@ class Evidence(Clocks, Noise):
             for s, v in self._biases_again.items()
         ]
         for sensor, verdict in self.consistency.items():
-            options = _constant(verdict)
+            options = list(self.constant(verdict))
             if sensor == "camera" and verdict.verdict in {"biased", "outliers", "contradicts", "understated"}:
                 options.append(
                     (f"camera.clockwise={str(not self.loaded.robot.settings('camera').clockwise).lower()}",)
@@ -209,14 +225,6 @@ class Evidence(Clocks, Noise):
                 finding = Finding(sensor, verdict.verdict, verdict.words)
                 found.append(self._candidate(finding, tuple(options)))
         return found
-
-    def _constant_of(self, sensor: str) -> Candidate:
-        """Return the constant error of a sensor whose clock is guessed at: tried beside it, the better is kept.
-
-        On a drive of left turns both look alike.
-        """
-        verdict = self.consistency[sensor]
-        return self._candidate(Finding(sensor, verdict.verdict, verdict.words), tuple(_constant(verdict)), True)
 
     @cached_property
     def _biases_again(self) -> dict[str, NoiseVerdict]:
@@ -245,8 +253,3 @@ def _ways(finding: Finding) -> tuple[Fixes, ...]:
     if finding.code == WHEEL_SCALE and len(finding.fixes) > 1:
         return finding.fixes, finding.fixes[:1]
     return (finding.fixes,) if finding.fixes else ()
-
-
-def _constant(verdict: Consistency) -> list[Fixes]:
-    """Return the fix of a constant error, nothing where a verdict is about something else."""
-    return [as_fixes(verdict.cures)] if verdict.verdict == "biased" and verdict.cures else []

@@ -11,6 +11,7 @@ from locfuse.fusion.sensors.registry import REGISTRY
 NAMES = {"lrf": "laser", "gps": "GPS", "imu": "IMU"}
 TIE, TIE_M = 0.10, 5e-4  # relative, m: errors that differ by less are equal
 ODOMETRY = "odometry"
+MAX_ANEES, MAX_ANEES_OF_NOISE = 3.0, 50.0  # above: the covariance is too small; by a truth that has no noise
 HELPS, HURTS = ("helps", "seems to help"), ("hurts", "seems to hurt")
 
 
@@ -36,6 +37,9 @@ def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], err
     best = min(ties, key=lambda n: len(sets[n]))
     if not sets[best]:
         return f"No sensor improves on odometry: {length(errors[best])}.{_with_fixes(report, sets, least)}"
+    if any(not v["void"] for v in report.get("validity") or ()):
+        first = f"As configured the best is {_names(sets[best])}: {length(errors[best])}. Set the fixes first."
+        return f"{first}{_with_fixes(report, sets, least)}"
     first = f"Keep {_names(sets[best])}: {length(errors[best])}."
     return f"{_as_configured(report, sets, errors, best, first)}{_with_fixes(report, sets, least)}"
 
@@ -58,11 +62,30 @@ def _as_configured(
     if every in ties:
         adds = "adds" if len(others) == 1 else "add"
         return f"{first} {_names(others).capitalize()} {adds} nothing measurable beside {beside}."
+    if any(f["fixes"] for f in report.get("findings") or ()):
+        return f"{first} With all sensors it is {length(errors[every])} before the fixes."
     bad = [s for s in others if report.get("verdicts", {}).get(s, {}).get("verdict") in HURTS]
     all_of_them = f"{first} With all sensors it is {length(errors[every])}: "
     if not bad:  # one drive does not settle which
         return f"{all_of_them}leave {_names(others)} out."
     return f"{all_of_them}{'' if len(bad) == 1 else 'one of '}{_names(bad)} hurts."
+
+
+def covariance(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:
+    """Return that the covariance of all sensors is too small where nothing that was found explains it, else ""."""
+    name = max(sets, key=lambda n: len(sets[n]), default="")
+    anees = report["configurations"][name].get("anees") if name else None
+    for finding in report.get("findings") or ():
+        if finding["fixes"] and finding["tried"] and finding["tried"]["configuration"] == name:
+            anees = finding["tried"]["after"].get("anees") or anees
+    if anees is None or anees <= MAX_ANEES:
+        return ""
+    truth = report.get("settings", {}).get("truth", {})
+    if anees > MAX_ANEES_OF_NOISE and not truth.get("sigma") and not truth.get("sigma_theta_deg"):
+        return (
+            f" ANEES ({name}) is over {MAX_ANEES_OF_NOISE:g}: set truth.sigma, the truth's own noise, to judge it."
+        )
+    return f" The covariance ({name}) is {anees**0.5:.1f} times too small, and no setting explains it."
 
 
 def _ties(errors: Mapping[str, float]) -> list[str]:
@@ -78,7 +101,6 @@ def _with_fixes(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], le
         t["configuration"]: t["after"]["position_rmse_m"]
         for t in tried
         if t["configuration"] in sets
-        and t["until_s"] is None
         and t["after"]["position_rmse_m"] is not None
         and not t["after"].get("aligned")  # of the path's shape: another figure
     }

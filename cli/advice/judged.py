@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 
 import numpy as np
@@ -12,8 +12,9 @@ from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.trust import sensors_consistency
 from locfuse.fusion.checks.examine import examine
 from locfuse.fusion.checks.finding import Finding, Least
-from locfuse.fusion.checks.search import Candidate, Fixes
+from locfuse.fusion.checks.tried import Candidate, Fixes
 from locfuse.fusion.data import Estimates
+from locfuse.fusion.judge.consistency import Consistency
 from locfuse.fusion.judge.covariance import honesty
 
 from .trial import Trial
@@ -22,6 +23,12 @@ ODOMETRY, LASER = "odometry", "lrf"
 REFERENCE = {"wheels", "start", "truth"}  # roles whose settings move every configuration
 WORTH_TRYING = Least(0.005, 2.0)  # what is worth saying untried is larger
 FINE = {"consistent", "unclear"}  # verdicts on a sensor that are no complaint
+
+
+def as_fixes(cures: Mapping[str, float]) -> Fixes:
+    """Return settings as they are written."""
+    return tuple(f"{key}={value:g}" for key, value in cures.items())
+
 
 Offer = tuple[Finding, tuple[Fixes, ...]]  # no observation, only settings that may help
 
@@ -47,7 +54,8 @@ class Judged:
         if loaded is None or any(loaded.window) or loaded.robot.preset != "default":
             return []  # the doctor looks at whole drives
         streams = {role: loaded.stream(role) for role in loaded.choice.topics}
-        return examine(loaded.drive, loaded.robot, streams, WORTH_TRYING)
+        found = examine(loaded.drive, loaded.robot, streams, WORTH_TRYING)
+        return [f for f in found if f.code != "start" or self.trial.align == "none"]
 
     def _complained(self, sensor: str) -> bool:
         """Return whether a sensor's own run is inconsistent, or its residuals are unusual."""
@@ -67,6 +75,10 @@ class Judged:
         honest = self.honesty.get(name)
         lost = any(e.lost for e in self.compared.estimates if e.name == name)
         return honest is None or lost or not honest.consistent
+
+    def constant(self, verdict: Consistency) -> tuple[Fixes, ...]:
+        """Return the fix of a constant error, nothing where a verdict is about something else."""
+        return (as_fixes(verdict.cures),) if verdict.verdict == "biased" and verdict.cures else ()
 
     def _was_set(self, role: str, key: str) -> bool:
         """Return whether a fix that was kept sets this."""

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import cached_property
+from typing import Any
 
 from msgspec.structs import replace
 
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser_driver import ranges_sigma, scatter_more
-from locfuse.fusion.checks.search import Candidate, Fixes
 from locfuse.fusion.checks.slip import Slip, slip
+from locfuse.fusion.checks.tried import Candidate, Fixes
 from locfuse.fusion.judge.consistency import Consistency
 from locfuse.fusion.judge.innovations import Own, own
 from locfuse.fusion.judge.noise_verdicts import MAX_SIGMA_FACTOR, many_refused
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .judged import LASER, ODOMETRY, Judged
+from .judged import LASER, ODOMETRY, Judged, as_fixes
 
 WHEEL_NOISE_FACTORS = (0.1, 0.3, 3.0, 10.0)
 TOO_LOW = 2.0  # a sigma that is set too low refuses the large residuals, so the observed one is a lower bound
+MAX_OFFERED_FACTOR = 8.0  # on a sigma: more means that the sensor is not to be used, and is not offered
 MAX_NOISE_FACTOR = 4.0  # on a sigma, by the errors of its own run
 FLOORS, FLOOR_FACTORS = ("floor_range", "floor_angle_deg"), (5.0, 10.0, 20.0)  # of a laser's lines
 NOISE = {"understated", "overstated", "correlated"}
@@ -47,11 +48,16 @@ class Noise(Judged):
                 found.append(self._candidate(Finding(sensor, verdict.verdict, words), tuple(seen)))
                 seen, words = [], self._errors_in_sigmas(sensor)
             found += self._shared_by_lines(sensor, verdict)
-            if seen or more:
+            options = tuple(dict.fromkeys((*seen, *more)))
+            if sensor != LASER:  # its raw ranges show its noise by themselves
+                settings = self.loaded.robot.settings(sensor)
+                options = tuple(fixes for fixes in options if useful(fixes, settings))
+            if options:
                 finding = Finding(sensor, verdict.verdict if seen else self._by_truth(sensor), words)
-                options = tuple(dict.fromkeys((*seen, *more)))
                 found.append(self._candidate(finding, options, not seen))
-        if self.loaded.drive.truth is not None and self._doubtful(self._best(self.trial.configurations)):
+        as_configured = self._slip is not None and not self._slip.unusual  # as the turning itself shows
+        doubtful = self.loaded.drive.truth is not None and self._doubtful(self._best(self.trial.configurations))
+        if doubtful and not as_configured:
             found.append(self._wheel_noise())
         return found
 
@@ -221,7 +227,12 @@ class Noise(Judged):
         judges = tuple(n for n in found.judges if n not in found.minor and n != ODOMETRY)
         # wheels that hardly slipped where this could be seen may slip far elsewhere: less has to gain something
         more = any(factor > 1.0 for factor in factors)
-        return replace(found, judges=judges, measured=measured and (more or self.loaded.drive.truth is not None))
+        return replace(
+            found,
+            judges=judges,
+            guards=tuple(self.trial.configurations),
+            measured=measured and (more or self.loaded.drive.truth is not None),
+        )
 
 
 def _smaller_range_noise(sensor: str, verdict: Consistency) -> float | None:
@@ -229,6 +240,13 @@ def _smaller_range_noise(sensor: str, verdict: Consistency) -> float | None:
     return (
         verdict.cures.get(f"{LASER}.sigma_range") if sensor == LASER and verdict.verdict == "overstated" else None
     )
+
+
+def useful(fixes: Fixes, settings: Any) -> bool:
+    """Whether a sigma is still one: many times what is configured, it says that the sensor is not to be used."""
+    changed = (fix.partition("=") for fix in fixes)
+    pairs = ((float(value), getattr(settings, key.partition(".")[2], None)) for key, _, value in changed)
+    return all(not now or value <= MAX_OFFERED_FACTOR * now for value, now in pairs)
 
 
 def _noise_options(verdict: Consistency) -> list[Fixes]:
@@ -245,8 +263,3 @@ def _above(verdict: Consistency) -> list[Fixes]:
     if verdict.verdict != "understated" or not verdict.cures:
         return []
     return [as_fixes({key: float(f"{TOO_LOW * value:.2g}") for key, value in verdict.cures.items()})]
-
-
-def as_fixes(cures: Mapping[str, float]) -> Fixes:
-    """Return settings as they are written."""
-    return tuple(f"{key}={value:g}" for key, value in cures.items())

@@ -12,7 +12,7 @@ from locfuse.fusion.checks.truth import Jumps
 from locfuse.fusion.mount import OTHER_MOUNT
 
 from .advised import Advised
-from .headline import headline
+from .headline import covariance, headline
 from .validity import add_validity
 from .values import add_findings
 
@@ -39,7 +39,8 @@ def complete(
         for name, values in report["configurations"].items()
         if not values.get("smoothed") and not values.get("rates_hz") and name not in foreign
     }
-    report["headline"] = f"{STANDS[0].upper()}{STANDS[1:]}." if stands else headline(report, sets)
+    words = f"{headline(report, sets)}{covariance(report, sets)}"
+    report["headline"] = f"{STANDS[0].upper()}{STANDS[1:]}." if stands else words
     report.update(json_report.plain(report))
 
 

@@ -18,7 +18,7 @@ from locfuse.cli.analysis.load import Loaded, with_settings
 from locfuse.cli.analysis.memory import lean
 from locfuse.cli.analysis.settings import Progress
 from locfuse.fusion.checks.score import Score
-from locfuse.fusion.checks.search import Fixes
+from locfuse.fusion.checks.tried import Fixes
 from locfuse.fusion.data import Drive, Estimates, Evaluation, LocfuseError
 from locfuse.fusion.judge.covariance import honesty
 from locfuse.fusion.judge.evaluate import Align, evaluate, shape_error
@@ -44,6 +44,7 @@ class Trial:
     _last: tuple[Fixes, Loaded | None] = ((), None)  # the whole log under the fixes that were asked for last
     _logs: dict[Fixes, Loaded | None] = field(default_factory=dict)
     _scores: dict[tuple[Fixes, str], Score] = field(default_factory=dict)
+    _of_whole: dict[tuple[Fixes, str], Score] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Cut the log where all of it would take too long to fuse many times."""
@@ -66,6 +67,24 @@ class Trial:
                 self._scores[fixes, name] = score
             found[name] = self._scores[fixes, name]
         return found
+
+    def on_whole(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Score]:
+        """Return the scores of these configurations on the whole drive, also where its beginning is tried."""
+        left = [name for name in names if (fixes, name) not in self._of_whole]
+        loaded = self.whole_under(fixes) if left else None
+        for name in left:
+            if loaded is None:
+                return {}
+            self.progress(f"trying {' '.join(fixes) or 'the settings as they are'} with {name} on the whole drive")
+            score = self._score(loaded, self.configurations[name])
+            if score is None:
+                return {}
+            self._of_whole[fixes, name] = score
+        return {name: self._of_whole[fixes, name] for name in names}
+
+    def of_whole(self, name: str, score: Score) -> None:
+        """Take the score of a configuration on the whole drive under the settings as they are."""
+        self._of_whole[(), name] = score
 
     def seed(self, fixes: Fixes, compared: Compared) -> None:
         """Take scores from a comparison under these settings, which need not be fused again."""
@@ -152,4 +171,5 @@ def score_of(judged: Evaluation, shape: float | None = None) -> Score:
         None if found is None else found.bounds,
         lost=judged.lost_share,
         shape=shape,
+        heading=judged.figures.get("heading_rmse_deg"),
     )

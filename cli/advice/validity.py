@@ -43,16 +43,16 @@ def add_validity(
     doubts = [d for d in _doubts(report, advised) if d["code"] != JUMP or JUMP not in void]
     report["validity"] = [*_once(found), *doubts]
     if found and all("void" in values for values in report["configurations"].values()):
-        _withdraw_verdicts(report)
+        report["credit"] = None
+        _withdraw_verdicts(report, "All errors of this log are void.")
+    elif doubts:
+        _withdraw_verdicts(report, f"No sensor is judged while this is open: {doubts[0]['message']}.")
 
 
-def _withdraw_verdicts(report: dict[str, Any]) -> None:
-    """Take verdicts back that rest on void errors, and what a mean over several logs would count of them."""
-    if report.get("credit") is None:
-        return  # they rest on what sensors predict, not on errors
-    report["credit"] = None
+def _withdraw_verdicts(report: dict[str, Any], words: str) -> None:
+    """Take the verdicts back: what is void or doubtful speaks against no sensor, and for none."""
     for verdict in report.get("verdicts", {}).values():
-        verdict.update(verdict="no verdict", words="All errors of this log are void.")
+        verdict.update(verdict="no verdict", words=words)
 
 
 def _doubts(report: dict[str, Any], advised: Advised | None) -> list[dict[str, Any]]:

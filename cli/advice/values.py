@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.checks.score import Score
-from locfuse.fusion.checks.search import Advice, together
+from locfuse.fusion.checks.tried import Advice, together
 
 from .advised import Advised
 
@@ -25,7 +25,7 @@ def add_findings(report: dict[str, Any], advised: Advised | None) -> None:
     by_role: dict[tuple[str, bool], list[Advice]] = {}
     for advice in advised.advice:
         by_role.setdefault((advice.finding.role, advice.helps), []).append(advice)
-    report["findings"] = [_finding(_joined(found), advised.until) for found in by_role.values()]
+    report["findings"] = [_finding(_joined(found)) for found in by_role.values()]
     report["fixes"] = list(advised.fixes)
 
 
@@ -79,14 +79,13 @@ def _keys(fixes: Iterable[str]) -> set[str]:
     return {fix.partition("=")[0] for fix in fixes}
 
 
-def _finding(advice: Advice, until: float | None) -> dict[str, Any]:
+def _finding(advice: Advice) -> dict[str, Any]:
     name, tried = advice.shown_by, None
     if name is not None and advice.before is not None and advice.after is not None:
         tried = {
             "configuration": name,
             "before": _score(advice.before[name]),
             "after": _score(advice.after[name]),
-            "until_s": until,
         }
     return {
         "role": advice.finding.role,
@@ -106,4 +105,5 @@ def _score(score: Score) -> dict[str, float | None]:
         "anees": score.anees,
         "prediction_nats": score.prediction,
         "lost_share": score.lost,
+        "heading_rmse_deg": score.heading,
     }

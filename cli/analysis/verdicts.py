@@ -90,11 +90,11 @@ def _credit_words(c: SensorCredit, credit: Credit, over: str) -> str:
     main = c.credit or c.alone or c.last
     if main is None:
         return "No two configurations differ by it alone. Run all subsets: --all-subsets"
-    parts = [_main_words(c, main, len(credit.sensors) > 1, _few(credit.logs, over))]
-    if c.credit is not None and c.last is not None and len(credit.sensors) > 1:
+    several, by_last = len(credit.sensors) > 1, _judged_by_last(c, main)
+    # what hurts beside the others may help on average: only what the grade rests on is said
+    parts = [] if by_last else [_main_words(c, main, several, _few(credit.logs, over))]
+    if c.last is not None and several and (by_last or c.credit is not None):
         parts.append(_last_words(c.last))
-    if _judged_by_last(c, main):
-        parts.reverse()  # what the grade rests on comes first
     if c.anees is not None and overconfident(c.anees):
         parts.append(
             f"Overconfident: errors are {short(c.anees[1] ** 0.5)} times what the filter claims with it, "
@@ -119,7 +119,7 @@ def _main_words(c: SensorCredit, main: Effect, several: bool, few: str) -> str:
         if min(-main.low, main.high) > MAX_UNSURE:
             return f"{what} {few}"
         return f"{what} The filter gives it almost no weight, so this change is probably chance." if sure else what
-    return what if sure or _judged_by_last(c, main) else f"{what} {few}"
+    return what if sure else f"{what} {few}"
 
 
 def _plausible(effect: Effect) -> str:

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+SAME_TURN = 0.2  # of a heading error: a smaller change is not said
 SAME_NATS = 0.02  # nats per number: predictions that differ by less are equal
 
 
@@ -65,14 +66,16 @@ def _effect(tried: Mapping[str, Any]) -> str:
     if before["position_rmse_m"] is not None:
         whose = "error of the path's shape" if before.get("aligned") else "error"
         parts.append(f"{whose} {length(before['position_rmse_m'])} -> {length(after['position_rmse_m'])}")
+    turned = [values.get("heading_rmse_deg") for values in (before, after)]
+    if turned[0] and turned[1] is not None and abs(turned[0] - turned[1]) > SAME_TURN * turned[0]:
+        parts.append(f"heading {turned[0]:.2g}° -> {turned[1]:.2g}°")
     if before["anees"] and after["anees"]:
         parts.append(f"ANEES {_ratio(before['anees'])} -> {_ratio(after['anees'])}")
     if before["prediction_nats"] is not None:
         gained = after["prediction_nats"] - before["prediction_nats"]
         same = abs(gained) < SAME_NATS
         parts.append("prediction as before" if same else f"prediction {gained:+.2f} nats per number")
-    until = f", first {tried['until_s']:.0f} s" if tried.get("until_s") else ""
-    return f"{tried['configuration']}{until}: {', '.join(parts)}"
+    return f"{tried['configuration']}: {', '.join(parts)}"
 
 
 def _ratio(value: float) -> str:

@@ -150,6 +150,7 @@ class Trial(Struct):
     anees: Figure
     prediction_nats: Figure  # nats per number of sensors that only listened; only without truth
     lost_share: Share  # of the drive
+    heading_rmse_deg: Figure
 
 
 class Tried(Struct):
@@ -158,7 +159,6 @@ class Tried(Struct):
     configuration: str
     before: Trial
     after: Trial
-    until_s: Figure  # only the beginning was tried, up to here; null: all of the drive
 
 
 class ReportedFinding(Struct):

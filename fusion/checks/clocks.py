@@ -1,18 +1,20 @@
-"""Checks of the clocks: does each sensor's clock agree with the wheels', or with another sensor's?
+"""Checks of the clocks: every two of them are compared, and the fewest wrong ones that explain it are named.
 
-Turning is compared for sensors, speed for the truth, at every lag. Wheels slip: over a lap of the paper's robot
-they tell a lag to 7 ms at best (docs/trust.md). Two sensors see the same turning, slips and all: so a clock that
-the wheels contradict is held against those that they do not.
+Turning is compared for sensors and for a truth with headings, speed for one without, at every lag. Wheels slip:
+over a lap of the paper's robot they show a lag to 7 ms at best (docs/trust.md), and slips move the lags of all
+sensors alike. Two sensors see the same turning, slips and all. So the truth is a clock like any other: where two
+sensors are equally late against it, and in time with the wheels, its clock is the one that is off.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
+from itertools import combinations
+from typing import Any, NamedTuple
 
 import numpy as np
-from msgspec.structs import replace
 
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Truth
 from locfuse.fusion.robot import Robot
@@ -21,41 +23,175 @@ from locfuse.fusion.truth import body_poses
 from locfuse.fusion.wheels.motion import Wheels
 
 from .finding import Finding
-from .lag import MIN_LAG_S, Lag, Reference, by_wheels, find_lag, worth_saying
+from .lag import SAID_SIGMAS, Lag, Reference, by_wheels, find_lag
 
 WINDOW_S = 1.0  # s over which ways are compared
 MAX_LAG_S, LAG_STEP_S = 1.5, 0.02  # s
 MIN_TRUTH_LAG_S, MAX_MISFIT_RATIO, MIN_CORRELATION = 0.06, 0.75, 0.9
 SEVERE_LAG_S = 0.1  # s: at half a metre per second and a radian per second this is centimetres and degrees
 MAX_STAMPED_RATIO = 0.85  # of the misfits as stamped and shifted: nearer to 1 they say nothing of the clock
-SAME_LAG_S = 0.05  # s: lags that differ by less are one
+MIN_LAG_S = 0.01  # s: a smaller lag is not named
+SPEED_SIGMA_S = 0.03  # s, 1 sigma of a lag that speeds or places tell
+MODEL_SIGMA_S = 0.002  # s, 1 sigma of what two clocks differ by beside what their readings show
+RELUCTANCE = {"truth": 0.1, "wheels": 0.2}  # of chi-square: who is accused last where it could be any of them
+NEAR = 4.0  # of chi-square: explanations that differ by less are as good as each other
+CLOCK = "lag"  # code of the finding on one
+LASER = "lrf"
+MAX_WRONG = 3  # clocks of one log
+RUN_BY_WHEELS = 0.1  # of the wheels' lag, by which a laser's run may be late too
+AS_STAMPED = Lag(0.0, 1.0, 1.0)
+Pair = tuple[str, str]  # two clocks
+
+
+class Clock(NamedTuple):
+    """A clock that the others say is off."""
+
+    name: str
+    offset: float  # s to add to its stamps
+    sigma: float  # s
+    against: tuple[str, ...]  # the clocks that it was compared with
 
 
 def of_clocks(drive: Drive, robot: Robot) -> list[Finding]:
-    """Return the streams whose clock is off, with the offset that they need; where all are, it is the wheels'."""
-    lags = clock_lags(drive.measurements, drive.wheels)
-    late = {name: lag for name, lag in lags.items() if worth_saying(lag)}
-    truth = truth_lag(drive)
+    """Return the streams whose clock is off, with the offset that they need."""
+    explanations = wrong_clocks(differences(drive, robot), SAID_SIGMAS)
+    if not explanations:
+        return []
+    equal = [other for (other,) in (e for e in explanations[1:] if len(e) == 1)]
+    found = []
+    for clock in explanations[0]:
+        rival = equal[0] if len(explanations[0]) == 1 and equal else None
+        words = clock_words(clock)
+        if rival is not None:
+            words += f"; no third clock says which of the two is off: {offset_of(rival, robot, 2)} is equal"
+        severe = abs(clock.offset) > SEVERE_LAG_S
+        digits = 2 if clock.sigma > MIN_LAG_S else 3
+        found.append(Finding(clock.name, CLOCK, words, (offset_of(clock, robot, digits),), severe))
+    return found
+
+
+def clock_words(clock: Clock) -> str:
+    """Return "stamps look 0.12 s late (1 sigma: 0.005 s) against the wheels and the compass"."""
+    side = "late" if clock.offset < 0.0 else "early"
+    *most, last = (f"the {name}" for name in clock.against)
+    whom = f"{', '.join(most)} and {last}" if most else last
+    size = f"{abs(clock.offset):.{2 if abs(clock.offset) > SEVERE_LAG_S else 3}f}"
+    return f"stamps look {size} s {side} (1 sigma: {clock.sigma:.3f} s) against {whom}"
+
+
+def offset_of(clock: Clock, robot: Robot, digits: int = 3, sigmas: float = 0.0) -> str:
+    """Return the setting that sets a clock right, or one `sigmas` of its standard deviations beside that."""
+    tables: dict[str, Any] = {"wheels": robot.wheels, "truth": robot.truth}
+    now = float((tables.get(clock.name) or robot.settings(clock.name)).time_offset)
+    return f"{clock.name}.time_offset={now + clock.offset + sigmas * clock.sigma:z.{digits}f}"
+
+
+def differences(drive: Drive, robot: Robot, runs: Iterable[Estimates] = ()) -> dict[Pair, Lag]:
+    """Return what has to be added to the first clock's stamps of every pair so that it agrees with the second.
+
+    `runs` may hold the laser's own: its map holds the heading at each scan, which shows its clock better. It goes
+    by the wheels too, and is late by a part of what they are.
+    """
+    wheels, truth = drive.wheels, drive.truth
+    turned = {name: h for name, m in drive.measurements.items() if (h := _heading(name, m)) is not None}
+    base = LASER if wheels.matched is not None else "wheels"  # there the scans are the motion
+    found = {(name, base): find_lag(*h, by_wheels(wheels)) for name, h in turned.items() if name != base}
+    by_run = next((e for e in runs if e.sensors == (LASER,) and not e.smoothed and not e.lost), None)
+    for one, other in combinations(turned, 2):
+        found[one, other] = _between_two(turned[one], turned[other], wheels)
+    if by_run is not None:
+        headings = Truth("", by_run.t, by_run.pose[:, :2], by_run.pose[:, 2])
+        of_run = {s: lag for s, lag in lags_by_truth(drive, headings).items() if s != LASER}
+        found = {pair: lag for pair, lag in found.items() if not {LASER, *of_run}.issuperset(pair)}
+        found |= {(s, LASER): _of_a_run(lag, found.get((LASER, base))) for s, lag in of_run.items()}
     if truth is not None:
-        lags["truth"] = truth
-        late |= {"truth": truth} if off_by(truth) else {}
-    offsets = [lag.offset for lag in late.values()]
-    if len(late) > 1 and len(late) == len(lags) and np.ptp(offsets) < SAME_LAG_S:
-        return [_wheels(float(np.mean(offsets)), list(late), robot)]
-    if truth is not None and list(late) == ["truth"] and (witnesses := _on_truths_clock(drive, robot, truth)):
-        return [_wheels(truth.offset, ["truth", *witnesses], robot)]
-    if list(late) == list(lags) == ["truth"]:
-        return [_either(late["truth"], robot)]
-    return [_stream(name, lag, robot) for name, lag in late.items()]
+        by_motion = truth_lag(drive)
+        found |= {(name, "truth"): lag for name, lag in lags_by_truth(drive, truth).items()}
+        own = None if by_run is None else lag_of_run(drive, truth, by_run)
+        if own is not None:
+            found[LASER, "truth"] = _of_a_run(own, by_motion)
+        found["truth", base] = by_motion
+        found |= dict.fromkeys(_on_truths_clock(drive, robot, by_motion), AS_STAMPED)
+    return {pair: _known(lag, pair) for pair, lag in found.items() if lag is not None}
 
 
-def _on_truths_clock(drive: Drive, robot: Robot, lag: Lag) -> list[str]:
-    """Return the sensors whose readings fit the truth as it is stamped clearly better than shifted to the wheels.
+def _known(lag: Lag, pair: Pair) -> Lag:
+    """Return a lag with the sigma that two clocks' difference has; by speed alone only a clear one is a lag."""
+    if math.isfinite(lag.sigma):
+        return lag._replace(sigma=math.hypot(lag.sigma, MODEL_SIGMA_S))
+    return lag._replace(offset=lag.offset if off_by(lag) else 0.0, sigma=SPEED_SIGMA_S)
+
+
+def _of_a_run(lag: Lag, by_wheels: Lag | None) -> Lag:
+    """Return the lag of a run with the sigma that wheels which are late give it."""
+    drawn = 0.0 if by_wheels is None else RUN_BY_WHEELS * by_wheels.offset
+    return lag._replace(sigma=math.hypot(lag.sigma, drawn))
+
+
+def _between_two(one: tuple[Array, Array], other: tuple[Array, Array], wheels: Wheels) -> Lag | None:
+    """Return what to add to the stamps of one heading so that it turns with the other: the surer of both ways."""
+    spans = [(float(t[0]), float(t[-1])) for t, _ in (one, other)]
+    there = find_lag(*one, Reference(partial(_interpolated, *other), spans[1], wheels.heading))
+    back = find_lag(*other, Reference(partial(_interpolated, *one), spans[0], wheels.heading))
+    found = [there, None if back is None else back._replace(offset=-back.offset)]
+    return min((lag for lag in found if lag is not None), key=lambda lag: lag.sigma, default=None)
+
+
+def wrong_clocks(pairs: Mapping[Pair, Lag], sigmas: float, least: float = MIN_LAG_S) -> list[tuple[Clock, ...]]:
+    """Return the fewest clocks that explain the differences if they are off, best explanation first; [] for none.
+
+    A clock that is off costs the square of `sigmas`; others that explain as much are returned too. With three
+    clocks the one that two others contradict is off; of two clocks alone nobody knows. Lags against wheels that
+    slip have one cause of error, so that several are no surer than one. Lags below `least` [s] are not named.
+    """
+    names = sorted({name for pair in pairs for name in pair})
+    number = {name: sum(name in pair for pair in pairs) for name in names}
+    of_wheels = max(number.get("wheels", 1), 1) ** 0.5
+    sizes = {p: lag.sigma * (of_wheels if "wheels" in p else 1.0) for p, lag in pairs.items()}
+    found: list[tuple[float, tuple[Clock, ...]]] = []
+    for count in range(min(len(names), MAX_WRONG + 1)):
+        for off in combinations(names, count):
+            chi, clocks = _explained(pairs, sizes, off)
+            cost = chi + sigmas**2 * count + sum(RELUCTANCE.get(name, 0.0) for name in off)
+            found.append((cost, clocks))
+    found.sort(key=lambda one: one[0])
+    best = [clocks for cost, clocks in found if cost < found[0][0] + NEAR]
+    if not best or not best[0]:
+        return []
+    named = (tuple(c for c in clocks if abs(c.offset) >= least) for clocks in best)
+    return [clocks for clocks in named if clocks]
+
+
+def _explained(
+    pairs: Mapping[Pair, Lag], sizes: Mapping[Pair, float], off: Sequence[str]
+) -> tuple[float, tuple[Clock, ...]]:
+    """Return chi-square of the differences if these clocks are off, and by how much (least squares)."""
+    rows = [p for p in pairs if p[0] in off or p[1] in off]
+    A = np.array([[(p[0] == name) - float(p[1] == name) for name in off] for p in pairs]).reshape(
+        len(pairs), len(off)
+    )
+    y, w = np.array([lag.offset for lag in pairs.values()]), np.array([1.0 / sizes[p] for p in pairs])
+    x, _, rank, _ = np.linalg.lstsq(A * w[:, None], y * w, rcond=None)
+    if rank < len(off):
+        return math.inf, ()
+    rest = (y - A @ x) * w
+    chi = float(rest @ rest)
+    worse = max(1.0, chi / max(1, len(y) - len(off)))
+    C = np.linalg.inv((A * w[:, None]).T @ (A * w[:, None])) * worse if len(off) else np.zeros((0, 0))
+    against = {name: [q for p in rows for q in p if name in p and q not in off] for name in off}
+    return chi, tuple(
+        Clock(name, float(x[i]), math.sqrt(float(C[i, i])), tuple(dict.fromkeys(against[name])))
+        for i, name in enumerate(off)
+    )
+
+
+def _on_truths_clock(drive: Drive, robot: Robot, lag: Lag | None) -> list[Pair]:
+    """Return the sensors, each with the truth, whose readings fit it as stamped clearly better than shifted.
 
     They know places, not turning: landmarks. A robot that follows its commands late looks like a late truth.
     """
     truth = drive.truth
-    if truth is None or truth.theta is None:
+    if truth is None or truth.theta is None or lag is None or abs(lag.offset) < MIN_LAG_S:
         return []
     found = []
     for name, every in drive.measurements.items():
@@ -67,31 +203,8 @@ def _on_truths_clock(drive: Drive, robot: Robot, lag: Lag) -> list[str]:
         ]
         stamped, shifted = spreads
         if stamped is not None and shifted is not None and stamped < MAX_STAMPED_RATIO * shifted:
-            found.append(name)
+            found.append((name, "truth"))
     return found
-
-
-def _stream(name: str, lag: Lag, robot: Robot) -> Finding:
-    settings = robot.truth if name == "truth" else robot.settings(name)
-    offset = settings.time_offset + lag.offset
-    fix = f"{name}.time_offset={offset:z.2f}"
-    return Finding(name, "lag", in_words(lag), (fix,), abs(lag.offset) > SEVERE_LAG_S)
-
-
-def _either(lag: Lag, robot: Robot) -> Finding:
-    """Return the finding of two clocks that differ where no third one says which of them is off."""
-    found = _stream("truth", lag, robot)
-    same = f"wheels.time_offset={robot.wheels.time_offset - lag.offset:z.2f}"
-    return replace(found, message=f"{found.message}; no third clock says which of the two is off: {same} is equal")
-
-
-def _wheels(offset: float, names: list[str], robot: Robot) -> Finding:
-    late = "late" if offset < 0 else "early"
-    words = (
-        f"{' and '.join(names)} look equally {late} against them, {abs(offset):.2f} s: the wheels' clock is off"
-    )
-    fix = f"wheels.time_offset={robot.wheels.time_offset - offset:z.2f}"
-    return Finding("wheels", "lag", words, (fix,), abs(offset) > SEVERE_LAG_S)
 
 
 def lags_by_truth(drive: Drive, truth: Truth | None) -> dict[str, Lag]:
@@ -129,7 +242,9 @@ def _by_headings(drive: Drive, truth: Truth | None) -> Reference | None:
     if truth is None or truth.theta is None or len(truth.t) < MIN_READINGS:
         return None
     span = (float(truth.t[0]), float(truth.t[-1]))
-    return Reference(partial(_between, truth.t, np.unwrap(truth.theta)), span, drive.wheels.heading, wanders=False)
+    return Reference(
+        partial(_interpolated, truth.t, np.unwrap(truth.theta)), span, drive.wheels.heading, wanders=False
+    )
 
 
 def off_by(lag: Lag) -> bool:
@@ -179,12 +294,7 @@ def clock_lags(measurements: Mapping[str, Measurements], wheels: Wheels) -> dict
     """Return how far each sensor's clock is from the wheels', from the first minutes of the drive."""
     turned = {name: heading for name, m in measurements.items() if (heading := _heading(name, m)) is not None}
     found = {name: find_lag(*heading, by_wheels(wheels)) for name, heading in turned.items()}
-    lags = {name: lag for name, lag in found.items() if lag is not None}
-    right = {name: turned[name] for name, lag in lags.items() if abs(lag.offset) < MIN_LAG_S}
-    return {
-        name: _sharper(lag, turned[name], right, wheels) if worth_saying(lag) else lag
-        for name, lag in lags.items()
-    }
+    return {name: lag for name, lag in found.items() if lag is not None}
 
 
 def _heading(name: str, m: Measurements) -> tuple[Array, Array] | None:
@@ -199,26 +309,5 @@ def _heading(name: str, m: Measurements) -> tuple[Array, Array] | None:
     return (t[known], angle[known]) if known.sum() >= MIN_READINGS else None
 
 
-def _sharper(lag: Lag, own: tuple[Array, Array], right: Mapping[str, tuple[Array, Array]], wheels: Wheels) -> Lag:
-    """Return the lag against whose turning agrees best: the wheels', or that of a sensor."""
-    lags = [lag]
-    for name, (t, heading) in right.items():
-        span = (float(t[0]), float(t[-1]))
-        found = find_lag(*own, Reference(partial(_between, t, heading), span, wheels.heading))
-        if found is not None:
-            lags.append(found._replace(against=name))
-    return max(lags, key=lambda lag: lag.correlation)
-
-
-def _between(t: Array, heading: Array, at: Array) -> Array:
+def _interpolated(t: Array, heading: Array, at: Array) -> Array:
     return np.interp(at, t, heading)
-
-
-def in_words(lag: Lag) -> str:
-    """Return "stamps look 0.12 s late (1 sigma: 0.005 s) against the wheels (correlation ...)"."""
-    sigma = f" (1 sigma: {lag.sigma:.3f} s)" if math.isfinite(lag.sigma) else ""
-    whose = "the wheels" if lag.against == "wheels" else f"the {lag.against}, which agrees with the wheels"
-    return (
-        f"stamps look {abs(lag.offset):.2f} s {'late' if lag.offset < 0 else 'early'}{sigma} against {whose} "
-        f"(correlation {lag.without:.3f} as stamped, {lag.correlation:.3f} shifted)"
-    )

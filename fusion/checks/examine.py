@@ -21,9 +21,10 @@ from locfuse.fusion.wheels.repairs import gaps_of
 from .clocks import of_clocks
 from .compass import of_convention, tilted
 from .finding import Finding, Least
+from .iron import of_iron
 from .laser import laser_motion, of_laser, of_radius
 from .laser_driver import of_scatter
-from .truth import WHEEL_SCALE, metre, of_truth, wheels_metre
+from .truth import metre, of_truth, wheels_metre
 from .turning import Turning, aligned, of_track, of_turning, turnings
 
 MIN_READINGS = 10  # readings from which a sensor is judged
@@ -58,6 +59,7 @@ def examine(
     wrong_wheels = any(o.role == "wheels" and o.severe for o in turning)
     tilts = tilted(drive, robot, streams, by_wheels=not wrong_wheels, by_sensor=by_sensor)
     found += [*of_convention(drive, robot, streams), *tilts]
+    found += [] if tilts else of_iron(drive, robot, streams)
     found += [o for o in turning if o.role not in {t.role for t in tilts}]
     if wrong_wheels:
         return found  # nothing can be held against such wheels
@@ -66,8 +68,7 @@ def examine(
 
         found += of_handedness(drive, robot)
     scales = _scales(drive, robot, by_sensor, turning, least)
-    truth = of_truth(drive, robot, not any(o.code == WHEEL_SCALE for o in scales))
-    return [*found, *scales, *of_clocks(drive, robot), *truth]
+    return [*found, *scales, *of_clocks(drive, robot), *of_truth(drive, robot)]
 
 
 def scales(drive: Drive, robot: Robot, least: Least) -> list[Finding]:
@@ -93,7 +94,11 @@ def _scales(
     if radius and least is None:
         return radius  # one cause of what looks like a wrong track and a wrong range scale
     by_wheels = robot.wheels.radius is not None
-    track = of_track(robot.wheels, by_sensor, motion, factor, **named) if by_wheels else []
+    track = (
+        of_track(drive, robot.wheels, by_sensor, motion, factor if least is None else 1.0, **named)
+        if by_wheels
+        else []
+    )
     if track:
         scaled = [replace(o, fixes=o.fixes[:1]) for o in scaled]
     # who tries fixes tries all three

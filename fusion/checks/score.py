@@ -10,12 +10,15 @@ MAX_CHANCE_LOSS = 0.15  # relative, of the position error of a configuration tha
 MAX_RUIN, MAX_RUIN_NATS = 1.0, 0.2  # relative, nats per number: more than chance does to any configuration
 MAX_LN_ANEES_LOSS = 0.1  # by which ln ANEES may leave its chance range further where the error stays the same
 MIN_GAIN = 0.1  # relative gain of the position error
+MIN_TURN_DEG = 0.1  # by which a heading error must change, and by how much it may grow beside MAX_LOSS
 MIN_LN_ANEES_GAIN = 0.2  # by which ln ANEES must come nearer to its chance range
 MAX_SETTLED_SHARE = 0.5  # of the error before: a fix that leaves less is right, whatever chance does elsewhere
+MAX_TURNED_SHARE = 1.0 / 3.0  # of the heading error: a fix that takes more away is right
 MIN_GAIN_M = 2e-4  # m: smaller gains of the position error are none, however large their share
 MAX_LOSS_NATS, MIN_GAIN_NATS = 0.02, 0.05  # nats per number; a sigma 10 % off costs about 0.01, 50 % about 0.1
 MAX_CHANCE_LOSS_NATS = MIN_GAIN_NATS  # nats per number, of a configuration that nobody would keep
 MAX_LOST_SHARE = 0.005  # of the drive: by which being lost may grow
+WEIGHT_OF_HEADING = 0.5  # of a factor on the heading error, against one on the position error
 WEIGHT_OF_ANEES = 0.5  # of a factor on ANEES, against one on the position error
 
 
@@ -29,10 +32,11 @@ class Score(NamedTuple):
     lost: float = 0.0  # share of the drive
     shape: float | None = None  # m, position rmse of the path laid on the truth as a whole
     aligned: bool = False  # `position` is that of the shape
+    heading: float | None = None  # deg, heading rmse against truth
 
     def of_shape(self) -> Score:
         """Return the score of the path's shape alone: where it lies in the world does not count."""
-        return self._replace(position=self.shape, anees=None, bounds=None, aligned=True)
+        return self._replace(position=self.shape, anees=None, bounds=None, aligned=True, heading=None)
 
 
 def spoils(before: Score, after: Score, allowed: float = MAX_LOSS, allowed_nats: float = MAX_LOSS_NATS) -> bool:
@@ -46,10 +50,24 @@ def spoils(before: Score, after: Score, allowed: float = MAX_LOSS, allowed_nats:
         if after.position is None or after.position > before.position * (1.0 + allowed) + MAX_LOSS_M:
             return True
         much_smaller = after.position < (1.0 - MIN_GAIN) * before.position
+        if not much_smaller and _turns_worse(before, after, allowed):
+            return True
         return not much_smaller and _off(after) > _off(before) + MAX_LN_ANEES_LOSS
     if before.prediction is not None:
         return after.prediction is None or after.prediction < before.prediction - allowed_nats
     return False
+
+
+def _turns_worse(before: Score, after: Score, allowed: float) -> bool:
+    """Return whether the heading error grows by more than the share that is `allowed` and MIN_TURN_DEG."""
+    if before.heading is None or after.heading is None:
+        return False
+    return after.heading > (1.0 + allowed) * before.heading + MIN_TURN_DEG
+
+
+def turns_right(before: Score, after: Score) -> bool:
+    """Return whether the heading error falls by more than a third: no chance of one drive does that."""
+    return _turned(before, after) > -math.log(1.0 - MAX_TURNED_SHARE)
 
 
 def spoils_alone(before: Score, after: Score) -> bool:
@@ -87,13 +105,20 @@ def was_chance(before: Score, after: Score) -> bool:
     return _off(before) > MIN_LN_ANEES_GAIN and _off(after) == 0.0
 
 
+def leaves(before: Score, after: Score) -> bool:
+    """Return whether an ANEES that was within its chance range is so no longer."""
+    return before.bounds is not None and _off(before) == 0.0 and _off(after) > MAX_LN_ANEES_LOSS
+
+
 def improves(before: Score, after: Score) -> bool:
     """Return whether one figure gets notably better. An ANEES within its chance range has nothing to gain."""
     if before.lost - after.lost > MAX_LOST_SHARE:
         return True
     if before.position is not None and after.position is not None:
         less = before.position - after.position
-        if less > max(MIN_GAIN * before.position, MIN_GAIN_M):
+        if less > max(MIN_GAIN * before.position, MIN_GAIN_M) or (less >= 0.0 and _turned(before, after) > 0.0):
+            return True
+        if turns_right(before, after) and less >= -MAX_CHANCE_LOSS * before.position:
             return True
         nearer = _off(before) - _off(after)
         # and outweighs an error that grows: 220 and 176 are both far off
@@ -113,10 +138,25 @@ def settles(before: Score, after: Score) -> bool:
 def gain(before: Score, after: Score) -> float:
     """Return how much a fix is worth: ln of the factor on the position error, and half of that on ANEES."""
     if before.position is not None and after.position is not None:
-        return _less(before, after) + WEIGHT_OF_ANEES * (_off(before) - _off(after)) + before.lost - after.lost
+        turned = WEIGHT_OF_HEADING * _turned(before, after)
+        return (
+            _less(before, after)
+            + turned
+            + WEIGHT_OF_ANEES * (_off(before) - _off(after))
+            + before.lost
+            - after.lost
+        )
     if before.prediction is not None and after.prediction is not None:
         return after.prediction - before.prediction + before.lost - after.lost
     return 0.0
+
+
+def _turned(before: Score, after: Score) -> float:
+    """Return ln of how many times smaller the heading error gets, 0 where that is next to nothing."""
+    if before.heading is None or after.heading is None:
+        return 0.0
+    small = abs(before.heading - after.heading) < max(MIN_TURN_DEG, MIN_GAIN * before.heading)
+    return 0.0 if small else math.log(before.heading / max(after.heading, MIN_TURN_DEG))
 
 
 def _less(before: Score, after: Score) -> float:

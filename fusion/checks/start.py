@@ -13,7 +13,12 @@ from locfuse.fusion.robot import Robot
 
 from .finding import Finding
 
-MIN_START_ERROR_M, MIN_START_ERROR_RAD = 0.1, math.radians(5.0)
+SEVERE_START_ERROR_M, SEVERE_START_ERROR_RAD = 0.1, math.radians(5.0)
+MIN_START_ERROR_M, MIN_START_ERROR_RAD = (
+    0.02,
+    math.radians(1.0),
+)  # by poses; the shape of points tells it less exactly
+SIGMAS = 3.0  # standard deviations of the start, as it is configured and as it is told
 SHAPE_WAY_M, POSE_WAY_M = 3.0, 0.1  # m of the drive from which the start pose is told: by points, by poses
 MIN_SHAPE_EXTENT_M = 0.3  # m, extent of the points
 
@@ -26,17 +31,20 @@ def of_start(truth: Truth, drive: Drive, robot: Robot) -> list[Finding]:
     configured = np.array([robot.start.x, robot.start.y, math.radians(robot.start.theta_deg)])
     (x, y, theta), blur = fitted.pose.tolist(), fitted.sigma
     away, turn = math.hypot(x - configured[0], y - configured[1]), abs(se2.wrap(theta - configured[2]))
-    place = MIN_START_ERROR_M + 3.0 * math.hypot(robot.start.sigma_xy, fitted.way * blur) + 4.0 * truth.sigma
-    if away < place and turn < MIN_START_ERROR_RAD + 3.0 * math.hypot(
-        math.radians(robot.start.sigma_theta_deg), blur
-    ):
+    severe = away > SEVERE_START_ERROR_M or turn > SEVERE_START_ERROR_RAD
+    least = (MIN_START_ERROR_M, MIN_START_ERROR_RAD)
+    if truth.theta is None:
+        least = (SEVERE_START_ERROR_M, SEVERE_START_ERROR_RAD)
+    spread = robot.start.sigma_xy, fitted.way * blur, fitted.spread, truth.sigma
+    place = least[0] + SIGMAS * math.hypot(*spread)
+    if away < place and turn < least[1] + SIGMAS * math.hypot(math.radians(robot.start.sigma_theta_deg), blur):
         return []
     words = (
-        f"it starts {away:.2f} m and {math.degrees(turn):.0f} deg from where the drive starts; set the start, or "
+        f"it starts {away:.2f} m and {math.degrees(turn):.1f} deg from where the drive starts; set the start, or "
         "judge the shape only (--align origin)"
     )
     fixes = (f"start.x={x:.3f}", f"start.y={y:.3f}", f"start.theta_deg={math.degrees(theta):.1f}")
-    return [Finding("truth", "start", words, fixes, True)]
+    return [Finding("truth", "start", words, fixes, severe)]
 
 
 class Start(NamedTuple):
@@ -44,7 +52,8 @@ class Start(NamedTuple):
 
     pose: Array  # (3,) of the base at the first wheel reading
     way: float  # m of the drive from which it is told
-    sigma: float  # rad by which the wheels may have turned wrongly meanwhile
+    sigma: float  # rad by which the wheels may have turned wrongly meanwhile, or the truth's headings scatter
+    spread: float  # m by which the truth's places scatter
 
 
 def start_pose(truth: Truth, drive: Drive) -> Start | None:
@@ -68,9 +77,14 @@ def start_pose(truth: Truth, drive: Drive) -> Start | None:
         return None
     else:
         turn, metre = _laid_over(points, tracked)
-    place = np.median(tracked - metre * se2.rotated(np.full(len(points), turn), points), axis=0)
-    blur = math.sqrt(2.0 * wheels.noise * way) / wheels.track if truth.theta is None else 0.0
-    return Start(np.array([*place, se2.wrap(turn)]), way, blur)
+    places = tracked - metre * se2.rotated(np.full(len(points), turn), points)
+    place = np.median(places, axis=0)
+    if truth.theta is None:
+        blur = math.sqrt(2.0 * wheels.noise * way) / wheels.track
+    else:
+        blur = float(np.std(se2.wrap_all(turns - turn))) / math.sqrt(len(points))
+    spread = float(np.hypot(*(places - place).std(axis=0))) / math.sqrt(len(points))
+    return Start(np.array([*place, se2.wrap(turn)]), way, blur, spread)
 
 
 def _laid_over(points: Array, tracked: Array) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Truth
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import gap_limit
-from locfuse.fusion.wheels.calibrate import truth_sigma
+from locfuse.fusion.wheels.calibrate import Sigma, truth_sigma
 from locfuse.fusion.wheels.jumps import Mask, spikes
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.repairs import gaps_of, times
@@ -19,6 +19,7 @@ from locfuse.fusion.wheels.repairs import gaps_of, times
 from .finding import Finding, Least
 from .start import of_start
 
+STEP = "step"  # code of the finding on a truth that steps aside
 WHEEL_SCALE = "wheel scale"  # code of the finding on the wheels' metre
 MIN_READINGS = 5  # of a truth that is checked
 WINDOW_S = 1.0  # s over which ways are compared
@@ -29,21 +30,69 @@ MIN_SCALE_ERROR, SEVERE_SCALE_ERROR = 0.03, 0.05  # relative errors of the wheel
 WORTH_SAYING = Least(MIN_SCALE_ERROR, 3.0)
 MAX_JUMP_SHARE = 0.01  # of a truth's steps: with more jumps no error by it means anything
 JUMP_FACTOR, MIN_JUMP_M = 3.0, 0.3  # a step is a jump if it is this many times the wheels', and this much [m] more
-MIN_POINT_ERROR_M = 0.05  # m, of the tracked point
+MIN_POINT_ERROR_M, SEVERE_POINT_ERROR_M, POINT_SIGMAS = 0.01, 0.05, 4.0  # m; standard errors, of the tracked point
+MIN_STEP_M, STEP_SIGMAS, MAX_STEPS = 0.03, 12.0, 5  # m; times the usual difference from the wheels; steps in all
+MIN_STEPS, AROUND = 100, 5  # steps of a truth by which its noise is judged; readings before and after one
+CLIPPED_SIGMAS, NOISE_SIGMAS = 6.0, 5.0  # larger steps count as that; standard errors of a noise that is sure
 MIN_NOISE_M, MIN_NOISE_RAD = 0.001, math.radians(0.1)  # of a truth's poses; what is smaller changes no figure
 MIN_TURN_RAD = math.radians(60.0)
 
 
-def of_truth(drive: Drive, robot: Robot, same_metre: bool = True) -> list[Finding]:
-    """Check the ground truth. The tracked body point is estimated only if the wheel scale is plausible."""
+def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
+    """Check the ground truth: what it cannot judge, its noise, the point that was tracked, where it starts."""
     truth = drive.truth
     if truth is None or len(truth.t) < MIN_READINGS:
         return []
-    jumps = _jumps(drive)
-    point = _point(truth, drive) if same_metre else []
+    jumps = _jumps(drive) or _steps(truth, drive)
+    point = of_point(truth, drive, _by_wheels(truth, drive.wheels))
     # where a jump or another point is told, what it tells of the start is not the start
     start = [] if jumps or point else of_start(truth, drive, robot)
     return [*jumps, *_gaps(truth), *_noise(truth, drive), *point, *start]
+
+
+def _by_wheels(truth: Truth, wheels: Wheels) -> Array | None:
+    """Return the axle's path at the truth's stamps (n, 2) [m, map frame]: as far as rolled, along its headings.
+
+    The wheels' own turns, which slips spoil, have no part in it. None where the truth has no headings.
+    """
+    if truth.theta is None:
+        return None
+    theta = np.interp(wheels.t, truth.t, np.unwrap(truth.theta))
+    turn = np.diff(theta)
+    chord = wheels.twist[:, :2] * np.sinc(turn / (2.0 * np.pi))[:, None]
+    path = np.concatenate((np.zeros((1, 2)), np.cumsum(se2.rotated(theta[:-1] + 0.5 * turn, chord), axis=0)))
+    return np.stack([np.interp(truth.t, wheels.t, column) for column in path.T], axis=-1)
+
+
+def _inside(truth: Truth, wheels: Wheels) -> Mask:
+    """Return which of the truth's steps (n - 1,) lie within the drive and across no gap."""
+    usual = np.diff(truth.t) < gap_limit(truth.t)
+    within: Mask = usual & (truth.t[:-1] >= wheels.t[0]) & (truth.t[1:] <= wheels.t[-1])
+    return within
+
+
+def _steps(truth: Truth, drive: Drive) -> list[Finding]:
+    """Return where the truth steps aside within one of its periods and goes on from there; the robot does not."""
+    path = _by_wheels(truth, drive.wheels)
+    if path is None or truth.theta is None:
+        return []
+    body = truth.xy - se2.rotated(truth.theta, np.tile(truth.point, (len(truth.t), 1))) - path
+    step, inside = np.diff(body, axis=0), _inside(truth, drive.wheels)
+    size = np.hypot(*step.T)
+    if inside.sum() < MIN_STEPS:
+        return []
+    limit = max(MIN_STEP_M, STEP_SIGMAS * float(np.median(size[inside])))
+    found = []
+    for k in np.flatnonzero(inside & (size > limit)).tolist():
+        before, after = body[max(0, k - AROUND) : k + 1], body[k + 1 : k + 2 + AROUND]
+        stays = float(np.hypot(*(np.median(after, axis=0) - np.median(before, axis=0))))
+        if stays > 0.7 * float(size[k]):
+            found.append((float(truth.t[k + 1]), stays))
+    if not found or len(found) > MAX_STEPS:
+        return []  # so many are no steps of a truth: a robot that was carried, wheels that slipped
+    where = ", ".join(f"{away:.2f} m at {t:.1f} s" for t, away in found)
+    words = f"it steps aside by {where}, while the robot rolls on: errors after that are the truth's"
+    return [Finding("truth", STEP, words, (), True)]
 
 
 def _gaps(truth: Truth) -> list[Finding]:
@@ -56,18 +105,37 @@ def _gaps(truth: Truth) -> list[Finding]:
 
 
 def _noise(truth: Truth, drive: Drive) -> list[Finding]:
-    """The truth's scatter while the robot stands: unless it is set, ANEES takes it for an error of the filter.
-
-    No estimate depends on it.
-    """
-    seen = truth_sigma(truth, drive.wheels)
-    if truth.sigma or truth.sigma_theta or (seen.xy < MIN_NOISE_M and seen.theta < MIN_NOISE_RAD):
+    """The truth's scatter: unless it is set, ANEES takes it for an error. No estimate depends on it."""
+    rest, moving = truth_sigma(truth, drive.wheels), _scatter(truth, drive.wheels)
+    place, turn = max(rest.xy, moving.xy), max(rest.theta, moving.theta)
+    if truth.sigma or truth.sigma_theta or (place < MIN_NOISE_M and turn < MIN_NOISE_RAD):
         return []
-    words, fixes = f"{1e3 * seen.xy:.1f} mm", [f"truth.sigma={seen.xy:.2g}"]
-    if truth.theta is not None:
-        words += f" and {math.degrees(seen.theta):.2f}°"
-        fixes.append(f"truth.sigma_theta_deg={math.degrees(seen.theta):.2g}")
-    return [Finding("truth", "noise", f"its own noise is {words} (1 sigma, at rest)", tuple(fixes))]
+    words, fixes = f"{1e3 * place:.1f} mm", [f"truth.sigma={place:.2g}"]
+    if truth.theta is not None and turn >= MIN_NOISE_RAD:
+        words += f" and {math.degrees(turn):.2f}°"
+        fixes.append(f"truth.sigma_theta_deg={math.degrees(turn):.2g}")
+    return [Finding("truth", "noise", f"its own noise is {words} (1 sigma)", tuple(fixes))]
+
+
+def _scatter(truth: Truth, wheels: Wheels) -> Sigma:
+    """Return the noise of poses as neighbouring steps show it: what is off in one is taken back in the next.
+
+    Only across the way: along it stamps that jitter do the same. Zero where nothing is sure.
+    """
+    path, inside = _by_wheels(truth, wheels), _inside(truth, wheels)
+    if path is None or truth.theta is None or inside.sum() < MIN_STEPS:
+        return Sigma(0.0, 0.0)
+    step = se2.rotated(-truth.theta[:-1], np.diff(truth.xy - path, axis=0))[:, 1]
+    turn = np.diff(np.unwrap(truth.theta) - np.interp(truth.t, wheels.t, wheels.pose[:, 2]))
+    return Sigma(_taken_back(step[inside]), _taken_back(turn[inside]))
+
+
+def _taken_back(steps: Array) -> float:
+    """Return the sigma of white noise whose differences are these steps (n,), 0 where it is not sure."""
+    steps = np.clip(steps, *(np.array([-1.0, 1.0]) * CLIPPED_SIGMAS * float(np.median(np.abs(steps)))))
+    products = -steps[1:] * steps[:-1]
+    variance, sure = float(products.mean()), float(products.std()) / math.sqrt(len(products))
+    return math.sqrt(variance) if variance > NOISE_SIGMAS * sure else 0.0
 
 
 class Jumps(NamedTuple):
@@ -162,44 +230,50 @@ def metre(drive: Drive, robot: Robot, least: Least = WORTH_SAYING) -> tuple[floa
     return factor, [Finding("wheels", WHEEL_SCALE, words, tuple(fixes), abs(factor - 1.0) > SEVERE_SCALE_ERROR)]
 
 
-def _arc(wheels: Wheels, start: Array, end: Array, turn: Array) -> Array:
-    """Return the chords (k, 2) [m, base frame at the start] of arcs as long as rolled, which turn by `turn`."""
-    rolled = np.concatenate((np.zeros((1, 2)), np.cumsum(wheels.twist[:, :2], axis=0)))
-    way = np.stack([np.interp(end, wheels.t, r) - np.interp(start, wheels.t, r) for r in rolled.T], axis=-1)
-    return se2.rotated(0.5 * turn, way * np.sinc(turn / (2.0 * np.pi))[:, None])
-
-
-def _point(truth: Truth, drive: Drive) -> list[Finding]:
+def of_point(truth: Truth, drive: Drive, path: Array | None) -> list[Finding]:
     """Fit which body point was tracked: while the robot turns, a point off its axle swings.
 
-    With p(t) = base + R(theta) l, a step of the point seen in the base frame is d + (R(turn) - 1) l. The turn is
-    the truth's, and of the wheels only how far they rolled counts: were the turn theirs, its noise would stand on
-    both sides of the equation and look like a point behind the axle.
+    With p(t) = base + R(theta) l, a step of the point is that of the base's `path` (n, 2) [m] at the truth's
+    stamps, up to a factor, and (R(theta') - R(theta)) l. The path may be NaN where nothing is known of it.
     """
-    if truth.theta is None or np.ptp(np.unwrap(truth.theta)) < MIN_TURN_RAD:
+    if path is None or truth.theta is None or np.ptp(np.unwrap(truth.theta)) < MIN_TURN_RAD:
         return []
     wheels = drive.wheels
-    rows = np.flatnonzero((truth.t >= wheels.t[0]) & (truth.t + WINDOW_S <= min(wheels.t[-1], truth.t[-1])))
-    if len(rows) < 20:
+    last = np.searchsorted(truth.t, truth.t + WINDOW_S)
+    first = np.flatnonzero((last < len(truth.t)) & (truth.t >= wheels.t[0]))
+    known = (truth.t[last[first]] <= wheels.t[-1]) & np.isfinite(path[first] + path[last[first]]).all(axis=1)
+    first = first[known]
+    if len(first) < 20:
         return []
-    start, end = truth.t[rows], truth.t[rows] + WINDOW_S
-    heading = np.unwrap(truth.theta)
-    theta, turn = heading[rows], np.interp(end, truth.t, heading) - heading[rows]
-    later = np.stack([np.interp(end, truth.t, c) for c in truth.xy.T], axis=-1)
-    step = se2.rotated(-theta, later - truth.xy[rows])
-    c, s = np.cos(turn) - 1.0, np.sin(turn)
-    A = np.concatenate((np.stack((c, -s), axis=-1), np.stack((s, c), axis=-1)))
-    y = np.concatenate((step - _arc(wheels, start, end, turn)).T)
-    keep = np.ones(len(y), dtype=bool)
-    for _ in range(3):
-        x, *_ = np.linalg.lstsq(A[keep], y[keep], rcond=None)
-        rest = np.abs(y - A @ x)
-        keep = rest <= 4.0 * max(float(np.median(rest)), 1e-4)
+    last = last[first]
+    c, s = (
+        np.cos(truth.theta[last]) - np.cos(truth.theta[first]),
+        np.sin(truth.theta[last]) - np.sin(truth.theta[first]),
+    )
+    rolled, y = path[last] - path[first], truth.xy[last] - truth.xy[first]
+    A = np.stack((np.stack((c, -s, rolled[:, 0]), axis=-1), np.stack((s, c, rolled[:, 1]), axis=-1)), axis=1)
+    x = _robust(A, y)
+    parts = np.array_split(np.arange(len(y)), STRETCHES)
+    others = np.array([_robust(np.delete(A, part, axis=0), np.delete(y, part, axis=0)) for part in parts])
+    sigma = float(np.hypot(*others[:, :2].std(axis=0))) * math.sqrt(STRETCHES - 1)
     configured = np.array(truth.point)
-    if float(np.hypot(*(x - configured))) < MIN_POINT_ERROR_M or (A[keep] ** 2).sum() < 1.0:
+    away = float(np.hypot(*(x[:2] - configured)))
+    if away < max(MIN_POINT_ERROR_M, POINT_SIGMAS * sigma) or (A[:, :, :2] ** 2).sum() < 1.0:
         return []
     words = (
-        f"it swings as the body point ({x[0]:.2f}, {x[1]:.2f}) m does, not "
+        f"it swings as the body point ({x[0]:.3f}, {x[1]:.3f}) m does (1 sigma {sigma:.3f}), not "
         f"({configured[0]:g}, {configured[1]:g}): a tracked marker off the axle"
     )
-    return [Finding("truth", "body point", words, (f"truth.x={x[0]:.3f}", f"truth.y={x[1]:.3f}"), True)]
+    fixes = (f"truth.x={x[0]:.3f}", f"truth.y={x[1]:.3f}")
+    return [Finding("truth", "body point", words, fixes, away > SEVERE_POINT_ERROR_M)]
+
+
+def _robust(A: Array, y: Array) -> Array:
+    """Return the least squares (3,) of steps y (n, 2) by A (n, 2, 3), without those that do not fit."""
+    keep = np.ones(len(y), dtype=bool)
+    x: Array = np.zeros(3)
+    for _ in range(3):
+        x = np.asarray(np.linalg.lstsq(A[keep].reshape(-1, 3), y[keep].ravel(), rcond=None)[0])
+        rest = np.hypot(*(y - A @ x).T)
+        keep = rest <= 4.0 * max(float(np.median(rest)), 1e-4)
+    return x

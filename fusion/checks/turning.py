@@ -32,6 +32,9 @@ SEVERE_TRACK_ERROR = 0.06
 WORTH_SAYING = Least(MIN_TRACK_ERROR, MIN_SIGMAS)
 MIN_ROLL_SPREAD_M = 1e-3  # m per window
 MAX_READINGS = 3000
+GYRO_SCALE_SIGMA = 0.01  # 1 sigma of a gyro's scale
+CHORD_M, PIECE_RAD, MIN_PIECES = 0.3, 1.5, 6  # m of a direction of travel; rad that the wheels turn in a piece
+MIN_SLOPE, MAX_SLOPE_SIGMA = 0.3, 0.05  # of the truth's turns per the wheels': less, or less sure, is no track
 
 
 class Turning(msgspec.Struct, frozen=True):
@@ -181,46 +184,85 @@ def _toml(value: str | float | bool) -> str:
 
 
 def of_track(
+    drive: Drive,
     settings: WheelSettings,
     by_sensor: Mapping[str, Turning],
     motion: Motion | None,
     metre: float = 1.0,
     least: Least = WORTH_SAYING,
 ) -> list[Finding]:
-    """Hold the track against the laser's walls, else against the compass; a gyro's scale is not known any better.
+    """Hold the track against the truth, else the laser's walls, the compass, or a gyro, whose scale may be off.
 
     `metre` is by how much another fix will scale the wheels' metre: the track follows. A track that is off by less
-    than `least` is not named.
+    than `least` is not named; slips, which turn the robot by chance, are part of its sigma.
     """
     configured = settings.track
-    found = _observed_track(configured or 0.0, by_sensor, motion)
+    found = _observed_track(configured or 0.0, drive, by_sensor, motion)
     if configured is None or found is None:
         return []
-    track, sigma, by = metre * found[0], metre * found[1], found[2]
+    track, own, by = metre * found[0], metre * found[1], found[2]
     off = track / (metre * configured) - 1.0
-    anywhere = sigma if motion is None else max(sigma, track * motion.by_slips)
-    # who tries the fix sees what it does on this drive; who does not needs more than slips can do
-    slips = anywhere if least == WORTH_SAYING else 0.0
-    if abs(off) < max(least.error + least.sigmas * sigma / track, least.sigmas * slips / track):
+    sigma = max(own, track * (0.0 if motion is None else motion.by_slips))
+    if abs(off) < max(least.error + least.sigmas * own / track, least.sigmas * sigma / track):
         return []
     words = (
-        f"the track is {configured:g} m, but the turning of {by} says {track:.3f} m (1 sigma {anywhere:.3f}); "
+        f"the track is {configured:g} m, but the turning of {by} says {track:.3f} m (1 sigma {sigma:.3f}); "
         "or let the filter find it (wheels.estimate=true)"
     )
-    return [Finding("wheels", "track", words, (f"wheels.track={track:.3f}",), abs(off) > SEVERE_TRACK_ERROR)]
+    return [Finding("wheels", "track", words, (f"wheels.track={track:.4g}",), abs(off) > SEVERE_TRACK_ERROR)]
 
 
 def _observed_track(
-    configured: float, by_sensor: Mapping[str, Turning], motion: Motion | None
+    configured: float, drive: Drive, by_sensor: Mapping[str, Turning], motion: Motion | None
 ) -> tuple[float, float, str] | None:
     """Return a track, its sigma, and who says so."""
+    turns = turns_by_truth(drive)
+    if turns is not None:
+        return configured / turns[0], configured * turns[1] / turns[0] ** 2, "the truth"
     if motion is not None and motion.turns is not None and math.isfinite(motion.turns_sigma):
         return configured / motion.turns, configured * motion.turns_sigma / motion.turns**2, "the laser's walls"
-    t = by_sensor.get("compass")
-    if t is None or t.a - t.b <= 0.0:
+    for name, scale_sigma in (("compass", 0.0), ("gyro", GYRO_SCALE_SIGMA)):
+        t = by_sensor.get(name)
+        if t is not None and t.a - t.b > 0.0:
+            track = 2.0 / (t.a - t.b)
+            return track, track * math.hypot(t.sigma / (t.a - t.b), scale_sigma), f"the {name}"
+    return None
+
+
+def turns_by_truth(drive: Drive) -> tuple[float, float] | None:
+    """Return the robot's turn per turn of the wheels, by the truth, and its sigma; None where it hardly turned.
+
+    A truth of points tells the direction of travel. Turns are summed over pieces of the way: each slips by itself.
+    """
+    truth, wheels = drive.truth, drive.wheels
+    if truth is None:
         return None
-    track = 2.0 / (t.a - t.b)
-    return track, track * t.sigma / (t.a - t.b), "the compass"
+    rows = np.flatnonzero((truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1]))
+    pose = wheels.at(truth.t[rows])[2]
+    if truth.theta is not None:
+        own, at = np.unwrap(truth.theta[rows]), truth.t[rows]
+        turned = wheels.heading(at)
+    else:
+        way = np.hypot(*np.diff(pose[:, :2], axis=0).T).cumsum()
+        first = np.unique(np.searchsorted(way, np.arange(0.0, way[-1] if len(way) else 0.0, CHORD_M)))
+        seen, rolled = (np.diff(xy[first], axis=0) for xy in (truth.xy[rows], pose[:, :2]))
+        direction = [np.unwrap(np.arctan2(d[:, 1], d[:, 0])) for d in (seen, rolled)]
+        own, turned = direction
+    if len(own) < MIN_PIECES + 1:
+        return None
+    piece = np.cumsum(np.abs(np.diff(turned, prepend=turned[0])))
+    ends = np.unique(np.searchsorted(piece, np.arange(0.0, piece[-1], PIECE_RAD)))
+    x, y = np.diff(turned[ends]), np.diff(own[ends])
+    if len(x) < MIN_PIECES or float(x @ x) <= 0.0:
+        return None
+    keep = np.ones(len(x), dtype=bool)
+    for _ in range(3):
+        slope = float(x[keep] @ y[keep]) / float(x[keep] @ x[keep])
+        rest = np.abs(y - slope * x)
+        keep = rest <= 4.0 * max(float(np.median(rest)), 1e-3)
+    rest = (y - slope * x)[keep]
+    sigma = math.sqrt(float(rest @ rest) / max(1, len(rest) - 1) / float(x[keep] @ x[keep]))
+    return (slope, sigma) if slope > MIN_SLOPE and sigma < MAX_SLOPE_SIGMA else None
 
 
 def _dead_wheel(wheels: Wheels) -> list[Finding]:

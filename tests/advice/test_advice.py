@@ -102,7 +102,7 @@ def test_a_laser_20_ms_late_is_named_with_its_sigma_where_the_truth_tells_and_a_
     for finding in found:
         (fix,) = finding["fixes"]
         assert float(fix.removeprefix("lrf.time_offset=")) == pytest.approx(-late, abs=0.005)
-        assert "s late against the truth (1 sigma 0.001 s)" in finding["message"]
+        assert "s late (1 sigma: 0.002 s) against the wheels, the compass and the truth" in finding["message"]
         before, after = finding["tried"]["before"], finding["tried"]["after"]
         assert before["aligned"]
         assert after["position_rmse_m"] < before["position_rmse_m"]

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from locfuse.cli.advice.headline import headline
+from locfuse.cli.advice.headline import covariance, headline
 
 
 @pytest.mark.parametrize(
@@ -30,21 +30,18 @@ def test_a_reference_says_which_sensors_help_and_what_nobody_judges(verdicts: di
 
 
 @pytest.mark.parametrize(
-    ("after", "until", "aligned", "end"),
+    ("after", "aligned", "end"),
     [
-        (0.0035, None, False, "With the laser and the fixes found it is 3.5 mm."),
-        (0.0320, None, False, "the laser hurts."),  # as good as the best without it
-        (0.0035, 300.0, False, "the laser hurts."),  # of the beginning only: another figure
-        (0.0035, None, True, "the laser hurts."),  # of the path's shape: another figure
+        (0.0035, False, "With the laser and the fixes found it is 3.5 mm."),
+        (0.0320, False, "before the fixes."),  # as good as the best without it
+        (0.0035, True, "before the fixes."),  # of the path's shape: another figure
     ],
 )
-def test_a_sensor_that_is_good_once_its_fix_is_set_is_named(
-    after: float, until: float | None, aligned: bool, end: str
-) -> None:
+def test_a_sensor_that_is_good_once_its_fix_is_set_is_named(after: float, aligned: bool, end: str) -> None:
     """A laser 0.2 s late: without its fix one would keep the compass and sell the laser."""
     errors = {"odometry": 0.25, "compass": 0.033, "lrf": 0.058, "all": 0.055}
     score = {"position_rmse_m": after, "aligned": aligned}
-    tried = {"configuration": "lrf", "before": {"position_rmse_m": 0.058}, "after": score, "until_s": until}
+    tried = {"configuration": "lrf", "before": {"position_rmse_m": 0.058}, "after": score}
     report: dict[str, Any] = {
         "configurations": {name: {"position_rmse_m": e} for name, e in errors.items()},
         "verdicts": {"lrf": {"verdict": "hurts"}},
@@ -52,7 +49,7 @@ def test_a_sensor_that_is_good_once_its_fix_is_set_is_named(
     }
     sets = {"odometry": (), "compass": ("compass",), "lrf": ("lrf",), "all": ("compass", "lrf")}
     found = headline(report, sets)
-    assert found.startswith("Keep the compass: 33 mm. With all sensors it is 55 mm: the laser hurts.")
+    assert found.startswith("Keep the compass: 33 mm. With all sensors it is 55 mm before the fixes.")
     assert found.endswith(end)
 
 
@@ -72,3 +69,36 @@ def test_hurts_is_said_only_of_a_sensor_whose_verdict_says_so(compass: str, came
     }
     found = headline(report, {"odometry": (), "lrf": ("lrf",), "all": ("lrf", "compass", "camera")})
     assert found == f"Keep the laser: 0.75 m. With all sensors it is 4.20 m: {end}"
+
+
+def test_while_a_setting_is_surely_wrong_no_sensor_is_to_be_left_out() -> None:
+    errors = {"odometry": 0.25, "compass": 0.033, "lrf": 0.058, "all": 0.055}
+    report: dict[str, Any] = {
+        "configurations": {name: {"position_rmse_m": e} for name, e in errors.items()},
+        "verdicts": {"lrf": {"verdict": "no verdict"}},
+        "validity": [{"void": False, "message": "lrf: stamps look 0.2 s late"}],
+    }
+    sets = {"odometry": (), "compass": ("compass",), "lrf": ("lrf",), "all": ("compass", "lrf")}
+    assert headline(report, sets) == "As configured the best is the compass: 33 mm. Set the fixes first."
+
+
+@pytest.mark.parametrize(
+    ("anees", "fixed", "sigma", "words"),
+    [
+        (2.9, None, 0.0, ""),
+        (9.0, None, 0.0, " The covariance (all) is 3.0 times too small, and no setting explains it."),
+        (9.0, 1.1, 0.0, ""),
+        (4235.0, None, 0.0, " ANEES (all) is over 50: set truth.sigma, the truth's own noise, to judge it."),
+        (400.0, None, 0.01, " The covariance (all) is 20.0 times too small, and no setting explains it."),
+    ],
+)
+def test_a_covariance_that_is_too_small_and_that_nothing_explains_is_said(
+    anees: float, fixed: float | None, sigma: float, words: str
+) -> None:
+    tried = {"configuration": "all", "after": {"anees": fixed}}
+    report: dict[str, Any] = {
+        "configurations": {"lrf": {"anees": 100.0}, "all": {"anees": anees}},
+        "findings": [{"fixes": ["lrf.yaw_deg=1"], "tried": tried}] if fixed else [],
+        "settings": {"truth": {"sigma": sigma}},
+    }
+    assert covariance(report, {"lrf": ("lrf",), "all": ("compass", "lrf")}) == words

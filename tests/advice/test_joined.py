@@ -12,7 +12,7 @@ from locfuse.cli.advice.validity import add_validity
 from locfuse.cli.advice.values import add_findings
 from locfuse.formats.report.findings import sentence
 from locfuse.fusion.checks.finding import Finding
-from locfuse.fusion.checks.search import Advice
+from locfuse.fusion.checks.tried import Advice
 
 SURE = Finding("lrf", "lag", "late (correlation 0.9 as stamped, 0.99 shifted). It is the laser's", severe=True)
 LATE = Advice(Finding("lrf", "lag", "stamps look 0.1 s late"), ("lrf.time_offset=-0.1",))
@@ -85,7 +85,7 @@ def test_what_was_tried_in_vain_says_why_it_is_not_offered(harmless: bool, said:
 )
 def test_a_ratio_is_said_in_two_digits_without_an_exponent(anees: float, said: str) -> None:
     score = {"lost_share": 0.0, "position_rmse_m": None, "prediction_nats": None, "anees": anees}
-    tried = {"configuration": "lrf", "before": score, "after": {**score, "anees": 1.0}, "until_s": None}
+    tried = {"configuration": "lrf", "before": score, "after": {**score, "anees": 1.0}}
     words = sentence({"role": "lrf", "message": "noise", "fixes": ["lrf.sigma_range=1"], "tried": tried})
     assert f"ANEES {said} -> 1)" in words
 
@@ -96,7 +96,6 @@ def test_an_error_of_the_shape_alone_is_said_to_be_that() -> None:
         "configuration": "lrf",
         "before": score,
         "after": {**score, "position_rmse_m": 0.0036},
-        "until_s": None,
     }
     words = sentence({"role": "lrf", "message": "late", "fixes": ["lrf.time_offset=-0.02"], "tried": tried})
     assert "(tried with lrf: error of the path's shape 5.2 mm -> 3.6 mm)" in words

@@ -9,12 +9,13 @@ from typing import Any
 import pytest
 
 from locfuse.cli.advice import evaluator
+from locfuse.fusion.checks import tried
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.score import Score
-from locfuse.fusion.checks.search import Advice, Fixes
+from locfuse.fusion.checks.tried import Advice, Fixes
 
 CLOCK, NOISE = "compass.time_offset=0", "lrf.sigma_range=0.03"
-LATE = Advice(Finding("compass", "lag", "late", severe=True), tried=((CLOCK,),))
+LATE = Advice(Finding("compass", "lag", "late", severe=True), tried=((CLOCK,),), judges=("compass", "all"))
 HIGH = Advice(Finding("lrf", "overstated", "noise is set too high"), (NOISE,))
 
 
@@ -27,34 +28,20 @@ class Trial:
     def __call__(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Score]:
         return {name: Score(self.errors[fixes][name == "all"]) for name in names}
 
-    def under(self, fixes: Fixes) -> object:
-        return object()
 
-    def seed(self, fixes: Fixes, compared: object) -> None:
-        pass
-
-
-@pytest.fixture(autouse=True)
-def what_is_wrong_then(monkeypatch: pytest.MonkeyPatch) -> None:
+def found(advice: Advice, trial: Trial, monkeypatch: pytest.MonkeyPatch) -> list[Advice]:
     """Once the clock is set, the laser's noise is found."""
 
-    def look(compared: object, trial: object, fixes: Fixes) -> Any:
+    def look(fixes: Fixes) -> Any:
         assert fixes == (CLOCK,)
-        return SimpleNamespace(
-            compared=compared, judges=lambda role: ("compass", "all"), kept=lambda role: {"all"}
-        )
+        return SimpleNamespace(kept=lambda role: {"all"})
 
-    monkeypatch.setattr(evaluator, "Evidence", look)
-    monkeypatch.setattr(evaluator, "_compared", lambda *_: object())
-    monkeypatch.setattr(evaluator, "_first_that_helps", lambda *_: [HIGH])
+    monkeypatch.setattr(tried, "_first_that_helps", lambda *_: [HIGH])
+    return tried._beside_another([advice], (), look, trial, ())
 
 
-def found(advice: Advice, trial: Trial) -> list[Advice]:
-    return evaluator._beside_another([advice], (), trial)  # type: ignore[arg-type]
-
-
-def test_a_clock_that_helps_only_beside_another_fix_is_offered_with_it() -> None:
-    first, second = found(LATE, Trial(0.0046))
+def test_a_clock_that_helps_only_beside_another_fix_is_offered_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second = found(LATE, Trial(0.0046), monkeypatch)
     assert (first.fixes, second.fixes) == ((CLOCK,), (NOISE,))
     assert first.before is not None
     assert first.after is not None
@@ -63,13 +50,14 @@ def test_a_clock_that_helps_only_beside_another_fix_is_offered_with_it() -> None
 
 @pytest.mark.parametrize(("both", "compass"), [(0.0070, 0.033), (0.0046, 0.066)])
 def test_not_where_both_together_make_something_worse_or_the_sensor_gains_nothing(
-    both: float, compass: float
+    both: float, compass: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert not found(LATE, Trial(both, compass))
+    assert not found(LATE, Trial(both, compass), monkeypatch)
 
 
-def test_only_for_what_surely_spoils_the_estimate() -> None:
-    assert not found(Advice(Finding("compass", "lag", "late"), tried=((CLOCK,),)), Trial(0.0046))
+def test_only_for_what_surely_spoils_the_estimate(monkeypatch: pytest.MonkeyPatch) -> None:
+    mild = Advice(Finding("compass", "lag", "late"), tried=((CLOCK,),), judges=("compass", "all"))
+    assert not found(mild, Trial(0.0046), monkeypatch)
 
 
 @pytest.mark.parametrize(

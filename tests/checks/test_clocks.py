@@ -8,9 +8,17 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.checks.clocks import clock_lags, in_words, lag_of_run, lags_by_truth
+from locfuse.fusion.checks.clocks import (
+    clock_lags,
+    clock_words,
+    differences,
+    lag_of_run,
+    lags_by_truth,
+    wrong_clocks,
+)
 from locfuse.fusion.checks.lag import Lag, worth_saying
 from locfuse.fusion.data import Drive, Estimates, Measurements, Motions, Truth
+from locfuse.fusion.robot import Robot
 from locfuse.fusion.wheels.motion import Wheels
 
 Array = NDArray[np.float64]
@@ -38,42 +46,71 @@ def headings(true: Array, seed: int, rate: float, sigma_deg: float, late: float 
     return Measurements(t + late, np.arange(n + 1), z[:, None], np.ones((n, 1, 1)), sigma, np.zeros((1, 1)))
 
 
-def test_a_late_clock_is_told_by_the_sensor_that_sees_the_same_turning() -> None:
+def drive_of(wheels: Wheels, **seen: Measurements) -> Drive:
+    """A drive of which only the sensors' turning and the wheels are asked."""
+    t = np.arange(1.0, 89.0, 0.1)
+    motions = Motions(np.zeros((len(t), 3)), np.zeros((len(t), 3, 3)), np.zeros((len(t), 6)))
+    return Drive(0, t, motions, seen, {}, {}, wheels=wheels)
+
+
+def test_a_late_clock_is_measured_by_the_sensor_that_sees_the_same_turning() -> None:
     errors, alone = [], []
     for seed in SEEDS:
         wheels, true = turned(seed)
-        late = headings(true, seed, 10.0, 0.05, late=0.12)
-        seen = {"compass": headings(true, seed + 50, 20.0, 0.5), "gyro": late}
-        lags = clock_lags(seen, wheels)
-        assert lags["gyro"].against == "compass"
-        assert not worth_saying(lags["compass"])
-        errors.append(lags["gyro"].offset + 0.12)
+        late, compass = headings(true, seed, 10.0, 0.05, late=0.12), headings(true, seed + 50, 20.0, 0.5)
+        ((clock,),) = wrong_clocks(differences(drive_of(wheels, compass=compass, gyro=late), Robot()), 4.0)
+        assert (clock.name, set(clock.against)) == ("gyro", {"compass", "wheels"})
+        errors.append(clock.offset + 0.12)
         alone.append(clock_lags({"gyro": late}, wheels)["gyro"].offset + 0.12)
     assert np.abs(errors).max() < 0.01
     assert np.std(alone) > 1.5 * np.std(errors)
 
 
-def test_a_sensor_that_is_late_itself_tells_nothing() -> None:
-    wheels, true = turned(0)
-    seen = {"compass": headings(true, 0, 20.0, 0.5, late=0.2), "gyro": headings(true, 1, 10.0, 0.05, late=0.2)}
-    lags = clock_lags(seen, wheels)
-    assert {lag.against for lag in lags.values()} == {"wheels"}
-    assert [lag.offset for lag in lags.values()] == pytest.approx([-0.2, -0.2], abs=0.03)
+def pairs(sigma: float = 0.004, **late: float) -> dict[tuple[str, str], Lag]:
+    """What comparing every two clocks gives where some are late [s]."""
+    names = [*late]
+    return {
+        (a, b): Lag(late[b] - late[a], 0.999, 0.99, sigma) for i, a in enumerate(names) for b in names[i + 1 :]
+    }
 
 
-def test_a_sensor_that_knows_less_than_the_wheels_is_not_asked() -> None:
-    wheels, true = turned(3)
-    seen = {"compass": headings(true, 0, 20.0, 4.0), "gyro": headings(true, 1, 10.0, 0.05, late=0.2)}
-    assert clock_lags(seen, wheels)["gyro"].against == "wheels"
+@pytest.mark.parametrize(
+    ("late", "off"),
+    [
+        ({"truth": 0.05, "compass": 0.0, "lrf": 0.0, "wheels": 0.0}, {"truth": -0.05}),
+        ({"truth": 0.05, "lrf": 0.0, "wheels": 0.0}, {"truth": -0.05}),
+        ({"truth": 0.0, "compass": 0.0, "lrf": 0.05, "wheels": 0.0}, {"lrf": -0.05}),
+        ({"truth": 0.0, "compass": 0.0, "lrf": 0.0, "wheels": 0.05}, {"wheels": -0.05}),
+        ({"compass": 0.05, "lrf": 0.05, "wheels": 0.0}, {"wheels": 0.05}),
+        ({"compass": 0.2, "lrf": 0.2, "truth": 0.0, "wheels": 0.0}, {"compass": -0.2, "lrf": -0.2}),
+        ({"truth": 0.4, "gyro": -0.18, "wheels": 0.0}, {"truth": -0.4, "gyro": 0.18}),
+        ({"compass": 0.05, "wheels": 0.0}, {"compass": -0.05}),
+        ({"compass": 0.0, "lrf": 0.0, "wheels": 0.0}, {}),
+        ({"compass": 0.008, "lrf": 0.0, "wheels": 0.0}, {}),  # two sigma are chance
+    ],
+)
+def test_the_clock_that_the_others_outvote_is_off(late: dict[str, float], off: dict[str, float]) -> None:
+    first = next(iter(wrong_clocks(pairs(**late), 4.0)), ())
+    assert {clock.name: clock.offset for clock in first} == pytest.approx(off)
 
 
-def test_the_note_says_who_told() -> None:
-    wheels, true = turned(0)
-    seen = {"compass": headings(true, 0, 20.0, 0.5), "gyro": headings(true, 1, 10.0, 0.05, late=0.12)}
-    words = in_words(clock_lags(seen, wheels)["gyro"])
-    assert words.startswith("stamps look 0.1")
-    assert "s late (1 sigma: 0.00" in words
-    assert "s) against the compass, which agrees with the wheels (correlation" in words
+def test_of_two_clocks_either_may_be_off_and_the_sensor_is_named_first() -> None:
+    found = wrong_clocks(pairs(lrf=0.1, wheels=0.0), 4.0)
+    assert [[(c.name, round(c.offset, 3)) for c in one] for one in found] == [[("lrf", -0.1)], [("wheels", 0.1)]]
+
+
+def test_slips_move_all_lags_alike_so_that_three_are_no_surer_than_one() -> None:
+    """A mean of three independent lags of three sigma would be 5.2 sigma; one ground moved them all."""
+    late = {(name, "wheels"): Lag(-0.012, 0.999, 0.99, 0.004) for name in ("compass", "lrf", "gyro")}
+    assert not wrong_clocks(late, 4.0)
+    later = {pair: lag._replace(offset=-0.03) for pair, lag in late.items()}
+    ((clock,), *_) = wrong_clocks(later, 4.0)
+    assert (clock.name, clock.offset, clock.sigma) == ("wheels", pytest.approx(0.03), pytest.approx(0.004))
+
+
+def test_the_words_say_how_late_and_against_what() -> None:
+    ((clock,),) = wrong_clocks(pairs(lrf=0.05, compass=0.0, wheels=0.0), 4.0)
+    assert clock_words(clock) == "stamps look 0.050 s late (1 sigma: 0.003 s) against the compass and the wheels"
 
 
 @pytest.mark.parametrize("late", [0.0, 0.02])

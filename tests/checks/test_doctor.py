@@ -24,6 +24,7 @@ from locfuse.fusion.checks.truth import jumps_of, metre, of_truth, wheels_metre
 from locfuse.fusion.checks.turning import explain, of_track, turnings
 from locfuse.fusion.data import Drive, LocfuseError, Truth, UsageError
 from locfuse.fusion.mount import rotation
+from locfuse.fusion.robot import StartSettings
 from locfuse.fusion.wheels.motion import Wheels
 
 Array = NDArray[np.float64]
@@ -89,8 +90,10 @@ def test_the_track_is_measured_by_the_turning_of_the_walls() -> None:
     m = right.measurements["lrf"]
     motion = laser_motion(m, m.t, wrong, robot())
     narrow = type(settings)(radius=0.05, track=0.8 * TRACK)
-    assert told(of_track(narrow, turnings(wrong), motion))["wheels.track"] == pytest.approx(TRACK, rel=0.03)
-    assert of_track(settings, turnings(right), laser_motion(m, m.t, right, robot())) == []
+    assert told(of_track(replace(wrong, truth=None), narrow, turnings(wrong), motion))[
+        "wheels.track"
+    ] == pytest.approx(TRACK, rel=0.03)
+    assert of_track(right, settings, turnings(right), laser_motion(m, m.t, right, robot())) == []
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.06])
@@ -248,6 +251,51 @@ def test_wheels_whose_turns_are_noisy_make_no_body_point(x: float, y: float, see
         assert told(found) == pytest.approx({"truth.x": x, "truth.y": y}, abs=0.05)
     else:
         assert "body point" not in {f.code for f in found}
+
+
+def found_of(healthy: Drive, xy: Array, theta: Array | None = None) -> dict[str, dict[str, float]]:
+    """What is found by kind where the truth's places move by xy (n, 2) and its headings by theta (n,)."""
+    truth = truth_of(healthy)
+    assert truth.theta is not None
+    moved = replace(truth, xy=truth.xy + xy, theta=truth.theta + (0.0 if theta is None else theta))
+    return {f.code: told([f]) for f in of_truth(replace(healthy, truth=moved), robot())}
+
+
+def test_a_marker_six_centimetres_off_the_axle_is_found_to_three_millimetres() -> None:
+    healthy = drive(18, robot(), laps=1.5)
+    theta = truth_of(healthy).theta
+    assert theta is not None
+    c, s = np.cos(theta), np.sin(theta)
+    found = found_of(healthy, np.stack((0.06 * c - 0.03 * s, 0.06 * s + 0.03 * c), axis=-1))
+    assert found["body point"] == pytest.approx({"truth.x": 0.06, "truth.y": 0.03}, abs=0.003)
+
+
+def test_a_truth_that_steps_aside_once_is_named_and_one_whose_reading_jumps_and_returns_is_not() -> None:
+    healthy = drive(20, robot())
+    n = len(truth_of(healthy).t)
+    aside = np.zeros((n, 2))
+    aside[n // 2 :, 0] = 0.06
+    assert set(found_of(healthy, aside)) == {"step"}
+    aside[n // 2 + 1 :] = 0.0
+    assert "step" not in found_of(healthy, aside)
+
+
+def test_the_noise_of_a_truth_is_measured_on_the_move_too() -> None:
+    healthy, rng = drive(21, robot(), laps=1.5), np.random.default_rng(4)
+    n = len(truth_of(healthy).t)
+    found = found_of(healthy, rng.normal(0.0, 0.008, (n, 2)), rng.normal(0.0, math.radians(0.5), n))
+    assert found["noise"] == pytest.approx({"truth.sigma": 0.008, "truth.sigma_theta_deg": 0.5}, rel=0.2)
+
+
+@pytest.mark.parametrize(("sigma_deg", "named"), [(0.0, True), (1.0, True), (4.0, False)])
+def test_a_start_four_degrees_off_is_named_unless_its_sigma_says_so(sigma_deg: float, named: bool) -> None:
+    healthy = drive(22, robot())
+    off = math.degrees(START[2]) - 4.0
+    start = StartSettings(x=START[0], y=START[1], theta_deg=off, sigma_theta_deg=sigma_deg)
+    found = told(of_truth(healthy, replace(robot(), start=start)))
+    assert ("start.theta_deg" in found) == named
+    if named:
+        assert found["start.theta_deg"] == pytest.approx(math.degrees(START[2]), abs=0.5)
 
 
 def test_a_healthy_truth_is_not_mentioned() -> None:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import pytest
 from msgspec.structs import replace
 
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.score import Score, gain, improves, spoils
-from locfuse.fusion.checks.search import Advice, Candidate, Fixes, Scores, search, together
+from locfuse.fusion.checks.tried import Advice, Candidate, Fixes, Scores, Try, together, tried
 
 LATE = Candidate(Finding("lrf", "lag", "late"), (("lrf.time_offset=-0.1",),), ("lrf", "all"))
 BIASED = Candidate(Finding("compass", "offset", "biased"), (("compass.offset_deg=5",),), ("compass", "all"))
@@ -30,6 +30,26 @@ class Trials:
         return {} if error is None else {name: Score(error) for name in names}
 
 
+class Case:
+    """A log of which the same looks wrong whatever is set."""
+
+    def __init__(self, candidates: Sequence[Candidate]) -> None:
+        self.candidates = candidates
+
+    def suspicious(self) -> bool:
+        return True
+
+    def classes(self) -> Sequence[Sequence[Callable[[], Sequence[Candidate]]]]:
+        return [[lambda: self.candidates]]
+
+    def kept(self, role: str) -> Collection[str]:
+        return {"all"}
+
+
+def found_in(candidates: Sequence[Candidate], trial: Try) -> list[Advice]:
+    return tried(lambda _: Case(candidates), trial)[0]
+
+
 def keys(*fixes: str) -> frozenset[str]:
     return frozenset(fixes)
 
@@ -43,12 +63,12 @@ def helpful(found: Sequence[Advice]) -> list[Fixes]:
 
 def test_what_helps_alone_and_not_beside_a_better_fix_is_no_longer_offered() -> None:
     trial = Trials({keys(): 0.1, keys(LAG): 0.01, keys(OFFSET): 0.05, keys(LAG, OFFSET): 0.02})
-    assert helpful(search([BIASED, LATE], (), trial)) == [(LAG,)]
+    assert helpful(found_in([BIASED, LATE], trial)) == [(LAG,)]
 
 
 def test_fixes_that_combine_are_tried_together_the_most_valuable_first() -> None:
     trial = Trials({keys(): 0.1, keys(LAG): 0.05, keys(OFFSET): 0.08, keys(LAG, OFFSET): 0.01})
-    found = search([BIASED, LATE], (), trial)
+    found = found_in([BIASED, LATE], trial)
     assert helpful(found) == [(LAG,), (OFFSET,)]
     assert found[1].before is not None
     assert found[1].before["all"].position == 0.05  # on top of the first
@@ -56,14 +76,14 @@ def test_fixes_that_combine_are_tried_together_the_most_valuable_first() -> None
 
 def test_a_finding_that_no_fix_helps_against_is_kept_without_one_and_an_offer_is_not() -> None:
     trial = Trials({keys(): 0.1, keys(LAG): 0.1})
-    assert [(a.finding.role, a.fixes) for a in search([LATE], (), trial)] == [("lrf", ())]
+    assert [(a.finding.role, a.fixes) for a in found_in([LATE], trial)] == [("lrf", ())]
     offer = Candidate(LATE.finding, LATE.alternatives, LATE.judges, offer=True)
-    assert search([offer], (), trial) == []
+    assert found_in([offer], trial) == []
 
 
 def test_of_several_alternatives_the_best_is_offered_and_one_that_cannot_be_applied_is_not() -> None:
     trial = Trials({keys(): 0.1, keys("camera.sigma_deg=2"): 0.05})
-    assert helpful(search([NOISY], (), trial)) == [("camera.sigma_deg=2",)]
+    assert helpful(found_in([NOISY], trial)) == [("camera.sigma_deg=2",)]
 
 
 def test_a_later_value_of_the_same_key_wins() -> None:
@@ -72,7 +92,7 @@ def test_a_later_value_of_the_same_key_wins() -> None:
 
 @pytest.mark.parametrize(("after", "harmless"), [(0.1, True), (0.15, False)])
 def test_of_a_fix_that_does_not_help_it_is_known_whether_it_harms(after: float, harmless: bool) -> None:
-    (found,) = search([LATE], (), Trials({keys(): 0.1, keys(LAG): after}))
+    (found,) = found_in([LATE], Trials({keys(): 0.1, keys(LAG): after}))
     assert not found.helps
     assert found.harmless == harmless
 
@@ -102,17 +122,24 @@ def test_a_configuration_that_nobody_would_keep_may_predict_worse_by_what_chance
     candidate = Candidate(
         LATE.finding, LATE.alternatives, LATE.judges, minor=("lrf",) if minor else (), measured=True
     )
-    assert helpful(search([candidate], (), trial)) == ([(LAG,)] if taken else [])
+    assert helpful(found_in([candidate], trial)) == ([(LAG,)] if taken else [])
 
 
-def test_rivals_that_explain_the_same_are_not_both_kept_before_the_log_is_looked_at_again() -> None:
-    """The laser is late, or the wheels are early: once one is set, the other's value is of yesterday."""
+def test_after_every_fix_the_log_is_looked_at_again() -> None:
+    """The laser is late, or the wheels are early: once one is set, nothing is wrong with the other."""
     early = "wheels.time_offset=0.1"
-    wheels = Candidate(Finding("wheels", "lag", "early"), ((early,),), ("all",), rivals=("lrf", "compass"))
-    trial = Trials({keys(): 0.1, keys(LAG): 0.01, keys(early): 0.05, keys(LAG, early): 0.002})
-    assert helpful(search([wheels, LATE], (), trial)) == [(LAG,)]
-    trial = Trials({keys(): 0.1, keys(LAG): 0.05, keys(early): 0.01, keys(LAG, early): 0.002})
-    assert helpful(search([wheels, LATE], (), trial)) == [(early,)]
+    wheels = Candidate(Finding("wheels", "lag", "early"), ((early,),), ("all",))
+    for first, error, other in ((LAG, 0.01, 0.05), (early, 0.05, 0.01)):
+        trial = Trials({keys(): 0.1, keys(LAG): error, keys(early): other, keys(LAG, early): 0.002})
+        seen: list[Fixes] = []
+
+        def look(fixes: Fixes, seen: list[Fixes] = seen) -> Case:
+            seen.append(fixes)
+            return Case([] if fixes else [wheels, LATE])
+
+        found, kept = tried(look, trial)
+        assert kept == (LAG if error < other else early,) == helpful(found)[0] == (first,)
+        assert seen == [(), kept]
 
 
 @pytest.mark.parametrize(("camera", "taken"), [(0.019, True), (0.034, False)])
@@ -128,7 +155,7 @@ def test_a_track_that_makes_odometry_better_may_not_ruin_the_camera(camera: floa
     judges = ("camera", "all", "odometry")
     finding = Finding("wheels", "track", "4 % off")
     candidate = Candidate(finding, ((track,),), judges, ("camera", "odometry"), ("camera",), offer=True)
-    assert helpful(search([candidate], (), trial)) == ([(track,)] if taken else [])
+    assert helpful(found_in([candidate], trial)) == ([(track,)] if taken else [])
 
 
 BOUNDS = (0.5, 2.0)
@@ -152,7 +179,7 @@ def test_an_error_that_was_small_by_chance_may_grow_where_another_falls_to_less_
 
     finding = Finding("wheels", "wheel scale", "6 % long", severe=True)
     candidate = Candidate(finding, ((radius,),), ("camera", "odometry"), ("odometry",))
-    assert helpful(search([candidate], (), trial)) == ([(radius,)] if taken else [])
+    assert helpful(found_in([candidate], trial)) == ([(radius,)] if taken else [])
 
 
 def test_a_filter_that_only_becomes_underconfident_is_not_spoiled_beside_a_sensor_that_is_settled() -> None:
@@ -167,7 +194,7 @@ def test_a_filter_that_only_becomes_underconfident_is_not_spoiled_beside_a_senso
     def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
         return {name: scores[name, fixes] for name in names}
 
-    assert helpful(search([BIASED], (), trial)) == [(OFFSET,)]
+    assert helpful(found_in([BIASED], trial)) == [(OFFSET,)]
     assert spoils(scores["all", ()], scores["all", (OFFSET,)])  # which a gain of its own would have to outweigh
 
 
@@ -212,7 +239,7 @@ class Accusers:
 
 
 def test_of_two_sensors_that_accuse_each_other_that_one_is_moved_that_all_the_others_gain_by() -> None:
-    assert helpful(search([BIASED, LATE], (), Accusers())) == [(LAG,)]
+    assert helpful(found_in([BIASED, LATE], Accusers())) == [(LAG,)]
 
 
 @pytest.mark.parametrize(
@@ -226,7 +253,7 @@ def test_without_truth_a_measured_value_need_not_gain_but_must_not_lose(
         return {name: Score(prediction=1.0 + gained * bool(fixes)) for name in names}
 
     candidate = Candidate(LATE.finding, LATE.alternatives, LATE.judges, measured=measured)
-    assert [a.helps for a in search([candidate], (), trial)] == [helps]
+    assert [a.helps for a in found_in([candidate], trial)] == [helps]
 
 
 @pytest.mark.parametrize(
@@ -240,7 +267,7 @@ def test_what_takes_a_sensor_s_own_error_to_less_than_half_may_cost_the_rest_wha
         return {name: Score(errors[name]) for name in names}
 
     candidate = Candidate(LATE.finding, LATE.alternatives, LATE.judges, offer=offer)
-    assert any(a.helps for a in search([candidate], (), trial)) == helps
+    assert any(a.helps for a in found_in([candidate], trial)) == helps
 
 
 class Uneven(Trials):
@@ -265,7 +292,7 @@ def test_what_nobody_would_keep_may_lose_what_chance_does_and_no_more(
         ("compass", "all"),
         ("compass",) if minor else (),
     )
-    assert [a.helps for a in search([candidate], (), Uneven(loss))] == [helps]
+    assert [a.helps for a in found_in([candidate], Uneven(loss))] == [helps]
 
 
 @pytest.mark.parametrize(
@@ -284,9 +311,9 @@ def test_a_fix_that_moves_a_map_which_nothing_holds_in_the_world_is_judged_by_th
         }
 
     candidate = Candidate(LATE.finding, LATE.alternatives, LATE.judges, measured=measured, by_shape=True)
-    (found,) = search([candidate], (), trial)
+    (found,) = found_in([candidate], trial)
     assert found.helps == helps
-    assert not any(a.helps for a in search([replace(candidate, by_shape=False)], (), trial))
+    assert not any(a.helps for a in found_in([replace(candidate, by_shape=False)], trial))
     if helps and found.before is not None and found.after is not None:
         assert found.after["lrf"] == Score(shape, shape=shape, aligned=True)
         assert found.before["lrf"].position == 0.005
@@ -296,6 +323,6 @@ def test_where_the_position_itself_gains_the_shape_is_not_asked() -> None:
     def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
         return {name: Score(0.01 if fixes else 0.02, shape=0.004) for name in names}
 
-    (found,) = search([replace(LATE, by_shape=True)], (), trial)
+    (found,) = found_in([replace(LATE, by_shape=True)], trial)
     assert found.helps
     assert found.before == {name: Score(0.02, shape=0.004) for name in LATE.judges}

@@ -1,0 +1,300 @@
+"""The loop that tries fixes: of the first class of evidence in which one helps, its best; then it looks again.
+
+So no sensor is blamed for the fault of another: a late laser makes the compass look wrong, until the laser's clock
+is set. A fix is taken if no configuration gets worse by it and one gets better (`score`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Protocol
+
+import msgspec
+from msgspec.structs import replace
+
+from .finding import Finding
+from .score import (
+    MAX_CHANCE_LOSS,
+    Score,
+    gain,
+    improves,
+    leaves,
+    ruins,
+    settles,
+    spoils,
+    spoils_alone,
+    turns_right,
+    was_chance,
+)
+
+MAX_FIXES = 6  # of one log
+# findings that are measured again, better, once others are fixed
+REFINED = ("lag", "mount", "way", "biased", "understated", "overstated")
+CLEAR = 1.0  # worth of a fix beyond which nothing of a later class is likely to explain the same
+CHANCE = 2.0 * math.log(1.0 + MAX_CHANCE_LOSS)  # worth that two configurations may gain or lose by chance
+
+Fixes = tuple[str, ...]  # "table.key=value"
+Scores = Mapping[str, Score]  # by configuration
+Try = Callable[[Fixes, Sequence[str]], Scores]  # settings, configurations -> their scores
+
+
+class Candidate(msgspec.Struct, frozen=True):
+    """A finding, the ways to fix it, and the configurations by which they are judged."""
+
+    finding: Finding
+    alternatives: tuple[Fixes, ...]
+    judges: tuple[str, ...]
+    minor: tuple[str, ...] = ()  # of these, by which a gain shows and a little more error is no harm
+    others: tuple[str, ...] = ()  # of these, which no fix may ruin: what moves the wheels moves them too
+    offer: bool = False  # no observation, only a setting that may help: silent where it does not
+    measured: bool = False  # the drive shows the value: without truth and by shape it is taken if nothing is lost
+    guards: tuple[str, ...] = ()  # configurations whose ANEES may not leave its chance range: of noise
+    by_shape: bool = False  # may be judged by the path's shape: nobody observes where its map lies, that is chance
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Role and code of the finding."""
+        return self.finding.role, self.finding.code
+
+
+class Advice(msgspec.Struct, frozen=True):
+    """A finding with the fix that was tried, and what it did; no fixes where none of them helps."""
+
+    finding: Finding
+    fixes: Fixes = ()
+    before: Mapping[str, Score] | None = None
+    after: Mapping[str, Score] | None = None
+    tried: tuple[Fixes, ...] = ()  # every alternative that was tried
+    measured: bool = False  # as the candidate's
+    judges: tuple[str, ...] = ()  # as the candidate's
+    harmless: bool = False  # one of what was tried changes little; else all of it makes something worse
+
+    @property
+    def helps(self) -> bool:
+        """Whether the fix was tried and found to help."""
+        return bool(self.fixes)
+
+    @property
+    def shown_by(self) -> str | None:
+        """The configuration that gains most by the fix."""
+        if not self.before or not self.after:
+            return None
+        before, after = self.before, self.after
+        return max((name for name in before if name in after), key=lambda name: gain(before[name], after[name]))
+
+
+def together(one: Fixes, other: Fixes) -> Fixes:
+    """Return both, the other's value where both set a key."""
+    keys = {fix.partition("=")[0]: fix for fix in (*one, *other)}
+    return tuple(keys.values())
+
+
+class Case(Protocol):
+    """A log under some settings, as the loop needs it."""
+
+    def suspicious(self) -> bool:
+        """Return whether anything looks wrong at all: else nothing is tried, and nothing costs time."""
+
+    def classes(self) -> Sequence[Sequence[Callable[[], Sequence[Candidate]]]]:
+        """Return what may be wrong, in groups, by class of evidence: an earlier one may look like a later one.
+
+        Where something severe of a group is open, those of later groups are not asked.
+        """
+
+    def kept(self, role: str) -> Collection[str]:
+        """Return the configurations that somebody would keep who uses a role."""
+
+
+Look = Callable[[Fixes], Case | None]  # measures and fuses a log under settings; None: it cannot be
+
+
+def tried(look: Look, trial: Try) -> tuple[list[Advice], Fixes]:
+    """Try what looks wrong, take the first class's best fix, measure again, and so on; what helps comes first."""
+    helped: list[Advice] = []
+    open_: dict[str, Advice] = {}
+    kept: Fixes = ()
+    case = look(kept)
+    while case is not None and len(helped) < MAX_FIXES:
+        if not case.suspicious():
+            open_ = {}  # what had no fix looked wrong only beside what now has one
+            break
+        done = {(a.finding.role, a.finding.code) for a in helped}
+        found = _first_that_helps(case, kept, trial, done)
+        open_ = {a.finding.role: a for a in found if not a.helps}
+        new = [a for a in found if a.helps] or _beside_another(found, kept, look, trial, done)
+        if not new:
+            break
+        helped += new
+        for advice in new:
+            kept = together(kept, advice.fixes)
+        case = look(kept)
+    names = {a.finding.role for a in helped}
+    return [*helped, *(a for role, a in open_.items() if a.finding.severe or role not in names)], kept
+
+
+def _first_that_helps(case: Case, kept: Fixes, trial: Try, done: Collection[tuple[str, str]]) -> list[Advice]:
+    """Return the best fix of the first class of evidence in which one helps; else all that has no fix.
+
+    A fix that only its own success speaks for, and that gains little, waits for the later classes: the best is
+    taken.
+    """
+    open_: list[Advice] = []
+    best: Advice | None = None
+    last = 0
+    for group, candidates_of in ((i, one) for i, several in enumerate(case.classes()) for one in several):
+        if group != last and any(a.finding.severe for a in open_):
+            break  # while this is open, nothing is said of offsets and noise
+        last = group
+        candidates = [c for c in candidates_of() if c.key not in done or c.finding.code in REFINED]
+        results = [(c, best_of(c, kept, trial)) for c in candidates]
+        helpful = [a for _, a in results if a.helps]
+        if helpful:
+            first = max(helpful, key=lambda a: _rank(a, helpful))
+            best = first if best is None or _weight(first) > _weight(best) else best
+            observed = any(not c.offer for c, a in results if a is first)
+            if observed or worth(best) > CLEAR:
+                break
+        open_ += (a for c, a in results if not a.helps and not c.offer)
+    if best is not None:
+        return [*(a for a in open_ if a.finding.severe), best]
+    first_of: dict[str, Advice] = {}  # a sensor is told one thing at a time
+    for advice in open_:
+        first_of.setdefault(advice.finding.role, advice)
+    return list(first_of.values())
+
+
+def _weight(advice: Advice) -> float:
+    """Return what a fix is worth beside a later class's, which explains the same in another way.
+
+    A clock that is measured to be off and noise that would hide it: chance alone may make noise look better.
+    """
+    return worth(advice) + (CHANCE if advice.measured else 0.0)
+
+
+def _beside_another(
+    found: Sequence[Advice], kept: Fixes, look: Look, trial: Try, done: Collection[tuple[str, str]]
+) -> list[Advice]:
+    """Return a severe finding's fix with what else is wrong once it is set, where only both together help.
+
+    Two faults may hide each other: a compass that is refused because it is late does not disturb a laser whose
+    noise is set too high, and disturbs it as soon as it is used.
+    """
+    for advice in found:
+        for fixes in advice.tried if advice.finding.severe else ():
+            beside = together(kept, fixes)
+            case = look(beside)
+            if case is None or not any(
+                improves(*pair) for pair in scored(kept, beside, advice.judges, trial).values()
+            ):
+                continue
+            now = {*done, (advice.finding.role, advice.finding.code)}
+            others = [a for a in _first_that_helps(case, beside, trial, now) if a.helps]
+            both = beside
+            for other in others:
+                both = together(both, other.fixes)
+            pairs = scored(kept, both, advice.judges, trial)
+            if others and pairs and not _any_spoiled(pairs, case.kept(advice.finding.role)):
+                before, after = ({name: pair[i] for name, pair in pairs.items()} for i in (0, 1))
+                return [replace(advice, fixes=fixes, before=before, after=after), *others]
+    return []
+
+
+def _any_spoiled(pairs: Mapping[str, tuple[Score, Score]], kept: Collection[str]) -> bool:
+    """Return whether a configuration gets worse; one that nobody would keep may by what chance does."""
+    return any((spoils if name in kept else spoils_alone)(*pair) for name, pair in pairs.items())
+
+
+def scored(kept: Fixes, fixes: Fixes, judges: Sequence[str], trial: Try) -> dict[str, tuple[Score, Score]]:
+    """Return the scores of configurations under two sets of fixes; {} where one has none."""
+    before, after = trial(kept, judges), trial(fixes, judges)
+    return {name: (before[name], after[name]) for name in before} if before and after else {}
+
+
+def worth(advice: Advice) -> float:
+    """Return the sum of the gains of all configurations that judged it."""
+    if advice.before is None or advice.after is None:
+        return 0.0
+    return sum(gain(advice.before[name], advice.after[name]) for name in advice.before)
+
+
+def _rank(advice: Advice, rivals: Sequence[Advice]) -> float:
+    """Return what a fix is worth beside others.
+
+    Without truth a sensor that is moved to where a wrong one is predicts that one better: two sensors that
+    disagree accuse each other. So only configurations that judged all of them are counted, where there are any.
+    """
+    if (
+        advice.before is None
+        or advice.after is None
+        or any(s.position is not None for s in advice.before.values())
+    ):
+        return worth(advice)
+    shared = [name for name in advice.before if all(name in (a.before or {}) for a in rivals)]
+    return sum(gain(advice.before[name], advice.after[name]) for name in shared) or worth(advice)
+
+
+def best_of(candidate: Candidate, kept: Fixes, trial: Try) -> Advice:
+    """Return the alternative that gains most of those that help, by position, else by the path's shape."""
+    found = _best_by(candidate, kept, trial, False)
+    if found.helps or not candidate.by_shape:
+        return found
+    by_shape = _best_by(candidate, kept, trial, True)
+    return by_shape if by_shape.helps else found
+
+
+def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advice:
+    unfixed = Advice(
+        candidate.finding, tried=candidate.alternatives, measured=candidate.measured, judges=candidate.judges
+    )
+    options, harmless = [], False
+    for fixes in candidate.alternatives:
+        if together(kept, fixes) == kept:
+            continue  # set already
+        pairs = _pairs(candidate, kept, fixes, trial, shape)
+        harmless = harmless or bool(pairs)
+        # by the drive itself: not to lose is enough, but then in every configuration, also those that nobody keeps
+        shown = candidate.measured and bool(pairs) and (shape or (_by_prediction(pairs) and not _any_loses(pairs)))
+        if shown or any(improves(*pair) for pair in pairs.values()):
+            before = {name: pair[0] for name, pair in pairs.items()}
+            after = {name: pair[1] for name, pair in pairs.items()}
+            advice = replace(unfixed, fixes=fixes, before=before, after=after)
+            if any(
+                leaves(*pair) for pair in scored(kept, together(kept, fixes), candidate.guards, trial).values()
+            ):
+                continue
+            options += [advice] if (shown and not shape) or worth(advice) > 0.0 else []
+    return max(options, key=worth, default=replace(unfixed, harmless=harmless))
+
+
+def _by_prediction(pairs: Mapping[str, tuple[Score, Score]]) -> bool:
+    return all(before.position is None for before, _ in pairs.values())
+
+
+def _any_loses(pairs: Mapping[str, tuple[Score, Score]]) -> bool:
+    return any(spoils(*pair) for pair in pairs.values())
+
+
+def _pairs(
+    candidate: Candidate, kept: Fixes, fixes: Fixes, trial: Try, shape: bool
+) -> dict[str, tuple[Score, Score]]:
+    """Return every judge's score before and after; {} as soon as one gets worse, since each is a run."""
+    pairs: dict[str, tuple[Score, Score]] = {}
+    settled = False
+    for name in candidate.judges:
+        before, after = trial(kept, (name,)), trial(together(kept, fixes), (name,))
+        if name not in before or name not in after:
+            return {}
+        if shape:
+            before, after = ({name: scores[name].of_shape()} for scores in (before, after))
+        # what takes one configuration's error to less than half is right: another one's may lose what chance does
+        right = candidate.measured and turns_right(before[name], after[name])
+        chance = name in candidate.minor or settled or right
+        worse = ruins if name in candidate.others else spoils_alone if chance else spoils
+        lucky = settled and name in candidate.minor and was_chance(before[name], after[name])
+        if worse(before[name], after[name]) and not lucky:
+            return {}
+        pairs[name] = before[name], after[name]
+        observed = candidate.measured or not candidate.offer
+        settled = settled or (observed and settles(before[name], after[name]))
+    return pairs

@@ -7,12 +7,14 @@ configurations is array subtraction.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 
 import msgspec
 import numpy as np
 from msgspec.structs import replace
 
+from locfuse.fusion.sensor import FoundStart
 from locfuse.fusion.sensors.registry import REGISTRY, unmet
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
@@ -76,6 +78,41 @@ def measure(
     of_sensors = (f"{name}: {note}" for name, m in drive.measurements.items() for note in m.notes)
     words = (*(f"wheels: {note}" for note in repairs), *of_sensors)
     return replace(drive, notes=words, repairs=repairs, fixes=fixes)
+
+
+def begun(robot: Robot, drive: Drive) -> tuple[Robot, Drive]:
+    """Return the robot with the start that a sensor with a known map tells, unless [start] is given.
+
+    A sensor that cannot tell it is left out, for its readings would be compared with places of another frame.
+    """
+    found, measurements, absent = dict[str, FoundStart](), dict(drive.measurements), dict(drive.absent)
+    for name, m in drive.measurements.items() if not robot.start_given else ():
+        try:
+            start = REGISTRY[name].start(m, robot.settings(name), drive.wheels)
+        except LocfuseError as e:
+            del measurements[name]
+            absent[name] = e.sentence
+            continue
+        found |= {name: start} if start is not None else {}
+    drive = replace(drive, measurements=measurements, absent=absent)
+    if not found:
+        return robot, drive
+    name, best = min(found.items(), key=lambda item: item[1].sigma_xy)
+    x, y, theta = best.pose.tolist()
+    start_settings = msgspec.structs.replace(
+        robot.start,
+        x=x,
+        y=y,
+        theta_deg=math.degrees(theta),
+        sigma_xy=best.sigma_xy,
+        sigma_theta_deg=math.degrees(best.sigma_theta),
+    )
+    words = (
+        f"{name}: the drive begins at x {x:.2f} m, y {y:.2f} m, {math.degrees(theta):.0f} deg "
+        f"(1 sigma: {best.sigma_xy:.2f} m, {math.degrees(best.sigma_theta):.0f} deg): found by its map"
+    )
+    robot = replace(robot, start=start_settings, start_given=True)
+    return robot, replace(drive, notes=(*drive.notes, words))
 
 
 def _drop_dependent(measurements: dict[str, Measurements], missing: dict[str, str]) -> None:

@@ -249,6 +249,14 @@ class Reversal(NamedTuple):
     sets: Mapping[str, Any] = {}
 
 
+class FoundStart(NamedTuple):
+    """Where the robot was at the first wheel reading, by a sensor that knows its map."""
+
+    pose: Array  # (3,) x, y [m], theta [rad], map frame
+    sigma_xy: float  # m
+    sigma_theta: float  # rad
+
+
 class Sensor(ABC):
     """A sensor: one file in `fusion/sensors` and one line in the registry there. All that concerns it stands here.
 
@@ -324,6 +332,13 @@ class Sensor(ABC):
     @abstractmethod
     def model(self, settings: Any) -> Model:
         """Return its side of a new run of the filter."""
+
+    def start(self, m: Measurements, settings: Any, wheels: WheelMotion) -> FoundStart | None:
+        """Return where the drive began, as its readings of a known map tell; None where it is no such sensor.
+
+        Raises LocfuseError where they do not tell.
+        """
+        return None
 
     def heading(self, m: Measurements) -> tuple[Array, Array] | None:
         """Return times (n,) [s] and headings (n,) [rad, unwrapped, up to a constant] by its own turning.

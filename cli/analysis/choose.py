@@ -114,8 +114,8 @@ def _refuse_twice(named: Collection[str], sensor: Sensor, choice: Choice) -> Non
 def _names(settings: Any) -> tuple[str, ...]:
     """Return the topics that a sensor's table names."""
     several = tuple(getattr(settings, "topics", None) or ())
-    field = getattr(settings, "field", None)
-    suffix = f":{field}" if field else ""
+    fields = getattr(settings, "fields", None) or filter(None, [getattr(settings, "field", None)])
+    suffix = "".join(f"{mark}{field}" for mark, field in zip(":,", fields, strict=False))
     topic = settings.topic if settings.topic is not None else getattr(settings, "file", None)
     return several or ((f"{topic}{suffix}",) if topic is not None else ())
 

@@ -22,7 +22,7 @@ from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Event, LocfuseError, Measurements, Stream, UsageError
-from locfuse.fusion.measure import measure, windowed
+from locfuse.fusion.measure import begun, measure, windowed
 from locfuse.fusion.paper import preset as filters
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.lrf import laser_of
@@ -45,7 +45,7 @@ from .robot_tables import (
     set_tables,
     sources_of,
     table_types,
-    with_landmarks,
+    with_point_maps,
 )
 from .settings import LogOptions, Progress, silent
 from .tilt import level_compass
@@ -181,7 +181,7 @@ def measured(
     transforms = transforms_of(log, frames)
     placed = EXACT_LASER if by_scans else {}
     mounts = robot_toml.merge(placed, mount_tables(transforms, sensed), optics_tables(log, sensed, tables))
-    robot = with_landmarks(make_robot(robot_toml.merge(mounts, shared_turns(tables, sensed), tables)))
+    robot = with_point_maps(make_robot(robot_toml.merge(mounts, shared_turns(tables, sensed), tables)))
     moving = on_moving_parts(transforms, sensed, tables)
     if by_scans and "lrf" in moving:
         raise LocfuseError(moving["lrf"], role="lrf")
@@ -197,6 +197,7 @@ def measured(
         motion = read_wheels(wanted["wheels"], robot.wheels)
     shown = None if before is None else before.drive.measurements
     drive = measure(wanted, robot, {**choice.absent, **moving}, progress, known, motion, shown)
+    robot, drive = begun(robot, drive)
     _refuse_other_clock(log, drive)
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
     chosen = (f"{note.role}: {note.words}" for note in choice.notes if note.role in streams and not note.spoils)

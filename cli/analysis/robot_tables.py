@@ -16,6 +16,7 @@ from locfuse.formats.robot import landmark_map, robot_toml
 from locfuse.fusion.data import LocfuseError, UsageError
 from locfuse.fusion.paper import preset as filters
 from locfuse.fusion.robot import Robot, StartSettings, TruthSettings, WheelSettings
+from locfuse.fusion.sensors.points import PointsSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .key import files_of, with_files
@@ -163,15 +164,14 @@ def make_robot(tables: Mapping[str, Any]) -> Robot:
     )
 
 
-def with_landmarks(robot: Robot) -> Robot:
-    """Return the robot with its landmarks' map read from the file that the settings name."""
-    settings = robot.settings("landmarks")
-    if not isinstance(settings.map, str) or settings.grows:
-        return robot
-    path = Path(settings.map).expanduser()
-    if not path.is_file():
-        raise LocfuseError(
-            f"no such file: {path}", role="landmarks", hint="--set landmarks.map=<id, x, y as .csv>"
-        )
-    read = msgspec.structs.replace(settings, map=landmark_map.read(path))
-    return replace(robot, sensors={**robot.sensors, "landmarks": read})
+def with_point_maps(robot: Robot) -> Robot:
+    """Return the robot with the maps of points (landmarks, anchors) read from the files that the settings name."""
+    read = {}
+    for name, settings in robot.sensors.items():
+        if not isinstance(settings, PointsSettings) or not isinstance(settings.map, str) or settings.grows:
+            continue
+        path = Path(settings.map).expanduser()
+        if not path.is_file():
+            raise LocfuseError(f"no such file: {path}", role=name, hint=f"--set {name}.map=<id, x, y as .csv>")
+        read[name] = msgspec.structs.replace(settings, map=landmark_map.read(path))
+    return replace(robot, sensors={**robot.sensors, **read})

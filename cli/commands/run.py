@@ -77,8 +77,8 @@ def _refuse_maps_without_laser(options: o.Options, sensors: tuple[str, ...]) -> 
     from locfuse.fusion.data import UsageError
 
     save = options.outputs.save_map
-    of_landmarks = save is not None and save.suffix == ".csv" and "landmarks" in sensors
-    saved = save is not None and not of_landmarks
+    of_points = save is not None and save.suffix == ".csv" and bool({"landmarks", "ranges"} & set(sensors))
+    saved = save is not None and not of_points
     option = "--map" if options.how.given_map is not None else "--save-map" if saved else None
     if option and "lrf" not in sensors:
         raise UsageError(f"{option}: only the laser has a map; add lrf to --sensors")

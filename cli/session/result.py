@@ -199,7 +199,7 @@ class Run(Result, frozen=True, eq=False):
     def save_map(self, file: PathLike) -> None:
         """Write the line map of this run, with covariances, as JSON: `session.with_map` reads it.
 
-        A .csv gets the landmarks that the run placed (`landmarks.map = "grow"`), for `landmarks.map`.
+        A .csv gets the landmarks or anchors that the run placed (`landmarks.map = "grow"`), for `landmarks.map`.
         """
         if path_of(file).suffix == ".csv":
             if not self.filtered.points:

@@ -26,6 +26,7 @@ from .clock import Clock, Dated
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POINT = "geometry_msgs/msg/PointStamped"
 DETECTIONS = "locfuse/msg/Detections"
+RANGES = "locfuse/msg/Ranges"
 SUFFIXES = (".tum", ".csv", ".txt")
 TIMES = ("t", "time", "timestamp", "stamp", "t_s", "time_s", "timestamp [ns]")
 HEADINGS = ("theta", "yaw", "heading", "theta_rad", "yaw_rad")
@@ -145,7 +146,8 @@ def _detections(
         "id": np.array(idents, np.int64),
         **{name: column(name) if name in at else missing for name in ("range", "bearing")},
     }
-    return FileStream(path, DETECTIONS, np.array(times, np.int64), data)
+    kind = DETECTIONS if "bearing" in at else RANGES
+    return FileStream(path, kind, np.array(times, np.int64), data)
 
 
 def _table_of_poses(

@@ -20,7 +20,7 @@ from locfuse.formats.container.source import ChannelInfo, Messages, Recorded, So
 from locfuse.formats.container.url import Place
 from locfuse.formats.messages.decode import encoding_problem, make_decoder
 from locfuse.formats.messages.fields import NUMBER as A_NUMBER
-from locfuse.formats.messages.fields import FieldError, check_kind, kind_of, resolve
+from locfuse.formats.messages.fields import NUMBERS, FieldError, check_kind, kind_of, resolve
 from locfuse.formats.messages.schema import MessageDecoder, SchemaError, signature
 from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import transforms
@@ -30,7 +30,7 @@ from locfuse.fusion.progress import say_done
 
 from . import clock as clocks
 from .adapters import PRESENTED, presented_name
-from .file_stream import FileStream, is_file_topic, read_file
+from .file_stream import RANGES, FileStream, is_file_topic, read_file
 from .files import Identity, files_of, identity, identity_of, log_name, open_source, seen_of, seen_of_object
 from .stream import (
     NUMBER,
@@ -38,6 +38,7 @@ from .stream import (
     NumberStream,
     PathStream,
     PresentedStream,
+    RangeStream,
     Raw,
     Table,
     dated,
@@ -154,7 +155,7 @@ def _same_kind(one: ChannelInfo, other: ChannelInfo) -> bool:
 
 # --- The log
 
-AnyStream = LogStream | TransformStream | TagStream | FileStream | NumberStream | PresentedStream
+AnyStream = LogStream | TransformStream | TagStream | FileStream | NumberStream | RangeStream | PresentedStream
 MOVING = 0.005  # m, and of a quaternion (0.6 degrees): a mount that gives less is one
 FOXGLOVE_TF = tuple(f"foxglove{dot}FrameTransform{s}" for dot in (".", "_msgs/msg/") for s in ("", "s"))
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", *FOXGLOVE_TF)
@@ -260,9 +261,9 @@ class Log:
             whole = PRESENTED[made.msgtype].make is None
             return PathStream(topic, made) if whole else PresentedStream(topic, made)
         if topic not in self._channels and topic in self.topics and number is not None:
-            return NumberStream(
-                topic, LogStream(self, number[0], self.topics[number[0]].msgtype, order), number[1]
-            )
+            messages = LogStream(self, number[0], self.topics[number[0]].msgtype, order)
+            made_of = RangeStream if "," in number[1] else NumberStream
+            return made_of(topic, messages, number[1])
         if topic in self._channels or topic not in self.topics or pair is None:
             self._check(topic)
             return LogStream(self, topic, self.topics[topic].msgtype, order)
@@ -288,8 +289,9 @@ class Log:
             self.topics[name] = replace(self.topics[shown], msgtype=PRESENTED[self.topics[shown].msgtype].msgtype)
         number = field_of(name)
         if name not in self.topics and number is not None and number[0] in self._channels:
-            self._check_number(*number)
-            self.topics[name] = replace(self.topics[number[0]], msgtype=NUMBER)
+            fields = number[1].split(",")
+            self._check_numbers(number[0], fields)
+            self.topics[name] = replace(self.topics[number[0]], msgtype=NUMBER if len(fields) == 1 else RANGES)
         if name not in self.topics and is_file_topic(name):
             file = self._files[name] = read_file(name)
             self.topics[name] = Topic(file.msgtype, len(file.t_ns), "", "")
@@ -310,12 +312,17 @@ class Log:
         known = source in self._channels and name not in self._channels
         return source if known and presented_name(source, self.topics[source].msgtype) == name else None
 
-    def _check_number(self, topic: str, field: str) -> None:
-        """Raise LocfuseError where a field is not there, or is no number."""
+    def _check_numbers(self, topic: str, fields: Sequence[str]) -> None:
+        """Raise LocfuseError where a field is not there or is no number; id and range may be two lists of them."""
         self._check(topic)
-        self._check_fields(topic, (field,))
-        if (kind := kind_of(resolve(self._channels[topic].decoder.message, field))) != A_NUMBER:
-            raise LocfuseError(f"{topic} ({self.topics[topic].msgtype}): {field} is {kind}, not {A_NUMBER}")
+        self._check_fields(topic, tuple(fields))
+        kinds = [kind_of(resolve(self._channels[topic].decoder.message, field)) for field in fields]
+        source = f"{topic} ({self.topics[topic].msgtype})"
+        if len(fields) > 2:
+            raise LocfuseError(f"{source}: one field, or those of id and range, can be read, not {len(fields)}")
+        for field, kind in zip(fields, kinds, strict=True):
+            if kind != A_NUMBER and kinds != [NUMBERS, NUMBERS]:
+                raise LocfuseError(f"{source}: {field} is {kind}, not {A_NUMBER}")
 
     def recorded(self, name: str) -> bool:
         """Return whether a topic was recorded; frames of /tf, numbers and files are made of something else."""

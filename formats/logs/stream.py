@@ -26,7 +26,7 @@ from locfuse.fusion.data import END_OF_TIME, Block, Column, Ints, LocfuseError, 
 from . import clock as clocks
 from . import jitter
 from .adapters import OF_PATH, POSE, PRESENTED
-from .file_stream import FileStream
+from .file_stream import RANGES, FileStream
 
 
 class Raw(NamedTuple):
@@ -429,6 +429,44 @@ class NumberStream(DerivedStream):
         """Return the number as the column "data"."""
         values = np.asarray(self._source.columns(self._field)[self._field], dtype=np.float64)
         return dict.fromkeys(fields, values)
+
+
+class RangeStream(DerivedStream):
+    """Two fields of a topic as ids and ranges; where both are lists, each of their entries is a row."""
+
+    msgtype = RANGES
+
+    def __init__(self, topic: str, source: LogStream, fields: str) -> None:
+        super().__init__(topic, source)
+        self._fields = tuple(fields.split(","))
+
+    @cached_property
+    def _columns(self) -> tuple[Ints, dict[str, Column]]:
+        """Return the times (n,) and the columns (n,) of all rows."""
+        ids, ranges = self._source.columns(*self._fields).values()
+        t_ns = self._source.t_ns
+        if isinstance(ids, Ragged) and isinstance(ranges, Ragged):
+            if not np.array_equal(ids.lengths, ranges.lengths):
+                i = int(np.flatnonzero(ids.lengths != ranges.lengths)[0])
+                raise LocfuseError(
+                    f"{self.topic}: message {i} has {ids.lengths[i]} ids and {ranges.lengths[i]} ranges"
+                )
+            t_ns = np.repeat(t_ns, ids.lengths)
+            ids, ranges = (c.values[c.first[0] : c.first[-1]] for c in (ids, ranges))
+        return t_ns, {"id": np.asarray(ids), "range": np.asarray(ranges)}
+
+    @property
+    def t_ns(self) -> Ints:
+        """When the ranges were taken, (n,), never decreasing."""
+        return self._columns[0]
+
+    def columns(self, *fields: str) -> dict[str, Column]:
+        """Return the columns id and range."""
+        return {name: self._columns[1][name] for name in fields}
+
+    def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
+        """Yield everything as one block: numbers are light."""
+        yield np.arange(len(self.t_ns)), self.columns(*fields)
 
 
 class PresentedStream(DerivedStream):

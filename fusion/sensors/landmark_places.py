@@ -11,8 +11,8 @@ from locfuse.fusion.chi_square import MAD
 from locfuse.fusion.data import Array
 
 from .landmark_geometry import Point
+from .points import MIN_JUDGED
 
-MIN_DETECTIONS = 8  # of one landmark before its place is judged
 MAX_WRONG = 20  # notes on them
 WRONG_SIGMAS = 3.0  # of one detection's place: the median of many is much better known than that
 
@@ -23,7 +23,7 @@ def wrong_places(places: Mapping[int, Point], seen_at: Mapping[int, Array]) -> l
     A row is x, y and its standard deviation [m]. A landmark is wrong where the median lies further from its entry
     than WRONG_SIGMAS of one detection, and two such are swapped where each lies that near the other's entry.
     """
-    median = {key: np.median(rows, axis=0) for key, rows in seen_at.items() if len(rows) >= MIN_DETECTIONS}
+    median = {key: np.median(rows, axis=0) for key, rows in seen_at.items() if len(rows) >= MIN_JUDGED}
     reach = {key: WRONG_SIGMAS * max(float(v[2]), _scatter(seen_at[key])) for key, v in median.items()}
 
     def away(key: int, entry: int) -> float:

@@ -28,7 +28,6 @@ from typing import Any, ClassVar, NamedTuple
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from locfuse.fusion.chi_square import MAD, chi_square
 from locfuse.fusion.data import (
@@ -54,45 +53,47 @@ from locfuse.fusion.sensor import (
     Block,
     Model,
     Sensor,
-    SensorSettings,
     WheelMotion,
 )
-from locfuse.fusion.streams import MergedStream, count_dropped
+from locfuse.fusion.streams import MergedStream
 
 from .landmark_geometry import Point, Row, detector_at, predict
 from .landmark_messages import PIXELS, READS, Looks, Sighted, sighted
-from .landmark_places import MIN_DETECTIONS, wrong_places
+from .landmark_places import wrong_places
+from .points import (
+    GrowingPoints,
+    PointsSettings,
+    by_instant,
+    nothing_usable,
+    often_seen,
+    rows_of,
+    state_of,
+    usable,
+)
 
-GROW = "grow"
 LEVER = ("x", "y", "yaw")  # of a detection, where several cameras look
 OFFSET, DEPTH = "range_offset", "range_depth"
 SIGMA_DEPTH = 0.5  # of a share that lies at 0 or 1
 KNOWN_DEPTH, SAID_DEPTH = 0.2, 0.5  # 1 sigma, and value, from which it is said that the ranges are depths
 NEW = VERDICTS.index("new")
 MIN_FIT = 50  # detections that are held against poses
-MIN_SEEN = 3  # detections of an id from which its landmark is placed in a map that is made
-MAX_LANDMARKS = 300  # in a map that is made: each detection costs the square of their number, 0.2 ms at 300
-MAX_LISTED = 20  # ids in a note
+
 MIN_SHARE = 0.1  # of a distance that a depth is taken for: a detector looks ahead
 ZEROS = 0.0, 0.0  # derivatives of a bearing by offset and depth
 MAX_SIGMA_M = 0.3  # m of the robot's position: beyond it a detection does not tell where its landmark stands
 
 
-class LandmarksSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class LandmarksSettings(PointsSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """[landmarks]."""
+
+    table: ClassVar[str] = "landmarks"
+    what: ClassVar[str] = "landmarks"
 
     topics: tuple[str, ...] = ()  # several cameras: each its topic
     mounts: dict[str, tuple[float, ...]] = msgspec.field(
         default_factory=dict
     )  # of theirs: topic -> x, y [m], yaw, degrees it looks down
     optics: dict[str, tuple[float, float]] = msgspec.field(default_factory=dict)  # topic -> fx, cx [px]
-    file: str | None = None  # .csv beside the log: t, id, range [m], bearing [rad]
-    map: str | dict[str, Point] | None = (
-        None  # .csv of id, x, y [m], or { "6" = [x, y] }; None or "grow": it is made
-    )
-    ignore: tuple[int, ...] = ()  # ids that are no landmarks, such as other robots
-    x: float = 0.0  # m, detector on the base
-    y: float = 0.0
     yaw_deg: float = 0.0
     pitch_deg: float = 0.0  # degrees that a camera looks down
     fx: float | None = (
@@ -112,32 +113,11 @@ class LandmarksSettings(SensorSettings, frozen=True, forbid_unknown_fields=True,
             if getattr(self, key) <= 0.0:
                 raise ValueError(f"{key} = {getattr(self, key)}: no sensor is exact, it must be positive")
 
-    @property
-    def grows(self) -> bool:
-        """Whether the places of the landmarks are states: nobody knows them."""
-        return self.map is None or self.map == GROW
-
-    @property
-    def places(self) -> dict[int, Point]:
-        """The map: id -> x, y [m]. Raises LocfuseError without one, or for an id that is no number."""
-        if self.grows:
-            return {}
-        if not isinstance(self.map, dict):
-            raise LocfuseError(f"landmarks.map = {self.map} was not read", role="landmarks")
-        return {_id(key): place for key, place in self.map.items()}
-
 
 MADE = (
     "no landmarks.map is set: where the landmarks stand is estimated (grow); with --set landmarks.map=FILE, "
     "a .csv of id, x, y, they also say where the robot is in the room"
 )
-
-
-def _id(key: str) -> int:
-    try:
-        return int(key)
-    except ValueError:
-        raise LocfuseError(f"landmarks.map: id {key!r} is no whole number", role="landmarks") from None
 
 
 class Landmarks(Sensor):
@@ -196,14 +176,16 @@ class Landmarks(Sensor):
                 fixes=("landmarks.map=landmarks.csv",),
                 hint="--set landmarks.map=landmarks.csv",
             )
-        places = None if settings.grows else settings.places
         dropped = dict(stream.dropped)
-        keep = _usable(seen, camera, places, settings.ignore, dropped)
+        valid = np.asarray(plausible(seen.bearings))
+        if seen.ranges is not None:
+            valid = valid & plausible(seen.ranges) & (seen.ranges > 0.0)
+        keep = usable(seen.t_ns, seen.ids, camera, valid, settings, dropped)
         if len(seen.ids) and not keep.any():
-            raise LocfuseError(_nothing(stream.topic, seen.ids, places), role="landmarks")
+            raise nothing_usable(stream.topic, seen.ids, settings)
         notes = [MADE] if settings.map is None else []
         if settings.grows:
-            keep, left_out = _often_seen(seen.ids, keep, stream.topic, dropped)
+            keep, left_out = often_seen(seen.ids, keep, stream.topic, settings, dropped)
             notes += left_out
         ids, parts = seen.ids[keep], [wrap_all(seen.bearings[keep])]
         turn = math.radians(settings.sigma_bearing_deg)
@@ -211,10 +193,10 @@ class Landmarks(Sensor):
         if seen.ranges is not None:
             parts.append(seen.ranges[keep])
         d = len(parts)
-        instants, first = np.unique(seen.t_ns[keep], return_index=True)
+        t, first = by_instant(seen.t_ns[keep], epoch_ns, settings.time_offset)
         return Measurements(
-            t=(instants - epoch_ns) * np.float64(1e-9) + settings.time_offset,
-            first=np.append(first, len(ids)).astype(np.int64),
+            t=t,
+            first=first,
             z=np.stack(parts, axis=-1),
             R_unit=np.broadcast_to(np.diag((sigmas[:d] / turn) ** 2), (len(ids), d, d)).copy(),
             scale=turn,
@@ -282,75 +264,6 @@ def mounts_of(m: Measurements, usual: tuple[float, float, float]) -> Array:
     if LEVER[0] not in m.extra:
         return np.tile(np.array(usual, np.float64), (len(m.z), 1))
     return np.stack([m.extra[name] for name in LEVER], axis=-1)
-
-
-def _usable(
-    seen: Sighted,
-    camera: Ints,
-    places: Mapping[int, Point] | None,
-    ignored: Sequence[int],
-    dropped: dict[str, int],
-) -> NDArray[np.bool_]:
-    """Return which detections (n,) are numbers, of the map, and the only one of their id; count the others.
-
-    Two detections of one id by one camera at one instant are two tags with one id, or a reflection: neither is
-    used.
-    """
-    finite = plausible(seen.bearings)
-    if seen.ranges is not None:
-        finite = finite & plausible(seen.ranges) & (seen.ranges > 0.0)
-    unwanted = np.isin(seen.ids, ignored)
-    numbered = (seen.ids >= 0) & ~unwanted
-    known = numbered if places is None else numbered & np.isin(seen.ids, list(places))
-    pairs = np.stack((seen.t_ns, seen.ids, camera), axis=-1)
-    _, place, counts = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
-    twice = counts[place.reshape(-1)] > 1 if len(pairs) else np.zeros(0, dtype=bool)
-    for reason, out in (
-        ("not_finite", ~finite),
-        ("no_id", finite & (seen.ids < 0)),
-        ("ignored", finite & unwanted),
-        ("not_in_map", finite & numbered & ~known),
-        ("same_id", finite & known & twice),
-    ):
-        count_dropped(dropped, reason, int(out.sum()))
-    return np.asarray(finite & known & ~twice)
-
-
-def _often_seen(
-    ids: Ints, usable: NDArray[np.bool_], topic: str, dropped: dict[str, int]
-) -> tuple[NDArray[np.bool_], list[str]]:
-    """Return which detections (n,) are of landmarks to be placed, and in words how many ids are left out.
-
-    Every landmark is two states. An id that is seen once or twice (a tracker that counts up, false detections)
-    adds no information about the robot's pose, and of more ids than MAX_LANDMARKS those seen most often are taken.
-    """
-    names, which, counts = np.unique(ids[usable], return_inverse=True, return_counts=True)
-    often = counts >= MIN_SEEN
-    if len(names) and not often.any():
-        raise LocfuseError(
-            f"{topic}: none of its {len(names)} ids is seen {MIN_SEEN} times, as a map of landmarks needs",
-            role="landmarks",
-        )
-    most = np.zeros(len(names), dtype=bool)
-    most[np.argsort(-counts, kind="stable")[:MAX_LANDMARKS]] = True
-    taken, words = usable.copy(), []
-    taken[usable] = (often & most)[which.reshape(-1)]
-    for reason, out, why in (
-        ("seen_rarely", ~often, f"seen less than {MIN_SEEN} times"),
-        ("too_many_ids", often & ~most, f"beyond the {MAX_LANDMARKS} seen most often, the cap of a map"),
-    ):
-        count_dropped(dropped, reason, int(counts[out].sum()))
-        if out.any():
-            words.append(f"{out.sum()} of {len(names)} ids are not placed in the map: {why}")
-    return taken, words
-
-
-def _nothing(topic: str, ids: Ints, places: Mapping[int, Point] | None) -> str:
-    seen = ", ".join(map(str, sorted(set(ids.tolist()))[:8]))
-    if places is None:
-        return f"{topic} detects no landmark with an id of its own: it sees ids {seen}"
-    have = ", ".join(map(str, sorted(places)[:8]))
-    return f"{topic} detects no landmark of the map: it sees ids {seen}; the map has {have or 'none'}"
 
 
 class Ranging(NamedTuple):
@@ -494,21 +407,12 @@ class LandmarksModel(Model):
         ]
 
 
-class GrowingModel(LandmarksModel):
-    """The same with places that are states, in the local frame: no known place is seen, nor north."""
-
-    joint = True
-    local = True
-    maps = True
+class GrowingModel(GrowingPoints, LandmarksModel):
+    """The same with places that are states, in the local frame."""
 
     def __init__(self, settings: LandmarksSettings) -> None:
-        super().__init__(settings)
-        self._known: dict[int, int] = {}  # id -> detections
-        self._refused: dict[int, int] = defaultdict(int)
-
-    def begins_map(self, m: Measurements, i: int) -> bool:
-        """Return whether these are the first detections, with which a local frame can begin."""
-        return not self._known and len(rows_of(m, i)) > 0
+        GrowingPoints.__init__(self, settings.what, settings.table)
+        LandmarksModel.__init__(self, settings)
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
         """Compare the detections of one instant with the belief; those of new landmarks are none yet."""
@@ -518,7 +422,7 @@ class GrowingModel(LandmarksModel):
             if landmark not in self._known:
                 found.append(Innovation.unpredicted(row, NEW, m.z.shape[1], self.thresholds[2]))
                 continue
-            column = belief.column(_name(landmark))
+            column = belief.column(state_of(landmark, "landmarks"))
             place, at = (belief.value(column), belief.value(column + 1)), (column, column + 1)
             seen = self._compared(m, row, landmark, pose, ranging, place, at, belief)
             if seen is not None:
@@ -548,47 +452,14 @@ class GrowingModel(LandmarksModel):
         G = np.hstack((np.eye(2), by_turn, *by_states))
         J = np.hstack(([[-r * s], [r * c]], by_range))
         column = belief.augment(np.array([x + r * c, y + r * s]), G, J @ R @ J.T, ranging.columns)
-        belief.own_point(_name(landmark), column)
-
-    def points(self, belief: Any) -> list[tuple[int, float, float]]:
-        """Return id and place [m, map frame] of every landmark, as the run ended."""
-        G = belief.frame_pose() or (0.0, 0.0, 0.0)
-        c, s = math.cos(G[2]), math.sin(G[2])
-        found = []
-        for landmark in sorted(self._known):
-            _, (x, y) = belief.block(_name(landmark))
-            found.append((landmark, float(G[0] + c * x - s * y), float(G[1] + s * x + c * y)))
-        return found
+        belief.own_point(state_of(landmark, "landmarks"), column)
 
     def notes(self, belief: Any) -> list[str]:
-        """Say how many landmarks the map has, and which were seen too rarely to be in it for sure."""
-        rare = [str(landmark) for landmark, n in sorted(self._known.items()) if n < MIN_SEEN]
-        words = f"a map of {len(self._known)} landmarks was made"
-        depth = self._depth_notes(belief)
-        more = f" and {len(rare) - MAX_LISTED} more" if len(rare) > MAX_LISTED else ""
-        rarely = f"; seen less than {MIN_SEEN} times: {', '.join(rare[:MAX_LISTED])}{more}" if rare else ""
-        moving = [k for k, n in sorted(self._known.items()) if n >= MIN_DETECTIONS and 2 * self._refused[k] > n]
-        if not moving:
-            return [words + rarely, *depth]
-        if len(moving) > MAX_LISTED:
-            many = f"{len(moving)} of {len(self._known)} landmarks do not stand still"
-            return [words + rarely, *depth, f"{many}: are the ranges in m and the bearings in rad?"]
-        ids = ", ".join(map(str, moving))
-        stand = f"ids {ids} do not stand still" if len(moving) > 1 else f"id {ids} does not stand still"
-        fix = f"leave out with landmarks.ignore=[{ids}]"
-        return [words + rarely, *depth, f"{stand}, or several tags share it: {fix}"]
-
-
-def rows_of(m: Measurements, i: int) -> range:
-    """Return the rows of reading i."""
-    first = m.plain["first"]
-    return range(first[i], first[i + 1])
+        """Say what the map holds, and that the ranges were found to be depths."""
+        made, *moving = self.map_notes("are the ranges in m and the bearings in rad?")
+        return [made, *self._depth_notes(belief), *moving]
 
 
 def _sigma_of_place(belief: Belief) -> float:
     """Return the greater standard deviation of the robot's x and y [m]."""
     return math.sqrt(max(belief.variance((1.0, 0.0, 0.0)), belief.variance((0.0, 1.0, 0.0))))
-
-
-def _name(landmark: int) -> str:
-    return f"_landmark_{landmark}"

@@ -14,6 +14,7 @@ from .gyro import Gyro
 from .landmarks import Landmarks
 from .lrf import Lrf
 from .pose import PoseSensor
+from .ranges import Ranges
 from .sonar import Sonar
 from .twist import Twist
 
@@ -29,6 +30,7 @@ REGISTRY: dict[str, Sensor] = {
         Landmarks(),
         PoseSensor(),
         Twist(),
+        Ranges(),
     )
 }
 

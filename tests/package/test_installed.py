@@ -69,7 +69,7 @@ def test_import_locfuse_loads_nothing_heavy() -> None:
 
 def test_the_metadata_says_what_it_is_and_names_no_person() -> None:
     about = metadata.metadata("locfuse")
-    assert about["License-Expression"] == "Apache-2.0"
+    assert about["License-Expression"] == "Apache-2.0 AND CC-BY-SA-4.0"
     assert "Author" not in about
     assert "Author-email" not in about
     assert "Programming Language :: Python :: 3.11" in (about.get_all("Classifier") or [])

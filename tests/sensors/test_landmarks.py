@@ -22,7 +22,7 @@ from wheel_bags import GEOMETRY, angles, joint_states, log_of
 from locfuse.formats.robot import landmark_map
 from locfuse.fusion.data import LocfuseError, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.sensors import landmarks
+from locfuse.fusion.sensors import points
 from locfuse.fusion.sensors.landmark_geometry import predict
 from locfuse.fusion.sensors.landmark_places import wrong_places
 from locfuse.fusion.sensors.landmarks import LandmarksModel, LandmarksSettings
@@ -342,7 +342,7 @@ def test_an_id_gets_a_place_in_the_map_from_its_third_detection_on(tmp_path: Pat
 def test_of_more_ids_than_the_cap_those_seen_most_often_are_placed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(landmarks, "MAX_LANDMARKS", 3)
+    monkeypatch.setattr(points, "MAX_POINTS", 3)
     done = grown(tmp_path, sorted((0.5 + k, key) for key in range(6) for k in range(3 + (key >= 3))))
     told = " ".join(done.stderr.split())
     assert "3 of 6 ids are not placed in the map: beyond the 3 seen most often" in told

@@ -149,5 +149,6 @@ def _cancel(running: Mapping[Future[Outcome], Job]) -> None:
     """Take back what has not begun and end what runs."""
     for future in running:
         future.cancel()
-    while wait(running, STOP_S).not_done:
+    while not all(future.done() for future in running):
         process.stop()
+        time.sleep(STOP_S)

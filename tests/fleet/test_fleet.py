@@ -135,7 +135,7 @@ def test_a_setting_in_a_file_is_the_setting_on_the_command_line(
     assert again.exit_code == 0, again.stderr
 
 
-@pytest.mark.parametrize("key", ["truth.topic", "landmarks.topic", "landmarks.map", "lrf.map"])
+@pytest.mark.parametrize("key", ["truth.topic", "landmarks.topic", "landmarks.map"])
 def test_a_file_that_a_setting_names_is_part_of_the_key_by_its_content(key: str, tmp_path: Path) -> None:
     file = tmp_path / "beside.csv"
     how = LogOptions(None, (f'{key}="{file}"',), None, strict=False, quiet=True)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from msgspec.structs import replace
 
-from locfuse.cli.analysis.errors import LOSS
+from locfuse.cli.analysis.errors import EXIT_LOSS
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.options import log_options
@@ -95,7 +95,7 @@ def init(
         say(f"{ekf}: {note}")
     if not how.quiet:
         _say(made, words, name)
-    return LOSS if lost else 0
+    return EXIT_LOSS if lost else 0
 
 
 def _translated(places: Sequence[Place], ekf: Path | None) -> tuple[dict[str, dict[str, Any]], tuple[str, ...]]:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 V = TypeVar("V")
 Kinds = str | Iterable[str] | None  # "json,tum" or ["json", "tum"]; None: all
-EXPORT = "--export: unknown format"
+UNKNOWN_EXPORT = "--export: unknown format"
 
 
 class UnknownNameError(UsageError, KeyError):
@@ -148,7 +148,7 @@ class Result(msgspec.Struct, frozen=True, eq=False):
         """
         files = self._files(write)
         files |= fixes_file(self.report)
-        files |= exports.files(chosen(export, list(exports.KINDS), EXPORT), self.loaded, self._by_file())
+        files |= exports.files(chosen(export, list(exports.KINDS), UNKNOWN_EXPORT), self.loaded, self._by_file())
         return self._written(folder, files, overwrite)
 
     def _files(self, write: Kinds) -> dict[str, Content]:

@@ -61,7 +61,7 @@ class Referenced(msgspec.Struct, frozen=True):
     effects: Mapping[str, ByReference]  # by sensor
 
 
-class Judged(NamedTuple):
+class JudgedRun(NamedTuple):
     """One configuration's result, and what its audits say of the sensors' noise."""
 
     estimates: Estimates
@@ -155,9 +155,9 @@ def quarrels(configurations: Sequence[Configuration], found: Sequence[Score]) ->
 
 def _referenced(
     references: References,
-    every: Sequence[Judged],
+    every: Sequence[JudgedRun],
     hows: Sequence[Align],
-    filtered: Sequence[Judged],
+    filtered: Sequence[JudgedRun],
 ) -> tuple[Referenced, list[Evaluation]]:
     """Return every result judged by a reference, each moved onto it as `hows` says, and which judged what."""
     pairs = [references.judged(j.evaluation, j.estimates, how) for j, how in zip(every, hows, strict=True)]
@@ -169,7 +169,7 @@ def _referenced(
 
 
 def _effect(
-    references: References, sensor: str, plain: Mapping[frozenset[str], Judged], align: Align
+    references: References, sensor: str, plain: Mapping[frozenset[str], JudgedRun], align: Align
 ) -> ByReference | None:
     """Return what the reference that a sensor has no part in says of its effect; None where nothing was run."""
     reference, before = references.without(sensor), frozenset(needed(sensor))
@@ -185,7 +185,9 @@ def _effect(
     return ByReference(errors[0], errors[1], reference.can_judge(errors[1]), effect)
 
 
-def _judged(c: Configuration, loaded: Loaded, asked: Asked, smooth: bool, watch: Sequence[Watch]) -> list[Judged]:
+def _judged(
+    c: Configuration, loaded: Loaded, asked: Asked, smooth: bool, watch: Sequence[Watch]
+) -> list[JudgedRun]:
     """Fuse and judge one configuration: filtered, and perhaps smoothed, which is watched if it was asked for."""
     drive, robot, judged = c.drive(loaded.drive), loaded.robot, []
     how = cast("Align", asked.align)
@@ -194,7 +196,7 @@ def _judged(c: Configuration, loaded: Loaded, asked: Asked, smooth: bool, watch:
         for look in watch if asked.smooth or not e.smoothed else ():
             look(e, evaluation)
         kept = e if asked.audits else replace(e, audits={})
-        judged.append(Judged(kept, evaluation, evidence(drive, e, robot)))
+        judged.append(JudgedRun(kept, evaluation, evidence(drive, e, robot)))
     return judged
 
 
@@ -224,9 +226,9 @@ def _in_frame_of(e: Estimates, drive: Drive, references: References | None, alig
     return replace(e, notes=(*e.notes, words)), "origin"
 
 
-def _judged_foreign(e: Estimates, drive: Drive, how: Align) -> Judged:
+def _judged_foreign(e: Estimates, drive: Drive, how: Align) -> JudgedRun:
     """Judge an estimate that is not ours."""
-    return Judged(e, evaluate(e, drive, how), [])
+    return JudgedRun(e, evaluate(e, drive, how), [])
 
 
 def refuse_smoothing(robot: Robot, configurations: Sequence[Configuration]) -> None:

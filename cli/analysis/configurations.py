@@ -18,7 +18,7 @@ from locfuse.fusion.paper.preset import fuser
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed
 
-RATE = re.compile(r"(\d+(?:\.\d+)?)\s*hz", re.IGNORECASE)
+RATE_PATTERN = re.compile(r"(\d+(?:\.\d+)?)\s*hz", re.IGNORECASE)
 MAX_SUBSET_SENSORS = 6  # sensors: 64 subsets
 Sensors = str | Iterable[str]  # of one configuration
 
@@ -119,7 +119,7 @@ def refuse_beside_others(words: str, names: Sequence[str]) -> None:
 
 def _rate(name: str, text: str) -> float:
     """Return Hz. Raises UsageError for anything but a positive number followed by Hz."""
-    found = RATE.fullmatch(text.strip())
+    found = RATE_PATTERN.fullmatch(text.strip())
     if found is None or float(found[1]) <= 0.0:
         raise UsageError(f"--sensors {name}: a lower rate reads like lrf@2Hz")
     return float(found[1])

@@ -6,14 +6,17 @@ import errno
 import os
 import warnings
 
-LOSS = 3  # exit code where something of a log was lost, or figures are void
+EXIT_LOSS = 3  # exit code where something of a log was lost, or figures are void
 PACKAGES = {  # module -> what to install, where their names differ
     "cv2": "opencv-python-headless",
     "distributed": "locfuse[cluster]",
     "obstore": "locfuse[remote]",
     "rerun": "rerun-sdk",
 }
-NO_ROOM = ("failed to map segment", "annot allocate memory")  # messages of the loader when memory is short
+OUT_OF_MEMORY_WORDS = (
+    "failed to map segment",
+    "annot allocate memory",
+)  # messages of the loader when memory is short
 
 
 def expected(e: Exception) -> tuple[str, int] | None:
@@ -29,7 +32,7 @@ def expected(e: Exception) -> tuple[str, int] | None:
         where = f": {e.filename}" if e.filename else ""
         hint = ". Free some space or choose another folder with -o" if e.errno == errno.ENOSPC else ""
         return f"{what}{where}{hint}", 1
-    if isinstance(e, ImportError) and any(words in str(e) for words in NO_ROOM):
+    if isinstance(e, ImportError) and any(words in str(e) for words in OUT_OF_MEMORY_WORDS):
         return f"out of memory: a library could not be loaded ({str(e).splitlines()[-1].strip()})", 1
     if isinstance(e, ModuleNotFoundError) and (package := _package_of(e)) is not None:
         return f"this needs {package}, which is not installed: python -m pip install {package}", 1

@@ -26,7 +26,7 @@ from locfuse.fusion.data import LocfuseError, UsageError
 
 from .settings import GateOptions
 
-FAILED = 4
+EXIT_GATE_FAILED = 4
 OF_REFERENCE = "reference."  # before a figure: that of a log without truth, against its reference
 OF_FLEET = "fleet."  # before a figure: that of all logs together
 OPERATORS: dict[str, Callable[[float, float], bool]] = {
@@ -35,7 +35,7 @@ OPERATORS: dict[str, Callable[[float, float], bool]] = {
     ">": operator.gt,
     "<": operator.lt,
 }
-UNITS = {
+TOLERANCE_UNITS = {
     "": ("share", 1.0),
     "%": ("share", 0.01),
     "mm": ("metres", 1e-3),
@@ -44,8 +44,8 @@ UNITS = {
     "deg": ("degrees", 1.0),
     "°": ("degrees", 1.0),
 }
-PART = re.compile(r"(\S*?)\s*(%|mm|cm|m|deg|°|)")  # of a tolerance: a number and its unit
-GATE = re.compile(r"\s*(?P<figure>[^\s<>=]+)\s*(?P<op>>=|<=|>|<)\s*(?P<limit>\S+)\s*")
+TOLERANCE_PATTERN = re.compile(r"(\S*?)\s*(%|mm|cm|m|deg|°|)")  # of a tolerance: a number and its unit
+GATE_PATTERN = re.compile(r"\s*(?P<figure>[^\s<>=]+)\s*(?P<op>>=|<=|>|<)\s*(?P<limit>\S+)\s*")
 
 
 class Gate(msgspec.Struct, frozen=True):
@@ -142,7 +142,7 @@ class FleetGates(msgspec.Struct, frozen=True):
 
 def parse_gate(text: str) -> Gate:
     """Return the gate that `--fail-if` names. Raises UsageError with an example."""
-    found = GATE.fullmatch(text)
+    found = GATE_PATTERN.fullmatch(text)
     limit = _number(found["limit"]) if found else None
     if found is None or limit is None or "." not in found["figure"]:
         raise UsageError(f'--fail-if {text!r}: write it like "all.position_rmse_m > 0.02" (one of > >= < <=)')
@@ -153,9 +153,9 @@ def parse_tolerance(text: str) -> Tolerance:
     """Return "5%", "0.05", "1mm" or "5%,1mm,0.1deg". Raises UsageError, also for 5, which would be 500 %."""
     found: dict[str, float] = {}
     for part in text.split(","):
-        read = PART.fullmatch(part.strip())
+        read = TOLERANCE_PATTERN.fullmatch(part.strip())
         number, unit = read.groups() if read else ("", "")
-        kind, scale = UNITS[unit]
+        kind, scale = TOLERANCE_UNITS[unit]
         value = _number(number)
         if value is None or value < 0.0 or kind in found or (not unit and value >= 1.0):
             meant = f"{part.strip()}%, or " if value is not None and value >= 1.0 and not unit else ""

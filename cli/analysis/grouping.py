@@ -14,10 +14,10 @@ from locfuse.fusion.data import LocfuseError, UsageError
 
 from .load import find_log
 
-PART = re.compile(r"(?P<name>.+)_(?P<number>\d+)\.(?:mcap(?:\.zstd)?|db3(?:\.zstd)?)")
+PART_NAME_PATTERN = re.compile(r"(?P<name>.+)_(?P<number>\d+)\.(?:mcap(?:\.zstd)?|db3(?:\.zstd)?)")
 OVERLAP_NS = 1_000_000_000  # parts of one recording follow each other; two drives need not
-METADATA = "metadata.yaml"
-RESULTS = ("report.json", "run.json")
+METADATA_FILE = "metadata.yaml"
+REPORT_FILES = ("report.json", "run.json")
 
 
 def result_file(word: str) -> Path | None:
@@ -25,9 +25,9 @@ def result_file(word: str) -> Path | None:
     if is_url(word):
         return None
     path = Path(word)
-    if path.name in RESULTS and path.is_file():
+    if path.name in REPORT_FILES and path.is_file():
         return path
-    return next((path / name for name in RESULTS if (path / name).is_file()), None)
+    return next((path / name for name in REPORT_FILES if (path / name).is_file()), None)
 
 
 def results_of(words: Sequence[str]) -> list[Path] | None:
@@ -53,7 +53,7 @@ def logs_of(words: Sequence[str]) -> list[list[str]]:
     """
     groups: dict[object, list[str]] = {}
     for word in _once(words):
-        part = PART.fullmatch(place(word).name)
+        part = PART_NAME_PATTERN.fullmatch(place(word).name)
         key = (_folder(word), part["name"]) if part and (is_url(word) or Path(word).is_file()) else word
         groups.setdefault(key, []).append(word)
     return [log for parts in groups.values() for log in _split(parts)]
@@ -90,8 +90,10 @@ def _once(words: Sequence[str]) -> list[str]:
     for word in words:
         here = not is_url(word) and Path(word).exists()
         first.setdefault(Path(word).resolve() if here else word, word)
-    parts = {path.parent for path in first if isinstance(path, Path) and path.name != METADATA}
-    return [w for p, w in first.items() if not (isinstance(p, Path) and p.name == METADATA and p.parent in parts)]
+    parts = {path.parent for path in first if isinstance(path, Path) and path.name != METADATA_FILE}
+    return [
+        w for p, w in first.items() if not (isinstance(p, Path) and p.name == METADATA_FILE and p.parent in parts)
+    ]
 
 
 def _split(parts: list[str]) -> list[list[str]]:

@@ -34,7 +34,7 @@ from locfuse.fusion.wheels.read import WheelReading, read_wheels
 from .choose import choose
 from .key import with_files
 from .memory import give_back
-from .mounts import mount_tables, on_moving_parts, optics_tables, shared_turns, transforms_of
+from .mounts import level_compass, mount_tables, on_moving_parts, optics_tables, shared_turns, transforms_of
 from .refused_motion import spoiling, standing_notes
 from .robot_tables import (
     given_tables,
@@ -48,7 +48,6 @@ from .robot_tables import (
     with_point_maps,
 )
 from .settings import LogOptions, Progress, silent
-from .tilt import level_compass
 from .topics import Choice, Note
 
 if TYPE_CHECKING:

@@ -1,11 +1,17 @@
-"""The files of a comparison, by kind. Each kind imports what it needs: `--write json` needs no plotting."""
+"""The files of a result: by kind, and in the formats of other tools (--export).
+
+Each kind imports what it needs: `--write json` needs no plotting.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Estimates, Evaluation, Event
 from locfuse.fusion.judge.events import events_of_drive, events_of_run
@@ -16,13 +22,18 @@ from locfuse.fusion.wheels.states import WHEEL_STATES
 
 from . import results
 from .compare import Compared
+from .key import files_of
 from .verdicts import credit_values
 
 if TYPE_CHECKING:
     from locfuse.formats.figures.scene import Scene
     from locfuse.formats.whole_files import Content
+    from locfuse.fusion.data import Array, Drive
 
     from .load import Loaded
+
+MCAP = "estimates.mcap"
+OTHER_CLOCK_S = 1.0  # s between stamps and recording: more is another clock, in which players live
 
 
 class Drawn:
@@ -142,3 +153,55 @@ def events(loaded: Loaded, runs: Iterable[Estimates]) -> list[Event]:
     for e in runs:
         found += events_of_run(thinned(loaded.drive, e.rates) if e.rates else loaded.drive, e)
     return sorted(found)
+
+
+def exported_files(kinds: Collection[str], loaded: Loaded, found: Mapping[str, Estimates]) -> dict[str, Content]:
+    """Return the files in formats of other tools; `found` gives each trajectory the name of its files."""
+    from locfuse.formats.results import trajectory as to
+
+    out: dict[str, Content] = {}
+    writers: dict[str, dict[str, Callable[[Drive, Estimates], str]]] = {
+        "kitti": {"_kitti.txt": to.estimates_kitti, "_kitti_times.txt": to.kitti_times},
+        "tum": {".tum": to.estimates_tum},
+        "tum-cov": {"_cov.tum": to.estimates_tum_covariance},
+        "csv": {".csv": to.estimates_csv},
+    }
+    for kind, endings in writers.items():
+        if kind in kinds:
+            out |= {f"{n}{end}": w(loaded.drive, e) for n, e in found.items() for end, w in endings.items()}
+    if {"mcap", "log"} & set(kinds):
+        out[MCAP] = _mcap(loaded, found, "log" in kinds)
+    return out
+
+
+def _mcap(loaded: Loaded, found: Mapping[str, Estimates], with_log: bool) -> Callable[[Any], None]:
+    from locfuse.formats.results.mcap_export import Export
+    from locfuse.formats.robot import robot_toml
+
+    tables = results.settings_tables(loaded.robot)
+    for table, key, text in list(files_of(tables)):
+        if not loaded.log.recorded(text):  # a file of this machine: it does not go with the copy
+            tables[table].pop(key, None)
+    drive = loaded.drive
+    export = Export(
+        drive=drive,
+        estimates=tuple(found.values()),
+        twist=_twist(drive),
+        robot_toml=robot_toml.dump(tables).encode(),
+        clock_ns=_other_clock(loaded),
+        log=loaded.log if with_log else None,
+    )
+    return export.write
+
+
+def _twist(drive: Drive) -> Array:
+    """Return the mean body twist (n, 3) by the wheels over the interval that ends at each instant."""
+    dt = np.diff(drive.t, prepend=drive.t[0])
+    twist: Array = se2.log(drive.motions.u) / np.where(dt > 0.0, dt, np.inf)[:, None]
+    return twist
+
+
+def _other_clock(loaded: Loaded) -> int:
+    """Return by how much the recording's clock runs ahead of the stamps, 0 for one clock [ns]."""
+    delay = loaded.log.stream(loaded.choice.topics["wheels"], loaded.robot.order).delay_s or 0.0
+    return round(delay * 1e9) if abs(delay) > OTHER_CLOCK_S else 0

@@ -20,6 +20,14 @@ Progress = Callable[[str], None]  # is given the name of the current step
 MAX_REFERENCE_INSTANTS = 2400  # of a drive whose reference is solved unasked: four minutes of a 10 Hz laser
 OF_COMPARISON = ("html", "md", "json", "tum", "csv", "tex")  # kinds of output
 OF_RUN = ("tum", "csv", "json")
+EXPORTS = {  # formats of other tools
+    "mcap": "estimates.mcap for Foxglove and rosbag2: Odometry with covariance, Path, /tf, truth",
+    "log": "the same with every message of the log beside them",
+    "kitti": "12 numbers a line, stamps in a file beside it",
+    "tum": "",
+    "tum-cov": "TUM and the upper triangle of the 6 x 6 covariance",
+    "csv": "with covariance",
+}
 PRESETS = ("default", "paper")
 ORDERS = ("auto", "stamp", "recorded")
 

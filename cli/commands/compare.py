@@ -83,8 +83,8 @@ def _named(words: Sequence[str]) -> dict[str, str]:
 
 def one(log: Sequence[str], options: o.Options) -> int:
     """Compare one log, write and print it; return the exit code."""
-    from locfuse.cli.analysis.errors import LOSS
-    from locfuse.cli.analysis.gates import FAILED, Gates, refuse_another_log
+    from locfuse.cli.analysis.errors import EXIT_LOSS
+    from locfuse.cli.analysis.gates import EXIT_GATE_FAILED, Gates, refuse_another_log
     from locfuse.cli.analysis.results import default_folder
     from locfuse.cli.session.session import opened
     from locfuse.cli.terminal import show
@@ -107,4 +107,4 @@ def one(log: Sequence[str], options: o.Options) -> int:
     failed = gates.failures(result.report)
     for line in failed:
         show.say(f"gate: {line}")
-    return FAILED if failed else LOSS if lost else 0
+    return EXIT_GATE_FAILED if failed else EXIT_LOSS if lost else 0

@@ -20,7 +20,7 @@ from locfuse.formats.report import json_report
 from locfuse.formats.whole_files import write_results
 from locfuse.fusion.data import LocfuseError, UsageError
 
-FOLLOWED = ("log", "out", "overwrite", "as_json", "quiet")  # options that finished results can follow
+ALLOWED_OPTIONS = ("log", "out", "overwrite", "as_json", "quiet")  # options that finished results can follow
 
 
 def changes(files: Sequence[Path], outputs: Outputs) -> int:
@@ -54,7 +54,7 @@ def _refuse_what_needs_a_log() -> None:
     context = click.get_current_context()
     for option in context.command.params:
         given = context.get_parameter_source(str(option.name)) is ParameterSource.COMMANDLINE
-        if given and option.name not in FOLLOWED:
+        if given and option.name not in ALLOWED_OPTIONS:
             name = max(option.opts, key=len)
             raise UsageError(f"{name} is for logs; finished results are set side by side as they are")
 

@@ -19,12 +19,12 @@ from locfuse.cli.terminal.screen import put, reader_may_leave, say, screen
 from locfuse.fusion.data import LocfuseError, UsageError
 
 if TYPE_CHECKING:
-    from locfuse.cli.fleet.job import Job, Outcome
-    from locfuse.cli.fleet.jobs import Gathered, Plan
-    from locfuse.cli.fleet.queue import Ended, Standing, Watch
+    from locfuse.cli.fleet.job import Job, JobOutcome
+    from locfuse.cli.fleet.jobs import FleetPlan, FleetRows
+    from locfuse.cli.fleet.queue import Ended, QueueState, Watch
 
-STILL_S = 60.0  # s between lines of progress where stderr is no terminal
-MAX_LINES = 20  # about losses and gates on stderr; all of them are in the tables
+LINE_INTERVAL_S = 60.0  # s between lines of progress where stderr is no terminal
+MAX_LINES_PRINTED = 20  # about losses and gates on stderr; all of them are in the tables
 
 
 @click.command()
@@ -125,7 +125,7 @@ def _every(options: o.Options, folder: Path) -> Job:
     )
 
 
-def _mark(folder: Path, todo: Plan) -> None:
+def _mark(folder: Path, todo: FleetPlan) -> None:
     """Mark the folder as one of results, for a run that is killed before it has a summary."""
     from locfuse.formats.report import json_report
     from locfuse.formats.whole_files import UNFINISHED, write_results
@@ -134,7 +134,7 @@ def _mark(folder: Path, todo: Plan) -> None:
         write_results(folder, {UNFINISHED: json_report.encode({"logs": list(todo.robots)})}, overwrite=True)
 
 
-def _run(todo: Plan, options: o.Options) -> Ended:
+def _run(todo: FleetPlan, options: o.Options) -> Ended:
     """Run the jobs on this machine, or on a cluster."""
     from locfuse.cli.fleet.queue import executor, run_all
 
@@ -149,31 +149,31 @@ def _run(todo: Plan, options: o.Options) -> Ended:
 def _watch(progress: show.Progress, quiet: bool) -> Watch:
     printed = time.monotonic()
 
-    def watch(standing: Standing, outcome: Outcome | None) -> None:
+    def watch(standing: QueueState, outcome: JobOutcome | None) -> None:
         nonlocal printed
         progress(standing.words())
         if outcome is not None and outcome.state == "failed":
             _say_failed(outcome)
-        if not quiet and not sys.stderr.isatty() and time.monotonic() - printed > STILL_S:
+        if not quiet and not sys.stderr.isatty() and time.monotonic() - printed > LINE_INTERVAL_S:
             printed = time.monotonic()
             show.say(standing.words())
 
     return watch
 
 
-def _say_failed(outcome: Outcome) -> None:
+def _say_failed(outcome: JobOutcome) -> None:
     name = outcome.name
     show.say(f"failed: {outcome.reason if name in outcome.reason else f'{name}: {outcome.reason}'}")
 
 
-def _refuse_misuse(found: Gathered, ended: Ended, todo: Plan) -> None:
+def _refuse_misuse(found: FleetRows, ended: Ended, todo: FleetPlan) -> None:
     """Raise UsageError where every log failed by what was asked for, as a single log would."""
     outcomes = [*ended.outcomes.values(), *todo.refused.values()]
     if outcomes and len(outcomes) == len(found.entries) and all(o.misused for o in outcomes):
         raise UsageError(outcomes[0].reason)
 
 
-def _standing(found: Gathered) -> str:
+def _standing(found: FleetRows) -> str:
     states = [e.state for e in found.entries]
     return ", ".join(f"{states.count(s)} {s}" for s in ("done", "failed", "not run") if s in states)
 
@@ -202,10 +202,10 @@ def _say_recordings(ended: Ended, recording: Recording | None) -> None:
         show.say(f"all drives in one viewer: {catalog(Path(recording.folder))}")
 
 
-def _code(found: Gathered, failed_gates: Sequence[str], ended: Ended) -> int:
+def _code(found: FleetRows, failed_gates: Sequence[str], ended: Ended) -> int:
     """Print what is void, what was lost and which gates failed, and return the exit code."""
-    from locfuse.cli.analysis.errors import LOSS
-    from locfuse.cli.analysis.gates import FAILED
+    from locfuse.cli.analysis.errors import EXIT_LOSS
+    from locfuse.cli.analysis.gates import EXIT_GATE_FAILED
 
     gates = [*found.gates, *failed_gates]
     # the reasons of exit code 3: printed with --quiet too
@@ -216,14 +216,14 @@ def _code(found: Gathered, failed_gates: Sequence[str], ended: Ended) -> int:
         show.say(f"stopped: {ended.stopped}")
     states = {e.state for e in found.entries}
     if gates:
-        return FAILED
+        return EXIT_GATE_FAILED
     if "done" not in states:
         raise LocfuseError(f"none of {len(found.entries)} logs could be compared; the reasons stand above")
-    return LOSS if found.void or found.lost or states != {"done"} else 0
+    return EXIT_LOSS if found.void or found.lost or states != {"done"} else 0
 
 
 def _say_some(lines: Sequence[str], what: str) -> None:
-    for line in lines[:MAX_LINES]:
+    for line in lines[:MAX_LINES_PRINTED]:
         show.say(line)
-    if len(lines) > MAX_LINES:
-        show.say(f"and {len(lines) - MAX_LINES} more {what}")
+    if len(lines) > MAX_LINES_PRINTED:
+        show.say(f"and {len(lines) - MAX_LINES_PRINTED} more {what}")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from locfuse.cli.analysis.errors import LOSS
+from locfuse.cli.analysis.errors import EXIT_LOSS
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.options import ADVICE, log_options
@@ -84,7 +84,7 @@ def info(
     show.transfer(overview.log.transfer, how.quiet)
     losses = {"lost", "refused"} if how.strict else {"lost"}
     lost = any(o.code in losses for o in overview.findings)
-    return LOSS if lost or (check and (overview.severe or void_reasons(tried))) else 0
+    return EXIT_LOSS if lost or (check and (overview.severe or void_reasons(tried))) else 0
 
 
 def _tried(log: tuple[str, ...], how: LogOptions, progress: Callable[[str], None]) -> dict[str, Any]:
@@ -113,7 +113,7 @@ def _list_topics(words: tuple[str, ...], as_json: bool, quiet: bool) -> int:
         else:
             show.lines(info_text.listed(values.listed(log), show.width()))
     show.transfer(log.transfer, quiet)
-    return LOSS if log.losses else 0
+    return EXIT_LOSS if log.losses else 0
 
 
 def _typed(log: tuple[str, ...], how: LogOptions) -> list[str]:

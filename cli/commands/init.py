@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import shlex
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 from msgspec.structs import replace
 
-from locfuse.cli.analysis.errors import LOSS
+from locfuse.cli.analysis.errors import EXIT_LOSS
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.options import log_options
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from locfuse.formats.container.url import Place
 
 SCHEMA = "robot.schema.json"  # beside robot.toml: a path that holds on every machine, and wherever both are moved
+LONGEST_UNIT = 24  # characters, as in "[latitude, longitude]"
 FILE = click.Path(path_type=Path, dir_okay=False)
 
 
@@ -93,7 +95,7 @@ def init(
         say(f"{ekf}: {note}")
     if not how.quiet:
         _say(made, words, name)
-    return LOSS if lost else 0
+    return EXIT_LOSS if lost else 0
 
 
 def _translated(places: Sequence[Place], ekf: Path | None) -> tuple[dict[str, dict[str, Any]], tuple[str, ...]]:
@@ -108,13 +110,37 @@ def _translated(places: Sequence[Place], ekf: Path | None) -> tuple[dict[str, di
 
 
 def _asked(made: Draft) -> tuple[str, ...]:
-    """Return the missing values that the person at the terminal knows; nothing in a script."""
-    from locfuse.cli.terminal.questions import Question, answers, somebody_is_there
+    """Return the missing values that the person at the terminal knows, as "table.key=value".
 
-    if not somebody_is_there():
+    Nothing is asked where stdin or stderr is a file or a pipe: scripts and CI run as before.
+    """
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return ()
     words = {f"{section.name}.{line.key}": line.words for section in made.sections for line in section.lines}
-    return answers([Question(key, words.get(key, "")) for key in made.missing])
+    if made.missing:
+        say("No log can tell these values. Enter leaves one blank.", err=True)
+    answers = ((key, _answer(key, words.get(key, ""))) for key in made.missing)
+    return tuple(f"{key}={answer}" for key, answer in answers if answer)
+
+
+def _answer(key: str, words: str) -> str:
+    """Ask for the value of a key until it fits or is empty; `words` are "unit: how to find its value"."""
+    from locfuse.cli.analysis.robot_tables import make_robot
+    from locfuse.formats.robot import robot_toml
+    from locfuse.fusion.data import LocfuseError
+
+    unit, _, how = words.partition(": ")
+    named = how and len(unit) <= LONGEST_UNIT
+    say(f"{key} [{unit}]: {how}" if named else f"{key}: {words}", err=True)
+    while True:
+        answer = str(click.prompt("  value", default="", show_default=False, err=True)).strip()
+        try:
+            if answer:
+                make_robot(robot_toml.apply_sets([f"{key}={answer}"]))
+        except LocfuseError as problem:
+            say(f"  {problem}", err=True)
+        else:
+            return answer
 
 
 def _fresh(made: Draft, words: str, name: str) -> str:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from locfuse.cli.analysis.errors import LOSS
+from locfuse.cli.analysis.errors import EXIT_LOSS
 from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.screen import put, reader_may_leave, say
 
@@ -50,7 +50,7 @@ def recover(log: tuple[str, ...], out: Path, overwrite: bool, as_json: bool, qui
     if not quiet:
         for line in found.lost:
             say(f"lost: {line}", err=True)
-    return LOSS if found.lost else 0
+    return EXIT_LOSS if found.lost else 0
 
 
 def _print(found: Recovered, as_json: bool) -> None:

@@ -47,7 +47,7 @@ def run(log: tuple[str, ...], options: o.Options) -> int:
     locfuse run rounded_rectangle --sensors all
     locfuse run bag/ --sensors compass,lrf --robot robot.toml -o out
     """
-    from locfuse.cli.analysis.errors import LOSS
+    from locfuse.cli.analysis.errors import EXIT_LOSS
     from locfuse.cli.analysis.results import default_folder
     from locfuse.cli.session.session import opened
     from locfuse.cli.terminal import show
@@ -69,7 +69,7 @@ def run(log: tuple[str, ...], options: o.Options) -> int:
             result.save_map(outputs.save_map)
         if outputs.audit is not None:
             result.write_audit(outputs.audit)
-    return LOSS if show.outcome(result, files, options) else 0
+    return EXIT_LOSS if show.outcome(result, files, options) else 0
 
 
 def _refuse_maps_without_laser(options: o.Options, sensors: tuple[str, ...]) -> None:

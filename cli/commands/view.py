@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-import msgspec
 
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.rerun.record import RECORDING
@@ -22,15 +21,6 @@ if TYPE_CHECKING:
 
 IMAGES, FULL = detail("")
 TABS = ("Deviation", "Close-up", "NIS", "Innovation", "Gates", "Result", "Raw topics")
-
-
-class Wish(msgspec.Struct, frozen=True):
-    """What the recording of a log shall show."""
-
-    sensors: Sequence[str]
-    images: int | None
-    full: bool
-    how: LogOptions
 
 
 @click.command()
@@ -80,6 +70,7 @@ def view(
     """
     from locfuse.cli.rerun import viewer
     from locfuse.cli.terminal import show
+    from locfuse.formats.rerun.recording import copy, save_recording
     from locfuse.formats.whole_files import may_replace, scratch_prefix
 
     may_replace(save, overwrite, what)
@@ -88,9 +79,12 @@ def view(
     with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
         with show.progress(how.quiet) as progress:
             path = ready(what)
-            if path is None or save is not None:
-                wish = Wish(sensors, images, full, how)
-                path = _record(what, path, wish, save or Path(scratch) / RECORDING, tab, progress)
+            if path is None:
+                path = save or Path(scratch) / RECORDING
+                progress("recording")
+                save_recording(path, _scene(what, sensors, images, full, how, progress), tab)
+            elif save is not None:
+                copy(path, save)
         if save is not None:
             say(f"{save}: Rerun recording")
         elif connect is not None:
@@ -122,28 +116,21 @@ def ready(what: Sequence[str]) -> Path | None:
     return recording
 
 
-def _record(
-    what: Sequence[str], made: Path | None, wish: Wish, target: Path, tab: str | None, progress: Progress
-) -> Path:
-    """Write the recording of a log or of a results' folder to `target`, or copy the one that is made."""
+def _scene(
+    what: Sequence[str],
+    sensors: Sequence[str],
+    images: int | None,
+    full: bool,
+    how: LogOptions,
+    progress: Progress,
+) -> Scene:
+    """Return what is shown of a folder of results, or of a log that is measured and fused now."""
     from locfuse.cli.rerun.folder import report_of, scene_of
-    from locfuse.formats.rerun.recording import copy, save_recording
-
-    if made is not None:
-        copy(made, target)
-        return target
-    progress("recording")
-    folder = Path(what[0])
-    is_result = len(what) == 1 and report_of(folder) is not None
-    save_recording(target, scene_of(folder) if is_result else _scene_of_log(what, wish, progress), tab)
-    return target
-
-
-def _scene_of_log(what: Sequence[str], wish: Wish, progress: Progress) -> Scene:
-    """Measure a log and run its configurations."""
     from locfuse.cli.rerun.scene import scene_of_result
     from locfuse.cli.session.session import opened
 
-    result = opened(what, wish.how, progress, read_again=True).compare(wish.sensors or None, reference=False)
+    if len(what) == 1 and report_of(Path(what[0])) is not None:
+        return scene_of(Path(what[0]))
+    result = opened(what, how, progress, read_again=True).compare(sensors or None, reference=False)
     progress("recording")
-    return scene_of_result(result, wish.images, wish.full)
+    return scene_of_result(result, images, full)

@@ -16,9 +16,9 @@ from typing import Any
 from locfuse.formats.versions import own
 from locfuse.fusion.data import LocfuseError
 
-INSTALL = "pip install 'locfuse[cluster]'"
-PATIENCE_S = 20.0  # for a scheduler to answer, and for its first worker
-RETRIES = 2  # of a job whose worker raised what no job raises
+INSTALL_COMMAND = "pip install 'locfuse[cluster]'"
+CONNECT_TIMEOUT_S = 20.0  # for a scheduler to answer, and for its first worker
+MAX_RETRIES = 2  # of a job whose worker raised what no job raises
 
 
 @contextmanager
@@ -29,7 +29,7 @@ def cluster(address: str) -> Iterator[tuple[Executor, int]]:
     """
     with _connected(address) as client:
         _check_workers(address, client)
-        yield client.get_executor(retries=RETRIES, pure=False), sum(client.nthreads().values())
+        yield client.get_executor(retries=MAX_RETRIES, pure=False), sum(client.nthreads().values())
 
 
 @contextmanager
@@ -37,13 +37,13 @@ def _connected(address: str) -> Iterator[Any]:
     try:
         import distributed
     except ImportError:
-        raise LocfuseError(f"--cluster {address}: it needs another package: {INSTALL}") from None
+        raise LocfuseError(f"--cluster {address}: it needs another package: {INSTALL_COMMAND}") from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters is in the outcomes
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # other versions of Dask: what does not fit fails in words
         connect: Any = distributed.Client
         try:
-            client = connect(address, timeout=PATIENCE_S, set_as_default=False)
+            client = connect(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False)
         except (OSError, ValueError) as problem:
             raise LocfuseError(
                 f"--cluster {address}: no scheduler answers there ({_line(problem)}); start one with: "
@@ -55,7 +55,7 @@ def _connected(address: str) -> Iterator[Any]:
 
 def _check_workers(address: str, client: Any) -> None:
     try:
-        client.wait_for_workers(1, timeout=PATIENCE_S)
+        client.wait_for_workers(1, timeout=CONNECT_TIMEOUT_S)
     except TimeoutError:
         raise LocfuseError(
             f"--cluster {address}: the scheduler has no workers; start some with: dask worker {address}"

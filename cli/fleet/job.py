@@ -28,7 +28,7 @@ class FleetOptions(msgspec.Struct, frozen=True):
         return bool(self.each or self.robot_from or self.sweep or self.again or self.cluster)
 
 
-class Cell(msgspec.Struct, frozen=True):
+class SweepCell(msgspec.Struct, frozen=True):
     """One cell of a sweep: settings on top of the job's own. Without a sweep there is one without a name."""
 
     name: str = ""  # "lrf.sigma_range=0.03 compass.sigma_deg=2"
@@ -50,20 +50,20 @@ class Job(msgspec.Struct, frozen=True):
     asked: Asked
     outputs: Outputs
     robot: str | None = None  # the one that the log is of
-    cells: tuple[Cell, ...] = (Cell(),)
+    cells: tuple[SweepCell, ...] = (SweepCell(),)
     recording: Recording | None = None
     again: bool = False  # run it even where its results are there
 
-    def recording_of(self, cell: Cell) -> str:
+    def recording_of(self, cell: SweepCell) -> str:
         """Return the name of a cell's recording."""
         return f"{self.name},{cell.folder}" if cell.name else self.name
 
-    def place(self, cell: Cell) -> Path:
+    def place(self, cell: SweepCell) -> Path:
         """Return the folder of a cell's results."""
         return self.folder / cell.folder
 
 
-class Outcome(msgspec.Struct, frozen=True):
+class JobOutcome(msgspec.Struct, frozen=True):
     """How a job ended. Its results are in its folder."""
 
     name: str

@@ -19,30 +19,32 @@ from locfuse.cli.session import sweep
 from locfuse.formats.fleet.entry import Entry, slim
 from locfuse.fusion.data import UsageError
 
-from .job import Cell, Job, Outcome
+from .job import Job, JobOutcome, SweepCell
 from .resume import read_report
 
-PLACE = "{robot}"  # in --robot: where the name of the robot goes
-GONE = "its report.json is gone or cannot be read; run it again with --again"
+ROBOT_PLACEHOLDER = "{robot}"  # in --robot: where the name of the robot goes
+REPORT_IS_GONE = "its report.json is gone or cannot be read; run it again with --again"
 
 
-class Plan(msgspec.Struct, frozen=True):
+class FleetPlan(msgspec.Struct, frozen=True):
     """Jobs to run, and logs that cannot even be tried; together in the order in which they were named."""
 
     robots: dict[str, str | None]  # of each log
     jobs: dict[str, Job]
-    refused: dict[str, Outcome]
+    refused: dict[str, JobOutcome]
 
 
-def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Sequence[str]) -> Plan:
+def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Sequence[str]) -> FleetPlan:
     """Return the jobs that words name, each as `every` job is, with a folder of its own below that one's.
 
     Raises UsageError for settings, a pattern or a sweep that fit no log at all.
     """
     pattern = _pattern(robot_from, every.how.robot_files)
-    fixed = tuple(file for file in every.how.robot_files if PLACE not in str(file))
+    fixed = tuple(file for file in every.how.robot_files if ROBOT_PLACEHOLDER not in str(file))
     given_layers(_with_robots(every, fixed).how)
-    cells = tuple(Cell(*found) for found in sweep.cells(sweep.parse(sweeps)).items()) if sweeps else every.cells
+    cells = (
+        tuple(SweepCell(*found) for found in sweep.cells(sweep.parse(sweeps)).items()) if sweeps else every.cells
+    )
     for cell in cells:
         given_layers(replace(every.how, robot=None, over=(), sets=(*every.how.sets, *cell.sets)))
     figures = every.outputs.figures
@@ -62,8 +64,8 @@ def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Seque
                 cells=cells,
             )
         except UsageError as problem:
-            refused[name] = Outcome(name, "failed", str(problem), misused=True)
-    return Plan(robots, jobs, refused)
+            refused[name] = JobOutcome(name, "failed", str(problem), misused=True)
+    return FleetPlan(robots, jobs, refused)
 
 
 def _with_robots(job: Job, files: Sequence[Path]) -> Job:
@@ -73,7 +75,7 @@ def _with_robots(job: Job, files: Sequence[Path]) -> Job:
 def _pattern(text: str | None, files: Sequence[Path]) -> re.Pattern[str] | None:
     """Return the pattern of --robot-from. Raises UsageError for what is none, or where --robot needs one."""
     if text is None:
-        if unnamed := [file for file in files if PLACE in str(file)]:
+        if unnamed := [file for file in files if ROBOT_PLACEHOLDER in str(file)]:
             raise UsageError(f"--robot {unnamed[0]}: say how a log's path names its robot with --robot-from REGEX")
         return None
     try:
@@ -97,17 +99,17 @@ def robot_of(pattern: re.Pattern[str], log: Sequence[str]) -> str | None:
 
 def _file_of(file: Path, robot: str | None) -> Path:
     """Return a robot.toml with the robot's name in its path. Raises UsageError where there is none."""
-    if PLACE not in str(file):
+    if ROBOT_PLACEHOLDER not in str(file):
         return file
     if robot is None or "/" in robot or robot.startswith("."):
         raise UsageError(f"--robot-from finds no robot in its path, and --robot {file} needs one")
-    found = Path(str(file).replace(PLACE, robot))
+    found = Path(str(file).replace(ROBOT_PLACEHOLDER, robot))
     if not found.is_file():
         raise UsageError(f"--robot {file}: {found} is no file")
     return found
 
 
-class Gathered(msgspec.Struct, frozen=True):
+class FleetRows(msgspec.Struct, frozen=True):
     """A fleet as rows, and the lines to print about it."""
 
     entries: list[Entry] = field(default_factory=list)
@@ -120,12 +122,14 @@ class Gathered(msgspec.Struct, frozen=True):
         return [f"{e.name}: {line}" for e in self.entries for line in e.void]
 
 
-def gather(plan: Plan, outcomes: Mapping[str, Outcome], stopped: str, gates: FleetGates, strict: bool) -> Gathered:
+def gather(
+    plan: FleetPlan, outcomes: Mapping[str, JobOutcome], stopped: str, gates: FleetGates, strict: bool
+) -> FleetRows:
     """Read the report of every job that is done; what `stopped` the others is their reason.
 
     Results are read from the jobs' folders: the same whether they ran now or long ago.
     """
-    found = Gathered()
+    found = FleetRows()
     for name, robot in plan.robots.items():
         outcome = outcomes.get(name) or plan.refused.get(name)
         if outcome is None:
@@ -137,12 +141,12 @@ def gather(plan: Plan, outcomes: Mapping[str, Outcome], stopped: str, gates: Fle
     return found
 
 
-def _entry(job: Job, found: Gathered, gates: FleetGates, strict: bool) -> Entry:
+def _entry(job: Job, found: FleetRows, gates: FleetGates, strict: bool) -> Entry:
     """Return what is kept of one log; its report is let go."""
     reports = {cell.name: read_report(job.place(cell)) for cell in job.cells}
     whole = {cell: report for cell, report in reports.items() if report is not None}
     if len(whole) < len(reports):
-        return Entry(job.name, job.robot, "failed", GONE)
+        return Entry(job.name, job.robot, "failed", REPORT_IS_GONE)
     lost: list[str] = []
     for cell, report in whole.items():
         title = f"{job.name} [{cell}]" if cell else job.name

@@ -25,28 +25,28 @@ from locfuse.cli.rerun.recordings import write
 from locfuse.cli.session.session import Session
 from locfuse.formats.versions import own
 
-from .job import Cell, Job, Outcome
+from .job import Job, JobOutcome, SweepCell
 from .resume import is_replaceable
 
 COMMAND = (sys.executable, "-m", "locfuse.cli.fleet.process")
-ORPHANED = 1  # exit code where the command that started it is gone
+EXIT_ORPHANED = 1  # exit code where the command that started it is gone
 RUNNING: set[subprocess.Popen[bytes]] = set()
 
 
-def run(job: Job, folder: str, version: str) -> Outcome:
+def run(job: Job, folder: str, version: str) -> JobOutcome:
     """Run a job in a process: in `folder`, which machines share, by the locfuse of this `version`."""
     machine = socket.gethostname()
     if (ours := own()) != version:
-        return Outcome(job.name, "failed", f"worker on {machine}: it has locfuse {ours}, wanted was {version}")
+        return JobOutcome(job.name, "failed", f"worker on {machine}: it has locfuse {ours}, wanted was {version}")
     if not os.path.isdir(folder):  # noqa: PTH112 - as typed elsewhere
-        return Outcome(job.name, "failed", f"worker on {machine}: it does not see the folder {folder}")
+        return JobOutcome(job.name, "failed", f"worker on {machine}: it does not see the folder {folder}")
     try:
         return _in_a_process(job, folder)
     except OSError as problem:
-        return Outcome(job.name, "failed", f"no process could be started for it: {problem.strerror or problem}")
+        return JobOutcome(job.name, "failed", f"no process could be started for it: {problem.strerror or problem}")
 
 
-def _in_a_process(job: Job, folder: str) -> Outcome:
+def _in_a_process(job: Job, folder: str) -> JobOutcome:
     with (
         tempfile.TemporaryFile() as words,
         subprocess.Popen(
@@ -69,10 +69,10 @@ def _in_a_process(job: Job, folder: str) -> Outcome:
         code = process.wait()
         RUNNING.discard(process)
         if code == 0 and answer:
-            outcome: Outcome = pickle.loads(answer)
+            outcome: JobOutcome = pickle.loads(answer)
             return outcome
         words.seek(0)
-        return Outcome(job.name, "failed", _ended(code, words.read()))
+        return JobOutcome(job.name, "failed", _ended(code, words.read()))
 
 
 def _ended(code: int, words: bytes) -> str:
@@ -104,24 +104,24 @@ def main() -> None:
 
 def _end_with_parent() -> None:
     os.read(0, 1)  # past the buffer of sys.stdin, whose lock the end of the interpreter needs
-    os._exit(ORPHANED)
+    os._exit(EXIT_ORPHANED)
 
 
-def outcome(job: Job) -> Outcome:
+def outcome(job: Job) -> JobOutcome:
     """Run a job in this process and return how it ended, in one line where it failed."""
     try:
-        return Outcome(job.name, "done", warnings=compare(job))
+        return JobOutcome(job.name, "done", warnings=compare(job))
     except Exception as problem:
         known = expected(problem)
         if known is None:
             raise  # a bug: its traceback is shown
         line, code = known
-        return Outcome(job.name, "failed", line, misused=code == 2)
+        return JobOutcome(job.name, "failed", line, misused=code == 2)
 
 
 def compare(job: Job) -> tuple[str, ...]:
     """Measure the log of a job once and write the results of every cell; return what did not work beside them."""
-    again = job.cells != (Cell(),) or job.recording is not None
+    again = job.cells != (SweepCell(),) or job.recording is not None
     measured = load_to_fuse(find_log(job.log), job.how, silent, read_again=again)
     outputs, warnings = job.outputs, []
     for cell in job.cells:

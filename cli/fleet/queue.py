@@ -13,14 +13,14 @@ from locfuse.formats.versions import own
 from locfuse.fusion.data import LocfuseError, UsageError
 
 from . import process
-from .job import FleetOptions, Job, Outcome
+from .job import FleetOptions, Job, JobOutcome
 from .resume import is_finished
 
-AHEAD = 4  # jobs that wait at the executor for each that runs
+MAX_WAITING_PER_SLOT = 4  # jobs that wait at the executor for each that runs
 NOT_RUN = "stopped before it was run"
 POLL_S = 0.5  # s between looks at the clock while jobs run
 STOP_S = 0.1  # s between attempts to end the processes that run
-LOST = {  # by the name of the exception: why an executor gives no outcome of a job
+REASONS_LOST = {  # by the name of the exception: why an executor gives no outcome of a job
     "KilledWorker": "every worker that ran it died; often too little memory",
     "CancelledError": "the connection to the scheduler was lost",
     "ModuleNotFoundError": "a worker cannot import what it needs: {problem}",
@@ -28,7 +28,7 @@ LOST = {  # by the name of the exception: why an executor gives no outcome of a 
 
 
 @dataclass
-class Standing:
+class QueueState:
     """How far the queue is."""
 
     total: int
@@ -62,14 +62,14 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60.0:.0f} min" if seconds < 5400.0 else f"{seconds / 3600.0:.1f} h"
 
 
-Watch = Callable[[Standing, Outcome | None], None]
+Watch = Callable[[QueueState, JobOutcome | None], None]
 
 
 @dataclass(frozen=True)
 class Ended:
     """The outcomes by the name of the log, and what stopped the queue before its end."""
 
-    outcomes: Mapping[str, Outcome]
+    outcomes: Mapping[str, JobOutcome]
     stopped: str = ""  # in words; empty where every job has an outcome
     by: BaseException | None = None  # Ctrl-C or a signal, to be raised once the results are safe
 
@@ -89,15 +89,15 @@ def executor(fleet: FleetOptions) -> Iterator[tuple[Executor, int]]:
 
 def run_all(jobs: Sequence[Job], pool: Executor, slots: int, max_failures: int | None, watch: Watch) -> Ended:
     """Run jobs on an executor with so many slots; those whose results are there are not sent to it."""
-    found: dict[str, Outcome] = {}
-    standing = Standing(len(jobs))
+    found: dict[str, JobOutcome] = {}
+    standing = QueueState(len(jobs))
     waiting = iter(jobs)
-    running: dict[Future[Outcome], Job] = {}
+    running: dict[Future[JobOutcome], Job] = {}
     try:
         while standing.left:
             if max_failures is not None and standing.failed > max_failures:
                 return Ended(found, f"more than {max_failures} logs failed (--max-failures)")
-            while len(running) < AHEAD * slots and (job := next(waiting, None)) is not None:
+            while len(running) < MAX_WAITING_PER_SLOT * slots and (job := next(waiting, None)) is not None:
                 running[_submitted(job, pool)] = job
             finished, _ = wait(running, POLL_S, FIRST_COMPLETED)
             for future in finished:
@@ -117,37 +117,38 @@ def run_all(jobs: Sequence[Job], pool: Executor, slots: int, max_failures: int |
     return Ended(found)
 
 
-def _submitted(job: Job, pool: Executor) -> Future[Outcome]:
+def _submitted(job: Job, pool: Executor) -> Future[JobOutcome]:
     """Hand a job over, unless its results are there or its log cannot be opened."""
     outcome = already(job)
     if outcome is None:
         return pool.submit(process.run, job, str(Path.cwd()), own())
-    future: Future[Outcome] = Future()
+    future: Future[JobOutcome] = Future()
     future.set_result(outcome)
     return future
 
 
-def already(job: Job) -> Outcome | None:
+def already(job: Job) -> JobOutcome | None:
     """Return the outcome of a job that need not run: its results are there, or its log cannot be opened."""
     try:
-        return Outcome(job.name, "done", resumed=True) if is_finished(job) else None
+        return JobOutcome(job.name, "done", resumed=True) if is_finished(job) else None
     except LocfuseError as problem:
-        return Outcome(job.name, "failed", " ".join(str(problem).split()), isinstance(problem, UsageError))
+        return JobOutcome(job.name, "failed", " ".join(str(problem).split()), isinstance(problem, UsageError))
 
 
-def _outcome(future: Future[Outcome], job: Job) -> Outcome:
+def _outcome(future: Future[JobOutcome], job: Job) -> JobOutcome:
     """Return how a job ended; where the executor itself failed, that is the reason."""
     try:
         return future.result()
     except Exception as problem:
         kind, words = type(problem).__name__, " ".join(str(problem).split())[:200]
-        why = LOST.get(kind, f"the cluster failed it: {kind}: {{problem}}")
-        return Outcome(job.name, "failed", why.format(problem=words))
+        why = REASONS_LOST.get(kind, f"the cluster failed it: {kind}: {{problem}}")
+        return JobOutcome(job.name, "failed", why.format(problem=words))
 
 
-def _cancel(running: Mapping[Future[Outcome], Job]) -> None:
+def _cancel(running: Mapping[Future[JobOutcome], Job]) -> None:
     """Take back what has not begun and end what runs."""
     for future in running:
         future.cancel()
-    while wait(running, STOP_S).not_done:
+    while not all(future.done() for future in running):
         process.stop()
+        time.sleep(STOP_S)

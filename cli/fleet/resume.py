@@ -19,10 +19,10 @@ from locfuse.formats.logs.files import files_of, identity_of
 from locfuse.formats.whole_files import TEMPORARY
 from locfuse.fusion.data import LocfuseError
 
-from .job import Cell, Job
+from .job import Job, SweepCell
 
 REPORT = "report.json"
-OTHERS = ("robot.toml", "estimates.mcap")  # files of a result beside the kinds of output
+OTHER_FILES = ("robot.toml", "estimates.mcap")  # files of a result beside the kinds of output
 OF_KIND = {"html": "report.html", "md": "report.md", "csv": "report.csv", "tex": "report.tex", "json": REPORT}
 
 
@@ -43,7 +43,7 @@ def is_finished(job: Job) -> bool:
     )
 
 
-def _is_there(job: Job, cell: Cell, changed_ns: int, expected: str) -> bool:
+def _is_there(job: Job, cell: SweepCell, changed_ns: int, expected: str) -> bool:
     folder = job.place(cell)
     report = read_report(folder)
     if report is None or report.get("key") != expected:
@@ -55,7 +55,7 @@ def _is_there(job: Job, cell: Cell, changed_ns: int, expected: str) -> bool:
     return all((folder / name).is_file() for name in names)
 
 
-def _is_recorded(job: Job, cell: Cell) -> bool:
+def _is_recorded(job: Job, cell: SweepCell) -> bool:
     """Return whether the recording of a result is there, and not older than the result."""
     assert job.recording is not None
     file, report = job.recording.file(job.recording_of(cell)), job.place(cell) / REPORT
@@ -67,7 +67,7 @@ def is_replaceable(folder: Path) -> bool:
 
     Such a folder has no report of its own where its writing was ended by force, or where a sweep wrote it.
     """
-    known = {*OF_KIND.values(), *OTHERS}
+    known = {*OF_KIND.values(), *OTHER_FILES}
     return not folder.is_dir() or all(
         path.name in known
         or path.name.endswith((".tum", TEMPORARY))

@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import replace
 
-from locfuse.cli.analysis.adapted_topics import offer_presented
+from locfuse.cli.analysis.adapted_topics import offer_presented, offer_tags
 from locfuse.cli.analysis.body_topics import NoWheelsError
 from locfuse.cli.analysis.choose import choose_sensor, choose_truth
 from locfuse.cli.analysis.load import Loaded, measured
 from locfuse.cli.analysis.mounts import mount_tables, shared_turns, transforms_of
 from locfuse.cli.analysis.refused_motion import STANDS
 from locfuse.cli.analysis.robot_tables import make_robot, merged_tables, named_by_hand
-from locfuse.cli.analysis.tag_frames import offer_tags
 from locfuse.cli.analysis.topics import Choice
 from locfuse.cli.analysis.wheel_topics import choose_wheels
 from locfuse.formats.container.url import Place

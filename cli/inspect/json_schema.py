@@ -20,18 +20,18 @@ from locfuse.cli.analysis.settings import ORDERS, PRESETS
 from locfuse.formats.report.structure import Report
 from locfuse.fusion.sensors.registry import REGISTRY
 
-DRAFT = "http://json-schema.org/draft-07/schema#"
-REF = "#/$defs/{name}"
+DRAFT_7 = "http://json-schema.org/draft-07/schema#"
+REF_TEMPLATE = "#/$defs/{name}"
 OF_ORDER = "Which times to trust: header stamps, recording order, or whichever fits (auto)."
 OF_PRESET = "The filter: locfuse's own (default), or the paper's equations as printed (paper)."
-FIELD = re.compile(r"\s+(\w+)\s*:")  # at the beginning of a line of a class
+FIELD_PATTERN = re.compile(r"\s+(\w+)\s*:")  # at the beginning of a line of a class
 Schema = dict[str, Any]
 
 
 def robot_schema() -> Schema:
     """Return the schema of robot.toml: every table and key, unknown ones refused."""
     types = table_types()
-    refs, definitions = msgspec.json.schema_components(list(types.values()), ref_template=REF)
+    refs, definitions = msgspec.json.schema_components(list(types.values()), ref_template=REF_TEMPLATE)
     for name, kind in types.items():
         _describe(definitions[kind.__name__], _table_words(name, kind))
         _leave_out_null(definitions[kind.__name__])
@@ -40,7 +40,7 @@ def robot_schema() -> Schema:
         "preset": {"enum": list(PRESETS), "default": "default", "description": OF_PRESET},
     }
     return {
-        "$schema": DRAFT,
+        "$schema": DRAFT_7,
         "title": "robot.toml",
         "description": "A robot for locfuse. SI units; angles in degrees where the key ends in _deg.",
         "type": "object",
@@ -52,10 +52,10 @@ def robot_schema() -> Schema:
 
 def report_schema() -> Schema:
     """Return the schema of report.json and run.json: the keys that programs may rely on; more may follow."""
-    (ref,), definitions = msgspec.json.schema_components([Report], ref_template=REF)
+    (ref,), definitions = msgspec.json.schema_components([Report], ref_template=REF_TEMPLATE)
     for kind in _structs(Report):
         _describe(definitions[kind.__name__], field_words(kind))
-    return {"$schema": DRAFT, "title": "report.json", **ref, "$defs": _in_draft_7(definitions)}
+    return {"$schema": DRAFT_7, "title": "report.json", **ref, "$defs": _in_draft_7(definitions)}
 
 
 def _table_words(name: str, kind: type[msgspec.Struct]) -> dict[str, str]:
@@ -127,7 +127,7 @@ def _commented(kind: type[Any]) -> Iterator[tuple[str, str]]:
         return
     lines = source.splitlines()
     for token in tokenize.generate_tokens(StringIO(source).readline):
-        field = FIELD.match(lines[token.start[0] - 1]) if token.type == tokenize.COMMENT else None
+        field = FIELD_PATTERN.match(lines[token.start[0] - 1]) if token.type == tokenize.COMMENT else None
         if field is not None and field.end() < token.start[1]:
             yield field[1], token.string.lstrip("# ")
 

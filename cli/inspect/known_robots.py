@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
 
 # Name -> what only its logs hold, any of: a package of message types, a word of a topic's name, a set of frames.
-SIGNS: dict[str, tuple[str | frozenset[str], ...]] = {
+SIGNS_OF_ROBOTS: dict[str, tuple[str | frozenset[str], ...]] = {
     "turtlebot4": ("turtlebot4_msgs", frozenset({"rplidar_link", "shell_link"})),
     "create3": ("irobot_create_msgs",),
     "turtlebot2": ("kobuki_msgs", "kobuki"),
@@ -37,8 +37,8 @@ SIGNS: dict[str, tuple[str | frozenset[str], ...]] = {
     "pioneer3dx": ("rosaria", "p2os", "p3dx"),
     "mbot": ("mbot_interfaces", "mbot"),
 }
-UNSURE = {"turtlebot3_msgs": "; if it is a Waffle: wheels.track=0.287 and lrf.x=-0.064"}
-COUNTED = ("radius", "track", "ticks_per_revolution")  # an odometry needs none of them
+UNSURE_NOTES = {"turtlebot3_msgs": "; if it is a Waffle: wheels.track=0.287 and lrf.x=-0.064"}
+COUNTER_KEYS = ("radius", "track", "ticks_per_revolution")  # an odometry needs none of them
 
 
 class Recognised(NamedTuple):
@@ -53,13 +53,13 @@ def recognise(overview: Overview) -> Recognised | None:
     packages = {topic.msgtype.partition("/")[0] for topic in overview.log.topics.values()}
     words = {word for topic in overview.log.topics for word in re.split(r"[/_]", topic.lower())}
     frames = {edge.child for edge in overview.transforms.edges}
-    for name, signs in SIGNS.items():
+    for name, signs in SIGNS_OF_ROBOTS.items():
         for sign in signs:
             if isinstance(sign, frozenset):
                 if sign <= frames:
                     return Recognised(name, f"frames {' and '.join(sorted(sign))}")
             elif sign in packages:
-                return Recognised(name, f"messages of {sign}{UNSURE.get(sign, '')}")
+                return Recognised(name, f"messages of {sign}{UNSURE_NOTES.get(sign, '')}")
             elif sign in words:
                 return Recognised(name, f"topics named {sign}")
     return None
@@ -86,7 +86,7 @@ def _needed(overview: Overview, table: str, name: str, value: object, given: Col
         return kind == JOINTS and value in _joints(overview.log)
     if name == "ticks_per_revolution":
         return counts_ticks(kind) if kind else False
-    return bool(kind) or name not in COUNTED
+    return bool(kind) or name not in COUNTER_KEYS
 
 
 def _wheels_kind(overview: Overview) -> str:

@@ -24,13 +24,13 @@ from .mounts import placed_by
 from .overview import Overview
 
 Known = dict[str, tuple[Any, str]]  # "table.key" -> its value, and its source
-TOP = ("order", "preset")
-OF_COUNTERS = ("radius", "track", "ticks_per_revolution", "mirrored")  # an odometry needs none of them
-MOUNTED = ("x", "y", "yaw_deg")  # written even where zero: that is worth knowing
+TOP_KEYS = ("order", "preset")
+COUNTER_KEYS = ("radius", "track", "ticks_per_revolution", "mirrored")  # an odometry needs none of them
+MOUNT_KEYS = ("x", "y", "yaw_deg")  # written even where zero: that is worth knowing
 MOUNT_DECIMALS = 6  # decimals of a mount: micrometres
 
 # how to measure what is in no log; a sensor has the words of its own keys (Sensor.asks)
-ASKS = {
+HOW_TO_MEASURE = {
     "wheels": {
         "radius": Ask(
             "m: not in this log. Roll ten turns of a wheel along a ruler: way / (10 * 2 pi)", needed=True
@@ -60,7 +60,7 @@ ASKS = {
     },
 }
 # Conventions that hold unless the user sets others; no log states them.
-GUESSES = {
+GUESSED_DEFAULTS = {
     "wheels": {
         "mirrored": "guess: both counters rise while the robot drives forward",
         "steering": "guess: radians of the front wheels (rate: rad/s of the body, heading: rad)",
@@ -131,7 +131,7 @@ def _mounts(overview: Overview) -> Known:
         frame = streams[name][0].frame_id
         for key, raw in table.items():
             value = _rounded(raw)
-            if value or key in MOUNTED:
+            if value or key in MOUNT_KEYS:
                 words = _placed(overview, frame)
                 if key == "mounts":
                     words = f"by {placed_by(overview, frame)}: where each of them sits on the base"
@@ -157,7 +157,7 @@ def _rounded(value: Any) -> Any:
 def lines(facts: Facts, table: str, missing: list[str]) -> Iterator[Line]:
     """Yield the lines of one table, "" for keys above all tables; what is needed and unknown goes to `missing`."""
     if not table:
-        yield from (Line(key, *facts.known[key]) for key in TOP if key in facts.known)
+        yield from (Line(key, *facts.known[key]) for key in TOP_KEYS if key in facts.known)
         return
     unsure = _suggested(facts, table)
     shown = table in {"wheels", "start"} or any(key.startswith(f"{table}.") for key in facts.known)
@@ -197,7 +197,7 @@ def _suggested(facts: Facts, table: str) -> Known:
 def _concerns(facts: Facts, table: str, key: str) -> bool:
     """Whether a key means anything to the kind of message that is read."""
     kind = facts.kind(table)
-    if table == "wheels" and key in OF_COUNTERS:
+    if table == "wheels" and key in COUNTER_KEYS:
         return (
             kind not in (*BODY_READS, *MOTOR)
             and bool(kind)
@@ -216,16 +216,16 @@ def _concerns(facts: Facts, table: str, key: str) -> bool:
         return kind in STEERED
     if table not in REGISTRY:
         return True
-    if key in MOUNTED:
-        return not any(f"{table}.{k}" in facts.known for k in (*MOUNTED, "mounts"))
+    if key in MOUNT_KEYS:
+        return not any(f"{table}.{k}" in facts.known for k in (*MOUNT_KEYS, "mounts"))
     return REGISTRY[table].concerns(key, kind)
 
 
 def _ask(table: str, key: str) -> Ask | None:
     """Return how the robot's owner finds the value of a key, None where nothing need be asked."""
-    return (REGISTRY[table].asks if table in REGISTRY else ASKS.get(table, {})).get(key)
+    return (REGISTRY[table].asks if table in REGISTRY else HOW_TO_MEASURE.get(table, {})).get(key)
 
 
 def _guess(table: str, key: str) -> str | None:
     """Return the meaning of a default that is a guess, None where it is none."""
-    return (REGISTRY[table].guesses if table in REGISTRY else GUESSES.get(table, {})).get(key)
+    return (REGISTRY[table].guesses if table in REGISTRY else GUESSED_DEFAULTS.get(table, {})).get(key)

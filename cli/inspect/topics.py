@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
+from msgspec import field
 
 from locfuse.cli.analysis.topics import Choice
 from locfuse.formats.logs.clock import ON_STAMPS
@@ -30,6 +31,22 @@ MIN_MESSAGES = 3  # messages before there is a rate
 MIN_JUDGED = 5  # messages from which a clock is judged
 
 
+class StampFacts(msgspec.Struct, frozen=True):
+    """How the messages of one topic are dated."""
+
+    clock: str = ""  # which times were taken, in words
+    by_stamps: bool = False  # whether they are those of the headers, sorted or repaired perhaps,
+    as_stamped: bool = False  # and whether every one of them is simply its header's
+    repaired: Mapping[str, int] = field(default_factory=dict)  # stamps replaced, by reason
+    delay_s: float | None = None  # recording behind header stamps, median
+
+    @property
+    def beside_s(self) -> float:
+        """By how much the times are before those of the recording, 0 for an ordinary delay [s]."""
+        delay = self.delay_s
+        return delay if delay is not None and abs(delay) > OTHER_CLOCK_S and self.by_stamps else 0.0
+
+
 class TopicFacts(msgspec.Struct, frozen=True):
     """One topic."""
 
@@ -40,11 +57,7 @@ class TopicFacts(msgspec.Struct, frozen=True):
     rate_hz: float | None = None
     period_s: float | None = None  # median
     gaps: tuple[tuple[float, float], ...] = ()  # (start, end) [s] since the log began
-    clock: str = ""  # which times were taken, in words
-    by_stamps: bool = False  # whether they are those of the headers, sorted or repaired perhaps,
-    as_stamped: bool = False  # and whether every one of them is simply its header's
-    repaired: dict[str, int] | None = None  # stamps replaced, by reason
-    delay_s: float | None = None  # recording behind header stamps, median
+    stamps: StampFacts = field(default_factory=StampFacts)
     dropped: dict[str, int] | None = None
     problem: str | None = None  # why it cannot be read
     derived: bool = False  # made of another topic, or a file: it holds no messages of its own
@@ -59,9 +72,9 @@ class TopicFacts(msgspec.Struct, frozen=True):
             "period_s": self.period_s,
             "gaps": [list(g) for g in self.gaps[:MAX_GAPS_LISTED]],
             "longest_gap_s": max((b - a for a, b in self.gaps), default=None),
-            "clock": self.clock or None,
-            "delay_s": self.delay_s,
-            "stamps_repaired": self.repaired or {},
+            "clock": self.stamps.clock or None,
+            "delay_s": self.stamps.delay_s,
+            "stamps_repaired": dict(self.stamps.repaired),
             "dropped": self.dropped or {},
             "problem": self.problem,
         }
@@ -69,13 +82,14 @@ class TopicFacts(msgspec.Struct, frozen=True):
 
 def clock_word(f: TopicFacts) -> str:
     """Return in a word or two how a topic is dated: by its stamps, so much before recording, or by what else."""
-    if f.delay_s is None:
+    delay = f.stamps.delay_s
+    if delay is None:
         return "no stamps" if f.count else ""
-    if f.repaired:
+    if f.stamps.repaired:
         return "repaired"
-    if not f.by_stamps:
+    if not f.stamps.by_stamps:
         return "recorded"
-    return f"{f.delay_s * 1e3:.0f} ms late" if abs(f.delay_s) < OTHER_CLOCK_S else "two clocks"
+    return f"{delay * 1e3:.0f} ms late" if abs(delay) < OTHER_CLOCK_S else "two clocks"
 
 
 def topic_facts(log: Log, order: str) -> list[TopicFacts]:
@@ -113,50 +127,44 @@ def _facts(log: Log, name: str, order: str) -> TopicFacts:
         rate_hz=float((len(t) - 1) / (t[-1] - t[0])) if len(t) >= MIN_MESSAGES and t[-1] > t[0] else None,
         period_s=float(np.median(moving)) if len(moving) else None,
         gaps=tuple(gaps(t)),
-        clock=stream.clock,
-        by_stamps=stream.by_stamps,
-        as_stamped=stream.as_stamped,
-        repaired=dict(stream.repaired),
-        delay_s=stream.delay_s,
+        stamps=StampFacts(
+            stream.clock, stream.by_stamps, stream.as_stamped, dict(stream.repaired), stream.delay_s
+        ),
         dropped=dict(stream.dropped),
         derived=not log.recorded(name),
     )
 
 
 def of_stamps(facts: Sequence[TopicFacts], choice: Choice, robot: Robot) -> list[Finding]:
-    """Say which times were taken, of the topics that are read, where it is not simply the header's."""
+    """Return a finding per topic that is read and is not dated simply by its headers."""
     known = {f.topic: f for f in facts if f.count >= MIN_JUDGED and f.problem is None}
     used = {t: (role, known[t]) for role in choice.topics for t in choice.of(role) if t in known}
     found = [
-        Finding(role, "stamps", f"{topic}: {f.clock}")
+        Finding(role, "stamps", f"{topic}: {f.stamps.clock}")
         for topic, (role, f) in used.items()
-        if f.delay_s is not None and not f.as_stamped
+        if f.stamps.delay_s is not None and not f.stamps.as_stamped
     ]
     apart = _other_clocks(known, choice, robot)
-    if not apart and any(_beside(f) for _, f in used.values()):
-        seconds = max((_beside(f) for _, f in used.values()), key=abs)
+    seconds = max((f.stamps.beside_s for _, f in used.values()), key=abs, default=0.0)
+    if not apart and seconds:
         words = f"header stamps and log times are {abs(seconds):.1f} s apart: two clocks; header stamps are used"
         found.append(Finding("log", "two clocks", words))
     return [*found, *apart]
 
 
-def _beside(f: TopicFacts) -> float:
-    """Return by how much a topic's times are before those of the recording, 0 for an ordinary delay [s]."""
-    return f.delay_s if f.delay_s is not None and abs(f.delay_s) > OTHER_CLOCK_S and f.by_stamps else 0.0
-
-
 def _other_clocks(known: Mapping[str, TopicFacts], choice: Choice, robot: Robot) -> list[Finding]:
-    """Streams whose stamps are of another clock than the wheels': when they were recorded tells how far off."""
-    found = []
+    """Return a finding per stream of another clock than the wheels'; the times of recording show how far off."""
+    found: list[Finding] = []
     wheels = known.get(choice.topics.get("wheels", ""))
-    for role, topic in choice.topics.items() if wheels is not None else ():
+    if wheels is None:
+        return found
+    for role, topic in choice.topics.items():
         f = known.get(topic)
-        if f is not None and ON_STAMPS in (f.clock, wheels.clock if wheels is not None else ""):
+        if f is None or ON_STAMPS in (f.stamps.clock, wheels.stamps.clock):
             continue  # dated on the clock that the stamps are of
-        if wheels is None or f is None or abs(off := _beside(f) - _beside(wheels)) <= OTHER_CLOCK_S:
-            continue
+        off = f.stamps.beside_s - wheels.stamps.beside_s
         settings = robot.truth if role == "truth" else robot.settings(role) if role in REGISTRY else None
-        if settings is not None and abs(off - settings.time_offset) > OTHER_CLOCK_S:
+        if abs(off) > OTHER_CLOCK_S and settings and abs(off - settings.time_offset) > OTHER_CLOCK_S:
             side = "before" if off > 0 else "after"
             words = f"{topic} is stamped {abs(off):.1f} s {side} the wheels, but was recorded with them"
             found.append(Finding(role, "other clock", words, (f"{role}.time_offset={off:.3f}",), True))

@@ -17,10 +17,10 @@ from locfuse.fusion.judge.against import interpolated
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.odometry import POSE
 
-NAME = re.compile(r"[A-Za-z][\w.-]*")
+ESTIMATE_NAME = re.compile(r"[A-Za-z][\w.-]*")
 COVARIANCE = "pose.covariance"
-PLANE = (0, 1, 5)  # the rows of x, y and yaw in a pose covariance of ROS
-UPPER = np.triu_indices(3)
+PLANE_ROWS = (0, 1, 5)  # the rows of x, y and yaw in a pose covariance of ROS
+UPPER_TRIANGLE = np.triu_indices(3)
 WITH_COVARIANCE = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped")
 
 
@@ -31,7 +31,7 @@ def named_sources(words: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
     )
     found: dict[str, str] = {}
     for name, source in pairs:
-        if not NAME.fullmatch(name) or not source:
+        if not ESTIMATE_NAME.fullmatch(name) or not source:
             raise UsageError(f"--estimate {name}={source}: it reads NAME=/topic or NAME=file.tum")
         if name in {"odometry", "all", "truth"} or name.removesuffix("-smoothed") in {
             *REGISTRY,
@@ -96,7 +96,7 @@ def _columns(stream: Stream, epoch_ns: int) -> tuple[Array, Array, Array]:
     triangles = np.zeros((len(pose), 6))
     if stream.msgtype in WITH_COVARIANCE:
         P = np.asarray(cast("Array", stream.columns(COVARIANCE)[COVARIANCE]), np.float64).reshape(-1, 6, 6)
-        P = P[:, PLANE][:, :, PLANE]
+        P = P[:, PLANE_ROWS][:, :, PLANE_ROWS]
         given = np.isfinite(P).all(axis=(1, 2)) & (np.diagonal(P, axis1=1, axis2=2) > 0.0).all(axis=1)
-        triangles[given] = P[given][:, UPPER[0], UPPER[1]]
+        triangles[given] = P[given][:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]]
     return (stream.t_ns - epoch_ns) * np.float64(1e-9), pose, triangles

@@ -26,7 +26,7 @@ from locfuse.fusion.judge.jitter import DROPPED_SHARE, MOVED_S, jittered
 MAX_RUNS = 1000
 DIRECTIONS = {"helps": 1, "seems to help": 1, "hurts": -1, "seems to hurt": -1}
 NO_EFFECT = "no effect seen"
-WORDS = (
+JITTER_NOTE = (
     f"The drive was fused {{runs}} times more with stamps moved by up to {1e6 * MOVED_S:g} µs and "
     f"{DROPPED_SHARE:.0%} of the readings dropped. Differences between configurations that are smaller than these "
     "ranges mean nothing."
@@ -83,7 +83,7 @@ def add_jitter(report: dict[str, Any], found: Sequence[Jittered]) -> None:
     """Add the range of every figure over all runs and the drive's own, and take back verdicts that flip."""
     if not found:
         return
-    report["jitter"] = {"runs": len(found), "words": WORDS.format(runs=len(found))}
+    report["jitter"] = {"runs": len(found), "words": JITTER_NOTE.format(runs=len(found))}
     for name, values in report["configurations"].items():
         if name in found[0].figures:
             values["jitter"] = _ranges(values, [run.figures[name] for run in found])

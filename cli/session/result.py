@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import msgspec
 
 from locfuse.cli.advice.values import fixes_file
-from locfuse.cli.analysis import exports, maps, outputs, results
+from locfuse.cli.analysis import maps, outputs, results
 from locfuse.cli.analysis.compare import Compared
 from locfuse.cli.analysis.load import Loaded
-from locfuse.cli.analysis.settings import OF_COMPARISON, OF_RUN, PathLike, chosen, path_of
+from locfuse.cli.analysis.settings import EXPORTS, OF_COMPARISON, OF_RUN, PathLike, chosen, path_of
 from locfuse.formats.report.findings import void_reasons
 from locfuse.formats.visible import visible
 from locfuse.fusion.data import Drive, Estimates, Evaluation, UsageError
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 V = TypeVar("V")
 Kinds = str | Iterable[str] | None  # "json,tum" or ["json", "tum"]; None: all
-EXPORT = "--export: unknown format"
+UNKNOWN_EXPORT = "--export: unknown format"
 
 
 class UnknownNameError(UsageError, KeyError):
@@ -148,7 +148,8 @@ class Result(msgspec.Struct, frozen=True, eq=False):
         """
         files = self._files(write)
         files |= fixes_file(self.report)
-        files |= exports.files(chosen(export, list(exports.KINDS), EXPORT), self.loaded, self._by_file())
+        formats = chosen(export, list(EXPORTS), UNKNOWN_EXPORT)
+        files |= outputs.exported_files(formats, self.loaded, self._by_file())
         return self._written(folder, files, overwrite)
 
     def _files(self, write: Kinds) -> dict[str, Content]:

@@ -86,7 +86,7 @@ def opened(log: Sequence[str], how: LogOptions, progress: Progress, read_again: 
     return session if how.given_map is None else session.with_map(how.given_map)
 
 
-ADVISED = ("headline", "validity", "findings", "fixes")  # of a report: what to keep, what is void, what to set
+ADVICE_KEYS = ("headline", "validity", "findings", "fixes")  # of a report: what to keep, what is void, what to set
 
 
 class Session(msgspec.Struct, frozen=True, eq=False):
@@ -238,7 +238,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         It is what the report of `compare` holds under these keys, and the reports of `run` as far as they show it.
         """
         report = self.compare(audits=False).report
-        return {key: report[key] for key in ADVISED}
+        return {key: report[key] for key in ADVICE_KEYS}
 
     def _add_jitter(
         self,

@@ -39,7 +39,7 @@ from .replicates import add_intervals, add_ties, credit_over
 from .result import Comparison, Kinds, Named
 from .session import opened
 
-FOLDER = "summary"
+DEFAULT_FOLDER = "summary"
 
 
 class Summary:
@@ -182,7 +182,7 @@ def _standing(entry: Entry) -> dict[str, Any]:
 
 def default_folder() -> Path:
     """Return the folder of a summary where no other is given."""
-    return results.default_folder(FOLDER)
+    return results.default_folder(DEFAULT_FOLDER)
 
 
 def of_each(write: Kinds) -> set[str]:

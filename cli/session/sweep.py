@@ -11,7 +11,7 @@ from locfuse.fusion.data import UsageError
 
 MAX_CELLS = 1000
 BETWEEN_VALUES = re.compile(r",(?![^\[{]*[\]}])")  # a comma that is not inside a list or a table
-UNFIT = re.compile(r"[\s/\\]")  # cannot stand in the name of a folder
+UNFIT_FOR_FOLDER = re.compile(r"[\s/\\]")  # cannot stand in the name of a folder
 
 
 def parse(words: Sequence[str]) -> dict[str, list[str]]:
@@ -34,7 +34,7 @@ def cells(sets: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
     Raises UsageError for more than MAX_CELLS, and for a value that cannot be part of a folder's name.
     """
     for word in (word for words in sets.values() for word in words):
-        if UNFIT.search(word):
+        if UNFIT_FOR_FOLDER.search(word):
             raise UsageError(f"--sweep {word!r}: a value with blanks or slashes cannot name a folder")
     count = prod(len(words) for words in sets.values())
     if count > MAX_CELLS:

@@ -10,7 +10,7 @@ import click
 from click.shell_completion import CompletionItem
 
 SHELLS = ("bash", "zsh", "fish")
-PAUSED = "_LOCFUSE_COMPLETE"  # the variable by which the shell asks
+COMPLETION_VARIABLE = "_LOCFUSE_COMPLETE"  # the variable by which the shell asks
 
 
 def script(shell: str, program: click.Command) -> str:
@@ -20,7 +20,7 @@ def script(shell: str, program: click.Command) -> str:
     found = get_completion_class(shell)
     if found is None:
         raise click.UsageError(f"no completion for {shell}; choose from {', '.join(SHELLS)}")
-    return found(program, {}, "locfuse", PAUSED).source()
+    return found(program, {}, "locfuse", COMPLETION_VARIABLE).source()
 
 
 def logs(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:

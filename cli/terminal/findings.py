@@ -52,8 +52,8 @@ def print_findings(values: Any, tables: Iterable[Table], out: Path | None, as_js
 
 def end(notes: Iterable[str], lost: Sequence[str], quiet: bool) -> int:
     """Print notes and losses on stderr; return the exit code."""
-    from locfuse.cli.analysis.errors import LOSS
+    from locfuse.cli.analysis.errors import EXIT_LOSS
 
     for line in (*(() if quiet else (f"note: {n}" for n in notes)), *(f"lost: {n}" for n in lost)):
         say(line, err=True)  # the reason of exit code 3 is printed with --quiet too
-    return LOSS if lost else 0
+    return EXIT_LOSS if lost else 0

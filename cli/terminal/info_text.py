@@ -25,7 +25,7 @@ READS, CONFIGURATIONS, SPOILS, WORTH, NEXT = TITLES = (
     "worth knowing",
     "next",
 )
-TOPICS = (
+TOPIC_COLUMNS = (
     Column("topic", "topic", kind="text"),
     Column("type", "type", kind="text", shorter=lambda kind: kind.rpartition("/")[2]),
     Column("messages", "messages"),
@@ -35,8 +35,8 @@ TOPICS = (
     Column("frame", "frame", kind="text", rank=3),
     Column("roles", "read by", kind="text"),
 )
-BELOW = "clock: how long after its stamp a message was recorded."
-BELOW_GAP = " gap: the longest time without a message."
+TOPICS_NOTE = "clock: how long after its stamp a message was recorded."
+GAP_NOTE = " gap: the longest time without a message."
 MAX_UNREADABLE_LISTED = 6  # unreadable topics, each with its reason
 
 
@@ -63,7 +63,7 @@ def listed(topics: Mapping[str, Mapping[str, Any]], width: int | None) -> Sequen
         (name, found["type"].replace("/msg/", "/"), found["messages"], found["rate_hz"])
         for name, found in topics.items()
     )
-    return text_table.lines(Table(TOPICS[:4], tuple(tuple(map(Cell, row)) for row in rows)), width)
+    return text_table.lines(Table(TOPIC_COLUMNS[:4], tuple(tuple(map(Cell, row)) for row in rows)), width)
 
 
 def grouped(overview: Overview) -> dict[str, list[Finding]]:
@@ -102,8 +102,8 @@ def _topics(overview: Overview, width: int | None) -> Iterator[str]:
     full.sort(key=lambda f: f.topic not in role)
     yield from (line.rstrip() for line in text_table.lines(_table(full, role), width))
     if full:
-        gap = BELOW_GAP if any(_silence(f) is not None for f in full) else ""
-        yield from _wrapped("", f"{BELOW}{gap}", width, "")
+        gap = GAP_NOTE if any(_silence(f) is not None for f in full) else ""
+        yield from _wrapped("", f"{TOPICS_NOTE}{gap}", width, "")
     if empty := [f.topic for f in overview.facts if not f.count]:
         yield from _wrapped("empty: ", ", ".join(empty), width, "  ")
     unreadable = [f for f in overview.facts if f.problem is not None and f.count]
@@ -127,7 +127,7 @@ def _table(facts: Sequence[TopicFacts], role: Mapping[str, Sequence[str]]) -> Ta
         )
         for f in facts
     )
-    return Table(TOPICS, tuple(tuple(map(Cell, row)) for row in rows))
+    return Table(TOPIC_COLUMNS, tuple(tuple(map(Cell, row)) for row in rows))
 
 
 def _silence(f: TopicFacts) -> float | None:

@@ -15,8 +15,7 @@ import msgspec
 from msgspec import field
 
 from locfuse.cli.analysis import settings
-from locfuse.cli.analysis.exports import KINDS as EXPORTS
-from locfuse.cli.analysis.settings import Asked, GateOptions, LogOptions, Outputs
+from locfuse.cli.analysis.settings import EXPORTS, Asked, GateOptions, LogOptions, Outputs
 from locfuse.cli.fleet.job import FleetOptions
 from locfuse.cli.rerun.address import ADDRESS, LOCAL_VIEWER
 from locfuse.cli.rerun.record import RerunOptions

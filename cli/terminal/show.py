@@ -24,13 +24,15 @@ if TYPE_CHECKING:
 
     from .options import Options
 
-BELOW = " rmse, max, final: distance to the truth. ANEES: 1 is right, more is overconfident. See: locfuse explain"
-BELOW_REFERENCE = (
+FIGURES_NOTE = (
+    " rmse, max, final: distance to the truth. ANEES: 1 is right, more is overconfident. See: locfuse explain"
+)
+REFERENCE_NOTES = (
     " rmse, max, final: distance to a reference, not to truth. See: locfuse explain reference",
     " *: the reference uses the same sensors. ?: the reference may be wrong.",
 )
-BELOW_SENSORS = " NIS: 1 is right, more: its noise is set too low. absent: readings without a measurement"
-COLOURS = {"helps": "green", "hurts": "red"}  # of verdicts; the others need none
+SENSORS_NOTE = " NIS: 1 is right, more: its noise is set too low. absent: readings without a measurement"
+VERDICT_COLOURS = {"helps": "green", "hurts": "red"}  # of verdicts; the others need none
 NO_TRUTH = "no truth in this log: the error figures do not exist; if a topic holds it: --set truth.topic=/TOPIC"
 OR_REFERENCE = ", or measure against the solution of the whole drive: --reference"
 
@@ -135,12 +137,12 @@ def figures(report: Mapping[str, Any]) -> None:
     """Print the configurations, and how many measurements of each sensor were accepted and rejected."""
     table(tables.brief(report))
     if tables.has_figures(report):
-        lines(BELOW_REFERENCE if report.get("reference") else (BELOW,))
+        lines(REFERENCE_NOTES if report.get("reference") else (FIGURES_NOTE,))
     table(tables.jitter(report))
     of_sensors = tables.sensors(report).without("verdicts").without("joint_nis")
     table(of_sensors)
     if of_sensors.rows:
-        lines([BELOW_SENSORS])
+        lines([SENSORS_NOTE])
 
 
 def table(shown: Table) -> None:
@@ -189,7 +191,7 @@ def verdicts(report: Mapping[str, Any]) -> None:
     for sensor, found in report.get("verdicts", {}).items():
         equal.setdefault((found["verdict"], found["words"]), []).append(sensor)
     for (verdict, words), sensors in equal.items():
-        colour = COLOURS.get(verdict, "")
+        colour = VERDICT_COLOURS.get(verdict, "")
         console.print(Text.assemble((f"{', '.join(sensors)} {verdict}. ", f"bold {colour}"), words))
 
 

@@ -17,7 +17,7 @@ from benchmarks.fleet import tables, write_logs
 from locfuse.cli.analysis.settings import Asked, LogOptions, Outputs
 from locfuse.cli.fleet import cluster as clusters
 from locfuse.cli.fleet import process
-from locfuse.cli.fleet.job import Job, Outcome
+from locfuse.cli.fleet.job import Job, JobOutcome
 from locfuse.cli.fleet.queue import run_all
 from locfuse.fusion.data import LocfuseError
 
@@ -107,7 +107,7 @@ class Dying(Executor):
         self.problems = list(problems)
 
     def submit(self, _fn: Any, /, *_given: Any, **_named: Any) -> Future[Any]:
-        future: Future[Outcome] = Future()
+        future: Future[JobOutcome] = Future()
         future.set_exception(self.problems.pop())
         return future
 
@@ -136,7 +136,7 @@ def test_no_scheduler_and_no_package_are_one_line(
         patched.setitem(sys.modules, "distributed", None)
         assert "pip install 'locfuse[cluster]'" in locfuse(*words, "tcp://127.0.0.1:1").stderr
     pytest.importorskip("distributed")
-    monkeypatch.setattr(clusters, "PATIENCE_S", 0.3)
+    monkeypatch.setattr(clusters, "CONNECT_TIMEOUT_S", 0.3)
     done = locfuse(*words, "tcp://127.0.0.1:1")
     assert done.exit_code == 1
     assert "no scheduler answers there" in done.stderr

@@ -28,8 +28,8 @@ from benchmarks.fleet import killed, tables, write_logs
 from locfuse.cli.analysis.robot_tables import given_tables
 from locfuse.cli.analysis.settings import Asked, LogOptions, Outputs
 from locfuse.cli.fleet import process
-from locfuse.cli.fleet.job import Job, Outcome
-from locfuse.cli.fleet.queue import Standing, duration, run_all
+from locfuse.cli.fleet.job import Job, JobOutcome
+from locfuse.cli.fleet.queue import QueueState, duration, run_all
 from locfuse.cli.fleet.words import _regex, expanded
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.whole_files import RUN_LOCK, sole_writer
@@ -135,7 +135,7 @@ def test_a_setting_in_a_file_is_the_setting_on_the_command_line(
     assert again.exit_code == 0, again.stderr
 
 
-@pytest.mark.parametrize("key", ["truth.topic", "landmarks.topic", "landmarks.map", "lrf.map"])
+@pytest.mark.parametrize("key", ["truth.topic", "landmarks.topic", "landmarks.map"])
 def test_a_file_that_a_setting_names_is_part_of_the_key_by_its_content(key: str, tmp_path: Path) -> None:
     file = tmp_path / "beside.csv"
     how = LogOptions(None, (f'{key}="{file}"',), None, strict=False, quiet=True)
@@ -224,7 +224,7 @@ def test_ctrl_c_keeps_what_is_done(logs: list[Path], tmp_path: Path) -> None:
         "import sys\nfrom locfuse.cli.commands import fleet as several\n"
         "from locfuse.cli.fleet import process\n"
         f"process.COMMAND = (sys.executable, {str(slow)!r})\n"
-        "several.STILL_S = 0.0\n"  # says at every look how far it is
+        "several.LINE_INTERVAL_S = 0.0\n"  # says at every look how far it is
         "from locfuse.cli.main import main\nmain(sys.argv[1:])\n"
     )
     command = (sys.executable, "-c", code, "compare", *map(str, logs), "-o", str(out), "--jobs", "2", *ONE[:-1])
@@ -257,8 +257,8 @@ class Failing(Executor):
     """An executor that runs nothing and fails everything."""
 
     def submit(self, _fn: Any, /, *given: Any, **_named: Any) -> Future[Any]:
-        future: Future[Outcome] = Future()
-        future.set_result(Outcome(given[0].name, "failed", "no luck"))
+        future: Future[JobOutcome] = Future()
+        future.set_result(JobOutcome(given[0].name, "failed", "no luck"))
         return future
 
 
@@ -277,7 +277,7 @@ def test_too_many_failures_stop_the_queue() -> None:
 
 
 def test_progress_says_how_long_it_will_take() -> None:
-    standing = Standing(10, done=4, failed=1, resumed=3, began=time.monotonic() - 20.0)
+    standing = QueueState(10, done=4, failed=1, resumed=3, began=time.monotonic() - 20.0)
     assert standing.seconds_left == pytest.approx(50.0, rel=0.01)  # two were run in 20 s, five are left
     assert standing.words() == "4 done, 1 failed, 5 left, about 50 s"
     assert [duration(s) for s in (89.0, 600.0, 7200.0)] == ["89 s", "10 min", "2.0 h"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from locfuse.cli.fleet import process
-from locfuse.cli.fleet.job import Job, Outcome
+from locfuse.cli.fleet.job import Job, JobOutcome
 
 
 def counted_jobs(monkeypatch: pytest.MonkeyPatch) -> list[str]:
@@ -13,7 +13,7 @@ def counted_jobs(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     ran: list[str] = []
     real = process._in_a_process
 
-    def counted(job: Job, folder: str) -> Outcome:
+    def counted(job: Job, folder: str) -> JobOutcome:
         ran.append(job.name)
         return real(job, folder)
 

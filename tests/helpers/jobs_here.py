@@ -8,14 +8,14 @@ import threading
 import pytest
 
 from locfuse.cli.fleet import process
-from locfuse.cli.fleet.job import Job, Outcome
+from locfuse.cli.fleet.job import Job, JobOutcome
 
 
 def jobs_here(monkeypatch: pytest.MonkeyPatch) -> None:
     """Start no process from now on; a job still arrives as the bytes that a process would read."""
     one_at_a_time = threading.Lock()
 
-    def here(job: Job, _folder: str) -> Outcome:
+    def here(job: Job, _folder: str) -> JobOutcome:
         with one_at_a_time:
             return process.outcome(pickle.loads(pickle.dumps(job)))
 

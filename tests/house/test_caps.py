@@ -27,7 +27,6 @@ ARGUMENTS: dict[str, int] = {
     "fusion/whole_drive/closures.py:judged": 10,
 }
 RECORD_FIELDS: dict[str, int] = {
-    "cli/inspect/topics.py:TopicFacts": 15,
     "formats/figures/panels.py:Panel": 16,
     "formats/report/structure.py:Result": 30,
     "formats/rerun/scene.py:Scene": 15,

@@ -70,6 +70,7 @@ def test_noise_and_leaving_out_are_plasters_where_another_key_is_wrong() -> None
     assert (
         judged("a steel cabinet", ("compass", "compass.sigma_deg=15"))["plaster"] == []
     )  # no key sets that right
+    assert judged("a steel cabinet", ("compass", "compass.sigma_deg=79"))["plaster"] == ["compass.sigma_deg=79"]
     assert judged("compass + 5", ("compass", "compass.sigma_offset_deg=0.3"))["plaster"] == []  # of a state
     words = "Keep the laser: 4 mm. With all sensors it is 9 mm: leave the compass out."
     assert judged("compass + 5", headline=words)["plaster"] == ["leave compass out"]
@@ -95,6 +96,11 @@ def test_a_wrong_truth_costs_what_is_printed_and_a_withheld_figure_costs_nothing
     fixed = judged("truth 50 ms late", ("truth", LAG), **same, printed=[{"all": 0.016}, {"all": 0.004}])
     assert fixed["closed"] == pytest.approx(1.0)
     assert fixed["errors_m"] == [0.004, 0.016, 0.004]
+    bent = {**same, "after": {"all": (0.014, 0.2)}}  # the laser's clock was set to a wrong truth
+    fooled = judged(
+        "truth 50 ms late", ("lrf", "lrf.time_offset=0.05"), **bent, printed=[{"all": 0.016}, {"all": 0.004}]
+    )
+    assert fooled["closed"] == pytest.approx(2 / 12)
     void = judged("truth 50 ms late", ("truth", ""), **same, printed=[{"all": None}, {"all": None}])
     assert void["closed"] is None
 

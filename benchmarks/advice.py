@@ -259,19 +259,15 @@ def clean_table(found: Sequence[Row]) -> list[str]:
     lines = []
     for name in CLEAN:
         for side, words in zip(sides(found, (name,)), ("with truth", "without"), strict=True):
-            lines.append(
-                (
-                    f"{name}, {words}",
-                    len(side),
-                    share(side, "messages"),
-                    share(side, "fixes"),
-                    share(side, "worse"),
-                )
-            )
-    said = [
-        f"seed {r['task'][1]}, {r['task'][0]}: {m} {' '.join(r['fixes'])}" for r in found for m in r["messages"]
+            cells = (share(side, key) for key in ("findings", "fixes", "worse"))
+            lines.append((f"{name}, {words}", len(side), *cells))
+    needless = [
+        f"seed {row['task'][1]}, {row['task'][0]}: {role}: {words} {' '.join(fixes)}"
+        for row in found
+        for role, fixes, words in row["findings"]
     ]
-    return [*experiment.table(("drives", "runs", "with a line", "with a fix", "worse"), lines, "1234"), "", *said]
+    head = ("drives", "runs", "with a line", "with a fix", "worse")
+    return [*experiment.table(head, lines, "1234"), "", *needless]
 
 
 def _shown(raw: Row) -> str:

@@ -21,6 +21,8 @@ from typing import Any, NamedTuple
 import click
 
 import locfuse
+from benchmarks import experiment
+from benchmarks.experiment import Row
 
 DATA = "LOCFUSE_DATA"
 HIDDEN = {"truth.topic": "none"}
@@ -50,84 +52,82 @@ class Case(NamedTuple):
     sets: dict[str, Any]
 
 
-class Row(NamedTuple):
-    """One sensor, judged both ways."""
-
-    case: str
-    sensor: str
-    by_truth: str
-    by_reference: str
-    error: tuple[float | None, float | None]  # m, of the sensor alone, by truth and by reference
-    independent: bool  # the reference that judged it has no part of it
-
-    @property
-    def outcome(self) -> str:
-        """Whether both verdicts agree."""
-        truth, other = GRADES.get(self.by_truth), GRADES.get(self.by_reference)
-        if other is None:
-            return "no verdict without truth"
-        if truth is None:
-            return "no verdict by truth"
-        return "agree" if truth == other else "contradict" if truth * other < 0 else "one sees no effect"
-
-
-def cases(data: Path | None) -> Iterator[Case]:
+def cases() -> Iterator[Case]:
     """Yield the sample logs, as they are and with wrong settings, and real logs with a truth if they are there."""
     for log in SAMPLES:
         yield Case(log, log, {})
     for log in SAMPLES[:2]:
         for name, sets in WRONG.items():
             yield Case(f"{log}, {name}", log, sets)
-    if data is not None:
-        brenner = str(data / "brenner" / "brenner.mcap")
+    if DATA in os.environ:
+        brenner = str(Path(os.environ[DATA]) / "brenner" / "brenner.mcap")
         for track in (0.155, 0.173):
             yield Case(f"brenner, track {track}", brenner, {**BRENNER, "wheels.track": track})
         right = {"wheels.track": 0.173, "lrf.time_offset": -0.45, "lrf.range_scale": 1.126}
         yield Case("brenner, clock and scale right", brenner, {**BRENNER, **right})
 
 
-def rows(case: Case) -> Iterator[Row]:
-    """Yield every sensor's verdicts and errors with the truth and without it."""
+def work(name: str) -> Row:
+    """Return every sensor's verdicts and errors with the truth and without it."""
+    case = next(case for case in cases() if case.name == name)
     by_truth, hidden = (
         locfuse.load(case.log, sets={**case.sets, **more}).compare(advice=False, audits=False).report
         for more in ({}, HIDDEN)
     )
-    for sensor, verdict in by_truth["verdicts"].items():
-        name = next(n for n, v in hidden["configurations"].items() if list(v["sensors"]) == [sensor])
-        judged = hidden["configurations"][name]
-        yield Row(
-            case.name,
-            sensor,
-            verdict["verdict"],
-            hidden["verdicts"].get(sensor, {"verdict": "no verdict"})["verdict"],
-            (by_truth["configurations"][name]["position_rmse_m"], judged["position_rmse_m"]),
-            not (judged["reference"] or {"shared": [sensor]})["shared"],
-        )
+    return {"sensors": [judged(sensor, by_truth, hidden) for sensor in by_truth["verdicts"]]}
+
+
+def judged(sensor: str, by_truth: dict[str, Any], hidden: dict[str, Any]) -> Row:
+    """Return one sensor, judged both ways; `error` [m] is that of the sensor alone, by truth and by reference."""
+    name = next(n for n, v in hidden["configurations"].items() if list(v["sensors"]) == [sensor])
+    alone = hidden["configurations"][name]
+    return {
+        "sensor": sensor,
+        "by_truth": by_truth["verdicts"][sensor]["verdict"],
+        "by_reference": hidden["verdicts"].get(sensor, {"verdict": "no verdict"})["verdict"],
+        "error": [one["configurations"][name]["position_rmse_m"] for one in (by_truth, hidden)],
+        "independent": not (alone["reference"] or {"shared": [sensor]})["shared"],  # no part of the reference
+    }
+
+
+def outcome(row: Row) -> str:
+    """Return whether both verdicts agree."""
+    truth, other = GRADES.get(row["by_truth"]), GRADES.get(row["by_reference"])
+    if other is None:
+        return "no verdict without truth"
+    if truth is None:
+        return "no verdict by truth"
+    return "agree" if truth == other else "contradict" if truth * other < 0 else "one sees no effect"
+
+
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield both verdicts of every sensor, and how often they agree."""
+    found = [{"log": row["task"][0], **sensor} for row in rows for sensor in row["sensors"]]
+    lines = []
+    for row in found:
+        truth, reference = ("-" if e is None else f"{e:.3f} m" for e in row["error"])
+        star = "" if row["independent"] else " *"
+        verdicts = (row["log"], row["sensor"], row["by_truth"], row["by_reference"])
+        lines.append((*verdicts, truth, f"{reference}{star}"))
+    head = ("log", "sensor", "by truth", "without truth", "alone, by truth", "by reference")
+    yield from experiment.table(head, lines, "45")
+    counts = Counter(outcome(row) for row in found)
+    yield f"\n{len(found)} sensors: " + ", ".join(f"{what} {n}" for what, n in counts.most_common()) + "."
+    ratios = [b / a for row in found if row["independent"] for a, b in [row["error"]] if a and b]
+    near = sum(0.9 <= ratio <= 1.1 for ratio in ratios)
+    yield f"Judged by a reference without it: {len(ratios)} errors, {near} of them within 10 % of the truth's."
 
 
 @click.command()
-@click.option("--log", "names", multiple=True, help="Only cases of this log.")
-def main(names: tuple[str, ...]) -> None:
+@click.option("--log", "words", multiple=True, help="Only cases of this log.")
+@click.option("--jobs", default=1, show_default=True)
+@click.option("-o", "out", type=click.Path(path_type=Path), help="File of rows: goes on where it stopped.")
+def main(words: tuple[str, ...], jobs: int, out: Path | None) -> None:
     """Print both verdicts of every sensor, and how often they agree."""
-    place = os.environ.get(DATA)
-    click.echo("| log | sensor | by truth | without truth | alone, by truth | by reference |")
-    click.echo("|---|---|---|---|--:|--:|")
-    found: list[Row] = []
-    for case in cases(Path(place) if place else None):
-        if names and not any(name in case.name for name in names):
-            continue
-        for row in rows(case):
-            found.append(row)
-            errors = " | ".join("-" if e is None else f"{e:.3f} m" for e in row.error)
-            star = "" if row.independent else " *"
-            click.echo(f"| {row.case} | {row.sensor} | {row.by_truth} | {row.by_reference} | {errors}{star} |")
-    counts = Counter(row.outcome for row in found)
-    click.echo(f"\n{len(found)} sensors: " + ", ".join(f"{what} {n}" for what, n in counts.most_common()) + ".")
-    ratios = [b / a for row in found if row.independent for a, b in [row.error] if a and b]
-    near = sum(0.9 <= ratio <= 1.1 for ratio in ratios)
-    click.echo(
-        f"Judged by a reference without it: {len(ratios)} errors, {near} of them within 10 % of the truth's."
-    )
+    tasks = [(case.name,) for case in cases() if not words or any(word in case.name for word in words)]
+    made = experiment.rows(work, tasks, out, jobs)
+    for line in (*table(experiment.well(made)), *experiment.failures(made)):
+        click.echo(line)
 
 
 if __name__ == "__main__":

@@ -70,6 +70,7 @@ def test_noise_and_leaving_out_are_plasters_where_another_key_is_wrong() -> None
     assert (
         judged("a steel cabinet", ("compass", "compass.sigma_deg=15"))["plaster"] == []
     )  # no key sets that right
+    assert judged("a steel cabinet", ("compass", "compass.sigma_deg=79"))["plaster"] == ["compass.sigma_deg=79"]
     assert judged("compass + 5", ("compass", "compass.sigma_offset_deg=0.3"))["plaster"] == []  # of a state
     words = "Keep the laser: 4 mm. With all sensors it is 9 mm: leave the compass out."
     assert judged("compass + 5", headline=words)["plaster"] == ["leave compass out"]
@@ -95,8 +96,29 @@ def test_a_wrong_truth_costs_what_is_printed_and_a_withheld_figure_costs_nothing
     fixed = judged("truth 50 ms late", ("truth", LAG), **same, printed=[{"all": 0.016}, {"all": 0.004}])
     assert fixed["closed"] == pytest.approx(1.0)
     assert fixed["errors_m"] == [0.004, 0.016, 0.004]
+    bent = {**same, "after": {"all": (0.014, 0.2)}}  # the laser's clock was set to a wrong truth
+    fooled = judged(
+        "truth 50 ms late", ("lrf", "lrf.time_offset=0.05"), **bent, printed=[{"all": 0.016}, {"all": 0.004}]
+    )
+    assert fooled["closed"] == pytest.approx(2 / 12)
     void = judged("truth 50 ms late", ("truth", ""), **same, printed=[{"all": None}, {"all": None}])
     assert void["closed"] is None
+
+
+def test_needless_lines_of_clean_drives_are_counted_and_shown() -> None:
+    rows = [judged("none"), judged("none", ("lrf", "lrf.sigma_range=0.02")), judged("none, offset estimated")]
+    table = advice.clean_table(rows)
+    assert "| none, with truth | 2 | 1 of 2 | 1 of 2 | 0 of 2 |" in table
+    assert "| none, without | 0 | - | - | - |" in table
+    assert table[-1] == "seed 3000, none: lrf: words lrf.sigma_range=0.02"
+
+
+def test_the_table_of_cases_has_a_line_each_and_the_goals_of_all() -> None:
+    rows = [judged("compass + 5", ("compass", "compass.offset_deg=-65")), judged("laser bumped by 4 degrees")]
+    table = "\n".join([*advice.goals(rows), *advice.table(rows)])
+    assert "| right key, where the fault costs something | 1 of 1 | - |" in table
+    assert "| the sensor is named, where no key sets that right | 0 of 1 | - |" in table
+    assert "| compass + 5 | 1 of 1, - | 0 of 1, - | 0 of 1, - | 0 of 1, - | 75%, - | 4.0, 20.0, 8.0 |" in table
 
 
 def test_a_clean_drive_has_the_right_settings() -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 from msgspec.structs import replace
 
@@ -16,16 +17,19 @@ from locfuse.cli.analysis.compare import Compared, Heard, Watch, compare_log
 from locfuse.cli.analysis.configurations import Configuration, for_comparison
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import Asked, Progress, silent
+from locfuse.cli.analysis.trust import evidence
 from locfuse.fusion.checks.score import improves, spoils, spoils_alone, turns_right
 from locfuse.fusion.checks.tried import Advice, Fixes, scored, together, tried
-from locfuse.fusion.data import Estimates
+from locfuse.fusion.data import Estimates, Evaluation
+from locfuse.fusion.judge.consistency import Run
+from locfuse.fusion.judge.evaluate import shape_error
+from locfuse.fusion.judge.predictive import Score, scores_of
 from locfuse.fusion.robot import Robot
 
 from .advised import Advised
-from .beginning import Beginning
 from .evidence import Evidence
 from .judged import REFERENCE
-from .trial import Trial
+from .trial import Trial, predicted, score_of
 
 MIN_DURATION_S = 5.0  # s: a shorter drive judges no setting
 MAX_WHOLE = 2  # findings that change little on the beginning, and are tried on the whole drive all the same
@@ -41,35 +45,72 @@ class Evaluator:
 
     def __init__(self, loaded: Loaded, progress: Progress, align: str = "none") -> None:
         self.trial = Trial(loaded, {c.name: c for c in standard(loaded)}, align, progress)
-        self._watch = Beginning(self.trial)
+        self._seen: dict[str, tuple[Estimates, Evaluation, list[Run]]] = {}
+        self._scores: list[Score] = []
+        self._odometry: Estimates | None = None
         self._may_judge = _may_judge(loaded)
 
     @property
     def takes(self) -> list[Watch]:
         """What a comparison's finished runs are to be given to."""
-        return [self._watch.take] if self._may_judge else []
+        return [self._take] if self._may_judge else []
 
     @property
     def hears(self) -> list[Heard]:
         """What runs that other sensors listen to are to be given to."""
-        return [self._watch.hear] if self._may_judge else []
+        return [self._hear] if self._may_judge else []
+
+    def _take(self, e: Estimates, judged: Evaluation) -> None:
+        """Take a run while it has its audits; of a drive of which only the beginning is tried, its score."""
+        trial, whole = self.trial, self.trial.whole
+        if e.smoothed or e.rates or e.name not in trial.configurations:
+            return
+        if trial.loaded is whole:
+            self._seen[e.name] = replace(e, audits={}), judged, evidence(whole.drive, e, whole.robot)
+        elif whole.drive.truth is not None:
+            trial.of_whole(e.name, score_of(judged, shape_error(e, whole.drive)))
+
+    def _hear(self, e: Estimates) -> None:
+        """Take a run that others listened to while it has its audits; odometry's comes first."""
+        trial, drive = self.trial, self.trial.whole.drive
+        if trial.loaded is trial.whole:
+            self._odometry = self._odometry or e
+            self._scores += scores_of(drive, e, self._odometry)
+            trial.heard((), trial.whole, e)
+        elif e.name in trial.configurations:
+            trial.of_whole(e.name, predicted(drive, e))
+
+    def _first(self) -> Compared:
+        """Return the comparison under the settings as they are, as it was watched if that was all it needs."""
+        trial = self.trial
+        if not set(trial.configurations) <= set(self._seen):
+            return _compared((), trial.loaded, trial)
+        chosen = [self._seen[name] for name in trial.configurations]
+        return Compared(
+            loaded=trial.loaded,
+            configurations=list(trial.configurations.values()),
+            estimates=[e for e, _, _ in chosen],
+            evaluations=[judged for _, judged, _ in chosen],
+            runs=[run for _, _, runs in chosen for run in runs],
+            credit=None,
+            scores=self._scores,
+        )
 
     def advised(self) -> Advised:
         """Return what is found, by what was watched; by a comparison of its own if that was not all it needs."""
         if not self._may_judge:
             return Advised()
         trial = self.trial
-        first = self._watch.compared()
 
         def look(fixes: Fixes) -> Evidence | None:
             loaded = trial.under(fixes)
             if loaded is None:
                 return None
-            compared = first if not fixes and first is not None else _compared(fixes, loaded, trial)
+            compared = _compared(fixes, loaded, trial) if fixes else self._first()
             trial.seed(fixes, compared)
             return Evidence(compared, trial, fixes)
 
-        found, kept = tried(look, trial)
+        found, kept = tried(look, trial, partial(number, trial.whole.robot))
         if trial.loaded is not trial.whole:
             found, kept = on_the_whole_drive(found, trial)
         return Advised(tuple(changing(found, kept, trial.whole.robot)), trial.fusions)
@@ -147,12 +188,15 @@ def changing(found: Sequence[Advice], kept: Fixes, robot: Robot) -> list[Advice]
     return [replace(a, fixes=fixes) for a, fixes in zip(found, kept_fixes, strict=True) if fixes or not a.helps]
 
 
+def number(robot: Robot, key: str) -> float | None:
+    """Return the number that a key of robot.toml has, None where it has none."""
+    table, _, name = key.partition(".")
+    settings = getattr(robot, table, None) if table in REFERENCE else robot.settings(table)
+    now = getattr(settings, name, None)
+    return None if isinstance(now, bool) or not isinstance(now, int | float) else float(now)
+
+
 def _is_configured(key: str, value: str, robot: Robot) -> bool:
     """Return whether a setting has this value, as near as it is written."""
-    table, _, name = key.partition(".")
-    settings = getattr(robot, table, None) if table in ("wheels", "start", "truth") else robot.settings(table)
-    now = getattr(settings, name, None)
-    try:
-        return now is not None and not isinstance(now, bool) and math.isclose(float(value), now, abs_tol=5e-5)
-    except (TypeError, ValueError):
-        return False
+    now = number(robot, key)
+    return now is not None and math.isclose(float(value), now, abs_tol=5e-5)

@@ -6,6 +6,7 @@ and noise, since each of these looks like one. Clocks and noise have files of th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from functools import cached_property
 
@@ -215,6 +216,7 @@ class Evidence(Clocks, Noise):
             replace(self._candidate(Finding(s, "biased", v.words), (as_fixes(v.cures),), True), measured=True)
             for s, v in self._biases_again.items()
         ]
+        found += self._start_heading()
         for sensor, verdict in self.consistency.items():
             options = list(self.constant(verdict))
             if sensor == "camera" and verdict.verdict in {"biased", "outliers", "contradicts", "understated"}:
@@ -225,6 +227,19 @@ class Evidence(Clocks, Noise):
                 finding = Finding(sensor, verdict.verdict, verdict.words)
                 found.append(self._candidate(finding, tuple(options)))
         return found
+
+    def _start_heading(self) -> list[Candidate]:
+        """Return the heading of the start where a compass whose offset is configured shows another one."""
+        verdict, robot = self.consistency.get("compass"), self.loaded.robot
+        offset = robot.settings("compass").offset_deg
+        if verdict is None or offset is None or self.loaded.drive.truth is not None or not robot.start_given:
+            return []
+        if verdict.verdict != "biased" or robot.start.sigma_theta_deg:
+            return []
+        off = math.remainder(verdict.cures["compass.offset_deg"] - offset, 360.0)
+        words = f"the compass, whose offset is configured, shows another heading at the start: {off:+.1f}°"
+        fixes = (f"start.theta_deg={robot.start.theta_deg + off:.1f}",)
+        return [self._candidate(Finding("start", "heading", words), (fixes,), True)]
 
     @cached_property
     def _biases_again(self) -> dict[str, NoiseVerdict]:

@@ -55,6 +55,9 @@ class Noise(Judged):
             if options:
                 finding = Finding(sensor, verdict.verdict if seen else self._by_truth(sensor), words)
                 found.append(self._candidate(finding, options, not seen))
+            elif seen:
+                words += ": so much that something else is wrong with it"
+                found.append(self._candidate(Finding(sensor, verdict.verdict, words), ()))
         as_configured = self._slip is not None and not self._slip.unusual  # as the turning itself shows
         doubtful = self.loaded.drive.truth is not None and self._doubtful(self._best(self.trial.configurations))
         if doubtful and not as_configured:

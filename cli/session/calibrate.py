@@ -21,9 +21,11 @@ from locfuse.fusion.wheels.calibrate import PAPER_PERIOD_S, WheelCalibration, ca
 from locfuse.fusion.wheels.likelihood import Figure
 
 from .calibrate_laser import SIGMAS_95, ByLaser, by_laser
+from .doubts import refuse_doubtful
 
 FIELD = "sensor_msgs/msg/MagneticField"
 ODOMETRY = "nav_msgs/msg/Odometry"
+CALIBRATED = ("wheel scale", "radius", "track", "iron", "yaw")  # findings that calibrating sets right
 MIN_LN_RATIO = 3.0  # ln of a likelihood ratio that is worth saying (20 to 1)
 
 
@@ -132,6 +134,8 @@ class Calibration(msgspec.Struct, frozen=True):
 def calibrate_logs(loaded: Sequence[Loaded], progress: Progress = silent) -> Calibration:
     """Calibrate what the logs of one robot allow. Raises LocfuseError where they allow nothing."""
     settings = _one_robot(loaded)
+    for one in loaded:
+        refuse_doubtful(one, "what is calibrated now", CALIBRATED)
     notes: list[str] = []
     wheels = _try(lambda: _wheels(loaded), notes)
     laser = None if wheels is not None else _try(lambda: by_laser(loaded, settings, progress), notes)

@@ -28,6 +28,8 @@ from locfuse.fusion.sensors.registry import REGISTRY, needed
 from locfuse.fusion.tune.noise import Figures
 from locfuse.fusion.tune.tune import Row, Trial, Tuned, tune
 
+from .doubts import refuse_doubtful
+
 SIGMAS_95 = 1.96  # standard deviations of a 95 % interval
 HELD_OUT_SHARE = 0.2  # share of every log, its end, where no log is held out
 LIKELIHOOD = "ln likelihood per number, {part} ({numbers})"
@@ -79,7 +81,8 @@ class Tuning(msgspec.Struct, frozen=True):
 
     def rows(self) -> list[tuple[str, str, str, str]]:
         """Return (key, before, after, interval) for people."""
-        return [(r.key, f"{r.before:.3g}", *_found(r)) for r in self.tuned.rows]
+        unused = ("not used", "")
+        return [(r.key, f"{r.before:.3g}", *(unused if self.refused else _found(r))) for r in self.tuned.rows]
 
     def judgements(self) -> list[tuple[str, str, str]]:
         """Return (figure, before, after) for people."""
@@ -137,6 +140,8 @@ def tune_logs(
     """
     paths = [*logs, *held_out]
     loaded = [load(p, how, progress, only=sensors) for p in paths]
+    for one in loaded:
+        refuse_doubtful(one, "noise found now")
     checks = [_check(p, how) for p in paths]
     trials = []
     for i, one in enumerate(loaded):

@@ -29,6 +29,7 @@ from .score import (
 )
 
 MAX_FIXES = 6  # of one log
+MAX_MOVED_SHARE = 0.5  # of the first change of a value, by which measuring it again may move it on
 # findings that are measured again, better, once others are fixed
 REFINED = ("lag", "mount", "way", "biased", "understated", "overstated")
 CLEAR = 1.0  # worth of a fix beyond which nothing of a later class is likely to explain the same
@@ -106,11 +107,16 @@ class Case(Protocol):
         """Return the configurations that somebody would keep who uses a role."""
 
 
+Now = Callable[[str], float | None]
 Look = Callable[[Fixes], Case | None]  # measures and fuses a log under settings; None: it cannot be
 
 
-def tried(look: Look, trial: Try) -> tuple[list[Advice], Fixes]:
-    """Try what looks wrong, take the first class's best fix, measure again, and so on; what helps comes first."""
+def tried(look: Look, trial: Try, now: Now = lambda key: None) -> tuple[list[Advice], Fixes]:
+    """Try what looks wrong, take the first class's best fix, measure again, and so on; what helps comes first.
+
+    `now` returns the number that a key has as configured. A value that moves on when it is measured again under
+    itself is none: something else is wrong.
+    """
     helped: list[Advice] = []
     open_: dict[str, Advice] = {}
     kept: Fixes = ()
@@ -125,12 +131,39 @@ def tried(look: Look, trial: Try) -> tuple[list[Advice], Fixes]:
         new = [a for a in found if a.helps] or _beside_another(found, kept, look, trial, done)
         if not new:
             break
+        runaway = {a.finding.role for a in new if _moves_on(a, kept, now)}
+        if runaway:
+            open_ |= {a.finding.role: _without_fix(a) for a in new if a.finding.role in runaway}
+            helped = [a for a in helped if a.finding.role not in runaway]
+            kept = ()
+            for advice in helped:
+                kept = together(kept, advice.fixes)
+            break
         helped += new
         for advice in new:
             kept = together(kept, advice.fixes)
         case = look(kept)
     names = {a.finding.role for a in helped}
     return [*helped, *(a for role, a in open_.items() if a.finding.severe or role not in names)], kept
+
+
+def _moves_on(advice: Advice, kept: Fixes, now: Now) -> bool:
+    """Return whether a fix moves a number on by more than half of what an earlier one moved it."""
+    before = dict(fix.partition("=")[::2] for fix in kept)
+    for key, _, value in (fix.partition("=") for fix in advice.fixes):
+        first = now(key)
+        if first is None or key not in before:
+            continue
+        moved, again = float(before[key]) - first, float(value) - float(before[key])
+        if again * moved > 0.0 and abs(again) > MAX_MOVED_SHARE * abs(moved):
+            return True
+    return False
+
+
+def _without_fix(advice: Advice) -> Advice:
+    words = f"{advice.finding.message}; set so, it is measured further off: something else is wrong"
+    finding = replace(advice.finding, message=words, severe=True)
+    return replace(advice, finding=finding, fixes=(), before=None, after=None)
 
 
 def _first_that_helps(case: Case, kept: Fixes, trial: Try, done: Collection[tuple[str, str]]) -> list[Advice]:

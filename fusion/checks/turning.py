@@ -203,7 +203,9 @@ def of_track(
     track, own, by = metre * found[0], metre * found[1], found[2]
     off = track / (metre * configured) - 1.0
     sigma = max(own, track * (0.0 if motion is None else motion.by_slips))
-    if abs(off) < max(least.error + least.sigmas * own / track, least.sigmas * sigma / track):
+    # who tries the fix sees what it does on this drive; who does not needs more than slips can do
+    slips = sigma if least == WORTH_SAYING else 0.0
+    if abs(off) < max(least.error + least.sigmas * own / track, least.sigmas * slips / track):
         return []
     words = (
         f"the track is {configured:g} m, but the turning of {by} says {track:.3f} m (1 sigma {sigma:.3f}); "

@@ -326,3 +326,14 @@ def test_where_the_position_itself_gains_the_shape_is_not_asked() -> None:
     (found,) = found_in([replace(LATE, by_shape=True)], trial)
     assert found.helps
     assert found.before == {name: Score(0.02, shape=0.004) for name in LATE.judges}
+
+
+@pytest.mark.parametrize(("second", "taken"), [("-0.11", True), ("-0.17", False)])
+def test_a_value_that_moves_on_when_it_is_measured_again_is_no_fix(second: str, taken: bool) -> None:
+    """A tenth of a second, then more than half as much again: something else looks like a clock."""
+    again = f"lrf.time_offset={second}"
+    later = replace(LATE, alternatives=((again,),))
+    trial = Trials({keys(): 0.1, keys(LAG): 0.05, keys(again): 0.02})
+    found, kept = tried(lambda fixes: Case([later if fixes else LATE]), trial, lambda key: 0.0)
+    assert kept == ((again,) if taken else ())
+    assert any("something else is wrong" in a.finding.message for a in found) != taken

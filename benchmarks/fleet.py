@@ -122,7 +122,7 @@ def tables(folder: Path) -> dict[str, bytes]:
 def killed(logs: Sequence[Path], folder: Path, times: int, seed: int = 0) -> tuple[dict[str, bytes], int]:
     """Return the files of a run that was killed so often, then left to end, and how often it was hit."""
     rng = random.Random(seed)
-    command = (*LOCFUSE, "compare", *map(str, logs), "-o", str(folder), "--jobs", "2", *QUIET)
+    command = (*LOCFUSE, "fleet", *map(str, logs), "-o", str(folder), "--jobs", "2", *QUIET)
     hits = 0
     for _ in range(times):
         with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
@@ -164,7 +164,7 @@ def killed_command(count: int, times: int) -> None:
 
     def work(scratch: Path) -> str:
         logs = write_logs(scratch / "logs", count)
-        alone = (*LOCFUSE, "compare", *map(str, logs), "-o", str(scratch / "alone"), *QUIET)
+        alone = (*LOCFUSE, "fleet", *map(str, logs), "-o", str(scratch / "alone"), *QUIET)
         subprocess.run(alone, check=True, capture_output=True)
         found, hits = killed(logs, scratch / "killed", times)
         same = found == tables(scratch / "alone")
@@ -187,12 +187,12 @@ def jobs_command(count: int, minutes: float) -> None:
             logs.append(scratch / f"log_{seed}x.mcap")
             make = (sys.executable, "-m", "benchmarks.make_log", str(logs[-1]), "--minutes", str(minutes))
             subprocess.run((*make, "--seed", str(seed)), check=True, capture_output=True)
-        words = ("--write", "json", "-q", "--no-advice")  # of several logs none is evaluated
+        words = ("--write", "json", "-q")
         one, two = (
             cost(
                 (
                     *LOCFUSE,
-                    "compare",
+                    "fleet",
                     *map(str, logs),
                     "-o",
                     str(scratch / f"j{jobs}"),
@@ -203,7 +203,10 @@ def jobs_command(count: int, minutes: float) -> None:
             )
             for jobs in (1, 2)
         )
-        bare = [cost((*LOCFUSE, "compare", str(log), "-o", str(scratch / "bare"), *words)) for log in logs]
+        bare = [
+            cost((*LOCFUSE, "compare", str(log), "-o", str(scratch / "bare"), *words, "--no-advice"))
+            for log in logs
+        ]
         cpu = sum(b.cpu for b in bare)
         return (
             f"{count} logs of {minutes:g} min on {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}: "
@@ -227,9 +230,12 @@ def overhead_command(count: int, log: str) -> None:
         logs = [scratch / f"log_{i}x.mcap" for i in range(count)]
         for place in logs:
             shutil.copy(source, place)
-        words = ("--write", "json", "-q", "--no-advice")  # of several logs none is evaluated
-        bare = [cost((*LOCFUSE, "compare", str(one), "-o", str(scratch / "bare"), *words)).cpu for one in logs]
-        fleet = (*LOCFUSE, "compare", *map(str, logs), "-o", str(scratch / "fleet"), *words)
+        words = ("--write", "json", "-q")
+        bare = [
+            cost((*LOCFUSE, "compare", str(one), "-o", str(scratch / "bare"), *words, "--no-advice")).cpu
+            for one in logs
+        ]
+        fleet = (*LOCFUSE, "fleet", *map(str, logs), "-o", str(scratch / "fleet"), *words)
         first, second = cost(fleet).cpu, cost(fleet).cpu  # the second runs no job
         of_job = (first - second) / count
         mean = sum(bare) / count

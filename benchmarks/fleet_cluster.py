@@ -167,7 +167,7 @@ def kill_when(folder: Path, reports: int, worker: subprocess.Popen[bytes]) -> in
 def compare(words: Sequence[str], out: Path) -> subprocess.Popen[bytes]:
     """Start `locfuse compare` over the bucket."""
     pattern = f"s3://{BUCKET}/day/*.mcap"
-    return subprocess.Popen((*LOCFUSE, "compare", pattern, "-o", str(out), *WORDS, *words))
+    return subprocess.Popen((*LOCFUSE, "fleet", pattern, "-o", str(out), *WORDS, *words))
 
 
 @click.command()

@@ -1,4 +1,4 @@
-"""The entry: lazy subcommands, and the one place where errors become exit codes.
+"""The entry: commands that are imported on use, and the one place where errors become exit codes.
 
 `locfuse --help` must not import NumPy, OpenCV or Rerun (benchmarks: "--help"), so a command's module is imported
 when the command is used.

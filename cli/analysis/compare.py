@@ -41,7 +41,7 @@ Heard = Callable[[Estimates], None]
 
 
 class Compared(msgspec.Struct, frozen=True):
-    """What one `compare` found out about one log."""
+    """The results of one comparison of one log."""
 
     loaded: Loaded
     configurations: Sequence[Configuration]
@@ -54,7 +54,7 @@ class Compared(msgspec.Struct, frozen=True):
 
 
 class Referenced(msgspec.Struct, frozen=True):
-    """What took the place of truth."""
+    """The references that errors are measured against, where there is no truth."""
 
     references: References
     judges: Mapping[str, Reference]  # result -> the one that judged it
@@ -62,7 +62,7 @@ class Referenced(msgspec.Struct, frozen=True):
 
 
 class JudgedRun(NamedTuple):
-    """One configuration's result, and what its audits say of the sensors' noise."""
+    """One configuration's result, and the evidence of its audits about the sensors' noise."""
 
     estimates: Estimates
     evaluation: Evaluation
@@ -159,7 +159,7 @@ def _referenced(
     hows: Sequence[Align],
     filtered: Sequence[JudgedRun],
 ) -> tuple[Referenced, list[Evaluation]]:
-    """Return every result judged by a reference, each moved onto it as `hows` says, and which judged what."""
+    """Return every result judged by its reference, aligned as in `hows`, and which reference judged which."""
     pairs = [references.judged(j.evaluation, j.estimates, how) for j, how in zip(every, hows, strict=True)]
     plain = {frozenset(j.estimates.sensors): j for j in filtered if not j.estimates.rates}
     found = {s: _effect(references, s, plain, hows[0]) for s in references.present}
@@ -171,7 +171,7 @@ def _referenced(
 def _effect(
     references: References, sensor: str, plain: Mapping[frozenset[str], JudgedRun], align: Align
 ) -> ByReference | None:
-    """Return what the reference that a sensor has no part in says of its effect; None where nothing was run."""
+    """Return the effect of a sensor on the error, by a reference without it; None where nothing was run."""
     reference, before = references.without(sensor), frozenset(needed(sensor))
     after = before | {sensor}
     if reference is None or before not in plain or after not in plain:
@@ -232,7 +232,7 @@ def _judged_foreign(e: Estimates, drive: Drive, how: Align) -> JudgedRun:
 
 
 def refuse_smoothing(robot: Robot, configurations: Sequence[Configuration]) -> None:
-    """Raise UsageError before any work is done where one of the filters does not weigh optimally."""
+    """Raise UsageError before any work is done where a filter cannot be smoothed: its gain is not optimal."""
     from locfuse.fusion.whole_drive.smooth import check_smoothing
 
     for c in configurations:
@@ -246,7 +246,7 @@ def predict(
     progress: Progress,
     heard: Sequence[Heard] = (),
 ) -> list[Score]:
-    """Return how well each configuration predicts the sensors that only listen to it."""
+    """Return how well each configuration predicts the readings of sensors that it does not use."""
     if not drive.measurements:
         return []
     sets = [((), "odometry"), *((c.sensors, c.name) for c in configurations if c.sensors and not c.rates)]
@@ -280,7 +280,7 @@ def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
 
 
 def add_reference(report: dict[str, Any], compared: Compared) -> None:
-    """Add `reference` to the report and to every result, and let it speak of the sensors that it can judge."""
+    """Add `reference` to the report and to every result, and its verdicts on the sensors that it can judge."""
     found = compared.reference
     report["reference"] = None
     if found is None:

@@ -13,18 +13,20 @@ import operator
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
 from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.inputs import read_small
-from locfuse.formats.logs.files import Identity
 from locfuse.formats.report import json_report
 from locfuse.formats.report.summary import OVER_LOGS
 from locfuse.fusion.data import LocfuseError, UsageError
 
 from .settings import GateOptions
+
+if TYPE_CHECKING:
+    from locfuse.formats.logs.log import Log
 
 EXIT_GATE_FAILED = 4
 OF_REFERENCE = "reference."  # before a figure: that of a log without truth, against its reference
@@ -83,22 +85,6 @@ class Baseline(msgspec.Struct, frozen=True):
     path: Path
     values: Mapping[str, Any]
     tolerance: Tolerance
-
-
-class Content(Protocol):
-    """What a log is known by."""
-
-    @property
-    def name(self) -> str:
-        """What to call it."""
-
-    @property
-    def identity(self) -> Identity:
-        """What its content is known by without reading all of it."""
-
-    @property
-    def sha256(self) -> str:
-        """Hash of all its bytes."""
 
 
 class Gates(msgspec.Struct, frozen=True):
@@ -199,7 +185,7 @@ def _refuse_other_than_tables(*values: Any) -> None:
         raise TypeError
 
 
-def refuse_another_log(baseline: Baseline | None, log: Content) -> None:
+def refuse_another_log(baseline: Baseline | None, log: Log) -> None:
     """Raise LocfuseError where the baseline is of another content: what got worse may be the drive."""
     if baseline is None or _is_of(then := baseline.values.get("input", {}), log):
         return
@@ -211,7 +197,7 @@ def refuse_another_log(baseline: Baseline | None, log: Content) -> None:
     )
 
 
-def _is_of(then: Mapping[str, Any], log: Content) -> bool:
+def _is_of(then: Mapping[str, Any], log: Log) -> bool:
     """Return whether a report is of this log: by its identity, in a report of 0.1 by the hash of all bytes."""
     if then.get("identity") is not None:
         return bool(then["identity"] == log.identity.digest)

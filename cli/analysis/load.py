@@ -214,7 +214,7 @@ def measured(
 
 
 def _matched_scans(stream: Stream, robot: Robot, progress: Progress, before: Loaded | None) -> MatchedScans:
-    """Return how the robot moved by its laser alone: it has no wheels that anybody recorded."""
+    """Return how the robot moved by its laser alone, where no wheels were recorded."""
     from locfuse.fusion.wheels.motion_by_scans import match_scans  # SciPy comes with it
 
     laser = laser_of(robot.settings("lrf"))
@@ -284,7 +284,7 @@ def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = sil
 
 
 def _measured_by(tables: Mapping[str, Any], table: str) -> Any:
-    """Return the keys of a table that measuring depends on: gates, states and the wheels' noise are fusing's."""
+    """Return the keys of a table that measuring depends on: not gates, states or the wheels' noise."""
     keys = tables.get(table, {})
     if not isinstance(keys, Mapping):
         return keys

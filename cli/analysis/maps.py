@@ -1,4 +1,4 @@
-"""A map leaves one run and is given to another: --save-map and --map; landmarks as a .csv.
+"""Maps between runs: saved by --save-map, given by --map; landmarks as a .csv.
 
 A given map may also be an occupancy grid, as an image with its YAML or as a topic of the log: its walls become the
 lines of the map. Where the drive begins in it is searched for, unless [start] is set.

@@ -32,7 +32,7 @@ def settle_heap() -> None:
 
 
 def lean(work: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
-    """Return what some work returns, and give back what it took on the way.
+    """Call a function, then return the heap memory that it freed to the system.
 
     Measuring, fusing and judging leave tens of megabytes of holes between what stays. The C library returns only
     the end of its heap, and what comes next does not fit into the holes (benchmarks: "peak memory").

@@ -28,7 +28,7 @@ MAX_TILT = 0.7  # of the z axis, along the vertical: more is a frame whose z axi
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 BASE_FRAMES = ("base_link", "base_footprint", "base")
 ODOMETRY_WORD = "odom"
-ROOM_FRAMES = ("map", "world", "earth", "utm")  # last word of frames that stand still in the room
+ROOM_FRAMES = ("map", "world", "earth", "utm")  # last word of frames that are fixed in the room
 
 
 def transforms_of(log: Log, frames: Iterable[str]) -> StaticTransforms:
@@ -57,13 +57,13 @@ def is_base(frame: str) -> bool:
 
 
 def is_odometry(frame: str) -> bool:
-    """Return whether a frame is called like one in which an odometry says its poses: odom, odom_combined."""
+    """Return whether a frame is called like one in which an odometry gives its poses: odom, odom_combined."""
     word = last_word(frame)
     return word.startswith(ODOMETRY_WORD) or word.endswith(ODOMETRY_WORD)
 
 
 def is_room(frame: str) -> bool:
-    """Return whether a frame is called like one that stands still in the room."""
+    """Return whether a frame is called like one that is fixed in the room."""
     return last_word(frame) in ROOM_FRAMES
 
 
@@ -110,12 +110,12 @@ def _looks(mount: Mount) -> dict[str, Any]:
 def on_moving_parts(
     transforms: StaticTransforms, streams: Mapping[str, Sequence[Stream]], tables: Mapping[str, Any]
 ) -> dict[str, str]:
-    """Return the sensors whose place on the base changes, in words, but for those that somebody placed."""
+    """Return the sensors whose place on the base changes, in words, except those whose place is set."""
     found = {}
     for sensor, parts in streams.items():
         keys = {"x", "y", "yaw_deg"} & set(REGISTRY[sensor].Settings.__struct_fields__)
-        told = keys & set(tables.get(sensor, {}))
-        if len(keys) == 3 and not told and (moves := moved_by(transforms, parts[0].frame_id)):
+        given = keys & set(tables.get(sensor, {}))
+        if len(keys) == 3 and not given and (moves := moved_by(transforms, parts[0].frame_id)):
             found[sensor] = (
                 f"{parts[0].frame_id} moves on the robot ({moves} by /tf), and only sensors bolted to its "
                 f"base are read; if it stood still, say where: {sensor}.x, {sensor}.y, {sensor}.yaw_deg"
@@ -171,7 +171,7 @@ def shared_turns(tables: Mapping[str, Any], streams: Mapping[str, Sequence[Strea
 
 
 def mount_of(transforms: StaticTransforms, frame: str) -> Mount | None:
-    """Return where a frame sits on the base, None where nothing says so."""
+    """Return where a frame sits on the base, None where that is not known."""
     return planar_mount(transforms, _bases_in(transforms), frame) if frame else None
 
 

@@ -148,7 +148,7 @@ def _landmarks(loaded: Loaded) -> list[tuple[float, float]]:
 
 
 def events(loaded: Loaded, runs: Iterable[Estimates]) -> list[Event]:
-    """Return what happened when: by the log's own labels, in the drive, and in some runs with audits."""
+    """Return events with their times: the log's own labels, those of the drive, and of some runs with audits."""
     found = [*loaded.labels, *events_of_drive(loaded.drive)]
     for e in runs:
         found += events_of_run(thinned(loaded.drive, e.rates) if e.rates else loaded.drive, e)

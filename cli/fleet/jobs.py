@@ -125,7 +125,7 @@ class FleetRows(msgspec.Struct, frozen=True):
 def gather(
     plan: FleetPlan, outcomes: Mapping[str, JobOutcome], stopped: str, gates: FleetGates, strict: bool
 ) -> FleetRows:
-    """Read the report of every job that is done; what `stopped` the others is their reason.
+    """Read the report of every job that is done; the reason of the others is what `stopped` them.
 
     Results are read from the jobs' folders: the same whether they ran now or long ago.
     """

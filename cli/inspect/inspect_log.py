@@ -121,7 +121,7 @@ def _placed(log: Log, tables: dict[str, Any], choice: Choice, transforms: Static
 
 
 def _of_files(log: Log) -> list[Finding]:
-    """What the files themselves lost, and whether they could tell."""
+    """Return what the files lost, and whether a loss could be seen at all."""
     found = [Finding("file", "lost", line, severe=True) for line in log.losses.lines()]
     if log.unchecked:
         names = ", ".join(log.unchecked[:3]) + (" ..." if len(log.unchecked) > 3 else "")
@@ -130,7 +130,7 @@ def _of_files(log: Log) -> list[Finding]:
 
 
 def _measure(overview: Overview, progress: Callable[[str], None]) -> None:
-    """Measure what can be, and let the doctor look at it."""
+    """Measure what can be measured, and add the findings of the checks."""
     if "wheels" not in overview.choice.topics:
         return
     try:
@@ -150,14 +150,14 @@ def _measure(overview: Overview, progress: Callable[[str], None]) -> None:
 
 
 def _not_measured(overview: Overview, error: LocfuseError) -> list[Finding]:
-    """Say why nothing could be measured, where no finding says it yet."""
+    """Return why nothing could be measured, unless a finding has that already."""
     role = error.role if error.role in {"wheels", "truth", *REGISTRY} else "log"
     known = any(f.role == role and f.severe for f in overview.findings)
     return [] if known else [of_error(error, role, "unusable")]
 
 
 def _unusable(overview: Overview, loaded: Loaded) -> list[Finding]:
-    """Sensors that the log has and that cannot be used, where no finding says why yet."""
+    """Return a finding per sensor of the log that cannot be used, unless it has one already."""
     known = {f.role for f in overview.findings if f.severe}
     drive = loaded.drive
     return [

@@ -44,7 +44,7 @@ def _mount_by(overview: Overview, name: str, keys: Mapping[str, Any]) -> str:
 
 
 def placed_by(overview: Overview, frame: str) -> str:
-    """Return who places a frame on the base: /tf_static, else transforms of /tf that never change."""
+    """Return the source of a frame's place on the base: /tf_static, else transforms of /tf that never change."""
     return "/tf_static" if mount_of(overview.log.static_transforms(), frame) is not None else "/tf"
 
 

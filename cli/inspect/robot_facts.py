@@ -1,4 +1,4 @@
-"""What else a log says of its robot: a robot description, an odometry made from the same wheels, telling names."""
+"""Facts about the robot in its log: a robot description, an odometry of the same wheels, names of joints."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MIN_MOVEMENT = 0.05  # of a joint's readings, in its unit: a joint that never mo
 
 
 class RobotFacts(msgspec.Struct, frozen=True):
-    """What a log says of its robot beside robot.toml."""
+    """Facts about the robot that are in the log, beside robot.toml."""
 
     described: WheelGeometry | None = None  # by /robot_description
     fitted: Geometry | None = None  # by an odometry topic made from the same wheels
@@ -60,7 +60,7 @@ def find_robot_facts(log: Log, robot: Robot, choice: Choice) -> RobotFacts:
 
 def of_robot(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list[Finding]:
     """Return what is missing of the wheels, with the values that were found, and topics that may be the truth."""
-    return [*_geometry(log, robot, choice, found), *_untold_truth(log, choice)]
+    return [*_geometry(log, robot, choice, found), *_possible_truth(log, choice)]
 
 
 def _geometry(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list[Finding]:
@@ -94,14 +94,14 @@ def _geometry(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list
 
 
 def _senses(robot: Robot, found: RobotFacts) -> list[str]:
-    """Return the setting of the wheels' senses of counting, where the odometry counts otherwise than is set."""
+    """Return the setting of the wheels' senses of counting, where the odometry contradicts it."""
     fitted = found.fitted
     differ = fitted is not None and fitted.mirrored != robot.wheels.mirrored
     return [f"wheels.mirrored={fitted.mirrored}"] if fitted is not None and differ else []
 
 
 def geometry(robot: Robot, found: RobotFacts) -> tuple[dict[str, float], str]:
-    """Return radius and track as far as anything tells, and what does."""
+    """Return radius and track as far as they are known, and by which source."""
     if found.described is not None and found.described.radius is not None:
         values = {"radius": found.described.radius, "track": found.described.track}
         return values, "/robot_description tells these"
@@ -178,7 +178,7 @@ def _sorted_sides(a: str, b: str) -> tuple[str, str]:
 
 
 def _described(log: Log) -> WheelGeometry | None:
-    """Return what a robot description in the log says of the wheels."""
+    """Return the wheels of the robot description in the log."""
     for topic in of_type(log, ("std_msgs/msg/String",)):
         if topic.rpartition("/")[2] == "robot_description" and log.topics[topic].count:
             try:
@@ -190,8 +190,8 @@ def _described(log: Log) -> WheelGeometry | None:
     return None
 
 
-def _untold_truth(log: Log, choice: Choice) -> list[Finding]:
-    """Name topics of poses that might be the truth, had somebody said so: an estimate must not judge another."""
+def _possible_truth(log: Log, choice: Choice) -> list[Finding]:
+    """Return a finding per topic that may be the truth; the user decides: an estimate must not judge another."""
     if "truth" in choice.topics:
         return []
     kinds = [k for k in TRUTH_READS if k not in {ODOMETRY, FIX}]

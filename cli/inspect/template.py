@@ -49,7 +49,7 @@ def draft(
     progress: Callable[[str], None] = lambda step: None,
     said: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Draft:
-    """Look at a log until no fix changes anything, and write down what was found.
+    """Inspect a log until no fix changes anything, and return the settings that were found.
 
     `said` are tables that another program's configuration gives, by the name of its file.
     """
@@ -86,7 +86,7 @@ def _with(
 
 
 def _given(overview: Overview, how: LogOptions, said: Mapping[str, Mapping[str, Any]]) -> Known:
-    """Return what somebody said already: the log's attachment, --robot, another program's file, --set."""
+    """Return the settings that are given: the log's attachment, --robot, another program's file, --set."""
     layers: list[tuple[str, Mapping[str, Any]]] = []
     if ATTACHMENT in overview.log.attachments:
         layers.append(

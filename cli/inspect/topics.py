@@ -153,7 +153,7 @@ def of_stamps(facts: Sequence[TopicFacts], choice: Choice, robot: Robot) -> list
 
 
 def _other_clocks(known: Mapping[str, TopicFacts], choice: Choice, robot: Robot) -> list[Finding]:
-    """Return a finding per stream of another clock than the wheels'; the times of recording show how far off."""
+    """Return a finding per stream of another clock than the wheels'; the times of recording show by how much."""
     found: list[Finding] = []
     wheels = known.get(choice.topics.get("wheels", ""))
     if wheels is None:

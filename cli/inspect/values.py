@@ -54,7 +54,7 @@ def values(overview: Overview) -> dict[str, Any]:
 
 
 def absent(overview: Overview) -> dict[str, str]:
-    """Return why a role has no topic, or a sensor no use."""
+    """Return why a role has no topic, or why a sensor cannot be used."""
     foreign = {name: f"no topic of type {types(REGISTRY[name].reads)}" for name in sorted(overview.choice.foreign)}
     measured = overview.loaded.drive.absent if overview.loaded is not None else {}
     return {**foreign, **overview.choice.absent, **measured}

@@ -80,7 +80,7 @@ def _away(plain: Estimates, other: Estimates) -> float:
 
 
 def add_jitter(report: dict[str, Any], found: Sequence[Jittered]) -> None:
-    """Add the range of every figure over all runs and the drive's own, and take back verdicts that flip."""
+    """Add the range of every figure over all runs and the drive's own, and withdraw verdicts that change."""
     if not found:
         return
     report["jitter"] = {"runs": len(found), "words": JITTER_NOTE.format(runs=len(found))}

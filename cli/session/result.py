@@ -30,7 +30,7 @@ UNKNOWN_EXPORT = "--export: unknown format"
 
 
 class UnknownNameError(UsageError, KeyError):
-    """No value has this name. A KeyError too, as every mapping's, and yet one readable line."""
+    """No value has this name: a KeyError, as of every mapping, with one readable line."""
 
     __str__ = Exception.__str__
 

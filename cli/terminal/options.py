@@ -30,7 +30,7 @@ RERUN_PREFIX = "rerun_"  # of the parameters that fill RerunOptions
 
 
 class Options(msgspec.Struct, frozen=True):
-    """All that a command line asks. A part that a command has no options for is as by default."""
+    """All that a command line asks. Parts that a command has no options for have their defaults."""
 
     how: LogOptions = field(default_factory=LogOptions)  # how logs are read
     asked: Asked = field(default_factory=Asked)  # what is computed of each

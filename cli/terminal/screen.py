@@ -57,7 +57,7 @@ def put(document: str) -> None:
 
 
 def settle_streams() -> None:
-    """Let no stream fail a run: one that is closed leads nowhere, what an encoding lacks is shown in letters."""
+    """Make the streams safe: a closed one leads to the null device, what an encoding lacks is escaped."""
     for number in range(3):
         try:
             os.fstat(number)

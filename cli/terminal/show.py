@@ -183,7 +183,7 @@ def transfer(came: tuple[int, int] | None, quiet: bool) -> None:
 
 
 def verdicts(report: Mapping[str, Any]) -> None:
-    """Print what each sensor improved, in words; once what is the same of several."""
+    """Print what each sensor improved, in words; sensors with equal words share a line."""
     from rich.text import Text
 
     console = screen()

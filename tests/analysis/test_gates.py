@@ -7,7 +7,8 @@ import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from commands import locfuse
@@ -229,32 +230,29 @@ def test_a_baseline_of_another_log_is_refused_before_anything_is_fused(tmp_path:
     assert not (tmp_path / "c").exists()
 
 
-class Known(NamedTuple):
+def known(name: str, identity: Identity, sha256: str) -> Any:
     """What gates ask of a log."""
-
-    name: str
-    identity: Identity
-    sha256: str
+    return SimpleNamespace(name=name, identity=identity, sha256=sha256)
 
 
 def test_a_baseline_of_other_bytes_under_the_same_name_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "old.json"
     path.write_text(json.dumps({**REPORT, "input": {"name": "drive", "sha256": "00"}}))
     before = read_baseline(path, "5%")
-    refuse_another_log(before, Known("drive", Identity(5, "a"), "00"))
+    refuse_another_log(before, known("drive", Identity(5, "a"), "00"))
     with pytest.raises(LocfuseError, match="another log that is also called drive"):
-        refuse_another_log(before, Known("drive", Identity(5, "a"), "11"))
+        refuse_another_log(before, known("drive", Identity(5, "a"), "11"))
     path.write_text(json.dumps(REPORT))  # an early report that does not say of which log it is
-    refuse_another_log(read_baseline(path, "5%"), Known("drive", Identity(5, "a"), "11"))
+    refuse_another_log(read_baseline(path, "5%"), known("drive", Identity(5, "a"), "11"))
 
 
 def test_a_baseline_is_of_a_log_by_its_identity_where_it_has_one(tmp_path: Path) -> None:
     path = tmp_path / "old.json"
     path.write_text(json.dumps({**REPORT, "input": {"name": "drive", "identity": "a", "sha256": None}}))
     before = read_baseline(path, "5%")
-    refuse_another_log(before, Known("drive", Identity(5, "a"), "not read"))
+    refuse_another_log(before, known("drive", Identity(5, "a"), "not read"))
     with pytest.raises(LocfuseError, match="another log that is also called drive"):
-        refuse_another_log(before, Known("drive", Identity(5, "b"), "not read"))
+        refuse_another_log(before, known("drive", Identity(5, "b"), "not read"))
 
 
 @pytest.mark.parametrize(

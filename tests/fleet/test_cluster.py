@@ -53,11 +53,11 @@ def test_tables_are_those_of_this_machine_and_what_is_finished_is_not_sent(
     monkeypatch.chdir(logs[0].parent)
     names = [log.name for log in logs]  # relative to the folder in which the command is typed
     for out, words in (("here", ()), ("there", ("--cluster", address))):
-        done = locfuse("compare", *names, "-o", tmp_path / out, *ONE, *words)
+        done = locfuse("fleet", *names, "-o", tmp_path / out, *ONE, *words)
         assert done.exit_code == 3, done.stderr
     assert tables(tmp_path / "here") == tables(tmp_path / "there")
     monkeypatch.setattr(process, "run", None)
-    again = locfuse("compare", *names[:2], "-o", tmp_path / "there", *ONE, "--cluster", address)
+    again = locfuse("fleet", *names[:2], "-o", tmp_path / "there", *ONE, "--cluster", address)
     assert again.exit_code == 0, again.stderr
 
 
@@ -130,7 +130,7 @@ def test_what_the_cluster_fails_is_a_row(tmp_path: Path) -> None:
 def test_no_scheduler_and_no_package_are_one_line(
     logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    words = ("compare", *logs, "-o", tmp_path / "out", *ONE, "--cluster")
+    words = ("fleet", *logs, "-o", tmp_path / "out", *ONE, "--cluster")
     assert locfuse(*words, "tcp://127.0.0.1:1", "--jobs", "2").exit_code == 2
     with monkeypatch.context() as patched:
         patched.setitem(sys.modules, "distributed", None)

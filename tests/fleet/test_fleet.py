@@ -63,7 +63,7 @@ def test_a_log_that_cannot_be_read_is_a_row_and_the_others_are_compared(
     jobs_here(monkeypatch)
     bad = tmp_path / "bad.mcap"
     bad.write_text("no log at all")
-    done = locfuse("compare", logs[0], bad, tmp_path / "gone.mcap", logs[1], "-o", tmp_path / "out", *ONE)
+    done = locfuse("fleet", logs[0], bad, tmp_path / "gone.mcap", logs[1], "-o", tmp_path / "out", *ONE)
     assert done.exit_code == 3, done.stderr
     found = {(r["log"], r["configuration"]): r for r in rows(tmp_path / "out")}
     assert found["bad", ""]["state"] == found["gone", ""]["state"] == "failed"
@@ -84,11 +84,11 @@ def test_all_logs_failing_is_an_error_and_all_by_a_wrong_word_is_misuse(
     for name in ("bad", "worse"):
         (tmp_path / f"{name}.mcap").write_text("no log at all")
     words = (tmp_path / "bad.mcap", tmp_path / "worse.mcap", "-o", tmp_path / "out", "--write", "json")
-    assert locfuse("compare", *words).exit_code == 1
-    wrong = locfuse("compare", *logs[:2], "-o", tmp_path / "b", "--sensors", "odometre")
+    assert locfuse("fleet", *words).exit_code == 1
+    wrong = locfuse("fleet", *logs[:2], "-o", tmp_path / "b", "--sensors", "odometre")
     assert wrong.exit_code == 2
     assert "unknown sensor 'odometre'" in wrong.stderr
-    assert locfuse("compare", *logs[:2], "-o", tmp_path / "c", "--set", "lrf.sigmarange=1").exit_code == 2
+    assert locfuse("fleet", *logs[:2], "-o", tmp_path / "c", "--set", "lrf.sigmarange=1").exit_code == 2
 
 
 def test_a_finished_log_is_not_run_again_until_something_changes(
@@ -103,7 +103,7 @@ def test_a_finished_log_is_not_run_again_until_something_changes(
 
     def names(*words: Any) -> list[str]:
         ran.clear()
-        done = locfuse("compare", *own, "-o", out, *ONE, *words)
+        done = locfuse("fleet", *own, "-o", out, *ONE, *words)
         assert done.exit_code == 0, done.stderr
         return sorted(ran)
 
@@ -127,11 +127,11 @@ def test_a_setting_in_a_file_is_the_setting_on_the_command_line(
 ) -> None:
     jobs_here(monkeypatch)
     out = tmp_path / "out"
-    first = locfuse("compare", *logs[:2], "-o", out, *ONE, "--set", "compass.sigma_deg=5")
+    first = locfuse("fleet", *logs[:2], "-o", out, *ONE, "--set", "compass.sigma_deg=5")
     assert first.exit_code == 0, first.stderr
     (tmp_path / "robot.toml").write_text("# a comment\n[compass]\nsigma_deg = 5\n")
     monkeypatch.setattr(process, "_in_a_process", lambda job, folder: pytest.fail(f"{job.name} was run again"))
-    again = locfuse("compare", *logs[:2], "-o", out, *ONE, "--robot", tmp_path / "robot.toml")
+    again = locfuse("fleet", *logs[:2], "-o", out, *ONE, "--robot", tmp_path / "robot.toml")
     assert again.exit_code == 0, again.stderr
 
 
@@ -158,7 +158,7 @@ def test_another_truth_file_is_run_again_and_the_window_is_that_of_every_log(
 
     def run(y: float) -> list[float]:
         truth.write_text("t,x,y\n" + "".join(f"{first + i * 100_000_000},0,{y}\n" for i in range(30)))
-        done = locfuse("compare", f"@{listed}", *words)
+        done = locfuse("fleet", f"@{listed}", *words)
         assert done.exit_code == 0, done.stderr
         return [float(r["position_rmse_m"]) for r in rows(tmp_path / "out")]
 
@@ -176,7 +176,7 @@ def test_a_run_that_is_killed_and_started_again_equals_one_that_is_left_alone(
     logs: list[Path], tmp_path: Path
 ) -> None:
     words = ("--write", "json,csv,html", "-q")
-    assert locfuse("compare", *logs, "-o", tmp_path / "alone", *words).exit_code == 0
+    assert locfuse("fleet", *logs, "-o", tmp_path / "alone", *words).exit_code == 0
     found, _ = killed(logs, tmp_path / "killed", times=3, seed=5)
     assert found == tables(tmp_path / "alone")
 
@@ -184,7 +184,7 @@ def test_a_run_that_is_killed_and_started_again_equals_one_that_is_left_alone(
 def test_two_jobs_at_once_give_the_files_of_one(logs: list[Path], tmp_path: Path) -> None:
     for jobs in (1, 2):
         words = ("-o", tmp_path / str(jobs), "--jobs", jobs, *ONE)
-        assert locfuse("compare", *logs, *words).exit_code == 0
+        assert locfuse("fleet", *logs, *words).exit_code == 0
     assert tables(tmp_path / "1") == tables(tmp_path / "2")
 
 
@@ -193,11 +193,11 @@ def test_a_process_that_is_killed_is_a_row_that_names_the_signal(
 ) -> None:
     dies = (sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGKILL)")
     monkeypatch.setattr(process, "COMMAND", dies)
-    done = locfuse("compare", *logs[:2], "-o", tmp_path / "out", *ONE)
+    done = locfuse("fleet", *logs[:2], "-o", tmp_path / "out", *ONE)
     assert done.exit_code == 1
     assert "ended by signal 9 (SIGKILL)" in done.stderr
     monkeypatch.setattr(process, "COMMAND", (sys.executable, "-c", "raise SystemError('odd')"))
-    done = locfuse("compare", *logs[:2], "-o", tmp_path / "out", *ONE)
+    done = locfuse("fleet", *logs[:2], "-o", tmp_path / "out", *ONE)
     assert "its process ended with code 1: SystemError: odd" in done.stderr
 
 
@@ -227,7 +227,7 @@ def test_ctrl_c_keeps_what_is_done(logs: list[Path], tmp_path: Path) -> None:
         "several.LINE_INTERVAL_S = 0.0\n"  # says at every look how far it is
         "from locfuse.cli.main import main\nmain(sys.argv[1:])\n"
     )
-    command = (sys.executable, "-c", code, "compare", *map(str, logs), "-o", str(out), "--jobs", "2", *ONE[:-1])
+    command = (sys.executable, "-c", code, "fleet", *map(str, logs), "-o", str(out), "--jobs", "2", *ONE[:-1])
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as run:
         too_long = threading.Timer(300.0, run.kill)
         too_long.start()
@@ -248,7 +248,7 @@ def test_two_runs_do_not_share_a_folder(logs: list[Path], tmp_path: Path) -> Non
     out = tmp_path / "out"
     out.mkdir()
     with sole_writer(out, RUN_LOCK):
-        done = locfuse("compare", *logs[:2], "-o", out, *ONE)
+        done = locfuse("fleet", *logs[:2], "-o", out, *ONE)
     assert done.exit_code == 1
     assert f"is being written by process {os.getpid()}" in done.stderr
 
@@ -346,14 +346,14 @@ def test_a_robot_has_its_own_settings(logs: list[Path], tmp_path: Path, monkeypa
     for robot, sigma in (("r0", 4.0), ("r1", 9.0)):
         (tmp_path / f"{robot}.toml").write_text(f"[compass]\nsigma_deg = {sigma}\n")
     words = ("--robot-from", r"/(?P<robot>r\d)/", "--robot", tmp_path / "{robot}.toml", "-o", tmp_path / "out")
-    done = locfuse("compare", *logs, *words, *ONE)
+    done = locfuse("fleet", *logs, *words, *ONE)
     assert done.exit_code == 0, done.stderr
     for log, sigma in zip(logs, (4.0, 4.0, 9.0, 9.0), strict=True):
         report = json.loads((tmp_path / "out" / log.stem / "report.json").read_text())
         assert report["settings"]["compass"]["sigma_deg"] == sigma
     assert {r["log"]: r["robot"] for r in rows(tmp_path / "out")} == {log.stem: log.parent.name for log in logs}
     (tmp_path / "r1.toml").unlink()
-    done = locfuse("compare", *logs, *words, *ONE)
+    done = locfuse("fleet", *logs, *words, *ONE)
     assert done.exit_code == 3
     assert "r1.toml is no file" in done.stderr
 
@@ -385,7 +385,7 @@ def test_every_drive_of_a_fleet_is_recorded_and_one_command_serves_them_all(
     jobs_here(monkeypatch)
     from rerun.chunk import RrdReader
 
-    words = ("compare", *logs[:2], "-o", tmp_path / "out", "--rerun", *ONE)
+    words = ("fleet", *logs[:2], "-o", tmp_path / "out", "--rerun", *ONE)
     done = locfuse(*words)
     assert done.exit_code == 0, done.stderr
     names = [log.stem for log in logs[:2]]

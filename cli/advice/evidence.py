@@ -21,7 +21,7 @@ from locfuse.fusion.checks.iron import ROOM
 from locfuse.fusion.checks.laser import OPEN_SCALE
 from locfuse.fusion.checks.probes import beyond_prior, of_mount, of_offsets, of_probe, of_scale, probe_of
 from locfuse.fusion.checks.tried import Candidate, Fixes, together
-from locfuse.fusion.checks.truth import STEP, WHEEL_SCALE, of_point
+from locfuse.fusion.checks.truth import CREEP, POINT, STEP, WHEEL_SCALE, of_point, swing
 from locfuse.fusion.judge.consistency import Evidence as Said
 from locfuse.fusion.judge.innovations import heard
 from locfuse.fusion.judge.noise_verdicts import NoiseVerdict, biased_against
@@ -34,7 +34,7 @@ from .noise import Noise
 SUSPICIOUS = Least(0.005, 2.5)  # what is reason enough to fuse again where nothing else looks wrong
 
 # codes of findings whose value the truth itself or the field shows beyond chance
-MEASURED = (WHEEL_SCALE, "start", "body point", "iron", ROOM)
+MEASURED = (WHEEL_SCALE, "start", POINT, "iron", ROOM, CREEP)
 Key = tuple[str, str]  # role and code of a finding
 
 
@@ -108,7 +108,7 @@ class Evidence(Clocks, Noise):
         """
         seen = [self._decided(f) for f in seen]
         known = {(f.role, f.code) for f in seen}
-        judged = [f for f in seen if (f.fixes or f.code == OPEN_SCALE) and self.judges(f.role)]
+        judged = [f for f in seen if (f.fixes or f.code in {OPEN_SCALE, CREEP}) and self.judges(f.role)]
         coarse = [
             self._candidate(f, (*_ways(f), *self._aimed(f)), not (f.severe or f.code in MEASURED)) for f in judged
         ]
@@ -162,7 +162,7 @@ class Evidence(Clocks, Noise):
                 and e.truth_pose is not None
                 and not (e.smoothed or e.lost)
             ):
-                yield from of_point(truth, self.loaded.drive, e.truth_pose[:, :2])
+                yield from of_point(truth, swing(truth, self.loaded.drive, e.truth_pose[:, :2]))
 
     def _probed(self) -> Iterator[Finding]:
         """Yield mounts and the track as a run with `all` sensors estimates them, one sensor at a time."""

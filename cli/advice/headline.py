@@ -38,7 +38,10 @@ def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], err
     if not sets[best]:
         return f"No sensor improves on odometry: {length(errors[best])}.{_with_fixes(report, sets, least)}"
     if any(not v["void"] for v in report.get("validity") or ()):
-        first = f"As configured the best is {_names(sets[best])}: {length(errors[best])}. Set the fixes first."
+        first = f"As configured the best is {_names(sets[best])}: {length(errors[best])}."
+        first += (
+            " Set the fixes first." if report.get("fixes") else " Something is wrong that no setting explains."
+        )
         return f"{first}{_with_fixes(report, sets, least)}"
     first = f"Keep {_names(sets[best])}: {length(errors[best])}."
     return f"{_as_configured(report, sets, errors, best, first)}{_with_fixes(report, sets, least)}"
@@ -78,7 +81,7 @@ def covariance(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> 
     for finding in report.get("findings") or ():
         if finding["fixes"] and finding["tried"] and finding["tried"]["configuration"] == name:
             anees = finding["tried"]["after"].get("anees") or anees
-    if anees is None or anees <= MAX_ANEES:
+    if anees is None or anees <= MAX_ANEES or any(not v["void"] for v in report.get("validity") or ()):
         return ""
     truth = report.get("settings", {}).get("truth", {})
     if anees > MAX_ANEES_OF_NOISE and not truth.get("sigma") and not truth.get("sigma_theta_deg"):

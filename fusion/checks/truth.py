@@ -20,6 +20,8 @@ from .finding import Finding, Least
 from .start import of_start
 
 STEP = "step"  # code of the finding on a truth that steps aside
+POINT, CREEP = "body point", "sideways"  # codes of the findings on the tracked point, on wheels that creep
+MIN_CREEP, CREEP_SIGMAS = 0.008, 5.0  # m per m; standard errors
 WHEEL_SCALE = "wheel scale"  # code of the finding on the wheels' metre
 MIN_READINGS = 5  # of a truth that is checked
 WINDOW_S = 1.0  # s over which ways are compared
@@ -44,10 +46,11 @@ def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
     if truth is None or len(truth.t) < MIN_READINGS:
         return []
     jumps = _jumps(drive) or _steps(truth, drive)
-    point = of_point(truth, drive, _by_wheels(truth, drive.wheels))
+    swings = swing(truth, drive, _by_wheels(truth, drive.wheels))
+    point = of_point(truth, swings)
     # where a jump or another point is told, what it tells of the start is not the start
     start = [] if jumps or point else of_start(truth, drive, robot)
-    return [*jumps, *_gaps(truth), *_noise(truth, drive), *point, *start]
+    return [*jumps, *_gaps(truth), *_noise(truth, drive), *point, *start, *of_creep(swings)]
 
 
 def _by_wheels(truth: Truth, wheels: Wheels) -> Array | None:
@@ -230,50 +233,73 @@ def metre(drive: Drive, robot: Robot, least: Least = WORTH_SAYING) -> tuple[floa
     return factor, [Finding("wheels", WHEEL_SCALE, words, tuple(fixes), abs(factor - 1.0) > SEVERE_SCALE_ERROR)]
 
 
-def of_point(truth: Truth, drive: Drive, path: Array | None) -> list[Finding]:
-    """Fit which body point was tracked: while the robot turns, a point off its axle swings.
+class Swing(NamedTuple):
+    """How the truth moves beside the base's path."""
+
+    x: Array  # (4,) the tracked point (x, y) [m], the path's scale, by how much it drives aside [m per m]
+    sigma: Array  # (4,)
+
+
+def swing(truth: Truth, drive: Drive, path: Array | None) -> Swing | None:
+    """Fit how a tracked point swings while the robot turns; None where it hardly turns.
 
     With p(t) = base + R(theta) l, a step of the point is that of the base's `path` (n, 2) [m] at the truth's
-    stamps, up to a factor, and (R(theta') - R(theta)) l. The path may be NaN where nothing is known of it.
+    stamps, up to a factor and a small turn, and (R(theta') - R(theta)) l. NaN where nothing is known of the path.
     """
     if path is None or truth.theta is None or np.ptp(np.unwrap(truth.theta)) < MIN_TURN_RAD:
-        return []
+        return None
     wheels = drive.wheels
     last = np.searchsorted(truth.t, truth.t + WINDOW_S)
     first = np.flatnonzero((last < len(truth.t)) & (truth.t >= wheels.t[0]))
     known = (truth.t[last[first]] <= wheels.t[-1]) & np.isfinite(path[first] + path[last[first]]).all(axis=1)
     first = first[known]
     if len(first) < 20:
-        return []
+        return None
     last = last[first]
-    c, s = (
-        np.cos(truth.theta[last]) - np.cos(truth.theta[first]),
-        np.sin(truth.theta[last]) - np.sin(truth.theta[first]),
-    )
+    c, s = (turned(truth.theta[last]) - turned(truth.theta[first]) for turned in (np.cos, np.sin))
     rolled, y = path[last] - path[first], truth.xy[last] - truth.xy[first]
-    A = np.stack((np.stack((c, -s, rolled[:, 0]), axis=-1), np.stack((s, c, rolled[:, 1]), axis=-1)), axis=1)
-    x = _robust(A, y)
+    along, across = (c, -s, rolled[:, 0], -rolled[:, 1]), (s, c, rolled[:, 1], rolled[:, 0])
+    A = np.stack((np.stack(along, axis=-1), np.stack(across, axis=-1)), axis=1)
+    if (A[:, :, :2] ** 2).sum() < 1.0:
+        return None
     parts = np.array_split(np.arange(len(y)), STRETCHES)
     others = np.array([_robust(np.delete(A, part, axis=0), np.delete(y, part, axis=0)) for part in parts])
-    sigma = float(np.hypot(*others[:, :2].std(axis=0))) * math.sqrt(STRETCHES - 1)
-    configured = np.array(truth.point)
-    away = float(np.hypot(*(x[:2] - configured)))
-    if away < max(MIN_POINT_ERROR_M, POINT_SIGMAS * sigma) or (A[:, :, :2] ** 2).sum() < 1.0:
+    return Swing(_robust(A, y), others.std(axis=0) * math.sqrt(STRETCHES - 1))
+
+
+def of_point(truth: Truth, found: Swing | None) -> list[Finding]:
+    """Return the body point that was tracked, where it is another one than configured."""
+    if found is None:
+        return []
+    (x, y), sigma, configured = found.x[:2].tolist(), float(np.hypot(*found.sigma[:2])), truth.point
+    away = math.hypot(x - configured[0], y - configured[1])
+    if away < max(MIN_POINT_ERROR_M, POINT_SIGMAS * sigma):
         return []
     words = (
-        f"it swings as the body point ({x[0]:.3f}, {x[1]:.3f}) m does (1 sigma {sigma:.3f}), not "
+        f"it swings as the body point ({x:.3f}, {y:.3f}) m does (1 sigma {sigma:.3f}), not "
         f"({configured[0]:g}, {configured[1]:g}): a tracked marker off the axle"
     )
-    fixes = (f"truth.x={x[0]:.3f}", f"truth.y={x[1]:.3f}")
-    return [Finding("truth", "body point", words, fixes, away > SEVERE_POINT_ERROR_M)]
+    return [Finding("truth", POINT, words, (f"truth.x={x:.3f}", f"truth.y={y:.3f}"), away > SEVERE_POINT_ERROR_M)]
+
+
+def of_creep(found: Swing | None) -> list[Finding]:
+    """Return that the robot drives beside where it points, by the truth."""
+    if found is None or abs(found.x[3]) < max(MIN_CREEP, CREEP_SIGMAS * found.sigma[3]):
+        return []
+    aside, sigma = (math.degrees(float(v)) for v in (found.x[3], found.sigma[3]))
+    words = (
+        f"by the truth the robot drives {abs(aside):.1f}° to the {'left' if aside > 0.0 else 'right'} of where it "
+        f"points (1 sigma {sigma:.1g}°): wheels that creep sideways, or a truth whose headings are off by that"
+    )
+    return [Finding("wheels", CREEP, words)]
 
 
 def _robust(A: Array, y: Array) -> Array:
-    """Return the least squares (3,) of steps y (n, 2) by A (n, 2, 3), without those that do not fit."""
+    """Return the least squares (4,) of steps y (n, 2) by A (n, 2, 4), without those that do not fit."""
     keep = np.ones(len(y), dtype=bool)
-    x: Array = np.zeros(3)
+    x: Array = np.zeros(4)
     for _ in range(3):
-        x = np.asarray(np.linalg.lstsq(A[keep].reshape(-1, 3), y[keep].ravel(), rcond=None)[0])
+        x = np.asarray(np.linalg.lstsq(A[keep].reshape(-1, 4), y[keep].ravel(), rcond=None)[0])
         rest = np.hypot(*(y - A @ x).T)
         keep = rest <= 4.0 * max(float(np.median(rest)), 1e-4)
     return x

@@ -77,6 +77,7 @@ def test_while_a_setting_is_surely_wrong_no_sensor_is_to_be_left_out() -> None:
         "configurations": {name: {"position_rmse_m": e} for name, e in errors.items()},
         "verdicts": {"lrf": {"verdict": "no verdict"}},
         "validity": [{"void": False, "message": "lrf: stamps look 0.2 s late"}],
+        "fixes": ["lrf.time_offset=-0.2"],
     }
     sets = {"odometry": (), "compass": ("compass",), "lrf": ("lrf",), "all": ("compass", "lrf")}
     assert headline(report, sets) == "As configured the best is the compass: 33 mm. Set the fixes first."

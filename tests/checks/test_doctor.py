@@ -270,6 +270,22 @@ def test_a_marker_six_centimetres_off_the_axle_is_found_to_three_millimetres() -
     assert found["body point"] == pytest.approx({"truth.x": 0.06, "truth.y": 0.03}, abs=0.003)
 
 
+def test_wheels_that_creep_sideways_are_named_by_the_truth() -> None:
+    healthy = drive(18, robot(), laps=1.5)
+    truth = truth_of(healthy)
+    assert truth.theta is not None
+    step = np.diff(truth.xy, axis=0)
+    aside = 0.02 * np.stack((-step[:, 1], step[:, 0]), axis=-1)
+    (found,) = of_truth(
+        replace(healthy, truth=replace(truth, xy=truth.xy + np.pad(aside, ((1, 0), (0, 0))).cumsum(axis=0))),
+        robot(),
+    )
+    assert (found.role, found.code, found.fixes) == ("wheels", "sideways", ())
+    aside_deg = float(found.message.partition("drives ")[2].partition("°")[0])
+    assert aside_deg == pytest.approx(math.degrees(0.02), abs=0.1)
+    assert "to the left of where it points" in found.message
+
+
 def test_a_truth_that_steps_aside_once_is_named_and_one_whose_reading_jumps_and_returns_is_not() -> None:
     healthy = drive(20, robot())
     n = len(truth_of(healthy).t)

@@ -2,10 +2,11 @@
 
 The guard watches how much of what a scan shows is matched. New lines are no disagreement: a robot that explores
 sees new walls. Disagreement is seeing *through* walls that the map has, or walls that all jump from one scan to
-the next. A wheel that slipped is a wrong heading: a few near the old one are tried. What stays is a robot that was
-carried off, or a map that was moved: nothing is corrected or learnt, the covariance says so, and the pose is
-looked for on the whole map until one place fits all that was seen since. A growing map is left after some metres
-(`gives_up`): the robot is adrift in a new one until its place is recognised.
+the next. A wheel that slipped is a wrong heading: a few near the old one are tried, and the next scans must
+confirm it before it turns the pose (`slips`). What stays is a robot that was carried off, or a map that was moved:
+nothing is corrected or learnt, the covariance says so, and the pose is looked for on the whole map until one
+place fits all that was seen since. A growing map is left after some metres (`gives_up`): the robot is adrift in a
+new one until its place is recognised.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from .line_map import Association, LineMap
 from .relocalise import behind_walls, find_pose
 from .scan import Scan
 from .scan_history import Trail
-from .slips import CARRIED, Seen, Series, after_slip, continues
+from .slips import SLIP_THETA, SLIP_XY, Late, Seen, Series, Suspicion, agree, continues, made, slip_turn, with_slip
 
 MIN_MATCHED_SHARE = 0.5  # share of the seen length that must match in an ordinary scan
 THROUGH = 0.3  # share of the seen length that lies behind known walls: more is disagreement
@@ -47,8 +48,8 @@ SAME_XY, SAME_THETA = 0.12, math.radians(4.0)  # m, rad: within which they agree
 
 PATIENCE = 60  # scans along 12 m of a lost robot's way that did not tell its place: then it begins a map anew
 
-Late = tuple[float, Pose, Callable[[], Scan]]  # a scan that is made when it is asked for; compare slips.Seen
 Again = Callable[[], Association]  # associates the scan at hand with the belief as it is now
+Slipped = Callable[[], float | None]  # rad by which the robot has turned more than its wheels say; None: not known
 
 
 class Guard:
@@ -61,6 +62,7 @@ class Guard:
         self._intervals: list[tuple[float, float]] = []
         self.slips = 0
         self._place: tuple[Array, Pose, int] | None = None  # belief and pose found first, scans that agree
+        self._suspicion: Suspicion | None = None
         self._series = Series()
         self._trail = Trail()  # since it is lost
         self._well = (0.0, 0)  # when a scan last fitted well, and the number of the first line born after it
@@ -83,17 +85,25 @@ class Guard:
 
         `pose` is predicted, `next_id` the number of the next map line.
         """
-        if self._lost_from is not None or not share >= MIN_MATCHED_SHARE:
+        if self._lost_from is not None or self._suspicion is not None or not share >= MIN_MATCHED_SHARE:
             return False
         self._now, self._last = t, pose
         self._before.append((t, self._rolled(pose), scan))
         if share >= WELL:
             self._well = (t, next_id)
         self._since, self._torn = None, False
+        self._series.ends()
         return True
 
     def watch(
-        self, t: float, scan: Scan, found: Association, lines: LineMap, belief: JointBelief, again: Again
+        self,
+        t: float,
+        scan: Scan,
+        found: Association,
+        lines: LineMap,
+        belief: JointBelief,
+        again: Again,
+        slipped: Slipped,
     ) -> tuple[Association, bool]:
         """Return the association to use and whether the scan may correct the pose and teach the map."""
         dt, self._now = t - self._now, t
@@ -105,21 +115,61 @@ class Guard:
             _keep_open(belief, dt)
             return self._search(t, scan, found, lines, belief, again)
         share = found.share()
-        if moved and share < HARDLY and _view(scan) >= SLIP_VIEW:
-            believed = (belief.x, belief.y, belief.theta)
-            slipped = after_slip(scan, lines, belief, again)
-            if slipped is not None:
-                self._since, self._torn = None, False
-                self.slips += 1
-                if _view(scan) < VIEW or not self._series.goes_on(now, _made(before), believed):
-                    return slipped, True
-                self.slips -= CARRIED
-                if self._series.mistaken(now):
-                    self._take_back(now, lines, belief)
-                    return again(), True
-                self._lose(self._series.begun, lines, belief)
-                return slipped, False
-        return found, self._believed(_made(before), now, share, lines, belief)
+        if share >= MIN_MATCHED_SHARE:
+            self._series.ends()
+        turn, asked = None, self._suspicion is not None
+        if self._suspicion is not None:
+            turn = self._weighed(self._suspicion, scan, share, lines, belief, again, slipped)
+        elif moved and share < HARDLY and _view(scan) >= SLIP_VIEW:
+            turn = self._suspected(scan, lines, belief, again, slipped)
+            asked = turn is not None or self._suspicion is not None
+        if asked and share < HARDLY and self._series.goes_on(now, before):
+            self._lose(self._series.begun, lines, belief)
+            return again(), False
+        if turn is not None:
+            return self._turned(turn, belief, again), True
+        teach = self._believed(made(before), now, share, lines, belief)
+        return again(), teach and self._suspicion is None
+
+    def _suspected(
+        self, scan: Scan, lines: LineMap, belief: JointBelief, again: Again, slipped: Slipped
+    ) -> float | None:
+        """Return a small slip [rad] that map and matched scans tell; a large one waits for the next scans."""
+        turn = slip_turn(scan, lines, belief, again)
+        if turn is None:
+            return None
+        if Suspicion.waits(turn):
+            self._suspicion = Suspicion(turn)
+            return None
+        return turn if agree(slipped(), turn) else None
+
+    def _weighed(
+        self,
+        suspicion: Suspicion,
+        scan: Scan,
+        kept: float,
+        lines: LineMap,
+        belief: JointBelief,
+        again: Again,
+        slipped: Slipped,
+    ) -> float | None:
+        """Hold a scan, of which a share is matched, against both headings; after some scans return the slip."""
+        suspicion.look(kept, with_slip(belief, suspicion.turn, again).share())
+        if not suspicion.decided:
+            return None
+        self._suspicion, by_scans = None, slipped()
+        found = (suspicion.turn, slip_turn(scan, lines, belief, again), by_scans)
+        turns = [turn for turn in found if turn is not None]
+        shares = [with_slip(belief, turn, again).share() for turn in turns]
+        best = int(np.argmax(shares))
+        return turns[best] if suspicion.confirmed(shares[best] - kept, agree(by_scans, turns[best])) else None
+
+    def _turned(self, turn: float, belief: JointBelief, again: Again) -> Association:
+        """Turn the pose by a slip [rad]."""
+        belief.shift(turn, SLIP_XY**2, SLIP_THETA**2)
+        self._since, self._torn = None, False
+        self.slips += 1
+        return again()
 
     def _believed(self, before: list[Seen], now: Seen, share: float, lines: LineMap, belief: JointBelief) -> bool:
         """Return whether a scan of which little is matched may correct and teach; after several it is lost."""
@@ -137,18 +187,13 @@ class Guard:
             return True
         return self._disagree(t, lines, belief)
 
-    def _take_back(self, now: Seen, lines: LineMap, belief: JointBelief) -> None:
-        """Go back to before a series of slips, on by the wheels, and forget what was learnt meanwhile."""
-        self._forget_since_well(lines, belief)
-        belief.place(self._series.undone(now), PLACED_XY**2, PLACED_THETA**2)
-
     def _lose(self, since: float, lines: LineMap, belief: JointBelief) -> None:
         """Mark the robot as lost from the last scan that fitted well; what was learnt after it is forgotten."""
         well, _ = self._well
         self._lost_from = max(min(since, well), since - LOOK_BACK)
         if self._intervals and self._lost_from <= self._intervals[-1][1]:  # what was found was no place
             self._lost_from = min(self._lost_from, self._intervals.pop()[0])
-        belief.lost = True
+        belief.lost, self._suspicion = True, None
         self._forget_since_well(lines, belief)
         self._trail.forget()
         self._tried = 0
@@ -168,8 +213,7 @@ class Guard:
     def turn_page(self) -> None:
         """Go on in another map: what was seen before in this one's frame is void."""
         self._before.clear()
-        self._since = self._after = None
-        self._series = Series()
+        self._since = self._after = self._suspicion = None
         self._last = (math.inf, math.inf, math.inf)
         self._torn = False
 
@@ -190,8 +234,7 @@ class Guard:
     def begin_anew(self, t: float, belief: JointBelief) -> None:
         """Begin with a map that begins now, where the robot is in it is exactly known."""
         self._before.clear()
-        self._since = self._place = None
-        self._series = Series()
+        self._since = self._place = self._suspicion = None
         self._last = (math.inf, math.inf, math.inf)
         self._trail.forget()
         self._after = None
@@ -265,10 +308,6 @@ class Guard:
             slips = "1 wheel slip" if self.slips == 1 else f"{self.slips} wheel slips"
             words.append(f"{slips} recovered by the lines of the map")
         return words
-
-
-def _made(seen: Sequence[Late]) -> list[Seen]:
-    return [(t, pose, scan()) for t, pose, scan in seen]
 
 
 def _jumped(before: Sequence[Seen], now: Seen) -> bool:

@@ -1,8 +1,9 @@
-"""Wheels that slip turn the robot, and the walls say by how much; a series of slips is none.
+"""Wheels that slip turn the robot: the map says by how much, the next scans and matched scans must say the same.
 
-A few headings near the old one are tried on the belief itself. One slip after another within a second is no slip:
-the first one was a mistake, which turned all that came after it, or somebody carries the robot. The walls from
-before the series tell which: a robot that nobody carries sees them where the wheels alone expect them.
+A few headings near the old one are tried on the belief itself. In clutter a few short lines match at some heading,
+and while the robot turns a clock that is off looks like a slip. So a slip counts only where the next scans fit
+better with it, and where the scan at hand, matched with the last one that was used, has turned as much more than
+the wheels say. Until then no scan corrects the pose or teaches the map: the wheels lead on.
 """
 
 from __future__ import annotations
@@ -27,45 +28,84 @@ SLIP_SHARE = 0.6  # of the seen length that a slipped heading must explain, with
 SLIP_XY, SLIP_THETA = 0.03, math.radians(1.5)  # m, rad: what is left to correct after a slip's heading was found
 CANDIDATES = 8
 RECENT = 60  # scans
-SERIES, CARRIED = 1.0, 4  # s between slips of one series, and slips that make it one
+LOOKS = 3  # scans until a slip is decided
+MIN_GAIN, SURE_GAIN = 0.2, 0.5  # how much more of them must match with it: matched scans say the same, or not
+SMALL_RAD = math.radians(5.0)  # a heading may be off by so much without a slip: below, no further scans are asked
+AGREE_RAD = math.radians(3.0)  # between the turns of a slip by the map and by matched scans
+CARRIED = 6  # scans in a row that ask for a slip: the robot is carried
 CONTINUES = 0.4  # share of the seen length where scans from before a jump expect it: then there was none
 
 Seen = tuple[float, Pose, Scan]  # a scan: when [s], and where the wheels alone put the robot
+Late = tuple[float, Pose, Callable[[], Scan]]  # the same of a scan that is made when it is asked for
+
+
+def made(seen: Sequence[Late]) -> list[Seen]:
+    """Return scans as they are."""
+    return [(t, pose, scan()) for t, pose, scan in seen]
 
 
 class Series:
-    """Slips that follow one another."""
+    """Scans in a row that ask for a slip."""
 
     def __init__(self) -> None:
-        self.begun = self._last = -math.inf  # s
-        self._count = 0
-        self._before: Sequence[Seen] = ()  # scans from before the first one
-        self._from: tuple[Pose, Pose] | None = None  # where the first one found the robot: believed, by the wheels
+        self.begun = 0.0  # s
+        self._scans = 0
+        self._before: list[Seen] = []  # scans from before the first one
 
-    def goes_on(self, now: Seen, before: Sequence[Seen], believed: Pose) -> bool:
-        """Take in a slip, and return whether there are so many now that none of them was one.
+    def ends(self) -> None:
+        """Let the next scan that asks be the first."""
+        self._scans = 0
 
-        `before` are the last scans before it, `believed` is the pose that it would change.
+    def goes_on(self, now: Seen, before: Sequence[Late]) -> bool:
+        """Take in a scan that asks for a slip, and return whether so many did that the robot is carried.
+
+        Where the walls from before them are where the wheels expect them, nobody carries it.
         """
-        t = now[0]
-        if t - self._last > SERIES or not self._count:
-            self.begun, self._count, self._before, self._from = t, 0, before, (believed, now[1])
-        self._last, self._count = t, self._count + 1
-        if self._count < CARRIED:
+        if not self._scans:
+            self.begun, self._before = now[0], made(before)
+        self._scans += 1
+        if self._scans < CARRIED:
             return False
-        self._count = 0
-        return True
+        self._scans = 0
+        return not continues(self._before, now, slip=0.0)
 
-    def mistaken(self, now: Seen) -> bool:
-        """Return whether the walls from before the series are where the wheels alone expect them."""
-        return continues(self._before, now, slip=0.0)
 
-    def undone(self, now: Seen) -> Pose:
-        """Return the pose without the series: the one before it, and on by the wheels."""
-        assert self._from is not None
-        believed, rolled = (np.array(pose) for pose in self._from)
-        x, y, theta = se2.compose(believed, se2.between(rolled, np.array(now[1]))).tolist()
-        return x, y, theta
+class Suspicion:
+    """A slip that a scan asks for, until the next scans have been held against both headings."""
+
+    def __init__(self, turn: float) -> None:
+        """`turn` [rad] is what the map says."""
+        self.turn = turn
+        self.looks = 0
+        self._gain = 0.0  # shares of the seen length that match at the turned heading beyond those at the old one
+
+    def look(self, kept: float, turned: float) -> None:
+        """Take in a scan of which these shares match at the old heading and at the turned one."""
+        self.looks += 1
+        self._gain += turned - kept
+
+    @staticmethod
+    def waits(turn: float) -> bool:
+        """Return whether a turn [rad] is so large that it must wait for the next scans."""
+        return abs(turn) >= SMALL_RAD
+
+    @property
+    def decided(self) -> bool:
+        """Whether enough scans have been seen."""
+        return self.looks >= LOOKS
+
+    def confirmed(self, gain: float, by_scans: bool) -> bool:
+        """Return whether the scans since ask for a slip, the last one by a `gain` in share.
+
+        A little is enough where matched scans tell the same turn (`by_scans`).
+        """
+        least = MIN_GAIN if by_scans else SURE_GAIN
+        return self._gain >= least * self.looks and gain >= least
+
+
+def agree(by_scans: float | None, turn: float) -> bool:
+    """Return whether matched scans tell about the same turn [rad]; None: they do not tell."""
+    return by_scans is not None and abs(se2.wrap(by_scans - turn)) <= AGREE_RAD
 
 
 def continues(before: Sequence[Seen], now: Seen, share: float = CONTINUES, slip: float = MAX_SLIP_RAD) -> bool:
@@ -75,10 +115,8 @@ def continues(before: Sequence[Seen], now: Seen, share: float = CONTINUES, slip:
     return any(expected_share(scan, old, step, slip) >= share for old, step in steps)
 
 
-def after_slip(
-    scan: Scan, lines: LineMap, belief: JointBelief, again: Callable[[], Association]
-) -> Association | None:
-    """Turn the belief by the heading change that makes most of the scan match; None, and no change, without one.
+def slip_turn(scan: Scan, lines: LineMap, belief: JointBelief, again: Callable[[], Association]) -> float | None:
+    """Return the heading change [rad] that makes most of the scan match; None without one.
 
     Every heading is tried on the belief itself and the whole map: what is accepted here is what will be matched.
     `again` associates the scan with the belief as it is now.
@@ -86,15 +124,17 @@ def after_slip(
     recent = np.flatnonzero(lines.seen.max(initial=0) - lines.seen <= RECENT)
     least, found = SLIP_SHARE, None
     for turn in _turns(scan, lines, recent, belief):
-        with tried(belief, turn, SLIP_XY**2, SLIP_THETA**2):
-            there = again()
+        there = with_slip(belief, turn, again)
         share = there.share()
         if share >= least and there.matches() >= 2:
             least, found = share + 1e-9, turn
-    if found is None:
-        return None
-    belief.shift(found, SLIP_XY**2, SLIP_THETA**2)
-    return again()
+    return found
+
+
+def with_slip(belief: JointBelief, turn: float, again: Callable[[], Association]) -> Association:
+    """Return the association of the scan at hand if the heading were turned by a slip [rad]."""
+    with tried(belief, turn, SLIP_XY**2, SLIP_THETA**2):
+        return again()
 
 
 @contextmanager

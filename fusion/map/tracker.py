@@ -27,6 +27,7 @@ from locfuse.fusion.kernels.sight import Rules
 from locfuse.fusion.lines.extract import rows_in_base
 from locfuse.fusion.lines.flatness import bend
 from locfuse.fusion.mount import Mount
+from locfuse.fusion.scan_matching.scan_by_scan import turned_beyond_wheels
 from locfuse.fusion.sensor import Block, Model
 
 from .anchors import NOWHERE, Anchors, Edge, inverted
@@ -85,11 +86,12 @@ class LineTracker(Model):
         self._late: Callable[[], Scan]  # the same in the base, by the mount as it was predicted
         self._rows = np.zeros((0, 7))  # its lines, in the base as configured: at rest the mean since the last use
         self._teach = True
+        self._fitted = -1  # the reading that was used last
         self._asked = -1  # the reading that `innovations` was asked for last
         self._of: Measurements | None = None  # whose numbers these are:
         self._first: list[int] = []
         self._t: list[float] = []
-        self._uneven = self._floor = self._bend = (0.0, 0.0)  # variances [m^2, rad^2]
+        self._walls = ((0.0, 0.0),) * 3  # variances [m^2, rad^2]: uneven, floor, bend
 
     def blocks(self) -> list[Block]:
         """Return what is uncertain of the laser's mount."""
@@ -148,13 +150,14 @@ class LineTracker(Model):
             self._t[i], share, belief.pose(), late, self.map.next_id
         ):
             again = partial(associate, rows, self.map, belief, found, shared)
-            found, self._teach = self.guard.watch(self._t[i], late(), found, self.map, belief, again)
+            slipped = partial(turned_beyond_wheels, m, self._fitted, i)
+            found, self._teach = self.guard.watch(self._t[i], late(), found, self.map, belief, again, slipped)
         if not self._teach:
             self._standing.forget()
             return [Innovation.unpredicted(row, LOST, 2, self.gate) for row in range(first, last)]
         if self.mode == "grow":
             found.refuse_alone()
-        self._found = found
+        self._found, self._fitted = found, i
         found.row = first
         found.state_rows(belief)
         return found
@@ -164,7 +167,7 @@ class LineTracker(Model):
         if m is not self._of:
             self._of, self._first, self._t = m, m.first.tolist(), m.t.tolist()
             uneven, floor = self.loosened(m)
-            self._uneven, self._floor, self._bend = (_pair(part) for part in (uneven, floor, bend(uneven)))
+            self._walls = _pair(uneven), _pair(floor), _pair(bend(uneven))
         return self._first[i], self._first[i + 1]
 
     def _shared(self, m: Measurements, first: int, last: int) -> Array:
@@ -204,9 +207,9 @@ class LineTracker(Model):
 
     def _revise(self, found: Association, belief: JointBelief) -> None:
         """Loosen uneven walls, add new lines; now and then drop worthless lines and join doubles (`grow`)."""
-        uneven = self._uneven
+        uneven, floor, bent = self._walls
         if uneven[0] > 0.0 or uneven[1] > 0.0:
-            found.bend(belief, uneven, self._bend)
+            found.bend(belief, uneven, bent)
         if self.mode == "grow":
             if found.new_lines():
                 scan = self._scan_in_base(belief)
@@ -215,8 +218,8 @@ class LineTracker(Model):
             if self._scan % TIDY_EVERY == 0 and untidy(self.map, belief, self._scan):
                 prune(self.map, belief, self._scan)
                 merge_doubles(self.map, belief, self._scan, np.array(uneven))
-        if self._floor[0] > 0.0 or self._floor[1] > 0.0:
-            self.map.keep_floor(belief, self._floor)
+        if floor[0] > 0.0 or floor[1] > 0.0:
+            self.map.keep_floor(belief, floor)
 
     def loosened(self, m: Measurements) -> tuple[Array, Array]:
         """Return by which variances (2,) [m^2, rad^2] walls are uneven, and those below which no line is known.

@@ -13,7 +13,7 @@ from locfuse.fusion.data import Array, Ints, Measurements, Points
 
 from .clouds import clouds_of
 from .match import Targets, match, sources_of
-from .neighbours import by_wheels, good
+from .neighbours import by_wheels, good, next_scans
 
 SCANS_AT_ONCE = 4096
 
@@ -39,3 +39,16 @@ def _next(m: Measurements, points: Points, scans: Ints) -> Array:
     i, j = at[: len(scans)], at[len(scans) :]
     found = match(Targets(clouds), i, sources_of(clouds), j, u, by_wheels(u))
     return np.where(good(found)[:, None], found.pose, u)
+
+
+def turned_beyond_wheels(m: Measurements, a: int, b: int) -> float | None:
+    """Return how much more the robot turned from reading a to b than its wheels say [rad], by matching the two.
+
+    None where they do not match.
+    """
+    if m.points is None or a < 0:
+        return None
+    u = m.points.moved(m.t[[a]], m.t[[b]])
+    clouds = clouds_of(m, np.array([a, b]))
+    found = next_scans(Targets(clouds), np.array([0]), sources_of(clouds), np.array([1]), u, by_wheels(u))
+    return se2.wrap(float(found.pose[0, 2] - u[0, 2])) if good(found)[0] else None

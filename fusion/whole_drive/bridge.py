@@ -89,7 +89,7 @@ class Fixes(msgspec.Struct, frozen=True):
         xi = self.xi[f] + np.einsum("nij,nj->ni", share, self.xi[g] - self.xi[f])
         nearer = np.clip(share[:, 2, 2], 0.0, 1.0)[:, None, None]  # errors of neighbouring scans are alike
         rest = (1.0 - nearer) * self.rest[f] + nearer * self.rest[g] + since - share @ since
-        return xi, np.where(spans.inside | spans.beyond, rest, _sized(spans.C))
+        return xi, rest
 
 
 def bridged(
@@ -98,17 +98,12 @@ def bridged(
     """Return poses (n, 3) and covariances (n, 3, 3) at stamps whose last instant is k (n,).
 
     `keys` (m,) are the instants of the key poses x (m, 3), with covariances P (m, 3, 3), and `after` (m - 1, 3, 3)
-    with the next one. Before the first key and behind the last one the wheels lead on alone.
+    with the next one. The first is at or before all stamps; behind the last one the wheels lead on alone.
     """
     spans = Spans.of(odometry, stamps, k, keys)
     xi, rest = fixes.at(odometry, k, spans)
     pose = se2.compose(x[spans.a], se2.compose(xi, spans.u))
     return pose, _spread(x, P, after, spans, rest, pose)
-
-
-def _sized(C: Array) -> Array:
-    """Return what lies before the first key: its covariance runs backward, and its sign with it."""
-    return np.where(np.diagonal(C, axis1=1, axis2=2).sum(axis=1)[:, None, None] < 0.0, -C, C)
 
 
 def _spread(x: Array, P: Array, after: Array, spans: Spans, rest: Array, pose: Array) -> Array:

@@ -10,6 +10,7 @@ from functools import cached_property
 
 import msgspec
 import numpy as np
+from msgspec.structs import astuple, replace
 
 from locfuse.fusion import se2
 from locfuse.fusion.checks.clocks import clock_lags
@@ -26,7 +27,7 @@ from .bridge import Fixes, bridged
 from .chain import again, sequential, wheel_edges
 from .closures import GRADUATIONS, Loops, close
 from .keys import choose_keys
-from .odometry import Odometry, odometry_of
+from .odometry import Odometry, by_lever, odometry_of
 from .others import Others
 from .recognised import recognised
 from .solve import Anchor, Edges, Normal, Problem
@@ -47,9 +48,9 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
     """The key poses of a drive, and what was found on the way to them."""
 
     drive: Drive
+    start: Start
     odometry: Odometry  # with what the wheels' own noise leaves out
-    keys: Ints  # (m,) instants
-    readings: Ints  # (m,) of the laser
+    readings: Ints  # (m,) of the laser: the keys
     x: Array  # (m, 3) key poses in the map
     fixes: Fixes  # what the wheels miss between them
     normal: Normal  # the normal equations there
@@ -59,6 +60,11 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
     systematic: Array  # (2,) rad/m by which headings of scans drift, rad by which the laser is turned
     wheels: Array | None
     sensors: tuple[str, ...]
+
+    @cached_property
+    def keys(self) -> Ints:
+        """Instants of the key poses (m,)."""
+        return self.drive.instant[LASER][self.readings]
 
     @property
     def closures(self) -> Edges:
@@ -81,7 +87,20 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
         return pose, P
 
     def _between(self, stamps: Odometry, k: Ints) -> tuple[Array, Array]:
-        return bridged(self.odometry, stamps, k, self.keys, self.x, *self.spread, self.fixes)
+        return bridged(self.odometry, stamps, k, *self._from_start)
+
+    @cached_property
+    def _from_start(self) -> tuple[Ints, Array, Array, Array, Fixes]:
+        """The keys and what is known of them, with the start before them if no scan was taken there."""
+        keys, x, (own, after), fixes = self.keys, self.x, self.spread, self.fixes
+        if not keys[0]:
+            return keys, x, own, after, fixes
+        pose, P, cross = self.start.smoothed(x[0], own[0])
+        keys, x = np.append(0, keys), np.vstack((pose, x))
+        first = Fixes.of_keys(self.odometry, keys[:2], x[:2])
+        behind = zip(astuple(first), astuple(replace(fixes, a=fixes.a + 1)), strict=True)
+        joined = Fixes(*(np.concatenate(parts) for parts in behind))
+        return keys, x, np.concatenate((P[None], own)), np.concatenate((cross[None], after)), joined
 
     @cached_property
     def spread(self) -> tuple[Array, Array]:
@@ -180,7 +199,8 @@ def whole_drive(
         return None
     targets, sources = Targets(clouds), sources_of(clouds)
     others = Others(drive, robot, [s for s in sensors if s != LASER], odometry, keys)
-    problem = Problem(start(robot, odometry, int(keys[0])), others if others.sensors else None)
+    start = Start.of(robot, odometry, int(keys[0]))
+    problem = Problem(start.anchor, others if others.sensors else None)
     way = odometry.way()[keys]
     x, edges = sequential(targets, sources, wheel_edges(odometry, keys), way, problem)
     maps = submaps_of(clouds, x, way)
@@ -194,8 +214,8 @@ def whole_drive(
     fixes = scans_between(loosened, drive, LASER, readings, clouds, x)
     return Graph(
         drive=drive,
+        start=start,
         odometry=loosened,
-        keys=keys,
         readings=readings,
         x=x,
         fixes=fixes,
@@ -227,8 +247,33 @@ def clock_lag(drive: Drive) -> float:
     return lag.offset if lag is not None and worth_saying(lag) else 0.0
 
 
-def start(robot: Robot, odometry: Odometry, first: int) -> Anchor:
-    """Return what is known of the first key pose."""
-    u, C = odometry.between(np.array([0]), np.array([first]))
-    P = np.diag(robot.start.variances) + START_FLOOR + C[0]
-    return Anchor(0, se2.compose(np.array(robot.start.pose), u[0]), np.linalg.inv(P))
+class Start(msgspec.Struct, frozen=True):
+    """What is known of the first instant, and what the wheels make of it at the first key."""
+
+    pose: Array  # (3,) at the first instant
+    P: Array  # (3, 3)
+    at_key: Array  # (3,) the first key's pose by the wheels
+    P_at_key: Array  # (3, 3)
+    cross: Array  # (3, 3) covariance of the first instant with the first key
+
+    @classmethod
+    def of(cls, robot: Robot, odometry: Odometry, key: int) -> Start:
+        """Return it for a first key at instant `key`."""
+        pose, P = np.array(robot.start.pose), np.diag(robot.start.variances) + START_FLOOR
+        u, C = odometry.between(np.array([0]), np.array([key]))
+        at_key = se2.compose(pose, u[0])
+        turn, (x, y) = se2.rotation(pose[2]), at_key[:2] - pose[:2]
+        F = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
+        return cls(pose, P, at_key, F @ P @ F.T + turn @ by_lever(C, -u[:, 1], u[:, 0])[0] @ turn.T, P @ F.T)
+
+    @property
+    def anchor(self) -> Anchor:
+        """What this says of the first key, as a term of the graph."""
+        return Anchor(0, self.at_key, np.linalg.inv(self.P_at_key))
+
+    def smoothed(self, key: Array, P: Array) -> tuple[Array, Array, Array]:
+        """Return pose, covariance and that with the first key, once the whole drive says `key` (3,), P (3, 3)."""
+        G = self.cross @ np.linalg.inv(self.P_at_key)
+        step = key - self.at_key
+        step[2] = se2.wrap(float(step[2]))
+        return self.pose + G @ step, self.P + G @ (P - self.P_at_key) @ G.T, G @ P

@@ -46,7 +46,7 @@ CHANGING_FIELDS: dict[str, int] = {
     "fusion/map/guard.py:Guard": 15,
     "fusion/map/line_map.py:LineMap": 15,
     "fusion/map/tracker.py:AtlasTracker": 14,
-    "fusion/map/tracker.py:LineTracker": 14,
+    "fusion/map/tracker.py:LineTracker": 13,
     "fusion/whole_drive/smooth.py:Backward": 13,
 }
 FILE_LINES: dict[str, int] = {

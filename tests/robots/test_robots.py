@@ -13,7 +13,7 @@ from wheel_bags import CREATE, CREATE_TEXT, TURTLE, TURTLE_TEXT, angles, custom,
 
 from locfuse import robots
 from locfuse.cli.analysis.robot_tables import make_robot
-from locfuse.cli.inspect.known_robots import SIGNS
+from locfuse.cli.inspect.known_robots import SIGNS_OF_ROBOTS
 
 
 @pytest.mark.parametrize("name", robots.names())
@@ -29,7 +29,7 @@ def test_every_figure_is_a_setting_and_names_its_source(name: str) -> None:
 
 
 def test_every_robot_has_its_signs_and_every_sign_its_robot() -> None:
-    assert sorted(SIGNS) == robots.names()
+    assert sorted(SIGNS_OF_ROBOTS) == robots.names()
 
 
 def ticks(folder: Path, msgtype: str, text: str, fields: tuple[str, str], turns: float) -> Path:

@@ -14,7 +14,6 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.fusion.sensor import FoundStart
 from locfuse.fusion.sensors.registry import REGISTRY, unmet
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
@@ -23,6 +22,7 @@ from locfuse.fusion.wheels.repairs import gaps_of
 from . import se2
 from .data import END_OF_TIME, Array, Drive, Ints, LocfuseError, Measurements, Motions, Stream, Truth
 from .robot import Robot, StartSettings
+from .sensor import FoundStart
 from .truth import body_poses, read_truth
 
 FILL = 0.2  # s: where no sensor speaks for this long, a wheel reading becomes an instant

@@ -14,7 +14,7 @@ from locfuse.cli.analysis.outputs import events
 from locfuse.cli.session.result import Result
 from locfuse.formats.figures.palette import Trace, colours, traces_of
 from locfuse.formats.report import markdown
-from locfuse.formats.rerun.scene import Detail, DrawnScans, Picture, RawTopic, Rgb, Scene, Sight
+from locfuse.formats.rerun.scene import Detail, DrawnScans, Picture, RawTopic, RerunScene, Rgb, SensorLook
 from locfuse.formats.thin import evenly
 from locfuse.formats.visible import visible
 from locfuse.fusion.chi_square import chi_square
@@ -38,7 +38,7 @@ SCAN_FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "r
 NIS_LOW, NIS_HIGH = 0.025, 0.975  # between them lie 95 % of consistent NIS
 
 
-def scene_of_result(result: Result, images: int | None = None, full: bool = False) -> Scene:
+def scene_of_result(result: Result, images: int | None = None, full: bool = False) -> RerunScene:
     """Return what a recording of a result shows, its report's tables too; `images`, `full` as in `make_scene`."""
     estimates, evaluations = tuple(result.estimates.values()), tuple(result.evaluations.values())
     return make_scene(result.loaded, estimates, evaluations, table_of(result.report), images, full)
@@ -59,7 +59,7 @@ def make_scene(
     table: str,
     images: int | None = None,
     full: bool = False,
-) -> Scene:
+) -> RerunScene:
     """Return what a recording of these configurations shows.
 
     `images` = n keeps every n-th picture, 0 none, None as many as stay light.
@@ -67,7 +67,7 @@ def make_scene(
     detail = Detail.everything() if full else Detail()
     best = max(estimates, key=lambda e: len(e.sensors))
     shown, rows = _pictures(loaded, best, images)
-    return Scene(
+    return RerunScene(
         name=loaded.log.name,
         drive=loaded.drive,
         estimates=estimates,
@@ -101,14 +101,14 @@ def _rgb(web: str, light: float) -> Rgb:
     return red, green, blue
 
 
-def sights(loaded: Loaded) -> dict[str, Sight]:
+def sights(loaded: Loaded) -> dict[str, SensorLook]:
     """Return how each measured sensor is drawn."""
     return {s: _sight(REGISTRY[s], loaded.robot.settings(s)) for s in loaded.drive.measurements}
 
 
-def _sight(sensor: Sensor, settings: Any) -> Sight:
+def _sight(sensor: Sensor, settings: Any) -> SensorLook:
     width = len(sensor.components)
-    return Sight(
+    return SensorLook(
         components=sensor.components,
         bounds=(chi_square(NIS_LOW, width), chi_square(NIS_HIGH, width)),
         kind=sensor.drawn,

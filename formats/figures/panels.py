@@ -64,7 +64,7 @@ class Spots(msgspec.Struct, frozen=True):
 Mark = Curve | Band | Dots | Strokes | Spots
 
 
-class Track(msgspec.Struct, frozen=True):
+class TimedPlaces(msgspec.Struct, frozen=True):
     """Where something was at evenly spaced times, so that a cursor over time finds its place. It is not drawn."""
 
     of: str
@@ -92,7 +92,7 @@ class Panel(msgspec.Struct, frozen=True):
     keys: tuple[str, ...] = ()  # roles that need a legend of their own
     events: tuple[Event, ...] = ()  # what happened when, shaded behind the marks of a time axis
     said: Mapping[str, str] = field(default_factory=dict)  # role -> its words in the legend, where not its name
-    tracks: tuple[Track, ...] = ()  # of a map: where each result was when
+    tracks: tuple[TimedPlaces, ...] = ()  # of a map: where each result was when
 
 
 class Section(msgspec.Struct, frozen=True):

@@ -19,7 +19,7 @@ from locfuse.fusion.data import REFUSED, Array, Event, Ints
 
 from . import ticks
 from .palette import EVENTS, SHAPES
-from .panels import TIME, Band, Curve, Dots, Mark, Panel, Spots, Strokes, Track, ranges
+from .panels import TIME, Band, Curve, Dots, Mark, Panel, Spots, Strokes, TimedPlaces, ranges
 
 MAX_OFF_LINE_PX = 0.1  # px: a point this near to the line between its neighbours is not seen
 MAX_PASSES = 8
@@ -271,7 +271,7 @@ def _mark(mark: Mark, x: Axis, y: Axis, slugs: dict[str, str], looks: Mapping[st
     return drawn + hole
 
 
-def _track(track: Track, x: Axis, y: Axis, slugs: dict[str, str]) -> str:
+def _track(track: TimedPlaces, x: Axis, y: Axis, slugs: dict[str, str]) -> str:
     """Return a path without a drawing that knows its places at even times, for the cursor's spot."""
     at = places(x.px(track.x), y.px(track.y))
     name = f"<title>{escape(track.of)}</title>"

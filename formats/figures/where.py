@@ -11,7 +11,7 @@ from locfuse.formats.thin import evenly
 from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, Evaluation, MapLine
 
 from .palette import LEVELS
-from .panels import Curve, Mark, Panel, Section, Spots, Strokes, Track
+from .panels import Curve, Mark, Panel, Section, Spots, Strokes, TimedPlaces
 from .scene import Scene
 
 STEPS_S = (10.0, 30.0, 60.0, 300.0, 600.0, 3600.0)
@@ -48,7 +48,7 @@ def between(t: Array, xy: Array, times: Array) -> Array:
     return np.stack([np.interp(times, t, column) for column in xy.T], axis=-1)
 
 
-def track(of: str, t: Array, xy: Array) -> list[Track]:
+def track(of: str, t: Array, xy: Array) -> list[TimedPlaces]:
     """Return where the path was at evenly spaced times; none of a path that has no place."""
     good = np.isfinite(xy).all(axis=1)
     t, xy = t[good], xy[good]
@@ -56,7 +56,7 @@ def track(of: str, t: Array, xy: Array) -> list[Track]:
         return []
     start, end = float(t[0]), float(t[-1])
     times = np.linspace(start, end, int(np.clip((end - start) / TRACK_STEP_S, 2, MAX_TRACK)))
-    return [Track(of, start, end, *between(t, xy, times).T)]
+    return [TimedPlaces(of, start, end, *between(t, xy, times).T)]
 
 
 # --- Trajectories over the line map

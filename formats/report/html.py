@@ -58,7 +58,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
         script=Markup(script),
         script_hash=hash_of(script),
         style=Markup(style_sheet((folder / "report.css").read_text(encoding="utf-8"), roles, slugs)),
-        figures=Figures(report),
+        figures=ReportFigures(report),
         tables=tables,
         table=lambda shown, painted=True: _table(shown, swatches if painted else None, bars),
         sections=[d for d in drawings if d["section"].name != "credit"],
@@ -88,7 +88,7 @@ def _template() -> Template:
     return environment.from_string((files(__package__) / "report.html.j2").read_text(encoding="utf-8"))
 
 
-class Figures:
+class ReportFigures:
     """Looks figures up in the report and writes them as <data> that says where they are from."""
 
     def __init__(self, report: Mapping[str, Any]) -> None:

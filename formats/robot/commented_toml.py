@@ -20,7 +20,7 @@ from . import robot_toml
 WIDTH = 100
 
 
-class Line(NamedTuple):
+class TomlLine(NamedTuple):
     """One key. `words` say where its value comes from, or how to find it."""
 
     key: str
@@ -29,14 +29,14 @@ class Line(NamedTuple):
     holds: bool = True  # False: behind a #
 
 
-class Section(NamedTuple):
+class TomlSection(NamedTuple):
     """One table; "" for keys above all tables."""
 
     name: str
-    lines: tuple[Line, ...]
+    lines: tuple[TomlLine, ...]
 
 
-def render(head: str, sections: Sequence[Section], foot: str = "") -> str:
+def render(head: str, sections: Sequence[TomlSection], foot: str = "") -> str:
     """Return the text. A table without an active line is itself commented out."""
     parts = [comment(head), *("\n".join(_section(section)) for section in sections if section.lines)]
     return "\n\n".join([*parts, comment(foot)] if foot else parts) + "\n"
@@ -65,7 +65,7 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
-def _section(section: Section) -> Iterator[str]:
+def _section(section: TomlSection) -> Iterator[str]:
     if section.name:
         yield f"[{section.name}]" if any(line.holds for line in section.lines) else f"# [{section.name}]"
     for words, group in itertools.groupby(section.lines, key=lambda line: line.words):
@@ -79,7 +79,7 @@ def _section(section: Section) -> Iterator[str]:
             yield from (comment(words), *lines)
 
 
-def _assigned(line: Line) -> str:
+def _assigned(line: TomlLine) -> str:
     return f"{line.key} =" if line.value is None else f"{line.key} = {as_toml(line.value)}"
 
 

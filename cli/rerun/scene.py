@@ -33,7 +33,7 @@ from locfuse.fusion.wheels.read import WHEEL_READS
 MAX_BEAMS = 360  # of a scan that are drawn: more than a screen shows
 MAX_PICTURES = 600  # kept by default
 MAX_ARRAY_COLUMNS = 8  # of a numeric array that is drawn as curves: a scan's ranges are not
-SHADE = 0.65  # of the light of a colour, for the smoothed result
+SMOOTHED_LIGHT_SHARE = 0.65  # of the light of a colour, for the smoothed result
 SCAN_FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "range_max", "ranges")
 NIS_LOW, NIS_HIGH = 0.025, 0.975  # between them lie 95 % of consistent NIS
 
@@ -92,7 +92,10 @@ def palette(traces: Mapping[str, Trace]) -> dict[str, Rgb]:
     The report dashes what is smoothed. The viewer has no dashes: there it is the same colour, darker.
     """
     found = colours(traces, sensor_colours())
-    return {name: _rgb(found[name].dark, SHADE if trace.smoothed else 1.0) for name, trace in traces.items()}
+    return {
+        name: _rgb(found[name].dark, SMOOTHED_LIGHT_SHARE if trace.smoothed else 1.0)
+        for name, trace in traces.items()
+    }
 
 
 def _rgb(web: str, light: float) -> Rgb:

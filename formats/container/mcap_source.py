@@ -181,7 +181,7 @@ class McapSource:
             if part.counts is None:
                 part.counts = {ident: len(m.start) for ident, m in found.messages.items()}
             for opcode, start, length in found.definitions:
-                with suppress(DamagedError):  # then the channel is one that nobody defines
+                with suppress(DamagedError):  # then the channel has no definition
                     known.define(opcode, data[start : start + length].tobytes())
 
     def _counts(self) -> Counter[int]:

@@ -1,7 +1,8 @@
 """One walk over an MCAP file's outermost records: where its chunks lie, and what cannot be read.
 
-Only record headers are touched, so it costs milliseconds per gigabyte and trusts nobody. The summary section
-is the safety net: its chunk index says where to go on after a hole, its statistics what should have been there.
+Only record headers are touched, so it costs milliseconds per gigabyte, and nothing is believed unchecked. The
+summary section is the safety net: its chunk index gives the place to go on after a hole, its statistics what
+should have been there.
 """
 
 from __future__ import annotations

@@ -399,4 +399,4 @@ class RemoteBytes(FileBytes):
                 take(piece)
 
     def still_the_same(self) -> None:
-        """Nothing to ask: every range was checked to be of the same object, and nobody else knows the copy."""
+        """Do nothing: every range was checked to be of the same object, and no other program knows the copy."""

@@ -296,7 +296,7 @@ def _batch(rows: list[Row]) -> Batch:
 # --- The journal (-wal): what sqlite uses of it, and what it ignores silently
 # A recorder that dies leaves its last messages in the journal. sqlite reads it up to the last commit before the
 # first frame whose checksum is wrong, and calls that normal. The frames behind that place bear the salts of the
-# journal's header, so that they can be told from those of an older journal.
+# journal's header, which those of an older journal do not have.
 # Format: https://sqlite.org/fileformat2.html#walformat
 
 HEADER = struct.Struct(">8I")  # magic, version, page size, sequence, two salts, two checksums

@@ -156,7 +156,7 @@ def _same_kind(one: ChannelInfo, other: ChannelInfo) -> bool:
 # --- The log
 
 AnyStream = LogStream | TransformStream | TagStream | FileStream | NumberStream | RangeStream | PresentedStream
-MOVING = 0.005  # m, and of a quaternion (0.6 degrees): a mount that gives less is one
+MIN_MOTION_M = 0.005  # m, and of a quaternion (0.6 degrees): a mount that gives less is one
 FOXGLOVE_TF = tuple(f"foxglove{dot}FrameTransform{s}" for dot in (".", "_msgs/msg/") for s in ("", "s"))
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", *FOXGLOVE_TF)
 
@@ -381,7 +381,7 @@ class Log:
             _at_first(edge)
             for topic in self.transform_topics
             for edge in self.frames(topic).values()
-            if np.ptp(edge.values, axis=0).max() > MOVING
+            if np.ptp(edge.values, axis=0).max() > MIN_MOTION_M
         ]
 
     def all_mounts(self) -> transforms.StaticTransforms:

@@ -34,7 +34,7 @@ from . import clock as clocks
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
 STAMP = "transforms.header.stamp|transforms.timestamp|timestamp"
 TF_FIELDS = (STAMP, *FIELDS)
-STILL = 1e-6  # m, and of a quaternion: what moves by less does not move
+MAX_STILL_M = 1e-6  # m, and of a quaternion: what moves by less does not move
 NAMES = tuple(f"transform.{part}" for part in ("translation.x", "translation.y", "translation.z")) + tuple(
     f"transform.rotation.{axis}" for axis in "xyzw"
 )
@@ -53,7 +53,7 @@ class FrameEdge(NamedTuple):
     @property
     def moves(self) -> bool:
         """Whether it ever changes."""
-        return bool(np.ptp(self.values, axis=0).max() > STILL)
+        return bool(np.ptp(self.values, axis=0).max() > MAX_STILL_M)
 
 
 def pair_of(name: str) -> tuple[str, str, str] | None:
@@ -79,7 +79,7 @@ def edges_of(log_time: Ints, columns: Mapping[str, Column], order: str) -> dict[
             rows.setdefault(key, []).append(row)
     found = {}
     for key, at in places.items():
-        good = np.isfinite(values[at]).all(axis=1) & (np.square(values[at, 3:]).sum(axis=1) > STILL)
+        good = np.isfinite(values[at]).all(axis=1) & (np.square(values[at, 3:]).sum(axis=1) > MAX_STILL_M)
         use = np.array(at)[good]
         if len(use):
             said, recorded = np.asarray(stamps.values)[use].astype(np.int64), log_time[np.array(rows[key])[good]]

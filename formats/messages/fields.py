@@ -359,7 +359,7 @@ def kind_of(parts: Sequence[Part]) -> str:
 
 
 def expected(msgtype: str, path: str) -> tuple[str, ...]:
-    """Return the kinds that whoever reads this field of this message type can take; none where nobody reads it."""
+    """Return the kinds of column that the readers of this field of this type take; none without readers."""
     if path in STAMPS:
         return (TIME,)
     if msgtype not in READ_TYPES:

@@ -191,7 +191,7 @@ def _name(data: bytes, number: int) -> str:
 
 
 def _field(name: str, kind: int, repeated: bool, inside: Message | None) -> Field | None:
-    """Return a field, None for a group, which nobody writes since 2008."""
+    """Return a field, None for a group, a kind that is out of use since 2008."""
     if kind in NUMBERS:
         wire, dtype = NUMBERS[kind]
         return Field(name, wire, repeated, dtype)

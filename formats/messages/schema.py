@@ -72,7 +72,7 @@ class Structure(msgspec.Struct, frozen=True, eq=False):
 
 
 class LengthCounts(msgspec.Struct, frozen=True, eq=False):
-    """How long each of the arrays inside an array is: no field, but told by its bytes."""
+    """How long each of the arrays inside an array is: not a field, but known from the bytes."""
 
 
 Node = Scalar | Text | Many | Structure | LengthCounts

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 TONES = {"helps": "good", "seems to help": "good", "seems to hurt": "bad", "hurts": "bad"}
 SIZES = {1: (860, 500), 2: (WIDTH, HEIGHT), 3: (330, 190)}  # px of a panel by columns in its section
-STRIP = 200.0  # px, width of an effect strip
+STRIP_WIDTH_PX = 200.0  # px, width of an effect strip
 
 
 def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapping[str, Colour]) -> str:
@@ -187,7 +187,7 @@ def _strips(report: Mapping[str, Any]) -> dict[str, dict[str, float | str]]:
 
     def px(factor: float) -> float:
         share = (math.log(max(factor, 1e-6)) - low) / (high - low)
-        return round(4.0 + (STRIP - 8.0) * min(1.0, max(0.0, share)), 1)
+        return round(4.0 + (STRIP_WIDTH_PX - 8.0) * min(1.0, max(0.0, share)), 1)
 
     return {
         s: {"kind": kind, "low": px(e["low"]), "high": px(e["high"]), "value": px(e["factor"]), "none": px(1.0)}

@@ -27,8 +27,8 @@ TRUTH_ORDER = 35.0  # below the estimates, a broad line under thin ones: neither
 TRUTH_WIDTH, PATH_WIDTH = 2.75, 1.25  # points on the screen
 SIGHT_WIDTH = {"segments": 2.5, "bearing": 1.0, "heading": 1.5}  # points on the screen
 MIN_BODY_SHARE = 0.02  # of the map: smaller robots would not be seen
-HEADING_LENGTH = 1.5  # tracks
-BEARING_LENGTH = 2.0  # m, where no landmark says how far
+HEADING_LENGTH_TRACKS = 1.5  # tracks
+BEARING_LENGTH_M = 2.0  # m, where no landmark says how far
 FLIP = rr.Transform3D(mat3x3=((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)))
 
 
@@ -192,10 +192,10 @@ def _strips(m: Measurements, seen: SeenReadings, sight: SensorLook, track: float
     origin = mounted(seen.pose, sight.mount)
     if sight.kind == "heading":
         angle = seen.pose[:, 2] + np.nan_to_num(seen.audit.y[:, 0])
-        length = np.full(len(angle), HEADING_LENGTH * track)
+        length = np.full(len(angle), HEADING_LENGTH_TRACKS * track)
     else:
         angle = origin[:, 2] + z[:, 0]
-        length = np.full(len(angle), BEARING_LENGTH)
+        length = np.full(len(angle), BEARING_LENGTH_M)
     if sight.landmark is not None:
         length = np.hypot(sight.landmark[0] - origin[:, 0], sight.landmark[1] - origin[:, 1])
     end = origin[:, :2] + length[:, None] * np.stack((np.cos(angle), np.sin(angle)), axis=-1)

@@ -29,8 +29,8 @@ from .recorder import TimelineRecorder, part
 from .scene import RerunScene, Rgb, SensorLook
 
 DEVIATIONS = ("x [m]", "y [m]", "heading [deg]")
-BAND = 3.0  # sigmas of a deviation
-INNOVATION_BAND = 2.0  # sigmas of an innovation
+DEVIATION_BAND_SIGMAS = 3.0  # sigmas of a deviation
+INNOVATION_BAND_SIGMAS = 2.0  # sigmas of an innovation
 EVENTS = "events"
 LEVELS = {LOST: "ERROR", FAULT: "WARN", REFUSED: "WARN"}  # what asks for attention first; the rest is INFO
 ACCEPTED, NEW, REPEATED = (VERDICTS.index(v) for v in ("accepted", "new", "repeated"))
@@ -114,7 +114,7 @@ def draw_deviation(pen: Pen, judged: Evaluation) -> None:
     for i, values in enumerate(columns):
         path = f"deviation/{entity(DEVIATIONS[i])}/{part(judged.name)}"
         pen.curve(path, judged.t, values)
-        bound = BAND * to_unit[i] * judged.sigma[:, i]
+        bound = DEVIATION_BAND_SIGMAS * to_unit[i] * judged.sigma[:, i]
         if bound.any():
             pen.band(f"{path}/three_sigma", judged.t, bound)
 
@@ -127,7 +127,7 @@ def draw_innovation(pen: Pen, root: str, e: Estimates, audit: Audit, sight: Sens
         name, _, scale = component(sight, i)
         path = f"{root}/{part(name)}/{part(e.name)}"
         pen.dots(path, t, scale * audit.y[some, i])
-        pen.band(f"{path}/two_sigma", t, INNOVATION_BAND * scale * audit.sigma[some, i])
+        pen.band(f"{path}/two_sigma", t, INNOVATION_BAND_SIGMAS * scale * audit.sigma[some, i])
 
 
 def draw_limits(to: TimelineRecorder, scene: RerunScene, sensor: str, sight: SensorLook) -> None:

@@ -17,7 +17,7 @@ from locfuse.fusion.data import LocfuseError
 
 from . import robot_toml
 
-WIDTH = 100
+MAX_LINE_CHARACTERS = 100
 
 
 class TomlLine(NamedTuple):
@@ -47,7 +47,7 @@ def comment(text: str) -> str:
     lines: list[str] = []
     for paragraph in text.splitlines():
         plain = printable(paragraph)
-        lines += [plain] if plain[:1] == " " else textwrap.wrap(plain, WIDTH - 2, **_WHOLE) or [""]
+        lines += [plain] if plain[:1] == " " else textwrap.wrap(plain, MAX_LINE_CHARACTERS - 2, **_WHOLE) or [""]
     return "\n".join(f"# {line}".rstrip() for line in lines)
 
 
@@ -73,7 +73,7 @@ def _section(section: TomlSection) -> Iterator[str]:
         beside = f"{lines[0]}  # {printable(words)}"
         if not words:
             yield from lines
-        elif len(lines) == 1 and len(beside) <= WIDTH:
+        elif len(lines) == 1 and len(beside) <= MAX_LINE_CHARACTERS:
             yield beside
         else:
             yield from (comment(words), *lines)

@@ -225,7 +225,7 @@ def _finite(value: Any) -> bool:
 
 
 def _words(parameters: Mapping[str, Any]) -> list[str]:
-    """Say what has no meaning here, and which keys nobody knows."""
+    """Note keys that have no meaning here, and unknown ones."""
     notes = []
     if parameters.get("two_d_mode") is False:
         notes.append("two_d_mode: false: only the plane is estimated here")

@@ -41,7 +41,7 @@ WALL: Rgb = (225, 205, 150)
 SCAN: Rgb = (110, 165, 200)
 LIMIT: Rgb = (255, 235, 60)
 LEVEL: Rgb = (205, 205, 210)
-LOOP: Rgb = (225, 195, 255)
+LOOP: Rgb = (235, 210, 255)
 
 GROUPS: dict[str, Rgb] = {MATCHED: (40, 185, 50), REJECTED: (240, 60, 50), NEW: (0, 225, 235)}
 

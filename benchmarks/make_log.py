@@ -17,7 +17,7 @@ import numpy as np
 import tomli_w
 from mcap.writer import CompressionType, Writer
 
-from locfuse.formats.container.mcap_write import Messages
+from locfuse.formats.container.mcap_write import StandardMessages
 
 if not __package__:  # run as a script: python benchmarks/make_log.py
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -72,7 +72,7 @@ def batches(topics: list[Topic], seconds: float) -> Iterator[list[tuple[int, int
 
 def write(path: Path, topics: list[Topic], seconds: float, chunk_size: int, compression: str, toml: str) -> int:
     """Write the log and return how many messages it has."""
-    store, count = Messages(), 0
+    store, count = StandardMessages(), 0
     with path.open("wb") as file:
         writer: Any = Writer(file, chunk_size=chunk_size, compression=CompressionType[compression.upper()])
         writer.start(profile="ros2", library="locfuse make_log")

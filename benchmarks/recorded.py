@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.loop_drive import Array, Loop, OmniView, ranges
-from locfuse.formats.container.mcap_write import Messages
+from locfuse.formats.container.mcap_write import StandardMessages
 
 EPOCH_NS = 1_700_000_000_000_000_000
 TRACK, RADIUS, SLIP = 0.6, 0.05, 4e-4  # m, m, m: variance per metre that a wheel rolls
@@ -50,7 +50,7 @@ def cdr(msgtype: str, fields: Mapping[str, Any]) -> bytes:
         for name in parents:
             node = node.setdefault(name, {})
         node[leaf] = value
-    return Messages().cdr(msgtype, tree)
+    return StandardMessages().cdr(msgtype, tree)
 
 
 FRAMES = {

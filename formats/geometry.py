@@ -8,7 +8,7 @@ import numpy as np
 
 from locfuse.fusion.data import Array, MapLine
 
-SIGMAS = 3.0
+ELLIPSE_SIGMAS = 3.0
 
 
 def to_map(pose: Array, points: Array) -> Array:
@@ -34,7 +34,7 @@ def ellipses(P: Array) -> tuple[Array, Array]:
     xx, yy, xy = P[:, 0, 0], P[:, 1, 1], P[:, 0, 1]
     mean, half = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
     values = np.maximum(np.stack((mean + half, mean - half), axis=-1), 0.0)
-    return SIGMAS * np.sqrt(values), 0.5 * np.arctan2(2.0 * xy, xx - yy)
+    return ELLIPSE_SIGMAS * np.sqrt(values), 0.5 * np.arctan2(2.0 * xy, xx - yy)
 
 
 def quaternions(angle: Array) -> Array:
@@ -71,7 +71,7 @@ def wall_band(line: MapLine, points: int = 9) -> Array:
     """
     t, P = np.linspace(*line.ends, points), line.P_map
     variance = P[0, 0] - 2.0 * t * P[0, 1] + t**2 * P[1, 1]
-    width = SIGMAS * np.sqrt(np.maximum(variance, 0.0))
+    width = ELLIPSE_SIGMAS * np.sqrt(np.maximum(variance, 0.0))
     normal = np.array([math.cos(line.beta), math.sin(line.beta)])
     middle = segments(np.full((points, 2), (line.rho, line.beta)), np.column_stack((t, t)))[:, 0]
     out, back = middle + width[:, None] * normal, middle - width[:, None] * normal

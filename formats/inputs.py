@@ -16,7 +16,7 @@ from locfuse.fusion.data import LocfuseError
 from .caps import names_its_cap
 
 
-class Identity(NamedTuple):
+class FileIdentity(NamedTuple):
     """Which file a path led to, and in which state it was."""
 
     device: int
@@ -34,7 +34,7 @@ _HELD: WeakKeyDictionary[object, tuple[int, int]] = WeakKeyDictionary()  # who r
 DESTROYS = "it is the input: to write there would destroy it; choose another name"
 
 
-def identity(path: Path) -> Identity:
+def identity(path: Path) -> FileIdentity:
     """Return what a path leads to. Raises LocfuseError unless it is a regular file: a pipe would never end."""
     try:
         found = path.stat()
@@ -45,12 +45,12 @@ def identity(path: Path) -> Identity:
     return _of(found)
 
 
-def identity_of_open(handle: int) -> Identity:
+def identity_of_open(handle: int) -> FileIdentity:
     """Return which file a descriptor reads."""
     return _of(os.fstat(handle))
 
 
-def hold(reader: object, file: Identity) -> None:
+def hold(reader: object, file: FileIdentity) -> None:
     """Keep a file from being written as long as its `reader` lives."""
     _HELD[reader] = file.file
 
@@ -97,5 +97,5 @@ def csv_rows(path: Path, cap: int) -> list[tuple[int, list[str]]]:
         raise LocfuseError(f"{path}: line {rows.line_num}: no .csv: {problem}") from None
 
 
-def _of(found: os.stat_result) -> Identity:
-    return Identity(found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
+def _of(found: os.stat_result) -> FileIdentity:
+    return FileIdentity(found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)

@@ -7,14 +7,19 @@ from __future__ import annotations
 
 import glob
 import os
+import signal
+import sys
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
 from locfuse.fusion.data import LocfuseError, UsageError
 
-from .delayed_signals import interruptible, orderly_end
 from .inputs import DESTROYS, is_among, refuse_to_write
 from .visible import visible_lines
 
@@ -53,7 +58,7 @@ def write_results(folder: Path, files: Mapping[str, Content], overwrite: bool = 
 def may_write(folder: Path, overwrite: bool = False, given: Iterable[Path | None] = ()) -> None:
     """Raise LocfuseError where `write_results` would refuse the folder: to know it before the work is done.
 
-    Raises UsageError where it would replace one of the files `given` to the command, unless told to overwrite.
+    Raises UsageError where it would replace one of the files `given` to the command, unless `overwrite`.
     """
     paths = [folder / name for name in REPLACED]
     inputs = [path for path in given if path is not None]
@@ -260,3 +265,69 @@ def _sync(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+# --- SIGINT and SIGTERM end the work, never the cleaning up behind it
+# Python runs a signal's handler between any two steps, so also inside `finally:`. There its exception would leave
+# a lock or half a file behind. Within `orderly_end` signals therefore wait, except inside `interruptible`.
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class _Gate:
+    """What signals wait for. One per process: only the main thread gets signals."""
+
+    waiting: list[Callable[[], object]] | None = None  # what they will do; None: they do not wait
+
+    def handle(self, original: Any, number: int, frame: FrameType | None) -> None:
+        act = partial(original, number, frame) if callable(original) else partial(sys.exit, 128 + number)
+        if self.waiting is None:
+            act()
+        else:
+            self.waiting.append(act)
+
+    def open(self) -> None:
+        """Let signals through again, first the one that has waited for longest."""
+        first, self.waiting = (self.waiting or [])[:1], None
+        for act in first:
+            act()
+
+
+_gate = _Gate()
+
+
+def _in_main_thread() -> bool:
+    return threading.current_thread() is threading.main_thread()
+
+
+@contextmanager
+def orderly_end() -> Iterator[None]:
+    """Let signals wait until the block is over, but for what runs in `interruptible` inside it."""
+    if not _in_main_thread() or _gate.waiting is not None:
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    _gate.waiting = []
+    try:
+        for number, handler in before.items():
+            if callable(handler) or handler is signal.SIG_DFL:
+                signal.signal(number, partial(_gate.handle, handler))
+        yield
+    finally:
+        for number, handler in before.items():
+            if handler is not None:  # one that was not set from Python stays as it is
+                signal.signal(number, handler)
+        _gate.open()
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Let signals end the block: what belongs to it is cleaned up outside, where they wait again."""
+    if not _in_main_thread() or _gate.waiting is None:
+        yield
+        return
+    try:
+        _gate.open()
+        yield
+    finally:
+        _gate.waiting = []

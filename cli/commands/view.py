@@ -17,7 +17,7 @@ from locfuse.cli.terminal.screen import say
 
 if TYPE_CHECKING:
     from locfuse.cli.terminal.show import Progress
-    from locfuse.formats.rerun.scene import Scene
+    from locfuse.formats.rerun.scene import RerunScene
 
 IMAGES, FULL = detail("")
 TABS = ("Deviation", "Close-up", "NIS", "Innovation", "Gates", "Result", "Raw topics")
@@ -123,7 +123,7 @@ def _scene(
     full: bool,
     how: LogOptions,
     progress: Progress,
-) -> Scene:
+) -> RerunScene:
     """Return what is shown of a folder of results, or of a log that is measured and fused now."""
     from locfuse.cli.rerun.folder import report_of, scene_of
     from locfuse.cli.rerun.scene import scene_of_result

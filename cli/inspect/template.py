@@ -11,7 +11,7 @@ from locfuse.cli.analysis.robot_tables import ATTACHMENT, make_robot, table_type
 from locfuse.cli.analysis.settings import LogOptions, set_words
 from locfuse.formats.container.url import Place
 from locfuse.formats.robot import robot_toml
-from locfuse.formats.robot.commented_toml import Section
+from locfuse.formats.robot.commented_toml import TomlSection
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser import OPEN_SCALE
 from locfuse.fusion.data import LocfuseError
@@ -37,7 +37,7 @@ class Draft(NamedTuple):
     """The tables of a robot.toml, and what is missing."""
 
     overview: Overview  # with all active fixes
-    sections: list[Section]
+    sections: list[TomlSection]
     missing: list[str]  # keys without which nothing runs, or not their sensor
     guesses: list[str]  # "key=value: why" of choices that the log leaves open
     robot: str = ""  # which known robot gave figures, in words
@@ -73,7 +73,7 @@ def draft(
     suggested = _read({key: fix for key, fix in _fixes(overview.findings).items() if key not in fixes})
     facts = Facts(overview, known, suggested)
     missing: list[str] = []
-    sections = [Section(name, tuple(lines(facts, name, missing))) for name in ("", *table_types())]
+    sections = [TomlSection(name, tuple(lines(facts, name, missing))) for name in ("", *table_types())]
     guesses = [f"{fix} ({why.removeprefix(GUESS)})" for fix, why in fixes.values() if why.startswith(GUESS)]
     return Draft(overview, sections, missing, guesses, robot)
 

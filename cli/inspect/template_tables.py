@@ -12,7 +12,7 @@ from locfuse.cli.analysis.motor_topics import motors
 from locfuse.cli.analysis.mounts import is_base, mount_tables
 from locfuse.cli.analysis.robot_tables import table_types
 from locfuse.cli.analysis.topics import of_type
-from locfuse.formats.robot.commented_toml import Line
+from locfuse.formats.robot.commented_toml import TomlLine
 from locfuse.fusion.sensor import Ask
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.motor import MOTOR, SERVO
@@ -154,10 +154,10 @@ def _rounded(value: Any) -> Any:
     return [_rounded(v) for v in value] if isinstance(value, list) else value
 
 
-def lines(facts: Facts, table: str, missing: list[str]) -> Iterator[Line]:
+def lines(facts: Facts, table: str, missing: list[str]) -> Iterator[TomlLine]:
     """Yield the lines of one table, "" for keys above all tables; what is needed and unknown goes to `missing`."""
     if not table:
-        yield from (Line(key, *facts.known[key]) for key in TOP_KEYS if key in facts.known)
+        yield from (TomlLine(key, *facts.known[key]) for key in TOP_KEYS if key in facts.known)
         return
     unsure = _suggested(facts, table)
     shown = table in {"wheels", "start"} or any(key.startswith(f"{table}.") for key in facts.known)
@@ -165,20 +165,20 @@ def lines(facts: Facts, table: str, missing: list[str]) -> Iterator[Line]:
     for key, default in defaults.items():
         path = f"{table}.{key}"
         if path in facts.known:
-            yield Line(key, *facts.known[path])
+            yield TomlLine(key, *facts.known[path])
         elif shown and path not in unsure and _concerns(facts, table, key):
             yield from _unknown(table, key, default, missing)
         if path in unsure:
-            yield Line(key, *unsure[path], holds=False)
+            yield TomlLine(key, *unsure[path], holds=False)
 
 
-def _unknown(table: str, key: str, default: Any, missing: list[str]) -> Iterator[Line]:
+def _unknown(table: str, key: str, default: Any, missing: list[str]) -> Iterator[TomlLine]:
     guessed, asked = _guess(table, key), _ask(table, key)
     if guessed is not None:
-        yield Line(key, default, guessed)
+        yield TomlLine(key, default, guessed)
     elif asked is not None:
         blank = asked.blank or asked.needed or default in (None, msgspec.NODEFAULT)
-        yield Line(key, None if blank else default, asked.words, holds=False)
+        yield TomlLine(key, None if blank else default, asked.words, holds=False)
         if asked.needed:
             missing.append(f"{table}.{key}")
 

@@ -13,7 +13,7 @@ from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.figures.palette import traces_in
 from locfuse.formats.inputs import read_small
 from locfuse.formats.report import json_report
-from locfuse.formats.rerun.scene import Scene
+from locfuse.formats.rerun.scene import RerunScene
 from locfuse.formats.results.trajectory import read_tum
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Motions, Truth, matrices
 from locfuse.fusion.judge.evaluate import evaluate
@@ -30,7 +30,7 @@ def report_of(folder: Path) -> Path | None:
     return next((folder / name for name in REPORTS if (folder / name).is_file()), None)
 
 
-def scene_of(folder: Path) -> Scene:
+def scene_of(folder: Path) -> RerunScene:
     """Return what the files of a results' folder show. Raises LocfuseError where they cannot be read."""
     path = report_of(folder)
     if path is None:
@@ -66,7 +66,7 @@ def _track(file: Path) -> tuple[Ints, Array]:
     return t_ns, pose
 
 
-def _scene(folder: Path, report: Mapping[str, Any], tracks: Mapping[str, tuple[Ints, Array]]) -> Scene:
+def _scene(folder: Path, report: Mapping[str, Any], tracks: Mapping[str, tuple[Ints, Array]]) -> RerunScene:
     t_ns = next(iter(tracks.values()))[0]
     truth, stamps = _truth(folder, report, int(t_ns[0]))
     t = seconds(t_ns, int(t_ns[0]))
@@ -78,7 +78,7 @@ def _scene(folder: Path, report: Mapping[str, Any], tracks: Mapping[str, tuple[I
     ]
     judged = {e.name: evaluate(e, drive, report["configurations"][e.name]["align"]) for e in estimates}
     track_width = report["settings"].get("wheels", {}).get("track", 0.3)
-    return Scene(
+    return RerunScene(
         str(report["input"]["name"]),
         drive,
         estimates,

@@ -70,11 +70,14 @@ def saved(path: Path, result: Result, images: int | None, full: bool, identity: 
     from locfuse.fusion.data import LocfuseError
 
     try:
+        from locfuse.cli.analysis.memory import give_back
         from locfuse.formats.rerun.recording import save_recording
 
         from .scene import scene_of_result
 
-        save_recording(path, scene_of_result(result, images, full), identity=identity)
+        scene = scene_of_result(result, images, full)
+        give_back()  # before Rerun is imported, which takes 90 MB
+        save_recording(path, scene, identity=identity)
     except LocfuseError as problem:
         return str(problem)
     except ModuleNotFoundError:

@@ -14,7 +14,7 @@ from locfuse.cli.analysis.outputs import events
 from locfuse.cli.session.result import Result
 from locfuse.formats.figures.palette import Trace, colours, traces_of
 from locfuse.formats.report import markdown
-from locfuse.formats.rerun.scene import Detail, DrawnScans, Picture, RawTopic, Rgb, Scene, Sight
+from locfuse.formats.rerun.scene import Detail, DrawnScans, Picture, RawTopic, RerunScene, Rgb, SensorLook
 from locfuse.formats.thin import evenly
 from locfuse.formats.visible import visible
 from locfuse.fusion.chi_square import chi_square
@@ -33,12 +33,12 @@ from locfuse.fusion.wheels.read import WHEEL_READS
 MAX_BEAMS = 360  # of a scan that are drawn: more than a screen shows
 MAX_PICTURES = 600  # kept by default
 MAX_ARRAY_COLUMNS = 8  # of a numeric array that is drawn as curves: a scan's ranges are not
-SHADE = 0.65  # of the light of a colour, for the smoothed result
+SMOOTHED_LIGHT_SHARE = 0.65  # of the light of a colour, for the smoothed result
 SCAN_FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "range_max", "ranges")
 NIS_LOW, NIS_HIGH = 0.025, 0.975  # between them lie 95 % of consistent NIS
 
 
-def scene_of_result(result: Result, images: int | None = None, full: bool = False) -> Scene:
+def scene_of_result(result: Result, images: int | None = None, full: bool = False) -> RerunScene:
     """Return what a recording of a result shows, its report's tables too; `images`, `full` as in `make_scene`."""
     estimates, evaluations = tuple(result.estimates.values()), tuple(result.evaluations.values())
     return make_scene(result.loaded, estimates, evaluations, table_of(result.report), images, full)
@@ -59,7 +59,7 @@ def make_scene(
     table: str,
     images: int | None = None,
     full: bool = False,
-) -> Scene:
+) -> RerunScene:
     """Return what a recording of these configurations shows.
 
     `images` = n keeps every n-th picture, 0 none, None as many as stay light.
@@ -67,7 +67,7 @@ def make_scene(
     detail = Detail.everything() if full else Detail()
     best = max(estimates, key=lambda e: len(e.sensors))
     shown, rows = _pictures(loaded, best, images)
-    return Scene(
+    return RerunScene(
         name=loaded.log.name,
         drive=loaded.drive,
         estimates=estimates,
@@ -92,7 +92,10 @@ def palette(traces: Mapping[str, Trace]) -> dict[str, Rgb]:
     The report dashes what is smoothed. The viewer has no dashes: there it is the same colour, darker.
     """
     found = colours(traces, sensor_colours())
-    return {name: _rgb(found[name].dark, SHADE if trace.smoothed else 1.0) for name, trace in traces.items()}
+    return {
+        name: _rgb(found[name].dark, SMOOTHED_LIGHT_SHARE if trace.smoothed else 1.0)
+        for name, trace in traces.items()
+    }
 
 
 def _rgb(web: str, light: float) -> Rgb:
@@ -101,14 +104,14 @@ def _rgb(web: str, light: float) -> Rgb:
     return red, green, blue
 
 
-def sights(loaded: Loaded) -> dict[str, Sight]:
+def sights(loaded: Loaded) -> dict[str, SensorLook]:
     """Return how each measured sensor is drawn."""
     return {s: _sight(REGISTRY[s], loaded.robot.settings(s)) for s in loaded.drive.measurements}
 
 
-def _sight(sensor: Sensor, settings: Any) -> Sight:
+def _sight(sensor: Sensor, settings: Any) -> SensorLook:
     width = len(sensor.components)
-    return Sight(
+    return SensorLook(
         components=sensor.components,
         bounds=(chi_square(NIS_LOW, width), chi_square(NIS_HIGH, width)),
         kind=sensor.drawn,

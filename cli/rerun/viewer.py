@@ -2,7 +2,7 @@
 
 The viewer is started as its own process on the loopback interface (Rerun's own `spawn` listens on all), and a
 recording is sent to a running one by a child process that is given up after a while: the library's own
-connection waits for minutes where a port is open and nobody answers.
+connection waits for minutes where a port is open and nothing answers.
 """
 
 from __future__ import annotations

@@ -122,7 +122,7 @@ class FileBytes:
         self._spans.add((at, at + len(data)))
         return data
 
-    def _compare(self, now: inputs.Identity, then: inputs.Identity) -> None:
+    def _compare(self, now: inputs.FileIdentity, then: inputs.FileIdentity) -> None:
         if now.file != then.file:
             raise LocfuseError(f"{self.path}: it was replaced by another file while it was read; start again")
         if now != then:

@@ -12,7 +12,7 @@ class Loss(msgspec.Struct, frozen=True):
     path: str
     reason: str
     bytes: int  # of the file that cannot be used
-    messages: int | None = None  # None where nobody can say how many it held
+    messages: int | None = None  # None where the number is unknown
 
 
 class Losses(msgspec.Struct):

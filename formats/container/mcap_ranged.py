@@ -21,7 +21,16 @@ from .decompress import DamagedError
 from .file_bytes import FileBytes
 from .losses import Losses
 from .mcap_chunk import PAYLOAD, credible
-from .mcap_survey import CHUNK_HEAD, LARGE_CHUNK_BYTES, ChunkRef, Part, Summary, Survey, put_in_order, read_summary
+from .mcap_survey import (
+    CHUNK_HEAD,
+    LARGE_CHUNK_BYTES,
+    ChunkRef,
+    FileSummary,
+    Part,
+    Survey,
+    put_in_order,
+    read_summary,
+)
 from .source import Messages
 
 CHUNK_FRONT = 8 + 8 + 8 + 4 + 4 + 8  # bytes before a chunk's content, but for the name of the compression
@@ -80,7 +89,7 @@ def _indexes(entry: rec.ChunkIndex) -> dict[int, tuple[int, int]] | None:
     return found
 
 
-def _consistent(summary: Summary, statistics: rec.Statistics, chunks: list[ChunkRef]) -> bool:
+def _consistent(summary: FileSummary, statistics: rec.Statistics, chunks: list[ChunkRef]) -> bool:
     """Tell whether chunks, counts and definitions agree: then nothing lies between the chunks that matters."""
     total: Counter[int] = Counter()
     for chunk in chunks:
@@ -109,7 +118,7 @@ ANOTHER_HEADER = "a chunk is not what the summary says"
 ELSEWHERE = "messages are not where the index says"
 
 
-class Wanted:
+class WantedChunk:
     """What is wanted of one chunk, and where it lies."""
 
     def __init__(self, data: FileBytes, chunk: ChunkRef, channels: Collection[int]) -> None:
@@ -199,16 +208,16 @@ def _by_channel(
     return {int(ident): everything.take(channel == ident) for ident in np.unique(channel)}
 
 
-def wanted_of(data: FileBytes, chunks: Sequence[ChunkRef], channels: Collection[int]) -> list[Wanted]:
+def wanted_of(data: FileBytes, chunks: Sequence[ChunkRef], channels: Collection[int]) -> list[WantedChunk]:
     """Return what is wanted of the chunks, with the message indexes that say where it is at hand."""
-    found = [Wanted(data, chunk, channels) for chunk in chunks]
+    found = [WantedChunk(data, chunk, channels) for chunk in chunks]
     data.fetch(one.index_span for one in found if not one.whole)
     return found
 
 
-def fetched(data: FileBytes, wanted: Sequence[Wanted]) -> Iterator[Wanted]:
+def fetched(data: FileBytes, wanted: Sequence[WantedChunk]) -> Iterator[WantedChunk]:
     """Yield what is wanted with its bytes at hand: several chunks are fetched together."""
-    group: list[Wanted] = []
+    group: list[WantedChunk] = []
     size = 0
     for one in wanted:
         group.append(one)
@@ -219,7 +228,7 @@ def fetched(data: FileBytes, wanted: Sequence[Wanted]) -> Iterator[Wanted]:
     yield from _at_hand(data, group)
 
 
-def _at_hand(data: FileBytes, group: Sequence[Wanted]) -> Iterator[Wanted]:
+def _at_hand(data: FileBytes, group: Sequence[WantedChunk]) -> Iterator[WantedChunk]:
     data.fetch(span for one in group for span in one.spans)
     yield from group
 

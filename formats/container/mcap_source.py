@@ -20,7 +20,7 @@ from .decompress import DamagedError, decompress, decompress_prefix
 from .file_bytes import FileBytes
 from .losses import Losses
 from .mcap_chunk import Index, Records, counted, records
-from .mcap_ranged import Wanted, fetched, own_header, promised, wanted_of
+from .mcap_ranged import WantedChunk, fetched, own_header, promised, wanted_of
 from .mcap_survey import ChunkRef, LooseRun, Part, Survey, survey
 from .source import Batch, ChannelInfo, Messages
 
@@ -119,7 +119,7 @@ class McapSource:
         self._compare_with_statistics()
         return None
 
-    def _by_ranges(self, parts: Sequence[Wanted], wanted: Collection[int]) -> Iterator[Batch]:
+    def _by_ranges(self, parts: Sequence[WantedChunk], wanted: Collection[int]) -> Iterator[Batch]:
         for part in fetched(self.data, parts):
             batch = self._batch(part.chunk, wanted) if part.whole else Batch(*part.messages(self.losses))
             if batch.messages:
@@ -181,7 +181,7 @@ class McapSource:
             if part.counts is None:
                 part.counts = {ident: len(m.start) for ident, m in found.messages.items()}
             for opcode, start, length in found.definitions:
-                with suppress(DamagedError):  # then the channel is one that nobody defines
+                with suppress(DamagedError):  # then the channel has no definition
                     known.define(opcode, data[start : start + length].tobytes())
 
     def _counts(self) -> Counter[int]:

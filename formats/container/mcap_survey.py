@@ -1,7 +1,8 @@
 """One walk over an MCAP file's outermost records: where its chunks lie, and what cannot be read.
 
-Only record headers are touched, so it costs milliseconds per gigabyte and trusts nobody. The summary section
-is the safety net: its chunk index says where to go on after a hole, its statistics what should have been there.
+Only record headers are touched, so it costs milliseconds per gigabyte, and nothing is believed unchecked. The
+summary section is the safety net: its chunk index gives the place to go on after a hole, its statistics what
+should have been there.
 """
 
 from __future__ import annotations
@@ -109,7 +110,7 @@ class Survey(msgspec.Struct):
 # --- The summary section at the end, believed only when footer, checksum and records are whole
 
 
-class Summary(msgspec.Struct):
+class FileSummary(msgspec.Struct):
     """What the writer said about the whole file."""
 
     start: int  # file offset of the section
@@ -156,7 +157,7 @@ def summary_section(data: FileBytes) -> bytes | None:
     return section
 
 
-def read_summary(data: FileBytes) -> Summary | None:
+def read_summary(data: FileBytes) -> FileSummary | None:
     """Return the summary, None where there is none to believe."""
     section = summary_section(data)
     if section is None:
@@ -167,8 +168,8 @@ def read_summary(data: FileBytes) -> Summary | None:
         return None
 
 
-def _parse(section: bytes, start: int) -> Summary:
-    summary = Summary(start)
+def _parse(section: bytes, start: int) -> FileSummary:
+    summary = FileSummary(start)
     at = 0
     while at < len(section):
         cursor = rec.Cursor(section, at)
@@ -200,7 +201,7 @@ CHUNK_HEAD = rec.RECORD.size + 64  # bytes that hold a chunk's header
 class Resync:
     """Finds the next place that can be read: by the chunk index, else by looking for records."""
 
-    def __init__(self, data: FileBytes, summary: Summary | None) -> None:
+    def __init__(self, data: FileBytes, summary: FileSummary | None) -> None:
         self.data = data
         self.starts = sorted(summary.chunks) if summary else []
         self.end = summary.start if summary else data.size
@@ -317,11 +318,11 @@ def survey(data: FileBytes, losses: Losses) -> Survey:
     summary = read_summary(data)
     if magic != rec.MAGIC and summary is None:
         raise LocfuseError(f"{data.path}: not an MCAP file: it is {describe(data.read(0, 64))}")
-    return _Walk(data, summary, losses).run()
+    return _SurveyWalk(data, summary, losses).run()
 
 
-class _Walk:
-    def __init__(self, data: FileBytes, summary: Summary | None, losses: Losses) -> None:
+class _SurveyWalk:
+    def __init__(self, data: FileBytes, summary: FileSummary | None, losses: Losses) -> None:
         self.data = data
         self.name = str(data.path)
         self.summary = summary

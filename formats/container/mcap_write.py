@@ -50,7 +50,7 @@ HEAD_BYTES = np.dtype(HEAD).itemsize
 COMPRESSION = "zstd"
 
 
-class Block(NamedTuple):
+class MessageBlock(NamedTuple):
     """Messages of one channel."""
 
     channel: int
@@ -103,7 +103,7 @@ class ColumnWriter:
         self._record(Metadata(name=name, metadata=dict(values)))
         self._notes.append(MetadataIndex(length=self._at - at, name=name, offset=at))
 
-    def chunk(self, blocks: Sequence[Block]) -> None:
+    def chunk(self, blocks: Sequence[MessageBlock]) -> None:
         """Write messages as one chunk with an index for each of its channels."""
         blocks = [block for block in blocks if len(block.log_time)]
         if not blocks:
@@ -204,7 +204,7 @@ class ColumnWriter:
         self._crc = zlib.crc32(data, self._crc)
 
 
-def _records(block: Block) -> tuple[bytes, Ints]:
+def _records(block: MessageBlock) -> tuple[bytes, Ints]:
     """Return the Message records of a block, and where each begins (n,)."""
     n = len(block.log_time)
     lengths = np.fromiter(map(len, block.payload), np.int64, n)
@@ -254,7 +254,7 @@ def nested(fields: Mapping[str, Any]) -> dict[str, Any]:
     return tree
 
 
-class Messages:
+class StandardMessages:
     """Builds and serialises messages of the standard ROS 2 types from plain values."""
 
     def __init__(self) -> None:
@@ -314,7 +314,7 @@ class LogWriter:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._part = temporary_for(self.path)
-        self._messages = Messages()
+        self._messages = StandardMessages()
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, tuple[int, str]] = {}  # topic -> channel id, message type
         self._sequence: dict[str, int] = {}

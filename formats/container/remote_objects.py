@@ -115,16 +115,16 @@ CREDENTIALS = {
 LIST_ALL = 1000  # objects at a time
 
 
-class State(NamedTuple):
+class ObjectState(NamedTuple):
     """Which state of an object was seen."""
 
     size: int  # bytes
     tag: str  # changes with the content: the store's ETag, or where there is none the time of the last change
 
 
-def state_of(meta: Mapping[str, Any]) -> State:
+def state_of(meta: Mapping[str, Any]) -> ObjectState:
     """Return the state that an answer of a store is of."""
-    return State(int(meta["size"]), str(meta["e_tag"] or meta["last_modified"]))
+    return ObjectState(int(meta["size"]), str(meta["e_tag"] or meta["last_modified"]))
 
 
 class Object:
@@ -133,10 +133,10 @@ class Object:
     def __init__(self, url: Url) -> None:
         self.url = url
         self._store = store(url.root)
-        self._state: State | None = None
+        self._state: ObjectState | None = None
 
     @property
-    def state(self) -> State:
+    def state(self) -> ObjectState:
         """Size and tag of the object."""
         if self._state is None:
             self._see(self._asked(lambda obs: obs.head(self._store, self.url.key)))
@@ -301,7 +301,7 @@ class RemoteBytes(FileBytes):
         self._packed: Path | None = None  # the copy, where it had to be unpacked
 
     @property
-    def state(self) -> State:
+    def state(self) -> ObjectState:
         """Size and tag of the object."""
         return self._object.state
 
@@ -399,4 +399,4 @@ class RemoteBytes(FileBytes):
                 take(piece)
 
     def still_the_same(self) -> None:
-        """Nothing to ask: every range was checked to be of the same object, and nobody else knows the copy."""
+        """Do nothing: every range was checked to be of the same object, and no other program knows the copy."""

@@ -32,7 +32,7 @@ HEAD_BYTES = 1 << 16  # record headers are read up to this size
 Fields = dict[bytes, bytes]
 
 
-class Entry(NamedTuple):
+class BagRecord(NamedTuple):
     """One record: its fields, and where its data lies."""
 
     at: int
@@ -62,7 +62,7 @@ class Entry(NamedTuple):
         return int(seconds) * 10**9 + int(nanoseconds)
 
 
-def read_entry(data: FileBytes, at: int) -> Entry:
+def read_entry(data: FileBytes, at: int) -> BagRecord:
     """Read the record at a file offset. Raises DamagedError for what is none."""
     word = data.read(at, WORD.size)
     n = WORD.unpack(word)[0] if len(word) == WORD.size else HEAD_BYTES
@@ -73,7 +73,7 @@ def read_entry(data: FileBytes, at: int) -> Entry:
     op = found.get(b"op", b"")
     if len(op) != 1:
         raise DamagedError("bytes that are no record")
-    return Entry(at, op[0], found, at + 2 * WORD.size + n, int(WORD.unpack_from(header, n)[0]))
+    return BagRecord(at, op[0], found, at + 2 * WORD.size + n, int(WORD.unpack_from(header, n)[0]))
 
 
 def fields_of(header: bytes) -> Fields:
@@ -123,18 +123,18 @@ def scan_chunk(data: NDArray[np.uint8], most: int) -> Scanned:
     return Scanned(connections, connection, time_ns, start, length, at)
 
 
-def _entry(buffer: memoryview, at: int) -> Entry:
+def _entry(buffer: memoryview, at: int) -> BagRecord:
     (n,) = WORD.unpack_from(buffer, at)
     (length,) = WORD.unpack_from(buffer, at + WORD.size + n)
     start = at + 2 * WORD.size + n
     if start + length > len(buffer):
         raise DamagedError("a record reaches beyond its chunk")
     found = fields_of(bytes(buffer[at + WORD.size : start - WORD.size]))
-    return Entry(at, (found.get(b"op") or b"\x00")[0], found, start, length)
+    return BagRecord(at, (found.get(b"op") or b"\x00")[0], found, start, length)
 
 
 def _take(
-    entry: Entry,
+    entry: BagRecord,
     buffer: memoryview,
     rows: list[tuple[int, int, int, int]],
     connections: dict[int, tuple[Fields, bytes]],
@@ -155,7 +155,7 @@ HINT = re.compile(rb"[\x0f\x10]\0\0\0compression=(?:none|bz2|lz4)")  # a field o
 BEFORE = range(4, 64)  # so many bytes behind the record's start
 
 
-class Part(msgspec.Struct):
+class BagPart(msgspec.Struct):
     """A chunk, or messages that a crash left outside one."""
 
     at: int
@@ -176,7 +176,7 @@ class BagSource:
         self.path = data.path
         self.losses = losses
         self.data = data
-        self._parts: list[Part] = []
+        self._parts: list[BagPart] = []
         self._connections: dict[int, tuple[Fields, bytes]] = {}
         self._span: tuple[int, int] | None = None
         self._survey()
@@ -223,7 +223,7 @@ class BagSource:
         if not closed:
             self.losses.add(str(self.path), CUT_OFF, 0, 0)
 
-    def _take(self, entry: Entry) -> bool:
+    def _take(self, entry: BagRecord) -> bool:
         """Note one record; tell whether it is of the index that closes a bag."""
         if entry.op == BAG_HEADER:
             if entry.fields.get(b"encryptor"):
@@ -243,15 +243,15 @@ class BagSource:
             return True
         return False
 
-    def _take_chunk(self, entry: Entry) -> None:
+    def _take_chunk(self, entry: BagRecord) -> None:
         name = entry.fields.get(b"compression", b"").decode("utf-8", "replace")
         available = min(entry.length, self.data.size - entry.start)
-        part = Part(entry.at, entry.start, available, "" if name == "none" else name, entry.number(b"size"))
+        part = BagPart(entry.at, entry.start, available, "" if name == "none" else name, entry.number(b"size"))
         part.cut_off = available < entry.length
         if part.length:
             self._parts.append(part)
 
-    def _take_loose(self, entry: Entry) -> None:
+    def _take_loose(self, entry: BagRecord) -> None:
         """Collect messages that a crash left outside a chunk, whose header was never completed."""
         before = self._parts[-1] if self._parts else None
         if (
@@ -262,7 +262,7 @@ class BagSource:
         ):
             before.length = entry.end - before.start
         else:
-            self._parts.append(Part(entry.at, entry.at, entry.end - entry.at))
+            self._parts.append(BagPart(entry.at, entry.at, entry.end - entry.at))
 
     def _widen(self, first: int, last: int) -> None:
         if self._span is not None:
@@ -295,7 +295,7 @@ class BagSource:
             return False
         return entry.op == CHUNK and entry.end <= self.data.size
 
-    def _load(self, part: Part) -> tuple[NDArray[np.uint8], Scanned]:
+    def _load(self, part: BagPart) -> tuple[NDArray[np.uint8], Scanned]:
         """Read one part; what is damaged is counted and left out."""
         try:
             data = np.frombuffer(self._bytes(part), np.uint8)
@@ -312,7 +312,7 @@ class BagSource:
             self.losses.add(str(self.path), reason, part.at, len(data) - found.end)
         return data, found
 
-    def _bytes(self, part: Part) -> bytes:
+    def _bytes(self, part: BagPart) -> bytes:
         if part.length > MAX_CHUNK:
             raise DamagedError(f"a chunk is larger than {MAX_CHUNK >> 20} MiB")
         if part.compression not in CODECS:

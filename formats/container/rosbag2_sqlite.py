@@ -296,7 +296,7 @@ def _batch(rows: list[Row]) -> Batch:
 # --- The journal (-wal): what sqlite uses of it, and what it ignores silently
 # A recorder that dies leaves its last messages in the journal. sqlite reads it up to the last commit before the
 # first frame whose checksum is wrong, and calls that normal. The frames behind that place bear the salts of the
-# journal's header, so that they can be told from those of an older journal.
+# journal's header, which those of an older journal do not have.
 # Format: https://sqlite.org/fileformat2.html#walformat
 
 HEADER = struct.Struct(">8I")  # magic, version, page size, sequence, two salts, two checksums
@@ -310,7 +310,7 @@ JOURNAL_UNFINISHED = "its journal (-wal) ends in a transaction that was not fini
 Pair = tuple[int, int]
 
 
-class Tail(NamedTuple):
+class JournalTail(NamedTuple):
     """The end of a journal that sqlite does not use."""
 
     reason: str
@@ -322,7 +322,7 @@ class Journal(NamedTuple):
     """What sqlite makes of a journal."""
 
     used: bool  # whether it holds a commit that sqlite reads
-    tail: Tail | None  # what sqlite leaves out although it was written
+    tail: JournalTail | None  # what sqlite leaves out although it was written
 
 
 class _Frame(NamedTuple):
@@ -339,7 +339,7 @@ def journal_of(path: Path) -> Journal:
         head = file.read(HEADER.size)
         summed = _header(head)
         if summed is None:
-            return Journal(used=False, tail=Tail(JOURNAL_DAMAGED, 0, size))
+            return Journal(used=False, tail=JournalTail(JOURNAL_DAMAGED, 0, size))
         page, salts = HEADER.unpack(head)[2], HEADER.unpack(head)[4:6]
         weights = _Weights(8 + page)
         at = used = last = HEADER.size
@@ -356,7 +356,9 @@ def journal_of(path: Path) -> Journal:
         file.seek(at)
         if file.read(FRAME.size)[8:16] == struct.pack(">2I", *salts):  # cut off inside a frame
             whole, last = False, size
-    tail = Tail(JOURNAL_UNFINISHED if whole else JOURNAL_DAMAGED, used, last - used) if last > used else None
+    tail = (
+        JournalTail(JOURNAL_UNFINISHED if whole else JOURNAL_DAMAGED, used, last - used) if last > used else None
+    )
     return Journal(used > HEADER.size, tail)
 
 

@@ -13,9 +13,9 @@ from locfuse.fusion.data import Array, Evaluation
 from .panels import TIME, Band, Curve, Mark, Panel, Section, Spots, Strokes
 from .scene import Scene, metres
 
-SIGMAS = 3.0
-ENLARGE = 5.0  # times: where curves differ by more in size, the small ones are drawn once more
-NEAR = 2.5  # times the smallest rms: such curves are enlarged together
+BAND_SIGMAS = 3.0
+MIN_ENLARGED_RATIO = 5.0  # times: where curves differ by more in size, the small ones are drawn once more
+MAX_SIMILAR_RATIO = 2.5  # times the smallest rms: such curves are enlarged together
 MIN_ERROR_M = 1e-4  # m: a position error below is drawn there on logarithmic axes
 OVERLAYS = {  # title, and its figure in the report
     "deviation_x": ("Deviation in x", "x_rmse_m"),
@@ -60,9 +60,9 @@ def _enlarged(panel: Panel, names: list[str], columns: list[Array]) -> Panel | N
         n: float(np.sqrt(np.nanmean(c**2))) for n, c in zip(names, columns, strict=True) if np.isfinite(c).any()
     }
     least = min(rms.values(), default=0.0)
-    if least <= 0.0 or max(rms.values()) < ENLARGE * least:
+    if least <= 0.0 or max(rms.values()) < MIN_ENLARGED_RATIO * least:
         return None
-    small = [c for n, c in zip(names, columns, strict=True) if rms.get(n, np.inf) <= NEAR * least]
+    small = [c for n, c in zip(names, columns, strict=True) if rms.get(n, np.inf) <= MAX_SIMILAR_RATIO * least]
     scale, unit = metres(small)
     reach = 1.1 * scale * max(float(np.nanmax(np.abs(c))) for c in small)
     return replace(
@@ -124,7 +124,7 @@ def bands(scene: Scene) -> Section:
 
 
 def _band(judged: Evaluation, what: str, deviation: Array, column: int) -> Panel:
-    sigma = SIGMAS * judged.sigma[:, column]
+    sigma = BAND_SIGMAS * judged.sigma[:, column]
     scale, unit = (180.0 / np.pi, "°") if what == "heading" else metres([deviation, np.minimum(sigma, 10.0)])
     marks: tuple[Mark, ...] = (
         Band(judged.name, judged.t, -scale * sigma, scale * sigma),
@@ -146,7 +146,7 @@ def uncertainty(scene: Scene) -> Section:
     panels = []
     names = {shown.name for shown, _ in scene.shown()}
     for what, column in (("x", 0), ("y", 1), ("heading", 2)):
-        sigmas = [SIGMAS * np.sqrt(np.maximum(e.P[:, column, column], 0.0)) for e in scene.estimates]
+        sigmas = [BAND_SIGMAS * np.sqrt(np.maximum(e.P[:, column, column], 0.0)) for e in scene.estimates]
         scale, unit = (180.0 / np.pi, "°") if what == "heading" else metres(sigmas)
         marks = tuple(
             Curve(e.name, e.t, scale * s) for e, s in zip(scene.estimates, sigmas, strict=True) if e.name in names
@@ -168,7 +168,7 @@ def _figures_words(judged: list[Evaluation], key: str, unit: str) -> str:
 MIN_ERROR_DEG = 1e-3  # a smaller heading error is drawn there
 BINS_PER_DECADE = 12
 MAX_DECADES = 8
-TALLEST = 0.8  # of a lane: the fullest bin of all
+MAX_BIN_HEIGHT_LANES = 0.8  # of a lane: the fullest bin of all
 
 
 def spread(scene: Scene) -> Section:
@@ -200,7 +200,13 @@ def _histograms(what: str, errors: Mapping[str, Array], scale: float, unit: str)
     for lane, (name, share) in enumerate(shares.items()):
         foot = lane + 0.92
         marks.append(
-            Band(name, x, np.full_like(x, foot), foot - TALLEST * np.repeat(share, 2) / tallest, solid=True)
+            Band(
+                name,
+                x,
+                np.full_like(x, foot),
+                foot - MAX_BIN_HEIGHT_LANES * np.repeat(share, 2) / tallest,
+                solid=True,
+            )
         )
         if len(errors[name]):
             middle = scale * float(np.median(errors[name]))
@@ -238,7 +244,7 @@ WORDS = {
     "credit": "credit: mean over every order",
     "bounds": "no effect",
 }
-LIMITS = (1e-3, 1e5)  # factors beyond are drawn at the edge
+FACTOR_LIMITS = (1e-3, 1e5)  # factors beyond are drawn at the edge
 
 
 def credit(scene: Scene) -> Section:
@@ -272,6 +278,6 @@ def credit(scene: Scene) -> Section:
 
 
 def _effect(sensor: str, kind: str, y: float, found: Mapping[str, Any]) -> list[Mark]:
-    ends = [[float(np.clip(found[k], *LIMITS)), y] for k in ("low", "high") if found[k] is not None]
+    ends = [[float(np.clip(found[k], *FACTOR_LIMITS)), y] for k in ("low", "high") if found[k] is not None]
     interval = [Strokes(sensor, np.array([ends]))] if ends else []
-    return [*interval, Spots(kind, np.clip([found["factor"]], *LIMITS), np.array([y]))]
+    return [*interval, Spots(kind, np.clip([found["factor"]], *FACTOR_LIMITS), np.array([y]))]

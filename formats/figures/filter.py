@@ -9,7 +9,7 @@ from locfuse.fusion.data import VERDICTS, Array, Audit, Component, Estimates, Ev
 from .panels import TIME, Band, Curve, Dots, Mark, Panel, Section
 from .scene import Scene
 
-STRETCHES = 120  # of a drive, over which NEES is averaged for drawing
+MAX_NEES_STRETCHES = 120  # of a drive, over which NEES is averaged for drawing
 GATE_BINS = 150  # of the gate timeline
 INNOVATION_SIGMAS = 2.0
 
@@ -32,7 +32,7 @@ def consistency(scene: Scene) -> Section:
 def _nees(judged: list[Evaluation], bounds: tuple[float, float], span: tuple[float, float]) -> Panel:
     low, high = (np.full(2, b) for b in bounds)
     marks: list[Mark] = [Band("bounds", np.array(span), low, high)]
-    marks += [Curve(j.name, *means(j.t, j.nees, STRETCHES)) for j in judged]
+    marks += [Curve(j.name, *means(j.t, j.nees, MAX_NEES_STRETCHES)) for j in judged]
     words = ", ".join(f"{j.name} {value:.2f}" for j in judged if (value := j.figures.get("anees")) is not None)
     return Panel(
         "nees",
@@ -92,7 +92,7 @@ def _innovation(e: Estimates, sensor: str, audit: Audit, i: int, c: Component) -
     accepted = audit.verdict == 0
     refused = ~accepted & np.isfinite(y)
     used = sensor if len(e.sensors) > 1 else e.name
-    stretches = int(np.clip(int(accepted.sum()) // 3, 1, STRETCHES))
+    stretches = int(np.clip(int(accepted.sum()) // 3, 1, MAX_NEES_STRETCHES))
     at, variance = means(t[accepted], (c.scale * audit.sigma[accepted, i]) ** 2, stretches)
     sigma = INNOVATION_SIGMAS * np.sqrt(variance)
     marks: list[Mark] = [Band("bounds", at, -sigma, sigma)]
@@ -113,7 +113,7 @@ def _innovation(e: Estimates, sensor: str, audit: Audit, i: int, c: Component) -
 
 
 def gates(scene: Scene) -> Section:
-    """Return the gate timeline: what became of each sensor's measurements, as shares over time."""
+    """Return the gate timeline: shares of each sensor's measurements by verdict, over time."""
     best = scene.best
     marks: list[Mark] = []
     for lane, audit in enumerate(best.audits.values()):

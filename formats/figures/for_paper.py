@@ -19,12 +19,12 @@ from . import palette, ticks
 from .palette import Trace
 from .panels import Band, Curve, Dots, Mark, Panel, Section, Spots, Strokes, ranges
 
-INCHES = (3.5, 2.1)  # one column of a two-column paper
-SQUARE = (3.5, 3.0)
-AREA = (0.17, 0.19, 0.8, 0.66)  # of the axes in the figure: a layout engine costs a third of the time
+PANEL_SIZE_IN = (3.5, 2.1)  # one column of a two-column paper
+SQUARE_SIZE_IN = (3.5, 3.0)
+AXES_AREA = (0.17, 0.19, 0.8, 0.66)  # of the axes in the figure: a layout engine costs a third of the time
 HEIGHT_IN_COLUMN = 1.45  # inches of each of several panels over each other
 COLUMN = {"top": 0.88, "bottom": 0.12, "hspace": 0.12}
-LANES = (0.24, 0.19, 0.73, 0.66)
+LANES_AREA = (0.24, 0.19, 0.73, 0.66)
 MAX_LEGEND_SPOT = 5.0  # points: dots are drawn larger in the legend, spots are large enough
 LEGEND: dict[str, Any] = {
     "ncols": 4,
@@ -37,7 +37,7 @@ LEGEND: dict[str, Any] = {
     "markerscale": 4.0,
     "borderpad": 0.1,
 }
-POINTS = 1600  # of a curve: more than 3.5 inches at 300 dpi can show
+MAX_CURVE_POINTS = 1600  # of a curve: more than 3.5 inches at 300 dpi can show
 TRUTH_DASH = (0, (1, 2))
 DASHES = {"dash": (0, (4, 2)), "over": (0, (7, 3))}
 WIDE_PT = 1.8
@@ -97,8 +97,8 @@ def draw(panel: Panel, inks: dict[str, str], looks: Mapping[str, str] | None = N
     from matplotlib.figure import Figure
 
     with _style():
-        figure = Figure(figsize=SQUARE if panel.equal else INCHES)
-        _fill(figure.add_axes(LANES if panel.lanes else AREA), panel, inks, looks or {})
+        figure = Figure(figsize=SQUARE_SIZE_IN if panel.equal else PANEL_SIZE_IN)
+        _fill(figure.add_axes(LANES_AREA if panel.lanes else AXES_AREA), panel, inks, looks or {})
         return _saved(figure)
 
 
@@ -110,8 +110,8 @@ def draw_column(
 
     with _style():
         n = len(panels)
-        figure = Figure(figsize=(INCHES[0], 0.45 + HEIGHT_IN_COLUMN * n))
-        grid = figure.add_gridspec(n, 1, left=AREA[0], right=AREA[0] + AREA[2], **COLUMN)
+        figure = Figure(figsize=(PANEL_SIZE_IN[0], 0.45 + HEIGHT_IN_COLUMN * n))
+        grid = figure.add_gridspec(n, 1, left=AXES_AREA[0], right=AXES_AREA[0] + AXES_AREA[2], **COLUMN)
         axes = [figure.add_subplot(grid[i]) for i in range(n)]
         for i, (own, panel) in enumerate(zip(axes, panels, strict=True)):
             _fill(own, panel, inks, looks or {})
@@ -192,11 +192,13 @@ def _mark(axes: Any, panel: Panel, mark: Mark, inks: dict[str, str], looks: Mapp
     elif isinstance(mark, Spots):
         axes.plot(mark.x, mark.y, color=ink, ls="none", label=label, zorder=4, **SPOTS[palette.SHAPES[mark.of]])
     elif isinstance(mark, Band):
-        kept = extremes(np.stack((mark.low, mark.high), axis=-1), POINTS)
+        kept = extremes(np.stack((mark.low, mark.high), axis=-1), MAX_CURVE_POINTS)
         alpha = 1.0 if mark.solid else 0.18
         axes.fill_between(mark.x[kept], mark.low[kept], mark.high[kept], color=ink, alpha=alpha, lw=0, label=label)
     elif isinstance(mark, Dots):
-        axes.plot(mark.x, mark.y, ".", color=ink, ms=1.2, mew=0, label=label, rasterized=len(mark.x) > POINTS)
+        axes.plot(
+            mark.x, mark.y, ".", color=ink, ms=1.2, mew=0, label=label, rasterized=len(mark.x) > MAX_CURVE_POINTS
+        )
     elif isinstance(mark, Strokes):
         for i, (a, b) in enumerate(mark.ends):
             axes.plot((a[0], b[0]), (a[1], b[1]), color=ink, lw=1.8, label=label if i == 0 else None)
@@ -205,7 +207,7 @@ def _mark(axes: Any, panel: Panel, mark: Mark, inks: dict[str, str], looks: Mapp
 def _curve(axes: Any, mark: Curve, ink: str, label: str | None, broken: Any) -> None:
     dash = TRUTH_DASH if mark.of == "truth" else broken
     grows = bool((np.diff(mark.x) >= 0).all())
-    kept = extremes(mark.y, POINTS) if grows else np.arange(len(mark.x))
+    kept = extremes(mark.y, MAX_CURVE_POINTS) if grows else np.arange(len(mark.x))
     width = {"lw": WIDE_PT} if mark.wide else {}
     axes.plot(mark.x[kept], mark.y[kept], color=ink, ls=dash, label=label, **width)
 

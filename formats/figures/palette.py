@@ -40,7 +40,7 @@ class Trace(NamedTuple):
 ODOMETRY = Colour("#686a70", "#94979c")
 ALL = Colour("#8a0a55", "#bf2f80")
 TRUTH = Colour("#0d0f12", "#f4f5f7")
-SETS = (  # of several sensors but not all: told apart by their dashes and names too
+SETS = (  # of several sensors but not all: they differ by their dashes and names too
     Colour("#0b6e6e", "#58c6c6"),
     Colour("#6d4fc4", "#a58bf0"),
     Colour("#8c6a00", "#d2b13a"),
@@ -49,7 +49,7 @@ SETS = (  # of several sensors but not all: told apart by their dashes and names
 )
 OUT = Colour("#a3123a", "#e0566f")
 LANDMARK = Colour("#d615c0", "#ff4fe6")
-LEVELS = (  # of a figure along a path, small to large: lightness alone tells them apart, hue helps
+LEVELS = (  # of a figure along a path, small to large: they differ by lightness alone, hue helps
     Colour("#16c3b4", "#044b94"),
     Colour("#0091cd", "#6c5ab6"),
     Colour("#685fbc", "#bb6ab4"),

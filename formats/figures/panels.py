@@ -14,7 +14,7 @@ from msgspec import field
 
 from locfuse.fusion.data import Array, Event
 
-FARTHEST = 1e100  # that an axis shows: the span of what a damaged log says may be more than a number holds
+MAX_AXIS_VALUE = 1e100  # that an axis shows: the span of what a damaged log says may be more than a number holds
 TIME = "time, s"  # the label of a time axis
 
 
@@ -64,7 +64,7 @@ class Spots(msgspec.Struct, frozen=True):
 Mark = Curve | Band | Dots | Strokes | Spots
 
 
-class Track(msgspec.Struct, frozen=True):
+class TimedPlaces(msgspec.Struct, frozen=True):
     """Where something was at evenly spaced times, so that a cursor over time finds its place. It is not drawn."""
 
     of: str
@@ -92,7 +92,7 @@ class Panel(msgspec.Struct, frozen=True):
     keys: tuple[str, ...] = ()  # roles that need a legend of their own
     events: tuple[Event, ...] = ()  # what happened when, shaded behind the marks of a time axis
     said: Mapping[str, str] = field(default_factory=dict)  # role -> its words in the legend, where not its name
-    tracks: tuple[Track, ...] = ()  # of a map: where each result was when
+    tracks: tuple[TimedPlaces, ...] = ()  # of a map: where each result was when
 
 
 class Section(msgspec.Struct, frozen=True):
@@ -139,7 +139,7 @@ def _span(columns: list[Array], air: float, log: bool = False) -> tuple[float, f
 
 def _opened(low: float, high: float) -> tuple[float, float]:
     """Return limits with something between them: a log may be one instant long, a value constant."""
-    low, high = max(low, -FARTHEST), min(high, FARTHEST)
+    low, high = max(low, -MAX_AXIS_VALUE), min(high, MAX_AXIS_VALUE)
     if high - low >= 1e-12 * max(1.0, abs(high)):
         return low, high
     pad = max(abs(high) * 0.1, 1e-3)

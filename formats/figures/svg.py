@@ -19,7 +19,7 @@ from locfuse.fusion.data import REFUSED, Array, Event, Ints
 
 from . import ticks
 from .palette import EVENTS, SHAPES
-from .panels import TIME, Band, Curve, Dots, Mark, Panel, Spots, Strokes, Track, ranges
+from .panels import TIME, Band, Curve, Dots, Mark, Panel, Spots, Strokes, TimedPlaces, ranges
 
 MAX_OFF_LINE_PX = 0.1  # px: a point this near to the line between its neighbours is not seen
 MAX_PASSES = 8
@@ -139,9 +139,9 @@ def _path_text(points: Array) -> str:
 
 WIDTH, HEIGHT = 460, 216  # px of an ordinary panel; the page scales it
 TOP, BOTTOM, RIGHT = 20, 34, 10
-CHARACTER = 6.4  # px, of a tick label at 11 px
+CHARACTER_WIDTH_PX = 6.4  # px, of a tick label at 11 px
 MIN_SHADE, SHADE_FOOT = 1.0, 6.0  # px: width of an instant, height of what lies at the foot
-FAR_PX = 1e6  # where nobody looks: lines to there leave the picture as those to anywhere beyond do
+FAR_PX = 1e6  # far outside the picture: a line to there looks like a line to any place beyond
 
 
 class Axis(msgspec.Struct, frozen=True):
@@ -218,9 +218,9 @@ def _axes(panel: Panel, x: Axis, y: Axis) -> str:
 def _left(panel: Panel, y0: float, y1: float) -> float:
     """Return the margin that the y labels need."""
     if panel.lanes:
-        return 12 + CHARACTER * max(len(lane) for lane in panel.lanes)
+        return 12 + CHARACTER_WIDTH_PX * max(len(lane) for lane in panel.lanes)
     found = (ticks.logarithmic if panel.log else ticks.linear)(y0, y1, 6)
-    return round(12 + CHARACTER * max([len(label) for _, label in found] or [1]))
+    return round(12 + CHARACTER_WIDTH_PX * max([len(label) for _, label in found] or [1]))
 
 
 def _equal(
@@ -271,7 +271,7 @@ def _mark(mark: Mark, x: Axis, y: Axis, slugs: dict[str, str], looks: Mapping[st
     return drawn + hole
 
 
-def _track(track: Track, x: Axis, y: Axis, slugs: dict[str, str]) -> str:
+def _track(track: TimedPlaces, x: Axis, y: Axis, slugs: dict[str, str]) -> str:
     """Return a path without a drawing that knows its places at even times, for the cursor's spot."""
     at = places(x.px(track.x), y.px(track.y))
     name = f"<title>{escape(track.of)}</title>"

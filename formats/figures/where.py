@@ -11,7 +11,7 @@ from locfuse.formats.thin import evenly
 from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, Evaluation, MapLine
 
 from .palette import LEVELS
-from .panels import Curve, Mark, Panel, Section, Spots, Strokes, Track
+from .panels import Curve, Mark, Panel, Section, Spots, Strokes, TimedPlaces
 from .scene import Scene
 
 STEPS_S = (10.0, 30.0, 60.0, 300.0, 600.0, 3600.0)
@@ -48,7 +48,7 @@ def between(t: Array, xy: Array, times: Array) -> Array:
     return np.stack([np.interp(times, t, column) for column in xy.T], axis=-1)
 
 
-def track(of: str, t: Array, xy: Array) -> list[Track]:
+def track(of: str, t: Array, xy: Array) -> list[TimedPlaces]:
     """Return where the path was at evenly spaced times; none of a path that has no place."""
     good = np.isfinite(xy).all(axis=1)
     t, xy = t[good], xy[good]
@@ -56,7 +56,7 @@ def track(of: str, t: Array, xy: Array) -> list[Track]:
         return []
     start, end = float(t[0]), float(t[-1])
     times = np.linspace(start, end, int(np.clip((end - start) / TRACK_STEP_S, 2, MAX_TRACK)))
-    return [Track(of, start, end, *between(t, xy, times).T)]
+    return [TimedPlaces(of, start, end, *between(t, xy, times).T)]
 
 
 # --- Trajectories over the line map
@@ -119,11 +119,11 @@ def ends(lines: list[MapLine]) -> Array:
 
 # --- Paths in the colours of their error, or of what the filter claims without truth
 
-STRETCHES = 240  # of a path, each in one colour
+COLOURED_STRETCHES = 240  # of a path, each in one colour
 MAX_POINTS_ON_SMALL_MAP = 1500  # of a path on a small map
 GATE = VERDICTS.index("gate")
 REFUSAL_CELL = 0.025  # of the map's extent: refusals in one cell share a cross
-HIGHEST = 0.6  # of the largest value: the last limit lies below, so that its colour is seen
+LAST_LIMIT_SHARE = 0.6  # of the largest value: the last limit lies below, so that its colour is seen
 TINY_M = 1e-6  # m: below, a path is without error
 
 
@@ -172,7 +172,7 @@ def _refused(audit: Audit, t: Array) -> Array:
 
 def _edges(largest: float) -> Array:
     """Return the limits between the colours [m]: 1, 3, 10, 30... up to about half the largest value."""
-    power = np.floor(2.0 * np.log10(max(HIGHEST * largest, TINY_M)))
+    power = np.floor(2.0 * np.log10(max(LAST_LIMIT_SHARE * largest, TINY_M)))
     halves = np.arange(power - len(LEVELS) + 2, power + 1)
     edges: Array = np.where(halves % 2 == 0, 1.0, 3.0) * 10.0 ** np.floor(halves / 2.0)
     return edges
@@ -207,13 +207,15 @@ def _panel(scene: Scene, route: Route, edges: Array, what: str, said: dict[str, 
 
 def _coloured(route: Route, edges: Array) -> list[Curve]:
     """Return the path as one curve per colour; a stretch has the colour of its rms value."""
-    ends = np.unique(np.rint(np.linspace(0, len(route.t) - 1, STRETCHES + 1)).astype(int))
+    ends = np.unique(np.rint(np.linspace(0, len(route.t) - 1, COLOURED_STRETCHES + 1)).astype(int))
     pieces: dict[int, list[Array]] = {}
     for first, last in pairwise(ends):
         stretch = route.value[first : last + 1]
         if np.isfinite(stretch).any():
             level = int(np.searchsorted(edges, np.sqrt(np.nanmean(stretch**2)), side="right"))
-            shown = route.xy[first : last + 1][evenly(last + 1 - first, MAX_POINTS_ON_SMALL_MAP // STRETCHES)]
+            shown = route.xy[first : last + 1][
+                evenly(last + 1 - first, MAX_POINTS_ON_SMALL_MAP // COLOURED_STRETCHES)
+            ]
             _extend(pieces.setdefault(level, []), shown)
     paths = {level: np.concatenate(found) for level, found in sorted(pieces.items())}
     return [Curve(f"level {level}", xy[:, 0], xy[:, 1], wide=True) for level, xy in paths.items()]

@@ -14,9 +14,9 @@ JOINTS = "sensor_msgs/msg/JointState"
 DYNAMIC = "control_msgs/msg/DynamicJointState"
 INTERFACES, VALUES = "interface_values.interface_names", "interface_values.values"
 OF_DYNAMIC = ("joint_names", INTERFACES, VALUES, f"{VALUES}.length")
-SAID = ("position", "velocity", "effort")  # interfaces that a JointState has too
+JOINT_NUMBERS = ("position", "velocity", "effort")  # interfaces that a JointState has too
 FOXGLOVE_JOINTS = ("foxglove.JointStates", "foxglove_msgs/msg/JointStates")
-OF_FOXGLOVE_JOINTS = ("joints.name", *(f"joints.{name}" for name in SAID))
+OF_FOXGLOVE_JOINTS = ("joints.name", *(f"joints.{name}" for name in JOINT_NUMBERS))
 # The Jackal's two motors: left before right, angle [rad] and rate [rad/s] of the wheel.
 FEEDBACK = ("jackal_msgs/msg/Feedback", "clearpath_platform_msgs/msg/Feedback")
 OF_FEEDBACK = ("drivers.measured_travel", "drivers.measured_velocity")

@@ -152,7 +152,7 @@ class Identity(NamedTuple):
     digest: str  # hexadecimal
 
 
-class Seen(NamedTuple):
+class SeenFile(NamedTuple):
     """What one file is known by."""
 
     kind: str  # of the content: "summary", "ends" or "etag"
@@ -170,7 +170,7 @@ def identity_of(files: Sequence[Place]) -> Identity:
     return identity([seen_of(file) for file in files])
 
 
-def identity(seen: Sequence[Seen]) -> Identity:
+def identity(seen: Sequence[SeenFile]) -> Identity:
     """Return the identity of a log by what was seen of each of its files."""
     state, total = hashlib.sha256(), 0
     for kind, size, content in seen:
@@ -179,7 +179,7 @@ def identity(seen: Sequence[Seen]) -> Identity:
     return Identity(total, state.hexdigest())
 
 
-def seen_of(file: Place) -> Seen:
+def seen_of(file: Place) -> SeenFile:
     """Return what a file is known by."""
     if isinstance(file, Url):
         from locfuse.formats.container.remote_objects import Object
@@ -188,12 +188,12 @@ def seen_of(file: Place) -> Seen:
     data = FileBytes(file, Losses())
     section = summary_section(data)
     kind, content = ("ends", _ends(data)) if section is None else ("summary", section)
-    return Seen(kind, data.size, content)
+    return SeenFile(kind, data.size, content)
 
 
-def seen_of_object(size: int, tag: str) -> Seen:
+def seen_of_object(size: int, tag: str) -> SeenFile:
     """Return what is known of an object in a store: its ETag changes with its content."""
-    return Seen("etag", size, tag.encode())
+    return SeenFile("etag", size, tag.encode())
 
 
 def _ends(data: FileBytes) -> bytes:

@@ -40,7 +40,7 @@ from .stream import (
     PresentedStream,
     RangeStream,
     Raw,
-    Table,
+    TopicTable,
     dated,
     digest,
     field_of,
@@ -48,7 +48,7 @@ from .stream import (
 from .transform_stream import (
     TF_FIELDS,
     TRANSFORM,
-    Edge,
+    FrameEdge,
     TagStream,
     TransformStream,
     edges_of,
@@ -156,7 +156,7 @@ def _same_kind(one: ChannelInfo, other: ChannelInfo) -> bool:
 # --- The log
 
 AnyStream = LogStream | TransformStream | TagStream | FileStream | NumberStream | RangeStream | PresentedStream
-MOVING = 0.005  # m, and of a quaternion (0.6 degrees): a mount that gives less is one
+MIN_MOTION_M = 0.005  # m, and of a quaternion (0.6 degrees): a mount that gives less is one
 FOXGLOVE_TF = tuple(f"foxglove{dot}FrameTransform{s}" for dot in (".", "_msgs/msg/") for s in ("", "s"))
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", *FOXGLOVE_TF)
 
@@ -180,10 +180,10 @@ class Log:
         if len(self._channels) > MAX_TOPICS:
             raise LocfuseError(names_its_cap(f"{name}: too many topics", len(self._channels), MAX_TOPICS))
         self.topics = {topic: channels.topic for topic, channels in self._channels.items()}
-        self._tables: dict[str, Table] = {}
+        self._tables: dict[str, TopicTable] = {}
         self._streams: dict[tuple[str, str], AnyStream] = {}
         self._files: dict[str, FileStream] = {}
-        self._edges: dict[tuple[str, str], dict[tuple[str, str], Edge]] = {}
+        self._edges: dict[tuple[str, str], dict[tuple[str, str], FrameEdge]] = {}
 
     @cached_property
     def sha256(self) -> str:
@@ -347,7 +347,7 @@ class Log:
             and not _is_static_tf(name, topic)
         ]
 
-    def frames(self, topic: str, order: str = "auto") -> dict[tuple[str, str], Edge]:
+    def frames(self, topic: str, order: str = "auto") -> dict[tuple[str, str], FrameEdge]:
         """Return the transforms of a /tf topic by (parent, child). Raises LocfuseError where they form a loop."""
         if (topic, order) not in self._edges:
             table = self.read({topic: TF_FIELDS})[topic]
@@ -381,7 +381,7 @@ class Log:
             _at_first(edge)
             for topic in self.transform_topics
             for edge in self.frames(topic).values()
-            if np.ptp(edge.values, axis=0).max() > MOVING
+            if np.ptp(edge.values, axis=0).max() > MIN_MOTION_M
         ]
 
     def all_mounts(self) -> transforms.StaticTransforms:
@@ -418,7 +418,7 @@ class Log:
         if problem := self.topics[topic].problem:
             raise UnreadableTopicError.of(self.name, topic, problem)
 
-    def read(self, wants: Mapping[str, Sequence[str]]) -> dict[str, Table]:
+    def read(self, wants: Mapping[str, Sequence[str]]) -> dict[str, TopicTable]:
         """Make sure that the fields are in memory; what is missing is read in one walk."""
         tables = {topic: self._table(topic) for topic in wants}
         reading = {t: table for t, table in tables.items() if not table.known or table.missing(wants[t])}
@@ -434,17 +434,17 @@ class Log:
             table.sort(digests.get(topic))
         return tables
 
-    def _digests(self, tied: Mapping[str, Table]) -> dict[str, Ints]:
+    def _digests(self, tied: Mapping[str, TopicTable]) -> dict[str, Ints]:
         found: dict[str, list[Ints]] = {topic: [] for topic in tied}
         times = {topic: table.tied() for topic, table in tied.items()}
         for topic, raw in self._walk(tied) if tied else ():
             found[topic].append(digest(raw, times[topic]))
         return {topic: np.concatenate(parts) for topic, parts in found.items()}
 
-    def _table(self, topic: str) -> Table:
+    def _table(self, topic: str) -> TopicTable:
         if topic not in self._tables:
             try:
-                self._tables[topic] = Table(topic, self._channels[topic].decoder, self.topics[topic].count)
+                self._tables[topic] = TopicTable(topic, self._channels[topic].decoder, self.topics[topic].count)
             except SchemaError as problem:
                 raise UnreadableTopicError.of(self.name, topic, str(problem)) from None
         return self._tables[topic]
@@ -510,7 +510,7 @@ class Log:
         return self._channels[topic].left_out()
 
 
-def _at_first(edge: Edge) -> transforms.Transform:
+def _at_first(edge: FrameEdge) -> transforms.Transform:
     """Return a transform as it was first."""
     return transforms.Transform(edge.parent, edge.child, transforms.matrices_of(edge.values[:1])[0])
 

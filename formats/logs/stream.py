@@ -63,7 +63,7 @@ class Pass:
         self.long = 0  # bytes of the messages that are longer than LONG_BYTES
 
 
-class Table:
+class TopicTable:
     """The readable messages of one topic. Row = place in recording order; walk row = place in the files."""
 
     def __init__(self, topic: str, decoder: MessageDecoder, expected: int) -> None:
@@ -253,7 +253,7 @@ BLOCK_BYTES = 32 * 1024 * 1024
 class Reader(Protocol):
     """What a stream asks of its log."""
 
-    def read(self, wants: Mapping[str, Sequence[str]]) -> dict[str, Table]:
+    def read(self, wants: Mapping[str, Sequence[str]]) -> dict[str, TopicTable]:
         """Make sure that the fields of the topics are in memory."""
 
     def raw(self, topic: str, fields: Sequence[str]) -> Iterator[Raw]:
@@ -277,7 +277,7 @@ class LogStream(clocks.Dated):
         self._log = log
 
     @property
-    def _table(self) -> Table:
+    def _table(self) -> TopicTable:
         return self._log.read({self.topic: ()})[self.topic]
 
     @cached_property

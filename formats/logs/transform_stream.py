@@ -34,13 +34,13 @@ from . import clock as clocks
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
 STAMP = "transforms.header.stamp|transforms.timestamp|timestamp"
 TF_FIELDS = (STAMP, *FIELDS)
-STILL = 1e-6  # m, and of a quaternion: what moves by less does not move
+MAX_STILL_M = 1e-6  # m, and of a quaternion: what moves by less does not move
 NAMES = tuple(f"transform.{part}" for part in ("translation.x", "translation.y", "translation.z")) + tuple(
     f"transform.rotation.{axis}" for axis in "xyzw"
 )
 
 
-class Edge(NamedTuple):
+class FrameEdge(NamedTuple):
     """One frame in its parent over time, as often as it was published."""
 
     parent: str
@@ -53,7 +53,7 @@ class Edge(NamedTuple):
     @property
     def moves(self) -> bool:
         """Whether it ever changes."""
-        return bool(np.ptp(self.values, axis=0).max() > STILL)
+        return bool(np.ptp(self.values, axis=0).max() > MAX_STILL_M)
 
 
 def pair_of(name: str) -> tuple[str, str, str] | None:
@@ -62,7 +62,7 @@ def pair_of(name: str) -> tuple[str, str, str] | None:
     return (parts[0], parts[1].lstrip("/"), parts[2].lstrip("/")) if len(parts) == 3 and all(parts) else None
 
 
-def edges_of(log_time: Ints, columns: Mapping[str, Column], order: str) -> dict[tuple[str, str], Edge]:
+def edges_of(log_time: Ints, columns: Mapping[str, Column], order: str) -> dict[tuple[str, str], FrameEdge]:
     """Return the transforms of a /tf topic by (parent, child); `log_time` (m,) is of its messages."""
     columns = as_lists(columns)
     parents, children = (cast("list[tuple[str, ...]]", columns[name]) for name in FIELDS[:2])
@@ -79,18 +79,18 @@ def edges_of(log_time: Ints, columns: Mapping[str, Column], order: str) -> dict[
             rows.setdefault(key, []).append(row)
     found = {}
     for key, at in places.items():
-        good = np.isfinite(values[at]).all(axis=1) & (np.square(values[at, 3:]).sum(axis=1) > STILL)
+        good = np.isfinite(values[at]).all(axis=1) & (np.square(values[at, 3:]).sum(axis=1) > MAX_STILL_M)
         use = np.array(at)[good]
         if len(use):
             said, recorded = np.asarray(stamps.values)[use].astype(np.int64), log_time[np.array(rows[key])[good]]
-            found[key] = Edge(*key, clocks.settle(recorded, said, order), recorded, said, values[use])
+            found[key] = FrameEdge(*key, clocks.settle(recorded, said, order), recorded, said, values[use])
     return found
 
 
 class TransformStream(clocks.Dated):
     """One frame in another over time, with the face of a topic (formats.logs.stream.LogStream)."""
 
-    def __init__(self, topic: str, order: str, edges: Sequence[Edge], static: StaticTransforms) -> None:
+    def __init__(self, topic: str, order: str, edges: Sequence[FrameEdge], static: StaticTransforms) -> None:
         self.topic = topic
         self.msgtype = TRANSFORM
         self.order = order
@@ -101,14 +101,14 @@ class TransformStream(clocks.Dated):
         self._static = static
 
     @cached_property
-    def _steps(self) -> list[Step]:
+    def _steps(self) -> list[EdgeStep]:
         """The way from the parent to the child, edge by edge. Raises LocfuseError where there is none."""
         return _way(self._parent, self._child, self._edges, self._static, self.source)
 
     @cached_property
-    def _main(self) -> Edge:
+    def _main(self) -> FrameEdge:
         """The transform that dates the stream: the most frequent one of the way."""
-        moving = [step.edge for step in self._steps if isinstance(step.edge, Edge)]
+        moving = [step.edge for step in self._steps if isinstance(step.edge, FrameEdge)]
         if not moving:
             words = f"{self.source}: {self._child} never moves in {self._parent}: both are on one rigid body"
             raise LocfuseError(words)
@@ -124,7 +124,7 @@ class TransformStream(clocks.Dated):
         t = self._main.clock.t_ns
         keep = np.ones(len(t), dtype=bool)
         for step in self._steps:
-            if isinstance(step.edge, Edge) and step.edge is not self._main and step.edge.moves:
+            if isinstance(step.edge, FrameEdge) and step.edge is not self._main and step.edge.moves:
                 keep &= (t >= step.edge.clock.t_ns[0]) & (t <= step.edge.clock.t_ns[-1])
         return keep
 
@@ -154,7 +154,7 @@ class TransformStream(clocks.Dated):
         """Positions and quaternions (n, 7) of the child in the parent."""
         T = np.broadcast_to(np.eye(4), (len(self.t_ns), 4, 4))
         for step in self._steps:
-            one = step.edge if not isinstance(step.edge, Edge) else _at(step.edge, self.t_ns)
+            one = step.edge if not isinstance(step.edge, FrameEdge) else _at(step.edge, self.t_ns)
             T = T @ (inverse_of(one) if step.backward else one)
         return np.concatenate((T[:, :3, 3], quaternions_of(T[:, :3, :3])), axis=1)
 
@@ -171,7 +171,7 @@ class TagStream(clocks.Dated):
 
     msgtype = TAGS
 
-    def __init__(self, topic: str, order: str, edges: Sequence[Edge], static: StaticTransforms) -> None:
+    def __init__(self, topic: str, order: str, edges: Sequence[FrameEdge], static: StaticTransforms) -> None:
         self.topic = topic
         self.order = order
         self.frame_id = edges[0].parent
@@ -197,7 +197,7 @@ class TagStream(clocks.Dated):
         return {name: self._data[name] for name in fields}
 
 
-def tags_of(edges: Mapping[tuple[str, str], Edge], camera: str) -> list[Edge]:
+def tags_of(edges: Mapping[tuple[str, str], FrameEdge], camera: str) -> list[FrameEdge]:
     """Return the numbered frames that were seen in a frame, those called like tags where there are any.
 
     What never moves there is a part of the robot.
@@ -210,21 +210,21 @@ def tags_of(edges: Mapping[tuple[str, str], Edge], camera: str) -> list[Edge]:
     return [edge for edge in found if named_as_tag(edge.child)] or found
 
 
-def _again(edge: Edge) -> NDArray[np.bool_]:
+def _again(edge: FrameEdge) -> NDArray[np.bool_]:
     """Mark the transforms (n,) that are those before them, to the bit."""
     same = np.zeros(len(edge.stamp), dtype=bool)
     same[1:] = (edge.values[1:] == edge.values[:-1]).all(axis=1)
     return same
 
 
-class Step(NamedTuple):
+class EdgeStep(NamedTuple):
     """One edge on the way from a frame to another."""
 
-    edge: Edge | Array  # an array (4, 4) where it never moves
+    edge: FrameEdge | Array  # an array (4, 4) where it never moves
     backward: bool
 
 
-def _at(edge: Edge, t_ns: Ints) -> Array:
+def _at(edge: FrameEdge, t_ns: Ints) -> Array:
     """Return the transforms (n, 4, 4) at some times within those of the edge, interpolated."""
     rows = edge.clock.rows
     values = edge.values if rows is None else edge.values[rows]
@@ -237,19 +237,21 @@ def _at(edge: Edge, t_ns: Ints) -> Array:
     return matrices_of(np.stack([np.interp(times, grid, column) for column in values.T], axis=-1))
 
 
-def _way(start: str, goal: str, edges: Sequence[Edge], static: StaticTransforms, source: str) -> list[Step]:
+def _way(
+    start: str, goal: str, edges: Sequence[FrameEdge], static: StaticTransforms, source: str
+) -> list[EdgeStep]:
     """Return the shortest way between two frames over edges in either direction."""
-    at: dict[str, list[tuple[str, Step]]] = {}
-    every = [(e.parent, e.child, cast("Edge | Array", e)) for e in edges]
+    at: dict[str, list[tuple[str, EdgeStep]]] = {}
+    every = [(e.parent, e.child, cast("FrameEdge | Array", e)) for e in edges]
     every += [(e.parent, e.child, e.T_parent_child) for e in static.edges]
     for parent, child, edge in every:
-        at.setdefault(parent, []).append((child, Step(edge, backward=False)))
-        at.setdefault(child, []).append((parent, Step(edge, backward=True)))
+        at.setdefault(parent, []).append((child, EdgeStep(edge, backward=False)))
+        at.setdefault(child, []).append((parent, EdgeStep(edge, backward=True)))
     missing = [frame for frame in (start, goal) if frame not in at]
     if missing:
         have = ", ".join(sorted(at)[:12]) or "no frames"
         raise LocfuseError(f"{source} has no frame {missing[0]}; it has {have}")
-    ways: dict[str, list[Step]] = {start: []}
+    ways: dict[str, list[EdgeStep]] = {start: []}
     waiting = deque([start])
     while waiting and goal not in ways:
         here = waiting.popleft()
@@ -262,7 +264,7 @@ def _way(start: str, goal: str, edges: Sequence[Edge], static: StaticTransforms,
     return ways[goal]
 
 
-def loop_in(edges: Sequence[Edge]) -> tuple[str, ...]:
+def loop_in(edges: Sequence[FrameEdge]) -> tuple[str, ...]:
     """Return the frames of a loop in the tree (a frame that is its own ancestor), nothing where there is none."""
     above: dict[str, set[str]] = {}
     for edge in edges:

@@ -25,7 +25,7 @@ from locfuse.formats.columns import concat, take, view
 from locfuse.fusion.data import Column, Ints, Ragged
 
 from .fields import Part, resolve
-from .schema import Counts, Decoded, Many, Node, Record, Scalar, Text
+from .schema import Decoded, LengthCounts, Many, Node, Scalar, Structure, Text
 
 WORD = struct.Struct("<I")
 
@@ -34,7 +34,7 @@ class MalformedError(ValueError):
     """A message that is not what its definition says; the message is the reason in a few words."""
 
 
-class Rules(NamedTuple):
+class LayoutRules(NamedTuple):
     """How a serialisation lays values out."""
 
     header: int  # bytes before the first value; alignment counts from behind them
@@ -43,8 +43,8 @@ class Rules(NamedTuple):
     spare: int  # bytes of padding allowed at the end
 
 
-CDR = Rules(header=4, aligned=True, nul=1, spare=3)  # OMG DDSI-RTPS, plain CDR as in ROS 2
-ROS1 = Rules(header=0, aligned=False, nul=0, spare=0)
+CDR = LayoutRules(header=4, aligned=True, nul=1, spare=3)  # OMG DDSI-RTPS, plain CDR as in ROS 2
+ROS1 = LayoutRules(header=0, aligned=False, nul=0, spare=0)
 
 # Which parts of a message are wanted: field name -> its wanted parts, or the dotted path of a wanted leaf.
 Wanted = Mapping[str, "Wanted | str"]
@@ -80,9 +80,9 @@ class Layout(msgspec.Struct, frozen=True, eq=False):
     tail: Tail | None
 
 
-def read_layout(message: Record, wanted: Wanted, payload: memoryview, rules: Rules) -> Layout:
+def read_layout(message: Structure, wanted: Wanted, payload: memoryview, rules: LayoutRules) -> Layout:
     """Walk one message. Raises MalformedError when it does not fill its bytes exactly (but for padding)."""
-    walk = _Walk(payload, rules)
+    walk = _LayoutWalk(payload, rules)
     try:
         walk.step(message, wanted)
     except struct.error:
@@ -97,8 +97,8 @@ def read_layout(message: Record, wanted: Wanted, payload: memoryview, rules: Rul
     return Layout(len(payload), walk.little, np.array(walk.spots, np.int64), words, walk.leaves, tail)
 
 
-class _Walk:
-    def __init__(self, payload: memoryview, rules: Rules) -> None:
+class _LayoutWalk:
+    def __init__(self, payload: memoryview, rules: LayoutRules) -> None:
         self.payload = payload
         self.rules = rules
         self.at = rules.header
@@ -134,7 +134,7 @@ class _Walk:
             self._numbers(node, 1, wanted)
         elif isinstance(node, Text):
             self._text(wanted)
-        elif isinstance(node, Record):
+        elif isinstance(node, Structure):
             parts = wanted if isinstance(wanted, Mapping) else {}
             for name, part in node.fields.items():
                 self.step(part, parts.get(name))
@@ -216,7 +216,7 @@ def fixed_size(node: Node, phase: int, aligned: bool) -> int | None:
     """Return the bytes a value takes, alignment included, from `phase` = offset mod 8 on; None if it depends."""
     if isinstance(node, Scalar):
         return node.size + (-phase % node.size if aligned else 0)
-    if isinstance(node, Record):
+    if isinstance(node, Structure):
         size = 0
         for part in node.fields.values():
             more = fixed_size(part, (phase + size) % 8, aligned)
@@ -280,7 +280,7 @@ class Request(msgspec.Struct):
 class Decoder:
     """Columns out of the messages of one type."""
 
-    def __init__(self, message: Record, rules: Rules = CDR) -> None:
+    def __init__(self, message: Structure, rules: LayoutRules = CDR) -> None:
         self.message = message
         self.rules = rules
         self.fast = 0  # messages gathered by a layout that another message gave
@@ -411,7 +411,7 @@ def _leaf(data: Bytes, start: Ints, group: Group, part: Part) -> Column:
         offsets = np.array(leaf.offsets, np.int64)
         values = _numbers(data, start[:, None] + offsets, node.dtype, group.layout.little)
         return _rows(values) if part.inside else values[:, 0]
-    if isinstance(node, Counts):
+    if isinstance(node, LengthCounts):
         return _rows(np.tile(np.array(leaf.counts, np.int64), (len(start), 1)))
     if isinstance(node, Many) and isinstance(node.element, Scalar) and part.inside:
         return _arrays(data, start, group, leaf, node.element)
@@ -501,7 +501,7 @@ def _empty(part: Part) -> Column:
     node = part.node
     if isinstance(node, Text):
         return []
-    if isinstance(node, Counts):
+    if isinstance(node, LengthCounts):
         return Ragged(np.empty(0, np.int64), np.zeros(1, np.int64))
     element = node.element if isinstance(node, Many) else node
     if not isinstance(element, Scalar):

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
-from .schema import FILLER, Counts, Many, Node, Record, Scalar, Text
+from .schema import FILLER, LengthCounts, Many, Node, Scalar, Structure, Text
 
 STAMPS = ("header.stamp", "timestamp")  # where a message says when it was measured: ROS, Foxglove
 FRAMES = ("header.frame_id", "frame_id")
@@ -30,7 +30,7 @@ LENGTH = "length"  # of each of the arrays that lie in an array: "echoes.ranges.
 OR = "|"  # between the names that releases of a package gave to one field: "k|K"
 
 
-def resolve(message: Record, path: str) -> tuple[Part, ...]:
+def resolve(message: Structure, path: str) -> tuple[Part, ...]:
     """Find a field path in a message type, the first that it has of several. Raises FieldError naming the nearest.
 
     Arrays inside an array are one column end to end; the `.length` of arrays of numbers says where each ends.
@@ -42,69 +42,69 @@ def resolve(message: Record, path: str) -> tuple[Part, ...]:
     return _resolve(message, last)
 
 
-def _resolve(message: Record, path: str) -> tuple[Part, ...]:
+def _resolve(message: Structure, path: str) -> tuple[Part, ...]:
     node: Node = message
     inside, depth = False, 0
     walked: list[str] = []
     for name in path.split("."):
-        if name == LENGTH and inside and isinstance(node, Many) and not isinstance(node.element, Record):
-            return (Part(".".join(walked), Counts(), inside=True),)
-        if isinstance(node, Many) and isinstance(node.element, Record):
+        if name == LENGTH and inside and isinstance(node, Many) and not isinstance(node.element, Structure):
+            return (Part(".".join(walked), LengthCounts(), inside=True),)
+        if isinstance(node, Many) and isinstance(node.element, Structure):
             node, inside, depth = node.element, True, depth + 1
-        if not isinstance(node, Record):
+        if not isinstance(node, Structure):
             raise FieldError(f"{'.'.join(walked)} has no parts")
         if name not in node.fields:
             raise FieldError(_no_field(node, walked, name))
         node = node.fields[name]
         walked.append(name)
-    if isinstance(node, Many) and isinstance(node.element, Record) and node.element.is_time and not inside:
+    if isinstance(node, Many) and isinstance(node.element, Structure) and node.element.is_time and not inside:
         node, inside = node.element, True
-    if isinstance(node, Record) and node.is_time:
+    if isinstance(node, Structure) and node.is_time:
         return tuple(Part(f"{path}.{name}", part, inside) for name, part in node.fields.items())
-    if isinstance(node, Record) or (isinstance(node, Many) and isinstance(node.element, Record | Many)):
+    if isinstance(node, Structure) or (isinstance(node, Many) and isinstance(node.element, Structure | Many)):
         raise FieldError(f"{path} is a structure: name a part of it")
     if isinstance(node, Many) and inside and not isinstance(node.element, Scalar | Text):
         raise FieldError(f"{path} is an array inside an array: it cannot be a column")
     return (Part(path, node, inside, depth),)
 
 
-def _no_field(node: Record, walked: list[str], name: str) -> str:
+def _no_field(node: Structure, walked: list[str], name: str) -> str:
     near = difflib.get_close_matches(name, node.fields, 1)
     hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(node.fields)}"
     return f"{'.'.join(walked) or node.name} has no field {name!r}; {hint}"
 
 
-def paths(message: Record) -> list[str]:
+def paths(message: Structure) -> list[str]:
     """Return the path of every field of a message type that can be a column."""
     return list(_paths(message, "", inside=False))
 
 
 def _paths(node: Node, path: str, *, inside: bool) -> Iterator[str]:
-    if isinstance(node, Record) and not node.is_time:
+    if isinstance(node, Structure) and not node.is_time:
         for name, part in node.fields.items():
             if name != FILLER:
                 yield from _paths(part, f"{path}.{name}" if path else name, inside=inside)
     elif not isinstance(node, Many):
         yield path
     elif not inside:
-        if isinstance(node.element, Record):
+        if isinstance(node.element, Structure):
             yield from _paths(node.element, path, inside=True)
         elif not isinstance(node.element, Many):
             yield path
 
 
-def stamp_path(message: Record) -> str | None:
+def stamp_path(message: Structure) -> str | None:
     """Return the field that dates the message, None where only the recording does."""
     return next((path for path in STAMPS if len(_resolved(message, path)) == 2), None)
 
 
-def frame_path(message: Record) -> str | None:
+def frame_path(message: Structure) -> str | None:
     """Return the field that names the frame of the message's values."""
     found = ((path, _resolved(message, path)) for path in FRAMES)
     return next((path for path, parts in found if parts and isinstance(parts[0].node, Text)), None)
 
 
-def _resolved(message: Record, path: str) -> tuple[Part, ...]:
+def _resolved(message: Structure, path: str) -> tuple[Part, ...]:
     try:
         return resolve(message, path)
     except FieldError:
@@ -343,7 +343,7 @@ def kind_of(parts: Sequence[Part]) -> str:
     if len(parts) == 2:
         return TIMES if first.inside else TIME
     node, many = first.node, first.inside
-    if isinstance(node, Counts):
+    if isinstance(node, LengthCounts):
         return NUMBERS
     if isinstance(node, Many):
         if isinstance(node.element, Scalar) and node.element.dtype == "u1" and node.count is None and not many:
@@ -359,7 +359,7 @@ def kind_of(parts: Sequence[Part]) -> str:
 
 
 def expected(msgtype: str, path: str) -> tuple[str, ...]:
-    """Return the kinds that whoever reads this field of this message type can take; none where nobody reads it."""
+    """Return the kinds of column that the readers of this field of this type take; none without readers."""
     if path in STAMPS:
         return (TIME,)
     if msgtype not in READ_TYPES:

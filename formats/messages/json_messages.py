@@ -21,11 +21,11 @@ from locfuse.formats.visible import writable
 from locfuse.fusion.data import Column, Ints, Ragged
 
 from .fields import Part, resolve
-from .schema import TIMES, Counts, Decoded, Many, Node, Record, Scalar, SchemaError, Text, refuse_large
+from .schema import TIMES, Decoded, LengthCounts, Many, Node, Scalar, SchemaError, Structure, Text, refuse_large
 
 NUMBER = Scalar("f8", 8)
 WHOLE = Scalar("i8", 8)
-TIME = Record(min(TIMES - {"builtin_interfaces/msg/Duration"}), {"sec": WHOLE, "nanosec": WHOLE})
+TIME = Structure(min(TIMES - {"builtin_interfaces/msg/Duration"}), {"sec": WHOLE, "nanosec": WHOLE})
 NANOSECONDS = ("nsec", "nanosec", "nsecs")
 NAN = float("nan")
 
@@ -33,7 +33,7 @@ NAN = float("nan")
 def column(objects: list[dict[str, Any]], path: str, parts: tuple[Part, ...]) -> Column:
     """Return one field of all messages; `parts` is what `path` was resolved to."""
     inside = parts[0].inside
-    if inside and isinstance(parts[0].node, Many | Counts):
+    if inside and isinstance(parts[0].node, Many | LengthCounts):
         return _nested(parts[0], objects)
     path = parts[0].path.rpartition(".")[0] if len(parts) == 2 else parts[0].path
     values = [_at(one, path.split(".")) for one in objects]
@@ -52,7 +52,7 @@ def _nested(part: Part, objects: list[dict[str, Any]]) -> Column:
     """Return the arrays inside an array end to end, or how long each is."""
     found = [_at(one, part.path.split(".")) for one in objects]
     rows = [[v if isinstance(v, list) else [] for v in row] if isinstance(row, list) else [] for row in found]
-    if isinstance(part.node, Counts):
+    if isinstance(part.node, LengthCounts):
         return _ragged([np.array([len(v) for v in row], np.int64) for row in rows], "i8")
     if isinstance(part.node, Many) and isinstance(part.node.element, Text):
         return [tuple(_text(v) for inner in row for v in inner) for row in rows]
@@ -142,14 +142,14 @@ def _bytes(value: Any) -> bytes:
 SCALARS: dict[str, Node] = {"number": NUMBER, "integer": NUMBER, "boolean": Scalar("?", 1), "string": Text()}
 
 
-def parse_jsonschema(name: str, text: str) -> Record:
+def parse_jsonschema(name: str, text: str) -> Structure:
     """Return the tree of a JSON schema: numbers, strings, base64 bytes, arrays, objects; a time is one value."""
     try:
         refuse_large(name, "jsonschema", text)
         tree = _node(name, msgspec.json.decode(text), 0)
     except (msgspec.DecodeError, RecursionError, UnicodeEncodeError):
         raise SchemaError(f"its jsonschema definition of {name} cannot be parsed") from None
-    if not isinstance(tree, Record):
+    if not isinstance(tree, Structure):
         raise SchemaError(f"its jsonschema definition of {name} is not that of an object")
     return tree
 
@@ -175,13 +175,13 @@ def _node(name: str, schema: Any, depth: int) -> Node | None:
         return TIME
     # a dot separates the parts of a path, so that no path leads to a key that holds one, or to an empty one
     parts = {key: _node(key, value, depth + 1) for key, value in properties.items() if key and "." not in key}
-    return Record(name, {key: node for key, node in parts.items() if node is not None})
+    return Structure(name, {key: node for key, node in parts.items() if node is not None})
 
 
 class JsonDecoder:
     """Columns out of JSON messages."""
 
-    def __init__(self, message: Record) -> None:
+    def __init__(self, message: Structure) -> None:
         self.message = message
         self.fast = 0
         self.general = 0

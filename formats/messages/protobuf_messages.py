@@ -29,7 +29,7 @@ from locfuse.fusion.data import Ints
 from .cdr import MalformedError
 from .fields import LENGTH, OR, resolve
 from .json_messages import NUMBER, TIME, column
-from .schema import Decoded, Many, Node, Record, Scalar, SchemaError, Text, count_fields
+from .schema import Decoded, Many, Node, Scalar, SchemaError, Structure, Text, count_fields
 
 VARINT, FIXED_64, BYTES, FIXED_32 = 0, 1, 2, 5  # how a value lies
 FIXED_SIZE = {FIXED_64: 8, FIXED_32: 4}
@@ -123,7 +123,7 @@ class Message(msgspec.Struct, frozen=True, eq=False):
         return self.name in TIME_TYPES
 
 
-def parse_descriptors(name: str, data: bytes) -> tuple[Message, Record]:
+def parse_descriptors(name: str, data: bytes) -> tuple[Message, Structure]:
     """Return message type `name` of a FileDescriptorSet, and the tree of what can be a column."""
     if len(data) > MAX_DEFINITION:
         raise SchemaError(
@@ -136,7 +136,7 @@ def parse_descriptors(name: str, data: bytes) -> tuple[Message, Record]:
         message = _message(name, described, {})
     except MalformedError:
         raise SchemaError(f"its protobuf definition of {name} cannot be parsed") from None
-    tree = _Trees().record(message, 0)
+    tree = _ProtobufTrees().record(message, 0)
     if (fields := count_fields(tree)) > MAX_FIELDS:
         raise SchemaError(
             names_its_cap(f"its definition of {name} unfolds to too many fields", fields, MAX_FIELDS)
@@ -191,7 +191,7 @@ def _name(data: bytes, number: int) -> str:
 
 
 def _field(name: str, kind: int, repeated: bool, inside: Message | None) -> Field | None:
-    """Return a field, None for a group, which nobody writes since 2008."""
+    """Return a field, None for a group, a kind that is out of use since 2008."""
     if kind in NUMBERS:
         wire, dtype = NUMBERS[kind]
         return Field(name, wire, repeated, dtype)
@@ -200,14 +200,14 @@ def _field(name: str, kind: int, repeated: bool, inside: Message | None) -> Fiel
     return None
 
 
-class _Trees:
+class _ProtobufTrees:
     """Builds the tree of each type once; where a type holds itself, the tree ends."""
 
     def __init__(self) -> None:
-        self._made: dict[str, Record] = {}
+        self._made: dict[str, Structure] = {}
         self._open: set[str] = set()
 
-    def record(self, message: Message, depth: int) -> Record:
+    def record(self, message: Message, depth: int) -> Structure:
         """Return the tree of a type, `depth` structures deep in the message."""
         if depth > MAX_DEPTH:
             raise SchemaError(f"its definition nests more than {MAX_DEPTH} structures")
@@ -215,7 +215,7 @@ class _Trees:
             self._open.add(message.name)
             nodes = {one.name: self._node(one, depth + 1) for one in message.fields.values()}
             fields = {name: node for name, node in nodes.items() if node is not None and name and "." not in name}
-            self._made[message.name] = Record(message.name, fields)
+            self._made[message.name] = Structure(message.name, fields)
             self._open.discard(message.name)
         return self._made[message.name]
 
@@ -243,7 +243,7 @@ NOTHING: Wanted = {}
 class ProtobufDecoder:
     """Columns out of Protobuf messages."""
 
-    def __init__(self, message: Message, tree: Record) -> None:
+    def __init__(self, message: Message, tree: Structure) -> None:
         self.message = tree
         self.fast = 0
         self.general = 0

@@ -57,7 +57,7 @@ class Many(msgspec.Struct, frozen=True, eq=False):
     count: int | None
 
 
-class Record(msgspec.Struct, frozen=True, eq=False):
+class Structure(msgspec.Struct, frozen=True, eq=False):
     """A message or a part of one."""
 
     name: str
@@ -71,14 +71,14 @@ class Record(msgspec.Struct, frozen=True, eq=False):
         return self.name in TIMES and len(parts) == 2 and whole
 
 
-class Counts(msgspec.Struct, frozen=True, eq=False):
-    """How long each of the arrays inside an array is: no field, but told by its bytes."""
+class LengthCounts(msgspec.Struct, frozen=True, eq=False):
+    """How long each of the arrays inside an array is: not a field, but known from the bytes."""
 
 
-Node = Scalar | Text | Many | Record | Counts
+Node = Scalar | Text | Many | Structure | LengthCounts
 
 
-def parse(name: str, encoding: str, text: str, filler: bool = True) -> Record:
+def parse(name: str, encoding: str, text: str, filler: bool = True) -> Structure:
     """Return the layout of message type `name`, whose definition `text` is in the language `encoding`.
 
     `filler`: an empty message takes a byte, as in ROS 2.
@@ -133,27 +133,27 @@ class _Trees:
 
     def __init__(self, types: Typesdict) -> None:
         self._types = types
-        self._made: dict[str, Record] = {}
+        self._made: dict[str, Structure] = {}
         self._height: dict[str, int] = {}  # of each tree: structures in structures
 
-    def record(self, name: str, depth: int) -> Record:
+    def record(self, name: str, depth: int) -> Structure:
         """Return the tree of a type, `depth` structures deep in the message."""
         if depth + self._height.get(name, 0) > MAX_DEPTH:
             raise SchemaError(f"its definition contains itself, or nests more than {MAX_DEPTH} structures")
         if name not in self._made:
             made = self._new(name, depth)
             parts = (part.element if isinstance(part, Many) else part for part in made.fields.values())
-            heights = (1 + self._height.get(part.name, 0) for part in parts if isinstance(part, Record))
+            heights = (1 + self._height.get(part.name, 0) for part in parts if isinstance(part, Structure))
             self._made[name], self._height[name] = made, max(heights, default=0)
         return self._made[name]
 
-    def _new(self, name: str, depth: int) -> Record:
+    def _new(self, name: str, depth: int) -> Structure:
         if name not in self._types:
             if name in TIMES:
-                return Record(name, {"sec": Scalar("i4", 4), "nanosec": Scalar("u4", 4)})
+                return Structure(name, {"sec": Scalar("i4", 4), "nanosec": Scalar("u4", 4)})
             raise SchemaError(f"its definition names {name} and does not define it")
         fields = {field: self._node(desc, depth + 1) for field, desc in self._types[name][1]}
-        return Record(name, fields or {FILLER: Scalar("u1", 1)})
+        return Structure(name, fields or {FILLER: Scalar("u1", 1)})
 
     def _node(self, desc: FieldDesc, depth: int) -> Node:
         kind, detail = desc[0].name, desc[1]
@@ -165,7 +165,7 @@ class _Trees:
         return Many(self._node(element, depth), size if kind == "ARRAY" else None)
 
 
-def count_fields(tree: Record) -> int:
+def count_fields(tree: Structure) -> int:
     """Count the fields of a message, those of its parts at every mention."""
     return _fields(tree, {})
 
@@ -173,20 +173,20 @@ def count_fields(tree: Record) -> int:
 def _fields(node: Node, known: dict[int, int]) -> int:
     if isinstance(node, Many):
         return _fields(node.element, known)
-    if not isinstance(node, Record):
+    if not isinstance(node, Structure):
         return 1
     if id(node) not in known:
         known[id(node)] = 1 + sum(_fields(part, known) for part in node.fields.values())
     return known[id(node)]
 
 
-def _without_filler(record: Record) -> Record:
+def _without_filler(record: Structure) -> Structure:
     """Return the same tree with its empty parts really empty."""
-    return Record(record.name, {name: _bare(part) for name, part in record.fields.items() if name != FILLER})
+    return Structure(record.name, {name: _bare(part) for name, part in record.fields.items() if name != FILLER})
 
 
 def _bare(node: Node) -> Node:
-    if isinstance(node, Record):
+    if isinstance(node, Structure):
         return _without_filler(node)
     return Many(_bare(node.element), node.count) if isinstance(node, Many) else node
 
@@ -201,7 +201,7 @@ def _base(name: str) -> Node:
 
 def signature(node: Node) -> object:
     """Return a value that is equal for definitions whose columns are alike."""
-    if isinstance(node, Record):
+    if isinstance(node, Structure):
         return tuple((name, signature(part)) for name, part in node.fields.items())
     if isinstance(node, Many):
         return (node.count, signature(node.element))
@@ -222,7 +222,7 @@ class Decoded(NamedTuple):
 class MessageDecoder(Protocol):
     """Columns out of the messages of one type. Which messages are good must not depend on the fields."""
 
-    message: Record
+    message: Structure
     fast: int  # messages decoded together with others
     general: int  # messages decoded by themselves
 

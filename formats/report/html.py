@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 TONES = {"helps": "good", "seems to help": "good", "seems to hurt": "bad", "hurts": "bad"}
 SIZES = {1: (860, 500), 2: (WIDTH, HEIGHT), 3: (330, 190)}  # px of a panel by columns in its section
-STRIP = 200.0  # px, width of an effect strip
+STRIP_WIDTH_PX = 200.0  # px, width of an effect strip
 
 
 def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapping[str, Colour]) -> str:
@@ -58,7 +58,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
         script=Markup(script),
         script_hash=hash_of(script),
         style=Markup(style_sheet((folder / "report.css").read_text(encoding="utf-8"), roles, slugs)),
-        figures=Figures(report),
+        figures=ReportFigures(report),
         tables=tables,
         table=lambda shown, painted=True: _table(shown, swatches if painted else None, bars),
         sections=[d for d in drawings if d["section"].name != "credit"],
@@ -88,7 +88,7 @@ def _template() -> Template:
     return environment.from_string((files(__package__) / "report.html.j2").read_text(encoding="utf-8"))
 
 
-class Figures:
+class ReportFigures:
     """Looks figures up in the report and writes them as <data> that says where they are from."""
 
     def __init__(self, report: Mapping[str, Any]) -> None:
@@ -187,7 +187,7 @@ def _strips(report: Mapping[str, Any]) -> dict[str, dict[str, float | str]]:
 
     def px(factor: float) -> float:
         share = (math.log(max(factor, 1e-6)) - low) / (high - low)
-        return round(4.0 + (STRIP - 8.0) * min(1.0, max(0.0, share)), 1)
+        return round(4.0 + (STRIP_WIDTH_PX - 8.0) * min(1.0, max(0.0, share)), 1)
 
     return {
         s: {"kind": kind, "low": px(e["low"]), "high": px(e["high"]), "value": px(e["factor"]), "none": px(1.0)}

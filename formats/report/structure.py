@@ -59,7 +59,7 @@ class SensorConsistency(Struct):
 
 
 class SensorResult(Struct):
-    """What became of one sensor's measurements in one configuration."""
+    """Counts of one sensor's measurements in one configuration, by verdict."""
 
     accepted: Count
     rejected: Count

@@ -66,7 +66,7 @@ SCORES = (
     Column("high", "to", form="{:+.3f}"),
     Column("by", "left out in", kind="text"),
 )
-HONESTY = (
+CONSISTENCY = (
     CONFIGURATION,
     Column("anees", "ANEES", form="{:.2f}"),
     Column("bounds", "consistent range", form="{:.2f}"),
@@ -137,7 +137,7 @@ def _judged_by(reference: Mapping[str, Any] | None) -> str | None:
 
 
 def brief(report: Report) -> Table:
-    """Return the configurations for a terminal: without truth, what can be told all the same."""
+    """Return the configurations for a terminal: without truth, how well they predict each other's sensors."""
     if has_figures(report):
         return configurations(report)
     ranking = (report.get("prediction") or {}).get("ranking", ())
@@ -151,7 +151,7 @@ def brief(report: Report) -> Table:
 
 
 def sensors(report: Report) -> Table:
-    """Return what became of each sensor's measurements; a smoothed run's are those of its filter."""
+    """Return the counts of each sensor's measurements by verdict; a smoothed run has those of its filter."""
     rows = []
     for name, values in report["configurations"].items():
         for sensor, found in {} if values.get("smoothed") else values["sensors"].items():
@@ -178,7 +178,7 @@ def scores(report: Report) -> Table:
 
 def consistency(report: Report) -> Table:
     """Return whether every configuration's covariance is as large as its error."""
-    return of_values(HONESTY, _configurations(report, "consistency"), "Consistency of every configuration")
+    return of_values(CONSISTENCY, _configurations(report, "consistency"), "Consistency of every configuration")
 
 
 def jitter(report: Report) -> Table:

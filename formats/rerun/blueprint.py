@@ -13,7 +13,7 @@ from locfuse.fusion.data import Evaluation
 from . import images, series, style
 from .map_view import ROOT
 from .recorder import DRIVE, STEP, TIME, part
-from .scene import Scene
+from .scene import RerunScene
 
 BACKGROUND = (20, 21, 26)
 MARGIN_SHARE = 0.06  # of the map's size, around it
@@ -23,7 +23,7 @@ Range = tuple[float, float]
 Overrides = Mapping[Any, Any]
 
 
-def blueprint(scene: Scene, tab: str | None = None) -> rrb.Blueprint:
+def blueprint(scene: RerunScene, tab: str | None = None) -> rrb.Blueprint:
     """Return the layout of a scene: only views that have something to show; `tab` in front."""
     left, right = _left(scene), _right(scene, tab)
     return rrb.Blueprint(
@@ -36,7 +36,7 @@ def blueprint(scene: Scene, tab: str | None = None) -> rrb.Blueprint:
     )
 
 
-def _left(scene: Scene) -> Any:
+def _left(scene: RerunScene) -> Any:
     """Return the map with its legend, and the panorama below where there are pictures."""
     rows = [(_map_view(scene), 0.66)]
     if len(list(style.legend_entries(scene))) > 1:
@@ -49,7 +49,7 @@ def _left(scene: Scene) -> Any:
     return rrb.Vertical(contents=[view for view, _ in rows], row_shares=[share for _, share in rows])
 
 
-def _right(scene: Scene, tab: str | None) -> Any | None:
+def _right(scene: RerunScene, tab: str | None) -> Any | None:
     """Return what the robot saw above what explains the estimate."""
     looks = [_scan_view(scene)] if scene.scans is not None and len(scene.scans.t) else []
     if scene.picture_rows is not None:
@@ -70,7 +70,7 @@ def _view_2d(name: str, origin: str, x: Range | None = None, y: Range | None = N
     return rrb.Spatial2DView(name=name, origin=origin, background=BACKGROUND, visual_bounds=bounds, **more)
 
 
-def _map_view(scene: Scene) -> Any:
+def _map_view(scene: RerunScene) -> Any:
     """Return the map: one entry per configuration to switch, walls and matches shown for the best one only."""
     low, high = scene.extent
     margin = MARGIN_SHARE * max(float((high - low).max()), 1.0)
@@ -86,7 +86,7 @@ def _map_view(scene: Scene) -> Any:
     return _view_2d("Map", "/", (x0, x1), (-y1, -y0), contents=[f"/{ROOT}/**"], overrides=overrides)
 
 
-def _scan_view(scene: Scene) -> Any:
+def _scan_view(scene: RerunScene) -> Any:
     """Return the view from the robot: x ahead to the right, y to the left upwards; 4 of 5 returns are in it."""
     root, (least, most) = f"{ROOT}/{part(scene.best.name)}", SCAN_RANGE_M
     reach = least
@@ -106,7 +106,7 @@ def _until_now() -> Any:
     return rrb.VisibleTimeRanges([rrb.VisibleTimeRange(t, start=start, end=end) for t in (DRIVE, TIME, STEP)])
 
 
-def _reasons(scene: Scene) -> dict[str, Any]:
+def _reasons(scene: RerunScene) -> dict[str, Any]:
     """Return the tabs that explain the estimate, by name: those that have something to show."""
     used = {s for e in scene.estimates for s, audit in e.audits.items() if len(audit.instant)}
     sensors = [s for s in scene.drive.measurements if s in used]
@@ -131,7 +131,7 @@ def _reasons(scene: Scene) -> dict[str, Any]:
     return {name: view for name, view in views.items() if view is not None}
 
 
-def _deviations(scene: Scene, judged: list[Evaluation], name: str, close: list[float] | None) -> Any:
+def _deviations(scene: RerunScene, judged: list[Evaluation], name: str, close: list[float] | None) -> Any:
     """Return the plots of estimate - truth; `close` (one per component) limits them."""
     count = 2 if judged[0].heading is None else 3
     views = []
@@ -156,14 +156,14 @@ def _close_spans(judged: list[Evaluation]) -> list[float]:
     return [1.2 * xy, 1.2 * xy, float(np.degrees(1.2 * heading))]
 
 
-def _nis(scene: Scene, sensor: str) -> Any:
+def _nis(scene: RerunScene, sensor: str) -> Any:
     """Return the NIS up to just above the gate: outliers of 10^4 would flatten the rest."""
     gates = [float(e.audits[sensor].threshold[0]) for e in scene.estimates if sensor in e.audits]
     top = 1.6 * gates[0] if gates and np.isfinite(gates[0]) else None
     return _plot(f"NIS {sensor}", f"/nis/{sensor}", top, low=None if top is None else -0.04 * top)
 
 
-def _innovations(scene: Scene, sensor: str) -> list[Any]:
+def _innovations(scene: RerunScene, sensor: str) -> list[Any]:
     """Return a plot of each component, as high as 99 % of the values: the first ones may hold an offset."""
     audits = [e.audits[sensor].y for e in scene.estimates if sensor in e.audits]
     views = []

@@ -11,7 +11,7 @@ import rerun as rr
 from locfuse.fusion.data import Array
 
 from . import style
-from .recorder import Recorder
+from .recorder import TimelineRecorder
 from .scene import Picture
 
 OMNI, PANORAMA = "camera/omni", "camera/panorama"
@@ -19,7 +19,7 @@ FOUND_ORDER = 10.0  # draw order of what was found, over the picture
 PICTURES_AT_ONCE = 16  # in memory at a time
 
 
-def draw_pictures(to: Recorder, pictures: Iterable[Picture], rows: int) -> None:
+def draw_pictures(to: TimelineRecorder, pictures: Iterable[Picture], rows: int) -> None:
     """Draw the omni pictures, their panoramas, and a ray or a column through everything that was found."""
     for root in (OMNI, PANORAMA):
         for name, colour in style.GROUPS.items():
@@ -35,12 +35,12 @@ def draw_pictures(to: Recorder, pictures: Iterable[Picture], rows: int) -> None:
             _send_found(to, name, t, batch, rows)
 
 
-def _send_encoded(to: Recorder, path: str, t: Array, data: Sequence[bytes], kinds: Sequence[str]) -> None:
+def _send_encoded(to: TimelineRecorder, path: str, t: Array, data: Sequence[bytes], kinds: Sequence[str]) -> None:
     blobs = [np.frombuffer(d, np.uint8) for d in data]
     to.send(path, t, rr.EncodedImage.columns(blob=blobs, media_type=list(kinds)))
 
 
-def _send_found(to: Recorder, group: str, t: Array, batch: Sequence[Picture], rows: int) -> None:
+def _send_found(to: TimelineRecorder, group: str, t: Array, batch: Sequence[Picture], rows: int) -> None:
     """Draw what was found of one group; a picture without a member of the group empties it."""
     members = [[i for i, verdict in enumerate(p.verdicts) if verdict == group] for p in batch]
     lengths = [len(found) for found in members]

@@ -18,8 +18,8 @@ from locfuse.formats.thin import evenly, extremes
 from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, Ints, MapLine, Measurements, matrices
 
 from . import style
-from .recorder import Recorder, part
-from .scene import GROUP_OF, Rgb, Scene, Sight
+from .recorder import TimelineRecorder, part
+from .scene import GROUP_OF, RerunScene, Rgb, SensorLook
 
 ROOT = "world"
 PATH_ORDER = 40.0  # draw order, above walls and scans
@@ -27,12 +27,12 @@ TRUTH_ORDER = 35.0  # below the estimates, a broad line under thin ones: neither
 TRUTH_WIDTH, PATH_WIDTH = 2.75, 1.25  # points on the screen
 SIGHT_WIDTH = {"segments": 2.5, "bearing": 1.0, "heading": 1.5}  # points on the screen
 MIN_BODY_SHARE = 0.02  # of the map: smaller robots would not be seen
-HEADING_LENGTH = 1.5  # tracks
-BEARING_LENGTH = 2.0  # m, where no landmark says how far
+HEADING_LENGTH_TRACKS = 1.5  # tracks
+BEARING_LENGTH_M = 2.0  # m, where no landmark says how far
 FLIP = rr.Transform3D(mat3x3=((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)))
 
 
-def draw_map(to: Recorder, scene: Scene) -> None:
+def draw_map(to: TimelineRecorder, scene: RerunScene) -> None:
     """Draw everything that has a place on the map."""
     to.static(ROOT, FLIP)
     for order, e in enumerate(scene.estimates, start=int(PATH_ORDER)):
@@ -52,14 +52,16 @@ def draw_map(to: Recorder, scene: Scene) -> None:
             to.static(f"{ROOT}/landmark/{sensor}", point, style.points(style.LANDMARK, 6.0))
 
 
-def _draw_path(to: Recorder, path: str, t: Array, xy: Array, scene: Scene, look: rr.LineStrips2D) -> None:
+def _draw_path(
+    to: TimelineRecorder, path: str, t: Array, xy: Array, scene: RerunScene, look: rr.LineStrips2D
+) -> None:
     """Draw a growing path: one short strip per step, so that nothing is written twice."""
     picks = extremes(xy, scene.detail.curve)
     to.static(path, look)
     to.send(path, t[picks][1:], rr.LineStrips2D.columns(strips=steps(xy[picks]).astype(np.float32)))
 
 
-def _draw_pose(to: Recorder, root: str, e: Estimates, picks: Ints, colour: Rgb) -> None:
+def _draw_pose(to: TimelineRecorder, root: str, e: Estimates, picks: Ints, colour: Rgb) -> None:
     t, pose = e.t[picks], e.pose[picks]
     to.send(f"{root}/pose", t, _moves(pose[:, :2], pose[:, 2]))
     if not e.triangles.any():
@@ -75,14 +77,14 @@ def _moves(xy: Array, angle: Array) -> rr.ComponentColumnList:
     return rr.Transform3D.columns(translation=place, quaternion=quaternions(angle))
 
 
-def _body(scene: Scene) -> Array:
+def _body(scene: RerunScene) -> Array:
     """Return the robot's outline (5, 2): an arrow head on the axle, as wide as the track or as can be seen."""
     low, high = scene.extent
     size = max(scene.track, MIN_BODY_SHARE * float((high - low).max()))
     return size * np.array([[0.6, 0.0], [-0.4, 0.45], [-0.2, 0.0], [-0.4, -0.45], [0.6, 0.0]])
 
 
-def _draw_walls(to: Recorder, root: str, e: Estimates) -> None:
+def _draw_walls(to: TimelineRecorder, root: str, e: Estimates) -> None:
     """Draw the first scan's walls, and the refined ones with their uncertainty, each from when it was matched."""
     if not e.first_map and not e.final_map:
         return
@@ -119,7 +121,7 @@ def _label(line: MapLine) -> str:
     )
 
 
-def _draw_loops(to: Recorder, path: str, e: Estimates) -> None:
+def _draw_loops(to: TimelineRecorder, path: str, e: Estimates) -> None:
     """Draw a line for every place that was recognised: from where the robot is to where it was then."""
     if len(e.loops):
         at = np.minimum(np.searchsorted(e.t, e.loops), len(e.t) - 1)
@@ -127,7 +129,7 @@ def _draw_loops(to: Recorder, path: str, e: Estimates) -> None:
         to.send(path, e.loops[:, 1], rr.LineStrips2D.columns(strips=e.pose[at][:, :, :2].astype(np.float32)))
 
 
-def _draw_truth(to: Recorder, scene: Scene) -> None:
+def _draw_truth(to: TimelineRecorder, scene: RerunScene) -> None:
     truth = scene.drive.truth
     if truth is None or len(truth.t) == 0:
         return
@@ -138,7 +140,7 @@ def _draw_truth(to: Recorder, scene: Scene) -> None:
     to.send(f"{ROOT}/truth/now", truth.t[now], rr.Points2D.columns(positions=truth.xy[now]))
 
 
-class Seen(NamedTuple):
+class SeenReadings(NamedTuple):
     """The audit rows (k,) of some readings (s,), in order."""
 
     t: Array  # (s,) s, when each reading was taken
@@ -147,7 +149,7 @@ class Seen(NamedTuple):
     pose: Array  # (k, 3) the configuration's pose then
 
 
-def _draw_sights(to: Recorder, root: str, scene: Scene, e: Estimates) -> None:
+def _draw_sights(to: TimelineRecorder, root: str, scene: RerunScene, e: Estimates) -> None:
     """Draw segments, bearing rays and headings, one entity per group of verdicts.
 
     A reading without a member of the group empties the entity.
@@ -172,17 +174,17 @@ def _draw_sights(to: Recorder, root: str, scene: Scene, e: Estimates) -> None:
             to.send(path, seen.t, columns, lengths=counts)
 
 
-def _some_readings(m: Measurements, t: Array, audit: Audit, e: Estimates, limit: int) -> Seen:
+def _some_readings(m: Measurements, t: Array, audit: Audit, e: Estimates, limit: int) -> SeenReadings:
     """Return the audit of at most `limit` readings, taken at t (n,), evenly over the drive."""
     readings = evenly(len(m.t), limit)
     owner = np.searchsorted(m.first, audit.row, side="right") - 1
     at = np.searchsorted(readings, owner)
     keep = np.flatnonzero(readings[np.minimum(at, len(readings) - 1)] == owner)
     rows = Audit(*(column[keep] for name, column in asdict(audit).items() if name != "joint"))
-    return Seen(t[readings], at[keep], rows, e.pose[rows.instant])
+    return SeenReadings(t[readings], at[keep], rows, e.pose[rows.instant])
 
 
-def _strips(m: Measurements, seen: Seen, sight: Sight, track: float) -> Array:
+def _strips(m: Measurements, seen: SeenReadings, sight: SensorLook, track: float) -> Array:
     """Return what each audit row looks like on the map, (k, 2, 2) m."""
     z = m.z[seen.audit.row]
     if sight.kind == "segments":
@@ -190,10 +192,10 @@ def _strips(m: Measurements, seen: Seen, sight: Sight, track: float) -> Array:
     origin = mounted(seen.pose, sight.mount)
     if sight.kind == "heading":
         angle = seen.pose[:, 2] + np.nan_to_num(seen.audit.y[:, 0])
-        length = np.full(len(angle), HEADING_LENGTH * track)
+        length = np.full(len(angle), HEADING_LENGTH_TRACKS * track)
     else:
         angle = origin[:, 2] + z[:, 0]
-        length = np.full(len(angle), BEARING_LENGTH)
+        length = np.full(len(angle), BEARING_LENGTH_M)
     if sight.landmark is not None:
         length = np.hypot(sight.landmark[0] - origin[:, 0], sight.landmark[1] - origin[:, 1])
     end = origin[:, :2] + length[:, None] * np.stack((np.cos(angle), np.sin(angle)), axis=-1)
@@ -211,7 +213,7 @@ def _labels(audit: Audit, rows: Ints) -> list[str]:
     ]
 
 
-def _draw_scans(to: Recorder, scene: Scene) -> None:
+def _draw_scans(to: TimelineRecorder, scene: RerunScene) -> None:
     """Draw the scans once, in the robot's frame: the map shows them through the best pose."""
     scans, best = scene.scans, scene.best
     if scans is None or len(scans.t) == 0:

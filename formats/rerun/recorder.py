@@ -14,7 +14,7 @@ DRIVE, TIME, STEP = "drive", "log time", "step"  # s since the start, the log's 
 MIN_DATE_NS = 10**17  # 1973: a smaller clock counts from the robot's start and is shown as a duration
 
 
-class Recorder:
+class TimelineRecorder:
     """Writes columns on all timelines: seconds since the start, the log's time, the update time then."""
 
     def __init__(self, stream: rr.RecordingStream, drive: Drive) -> None:

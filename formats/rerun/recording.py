@@ -14,12 +14,12 @@ from pathlib import Path
 from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import LocfuseError
 
-from .scene import Scene
+from .scene import RerunScene
 
 APPLICATION = "locfuse"
 
 
-def save_recording(path: Path, scene: Scene, tab: str | None = None, identity: str | None = None) -> None:
+def save_recording(path: Path, scene: RerunScene, tab: str | None = None, identity: str | None = None) -> None:
     """Write a recording of a scene to `path`, whole or not at all; `tab` names the tab of curves in front.
 
     `identity` names it in a catalog; without one it gets a new name, so that two runs never mix in a viewer.
@@ -38,13 +38,13 @@ def save_recording(path: Path, scene: Scene, tab: str | None = None, identity: s
         raise LocfuseError(f"cannot write {path}: {why}") from None
 
 
-def _write(path: Path, scene: Scene, tab: str | None, identity: str | None) -> None:
+def _write(path: Path, scene: RerunScene, tab: str | None, identity: str | None) -> None:
     import rerun as rr
 
     from .blueprint import blueprint
     from .images import draw_pictures
     from .map_view import draw_map
-    from .recorder import Recorder
+    from .recorder import TimelineRecorder
     from .series import draw_series
     from .style import draw_legend
 
@@ -52,7 +52,7 @@ def _write(path: Path, scene: Scene, tab: str | None, identity: str | None) -> N
     stream = rr.RecordingStream(application(scene), recording_id=identity)
     stream.set_log_time_enabled(False)
     stream.set_log_tick_enabled(False)
-    to = Recorder(stream, scene.drive)
+    to = TimelineRecorder(stream, scene.drive)
     stream.save(path)
     try:
         stream.send_blueprint(blueprint(scene, tab))  # active at once, in a viewer that runs already too
@@ -69,7 +69,7 @@ def _write(path: Path, scene: Scene, tab: str | None, identity: str | None) -> N
         stream.disconnect()
 
 
-def application(scene: Scene) -> str:
+def application(scene: RerunScene) -> str:
     """Return the name under which a viewer keeps the layout: recordings that show the same things share it."""
     names = [e.name for e in scene.estimates]
     what = names[0] if len(names) == 1 else f"{len(names)} configurations"

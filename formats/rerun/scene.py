@@ -21,7 +21,7 @@ GROUP = {"accepted": MATCHED, "repeated": MATCHED, "new": NEW}  # verdict -> gro
 GROUP_OF = tuple(GROUP.get(v, REJECTED) for v in VERDICTS)
 
 
-class Sight(msgspec.Struct, frozen=True):
+class SensorLook(msgspec.Struct, frozen=True):
     """How one sensor's measurements are drawn and named."""
 
     components: tuple[Component, ...]  # of its innovation
@@ -71,14 +71,14 @@ class Detail(msgspec.Struct, frozen=True):
         return cls(2**62, 2**62)
 
 
-class Scene(msgspec.Struct, frozen=True, dict=True):
+class RerunScene(msgspec.Struct, frozen=True, dict=True):
     """A drive, its configurations, and what was seen on the way."""
 
     name: str  # of the log
     drive: Drive
     estimates: Sequence[Estimates]
     evaluations: Mapping[str, Evaluation]  # by configuration
-    sights: Mapping[str, Sight] = field(default_factory=dict)  # by sensor
+    sights: Mapping[str, SensorLook] = field(default_factory=dict)  # by sensor
     track: float = 0.3  # m, size of the robot on the map
     table: str = ""  # the result table, Markdown
     scans: DrawnScans | None = None

@@ -25,18 +25,18 @@ from locfuse.fusion.data import (
 )
 
 from . import style
-from .recorder import Recorder, part
-from .scene import Rgb, Scene, Sight
+from .recorder import TimelineRecorder, part
+from .scene import RerunScene, Rgb, SensorLook
 
 DEVIATIONS = ("x [m]", "y [m]", "heading [deg]")
-BAND = 3.0  # sigmas of a deviation
-INNOVATION_BAND = 2.0  # sigmas of an innovation
+DEVIATION_BAND_SIGMAS = 3.0  # sigmas of a deviation
+INNOVATION_BAND_SIGMAS = 2.0  # sigmas of an innovation
 EVENTS = "events"
 LEVELS = {LOST: "ERROR", FAULT: "WARN", REFUSED: "WARN"}  # what asks for attention first; the rest is INFO
 ACCEPTED, NEW, REPEATED = (VERDICTS.index(v) for v in ("accepted", "new", "repeated"))
 
 
-def draw_series(to: Recorder, scene: Scene) -> None:
+def draw_series(to: TimelineRecorder, scene: RerunScene) -> None:
     """Draw all curves, states and events."""
     limit = scene.detail.curve
     for e in scene.estimates:
@@ -62,7 +62,7 @@ def draw_series(to: Recorder, scene: Scene) -> None:
 class Pen(NamedTuple):
     """Draws curves of one name and colour, thinned to `limit` points."""
 
-    to: Recorder
+    to: TimelineRecorder
     name: str  # in the legend
     colour: Rgb
     limit: int
@@ -95,7 +95,7 @@ def entity(name: str) -> str:
     return name.split(" ", 1)[0]
 
 
-def component(sight: Sight | None, i: int) -> Component:
+def component(sight: SensorLook | None, i: int) -> Component:
     """Return how number i of a sensor's innovation is shown, y0, y1, ... for a sensor without a description."""
     return sight.components[i] if sight else Component(f"y{i}", "")
 
@@ -114,12 +114,12 @@ def draw_deviation(pen: Pen, judged: Evaluation) -> None:
     for i, values in enumerate(columns):
         path = f"deviation/{entity(DEVIATIONS[i])}/{part(judged.name)}"
         pen.curve(path, judged.t, values)
-        bound = BAND * to_unit[i] * judged.sigma[:, i]
+        bound = DEVIATION_BAND_SIGMAS * to_unit[i] * judged.sigma[:, i]
         if bound.any():
             pen.band(f"{path}/three_sigma", judged.t, bound)
 
 
-def draw_innovation(pen: Pen, root: str, e: Estimates, audit: Audit, sight: Sight | None) -> None:
+def draw_innovation(pen: Pen, root: str, e: Estimates, audit: Audit, sight: SensorLook | None) -> None:
     """Draw every component of the innovation as dots, and its predicted 2 sigma around zero."""
     some = np.flatnonzero(np.isfinite(audit.y).all(axis=1))
     t = e.t[audit.instant[some]]
@@ -127,10 +127,10 @@ def draw_innovation(pen: Pen, root: str, e: Estimates, audit: Audit, sight: Sigh
         name, _, scale = component(sight, i)
         path = f"{root}/{part(name)}/{part(e.name)}"
         pen.dots(path, t, scale * audit.y[some, i])
-        pen.band(f"{path}/two_sigma", t, INNOVATION_BAND * scale * audit.sigma[some, i])
+        pen.band(f"{path}/two_sigma", t, INNOVATION_BAND_SIGMAS * scale * audit.sigma[some, i])
 
 
-def draw_limits(to: Recorder, scene: Scene, sensor: str, sight: Sight) -> None:
+def draw_limits(to: TimelineRecorder, scene: RerunScene, sensor: str, sight: SensorLook) -> None:
     """Draw the gate of a sensor and between what 95 % of consistent NIS lie, as level lines."""
     audits = [e.audits[sensor] for e in scene.estimates if sensor in e.audits]
     gates = [float(a.threshold[0]) for a in audits if len(a.threshold)]
@@ -145,7 +145,7 @@ def draw_limits(to: Recorder, scene: Scene, sensor: str, sight: Sight) -> None:
         Pen(to, name, colour, 2).curve(path, scene.drive.t[[0, -1]], np.full(2, value))
 
 
-def draw_gate(to: Recorder, path: str, t: Array, m: Measurements, audit: Audit, limit: int) -> None:
+def draw_gate(to: TimelineRecorder, path: str, t: Array, m: Measurements, audit: Audit, limit: int) -> None:
     """Draw the state of each reading where it changes."""
     names = list(style.STATES)
     states = thinned_states(reading_states(m, audit), limit)
@@ -186,7 +186,7 @@ def thinned_states(code: Ints, limit: int) -> States:
     return States(first, np.maximum.reduceat(code, first))
 
 
-def draw_events(to: Recorder, events: Sequence[Event]) -> None:
+def draw_events(to: TimelineRecorder, events: Sequence[Event]) -> None:
     """Draw each event as a text where it begins, and where it ends if it lasted; one entity for each kind."""
     for kind in dict.fromkeys(e.kind for e in events):
         some = sorted(line for e in events if e.kind == kind for line in _lines(e))

@@ -10,8 +10,8 @@ from typing import Any
 
 import rerun as rr
 
-from .recorder import Recorder, part
-from .scene import MATCHED, NEW, REJECTED, Rgb, Scene
+from .recorder import TimelineRecorder, part
+from .scene import MATCHED, NEW, REJECTED, RerunScene, Rgb
 
 Colour = tuple[int, int, int] | tuple[int, int, int, int]
 
@@ -41,7 +41,7 @@ WALL: Rgb = (225, 205, 150)
 SCAN: Rgb = (110, 165, 200)
 LIMIT: Rgb = (255, 235, 60)
 LEVEL: Rgb = (205, 205, 210)
-LOOP: Rgb = (225, 195, 255)
+LOOP: Rgb = (235, 210, 255)
 
 GROUPS: dict[str, Rgb] = {MATCHED: (40, 185, 50), REJECTED: (240, 60, 50), NEW: (0, 225, 235)}
 
@@ -64,7 +64,7 @@ LEGEND = "legend"
 COLUMNS, CELL = 7, 4.0  # words in a row, and their distance in heights of a row
 
 
-def legend_entries(scene: Scene) -> Iterator[tuple[str, Rgb]]:
+def legend_entries(scene: RerunScene) -> Iterator[tuple[str, Rgb]]:
     """Yield (words, colour) of everything that the map shows, configurations first."""
     for e in scene.estimates:
         yield e.name, scene.colour(e.name)
@@ -85,13 +85,13 @@ def legend_entries(scene: Scene) -> Iterator[tuple[str, Rgb]]:
         yield "landmark", LANDMARK
 
 
-def legend_bounds(scene: Scene) -> tuple[tuple[float, float], tuple[float, float]]:
+def legend_bounds(scene: RerunScene) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the least and greatest corner of the strip."""
     rows = -(-len(list(legend_entries(scene))) // COLUMNS)
     return (-0.5 * CELL, -0.2), ((COLUMNS - 0.5) * CELL, rows - 0.1)
 
 
-def draw_legend(to: Recorder, scene: Scene) -> None:
+def draw_legend(to: TimelineRecorder, scene: RerunScene) -> None:
     """Send the words of each entry in its colour."""
     for i, (words, colour) in enumerate(legend_entries(scene)):
         row, column = divmod(i, COLUMNS)

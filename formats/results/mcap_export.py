@@ -16,7 +16,14 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.formats.container.mcap_write import LATCHED, Block, ColumnWriter, Messages, nested, time_message
+from locfuse.formats.container.mcap_write import (
+    LATCHED,
+    ColumnWriter,
+    MessageBlock,
+    StandardMessages,
+    nested,
+    time_message,
+)
 from locfuse.formats.geometry import quaternions
 from locfuse.formats.logs.log import TF_TYPES, Log
 from locfuse.formats.messages.cdr import CDR, read_layout
@@ -27,7 +34,7 @@ from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Tru
 from .recovered_log import copy_messages
 from .trajectory import SIX, stamps, with_truth_rows
 
-MESSAGES = Messages()
+MESSAGES = StandardMessages()
 Columns = Mapping[str, NDArray[Any]]  # dotted path of a field -> numbers (n,), or (n, k) for an array of k
 
 
@@ -70,7 +77,7 @@ POSE, POINT = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PointStamped"
 MAX_PATH_POSES = 2000  # of a path, which is to be looked at; every pose is on the odometry topic
 
 
-class Series(msgspec.Struct, frozen=True, dict=True):
+class PoseSeries(msgspec.Struct, frozen=True, dict=True):
     """Messages of one type, stamped t_ns (n,), made when they are asked for."""
 
     msgtype: str
@@ -87,7 +94,7 @@ class Series(msgspec.Struct, frozen=True, dict=True):
         return self._template.filled(self.columns(rows))
 
 
-def odometry(t_ns: Ints, pose: Array, triangles: Array, twist: Array, child: str) -> Series:
+def odometry(t_ns: Ints, pose: Array, triangles: Array, twist: Array, child: str) -> PoseSeries:
     """Return Odometry of poses (n, 3) with triangles of covariances (n, 6) and body twists (n, 3)."""
 
     def columns(rows: slice) -> Columns:
@@ -102,12 +109,12 @@ def odometry(t_ns: Ints, pose: Array, triangles: Array, twist: Array, child: str
             "twist.twist.angular.z": twist[rows, 2],
         }
 
-    return Series(ODOMETRY, t_ns, {"header.frame_id": MAP, "child_frame_id": child}, columns)
+    return PoseSeries(ODOMETRY, t_ns, {"header.frame_id": MAP, "child_frame_id": child}, columns)
 
 
-def poses(t_ns: Ints, pose: Array) -> Series:
+def poses(t_ns: Ints, pose: Array) -> PoseSeries:
     """Return PoseStamped of poses (n, 3)."""
-    return Series(
+    return PoseSeries(
         POSE,
         t_ns,
         {"header.frame_id": MAP},
@@ -115,9 +122,9 @@ def poses(t_ns: Ints, pose: Array) -> Series:
     )
 
 
-def points(t_ns: Ints, xy: Array) -> Series:
+def points(t_ns: Ints, xy: Array) -> PoseSeries:
     """Return PointStamped of points (n, 2)."""
-    return Series(
+    return PoseSeries(
         POINT,
         t_ns,
         {"header.frame_id": MAP},
@@ -125,7 +132,7 @@ def points(t_ns: Ints, xy: Array) -> Series:
     )
 
 
-def transforms(t_ns: Ints, pose: Array, child: str) -> Series:
+def transforms(t_ns: Ints, pose: Array, child: str) -> PoseSeries:
     """Return TFMessage from the map to a frame at poses (n, 3)."""
     constant = {"transforms": [{"header": {"frame_id": MAP}, "child_frame_id": child}]}
 
@@ -135,7 +142,7 @@ def transforms(t_ns: Ints, pose: Array, child: str) -> Series:
             **_pose("transforms.transform", pose[rows], "translation", "rotation"),
         }
 
-    return Series(TF, t_ns, constant, columns)
+    return PoseSeries(TF, t_ns, constant, columns)
 
 
 def path(t_ns: Ints, pose: Array) -> NDArray[np.uint8]:
@@ -234,7 +241,7 @@ def _truth(topics: _Topics, truth: Truth, epoch_ns: int) -> None:
 
 class _Part(NamedTuple):
     channel: int
-    series: Series
+    series: PoseSeries
 
 
 class _Topics:
@@ -246,13 +253,13 @@ class _Topics:
         self._channels: dict[str, int] = {}
         self._parts: list[_Part] = []
 
-    def add(self, topic: str, series: Series) -> None:
+    def add(self, topic: str, series: PoseSeries) -> None:
         """Take a series of messages for a topic."""
         self._parts.append(_Part(self._channel(topic, series.msgtype), series))
 
     def once(self, topic: str, t_ns: Ints, pose: Array) -> None:
         """Write a path at the beginning, latched."""
-        block = Block(
+        block = MessageBlock(
             self._channel(topic, PATH, LATCHED), self._recorded(t_ns[:1]), np.ones(1, np.int64), path(t_ns, pose)
         )
         self._writer.chunk([block])
@@ -281,10 +288,10 @@ class _Topics:
             rows = [slice(e[i], e[i + 1]) for e in ends]
             self._writer.chunk([self._block(part, r) for part, r in zip(self._parts, rows, strict=True)])
 
-    def _block(self, part: _Part, rows: slice) -> Block:
+    def _block(self, part: _Part, rows: slice) -> MessageBlock:
         t_ns = part.series.t_ns[rows]
         sequence = np.arange(rows.start + 1, rows.stop + 1)
-        return Block(part.channel, self._recorded(t_ns), sequence, part.series.messages(rows))
+        return MessageBlock(part.channel, self._recorded(t_ns), sequence, part.series.messages(rows))
 
 
 def ros_name(configuration: str) -> str:

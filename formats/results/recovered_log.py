@@ -11,7 +11,7 @@ from pathlib import Path
 
 import msgspec
 
-from locfuse.formats.container.mcap_write import LATCHED, Block, ColumnWriter
+from locfuse.formats.container.mcap_write import LATCHED, ColumnWriter, MessageBlock
 from locfuse.formats.container.source import Recorded
 from locfuse.formats.logs.log import Log
 from locfuse.formats.visible import writable
@@ -79,10 +79,10 @@ def copy_messages(writer: ColumnWriter, log: Log) -> Counter[str]:
     return counts
 
 
-def _block(channel: int, recorded: Recorded) -> Block:
+def _block(channel: int, recorded: Recorded) -> MessageBlock:
     data, messages = recorded.data, recorded.messages
     ends = (messages.start + messages.length).tolist()
     payload = [data[a:b].data for a, b in zip(messages.start.tolist(), ends, strict=True)]
     times = (column.clip(CLOCKLESS, END_OF_TIME) for column in (messages.log_time, recorded.published))
     log_time, published = times
-    return Block(channel, log_time, messages.sequence, payload, published)
+    return MessageBlock(channel, log_time, messages.sequence, payload, published)

@@ -17,10 +17,10 @@ from locfuse.fusion.data import LocfuseError
 
 from . import robot_toml
 
-WIDTH = 100
+MAX_LINE_CHARACTERS = 100
 
 
-class Line(NamedTuple):
+class TomlLine(NamedTuple):
     """One key. `words` say where its value comes from, or how to find it."""
 
     key: str
@@ -29,14 +29,14 @@ class Line(NamedTuple):
     holds: bool = True  # False: behind a #
 
 
-class Section(NamedTuple):
+class TomlSection(NamedTuple):
     """One table; "" for keys above all tables."""
 
     name: str
-    lines: tuple[Line, ...]
+    lines: tuple[TomlLine, ...]
 
 
-def render(head: str, sections: Sequence[Section], foot: str = "") -> str:
+def render(head: str, sections: Sequence[TomlSection], foot: str = "") -> str:
     """Return the text. A table without an active line is itself commented out."""
     parts = [comment(head), *("\n".join(_section(section)) for section in sections if section.lines)]
     return "\n\n".join([*parts, comment(foot)] if foot else parts) + "\n"
@@ -47,7 +47,7 @@ def comment(text: str) -> str:
     lines: list[str] = []
     for paragraph in text.splitlines():
         plain = printable(paragraph)
-        lines += [plain] if plain[:1] == " " else textwrap.wrap(plain, WIDTH - 2, **_WHOLE) or [""]
+        lines += [plain] if plain[:1] == " " else textwrap.wrap(plain, MAX_LINE_CHARACTERS - 2, **_WHOLE) or [""]
     return "\n".join(f"# {line}".rstrip() for line in lines)
 
 
@@ -65,7 +65,7 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
-def _section(section: Section) -> Iterator[str]:
+def _section(section: TomlSection) -> Iterator[str]:
     if section.name:
         yield f"[{section.name}]" if any(line.holds for line in section.lines) else f"# [{section.name}]"
     for words, group in itertools.groupby(section.lines, key=lambda line: line.words):
@@ -73,13 +73,13 @@ def _section(section: Section) -> Iterator[str]:
         beside = f"{lines[0]}  # {printable(words)}"
         if not words:
             yield from lines
-        elif len(lines) == 1 and len(beside) <= WIDTH:
+        elif len(lines) == 1 and len(beside) <= MAX_LINE_CHARACTERS:
             yield beside
         else:
             yield from (comment(words), *lines)
 
 
-def _assigned(line: Line) -> str:
+def _assigned(line: TomlLine) -> str:
     return f"{line.key} =" if line.value is None else f"{line.key} = {as_toml(line.value)}"
 
 

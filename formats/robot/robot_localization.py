@@ -85,7 +85,7 @@ class Translated(NamedTuple):
     notes: tuple[str, ...]  # what does not map, one line each
 
 
-class Source(NamedTuple):
+class EkfInput(NamedTuple):
     """One input."""
 
     name: str  # "odom0"
@@ -142,11 +142,11 @@ def _nodes(value: Any, name: str, depth: int) -> list[tuple[str, dict[str, Any]]
     return [node for key, part in parts for node in _nodes(part, key, depth + 1)]
 
 
-def _sources(path: Path, parameters: Mapping[str, Any]) -> list[Source | None]:
+def _sources(path: Path, parameters: Mapping[str, Any]) -> list[EkfInput | None]:
     return [_source(path, name, parameters) for name in sorted(parameters) if INPUT.fullmatch(name)]
 
 
-def _source(path: Path, name: str, parameters: Mapping[str, Any]) -> Source | None:
+def _source(path: Path, name: str, parameters: Mapping[str, Any]) -> EkfInput | None:
     """Return one input; None where it has no topic."""
     topic, switches = parameters[name], parameters.get(f"{name}_config")
     if not isinstance(topic, str) or not topic:
@@ -158,7 +158,7 @@ def _source(path: Path, name: str, parameters: Mapping[str, Any]) -> Source | No
     ):
         raise LocfuseError(f"{path}: {name}_config is not {SWITCHES} times true or false")
     differential, relative = (parameters.get(f"{name}_{key}") is True for key in ("differential", "relative"))
-    return Source(name, name.rstrip("0123456789"), topic, tuple(switches), differential, relative)
+    return EkfInput(name, name.rstrip("0123456789"), topic, tuple(switches), differential, relative)
 
 
 def _in_log(topic: str, topics: Sequence[str]) -> str | None:
@@ -168,7 +168,7 @@ def _in_log(topic: str, topics: Sequence[str]) -> str | None:
     return near[0] if len(near) == 1 else None
 
 
-def _placed(source: Source, tables: dict[str, dict[str, Any]]) -> list[str]:
+def _placed(source: EkfInput, tables: dict[str, dict[str, Any]]) -> list[str]:
     """Give an input its place among the tables; return in words what of it finds none."""
     if source.kind == "imu":
         return _imu(source, tables)
@@ -195,7 +195,7 @@ def _placed(source: Source, tables: dict[str, dict[str, Any]]) -> list[str]:
     return []
 
 
-def _imu(source: Source, tables: dict[str, dict[str, Any]]) -> list[str]:
+def _imu(source: EkfInput, tables: dict[str, dict[str, Any]]) -> list[str]:
     """Let an IMU be compass and gyro, as its switches say."""
     on, notes = source.switches, []
     for table, switch in (("compass", YAW), ("gyro", TURN)):
@@ -225,7 +225,7 @@ def _finite(value: Any) -> bool:
 
 
 def _words(parameters: Mapping[str, Any]) -> list[str]:
-    """Say what has no meaning here, and which keys nobody knows."""
+    """Note keys that have no meaning here, and unknown ones."""
     notes = []
     if parameters.get("two_d_mode") is False:
         notes.append("two_d_mode: false: only the plane is estimated here")

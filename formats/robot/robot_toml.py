@@ -17,7 +17,7 @@ from locfuse.fusion.data import LocfuseError, UsageError
 
 from . import units
 
-FEW = 12  # keys are listed up to this many
+MAX_LISTED_KEYS = 12  # keys are listed up to this many
 MOUNT_KEYS = ("x", "y", "yaw_deg")  # of a sensor on the base; each has a sigma_<key>
 MAX_NUMBER = 1e20  # no robot's number is larger; a 64-bit counter's range is not
 MIN_NUMBER = 1e-30  # and none but 0 is smaller: its square must still be a number
@@ -203,7 +203,7 @@ def _refuse_far(path: str, value: Any) -> None:
 def _unknown(key: str, table: str, known: Sequence[str]) -> str:
     what = f"unknown key {table}.{key}" if table else f"unknown table or key {key}"
     hint = did_you_mean(key, known)
-    listed = f"known: {', '.join(known)}" if len(known) <= FEW or not hint else ""
+    listed = f"known: {', '.join(known)}" if len(known) <= MAX_LISTED_KEYS or not hint else ""
     return f"{what}; {' '.join(part for part in (hint, listed) if part)}"
 
 

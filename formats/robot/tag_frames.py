@@ -18,7 +18,7 @@ OF_CAMERA = "tags"  # the last part of "/tf:camera_optical:tags"
 NUMBERED = re.compile(r"^(.*?)(\d+)$", re.DOTALL)
 MAX_ID = 2**62
 TAG_NAME = re.compile(r"tags?(?![a-z])|marker|aruco|april|fiducial|landmark|beacon|\d+h\d+")  # "stage" is none
-UPRIGHT = 0.7  # of the z axis, along the vertical: more is a body's frame, whose z axis is up
+MIN_UPRIGHT_SHARE = 0.7  # of the z axis, along the vertical: more is a body's frame, whose z axis is up
 
 
 def number_of(frame: str) -> int | None:
@@ -55,7 +55,7 @@ def in_optical_axes(p: Array, frame: str, transforms: StaticTransforms) -> Array
     if "optical" in frame.lower():
         optical = True
     elif above:
-        optical = abs(float(above[-1][1][2, 2])) < UPRIGHT
+        optical = abs(float(above[-1][1][2, 2])) < MIN_UPRIGHT_SHARE
     else:
         optical = bool((p[:, 2] > 0.0).mean() > (p[:, 0] > 0.0).mean()) if len(p) else True
     return p if optical else np.stack((-p[:, 1], -p[:, 2], p[:, 0]), axis=-1)

@@ -25,7 +25,7 @@ FIELDS = (
         for part in (*(f"translation.{axis}" for axis in "xyz"), *(f"rotation.{axis}" for axis in "xyzw"))
     ),
 )
-FLIPPED = -0.5  # cosine of the angle between a sensor's z axis and up
+MAX_FLIPPED_COSINE = -0.5  # cosine of the angle between a sensor's z axis and up
 SAME_M = 1e-6  # differences below are rounding, not a conflict
 SAME_RAD = 1e-6
 
@@ -203,7 +203,7 @@ def planar_mount(transforms: StaticTransforms, base_frames: Sequence[str], frame
         if T is not None:
             roll, pitch, yaw = roll_pitch_yaw(T[:3, :3])
             x, y, z = (float(value) for value in T[:3, 3])
-            return Mount(base, wanted, x, y, z, yaw, roll, pitch, flipped=bool(T[2, 2] < FLIPPED))
+            return Mount(base, wanted, x, y, z, yaw, roll, pitch, flipped=bool(T[2, 2] < MAX_FLIPPED_COSINE))
     return None
 
 

@@ -14,7 +14,7 @@ from bags import T0, cdr, header
 from mcap.reader import McapReader, NonSeekingReader, make_reader
 from mcap.stream_reader import StreamReader
 
-from locfuse.formats.container.mcap_write import Block, ColumnWriter
+from locfuse.formats.container.mcap_write import ColumnWriter, MessageBlock
 from locfuse.formats.results.mcap_export import Template, stamp_columns
 
 PAYLOADS = np.arange(12, dtype=np.uint8).reshape(4, 3)
@@ -29,16 +29,16 @@ def written(file: io.BytesIO) -> None:
     a = writer.channel("/a", "cdr", first, {"key": "value"})
     b, _ = writer.channel("/b", "cdr", second, {}), writer.channel("/c", "cdr", second, {})
     writer.attach("robot.toml", b"radius = 1", "application/toml", T0)
-    writer.chunk([Block(a, TIMES, np.array([7, 8, 9, 10]), PAYLOADS)])
+    writer.chunk([MessageBlock(a, TIMES, np.array([7, 8, 9, 10]), PAYLOADS)])
     writer.chunk([])
-    writer.chunk([Block(b, TIMES[:0], TIMES[:0], [])])
+    writer.chunk([MessageBlock(b, TIMES[:0], TIMES[:0], [])])
     writer.metadata("about", {"made": "by hand"})
     later = TIMES[:3] + 100
     writer.chunk(
         [
-            Block(b, later, np.array([1, 2, 3]), RAGGED, later + 5),
-            Block(a, later + 50, np.array([11, 12, 13]), PAYLOADS[:3]),
-            Block(b, later + 1000, np.array([4, 5, 6]), RAGGED),
+            MessageBlock(b, later, np.array([1, 2, 3]), RAGGED, later + 5),
+            MessageBlock(a, later + 50, np.array([11, 12, 13]), PAYLOADS[:3]),
+            MessageBlock(b, later + 1000, np.array([4, 5, 6]), RAGGED),
         ]
     )
     writer.finish()

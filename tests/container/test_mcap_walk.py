@@ -26,7 +26,7 @@ from locfuse.formats.container.decompress import DamagedError, decompress
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.mcap_chunk import records, scan
-from locfuse.formats.container.mcap_ranged import Wanted, promised
+from locfuse.formats.container.mcap_ranged import WantedChunk, promised
 from locfuse.formats.container.mcap_records import message_index
 from locfuse.formats.container.mcap_source import McapSource
 from locfuse.formats.container.mcap_survey import ChunkRef, summary_section
@@ -481,10 +481,10 @@ def test_a_message_that_is_longer_than_its_index_says_is_lost_alone(tmp_path: Pa
     assert survey is not None
     chunk = next(part for part in survey.parts if isinstance(part, ChunkRef))
     channels = list(chunk.index)[:2]  # of three: messages are fetched one by one
-    last_but_one = Wanted(FileBytes(path, Losses()), chunk, channels).spans[-2][0]
+    last_but_one = WantedChunk(FileBytes(path, Losses()), chunk, channels).spans[-2][0]
     struct.pack_into("<Q", data, last_but_one + 1, struct.unpack_from("<Q", data, last_but_one + 1)[0] + 1)
     path.write_bytes(data)
-    _, found = Wanted(FileBytes(path, Losses()), chunk, channels).messages(losses := Losses())
+    _, found = WantedChunk(FileBytes(path, Losses()), chunk, channels).messages(losses := Losses())
     assert chunk.counts is not None
     assert sum(len(m.start) for m in found.values()) == sum(chunk.counts[ident] for ident in channels) - 1
     assert [loss.messages for loss in losses.places.values()] == [1]

@@ -29,7 +29,7 @@ ARGUMENTS: dict[str, int] = {
 RECORD_FIELDS: dict[str, int] = {
     "formats/figures/panels.py:Panel": 16,
     "formats/report/structure.py:Result": 30,
-    "formats/rerun/scene.py:Scene": 15,
+    "formats/rerun/scene.py:RerunScene": 15,
     "fusion/data.py:Drive": 14,
     "fusion/data.py:Estimates": 20,
     "fusion/data.py:Evaluation": 17,

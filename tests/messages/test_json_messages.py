@@ -16,18 +16,18 @@ from locfuse.formats.caps import MAX_DEPTH
 from locfuse.formats.messages import json_messages
 from locfuse.formats.messages.fields import paths
 from locfuse.formats.messages.json_messages import JsonDecoder, parse_jsonschema
-from locfuse.formats.messages.schema import Many, Record, Scalar, SchemaError, Text
+from locfuse.formats.messages.schema import Many, Scalar, SchemaError, Structure, Text
 from locfuse.fusion.data import Ragged
 
 NUMBER = {"type": "number"}
 TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
 
 
-def record(**properties: Any) -> Record:
+def record(**properties: Any) -> Structure:
     return parse_jsonschema("A", json.dumps({"type": "object", "properties": properties}))
 
 
-def decoded(tree: Record, *messages: Any) -> dict[str, Any]:
+def decoded(tree: Structure, *messages: Any) -> dict[str, Any]:
     data = [message if isinstance(message, bytes) else json.dumps(message).encode() for message in messages]
     ends = np.cumsum([len(one) for one in data], dtype=np.int64)
     lengths = np.diff(ends, prepend=0)
@@ -54,7 +54,7 @@ def rows(column: Any) -> list[Any]:
         ({"type": "string"}, Text),
         ({"type": "string", "contentEncoding": "base64"}, Many),
         ({"type": "array", "items": {"type": "string"}}, Many),
-        (TIME, Record),
+        (TIME, Structure),
         ({"type": "array"}, None),
         ({"type": "array", "items": {"type": "null"}}, None),
         ({"type": ["null"]}, None),
@@ -227,7 +227,7 @@ def test_a_time_is_seconds_and_nanoseconds_or_none(value: Any, ns: int) -> None:
 )
 def test_a_time_has_two_properties_of_these_names(properties: tuple[str, ...], time: bool) -> None:
     node = record(a={"type": "object", "properties": dict.fromkeys(properties, NUMBER)}).fields["a"]
-    assert isinstance(node, Record)
+    assert isinstance(node, Structure)
     assert node.is_time is time
 
 

@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from locfuse.formats.messages import cdr
 from locfuse.formats.messages.cdr import CDR, ROS1, Decoder, fixed_size
 from locfuse.formats.messages.fields import paths
-from locfuse.formats.messages.schema import Many, Node, Record, Scalar, Text, parse
+from locfuse.formats.messages.schema import Many, Node, Scalar, Structure, Text, parse
 from locfuse.fusion.data import Ragged
 
 RULE = "=" * 80 + "\nMSG: t/Inner\n"
@@ -27,7 +27,7 @@ def end_of(node: Node, at: int, aligned: bool) -> int | None:
     if isinstance(node, Scalar):
         return (-(-at // node.size) * node.size if aligned else at) + node.size
     parts: list[Node] = []
-    if isinstance(node, Record):
+    if isinstance(node, Structure):
         parts = list(node.fields.values())
     elif isinstance(node, Many) and node.count is not None:
         parts = [node.element] * node.count
@@ -50,7 +50,7 @@ def invented_node(rng: random.Random, depth: int = 0) -> Node:
     if kind == "text":
         return Text()
     if kind == "record":
-        return Record("t", {f"f{i}": invented_node(rng, depth + 1) for i in range(rng.randint(0, 4))})
+        return Structure("t", {f"f{i}": invented_node(rng, depth + 1) for i in range(rng.randint(0, 4))})
     return Many(invented_node(rng, depth + 1), rng.choice([0, 1, 2, 3, 7, 50]) if kind == "array" else None)
 
 

@@ -21,9 +21,9 @@ from locfuse.formats.messages.schema import (
     DTYPES,
     Many,
     Node,
-    Record,
     Scalar,
     SchemaError,
+    Structure,
     Text,
     count_fields,
     parse,
@@ -129,7 +129,7 @@ def test_of_several_names_the_first_that_there_is_counts() -> None:
     message = parse("a/msg/All", "ros2msg", ALL)
     for path, name in (("zzz|text", "text"), ("text|number", "text"), ("zzz|yyy|number", "number")):
         assert [part.path for part in resolve(message, path)] == [name]
-    odd = Record("a", {"a|b": Text(), "b": Text(), "a": Text()})
+    odd = Structure("a", {"a|b": Text(), "b": Text(), "a": Text()})
     assert resolve(odd, "a|b")[0].path == "a|b"
 
 
@@ -218,7 +218,7 @@ def test_structures_nest_as_deep_as_the_cap_and_no_deeper(array: str, monkeypatc
 def counted(node: Node) -> int:
     if isinstance(node, Many):
         return counted(node.element)
-    return 1 + sum(counted(part) for part in node.fields.values()) if isinstance(node, Record) else 1
+    return 1 + sum(counted(part) for part in node.fields.values()) if isinstance(node, Structure) else 1
 
 
 def test_fields_are_counted_at_every_mention_up_to_the_cap(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -263,16 +263,16 @@ def test_definitions_whose_columns_are_alike_have_one_signature(one: str, other:
 def test_a_time_is_two_whole_numbers(fields: str, is_time: bool) -> None:
     text = f"builtin_interfaces/Time t\n{DIVIDER}builtin_interfaces/Time\n{fields}"
     node = parse("a/msg/B", "ros2msg", text).fields["t"]
-    assert isinstance(node, Record)
+    assert isinstance(node, Structure)
     assert node.is_time is is_time
     other = parse("a/msg/B", "ros2msg", text.replace("builtin_interfaces/Time", "a/Time")).fields["t"]
-    assert isinstance(other, Record)
+    assert isinstance(other, Structure)
     assert not other.is_time
 
 
 def test_times_that_a_definition_only_mentions_are_those_of_ros() -> None:
     node = parse("a/msg/B", "ros2msg", "builtin_interfaces/Time t\nbuiltin_interfaces/Duration d\n").fields["t"]
-    assert isinstance(node, Record)
+    assert isinstance(node, Structure)
     assert [(n, p.dtype, p.size) for n, p in node.fields.items() if isinstance(p, Scalar)] == [
         ("sec", "i4", 4), ("nanosec", "u4", 4),
     ]  # fmt: skip

@@ -317,7 +317,7 @@ def test_the_page_needs_no_matplotlib(compared: Path) -> None:
 
 
 def test_a_figure_that_is_not_finite_is_a_dash() -> None:
-    figures = report_html.Figures({"a": np.nan, "b": None, "c": 0.25})
+    figures = report_html.ReportFigures({"a": np.nan, "b": None, "c": 0.25})
     assert "–" in figures(["a"])
     assert "–" in figures(["b"])
     assert figures(["c"], "{:.2f}") == '<data value="0.25" data-from="/c">0.25</data>'

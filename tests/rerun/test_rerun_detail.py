@@ -13,7 +13,7 @@ from small_drive import drive as small_drive
 from small_drive import robot as small_robot
 
 from locfuse.formats.rerun.recording import save_recording, unfolded
-from locfuse.formats.rerun.scene import Detail, RawTopic, Scene, Sight
+from locfuse.formats.rerun.scene import Detail, RawTopic, RerunScene, SensorLook
 from locfuse.formats.rerun.series import reading_states, thinned_states
 from locfuse.formats.rerun.style import STATES
 from locfuse.fusion.data import (
@@ -30,13 +30,13 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 
 N = 30_000
-SIGHTS: Mapping[str, Sight] = {
-    "compass": Sight((Component("heading", "deg", 57.3),), (0.001, 5.02), "heading"),
-    "lrf": Sight((Component("r", "m"), Component("psi", "deg", 57.3)), (0.05, 7.38), "segments"),
+SIGHTS: Mapping[str, SensorLook] = {
+    "compass": SensorLook((Component("heading", "deg", 57.3),), (0.001, 5.02), "heading"),
+    "lrf": SensorLook((Component("r", "m"), Component("psi", "deg", 57.3)), (0.05, 7.38), "segments"),
 }
 
 
-def long_scene(epoch_ns: int = 1_700_000_000_000_000_000) -> Scene:
+def long_scene(epoch_ns: int = 1_700_000_000_000_000_000) -> RerunScene:
     """A compass that speaks 30 000 times on a long spiral."""
     rng = np.random.default_rng(3)
     t = np.linspace(0.0, 0.1 * (N - 1), N)
@@ -52,7 +52,7 @@ def long_scene(epoch_ns: int = 1_700_000_000_000_000_000) -> Scene:
     triangles = np.broadcast_to(upper_triangles(np.diag([1e-4, 4e-4, 1e-4])), (N, 6))
     estimates = Estimates("compass", ("compass",), t, pose, triangles, {"compass": audit})
     raw = [RawTopic("/imu/heading", t, {"data": pose[:, 2]})]
-    return Scene("long", drive, [estimates], {}, SIGHTS, raw=raw)
+    return RerunScene("long", drive, [estimates], {}, SIGHTS, raw=raw)
 
 
 def test_a_long_drive_is_thinned_and_full_keeps_everything(tmp_path: Path) -> None:
@@ -86,7 +86,7 @@ def test_a_drive_without_truth_and_without_sensors_is_drawn(tmp_path: Path) -> N
     drive = small_drive(1, robot, sensors=(), laps=0.1, truth=False)
     estimates = fuse(drive, robot, [])
     save_recording(
-        tmp_path / "poor.rrd", Scene("poor", drive, [estimates], {"odometry": evaluate(estimates, drive)})
+        tmp_path / "poor.rrd", RerunScene("poor", drive, [estimates], {"odometry": evaluate(estimates, drive)})
     )
     entities = read(tmp_path / "poor.rrd")
     assert {"world/odometry/pose", "world/odometry/path", "world/odometry/sigma"} <= set(entities)
@@ -100,7 +100,7 @@ def test_names_that_are_grammar_to_rerun_are_drawn(tmp_path: Path) -> None:
     drive = small_drive(1, robot, laps=0.1)
     estimates = [fuse(drive, robot, ["compass", "lrf"], name) for name in ("compass+lrf", "lrf@2Hz", "ä b")]
     raw = [RawTopic("/a b/[x]", drive.t, {"field.0": drive.t})]
-    save_recording(tmp_path / "odd.rrd", Scene("a/b: c", drive, estimates, {}, SIGHTS, raw=raw))
+    save_recording(tmp_path / "odd.rrd", RerunScene("a/b: c", drive, estimates, {}, SIGHTS, raw=raw))
     entities = read(tmp_path / "odd.rrd")
     assert {"world/compass\\+lrf/path", "world/lrf\\@2Hz/path", "world/ä\\ b/path"} <= set(entities)
     assert "raw/a\\ b/\\[x\\]/field.0" in entities

@@ -20,7 +20,7 @@ from small_drive import robot as small_robot
 
 from locfuse.cli.rerun import viewer
 from locfuse.formats.rerun.recording import check, save_recording
-from locfuse.formats.rerun.scene import Scene
+from locfuse.formats.rerun.scene import RerunScene
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.fuse import fuse
 
@@ -39,10 +39,10 @@ def lonely(monkeypatch: pytest.MonkeyPatch) -> int:
     return port
 
 
-def poor_scene() -> Scene:
+def poor_scene() -> RerunScene:
     robot = small_robot()
     drive = small_drive(1, robot, sensors=(), laps=0.2, truth=False)
-    return Scene("poor", drive, [fuse(drive, robot, [])], {})
+    return RerunScene("poor", drive, [fuse(drive, robot, [])], {})
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.messages.fields import resolve
-from locfuse.formats.messages.schema import Record, Scalar
+from locfuse.formats.messages.schema import Scalar, Structure
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.sensors.landmark_messages import NO_ID, Looks, Sighted, sighted
 
@@ -129,7 +129,7 @@ def test_objects_whose_classes_are_words_are_no_landmarks(tmp_path: Path) -> Non
 
 
 def test_a_field_whose_own_name_holds_the_bar_between_names_is_still_found() -> None:
-    message = Record("odd", {"a|b": Scalar("f8", 8), "b": Scalar("i4", 4), "c|": Scalar("u1", 1)})
+    message = Structure("odd", {"a|b": Scalar("f8", 8), "b": Scalar("i4", 4), "c|": Scalar("u1", 1)})
     assert [resolve(message, path)[0].path for path in ("a|b", "c|", "x|b")] == ["a|b", "c|", "b"]
 
 

@@ -118,7 +118,7 @@ def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str
     """Return what a reference tells of odometry and of sensors; it is no truth, so it keeps or drops none."""
     verdicts = report.get("verdicts", {})
     words = {which: [s for s, v in verdicts.items() if v["verdict"] in which] for which in (HELPS, HURTS)}
-    parts = [f"odometry alone is off by {length(errors[ODOMETRY])}"] if ODOMETRY in errors else []
+    parts = [f"odometry alone differs by {length(errors[ODOMETRY])}"] if ODOMETRY in errors else []
     for which, one, several in ((HELPS, "helps", "help"), (HURTS, "hurts", "hurt")):
         if words[which]:
             parts.append(f"{_names(words[which])} {one if len(words[which]) == 1 else several}")
@@ -126,7 +126,10 @@ def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str
         unjudged = len(verdicts) == 1 and all(v["verdict"] == "no verdict" for v in verdicts.values())
         judge = f"nothing else here judges {_names([*verdicts])}"
         parts.append(judge if unjudged else "of the sensors nothing is sure")
-    return f"Measured against a reference, not truth: {'; '.join(parts)}."
+    rows = (report["configurations"][name].get("reference") or {} for name in errors)
+    shared = any(row.get("shared") for row in rows)  # its own sensors are in what judges it
+    agreement = " Figures with a * show agreement, not error." if shared else ""
+    return f"Measured against a reference, not truth: {'; '.join(parts)}.{agreement}"
 
 
 def _without_truth(report: Mapping[str, Any]) -> str:

@@ -68,7 +68,7 @@ def _effect(tried: Mapping[str, Any]) -> str:
         parts.append(f"{whose} {length(before['position_rmse_m'])} -> {length(after['position_rmse_m'])}")
     turned = [values.get("heading_rmse_deg") for values in (before, after)]
     if turned[0] and turned[1] is not None and abs(turned[0] - turned[1]) > SAME_TURN * turned[0]:
-        parts.append(f"heading {turned[0]:.2g}° -> {turned[1]:.2g}°")
+        parts.append("heading " + " -> ".join(f"{v:.0f}°" if v >= 10.0 else f"{v:.2g}°" for v in turned))
     if before["anees"] and after["anees"]:
         parts.append(f"ANEES {_ratio(before['anees'])} -> {_ratio(after['anees'])}")
     if before["prediction_nats"] is not None:

@@ -50,7 +50,7 @@ def spoils(before: Score, after: Score, allowed: float = MAX_LOSS, allowed_nats:
         if after.position is None or after.position > before.position * (1.0 + allowed) + MAX_LOSS_M:
             return True
         much_smaller = after.position < (1.0 - MIN_GAIN) * before.position
-        if not much_smaller and _turns_worse(before, after, allowed):
+        if after.position >= MAX_SETTLED_SHARE * before.position and _turns_worse(before, after, allowed):
             return True
         return not much_smaller and _off(after) > _off(before) + MAX_LN_ANEES_LOSS
     if before.prediction is not None:

@@ -26,7 +26,7 @@ def test_a_reference_says_which_sensors_help_and_what_nobody_judges(verdicts: di
         "reference": {"sensors": ["lrf"]},
     }
     found = headline(report, {"odometry": ()})
-    assert found == f"Measured against a reference, not truth: odometry alone is off by 52 mm; {end}"
+    assert found == f"Measured against a reference, not truth: odometry alone differs by 52 mm; {end}"
 
 
 @pytest.mark.parametrize(

@@ -213,6 +213,9 @@ def test_a_filter_that_only_becomes_underconfident_is_not_spoiled_beside_a_senso
         (Score(0.3, 220.0, BOUNDS), Score(0.303, 100.0, BOUNDS), False, True),
         (Score(0.1, 1.0, BOUNDS), Score(0.05, 3.0, BOUNDS), False, True),  # half the error
         (Score(0.1, 1.0, BOUNDS), Score(0.091, 3.0, BOUNDS), True, False),  # less than a tenth
+        (Score(0.26, heading=1.8), Score(0.21, heading=2.9), True, True),  # a heading is no less than a place
+        (Score(0.26, heading=1.8), Score(0.12, heading=2.9), False, True),  # less than half the error
+        (Score(0.69, heading=2.9), Score(0.68, heading=1.9), False, True),
         (Score(0.1), Score(0.01, lost=0.2), True, True),  # lost is worse, whatever else
         (Score(0.1), Score(), True, False),
         (Score(prediction=1.0), Score(prediction=1.2), False, True),

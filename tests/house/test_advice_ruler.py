@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks import advice, advice_logs
 from benchmarks.advice_cases import CASES, CLEAN, RIGHT
-from locfuse.cli.analysis.load import make_robot, table_types
+from locfuse.cli.analysis.robot_tables import make_robot, table_types
 from locfuse.formats.robot import robot_toml
 from locfuse.sample_logs.load import load
 

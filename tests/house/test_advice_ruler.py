@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks import advice
+from benchmarks import advice, advice_logs
 from benchmarks.advice_cases import CASES, CLEAN, RIGHT
 from locfuse.cli.analysis.robot_tables import make_robot, table_types
 from locfuse.formats.robot import robot_toml
@@ -123,3 +123,33 @@ def test_the_table_of_cases_has_a_line_each_and_the_goals_of_all() -> None:
 
 def test_a_clean_drive_has_the_right_settings() -> None:
     assert CASES["none"].sets == CASES["none"].right == RIGHT
+
+
+def real_row(after: tuple[float, float]) -> dict[str, Any]:
+    """Return the row of a real log whose `all` had 0.4 m and 4 degrees, and has `after` now."""
+
+    def figures(*errors: float) -> dict[str, Any]:
+        return {"all": {"errors": [*errors, 7.0], "void": False}}
+
+    return {
+        "task": ["fr079"],
+        "fixes": ["wheels.time_offset=0.13"],
+        "again": [],
+        "findings": [{"what": "wheels: lag", "fixes": ["wheels.time_offset=0.13"], "judged": None, "words": ""}],
+        "before": figures(0.4, 4.0),
+        "after": figures(*after),
+        "cpu": [10.0, 25.0],
+        "relations": None,
+    }
+
+
+@pytest.mark.parametrize(
+    ("after", "bad"), [((0.3, 2.0), "no"), ((0.41, 2.0), "**yes**"), ((0.3, 4.2), "**yes**"), ((0.4, 4.05), "no")]
+)
+def test_a_real_log_got_worse_where_position_or_heading_did(after: tuple[float, float], bad: str) -> None:
+    (line,) = advice_logs.obeyed_table([real_row(after)])[2:]
+    log, name, position, heading, anees, worse, again, cpu = (cell.strip() for cell in line.split("|")[1:-1])
+    assert (log, name, anees, again, cpu) == ("fr079", "all", "7 -> 7", "nothing", "2.5 x, 1 fixes")
+    assert position.startswith("0.40 m -> 0.")
+    assert heading == f"4.00° -> {after[1]:.2f}°"
+    assert worse == bad

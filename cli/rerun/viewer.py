@@ -25,7 +25,7 @@ from .address import ADDRESS, HOST, LOCAL_VIEWER, PORT
 PORT_TIMEOUT_S = 1.0  # s to wait for a port
 SEND_TIMEOUT_S = 10.0  # s to wait for a viewer to take a recording, and
 SEND_RATE_BPS = 5e6  # bytes per second on top of that
-START_TIMEOUT_S = 2.0  # s in which a viewer that cannot start has said so
+START_TIMEOUT_S = 2.0  # s in which a viewer that cannot start has ended
 
 
 def show(path: Path) -> subprocess.Popen[bytes] | None:
@@ -84,8 +84,8 @@ def send(path: Path, url: str) -> None:
     except subprocess.TimeoutExpired:
         raise LocfuseError(f"what listens at {host}:{port} does not take a recording") from None
     if done.returncode != 0:
-        said = (done.stderr.strip().splitlines() or ["it went away"])[-1]
-        raise LocfuseError(f"the viewer at {host}:{port} did not take the recording: {said[:160]}")
+        reason = (done.stderr.strip().splitlines() or ["it went away"])[-1]
+        raise LocfuseError(f"the viewer at {host}:{port} did not take the recording: {reason[:160]}")
 
 
 def require() -> None:

@@ -71,7 +71,7 @@ def _stored(data: bytes, limit: int) -> bytes:
 def _zstd(data: bytes, limit: int) -> bytes:
     try:
         declared = zstandard.frame_content_size(data)
-        if declared == limit - 1:  # the ordinary case: one frame that says its size, the one expected
+        if declared == limit - 1:  # the ordinary case: one frame that declares its size, the one expected
             return zstandard.ZstdDecompressor().decompress(data)
         return zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True).read(limit)
     except zstandard.ZstdError:
@@ -161,7 +161,7 @@ def _unpacked_message(message: bytes) -> bytes:
     if int.from_bytes(message[:4], "little") != ZSTD_WORD:
         return message
     try:
-        declared = zstandard.frame_content_size(message)  # -1: the frame does not say
+        declared = zstandard.frame_content_size(message)  # -1: the frame declares none
         plain = zstandard.ZstdDecompressor().stream_reader(message, read_across_frames=True).read(MAX_MESSAGE + 1)
     except zstandard.ZstdError:
         return b""
@@ -236,7 +236,7 @@ def _unpack(path: Path, name: Place, plain: BinaryIO, losses: Losses) -> None:
 def _ends_whole(packed: BinaryIO, size: int) -> bool:
     """Tell whether the last frame ends where the file does, by the lengths of its blocks.
 
-    A frame need not say its size, and of a cut-off frame the library returns what there is without an error.
+    A frame need not declare its size, and of a cut-off frame the library returns what there is without an error.
     Format: RFC 8878, section 3.1.
     """
     at = 0

@@ -167,7 +167,7 @@ def _gaps(offsets: Ints, ends: Ints, size: int) -> Iterator[tuple[int, int]]:
 
 
 def _salvage(data: NDArray[np.uint8], scanned: Records, index: Index) -> Records:
-    """Read a damaged chunk: what the index says and the bytes confirm, before and behind the damage."""
+    """Read a damaged chunk: what the index lists and the bytes confirm, before and behind the damage."""
     channel, log_time, offsets = _flatten(index)
     good = offsets[credible(data, channel, log_time, offsets)]
     return Records(_gather(data, _followed(data, _disjoint(data, good))), scanned.definitions, scanned.end)

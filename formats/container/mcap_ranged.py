@@ -1,6 +1,7 @@
 """Messages of a file that is elsewhere, by ranges: of stored chunks the messages alone, of packed ones the chunk.
 
-The message indexes of a stored chunk say where its messages begin; each ends where the next of any channel begins.
+The message indexes of a stored chunk hold where its messages begin; each ends where the next one begins, of
+whatever channel.
 The bytes that come are held against index and summary as far as they can be: a chunk's checksum needs all of it.
 """
 
@@ -39,7 +40,7 @@ ENTRY = 16  # bytes
 
 
 def promised(data: FileBytes) -> Survey | None:
-    """Return what the summary of a file says, None where it cannot be believed without a walk."""
+    """Return the survey by the summary of a file, None where it cannot be believed without a walk."""
     summary = read_summary(data)
     if summary is None or summary.statistics is None:
         return None
@@ -209,7 +210,7 @@ def _by_channel(
 
 
 def wanted_of(data: FileBytes, chunks: Sequence[ChunkRef], channels: Collection[int]) -> list[WantedChunk]:
-    """Return what is wanted of the chunks, with the message indexes that say where it is at hand."""
+    """Return what is wanted of the chunks, with the message indexes that hold its places at hand."""
     found = [WantedChunk(data, chunk, channels) for chunk in chunks]
     data.fetch(one.index_span for one in found if not one.whole)
     return found
@@ -234,7 +235,7 @@ def _at_hand(data: FileBytes, group: Sequence[WantedChunk]) -> Iterator[WantedCh
 
 
 def own_header(data: FileBytes, chunk: ChunkRef) -> rec.ChunkHeader:
-    """Return a chunk's own header. Raises DamagedError where it is not what the summary says."""
+    """Return a chunk's own header. Raises DamagedError where it differs from the summary's."""
     head = data.read(chunk.offset, CHUNK_HEAD)
     opcode, _ = rec.opcode_and_length(head)
     header = rec.chunk_header(head[rec.RECORD.size :])

@@ -22,7 +22,7 @@ MESSAGE_HEADER = 22  # channel, sequence, log time, publish time
 
 
 class Schema(NamedTuple):
-    """A message definition: `encoding` says the language of `data`."""
+    """A message definition: `encoding` is the language of `data`."""
 
     id: int
     name: str
@@ -52,7 +52,7 @@ class ChunkHeader(NamedTuple):
 
 
 class ChunkIndex(NamedTuple):
-    """Where the summary says a chunk lies, and how many bytes of message indexes follow it."""
+    """Where a chunk lies by the summary, and how many bytes of message indexes follow it."""
 
     offset: int
     length: int
@@ -71,7 +71,7 @@ class ChunkIndex(NamedTuple):
 
 
 class AttachmentIndex(NamedTuple):
-    """Where the summary says an attachment's record lies."""
+    """Where an attachment's record lies by the summary."""
 
     offset: int
     length: int

@@ -34,7 +34,7 @@ class ChunkRef(msgspec.Struct):
     index: dict[int, tuple[int, int]] = field(default_factory=dict)  # channel -> (file offset, content length)
     available: int = 0  # compressed bytes present: less than header.length where the file is cut off
     counts: dict[int, int] | None = None  # channel -> messages, once known
-    promised: bool = False  # whether only the summary says all this: its checksum is then not known yet
+    promised: bool = False  # whether all this is from the summary alone: its checksum is then not known yet
 
     @property
     def start(self) -> int:
@@ -48,7 +48,7 @@ class ChunkRef(msgspec.Struct):
 
     @property
     def size(self) -> int:
-        """Bytes to read: fewer than the header says where the file is cut off."""
+        """Bytes to read: fewer than in the header where the file is cut off."""
         return self.available
 
     @property
@@ -98,7 +98,7 @@ class Survey(msgspec.Struct):
     expected: dict[int, int] | None = None  # channel -> messages, by the statistics
 
     def define(self, opcode: int, content: bytes) -> None:
-        """Take a Schema or Channel record; what was said first (by the summary, where there is one) counts."""
+        """Take a Schema or Channel record; the first definition counts (the summary's, where there is one)."""
         if opcode == rec.SCHEMA:
             schema = rec.schema(content)
             self.schemas.setdefault(schema.id, schema)
@@ -111,7 +111,7 @@ class Survey(msgspec.Struct):
 
 
 class FileSummary(msgspec.Struct):
-    """What the writer said about the whole file."""
+    """What the writer noted about the whole file."""
 
     start: int  # file offset of the section
     schemas: dict[int, rec.Schema] = field(default_factory=dict)
@@ -332,7 +332,7 @@ class _SurveyWalk:
             self.found = Survey(schemas=summary.schemas, channels=summary.channels, expected=summary.counts)
         self.resync = Resync(data, summary)
         self.chunked = False
-        self.index_end = 0  # where the message indexes of the last chunk end, as the summary says
+        self.index_end = 0  # where the message indexes of the last chunk end, by the summary
 
     def run(self) -> Survey:
         here = len(rec.MAGIC)
@@ -350,7 +350,7 @@ class _SurveyWalk:
     def _put_in_order(self) -> None:
         """Put chunks in the order of their times.
 
-        Times in a chunk's header are covered by no checksum, so they count only where the summary says the same.
+        Times in a chunk's header are covered by no checksum, so they count only where the summary has the same.
         """
         spans = [part.span for part in self.found.parts]
         promised = self.summary.chunks.values() if self.summary else ()

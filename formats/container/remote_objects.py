@@ -312,7 +312,7 @@ class RemoteBytes(FileBytes):
 
     @property
     def all_read(self) -> bool:
-        """Whether every byte was read: never said of an object, which is known by its tag."""
+        """Whether every byte was read: always False for an object, which is known by its tag."""
         return False
 
     def read(self, at: int, n: int) -> bytes:

@@ -164,7 +164,7 @@ class BagPart(msgspec.Struct):
     compression: str = ""
     size: int = 0  # unpacked
     cut_off: bool = False
-    counts: dict[int, int] | None = None  # connection -> messages, as the index behind the chunk says
+    counts: dict[int, int] | None = None  # connection -> messages, by the index behind the chunk
 
 
 class BagSource:
@@ -341,12 +341,12 @@ class BagSource:
         found = {}
         for ident, (head, data) in self._connections.items():
             try:
-                said = fields_of(data)
+                described = fields_of(data)
             except DamagedError:
                 continue
-            topic = head.get(b"topic", said.get(b"topic", b"")).decode("utf-8", "replace")
-            msgtype = said.get(b"type", b"").decode("utf-8", "replace")
-            text = said.get(b"message_definition", b"")
+            topic = head.get(b"topic", described.get(b"topic", b"")).decode("utf-8", "replace")
+            msgtype = described.get(b"type", b"").decode("utf-8", "replace")
+            text = described.get(b"message_definition", b"")
             found[ident] = ChannelInfo(topic, msgtype, "ros1", "ros1msg", text, counts[ident])
         return found
 

@@ -269,7 +269,7 @@ def _samples(database: sqlite3.Connection, leash: Leash) -> dict[int, bytes]:
 
 
 def _definitions(database: sqlite3.Connection, leash: Leash) -> dict[str, tuple[str, str]]:
-    """Return type -> (language, text) as the bag itself says, since ROS 2 Iron."""
+    """Return type -> (language, text) by the bag's own table, since ROS 2 Iron."""
     columns = "topic_type, encoding, encoded_message_definition"
     try:
         with leash.step():

@@ -68,7 +68,7 @@ class Source(Protocol):
         """First and last log time, None without messages."""
 
     def published(self, data: NDArray[np.uint8], messages: Messages) -> Ints:
-        """Return when the messages of a batch were published, ns; the log times where the file does not say."""
+        """Return when the messages of a batch were published, ns; the log times where the file holds no other."""
 
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
         """Yield the messages of the wanted channels in file order; the same order at every call."""

@@ -24,7 +24,7 @@ DRIVERS = ("left_wheel", "right_wheel")
 
 
 def as_joints(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return fields of JointStates made of k messages; `columns` are OF_DYNAMIC. What is not said is NaN."""
+    """Return fields of JointStates made of k messages; `columns` are OF_DYNAMIC. What is missing is NaN."""
     names = cast("list[tuple[str, ...]]", columns["joint_names"])
     made: dict[str, Column] = {"name": names}
     first = np.concatenate(([0], np.cumsum([len(row) for row in names], dtype=np.int64)))
@@ -56,8 +56,8 @@ def _interface(columns: Mapping[str, Column], names: list[tuple[str, ...]], fiel
         key = (row, interfaces[i], lengths[i].tobytes())
         if key not in places:
             places[key] = _places(len(row), interfaces[i], lengths[i], field)
-        at, said = places[key], np.append(values[i].astype(np.float64), np.nan)
-        out.append(said[at])
+        at, known = places[key], np.append(values[i].astype(np.float64), np.nan)
+        out.append(known[at])
     return np.concatenate([np.empty(0), *out])
 
 

@@ -120,23 +120,23 @@ def open_bytes(file: Place, losses: Losses) -> FileBytes:
 
 
 def open_source(file: Place, losses: Losses) -> Source:
-    """Open one file of a log by what its first bytes say it is."""
+    """Open one file of a log by its first bytes."""
     try:
         data = open_bytes(file, losses)
         if data.far and data.read(data.size - len(MAGIC), len(MAGIC)) != MAGIC:
-            data.copy_here()  # no whole MCAP: nothing says where what lies in it
+            data.copy_here()  # no whole MCAP: its content has no index
         if not data.far and data.read(0, len(ZSTD_MAGIC)) == ZSTD_MAGIC:
             data = unpack_file(data, losses)
         head = b"" if data.far else data.read(0, 64)
         for magic, source in SOURCES.items():
             if head.startswith(magic):
                 return source(data, losses)
-        return McapSource(data, losses)  # which says what else the file is
+        return McapSource(data, losses)  # which raises where the file is something else
     except OSError as problem:
         raise LocfuseError(f"{file}: cannot be read: {problem.strerror}") from None
 
 
-# --- Identity of a log's content without reading all of it: sizes, and a hash of what each file says of itself
+# --- Identity of a log's content without reading all of it: sizes, and a hash of each file's own summary
 # The summary section of an MCAP lists every chunk with its place, size and times, so two recordings with equal
 # summaries are copies. A file without one is known by its size and both ends. Bytes that are changed in place and
 # leave these as they were are not noticed; a later change of the file's time is (`locfuse compare` over many

@@ -59,7 +59,7 @@ from .transform_stream import (
 
 
 class UnreadableTopicError(LocfuseError):
-    """The messages of a topic cannot be decoded; `problem` says why without saying again of which topic."""
+    """The messages of a topic cannot be decoded; `problem` is the reason without the topic."""
 
     problem: str = ""
 
@@ -90,7 +90,7 @@ class Carrier(NamedTuple):
 
 
 class TopicChannels:
-    """All channels of one topic. The busiest says what the topic is; what is of another kind is left out."""
+    """All channels of one topic. The type of the busiest is the topic's; what is of another kind is left out."""
 
     def __init__(self, carriers: Sequence[Carrier]) -> None:
         self.carriers = sorted(carriers, key=lambda carrier: -(carrier.channel.n or 0))
@@ -240,7 +240,7 @@ class Log:
     def stream(self, topic: str, order: str = "auto") -> AnyStream:
         """Return a topic's stream; nothing is read before its rows are asked for.
 
-        "/tf:odom:base_link" is the frame base_link in the frame odom as /tf says (TransformStamped),
+        "/tf:odom:base_link" is the frame base_link in the frame odom by /tf (TransformStamped),
         "/tf:camera_optical:tags" the tags that were seen in that frame, "/status:yaw.value" a number of any
         message, "/points:scan" a cloud's level slice as a LaserScan, "/path:poses" the poses of a Path, and the
         name of a .tum or .csv file is that file.
@@ -399,7 +399,7 @@ class Log:
         counts = {name: topic.count for name, topic in readable.items()}
         pairs = []
         for name in clocks.stamped_topics(types, counts):
-            with suppress(LocfuseError):  # a topic that cannot be read says so elsewhere
+            with suppress(LocfuseError):  # a topic that cannot be read is reported elsewhere
                 table = self.read({name: ()})[name]
                 if table.stamp is not None and table.log_time is not None and len(table.log_time):
                     pairs.append((table.log_time, np.asarray(table.columns[table.stamp]).astype(np.int64)))

@@ -69,7 +69,7 @@ class TopicTable:
     def __init__(self, topic: str, decoder: MessageDecoder, expected: int) -> None:
         self.topic = topic
         self.decoder = decoder
-        self._expected = expected  # messages, as the files say
+        self._expected = expected  # messages, by the files
         self.stamp = stamp_path(decoder.message)  # the field that dates the messages
         self._frame = frame_path(decoder.message)
         self.frame_id = ""

@@ -82,8 +82,11 @@ def edges_of(log_time: Ints, columns: Mapping[str, Column], order: str) -> dict[
         good = np.isfinite(values[at]).all(axis=1) & (np.square(values[at, 3:]).sum(axis=1) > MAX_STILL_M)
         use = np.array(at)[good]
         if len(use):
-            said, recorded = np.asarray(stamps.values)[use].astype(np.int64), log_time[np.array(rows[key])[good]]
-            found[key] = FrameEdge(*key, clocks.settle(recorded, said, order), recorded, said, values[use])
+            stamped, recorded = (
+                np.asarray(stamps.values)[use].astype(np.int64),
+                log_time[np.array(rows[key])[good]],
+            )
+            found[key] = FrameEdge(*key, clocks.settle(recorded, stamped, order), recorded, stamped, values[use])
     return found
 
 
@@ -166,7 +169,7 @@ class TransformStream(clocks.Dated):
 class TagStream(clocks.Dated):
     """The tags that a camera saw, a row for each, with the face of a topic; made of frames of /tf.
 
-    A transform that says the same to the bit as the one before of its tag was published again, not seen again.
+    A transform equal to the bit to the one before of its tag was published again, not seen again.
     """
 
     msgtype = TAGS

@@ -31,7 +31,7 @@ WORD = struct.Struct("<I")
 
 
 class MalformedError(ValueError):
-    """A message that is not what its definition says; the message is the reason in a few words."""
+    """A message that does not fit its definition; the message is the reason in a few words."""
 
 
 class LayoutRules(NamedTuple):

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from .schema import FILLER, LengthCounts, Many, Node, Scalar, Structure, Text
 
-STAMPS = ("header.stamp", "timestamp")  # where a message says when it was measured: ROS, Foxglove
+STAMPS = ("header.stamp", "timestamp")  # the time of measurement: ROS, Foxglove
 FRAMES = ("header.frame_id", "frame_id")
 
 
@@ -33,7 +33,7 @@ OR = "|"  # between the names that releases of a package gave to one field: "k|K
 def resolve(message: Structure, path: str) -> tuple[Part, ...]:
     """Find a field path in a message type, the first that it has of several. Raises FieldError naming the nearest.
 
-    Arrays inside an array are one column end to end; the `.length` of arrays of numbers says where each ends.
+    Arrays inside an array are one column end to end; the `.length` of arrays of numbers is where each ends.
     """
     *earlier, last = path.split(OR)
     for name in (path, *earlier) if earlier else ():  # a definition may call one field "a|b", however odd
@@ -112,7 +112,7 @@ def _resolved(message: Structure, path: str) -> tuple[Part, ...]:
 
 
 # --- Kinds of column: what a field of a message holds, and what its readers expect of it
-# A message type is only a name; the definition in the log says what the messages hold. Where the two disagree (a
+# A message type is only a name; the definition in the log is what the messages hold. Where the two disagree (a
 # LaserScan whose `ranges` is one number), the field is refused in one line before anything is decoded.
 
 NUMBER, TRUTH, TEXT, TIME, BYTES = "a number", "true or false", "a text", "a time", "bytes"
@@ -176,6 +176,7 @@ READ_TYPES = frozenset(
         "irobot_create_msgs/msg/WheelVels",
         "kobuki_msgs/msg/SensorState",
         "locfuse/msg/Detections",
+        "locfuse/msg/Ranges",
         "locfuse/msg/TagFrames",
         "mocap4r2_msgs/msg/RigidBodies",
         "nav_msgs/msg/Odometry",
@@ -299,13 +300,14 @@ EXPECTED: Mapping[str, tuple[str, ...]] = {
     "twist.covariance": (THIRTY_SIX,),
     "orientation_covariance": (NINE,),
     "angular_velocity_covariance": (NINE,),
-    "position_covariance": (NINE, NUMBERS),  # JSON arrays do not say their length
+    "position_covariance": (NINE, NUMBERS),  # JSON schemas do not fix the length
 }
 WHOLE_NUMBERS = ("Int16", "UInt16", "Int32", "UInt32", "Int64")
 OF_TYPE: Mapping[tuple[str, str], tuple[str, ...]] = {
     **{(f"std_msgs/msg/{name}", "data"): (NUMBER,) for name in (*WHOLE_NUMBERS, "Float32", "Float64")},
     ("duckietown_msgs/msg/WheelEncoderStamped", "data"): (NUMBER,),
     **{("locfuse/msg/Detections", name): (NUMBER,) for name in ("id", "range", "bearing")},
+    **{("locfuse/msg/Ranges", name): (NUMBER,) for name in ("id", "range")},
     **{("locfuse/msg/TagFrames", name): (NUMBER,) for name in ("id", *XYZ)},
     **{("sensor_msgs/msg/PointCloud2", name): (NUMBER,) for name in ("point_step", "row_step")},
     ("sensor_msgs/msg/PointCloud2", "is_bigendian"): (TRUTH,),

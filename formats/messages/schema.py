@@ -1,4 +1,4 @@
-"""Message definitions (ros2msg, ros2idl, ros1msg) as a tree that says how the bytes of a message lie."""
+"""Message definitions (ros2msg, ros2idl, ros1msg) as a tree: how the bytes of a message lie."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Text(msgspec.Struct, frozen=True, eq=False):
 
 
 class Many(msgspec.Struct, frozen=True, eq=False):
-    """An array: of fixed `count`, or a sequence that says its length itself (None)."""
+    """An array: of fixed `count`, or a sequence that holds its own length (None)."""
 
     element: Node
     count: int | None

@@ -28,7 +28,7 @@ TRUTH_WIDTH, PATH_WIDTH = 2.75, 1.25  # points on the screen
 SIGHT_WIDTH = {"segments": 2.5, "bearing": 1.0, "heading": 1.5}  # points on the screen
 MIN_BODY_SHARE = 0.02  # of the map: smaller robots would not be seen
 HEADING_LENGTH_TRACKS = 1.5  # tracks
-BEARING_LENGTH_M = 2.0  # m, where no landmark says how far
+BEARING_LENGTH_M = 2.0  # m, where no landmark gives the distance
 FLIP = rr.Transform3D(mat3x3=((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)))
 
 

@@ -32,7 +32,7 @@ def save_recording(path: Path, scene: RerunScene, tab: str | None = None, identi
             _write(temporary, scene, tab, identity)
     except OSError as problem:
         raise LocfuseError(f"cannot write {path}: {problem.strerror or problem}") from None
-    except RuntimeError as problem:  # what Rerun's writer thread says when the disk is full
+    except RuntimeError as problem:  # of Rerun's writer thread when the disk is full
         full = "prematurely" in str(problem)
         why = "the disk is full or went away" if full else _first_line(problem)
         raise LocfuseError(f"cannot write {path}: {why}") from None

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, cast
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.wheels.motor import MOTOR
+from locfuse.fusion.wheels.odometry import SCANS
 from locfuse.fusion.wheels.read import WHEEL_READS, counts_ticks
 from locfuse.fusion.wheels.sources import ARRAYS, JOINTS, NUMBERS, SPEEDS, TICKS, joint_names
 
@@ -68,27 +69,45 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
             raise nothing_moves(log)
         choice.take("wheels", counters, kind)
         return
-    choice.take("wheels", [body.topic, *body.beside], body.why)
+    choice.take("wheels", body.topics, body.why)
     if body.note:
         choice.notes.append(Note("wheels", body.note, body.fixes, body.spoils))
     if counters:
-        choice.notes.append(Note("wheels", _passed_over(body.topic, counters, unknown if wheeled else "")))
+        _say_unused(log, choice, counters, unknown if wheeled else "")
+
+
+def _say_unused(log: Log, choice: Choice, counters: Sequence[str], lacks: str) -> None:
+    """Note why what counts is not used: what is not known of the wheels, or "" where no joint is called one."""
+    used = choice.topics["wheels"]
+    if not lacks:
+        words = f"{used} is used, since no joint of {counters[0]} is named like a wheel"
+        words = f"{words}; wheels.left and wheels.right name them"
+    elif log.topics[used].msgtype == SCANS:
+        choice.unused_wheels, choice.lacks = tuple(counters), lacks
+        words = f"{unused_words(choice)}. {used} is used"
+    else:
+        words = f"{used} is used, since {_of_wheels(counters, lacks)}"
+    choice.notes.append(Note("wheels", words))
+
+
+def unused_words(choice: Choice) -> str:
+    """Say that the log holds wheels and what is not known of them; "" where all wheels are used."""
+    if not choice.unused_wheels:
+        return ""
+    words = _of_wheels(choice.unused_wheels, choice.lacks)
+    return f"{words[0].upper()}{words[1:]}"
+
+
+def _of_wheels(counters: Sequence[str], lacks: str) -> str:
+    return (
+        f"wheel angles are in {' and '.join(counters)} but {lacks} {'are' if ' and ' in lacks else 'is'} unknown"
+    )
 
 
 def _size_is_near(log: Log, robot: Robot) -> bool:
     """Return whether half of the wheels' size is set, or a robot description knows it: then it is asked for."""
     described = any(t.rpartition("/")[2] == "robot_description" and log.topics[t].count for t in log.topics)
     return described or robot.wheels.radius is not None or robot.wheels.track is not None
-
-
-def _passed_over(used: str, counters: Sequence[str], unknown: str) -> str:
-    """Say why what counts is not used: what is not known of the wheels, or which joints they are."""
-    if unknown:
-        gives = "give" if len(counters) > 1 else "gives"
-        are = "are" if " and " in unknown else "is"
-        return f"{used} is used, since {' and '.join(counters)} {gives} wheel angles and no {unknown} {are} set"
-    words = f"{used} is used, since no joint of {counters[0]} is named like a wheel"
-    return f"{words}; wheels.left and wheels.right name them"
 
 
 def _turn(log: Log, counters: Sequence[str], robot: Robot) -> bool:
@@ -102,7 +121,7 @@ def _unknown(log: Log, robot: Robot, counters: Sequence[str]) -> str:
     missing = [key for key in ("radius", "track") if getattr(settings, key) is None]
     if counters and counts_ticks(log.topics[counters[0]].msgtype) and settings.ticks_per_revolution is None:
         missing.append("ticks_per_revolution")
-    return " and ".join(f"wheels.{key}" for key in missing)
+    return " and ".join(key.replace("_", " ") for key in missing)
 
 
 def _named_pair(log: Log, robot: Robot) -> list[str]:

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, cast
 
 from locfuse.fusion.data import LocfuseError
-from locfuse.fusion.robot import Robot
+from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.wheels.motor import MOTOR
 from locfuse.fusion.wheels.odometry import SCANS
 from locfuse.fusion.wheels.read import WHEEL_READS, counts_ticks
 from locfuse.fusion.wheels.sources import ARRAYS, JOINTS, NUMBERS, SPEEDS, TICKS, joint_names
+from locfuse.fusion.wheels.tricycle import STEERING_WORD
 
 from .body_topics import choose_body, nothing_moves
 from .motor_topics import with_steering
@@ -44,17 +45,10 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
         choice.take("wheels", _named_pair(log, robot), NAMED)
         return
     if settings.topic is not None:
-        topic = checked(log, "wheels", settings.topic, WHEEL_READS)
-        if log.topics[topic].msgtype in NUMBERS:
-            fix = f"wheels.left_topic={topic}"
-            raise LocfuseError(
-                f"{topic} holds one number, which is one wheel.",
-                role="wheels",
-                fixes=(fix,),
-                hint=f"Name both with --set {fix} --set wheels.right_topic=<topic>",
-            )
-        found = with_steering(log, robot, topic) if log.topics[topic].msgtype in MOTOR else [topic]
-        choice.take("wheels", found, NAMED)
+        choice.take("wheels", _named(log, robot, settings.topic), NAMED)
+        return
+    if (tricycle := _tricycle(log, robot)) and _steering_known(settings):
+        choice.take("wheels", tricycle, "the ticks of a steered wheel and of its steering")
         return
     counters, kind = _counters(log, robot)
     unknown = _unknown(log, robot, counters)
@@ -102,6 +96,47 @@ def _of_wheels(counters: Sequence[str], lacks: str) -> str:
     return (
         f"wheel angles are in {' and '.join(counters)} but {lacks} {'are' if ' and ' in lacks else 'is'} unknown"
     )
+
+
+def _named(log: Log, robot: Robot, name: str) -> list[str]:
+    """Return the topic that the settings name, with that of the steering where it needs one."""
+    topic = checked(log, "wheels", name, WHEEL_READS)
+    kind = log.topics[topic].msgtype
+    if kind in MOTOR:
+        return with_steering(log, robot, topic)
+    if kind not in NUMBERS:
+        return [topic]
+    if steering := steering_ticks(log, robot, topic):
+        return [topic, steering]
+    fix = f"wheels.left_topic={topic}"
+    raise LocfuseError(
+        f"{topic} holds one number, which is one wheel.",
+        role="wheels",
+        fixes=(fix,),
+        hint=f"Name both with --set {fix} --set wheels.right_topic=<topic>",
+    )
+
+
+def steering_ticks(log: Log, robot: Robot, traction: str) -> str | None:
+    """Return the topic that says in ticks how the wheel of a tricycle is steered: as set, else by its name."""
+    named = robot.wheels.steering_topic
+    if named is not None:
+        return checked(log, "wheels", named, NUMBERS)
+    found = [t for t in of_type(log, NUMBERS) if STEERING_WORD in t.lower() and log.topics[t].count]
+    return found[0] if len(found) == 1 and found[0] != traction else None
+
+
+def _tricycle(log: Log, robot: Robot) -> list[str]:
+    """Return a counter called traction or drive and its steering; nothing where there is no such pair."""
+    numbers = [t for t in of_type(log, NUMBERS) if log.topics[t].count and _counts_by_name(t)]
+    rolls = [t for t in numbers if any(word in t.lower() for word in ("traction", "drive"))]
+    steering = steering_ticks(log, robot, rolls[0]) if len(rolls) == 1 else None
+    return [] if steering is None else [rolls[0], steering]
+
+
+def _steering_known(settings: WheelSettings) -> bool:
+    sizes = settings.radius, settings.ticks_per_revolution, settings.servo_gain, settings.wheelbase
+    return all(size is not None for size in sizes)
 
 
 def _size_is_near(log: Log, robot: Robot) -> bool:

@@ -18,9 +18,12 @@ from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.iron import Iron, fit_iron
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.streams import MergedStream
 from locfuse.fusion.wheels.calibrate import PAPER_PERIOD_S, WheelCalibration, calibrate_wheels
 from locfuse.fusion.wheels.calibrate_by_gyro import GyroCalibration, calibrate_by_gyro
+from locfuse.fusion.wheels.calibrate_tricycle import TricycleCalibration, calibrate_tricycle
 from locfuse.fusion.wheels.likelihood import Figure
+from locfuse.fusion.wheels.tricycle import is_tricycle, read_encoders
 
 from .calibrate_laser import SIGMAS_95, ByLaser, by_laser
 from .doubts import refuse_doubtful
@@ -40,6 +43,7 @@ class Calibration(msgspec.Struct, frozen=True):
     gyro: GyroCalibration | None  # tells the track and the ratio where nothing else does as well
     iron: Iron | None
     notes: tuple[str, ...]
+    tricycle: TricycleCalibration | None = None  # where two encoders are the wheels
 
     def geometry(self) -> dict[str, Figure]:
         """Return radius, ratio and track with their intervals, those that the logs can tell."""
@@ -81,6 +85,9 @@ class Calibration(msgspec.Struct, frozen=True):
             tables.setdefault("wheels", {}).update(geometry)
         if self.laser is not None and (mount := self.laser.table()):
             tables["lrf"] = {key: _short(value) for key, value in mount.items()}
+        if self.tricycle is not None:
+            of = {"wheels": self.tricycle.wheels, "truth": self.tricycle.truth}
+            tables |= {name: {key: _short(f.value) for key, f in figures.items()} for name, figures in of.items()}
         if self.iron is not None:
             tables["compass"] = {
                 "hard_iron": [_short(v) for v in self.iron.hard.tolist()],
@@ -95,6 +102,7 @@ class Calibration(msgspec.Struct, frozen=True):
             "laser": None if self.laser is None else self._laser_values(self.laser),
             "gyro": None if self.gyro is None else self._gyro_values(self.gyro),
             "compass": None if self.iron is None else _iron_values(self.iron),
+            "tricycle": None if self.tricycle is None else self._tricycle_values(self.tricycle),
             "robot": self.tables(),
             "notes": list(self.notes),
         }
@@ -122,6 +130,11 @@ class Calibration(msgspec.Struct, frozen=True):
             "outliers": found.fit.outliers,
         }
 
+    def _tricycle_values(self, found: TricycleCalibration) -> dict[str, Any]:
+        figures = {**found.wheels, **{f"truth_{key}": figure for key, figure in found.truth.items()}}
+        values = {name: {"value": f.value, "low": f.low, "high": f.high} for name, f in figures.items()}
+        return {**values, "rms_m": found.rms_m}
+
     def _gyro_values(self, found: GyroCalibration) -> dict[str, Any]:
         figures = {"noise_m": found.k, **self.geometry()}
         return {
@@ -144,6 +157,10 @@ class Calibration(msgspec.Struct, frozen=True):
             rows += [_row(f"lrf.{key}{unit}", figure, was) for key, figure, unit, was in self.laser.mount_rows()]
         if self.wheels is not None:
             rows.append(_row(f"paper's delta ({PAPER_PERIOD_S:g} s)", self.wheels.delta, None))
+        if self.tricycle is not None:
+            of_wheels = self.tricycle.wheels.items()
+            rows += [_row(f"wheels.{key}", f, getattr(self.settings, key)) for key, f in of_wheels]
+            rows += [_row(f"truth.{key} [m]", f, None) for key, f in self.tricycle.truth.items()]
         if self.iron is not None:
             rows += _iron_rows(self.iron)
         return rows
@@ -154,6 +171,8 @@ def calibrate_logs(loaded: Sequence[Loaded], progress: Progress = silent) -> Cal
     settings = _one_robot(loaded)
     for one in loaded:
         refuse_doubtful(one, "what is calibrated now", CALIBRATED)
+    if is_tricycle(loaded[0].stream("wheels")):
+        return _tricycle(loaded, settings)
     notes: list[str] = []
     wheels = _try(lambda: _wheels(loaded), notes)
     laser = None if wheels is not None else _try(lambda: by_laser(loaded, settings, progress), notes)
@@ -236,6 +255,22 @@ def _wheels(loaded: Sequence[Loaded]) -> WheelCalibration:
             hint="(--set truth.topic=/TOPIC names it)",
         )
     return calibrate_wheels(drives)
+
+
+def _tricycle(loaded: Sequence[Loaded], settings: WheelSettings) -> Calibration:
+    """Calibrate the encoders of a steered wheel by the truth of one drive."""
+    drive, stream = loaded[0].drive, loaded[0].stream("wheels")
+    if len(loaded) > 1 or drive.truth is None or not isinstance(stream, MergedStream):
+        raise LocfuseError(
+            "a steered tricycle is calibrated by one log with truth",
+            role="calibrate",
+            hint="(--set truth.topic=/TOPIC names it)",
+        )
+    encoders = read_encoders(stream, settings)
+    shift = (encoders.zero_ns - drive.epoch_ns) * 1e-9 + settings.time_offset
+    found = calibrate_tricycle(encoders, settings, drive.truth, shift)
+    note = f"tricycle: ten parameters, fitted to the whole path, leave {found.rms_m:.3f} m (rms)"
+    return Calibration(settings, None, None, None, None, (note,), found)
 
 
 def _gyro(loaded: Sequence[Loaded], settings: WheelSettings) -> GyroCalibration:

@@ -169,10 +169,10 @@ class Calibration(msgspec.Struct, frozen=True):
 def calibrate_logs(loaded: Sequence[Loaded], progress: Progress = silent) -> Calibration:
     """Calibrate what the logs of one robot allow. Raises LocfuseError where they allow nothing."""
     settings = _one_robot(loaded)
-    for one in loaded:
-        refuse_doubtful(one, "what is calibrated now", CALIBRATED)
     if is_tricycle(loaded[0].stream("wheels")):
         return _tricycle(loaded, settings)
+    for one in loaded:
+        refuse_doubtful(one, "what is calibrated now", CALIBRATED)
     notes: list[str] = []
     wheels = _try(lambda: _wheels(loaded), notes)
     laser = None if wheels is not None else _try(lambda: by_laser(loaded, settings, progress), notes)

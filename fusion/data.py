@@ -409,6 +409,10 @@ def plausible(values: Array) -> NDArray[np.bool_]:
     return small
 
 
+ODOMETRY, BY_SCANS = "odometry", "scan matching"  # configurations without a sensor: by wheels, by scans alone
+BASES = (ODOMETRY, BY_SCANS)
+
+
 def result_name(configuration: str, smoothed: bool) -> str:
     """Return the name of a result in reports and of its files: "all", or "all-smoothed"."""
     return f"{configuration}-smoothed" if smoothed else configuration

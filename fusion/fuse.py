@@ -22,7 +22,7 @@ from locfuse.fusion.kernels.ekf import Innovation, Steps
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 
-from .data import Array, Drive, Estimates, Measurements, matrices
+from .data import BY_SCANS, ODOMETRY, Array, Drive, Estimates, Measurements, matrices
 from .instants import BLOCK, Due, due_readings, steps_of
 from .progress import say_done
 from .robot import Robot, StartSettings
@@ -65,11 +65,11 @@ def fuse(
 
 
 def configuration_name(sensors: Sequence[str], drive: Drive) -> str:
-    """Return "odometry", one sensor's name, "all", or names joined by + in registry order."""
+    """Return "odometry" or "scan matching", a sensor's name, "all", or names joined by + in registry order."""
     present = [s for s in REGISTRY if s in drive.measurements]
     chosen = [s for s in REGISTRY if s in sensors]
     if not chosen:
-        return "odometry"
+        return ODOMETRY if drive.wheels.matched is None else BY_SCANS
     if chosen == present and len(present) > 1:
         return "all"
     return "+".join(chosen)

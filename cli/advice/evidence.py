@@ -22,13 +22,14 @@ from locfuse.fusion.checks.laser import OPEN_SCALE
 from locfuse.fusion.checks.probes import beyond_prior, of_mount, of_offsets, of_probe, of_scale, probe_of
 from locfuse.fusion.checks.tried import Candidate, Fixes, together
 from locfuse.fusion.checks.truth import CREEP, POINT, STEP, WHEEL_SCALE, of_point, swing
+from locfuse.fusion.data import BASES
 from locfuse.fusion.judge.consistency import Evidence as Said
 from locfuse.fusion.judge.innovations import heard
 from locfuse.fusion.judge.noise_verdicts import NoiseVerdict, biased_against
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .clocks import Clocks
-from .judged import FINE, LASER, ODOMETRY, Offer, as_fixes
+from .judged import FINE, LASER, Offer, as_fixes
 from .noise import Noise
 
 SUSPICIOUS = Least(0.005, 2.5)  # what is reason enough to fuse again where nothing else looks wrong
@@ -73,7 +74,7 @@ class Evidence(Clocks, Noise):
 
     def _worse_than_odometry(self) -> bool:
         errors = {e.name: e.figures.get("position_rmse_m") for e in self.compared.evaluations}
-        base = errors.get(ODOMETRY)
+        base = next((errors[n] for n in BASES if n in errors), None)
         if base is not None:
             return any(e is not None and e > base for e in errors.values())
         return any(s.high < 0.0 for s in self.compared.scores)

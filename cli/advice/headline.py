@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from locfuse.formats.report.findings import length
+from locfuse.fusion.data import BASES
 from locfuse.fusion.sensors.registry import REGISTRY
 
 NAMES = {"lrf": "laser", "gps": "GPS", "imu": "IMU"}
 TIE, TIE_M = 0.10, 5e-4  # relative, m: errors that differ by less are equal
-ODOMETRY = "odometry"
 MAX_ANEES, MAX_ANEES_OF_NOISE = 3.0, 50.0  # above: the covariance is too small; by a truth that has no noise
 HELPS, HURTS = ("helps", "seems to help"), ("hurts", "seems to hurt")
 
@@ -59,7 +59,7 @@ def _as_configured(
     ties = _ties(errors)
     others = [s for s in sets[every] if s not in sets[best]]
     if not others or every not in errors:
-        base = errors.get(ODOMETRY)
+        base = next((errors[n] for n in BASES if n in errors), None)
         return first if base is None or others else f"{first} Odometry alone: {length(base)}."
     beside = "it" if len(sets[best]) == 1 else "them"
     if every in ties:
@@ -118,7 +118,7 @@ def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str
     """Return what a reference tells of odometry and of sensors; it is no truth, so it keeps or drops none."""
     verdicts = report.get("verdicts", {})
     words = {which: [s for s, v in verdicts.items() if v["verdict"] in which] for which in (HELPS, HURTS)}
-    parts = [f"odometry alone differs by {length(errors[ODOMETRY])}"] if ODOMETRY in errors else []
+    parts = [f"{n} alone differs by {length(errors[n])}" for n in BASES if n in errors]
     for which, one, several in ((HELPS, "helps", "help"), (HURTS, "hurts", "hurt")):
         if words[which]:
             parts.append(f"{_names(words[which])} {one if len(words[which]) == 1 else several}")

@@ -13,13 +13,13 @@ from locfuse.cli.analysis.trust import sensors_consistency
 from locfuse.fusion.checks.examine import examine
 from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.tried import Candidate, Fixes
-from locfuse.fusion.data import Estimates
+from locfuse.fusion.data import BASES, Estimates
 from locfuse.fusion.judge.consistency import Consistency
 from locfuse.fusion.judge.covariance import honesty
 
 from .trial import Trial
 
-ODOMETRY, LASER = "odometry", "lrf"
+LASER = "lrf"
 REFERENCE = {"wheels", "start", "truth"}  # roles whose settings move every configuration
 WORTH_TRYING = Least(0.005, 2.0)  # what is worth saying untried is larger
 FINE = {"consistent", "unclear"}  # verdicts on a sensor that are no complaint
@@ -88,7 +88,7 @@ class Judged:
         judges = self.judges(finding.role)
         kept = self.kept(finding.role)
         minor = tuple(n for n in judges if n not in kept)
-        others = tuple(n for n in minor if n != ODOMETRY) if finding.role in REFERENCE else ()
+        others = tuple(n for n in minor if n not in BASES) if finding.role in REFERENCE else ()
         return Candidate(finding, alternatives, judges, minor, others, offer)
 
     def kept(self, role: str) -> set[str]:
@@ -110,10 +110,14 @@ class Judged:
         if role in REFERENCE:
             known = self.trial.configurations
             kept = (self._best(known), self._all())
-            others = (n for n in known if n not in kept and n != ODOMETRY)  # first: what settles one is right
+            others = (n for n in known if n not in kept and n not in BASES)  # first: what settles one is right
             # one random walk: without truth it predicts places by chance
-            walk = (ODOMETRY,) if self.loaded.drive.truth is not None or len(known) == 1 else ()
-            return tuple(n for n in dict.fromkeys((*others, *kept, *walk)) if n != ODOMETRY or walk)
+            walk = (
+                tuple(n for n in BASES if n in known)
+                if self.loaded.drive.truth is not None or len(known) == 1
+                else ()
+            )
+            return tuple(n for n in dict.fromkeys((*others, *kept, *walk)) if n not in BASES or walk)
         using = self._using(role)
         if not using:
             return ()

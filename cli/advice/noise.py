@@ -11,12 +11,13 @@ from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser_driver import ranges_sigma, scatter_more
 from locfuse.fusion.checks.slip import Slip, slip
 from locfuse.fusion.checks.tried import Candidate, Fixes
+from locfuse.fusion.data import BASES
 from locfuse.fusion.judge.consistency import Consistency
 from locfuse.fusion.judge.innovations import Own, own
 from locfuse.fusion.judge.noise_verdicts import MAX_SIGMA_FACTOR, many_refused
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .judged import LASER, ODOMETRY, Judged, as_fixes
+from .judged import LASER, Judged, as_fixes
 
 WHEEL_NOISE_FACTORS = (0.1, 0.3, 3.0, 10.0)
 TOO_LOW = 2.0  # a sigma that is set too low refuses the large residuals, so the observed one is a lower bound
@@ -227,7 +228,7 @@ class Noise(Judged):
         options = tuple((f"wheels.noise={noise * factor:.2g}",) for factor in factors)
         found = self._candidate(Finding("wheels", "noise", words), options, True)
         # odometry's one random walk tells no noise, and chance moves the others by as much
-        judges = tuple(n for n in found.judges if n not in found.minor and n != ODOMETRY)
+        judges = tuple(n for n in found.judges if n not in found.minor and n not in BASES)
         # wheels that hardly slipped where this could be seen may slip far elsewhere: less has to gain something
         more = any(factor > 1.0 for factor in factors)
         return replace(

@@ -13,6 +13,7 @@ from msgspec.structs import replace
 from locfuse.formats.report import json_report
 from locfuse.fusion import se2
 from locfuse.fusion.data import Drive, Estimates, Evaluation
+from locfuse.fusion.fuse import configuration_name
 from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.consistency import Run
 from locfuse.fusion.judge.credit import Credit, credit
@@ -249,7 +250,10 @@ def predict(
     """Return how well each configuration predicts the readings of sensors that it does not use."""
     if not drive.measurements:
         return []
-    sets = [((), "odometry"), *((c.sensors, c.name) for c in configurations if c.sensors and not c.rates)]
+    sets = [
+        ((), configuration_name((), drive)),
+        *((c.sensors, c.name) for c in configurations if c.sensors and not c.rates),
+    ]
 
     def tried() -> Iterator[Estimates]:
         for sensors, name in sets:

@@ -10,7 +10,7 @@ from msgspec import field
 from msgspec.structs import replace
 
 from locfuse.formats.nearest import did_you_mean
-from locfuse.fusion.data import Drive, Estimates, LocfuseError, UsageError
+from locfuse.fusion.data import BASES, Drive, Estimates, LocfuseError, UsageError
 from locfuse.fusion.fuse import configuration_name
 from locfuse.fusion.judge.credit import subsets
 from locfuse.fusion.measure import thinned
@@ -60,7 +60,7 @@ def parse(sensors: Sensors, drive: Drive) -> Configuration:
     names = list(dict.fromkeys(names))
     if names == ["all"]:
         return plain(present, drive)
-    if names == ["odometry"]:
+    if len(names) == 1 and names[0] in BASES:
         return plain((), drive)
     refuse_beside_others(words, names)
     rates: dict[str, float] = {}

@@ -47,7 +47,7 @@ TOLERANCE_UNITS = {
     "°": ("degrees", 1.0),
 }
 TOLERANCE_PATTERN = re.compile(r"(\S*?)\s*(%|mm|cm|m|deg|°|)")  # of a tolerance: a number and its unit
-GATE_PATTERN = re.compile(r"\s*(?P<figure>[^\s<>=]+)\s*(?P<op>>=|<=|>|<)\s*(?P<limit>\S+)\s*")
+GATE_PATTERN = re.compile(r"\s*(?P<figure>[^\s<>=](?:[^<>=]*[^\s<>=])?)\s*(?P<op>>=|<=|>|<)\s*(?P<limit>\S+)\s*")
 
 
 class Gate(msgspec.Struct, frozen=True):

@@ -67,7 +67,7 @@ def repeat(loaded: Loaded, asked: Asked) -> str:
     All settings are in the folder's robot.toml. It holds no date, no path and no -o: equal for equal results,
     whether they were asked for on the command line or in Python.
     """
-    words = ["locfuse", "compare", *_log_words(loaded.log), "--robot", "robot.toml"]
+    words = ["locfuse", "compare", *log_words(loaded.log), "--robot", "robot.toml"]
     words += [word for sensors in asked.sensors for word in ("--sensors", sensors)]
     words += ["--all-subsets"] * asked.all_subsets + ["--smooth"] * asked.smooth
     words += ["--jitter", str(asked.jitter)] if asked.jitter else []
@@ -78,7 +78,7 @@ def repeat(loaded: Loaded, asked: Asked) -> str:
     return shlex.join(words)
 
 
-def _log_words(log: Log) -> list[str]:
+def log_words(log: Log) -> list[str]:
     """Return how a command names a log that lies in the folder where it is run; a sample log by its name."""
     if log.name in sample_logs.names() and log.paths[0] == sample_logs.path(log.name):
         return [log.name]

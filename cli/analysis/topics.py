@@ -38,6 +38,8 @@ class Choice(msgspec.Struct):
     fixes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # absent role -> settings that may bring it in
     foreign: set[str] = field(default_factory=set)  # sensors for which the log has no topic at all
     notes: list[Note] = field(default_factory=list)
+    unused_wheels: tuple[str, ...] = ()  # topics of wheels that turn, and nobody says how big they are
+    lacks: str = ""  # what is not known of them, in words
 
     def of(self, role: str) -> tuple[str, ...]:
         """Return all topics of a role."""

@@ -7,10 +7,12 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, cast
 
 from locfuse.fusion.data import LocfuseError
-from locfuse.fusion.robot import Robot
+from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.wheels.motor import MOTOR
+from locfuse.fusion.wheels.odometry import SCANS
 from locfuse.fusion.wheels.read import WHEEL_READS, counts_ticks
 from locfuse.fusion.wheels.sources import ARRAYS, JOINTS, NUMBERS, SPEEDS, TICKS, joint_names
+from locfuse.fusion.wheels.tricycle import STEERING_WORD
 
 from .body_topics import choose_body, nothing_moves
 from .motor_topics import with_steering
@@ -43,17 +45,10 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
         choice.take("wheels", _named_pair(log, robot), NAMED)
         return
     if settings.topic is not None:
-        topic = checked(log, "wheels", settings.topic, WHEEL_READS)
-        if log.topics[topic].msgtype in NUMBERS:
-            fix = f"wheels.left_topic={topic}"
-            raise LocfuseError(
-                f"{topic} holds one number, which is one wheel.",
-                role="wheels",
-                fixes=(fix,),
-                hint=f"Name both with --set {fix} --set wheels.right_topic=<topic>",
-            )
-        found = with_steering(log, robot, topic) if log.topics[topic].msgtype in MOTOR else [topic]
-        choice.take("wheels", found, NAMED)
+        choice.take("wheels", _named(log, robot, settings.topic), NAMED)
+        return
+    if (tricycle := _tricycle(log, robot)) and _steering_known(settings):
+        choice.take("wheels", tricycle, "the ticks of a steered wheel and of its steering")
         return
     counters, kind = _counters(log, robot)
     unknown = _unknown(log, robot, counters)
@@ -68,27 +63,86 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
             raise nothing_moves(log)
         choice.take("wheels", counters, kind)
         return
-    choice.take("wheels", [body.topic, *body.beside], body.why)
+    choice.take("wheels", body.topics, body.why)
     if body.note:
         choice.notes.append(Note("wheels", body.note, body.fixes, body.spoils))
     if counters:
-        choice.notes.append(Note("wheels", _passed_over(body.topic, counters, unknown if wheeled else "")))
+        _say_unused(log, choice, counters, unknown if wheeled else "")
+
+
+def _say_unused(log: Log, choice: Choice, counters: Sequence[str], lacks: str) -> None:
+    """Note why what counts is not used: what is not known of the wheels, or "" where no joint is called one."""
+    used = choice.topics["wheels"]
+    if not lacks:
+        words = f"{used} is used, since no joint of {counters[0]} is named like a wheel"
+        words = f"{words}; wheels.left and wheels.right name them"
+    elif log.topics[used].msgtype == SCANS:
+        choice.unused_wheels, choice.lacks = tuple(counters), lacks
+        words = f"{unused_words(choice)}. {used} is used"
+    else:
+        words = f"{used} is used, since {_of_wheels(counters, lacks)}"
+    choice.notes.append(Note("wheels", words))
+
+
+def unused_words(choice: Choice) -> str:
+    """Say that the log holds wheels and what is not known of them; "" where all wheels are used."""
+    if not choice.unused_wheels:
+        return ""
+    words = _of_wheels(choice.unused_wheels, choice.lacks)
+    return f"{words[0].upper()}{words[1:]}"
+
+
+def _of_wheels(counters: Sequence[str], lacks: str) -> str:
+    return (
+        f"wheel angles are in {' and '.join(counters)} but {lacks} {'are' if ' and ' in lacks else 'is'} unknown"
+    )
+
+
+def _named(log: Log, robot: Robot, name: str) -> list[str]:
+    """Return the topic that the settings name, with that of the steering where it needs one."""
+    topic = checked(log, "wheels", name, WHEEL_READS)
+    kind = log.topics[topic].msgtype
+    if kind in MOTOR:
+        return with_steering(log, robot, topic)
+    if kind not in NUMBERS:
+        return [topic]
+    if steering := steering_ticks(log, robot, topic):
+        return [topic, steering]
+    fix = f"wheels.left_topic={topic}"
+    raise LocfuseError(
+        f"{topic} holds one number, which is one wheel.",
+        role="wheels",
+        fixes=(fix,),
+        hint=f"Name both with --set {fix} --set wheels.right_topic=<topic>",
+    )
+
+
+def steering_ticks(log: Log, robot: Robot, traction: str) -> str | None:
+    """Return the topic that says in ticks how the wheel of a tricycle is steered: as set, else by its name."""
+    named = robot.wheels.steering_topic
+    if named is not None:
+        return checked(log, "wheels", named, NUMBERS)
+    found = [t for t in of_type(log, NUMBERS) if STEERING_WORD in t.lower() and log.topics[t].count]
+    return found[0] if len(found) == 1 and found[0] != traction else None
+
+
+def _tricycle(log: Log, robot: Robot) -> list[str]:
+    """Return a counter called traction or drive and its steering; nothing where there is no such pair."""
+    numbers = [t for t in of_type(log, NUMBERS) if log.topics[t].count and _counts_by_name(t)]
+    rolls = [t for t in numbers if any(word in t.lower() for word in ("traction", "drive"))]
+    steering = steering_ticks(log, robot, rolls[0]) if len(rolls) == 1 else None
+    return [] if steering is None else [rolls[0], steering]
+
+
+def _steering_known(settings: WheelSettings) -> bool:
+    sizes = settings.radius, settings.ticks_per_revolution, settings.servo_gain, settings.wheelbase
+    return all(size is not None for size in sizes)
 
 
 def _size_is_near(log: Log, robot: Robot) -> bool:
     """Return whether half of the wheels' size is set, or a robot description knows it: then it is asked for."""
     described = any(t.rpartition("/")[2] == "robot_description" and log.topics[t].count for t in log.topics)
     return described or robot.wheels.radius is not None or robot.wheels.track is not None
-
-
-def _passed_over(used: str, counters: Sequence[str], unknown: str) -> str:
-    """Say why what counts is not used: what is not known of the wheels, or which joints they are."""
-    if unknown:
-        gives = "give" if len(counters) > 1 else "gives"
-        are = "are" if " and " in unknown else "is"
-        return f"{used} is used, since {' and '.join(counters)} {gives} wheel angles and no {unknown} {are} set"
-    words = f"{used} is used, since no joint of {counters[0]} is named like a wheel"
-    return f"{words}; wheels.left and wheels.right name them"
 
 
 def _turn(log: Log, counters: Sequence[str], robot: Robot) -> bool:
@@ -102,7 +156,7 @@ def _unknown(log: Log, robot: Robot, counters: Sequence[str]) -> str:
     missing = [key for key in ("radius", "track") if getattr(settings, key) is None]
     if counters and counts_ticks(log.topics[counters[0]].msgtype) and settings.ticks_per_revolution is None:
         missing.append("ticks_per_revolution")
-    return " and ".join(f"wheels.{key}" for key in missing)
+    return " and ".join(key.replace("_", " ") for key in missing)
 
 
 def _named_pair(log: Log, robot: Robot) -> list[str]:

@@ -11,7 +11,7 @@ from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.findings import end, findings_options, print_findings
 from locfuse.cli.terminal.options import log_options
 
-USED = ("compass", "lrf")  # sensors
+USED = ("compass", "gyro", "lrf")  # sensors
 BELOW = " 95 % interval: where the value lies by these logs. was: as configured."
 
 
@@ -24,7 +24,8 @@ def calibrate(log: tuple[str, ...], out: Path | None, overwrite: bool, as_json: 
 
     From straight runs and turns on the spot with truth: the noise per metre (and the paper's delta), wheel radius,
     ratio and track. Without truth, from any drive with wheels and a laser: radius, ratio, track, where the laser
-    sits and how late it is. From any log in which the robot turns once, without truth: hard and soft iron.
+    sits and how late it is; with wheels and a gyro: ratio, track and noise. From any log in which the robot turns
+    once, without truth: hard and soft iron.
 
     \b
     locfuse simulate straight_runs -o straight.mcap

@@ -30,6 +30,7 @@ from locfuse.fusion.checks.finding import Finding, of_error
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.wheels.read import WheelReading
 
 from .mounts import conflicts, unplaced
 from .robot_facts import find_robot_facts, of_robot
@@ -65,8 +66,18 @@ def inspect_log(
     ]
     overview.findings += raw_findings(log, robot, choice)
     _measure(overview, progress)
+    if choice.unused_wheels and overview.loaded is not None and overview.loaded.matched is not None:
+        _size_by_scans(overview, robot, overview.loaded.reading)
     overview.findings += [*unplaced(overview), *conflicts(overview)]
     return overview
+
+
+def _size_by_scans(overview: Overview, robot: Robot, scans: WheelReading | None) -> None:
+    """Say how big the wheels are by the motion that the scans gave."""
+    log, choice = overview.log, overview.choice
+    overview.robot_facts = find_robot_facts(log, robot, choice, scans)
+    sized = [f for f in of_robot(log, robot, choice, overview.robot_facts) if f.code == "geometry"]
+    overview.findings = [*(f for f in overview.findings if f.code != "geometry"), *sized]
 
 
 def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) -> Choice:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
@@ -10,13 +11,13 @@ import numpy as np
 from locfuse.cli.analysis.topics import Choice, of_type
 from locfuse.formats.robot.urdf import WheelGeometry, wheel_geometry
 from locfuse.fusion.checks.finding import Finding
-from locfuse.fusion.data import Array, LocfuseError, Ragged
+from locfuse.fusion.data import BY_SCANS, Array, LocfuseError, Ragged
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import merged
 from locfuse.fusion.truth import FIX, TRUTH_READS, looks_like_truth
-from locfuse.fusion.wheels.geometry import Geometry, by_odometry
+from locfuse.fusion.wheels.geometry import Geometry, by_motion, by_odometry
 from locfuse.fusion.wheels.odometry import BODY_READS, ODOMETRY
-from locfuse.fusion.wheels.read import counts_ticks
+from locfuse.fusion.wheels.read import WheelReading, counts_ticks
 from locfuse.fusion.wheels.sources import JOINTS, USUAL_TICKS, joint_names
 
 if TYPE_CHECKING:
@@ -36,8 +37,8 @@ class RobotFacts(msgspec.Struct, frozen=True):
     joints: tuple[str, str] | None = None  # wheel joints, by name or because only they turn
 
 
-def find_robot_facts(log: Log, robot: Robot, choice: Choice) -> RobotFacts:
-    """Look for wheel geometry beyond robot.toml."""
+def find_robot_facts(log: Log, robot: Robot, choice: Choice, scans: WheelReading | None = None) -> RobotFacts:
+    """Look for wheel geometry beyond robot.toml; `scans` is the motion by scans, where that was used."""
     described = _described(log)
     topics = choice.of("wheels")
     kind = log.topics[topics[0]].msgtype if topics else ""
@@ -52,9 +53,13 @@ def find_robot_facts(log: Log, robot: Robot, choice: Choice) -> RobotFacts:
         import msgspec
 
         settings = msgspec.structs.replace(settings, left=joints[0], right=joints[1])
-    fitted = None
+    fitted, both = None, merged([log.stream(t) for t in counters])
     if odometry:
-        fitted = by_odometry(merged([log.stream(t) for t in counters]), log.stream(odometry[0]), settings)
+        fitted = by_odometry(both, log.stream(odometry[0]), settings)
+    elif scans is not None:
+        with suppress(LocfuseError):  # said where the counters are used
+            fitted = by_motion(both, scans, settings)
+        return RobotFacts(described, fitted, BY_SCANS, USUAL_TICKS.get(kind), joints)
     return RobotFacts(described, fitted, odometry[0] if odometry else "", USUAL_TICKS.get(kind), joints)
 
 
@@ -112,6 +117,10 @@ def geometry(robot: Robot, found: RobotFacts) -> tuple[dict[str, float], str]:
     values = {"radius": found.fitted.radius * scale}
     if found.fitted.track is not None:
         values["track"] = found.fitted.track
+    if found.odometry == BY_SCANS:
+        rows = zip(values.items(), found.fitted.sigmas, strict=False)
+        parts = [f"{key} {value:.4g} m (1 sigma {sigma:.1g})" for (key, value), sigma in rows]
+        return values, f"matching the scans of this drive gives {' and '.join(parts)}"
     return values, f"{found.odometry} was made with these"
 
 

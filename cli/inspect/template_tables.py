@@ -77,7 +77,8 @@ class Facts(NamedTuple):
 
     def kind(self, role: str) -> str:
         """Return the message type of a role's topic, "" without one."""
-        topics = self.overview.choice.of(role)
+        unused = self.overview.choice.unused_wheels if role == "wheels" else ()
+        topics = unused or self.overview.choice.of(role)
         return self.overview.log.topics[topics[0]].msgtype if topics else ""
 
 
@@ -86,7 +87,9 @@ def found(overview: Overview) -> Known:
     known: Known = {}
     for role in ("wheels", "truth", *REGISTRY):
         known |= _topics(overview, role)
-    wheels = overview.choice.of("wheels")
+    if overview.choice.unused_wheels:  # left open: with their size filled in, the wheels are used
+        known.pop("wheels.topic", None)
+    wheels = overview.choice.unused_wheels or overview.choice.of("wheels")
     if wheels and overview.log.topics[wheels[0]].msgtype == JOINTS and overview.robot_facts.joints is not None:
         why = "guess: the wheels' joints, by their names or because only they turn"
         known |= {
@@ -169,6 +172,8 @@ def lines(facts: Facts, table: str, missing: list[str]) -> Iterator[TomlLine]:
         elif shown and path not in unsure and _concerns(facts, table, key):
             yield from _unknown(table, key, default, missing)
         if path in unsure:
+            asked = _ask(table, key)
+            missing += [path] if facts.overview.choice.unused_wheels and asked and asked.needed else []
             yield TomlLine(key, *unsure[path], holds=False)
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from locfuse.cli.analysis.topics import types
 from locfuse.fusion.checks.finding import Finding
+from locfuse.fusion.data import BY_SCANS, ODOMETRY
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .mounts import extrinsics
@@ -66,7 +67,8 @@ def configurations(overview: Overview) -> dict[str, str | None]:
     known = [name for name in REGISTRY if name in missing or name in overview.choice.topics]
     ready = {name: missing.get(name) or base for name in known}
     together = None if any(why is None for why in ready.values()) else base or "no sensor beside the wheels"
-    return {"odometry": base, **ready, "all": together}
+    by_scans = overview.loaded is not None and overview.loaded.matched is not None
+    return {BY_SCANS if by_scans else ODOMETRY: base, **ready, "all": together}
 
 
 def wheels_missing(overview: Overview) -> str | None:

@@ -17,8 +17,13 @@ from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.iron import Iron, fit_iron
+from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.streams import MergedStream
 from locfuse.fusion.wheels.calibrate import PAPER_PERIOD_S, WheelCalibration, calibrate_wheels
+from locfuse.fusion.wheels.calibrate_by_gyro import GyroCalibration, calibrate_by_gyro
+from locfuse.fusion.wheels.calibrate_tricycle import TricycleCalibration, calibrate_tricycle
 from locfuse.fusion.wheels.likelihood import Figure
+from locfuse.fusion.wheels.tricycle import is_tricycle, read_encoders
 
 from .calibrate_laser import SIGMAS_95, ByLaser, by_laser
 from .doubts import refuse_doubtful
@@ -35,15 +40,23 @@ class Calibration(msgspec.Struct, frozen=True):
     settings: WheelSettings  # as they were
     wheels: WheelCalibration | None
     laser: ByLaser | None  # where no truth tells of the wheels
+    gyro: GyroCalibration | None  # tells the track and the ratio where nothing else does as well
     iron: Iron | None
     notes: tuple[str, ...]
+    tricycle: TricycleCalibration | None = None  # where two encoders are the wheels
 
     def geometry(self) -> dict[str, Figure]:
         """Return radius, ratio and track with their intervals, those that the logs can tell."""
-        old, found = self.settings, self.wheels or self.laser
+        old, found = self.settings, self.wheels or self.laser or self.gyro
         if found is None or old.radius is None or old.track is None:
             return {}
-        mean, difference, track = found.parameters[:3].tolist()
+        parameters, sigmas = found.parameters[:3].copy(), found.sigmas[:3].copy()
+        if self.gyro is not None:  # in the metre that the others found
+            by_gyro = self.gyro.parameters * (1.0, 1.0, 1.0 + parameters[0])
+            by_gyro[2] += parameters[0]
+            better = ~(sigmas <= self.gyro.sigmas) & np.isfinite(self.gyro.sigmas)
+            parameters, sigmas = np.where(better, by_gyro, parameters), np.where(better, self.gyro.sigmas, sigmas)
+        mean, difference, track = parameters.tolist()
         left, right = mean - 0.5 * difference, mean + 0.5 * difference
         share_left, share_right = (s * (1.0 + p) for s, p in zip(old.shares, (left, right), strict=True))
         values = {
@@ -51,9 +64,7 @@ class Calibration(msgspec.Struct, frozen=True):
             "ratio": share_right / share_left,
             "track": old.track * (1.0 + track),
         }
-        spread = dict(
-            zip(values, (SIGMAS_95 * found.sigmas[:3] * np.array(list(values.values()))).tolist(), strict=True)
-        )
+        spread = dict(zip(values, (SIGMAS_95 * sigmas * np.array(list(values.values()))).tolist(), strict=True))
         return {
             key: Figure(value, value - spread[key], value + spread[key])
             for key, value in values.items()
@@ -67,13 +78,16 @@ class Calibration(msgspec.Struct, frozen=True):
     def tables(self) -> dict[str, dict[str, Any]]:
         """Return what was found as robot.toml tables; geometry that may be as it was set is left out."""
         tables: dict[str, dict[str, Any]] = {}
-        if self.wheels is not None:
-            tables["wheels"] = {"noise": _short(self.wheels.k.value)}
+        if (noise := self.wheels or self.gyro) is not None:
+            tables["wheels"] = {"noise": _short(noise.k.value)}
         geometry = {key: _short(f.value) for key, f in self.geometry().items() if self.moved(key, f)}
         if geometry:
             tables.setdefault("wheels", {}).update(geometry)
         if self.laser is not None and (mount := self.laser.table()):
             tables["lrf"] = {key: _short(value) for key, value in mount.items()}
+        if self.tricycle is not None:
+            of = {"wheels": self.tricycle.wheels, "truth": self.tricycle.truth}
+            tables |= {name: {key: _short(f.value) for key, f in figures.items()} for name, figures in of.items()}
         if self.iron is not None:
             tables["compass"] = {
                 "hard_iron": [_short(v) for v in self.iron.hard.tolist()],
@@ -86,7 +100,9 @@ class Calibration(msgspec.Struct, frozen=True):
         return {
             "wheels": None if self.wheels is None else self._wheel_values(self.wheels),
             "laser": None if self.laser is None else self._laser_values(self.laser),
+            "gyro": None if self.gyro is None else self._gyro_values(self.gyro),
             "compass": None if self.iron is None else _iron_values(self.iron),
+            "tricycle": None if self.tricycle is None else self._tricycle_values(self.tricycle),
             "robot": self.tables(),
             "notes": list(self.notes),
         }
@@ -114,11 +130,26 @@ class Calibration(msgspec.Struct, frozen=True):
             "outliers": found.fit.outliers,
         }
 
+    def _tricycle_values(self, found: TricycleCalibration) -> dict[str, Any]:
+        figures = {**found.wheels, **{f"truth_{key}": figure for key, figure in found.truth.items()}}
+        values = {name: {"value": f.value, "low": f.low, "high": f.high} for name, f in figures.items()}
+        return {**values, "rms_m": found.rms_m}
+
+    def _gyro_values(self, found: GyroCalibration) -> dict[str, Any]:
+        figures = {"noise_m": found.k, **self.geometry()}
+        return {
+            **{name: {"value": f.value, "low": f.low, "high": f.high} for name, f in figures.items()},
+            "noise_by_window_m": {f"{length:g}": k for length, k in found.noise.items()},
+            "time_offset_s": found.delay,
+            "turned_deg": math.degrees(found.turned_rad),
+            "windows": found.windows,
+        }
+
     def rows(self) -> list[tuple[str, str, str, str]]:
         """Return (setting, value, interval, what it was) for people."""
         rows: list[tuple[str, str, str, str]] = []
-        if self.wheels is not None:
-            rows.append(_row("wheels.noise [m]", self.wheels.k, self.settings.noise))
+        if (noise := self.wheels or self.gyro) is not None:
+            rows.append(_row("wheels.noise [m]", noise.k, self.settings.noise))
         for key, figure in self.geometry().items():
             unit = "" if key == "ratio" else " [m]"
             rows.append(_row(f"wheels.{key}{unit}", figure, getattr(self.settings, key)))
@@ -126,6 +157,10 @@ class Calibration(msgspec.Struct, frozen=True):
             rows += [_row(f"lrf.{key}{unit}", figure, was) for key, figure, unit, was in self.laser.mount_rows()]
         if self.wheels is not None:
             rows.append(_row(f"paper's delta ({PAPER_PERIOD_S:g} s)", self.wheels.delta, None))
+        if self.tricycle is not None:
+            of_wheels = self.tricycle.wheels.items()
+            rows += [_row(f"wheels.{key}", f, getattr(self.settings, key)) for key, f in of_wheels]
+            rows += [_row(f"truth.{key} [m]", f, None) for key, f in self.tricycle.truth.items()]
         if self.iron is not None:
             rows += _iron_rows(self.iron)
         return rows
@@ -134,16 +169,21 @@ class Calibration(msgspec.Struct, frozen=True):
 def calibrate_logs(loaded: Sequence[Loaded], progress: Progress = silent) -> Calibration:
     """Calibrate what the logs of one robot allow. Raises LocfuseError where they allow nothing."""
     settings = _one_robot(loaded)
+    if is_tricycle(loaded[0].stream("wheels")):
+        return _tricycle(loaded, settings)
     for one in loaded:
         refuse_doubtful(one, "what is calibrated now", CALIBRATED)
     notes: list[str] = []
     wheels = _try(lambda: _wheels(loaded), notes)
     laser = None if wheels is not None else _try(lambda: by_laser(loaded, settings, progress), notes)
+    gyro = None if laser is not None else _try(lambda: _gyro(loaded, settings), notes)
     iron = _try(lambda: fit_iron(fields(loaded)), notes)
-    if wheels is None and laser is None and iron is None:
+    if wheels is None and laser is None and gyro is None and iron is None:
         raise LocfuseError("; ".join(notes))
     if wheels is not None:
-        notes += _wheel_notes(wheels, settings)
+        notes += _wheel_notes(wheels, settings, gyro)
+    if gyro is not None:
+        notes += _gyro_notes(gyro)
     if laser is not None:
         notes += laser.notes(settings)
     if iron is not None:
@@ -151,7 +191,7 @@ def calibrate_logs(loaded: Sequence[Loaded], progress: Progress = silent) -> Cal
             f"compass: iron bends the raw headings by {iron.error_before_deg:.1f} degrees (rms over a turn); the "
             f"field scatters by {math.degrees(iron.scatter):.2f} degrees about the fit"
         )
-    found = Calibration(settings, wheels, laser, iron, tuple(notes))
+    found = Calibration(settings, wheels, laser, gyro, iron, tuple(notes))
     return msgspec.structs.replace(found, notes=(*notes, *_left_as_set(found)))
 
 
@@ -217,6 +257,44 @@ def _wheels(loaded: Sequence[Loaded]) -> WheelCalibration:
     return calibrate_wheels(drives)
 
 
+def _tricycle(loaded: Sequence[Loaded], settings: WheelSettings) -> Calibration:
+    """Calibrate the encoders of a steered wheel by the truth of one drive."""
+    drive, stream = loaded[0].drive, loaded[0].stream("wheels")
+    if len(loaded) > 1 or drive.truth is None or not isinstance(stream, MergedStream):
+        raise LocfuseError(
+            "a steered tricycle is calibrated by one log with truth",
+            role="calibrate",
+            hint="(--set truth.topic=/TOPIC names it)",
+        )
+    encoders = read_encoders(stream, settings)
+    shift = (encoders.zero_ns - drive.epoch_ns) * 1e-9 + settings.time_offset
+    found = calibrate_tricycle(encoders, settings, drive.truth, shift)
+    note = f"tricycle: ten parameters, fitted to the whole path, leave {found.rms_m:.3f} m (rms)"
+    return Calibration(settings, None, None, None, None, (note,), found)
+
+
+def _gyro(loaded: Sequence[Loaded], settings: WheelSettings) -> GyroCalibration:
+    sensor, drives = REGISTRY["gyro"], []
+    for one in loaded:
+        m = one.drive.measurements.get("gyro")
+        heading = None if m is None or len(m.t) < 2 else sensor.heading(m)
+        if heading is not None:
+            drives.append((one.drive.wheels, *heading))
+    if not drives or settings.radius is None:
+        raise LocfuseError("no log has a gyro beside wheels whose radius and track are set", role="gyro")
+    told = loaded[0].robot.settings("gyro")
+    return calibrate_by_gyro(drives, told.sigma_scale, math.radians(told.sigma_deg))
+
+
+def _gyro_notes(found: GyroCalibration) -> list[str]:
+    by_window = ", ".join(f"{k:.2g} m over {length:g} s" for length, k in found.noise.items())
+    return [
+        f"gyro: {found.windows} windows, {math.degrees(found.turned_rad):.0f} degrees, its clock shifted by "
+        f"{found.delay:+.2f} s; it knows no lengths: the radius is left as it was set",
+        f"wheels: noise by the length of the window: {by_window}; that of the longest is written",
+    ]
+
+
 def _try(find: Any, notes: list[str]) -> Any:
     """Return what `find` finds; where it cannot, note why."""
     try:
@@ -226,7 +304,9 @@ def _try(find: Any, notes: list[str]) -> Any:
         return None
 
 
-def _wheel_notes(found: WheelCalibration, settings: WheelSettings) -> list[str]:
+def _wheel_notes(
+    found: WheelCalibration, settings: WheelSettings, gyro: GyroCalibration | None = None
+) -> list[str]:
     pieces = ", ".join(
         f"{n} pieces of {what}"
         for n, what in (
@@ -241,9 +321,9 @@ def _wheel_notes(found: WheelCalibration, settings: WheelSettings) -> list[str]:
             f"wheels: {found.outliers} pieces do not fit the others (slip, or a jump of the truth): not used"
         )
     if settings.radius is not None:
-        untold = [
-            n for n, s in zip(("radius", "ratio", "track"), found.sigmas.tolist(), strict=True) if math.isnan(s)
-        ]
+        by_gyro = () if gyro is None else ("ratio", "track")
+        sigmas = zip(("radius", "ratio", "track"), found.sigmas.tolist(), strict=True)
+        untold = [n for n, s in sigmas if math.isnan(s) and n not in by_gyro]
         lacking = {"radius": "straight runs", "ratio": "a truth with heading", "track": "turns on the spot"}
         notes += [
             f"wheels: {name} cannot be told without {lacking[name]}; it is taken as given" for name in untold

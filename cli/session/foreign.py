@@ -12,7 +12,7 @@ from locfuse.cli.analysis.load import Loaded
 from locfuse.formats.logs.adapters import PRESENTED, presented_name
 from locfuse.formats.logs.log import Log
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Estimates, LocfuseError, Stream, UsageError
+from locfuse.fusion.data import BASES, Array, Drive, Estimates, LocfuseError, Stream, UsageError
 from locfuse.fusion.judge.against import interpolated
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.odometry import POSE
@@ -33,11 +33,7 @@ def named_sources(words: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
     for name, source in pairs:
         if not ESTIMATE_NAME.fullmatch(name) or not source:
             raise UsageError(f"--estimate {name}={source}: it reads NAME=/topic or NAME=file.tum")
-        if name in {"odometry", "all", "truth"} or name.removesuffix("-smoothed") in {
-            *REGISTRY,
-            "odometry",
-            "all",
-        }:
+        if name == "truth" or name.removesuffix("-smoothed") in {*REGISTRY, *BASES, "all"}:
             raise UsageError(f"--estimate {name}: that is the name of a configuration; choose another")
         if name in found:
             raise UsageError(f"--estimate {name}: two estimates have this name")

@@ -15,8 +15,8 @@ from locfuse.cli.analysis.compare import Compared, compare_log, report_of, repor
 from locfuse.cli.analysis.configurations import Configuration, Sensors, configuration_words, for_comparison, parse
 from locfuse.cli.analysis.load import Loaded, find_log, load_to_fuse, start_error, with_settings
 from locfuse.cli.analysis.memory import lean
+from locfuse.cli.analysis.motion_words import say_motion
 from locfuse.cli.analysis.outputs import Drawn
-from locfuse.cli.analysis.refused_motion import void_all
 from locfuse.cli.analysis.settings import (
     MAX_REFERENCE_INSTANTS,
     Asked,
@@ -152,7 +152,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
             stands=self.drive.wheels.stands,
             jumps=jumps_of(self.drive),
         )
-        void_all(report, self.loaded.spoils)
+        say_motion(report, self.loaded)
         self.progress("writing")
         return Run(
             self.loaded,
@@ -205,7 +205,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         advised = None if evaluator is None else evaluator.advised()
         stands, jumps = self.drive.wheels.stands, jumps_of(self.drive)
         complete(report, advised, self._start_error(), [e.name for e in foreign], stands, jumps)
-        void_all(report, self.loaded.spoils)
+        say_motion(report, self.loaded)
         self.progress("writing")
         return Comparison(
             self.loaded,

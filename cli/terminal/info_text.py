@@ -224,6 +224,8 @@ def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None
 
     Where fixes were tried, with those that help.
     """
+    if overview.choice.unused_wheels:  # wheels first: with their size much of the rest looks different
+        return [shlex.join(("locfuse", "init", *typed, "-o", "robot.toml"))]
     worst = [f for f in overview.findings if f.severe and f.code != OPEN_SCALE]  # there the reader has to choose
     fixes = dict(fix.partition("=")[::2] for f in worst for fix in f.fixes)
     if fixes and helped is not None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
-from locfuse.fusion.data import FAULT, LOOP, LOST, REFUSED, REST, VERDICTS, Colour, Estimates
+from locfuse.fusion.data import BASES, FAULT, LOOP, LOST, REFUSED, REST, VERDICTS, Colour, Estimates
 
 
 class Trace(NamedTuple):
@@ -117,8 +117,8 @@ def colours(traces: Mapping[str, Trace], sensors: Mapping[str, Colour]) -> dict[
 
 
 def _colour(trace: Trace, sensors: Mapping[str, Colour]) -> Colour:
-    if trace.configuration in {"odometry", "all"}:
-        return ODOMETRY if trace.configuration == "odometry" else ALL
+    if trace.configuration in {*BASES, "all"}:
+        return ODOMETRY if trace.configuration in BASES else ALL
     if len(trace.sensors) == 1 and trace.sensors[0] in sensors:
         return sensors[trace.sensors[0]]
     order = list(sensors)

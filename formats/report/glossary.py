@@ -6,6 +6,8 @@ import difflib
 from collections.abc import Mapping, Sequence
 
 GLOSSARY: Mapping[str, str] = {
+    "scan matching": "The estimate from the laser's scans alone, each matched with one before it: no wheels were "
+    "recorded. A laser beside it sees the same scans once more.",
     "odometry": "The estimate from the wheels alone. It starts right and drifts: every error of a turn stays.",
     "all": "Every sensor of the log in one filter.",
     "truth": (

@@ -11,7 +11,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, LocfuseError, Stream
 from locfuse.fusion.robot import Mirrored, WheelSettings
 
-from .read import SIGNS, read_wheels
+from .read import SIGNS, WheelReading, read_wheels
 from .repairs import repaired
 from .sources import Counters, read_counters
 
@@ -28,16 +28,24 @@ class Geometry(NamedTuple):
     radius: float  # m; of ticks: metres per tick times ticks_per_revolution / 2 pi, one tick taken as a radian
     track: float | None  # m; None where the robot hardly turned
     mirrored: Mirrored = "none"  # wheels whose count falls while the robot drives forward
+    sigmas: tuple[float, float] = (0.0, 0.0)  # of radius and track, 1 sigma, by what the motion leaves over
 
 
 def by_odometry(counters: Stream, odometry: Stream, settings: WheelSettings) -> Geometry | None:
     """Return radius and track under which the wheel angles give the odometry; None where they do not agree."""
-    known = msgspec.structs.replace(settings, ticks_per_revolution=settings.ticks_per_revolution or None)
     try:
-        both = read_counters(counters, known)
-        theirs = read_wheels(odometry, WheelSettings())
+        return by_motion(counters, read_wheels(odometry, WheelSettings()), settings)
     except LocfuseError:
         return None
+
+
+def by_motion(counters: Stream, theirs: WheelReading, settings: WheelSettings) -> Geometry | None:
+    """Return radius and track under which the wheel angles give a motion; None where they do not agree.
+
+    Raises LocfuseError where the counters cannot be read.
+    """
+    known = msgspec.structs.replace(settings, ticks_per_revolution=settings.ticks_per_revolution or None)
+    both = read_counters(counters, known)
     t, left, right = _angles(both, known)
     offset = (theirs.epoch_ns - both.zero_ns) * 1e-9
     start = np.arange(max(t[0], offset), min(t[-1], offset + theirs.wheels.t[-1]) - WINDOW_S, WINDOW_S)
@@ -85,7 +93,10 @@ def _fitted(mean: Array, difference: Array, moved: Array) -> Geometry | None:
     if _correlation(mean, ahead) < MIN_CORRELATION:
         return None
     radius = float((mean * ahead).sum() / (mean**2).sum())
+    off = float(np.std(ahead - radius * mean) / np.sqrt((mean**2).sum()))
     turns = float(np.sqrt((turn**2).sum()))
     if turns < MIN_TURN_RAD or float(np.corrcoef(difference, turn)[0, 1]) < MIN_CORRELATION:
-        return Geometry(radius, None)
-    return Geometry(radius, radius * float((difference**2).sum() / (difference * turn).sum()))
+        return Geometry(radius, None, sigmas=(off, 0.0))
+    per_turn = float((difference**2).sum() / (difference * turn).sum())
+    off_turn = float(np.std(difference - per_turn * turn) / turns)
+    return Geometry(radius, radius * per_turn, sigmas=(off, float(np.hypot(radius * off_turn, per_turn * off))))

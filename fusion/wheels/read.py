@@ -29,6 +29,7 @@ from .sources import (
     require_two,
     usable,
 )
+from .tricycle import is_tricycle, read_encoders, twists_of
 
 # In order of preference: angles of the wheels before somebody else's dead reckoning.
 WHEEL_READS: Mapping[str, tuple[str, ...]] = {
@@ -71,6 +72,8 @@ def read_wheels(stream: Stream, settings: WheelSettings) -> WheelReading:
         posed = odometry.has_pose(stream.msgtype, settings)
         asked = not posed and odometry.commanded(stream.topic, stream.msgtype)
         return _from_body(stream, odometry.pose_and_speed(stream, settings), settings, posed, asked)
+    if isinstance(stream, MergedStream) and is_tricycle(stream):
+        return _from_tricycle(stream, settings)
     if stream.msgtype in MOTOR:
         if not isinstance(stream, MergedStream):
             raise LocfuseError(
@@ -86,6 +89,18 @@ def read_wheels(stream: Stream, settings: WheelSettings) -> WheelReading:
     wheels = Wheels.from_wheels(t - t[0], left, right, track, settings.noise)
     epoch_ns = counters.zero_ns + round((float(t[0]) + settings.time_offset) * 1e9)
     return WheelReading(wheels, epoch_ns, counters.dropped, (*counters.notes, *notes))
+
+
+def _from_tricycle(stream: MergedStream, settings: WheelSettings) -> WheelReading:
+    """Use the encoders of a steered front wheel."""
+    found = read_encoders(stream, settings)
+    require_two(stream.topic, len(found.t), len(stream.parts[0].t_ns))
+    twist = twists_of(found, settings, stream)
+    wheels = Wheels.from_twists(found.t - found.t[0], twist, settings.track or VIRTUAL_TRACK, settings.noise)
+    epoch_ns = found.zero_ns + round((float(found.t[0]) + settings.time_offset) * 1e9)
+    dropped = dict(stream.dropped)
+    count_dropped(dropped, "spike", found.spikes)
+    return WheelReading(wheels, epoch_ns, dropped, found.notes)
 
 
 def _rolled(

@@ -12,7 +12,7 @@ from bags import Said, cdr, header, real_log
 from commands import locfuse
 from laser_room import ROOM, circle, ranges_of, scans_of
 from scan_streams import scan_stream
-from wheel_bags import log_of, odometry, stamps, turned
+from wheel_bags import joint_states, log_of, odometry, stamps, turned
 
 from locfuse.cli.analysis.choose import choose
 from locfuse.cli.analysis.robot_tables import make_robot
@@ -241,3 +241,62 @@ def test_speeds_along_the_frame_of_the_poses_turn_nothing_and_no_reading_is_lost
     end = se2.compose(poses[0, :3], reading.wheels.pose[-1])
     assert np.hypot(*(end - poses[-1, :3])[:2]) < 0.1
     assert any("along the axes of its poses" in note for note in reading.notes)
+
+
+# ---- wheels first, and scans by their name ----
+
+
+def wheels_and_laser(path: Path) -> Path:
+    """Wheels of 0.05 m, 0.3 m apart, at a changing speed, and the scans of the same drive in closed form."""
+    t = np.arange(0.0, 30.0, 0.02)
+    rolled = 0.35 * t - 0.6 * (np.cos(0.4 * t) - 1.0)  # rad of the body's turn, at a radius of 1.2 m
+    angle = np.stack((rolled * (1.2 - 0.15) / 0.05, rolled * (1.2 + 0.15) / 0.05), axis=-1)
+    turn = rolled[::10]
+    truth = np.stack((1.2 * np.sin(turn), 1.2 * (1.0 - np.cos(turn)), turn), axis=-1)
+    return log_of(path, joint_states(t, angle), scans_of(t[::10], truth))
+
+
+def test_wheels_whose_size_nobody_says_come_first_in_headline_and_next(tmp_path: Path) -> None:
+    log = wheels_and_laser(tmp_path / "x.mcap")
+    done = locfuse("compare", log, "-o", tmp_path / "out", "--write", "json,md", "--no-advice")
+    report = json.loads((tmp_path / "out/report.json").read_text())
+    assert report["headline"].startswith(
+        "Wheel angles are in /joint_states but radius and track are unknown: "
+        "`locfuse init x.mcap -o robot.toml` asks for them."
+    )
+    assert "scan matching" in report["configurations"]
+    assert "odometry" not in report["configurations"]
+    assert "odometry" not in json.dumps(report["verdicts"]) + report["headline"]
+    assert "scan matching" in (tmp_path / "out/report.md").read_text()
+    assert "scan matching" in done.stdout
+    assert "of the same scans, which count twice" in done.stderr
+    info = locfuse("info", log).stdout
+    assert f"locfuse init {log} -o robot.toml" in info[info.index("\nnext") :]
+
+
+def test_radius_and_track_by_the_scans_are_offered_and_bring_the_wheels_in(
+    tmp_path: Path,
+) -> None:
+    log = wheels_and_laser(tmp_path / "x.mcap")
+    known = json.loads(locfuse("info", log, "--json").stdout)
+    (found,) = (f for f in known["findings"] if f["code"] == "geometry")
+    fixes = dict(fix.split("=") for fix in found["fixes"])
+    assert float(fixes["wheels.radius"]) == pytest.approx(0.05, rel=0.02)
+    assert float(fixes["wheels.track"]) == pytest.approx(0.3, rel=0.05)
+    assert "1 sigma" in found["source"]
+    written = locfuse("init", log)
+    assert "to be filled in: wheels.radius, wheels.track" in written.stderr
+    assert "topic = " not in written.stdout.partition("[wheels]")[2].partition("[")[0]
+    robot = tmp_path / "robot.toml"
+    robot.write_text(written.stdout)
+    sets = [word for fix in found["fixes"] for word in ("--set", fix)]
+    told = json.loads(locfuse("info", log, "--robot", robot, *sets, "--json").stdout)
+    assert told["roles"]["wheels"]["topics"] == ["/joint_states"]
+
+
+def test_a_gate_may_name_a_configuration_of_two_words(tmp_path: Path) -> None:
+    log = log_of(tmp_path / "x.mcap", scans_of(T, TRUTH))
+    words = ("compare", log, "--no-advice", "-o", tmp_path / "out", "--overwrite", "--fail-if")
+    assert locfuse(*words, "reference.scan matching.position_rmse_m > 5").exit_code == 0
+    assert locfuse(*words, "reference.scan matching.position_rmse_m > 0").exit_code == 4
+    assert locfuse("run", log, "--sensors", "odometry", "-o", tmp_path / "run").exit_code == 0

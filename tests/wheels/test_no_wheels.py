@@ -205,7 +205,7 @@ def test_info_init_and_compare_take_a_log_with_a_laser_and_nothing_else(tmp_path
     assert done.exit_code == 0, done.stderr
     assert "the motion is matched from scan to scan of /scan" in done.stderr
     _, truth = circle(8.0)
-    for name in ("odometry", "lrf"):
+    for name in ("scan matching", "lrf"):
         end = np.loadtxt(tmp_path / "out" / f"{name}.tum")[-1, 1:3]
         assert np.hypot(*(end - truth[-1, :2])) < 0.05
 
@@ -217,7 +217,7 @@ def test_one_sensor_alone_moves_as_in_a_comparison(tmp_path: Path) -> None:
     one = locfuse("run", log, "--sensors", "odometry", "-o", tmp_path / "one", *mount)
     all_ = locfuse("compare", log, "-o", tmp_path / "all", "--write", "tum", *mount)
     assert (one.exit_code, all_.exit_code) == (0, 0), one.stderr + all_.stderr
-    a, b = (np.loadtxt(f)[-1] for f in (tmp_path / "one/trajectory.tum", tmp_path / "all/odometry.tum"))
+    a, b = (np.loadtxt(f)[-1] for f in (tmp_path / "one/trajectory.tum", tmp_path / "all/scan matching.tum"))
     np.testing.assert_allclose(a, b, atol=1e-9)
 
 

@@ -1,0 +1,157 @@
+"""Track, ratio and noise of the wheels by a gyro: no truth, no laser.
+
+Over a window of length W a robot turns by
+
+    turn = (1 + d/2) right / track - (1 - d/2) left / track + bias W
+
+with what either wheel rolled, d the difference of their scales and the gyro's bias. Windows that do not overlap
+are fitted by least squares. The metre of the wheels stays as it was set: a gyro knows no lengths. On a robot that
+skids the track found is the one by which it turns, which is wider than the distance between its wheels.
+What the windows leave over, at lengths from 0.1 to 10 s, is the noise of the wheels at these scales: encoders
+scatter over the short ones, slip adds up over the long ones.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+
+from locfuse.fusion.data import Array, LocfuseError
+
+from .likelihood import Figure
+from .motion import Wheels
+
+WINDOW_S = 2.0  # s: long beside the delay between two clocks, short beside a drive
+LAGS_S = np.arange(-1.2, 1.21, 0.02)  # of the gyro's clock
+NOISE_WINDOWS_S = (0.1, 0.3, 1.0, 3.0, 10.0)
+MIN_WINDOWS, MIN_MOVED_M, MIN_TURNED_RAD = 20, 0.02, math.radians(180.0)  # windows, m a window, rad in all
+MIN_EXPLAINED = 0.9  # share of the turning that wheels explain: less is another motion
+SIGMAS_95 = 1.96
+
+
+class GyroCalibration(msgspec.Struct, frozen=True):
+    """What a gyro says of the wheels. Relative to what was given: 0 = it was right."""
+
+    parameters: Array  # (3,) mean scale (0: a gyro cannot tell), scale difference (right - left), track
+    sigmas: Array  # (3,) NaN for the mean scale
+    noise: dict[float, float]  # window [s] -> variance per metre rolled [m]
+    k: Figure  # m: the noise at the longest window
+    delay: float  # s to add to the gyro's stamps
+    turned_rad: float
+    windows: int
+
+
+def calibrate_by_gyro(
+    drives: Sequence[tuple[Wheels, Array, Array]], scale_sigma: float, white: float
+) -> GyroCalibration:
+    """Fit track, ratio and noise to the wheels of each drive and the turns (n,) [rad] of a gyro at times (n,) [s].
+
+    `scale_sigma` is the relative error of the gyro's rate, `white` its noise [rad / sqrt(s)]. All drives are of
+    one robot. Raises LocfuseError where they turn too little, or not as the wheels say.
+    """
+    track = drives[0][0].track
+    delays = [_delay(*drive) for drive in drives]
+    rows = [_windows(*drive, delay, WINDOW_S) for drive, delay in zip(drives, delays, strict=True)]
+    turned = sum(float(np.abs(own).sum()) for own, _ in rows)
+    n = sum(len(own) for own, _ in rows)
+    if n < MIN_WINDOWS or turned < MIN_TURNED_RAD:
+        raise LocfuseError(
+            f"the gyro turns by {math.degrees(turned):.0f} degrees in {n} windows of {WINDOW_S:g} s; at least "
+            f"{math.degrees(MIN_TURNED_RAD):.0f} degrees in {MIN_WINDOWS} are needed",
+            role="gyro",
+        )
+    x, covariance, explained = _fit(rows)
+    a, b = float(x[0]), float(x[1])
+    if explained < MIN_EXPLAINED or a <= 0.0 or b >= 0.0:
+        raise LocfuseError(
+            f"the wheels explain {max(explained, 0.0):.0%} of the gyro's turning: is its axis up, and are left "
+            "and right as they are set?",
+            role="gyro",
+        )
+    found, ratio = 2.0 / (a - b), a / -b
+    of_track = float(np.sqrt(np.array([1.0, -1.0]) @ covariance @ np.array([1.0, -1.0]))) / (a - b)
+    of_ratio = float(np.sqrt(np.array([1 / a, -1 / b]) @ covariance @ np.array([1 / a, -1 / b])))
+    difference = 2.0 * (ratio - 1.0) / (ratio + 1.0)
+    noise, windows = _noise(drives, delays, (a, b), found, white)
+    k, spread = list(noise.values())[-1], SIGMAS_95 * math.sqrt(2.0 / windows)
+    return GyroCalibration(
+        parameters=np.array([0.0, difference, found / track - 1.0]),
+        sigmas=np.array([np.nan, of_ratio, found / track * math.hypot(of_track, scale_sigma)]),
+        noise=noise,
+        k=Figure(k, k * math.exp(-spread), k * math.exp(spread)),
+        delay=float(np.mean(delays)),
+        turned_rad=turned,
+        windows=n,
+    )
+
+
+def _delay(wheels: Wheels, t: Array, own: Array) -> float:
+    """Return what to add to the gyro's times so that the wheels explain most of its turning [s]."""
+    explained = []
+    for delay in LAGS_S.tolist():
+        rows = _windows(wheels, t, own, delay, 0.5 * WINDOW_S)
+        explained.append(_fit([rows])[2] if len(rows[0]) >= MIN_WINDOWS else -1.0)
+    return float(LAGS_S[int(np.argmax(explained))])
+
+
+def _windows(wheels: Wheels, t: Array, own: Array, delay: float, length: float) -> tuple[Array, Array]:
+    """Return turns (n,) of the gyro in windows that move, and (n, 4): right, left [m], s, what both rolled [m]."""
+    first, last = max(t[0], wheels.t[0] - delay), min(t[-1], wheels.t[-1] - delay)
+    start = np.arange(first, last - length, length)
+    turn = np.interp(start + length, t, own) - np.interp(start, t, own)
+    steps = np.column_stack((wheels.rolled, np.abs(wheels.rolled).sum(axis=1)))
+    way = np.concatenate((np.zeros((1, 3)), np.cumsum(steps, axis=0)))
+    left, right, driven = (
+        np.interp(start + delay + length, wheels.t, side) - np.interp(start + delay, wheels.t, side)
+        for side in way.T
+    )
+    moves = np.maximum(np.abs(left), np.abs(right)) > MIN_MOVED_M * length / WINDOW_S
+    return turn[moves], np.column_stack((right, left, np.full(len(start), length), driven))[moves]
+
+
+def _fit(rows: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, float]:
+    """Return (a, b), their covariance (2, 2), and the share explained; every drive has a bias of its own."""
+    own = np.concatenate([turn for turn, _ in rows])
+    by = np.zeros((len(own), 2 + len(rows)))
+    at = 0
+    for i, (turn, columns) in enumerate(rows):
+        by[at : at + len(turn), :2] = columns[:, :2]
+        by[at : at + len(turn), 2 + i] = columns[:, 2]
+        at += len(turn)
+    x = np.linalg.lstsq(by, own, rcond=None)[0]
+    rest = own - by @ x
+    freedom = max(len(own) - by.shape[1], 1)
+    covariance = np.linalg.pinv(by.T @ by)[:2, :2] * float(rest @ rest) / freedom
+    return x[:2], covariance, 1.0 - float(rest @ rest) / max(float(own @ own), 1e-12)
+
+
+def _noise(
+    drives: Sequence[tuple[Wheels, Array, Array]],
+    delays: Sequence[float],
+    by: tuple[float, float],
+    track: float,
+    white: float,
+) -> tuple[dict[float, float], int]:
+    """Return by window [s] the variance per metre that a wheel rolls [m], without the gyro's own noise.
+
+    And the number of windows of the longest.
+    """
+    found: dict[float, float] = {}
+    windows = 2
+    for length in NOISE_WINDOWS_S:
+        squares, metres, n = 0.0, 0.0, 0
+        for drive, delay in zip(drives, delays, strict=True):
+            turn, columns = _windows(*drive, delay, length)
+            if len(turn) < 2:
+                continue
+            rest = turn - columns[:, :2] @ np.array(by)
+            rest -= rest.mean()  # the gyro's bias
+            squares += float((rest**2).sum()) - white**2 * length * len(turn)
+            metres += float(columns[:, 3].sum())
+            n += len(turn)
+        if n >= MIN_WINDOWS // 2 and metres > 0.0:
+            found[length], windows = max(squares, 0.0) * track**2 / metres, n
+    return found, windows

@@ -1,0 +1,87 @@
+"""A tricycle by two encoders: one counts how far the steered front wheel rolls, the other how it is steered.
+
+The front wheel rolls ds in the direction phi, so that the middle of the rear axle goes ds cos(phi) and turns by
+ds sin(phi) / wheelbase. One tick of the traction is 2 pi radius / ticks_per_revolution; the steering reads
+servo_gain * phi + servo_offset, in its own ticks, and rolls over once a turn of its encoder.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple, cast
+
+import numpy as np
+
+from locfuse.fusion.data import Array, LocfuseError, Stream
+from locfuse.fusion.robot import WheelSettings
+from locfuse.fusion.streams import MergedStream
+
+from .odometry import wheelbase_of
+from .repairs import Side, repaired, unrolled
+
+COUNTER_RANGES = (2.0**16, 2.0**32)  # at which a traction counter rolls over, whatever its message could hold
+STEERING_WORD = "steer"
+
+
+class Encoders(NamedTuple):
+    """What both encoders of a tricycle say at the readings of the traction."""
+
+    t: Array  # (n,) s since the first reading
+    zero_ns: int
+    rolled: Array  # (n,) m that the front wheel has rolled
+    steering: Array  # (n,) ticks, counted on over the ends of their range
+    spikes: int
+    notes: tuple[str, ...]
+
+
+def is_tricycle(stream: Stream) -> bool:
+    """Return whether two topics of numbers are a traction and its steering, not a left and a right wheel."""
+    return isinstance(stream, MergedStream) and STEERING_WORD in stream.parts[-1].topic.lower()
+
+
+def read_encoders(stream: MergedStream, settings: WheelSettings) -> Encoders:
+    """Return both encoders. Raises LocfuseError where the size of the wheel or a tick's worth is not known."""
+    traction, steering = stream.parts
+    if not (settings.radius and settings.ticks_per_revolution):
+        raise LocfuseError(
+            f"{traction.topic} counts how far the front wheel rolls, so its size must be known.",
+            role="wheels",
+            hint="Set it with --set wheels.radius=<metres> --set wheels.ticks_per_revolution=<ticks>",
+        )
+    if not len(steering.t_ns) or len(traction.t_ns) < 2:
+        raise LocfuseError(f"{traction.topic} and {steering.topic} hold too few messages", role="wheels")
+    rows = np.flatnonzero(np.diff(traction.t_ns, append=np.iinfo(np.int64).max) > 0)
+    zero_ns = int(traction.t_ns[0])
+    t = (traction.t_ns[rows] - zero_ns) * np.float64(1e-9)
+    metres = 2.0 * math.pi * settings.radius / settings.ticks_per_revolution
+    side = Side("traction", t, _numbers(traction)[rows], COUNTER_RANGES)
+    way = repaired(side, metres, settings.rollover, settings.max_speed)
+    turned = unrolled(_numbers(steering)).values
+    at = np.interp(t[way.keep], (steering.t_ns - zero_ns) * np.float64(1e-9), turned)
+    return Encoders(t[way.keep], zero_ns, way.rolled, at, way.spikes, way.notes)
+
+
+def twists_of(found: Encoders, settings: WheelSettings, stream: Stream) -> Array:
+    """Return the twists (n-1, 3) of the rear axle's middle.
+
+    Raises LocfuseError where it is not known how the steering's ticks become an angle, or the wheelbase.
+    """
+    if not settings.servo_gain:
+        raise LocfuseError(
+            f"{stream.topic}: how the steering's ticks become an angle must be known.",
+            role="wheels",
+            hint="Set it with --set wheels.servo_gain=<ticks per radian> --set wheels.servo_offset=<ticks "
+            "straight ahead>; locfuse calibrate refines both",
+        )
+    angle = (found.steering - settings.servo_offset) / settings.servo_gain
+    return rolled_by(np.diff(found.rolled), angle, wheelbase_of(stream, settings))
+
+
+def rolled_by(ds: Array, angle: Array, wheelbase: float) -> Array:
+    """Return twists (n-1, 3) of ways ds (n-1,) [m] of a front wheel that is steered by `angle` (n,) [rad]."""
+    middle = 0.5 * (angle[1:] + angle[:-1])
+    return np.stack((ds * np.cos(middle), np.zeros_like(ds), ds * np.sin(middle) / wheelbase), axis=-1)
+
+
+def _numbers(stream: Stream) -> Array:
+    return cast("dict[str, Array]", stream.columns("data"))["data"].astype(np.float64)

@@ -1,0 +1,99 @@
+"""A tricycle by a traction counter that rolls over and an absolute steering encoder, calibrated by truth."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bags import real_log
+from commands import locfuse
+
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, ArrayStream, LocfuseError, Truth
+from locfuse.fusion.robot import WheelSettings
+from locfuse.fusion.streams import MergedStream
+from locfuse.fusion.wheels.calibrate_tricycle import calibrate_tricycle
+from locfuse.fusion.wheels.read import read_wheels
+from locfuse.fusion.wheels.tricycle import read_encoders
+
+RADIUS, TICKS, TURN, BASE, ZERO = 0.1, 5000.0, 8192, 1.2, 300.0  # m, ticks a turn, of the steering, m, ticks
+GAIN = TURN / (2.0 * np.pi)  # ticks per radian
+T = np.arange(0.0, 120.0, 0.04)
+SPEED, ANGLE = 0.6 + 0.3 * np.sin(0.2 * T), 0.6 * np.sin(0.11 * T) + 0.2 * np.sin(0.37 * T)
+
+
+def encoders() -> MergedStream:
+    """Both counters in closed form but for rounding: the traction rolls over at 2^32, the steering at 8192."""
+    way = 0.6 * T - 1.5 * (np.cos(0.2 * T) - 1.0)
+    traction = (np.rint(way * TICKS / (2.0 * np.pi * RADIUS)) + 2**32 - 20_000) % 2**32
+    steering = np.rint(ANGLE * GAIN + ZERO) % TURN
+    stamps = np.rint((T + 1e9) * 1e9).astype(np.int64)
+    kind = "std_msgs/msg/Int64"
+    parts = [ArrayStream(topic, kind, stamps, {"data": values}) for topic, values in (
+        ("/traction_ticks", traction), ("/steering_ticks", steering))]  # fmt: skip
+    return MergedStream(tuple(parts))
+
+
+def true_path() -> Array:
+    """The poses (n, 3) by small steps of the textbook's kinematics, ten between two readings."""
+    fine = np.linspace(0.0, T[-1], 10 * (len(T) - 1) + 1)
+    speed, angle = 0.6 + 0.3 * np.sin(0.2 * fine), 0.6 * np.sin(0.11 * fine) + 0.2 * np.sin(0.37 * fine)
+    dt = fine[1]
+    theta = np.append(0.0, np.cumsum(speed * np.sin(angle) / BASE * dt)[:-1])
+    x = np.append(0.0, np.cumsum(speed * np.cos(angle) * np.cos(theta) * dt)[:-1])
+    y = np.append(0.0, np.cumsum(speed * np.cos(angle) * np.sin(theta) * dt)[:-1])
+    return np.stack((x, y, theta), axis=-1)[::10]
+
+
+def settings(**given: Any) -> WheelSettings:
+    told: dict[str, Any] = {"servo_gain": GAIN, "servo_offset": ZERO, "wheelbase": BASE, **given}
+    return WheelSettings(radius=RADIUS, ticks_per_revolution=TICKS, **told)
+
+
+def test_both_encoders_drive_the_path_of_the_kinematics_over_their_ends() -> None:
+    reading = read_wheels(encoders(), settings())
+    np.testing.assert_allclose(reading.wheels.pose[-1], true_path()[-1], atol=0.05)
+    assert any("rolled over" in note for note in reading.notes)
+
+
+@pytest.mark.parametrize("missing", ["radius", "servo_gain", "wheelbase"])
+def test_what_is_not_known_of_the_encoders_is_asked_for(missing: str) -> None:
+    told: dict[str, Any] = {"radius": RADIUS, "ticks_per_revolution": TICKS, "servo_gain": GAIN, "wheelbase": BASE}
+    with pytest.raises(LocfuseError) as error:
+        read_wheels(encoders(), WheelSettings(**{**told, missing: None}))
+    assert f"wheels.{missing}" in error.value.hint
+
+
+def test_size_steering_and_the_tracked_point_are_found_from_nominal_values_far_off() -> None:
+    point = np.array([0.9, 0.1, 0.0])
+    path = true_path()
+    seen = se2.compose(se2.compose(np.broadcast_to([2.0, -1.0, 0.7], path.shape), path),
+                       np.broadcast_to(point, path.shape))  # fmt: skip
+    rows = slice(0, None, 5)
+    truth = Truth("/tracker", T[rows], seen[rows, :2], seen[rows, 2], (0.0, 0.0))
+    nominal = settings(servo_gain=5.0 * GAIN, servo_offset=0.0, wheelbase=1.0)
+    found = calibrate_tricycle(read_encoders(encoders(), nominal), nominal, truth, 0.0)
+    assert found.rms_m < 0.02
+    assert found.wheels["radius"].value == pytest.approx(RADIUS, rel=0.01)
+    assert found.wheels["servo_gain"].value == pytest.approx(GAIN, rel=0.01)
+    assert found.wheels["servo_offset"].value == pytest.approx(ZERO, abs=15.0)
+    assert found.wheels["wheelbase"].value == pytest.approx(BASE, rel=0.01)
+    assert [found.truth[key].value for key in "xy"] == pytest.approx(point[:2].tolist(), abs=0.03)
+
+
+def test_a_real_tricycle_calibrated_by_its_tracker_is_near_it_by_odometry(tmp_path: Path) -> None:
+    log = real_log("tricycle/tricycle.mcap")
+    known = ("wheels.ticks_per_revolution=5000", "wheels.max_speed=5", "truth.topic=/tracker")
+    nominal = ("wheels.radius=0.0016893", "wheels.servo_gain=13038", "wheels.wheelbase=1.4")
+    words = [word for key in known for word in ("--set", key)]
+    first = [word for key in nominal for word in ("--set", key)]
+    found = locfuse("calibrate", log, *words, *first, "-o", tmp_path / "robot.toml")
+    assert found.exit_code == 0, found.stderr
+    odometry = ("--sensors", "odometry", "--align", "origin", "--no-advice")
+    done = locfuse("run", log, "--robot", tmp_path / "robot.toml", *words, *odometry, "-o", tmp_path / "out")
+    assert done.exit_code == 0, done.stderr
+    report = json.loads((tmp_path / "out/run.json").read_text())
+    assert report["configurations"]["odometry"]["position_rmse_m"] < 0.15

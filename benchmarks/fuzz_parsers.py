@@ -228,6 +228,7 @@ def beside_the_log(ending: str) -> Callable[[bytes], object]:
 
 
 FIELDS_BESIDE = {
+    file_stream.RANGES: ("id", "range"),
     file_stream.POSE: ("pose.pose.position.x", "pose.pose.orientation.w", "pose.covariance"),
     file_stream.POINT: ("point.x", "point.y"),
     file_stream.DETECTIONS: ("id", "range", "bearing"),

@@ -172,6 +172,6 @@ def with_point_maps(robot: Robot) -> Robot:
             continue
         path = Path(settings.map).expanduser()
         if not path.is_file():
-            raise LocfuseError(f"no such file: {path}", role=name, hint=f"--set {name}.map=<id, x, y as .csv>")
+            raise LocfuseError(f"no such file: {path}", role=name, hint=f"{name}.map names a .csv of id, x, y")
         read[name] = msgspec.structs.replace(settings, map=landmark_map.read(path))
     return replace(robot, sensors={**robot.sensors, **read})

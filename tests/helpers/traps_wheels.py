@@ -257,7 +257,7 @@ def repeated_truth(drive: Drive) -> None:
 
 
 CLOCK_TRAPS = (
-    Trap("stamps that run backwards", backwards, "dated by recording time instead (9 backwards)"),
+    Trap("stamps that run backwards", backwards, "moved into their order (9 backwards)"),
     Trap("stamps of zero", some_zero, "zero)"),
     Trap("absurd stamps", some_absurd, "off the stream's clock)"),
     Trap("stamps that are all zero", all_zero, "most header stamps contradict it"),

@@ -60,8 +60,8 @@ def test_a_robot_that_skids_gets_its_track_and_ratio_without_truth(tmp_path: Pat
     sheet = ("--set", "wheels.radius=0.30", "--set", "wheels.track=1.14")
     late = locfuse("calibrate", log, *sheet)
     assert "Set it first: --set gyro.time_offset=0.176" in late.stderr
-    sheet = (*sheet, "--set", "gyro.time_offset=0.176")
-    found = locfuse("calibrate", log, *sheet, "-o", tmp_path / "robot.toml", "--json")
+    told = (*sheet, "--set", "gyro.time_offset=0.176")
+    found = locfuse("calibrate", log, *told, "-o", tmp_path / "robot.toml", "--json")
     assert found.exit_code == 0, found.stderr
     values = json.loads(found.stdout)["gyro"]
     assert 1.78 < values["track"]["value"] < 1.92

@@ -367,6 +367,17 @@ class SeenAgain(NamedTuple):
     pose: Array  # (3,) where the robot was now, seen from where it was then
 
 
+SLIP, RELOCALISED, LOOP = "slip", "relocalised", "loop"  # kinds of jumps
+
+
+class Jump(NamedTuple):
+    """A correction of the pose that is no motion: a slip undone, a lost robot found again, a loop closed."""
+
+    t: float  # s
+    kind: str  # "slip", "relocalised" or "loop"
+    step: tuple[float, float, float]  # m, m, rad: by how much the pose in the map changed
+
+
 class Estimates(msgspec.Struct, frozen=True):
     """The result of one configuration over one drive."""
 
@@ -384,7 +395,7 @@ class Estimates(msgspec.Struct, frozen=True):
     truth_pose: Array | None = None  # (q, 3) predicted at the truth stamps, NaN before the drive
     truth_P: Array | None = None  # (q, 3, 3)
     notes: tuple[str, ...] = ()  # slips, being lost and found again
-    slips: int = 0  # of a wheel, that were found and turned back
+    jumps: tuple[Jump, ...] = ()  # in order of time
     lost: tuple[tuple[float, float], ...] = ()  # s: when the filter did not know where it was
     # (m, 2) s: when a place was seen before, and when it was recognised, in order of the second
     loops: Array = field(default_factory=lambda: np.zeros((0, 2)))
@@ -396,6 +407,11 @@ class Estimates(msgspec.Struct, frozen=True):
     def name(self) -> str:
         """What tells this result from all others of the drive: the configuration, perhaps with "-smoothed"."""
         return result_name(self.configuration, self.smoothed)
+
+    @property
+    def slips(self) -> int:
+        """How many slips of a wheel were found and turned back."""
+        return sum(jump.kind == SLIP for jump in self.jumps)
 
     @property
     def P(self) -> Array:

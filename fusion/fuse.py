@@ -231,7 +231,7 @@ class Filter:
             truth_pose=truth_pose,
             truth_P=truth_P,
             notes=tuple(self._notes()),
-            slips=sum(m.slips() for m in self.models.values()),
+            jumps=tuple(sorted(jump for m in self.models.values() for jump in m.jumps())),
             lost=tuple(
                 (a, min(b, float(drive.t[-1]))) for m in self.models.values() for a, b in m.lost_intervals()
             ),

@@ -17,6 +17,7 @@ from .data import (
     Colour,
     Component,
     Ints,
+    Jump,
     LocfuseError,
     MapLine,
     Measurements,
@@ -208,9 +209,9 @@ class Model:
         """Return id and place x, y [m, map frame] of every landmark that the run placed."""
         return []
 
-    def slips(self) -> int:
-        """Return how many slips of a wheel were found and turned back."""
-        return 0
+    def jumps(self) -> list[Jump]:
+        """Return the corrections of the pose that are no motion."""
+        return []
 
     def lost_intervals(self) -> list[tuple[float, float]]:
         """Return when this sensor found the robot not to know where it was, (start, end) [s]."""

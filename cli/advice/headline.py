@@ -17,6 +17,11 @@ HELPS, HURTS = ("helps", "seems to help"), ("hurts", "seems to hurt")
 
 def headline(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:
     """Return one sentence or two; `sets` are the sensors of every configuration that the report may name."""
+    return " ".join(filter(None, (report.get("doubt"), _verdict(report, sets))))
+
+
+def _verdict(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:
+    """Return what to do with the sensors."""
     errors = {n: e for n in sets if (e := report["configurations"][n].get("position_rmse_m")) is not None}
     void = [v["message"] for v in report.get("validity") or () if v["void"]]
     if void and not any(sets[name] for name in errors):

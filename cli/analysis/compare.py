@@ -12,12 +12,13 @@ from msgspec.structs import replace
 
 from locfuse.formats.report import json_report
 from locfuse.fusion import se2
-from locfuse.fusion.data import Drive, Estimates, Evaluation
+from locfuse.fusion.data import Drive, Estimates, Evaluation, Jump
 from locfuse.fusion.fuse import configuration_name
 from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.consistency import Run
 from locfuse.fusion.judge.credit import Credit, credit
 from locfuse.fusion.judge.evaluate import Align, evaluate
+from locfuse.fusion.judge.own_scans import judged_by_scans
 from locfuse.fusion.judge.predictive import Score, contradictions, listeners, scores
 from locfuse.fusion.paper.preset import fuser
 from locfuse.fusion.robot import Robot
@@ -52,6 +53,7 @@ class Compared(msgspec.Struct, frozen=True):
     credit: Credit | None  # where there is truth
     scores: Sequence[Score]  # where there is none
     reference: Referenced | None = None  # where there is none, and a reference takes its place
+    smoothed: Mapping[str, Estimates] = {}  # by the name of what they smooth, shown or for the reference alone
 
 
 class Referenced(msgspec.Struct, frozen=True):
@@ -92,7 +94,8 @@ def compare_log(
     if asked.smooth:
         refuse_smoothing(robot, configurations)
     filtered, smoothed = [], []
-    solved: dict[frozenset[str], Estimates] = {}
+    solved: dict[frozenset[str], tuple[Estimates, Estimates]] = {}  # filtered and smoothed
+    wholes: dict[str, Estimates] = {}  # smoothed estimates by the name of what they smooth
     solves = _solved_sets(drive) if reference else set()
     for c in configurations:
         progress(f"fusing {c.name}")
@@ -100,7 +103,9 @@ def compare_log(
         first, *after = lean(_judged, c, loaded, asked, both, watch)
         filtered.append(first)
         smoothed += after if asked.smooth else []
-        solved |= {frozenset(c.sensors): j.estimates for j in after if not c.rates}
+        if after:
+            wholes[first.estimates.name] = after[0].estimates
+        solved |= {frozenset(c.sensors): (first.estimates, j.estimates) for j in after if not c.rates}
     plain = {
         frozenset(c.sensors): j.evaluation for c, j in zip(configurations, filtered, strict=True) if not c.rates
     }
@@ -126,6 +131,7 @@ def compare_log(
         runs=[run for j in every for run in j.evidence],
         credit=found,
         scores=predicted,
+        smoothed=wholes,
         reference=None if referenced is None else referenced[0],
     )
 
@@ -139,7 +145,7 @@ def _solved_sets(drive: Drive) -> set[frozenset[str]]:
 def _references(
     drive: Drive,
     robot: Robot,
-    solved: Mapping[frozenset[str], Estimates],
+    solved: Mapping[frozenset[str], tuple[Estimates, Estimates]],
     noise: Mapping[str, float],
     contradict: Sequence[tuple[str, str]],
 ) -> References | None:
@@ -280,7 +286,41 @@ def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
     report["prediction"] = prediction_values(compared.scores, list(sets)) if compared.scores else None
     add_consistency(report, compared.runs, compared.evaluations, compared.loaded.robot)
     add_reference(report, compared)
+    add_own_scans(report, compared)
     return json_report.plain(report)
+
+
+def add_own_scans(report: dict[str, Any], compared: Compared) -> None:
+    """Add what the laser's scans say of each result, and whether its path is doubted."""
+    report["doubt"] = None
+    add_events(report, compared.estimates)
+    drive = compared.loaded.drive
+    for values in report["configurations"].values():
+        values.update(dict.fromkeys(("revisit_agreement", "crispness_cells", "smoothed_distance_m")))
+    ours = [e for e in compared.estimates if len(e.t) == len(drive.t)]
+    for name, own in judged_by_scans(drive, ours, compared.smoothed).items():
+        values, apart = report["configurations"][name], own.smoothed
+        values["revisit_agreement"], values["crispness_cells"] = own.revisit_agreement, own.crispness_cells
+        if apart is None:
+            continue
+        values["smoothed_distance_m"] = msgspec.to_builtins(apart)
+        where = f"{apart.rms:.2f} m (at most {apart.max:.2f} m, at {apart.t_s:.0f} s) elsewhere"
+        more = ", which is more than both claim: neither is a reference" if own.contradicted else ""
+        values["notes"].append(f"smoothed, the path lies {where}{more}")
+        if apart.doubted(values["distance_m"]):
+            proven = "The better answer: --smooth" if own.smoothed_is_better else "Neither is proven"
+            report["doubt"] = f"Doubtful: smoothed, the path of {name} lies {where}. {proven}."
+
+
+def add_events(report: dict[str, Any], estimates: Sequence[Estimates]) -> None:
+    """Add to each result what moved its pose and was no motion."""
+    for e in estimates:
+        report["configurations"][e.name]["events"] = [_event(jump) for jump in e.jumps]
+
+
+def _event(jump: Jump) -> dict[str, Any]:
+    x, y, theta = jump.step
+    return {"t_s": jump.t, "kind": jump.kind, "dx_m": x, "dy_m": y, "dtheta_deg": math.degrees(theta)}
 
 
 def add_reference(report: dict[str, Any], compared: Compared) -> None:
@@ -308,4 +348,5 @@ def report_of_run(
     report = results.build(loaded, evaluations)
     runs = evidence(c.drive(loaded.drive), estimates[0], loaded.robot)
     add_consistency(report, runs, evaluations, loaded.robot)
+    add_events(report, estimates)
     return json_report.plain(report)

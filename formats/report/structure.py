@@ -90,7 +90,34 @@ class Reference(Struct):
     words: str = ""  # what it is, as a sentence
 
 
-class Result(Struct):
+class Jump(Struct):
+    """A correction of the pose that is no motion."""
+
+    t_s: float
+    kind: str  # slip: of a wheel, turned back; relocalised: a lost robot was found; loop: a place was recognised
+    dx_m: float  # in the map
+    dy_m: float
+    dtheta_deg: float
+
+
+class SmoothedDistance(Struct):
+    """How far a path and its smoothed one lie apart, laid on each other as a whole."""
+
+    rms: float
+    max: float
+    t_s: float  # when they are furthest apart
+
+
+class WithoutTruth(Struct):
+    """What a path says of itself."""
+
+    revisit_agreement: Figure = None  # share of a scan's points that lie on what was seen at a place before
+    crispness_cells: Figure = None  # cells of 5 cm that the points of all scans hit: fewer is better, on one drive
+    smoothed_distance_m: SmoothedDistance | None = None  # to the smoothed path; null where none was solved
+    events: list[Jump] = []  # what moved the pose and was no motion
+
+
+class Result(WithoutTruth, Struct, kw_only=True):
     """The figures of one configuration, filtered or smoothed."""
 
     configuration: str  # the set of sensors: "odometry", "compass+lrf", "all"
@@ -212,6 +239,7 @@ class _Common(Struct):
 class Report(_Common):
     """report.json of `locfuse compare`, run.json of `locfuse run`."""
 
+    doubt: str | None = None  # why the laser's path is doubted, as a sentence
     headline: str | None = None  # the answer in one or two sentences
     findings: list[ReportedFinding] | None = None  # null: the log was not evaluated
     fixes: list[str] | None = None  # all fixes together, "table.key=value" each

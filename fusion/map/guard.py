@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array
+from locfuse.fusion.data import RELOCALISED, SLIP, Array, Jump
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import Pose
 
@@ -55,12 +55,13 @@ Slipped = Callable[[], float | None]  # rad by which the robot has turned more t
 class Guard:
     """Watches the agreement of scans and map over one run."""
 
-    def __init__(self) -> None:
+    def __init__(self, jumps: list[Jump]) -> None:
+        """`jumps` is where it notes what moved the pose."""
         self._since: float | None = None
         self._scans = 0
         self._lost_from: float | None = None
         self._intervals: list[tuple[float, float]] = []
-        self.slips = 0
+        self._jumps = jumps
         self._place: tuple[Array, Pose, int] | None = None  # belief and pose found first, scans that agree
         self._suspicion: Suspicion | None = None
         self._series = Series()
@@ -167,8 +168,8 @@ class Guard:
     def _turned(self, turn: float, belief: JointBelief, again: Again) -> Association:
         """Turn the pose by a slip [rad]."""
         belief.shift(turn, SLIP_XY**2, SLIP_THETA**2)
+        self._jumps.append(Jump(self._now, SLIP, (0.0, 0.0, turn)))
         self._since, self._torn = None, False
-        self.slips += 1
         return again()
 
     def _believed(self, before: list[Seen], now: Seen, share: float, lines: LineMap, belief: JointBelief) -> bool:
@@ -265,7 +266,9 @@ class Guard:
         pose = find_pose(scan, lines, belief, self._trail)
         if pose is None or self._lost_from is None or not self._confirmed(pose, belief):
             return found, False
+        before = in_map(belief)
         belief.place(pose, PLACED_XY**2, PLACED_THETA**2)
+        self._jumps.append(jump(t, RELOCALISED, before, in_map(belief)))
         self._found(t, belief)
         return again(), True
 
@@ -304,10 +307,22 @@ class Guard:
         if (since := self._since_lost()) is not None:
             lost = f"lost from {since:.1f} s after the start until the end"
             words.append(f"{lost}: no place on the map fits, or several do")
-        if self.slips:
-            slips = "1 wheel slip" if self.slips == 1 else f"{self.slips} wheel slips"
+        if n := sum(jump.kind == SLIP for jump in self._jumps):
+            slips = "1 wheel slip" if n == 1 else f"{n} wheel slips"
             words.append(f"{slips} recovered by the lines of the map")
         return words
+
+
+def in_map(belief: JointBelief) -> Array:
+    """Return the pose (3,) in the map."""
+    frame, pose = belief.frame_pose(), np.array(belief.pose())
+    return pose if frame is None else se2.compose(np.array(frame), pose)
+
+
+def jump(t: float, kind: str, before: Array, after: Array) -> Jump:
+    """Return the jump from one pose (3,) in the map to another one."""
+    x, y, theta = (after - before).tolist()
+    return Jump(t, kind, (x, y, se2.wrap(theta)))
 
 
 def _jumped(before: Sequence[Seen], now: Seen) -> bool:

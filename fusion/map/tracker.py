@@ -19,7 +19,17 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import VERDICTS, Array, Ints, LocfuseError, MapLine, Measurements, SeenAgain
+from locfuse.fusion.data import (
+    LOOP,
+    VERDICTS,
+    Array,
+    Ints,
+    Jump,
+    LocfuseError,
+    MapLine,
+    Measurements,
+    SeenAgain,
+)
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import Pose, by_frame
 from locfuse.fusion.kernels.ekf import Innovation
@@ -34,7 +44,7 @@ from .anchors import NOWHERE, Anchors, Edge, inverted
 from .bridge import Bridge, cross, heading_among, seen_from_here
 from .closing import Closure, Here, find_closure
 from .frozen import FrozenMap, box_of, frozen, joint_covariance, thaw
-from .guard import Guard
+from .guard import Guard, in_map, jump
 from .laser_mount import by_mount, moved_mount, seat_of
 from .line_map import NO_SHARES, Association, LineMap, about_middle, associate
 from .looks import INSISTING, Looks, is_open
@@ -73,7 +83,8 @@ class LineTracker(Model):
         self.joint = mode != "first-scan"
         self.maps = mode != "given"
         # only a map that holds what was seen since can say that something is wrong
-        self.guard = Guard() if recover and mode in ("grow", "given") else None
+        self._jumps: list[Jump] = []
+        self.guard = Guard(self._jumps) if recover and mode in ("grow", "given") else None
         self._first_map: list[MapLine] = []
         self.gate = chi_square(gate, 2)
         new = NEW if mode == "grow" else UNMATCHED
@@ -239,9 +250,9 @@ class LineTracker(Model):
         """Return the map after the first scan and the map now."""
         return self._first_map, self.map.lines(belief)
 
-    def slips(self) -> int:
-        """Return how many slips of a wheel the walls have told."""
-        return self.guard.slips if self.guard is not None else 0
+    def jumps(self) -> list[Jump]:
+        """Return the slips, places and loops that moved the pose."""
+        return self._jumps
 
     def lost_intervals(self) -> list[tuple[float, float]]:
         """Return when the robot did not know where it was, (start, end) [s]."""
@@ -520,7 +531,9 @@ class AtlasTracker(LineTracker):
             here = se2.compose(found.pose, np.array(belief.pose()))
             sight = seen.way.nearest(here[:2])
             self.closed.append(SeenAgain(sight.t, t, se2.between(sight.pose, here)))
+        before_loop = in_map(belief)
         belief.know_frame(self._anchors.pose[at], self._anchors.covariance((at,)))
+        self._jumps.append(jump(t, LOOP, before_loop, in_map(belief)))
         if self.guard is not None and not is_open(self._anchors.relative(0, at)[1]):
             self.guard.recognised(t)
 

@@ -269,7 +269,7 @@ class Start(msgspec.Struct, frozen=True):
     @property
     def anchor(self) -> Anchor:
         """What this says of the first key, as a term of the graph."""
-        return Anchor(0, self.at_key, np.linalg.inv(self.P_at_key))
+        return Anchor(0, self.at_key, np.asarray(np.linalg.inv(self.P_at_key), np.float64))
 
     def smoothed(self, key: Array, P: Array) -> tuple[Array, Array, Array]:
         """Return pose, covariance and that with the first key, once the whole drive says `key` (3,), P (3, 3)."""

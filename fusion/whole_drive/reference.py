@@ -13,6 +13,7 @@ from msgspec.structs import replace
 from locfuse.fusion.data import Drive, Estimates, Evaluation, UsageError
 from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.evaluate import Align
+from locfuse.fusion.judge.own_scans import are_contradictory
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed
 
@@ -69,15 +70,16 @@ class References(msgspec.Struct, frozen=True):
         cls,
         drive: Drive,
         robot: Robot,
-        known: Mapping[Subset, Estimates],
+        known: Mapping[Subset, tuple[Estimates, Estimates]],
         noise: Mapping[str, float],
         contradict: Sequence[tuple[str, str]] = (),
     ) -> References | None:
         """Return the references of a drive; None where its whole-drive solution is lost on the way.
 
-        `known` are smoothed estimates that were made anyway, by their sensors. `noise`: by how much the sigma of a
-        sensor is too small, as its residuals show; references are solved with the larger one, else they would be
-        as wrong and as sure as the estimates that they judge.
+        Nor is a solution a reference that lies further from the filter's than both claim: one of them is wrong.
+        `known` are filtered and smoothed estimates that were made anyway, by their sensors. `noise`: by how much
+        the sigma of a sensor is too small, as its residuals show; references are solved with the larger one, else
+        they would be as wrong and as sure as the estimates that they judge.
         """
         present = _present(drive)
         larger = {s: factor for s, factor in noise.items() if factor > 1.0}
@@ -86,8 +88,8 @@ class References(msgspec.Struct, frozen=True):
         for sensors in sets(drive):
             subset = frozenset(sensors)
             found = known.get(subset) if subset.isdisjoint(larger) else None
-            e = found or fuse_and_smooth(honest, robot, sensors)[1]
-            if not e.lost:
+            filtered, e = found or fuse_and_smooth(honest, robot, sensors)
+            if not e.lost and not are_contradictory(filtered, e):
                 solved[subset] = Reference.of(e, drive, tuple(s for s in present if s not in subset))
         return cls(solved, present, contradict) if frozenset(present) in solved else None
 

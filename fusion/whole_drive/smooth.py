@@ -92,6 +92,7 @@ def by_graph(filtered: Estimates, graph: Graph) -> Estimates:
         truth_P=truth_P,
         final_map=graph.walls(),
         lost=(),
+        jumps=(),
         loops=loops,
         loop_poses=loop_poses,
         notes=(*filtered.notes, *graph.notes()),
@@ -113,6 +114,7 @@ def smoothed(drive: Drive, filtered: Estimates, events: Events) -> Estimates:
         block_sigmas=back.block_sigmas,
         truth_pose=truth_pose,
         truth_P=truth_P,
+        jumps=(),
         smoothed=True,
     )
 

@@ -1,0 +1,147 @@
+"""A path judged by its own scans, where there is no truth: do places seen twice agree, and is the map crisp?
+
+Revisit agreement: of the scans at places that the path has been at before, the share of points that lie on what
+was seen then. Crispness: in how many cells the points of all scans fall; of two paths of one drive the better one
+has fewer. Neither proves a path right: where two paths err alike, both agree with themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import msgspec
+import numpy as np
+
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Drive, Estimates, Ints
+
+LASER = "lrf"
+STRIDE_M, MAX_SCANS = 0.7, 2000  # way between two scans that are looked at, and how many at most
+AGAIN_S, AGAIN_SHORT_S, SHORT_S = 30.0, 8.0, 120.0  # between two visits of a place; in drives shorter than that
+NEAR_M, MAX_EARLIER = 3.0, 10  # how near an earlier scan was taken, and how many of them are asked
+SAME_M = 0.1  # a point this near to an earlier one agrees
+MIN_REVISITS, MIN_OVERLAP = 0.1, 3.0  # share of scans at places seen before; cells of single scans per cell of all
+CELL_M = 0.05
+DOUBT_M, DOUBT_SHARE = 0.3, 0.0075  # of the way: two paths further apart than both are doubted
+MAX_APART_SIGMAS, MIN_APART_M = 3.0, 0.05  # of both claims together; less than this is no contradiction
+BETTER, GOOD = 0.2, 0.7  # by how much agreement must rise, or what it must be, for a path to be the better one
+
+
+class Distance(msgspec.Struct, frozen=True):
+    """How far two paths of one drive lie apart, laid on each other as a whole (SE(2))."""
+
+    rms: float  # m
+    max: float  # m
+    t_s: float  # when they are furthest apart
+
+    @classmethod
+    def between(cls, t: Array, a: Array, b: Array) -> Distance:
+        """Return that of the places a and b (n, 2) [m] at the instants t (n,)."""
+        p, q = a - a.mean(axis=0), b - b.mean(axis=0)
+        turn = np.arctan2((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum(), (p * q).sum())
+        off = np.hypot(*(se2.rotated(np.full(len(p), turn), p) - q).T)
+        return cls(float(np.sqrt((off**2).mean())), float(off.max()), float(t[off.argmax()]))
+
+    def doubted(self, way: float) -> bool:
+        """Return whether paths so far apart are doubted, over a way [m]."""
+        return self.max > max(DOUBT_M, DOUBT_SHARE * way)
+
+
+class OwnScans(msgspec.Struct, frozen=True):
+    """Scans along a drive, the same for every path that is judged by them."""
+
+    t: Array  # (k,) s
+    instants: Ints  # (k,) of the drive
+    points: list[Array]  # each (p, 2) m, in the base frame, deskewed
+
+    @classmethod
+    def of(cls, drive: Drive) -> OwnScans | None:
+        """Return those of a drive; None without a laser whose points are known."""
+        m = drive.measurements.get(LASER)
+        if m is None or m.points is None or not len(m.t):
+            return None
+        instants = drive.instant[LASER]
+        way = np.cumsum(np.hypot(*drive.motions.u[:, :2].T))[instants]
+        stride = max(STRIDE_M, float(way[-1] - way[0]) / MAX_SCANS)
+        chosen = np.flatnonzero(np.diff(np.floor(way / stride), prepend=-1.0) > 0)
+        return cls(drive.t[instants[chosen]], instants[chosen], list(m.points.read(chosen)))
+
+    def judge(self, e: Estimates) -> tuple[float | None, int, float]:
+        """Return revisit agreement (0 to 1, None: nothing is revisited), cells, and how often scans overlap."""
+        pose = e.pose[self.instants]
+        placed = [
+            se2.transform(np.broadcast_to(x, (len(p), 3)), p) for x, p in zip(pose, self.points, strict=True)
+        ]
+        return self._agreement(pose, placed), *_cells(placed)
+
+    def _agreement(self, pose: Array, placed: list[Array]) -> float | None:
+        from scipy.spatial import cKDTree
+
+        again = AGAIN_SHORT_S if self.t[-1] - self.t[0] < SHORT_S else AGAIN_S
+        agree = points = visits = 0
+        for k, scan in enumerate(placed):
+            before = int(np.searchsorted(self.t, self.t[k] - again))
+            apart = np.hypot(*(pose[:before, :2] - pose[k, :2]).T)
+            near = np.argsort(apart, kind="stable")[:MAX_EARLIER]
+            earlier = [placed[j] for j in near[apart[near] < NEAR_M].tolist() if len(placed[j])]
+            if not earlier or not len(scan):
+                continue
+            distance, _ = cKDTree(np.concatenate(earlier)).query(scan, distance_upper_bound=SAME_M)
+            agree, points, visits = agree + int(np.isfinite(distance).sum()), points + len(scan), visits + 1
+        return agree / points if visits > MIN_REVISITS * len(placed) else None
+
+
+def _cells(placed: list[Array]) -> tuple[int, float]:
+    """Return in how many cells the points fall, and how many cells of single scans there are for each."""
+    cells = [np.unique(np.floor(p / CELL_M).astype(np.int64) @ (1 << 32, 1)) for p in placed]
+    every = len(np.unique(np.concatenate([np.zeros(0, np.int64), *cells])))
+    return every, sum(len(c) for c in cells) / max(every, 1)
+
+
+def are_contradictory(a: Estimates, b: Estimates) -> bool:
+    """Return whether estimates at the same instants lie further apart than both claim: one of them is wrong."""
+    claimed = [np.maximum(e.triangles[:, 0] + e.triangles[:, 3], 0.0).mean() for e in (a, b)]
+    apart = Distance.between(a.t, a.pose[:, :2], b.pose[:, :2])
+    return apart.rms > max(MAX_APART_SIGMAS * float(np.sqrt(sum(claimed))), MIN_APART_M)
+
+
+def is_better(before: float | None, after: float | None) -> bool:
+    """Return whether agreement where places were seen twice proves a path to be the better one."""
+    if before is None or after is None:
+        return False
+    return after >= before + BETTER or (after >= GOOD and after >= before)
+
+
+class Own(msgspec.Struct, frozen=True):
+    """What a drive's own scans say of one estimate."""
+
+    revisit_agreement: float | None
+    crispness_cells: int | None
+    smoothed: Distance | None = None  # to the same sensors' smoothed path; None where there is none
+    smoothed_is_better: bool = False  # as its revisit agreement proves
+    contradicted: bool = False  # they lie further apart than both claim
+
+
+def judged_by_scans(
+    drive: Drive, estimates: Sequence[Estimates], smoothed: Mapping[str, Estimates]
+) -> dict[str, Own]:
+    """Return what the laser's scans say of estimates at the instants of a drive, by name.
+
+    `smoothed` are the smoothed estimates of those that have one, by the name of the estimate that they smooth.
+    """
+    scans = OwnScans.of(drive)
+    if scans is None or not len(scans.t):
+        return {}
+    judged = [scans.judge(e) for e in estimates]
+    enough = max((overlap for _, _, overlap in judged), default=0.0) >= MIN_OVERLAP
+    found = {}
+    for e, (agreement, hit, _) in zip(estimates, judged, strict=True):
+        cells = hit if enough else None
+        whole = smoothed.get(e.name) if LASER in e.sensors else None
+        if whole is None:
+            found[e.name] = Own(agreement, cells)
+            continue
+        apart = Distance.between(e.t, e.pose[:, :2], whole.pose[:, :2])
+        better = is_better(agreement, scans.judge(whole)[0])
+        found[e.name] = Own(agreement, cells, apart, better, are_contradictory(e, whole))
+    return found

@@ -264,7 +264,8 @@ class Start(msgspec.Struct, frozen=True):
         at_key = se2.compose(pose, u[0])
         turn, (x, y) = se2.rotation(pose[2]), at_key[:2] - pose[:2]
         F = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
-        return cls(pose, P, at_key, F @ P @ F.T + turn @ by_lever(C, -u[:, 1], u[:, 0])[0] @ turn.T, P @ F.T)
+        P_at_key: Array = F @ P @ F.T + turn @ by_lever(C, -u[:, 1], u[:, 0])[0] @ turn.T
+        return cls(pose, P, at_key, P_at_key, P @ F.T)
 
     @property
     def anchor(self) -> Anchor:

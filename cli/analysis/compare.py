@@ -291,10 +291,12 @@ def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
 
 
 def add_own_scans(report: dict[str, Any], compared: Compared) -> None:
-    """Add what the laser's scans say of each result, and whether its path is doubted."""
+    """Add what the laser's scans say of each result, and whether its path is doubted, where a path was smoothed."""
     report["doubt"] = None
     add_events(report, compared.estimates)
     drive = compared.loaded.drive
+    if not compared.smoothed:
+        return
     for values in report["configurations"].values():
         values.update(dict.fromkeys(("revisit_agreement", "crispness_cells", "smoothed_distance_m")))
     ours = [e for e in compared.estimates if len(e.t) == len(drive.t)]

@@ -298,7 +298,7 @@ def add_own_scans(report: dict[str, Any], compared: Compared) -> None:
     if not compared.smoothed:
         return
     for values in report["configurations"].values():
-        values.update(dict.fromkeys(("revisit_agreement", "crispness_cells", "smoothed_distance_m")))
+        values.update(dict.fromkeys(("revisit_agreement", "crispness_cells")))
     ours = [e for e in compared.estimates if len(e.t) == len(drive.t)]
     for name, own in judged_by_scans(drive, ours, compared.smoothed).items():
         values, apart = report["configurations"][name], own.smoothed

@@ -291,7 +291,7 @@ def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
 
 
 def add_own_scans(report: dict[str, Any], compared: Compared) -> None:
-    """Add what the laser's scans say of each result, and whether its path is doubted, where a path was smoothed."""
+    """Add what the laser's scans say of each result where a path was smoothed, and whether it is doubted."""
     report["doubt"] = None
     add_events(report, compared.estimates)
     drive = compared.loaded.drive

@@ -111,13 +111,17 @@ def _noise(truth: Truth, drive: Drive) -> list[Finding]:
     """The truth's scatter: unless it is set, ANEES takes it for an error. No estimate depends on it."""
     rest, moving = truth_sigma(truth, drive.wheels), _scatter(truth, drive.wheels)
     place, turn = max(rest.xy, moving.xy), max(rest.theta, moving.theta)
-    if truth.sigma or truth.sigma_theta or (place < MIN_NOISE_M and turn < MIN_NOISE_RAD):
+    if truth.sigma or truth.sigma_theta:
         return []
-    words, fixes = f"{1e3 * place:.1f} mm", [f"truth.sigma={place:.2g}"]
+    parts: list[tuple[str, str]] = []
+    if place >= MIN_NOISE_M:
+        parts.append((f"{1e3 * place:.1f} mm", f"truth.sigma={place:.2g}"))
     if truth.theta is not None and turn >= MIN_NOISE_RAD:
-        words += f" and {math.degrees(turn):.2f}°"
-        fixes.append(f"truth.sigma_theta_deg={math.degrees(turn):.2g}")
-    return [Finding("truth", "noise", f"its own noise is {words} (1 sigma)", tuple(fixes))]
+        parts.append((f"{math.degrees(turn):.2f}°", f"truth.sigma_theta_deg={math.degrees(turn):.2g}"))
+    if not parts:
+        return []
+    words = " and ".join(part for part, _ in parts)
+    return [Finding("truth", "noise", f"its own noise is {words} (1 sigma)", tuple(fix for _, fix in parts))]
 
 
 def _scatter(truth: Truth, wheels: Wheels) -> Sigma:

@@ -165,3 +165,14 @@ def transform(pose: Array, points: Array) -> Array:
     c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
     x, y = points[..., 0], points[..., 1]
     return np.stack((pose[..., 0] + c * x - s * y, pose[..., 1] + s * x + c * y), axis=-1)
+
+
+def laid_on(a: Array, b: Array) -> tuple[float, float]:
+    """Return the turn [rad] and the scale that lay points a (n, 2) on b (n, 2) about their means.
+
+    Least squares over all points (Umeyama 1991, in the plane); who wants no scale leaves it.
+    """
+    p, q = a - a.mean(axis=0), b - b.mean(axis=0)
+    across, along = float((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum()), float((p * q).sum())
+    square = float((p**2).sum())
+    return math.atan2(across, along), math.hypot(across, along) / square if square > 0.0 else 1.0

@@ -76,7 +76,7 @@ def start_pose(truth: Truth, drive: Drive) -> Start | None:
     elif float(np.ptp(points, axis=0).max()) < MIN_SHAPE_EXTENT_M:
         return None
     else:
-        turn, metre = _laid_over(points, tracked)
+        turn, metre = se2.laid_on(points, tracked)
     places = tracked - metre * se2.rotated(np.full(len(points), turn), points)
     place = np.median(places, axis=0)
     if truth.theta is None:
@@ -85,10 +85,3 @@ def start_pose(truth: Truth, drive: Drive) -> Start | None:
         blur = float(np.std(se2.wrap_all(turns - turn))) / math.sqrt(len(points))
     spread = float(np.hypot(*(places - place).std(axis=0))) / math.sqrt(len(points))
     return Start(np.array([*place, se2.wrap(turn)]), way, blur, spread)
-
-
-def _laid_over(points: Array, tracked: Array) -> tuple[float, float]:
-    """Return the turn and the scale that lay points (n, 2) over those seen (Umeyama 1991, in the plane)."""
-    a, b = points - points.mean(axis=0), tracked - tracked.mean(axis=0)
-    across, along = float((a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()), float((a * b).sum())
-    return math.atan2(across, along), math.hypot(across, along) / float((a**2).sum())

@@ -157,8 +157,7 @@ def aligned(pairs: _Pairs, point: tuple[float, float], align: Align) -> _Pairs:
         a, b = p[0], pairs.xy[0]
     else:
         a, b = p.mean(axis=0), pairs.xy.mean(axis=0)
-        q, r = p - a, pairs.xy - b
-        turn = math.atan2(float((q[:, 0] * r[:, 1] - q[:, 1] * r[:, 0]).sum()), float((q * r).sum()))
+        turn, _ = se2.laid_on(p, pairs.xy)
     c, s = math.cos(turn), math.sin(turn)
     move = np.array([b[0] - c * a[0] + s * a[1], b[1] - s * a[0] - c * a[1], turn])
     turned = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

@@ -37,8 +37,8 @@ class Distance(msgspec.Struct, frozen=True):
     @classmethod
     def between(cls, t: Array, a: Array, b: Array) -> Distance:
         """Return that of the places a and b (n, 2) [m] at the instants t (n,)."""
+        turn, _ = se2.laid_on(a, b)
         p, q = a - a.mean(axis=0), b - b.mean(axis=0)
-        turn = np.arctan2((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum(), (p * q).sum())
         off = np.hypot(*(se2.rotated(np.full(len(p), turn), p) - q).T)
         return cls(float(np.sqrt((off**2).mean())), float(off.max()), float(t[off.argmax()]))
 

@@ -99,19 +99,11 @@ def begun(robot: Robot, drive: Drive) -> tuple[Robot, Drive]:
         return robot, drive
     name, best = min(found.items(), key=lambda item: item[1].sigma_xy)
     x, y, theta = best.pose.tolist()
-    start_settings = msgspec.structs.replace(
-        robot.start,
-        x=x,
-        y=y,
-        theta_deg=math.degrees(theta),
-        sigma_xy=best.sigma_xy,
-        sigma_theta_deg=math.degrees(best.sigma_theta),
-    )
     words = (
         f"{name}: the drive begins at x {x:.2f} m, y {y:.2f} m, {math.degrees(theta):.0f} deg "
         f"(1 sigma: {best.sigma_xy:.2f} m, {math.degrees(best.sigma_theta):.0f} deg): found by its map"
     )
-    robot = replace(robot, start=start_settings, start_given=True)
+    robot = robot.begun_at(best.pose, best.sigma_xy, best.sigma_theta)
     return robot, replace(drive, notes=(*drive.notes, words))
 
 

@@ -6,11 +6,12 @@ SI units, angles in degrees where the key ends in `_deg`. Sensor tables live wit
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
 from msgspec import field
+from msgspec.structs import replace
 
 from .data import LocfuseError, MapLine
 from .sensor import SensorSettings
@@ -117,3 +118,16 @@ class Robot(msgspec.Struct, frozen=True):
         if sensor not in self.sensors:
             raise LocfuseError(f"no settings for sensor {sensor!r}")
         return self.sensors[sensor]
+
+    def begun_at(self, pose: Sequence[float], sigma_xy: float, sigma_theta: float) -> Robot:
+        """Return the robot with a start that was found: x, y [m], theta [rad]; standard deviations [m, rad]."""
+        x, y, theta = map(float, pose)
+        found = replace(
+            self.start,
+            x=x,
+            y=y,
+            theta_deg=math.degrees(theta),
+            sigma_xy=sigma_xy,
+            sigma_theta_deg=math.degrees(sigma_theta),
+        )
+        return replace(self, start=found, start_given=True)

@@ -18,14 +18,13 @@ from locfuse.formats.logs.file_stream import SUFFIXES
 from locfuse.formats.logs.files import Identity
 from locfuse.formats.report.json_report import SCHEMA_VERSION, made_with
 from locfuse.formats.versions import own
-from locfuse.fusion.sensors.points import GROW, PointsSettings
-from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.sensors.points import GROW
+from locfuse.fusion.sensors.registry import OF_POINTS
 
 from .settings import Asked
 
 # what figures depend on, in the order in which it is hashed
 Keyed = msgspec.defstruct("Keyed", ("sensors", "all_subsets", "align", "smooth", "jitter", "reference"))
-MAPPED = {name for name, sensor in REGISTRY.items() if issubclass(sensor.Settings, PointsSettings)}
 FILES = "files"  # beside the settings: the files that they name -> the hash of their content
 
 
@@ -44,7 +43,7 @@ def files_of(tables: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     for table, keys in tables.items():
         for key, value in keys.items() if isinstance(keys, Mapping) else ():
             for text in _texts(value):
-                a_map = key == "map" and table in MAPPED and text != GROW
+                a_map = key == "map" and table in OF_POINTS and text != GROW
                 if a_map or Path(text).suffix.lower() in SUFFIXES:
                     yield table, key, text
 

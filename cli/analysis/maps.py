@@ -21,7 +21,7 @@ from locfuse.fusion.robot import Robot
 from .load import Loaded, start_notes
 
 UNKNOWN_START_M = 1.0  # a start whose standard deviation is more is none
-FOUND_XY, FOUND_THETA_DEG = 0.15, 3.0  # m, degrees: standard deviations of a start that was found
+FOUND_XY, FOUND_THETA_RAD = 0.15, math.radians(3.0)  # m, rad: standard deviations of a start that was found
 GRID = "nav_msgs/msg/OccupancyGrid"
 ORIGIN = tuple(f"info.origin.{part}" for part in ("position.x", "position.y", "orientation.z", "orientation.w"))
 
@@ -103,20 +103,12 @@ def _begun(loaded: Loaded, grid: Grid, name: str) -> Loaded:
         found = find_start(grid, m.t, m.points, drive.wheels)
     except LocfuseError as problem:
         raise LocfuseError(f"{name}: {problem.message}", role="map") from None
-    x, y, theta = at_start(found, drive.wheels).tolist()
-    start = msgspec.structs.replace(
-        robot.start,
-        x=x,
-        y=y,
-        theta_deg=math.degrees(theta),
-        sigma_xy=FOUND_XY,
-        sigma_theta_deg=FOUND_THETA_DEG,
-    )
+    x, y, theta = pose = at_start(found, drive.wheels).tolist()
     words = (
         f"the drive begins in {name} at x {x:.2f} m, y {y:.2f} m, {math.degrees(theta):.0f} deg: looked for in "
         f"all of the map by the scans up to {found.until:.1f} s ({found.share:.0%} of the beams end at walls)"
     )
-    placed = replace(robot, start=start, start_given=True)
+    placed = robot.begun_at(pose, FOUND_XY, FOUND_THETA_RAD)
     stale = start_notes(robot, drive)  # about the start that is no longer
     notes = (*(note for note in drive.notes if note not in stale), words, *start_notes(placed, drive))
     return replace(loaded, robot=placed, drive=replace(drive, notes=notes))

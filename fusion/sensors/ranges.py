@@ -68,6 +68,7 @@ AHEAD, LEFT, SPREAD = "anchor_ahead", "anchor_left", "anchor_sigma"
 NEW = VERDICTS.index("new")
 WIDER = 3.0  # x the sigma of a place or start that the filter's own ranges gave: they are used again
 MIN_SPREAD_M = 0.1
+EXACT_M = 1e-6  # of an offset that is given
 MADE = (
     "no ranges.map is set: where the anchors stand is estimated (grow); with --set ranges.map=FILE, a .csv of "
     "id, x, y, the ranges also say where the robot is in the room"
@@ -90,6 +91,15 @@ class RangesSettings(PointsSettings, frozen=True, forbid_unknown_fields=True, kw
         super().__post_init__()
         if self.sigma_offset <= 0.0:
             raise ValueError(f"sigma_offset = {self.sigma_offset}: it must be positive")
+
+    @property
+    def searched_sigmas(self) -> tuple[float, float]:
+        """Standard deviations of a range and of the offset [m] while a start or a place is looked for."""
+        return self.sigma, EXACT_M if self.offset is not None else self.sigma_offset
+
+    def detector(self, rel: Array) -> Array:
+        """Return the places (n, 2) [m] of the antenna of a robot at poses (n, 3)."""
+        return se2.compose(rel, np.array([self.x, self.y, 0.0]))[:, :2]
 
 
 class Ranges(Sensor):
@@ -163,9 +173,8 @@ class Ranges(Sensor):
         places, t = settings.places, np.repeat(m.t, np.diff(m.first))
         anchors = np.array([places[int(i)] for i in m.extra["id"]])
         rel = wheels.relative(np.full(len(t), t[0]), t)
-        sigmas = settings.sigma, 1e-6 if settings.offset is not None else settings.sigma_offset
         ranges = m.z[:, 0] - (settings.offset or 0.0)
-        found = start_among(anchors, rel, t, ranges, (settings.x, settings.y), sigmas)
+        found = start_among(anchors, settings.detector(rel), t, ranges, settings.searched_sigmas)
         if found is None:
             raise LocfuseError(
                 "the ranges do not tell where the drive begins (too few anchors, or it goes straight).",
@@ -190,13 +199,11 @@ def _places_of(
     NaN where the drive does not tell, which is said in words.
     """
     found, words = np.full((len(t), 3), np.nan), list[str]()
-    sigmas = settings.sigma, 1e-6 if settings.offset is not None else settings.sigma_offset
-    lever = np.array([settings.x, settings.y])
     for anchor in np.unique(ids[keep]).tolist():
         rows = np.flatnonzero(keep & (ids == anchor))
         rel = wheels.relative(np.full(len(rows), t[rows[0]]), t[rows])
-        seen = rel[:, :2] + se2.rotated(rel[:, 2], np.broadcast_to(lever, (len(rel), 2)))
-        answer = anchor_beside(seen, t[rows], z[rows] - (settings.offset or 0.0), sigmas)
+        ranges = z[rows] - (settings.offset or 0.0)
+        answer = anchor_beside(settings.detector(rel), t[rows], ranges, settings.searched_sigmas)
         if answer is None:
             words.append(f"id {anchor}: the drive does not tell where it stands; give ranges.map")
             continue

@@ -13,6 +13,7 @@ from .gps import Gps
 from .gyro import Gyro
 from .landmarks import Landmarks
 from .lrf import Lrf
+from .points import PointsSettings
 from .pose import PoseSensor
 from .ranges import Ranges
 from .sonar import Sonar
@@ -33,6 +34,8 @@ REGISTRY: dict[str, Sensor] = {
         Ranges(),
     )
 }
+OF_POINTS = frozenset(name for name, sensor in REGISTRY.items() if issubclass(sensor.Settings, PointsSettings))
+"""Sensors of points with ids, whose map is a .csv that is given or made."""
 
 
 def needed(sensor: str) -> tuple[str, ...]:

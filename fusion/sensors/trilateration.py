@@ -24,12 +24,14 @@ from locfuse.fusion.data import Array
 
 STRETCHES_S = (5.0, 10.0, 20.0, 40.0, 80.0)  # of the drive: the shortest that tells; the wheels drift
 MIN_ROWS = 8
-ROUNDS = 60  # of the refinement
+ROUNDS = 60  # of the refinement, at most
+SAME_DIGITS = 3  # of m and rad: answers that agree so far are one
 CAUCHY_SIGMAS = 2.0  # residuals from which a range counts for less
 CLEARLY_BETTER = 8.0  # by which the best answer's cost (half a chi-square) must lie below any other's
 APART_M, APART_RAD = 0.3, math.radians(20.0)  # answers further apart are different ones
 MAX_SIGMA_M, MAX_SIGMA_RAD = 0.5, math.radians(15.0)  # of an answer that counts
 GRID, DIRECTIONS = 5, 12  # places along each side of the anchors' box; directions of the first guess
+ANGLE = slice(2, -1)  # of what is looked for: between the place and the offset a heading, or nothing
 Predict = Callable[[Array], tuple[Array, Array]]  # guesses (s, k) -> ranges (s, n), derivatives (s, n, k)
 
 
@@ -41,14 +43,13 @@ class Answer(NamedTuple):
 
 
 def start_among(
-    anchors: Array, rel: Array, t: Array, ranges: Array, lever: tuple[float, float], sigmas: tuple[float, float]
+    anchors: Array, seen: Array, t: Array, ranges: Array, sigmas: tuple[float, float]
 ) -> Answer | None:
     """Return the pose x, y, theta of the robot at the first of n ranges, and their offset; None where unclear.
 
-    anchors (n, 2) [m, map frame] of each range, `rel` (n, 3) the poses seen from the first by the wheels, t (n,)
-    [s], ranges (n,) [m]; `sigmas` of a range and of the offset [m].
+    anchors (n, 2) [m, map frame] of each range, `seen` (n, 2) [m] the places of the detector by the wheels, in the
+    frame of the robot at the first range, t (n,) [s], ranges (n,) [m]; `sigmas` of a range and of the offset [m].
     """
-    seen = rel[:, :2] + se2.rotated(rel[:, 2], np.broadcast_to(np.array(lever), (len(rel), 2)))
     low, high = anchors.min(axis=0), anchors.max(axis=0)
     margin = 0.25 * float(np.hypot(*(high - low)))
     x, y = (np.linspace(a - margin, b + margin, GRID) for a, b in zip(low, high, strict=True))
@@ -69,15 +70,15 @@ def start_among(
     return _shortest(predict, guesses, t, ranges, sigmas)
 
 
-def anchor_beside(rel: Array, t: Array, ranges: Array, sigmas: tuple[float, float]) -> Answer | None:
-    """Return the place of an anchor in the frame of `rel` (n, 2) [m], and the offset; None where unclear."""
+def anchor_beside(seen: Array, t: Array, ranges: Array, sigmas: tuple[float, float]) -> Answer | None:
+    """Return the place of an anchor in the frame of `seen` (n, 2) [m], and the offset; None where unclear."""
     turns = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
-    around = rel[0] + ranges[0] * np.stack((np.cos(turns), np.sin(turns)), axis=-1)
+    around = seen[0] + ranges[0] * np.stack((np.cos(turns), np.sin(turns)), axis=-1)
     guesses = np.column_stack((around, np.zeros(DIRECTIONS)))
 
     def predict(n: int) -> Predict:
         def ranges_of(v: Array) -> tuple[Array, Array]:
-            dx, dy = v[:, 0:1] - rel[:n, 0], v[:, 1:2] - rel[:n, 1]
+            dx, dy = v[:, 0:1] - seen[:n, 0], v[:, 1:2] - seen[:n, 1]
             h = np.maximum(np.hypot(dx, dy), 1e-6)
             return h + v[:, 2:3], np.stack((dx / h, dy / h, np.ones_like(h)), axis=-1)
 
@@ -113,11 +114,10 @@ def _clear(predict: Predict, guesses: Array, ranges: Array, sigmas: tuple[float,
         return None
     covariance: Array = np.linalg.inv(information)
     sigma = np.sqrt(np.diag(covariance))
-    if np.hypot(sigma[0], sigma[1]) > MAX_SIGMA_M or (len(best) == 4 and sigma[2] > MAX_SIGMA_RAD):
+    if np.hypot(sigma[0], sigma[1]) > MAX_SIGMA_M or (sigma[ANGLE] > MAX_SIGMA_RAD).any():
         return None
     elsewhere = np.hypot(*(values[:, :2] - best[:2]).T) > APART_M
-    if len(best) == 4:
-        elsewhere |= np.abs(se2.wrap_all(values[:, 2] - best[2])) > APART_RAD
+    elsewhere |= (np.abs(se2.wrap_all(values[:, ANGLE] - best[ANGLE])) > APART_RAD).any(axis=1)
     rival = costs[elsewhere].min(initial=np.inf)
     return Answer(best, covariance) if rival - costs.min() > CLEARLY_BETTER else None
 
@@ -135,6 +135,9 @@ def _refined(
         h, _ = predict(x[np.argmin(costs)][None])
         scatter = float(np.median(np.abs(ranges - h[0]))) / MAD
         sigma = max(sigmas[0], scatter)
+        x[:, ANGLE] = se2.wrap_all(x[:, ANGLE])
+        _, first = np.unique(np.round(x, SAME_DIGITS), axis=0, return_index=True)
+        x, costs = x[first], costs[first]  # most guesses come to the same few answers
     return x, costs, scatter
 
 
@@ -150,6 +153,8 @@ def _descended(predict: Predict, x: Array, ranges: Array, sigmas: tuple[float, f
         tried = x + np.linalg.solve(damped, g[:, :, None])[:, :, 0]
         cost_there, A_there, g_there = _normal(predict, tried, ranges, sigmas)
         better = cost_there < cost
+        if not better.any():
+            break
         x = np.where(better[:, None], tried, x)
         cost = np.where(better, cost_there, cost)
         A, g = np.where(better[:, None, None], A_there, A), np.where(better[:, None], g_there, g)

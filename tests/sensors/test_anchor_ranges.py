@@ -181,7 +181,7 @@ def test_the_start_is_exact_where_the_ranges_are() -> None:
     true, ids = moved(rel, START), np.arange(len(rel)) % 4 + 1
     at = np.array([ANCHORS[int(i)] for i in ids])
     ranges = np.hypot(*(true[:, :2] - at).T) + OFFSET
-    found = start_among(at, rel, t[::10], ranges, (0.0, 0.0), (0.05, 0.2))
+    found = start_among(at, rel[:, :2], t[::10], ranges, (0.05, 0.2))
     assert found is not None
     assert found.values == pytest.approx([*START, OFFSET], abs=2e-3)
 

@@ -98,12 +98,12 @@ def begun(robot: Robot, drive: Drive) -> tuple[Robot, Drive]:
     if not found:
         return robot, drive
     name, best = min(found.items(), key=lambda item: item[1].sigma_xy)
-    x, y, theta = best.pose.tolist()
+    x, y, theta = pose = best.pose.tolist()
     words = (
         f"{name}: the drive begins at x {x:.2f} m, y {y:.2f} m, {math.degrees(theta):.0f} deg "
         f"(1 sigma: {best.sigma_xy:.2f} m, {math.degrees(best.sigma_theta):.0f} deg): found by its map"
     )
-    robot = robot.begun_at(best.pose, best.sigma_xy, best.sigma_theta)
+    robot = robot.begun_at(pose, best.sigma_xy, best.sigma_theta)
     return robot, replace(drive, notes=(*drive.notes, words))
 
 

@@ -132,16 +132,18 @@ def judged_by_scans(
     scans = OwnScans.of(drive)
     if scans is None or not len(scans.t):
         return {}
-    judged = [scans.judge(e) for e in estimates]
-    enough = max((overlap for _, _, overlap in judged), default=0.0) >= MIN_OVERLAP
+    every = {e.name: e for e in (*estimates, *(whole for whole in smoothed.values() if LASER in whole.sensors))}
+    judged = {name: scans.judge(e) for name, e in every.items()}
+    enough = max((judged[e.name][2] for e in estimates), default=0.0) >= MIN_OVERLAP
     found = {}
-    for e, (agreement, hit, _) in zip(estimates, judged, strict=True):
+    for e in estimates:
+        agreement, hit, _ = judged[e.name]
         cells = hit if enough else None
         whole = smoothed.get(e.name) if LASER in e.sensors else None
         if whole is None:
             found[e.name] = Own(agreement, cells)
             continue
         apart = Distance.between(e.t, e.pose[:, :2], whole.pose[:, :2])
-        better = is_better(agreement, scans.judge(whole)[0])
+        better = is_better(agreement, judged[whole.name][0])
         found[e.name] = Own(agreement, cells, apart, better, are_contradictory(e, whole))
     return found

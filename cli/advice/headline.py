@@ -37,11 +37,11 @@ def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], err
     """Return which sensors to keep by the position errors of the configurations that have one."""
     if len(errors) == 1:
         ((name, error),) = errors.items()
-        return f"{_with(sets[name])}: position error {length(error)}.{_with_fixes(report, sets, error)}"
+        return f"{_with(name, sets[name])}: position error {length(error)}.{_with_fixes(report, sets, error)}"
     least, ties = min(errors.values()), _ties(errors)
     best = min(ties, key=lambda n: len(sets[n]))
     if not sets[best]:
-        return f"No sensor improves on odometry: {length(errors[best])}.{_with_fixes(report, sets, least)}"
+        return f"No sensor improves on {best}: {length(errors[best])}.{_with_fixes(report, sets, least)}"
     if any(not v["void"] for v in report.get("validity") or ()):
         first = f"As configured the best is {_names(sets[best])}: {length(errors[best])}."
         first += (
@@ -64,8 +64,8 @@ def _as_configured(
     ties = _ties(errors)
     others = [s for s in sets[every] if s not in sets[best]]
     if not others or every not in errors:
-        base = next((errors[n] for n in BASES if n in errors), None)
-        return first if base is None or others else f"{first} Odometry alone: {length(base)}."
+        base = next((n for n in BASES if n in errors), None)
+        return first if base is None or others else f"{first} {_with(base, ())}: {length(errors[base])}."
     beside = "it" if len(sets[best]) == 1 else "them"
     if every in ties:
         adds = "adds" if len(others) == 1 else "add"
@@ -115,7 +115,7 @@ def _with_fixes(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], le
     name = min(after, key=lambda n: after[n], default=None)
     if name is None or after[name] * (1.0 + TIE) + TIE_M >= least:
         return ""
-    which = f"{_with(sets[name])} and" if len(sets) > 1 else "With"
+    which = f"{_with(name, sets[name])} and" if len(sets) > 1 else "With"
     return f" {which} the fixes found it is {length(after[name])}."
 
 
@@ -152,8 +152,8 @@ def _without_truth(report: Mapping[str, Any]) -> str:
     return f"No truth in this log, so no error is known: {', and '.join(parts)}."
 
 
-def _with(sensors: Sequence[str]) -> str:
-    return f"With {_names(sensors)}" if sensors else "Odometry alone"
+def _with(name: str, sensors: Sequence[str]) -> str:
+    return f"With {_names(sensors)}" if sensors else f"{name.capitalize()} alone"
 
 
 def _names(sensors: Sequence[str]) -> str:

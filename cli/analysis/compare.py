@@ -55,6 +55,11 @@ class Compared(msgspec.Struct, frozen=True):
     reference: Referenced | None = None  # where there is none, and a reference takes its place
     smoothed: Mapping[str, Estimates] = {}  # by the name of what they smooth, shown or for the reference alone
 
+    @property
+    def base(self) -> str:
+        """The configuration without a sensor: odometry, or the scans that are its motion."""
+        return configuration_name((), self.loaded.drive)
+
 
 class Referenced(msgspec.Struct, frozen=True):
     """The references that errors are measured against, where there is no truth."""
@@ -281,7 +286,7 @@ def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
     report["repeat"] = results.repeat(compared.loaded, asked) if asked else None
     report["changed_settings"] = results.changed_settings(compared.loaded)
     sets = {c.name: c.sensors for c in compared.configurations if not c.rates}
-    report["verdicts"] = verdicts(compared.credit, compared.scores, sets)
+    report["verdicts"] = verdicts(compared.credit, compared.scores, sets, base=compared.base)
     report["credit"] = None if compared.credit is None else credit_values(compared.credit)
     report["prediction"] = prediction_values(compared.scores, list(sets)) if compared.scores else None
     add_consistency(report, compared.runs, compared.evaluations, compared.loaded.robot)
@@ -334,7 +339,7 @@ def add_reference(report: dict[str, Any], compared: Compared) -> None:
     references = found.references
     for name, values in report["configurations"].items():
         values["reference"] = judge_values(found.judges[name], references.whole, values["sensors"])
-    report["reference"] = reference_values(references.whole, references.contradict)
+    report["reference"] = reference_values(references.whole, references.contradict, compared.base)
     for sensor in references.present:
         own, effect = report["verdicts"].get(sensor), found.effects.get(sensor)
         reference = references.without(sensor)

@@ -78,10 +78,10 @@ def unless_overconfident(sensor: str, found: Consistency, using: Sequence[Honest
 
 REFERENCE = (
     "Errors are against a reference, not truth: the whole drive solved forward and backward with the "
-    "odometry{sensors} (1 sigma {sigma}), or without the sensor that is judged. A * marks a result whose own "
+    "{base}{sensors} (1 sigma {sigma}), or without the sensor that is judged. A * marks a result whose own "
     "sensors are in its reference: its error shows only what the rest of the drive corrects. A ? marks a "
     "reference that is further from the one of all sensors than both claim: one of the two is wrong. An error of "
-    "the odometry that no sensor corrects is not seen."
+    "the {base} that no sensor corrects is not seen."
 )
 TOO_SMALL = {"understated", "correlated"}  # verdicts on a sigma
 
@@ -92,10 +92,10 @@ def noise_factors(runs: Sequence[Run], robot: Robot) -> dict[str, float]:
     return {s: max(1.0, c.scale) for s, c in found.items() if c.verdict in TOO_SMALL and c.scale is not None}
 
 
-def reference_values(whole: Reference, quarrels: Sequence[tuple[str, str]]) -> dict[str, Any]:
-    """Return the reference of all sensors as plain values, with what it is in words."""
+def reference_values(whole: Reference, quarrels: Sequence[tuple[str, str]], base: str) -> dict[str, Any]:
+    """Return the reference of all sensors and the motion `base` as plain values, with what it is in words."""
     sensors = "".join(f", {s}" for s in whole.sensors[:-1]) + f" and {whole.sensors[-1]}"
-    words = REFERENCE.format(sensors=sensors, sigma=length(whole.sigma))
+    words = REFERENCE.format(base=base, sensors=sensors, sigma=length(whole.sigma))
     words += "".join(f" {s} contradicts all others and is left out." for s in whole.left_out)
     doubtful = [pair for pair in quarrels if set(pair) <= set(whole.sensors)]
     words += "".join(f" {a} and {b} contradict each other, so it is doubtful." for a, b in doubtful)

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from locfuse.formats.report.findings import length
+from locfuse.fusion.data import ODOMETRY
 from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.credit import Credit, SensorCredit
 from locfuse.fusion.judge.predictive import MIN_GAIN_NATS, Score, contradictions, ranking
@@ -35,14 +36,22 @@ class ByReference(NamedTuple):
 
 
 def verdicts(
-    credit: Credit | None, found: Sequence[Score], sets: Mapping[str, Sequence[str]], over: str = "drives"
+    credit: Credit | None,
+    found: Sequence[Score],
+    sets: Mapping[str, Sequence[str]],
+    over: str = "drives",
+    base: str = ODOMETRY,
 ) -> dict[str, dict[str, Any]]:
-    """Return for every sensor its verdict and why in words; the credit is `over` drives or robots."""
+    """Return for every sensor its verdict and why in words; the credit is `over` drives or robots.
+
+    `base` is the configuration without a sensor, with which they are compared.
+    """
     if credit is not None:
         return {
-            s: {"verdict": c.verdict, "words": _credit_words(c, credit, over)} for s, c in credit.sensors.items()
+            s: {"verdict": c.verdict, "words": _credit_words(c, credit, over, base)}
+            for s, c in credit.sensors.items()
         }
-    return _predicted_verdicts(found, sets)
+    return _predicted_verdicts(found, sets, base)
 
 
 def credit_values(credit: Credit) -> dict[str, Any]:
@@ -86,13 +95,13 @@ def _effect(effect: Effect | None) -> dict[str, Any] | None:
     }
 
 
-def _credit_words(c: SensorCredit, credit: Credit, over: str) -> str:
+def _credit_words(c: SensorCredit, credit: Credit, over: str, base: str) -> str:
     main = c.credit or c.alone or c.last
     if main is None:
         return "No two configurations differ by it alone. Run all subsets: --all-subsets"
     several, by_last = len(credit.sensors) > 1, _judged_by_last(c, main)
     # what hurts beside the others may help on average: only what the grade rests on is said
-    parts = [] if by_last else [_main_words(c, main, several, _few(credit.logs, over))]
+    parts = [] if by_last else [_main_words(c, main, several, _few(credit.logs, over), base)]
     if c.last is not None and several and (by_last or c.credit is not None):
         parts.append(_last_words(c.last))
     if c.anees is not None and overconfident(c.anees):
@@ -103,14 +112,14 @@ def _credit_words(c: SensorCredit, credit: Credit, over: str) -> str:
     return " ".join(parts)
 
 
-def _main_words(c: SensorCredit, main: Effect, several: bool, few: str) -> str:
+def _main_words(c: SensorCredit, main: Effect, several: bool, few: str, base: str) -> str:
     """Return the effect in figures, its interval, and what would settle it."""
     if c.credit is not None and several:
         how = "On average over all sensor combinations it makes the position error"
     elif c.beside:
         how = f"Beside {' and '.join(c.beside)} it makes the position error"
     else:
-        how = "Alone it makes odometry's position error"
+        how = f"Alone it makes {base}'s position error"
     what = f"{how} {times(main.value)}{_plausible(main)}."
     sure = main.low > 0.0 or main.high < 0.0
     if c.verdict == "no effect seen":
@@ -195,7 +204,9 @@ def prediction_values(found: Sequence[Score], names: Sequence[str]) -> dict[str,
     }
 
 
-def _predicted_verdicts(found: Sequence[Score], sets: Mapping[str, Sequence[str]]) -> dict[str, dict[str, Any]]:
+def _predicted_verdicts(
+    found: Sequence[Score], sets: Mapping[str, Sequence[str]], base: str
+) -> dict[str, dict[str, Any]]:
     alone = {sensors[0]: name for name, sensors in sets.items() if len(sensors) == 1}
     quarrels = contradictions(found, alone)
     out = {}
@@ -203,15 +214,15 @@ def _predicted_verdicts(found: Sequence[Score], sets: Mapping[str, Sequence[str]
         others = [s for s in found if s.configuration == name and not s.stretches]
         own = [s for s in found if s.configuration == name and s.stretches]
         against = [a if b == sensor else b for a, b in quarrels if sensor in {a, b}]
-        out[sensor] = _predicted(others or own, against, len(alone))
+        out[sensor] = _predicted(others or own, against, len(alone), base)
     return out
 
 
-def _predicted(mine: Sequence[Score], against: Sequence[str], sensors: int) -> dict[str, Any]:
+def _predicted(mine: Sequence[Score], against: Sequence[str], sensors: int, base: str) -> dict[str, Any]:
     if against:
         lone = sensors > 2 and len(against) == sensors - 1
         rivals = " and ".join(against)
-        words = f"It contradicts {rivals}: with one of them the other is predicted worse than by odometry."
+        words = f"It contradicts {rivals}: with one of them the other is predicted worse than by {base}."
         words += (
             " All other sensors disagree with it."
             if lone
@@ -222,9 +233,9 @@ def _predicted(mine: Sequence[Score], against: Sequence[str], sensors: int) -> d
         return {"verdict": "no verdict", "words": "No other sensor in this log can check it."}
     gain = sum(s.gain for s in mine) / len(mine)
     if mine[0].stretches:
-        return _by_itself(mine[0])
+        return _by_itself(mine[0], base)
     on = " and ".join(s.sensor for s in mine)
-    better = f"{abs(gain):.2f} nats per number {'better' if gain >= 0 else 'worse'} than by odometry"
+    better = f"{abs(gain):.2f} nats per number {'better' if gain >= 0 else 'worse'} than by {base}"
     return {"verdict": _grade(mine, gain), "words": f"With it, {on} can be predicted {better}."}
 
 
@@ -270,16 +281,16 @@ def _grade(mine: Sequence[Score], gain: float) -> str:
     return "hurts" if all(s.high < 0.0 for s in mine) else "seems to hurt"
 
 
-def _by_itself(score: Score) -> dict[str, Any]:
+def _by_itself(score: Score, base: str) -> dict[str, Any]:
     """Judge the only sensor of a log by its own readings: that can show a fault, never that it is right."""
     words = "The log has no truth and no second sensor. Self-check: its readings five seconds ahead are predicted "
     if score.high < 0.0:
         words += (
-            f"{abs(score.gain):.2f} nats per number worse than by odometry. Check its clock, mount and settings."
+            f"{abs(score.gain):.2f} nats per number worse than by {base}. Check its clock, mount and settings."
         )
         return {"verdict": "hurts", "words": words}
     if score.low > 0.0:
-        words += f"{score.gain:.2f} nats per number better than by odometry. A biased sensor can do that too."
+        words += f"{score.gain:.2f} nats per number better than by {base}. A biased sensor can do that too."
     else:
-        words += "no better than by odometry."
+        words += f"no better than by {base}."
     return {"verdict": "no verdict", "words": words}

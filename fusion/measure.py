@@ -81,9 +81,9 @@ def measure(
 
 
 def begun(robot: Robot, drive: Drive) -> tuple[Robot, Drive]:
-    """Return the robot with the start that a sensor with a known map tells, unless [start] is given.
+    """Return the robot with the start found by a sensor with a known map, unless [start] is given.
 
-    A sensor that cannot tell it is left out, for its readings would be compared with places of another frame.
+    A sensor that cannot find it is left out: its readings would be compared with places of another frame.
     """
     found, measurements, absent = dict[str, FoundStart](), dict(drive.measurements), dict(drive.absent)
     for name, m in drive.measurements.items() if not robot.start_given else ():

@@ -335,9 +335,9 @@ class Sensor(ABC):
         """Return its side of a new run of the filter."""
 
     def start(self, m: Measurements, settings: Any, wheels: WheelMotion) -> FoundStart | None:
-        """Return where the drive began, as its readings of a known map tell; None where it is no such sensor.
+        """Return the start of the drive by its readings and a known map; None for a sensor without such a map.
 
-        Raises LocfuseError where they do not tell.
+        Raises LocfuseError where the readings leave several starts.
         """
         return None
 

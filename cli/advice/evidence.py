@@ -80,7 +80,7 @@ class Evidence(Clocks, Noise):
         return any(s.high < 0.0 for s in self.compared.scores)
 
     def truth(self) -> list[Candidate]:
-        """Return that the truth steps aside: by what it says after that nothing can be judged."""
+        """Return the finding that the truth jumps aside: errors after that cannot be judged."""
         return [self._candidate(f, ()) for f in self.doctor if f.code == STEP]
 
     def geometry(self) -> list[Candidate]:

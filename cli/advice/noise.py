@@ -247,7 +247,7 @@ def _smaller_range_noise(sensor: str, verdict: Consistency) -> float | None:
 
 
 def useful(fixes: Fixes, settings: Any) -> bool:
-    """Whether a sigma is still one: many times what is configured, it says that the sensor is not to be used."""
+    """Whether a sigma is plausible: many times the configured one would mean not to use the sensor at all."""
     changed = (fix.partition("=") for fix in fixes)
     pairs = ((float(value), getattr(settings, key.partition(".")[2], None)) for key, _, value in changed)
     return all(not now or value <= MAX_OFFERED_FACTOR * now for value, now in pairs)

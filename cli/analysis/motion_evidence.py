@@ -1,4 +1,4 @@
-"""What the laser of a log says of each motion that the log holds: the share of a scan that agrees with it.
+"""How well the laser of a log agrees with each motion that the log holds.
 
 A measured motion is kept where about as many points agree as by matching the scans with each other. What it does
 not see is said in `fusion.wheels.scan_agreement`; where the scans tell nothing, every motion is kept and the kinds
@@ -73,7 +73,7 @@ class Evidence:
                 self._gone[topic,] = f"by {topic}, speeds, {self._pairs.of(motion):.0%}"
 
     def why(self, topics: Sequence[str]) -> str:
-        """Return what the scans say of a motion that was kept, in words; "" where nobody asked them."""
+        """Return how well a motion that is kept agrees with the scans, in words; "" where it was not compared."""
         share = self._shares.get(tuple(topics))
         return "" if share is None else f"{share:.0%} of a scan's points agree with it"
 
@@ -112,7 +112,7 @@ class Evidence:
         return self._pairs.still
 
     def _motion(self, topics: Sequence[str]) -> WheelReading | None:
-        """Return what topics say of the motion; None where they cannot be read: said where they are used."""
+        """Return the motion that topics hold; None where they cannot be read: that is reported at their use."""
         with suppress(LocfuseError):
             streams = [self._log.stream(topic, self._robot.order) for topic in topics]
             return read_wheels(merged(streams), self._robot.wheels)
@@ -121,7 +121,7 @@ class Evidence:
     def _look(self, motions: Sequence[WheelReading]) -> None:
         from locfuse.fusion.wheels.scan_agreement import scan_pairs  # SciPy comes with it
 
-        with suppress(LocfuseError):  # what is wrong with the scans is said where they are measured
+        with suppress(LocfuseError):  # scans that cannot be read are reported where they are measured
             stream = self._log.stream(self._topic, self._robot.order)
             self._pairs = scan_pairs(stream, self._laser(), motions)
 
@@ -129,7 +129,7 @@ class Evidence:
         """Return the laser as configured, else where /tf_static puts it."""
         stream, settings = self._log.stream(self._topic), self._robot.settings("lrf")
         placed: Mapping[str, Any] = {}
-        with suppress(LocfuseError):  # frames in a loop: said where they are used
+        with suppress(LocfuseError):  # frames in a loop are reported where they are used
             placed = mount_tables(transforms_of(self._log, [stream.frame_id]), {"lrf": [stream]}).get("lrf", {})
         unset = {key: placed[key] for key in PLACE if key in placed and not getattr(settings, key)}
         return laser_of(replace(settings, **unset))

@@ -12,7 +12,7 @@ from .wheel_topics import unused_words
 
 
 def say_motion(report: dict[str, Any], loaded: Loaded) -> None:
-    """Put into a finished report what its reader must know of the motion before any figure."""
+    """Add to a report what its reader must know about the motion before any figure."""
     void_all(report, loaded.spoils)
     if words := unused_words(loaded.choice):
         command = shlex.join(("locfuse", "init", *log_words(loaded.log), "-o", "robot.toml"))

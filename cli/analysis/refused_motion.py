@@ -60,7 +60,7 @@ def void_all(report: dict[str, Any], spoils: Sequence[Note]) -> None:
 
 
 def _standing(log: Log, choice: Choice, wheels: Wheels) -> Iterator[Note]:
-    """Say that the wheels' topic never moves while another topic does."""
+    """Yield the finding that the wheels' topic never moves while another topic does."""
     if not wheels.stands:
         return
     own = " and ".join(choice.of("wheels"))
@@ -85,12 +85,12 @@ def _standing(log: Log, choice: Choice, wheels: Wheels) -> Iterator[Note]:
 
 
 def standing_notes(wheels: Wheels) -> tuple[str, ...]:
-    """Say that the robot does not move."""
+    """Return the note that the robot does not move; nothing where it does."""
     return (f"wheels: {STANDS}",) if wheels.stands else ()
 
 
 def _moved(log: Log, topic: str) -> float:
-    """Return how far a topic says that the body moved [m], 0 where it cannot be read."""
+    """Return how far the body moved by a topic [m], 0 where it cannot be read."""
     with suppress(LocfuseError):
         return way(read_wheels(log.stream(topic), WheelSettings()).wheels)
     return 0.0

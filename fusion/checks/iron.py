@@ -60,7 +60,7 @@ def _on_robot(iron: Iron, settings: CompassSettings) -> list[Finding]:
 
 
 def _in_room(iron: Iron, field: Array, t: Array, drive: Drive, robot: Robot) -> list[Finding]:
-    """Return where the field's strength differs: no setting of the compass sets that right."""
+    """Return the place where the field's strength differs, which no calibration of the compass corrects."""
     strength = np.linalg.norm((field - iron.hard) @ iron.soft.T, axis=1) / iron.strength
     off = np.abs(strength - 1.0) > max(MIN_DISTURBED, 5.0 * iron.scatter)
     if off.sum() < MIN_READINGS:

@@ -191,7 +191,7 @@ def _first_that_helps(case: Case, kept: Fixes, trial: Try, done: Collection[tupl
         open_ += (a for c, a in results if not a.helps and not c.offer)
     if best is not None:
         return [*(a for a in open_ if a.finding.severe), best]
-    first_of: dict[str, Advice] = {}  # a sensor is told one thing at a time
+    first_of: dict[str, Advice] = {}  # one finding for each sensor at a time
     for advice in open_:
         first_of.setdefault(advice.finding.role, advice)
     return list(first_of.values())
@@ -234,7 +234,7 @@ def _beside_another(
 
 
 def _any_spoiled(pairs: Mapping[str, tuple[Score, Score]], kept: Collection[str]) -> bool:
-    """Return whether a configuration gets worse; one that nobody would keep may by what chance does."""
+    """Return whether a configuration gets worse; one that is not kept may lose as much as chance explains."""
     return any((spoils if name in kept else spoils_alone)(*pair) for name, pair in pairs.items())
 
 

@@ -39,7 +39,7 @@ class PointsSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw
 
     @property
     def grows(self) -> bool:
-        """Whether the places of the points are states: nobody knows them."""
+        """Whether the places of the points are unknown, and states of the filter."""
         return self.map is None or self.map == GROW
 
     @property

@@ -9,8 +9,8 @@ a state unless it is given. A range is not linear in the position: with the vari
 the anchor is seen, it is |s - a| v / 2 longer than that of the mean position, and half the square of that is more
 variance (second-order filter: Bar-Shalom, Li and Kirubarajan 2001, 10.3.2).
 
-Ranges to a known map tell where the drive began, if nobody does. Where no map is known the anchors' places are
-states; one range tells no place, so that the first stretch of the drive gives it.
+With a known map the ranges also give the start of the drive, where [start] is not set. Without a map the anchors'
+places are states; one range gives no place, so the first stretch of the drive is used for it.
 """
 
 from __future__ import annotations
@@ -167,7 +167,7 @@ class Ranges(Sensor):
         )
 
     def start(self, m: Measurements, settings: RangesSettings, wheels: WheelMotion) -> FoundStart | None:
-        """Return where the drive began among anchors of a known map. Raises LocfuseError where that is unclear."""
+        """Return the start of the drive among known anchors. Raises LocfuseError where it is ambiguous."""
         if settings.grows or not len(m.z):
             return None
         places, t = settings.places, np.repeat(m.t, np.diff(m.first))
@@ -196,7 +196,7 @@ def _places_of(
 ) -> tuple[Array, list[str]]:
     """Return where the anchor of every range (n,) stands, seen from the robot then: ahead, left, sigma (n, 3) [m].
 
-    NaN where the drive does not tell, which is said in words.
+    NaN, and a note, where this drive does not show the place.
     """
     found, words = np.full((len(t), 3), np.nan), list[str]()
     for anchor in np.unique(ids[keep]).tolist():
@@ -287,7 +287,7 @@ class GrowingRanges(GrowingPoints, RangesModel):
         return found
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Append anchors that are new, where the first stretch of the drive says that they stand."""
+        """Append new anchors at the places that the first stretch of the drive shows."""
         for row in rows_of(m, i):
             anchor = int(m.plain["id"][row])
             if anchor not in self._known:

@@ -33,7 +33,7 @@ SIGMAS_95 = 1.96
 
 
 class GyroCalibration(msgspec.Struct, frozen=True):
-    """What a gyro says of the wheels. Relative to what was given: 0 = it was right."""
+    """Wheel parameters by a gyro, relative to the configured ones: 0 = as configured."""
 
     parameters: Array  # (3,) mean scale (0: a gyro cannot tell), scale difference (right - left), track
     sigmas: Array  # (3,) NaN for the mean scale

@@ -269,7 +269,7 @@ class Start(msgspec.Struct, frozen=True):
 
     @property
     def anchor(self) -> Anchor:
-        """What this says of the first key, as a term of the graph."""
+        """The first key's pose by this start, as a term of the graph."""
         return Anchor(0, self.at_key, np.asarray(np.linalg.inv(self.P_at_key), np.float64))
 
     def smoothed(self, key: Array, P: Array) -> tuple[Array, Array, Array]:

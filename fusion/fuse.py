@@ -16,14 +16,14 @@ from locfuse.fusion.ekf.belief_arrays import InMap, JointBelief
 from locfuse.fusion.ekf.equations import predicted
 from locfuse.fusion.ekf.events import Before, Events
 from locfuse.fusion.ekf.map_frame import Pose, Triangle
-from locfuse.fusion.ekf.record import MANY, Record, Track
+from locfuse.fusion.ekf.record import FIRST_CAPACITY, Record, Track
 from locfuse.fusion.ekf.robust import inflate
 from locfuse.fusion.kernels.ekf import Innovation, Steps
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 
 from .data import BY_SCANS, ODOMETRY, Array, Drive, Estimates, Measurements, matrices
-from .instants import BLOCK, Due, due_readings, steps_of
+from .instants import BLOCK_INSTANTS, Due, due_readings, steps_of
 from .progress import say_done
 from .robot import Robot, StartSettings
 from .sensor import Model, Reading
@@ -55,7 +55,7 @@ def fuse(
     run = Filter(robot, sensors, listen, rows, len(drive.t), events)
     steps, end = steps_of(drive), float(drive.t[-1]) or 1.0
     for k, due in enumerate(due_readings(drive, (*sensors, *listen))):
-        if not k % BLOCK:
+        if not k % BLOCK_INSTANTS:
             say_done(float(drive.t[k]) / end)
         run.advance(k, steps, due, drive.measurements)
     say_done(None)
@@ -84,7 +84,7 @@ class Filter:
         sensors: Sequence[str],
         listen: Mapping[str, NDArray[np.bool_]] | None = None,
         rows: Mapping[str, int] | None = None,
-        instants: int = MANY,
+        instants: int = FIRST_CAPACITY,
         events: Events | None = None,
     ) -> None:
         """`rows`: how many measurements of each sensor will come, where that is known; `instants` likewise."""
@@ -111,7 +111,7 @@ class Filter:
         for s, model in self.models.items():
             # a sensor that is used must not read what only listens
             model.meet({o: other for o, other in self.models.items() if o in sensors or s not in sensors})
-        self._records = {s: Record((rows or {}).get(s, MANY)) for s in self.models}
+        self._records = {s: Record((rows or {}).get(s, FIRST_CAPACITY)) for s in self.models}
         fixed = [b.name for m in self.models.values() for b in m.blocks() if not b.name.startswith("_")]
         if robot.wheels.estimate:
             fixed.append(WHEELS)

@@ -6,7 +6,7 @@ import numpy as np
 
 from .data import Array
 
-AXIS = 6_378_137.0  # m, semi-major axis
+SEMI_MAJOR_AXIS_M = 6_378_137.0  # of WGS 84
 FLATTENING = 1.0 / 298.257223563
 E2 = FLATTENING * (2.0 - FLATTENING)
 
@@ -28,7 +28,7 @@ def east_north(latitude: Array, longitude: Array, origin: tuple[float, float]) -
 
 def _earth_centred(phi: Array, lam: Array) -> Array:
     """Earth-centred coordinates (..., 3) [m] of points on the ellipsoid."""
-    n = AXIS / np.sqrt(1.0 - E2 * np.sin(phi) ** 2)
+    n = SEMI_MAJOR_AXIS_M / np.sqrt(1.0 - E2 * np.sin(phi) ** 2)
     return np.stack(
         (n * np.cos(phi) * np.cos(lam), n * np.cos(phi) * np.sin(lam), n * (1.0 - E2) * np.sin(phi)), axis=-1
     )

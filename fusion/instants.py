@@ -16,7 +16,7 @@ from locfuse.fusion.wheels.motion import Wheels
 
 from .data import Array, Drive, Ints, Motions
 
-BLOCK = 256  # instants
+BLOCK_INSTANTS = 256
 Due = tuple[str, int]  # sensor, reading
 
 
@@ -40,8 +40,8 @@ def _steps(motions: Motions, dt: Array) -> Steps:
 def due_readings(drive: Drive, sensors: Sequence[str]) -> Iterator[list[Due]]:
     """Yield for every instant the readings (sensor, i) that belong to it, in registry order."""
     owners, n = {s: drive.instant[s] for s in REGISTRY if s in sensors}, len(drive.t)
-    for a in range(0, n, BLOCK):
-        yield from _due(owners, a, min(a + BLOCK, n))
+    for a in range(0, n, BLOCK_INSTANTS):
+        yield from _due(owners, a, min(a + BLOCK_INSTANTS, n))
 
 
 def _due(owners: Mapping[str, Ints], begin: int, end: int) -> list[list[Due]]:

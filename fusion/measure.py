@@ -25,7 +25,7 @@ from .robot import Robot, StartSettings
 from .sensor import FoundStart
 from .truth import body_poses, read_truth
 
-FILL = 0.2  # s: where no sensor speaks for this long, a wheel reading becomes an instant
+MAX_SILENCE_S = 0.2  # s: where no sensor speaks for this long, a wheel reading becomes an instant
 
 
 def measure(
@@ -182,8 +182,8 @@ def _gap_notes(wheels: Wheels) -> list[str]:
 def instants(wheel_t: Array, sensor_t: list[Array]) -> Array:
     """Return the union of all measurement stamps, both ends of the drive, and wheel readings in long gaps."""
     t = np.unique(np.concatenate([*sensor_t, wheel_t[[0, -1]]]))
-    cells = np.floor(wheel_t / FILL)
-    empty = ~np.isin(cells, np.floor(t / FILL))
+    cells = np.floor(wheel_t / MAX_SILENCE_S)
+    empty = ~np.isin(cells, np.floor(t / MAX_SILENCE_S))
     first_in_cell = np.diff(cells, prepend=-1) > 0
     return np.union1d(t, wheel_t[empty & first_in_cell])
 

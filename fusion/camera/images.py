@@ -33,7 +33,7 @@ UNREADABLE = "unreadable"  # truncated, or neither JPEG nor PNG
 NOT_WHOLE = "not_whole"  # damaged inside: from there on it shows what the camera did not see
 TOO_LARGE = "too_large"  # more than MAX_PIXELS
 TOO_SHORT = "too_short"  # less data than height x step
-ENCODING = "unknown_encoding"
+UNKNOWN_ENCODING = "unknown_encoding"
 GREY = ("mono", "8UC1", "16UC1", "32FC1")
 
 # encoding -> (channels, conversion to BGR)
@@ -94,7 +94,7 @@ def _decoded(data: Any, half: bool) -> NDArray[Any] | None:
 def raw(data: Any, width: int, height: int, encoding: str, step: int) -> Picture | str:
     """Return the BGR picture of a sensor_msgs/Image, or why there is none; rows may be padded to `step`."""
     if encoding not in _ENCODINGS:
-        return NO_COLOUR if encoding.startswith(GREY) else ENCODING
+        return NO_COLOUR if encoding.startswith(GREY) else UNKNOWN_ENCODING
     channels, conversion = _ENCODINGS[encoding]
     if width * height > MAX_PIXELS:
         return TOO_LARGE

@@ -21,7 +21,7 @@ from .map_frame import Pose
 
 MAX_REST = 1e-9  # of the largest number on the right: what a solution may leave
 MAX_SOLUTION = 1e4  # times that number: a larger solution is of copies of a state (clones), told apart by rounding
-RANK = 1e-12  # relative eigenvalue below which a covariance has no extent
+MIN_RELATIVE_EIGENVALUE = 1e-12  # below it a covariance has no extent
 Source = tuple[str, int, int]  # sensor, row in its measurements, numbers; ("", -1, numbers): no sensor's
 
 
@@ -206,7 +206,7 @@ def _solved(P: Array, B: Array) -> Array:
         rest = np.abs(unit @ solved - right).max(initial=0.0)
     largest = MAX_SOLUTION * np.abs(right).max(initial=0.0)
     if not (rest <= MAX_REST * np.abs(right).max(initial=0.0) and np.abs(solved).max(initial=0.0) <= largest):
-        solved = np.linalg.pinv(unit, rcond=RANK, hermitian=True) @ right
+        solved = np.linalg.pinv(unit, rcond=MIN_RELATIVE_EIGENVALUE, hermitian=True) @ right
     return np.asarray(scale[:, None] * solved, np.float64)
 
 

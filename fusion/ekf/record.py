@@ -17,7 +17,7 @@ from locfuse.fusion.sensor import Reading
 
 from .belief_arrays import JointBelief
 
-MANY = 256
+FIRST_CAPACITY = 256
 COLUMNS = {
     "instant": np.int32,
     "row": np.int32,
@@ -29,7 +29,7 @@ COLUMNS = {
     "sigma": np.float64,
 }
 ROW = attrgetter("row")
-WIDE = ("y", "sigma")  # one number for each that the sensor measures
+PER_COMPONENT = ("y", "sigma")  # one number for each that the sensor measures
 
 
 class Record:
@@ -38,7 +38,7 @@ class Record:
     `room` is how many rows will come, where that is known: a column that grows is moved, and leaves a hole.
     """
 
-    def __init__(self, room: int = MANY) -> None:
+    def __init__(self, room: int = FIRST_CAPACITY) -> None:
         self._room, self._rows = room, 0
         self._instants: list[int] = []
         self._waiting: list[Innovation] = []  # until there are enough of them to be turned into columns at once
@@ -53,7 +53,7 @@ class Record:
             return
         self._waiting += seen if len(seen) < 2 else sorted(seen, key=ROW)
         self._instants += [k] * len(seen)
-        if len(self._waiting) > MANY:
+        if len(self._waiting) > FIRST_CAPACITY:
             self._write()
 
     def _add_reading(self, k: int, seen: Reading) -> None:
@@ -87,7 +87,7 @@ class Record:
         self._room = max(self._room if not self._columns else 3 * self._room // 2, rows)
         self._kernel = None
         for name, dtype in COLUMNS.items():
-            shape = (self._room, width) if name in WIDE else (self._room,)
+            shape = (self._room, width) if name in PER_COMPONENT else (self._room,)
             column = np.empty(shape, dtype)
             if self._rows:
                 column[: self._rows] = self._columns[name][: self._rows]

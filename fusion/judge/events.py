@@ -25,7 +25,7 @@ MIN_REST_S = 2.0
 REST_STEP_M, REST_STEP_RAD = 1e-4, 1e-4  # of one interval of the wheels: below, nothing turned
 SAME_LOOP_S = 5.0  # closer together, loops are told as one
 MIN_REFUSED = 5  # readings in a row; fewer are outliers, and the gates show them
-TAKEN = tuple(VERDICTS.index(v) for v in ("accepted", "new", "repeated"))
+USED_VERDICTS = tuple(VERDICTS.index(v) for v in ("accepted", "new", "repeated"))
 
 
 def events_of_drive(drive: Drive) -> list[Event]:
@@ -81,7 +81,7 @@ def _refusals(sensor: str, m: Measurements, t: Array, audit: Audit, name: str) -
     """Yield the stretches of MIN_REFUSED and more readings in a row of which nothing was taken."""
     n = len(m.t)
     owner = np.searchsorted(m.first, audit.row, side="right") - 1
-    taken = np.bincount(owner[np.isin(audit.verdict, TAKEN)], minlength=n) > 0
+    taken = np.bincount(owner[np.isin(audit.verdict, USED_VERDICTS)], minlength=n) > 0
     seen = np.flatnonzero(np.bincount(owner, minlength=n) > 0)  # an empty scan says nothing either way
     for first, last in stretches(~taken[seen]):
         if last - first + 1 < MIN_REFUSED:

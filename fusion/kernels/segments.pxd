@@ -1,7 +1,7 @@
 cimport cython
 from libc.math cimport atan2, cos, pi, sin, sqrt, tan
 
-cdef double JOINS_NEVER_CHI2, GAP_SCORE_M, MAX_CORNER_SHARE, MIN_CORNER_SINE, FAR_M, SMALLEST
+cdef double JOINS_NEVER_CHI2, GAP_SCORE_M, MAX_CORNER_SHARE, MIN_CORNER_SINE, FAR_M, MIN_DIVISOR
 cdef Py_ssize_t MAX_STRAY_BEAMS, MAX_CORNER_BEAMS
 
 cdef class Scans:

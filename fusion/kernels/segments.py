@@ -30,7 +30,7 @@ MAX_CORNER_BEAMS = 4  # walls whose facing ends are this many beams apart meet i
 MAX_CORNER_SHARE = 0.2  # of a wall's length may be left out at either end
 MIN_CORNER_SINE = 0.1  # of the least angle that is a corner
 FAR_M = 1e300
-SMALLEST = 1e-100  # what is divided by is at least this
+MIN_DIVISOR = 1e-100
 
 
 class Scans:
@@ -57,10 +57,10 @@ class Limits:
 
     def __init__(self, settings: Any) -> None:
         self.sigma_range, self.sigma_angle = settings.sigma_range, settings.sigma_angle
-        self.ratio = max(settings.sigma_angle / settings.sigma_range, SMALLEST)  # 1/m
+        self.ratio = max(settings.sigma_angle / settings.sigma_range, MIN_DIVISOR)  # 1/m
         self.variance = settings.sigma_range * settings.sigma_range
         self.min_points, self.min_length = settings.min_points, settings.min_length
-        self.max_gap, self.bridge = max(settings.max_gap, SMALLEST), settings.bridge
+        self.max_gap, self.bridge = max(settings.max_gap, MIN_DIVISOR), settings.bridge
         self.split_sigmas, self.split_floor = settings.split_sigmas, settings.split_floor
         self.flatness, self.merge_chi2 = settings.flatness, settings.merge_chi2
         self.grazing = tan(settings.max_incidence)
@@ -191,7 +191,7 @@ def cut_at_gaps(returns: Returns, growth: float, max_gap: float, segments: Segme
 
 def allow(returns: Returns, limits: Limits) -> None:
     """Write how far every return may lie off a straight piece [m], whatever the piece's direction."""
-    least = max(limits.split_floor, SMALLEST)
+    least = max(limits.split_floor, MIN_DIVISOR)
     for i in range(returns.count):
         across = limits.sigma_angle * returns.ranges[i]
         noise = limits.split_sigmas * sqrt(across * across + limits.sigma_range * limits.sigma_range)
@@ -246,7 +246,7 @@ def split(returns: Returns, segments: Segments) -> None:
 
 def weigh(returns: Returns, limits: Limits, segments: Segments) -> None:
     """Write the moments of every piece, its points weighted by 1/variance across the piece's chord."""
-    unevenness, m = max(limits.flatness * limits.flatness, SMALLEST), segments.moments
+    unevenness, m = max(limits.flatness * limits.flatness, MIN_DIVISOR), segments.moments
     for p in range(segments.pieces):
         begin, end = segments.first[p], segments.first[p + 1]
         dx, dy = returns.x[end - 1] - returns.x[begin], returns.y[end - 1] - returns.y[begin]

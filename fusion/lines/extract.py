@@ -32,7 +32,7 @@ MAX_RANGE_M = 1e6  # no laser sees farther: what a driver means by more is "noth
 _BATCH = 256  # scans worked on at once,
 _BEAMS = 100_000  # unless they have more beams than this in all: working memory is some 300 bytes a beam
 _OF_R = np.array((2, 3, 3, 4))
-LINE = 7  # columns of a line in a table, by kernels.places and kernels.sight
+LINE_COLUMNS = 7  # columns of a line in a table, by kernels.places and kernels.sight
 
 
 class Lines(msgspec.Struct, frozen=True):
@@ -109,7 +109,7 @@ def extract_lines(
 
 def rows_of(z: Array, R: Array, ends: Array) -> Array:
     """Return lines as one table (k, 7): r, psi, R as 00, 01, 11, and both ends."""
-    rows = np.empty((len(z), LINE))
+    rows = np.empty((len(z), LINE_COLUMNS))
     rows[:, :2], rows[:, 5:] = z, ends
     rows[:, 2], rows[:, 3], rows[:, 4] = R[:, 0, 0], R[:, 0, 1], R[:, 1, 1]
     return rows
@@ -122,7 +122,7 @@ def of_rows(rows: Array) -> tuple[Array, Array, Array]:
 
 def rows_in_base(rows: Array, x: float, y: float, yaw: float) -> Array:
     """Return lines as one table (k, 7) in the base frame, seen by a laser at (x [m], y [m], yaw [rad]) on it."""
-    out = np.empty((len(rows), LINE))
+    out = np.empty((len(rows), LINE_COLUMNS))
     places.into_base(view(rows), len(rows), x, y, yaw, view(out))
     return out
 

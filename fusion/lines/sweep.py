@@ -18,8 +18,8 @@ from locfuse.fusion.kernels import places
 from locfuse.fusion.kernels.arrays import view
 from locfuse.fusion.sensor import WheelMotion
 
-PIECES = 6  # of a sweep, in each of which either wheel slips once: three before its middle and three after
-EDGES = np.linspace(-0.5, 0.5, PIECES + 1)  # of the pieces, in sweeps from its middle
+SWEEP_PIECES = 6  # of a sweep, in each of which either wheel slips once: three before its middle and three after
+PIECE_EDGES = np.linspace(-0.5, 0.5, SWEEP_PIECES + 1)  # of the pieces, in sweeps from its middle
 
 
 class Motion(NamedTuple):
@@ -37,22 +37,22 @@ def motion_of(mount: Array) -> Motion:
 
 
 def shares(beams: int) -> Array:
-    """Return which share of every piece's slip a beam has, (PIECES, beams): none of those beyond the middle."""
+    """Return which share of every piece's slip a beam has, (pieces, beams): none of those beyond the middle."""
     at = np.linspace(-0.5, 0.5, beams)
-    low, high = EDGES[:-1, None], EDGES[1:, None]
-    after = np.clip((at - low) * PIECES, 0.0, 1.0)
-    before = np.clip((high - at) * PIECES, 0.0, 1.0)
+    low, high = PIECE_EDGES[:-1, None], PIECE_EDGES[1:, None]
+    after = np.clip((at - low) * SWEEP_PIECES, 0.0, 1.0)
+    before = np.clip((high - at) * SWEEP_PIECES, 0.0, 1.0)
     return np.where(low >= 0.0, after, before)
 
 
 def noise_of(per_unit: Array, scan: Ints, middle: Array, duration: Array, wheels: WheelMotion) -> Array:
-    """Return the loadings G (m, 2, 2 PIECES) of lines on the slips of both wheels in every piece of the sweep.
+    """Return the loadings G (m, 2, 2 pieces) of lines on the slips of both wheels in every piece of the sweep.
 
-    `per_unit` (m, 2, 2, PIECES) by `kernels.line_fits.loadings`; scan (m,) says whose the lines are;
+    `per_unit` (m, 2, 2, pieces) by `kernels.line_fits.loadings`; scan (m,) says whose the lines are;
     middle, duration (n,) [s].
     """
-    slip = np.sqrt(wheels.slips(middle[:, None] + duration[:, None] * EDGES))[scan]  # (m, PIECES, 2) m
-    turn, move = per_unit[:, :, 0] / wheels.track, 0.5 * per_unit[:, :, 1]  # (m, 2, PIECES)
+    slip = np.sqrt(wheels.slips(middle[:, None] + duration[:, None] * PIECE_EDGES))[scan]  # (m, pieces, 2) m
+    turn, move = per_unit[:, :, 0] / wheels.track, 0.5 * per_unit[:, :, 1]  # (m, 2, pieces)
     left, right = (move - turn) * slip[:, None, :, 0], (move + turn) * slip[:, None, :, 1]
     G: Array = np.concatenate((left, right), axis=2).astype(np.float32)
     return G

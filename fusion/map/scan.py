@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from locfuse.fusion.data import Array, Ints, Measurements
-from locfuse.fusion.lines.extract import LINE, rows_of
+from locfuse.fusion.lines.extract import LINE_COLUMNS, rows_of
 from locfuse.fusion.se2 import wrap_all
 
 BLOCK = 4096  # lines that become one table at a time: an hour of them need not be there at once
@@ -60,7 +60,7 @@ class Scans:
     def __init__(self) -> None:
         self._of: Measurements | None = None
         self._begin = self._end = 0
-        self._rows: Array = np.zeros((0, LINE))
+        self._rows: Array = np.zeros((0, LINE_COLUMNS))
 
     def read(self, m: Measurements, first: int, last: int) -> Array:
         """Return rows first:last as one table (k, 7)."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, upper_triangles
 from locfuse.fusion.ekf.record import Record
 from locfuse.fusion.fuse import configuration_name
-from locfuse.fusion.instants import BLOCK
+from locfuse.fusion.instants import BLOCK_INSTANTS
 from locfuse.fusion.progress import say_done
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.wheels.motion import Wheels
@@ -23,7 +23,7 @@ from . import equations
 from .equations import PRINTED, Printed
 from .rows import PARTS, LineRows, Row, Rows
 
-EARLY = 1e-9  # s: a stamp that is rounding away from the grid is on it
+MAX_STAMP_ROUNDING_S = 1e-9  # s: a stamp that is rounding away from the grid is on it
 MAX_STEPS = 2_000_000  # of the loop, 100 bytes each: two days and more
 
 
@@ -52,7 +52,7 @@ def fuse_as_printed(
             )
     run = PrintedFilter(drive, robot, sensors, listen, numbers)
     for k in range(len(run.grid)):
-        if k % BLOCK == 0:
+        if k % BLOCK_INSTANTS == 0:
             say_done(k / len(run.grid))
         run.step(k)
     say_done(None)
@@ -68,7 +68,7 @@ class Counts:
 
     def latest(self, t: Array) -> Array:
         """Return the distances by the newest reading at each time, (..., 2)."""
-        newest = np.searchsorted(self.t, t + EARLY, side="right") - 1
+        newest = np.searchsorted(self.t, t + MAX_STAMP_ROUNDING_S, side="right") - 1
         distances: Array = self.rolled[np.maximum(newest, 0)]
         return distances
 
@@ -84,7 +84,7 @@ def _grid(end: float, period: float) -> Array:
             f"--preset paper steps every {period:g} s, and this drive of {end:.3g} s has {end / period:.3g} "
             f"steps; {MAX_STEPS} are the most. Fuse a part of it with --from and --to"
         )
-    return np.arange(0.0, end + EARLY, period)
+    return np.arange(0.0, end + MAX_STAMP_ROUNDING_S, period)
 
 
 class PrintedFilter:
@@ -156,7 +156,7 @@ class PrintedFilter:
 
     def at(self, t: Array) -> tuple[Array, Array]:
         """Return pose (n, 3) and covariance (n, 3, 3) at any times of the drive: the last step's, moved on."""
-        k = np.clip(np.searchsorted(self.grid, t + EARLY, side="right") - 1, 0, len(self.grid) - 1)
+        k = np.clip(np.searchsorted(self.grid, t + MAX_STAMP_ROUNDING_S, side="right") - 1, 0, len(self.grid) - 1)
         moved = self.counts.interpolated(t) - self.counts.interpolated(self.grid[k])
         return self.predict(self._poses[k], self._covariances[k], moved)
 
@@ -199,7 +199,7 @@ class PrintedFilter:
 
 def newest(grid: Array, t: Array) -> Ints:
     """Return for each step the newest reading since the step before, (m,); -1 for none. t (n,) s, in order."""
-    last = np.searchsorted(t, grid + EARLY, side="right") - 1
+    last = np.searchsorted(t, grid + MAX_STAMP_ROUNDING_S, side="right") - 1
     before = np.concatenate(([-1], last[:-1]))
     found: Ints = np.where(last > before, last, -1)
     return found

@@ -39,7 +39,7 @@ from locfuse.fusion.sensor import (
 
 AMBIGUOUS, UNMATCHED = (VERDICTS.index(v) for v in ("ambiguous", "unmatched"))
 MAX_PANORAMA_COLUMNS, MAX_PANORAMA_ROWS = 3600, 8192  # of a panorama: its maps stay below 250 MB
-MARGIN = 9.0  # by how much the second-best candidate must fit worse (squared sigmas: odds of 90 to 1)
+MIN_CANDIDATE_MARGIN = 9.0  # squared sigmas by which the second-best candidate must fit worse: odds of 90 to 1
 
 
 class CameraSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -316,12 +316,12 @@ class OrientationModel(Model):
 def choose(judged: list[Innovation]) -> list[Innovation]:
     """Give the candidates of one picture their verdicts, the best first: at most one is accepted.
 
-    It is the best, if it is within the gate and no other within it is worse by less than MARGIN.
+    It is the best, if it is within the gate and no other within it is worse by less than MIN_CANDIDATE_MARGIN.
     """
     best = min(judged, key=_misfit)
     gate, others = best.threshold, [s for s in judged if s is not best]
     best.verdict = 0 if best.nis <= gate else GATE
-    if others and best.verdict == 0 and min(others, key=_misfit).nis <= min(gate, best.nis + MARGIN):
+    if others and best.verdict == 0 and min(others, key=_misfit).nis <= min(gate, best.nis + MIN_CANDIDATE_MARGIN):
         best.verdict = AMBIGUOUS
     for s in others:
         s.verdict = AMBIGUOUS if best.verdict == AMBIGUOUS and s.nis <= gate else UNMATCHED

@@ -48,9 +48,9 @@ from locfuse.fusion.sensor import (
 from locfuse.fusion.streams import count_dropped
 
 FRAME = "_gps_frame"
-WIDE = 100.0  # m: how far the first fix may be from where the robot was
+FIRST_FIX_SIGMA_M = 100.0  # m: how far the first fix may be from where the robot was
 MAX_KNOWN_DIRECTION_RAD = math.radians(10.0)  # from here on the direction of east is a state of its own
-LENGTH = 1e-4  # how well a^2 + b^2 = 1 is said
+UNIT_LENGTH_SIGMA = 1e-4  # how well a^2 + b^2 = 1 is said
 OF_GPSD = ("gps_common/msg/GPSFix", "gps_msgs/msg/GPSFix")  # drivers publish the same fixes as NavSatFix
 MIN_SIGMA_M = 1e-3  # m, of a standard deviation
 
@@ -207,7 +207,7 @@ class GpsModel(Model):
         """Return the tie between map and earth as states, unless place and direction are given."""
         if self.fixed:
             return []
-        place = 0.0 if self.settings.origin is not None else WIDE**2
+        place = 0.0 if self.settings.origin is not None else FIRST_FIX_SIGMA_M**2
         x = np.array(self.tie) if self.known else np.zeros(4)
         # a and b of a direction that may be anything have mean 0 and variance 1/2
         direction = 0.0 if self.known else 0.5
@@ -245,7 +245,7 @@ class GpsModel(Model):
             return
         G = (by_a, by_b), (a / length, b / length)
         belief.transform((first, first + 1), (math.atan2(b, a), length), G)
-        belief.know((1.0 - length,), ((LENGTH**2,),), (first + 1,), ((1.0,),))
+        belief.know((1.0 - length,), ((UNIT_LENGTH_SIGMA**2,),), (first + 1,), ((1.0,),))
         self.known = True
 
     def notes(self, belief: Any) -> list[str]:

@@ -38,7 +38,7 @@ BEFORE, BIAS = "_gyro_before", "gyro_bias"
 H_TURN = ((0.0, 0.0, 1.0),)
 H_BEFORE: Matrix = ((-1.0,),)
 MIN_TURN_RAD = math.radians(20.0)  # rms of the wheels' turn about its mean, before the gyro is held against it
-AGREES = 0.8  # correlation from which gyro and wheels speak of the same turning
+MIN_TURN_CORRELATION = 0.8  # from here on gyro and wheels speak of the same turning
 SAYS_SO = ("gyro", "yaw_rate", "yawrate", "turn_rate", "angular_velocity")  # topics of bare turning rates
 WRONG_SCALE = 2.0  # a factor that no wheel geometry explains
 
@@ -313,7 +313,8 @@ def _check_against(
             role="gyro",
         )
     slope = float(np.cov(own, theirs)[0, 1] / theirs.var(ddof=1))
-    if abs(float(np.corrcoef(own, theirs)[0, 1])) < AGREES or 1.0 / WRONG_SCALE < slope < WRONG_SCALE:
+    correlation = abs(float(np.corrcoef(own, theirs)[0, 1]))
+    if correlation < MIN_TURN_CORRELATION or 1.0 / WRONG_SCALE < slope < WRONG_SCALE:
         return
     turns = f"{topic} turns {slope:.3g} times as far as the wheels;"
     if 30.0 < slope < 115.0:

@@ -16,12 +16,12 @@ from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.se2 import wrap_all
 
 MIN_READINGS = 50  # readings
-GAP = math.radians(60.0)  # largest part of the circle that may be missing
-ROUNDS = 100
-ABSURD = 10.0  # times the usual strength: no field of iron or earth
+MAX_MISSING_ARC_RAD = math.radians(60.0)  # largest part of the circle that may be missing
+MAX_FIT_ROUNDS = 100
+MAX_STRENGTH_RATIO = 10.0  # times the usual strength: no field of iron or earth
 NO_ELLIPSE = "the field readings lie on no ellipse: turn the robot once on the spot while recording"
 TUKEY = 4.685  # of the scatter: readings further off do not count (95 % efficient for Gaussian noise)
-ROUGH = 0.2  # relative scatter above which the readings lie on no ellipse
+MAX_ELLIPSE_SCATTER = 0.2  # relative scatter above which the readings lie on no ellipse
 
 
 class Iron(msgspec.Struct, frozen=True):
@@ -52,7 +52,7 @@ def fit_iron(field: Array) -> Iron:
     unit = float(np.abs(field - field.mean(axis=0)).max()) or 1.0
     c, A = _start(field / unit)
     weights = np.ones(len(field))
-    for _ in range(ROUNDS):
+    for _ in range(MAX_FIT_ROUNDS):
         step, e, spread = _gauss_newton(field / unit, c, A, weights)
         c, A = c + step[:2], A + np.array([[step[2], step[3]], [step[3], step[4]]])
         if not float(np.linalg.det(A)) > 0.0:  # NaN too: a short arc has been fitted with a line
@@ -70,7 +70,7 @@ def plausible(field: Array) -> Array:
         strength = np.linalg.norm(field, axis=1)
     finite = np.isfinite(strength)
     usual = float(np.median(strength[finite])) if finite.any() else 0.0
-    good: Array = finite & (strength <= ABSURD * usual)
+    good: Array = finite & (strength <= MAX_STRENGTH_RATIO * usual)
     return good
 
 
@@ -110,7 +110,7 @@ def _gauss_newton(m: Array, c: Array, A: Array, weights: Array) -> tuple[Array, 
 def _judged(field: Array, unit: float, c: Array, A: Array, scatter: float, spread: Array) -> Iron:
     """Return the fit in the message's unit, or say why it is none."""
     size = math.sqrt(float(np.linalg.det(A)))
-    if scatter > ROUGH:
+    if scatter > MAX_ELLIPSE_SCATTER:
         raise LocfuseError(
             f"the field's strength scatters by {scatter:.0%} about the best ellipse: the readings are "
             "disturbed by more than iron on the robot",
@@ -119,7 +119,7 @@ def _judged(field: Array, unit: float, c: Array, A: Array, scatter: float, sprea
     v = (field / unit - c) @ A
     angles = np.sort(np.arctan2(v[:, 1], v[:, 0]))
     gap = float(np.diff(angles, append=angles[0] + 2.0 * math.pi).max())
-    if gap > GAP:
+    if gap > MAX_MISSING_ARC_RAD:
         raise LocfuseError(
             f"the field turned through {360 - math.degrees(gap):.0f} of 360 degrees: "
             "turn the robot once on the spot while recording",

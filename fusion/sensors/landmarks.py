@@ -114,7 +114,7 @@ class LandmarksSettings(PointsSettings, frozen=True, forbid_unknown_fields=True,
                 raise ValueError(f"{key} = {getattr(self, key)}: no sensor is exact, it must be positive")
 
 
-MADE = (
+NO_MAP_NOTE = (
     "no landmarks.map is set: where the landmarks stand is estimated (grow); with --set landmarks.map=FILE, "
     "a .csv of id, x, y, they also say where the robot is in the room"
 )
@@ -183,7 +183,7 @@ class Landmarks(Sensor):
         keep = usable(seen.t_ns, seen.ids, camera, valid, settings, dropped)
         if len(seen.ids) and not keep.any():
             raise nothing_usable(stream.topic, seen.ids, settings)
-        notes = [MADE] if settings.map is None else []
+        notes = [NO_MAP_NOTE] if settings.map is None else []
         if settings.grows:
             keep, left_out = often_seen(seen.ids, keep, stream.topic, settings, dropped)
             notes += left_out

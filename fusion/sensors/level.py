@@ -32,8 +32,8 @@ MIN_TILT_RAD = math.radians(3.0)  # by which up moves in a drive that tilts: 5 %
 MAX_APART_RAD = math.radians(25.0)  # of up from where the mount has it: beyond, the mount is wrong
 SETTLING_S = 5.0  # T above: accelerations of the robot that last a second count for a fifth
 STEP_S = 0.02  # readings are averaged over it
-STRENGTH = 0.1  # share by which an acceleration may differ from the usual one and count as gravity
-STILL = 1e-9  # an orientation whose up moves by less says nothing of tilt
+MAX_GRAVITY_DEVIATION = 0.1  # share by which an acceleration may differ from the usual one and count as gravity
+MIN_UP_CHANGE = 1e-9  # an orientation whose up moves by less says nothing of tilt
 MAX_STEP_S = 0.5  # of rates that are integrated: a longer gap begins anew
 
 
@@ -114,7 +114,7 @@ def by_orientation(columns: dict[str, Array]) -> Array | None:
         return None
     up = rotated(q * np.array([-1.0, -1.0, -1.0, 1.0]), np.array([0.0, 0.0, 1.0]))
     up[none] = np.nan
-    return up if float(np.nanmax(np.nanmax(up, axis=0) - np.nanmin(up, axis=0))) > STILL else None
+    return up if float(np.nanmax(np.nanmax(up, axis=0) - np.nanmin(up, axis=0))) > MIN_UP_CHANGE else None
 
 
 def by_gravity(t_ns: Ints, columns: dict[str, Array]) -> Array | None:
@@ -156,7 +156,7 @@ def _complementary(t: Array, a: Array, w: Array, usual: float) -> Array:
         dt = now - before
         before = now
         size = math.sqrt(ax * ax + ay * ay + az * az)
-        counts = abs(size / usual - 1.0) < STRENGTH
+        counts = abs(size / usual - 1.0) < MAX_GRAVITY_DEVIATION
         if dt > MAX_STEP_S and counts:
             x, y, z = ax, ay, az
         else:

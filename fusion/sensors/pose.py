@@ -47,8 +47,8 @@ from locfuse.fusion.sensor import (
 from locfuse.fusion.streams import count_dropped
 from locfuse.fusion.wheels.odometry import ODOMETRY, POSE
 
-KEPT = "_pose_before"
-FLOOR = (0.002, math.radians(0.05))  # m, rad: standard deviations that no estimate goes below, whatever it claims
+CLONE = "_pose_before"
+MIN_SIGMAS = (0.002, math.radians(0.05))  # m, rad: no estimate is more exact, whatever it claims
 MAX_SIGMA = (1e3, 1e3)  # m, rad: larger ones say that a number was not measured
 ARM_M = 0.15  # m: turning by one radian counts as this way
 STUCK_M = 0.5  # m by the wheels, beyond which a pose that never changes is none
@@ -142,7 +142,7 @@ class PoseSensor(Sensor):
             z=se2.compose(z, off),
             R_unit=J @ R @ J.transpose(0, 2, 1) * _in_a_row(t, settings.correlated) / settings.sigma**2,
             scale=settings.sigma,
-            floor=np.diag([FLOOR[0] ** 2, FLOOR[0] ** 2, FLOOR[1] ** 2]),
+            floor=np.diag([MIN_SIGMAS[0] ** 2, MIN_SIGMAS[0] ** 2, MIN_SIGMAS[1] ** 2]),
             extra={
                 "drifts": np.full(n, float(_frame(settings, stream.msgtype) == "drift")),
                 "told": told.astype(np.float64),
@@ -294,7 +294,7 @@ class KeptPoseModel(Model):
 
     def blocks(self) -> list[Block]:
         """Return the kept pose."""
-        return [Block(KEPT, np.zeros(3), np.zeros((3, 3)), np.zeros(3))]
+        return [Block(CLONE, np.zeros(3), np.zeros((3, 3)), np.zeros(3))]
 
     def begins_map(self, m: Measurements, i: int) -> bool:
         """Return whether this is the first pose, with which a local frame can begin."""
@@ -304,7 +304,7 @@ class KeptPoseModel(Model):
         """Compare the motion since the kept pose with the belief; the first reading only begins."""
         if self._last is None:
             return []
-        column = belief.column(KEPT)
+        column = belief.column(CLONE)
         columns = column, column + 1, column + 2
         u = seen_from(self._last, _pose_of(m, i))[0]
         moved, by_kept, by_pose = seen_from(tuple(map(belief.value, columns)), belief.pose())
@@ -320,7 +320,7 @@ class KeptPoseModel(Model):
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Keep the pose as it is now; in a frame that stands still carry on the one that is kept."""
-        column, last, drifts = belief.column(KEPT), self._last, m.plain["drifts"][i]
+        column, last, drifts = belief.column(CLONE), self._last, m.plain["drifts"][i]
         self._last = now = _pose_of(m, i)
         if last is None or drifts:
             belief.clone_pose(column)

@@ -66,10 +66,10 @@ RANGES = "locfuse/msg/Ranges"  # a file beside the log, or two fields of a topic
 OFFSET = "range_offset_of_anchors"
 AHEAD, LEFT, SPREAD = "anchor_ahead", "anchor_left", "anchor_sigma"
 NEW = VERDICTS.index("new")
-WIDER = 3.0  # x the sigma of a place or start that the filter's own ranges gave: they are used again
+REUSED_SIGMA_FACTOR = 3.0  # x the sigma of a place or start that the filter's own ranges gave: they are used again
 MIN_SPREAD_M = 0.1
 EXACT_M = 1e-6  # of an offset that is given
-MADE = (
+NO_MAP_NOTE = (
     "no ranges.map is set: where the anchors stand is estimated (grow); with --set ranges.map=FILE, a .csv of "
     "id, x, y, the ranges also say where the robot is in the room"
 )
@@ -150,7 +150,7 @@ class Ranges(Sensor):
                     fixes=("ranges.map=anchors.csv",),
                     hint="Give their map, a .csv of id, x, y: --set ranges.map=anchors.csv",
                 )
-            notes = [*([MADE] if settings.map is None else []), *notes, *unclear]
+            notes = [*([NO_MAP_NOTE] if settings.map is None else []), *notes, *unclear]
             extra = dict(zip((AHEAD, LEFT, SPREAD), guesses[keep].T, strict=True))
         t, first = by_instant(stream.t_ns[keep], epoch_ns, settings.time_offset)
         n = int(keep.sum())
@@ -183,7 +183,7 @@ class Ranges(Sensor):
             )
         back = wheels.relative(t[:1], np.zeros(1))[0]
         pose = se2.compose(found.values[:3], back)
-        sigma = WIDER * np.sqrt(np.diag(found.covariance))
+        sigma = REUSED_SIGMA_FACTOR * np.sqrt(np.diag(found.covariance))
         return FoundStart(pose, max(float(sigma[:2].max()), MIN_SPREAD_M), float(sigma[2]))
 
     def model(self, settings: RangesSettings) -> Model:
@@ -207,7 +207,7 @@ def _places_of(
         if answer is None:
             words.append(f"id {anchor}: the drive does not tell where it stands; give ranges.map")
             continue
-        sigma = WIDER * math.sqrt(float(np.diag(answer.covariance)[:2].max()))
+        sigma = REUSED_SIGMA_FACTOR * math.sqrt(float(np.diag(answer.covariance)[:2].max()))
         found[rows, :2] = se2.rotated(-rel[:, 2], answer.values[:2] - rel[:, :2])
         found[rows, 2] = max(sigma, MIN_SPREAD_M)
     return found, words

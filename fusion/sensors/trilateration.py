@@ -24,14 +24,14 @@ from locfuse.fusion.data import Array
 
 STRETCHES_S = (5.0, 10.0, 20.0, 40.0, 80.0)  # of the drive: the shortest that tells; the wheels drift
 MIN_ROWS = 8
-ROUNDS = 60  # of the refinement, at most
+MAX_FIT_ROUNDS = 60  # of the refinement, at most
 SAME_DIGITS = 3  # of m and rad: answers that agree so far are one
 CAUCHY_SIGMAS = 2.0  # residuals from which a range counts for less
 CLEARLY_BETTER = 8.0  # by which the best answer's cost (half a chi-square) must lie below any other's
 APART_M, APART_RAD = 0.3, math.radians(20.0)  # answers further apart are different ones
 MAX_SIGMA_M, MAX_SIGMA_RAD = 0.5, math.radians(15.0)  # of an answer that counts
 GRID, DIRECTIONS = 5, 12  # places along each side of the anchors' box; directions of the first guess
-ANGLE = slice(2, -1)  # of what is looked for: between the place and the offset a heading, or nothing
+HEADING_ENTRY = slice(2, -1)  # of what is looked for: between the place and the offset a heading, or nothing
 Predict = Callable[[Array], tuple[Array, Array]]  # guesses (s, k) -> ranges (s, n), derivatives (s, n, k)
 
 
@@ -114,10 +114,10 @@ def _clear(predict: Predict, guesses: Array, ranges: Array, sigmas: tuple[float,
         return None
     covariance: Array = np.linalg.inv(information)
     sigma = np.sqrt(np.diag(covariance))
-    if np.hypot(sigma[0], sigma[1]) > MAX_SIGMA_M or (sigma[ANGLE] > MAX_SIGMA_RAD).any():
+    if np.hypot(sigma[0], sigma[1]) > MAX_SIGMA_M or (sigma[HEADING_ENTRY] > MAX_SIGMA_RAD).any():
         return None
     elsewhere = np.hypot(*(values[:, :2] - best[:2]).T) > APART_M
-    elsewhere |= (np.abs(se2.wrap_all(values[:, ANGLE] - best[ANGLE])) > APART_RAD).any(axis=1)
+    elsewhere |= (np.abs(se2.wrap_all(values[:, HEADING_ENTRY] - best[HEADING_ENTRY])) > APART_RAD).any(axis=1)
     rival = costs[elsewhere].min(initial=np.inf)
     return Answer(best, covariance) if rival - costs.min() > CLEARLY_BETTER else None
 
@@ -135,18 +135,18 @@ def _refined(
         h, _ = predict(x[np.argmin(costs)][None])
         scatter = float(np.median(np.abs(ranges - h[0]))) / MAD
         sigma = max(sigmas[0], scatter)
-        x[:, ANGLE] = se2.wrap_all(x[:, ANGLE])
+        x[:, HEADING_ENTRY] = se2.wrap_all(x[:, HEADING_ENTRY])
         _, first = np.unique(np.round(x, SAME_DIGITS), axis=0, return_index=True)
         x, costs = x[first], costs[first]  # most guesses come to the same few answers
     return x, costs, scatter
 
 
 def _descended(predict: Predict, x: Array, ranges: Array, sigmas: tuple[float, float]) -> tuple[Array, Array]:
-    """Return guesses (s, k) after ROUNDS of Levenberg-Marquardt steps, and their costs (s,)."""
+    """Return guesses (s, k) after MAX_FIT_ROUNDS of Levenberg-Marquardt steps, and their costs (s,)."""
     damping = np.full(len(x), 1e-2)
     cost, A, g = _normal(predict, x, ranges, sigmas)
     diagonal = np.arange(x.shape[1])
-    for _ in range(ROUNDS):
+    for _ in range(MAX_FIT_ROUNDS):
         damped = A.copy()
         damped[:, diagonal, diagonal] *= 1.0 + damping[:, None]
         damped[:, diagonal, diagonal] += 1e-9

@@ -27,9 +27,9 @@ from locfuse.fusion.wheels.odometry import SPEED
 
 from .pose import plane_covariance, seen_from
 
-KEPT = "_twist_before"
+CLONE = "_twist_before"
 VARIANCES = ("forward_variance", "turn_variance")  # of way [m^2] and turn [rad^2] since the first reading
-FLOOR = (0.001, math.radians(0.02))  # m, rad of one interval: standard deviations that none goes below
+MIN_SIGMAS = (0.001, math.radians(0.02))  # m, rad of one interval: standard deviations that none goes below
 WITH_COVARIANCE = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/TwistWithCovarianceStamped")
 FORWARD_TURN = (0, 5)  # where linear x and angular z stand in a covariance of ROS
 
@@ -94,7 +94,7 @@ class Twist(Sensor):
             z=way[rows],
             R_unit=R / settings.sigma**2,
             scale=settings.sigma,
-            floor=np.diag([FLOOR[0] ** 2, FLOOR[1] ** 2]),
+            floor=np.diag([MIN_SIGMAS[0] ** 2, MIN_SIGMAS[1] ** 2]),
             extra={
                 "piece": piece[rows].astype(np.float64),
                 "forward_variance": variance[rows, 0],
@@ -165,7 +165,7 @@ class TwistModel(Model):
 
     def blocks(self) -> list[Block]:
         """Return the kept pose."""
-        return [Block(KEPT, np.zeros(3), np.zeros((3, 3)), np.zeros(3))]
+        return [Block(CLONE, np.zeros(3), np.zeros((3, 3)), np.zeros(3))]
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
         """Compare way and turn since the last reading with the belief; the first, and one after a gap, begins."""
@@ -174,7 +174,7 @@ class TwistModel(Model):
             return []
         z = m.plain["z"]
         way, turn = z[i, 0] - z[last, 0], z[i, 1] - z[last, 1]
-        column = belief.column(KEPT)
+        column = belief.column(CLONE)
         columns = column, column + 1, column + 2
         (along, turned), by_kept, by_pose = chord(tuple(map(belief.value, columns)), belief.pose())
         y = straight(way, turn) - along, wrap(turn - turned)
@@ -188,7 +188,7 @@ class TwistModel(Model):
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Keep the pose as it is now."""
-        belief.clone_pose(belief.column(KEPT))
+        belief.clone_pose(belief.column(CLONE))
         self._last = i
 
 

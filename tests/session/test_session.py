@@ -16,7 +16,7 @@ from rewrite_log import rewritten
 import locfuse
 from locfuse.cli.analysis import load
 from locfuse.fusion.camera import detect
-from locfuse.fusion.instants import BLOCK
+from locfuse.fusion.instants import BLOCK_INSTANTS
 from locfuse.fusion.lines.scans import lines_in_base
 from locfuse.fusion.progress import heard_by
 from locfuse.fusion.sensors import lrf
@@ -305,7 +305,7 @@ def test_reading_and_fusing_say_which_share_of_the_log_is_done() -> None:
         assert 0.0 <= shares[0] < 0.2
         assert 0.8 < shares[-1] <= 1.0
     fused = [share for share in heard["fusing"] if share is not None]
-    assert len(session.drive.t) / BLOCK > 6.0
+    assert len(session.drive.t) / BLOCK_INSTANTS > 6.0
     assert max(np.diff([*fused, 1.0])) < 0.25, "the core goes on for several blocks, but not for long"
 
 

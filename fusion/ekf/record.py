@@ -22,7 +22,7 @@ COLUMNS = {
     "instant": np.int32,
     "row": np.int32,
     "verdict": np.int8,
-    "landmark": np.int32,
+    "landmark": np.int64,  # ids of landmarks are the user's
     "nis": np.float64,
     "threshold": np.float64,
     "y": np.float64,

@@ -76,7 +76,8 @@ cdef class Doubles:
     cdef double turn, offset, apart
 
 cdef class Audit:
-    cdef int[::1] instant, row, landmark
+    cdef int[::1] instant, row
+    cdef long long[::1] landmark
     cdef signed char[::1] verdict
     cdef double[::1] nis, threshold
     cdef double[:, ::1] y, sigma

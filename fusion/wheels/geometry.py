@@ -48,7 +48,10 @@ def by_motion(counters: Stream, theirs: WheelReading, settings: WheelSettings) -
     both = read_counters(counters, known)
     t, left, right = _angles(both, known)
     offset = (theirs.epoch_ns - both.zero_ns) * 1e-9
-    start = np.arange(max(t[0], offset), min(t[-1], offset + theirs.wheels.t[-1]) - WINDOW_S, WINDOW_S)
+    begin, end = max(t[0], offset), min(t[-1], offset + theirs.wheels.t[-1])
+    windows = np.unique(np.floor((t - begin) / WINDOW_S))  # with a reading: clocks may be years apart in a log
+    start = begin + WINDOW_S * windows
+    start = start[(windows >= 0.0) & (start < end - WINDOW_S)]
     if len(start) < MIN_WINDOWS:
         return None
     # as twists: along an arc the way is what the wheels roll, not the chord's part ahead

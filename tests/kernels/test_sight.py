@@ -511,7 +511,7 @@ def everything(kernel: Any, states: Any, seed: int, free: tuple[int, ...]) -> li
     if seed % 2:
         sees.refuse_alone()
     accepted = sees.state_rows(state)
-    audit = [np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n, np.int8), np.zeros(n, np.int32)]
+    audit = [np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n, np.int8), np.zeros(n, np.int64)]
     judged: list[Any] = [np.zeros(n), np.zeros(n), np.zeros((n, 2)), np.zeros((n, 2))]
     out = kernel.Audit(*audit)
     out.judged(*judged)

@@ -339,6 +339,13 @@ def test_an_id_gets_a_place_in_the_map_from_its_third_detection_on(tmp_path: Pat
     }
 
 
+def test_an_id_is_any_number_that_a_tag_can_hold(tmp_path: Path) -> None:
+    key = 2**53 - 1
+    done = grown(tmp_path, [(1.0 + 0.5 * k, key) for k in range(6)], "--save-map", str(tmp_path / "map.csv"))
+    assert done.exit_code == 0, done.stderr
+    assert f"{key}," in (tmp_path / "map.csv").read_text()
+
+
 def test_of_more_ids_than_the_cap_those_seen_most_often_are_placed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

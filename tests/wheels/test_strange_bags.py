@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -464,6 +465,21 @@ def test_the_size_of_the_wheels_is_what_an_odometry_of_arcs_was_made_with(tmp_pa
     found = by_odometry(log.stream("/joint_states"), log.stream("/odom"), WheelSettings())
     assert found is not None
     assert (found.radius, found.track) == pytest.approx((0.05, 0.3), rel=1e-4)
+
+
+def test_a_clock_that_jumps_by_years_does_not_make_a_window_of_every_half_second(tmp_path: Path) -> None:
+    """54 years of windows took 25 GiB."""
+    t = np.append(np.arange(0.0, 40.0, 0.1), 1.7e9)
+    rolled = 0.5 * t - 2.5 * (np.cos(0.2 * t) - 1.0)
+    turn = 0.5 * rolled
+    poses = np.stack((0.75 * np.sin(turn), 0.75 * (1.0 - np.cos(turn)), turn), axis=-1)
+    angle = np.stack((6.0 * rolled, 9.0 * rolled), axis=-1)
+    log = opened(tmp_path, joint_states(t, angle), odometry(t, poses))
+    streams = log.stream("/joint_states"), log.stream("/odom")
+    tracemalloc.start()
+    by_odometry(*streams, WheelSettings())
+    assert tracemalloc.get_traced_memory()[1] < 50e6
+    tracemalloc.stop()
 
 
 def test_speeds_of_a_receiver_of_satellites_are_no_motion_of_the_body(tmp_path: Path) -> None:

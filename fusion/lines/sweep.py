@@ -37,7 +37,7 @@ def motion_of(mount: Array) -> Motion:
 
 
 def shares(beams: int) -> Array:
-    """Return which share of every piece's slip a beam has, (PIECES, beams): none of those beyond the middle."""
+    """Return the share of each piece's wheel slip in each beam, (PIECES, beams), from the middle on."""
     at = np.linspace(-0.5, 0.5, beams)
     low, high = EDGES[:-1, None], EDGES[1:, None]
     after = np.clip((at - low) * PIECES, 0.0, 1.0)

@@ -2,53 +2,61 @@
 
     python -m benchmarks.consistency --drives 30
     python -m benchmarks.consistency --drives 10 --case "laser alone" --case "laser at 40 Hz"
-    python -m benchmarks.consistency --drives 30 --keep drives.jsonl   (goes on where it was stopped)
+    python -m benchmarks.consistency --drives 30 -o drives.jsonl   (goes on where it was stopped)
 
-Each row is a case of `consistency_cases`: the mean over drives with the worst in brackets, the same of version
-0.1, and the goal. `walls` is the smallest sigma of a map line's direction at the end, over the sigma of the
-heading at the first scan. With a laser alone it must not fall below 1: nothing that is measured can improve it.
-Where the filter says that it is lost, nothing is judged. Thirty drives give an ANEES near 1 to about 0.1, a large
-one only roughly: with a laser alone a drive has a single draw of the heading. A start that is drawn, and that
-nothing observes, errs by that one draw at every instant. So what the drawn starts alone give stands below the
-table: the share inside 3 sigma of those cases is to be at most LEEWAY below it, and where their own ANEES is above
-1, the goal is as many times higher. Where a position is to be no worse than that of 0.1, the drives are the same.
-A laser whose clock is off is judged with it set to what the drive and its truth tell; 0.1 told nothing.
+Each row is a case of `consistency_cases`: the mean over drives with the worst in brackets, and the goals. `walls`
+is the smallest sigma of a map line's direction at the end, over the sigma of the heading at the first scan. With
+a laser alone it must not fall below 1: nothing that is measured can improve it. Where the filter says that it is
+lost, nothing is judged. Thirty drives give an ANEES near 1 to about 0.1, a large one only roughly: with a laser
+alone a drive has a single draw of the heading. A start that is drawn, and that nothing observes, errs by that one
+draw at every instant. So what the drawn starts alone give stands below the table: the share inside 3 sigma of
+those cases is to be at most LEEWAY below it, and where their own ANEES is above 1, the goal is as many times
+higher. A laser whose clock is off is judged with it set to what the drive and its truth tell.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator, Mapping, Sequence
-from functools import cache, lru_cache
-from pathlib import Path
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
+from typing import NamedTuple
 
 import click
 import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion.checks.clocks import lag_of_run
-from locfuse.fusion.checks.lag import SAID_SIGMAS, Lag
-from locfuse.fusion.data import Array, Drive
+from locfuse.fusion.data import Array, Drive, Estimates, Evaluation
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.evaluate import evaluate
+from locfuse.fusion.kernels.ekf import bent
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 from locfuse.sample_logs.load import load
+from locfuse.sample_logs.messages import streams
 
 from . import experiment
-from .consistency_before import BEFORE
 from .consistency_bound import Bound, bound, drive_once, path_in_frame, shape_error
 from .consistency_cases import ALONE, CASES, LASER, Case
-from .consistency_figures import Figures, Means, figures, means
-from .consistency_starts import ENOUGH, Start, alone, often_short, start_of
-from .consistency_table import HEAD
-from .consistency_table import row as row_of
-from .experiment import FIRST_SEED, Row, simulated
+from .experiment import Row, simulated
 
 NAMED = {case.name: case for case in CASES}
 STARTS = (ALONE, *(name for name in NAMED if name.startswith("laser, start")))
 DRAWN = (*STARTS, *(name for name in NAMED if name.startswith("placed anew")))  # the start is never observed
 LEEWAY = 0.005  # of the share inside 3 sigma, for the errors of the drive itself
-RATES = (ALONE, "laser at 40 Hz")
+POSITION = "position_rmse_m"
+Span = tuple[float, float]  # s since the first wheel reading: from, to
+
+
+class Figures(NamedTuple):
+    """One drive, judged against the truth, or the mean over drives."""
+
+    anees: float  # of x, y and heading together, per degree of freedom: 1 is right
+    position: float  # mm, rmse as estimated
+    aligned: float  # mm, rmse after the best rigid motion onto the truth: the shape alone
+    inside: float  # share of all errors of x, y and heading within 3 of their sigmas
+    walls: float  # smallest sigma of a map line's direction at the end, over that of the heading at the first scan
+    in_frame: float = math.nan  # mm, error of the shape of the path within the map's frame, where it is asked for
 
 
 def drive_of(case: Case, seed: int) -> tuple[Drive, Robot]:
@@ -56,21 +64,15 @@ def drive_of(case: Case, seed: int) -> tuple[Drive, Robot]:
     return simulated(case.scenario, case.sets, seed).measured(case.given)
 
 
-@lru_cache(maxsize=64)
-def late(case: Case, seed: int) -> Lag:
-    """Return the laser's clock by its own run and the truth's headings, as advice finds it."""
+def as_found(case: Case, seed: int) -> Case:
+    """Return the case with the laser's clock set to what advice finds by its run and the truth's headings."""
+    if not case.late_by:
+        return case
     drive, robot = drive_of(case, seed)
     found = lag_of_run(drive, drive.truth, fuse(drive, robot, LASER))
     if found is None:
         raise click.ClickException(f"{case.name}, seed {seed}: the truth's headings tell no lag")
-    return found
-
-
-def as_found(case: Case, seed: int) -> Case:
-    """Return the case with the laser's clock set to what is found, where it is wrong."""
-    if not case.late_by:
-        return case
-    return replace(case, given=(*case.given, f"lrf.time_offset={late(case, seed).offset}"))
+    return replace(case, given=(*case.given, f"lrf.time_offset={found.offset}"))
 
 
 def judged(case: Case, seed: int) -> Figures:
@@ -84,6 +86,108 @@ def judged(case: Case, seed: int) -> Figures:
     return found._replace(in_frame=1000.0 * shape_error(within, drive.truth.xy))
 
 
+def figures(
+    estimates: Estimates, drive: Drive, aligned_from: float = 0.0, unknowable: Span = (0.0, 0.0)
+) -> Figures:
+    """Judge one run except where it says that it is lost, and in the `unknowable` span [s].
+
+    The aligned error counts from `aligned_from` [s] on.
+    """
+    judged = evaluate(without(estimates, drive, (*estimates.lost, unknowable)), drive)
+    early = (-math.inf, aligned_from)
+    aligned = evaluate(without(estimates, drive, (*estimates.lost, unknowable, early)), drive, align="se2")
+    return Figures(
+        number(judged.figures["anees"]),
+        1000 * number(judged.figures[POSITION]),
+        1000 * number(aligned.figures[POSITION]),
+        inside(judged),
+        walls_kept(estimates, drive),
+    )
+
+
+def number(value: float | None) -> float:
+    """Return a figure, NaN where there is none."""
+    return math.nan if value is None else value
+
+
+def without(estimates: Estimates, drive: Drive, spans: Sequence[Span]) -> Estimates:
+    """Return the estimates without what they say of the truth's stamps inside any of the spans [s]."""
+    if drive.truth is None or estimates.truth_pose is None:
+        return estimates
+    t = drive.truth.t
+    hidden = np.any([(t >= begin) & (t < end) for begin, end in spans], axis=0)
+    return replace(estimates, truth_pose=np.where(hidden[:, None], np.nan, estimates.truth_pose))
+
+
+def inside(judged: Evaluation) -> float:
+    """Return the share of the errors of x, y and heading within 3 sigma; where sigma is 0, nothing is judged."""
+    assert judged.heading is not None
+    errors = np.column_stack((judged.deviation, judged.heading))
+    stated = judged.sigma > 0
+    return float((np.abs(errors) <= 3 * judged.sigma)[stated].mean())
+
+
+def walls_kept(estimates: Estimates, drive: Drive) -> float:
+    """Return the smallest sigma of a line's direction at the end over that of the heading at the first scan.
+
+    With a laser alone it cannot honestly be below 1: every direction in the map hangs on that one heading.
+    """
+    first = drive.instant["lrf"][0]
+    heading = math.sqrt(estimates.triangles[first, 5])
+    directions = [math.sqrt(line.P_map[1, 1]) for line in estimates.final_map]
+    return min(directions) / heading if directions and heading > 0 else math.nan
+
+
+# --- What the drawn starts alone do: the figures of a filter that errs nowhere else
+
+
+class Start(NamedTuple):
+    """The sigmas of a start."""
+
+    theta: float  # rad
+    xy: float  # m
+
+
+class Alone(NamedTuple):
+    """What the starts alone give."""
+
+    anees: float
+    inside: float  # share of errors of x, y and heading within 3 sigma
+
+
+def alone(start: Start, way: Array, seeds: Iterable[int]) -> Alone:
+    """Return what the starts of these drives alone give along the way (n, 2) [m] from the start."""
+    drawn = np.array([streams(seed)("start").standard_normal(3) for seed in seeds])
+    return Alone(float(np.square(drawn).mean()), float(share_inside(drawn, start, way).mean()))
+
+
+def share_inside(drawn: Array, start: Start, way: Array) -> Array:
+    """Return which share of a drive's errors lies within 3 sigma (k,), by draws (k, 3) of its start.
+
+    An error of the start moves and turns the whole drive. The covariance is the start's, carried along the way as
+    it is believed: across a lever r by the heading's variance, along it by E (cos a - 1)^2 of a Gaussian angle a.
+    """
+    off = drawn * (start.xy, start.xy, start.theta)
+    c, s = np.cos(off[:, 2:]), np.sin(off[:, 2:])
+    x, y = c * way[:, 0] - s * way[:, 1], s * way[:, 0] + c * way[:, 1]  # (k, n) m, as believed
+    turned = start.theta**2
+    along = bent(turned)
+    heading = np.broadcast_to(off[:, 2:], x.shape)
+    errors = np.abs([off[:, :1] + x - way[:, 0], off[:, 1:2] + y - way[:, 1], heading])
+    variances = [start.xy**2 + y * y * turned + along * x * x, start.xy**2 + x * x * turned + along * y * y]
+    limits = 3.0 * np.sqrt([*variances, np.full(x.shape, turned)])
+    share: Array = (errors <= limits).mean(axis=(0, 2))
+    return share
+
+
+def start_of(sets: Iterable[str]) -> Start | None:
+    """Return the sigmas of the start that a scenario's settings state; None: it is known exactly."""
+    stated = dict(one.split("=", 1) for one in sets)
+    if "start.sigma_theta_deg" not in stated:
+        return None
+    return Start(math.radians(float(stated["start.sigma_theta_deg"])), float(stated["start.sigma_xy"]))
+
+
 @cache
 def least(case: Case, seeds: range) -> Bound:
     """Return the mean over drives of the least error that the shape of the path can have [m]."""
@@ -92,107 +196,96 @@ def least(case: Case, seeds: range) -> Bound:
     return Bound(*np.mean(found, axis=0).tolist())
 
 
-def way_of(case: Case, seeds: range) -> tuple[Start, Array] | None:
-    """Return the start and the way (n, 2) [m] from it in a case where nothing observes it; None: another."""
+def by_start(case: Case, seeds: range) -> Alone | None:
+    """Return what the starts alone give in a case where nothing observes them; None: another."""
     start = start_of(case.sets)
     if case.name not in DRAWN or start is None:
         return None
     truth = drive_of(case, seeds[0])[0].truth
     assert truth is not None
-    return start, truth.xy - truth.xy[0]
+    return alone(start, truth.xy - truth.xy[0], seeds)
 
 
-def fair(case: Case, seeds: range) -> Case:
-    """Return the case with the ANEES and the share inside 3 sigma that its drawn starts allow, and its bound."""
-    goal, found = case.goal, way_of(case, seeds)
+class Wanted(NamedTuple):
+    """The goal of one figure."""
+
+    name: str
+    value: float
+    low: float = -math.inf
+    high: float = math.inf
+
+    @property
+    def met(self) -> bool:
+        """Whether the figure is within its goal."""
+        return self.low <= self.value <= self.high
+
+    def __str__(self) -> str:
+        """Return the goal in words."""
+        bounds = [f"≥ {self.low:.3g}"] * math.isfinite(self.low) + [f"≤ {self.high:.3g}"] * math.isfinite(
+            self.high
+        )
+        return f"{self.name} {' '.join(bounds)}"
+
+
+def wanted(case: Case, found: dict[str, Figures], seeds: range) -> Iterator[Wanted]:
+    """Yield the goals of a case that can be judged by the cases that were run."""
+    now, goal, start = found[case.name], case.goal, by_start(case, seeds)
+    if goal.anees is not None:
+        low, high = goal.anees
+        yield Wanted("ANEES", now.anees, low, high * max(1.0, start.anees if start else 1.0))
+    yield Wanted("inside", now.inside, min(goal.inside, start.inside - LEEWAY if start else 1.0))
+    if goal.walls is not None:
+        yield Wanted("walls", now.walls, goal.walls)
+    if goal.position is not None:
+        yield Wanted("position", now.position, high=goal.position)
     if goal.of_bound is not None:
-        goal = replace(goal, aligned=1000.0 * goal.of_bound * least(case, seeds).at_truth)
-    if found is not None:
-        by_start = alone(*found, seeds)
-        goal = replace(goal, inside=min(goal.inside, by_start.inside - LEEWAY))
-        if goal.anees is not None:
-            goal = replace(goal, anees=(goal.anees[0], goal.anees[1] * max(1.0, by_start.anees)))
-    return replace(case, goal=goal)
-
-
-def invariants(found: Mapping[str, Means], seeds: range) -> Iterator[str]:
-    """Say what must not depend on the start's sigma or on the laser's rate, and what is chance."""
-    for case in CASES:
-        if case.goal.of_bound is not None and case.name in found:
-            at_truth, after_scan = (1000.0 * b for b in least(case, seeds))
-            yield (
-                f"{case.name}: a filter that knew the walls and used every beam would still have an aligned error "
-                f"of {at_truth:.2f} mm at the truth's stamps ({after_scan:.2f} mm after each scan). Here it is "
-                f"{found[case.name].aligned / at_truth:.2f} times that (goal: {case.goal.of_bound:g})."
-            )
-        if case.late_by and case.name in found:
-            yield f"{case.name}: {clock_words([late(case, seed) for seed in seeds], case.late_by)}"
-        started = way_of(case, seeds) if case.name in found else None
-        if started is not None:
-            by_start, chance = alone(*started, seeds), often_short(*started, len(seeds))
-            yield (
-                f"{case.name}: the drawn starts alone have ANEES {by_start.anees:.2f} and "
-                f"{by_start.inside:.2%} inside 3 sigma, whatever the filter does. Of other sets of {len(seeds)} "
-                f"drawn starts {chance:.0%} have less than {ENOUGH:.0%}."
-            )
-    starts = [name for name in STARTS if name in found]
-    if len(starts) > 1:
-        values = [found[name].aligned for name in starts]
-        listed = ", ".join(f"{v:.2f}" for v in values)
-        spread = 100 * (max(values) / min(values) - 1)
-        yield f"Aligned error by the start's sigma: {listed} mm, {spread:.1f} % apart (goal: 1 %)."
-    if all(name in found for name in RATES):
-        slow, fast = (found[name].anees for name in RATES)
-        yield f"Laser at 10 Hz and at 40 Hz: ANEES {slow:.2f} and {fast:.2f} (goal: equal)."
-
-
-def clock_words(lags: Sequence[Lag], late_by: float) -> str:
-    """Return how well the clocks of lasers that are `late_by` [s] late were found."""
-    off, sigmas = np.array([lag.offset + late_by for lag in lags]), np.array([lag.sigma for lag in lags])
-    clear = sum(abs(lag.offset) > SAID_SIGMAS * lag.sigma for lag in lags)
-    worst, rms, sigma = (1000.0 * float(s) for s in (np.abs(off).max(), np.sqrt((off**2).mean()), sigmas.mean()))
-    return (
-        f"found within {worst:.1f} ms, {rms:.1f} ms rms; its sigma is {sigma:.1f} ms. Beyond {SAID_SIGMAS:g} "
-        f"sigma in {clear} of {len(lags)} drives (goal: all)."
-    )
+        yield Wanted("aligned", now.aligned, high=1000.0 * goal.of_bound * least(case, seeds).at_truth)
+    others = {"position": goal.position_as, "aligned": goal.aligned_as, "in_frame": goal.in_frame}
+    for name, other in others.items():
+        if other is not None and other[0] in found:
+            base = found[other[0]]
+            limit = other[1] * (base.aligned if name == "in_frame" else getattr(base, name))
+            yield Wanted(name, getattr(now, name), high=limit)
 
 
 def work(name: str, seed: int) -> Row:
-    """Return the figures of one drive, and how long it took [s]."""
-    begin = time.perf_counter()
-    return {"figures": list(judged(NAMED[name], seed)), "s": time.perf_counter() - begin}
+    """Return the figures of one drive."""
+    return {"figures": list(judged(NAMED[name], seed))}
 
 
-@click.command()
-@click.option("--drives", default=30, show_default=True)
-@click.option("--case", "names", multiple=True, type=click.Choice(list(NAMED)))
-@click.option("--seed", default=FIRST_SEED, show_default=True, help="Of the first drive.")
-@click.option("--record", is_flag=True, help="Print the figures as lines of consistency_before.py.")
-@click.option("--keep", type=click.Path(path_type=Path), help="Finished drives: they are not driven again.")
-@click.option("--jobs", default=1, show_default=True)
-def main(drives: int, names: tuple[str, ...], seed: int, record: bool, keep: Path | None, jobs: int) -> None:
-    """Print how accurate and how consistent the filter is in every case."""
-    seeds = range(seed, seed + drives)
-    tasks = [(name, s) for name in NAMED if not names or name in names for s in seeds]
-    made = experiment.rows(work, tasks, keep, jobs)
-    found: dict[str, Means] = {}
-    if not record:
-        click.echo(HEAD)
-    for name in dict.fromkeys(row["task"][0] for row in experiment.well(made)):
-        mine = [row for row in experiment.well(made) if row["task"][0] == name]
-        case, every = fair(NAMED[name], seeds), [Figures(*row["figures"]) for row in mine]
-        found[name], before, seconds = means(every), BEFORE.get(name), sum(row["s"] for row in mine)
-        same = means(every[: before.drives]) if before and seed == FIRST_SEED and drives > before.drives else None
-        click.echo(recorded(case, found[name]) if record else row_of(case, found, before, seconds, same))
-    for line in (*([] if record else ["", *invariants(found, seeds)]), *experiment.failures(made)):
-        click.echo(line)
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield the figures and goals of every case, and below them what no filter could do better."""
+    numbers = [row["task"][1] for row in rows]
+    seeds = range(min(numbers), max(numbers) + 1)
+    drives = {n: [row["figures"] for row in rows if row["task"][0] == n] for n in {r["task"][0]: 0 for r in rows}}
+    found = {
+        name: Figures(*np.mean(every, axis=0).tolist())._replace(walls=min(one[4] for one in every))
+        for name, every in drives.items()
+    }
+    lines = []
+    for name, m in found.items():
+        worst = Figures(*np.max(drives[name], axis=0).tolist())
+        goals = list(wanted(NAMED[name], found, seeds))
+        framed = "" if math.isnan(m.in_frame) else f", in its frame {m.in_frame:.1f}"
+        aligned = f"{m.aligned:.1f} ({worst.aligned:.1f}){framed}"
+        cells = (f"{m.anees:.3g} ({worst.anees:.3g})", f"{m.position:.1f}", aligned, f"{m.inside:.1%}")
+        missed = "; ".join(str(goal) for goal in goals if not goal.met)
+        lines.append((name, *cells, f"{m.walls:.2f}", "; ".join(map(str, goals)), missed))
+    head = ("case", "ANEES", "position [mm]", "aligned [mm]", "inside 3 sigma", "walls", "goals", "missed")
+    yield from experiment.table(head, lines)
+    for name in found:
+        if NAMED[name].goal.of_bound is not None:
+            at_truth, after_scan = (1000.0 * b for b in least(NAMED[name], seeds))
+            yield (
+                f"{name}: a filter that knew the walls and used every beam would still have an aligned error of "
+                f"{at_truth:.2f} mm at the truth's stamps ({after_scan:.2f} mm after each scan)."
+            )
+        if (start := by_start(NAMED[name], seeds)) is not None:
+            alone_have = f"ANEES {start.anees:.2f} and {start.inside:.2%} inside 3 sigma"
+            yield f"{name}: the drawn starts alone have {alone_have}."
 
 
-def recorded(case: Case, m: Means) -> str:
-    """Return the figures with four digits, as a line of consistency_before.py."""
-    values = ", ".join(f"{float(f'{value:.4g}')}" for value in m[1:])
-    return f'    "{case.name}": Means({m.drives}, {values}),'
-
+main = experiment.command(work, table, NAMED, drives=30)
 
 if __name__ == "__main__":
     main()

@@ -4,7 +4,7 @@ rows      10 000 simulated results: memory of the tables and the page, size of t
 killed    a run that is killed at random times and started again, against one that is left alone
 jobs      wall time with two jobs over that with one
 overhead  CPU time per log over that of a bare `compare`, and that of the command itself
-opening   share of a log with raw images that is read to open it
+cluster   two workers of which one is killed, against a run on this machine; needs locfuse[cluster]
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import resource
 import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -27,13 +26,15 @@ from typing import Any
 import click
 import numpy as np
 
-if not __package__:
-    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from benchmarks.process import cost
+from benchmarks.figures import locfuse, module
+from benchmarks.process import Cost, cost
+from locfuse import sample_logs
 
-LOCFUSE = (sys.executable, "-m", "locfuse.cli")
+LOCFUSE = locfuse()
 LIGHT = ("camera.enabled=false", "path.legs=[{forward=1.5}, {turn_deg=180}, {forward=1.5}]")
 QUIET = ("--write", "json,csv,html", "-q")
+TIMES_KILLED = 20
+BROKEN = {"text.mcap": b"no log at all\n", "empty.mcap": b"", "noise.mcap": bytes(range(256)) * 100}
 
 
 def simulated_report(rng: np.random.Generator, log: int, robot: int) -> dict[str, Any]:
@@ -133,134 +134,115 @@ def killed(logs: Sequence[Path], folder: Path, times: int, seed: int = 0) -> tup
     return tables(folder), hits
 
 
+def compares(logs: Sequence[Path], out: Path) -> float:
+    """Return the CPU time [s] of a bare `compare` of each log."""
+    words = ("--write", "json", "-q", "--no-advice", "-o", str(out))
+    return sum(cost((*LOCFUSE, "compare", str(log), *words)).cpu for log in logs)
+
+
+def fleet(logs: Sequence[Path], out: Path, *words: str) -> Cost:
+    """Return what a fleet costs."""
+    return cost((*LOCFUSE, "fleet", *map(str, logs), "-o", str(out), "--write", "json", "-q", *words))
+
+
 @click.group()
 def main() -> None:
     """Measure compare over many logs."""
 
 
-@main.command("rows")
-@click.option("--count", default=10_000, show_default=True)
-def rows_command(count: int) -> None:
-    """Memory and size of the page."""
+def measured(default: int) -> Callable[[Callable[..., str]], click.Command]:
+    """Return a decorator: a function of a scratch folder and a number of logs becomes a command."""
+
+    def command(work: Callable[..., str]) -> click.Command:
+        def run(count: int) -> None:
+            with tempfile.TemporaryDirectory(prefix="fleet-", ignore_cleanup_errors=True) as scratch:
+                click.echo(work(Path(scratch), count))
+
+        option = click.Option(("--logs", "--count", "count"), default=default, show_default=True)
+        made = click.Command(
+            work.__name__.removesuffix("_command"), callback=run, params=[option], help=work.__doc__
+        )
+        main.add_command(made)
+        return made
+
+    return command
+
+
+@measured(10_000)
+def rows_command(_scratch: Path, count: int) -> str:
+    """Measure memory and size of the page of so many simulated rows."""
     files = simulated_files(count)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     sizes = ", ".join(f"{name} {len(content) / 1e6:.2f} MB" for name, content in files.items())
-    click.echo(f"{count} rows: peak {peak:.0f} MB; {sizes}")
+    return f"{count} rows: peak {peak:.0f} MB; {sizes}"
 
 
-def _in_scratch(work: Callable[[Path], str]) -> None:
-    scratch = Path(tempfile.mkdtemp(prefix="fleet-"))
-    try:
-        click.echo(work(scratch))
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
-
-
-@main.command("killed")
-@click.option("--logs", "count", default=8, show_default=True)
-@click.option("--times", default=20, show_default=True)
-def killed_command(count: int, times: int) -> None:
-    """A run that is killed again and again."""
-
-    def work(scratch: Path) -> str:
-        logs = write_logs(scratch / "logs", count)
-        alone = (*LOCFUSE, "fleet", *map(str, logs), "-o", str(scratch / "alone"), *QUIET)
-        subprocess.run(alone, check=True, capture_output=True)
-        found, hits = killed(logs, scratch / "killed", times)
-        same = found == tables(scratch / "alone")
-        return (
-            f"{count} logs, killed {hits} of {times} times while it ran: {'equal' if same else 'DIFFERENT'} files"
-        )
-
-    _in_scratch(work)
-
-
-@main.command("jobs")
-@click.option("--logs", "count", default=8, show_default=True)
-@click.option("--minutes", default=20.0, show_default=True)
-def jobs_command(count: int, minutes: float) -> None:
-    """Two jobs against one, and one against a bare compare of each log."""
-
-    def work(scratch: Path) -> str:
-        logs = []
-        for seed in range(count):
-            logs.append(scratch / f"log_{seed}x.mcap")
-            make = (sys.executable, "-m", "benchmarks.make_log", str(logs[-1]), "--minutes", str(minutes))
-            subprocess.run((*make, "--seed", str(seed)), check=True, capture_output=True)
-        words = ("--write", "json", "-q")
-        one, two = (
-            cost(
-                (
-                    *LOCFUSE,
-                    "fleet",
-                    *map(str, logs),
-                    "-o",
-                    str(scratch / f"j{jobs}"),
-                    "--jobs",
-                    str(jobs),
-                    *words,
-                )
-            )
-            for jobs in (1, 2)
-        )
-        bare = [
-            cost((*LOCFUSE, "compare", str(log), "-o", str(scratch / "bare"), *words, "--no-advice"))
-            for log in logs
-        ]
-        cpu = sum(b.cpu for b in bare)
-        return (
-            f"{count} logs of {minutes:g} min on {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}: "
-            f"--jobs 1 {one.wall:.1f} s, --jobs 2 {two.wall:.1f} s, ratio {two.wall / one.wall:.2f}; "
-            f"CPU {one.cpu:.1f} s against {cpu:.1f} s of {count} bare compares: {one.cpu / cpu - 1.0:+.1%}"
-        )
-
-    _in_scratch(work)
-
-
-@main.command("overhead")
-@click.option("--logs", "count", default=10, show_default=True)
-@click.option("--log", default="rounded_triangle", show_default=True, help="The drive that every log is.")
-def overhead_command(count: int, log: str) -> None:
-    """CPU time of a fleet over that of as many bare compares; what the command itself takes, by a second run."""
-
-    def work(scratch: Path) -> str:
-        from locfuse import sample_logs
-
-        source = sample_logs.path(log) if log in sample_logs.names() else Path(log)
-        logs = [scratch / f"log_{i}x.mcap" for i in range(count)]
-        for place in logs:
-            shutil.copy(source, place)
-        words = ("--write", "json", "-q")
-        bare = [
-            cost((*LOCFUSE, "compare", str(one), "-o", str(scratch / "bare"), *words, "--no-advice")).cpu
-            for one in logs
-        ]
-        fleet = (*LOCFUSE, "fleet", *map(str, logs), "-o", str(scratch / "fleet"), *words)
-        first, second = cost(fleet).cpu, cost(fleet).cpu  # the second runs no job
-        of_job = (first - second) / count
-        mean = sum(bare) / count
-        return (
-            f"{count} logs, load {os.getloadavg()[0]:.1f}: CPU: a bare compare {mean:.2f} s, a job {of_job:.2f} s "
-            f"({of_job / mean - 1.0:+.1%}), the command {second:.2f} s; together {first / sum(bare) - 1.0:+.1%}"
-        )
-
-    _in_scratch(work)
-
-
-@main.command("opening")
-@click.argument("log", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-def opening_command(log: Path) -> None:
-    """Bytes read to open a log, such as: python -m benchmarks.make_log raw.mcap --raw-image-hz 10."""
-    from locfuse.formats.container.file_bytes import FileBytes
-    from locfuse.formats.container.losses import Losses
-    from locfuse.formats.container.mcap_source import McapSource
-
-    data = FileBytes(log, Losses())
-    source = McapSource(data, data.losses)
-    click.echo(
-        f"{log}: {data.size / 1e6:.0f} MB, {len(source.channels)} channels, {data.read_bytes / 1e6:.2f} MB of it "
-        f"read to open it: {data.read_bytes / data.size:.2%}"
+@measured(8)
+def killed_command(scratch: Path, count: int) -> str:
+    """Compare the files of a run that is killed twenty times with those of one that is left alone."""
+    logs = write_logs(scratch / "logs", count)
+    subprocess.run(
+        (*LOCFUSE, "fleet", *map(str, logs), "-o", str(scratch / "alone"), *QUIET), check=True, capture_output=True
     )
+    found, hits = killed(logs, scratch / "killed", TIMES_KILLED)
+    same = "equal" if found == tables(scratch / "alone") else "DIFFERENT"
+    return f"{count} logs, killed {hits} of {TIMES_KILLED} times while it ran: {same} files"
+
+
+@measured(8)
+def jobs_command(scratch: Path, count: int) -> str:
+    """Measure two jobs against one, and one against a bare compare of each log, of 20 minutes each."""
+    logs = [scratch / f"log_{seed}x.mcap" for seed in range(count)]
+    for seed, log in enumerate(logs):
+        subprocess.run(
+            module("make_log", log, "--minutes", "20", "--seed", str(seed)), check=True, capture_output=True
+        )
+    one, two = (fleet(logs, scratch / f"j{jobs}", "--jobs", str(jobs)) for jobs in (1, 2))
+    cpu = compares(logs, scratch / "bare")
+    return (
+        f"{count} logs on {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}: --jobs 1 {one.wall:.1f} s, "
+        f"--jobs 2 {two.wall:.1f} s, ratio {two.wall / one.wall:.2f}; CPU {one.cpu:.1f} s against {cpu:.1f} s of "
+        f"{count} bare compares: {one.cpu / cpu - 1.0:+.1%}"
+    )
+
+
+@measured(10)
+def overhead_command(scratch: Path, count: int) -> str:
+    """Measure the CPU time of a job over that of a bare compare, and that of the command by a second run."""
+    logs = [scratch / f"log_{i}x.mcap" for i in range(count)]
+    for place in logs:
+        shutil.copy(sample_logs.path("rounded_triangle"), place)
+    bare = compares(logs, scratch / "bare") / count
+    first, second = (fleet(logs, scratch / "fleet").cpu for _ in range(2))  # the second runs no job
+    of_job = (first - second) / count
+    return (
+        f"{count} logs, load {os.getloadavg()[0]:.1f}: CPU: a bare compare {bare:.2f} s, a job {of_job:.2f} s "
+        f"({of_job / bare - 1.0:+.1%}), the command {second:.2f} s; together {first / (bare * count) - 1.0:+.1%}"
+    )
+
+
+@measured(60)
+def cluster_command(scratch: Path, count: int) -> str:
+    """Compare the files of two Dask workers, one of which is killed, with those made on this machine."""
+    from distributed import LocalCluster
+
+    logs = write_logs(scratch / "logs", count)
+    logs += [logs[0].with_name(name) for name in BROKEN]
+    for log in logs[count:]:
+        log.write_bytes(BROKEN[log.name])
+    options: dict[str, Any] = {"host": "127.0.0.1", "dashboard_address": None, "threads_per_worker": 1}
+    command = (*LOCFUSE, "fleet", *map(str, logs), *QUIET, "-o")
+    here = subprocess.run((*command, str(scratch / "here")), capture_output=True, check=False).returncode
+    cluster_of: Any = LocalCluster  # untyped
+    with cluster_of(n_workers=2, **options) as cluster:
+        there = (*command, str(scratch / "there"), "--cluster", cluster.scheduler_address)
+        with subprocess.Popen(there, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as run:
+            while run.poll() is None and len(list((scratch / "there").glob("*/report.json"))) < count // 3:
+                time.sleep(0.1)
+            os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
+            code = run.wait()
+    same = "equal" if tables(scratch / "here") == tables(scratch / "there") else "DIFFERENT"
+    return f"{len(logs)} logs, {len(BROKEN)} broken, a worker killed: exit {here} and {code}, {same} files"
 
 
 if __name__ == "__main__":

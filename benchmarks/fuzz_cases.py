@@ -13,7 +13,6 @@ import json
 import random
 import shutil
 import traceback
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from random import Random
@@ -21,11 +20,9 @@ from typing import Any
 
 import click
 import numpy as np
-from mcap.writer import CompressionType
 
 from benchmarks import fuzz_damage as damage
-from benchmarks.fuzz_logs import Base, Spoken, contents, written
-from benchmarks.fuzz_sensors import scans
+from benchmarks.fuzz_logs import Base
 from locfuse.cli.main import main
 
 REAL_ROBOT = ("--set", "wheels.radius=0.033", "--set", "wheels.track=0.16")  # for logs that do not say
@@ -87,8 +84,6 @@ class Workshop:
         base = rng.choices(self.bases, [b.weight for b in self.bases])[0]
         case = Case(base.name, base.data, base.suffix, base.checked, words=_words(base))
         deeds = [_damaged] * 6
-        if base.suffix == ".mcap" and base.name in self.robots:
-            deeds += [_other_messages] * 3
         if base.name in self.robots:
             deeds += [self._other_robot] * 2
         case = rng.choice(deeds)(rng, case)
@@ -119,92 +114,6 @@ def _damaged(rng: Random, case: Case) -> Case:
             continue
         names.append(way.__name__)
     return replace(case, title=f"{name}: {', '.join(names)}", log=data)
-
-
-def _other_messages(rng: Random, case: Case) -> Case:
-    spoken, attachments = contents(case.log)
-    deeds = rng.sample(MESSAGES, rng.choice((1, 1, 2)))
-    for deed in deeds:
-        spoken = deed(rng, spoken)
-    try:
-        log = written(spoken, attachments, chunk_size=4000, compression=rng.choice(list(CompressionType)))
-    except Exception:  # the public writer refuses: nothing to read
-        log = case.log
-    return replace(case, title=f"{case.title}: {', '.join(d.__name__ for d in deeds)}", log=log, visible=False)
-
-
-def _some(rng: Random, spoken: list[Spoken]) -> list[int]:
-    """Return which messages to change: one, a stretch, or all of a topic."""
-    if rng.random() < 0.4:
-        topic = rng.choice(spoken).channel.topic
-        return [i for i, s in enumerate(spoken) if s.channel.topic == topic]
-    return list(range(len(spoken))[damage.span(rng, len(spoken))])
-
-
-def odd_payloads(rng: Random, spoken: list[Spoken]) -> list[Spoken]:
-    """Let messages say something else, all of them alike or each by itself."""
-    alike = rng.random() < 0.5
-    seed = rng.random()
-    out = list(spoken)
-    for i in _some(rng, spoken):
-        own = random.Random(seed if alike else f"{seed} {i}")
-        message = spoken[i].message
-        out[i] = spoken[i]._replace(message=replace(message, data=damage.odd_payload(own, message.data)))
-    return out
-
-
-def odd_times(rng: Random, spoken: list[Spoken]) -> list[Spoken]:
-    """Let recording times be absurd, equal, shifted or noisy."""
-    out, deed = list(spoken), rng.randrange(4)
-    shift = rng.choice((-1, 1)) * int(10 ** rng.uniform(6, 15))
-    for i in _some(rng, spoken):
-        was = spoken[i].message.log_time
-        new = (
-            rng.choice(damage.INTERESTING),
-            spoken[0].message.log_time,
-            was + shift,
-            was + rng.randrange(-(10**9), 10**9),
-        )[deed]
-        out[i] = spoken[i]._replace(message=replace(spoken[i].message, log_time=min(max(new, 0), 2**64 - 1)))
-    return out
-
-
-def other_order(rng: Random, spoken: list[Spoken]) -> list[Spoken]:
-    """Drop, repeat, reverse or shuffle messages."""
-    where = damage.span(rng, len(spoken))
-    piece = spoken[where]
-    shuffled = rng.sample(piece, len(piece))
-    return spoken[: where.start] + rng.choice(([], piece * 2, piece[::-1], shuffled)) + spoken[where.stop :]
-
-
-def other_channel(rng: Random, spoken: list[Spoken]) -> list[Spoken]:
-    """Let a topic have another name, encoding or definition."""
-    topic = rng.choice(spoken).channel.topic
-    other = rng.choice(spoken)
-    deed, seed = rng.randrange(5), rng.random()
-    out = list(spoken)
-    for i, (schema, channel, message) in enumerate(spoken):
-        if channel.topic != topic:
-            continue
-        if deed == 0:
-            name = random.Random(seed).choice(("", "/x" * 5000, other.channel.topic, "/\N{ROBOT FACE}\n\x1b[31m"))
-            out[i] = Spoken(schema, replace(channel, topic=name), message)
-        elif deed == 1:
-            encoding = random.Random(seed).choice(("", "json", "protobuf", "ros1", "\x00"))
-            out[i] = Spoken(schema, replace(channel, message_encoding=encoding), message)
-        elif deed == 2:
-            out[i] = Spoken(other.schema, channel, message)
-        elif schema is not None:
-            own = random.Random(seed)
-            text = damage.odd_text(own, schema.data.decode("utf-8", "replace")).encode()
-            names = ("sensor_msgs/msg/LaserScan", "", "a/b/c/d", "sensor_msgs/LaserScan", schema.name)
-            new = replace(schema, data=text) if deed == 3 else replace(schema, name=own.choice(names))
-            out[i] = Spoken(new, channel, message)
-    return out
-
-
-Deed = Callable[[Random, list[Spoken]], list[Spoken]]
-MESSAGES: list[Deed] = [odd_payloads, odd_payloads, odd_times, other_order, other_channel, scans]
 
 
 def run(case: Case, folder: Path) -> Done:

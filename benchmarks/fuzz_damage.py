@@ -132,30 +132,6 @@ ANY_FILE: tuple[Callable[[Random, bytes], bytes], ...] = (flipped, truncated, ze
 MCAP = (*ANY_FILE, wrong_length, wrong_opcode, wrong_number, shuffled_records)
 
 
-def odd_payload(rng: Random, data: bytes) -> bytes:
-    """Change what one message says."""
-    deed = rng.randrange(6)
-    if deed == 0:
-        return data[: rng.randrange(len(data) + 1)]
-    if deed == 1:
-        return data + rng.randbytes(rng.randrange(1, 40))
-    if deed == 2 and data:
-        return flipped(rng, data)
-    if deed == 3 and len(data) >= 12:
-        stamp = struct.pack("<II", rng.choice(INTERESTING) % 2**32, rng.choice(INTERESTING) % 2**32)
-        return data[:4] + stamp + data[12:]
-    code = rng.choice(("<f", "<d", "<I"))
-    size = struct.calcsize(code)
-    if len(data) < 4 + size:
-        return data
-    at = 4 + size * rng.randrange((len(data) - 4) // size)
-    value = rng.choice(INTERESTING) % 2**32 if code == "<I" else rng.choice(NUMBERS)
-    try:
-        return data[:at] + struct.pack(code, value) + data[at + size :]
-    except OverflowError:  # 1e308 is no float32
-        return data[:at] + struct.pack(code, float("inf")) + data[at + size :]
-
-
 def odd_text(rng: Random, text: str) -> str:
     """Change a text line by line or letter by letter."""
     lines = text.split("\n")

@@ -25,7 +25,7 @@ from mcap.writer import CompressionType
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from benchmarks.fuzz_cases import Done, files_are_wrong, locfuse, words_are_wrong
-from benchmarks.fuzz_damage import INTERESTING, NUMBERS, VALUES
+from benchmarks.fuzz_damage import INTERESTING, NUMBERS, VALUES, span
 from benchmarks.fuzz_logs import Spoken, contents, short_drive, written
 from benchmarks.fuzz_parsers import TARGETS, mutated
 from benchmarks.fuzz_sensors import DEEDS as OF_SENSORS
@@ -478,6 +478,15 @@ def odd_stamps(rng: Random, case: Directed) -> Directed:
     return _each(case, topic, change)
 
 
+def other_order(rng: Random, case: Directed) -> Directed:
+    """Drop, repeat, reverse or shuffle messages."""
+    where = span(rng, len(case.spoken))
+    piece = case.spoken[where]
+    shuffled = tuple(rng.sample(piece, len(piece)))
+    changed = rng.choice(((), piece * 2, piece[::-1], shuffled))
+    return replace(case, spoken=case.spoken[: where.start] + changed + case.spoken[where.stop :])
+
+
 def foreign_topics(rng: Random, case: Directed) -> Directed:
     """Add topics of types that the product reads, full of odd values."""
     name = rng.choice(FOREIGN)
@@ -592,6 +601,6 @@ def another_container(rng: Random, case: Directed) -> Directed:
 
 DEEDS: list[Deed] = [
     another_kind, another_kind, acting_names, acting_values, odd_numbers, odd_numbers, huge_counts, odd_stamps,
-    odd_stamps, foreign_topics, foreign_topics, odd_json, odd_definition, odd_robot, odd_set, files_beside,
-    files_beside, outputs_onto_inputs, another_container, *OF_SENSORS,
+    odd_stamps, other_order, foreign_topics, foreign_topics, odd_json, odd_definition, odd_robot, odd_set,
+    files_beside, files_beside, outputs_onto_inputs, another_container, *OF_SENSORS,
 ]  # fmt: skip

@@ -280,16 +280,11 @@ def _tags(rng: Random, name: str, found: Sequence[tuple[int, float, float]], odd
 
 
 def odd_scans(rng: Random, case: Directed) -> Directed:
-    """Let scans be odd."""
-    return replace(case, spoken=tuple(scans(rng, list(case.spoken))))
-
-
-def scans(rng: Random, spoken: list[Spoken]) -> list[Spoken]:
     """Let scans have odd numbers of beams, angles, ranges, limits; two at one instant."""
     name, seed, alike, left = "sensor_msgs/msg/LaserScan", rng.random(), rng.random() < 0.6, MOST_BEAMS
     how = [edit for edit in SCAN_EDITS if rng.random() < 0.35] or [rng.choice(SCAN_EDITS)]
     out: list[Spoken] = []
-    for one in spoken:
+    for one in case.spoken:
         if one.schema is None or one.schema.name != name:
             out.append(one)
             continue
@@ -305,7 +300,7 @@ def scans(rng: Random, spoken: list[Spoken]) -> list[Spoken]:
         if left < 0:
             continue
         out += [one._replace(message=replace(one.message, data=data))] * own.choice((1, 1, 1, 2))
-    return out
+    return replace(case, spoken=tuple(out))
 
 
 def _beams(rng: Random, scan: Any) -> None:

@@ -1,4 +1,4 @@
-"""Input files: regular ones only, what they were when they were opened, and that nothing is written onto them."""
+"""Input files: only regular files are read, changes while reading are noticed, and no output overwrites one."""
 
 from __future__ import annotations
 

@@ -275,7 +275,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class _Gate:
-    """What signals wait for. One per process: only the main thread gets signals."""
+    """Delays signals while files are replaced. One per process: only the main thread gets signals."""
 
     waiting: list[Callable[[], object]] | None = None  # what they will do; None: they do not wait
 

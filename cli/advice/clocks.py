@@ -55,7 +55,7 @@ class Clocks(Judged):
         return [*found.values(), *self._late_pictures()]
 
     def _late_pictures(self) -> Iterator[Candidate]:
-        """Yield clocks of a camera that contradicts the rest, and its constant error, which looks like one.
+        """Yield time offsets to try for an inconsistent camera, and a constant bearing error, which looks similar.
 
         Bearings know no turning, so that these are guesses: not while measuring shows what is wrong.
         """

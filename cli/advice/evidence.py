@@ -123,7 +123,7 @@ class Evidence(Clocks, Noise):
         ]
 
     def _aimed(self, finding: Finding) -> tuple[Fixes, ...]:
-        """Return the fix of mirrored pictures with their zero by the run of a sensor that nothing contradicts.
+        """Return the fix of mirrored pictures, and the camera's zero angle by a consistent run without it.
 
         Measuring has it by the wheels alone, which a wrong track turns too far.
         """

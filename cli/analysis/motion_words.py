@@ -1,4 +1,4 @@
-"""What a report says of the motion that was used: wheels that cannot be used first, a motion that is none."""
+"""What a report notes about its motion source: void figures, and wheels that could not be used."""
 
 from __future__ import annotations
 

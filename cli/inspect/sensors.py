@@ -53,7 +53,7 @@ def pictures_of(log: Log, choice: Choice) -> tuple[str, ...]:
 def _said(
     role: str, topics: Sequence[str], examine: Callable[[Any, Any], list[Finding]], log: Log, robot: Robot
 ) -> list[Finding]:
-    """Examine a role's raw messages where it is clear which they are."""
+    """Examine the raw messages of a role that has exactly one topic."""
     if len(topics) != 1:
         return []
     try:

@@ -101,7 +101,7 @@ def topic_facts(log: Log, order: str) -> list[TopicFacts]:
 
 
 def derived_facts(log: Log, order: str) -> list[TopicFacts]:
-    """Return the facts of what roles made of topics: two frames of /tf, a number of a message, a file."""
+    """Return the facts of derived topics: two frames of /tf, one number of a message, or a file."""
     return [_facts(log, name, order) for name in sorted(log.topics) if not log.recorded(name)]
 
 
@@ -153,7 +153,7 @@ def of_stamps(facts: Sequence[TopicFacts], choice: Choice, robot: Robot) -> list
 
 
 def _other_clocks(known: Mapping[str, TopicFacts], choice: Choice, robot: Robot) -> list[Finding]:
-    """Return a finding per stream of another clock than the wheels'; the times of recording show by how much."""
+    """Return a finding for each stream on another clock than the wheels; recording times give the offset."""
     found: list[Finding] = []
     wheels = known.get(choice.topics.get("wheels", ""))
     if wheels is None:

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import bz2
 import os
-import struct
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -94,32 +94,24 @@ def _bz2(data: bytes, limit: int) -> bytes:
 
 
 def _zstd_prefix(data: bytes, limit: int) -> bytes:
-    reader = zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True)
-    parts: list[bytes] = []
-    room = limit
-    try:
-        while room > 0 and (part := reader.read(min(room, 1 << 16))):
-            parts.append(part)
-            room -= len(part)
-    except zstandard.ZstdError:
-        pass
-    return b"".join(parts)
+    return _until_damage(zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True).read, limit)
 
 
 def _lz4_prefix(data: bytes, limit: int) -> bytes:
-    decoder = lz4.frame.LZ4FrameDecompressor()
+    decoder, given = lz4.frame.LZ4FrameDecompressor(), iter([data])
+    return _until_damage(
+        lambda n: b"" if decoder.eof else decoder.decompress(next(given, b""), max_length=n), limit
+    )
+
+
+def _until_damage(read: Callable[[int], bytes], limit: int) -> bytes:
+    """Return what can be read, at most `limit` bytes."""
     parts: list[bytes] = []
     room = limit
-    try:
-        part = decoder.decompress(data, max_length=min(room, 1 << 16))
-        while part and room > 0:
+    with suppress(zstandard.ZstdError, RuntimeError, EOFError):
+        while room > 0 and (part := read(min(room, 1 << 16))):
             parts.append(part)
             room -= len(part)
-            if decoder.eof or room <= 0:
-                break
-            part = decoder.decompress(b"", max_length=min(room, 1 << 16))
-    except (RuntimeError, EOFError):
-        pass
     return b"".join(parts)
 
 
@@ -177,12 +169,8 @@ def _portion(pieces: list[bytes], messages: Messages) -> tuple[Bytes, Messages]:
 # --- A log file compressed as a whole (rosbag2 "file mode": .mcap.zstd, .db3.zstd), unpacked to a temporary file
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-PIECE_BYTES = 1 << 20
+PIECE_BYTES = 1 << 12  # unpacked at once: they can unpack to 128 MiB, blocks of 128 KiB in 4 bytes
 HEAD_BYTES = 18  # of the longest frame header
-BLOCK_HEAD_BYTES, CHECKSUM_BYTES, SKIPPED_HEAD_BYTES = 3, 4, 8
-CHECKSUM_FLAG = 4  # in the byte behind the magic number
-REPEATED = 1  # kind of a block: one byte that stands for many
-SKIPPED_MAGIC = 0x184D2A50  # of frames that hold no data, its last four bits at will
 MIN_CAP_BYTES = 1 << 30  # any file may unpack to a gigabyte,
 MAX_UNPACK_RATIO = 200  # a larger one to so many times its size (real bags: 2 to 20)
 
@@ -213,62 +201,29 @@ def _unpacked(packed: Path, name: Place, losses: Losses) -> Path:
 def _unpack(path: Path, name: Place, plain: BinaryIO, losses: Losses) -> None:
     size = path.stat().st_size
     cap = max(MIN_CAP_BYTES, MAX_UNPACK_RATIO * size)
-    total, complete = 0, True
+    total, whole = 0, True
     with path.open("rb") as packed:
         declared = _declared_size(packed.read(HEAD_BYTES))
         packed.seek(0)
-        reader = zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
+        frame = zstandard.ZstdDecompressor().decompressobj()
         try:
-            while piece := reader.read(PIECE_BYTES):
-                total += len(piece)
-                if total > cap:
-                    raise LocfuseError(f"{name}: unpacks to more than {cap >> 20} MiB; try: zstd -d {name.name}")
-                plain.write(piece)
+            while data := packed.read(PIECE_BYTES):
+                while data:
+                    if frame.eof:
+                        frame = zstandard.ZstdDecompressor().decompressobj()
+                    piece = frame.decompress(data)
+                    data = frame.unused_data
+                    total += len(piece)
+                    if total > cap:
+                        words = f"{name}: unpacks to more than {cap >> 20} MiB; try: zstd -d {name.name}"
+                        raise LocfuseError(words)
+                    plain.write(piece)
         except zstandard.ZstdError:
-            complete = False
-        complete = complete and _ends_whole(packed, size)
+            whole = False
     if not total:
         raise LocfuseError(f"{name}: its compression is damaged from the beginning ({size} bytes)")
-    if not complete or total < declared:
+    if not whole or not frame.eof or total < declared:
         losses.add(str(name), "the compression is damaged or cut off", 0, max(declared - total, 0))
-
-
-def _ends_whole(packed: BinaryIO, size: int) -> bool:
-    """Tell whether the last frame ends where the file does, by the lengths of its blocks.
-
-    A frame need not declare its size, and of a cut-off frame the library returns what there is without an error.
-    Format: RFC 8878, section 3.1.
-    """
-    at = 0
-    while at < size:
-        packed.seek(at)
-        head = packed.read(HEAD_BYTES)
-        if len(head) < SKIPPED_HEAD_BYTES:
-            return False
-        magic, length = struct.unpack_from("<II", head)
-        if magic & ~0xF == SKIPPED_MAGIC:
-            at += SKIPPED_HEAD_BYTES + length
-            continue
-        try:
-            checksum = CHECKSUM_BYTES if head[4] & CHECKSUM_FLAG else 0
-            at = _end_of_blocks(packed, at + zstandard.frame_header_size(head)) + checksum
-        except (zstandard.ZstdError, EOFError):
-            return False
-    return at == size
-
-
-def _end_of_blocks(packed: BinaryIO, at: int) -> int:
-    """Return where the last block of a frame ends. Raises EOFError where the file ends before."""
-    last = False
-    while not last:
-        packed.seek(at)
-        head = packed.read(BLOCK_HEAD_BYTES)
-        if len(head) < BLOCK_HEAD_BYTES:
-            raise EOFError
-        word = int.from_bytes(head, "little")
-        last, repeated = bool(word & 1), (word >> 1) & 3 == REPEATED
-        at += BLOCK_HEAD_BYTES + (1 if repeated else word >> 3)
-    return at
 
 
 def _declared_size(head: bytes) -> int:

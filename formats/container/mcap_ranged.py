@@ -217,7 +217,7 @@ def wanted_of(data: FileBytes, chunks: Sequence[ChunkRef], channels: Collection[
 
 
 def fetched(data: FileBytes, wanted: Sequence[WantedChunk]) -> Iterator[WantedChunk]:
-    """Yield what is wanted with its bytes at hand: several chunks are fetched together."""
+    """Yield the wanted chunks after their bytes were fetched, several chunks in one request."""
     group: list[WantedChunk] = []
     size = 0
     for one in wanted:

@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import closing, contextmanager
 from functools import cached_property
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,53 +43,40 @@ Row = tuple[int, int, bytes | None]  # topic, time in ns, message
 class Leash:
     """Ends a step of sqlite that takes too long, and lets a signal end any.
 
-    sqlite calls back every STEPS instructions and drops exceptions from there. Where Ctrl-C arrives meanwhile,
-    Python raises in the callback's first instruction, so the callback is a generator that waits inside a `try`.
+    sqlite calls back every STEPS instructions and drops exceptions from there: a step that was interrupted before
+    its time was interrupted by a signal.
     """
 
     def __init__(self, path: Place, size: int) -> None:
         self._path = path
         self._allowed_s = MAX_DATABASE_SECONDS + size / BYTES_PER_SECOND
         self._end_s = 0.0
-        self._raised: BaseException | None = None
-        self._watch = self._watching()
-        next(self._watch)
 
     def hold(self, database: sqlite3.Connection) -> None:
         """Put a connection on the leash."""
-        database.set_progress_handler(self._watch.__next__, STEPS)
+        database.set_progress_handler(self._late, STEPS)
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_CHUNK)
 
     def begin(self) -> None:
         """Restart the clock."""
         self._end_s = time.thread_time() + self._allowed_s
 
+    def _late(self) -> bool:
+        return time.thread_time() > self._end_s
+
     @contextmanager
     def step(self) -> Iterator[None]:
-        """Bound one step. Raises LocfuseError where it takes too long, and what a signal raised meanwhile."""
+        """Bound one step. Raises LocfuseError where it takes too long, KeyboardInterrupt for a signal."""
         self.begin()
         try:
             yield
-        except sqlite3.OperationalError:
-            raised, self._raised = self._raised, None
-            if raised is not None:
-                raise raised from None
-            raise
-
-    def _watching(self) -> Iterator[bool]:
-        """Yield whether sqlite is to stop."""
-        while True:
-            try:
-                yield self._raised is not None
-                if time.thread_time() > self._end_s:
-                    raise LocfuseError(
-                        f"{self._path}: the database keeps sqlite busy for more than the cap of "
-                        f"{self._allowed_s:.0f} s"
-                    )
-            except GeneratorExit:
+        except sqlite3.OperationalError as problem:
+            if problem.sqlite_errorcode != sqlite3.SQLITE_INTERRUPT:
                 raise
-            except BaseException as problem:
-                self._raised = problem
+            if not self._late():
+                raise KeyboardInterrupt from None
+            words = f"the database keeps sqlite busy for more than the cap of {self._allowed_s:.0f} s"
+            raise LocfuseError(f"{self._path}: {words}") from None
 
 
 class SqliteSource:
@@ -302,12 +289,9 @@ def _batch(rows: list[Row]) -> Batch:
 HEADER = struct.Struct(">8I")  # magic, version, page size, sequence, two salts, two checksums
 FRAME = struct.Struct(">6I")  # page number, database size after a commit (0: none), two salts, two checksums
 BYTE_ORDER = {0x377F0682: "<", 0x377F0683: ">"}  # of the words that are summed, by the magic number
-TOGETHER = 1 << 22  # bytes read at once
 WORD = 0xFFFFFFFF
 JOURNAL_DAMAGED = "its journal (-wal) is damaged: what was committed behind that place is lost"
 JOURNAL_UNFINISHED = "its journal (-wal) ends in a transaction that was not finished"
-
-Pair = tuple[int, int]
 
 
 class JournalTail(NamedTuple):
@@ -325,95 +309,46 @@ class Journal(NamedTuple):
     tail: JournalTail | None  # what sqlite leaves out although it was written
 
 
-class _Frame(NamedTuple):
-    salts: Pair
-    commits: bool
-    share: Pair  # what its words add to the running checksum
-    checksum: Pair  # the running checksum as written
-
-
 def journal_of(path: Path) -> Journal:
     """Return whether sqlite uses a journal, and what it leaves out."""
     size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(HEADER.size)
-        summed = _header(head)
-        if summed is None:
+        if not _is_header(head):
             return Journal(used=False, tail=JournalTail(JOURNAL_DAMAGED, 0, size))
-        page, salts = HEADER.unpack(head)[2], HEADER.unpack(head)[4:6]
-        weights = _Weights(8 + page)
+        magic, _, page, _, *_ = HEADER.unpack(head)
+        salts, summed = head[16:24], _summed(head[:24], BYTE_ORDER[magic])
         at = used = last = HEADER.size
-        whole, state = True, summed
-        for frame in _frames(file, page, weights, _order(head)):
-            if whole:
-                state = weights.after(state, frame.share)
-                whole = frame.salts == salts and frame.checksum == state
-            at += FRAME.size + page
-            if frame.salts == salts:
-                last = at
-            if whole and frame.commits:
+        whole = True
+        while (frame := file.read(FRAME.size + page))[8:16] == salts or len(frame) == FRAME.size + page:
+            cut = len(frame) < FRAME.size + page
+            at += len(frame)
+            if frame[8:16] != salts:  # of an older journal
+                whole = False
+                continue
+            if whole and not cut:
+                summed = _summed(frame[:8] + frame[FRAME.size :], BYTE_ORDER[magic], summed)
+            whole = whole and not cut and FRAME.unpack_from(frame)[4:] == summed
+            last = size if cut else at
+            if whole and FRAME.unpack_from(frame)[1]:  # it commits
                 used = at
-        file.seek(at)
-        if file.read(FRAME.size)[8:16] == struct.pack(">2I", *salts):  # cut off inside a frame
-            whole, last = False, size
-    tail = (
-        JournalTail(JOURNAL_UNFINISHED if whole else JOURNAL_DAMAGED, used, last - used) if last > used else None
-    )
-    return Journal(used > HEADER.size, tail)
+    reason = JOURNAL_UNFINISHED if whole else JOURNAL_DAMAGED
+    return Journal(used > HEADER.size, JournalTail(reason, used, last - used) if last > used else None)
 
 
-def _header(head: bytes) -> Pair | None:
-    """Return the checksum that a journal's header ends with; None where it is no header."""
+def _is_header(head: bytes) -> bool:
     if len(head) < HEADER.size:
-        return None
+        return False
     magic, _, page, *_, first, second = HEADER.unpack(head)
-    if magic not in BYTE_ORDER or not 512 <= page <= 65536 or page & (page - 1):
-        return None
-    weights = _Weights(24)
-    words = np.frombuffer(head, f"{_order(head)}u4", 6)[None]
-    found = weights.after((0, 0), weights.shares(words)[0])
-    return found if found == (first, second) else None
+    is_power = 512 <= page <= 65536 and not page & (page - 1)
+    return magic in BYTE_ORDER and is_power and _summed(head[:24], BYTE_ORDER[magic]) == (first, second)
 
 
-def _order(head: bytes) -> str:
-    return BYTE_ORDER[HEADER.unpack(head)[0]]
-
-
-def _frames(file: BinaryIO, page: int, weights: _Weights, order: str) -> Iterator[_Frame]:
-    """Yield the whole frames of a journal, whatever their checksums."""
-    length = FRAME.size + page
-    while whole := len(data := file.read(TOGETHER // length * length)) // length:
-        rows = np.frombuffer(data, np.uint8, whole * length).reshape(whole, length)
-        summed = np.concatenate((rows[:, :8], rows[:, FRAME.size :]), axis=1)
-        for row, share in zip(rows, weights.shares(summed.view(f"{order}u4")), strict=True):
-            _, size, salt_1, salt_2, sum_1, sum_2 = FRAME.unpack_from(row.data)
-            yield _Frame((salt_1, salt_2), size > 0, share, (sum_1, sum_2))
-
-
-class _Weights:
-    """The running checksum over blocks of one size, for many blocks at once.
-
-    Two words x, y turn the sums (a, b) into (a + b + x, a + 2 b + x + y) mod 2^32: a linear map M of the sums plus
-    the words' share. After n pairs the sums are M^n (a, b) plus the pairs' shares, each times a power of M.
-    """
-
-    def __init__(self, n_bytes: int) -> None:
-        powers = [(1, 0, 0, 1)]
-        for _ in range(n_bytes // 8):
-            a, b, c, d = powers[-1]
-            powers.append(((a + b) & WORD, (a + 2 * b) & WORD, (c + d) & WORD, (c + 2 * d) & WORD))
-        self._all = powers.pop()
-        self._each = np.array(powers[::-1], np.uint64).T  # (4, pairs), that of the last pair is the identity
-
-    def shares(self, words: NDArray[np.uint32]) -> list[Pair]:
-        """Return what blocks (n, words) add to the running checksum."""
-        x = words[:, 0::2].astype(np.uint64)
-        xy = x + words[:, 1::2]
-        a, b, c, d = self._each
-        first, second = (x @ a + xy @ b) & WORD, (x @ c + xy @ d) & WORD
-        return list(zip(first.tolist(), second.tolist(), strict=True))
-
-    def after(self, state: Pair, share: Pair) -> Pair:
-        """Return the running checksum behind a block."""
-        a, b, c, d = self._all
-        return (a * state[0] + b * state[1] + share[0]) & WORD, (c * state[0] + d * state[1] + share[1]) & WORD
+def _summed(data: bytes, order: str, before: tuple[int, int] = (0, 0)) -> tuple[int, int]:
+    """Return the running checksum behind some words."""
+    a, b = before
+    words = np.frombuffer(data, f"{order}u4").tolist()
+    for x, y in zip(words[::2], words[1::2], strict=True):
+        a = (a + b + x) & WORD
+        b = (a + b + y) & WORD
+    return a, b

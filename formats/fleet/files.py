@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+import io
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 from locfuse.formats.report import json_report
 from locfuse.formats.report import summary as over
+from locfuse.formats.report.render import csv_text
 from locfuse.formats.whole_files import Content
 from locfuse.fusion.data import Colour
 
-from .entry import Entry
-from .rows import Rows, csv, parquet
+from .entry import COUNTS, Entry
 
 KINDS = frozenset({"json", "md", "csv", "html"})
 PARQUET = "fleet.parquet"
@@ -42,3 +43,98 @@ def summary_files(
 
         files["summary.html"] = render(summary, entries, colours)
     return files
+
+
+# --- A row per log, configuration and cell of a sweep; a row too for a log that failed. As CSV and as Parquet
+
+LEAD = ("log", "robot", "start", "configuration", "cell", "state", "reason")  # the first columns
+TAIL = ("lost_bytes", "lost_messages", "key")  # the last
+TEXT = {*LEAD, "key", "align"}
+INSIDE = ("configuration", "cell", "slowed", "key")  # of a configuration's values: they stand in LEAD and TAIL
+
+
+class Rows:
+    """The rows of a fleet in the order of its logs, and their columns."""
+
+    def __init__(self, entries: Sequence[Entry], sweep: Sequence[str] = ()) -> None:
+        self._entries = entries
+        figures = dict.fromkeys(key for e in entries for key in _figures(e))
+        sensors = dict.fromkeys(s for e in entries for found in _sensors(e) for s in found)
+        verdicts = dict.fromkeys(s for e in entries for s in e.report.get("verdicts", {}))
+        self.sweep = tuple(sweep)  # keys that a sweep varies, each a column of text
+        self.columns = (
+            *LEAD,
+            *self.sweep,
+            *figures,
+            *(f"{s}_{count}" for s in sensors for count in COUNTS),
+            *(f"{s}_verdict" for s in verdicts),
+            *TAIL,
+        )
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        """Yield a row at a time; what a row does not have is missing in it."""
+        for entry in self._entries:
+            lead = {"log": entry.name, "robot": entry.robot, "state": entry.state, "reason": entry.reason or None}
+            if entry.state == "done":
+                yield from self._of(entry, lead)
+            else:
+                yield lead
+
+    def _of(self, entry: Entry, lead: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+        report, lost = entry.report, entry.losses
+        for name, values in report["configurations"].items():
+            counts = {
+                f"{s}_{count}": value
+                for s, found in report["sensors"][name].items()
+                for count, value in zip(COUNTS, found, strict=True)
+            }
+            yield {
+                **lead,
+                "start": report["input"]["start"],
+                **dict(word.split("=", 1) for word in values["cell"].split(" ") if "=" in word),
+                **values,
+                **counts,
+                **{f"{s}_verdict": verdict for s, verdict in report["verdicts"].items()},
+                **{f"lost_{unit}": n for unit, n in lost.items()},
+            }
+
+
+def _figures(entry: Entry) -> list[str]:
+    found = entry.report.get("configurations", {}).values()
+    return [key for values in found for key in values if key not in INSIDE]
+
+
+def _sensors(entry: Entry) -> list[Mapping[str, Any]]:
+    return list(entry.report.get("sensors", {}).values())
+
+
+def csv(rows: Rows) -> str:
+    """Return the rows as CSV, every number in full precision, nothing where there is no value."""
+    return csv_text(rows.columns, ([row.get(column) for column in rows.columns] for row in rows))
+
+
+def parquet(rows: Rows) -> bytes | None:
+    """Return the rows as Parquet; None where pyarrow, which comes with rerun-sdk, is not installed."""
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet as written
+    except ImportError:
+        return None
+    text = {*TEXT, *rows.sweep, *(c for c in rows.columns if c.endswith("_verdict"))}
+    found = list(rows)
+    columns = {c: _column(pa, [row.get(c) for row in found], c in text) for c in rows.columns}
+    sink = io.BytesIO()
+    written.write_table(pa.table(columns), sink, compression="zstd")
+    return sink.getvalue()
+
+
+def _column(pa: Any, values: list[Any], text: bool) -> Any:
+    """Return one column: text, whole numbers, yes and no, or numbers; what is missing is null."""
+    known = [v for v in values if v is not None]
+    if text or any(isinstance(v, str) for v in known):
+        return pa.array([None if v is None else str(v) for v in values], pa.string())
+    if known and all(isinstance(v, bool) for v in known):
+        return pa.array(values, pa.bool_())
+    if known and all(isinstance(v, int) and not isinstance(v, bool) for v in known):
+        return pa.array(values, pa.int64())
+    return pa.array([None if v is None else float(v) for v in values], pa.float64())

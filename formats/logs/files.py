@@ -146,7 +146,7 @@ END_BYTES = 1 << 16  # of a file without a summary: hashed at its beginning and 
 
 
 class Identity(NamedTuple):
-    """What a log's content is known by."""
+    """Content hash and size that identify a log."""
 
     size: int  # bytes of all files
     digest: str  # hexadecimal

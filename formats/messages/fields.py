@@ -120,221 +120,147 @@ NUMBERS, TRUTHS, TEXTS, TIMES = "an array of numbers", "an array of true or fals
 NINE = "9 numbers"
 THIRTY_SIX = "36 numbers"
 
+XY, XYZ, XYZW = ("x", "y"), ("x", "y", "z"), ("x", "y", "z", "w")
+WHOLE_NUMBERS = ("Int16", "UInt16", "Int32", "UInt32", "Int64")
+GAZEBO = ("ModelStates", "LinkStates")
+FOXGLOVE = ("foxglove.", "foxglove_msgs/msg/")  # packages of one type: with Protobuf or JSON, with ROS
+
+
+def words(text: str, before: str = "") -> list[str]:
+    """Return the words of a text, names of types or fields, with their package before each."""
+    return [f"{before}{word}" for word in text.split()]
+
+
 # message types that something reads; the fields of every other type may be what their definition says
 READ_TYPES = frozenset(
     (
-        "ackermann_msgs/msg/AckermannDrive",
-        "apriltag_msgs/msg/AprilTagDetectionArray",
-        "apriltag_ros/msg/AprilTagDetectionArray",
-        "apriltags2_ros/msg/AprilTagDetectionArray",
-        "apriltags_ros/msg/AprilTagDetectionArray",
-        "aruco_msgs/msg/MarkerArray",
-        "aruco_opencv_msgs/msg/ArucoDetection",
-        "isaac_ros_apriltag_interfaces/msg/AprilTagDetectionArray",
-        "ros2_aruco_interfaces/msg/ArucoMarkers",
-        "sensor_msgs/msg/CameraInfo",
-        "vision_msgs/msg/Detection2DArray",
-        "vision_msgs/msg/Detection3DArray",
-        "ackermann_msgs/msg/AckermannDriveStamped",
-        "autoware_auto_vehicle_msgs/msg/VelocityReport",
-        "autoware_vehicle_msgs/msg/VelocityReport",
-        "control_msgs/msg/DynamicJointState",
-        "duckietown_msgs/msg/Twist2DStamped",
-        "duckietown_msgs/msg/WheelEncoderStamped",
+        *words(
+            """
+            ackermann_msgs/msg/AckermannDrive ackermann_msgs/msg/AckermannDriveStamped
+            apriltag_msgs/msg/AprilTagDetectionArray apriltag_ros/msg/AprilTagDetectionArray
+            apriltags2_ros/msg/AprilTagDetectionArray apriltags_ros/msg/AprilTagDetectionArray
+            aruco_msgs/msg/MarkerArray aruco_opencv_msgs/msg/ArucoDetection
+            ros2_aruco_interfaces/msg/ArucoMarkers isaac_ros_apriltag_interfaces/msg/AprilTagDetectionArray
+            autoware_auto_vehicle_msgs/msg/VelocityReport autoware_vehicle_msgs/msg/VelocityReport
+            control_msgs/msg/DynamicJointState clearpath_platform_msgs/msg/Feedback jackal_msgs/msg/Feedback
+            duckietown_msgs/msg/Twist2DStamped duckietown_msgs/msg/WheelEncoderStamped gps_common/msg/GPSFix
+            gps_msgs/msg/GPSFix unitree_go/msg/SportModeState gazebo_msgs/msg/ModelStates
+            gazebo_msgs/msg/LinkStates irobot_create_msgs/msg/WheelTicks irobot_create_msgs/msg/WheelVels
+            kobuki_msgs/msg/SensorState locfuse/msg/Detections locfuse/msg/Ranges locfuse/msg/TagFrames
+            mocap4r2_msgs/msg/RigidBodies nav_msgs/msg/Odometry nav_msgs/msg/Path tf/msg/tfMessage
+            tf2_msgs/msg/TFMessage px4_msgs/msg/SensorCombined px4_msgs/msg/VehicleLocalPosition
+            px4_msgs/msg/VehicleOdometry turtlebot3_msgs/msg/SensorState turtlesim/msg/Pose
+            vesc_msgs/msg/VescState vesc_msgs/msg/VescStateStamped vision_msgs/msg/Detection2DArray
+            vision_msgs/msg/Detection3DArray
+            """
+        ),
+        *words("Pose PointStamped Pose2D PoseStamped PoseWithCovarianceStamped", "geometry_msgs/msg/"),
+        *words("TransformStamped Twist TwistStamped TwistWithCovarianceStamped", "geometry_msgs/msg/"),
+        *words("CameraInfo CompressedImage Image Imu JointState LaserScan MagneticField", "sensor_msgs/msg/"),
+        *words("MultiEchoLaserScan NavSatFix PointCloud2 Range", "sensor_msgs/msg/"),
+        *words("Float32 Float64 Int16 Int32 Int64 String UInt16 UInt32", "std_msgs/msg/"),
+        *(f"std_msgs/msg/{name}MultiArray" for name in (*WHOLE_NUMBERS, "Float32", "Float64")),
         *(
-            f"foxglove{dot}{name}"
-            for dot in (".", "_msgs/msg/")
-            for name in (
-                *(
-                    "CompressedImage",
-                    "FrameTransform",
-                    "FrameTransforms",
-                    "JointStates",
-                    "LaserScan",
-                    "LocationFix",
-                ),
-                *("Odometry", "PointCloud", "PoseInFrame", "RawImage"),
+            name
+            for package in FOXGLOVE
+            for name in words(
+                """
+                CompressedImage FrameTransform FrameTransforms JointStates LaserScan LocationFix Odometry
+                PointCloud PoseInFrame RawImage
+                """,
+                package,
             )
         ),
-        "clearpath_platform_msgs/msg/Feedback",
-        "gps_common/msg/GPSFix",
-        "gps_msgs/msg/GPSFix",
-        "jackal_msgs/msg/Feedback",
-        "unitree_go/msg/SportModeState",
-        "geometry_msgs/msg/Pose",
-        "gazebo_msgs/msg/ModelStates",
-        "gazebo_msgs/msg/LinkStates",
-        "geometry_msgs/msg/PointStamped",
-        "geometry_msgs/msg/Pose2D",
-        "geometry_msgs/msg/PoseStamped",
-        "geometry_msgs/msg/PoseWithCovarianceStamped",
-        "geometry_msgs/msg/TransformStamped",
-        "geometry_msgs/msg/Twist",
-        "geometry_msgs/msg/TwistStamped",
-        "geometry_msgs/msg/TwistWithCovarianceStamped",
-        "irobot_create_msgs/msg/WheelTicks",
-        "irobot_create_msgs/msg/WheelVels",
-        "kobuki_msgs/msg/SensorState",
-        "locfuse/msg/Detections",
-        "locfuse/msg/Ranges",
-        "locfuse/msg/TagFrames",
-        "mocap4r2_msgs/msg/RigidBodies",
-        "nav_msgs/msg/Odometry",
-        "nav_msgs/msg/Path",
-        "px4_msgs/msg/SensorCombined",
-        "px4_msgs/msg/VehicleLocalPosition",
-        "px4_msgs/msg/VehicleOdometry",
-        "sensor_msgs/msg/CompressedImage",
-        "sensor_msgs/msg/Image",
-        "sensor_msgs/msg/Imu",
-        "sensor_msgs/msg/JointState",
-        "sensor_msgs/msg/LaserScan",
-        "sensor_msgs/msg/MagneticField",
-        "sensor_msgs/msg/MultiEchoLaserScan",
-        "sensor_msgs/msg/NavSatFix",
-        "sensor_msgs/msg/PointCloud2",
-        "sensor_msgs/msg/Range",
-        "std_msgs/msg/Float32",
-        "std_msgs/msg/Float64",
-        "std_msgs/msg/Int16",
-        "std_msgs/msg/Int32",
-        "std_msgs/msg/Int64",
-        *(
-            f"std_msgs/msg/{name}MultiArray"
-            for name in ("Int16", "UInt16", "Int32", "UInt32", "Int64", "Float32", "Float64")
-        ),
-        "std_msgs/msg/String",
-        "std_msgs/msg/UInt16",
-        "std_msgs/msg/UInt32",
-        "tf/msg/tfMessage",
-        "tf2_msgs/msg/TFMessage",
-        "turtlebot3_msgs/msg/SensorState",
-        "turtlesim/msg/Pose",
-        "vesc_msgs/msg/VescState",
-        "vesc_msgs/msg/VescStateStamped",
     )
 )
-XY, XYZ, XYZW = ("x", "y"), ("x", "y", "z"), ("x", "y", "z", "w")
 # dotted paths in these types that are read as one number
-ONE_NUMBER = frozenset(
-    (
-        *(f"magnetic_field.{axis}" for axis in XYZ),
-        *(f"angular_velocity.{axis}" for axis in XYZ),
-        "linear_velocity.x", "point_stride",
-        *(f"{at}orientation.{axis}" for at in ("", "pose.", "pose.pose.") for axis in XYZW),
-        *(f"{at}position.{axis}" for at in ("", "pose.", "pose.pose.") for axis in XY),
-        *(f"transform.translation.{axis}" for axis in XY),
-        *(f"transform.rotation.{axis}" for axis in XYZW),
-        *(f"point.{axis}" for axis in XY),
-        *(f"{at}linear.x" for at in ("", "twist.", "twist.twist.")),
-        *(f"{at}angular.z" for at in ("", "twist.", "twist.twist.")),
-        *(f"{at}{part}" for at in ("", "drive.") for part in ("speed", "steering_angle")),
-        "longitudinal_velocity", "heading_rate", "state.speed", "velocity_left", "velocity_right",
-        "x", "y", "theta", "linear_velocity", "angular_velocity", "v", "omega",
-        "angle_min", "angle_increment", "time_increment", "range_min", "range_max",
-        "width", "height", "step", "start_angle", "end_angle",
-        "field_of_view", "min_range", "max_range", "range",
-        "status.status", "latitude", "longitude", "position_covariance_type",
-        "ticks_left", "ticks_right", "left_encoder", "right_encoder",
-    )
-)  # fmt: skip
+ONE_NUMBER = (
+    *(f"{vector}.{axis}" for vector in ("magnetic_field", "angular_velocity") for axis in XYZ),
+    *(f"{at}orientation.{axis}" for at in ("", "pose.", "pose.pose.") for axis in XYZW),
+    *(f"{at}position.{axis}" for at in ("", "pose.", "pose.pose.") for axis in XY),
+    *(f"{at}.{axis}" for at in ("transform.translation", "point") for axis in XY),
+    *(f"transform.rotation.{axis}" for axis in XYZW),
+    *(f"{at}{part}" for at in ("", "twist.", "twist.twist.") for part in ("linear.x", "angular.z")),
+    *(f"{at}{part}" for at in ("", "drive.") for part in ("speed", "steering_angle")),
+    *words(
+        """
+        linear_velocity.x point_stride longitudinal_velocity heading_rate state.speed velocity_left
+        velocity_right x y theta linear_velocity angular_velocity v omega angle_min angle_increment
+        time_increment range_min range_max width height step start_angle end_angle field_of_view min_range
+        max_range range status.status latitude longitude position_covariance_type ticks_left ticks_right
+        left_encoder right_encoder
+        """
+    ),
+)
 # what releases of a package call one field
 CAMERA_MATRIX = "k|K"  # ROS 2, ROS 1
 CENTRE_2D = "detections.bbox.center.position.x|detections.bbox.center.x"
 CLASS = "detections.results.hypothesis.class_id|detections.results.id"
 TRACK_OR_CLASS = f"detections.id|{CLASS}"
+POSITIONS = """
+    poses.position poses.pose.position markers.pose.position markers.pose.pose.position
+    detections.pose.pose.pose.position detections.pose.pose.position detections.bbox.center.position
+    detections.centre
+    """
+# paths in these types that are read as an array of numbers
+ARRAYS = (
+    *(f"rigidbodies.pose.position.{axis}" for axis in XY),
+    *(f"{at}.pose.orientation.{axis}" for at in ("rigidbodies", "poses") for axis in XYZW),
+    *(f"{at}.{axis}" for at in words(POSITIONS) for axis in XYZ),
+    CENTRE_2D,
+    *words(
+        """
+        ranges marker_ids markers.id markers.marker_id detections.id.length position velocity
+        interface_values.values interface_values.values.length ranges.echoes ranges.echoes.length
+        fields.offset fields.datatype fields.type joints.position joints.velocity joints.effort
+        drivers.measured_travel drivers.measured_velocity
+        """
+    ),
+)
 # dotted path in these types -> the kinds that its readers take
 EXPECTED: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(ONE_NUMBER, (NUMBER,)),
-    "ranges": (NUMBERS,),
-    "name": (TEXTS,),
-    "rigidbodies.rigid_body_name": (TEXTS,),
-    **{f"rigidbodies.pose.position.{axis}": (NUMBERS,) for axis in XY},
-    **{f"rigidbodies.pose.orientation.{axis}": (NUMBERS,) for axis in XYZW},
-    **{f"poses.pose.orientation.{axis}": (NUMBERS,) for axis in XYZW},
-    **{
-        f"{at}.{axis}": (NUMBERS,)
-        for at in (
-            "poses.position",
-            "poses.pose.position",
-            "markers.pose.position",
-            "markers.pose.pose.position",
-            "detections.pose.pose.pose.position",
-            "detections.pose.pose.position",
-            "detections.bbox.center.position",
-            "detections.centre",
-        )
-        for axis in XYZ
-    },
-    CENTRE_2D: (NUMBERS,),
-    TRACK_OR_CLASS: (NUMBERS, TEXTS),
-    CLASS: (NUMBERS, TEXTS),
-    "marker_ids": (NUMBERS,),
-    "markers.id": (NUMBERS,),
-    "markers.marker_id": (NUMBERS,),
-    "detections.id": (NUMBERS, TEXTS),
-    "detections.id.length": (NUMBERS,),
-    "joint_names": (TEXTS,),
-    "interface_values.interface_names": (TEXTS,),
-    "interface_values.values": (NUMBERS,),
-    "interface_values.values.length": (NUMBERS,),
-    "ranges.echoes": (NUMBERS,),
-    "ranges.echoes.length": (NUMBERS,),
-    "fields.name": (TEXTS,),
-    "fields.offset": (NUMBERS,),
-    "fields.datatype": (NUMBERS,),
-    "fields.type": (NUMBERS,),
-    "joints.name": (TEXTS,),
-    **{f"joints.{name}": (NUMBERS,) for name in ("position", "velocity", "effort")},
-    "drivers.measured_travel": (NUMBERS,),
-    "drivers.measured_velocity": (NUMBERS,),
-    "pose_covariance": (THIRTY_SIX, NUMBERS),
-    "velocity_covariance": (THIRTY_SIX, NUMBERS),
-    "imu_state.quaternion": ("4 numbers",),
-    CAMERA_MATRIX: (NINE,),
-    "position": (NUMBERS,),
-    "velocity": (NUMBERS,),
-    "format": (TEXT,),
-    "encoding": (TEXT,),
-    "pose.covariance": (THIRTY_SIX,),
-    "twist.covariance": (THIRTY_SIX,),
-    "orientation_covariance": (NINE,),
-    "angular_velocity_covariance": (NINE,),
+    **dict.fromkeys(ARRAYS, (NUMBERS,)),
+    **dict.fromkeys(
+        words(
+            """
+            name rigidbodies.rigid_body_name joint_names interface_values.interface_names fields.name
+            joints.name
+            """
+        ),
+        (TEXTS,),
+    ),
+    **dict.fromkeys((TRACK_OR_CLASS, CLASS, "detections.id"), (NUMBERS, TEXTS)),
+    **dict.fromkeys(("pose_covariance", "velocity_covariance"), (THIRTY_SIX, NUMBERS)),
+    **dict.fromkeys(("pose.covariance", "twist.covariance"), (THIRTY_SIX,)),
+    **dict.fromkeys((CAMERA_MATRIX, "orientation_covariance", "angular_velocity_covariance"), (NINE,)),
+    **dict.fromkeys(("format", "encoding"), (TEXT,)),
     "position_covariance": (NINE, NUMBERS),  # JSON schemas do not fix the length
+    "imu_state.quaternion": ("4 numbers",),
 }
-WHOLE_NUMBERS = ("Int16", "UInt16", "Int32", "UInt32", "Int64")
-OF_TYPE: Mapping[tuple[str, str], tuple[str, ...]] = {
-    **{(f"std_msgs/msg/{name}", "data"): (NUMBER,) for name in (*WHOLE_NUMBERS, "Float32", "Float64")},
-    ("duckietown_msgs/msg/WheelEncoderStamped", "data"): (NUMBER,),
-    **{("locfuse/msg/Detections", name): (NUMBER,) for name in ("id", "range", "bearing")},
-    **{("locfuse/msg/Ranges", name): (NUMBER,) for name in ("id", "range")},
-    **{("locfuse/msg/TagFrames", name): (NUMBER,) for name in ("id", *XYZ)},
-    **{("sensor_msgs/msg/PointCloud2", name): (NUMBER,) for name in ("point_step", "row_step")},
-    ("sensor_msgs/msg/PointCloud2", "is_bigendian"): (TRUTH,),
-    ("sensor_msgs/msg/PointCloud2", "data"): (BYTES,),
-    ("std_msgs/msg/String", "data"): (TEXT,),
-    **{
-        ("px4_msgs/msg/VehicleOdometry", name): (f"{n} numbers",)
-        for name, n in (("position", 3), ("q", 4), ("velocity", 3), ("angular_velocity", 3))
-    },
-    ("px4_msgs/msg/VehicleOdometry", "velocity_frame"): (NUMBER,),
-    **{("px4_msgs/msg/VehicleLocalPosition", name): (NUMBER,) for name in ("x", "y", "heading", "vx", "vy")},
-    **{("px4_msgs/msg/SensorCombined", name): ("3 numbers",) for name in ("gyro_rad", "accelerometer_m_s2")},
-    **{
-        (f"gazebo_msgs/msg/{kind}States", f"pose.{part}"): (NUMBERS,)
-        for kind in ("Model", "Link")
-        for part in (*(f"position.{axis}" for axis in XY), *(f"orientation.{axis}" for axis in XYZW))
-    },
-    ("sensor_msgs/msg/CompressedImage", "data"): (BYTES,),
-    ("sensor_msgs/msg/Image", "data"): (BYTES,),
-    **{
-        (f"foxglove{dot}{name}", "data"): (BYTES,)
-        for dot in (".", "_msgs/msg/")
-        for name in ("CompressedImage", "PointCloud", "RawImage")
-    },
-    ("unitree_go/msg/SportModeState", "position"): ("3 numbers",),
-    **{(f"std_msgs/msg/{name}MultiArray", "data"): (NUMBERS,) for name in (*WHOLE_NUMBERS, "Float32", "Float64")},
-}
+# message type, fields of it -> their kind
+OF_TYPES: tuple[tuple[str, str, str], ...] = (
+    *((f"std_msgs/msg/{name}", "data", NUMBER) for name in (*WHOLE_NUMBERS, "Float32", "Float64")),
+    *((f"std_msgs/msg/{name}MultiArray", "data", NUMBERS) for name in (*WHOLE_NUMBERS, "Float32", "Float64")),
+    ("std_msgs/msg/String", "data", TEXT),
+    ("duckietown_msgs/msg/WheelEncoderStamped", "data", NUMBER),
+    ("locfuse/msg/Detections", "id range bearing", NUMBER),
+    ("locfuse/msg/Ranges", "id range", NUMBER),
+    ("locfuse/msg/TagFrames", "id x y z", NUMBER),
+    ("sensor_msgs/msg/PointCloud2", "point_step row_step", NUMBER),
+    ("sensor_msgs/msg/PointCloud2", "is_bigendian", TRUTH),
+    *((f"sensor_msgs/msg/{name}", "data", BYTES) for name in ("PointCloud2", "CompressedImage", "Image")),
+    *((f"{at}{name}", "data", BYTES) for at in FOXGLOVE for name in ("CompressedImage", "PointCloud", "RawImage")),
+    ("px4_msgs/msg/VehicleOdometry", "position velocity angular_velocity", "3 numbers"),
+    ("px4_msgs/msg/VehicleOdometry", "q", "4 numbers"),
+    ("px4_msgs/msg/VehicleOdometry", "velocity_frame", NUMBER),
+    ("px4_msgs/msg/VehicleLocalPosition", "x y heading vx vy", NUMBER),
+    ("px4_msgs/msg/SensorCombined", "gyro_rad accelerometer_m_s2", "3 numbers"),
+    ("unitree_go/msg/SportModeState", "position", "3 numbers"),
+    *((f"gazebo_msgs/msg/{name}", f"pose.position.{axis}", NUMBERS) for name in GAZEBO for axis in XY),
+    *((f"gazebo_msgs/msg/{name}", f"pose.orientation.{axis}", NUMBERS) for name in GAZEBO for axis in XYZW),
+)
+OF_TYPE = {(msgtype, name): (kind,) for msgtype, names, kind in OF_TYPES for name in names.split()}
 TF = "transforms."  # one value for each transform of a message
 TF_TEXTS = ("frame_id",)
 

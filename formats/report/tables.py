@@ -162,7 +162,7 @@ def sensors(report: Report) -> Table:
 
 
 def ranking(report: Report) -> Table:
-    """Return the configurations in the order in which they predict what they leave out."""
+    """Return the configurations, the best predictor of the sensors that it does not use first."""
     found = enumerate(report["prediction"]["ranking"])
     rows = (({**r, "sensors": ", ".join(r["sensors"])}, ("prediction", "ranking", i)) for i, r in found)
     return of_values(RANKING, rows, "Ranked by prediction")

@@ -46,7 +46,7 @@ class Conflict(NamedTuple):
 
     @property
     def line(self) -> str:
-        """The frame, and what is wrong with it."""
+        """Return the name of the frame and its conflict as a sentence."""
         return f"{self.frame}: {self.message}"
 
 

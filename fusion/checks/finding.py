@@ -10,7 +10,7 @@ from locfuse.fusion.data import LocfuseError
 
 
 class Least(NamedTuple):
-    """From which size on an error is named."""
+    """The smallest error that is reported."""
 
     error: float  # relative
     sigmas: float  # standard errors that it must exceed besides

@@ -50,7 +50,7 @@ Heading = Callable[[Array], Array]  # [rad, not wrapped, up to a constant] at an
 
 
 class Reference(NamedTuple):
-    """A record of how the robot turned, which a sensor's own is held against."""
+    """Turn rates of the robot over time that a sensor's turn rates are compared with."""
 
     heading: Heading
     span: tuple[float, float]  # s

@@ -77,7 +77,7 @@ class Motion(NamedTuple):
 
 
 def laser_motion(m: Measurements, t: Array, drive: Drive, robot: Robot) -> Motion | None:
-    """Return what walls seen twice say, scans being taken at `t` (n,) on the wheels' clock; None if few were."""
+    """Compare the wheels with walls seen in two scans, taken at `t` (n,) [s]; None with too few walls."""
     settings = robot.settings("lrf")
     mount = np.array([settings.x, settings.y])
     found = _looking(m, t, drive, mount, 0.0)

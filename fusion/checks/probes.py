@@ -113,7 +113,7 @@ def _track(robot: Robot, e: Estimates) -> Iterator[Finding]:
 
 
 def of_scale(robot: Robot, e: Estimates, drive: Drive) -> Iterator[Finding]:
-    """Yield the laser's range scale by the size of its own run beside the truth's.
+    """Yield the laser's range scale: the size of the path by the laser over the size of the true path.
 
     The least squares of a similarity (Umeyama, PAMI 1991), in complex numbers: walls fix the size of what the
     laser drives along, so that its metre is the map's.

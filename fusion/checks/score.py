@@ -88,7 +88,7 @@ def _only_underconfident(before: Score, after: Score) -> bool:
 
 
 def ruins(before: Score, after: Score) -> bool:
-    """Return whether a configuration that nobody would keep gets worse by far more than chance does."""
+    """Return whether a configuration gets worse by far more than chance explains."""
     if after.lost > before.lost + MAX_LOST_SHARE:
         return True
     if before.position is not None:

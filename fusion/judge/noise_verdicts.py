@@ -201,7 +201,7 @@ def correlated(sensor: str, settings: Any, sigma: float, repeats: float, period:
 
 
 def wanders(sensor: str, o: Own) -> NoiseVerdict:
-    """Complain about innovations that repeat without being small: what is predicted wanders off."""
+    """Return the verdict for correlated innovations of normal size: the prediction drifts."""
     words = (
         f"successive residuals are similar ({o.whiteness[0]:.0%}). Usual causes, in this order: wheels.track, "
         f"{sensor}.time_offset, the mount, the range scale, wheels.noise"

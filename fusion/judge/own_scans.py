@@ -43,7 +43,7 @@ class Distance(msgspec.Struct, frozen=True):
         return cls(float(np.sqrt((off**2).mean())), float(off.max()), float(t[off.argmax()]))
 
     def doubted(self, way: float) -> bool:
-        """Return whether paths so far apart are doubted, over a way [m]."""
+        """Return whether the paths differ by more than is plausible over this distance driven [m]."""
         return self.max > max(DOUBT_M, DOUBT_SHARE * way)
 
 

@@ -330,7 +330,7 @@ class Sight:
             self.spread_mount(p, j)
 
     def spread_mount(self, p: int, j: int) -> None:
-        """Add to S what an uncertain mount brings."""
+        """Add the covariance of an uncertain mount to S."""
         free = self.seat.free
         c, s, u = self.pairs[p, COS], self.pairs[p, SIN], self.pairs[p, LEVER]
         c_psi, s_psi = cos(self.pairs[p, PSI]), sin(self.pairs[p, PSI])
@@ -415,7 +415,7 @@ class Sight:
                 self.match[i] = -1
 
     def try_pair(self, p: int, i: int) -> None:
-        """Let pair p be the match of line i, or else its best pair, if it is better than what was found."""
+        """Keep pair p as the match of line i, or as its best pair without a match, if it scores better."""
         if self.pairs[p, OVERLAP] > 0.0 and self.pairs[p, D2] <= NEAR_D2:
             self.near[i] = 1
         if self.fits_well(p, i):

@@ -57,7 +57,7 @@ class Longest:
 
     @property
     def note(self) -> str:
-        """What is said of `no_return`."""
+        """The note on ranges that were read as no return."""
         share = self.count / self._read
         return (
             f"{share:.{0 if share > 0.02 else 1}%} of its ranges are exactly {self.value:g} m, the longest: "

@@ -38,7 +38,7 @@ class ScanPoints(msgspec.Struct, frozen=True, eq=False, weakref=True):
         return self.wheels.relative(t_from, t_to)
 
     def read(self, readings: Ints) -> list[Array]:
-        """Return of each reading the points (k, 2) [m] in the base frame, deskewed as its lines are.
+        """Return the points (k, 2) [m, base frame] of each reading, deskewed like its lines.
 
         In the order of the beams; beams without a return are left out.
         """

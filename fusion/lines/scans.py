@@ -163,7 +163,7 @@ class Gathered:
         self._sweep.append(lines.sweep[kept])
 
     def in_order(self, n: int) -> tuple[Ints, Array, Array, Array, Array]:
-        """Return the lines of n readings in order: first (n + 1,), z, R_unit, ends, sweep. Nothing stays here."""
+        """Return the lines of n readings in order: first (n + 1,), z, R_unit, ends, sweep; none is kept."""
         at, counts = (np.concatenate([np.empty(0, np.int64), *pieces]) for pieces in (self._at, self._counts))
         of_reading = np.zeros(n, dtype=np.int64)
         of_reading[at] = counts

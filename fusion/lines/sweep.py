@@ -37,7 +37,7 @@ def motion_of(mount: Array) -> Motion:
 
 
 def shares(beams: int) -> Array:
-    """Return which share of every piece's slip a beam has, (pieces, beams): none of those beyond the middle."""
+    """Return the share of each piece's wheel slip in each beam, (pieces, beams), from the middle on."""
     at = np.linspace(-0.5, 0.5, beams)
     low, high = PIECE_EDGES[:-1, None], PIECE_EDGES[1:, None]
     after = np.clip((at - low) * SWEEP_PIECES, 0.0, 1.0)

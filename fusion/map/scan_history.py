@@ -1,4 +1,4 @@
-"""What a lost robot has seen, and from where by its wheels: a place must explain all of it, not one scan only.
+"""Recent scans of a lost robot with their wheel poses: a candidate place must explain all of them.
 
 In a room whose halves look alike a single scan fits twice. As the robot drives on, one of the two places shows
 walls that are not there.

@@ -233,7 +233,7 @@ class LineTracker(Model):
             self.map.keep_floor(belief, floor)
 
     def loosened(self, m: Measurements) -> tuple[Array, Array]:
-        """Return by which variances (2,) [m^2, rad^2] walls are uneven, and those below which no line is known.
+        """Return process noise for uneven walls and the smallest variance of a line, (2,) each [m^2, rad^2].
 
         Of a wall that is not flat another part is seen next, so lines that were seen are loosened; where no wall
         is measured as uneven, all lines keep a floor: no wall is a plane to less. Considered lines stay.

@@ -187,7 +187,7 @@ def detector(settings: CameraSettings) -> Any:
 
 
 class Seen(NamedTuple):
-    """What the pictures of a log showed, before settings say when that was and where it lies."""
+    """Landmark candidates in the pictures of a log, before time offset and mount are applied."""
 
     by: Any  # the Detector that looked
     shape: tuple[int, int]  # px, height and width of the n pictures

@@ -192,7 +192,10 @@ def fix(
 
 
 class GpsModel(Model):
-    """(east, north) = R(e) (p - p_ref) + (c, d) + noise; four states: a, b, c, d, later e, |(a, b)|, c, d."""
+    """(east, north) = R(e) (p - p_ref) + (c, d) + noise.
+
+    Four states: a, b, c, d; once the direction is known e, |(a, b)|, c, d.
+    """
 
     def __init__(self, settings: GpsSettings) -> None:
         self.settings = settings

@@ -31,7 +31,7 @@ class Noise(NamedTuple):
 
 
 class Played(NamedTuple):
-    """What every correction says, c of them."""
+    """The likelihood of c corrections under B sets of noise."""
 
     scores: Array  # (B, c) log likelihood [nats]
     instant: Ints  # (c,)
@@ -136,7 +136,7 @@ class Head:
             self.P[:, range(n, n + k), range(n, n + k)] = UNKNOWN_VARIANCE
 
     def change(self, op: Changed) -> None:
-        """Let states be linear functions of all."""
+        """Replace some states by linear functions of all states."""
         P = self.P
         self.m[:, op.rows] = self.m @ op.by.T
         P[:, op.rows, :] = op.by @ P

@@ -67,7 +67,7 @@ class Motion(NamedTuple):
 
 
 class LaserCalibration(msgspec.Struct, frozen=True):
-    """What the drives say; of NAMES: relative (3), m (2), rad, s."""
+    """Calibration from the drives; units of the NAMES: three relative, two in m, then rad and s."""
 
     parameters: Array  # (7,)
     sigmas: Array  # (7,) NaN where the drives cannot tell

@@ -128,7 +128,7 @@ def _found(values: Array, steps: Array, likely: Sequence[float]) -> float | None
 
 
 def _explains(modulus: float, steps: Array, span: float, longest: float) -> bool:
-    """Return whether the long steps are this modulus less an ordinary step, and all values lie in one range."""
+    """Return whether long steps are the counter's modulus minus a normal step, and values fit in one modulus."""
     if not 0.5 * modulus < longest < modulus or span > modulus * (1.0 + 1e-6):
         return False
     long = np.abs(steps) > 0.5 * modulus

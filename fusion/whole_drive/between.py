@@ -108,7 +108,7 @@ def said(found: Matches, u: Array, guess: Array) -> tuple[Array, Array]:
 
 
 def smoothed(odometry: Odometry, ends: Fixes, a: Ints, k: Ints, xi: Array, information: Array) -> Fixes:
-    """Return the fixes of the keys and of scans at instants k (n,) in the spans a (n,), by all of them.
+    """Return smoothed poses of the keys and of the scans at instants k (n,), each between keys a (n,) and a + 1.
 
     xi (n, 3) with `information` (n, 3, 3) is what each scan says.
     """

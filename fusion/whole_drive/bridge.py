@@ -1,4 +1,4 @@
-"""Between two key poses: the wheels' way, bent so that it leads from fix to fix and from the one key to the other.
+"""Poses between two key poses: the wheels' path, corrected so that it ends at the second key and passes each fix.
 
 The wheels' error grows along the way as a random walk. Given where it ends, the share of it at an instant is
 that of its covariance (a Brownian bridge). Errors are rigid motions xi about the key before, so that turning both

@@ -248,7 +248,7 @@ def clock_lag(drive: Drive) -> float:
 
 
 class Start(msgspec.Struct, frozen=True):
-    """What is known of the first instant, and what the wheels make of it at the first key."""
+    """The pose at the first instant, and its prediction by the wheels at the first key pose."""
 
     pose: Array  # (3,) at the first instant
     P: Array  # (3, 3)

@@ -15,8 +15,8 @@ from commands import locfuse
 
 from benchmarks.fleet import tables, write_logs
 from locfuse.cli.analysis.settings import Asked, LogOptions, Outputs
-from locfuse.cli.fleet import cluster as clusters
 from locfuse.cli.fleet import process
+from locfuse.cli.fleet import queue as clusters
 from locfuse.cli.fleet.job import Job, JobOutcome
 from locfuse.cli.fleet.queue import run_all
 from locfuse.fusion.data import LocfuseError

@@ -21,8 +21,7 @@ from locfuse.cli.analysis.settings import GateOptions
 from locfuse.cli.session.replicates import mean_over
 from locfuse.cli.session.summary import summarised
 from locfuse.formats.fleet.entry import Entry, slim
-from locfuse.formats.fleet.files import KINDS, summary_files
-from locfuse.formats.fleet.rows import Rows, csv
+from locfuse.formats.fleet.files import KINDS, Rows, csv, summary_files
 from locfuse.formats.report import summary as over
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.sensors.registry import colours

@@ -11,12 +11,10 @@ import runpy
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
-
-import pytest
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("fusion", "formats", "sample_logs", "robots", "cli")
@@ -108,24 +106,26 @@ def parsed(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
-def imports(path: Path) -> Iterator[tuple[str, bool]]:
-    """Yield (module as "fusion.data" or "numpy", whether it is imported at module level)."""
+@cache
+def imports(path: Path) -> list[tuple[str, bool]]:
+    """Return (module as "fusion.data" or "numpy", whether it is imported at module level)."""
     package = path.relative_to(ROOT).with_suffix("").parts[:-1]
     tree = parsed(path)
     deferred = (ast.FunctionDef, ast.ClassDef)
     now = [n for n in tree.body if not isinstance(n, deferred) and not types_only(n)]
     top = set(ast.walk(ast.Module(now, [])))
+    found: list[tuple[str, bool]] = []
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
-            for alias in node.names:
-                yield alias.name.removeprefix("locfuse."), node in top
+            found += [(alias.name.removeprefix("locfuse."), node in top) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             base = ".".join(package[: len(package) - node.level + 1]) if node.level else ""
             module = ".".join(p for p in (base, node.module or "") if p)
             module = module.removeprefix("locfuse").removeprefix(".")
             for alias in node.names:
                 below = f"{module}.{alias.name}".removeprefix(".")
-                yield (below if below in MODULES else module), node in top
+                found.append((below if below in MODULES else module, node in top))
+    return found
 
 
 def types_only(node: ast.stmt) -> bool:
@@ -196,47 +196,45 @@ LEVEL = {
 }
 
 
-@pytest.mark.parametrize("module", sorted(m for m in MODULES if FLOORS[m.split(".")[0]] and "." in m))
-def test_a_room_imports_only_from_floors_below(module: str) -> None:
-    room = room_of(module)
-    assert room in LEVEL, f"{room} has no floor: give it one in FLOORS"
-    for other in arrows_of(module):
-        below = room_of(other)
-        if other.split(".")[0] == module.split(".", maxsplit=1)[0] and below != room and "." in below:
-            assert LEVEL[below] < LEVEL[room], f"{module} imports {other}, which is not below it"
+def test_a_room_imports_only_from_floors_below() -> None:
+    own = {module: room_of(module) for module in MODULES if FLOORS[module.split(".")[0]] and "." in module}
+    assert set(own.values()) <= set(LEVEL), "give each room a floor in FLOORS"
+    wrong = [
+        f"{module} imports {other}, which is not below it"
+        for module, others in arrows().items()
+        for other in others
+        if module in own and other.split(".")[0] == module.split(".")[0]
+        if (below := room_of(other)) != own[module] and "." in below and LEVEL[below] >= LEVEL[own[module]]
+    ]
+    assert wrong == []
 
 
-def arrows_of(module: str) -> set[str]:
-    return {m for m, _ in imports(MODULES[module]) if m in MODULES}
+def test_imports_follow_the_one_way_flow() -> None:
+    for path in MODULES.values():
+        folder = path.relative_to(ROOT).parts[0]
+        for module, top in imports(path):
+            root = module.split(".")[0]
+            if root in FOLDERS and root != folder:
+                allowed = OURS[folder]
+                assert any(module == a or module.startswith(a + ".") for a in allowed), f"{path} imports {module}"
+            elif root not in FOLDERS and root not in STANDARD and root != "locfuse" and folder in OTHERS:
+                assert root in OTHERS[folder], f"{path} imports {module}"
+            if top and not (root == "rerun" and path.relative_to(ROOT).as_posix() in DRAWS_IN_RERUN):
+                assert root not in LAZY, f"{path} imports {root} at module level"
 
 
-@pytest.mark.parametrize("path", [pytest.param(p, id=n) for n, p in MODULES.items()])
-def test_imports_follow_the_one_way_flow(path: Path) -> None:
-    folder = path.relative_to(ROOT).parts[0]
-    for module, top in imports(path):
-        root = module.split(".")[0]
-        if root in FOLDERS and root != folder:
-            allowed = OURS[folder]
-            assert any(module == a or module.startswith(a + ".") for a in allowed), f"{path} imports {module}"
-        elif root not in FOLDERS and root not in STANDARD and root != "locfuse" and folder in OTHERS:
-            assert root in OTHERS[folder], f"{path} imports {module}"
-        if top and not (root == "rerun" and path.relative_to(ROOT).as_posix() in DRAWS_IN_RERUN):
-            assert root not in LAZY, f"{path} imports {root} at module level"
-
-
-@pytest.mark.parametrize("path", [pytest.param(p, id=n) for n, p in MODULES.items()])
-def test_imports_are_relative_inside_a_room_and_absolute_across(path: Path) -> None:
-    for node in ast.walk(parsed(path)):
-        if not isinstance(node, ast.ImportFrom):
-            continue
-        assert node.level <= 1, f"{path}:{node.lineno} climbs out of its room"
-        if node.level == 0 and path.parent.name != "facade":
-            own = "locfuse." + ".".join(path.relative_to(ROOT).parent.parts)
+def test_imports_are_relative_inside_a_room_and_absolute_across() -> None:
+    for path in MODULES.values():
+        own = "locfuse." + ".".join(path.relative_to(ROOT).parent.parts)
+        for node in ast.walk(parsed(path)):
+            if not isinstance(node, ast.ImportFrom):
+                continue
+            assert node.level <= 1, f"{path}:{node.lineno} climbs out of its room"
             module = node.module or ""
-            inside = module == own or (module.startswith(own + ".") and module.count(".") == own.count(".") + 1)
-            is_file = f"{module}".removeprefix("locfuse.") in MODULES
-            folder = (ROOT / module.removeprefix("locfuse.").replace(".", "/")).is_dir()
-            assert not (inside and is_file and not folder), f"{path}:{node.lineno} names its own room in full"
+            if node.level == 0 and path.parent.name != "facade" and module.startswith(own):
+                is_file = module.removeprefix("locfuse.") in MODULES and module.rpartition(".")[0] == own
+                folder = (ROOT / module.removeprefix("locfuse.").replace(".", "/")).is_dir()
+                assert folder or not (is_file or module == own), f"{path}:{node.lineno} names its own room in full"
 
 
 def rooms() -> list[Path]:
@@ -244,24 +242,24 @@ def rooms() -> list[Path]:
     return sorted(found)
 
 
-@pytest.mark.parametrize("room", [pytest.param(r, id=str(r.relative_to(ROOT))) for r in rooms()])
-def test_a_room_says_what_it_is_for_and_exports_nothing_else(room: Path) -> None:
-    if room.name == "facade":
-        return
-    assert not [d for d in room.iterdir() if d.is_dir() and d.name != "__pycache__"], "rooms hold no rooms"
-    tree = ast.parse((room / "__init__.py").read_text(encoding="utf-8"))
-    assert ast.get_docstring(tree)
-    assert len(tree.body) == 1, "a room's __init__ is its docstring"
+def test_a_room_says_what_it_is_for_and_exports_nothing_else() -> None:
+    for room in rooms():
+        if room.name == "facade":
+            continue
+        assert not [d for d in room.iterdir() if d.is_dir() and d.name != "__pycache__"], "rooms hold no rooms"
+        tree = ast.parse((room / "__init__.py").read_text(encoding="utf-8"))
+        assert ast.get_docstring(tree), room
+        assert len(tree.body) == 1, f"{room}: a room's __init__ is its docstring"
 
 
-@pytest.mark.parametrize("path", [pytest.param(p, id=n) for n, p in MODULES.items()])
-def test_only_the_terminal_prints_and_knows_click_and_rich(path: Path) -> None:
-    where = path.relative_to(ROOT).as_posix()
-    if any(where == t or where.startswith(t + "/") for t in TERMINAL):
-        return
-    assert not {"click", "rich"} & {module.partition(".")[0] for module, _ in imports(path)}
-    calls = [n.func for n in ast.walk(parsed(path)) if isinstance(n, ast.Call)]
-    assert not [f for f in calls if isinstance(f, ast.Name) and f.id == "print"]
+def test_only_the_terminal_prints_and_knows_click_and_rich() -> None:
+    for path in MODULES.values():
+        where = path.relative_to(ROOT).as_posix()
+        if any(where == t or where.startswith(t + "/") for t in TERMINAL):
+            continue
+        assert not {"click", "rich"} & {module.partition(".")[0] for module, _ in imports(path)}, where
+        calls = [n.func for n in ast.walk(parsed(path)) if isinstance(n, ast.Call)]
+        assert not [f for f in calls if isinstance(f, ast.Name) and f.id == "print"], where
 
 
 def test_only_the_camera_imports_opencv() -> None:
@@ -299,16 +297,18 @@ MODULE = re.compile(
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "sample_logs").glob("*.md")])
 
 
-@pytest.mark.parametrize("page", [pytest.param(p, id=p.name) for p in PAGES])
-def test_docs_name_files_and_modules_that_exist(page: Path) -> None:
-    text = page.read_text(encoding="utf-8")
-    for link in LINK.findall(text):
-        assert (page.parent / link).exists(), f"{page.name} links to {link}"
-    for name in MODULE.findall(text):
-        parts = re.split(r"[./]", name.removesuffix(".py").removesuffix("."))
-        places = [ROOT.joinpath(*parts[:n]) for n in (len(parts), len(parts) - 1) if n > 1]
-        exists = [p.is_dir() or p.with_suffix(".py").exists() or any(p.parent.glob(p.name + ".*")) for p in places]
-        assert any(exists), f"{page.name} names {name}"
+def test_docs_name_files_and_modules_that_exist() -> None:
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        for link in LINK.findall(text):
+            assert (page.parent / link).exists(), f"{page.name} links to {link}"
+        for name in MODULE.findall(text):
+            parts = re.split(r"[./]", name.removesuffix(".py").removesuffix("."))
+            places = [ROOT.joinpath(*parts[:n]) for n in (len(parts), len(parts) - 1) if n > 1]
+            there = [
+                p.is_dir() or p.with_suffix(".py").exists() or any(p.parent.glob(p.name + ".*")) for p in places
+            ]
+            assert any(there), f"{page.name} names {name}"
 
 
 def test_the_floors_name_only_rooms_that_exist() -> None:

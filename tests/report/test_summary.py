@@ -20,7 +20,7 @@ from locfuse.cli.analysis.grouping import logs_of, results_of
 from locfuse.cli.analysis.verdicts import credit_values
 from locfuse.cli.session.summary import summarised
 from locfuse.formats.fleet.entry import Entry, slim
-from locfuse.formats.fleet.rows import Rows, csv
+from locfuse.formats.fleet.files import Rows, csv
 from locfuse.formats.report import changes as sides
 from locfuse.formats.report import summary as over
 from locfuse.formats.report.table import records

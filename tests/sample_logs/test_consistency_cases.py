@@ -9,15 +9,10 @@ import pytest
 from msgspec.structs import replace
 
 from benchmarks import consistency
-from benchmarks.consistency_before import BEFORE
+from benchmarks.consistency import Start, Wanted, alone, inside, share_inside, without
 from benchmarks.consistency_cases import CASES, LASER, MOVING, Case, Goal, vague
-from benchmarks.consistency_figures import Means, inside, means, without
-from benchmarks.consistency_starts import Start, alone, often_short
-from benchmarks.consistency_starts import inside as share
-from benchmarks.consistency_table import HEAD, row
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.robot import robot_toml
-from locfuse.fusion.checks.lag import Lag
 from locfuse.fusion.data import Drive, Estimates
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
@@ -33,10 +28,8 @@ def short() -> tuple[Drive, Estimates]:
     return drive, fuse(drive, robot, LASER)
 
 
-def test_every_case_has_a_name_of_its_own_and_figures_of_0_1() -> None:
-    names = [case.name for case in CASES]
-    assert len(set(names)) == len(names)
-    assert set(BEFORE) == set(names)
+def test_every_case_has_a_name_of_its_own() -> None:
+    assert len({case.name for case in CASES}) == len(CASES)
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
@@ -67,22 +60,20 @@ def test_a_span_left_out_is_not_judged(short: tuple[Drive, Estimates]) -> None:
     assert np.array_equal(judged.t, whole[~hidden])
 
 
-def test_a_row_shows_now_before_and_the_goal() -> None:
-    case = replace(SHORT, goal=Goal((0.8, 1.4), aligned=3.0, inside=0.99, walls=0.95))
-    now = Means(10, 1.1, 1.6, 50.0, 2.5, 2.9, 0.995, 0.97)
-    before = Means(10, 4.1, 9.0, 75.0, 7.1, 16.1, 0.73, 0.5)
-    line = row(case, {case.name: now}, before, 12.0)
-    assert line.count("|") == HEAD.splitlines()[0].count("|")
-    assert "| 1.1 (1.6) | 4.1 (9) | 0.8-1.4 |" in line
-    assert line.endswith("| yes | 12 s |")
-    assert "| no |" in row(case, {case.name: now._replace(inside=0.98)}, before, 12.0)
-
-
-def test_a_drive_gives_finite_figures() -> None:
-    found = means([consistency.judged(SHORT, 1)])
-    assert found.drives == 1
-    assert np.isfinite(found[1:-1]).all()
+def test_a_drive_gives_finite_figures_and_a_line_of_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(consistency.NAMED, SHORT.name, replace(SHORT, goal=Goal((0.8, 1.4), walls=0.95)))
+    found = consistency.judged(SHORT, 1)
+    assert np.isfinite(found[:-1]).all()
     assert math.isnan(found.in_frame)  # nobody asked
+    head, _, line = consistency.table([{"task": [SHORT.name, 1], "figures": list(found)}])
+    assert line.count("|") == head.count("|")
+    assert "ANEES ≥ 0.8 ≤ 1.4; inside ≥ 0.99; walls ≥ 0.95 |" in line
+
+
+def test_a_goal_is_met_between_its_bounds_only() -> None:
+    assert Wanted("ANEES", 1.0, 0.8, 1.4).met
+    assert not Wanted("ANEES", 0.7, 0.8, 1.4).met
+    assert not Wanted("ANEES", 1.5, high=1.4).met
 
 
 def test_the_starts_alone_have_the_anees_of_what_the_simulator_draws() -> None:
@@ -102,24 +93,24 @@ def test_a_start_s_error_goes_with_the_drive_as_its_sigma_does() -> None:
     start = Start(math.radians(2.0), 0.05)
     x, y, heading = 2.9, 3.1, 3.2
     beside = 3.0 * 0.05 / math.sqrt(heading**2 - 9.0) / math.radians(2.0) / 50.0  # of the way has y inside
-    assert share(np.array([[x, 0.0, 0.0]]), start, way)[0] == 1.0
-    assert share(np.array([[0.0, 0.0, heading]]), start, way)[0] == pytest.approx((1.0 + beside) / 3.0, abs=0.01)
-    at_first = share(np.array([[0.0, y, 0.0]]), start, way)[0]  # the lever's variance hides it soon
+    assert share_inside(np.array([[x, 0.0, 0.0]]), start, way)[0] == 1.0
+    assert share_inside(np.array([[0.0, 0.0, heading]]), start, way)[0] == pytest.approx(
+        (1.0 + beside) / 3.0, abs=0.01
+    )
+    at_first = share_inside(np.array([[0.0, y, 0.0]]), start, way)[0]  # the lever's variance hides it soon
     assert 0.98 < at_first < 1.0
-
-
-def test_what_chance_does_to_few_drives_is_the_binomial_s() -> None:
-    """Where there is no lever a drive is three draws; a single one outside 3 sigma takes the share below 99 %."""
-    found = often_short(Start(math.radians(2.0), 0.05), np.zeros((1, 2)), 30)
-    none = math.erf(3.0 / math.sqrt(2.0)) ** 90
-    assert found == pytest.approx(1.0 - none, abs=0.03)
 
 
 def test_a_vague_start_s_goal_is_what_its_draws_allow_and_others_keep_theirs() -> None:
     seeds = range(1000, 1030)
     vaguely = next(c for c in CASES if c.name == "laser, start 2°, 0.05 m")
-    assert consistency.fair(vaguely, seeds).goal.inside == pytest.approx(0.9806 - consistency.LEEWAY, abs=0.002)
-    assert consistency.fair(SHORT, seeds) == SHORT
+    found = dict.fromkeys((vaguely.name, SHORT.name), consistency.Figures(1.0, 0.0, 0.0, 1.0, 1.0))
+    least = {
+        c.name: [w.low for w in consistency.wanted(c, found, seeds) if w.name == "inside"]
+        for c in (vaguely, SHORT)
+    }
+    assert least[vaguely.name] == pytest.approx([0.9806 - consistency.LEEWAY], abs=0.002)
+    assert least[SHORT.name] == [0.99]
 
 
 def test_a_laser_whose_clock_is_off_is_judged_as_the_drive_tells_it() -> None:
@@ -127,11 +118,3 @@ def test_a_laser_whose_clock_is_off_is_judged_as_the_drive_tells_it() -> None:
     (given,) = set(consistency.as_found(case, 1001).given) - set(case.given)
     assert float(given.removeprefix("lrf.time_offset=")) == pytest.approx(-case.late_by, abs=0.005)
     assert consistency.as_found(SHORT, 1) is SHORT
-
-
-def test_clocks_are_said_with_their_errors_and_sigmas() -> None:
-    lags = [Lag(-0.021, 0.99, 0.9, 0.002), Lag(-0.017, 0.99, 0.9, 0.006)]
-    words = consistency.clock_words(lags, 0.02)
-    assert words.startswith(
-        "found within 3.0 ms, 2.2 ms rms; its sigma is 4.0 ms. Beyond 4 sigma in 1 of 2 drives"
-    )

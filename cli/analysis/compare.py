@@ -104,10 +104,11 @@ def compare_log(
     solves = _solved_sets(drive) if reference else set()
     for c in configurations:
         progress(f"fusing {c.name}")
-        both = asked.smooth or (frozenset(c.sensors) in solves and not c.rates)
-        first, *after = lean(_judged, c, loaded, asked, both, watch)
+        shown = c.is_smoothed(asked, robot)
+        both = shown or (frozenset(c.sensors) in solves and not c.rates)
+        first, *after = lean(_judged, c, loaded, asked, (both, shown), watch)
         filtered.append(first)
-        smoothed += after if asked.smooth else []
+        smoothed += after if shown else []
         if after:
             wholes[first.estimates.name] = after[0].estimates
         solved |= {frozenset(c.sensors): (first.estimates, j.estimates) for j in after if not c.rates}
@@ -198,14 +199,15 @@ def _effect(
 
 
 def _judged(
-    c: Configuration, loaded: Loaded, asked: Asked, smooth: bool, watch: Sequence[Watch]
+    c: Configuration, loaded: Loaded, asked: Asked, smoothed: tuple[bool, bool], watch: Sequence[Watch]
 ) -> list[JudgedRun]:
-    """Fuse and judge one configuration: filtered, and perhaps smoothed, which is watched if it was asked for."""
+    """Fuse and judge one configuration; `smoothed`: whether it is smoothed too, and whether that is shown."""
     drive, robot, judged = c.drive(loaded.drive), loaded.robot, []
+    smooth, shown = smoothed
     how = cast("Align", asked.align)
     for e in lean(c.fuse, loaded.drive, robot, smooth and bool(c.sensors)):
         evaluation = lean(evaluate, e, drive, how)
-        for look in watch if asked.smooth or not e.smoothed else ():
+        for look in watch if shown or not e.smoothed else ():
             look(e, evaluation)
         kept = e if asked.audits else replace(e, audits={})
         judged.append(JudgedRun(kept, evaluation, evidence(drive, e, robot)))

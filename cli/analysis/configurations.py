@@ -38,7 +38,7 @@ class Configuration(msgspec.Struct, frozen=True):
         return thinned(drive, self.rates) if self.rates else drive
 
     def is_smoothed(self, asked: Asked, robot: Robot) -> bool:
-        """Return whether its smoothed path is shown: if asked for, by default with a laser that can be smoothed."""
+        """Return whether its smoothed path is shown: if asked for; by default with a laser where it can be."""
         if asked.smooth is not None:
             return asked.smooth and bool(self.sensors)
         if asked.jitter or self.rates or LASER not in self.sensors:

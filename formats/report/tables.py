@@ -127,7 +127,7 @@ def configurations(report: Report, main: bool = True) -> Table:
     found = [c for c in (MAIN if main else COLUMNS) if any(v.get(c.key) is not None for v in rows)]
     found += [LOST] if any(v.get(LOST.key) for v in rows) else []
     found += [JUDGED_BY] if report.get("reference") else []
-    found = [*(found or (DISTANCE, DURATION)), *_by_own_scans(report)]
+    found = [*(found or (DISTANCE, DURATION)), *([] if main and report.get("truth") else _by_own_scans(report))]
     label = "Main figures of every configuration" if main else "All figures of every configuration"
     return of_values((CONFIGURATION, *found), _configurations(report), label)
 

@@ -70,13 +70,13 @@ class Lap:
     def report(self, sets: tuple[str, ...], truth: bool, advice: bool = True) -> dict[str, Any]:
         """Return what `compare` says under settings, with the log's truth or without it."""
         session = self.sessions[truth].with_settings(sets)
-        return session.compare(advice=advice, audits=False, reference=False).report
+        return session.compare(advice=advice, audits=False, reference=False, smooth=False).report
 
     def errors(self, sets: tuple[str, ...]) -> Errors:
         """Return the error of every configuration by the simulator's truth, whatever the log's truth says."""
         if sets not in self._errors:
             session = self.sessions[True].with_settings(sets)
-            found = session.compare(advice=False, audits=False, reference=False).estimates
+            found = session.compare(advice=False, audits=False, reference=False, smooth=False).estimates
             start = (session.drive.epoch_ns - EPOCH_NS) * 1e-9
             self._errors[sets] = {name: self._error(e.t + start, e.pose) for name, e in found.items()}
         return self._errors[sets]

@@ -54,7 +54,7 @@ def locfuse(*words: str | Path) -> Command:
 
 def figures(logs: Logs, out: Path, length: str) -> list[Figure]:
     """Return what is measured in whole processes; `length` is that of the long log, in words."""
-    advised = ("--write", "json", "--quiet", "--overwrite", "--out", out)
+    advised = ("--write", "json", "--quiet", "--overwrite", "--no-smooth", "--out", out)
     how = (*advised, "--no-advice")  # how often advice fuses again depends on what looks wrong with the log
     stock, stock_minute = decoded(logs.hour), decoded(logs.minute)
     ours = module("decode", "ours", logs.hour)

@@ -116,7 +116,7 @@ def found_by(case: Case, logs: Path, spare: Path) -> Found:
         return Found({}, report(printed(words)))
     if case.what == "several":
         return Found({}, report(locfuse.compare(*words).report))
-    options = dict(case.options)
+    options = {"smooth": False, **case.options}
     read = {key: options.pop(key) for key in ("order", "preset", "between") if key in options}
     session = locfuse.load(log, sets=[here(s) for s in case.sets], **read)
     if case.what == "listen":

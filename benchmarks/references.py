@@ -71,7 +71,7 @@ def work(name: str) -> Row:
     """Return every sensor's verdicts and errors with the truth and without it."""
     case = next(case for case in cases() if case.name == name)
     by_truth, hidden = (
-        locfuse.load(case.log, sets={**case.sets, **more}).compare(advice=False, audits=False).report
+        locfuse.load(case.log, sets={**case.sets, **more}).compare(advice=False, audits=False, smooth=False).report
         for more in ({}, HIDDEN)
     )
     return {"sensors": [judged(sensor, by_truth, hidden) for sensor in by_truth["verdicts"]]}

@@ -300,7 +300,9 @@ class Audit(msgspec.Struct, frozen=True):
     joint: Array = field(default_factory=lambda: np.zeros((0, 2)))
 
 
-FAULT, LOST, REFUSED, REST, LOOP = "fault", "lost", "refused", "rest", "loop closed"  # kinds of events
+# kinds of events
+FAULT, LOST, REFUSED, REST = "fault", "lost", "refused", "rest"
+LOOP, JUMP = "loop closed", "pose jumped"
 
 
 class Event(NamedTuple):
@@ -308,7 +310,7 @@ class Event(NamedTuple):
 
     start: float
     end: float
-    kind: str  # FAULT, LOST, REFUSED, REST or LOOP
+    kind: str  # FAULT, LOST, REFUSED, REST, LOOP or JUMP
     words: str
     configuration: str = ""  # in which result; "" where it is of the drive itself
 
@@ -367,14 +369,14 @@ class SeenAgain(NamedTuple):
     pose: Array  # (3,) where the robot was now, seen from where it was then
 
 
-SLIP, RELOCALISED, LOOP = "slip", "relocalised", "loop"  # kinds of jumps
+SLIP, RELOCALISED, LOOP_TAKEN = "slip", "relocalised", "loop"  # kinds of jumps
 
 
 class Jump(NamedTuple):
     """A correction of the pose that is no motion: a slip undone, a lost robot found again, a loop closed."""
 
     t: float  # s
-    kind: str  # "slip", "relocalised" or "loop"
+    kind: str  # SLIP, RELOCALISED or LOOP_TAKEN
     step: tuple[float, float, float]  # m, m, rad: by how much the pose in the map changed
 
 

@@ -173,7 +173,7 @@ def _compared(fixes: Fixes, loaded: Loaded, trial: Trial) -> Compared:
     def hear(e: Estimates) -> None:
         trial.heard(fixes, loaded, e)
 
-    asked = Asked(align=trial.align, audits=False)
+    asked = Asked(align=trial.align, smooth=False, audits=False)
     return compare_log(loaded, configurations, asked, trial.progress, heard=[hear])
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.formats.report import json_report
+from locfuse.formats.report.findings import length
 from locfuse.fusion import se2
 from locfuse.fusion.data import Drive, Estimates, Evaluation, Jump
 from locfuse.fusion.fuse import configuration_name
@@ -104,10 +105,11 @@ def compare_log(
     solves = _solved_sets(drive) if reference else set()
     for c in configurations:
         progress(f"fusing {c.name}")
-        both = asked.smooth or (frozenset(c.sensors) in solves and not c.rates)
-        first, *after = lean(_judged, c, loaded, asked, both, watch)
+        shown = c.is_smoothed(asked, robot)
+        both = shown or (frozenset(c.sensors) in solves and not c.rates)
+        first, *after = lean(_judged, c, loaded, asked, (both, shown), watch)
         filtered.append(first)
-        smoothed += after if asked.smooth else []
+        smoothed += after if shown else []
         if after:
             wholes[first.estimates.name] = after[0].estimates
         solved |= {frozenset(c.sensors): (first.estimates, j.estimates) for j in after if not c.rates}
@@ -198,14 +200,15 @@ def _effect(
 
 
 def _judged(
-    c: Configuration, loaded: Loaded, asked: Asked, smooth: bool, watch: Sequence[Watch]
+    c: Configuration, loaded: Loaded, asked: Asked, smoothed: tuple[bool, bool], watch: Sequence[Watch]
 ) -> list[JudgedRun]:
-    """Fuse and judge one configuration: filtered, and perhaps smoothed, which is watched if it was asked for."""
+    """Fuse and judge one configuration; `smoothed`: whether it is smoothed too, and whether that is shown."""
     drive, robot, judged = c.drive(loaded.drive), loaded.robot, []
+    smooth, shown = smoothed
     how = cast("Align", asked.align)
     for e in lean(c.fuse, loaded.drive, robot, smooth and bool(c.sensors)):
         evaluation = lean(evaluate, e, drive, how)
-        for look in watch if asked.smooth or not e.smoothed else ():
+        for look in watch if shown or not e.smoothed else ():
             look(e, evaluation)
         kept = e if asked.audits else replace(e, audits={})
         judged.append(JudgedRun(kept, evaluation, evidence(drive, e, robot)))
@@ -291,29 +294,33 @@ def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
     report["prediction"] = prediction_values(compared.scores, list(sets)) if compared.scores else None
     add_consistency(report, compared.runs, compared.evaluations, compared.loaded.robot)
     add_reference(report, compared)
-    add_own_scans(report, compared)
+    add_own_scans(report, compared.loaded.drive, compared.estimates, compared.smoothed)
     return json_report.plain(report)
 
 
-def add_own_scans(report: dict[str, Any], compared: Compared) -> None:
+def add_own_scans(
+    report: dict[str, Any], drive: Drive, estimates: Sequence[Estimates], smoothed: Mapping[str, Estimates]
+) -> None:
     """Add what the laser's scans say of each result where a path was smoothed, and whether it is doubted."""
     report["doubt"] = None
-    add_events(report, compared.estimates)
-    drive = compared.loaded.drive
-    if not compared.smoothed:
+    add_events(report, estimates)
+    if not smoothed:
         return
     for values in report["configurations"].values():
         values.update(dict.fromkeys(("revisit_agreement", "crispness_cells")))
-    ours = [e for e in compared.estimates if len(e.t) == len(drive.t)]
-    for name, own in judged_by_scans(drive, ours, compared.smoothed).items():
+    ours = [e for e in estimates if len(e.t) == len(drive.t)]
+    for name, own in judged_by_scans(drive, ours, smoothed).items():
         values, apart = report["configurations"][name], own.smoothed
         values["revisit_agreement"], values["crispness_cells"] = own.revisit_agreement, own.crispness_cells
         if apart is None:
             continue
         values["smoothed_distance_m"] = msgspec.to_builtins(apart)
-        where = f"{apart.rms:.2f} m (at most {apart.max:.2f} m, at {apart.t_s:.0f} s) elsewhere"
+        where = f"{length(apart.rms)} (at most {length(apart.max)}, at {apart.t_s:.0f} s) elsewhere"
         more = ", which is more than both claim: neither is a reference" if own.contradicted else ""
         values["notes"].append(f"smoothed, the path lies {where}{more}")
+        if own.is_overconfident:
+            times = apart.rms / max(own.claimed_m, 1e-9)
+            values["notes"].append(f"covariance too small: the smoothed path lies {times:.1f} sigma away")
         if apart.doubted(values["distance_m"]):
             proven = "The better answer: --smooth" if own.smoothed_is_better else "Neither is proven"
             report["doubt"] = f"Doubtful: smoothed, the path of {name} lies {where}. {proven}."
@@ -355,5 +362,6 @@ def report_of_run(
     report = results.build(loaded, evaluations)
     runs = evidence(c.drive(loaded.drive), estimates[0], loaded.robot)
     add_consistency(report, runs, evaluations, loaded.robot)
-    add_events(report, estimates)
+    filtered, *smoothed = estimates
+    add_own_scans(report, c.drive(loaded.drive), estimates, dict(zip([filtered.name], smoothed, strict=False)))
     return json_report.plain(report)

@@ -18,7 +18,10 @@ from locfuse.fusion.paper.preset import fuser
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed
 
+from .settings import Asked
+
 RATE_PATTERN = re.compile(r"(\d+(?:\.\d+)?)\s*hz", re.IGNORECASE)
+LASER = "lrf"
 MAX_SUBSET_SENSORS = 6  # sensors: 64 subsets
 Sensors = str | Iterable[str]  # of one configuration
 
@@ -33,6 +36,16 @@ class Configuration(msgspec.Struct, frozen=True):
     def drive(self, drive: Drive) -> Drive:
         """Return the drive as this configuration sees it."""
         return thinned(drive, self.rates) if self.rates else drive
+
+    def is_smoothed(self, asked: Asked, robot: Robot) -> bool:
+        """Return whether its smoothed path is shown: if asked for; by default with a laser where it can be."""
+        if asked.smooth is not None:
+            return asked.smooth and bool(self.sensors)
+        if asked.jitter or self.rates or LASER not in self.sensors:
+            return False
+        from locfuse.fusion.whole_drive.smooth import why_not_smoothed
+
+        return why_not_smoothed(robot, self.sensors) is None
 
     def fuse(self, drive: Drive, robot: Robot, smooth: bool = False) -> tuple[Estimates, ...]:
         """Run the filter, and perhaps the smoother: (filtered,) or (filtered, smoothed).

@@ -69,7 +69,8 @@ def repeat(loaded: Loaded, asked: Asked) -> str:
     """
     words = ["locfuse", "compare", *log_words(loaded.log), "--robot", "robot.toml"]
     words += [word for sensors in asked.sensors for word in ("--sensors", sensors)]
-    words += ["--all-subsets"] * asked.all_subsets + ["--smooth"] * asked.smooth
+    words += ["--all-subsets"] * asked.all_subsets
+    words += [] if asked.smooth is None else ["--smooth" if asked.smooth else "--no-smooth"]
     words += ["--jitter", str(asked.jitter)] if asked.jitter else []
     words += ["--reference" if asked.reference else "--no-reference"] if loaded.drive.truth is None else []
     words += ["--align", asked.align] if asked.align != "none" else []

@@ -62,7 +62,7 @@ class Choices(TypedDict, total=False):
 
     all_subsets: bool
     align: str
-    smooth: bool
+    smooth: bool | None
     jitter: int
     reference: bool | None
     advice: bool
@@ -76,7 +76,7 @@ class Asked(msgspec.Struct, frozen=True):
     sensors: tuple[str, ...] = ()  # a configuration each, as --sensors names them; none: the default ones
     all_subsets: bool = False
     align: str = "none"
-    smooth: bool = False
+    smooth: bool | None = None  # None: configurations with the laser that can be smoothed
     jitter: int = 0  # runs
     reference: bool | None = None  # one takes the place of truth; None: where the drive is short enough
     advice: bool = True  # fixes are tried
@@ -98,7 +98,7 @@ class Asked(msgspec.Struct, frozen=True):
             )
         if self.reference:
             raise UsageError("--reference: it is of one drive: compare one log at a time")
-        return replace(self, reference=False, advice=False, audits=False)
+        return replace(self, smooth=bool(self.smooth), reference=False, advice=False, audits=False)
 
 
 class GateOptions(msgspec.Struct, frozen=True):

@@ -120,7 +120,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         sensors: Sensors | Configuration = "all",
         *,
         align: str = "none",
-        smooth: bool = False,
+        smooth: bool | None = None,
         advice: bool = True,
         jitter: int = 0,
     ) -> Run:
@@ -129,7 +129,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         Args:
             sensors: "all", "odometry", "compass,lrf", ["compass", "lrf"], or "lrf@2Hz" for a lower rate.
             align: "none", "origin" or "se2": how to move the estimate onto the truth before judging it.
-            smooth: also smooth: every pose from the whole drive, its end included.
+            smooth: also smooth: every pose from the whole drive, its end included. None: with a laser.
             advice: where something looks wrong, evaluate the log as `compare` does and try fixes.
             jitter: fuse as many times more with stamps moved by 1 us and 1 % of the readings dropped; the report
                 then has the range of every figure under `configurations.<name>.jitter`.
@@ -141,7 +141,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         asked = Asked(align=align, smooth=smooth, jitter=check_runs(jitter))
         used = sensors if isinstance(sensors, Configuration) else self.configuration(sensors)
         self.progress("fusing")
-        estimates = lean(used.fuse, self.drive, self.robot, smooth)
+        estimates = lean(used.fuse, self.drive, self.robot, used.is_smoothed(asked, self.robot))
         evaluations = [evaluate(e, used.drive(self.drive), cast("Align", align)) for e in estimates]
         report = report_of_run(self.loaded, used, estimates, evaluations)
         self._add_jitter(report, [used], asked, estimates)
@@ -172,7 +172,8 @@ class Session(msgspec.Struct, frozen=True, eq=False):
             **choices: any of these.
                 all_subsets (False): every subset of the sensors: what each is worth beside the others too.
                 align ("none"): "origin" or "se2" moves every estimate onto the truth before judging it.
-                smooth (False): also smooth every configuration that has sensors: "all-smoothed".
+                smooth (None): also smooth every configuration that has sensors: "all-smoothed". None: those with
+                a laser, where no `jitter` is asked for.
                 audits (True): keep every measurement's innovation and verdict,
                 `estimates["lrf"].audits["lrf"]`. They are most of what a result holds; False frees them as soon
                 as the figures have what they show.
@@ -292,11 +293,11 @@ class Session(msgspec.Struct, frozen=True, eq=False):
 
         The log is measured once; a cell measures again only the sensors whose settings it changes. Returns the
         comparisons by cell, "lrf.sigma_range=0.01 lrf.map=grow"; other arguments are those of `compare`, but no
-        audits are kept, nothing is advised, and there is no reference unless they are asked for. Raises UsageError
-        as `with_settings` does, and for more than 1000 cells.
+        audits are kept, nothing is advised or smoothed, and there is no reference unless they are asked for.
+        Raises UsageError as `with_settings` does, and for more than 1000 cells.
         """
         found = cells({key: [as_set(key, value) for value in values] for key, values in keys.items()})
-        plain: Choices = {"audits": False, "advice": False, "reference": False}
+        plain: Choices = {"audits": False, "advice": False, "reference": False, "smooth": False}
         asked: Choices = {**plain, **choices}
         results = {cell: self.with_settings(sets).compare(sensors, **asked) for cell, sets in found.items()}
         return Named("cell", results)

@@ -227,7 +227,10 @@ ALIGN = click.option(
     help="Move the estimate onto the truth before judging it.",
 )
 SMOOTH = click.option(
-    "--smooth", is_flag=True, help="Also smooth: what the whole drive, its end included, says of every instant."
+    "--smooth/--no-smooth",
+    default=None,
+    help="Also smooth: what the whole drive, its end included, says of every instant.  [default: configurations "
+    "with a laser, without --jitter, of a single log]",
 )
 REFERENCE = click.option(
     "--reference/--no-reference",

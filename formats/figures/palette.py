@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
-from locfuse.fusion.data import BASES, FAULT, LOOP, LOST, REFUSED, REST, VERDICTS, Colour, Estimates
+from locfuse.fusion.data import BASES, FAULT, JUMP, LOOP, LOST, REFUSED, REST, VERDICTS, Colour, Estimates
 
 
 class Trace(NamedTuple):
@@ -71,6 +71,7 @@ ROLES = {  # what is drawn besides configurations
     "fault": Colour("#b86e00", "#e0a040"),
     "rest": Colour("#5f7f95", "#7f9fb5"),
     "loop": Colour("#2c8a5b", "#7fdc9a"),
+    "jump": Colour("#c02080", "#f080c0"),
     "repeated": Colour("#e4e7ec", "#2f353e"),
     **{f"level {i}": colour for i, colour in enumerate(LEVELS)},
     "median": TRUTH,
@@ -90,7 +91,8 @@ SHAPES = {  # of spots
     "leave_one_out": "square",
     "credit": "dot",
 }
-EVENTS = {FAULT: "fault", LOST: "lost", REFUSED: "gate", REST: "rest", LOOP: "loop"}  # kind of event -> role
+# kind of event -> role
+EVENTS = {FAULT: "fault", LOST: "lost", REFUSED: "gate", REST: "rest", LOOP: "loop", JUMP: "jump"}
 
 
 def traces_of(estimates: Iterable[Estimates]) -> dict[str, Trace]:

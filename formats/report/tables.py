@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -101,6 +102,20 @@ INPUT = (
 )
 
 
+MAX_JUMPS = 30  # rows: the largest
+MIN_AGREEMENT = 0.3  # of a path where it was before: below, it is wrong, and its crispness is not compared
+AGREEMENT = Column("revisit_agreement", "revisits agree", form="{:.0%}", rank=5)
+CRISPNESS = Column("crispness", "crispness", kind="text", rank=5)
+JUMPS = (
+    CONFIGURATION,
+    Column("t_s", "at", "s", "{:.1f}"),
+    Column("kind", "what", kind="text"),
+    Column("dx_m", "moved in x", "m", "{:+.3f}"),
+    Column("dy_m", "in y", "m", "{:+.3f}"),
+    Column("dtheta_deg", "turned", "°", "{:+.2f}"),
+)
+
+
 def has_figures(report: Report) -> bool:
     """Return whether any configuration has an error figure."""
     return any(v.get(c.key) is not None for c in COLUMNS for v in report["configurations"].values())
@@ -112,19 +127,60 @@ def configurations(report: Report, main: bool = True) -> Table:
     found = [c for c in (MAIN if main else COLUMNS) if any(v.get(c.key) is not None for v in rows)]
     found += [LOST] if any(v.get(LOST.key) for v in rows) else []
     found += [JUDGED_BY] if report.get("reference") else []
+    found = [*(found or (DISTANCE, DURATION)), *([] if main and report.get("truth") else _by_own_scans(report))]
     label = "Main figures of every configuration" if main else "All figures of every configuration"
-    return of_values((CONFIGURATION, *(found or (DISTANCE, DURATION))), _configurations(report), label)
+    return of_values((CONFIGURATION, *found), _configurations(report), label)
 
 
 def _configurations(report: Report, key: str | None = None) -> Rows:
     """Yield every configuration's values, or what it has below a key, with its name."""
-    for name, values in report["configurations"].items():
+    runs = report["configurations"]
+    hit = (v.get("crispness_cells") for v in runs.values() if _agrees(v))
+    fewest = min(filter(None, hit), default=0)
+    for name, values in runs.items():
         own = values if key is None else values.get(key)
         if own:
             yield (
-                {**own, "configuration": name, JUDGED_BY.key: _judged_by(values.get("reference"))},
+                {
+                    **own,
+                    "configuration": name,
+                    JUDGED_BY.key: _judged_by(values.get("reference")),
+                    CRISPNESS.key: _crispness(values, fewest),
+                },
                 ("configurations", name, *([key] if key else [])),
             )
+
+
+def _by_own_scans(report: Report) -> list[Column]:
+    """Return the columns of what scans say of the path that they were taken on, where that is known."""
+    runs = report["configurations"].values()
+    found = [AGREEMENT] if any(v.get(AGREEMENT.key) is not None for v in runs) else []
+    return found + ([CRISPNESS] if any(_crispness(v, 1) for v in runs) else [])
+
+
+def _agrees(values: Mapping[str, Any]) -> bool:
+    """Return whether a path agrees with itself where it was before, as far as that is known."""
+    agreement = values.get(AGREEMENT.key)
+    return agreement is None or agreement >= MIN_AGREEMENT
+
+
+def _crispness(values: Mapping[str, Any], fewest: int) -> str | None:
+    """Return how many times the fewest cells are hit; "bad" for a path that does not agree with itself."""
+    cells = values.get("crispness_cells")
+    return "bad" if not _agrees(values) else f"x {cells / fewest:.2f}" if cells and fewest else None
+
+
+def jumps(report: Report) -> Table:
+    """Return what moved a pose and was no motion: the largest jumps, in order of time."""
+    found = [
+        ({**event, "configuration": name}, ("configurations", name, "events", i))
+        for name, values in report["configurations"].items()
+        for i, event in enumerate(values.get("events", ()))
+    ]
+    largest = sorted(found, key=lambda row: -math.hypot(row[0]["dx_m"], row[0]["dy_m"], row[0]["dtheta_deg"] / 30))
+    rows = sorted(largest[:MAX_JUMPS], key=lambda row: (row[0]["configuration"], row[0]["t_s"]))
+    words = "Jumps of the pose" if len(found) <= MAX_JUMPS else f"The largest {MAX_JUMPS} of {len(found)} jumps"
+    return of_values(JUMPS, rows, words)
 
 
 def _judged_by(reference: Mapping[str, Any] | None) -> str | None:
@@ -144,6 +200,7 @@ def brief(report: Report) -> Table:
     gains = {r["configuration"]: r["gain_nats"] for r in ranking}
     columns = [CONFIGURATION, DISTANCE]
     columns += [GAIN] if ranking else []
+    columns += _by_own_scans(report)
     rows = []
     for values, at in _configurations(report):
         rows.append(({**values, GAIN.key: gains.get(at[1])}, at))

@@ -1,23 +1,29 @@
-"""What happened when in a drive: rest, lost, loops closed, readings refused in a row, labelled faults."""
+"""What happened when in a drive: rest, lost, jumps, loops closed, readings refused in a row, labelled faults."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion.data import (
+    JUMP,
     LOOP,
+    LOOP_TAKEN,
     LOST,
     REFUSED,
+    RELOCALISED,
     REST,
+    SLIP,
     VERDICTS,
     Array,
     Audit,
     Drive,
     Estimates,
     Event,
+    Jump,
     Measurements,
 )
 
@@ -25,6 +31,7 @@ MIN_REST_S = 2.0
 REST_STEP_M, REST_STEP_RAD = 1e-4, 1e-4  # of one interval of the wheels: below, nothing turned
 SAME_LOOP_S = 5.0  # closer together, loops are told as one
 MIN_REFUSED = 5  # readings in a row; fewer are outliers, and the gates show them
+JUMPS = {SLIP: "wheel slip undone", RELOCALISED: "lost robot found", LOOP_TAKEN: "loop closed"}
 USED_VERDICTS = tuple(VERDICTS.index(v) for v in ("accepted", "new", "repeated"))
 
 
@@ -34,7 +41,7 @@ def events_of_drive(drive: Drive) -> list[Event]:
 
 
 def events_of_run(drive: Drive, e: Estimates) -> list[Event]:
-    """Return when a run was lost, closed a loop, and refused a sensor for a while, in order of time.
+    """Return when a run was lost, jumped, closed a loop, and refused a sensor for a while, in order of time.
 
     Args:
         drive: as the configuration saw it: its audits count the readings of this one.
@@ -42,6 +49,7 @@ def events_of_run(drive: Drive, e: Estimates) -> list[Event]:
     """
     found = [Event(a, b, LOST, f"lost for {b - a:.1f} s", e.name) for a, b in e.lost]
     found += _loops(e)
+    found += [Event(jump.t, jump.t, JUMP, _step(jump), e.name) for jump in e.jumps]
     for sensor, audit in e.audits.items():
         found += _refusals(sensor, drive.measurements[sensor], drive.t[drive.instant[sensor]], audit, e.name)
     return sorted(found)
@@ -56,6 +64,12 @@ def _loops(e: Estimates) -> Iterator[Event]:
         a, b = float(then[some].min()), float(then[some].max())
         place = f"the place of {a:.0f} s" if b - a < 1.0 else f"places of {a:.0f} to {b:.0f} s"
         yield Event(float(now[some[0]]), float(now[some[-1]]), LOOP, f"{place} recognised", e.name)
+
+
+def _step(jump: Jump) -> str:
+    """Return what a jump was and how far it went, in words."""
+    x, y, turn = jump.step
+    return f"{JUMPS[jump.kind]}: moved {math.hypot(x, y):.2f} m, turned {math.degrees(turn):+.1f}°"
 
 
 def rests(drive: Drive) -> Iterator[tuple[float, float]]:

@@ -24,6 +24,7 @@ MIN_REVISITS, MIN_OVERLAP = 0.1, 3.0  # share of scans at places seen before; ce
 CELL_M = 0.05
 DOUBT_M, DOUBT_SHARE = 0.3, 0.0075  # of the way: two paths further apart than both are doubted
 MAX_APART_SIGMAS, MIN_APART_M = 3.0, 0.05  # of both claims together; less than this is no contradiction
+MAX_CLAIM_RATIO = 1.5  # of the distance to the smoothed path over the claimed standard deviation
 BETTER, GOOD = 0.2, 0.7  # by how much agreement must rise, or what it must be, for a path to be the better one
 
 
@@ -100,9 +101,13 @@ def _cells(placed: list[Array]) -> tuple[int, float]:
 
 def are_contradictory(a: Estimates, b: Estimates) -> bool:
     """Return whether estimates at the same instants lie further apart than both claim: one of them is wrong."""
-    claimed = [np.maximum(e.triangles[:, 0] + e.triangles[:, 3], 0.0).mean() for e in (a, b)]
     apart = Distance.between(a.t, a.pose[:, :2], b.pose[:, :2])
-    return apart.rms > max(MAX_APART_SIGMAS * float(np.sqrt(sum(claimed))), MIN_APART_M)
+    return apart.rms > max(MAX_APART_SIGMAS * float(np.hypot(_claimed(a), _claimed(b))), MIN_APART_M)
+
+
+def _claimed(e: Estimates) -> float:
+    """Return the standard deviation that an estimate claims, rms over the drive [m]."""
+    return float(np.sqrt(np.maximum(e.triangles[:, 0] + e.triangles[:, 3], 0.0).mean()))
 
 
 def is_better(before: float | None, after: float | None) -> bool:
@@ -119,7 +124,14 @@ class Own(msgspec.Struct, frozen=True):
     crispness_cells: int | None
     smoothed: Distance | None = None  # to the same sensors' smoothed path; None where there is none
     smoothed_is_better: bool = False  # as its revisit agreement proves
+    claimed_m: float = 0.0  # by the estimate: its standard deviation over the drive, sqrt(P_xx + P_yy)
     contradicted: bool = False  # they lie further apart than both claim
+
+    @property
+    def is_overconfident(self) -> bool:
+        """Whether the smoothed path lies further away than the estimate's covariance allows."""
+        apart = 0.0 if self.smoothed is None else self.smoothed.rms
+        return apart > max(MAX_CLAIM_RATIO * self.claimed_m, MIN_APART_M)
 
 
 def judged_by_scans(
@@ -145,5 +157,5 @@ def judged_by_scans(
             continue
         apart = Distance.between(e.t, e.pose[:, :2], whole.pose[:, :2])
         better = is_better(agreement, judged[whole.name][0])
-        found[e.name] = Own(agreement, cells, apart, better, are_contradictory(e, whole))
+        found[e.name] = Own(agreement, cells, apart, better, _claimed(e), are_contradictory(e, whole))
     return found

@@ -20,7 +20,7 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import (
-    LOOP,
+    LOOP_TAKEN,
     VERDICTS,
     Array,
     Ints,
@@ -533,7 +533,7 @@ class AtlasTracker(LineTracker):
             self.closed.append(SeenAgain(sight.t, t, se2.between(sight.pose, here)))
         before_loop = in_map(belief)
         belief.know_frame(self._anchors.pose[at], self._anchors.covariance((at,)))
-        self._jumps.append(jump(t, LOOP, before_loop, in_map(belief)))
+        self._jumps.append(jump(t, LOOP_TAKEN, before_loop, in_map(belief)))
         if self.guard is not None and not is_open(self._anchors.relative(0, at)[1]):
             self.guard.recognised(t)
 

@@ -177,14 +177,12 @@ def _rms(errors: Array) -> float:
 def whole_drive(
     drive: Drive, robot: Robot, sensors: Sequence[str], filtered: Estimates | None = None
 ) -> Graph | None:
-    """Return the graph of a drive with a laser; None without one, or where it has no room for a loop.
+    """Return the graph of a drive with a laser; None where no loop can be found.
 
     Of the filter's run it takes over the places that were recognised, and the wheels where they were estimated.
     """
     m = drive.measurements.get(LASER)
-    if LASER not in sensors or m is None or m.points is None or robot.settings(LASER).map != "grow":
-        return None
-    if in_one_view(drive):
+    if m is None or m.points is None or not room_for_loops(drive, robot, sensors):
         return None
     lag = clock_lag(drive)
     estimated = None if filtered is None else filtered.blocks.get(WHEELS)
@@ -227,6 +225,13 @@ def whole_drive(
         wheels=wheels,
         sensors=(LASER, *others.sensors),
     )
+
+
+def room_for_loops(drive: Drive, robot: Robot, sensors: Sequence[str]) -> bool:
+    """Return whether a drive's laser makes a map of its own, and cannot see all of it from the middle."""
+    m = drive.measurements.get(LASER)
+    known = m is not None and m.points is not None
+    return LASER in sensors and known and robot.settings(LASER).map == "grow" and not in_one_view(drive)
 
 
 def in_one_view(drive: Drive) -> bool:

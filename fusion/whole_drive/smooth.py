@@ -34,7 +34,7 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.wheels.states import WHEELS
 
-from .pose_graph import Graph, whole_drive
+from .pose_graph import Graph, room_for_loops, whole_drive
 
 NOT_OPTIMAL = ("first-scan", "consider")
 MAX_WALLS = 300  # of a given map: each is two states, and each instant costs the square of their number
@@ -43,24 +43,32 @@ RANK = 1e-12  # relative eigenvalue below which the wheels' noise has no extent
 
 def check_smoothing(robot: Robot, sensors: Sequence[str]) -> None:
     """Raise UsageError where these sensors' filter does not weigh optimally, or holds too many walls to smooth."""
+    why = why_not_smoothed(robot, sensors)
+    if why is not None:
+        raise why
+
+
+def why_not_smoothed(robot: Robot, sensors: Sequence[str]) -> UsageError | None:
+    """Return what `check_smoothing` raises; None where these sensors can be smoothed."""
     if robot.preset == "paper":
-        raise UsageError(
+        return UsageError(
             "--smooth: the filter as printed in the paper has no optimal gain; leave --preset paper out"
         )
     for sensor in sensors:
         mode = getattr(robot.settings(sensor), "map", None)
         if mode in NOT_OPTIMAL:
             fix = f"{sensor}.map=refine"
-            raise UsageError(
+            return UsageError(
                 f"--smooth: {sensor}.map = {mode} does not weigh optimally, and smoothing assumes that it does.",
                 fixes=(fix,),
                 hint=f"Use --set {fix} or grow",
             )
         if mode == "given" and len(robot.lines) > MAX_WALLS:
-            raise UsageError(
+            return UsageError(
                 f"--smooth: the given map has {len(robot.lines)} walls, and smoothing takes at most {MAX_WALLS}; "
                 "leave --smooth out, or keep only the part of the map that the drive is in"
             )
+    return None
 
 
 def fuse_and_smooth(
@@ -68,15 +76,24 @@ def fuse_and_smooth(
 ) -> tuple[Estimates, Estimates]:
     """Run the filter and the smoother: (filtered, smoothed). Raises UsageError where the gain is not optimal."""
     check_smoothing(robot, sensors)
+    if not room_for_loops(drive, robot, sensors):
+        return fuse_and_go_back(drive, robot, sensors, name)
+    filtered = fuse(drive, robot, sensors, name)  # its events are large, and the graph needs none of them
+    graph = whole_drive(drive, robot, sensors, filtered)
+    if graph is not None and graph.needed(filtered):
+        return filtered, by_graph(filtered, graph)
+    filtered, found = fuse_and_go_back(drive, robot, sensors, name)
+    notes = () if graph is None else graph.notes(used=False)
+    return filtered, replace(found, notes=(*found.notes, *notes))
+
+
+def fuse_and_go_back(
+    drive: Drive, robot: Robot, sensors: Sequence[str], name: str | None
+) -> tuple[Estimates, Estimates]:
+    """Run the filter and its backward pass: (filtered, smoothed)."""
     events = Events(backward=True)
     filtered = fuse(drive, robot, sensors, name, events=events)
-    graph = whole_drive(drive, robot, sensors, filtered)
-    if graph is None:
-        return filtered, smoothed(drive, filtered, events)
-    if graph.needed(filtered):
-        return filtered, by_graph(filtered, graph)
-    found = smoothed(drive, filtered, events)
-    return filtered, replace(found, notes=(*found.notes, *graph.notes(used=False)))
+    return filtered, smoothed(drive, filtered, events)
 
 
 def by_graph(filtered: Estimates, graph: Graph) -> Estimates:

@@ -26,8 +26,8 @@ def test_compare_smooths_every_configuration_with_sensors(tmp_path: Path) -> Non
 
 
 def test_run_writes_the_smoothed_drive_beside_the_filtered_one(tmp_path: Path) -> None:
-    plain = locfuse("run", LOG, "--no-advice", "--sensors", "lrf", "-o", tmp_path / "plain")
-    done = locfuse("run", LOG, "--no-advice", "--sensors", "lrf", "--smooth", "-o", tmp_path / "out")
+    plain = locfuse("run", LOG, "--no-advice", "--sensors", "lrf", "--no-smooth", "-o", tmp_path / "plain")
+    done = locfuse("run", LOG, "--no-advice", "--sensors", "lrf", "-o", tmp_path / "out")
     assert (plain.exit_code, done.exit_code) == (0, 0), done.stderr
     for kind in ("tum", "csv"):
         filtered = (tmp_path / "out" / f"trajectory.{kind}").read_bytes()
@@ -38,6 +38,31 @@ def test_run_writes_the_smoothed_drive_beside_the_filtered_one(tmp_path: Path) -
     np.testing.assert_array_equal(rows[:, 0], before[:, 0])
     assert (np.abs(rows[:, 3]) <= np.pi).all()
     assert rows[:, [4, 7, 9]].mean() < before[:, [4, 7, 9]].mean()
+
+
+def rows(*words: object) -> list[str]:
+    done = locfuse("compare", LOG, "--to", 15, "--no-advice", "--write", "json", "--json", *words)
+    assert done.exit_code == 0, done.stderr
+    return list(json.loads(done.stdout)["configurations"])
+
+
+def test_what_has_a_laser_is_smoothed_unasked(tmp_path: Path) -> None:
+    of = ("--sensors", "odometry", "--sensors", "compass", "--sensors", "lrf", "--sensors", "lrf@2Hz")
+    plain = ["odometry", "compass", "lrf", "lrf@2Hz"]
+    assert rows(*of, "-o", tmp_path / "a") == [*plain, "lrf-smoothed"]
+    assert rows(*of, "--no-smooth", "-o", tmp_path / "b") == plain
+    assert rows(*of, "--jitter", 1, "-o", tmp_path / "c") == plain
+    assert rows(*of, "--set", "lrf.map=consider", "-o", tmp_path / "d") == plain
+    repeated = json.loads((tmp_path / "b" / "report.json").read_text())["repeat"]
+    assert "--no-smooth" in repeated
+
+
+def test_a_fleet_and_a_sweep_are_not_smoothed_unasked(tmp_path: Path) -> None:
+    words = ("--to", 10, "--sensors", "lrf", "--write", "json")
+    done = locfuse("fleet", LOG, *words, "--sweep", "lrf.sigma_range=0.02,0.03", "-o", tmp_path / "out")
+    assert done.exit_code == 0, done.stderr
+    found = [json.loads(p.read_text())["configurations"] for p in sorted((tmp_path / "out").rglob("report.json"))]
+    assert [list(configurations) for configurations in found] == [["lrf"], ["lrf"]]
 
 
 @pytest.mark.parametrize("command", ["run", "compare"])

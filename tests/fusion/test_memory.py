@@ -68,7 +68,7 @@ def test_audits_are_shown_to_who_draws_them_and_end_with_the_judgement(
     compared: tuple[Compared, list[Estimates]],
 ) -> None:
     found, seen = compared
-    assert [e.name for e in seen] == [e.name for e in found.estimates]
+    assert sorted(e.name for e in seen) == sorted(e.name for e in found.estimates)
     assert all(set(e.audits) == set(e.sensors) for e in seen)
     assert not any(e.audits for e in (*found.estimates, *(run.estimates for run in found.runs)))
 

@@ -13,14 +13,18 @@ from locfuse.cli.analysis.load import load
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.fusion.data import (
     FAULT,
+    JUMP,
     LOOP,
+    LOOP_TAKEN,
     LOST,
     REFUSED,
     REST,
+    SLIP,
     VERDICTS,
     Audit,
     Drive,
     Estimates,
+    Jump,
     Measurements,
     Motions,
 )
@@ -146,6 +150,15 @@ def test_being_lost_is_told_with_its_times() -> None:
     run = replace(fuse(drive, robot, []), lost=((1.0, 2.5),))
     (event,) = events_of_run(drive, run)
     assert (event.start, event.end, event.kind, event.configuration) == (1.0, 2.5, LOST, "odometry")
+
+
+def test_jumps_of_the_pose_are_told_with_what_they_did() -> None:
+    drive = small_drive(1, small_robot(), laps=0.1)
+    jumps = (Jump(1.5, SLIP, (0.0, 0.0, np.radians(-8.0))), Jump(2.0, LOOP_TAKEN, (0.3, 0.4, 0.0)))
+    first, second = events_of_run(drive, replace(fuse(drive, small_robot(), []), jumps=jumps))
+    assert (first.start, first.end, first.kind) == (1.5, 1.5, JUMP)
+    assert first.words == "wheel slip undone: moved 0.00 m, turned -8.0°"
+    assert second.words == "loop closed: moved 0.50 m, turned +0.0°"
 
 
 def test_loops_that_follow_close_upon_each_other_are_told_as_one() -> None:

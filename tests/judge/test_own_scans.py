@@ -9,7 +9,7 @@ import pytest
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array
-from locfuse.fusion.judge.own_scans import Distance, OwnScans, is_better
+from locfuse.fusion.judge.own_scans import Distance, Own, OwnScans, is_better
 
 WALL = np.column_stack((np.linspace(-3.0, 3.0, 301), np.full(301, 2.0)))
 
@@ -75,3 +75,11 @@ def test_a_path_is_better_only_where_agreement_proves_it() -> None:
     assert not is_better(0.5, 0.6)
     assert not is_better(0.9, 0.8)
     assert not is_better(None, 0.9)
+
+
+def test_a_covariance_is_too_small_where_the_smoothed_path_is_further_away_than_it_allows() -> None:
+    apart = Distance(0.2, 0.4, 10.0)
+    assert Own(0.5, None, apart, claimed_m=0.1).is_overconfident
+    assert not Own(0.5, None, apart, claimed_m=0.15).is_overconfident
+    assert not Own(0.5, None, Distance(0.04, 0.1, 10.0), claimed_m=0.01).is_overconfident  # it could be chance
+    assert not Own(0.5, None, claimed_m=0.0).is_overconfident

@@ -172,3 +172,27 @@ def test_a_name_repeated_from_the_row_above_can_be_left_out() -> None:
 def test_brackets_on_a_terminal_are_text_and_no_markup(capsys: pytest.CaptureFixture[str]) -> None:
     show.table(of_words(texts("setting", "found"), [("wheels.noise [m]", "0.0004")]))
     assert "wheels.noise [m]   0.0004" in capsys.readouterr().out
+
+
+def test_a_path_that_does_not_agree_with_itself_is_bad_and_not_ranked(report: dict[str, Any]) -> None:
+    bad, good, best = (
+        {**next(iter(report["configurations"].values())), "revisit_agreement": share, "crispness_cells": cells}
+        for share, cells in ((0.2, 100), (0.7, 300), (0.8, 200))
+    )
+    shown = records(
+        tables.configurations({**report, "configurations": {"a": bad, "b": good, "c": best}}, main=False)
+    )
+    assert [row["crispness"] for row in shown] == ["bad", "x 1.50", "x 1.00"]
+    assert [row["revisit_agreement"] for row in shown] == [0.2, 0.7, 0.8]
+
+
+def test_the_largest_jumps_are_shown_in_order_of_time(report: dict[str, Any]) -> None:
+    events = [
+        {"t_s": float(t), "kind": "loop", "dx_m": 0.01 * t, "dy_m": 0.0, "dtheta_deg": 0.0}
+        for t in range(2 * tables.MAX_JUMPS)
+    ]
+    values = next(iter(report["configurations"].values()))
+    shown = tables.jumps({**report, "configurations": {"lrf": {**values, "events": events}}})
+    late = range(tables.MAX_JUMPS, 2 * tables.MAX_JUMPS)
+    assert [row["t_s"] for row in records(shown)] == [float(t) for t in late]
+    assert str(len(events)) in shown.label

@@ -107,6 +107,37 @@ def begun(robot: Robot, drive: Drive) -> tuple[Robot, Drive]:
     return robot, replace(drive, notes=(*drive.notes, words))
 
 
+def led_back(robot: Robot, drive: Drive, first_scan: float | None) -> tuple[Robot, Drive]:
+    """Return the robot with its pose at the first wheel reading where [start] gives that of a later moment.
+
+    The wheels lead back to it, and their noise adds to the pose's own. `first_scan` [s] is the laser's first scan
+    within the drive, None without one. Raises LocfuseError where the moment is not in the drive.
+    """
+    start, end = robot.start, float(drive.t[-1])
+    at = start.at
+    if at == "scan":
+        if first_scan is None:
+            raise LocfuseError(
+                'start.at = "scan": no scan lies within the drive', role="start", hint="give the moment in seconds"
+            )
+        at = first_scan
+    if at > end:
+        raise LocfuseError(f"start.at = {at:g}: the drive ends at {end:.1f} s", role="start")
+    if not at:
+        return robot, drive
+    moved = drive.wheels.between(np.zeros(1), np.array([at]))
+    back, J = se2.inverse(moved.u[0]), se2.between_jacobians(moved.u[0], np.zeros(3))[0]
+    P = J @ moved.Q[0] @ J.T
+    x, y, theta = se2.compose(np.array(start.pose), back).tolist()
+    of_heading = start.variances[2]
+    place = start.sigma_xy**2 + 0.5 * (P[0, 0] + P[1, 1] + float(back[:2] @ back[:2]) * of_heading)
+    found = replace(robot, start=replace(start, at=at)).begun_at(
+        (x, y, theta), math.sqrt(place), math.sqrt(of_heading + P[2, 2])
+    )
+    words = f"start: the pose is that at {at:.1f} s; the wheels lead back from it by {np.hypot(*back[:2]):.2f} m"
+    return found, replace(drive, notes=(*drive.notes, words))
+
+
 def _drop_dependent(measurements: dict[str, Measurements], missing: dict[str, str]) -> None:
     """Leave out sensors whose map another one would have kept, had it been there."""
     for name, why in unmet(measurements).items():

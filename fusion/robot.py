@@ -24,6 +24,7 @@ Steering = Literal["angle", "rate", "heading"]
 MAX_START_SIGMA_M = 1e5
 MAX_START_SIGMA_DEG = 3600.0
 MAX_NOISE_M = 1e3  # variance per metre: wheels that say nothing, and still far from what rounding eats
+Moment = Annotated[float, msgspec.Meta(ge=0.0)] | Literal["scan"]
 PerMetre = Annotated[float, msgspec.Meta(ge=0.0, le=MAX_NOISE_M)]
 VIRTUAL_TRACK = 0.3  # m: carries the noise of an odometry topic, which knows no wheels
 
@@ -67,13 +68,14 @@ class WheelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
 
 class StartSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """[start]: pose of the body in the map at the first wheel reading."""
+    """[start]: pose of the body in the map at the first wheel reading, or at a later moment."""
 
-    x: float = 0.0
-    y: float = 0.0
+    x: float = 0.0  # m
+    y: float = 0.0  # m
     theta_deg: float = 0.0
     sigma_xy: Annotated[float, msgspec.Meta(ge=0.0, le=MAX_START_SIGMA_M)] = 0.0
     sigma_theta_deg: Annotated[float, msgspec.Meta(ge=0.0, le=MAX_START_SIGMA_DEG)] = 0.0
+    at: Moment = 0.0  # when the robot has this pose: s after the first wheel reading, or "scan": at the first scan
 
     @property
     def pose(self) -> tuple[float, float, float]:

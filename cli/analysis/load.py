@@ -22,7 +22,7 @@ from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Event, LocfuseError, Measurements, Stream, UsageError
-from locfuse.fusion.measure import begun, measure, windowed
+from locfuse.fusion.measure import begun, led_back, measure, windowed
 from locfuse.fusion.paper import preset as filters
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.lrf import laser_of
@@ -200,7 +200,7 @@ def measured(
         motion = read_wheels(wanted["wheels"], robot.wheels)
     shown = None if before is None else before.drive.measurements
     drive = measure(wanted, robot, {**choice.absent, **moving}, progress, known, motion, shown)
-    robot, drive = begun(robot, drive)
+    robot, drive = led_back(*begun(robot, drive), _first_scan(streams, robot, drive))
     _refuse_other_clock(log, drive)
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
     chosen = (f"{note.role}: {note.words}" for note in choice.notes if note.role in streams and not note.spoils)
@@ -227,6 +227,18 @@ def _matched_scans(stream: Stream, robot: Robot, progress: Progress, before: Loa
         return before.matched
     progress("matching scans")
     return match_scans(stream, laser)
+
+
+def _first_scan(streams: Mapping[str, Any], robot: Robot, drive: Drive) -> float | None:
+    """Return the time [s] of the laser's first scan within the drive, None without one."""
+    roles = [role for role in ("lrf", "wheels") if role in streams and streams[role].msgtype == SCANS]
+    if robot.start.at != "scan" or not roles:
+        return None
+    if (m := drive.measurements.get("lrf")) is not None and len(m.t):
+        return float(m.t[0])
+    t = (streams[roles[0]].t_ns - drive.epoch_ns) * 1e-9 + robot.settings("lrf").time_offset
+    inside = t[(t >= 0.0) & (t <= drive.t[-1])]
+    return float(inside.min()) if len(inside) else None
 
 
 def _refuse_other_clock(log: Log, drive: Drive) -> None:

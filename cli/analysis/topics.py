@@ -99,7 +99,7 @@ def checked(log: Log, role: str, topic: str, reads: Iterable[str]) -> str:
     info = log.find(topic)
     if info is None:
         have = ", ".join(sorted(log.topics)[:12]) or "no topics"
-        near = did_you_mean(topic, log.topics)
+        near = did_you_mean(topic, of_type(log, reads))  # /tf_static is like /joint_states, and holds no wheels
         raise LocfuseError(
             f"{log.name} has no topic {topic}; {f'{near} It' if near else 'it'} has {have}.", role=role
         )

@@ -35,7 +35,7 @@ from locfuse.fusion.wheels.read import WheelReading
 from .mounts import conflicts, unplaced
 from .robot_facts import find_robot_facts, of_robot
 from .sensors import raw_findings
-from .topics import derived_facts, of_stamps, topic_facts
+from .topics import derived_facts, of_publishers, of_stamps, topic_facts
 
 if TYPE_CHECKING:
     from locfuse.cli.analysis.settings import LogOptions
@@ -63,6 +63,7 @@ def inspect_log(
         *found,
         *of_robot(log, robot, choice, overview.robot_facts),
         *of_stamps(facts, choice, robot),
+        *of_publishers(log, choice),
     ]
     overview.findings += raw_findings(log, robot, choice)
     _measure(overview, progress)

@@ -49,7 +49,7 @@ HOW_TO_MEASURE = {
     },
     "start": dict.fromkeys(
         ("x", "y", "theta_deg"),
-        Ask("m, degrees: pose at the first wheel reading, where the map is not to begin at the robot"),
+        Ask("m, degrees: pose at the first wheel reading, or when `at` says; left out: 0, 0, 0"),
     ),
     "truth": {
         **dict.fromkeys(

@@ -135,6 +135,18 @@ def _facts(log: Log, name: str, order: str) -> TopicFacts:
     )
 
 
+def of_publishers(log: Log, choice: Choice) -> list[Finding]:
+    """Return a finding per topic that is read and mixes the messages of two publishers."""
+    found = []
+    for role in choice.topics:
+        for topic in choice.of(role):
+            if counts := log.in_turn(topic):
+                n = " and ".join(map(str, counts))
+                words = f"{topic} mixes two publishers ({n} messages in turn); record each on a topic of its own"
+                found.append(Finding(role, "publishers", words, severe=True))
+    return found
+
+
 def of_stamps(facts: Sequence[TopicFacts], choice: Choice, robot: Robot) -> list[Finding]:
     """Return a finding per topic that is read and is not dated simply by its headers."""
     known = {f.topic: f for f in facts if f.count >= MIN_JUDGED and f.problem is None}

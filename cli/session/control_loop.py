@@ -13,7 +13,7 @@ import numpy as np
 
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion import se2
-from locfuse.fusion.data import ArrayStream, Column, Measurements, Ragged
+from locfuse.fusion.data import ArrayStream, Column, LocfuseError, Measurements, Ragged
 from locfuse.fusion.fuse import Filter
 from locfuse.fusion.instants import step_between
 from locfuse.fusion.robot import Robot
@@ -46,8 +46,9 @@ class Localiser:
         self._waiting: list[tuple[str, RawMessage]] = []
         self._epoch_ns = 0
         self._at = 0.0  # s: the time that the filter has reached
-        start = robot.start
-        self._pose = np.array([start.x, start.y, np.radians(start.theta_deg)])
+        if robot.start.at:
+            raise LocfuseError("start.at is for logs: a pose that comes later is not known when it is needed")
+        self._pose = np.array(robot.start.pose)
 
     def __call__(self, messages: list[RawMessage]) -> tuple[float, float, float]:
         """Take in what arrived and return the pose at the newest wheel reading."""

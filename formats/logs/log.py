@@ -156,6 +156,7 @@ def _same_kind(one: ChannelInfo, other: ChannelInfo) -> bool:
 # --- The log
 
 AnyStream = LogStream | TransformStream | TagStream | FileStream | NumberStream | RangeStream | PresentedStream
+MIN_CHANGES = 10  # from channel to channel, before two publishers write to a topic in turn
 MIN_MOTION_M = 0.005  # m, and of a quaternion (0.6 degrees): a mount that gives less is one
 FOXGLOVE_TF = tuple(f"foxglove{dot}FrameTransform{s}" for dot in (".", "_msgs/msg/") for s in ("", "s"))
 TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage", *FOXGLOVE_TF)
@@ -499,6 +500,19 @@ class Log:
         for _, raw in self._walk({topic}):
             yield raw
 
+    def in_turn(self, topic: str) -> list[int]:
+        """Count the messages of channels of one file that write to a topic in turn; none where only one does.
+
+        A recorder gives each publisher of a topic its own channel. One that starts again, and one whose messages
+        are recorded twice, are no second publisher.
+        """
+        for source in self._sources:
+            carriers = self._channels[topic].carriers if topic in self._channels else []
+            idents = [carrier.ident for carrier in carriers if carrier.source is source]
+            if len(idents) > 1 and (counts := _in_turn(source, idents)):
+                return counts
+        return []
+
     def forget(self) -> None:
         """Let go of what was read; what is asked for again is read again."""
         self._tables.clear()
@@ -508,6 +522,27 @@ class Log:
     def left_out(self, topic: str) -> Mapping[str, int]:
         """Count the messages on a topic that are of another type than the rest of it."""
         return self._channels[topic].left_out()
+
+
+def _in_turn(source: Source, idents: Sequence[int]) -> list[int]:
+    """Return the counts of channels whose messages lie between each other's and are not the same."""
+    times: dict[int, list[Ints]] = {ident: [] for ident in idents}
+    seen: dict[int, set[int]] = {ident: set() for ident in idents}
+    for batch in source.batches(idents):
+        for ident, messages in batch.messages.items():
+            for data, unpacked in unpack(batch.data, messages):
+                times[ident].append(unpacked.log_time)
+                ends = (unpacked.start + unpacked.length).tolist()
+                seen[ident] |= {
+                    hash(data[a:b].tobytes()) for a, b in zip(unpacked.start.tolist(), ends, strict=True)
+                }
+    counts = {ident: sum(map(len, times[ident])) for ident in idents}
+    most, second = sorted(idents, key=lambda ident: -counts[ident])[:2]
+    who = np.repeat([most, second], [counts[most], counts[second]])
+    when = np.concatenate([*times[most], *times[second]]) if counts[second] else np.empty(0, np.int64)
+    changes = int((np.diff(who[np.argsort(when, kind="stable")]) != 0).sum())
+    alone = 2 * len(seen[most] & seen[second]) < len(seen[second])
+    return [counts[most], counts[second]] if alone and changes >= max(counts[second], MIN_CHANGES) else []
 
 
 def _at_first(edge: FrameEdge) -> transforms.Transform:

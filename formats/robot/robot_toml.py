@@ -6,7 +6,7 @@ import math
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -176,7 +176,7 @@ def convert(tables: Mapping[str, Any], types: Mapping[str, Any]) -> dict[str, An
         try:
             converted[name] = msgspec.convert(table, kind)
         except msgspec.ValidationError as problem:
-            raise LocfuseError(_mismatch(name, table, str(problem))) from None
+            raise LocfuseError(_mismatch(name, table, kind, str(problem))) from None
     return converted
 
 
@@ -207,7 +207,7 @@ def _unknown(key: str, table: str, known: Sequence[str]) -> str:
     return f"{what}; {' '.join(part for part in (hint, listed) if part)}"
 
 
-def _mismatch(name: str, table: Any, problem: str) -> str:
+def _mismatch(name: str, table: Any, kind: Any, problem: str) -> str:
     """Say "wheels.radius = 'big': expected float, got str" for msgspec's "... - at `$.radius`"."""
     reason, _, where = problem.partition(" - at `$")
     path = where.rstrip("`")
@@ -219,7 +219,18 @@ def _mismatch(name: str, table: Any, problem: str) -> str:
             value = value[int(key)] if isinstance(value, list) else value[key]
         except (KeyError, ValueError, IndexError, TypeError):
             return f"{name}{path}: {_plain(reason)}"
-    return f"{name}{path} = {_shown(value)}: {_needed(name, path.split('[')[0].lstrip('.'), reason)}"
+    key = path.split("[")[0].lstrip(".")
+    if reason.startswith("Invalid enum value") and (words := _choices(kind, key)):
+        return f"{name}{path} = {_shown(value)}: {words}"
+    return f"{name}{path} = {_shown(value)}: {_needed(name, key, reason)}"
+
+
+def _choices(kind: Any, key: str) -> str:
+    """Return which words a key may have, and whether a number; "" where it is no key of that kind."""
+    hint = get_type_hints(kind).get(key) if isinstance(kind, type) else None
+    kinds = get_args(hint) if get_origin(hint) is not Literal else (hint,)
+    words = ", ".join(repr(word) for one in kinds if get_origin(one) is Literal for word in get_args(one))
+    return words and (f"must be a number >= 0.0, or {words}" if float in kinds else f"choose from {words}")
 
 
 def _needed(table: str, key: str, reason: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, cast
 
 import numpy as np
@@ -12,6 +13,7 @@ from locfuse.fusion.sensors.lrf import Lrf, LrfSettings
 
 from .finding import Finding
 
+MIN_IN_TURN = 5  # scans that begin at another angle than most
 SAMPLE_SCANS = 300  # looked at
 MIN_TRIPLES = 1000  # of neighbouring ranges, by which noise is judged
 MAX_SCATTER = 1.4  # times sigma_range: more is named
@@ -31,7 +33,7 @@ def driver(stream: Stream) -> list[Finding]:
     lengths = np.concatenate([r.lengths for r in ranges])
     values = np.concatenate([r.values[r.first[0] : r.first[-1]] for r in ranges]).astype(np.float64)
     far = np.repeat(column["range_max"].astype(np.float64), lengths)
-    return [*_nothing(values, far), *_turning(column, lengths)]
+    return [*_nothing(values, far), *_turning(column, lengths), *_in_turn(column)]
 
 
 def of_scatter(stream: Stream, settings: LrfSettings) -> list[Finding]:
@@ -116,6 +118,23 @@ def _nothing(values: Array, far: Array) -> list[Finding]:
     }
     words = ", ".join(f"{share:.0%} {how}" for how, share in shares.items() if share >= 0.005)
     return [Finding("lrf", "no return", f"of its ranges {words}: nothing came back there")] if words else []
+
+
+def _in_turn(column: dict[str, Array]) -> list[Finding]:
+    """Say that scans begin at two angles in turn: of two lasers, or of one that sends a turn in parts."""
+    angles, which, counts = np.unique(column["angle_min"].round(3), return_inverse=True, return_counts=True)
+    if len(angles) < 2:
+        return []
+    a, b = np.argsort(-counts)[:2].tolist()
+    changes = int((np.diff(which[np.isin(which, (a, b))]) != 0).sum())
+    if counts[b] < MIN_IN_TURN or changes < counts[b]:
+        return []
+    parts = " and ".join(f"{counts[k]} scans at {math.degrees(angles[k]):.0f}°" for k in (a, b))
+    words = (
+        f"angle_min changes in turn ({parts}): two publishers on one topic? Record each laser on a topic of its "
+        "own. If one laser sends each turn in parts, nothing is wrong"
+    )
+    return [Finding("lrf", "publishers", words)]
 
 
 def _turning(column: dict[str, Array], lengths: Array) -> list[Finding]:

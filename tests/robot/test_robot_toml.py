@@ -52,7 +52,7 @@ def test_tables_become_settings_and_top_level_values_too() -> None:
         ('[wheels]\nradius = "big"', "wheels.radius = 'big': must be a number, in metres"),
         ("[wheels]\nticks_per_revolution = 1.5", "wheels.ticks_per_revolution = 1.5: must be a whole number"),
         ('[wheels]\nlimits = [1, "x"]', r"wheels.limits\[1\] = 'x': must be a number"),
-        ('[lrf]\nmap = "shrink"', "lrf.map = 'shrink': invalid enum value 'shrink'"),
+        ('[lrf]\nmap = "shrink"', "lrf.map = 'shrink': choose from 'grow', 'first-scan'"),
         ('order = "sideways"', "order = 'sideways': invalid enum value"),
     ],
 )

@@ -20,6 +20,7 @@ from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.iron import ROOM
 from locfuse.fusion.checks.laser import OPEN_SCALE
 from locfuse.fusion.checks.probes import beyond_prior, of_mount, of_offsets, of_probe, of_scale, probe_of
+from locfuse.fusion.checks.rims import RIMS
 from locfuse.fusion.checks.tried import Candidate, Fixes, together
 from locfuse.fusion.checks.truth import CREEP, POINT, STEP, WHEEL_SCALE, of_point, swing
 from locfuse.fusion.data import BASES
@@ -35,7 +36,7 @@ from .noise import Noise
 SUSPICIOUS = Least(0.005, 2.5)  # what is reason enough to fuse again where nothing else looks wrong
 
 # codes of findings whose value the truth itself or the field shows beyond chance
-MEASURED = (WHEEL_SCALE, "start", POINT, "iron", ROOM, CREEP)
+MEASURED = (WHEEL_SCALE, "start", POINT, "iron", ROOM, CREEP, RIMS)
 Key = tuple[str, str]  # role and code of a finding
 
 
@@ -123,11 +124,11 @@ class Evidence(Clocks, Noise):
         ]
 
     def _aimed(self, finding: Finding) -> tuple[Fixes, ...]:
-        """Return the fix of mirrored pictures, and the camera's zero angle by a consistent run without it.
+        """Return the fix of mirrored pictures, or of their circles, with the zero by a consistent run without it.
 
         Measuring has it by the wheels alone, which a wrong track turns too far.
         """
-        run = self._reference("camera") if (finding.role, finding.code) == ("camera", "mirrored") else None
+        run = self._reference("camera") if finding.code in {"mirrored", RIMS} else None
         loaded = None if run is None else self.trial.under(together(self.fixes, finding.fixes))
         if run is None or loaded is None:
             return ()

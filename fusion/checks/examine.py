@@ -64,9 +64,9 @@ def examine(
     if wrong_wheels:
         return found  # nothing can be held against such wheels
     if "camera" in drive.measurements:
-        from .pictures import of_handedness  # here: a log without pictures needs no OpenCV
+        from .pictures import of_calibration, of_handedness  # here: a log without pictures needs no OpenCV
 
-        found += of_handedness(drive, robot)
+        found += [*of_calibration(streams["camera"], robot.settings("camera")), *of_handedness(drive, robot)]
     scales = _scales(drive, robot, by_sensor, turning, least)
     return [*found, *scales, *of_clocks(drive, robot), *of_truth(drive, robot)]
 

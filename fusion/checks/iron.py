@@ -45,17 +45,20 @@ def _on_robot(iron: Iron, settings: CompassSettings) -> list[Finding]:
     raw = np.linalg.inv(iron.soft) * iron.strength  # raw = hard + this times a unit vector
     left = soft @ raw
     error = iron_error_deg(soft @ (iron.hard - hard), np.linalg.inv(left))
-    away = np.abs(iron.hard - hard) > MIN_SIGMAS * iron.hard_sigma
-    if error < MIN_ERROR_DEG or not away.any():
+    moved = (np.abs(iron.hard - hard) > MIN_SIGMAS * iron.hard_sigma).any()
+    ellipse = (np.abs(iron.soft - soft) > MIN_SIGMAS * iron.soft_sigma).any()
+    ellipse = ellipse and iron_error_deg(np.zeros(2), np.linalg.inv(left / iron.strength)) > MIN_ERROR_DEG
+    if error < MIN_ERROR_DEG or not (moved or ellipse):
         return []
-    size = np.linalg.norm(iron.hard - hard) / iron.strength
-    words = (
-        f"the field turns about a point beside zero, by {size:.0%} of its strength: iron on the robot turns "
-        f"headings by {error:.1f}° (rms)"
-    )
-    fixes = [f"compass.hard_iron=[{', '.join(f'{x:.4g}' for x in iron.hard.tolist())}]"]
-    if iron_error_deg(np.zeros(2), np.linalg.inv(left / iron.strength)) > MIN_ERROR_DEG:
+    parts, fixes = [], []
+    if moved:
+        size = np.linalg.norm(iron.hard - hard) / iron.strength
+        parts.append(f"about a point beside zero, by {size:.0%} of its strength (hard iron)")
+        fixes.append(f"compass.hard_iron=[{', '.join(f'{x:.4g}' for x in iron.hard.tolist())}]")
+    if ellipse:
+        parts.append(f"on an ellipse {np.linalg.cond(left):.2f} times as long as wide (soft iron)")
         fixes.append(f"compass.soft_iron=[{', '.join(f'{x:.5g}' for x in iron.soft.ravel().tolist())}]")
+    words = f"the field turns {' and '.join(parts)}: iron on the robot turns headings by {error:.1f}° (rms)"
     return [Finding("compass", "iron", words, tuple(fixes), error > SEVERE_ERROR_DEG)]
 
 

@@ -19,6 +19,7 @@ from locfuse.fusion.se2 import wrap, wrap_all
 from locfuse.fusion.sensors.camera import CameraSettings, detector
 
 from .finding import Finding
+from .rims import of_rims
 
 SAMPLE_PICTURES = 24  # looked at
 MAX_BAD_SHARE = 0.5  # share of the pictures
@@ -39,8 +40,7 @@ PROBLEMS = {
 
 def of_pictures(stream: Stream, settings: CameraSettings) -> list[Finding]:
     """Return what is unusual about some pictures of a stream, evenly spread."""
-    wanted = set(range(0, len(stream.t_ns), max(1, len(stream.t_ns) // SAMPLE_PICTURES)))
-    decoded = [decode(message) for block in messages(stream) for row, message in block if row in wanted]
+    decoded = _sampled(stream)
     found, total = [], len(decoded)
     for why, n in Counter(one for one in decoded if isinstance(one, str)).items():
         words = f"{n} of {total} pictures looked at {PROBLEMS[why]}"
@@ -51,7 +51,22 @@ def of_pictures(stream: Stream, settings: CameraSettings) -> list[Finding]:
         listed = ", ".join(f"{w} x {h} ({n})" for (w, h), n in sizes.most_common())
         found.append(Finding("camera", "pictures", f"they change size: {listed}; only the usual size is used"))
     usual = max(sizes, key=lambda size: (sizes[size], size), default=None)
-    return found + _red([p for p in pictures if (p.shape[1], p.shape[0]) == usual], settings)
+    pictures = [p for p in pictures if (p.shape[1], p.shape[0]) == usual]
+    return [*found, *_red(pictures, settings), *of_rims(pictures, settings)]
+
+
+def _sampled(stream: Stream) -> list[Picture | str]:
+    """Return some pictures of a stream, evenly spread, or why one cannot be used."""
+    wanted = set(range(0, len(stream.t_ns), max(1, len(stream.t_ns) // SAMPLE_PICTURES)))
+    return [decode(message) for block in messages(stream) for row, message in block if row in wanted]
+
+
+def of_calibration(stream: Stream, settings: CameraSettings) -> list[Finding]:
+    """Return where the mirror's circles lie, for a camera whose calibration nobody stated."""
+    if settings.centre is not None:
+        return []
+    pictures = [p for p in _sampled(stream) if not isinstance(p, str)]
+    return of_rims([p for p in pictures if p.shape == pictures[0].shape], settings)
 
 
 def _red(pictures: list[Picture], settings: CameraSettings) -> list[Finding]:

@@ -40,6 +40,18 @@ def test_a_magnet_on_the_robot_is_measured_and_is_no_finding_once_it_is_set(tmp_
     assert found(tmp_path, "compass.hard_iron=[2.8e-6, 0]", robot=(fix,)) == []
 
 
+def test_steel_on_the_robot_is_an_ellipse_which_is_no_finding_once_it_is_set(tmp_path: Path) -> None:
+    """10 % longer along one axis and shorter along the other: the setting undoes both."""
+    steel = "compass.soft_iron=[1.1, 0.9, 0]"
+    (one,) = found(tmp_path, steel)
+    (fix,) = one.fixes
+    key, _, value = fix.partition("=")
+    assert (one.code, key) == ("iron", "compass.soft_iron")
+    xx, xy, _, yy = (float(v) for v in value.strip("[]").split(","))
+    assert (xx / yy, xy) == pytest.approx((0.9 / 1.1, 0.0), abs=0.02)
+    assert found(tmp_path, steel, robot=(fix,)) == []
+
+
 def test_a_steel_cabinet_is_named_with_its_place(tmp_path: Path) -> None:
     (one,) = found(tmp_path, CABINET)
     assert one.code == "iron in the room"

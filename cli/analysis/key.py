@@ -19,7 +19,7 @@ from locfuse.formats.logs.files import Identity
 from locfuse.formats.report.json_report import SCHEMA_VERSION, made_with
 from locfuse.formats.versions import own
 from locfuse.fusion.sensors.points import GROW
-from locfuse.fusion.sensors.registry import OF_POINTS
+from locfuse.fusion.sensors.registry import SOURCES, of_points
 
 from .settings import Asked
 
@@ -43,7 +43,7 @@ def files_of(tables: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     for table, keys in tables.items():
         for key, value in keys.items() if isinstance(keys, Mapping) else ():
             for text in _texts(value):
-                a_map = key == "map" and table in OF_POINTS and text != GROW
+                a_map = key == "map" and table in of_points() and text != GROW
                 if a_map or Path(text).suffix.lower() in SUFFIXES:
                     yield table, key, text
 
@@ -78,6 +78,6 @@ def key(content: Identity, tables: Mapping[str, Any], asked: Asked) -> str:
         "asked": msgspec.convert(asked, Keyed, from_attributes=True),
         "locfuse": own(),
         "schema_version": SCHEMA_VERSION,
-        "made_with": made_with(),
+        "made_with": {**made_with(), **SOURCES},
     }
     return hashlib.sha256(msgspec.json.encode(parts, order="deterministic")).hexdigest()

@@ -17,6 +17,7 @@ from locfuse.formats.robot import robot_toml, units
 from locfuse.formats.versions import own
 from locfuse.fusion.data import Evaluation
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.registry import SOURCES
 
 from .load import Loaded
 from .robot_tables import make_robot
@@ -90,13 +91,9 @@ def log_words(log: Log) -> list[str]:
 
 def build(loaded: Loaded, evaluations: Sequence[Evaluation]) -> dict[str, Any]:
     """Return the report as plain values."""
-    return json_report.report(
-        loaded.drive,
-        evaluations,
-        source(loaded),
-        settings_tables(loaded.robot),
-        own(),
-    )
+    report = json_report.report(loaded.drive, evaluations, source(loaded), settings_tables(loaded.robot), own())
+    report["made_with"] |= {s: SOURCES[s] for s in loaded.robot.sensors if s in SOURCES}
+    return report
 
 
 def source(loaded: Loaded) -> dict[str, Any]:

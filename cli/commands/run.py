@@ -75,11 +75,11 @@ def run(log: tuple[str, ...], options: o.Options) -> int:
 def _refuse_maps_without_laser(options: o.Options, sensors: tuple[str, ...]) -> None:
     """Raise UsageError where a map is given to a run without a laser, or is to be saved of one."""
     from locfuse.fusion.data import UsageError
-    from locfuse.fusion.sensors.registry import OF_POINTS
+    from locfuse.fusion.sensors.registry import of_points
 
     save = options.outputs.save_map
-    of_points = save is not None and save.suffix == ".csv" and not OF_POINTS.isdisjoint(sensors)
-    saved = save is not None and not of_points
+    landmarks = save is not None and save.suffix == ".csv" and not of_points().isdisjoint(sensors)
+    saved = save is not None and not landmarks
     option = "--map" if options.how.given_map is not None else "--save-map" if saved else None
     if option and "lrf" not in sensors:
         raise UsageError(f"{option}: only the laser has a map; add lrf to --sensors")

@@ -27,7 +27,10 @@ if TYPE_CHECKING:
     from locfuse.cli.session.simulate import simulate
     from locfuse.cli.session.steps import evaluate, fuse, open_log, smooth
     from locfuse.cli.session.summary import Summary, compare
-    from locfuse.fusion.data import Drive, Estimates, Evaluation, LocfuseError
+    from locfuse.fusion.chi_square import chi_square
+    from locfuse.fusion.data import Colour, Component, Drive, Estimates, Evaluation, LocfuseError, Measurements
+    from locfuse.fusion.sensor import Ask, Model, Sensor, SensorSettings
+    from locfuse.fusion.sensors.registry import register
 
     __version__: str
 
@@ -44,26 +47,37 @@ _HOMES = {
     "Run": "cli.session.result",
     "Comparison": "cli.session.result",
     "Summary": "cli.session.summary",
-    "Drive": "fusion.data",
-    "Estimates": "fusion.data",
-    "Evaluation": "fusion.data",
-    "LocfuseError": "fusion.data",
+    **dict.fromkeys(
+        ("Colour", "Component", "Drive", "Estimates", "Evaluation", "LocfuseError", "Measurements"), "fusion.data"
+    ),
+    **dict.fromkeys(("Ask", "Model", "Sensor", "SensorSettings"), "fusion.sensor"),
+    "chi_square": "fusion.chi_square",
+    "register": "fusion.sensors.registry",
 }
 __all__ = [
+    "Ask",
+    "Colour",
     "Comparison",
+    "Component",
     "Drive",
     "Estimates",
     "Evaluation",
     "LocfuseError",
+    "Measurements",
+    "Model",
     "Run",
+    "Sensor",
+    "SensorSettings",
     "Session",
     "Summary",
     "__version__",
+    "chi_square",
     "compare",
     "evaluate",
     "fuse",
     "load",
     "open_log",
+    "register",
     "simulate",
     "smooth",
 ]

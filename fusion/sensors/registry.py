@@ -1,11 +1,17 @@
-"""The registry: the only list of sensors. A new sensor is one file in this folder and one line here."""
+"""The registry: the only list of sensors. Ours are one file in this folder and one line here.
+
+A sensor of another package needs no change here: its package names it by an entry point, group `locfuse.sensors`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import re
+from collections.abc import Callable, Collection
+from importlib import metadata
+from typing import Any
 
-from locfuse.fusion.data import Colour
-from locfuse.fusion.sensor import Sensor
+from locfuse.fusion.data import BASES, Colour, LocfuseError
+from locfuse.fusion.sensor import Sensor, SensorSettings
 
 from .camera import Camera
 from .compass import Compass
@@ -34,8 +40,81 @@ REGISTRY: dict[str, Sensor] = {
         Ranges(),
     )
 }
-OF_POINTS = frozenset(name for name, sensor in REGISTRY.items() if issubclass(sensor.Settings, PointsSettings))
-"""Sensors of points with ids, whose map is a .csv that is given or made."""
+GROUP = "locfuse.sensors"
+SOURCES: dict[str, str] = {}
+"""Sensor that is not ours -> the package that brings it, with its version."""
+SENSOR_NAME = re.compile(r"[a-z][a-z0-9_]*")  # a table of robot.toml, a word between commas
+REQUIRED = ("name", "Settings", "reads", "noise_keys", "components", "colour")
+RESERVED_NAMES = {*BASES, "all", "order", "preset", "start", "truth", "wheels"}
+
+
+def register(sensor: Sensor | type[Sensor]) -> None:
+    """Add a sensor to this process, as if it were one of ours: `locfuse.register(Beacon())`.
+
+    Args:
+        sensor: a `Sensor`, or its class. A package that is installed names it by an entry point instead, which the
+            commands and their worker processes see too.
+
+    Raises:
+        LocfuseError: it lacks something, or another sensor has its name; in one line.
+    """
+    kind = sensor if isinstance(sensor, type) else type(sensor)
+    _add(lambda: sensor, f"{kind.__module__}.{kind.__name__}", "")
+
+
+def _add(load: Callable[[], Any], source: str, hint: str) -> None:
+    """Add what `load` returns, a sensor or its class. Raises LocfuseError with the source and the hint."""
+    try:
+        found = load()
+        sensor = found() if isinstance(found, type) else found
+        problem = _unfit(sensor)
+    except Exception as error:  # whatever the code of another package raises
+        problem = f"{type(error).__name__}: {error}"
+    if problem is None and sensor.name in REGISTRY:
+        problem = (
+            f"{SOURCES.get(sensor.name, 'locfuse itself')} has a sensor {sensor.name} too. Rename one of them"
+        )
+    if problem is not None:
+        raise LocfuseError(
+            f"{source}: this sensor cannot be used: {' '.join(problem.split()).rstrip('.')}.", hint=hint
+        )
+    REGISTRY[sensor.name], SOURCES[sensor.name] = sensor, source
+
+
+def _unfit(sensor: Any) -> str | None:
+    """Return what a sensor of another package lacks, or None."""
+    if not isinstance(sensor, Sensor):
+        return f"{sensor!r} is no locfuse.Sensor"
+    lacking = [
+        key
+        for key in ("name", "Settings", "reads", "noise_keys", "components", "colour")
+        if not hasattr(sensor, key)
+    ]
+    if lacking:
+        return f"{type(sensor).__name__} does not define {', '.join(lacking)}"
+    if not SENSOR_NAME.fullmatch(sensor.name) or sensor.name in RESERVED_NAMES:
+        return f"its name {sensor.name!r} is reserved, or no word of small letters, digits and _"
+    if not issubclass(sensor.Settings, SensorSettings):
+        return f"{sensor.Settings.__name__} is no locfuse.SensorSettings"
+    unknown = [key for key in sensor.noise_keys if not hasattr(sensor.Settings(), key)]
+    return f"noise_keys names {unknown[0]}, which is no setting of it" if unknown else None
+
+
+def register_installed() -> None:
+    """Add the sensors of installed packages, once. Raises LocfuseError for one that cannot be used.
+
+    A package that is broken stops every command: without its sensor, results would differ and nobody would notice.
+    """
+    for point in sorted(metadata.entry_points(group=GROUP), key=lambda point: (point.name, point.value)):
+        package, version = ("?", "") if point.dist is None else (point.dist.name, point.dist.version)
+        source = f"package {package} {version} ({point.value})"
+        if source not in SOURCES.values():
+            _add(point.load, source, f"Update that package, or remove it: python -m pip uninstall {package}")
+
+
+def of_points() -> frozenset[str]:
+    """Return the sensors of points with ids, whose map is a .csv that is given or made."""
+    return frozenset(name for name, sensor in REGISTRY.items() if issubclass(sensor.Settings, PointsSettings))
 
 
 def needed(sensor: str) -> tuple[str, ...]:
@@ -61,3 +140,6 @@ def unmet(present: Collection[str]) -> dict[str, str]:
 def colours() -> dict[str, Colour]:
     """Return the colour of every sensor, in the registry's order."""
     return {name: sensor.colour for name, sensor in REGISTRY.items()}
+
+
+register_installed()

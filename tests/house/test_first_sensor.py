@@ -1,10 +1,12 @@
-"""The page on a first sensor: its code, typed in as it stands, is a sensor."""
+"""The page on a first sensor: its package, typed in as it stands and installed, is a sensor."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -13,20 +15,32 @@ import pytest
 from commands import locfuse
 
 from locfuse.fusion.data import ArrayStream
-from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.sensors.registry import REGISTRY, SOURCES, register_installed
 
 PAGE = (Path(__file__).parents[2] / "docs" / "first_sensor.md").read_text(encoding="utf-8")
+(PYPROJECT,) = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
 MAKE_LOG, SENSOR, READINGS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
 
 def test_its_log_and_its_sensor_give_a_verdict_and_its_noise(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    typed: dict[str, Any] = {"__name__": "cable"}
+    (tmp_path / "pyproject.toml").write_text(PYPROJECT)
+    (tmp_path / "locfuse_cable.py").write_text(SENSOR)
+    words = ("install", "-q", "--no-deps", "--no-build-isolation", "--target", tmp_path / "installed", tmp_path)
+    subprocess.run([sys.executable, "-m", "pip", *map(str, words)], check=True)
+    monkeypatch.syspath_prepend(tmp_path / "installed")
+    register_installed()
+    try:
+        _has_a_verdict_and_its_noise(tmp_path)
+        assert SOURCES["cable"] == "package locfuse-cable 0.1 (locfuse_cable:Cable)"
+    finally:
+        del REGISTRY["cable"], SOURCES["cable"]
+
+
+def _has_a_verdict_and_its_noise(tmp_path: Path) -> None:
     with contextlib.chdir(tmp_path):
         exec(compile(MAKE_LOG, "make_log.py", "exec"), {})
-        exec(compile(SENSOR, "cable.py", "exec"), typed)
-    monkeypatch.setitem(REGISTRY, "cable", typed["Cable"]())
     log, post = tmp_path / "cable.mcap", ("--set", "cable.post=[4, 2]")
     words = ("--sensors", "odometry", "--sensors", "cable", "--write", "json", "-o", tmp_path / "out")
     done = locfuse("compare", log, *post, *words)

@@ -1,11 +1,15 @@
-"""A sensor is one file and one line of the registry: everything else follows by itself.
+"""A sensor of another package is found by its entry point, and everything else follows by itself.
 
-The beacon of tests/helpers/beacon.py is registered, a log is written that carries it, and nothing else is touched.
+The beacon of tests/helpers/beacon.py is laid down as an installed package, a log is written that carries it, and
+nothing else is touched.
 """
 
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,6 +20,8 @@ import recordings
 from commands import locfuse
 from trap_logs import TRUTH, Drive, numbers
 
+from locfuse import LocfuseError, register
+from locfuse.fusion.sensors import registry
 from locfuse.fusion.sensors.registry import REGISTRY
 
 PLACE = (4.0, 1.5)
@@ -23,11 +29,46 @@ NOISE = 0.05  # m
 TOO_MUCH = 0.4  # m: what the radio measures too much, of which nobody was told
 
 
+HELPERS = Path(beacon.__file__).parent
+
+
+def package(
+    folder: Path, value: str = "beacon:Beacon", name: str = "locfuse-beacon", code: str | None = None
+) -> Path:
+    """Lay down a package as pip does: its module, and its metadata with the entry point."""
+    folder.mkdir(parents=True, exist_ok=True)
+    module = value.partition(":")[0]
+    code = (HELPERS / "beacon.py").read_text() if code is None else code
+    (folder / f"{module}.py").write_text(code)
+    info = folder / f"{name.replace('-', '_')}-0.3.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 0.3\n")
+    (info / "entry_points.txt").write_text(f"[locfuse.sensors]\nbeacon = {value}\n")
+    return folder
+
+
+def in_a_process(*words: object, path: Path) -> subprocess.CompletedProcess[str]:
+    """Run the command in a process of its own, with the packages of these folders."""
+    return subprocess.run(
+        [sys.executable, "-m", "locfuse", *map(str, words)],
+        env={**os.environ, "PYTHONPATH": str(path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
 @pytest.fixture(scope="module", autouse=True)
-def registered() -> Iterator[None]:
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    folder = package(tmp_path_factory.mktemp("packages"))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(REGISTRY, "beacon", beacon.Beacon())
-        yield
+        patch.delitem(sys.modules, "beacon")
+        patch.syspath_prepend(folder)
+        registry.register_installed()
+        registry.register_installed()  # once is enough
+        yield folder
+        del REGISTRY["beacon"], registry.SOURCES["beacon"]
+    sys.modules["beacon"] = beacon
 
 
 def write(path: Path, error: float = 0.0) -> Path:
@@ -130,3 +171,74 @@ def test_words_of_sensors_know_it(log: Path) -> None:
     done = locfuse("run", log, "--sensors", "beacon")
     assert done.exit_code == 1
     assert "--set beacon.place" in done.stderr
+
+
+def test_a_process_of_its_own_finds_it_and_checks_its_settings(installed: Path, log: Path, tmp_path: Path) -> None:
+    schema = json.loads(in_a_process("schema", "robot", path=installed).stdout)
+    assert schema["$defs"]["BeaconSettings"]["properties"]["sigma"]["description"] == "m: noise of one range"
+    done = in_a_process("run", log, "--set", "beacon.plaice=[1, 2]", path=installed)
+    assert done.returncode == 2
+    assert done.stderr.startswith("locfuse: unknown key beacon.plaice; did you mean place?")
+    done = in_a_process("run", log, *SET, "--sensors", "beacon", "-o", tmp_path, "--no-advice", path=installed)
+    assert done.returncode == 0, done.stderr
+    made_with = json.loads((tmp_path / "run.json").read_text())["made_with"]
+    assert made_with["beacon"] == "package locfuse-beacon 0.3 (beacon:Beacon)"
+
+
+BROKEN = {
+    "import nowhere": "ModuleNotFoundError: No module named 'nowhere'",
+    "class Beacon: pass": "is no locfuse.Sensor",
+    "from locfuse import Sensor\nclass Beacon(Sensor): pass": "TypeError: Can't instantiate abstract class Beacon",
+    "import beacon_of_tests as b\nclass Beacon(b.Beacon): name = 'lrf'": "locfuse itself has a sensor lrf too",
+    "import beacon_of_tests as b\nclass Beacon(b.Beacon): name = 'all'": "its name 'all' is reserved",
+    "import beacon_of_tests as b\nclass Beacon(b.Beacon): noise_keys = ('sigmma',)": "sigmma, which is no setting",
+}
+
+
+@pytest.mark.parametrize("code", BROKEN, ids=list(BROKEN.values()))
+def test_a_broken_package_is_one_line_with_its_name_and_the_fix(
+    code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = package(tmp_path, "broken_beacon:Beacon", "locfuse-broken", code)
+    monkeypatch.setitem(sys.modules, "beacon_of_tests", beacon)
+    monkeypatch.delitem(sys.modules, "broken_beacon", raising=False)
+    monkeypatch.syspath_prepend(folder)
+    before = list(REGISTRY)
+    with pytest.raises(LocfuseError) as problem:
+        registry.register_installed()
+    words = str(problem.value)
+    assert words.startswith("package locfuse-broken 0.3 (broken_beacon:Beacon): this sensor cannot be used: ")
+    assert BROKEN[code] in words
+    assert words.endswith("Update that package, or remove it: python -m pip uninstall locfuse-broken")
+    assert "\n" not in words
+    assert list(REGISTRY) == before
+
+
+def test_a_process_with_a_broken_package_stops_in_one_line_but_helps(tmp_path: Path) -> None:
+    package(tmp_path, code="1 / 0")
+    done = in_a_process("info", "rounded_rectangle", path=tmp_path)
+    assert done.returncode == 1
+    assert "ZeroDivisionError" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert in_a_process("--help", path=tmp_path).returncode == 0
+
+
+def test_two_packages_with_a_sensor_of_one_name_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(package(tmp_path, "beacon_too:Beacon", "other-beacon"))
+    with pytest.raises(LocfuseError, match=r"package locfuse-beacon 0\.3 .* has a sensor beacon too"):
+        registry.register_installed()
+
+
+def test_a_sensor_of_a_script_is_registered_by_a_call(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Here(beacon.Beacon):
+        name = "here"
+
+    with pytest.raises(LocfuseError, match="beacon too"):
+        register(beacon.Beacon())
+    register(Here)
+    try:
+        assert REGISTRY["here"].colour == beacon.Beacon.colour
+    finally:
+        del REGISTRY["here"], registry.SOURCES["here"]

@@ -17,6 +17,7 @@ import click
 from locfuse.cli.analysis.robot_tables import table_types
 from locfuse.cli.inspect.json_schema import report_schema, robot_schema
 from locfuse.cli.main import COMMANDS, locfuse
+from locfuse.cli.terminal.options import HELP_ALL
 from locfuse.fusion.sensors.registry import REGISTRY
 
 DOCS = Path(__file__).parent.parent / "docs"
@@ -38,6 +39,7 @@ def commands_page() -> str:
 
 def _help(command: click.Command, name: str) -> str:
     context = click.Context(command, info_name=name, max_content_width=WIDTH, terminal_width=WIDTH)
+    context.meta[HELP_ALL] = True
     return command.get_help(context)
 
 

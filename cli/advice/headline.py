@@ -129,7 +129,7 @@ def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str
             parts.append(f"{_names(words[which])} {one if len(words[which]) == 1 else several}")
     if not any(words.values()):
         unjudged = len(verdicts) == 1 and all(v["verdict"] == "no verdict" for v in verdicts.values())
-        judge = f"nothing else here judges {_names([*verdicts])}"
+        judge = f"{_names([*verdicts])} itself cannot be checked"
         parts.append(judge if unjudged else "of the sensors nothing is sure")
     rows = (report["configurations"][name].get("reference") or {} for name in errors)
     shared = any(row.get("shared") for row in rows)  # its own sensors are in what judges it
@@ -148,7 +148,7 @@ def _without_truth(report: Mapping[str, Any]) -> str:
     if bad:
         parts.append(f"{_names(bad)} {'contradicts' if len(bad) == 1 else 'contradict'} them")
     if not parts:
-        return "No truth in this log, so no error is known; nothing else here can say which sensors to keep."
+        return "No truth and nothing else to judge the sensors: errors cannot be measured. Try: --reference"
     return f"No truth in this log, so no error is known: {', and '.join(parts)}."
 
 

@@ -17,7 +17,7 @@ from locfuse.fusion.data import Estimates, Evaluation, Event
 from locfuse.fusion.judge.events import events_of_drive, events_of_run
 from locfuse.fusion.judge.nis_over_time import Running, running_nis
 from locfuse.fusion.measure import thinned
-from locfuse.fusion.sensors.registry import REGISTRY, colours
+from locfuse.fusion.sensors.registry import OF_POINTS, REGISTRY, colours
 from locfuse.fusion.wheels.states import WHEEL_STATES
 
 from . import results
@@ -135,16 +135,23 @@ def scene(compared: Compared, drawn: Drawn) -> Scene:
         nees_bounds=(chi_square(0.025, dof) / dof, chi_square(0.975, dof) / dof),
         components={sensor: REGISTRY[sensor].components for sensor in drive.measurements},
         credit=credit_values(compared.credit) if compared.credit else None,
-        landmarks=_landmarks(compared.loaded),
+        landmarks=_landmarks(compared),
         events=events(compared.loaded, () if drawn.best is None else (drawn.best,)),
         states=WHEEL_STATES | {name: shown for s in REGISTRY.values() for name, shown in s.states.items()},
     )
 
 
-def _landmarks(loaded: Loaded) -> list[tuple[float, float]]:
-    """Return the places [m, map] that the bearings of the log's sensors point at."""
-    found = (REGISTRY[s].landmark(loaded.robot.settings(s)) for s in loaded.drive.measurements)
-    return [place for place in found if place is not None]
+def _landmarks(compared: Compared) -> list[tuple[float, float]]:
+    """Return the places [m, map] that the log's sensors see: what bearings point at, anchors given or placed."""
+    robot, found = compared.loaded.robot, []
+    for sensor in compared.loaded.drive.measurements:
+        settings = robot.settings(sensor)
+        found += [REGISTRY[sensor].landmark(settings)]
+        given = settings.places if sensor in OF_POINTS and not settings.grows else {}
+        found += given.values()
+    best = max(compared.estimates, key=lambda e: (len(e.points), len(e.sensors)))
+    found += [(x, y) for _, x, y in best.points]
+    return list(dict.fromkeys((float(p[0]), float(p[1])) for p in found if p is not None))
 
 
 def events(loaded: Loaded, runs: Iterable[Estimates]) -> list[Event]:

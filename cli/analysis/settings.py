@@ -20,6 +20,7 @@ Progress = Callable[[str], None]  # is given the name of the current step
 MAX_REFERENCE_INSTANTS = 2400  # of a drive whose reference is solved unasked: four minutes of a 10 Hz laser
 OF_COMPARISON = ("html", "md", "json", "tum", "csv", "tex")  # kinds of output
 OF_RUN = ("tum", "csv", "json")
+WRITTEN = ("html", "json", "tum")  # of these, unless others are asked for; robot.toml and fixes.toml always
 EXPORTS = {  # formats of other tools
     "mcap": "estimates.mcap for Foxglove and rosbag2: Odometry with covariance, Path, /tf, truth",
     "log": "the same with every message of the log beside them",
@@ -121,6 +122,7 @@ class Outputs(msgspec.Struct, frozen=True):
     save_map: Path | None = None
     as_json: bool = False  # the report on stdout
     open: bool = False  # the page in the browser
+    verbose: bool = False  # notes and the table of sensors are printed
 
 
 def log_options(robot: PathLike | None, sets: Sets | None, order: str | None, preset: str | None) -> LogOptions:
@@ -182,12 +184,17 @@ def one_of(word: str, known: Sequence[str], what: str) -> str:
 def chosen(
     kinds: str | Iterable[str] | None, known: Sequence[str], what: str = "--write: unknown output"
 ) -> set[str]:
-    """Return kinds of output ("json,tum", or a list), None for all. Raises UsageError for an unknown one."""
+    """Return kinds of output ("json,tum", "all", or a list), None for those of `WRITTEN`.
+
+    Raises UsageError for an unknown one.
+    """
     from locfuse.fusion.data import UsageError
 
     if kinds is None:
-        return set(known)
+        return {kind for kind in known if kind in WRITTEN}
     names = {name.strip() for name in (kinds.split(",") if isinstance(kinds, str) else kinds) if name.strip()}
+    if "all" in names:
+        return set(known)
     if unknown := sorted(names - set(known)):
         raise UsageError(f"{what} {unknown[0]!r}; choose from {', '.join(known)}")
     return names

@@ -20,9 +20,7 @@ TRUST_SENSORS = (
     "walls matched to the wrong lines. A configuration that uses every sensor has no rank."
 )
 TRUST_STRETCHES = (
-    "There is no truth in this log and only one sensor besides the wheels, so nothing independent can judge it. "
-    "Instead it was switched off every other five seconds and its readings there were predicted. That shows "
-    "whether it agrees with itself, which a biased sensor does too."
+    "Self-check: the only sensor was switched off every other five seconds, and its readings there were predicted."
 )
 
 
@@ -115,12 +113,12 @@ def _credit_words(c: SensorCredit, credit: Credit, over: str, base: str) -> str:
 def _main_words(c: SensorCredit, main: Effect, several: bool, few: str, base: str) -> str:
     """Return the effect in figures, its interval, and what would settle it."""
     if c.credit is not None and several:
-        how = "On average over all sensor combinations it makes the position error"
+        how = "On average over all sensor combinations"
     elif c.beside:
-        how = f"Beside {' and '.join(c.beside)} it makes the position error"
+        how = f"Beside {' and '.join(c.beside)}"
     else:
-        how = f"Alone it makes {base}'s position error"
-    what = f"{how} {times(main.value)}{_plausible(main)}."
+        how = "Alone" if base == ODOMETRY else f"Alone, against {base}"
+    what = f"{how}: {times(main.value)}{_plausible(main)}."
     sure = main.low > 0.0 or main.high < 0.0
     if c.verdict == "no effect seen":
         if abs(main.value) < MIN_EFFECT:
@@ -133,7 +131,7 @@ def _main_words(c: SensorCredit, main: Effect, several: bool, few: str, base: st
 
 def _plausible(effect: Effect) -> str:
     """Return the interval in brackets; "" where there is none."""
-    return "" if math.isnan(effect.low) else f" (95 % interval: {interval(effect)})"
+    return "" if math.isnan(effect.low) else f" (plausible: {interval(effect)})"
 
 
 def _judged_by_last(c: SensorCredit, main: Effect) -> bool:
@@ -142,9 +140,9 @@ def _judged_by_last(c: SensorCredit, main: Effect) -> bool:
 
 
 def _few(samples: int, over: str) -> str:
-    """Return what would settle an effect whose interval includes none."""
-    settle = "One drive does" if samples == 1 else f"{samples} {over} do"
-    return f"{settle} not settle it; longer{' drives' if over != 'drives' else ''} or more {over} would."
+    """Return that an effect whose interval includes none is not proven, and what would settle it."""
+    by = "this drive" if samples == 1 else f"{samples} {over}"
+    return f"Not proven by {by}. Record more."
 
 
 def _last_words(last: Effect) -> str:
@@ -153,29 +151,29 @@ def _last_words(last: Effect) -> str:
     if last.low <= 0.0 <= last.high:
         return "Beside all others no effect is seen."
     span = "" if math.isnan(last.low) else f" ({interval(last)})"
-    return f"Beside all others it makes the error {times(last.value)}{span}."
+    return f"Beside all others: {times(last.value)}{span}."
 
 
 def times(ln: float) -> str:
-    """Return "2.3 times smaller", or "1.2 times larger"."""
-    return f"{short(math.exp(abs(ln)))} times {'smaller' if ln >= 0 else 'larger'}"
+    """Return by how much an error shrinks: "2.3x better"; or grows: "1.2x worse"."""
+    return f"{short(math.exp(abs(ln)))}x {'better' if ln >= 0 else 'worse'}"
 
 
 def interval(effect: Effect) -> str:
-    """Return the 95 % interval as two factors, each with its direction: "1.6 times larger to 12 times smaller".
+    """Return the 95 % interval as two factors, each with its direction: "1.6x worse to 12x better".
 
-    Where both have one direction it stands once: "14 to 562 times smaller".
+    Where both have one direction it stands once: "14x to 562x better".
     """
     if effect.low > 0.0:
-        return f"{short(math.exp(effect.low))} to {times(effect.high)}"
+        return f"{short(math.exp(effect.low))}x to {times(effect.high)}"
     if effect.high < 0.0:
-        return f"{short(math.exp(-effect.high))} to {times(effect.low)}"
+        return f"{short(math.exp(-effect.high))}x to {times(effect.low)}"
     return f"{times(effect.low)} to {times(effect.high)}"
 
 
 def short(value: float) -> str:
     """Return a factor with as many digits as mean anything."""
-    return f"{value:.0f}" if value >= 10 else f"{value:.1f}" if value >= 2 else f"{value:.2f}"
+    return f"{value:.0f}" if value >= 10 else f"{value:.1f}" if value >= 1.5 else f"{value:.2f}"
 
 
 def prediction_values(found: Sequence[Score], names: Sequence[str]) -> dict[str, Any]:
@@ -269,7 +267,7 @@ def _reference_words(name: str, found: ByReference, own: Mapping[str, Any]) -> s
     most = "" if found.sure else "at most "
     errors = f"{length(found.before)} without it and {most}{length(found.after)} with it"
     span = interval(effect) if found.sure else f"at {'least' if effect.low > 0.0 else 'most'} {times(effect.low)}"
-    words = f"Against {name} the position error is {errors} (95 % interval: {span})."
+    words = f"Against {name} the position error is {errors} (plausible: {span})."
     return f"{words} {own['words']}".strip()
 
 
@@ -283,14 +281,17 @@ def _grade(mine: Sequence[Score], gain: float) -> str:
 
 def _by_itself(score: Score, base: str) -> dict[str, Any]:
     """Judge the only sensor of a log by its own readings: that can show a fault, never that it is right."""
-    words = "The log has no truth and no second sensor. Self-check: its readings five seconds ahead are predicted "
     if score.high < 0.0:
-        words += (
-            f"{abs(score.gain):.2f} nats per number worse than by {base}. Check its clock, mount and settings."
+        words = (
+            f"Self-check failed: it predicts its readings worse than {base} ({score.gain:+.2f}; 0.1 is much). "
+            "Check its clock, mount and settings."
         )
         return {"verdict": "hurts", "words": words}
     if score.low > 0.0:
-        words += f"{score.gain:.2f} nats per number better than by {base}. A biased sensor can do that too."
+        words = (
+            f"Self-check passed: it predicts its readings better than {base} ({score.gain:+.2f}; 0.1 is much). "
+            "A bias would not show."
+        )
     else:
-        words += f"no better than by {base}."
+        words = f"Self-check: it predicts its readings no better than {base}."
     return {"verdict": "no verdict", "words": words}

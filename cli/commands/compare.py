@@ -12,7 +12,7 @@ from locfuse.cli.terminal import completion
 from locfuse.cli.terminal import options as o
 
 
-@click.command()
+@click.command(cls=o.Grouped)
 @click.argument("log", nargs=-1, shell_complete=completion.logs)
 @o.carried(
     *o.CONFIGURATIONS,
@@ -103,7 +103,6 @@ def one(log: Sequence[str], options: o.Options) -> int:
             progress("drawing figures")
             result.write_figures(outputs.figures)
     lost = show.outcome(result, files, options)
-    show.end(files, outputs.as_json, outputs.open)
     failed = gates.failures(result.report)
     for line in failed:
         show.say(f"gate: {line}")

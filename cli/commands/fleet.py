@@ -15,7 +15,7 @@ from locfuse.cli.analysis.settings import OF_COMPARISON as KINDS
 from locfuse.cli.rerun.recordings import FOLDER, Recording, catalog
 from locfuse.cli.terminal import completion, show
 from locfuse.cli.terminal import options as o
-from locfuse.cli.terminal.screen import put, reader_may_leave, say, screen
+from locfuse.cli.terminal.screen import put, reader_may_leave
 from locfuse.fusion.data import LocfuseError, UsageError
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ LINE_INTERVAL_S = 60.0  # s between lines of progress where stderr is no termina
 MAX_LINES_PRINTED = 20  # about losses and gates on stderr; all of them are in the tables
 
 
-@click.command()
+@click.command(cls=o.Grouped)
 @click.argument("log", nargs=-1, shell_complete=completion.logs)
 @o.carried(
     *o.fleet(),
@@ -43,7 +43,6 @@ MAX_LINES_PRINTED = 20  # about losses and gates on stderr; all of them are in t
     *o.written(KINDS),
     o.EXPORT,
     o.RERUN_SHOW,
-    *o.detail("rerun-"),
 )
 def fleet(log: tuple[str, ...], options: o.Options) -> int:
     """Compare each of many LOGS, and write tables and a page over all of them (docs/fleet.md).
@@ -95,9 +94,11 @@ def many(words: Sequence[str], options: o.Options) -> int:
     if ended.by is not None:
         show.say(f"{folder}: {_standing(found)}; the same command goes on with the rest")
         raise ended.by
-    _print(summary, files, folder, outputs.as_json)
+    written = [folder / name for name in files]
+    _print(summary, written, outputs.as_json)
     _say_recordings(ended, every.recording)
-    show.end([folder / name for name in files], outputs.as_json, outputs.open)
+    if outputs.open:
+        show.open_page(show.page_of(written))
     return _code(found, gates.failures(summary), ended)
 
 
@@ -109,10 +110,9 @@ def _every(options: o.Options, folder: Path) -> Job:
     how, rerun = options.how, options.rerun
     if how.given_map is not None:
         raise UsageError(f"--map {how.given_map}: it is of one drive: compare one log at a time")
-    for option, value in (("--rerun-save", rerun.save), ("--rerun-connect", rerun.connect)):
-        if value:
-            raise UsageError(f"{option}: one log at a time; of several logs --rerun records each")
-    recording = Recording(str((folder / FOLDER).absolute()), rerun.images, rerun.full) if rerun.show else None
+    if rerun.save:
+        raise UsageError("--rerun-save: one log at a time; of several logs --rerun records each")
+    recording = Recording(str((folder / FOLDER).absolute())) if rerun.show else None
     return Job(
         name="",
         log=(),
@@ -178,7 +178,7 @@ def _standing(found: FleetRows) -> str:
     return ", ".join(f"{states.count(s)} {s}" for s in ("done", "failed", "not run") if s in states)
 
 
-def _print(summary: Mapping[str, Any], files: Mapping[str, Any], folder: Path, as_json: bool) -> None:
+def _print(summary: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> None:
     from rich.text import Text
 
     from locfuse.formats.report import json_report
@@ -188,11 +188,11 @@ def _print(summary: Mapping[str, Any], files: Mapping[str, Any], folder: Path, a
         if as_json:
             put(json_report.encode(summary))
             return
+        show.paragraph(Text(over.headline(summary), "bold"))
         if over.columns_of(summary):
             show.table(over.brief(summary))
-        screen().print(Text(over.headline(summary)))
         show.verdicts(summary)
-        say(f"{folder}: {', '.join(sorted(files))}; a folder with the report of each log")
+        show.end(files)
 
 
 def _say_recordings(ended: Ended, recording: Recording | None) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from locfuse.cli.terminal.screen import put, reader_may_leave, say
+from locfuse.cli.terminal.screen import put, reader_may_leave
 
 
 @click.command()
@@ -52,5 +52,6 @@ def paper(out: Path, overwrite: bool, jobs: int, as_json: bool, shown: bool, qui
             show.table(paper_page.table(values))
             show.lines([paper_page.conclusion(values)])
             show.lines(job.lines(found))
-            say(f"{out}: {', '.join(sorted(files))}")
-    show.end([out / name for name in files], as_json, shown)
+            show.end([out / name for name in files])
+    if shown:
+        show.open_page(show.page_of([out / name for name in files]))

@@ -9,7 +9,7 @@ from locfuse.cli.terminal import completion
 from locfuse.cli.terminal import options as o
 
 
-@click.command()
+@click.command(cls=o.Grouped)
 @click.argument("log", nargs=-1, required=True, shell_complete=completion.logs)
 @o.carried(
     click.option(

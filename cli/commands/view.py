@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING
 import click
 
 from locfuse.cli.analysis.settings import LogOptions
+from locfuse.cli.rerun.address import ADDRESS, LOCAL_VIEWER
 from locfuse.cli.rerun.record import RECORDING
 from locfuse.cli.terminal import completion
-from locfuse.cli.terminal.options import address, detail, log_options
+from locfuse.cli.terminal.options import Grouped, log_options
 from locfuse.cli.terminal.screen import say
 
 if TYPE_CHECKING:
     from locfuse.cli.terminal.show import Progress
     from locfuse.formats.rerun.scene import RerunScene
 
-IMAGES, FULL = detail("")
 TABS = ("Deviation", "Close-up", "NIS", "Innovation", "Gates", "Result", "Raw topics")
 
 
-@click.command()
+@click.command(cls=Grouped)
 @click.argument("what", nargs=-1, required=True, metavar="LOG|OUT|FILE.rrd", shell_complete=completion.logs)
 @click.option(
     "--sensors",
@@ -38,12 +38,24 @@ TABS = ("Deviation", "Close-up", "NIS", "Innovation", "Gates", "Result", "Raw to
     help="Write the recording to this file and open nothing.",
 )
 @click.option("--overwrite", is_flag=True, help="Let --save replace an existing file.")
-@click.option("--connect", callback=address, metavar="URL", help="Send it to the viewer at this address.")
+@click.option(
+    "--connect",
+    callback=lambda context, parameter, value: _address(value),
+    metavar="URL",
+    help="Send it to the viewer at this address.",
+)
 @click.option("--web", is_flag=True, help="Serve it to a browser on this machine, on 127.0.0.1 only.")
 @click.option("--web-port", type=click.IntRange(1, 65535), default=9090, show_default=True)
 @click.option("--tab", type=click.Choice(TABS, case_sensitive=False), help="Which curves lie in front.")
-@IMAGES
-@FULL
+@click.option(
+    "--images",
+    callback=lambda context, parameter, value: _every(value),
+    metavar="every=N|none",
+    help="Which pictures go into the recording.  [default: evenly, at most 600]",
+)
+@click.option(
+    "--full", is_flag=True, help="Record everything: no thinning of curves (4000 points) and scans (2000)."
+)
 @log_options
 def view(
     what: tuple[str, ...],
@@ -93,6 +105,23 @@ def view(
             viewer.serve(path, web_port, show.say)
         else:
             viewer.show_and_wait(path)
+
+
+def _every(value: str | None) -> int | None:
+    """Return N of `every=N`, 0 for `none`. Raises click.BadParameter for anything else."""
+    if value is None or value == "none":
+        return None if value is None else 0
+    word = value.strip().removeprefix("every=")
+    if not word.isdecimal() or int(word) == 0:
+        raise click.BadParameter(f"{value!r} is neither every=N (N from 1) nor none")
+    return int(word)
+
+
+def _address(value: str | None) -> str | None:
+    """Return a viewer's address as it is. Raises click.BadParameter for what cannot be one."""
+    if value is not None and ADDRESS.fullmatch(value) is None:
+        raise click.BadParameter(f"{value!r} is no viewer's address; try {LOCAL_VIEWER}")
+    return value
 
 
 def ready(what: Sequence[str]) -> Path | None:

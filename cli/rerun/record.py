@@ -23,14 +23,11 @@ class RerunOptions(msgspec.Struct, frozen=True):
 
     show: bool = False
     save: Path | None = None
-    connect: str | None = None
-    images: int | None = None  # every n-th; 0 none; None as many as stay light
-    full: bool = False
 
     @property
     def wanted(self) -> bool:
         """Whether anything of Rerun was asked for; if not, it is not imported."""
-        return self.show or self.save is not None or self.connect is not None
+        return self.show or self.save is not None
 
 
 def record(options: RerunOptions, result: Result, folder: Path, say: Say) -> None:
@@ -43,10 +40,10 @@ def record(options: RerunOptions, result: Result, folder: Path, say: Say) -> Non
         return
     from locfuse.fusion.data import LocfuseError
 
-    from .viewer import send, show
+    from .viewer import show
 
     path = options.save or folder / RECORDING
-    problem = saved(path, result, options.images, options.full)
+    problem = saved(path, result)
     if problem and options.save is not None:
         raise LocfuseError(f"--rerun-save {path}: {problem}. The other results are written")
     if problem:
@@ -54,15 +51,13 @@ def record(options: RerunOptions, result: Result, folder: Path, say: Say) -> Non
         return
     say(f"{path}: Rerun recording")
     try:
-        if options.connect is not None:
-            send(path, options.connect)
         if options.show:
             show(path)
     except LocfuseError as unseen:
         say(warning(f"{unseen}. The recording is whole; open it with: locfuse view {path}"))
 
 
-def saved(path: Path, result: Result, images: int | None, full: bool, identity: str | None = None) -> str:
+def saved(path: Path, result: Result, identity: str | None = None) -> str:
     """Write the recording of a result; return in one line why there is none, else "".
 
     Nothing fails the run, not a Rerun of another version, none, or a broken one: the results stand.
@@ -75,7 +70,7 @@ def saved(path: Path, result: Result, images: int | None, full: bool, identity: 
 
         from .scene import scene_of_result
 
-        scene = scene_of_result(result, images, full)
+        scene = scene_of_result(result)
         give_back()  # before Rerun is imported, which takes 90 MB
         save_recording(path, scene, identity=identity)
     except LocfuseError as problem:

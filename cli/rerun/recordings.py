@@ -23,8 +23,6 @@ class Recording(msgspec.Struct, frozen=True):
     """What a job records of its drive, and where."""
 
     folder: str
-    images: int | None = None  # every n-th picture; 0 none; None as many as stay light
-    full: bool = False
 
     def file(self, name: str) -> Path:
         """Return the file of a drive, or of a sweep's cell "drive,lrf.sigma_range=0.03"."""
@@ -34,7 +32,7 @@ class Recording(msgspec.Struct, frozen=True):
 def write(wanted: Recording, name: str, result: Result) -> str:
     """Write the recording of a result that has its audits; return in one line why there is none, else ""."""
     path = wanted.file(name)
-    problem = saved(path, result, wanted.images, wanted.full, identity=path.stem)  # by which the catalog lists it
+    problem = saved(path, result, identity=path.stem)  # by which the catalog lists it
     return f"{name}: {warning(problem)}" if problem else ""
 
 

@@ -17,7 +17,6 @@ from msgspec import field
 from locfuse.cli.analysis import settings
 from locfuse.cli.analysis.settings import EXPORTS, Asked, GateOptions, LogOptions, Outputs
 from locfuse.cli.fleet.job import FleetOptions
-from locfuse.cli.rerun.address import ADDRESS, LOCAL_VIEWER
 from locfuse.cli.rerun.record import RerunOptions
 
 from . import completion
@@ -27,6 +26,13 @@ Declared = Callable[[Any], Any]  # what click.option returns
 P = TypeVar("P", bound=msgspec.Struct)
 SECONDS = "s since the first wheel reading"
 RERUN_PREFIX = "rerun_"  # of the parameters that fill RerunOptions
+HELP_ALL = "locfuse.help_all"  # in a context's meta: every option is shown
+FIRST = {  # group of --help -> its parameters, in a user's order; all others are shown by --help-all
+    "Input": ("sensors", "robots", "sets", "truth", "given_map", "smooth"),
+    "Many logs": ("jobs", "cluster", "each", "again", "robot_from", "sweep"),
+    "Output": ("out", "write", "save", "connect", "web", "tab", "rerun_show", "open", "verbose"),
+    "Checks": ("fail_if",),
+}
 
 
 class Options(msgspec.Struct, frozen=True):
@@ -110,6 +116,45 @@ def _with(command: Any, declared: Sequence[Declared]) -> Any:
     return command
 
 
+class Grouped(click.Command):
+    """A command whose --help shows the options that users need first, in groups; --help-all shows all of them."""
+
+    def __init__(self, *args: Any, **given: Any) -> None:
+        super().__init__(*args, **given)
+        self.params.append(
+            click.Option(
+                ["--help-all"],
+                is_flag=True,
+                is_eager=True,
+                expose_value=False,
+                callback=_help_all,
+                help="Show all options.",
+            )
+        )
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the groups; what is in none of them only where everything was asked for."""
+        records = {p.name: record for p in self.get_params(ctx) if (record := p.get_help_record(ctx))}
+        own = self.get_help_option(ctx)
+        help_itself = [records.pop(name) for name in (own and own.name, "help_all") if name in records]
+        for title, names in FIRST.items():
+            if rows := [records.pop(name) for name in names if name in records]:
+                with formatter.section(title):
+                    formatter.write_dl(rows)
+        if records and ctx.meta.get(HELP_ALL):
+            with formatter.section("More"):
+                formatter.write_dl(list(records.values()))
+        with formatter.section("Help"):
+            formatter.write_dl(help_itself)
+
+
+def _help_all(ctx: click.Context, param: click.Parameter, wanted: bool) -> None:
+    if wanted and not ctx.resilient_parsing:
+        ctx.meta[HELP_ALL] = True
+        click.echo(ctx.get_help())
+        ctx.exit()
+
+
 class RobotFile(click.Path):
     """A robot.toml, or one for each robot of a fleet: those are looked for when the robots are known."""
 
@@ -140,23 +185,6 @@ def known(what: str, kinds: Sequence[str], default: str | None) -> Callable[...,
             raise click.UsageError(str(problem)) from None
 
     return chosen
-
-
-def every(ctx: click.Context, param: click.Parameter, value: str | None) -> int | None:
-    """Return N of `every=N`, 0 for `none`. Raises click.BadParameter for anything else."""
-    if value is None or value == "none":
-        return None if value is None else 0
-    word = value.strip().removeprefix("every=")
-    if not word.isdecimal() or int(word) == 0:
-        raise click.BadParameter(f"{value!r} is neither every=N (N from 1) nor none")
-    return int(word)
-
-
-def address(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
-    """Return a viewer's address as it is. Raises click.BadParameter for what cannot be one."""
-    if value is not None and ADDRESS.fullmatch(value) is None:
-        raise click.BadParameter(f"{value!r} is no viewer's address; try {LOCAL_VIEWER}")
-    return value
 
 
 FILE = click.Path(path_type=Path, dir_okay=False)
@@ -229,8 +257,7 @@ ALIGN = click.option(
 SMOOTH = click.option(
     "--smooth/--no-smooth",
     default=None,
-    help="Also smooth: what the whole drive, its end included, says of every instant.  [default: configurations "
-    "with a laser, without --jitter, of a single log]",
+    help="Also compute the smoothed estimate (uses the whole log).  [default: with a laser, of a single log]",
 )
 REFERENCE = click.option(
     "--reference/--no-reference",
@@ -326,50 +353,25 @@ def written(kinds: Sequence[str]) -> tuple[Declared, ...]:
             "--write",
             callback=known("--write: unknown output", kinds, None),
             metavar="KINDS",
-            help=f"Comma-separated outputs to write: {', '.join(kinds)}.  [default: all]",
+            help=f"Comma-separated outputs to write: {', '.join(kinds)}, or all.  "
+            f"[default: {','.join(k for k in kinds if k in settings.WRITTEN)}]",
         ),
         click.option("--json", "as_json", is_flag=True, help="Print the report as JSON instead of a table."),
+        click.option("-v", "--verbose", is_flag=True, help="Print also the notes and the table of sensors."),
     )
 
 
 # --- Rerun
-def detail(prefix: str) -> tuple[Declared, ...]:
-    """Return --images and --full, with a prefix where the command has other outputs too."""
-    name = prefix.replace("-", "_")
-    return (
-        click.option(
-            f"--{prefix}images",
-            f"{name}images",
-            callback=every,
-            metavar="every=N|none",
-            help="Which pictures go into the recording.  [default: evenly, at most 600]",
-        ),
-        click.option(
-            f"--{prefix}full",
-            f"{name}full",
-            is_flag=True,
-            help="Record everything: no thinning of curves (4000 points) and scans (2000).",
-        ),
-    )
-
-
 RERUN_SHOW = click.option(
     "--rerun",
     "rerun_show",
     is_flag=True,
     help="Show the drive in Rerun: in a running viewer, else a new one. Of several logs: record each, and print "
-    "the command that shows them all.",
+    "the command that shows them all. More choices: locfuse view.",
 )
 RERUN = (
     RERUN_SHOW,
     click.option("--rerun-save", type=FILE, metavar="FILE.rrd", help="Write the Rerun recording to this file."),
-    click.option(
-        "--rerun-connect",
-        callback=address,
-        metavar="URL",
-        help=f"Send the recording to the viewer at this address, e.g. {LOCAL_VIEWER}.",
-    ),
-    *detail("rerun-"),
 )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from locfuse.cli.rerun.record import record
 from locfuse.formats.report import json_report, tables
-from locfuse.formats.report.findings import banner_of, findings_of, notes_of, together
+from locfuse.formats.report.findings import banner_of, notes_of, sentence, together
 from locfuse.formats.report.table import Table
 from locfuse.fusion.progress import heard_by
 
@@ -20,18 +21,25 @@ from .screen import put, reader_may_leave, screen
 from .screen import say as on_screen
 
 if TYPE_CHECKING:
+    from rich.text import Text
+
     from locfuse.cli.session.result import Result
 
     from .options import Options
 
 FIGURES_NOTE = (
-    " rmse, max, final: distance to the truth. ANEES: 1 is right, more is overconfident. See: locfuse explain"
+    "rmse, max, final: distance to the truth. ANEES: 1 is right, above: overconfident. See: locfuse explain"
 )
-REFERENCE_NOTES = (
-    " rmse, max, final: distance to a reference, not to truth. See: locfuse explain reference",
-    " *: the reference uses the same sensors. ?: the reference may be wrong.",
+REFERENCE_NOTE = (
+    "Distances are to a reference, not to truth; *: it uses the same sensors, ?: it may be wrong. "
+    "See: locfuse explain reference"
 )
-SENSORS_NOTE = " NIS: 1 is right, more: its noise is set too low. absent: readings without a measurement"
+SENSORS_NOTE = (
+    "NIS: 1 is right. Above 1: noise set too low, or clock, mount or scale wrong. "
+    "absent: nothing usable in the reading"
+)
+NO_TOPIC = "no topic"  # begins why most sensors are absent, which is no news
+SENTENCE_END = re.compile(r"(?<=[.?]) (?=[A-Z])")
 VERDICT_COLOURS = {"helps": "green", "hurts": "red"}  # of verdicts; the others need none
 NO_TRUTH = "no truth in this log: the error figures do not exist; if a topic holds it: --set truth.topic=/TOPIC"
 OR_REFERENCE = ", or measure against the solution of the whole drive: --reference"
@@ -92,35 +100,40 @@ def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]
 
     `files` are those that it was written to, in one folder.
     """
-    quiet, lost = options.how.quiet, found.losses(options.how.strict)
-    result(found.report, files, options.outputs.as_json)
-    notes(found.report, lost, quiet)
-    transfer(found.loaded.log.transfer, quiet)
+    how, outputs, lost = options.how, options.outputs, found.losses(options.how.strict)
+    said = notes_in_words(found.report)
+    with reader_may_leave():
+        if outputs.as_json:
+            put(json_report.encode(found.report))
+        else:
+            result(found.report, files[0].parent, outputs.verbose)
+    void = [v["message"] for v in found.report.get("validity") or () if v["void"]]
+    for line in lost:  # the reasons of exit code 3: printed with --quiet too; void is what a screen has shown
+        if line not in void or outputs.as_json or not screen().is_terminal:
+            say(f"{'void' if line in void else 'lost'}: {line}")
+    for line in () if how.quiet else said if outputs.verbose else unusable(found.report):
+        say(line)
+    transfer(found.loaded.log.transfer, how.quiet)
     record(options.rerun, found, files[0].parent, say)
+    if not outputs.as_json:
+        end(files, 0 if how.quiet or outputs.verbose else len(said))
+    if outputs.open:
+        open_page(page_of(files))
     return lost
 
 
-def result(report: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> None:
-    """Print a finished report, and which files it was written to; they lie in one folder."""
+def page_of(files: Sequence[Path]) -> Path | None:
+    """Return the page among the files that were written."""
+    return next((file for file in files if file.suffix == ".html"), None)
+
+
+def end(files: Sequence[Path], notes: int = 0) -> None:
+    """Print as the last line where the results lie, and how many notes were not printed."""
+    page = page_of(files)
+    where = f"{files[0].parent}: {', '.join(file.name for file in files)}" if page is None else f"report: {page}"
+    count = f" ({notes} note{'' if notes == 1 else 's'}: -v{', or the report' if page else ''})" if notes else ""
     with reader_may_leave():
-        if as_json:
-            put(json_report.encode(report))
-            return
-        headline(report)
-        figures(report)
-        verdicts(report)
-        findings(report)
-        on_screen(f"{files[0].parent}: {', '.join(file.name for file in files)}")
-
-
-def end(files: Sequence[Path], as_json: bool, wanted: bool) -> None:
-    """Print as the last line where the report lies, and open it in the browser if that is `wanted`."""
-    report = next((file for file in files if file.name.endswith(".html")), None)
-    if report is not None and not as_json:
-        with reader_may_leave():
-            on_screen(f"report: {report}")
-    if wanted:
-        open_page(report)
+        on_screen(f"{where}{count}")
 
 
 def open_page(page: Path | None) -> None:
@@ -133,47 +146,51 @@ def open_page(page: Path | None) -> None:
         say(f"--open: no browser was found; open {page} yourself")
 
 
-def figures(report: Mapping[str, Any]) -> None:
-    """Print the configurations, and how many measurements of each sensor were accepted and rejected."""
-    table(tables.brief(report))
-    if tables.has_figures(report):
-        lines(REFERENCE_NOTES if report.get("reference") else (FIGURES_NOTE,))
+def result(report: Mapping[str, Any], folder: Path, verbose: bool) -> None:
+    """Print a report: the answer, what voids it, the figures, a line for each sensor, the fixes."""
+    headline(report)
+    shown = tables.brief(report)
+    table(shown if verbose else shown.without(*tables.ON_DEMAND))
+    if tables.has_figures(report) and verbose:
+        lines((REFERENCE_NOTE if report.get("reference") else FIGURES_NOTE,))
     table(tables.jitter(report))
-    of_sensors = tables.sensors(report).without("verdicts").without("joint_nis")
-    table(of_sensors)
-    if of_sensors.rows:
-        lines([SENSORS_NOTE])
+    if verbose:
+        of_sensors = tables.sensors(report).without("verdicts").without("joint_nis")
+        table(of_sensors)
+        lines([SENSORS_NOTE] if of_sensors.rows else [])
+    verdicts(report)
+    findings(report, folder, verbose)
 
 
 def table(shown: Table) -> None:
     """Print a table if it has any rows."""
     if shown.rows:
-        text = text_table.ruled(shown, width())
-        lines(text, bold=text[1:2])
+        text = text_table.lines(shown, width(), "   ")
+        lines(text, bold=text[:1])
 
 
-def notes(report: Mapping[str, Any], losses: Sequence[str], quiet: bool) -> None:
-    """Print to stderr what a reader of the figures must know: absent sensors, findings, losses."""
-    void = {v["message"] for v in report.get("validity") or () if v["void"]}
-    for line in losses:  # the reasons of exit code 3: printed with --quiet too
-        say(f"{'void' if line in void else 'lost'}: {line}")
-    if quiet:
-        return
-    for sensor, why in report["absent"].items():
-        say(f"absent: {sensor}: {why}")
-    for note in notes_of(report):
-        say(f"note: {note}")
+def notes_in_words(report: Mapping[str, Any]) -> list[str]:
+    """Return what else a reader of the figures may want to know: absent sensors, notes, what was dropped."""
+    found = [f"absent: {sensor}: {why}" for sensor, why in report["absent"].items()]
+    found += [f"note: {note}" for note in notes_of(report)]
     for stream, reasons in report["input"]["dropped"].items():
         counted = ", ".join(f"{count} {reason.replace('_', ' ')}" for reason, count in reasons.items())
-        say(f"dropped: {stream}: {counted}")
+        found.append(f"dropped: {stream}: {counted}")
     if report.get("jitter"):
-        say(f"note: {report['jitter']['words']}")
+        found.append(f"note: {report['jitter']['words']}")
     if report.get("reference"):
-        say(f"note: {report['reference']['words']}")
+        found.append(f"note: {report['reference']['words']}")
     elif report["truth"] is None:
-        say(NO_TRUTH + (OR_REFERENCE if "verdicts" in report else ""))
+        found.append(NO_TRUTH + (OR_REFERENCE if "verdicts" in report else ""))
     if report.get("prediction"):
-        say(f"note: {report['prediction']['trust']}")
+        found.append(f"note: {report['prediction']['trust']}")
+    return found
+
+
+def unusable(report: Mapping[str, Any]) -> list[str]:
+    """Return which sensors are absent though the log has a topic of theirs."""
+    absent = report["absent"].items()
+    return [f"absent: {sensor}: {why}" for sensor, why in absent if not why.startswith(NO_TOPIC)]
 
 
 def transfer(came: tuple[int, int] | None, quiet: bool) -> None:
@@ -183,16 +200,18 @@ def transfer(came: tuple[int, int] | None, quiet: bool) -> None:
 
 
 def verdicts(report: Mapping[str, Any]) -> None:
-    """Print what each sensor improved, in words; sensors with equal words share a line."""
+    """Print what each sensor improved; sensors with equal words share a line, and no sentence repeats."""
     from rich.text import Text
 
-    console = screen()
     equal: dict[tuple[str, str], list[str]] = {}
     for sensor, found in report.get("verdicts", {}).items():
         equal.setdefault((found["verdict"], found["words"]), []).append(sensor)
+    printed: set[str] = set()
     for (verdict, words), sensors in equal.items():
         colour = VERDICT_COLOURS.get(verdict, "")
-        console.print(Text.assemble((f"{', '.join(sensors)} {verdict}. ", f"bold {colour}"), words))
+        new = [sentence for sentence in SENTENCE_END.split(words) if sentence not in printed]
+        printed.update(new)
+        paragraph(Text.assemble((f"{', '.join(sensors)} {verdict}. ", f"bold {colour}"), " ".join(new)))
 
 
 def headline(report: Mapping[str, Any]) -> None:
@@ -200,17 +219,25 @@ def headline(report: Mapping[str, Any]) -> None:
     from rich.text import Text
 
     if report.get("headline"):
-        screen().print(Text(report["headline"], "bold"))
+        paragraph(Text(report["headline"], "bold"))
     for line in banner_of(report):
-        screen(soft_wrap=True).print(Text(line, "yellow"))
+        paragraph(Text(line, "yellow"))
 
 
-def findings(report: Mapping[str, Any]) -> None:
-    """Print what is wrong or can be better, with the fix that was tried."""
-    from rich.text import Text
+def findings(report: Mapping[str, Any], folder: Path | None = None, verbose: bool = True) -> None:
+    """Print what is wrong or can be better, with the fix that was tried.
 
-    console = screen(soft_wrap=True)
-    for line in findings_of(report):
-        console.print(Text(line))
+    Fixes of several findings are in a file of the results' `folder`; without one they are printed.
+    """
+    found = report.get("findings") or ()
+    if not verbose:
+        found = [f for f in found if f["fixes"] or not f.get("harmless")]
+    lines(sentence(f, brief=not verbose) for f in found)
     if (all_fixes := together(report)) is not None:
-        console.print(Text(all_fixes, "bold"))
+        text = all_fixes if folder is None else f"All fixes together: --robot {folder / 'fixes.toml'}"
+        lines([text], bold=[text])
+
+
+def paragraph(text: Text) -> None:
+    """Print a text, between words broken into lines where a person reads it on a screen."""
+    screen(soft_wrap=width() is None, highlight=False).print(text)

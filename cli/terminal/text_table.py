@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import msgspec
 from msgspec.structs import replace
 
-from locfuse.formats.report.table import Cell, Column, Table, text
+from locfuse.formats.report.table import Cell, Column, Table, heading, text
 from locfuse.formats.visible import visible
 
 MIN_CELL_WIDTH = 12  # characters of a text that is cut
@@ -36,7 +36,7 @@ def lines(table: Table, width: int | None, gap: str = "  ") -> list[str]:
     A column whose cells are all empty is left out.
     """
     strips = [
-        Strip(c, (c.brief or c.heading, *(visible(_text(c, row[i])) for row in table.rows)))
+        Strip(c, (heading(c, brief=True), *(visible(_text(c, row[i])) for row in table.rows)))
         for i, c in enumerate(table.columns)
     ]
     strips = [s for s in strips if any(s.cells[1:])]
@@ -44,20 +44,10 @@ def lines(table: Table, width: int | None, gap: str = "  ") -> list[str]:
     return [gap.join(row) for row in zip(*(s.padded() for s in fitted), strict=True)]
 
 
-def ruled(table: Table, width: int | None) -> list[str]:
-    """Return the lines of a table with a rule below its headings and an empty line before and after."""
-    found = lines(table, None if width is None else width - 2, "   ")
-    if not found:
-        return []
-    empty, rule = " " * len(found[0]), "─" * len(found[0])
-    return [f" {line} " for line in (empty, found[0], rule, *found[1:], empty)]
-
-
 def _text(column: Column, cell: Cell) -> str:
-    """Return a cell, a number with its unit."""
-    if isinstance(cell.value, int | float) and not isinstance(cell.value, bool):
-        return column.with_unit(cell.value, brief=True)
-    return text(column, cell)
+    """Return a cell; a number in as few decimals as a terminal needs."""
+    number = isinstance(cell.value, int | float) and not isinstance(cell.value, bool)
+    return text(replace(column, form=column.brief_form) if number and column.brief_form else column, cell)
 
 
 def _fitted(strips: Sequence[Strip], width: int, gap: int) -> list[Strip]:

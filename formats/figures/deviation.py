@@ -42,7 +42,7 @@ def deviations(scene: Scene) -> Section:
     if with_heading:
         panels.append(_heading(with_heading, span))
     panels.append(_error(judged, scene.judged_by))
-    text = f"Estimate minus {scene.judged_by}. Curves keep the least and the greatest value of every pixel."
+    text = f"Estimate minus {scene.judged_by}. Curves are thinned; peaks are kept."
     return Section("deviation", f"Deviation from {scene.judged_by}", text, tuple(panels))
 
 
@@ -153,7 +153,7 @@ def uncertainty(scene: Scene) -> Section:
         )
         label = f"3 sigma of {what}, {unit}"
         panels.append(Panel(f"sigma_{what}", f"Claimed 3 sigma of {what}", label, TIME, marks, label))
-    text = "There is no truth in this log. This is how sure the filters claim to be, not how right they are."
+    text = "No truth in this log: this is what the filters claim, not their error."
     return Section("uncertainty", "Claimed uncertainty", text, tuple(panels))
 
 
@@ -178,7 +178,7 @@ def spread(scene: Scene) -> Section:
     scale, unit = metres(list(position.values()))
     heading = {j.name: _sizes(np.degrees(j.heading), MIN_ERROR_DEG) for j in judged if j.heading is not None}
     panels = (_histograms("position", position, scale, unit), _histograms("heading", heading, 1.0, "°"))
-    text = f"Share of the {scene.judged_by}'s stamps in bins of equal ratio. The upright line is the median."
+    text = "Histogram, logarithmic axis; line: median."
     return Section("spread", "How large the errors are", text, tuple(p for p in panels if p is not None))
 
 

@@ -23,10 +23,10 @@ def consistency(scene: Scene) -> Section:
         panels.append(_nees(judged, scene.nees_bounds, span))
     panels += [p for s in scene.drive.measurements if (p := _nis(scene, s, span)) is not None]
     text = (
-        "1 is right; above, the filter is surer than it may be; below, it is more careful than it need be. "
-        "Grey: where 95 % should lie. NIS near 1 alone proves nothing."
+        "1 is right; above: overconfident; below: underconfident. Grey: where 95 % should lie. "
+        "NIS near 1 alone proves nothing."
     )
-    return Section("consistency", "Is the filter as sure as it may be?", text, tuple(panels))
+    return Section("consistency", "Consistency over time", text, tuple(panels))
 
 
 def _nees(judged: list[Evaluation], bounds: tuple[float, float], span: tuple[float, float]) -> Panel:
@@ -105,7 +105,7 @@ def _innovation(e: Estimates, sensor: str, audit: Audit, i: int, c: Component) -
         f"{sensor} {c.name}, {c.sign}",
         TIME,
         tuple(marks),
-        f"{int(accepted.sum())} accepted, and those that were compared and refused.",
+        f"{int(accepted.sum())} accepted, and those that were compared and rejected.",
         x_range=(0.0, float(e.t[-1])),
         y_range=_robust(y[accepted], sigma, y[refused]),
         keys=("gate",) if refused.any() else (),
@@ -123,18 +123,18 @@ def gates(scene: Scene) -> Section:
     present = {m.of for m in marks}
     panel = Panel(
         "gates",
-        "What became of every measurement",
+        "Accepted and rejected readings over time",
         "",
         TIME,
         tuple(marks),
-        "Shares of accepted, new, ambiguous and refused measurements of each sensor over time.",
+        "Shares of accepted, new, ambiguous and rejected measurements of each sensor over time.",
         x_range=(0.0, float(best.t[-1])),
         y_range=(float(len(best.audits)), 0.0),
         lanes=tuple(best.audits),
         keys=tuple(v for v in VERDICTS if v in present),
     )
     text = f"In “{best.name}”. An empty stretch means that the sensor measured nothing there."
-    return Section("gates", "What became of every measurement", text, (panel,), columns=1)
+    return Section("gates", "Accepted and rejected readings over time", text, (panel,), columns=1)
 
 
 def _shares(audit: Audit, t: Array, lane: int) -> list[Band]:
@@ -174,7 +174,7 @@ def learnt(scene: Scene) -> Section:
             words = f"{c.name} as estimated over time, in the band of its 3 sigma."
             panels.append(Panel(f"learnt_{name}_{i}", c.name, label, TIME, marks, words, y_range=limits))
     text = f"States besides the pose that “{best.name}” estimated while driving, with 3 sigma."
-    return Section("learnt", "What the filter learnt", text, tuple(panels))
+    return Section("learnt", "Estimated parameters", text, tuple(panels))
 
 
 def means(t: Array, values: Array, count: int) -> tuple[Array, Array]:

@@ -215,5 +215,5 @@ def _curve(axes: Any, mark: Curve, ink: str, label: str | None, broken: Any) -> 
 def _label(axes: Any, panel: Panel, mark: Mark) -> str | None:
     """Return the mark's name for the legend, once."""
     taken = set(axes.get_legend_handles_labels()[1])
-    name = panel.said.get(mark.of, "refused" if mark.of == "gate" else mark.of)
+    name = panel.said.get(mark.of, "rejected" if mark.of == "gate" else mark.of)
     return None if name in taken or name == "bounds" else name

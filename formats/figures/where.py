@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -11,7 +12,7 @@ from locfuse.formats.thin import evenly
 from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, Evaluation, MapLine
 
 from .palette import LEVELS
-from .panels import Curve, Mark, Panel, Section, Spots, Strokes, TimedPlaces
+from .panels import Band, Curve, Mark, Panel, Section, Spots, Strokes, TimedPlaces
 from .scene import Scene
 
 STEPS_S = (10.0, 30.0, 60.0, 300.0, 600.0, 3600.0)
@@ -61,6 +62,7 @@ def track(of: str, t: Array, xy: Array) -> list[TimedPlaces]:
 
 # --- Trajectories over the line map
 
+AROUND, MIN_AROUND_M = 0.5, 3.0  # of a path's size, m: what lies further from it is not framed
 MAX_POINTS = 20_000  # of all paths together
 WALLS = ("walls of the first scan", "walls seen later")
 
@@ -82,7 +84,8 @@ def trajectories(scene: Scene) -> Section:
         paths["truth"] = truth.t, truth.xy
         marks.append(_curve("truth", truth.xy, most))
     marks += [Spots("landmark", np.array([x]), np.array([y])) for x, y in scene.landmarks]
-    led = paths["truth"] if truth is not None else paths[list(paths)[-1]]
+    led = paths["truth"] if truth is not None else paths.get(scene.best.name, paths[list(paths)[-1]])
+    x_range, y_range = framed(led[1], marks)
     marks += spots(*led)
     every = f"every {step(led[0]):.0f} seconds"
     names = ", ".join(e.name for e, _ in scene.shown())
@@ -97,10 +100,36 @@ def trajectories(scene: Scene) -> Section:
         equal=True,
         keys=tuple(m.of for m in marks if isinstance(m, Strokes | Spots)),
         said={"time": every},
+        x_range=x_range,
+        y_range=y_range,
         tracks=tuple(found for name, (t, xy) in paths.items() for found in track(name, t, xy)),
     )
     text = f"Walls are where “{mapped.name}” knew them at the end." if mapped.final_map else ""
     return Section("trajectories", "Trajectories", text, (panel,), columns=1)
+
+
+def framed(path: Array, marks: Sequence[Mark]) -> list[tuple[float, float] | None]:
+    """Return the limits of x and y: 99 % of the best path (n, 2), and what lies up to half its size around it.
+
+    One stray wall, or an estimate that left the building, would make all else small.
+    """
+    good = path[np.isfinite(path).all(axis=1)]
+    if len(good) == 0:
+        return [None, None]
+    least, most = np.quantile(good, (0.005, 0.995), axis=0)
+    around = max(AROUND * float((most - least).max()), MIN_AROUND_M)
+    found: list[tuple[float, float] | None] = []
+    for axis, (low, high) in enumerate(zip(least - around, most + around, strict=True)):
+        shown = np.concatenate([np.atleast_1d(v).ravel() for m in marks for v in _places(m, axis)])
+        inside = shown[(shown >= low) & (shown <= high)]
+        found.append((float(inside.min()), float(inside.max())) if len(inside) else None)
+    return found
+
+
+def _places(mark: Mark, axis: int) -> list[Array]:
+    if isinstance(mark, Strokes):
+        return [mark.ends[:, :, axis]]
+    return [] if isinstance(mark, Band) else [(mark.x, mark.y)[axis]]
 
 
 def _curve(name: str, xy: Array, most: int) -> Curve:
@@ -144,14 +173,14 @@ def where(scene: Scene) -> Section:
     if not routes:
         return Section("where", "", "", ())
     what = "position error" if scene.has_truth else "claimed sigma of the position"
-    edges = _edges(max(float(np.nanmax(r.value)) for r in routes))
+    edges = _edges(min(float(np.nanmax(r.value)) for r in routes))  # in which the best one shows its colours
     said = dict(zip((f"level {i}" for i in range(len(LEVELS))), _words(edges), strict=True))
     said["time"] = f"every {step(routes[0].t):.0f} seconds"
     panels = tuple(_panel(scene, route, edges, what, said) for route in routes)
     crosses = any(len(r.refused) for r in routes)
     text = (
         f"Each path in the colours of its {what}."
-        f"{f' Crosses: a reading of “{scene.best.name}” was refused.' if crosses else ''}"
+        f"{f' Crosses: a reading of “{scene.best.name}” was rejected.' if crosses else ''}"
     )
     return Section("where", f"Where: {what} along the path", text, panels, columns=3)
 

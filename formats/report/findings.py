@@ -8,15 +8,21 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+CLAUSE_END = re.compile(r"; |, but ")
 SAME_TURN = 0.2  # of a heading error: a smaller change is not said
 SAME_NATS = 0.02  # nats per number: predictions that differ by less are equal
 
 
 def banner_of(report: Mapping[str, Any]) -> list[str]:
     """Return what else must be known before any figure: what is void or doubtful, and why."""
+    found = [report["validity"][i] for i in boxed(report)]
+    return [f"{'Void' if v.get('void', True) else 'Warning'}: {v['message']}." for v in found]
+
+
+def boxed(report: Mapping[str, Any]) -> list[int]:
+    """Return the positions of what is void or doubtful and not named by the headline."""
     headline = report.get("headline") or ""
-    found = [v for v in report.get("validity") or () if v["message"] not in headline]
-    return [f"{'Void' if v.get('void', True) else 'Doubtful'}: {v['message']}." for v in found]
+    return [i for i, v in enumerate(report.get("validity") or ()) if v["message"] not in headline]
 
 
 def void_reasons(report: Mapping[str, Any]) -> list[str]:
@@ -29,12 +35,27 @@ def findings_of(report: Mapping[str, Any]) -> list[str]:
     return [sentence(f) for f in report.get("findings") or ()]
 
 
-def sentence(finding: Mapping[str, Any]) -> str:
-    """Return "compass: ... Fix (tried with all: error 0.110 -> 0.004 m): --set ..."."""
-    head = f"{finding['role']}: {finding['message'].rstrip('. ')}."
+def sentence(finding: Mapping[str, Any], brief: bool = False) -> str:
+    """Return "compass: ... Fix (tried with all: error 110 -> 4 mm): --set ..."; brief: its first clause."""
+    return " ".join(filter(None, in_parts(finding, brief)))
+
+
+def in_parts(finding: Mapping[str, Any], brief: bool = False) -> tuple[str, str]:
+    """Return a finding's sentence and the options that fix it, "" where none does."""
+    words = finding["message"].rstrip(". ")
+    head = f"{finding['role']}: {CLAUSE_END.split(words)[0] if brief and finding['fixes'] else words}."
     if not finding["fixes"]:
-        return f"{head}{_in_vain(finding)}"
-    return f"{head} Fix (tried with {_effect(finding['tried'])}): {options(finding['fixes'])}"
+        return f"{head}{_in_vain(finding)}", ""
+    tried = finding["tried"]
+    which = "Fix for the covariance only" if _worse(tried) else "Fix"
+    with_what = "" if brief else f" with {tried['configuration']}"
+    return f"{head} {which} (tried{with_what}: {_effect(tried)}):", options(finding["fixes"])
+
+
+def _worse(tried: Mapping[str, Any]) -> bool:
+    """Return whether the position error of what was tried is larger than before."""
+    before, after = tried["before"]["position_rmse_m"], tried["after"]["position_rmse_m"]
+    return before is not None and after is not None and after > 1.01 * before
 
 
 def _in_vain(finding: Mapping[str, Any]) -> str:
@@ -44,7 +65,7 @@ def _in_vain(finding: Mapping[str, Any]) -> str:
         return ""
     if finding.get("harmless"):
         return f" With {tried} little changes on this drive."
-    return f" With {tried} the result gets worse."
+    return f" No setting found that helps (tried {tried})."
 
 
 def options(fixes: Sequence[str]) -> str:
@@ -65,7 +86,7 @@ def _effect(tried: Mapping[str, Any]) -> str:
         parts.append(f"lost {before['lost_share']:.0%} -> {after['lost_share']:.0%} of the drive")
     if before["position_rmse_m"] is not None:
         whose = "error of the path's shape" if before.get("aligned") else "error"
-        parts.append(f"{whose} {length(before['position_rmse_m'])} -> {length(after['position_rmse_m'])}")
+        parts.append(f"{whose} {change(before['position_rmse_m'], after['position_rmse_m'])}")
     turned = [values.get("heading_rmse_deg") for values in (before, after)]
     if turned[0] and turned[1] is not None and abs(turned[0] - turned[1]) > SAME_TURN * turned[0]:
         parts.append("heading " + " -> ".join(f"{v:.0f}°" if v >= 10.0 else f"{v:.2g}°" for v in turned))
@@ -75,7 +96,7 @@ def _effect(tried: Mapping[str, Any]) -> str:
         gained = after["prediction_nats"] - before["prediction_nats"]
         same = abs(gained) < SAME_NATS
         parts.append("prediction as before" if same else f"prediction {gained:+.2f} nats per number")
-    return f"{tried['configuration']}: {', '.join(parts)}"
+    return ", ".join(parts)
 
 
 def _ratio(value: float) -> str:
@@ -83,6 +104,15 @@ def _ratio(value: float) -> str:
     if value >= 1e5:
         return "over 100000"
     return f"{float(f'{value:.2g}'):.0f}" if value >= 99.5 else f"{value:.2g}"
+
+
+def change(before: float, after: float) -> str:
+    """Return two lengths [m] in one unit: "109 -> 102 mm", "1.47 -> 0.25 m"."""
+    if max(before, after) >= 1.0:
+        return f"{before:.2f} -> {after:.2f} m"
+    fine = min(before, after) < 0.00995
+    first, last = (f"{1000.0 * v:.2g}" if fine and v < 0.00995 else f"{1000.0 * v:.0f}" for v in (before, after))
+    return f"{first} -> {last} mm"
 
 
 def length(metres: float) -> str:

@@ -36,7 +36,7 @@ GLOSSARY: Mapping[str, str] = {
     "innovation": "A reading minus what the filter predicted for it. Also called residual.",
     "gate": "The NIS above which a reading is rejected as an outlier.",
     "accepted": "Readings (of a laser: lines) that corrected the filter.",
-    "rejected": "Readings that were compared with the prediction and refused, mostly by the gate.",
+    "rejected": "Readings that were compared with the prediction and not used, mostly by the gate.",
     "absent": "Readings that gave no measurement: a picture without the landmark, a scan without lines.",
     "ambiguous": "A measured line that could be either of two walls. It is not used.",
     "NEES, ANEES": (

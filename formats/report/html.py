@@ -10,7 +10,7 @@ import base64
 import hashlib
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
@@ -22,7 +22,7 @@ from locfuse.formats.figures.svg import HEIGHT, WIDTH, slugs_of, svg
 from locfuse.fusion.data import REFUSED, Colour
 
 from . import tables
-from .findings import findings_of, fingerprint, notes_of, title_of, together
+from .findings import boxed, fingerprint, in_parts, notes_of, options, title_of, together
 from .glossary import GLOSSARY
 from .render import SIGNS, Swatches, data, html
 from .table import Path, Piece, Table, written
@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 
 TONES = {"helps": "good", "seems to help": "good", "seems to hurt": "bad", "hurts": "bad"}
 SIZES = {1: (860, 500), 2: (WIDTH, HEIGHT), 3: (330, 190)}  # px of a panel by columns in its section
+FIRST_SIZE = (620, 470)  # px of the picture of the paths, beside the verdicts
+PICTURE = "trajectories"  # the section whose figure stands on the first screen
+HEADING = re.compile(r'<section id="([\w-]+)">\s*(?:<details>\s*<summary>)?<h2>(.*?)</h2>')
 STRIP_WIDTH_PX = 200.0  # px, width of an effect strip
 
 
@@ -43,6 +46,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
     folder = files(__package__)
     script = compact((folder / "report.js").read_text(encoding="utf-8"))
     names, bars = list(report["configurations"]), _bars(report)
+    smoothed = {name for name, values in report["configurations"].items() if values.get("smoothed")}
     traces = palette.traces_in(report)
     looks = palette.looks_of(traces)
     inks = palette.colours({**traces, **{s: Trace(s, (s,)) for s in sensors if s not in names}}, sensors)
@@ -60,8 +64,9 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
         style=Markup(style_sheet((folder / "report.css").read_text(encoding="utf-8"), roles, slugs)),
         figures=ReportFigures(report),
         tables=tables,
-        table=lambda shown, painted=True: _table(shown, swatches if painted else None, bars),
-        sections=[d for d in drawings if d["section"].name != "credit"],
+        table=lambda shown, painted=True: _table(shown, swatches if painted else None, bars, smoothed),
+        picture=next((d for d in drawings if d["section"].name == PICTURE), None),
+        sections=[d for d in drawings if d["section"].name not in {"credit", PICTURE}],
         credit=[d for d in drawings if d["section"].name == "credit"],
         legend=[(name, slugs[name]) for name in names if name in drawn],
         slugs=slugs,
@@ -70,13 +75,16 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
         tones=TONES,
         strips=_strips(report),
         notes=notes_of(report),
-        findings=findings_of(report),
-        together=together(report),
+        findings=[in_parts(f) for f in report.get("findings") or ()],
+        together=together(report) and options(report["fixes"]),
+        fixes=options(report.get("fixes") or ()),
+        boxed=boxed(report),
         events=_shaded(sections),
         glossary=GLOSSARY,
         roles=("truth", "bounds") if report["truth"] else ("bounds",),
     )
-    return page.strip() + "\n"
+    contents = (f'<a href="#{ident}">{words}</a>' for ident, words in HEADING.findall(page))
+    return page.replace("<!--contents-->", " ".join(contents), 1).strip() + "\n"
 
 
 @cache
@@ -106,16 +114,16 @@ class ReportFigures:
         return Markup(data(Piece(written(value, form), value, tuple(path))))
 
 
-def _table(shown: Table, swatches: Swatches | None, bars: Mapping[Path, float]) -> Markup:
+def _table(shown: Table, swatches: Swatches | None, bars: Mapping[Path, float], tinted: Collection[str]) -> Markup:
     from markupsafe import Markup
 
-    return Markup(html(shown, swatches, bars))
+    return Markup(html(shown, swatches, bars, tinted))
 
 
 def _shaded(sections: Sequence[Section]) -> list[tuple[str, str]]:
     """Return (words, role) of the kinds of events that are shaded in some figure."""
     kinds = dict.fromkeys(e.kind for s in sections for p in s.panels for e in p.events)
-    return [("refused in a row" if kind == REFUSED else kind, palette.EVENTS[kind]) for kind in kinds]
+    return [("rejected in a row" if kind == REFUSED else kind, palette.EVENTS[kind]) for kind in kinds]
 
 
 def style_sheet(css: str, roles: Mapping[str, Colour], slugs: Mapping[str, str]) -> str:
@@ -143,13 +151,13 @@ def section_drawings(section: Section, slugs: dict[str, str], looks: Mapping[str
     """Return a section with its panels as SVG, row by row."""
     from markupsafe import Markup
 
-    width, height = SIZES[section.columns]
+    width, height = FIRST_SIZE if section.name == PICTURE else SIZES[section.columns]
     drawn = [
         (p, Markup(svg(p, p_id(section, i), slugs, width, height, looks))) for i, p in enumerate(section.panels)
     ]
     per_row = section.columns if section.rows else max(1, len(drawn))
     rows = [drawn[i : i + per_row] for i in range(0, len(drawn), per_row)]
-    keys = {k: p.said.get(k, "refused" if k == "gate" else k) for p in section.panels for k in p.keys}
+    keys = {k: p.said.get(k, "rejected" if k == "gate" else k) for p in section.panels for k in p.keys}
     return {"section": section, "rows": rows, "keys": dict(sorted(keys.items(), key=_level_first))}
 
 
@@ -180,7 +188,8 @@ def _strips(report: Mapping[str, Any]) -> dict[str, dict[str, float | str]]:
     credit = report.get("credit")
     if not credit:
         return {}
-    effects = {s: (kind, v[kind]) for s, v in credit["sensors"].items() for kind in _kind(v)}
+    judged = {s: v for s, v in credit["sensors"].items() if report["verdicts"][s]["verdict"] != "no verdict"}
+    effects = {s: (kind, v[kind]) for s, v in judged.items() for kind in _kind(v)}
     effects = {s: (kind, e) for s, (kind, e) in effects.items() if None not in (e["low"], e["high"], e["factor"])}
     ln = [math.log(max(e[k], 1e-6)) for _, e in effects.values() for k in ("low", "high", "factor")]
     low, high = max(-5.0, min([*ln, -0.2])), min(7.0, max([*ln, 0.2]))

@@ -9,13 +9,13 @@ import csv as csv_format
 import io
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from html import escape as _escaped
 from typing import Any, NamedTuple
 
 from locfuse.formats.visible import visible, visible_lines
 
-from .table import Cell, Column, Path, Piece, Table, pieces, records, text
+from .table import Cell, Column, Path, Piece, Table, heading, pieces, records, text
 
 LATEX = {
     "\\": r"\textbackslash{}",
@@ -56,26 +56,26 @@ def markdown(table: Table) -> str:
     """Return the table as Markdown (GitHub's)."""
     rule = "".join("--:|" if c.kind == "number" else "---|" for c in table.columns)
     rows = [[escape(text(c, cell)) for c, cell in zip(table.columns, row, strict=True)] for row in table.rows]
-    heads, *lines = ["| " + " | ".join(row) + " |" for row in (map(_heading, table.columns), *rows)]
+    heads, *lines = ["| " + " | ".join(row) + " |" for row in (map(heading, table.columns), *rows)]
     return "\n".join([heads, f"|{rule}", *lines])
 
 
-def _heading(column: Column) -> str:
-    return f"{column.heading}, {column.unit}" if column.unit else column.heading
-
-
-def html(table: Table, swatches: Swatches | None = None, bars: Mapping[Path, float] | None = None) -> str:
+def html(
+    table: Table,
+    swatches: Swatches | None = None,
+    bars: Mapping[Path, float] | None = None,
+    tinted: Collection[str] = (),
+) -> str:
     """Return the table as HTML, every number as <data> that names its place in report.json (RFC 6901).
 
     `swatches` puts a spot of its colour before each name; `bars` the length [%] of a bar under a
-    cell by the cell's place.
+    cell by the cell's place; `tinted` are the names of rows of another kind than the rest.
     """
-    classes = ("", *(_class(c, heading=True) for c in table.columns[1:]))
+    classes = ("", *(_class(c, head=True) for c in table.columns[1:]))
     heads = "".join(
-        f'<th scope="col"{own}>{html_text(_heading(c))}</th>'
-        for own, c in zip(classes, table.columns, strict=True)
+        f'<th scope="col"{own}>{html_text(heading(c))}</th>' for own, c in zip(classes, table.columns, strict=True)
     )
-    rows = "".join(_html_row(table.columns, row, swatches, bars or {}) for row in table.rows)
+    rows = "".join(_html_row(table.columns, row, swatches, bars or {}, tinted) for row in table.rows)
     label = f' tabindex="0" role="region" aria-label="{html_text(table.label)}"' if table.label else ""
     return (
         f'<div class="scroll"{label}>\n<table>\n<thead><tr>{heads}</tr></thead>\n'
@@ -88,6 +88,7 @@ def _html_row(
     row: tuple[Cell, ...],
     swatches: Swatches | None,
     bars: Mapping[Path, float],
+    tinted: Collection[str],
 ) -> str:
     name, slug = str(row[0].value), ""
     head = html_text(name)
@@ -98,11 +99,12 @@ def _html_row(
     for column, cell in zip(columns[1:], row[1:], strict=True):
         bar = f'<span class="bar {slug}" style="width:{bars[cell.at]:.1f}%"></span>' if cell.at in bars else ""
         cells.append(f"<td{_class(column)}>{_html_cell(column, cell)}{bar}</td>")
-    return f'<tr><th scope="row">{head}</th>{"".join(cells)}</tr>\n'
+    tint = ' class="tint"' if name in tinted else ""
+    return f'<tr{tint}><th scope="row">{head}</th>{"".join(cells)}</tr>\n'
 
 
-def _class(column: Column, heading: bool = False) -> str:
-    kind = "text" if heading and column.kind == "long" else column.kind
+def _class(column: Column, head: bool = False) -> str:
+    kind = "text" if head and column.kind == "long" else column.kind
     return {"number": "", "text": ' class="left"', "code": ' class="left"', "long": ' class="wrap"'}[kind]
 
 
@@ -158,11 +160,11 @@ def csv(table: Table) -> str:
 FORMULA = ("=", "+", "-", "@", "\t", "\r")  # a spreadsheet evaluates a cell that begins so, unless a ' is in front
 
 
-def csv_text(heading: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
+def csv_text(heads: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
     """Return rows of values as CSV, every number in full precision, nothing where there is no value."""
     out = io.StringIO()
     writer = csv_format.writer(out, lineterminator="\n")
-    writer.writerow(map(_plain, heading))
+    writer.writerow(map(_plain, heads))
     writer.writerows([_plain(value) for value in row] for row in rows)
     return out.getvalue()
 

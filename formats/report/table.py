@@ -17,7 +17,7 @@ Path = tuple[str | int, ...]
 
 
 class Column(msgspec.Struct, frozen=True):
-    """One column. Its unit stands in the heading; on a terminal, and where units differ by row, in each cell."""
+    """One column. Its unit stands in the heading; where units differ by row, in each cell."""
 
     key: str  # of its values in report.json, and of the column for programs
     heading: str
@@ -29,14 +29,15 @@ class Column(msgspec.Struct, frozen=True):
     brief: str = ""  # the heading on a terminal
     brief_form: str = ""  # a number on a terminal
     shorter: Callable[[str], str] | None = None  # shorter words for the same, for a narrow screen
+    scale: float = 1.0  # units per unit of the value: 1000 where metres are shown in mm
     rank: int = 0  # on a screen that is too narrow the highest is left out first; 0 always stays
 
-    def with_unit(self, value: float | None, brief: bool = False) -> str:
-        """Return a number and its unit, in few decimals if brief; a dash where there is none."""
+    def with_unit(self, value: float | None) -> str:
+        """Return a number and its unit; a dash where there is none."""
         if value is None or not math.isfinite(value):
             return "-"
         space = "" if self.unit in {"", "°"} else " "
-        return written(value, (brief and self.brief_form) or self.form) + space + self.unit
+        return written(value * self.scale, self.form) + space + self.unit
 
 
 class Cell(NamedTuple):
@@ -77,6 +78,12 @@ class Table(msgspec.Struct, frozen=True):
         return replace(self, rows=tuple(rows))
 
 
+def heading(column: Column, brief: bool = False) -> str:
+    """Return a column's heading with its unit: "rmse, mm"."""
+    words = (brief and column.brief) or column.heading
+    return f"{words}, {column.unit}" if column.unit else words
+
+
 def texts(*headings: str, left: int = 1) -> tuple[Column, ...]:
     """Return columns of ready text: the first `left` of them stand at the left."""
     return tuple(Column(h, h, kind="text" if i < left else "number") for i, h in enumerate(headings))
@@ -109,7 +116,7 @@ def pieces(column: Column, cell: Cell) -> list[Piece]:
             [[Piece(written(v, column.form), v, _below(at, i))] for i, v in enumerate(value)], column.between
         )
     if isinstance(value, int | float) and not isinstance(value, bool):
-        return [Piece(written(value, column.form), value, at)]
+        return [Piece(written(value * column.scale if column.scale != 1.0 else value, column.form), value, at)]
     return [Piece(str(value))]
 
 

@@ -7,6 +7,8 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from msgspec.structs import replace
+
 from .findings import fingerprint
 from .render import csv as csv_of
 from .render import latex as latex_of
@@ -32,6 +34,8 @@ COLUMNS = (
     Column("drift_10m", "drift /10 m", form="{:.2%}"),
     Column("anees", "ANEES", form="{:.2f}"),
 )
+ON_DEMAND = ("final_position_error_m", "drift_5m")  # on a terminal only with --verbose
+IN_MM = (0.01, 10.0)  # m: where an error is smaller than the first and none larger than the second
 ASIDE = ("position_median_m", "along_rmse_m", "cross_rmse_m", "drift_1m", "drift_10m")  # in the full table only
 MAIN = tuple(c for c in COLUMNS if c.key not in ASIDE)
 LOST = Column("lost_share", "lost", form="{:.0%}")
@@ -127,9 +131,16 @@ def configurations(report: Report, main: bool = True) -> Table:
     found = [c for c in (MAIN if main else COLUMNS) if any(v.get(c.key) is not None for v in rows)]
     found += [LOST] if any(v.get(LOST.key) for v in rows) else []
     found += [JUDGED_BY] if report.get("reference") else []
+    errors = [e for c in found if c.unit == "m" for v in rows if (e := v.get(c.key))]
+    if errors and min(errors) < IN_MM[0] and max(errors) < IN_MM[1]:
+        found = [_in_mm(c) if c.unit == "m" else c for c in found]
     found = [*(found or (DISTANCE, DURATION)), *([] if main and report.get("truth") else _by_own_scans(report))]
     label = "Main figures of every configuration" if main else "All figures of every configuration"
     return of_values((CONFIGURATION, *found), _configurations(report), label)
+
+
+def _in_mm(column: Column) -> Column:
+    return replace(column, unit="mm", scale=1000.0, form="{:.1f}", brief_form="{:.1f}")
 
 
 def _configurations(report: Report, key: str | None = None) -> Rows:

@@ -12,7 +12,7 @@ from locfuse.cli.advice.headline import covariance, headline
 @pytest.mark.parametrize(
     ("verdicts", "end"),
     [
-        ({"lrf": "no verdict"}, "nothing else here judges the laser."),
+        ({"lrf": "no verdict"}, "the laser itself cannot be checked."),
         ({"lrf": "no verdict", "compass": "no verdict"}, "of the sensors nothing is sure."),
         ({"lrf": "no effect seen"}, "of the sensors nothing is sure."),
         ({"lrf": "helps", "compass": "no verdict"}, "the laser helps."),

@@ -14,7 +14,20 @@ from locfuse.cli.analysis.settings import GateOptions
 from locfuse.formats.report.changes import changes, remarks
 
 LOG = "rounded_triangle"
-WORDS = ("compare", LOG, "--sensors", "odometry", "--sensors", "compass", "--sensors", "lrf", "--no-advice")
+WORDS = (
+    "compare",
+    LOG,
+    "-v",
+    "--write",
+    "all",
+    "--sensors",
+    "odometry",
+    "--sensors",
+    "compass",
+    "--sensors",
+    "lrf",
+    "--no-advice",
+)
 NO_TRUTH = ("--set", "truth.topic=none")
 
 
@@ -47,7 +60,7 @@ def test_the_report_names_the_reference_and_what_judged_each_result(judged: tupl
 def test_every_page_says_that_it_is_a_reference(judged: tuple[Done, Path]) -> None:
     done, out = judged
     assert "Measured against a reference, not truth" in done.stdout
-    assert "distance to a reference, not to truth" in done.stdout
+    assert "Distances are to a reference, not to truth" in done.stdout
     assert "the odometry, compass, lrf and camera" in done.stderr
     page, table = (out / "report.html").read_text(), (out / "report.md").read_text()
     for text in (page, table):
@@ -83,7 +96,7 @@ def test_truth_and_reference_are_never_mixed_by_a_gate_or_a_baseline(
 ) -> None:
     baseline = judged[1] / "report.json"
     gates = ("--baseline", baseline, "--fail-if", "reference.odometry.position_rmse_m > 5")
-    words = ("compare", LOG, "--sensors", "odometry", "--no-advice", "--write", "json", "-q")
+    words = ("compare", LOG, "-v", "--sensors", "odometry", "--no-advice", "--write", "json", "-q")
     done = locfuse(*words, *gates, "-o", tmp_path / "truth")
     assert done.exit_code == 4
     gate, other = [line for line in done.stderr.splitlines() if line.startswith("gate: ")]
@@ -93,7 +106,7 @@ def test_truth_and_reference_are_never_mixed_by_a_gate_or_a_baseline(
 
 
 def test_it_can_be_left_out_and_is_refused_where_there_is_truth(tmp_path: Path) -> None:
-    words = ("compare", LOG, "--sensors", "odometry", "--no-advice", "--write", "json")
+    words = ("compare", LOG, "-v", "--sensors", "odometry", "--no-advice", "--write", "json")
     done = locfuse(*words, *NO_TRUTH, "--no-reference", "-o", tmp_path / "out")
     assert done.exit_code == 0, done.stderr
     found = report(tmp_path / "out")

@@ -26,8 +26,9 @@ def test_compare_smooths_every_configuration_with_sensors(tmp_path: Path) -> Non
 
 
 def test_run_writes_the_smoothed_drive_beside_the_filtered_one(tmp_path: Path) -> None:
-    plain = locfuse("run", LOG, "--no-advice", "--sensors", "lrf", "--no-smooth", "-o", tmp_path / "plain")
-    done = locfuse("run", LOG, "--no-advice", "--sensors", "lrf", "-o", tmp_path / "out")
+    words = ("run", LOG, "--no-advice", "--sensors", "lrf", "--write", "all")
+    plain = locfuse(*words, "--no-smooth", "-o", tmp_path / "plain")
+    done = locfuse(*words, "-o", tmp_path / "out")
     assert (plain.exit_code, done.exit_code) == (0, 0), done.stderr
     for kind in ("tum", "csv"):
         filtered = (tmp_path / "out" / f"trajectory.{kind}").read_bytes()

@@ -21,7 +21,8 @@ ERRORS = ("position_rmse_m", "position_max_m", "heading_rmse_deg", "drift_1m", "
 def ours(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One run of ours, with its trajectory as .tum and .csv."""
     out = tmp_path_factory.mktemp("ours")
-    assert locfuse("run", SAMPLE, "--sensors", "compass", "--no-advice", "-o", out, "--overwrite").exit_code == 0
+    words = ("--sensors", "compass", "--no-advice", "--write", "all", "-o", out, "--overwrite")
+    assert locfuse("run", SAMPLE, *words).exit_code == 0
     assert (
         locfuse(
             "compare", SAMPLE, "--sensors", "compass", "-o", out / "c", "--write", "tum", "--no-advice"
@@ -33,7 +34,17 @@ def ours(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def compared(out: Path, *words: Any) -> tuple[dict[str, Any], str]:
     done = locfuse(
-        "compare", SAMPLE, "--sensors", "compass", "-o", out, "--write", "json,tum,html", "--no-advice", *words
+        "compare",
+        SAMPLE,
+        "--sensors",
+        "compass",
+        "-o",
+        out,
+        "--write",
+        "json,tum,html",
+        "--no-advice",
+        "-v",
+        *words,
     )
     assert done.exit_code == 0, done.stderr
     found: dict[str, Any] = json.loads((out / "report.json").read_text())["configurations"]

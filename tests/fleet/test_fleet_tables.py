@@ -121,8 +121,8 @@ def test_what_is_not_proven_names_the_robots_or_of_one_robot_its_drives() -> Non
             entries.append(Entry(str(i), f"r{i % robots}", report=slim({"": report})))
         return str(summarised(entries)["verdicts"]["lrf"]["words"])
 
-    assert "2 robots do not settle it; longer drives or more robots would" in words(2)
-    assert "4 drives do not settle it" in words(1)
+    assert "Not proven by 2 robots. Record more." in words(2)
+    assert "Not proven by 4 drives." in words(1)
 
 
 def fleet(scale: float = 1.0, count: int = 11) -> dict[str, Any]:

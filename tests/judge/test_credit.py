@@ -151,7 +151,7 @@ def test_overconfidence_is_a_remark_of_its_own() -> None:
     compass = found.sensors["compass"]
     sure = replace(compass, verdict="hurts", anees=(1.1, 240.0))
     words = verdicts(replace(found, sensors={"compass": sure}), [], {})["compass"]["words"]
-    assert words.startswith("Alone it makes odometry's position error")
+    assert words.startswith("Alone: ")
     assert words.endswith(
         "Overconfident: errors are 15 times what the filter claims with it, 1.05 times without it."
     )
@@ -163,7 +163,7 @@ def test_of_what_hurts_beside_the_others_only_that_is_said() -> None:
     compass = replace(found.sensors["compass"], verdict="hurts", credit=average, last=last, anees=None)
     sensors = {**found.sensors, "compass": compass}
     words = verdicts(replace(found, sensors=sensors), [], {})["compass"]["words"]
-    assert words == "Beside all others it makes the error 4.1 times larger (1.82 to 8.2 times larger)."
+    assert words == "Beside all others: 4.1x worse (1.8x to 8.2x worse)."
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -189,15 +189,15 @@ def test_without_every_subset_only_the_effect_alone_is_known() -> None:
         (
             (("lrf",), ("compass", "lrf")),
             {"compass": ("lrf",), "lrf": None},
-            "Beside lrf it makes the position error",
+            "Beside lrf: ",
         ),
         (
             ((), ("compass",), ("compass", "lrf")),
             {"compass": (), "lrf": ("compass",)},
-            "Alone it makes odometry's",
+            "Alone: ",
         ),
         (((), ("compass", "lrf")), {"compass": None, "lrf": None}, "No two configurations differ by it alone"),
-        (((), ("compass",)), {"compass": ()}, "Alone it makes odometry's"),
+        (((), ("compass",)), {"compass": ()}, "Alone: "),
     ],
 )
 def test_a_sensor_is_judged_by_sets_that_differ_by_it_alone_and_not_at_all_where_there_are_none(
@@ -252,9 +252,9 @@ def test_over_fewer_than_four_logs_there_is_no_interval_and_nothing_is_sure(driv
     assert found.sensors["lrf"].verdict == "seems to help"
     assert credit_values(found)["sensors"]["lrf"]["credit"]["low"] is None
     words = verdicts(found, [], {})["lrf"]["words"]
-    assert "interval" not in words
+    assert "plausible" not in words
     assert "nan" not in words
-    assert f"{drives} drives do not settle it" in words
+    assert f"Not proven by {drives} drives." in words
 
 
 def test_the_interval_of_few_gaussian_pairs_is_students_with_the_degrees_of_freedom_left() -> None:

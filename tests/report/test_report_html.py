@@ -20,7 +20,7 @@ from commands import locfuse
 from locfuse.formats.figures.sections import sections
 from locfuse.formats.report import html as report_html
 from locfuse.formats.report import markdown, tables
-from locfuse.formats.report.findings import findings_of
+from locfuse.formats.report.findings import in_parts, options
 from locfuse.formats.report.glossary import GLOSSARY
 from locfuse.fusion.sensors.registry import colours
 
@@ -36,6 +36,7 @@ PHRASES = (
     r"1 it grows",
     r"\(rmse\)",
     r"NIS near 1",
+    r"Above 1:|1 is right",
     r"^(below|above) \d+ mm$|^\d+ mm to \d+ mm$|^every 10 seconds$",  # keys of a scale of colours, of spots
 )
 
@@ -108,7 +109,9 @@ def strings(value: Any) -> Iterator[str]:
 @pytest.fixture(scope="module")
 def compared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("report") / "out"
-    done = locfuse("compare", "rounded_rectangle", "--all-subsets", "--sensors", "lrf@2Hz", "-o", out)
+    done = locfuse(
+        "compare", "rounded_rectangle", "--all-subsets", "--sensors", "lrf@2Hz", "--write", "all", "-o", out
+    )
     assert done.exit_code == 0, done.stderr
     return out
 
@@ -132,7 +135,8 @@ def test_every_figure_on_the_page_is_the_one_in_report_json(page: Page, report: 
         number = re.search(r"[-+−]?\d+(\.\d+)?(e[-+]\d+)?", text)
         assert number is not None, (pointer, text)
         shown = float(number[0].replace("−", "-"))
-        scale = 100.0 if "%" in text else 1.0
+        lengths = (1.0, 1000.0) if pointer.endswith("_m") else (1.0,)  # a table is in m or in mm
+        scale = 100.0 if "%" in text else min(lengths, key=lambda s: abs(shown - s * expected))
         digits = len((number[1] or ".")[1:])
         tolerance = 0.5001 * 10.0**-digits if "e" not in number[0] else abs(shown) * 1e-2
         tolerance = max(tolerance, abs(shown) * 5e-3 if "credit" in pointer else 0.0)  # three digits
@@ -142,7 +146,8 @@ def test_every_figure_on_the_page_is_the_one_in_report_json(page: Page, report: 
 def test_no_other_number_is_on_the_page(page: Page, report: dict[str, Any]) -> None:
     texts = {
         *strings(report),
-        *findings_of(report),
+        *(part for f in report["findings"] for part in in_parts(f)),
+        options(report["fixes"]),
         *GLOSSARY.values(),
     }
     known = sorted({" ".join(s.split()) for s in texts if re.search(r"\d", s)}, key=len, reverse=True)
@@ -185,7 +190,7 @@ def test_the_page_has_everything_a_reader_looks_for(compared: Path, report: dict
     assert report["input"]["sha256"] in html
     assert f"locfuse {report['locfuse']}" in html
     assert "lrf@2Hz" in html
-    assert html.index('class="verdicts"') < html.index('id="table"') < html.index('id="trajectories"')
+    assert html.index('class="verdicts"') < html.index('id="trajectories"') < html.index('id="table"')
 
 
 def test_every_drawing_says_what_it_shows(page: Page) -> None:

@@ -87,7 +87,7 @@ def warnings_of(stderr: str) -> list[str]:
 
 
 def test_without_display_and_viewer_the_recording_lies_with_the_results(tmp_path: Path) -> None:
-    done = locfuse("run", LOG, "--no-advice", *LIGHT, "-o", tmp_path / "out", "--rerun", "--rerun-images", "none")
+    done = locfuse("run", LOG, "--no-advice", *LIGHT, "-o", tmp_path / "out", "--rerun")
     assert done.exit_code == 0
     (warning,) = warnings_of(done.stderr)
     assert "no display" in warning
@@ -149,9 +149,7 @@ def test_a_full_disk_costs_what_was_asked_for_by_name_and_leaves_nothing_half_wr
 def test_a_place_that_cannot_be_written_is_an_error_after_the_results(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     save = tmp_path / "file" / "drive.rrd"
-    done = locfuse(
-        "run", LOG, "--no-advice", *LIGHT, "-o", tmp_path / "out", "--rerun-save", save, "--rerun-images", "none"
-    )
+    done = locfuse("run", LOG, "--no-advice", *LIGHT, "-o", tmp_path / "out", "--rerun-save", save)
     assert done.exit_code == 1
     assert sum("--rerun-save" in line for line in done.stderr.splitlines()) == 1
     assert (tmp_path / "out" / "run.json").is_file()
@@ -171,7 +169,7 @@ def test_rerun_is_imported_only_when_asked_for(tmp_path: Path) -> None:
 def test_a_smoothed_configuration_at_a_lower_rate_is_recorded(tmp_path: Path) -> None:
     words = ("--sensors", "lrf@2Hz", "--smooth", "--set", "lrf.map=refine", "--write", "json")
     save = tmp_path / "drive.rrd"
-    where = ("-o", tmp_path / "out", "--rerun-save", save, "--rerun-images", "none")
+    where = ("-o", tmp_path / "out", "--rerun-save", save)
     done = locfuse("compare", LOG, *words, "--no-advice", *where)
     assert not warnings_of(done.stderr)
     assert len(read(save)["world/lrf\\@2Hz-smoothed/path"].ns) > 100
@@ -189,16 +187,16 @@ def test_a_recording_cut_short_is_refused(recording: Path, tmp_path: Path, share
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("--rerun-connect", "127.0.0.1:9876"), "no viewer's address"),
-        (("--rerun-connect", "http://127.0.0.1:9876/proxy"), "no viewer's address"),
-        (("--rerun-images", "every=0"), "neither every=N"),
-        (("--rerun-images", "some"), "neither every=N"),
+        (("--connect", "127.0.0.1:9876"), "no viewer's address"),
+        (("--connect", "http://127.0.0.1:9876/proxy"), "no viewer's address"),
+        (("--images", "every=0"), "neither every=N"),
+        (("--images", "some"), "neither every=N"),
     ],
 )
 def test_words_that_make_no_sense_are_refused_before_anything_is_computed(
     words: tuple[str, str], said: str
 ) -> None:
-    done = locfuse("run", LOG, *words)
+    done = locfuse("view", LOG, *words)
     assert done.exit_code == 2
     assert said in done.stderr
 

@@ -1,7 +1,7 @@
 """The circles in an omni picture: the mirror's rim, and the inner one, within which the robot sees itself.
 
-Both stand still while the scene moves, so they are clear in the mean of some pictures. Along each ray from the middle
-the brightness steps there; a circle through these steps is the algebraic fit of Kåsa (IEEE Trans. IM 25, 1976).
+Both stand still while the scene moves, so they are clear in the mean of some pictures. Along each ray from the
+middle the brightness steps there; a circle through these steps is the algebraic fit of Kåsa (IEEE Trans. IM 25, 1976).
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ def of_rims(pictures: Sequence[Picture], settings: CameraSettings) -> list[Findi
     if max(off) < MIN_ERROR_PX:
         return []
     words = (
-        f"the mirror's rim is a circle about ({rim.x:.1f}, {rim.y:.1f}) px of radius {rim.radius:.0f} px, configured "
-        f"are ({now.x_c:.1f}, {now.y_c:.1f}) px and {now.outer:.0f} px"
+        f"the mirror's rim is a circle about ({rim.x:.1f}, {rim.y:.1f}) px of radius {rim.radius:.0f} px, "
+        f"configured are ({now.x_c:.1f}, {now.y_c:.1f}) px and {now.outer:.0f} px"
     )
     return [Finding("camera", RIMS, words, tuple(f"camera.{key}={value}" for key, value in found.items()))]
 
@@ -77,7 +77,9 @@ def _circle(grey: Array, within: Circle, inward: bool) -> Circle | None:
     near = np.clip(at[:, None] + np.arange(-3, 4), 0, seen.shape[1] - 4)
     slope = np.nan_to_num(np.abs(seen[rays[:, None], near + 2] - seen[rays[:, None], near + 1]))
     best = near[np.arange(len(rays)), slope.argmax(axis=1)] + 1.5
-    points = np.stack((within.x + (2.0 + best) * np.cos(angle[rays]), within.y + (2.0 + best) * np.sin(angle[rays])))
+    points = np.stack(
+        (within.x + (2.0 + best) * np.cos(angle[rays]), within.y + (2.0 + best) * np.sin(angle[rays]))
+    )
     keep = np.ones(len(rays), dtype=bool)
     for _ in range(5):
         if keep.sum() < MIN_ON_CIRCLE_SHARE * RAYS:

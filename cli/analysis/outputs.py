@@ -17,7 +17,7 @@ from locfuse.fusion.data import Estimates, Evaluation, Event
 from locfuse.fusion.judge.events import events_of_drive, events_of_run
 from locfuse.fusion.judge.nis_over_time import Running, running_nis
 from locfuse.fusion.measure import thinned
-from locfuse.fusion.sensors.registry import OF_POINTS, REGISTRY, colours
+from locfuse.fusion.sensors.registry import REGISTRY, colours, of_points
 from locfuse.fusion.wheels.states import WHEEL_STATES
 
 from . import results
@@ -147,7 +147,7 @@ def _landmarks(compared: Compared) -> list[tuple[float, float]]:
     for sensor in compared.loaded.drive.measurements:
         settings = robot.settings(sensor)
         found += [REGISTRY[sensor].landmark(settings)]
-        given = settings.places if sensor in OF_POINTS and not settings.grows else {}
+        given = settings.places if sensor in of_points() and not settings.grows else {}
         found += given.values()
     best = max(compared.estimates, key=lambda e: (len(e.points), len(e.sensors)))
     found += [(x, y) for _, x, y in best.points]

@@ -1,7 +1,8 @@
 """The circles in an omni picture: the mirror's rim, and the inner one, within which the robot sees itself.
 
 Both stand still while the scene moves, so they are clear in the mean of some pictures. Along each ray from the
-middle the brightness steps there; a circle through these steps is the algebraic fit of Kåsa (IEEE Trans. IM 25, 1976).
+middle the brightness steps there; a circle through these steps is the algebraic fit of Kåsa (1976, IEEE
+Transactions on Instrumentation and Measurement 25).
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@ import difflib
 from collections.abc import Iterable
 
 SIMILAR = 0.6  # of difflib's ratio: one letter in three may be wrong
+MIN_PART, MAX_NAMED = 3, 4  # letters of a part of a word that says something; words named at once
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
@@ -16,6 +17,9 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return "did you mean X?", or "" where nothing is like it."""
-    found = nearest(word, known)
-    return f"did you mean {found}?" if found else ""
+    """Return "did you mean X or Y?" with the words that hold this one, else the one like it; "" for none."""
+    known = list(known)
+    holding = [one for one in known if len(word) >= MIN_PART and word.lower() in one.lower()][:MAX_NAMED]
+    like = nearest(word, known)
+    found = holding or ([like] if like else [])
+    return f"did you mean {' or '.join(filter(None, (', '.join(found[:-1]), found[-1])))}?" if found else ""

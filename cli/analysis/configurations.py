@@ -110,10 +110,23 @@ def configuration_words(sensors: Sensors | Iterable[Sensors] | None) -> tuple[st
     return tuple(word if isinstance(word, str) else ",".join(word) for word in words)
 
 
+ALIASES = {  # what people call a sensor -> its name here
+    "laser": "lrf",
+    "lidar": "lrf",
+    "scan": "lrf",
+    "imu": "gyro or compass",
+    "magnetometer": "compass",
+    "gnss": "gps",
+    "uwb": "ranges",
+    "tags": "landmarks",
+    "wheels": "odometry",
+}
+
+
 def unknown_sensor(name: str) -> UsageError:
     """Return the error of a name that is no sensor's, with the one that was probably meant."""
     known = ("odometry", *REGISTRY, "all")
-    near = did_you_mean(name, known)
+    near = f"did you mean {ALIASES[name.lower()]}?" if name.lower() in ALIASES else did_you_mean(name, known)
     choose = f"choose from {', '.join(known)}"
     return UsageError(f"--sensors: unknown sensor {name!r}; {f'{near} Or ' if near else ''}{choose}")
 

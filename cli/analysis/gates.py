@@ -19,6 +19,7 @@ import msgspec
 
 from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.inputs import read_small
+from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.report import json_report
 from locfuse.formats.report.summary import OVER_LOGS
 from locfuse.fusion.data import LocfuseError, UsageError
@@ -96,7 +97,7 @@ class Gates(msgspec.Struct, frozen=True):
     @classmethod
     def read(cls, typed: GateOptions) -> Gates:
         """Return the gates of --fail-if, --baseline, --tolerance. Raises LocfuseError for what cannot be one."""
-        limits = [parse_gate(text) for text in typed.fail_if]
+        limits = [known_figure(parse_gate(text)) for text in typed.fail_if]
         return cls(limits, read_baseline(typed.baseline, typed.tolerance) if typed.baseline else None)
 
     def failures(self, report: Mapping[str, Any]) -> list[str]:
@@ -133,6 +134,18 @@ def parse_gate(text: str) -> Gate:
     if found is None or limit is None or "." not in found["figure"]:
         raise UsageError(f'--fail-if {text!r}: write it like "all.position_rmse_m > 0.02" (one of > >= < <=)')
     return Gate(text.strip(), found["figure"], found["op"], limit)
+
+
+def known_figure(gate: Gate) -> Gate:
+    """Return a gate as it is. Raises UsageError, before a log is opened, where no report has its figure."""
+    from locfuse.formats.report.structure import Result
+
+    configuration, *keys = gate.figure.removeprefix(OF_REFERENCE).split(".")
+    known = Result.__struct_fields__
+    if not set(keys) & set(known):
+        near = did_you_mean(keys[-1], known) or "see: locfuse schema report"
+        raise UsageError(f"--fail-if {gate.text!r}: no report has {keys[-1]} of {configuration}; {near}")
+    return gate
 
 
 def parse_tolerance(text: str) -> Tolerance:

@@ -84,8 +84,12 @@ def view(
     from locfuse.cli.terminal import show
     from locfuse.formats.rerun.recording import copy, save_recording
     from locfuse.formats.whole_files import may_replace, scratch_prefix
+    from locfuse.fusion.data import UsageError
 
     may_replace(save, overwrite, what)
+    for word in what:
+        if word.endswith(".rrd") and not Path(word).is_file():
+            raise UsageError(f"{word}: there is no such recording; make one with: locfuse view LOG --save {word}")
     if save is None and connect is None and not web:
         viewer.require()
     with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:

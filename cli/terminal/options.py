@@ -103,8 +103,11 @@ def _how(given: Mapping[str, Any]) -> LogOptions:
     if begin is not None and end is not None and begin >= end:
         raise click.UsageError(f"--from {begin:g} --to {end:g}: the first must be the earlier one")
     if truth is not None:
+        from locfuse.formats.logs.file_stream import SUFFIXES
         from locfuse.formats.robot.robot_toml import as_set
 
+        if truth.suffix.lower() not in SUFFIXES:
+            raise click.UsageError(f"--truth {truth}: a .tum, or a .csv whose first line names t, x, y, is needed")
         sets = (*sets, as_set("truth.topic", str(truth)))
     named = {"robot": robots[0] if robots else None, "over": robots[1:], "sets": sets}
     return _part(LogOptions, {**given, **named})

@@ -97,8 +97,8 @@ def explained(term: str) -> str | None:
 
 def similar(term: str) -> Sequence[str]:
     """Return known terms that are written like this one, else all of them."""
-    known = [name for names in GLOSSARY for name in _names(names)]
-    return difflib.get_close_matches(term, known, n=3) or known
+    known = {name.lower(): name for names in GLOSSARY for name in _names(names)}
+    return [known[name] for name in difflib.get_close_matches(term.lower(), known, n=3)] or [*known.values()]
 
 
 def _names(entry: str) -> list[str]:

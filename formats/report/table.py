@@ -6,12 +6,14 @@ A cell may say where its value lies in report.json, so that a page can name the 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import msgspec
 from msgspec.structs import replace
 
+NEGATIVE_ZERO = re.compile(r"-0(\.0*)?%?")
 MIN_EXPONENT_FORM = 1e5
 Path = tuple[str | int, ...]
 
@@ -137,7 +139,9 @@ def text(column: Column, cell: Cell, dash: str = "-") -> str:
 
 def written(value: float, form: str) -> str:
     """Format a figure; powers of ten where it is too large to be read (the ANEES of the printed filter)."""
-    return f"{value:.1e}" if isinstance(value, float) and abs(value) >= MIN_EXPONENT_FORM else form.format(value)
+    large = isinstance(value, float) and abs(value) >= MIN_EXPONENT_FORM
+    text = f"{value:.1e}" if large else form.format(value)
+    return text.replace("-", "", 1) if NEGATIVE_ZERO.fullmatch(text) else text
 
 
 def records(table: Table) -> list[dict[str, Any]]:

@@ -169,7 +169,7 @@ def convert(tables: Mapping[str, Any], types: Mapping[str, Any]) -> dict[str, An
     converted: dict[str, Any] = {}
     for name, table in tables.items():
         if name not in types:
-            raise LocfuseError(_unknown(name, "", list(types)))
+            raise LocfuseError(_unknown(name, "", list(types), _tables_with(name, types)))
         kind = types[name]
         if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
             _check_table(name, table, kind)
@@ -200,9 +200,16 @@ def _refuse_far(path: str, value: Any) -> None:
         raise LocfuseError(f"{path} = {_shown(value)}: it is in metres, and may be {MAX_METRES:g} at most")
 
 
-def _unknown(key: str, table: str, known: Sequence[str]) -> str:
+def _tables_with(key: str, types: Mapping[str, Any]) -> list[str]:
+    """Return "lrf.sigma_range" for every table that has this key."""
+    return [
+        f"{name}.{key}" for name, kind in types.items() if key in getattr(kind, "__struct_encode_fields__", ())
+    ]
+
+
+def _unknown(key: str, table: str, known: Sequence[str], paths: Sequence[str] = ()) -> str:
     what = f"unknown key {table}.{key}" if table else f"unknown table or key {key}"
-    hint = did_you_mean(key, known)
+    hint = f"did you mean {' or '.join(paths)}?" if paths else did_you_mean(key, known)
     listed = f"known: {', '.join(known)}" if len(known) <= MAX_LISTED_KEYS or not hint else ""
     return f"{what}; {' '.join(part for part in (hint, listed) if part)}"
 

@@ -37,7 +37,8 @@ PHRASES = (
     r"\(rmse\)",
     r"NIS near 1",
     r"Above 1:|1 is right",
-    r"^(below|above) \d+ mm$|^\d+ mm to \d+ mm$|^every 10 seconds$",  # keys of a scale of colours, of spots
+    r"^(below|above) [\d.]+ mm$|^[\d.]+ mm to [\d.]+ mm$",  # keys of a scale of colours
+    r"^every 10 seconds$",  # of spots
 )
 
 

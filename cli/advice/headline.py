@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from locfuse.formats.report.findings import length
-from locfuse.fusion.data import BASES
+from locfuse.fusion.data import BASES, result_name
 from locfuse.fusion.sensors.registry import REGISTRY
 
 NAMES = {"lrf": "laser", "gps": "GPS", "imu": "IMU"}
@@ -48,8 +48,14 @@ def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], err
             " Set the fixes first." if report.get("fixes") else " Something is wrong that no setting explains."
         )
         return f"{first}{_with_fixes(report, sets, least)}"
-    first = f"Keep {_names(sets[best])}: {length(errors[best])}."
+    first = f"Keep {_names(sets[best])}: {length(errors[best])}{_smoothed(report, best, errors[best])}."
     return f"{_as_configured(report, sets, errors, best, first)}{_with_fixes(report, sets, least)}"
+
+
+def _smoothed(report: Mapping[str, Any], best: str, error: float) -> str:
+    """Return what smoothing gives beside the error [m] while driving, "" where it gives no less."""
+    after = report["configurations"].get(result_name(best, smoothed=True), {}).get("position_rmse_m")
+    return "" if after is None or after >= error else f", smoothed {length(after)}"
 
 
 def _as_configured(

@@ -7,6 +7,7 @@ mesa-vulkan-drivers draw it.
 
 from __future__ import annotations
 
+import io
 import os
 import subprocess
 import sys
@@ -16,14 +17,14 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
+from PIL import Image
 
 from locfuse.cli.main import main as locfuse
 from locfuse.cli.rerun import viewer
 
 LOG, TAB, SECONDS = "disturbed", "Deviation", 34.0
 SIZE = (1600, 1000)
+WIDTH = 1280  # px of the picture that is kept
 TOP_BAR = 36  # px: the viewer's own buttons and what it says of this machine's graphics
 
 
@@ -78,8 +79,12 @@ def main(tab: str = TAB, target: str = str(Path(__file__).with_name("rerun.png")
     with tempfile.TemporaryDirectory() as folder:
         recording = Path(folder) / "drive.rrd"
         record(recording, tab)
-        picture = cv2.imdecode(np.frombuffer(screenshot(recording), np.uint8), cv2.IMREAD_COLOR)
-    cv2.imwrite(target, picture[TOP_BAR:], [cv2.IMWRITE_PNG_COMPRESSION, 9])
+        picture = Image.open(io.BytesIO(screenshot(recording))).convert("RGB")
+    picture = picture.crop((0, TOP_BAR, *picture.size))
+    size = (WIDTH, round(picture.height * WIDTH / picture.width))
+    picture.resize(size, Image.Resampling.LANCZOS).quantize(255, dither=Image.Dither.NONE).save(
+        target, optimize=True
+    )
     print(target)
 
 

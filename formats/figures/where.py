@@ -62,7 +62,7 @@ def track(of: str, t: Array, xy: Array) -> list[TimedPlaces]:
 
 # --- Trajectories over the line map
 
-AROUND, MIN_AROUND_M = 0.5, 3.0  # of a path's size, m: what lies further from it is not framed
+AROUND, MIN_AROUND_M = 0.25, 3.0  # of a path's size, m: what lies further from it is not framed
 MAX_POINTS = 20_000  # of all paths together
 WALLS = ("walls of the first scan", "walls seen later")
 
@@ -109,7 +109,7 @@ def trajectories(scene: Scene) -> Section:
 
 
 def framed(path: Array, marks: Sequence[Mark]) -> list[tuple[float, float] | None]:
-    """Return the limits of x and y: 99 % of the best path (n, 2), and what lies up to half its size around it.
+    """Return the limits of x and y: 99 % of the best path (n, 2), and what lies within a quarter of its size.
 
     One stray wall, or an estimate that left the building, would make all else small.
     """

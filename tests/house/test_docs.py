@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -79,3 +80,45 @@ def test_the_page_on_trust_lists_every_verdict() -> None:
     page = (ROOT / "docs" / "trust.md").read_text(encoding="utf-8")
     rows = "\n".join(line.split("|")[1] for line in page.splitlines() if line.startswith("|"))
     assert {v for v in (*get_args(Verdict), *VERDICTS) if f"`{v}`" not in rows} == set()
+
+
+PROSE = [ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", ROOT / "sample_logs" / "README.md", *PAGES]
+MAX_WORDS = 30  # of a sentence
+
+
+def sentences(page: Path) -> Iterator[str]:
+    """Yield the sentences of a page: no code, tables or headings; a link counts by its words."""
+    text = re.sub(r"```.*?```", "\n\n", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    lines = [line if not line.startswith(("|", "#", "    ")) else "" for line in text.splitlines()]
+    for paragraph in re.split(r"\n\s*\n|\n(?=- |\d+\. )", "\n".join(lines)):
+        plain = re.sub(r"\]\([^)]*\)", "]", re.sub(r"`[^`]*`", "CODE", " ".join(paragraph.split())))
+        yield from re.split(r"(?<=[.!?:;])\)? +", plain)
+
+
+@pytest.mark.parametrize("page", PROSE, ids=lambda p: f"{p.parent.name}-{p.name}")
+def test_no_sentence_is_long(page: Path) -> None:
+    """A part before a colon or a semicolon can be read by itself, so it counts by itself."""
+    assert [s for s in sentences(page) if len(s.split()) > MAX_WORDS] == []
+
+
+def test_every_page_is_in_the_index() -> None:
+    index = (ROOT / "docs" / "README.md").read_text(encoding="utf-8")
+    assert [
+        p.name for p in PAGES if p.parent.name == "docs" and p.name != "README.md" and f"({p.name})" not in index
+    ] == []
+
+
+def test_every_printed_line_that_is_explained_is_printed_by_some_code() -> None:
+    page = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
+    shown = re.findall(r"^\| `([^`]+)` \|", page, re.MULTILINE)
+    assert len(shown) > 20
+    source = " ".join(
+        "".join(
+            part.value for part in ast.walk(node) if isinstance(part, ast.Constant) and isinstance(part.value, str)
+        )
+        for top in ("cli", "formats", "fusion")
+        for file in sorted((ROOT / top).rglob("*.py"))
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.JoinedStr | ast.Constant)
+    )
+    assert [line for line in shown if line not in source] == []

@@ -131,7 +131,7 @@ def end(files: Sequence[Path], notes: int = 0) -> None:
     """Print as the last line where the results lie, and how many notes were not printed."""
     page = page_of(files)
     where = f"{files[0].parent}: {', '.join(file.name for file in files)}" if page is None else f"report: {page}"
-    count = f" ({notes} note{'' if notes == 1 else 's'}: -v{', or the report' if page else ''})" if notes else ""
+    count = f" ({notes} note{'' if notes == 1 else 's'}: -v)" if notes else ""
     with reader_may_leave():
         on_screen(f"{where}{count}")
 
@@ -149,8 +149,7 @@ def open_page(page: Path | None) -> None:
 def result(report: Mapping[str, Any], folder: Path, verbose: bool) -> None:
     """Print a report: the answer, what voids it, the figures, a line for each sensor, the fixes."""
     headline(report)
-    shown = tables.brief(report)
-    table(shown if verbose else shown.without(*tables.ON_DEMAND))
+    table(tables.brief(report, short=not verbose))
     if tables.has_figures(report) and verbose:
         lines((REFERENCE_NOTE if report.get("reference") else FIGURES_NOTE,))
     table(tables.jitter(report))

@@ -49,7 +49,7 @@ def in_parts(finding: Mapping[str, Any], brief: bool = False) -> tuple[str, str]
     tried = finding["tried"]
     which = "Fix for the covariance only" if _worse(tried) else "Fix"
     with_what = "" if brief else f" with {tried['configuration']}"
-    return f"{head} {which} (tried{with_what}: {_effect(tried)}):", options(finding["fixes"])
+    return f"{head} {which} (tried{with_what}: {_effect(tried, brief)}):", options(finding["fixes"])
 
 
 def _worse(tried: Mapping[str, Any]) -> bool:
@@ -79,7 +79,7 @@ def together(report: Mapping[str, Any]) -> str | None:
     return f"All of these together: {options(report['fixes'])}" if len(fixed) > 1 else None
 
 
-def _effect(tried: Mapping[str, Any]) -> str:
+def _effect(tried: Mapping[str, Any], brief: bool) -> str:
     before, after = tried["before"], tried["after"]
     parts = []
     if before["lost_share"] != after["lost_share"]:
@@ -88,7 +88,7 @@ def _effect(tried: Mapping[str, Any]) -> str:
         whose = "error of the path's shape" if before.get("aligned") else "error"
         parts.append(f"{whose} {change(before['position_rmse_m'], after['position_rmse_m'])}")
     turned = [values.get("heading_rmse_deg") for values in (before, after)]
-    if turned[0] and turned[1] is not None and abs(turned[0] - turned[1]) > SAME_TURN * turned[0]:
+    if not brief and turned[0] and turned[1] is not None and abs(turned[0] - turned[1]) > SAME_TURN * turned[0]:
         parts.append("heading " + " -> ".join(f"{v:.0f}°" if v >= 10.0 else f"{v:.2g}°" for v in turned))
     if before["anees"] and after["anees"]:
         parts.append(f"ANEES {_ratio(before['anees'])} -> {_ratio(after['anees'])}")

@@ -203,10 +203,13 @@ def _judged_by(reference: Mapping[str, Any] | None) -> str | None:
     return f"{'all' if every else '+'.join(reference['sensors'])}{mark}"
 
 
-def brief(report: Report) -> Table:
-    """Return the configurations for a terminal: without truth, how well they predict each other's sensors."""
+def brief(report: Report, short: bool = False) -> Table:
+    """Return the configurations for a terminal: without truth, how well they predict each other's sensors.
+
+    A short one has the error of a smoothed result in the row of its filter, and leaves out what few look for.
+    """
     if has_figures(report):
-        return configurations(report)
+        return _short(report) if short else configurations(report)
     ranking = (report.get("prediction") or {}).get("ranking", ())
     gains = {r["configuration"]: r["gain_nats"] for r in ranking}
     columns = [CONFIGURATION, DISTANCE]
@@ -216,6 +219,26 @@ def brief(report: Report) -> Table:
     for values, at in _configurations(report):
         rows.append(({**values, GAIN.key: gains.get(at[1])}, at))
     return of_values(columns, rows)
+
+
+def _short(report: Report) -> Table:
+    """Return the main figures with a row for each configuration, smoothed or not."""
+    table = configurations(report)
+    runs, places = report["configurations"], [c.key for c in table.columns]
+    rmse = table.columns[places.index(RMSE.key)] if RMSE.key in places else None
+    after = {v["configuration"]: v.get(RMSE.key) for v in runs.values() if v.get("smoothed")}
+    if rmse is None or not any(after.values()):
+        return table.without(*ON_DEMAND)
+    name, *rest = table.columns
+    at = places.index(RMSE.key)
+    smoothed = replace(rmse, key="smoothed", heading="smoothed", brief="smoothed", missing="")
+    columns = (name, *rest[:at], smoothed, *rest[at:])
+    rows = tuple(
+        (*row[: at + 1], Cell(after.get(str(row[0].value))), *row[at + 1 :])
+        for row in table.rows
+        if not runs[str(row[0].value)].get("smoothed")
+    )
+    return replace(table, columns=columns, rows=rows).without(*ON_DEMAND, "position_max_m")
 
 
 def sensors(report: Report) -> Table:

@@ -23,6 +23,28 @@ from locfuse.fusion.sensors.registry import REGISTRY
 DOCS = Path(__file__).parent.parent / "docs"
 MADE = "Made from the code by `python -m benchmarks.reference --write`; do not edit.\n"
 WIDTH = 100
+FIRST_KEYS = (  # of robot.toml: what users set first
+    "wheels.topic",
+    "wheels.radius",
+    "wheels.track",
+    "wheels.ticks_per_revolution",
+    "wheels.noise",
+    "wheels.time_offset",
+    "start.x",
+    "start.y",
+    "start.theta_deg",
+    "truth.topic",
+    "truth.sigma",
+    "lrf.topic",
+    "lrf.x",
+    "lrf.y",
+    "lrf.yaw_deg",
+    "lrf.time_offset",
+    "lrf.sigma_range",
+    "lrf.map",
+    "compass.sigma_deg",
+    "camera.landmark",
+)
 Schema = dict[str, Any]
 
 
@@ -50,10 +72,20 @@ def settings_page() -> str:
         "A key that is left out has its default. SI units; angles in degrees where a key ends in `_deg`. "
         "An editor completes these keys after `locfuse schema robot > robot.schema.json`."
     )
-    parts = ["# Sensors and settings", MADE, head]
+    parts = ["# Sensors and settings", MADE, head, "\n## Set first\n", *_first(schema)]
     for name, kind in table_types().items():
         parts += [f"\n## {name}\n", *_of_sensor(name), *_table(schema, schema["$defs"][kind.__name__])]
     return "\n".join(parts) + "\n"
+
+
+def _first(schema: Schema) -> Iterator[str]:
+    """Yield the table of the keys that most robots need, in the order in which people need them."""
+    yield "| key | type | default | meaning |"
+    yield "|---|---|---|---|"
+    types = table_types()
+    for path in FIRST_KEYS:
+        table, key = path.split(".")
+        yield _row(path, schema["$defs"][types[table].__name__]["properties"][key])
 
 
 def _of_sensor(name: str) -> Iterator[str]:
@@ -88,9 +120,13 @@ def _table(schema: Schema, definition: Schema) -> Iterator[str]:
     yield "| key | type | default | meaning |"
     yield "|---|---|---|---|"
     for key, part in definition["properties"].items():
-        default = f"`{json.dumps(part['default'])}`" if "default" in part else ""
-        words = part.get("description", "").replace("|", "\\|")
-        yield f"| `{key}` | {_type(part)} | {default} | {words} |"
+        yield _row(key, part)
+
+
+def _row(key: str, part: Schema) -> str:
+    default = f"`{json.dumps(part['default'])}`" if "default" in part else ""
+    words = part.get("description", "").replace("|", "\\|")
+    return f"| `{key}` | {_type(part)} | {default} | {words} |"
 
 
 def _type(part: Schema) -> str:

@@ -231,7 +231,7 @@ def _short(report: Report) -> Table:
         return table.without(*ON_DEMAND)
     name, *rest = table.columns
     at = places.index(RMSE.key)
-    smoothed = replace(rmse, key="smoothed", heading="smoothed", brief="smoothed", missing="")
+    smoothed = replace(rmse, key="smoothed", heading="smoothed", brief="smoothed", missing="", rank=5)
     columns = (name, *rest[:at], smoothed, *rest[at:])
     rows = tuple(
         (*row[: at + 1], Cell(after.get(str(row[0].value))), *row[at + 1 :])

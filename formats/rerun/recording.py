@@ -134,8 +134,10 @@ def without_pandas() -> Iterator[None]:
 
 
 def quiet_rust() -> None:
-    """Keep Rerun's own log off the terminal, where locfuse reports what goes wrong. Before Rerun's import."""
+    """Keep Rerun's own log off the terminal, and have it return memory at once. Before Rerun's import."""
     os.environ.setdefault("RUST_LOG", "off")
+    os.environ.setdefault("MIMALLOC_PURGE_DELAY", "0")  # ms; with the pool below 20 MB less at the peak
+    os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
 
 
 def _first_line(problem: BaseException) -> str:

@@ -8,13 +8,10 @@ from __future__ import annotations
 import os
 import re
 import shutil
-import sys
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
-from importlib.abc import MetaPathFinder
 from pathlib import Path
 
+from locfuse.formats.versions import without_pandas
 from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import LocfuseError
 
@@ -111,26 +108,6 @@ def copy(source: Path, target: Path) -> None:
     """Copy a recording, whole or not at all. Raises LocfuseError where it cannot be written."""
     with whole_file(target) as temporary:
         shutil.copyfile(source, temporary)
-
-
-class _Absent(MetaPathFinder):
-    """An import hook under which pandas is not installed."""
-
-    def find_spec(self, name: str, path: object, target: object = None) -> None:
-        """Raise ModuleNotFoundError for pandas; all other modules are found as usual."""
-        if name == "pandas":
-            raise ModuleNotFoundError(name, name=name)
-
-
-@contextmanager
-def without_pandas() -> Iterator[None]:
-    """Keep pyarrow from importing pandas where it is installed: 45 MB and a second that nothing here needs."""
-    hook = _Absent()
-    sys.meta_path.insert(0, hook)
-    try:
-        yield
-    finally:
-        sys.meta_path.remove(hook)
 
 
 def quiet_rust() -> None:

@@ -48,10 +48,10 @@ def summary_files(
 
 # --- A row per log, configuration and cell of a sweep; a row too for a log that failed. As CSV and as Parquet
 
-LEAD = ("log", "robot", "start", "configuration", "cell", "state", "reason")  # the first columns
-TAIL = ("lost_bytes", "lost_messages", "key")  # the last
-TEXT = {*LEAD, "key", "align"}
-INSIDE = ("configuration", "cell", "slowed", "key")  # of a configuration's values: they stand in LEAD and TAIL
+FIRST_COLUMNS = ("log", "robot", "start", "configuration", "cell", "state", "reason")  # the first columns
+LAST_COLUMNS = ("lost_bytes", "lost_messages", "key")  # the last
+TEXT = {*FIRST_COLUMNS, "key", "align"}
+INSIDE = ("configuration", "cell", "slowed", "key")  # of a configuration: columns of their own
 
 
 class Rows:
@@ -64,12 +64,12 @@ class Rows:
         verdicts = dict.fromkeys(s for e in entries for s in e.report.get("verdicts", {}))
         self.sweep = tuple(sweep)  # keys that a sweep varies, each a column of text
         self.columns = (
-            *LEAD,
+            *FIRST_COLUMNS,
             *self.sweep,
             *figures,
             *(f"{s}_{count}" for s in sensors for count in COUNTS),
             *(f"{s}_verdict" for s in verdicts),
-            *TAIL,
+            *LAST_COLUMNS,
         )
 
     def __iter__(self) -> Iterator[dict[str, Any]]:

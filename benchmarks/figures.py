@@ -69,7 +69,7 @@ def figures(logs: Logs, out: Path, length: str) -> list[Figure]:
         Figure("60 s, 600 pictures: five configurations / one", 1.25, pictures, locfuse("run", logs.minute, *how)),
         Figure(f"{length}: one configuration, frozen map / stock", 0.35, one, stock),
         Figure(f"{length}: five configurations, frozen map / stock", 0.50, five, stock, peak=200.0),
-        Figure(f"{length}: five configurations with a Rerun recording / without", 1.5, recorded, five, peak=400.0),
+        Figure(f"{length}: five configurations with a Rerun recording / without", 1.5, recorded, five, peak=340.0),
         Figure(
             f"{length}: five configurations with advice / without",
             3.0,

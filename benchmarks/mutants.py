@@ -28,93 +28,63 @@ import click
 
 ROOT = Path(__file__).parents[1]
 MCAP = tuple(f"tests/container/test_mcap_{name}.py" for name in ("chunk", "survey", "elsewhere", "walk"))
-PROTOBUF = ("tests/messages/test_protobuf_messages.py",)
-# file -> the tests that must know what is right there
-TESTS: dict[str, tuple[str, ...]] = {  # the sharpest and fastest first
-    "fusion/se2.py": ("tests/fusion/test_se2.py",),
-    "fusion/ekf/belief_arrays.py": ("tests/ekf", "tests/map/test_anchors.py", "tests/fusion/test_fuse.py"),
-    "fusion/ekf/equations.py": ("tests/ekf/test_equations.py", "tests/fusion/test_fuse.py"),
-    "fusion/ekf/events.py": ("tests/whole_drive/test_smooth.py", "tests/tune/test_tune.py"),
-    "fusion/ekf/map_frame.py": ("tests/ekf/test_map_frame.py",),
-    "fusion/ekf/robust.py": ("tests/fusion/test_robust.py",),
-    "fusion/kernels/angles.py": ("tests/kernels/test_line_fits.py", "tests/kernels/test_sight.py"),
-    "fusion/kernels/ekf.py": ("tests/kernels/test_state.py", "tests/ekf", "tests/fusion/test_fuse.py"),
-    "fusion/kernels/line_fits.py": (
-        "tests/kernels/test_line_fits.py",
-        "tests/kernels/test_curves.py",
-        "tests/lines/test_lines.py",
-    ),
-    "fusion/kernels/places.py": ("tests/map/test_places.py",),
-    "fusion/kernels/red.py": ("tests/kernels/test_red.py", "tests/camera/test_camera.py"),
-    "fusion/kernels/segments.py": ("tests/kernels/test_segments.py", "tests/lines/test_lines.py"),
-    "fusion/kernels/sight.py": (
-        "tests/kernels/test_sight.py",
-        "tests/map/test_prediction.py",
-        "tests/map/test_map_keeping.py",
-        "tests/sensors/test_lrf.py",
-    ),
-    "fusion/kernels/wheels.py": ("tests/kernels/test_wheel_intervals.py", "tests/wheels/test_motion.py"),
-    "fusion/wheels/motion.py": ("tests/wheels/test_motion.py", "tests/wheels/test_wheel_states.py"),
-    "fusion/wheels/repairs.py": ("tests/wheels/test_rollover.py", "tests/wheels/test_wheels.py"),
-    "fusion/sensors/compass.py": (
-        "tests/sensors/test_compass.py",
-        "tests/sensors/test_contract.py",
-        "tests/sensors/test_level.py",
-    ),
-    "fusion/sensors/gyro.py": ("tests/sensors/test_gyro.py", "tests/sensors/test_contract.py"),
-    "fusion/sensors/gps.py": ("tests/sensors/test_gps.py", "tests/sensors/test_contract.py"),
-    "fusion/sensors/landmarks.py": ("tests/sensors/test_landmarks.py", "tests/sensors/test_contract.py"),
-    "fusion/sensors/pose.py": ("tests/sensors/test_pose.py", "tests/sensors/test_contract.py"),
-    "fusion/sensors/sonar.py": ("tests/sensors/test_sonar.py", "tests/sensors/test_contract.py"),
-    "fusion/sensors/twist.py": ("tests/sensors/test_twist.py", "tests/sensors/test_contract.py"),
-    "fusion/sensors/camera.py": ("tests/camera/test_camera.py", "tests/sensors/test_contract.py"),
-    "fusion/map/line_map.py": (
-        "tests/map/test_prediction.py",
-        "tests/map/test_map_keeping.py",
-        "tests/map/test_given_map.py",
-        "tests/kernels/test_sight.py",
-        "tests/sensors/test_lrf.py",
-    ),
-    "fusion/map/laser_mount.py": ("tests/kernels/test_sight.py", "tests/fusion/test_mount.py"),
-    "fusion/map/scan.py": (
-        "tests/map/test_standing.py",
-        "tests/map/test_map_keeping.py",
-        "tests/sensors/test_lrf.py",
-    ),
-    "fusion/map/sonar_echo.py": ("tests/sensors/test_sonar.py",),
-    "fusion/map/tidy.py": ("tests/map/test_map_keeping.py",),
-    "fusion/judge/evaluate.py": (
-        "tests/judge/test_evaluate.py",
-        "tests/judge/test_nees.py",
-        "tests/judge/test_way.py",
-    ),
-    "fusion/judge/way.py": ("tests/judge/test_way.py", "tests/judge/test_evaluate.py"),
-    "fusion/judge/bootstrap.py": ("tests/judge/test_bootstrap.py",),
-    "fusion/judge/credit.py": ("tests/judge/test_credit.py",),
-    "fusion/judge/verdict.py": ("tests/judge/test_credit.py",),
-    "fusion/judge/consistency.py": ("tests/judge/test_evidence_of_runs.py", "tests/judge/test_by_truth.py"),
-    "fusion/judge/events.py": ("tests/judge/test_events.py",),
-    "fusion/judge/noise_verdicts.py": ("tests/judge/test_noise_verdicts.py", "tests/judge/test_by_truth.py"),
-    "fusion/judge/covariance.py": ("tests/judge/test_consistency.py",),
-    "fusion/judge/innovations.py": ("tests/judge/test_innovations.py", "tests/judge/test_consistency.py"),
-    "fusion/judge/predictive.py": ("tests/judge/test_predictive.py",),
-    "fusion/judge/against.py": ("tests/judge/test_against.py",),
-    "fusion/whole_drive/smooth.py": ("tests/whole_drive/test_smooth.py",),
-    **{f"formats/container/mcap_{name}.py": MCAP for name in ("chunk", "ranged", "records", "source", "survey")},
-    "formats/results/mcap_export.py": ("tests/container/test_mcap_columns.py",),
-    "formats/container/mcap_write.py": (
-        "tests/container/test_mcap_write.py",
-        "tests/container/test_mcap_columns.py",
-    ),
-    "formats/messages/cdr.py": ("tests/messages/test_layout.py", "tests/messages/test_cdr.py"),
-    "formats/messages/decode.py": ("tests/messages/test_decode.py",),
-    "formats/messages/fields.py": tuple(
-        f"tests/messages/test_{name}.py" for name in ("message_schema", "cdr", "kinds")
-    ),
-    "formats/messages/json_messages.py": ("tests/messages/test_json_messages.py", *PROTOBUF),
-    "formats/messages/protobuf_messages.py": PROTOBUF,
-    "formats/messages/schema.py": ("tests/messages/test_message_schema.py", "tests/messages/test_layout.py"),
-}
+# files: the tests that must know what is right there, the sharpest and fastest first
+TABLE = """
+fusion/se2: fusion/se2
+fusion/ekf/belief_arrays: ekf map/anchors fusion/fuse
+fusion/ekf/equations: ekf/equations fusion/fuse
+fusion/ekf/events: whole_drive/smooth tune/tune
+fusion/ekf/map_frame: ekf/map_frame
+fusion/ekf/robust: fusion/robust
+fusion/kernels/angles: kernels/line_fits kernels/sight
+fusion/kernels/ekf: kernels/state ekf fusion/fuse
+fusion/kernels/line_fits: kernels/line_fits kernels/curves lines/lines
+fusion/kernels/places: map/places
+fusion/kernels/red: kernels/red camera/camera
+fusion/kernels/segments: kernels/segments lines/lines
+fusion/kernels/sight: kernels/sight map/prediction map/map_keeping sensors/lrf
+fusion/kernels/wheels: kernels/wheel_intervals wheels/motion
+fusion/wheels/motion: wheels/motion wheels/wheel_states
+fusion/wheels/repairs: wheels/rollover wheels/wheels
+fusion/sensors/compass: sensors/compass sensors/contract sensors/level
+fusion/sensors/gyro: sensors/gyro sensors/contract
+fusion/sensors/gps: sensors/gps sensors/contract
+fusion/sensors/landmarks: sensors/landmarks sensors/contract
+fusion/sensors/pose: sensors/pose sensors/contract
+fusion/sensors/sonar: sensors/sonar sensors/contract
+fusion/sensors/twist: sensors/twist sensors/contract
+fusion/sensors/camera: camera/camera sensors/contract
+fusion/map/line_map: map/prediction map/map_keeping map/given_map kernels/sight sensors/lrf
+fusion/map/laser_mount: kernels/sight fusion/mount
+fusion/map/scan: map/standing map/map_keeping sensors/lrf
+fusion/map/sonar_echo: sensors/sonar
+fusion/map/tidy: map/map_keeping
+fusion/judge/evaluate: judge/evaluate judge/nees judge/way
+fusion/judge/way: judge/way judge/evaluate
+fusion/judge/bootstrap: judge/bootstrap
+fusion/judge/credit fusion/judge/verdict: judge/credit
+fusion/judge/consistency: judge/evidence_of_runs judge/by_truth
+fusion/judge/events: judge/events
+fusion/judge/noise_verdicts: judge/noise_verdicts judge/by_truth
+fusion/judge/covariance: judge/consistency
+fusion/judge/innovations: judge/innovations judge/consistency
+fusion/judge/predictive: judge/predictive
+fusion/judge/against: judge/against
+fusion/whole_drive/smooth: whole_drive/smooth
+formats/results/mcap_export: container/mcap_columns
+formats/container/mcap_write: container/mcap_write container/mcap_columns
+formats/messages/cdr: messages/layout messages/cdr
+formats/messages/decode: messages/decode
+formats/messages/fields: messages/message_schema messages/cdr messages/kinds
+formats/messages/json_messages: messages/json_messages messages/protobuf_messages
+formats/messages/protobuf_messages: messages/protobuf_messages
+formats/messages/schema: messages/message_schema messages/layout
+"""
+TESTS: dict[str, tuple[str, ...]] = {
+    f"{file}.py": tuple(f"tests/{test.replace('/', '/test_')}{'.py' * ('/' in test)}" for test in tests.split())
+    for files, _, tests in (line.partition(":") for line in TABLE.split("\n") if line)
+    for file in files.split()
+} | {f"formats/container/mcap_{name}.py": MCAP for name in ("chunk", "ranged", "records", "source", "survey")}
 BOTH_FORMS = "interpreted or compiled or either"  # words in names of tests that compare two forms of a kernel
 SPELLED: dict[type[ast.AST], str] = {
     ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.FloorDiv: "//", ast.Mod: "%", ast.And: "and",

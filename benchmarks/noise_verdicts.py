@@ -49,51 +49,30 @@ class Case:
     slow_compass: bool = False
 
 
+def between(low: float, high: float) -> Callable[[float], bool]:
+    """Return whether a value lies between two."""
+    return lambda value: low < value < high
+
+
+DEGREES, METRES = between(0.3, 0.8), between(0.015, 0.06)  # around the noise that was drawn
+LINES = ("lrf.sigma_range", "lrf.sigma_angle_deg")
+OFF = f"compass.offset_deg={NORTH_DEG + 5.0}"
+NEAR_NORTH = between(NORTH_DEG - 1.0, NORTH_DEG + 1.0)
+SMALL, LARGE = "understated", "overstated"
 CASES = {
     "clean": Case(),
-    "compass sigma / 3": Case(
-        ("compass.sigma_deg=0.1667",), "compass", "understated", "compass.sigma_deg", lambda v: 0.3 < v < 0.8
-    ),
-    "compass sigma * 3": Case(
-        ("compass.sigma_deg=1.5",), "compass", "overstated", "compass.sigma_deg", lambda v: 0.3 < v < 0.8
-    ),
-    "lrf sigma / 3": Case(
-        ("lrf.sigma_range=0.01", "lrf.sigma_angle_deg=0.0833"),
-        "lrf",
-        "understated",
-        "lrf.sigma_range",
-        lambda v: 0.015 < v < 0.06,
-    ),
-    "lrf sigma * 3": Case(
-        ("lrf.sigma_range=0.09", "lrf.sigma_angle_deg=0.75"),
-        "lrf",
-        "overstated",
-        "lrf.sigma_range",
-        lambda v: 0.015 < v < 0.06,
-    ),
-    "camera sigma / 3": Case(
-        ("camera.sigma_deg=0.1667",), "camera", "understated", "camera.sigma_deg", lambda v: 0.3 < v < 0.8
-    ),
-    "camera sigma * 3": Case(
-        ("camera.sigma_deg=1.5",), "camera", "overstated", "camera.sigma_deg", lambda v: 0.3 < v < 0.8
-    ),
-    "compass offset + 5 deg": Case(
-        (f"compass.offset_deg={NORTH_DEG + 5.0}",),
-        "compass",
-        "biased",
-        "compass.offset_deg",
-        lambda v: abs(v - NORTH_DEG) < 1.0,
-    ),
+    "compass sigma / 3": Case(("compass.sigma_deg=0.1667",), "compass", SMALL, "compass.sigma_deg", DEGREES),
+    "compass sigma * 3": Case(("compass.sigma_deg=1.5",), "compass", LARGE, "compass.sigma_deg", DEGREES),
+    "lrf sigma / 3": Case((f"{LINES[0]}=0.01", f"{LINES[1]}=0.0833"), "lrf", SMALL, LINES[0], METRES),
+    "lrf sigma * 3": Case((f"{LINES[0]}=0.09", f"{LINES[1]}=0.75"), "lrf", LARGE, LINES[0], METRES),
+    "camera sigma / 3": Case(("camera.sigma_deg=0.1667",), "camera", SMALL, "camera.sigma_deg", DEGREES),
+    "camera sigma * 3": Case(("camera.sigma_deg=1.5",), "camera", LARGE, "camera.sigma_deg", DEGREES),
+    "compass offset + 5 deg": Case((OFF,), "compass", "biased", "compass.offset_deg", NEAR_NORTH),
     "camera zero + 3 deg": Case(
-        ("camera.zero_deg=3.0",), "camera", "biased", "camera.zero_deg", lambda v: abs(v) < 1.0
+        ("camera.zero_deg=3.0",), "camera", "biased", "camera.zero_deg", between(-1.0, 1.0)
     ),
     "compass noise of 2 s": Case(
-        ("compass.sigma_deg=1.0",),
-        "compass",
-        "correlated",
-        "compass.sigma_deg",
-        lambda v: v > 3.0,
-        slow_compass=True,
+        ("compass.sigma_deg=1.0",), "compass", "correlated", "compass.sigma_deg", between(3.0, math.inf), True
     ),
 }
 

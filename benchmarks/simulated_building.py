@@ -7,14 +7,6 @@ Every drive has another seed: other noise, other walls, other walks of the peopl
 causally and smoothed. The position error is that after the best rigid alignment (SE(2), without scale) with the
 truth; ANEES is that of the poses as they are, since both start at the known start. The CPU time of a smoothed run
 includes the causal run under it.
-
-Version 0.1 on these drives, from seed 2000 on (no drive was called lost):
-
-| scenario | drives | aligned rmse (worst drive) | unaligned | heading | ANEES | lost | CPU |
-|---|--:|--:|--:|--:|--:|--:|--:|
-| office, causal | 3 | 0.165 m (0.197) | 0.344 m | 1.24° | 39.9 | 0% | 34 s |
-| hall, causal | 2 | 2.41 m (3.69) | 2.86 m | 6.30° | 170 | 0% | 3.7 s |
-| hall, smoothed | 1 | 3.42 m | 4.59 m | 6.71° | 454 | 0% | 78 s |
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from locfuse.cli.session.result import Result
 
 FOLDER = "recordings"  # in the fleet's results; the catalog reads no folders below it
-PORT = 51234  # Rerun's own default for a catalog
+CATALOG_PORT = 51234  # Rerun's own default for a catalog
 
 
 class Recording(msgspec.Struct, frozen=True):
@@ -39,5 +39,5 @@ def write(wanted: Recording, name: str, result: Result) -> str:
 def catalog(folder: Path) -> str:
     """Return the commands that show all recordings of a folder in one viewer; nothing listens off this machine."""
     there = shlex.quote(str(folder))
-    serve = f"rerun server --host 127.0.0.1 --port {PORT} --dataset drives={there}"
-    return f"{serve}   and beside it: rerun rerun+http://127.0.0.1:{PORT}"
+    serve = f"rerun server --host 127.0.0.1 --port {CATALOG_PORT} --dataset drives={there}"
+    return f"{serve}   and beside it: rerun rerun+http://127.0.0.1:{CATALOG_PORT}"

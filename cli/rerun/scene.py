@@ -14,7 +14,7 @@ from locfuse.cli.analysis.outputs import events
 from locfuse.cli.session.result import Result
 from locfuse.formats.figures.palette import Trace, colours, traces_of
 from locfuse.formats.report import markdown
-from locfuse.formats.rerun.scene import Detail, DrawnScans, Picture, RawTopic, RerunScene, Rgb, SensorLook
+from locfuse.formats.rerun.scene import Detail, DrawnScans, Floats, Picture, RawTopic, RerunScene, Rgb, SensorLook
 from locfuse.formats.thin import evenly
 from locfuse.formats.visible import visible
 from locfuse.fusion.chi_square import chi_square
@@ -138,7 +138,7 @@ def scan_points(stream: Stream, settings: LrfSettings, drive: Drive, scans: int,
     laser = measured.laser if isinstance(measured, ScanPoints) else laser_of(settings)
     wanted = evenly(len(stream.t_ns), scans)
     t = np.zeros(len(wanted))
-    points: list[Array] = [np.zeros((0, 2))] * len(wanted)
+    points: list[Floats] = [np.zeros((0, 2), np.float32)] * len(wanted)
     for rows, columns in stream.blocks(*SCAN_FIELDS, rows=128):
         for at, scan in _chosen(rows, columns, wanted):
             stamp = (stream.t_ns[wanted[at]] - drive.epoch_ns) * 1e-9 + settings.time_offset
@@ -147,7 +147,7 @@ def scan_points(stream: Stream, settings: LrfSettings, drive: Drive, scans: int,
     keep = keep[np.argsort(t[keep], kind="stable")]
     chosen = [points[i] for i in keep.tolist()]
     counts = np.array([len(p) for p in chosen], dtype=np.int64)
-    return DrawnScans(t[keep], counts, np.concatenate([*chosen, np.zeros((0, 2))]))
+    return DrawnScans(t[keep], counts, np.concatenate([*chosen, np.zeros((0, 2), np.float32)]))
 
 
 def _chosen(rows: Ints, columns: dict[str, Any], wanted: Ints) -> Iterator[tuple[int, dict[str, Any]]]:
@@ -160,14 +160,14 @@ def _chosen(rows: Ints, columns: dict[str, Any], wanted: Ints) -> Iterator[tuple
         yield int(at[i]), {**scalars, "ranges": ranges[i]}
 
 
-def _points(scan: dict[str, Any], stamp: float, laser: Laser, drive: Drive, beams: int) -> tuple[float, Array]:
+def _points(scan: dict[str, Any], stamp: float, laser: Laser, drive: Drive, beams: int) -> tuple[float, Floats]:
     """Return one scan's middle instant and its returns (k, 2) [m, base frame at that instant]."""
     one = {
         name: np.atleast_1d(value)[None] if name == "ranges" else np.array([value]) for name, value in scan.items()
     }
     points, middle = points_in_base(one, np.array([stamp]), laser, drive.wheels)
     drawn = points[0, evenly(points.shape[1], beams)]
-    return float(middle[0]), drawn[np.isfinite(drawn[:, 0])]
+    return float(middle[0]), drawn[np.isfinite(drawn[:, 0])].astype(np.float32)
 
 
 def _pictures(loaded: Loaded, best: Estimates, images: int | None) -> tuple[Any, int | None]:

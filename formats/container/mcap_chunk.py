@@ -22,7 +22,7 @@ from .source import Messages
 
 Index = dict[int, NDArray[np.uint64]]  # channel -> (k, 2) log time, offset of the record in the chunk
 
-PAYLOAD = RECORD.size + MESSAGE_HEADER  # bytes from a Message record's start to its payload
+PAYLOAD_OFFSET_BYTES = RECORD.size + MESSAGE_HEADER  # bytes from a Message record's start to its payload
 
 
 class Records(NamedTuple):
@@ -101,7 +101,7 @@ def _gather(data: NDArray[np.uint8], offsets: Ints) -> dict[int, Messages]:
         return {}
     channel = view(data, "<u2", offsets + RECORD.size)
     everything = Messages(
-        offsets + PAYLOAD,
+        offsets + PAYLOAD_OFFSET_BYTES,
         view(data, "<u8", offsets + 1).astype(np.int64) - MESSAGE_HEADER,
         view(data, "<u8", offsets + RECORD.size + 6).astype(np.int64),
         view(data, "<u4", offsets + RECORD.size + 2).astype(np.int64),
@@ -113,9 +113,9 @@ def credible(
     data: NDArray[np.uint8], channel: Ints, log_time: NDArray[np.uint64], offsets: Ints
 ) -> NDArray[np.bool_]:
     """Tell which index entries (k,) point at a Message record of their channel and log time."""
-    if len(data) < PAYLOAD:
+    if len(data) < PAYLOAD_OFFSET_BYTES:
         return np.zeros(len(offsets), bool)
-    inside = (offsets >= 0) & (offsets <= len(data) - PAYLOAD)
+    inside = (offsets >= 0) & (offsets <= len(data) - PAYLOAD_OFFSET_BYTES)
     at = np.where(inside, offsets, 0)
     length = view(data, "<u8", at + 1)
     found: NDArray[np.bool_] = (
@@ -150,7 +150,7 @@ def _by_index(data: NDArray[np.uint8], index: Index, most: int) -> Records | Non
         if at > stop or _walk(buffer, (at, stop), missed, definitions, most) != stop or missed:
             return None
     rows = {ident: channel == ident for ident in index}
-    start = offsets + PAYLOAD
+    start = offsets + PAYLOAD_OFFSET_BYTES
     everything = Messages(
         start, ends - start, log_time.astype(np.int64), view(data, "<u4", offsets + 11).astype(np.int64)
     )

@@ -21,7 +21,7 @@ from . import mcap_records as rec
 from .decompress import DamagedError
 from .file_bytes import FileBytes
 from .losses import Losses
-from .mcap_chunk import PAYLOAD, credible
+from .mcap_chunk import PAYLOAD_OFFSET_BYTES, credible
 from .mcap_survey import (
     CHUNK_HEAD,
     LARGE_CHUNK_BYTES,
@@ -36,7 +36,7 @@ from .source import Messages
 
 CHUNK_FRONT = 8 + 8 + 8 + 4 + 4 + 8  # bytes before a chunk's content, but for the name of the compression
 INDEX_FRONT = 2 + 4  # bytes of a message index before its entries
-ENTRY = 16  # bytes
+ENTRY_BYTES = 16  # bytes
 
 
 def promised(data: FileBytes) -> Survey | None:
@@ -70,7 +70,7 @@ def _chunk(entry: rec.ChunkIndex) -> ChunkRef | None:
     indexes = _indexes(entry)
     if indexes is None:
         return None
-    counts = {ident: (length - INDEX_FRONT) // ENTRY for ident, (_, length) in indexes.items()}
+    counts = {ident: (length - INDEX_FRONT) // ENTRY_BYTES for ident, (_, length) in indexes.items()}
     return ChunkRef(entry.offset, header, indexes, available=entry.packed, counts=counts, promised=True)
 
 
@@ -84,7 +84,7 @@ def _indexes(entry: rec.ChunkIndex) -> dict[int, tuple[int, int]] | None:
         return None
     for (at, ident), end in zip(order, ends, strict=True):
         length = end - at - rec.RECORD.size
-        if length < INDEX_FRONT or (length - INDEX_FRONT) % ENTRY:
+        if length < INDEX_FRONT or (length - INDEX_FRONT) % ENTRY_BYTES:
             return None
         found[ident] = (at + rec.RECORD.size, length)
     return found
@@ -191,7 +191,7 @@ def _places(
     order = np.argsort(entries[:, 1], kind="stable")
     start = entries[order, 1].astype(np.int64)
     stop = np.append(start[1:], chunk.header.uncompressed_size)
-    if len(start) and (start[0] < 0 or (stop - start < PAYLOAD).any()):
+    if len(start) and (start[0] < 0 or (stop - start < PAYLOAD_OFFSET_BYTES).any()):
         raise DamagedError("a message index that contradicts itself")
     wanted = np.isin(channel[order], list(channels))
     return channel[order][wanted], entries[order, 0][wanted], start[wanted], stop[wanted]
@@ -201,7 +201,7 @@ def _by_channel(
     data: NDArray[np.uint8], channel: Ints, log_time: NDArray[np.uint64], offsets: Ints, length: Ints
 ) -> dict[int, Messages]:
     everything = Messages(
-        offsets + PAYLOAD,
+        offsets + PAYLOAD_OFFSET_BYTES,
         length - rec.MESSAGE_HEADER,
         log_time.astype(np.int64),
         view(data, "<u4", offsets + rec.RECORD.size + 2).astype(np.int64),

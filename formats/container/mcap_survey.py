@@ -126,7 +126,7 @@ class FileSummary(msgspec.Struct):
         return None if self.statistics is None else self.statistics.counts
 
 
-TAIL = rec.RECORD.size + rec.FOOTER_LENGTH + len(rec.MAGIC)  # bytes of footer and magic
+TAIL_BYTES = rec.RECORD.size + rec.FOOTER_LENGTH + len(rec.MAGIC)  # bytes of footer and magic
 
 
 def lost_summary(data: FileBytes) -> bool:
@@ -137,8 +137,8 @@ def lost_summary(data: FileBytes) -> bool:
 
 def _footer(data: FileBytes) -> bytes:
     """Return the footer's record and the magic behind it, nothing where either is not there."""
-    foot = data.read(max(data.size - TAIL, 0), TAIL)
-    whole = len(foot) == TAIL and foot[-len(rec.MAGIC) :] == rec.MAGIC and foot[0] == rec.FOOTER
+    foot = data.read(max(data.size - TAIL_BYTES, 0), TAIL_BYTES)
+    whole = len(foot) == TAIL_BYTES and foot[-len(rec.MAGIC) :] == rec.MAGIC and foot[0] == rec.FOOTER
     return foot if whole else b""
 
 
@@ -148,7 +148,7 @@ def summary_section(data: FileBytes) -> bytes | None:
     if not foot:
         return None
     start, _, crc = rec.Cursor(foot, rec.RECORD.size).integers("QQI")
-    end = data.size - TAIL
+    end = data.size - TAIL_BYTES
     if not len(rec.MAGIC) <= start <= end or end - start > MAX_CHUNK:
         return None
     section = data.read(start, end - start)
@@ -163,7 +163,7 @@ def read_summary(data: FileBytes) -> FileSummary | None:
     if section is None:
         return None
     try:
-        return _parse(section, data.size - TAIL - len(section))
+        return _parse(section, data.size - TAIL_BYTES - len(section))
     except DamagedError:
         return None
 

@@ -44,7 +44,7 @@ from locfuse.fusion.data import Ints, LocfuseError
 
 from .mcap_records import MAGIC
 
-RECORD = 9  # bytes of opcode and length
+RECORD_HEAD_BYTES = 9  # bytes of opcode and length
 HEAD = [("op", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("pub", "<u8")]
 HEAD_BYTES = np.dtype(HEAD).itemsize
 COMPRESSION = "zstd"
@@ -209,7 +209,8 @@ def _records(block: MessageBlock) -> tuple[bytes, Ints]:
     n = len(block.log_time)
     lengths = np.fromiter(map(len, block.payload), np.int64, n)
     head = np.empty(n, HEAD)
-    head["op"], head["channel"], head["length"] = Opcode.MESSAGE, block.channel, HEAD_BYTES - RECORD + lengths
+    head["op"], head["channel"] = Opcode.MESSAGE, block.channel
+    head["length"] = HEAD_BYTES - RECORD_HEAD_BYTES + lengths
     published = block.log_time if block.publish_time is None else block.publish_time
     head["sequence"], head["log"], head["pub"] = block.sequence, block.log_time, published
     offsets: Ints = np.concatenate(([0], np.cumsum(HEAD_BYTES + lengths)[:-1]))

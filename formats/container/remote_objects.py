@@ -104,7 +104,7 @@ AT_ONCE = 16  # requests
 CONNECT_S = 10.0
 SILENCE_S = 20.0  # without a byte: the connection has stalled
 REQUEST_S = 180.0  # for one request in all
-RETRIES = 3
+MAX_RETRIES = 3
 RETRY_S = 60.0  # after which nothing is tried again
 CLOUD_MACHINE = "/latest/api/token", "/latest/meta-data", "/computeMetadata/", "/metadata/identity"
 CREDENTIALS = {
@@ -241,7 +241,7 @@ def store(root: str) -> ObjectStore:
         "timeout": timedelta(seconds=REQUEST_S),
         "allow_http": plain,  # the user wrote http:// himself
     }
-    retry: Any = {"max_retries": RETRIES, "retry_timeout": timedelta(seconds=RETRY_S)}
+    retry: Any = {"max_retries": MAX_RETRIES, "retry_timeout": timedelta(seconds=RETRY_S)}
     make: Any = HTTPStore.from_url if root.startswith(WEB) else from_url
     try:
         return make(root, client_options=client, retry_config=retry)  # type: ignore[no-any-return]
@@ -268,7 +268,7 @@ def _words(problem: BaseException, url: Url) -> str:
     if isinstance(problem, UnauthenticatedError):
         return "not signed in (401)" + (f": set {names}" if names else "")
     if "TimedOut" in text or "kind: Timeout" in text:
-        return f"the connection stalled; {RETRIES + 1} attempts of {SILENCE_S:g} s failed; try again"
+        return f"the connection stalled; {MAX_RETRIES + 1} attempts of {SILENCE_S:g} s failed; try again"
     return f"it cannot be read: {_first_line(problem)}"
 
 

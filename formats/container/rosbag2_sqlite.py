@@ -33,7 +33,7 @@ DAMAGED = "the database is damaged: rows may be missing"
 CUT_SHORT = "the messages behind a damaged place of the database are lost"
 
 TABLES = ("messages", "topics", "message_definitions")  # what is asked for
-STEPS = 10_000  # of sqlite's machine between two looks at the clock
+STEPS_PER_LOOK = 10_000  # of sqlite's machine between two looks at the clock
 TOPIC = "COALESCE(CAST(topic_id AS INTEGER), -1)"  # some writers keep numbers as text
 BYTES_PER_SECOND = 20e6  # a whole database is checked faster than that
 
@@ -43,7 +43,7 @@ Row = tuple[int, int, bytes | None]  # topic, time in ns, message
 class Leash:
     """Ends a step of sqlite that takes too long, and lets a signal end any.
 
-    sqlite calls back every STEPS instructions and drops exceptions from there: a step that was interrupted before
+    sqlite calls back after some instructions and drops exceptions from there: a step that was interrupted before
     its time was interrupted by a signal.
     """
 
@@ -54,7 +54,7 @@ class Leash:
 
     def hold(self, database: sqlite3.Connection) -> None:
         """Put a connection on the leash."""
-        database.set_progress_handler(self._late, STEPS)
+        database.set_progress_handler(self._late, STEPS_PER_LOOK)
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_CHUNK)
 
     def begin(self) -> None:
@@ -289,7 +289,7 @@ def _batch(rows: list[Row]) -> Batch:
 HEADER = struct.Struct(">8I")  # magic, version, page size, sequence, two salts, two checksums
 FRAME = struct.Struct(">6I")  # page number, database size after a commit (0: none), two salts, two checksums
 BYTE_ORDER = {0x377F0682: "<", 0x377F0683: ">"}  # of the words that are summed, by the magic number
-WORD = 0xFFFFFFFF
+UINT32_MASK = 0xFFFFFFFF
 JOURNAL_DAMAGED = "its journal (-wal) is damaged: what was committed behind that place is lost"
 JOURNAL_UNFINISHED = "its journal (-wal) ends in a transaction that was not finished"
 
@@ -349,6 +349,6 @@ def _summed(data: bytes, order: str, before: tuple[int, int] = (0, 0)) -> tuple[
     a, b = before
     words = np.frombuffer(data, f"{order}u4").tolist()
     for x, y in zip(words[::2], words[1::2], strict=True):
-        a = (a + b + x) & WORD
-        b = (a + b + y) & WORD
+        a = (a + b + x) & UINT32_MASK
+        b = (a + b + y) & UINT32_MASK
     return a, b

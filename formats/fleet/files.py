@@ -9,6 +9,7 @@ from typing import Any
 from locfuse.formats.report import json_report
 from locfuse.formats.report import summary as over
 from locfuse.formats.report.render import csv_text
+from locfuse.formats.versions import without_pandas
 from locfuse.formats.whole_files import Content
 from locfuse.fusion.data import Colour
 
@@ -47,10 +48,10 @@ def summary_files(
 
 # --- A row per log, configuration and cell of a sweep; a row too for a log that failed. As CSV and as Parquet
 
-LEAD = ("log", "robot", "start", "configuration", "cell", "state", "reason")  # the first columns
-TAIL = ("lost_bytes", "lost_messages", "key")  # the last
-TEXT = {*LEAD, "key", "align"}
-INSIDE = ("configuration", "cell", "slowed", "key")  # of a configuration's values: they stand in LEAD and TAIL
+FIRST_COLUMNS = ("log", "robot", "start", "configuration", "cell", "state", "reason")  # the first columns
+LAST_COLUMNS = ("lost_bytes", "lost_messages", "key")  # the last
+TEXT = {*FIRST_COLUMNS, "key", "align"}
+INSIDE = ("configuration", "cell", "slowed", "key")  # of a configuration: columns of their own
 
 
 class Rows:
@@ -63,12 +64,12 @@ class Rows:
         verdicts = dict.fromkeys(s for e in entries for s in e.report.get("verdicts", {}))
         self.sweep = tuple(sweep)  # keys that a sweep varies, each a column of text
         self.columns = (
-            *LEAD,
+            *FIRST_COLUMNS,
             *self.sweep,
             *figures,
             *(f"{s}_{count}" for s in sensors for count in COUNTS),
             *(f"{s}_verdict" for s in verdicts),
-            *TAIL,
+            *LAST_COLUMNS,
         )
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
@@ -122,9 +123,10 @@ def parquet(rows: Rows) -> bytes | None:
         return None
     text = {*TEXT, *rows.sweep, *(c for c in rows.columns if c.endswith("_verdict"))}
     found = list(rows)
-    columns = {c: _column(pa, [row.get(c) for row in found], c in text) for c in rows.columns}
     sink = io.BytesIO()
-    written.write_table(pa.table(columns), sink, compression="zstd")
+    with without_pandas():
+        columns = {c: _column(pa, [row.get(c) for row in found], c in text) for c in rows.columns}
+        written.write_table(pa.table(columns), sink, compression="zstd")
     return sink.getvalue()
 
 

@@ -226,7 +226,7 @@ def _losses(entries: Sequence[Entry]) -> Table:
 
 # --- Figures: how errors are distributed over the logs, and how they change from day to day
 
-POINTS = 101  # of a distribution's curve
+CURVE_POINTS = 101  # of a distribution's curve
 MAX_CURVES = 12  # configurations in one figure: the best by median
 FEW_LOGS = 3  # below, a distribution is the table's numbers
 
@@ -250,7 +250,7 @@ def _rmse_of(entry: Entry, name: str) -> float | None:
 
 def _distribution(errors: Mapping[str, Array]) -> Section:
     """Return the quantiles of the error: at 50 the median, at 90 what nine of ten logs stay below."""
-    share = np.linspace(0.0, 100.0, POINTS)
+    share = np.linspace(0.0, 100.0, CURVE_POINTS)
     marks = tuple(Curve(name, share, np.percentile(v, share)) for name, v in errors.items())
     words = "; ".join(f"{name}: median {np.median(v):.4g} m, worst {v[-1]:.4g} m" for name, v in errors.items())
     panel = Panel(

@@ -214,7 +214,7 @@ OF_FOXGLOVE_CLOUD = (
     *TURN,
 )
 OF_FOXGLOVE = ("start_angle", "end_angle", "ranges", *TURN)
-BEAMS = 720
+SLICE_BEAMS = 720
 LOW_RAD, HIGH_RAD = np.radians((-0.2, 2.2))  # of a point above the sensor's level
 NEAR_M, FAR_M = 0.3, 100.0  # m: nearer is the robot itself
 DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField
@@ -240,14 +240,14 @@ def cloud_as_scans(columns: Mapping[str, Column], fields: tuple[str, ...], frame
 
 def _as_scans(n: int, cloud: Callable[[int], Array], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
     """Return fields of LaserScans made of n clouds; `cloud` gives the points (m, 3) [m] of one of them."""
-    step = 2.0 * np.pi / BEAMS
+    step = 2.0 * np.pi / SLICE_BEAMS
     fixed = {"angle_min": -np.pi + 0.5 * step, "angle_increment": step, "time_increment": 0.0}
     fixed |= {"range_min": NEAR_M, "range_max": FAR_M}
     made: dict[str, Column] = {name: np.full(n, value) for name, value in fixed.items()}
     if "ranges" in fields:
         ranges = [level_slice(cloud(i), OPTICAL in frame_id) for i in range(n)]
         values = np.concatenate([np.empty(0), *ranges]).astype(np.float32)
-        made["ranges"] = Ragged(values, np.arange(n + 1) * BEAMS)
+        made["ranges"] = Ragged(values, np.arange(n + 1) * SLICE_BEAMS)
     return {name: made[name] for name in fields}
 
 
@@ -338,17 +338,17 @@ def points(columns: Mapping[str, Any], i: int) -> Array:
 
 
 def level_slice(xyz: Array, optical: bool = False) -> Array:
-    """Return the ranges (BEAMS,) [m] of points (n, 3) [m] about the sensor's level, Inf where there is none."""
+    """Return the ranges (SLICE_BEAMS,) [m] of points (n, 3) [m] at the sensor's level, Inf where there is none."""
     if optical:
         xyz = np.stack((xyz[:, 2], -xyz[:, 0], -xyz[:, 1]), axis=-1)
-    ranges = np.full(BEAMS, np.inf)
+    ranges = np.full(SLICE_BEAMS, np.inf)
     away = np.hypot(xyz[:, 0], xyz[:, 1])
     with np.errstate(invalid="ignore"):
         level = (xyz[:, 2] >= away * np.tan(LOW_RAD)) & (xyz[:, 2] <= away * np.tan(HIGH_RAD))
         seen = level & (away >= NEAR_M) & (away <= FAR_M)
     away, xyz = away[seen], xyz[seen]
-    turned = (np.arctan2(xyz[:, 1], xyz[:, 0]) + np.pi) * (BEAMS / (2.0 * np.pi))
-    beam = np.minimum(turned.astype(np.int64), BEAMS - 1)
+    turned = (np.arctan2(xyz[:, 1], xyz[:, 0]) + np.pi) * (SLICE_BEAMS / (2.0 * np.pi))
+    beam = np.minimum(turned.astype(np.int64), SLICE_BEAMS - 1)
     order = np.lexsort((away, np.abs(turned - beam - 0.5), beam))
     found, nearest = np.unique(beam[order], return_index=True)
     ranges[found] = away[order][nearest]

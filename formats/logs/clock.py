@@ -25,7 +25,7 @@ from . import jitter
 from .monotone import never_decreasing
 
 ORDERS = ("auto", "stamp", "recorded")
-MS = 10**6
+NS_PER_MS = 10**6
 JUMP_NS = 10 * 10**9  # a stamp that moves by this much more or less than its recording time has left its clock
 LATENCY_NS = 10**9  # stamps that differ from recording by more are another clock, not a delay
 # light types with headers that most logs have: a few of them say which clock the stamps are of
@@ -201,7 +201,7 @@ def _out_of_order(log_time: Ints, stamp: Ints) -> tuple[Mask, Mask]:
 def _off_the_delay(delay: Ints) -> Mask:
     """Mark stamps (n,) that recording does not follow: of the two, the one that keeps the beat worse is wrong."""
     unusual = np.abs(delay - np.median(delay))
-    return unusual > jitter.OFF_BEAT * max(float(np.median(unusual)), MS)
+    return unusual > jitter.OFF_BEAT * max(float(np.median(unusual)), NS_PER_MS)
 
 
 def _credibility(delay: Ints) -> Array:
@@ -209,7 +209,7 @@ def _credibility(delay: Ints) -> Array:
     if not len(delay):
         return np.empty(0)
     unusual = np.abs(delay - np.median(delay))
-    scale = max(float(np.median(unusual)), MS)
+    scale = max(float(np.median(unusual)), NS_PER_MS)
     weights: Array = 1 / (1 + (unusual / scale) ** 2) + 1e-6  # all else equal, the more stamps the better
     return weights
 

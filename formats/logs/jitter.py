@@ -18,7 +18,7 @@ from .monotone import never_decreasing
 MAX_BACK_NS = 2 * 10**9  # a time that runs back by more is no jitter: another clock, or files in another order
 MAX_SHARE = 0.25  # of the times may contradict the order; with more of them nobody can tell what is right
 
-WINDOW = 7  # neighbours on either side by which the beat of a stream is known
+WINDOW_READINGS = 7  # neighbours on either side by which the beat of a stream is known
 OFF_BEAT, OFF_PERIODS = 8.0, 0.25  # robust deviations and periods off the beat: a time like that is wrong
 
 
@@ -30,13 +30,13 @@ def credibility(times: Ints) -> tuple[Array, NDArray[np.bool_]]:
     contradicting the order. The weights have the long tail of a Cauchy distribution.
     """
     n = len(times)
-    if n <= 2 * WINDOW:
+    if n <= 2 * WINDOW_READINGS:
         return np.ones(n), np.zeros(n, bool)
     t = (times - times[0]).astype(np.float64)
-    steps = np.pad(np.diff(t), WINDOW, mode="reflect")
-    period = np.median(sliding_window_view(steps, 2 * WINDOW), axis=1)[:n]
-    places = np.arange(-WINDOW, WINDOW + 1)
-    inner = np.arange(WINDOW, n - WINDOW)
+    steps = np.pad(np.diff(t), WINDOW_READINGS, mode="reflect")
+    period = np.median(sliding_window_view(steps, 2 * WINDOW_READINGS), axis=1)[:n]
+    places = np.arange(-WINDOW_READINGS, WINDOW_READINGS + 1)
+    inner = np.arange(WINDOW_READINGS, n - WINDOW_READINGS)
     beat = t.copy()
     beat[inner] = np.median(t[inner[:, None] + places] - places * period[inner, None], axis=1)
     off = np.abs(t - beat)

@@ -464,10 +464,6 @@ class RangeStream(DerivedStream):
         """Return the columns id and range."""
         return {name: self._columns[1][name] for name in fields}
 
-    def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
-        """Yield everything as one block: numbers are light."""
-        yield np.arange(len(self.t_ns)), self.columns(*fields)
-
 
 class PresentedStream(DerivedStream):
     """Messages of one type as those of another (formats.logs.adapters)."""

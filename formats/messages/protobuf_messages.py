@@ -88,7 +88,7 @@ def whole(data: bytes, number: int) -> int:
 # --- Definitions: the FileDescriptorSet beside a channel (google/protobuf/descriptor.proto) as a tree
 
 NAME = re.compile(rb"[A-Za-z0-9_.]*")
-REPEATED = 3  # FieldDescriptorProto.Label
+LABEL_REPEATED = 3  # FieldDescriptorProto.Label
 TEXT_KIND, MESSAGE_KIND, BYTES_KIND, BOOL_KIND = 9, 11, 12, 8  # FieldDescriptorProto.Type
 TIME_TYPES = ("google.protobuf.Timestamp", "google.protobuf.Duration")
 TIME_PARTS = {1: "sec", 2: "nanosec"}
@@ -176,7 +176,9 @@ def _message(name: str, described: dict[str, bytes], made: dict[str, Message]) -
             if kind == MESSAGE_KIND and held not in made:
                 made[held] = Message(held)
                 waiting.append(held)
-            one = _field(_name(data, 1), kind, label == REPEATED, made.get(held) if kind == MESSAGE_KIND else None)
+            one = _field(
+                _name(data, 1), kind, label == LABEL_REPEATED, made.get(held) if kind == MESSAGE_KIND else None
+            )
             if one is not None:
                 message.fields[number] = one
     return made[name]

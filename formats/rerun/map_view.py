@@ -222,6 +222,6 @@ def _draw_scans(to: TimelineRecorder, scene: RerunScene) -> None:
     pose, root = best.pose[k], f"{ROOT}/{part(best.name)}/scan"
     to.send(root, scans.t, _moves(pose[:, :2], pose[:, 2]))
     to.static(f"{root}/points", style.points(style.faded(style.SCAN, 190), 1.25))
-    points = rr.Points2D.columns(positions=scans.xy.astype(np.float32))
+    points = rr.Points2D.columns(positions=scans.xy)
     to.send(f"{root}/points", scans.t, points, lengths=scans.counts)
     to.static(f"{root}/screen", FLIP)

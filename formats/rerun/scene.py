@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple
 import msgspec
 import numpy as np
 from msgspec import field
+from numpy.typing import NDArray
 
 from locfuse.formats.geometry import wall
 from locfuse.formats.thin import MAX_CURVE_POINTS, MAX_SCANS
@@ -31,12 +32,15 @@ class SensorLook(msgspec.Struct, frozen=True):
     landmark: tuple[float, float] | None = None  # m, map: what a bearing points at
 
 
+Floats = NDArray[np.float32]  # of what is only drawn
+
+
 class DrawnScans(NamedTuple):
     """Some scans as points in the base frame, each deskewed to its instant."""
 
     t: Array  # (s,) s since Drive.epoch_ns
     counts: Ints  # (s,) points of each scan
-    xy: Array  # (sum of counts, 2) m
+    xy: Floats  # (sum of counts, 2) m
 
 
 class Picture(NamedTuple):

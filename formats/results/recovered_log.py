@@ -19,7 +19,7 @@ from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import LocfuseError
 
 NOTE = "locfuse recover"  # name of the metadata record
-CLOCKLESS = 0  # log time of a message whose own is before 1970 or beyond what MCAP can say
+CLOCKLESS_LOG_NS = 0  # log time of a message whose own is before 1970 or beyond what MCAP can say
 END_OF_TIME = 2**63 - 1  # ns
 
 
@@ -83,6 +83,6 @@ def _block(channel: int, recorded: Recorded) -> MessageBlock:
     data, messages = recorded.data, recorded.messages
     ends = (messages.start + messages.length).tolist()
     payload = [data[a:b].data for a, b in zip(messages.start.tolist(), ends, strict=True)]
-    times = (column.clip(CLOCKLESS, END_OF_TIME) for column in (messages.log_time, recorded.published))
+    times = (column.clip(CLOCKLESS_LOG_NS, END_OF_TIME) for column in (messages.log_time, recorded.published))
     log_time, published = times
     return MessageBlock(channel, log_time, messages.sequence, payload, published)

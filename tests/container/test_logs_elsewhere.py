@@ -198,7 +198,7 @@ def test_damage_to_what_is_read_is_counted_and_other_messages_stay(logs: dict[st
 
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    for name, value in (("SILENCE_S", 0.2), ("CONNECT_S", 1.0), ("RETRIES", 1), ("RETRY_S", 2.0)):
+    for name, value in (("SILENCE_S", 0.2), ("CONNECT_S", 1.0), ("MAX_RETRIES", 1), ("RETRY_S", 2.0)):
         monkeypatch.setattr(objects, name, value)
     objects.store.cache_clear()
     yield

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from wheel_bags import GEOMETRY, angles, joint_states, log_of, pose_of
 
-from locfuse.formats.logs.adapters import BEAMS, level_slice
+from locfuse.formats.logs.adapters import SLICE_BEAMS, level_slice
 from locfuse.formats.logs.log import open_log
 from locfuse.fusion.data import Ragged
 
@@ -109,7 +109,7 @@ def test_every_beam_of_the_slice_is_the_wall_at_its_bearing(kind: str, big: bool
     log = open_log([write(tmp_path / "x.mcap", [cloud(T0, seen(0.0), big=big, kind=kind)])])
     (stream,) = (log.stream("/velodyne_points:scan"),)
     columns: Any = stream.columns("angle_min", "angle_increment", "ranges")
-    bearings = columns["angle_min"][0] + columns["angle_increment"][0] * np.arange(BEAMS)
+    bearings = columns["angle_min"][0] + columns["angle_increment"][0] * np.arange(SLICE_BEAMS)
     off = np.radians(0.25)  # a beam stands for half a degree
     expected = np.stack([ranges(0.0, bearings + d) for d in np.linspace(-off, off, 11)])
     found = columns["ranges"][0]
@@ -119,7 +119,7 @@ def test_every_beam_of_the_slice_is_the_wall_at_its_bearing(kind: str, big: bool
 
 def test_of_a_picture_of_depth_the_axis_ahead_is_the_third() -> None:
     ahead = level_slice(np.array([[0.0, 0.0, 3.0], [1.0, -0.05, 2.0]]), optical=True)  # x right, y down, z ahead
-    beams = -math.pi + (np.arange(BEAMS) + 0.5) * 2 * math.pi / BEAMS
+    beams = -math.pi + (np.arange(SLICE_BEAMS) + 0.5) * 2 * math.pi / SLICE_BEAMS
     hit = np.flatnonzero(np.isfinite(ahead))
     assert beams[hit] == pytest.approx([math.atan2(-1.0, 2.0), 0.0], abs=np.radians(0.26))
     assert ahead[hit] == pytest.approx([math.hypot(1.0, 2.0), 3.0])

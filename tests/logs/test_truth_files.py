@@ -294,4 +294,5 @@ def test_an_effect_without_a_number_has_no_strip() -> None:
     effect = {"low": 0.5, "high": 2.0, "factor": 1.0}
     rest = {"credit": None, "leave_one_out": None}
     sensors = {"a": {"alone": effect, **rest}, "b": {"alone": {**effect, "high": None}, **rest}}
-    assert set(_strips({"credit": {"sensors": sensors}})) == {"a"}
+    verdicts = {key: {"verdict": "helps"} for key in sensors}
+    assert set(_strips({"credit": {"sensors": sensors}, "verdicts": verdicts})) == {"a"}

@@ -52,7 +52,8 @@ def test_a_folder_of_results_is_shown_from_its_files(results: Path, tmp_path: Pa
 
 def test_a_run_folder_keeps_its_covariances(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    assert locfuse("run", LOG, "--no-advice", "--sensors", "compass", "-o", out).exit_code == 0
+    words = ("--no-advice", "--no-smooth", "--sensors", "compass", "--write", "all")
+    assert locfuse("run", LOG, *words, "-o", out).exit_code == 0
     assert locfuse("view", out, "--save", tmp_path / "drive.rrd").exit_code == 0
     rows = np.loadtxt(out / "trajectory.csv", delimiter=",", skiprows=1)
     P = rows[:, [4, 5, 5, 7]].reshape(-1, 2, 2)

@@ -32,6 +32,7 @@ PLACE = ("x", "y", "yaw_deg", "flipped")  # of a laser on the base
 SURE_SHARE = 0.9  # s from which on no matching can be so much better
 WORSE_SHARE = 0.10  # s by which a motion may be worse than the matching of the scans
 BELOW_STILL_SHARE = 0.05  # s by which a motion may be worse than standing
+BETTER_SHARE = 0.015  # s by which matching must be better than wheels of known size, to be said
 TELLING_SHARE = 0.03  # s by which matching must be better than standing: else the scans tell nothing
 ALIKE_SHARE = 0.10  # s by which two motions of one kind must differ: else neither is chosen
 
@@ -87,6 +88,22 @@ class Evidence:
                 self._look([motion])
             if self._pairs is not None and self._pairs.judge:
                 self._gone[topic,] = f"by {topic}, speeds, {self._pairs.of(motion):.0%}"
+
+    def behind(self, topics: Sequence[str]) -> str:
+        """Say by how much matching the scans agrees better than the motion that is used; "" where it does not."""
+        motion = motion_of(self._log, self._robot, topics, self._read)
+        if motion is not None:
+            self._look([motion])
+        if motion is None or self._pairs is None or not self._pairs.judge:
+            return ""
+        share = self._pairs.of(motion)
+        if self._matched < max(share + BETTER_SHARE, self._still + TELLING_SHARE):
+            return ""
+        return (
+            f"by {' and '.join(topics)} {share:.1%} of a scan's points lie within 10 cm of the scan a second "
+            f"before, by matching the scans {self._matched:.1%}: scan matching may be the better motion. Try "
+            f"--set wheels.topic={self._topic}, or let `locfuse calibrate` find radius and track"
+        )
 
     def why(self, topics: Sequence[str]) -> str:
         """Return how well a motion that is kept agrees with the scans, in words; "" where it was not compared."""

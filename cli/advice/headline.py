@@ -133,7 +133,7 @@ def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str
     for which, one, several in ((HELPS, "helps", "help"), (HURTS, "hurts", "hurt")):
         if words[which]:
             parts.append(f"{_names(words[which])} {one if len(words[which]) == 1 else several}")
-    if not any(words.values()):
+    if verdicts and not any(words.values()):  # odometry alone has none
         unjudged = len(verdicts) == 1 and all(v["verdict"] == "no verdict" for v in verdicts.values())
         judge = f"{_names([*verdicts])} itself cannot be checked"
         parts.append(judge if unjudged else "of the sensors nothing is sure")

@@ -18,6 +18,7 @@ from locfuse.fusion.wheels.odometry import ODOMETRY, PLANAR, POSE, SCANS, SPEED,
 from locfuse.fusion.wheels.read import WHEEL_READS
 
 from .motion_evidence import Evidence
+from .motion_witnesses import Witnesses
 from .motor_topics import motor_of, motor_words
 from .mounts import is_base, is_odometry, is_room
 from .not_read import not_read
@@ -56,6 +57,7 @@ MADE_OF_MORE = (
     "scan",
     "mavros",
 )
+OF_FILTERS = ("filter", "ekf", "ukf", "fused", "combined", "global")  # of these: IMU and fixes are in the estimate
 BY_FIXES = ("fix_vel", "gps", "gnss", "navsat", "ublox", "novatel", "septentrio")  # speeds north and east
 MADE_OF_FIXES = ("gps", "gnss", "navsat")  # navsat_transform's has no heading
 ONLY_CORRECT = ("sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Imu")  # types that make no motion by themselves
@@ -73,6 +75,10 @@ ESTIMATED = (
 ONLY_COMMANDED = (
     "{topic} holds commanded speeds, and nothing in this log measured how the robot moved. Use them only if it "
     "did as it was told (a command lasts until the next one, a second at most; wheels.noise=0.004 is usual)"
+)
+HOLDS_MORE = (
+    "{topic} already holds other sensors (IMU, GPS), by its name: beside it they count twice. Record the odometry "
+    "of the wheels alone, too"
 )
 WISHED = (
     "{topic} holds poses that were asked for, by its name, and nothing in this log measured how the robot moved"
@@ -106,33 +112,48 @@ def choose_body(log: Log, robot: Robot, choice: Choice, scans: bool, stand_in: b
     `scans`: whether scans will do; `stand_in`: whether estimated poses and commands will.
     """
     laser = laser_topic(log, robot) if scans else None
-    evidence = None if laser is None else Evidence(log, robot, laser)
+    if laser is None:
+        twists = [Body(t, ONLY) for t in _twists(log, robot, choice, asked=False) if _is_twist(log, t)]
+        body = _best_witnessed(log, robot, choice, [*_measured(log, robot, choice), twists])
+        return body or (_stand_in(log, robot, choice) if stand_in else None)
+    evidence = Evidence(log, robot, laser, choice.read)
     for same in _measured(log, robot, choice):
         if (body := _one_of(log, same, evidence)) is not None:
-            return body if evidence is None else _judged(body, evidence)
-    if laser is not None and evidence is not None:
-        lacks = "no wheels and no odometry" if stand_in else "no wheels of known size and no odometry"
-        for asked in (False, True):
-            evidence.look_at([t for t in _twists(log, robot, choice, asked) if _is_twist(log, t)])
-        body = Body(laser, f"{lacks}: its scans are matched with each other", motor_words(log, robot))
-        return _judged(body, evidence)
-    twists = [Body(t, ONLY) for t in _twists(log, robot, choice, asked=False) if _is_twist(log, t)]
-    if (body := _one_of(log, twists, None)) is not None:
-        return body
-    return _stand_in(log, robot, choice) if stand_in else None
+            return _judged(body, evidence)
+    lacks = "no wheels and no odometry" if stand_in else "no wheels of known size and no odometry"
+    for asked in (False, True):
+        evidence.look_at([t for t in _twists(log, robot, choice, asked) if _is_twist(log, t)])
+    body = Body(laser, f"{lacks}: its scans are matched with each other", motor_words(log, robot))
+    return _judged(body, evidence)
 
 
-def _judged(body: Body, evidence: Evidence) -> Body:
-    """Return a body with what the scans say of it and of those that were left out."""
-    why = ": ".join(filter(None, (body.why, evidence.why(body.topics))))
+def _best_witnessed(log: Log, robot: Robot, choice: Choice, kinds: Sequence[Sequence[Body]]) -> Body | None:
+    """Return the best kind's body that other sensors do not contradict; None where there is none at all."""
+    witnesses = Witnesses(log, robot, [body.topics for same in kinds for body in same], choice.read)
+    for same in kinds:
+        if (body := _one_of(log, same, witnesses)) is not None:
+            if words := witnesses.unjudged(body.topics):
+                words = f"{body.topic} is used: {words}"
+                body = body._replace(
+                    note=". ".join(filter(None, (body.note, words))), fixes=(f"wheels.topic={body.topic}",)
+                )
+            return _judged(body, witnesses)
+    return None
+
+
+def _judged(body: Body, evidence: Evidence | Witnesses) -> Body:
+    """Return a body with what other sensors say of it and of those that were left out."""
+    why = ": ".join(filter(None, (body.why, share := evidence.why(body.topics))))
     if not evidence.note:
         return body._replace(why=why)
     words = f"{body.topic} is used: {evidence.note}"
-    return body._replace(why="it agrees with the scans", note=words, fixes=(f"wheels.topic={body.topic}",))
+    if share and share not in words and isinstance(evidence, Witnesses):
+        words = f"{words}; {share}"
+    return body._replace(why=evidence.agrees, note=words, fixes=(f"wheels.topic={body.topic}",))
 
 
-def _one_of(log: Log, same: Sequence[Body], evidence: Evidence | None) -> Body | None:
-    """Return the body of several of one kind; None for none, or none that agrees with the laser."""
+def _one_of(log: Log, same: Sequence[Body], evidence: Evidence | Witnesses | None) -> Body | None:
+    """Return the body of several of one kind; None for none, or none that agrees with the other sensors."""
     if evidence is not None:
         same = [body for body, kept in zip(same, evidence.keep([b.topics for b in same]), strict=True) if kept]
     topic = one(log, "wheels", None, [body.topic for body in same], WHEEL_READS)
@@ -155,20 +176,20 @@ def _measured(log: Log, robot: Robot, choice: Choice) -> Iterator[Sequence[Body]
         yield [_beside(t, "the only odometry in /tf", estimated) for t in odometry_frames(log)]
         poses = [t for t in _poses(log, robot, choice) if is_odometry(log.stream(t).frame_id)]
         yield [_beside(t, "poses in the frame of an odometry", estimated) for t in poses]
-    measured = [t for t in _twists(log, robot, choice, asked=False) if not _is_twist(log, t)]
-    yield [_beside(t, ONLY, estimated) for t in measured]
+    measured = _twists(log, robot, choice, asked=False)
+    speeds = [t for t in measured if _is_twist(log, t)]
+    yield [_beside(t, ONLY, estimated) for t in measured if t not in speeds]
     if found := motor_of(log, robot):
         yield [Body(found[0], f"its motor's speed, steered as {found[1]} says", beside=tuple(found[1:]))]
     if not laser_topic(log, robot):
-        speeds = [t for t in _twists(log, robot, choice, asked=False) if _is_twist(log, t)]
         yield [_beside(t, ONLY, estimated) for t in speeds]
     yield [Body(t, NOTHING_ELSE, ESTIMATED.format(topic=t)) for t in estimated]
 
 
 def _beside(topic: str, why: str, others: Sequence[str]) -> Body:
-    """Return an odometry that is taken before others, which are named."""
+    """Return an odometry that is taken before others, which are named; one that holds more than wheels says so."""
     if not others:
-        return Body(topic, why)
+        return Body(topic, why, HOLDS_MORE.format(topic=topic) if _of_filter(topic) else "")
     looks = "looks" if len(others) == 1 else "look"
     words = f"{topic} is used: {' and '.join(others)} {looks} made of more than the wheels"
     return Body(topic, why, words, (f"wheels.topic={topic}",))
@@ -189,14 +210,16 @@ def _stand_in(log: Log, robot: Robot, choice: Choice) -> Body | None:
     ) is not None:
         return body
     best, others = nearest_to_base(_twists(log, robot, choice, asked=True))
-    if (topic := one(log, "wheels", None, best, WHEEL_READS)) is not None:
+    obeyed = _best_witnessed(log, robot, choice, [[Body(t, NOTHING_ELSE) for t in best]])
+    if obeyed is not None:
+        topic = obeyed.topic
         beside = OF_COMMANDS.format(others=" and ".join(others), topic=topic) if others else ""
-        words = [ONLY_COMMANDED.format(topic=topic) + beside, motor_words(log, robot)]
+        words = [ONLY_COMMANDED.format(topic=topic) + beside, motor_words(log, robot), obeyed.note]
         fixes = (f"wheels.topic={topic}",)
         return Body(topic, NOTHING_ELSE, ". ".join(filter(None, words)), fixes, spoils=_is_twist(log, topic))
     steered = _filled(log, robot, choice, tuple(STEERED))  # lacks the wheelbase, which its reader asks for
-    if (topic := one(log, "wheels", None, steered, WHEEL_READS)) is not None:
-        return Body(topic, NOTHING_ELSE, motor_words(log, robot))
+    if (angle := one(log, "wheels", None, steered, WHEEL_READS)) is not None:
+        return Body(angle, NOTHING_ELSE, motor_words(log, robot))
     for topic in poses:
         why = IN_CAMERA if of_camera(log, topic) else WISHED
         note = why.format(topic=topic, frame=log.stream(topic).frame_id)
@@ -234,6 +257,11 @@ def _filled(log: Log, robot: Robot, choice: Choice, kinds: Sequence[str]) -> lis
 def _a_topic(name: str) -> bool:
     """Return whether a name is a topic, or what a topic is presented as: not frames of /tf, nor a field."""
     return ":" not in name or name.rpartition(":")[2] in PRESENTED_AS
+
+
+def _of_filter(topic: str) -> bool:
+    """Return whether an odometry's name says that other sensors are in it already."""
+    return _made(topic) > 1 and any(word in topic.lower() for word in (*OF_FILTERS, *MADE_OF_FIXES))
 
 
 def _made(topic: str) -> int:

@@ -195,9 +195,12 @@ def measured(
         motion = matched.reading(robot.wheels, robot.settings("lrf").time_offset)
     elif before is not None and before.reading is not None:
         motion = before.reading.with_noise(robot.wheels.noise)
+    elif (read := choice.read.get(choice.of("wheels"))) is not None:
+        motion = read
     else:
         progress("measuring the wheels")
         motion = read_wheels(wanted["wheels"], robot.wheels)
+    choice.read.clear()
     shown = None if before is None else before.drive.measurements
     drive = measure(wanted, robot, {**choice.absent, **moving}, progress, known, motion, shown)
     robot, drive = led_back(*begun(robot, drive), _first_scan(streams, robot, drive))

@@ -32,23 +32,40 @@ PLACE = ("x", "y", "yaw_deg", "flipped")  # of a laser on the base
 SURE_SHARE = 0.9  # s from which on no matching can be so much better
 WORSE_SHARE = 0.10  # s by which a motion may be worse than the matching of the scans
 BELOW_STILL_SHARE = 0.05  # s by which a motion may be worse than standing
+BETTER_SHARE = 0.015  # s by which matching must be better than wheels of known size, to be said
 TELLING_SHARE = 0.03  # s by which matching must be better than standing: else the scans tell nothing
 ALIKE_SHARE = 0.10  # s by which two motions of one kind must differ: else neither is chosen
+
+
+Read = dict[tuple[str, ...], WheelReading]  # motions that were read while one was chosen, by their topics
+
+
+def motion_of(log: Log, robot: Robot, topics: Sequence[str], read: Read) -> WheelReading | None:
+    """Return the motion that topics hold; None where they cannot be read: that is reported at their use."""
+    if tuple(topics) not in read:
+        with suppress(LocfuseError):
+            streams = [log.stream(topic, robot.order) for topic in topics]
+            read[tuple(topics)] = read_wheels(merged(streams), robot.wheels)
+    return read.get(tuple(topics))
 
 
 class Evidence:
     """Judges motions by the scans of one topic, which are looked at when the first motion is asked about."""
 
-    def __init__(self, log: Log, robot: Robot, laser: str) -> None:
-        self._log, self._robot, self._topic = log, robot, laser
+    agrees = "it agrees with the scans"
+
+    def __init__(self, log: Log, robot: Robot, laser: str, read: Read) -> None:
+        self._log, self._robot, self._topic, self._read = log, robot, laser, read
         self._pairs: ScanPairs | None = None
         self._shares: dict[tuple[str, ...], float] = {}
         self._gone: dict[tuple[str, ...], str] = {}
 
     def keep(self, candidates: Sequence[Sequence[str]]) -> list[bool]:
         """Tell which motions agree with the scans; of several that differ much in this only the best."""
-        read = {tuple(topics): self._motion(topics) for topics in candidates}
-        known = {topics: motion for topics, motion in read.items() if motion is not None}
+        known = {}
+        for topics in map(tuple, candidates):
+            if (motion := motion_of(self._log, self._robot, topics, self._read)) is not None:
+                known[topics] = motion
         if not known:
             return [True] * len(candidates)
         if self._pairs is None:
@@ -64,13 +81,29 @@ class Evidence:
     def look_at(self, speeds: Sequence[str]) -> None:
         """Look at topics of speeds, which never come before scans, for the record of what they were worth."""
         for topic in speeds[:MAX_SPEEDS]:
-            motion = self._motion([topic])
+            motion = motion_of(self._log, self._robot, [topic], self._read)
             if motion is None or motion.wheels.stands:
                 continue
             if self._pairs is None:
                 self._look([motion])
             if self._pairs is not None and self._pairs.judge:
                 self._gone[topic,] = f"by {topic}, speeds, {self._pairs.of(motion):.0%}"
+
+    def behind(self, topics: Sequence[str]) -> str:
+        """Say by how much matching the scans agrees better than the motion that is used; "" where it does not."""
+        motion = motion_of(self._log, self._robot, topics, self._read)
+        if motion is not None:
+            self._look([motion])
+        if motion is None or self._pairs is None or not self._pairs.judge:
+            return ""
+        share = self._pairs.of(motion)
+        if self._matched < max(share + BETTER_SHARE, self._still + TELLING_SHARE):
+            return ""
+        return (
+            f"by {' and '.join(topics)} {share:.1%} of a scan's points lie within 10 cm of the scan a second "
+            f"before, by matching the scans {self._matched:.1%}: scan matching may be the better motion. Try "
+            f"--set wheels.topic={self._topic}, or let `locfuse calibrate` find radius and track"
+        )
 
     def why(self, topics: Sequence[str]) -> str:
         """Return how well a motion that is kept agrees with the scans, in words; "" where it was not compared."""
@@ -110,13 +143,6 @@ class Evidence:
     def _still(self) -> float:
         assert self._pairs is not None
         return self._pairs.still
-
-    def _motion(self, topics: Sequence[str]) -> WheelReading | None:
-        """Return the motion that topics hold; None where they cannot be read: that is reported at their use."""
-        with suppress(LocfuseError):
-            streams = [self._log.stream(topic, self._robot.order) for topic in topics]
-            return read_wheels(merged(streams), self._robot.wheels)
-        return None
 
     def _look(self, motions: Sequence[WheelReading]) -> None:
         from locfuse.fusion.wheels.scan_agreement import scan_pairs  # SciPy comes with it

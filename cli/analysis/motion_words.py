@@ -5,15 +5,32 @@ from __future__ import annotations
 import shlex
 from typing import Any
 
+from locfuse.fusion.wheels.odometry import BODY_READS
+
 from .load import Loaded
+from .motion_evidence import Evidence
 from .refused_motion import void_all
 from .results import log_words
 from .wheel_topics import unused_words
 
 
-def say_motion(report: dict[str, Any], loaded: Loaded) -> None:
-    """Add to a report what its reader must know about the motion before any figure."""
+def say_motion(report: dict[str, Any], loaded: Loaded, judged: bool = False) -> None:
+    """Add to a report what its reader must know about the motion before any figure.
+
+    Where it is `judged`, encoders are compared with the matching of the scans beside them.
+    """
     void_all(report, loaded.spoils)
+    if judged and (words := _behind_scans(loaded)):
+        report["notes"].append(f"wheels: {words}")
     if words := unused_words(loaded.choice):
         command = shlex.join(("locfuse", "init", *log_words(loaded.log), "-o", "robot.toml"))
         report["headline"] = f"{words}: `{command}` asks for them. {report['headline']}"
+
+
+def _behind_scans(loaded: Loaded) -> str:
+    """Say that scan matching agrees better with the laser than the wheels do; "" without encoders or laser."""
+    topics, lasers = loaded.choice.of("wheels"), loaded.choice.of("lrf")
+    encoders = loaded.log.topics[topics[0]].msgtype not in BODY_READS
+    if not encoders or len(lasers) != 1 or loaded.reading is None:
+        return ""
+    return Evidence(loaded.log, loaded.robot, lasers[0], {topics: loaded.reading}).behind(topics)

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from locfuse.formats.report.findings import options
-from locfuse.fusion.data import Array, LocfuseError
-from locfuse.fusion.geodesy import east_north
+from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.judge.evaluate import ERROR_KEYS
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.truth import looks_like_truth
@@ -21,6 +20,7 @@ from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.odometry import SPEED, commanded
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
+from .motion_witnesses import FIX, fixes
 from .topics import Choice, Note, of_type
 
 if TYPE_CHECKING:
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 STANDS = "the robot does not move in this log, so no sensor can be judged"
 MIN_WAY_M = 1.0  # m by another topic: more is one
 MIN_FIX_SPREAD_M = 15.0  # m: a standing receiver's fixes wander by some metres
-FIX = "sensor_msgs/msg/NavSatFix"
 VOID = (*ERROR_KEYS, "anees")  # figures that mean nothing then
 
 
@@ -103,10 +102,5 @@ def way(wheels: Wheels) -> float:
 
 def _spread(log: Log, topic: str) -> float:
     """Return the greatest extent of a receiver's fixes along east or north [m], outliers left out."""
-    columns = cast("dict[str, Array]", log.stream(topic).columns("latitude", "longitude"))
-    where = np.stack([columns["latitude"], columns["longitude"]], axis=-1)
-    where = where[np.isfinite(where).all(axis=1)]
-    if len(where) < 2:
-        return 0.0
-    xy = east_north(where[:, 0], where[:, 1], (float(where[0, 0]), float(where[0, 1])))
-    return float(np.ptp(np.percentile(xy, (5.0, 95.0), axis=0), axis=0).max())
+    xy = fixes(log, topic).xy
+    return float(np.ptp(np.percentile(xy, (5.0, 95.0), axis=0), axis=0).max()) if len(xy) > 1 else 0.0

@@ -14,6 +14,7 @@ from locfuse.fusion.data import LocfuseError
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
+    from locfuse.fusion.wheels.read import WheelReading
 
 NAMED = "named in the settings"
 ONLY = "the only topic of its type"
@@ -40,6 +41,7 @@ class Choice(msgspec.Struct):
     notes: list[Note] = field(default_factory=list)
     unused_wheels: tuple[str, ...] = ()  # topics of wheels that turn, and nobody says how big they are
     lacks: str = ""  # what is not known of them, in words
+    read: dict[tuple[str, ...], WheelReading] = field(default_factory=dict)  # motions that choosing looked at
 
     def of(self, role: str) -> tuple[str, ...]:
         """Return all topics of a role."""

@@ -21,11 +21,11 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream
 from locfuse.fusion.wheels.calibrate import PAPER_PERIOD_S, WheelCalibration, calibrate_wheels
 from locfuse.fusion.wheels.calibrate_by_gyro import GyroCalibration, calibrate_by_gyro
-from locfuse.fusion.wheels.calibrate_tricycle import TricycleCalibration, calibrate_tricycle
+from locfuse.fusion.wheels.calibrate_tricycle import Reference, TricycleCalibration, calibrate_tricycle, of_truth
 from locfuse.fusion.wheels.likelihood import Figure
 from locfuse.fusion.wheels.tricycle import is_tricycle, read_encoders
 
-from .calibrate_laser import SIGMAS_95, ByLaser, by_laser
+from .calibrate_laser import SIGMAS_95, ByLaser, by_laser, has_both, motion_of_both
 from .doubts import refuse_doubtful
 
 FIELD = "sensor_msgs/msg/MagneticField"
@@ -86,8 +86,10 @@ class Calibration(msgspec.Struct, frozen=True):
         if self.laser is not None and (mount := self.laser.table()):
             tables["lrf"] = {key: _short(value) for key, value in mount.items()}
         if self.tricycle is not None:
-            of = {"wheels": self.tricycle.wheels, "truth": self.tricycle.truth}
-            tables |= {name: {key: _short(f.value) for key, f in figures.items()} for name, figures in of.items()}
+            of = {"wheels": self.tricycle.wheels, self.tricycle.by: self.tricycle.mount}
+            tables |= {
+                n: {key: _short(f.value) for key, f in figures.items()} for n, figures in of.items() if figures
+            }
         if self.iron is not None:
             tables["compass"] = {
                 "hard_iron": [_short(v) for v in self.iron.hard.tolist()],
@@ -131,9 +133,10 @@ class Calibration(msgspec.Struct, frozen=True):
         }
 
     def _tricycle_values(self, found: TricycleCalibration) -> dict[str, Any]:
-        figures = {**found.wheels, **{f"truth_{key}": figure for key, figure in found.truth.items()}}
+        figures = {**found.wheels, **{f"{found.by}_{key}": figure for key, figure in found.mount.items()}}
         values = {name: {"value": f.value, "low": f.low, "high": f.high} for name, f in figures.items()}
-        return {**values, "rms_m": found.rms_m}
+        rest = {"rms_deg": math.degrees(found.rms)} if found.by == "gyro" else {"rms_m": found.rms}
+        return {**values, "by": found.by, **rest}
 
     def _gyro_values(self, found: GyroCalibration) -> dict[str, Any]:
         figures = {"noise_m": found.k, **self.geometry()}
@@ -160,7 +163,7 @@ class Calibration(msgspec.Struct, frozen=True):
         if self.tricycle is not None:
             of_wheels = self.tricycle.wheels.items()
             rows += [_row(f"wheels.{key}", f, getattr(self.settings, key)) for key, f in of_wheels]
-            rows += [_row(f"truth.{key} [m]", f, None) for key, f in self.tricycle.truth.items()]
+            rows += [_row(f"{self.tricycle.by}.{key}", f, None) for key, f in self.tricycle.mount.items()]
         if self.iron is not None:
             rows += _iron_rows(self.iron)
         return rows
@@ -170,7 +173,7 @@ def calibrate_logs(loaded: Sequence[Loaded], progress: Progress = silent) -> Cal
     """Calibrate what the logs of one robot allow. Raises LocfuseError where they allow nothing."""
     settings = _one_robot(loaded)
     if is_tricycle(loaded[0].stream("wheels")):
-        return _tricycle(loaded, settings)
+        return _tricycle(loaded, settings, progress)
     for one in loaded:
         refuse_doubtful(one, "what is calibrated now", CALIBRATED)
     notes: list[str] = []
@@ -183,7 +186,7 @@ def calibrate_logs(loaded: Sequence[Loaded], progress: Progress = silent) -> Cal
     if wheels is not None:
         notes += _wheel_notes(wheels, settings, gyro)
     if gyro is not None:
-        notes += _gyro_notes(gyro)
+        notes += _gyro_notes(gyro, settings)
     if laser is not None:
         notes += laser.notes(settings)
     if iron is not None:
@@ -257,20 +260,51 @@ def _wheels(loaded: Sequence[Loaded]) -> WheelCalibration:
     return calibrate_wheels(drives)
 
 
-def _tricycle(loaded: Sequence[Loaded], settings: WheelSettings) -> Calibration:
-    """Calibrate the encoders of a steered wheel by the truth of one drive."""
-    drive, stream = loaded[0].drive, loaded[0].stream("wheels")
-    if len(loaded) > 1 or drive.truth is None or not isinstance(stream, MergedStream):
+def _tricycle(loaded: Sequence[Loaded], settings: WheelSettings, progress: Progress) -> Calibration:
+    """Calibrate the encoders of a steered wheel by the truth of one drive, else its laser, else its gyro."""
+    one, stream = loaded[0], loaded[0].stream("wheels")
+    reference = None if len(loaded) > 1 else _reference(one, progress)
+    if reference is None or not isinstance(stream, MergedStream):
         raise LocfuseError(
-            "a steered tricycle is calibrated by one log with truth",
+            "a steered tricycle is calibrated by one log with truth, laser or gyro",
             role="calibrate",
-            hint="(--set truth.topic=/TOPIC names it)",
+            hint="(--set truth.topic=/TOPIC names a truth)",
         )
     encoders = read_encoders(stream, settings)
-    shift = (encoders.zero_ns - drive.epoch_ns) * 1e-9 + settings.time_offset
-    found = calibrate_tricycle(encoders, settings, drive.truth, shift)
-    note = f"tricycle: ten parameters, fitted to the whole path, leave {found.rms_m:.3f} m (rms)"
-    return Calibration(settings, None, None, None, None, (note,), found)
+    shift = (encoders.zero_ns - one.drive.epoch_ns) * 1e-9 + settings.time_offset
+    found = calibrate_tricycle(encoders, settings, reference, shift)
+    if found.by == "lrf":  # what is not surely another mount or clock is left as it was set
+        told = one.robot.settings("lrf")
+        found.mount["time_offset"] = _moved_by(found.mount["time_offset"], told.time_offset)
+        mount = {key: f for key, f in found.mount.items() if not f.low <= getattr(told, key) <= f.high}
+        found = msgspec.structs.replace(found, mount=mount)
+    left = {
+        "truth": f"fitted to the whole path, they leave {found.rms:.3f} m (rms)",
+        "lrf": f"fitted to the laser's way over a second, they leave {found.rms:.3f} m (rms)",
+        "gyro": f"fitted to the gyro's turns over a second, they leave {math.degrees(found.rms):.2f} degrees "
+        "(rms); a gyro knows no lengths: the radius is left as it was set",
+    }
+    notes = (f"tricycle: {', '.join((*found.wheels, *found.mount))}: {left[found.by]}",)
+    return Calibration(settings, None, None, None, None, notes, found)
+
+
+def _moved_by(figure: Figure, offset: float) -> Figure:
+    return Figure(figure.value + offset, figure.low + offset, figure.high + offset)
+
+
+def _reference(one: Loaded, progress: Progress) -> Reference | None:
+    """Return what the encoders of a tricycle are compared with; None where the log has nothing."""
+    if one.drive.truth is not None:
+        return of_truth(one.drive.truth)
+    if has_both(one):
+        progress("matching scans")
+        motion = motion_of_both(one)
+        return Reference("lrf", motion.laser.t + motion.delay, motion.laser.pose)
+    m = one.drive.measurements.get("gyro")
+    if m is None or len(m.t) < 2:
+        return None
+    t, heading = REGISTRY["gyro"].heading(m) or (np.zeros(0), np.zeros(0))
+    return Reference("gyro", t, np.column_stack((np.zeros((len(t), 2)), heading)))
 
 
 def _gyro(loaded: Sequence[Loaded], settings: WheelSettings) -> GyroCalibration:
@@ -286,9 +320,15 @@ def _gyro(loaded: Sequence[Loaded], settings: WheelSettings) -> GyroCalibration:
     return calibrate_by_gyro(drives, told.sigma_scale, math.radians(told.sigma_deg))
 
 
-def _gyro_notes(found: GyroCalibration) -> list[str]:
+def _gyro_notes(found: GyroCalibration, settings: WheelSettings) -> list[str]:
     by_window = ", ".join(f"{k:.2g} m over {length:g} s" for length, k in found.noise.items())
+    skids = (
+        f"wheels: the robot turns as if they stood {(settings.track or 0.0) + 2.0 * found.slides:.2f} m apart, so "
+        f"they slide by {found.slides:.2f} m per radian. What both sides slide together no gyro sees: the noise "
+        "counts it as uniform between nothing and twice that"
+    )
     return [
+        *([skids] if found.slides else []),
         f"gyro: {found.windows} windows, {math.degrees(found.turned_rad):.0f} degrees, its clock shifted by "
         f"{found.delay:+.2f} s; it knows no lengths: the radius is left as it was set",
         f"wheels: noise by the length of the window: {by_window}; that of the longest is written",

@@ -100,19 +100,20 @@ def _sigma(fit: LaserCalibration, name: str) -> str:
 
 def by_laser(loaded: Sequence[Loaded], settings: WheelSettings, progress: Progress) -> ByLaser:
     """Compare wheels and laser of all logs that have both. Raises LocfuseError where none has, or none tells."""
-    both = [one for one in loaded if _has_both(one)]
+    both = [one for one in loaded if has_both(one)]
     if not both:
         names = ", ".join(one.log.name for one in loaded)
         raise LocfuseError(f"no wheels and laser together in {names}", role="laser")
     progress("matching scans")
-    return ByLaser(calibrate([_motion(one) for one in both]), both[0].robot.settings("lrf"))
+    return ByLaser(calibrate([motion_of_both(one) for one in both]), both[0].robot.settings("lrf"))
 
 
-def _has_both(one: Loaded) -> bool:
+def has_both(one: Loaded) -> bool:
+    """Return whether a log has wheels and a laser beside them."""
     return "lrf" in one.choice.topics and one.drive.wheels.matched is None  # else the motion is the laser's own
 
 
-def _motion(one: Loaded) -> Motion:
+def motion_of_both(one: Loaded) -> Motion:
     """Return how the wheels and the laser of one log moved; the laser in a frame of its own."""
     lrf: Any = one.robot.settings("lrf")
     stream = one.log.stream(one.choice.topics["lrf"], one.robot.order)

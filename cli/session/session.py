@@ -206,7 +206,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         advised = None if evaluator is None else evaluator.advised()
         stands, jumps = self.drive.wheels.stands, jumps_of(self.drive)
         complete(report, advised, self._start_error(), [e.name for e in foreign], stands, jumps)
-        say_motion(report, self.loaded)
+        say_motion(report, self.loaded, asked.advice and moves)
         self.progress("writing")
         return Comparison(
             self.loaded,

@@ -9,6 +9,10 @@ are fitted by least squares. The metre of the wheels stays as it was set: a gyro
 skids the track found is the one by which it turns, which is wider than the distance between its wheels.
 What the windows leave over, at lengths from 0.1 to 10 s, is the noise of the wheels at these scales: encoders
 scatter over the short ones, slip adds up over the long ones.
+
+A robot that skids turns as if its wheels stood further apart than they do: they slide by half the difference of
+both tracks times the turn. A gyro sees what the two sides slide differently, not what they slide together. So what
+a wheel slides in a window counts as uniform between nothing and twice the mean, with variance slide^2 / 3.
 """
 
 from __future__ import annotations
@@ -29,6 +33,7 @@ LAGS_S = np.arange(-1.2, 1.21, 0.02)  # of the gyro's clock
 NOISE_WINDOWS_S = (0.1, 0.3, 1.0, 3.0, 10.0)
 MIN_WINDOWS, MIN_MOVED_M, MIN_TURNED_RAD = 20, 0.02, math.radians(180.0)  # windows, m a window, rad in all
 MIN_EXPLAINED = 0.9  # share of the turning that wheels explain: less is another motion
+SKIDS = 1.25  # track by the turns over the track that is set: more is no error of a measuring tape
 SIGMAS_95 = 1.96
 
 
@@ -42,6 +47,7 @@ class GyroCalibration(msgspec.Struct, frozen=True):
     delay: float  # s to add to the gyro's stamps
     turned_rad: float
     windows: int
+    slides: float  # m per radian of turn that a wheel slides; 0 where the robot does not skid
 
 
 def calibrate_by_gyro(
@@ -75,7 +81,8 @@ def calibrate_by_gyro(
     of_track = float(np.sqrt(np.array([1.0, -1.0]) @ covariance @ np.array([1.0, -1.0]))) / (a - b)
     of_ratio = float(np.sqrt(np.array([1 / a, -1 / b]) @ covariance @ np.array([1 / a, -1 / b])))
     difference = 2.0 * (ratio - 1.0) / (ratio + 1.0)
-    noise, windows = _noise(drives, delays, (a, b), found, white)
+    slides = 0.5 * (found - track) if found > SKIDS * track else 0.0
+    noise, windows = _noise(drives, delays, (a, b), slides, white)
     k, spread = list(noise.values())[-1], SIGMAS_95 * math.sqrt(2.0 / windows)
     return GyroCalibration(
         parameters=np.array([0.0, difference, found / track - 1.0]),
@@ -85,6 +92,7 @@ def calibrate_by_gyro(
         delay=float(np.mean(delays)),
         turned_rad=turned,
         windows=n,
+        slides=slides,
     )
 
 
@@ -132,17 +140,18 @@ def _noise(
     drives: Sequence[tuple[Wheels, Array, Array]],
     delays: Sequence[float],
     by: tuple[float, float],
-    track: float,
+    slides: float,
     white: float,
 ) -> tuple[dict[float, float], int]:
     """Return by window [s] the variance per metre that a wheel rolls [m], without the gyro's own noise.
 
-    And the number of windows of the longest.
+    `by` is the turn per metre of the right and the left wheel [rad/m]. And the number of windows of the longest.
     """
     found: dict[float, float] = {}
+    track = 2.0 / (by[0] - by[1])
     windows = 2
     for length in NOISE_WINDOWS_S:
-        squares, metres, n = 0.0, 0.0, 0
+        squares, slid, metres, n = 0.0, 0.0, 0.0, 0
         for drive, delay in zip(drives, delays, strict=True):
             turn, columns = _windows(*drive, delay, length)
             if len(turn) < 2:
@@ -150,8 +159,9 @@ def _noise(
             rest = turn - columns[:, :2] @ np.array(by)
             rest -= rest.mean()  # the gyro's bias
             squares += float((rest**2).sum()) - white**2 * length * len(turn)
+            slid += 2.0 / 3.0 * slides**2 * float((turn**2).sum())  # of both wheels
             metres += float(columns[:, 3].sum())
             n += len(turn)
         if n >= MIN_WINDOWS // 2 and metres > 0.0:
-            found[length], windows = max(squares, 0.0) * track**2 / metres, n
+            found[length], windows = (max(squares, 0.0) * track**2 + slid) / metres, n
     return found, windows

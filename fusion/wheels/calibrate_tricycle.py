@@ -1,13 +1,15 @@
-"""A tricycle's size, steering and tracked point from encoders and truth: nonlinear least squares.
+"""A tricycle's size and steering from encoders and truth, laser or gyro: nonlinear least squares.
 
-First what the truth moves in short windows is fitted, from several steering gains, since a gain that is far off
-has local minima; then the whole path, with its start.
+First what the reference moves in short windows is fitted, from several steering gains, since a gain that is far
+off has local minima. A truth does not drift: with it the whole path is fitted then, with its start. A laser tells
+where it sits and how late it is; a gyro tells turns only, so that the wheel's radius stays as it was set.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -20,87 +22,148 @@ from .likelihood import Figure
 from .motion import dead_reckoning
 from .tricycle import Encoders, rolled_by
 
-WINDOW_S = 1.0  # s of truth that is compared at first
+By = Literal["truth", "lrf", "gyro"]
+# of all parameters: scale of the radius, gain [rad per tick], zero [rad], wheelbase [m]; place and heading of what
+# is tracked; pose of the body at the reference's first reading; delay [s] of the reference; bias [rad/s] of a gyro
+SCALE, GAIN, ZERO, BASE, POINT, BEGIN, DELAY, BIAS = 0, 1, 2, 3, slice(4, 7), slice(7, 10), 10, 11
+FREE: dict[By, list[int]] = {
+    "truth": [*range(7)],
+    "lrf": [*range(7), DELAY],
+    "gyro": [GAIN, ZERO, BASE, DELAY, BIAS],
+}
+WINDOW_S = 1.0  # s of the reference that are compared at first
 GAIN_FACTORS = (1.0, 0.3, 3.0, 8.0, -1.0)  # of the steering gain that was set
-OUTLIER_M = 0.05  # residuals beyond count less: the tracker jumps
-MIN_ROWS = 50  # readings of the truth
+OUTLIER_M = 0.05  # m, rad: residuals beyond count less: a tracker jumps, a match goes wrong
+MIN_ROWS, MAX_ROWS = 50, 3000  # readings of the reference; more windows say no more
+MIN_TURN_RAD = math.radians(180.0)  # in all, of a gyro
 SIGMAS_95 = 1.96
 
 
+class Reference(NamedTuple):
+    """What the encoders are compared with: poses of one body on a clock of its own, or headings alone."""
+
+    by: By
+    t: Array  # (n,) s
+    pose: Array  # (n, 3) of the tracked point, or of the laser; of a gyro only the heading counts
+
+
 class TricycleCalibration(msgspec.Struct, frozen=True):
-    """What a drive with truth says of a tricycle: values with their 95 % intervals by the keys of robot.toml."""
+    """What a drive says of a tricycle: values with their 95 % intervals by the keys of robot.toml."""
 
     wheels: dict[str, Figure]  # radius, servo_gain, servo_offset, wheelbase
-    truth: dict[str, Figure]  # x, y: the tracked point on the base
-    rms_m: float  # that the whole path leaves over
+    by: By
+    mount: dict[str, Figure]  # x, y of the truth's point; x, y, yaw_deg, time_offset of a laser
+    rms: float  # that is left over: of the whole path [m], of a laser's windows [m], of a gyro's turns [rad]
+
+
+def of_truth(truth: Truth) -> Reference:
+    """Return a truth as a reference. Raises LocfuseError where it has no heading."""
+    if truth.theta is None:
+        raise LocfuseError("a steered tricycle needs a truth with heading", role="calibrate")
+    return Reference("truth", truth.t, np.column_stack((truth.xy, truth.theta)))
 
 
 def calibrate_tricycle(
-    found: Encoders, settings: WheelSettings, truth: Truth, shift: float
+    found: Encoders, settings: WheelSettings, reference: Reference, shift: float
 ) -> TricycleCalibration:
-    """Fit ten parameters to the truth; `shift` [s] is added to the encoders' times to be the truth's.
+    """Fit size and steering to the reference; `shift` [s] is added to the encoders' times to be on its clock.
 
-    Raises LocfuseError where the truth has no heading or too few readings.
+    Raises LocfuseError where it has too few readings, or turns too little.
     """
     from scipy.optimize import least_squares
 
     t = found.t + shift
-    inside = (truth.t >= t[0]) & (truth.t <= t[-1])
-    if truth.theta is None or inside.sum() < MIN_ROWS:
-        raise LocfuseError("a steered tricycle needs a truth with heading", role="calibrate")
-    stamps = truth.t[inside]
-    pose = np.column_stack((truth.xy[inside], truth.theta[inside]))
+    inside = (reference.t >= t[0]) & (reference.t <= t[-1])
+    stamps, pose, by = reference.t[inside], reference.pose[inside], reference.by
+    if len(stamps) < MIN_ROWS or np.abs(np.diff(np.unwrap(pose[:, 2]))).sum() < MIN_TURN_RAD:
+        raise LocfuseError(f"{by}: too few readings beside the encoders, or hardly a turn", role="calibrate")
     later = np.searchsorted(stamps, stamps + WINDOW_S)
-    first = np.flatnonzero(later < len(stamps))
-    moved = se2.between(pose[first], pose[later[first]])
+    first = np.flatnonzero(later < len(stamps))[:: max(1, len(stamps) // MAX_ROWS)]
+    moved, spans = se2.between(pose[first], pose[later[first]]), stamps[later[first]] - stamps[first]
 
     def point(p: Array) -> Array:
         """Poses (k, 3) of the tracked point, seen from the start of the body."""
-        ds = np.diff(found.rolled) * p[0]
-        angle = (found.steering - settings.servo_offset) * p[1] + p[2]
-        way = dead_reckoning(rolled_by(ds, angle, p[3]))
-        body = np.stack([np.interp(stamps, t, column) for column in way.T], axis=-1)
-        return se2.compose(body, np.broadcast_to(p[4:7], body.shape))
+        ds = np.diff(found.rolled) * p[SCALE]
+        angle = (found.steering - settings.servo_offset) * p[GAIN] + p[ZERO]
+        way = dead_reckoning(rolled_by(ds, angle, p[BASE]))
+        body = np.stack([np.interp(stamps + p[DELAY], t, column) for column in way.T], axis=-1)
+        return se2.compose(body, np.broadcast_to(p[POINT], body.shape))
 
     def of_windows(p: Array) -> Array:
         at = point(p)
-        return _residual(se2.between(at[first], at[later[first]]), moved)
+        e = _residual(se2.between(at[first], at[later[first]]), moved)
+        return np.asarray(e[:, 2] + p[BIAS] * spans if by == "gyro" else e.ravel())
 
     def of_path(p: Array) -> Array:
         at = point(p)
-        return _residual(se2.compose(np.broadcast_to(p[7:10], at.shape), at), pose)
+        return _residual(se2.compose(np.broadcast_to(p[BEGIN], at.shape), at), pose).ravel()
 
-    gain, base = 1.0 / (settings.servo_gain or 1.0), settings.wheelbase or 1.0
-    how = {"loss": "soft_l1", "f_scale": OUTLIER_M, "x_scale": "jac"}
-    starts = [np.array([1.0, gain * factor, 0.0, base, 0.0, 0.0, 0.0]) for factor in GAIN_FACTORS]
-    fits = [least_squares(of_windows, start, max_nfev=40, **how) for start in starts]
+    def fit(residual: Callable[[Array], Array], start: Array, free: list[int], steps: int) -> tuple[Array, Any]:
+        def put(x: Array) -> Array:
+            p = start.copy()
+            p[free] = x
+            return p
+
+        how = {"loss": "soft_l1", "f_scale": OUTLIER_M, "x_scale": "jac", "max_nfev": steps}
+        solved = least_squares(lambda x: residual(put(x)), start[free], **how)
+        return put(solved.x), solved
+
+    fits = [fit(of_windows, start, FREE[by], 40) for start in _starts(settings)]
     # driven backwards with the wheel turned by half a turn the same path fits: then the point looks backwards
-    best = min(fits, key=lambda fit: (np.cos(fit.x[6]) < 0.0, float(fit.cost))).x
-    begin = se2.compose(pose[:1], se2.inverse(point(best)[:1]))[0]
-    whole = least_squares(of_path, np.concatenate((best, begin)), max_nfev=100, **how)
-    rest = of_path(whole.x).reshape(-1, 3)[:, :2]
-    # neighbours on a path share their errors: as many residuals count as parameters could bend
-    variance = 2.0 * float(whole.cost) / len(whole.x)
-    sigmas = np.sqrt(np.diag(np.linalg.pinv(whole.jac.T @ whole.jac)) * variance)
-    return TricycleCalibration(*_figures(whole.x, sigmas, settings), rms_m=float(np.sqrt((rest**2).sum(1).mean())))
+    best, solved = min(fits, key=lambda one: (np.cos(one[0][POINT][2]) < 0.0, float(one[1].cost)))
+    free, rest = FREE[by], of_windows(best).reshape(len(first), -1)
+    if by == "truth":
+        best[BEGIN] = se2.compose(pose[:1], se2.inverse(point(best)[:1]))[0]
+        free = [*free, *range(10)[BEGIN]]
+        best, solved = fit(of_path, best, free, 100)
+        rest = of_path(best).reshape(-1, 3)
+    # neighbours share their errors: as many residuals count as parameters could bend
+    sigmas = np.zeros(len(best))
+    sigmas[free] = np.sqrt(
+        np.diag(np.linalg.pinv(solved.jac.T @ solved.jac)) * 2.0 * float(solved.cost) / len(free)
+    )
+    places = rest[:, : 1 if by == "gyro" else 2]
+    return TricycleCalibration(
+        _wheels(best, sigmas, settings), by, _mount(by, best, sigmas), float(np.sqrt((places**2).sum(1).mean()))
+    )
+
+
+def _starts(settings: WheelSettings) -> list[Array]:
+    starts = np.zeros((len(GAIN_FACTORS), 12))
+    starts[:, SCALE], starts[:, BASE] = 1.0, settings.wheelbase or 1.0
+    starts[:, GAIN] = np.array(GAIN_FACTORS) / (settings.servo_gain or 1.0)
+    return [*starts]
 
 
 def _residual(a: Array, b: Array) -> Array:
     e = a - b
     e[:, 2] = se2.wrap_all(e[:, 2])
-    return e.ravel()
+    return e
 
 
-def _figures(p: Array, sigmas: Array, settings: WheelSettings) -> tuple[dict[str, Figure], dict[str, Figure]]:
-    """Return what the parameters mean by the keys of [wheels] and [truth]."""
+def _figure(value: float, sigma: float) -> Figure:
+    return Figure(value, value - SIGMAS_95 * abs(sigma), value + SIGMAS_95 * abs(sigma))
+
+
+def _wheels(p: Array, sigmas: Array, settings: WheelSettings) -> dict[str, Figure]:
+    """Return what the parameters mean by the keys of [wheels], those that were found."""
     scale, gain, offset, base = p[:4].tolist()
-    zero = settings.servo_offset - offset / gain
+    radius, zero = settings.radius or 0.0, settings.servo_offset - offset / gain
     values: Sequence[tuple[str, float, float]] = (
-        ("radius", (settings.radius or 0.0) * scale, (settings.radius or 0.0) * sigmas[0]),
-        ("servo_gain", 1.0 / gain, sigmas[1] / gain**2),
-        ("servo_offset", zero, math.hypot(sigmas[2] / gain, offset * sigmas[1] / gain**2)),
-        ("wheelbase", base, sigmas[3]),
+        ("radius", radius * scale, radius * sigmas[SCALE]),
+        ("servo_gain", 1.0 / gain, sigmas[GAIN] / gain**2),
+        ("servo_offset", zero, math.hypot(sigmas[ZERO] / gain, offset * sigmas[GAIN] / gain**2)),
+        ("wheelbase", base, sigmas[BASE]),
     )
-    wheels = {key: Figure(v, v - SIGMAS_95 * abs(s), v + SIGMAS_95 * abs(s)) for key, v, s in values}
-    tracked = zip(("x", "y"), p[4:6].tolist(), sigmas[4:6].tolist(), strict=True)
-    return wheels, {key: Figure(v, v - SIGMAS_95 * s, v + SIGMAS_95 * s) for key, v, s in tracked}
+    return {key: _figure(value, float(sigma)) for key, value, sigma in values if sigma}
+
+
+def _mount(by: By, p: Array, sigmas: Array) -> dict[str, Figure]:
+    """Return where the truth's point or the laser sits, and how late the laser is."""
+    found = {"x": (4, 1.0), "y": (5, 1.0), "yaw_deg": (6, math.degrees(1.0)), "time_offset": (DELAY, 1.0)}
+    keys = {"truth": ("x", "y"), "lrf": (*found,), "gyro": ()}[by]
+    return {
+        key: _figure(float(p[i]) * unit, float(sigmas[i]) * unit)
+        for key, (i, unit) in found.items()
+        if key in keys
+    }

@@ -24,7 +24,8 @@ from .read import WheelReading
 from .scan_clouds import Scans, Standing, read_scans
 
 SCANS_AT_ONCE = 400
-KEY_WAY_M, KEY_TURN_RAD, MAX_KEY_SCANS = 0.4, np.radians(20.0), 100  # a new key after as much
+# a new key after as much: fewer keys add up less error, and a laser that sees half a turn must still see the key
+KEY_WAY_M, KEY_TURN_RAD, MAX_KEY_SCANS = 0.7, np.radians(35.0), 100
 FIRST_PRIOR = np.diag([0.2**-2, 0.2**-2, np.radians(10.0) ** -2])  # of such a guess
 FLOOR = np.diag([1e-6, 1e-6, 1e-8])  # m^2, rad^2: two scans of one instant
 TURNS_RAD = np.radians([-40.0, -28.0, -18.0, -10.0, 10.0, 18.0, 28.0, 40.0])  # tried where a match fits badly

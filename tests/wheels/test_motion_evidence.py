@@ -294,6 +294,22 @@ def test_radius_and_track_by_the_scans_are_offered_and_bring_the_wheels_in(
     assert told["roles"]["wheels"]["topics"] == ["/joint_states"]
 
 
+@pytest.mark.parametrize(("track", "said"), [(0.3, False), (0.15, True)], ids=["right", "half"])
+def test_encoders_that_are_told_a_wrong_track_do_not_lose_to_scan_matching_without_a_word(
+    track: float, said: bool, tmp_path: Path
+) -> None:
+    log = wheels_and_laser(tmp_path / "x.mcap")
+    told = ("--set", "wheels.radius=0.05", "--set", f"wheels.track={track}", "--set", "lrf.x=0.0")
+    done = locfuse("compare", log, *told, "-o", tmp_path / "out", "--write", "json", "--sensors", "odometry")
+    assert done.exit_code == 0, done.stderr
+    report = json.loads((tmp_path / "out/report.json").read_text())
+    words = [note for note in report["notes"] if "by matching the scans" in note]
+    assert bool(words) == said
+    if said:
+        assert "--set wheels.topic=/scan" in words[0]
+        assert "`locfuse calibrate`" in words[0]
+
+
 def test_a_gate_may_name_a_configuration_of_two_words(tmp_path: Path) -> None:
     log = log_of(tmp_path / "x.mcap", scans_of(T, TRUTH))
     words = ("compare", log, "--no-advice", "-o", tmp_path / "out", "--overwrite", "--fail-if")

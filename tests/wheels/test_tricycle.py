@@ -8,17 +8,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bags import real_log
+from bags import Said, cdr, header, real_log, write
 from commands import locfuse
+from msgspec.structs import replace
+from wheel_bags import stamps
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, ArrayStream, LocfuseError, Truth
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import MergedStream
-from locfuse.fusion.wheels.calibrate_tricycle import calibrate_tricycle
+from locfuse.fusion.wheels.calibrate_tricycle import Reference, calibrate_tricycle, of_truth
 from locfuse.fusion.wheels.read import read_wheels
 from locfuse.fusion.wheels.tricycle import read_encoders
 
+INT, IMU = "std_msgs/msg/Int64", "sensor_msgs/msg/Imu"
 RADIUS, TICKS, TURN, BASE, ZERO = 0.1, 5000.0, 8192, 1.2, 300.0  # m, ticks a turn, of the steering, m, ticks
 GAIN = TURN / (2.0 * np.pi)  # ticks per radian
 T = np.arange(0.0, 120.0, 0.04)
@@ -75,13 +78,78 @@ def test_size_steering_and_the_tracked_point_are_found_from_nominal_values_far_o
     rows = slice(0, None, 5)
     truth = Truth("/tracker", T[rows], seen[rows, :2], seen[rows, 2], (0.0, 0.0))
     nominal = settings(servo_gain=5.0 * GAIN, servo_offset=0.0, wheelbase=1.0)
-    found = calibrate_tricycle(read_encoders(encoders(), nominal), nominal, truth, 0.0)
-    assert found.rms_m < 0.02
+    found = calibrate_tricycle(read_encoders(encoders(), nominal), nominal, of_truth(truth), 0.0)
+    assert found.rms < 0.02
     assert found.wheels["radius"].value == pytest.approx(RADIUS, rel=0.01)
     assert found.wheels["servo_gain"].value == pytest.approx(GAIN, rel=0.01)
     assert found.wheels["servo_offset"].value == pytest.approx(ZERO, abs=15.0)
     assert found.wheels["wheelbase"].value == pytest.approx(BASE, rel=0.01)
-    assert [found.truth[key].value for key in "xy"] == pytest.approx(point[:2].tolist(), abs=0.03)
+    assert [found.mount[key].value for key in "xy"] == pytest.approx(point[:2].tolist(), abs=0.03)
+
+
+def test_a_laser_that_drifts_and_is_late_tells_the_same_and_where_it_sits() -> None:
+    mount, late = np.array([0.4, -0.1, 0.3]), 0.15  # m, m, rad; s
+    path = true_path()
+    step = se2.between(path[:-5:5], path[5::5])
+    step += np.random.default_rng(1).normal(0.0, (0.002, 0.002, 0.002), step.shape)  # it drifts by some decimetres
+    body = se2.chain(step)
+    seen = se2.between(np.broadcast_to(mount, body.shape), se2.compose(body, np.broadcast_to(mount, body.shape)))
+    nominal = replace(settings(servo_gain=3.0 * GAIN, servo_offset=0.0, wheelbase=1.0), radius=1.2 * RADIUS)
+    reference = Reference("lrf", T[::5][: len(seen)] + late, seen)
+    found = calibrate_tricycle(read_encoders(encoders(), nominal), nominal, reference, 0.0)
+    assert found.wheels["radius"].value == pytest.approx(RADIUS, rel=0.01)
+    assert found.wheels["servo_gain"].value == pytest.approx(GAIN, rel=0.02)
+    assert found.wheels["servo_offset"].value == pytest.approx(ZERO, abs=20.0)
+    assert found.wheels["wheelbase"].value == pytest.approx(BASE, rel=0.02)
+    values = [found.mount[key].value for key in ("x", "y", "yaw_deg", "time_offset")]
+    assert values == pytest.approx([0.4, -0.1, np.degrees(0.3), -late], abs=0.05, rel=0.05)
+
+
+def test_a_gyro_tells_steering_and_wheelbase_and_leaves_the_radius(tmp_path: Path) -> None:
+    late, bias = 0.1, 0.01
+    heading = true_path()[:, 2] + bias * T + np.random.default_rng(2).normal(0.0, 0.001, len(T))
+    reference = Reference("gyro", T + late, np.column_stack((np.zeros((len(T), 2)), heading)))
+    nominal = settings(servo_gain=2.5 * GAIN, servo_offset=0.0, wheelbase=0.9)
+    found = calibrate_tricycle(read_encoders(encoders(), nominal), nominal, reference, 0.0)
+    assert set(found.wheels) == {"servo_gain", "servo_offset", "wheelbase"}
+    assert found.mount == {}
+    assert found.wheels["servo_gain"].value == pytest.approx(GAIN, rel=0.03)
+    assert found.wheels["servo_offset"].value == pytest.approx(ZERO, abs=30.0)
+    assert found.wheels["wheelbase"].value == pytest.approx(BASE, rel=0.03)
+
+
+def test_a_reference_that_hardly_turns_calibrates_nothing() -> None:
+    reference = Reference("gyro", T, np.zeros((len(T), 3)))
+    with pytest.raises(LocfuseError, match="hardly a turn"):
+        calibrate_tricycle(read_encoders(encoders(), settings()), settings(), reference, 0.0)
+
+
+def tricycle_log(path: Path, gyro: bool) -> Path:
+    """Both counters, and perhaps an IMU of the same drive, as a bag."""
+    counters = encoders()
+    rates = np.gradient(true_path()[:, 2], T)
+    said = []
+    for part in counters.parts:
+        values = np.asarray(part.columns("data")["data"])
+        said += [Said(part.topic, INT, cdr(INT, data=int(v)), ns) for ns, v in zip(stamps(T), values, strict=True)]
+    if gyro:
+        said += [Said("/imu", IMU, cdr(IMU, header=header(ns, "imu"), angular_velocity={"z": rate}), ns)
+                 for ns, rate in zip(stamps(T), rates.tolist(), strict=True)]  # fmt: skip
+    return write(path, sorted(said, key=lambda m: m.log_time))
+
+
+def test_calibrate_uses_a_gyro_where_a_tricycle_has_no_truth_and_asks_without_any(tmp_path: Path) -> None:
+    known = {"radius": RADIUS, "ticks_per_revolution": TICKS, "servo_gain": 2.0 * GAIN, "wheelbase": 1.0}
+    words = [word for key, value in known.items() for word in ("--set", f"wheels.{key}={value}")]
+    done = locfuse("calibrate", tricycle_log(tmp_path / "gyro.mcap", True), *words, "--json")
+    assert done.exit_code == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["tricycle"]["by"] == "gyro"
+    assert found["robot"]["wheels"]["servo_gain"] == pytest.approx(GAIN, rel=0.03)
+    assert "radius" not in found["robot"]["wheels"]
+    blind = locfuse("calibrate", tricycle_log(tmp_path / "blind.mcap", False), *words)
+    assert blind.exit_code == 1
+    assert "a steered tricycle is calibrated by one log with truth, laser or gyro" in blind.stderr
 
 
 def test_a_real_tricycle_calibrated_by_its_tracker_is_near_it_by_odometry(tmp_path: Path) -> None:

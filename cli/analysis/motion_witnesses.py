@@ -1,0 +1,157 @@
+"""Which of several motions agrees with the gyro, the fixes or the compass, in a log without a laser."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, NamedTuple, cast
+
+import numpy as np
+
+from locfuse.fusion.data import Array, Ints, LocfuseError
+from locfuse.fusion.geodesy import east_north
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.wheels.motion_agreement import turns_explained, ways_explained
+from locfuse.fusion.wheels.read import WheelReading
+
+from .motion_evidence import Read, motion_of
+from .topics import likeliest, of_type
+
+if TYPE_CHECKING:
+    from locfuse.formats.logs.log import Log
+
+FIX = "sensor_msgs/msg/NavSatFix"
+TURNING = {"gyro": ("sensor_msgs/msg/Imu",), "compass": ("sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField")}
+Topics = tuple[str, ...]
+TELLING_SHARE = 0.5  # of what a sensor saw must be explained by one motion: else the sensor judges none
+WORSE_SHARE = 0.3  # by which a motion may explain less than the best one
+MIN_OTHER_WAY_M = 1.0  # m by another motion: less tells nothing
+ALIKE_SHARE = 0.1  # by which two motions of one kind must differ: else neither is chosen
+
+
+class Witness(NamedTuple):
+    """A sensor that saw how the robot moved, and the share of it that each motion explains."""
+
+    name: str  # "the turning of /imu"
+    shares: dict[Topics, float]  # by the topics of a motion
+
+
+class Witnesses:
+    """Judges motions, of all kinds that a log holds, by the first sensor that one of them explains."""
+
+    agrees = "it agrees best with the other sensors"
+
+    def __init__(self, log: Log, robot: Robot, motions: Sequence[Sequence[str]], read: Read) -> None:
+        self._log, self._robot, self._read = log, robot, read
+        self._motions = {tuple(topics): None for topics in motions}
+        self._gone: dict[Topics, None] = {}
+
+    def keep(self, candidates: Sequence[Sequence[str]]) -> list[bool]:
+        """Tell which motions explain what the sensor saw; of several that differ much in this only the best."""
+        if self._found is None:
+            return [True] * len(candidates)
+        shares, best = self._found.shares, max(self._found.shares.values())
+        kept = [shares.get(tuple(topics), best) for topics in candidates]
+        least = max(best - WORSE_SHARE, max(kept, default=0.0) - ALIKE_SHARE)
+        self._gone |= {tuple(t): None for t, share in zip(candidates, kept, strict=True) if share < least}
+        return [share >= least for share in kept]
+
+    def why(self, topics: Sequence[str]) -> str:
+        """Return how much of what the sensor saw a motion explains, in words; "" where nothing judged it."""
+        share = None if self._found is None else self._found.shares.get(tuple(topics))
+        return "" if share is None or self._found is None else f"it explains {share:.0%} of {self._found.name}"
+
+    @property
+    def note(self) -> str:
+        """Say which motions explain less, with the numbers; "" where none was left out."""
+        if self._found is None or not self._gone:
+            return ""
+        parts = [f"{' and '.join(topics)} explains {self._found.shares[topics]:.0%}" for topics in self._gone]
+        return f"{'; '.join(parts)} of {self._found.name}"
+
+    def unjudged(self, topics: Sequence[str]) -> str:
+        """Say which other motion disagrees with the one that is taken, where nothing judges them; else ""."""
+        own = self._known.get(tuple(topics))
+        if self._found is not None or own is None:
+            return ""
+        for other, motion in self._known.items():
+            t = motion.wheels.t + (motion.epoch_ns - own.epoch_ns) * 1e-9
+            shares = (
+                turns_explained(own.wheels, t, motion.wheels.pose[:, 2]),
+                ways_explained(own.wheels, t, motion.wheels.pose[:, :2], MIN_OTHER_WAY_M),
+            )
+            if (share := min((s for s in shares if s is not None), default=1.0)) < TELLING_SHARE:
+                return (
+                    f"it explains {share:.0%} of the motion by {' and '.join(other)}; nothing here judges the two"
+                )
+        return ""
+
+    @cached_property
+    def _known(self) -> dict[Topics, WheelReading]:
+        """All motions that can be read, where there are several."""
+        read = {
+            t: motion_of(self._log, self._robot, t, self._read) for t in self._motions if len(self._motions) > 1
+        }
+        return {topics: motion for topics, motion in read.items() if motion is not None}
+
+    @cached_property
+    def _found(self) -> Witness | None:
+        """The first sensor of which a motion explains enough; None for none."""
+        for name, explained in self._sensors() if len(self._known) > 1 else ():
+            found = {topics: explained(motion) for topics, motion in self._known.items()}
+            shares = {topics: share for topics, share in found.items() if share is not None}
+            if max(shares.values(), default=0.0) >= TELLING_SHARE:
+                return Witness(name, shares)
+        return None
+
+    def _sensors(self) -> Iterator[tuple[str, Callable[[WheelReading], float | None]]]:
+        """Yield what can judge motions: what it saw, in words, and the share of it that a motion explains."""
+        for name, kinds in TURNING.items():
+            if (topic := self._topic(kinds, name)) is not None:
+                yield f"the turning of {topic}", partial(self._turning, name, topic)
+        if (topic := self._topic((FIX,), "gps")) is not None:
+            yield f"the way between the fixes of {topic}", partial(_way, fixes(self._log, topic))
+
+    def _turning(self, name: str, topic: str, motion: WheelReading) -> float | None:
+        sensor, settings = REGISTRY[name], self._robot.settings(name)
+        with suppress(LocfuseError):  # a sensor that cannot be read is reported where it is measured
+            stream = self._log.stream(topic, self._robot.order)
+            m = sensor.measure(stream, settings, motion.wheels, motion.epoch_ns)
+            found = sensor.heading(m) if len(m.t) > 1 else None
+            return None if found is None else turns_explained(motion.wheels, *found)
+        return None
+
+    def _topic(self, kinds: Sequence[str], sensor: str) -> str | None:
+        filled = [t for t in of_type(self._log, kinds) if self._log.topics[t].count]
+        named = self._robot.settings(sensor).topic
+        return named if named in filled else likeliest(filled, REGISTRY[sensor].unlikely or ()) if filled else None
+
+
+class Fixes(NamedTuple):
+    """Where a receiver of satellites was."""
+
+    t_ns: Ints  # (n,)
+    xy: Array  # (n, 2) m east and north of the first
+
+
+def fixes(log: Log, topic: str) -> Fixes:
+    """Return the finite fixes of a topic."""
+    stream = log.stream(topic)
+    columns = cast("dict[str, Array]", stream.columns("latitude", "longitude"))
+    where = np.stack([columns["latitude"], columns["longitude"]], axis=-1)
+    known = np.isfinite(where).all(axis=1) & where.any(axis=1)
+    where = where[known]
+    if not len(where):
+        return Fixes(stream.t_ns[known], np.zeros((0, 2)))
+    return Fixes(
+        stream.t_ns[known], east_north(where[:, 0], where[:, 1], (float(where[0, 0]), float(where[0, 1])))
+    )
+
+
+def _way(of: Fixes, motion: WheelReading) -> float | None:
+    """Return the share of the way between fixes that a motion explains; None where they tell nothing."""
+    if len(of.t_ns) < 2:
+        return None
+    return ways_explained(motion.wheels, (of.t_ns - motion.epoch_ns) * np.float64(1e-9), of.xy)

@@ -1,0 +1,164 @@
+"""Which motion is taken in a log without a laser: the one that explains what gyro, compass or fixes saw."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bags import Said, cdr, header
+from wheel_bags import log_of, odometry, stamps, turned
+
+from locfuse.cli.analysis.choose import choose
+from locfuse.cli.analysis.load import load
+from locfuse.cli.analysis.robot_tables import make_robot
+from locfuse.cli.analysis.settings import LogOptions
+from locfuse.cli.analysis.topics import Choice
+from locfuse.formats.logs.log import open_log
+from locfuse.fusion.data import Array, LocfuseError
+from locfuse.fusion.wheels.motion import Wheels
+from locfuse.fusion.wheels.motion_agreement import turns_explained, ways_explained
+
+IMU, FIX, STAMPED = "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix", "geometry_msgs/msg/TwistStamped"
+TWIST = "geometry_msgs/msg/Twist"
+T = np.arange(0.0, 40.0, 0.1)
+TURN = 1.5 * np.sin(0.3 * T)  # rad; 1 m/s along it
+STEP = np.stack((np.cos(TURN), np.sin(TURN)), axis=-1) * 0.1
+TRUTH = np.column_stack((np.cumsum(STEP, axis=0), TURN))
+OTHER = np.column_stack((0.3 * T, 0.0 * T, 0.9 * np.cos(0.8 * T) - 0.9))  # of another robot
+METRES_PER_DEGREE = 111_320.0
+
+
+def imu(turn: Array = TURN, late_s: float = 0.0) -> list[Said]:
+    rate = np.gradient(turn, T)
+    return [
+        Said("/imu", IMU, cdr(IMU, header=header(ns, "imu"), angular_velocity={"z": r}, orientation=turned(h)), ns)
+        for ns, r, h in zip(stamps(T + late_s), rate.tolist(), turn.tolist(), strict=True)
+    ]
+
+
+def fixes(places: Array) -> list[Said]:
+    return [
+        Said("/fix", FIX, cdr(FIX, header=header(ns, "gps"), latitude=y / METRES_PER_DEGREE,
+                              longitude=x / METRES_PER_DEGREE), ns)
+        for ns, (x, y) in zip(stamps(T[::10]), places[::10, :2].tolist(), strict=True)
+    ]  # fmt: skip
+
+
+def speeds(topic: str, turn: Array, kind: str = STAMPED) -> list[Said]:
+    said = []
+    for ns, rate in zip(stamps(T), np.gradient(turn, T).tolist(), strict=True):
+        twist = {"linear": {"x": 1.0}, "angular": {"z": rate}}
+        data = cdr(kind, header=header(ns, "base_link"), twist=twist) if kind == STAMPED else cdr(kind, **twist)
+        said.append(Said(topic, kind, data, ns))
+    return said
+
+
+def chosen(path: Path, *said: list[Said], **tables: Any) -> Choice:
+    return choose(open_log([log_of(path / "x.mcap", *said)]), make_robot(tables))
+
+
+# ---- the shares ----
+
+
+def wheels_of(poses: Array) -> Wheels:
+    from locfuse.fusion import se2
+
+    return Wheels.from_twists(T, se2.log(se2.between(poses[:-1], poses[1:])), 0.3, 0.0)
+
+
+def test_a_motion_explains_its_own_turns_and_ways_and_a_standing_one_none() -> None:
+    true, still = wheels_of(TRUTH), wheels_of(np.zeros_like(TRUTH))
+    assert turns_explained(true, T, TURN) == pytest.approx(1.0, abs=1e-9)
+    assert turns_explained(true, T + 0.5, TURN) == pytest.approx(1.0, abs=0.01)  # a late clock
+    assert turns_explained(true, T, -TURN) == pytest.approx(1.0, abs=1e-9)  # an axis that points down
+    assert ways_explained(true, T, TRUTH[:, :2]) == pytest.approx(1.0, abs=1e-9)
+    assert turns_explained(still, T, TURN) == 0.0
+    assert ways_explained(still, T, TRUTH[:, :2]) == 0.0
+
+
+def test_half_of_every_turn_explains_three_quarters_by_the_formula() -> None:
+    half = wheels_of(np.column_stack((TRUTH[:, :2], 0.5 * TURN)))
+    assert turns_explained(half, T, TURN) == pytest.approx(0.75, abs=0.01)
+
+
+def test_a_sensor_that_hardly_moves_tells_nothing() -> None:
+    true = wheels_of(TRUTH)
+    assert turns_explained(true, T, 0.01 * TURN) is None
+    assert ways_explained(true, T, 0.1 * TRUTH[:, :2]) is None
+
+
+# ---- which topic is taken ----
+
+
+def test_of_two_odometries_of_one_kind_the_gyro_chooses_and_without_it_the_user_must(tmp_path: Path) -> None:
+    both = odometry(T, OTHER, "/odom1"), odometry(T, TRUTH, "/odom2")
+    choice = chosen(tmp_path, *both, imu())
+    assert choice.of("wheels") == ("/odom2",)
+    (note,) = choice.notes
+    assert note.words.startswith("/odom2 is used: /odom1 explains ")
+    assert "of the turning of /imu; it explains 100% of the turning of /imu" in note.words
+    assert note.fixes == ("wheels.topic=/odom2",)
+    with pytest.raises(LocfuseError, match="2 topics that fit: /odom1, /odom2"):
+        chosen(tmp_path, *both)
+
+
+def test_measured_speeds_come_before_an_odometry_that_does_not_turn_as_the_gyro_does(tmp_path: Path) -> None:
+    choice = chosen(tmp_path, odometry(T, OTHER), speeds("/base_speed", TURN), imu(late_s=0.4))
+    assert choice.of("wheels") == ("/base_speed",)
+    assert "/odom explains" in choice.notes[0].words
+    assert chosen(tmp_path, odometry(T, TRUTH), speeds("/base_speed", OTHER[:, 2]), imu()).of("wheels") == (
+        "/odom",
+    )
+
+
+@pytest.mark.parametrize("half", [False, True], ids=["it never moves", "it ends half-way"])
+def test_an_odometry_that_does_not_go_as_far_as_the_fixes_gives_way(half: bool, tmp_path: Path) -> None:
+    straight = np.column_stack((1.0 * T, 0.0 * T, 0.0 * T))
+    bad = odometry(T[:150], straight[:150]) if half else odometry(T, np.zeros_like(TRUTH))
+    choice = chosen(tmp_path, bad, speeds("/base_speed", 0.0 * T), fixes(straight))
+    assert choice.of("wheels") == ("/base_speed",)
+    assert "of the way between the fixes of /fix" in choice.notes[0].words
+
+
+def test_where_nothing_judges_two_motions_the_better_kind_is_taken_and_said_to_be_unjudged(tmp_path: Path) -> None:
+    choice = chosen(tmp_path, odometry(T, TRUTH), speeds("/base_speed", OTHER[:, 2]))
+    assert choice.of("wheels") == ("/odom",)
+    assert "of the motion by /base_speed; nothing here judges the two" in choice.notes[0].words
+    assert chosen(tmp_path, odometry(T, TRUTH), speeds("/base_speed", TURN)).notes == []
+
+
+def test_a_command_is_taken_only_where_nothing_was_measured(tmp_path: Path) -> None:
+    command = speeds("/cmd_vel", TURN, TWIST)
+    assert chosen(tmp_path, odometry(T, OTHER), command, imu()).of("wheels") == ("/odom",)
+    alone = chosen(tmp_path, command, imu())
+    assert alone.of("wheels") == ("/cmd_vel",)
+    assert alone.notes[0].spoils
+
+
+def test_of_two_commands_that_are_named_alike_the_one_that_the_gyro_follows_is_taken(tmp_path: Path) -> None:
+    said = speeds("/a/cmd_vel", OTHER[:, 2], TWIST), speeds("/b/cmd_vel", TURN, TWIST)
+    choice = chosen(tmp_path, *said, imu())
+    assert choice.of("wheels") == ("/b/cmd_vel",)
+    assert "/a/cmd_vel explains" in choice.notes[0].words
+
+
+def test_a_gyro_that_no_motion_explains_judges_nothing(tmp_path: Path) -> None:
+    noise = np.cumsum(np.random.default_rng(3).normal(0.0, 0.4, len(T)))
+    choice = chosen(tmp_path, odometry(T, TRUTH), speeds("/base_speed", TURN), imu(noise))
+    assert choice.of("wheels") == ("/odom",)
+
+
+def test_what_was_read_to_choose_is_not_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from locfuse.cli.analysis import load as loading
+
+    log = log_of(tmp_path / "x.mcap", odometry(T, OTHER, "/odom1"), odometry(T, TRUTH, "/odom2"), imu())
+    monkeypatch.setattr(loading, "read_wheels", lambda *_: pytest.fail("the wheels are read twice"))
+    assert load([log], LogOptions()).choice.of("wheels") == ("/odom2",)
+
+
+def test_an_odometry_that_holds_other_sensors_by_its_name_says_so(tmp_path: Path) -> None:
+    (note,) = chosen(tmp_path, odometry(T, TRUTH, "/odometry/filtered"), imu()).notes
+    assert note.words.startswith("/odometry/filtered already holds other sensors (IMU, GPS), by its name")
+    assert chosen(tmp_path, odometry(T, TRUTH, "/odometry/wheel"), imu()).notes == []

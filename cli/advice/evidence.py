@@ -38,6 +38,7 @@ SUSPICIOUS = Least(0.005, 2.5)  # what is reason enough to fuse again where noth
 # codes of findings whose value the truth itself or the field shows beyond chance
 MEASURED = (WHEEL_SCALE, "start", POINT, "iron", ROOM, CREEP, RIMS)
 Key = tuple[str, str]  # role and code of a finding
+SIGNS = {("wheels", "swapped"), ("wheels", "mirrored")}  # judged by the path's shape while the start is not known
 
 
 class Evidence(Clocks, Noise):
@@ -133,7 +134,7 @@ class Evidence(Clocks, Noise):
             self._candidate(f, tries[:1] if (f.role, f.code) in known else tries, True) for f, tries in offers
         ]
         return [
-            *(replace(c, measured=c.key in by_measuring) for c in coarse),
+            *(replace(c, measured=c.key in by_measuring, by_shape=c.key in SIGNS) for c in coarse),
             *(replace(c, measured=c.key in by_offers) for c in sharper),
         ]
 

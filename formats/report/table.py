@@ -37,6 +37,8 @@ class Column(msgspec.Struct, frozen=True):
         """Return a number and its unit; a dash where there is none."""
         if value is None or not math.isfinite(value):
             return "-"
+        if self.most is not None and value > self.most:
+            return f"over {self.most:g}"
         space = "" if self.unit in {"", "°"} else " "
         return written(value * self.scale, self.form) + space + self.unit
 

@@ -32,6 +32,8 @@ MAX_FIXES = 6  # of one log
 MAX_MOVED_SHARE = 0.5  # of the first change of a value, by which measuring it again may move it on
 # findings that are measured again, better, once others are fixed
 REFINED = ("lag", "mount", "way", "biased", "understated", "overstated")
+# findings whose first value is the one that was measured: others beside it are tried only where it does not help
+FIRST_VALUE = ("lag",)
 CLEAR = 1.0  # worth of a fix beyond which nothing of a later class is likely to explain the same
 CHANCE = 2.0 * math.log(1.0 + MAX_CHANCE_LOSS)  # worth that two configurations may gain or lose by chance
 
@@ -288,6 +290,8 @@ def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advi
     for fixes in candidate.alternatives:
         if together(kept, fixes) == kept:
             continue  # set already
+        if options and candidate.measured and candidate.finding.code in FIRST_VALUE:
+            break
         pairs = _pairs(candidate, kept, fixes, trial, shape)
         harmless = harmless or bool(pairs)
         # by the drive itself: not to lose is enough, but then in every configuration, also those that nobody keeps

@@ -19,10 +19,10 @@ from locfuse.fusion.checks.examine import scales
 from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.iron import ROOM
 from locfuse.fusion.checks.laser import OPEN_SCALE
-from locfuse.fusion.checks.probes import beyond_prior, of_mount, of_offsets, of_probe, of_scale, probe_of
+from locfuse.fusion.checks.probes import MOUNT, beyond_prior, of_mount, of_offsets, of_probe, of_scale, probe_of
 from locfuse.fusion.checks.rims import RIMS
 from locfuse.fusion.checks.tried import Candidate, Fixes, together
-from locfuse.fusion.checks.truth import CREEP, POINT, STEP, WHEEL_SCALE, of_point, swing
+from locfuse.fusion.checks.truth import CREEP, POINT, STEP, WHEEL_SCALE, of_point, of_ways, swing
 from locfuse.fusion.data import BASES
 from locfuse.fusion.judge.consistency import Evidence as Said
 from locfuse.fusion.judge.innovations import heard
@@ -38,6 +38,7 @@ SUSPICIOUS = Least(0.005, 2.5)  # what is reason enough to fuse again where noth
 # codes of findings whose value the truth itself or the field shows beyond chance
 MEASURED = (WHEEL_SCALE, "start", POINT, "iron", ROOM, CREEP, RIMS)
 Key = tuple[str, str]  # role and code of a finding
+SIGNS = {("wheels", "swapped"), ("wheels", "mirrored")}  # judged by the path's shape while the start is not known
 
 
 class Evidence(Clocks, Noise):
@@ -56,6 +57,7 @@ class Evidence(Clocks, Noise):
             or self._worse_than_odometry()
             or bool(self._mounts_found)
             or bool(self._beyond_prior)
+            or bool(self._distances)
         )
         return (
             seen
@@ -91,11 +93,24 @@ class Evidence(Clocks, Noise):
         named = {(f.role, f.code) for f in probed}
         mounts = [] if self._open_scale else self._mounts_found
         found = [*probed, *(f for f in mounts if (f.role, f.code) not in named)]
-        offers = [(f, (f.fixes,)) for f in found]
-        # a state's sigma is evidence only where the run is consistent, or less sure than it could be
-        measured = {(f.role, f.code) for f in found if self._verdict(f.role) in {*FINE, "overstated"}}
+        offers = [(f, (f.fixes,)) for f in found if f.fixes]
+        # a state's sigma is evidence only where the run is consistent, or less sure than it could be;
+        # without truth a mount takes up what else is wrong
+        by_truth = self.loaded.drive.truth is not None
+        fine = {f.role for f in found if self._verdict(f.role) in {*FINE, "overstated"}}
+        measured = {(f.role, f.code) for f in found if f.role in fine and (by_truth or f.code != MOUNT)}
         seen = [f for f in self.doctor if f.code != CLOCK]
-        return self._candidates(seen, offers, [(f.role, f.code) for f in seen if f.code in MEASURED], measured)
+        known = self._candidates(seen, offers, [(f.role, f.code) for f in seen if f.code in MEASURED], measured)
+        open_ = [f for f in found if not f.fixes] + ([] if self._open_scale else self._distances)
+        return [*known, *(self._candidate(f, ()) for f in open_)]
+
+    @cached_property
+    def _distances(self) -> list[Finding]:
+        """Return that laser and wheels differ in distance, by the laser's run: only truth decides."""
+        if self.loaded.drive.truth is not None or self.loaded.drive.wheels.matched is not None:
+            return []
+        runs = (e for e in self.compared.estimates if e.sensors == (LASER,) and not e.smoothed and not e.lost)
+        return [finding for e in runs for finding in of_ways(self.loaded.drive, e)]
 
     def _candidates(
         self,
@@ -119,12 +134,12 @@ class Evidence(Clocks, Noise):
             self._candidate(f, tries[:1] if (f.role, f.code) in known else tries, True) for f, tries in offers
         ]
         return [
-            *(replace(c, measured=c.key in by_measuring) for c in coarse),
+            *(replace(c, measured=c.key in by_measuring, by_shape=c.key in SIGNS) for c in coarse),
             *(replace(c, measured=c.key in by_offers) for c in sharper),
         ]
 
     def _aimed(self, finding: Finding) -> tuple[Fixes, ...]:
-        """Return the fix of mirrored pictures, or of their circles, with the zero by a consistent run without it.
+        """Return the fix of mirrored pictures, or of their circles, with the zero by a run of other sensors.
 
         Measuring has it by the wheels alone, which a wrong track turns too far.
         """

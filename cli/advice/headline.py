@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from locfuse.formats.report.findings import length
+from locfuse.formats.report.findings import MAX_ANEES, length
 from locfuse.fusion.data import BASES, result_name
 from locfuse.fusion.sensors.registry import REGISTRY
 
 NAMES = {"lrf": "laser", "gps": "GPS", "imu": "IMU"}
 TIE, TIE_M = 0.10, 5e-4  # relative, m: errors that differ by less are equal
-MAX_ANEES, MAX_ANEES_OF_NOISE = 3.0, 50.0  # above: the covariance is too small; by a truth that has no noise
+MAX_CONSISTENT_ANEES = 3.0  # above: the covariance is too small
 HELPS, HURTS = ("helps", "seems to help"), ("hurts", "seems to hurt")
 
 
@@ -80,6 +80,8 @@ def _as_configured(
         return f"{first} With all sensors it is {length(errors[every])} before the fixes."
     bad = [s for s in others if report.get("verdicts", {}).get(s, {}).get("verdict") in HURTS]
     all_of_them = f"{first} With all sensors it is {length(errors[every])}: "
+    if suspect := [s for s in others if any(f["role"] == s for f in report.get("findings") or ())]:
+        return f"{all_of_them}see what is found of {_names(suspect)}."
     if not bad:  # one drive does not settle which
         return f"{all_of_them}leave {_names(others)} out."
     return f"{all_of_them}{'' if len(bad) == 1 else 'one of '}{_names(bad)} hurts."
@@ -89,17 +91,22 @@ def covariance(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> 
     """Return that the covariance of all sensors is too small where nothing that was found explains it, else ""."""
     name = max(sets, key=lambda n: len(sets[n]), default="")
     anees = report["configurations"][name].get("anees") if name else None
-    for finding in report.get("findings") or ():
-        if finding["fixes"] and finding["tried"] and finding["tried"]["configuration"] == name:
-            anees = finding["tried"]["after"].get("anees") or anees
-    if anees is None or anees <= MAX_ANEES or any(not v["void"] for v in report.get("validity") or ()):
+    found = report.get("findings") or ()
+    fixed = [f["tried"] for f in found if f["fixes"] and f["tried"]]
+    shown = [t["after"].get("anees") for t in fixed if t["configuration"] == name]
+    if fixed and not any(shown):
+        return ""  # what is left once the fixes are set is not known
+    anees = next((value for value in reversed(shown) if value), anees)
+    if anees is None or anees <= MAX_CONSISTENT_ANEES or any(not v["void"] for v in report.get("validity") or ()):
         return ""
     truth = report.get("settings", {}).get("truth", {})
-    if anees > MAX_ANEES_OF_NOISE and not truth.get("sigma") and not truth.get("sigma_theta_deg"):
-        return (
-            f" ANEES ({name}) is over {MAX_ANEES_OF_NOISE:g}: set truth.sigma, the truth's own noise, to judge it."
-        )
-    return f" The covariance ({name}) is {anees**0.5:.1f} times too small, and no setting explains it."
+    open_ = [f["role"] for f in found if not f["fixes"] and not f["harmless"]]
+    if anees <= MAX_ANEES or truth.get("sigma") or truth.get("sigma_theta_deg"):
+        return f" The covariance ({name}) is {anees**0.5:.1f} times too small, and no setting explains it."
+    cause = (
+        f"most likely by what is found of the {open_[0]}" if open_ else "set truth.sigma, the truth's own noise"
+    )
+    return f" ANEES ({name}) is over {MAX_ANEES:g}: {cause}{'' if open_ else ', to judge it'}."
 
 
 def _ties(errors: Mapping[str, float]) -> list[str]:

@@ -46,6 +46,7 @@ def add_validity(
         report["credit"] = None
         _withdraw_verdicts(report, "All errors of this log are void.")
     elif doubts:
+        report["credit"] = None  # a factor is a verdict too
         _withdraw_verdicts(report, f"No sensor is judged while this is open: {doubts[0]['message']}.")
 
 

@@ -229,9 +229,10 @@ def findings(report: Mapping[str, Any], folder: Path | None = None, verbose: boo
     Fixes of several findings are in a file of the results' `folder`; without one they are printed.
     """
     found = report.get("findings") or ()
-    if not verbose:
-        found = [f for f in found if f["fixes"] or not f.get("harmless")]
-    lines(sentence(f, brief=not verbose) for f in found)
+    shown = [f for f in found if verbose or f["fixes"] or not f.get("harmless")]
+    lines(sentence(f, brief=not verbose) for f in shown)
+    if idle := len(found) - len(shown):
+        lines([f"{idle} remark{'' if idle == 1 else 's'} without effect on this drive: --verbose prints them"])
     if (all_fixes := together(report)) is not None:
         text = all_fixes if folder is None else f"All fixes together: --robot {folder / 'fixes.toml'}"
         lines([text], bold=[text])

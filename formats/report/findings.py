@@ -11,6 +11,7 @@ from typing import Any
 CLAUSE_END = re.compile(r"; |, but ")
 SAME_TURN = 0.2  # of a heading error: a smaller change is not said
 SAME_NATS = 0.02  # nats per number: predictions that differ by less are equal
+MAX_ANEES = 50.0  # above: the number says nothing more, only that something is wrong
 
 
 def banner_of(report: Mapping[str, Any]) -> list[str]:
@@ -100,10 +101,8 @@ def _effect(tried: Mapping[str, Any], brief: bool) -> str:
 
 
 def _ratio(value: float) -> str:
-    """Return a ratio as people say it: "0.92", "4.7", "9600"; more says only that the figure is void."""
-    if value >= 1e5:
-        return "over 100000"
-    return f"{float(f'{value:.2g}'):.0f}" if value >= 99.5 else f"{value:.2g}"
+    """Return a ratio as people say it: "0.92", "4.7"; more says only that the covariance means nothing."""
+    return f"over {MAX_ANEES:g}" if value > MAX_ANEES else f"{value:.2g}"
 
 
 def change(before: float, after: float) -> str:

@@ -32,12 +32,15 @@ class Column(msgspec.Struct, frozen=True):
     brief_form: str = ""  # a number on a terminal
     shorter: Callable[[str], str] | None = None  # shorter words for the same, for a narrow screen
     scale: float = 1.0  # units per unit of the value: 1000 where metres are shown in mm
+    most: float | None = None  # a larger number says nothing more: "over 50"
     rank: int = 0  # on a screen that is too narrow the highest is left out first; 0 always stays
 
     def with_unit(self, value: float | None) -> str:
         """Return a number and its unit; a dash where there is none."""
         if value is None or not math.isfinite(value):
             return "-"
+        if self.most is not None and value > self.most:
+            return f"over {self.most:g}"
         space = "" if self.unit in {"", "°"} else " "
         return written(value * self.scale, self.form) + space + self.unit
 
@@ -118,6 +121,8 @@ def pieces(column: Column, cell: Cell) -> list[Piece]:
             [[Piece(written(v, column.form), v, _below(at, i))] for i, v in enumerate(value)], column.between
         )
     if isinstance(value, int | float) and not isinstance(value, bool):
+        if column.most is not None and value > column.most:
+            return [Piece(f"over {column.most:g}", value, at)]
         return [Piece(written(value * column.scale if column.scale != 1.0 else value, column.form), value, at)]
     return [Piece(str(value))]
 

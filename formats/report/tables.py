@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from msgspec.structs import replace
 
-from .findings import fingerprint
+from .findings import MAX_ANEES, fingerprint
 from .render import csv as csv_of
 from .render import latex as latex_of
 from .render import latex_text
@@ -20,6 +20,7 @@ Rows = Iterator[tuple[dict[str, Any], Path]]
 
 CONFIGURATION = Column("configuration", "configuration", kind="text")
 SENSOR = Column("sensor", "sensor", kind="text")
+ANEES = Column("anees", "ANEES", form="{:.2f}")
 RMSE = Column("position_rmse_m", "position rmse", "m", "{:.4f}", brief="rmse", brief_form="{:.3f}")
 COLUMNS = (
     RMSE,
@@ -32,7 +33,7 @@ COLUMNS = (
     Column("drift_1m", "drift /1 m", form="{:.2%}"),
     Column("drift_5m", "drift /5 m", form="{:.2%}", brief="drift/5 m", rank=3),
     Column("drift_10m", "drift /10 m", form="{:.2%}"),
-    Column("anees", "ANEES", form="{:.2f}"),
+    ANEES,
 )
 ON_DEMAND = ("final_position_error_m", "drift_5m")  # on a terminal only with --verbose
 IN_MM = (0.01, 10.0)  # m: where an error is smaller than the first and none larger than the second
@@ -73,7 +74,7 @@ SCORES = (
 )
 CONSISTENCY = (
     CONFIGURATION,
-    Column("anees", "ANEES", form="{:.2f}"),
+    ANEES,
     Column("bounds", "consistent range", form="{:.2f}"),
     Column("words", "result", kind="long"),
 )
@@ -81,7 +82,7 @@ JITTER = (
     Column("configuration", "under jitter", kind="text"),
     RMSE,
     Column("heading_rmse_deg", "heading rmse", "°", "{:.3f}"),
-    Column("anees", "ANEES", form="{:.2f}"),
+    ANEES,
     Column("path_moved_m", "path moved at most", "m", "{:.4f}"),
 )
 CREDIT = (
@@ -136,11 +137,18 @@ def configurations(report: Report, main: bool = True) -> Table:
         found = [_in_mm(c) if c.unit == "m" else c for c in found]
     found = [*(found or (DISTANCE, DURATION)), *([] if main and report.get("truth") else _by_own_scans(report))]
     label = "Main figures of every configuration" if main else "All figures of every configuration"
-    return of_values((CONFIGURATION, *found), _configurations(report), label)
+    return of_values(_readable((CONFIGURATION, *found), report), _configurations(report), label)
 
 
 def _in_mm(column: Column) -> Column:
     return replace(column, unit="mm", scale=1000.0, form="{:.1f}", brief_form="{:.1f}")
+
+
+def _readable(columns: Iterable[Column], report: Report) -> tuple[Column, ...]:
+    """Return columns in which an ANEES by a truth without noise is no number where it is absurdly large."""
+    truth = report.get("settings", {}).get("truth", {})
+    known = report["truth"] is None or truth.get("sigma") or truth.get("sigma_theta_deg")
+    return tuple(replace(c, most=MAX_ANEES) if c == ANEES and not known else c for c in columns)
 
 
 def _configurations(report: Report, key: str | None = None) -> Rows:
@@ -269,7 +277,11 @@ def scores(report: Report) -> Table:
 
 def consistency(report: Report) -> Table:
     """Return whether every configuration's covariance is as large as its error."""
-    return of_values(CONSISTENCY, _configurations(report, "consistency"), "Consistency of every configuration")
+    return of_values(
+        _readable(CONSISTENCY, report),
+        _configurations(report, "consistency"),
+        "Consistency of every configuration",
+    )
 
 
 def jitter(report: Report) -> Table:

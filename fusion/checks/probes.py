@@ -17,7 +17,12 @@ from locfuse.fusion.wheels.states import WHEELS
 
 from .finding import Finding
 
-MOUNT = "mount"  # code of the finding on one
+MOUNT, DIRECTION = "mount", "direction"  # codes of the findings on one, on what creeping wheels explain as well
+MAX_CREEP_DEG = 1.5  # by which wheels may drive beside where they point: 2 % of the way are 1.1 degrees
+DIRECTION_WORDS = (
+    "it and the wheels differ by {:.1f}° (1 sigma {:.1g}°) in the direction of driving: its mount, or wheels that "
+    "drive sideways. To find out drive 3 m along a line on the floor: where the robot leaves it, the wheels do"
+)
 MIN_SIGMAS = 4.0  # standard deviations by which an estimate must differ from what is configured
 MIN_MOUNT_M, MIN_MOUNT_DEG, MIN_TRACK = 0.004, 0.2, 0.005  # m, degrees, relative: smaller errors are left alone
 MIN_SCALE, MIN_TRUTH = 0.002, 50  # relative; readings of the truth
@@ -58,7 +63,8 @@ def of_mount(
 
     Where no truth has `judged` it, not one that is further off than the run took for likely, `prior_xy` [m] and
     `prior_yaw_deg` (1 sigma) unless the sensor's settings say more: something else may look like a mount. Nor one
-    that is nearer than people measure: on a drive of left turns 20 ms look like a third of a degree.
+    that is nearer than people measure: on a drive of left turns 20 ms look like a third of a degree, and wheels
+    that creep sideways by MAX_CREEP_DEG like a laser turned by as much. That is a finding of its own.
     """
     fixes, words = [], []
     for part, (key, scale) in MOUNT_KEYS.items():
@@ -71,8 +77,13 @@ def of_mount(
         likely = MAX_PRIOR_SIGMAS * (stated or (prior_yaw_deg if part == "yaw" else prior_xy))
         if not judged and abs(value - configured) > likely:
             return
-        least = (MIN_MOUNT_DEG if judged else SIGMA_DEG) if part == "yaw" else MIN_MOUNT_M if judged else SIGMA_M
-        if abs(value - configured) > max(MIN_SIGMAS * sigma, least):
+        least = (
+            (MIN_MOUNT_DEG if judged else MAX_CREEP_DEG) if part == "yaw" else MIN_MOUNT_M if judged else SIGMA_M
+        )
+        off = abs(value - configured)
+        if part == "yaw" and max(MIN_SIGMAS * sigma, SIGMA_DEG) < off <= least:
+            yield Finding(sensor, DIRECTION, DIRECTION_WORDS.format(off, sigma))
+        if off > max(MIN_SIGMAS * sigma, least):
             shown = to_a_tenth_of(sigma, value)
             fixes.append(f"{sensor}.{key}={shown:g}")
             unit = "°" if key == "yaw_deg" else " m"

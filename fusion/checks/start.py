@@ -39,7 +39,8 @@ def of_start(truth: Truth, drive: Drive, robot: Robot) -> list[Finding]:
     least = (MIN_START_ERROR_M, MIN_START_ERROR_RAD)
     if truth.theta is None:
         least = (SEVERE_START_ERROR_M, SEVERE_START_ERROR_RAD)
-    spread = robot.start.sigma_xy, fitted.way * blur, fitted.spread, truth.sigma
+    # the way is laid on the truth about its middle: half of it swings with the turn
+    spread = robot.start.sigma_xy, 0.5 * fitted.way * blur, fitted.spread, truth.sigma
     place = least[0] + SIGMAS * math.hypot(*spread)
     if away < place and turn < least[1] + SIGMAS * math.hypot(math.radians(robot.start.sigma_theta_deg), blur):
         return []

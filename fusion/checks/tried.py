@@ -32,6 +32,8 @@ MAX_FIXES = 6  # of one log
 MAX_MOVED_SHARE = 0.5  # of the first change of a value, by which measuring it again may move it on
 # findings that are measured again, better, once others are fixed
 REFINED = ("lag", "mount", "way", "biased", "understated", "overstated")
+# findings whose first value is the one that was measured: others beside it are tried only where it does not help
+FIRST_VALUE = ("lag",)
 CLEAR = 1.0  # worth of a fix beyond which nothing of a later class is likely to explain the same
 CHANCE = 2.0 * math.log(1.0 + MAX_CHANCE_LOSS)  # worth that two configurations may gain or lose by chance
 
@@ -131,10 +133,10 @@ def tried(look: Look, trial: Try, now: Now = lambda key: None) -> tuple[list[Adv
         new = [a for a in found if a.helps] or _beside_another(found, kept, look, trial, done)
         if not new:
             break
-        runaway = {a.finding.role for a in new if _moves_on(a, kept, now)}
+        runaway = {_key(a) for a in new if _moves_on(a, helped, now)}
         if runaway:
-            open_ |= {a.finding.role: _without_fix(a) for a in new if a.finding.role in runaway}
-            helped = [a for a in helped if a.finding.role not in runaway]
+            open_ |= {a.finding.role: _without_fix(a) for a in new if _key(a) in runaway}
+            helped = [a for a in helped if _key(a) not in runaway]
             kept = ()
             for advice in helped:
                 kept = together(kept, advice.fixes)
@@ -147,9 +149,13 @@ def tried(look: Look, trial: Try, now: Now = lambda key: None) -> tuple[list[Adv
     return [*helped, *(a for role, a in open_.items() if a.finding.severe or role not in names)], kept
 
 
-def _moves_on(advice: Advice, kept: Fixes, now: Now) -> bool:
-    """Return whether a fix moves a number on by more than half of what an earlier one moved it."""
-    before = dict(fix.partition("=")[::2] for fix in kept)
+def _key(advice: Advice) -> tuple[str, str]:
+    return advice.finding.role, advice.finding.code
+
+
+def _moves_on(advice: Advice, helped: Sequence[Advice], now: Now) -> bool:
+    """Return whether a fix moves a number on by more than half of what the same finding moved it before."""
+    before = dict(fix.partition("=")[::2] for a in helped if _key(a) == _key(advice) for fix in a.fixes)
     for key, _, value in (fix.partition("=") for fix in advice.fixes):
         first = now(key)
         if first is None or key not in before:
@@ -284,6 +290,8 @@ def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advi
     for fixes in candidate.alternatives:
         if together(kept, fixes) == kept:
             continue  # set already
+        if options and candidate.measured and candidate.finding.code in FIRST_VALUE:
+            break
         pairs = _pairs(candidate, kept, fixes, trial, shape)
         harmless = harmless or bool(pairs)
         # by the drive itself: not to lose is enough, but then in every configuration, also those that nobody keeps

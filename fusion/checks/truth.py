@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Truth
+from locfuse.fusion.data import Array, Drive, Estimates, Truth
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import gap_limit
 from locfuse.fusion.wheels.calibrate import Sigma, truth_sigma
@@ -17,6 +17,7 @@ from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.repairs import gaps_of, times
 
 from .finding import Finding, Least
+from .laser import OPEN_SCALE
 from .start import of_start
 
 STEP = "step"  # code of the finding on a truth that steps aside
@@ -38,6 +39,7 @@ MIN_STEPS, AROUND = 100, 5  # steps of a truth by which its noise is judged; rea
 CLIPPED_SIGMAS, NOISE_SIGMAS = 6.0, 5.0  # larger steps count as that; standard errors of a noise that is sure
 MIN_NOISE_M, MIN_NOISE_RAD = 0.001, math.radians(0.1)  # of a truth's poses; what is smaller changes no figure
 MIN_TURN_RAD = math.radians(60.0)
+MIN_WAY_ERROR, WAY_SIGMAS = 0.01, 3.0  # relative, standard errors: of the laser's ways beside the wheels'
 
 
 def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
@@ -296,6 +298,25 @@ def of_creep(found: Swing | None) -> list[Finding]:
         f"points (1 sigma {sigma:.1g}°): wheels that creep sideways, or a truth whose headings are off by that"
     )
     return [Finding("wheels", CREEP, words)]
+
+
+def of_ways(drive: Drive, run: Estimates) -> list[Finding]:
+    """Return by how much a laser's own `run` and the wheels differ in distance: either may be right."""
+    rows = np.unique(drive.instant[run.sensors[0]])
+    by_laser = Truth("", run.t[rows], run.pose[rows, :2], np.unwrap(run.pose[rows, 2]))
+    found = swing(by_laser, drive, _by_wheels(by_laser, drive.wheels))
+    way = float(drive.wheels.driven(drive.wheels.t[-1]))
+    if found is None or way <= 0.0:
+        return []
+    ratio, sigma = float(found.x[2]), max(float(found.sigma[2]), math.sqrt(0.5 * drive.wheels.noise / way))
+    if abs(ratio - 1.0) < max(MIN_WAY_ERROR, WAY_SIGMAS * sigma):
+        return []
+    words = (
+        f"laser and wheels differ by {abs(ratio - 1.0):.1%} in distance (the laser's is {ratio:.3f} times the "
+        f"wheels', 1 sigma {sigma:.3f}): lrf.range_scale, or wheels.radius and wheels.track. To find out drive "
+        "3 m straight along a tape"
+    )
+    return [Finding(run.sensors[0], OPEN_SCALE, words)]
 
 
 def _robust(A: Array, y: Array) -> Array:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import cast
 
 import msgspec
 import numpy as np
@@ -18,10 +19,12 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.odometry import BODY_READS
+from locfuse.fusion.wheels.sources import joint_names
 
 from .finding import Finding, Least
 from .laser import Motion
 
+JOINT_STATE = "sensor_msgs/msg/JointState"
 WINDOW_S = 1.0  # s
 MAX_LAG_S, LAG_STEP_S = 1.2, 0.05  # s: clocks may differ
 MIN_RMS_TURN_RAD = math.radians(5.0)  # rms turn of a window
@@ -35,6 +38,7 @@ MAX_READINGS = 3000
 GYRO_SCALE_SIGMA = 0.01  # 1 sigma of a gyro's scale
 CHORD_M, PIECE_RAD, MIN_PIECES = 0.3, 1.5, 6  # m of a direction of travel; rad that the wheels turn in a piece
 MIN_SLOPE, MAX_SLOPE_SIGMA = 0.3, 0.05  # of the truth's turns per the wheels': less, or less sure, is no track
+MIN_PIECES_OF_SIGN, MAX_AGAINST_SIGMA = 3, 0.25  # pieces, share of the slope: the wheels turn against the truth
 
 
 class Turning(msgspec.Struct, frozen=True):
@@ -132,8 +136,10 @@ def of_turning(
     """Return what the turning of all sensors together says of the senses of wheels and mounts."""
     counts_wheels = streams["wheels"].msgtype not in BODY_READS
     found = _dead_wheel(drive.wheels) if counts_wheels else []
+    if not found and not by_sensor and counts_wheels:
+        found = _against_the_truth(drive, robot, streams) or _by_the_wheels_alone(drive.wheels, robot)
     if found or not by_sensor:
-        return found or (_by_the_wheels_alone(drive.wheels, robot) if counts_wheels else [])
+        return found
     mirrored = [w for t in by_sensor.values() if (w := _mirrored(t)) is not None]
     if counts_wheels and len(mirrored) > len(by_sensor) / 2:
         wheel = max(set(mirrored), key=mirrored.count)
@@ -168,6 +174,10 @@ def _swapped(settings: WheelSettings, stream: Stream) -> tuple[str, ...]:
         return (f"wheels.left_topic={right}", f"wheels.right_topic={left}")
     if settings.left is not None and settings.right is not None:
         return (f"wheels.left={settings.right}", f"wheels.right={settings.left}")
+    if stream.msgtype == JOINT_STATE:
+        names = cast("list[tuple[str, ...]]", stream.columns("name")["name"])
+        left, right = joint_names(names, stream.topic, settings)
+        return (f"wheels.left={right}", f"wheels.right={left}")
     return ("wheels.mirrored=both",)
 
 
@@ -232,7 +242,13 @@ def _observed_track(
 
 
 def turns_by_truth(drive: Drive) -> tuple[float, float] | None:
-    """Return the robot's turn per turn of the wheels, by the truth, and its sigma; None where it hardly turned.
+    """Return the robot's turn per turn of the wheels by the truth, and its sigma; None where it shows no track."""
+    found = _slope_by_truth(drive, MIN_PIECES)
+    return found if found is not None and found[0] > MIN_SLOPE and found[1] < MAX_SLOPE_SIGMA else None
+
+
+def _slope_by_truth(drive: Drive, fewest: int) -> tuple[float, float] | None:
+    """Return the same where the wheels may turn against the truth; None for less than the `fewest` pieces.
 
     A truth of points tells the direction of travel. Turns are summed over pieces of the way: each slips by itself.
     """
@@ -250,12 +266,12 @@ def turns_by_truth(drive: Drive) -> tuple[float, float] | None:
         seen, rolled = (np.diff(xy[first], axis=0) for xy in (truth.xy[rows], pose[:, :2]))
         direction = [np.unwrap(np.arctan2(d[:, 1], d[:, 0])) for d in (seen, rolled)]
         own, turned = direction
-    if len(own) < MIN_PIECES + 1:
+    if len(own) < fewest + 1:
         return None
     piece = np.cumsum(np.abs(np.diff(turned, prepend=turned[0])))
     ends = np.unique(np.searchsorted(piece, np.arange(0.0, piece[-1], PIECE_RAD)))
     x, y = np.diff(turned[ends]), np.diff(own[ends])
-    if len(x) < MIN_PIECES or float(x @ x) <= 0.0:
+    if len(x) < fewest or float(x @ x) <= 0.0:
         return None
     keep = np.ones(len(x), dtype=bool)
     for _ in range(3):
@@ -264,7 +280,16 @@ def turns_by_truth(drive: Drive) -> tuple[float, float] | None:
         keep = rest <= 4.0 * max(float(np.median(rest)), 1e-3)
     rest = (y - slope * x)[keep]
     sigma = math.sqrt(float(rest @ rest) / max(1, len(rest) - 1) / float(x[keep] @ x[keep]))
-    return (slope, sigma) if slope > MIN_SLOPE and sigma < MAX_SLOPE_SIGMA else None
+    return slope, sigma
+
+
+def _against_the_truth(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Finding]:
+    """Return that left and right are exchanged where no sensor turns: the truth shows it, points do as well."""
+    slope, sigma = _slope_by_truth(drive, MIN_PIECES_OF_SIGN) or (1.0, 0.0)
+    if slope > -MIN_SLOPE or sigma > MAX_AGAINST_SIGMA * abs(slope):
+        return []
+    words = f"they turn {-slope:.2f} times against the truth (1 sigma {sigma:.2f}): left and right are swapped"
+    return [Finding("wheels", "swapped", words, _swapped(robot.wheels, streams["wheels"]), True)]
 
 
 def _dead_wheel(wheels: Wheels) -> list[Finding]:

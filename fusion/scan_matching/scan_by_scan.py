@@ -15,7 +15,7 @@ from .clouds import clouds_of
 from .match import Targets, match, sources_of
 from .neighbours import by_wheels, good, next_scans
 
-SCANS_AT_ONCE = 4096
+SCANS_AT_ONCE = 1024  # whose points are held
 
 
 def scan_by_scan(m: Measurements, points: Points, begin: Ints, end: Ints) -> Array:

@@ -19,7 +19,7 @@ from .bridge import Fixes, Spans
 from .odometry import Odometry, moved
 
 GAP_S = 0.09  # between two scans that are matched: more often says little new
-SCANS_AT_ONCE = 8192  # whose points are held before they are thinned
+SCANS_AT_ONCE = 1024  # whose points are held before they are thinned
 REST_S = 1.0  # a robot at rest for so long before and after a scan is where it was: wheels' stamps may be late
 POINTS = 90  # of one scan that are matched
 PRIOR = np.diag([0.1**-2, 0.1**-2, np.radians(4.0) ** -2])  # holds a match where the walls say nothing

@@ -41,6 +41,10 @@ class Odometry(msgspec.Struct, frozen=True):
         more = np.cumsum(at_origin(self.pose[:-1], u, evenly(u, LEFT_OUT)), axis=0)
         return replace(self, C=self.C + np.concatenate((np.zeros((1, 3, 3)), more)), left_out=LEFT_OUT)
 
+    def scaled(self, share: float) -> Odometry:
+        """Return the same way with a covariance of another size."""
+        return replace(self, C=share * self.C)
+
     def between(self, a: Ints, b: Ints) -> tuple[Array, Array]:
         """Return the motions from instants a to b (m,), (m, 3), and the covariances of xi about the pose at a."""
         u = se2.between(self.pose[a], self.pose[b])

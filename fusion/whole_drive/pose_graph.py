@@ -41,6 +41,7 @@ SPAN_GAP_S = 30.0  # closures further apart in time are told apart
 MAX_EXTENT_VIEWS = 1.5  # extent of a drive over how far its scans reach, up to which there is no loop to close
 SAMPLE_SCANS = 20
 FAR_SHARE = 0.95  # of a scan's points that are nearer than how far it reaches
+TO_SIGMA = 1.4826  # of a Gaussian over its median distance from zero
 MIN_GAIN, MIN_GAIN_M = 1.5, 0.01  # by how much the graph must fit the loops better than the filter
 
 
@@ -201,6 +202,8 @@ def whole_drive(
     problem = Problem(start.anchor, others if others.sensors else None)
     way = odometry.way()[keys]
     x, edges = sequential(targets, sources, wheel_edges(odometry, keys), way, problem)
+    start = Start.of(robot, odometry.scaled(wheels_share(odometry, keys, x)), int(keys[0]))
+    problem.anchor = start.anchor
     maps = submaps_of(clouds, x, way)
     views = Views.of(clouds, np.array(m.points.origin))
     hints = Edges.none() if filtered is None else recognised(filtered, odometry, keys)
@@ -232,6 +235,18 @@ def room_for_loops(drive: Drive, robot: Robot, sensors: Sequence[str]) -> bool:
     m = drive.measurements.get(LASER)
     known = m is not None and m.points is not None
     return LASER in sensors and known and robot.settings(LASER).map == "grow" and not in_one_view(drive)
+
+
+def wheels_share(odometry: Odometry, keys: Ints, x: Array) -> float:
+    """Return the variance of the wheels' turns that scans show, over that which the wheels' noise claims.
+
+    Wheels of an assumed track claim 5 degrees a metre and have less than one. Between two keys the scans tell, but
+    nothing else tells how far the robot turned before the first one, and the whole drive turns about that.
+    """
+    u, C = odometry.between(keys[:-1], keys[1:])
+    off = se2.wrap_all((se2.between(x[:-1], x[1:]) - u)[:, 2])
+    claimed = float(np.median(C[:, 2, 2]))
+    return (TO_SIGMA * float(np.median(np.abs(off)))) ** 2 / claimed if claimed > 0.0 else 1.0
 
 
 def in_one_view(drive: Drive) -> bool:

@@ -174,13 +174,16 @@ class Normal:
         return 0.5 * (own + own.transpose(0, 2, 1)), after
 
     def _dense(self, n: int) -> tuple[Array, Array]:
-        from scipy.linalg import cho_factor, cho_solve
+        """Invert all of H in place: one matrix is held, and of that the lower triangle is known."""
+        from scipy.linalg.lapack import dpotrf, dpotri
 
-        P = cho_solve(cho_factor(self._H.toarray(), lower=True), np.eye(self.n), overwrite_b=True)
-        blocks = P[: 3 * n, : 3 * n].reshape(n, 3, n, 3)
+        factor, _ = dpotrf(self._H.toarray(order="F"), lower=1, overwrite_a=1)
+        P, _ = dpotri(factor, lower=1, overwrite_c=1)
+        blocks = P[: 3 * n, : 3 * n].T.reshape(n, 3, n, 3)  # a view: by columns, then by rows
         k = np.arange(n)
         own = blocks[k, :, k, :]
-        return 0.5 * (own + own.transpose(0, 2, 1)), blocks[k[:-1], :, k[1:], :]
+        own = np.triu(own) + np.triu(own, 1).transpose(0, 2, 1)
+        return own, blocks[k[:-1], :, k[1:], :]
 
 
 class Beside(Protocol):

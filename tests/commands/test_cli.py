@@ -93,7 +93,7 @@ def test_without_truth_the_other_rows_are_the_same_bytes(compared: Path, tmp_pat
     assert "--set truth.topic=" in done.stderr
     ranking = report_of(tmp_path / "out")["prediction"]["ranking"]
     scores = {r["configuration"]: r["gain_nats"] for r in ranking if r["gain_nats"] is not None}
-    printed = dict(re.findall(r"^(\w+) .* ([+-][\d.]+)$", done.stdout, re.MULTILINE))
+    printed = dict(re.findall(r"^(\w+) .*? ([+-][\d.]+)\b", done.stdout, re.MULTILINE))
     assert {name: float(text) for name, text in printed.items()} == pytest.approx(scores, abs=0.005)
     assert "This finds a sensor that contradicts" in done.stderr
     with_truth = set((compared / "all.tum").read_text().splitlines())

@@ -62,7 +62,7 @@ def test_wall_lines_correct_the_drive_once_clock_and_metre_are_set(
     )
     assert done.exit_code == 0, done.stderr
     report = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert set(report["configurations"]) == {"odometry", "lrf"}
+    assert set(report["configurations"]) == {"odometry", "lrf", "lrf-smoothed"}
     assert report["configurations"]["lrf"]["position_rmse_m"] <= most
 
 

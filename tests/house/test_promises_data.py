@@ -57,7 +57,7 @@ def run(path: Path, *words: str) -> tuple[Done, Array, dict[str, Any]]:
 
 
 def rmse(report: dict[str, Any]) -> float:
-    (configuration,) = report["configurations"].values()
+    configuration = next(iter(report["configurations"].values()))
     return float(configuration["position_rmse_m"])
 
 

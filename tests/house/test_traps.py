@@ -34,7 +34,7 @@ def error(log: Path, sensors: str, *words: str, void: bool = False) -> float | N
     `void` takes void figures too: what they would have been.
     """
     out = ("-o", log.parent / "out", "--overwrite", "--write", "json")
-    done = locfuse("run", log, "--sensors", sensors, "--json", "--no-advice", *out, *words)
+    done = locfuse("run", log, "--sensors", sensors, "--json", "--no-advice", "--no-smooth", *out, *words)
     if done.exit_code not in {0, 3}:
         return None
     (one,) = json.loads(done.stdout)["configurations"].values()

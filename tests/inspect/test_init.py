@@ -254,7 +254,7 @@ def test_the_turtlebots_laser_stands_turned_by_90_degrees_and_late(tmp_path: Pat
 
 def rmse(report: dict[str, Any]) -> float:
     """Return the position error, also one that is void because the truth starts elsewhere."""
-    (configuration,) = report["configurations"].values()
+    configuration = next(iter(report["configurations"].values()))
     found = configuration["void"]["figures"] if configuration.get("void") else configuration
     return float(found["position_rmse_m"])
 

@@ -14,8 +14,8 @@ from locfuse.fusion.data import Array, Drive, Estimates
 from locfuse.fusion.whole_drive import closures
 from locfuse.fusion.whole_drive import recognised as hints
 from locfuse.fusion.whole_drive.bridge import Fixes, bridged
-from locfuse.fusion.whole_drive.odometry import odometry_of
-from locfuse.fusion.whole_drive.pose_graph import Graph, whole_drive
+from locfuse.fusion.whole_drive.odometry import Odometry, odometry_of
+from locfuse.fusion.whole_drive.pose_graph import Graph, wheels_share, whole_drive
 from locfuse.fusion.whole_drive.recognised import recognised
 
 
@@ -173,3 +173,16 @@ def test_turning_both_keys_turns_what_lies_between() -> None:
     plain, _ = bridged(odometry, odometry, k, keys, truth[keys], P, P[1:], fixes)
     turned, _ = bridged(odometry, odometry, k, keys, se2.compose(G, truth[keys]), P, P[1:], fixes)
     np.testing.assert_allclose(turned, se2.compose(G, plain), atol=1e-9)
+
+
+def test_scans_tell_how_much_of_their_noise_the_wheels_have() -> None:
+    rng = np.random.default_rng(3)
+    n, claimed, real = 400, np.radians(5.0), np.radians(0.5)
+    turns = np.column_stack((np.full(n, 0.5), np.zeros(n), rng.normal(0.0, 0.1, n)))
+    variances = np.cumsum(np.tile(np.diag([1e-4, 1e-4, claimed**2]), (n + 1, 1, 1)), axis=0)
+    way = Odometry(np.vstack((np.zeros(3), np.cumsum(turns, axis=0))), variances)
+    seen = way.pose.copy()
+    seen[1:, 2] += np.cumsum(rng.normal(0.0, real, n))
+    share = wheels_share(way, np.arange(n + 1), seen)
+    assert share == pytest.approx((real / claimed) ** 2, rel=0.2)
+    np.testing.assert_allclose(way.scaled(share).C[-1], share * way.C[-1])

@@ -1,0 +1,96 @@
+"""Do figures without truth rank paths rightly? Revisit agreement and crispness beside the error by truth.
+
+    LOCFUSE_DATA=... python -m benchmarks.revisits
+
+Every log with a laser and a truth is fused in several ways, some of them wrong on purpose. Of each two rows whose
+errors differ by a fifth, agreement should be higher and cells fewer in the better one. A pair is asked only where
+the figures differ enough to say something (MIN_GAIN, MIN_RATIO), as in the report.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+
+import locfuse
+from benchmarks import experiment
+from benchmarks.experiment import Row
+
+DATA = "LOCFUSE_DATA"
+REAL = {  # log -> its settings
+    "fr079/fr079.mcap": {"lrf.x": -0.04, "wheels.time_offset": 0.13},
+    "halls/edmonton.mcap": {},
+    "halls/freiburg-101.mcap": {},
+    "brenner/brenner.mcap": {"wheels.radius": 0.0199962, "wheels.track": 0.173, "truth.x": 0.03},
+}
+SAMPLES = ("rounded_rectangle", "rounded_triangle", "disturbed")
+WAYS: dict[str, dict[str, Any]] = {  # how a log is fused, beside odometry: name -> its settings
+    "as it is": {},
+    "turned by 3°": {"lrf.yaw_deg": 3, "lrf.sigma_yaw_deg": 0, "lrf.sigma_x": 0, "lrf.sigma_y": 0},
+    "0.3 s late": {"lrf.time_offset": 0.3},
+    "without recovery": {"lrf.recover": False},
+}
+FORMS = (".3f", ".0%", ".0f")  # of a path's figures: error, agreement, cells
+MIN_DIFFERENCE = 1.2  # of two errors that are told apart
+MIN_GAIN, MIN_RATIO = 0.02, 1.2  # of agreement; of cells
+
+
+def work(name: str) -> Row:
+    """Return error, agreement and cells of a log's paths, by how they were made."""
+    log = str(Path(os.environ[DATA]) / name) if name in REAL else name
+    found: dict[str, list[float | None]] = {}
+    for way, sets in WAYS.items():
+        session = locfuse.load(log, sets={**REAL.get(name, {}), **sets})
+        sensors = ["odometry", "lrf"] if not found else ["lrf"]
+        report = session.compare(sensors, align="se2", advice=False, audits=False, smooth=True).report
+        for row, values in report["configurations"].items():
+            figures = [values[key] for key in ("position_rmse_m", "revisit_agreement", "crispness_cells")]
+            found[row if row == "odometry" else f"{row}, {way}"] = figures
+    return {"paths": found}
+
+
+def ranked(paths: dict[str, list[float | None]], figure: int) -> tuple[int, int]:
+    """Return how many pairs a figure (1: agreement, 2: cells) ranks as their errors do, and of how many."""
+    right = asked = 0
+    known = [(e, f) for path in paths.values() if (e := path[0]) is not None and (f := path[figure]) is not None]
+    for (least, one), (most, other) in itertools.combinations(sorted(known), 2):
+        differ = abs(one - other) >= MIN_GAIN if figure == 1 else max(one, other) >= MIN_RATIO * min(one, other)
+        if differ and most >= MIN_DIFFERENCE * least:
+            asked += 1
+            right += one > other if figure == 1 else one < other
+    return right, asked
+
+
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield every path's figures, then how many pairs each of them ranks rightly."""
+    lines = [
+        (row["task"][0], way, *("-" if v is None else f"{v:{form}}" for v, form in zip(path, FORMS, strict=True)))
+        for row in rows
+        for way, path in row["paths"].items()
+    ]
+    yield from experiment.table(("log", "path", "error", "revisits agree", "cells"), lines, "345")
+    for figure, name in ((1, "Revisit agreement"), (2, "Crispness")):
+        right, asked = (sum(n) for n in zip(*(ranked(row["paths"], figure) for row in rows), strict=True))
+        yield f"\n{name}: {right} of {asked} pairs of paths are ranked as their errors are."
+
+
+@click.command()
+@click.option("--log", "words", multiple=True, help="Only logs whose name holds this word.")
+@click.option("--jobs", default=1, show_default=True)
+@click.option("-o", "out", type=click.Path(path_type=Path), help="File of rows: goes on where it stopped.")
+def main(words: tuple[str, ...], jobs: int, out: Path | None) -> None:
+    """Print the figures of every path, and how many pairs they rank rightly."""
+    cases = (*SAMPLES, *(REAL if DATA in os.environ else ()))
+    tasks = [(name,) for name in cases if not words or any(word in name for word in words)]
+    made = experiment.rows(work, tasks, out, jobs)
+    for line in (*table(experiment.well(made)), *experiment.failures(made)):
+        click.echo(line)
+
+
+if __name__ == "__main__":
+    main()

@@ -25,7 +25,7 @@ from pathlib import Path
 from locfuse.cli.main import main as main_of_locfuse
 
 ROOT = Path(__file__).parent.parent
-PAGES = ("README.md", "docs/bags.md", "docs/paper.md", "docs/trust.md")
+PAGES = ("README.md", "docs/bags.md", "docs/export.md", "docs/paper.md", "docs/trust.md")
 PYTHON_PAGES = ("docs/python.md",)
 PYTHON = re.compile(r"```python\n(.*?)```\n(?:```text\n.*?```\n)?", re.DOTALL)
 BLOCK = re.compile(r"```console\n(.*?)```", re.DOTALL)

@@ -30,6 +30,7 @@ COMMANDS = {
     "view": "Look at a log, a result or a recording in Rerun.",
     "calibrate": "Find wheel noise, wheel geometry and magnetometer iron from logs.",
     "tune": "Find the noise of wheels and sensors from logs, without truth.",
+    "export": "Write what was found into the YAML of ROS nodes: ekf, controllers, AMCL, FusionCore.",
     "recover": "Copy everything readable of a damaged log into one clean MCAP.",
     "explain": "Say what a word of a report means: ANEES, NIS, drift ...",
     "completion": "Print the script by which a shell completes commands, logs, sensors, keys and topics.",

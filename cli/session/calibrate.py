@@ -45,17 +45,25 @@ class Calibration(msgspec.Struct, frozen=True):
     notes: tuple[str, ...]
     tricycle: TricycleCalibration | None = None  # where two encoders are the wheels
 
-    def geometry(self) -> dict[str, Figure]:
-        """Return radius, ratio and track with their intervals, those that the logs can tell."""
-        old, found = self.settings, self.wheels or self.laser or self.gyro
-        if found is None or old.radius is None or old.track is None:
-            return {}
+    def relative(self) -> tuple[Array, Array] | None:
+        """Return mean scale, scale difference and track, 0: as set, and their sigmas, NaN: unknown; (3,) each."""
+        found = self.wheels or self.laser or self.gyro
+        if found is None:
+            return None
         parameters, sigmas = found.parameters[:3].copy(), found.sigmas[:3].copy()
         if self.gyro is not None:  # in the metre that the others found
             by_gyro = self.gyro.parameters * (1.0, 1.0, 1.0 + parameters[0])
             by_gyro[2] += parameters[0]
             better = ~(sigmas <= self.gyro.sigmas) & np.isfinite(self.gyro.sigmas)
             parameters, sigmas = np.where(better, by_gyro, parameters), np.where(better, self.gyro.sigmas, sigmas)
+        return parameters, sigmas
+
+    def geometry(self) -> dict[str, Figure]:
+        """Return radius, ratio and track with their intervals, those that the logs can tell."""
+        old, found = self.settings, self.relative()
+        if found is None or old.radius is None or old.track is None:
+            return {}
+        parameters, sigmas = found
         mean, difference, track = parameters.tolist()
         left, right = mean - 0.5 * difference, mean + 0.5 * difference
         share_left, share_right = (s * (1.0 + p) for s, p in zip(old.shares, (left, right), strict=True))

@@ -23,5 +23,6 @@ def refuse_doubtful(one: Loaded, what: str, own: Collection[str] = ()) -> None:
             raise LocfuseError(
                 f"{one.log.name}: {finding.role}: {finding.brief}; {what} would cover that up.",
                 role=finding.role,
+                fixes=finding.fixes,
                 hint=f"Set it first: {options(finding.fixes)}" if finding.fixes else "Leave this log out",
             )

@@ -53,7 +53,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "analysis",
         "advice inspect",
         "session",
-        "rerun",
+        "rerun ros",
         "fleet",
         "terminal",
         "commands main",

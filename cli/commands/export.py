@@ -1,0 +1,97 @@
+"""`locfuse export`: what was found about a robot in the parameter files of its own programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from locfuse.cli.analysis.settings import LogOptions
+from locfuse.cli.terminal import completion
+from locfuse.cli.terminal.findings import end
+from locfuse.cli.terminal.options import GIVEN_MAP, log_options
+
+TARGETS = ("diff_drive", "ekf", "amcl", "fusioncore")  # cli/ros/export.py: its own needs NumPy
+FILE = click.Path(path_type=Path, dir_okay=False)
+
+
+@click.command()
+@click.argument("kind", type=click.Choice(["ros"]))
+@click.argument("log", nargs=-1, required=True, shell_complete=completion.logs)
+@click.option(
+    "--to",
+    "targets",
+    type=click.Choice([*TARGETS, "all"]),
+    multiple=True,
+    required=True,
+    help="The node to write for: diff_drive_controller, robot_localization, nav2's AMCL, FusionCore. Repeatable.",
+)
+@click.option(
+    "--into",
+    type=FILE,
+    metavar="FILE",
+    help="Put the values into this YAML of yours: only the values change, and a diff is shown.",
+)
+@click.option("--node", metavar="NAME", help="The node of --into, where the file has several of its kind.")
+@click.option("-o", "--out", type=FILE, help="Write to this file.  [default: print it, or change --into]")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+@click.option("--as-set", is_flag=True, help="Take the settings as they are: calibrate and tune nothing.")
+@GIVEN_MAP
+@log_options
+def export(
+    kind: str,
+    log: tuple[str, ...],
+    targets: tuple[str, ...],
+    into: Path | None,
+    node: str | None,
+    out: Path | None,
+    overwrite: bool,
+    as_set: bool,
+    given_map: Path | None,
+    how: LogOptions,
+) -> int:
+    """Write the parameters of ROS nodes as found on LOG: ekf.yaml, controllers, AMCL, FusionCore.
+
+    LOG is calibrated and tuned first. A folder of results is taken as it is: its settings and its fixes. Every
+    line says where its value comes from: found, carried over, or cannot be mapped (docs/export.md).
+
+    \b
+    locfuse export ros drive.mcap --to ekf -o ekf.yaml
+    locfuse export ros drive.mcap --to diff_drive --into controllers.yaml
+    locfuse export ros locfuse-out/drive --to amcl --into nav2_params.yaml
+    """
+    from locfuse.cli.analysis.results import loss_lines
+    from locfuse.cli.ros.export import edited, fresh, refuse_read_only, targets_in, write
+    from locfuse.cli.ros.found import gather
+    from locfuse.cli.terminal import show
+    from locfuse.cli.terminal.screen import put, reader_may_leave, say
+    from locfuse.formats.robot.ros_yaml import read
+    from locfuse.formats.whole_files import may_replace, whole_file
+
+    chosen = tuple(TARGETS) if "all" in targets else tuple(dict.fromkeys(targets))
+    may_replace(out, overwrite, log)
+    file = None if into is None else read(into)
+    if file is not None:
+        chosen = targets_in(file, chosen, node, "all" in targets)
+        if out is None:
+            refuse_read_only(file.path)
+    with show.progress(how.quiet) as progress:
+        found = gather(log, how, as_set, {"diff_drive", "amcl"}.issuperset(chosen), progress)
+        progress("writing")
+        made = None if file is None else edited(found, chosen, file, node)
+        text = fresh(found, chosen) if made is None else made.text
+    place = out or into
+    if out is not None:
+        with whole_file(out) as temporary:
+            temporary.write_bytes(text.encode())
+    elif into is not None:
+        write(into, text)
+    with reader_may_leave():
+        if place is None:
+            put(text)
+        for line in () if made is None else (*made.diff, *made.reasons):
+            say(line)
+        if place is not None:
+            say(f"{place}: {'written' if made is None or made.diff else 'nothing to change'}")
+    lost = loss_lines(found.loaded, list(found.loaded.drive.measurements), how.strict)
+    return end(found.notes, lost, how.quiet)

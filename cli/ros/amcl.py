@@ -1,0 +1,145 @@
+"""nav2's AMCL: noise of the odometry per step (alpha1-4), and how the laser's beams lie beside the map.
+
+Motion (Probabilistic Robotics, table 5.6; nav2's differential model): a step that turns by r1, goes s and turns by
+r2 has the variances alpha1 r1^2 + alpha2 s^2 of a turn and alpha3 s^2 + alpha4 (r1^2 + r2^2) of the way. They grow
+with the square of a step and ours with the way, so they agree for one length of a step: AMCL takes one every
+update_min_d metres or update_min_a radians. With the wheels' variance k per metre and the track L,
+
+    straight on, s = update_min_d    2 k s / L^2 = 2 alpha2 s^2     k s / 2 = alpha3 s^2
+    on the spot, r = update_min_a    k r / L     = alpha1 r^2       k L r / 4 = alpha4 r^2
+
+Laser: fusion.map.beam_model (tables 6.2 and 6.3), and the cells of the map: a wall and a beam's end are each known
+to within a cell, which adds cell^2 / 6 to the square of sigma_hit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from locfuse.formats.robot.ros_yaml import KEPT, Setting
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.lines.points import ScanPoints
+from locfuse.fusion.map.beam_model import BeamModel, fit_beams
+
+from .found import Found
+
+MIN_D_M, MIN_A_RAD = 0.25, 0.2  # nav2's update_min_d and update_min_a
+CELL_M = 0.05  # of a map by slam_toolbox or map_saver
+MAX_SCANS, MAX_BEAMS = 150, 60  # of the drive, and of a scan: AMCL's own max_beams
+FIELD = "likelihood_field"  # nav2's laser_model_type
+NO_RANGE_M = 1e3  # a range_max beyond is none
+
+
+def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
+    """Return the parameters; `there` are those of the file that is changed."""
+    return [*_motion(found, there), *_laser(found, there)]
+
+
+def _motion(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
+    d, a = _positive(there, "update_min_d", MIN_D_M), _positive(there, "update_min_a", MIN_A_RAD)
+    words = "alpha1 to alpha4 are for steps of this length"
+    yield Setting(
+        key="robot_model_type", value="nav2_amcl::DifferentialMotionModel", words="two wheels", origin=KEPT
+    )
+    yield Setting(key="update_min_d", value=d, words=f"m: {words}", origin=KEPT)
+    yield Setting(key="update_min_a", value=a, words=f"rad: {words}", origin=KEPT)
+    k, track = _noise(found)
+    alphas = {
+        "alpha1": (k / (track * a), f"turn by turn, steps of {a:g} rad"),
+        "alpha2": (k / (track**2 * d), f"turn by way, steps of {d:g} m"),
+        "alpha3": (k / (2.0 * d), f"way by way, steps of {d:g} m"),
+        "alpha4": (k * track / (4.0 * a), f"way by turn, steps of {a:g} rad"),
+    }
+    why = found.why("wheels.noise")
+    for key, (value, what) in alphas.items():
+        yield Setting(key=key, value=value, words=f"{what}; {why}", origin=found.origin("wheels.noise"))
+
+
+def _noise(found: Found) -> tuple[float, float]:
+    """Return the variance per metre of a wheel [m] and the track [m] that give the drive's noise of turning."""
+    wheels = found.loaded.drive.wheels
+    if wheels.matched is None:
+        return wheels.noise, wheels.track
+    way = float(np.abs(wheels.rolled).sum())
+    return float(wheels.matched[:, 2, 2].sum()) * wheels.track**2 / max(way, 1e-9), wheels.track
+
+
+def _positive(there: Mapping[str, Any], key: str, usual: float) -> float:
+    value = there.get(key)
+    return value if isinstance(value, float) and value > 0.0 else usual
+
+
+def _laser(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
+    if not found.has("lrf"):
+        yield Setting(key="sigma_hit, z_hit, z_rand, laser_max_range", value=None, words="this log has no laser")
+        return
+    topic = found.topic("lrf")[0]
+    yield Setting(key="scan_topic", value=topic, words=f"{topic} in the log", origin=KEPT)
+    points, origins, none, reach = beams_in_map(found)
+    yield Setting(key="laser_max_range", value=reach, words=f"m: the farthest that {topic} measures")
+    model = fit_beams(origins, points, found.estimates.final_map, none, reach)
+    if model is None:
+        yield Setting(
+            key="sigma_hit, z_hit, z_rand", value=None, words="too few beams at walls that the map holds"
+        )
+        return
+    yield from _beams(model, str(there.get("laser_model_type", FIELD)), found)
+
+
+def _beams(model: BeamModel, kind: str, found: Found) -> Iterator[Setting]:
+    given = (found.robot.lines and "the given map") or "the map of this drive"
+    of = f"{model.beams} beams beside {given}"
+    sigma = math.hypot(model.sigma, CELL_M / math.sqrt(6.0))
+    yield Setting(key="laser_model_type", value=FIELD, words="nav2's default", origin=KEPT)
+    yield Setting(
+        key="sigma_hit",
+        value=sigma,
+        words=f"m: {model.sigma:.4f} ± {model.spread:.1g} and cells of {CELL_M:g} m; {of}",
+    )
+    total = 1.0 if kind == "beam" else model.hit + model.random + model.short  # the field knows no short ones
+    random = model.random if kind == "beam" else model.random + model.short
+    yield Setting(key="z_hit", value=model.hit / total, words=f"share that ends at a wall; {of}")
+    yield Setting(key="z_rand", value=random / total, words=f"share that ends elsewhere; {of}")
+    only = "" if kind == "beam" else "; the beam model alone uses it"
+    yield Setting(key="z_short", value=model.short, words=f"share that ends before its wall{only}")
+    yield Setting(key="z_max", value=model.none, words=f"share without a return{only}")
+    if model.decay is not None:
+        yield Setting(key="lambda_short", value=model.decay, words=f"1/m of those that end too early{only}")
+
+
+def beams_in_map(found: Found) -> tuple[Array, Array, int, float]:
+    """Return ends and origins (n, 2) of some beams in the map [m], how many had no return, and the reach [m]."""
+    drive = found.loaded.drive
+    m = drive.measurements["lrf"]
+    assert isinstance(m.points, ScanPoints)
+    some = np.unique(np.linspace(0, len(m.t) - 1, MAX_SCANS).astype(np.int64))
+    poses = found.estimates.pose[drive.instant["lrf"][some]]
+    ends, origins, none = [], [], 0
+    beams, farthest = _sizes(m.points, m.points.rows[some])
+    reach = 0.0
+    for pose, seen, count in zip(poses, m.points.read(some), beams, strict=True):
+        step = max(1, count // MAX_BEAMS)
+        none += max(0, count - len(seen)) // step
+        few = seen[::step]
+        ends.append(np.asarray(se2.transform(pose, few)))
+        origins.append(np.repeat(np.asarray(se2.transform(pose, np.array([m.points.origin]))), len(few), axis=0))
+        reach = max(reach, float(np.hypot(*(few - m.points.origin).T).max(initial=0.0)))
+    return np.concatenate(ends), np.concatenate(origins), none, farthest if 0.0 < farthest < NO_RANGE_M else reach
+
+
+def _sizes(points: ScanPoints, rows: Ints) -> tuple[list[int], float]:
+    """Return how many beams each of some scans has, and the farthest range that the laser gives [m]."""
+    found: dict[int, int] = {}
+    farthest = 0.0
+    wanted = set(rows.tolist())
+    for at, columns in points.stream.blocks("ranges", "range_max"):
+        lengths: Any = columns["ranges"]
+        farthest = max(farthest, float(np.max(np.asarray(columns["range_max"], np.float64), initial=0.0)))
+        found |= {row: len(lengths[i]) for i, row in enumerate(at.tolist()) if row in wanted}
+    own = points.laser.range_max
+    return [found.get(row, 0) for row in rows.tolist()], own if own is not None else farthest

@@ -1,0 +1,124 @@
+"""diff_drive_controller (ros2_control): the wheels' geometry as multipliers, their noise as covariances.
+
+The controller turns by (right - left) / (wheel_separation * wheel_separation_multiplier), and a wheel's radius is
+wheel_radius * left_ or right_wheel_radius_multiplier (ros2_controllers, diff_drive_controller). What was found is
+relative to the wheels as they were set; of an odometry topic, to the controller that made it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from locfuse.formats.robot.ros_yaml import FOUND, KEPT, Origin, Setting
+from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.wheels.odometry import ODOMETRY
+
+from .found import Found
+
+UNMEASURED = 1e6  # variance of what a planar drive does not measure
+SIDEWAYS = 1e-6  # (m/s)^2: these wheels do not slip sideways in the model
+WAY_M, TURN_RAD = 1.0, 1.0  # after which the pose's covariance holds: it grows, and the controller's is constant
+X, Y, YAW = 0, 1, 5
+MULTIPLIERS = ("wheel_separation_multiplier", "left_wheel_radius_multiplier", "right_wheel_radius_multiplier")
+
+
+class Factor(NamedTuple):
+    """A length over what it is in the file or in robot.toml."""
+
+    value: float
+    words: str
+    origin: Origin
+
+
+def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
+    """Return the parameters; `there` are those of the file that is changed. Raises LocfuseError without wheels."""
+    wheels = found.loaded.drive.wheels
+    if wheels.matched is not None or found.robot.wheels.wheelbase is not None:
+        raise LocfuseError(
+            "this log shows no two driven wheels (scan matching, or a steered wheel)", role="diff_drive"
+        )
+    nominal = (("wheel_separation", found.nominal.track), ("wheel_radius", found.nominal.radius))
+    made = [
+        Setting(key=key, value=value, words=f"{key} as it was set [m]", origin=KEPT)
+        for key, value in nominal
+        if value is not None
+    ]
+    odometry = found.nominal.radius is None or found.topic("wheels")[1] == ODOMETRY
+    factors = _of_odometry(found, there) if odometry else _of_wheels(found, there)
+    for key, factor in zip(MULTIPLIERS, factors, strict=True):
+        made.append(Setting(key=key, value=factor.value, words=factor.words, origin=factor.origin))
+    return [*made, *_covariances(found)]
+
+
+def _of_wheels(found: Found, there: Mapping[str, Any]) -> list[Factor]:
+    """Return the multipliers of separation, left and right radius: what was found over what the file has."""
+    was, now = found.nominal, found.robot.wheels
+    assert was.radius is not None
+    assert was.track is not None
+    assert now.radius is not None
+    assert now.track is not None
+    radius, track = _number(there, "wheel_radius") or was.radius, _number(there, "wheel_separation") or was.track
+    why, origin = found.why("wheels.radius"), found.origin("wheels.radius")
+    if origin == FOUND:
+        radii = [now.radius * share for share in now.shares]
+        sides = [Factor(own / radius, f"{own:.4g} m over {radius:.4g} m; {why}", origin) for own in radii]
+        metre = 1.0
+    else:  # its metre stays: a turn shows the ratio of radius and track alone
+        old = [_number(there, key) or 1.0 for key in MULTIPLIERS[1:]]
+        sides = [Factor(value, f"the radius was not measured; {why}", KEPT) for value in old]
+        metre = 0.5 * sum(old) * radius / now.radius
+    words = f"{now.track:.4g} m over {track:.4g} m; {found.why('wheels.track')}"
+    return [Factor(metre * now.track / track, words, found.origin("wheels.track")), *sides]
+
+
+def _of_odometry(found: Found, there: Mapping[str, Any]) -> list[Factor]:
+    """Return the multipliers, moved from those that made the odometry of the log: the file's, else 1."""
+    old = [_number(there, key) or 1.0 for key in MULTIPLIERS]
+    relative = None if found.calibration is None else found.calibration.relative()
+    if relative is None:
+        return [Factor(value, "no truth, laser or gyro measured the odometry", KEPT) for value in old]
+    (mean, difference, track), sigmas = relative[0].tolist(), relative[1].tolist()
+    changes = ((track, sigmas[2]), (mean - 0.5 * difference, sigmas[0]), (mean + 0.5 * difference, sigmas[0]))
+    made = []
+    for before, (change, sigma) in zip(old, changes, strict=True):
+        if not math.isfinite(sigma):
+            made.append(Factor(before, "this drive does not tell it", KEPT))
+            continue
+        words = (
+            f"{1.0 + change:.4f} ± {sigma:.2g} times {before:g}, which made the log's odometry; locfuse calibrate"
+        )
+        made.append(Factor(before * (1.0 + change), words, FOUND))
+    return made
+
+
+def _number(there: Mapping[str, Any], key: str) -> float | None:
+    value = there.get(key)
+    return value if isinstance(value, float) and value > 0.0 else None
+
+
+def _covariances(found: Found) -> list[Setting]:
+    noise, velocity, wheels = found.why("wheels.noise"), found.velocity, found.loaded.drive.wheels
+    twist = [UNMEASURED] * 6
+    twist[X], twist[Y], twist[YAW] = float(velocity.reading[0]), SIDEWAYS, float(velocity.reading[1])
+    k, track = wheels.noise, wheels.track
+    turn = 2.0 * k / track**2  # rad^2 per metre straight ahead
+    pose = [UNMEASURED] * 6
+    pose[X], pose[Y], pose[YAW] = 0.5 * k * WAY_M, turn * WAY_M**3 / 3.0, turn * WAY_M + k / track * TURN_RAD
+    return [
+        Setting(
+            key="pose_covariance_diagonal",
+            value=pose,
+            words=f"as after {WAY_M:g} m and {TURN_RAD:g} rad; {noise}",
+            origin=found.origin("wheels.noise"),
+            places=(X, Y, YAW),
+        ),
+        Setting(
+            key="twist_covariance_diagonal",
+            value=twist,
+            words=f"of one reading at {1.0 / velocity.period:.3g} Hz (see docs/export.md); {noise}",
+            origin=found.origin("wheels.noise"),
+            places=(X, YAW),
+        ),
+    ]

@@ -1,0 +1,287 @@
+"""robot_localization's ekf_filter_node: inputs with their switches, gates, and process noise.
+
+Its Q is per second and ours per metre, so the noise of the wheels becomes the covariance of their twist
+(fusion.wheels.velocity_noise), which the driver must publish: robot_localization takes R from the messages. Q then
+says only how fast speeds change. A rejection threshold is a Mahalanobis distance, ours a confidence, so it is the
+root of the chi-square quantile for as many numbers as the input's switches let in (state_estimation_nodes).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from locfuse.formats.robot.robot_localization import INPUT, SPEED, SWITCHES, TURN, YAW, X, Y
+from locfuse.formats.robot.ros_yaml import KEPT, Setting
+from locfuse.fusion.chi_square import chi_square
+from locfuse.fusion.sensors.compass import OFFSET
+from locfuse.fusion.sensors.gyro import BIAS, up_rate
+from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.wheels.odometry import ODOMETRY
+from locfuse.fusion.wheels.velocity_noise import random_walk
+
+from .found import Found
+
+IMU = "sensor_msgs/msg/Imu"
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+TWIST = "geometry_msgs/msg/TwistWithCovarianceStamped"
+KINDS = {ODOMETRY: "odom", TWIST: "twist", POSE: "pose", IMU: "imu"}
+DRIVERS_TOPIC = "/odom"  # where the log has no odometry: what most drivers call theirs
+ACCELERATION = 12  # along x
+STATES = ("x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "vroll", "vpitch", "vyaw", "ax", "ay", "az")
+SURE_SIGMAS = 3.0  # an offset farther from 0 is one
+TINY = 1e-9  # per second: nothing that is estimated changes by so little, and P stays positive
+OPTION_WORDS = {
+    ("differential", True): "only its changes count: it drifts, or is turned by an offset that is no state there",
+    ("differential", False): "it stands still in the frame of the filter",
+    ("relative", True): "counted from its first reading: where 0 lies is not known, and no state there",
+    ("relative", False): "its 0 is the filter's",
+}
+POSES, TWISTS = (X, Y, YAW), (SPEED, TURN)
+
+
+class Source(NamedTuple):
+    """A topic that the filter reads."""
+
+    kind: str  # odom, twist, pose or imu
+    topic: str
+    switches: tuple[int, ...]  # those that are on
+    words: str
+    gates: Mapping[str, tuple[float, str]]  # "pose" or "twist" -> confidence, and where it comes from
+    options: Mapping[str, bool]  # differential, relative
+    covariances: tuple[str, ...] = ()  # what the messages must say, in words
+
+
+def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
+    """Return the parameters; `there` are those of the file that is changed."""
+    rate = 1.0 / found.velocity.period
+    sources = list(_sources(found))
+    made = [
+        Setting(key="frequency", value=float(max(1, round(rate))), words="Hz, as the wheels report", origin=KEPT),
+        Setting(key="two_d_mode", value=True, words="locfuse estimates in the plane", origin=KEPT),
+        *(
+            Setting(key=f"{frame}_frame", value=name, words="REP 105; name your own", origin=KEPT)
+            for frame, name in (("map", "map"), ("odom", "odom"), ("base_link", "base_link"))
+        ),
+        Setting(
+            key="world_frame", value=_world(found), words="odom, or map where a pose is of the map", origin=KEPT
+        ),
+    ]
+    count: dict[str, int] = {}
+    for source in sources:
+        name = _named(source, there)
+        if name is None:
+            if there:
+                made.append(Setting(key=source.topic, value=None, words="no input of the file reads it"))
+                continue
+            name = f"{source.kind}{count.get(source.kind, 0)}"
+            count[source.kind] = count.get(source.kind, 0) + 1
+        made += _input(name, source, there)
+    return [*made, *_process_noise(found, there), *_rest(found)]
+
+
+def _named(source: Source, there: Mapping[str, Any]) -> str | None:
+    """Return the input of a file that reads a topic."""
+    bare = source.topic.strip("/")
+    inputs = ((key, str(value).strip("/")) for key, value in there.items() if INPUT.fullmatch(key))
+    return next((key for key, topic in inputs if topic == bare or bare.endswith(f"/{topic}")), None)
+
+
+def _input(name: str, source: Source, there: Mapping[str, Any]) -> Iterator[Setting]:
+    yield Setting(key=name, value=source.topic, words=source.words, origin=KEPT)
+    on = [place in source.switches for place in range(SWITCHES)]
+    rows = ("x y z", "roll pitch yaw", "their speeds", "their rates", "accelerations")
+    yield Setting(key=f"{name}_config", value=on, words=rows[0], origin=KEPT, row=3, row_words=rows)
+    for option, value in source.options.items():
+        yield Setting(key=f"{name}_{option}", value=value, words=OPTION_WORDS[option, value], origin=KEPT)
+    config = there.get(f"{name}_config")
+    used = on if not isinstance(config, list) else config
+    for part, (gate, words) in source.gates.items():
+        size = sum(bool(used[place]) for place in (POSES if part == "pose" else TWISTS) if place < len(used))
+        if not size:
+            continue
+        key = (
+            f"{name}_{part}_rejection_threshold"
+            if source.kind in {"odom", "imu"}
+            else f"{name}_rejection_threshold"
+        )
+        if gate >= 1.0:
+            yield Setting(key=key, value=None, words=f"gate {gate:g} accepts all; {words}")
+        else:
+            distance = math.sqrt(chi_square(gate, size))
+            yield Setting(
+                key=key, value=distance, words=f"gate {gate:g}, {size} number{'s' * (size > 1)}; {words}"
+            )
+    for words in source.covariances:
+        yield Setting(key=f"{name} covariance", value=None, words=f"the driver's messages say it: {words}")
+
+
+def _sources(found: Found) -> Iterator[Source]:
+    yield _wheels(found)
+    yield from _imu(found)
+    if found.has("pose"):
+        yield from _pose(found)
+    topic, kind = found.topic("twist")
+    if found.has("twist") and kind in {ODOMETRY, TWIST}:
+        words, gates = f"{topic} in the log", {"twist": _gate(found, "twist")}
+        yield Source(KINDS[kind], topic, TWISTS, words, gates, {})
+
+
+def _wheels(found: Found) -> Source:
+    """Return the odometry of the wheels; where the log has none that this node reads, what drivers call theirs."""
+    topic, kind = found.topic("wheels")
+    speed, turn = found.velocity.reading.tolist()
+    at = f"at {1.0 / found.velocity.period:.3g} Hz"
+    noise = f"twist vx {speed:.4g} (m/s)^2, vyaw {turn:.4g} (rad/s)^2 {at}; {found.why('wheels.noise')}"
+    if kind in {ODOMETRY, TWIST}:
+        return Source(KINDS[kind], topic, TWISTS, f"{topic} in the log", {}, {}, (noise,))
+    words = (
+        f"cannot be mapped: {topic} is {kind or 'no topic of ROS'}; name the odometry that your driver makes of it"
+    )
+    return Source("odom", DRIVERS_TOPIC, TWISTS, words, {}, {}, (noise,))
+
+
+def _imu(found: Found) -> Iterator[Source]:
+    """Yield the IMU that is compass, gyro or both."""
+    roles: dict[str, list[str]] = {}
+    for role in ("compass", "gyro"):
+        topic, kind = found.topic(role)
+        if found.has(role) and kind == IMU:
+            roles.setdefault(topic, []).append(role)
+    for topic, uses in roles.items():
+        switches, gates, options, covariances = [], {}, {}, []
+        if "compass" in uses:
+            compass = found.robot.settings("compass")
+            switches.append(YAW)
+            gates["pose"] = _gate(found, "compass")
+            options = _heading_options(found)
+            variance = math.radians(compass.sigma_deg) ** 2
+            covariances.append(f"orientation, yaw {variance:.4g} rad^2; {found.why('compass.sigma_deg')}")
+        if "gyro" in uses:
+            switches.append(TURN)
+            gates["twist"] = _gate(found, "gyro")
+            words = (
+                f"angular_velocity, z {gyro_variance(found):.4g} (rad/s)^2, with its bias, which is no state there"
+            )
+            covariances.append(f"{words}; {found.why('gyro.sigma_deg')}")
+        yield Source("imu", topic, tuple(switches), f"{topic} in the log", gates, options, tuple(covariances))
+
+
+def _heading_options(found: Found) -> dict[str, bool]:
+    """Return how a compass counts: its offset is estimated here, and no state of robot_localization."""
+    pose = found.robot.settings("pose")
+    if not (found.has("pose") and pose.heading and pose.frame in {"map", "own"}):
+        return {"relative": found.robot.settings("compass").offset_deg != 0.0}
+    offsets, sigmas = (of.get(OFFSET) for of in (found.estimates.blocks, found.estimates.block_sigmas))
+    if offsets is None or sigmas is None:
+        return {"differential": found.robot.settings("compass").offset_deg != 0.0}
+    return {"differential": bool(abs(offsets[-1, 0]) > SURE_SIGMAS * sigmas[-1, 0])}
+
+
+def _pose(found: Found) -> Iterator[Source]:
+    topic, kind = found.topic("pose")
+    pose = found.robot.settings("pose")
+    if kind not in {ODOMETRY, POSE}:
+        return
+    drifts = pose.frame == "drift" or (pose.frame is None and kind == ODOMETRY)
+    on = POSES if pose.heading else (X, Y)
+    of = f"pose x, y {pose.sigma**2:.4g} m^2, yaw {math.radians(pose.sigma_theta_deg) ** 2:.4g} rad^2"
+    covariances = (of,) if pose.covariance == "sigma" else ()
+    gates = {"pose": _gate(found, "pose")}
+    yield Source(KINDS[kind], topic, on, f"{topic} in the log", gates, {"differential": drifts}, covariances)
+
+
+def _gate(found: Found, sensor: str) -> tuple[float, str]:
+    return found.robot.settings(sensor).gate, found.why(f"{sensor}.gate")
+
+
+def _world(found: Found) -> str:
+    return "map" if found.has("pose") and found.robot.settings("pose").frame in {"map", "own"} else "odom"
+
+
+def readings_per_second(found: Found, sensor: str) -> float:
+    """Return how often the messages of a sensor come."""
+    drive = found.loaded.drive
+    name = found.topic(sensor)[0]
+    count = found.loaded.log.topics[name].count if name in found.loaded.log.topics else 0
+    return max(count, 2) / max(float(drive.t[-1]), 1e-3)
+
+
+def gyro_variance(found: Found, with_bias: bool = True) -> float:
+    """Return the variance of one turning rate [(rad/s)^2]: its random walk over a period, and the bias or not."""
+    gyro = found.robot.settings("gyro")
+    white = math.radians(gyro.sigma_deg) ** 2 * readings_per_second(found, "gyro")
+    biases = found.estimates.blocks.get(BIAS)
+    bias = math.radians(gyro.bias_deg or 0.0) if biases is None or not len(biases) else float(biases[-1, 0])
+    return white + (bias**2 if with_bias else 0.0)
+
+
+def _turn_walk(found: Found) -> float:
+    """Return how fast the turning rate wanders [(rad/s)^2 per s]: by the gyro, which is finer than the wheels."""
+    if not found.has("gyro") or found.topic("gyro")[1] != IMU:
+        return float(found.velocity.walk[1])
+    stream, settings = found.loaded.stream("gyro"), found.robot.settings("gyro")
+    columns: Any = stream.columns(*REGISTRY["gyro"].reads[IMU])
+    rate = up_rate(columns, settings, stream.topic)
+    white = gyro_variance(found, with_bias=False)
+    return random_walk(rate[np.isfinite(rate)], white, 1.0 / readings_per_second(found, "gyro"))
+
+
+def _process_noise(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
+    """Yield Q, 15 x 15 per second, row by row; a file that gives the diagonal alone keeps that."""
+    velocity = found.velocity
+    diagonal = [TINY] * SWITCHES
+    along, turn = velocity.pose.tolist()
+    diagonal[X] = diagonal[Y] = TINY + 0.5 * along
+    diagonal[YAW] = TINY + turn
+    diagonal[SPEED], diagonal[TURN] = float(velocity.walk[0]), _turn_walk(found)
+    reasons = {
+        X: f"m^2/s of the wheels beyond their twist's covariance; {found.why('wheels.noise')}",
+        Y: "as x",
+        YAW: f"rad^2/s of the wheels beyond their twist's covariance; {found.why('wheels.noise')}",
+        SPEED: "(m/s)^2/s: how fast this drive's speed changes",
+        TURN: "(rad/s)^2/s: how fast its turning rate changes",
+    }
+    rows = tuple(f"{name}: {reasons.get(i, 'not estimated')}" for i, name in enumerate(STATES))
+    fuses = any(
+        isinstance(config, list) and len(config) > ACCELERATION and config[ACCELERATION]
+        for key, config in there.items()
+        if re.fullmatch(r"imu\d+_config", key)
+    )
+    named = (
+        *reasons,
+        *(() if fuses else (ACCELERATION,)),
+    )  # an acceleration that nothing measures must not wander
+    old = there.get("process_noise_covariance")
+    if isinstance(old, list) and len(old) == SWITCHES:
+        value, places = diagonal, tuple(named)
+    else:
+        value, places = np.diag(diagonal).ravel().tolist(), tuple(place * (SWITCHES + 1) for place in named)
+    yield Setting(
+        key="process_noise_covariance",
+        value=value,
+        words="; ".join(f"{STATES[place]} {reasons[place]}" for place in (X, SPEED, TURN)),
+        places=places,
+        row=SWITCHES,
+        row_words=rows,
+    )
+
+
+def _rest(found: Found) -> Iterator[Setting]:
+    """Yield comments on what robot_localization has no input for."""
+    why = {
+        "lrf": "robot_localization reads no laser: fuse the pose of AMCL as pose0 (--to amcl)",
+        "gps": "satellite fixes come through navsat_transform_node: fuse its odometry/gps as another odom input",
+        **dict.fromkeys(("camera", "sonar", "landmarks", "ranges"), "robot_localization reads no such sensor"),
+    }
+    for role in ("compass", "gyro", "pose", "twist"):
+        topic, kind = found.topic(role)
+        if found.has(role) and kind not in KINDS:
+            why[role] = f"{topic} is {kind}, which robot_localization does not read"
+    for sensor, words in why.items():
+        if found.has(sensor):
+            yield Setting(key=sensor, value=None, words=words)

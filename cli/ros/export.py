@@ -1,0 +1,110 @@
+"""The parameters of ROS nodes for a log or a result: a new file, or the values of one that exists."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import re
+import stat
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from locfuse.formats.robot.ros_nodes import NODES, section_of
+from locfuse.formats.robot.ros_yaml import KEPT, UNMAPPED, RosFile, Setting, changed, in_yaml, parsed, render
+from locfuse.formats.visible import visible
+from locfuse.formats.whole_files import whole_file
+from locfuse.fusion.data import LocfuseError
+
+from . import amcl, diff_drive, ekf, fusioncore
+from .found import Found
+
+Mapped = Callable[[Found, Mapping[str, Any]], list[Setting]]
+TARGETS: dict[str, Mapped] = {
+    "diff_drive": diff_drive.settings,
+    "ekf": ekf.settings,
+    "amcl": amcl.settings,
+    "fusioncore": fusioncore.settings,
+}
+NAMES = {  # of a node that nobody named
+    "diff_drive": "diff_drive_controller",
+    "ekf": "ekf_filter_node",
+    "amcl": "amcl",
+    "fusioncore": "fusioncore",
+}
+
+
+class Edited(msgspec.Struct, frozen=True):
+    """A file with new values."""
+
+    text: str
+    diff: tuple[str, ...]  # unified
+    reasons: tuple[str, ...]  # why each value is what it is, and what has no place in the file
+
+
+def fresh(found: Found, targets: Sequence[str]) -> str:
+    """Return a parameter file of these nodes."""
+    nodes = [(NAMES[target], NODES[target].name, TARGETS[target](found, {})) for target in targets]
+    head = (
+        f"made by locfuse export ros from {found.loaded.log.name}\nfound: measured on this log, or by a file that "
+    )
+    return render(f"{head}tune, calibrate or compare wrote; carried over: as it was set", nodes)
+
+
+def targets_in(file: RosFile, targets: Sequence[str], node: str | None, any_of: bool) -> tuple[str, ...]:
+    """Return the targets that have a section in a file; with `any_of` at least one must, else all.
+
+    Raises LocfuseError where one has none, or several, or one that is of another node.
+    """
+    if any_of:
+        there = [
+            t for t in targets if any(re.fullmatch(NODES[t].telling, key) for s in file.sections for key in s.at)
+        ]
+        targets = there or targets
+    for target in targets:
+        section_of(file, target, node)
+    return tuple(targets)
+
+
+def edited(found: Found, targets: Sequence[str], before: RosFile, node: str | None) -> Edited:
+    """Return a file with what was found in the place of its values."""
+    now, reasons = before, []
+    for target in targets:
+        section = section_of(now, target, node)
+        settings = TARGETS[target](found, section.values)
+        text, absent = changed(now, section, settings)
+        reasons += [line for s in settings if (line := _reason(s, absent))]
+        now = parsed(now.path, text)
+    lines = difflib.unified_diff(
+        before.text.splitlines(), now.text.splitlines(), str(before.path), str(before.path), lineterm=""
+    )
+    return Edited(now.text, tuple(map(visible, lines)), tuple(reasons))
+
+
+def _reason(setting: Setting, absent: Sequence[Setting]) -> str:
+    if setting.value is None:
+        return f"{setting.key}: {UNMAPPED}{setting.words}"
+    if setting.origin == KEPT:
+        return ""
+    value = "" if isinstance(setting.value, list) and len(setting.value) > 6 else f" {in_yaml(setting.value)}"
+    if setting in absent:
+        return f"{setting.key}:{value} is not in the file: add it by hand; {setting.words}"
+    return f"{setting.key}:{value}: {setting.origin}: {setting.words}"
+
+
+def refuse_read_only(path: Path) -> None:
+    """Raise LocfuseError where a file may not be written: to rename another over it would need no permission."""
+    if not stat.S_IMODE(path.stat().st_mode) & 0o222 or not os.access(path, os.W_OK):
+        raise LocfuseError(f"{path} is read-only: write elsewhere with -o, or allow it: chmod u+w {path}")
+
+
+def write(path: Path, text: str) -> None:
+    """Put a text in the place of a file, whose mode stays; of a link in the place of what it leads to."""
+    refuse_read_only(path)
+    place = path.resolve()
+    mode = stat.S_IMODE(place.stat().st_mode)
+    with whole_file(place) as temporary:
+        temporary.write_bytes(text.encode("utf-8"))
+        temporary.chmod(mode)

@@ -1,0 +1,223 @@
+"""What is known of a robot, and by which command: settings of a result, or of a log calibrated and tuned now."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+from msgspec.structs import replace
+
+from locfuse.cli.analysis.load import Loaded, with_settings
+from locfuse.cli.analysis.settings import LogOptions, Progress
+from locfuse.cli.session.calibrate import Calibration, calibrate_logs
+from locfuse.cli.session.calibrate_laser import SIGMAS_95
+from locfuse.cli.session.session import opened
+from locfuse.cli.session.tune import Tuning, tune_logs
+from locfuse.formats.caps import MAX_REPORT, MAX_ROBOT_TOML
+from locfuse.formats.inputs import read_small
+from locfuse.formats.robot.robot_toml import as_set, parse
+from locfuse.formats.robot.ros_yaml import FOUND, KEPT, SET, Origin
+from locfuse.fusion.data import Estimates, LocfuseError
+from locfuse.fusion.fuse import fuse
+from locfuse.fusion.robot import Robot, WheelSettings
+from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.wheels.velocity_noise import VelocityNoise, velocity_noise
+
+REPORTS = ("report.json", "run.json")
+FIXES = "fixes.toml"
+
+
+MAX_FIRST = 4  # settings that a command may want to be made first
+F = TypeVar("F", Calibration, Tuning)
+
+
+class Found(msgspec.Struct, frozen=True, dict=True):
+    """A log under the settings that were found, and where each of them comes from."""
+
+    loaded: Loaded
+    nominal: WheelSettings  # as they were set before anything was found
+    calibration: Calibration | None
+    sources: Mapping[str, str]  # "wheels.noise" -> where its value comes from, in words
+    notes: tuple[str, ...]
+
+    @property
+    def robot(self) -> Robot:
+        """The settings that were found."""
+        return self.loaded.robot
+
+    @cached_property
+    def velocity(self) -> VelocityNoise:
+        """The noise of the wheels as velocities."""
+        return velocity_noise(self.loaded.drive.wheels)
+
+    @cached_property
+    def estimates(self) -> Estimates:
+        """The drive by all sensors."""
+        return fuse(self.loaded.drive, self.robot, list(self.loaded.drive.measurements))
+
+    def topic(self, role: str) -> tuple[str, str]:
+        """Return topic and message type of a role, "" where the log has none."""
+        name = self.loaded.choice.topics.get(role, "")
+        topics = self.loaded.log.topics
+        return name, topics[name].msgtype if name in topics else ""
+
+    def has(self, sensor: str) -> bool:
+        """Return whether the log holds measurements of a sensor."""
+        return sensor in self.loaded.drive.measurements
+
+    def why(self, key: str) -> str:
+        """Return where the value of "table.key" comes from."""
+        return self.sources.get(key, f"{key} is the default of locfuse")
+
+    def origin(self, key: str) -> Origin:
+        """Return whether the value of "table.key" was found by a command, set by hand, or is a default."""
+        words = self.sources.get(key)
+        if words is None:
+            return KEPT
+        return FOUND if "locfuse" in words else SET
+
+
+def gather(log: Sequence[str], given: LogOptions, known: bool, wheels_only: bool, progress: Progress) -> Found:
+    """Return what is known of the robot of a log, or of a folder of results, whose settings are taken as they are.
+
+    A log is calibrated and tuned, unless its settings are all that is to be `known`. Where only the wheels matter
+    it is not tuned if calibrating finds their noise.
+    """
+    words, how, by_result = _of_result(log, given)
+    loaded = opened(words, how, progress).loaded
+    if loaded.spoils:
+        raise LocfuseError(
+            f"{loaded.log.name}: {loaded.spoils[0].words}: nothing is exported from it", role="wheels"
+        )
+    sources = {**({} if by_result else _by_settings(loaded)), **by_result, **_by_files(given)}
+    nominal = loaded.robot.wheels
+    if known or by_result:
+        return Found(loaded, nominal, None, sources, ())
+    work = _Work()
+    calibration = work.by("calibrate", lambda sets: calibrate_logs([_under(loaded, sets, progress)], progress))
+    if calibration is not None:
+        sources |= _calibrated(calibration)
+        nominal = calibration.settings
+
+    def tuned(sets: Sequence[str]) -> Tuning:
+        paths, again = list(loaded.log.paths), replace(how, sets=(*how.sets, *sets))
+        return tune_logs([paths], [], tuple(REGISTRY), False, again, progress)
+
+    enough = wheels_only and "wheels.noise" in sources and "calibrate" in sources["wheels.noise"]
+    tuning = None if enough else work.by("tune", tuned)
+    if tuning is not None:
+        sources |= _tuned(tuning)
+    sources |= work.sources
+    return Found(_under(loaded, work.sets, progress), nominal, calibration, sources, tuple(work.notes))
+
+
+def _under(loaded: Loaded, sets: Sequence[str], progress: Progress) -> Loaded:
+    return with_settings(loaded, sets, progress) if sets else loaded
+
+
+class _Work:
+    """What the commands found so far: settings, where the settings come from, and notes, in words."""
+
+    def __init__(self) -> None:
+        self.sets: list[str] = []
+        self.sources: dict[str, str] = {}  # of settings that had to come first
+        self.notes: list[str] = []
+
+    def by(self, command: str, find: Callable[[Sequence[str]], F]) -> F | None:
+        """Return what a command finds, and keep it. A setting that must come first is made; else noted is why."""
+        for _ in range(MAX_FIRST + 1):
+            try:
+                found = find(self.sets)
+            except LocfuseError as problem:
+                first = [fix for fix in problem.fixes if fix not in self.sets]
+                self.notes.append(f"locfuse {command}: {problem}")
+                self.sets += first
+                self.sources |= {fix.partition("=")[0]: f"{fix}, locfuse info --check" for fix in first}
+                if not first:
+                    return None
+            else:
+                self.sets += _sets(found.tables())
+                self.notes += (f"locfuse {command}: {note}" for note in found.notes)
+                return found
+        return None
+
+
+def _sets(tables: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    return [as_set(f"{table}.{key}", value) for table, keys in tables.items() for key, value in keys.items()]
+
+
+def _calibrated(found: Calibration) -> dict[str, str]:
+    """Return the words on what calibrate found, with its standard deviation."""
+    figures = {f"wheels.{key}": figure for key, figure in found.geometry().items()}
+    if (noise := found.wheels or found.gyro) is not None:
+        figures["wheels.noise"] = noise.k
+    if found.laser is not None:
+        figures |= {f"lrf.{key}": figure for key, figure in found.laser.mount().items()}
+    words = {
+        key: f"{key} {f.value:.4g} ± {(f.high - f.low) / (2 * SIGMAS_95):.2g}, locfuse calibrate"
+        for key, f in figures.items()
+    }
+    iron = {} if found.iron is None else dict.fromkeys(("hard_iron", "soft_iron"), "locfuse calibrate")
+    return words | {f"compass.{key}": f"{key}, {by}" for key, by in iron.items()}
+
+
+def _tuned(found: Tuning) -> dict[str, str]:
+    """Return the words on what tune found; what the log does not tell is left to others."""
+    rows = () if found.refused else found.tuned.rows
+    return {
+        row.key: f"{row.key} {row.after:.4g} ± {row.after * row.error:.2g}, locfuse tune"
+        for row in rows
+        if row.identifiable
+    }
+
+
+def _by_settings(loaded: Loaded) -> dict[str, str]:
+    """Return the words on who set each key."""
+    return {key: f"{key} by {source}" for key, source in loaded.sources.items()}
+
+
+def _by_files(how: LogOptions) -> dict[str, str]:
+    """Return the words on what robot files set, and by which command they were written."""
+    words: dict[str, str] = {}
+    for file in how.robot_files:
+        text = read_small(file, MAX_ROBOT_TOML).decode("utf-8", "replace")
+        by = next(
+            (f" (locfuse {name})" for name in ("tune", "calibrate", "compare") if f"locfuse {name}" in text), ""
+        )
+        words |= {key: f"{key} by {file.name}{by}" for key in _keys(parse(text, str(file)))}
+    return words
+
+
+def _keys(tables: Mapping[str, Any]) -> list[str]:
+    return [f"{table}.{key}" for table, keys in tables.items() if isinstance(keys, Mapping) for key in keys]
+
+
+def _of_result(log: Sequence[str], how: LogOptions) -> tuple[Sequence[str], LogOptions, dict[str, str]]:
+    """Return the log of a folder of results, how to read it under their settings, and where these come from.
+
+    Of a log this is the log itself, and no sources. Raises LocfuseError where the log of a result is not there.
+    """
+    folder = Path(log[0])
+    report = next((folder / name for name in REPORTS if len(log) == 1 and (folder / name).is_file()), None)
+    if report is None:
+        return log, how, {}
+    try:
+        found = msgspec.json.decode(read_small(report, MAX_REPORT))
+        words = shlex.split(found["repeat"])[2:]
+        changed = {key: str(of["from"]) for key, of in found["changed_settings"].items()}
+    except (msgspec.DecodeError, UnicodeDecodeError, ValueError, KeyError, TypeError, AttributeError):
+        raise LocfuseError(f"{report} does not say which log it is of; export the log itself") from None
+    names = words[: next((i for i, word in enumerate(words) if word.startswith("-")), len(words))]
+    places = [str(folder / name) if (folder / name).exists() else name for name in names]
+    fixes = folder / FIXES
+    robots = [file for file in (folder / "robot.toml", fixes) if file.is_file()] + list(how.robot_files)
+    used = replace(how, robot=robots[0] if robots else None, over=tuple(robots[1:]))
+    sources = {key: f"{key} by {source} (compared)" for key, source in changed.items()}
+    if fixes.is_file():
+        tables = parse(read_small(fixes, MAX_ROBOT_TOML), str(fixes))
+        sources |= {key: f"{key} by {FIXES}, which locfuse compare tried" for key in _keys(tables)}
+    return places, used, sources

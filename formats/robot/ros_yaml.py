@@ -1,0 +1,283 @@
+"""Parameter files of ROS nodes: a new one with a reason on every line, or new values in one that people wrote.
+
+In a file that exists only the bytes of the values that are named change: comments, order, quotes, line ends stay.
+The marks of the YAML parser say where a value begins and ends. What comes out is read again, and must hold exactly
+what was asked for.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final, Literal, NamedTuple
+
+import msgspec
+
+from locfuse.formats.caps import MAX_KEYS, MAX_ROBOT_TOML, names_its_cap
+from locfuse.formats.inputs import read_small
+from locfuse.formats.visible import visible
+from locfuse.fusion.data import LocfuseError
+
+from .commented_toml import as_toml, printable
+
+PARAMETERS = "ros__parameters"
+BOM = "\ufeff"
+MAX_DEPTH = 8  # of mappings in mappings
+UNMAPPED = "cannot be mapped: "
+PLAIN_TEXT = re.compile(r"/?[A-Za-z][\w/:.~-]*")  # needs no quotes ...
+RESERVED = {"true", "false", "null", "yes", "no", "on", "off", "y", "n"}  # ... unless it is one of these
+Value = float | bool | str | list[float] | list[bool]
+
+
+# measured by a command; set by hand; what a file that exists keeps as it has it
+Origin = Literal["found", "set", "kept"]
+FOUND: Final = "found"
+SET: Final = "set"
+KEPT: Final = "kept"
+
+
+class Setting(msgspec.Struct, frozen=True, kw_only=True):
+    """One parameter of a node, and why it has its value."""
+
+    key: str  # "odom0_config"; of nested ones "encoder.vel_noise"
+    value: Value | None  # None: a comment only
+    words: str  # where the value comes from, or why there is none
+    origin: Origin = FOUND
+    places: tuple[int, ...] = ()  # of a list: the numbers that are meant; () all
+    row: int = 0  # of a list: how many stand on a line; 0 all
+    row_words: tuple[str, ...] = ()  # of a list: the words of every line
+
+
+class Section(NamedTuple):
+    """The parameters of one node: where every value stands, nested keys joined by dots."""
+
+    name: str
+    at: dict[str, Any]  # key -> node of the YAML parser; None where the key stands twice
+    shared: frozenset[str]  # keys inside a mapping with an anchor: to change them may change another place too
+
+    @property
+    def values(self) -> dict[str, Any]:
+        """Return the values: numbers, true or false, text, or lists of these."""
+        return {key: _plain(node) for key, node in self.at.items()}
+
+
+class RosFile(NamedTuple):
+    """A parameter file as it was read."""
+
+    path: Path
+    text: str
+    sections: tuple[Section, ...]
+
+
+# --- a new file
+
+
+def render(head: str, nodes: Sequence[tuple[str, str, Sequence[Setting]]]) -> str:
+    """Return a parameter file of nodes (name, words, settings); every line has its comment."""
+    lines = [f"# {printable(line)}".rstrip() for line in head.splitlines()]
+    for name, words, settings in nodes:
+        lines += ["", f"{name}:  # {printable(words)}", f"  {PARAMETERS}:  # as a ROS 2 node reads them"]
+        lines += [f"    {line}" for setting in settings for line in _rendered(setting)]
+    return "\n".join(lines) + "\n"
+
+
+def _rendered(setting: Setting) -> Iterator[str]:
+    words = printable(setting.words)
+    if setting.value is None:
+        yield f"# {setting.key}: {UNMAPPED}{words}"
+        return
+    label = "" if words.startswith(UNMAPPED) else "found: " if setting.origin == FOUND else "carried over: "
+    n = setting.row
+    if not isinstance(setting.value, list) or not n:
+        yield f"{setting.key}: {in_yaml(setting.value)}  # {label}{words}"
+        return
+    rows = [in_yaml(setting.value[i : i + n])[1:-1] for i in range(0, len(setting.value), n)]
+    for i, (row, why) in enumerate(zip(rows, setting.row_words, strict=True)):
+        begin = f"{setting.key}: [" if i == 0 else "  "
+        yield f"{begin}{row}{']' if i == len(rows) - 1 else ','}  # {label}{printable(why)}"
+
+
+def in_yaml(value: Value) -> str:
+    """Return a value as ROS reads it: a float needs its dot, or YAML 1.1 takes 1e-09 for text."""
+    if isinstance(value, list):
+        return f"[{', '.join(in_yaml(v) for v in value)}]"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        bare = PLAIN_TEXT.fullmatch(value) and value.lower() not in RESERVED and not value.endswith(":")
+        return value if bare else as_toml(value)  # a JSON text is one of YAML too
+    mantissa, e, exponent = f"{value:.4g}".partition("e")
+    return f"{mantissa if '.' in mantissa else f'{mantissa}.0'}{e}{exponent}"
+
+
+# --- a file that exists
+
+
+def read(path: Path) -> RosFile:
+    """Read a parameter file. Raises LocfuseError in one line where it is none."""
+    data = read_small(path, MAX_ROBOT_TOML)
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError as problem:
+        raise LocfuseError(f"{path}: not a YAML text (byte {problem.start} is not UTF-8)") from None
+    return parsed(path, text)
+
+
+def parsed(path: Path, text: str) -> RosFile:
+    """Return a parameter file of this text. Raises LocfuseError in one line where it is none."""
+    for number, line in enumerate(text.splitlines(), 1):
+        if "\t" in line[: len(line) - len(line.lstrip())]:
+            raise LocfuseError(f"{path}: line {number} begins with a tab; indent YAML with spaces")
+    return RosFile(path, text, tuple(_sections(_composed(path, text), path)))
+
+
+def _composed(path: Path, text: str) -> Any:
+    """Return the root of the parser's tree, whose marks count the characters of `text`."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    try:
+        root = YAML(typ="safe", pure=True).compose(text.removeprefix(BOM))
+    except (YAMLError, ValueError, RecursionError) as problem:
+        raise LocfuseError(f"{path} is no YAML: {visible(' '.join(str(problem).split())[:160])}") from None
+    if not _is_mapping(root):
+        raise LocfuseError(f"{path} is no parameter file of ROS: its top level is not a mapping")
+    return root
+
+
+def _is_mapping(node: Any) -> bool:
+    return getattr(node, "id", "") == "mapping"
+
+
+def _sections(root: Any, path: Path) -> Iterator[Section]:
+    """Yield the nodes of a file: what lies under ros__parameters, or as in ROS 1, at the top or a level below."""
+    found = list(_below(root, "", False, set()))
+    if not found:
+        inside = ((key.value, part, _has_anchor(part)) for key, part in root.value if _is_mapping(part))
+        found = [("", root, False), *inside]
+    for name, mapping, anchored in found:
+        at: dict[str, Any] = {}
+        shared: set[str] = set()
+        for key, node, under in _flat(mapping, "", anchored, 0):
+            if len(at) > MAX_KEYS:
+                raise LocfuseError(names_its_cap(f"{path}: too many keys", len(at), MAX_KEYS))
+            at[key] = None if key in at else node
+            shared |= {key} if under else set()
+        yield Section(name, at, frozenset(shared))
+
+
+def _below(mapping: Any, name: str, anchored: bool, seen: set[int]) -> Iterator[tuple[str, Any, bool]]:
+    """Yield (node's name, its parameters, whether an anchor stands above them), every mapping once."""
+    for key, part in mapping.value:
+        if not _is_mapping(part) or id(part) in seen or len(seen) > MAX_KEYS:
+            continue
+        seen.add(id(part))
+        under = anchored or _has_anchor(part)
+        if key.value == PARAMETERS:
+            yield name, part, under
+        elif name.count("/") < MAX_DEPTH:
+            yield from _below(part, f"{name}/{key.value}".strip("/"), under, seen)
+
+
+def _flat(mapping: Any, prefix: str, anchored: bool, depth: int) -> Iterator[tuple[str, Any, bool]]:
+    for key, part in mapping.value if depth < MAX_DEPTH else ():
+        name = f"{prefix}{key.value}"
+        if _is_mapping(part) and key.value != "<<":
+            yield from _flat(part, f"{name}.", anchored or _has_anchor(part), depth + 1)
+        else:
+            yield name, part, anchored
+
+
+def _has_anchor(node: Any) -> bool:
+    return bool(getattr(node, "anchor", None))
+
+
+def _plain(node: Any) -> Any:
+    if node is None or _is_mapping(node):
+        return None
+    if isinstance(node.value, list):
+        return [_plain(part) for part in node.value if isinstance(part.value, str)]
+    kind = str(node.tag).rpartition(":")[2]
+    try:
+        if kind in {"int", "float"}:
+            number = float(node.value.replace("_", ""))
+            return number if math.isfinite(number) else node.value
+    except ValueError:  # .nan, .inf, another base than ten
+        return node.value
+    return node.value.lower() == "true" if kind == "bool" else None if kind == "null" else node.value
+
+
+def changed(file: RosFile, section: Section, settings: Sequence[Setting]) -> tuple[str, list[Setting]]:
+    """Return the text with the found values in place, and the settings for which the section has no key.
+
+    Raises LocfuseError in one line where a value cannot be replaced.
+    """
+    spans: list[tuple[int, int, str]] = []
+    absent, wanted = [], section.values
+    for setting in settings:
+        if setting.value is None or setting.origin == KEPT:
+            continue
+        if setting.key not in section.at:
+            absent.append(setting)
+            continue
+        for node, value in _pairs(file, section, setting):
+            if _plain(node) != (new := _reread(node, value)):
+                spans.append(_span(file, setting.key, node, value))
+            if isinstance(wanted[setting.key], list):
+                wanted[setting.key][section.at[setting.key].value.index(node)] = new
+            else:
+                wanted[setting.key] = new
+    if absent and "<<" in section.at:
+        raise LocfuseError(f"{file.path}: {section.name} takes keys by << from elsewhere: write its values out")
+    text = file.text
+    for begin, end, new in sorted(spans, reverse=True):
+        text = text[:begin] + new + text[end:]
+    again = list(_sections(_composed(file.path, text), file.path))
+    if again[file.sections.index(section)].values != wanted:
+        raise LocfuseError(
+            f"{file.path}: {section.name} cannot be changed value by value: write one value per key"
+        )
+    return text, absent
+
+
+def _pairs(file: RosFile, section: Section, setting: Setting) -> Iterator[tuple[Any, float | bool | str]]:
+    """Yield the parser's node and the new value of every number or word that a setting means."""
+    node, value = section.at[setting.key], setting.value
+    if node is None:
+        raise LocfuseError(f"{file.path}: {setting.key} stands twice in {section.name}: keep one of them")
+    if setting.key in section.shared or _has_anchor(node):
+        raise LocfuseError(
+            f"{file.path}: {_line(node)}: {setting.key} has an anchor or an alias (&, *): write its value out"
+        )
+    if not isinstance(value, list):
+        if not isinstance(value, float | int | str) or not isinstance(node.value, str):
+            raise LocfuseError(f"{file.path}: {_line(node)}: {setting.key} is not a single value")
+        yield node, value
+        return
+    if not isinstance(node.value, list) or len(node.value) != len(value):
+        raise LocfuseError(f"{file.path}: {_line(node)}: {setting.key} is not a list of {len(value)} values")
+    for place in setting.places or range(len(value)):
+        yield node.value[place], value[place]
+
+
+def _span(file: RosFile, key: str, node: Any, value: float | bool | str) -> tuple[int, int, str]:
+    """Return where a value begins and ends in the text, and what comes there."""
+    shift = len(BOM) if file.text.startswith(BOM) else 0
+    begin, end = node.start_mark.index + shift, node.end_mark.index + shift
+    if begin == end or not isinstance(node.value, str) or node.style in {"|", ">"} or file.text[begin] in "!&*":
+        raise LocfuseError(f"{file.path}: {_line(node)}: {key} has no plain value: write a number there first")
+    new = in_yaml(value)
+    return begin, end, f"{node.style}{new.strip(chr(34))}{node.style}" if node.style else new
+
+
+def _reread(node: Any, value: float | bool | str) -> float | bool | str:
+    """Return a value as a reader finds it in a node's place: with the digits written, in quotes as text."""
+    if node.style:
+        return in_yaml(value).strip('"')
+    return value if isinstance(value, bool | str) else float(in_yaml(value))
+
+
+def _line(node: Any) -> str:
+    return f"line {node.start_mark.line + 1}"

@@ -1,0 +1,164 @@
+"""New values in a YAML that people wrote: every other byte stays, and what cannot be changed is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from ruamel.yaml import YAML
+
+from locfuse.cli.ros.export import refuse_read_only, write
+from locfuse.formats.robot.ros_nodes import section_of
+from locfuse.formats.robot.ros_yaml import Setting, changed, in_yaml, parsed, render
+from locfuse.fusion.data import LocfuseError
+
+FILE = Path("nav2.yaml")
+KEYS = ("alpha1", "alpha2", "alpha3", "sigma_hit", "z_hit", "z_rand", "update_min_d")
+numbers = st.floats(min_value=-1e6, max_value=1e6).map(lambda x: f"{x:.3f}")
+gaps = st.sampled_from([" ", "   "])
+comments = st.sampled_from(["", "  # how noisy: 0.2", " # é: [a, b]", "   "])
+ends = st.sampled_from(["\n", "\r\n"])
+quotes = st.sampled_from(["", "'", '"'])
+
+
+@st.composite
+def files(draw: st.DrawFn) -> tuple[list[str], list[str], list[str], list[str]]:
+    """Return keys, and the text as pieces before each value, the values, and what follows the last of them."""
+    keys = draw(st.permutations(KEYS))
+    end = draw(ends)
+    bom = draw(st.sampled_from(["", "\ufeff"]))
+    before, values = (
+        f"{bom}# mine{end}other:{end}  ros__parameters: {{alpha9: 1}}{end}amcl:{end}  ros__parameters:{end}",
+        [],
+    )
+    pieces = []
+    for key in keys:
+        quote = draw(quotes)
+        pieces.append(f"{before}    {key}:{draw(gaps)}{quote}")
+        values.append(draw(numbers))
+        before = f"{quote}{draw(comments)}{end}{draw(st.sampled_from(['', f'    # between{end}', end]))}"
+    return keys, pieces, values, [f"{before}last:{end}  - &a 1{end}  - *a{end}"]
+
+
+@given(files(), st.dictionaries(st.sampled_from(KEYS), st.floats(min_value=1e-9, max_value=1e9), min_size=1))
+def test_only_the_bytes_of_the_named_values_change(
+    made: tuple[list[str], list[str], list[str], list[str]], new: dict[str, float]
+) -> None:
+    keys, pieces, values, rest = made
+    text = "".join(piece + value for piece, value in zip(pieces, values, strict=True)) + rest[0]
+    file = parsed(FILE, text)
+    settings = [Setting(key=key, value=value, words="") for key, value in new.items()]
+    got, absent = changed(file, section_of(file, "amcl"), settings)
+    replaced = [in_yaml(new[key]) if key in new else value for key, value in zip(keys, values, strict=True)]
+    quoted = {key for key, piece in zip(keys, pieces, strict=True) if piece[-1] in "'\""}
+    same = [  # a number that has these four digits already stays as it is written
+        old if key not in quoted and float(old) == float(now) else now
+        for key, old, now in zip(keys, values, replaced, strict=True)
+    ]
+    expected = "".join(piece + value for piece, value in zip(pieces, same, strict=True)) + rest[0]
+    assert got == expected
+    assert not absent
+
+
+def test_a_matrix_keeps_its_layout_and_the_numbers_that_are_not_meant() -> None:
+    text = (
+        "n:\n  ros__parameters:\n    odom0: odom\n"
+        "    process_noise_covariance: [0.05, 0.0, # x\n        0.0,    0.06]\n"
+    )
+    file = parsed(FILE, text)
+    setting = Setting(key="process_noise_covariance", value=[1.0, 9.0, 9.0, 2.0], words="", places=(0, 3))
+    got, _ = changed(file, section_of(file, "ekf"), [setting])
+    assert got == text.replace("0.05", "1.0").replace("0.06", "2.0")
+
+
+REFUSED = {
+    "amcl:\n\tros__parameters:\n\t\talpha1: 1\n": "line 2 begins with a tab; indent YAML with spaces",
+    "amcl:\n  ros__parameters:\n    alpha1: &a 0.2\n    alpha2: *a\n": "line 3: alpha1 has an anchor or an alias",
+    "amcl:\n  ros__parameters: &p\n    alpha1: 0.2\nb: *p\n": "line 3: alpha1 has an anchor or an alias",
+    "amcl:\n  ros__parameters:\n    alpha2: 1\n    sigma_hit: 1\n    <<: {alpha1: 1}\n": "takes keys by <<",
+    "amcl:\n  ros__parameters:\n    alpha1: 0.2\n    alhpa2: 0.2\n": "amcl has no key alhpa2: correct it",
+    "amcl:\n  ros__parameters:\n    alpha1: 0.2\n    alpha1: 0.3\n": "alpha1 stands twice",
+    "amcl:\n  ros__parameters:\n    alpha1: !!float 0.2\n": "alpha1 has no plain value",
+    "amcl:\n  ros__parameters:\n    alpha1:\n    alpha2: 1\n": "alpha1 has no plain value",
+    "amcl:\n  ros__parameters:\n    alpha1: [0.2]\n": "alpha1 is not a single value",
+    "ekf:\n  ros__parameters:\n    odom0: odom\n": "has no section of amcl",
+    "a:\n  ros__parameters: {alpha1: 1}\nb:\n  ros__parameters: {alpha1: 1}\n": "several sections of amcl (a, b)",
+    "- 1\n": "its top level is not a mapping",
+    "a: [\n": "is no YAML",
+    "\0\1": "is no YAML",
+}
+
+
+@pytest.mark.parametrize("text", REFUSED)
+def test_what_cannot_be_changed_is_said_in_one_line(text: str) -> None:
+    setting = Setting(key="alpha1", value=1.5, words="")
+
+    def change() -> None:
+        file = parsed(FILE, text)
+        changed(file, section_of(file, "amcl"), [setting])
+
+    with pytest.raises(LocfuseError) as problem:
+        change()
+    assert REFUSED[text] in str(problem.value)
+    assert "\n" not in str(problem.value)
+
+
+CONTROLLERS = """
+controller_manager:
+  ros__parameters:
+    front:
+      type: ackermann_steering_controller/AckermannSteeringController
+front:
+  ros__parameters:
+    wheel_separation: 0.4
+"""
+
+
+def test_a_controller_of_another_type_is_refused() -> None:
+    file = parsed(FILE, CONTROLLERS)
+    with pytest.raises(
+        LocfuseError, match=r"front is a ackermann_steering_controller/.*not a diff_drive_controller"
+    ):
+        section_of(file, "diff_drive")
+
+
+def test_a_node_is_chosen_by_its_name_and_nested_keys_are_found() -> None:
+    text = (
+        "robot1:\n  fc:\n    ros__parameters:\n      imu:\n        gyro_noise: 0.01 # mine\n"
+        "fc2:\n  ros__parameters:\n    imu.gyro_noise: 1\n"
+    )
+    file = parsed(FILE, text)
+    setting = Setting(key="imu.gyro_noise", value=0.5, words="")
+    assert changed(file, section_of(file, "fusioncore", "fc"), [setting])[0] == text.replace("0.01", "0.5")
+    assert changed(file, section_of(file, "fusioncore", "fc2"), [setting])[0] == text.replace(": 1\n", ": 0.5\n")
+
+
+def test_a_read_only_file_and_a_folder_are_refused_and_a_link_is_followed(tmp_path: Path) -> None:
+    file = tmp_path / "real.yaml"
+    file.write_text("a: 1\n")
+    file.chmod(0o440)
+    with pytest.raises(LocfuseError, match="is read-only"):
+        refuse_read_only(file)
+    with pytest.raises(LocfuseError, match="is read-only"):
+        write(file, "a: 2\n")
+    assert file.read_text() == "a: 1\n"
+    file.chmod(0o640)
+    link = tmp_path / "link.yaml"
+    link.symlink_to(file)
+    write(link, "a: 2\n")
+    assert link.is_symlink()
+    assert file.read_text() == "a: 2\n"
+    assert file.stat().st_mode & 0o777 == 0o640
+
+
+@given(st.floats(min_value=-1e300, max_value=1e300), st.text(max_size=12))
+def test_a_new_file_is_read_as_it_was_meant(number: float, text: str) -> None:
+    settings = [Setting(key="number", value=number, words=text), Setting(key="word", value=text, words="x")]
+    yaml = YAML(typ="safe", pure=True)
+    yaml.version = (1, 1)  # as libyaml reads it for ROS
+    found = yaml.load(render(text, [("node", text, settings)]))["node"]["ros__parameters"]
+    assert isinstance(found["number"], float)
+    assert found["number"] == pytest.approx(number, rel=1e-3)
+    assert found["word"] == text

@@ -37,7 +37,7 @@ EXACT = {
     "twist.sigma_turn_deg": "°/s",
     "sonar.mounts": "m, m, °",
 }
-SECONDS = {"time_offset", "period"}
+SECONDS = {"at", "time_offset", "period"}
 METRES = {
     "floor_range",
     "min_length",

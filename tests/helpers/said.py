@@ -53,7 +53,7 @@ class Written(NamedTuple):
 def written(found: Reading, row: int = 0) -> Written:
     """What a reading of two numbers a row writes into an audit."""
     n = found.lines
-    instant, rows, landmark = (np.full(n, -9, np.int32) for _ in range(3))
+    instant, rows, landmark = (np.full(n, -9, kind) for kind in (np.int32, np.int32, np.int64))
     verdict, nis, threshold = np.full(n, -9, np.int8), np.zeros(n), np.zeros(n)
     y, sigma = np.zeros((n, 2)), np.zeros((n, 2))
     audit = Audit(instant, rows, verdict, landmark)

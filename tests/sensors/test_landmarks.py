@@ -78,7 +78,7 @@ def compared(files: tuple[Path, ...], *words: Any) -> tuple[dict[str, Any], str]
             f"landmarks.sigma_bearing_deg={math.degrees(SIGMA_BEARING)}"]  # fmt: skip
     typed = [word for key in sets for word in ("--set", key)]
     out = log.parent / "out"
-    done = locfuse("compare", log, *GEOMETRY, *typed, "--truth", truth, "-o", out, "--overwrite", *words)
+    done = locfuse("compare", log, *GEOMETRY, *typed, "--truth", truth, "-v", "-o", out, "--overwrite", *words)
     assert done.exit_code == 0, done.stderr
     found: dict[str, Any] = json.loads((out / "report.json").read_text())
     return found, done.stderr
@@ -324,7 +324,7 @@ def grown(tmp_path: Path, detections: list[tuple[float, int]], *words: str, jump
     )
     (tmp_path / "many.csv").write_text(f"t,id,range,bearing\n{rows}")
     file = ("--set", f"landmarks.file={tmp_path / 'many.csv'}")
-    return locfuse("run", log, *GEOMETRY, *file, "--sensors", "landmarks", "-o", tmp_path / "o", *words)
+    return locfuse("run", log, *GEOMETRY, *file, "--sensors", "landmarks", "-v", "-o", tmp_path / "o", *words)
 
 
 def test_an_id_gets_a_place_in_the_map_from_its_third_detection_on(tmp_path: Path) -> None:

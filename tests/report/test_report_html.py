@@ -20,7 +20,7 @@ from commands import locfuse
 from locfuse.formats.figures.sections import sections
 from locfuse.formats.report import html as report_html
 from locfuse.formats.report import markdown, tables
-from locfuse.formats.report.findings import in_parts, options
+from locfuse.formats.report.findings import in_parts, notes_of, options
 from locfuse.formats.report.glossary import GLOSSARY
 from locfuse.fusion.sensors.registry import colours
 
@@ -149,6 +149,7 @@ def test_no_other_number_is_on_the_page(page: Page, report: dict[str, Any]) -> N
         *strings(report),
         *(part for f in report["findings"] for part in in_parts(f)),
         options(report["fixes"]),
+        *notes_of(report),
         *GLOSSARY.values(),
     }
     known = sorted({" ".join(s.split()) for s in texts if re.search(r"\d", s)}, key=len, reverse=True)

@@ -270,7 +270,7 @@ def test_a_result_beside_itself_has_not_changed(summary: Path, drives: list[Path
     one = summary / drives[0].stem
     done = locfuse("compare", one, one)
     assert done.exit_code == 0, done.stderr
-    assert done.stdout.count(" = ") >= 2
+    assert done.stdout.count("  =\n") >= 2
 
 
 @pytest.mark.parametrize(

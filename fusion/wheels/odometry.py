@@ -204,7 +204,7 @@ def travelled(t: Array, values: Array, by_twist: bool, max_speed: float | None, 
     restart = restarted(t, twist, far)
     steps = restart.steps
     said = 0.5 * (values[1:, 3] + values[:-1, 3]) * np.diff(t)
-    in_frame = along_the_frame(steps[:, 0], np.diff(values[:, 0]), said)
+    in_frame = bool(said.any()) and along_the_frame(steps[:, 0], np.diff(values[:, 0]), said)
     backing = backing_up(steps, said) if by_twist and not in_frame else np.zeros(len(steps), dtype=bool)
     steps[backing, :2] *= -1.0
     words = [] if placed or not posed else ["its place never changes: its speed is used along its heading"]

@@ -16,7 +16,7 @@ from traps_wheels import CLOCK_TRAPS, WHEEL_TRAPS
 
 TABLES = (WHEEL_TRAPS, CLOCK_TRAPS, COMPASS_TRAPS, LASER_TRAPS, CAMERA_TRAPS, TRUTH_TRAPS)
 TRAPS = {trap.name: trap for table in TABLES for trap in table}
-PAGE = (Path(__file__).parents[2] / "docs" / "bags.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs" / "findings.md").read_text(encoding="utf-8")
 WORSE = 1.15  # by this much the trap costs, at least
 CURE = re.compile(r"--set (\S+)")
 
@@ -60,8 +60,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @cache
 def documented() -> dict[str, tuple[str, str]]:
-    """What docs/bags.md says of every trap: what info says, and the cure."""
-    tables = PAGE.partition("### Wheels and odometry")[2].partition("\n## ")[0]
+    """What docs/findings.md says of every trap: what info says, and the cure."""
+    tables = PAGE.partition("## Wheels and odometry")[2].partition("\n## In CI")[0]
     rows = (line.strip("| ").split(" | ") for line in tables.splitlines() if line.startswith("| "))
     return {row[0]: (row[1].rstrip(" |"), row[2] if len(row) > 2 else "") for row in rows if row[0] != "trap"}
 

@@ -286,7 +286,8 @@ def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advi
     unfixed = Advice(
         candidate.finding, tried=candidate.alternatives, measured=candidate.measured, judges=candidate.judges
     )
-    options, harmless = [], False
+    options: list[Advice] = []
+    harmless = False
     for fixes in candidate.alternatives:
         if together(kept, fixes) == kept:
             continue  # set already

@@ -68,7 +68,7 @@ def normals(xy: Array, owner: Ints, origin: Array) -> Array:
         return np.zeros((0, 2))
     step = np.hypot(*(np.diff(xy, axis=0)).T)
     ranges = np.hypot(*(xy - origin).T)
-    usual = float(np.median(step / np.maximum(0.5 * (ranges[1:] + ranges[:-1]), 0.1))) if m > 1 else 0.0
+    usual = _median_of_each(step / np.maximum(0.5 * (ranges[1:] + ranges[:-1]), 0.1), owner[1:])
     joined = (step < np.maximum(MAX_GAP_M, GAP_SPACINGS * usual * ranges[1:])) & (owner[1:] == owner[:-1])
     piece = np.concatenate(([0], np.cumsum(~joined)))
     n, sums, squares = np.zeros(m), np.zeros((m, 2)), np.zeros((m, 3))
@@ -89,6 +89,15 @@ def normals(xy: Array, owner: Ints, origin: Array) -> Array:
     normal = np.stack((-np.sin(along), np.cos(along)), axis=-1)
     normal *= np.where((normal * (xy - origin)).sum(axis=1) > 0.0, -1.0, 1.0)[:, None]
     return np.where(good[:, None], normal, np.nan)
+
+
+def _median_of_each(values: Array, owner: Ints) -> Array:
+    """Return for each value (k,) the median of those of its owner, which stand together: of a scan by itself."""
+    order = np.lexsort((values, owner))
+    first = np.flatnonzero(np.diff(owner, prepend=-1))
+    counts = np.diff(np.append(first, len(owner)))
+    middle: Array = values[order[first + counts // 2]]
+    return np.repeat(middle, counts)
 
 
 def merged(clouds: Clouds, groups: list[Ints], poses: list[Array]) -> Clouds:

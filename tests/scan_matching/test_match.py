@@ -110,3 +110,17 @@ def test_a_cloud_of_many_scans_is_thinned_to_one_point_in_each_square() -> None:
         own = both.xy[both.first[k] : both.first[k + 1]]
         surfaces = own[np.isfinite(both.normal[both.first[k] : both.first[k + 1], 0])]
         assert len(kept) == len(np.unique(np.floor(surfaces / CELL_M), axis=0)), "no square lost its only point"
+
+
+def test_the_surfaces_of_a_scan_are_those_of_it_alone() -> None:
+    rng = np.random.default_rng(5)
+    coarse = np.column_stack(
+        (np.linspace(-4.0, 4.0, 17), np.full(17, 3.0))
+    )  # 0.5 m apart: a surface by its spacing
+    fine = np.column_stack((np.linspace(-2.0, 2.0, 400), 2.0 + 0.001 * rng.normal(size=400)))
+    origin = np.zeros(2)
+    alone = [normals(xy, np.zeros(len(xy), np.int64), origin) for xy in (coarse, fine)]
+    together = normals(np.concatenate((coarse, fine)), np.repeat([0, 1], [17, 400]), origin)
+    np.testing.assert_array_equal(together, np.concatenate(alone))
+    assert np.isfinite(together).all()
+    assert normals(coarse[:1], np.zeros(1, np.int64), origin).shape == (1, 2)

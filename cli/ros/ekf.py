@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from locfuse.formats.robot.robot_localization import INPUT, SPEED, SWITCHES, TURN, YAW, X, Y
-from locfuse.formats.robot.ros_yaml import KEPT, Setting
+from locfuse.formats.robot.ros_yaml import KEPT, UNMAPPED, Setting
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.sensors.compass import OFFSET
 from locfuse.fusion.sensors.gyro import BIAS, up_rate
@@ -88,6 +88,8 @@ def _named(source: Source, there: Mapping[str, Any]) -> str | None:
     """Return the input of a file that reads a topic."""
     bare = source.topic.strip("/")
     inputs = ((key, str(value).strip("/")) for key, value in there.items() if INPUT.fullmatch(key))
+    if source.words.startswith(UNMAPPED):  # the log has no odometry: the file's first is of the same wheels
+        return next((key for key, _ in inputs if key.startswith("odom")), None)
     return next((key for key, topic in inputs if topic == bare or bare.endswith(f"/{topic}")), None)
 
 
@@ -117,7 +119,11 @@ def _input(name: str, source: Source, there: Mapping[str, Any]) -> Iterator[Sett
                 key=key, value=distance, words=f"gate {gate:g}, {size} number{'s' * (size > 1)}; {words}"
             )
     for words in source.covariances:
-        yield Setting(key=f"{name} covariance", value=None, words=f"the driver's messages say it: {words}")
+        yield Setting(
+            key=f"{name} covariance",
+            value=None,
+            words=f"it comes with the messages, so the driver must set it: {words}",
+        )
 
 
 def _sources(found: Found) -> Iterator[Source]:
@@ -139,9 +145,7 @@ def _wheels(found: Found) -> Source:
     noise = f"twist vx {speed:.4g} (m/s)^2, vyaw {turn:.4g} (rad/s)^2 {at}; {found.why('wheels.noise')}"
     if kind in {ODOMETRY, TWIST}:
         return Source(KINDS[kind], topic, TWISTS, f"{topic} in the log", {}, {}, (noise,))
-    words = (
-        f"cannot be mapped: {topic} is {kind or 'no topic of ROS'}; name the odometry that your driver makes of it"
-    )
+    words = f"{UNMAPPED}{topic} is {kind or 'no topic of ROS'}: name the odometry that your driver makes of it"
     return Source("odom", DRIVERS_TOPIC, TWISTS, words, {}, {}, (noise,))
 
 

@@ -88,10 +88,10 @@ def _reason(setting: Setting, absent: Sequence[Setting]) -> str:
         return f"{setting.key}: {UNMAPPED}{setting.words}"
     if setting.origin == KEPT:
         return ""
-    value = "" if isinstance(setting.value, list) and len(setting.value) > 6 else f" {in_yaml(setting.value)}"
-    if setting in absent:
-        return f"{setting.key}:{value} is not in the file: add it by hand; {setting.words}"
-    return f"{setting.key}:{value}: {setting.origin}: {setting.words}"
+    long = isinstance(setting.value, list) and len(setting.value) > 6
+    what = setting.key if long else f"{setting.key}: {in_yaml(setting.value)}"
+    missing = "not in the file, add it by hand; " if setting in absent else ""
+    return f"{what}  # {missing}{setting.label}{setting.words}"
 
 
 def refuse_read_only(path: Path) -> None:

@@ -31,6 +31,7 @@ def _wheels(found: Found) -> list[Setting]:
     topic, kind = found.topic("wheels")
     named = kind == ODOMETRY
     why, origin = found.why("wheels.noise"), found.origin("wheels.noise")
+    model = "DifferentialDrive" if found.robot.wheels.wheelbase is None else "Ackermann"
     at = f"of one reading at {1.0 / found.velocity.period:.3g} Hz; {why}"
     vel, yaw = np.sqrt(found.velocity.needed / found.velocity.period).tolist()  # its Q is not ours to set
     return [
@@ -42,7 +43,7 @@ def _wheels(found: Found) -> list[Setting]:
         ),
         Setting(key="encoder.vel_noise", value=vel, words=f"m/s {at}", origin=origin),
         Setting(key="encoder.yaw_noise", value=yaw, words=f"rad/s {at}", origin=origin),
-        Setting(key="motion_model", value="DifferentialDrive", words="two driven wheels", origin=KEPT),
+        Setting(key="motion_model", value=model, words="by the wheels of robot.toml", origin=KEPT),
         Setting(key="publish.force_2d", value=True, words="locfuse estimates in the plane", origin=KEPT),
     ]
 

@@ -49,6 +49,13 @@ class Setting(msgspec.Struct, frozen=True, kw_only=True):
     row: int = 0  # of a list: how many stand on a line; 0 all
     row_words: tuple[str, ...] = ()  # of a list: the words of every line
 
+    @property
+    def label(self) -> str:
+        """What a comment begins with."""
+        if self.words.startswith(UNMAPPED):
+            return ""
+        return "found: " if self.origin == FOUND else "carried over: "
+
 
 class Section(NamedTuple):
     """The parameters of one node: where every value stands, nested keys joined by dots."""
@@ -88,7 +95,7 @@ def _rendered(setting: Setting) -> Iterator[str]:
     if setting.value is None:
         yield f"# {setting.key}: {UNMAPPED}{words}"
         return
-    label = "" if words.startswith(UNMAPPED) else "found: " if setting.origin == FOUND else "carried over: "
+    label = setting.label
     n = setting.row
     if not isinstance(setting.value, list) or not n:
         yield f"{setting.key}: {in_yaml(setting.value)}  # {label}{words}"

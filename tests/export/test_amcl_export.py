@@ -113,4 +113,4 @@ def test_values_go_into_the_users_file_and_nothing_else_changes(tmp_path: Path) 
     assert now[3] == "    update_min_d: 0.5"
     assert f"+{now[4]}" in done.stdout.splitlines()
     assert "z_rand: 0.0" in done.stdout
-    assert "is not in the file: add it by hand" in done.stdout
+    assert "not in the file, add it by hand" in done.stdout

@@ -24,7 +24,7 @@ def expected(e: Exception) -> tuple[str, int] | None:
     from locfuse.fusion.data import LocfuseError
 
     if isinstance(e, LocfuseError):
-        return str(e), e.exit_code
+        return e.typed or str(e), e.exit_code
     if isinstance(e, MemoryError):
         return "out of memory", 1
     if isinstance(e, OSError) and e.errno is not None:

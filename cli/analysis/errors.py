@@ -10,6 +10,7 @@ EXIT_LOSS = 3  # exit code where something of a log was lost, or figures are voi
 PACKAGES = {  # module -> what to install, where their names differ
     "cv2": "opencv-python-headless",
     "distributed": "locfuse[cluster]",
+    "mcp": "locfuse[mcp]",
     "obstore": "locfuse[remote]",
     "rerun": "rerun-sdk",
 }

@@ -15,7 +15,7 @@ from typing import Any
 import click
 
 from locfuse.cli.analysis.robot_tables import table_types
-from locfuse.cli.inspect.json_schema import report_schema, robot_schema
+from locfuse.cli.inspect.json_schema import SCHEMAS, robot_schema
 from locfuse.cli.main import COMMANDS, locfuse
 from locfuse.cli.terminal.options import HELP_ALL
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -103,7 +103,7 @@ def _of_sensor(name: str) -> Iterator[str]:
 
 def report_page() -> str:
     """Return the page of the keys of report.json."""
-    schema = report_schema()
+    schema = SCHEMAS["report"]()
     head = (
         "`report.json` of `locfuse compare`, `run.json` of `locfuse run`. A report may hold more keys; "
         "`schema_version` grows when one of these changes its meaning. As JSON Schema: `locfuse schema report`."

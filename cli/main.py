@@ -36,7 +36,8 @@ COMMANDS = {
     "completion": "Print the script by which a shell completes commands, logs, sensors, keys and topics.",
     "paper": "Repeat the paper's table and figures, with our filter and as printed, on one page.",
     "simulate": "Drive a scenario and record it as a log with known truth.",
-    "schema": "Print the JSON Schema of robot.toml or report.json, for editors and programs.",
+    "mcp": "Serve an agent: tools on the logs below some folders (Model Context Protocol).",
+    "schema": "Print the JSON Schema of robot.toml, report.json or --json, for editors and programs.",
 }
 INTERRUPTED, TERMINATED = 130, 143
 

@@ -30,6 +30,7 @@ class LocfuseError(Exception):
     """
 
     exit_code = 1
+    typed: str | None = None  # the line in the words of the command line, where `str()` speaks Python
 
     def __init__(self, message: str, *, role: str = "", fixes: Sequence[str] = (), hint: str = "") -> None:
         self.role = role  # what it is about: wheels, truth, a sensor; "" for a file or the command line
@@ -298,6 +299,11 @@ class Audit(msgspec.Struct, frozen=True):
     sigma: Array  # (k, d) its predicted standard deviation
     # (j, 2) of readings with several accepted rows: y' S^-1 y of all of them, and its degrees of freedom
     joint: Array = field(default_factory=lambda: np.zeros((0, 2)))
+
+    @property
+    def verdicts(self) -> NDArray[np.str_]:
+        """(k,) the verdicts by name: "accepted", "gate" ..."""
+        return np.array(VERDICTS)[self.verdict]
 
 
 # kinds of events

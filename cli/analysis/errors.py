@@ -10,6 +10,7 @@ EXIT_LOSS = 3  # exit code where something of a log was lost, or figures are voi
 PACKAGES = {  # module -> what to install, where their names differ
     "cv2": "opencv-python-headless",
     "distributed": "locfuse[cluster]",
+    "mcp": "locfuse[mcp]",
     "obstore": "locfuse[remote]",
     "rerun": "rerun-sdk",
 }
@@ -24,7 +25,7 @@ def expected(e: Exception) -> tuple[str, int] | None:
     from locfuse.fusion.data import LocfuseError
 
     if isinstance(e, LocfuseError):
-        return str(e), e.exit_code
+        return e.typed or str(e), e.exit_code
     if isinstance(e, MemoryError):
         return "out of memory", 1
     if isinstance(e, OSError) and e.errno is not None:

@@ -34,7 +34,7 @@ def with_files(tables: Mapping[str, Any]) -> dict[str, Any]:
     Take it before the files are read: one that changes in between then has another hash at the next run.
     """
     settings = {name: value for name, value in tables.items() if name != FILES}
-    found = {text: digest for text in _texts(settings) if (digest := _digest(text)) is not None}
+    found = {text: digest for text in texts_of(settings) if (digest := _digest(text)) is not None}
     return {**settings, FILES: found} if found else settings
 
 
@@ -42,21 +42,22 @@ def files_of(tables: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
     """Yield table, key and text of every setting that names a text file: detections, a map, a topic "x.tum"."""
     for table, keys in tables.items():
         for key, value in keys.items() if isinstance(keys, Mapping) else ():
-            for text in _texts(value):
+            for text in texts_of(value):
                 a_map = key == "map" and table in of_points() and text != GROW
                 if a_map or Path(text).suffix.lower() in SUFFIXES:
                     yield table, key, text
 
 
-def _texts(value: Any) -> Iterator[str]:
+def texts_of(value: Any) -> Iterator[str]:
+    """Yield every text of a setting, or of tables of settings."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, Mapping):
         for inner in value.values():
-            yield from _texts(inner)
+            yield from texts_of(inner)
     elif isinstance(value, list | tuple):
         for inner in value:
-            yield from _texts(inner)
+            yield from texts_of(inner)
 
 
 def _digest(text: str) -> str | None:

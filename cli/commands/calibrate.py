@@ -11,7 +11,6 @@ from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.findings import end, findings_options, print_findings
 from locfuse.cli.terminal.options import log_options
 
-USED = ("compass", "gyro", "lrf")  # sensors
 BELOW = " 95 % interval: where the value lies by these logs. was: as configured."
 
 
@@ -42,12 +41,13 @@ def calibrate(log: tuple[str, ...], out: Path | None, overwrite: bool, as_json: 
 
     may_replace(out, overwrite, log)
     with show.progress(how.quiet) as progress:
-        loaded = [load(find_log(parts), how, progress, only=USED, aside=("lrf",)) for parts in logs_of(log)]
+        loaded = [
+            load(find_log(parts), how, progress, only=calibrate.USED, aside=("lrf",)) for parts in logs_of(log)
+        ]
         progress("calibrating")
-        found = calibrate.calibrate_logs(loaded, progress)
+        found = calibrate.calibrate_logs(loaded, progress, how)
     if out is not None:
-        calibrate.write(out, found, how.robot, how.over)
-    titles = ("setting", "found", "95 % interval", "was")
-    print_findings(found.values(), [(titles, found.rows(), BELOW)], out, as_json)
+        found.write(out, overwrite)
+    print_findings(found.values(), [(found.titles, found.rows(), BELOW)], out, as_json)
     lost = [line for one in loaded for line in results.loss_lines(one, list(one.drive.measurements), how.strict)]
     return end(found.notes, lost, how.quiet)

@@ -64,9 +64,9 @@ def tune(
     with show.progress(how.quiet) as progress:
         found = tune.tune_logs(paths, held_out, tune.sensor_names(sensors), drift, how, progress)
     if out is not None:
-        tune.write(out, found, how)
+        found.write(out, overwrite)
     tables: list[Table] = [
-        (("noise", "before", "after", "95 % interval"), found.rows(), BELOW_NOISE),
+        (found.titles, found.rows(), BELOW_NOISE),
         (("judged by", "before", "after"), found.judgements(), BELOW_JUDGED),
     ]
     held = "the settings as they were given; the noise that was found is not used" if found.refused else ""

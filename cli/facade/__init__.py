@@ -23,9 +23,8 @@ if sys.version_info < (3, 11):  # noqa: UP036  an old pip, or a copied folder, i
 
 if TYPE_CHECKING:
     from locfuse.cli.session.result import Comparison, Run
-    from locfuse.cli.session.session import Session, load
+    from locfuse.cli.session.session import Session, evaluate, fuse, info, load, open_log, smooth
     from locfuse.cli.session.simulate import simulate
-    from locfuse.cli.session.steps import evaluate, fuse, open_log, smooth
     from locfuse.cli.session.summary import Summary, compare
     from locfuse.fusion.chi_square import chi_square
     from locfuse.fusion.data import Colour, Component, Drive, Estimates, Evaluation, LocfuseError, Measurements
@@ -36,17 +35,10 @@ if TYPE_CHECKING:
 
 # Imported when they are used (PEP 562): `import locfuse` alone loads no NumPy, nor does `locfuse --help`.
 _HOMES = {
-    "load": "cli.session.session",
-    "compare": "cli.session.summary",
-    "fuse": "cli.session.steps",
-    "smooth": "cli.session.steps",
-    "evaluate": "cli.session.steps",
+    **dict.fromkeys(("Session", "evaluate", "fuse", "info", "load", "open_log", "smooth"), "cli.session.session"),
+    **dict.fromkeys(("Comparison", "Run"), "cli.session.result"),
+    **dict.fromkeys(("Summary", "compare"), "cli.session.summary"),
     "simulate": "cli.session.simulate",
-    "open_log": "cli.session.steps",
-    "Session": "cli.session.session",
-    "Run": "cli.session.result",
-    "Comparison": "cli.session.result",
-    "Summary": "cli.session.summary",
     **dict.fromkeys(
         ("Colour", "Component", "Drive", "Estimates", "Evaluation", "LocfuseError", "Measurements"), "fusion.data"
     ),
@@ -75,6 +67,7 @@ __all__ = [
     "compare",
     "evaluate",
     "fuse",
+    "info",
     "load",
     "open_log",
     "register",

@@ -1,4 +1,4 @@
-"""JSON Schemas of robot.toml and report.json, made from the types that read and describe them.
+"""JSON Schemas of robot.toml, report.json and what --json prints, made from the types that describe them.
 
 Draft 7 (json-schema.org): the newest that TOML editors understand (taplo, Even Better TOML), which take a tuple of
 draft 2020-12 for one that may hold nothing.
@@ -10,6 +10,7 @@ import inspect
 import re
 import tokenize
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from io import StringIO
 from typing import Any, get_args
 
@@ -17,7 +18,7 @@ import msgspec
 
 from locfuse.cli.analysis.robot_tables import table_types
 from locfuse.cli.analysis.settings import ORDERS, PRESETS
-from locfuse.formats.report.structure import Report
+from locfuse.formats.report import structure
 from locfuse.fusion.sensors.registry import REGISTRY
 
 DRAFT_7 = "http://json-schema.org/draft-07/schema#"
@@ -50,12 +51,13 @@ def robot_schema() -> Schema:
     }
 
 
-def report_schema() -> Schema:
-    """Return the schema of report.json and run.json: the keys that programs may rely on; more may follow."""
-    (ref,), definitions = msgspec.json.schema_components([Report], ref_template=REF_TEMPLATE)
-    for kind in _structs(Report):
+def output_schema(title: str, *kinds: type[msgspec.Struct]) -> Schema:
+    """Return the schema of what a command writes, any of `kinds`: the keys to rely on; more may follow."""
+    refs, definitions = msgspec.json.schema_components(kinds, ref_template=REF_TEMPLATE)
+    for kind in dict.fromkeys(inner for outer in kinds for inner in _structs(outer)):
         _describe(definitions[kind.__name__], field_words(kind))
-    return {"$schema": DRAFT_7, "title": "report.json", **ref, "$defs": _in_draft_7(definitions)}
+    top = refs[0] if len(refs) == 1 else {"anyOf": list(refs)}
+    return {"$schema": DRAFT_7, "title": title, **top, "$defs": _in_draft_7(definitions)}
 
 
 def _table_words(name: str, kind: type[msgspec.Struct]) -> dict[str, str]:
@@ -132,4 +134,10 @@ def _commented(kind: type[Any]) -> Iterator[tuple[str, str]]:
             yield field[1], token.string.lstrip("# ")
 
 
-SCHEMAS: dict[str, Callable[[], Schema]] = {"robot": robot_schema, "report": report_schema}
+SCHEMAS: dict[str, Callable[[], Schema]] = {
+    "robot": robot_schema,
+    "report": partial(output_schema, "report.json", structure.Report),
+    "info": partial(output_schema, "info --json", structure.InfoOutput, structure.TopicsOutput),
+    "tune": partial(output_schema, "tune --json", structure.TuneOutput),
+    "calibrate": partial(output_schema, "calibrate --json", structure.CalibrateOutput),
+}

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from locfuse.cli.analysis.load import Loaded, with_settings
 from locfuse.cli.analysis.settings import LogOptions, Progress
 from locfuse.cli.session.calibrate import Calibration, calibrate_logs
-from locfuse.cli.session.calibrate_laser import SIGMAS_95
+from locfuse.cli.session.found import SIGMAS_95
 from locfuse.cli.session.session import opened
 from locfuse.cli.session.tune import Tuning, tune_logs
 from locfuse.formats.caps import MAX_REPORT, MAX_ROBOT_TOML

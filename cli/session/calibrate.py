@@ -3,47 +3,129 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
 
 import msgspec
 import numpy as np
 
-from locfuse.cli.analysis.load import Loaded
-from locfuse.cli.analysis.settings import Progress, silent
-from locfuse.formats.robot import commented_toml, robot_toml
-from locfuse.formats.whole_files import whole_file
+from locfuse.cli.analysis.load import Loaded, find_log, load
+from locfuse.cli.analysis.settings import LogOptions, Progress, silent
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.iron import Iron, fit_iron
+from locfuse.fusion.sensors.lrf import LrfSettings, laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream
+from locfuse.fusion.wheels import calibrate_by_scans
 from locfuse.fusion.wheels.calibrate import PAPER_PERIOD_S, WheelCalibration, calibrate_wheels
 from locfuse.fusion.wheels.calibrate_by_gyro import GyroCalibration, calibrate_by_gyro
+from locfuse.fusion.wheels.calibrate_by_scans import LaserCalibration, Motion
 from locfuse.fusion.wheels.calibrate_tricycle import Reference, TricycleCalibration, calibrate_tricycle, of_truth
 from locfuse.fusion.wheels.likelihood import Figure
+from locfuse.fusion.wheels.motion_by_scans import match_scans
 from locfuse.fusion.wheels.tricycle import is_tricycle, read_encoders
 
-from .calibrate_laser import SIGMAS_95, ByLaser, by_laser, has_both, motion_of_both
-from .doubts import refuse_doubtful
+from .found import SIGMAS_95, Found, Row, refuse_doubtful
 
+USED = ("compass", "gyro", "lrf")  # sensors
 FIELD = "sensor_msgs/msg/MagneticField"
 ODOMETRY = "nav_msgs/msg/Odometry"
 CALIBRATED = ("wheel scale", "radius", "track", "iron", "yaw")  # findings that calibrating sets right
 MIN_LN_RATIO = 3.0  # ln of a likelihood ratio that is worth saying (20 to 1)
+IRON_COLUMNS = {
+    "hard_iron": "hard",
+    "hard_iron_sigma": "hard_sigma",
+    "soft_iron": "soft",
+    "soft_iron_sigma": "soft_sigma",
+}
+DEFAULT = LogOptions()
+KEYS = {"x": " [m]", "y": " [m]", "yaw_deg": " [deg]", "time_offset": " [s]"}
+LACKING = {
+    "scale": ("wheels: radius", "way"),
+    "difference": ("wheels: ratio", "straight runs beside turns"),
+    "track": ("wheels: track", "turns"),
+    "x": ("lrf: x", "turns"),
+    "y": ("lrf: y", "turns"),
+    "yaw": ("lrf: yaw_deg", "straight runs"),
+    "delay": ("lrf: time_offset", "changes of speed"),
+}
 
 
-class Calibration(msgspec.Struct, frozen=True):
+class ByLaser(msgspec.Struct, frozen=True):
+    """What wheels and laser say of each other."""
+
+    fit: LaserCalibration
+    was: LrfSettings
+
+    @property
+    def parameters(self) -> Array:
+        """Of NAMES, (7,)."""
+        return self.fit.parameters
+
+    @property
+    def sigmas(self) -> Array:
+        """Of NAMES, (7,): NaN where the drives cannot tell."""
+        return self.fit.sigmas
+
+    def mount(self) -> dict[str, Figure]:
+        """Return the laser's mount and clock by the keys of [lrf], those that the drives can tell."""
+        unit = np.array([1.0, 1.0, math.degrees(1.0), 1.0])
+        offset = np.array([0.0, 0.0, 0.0, self.was.time_offset])
+        values = (self.fit.parameters[3:] * unit + offset).tolist()
+        half = (SIGMAS_95 * self.fit.sigmas[3:] * unit).tolist()
+        found = zip(KEYS, values, half, strict=True)
+        return {key: Figure(v, v - h, v + h) for key, v, h in found if math.isfinite(h)}
+
+    def mount_rows(self) -> list[tuple[str, Figure, str, float]]:
+        """Return (key, figure, unit, what it was)."""
+        return [(key, figure, KEYS[key], getattr(self.was, key)) for key, figure in self.mount().items()]
+
+    def table(self) -> dict[str, float]:
+        """Return the keys of [lrf] that are surely not what was set."""
+        return {
+            key: figure.value for key, figure, _, was in self.mount_rows() if not figure.low <= was <= figure.high
+        }
+
+    def notes(self, settings: WheelSettings) -> list[str]:
+        """Return what a reader must know: how much was seen, what it cannot tell, and whose metre counts."""
+        fit = self.fit
+        notes = [
+            f"laser: {fit.intervals} pieces of way by wheels and laser ({fit.way_m:.1f} m, "
+            f"{math.degrees(fit.turned_rad):.0f} degrees); the laser's metre is taken for the right one "
+            "(lrf.range_scale)"
+        ]
+        if fit.outliers:
+            notes.append(f"laser: {fit.outliers} pieces do not fit the others (slip, or a wrong match): not used")
+        untold = set(fit.untold())
+        odometry = settings.radius is None or settings.track is None
+        untold -= {"scale", "difference", "track"} if odometry else set()
+        notes += [
+            f"{what} cannot be told without {needs}; it is left as it is"
+            for name, (what, needs) in LACKING.items()
+            if name in untold
+        ]
+        if odometry:
+            scale, _, track = (1.0 + fit.parameters[:3]).tolist()
+            notes.append(
+                f"wheels: the odometry measures {1.0 / scale:.3f} of the laser's distances (1 sigma "
+                f"{_sigma(fit, 'scale')}) and {track / scale:.3f} of its turns ({_sigma(fit, 'track')})"
+            )
+        return notes
+
+
+class Calibration(Found, frozen=True, kw_only=True):
     """Everything that the logs told."""
 
     settings: WheelSettings  # as they were
-    wheels: WheelCalibration | None
-    laser: ByLaser | None  # where no truth tells of the wheels
-    gyro: GyroCalibration | None  # tells the track and the ratio where nothing else does as well
-    iron: Iron | None
-    notes: tuple[str, ...]
+    wheels: WheelCalibration | None = None
+    laser: ByLaser | None = None  # where no truth tells of the wheels
+    gyro: GyroCalibration | None = None  # tells the track and the ratio where nothing else does as well
+    iron: Iron | None = None
     tricycle: TricycleCalibration | None = None  # where two encoders are the wheels
+
+    command: ClassVar[str] = "calibrate"
+    titles: ClassVar[Row] = ("setting", "found", "95 % interval", "was")
 
     def relative(self) -> tuple[Array, Array] | None:
         """Return mean scale, scale difference and track, 0: as set, and their sigmas, NaN: unknown; (3,) each."""
@@ -106,59 +188,54 @@ class Calibration(msgspec.Struct, frozen=True):
         return tables
 
     def values(self) -> dict[str, Any]:
-        """Return everything as plain values: SI units, null for what could not be found."""
-        return {
-            "wheels": None if self.wheels is None else self._wheel_values(self.wheels),
-            "laser": None if self.laser is None else self._laser_values(self.laser),
-            "gyro": None if self.gyro is None else self._gyro_values(self.gyro),
-            "compass": None if self.iron is None else _iron_values(self.iron),
-            "tricycle": None if self.tricycle is None else self._tricycle_values(self.tricycle),
-            "robot": self.tables(),
-            "notes": list(self.notes),
-        }
+        """Return everything as plain values, as --json prints it: SI units, null for what could not be found."""
+        geometry = self.geometry()
+        found: dict[str, Any] = dict.fromkeys(("wheels", "laser", "gyro", "compass", "tricycle"))
+        if (wheels := self.wheels) is not None:
+            found["wheels"] = {
+                **_plain({"noise_m": wheels.k, "delta": wheels.delta, **geometry}),
+                "delta_period_s": PAPER_PERIOD_S,
+                "ln_likelihood_noise_over_delta": wheels.prefers_k,
+                "straight_pieces": wheels.pieces["straight"],
+                "turn_pieces": wheels.pieces["turn"],
+                "straight_m": wheels.straight_m,
+                "turned_deg": math.degrees(wheels.turned_rad),
+                "outliers": wheels.outliers,
+            }
+        if (laser := self.laser) is not None:
+            found["laser"] = {
+                **_plain({**geometry, **laser.mount()}),
+                "pieces": laser.fit.intervals,
+                "way_m": laser.fit.way_m,
+                "turned_deg": math.degrees(laser.fit.turned_rad),
+                "outliers": laser.fit.outliers,
+            }
+        if (gyro := self.gyro) is not None:
+            found["gyro"] = {
+                **_plain({"noise_m": gyro.k, **geometry}),
+                "noise_by_window_m": {f"{length:g}": k for length, k in gyro.noise.items()},
+                "time_offset_s": gyro.delay,
+                "turned_deg": math.degrees(gyro.turned_rad),
+                "windows": gyro.windows,
+            }
+        if (iron := self.iron) is not None:
+            found["compass"] = {
+                **{key: getattr(iron, which).ravel().tolist() for key, which in IRON_COLUMNS.items()},
+                "strength": iron.strength,
+                "scatter_deg": math.degrees(iron.scatter),
+                "error_before_deg": iron.error_before_deg,
+                "gap_deg": iron.gap_deg,
+                "readings": iron.readings,
+            }
+        if (tricycle := self.tricycle) is not None:
+            mount = {f"{tricycle.by}_{key}": figure for key, figure in tricycle.mount.items()}
+            rest = {"rms_deg": math.degrees(tricycle.rms)} if tricycle.by == "gyro" else {"rms_m": tricycle.rms}
+            found["tricycle"] = {**_plain({**tricycle.wheels, **mount}), "by": tricycle.by, **rest}
+        return {**found, "robot": self.tables(), "notes": list(self.notes)}
 
-    def _wheel_values(self, found: WheelCalibration) -> dict[str, Any]:
-        figures = {"noise_m": found.k, "delta": found.delta, **self.geometry()}
-        return {
-            **{name: {"value": f.value, "low": f.low, "high": f.high} for name, f in figures.items()},
-            "delta_period_s": PAPER_PERIOD_S,
-            "ln_likelihood_noise_over_delta": found.prefers_k,
-            "straight_pieces": found.pieces["straight"],
-            "turn_pieces": found.pieces["turn"],
-            "straight_m": found.straight_m,
-            "turned_deg": math.degrees(found.turned_rad),
-            "outliers": found.outliers,
-        }
-
-    def _laser_values(self, found: ByLaser) -> dict[str, Any]:
-        figures = {**self.geometry(), **found.mount()}
-        return {
-            **{name: {"value": f.value, "low": f.low, "high": f.high} for name, f in figures.items()},
-            "pieces": found.fit.intervals,
-            "way_m": found.fit.way_m,
-            "turned_deg": math.degrees(found.fit.turned_rad),
-            "outliers": found.fit.outliers,
-        }
-
-    def _tricycle_values(self, found: TricycleCalibration) -> dict[str, Any]:
-        figures = {**found.wheels, **{f"{found.by}_{key}": figure for key, figure in found.mount.items()}}
-        values = {name: {"value": f.value, "low": f.low, "high": f.high} for name, f in figures.items()}
-        rest = {"rms_deg": math.degrees(found.rms)} if found.by == "gyro" else {"rms_m": found.rms}
-        return {**values, "by": found.by, **rest}
-
-    def _gyro_values(self, found: GyroCalibration) -> dict[str, Any]:
-        figures = {"noise_m": found.k, **self.geometry()}
-        return {
-            **{name: {"value": f.value, "low": f.low, "high": f.high} for name, f in figures.items()},
-            "noise_by_window_m": {f"{length:g}": k for length, k in found.noise.items()},
-            "time_offset_s": found.delay,
-            "turned_deg": math.degrees(found.turned_rad),
-            "windows": found.windows,
-        }
-
-    def rows(self) -> list[tuple[str, str, str, str]]:
+    def rows(self) -> list[Row]:
         """Return (setting, value, interval, what it was) for people."""
-        rows: list[tuple[str, str, str, str]] = []
+        rows: list[Row] = []
         if (noise := self.wheels or self.gyro) is not None:
             rows.append(_row("wheels.noise [m]", noise.k, self.settings.noise))
         for key, figure in self.geometry().items():
@@ -177,11 +254,20 @@ class Calibration(msgspec.Struct, frozen=True):
         return rows
 
 
-def calibrate_logs(loaded: Sequence[Loaded], progress: Progress = silent) -> Calibration:
+def calibrated(logs: Sequence[Sequence[str]], how: LogOptions, progress: Progress) -> Calibration:
+    """Read logs as a command line names them, and calibrate what they allow."""
+    loaded = [load(find_log(parts), how, progress, only=USED, aside=("lrf",)) for parts in logs]
+    progress("calibrating")
+    return calibrate_logs(loaded, progress, how)
+
+
+def calibrate_logs(
+    loaded: Sequence[Loaded], progress: Progress = silent, how: LogOptions = DEFAULT
+) -> Calibration:
     """Calibrate what the logs of one robot allow. Raises LocfuseError where they allow nothing."""
     settings = _one_robot(loaded)
     if is_tricycle(loaded[0].stream("wheels")):
-        return _tricycle(loaded, settings, progress)
+        return _tricycle(loaded, settings, progress, how)
     for one in loaded:
         refuse_doubtful(one, "what is calibrated now", CALIBRATED)
     notes: list[str] = []
@@ -202,27 +288,11 @@ def calibrate_logs(loaded: Sequence[Loaded], progress: Progress = silent) -> Cal
             f"compass: iron bends the raw headings by {iron.error_before_deg:.1f} degrees (rms over a turn); the "
             f"field scatters by {math.degrees(iron.scatter):.2f} degrees about the fit"
         )
-    found = Calibration(settings, wheels, laser, gyro, iron, tuple(notes))
-    return msgspec.structs.replace(found, notes=(*notes, *_left_as_set(found)))
-
-
-def _left_as_set(found: Calibration) -> list[str]:
-    """Return a note about the lengths in the table that robot.toml will not have."""
+    found = Calibration(how=how, settings=settings, wheels=wheels, laser=laser, gyro=gyro, iron=iron)
     kept = [key for key, figure in found.geometry().items() if not found.moved(key, figure)]
-    return (
-        [f"wheels: {', '.join(kept)} left as set: inside the interval, so nothing speaks against it"]
-        if kept
-        else []
-    )
-
-
-def write(path: Path, found: Calibration, robot: Path | None = None, over: Sequence[Path] = ()) -> None:
-    """Write robot.toml: what the user's own said, comments included, with later files' keys and those found."""
-    before = commented_toml.text_of(robot) or "# found by locfuse calibrate\n"
-    later = (robot_toml.parse(file.read_bytes(), str(file)) for file in over)
-    changes = robot_toml.merge(*later, found.tables())
-    with whole_file(path) as temporary:
-        temporary.write_text(commented_toml.updated(before, changes, "locfuse calibrate"), encoding="utf-8")
+    if kept:
+        notes.append(f"wheels: {', '.join(kept)} left as set: inside the interval, so nothing speaks against it")
+    return msgspec.structs.replace(found, notes=tuple(notes))
 
 
 def fields(loaded: Sequence[Loaded]) -> Array:
@@ -268,7 +338,9 @@ def _wheels(loaded: Sequence[Loaded]) -> WheelCalibration:
     return calibrate_wheels(drives)
 
 
-def _tricycle(loaded: Sequence[Loaded], settings: WheelSettings, progress: Progress) -> Calibration:
+def _tricycle(
+    loaded: Sequence[Loaded], settings: WheelSettings, progress: Progress, how: LogOptions
+) -> Calibration:
     """Calibrate the encoders of a steered wheel by the truth of one drive, else its laser, else its gyro."""
     one, stream = loaded[0], loaded[0].stream("wheels")
     reference = None if len(loaded) > 1 else _reference(one, progress)
@@ -293,7 +365,7 @@ def _tricycle(loaded: Sequence[Loaded], settings: WheelSettings, progress: Progr
         "(rms); a gyro knows no lengths: the radius is left as it was set",
     }
     notes = (f"tricycle: {', '.join((*found.wheels, *found.mount))}: {left[found.by]}",)
-    return Calibration(settings, None, None, None, None, notes, found)
+    return Calibration(how=how, settings=settings, notes=notes, tricycle=found)
 
 
 def _moved_by(figure: Figure, offset: float) -> Figure:
@@ -385,21 +457,7 @@ def _wheel_notes(
     return notes
 
 
-def _iron_values(iron: Iron) -> dict[str, Any]:
-    return {
-        "hard_iron": iron.hard.tolist(),
-        "hard_iron_sigma": iron.hard_sigma.tolist(),
-        "soft_iron": iron.soft.ravel().tolist(),
-        "soft_iron_sigma": iron.soft_sigma.ravel().tolist(),
-        "strength": iron.strength,
-        "scatter_deg": math.degrees(iron.scatter),
-        "error_before_deg": iron.error_before_deg,
-        "gap_deg": iron.gap_deg,
-        "readings": iron.readings,
-    }
-
-
-def _iron_rows(iron: Iron) -> list[tuple[str, str, str, str]]:
+def _iron_rows(iron: Iron) -> list[Row]:
     rows = []
     for name, values, sigmas in (("hard", iron.hard, iron.hard_sigma), ("soft", iron.soft, iron.soft_sigma)):
         where = ("x", "y") if name == "hard" else ("xx", "xy", "yx", "yy")
@@ -409,7 +467,7 @@ def _iron_rows(iron: Iron) -> list[tuple[str, str, str, str]]:
     return rows
 
 
-def _row(name: str, figure: Figure, was: float | None) -> tuple[str, str, str, str]:
+def _row(name: str, figure: Figure, was: float | None) -> Row:
     interval = f"{figure.low:.4g} .. {figure.high:.4g}"
     return name, f"{figure.value:.4g}", interval, "" if was is None else f"{was:.4g}"
 
@@ -417,3 +475,38 @@ def _row(name: str, figure: Figure, was: float | None) -> tuple[str, str, str, s
 def _short(value: float) -> float:
     """Six digits: more is noise."""
     return float(f"{value:.6g}")
+
+
+def _plain(figures: Mapping[str, Figure]) -> dict[str, dict[str, float]]:
+    return {name: msgspec.structs.asdict(figure) for name, figure in figures.items()}
+
+
+def _sigma(fit: LaserCalibration, name: str) -> str:
+    sigma = float(fit.sigmas[calibrate_by_scans.NAMES.index(name)])
+    return f"{sigma:.3f}" if math.isfinite(sigma) else "not told"
+
+
+def by_laser(loaded: Sequence[Loaded], settings: WheelSettings, progress: Progress) -> ByLaser:
+    """Compare wheels and laser of all logs that have both. Raises LocfuseError where none has, or none tells."""
+    both = [one for one in loaded if has_both(one)]
+    if not both:
+        names = ", ".join(one.log.name for one in loaded)
+        raise LocfuseError(f"no wheels and laser together in {names}", role="laser")
+    progress("matching scans")
+    return ByLaser(
+        calibrate_by_scans.calibrate([motion_of_both(one) for one in both]), both[0].robot.settings("lrf")
+    )
+
+
+def has_both(one: Loaded) -> bool:
+    """Return whether a log has wheels and a laser beside them."""
+    return "lrf" in one.choice.topics and one.drive.wheels.matched is None  # else the motion is the laser's own
+
+
+def motion_of_both(one: Loaded) -> Motion:
+    """Return how the wheels and the laser of one log moved; the laser in a frame of its own."""
+    lrf: Any = one.robot.settings("lrf")
+    stream = one.log.stream(one.choice.topics["lrf"], one.robot.order)
+    laser = laser_of(lrf)._replace(mount=np.zeros(3))
+    found = match_scans(stream, laser).reading(WheelSettings(), lrf.time_offset)
+    return Motion(one.drive.wheels, found.wheels, (found.epoch_ns - one.drive.epoch_ns) * 1e-9)

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from locfuse.cli.advice.values import fixes_file
 from locfuse.cli.analysis import maps, outputs, results
@@ -17,11 +19,16 @@ from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import EXPORTS, OF_COMPARISON, OF_RUN, PathLike, chosen, path_of
 from locfuse.formats.report.findings import void_reasons
 from locfuse.formats.visible import visible
-from locfuse.fusion.data import Drive, Estimates, Evaluation, UsageError
+from locfuse.fusion.data import Array, Drive, Estimates, Evaluation, UsageError
 from locfuse.fusion.judge.credit import Credit
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.registry import REGISTRY, colours
+
+from .python_words import in_python, speaks_python
 
 if TYPE_CHECKING:
+    from locfuse.formats.figures.palette import Trace
+    from locfuse.formats.figures.panels import Panel
     from locfuse.formats.whole_files import Content
 
 V = TypeVar("V")
@@ -98,6 +105,75 @@ class Result(msgspec.Struct, frozen=True, eq=False):
 
         return notes_of(self.report)
 
+    @property
+    def headline(self) -> str:
+        """The answer in one or two sentences: what to keep, at what error, and whether that is to be trusted."""
+        return str(self.report["headline"])
+
+    @property
+    def findings(self) -> list[dict[str, Any]]:
+        """What looks wrong: {"role", "code", "message", "fixes"} each; [] too where the log was not evaluated."""
+        return self.report["findings"] or []
+
+    def errors(self, name: str) -> dict[str, Array]:
+        """Return the errors of one result, `errors("lrf")`, for pandas.DataFrame or polars.DataFrame.
+
+        Columns at the truth's stamps, (q,) each: t [s since the first wheel reading]; dx, dy [m], heading [rad]:
+        estimate - truth; nees (1 per degree of freedom is right). What does not exist is NaN, without truth there
+        are no rows.
+        """
+        found = self.evaluations[name]
+        heading = np.full(len(found.t), np.nan) if found.heading is None else found.heading
+        dx, dy = found.deviation.T
+        return {"t": found.t, "dx": dx, "dy": dy, "heading": heading, "nees": found.nees}
+
+    def audit(self, name: str, sensor: str) -> dict[str, NDArray[Any]]:
+        """Return every measurement of a sensor in one result, `audit("all", "lrf")`, as columns for a data frame.
+
+        t [s since the first wheel reading]; verdict: "accepted", "gate", "unmatched" ...; nis and the threshold of
+        its gate; innovation_<component> and sigma_<component>, in the unit of the audit.
+        """
+        estimates = self.estimates[name]
+        audit = Named("sensor", estimates.audits)[sensor]
+        columns: dict[str, NDArray[Any]] = {
+            "t": estimates.t[audit.instant],
+            "verdict": audit.verdicts,
+            "nis": audit.nis,
+        }
+        columns["threshold"] = audit.threshold
+        for i, component in enumerate(REGISTRY[sensor].components):
+            columns |= {
+                f"innovation_{component.name}": audit.y[:, i],
+                f"sigma_{component.name}": audit.sigma[:, i],
+            }
+        return columns
+
+    def plot(self, axes: Any = None) -> Any:
+        """Draw all paths over the map and return matplotlib's axes: those given, or new ones.
+
+        Without matplotlib the report's figure is returned, an SVG that a notebook shows.
+        """
+        panel, traces = self._trajectories()
+        from locfuse.formats.figures.for_paper import on_axes
+        from locfuse.formats.report.notebook import Picture
+
+        try:
+            return on_axes(axes, panel, traces, colours())
+        except ModuleNotFoundError:  # no matplotlib
+            return Picture(panel, traces, colours())
+
+    def _trajectories(self) -> tuple[Panel, Mapping[str, Trace]]:
+        """Return the figure of all paths, and how each of them is drawn."""
+        from locfuse.formats.figures.palette import traces_of
+        from locfuse.formats.figures.where import trajectories
+
+        scene = outputs.scene(self._compared(), outputs.Drawn())
+        return trajectories(scene).panels[0], traces_of(self.estimates.values())
+
+    def _compared(self) -> Compared:
+        estimates, evaluations = list(self.estimates.values()), list(self.evaluations.values())
+        return Compared(self.loaded, [], estimates, evaluations, [], credit=None, scores=[])
+
     def table(self) -> list[dict[str, Any]]:
         """Return one row per result, for pandas.DataFrame or polars.DataFrame: the columns of report.csv.
 
@@ -126,11 +202,13 @@ class Result(msgspec.Struct, frozen=True, eq=False):
         return visible(f"<{type(self).__name__} of {self.loaded.log.name}: {', '.join(self.estimates)}>")
 
     def _repr_html_(self) -> str:
-        """Return verdicts and table, as a notebook shows them."""
+        """Return headline, findings, verdicts, table and the trajectories, as a notebook shows them."""
         from locfuse.formats.report import notebook
 
-        return notebook.render(self.report)
+        panel, traces = self._trajectories()
+        return notebook.render(self.report, in_python) + notebook.Picture(panel, traces, colours()).html()
 
+    @speaks_python
     def write(
         self, folder: PathLike | None = None, *, write: Kinds = None, export: Kinds = (), overwrite: bool = False
     ) -> list[Path]:
@@ -189,6 +267,7 @@ class Run(Result, frozen=True, eq=False):
     def _used(self) -> list[str]:
         return list(self.filtered.sensors)
 
+    @speaks_python
     def write_audit(self, file: PathLike) -> None:
         """Write every measurement with its distance, threshold and verdict as CSV."""
         from locfuse.formats.results.trajectory import audit_csv
@@ -197,6 +276,7 @@ class Run(Result, frozen=True, eq=False):
         with whole_file(path_of(file)) as path:
             path.write_text(audit_csv(self.drive, self.filtered))
 
+    @speaks_python
     def save_map(self, file: PathLike) -> None:
         """Write the line map of this run, with covariances, as JSON: `session.with_map` reads it.
 
@@ -223,6 +303,9 @@ class Comparison(Result, frozen=True, eq=False, dict=True):
     compared: Compared
     drawn: outputs.Drawn
 
+    def _compared(self) -> Compared:
+        return self.compared
+
     @cached_property
     def verdicts(self) -> Named[dict[str, Any]]:
         """By sensor: {"verdict": "helps", "words": why}."""
@@ -236,6 +319,7 @@ class Comparison(Result, frozen=True, eq=False, dict=True):
     def _files(self, write: Kinds) -> dict[str, Content]:
         return outputs.files(self.compared, self.drawn, self.report, chosen(write, OF_COMPARISON))
 
+    @speaks_python
     def write_figures(self, folder: PathLike) -> list[Path]:
         """Write every figure as SVG and PDF, for a paper, and return the files."""
         return self._written(folder, outputs.figure_files(self.compared, self.drawn), overwrite=True)

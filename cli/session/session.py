@@ -1,4 +1,7 @@
-"""A measured log: fused under any set of sensors as often as one likes, without being read again."""
+"""A measured log: fused under any set of sensors as often as one likes, without being read again.
+
+The main line step by step, for those who want to go in between: open_log -> load -> fuse -> evaluate.
+"""
 
 from __future__ import annotations
 
@@ -33,23 +36,31 @@ from locfuse.cli.analysis.settings import (
     words_of,
 )
 from locfuse.cli.analysis.trust import evidence
+from locfuse.formats.logs import log as logs
 from locfuse.formats.logs.log import Log
 from locfuse.formats.robot.robot_toml import as_set
 from locfuse.formats.visible import visible
 from locfuse.fusion.checks.truth import jumps_of
 from locfuse.fusion.data import Drive, Estimates, Evaluation, UsageError
-from locfuse.fusion.judge.evaluate import Align, evaluate
+from locfuse.fusion.judge import evaluate as judge
+from locfuse.fusion.judge.evaluate import Align
+from locfuse.fusion.measure import thinned
 from locfuse.fusion.robot import Robot
 
 from .foreign import foreign_estimates, named_sources
 from .jitter import add_jitter, check_runs, jitter_runs
+from .python_words import speaks_python
 from .result import Comparison, Named, Run
 from .sweep import cells
 
 if TYPE_CHECKING:
     from locfuse.cli.advice.evaluator import Evaluator
 
+    from .calibrate import Calibration
+    from .tune import Tuning
 
+
+@speaks_python
 def load(
     log: PathLike | Sequence[PathLike],
     *,
@@ -82,8 +93,43 @@ def load(
 
 def opened(log: Sequence[str], how: LogOptions, progress: Progress, read_again: bool = False) -> Session:
     """Return the session of a log as a command line names it; `read_again`: its columns are needed once more."""
-    session = Session(maps.give_topic(load_to_fuse(find_log(log), how, progress, read_again)), progress)
+    session = Session(maps.give_topic(load_to_fuse(find_log(log), how, progress, read_again)), progress, how)
     return session if how.given_map is None else session.with_map(how.given_map)
+
+
+@speaks_python
+def info(
+    log: PathLike | Sequence[PathLike],
+    *,
+    robot: PathLike | None = None,
+    sets: Sets | None = None,
+    order: str | None = None,
+    progress: Progress = silent,
+) -> dict[str, Any]:
+    """Return what is in a log, which sensor reads which topic and why, what is missing, and what looks wrong.
+
+    This is for logs that do not run yet: what is wrong becomes a finding, with the settings that fix it. The
+    values are those that `locfuse info LOG --json` prints; `locfuse schema info` has their units and meaning.
+
+    Args:
+        log: as of `load`.
+        robot: a robot.toml.
+        sets: single keys of robot.toml.
+        order: which clock wins.
+        progress: called with the name of every step, such as `print`.
+
+    Raises:
+        LocfuseError: no such file, not a log, or a robot.toml that cannot be read.
+    """
+    return inspected(words_of(log), log_options(robot, sets, order, None), progress)
+
+
+def inspected(log: Sequence[str], how: LogOptions, progress: Progress) -> dict[str, Any]:
+    """Return what `info` does, of a log as a command line names it."""
+    from locfuse.cli.inspect import values
+    from locfuse.cli.inspect.inspect_log import inspect_log
+
+    return values.values(inspect_log(find_log(log), how, progress))
 
 
 ADVICE_KEYS = ("headline", "validity", "findings", "fixes")  # of a report: what to keep, what is void, what to set
@@ -94,6 +140,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
 
     loaded: Loaded
     progress: Progress = silent
+    how: LogOptions = LogOptions(quiet=True)  # the options under which the log was read
 
     @property
     def log(self) -> Log:
@@ -115,6 +162,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         """What was chosen, repaired or found unusual while reading, in words."""
         return self.drive.notes
 
+    @speaks_python
     def run(
         self,
         sensors: Sensors | Configuration = "all",
@@ -142,7 +190,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         used = sensors if isinstance(sensors, Configuration) else self.configuration(sensors)
         self.progress("fusing")
         estimates = lean(used.fuse, self.drive, self.robot, used.is_smoothed(asked, self.robot))
-        evaluations = [evaluate(e, used.drive(self.drive), cast("Align", align)) for e in estimates]
+        evaluations = [judge.evaluate(e, used.drive(self.drive), cast("Align", align)) for e in estimates]
         report = report_of_run(self.loaded, used, estimates, evaluations)
         self._add_jitter(report, [used], asked, estimates)
         complete(
@@ -161,6 +209,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
             report,
         )
 
+    @speaks_python
     def compare(
         self, sensors: Sensors | Iterable[Sensors] | None = None, **choices: Unpack[Choices]
     ) -> Comparison:
@@ -233,6 +282,52 @@ class Session(msgspec.Struct, frozen=True, eq=False):
             refuse(self.drive, self.robot)
         return possible(self.drive, self.robot)
 
+    def info(self) -> dict[str, Any]:
+        """Return what is in the log and what looks wrong, as `locfuse.info` does, under the session's settings."""
+        return inspected(self._words, self.how, self.progress)
+
+    @speaks_python
+    def tune(
+        self,
+        *more: PathLike | Sequence[PathLike],
+        sensors: str = "all",
+        hold_out: Sequence[PathLike | Sequence[PathLike]] = (),
+        drift: bool = False,
+    ) -> Tuning:
+        """Find the noise under which what the sensors reported is most likely, as `locfuse tune` does.
+
+        Args:
+            *more: more logs of the same robot.
+            sensors: those to tune and to tune by, "compass,lrf"; the others stay as they are.
+            hold_out: logs to judge by instead of tuning on them; none: the last fifth of every log.
+            drift: ask also whether the compass' estimated offset drifts.
+
+        Raises:
+            LocfuseError: an unknown sensor, or a log with a wrong setting that noise would cover up.
+        """
+        from . import tune
+
+        logs_of = [self._words, *(words_of(log) for log in more)]
+        paths, held = (
+            [find_log(log) for log in found] for found in (logs_of, [words_of(log) for log in hold_out])
+        )
+        return tune.tune_logs(paths, held, tune.sensor_names(sensors), drift, self.how, self.progress)
+
+    @speaks_python
+    def calibrate(self, *more: PathLike | Sequence[PathLike]) -> Calibration:
+        """Find wheel noise, wheel geometry, laser mount and magnetometer iron, as `locfuse calibrate` does.
+
+        `more` are more logs of the same robot. Raises LocfuseError where the logs cannot tell any of these.
+        """
+        from . import calibrate
+
+        return calibrate.calibrated([self._words, *(words_of(log) for log in more)], self.how, self.progress)
+
+    @property
+    def _words(self) -> list[str]:
+        return [str(path) for path in self.log.paths]
+
+    @speaks_python
     def findings(self) -> dict[str, Any]:
         """Return what is wrong or can be better: {"headline", "validity", "findings", "fixes"}, each fix tried.
 
@@ -275,14 +370,18 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         """Return the configuration that words name. Raises LocfuseError for a sensor that this log lacks."""
         return parse(sensors, self.drive)
 
+    @speaks_python
     def with_settings(self, sets: Sets) -> Session:
         """Return the same log under other settings; sensors whose settings stay are not measured again.
 
         The result equals that of `load` with these `sets`, bit for bit. Raises UsageError for an unknown key, and
         for a topic, `order` or `preset`: these decide what is read.
         """
-        return replace(self, loaded=with_settings(self.loaded, set_words(sets), self.progress))
+        words = set_words(sets)
+        how = replace(self.how, sets=(*self.how.sets, *words))
+        return replace(self, loaded=with_settings(self.loaded, words, self.progress), how=how)
 
+    @speaks_python
     def sweep(
         self,
         keys: Mapping[str, Iterable[Any]],
@@ -302,6 +401,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         results = {cell: self.with_settings(sets).compare(sensors, **asked) for cell, sets in found.items()}
         return Named("cell", results)
 
+    @speaks_python
     def with_map(self, file: PathLike) -> Session:
         """Return the same drive with a laser that localises in the map of a file, which stays as it is.
 
@@ -317,3 +417,43 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         return visible(
             f"<Session of {self.log.name}: {self.drive.t[-1] - self.drive.t[0]:.1f} s, {sensors}; {truth}>"
         )
+
+
+@speaks_python
+def open_log(log: PathLike | Sequence[PathLike]) -> Log:
+    """Open a log without measuring it: `log.topics`, `log.stream("/scan").columns("ranges")`.
+
+    Takes what `load` takes. Raises LocfuseError where there is no such log.
+    """
+    return logs.open_log(find_log(words_of(log)))
+
+
+@speaks_python
+def fuse(drive: Drive, robot: Robot, sensors: Sensors = "all") -> Estimates:
+    """Run the filter over a drive with these sensors: `fuse(session.drive, session.robot, ["compass", "lrf"])`.
+
+    Returns pose (n, 3), covariance P (n, 3, 3) and the audit of every measurement at the drive's instants t (n,).
+    Raises LocfuseError for an unknown sensor, or one that the drive lacks.
+    """
+    return parse(sensors, drive).fuse(drive, robot)[0]
+
+
+@speaks_python
+def smooth(drive: Drive, robot: Robot, sensors: Sensors = "all") -> Estimates:
+    """Run filter and smoother: every pose is estimated from the whole drive, its end included.
+
+    Rauch, Tung and Striebel (1965). Raises LocfuseError as `fuse` does, and where a setting such as lrf.map =
+    first-scan makes the filter's gain not the optimal one.
+    """
+    return parse(sensors, drive).fuse(drive, robot, smooth=True)[-1]
+
+
+@speaks_python
+def evaluate(estimates: Estimates, drive: Drive, align: str = "none") -> Evaluation:
+    """Judge an estimate by the drive's truth: deviations, and figures such as `figures["position_rmse_m"]`.
+
+    `align`: "none", "origin" or "se2". Without truth the error figures are None.
+    """
+    one_of(align, get_args(Align), "align")
+    seen = thinned(drive, estimates.rates) if estimates.rates else drive
+    return judge.evaluate(estimates, seen, cast("Align", align))

@@ -14,6 +14,7 @@ from locfuse.fusion.data import UsageError
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .control_loop import make_estimator
+from .python_words import speaks_python
 from .session import Session, load
 
 if TYPE_CHECKING:
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from locfuse.sample_logs.simulate import Outcome
 
 
+@speaks_python
 def simulate(
     scenario: PathLike,
     out: PathLike | None = None,

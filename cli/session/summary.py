@@ -35,6 +35,7 @@ from locfuse.formats.whole_files import may_write, write_results
 from locfuse.fusion.data import LocfuseError, UsageError
 from locfuse.fusion.sensors.registry import colours
 
+from .python_words import speaks_python
 from .replicates import add_intervals, add_ties, credit_over
 from .result import Comparison, Kinds, Named
 from .session import opened
@@ -52,6 +53,11 @@ class Summary:
         self.results = Named("log", found)
         self._entries = [Entry(name, report=slim({"": r.report})) for name, r in found.items()]
         self.report = summarised(self._entries)
+
+    @property
+    def headline(self) -> str:
+        """Which configuration is best, in one sentence."""
+        return over.headline(self.report)
 
     def table(self) -> list[dict[str, Any]]:
         """Return one row per log and configuration, as `Comparison.table`, with the log's name in "log"."""
@@ -75,7 +81,7 @@ class Summary:
 
     def __repr__(self) -> str:
         """Return the logs and which configuration is best."""
-        return visible(f"<Summary of {', '.join(self.results)}: {over.headline(self.report)}>")
+        return visible(f"<Summary of {', '.join(self.results)}: {self.headline}>")
 
     def _repr_html_(self) -> str:
         """Return headline, verdicts and table, as a notebook shows them."""
@@ -105,6 +111,7 @@ def compare(
 ) -> Summary: ...
 
 
+@speaks_python
 def compare(
     *logs: PathLike | Sequence[PathLike],
     robot: PathLike | None = None,

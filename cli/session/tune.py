@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Callable, Sequence
-from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import msgspec
 from msgspec.structs import replace
@@ -16,8 +15,7 @@ from locfuse.cli.analysis.configurations import refuse_beside_others, unknown_se
 from locfuse.cli.analysis.load import Loaded, load, start_error, with_settings
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.formats.container.url import Place
-from locfuse.formats.robot import commented_toml, robot_toml
-from locfuse.formats.whole_files import whole_file
+from locfuse.formats.robot import robot_toml
 from locfuse.fusion.checks.score import MAX_LOSS_NATS, Score, spoils
 from locfuse.fusion.data import Evaluation, Measurements
 from locfuse.fusion.fuse import fuse
@@ -26,11 +24,11 @@ from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed
 from locfuse.fusion.tune.noise import Figures
-from locfuse.fusion.tune.tune import Row, Trial, Tuned, tune
+from locfuse.fusion.tune.tune import Row as TunedRow
+from locfuse.fusion.tune.tune import Trial, Tuned, tune
 
-from .doubts import refuse_doubtful
+from .found import SIGMAS_95, Found, Row, refuse_doubtful
 
-SIGMAS_95 = 1.96  # standard deviations of a 95 % interval
 HELD_OUT_SHARE = 0.2  # share of every log, its end, where no log is held out
 LIKELIHOOD = "ln likelihood per number, {part} ({numbers})"
 
@@ -44,14 +42,16 @@ class Judged(msgspec.Struct, frozen=True):
     check: str  # the command that says what else is wrong with it
 
 
-class Tuning(msgspec.Struct, frozen=True):
+class Tuning(Found, frozen=True, kw_only=True):
     """Everything that the logs told."""
 
     tuned: Tuned
     judged: Sequence[Judged]
     loaded: Sequence[Loaded]
-    notes: tuple[str, ...]
     refused: bool = False  # a log gets worse or is lost under the noise that was found
+
+    command: ClassVar[str] = "tune"
+    titles: ClassVar[Row] = ("noise", "before", "after", "95 % interval")
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -79,10 +79,19 @@ class Tuning(msgspec.Struct, frozen=True):
             "notes": list(self.notes),
         }
 
-    def rows(self) -> list[tuple[str, str, str, str]]:
+    def rows(self) -> list[Row]:
         """Return (key, before, after, interval) for people."""
         unused = ("not used", "")
         return [(r.key, f"{r.before:.3g}", *(unused if self.refused else _found(r))) for r in self.tuned.rows]
+
+    def before(self) -> str:
+        """Return the text that robot.toml begins from where the user gave none."""
+        head = "# without the noise that locfuse tune found: a log gets worse by it\n"
+        return head if self.refused else "# noise found by locfuse tune\n"
+
+    def given(self) -> dict[str, Any]:
+        """Return the tables that the user gave beside the first robot.toml, single settings included."""
+        return robot_toml.merge(Found.given(self), robot_toml.apply_sets(self.how.sets))
 
     def judgements(self) -> list[tuple[str, str, str]]:
         """Return (figure, before, after) for people."""
@@ -170,7 +179,8 @@ def tune_logs(
         progress(f"again, with the sigma of {' and '.join(sorted(left))} left as it was")
         tuned, judged, worse = tuned_by(others)
         notes = [f"{note}. It is left out, and its sigma left as it was" for note in notes]
-    return Tuning(tuned, judged, loaded, (*worse, *_notes(tuned), *notes), bool(worse))
+    notes = [*worse, *_notes(tuned), *notes]
+    return Tuning(how=how, notes=tuple(notes), tuned=tuned, judged=judged, loaded=loaded, refused=bool(worse))
 
 
 def _check(log: Sequence[Place], how: LogOptions) -> str:
@@ -217,16 +227,6 @@ def spoiled(j: Judged) -> str | None:
     return f"{j.name} {what}: the noise that was found is not used. Something else is set wrong; see: {j.check}"
 
 
-def write(path: Path, found: Tuning, how: LogOptions) -> None:
-    """Write robot.toml: what the user gave, the first file's comments included, with the noise that was found."""
-    later = [robot_toml.parse(file.read_bytes(), str(file)) for file in how.over]
-    changes = robot_toml.merge(*later, robot_toml.apply_sets(how.sets), found.tables())
-    head = "# without the noise that locfuse tune found: a log gets worse by it\n"
-    before = commented_toml.text_of(how.robot) or (head if found.refused else "# noise found by locfuse tune\n")
-    with whole_file(path) as temporary:
-        temporary.write_text(commented_toml.updated(before, changes, "locfuse tune"), encoding="utf-8")
-
-
 def _evaluated(one: Loaded) -> Evaluation:
     """Evaluate all sensors of a log; by the path's shape where its start is not known."""
     run = fuse(one.drive, one.robot, list(one.drive.measurements))
@@ -258,7 +258,7 @@ def lasting_errors(trials: Sequence[Trial]) -> dict[tuple[str, str], str]:
     return lasting
 
 
-def _found(row: Row) -> tuple[str, str]:
+def _found(row: TunedRow) -> tuple[str, str]:
     """Return a figure and its interval, or that the logs do not tell."""
     if not row.identifiable:
         return f"{row.after:.3g}", "at most this" if row.after < row.before else "not identifiable"
@@ -266,7 +266,7 @@ def _found(row: Row) -> tuple[str, str]:
     return f"{row.after:.3g}", f"{low:.3g} .. {high:.3g}"
 
 
-def _row_values(row: Row) -> dict[str, Any]:
+def _row_values(row: TunedRow) -> dict[str, Any]:
     factor = math.exp(SIGMAS_95 * row.error) if row.identifiable else None
     return {
         "before": row.before,

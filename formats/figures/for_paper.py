@@ -75,9 +75,7 @@ def paper_figures(
 
     `traces` are the configurations drawn, `sensors` the colours of all sensors known to the product.
     """
-    names = list(dict.fromkeys(m.of for s in sections for p in s.panels for m in p.marks))
-    every = {**{s: Trace(s, (s,)) for s in names if s in sensors}, **traces}
-    inks = {**{n: c.light for n, c in palette.colours(every, sensors).items()}, **_light_roles()}
+    inks = _inks([m.of for s in sections for p in s.panels for m in p.marks], traces, sensors)
     looks = palette.looks_of(traces)
     out: dict[str, bytes] = {}
     for section in sections:
@@ -85,6 +83,22 @@ def paper_figures(
             name = file_name(panel.name)
             out[f"{name}.svg"], out[f"{name}.pdf"] = draw(panel, inks, looks)
     return out
+
+
+def _inks(names: Sequence[str], traces: Mapping[str, Trace], sensors: Mapping[str, Colour]) -> dict[str, str]:
+    """Return the colour on paper of every name that marks have."""
+    every = {**{s: Trace(s, (s,)) for s in names if s in sensors}, **traces}
+    return {**{n: c.light for n, c in palette.colours(every, sensors).items()}, **_light_roles()}
+
+
+def on_axes(axes: Any, panel: Panel, traces: Mapping[str, Trace], sensors: Mapping[str, Colour]) -> Any:
+    """Draw a panel on matplotlib's axes, None for new ones, and return them."""
+    if axes is None:
+        from matplotlib import pyplot as plt
+
+        axes = plt.figure(figsize=(7.0, 6.0), layout="constrained").add_subplot()
+    _fill(axes, panel, _inks([m.of for m in panel.marks], traces, sensors), palette.looks_of(traces))
+    return axes
 
 
 def file_name(panel: str) -> str:

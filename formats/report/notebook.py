@@ -1,18 +1,74 @@
-"""A report as a notebook shows it: verdicts and one table as HTML, in the notebook's own style."""
+"""A report as a notebook shows it: headline, findings, verdicts, a table as HTML in its style, and the paths."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+import base64
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from importlib.resources import files
+from typing import Any, NamedTuple
+
+from locfuse.formats.figures import palette
+from locfuse.formats.figures.palette import Trace
+from locfuse.formats.figures.panels import Panel
+from locfuse.formats.figures.svg import slugs_of, svg
+from locfuse.fusion.data import Colour
 
 from . import summary as over
+from .findings import banner_of, findings_of, together
+from .html import style_sheet
 from .render import html, html_text
+from .table import of_words, texts
 from .tables import configurations
 
+WIDTH, HEIGHT = 640, 420  # px of the paths
 
-def render(report: Mapping[str, Any]) -> str:
-    """Return verdicts and main figures of a report. Text from the log is escaped."""
-    return _verdicts(report.get("verdicts", {})) + html(configurations(report))
+
+class Picture(NamedTuple):
+    """A figure of the report by itself, which a notebook shows: `_repr_svg_`."""
+
+    panel: Panel
+    traces: Mapping[str, Trace]
+    sensors: Mapping[str, Colour]
+
+    def _repr_svg_(self) -> str:
+        """Return the figure as an SVG document with its own colours, for a light page and a dark one."""
+        roles = {**palette.colours(self.traces, self.sensors), **palette.ROLES}
+        slugs, looks = slugs_of(list(roles)), palette.looks_of(self.traces)
+        css = (files(__package__) / "report.css").read_text(encoding="utf-8").splitlines()
+        of_figures = [line for line in css if line.startswith((":root", "@media (prefers", ".fig"))]
+        style = style_sheet("".join(of_figures), roles, slugs).replace("<", "\\3c ")
+        drawn = svg(self.panel, "paths", slugs, WIDTH, HEIGHT, looks)
+        opening = f'<svg xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" width="{WIDTH}"'
+        return f"{opening}{drawn.removeprefix('<svg')}".replace("<title", f"<style>{style}</style><title", 1)
+
+    def html(self) -> str:
+        """Return it as an image: styles inside it touch nothing else of the notebook. Lines are named below it."""
+        data = base64.b64encode(self._repr_svg_().encode()).decode()
+        inks = palette.colours(self.traces, self.sensors)
+        names = " ".join(
+            f'<span style="color:{ink.light}">&#9632;</span> {html_text(name)}' for name, ink in inks.items()
+        )
+        source = f"data:image/svg+xml;base64,{data}"
+        return f'<p>{names}</p><img alt="{html_text(self.panel.summary)}" src="{source}">'
+
+
+def render(report: Mapping[str, Any], spoken: Callable[[str], str] = str) -> str:
+    """Return headline, findings, verdicts and main figures of a report; `spoken` turns options into other words.
+
+    Text from the log is escaped.
+    """
+    lines = [*banner_of(report), *findings_of(report), *filter(None, [together(report)])]
+    findings = "".join(f"<li>{html_text(spoken(line))}</li>" for line in lines)
+    head = f"<p><b>{html_text(spoken(report.get('headline') or ''))}</b></p>" + (
+        f"<ul>{findings}</ul>" if findings else ""
+    )
+    return head + _verdicts(report.get("verdicts", {})) + html(configurations(report))
+
+
+def table_and_notes(titles: Sequence[str], rows: Iterable[Sequence[str]], notes: Iterable[str]) -> str:
+    """Return a table of words and notes below it."""
+    below = "".join(f"<li>{html_text(note)}</li>" for note in notes)
+    return html(of_words(texts(*titles), rows)) + (f"<ul>{below}</ul>" if below else "")
 
 
 def render_summary(summary: Mapping[str, Any]) -> str:

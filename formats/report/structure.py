@@ -1,7 +1,8 @@
-"""The structure of report.json and run.json: the keys that programs may rely on, with type, unit and meaning.
+"""The structure of report.json, run.json and what --json prints: the keys that programs may rely on.
 
-A report may hold more keys than these; `schema_version` grows when one of these changes its meaning. None where a
-figure does not exist. Lengths are in metres, times in seconds, angles in degrees where the key ends in `_deg`.
+With type, unit and meaning. There may be more keys; `schema_version` grows when one of a report's keys changes its
+meaning. None where a figure does not exist. Lengths are in metres, times in seconds, angles in degrees where the
+key ends in `_deg`.
 """
 
 from __future__ import annotations
@@ -253,3 +254,211 @@ class Report(_Common):
     repeat: str | None = None  # the command that makes this report again
     jitter: Jitter | None = None  # null: not asked for
     key: str | None = None  # equal for equal input, settings, configurations and version
+
+
+# --- locfuse info --json
+
+
+class ListedTopic(Struct):
+    """A topic, by the summary of the log."""
+
+    type: str
+    messages: Count
+    rate_hz: Figure  # mean
+
+
+class InfoTopic(ListedTopic):
+    """A topic, by its messages."""
+
+    frame: str | None
+    period_s: Figure  # median
+    gaps: list[Interval]  # s since the log began: stretches without messages, at most the first few
+    longest_gap_s: Figure
+    clock: str | None  # which time its messages are dated by
+    delay_s: Figure  # from stamp to recording
+    stamps_repaired: dict[str, Count]  # why -> messages
+    dropped: dict[str, Count]  # why -> messages
+    problem: str | None  # why it cannot be read
+
+
+class InfoRole(Struct):
+    """What reads which topics."""
+
+    topics: list[str]
+    why: str | None  # it was chosen
+
+
+class InfoFinding(Struct):
+    """What is missing or looks wrong."""
+
+    role: str  # the sensor, or wheels, truth, start, file, log; or a topic
+    code: str
+    message: str
+    fixes: list[str]  # "table.key=value" each
+    source: str | None  # where the values of the fixes come from
+    severe: bool  # an estimate would be spoiled, or nothing runs
+
+
+class InfoTried(Struct):
+    """What --check found by fusing, as in a report; without keys where the log cannot be fused."""
+
+    headline: str | None = None
+    validity: list[Validity] = []
+    findings: list[ReportedFinding] | None = None
+    fixes: list[str] | None = None
+
+
+class InfoOutput(Struct):
+    """What `locfuse info LOG --json` prints, and locfuse.info(LOG) returns."""
+
+    name: str
+    files: list[str]
+    bytes: Count
+    duration_s: Figure
+    start_ns: int | None
+    messages: Count
+    checksums: bool  # whether a changed value would be noticed
+    topics: dict[str, InfoTopic]
+    roles: dict[str, InfoRole]  # sensor, wheels or truth -> topics
+    absent: dict[str, str]  # sensor or role -> why it cannot be used
+    extrinsics: dict[str, dict[str, Any]]  # sensor -> where it sits [m, degrees], and by which source
+    configurations: dict[str, str | None]  # name -> what is missing; null: it runs
+    findings: list[InfoFinding]
+    severe: bool  # one of them is
+    tried: InfoTried | None = None  # null: without --check
+
+
+class TopicsOutput(Struct, forbid_unknown_fields=True):
+    """What `locfuse info LOG --topics --json` prints."""
+
+    topics: dict[str, ListedTopic]
+
+
+# --- locfuse tune --json
+
+
+class TunedNoise(Struct):
+    """A noise figure, in the unit of its key."""
+
+    before: float
+    after: float
+    low: Figure  # of the 95 % interval; null where the logs do not show the figure
+    high: Figure
+    identifiable: bool
+
+
+class TunedLikelihood(Struct):
+    """Natural logarithm of the likelihood per number that was measured: more is better."""
+
+    before: Figure
+    after: Figure
+    numbers: Count
+
+
+class TunedFigures(Struct):
+    """How a log is judged."""
+
+    position_rmse_m: Figure
+    nis: dict[str, Figure]  # sensor -> mean normalised innovation squared: 1 is right
+
+
+class TunedLog(Struct):
+    """A log before and after."""
+
+    name: str
+    before: TunedFigures
+    after: TunedFigures
+
+
+class TuneOutput(Struct):
+    """What `locfuse tune LOG --json` prints."""
+
+    noise: dict[str, TunedNoise]  # "table.key" -> figure
+    ln_likelihood_per_number: dict[str, TunedLikelihood | None]  # training, held_out
+    logs: list[TunedLog]
+    measured_again: list[str]  # sensors
+    refused: bool  # a log gets worse under the noise that was found: it is not used
+    robot: dict[str, dict[str, Any]]  # tables of robot.toml to be used
+    notes: list[str]
+
+
+# --- locfuse calibrate --json
+
+
+class Estimated(Struct):
+    """A value with its 95 % interval, in the unit of its key."""
+
+    value: float
+    low: float
+    high: float
+
+
+class CalibratedGeometry(Struct, kw_only=True):
+    """The wheels' lengths; null where the logs do not show them."""
+
+    radius: Estimated | None = None  # m
+    ratio: Estimated | None = None  # right radius over left
+    track: Estimated | None = None  # m
+
+
+class CalibratedWheels(CalibratedGeometry, kw_only=True):
+    """By truth."""
+
+    noise_m: Estimated  # wheels.noise
+    delta: Estimated  # the paper's, at its period
+    delta_period_s: float
+    ln_likelihood_noise_over_delta: float
+    straight_pieces: Count
+    turn_pieces: Count
+    straight_m: float
+    turned_deg: float
+    outliers: Count  # pieces that do not fit the others
+
+
+class CalibratedLaser(CalibratedGeometry, kw_only=True):
+    """By wheels and laser."""
+
+    x: Estimated | None = None  # m
+    y: Estimated | None = None  # m
+    yaw_deg: Estimated | None = None
+    time_offset: Estimated | None = None  # s
+    pieces: Count
+    way_m: float
+    turned_deg: float
+    outliers: Count
+
+
+class CalibratedByGyro(CalibratedGeometry, kw_only=True):
+    """By wheels and gyro."""
+
+    noise_m: Estimated
+    noise_by_window_m: dict[str, float]  # length [s] -> noise
+    time_offset_s: float
+    turned_deg: float
+    windows: Count
+
+
+class CalibratedIron(Struct):
+    """Iron around the magnetometer: field - hard_iron, times the matrix soft_iron (row by row)."""
+
+    hard_iron: list[float]
+    hard_iron_sigma: list[Figure]
+    soft_iron: list[float]
+    soft_iron_sigma: list[Figure]
+    strength: float  # of the field, in the unit of its messages
+    scatter_deg: float
+    error_before_deg: float  # rms over a turn
+    gap_deg: float  # largest stretch of headings without a reading
+    readings: Count
+
+
+class CalibrateOutput(Struct):
+    """What `locfuse calibrate LOG --json` prints; null for what the logs do not show."""
+
+    wheels: CalibratedWheels | None
+    laser: CalibratedLaser | None
+    gyro: CalibratedByGyro | None
+    compass: CalibratedIron | None
+    tricycle: dict[str, Any] | None  # key of wheels, truth_<key> -> value and interval; rms_m
+    robot: dict[str, dict[str, Any]]  # tables of robot.toml to be used
+    notes: list[str]

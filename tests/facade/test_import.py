@@ -16,7 +16,7 @@ import locfuse
 from locfuse.cli.session.session import Session
 
 SOURCE = Path(__file__).parents[2] / "cli" / "facade" / "__init__.py"
-FUNCTIONS = ("compare", "evaluate", "fuse", "load", "open_log", "simulate", "smooth")
+FUNCTIONS = ("compare", "evaluate", "fuse", "info", "load", "open_log", "simulate", "smooth")
 
 
 def test_the_import_loads_nothing_heavy_and_a_name_loads_its_own() -> None:

@@ -1,4 +1,4 @@
-"""The schemas of robot.toml and report.json, held to an independent validator and to what the readers do."""
+"""The schemas of robot.toml, report.json and --json, by an independent validator and by what the readers do."""
 
 from __future__ import annotations
 
@@ -111,6 +111,43 @@ def test_real_reports_are_valid_with_and_without_truth(tmp_path: Path) -> None:
         assert problems("report", run) == []
     broken = {**report, "configurations": {"odometry": {"anees": "1"}}, "schema_version": 2}
     assert len(problems("report", broken)) >= 2
+
+
+OUTPUTS = {  # what prints JSON -> words
+    "info": [
+        ("info", "rounded_triangle", "--json"),
+        ("info", "labyrinth", "--json"),
+        ("info", "disturbed", "--topics", "--json"),
+        ("info", "rounded_triangle", "--set", "wheels.topic=/nowhere", "--json", "--check"),
+        ("info", "rounded_triangle", "--json", "--check", "--set", "camera.topic=none", "--set", "lrf.topic=none"),
+    ],
+    "tune": [("tune", "rounded_triangle", "--sensors", "compass", "--json")],
+    "calibrate": [
+        ("calibrate", "rounded_triangle", "--json"),
+        ("calibrate", "rounded_triangle", "--set", "truth.topic=none", "--json"),
+    ],
+}
+
+
+@pytest.mark.parametrize(
+    ("what", "words"), [(w, words) for w, found in OUTPUTS.items() for words in found], ids=str
+)
+def test_what_commands_print_as_json_is_valid(what: str, words: tuple[str, ...]) -> None:
+    done = locfuse(*words)
+    assert done.exit_code in {0, 3}, done.stderr
+    value = json.loads(done.stdout)
+    assert problems(what, value) == []
+    for key in set(value) - {"tried"}:  # the schema notices what is missing, and what is of another kind
+        assert problems(what, {k: v for k, v in value.items() if k != key}), key
+        assert problems(what, {**value, key: object}), key
+
+
+def test_every_key_of_json_outputs_is_in_its_schema_and_the_schema_has_words() -> None:
+    for what in OUTPUTS:
+        defined = printed(what)["$defs"]
+        value = json.loads(locfuse(*OUTPUTS[what][0]).stdout)
+        assert set(value) <= set(defined[f"{what.capitalize()}Output"]["properties"])
+        assert sum("description" in p for d in defined.values() for p in d["properties"].values()) >= 7
 
 
 def test_a_word_that_is_no_schema_is_one_line() -> None:

@@ -1,0 +1,231 @@
+"""The tools that `locfuse mcp` offers an agent: short answers on logs below some folders, files in one other.
+
+Nothing outside these folders is read: links are followed before a path is compared, and settings that name files
+are held to the same rule. Arrays and whole reports are not part of an answer, it names the files that hold them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from locfuse.cli.analysis.key import files_of, texts_of
+from locfuse.cli.analysis.settings import Asked, LogOptions, set_words, silent
+from locfuse.formats.logs.files import ENDINGS, log_files
+from locfuse.formats.report import json_report
+from locfuse.formats.report.findings import notes_of, sentence
+from locfuse.formats.robot import robot_toml
+from locfuse.formats.whole_files import whole_file
+from locfuse.fusion.data import LocfuseError, UsageError
+
+from .found import Found
+from .result import Comparison
+from .session import Session, inspected, opened
+
+MAX_LISTED = 200  # logs and notes of one answer
+FIGURES = ("position_rmse_m", "heading_rmse_deg", "anees", "lost_share", "revisit_agreement")
+Settings = dict[str, Any]  # {"table.key": value} of robot.toml
+
+
+@dataclass
+class AgentFinding:
+    """Something that is missing, looks wrong or can be better."""
+
+    role: str  # sensor, wheels, truth, start ...
+    code: str  # stays the same from version to version
+    message: str
+    fixes: list[str]  # "table.key=value" each: give them as `settings`
+
+
+@dataclass
+class Answer:
+    """What a tool found."""
+
+    headline: str
+    findings: list[AgentFinding] = field(default_factory=list)
+    values: dict[str, Any] = field(default_factory=dict)  # SI units, degrees where a key ends in _deg
+    files: list[str] = field(default_factory=list)  # that hold everything, arrays included
+
+
+class Tools:
+    """The tools, for logs below `folders`; results are written below `out`."""
+
+    def __init__(self, folders: Sequence[Path], out: Path) -> None:
+        self._folders = [folder.resolve() for folder in folders]
+        self._out = out.resolve()
+
+    def info(self, log: str = "", settings: Settings | None = None, check: bool = False) -> Answer:
+        """Say what is in a log, which sensor reads which topic, what is missing, and what looks wrong, with fixes.
+
+        Without `log`, list the logs. `check` also tries the fixes by fusing (minutes on a long log).
+        """
+        if not log:
+            return self._listed()
+        words, how = [str(self._below(log))], self._how(settings)
+        found = inspected(words, how, silent)
+        tried = self._tried(words, how) if check else {}
+        topics = {
+            name: f"{t['type']}, {t['messages']} messages, {t['rate_hz'] or 0:.3g} Hz"
+            for name, t in found["topics"].items()
+        }
+        listed = [*found["findings"], *(tried.get("findings") or ())]
+        state = "an estimate would be spoiled" if found["severe"] else "nothing speaks against a run"
+        headline = tried.get("headline") or f"{found['name']}: {found['duration_s'] or 0:.1f} s; {state}."
+        brief = {key: found[key] for key in ("duration_s", "roles", "absent", "configurations", "severe")}
+        whole = {**found, **({"tried": tried} if check else {})}
+        files = [self._write(found["name"], "info.json", json_report.encode(whole))]
+        return Answer(headline, _findings(listed), {**brief, "topics": topics}, files)
+
+    def compare(
+        self,
+        log: str,
+        sensors: list[str] | None = None,
+        settings: Settings | None = None,
+        align: str = "none",
+        smooth: bool = False,
+    ) -> Answer:
+        """Say what each sensor of a log is worth: errors of all configurations, verdicts, what looks wrong, fixes.
+
+        `sensors` are configurations, such as ["odometry", "compass,lrf", "all"]; none: odometry, each alone, all.
+        `align` "se2" judges the shape of the path only. `smooth` adds paths from the whole drive.
+        """
+        asked = Asked(tuple(sensors or ()), align=align, smooth=smooth, audits=False)
+        return self._compared(self._session(log, settings).compared(asked))
+
+    def tune(self, logs: list[str], sensors: str = "all", settings: Settings | None = None) -> Answer:
+        """Find the noise of wheels and sensors from logs of one robot, without truth (minutes on a long log)."""
+        from . import tune
+
+        paths = [[self._below(log)] for log in logs]
+        found = tune.tune_logs(paths, [], tune.sensor_names(sensors), False, self._how(settings), silent)
+        refused = "A log gets worse with the noise that was found: it is not used."
+        return self._found(found, logs[0], refused if found.refused else f"Noise from {len(logs)} logs.")
+
+    def calibrate(self, logs: list[str], settings: Settings | None = None) -> Answer:
+        """Find wheel noise, radius and track, laser mount and magnetometer iron from logs of one robot."""
+        from . import calibrate
+
+        paths = [[str(self._below(log))] for log in logs]
+        found = calibrate.calibrated(paths, self._how(settings), silent)
+        return self._found(found, logs[0], f"Calibration from {len(logs)} logs.")
+
+    def explain(self, term: str = "") -> Answer:
+        """Say what a word of an answer or a report means: ANEES, NIS, drift; without `term`, all of them."""
+        from locfuse.formats.report.glossary import GLOSSARY, explained, similar
+
+        if not term:
+            return Answer("Words of reports.", values=dict(GLOSSARY))
+        words = explained(term)
+        if words is None:
+            raise UsageError(f"no such term: {term}. Known: {', '.join(similar(term))}")
+        return Answer(words)
+
+    def _session(self, log: str, settings: Settings | None) -> Session:
+        return opened([str(self._below(log))], self._how(settings), silent)
+
+    def _tried(self, words: Sequence[str], how: LogOptions) -> dict[str, Any]:
+        try:
+            return opened(words, how, silent).findings()
+        except LocfuseError:
+            return {}  # the findings of measuring have the reason
+
+    def _compared(self, result: Comparison) -> Answer:
+        report = result.report
+        files = result.write(self._folder(result.loaded.log.name))
+        values = {
+            "verdicts": {s: v["verdict"] for s, v in report["verdicts"].items()},
+            "configurations": {
+                name: {key: c[key] for key in FIGURES if c.get(key) is not None}
+                for name, c in report["configurations"].items()
+            },
+            "truth": None if report["truth"] is None else report["truth"]["topic"],
+            "void": [v["message"] for v in report["validity"] if v["void"]],
+            "doubtful": [v["message"] for v in report["validity"] if not v["void"]],
+            "path_doubted": report.get("doubt"),
+            "absent": report["absent"],
+            "notes": notes_of(report)[:MAX_LISTED],
+        }
+        return Answer(result.headline, _findings(result.findings), values, list(map(str, files)))
+
+    def _found(self, found: Found, log: str, headline: str) -> Answer:
+        name = Path(log).stem
+        robot = self._folder(name) / f"{found.command}.robot.toml"
+        files = [str(found.write(robot, overwrite=True))]
+        files.append(self._write(name, f"{found.command}.json", json_report.encode(found.values())))
+        rows = [dict(zip(found.titles, row, strict=True)) for row in found.rows()]
+        return Answer(headline, [], {"settings": found.tables(), "found": rows, "notes": list(found.notes)}, files)
+
+    def _listed(self) -> Answer:
+        logs = list(self._logs())
+        names = {str(path): path.stat().st_size for path in sorted(logs)[:MAX_LISTED]}
+        more = "" if len(logs) <= MAX_LISTED else f", the first {MAX_LISTED} are listed"
+        return Answer(f"{len(logs)} logs{more}.", values={"bytes": names})
+
+    def _logs(self) -> Iterator[Path]:
+        for folder in self._folders:
+            for ending in ENDINGS:
+                yield from (path for path in folder.rglob(ending) if path.is_file() and self._inside(path))
+
+    def _inside(self, path: Path) -> bool:
+        place = path.resolve()
+        return any(place.is_relative_to(folder) for folder in self._folders)
+
+    def _below(self, word: str) -> Path:
+        """Return the path of a file or folder, given whole or below one of the folders. Raises UsageError."""
+        found = [folder / word for folder in self._folders if "\0" not in word and (folder / word).exists()]
+        allowed = ", ".join(map(str, self._folders))
+        outside = UsageError(f"{word!r} is not below the folders that this server may read: {allowed}")
+        if not found or not self._inside(found[0]):
+            raise outside
+        parts = [*log_files(found[0]), found[0] / "metadata.yaml"] if found[0].is_dir() else []
+        if not all(isinstance(part, Path) and self._inside(part) for part in parts):
+            raise outside
+        return found[0]
+
+    def _how(self, settings: Settings | None) -> LogOptions:
+        """Return how to read a log under these settings. Raises UsageError where they name a file outside."""
+        words = list(set_words(settings or {}))
+        tables = robot_toml.apply_sets(words)
+        named = list(files_of(tables))
+        for table, key, text in named:
+            value = tables[table][key]
+            place = str(self._below(text))
+            now = place if isinstance(value, str) else [place if one == text else one for one in value]
+            tables[table][key] = now
+            words.append(robot_toml.as_set(f"{table}.{key}", now))
+        for text in texts_of(tables):
+            if _is_file(text) and not self._inside(Path(text).expanduser()):
+                raise UsageError(f"{text!r} is a file outside the folders that this server may read")
+        return LogOptions(sets=tuple(words), quiet=True)
+
+    def _folder(self, name: str) -> Path:
+        """Return the folder of the results of one log, whatever its name holds."""
+        return self._out / (name if name.strip(".") and "/" not in name else "log")
+
+    def _write(self, name: str, file: str, text: str) -> str:
+        path = self._folder(name) / file
+        with whole_file(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+        return str(path)
+
+
+def _findings(found: Iterable[Mapping[str, Any]]) -> list[AgentFinding]:
+    """Return findings in short, each once: what was tried of a fix stands in the sentence."""
+    unique = {
+        (f["role"], f["code"], f["message"]): AgentFinding(f["role"], f["code"], _sentence(f), list(f["fixes"]))
+        for f in found
+    }
+    return list(unique.values())
+
+
+def _sentence(finding: Mapping[str, Any]) -> str:
+    return sentence(finding) if "tried" in finding else str(finding["message"])
+
+
+def _is_file(text: str) -> bool:
+    try:
+        return Path(text).expanduser().is_file()
+    except (OSError, ValueError, RuntimeError):  # too long, or a NUL in it: no path
+        return False

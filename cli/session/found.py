@@ -1,0 +1,97 @@
+"""Settings that logs gave: what `tune` and `calibrate` have in common, and the logs that they refuse."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from pathlib import Path
+from typing import Any, ClassVar
+
+import msgspec
+
+from locfuse.cli.analysis.load import Loaded
+from locfuse.cli.analysis.settings import LogOptions, PathLike, path_of
+from locfuse.formats.report.findings import options
+from locfuse.formats.robot import commented_toml, robot_toml
+from locfuse.formats.whole_files import may_replace, whole_file
+from locfuse.fusion.checks.examine import examine
+from locfuse.fusion.data import LocfuseError
+
+from .python_words import speaks_python
+
+SIGMAS_95 = 1.96  # standard deviations of a 95 % interval
+Row = tuple[str, str, str, str]
+
+
+class Found(msgspec.Struct, frozen=True, kw_only=True):
+    """Settings that logs gave, with intervals; `tables()` is taken by `with_settings` and by `sets=`."""
+
+    how: LogOptions = LogOptions()  # under which settings the logs were read
+    notes: tuple[str, ...] = ()
+
+    command: ClassVar[str]
+    titles: ClassVar[Row]  # of the columns of `rows`
+
+    def tables(self) -> dict[str, dict[str, Any]]:
+        """Return what was found as tables of robot.toml, {"wheels": {"noise": 0.0012}}, that may be used."""
+        raise NotImplementedError
+
+    def values(self) -> dict[str, Any]:
+        """Return everything as plain values, as --json prints it: `locfuse schema` has keys, units and words."""
+        raise NotImplementedError
+
+    def rows(self) -> list[Row]:
+        """Return the settings that were looked for as rows of words, for people."""
+        raise NotImplementedError
+
+    def before(self) -> str:
+        """Return the text that robot.toml begins from where the user gave none."""
+        return f"# found by locfuse {self.command}\n"
+
+    def given(self) -> dict[str, Any]:
+        """Return the tables that the user gave beside the first robot.toml."""
+        return robot_toml.merge(*(robot_toml.parse(file.read_bytes(), str(file)) for file in self.how.over))
+
+    @speaks_python
+    def write(self, file: PathLike, overwrite: bool = False) -> Path:
+        """Write robot.toml: what the user's own says, comments included, with what was found; return its path.
+
+        Raises LocfuseError where the file exists, unless `overwrite`.
+        """
+        path = path_of(file)
+        may_replace(path, overwrite)
+        text = commented_toml.text_of(self.how.robot) or self.before()
+        changes = robot_toml.merge(self.given(), self.tables())
+        with whole_file(path) as temporary:
+            temporary.write_text(
+                commented_toml.updated(text, changes, f"locfuse {self.command}"), encoding="utf-8"
+            )
+        return path
+
+    def __repr__(self) -> str:
+        """Return the settings that were found."""
+        found = (f"{table}.{key}={value}" for table, keys in self.tables().items() for key, value in keys.items())
+        return f"<{type(self).__name__}: {', '.join(found) or 'nothing to set'}>"
+
+    def _repr_html_(self) -> str:
+        """Return table and notes, as a notebook shows them."""
+        from locfuse.formats.report.notebook import table_and_notes
+
+        return table_and_notes(self.titles, self.rows(), self.notes)
+
+
+def refuse_doubtful(one: Loaded, what: str, own: Collection[str] = ()) -> None:
+    """Raise LocfuseError where a setting is surely wrong that `what` would cover up; `own` are codes it finds.
+
+    `info --check` would exit with 3. Where the drive starts spoils neither noise nor wheels.
+    """
+    if one.drive.wheels.stands:
+        return
+    streams = {role: one.stream(role) for role in one.choice.topics}
+    for finding in examine(one.drive, one.robot, streams):
+        if finding.severe and finding.code not in {"start", *own} and (finding.fixes or finding.role == "truth"):
+            raise LocfuseError(
+                f"{one.log.name}: {finding.role}: {finding.brief}; {what} would cover that up.",
+                role=finding.role,
+                fixes=finding.fixes,
+                hint=f"Set it first: {options(finding.fixes)}" if finding.fixes else "Leave this log out",
+            )

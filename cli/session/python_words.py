@@ -1,0 +1,111 @@
+"""Messages in the words of Python: the options that a message names become keyword arguments.
+
+"Set it first: --set wheels.track=0.3 --align se2" becomes 'Set it first: sets={"wheels.track": 0.3} align="se2"'.
+A LocfuseError keeps the words of the command line as `typed`, for the commands that call the same functions.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Callable, Sequence
+from functools import wraps
+from typing import ParamSpec, TypeVar
+
+from locfuse.fusion.data import LocfuseError
+
+P = ParamSpec("P")
+R = TypeVar("R")
+WORD = r"""(?:'[^']*'|"[^"]*"|\[[^\]]*\]|<[^>]*>|[^\s,;:()'"\[<])+"""
+SETTING = rf"--set {WORD}"
+SETTINGS = re.compile(rf"{SETTING}(?: {SETTING})*")
+COMMAND = re.compile(rf"(?<=: )locfuse (info|compare|tune|calibrate)((?: {WORD})+)(?=$|[,;)])")
+OPTIONS = {  # option -> keyword with the option's value, or the keyword of an option without one
+    **{name: f'{name}="{{}}"' for name in ("align", "order", "preset", "robot")},
+    **{name: name for name in ("sensors", "sweep", "write", "export")},
+    "all-subsets": "all_subsets=True",
+    "estimate": "estimates",
+    "from": "between=({}, None)",
+    "jitter": "jitter={}",
+    "map": "with_map",
+    "no-reference": "reference=False",
+    "no-smooth": "smooth=False",
+    "overwrite": "overwrite=True",
+    "reference": "reference=True",
+    "save-map": "save_map",
+    "set": "sets",
+    "smooth": "smooth=True",
+    "to": "between=(None, {})",
+}
+OPTION = re.compile(rf"--({'|'.join(sorted(OPTIONS, key=len, reverse=True))})(?![\w-])(?: (?!--)({WORD}))?(:?)")
+
+
+def in_python(words: str) -> str:
+    """Return a message of the command line as it reads in Python; other messages stay."""
+    words = COMMAND.sub(lambda found: _call(found[1], shlex.split(found[2])), words)
+    words = re.sub(r"--from (\S+) --to ([^\s:]+)", r"between=(\1, \2)", words)
+    words = SETTINGS.sub(lambda found: _sets(shlex.split(found[0])), words)
+    return OPTION.sub(_keyword, words)
+
+
+def speaks_python(function: Callable[P, R]) -> Callable[P, R]:
+    """Return a function whose LocfuseErrors speak Python."""
+
+    @wraps(function)
+    def call(*args: P.args, **keywords: P.kwargs) -> R:
+        try:
+            return function(*args, **keywords)
+        except LocfuseError as problem:
+            problem.typed = problem.typed or str(problem)
+            problem.args = (in_python(problem.typed),)
+            raise
+
+    return call
+
+
+def _call(command: str, words: Sequence[str]) -> str:
+    """Return a command with its log and options as a call."""
+    log, given, sets = "", list[str](), list[str]()
+    rest = iter(words)
+    for word in rest:
+        if word == "--set":
+            sets += [word, next(rest, "")]
+        elif word == "--robot":
+            given.append(f'robot="{next(rest, "")}"')
+        elif not word.startswith("-"):
+            log = log or word
+    given += [_sets(sets)] if sets else []
+    arguments = ", ".join((f'"{log}"', *given))
+    if "--check" in words:
+        return f"locfuse.load({arguments}).findings()"
+    return (
+        f"locfuse.{command}({arguments})"
+        if command in {"info", "compare"}
+        else f"locfuse.load({arguments}).{command}()"
+    )
+
+
+def _sets(words: Sequence[str]) -> str:
+    """Return `--set a.b=1 --set a.c=x` as a mapping; what is to be filled in stays as it is written."""
+    pairs = (word.partition("=") for word in words if word != "--set")
+    inside = ", ".join(f'"{key}": {_value(text)}' for key, _, text in pairs)
+    return f"sets={{{inside}}}"
+
+
+def _value(text: str) -> str:
+    from locfuse.formats.robot.robot_toml import apply_sets
+
+    if not text or text[0] == "<":
+        return text or "..."
+    value = apply_sets([f"key={text}"])["key"]
+    return repr(value) if not isinstance(value, str) else text if text[0] == "[" else f'"{value}"'
+
+
+def _keyword(found: re.Match[str]) -> str:
+    """Return one option as a keyword argument; before a colon its name alone."""
+    option, value, colon = found.groups()
+    keyword = OPTIONS[option]
+    if "{}" in keyword and value is not None:
+        return keyword.format(value) + colon
+    name = keyword.partition("=")[0] if "{}" in keyword or (colon and value is None) else keyword
+    return name + (f" {value}" if value is not None else "") + colon

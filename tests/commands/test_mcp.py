@@ -1,0 +1,146 @@
+"""An agent's program, by the SDK's own client: questions answered from tool outputs alone, and what is refused."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from commands import locfuse
+
+from locfuse import sample_logs
+from locfuse.cli.commands.mcp import served
+from locfuse.cli.inspect.json_schema import SCHEMAS
+from locfuse.cli.session.agent_tools import Tools
+from locfuse.fusion.data import LocfuseError
+
+jsonschema = pytest.importorskip("jsonschema")
+SAMPLES = sample_logs.path("rounded_rectangle").parent
+DATA = os.environ.get("LOCFUSE_DATA")
+
+
+def asked(tools: Tools, name: str, **words: Any) -> dict[str, Any]:
+    """Ask by the SDK's client, in memory. Its output is held to the schema that the tool promises."""
+    mcp = pytest.importorskip("mcp")
+
+    async def ask() -> Any:
+        async with mcp.Client(served(tools)) as client:
+            return await client.call_tool(name, words), await client.list_tools()
+
+    done, listed = asyncio.run(ask())
+    words_of = " ".join(part.text for part in done.content)
+    if done.is_error:
+        raise LocfuseError(words_of)
+    answer: dict[str, Any] = done.structured_content
+    (schema,) = (tool.output_schema for tool in listed.tools if tool.name == name)
+    jsonschema.validate(answer, schema)
+    assert len(json.dumps(answer)) < 12_000  # short: arrays are in files
+    return answer
+
+
+@pytest.fixture(scope="module")
+def tools(tmp_path_factory: pytest.TempPathFactory) -> Tools:
+    folder = tmp_path_factory.mktemp("logs")
+    for name in sample_logs.names():
+        shutil.copy(sample_logs.path(name), folder)  # its bytes: where locfuse lies it may be a link
+    return Tools([folder], tmp_path_factory.mktemp("results"))
+
+
+def test_the_logs_are_listed(tools: Tools) -> None:
+    listed = asked(tools, "info")["values"]["bytes"]
+    assert {Path(name).stem for name in listed} == set(sample_logs.names())
+
+
+def test_which_sensor_is_kept_and_which_adds_nothing(tools: Tools) -> None:
+    answer = asked(tools, "compare", log="rounded_rectangle.mcap")
+    assert answer["headline"].startswith("Keep the laser: 3.9 mm.")
+    assert re.search(r"compass and the camera add nothing", answer["headline"])
+    assert answer["values"]["configurations"]["lrf"]["position_rmse_m"] == pytest.approx(0.0039, abs=1e-4)
+    (report,) = (Path(file) for file in answer["files"] if file.endswith("report.json"))
+    jsonschema.Draft7Validator(SCHEMAS["report"]()).validate(json.loads(report.read_text()))
+
+
+def test_what_is_in_a_log_and_its_file_is_valid(tools: Tools) -> None:
+    answer = asked(tools, "info", log="labyrinth.mcap")
+    assert "ranges" in answer["values"]["roles"]
+    jsonschema.Draft7Validator(SCHEMAS["info"]()).validate(json.loads(Path(answer["files"][0]).read_text()))
+
+
+def test_tuning_and_calibrating_write_files_that_are_valid(tools: Tools) -> None:
+    for name, words in (("calibrate", {}), ("tune", {"sensors": "compass"})):
+        answer = asked(tools, name, logs=["rounded_triangle.mcap"], **words)
+        robot, values = map(Path, answer["files"])
+        jsonschema.Draft7Validator(SCHEMAS[name]()).validate(json.loads(values.read_text()))
+        assert "[wheels]" in robot.read_text()
+        assert answer["values"]["settings"]["wheels"]["noise"] > 0.0
+
+
+def test_words_are_explained(tools: Tools) -> None:
+    assert "1" in asked(tools, "explain", term="ANEES")["headline"]
+    with pytest.raises(LocfuseError, match="no such term: anes"):
+        asked(tools, "explain", term="anes")
+
+
+@pytest.mark.skipif(DATA is None, reason="LOCFUSE_DATA is not set: no real logs to try")
+def test_strangers_setpoints_are_not_to_be_used(tmp_path: Path) -> None:
+    real = Tools([Path(DATA or "")], tmp_path)
+    answer = asked(real, "info", log="strangers/setpoints.bag")
+    assert answer["values"]["severe"]
+    assert any("setpoint" in f["message"] for f in answer["findings"])
+
+
+def outside(folder: Path) -> list[str]:
+    """Ways out of a folder that an agent may try."""
+    logs = folder / "logs"
+    logs.mkdir()
+    (logs / "link.mcap").symlink_to(sample_logs.path("rounded_triangle"))
+    (logs / "bag").mkdir()
+    (logs / "bag" / "part.mcap").symlink_to(sample_logs.path("rounded_triangle"))
+    (logs / "up").symlink_to(SAMPLES, target_is_directory=True)
+    (folder / "beside.mcap").write_bytes(sample_logs.path("rounded_triangle").read_bytes())
+    inside = ("link.mcap", "bag", "up", "up/rounded_triangle.mcap", "../beside.mcap", "bag/../../beside.mcap")
+    return [*inside, str(folder / "beside.mcap"), "rounded_triangle", "s3://bucket/a.mcap", "\0", "/etc/passwd"]
+
+
+def test_nothing_outside_the_folders_is_read(tmp_path: Path) -> None:
+    ways = outside(tmp_path)
+    tools = Tools([tmp_path / "logs"], tmp_path / "out")
+    for way in ways:
+        for call in (tools.info, tools.compare, lambda log: tools.tune([log]), lambda log: tools.calibrate([log])):
+            with pytest.raises(LocfuseError, match="not below the folders that this server may read"):
+                call(way)
+    assert tools.info().values == {"bytes": {}}  # a link out of the folder is not listed
+
+
+def test_settings_name_no_file_outside(tools: Tools, tmp_path: Path) -> None:
+    secret = tmp_path / "secret.csv"
+    secret.write_text("1,2,3\n")
+    (tmp_path / "secret").write_text("1")
+    for settings in (
+        {"truth.topic": str(secret)},
+        {"landmarks.map": "../secret.csv"},
+        {"landmarks": {"map": str(tmp_path / "secret")}},
+        {"truth.topic": str(tmp_path / "secret")},
+    ):
+        with pytest.raises(LocfuseError, match="the folders that this server may read"):
+            tools.info("rounded_triangle.mcap", settings)
+
+
+def test_without_the_sdk_the_command_is_one_line_and_nothing_else_imports_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "mcp.server.mcpserver", None)
+    monkeypatch.setitem(sys.modules, "mcp", None)
+    done = locfuse("mcp", tmp_path, "-o", tmp_path / "out")
+    assert done.exit_code == 1
+    assert "python -m pip install locfuse[mcp]" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    code = "import sys; from locfuse.cli.session import agent_tools; assert 'mcp' not in sys.modules"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

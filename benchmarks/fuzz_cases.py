@@ -123,6 +123,7 @@ def run(case: Case, folder: Path) -> Done:
     log = folder / f"log{case.suffix}"
     log.write_bytes(case.log)
     words = [case.command, str(log), "-o", str(folder / "out"), *case.words]
+    words += ["--write", "all"] if case.command == "run" else []  # what is judged stands in trajectory.csv
     if case.robot is not None:
         (folder / "robot.toml").write_bytes(case.robot)
         words += ["--robot", str(folder / "robot.toml")]

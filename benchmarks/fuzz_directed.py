@@ -174,6 +174,7 @@ def _line(case: Directed, log: Path, folder: Path) -> list[str]:
         other.write_bytes(log.read_bytes())
         return ["compare", str(log), str(other), "-o", str(folder / "out"), *words]
     results = ["-o", str(folder / "out")] if command in {"run", "compare"} else []
+    results += ["--write", "all"] if command == "run" else []  # what is judged stands in trajectory.csv
     return [command, str(log), *options, *out.get(command, results), *words]
 
 

@@ -17,7 +17,8 @@ from commands import locfuse
 
 ROBOT = {"robot.toml": b"[wheels]\nradius = 0.05\ntrack = 0.4\n"}
 FINAL = ("robot.toml", "trajectory.tum", "trajectory.csv", "estimates.mcap", "run.json")
-EXPORT = ("--export", "mcap")  # the one file that is not made in memory
+# the .mcap is the one file that is not made in memory
+EXPORT = ("--export", "mcap", "--write", "all", "--no-smooth")
 ONCE = "import sys; from locfuse.cli.main import main; print('ready', flush=True); main(sys.argv[1:])"
 # RLIMIT_FSIZE stands for a full disk: no file may grow beyond 2000 bytes
 FULL = """

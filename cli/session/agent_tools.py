@@ -84,12 +84,13 @@ class Tools:
         sensors: list[str] | None = None,
         settings: Settings | None = None,
         align: str = "none",
-        smooth: bool = False,
+        smooth: bool | None = None,
     ) -> Answer:
         """Say what each sensor of a log is worth: errors of all configurations, verdicts, what looks wrong, fixes.
 
         `sensors` are configurations, such as ["odometry", "compass,lrf", "all"]; none: odometry, each alone, all.
-        `align` "se2" judges the shape of the path only. `smooth` adds paths from the whole drive.
+        `align` "se2" judges the shape of the path only. `smooth` adds paths from the whole drive; null: those with
+        the laser, where the log allows it.
         """
         asked = Asked(tuple(sensors or ()), align=align, smooth=smooth, audits=False)
         return self._compared(self._session(log, settings).compared(asked))
@@ -152,6 +153,7 @@ class Tools:
     def _found(self, found: Found, log: str, headline: str) -> Answer:
         name = Path(log).stem
         robot = self._folder(name) / f"{found.command}.robot.toml"
+        robot.parent.mkdir(parents=True, exist_ok=True)
         files = [str(found.write(robot, overwrite=True))]
         files.append(self._write(name, f"{found.command}.json", json_report.encode(found.values())))
         rows = [dict(zip(found.titles, row, strict=True)) for row in found.rows()]
@@ -206,6 +208,7 @@ class Tools:
 
     def _write(self, name: str, file: str, text: str) -> str:
         path = self._folder(name) / file
+        path.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
         return str(path)

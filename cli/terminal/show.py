@@ -116,7 +116,10 @@ def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]
     transfer(found.loaded.log.transfer, how.quiet)
     record(options.rerun, found, files[0].parent, say)
     if not outputs.as_json:
-        end(files, 0 if how.quiet or outputs.verbose else len(said))
+        end(
+            files,
+            0 if how.quiet or outputs.verbose else len(said) + sum(map(_idle, found.report.get("findings") or ())),
+        )
     if outputs.open:
         open_page(page_of(files))
     return lost
@@ -229,13 +232,15 @@ def findings(report: Mapping[str, Any], folder: Path | None = None, verbose: boo
     Fixes of several findings are in a file of the results' `folder`; without one they are printed.
     """
     found = report.get("findings") or ()
-    shown = [f for f in found if verbose or f["fixes"] or not f.get("harmless")]
-    lines(sentence(f, brief=not verbose) for f in shown)
-    if idle := len(found) - len(shown):
-        lines([f"{idle} remark{'' if idle == 1 else 's'} without effect on this drive: --verbose prints them"])
+    lines(sentence(f, brief=not verbose) for f in found if verbose or not _idle(f))
     if (all_fixes := together(report)) is not None:
         text = all_fixes if folder is None else f"All fixes together: --robot {folder / 'fixes.toml'}"
         lines([text], bold=[text])
+
+
+def _idle(finding: Mapping[str, Any]) -> bool:
+    """Return whether nothing of a finding changes this drive: it counts as a note."""
+    return not finding["fixes"] and bool(finding.get("harmless"))
 
 
 def paragraph(text: Text) -> None:

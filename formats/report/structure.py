@@ -308,8 +308,8 @@ class InfoTried(Struct):
     fixes: list[str] | None = None
 
 
-class InfoOutput(Struct):
-    """What `locfuse info LOG --json` prints, and locfuse.info(LOG) returns."""
+class InfoFile(Struct):
+    """The files of a log."""
 
     name: str
     files: list[str]
@@ -318,6 +318,11 @@ class InfoOutput(Struct):
     start_ns: int | None
     messages: Count
     checksums: bool  # whether a changed value would be noticed
+
+
+class InfoOutput(InfoFile):
+    """What `locfuse info LOG --json` prints, and locfuse.info(LOG) returns."""
+
     topics: dict[str, InfoTopic]
     roles: dict[str, InfoRole]  # sensor, wheels or truth -> topics
     absent: dict[str, str]  # sensor or role -> why it cannot be used

@@ -26,7 +26,6 @@ class Column(msgspec.Struct, frozen=True):
     unit: str = ""
     form: str = "{}"  # str.format of a number: decimals, sign, "{:.2%}" for a share in per cent
     kind: Literal["number", "text", "long", "code"] = "number"  # numbers stand at the right; long text is folded
-    between: str = " – "  # of the numbers of one cell: a range, unless it says otherwise
     missing: str | None = None  # what a cell without a value says; None: the medium's dash
     brief: str = ""  # the heading on a terminal
     brief_form: str = ""  # a number on a terminal
@@ -118,7 +117,8 @@ def pieces(column: Column, cell: Cell) -> list[Piece]:
         return _joined([[Piece(said, n, _below(at, k)), Piece(what)] for said, n, k, what in counted], ", ")
     if isinstance(value, list | tuple):
         return _joined(
-            [[Piece(written(v, column.form), v, _below(at, i))] for i, v in enumerate(value)], column.between
+            [[Piece(written(v, column.form), v, _below(at, i))] for i, v in enumerate(value)],
+            ", " if column.kind == "long" else " – ",
         )
     if isinstance(value, int | float) and not isinstance(value, bool):
         if column.most is not None and value > column.most:

@@ -95,7 +95,7 @@ CREDIT = (
 )
 CHANGED = (
     Column("key", "setting", kind="text"),
-    Column("value", "value", form="{:.6g}", kind="long", between=", "),
+    Column("value", "value", form="{:.6g}", kind="long"),
     Column("unit", "unit", kind="text", missing=""),
     Column("from", "set by", kind="text"),
 )

@@ -20,7 +20,7 @@ Progress = Callable[[str], None]  # is given the name of the current step
 MAX_REFERENCE_INSTANTS = 2400  # of a drive whose reference is solved unasked: four minutes of a 10 Hz laser
 OF_COMPARISON = ("html", "md", "json", "tum", "csv", "tex")  # kinds of output
 OF_RUN = ("tum", "csv", "json")
-WRITTEN = ("html", "json", "tum")  # of these, unless others are asked for; robot.toml and fixes.toml always
+WRITTEN = ("html", "json", "tum")  # beside a page, unless others are asked for; robot.toml and fixes.toml always
 EXPORTS = {  # formats of other tools
     "mcap": "estimates.mcap for Foxglove and rosbag2: Odometry with covariance, Path, /tf, truth",
     "log": "the same with every message of the log beside them",
@@ -181,17 +181,22 @@ def one_of(word: str, known: Sequence[str], what: str) -> str:
     return word
 
 
+def by_default(known: Sequence[str]) -> list[str]:
+    """Return the kinds of output that are written unasked; of a command without a page all of its few."""
+    return [kind for kind in known if kind in WRITTEN or "html" not in known]
+
+
 def chosen(
     kinds: str | Iterable[str] | None, known: Sequence[str], what: str = "--write: unknown output"
 ) -> set[str]:
-    """Return kinds of output ("json,tum", "all", or a list), None for those of `WRITTEN`.
+    """Return kinds of output ("json,tum", "all", or a list), None for those of `by_default`.
 
     Raises UsageError for an unknown one.
     """
     from locfuse.fusion.data import UsageError
 
     if kinds is None:
-        return {kind for kind in known if kind in WRITTEN}
+        return set(by_default(known))
     names = {name.strip() for name in (kinds.split(",") if isinstance(kinds, str) else kinds) if name.strip()}
     if "all" in names:
         return set(known)

@@ -357,7 +357,7 @@ def written(kinds: Sequence[str]) -> tuple[Declared, ...]:
             callback=known("--write: unknown output", kinds, None),
             metavar="KINDS",
             help=f"Comma-separated outputs to write: {', '.join(kinds)}, or all.  "
-            f"[default: {','.join(k for k in kinds if k in settings.WRITTEN)}]",
+            f"[default: {','.join(settings.by_default(kinds))}]",
         ),
         click.option("--json", "as_json", is_flag=True, help="Print the report as JSON instead of a table."),
         click.option("-v", "--verbose", is_flag=True, help="Print also the notes and the table of sensors."),

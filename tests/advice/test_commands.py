@@ -166,4 +166,4 @@ def test_a_laser_whose_ranges_are_short_gets_its_scale_and_is_called_doubtful_be
     assert any(v["message"].startswith("lrf: ") and "lrf.range_scale" in v["message"] for v in doubts)
     for text in (done.stdout, (tmp_path / "out" / "report.md").read_text()):
         assert text.index("Warning: lrf") < text.index("rmse")
-    assert "Warning: <span" in (tmp_path / "out" / "report.html").read_text()
+    assert "<strong>Warning:</strong> <span" in (tmp_path / "out" / "report.html").read_text()

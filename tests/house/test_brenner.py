@@ -84,7 +84,7 @@ def found_track(tmp_path: Path, robot: Path, start: float, sets: Sequence[str]) 
     """The track that the filter finds from one that it is told, and all that is said of the wheels."""
     words = ("--robot", robot, *sets, *EXACT, "--set", f"wheels.track={start}", "--set", "wheels.estimate=true")
     done = locfuse(
-        "run", LOG, "--no-advice", "--sensors", "lrf", *words, "-o", tmp_path / f"{start}", "--overwrite"
+        "run", LOG, "--no-advice", "--sensors", "lrf", *words, "-v", "-o", tmp_path / f"{start}", "--overwrite"
     )
     assert done.exit_code == 0, done.stderr
     notes = [line for line in done.stderr.splitlines() if "wheels:" in line]
@@ -137,7 +137,7 @@ def test_our_error_is_evos_error(tmp_path: Path, robot: Path) -> None:
 
 def test_other_real_logs_run_and_say_what_they_lack(tmp_path: Path) -> None:
     data = Path(DATA or "")
-    done = locfuse("compare", data / "turtlebot4", "-o", tmp_path / "tb4")
+    done = locfuse("compare", data / "turtlebot4", "-v", "-o", tmp_path / "tb4")
     assert done.exit_code == 0, done.stderr
     assert "no truth" in done.stderr
     report = json.loads((tmp_path / "tb4" / "report.json").read_text())

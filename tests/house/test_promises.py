@@ -42,7 +42,7 @@ def log(path: Path, said: Any = None, **options: Any) -> Path:
 
 def run(path: Path, *words: str) -> Done:
     """Run and hold what every outcome has in common."""
-    done = locfuse("run", path, "-o", path.parent / "out", "--overwrite", *CAUSAL, *words)
+    done = locfuse("run", path, "-o", path.parent / "out", "--overwrite", "-v", *CAUSAL, *words)
     assert "Traceback" not in done.stderr
     if done.exit_code == 1:
         assert re.fullmatch(r"locfuse: [^\n]+\n", done.stderr)

@@ -46,7 +46,7 @@ def simulated(folder: Path, fault: str = "", scenario: str = "rounded_rectangle"
 def run(path: Path, *words: str) -> tuple[Done, Array, dict[str, Any]]:
     """Run and hold every row to: finite, P positive, time never backward."""
     out = path.parent / f"{path.stem}-out"
-    done = locfuse("run", path, "--no-advice", "--no-smooth", "--write", "all", "-o", out, *words)
+    done = locfuse("run", path, "--no-advice", "--no-smooth", "--write", "all", "-v", "-o", out, *words)
     assert done.exit_code in {0, 3}, done.stderr
     rows = np.loadtxt(out / "trajectory.csv", delimiter=",", skiprows=1)
     P = rows[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)

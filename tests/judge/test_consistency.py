@@ -332,7 +332,7 @@ def test_a_claim_is_consistent_within_its_bounds(anees: float, word: str, over: 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], str, Path]:
     out = tmp_path_factory.mktemp("out") / "out"
-    words = ("--set", "compass.offset_deg=-60", "--write", "json,md")
+    words = ("--set", "compass.offset_deg=-60", "--write", "json,md", "-v")
     done = locfuse("compare", "rounded_rectangle", *words, "-o", out)
     assert done.exit_code == 0, done.stderr
     return json.loads((out / "report.json").read_text()), done.stdout, out

@@ -18,6 +18,7 @@ from locfuse.fusion.paper.preset import fuser
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed
 
+from .errors import has_scipy
 from .settings import Asked
 
 RATE_PATTERN = re.compile(r"(\d+(?:\.\d+)?)\s*hz", re.IGNORECASE)
@@ -45,7 +46,7 @@ class Configuration(msgspec.Struct, frozen=True):
             return False
         from locfuse.fusion.whole_drive.smooth import why_not_smoothed
 
-        return why_not_smoothed(robot, self.sensors) is None
+        return has_scipy() and why_not_smoothed(robot, self.sensors) is None
 
     def fuse(self, drive: Drive, robot: Robot, smooth: bool = False) -> tuple[Estimates, ...]:
         """Run the filter, and perhaps the smoother: (filtered,) or (filtered, smoothed).

@@ -20,6 +20,15 @@ OUT_OF_MEMORY_WORDS = (
 )  # messages of the loader when memory is short
 
 
+def has_scipy() -> bool:
+    """Return whether SciPy is installed; a small install does without what needs it and was not asked for."""
+    try:
+        import scipy  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
 def expected(e: Exception) -> tuple[str, int] | None:
     """Return the line to print for an error and the exit code; None for a bug."""
     from locfuse.fusion.data import LocfuseError

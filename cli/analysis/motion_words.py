@@ -7,6 +7,7 @@ from typing import Any
 
 from locfuse.fusion.wheels.odometry import BODY_READS
 
+from .errors import has_scipy
 from .load import Loaded
 from .motion_evidence import Evidence
 from .refused_motion import void_all
@@ -31,6 +32,6 @@ def _behind_scans(loaded: Loaded) -> str:
     """Say that scan matching agrees better with the laser than the wheels do; "" without encoders or laser."""
     topics, lasers = loaded.choice.of("wheels"), loaded.choice.of("lrf")
     encoders = loaded.log.topics[topics[0]].msgtype not in BODY_READS
-    if not encoders or len(lasers) != 1 or loaded.reading is None:
+    if not encoders or len(lasers) != 1 or loaded.reading is None or not has_scipy():
         return ""
     return Evidence(loaded.log, loaded.robot, lasers[0], {topics: loaded.reading}).behind(topics)

@@ -78,7 +78,10 @@ class Repeated(msgspec.Struct, frozen=True):
 
 def repeat(progress: Progress = silent, jobs: int = 2) -> Repeated:
     """Compare the shipped log under both filters, and drive figure 14's paths."""
-    compared = {which: load(LOG, preset=preset, progress=progress).compare() for which, preset in PRESETS.items()}
+    compared = {
+        which: load(LOG, preset=preset, progress=progress).compare(smooth=False)
+        for which, preset in PRESETS.items()
+    }
     progress("driving the paths of figure 14")
     return Repeated(compared, path_following.drives(jobs=jobs))
 

@@ -333,7 +333,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
 
         It is what the report of `compare` holds under these keys, and the reports of `run` as far as they show it.
         """
-        report = self.compare(audits=False).report
+        report = self.compare(audits=False, smooth=False).report
         return {key: report[key] for key in ADVICE_KEYS}
 
     def _add_jitter(

@@ -8,15 +8,17 @@ Transactions on Instrumentation and Measurement 25).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from locfuse.fusion.camera.images import Picture
 from locfuse.fusion.data import Array
 from locfuse.fusion.sensors.camera import CameraSettings, detector
 
 from .finding import Finding
+
+if TYPE_CHECKING:
+    from locfuse.fusion.camera.images import Picture
 
 RIMS = "rims"  # code of the finding
 RAYS = 240

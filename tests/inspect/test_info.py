@@ -224,10 +224,7 @@ def test_what_was_tried_has_the_last_word() -> None:
     (line,) = section(tried, "next")
     assert shlex.split(line)[:2] == ["locfuse", "info"]
     assert shlex.split(line)[-2 * len(fixes) :] == [word for fix in fixes for word in ("--set", fix)]
-    refused = "as measured, but it does not help (see below): --set wheels.radius="
-    assert sum(refused in x for x in section(tried, "would spoil an estimate")) == 1
-    assert not any(fix.startswith("wheels.radius=") for fix in fixes)
-    assert refused not in measured.stdout
+    assert any(fix.startswith("wheels.radius=") for fix in fixes)  # it helps once clock and scale are right
     assert "wheels.radius=0.021" in section(measured, "next")[0]
 
 

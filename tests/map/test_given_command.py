@@ -41,7 +41,19 @@ def given(tmp_path: Path) -> Path:
 def judged(given: Path, *words: Any) -> tuple[dict[str, Any], str]:
     out = given.parent / "out"
     done = locfuse(
-        "compare", LOG, "--map", given, "--sensors", "lrf", *words, "--no-advice", "-o", out, "--write", "json"
+        "compare",
+        LOG,
+        "--map",
+        given,
+        "--sensors",
+        "lrf",
+        *words,
+        "--no-advice",
+        "-v",
+        "-o",
+        out,
+        "--write",
+        "json",
     )
     assert done.exit_code == 0, done.stderr
     report: dict[str, Any] = json.loads((out / "report.json").read_text())
@@ -198,7 +210,9 @@ def with_map(folder: Path, cells: int | None = None) -> Path:
 
 def test_the_map_may_be_a_topic_of_the_log(tmp_path: Path) -> None:
     log = with_map(tmp_path)
-    done = locfuse("run", log, *GEOMETRY, "--set", "lrf.map_topic=/map", "-o", tmp_path / "out", "--write", "tum")
+    done = locfuse(
+        "run", log, "-v", *GEOMETRY, "--set", "lrf.map_topic=/map", "-o", tmp_path / "out", "--write", "tum"
+    )
     assert done.exit_code == 0, done.stderr
     assert "the drive begins in /map at x" in done.stderr
     path = np.loadtxt(tmp_path / "out/trajectory.tum")

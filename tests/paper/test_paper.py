@@ -340,7 +340,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_preset_is_said_and_recorded_and_reproduces(log: Path, tmp_path: Path) -> None:
-    done = locfuse("compare", log, "--preset", "paper", "--write", "json", "-o", tmp_path / "paper")
+    done = locfuse("compare", log, "-v", "--preset", "paper", "--write", "json", "-o", tmp_path / "paper")
     assert done.exit_code == 0, done.stderr
     assert "note: preset paper" in done.stderr
     report = json.loads((tmp_path / "paper" / "report.json").read_text())

@@ -27,7 +27,9 @@ def circle(radius: float) -> np.ndarray:
 @pytest.fixture(scope="module")
 def found() -> paper.Repeated:
     """Both comparisons for real; of the drives, which take a minute, made-up ones 20 cm beside their path."""
-    compared = {which: load(paper.LOG, preset=p).compare(advice=False) for which, p in paper.PRESETS.items()}
+    compared = {
+        which: load(paper.LOG, preset=p).compare(smooth=False, advice=False) for which, p in paper.PRESETS.items()
+    }
     return paper.Repeated(compared, {name: Driven(name, 1, circle(1.7), circle(1.5)) for name in PATHS})
 
 

@@ -64,7 +64,7 @@ def written(
 
 
 def compared(folder: Path, *words: str, code: int = 0) -> tuple[dict[str, Any], str]:
-    done = locfuse("compare", *words, "--no-advice", "-o", folder / "out", "--overwrite")
+    done = locfuse("compare", *words, "--no-advice", "-v", "-o", folder / "out", "--overwrite")
     assert done.exit_code == code, done.stderr
     report: dict[str, Any] = json.loads((folder / "out" / "report.json").read_text())
     return report, done.stderr

@@ -164,7 +164,7 @@ SETS = ("--set", "compass.topic=/mag", "--set", "compass.sigma_deg=1")
 def heading_rmse_deg(files: tuple[Path, Path], *words: str) -> tuple[float, str]:
     out = files[0].parent / "out"
     given = ("--truth", files[1], "--no-advice", "-o", out, "--write", "json", "--overwrite")
-    done = locfuse("compare", files[0], *GEOMETRY, *SETS, *given, *words)
+    done = locfuse("compare", files[0], *GEOMETRY, "-v", *SETS, *given, *words)
     assert done.exit_code == 0, done.stderr
     found = json.loads((out / "report.json").read_text())["configurations"]["compass"]
     return float(found["heading_rmse_deg"]), done.stdout + done.stderr

@@ -396,7 +396,7 @@ def test_compare_uses_it_where_it_is_named(log: Path, tmp_path: Path) -> None:
 
 def test_a_frame_that_is_not_the_map_is_named(log: Path, tmp_path: Path) -> None:
     sets = ("--set", f"pose.topic={SLAM}", "--set", "pose.frame=map")
-    done = locfuse("run", log, *sets, "--sensors", "pose", "-o", tmp_path / "out")
+    done = locfuse("run", log, "-v", *sets, "--sensors", "pose", "-o", tmp_path / "out")
     assert "pose.frame=own" in done.stderr + done.stdout
 
 

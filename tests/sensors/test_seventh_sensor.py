@@ -93,7 +93,9 @@ SET = ("--set", f"beacon.place=[{PLACE[0]}, {PLACE[1]}]")
 def compared(log: Path) -> Path:
     out = log.parent / "out"
     words = ("--sensors", "odometry", "--sensors", "beacon", "--sensors", "all")
-    done = locfuse("compare", log, *SET, "-o", out, "--rerun-save", log.parent / "beacon.rrd", *words)
+    done = locfuse(
+        "compare", log, "-v", "--write", "all", *SET, "-o", out, "--rerun-save", log.parent / "beacon.rrd", *words
+    )
     assert done.exit_code == 0, done.stderr
     (log.parent / "stdout.txt").write_text(done.stdout)
     return out

@@ -248,7 +248,9 @@ def test_the_noise_of_pixels_is_that_of_their_bearings(tmp_path: Path) -> None:
 
 def test_pixels_without_a_camera_info_are_one_line_with_the_keys(tmp_path: Path) -> None:
     files = written(tmp_path, APRIL, april)
-    done = locfuse("run", files[0], *GEOMETRY, "--set", f"landmarks.map={files[1]}", "--sensors", "landmarks")
+    done = locfuse(
+        "run", files[0], "-v", *GEOMETRY, "--set", f"landmarks.map={files[1]}", "--sensors", "landmarks"
+    )
     assert done.exit_code == 1
     assert "--set landmarks.fx=<px> --set landmarks.cx=<px>" in " ".join(done.stderr.split())
 
@@ -353,7 +355,7 @@ def test_an_unknown_map_is_made_saved_and_used(tmp_path: Path) -> None:
     assert found["landmarks"]["anees"] < 2.0
     made = tmp_path / "made.csv"
     words = ("--sensors", "landmarks", "--save-map", made, "-o", tmp_path / "run")
-    done = locfuse("run", files[0], *GEOMETRY, *grow, *words)
+    done = locfuse("run", files[0], "-v", *GEOMETRY, *grow, *words)
     assert done.exit_code == 0, done.stderr
     places = landmark_map.read(made)
     assert {int(k) for k in places} == set(MAP)
@@ -370,7 +372,7 @@ def test_tags_without_a_map_are_used_and_it_is_said(tmp_path: Path) -> None:
     for name, more in (("none", ()), ("grow", ("--set", "landmarks.map=grow"))):
         out = tmp_path / name
         words = (*GEOMETRY, "--no-advice", "--truth", truth, "--align", "se2", "--write", "json", "-o", out, *more)
-        done = locfuse("compare", log, *words)
+        done = locfuse("compare", log, "-v", *words)
         assert done.exit_code == 0, done.stderr
         found[name] = json.loads((out / "report.json").read_text())["configurations"]
         said = " ".join(done.stderr.split())

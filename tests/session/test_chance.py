@@ -82,7 +82,7 @@ def test_the_range_holds_the_drive_itself_and_every_run() -> None:
 def test_compare_reports_ranges_everywhere_and_says_how_to_get_them_again(tmp_path: Path) -> None:
     log = sample_logs.path("rounded_rectangle")
     words = ("--sensors", "odometry", "--sensors", "compass", "--jitter", "2", "--no-advice")
-    done = locfuse("compare", log, *words, "-o", tmp_path / "out", "--write", "json,md,html")
+    done = locfuse("compare", log, "-v", *words, "-o", tmp_path / "out", "--write", "json,md,html")
     assert done.exit_code == 0, done.stderr
     report = json.loads((tmp_path / "out/report.json").read_text())
     for values in report["configurations"].values():

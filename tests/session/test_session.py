@@ -45,7 +45,9 @@ def compared(session: locfuse.Session) -> locfuse.Comparison:
 def by_command(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("command") / "out"
     words = [w for sensors in WORDS for w in ("--sensors", sensors)]
-    done = command("compare", LOG, "--to", TO, *words, "--smooth", "--export", "kitti,mcap", "-o", out)
+    done = command(
+        "compare", LOG, "--to", TO, *words, "--smooth", "--write", "all", "--export", "kitti,mcap", "-o", out
+    )
     assert done.exit_code == 0, done.stderr
     return out
 
@@ -104,7 +106,7 @@ def test_other_settings_measure_again_what_depends_on_them_and_are_those_of_a_ne
 def test_a_comparison_writes_the_commands_files_byte_for_byte(
     compared: locfuse.Comparison, by_command: Path, tmp_path: Path
 ) -> None:
-    written = compared.write(tmp_path / "out", export=["kitti", "mcap"])
+    written = compared.write(tmp_path / "out", write="all", export=["kitti", "mcap"])
     assert contents(tmp_path / "out") == contents(by_command)
     assert {p.name for p in written} == {p.name for p in by_command.iterdir()}
 
@@ -221,7 +223,7 @@ class Cells(HTMLParser):
 def test_a_notebook_shows_verdicts_and_the_main_table(compared: locfuse.Comparison) -> None:
     page = Cells(compared._repr_html_())
     assert f"lrf {compared.verdicts['lrf']['verdict']}." in page.words
-    assert f"{compared.evaluations['lrf'].figures['position_rmse_m']:.4f}" in page.words
+    assert f"{1000.0 * compared.evaluations['lrf'].figures['position_rmse_m']:.1f}" in page.words
     assert page.tags.count("tr") == 1 + len(compared.estimates)
 
 

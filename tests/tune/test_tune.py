@@ -250,7 +250,7 @@ def test_a_log_is_judged_as_run_would_fuse_it_whatever_the_likelihood_needs(tmp_
     (judged,) = json.loads(done.stdout)["logs"]
     errors = {}
     for when, words in (("before", start[:2]), ("after", ("--robot", tmp_path / "tuned.toml"))):
-        ran = ("--no-advice", "-q", "-o", tmp_path / when, "--write", "json", *words, *start[2:])
+        ran = ("--no-advice", "--no-smooth", "-q", "-o", tmp_path / when, "--write", "json", *words, *start[2:])
         assert locfuse("run", log, *ran).exit_code == 0
         report = json.loads((tmp_path / when / "run.json").read_text())
         (ran_as,) = report["configurations"].values()

@@ -65,7 +65,7 @@ def test_the_position_of_a_servo_says_how_a_car_was_steered(tmp_path: Path) -> N
     logs = motor(tmp_path), servo
     pose, _ = final(logs, {**CAR, "wheels.servo_gain": GAIN, "wheels.servo_offset": OFFSET})
     assert pose == pytest.approx(CIRCLE[-1], abs=1e-5)
-    with pytest.raises(LocfuseError, match=r"--set wheels\.servo_gain=<gain>"):
+    with pytest.raises(LocfuseError, match=r'sets={"wheels\.servo_gain": <gain>'):
         final(logs, CAR)
 
 

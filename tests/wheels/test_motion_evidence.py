@@ -258,7 +258,7 @@ def wheels_and_laser(path: Path) -> Path:
 
 def test_wheels_whose_size_nobody_says_come_first_in_headline_and_next(tmp_path: Path) -> None:
     log = wheels_and_laser(tmp_path / "x.mcap")
-    done = locfuse("compare", log, "-o", tmp_path / "out", "--write", "json,md", "--no-advice")
+    done = locfuse("compare", log, "-v", "-o", tmp_path / "out", "--write", "json,md", "--no-advice")
     report = json.loads((tmp_path / "out/report.json").read_text())
     assert report["headline"].startswith(
         "Wheel angles are in /joint_states but radius and track are unknown: "

@@ -201,7 +201,7 @@ def test_info_init_and_compare_take_a_log_with_a_laser_and_nothing_else(tmp_path
     written = locfuse("init", log)
     assert written.exit_code == 0, written.stderr
     robot.write_text(written.stdout)
-    done = locfuse("compare", log, "--robot", robot, "-o", tmp_path / "out", "--write", "json,tum")
+    done = locfuse("compare", log, "-v", "--robot", robot, "-o", tmp_path / "out", "--write", "json,tum")
     assert done.exit_code == 0, done.stderr
     assert "the motion is matched from scan to scan of /scan" in done.stderr
     _, truth = circle(8.0)

@@ -253,7 +253,7 @@ def test_names_decide_and_not_positions(truth: tuple[Array, Array]) -> None:
 
 
 def run(tmp_path: Path, log: Path, *words: str) -> tuple[dict[str, Any], Array, str]:
-    done = locfuse("run", log, "--sensors", "odometry", "-o", tmp_path / "out", "--overwrite", *words)
+    done = locfuse("run", log, "-v", "--sensors", "odometry", "-o", tmp_path / "out", "--overwrite", *words)
     assert done.exit_code == 0, done.stderr
     tum = np.loadtxt(tmp_path / "out" / "trajectory.tum")
     theta = 2 * np.arctan2(tum[-1, 6], tum[-1, 7])

@@ -11,7 +11,7 @@ from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.findings import end, findings_options, print_findings
 from locfuse.cli.terminal.options import log_options
 
-BELOW = " 95 % interval: where the value lies by these logs. was: as configured."
+BELOW = "95 % interval: where the value lies by these logs. was: as configured."
 
 
 @click.command()

@@ -189,6 +189,7 @@ def compared(files: tuple[Path, Path, Path], *words: Any) -> tuple[dict[str, Any
         "compare",
         log,
         "--no-advice",
+        "-v",
         *GEOMETRY,
         *known,
         "--truth",
@@ -384,7 +385,7 @@ def test_tags_without_a_map_are_used_and_it_is_said(tmp_path: Path) -> None:
 
 def test_bearings_alone_make_no_map_and_stop_no_other_sensor(tmp_path: Path) -> None:
     log, *_ = written(tmp_path, APRIL, april, camera_info())
-    done = locfuse("compare", log, *GEOMETRY, "--no-advice", "--write", "json", "-o", tmp_path / "out")
+    done = locfuse("compare", log, *GEOMETRY, "-v", "--no-advice", "--write", "json", "-o", tmp_path / "out")
     assert done.exit_code == 0, done.stderr
     said = " ".join(done.stderr.split())
     assert "absent: landmarks: /tags says bearings only, and a map is made of ranges" in said

@@ -113,7 +113,7 @@ def test_real_reports_are_valid_with_and_without_truth(tmp_path: Path) -> None:
     assert len(problems("report", broken)) >= 2
 
 
-OUTPUTS = {  # what prints JSON -> words
+OUTPUTS: dict[str, list[tuple[str, ...]]] = {  # what prints JSON -> words
     "info": [
         ("info", "rounded_triangle", "--json"),
         ("info", "labyrinth", "--json"),

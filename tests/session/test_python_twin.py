@@ -6,7 +6,9 @@ import base64
 import json
 import re
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -152,7 +154,7 @@ def test_options_become_keywords(typed: str, spoken: str) -> None:
 def test_errors_speak_python_and_the_command_its_own_words(session: locfuse.Session, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine.txt").write_text("mine")
-    wrong = {
+    wrong: dict[str, Callable[[], Any]] = {
         "sets": lambda: session.with_settings({"lrf.topic": "/x"}),
         "jitter=-1": lambda: session.compare(jitter=-1),
         "reference": lambda: session.compare(reference=True),

@@ -49,7 +49,7 @@ def fixes(places: Array) -> list[Said]:
 def speeds(topic: str, turn: Array, kind: str = STAMPED) -> list[Said]:
     said = []
     for ns, rate in zip(stamps(T), np.gradient(turn, T).tolist(), strict=True):
-        twist = {"linear": {"x": 1.0}, "angular": {"z": rate}}
+        twist: dict[str, Any] = {"linear": {"x": 1.0}, "angular": {"z": rate}}
         data = cdr(kind, header=header(ns, "base_link"), twist=twist) if kind == STAMPED else cdr(kind, **twist)
         said.append(Said(topic, kind, data, ns))
     return said

@@ -223,7 +223,7 @@ class Cells(HTMLParser):
 def test_a_notebook_shows_verdicts_and_the_main_table(compared: locfuse.Comparison) -> None:
     page = Cells(compared._repr_html_())
     assert f"lrf {compared.verdicts['lrf']['verdict']}." in page.words
-    assert f"{1000.0 * compared.evaluations['lrf'].figures['position_rmse_m']:.1f}" in page.words
+    assert f"{1000.0 * compared.report['configurations']['lrf']['position_rmse_m']:.1f}" in page.words
     assert page.tags.count("tr") == 1 + len(compared.estimates)
 
 

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 
 import msgspec
+import numpy as np
 from msgspec import field
 from msgspec.structs import replace
 
@@ -23,6 +24,7 @@ from .settings import Asked
 
 RATE_PATTERN = re.compile(r"(\d+(?:\.\d+)?)\s*hz", re.IGNORECASE)
 LASER = "lrf"
+NOT_SMOOTHED = "not smoothed: the numbers of its map or of robot.toml span too many powers of ten"
 MAX_SUBSET_SENSORS = 6  # sensors: 64 subsets
 Sensors = str | Iterable[str]  # of one configuration
 
@@ -57,7 +59,11 @@ class Configuration(msgspec.Struct, frozen=True):
         if smooth:
             from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 
-            found = fuse_and_smooth(self.drive(drive), robot, self.sensors, self.name)
+            filtered, whole = fuse_and_smooth(self.drive(drive), robot, self.sensors, self.name)
+            if np.isfinite(whole.pose).all():
+                found = filtered, whole
+            else:
+                found = (replace(filtered, notes=(*filtered.notes, NOT_SMOOTHED)),)
         else:
             found = (fuser(robot.preset)(self.drive(drive), robot, self.sensors, self.name),)
         return tuple(replace(e, rates=self.rates) for e in found) if self.rates else found

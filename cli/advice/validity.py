@@ -13,7 +13,6 @@ from typing import Any
 
 from locfuse.formats.report.findings import options
 from locfuse.fusion.checks.truth import Jumps
-from locfuse.fusion.data import result_name
 from locfuse.fusion.judge.evaluate import ERROR_KEYS
 
 from .advised import Advised
@@ -83,7 +82,7 @@ def _lost(values: dict[str, Any]) -> tuple[str, str] | None:
     share = values.get("lost_share") or 0.0
     if share <= MAX_LOST_SHARE:
         return None
-    name = result_name(values["configuration"], bool(values.get("smoothed")))
+    name = values["configuration"]  # of its smoothed result too: that is lost where its filter is
     return "lost", f"{name}: lost for {share:.0%} of the drive, first at {values['lost'][0][0]:.1f} s"
 
 

@@ -123,3 +123,13 @@ def test_figures_are_doubtful_while_something_is_surely_wrong_that_changes_them(
     }
     add_validity(report, Advised((advice,)), None)
     assert [v["message"] for v in report["validity"]] == ([] if doubt is None else [doubt])
+
+
+def test_a_smoothed_run_is_void_by_the_words_of_its_filter() -> None:
+    lost = {"configuration": "all", "sensors": {}, "lost_share": 0.14, "lost": [[3.0, 10.0]], "anees": 2.0}
+    report: dict[str, Any] = {"configurations": {"all": lost, "all-smoothed": {**lost, "smoothed": True}}}
+    add_validity(report, None, None)
+    (entry,) = report["validity"]
+    assert entry["message"] == "all: lost for 14% of the drive, first at 3.0 s"
+    assert entry["configurations"] == ["all", "all-smoothed"]
+    assert all(values["anees"] is None for values in report["configurations"].values())

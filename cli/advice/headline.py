@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from locfuse.formats.report.findings import MAX_ANEES, length
+from locfuse.formats.report.findings import MAX_ANEES, length, void_reasons
 from locfuse.fusion.data import BASES, result_name
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -23,14 +23,13 @@ def headline(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> st
 def _verdict(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:
     """Return what to do with the sensors."""
     errors = {n: e for n in sets if (e := report["configurations"][n].get("position_rmse_m")) is not None}
-    void = [v["message"] for v in report.get("validity") or () if v["void"]]
+    void = void_reasons(report)
     if void and not any(sets[name] for name in errors):
         return f"No verdict on this log: {void[0]}."
     if not errors:
         return _without_truth(report)
-    if report.get("reference"):
-        return " ".join((_by_reference(report, errors), *(f"Not counted is {line}." for line in void)))
-    return " ".join((_by_errors(report, sets, errors), *(f"Not counted is {line}." for line in void)))
+    known = _by_reference(report, errors) if report.get("reference") else _by_errors(report, sets, errors)
+    return " ".join((known, *(f"Not counted is {line}." for line in void)))
 
 
 def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], errors: Mapping[str, float]) -> str:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from locfuse.cli.rerun.record import record
 from locfuse.formats.report import json_report, tables
-from locfuse.formats.report.findings import banner_of, notes_of, sentence, together
+from locfuse.formats.report.findings import banner_of, notes_of, sentence, together, void_reasons
 from locfuse.formats.report.table import Table
 from locfuse.fusion.progress import heard_by
 
@@ -107,7 +107,7 @@ def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]
             put(json_report.encode(found.report))
         else:
             result(found.report, files[0].parent, outputs.verbose)
-    void = [v["message"] for v in found.report.get("validity") or () if v["void"]]
+    void = void_reasons(found.report)
     for line in lost:  # the reasons of exit code 3: printed with --quiet too; void is what a screen has shown
         if line not in void or outputs.as_json or not screen().is_terminal:
             say(f"{'void' if line in void else 'lost'}: {line}")
@@ -157,7 +157,7 @@ def result(report: Mapping[str, Any], folder: Path, verbose: bool) -> None:
         lines((REFERENCE_NOTE if report.get("reference") else FIGURES_NOTE,))
     table(tables.jitter(report))
     if verbose:
-        of_sensors = tables.sensors(report).without("verdicts").without("joint_nis")
+        of_sensors = tables.sensors(report).without("verdicts", "joint_nis")
         table(of_sensors)
         lines([SENSORS_NOTE] if of_sensors.rows else [])
     verdicts(report)

@@ -38,10 +38,13 @@ class Column(msgspec.Struct, frozen=True):
         """Return a number and its unit; a dash where there is none."""
         if value is None or not math.isfinite(value):
             return "-"
+        return self.number(value) + ("" if self.unit in {"", "°"} else " ") + self.unit
+
+    def number(self, value: float) -> str:
+        """Return a number in the column's unit, without that; "over 50" where a larger one means nothing more."""
         if self.most is not None and value > self.most:
             return f"over {self.most:g}"
-        space = "" if self.unit in {"", "°"} else " "
-        return written(value * self.scale, self.form) + space + self.unit
+        return written(value if self.scale == 1.0 else value * self.scale, self.form)
 
 
 class Cell(NamedTuple):
@@ -117,13 +120,11 @@ def pieces(column: Column, cell: Cell) -> list[Piece]:
         return _joined([[Piece(said, n, _below(at, k)), Piece(what)] for said, n, k, what in counted], ", ")
     if isinstance(value, list | tuple):
         return _joined(
-            [[Piece(written(v, column.form), v, _below(at, i))] for i, v in enumerate(value)],
+            [[Piece(column.number(v), v, _below(at, i))] for i, v in enumerate(value)],
             ", " if column.kind == "long" else " – ",
         )
     if isinstance(value, int | float) and not isinstance(value, bool):
-        if column.most is not None and value > column.most:
-            return [Piece(f"over {column.most:g}", value, at)]
-        return [Piece(written(value * column.scale if column.scale != 1.0 else value, column.form), value, at)]
+        return [Piece(column.number(value), value, at)]
     return [Piece(str(value))]
 
 

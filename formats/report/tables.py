@@ -231,22 +231,20 @@ def brief(report: Report, short: bool = False) -> Table:
 
 def _short(report: Report) -> Table:
     """Return the main figures with a row for each configuration, smoothed or not."""
-    table = configurations(report)
-    runs, places = report["configurations"], [c.key for c in table.columns]
-    rmse = table.columns[places.index(RMSE.key)] if RMSE.key in places else None
+    table, runs = configurations(report).without(*ON_DEMAND), report["configurations"]
     after = {v["configuration"]: v.get(RMSE.key) for v in runs.values() if v.get("smoothed")}
-    if rmse is None or not any(after.values()):
-        return table.without(*ON_DEMAND)
-    name, *rest = table.columns
-    at = places.index(RMSE.key)
+    if not any(after.values()):
+        return table
+    at = 1 + [c.key for c in table.columns].index(RMSE.key)
+    rmse = table.columns[at - 1]
     smoothed = replace(rmse, key="smoothed", heading="smoothed", brief="smoothed", missing="", rank=5)
-    columns = (name, *rest[:at], smoothed, *rest[at:])
     rows = tuple(
-        (*row[: at + 1], Cell(after.get(str(row[0].value))), *row[at + 1 :])
+        (*row[:at], Cell(after.get(row[0].value)), *row[at:])
         for row in table.rows
-        if not runs[str(row[0].value)].get("smoothed")
+        if not runs[row[0].value].get("smoothed")
     )
-    return replace(table, columns=columns, rows=rows).without(*ON_DEMAND, "position_max_m")
+    columns = (*table.columns[:at], smoothed, *table.columns[at:])
+    return replace(table, columns=columns, rows=rows).without("position_max_m")
 
 
 def sensors(report: Report) -> Table:

@@ -105,11 +105,10 @@ def compare_log(
     solves = _solved_sets(drive) if reference else set()
     for c in configurations:
         progress(f"fusing {c.name}")
-        shown = c.is_smoothed(asked, robot)
-        both = shown or (frozenset(c.sensors) in solves and not c.rates)
-        first, *after = lean(_judged, c, loaded, asked, (both, shown), watch)
+        solve = frozenset(c.sensors) in solves and not c.rates
+        first, *after = lean(_judged, c, loaded, asked, solve, watch)
         filtered.append(first)
-        smoothed += after if shown else []
+        smoothed += after if c.is_smoothed(asked, robot) else []
         if after:
             wholes[first.estimates.name] = after[0].estimates
         solved |= {frozenset(c.sensors): (first.estimates, j.estimates) for j in after if not c.rates}
@@ -200,13 +199,13 @@ def _effect(
 
 
 def _judged(
-    c: Configuration, loaded: Loaded, asked: Asked, smoothed: tuple[bool, bool], watch: Sequence[Watch]
+    c: Configuration, loaded: Loaded, asked: Asked, solve: bool, watch: Sequence[Watch]
 ) -> list[JudgedRun]:
-    """Fuse and judge one configuration; `smoothed`: whether it is smoothed too, and whether that is shown."""
+    """Fuse and judge one configuration; smooth it where that is shown, or where a reference is to `solve` it."""
     drive, robot, judged = c.drive(loaded.drive), loaded.robot, []
-    smooth, shown = smoothed
+    shown = c.is_smoothed(asked, robot)
     how = cast("Align", asked.align)
-    for e in lean(c.fuse, loaded.drive, robot, smooth and bool(c.sensors)):
+    for e in lean(c.fuse, loaded.drive, robot, shown or solve):
         evaluation = lean(evaluate, e, drive, how)
         for look in watch if shown or not e.smoothed else ():
             look(e, evaluation)

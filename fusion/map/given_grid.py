@@ -23,10 +23,3 @@ class Grid(msgspec.Struct, frozen=True):
     def to_map(self, places: Array) -> Array:
         """Return places (n, 2), in cells from the lower left corner as x, y, in the map [m]."""
         return np.asarray(se2.transform(self.origin, self.cell * places))
-
-    def to_cells(self, points: Array) -> Array:
-        """Return points (..., 2) of the map [m] in cells from the lower left corner, not rounded."""
-        off = np.asarray(points) - self.origin[:2]
-        c, s = np.cos(self.origin[2]), np.sin(self.origin[2])
-        turned = np.stack((c * off[..., 0] + s * off[..., 1], c * off[..., 1] - s * off[..., 0]), axis=-1)
-        return np.asarray(turned / self.cell)

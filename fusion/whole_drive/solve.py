@@ -175,9 +175,10 @@ class Normal:
 
     def _dense(self, n: int) -> tuple[Array, Array]:
         """Invert all of H in place: one matrix is held, and of that the lower triangle is known."""
-        from scipy.linalg.lapack import dpotrf, dpotri
+        from scipy.linalg import cho_factor
+        from scipy.linalg.lapack import dpotri
 
-        factor, _ = dpotrf(self._H.toarray(order="F"), lower=1, overwrite_a=1)
+        factor, _ = cho_factor(self._H.toarray(order="F"), lower=True, overwrite_a=True, check_finite=False)
         P, _ = dpotri(factor, lower=1, overwrite_c=1)
         blocks = P[: 3 * n, : 3 * n].T.reshape(n, 3, n, 3)  # a view: by columns, then by rows
         k = np.arange(n)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.optimize import least_squares
 
 from locfuse.fusion import se2
@@ -60,6 +61,14 @@ def test_the_sparse_and_the_dense_way_to_covariances_agree(monkeypatch) -> None:
     sparse = normal.chain(N)
     for one, other in zip(dense, sparse, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-12)
+
+
+def test_information_that_is_negative_gives_no_covariance() -> None:
+    _, edges = ring(np.random.default_rng(3), 0.05)
+    x, _ = Problem(ANCHOR).solve(started(edges), edges)
+    normal = Normal(x, np.zeros(2), edges, -np.ones(len(edges)), ANCHOR, [], 0)
+    with pytest.raises(np.linalg.LinAlgError):
+        normal.chain(N)
 
 
 def test_jacobians_equal_finite_differences() -> None:

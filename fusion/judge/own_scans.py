@@ -47,6 +47,10 @@ class Distance(msgspec.Struct, frozen=True):
         """Return whether the paths differ by more than is plausible over this distance driven [m]."""
         return self.max > max(DOUBT_M, DOUBT_SHARE * way)
 
+    def contradicts(self, a: float, b: float) -> bool:
+        """Return whether the paths lie further apart than both claim, by their standard deviations [m]."""
+        return self.rms > max(MAX_APART_SIGMAS * float(np.hypot(a, b)), MIN_APART_M)
+
 
 class OwnScans(msgspec.Struct, frozen=True):
     """Scans along a drive, the same for every path that is judged by them."""
@@ -101,8 +105,7 @@ def _cells(placed: list[Array]) -> tuple[int, float]:
 
 def are_contradictory(a: Estimates, b: Estimates) -> bool:
     """Return whether estimates at the same instants lie further apart than both claim: one of them is wrong."""
-    apart = Distance.between(a.t, a.pose[:, :2], b.pose[:, :2])
-    return apart.rms > max(MAX_APART_SIGMAS * float(np.hypot(_claimed(a), _claimed(b))), MIN_APART_M)
+    return Distance.between(a.t, a.pose[:, :2], b.pose[:, :2]).contradicts(_claimed(a), _claimed(b))
 
 
 def _claimed(e: Estimates) -> float:
@@ -156,6 +159,8 @@ def judged_by_scans(
             found[e.name] = Own(agreement, cells)
             continue
         apart = Distance.between(e.t, e.pose[:, :2], whole.pose[:, :2])
-        better = is_better(agreement, judged[whole.name][0])
-        found[e.name] = Own(agreement, cells, apart, better, _claimed(e), are_contradictory(e, whole))
+        better, claimed = is_better(agreement, judged[whole.name][0]), _claimed(e)
+        found[e.name] = Own(
+            agreement, cells, apart, better, claimed, contradicted=apart.contradicts(claimed, _claimed(whole))
+        )
     return found

@@ -314,15 +314,15 @@ def add_own_scans(
         if apart is None:
             continue
         values["smoothed_distance_m"] = msgspec.to_builtins(apart)
-        where = f"{length(apart.rms)} (at most {length(apart.max)}, at {apart.t_s:.0f} s) elsewhere"
+        away = f"lies {length(apart.rms)} away (at most {length(apart.max)}, at {apart.t_s:.0f} s)"
         more = ", which is more than both claim: neither is a reference" if own.contradicted else ""
-        values["notes"].append(f"smoothed, the path lies {where}{more}")
+        values["notes"].append(f"the smoothed path {away}{more}")
         if own.is_overconfident:
             times = apart.rms / max(own.claimed_m, 1e-9)
             values["notes"].append(f"covariance too small: the smoothed path lies {times:.1f} sigma away")
         if apart.doubted(values["distance_m"]):
-            proven = "The better answer: --smooth" if own.smoothed_is_better else "Neither is proven"
-            report["doubt"] = f"Doubtful: smoothed, the path of {name} lies {where}. {proven}."
+            proven = "Use the smoothed one: --smooth" if own.smoothed_is_better else "Neither is proven right"
+            report["doubt"] = f"Doubtful: the smoothed path of {name} {away}. {proven}."
 
 
 def add_events(report: dict[str, Any], estimates: Sequence[Estimates]) -> None:

@@ -197,35 +197,39 @@ def command(
     """Return a command that runs `work` on every case and seed and prints `table` of the rows.
 
     Args:
-        work: called with (case, seed), or with (seed) where there are no cases, and the values of `options`.
+        work: called with (case, seed), of which either may be missing, and the values of `options`.
         table: returns lines of the rows that did not fail.
         cases: names; `--case` takes those that hold a word.
-        drives: seeds, unless `--drives` says another number.
+        drives: seeds, unless `--drives` says another number; 0: cases have none, they are recorded logs.
         first: the first seed.
         options: more options of the command; they change the rows.
     """
 
-    def main(drives: int, first: int, words: tuple[str, ...], jobs: int, out: Path | None, **more: Any) -> None:
+    def main(
+        words: tuple[str, ...], jobs: int, out: Path | None, drives: int = 0, first: int = 0, **more: Any
+    ) -> None:
         names: list[Task] = [(name,) for name in cases if not words or any(word in name for word in words)] or [()]
-        tasks = [(*name, seed) for seed in range(first, first + drives) for name in names]
+        seeds: list[Task] = [(seed,) for seed in range(first, first + drives)] or [()]
+        tasks = [(*name, *seed) for seed in seeds for name in names]
         made = rows(partial(work, **more), tasks, out, jobs, about=more)
         for line in (*table(well(made)), *failures(made)):
             click.echo(line)
 
-    usual = [
+    of_seeds = [
         click.Option(("--drives", "--seeds", "drives"), default=drives, show_default=True),
         click.Option(("--first",), default=first, show_default=True, help="The first seed."),
+    ]
+    usual = [
+        *(of_seeds if drives else ()),
         click.Option(
-            ("--case", "words"), multiple=True, help="Only cases whose name holds this word. Repeatable."
+            ("--case", "--log", "words"), multiple=True, help="Only cases whose name holds this word. Repeatable."
         ),
         click.Option(("--jobs",), default=2, show_default=True),
         click.Option(
             ("-o", "out"), type=click.Path(path_type=Path), help="File of rows: goes on where it stopped."
         ),
     ]
-    return click.Command(
-        None, callback=main, params=[*usual, *options], help="Print a table over simulated drives."
-    )
+    return click.Command(None, callback=main, params=[*usual, *options], help="Print a table over drives.")
 
 
 def option(*names: str, **how: Any) -> click.Option:

@@ -18,8 +18,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import click
-
 import locfuse
 from benchmarks import experiment
 from benchmarks.experiment import Row
@@ -118,17 +116,7 @@ def table(rows: list[Row]) -> Iterator[str]:
     yield f"Judged by a reference without it: {len(ratios)} errors, {near} of them within 10 % of the truth's."
 
 
-@click.command()
-@click.option("--log", "words", multiple=True, help="Only cases of this log.")
-@click.option("--jobs", default=1, show_default=True)
-@click.option("-o", "out", type=click.Path(path_type=Path), help="File of rows: goes on where it stopped.")
-def main(words: tuple[str, ...], jobs: int, out: Path | None) -> None:
-    """Print both verdicts of every sensor, and how often they agree."""
-    tasks = [(case.name,) for case in cases() if not words or any(word in case.name for word in words)]
-    made = experiment.rows(work, tasks, out, jobs)
-    for line in (*table(experiment.well(made)), *experiment.failures(made)):
-        click.echo(line)
-
+main = experiment.command(work, table, [case.name for case in cases()], drives=0)
 
 if __name__ == "__main__":
     main()

@@ -15,8 +15,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import click
-
 import locfuse
 from benchmarks import experiment
 from benchmarks.experiment import Row
@@ -79,18 +77,7 @@ def table(rows: list[Row]) -> Iterator[str]:
         yield f"\n{name}: {right} of {asked} pairs of paths are ranked as their errors are."
 
 
-@click.command()
-@click.option("--log", "words", multiple=True, help="Only logs whose name holds this word.")
-@click.option("--jobs", default=1, show_default=True)
-@click.option("-o", "out", type=click.Path(path_type=Path), help="File of rows: goes on where it stopped.")
-def main(words: tuple[str, ...], jobs: int, out: Path | None) -> None:
-    """Print the figures of every path, and how many pairs they rank rightly."""
-    cases = (*SAMPLES, *(REAL if DATA in os.environ else ()))
-    tasks = [(name,) for name in cases if not words or any(word in name for word in words)]
-    made = experiment.rows(work, tasks, out, jobs)
-    for line in (*table(experiment.well(made)), *experiment.failures(made)):
-        click.echo(line)
-
+main = experiment.command(work, table, (*SAMPLES, *(REAL if DATA in os.environ else ())), drives=0)
 
 if __name__ == "__main__":
     main()

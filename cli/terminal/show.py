@@ -115,11 +115,9 @@ def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]
         say(line)
     transfer(found.loaded.log.transfer, how.quiet)
     record(options.rerun, found, files[0].parent, say)
+    unprinted = [*said, *filter(_idle, found.report.get("findings") or ())]
     if not outputs.as_json:
-        end(
-            files,
-            0 if how.quiet or outputs.verbose else len(said) + sum(map(_idle, found.report.get("findings") or ())),
-        )
+        end(files, 0 if how.quiet or outputs.verbose else len(unprinted))
     if outputs.open:
         open_page(page_of(files))
     return lost

@@ -76,7 +76,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
         strips=_strips(report),
         notes=notes_of(report),
         findings=[in_parts(f) for f in report.get("findings") or ()],
-        together=together(report) and options(report["fixes"]),
+        together=together(report) is not None,
         fixes=options(report.get("fixes") or ()),
         boxed=boxed(report),
         events=_shaded(sections),

@@ -326,7 +326,7 @@ def add_own_scans(
 
 
 def add_events(report: dict[str, Any], estimates: Sequence[Estimates]) -> None:
-    """Add to each result what moved its pose and was no motion."""
+    """Add to each result the corrections of its pose that are no motion."""
     for e in estimates:
         report["configurations"][e.name]["events"] = [_event(jump) for jump in e.jumps]
 

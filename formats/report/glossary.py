@@ -76,12 +76,12 @@ GLOSSARY: Mapping[str, str] = {
         "Something in the log or its settings that looks wrong, with the fix that was tried. docs/advice.md"
     ),
     "revisits agree": (
-        "Without truth: the share of a scan's points that lie on what was seen when the path was there before. "
-        "More is better; below 30 % the path is bad. docs/maps.md"
+        "The share of a scan's points that lie on an earlier scan of the same place. It needs no truth. More is "
+        "better; below 30 % the path is bad. docs/maps.md"
     ),
     "crispness": (
-        "How many cells of 5 cm the points of all scans hit, as a multiple of the least row's: the map of a "
-        "better path is crisper. Less than x 1.2 is no difference."
+        "The number of 5 cm cells that the points of all scans hit, divided by the smallest number of the table. "
+        "Fewer is better: walls are thin. Rows that differ by less than x 1.2 are equal."
     ),
     "smoothed": "An estimate that uses the whole drive for every instant, so also what came later.",
     "aligned": "The estimate was moved onto the truth before it was judged: its shape counts, its place does not.",

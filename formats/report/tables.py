@@ -190,7 +190,7 @@ def _crispness(values: Mapping[str, Any], fewest: int) -> str | None:
 
 
 def jumps(report: Report) -> Table:
-    """Return what moved a pose and was no motion: the largest jumps, in order of time."""
+    """Return corrections of the pose that are no motion: the largest jumps, in order of time."""
     found = [
         ({**event, "configuration": name}, ("configurations", name, "events", i))
         for name, values in report["configurations"].items()

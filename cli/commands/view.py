@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import click
 
 from locfuse.cli.analysis.settings import LogOptions
-from locfuse.cli.rerun.address import ADDRESS, LOCAL_VIEWER
 from locfuse.cli.rerun.record import RECORDING
 from locfuse.cli.terminal import completion
 from locfuse.cli.terminal.options import Grouped, log_options
@@ -123,6 +122,8 @@ def _every(value: str | None) -> int | None:
 
 def _address(value: str | None) -> str | None:
     """Return a viewer's address as it is. Raises click.BadParameter for what cannot be one."""
+    from locfuse.cli.rerun.viewer import ADDRESS, LOCAL_VIEWER
+
     if value is not None and ADDRESS.fullmatch(value) is None:
         raise click.BadParameter(f"{value!r} is no viewer's address; try {LOCAL_VIEWER}")
     return value

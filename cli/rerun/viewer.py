@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -20,8 +21,9 @@ from urllib.parse import quote
 
 from locfuse.fusion.data import LocfuseError
 
-from .address import ADDRESS, HOST, LOCAL_VIEWER, PORT
-
+ADDRESS = re.compile(r"rerun(?:\+https?)?://(?P<host>\[[^\]/]+\]|[^/:@]+)(?::(?P<port>\d{1,5}))?/proxy")
+HOST, PORT = "127.0.0.1", 9876
+LOCAL_VIEWER = f"rerun+http://{HOST}:{PORT}/proxy"
 PORT_TIMEOUT_S = 1.0  # s to wait for a port
 SEND_TIMEOUT_S = 10.0  # s to wait for a viewer to take a recording, and
 SEND_RATE_BPS = 5e6  # bytes per second on top of that

@@ -92,7 +92,7 @@ def normals(xy: Array, owner: Ints, origin: Array) -> Array:
 
 
 def _median_of_each(values: Array, owner: Ints) -> Array:
-    """Return for each value (k,) the median of those of its owner, which stand together: of a scan by itself."""
+    """Return for each value (k,) the median of its scan; values of one scan (owner) follow each other."""
     order = np.lexsort((values, owner))
     first = np.flatnonzero(np.diff(owner, prepend=-1))
     counts = np.diff(np.append(first, len(owner)))

@@ -42,7 +42,7 @@ class Odometry(msgspec.Struct, frozen=True):
         return replace(self, C=self.C + np.concatenate((np.zeros((1, 3, 3)), more)), left_out=LEFT_OUT)
 
     def scaled(self, share: float) -> Odometry:
-        """Return the same way with a covariance of another size."""
+        """Return the same odometry with its covariance multiplied by `share`."""
         return replace(self, C=share * self.C)
 
     def between(self, a: Ints, b: Ints) -> tuple[Array, Array]:

@@ -238,10 +238,10 @@ def room_for_loops(drive: Drive, robot: Robot, sensors: Sequence[str]) -> bool:
 
 
 def wheels_share(odometry: Odometry, keys: Ints, x: Array) -> float:
-    """Return the variance of the wheels' turns that scans show, over that which the wheels' noise claims.
+    """Return the true variance of the wheels' turns, as scans show it, divided by the one that they claim.
 
-    Wheels of an assumed track claim 5 degrees a metre and have less than one. Between two keys the scans tell, but
-    nothing else tells how far the robot turned before the first one, and the whole drive turns about that.
+    Wheels whose track is assumed claim an error of 5 degrees a metre; the true one is below 1 degree. Between keys
+    the scans correct it. Before the first key only the wheels are known, and their error turns the whole drive.
     """
     u, C = odometry.between(keys[:-1], keys[1:])
     off = se2.wrap_all((se2.between(x[:-1], x[1:]) - u)[:, 2])

@@ -49,7 +49,7 @@ def check_smoothing(robot: Robot, sensors: Sequence[str]) -> None:
 
 
 def why_not_smoothed(robot: Robot, sensors: Sequence[str]) -> UsageError | None:
-    """Return what `check_smoothing` raises; None where these sensors can be smoothed."""
+    """Return the error that `check_smoothing` raises; None where these sensors can be smoothed."""
     if robot.preset == "paper":
         return UsageError(
             "--smooth: the filter as printed in the paper has no optimal gain; leave --preset paper out"

@@ -85,11 +85,7 @@ def _unfit(sensor: Any) -> str | None:
     """Return what a sensor of another package lacks, or None."""
     if not isinstance(sensor, Sensor):
         return f"{sensor!r} is no locfuse.Sensor"
-    lacking = [
-        key
-        for key in ("name", "Settings", "reads", "noise_keys", "components", "colour")
-        if not hasattr(sensor, key)
-    ]
+    lacking = [key for key in REQUIRED if not hasattr(sensor, key)]
     if lacking:
         return f"{type(sensor).__name__} does not define {', '.join(lacking)}"
     if not SENSOR_NAME.fullmatch(sensor.name) or sensor.name in RESERVED_NAMES:

@@ -34,20 +34,17 @@ def calibrate(log: tuple[str, ...], out: Path | None, overwrite: bool, as_json: 
     """
     from locfuse.cli.analysis import results
     from locfuse.cli.analysis.grouping import logs_of
-    from locfuse.cli.analysis.load import find_log, load
     from locfuse.cli.session import calibrate
     from locfuse.cli.terminal import show
     from locfuse.formats.whole_files import may_replace
 
     may_replace(out, overwrite, log)
     with show.progress(how.quiet) as progress:
-        loaded = [
-            load(find_log(parts), how, progress, only=calibrate.USED, aside=("lrf",)) for parts in logs_of(log)
-        ]
-        progress("calibrating")
-        found = calibrate.calibrate_logs(loaded, progress, how)
+        found = calibrate.calibrated(logs_of(log), how, progress)
     if out is not None:
         found.write(out, overwrite)
     print_findings(found.values(), [(found.titles, found.rows(), BELOW)], out, as_json)
-    lost = [line for one in loaded for line in results.loss_lines(one, list(one.drive.measurements), how.strict)]
+    lost = [
+        line for one in found.loaded for line in results.loss_lines(one, list(one.drive.measurements), how.strict)
+    ]
     return end(found.notes, lost, how.quiet)

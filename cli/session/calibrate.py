@@ -288,7 +288,9 @@ def calibrate_logs(
             f"compass: iron bends the raw headings by {iron.error_before_deg:.1f} degrees (rms over a turn); the "
             f"field scatters by {math.degrees(iron.scatter):.2f} degrees about the fit"
         )
-    found = Calibration(how=how, settings=settings, wheels=wheels, laser=laser, gyro=gyro, iron=iron)
+    found = Calibration(
+        loaded=loaded, how=how, settings=settings, wheels=wheels, laser=laser, gyro=gyro, iron=iron
+    )
     kept = [key for key, figure in found.geometry().items() if not found.moved(key, figure)]
     if kept:
         notes.append(f"wheels: {', '.join(kept)} left as set: inside the interval, so nothing speaks against it")
@@ -365,7 +367,7 @@ def _tricycle(
         "(rms); a gyro knows no lengths: the radius is left as it was set",
     }
     notes = (f"tricycle: {', '.join((*found.wheels, *found.mount))}: {left[found.by]}",)
-    return Calibration(how=how, settings=settings, notes=notes, tricycle=found)
+    return Calibration(loaded=loaded, how=how, settings=settings, notes=notes, tricycle=found)
 
 
 def _moved_by(figure: Figure, offset: float) -> Figure:

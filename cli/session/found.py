@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -25,7 +25,8 @@ Row = tuple[str, str, str, str]
 class Found(msgspec.Struct, frozen=True, kw_only=True):
     """Settings that logs gave, with intervals; `tables()` is taken by `with_settings` and by `sets=`."""
 
-    how: LogOptions = LogOptions()  # under which settings the logs were read
+    loaded: Sequence[Loaded]  # the logs
+    how: LogOptions = LogOptions()  # under which settings they were read
     notes: tuple[str, ...] = ()
 
     command: ClassVar[str]

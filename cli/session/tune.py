@@ -47,7 +47,6 @@ class Tuning(Found, frozen=True, kw_only=True):
 
     tuned: Tuned
     judged: Sequence[Judged]
-    loaded: Sequence[Loaded]
     refused: bool = False  # a log gets worse or is lost under the noise that was found
 
     command: ClassVar[str] = "tune"
@@ -180,7 +179,7 @@ def tune_logs(
         tuned, judged, worse = tuned_by(others)
         notes = [f"{note}. It is left out, and its sigma left as it was" for note in notes]
     notes = [*worse, *_notes(tuned), *notes]
-    return Tuning(how=how, notes=tuple(notes), tuned=tuned, judged=judged, loaded=loaded, refused=bool(worse))
+    return Tuning(loaded=loaded, how=how, notes=tuple(notes), tuned=tuned, judged=judged, refused=bool(worse))
 
 
 def _check(log: Sequence[Place], how: LogOptions) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -69,7 +68,11 @@ def info(
     with show.progress(how.quiet) as progress:
         overview = inspect_log(find_log(log), how, progress)
         pictures = _preview(overview, preview) if preview is not None else []
-        tried = _tried(log, how, progress) if check and advice and overview.loaded is not None else {}
+        tried: dict[str, Any] = {}
+        if check and advice and overview.loaded is not None:
+            from locfuse.cli.session.session import tried_by_fusing  # `info` alone does without its imports
+
+            tried = tried_by_fusing(log, how, progress)
     with reader_may_leave():
         if as_json:
             put(json_report.encode({**values.values(overview), **({"tried": tried} if check else {})}))
@@ -85,17 +88,6 @@ def info(
     losses = {"lost", "refused"} if how.strict else {"lost"}
     lost = any(o.code in losses for o in overview.findings)
     return EXIT_LOSS if lost or (check and (overview.severe or void_reasons(tried))) else 0
-
-
-def _tried(log: tuple[str, ...], how: LogOptions, progress: Callable[[str], None]) -> dict[str, Any]:
-    """Return what `compare` would find and suggest; {} where the log cannot be fused."""
-    from locfuse.cli.session.session import opened
-    from locfuse.fusion.data import LocfuseError
-
-    try:
-        return opened(log, how, progress).findings()
-    except LocfuseError:
-        return {}  # the findings of measuring have the reason
 
 
 def _list_topics(words: tuple[str, ...], as_json: bool, quiet: bool) -> int:

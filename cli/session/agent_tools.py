@@ -18,11 +18,11 @@ from locfuse.formats.report import json_report
 from locfuse.formats.report.findings import notes_of, sentence
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.whole_files import whole_file
-from locfuse.fusion.data import LocfuseError, UsageError
+from locfuse.fusion.data import UsageError
 
 from .found import Found
 from .result import Comparison
-from .session import Session, inspected, opened
+from .session import Session, inspected, opened, tried_by_fusing
 
 MAX_LISTED = 200  # logs and notes of one answer
 FIGURES = ("position_rmse_m", "heading_rmse_deg", "anees", "lost_share", "revisit_agreement")
@@ -65,7 +65,7 @@ class Tools:
             return self._listed()
         words, how = [str(self._below(log))], self._how(settings)
         found = inspected(words, how, silent)
-        tried = self._tried(words, how) if check else {}
+        tried = tried_by_fusing(words, how, silent) if check else {}
         topics = {
             name: f"{t['type']}, {t['messages']} messages, {t['rate_hz'] or 0:.3g} Hz"
             for name, t in found["topics"].items()
@@ -125,12 +125,6 @@ class Tools:
 
     def _session(self, log: str, settings: Settings | None) -> Session:
         return opened([str(self._below(log))], self._how(settings), silent)
-
-    def _tried(self, words: Sequence[str], how: LogOptions) -> dict[str, Any]:
-        try:
-            return opened(words, how, silent).findings()
-        except LocfuseError:
-            return {}  # the findings of measuring have the reason
 
     def _compared(self, result: Comparison) -> Answer:
         report = result.report

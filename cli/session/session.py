@@ -41,7 +41,7 @@ from locfuse.formats.logs.log import Log
 from locfuse.formats.robot.robot_toml import as_set
 from locfuse.formats.visible import visible
 from locfuse.fusion.checks.truth import jumps_of
-from locfuse.fusion.data import Drive, Estimates, Evaluation, UsageError
+from locfuse.fusion.data import Drive, Estimates, Evaluation, LocfuseError, UsageError
 from locfuse.fusion.judge import evaluate as judge
 from locfuse.fusion.judge.evaluate import Align
 from locfuse.fusion.measure import thinned
@@ -130,6 +130,14 @@ def inspected(log: Sequence[str], how: LogOptions, progress: Progress) -> dict[s
     from locfuse.cli.inspect.inspect_log import inspect_log
 
     return values.values(inspect_log(find_log(log), how, progress))
+
+
+def tried_by_fusing(log: Sequence[str], how: LogOptions, progress: Progress) -> dict[str, Any]:
+    """Return the `findings` of a log as a command line names it; {} where the log cannot be fused."""
+    try:
+        return opened(log, how, progress).findings()
+    except LocfuseError:
+        return {}  # the findings of measuring have the reason
 
 
 ADVICE_KEYS = ("headline", "validity", "findings", "fixes")  # of a report: what to keep, what is void, what to set
@@ -282,6 +290,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
             refuse(self.drive, self.robot)
         return possible(self.drive, self.robot)
 
+    @speaks_python
     def info(self) -> dict[str, Any]:
         """Return what is in the log and what looks wrong, as `locfuse.info` does, under the session's settings."""
         return inspected(self._words, self.how, self.progress)
@@ -307,10 +316,8 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         """
         from . import tune
 
-        logs_of = [self._words, *(words_of(log) for log in more)]
-        paths, held = (
-            [find_log(log) for log in found] for found in (logs_of, [words_of(log) for log in hold_out])
-        )
+        paths = [self.log.paths, *(find_log(words_of(log)) for log in more)]
+        held = [find_log(words_of(log)) for log in hold_out]
         return tune.tune_logs(paths, held, tune.sensor_names(sensors), drift, self.how, self.progress)
 
     @speaks_python

@@ -75,7 +75,7 @@ class Tools:
         headline = tried.get("headline") or f"{found['name']}: {found['duration_s'] or 0:.1f} s; {state}."
         brief = {key: found[key] for key in ("duration_s", "roles", "absent", "configurations", "severe")}
         whole = {**found, **({"tried": tried} if check else {})}
-        files = [self._write(found["name"], "info.json", json_report.encode(whole))]
+        files = [self._write(f"{found['name']}.info.json", whole)]
         return Answer(headline, _findings(listed), {**brief, "topics": topics}, files)
 
     def compare(
@@ -102,7 +102,7 @@ class Tools:
         paths = [[self._below(log)] for log in logs]
         found = tune.tune_logs(paths, [], tune.sensor_names(sensors), False, self._how(settings), silent)
         refused = "A log gets worse with the noise that was found: it is not used."
-        return self._found(found, logs[0], refused if found.refused else f"Noise from {len(logs)} logs.")
+        return self._found(found, refused if found.refused else f"Noise from {len(logs)} logs.")
 
     def calibrate(self, logs: list[str], settings: Settings | None = None) -> Answer:
         """Find wheel noise, radius and track, laser mount and magnetometer iron from logs of one robot."""
@@ -110,7 +110,7 @@ class Tools:
 
         paths = [[str(self._below(log))] for log in logs]
         found = calibrate.calibrated(paths, self._how(settings), silent)
-        return self._found(found, logs[0], f"Calibration from {len(logs)} logs.")
+        return self._found(found, f"Calibration from {len(logs)} logs.")
 
     def explain(self, term: str = "") -> Answer:
         """Say what a word of an answer or a report means: ANEES, NIS, drift; without `term`, all of them."""
@@ -128,7 +128,7 @@ class Tools:
 
     def _compared(self, result: Comparison) -> Answer:
         report = result.report
-        files = result.write(self._folder(result.loaded.log.name))
+        files = result.write(self._out / result.loaded.log.name)
         values = {
             "verdicts": {s: v["verdict"] for s, v in report["verdicts"].items()},
             "configurations": {
@@ -144,12 +144,10 @@ class Tools:
         }
         return Answer(result.headline, _findings(result.findings), values, list(map(str, files)))
 
-    def _found(self, found: Found, log: str, headline: str) -> Answer:
-        name = Path(log).stem
-        robot = self._folder(name) / f"{found.command}.robot.toml"
-        robot.parent.mkdir(parents=True, exist_ok=True)
-        files = [str(found.write(robot, overwrite=True))]
-        files.append(self._write(name, f"{found.command}.json", json_report.encode(found.values())))
+    def _found(self, found: Found, headline: str) -> Answer:
+        name = f"{found.loaded[0].log.name}.{found.command}"
+        values = self._write(f"{name}.json", found.values())
+        files = [str(found.write(self._out / f"{name}.robot.toml", overwrite=True)), values]
         rows = [dict(zip(found.titles, row, strict=True)) for row in found.rows()]
         return Answer(headline, [], {"settings": found.tables(), "found": rows, "notes": list(found.notes)}, files)
 
@@ -196,16 +194,12 @@ class Tools:
                 raise UsageError(f"{text!r} is a file outside the folders that this server may read")
         return LogOptions(sets=tuple(words), quiet=True)
 
-    def _folder(self, name: str) -> Path:
-        """Return the folder of the results of one log, whatever its name holds."""
-        return self._out / (name if name.strip(".") and "/" not in name else "log")
-
-    def _write(self, name: str, file: str, text: str) -> str:
-        path = self._folder(name) / file
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-        return str(path)
+    def _write(self, name: str, values: Mapping[str, Any]) -> str:
+        """Write values beside the folder that `compare` keeps for itself; return the file."""
+        self._out.mkdir(parents=True, exist_ok=True)
+        with whole_file(self._out / name) as temporary:
+            temporary.write_text(json_report.encode(values), encoding="utf-8")
+        return str(self._out / name)
 
 
 def _findings(found: Iterable[Mapping[str, Any]]) -> list[AgentFinding]:

@@ -82,6 +82,12 @@ def test_tuning_and_calibrating_write_files_that_are_valid(tools: Tools) -> None
         assert answer["values"]["settings"]["wheels"]["noise"] > 0.0
 
 
+def test_what_a_log_holds_is_asked_before_it_is_compared(tools: Tools) -> None:
+    log = "rounded_triangle.mcap"
+    answers = tools.info(log), tools.compare(log, ["odometry"]), tools.compare(log, ["odometry", "compass"])
+    assert all(Path(file).is_file() for answer in answers for file in answer.files)
+
+
 def test_words_are_explained(tools: Tools) -> None:
     assert "1" in asked(tools, "explain", term="ANEES")["headline"]
     with pytest.raises(LocfuseError, match="no such term: anes"):

@@ -16,23 +16,10 @@ def explain(term: str | None) -> int:
     locfuse explain ANEES
     locfuse explain drift
     """
-    from locfuse.formats.report.glossary import GLOSSARY, explained, similar
-    from locfuse.fusion.data import UsageError
+    from locfuse.cli.session.explain import explain
+    from locfuse.formats.report.glossary import GLOSSARY
 
-    words = None if term is None else explained(term) or _sensor(term)
-    if term is not None and words is None:
-        raise UsageError(f"no such term: {term}. Known: {', '.join(similar(term))}")
+    lines = [f"{name}: {text}" for name, text in GLOSSARY.items()] if term is None else [explain(term)]
     with reader_may_leave():
-        put(words + "\n" if words is not None else "".join(f"{name}: {text}\n" for name, text in GLOSSARY.items()))
+        put("".join(f"{line}\n" for line in lines))
     return 0
-
-
-def _sensor(term: str) -> str | None:
-    """Return what a sensor reads and measures, None for what is no sensor."""
-    from locfuse.fusion.sensors.registry import REGISTRY
-
-    sensor = REGISTRY.get(term.strip().lower())
-    if sensor is None:
-        return None
-    measured = ", ".join(f"{part.name} [{part.unit}]" for part in sensor.components)
-    return f"Sensor. Reads {', '.join(sensor.reads)}; measures {measured}. Its settings: docs/settings.md"

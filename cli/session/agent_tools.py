@@ -20,6 +20,7 @@ from locfuse.formats.robot import robot_toml
 from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import UsageError
 
+from .explain import explain
 from .found import Found
 from .result import Comparison
 from .session import Session, inspected, opened, tried_by_fusing
@@ -113,15 +114,10 @@ class Tools:
         return self._found(found, f"Calibration from {len(logs)} logs.")
 
     def explain(self, term: str = "") -> Answer:
-        """Say what a word of an answer or a report means: ANEES, NIS, drift; without `term`, all of them."""
-        from locfuse.formats.report.glossary import GLOSSARY, explained, similar
+        """Say what a word of an answer or a report means: ANEES, lrf, drift; without `term`, all but sensors."""
+        from locfuse.formats.report.glossary import GLOSSARY
 
-        if not term:
-            return Answer("Words of reports.", values=dict(GLOSSARY))
-        words = explained(term)
-        if words is None:
-            raise UsageError(f"no such term: {term}. Known: {', '.join(similar(term))}")
-        return Answer(words)
+        return Answer(explain(term)) if term else Answer("Words of reports.", values=dict(GLOSSARY))
 
     def _session(self, log: str, settings: Settings | None) -> Session:
         return opened([str(self._below(log))], self._how(settings), silent)

@@ -90,6 +90,7 @@ def test_what_a_log_holds_is_asked_before_it_is_compared(tools: Tools) -> None:
 
 def test_words_are_explained(tools: Tools) -> None:
     assert "1" in asked(tools, "explain", term="ANEES")["headline"]
+    assert "LaserScan" in asked(tools, "explain", term="lrf")["headline"]
     with pytest.raises(LocfuseError, match="no such term: anes"):
         asked(tools, "explain", term="anes")
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from locfuse.formats.whole_files import Content
 
 V = TypeVar("V")
-Kinds = str | Iterable[str] | None  # "json,tum" or ["json", "tum"]; None: all
+Kinds = str | Iterable[str] | None  # "json,tum" or ["json", "tum"]; None: the usual ones
 UNKNOWN_EXPORT = "--export: unknown format"
 
 
@@ -217,7 +217,7 @@ class Result(msgspec.Struct, frozen=True, eq=False):
         Args:
             folder: where to; None is locfuse-out/<log name>.
             write: of "html", "md", "json", "tum", "csv", "tex" those to write (of a run: "tum", "csv", "json");
-                None writes all.
+                None writes "html", "json" and "tum" (of a run all); "all" writes all.
             export: formats of other tools: "mcap", "log", "kitti", "tum-cov" ...
             overwrite: write into a folder that holds something else.
 

@@ -464,6 +464,6 @@ class CalibrateOutput(Struct):
     laser: CalibratedLaser | None
     gyro: CalibratedByGyro | None
     compass: CalibratedIron | None
-    tricycle: dict[str, Any] | None  # key of wheels, truth_<key> -> value and interval; rms_m
+    tricycle: dict[str, Any] | None  # key of wheels, <by>_<key> -> value, interval; by; rms_m, of a gyro rms_deg
     robot: dict[str, dict[str, Any]]  # tables of robot.toml to be used
     notes: list[str]

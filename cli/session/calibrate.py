@@ -77,16 +77,6 @@ class ByLaser(msgspec.Struct, frozen=True):
         found = zip(KEYS, values, half, strict=True)
         return {key: Figure(v, v - h, v + h) for key, v, h in found if math.isfinite(h)}
 
-    def mount_rows(self) -> list[tuple[str, Figure, str, float]]:
-        """Return (key, figure, unit, what it was)."""
-        return [(key, figure, KEYS[key], getattr(self.was, key)) for key, figure in self.mount().items()]
-
-    def table(self) -> dict[str, float]:
-        """Return the keys of [lrf] that are surely not what was set."""
-        return {
-            key: figure.value for key, figure, _, was in self.mount_rows() if not figure.low <= was <= figure.high
-        }
-
     def notes(self, settings: WheelSettings) -> list[str]:
         """Return what a reader must know: how much was seen, what it cannot tell, and whose metre counts."""
         fit = self.fit
@@ -161,25 +151,18 @@ class Calibration(Found, frozen=True, kw_only=True):
             if math.isfinite(spread[key])
         }
 
-    def moved(self, key: str, figure: Figure) -> bool:
-        """Return whether a length of the wheels is surely not what was set."""
-        return not figure.low <= getattr(self.settings, key) <= figure.high
-
     def tables(self) -> dict[str, dict[str, Any]]:
         """Return what was found as robot.toml tables; geometry that may be as it was set is left out."""
-        tables: dict[str, dict[str, Any]] = {}
-        if (noise := self.wheels or self.gyro) is not None:
-            tables["wheels"] = {"noise": _short(noise.k.value)}
-        geometry = {key: _short(f.value) for key, f in self.geometry().items() if self.moved(key, f)}
-        if geometry:
-            tables.setdefault("wheels", {}).update(geometry)
-        if self.laser is not None and (mount := self.laser.table()):
-            tables["lrf"] = {key: _short(value) for key, value in mount.items()}
+        noise = self.wheels or self.gyro
+        of_wheels = {} if noise is None else {"noise": noise.k}
+        found = {"wheels": of_wheels | _changed(self.geometry(), self.settings)}
+        if self.laser is not None:
+            found["lrf"] = _changed(self.laser.mount(), self.laser.was)
         if self.tricycle is not None:
-            of = {"wheels": self.tricycle.wheels, self.tricycle.by: self.tricycle.mount}
-            tables |= {
-                n: {key: _short(f.value) for key, f in figures.items()} for n, figures in of.items() if figures
-            }
+            found |= {"wheels": self.tricycle.wheels, self.tricycle.by: self.tricycle.mount}
+        tables: dict[str, dict[str, Any]] = {
+            n: {key: _short(f.value) for key, f in figures.items()} for n, figures in found.items() if figures
+        }
         if self.iron is not None:
             tables["compass"] = {
                 "hard_iron": [_short(v) for v in self.iron.hard.tolist()],
@@ -242,7 +225,8 @@ class Calibration(Found, frozen=True, kw_only=True):
             unit = "" if key == "ratio" else " [m]"
             rows.append(_row(f"wheels.{key}{unit}", figure, getattr(self.settings, key)))
         if self.laser is not None:
-            rows += [_row(f"lrf.{key}{unit}", figure, was) for key, figure, unit, was in self.laser.mount_rows()]
+            of_laser, was = self.laser.mount().items(), self.laser.was
+            rows += [_row(f"lrf.{key}{KEYS[key]}", figure, getattr(was, key)) for key, figure in of_laser]
         if self.wheels is not None:
             rows.append(_row(f"paper's delta ({PAPER_PERIOD_S:g} s)", self.wheels.delta, None))
         if self.tricycle is not None:
@@ -291,8 +275,9 @@ def calibrate_logs(
     found = Calibration(
         loaded=loaded, how=how, settings=settings, wheels=wheels, laser=laser, gyro=gyro, iron=iron
     )
-    kept = [key for key, figure in found.geometry().items() if not found.moved(key, figure)]
-    if kept:
+    geometry = found.geometry()
+    changed = _changed(geometry, settings)
+    if kept := [key for key in geometry if key not in changed]:
         notes.append(f"wheels: {', '.join(kept)} left as set: inside the interval, so nothing speaks against it")
     return msgspec.structs.replace(found, notes=tuple(notes))
 
@@ -358,8 +343,7 @@ def _tricycle(
     if found.by == "lrf":  # what is not surely another mount or clock is left as it was set
         told = one.robot.settings("lrf")
         found.mount["time_offset"] = _moved_by(found.mount["time_offset"], told.time_offset)
-        mount = {key: f for key, f in found.mount.items() if not f.low <= getattr(told, key) <= f.high}
-        found = msgspec.structs.replace(found, mount=mount)
+        found = msgspec.structs.replace(found, mount=_changed(found.mount, told))
     left = {
         "truth": f"fitted to the whole path, they leave {found.rms:.3f} m (rms)",
         "lrf": f"fitted to the laser's way over a second, they leave {found.rms:.3f} m (rms)",
@@ -472,6 +456,11 @@ def _iron_rows(iron: Iron) -> list[Row]:
 def _row(name: str, figure: Figure, was: float | None) -> Row:
     interval = f"{figure.low:.4g} .. {figure.high:.4g}"
     return name, f"{figure.value:.4g}", interval, "" if was is None else f"{was:.4g}"
+
+
+def _changed(figures: Mapping[str, Figure], was: Any) -> dict[str, Figure]:
+    """Return the figures whose interval excludes what was set; the others are to be left as they were set."""
+    return {key: f for key, f in figures.items() if not f.low <= getattr(was, key) <= f.high}
 
 
 def _short(value: float) -> float:

@@ -31,6 +31,18 @@ def test_the_import_loads_nothing_heavy_and_a_name_loads_its_own() -> None:
     assert done.returncode == 0, done.stderr
 
 
+def test_help_loads_little_more_than_click() -> None:
+    code = (
+        "import sys, click\n"
+        "alone = len(sys.modules)\n"
+        "from locfuse.cli.main import main\n"
+        "try:\n    main(['--help'])\nexcept SystemExit as e:\n    assert e.code == 0\n"
+        "assert len(sys.modules) < 1.5 * alone, sorted(sys.modules)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 def test_what_types_see_is_what_there_is() -> None:
     tree = ast.parse(SOURCE.read_text(encoding="utf-8"))
     (typed,) = (n for n in tree.body if isinstance(n, ast.If) and ast.unparse(n.test) == "TYPE_CHECKING")

@@ -15,7 +15,7 @@ from locfuse.cli.analysis.key import files_of, texts_of
 from locfuse.cli.analysis.settings import Asked, LogOptions, set_words, silent
 from locfuse.formats.logs.files import ENDINGS, log_files
 from locfuse.formats.report import json_report
-from locfuse.formats.report.findings import notes_of, sentence
+from locfuse.formats.report.findings import notes_of, sentence, void_reasons
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import UsageError
@@ -23,7 +23,7 @@ from locfuse.fusion.data import UsageError
 from .explain import explain
 from .found import Found
 from .result import Comparison
-from .session import Session, inspected, opened, tried_by_fusing
+from .session import inspected, opened, tried_by_fusing
 
 MAX_LISTED = 200  # logs and notes of one answer
 FIGURES = ("position_rmse_m", "heading_rmse_deg", "anees", "lost_share", "revisit_agreement")
@@ -94,7 +94,7 @@ class Tools:
         the laser, where the log allows it.
         """
         asked = Asked(tuple(sensors or ()), align=align, smooth=smooth, audits=False)
-        return self._compared(self._session(log, settings).compared(asked))
+        return self._compared(opened([str(self._below(log))], self._how(settings), silent).compared(asked))
 
     def tune(self, logs: list[str], sensors: str = "all", settings: Settings | None = None) -> Answer:
         """Find the noise of wheels and sensors from logs of one robot, without truth (minutes on a long log)."""
@@ -119,9 +119,6 @@ class Tools:
 
         return Answer(explain(term)) if term else Answer("Words of reports.", values=dict(GLOSSARY))
 
-    def _session(self, log: str, settings: Settings | None) -> Session:
-        return opened([str(self._below(log))], self._how(settings), silent)
-
     def _compared(self, result: Comparison) -> Answer:
         report = result.report
         files = result.write(self._out / result.loaded.log.name)
@@ -132,7 +129,7 @@ class Tools:
                 for name, c in report["configurations"].items()
             },
             "truth": None if report["truth"] is None else report["truth"]["topic"],
-            "void": [v["message"] for v in report["validity"] if v["void"]],
+            "void": void_reasons(report),
             "doubtful": [v["message"] for v in report["validity"] if not v["void"]],
             "path_doubted": report.get("doubt"),
             "absent": report["absent"],

@@ -388,10 +388,11 @@ def _gyro(loaded: Sequence[Loaded], settings: WheelSettings) -> GyroCalibration:
 
 def _gyro_notes(found: GyroCalibration, settings: WheelSettings) -> list[str]:
     by_window = ", ".join(f"{k:.2g} m over {length:g} s" for length, k in found.noise.items())
+    track = (settings.track or 0.0) + 2.0 * found.slides
     skids = (
-        f"wheels: the robot turns as if they stood {(settings.track or 0.0) + 2.0 * found.slides:.2f} m apart, so "
-        f"they slide by {found.slides:.2f} m per radian. What both sides slide together no gyro sees: the noise "
-        "counts it as uniform between nothing and twice that"
+        f"wheels: the robot turns as if its wheels were {track:.2f} m apart: they slide by {found.slides:.2f} m "
+        "per radian of turn. A gyro does not see what both sides slide in the same direction: wheels.noise "
+        "assumes from zero to twice that"
     )
     return [
         *([skids] if found.slides else []),

@@ -1,4 +1,4 @@
-"""The registry: the only list of sensors. Ours are one file in this folder and one line here.
+"""The registry: the only list of sensors. A new sensor of locfuse is one file in this folder and one line here.
 
 A sensor of another package needs no change here: its package names it by an entry point, group `locfuse.sensors`.
 """

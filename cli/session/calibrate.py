@@ -341,9 +341,9 @@ def _tricycle(
     shift = (encoders.zero_ns - one.drive.epoch_ns) * 1e-9 + settings.time_offset
     found = calibrate_tricycle(encoders, settings, reference, shift)
     if found.by == "lrf":  # what is not surely another mount or clock is left as it was set
-        told = one.robot.settings("lrf")
-        found.mount["time_offset"] = _moved_by(found.mount["time_offset"], told.time_offset)
-        found = msgspec.structs.replace(found, mount=_changed(found.mount, told))
+        was = one.robot.settings("lrf")
+        late = Figure(*(v + was.time_offset for v in msgspec.structs.astuple(found.mount["time_offset"])))
+        found = msgspec.structs.replace(found, mount=_changed({**found.mount, "time_offset": late}, was))
     left = {
         "truth": f"fitted to the whole path, they leave {found.rms:.3f} m (rms)",
         "lrf": f"fitted to the laser's way over a second, they leave {found.rms:.3f} m (rms)",
@@ -352,10 +352,6 @@ def _tricycle(
     }
     notes = (f"tricycle: {', '.join((*found.wheels, *found.mount))}: {left[found.by]}",)
     return Calibration(loaded=loaded, how=how, settings=settings, notes=notes, tricycle=found)
-
-
-def _moved_by(figure: Figure, offset: float) -> Figure:
-    return Figure(figure.value + offset, figure.low + offset, figure.high + offset)
 
 
 def _reference(one: Loaded, progress: Progress) -> Reference | None:

@@ -56,7 +56,7 @@ def served(tools: Any) -> MCPServer:
     server = MCPServer("locfuse", instructions=INSTRUCTIONS, version=own(), log_level="ERROR")
     lock = Lock()
 
-    def told(tool: Any) -> Any:
+    def one_at_a_time(tool: Any) -> Any:
         """Return a tool that answers one call at a time, and whose errors are one line."""
 
         @wraps(tool)
@@ -73,5 +73,5 @@ def served(tools: Any) -> MCPServer:
         return call
 
     for name in ("info", "compare", "tune", "calibrate", "explain"):
-        server.add_tool(told(getattr(tools, name)))
+        server.add_tool(one_at_a_time(getattr(tools, name)))
     return server

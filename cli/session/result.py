@@ -139,8 +139,8 @@ class Result(msgspec.Struct, frozen=True, eq=False):
             "t": estimates.t[audit.instant],
             "verdict": audit.verdicts,
             "nis": audit.nis,
+            "threshold": audit.threshold,
         }
-        columns["threshold"] = audit.threshold
         for i, component in enumerate(REGISTRY[sensor].components):
             columns |= {
                 f"innovation_{component.name}": audit.y[:, i],
@@ -153,10 +153,10 @@ class Result(msgspec.Struct, frozen=True, eq=False):
 
         Without matplotlib the report's figure is returned, an SVG that a notebook shows.
         """
-        panel, traces = self._trajectories()
         from locfuse.formats.figures.for_paper import on_axes
         from locfuse.formats.report.notebook import Picture
 
+        panel, traces = self._trajectories()
         try:
             return on_axes(axes, panel, traces, colours())
         except ModuleNotFoundError:  # no matplotlib

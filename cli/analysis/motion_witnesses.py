@@ -84,7 +84,7 @@ class Witnesses:
             )
             if (share := min((s for s in shares if s is not None), default=1.0)) < TELLING_SHARE:
                 return (
-                    f"it explains {share:.0%} of the motion by {' and '.join(other)}; nothing here judges the two"
+                    f"it explains {share:.0%} of the motion by {' and '.join(other)}; nothing shows which is right"
                 )
         return ""
 

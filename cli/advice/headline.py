@@ -80,7 +80,7 @@ def _as_configured(
     bad = [s for s in others if report.get("verdicts", {}).get(s, {}).get("verdict") in HURTS]
     all_of_them = f"{first} With all sensors it is {length(errors[every])}: "
     if suspect := [s for s in others if any(f["role"] == s for f in report.get("findings") or ())]:
-        return f"{all_of_them}see what is found of {_names(suspect)}."
+        return f"{all_of_them}see the findings on {_names(suspect)}."
     if not bad:  # one drive does not settle which
         return f"{all_of_them}leave {_names(others)} out."
     return f"{all_of_them}{'' if len(bad) == 1 else 'one of '}{_names(bad)} hurts."
@@ -103,7 +103,7 @@ def covariance(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> 
     if anees <= MAX_ANEES or truth.get("sigma") or truth.get("sigma_theta_deg"):
         return f" The covariance ({name}) is {anees**0.5:.1f} times too small, and no setting explains it."
     cause = (
-        f"most likely by what is found of the {open_[0]}" if open_ else "set truth.sigma, the truth's own noise"
+        f"most likely due to the finding on the {open_[0]}" if open_ else "set truth.sigma, the truth's own noise"
     )
     return f" ANEES ({name}) is over {MAX_ANEES:g}: {cause}{'' if open_ else ', to judge it'}."
 

@@ -22,7 +22,7 @@ from .motion_witnesses import Witnesses
 from .motor_topics import motor_of, motor_words
 from .mounts import is_base, is_odometry, is_room
 from .not_read import not_read
-from .topics import ONLY, Choice, likeliest, of_type, one
+from .topics import ONLY, Choice, of_sensor, of_type, one
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
@@ -111,7 +111,7 @@ def choose_body(log: Log, robot: Robot, choice: Choice, scans: bool, stand_in: b
 
     `scans`: whether scans will do; `stand_in`: whether estimated poses and commands will.
     """
-    laser = laser_topic(log, robot) if scans else None
+    laser = of_sensor(log, robot, "lrf", (SCANS,)) if scans else None
     if laser is None:
         twists = [Body(t, ONLY) for t in _twists(log, robot, choice, asked=False) if _is_twist(log, t)]
         body = _best_witnessed(log, robot, choice, [*_measured(log, robot, choice), twists])
@@ -147,7 +147,7 @@ def _judged(body: Body, evidence: Evidence | Witnesses) -> Body:
     if not evidence.note:
         return body._replace(why=why)
     words = f"{body.topic} is used: {evidence.note}"
-    if share and share not in words and isinstance(evidence, Witnesses):
+    if share and isinstance(evidence, Witnesses):
         words = f"{words}; {share}"
     return body._replace(why=evidence.agrees, note=words, fixes=(f"wheels.topic={body.topic}",))
 
@@ -181,7 +181,7 @@ def _measured(log: Log, robot: Robot, choice: Choice) -> Iterator[Sequence[Body]
     yield [_beside(t, ONLY, estimated) for t in measured if t not in speeds]
     if found := motor_of(log, robot):
         yield [Body(found[0], f"its motor's speed, steered as {found[1]} says", beside=tuple(found[1:]))]
-    if not laser_topic(log, robot):
+    if not of_sensor(log, robot, "lrf", (SCANS,)):
         yield [_beside(t, ONLY, estimated) for t in speeds]
     yield [Body(t, NOTHING_ELSE, ESTIMATED.format(topic=t)) for t in estimated]
 
@@ -302,13 +302,6 @@ def _poses(log: Log, robot: Robot, choice: Choice) -> list[str]:
 def of_camera(log: Log, topic: str) -> bool:
     """Return whether poses are given in the frame of a camera or a marker: they are not the robot's."""
     return any(word in log.stream(topic).frame_id.lower() for word in CAMERA_WORDS)
-
-
-def laser_topic(log: Log, robot: Robot) -> str | None:
-    """Return the laser whose scans say how the robot moved: the one that the sensor reads."""
-    named = robot.settings("lrf").topic
-    filled = [t for t in of_type(log, (SCANS,)) if log.topics[t].count]
-    return named if named in filled else likeliest(filled, REGISTRY["lrf"].unlikely or ()) if filled else None
 
 
 def odometry_frames(log: Log) -> list[str]:

@@ -89,12 +89,10 @@ class Evidence:
             if self._pairs is not None and self._pairs.judge:
                 self._gone[topic,] = f"by {topic}, speeds, {self._pairs.of(motion):.0%}"
 
-    def behind(self, topics: Sequence[str]) -> str:
+    def behind(self, topics: Sequence[str], motion: WheelReading) -> str:
         """Say by how much matching the scans agrees better than the motion that is used; "" where it does not."""
-        motion = motion_of(self._log, self._robot, topics, self._read)
-        if motion is not None:
-            self._look([motion])
-        if motion is None or self._pairs is None or not self._pairs.judge:
+        self._look([motion])
+        if self._pairs is None or not self._pairs.judge:
             return ""
         share = self._pairs.of(motion)
         if self._matched < max(share + BETTER_SHARE, self._still + TELLING_SHARE):

@@ -17,7 +17,7 @@ from locfuse.fusion.wheels.motion_agreement import turns_explained, ways_explain
 from locfuse.fusion.wheels.read import WheelReading
 
 from .motion_evidence import Read, motion_of
-from .topics import likeliest, of_type
+from .topics import of_sensor
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
@@ -84,7 +84,7 @@ class Witnesses:
             )
             if (share := min((s for s in shares if s is not None), default=1.0)) < TELLING_SHARE:
                 return (
-                    f"it explains {share:.0%} of the motion by {' and '.join(other)}; nothing here judges the two"
+                    f"it explains {share:.0%} of the motion by {' and '.join(other)}; nothing shows which is right"
                 )
         return ""
 
@@ -109,9 +109,9 @@ class Witnesses:
     def _sensors(self) -> Iterator[tuple[str, Callable[[WheelReading], float | None]]]:
         """Yield what can judge motions: what it saw, in words, and the share of it that a motion explains."""
         for name, kinds in TURNING.items():
-            if (topic := self._topic(kinds, name)) is not None:
+            if (topic := of_sensor(self._log, self._robot, name, kinds)) is not None:
                 yield f"the turning of {topic}", partial(self._turning, name, topic)
-        if (topic := self._topic((FIX,), "gps")) is not None:
+        if (topic := of_sensor(self._log, self._robot, "gps", (FIX,))) is not None:
             yield f"the way between the fixes of {topic}", partial(_way, fixes(self._log, topic))
 
     def _turning(self, name: str, topic: str, motion: WheelReading) -> float | None:
@@ -122,11 +122,6 @@ class Witnesses:
             found = sensor.heading(m) if len(m.t) > 1 else None
             return None if found is None else turns_explained(motion.wheels, *found)
         return None
-
-    def _topic(self, kinds: Sequence[str], sensor: str) -> str | None:
-        filled = [t for t in of_type(self._log, kinds) if self._log.topics[t].count]
-        named = self._robot.settings(sensor).topic
-        return named if named in filled else likeliest(filled, REGISTRY[sensor].unlikely or ()) if filled else None
 
 
 class Fixes(NamedTuple):

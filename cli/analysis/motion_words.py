@@ -34,4 +34,4 @@ def _behind_scans(loaded: Loaded) -> str:
     encoders = loaded.log.topics[topics[0]].msgtype not in BODY_READS
     if not encoders or len(lasers) != 1 or loaded.reading is None or not has_scipy():
         return ""
-    return Evidence(loaded.log, loaded.robot, lasers[0], {topics: loaded.reading}).behind(topics)
+    return Evidence(loaded.log, loaded.robot, lasers[0], {}).behind(topics, loaded.reading)

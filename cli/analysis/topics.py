@@ -11,9 +11,11 @@ from msgspec import field
 from locfuse.formats.logs.adapters import PRESENTED, presented_name
 from locfuse.formats.nearest import did_you_mean
 from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.sensors.registry import REGISTRY
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
+    from locfuse.fusion.robot import Robot
     from locfuse.fusion.wheels.read import WheelReading
 
 NAMED = "named in the settings"
@@ -78,6 +80,13 @@ def likeliest(topics: Sequence[str], unlikely: Iterable[str], beside: str = "") 
     """Return the first of several topics: of the robot of the topic `beside`, then without these words."""
     words, robot = tuple(unlikely), _robot(beside)
     return min(topics, key=lambda t: (_robot(t) != robot, any(word in t.lower() for word in words)))
+
+
+def of_sensor(log: Log, robot: Robot, sensor: str, kinds: Iterable[str]) -> str | None:
+    """Return the topic of these types that a sensor will read, of those with messages; None without one."""
+    filled = [t for t in of_type(log, kinds) if log.topics[t].count]
+    named = robot.settings(sensor).topic
+    return named if named in filled else likeliest(filled, REGISTRY[sensor].unlikely or ()) if filled else None
 
 
 def _robot(topic: str) -> str:

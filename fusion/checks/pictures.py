@@ -62,7 +62,7 @@ def _sampled(stream: Stream) -> list[Picture | str]:
 
 
 def of_calibration(stream: Stream, settings: CameraSettings) -> list[Finding]:
-    """Return where the mirror's circles lie, for a camera whose calibration nobody stated."""
+    """Return where the mirror's circles lie, for a camera whose calibration is not configured."""
     if settings.centre is not None:
         return []
     pictures = [p for p in _sampled(stream) if not isinstance(p, str)]

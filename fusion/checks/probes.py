@@ -21,7 +21,7 @@ MOUNT, DIRECTION = "mount", "direction"  # codes of the findings on one, on what
 MAX_CREEP_DEG = 1.5  # by which wheels may drive beside where they point: 2 % of the way are 1.1 degrees
 DIRECTION_WORDS = (
     "it and the wheels differ by {:.1f}° (1 sigma {:.1g}°) in the direction of driving: its mount, or wheels that "
-    "drive sideways. To find out drive 3 m along a line on the floor: where the robot leaves it, the wheels do"
+    "drive sideways. To find out drive 3 m along a line on the floor: if the robot leaves it, it is the wheels"
 )
 MIN_SIGMAS = 4.0  # standard deviations by which an estimate must differ from what is configured
 MIN_MOUNT_M, MIN_MOUNT_DEG, MIN_TRACK = 0.004, 0.2, 0.005  # m, degrees, relative: smaller errors are left alone

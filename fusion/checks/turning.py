@@ -288,7 +288,7 @@ def _against_the_truth(drive: Drive, robot: Robot, streams: Mapping[str, Stream]
     slope, sigma = _slope_by_truth(drive, MIN_PIECES_OF_SIGN) or (1.0, 0.0)
     if slope > -MIN_SLOPE or sigma > MAX_AGAINST_SIGMA * abs(slope):
         return []
-    words = f"they turn {-slope:.2f} times against the truth (1 sigma {sigma:.2f}): left and right are swapped"
+    words = f"the truth turns {slope:.2f} times as far (1 sigma {sigma:.2f}): left and right are swapped"
     return [Finding("wheels", "swapped", words, _swapped(robot.wheels, streams["wheels"]), True)]
 
 

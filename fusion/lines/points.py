@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import chain
+
 import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.fusion.data import Array, Ints, Stream
+from locfuse.fusion.data import Array, Block, Ints, Stream
 from locfuse.fusion.sensor import WheelMotion
 
 from .scans import Laser, equal_scans, points_in_base
@@ -23,6 +25,7 @@ class ScanPoints(msgspec.Struct, frozen=True, eq=False, weakref=True):
     laser: Laser
     wheels: WheelMotion
     rows: Ints  # (n,)
+    _last: list[Block] = msgspec.field(default_factory=list)  # the last block that was used, one at most
 
     @property
     def origin(self) -> tuple[float, float]:
@@ -45,9 +48,12 @@ class ScanPoints(msgspec.Struct, frozen=True, eq=False, weakref=True):
         rows = self.rows[readings]
         wanted = np.unique(rows)
         found: dict[int, Array] = {}
-        for at, columns in self.stream.blocks(*self.fields, rows=SCANS_PER_BLOCK):
+        blocks = self.stream.blocks(*self.fields, rows=SCANS_PER_BLOCK)
+        for block in chain(tuple(self._last), blocks):  # who asks again asks for scans soon after
+            at, columns = block
             if not np.isin(at, wanted).any():
                 continue
+            self._last[:] = [block]
             for group, scans in equal_scans(columns):
                 some = np.flatnonzero(np.isin(at[group], wanted))
                 if not len(some):

@@ -16,12 +16,11 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, Stream
-from locfuse.fusion.lines.points import SCANS_PER_BLOCK
-from locfuse.fusion.lines.scans import Laser, equal_scans, points_in_base
+from locfuse.fusion.lines.points import ScanPoints
+from locfuse.fusion.lines.scans import Laser
 from locfuse.fusion.scan_matching.clouds import MAX_RANGE_M, Clouds, normals
 from locfuse.fusion.scan_matching.match import Targets, match, sources_of
 
@@ -171,22 +170,9 @@ def _moved(stream: Stream, motion: WheelReading, t_from: Array, t_to: Array) -> 
     return motion.wheels.relative(a, b)
 
 
-def _points(stream: Stream, laser: Laser, rows: Ints, most: int) -> list[NDArray[np.float64]]:
+def _points(stream: Stream, laser: Laser, rows: Ints, most: int) -> list[Array]:
     """Return what some scans saw in the laser's frame, about `most` points each at most, beam by beam."""
     plain = laser._replace(mount=np.zeros(3), deskew=False)
-    found: dict[int, Array] = {}
-    for at, columns in stream.blocks(*FIELDS, rows=SCANS_PER_BLOCK):
-        if not np.isin(at, rows).any():
-            continue
-        for group, scans in equal_scans(columns):
-            some = np.flatnonzero(np.isin(at[group], rows))
-            if not len(some):
-                continue
-            few = {name: column[some] for name, column in scans.items()}
-            xy, _ = points_in_base(few, np.zeros(len(some)), plain, Standing())
-            for row, p in zip(at[group][some].tolist(), xy, strict=True):
-                near = p[np.hypot(*p.T) < MAX_RANGE_M]
-                found[row] = near[:: max(1, -(-len(near) // most))]
-        if len(found) == len(rows):
-            break
-    return [found.get(row, np.zeros((0, 2))) for row in rows.tolist()]
+    scans = ScanPoints(stream, FIELDS, np.zeros(len(stream.t_ns)), plain, Standing(), rows)
+    near = (p[np.hypot(*p.T) < MAX_RANGE_M] for p in scans.read(np.arange(len(rows))))
+    return [p[:: max(1, -(-len(p) // most))] for p in near]

@@ -10,7 +10,7 @@ at the speeds of the drive. There a twist is measured every T seconds with the v
 wanders with the process noise q per second. R T is what a reading adds to the pose per second, so R = needed / T.
 
 Only noise that differs from reading to reading belongs into R: slip that lasts does not show in an odometry's own
-readings, and a filter that is told so large an R averages over real changes of speed. Of z_k = v_k + noise with a
+readings, and a filter with so large an R averages over real changes of speed. Of z_k = v_k + noise with a
 wandering v, the steps d_k = z_{k+1} - z_k have E d_k d_{k+1} = -R (covariance matching; Mehra 1970), and q is what
 makes the readings most likely in a filter whose only state is v (`random_walk`). What `needed` has beyond that R
 goes into the process noise of the pose.

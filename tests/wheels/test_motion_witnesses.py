@@ -125,7 +125,7 @@ def test_an_odometry_that_does_not_go_as_far_as_the_fixes_gives_way(half: bool, 
 def test_where_nothing_judges_two_motions_the_better_kind_is_taken_and_said_to_be_unjudged(tmp_path: Path) -> None:
     choice = chosen(tmp_path, odometry(T, TRUTH), speeds("/base_speed", OTHER[:, 2]))
     assert choice.of("wheels") == ("/odom",)
-    assert "of the motion by /base_speed; nothing here judges the two" in choice.notes[0].words
+    assert "of the motion by /base_speed; nothing shows which is right" in choice.notes[0].words
     assert chosen(tmp_path, odometry(T, TRUTH), speeds("/base_speed", TURN)).notes == []
 
 

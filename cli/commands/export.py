@@ -30,9 +30,11 @@ FILE = click.Path(path_type=Path, dir_okay=False)
     "--into",
     type=FILE,
     metavar="FILE",
-    help="Put the values into this YAML of yours: only the values change, and a diff is shown.",
+    help="Change the values in this YAML file of yours, keep your comments, and show a diff.",
 )
-@click.option("--node", metavar="NAME", help="The node of --into, where the file has several of its kind.")
+@click.option(
+    "--node", metavar="NAME", help="Name of the node in the --into file, if it has several of this kind."
+)
 @click.option("-o", "--out", type=FILE, help="Write to this file.  [default: print it, or change --into]")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @click.option("--as-set", is_flag=True, help="Take the settings as they are: calibrate and tune nothing.")

@@ -1,8 +1,8 @@
 """Parameter files of ROS nodes: a new one with a reason on every line, or new values in one that people wrote.
 
-In a file that exists only the bytes of the values that are named change: comments, order, quotes, line ends stay.
-The marks of the YAML parser say where a value begins and ends. What comes out is read again, and must hold exactly
-what was asked for.
+In a file that exists only the bytes of the named values change, and comments beside them that an export wrote.
+Other comments, order, quotes and line ends stay. The marks of the YAML parser say where a value begins and ends.
+The new text is read again, and must hold exactly what was asked for.
 """
 
 from __future__ import annotations
@@ -36,6 +36,8 @@ Origin = Literal["found", "set", "kept"]
 FOUND: Final = "found"
 SET: Final = "set"
 KEPT: Final = "kept"
+LABELS: dict[Origin, str] = {FOUND: "found: ", SET: "carried over: ", KEPT: "carried over: "}
+OWN_COMMENT = re.compile(rf"""[^#'"\r\n]*\s(# (?:{"|".join(set(LABELS.values()))})[^\r\n]*)""")  # of an export
 
 
 class Setting(msgspec.Struct, frozen=True, kw_only=True):
@@ -52,9 +54,12 @@ class Setting(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def label(self) -> str:
         """What a comment begins with."""
-        if self.words.startswith(UNMAPPED):
-            return ""
-        return "found: " if self.origin == FOUND else "carried over: "
+        return "" if self.words.startswith(UNMAPPED) else LABELS[self.origin]
+
+    def words_at(self, place: int | None) -> str:
+        """Return the words beside a number of a list: those of its row, if the list has rows."""
+        rows = isinstance(self.value, list) and self.row * len(self.row_words) == len(self.value)
+        return self.words if place is None or not rows else self.row_words[place // self.row]
 
 
 class Section(NamedTuple):
@@ -205,7 +210,7 @@ def _plain(node: Any) -> Any:
     if node is None or _is_mapping(node):
         return None
     if isinstance(node.value, list):
-        return [_plain(part) for part in node.value if isinstance(part.value, str)]
+        return [_plain(part) if isinstance(part.value, str) else None for part in node.value]
     kind = str(node.tag).rpartition(":")[2]
     try:
         if kind in {"int", "float"}:
@@ -221,7 +226,7 @@ def changed(file: RosFile, section: Section, settings: Sequence[Setting]) -> tup
 
     Raises LocfuseError in one line where a value cannot be replaced.
     """
-    spans: list[tuple[int, int, str]] = []
+    spans: dict[tuple[int, int], str] = {}  # begin and end in the text -> what comes there
     absent, wanted = [], section.values
     for setting in settings:
         if setting.value is None or setting.origin == KEPT:
@@ -229,17 +234,19 @@ def changed(file: RosFile, section: Section, settings: Sequence[Setting]) -> tup
         if setting.key not in section.at:
             absent.append(setting)
             continue
-        for node, value in _pairs(file, section, setting):
-            if _plain(node) != (new := _reread(node, value)):
-                spans.append(_span(file, setting.key, node, value))
-            if isinstance(wanted[setting.key], list):
-                wanted[setting.key][section.at[setting.key].value.index(node)] = new
-            else:
+        for place, node, value in _pairs(file, section, setting):
+            new = _reread(node, value)
+            if _plain(node) != new:
+                spans |= _span(file, setting.key, node, value)
+            if place is None:
                 wanted[setting.key] = new
+            else:
+                wanted[setting.key][place] = new
+            _renew_comment(file, setting, place, node, spans)
     if absent and "<<" in section.at:
         raise LocfuseError(f"{file.path}: {section.name} takes keys by << from elsewhere: write its values out")
     text = file.text
-    for begin, end, new in sorted(spans, reverse=True):
+    for (begin, end), new in sorted(spans.items(), reverse=True):
         text = text[:begin] + new + text[end:]
     again = list(_sections(_composed(file.path, text), file.path))
     if again[file.sections.index(section)].values != wanted:
@@ -249,8 +256,19 @@ def changed(file: RosFile, section: Section, settings: Sequence[Setting]) -> tup
     return text, absent
 
 
-def _pairs(file: RosFile, section: Section, setting: Setting) -> Iterator[tuple[Any, float | bool | str]]:
-    """Yield the parser's node and the new value of every number or word that a setting means."""
+def _renew_comment(
+    file: RosFile, setting: Setting, place: int | None, node: Any, spans: dict[tuple[int, int], str]
+) -> None:
+    """Replace the comment of an earlier export on a value's line."""
+    if own := OWN_COMMENT.match(file.text, _end(file, node)):
+        words = setting.words if own.span(1) in spans else setting.words_at(place)  # several rows may share a line
+        spans[own.span(1)] = f"# {setting.label}{printable(words)}"
+
+
+def _pairs(
+    file: RosFile, section: Section, setting: Setting
+) -> Iterator[tuple[int | None, Any, float | bool | str]]:
+    """Yield place in the list, the parser's node and new value of every number or word that a setting means."""
     node, value = section.at[setting.key], setting.value
     if node is None:
         raise LocfuseError(f"{file.path}: {setting.key} stands twice in {section.name}: keep one of them")
@@ -261,22 +279,27 @@ def _pairs(file: RosFile, section: Section, setting: Setting) -> Iterator[tuple[
     if not isinstance(value, list):
         if not isinstance(value, float | int | str) or not isinstance(node.value, str):
             raise LocfuseError(f"{file.path}: {_line(node)}: {setting.key} is not a single value")
-        yield node, value
+        yield None, node, value
         return
     if not isinstance(node.value, list) or len(node.value) != len(value):
         raise LocfuseError(f"{file.path}: {_line(node)}: {setting.key} is not a list of {len(value)} values")
     for place in setting.places or range(len(value)):
-        yield node.value[place], value[place]
+        yield place, node.value[place], value[place]
 
 
-def _span(file: RosFile, key: str, node: Any, value: float | bool | str) -> tuple[int, int, str]:
+def _end(file: RosFile, node: Any) -> int:
+    """Return where a value ends in the text."""
+    return int(node.end_mark.index) + file.text.startswith(BOM)
+
+
+def _span(file: RosFile, key: str, node: Any, value: float | bool | str) -> dict[tuple[int, int], str]:
     """Return where a value begins and ends in the text, and what comes there."""
-    shift = len(BOM) if file.text.startswith(BOM) else 0
-    begin, end = node.start_mark.index + shift, node.end_mark.index + shift
+    end = _end(file, node)
+    begin = end - (node.end_mark.index - node.start_mark.index)
     if begin == end or not isinstance(node.value, str) or node.style in {"|", ">"} or file.text[begin] in "!&*":
         raise LocfuseError(f"{file.path}: {_line(node)}: {key} has no plain value: write a number there first")
     new = in_yaml(value)
-    return begin, end, f"{node.style}{new.strip(chr(34))}{node.style}" if node.style else new
+    return {(begin, end): f"{node.style}{new.strip(chr(34))}{node.style}" if node.style else new}
 
 
 def _reread(node: Any, value: float | bool | str) -> float | bool | str:

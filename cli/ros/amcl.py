@@ -26,7 +26,7 @@ from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.lines.points import ScanPoints
 from locfuse.fusion.map.beam_model import BeamModel, fit_beams
 
-from .found import Found
+from .found import Found, positive
 
 MIN_D_M, MIN_A_RAD = 0.25, 0.2  # nav2's update_min_d and update_min_a
 CELL_M = 0.05  # of a map by slam_toolbox or map_saver
@@ -41,7 +41,7 @@ def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
 
 
 def _motion(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
-    d, a = _positive(there, "update_min_d", MIN_D_M), _positive(there, "update_min_a", MIN_A_RAD)
+    d, a = positive(there, "update_min_d") or MIN_D_M, positive(there, "update_min_a") or MIN_A_RAD
     words = "alpha1 to alpha4 are for steps of this length"
     yield Setting(
         key="robot_model_type", value="nav2_amcl::DifferentialMotionModel", words="two wheels", origin=KEPT
@@ -55,9 +55,8 @@ def _motion(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
         "alpha3": (k / (2.0 * d), f"way by way, steps of {d:g} m"),
         "alpha4": (k * track / (4.0 * a), f"way by turn, steps of {a:g} rad"),
     }
-    why = found.why("wheels.noise")
     for key, (value, what) in alphas.items():
-        yield Setting(key=key, value=value, words=f"{what}; {why}", origin=found.origin("wheels.noise"))
+        yield found.setting(key, value, what, "wheels.noise")
 
 
 def _noise(found: Found) -> tuple[float, float]:
@@ -67,11 +66,6 @@ def _noise(found: Found) -> tuple[float, float]:
         return wheels.noise, wheels.track
     way = float(np.abs(wheels.rolled).sum())
     return float(wheels.matched[:, 2, 2].sum()) * wheels.track**2 / max(way, 1e-9), wheels.track
-
-
-def _positive(there: Mapping[str, Any], key: str, usual: float) -> float:
-    value = there.get(key)
-    return value if isinstance(value, float) and value > 0.0 else usual
 
 
 def _laser(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:

@@ -15,7 +15,7 @@ from locfuse.formats.robot.ros_yaml import FOUND, KEPT, Origin, Setting
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.wheels.odometry import ODOMETRY
 
-from .found import Found
+from .found import Found, positive
 
 UNMEASURED = 1e6  # variance of what a planar drive does not measure
 SIDEWAYS = 1e-6  # (m/s)^2: these wheels do not slip sideways in the model
@@ -59,14 +59,14 @@ def _of_wheels(found: Found, there: Mapping[str, Any]) -> list[Factor]:
     assert was.track is not None
     assert now.radius is not None
     assert now.track is not None
-    radius, track = _number(there, "wheel_radius") or was.radius, _number(there, "wheel_separation") or was.track
+    radius, track = positive(there, "wheel_radius") or was.radius, positive(there, "wheel_separation") or was.track
     why, origin = found.why("wheels.radius"), found.origin("wheels.radius")
     if origin == FOUND:
         radii = [now.radius * share for share in now.shares]
         sides = [Factor(own / radius, f"{own:.4g} m over {radius:.4g} m; {why}", origin) for own in radii]
         metre = 1.0
     else:  # its metre stays: a turn shows the ratio of radius and track alone
-        old = [_number(there, key) or 1.0 for key in MULTIPLIERS[1:]]
+        old = [positive(there, key) or 1.0 for key in MULTIPLIERS[1:]]
         sides = [Factor(value, f"the radius was not measured; {why}", KEPT) for value in old]
         metre = 0.5 * sum(old) * radius / now.radius
     words = f"{now.track:.4g} m over {track:.4g} m; {found.why('wheels.track')}"
@@ -75,7 +75,7 @@ def _of_wheels(found: Found, there: Mapping[str, Any]) -> list[Factor]:
 
 def _of_odometry(found: Found, there: Mapping[str, Any]) -> list[Factor]:
     """Return the multipliers, moved from those that made the odometry of the log: the file's, else 1."""
-    old = [_number(there, key) or 1.0 for key in MULTIPLIERS]
+    old = [positive(there, key) or 1.0 for key in MULTIPLIERS]
     relative = None if found.calibration is None else found.calibration.relative()
     if relative is None:
         return [Factor(value, "no truth, laser or gyro measured the odometry", KEPT) for value in old]
@@ -93,32 +93,17 @@ def _of_odometry(found: Found, there: Mapping[str, Any]) -> list[Factor]:
     return made
 
 
-def _number(there: Mapping[str, Any], key: str) -> float | None:
-    value = there.get(key)
-    return value if isinstance(value, float) and value > 0.0 else None
-
-
 def _covariances(found: Found) -> list[Setting]:
-    noise, velocity, wheels = found.why("wheels.noise"), found.velocity, found.loaded.drive.wheels
+    velocity, wheels = found.velocity, found.loaded.drive.wheels
     twist = [UNMEASURED] * 6
     twist[X], twist[Y], twist[YAW] = float(velocity.reading[0]), SIDEWAYS, float(velocity.reading[1])
     k, track = wheels.noise, wheels.track
     turn = 2.0 * k / track**2  # rad^2 per metre straight ahead
     pose = [UNMEASURED] * 6
     pose[X], pose[Y], pose[YAW] = 0.5 * k * WAY_M, turn * WAY_M**3 / 3.0, turn * WAY_M + k / track * TURN_RAD
+    now = f"of one reading at {1.0 / velocity.period:.3g} Hz (see docs/export.md)"
+    then = f"as after {WAY_M:g} m and {TURN_RAD:g} rad"
     return [
-        Setting(
-            key="pose_covariance_diagonal",
-            value=pose,
-            words=f"as after {WAY_M:g} m and {TURN_RAD:g} rad; {noise}",
-            origin=found.origin("wheels.noise"),
-            places=(X, Y, YAW),
-        ),
-        Setting(
-            key="twist_covariance_diagonal",
-            value=twist,
-            words=f"of one reading at {1.0 / velocity.period:.3g} Hz (see docs/export.md); {noise}",
-            origin=found.origin("wheels.noise"),
-            places=(X, YAW),
-        ),
+        found.setting("pose_covariance_diagonal", pose, then, "wheels.noise", (X, Y, YAW)),
+        found.setting("twist_covariance_diagonal", twist, now, "wheels.noise", (X, YAW)),
     ]

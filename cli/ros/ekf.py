@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from locfuse.formats.robot.robot_localization import INPUT, SPEED, SWITCHES, TURN, YAW, X, Y
+from locfuse.formats.robot.robot_localization import ACCELERATION, INPUT, SPEED, SWITCHES, TURN, YAW, X, Y
 from locfuse.formats.robot.ros_yaml import KEPT, UNMAPPED, Setting
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.sensors.compass import OFFSET
@@ -31,7 +31,6 @@ POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TWIST = "geometry_msgs/msg/TwistWithCovarianceStamped"
 KINDS = {ODOMETRY: "odom", TWIST: "twist", POSE: "pose", IMU: "imu"}
 DRIVERS_TOPIC = "/odom"  # where the log has no odometry: what most drivers call theirs
-ACCELERATION = 12  # along x
 STATES = ("x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "vroll", "vpitch", "vyaw", "ax", "ay", "az")
 SURE_SIGMAS = 3.0  # an offset farther from 0 is one
 TINY = 1e-9  # per second: nothing that is estimated changes by so little, and P stays positive
@@ -40,6 +39,10 @@ OPTION_WORDS = {
     ("differential", False): "it stands still in the frame of the filter",
     ("relative", True): "counted from its first reading: where 0 lies is not known, and no state there",
     ("relative", False): "its 0 is the filter's",
+}
+REASONS = {
+    "lrf": "robot_localization reads no laser: fuse the pose of AMCL as pose0 (--to amcl)",
+    "gps": "satellite fixes come through navsat_transform_node: fuse its odometry/gps as another odom input",
 }
 POSES, TWISTS = (X, Y, YAW), (SPEED, TURN)
 
@@ -81,7 +84,9 @@ def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
             name = f"{source.kind}{count.get(source.kind, 0)}"
             count[source.kind] = count.get(source.kind, 0) + 1
         made += _input(name, source, there)
-    return [*made, *_process_noise(found, there), *_rest(found)]
+    topics = {source.topic for source in sources}
+    mapped = {sensor for sensor in found.loaded.drive.measurements if found.topic(sensor)[0] in topics}
+    return [*made, *_process_noise(found, there), *found.unmapped("robot_localization", mapped, REASONS)]
 
 
 def _named(source: Source, there: Mapping[str, Any]) -> str | None:
@@ -273,19 +278,3 @@ def _process_noise(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
         row=SWITCHES,
         row_words=rows,
     )
-
-
-def _rest(found: Found) -> Iterator[Setting]:
-    """Yield comments on what robot_localization has no input for."""
-    why = {
-        "lrf": "robot_localization reads no laser: fuse the pose of AMCL as pose0 (--to amcl)",
-        "gps": "satellite fixes come through navsat_transform_node: fuse its odometry/gps as another odom input",
-        **dict.fromkeys(("camera", "sonar", "landmarks", "ranges"), "robot_localization reads no such sensor"),
-    }
-    for role in ("compass", "gyro", "pose", "twist"):
-        topic, kind = found.topic(role)
-        if found.has(role) and kind not in KINDS:
-            why[role] = f"{topic} is {kind}, which robot_localization does not read"
-    for sensor, words in why.items():
-        if found.has(sensor):
-            yield Setting(key=sensor, value=None, words=words)

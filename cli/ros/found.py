@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -20,7 +20,7 @@ from locfuse.cli.session.tune import Tuning, tune_logs
 from locfuse.formats.caps import MAX_REPORT, MAX_ROBOT_TOML
 from locfuse.formats.inputs import read_small
 from locfuse.formats.robot.robot_toml import as_set, parse
-from locfuse.formats.robot.ros_yaml import FOUND, KEPT, SET, Origin
+from locfuse.formats.robot.ros_yaml import FOUND, KEPT, SET, Origin, Setting, Value
 from locfuse.fusion.data import Estimates, LocfuseError
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.robot import Robot, WheelSettings
@@ -79,6 +79,33 @@ class Found(msgspec.Struct, frozen=True, dict=True):
         if words is None:
             return KEPT
         return FOUND if "locfuse" in words else SET
+
+    def setting(self, key: str, value: Value, words: str, source: str, places: tuple[int, ...] = ()) -> Setting:
+        """Return a parameter whose value comes from "table.key": `words` say its unit and what it is."""
+        words = f"{words}; {self.why(source)}"
+        return Setting(key=key, value=value, words=words, origin=self.origin(source), places=places)
+
+    def topic_setting(self, key: str, role: str, msgtype: str) -> Setting:
+        """Return the topic of a role as a parameter; a comment only where its messages are of another type."""
+        topic, kind = self.topic(role)
+        if kind == msgtype:
+            return Setting(key=key, value=topic, words=f"{topic} in the log", origin=KEPT)
+        words = f"{topic} is {kind or 'no topic of ROS'}, not {msgtype}: name your own"
+        return Setting(key=key, value=None, words=words, origin=KEPT)
+
+    def unmapped(self, program: str, mapped: Collection[str], reasons: Mapping[str, str]) -> Iterator[Setting]:
+        """Yield a comment on every sensor of the log that a program has no parameters for."""
+        for sensor in self.loaded.drive.measurements:
+            topic, kind = self.topic(sensor)
+            unread = f"{topic} is {kind}, which {program} does not read" if kind else f"{program} does not read it"
+            if sensor not in mapped:
+                yield Setting(key=sensor, value=None, words=reasons.get(sensor, unread))
+
+
+def positive(there: Mapping[str, Any], key: str) -> float | None:
+    """Return a number of a file that is changed; None where it has none above 0."""
+    value = there.get(key)
+    return value if isinstance(value, float) and value > 0.0 else None
 
 
 def gather(log: Sequence[str], given: LogOptions, known: bool, wheels_only: bool, progress: Progress) -> Found:

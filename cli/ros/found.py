@@ -5,12 +5,13 @@ from __future__ import annotations
 import shlex
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import cached_property
-from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
 from msgspec.structs import replace
 
+from locfuse.cli.advice.values import FIXES_FILE
+from locfuse.cli.analysis.grouping import result_file
 from locfuse.cli.analysis.load import Loaded, with_settings
 from locfuse.cli.analysis.settings import LogOptions, Progress
 from locfuse.cli.session.calibrate import Calibration, calibrate_logs
@@ -26,10 +27,6 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.velocity_noise import VelocityNoise, velocity_noise
-
-REPORTS = ("report.json", "run.json")
-FIXES = "fixes.toml"
-
 
 MAX_FIRST = 4  # settings that a command may want to be made first
 F = TypeVar("F", Calibration, Tuning)
@@ -228,10 +225,10 @@ def _of_result(log: Sequence[str], how: LogOptions) -> tuple[Sequence[str], LogO
 
     Of a log this is the log itself, and no sources. Raises LocfuseError where the log of a result is not there.
     """
-    folder = Path(log[0])
-    report = next((folder / name for name in REPORTS if len(log) == 1 and (folder / name).is_file()), None)
+    report = result_file(log[0]) if len(log) == 1 else None
     if report is None:
         return log, how, {}
+    folder = report.parent
     try:
         found = msgspec.json.decode(read_small(report, MAX_REPORT))
         words = shlex.split(found["repeat"])[2:]
@@ -240,11 +237,11 @@ def _of_result(log: Sequence[str], how: LogOptions) -> tuple[Sequence[str], LogO
         raise LocfuseError(f"{report} does not say which log it is of; export the log itself") from None
     names = words[: next((i for i, word in enumerate(words) if word.startswith("-")), len(words))]
     places = [str(folder / name) if (folder / name).exists() else name for name in names]
-    fixes = folder / FIXES
+    fixes = folder / FIXES_FILE
     robots = [file for file in (folder / "robot.toml", fixes) if file.is_file()] + list(how.robot_files)
     used = replace(how, robot=robots[0] if robots else None, over=tuple(robots[1:]))
     sources = {key: f"{key} by {source} (compared)" for key, source in changed.items()}
     if fixes.is_file():
         tables = parse(read_small(fixes, MAX_ROBOT_TOML), str(fixes))
-        sources |= {key: f"{key} by {FIXES}, which locfuse compare tried" for key in _keys(tables)}
+        sources |= {key: f"{key} by {FIXES_FILE}, which locfuse compare tried" for key in _keys(tables)}
     return places, used, sources

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import os
-import re
 import stat
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from locfuse.formats.robot.ros_nodes import NODES, section_of
+from locfuse.formats.robot.ros_nodes import NODES, section_of, sections_of
 from locfuse.formats.robot.ros_yaml import KEPT, UNMAPPED, RosFile, Setting, changed, in_yaml, parsed, render
 from locfuse.formats.visible import visible
 from locfuse.formats.whole_files import whole_file
@@ -28,12 +27,6 @@ TARGETS: dict[str, Mapped] = {
     "amcl": amcl.settings,
     "fusioncore": fusioncore.settings,
 }
-NAMES = {  # of a node that nobody named
-    "diff_drive": "diff_drive_controller",
-    "ekf": "ekf_filter_node",
-    "amcl": "amcl",
-    "fusioncore": "fusioncore",
-}
 
 
 class Edited(msgspec.Struct, frozen=True):
@@ -46,7 +39,7 @@ class Edited(msgspec.Struct, frozen=True):
 
 def fresh(found: Found, targets: Sequence[str]) -> str:
     """Return a parameter file of these nodes."""
-    nodes = [(NAMES[target], NODES[target].name, TARGETS[target](found, {})) for target in targets]
+    nodes = [(NODES[target].usual, NODES[target].name, TARGETS[target](found, {})) for target in targets]
     head = (
         f"made by locfuse export ros from {found.loaded.log.name}\nfound: measured on this log, or by a file that "
     )
@@ -59,10 +52,7 @@ def targets_in(file: RosFile, targets: Sequence[str], node: str | None, any_of: 
     Raises LocfuseError where one has none, or several, or one that is of another node.
     """
     if any_of:
-        there = [
-            t for t in targets if any(re.fullmatch(NODES[t].telling, key) for s in file.sections for key in s.at)
-        ]
-        targets = there or targets
+        targets = [target for target in targets if sections_of(file, target)] or targets
     for target in targets:
         section_of(file, target, node)
     return tuple(targets)

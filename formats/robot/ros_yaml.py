@@ -145,15 +145,20 @@ def parsed(path: Path, text: str) -> RosFile:
     return RosFile(path, text, tuple(_sections(_composed(path, text), path)))
 
 
-def _composed(path: Path, text: str) -> Any:
-    """Return the root of the parser's tree, whose marks count the characters of `text`."""
+def by_yaml(path: Path, method: Literal["load", "compose"], text: str | bytes) -> Any:
+    """Return what a method of the YAML parser makes of a text. Raises LocfuseError if it is no YAML."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
     try:
-        root = YAML(typ="safe", pure=True).compose(text.removeprefix(BOM))
+        return getattr(YAML(typ="safe", pure=True), method)(text)
     except (YAMLError, ValueError, RecursionError) as problem:
         raise LocfuseError(f"{path} is no YAML: {visible(' '.join(str(problem).split())[:160])}") from None
+
+
+def _composed(path: Path, text: str) -> Any:
+    """Return the root of the parser's tree, whose marks count the characters of `text` behind its BOM."""
+    root = by_yaml(path, "compose", text.removeprefix(BOM))
     if not _is_mapping(root):
         raise LocfuseError(f"{path} is no parameter file of ROS: its top level is not a mapping")
     return root

@@ -29,8 +29,7 @@ from .motion import Wheels
 
 MIN_SHARE = 0.01  # of the steps' variance: R and q stay above it, or a filter divides by next to nothing
 MIN_VARIANCE = 1e-12
-LN_RATIOS, LN_TOLERANCE = (-16.0, 16.0), 0.05  # ln of q T / R
-GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+LN_RATIOS, LN_TOLERANCE = (-16.0, 16.0), 0.005  # ln of q T / R
 MAX_READINGS = 4000
 MAX_PERIODS = 1.5  # a longer pause between two readings is no step
 
@@ -69,6 +68,8 @@ def random_walk(z: Array, variance: float, period: float) -> float:
 
     By maximum likelihood: the prior variance p of the one state settles where p = p R / (p + R) + q T.
     """
+    from scipy.optimize import minimize_scalar
+
     begin = max(0, (len(z) - MAX_READINGS) // 2)
     values = z[begin : begin + MAX_READINGS].tolist()
     if len(values) < 3 or not variance > 0.0:
@@ -84,11 +85,8 @@ def random_walk(z: Array, variance: float, period: float) -> float:
             square += off * off
         return square / (p + variance) + (len(values) - 1) * math.log(p + variance)
 
-    low, high = LN_RATIOS
-    while high - low > LN_TOLERANCE:  # golden section
-        a, b = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
-        low, high = (low, b) if cost(a) < cost(b) else (a, high)
-    return variance * math.exp(0.5 * (low + high)) / period
+    best = minimize_scalar(cost, bounds=LN_RATIOS, method="bounded", options={"xatol": LN_TOLERANCE})
+    return variance * math.exp(float(best.x)) / period
 
 
 def _grown(wheels: Wheels) -> Array:

@@ -2,7 +2,7 @@
 
 Motion (Probabilistic Robotics, table 5.6; nav2's differential model): a step that turns by r1, goes s and turns by
 r2 has the variances alpha1 r1^2 + alpha2 s^2 of a turn and alpha3 s^2 + alpha4 (r1^2 + r2^2) of the way. They grow
-with the square of a step and ours with the way, so they agree for one length of a step: AMCL takes one every
+with the square of a step and ours with the way, so they agree for one length of a step only: AMCL takes one every
 update_min_d metres or update_min_a radians. With the wheels' variance k per metre and the track L,
 
     straight on, s = update_min_d    2 k s / L^2 = 2 alpha2 s^2     k s / 2 = alpha3 s^2
@@ -79,7 +79,9 @@ def _laser(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
     model = fit_beams(origins, points, found.estimates.final_map, none, reach)
     if model is None:
         yield Setting(
-            key="sigma_hit, z_hit, z_rand", value=None, words="too few beams at walls that the map holds"
+            key="sigma_hit, z_hit, z_rand",
+            value=None,
+            words="the map has no walls, or the scans have too few beams",
         )
         return
     yield from _beams(model, str(there.get("laser_model_type", FIELD)), found)

@@ -64,13 +64,13 @@ def _of_wheels(found: Found, there: Mapping[str, Any]) -> list[Factor]:
     if origin == FOUND:
         radii = [now.radius * share for share in now.shares]
         sides = [Factor(own / radius, f"{own:.4g} m over {radius:.4g} m; {why}", origin) for own in radii]
-        metre = 1.0
-    else:  # its metre stays: a turn shows the ratio of radius and track alone
+        scale = 1.0
+    else:  # the radius stays: turns show only its ratio to the track
         old = [positive(there, key) or 1.0 for key in MULTIPLIERS[1:]]
         sides = [Factor(value, f"the radius was not measured; {why}", KEPT) for value in old]
-        metre = 0.5 * sum(old) * radius / now.radius
+        scale = 0.5 * sum(old) * radius / now.radius
     words = f"{now.track:.4g} m over {track:.4g} m; {found.why('wheels.track')}"
-    return [Factor(metre * now.track / track, words, found.origin("wheels.track")), *sides]
+    return [Factor(scale * now.track / track, words, found.origin("wheels.track")), *sides]
 
 
 def _of_odometry(found: Found, there: Mapping[str, Any]) -> list[Factor]:
@@ -84,7 +84,7 @@ def _of_odometry(found: Found, there: Mapping[str, Any]) -> list[Factor]:
     made = []
     for before, (change, sigma) in zip(old, changes, strict=True):
         if not math.isfinite(sigma):
-            made.append(Factor(before, "this drive does not tell it", KEPT))
+            made.append(Factor(before, "this drive does not show it", KEPT))
             continue
         words = (
             f"{1.0 + change:.4f} ± {sigma:.2g} times {before:g}, which made the log's odometry; locfuse calibrate"

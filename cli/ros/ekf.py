@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from locfuse.formats.robot.robot_localization import ACCELERATION, INPUT, SPEED, SWITCHES, TURN, YAW, X, Y
-from locfuse.formats.robot.ros_yaml import KEPT, UNMAPPED, Setting
+from locfuse.formats.robot.ros_yaml import ASSUMED, KEPT, Origin, Setting
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.sensors.compass import OFFSET
 from locfuse.fusion.sensors.gyro import BIAS, up_rate
@@ -32,13 +33,16 @@ TWIST = "geometry_msgs/msg/TwistWithCovarianceStamped"
 KINDS = {ODOMETRY: "odom", TWIST: "twist", POSE: "pose", IMU: "imu"}
 DRIVERS_TOPIC = "/odom"  # where the log has no odometry: what most drivers call theirs
 STATES = ("x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "vroll", "vpitch", "vyaw", "ax", "ay", "az")
-SURE_SIGMAS = 3.0  # an offset farther from 0 is one
+SURE_SIGMAS = 3.0  # an offset farther from 0 is real
 TINY = 1e-9  # per second: nothing that is estimated changes by so little, and P stays positive
 OPTION_WORDS = {
-    ("differential", True): "only its changes count: it drifts, or is turned by an offset that is no state there",
-    ("differential", False): "it stands still in the frame of the filter",
-    ("relative", True): "counted from its first reading: where 0 lies is not known, and no state there",
-    ("relative", False): "its 0 is the filter's",
+    (
+        "differential",
+        True,
+    ): "only its changes count: it drifts, or has an offset that robot_localization does not estimate",
+    ("differential", False): "it does not drift in the frame of the filter",
+    ("relative", True): "counted from its first reading: robot_localization does not estimate its offset",
+    ("relative", False): "its zero is that of the filter",
 }
 REASONS = {
     "lrf": "robot_localization reads no laser: fuse the pose of AMCL as pose0 (--to amcl)",
@@ -57,6 +61,7 @@ class Source(NamedTuple):
     gates: Mapping[str, tuple[float, str]]  # "pose" or "twist" -> confidence, and where it comes from
     options: Mapping[str, bool]  # differential, relative
     covariances: tuple[str, ...] = ()  # what the messages must say, in words
+    origin: Origin = KEPT
 
 
 def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
@@ -74,15 +79,15 @@ def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
             key="world_frame", value=_world(found), words="odom, or map where a pose is of the map", origin=KEPT
         ),
     ]
-    count: dict[str, int] = {}
+    count = Counter[str]()
     for source in sources:
         name = _named(source, there)
         if name is None:
             if there:
                 made.append(Setting(key=source.topic, value=None, words="no input of the file reads it"))
                 continue
-            name = f"{source.kind}{count.get(source.kind, 0)}"
-            count[source.kind] = count.get(source.kind, 0) + 1
+            name = f"{source.kind}{count[source.kind]}"
+            count[source.kind] += 1
         made += _input(name, source, there)
     topics = {source.topic for source in sources}
     mapped = {sensor for sensor in found.loaded.drive.measurements if found.topic(sensor)[0] in topics}
@@ -93,13 +98,13 @@ def _named(source: Source, there: Mapping[str, Any]) -> str | None:
     """Return the input of a file that reads a topic."""
     bare = source.topic.strip("/")
     inputs = ((key, str(value).strip("/")) for key, value in there.items() if INPUT.fullmatch(key))
-    if source.words.startswith(UNMAPPED):  # the log has no odometry: the file's first is of the same wheels
+    if source.origin == ASSUMED:  # the log has no odometry: the file's first is of the same wheels
         return next((key for key, _ in inputs if key.startswith("odom")), None)
     return next((key for key, topic in inputs if topic == bare or bare.endswith(f"/{topic}")), None)
 
 
 def _input(name: str, source: Source, there: Mapping[str, Any]) -> Iterator[Setting]:
-    yield Setting(key=name, value=source.topic, words=source.words, origin=KEPT)
+    yield Setting(key=name, value=source.topic, words=source.words, origin=source.origin)
     on = [place in source.switches for place in range(SWITCHES)]
     rows = ("x y z", "roll pitch yaw", "their speeds", "their rates", "accelerations")
     yield Setting(key=f"{name}_config", value=on, words=rows[0], origin=KEPT, row=3, row_words=rows)
@@ -111,11 +116,8 @@ def _input(name: str, source: Source, there: Mapping[str, Any]) -> Iterator[Sett
         size = sum(bool(used[place]) for place in (POSES if part == "pose" else TWISTS) if place < len(used))
         if not size:
             continue
-        key = (
-            f"{name}_{part}_rejection_threshold"
-            if source.kind in {"odom", "imu"}
-            else f"{name}_rejection_threshold"
-        )
+        of_part = f"{part}_" if source.kind in {"odom", "imu"} else ""
+        key = f"{name}_{of_part}rejection_threshold"
         if gate >= 1.0:
             yield Setting(key=key, value=None, words=f"gate {gate:g} accepts all; {words}")
         else:
@@ -150,8 +152,8 @@ def _wheels(found: Found) -> Source:
     noise = f"twist vx {speed:.4g} (m/s)^2, vyaw {turn:.4g} (rad/s)^2 {at}; {found.why('wheels.noise')}"
     if kind in {ODOMETRY, TWIST}:
         return Source(KINDS[kind], topic, TWISTS, f"{topic} in the log", {}, {}, (noise,))
-    words = f"{UNMAPPED}{topic} is {kind or 'no topic of ROS'}: name the odometry that your driver makes of it"
-    return Source("odom", DRIVERS_TOPIC, TWISTS, words, {}, {}, (noise,))
+    words = f"{topic} is {kind or 'no topic of ROS'}: name the odometry that your driver makes of it"
+    return Source("odom", DRIVERS_TOPIC, TWISTS, words, {}, {}, (noise,), ASSUMED)
 
 
 def _imu(found: Found) -> Iterator[Source]:
@@ -168,20 +170,19 @@ def _imu(found: Found) -> Iterator[Source]:
             switches.append(YAW)
             gates["pose"] = _gate(found, "compass")
             options = _heading_options(found)
-            variance = math.radians(compass.sigma_deg) ** 2
-            covariances.append(f"orientation, yaw {variance:.4g} rad^2; {found.why('compass.sigma_deg')}")
+            variance = f"orientation, yaw {math.radians(compass.sigma_deg) ** 2:.4g} rad^2"
+            covariances.append(f"{variance}; {found.why('compass.sigma_deg')}")
         if "gyro" in uses:
             switches.append(TURN)
             gates["twist"] = _gate(found, "gyro")
-            words = (
-                f"angular_velocity, z {gyro_variance(found):.4g} (rad/s)^2, with its bias, which is no state there"
-            )
-            covariances.append(f"{words}; {found.why('gyro.sigma_deg')}")
+            variance = f"angular_velocity, z {gyro_variance(found):.4g} (rad/s)^2"
+            bias = "with the gyro's bias, which robot_localization does not estimate"
+            covariances.append(f"{variance}, {bias}; {found.why('gyro.sigma_deg')}")
         yield Source("imu", topic, tuple(switches), f"{topic} in the log", gates, options, tuple(covariances))
 
 
 def _heading_options(found: Found) -> dict[str, bool]:
-    """Return how a compass counts: its offset is estimated here, and no state of robot_localization."""
+    """Return how a compass counts: only locfuse estimates its offset, robot_localization does not."""
     pose = found.robot.settings("pose")
     if not (found.has("pose") and pose.heading and pose.frame in {"map", "own"}):
         return {"relative": found.robot.settings("compass").offset_deg != 0.0}

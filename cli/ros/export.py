@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 from locfuse.formats.robot.ros_nodes import NODES, section_of, sections_of
-from locfuse.formats.robot.ros_yaml import KEPT, UNMAPPED, RosFile, Setting, changed, in_yaml, parsed, render
+from locfuse.formats.robot.ros_yaml import RosFile, Setting, changed, in_yaml, parsed, render
 from locfuse.formats.visible import visible
 from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import LocfuseError
@@ -75,8 +75,8 @@ def edited(found: Found, targets: Sequence[str], before: RosFile, node: str | No
 
 def _reason(setting: Setting, absent: Sequence[Setting]) -> str:
     if setting.value is None:
-        return f"{setting.key}: {UNMAPPED}{setting.words}"
-    if setting.origin == KEPT:
+        return f"{setting.key}: {setting.label}{setting.words}"
+    if not setting.replaces:
         return ""
     long = isinstance(setting.value, list) and len(setting.value) > 6
     what = setting.key if long else f"{setting.key}: {in_yaml(setting.value)}"

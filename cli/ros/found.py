@@ -28,7 +28,7 @@ from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.velocity_noise import VelocityNoise, velocity_noise
 
-MAX_FIRST = 4  # settings that a command may want to be made first
+MAX_FIRST = 4  # other settings that a command may need first
 F = TypeVar("F", Calibration, Tuning)
 
 
@@ -108,8 +108,8 @@ def positive(there: Mapping[str, Any], key: str) -> float | None:
 def gather(log: Sequence[str], given: LogOptions, known: bool, wheels_only: bool, progress: Progress) -> Found:
     """Return what is known of the robot of a log, or of a folder of results, whose settings are taken as they are.
 
-    A log is calibrated and tuned, unless its settings are all that is to be `known`. Where only the wheels matter
-    it is not tuned if calibrating finds their noise.
+    A log is calibrated and tuned, unless its settings are `known` to be right. It is not tuned if `wheels_only`
+    matter and calibrating finds their noise.
     """
     words, how, by_result = _of_result(log, given)
     loaded = opened(words, how, progress).loaded
@@ -152,7 +152,10 @@ class _Work:
         self.notes: list[str] = []
 
     def by(self, command: str, find: Callable[[Sequence[str]], F]) -> F | None:
-        """Return what a command finds, and keep it. A setting that must come first is made; else noted is why."""
+        """Return what a command finds, and keep it; None and a note where it fails.
+
+        Where its error names fixes these are set, and the command runs once more.
+        """
         for _ in range(MAX_FIRST + 1):
             try:
                 found = find(self.sets)
@@ -190,7 +193,7 @@ def _calibrated(found: Calibration) -> dict[str, str]:
 
 
 def _tuned(found: Tuning) -> dict[str, str]:
-    """Return the words on what tune found; what the log does not tell is left to others."""
+    """Return the words on what tune found; values that the log does not determine are left out."""
     rows = () if found.refused else found.tuned.rows
     return {
         row.key: f"{row.key} {row.after:.4g} ± {row.after * row.error:.2g}, locfuse tune"

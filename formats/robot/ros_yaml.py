@@ -31,12 +31,13 @@ RESERVED = {"true", "false", "null", "yes", "no", "on", "off", "y", "n"}  # ... 
 Value = float | bool | str | list[float] | list[bool]
 
 
-# measured by a command; set by hand; what a file that exists keeps as it has it
-Origin = Literal["found", "set", "kept"]
+# measured by a command; set by hand; a file that exists keeps its own: of the log, or assumed where it has none
+Origin = Literal["found", "set", "kept", "assumed"]
 FOUND: Final = "found"
 SET: Final = "set"
 KEPT: Final = "kept"
-LABELS: dict[Origin, str] = {FOUND: "found: ", SET: "carried over: ", KEPT: "carried over: "}
+ASSUMED: Final = "assumed"
+LABELS: dict[Origin, str] = {FOUND: "found: ", SET: "carried over: ", KEPT: "carried over: ", ASSUMED: UNMAPPED}
 OWN_COMMENT = re.compile(rf"""[^#'"\r\n]*\s(# (?:{"|".join(set(LABELS.values()))})[^\r\n]*)""")  # of an export
 
 
@@ -54,7 +55,12 @@ class Setting(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def label(self) -> str:
         """What a comment begins with."""
-        return "" if self.words.startswith(UNMAPPED) else LABELS[self.origin]
+        return UNMAPPED if self.value is None else LABELS[self.origin]
+
+    @property
+    def replaces(self) -> bool:
+        """Whether the value takes the place of one in a file that exists."""
+        return self.value is not None and self.origin in {FOUND, SET}
 
     def words_at(self, place: int | None) -> str:
         """Return the words beside a number of a list: those of its row, if the list has rows."""
@@ -96,11 +102,10 @@ def render(head: str, nodes: Sequence[tuple[str, str, Sequence[Setting]]]) -> st
 
 
 def _rendered(setting: Setting) -> Iterator[str]:
-    words = printable(setting.words)
+    words, label = printable(setting.words), setting.label
     if setting.value is None:
-        yield f"# {setting.key}: {UNMAPPED}{words}"
+        yield f"# {setting.key}: {label}{words}"
         return
-    label = setting.label
     n = setting.row
     if not isinstance(setting.value, list) or not n:
         yield f"{setting.key}: {in_yaml(setting.value)}  # {label}{words}"
@@ -234,7 +239,7 @@ def changed(file: RosFile, section: Section, settings: Sequence[Setting]) -> tup
     spans: dict[tuple[int, int], str] = {}  # begin and end in the text -> what comes there
     absent, wanted = [], section.values
     for setting in settings:
-        if setting.value is None or setting.origin == KEPT:
+        if not setting.replaces:
             continue
         if setting.key not in section.at:
             absent.append(setting)

@@ -1,4 +1,4 @@
-"""Noise of the wheels as a filter counts it that has velocities as states, such as robot_localization's.
+"""Noise of the wheels for a filter that has velocities as states, such as that of robot_localization.
 
 Here noise grows with the way (docs/paper.md, eq. 9): a wheel that rolls s metres has the variance k |s|, so per
 second
@@ -6,11 +6,12 @@ second
     forward   k (|v_left| + |v_right|) / 4         m^2 / s
     turn      k (|v_left| + |v_right|) / track^2   rad^2 / s
 
-at the speeds of the drive. There a twist is measured every T seconds with the variance R, and the velocity itself
-wanders with the process noise q per second. R T is what a reading adds to the pose per second, so R = needed / T.
+at the speeds of the drive. In such a filter a twist is measured every T seconds with the variance R, and
+the velocity itself wanders with the process noise q per second. R T is what a reading adds to the pose per second,
+so R = needed / T.
 
 Only noise that differs from reading to reading belongs into R: slip that lasts does not show in an odometry's own
-readings, and a filter that is told so large an R averages over real changes of speed. Of z_k = v_k + noise with a
+readings, and with so large an R a filter averages over real changes of speed. Of z_k = v_k + noise with a
 wandering v, the steps d_k = z_{k+1} - z_k have E d_k d_{k+1} = -R (covariance matching; Mehra 1970), and q is what
 makes the readings most likely in a filter whose only state is v (`random_walk`). What `needed` has beyond that R
 goes into the process noise of the pose.

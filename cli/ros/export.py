@@ -29,21 +29,21 @@ TARGETS: dict[str, Mapped] = {
 }
 
 
-class Edited(msgspec.Struct, frozen=True):
-    """A file with new values."""
+class Made(msgspec.Struct, frozen=True):
+    """A new parameter file, or one with new values."""
 
     text: str
-    diff: tuple[str, ...]  # unified
-    reasons: tuple[str, ...]  # why each value is what it is, and what has no place in the file
+    diff: tuple[str, ...] = ()  # unified, from a file that existed
+    reasons: tuple[str, ...] = ()  # why each value is what it is, and what has no place in the file
 
 
-def fresh(found: Found, targets: Sequence[str]) -> str:
+def fresh(found: Found, targets: Sequence[str]) -> Made:
     """Return a parameter file of these nodes."""
     nodes = [(NODES[target].usual, NODES[target].name, TARGETS[target](found, {})) for target in targets]
     head = (
         f"made by locfuse export ros from {found.loaded.log.name}\nfound: measured on this log, or by a file that "
     )
-    return render(f"{head}tune, calibrate or compare wrote; carried over: as it was set", nodes)
+    return Made(render(f"{head}tune, calibrate or compare wrote; carried over: as it was set", nodes))
 
 
 def targets_in(file: RosFile, targets: Sequence[str], node: str | None, any_of: bool) -> tuple[str, ...]:
@@ -58,7 +58,7 @@ def targets_in(file: RosFile, targets: Sequence[str], node: str | None, any_of: 
     return tuple(targets)
 
 
-def edited(found: Found, targets: Sequence[str], before: RosFile, node: str | None) -> Edited:
+def edited(found: Found, targets: Sequence[str], before: RosFile, node: str | None) -> Made:
     """Return a file with what was found in the place of its values."""
     now, reasons = before, []
     for target in targets:
@@ -70,7 +70,7 @@ def edited(found: Found, targets: Sequence[str], before: RosFile, node: str | No
     lines = difflib.unified_diff(
         before.text.splitlines(), now.text.splitlines(), str(before.path), str(before.path), lineterm=""
     )
-    return Edited(now.text, tuple(map(visible, lines)), tuple(reasons))
+    return Made(now.text, tuple(map(visible, lines)), tuple(reasons))
 
 
 def _reason(setting: Setting, absent: Sequence[Setting]) -> str:

@@ -75,7 +75,7 @@ def edited(found: Found, targets: Sequence[str], before: RosFile, node: str | No
 
 def _reason(setting: Setting, absent: Sequence[Setting]) -> str:
     if setting.value is None:
-        return f"{setting.key}: {setting.label}{setting.words}"
+        return setting.note
     if not setting.replaces:
         return ""
     long = isinstance(setting.value, list) and len(setting.value) > 6

@@ -55,7 +55,12 @@ class Setting(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def label(self) -> str:
         """What a comment begins with."""
-        return UNMAPPED if self.value is None else LABELS[self.origin]
+        return LABELS[self.origin]
+
+    @property
+    def note(self) -> str:
+        """The comment of a setting without a value."""
+        return f"{self.key}: {UNMAPPED}{printable(self.words)}"
 
     @property
     def replaces(self) -> bool:
@@ -73,6 +78,8 @@ class Section(NamedTuple):
 
     name: str
     at: dict[str, Any]  # key -> node of the YAML parser; None where the key stands twice
+    begin: int  # of its text in the file
+    end: int
     shared: frozenset[str]  # keys inside a mapping with an anchor: to change them may change another place too
 
     @property
@@ -104,7 +111,7 @@ def render(head: str, nodes: Sequence[tuple[str, str, Sequence[Setting]]]) -> st
 def _rendered(setting: Setting) -> Iterator[str]:
     words, label = printable(setting.words), setting.label
     if setting.value is None:
-        yield f"# {setting.key}: {label}{words}"
+        yield f"# {setting.note}"
         return
     n = setting.row
     if not isinstance(setting.value, list) or not n:
@@ -187,7 +194,7 @@ def _sections(root: Any, path: Path) -> Iterator[Section]:
                 raise LocfuseError(names_its_cap(f"{path}: too many keys", len(at), MAX_KEYS))
             at[key] = None if key in at else node
             shared |= {key} if under else set()
-        yield Section(name, at, frozenset(shared))
+        yield Section(name, at, mapping.start_mark.index, mapping.end_mark.index, frozenset(shared))
 
 
 def _below(mapping: Any, name: str, anchored: bool, seen: set[int]) -> Iterator[tuple[str, Any, bool]]:
@@ -255,6 +262,7 @@ def changed(file: RosFile, section: Section, settings: Sequence[Setting]) -> tup
             _renew_comment(file, setting, place, node, spans)
     if absent and "<<" in section.at:
         raise LocfuseError(f"{file.path}: {section.name} takes keys by << from elsewhere: write its values out")
+    _renew_notes(file, section, settings, spans)
     text = file.text
     for (begin, end), new in sorted(spans.items(), reverse=True):
         text = text[:begin] + new + text[end:]
@@ -273,6 +281,18 @@ def _renew_comment(
     if own := OWN_COMMENT.match(file.text, _end(file, node)):
         words = setting.words if own.span(1) in spans else setting.words_at(place)  # several rows may share a line
         spans[own.span(1)] = f"# {setting.label}{printable(words)}"
+
+
+def _renew_notes(
+    file: RosFile, section: Section, settings: Sequence[Setting], spans: dict[tuple[int, int], str]
+) -> None:
+    """Replace the comments of an earlier export on what cannot be mapped; a key may have several."""
+    begin: dict[str, int] = {}  # key -> where to look for its next comment
+    for key, note in ((setting.key, setting.note) for setting in settings if setting.value is None):
+        own = re.compile(rf"^[ \t]*(# {re.escape(key)}: {UNMAPPED}[^\r\n]*)", re.MULTILINE)
+        if found := own.search(file.text, begin.get(key, section.begin), section.end + len(BOM)):
+            spans[found.span(1)] = f"# {note}"
+            begin[key] = found.end()
 
 
 def _pairs(

@@ -120,6 +120,24 @@ def test_a_list_in_a_list_beside_the_meant_numbers_stays() -> None:
     assert changed(file, file.sections[0], [setting])[0] == file.text.replace("[1, [2], 3]", "[5.0, [2], 6.0]")
 
 
+def test_comments_of_an_earlier_export_on_what_cannot_be_mapped_are_replaced_in_this_section_alone() -> None:
+    text = (
+        "# imu0 covariance: cannot be mapped: above\nekf:\n  ros__parameters:\n    odom0: odom\n"
+        "    # imu0 covariance: cannot be mapped: yaw 1\n    # imu0 covariance: cannot be mapped: z 2\n"
+        "    # lrf: mine\n    x: 1  # lrf: cannot be mapped: beside\n"
+        "amcl:\n  ros__parameters:\n    alpha1: 1\n    # lrf: cannot be mapped: of amcl\n"
+    )
+    file = parsed(FILE, text)
+    notes = [
+        ("imu0 covariance", "yaw 5"),
+        ("imu0 covariance", "z 6"),
+        ("imu0 covariance", "w 7"),
+        ("lrf", "no laser"),
+    ]
+    settings = [Setting(key=key, value=None, words=words) for key, words in notes]
+    assert changed(file, file.sections[0], settings)[0] == text.replace("yaw 1", "yaw 5").replace("z 2", "z 6")
+
+
 REFUSED = {
     "amcl:\n\tros__parameters:\n\t\talpha1: 1\n": "line 2 begins with a tab; indent YAML with spaces",
     "amcl:\n  ros__parameters:\n    alpha1: &a 0.2\n    alpha2: *a\n": "line 3: alpha1 has an anchor or an alias",

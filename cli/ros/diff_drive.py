@@ -40,15 +40,11 @@ def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
             "this log shows no two driven wheels (scan matching, or a steered wheel)", role="diff_drive"
         )
     nominal = (("wheel_separation", found.nominal.track), ("wheel_radius", found.nominal.radius))
-    made = [
-        Setting(key=key, value=value, words=f"{key} as it was set [m]", origin=KEPT)
-        for key, value in nominal
-        if value is not None
-    ]
+    made = [Setting(key, value, f"{key} as it was set [m]", KEPT) for key, value in nominal if value is not None]
     odometry = found.nominal.radius is None or found.topic("wheels")[1] == ODOMETRY
     factors = _of_odometry(found, there) if odometry else _of_wheels(found, there)
     for key, factor in zip(MULTIPLIERS, factors, strict=True):
-        made.append(Setting(key=key, value=factor.value, words=factor.words, origin=factor.origin))
+        made.append(Setting(key, factor.value, factor.words, factor.origin))
     return [*made, *_covariances(found)]
 
 

@@ -69,22 +69,20 @@ def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
     rate = 1.0 / found.velocity.period
     sources = list(_sources(found))
     made = [
-        Setting(key="frequency", value=float(max(1, round(rate))), words="Hz, as the wheels report", origin=KEPT),
-        Setting(key="two_d_mode", value=True, words="locfuse estimates in the plane", origin=KEPT),
+        Setting("frequency", float(max(1, round(rate))), "Hz, as the wheels report", KEPT),
+        Setting("two_d_mode", True, "locfuse estimates in the plane", KEPT),
         *(
-            Setting(key=f"{frame}_frame", value=name, words="REP 105; name your own", origin=KEPT)
+            Setting(f"{frame}_frame", name, "REP 105; name your own", KEPT)
             for frame, name in (("map", "map"), ("odom", "odom"), ("base_link", "base_link"))
         ),
-        Setting(
-            key="world_frame", value=_world(found), words="odom, or map where a pose is of the map", origin=KEPT
-        ),
+        Setting("world_frame", _world(found), "odom, or map where a pose is of the map", KEPT),
     ]
     count = Counter[str]()
     for source in sources:
         name = _named(source, there)
         if name is None:
             if there:
-                made.append(Setting(key=source.topic, value=None, words="no input of the file reads it"))
+                made.append(Setting(source.topic, None, "no input of the file reads it"))
                 continue
             name = f"{source.kind}{count[source.kind]}"
             count[source.kind] += 1
@@ -104,12 +102,12 @@ def _named(source: Source, there: Mapping[str, Any]) -> str | None:
 
 
 def _input(name: str, source: Source, there: Mapping[str, Any]) -> Iterator[Setting]:
-    yield Setting(key=name, value=source.topic, words=source.words, origin=source.origin)
+    yield Setting(name, source.topic, source.words, source.origin)
     on = [place in source.switches for place in range(SWITCHES)]
     rows = ("x y z", "roll pitch yaw", "their speeds", "their rates", "accelerations")
-    yield Setting(key=f"{name}_config", value=on, words=rows[0], origin=KEPT, row=3, row_words=rows)
+    yield Setting(f"{name}_config", on, rows[0], KEPT, row=3, row_words=rows)
     for option, value in source.options.items():
-        yield Setting(key=f"{name}_{option}", value=value, words=OPTION_WORDS[option, value], origin=KEPT)
+        yield Setting(f"{name}_{option}", value, OPTION_WORDS[option, value], KEPT)
     config = there.get(f"{name}_config")
     used = on if not isinstance(config, list) else config
     for part, (gate, words) in source.gates.items():
@@ -119,17 +117,13 @@ def _input(name: str, source: Source, there: Mapping[str, Any]) -> Iterator[Sett
         of_part = f"{part}_" if source.kind in {"odom", "imu"} else ""
         key = f"{name}_{of_part}rejection_threshold"
         if gate >= 1.0:
-            yield Setting(key=key, value=None, words=f"gate {gate:g} accepts all; {words}")
+            yield Setting(key, None, f"gate {gate:g} accepts all; {words}")
         else:
             distance = math.sqrt(chi_square(gate, size))
-            yield Setting(
-                key=key, value=distance, words=f"gate {gate:g}, {size} number{'s' * (size > 1)}; {words}"
-            )
+            yield Setting(key, distance, f"gate {gate:g}, {size} number{'s' * (size > 1)}; {words}")
     for words in source.covariances:
         yield Setting(
-            key=f"{name} covariance",
-            value=None,
-            words=f"it comes with the messages, so the driver must set it: {words}",
+            f"{name} covariance", None, f"it comes with the messages, so the driver must set it: {words}"
         )
 
 
@@ -272,9 +266,9 @@ def _process_noise(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
     else:
         value, places = np.diag(diagonal).ravel().tolist(), tuple(place * (SWITCHES + 1) for place in named)
     yield Setting(
-        key="process_noise_covariance",
-        value=value,
-        words="; ".join(f"{STATES[place]} {reasons[place]}" for place in (X, SPEED, TURN)),
+        "process_noise_covariance",
+        value,
+        "; ".join(f"{STATES[place]} {reasons[place]}" for place in (X, SPEED, TURN)),
         places=places,
         row=SWITCHES,
         row_words=rows,

@@ -80,15 +80,15 @@ class Found(msgspec.Struct, frozen=True, dict=True):
     def setting(self, key: str, value: Value, words: str, source: str, places: tuple[int, ...] = ()) -> Setting:
         """Return a parameter whose value comes from "table.key": `words` say its unit and what it is."""
         words = f"{words}; {self.why(source)}"
-        return Setting(key=key, value=value, words=words, origin=self.origin(source), places=places)
+        return Setting(key, value, words, self.origin(source), places=places)
 
     def topic_setting(self, key: str, role: str, msgtype: str) -> Setting:
         """Return the topic of a role as a parameter; a comment only where its messages are of another type."""
         topic, kind = self.topic(role)
         if kind == msgtype:
-            return Setting(key=key, value=topic, words=f"{topic} in the log", origin=KEPT)
+            return Setting(key, topic, f"{topic} in the log", KEPT)
         words = f"{topic} is {kind or 'no topic of ROS'}, not {msgtype}: name your own"
-        return Setting(key=key, value=None, words=words, origin=KEPT)
+        return Setting(key, None, words, KEPT)
 
     def unmapped(self, program: str, mapped: Collection[str], reasons: Mapping[str, str]) -> Iterator[Setting]:
         """Yield a comment on every sensor of the log that a program has no parameters for."""
@@ -96,7 +96,7 @@ class Found(msgspec.Struct, frozen=True, dict=True):
             topic, kind = self.topic(sensor)
             unread = f"{topic} is {kind}, which {program} does not read" if kind else f"{program} does not read it"
             if sensor not in mapped:
-                yield Setting(key=sensor, value=None, words=reasons.get(sensor, unread))
+                yield Setting(sensor, None, reasons.get(sensor, unread))
 
 
 def positive(there: Mapping[str, Any], key: str) -> float | None:

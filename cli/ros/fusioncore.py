@@ -38,8 +38,8 @@ def _wheels(found: Found) -> list[Setting]:
         found.topic_setting("encoder.topic", "wheels", ODOMETRY),
         found.setting("encoder.vel_noise", vel, f"m/s {at}", "wheels.noise"),
         found.setting("encoder.yaw_noise", yaw, f"rad/s {at}", "wheels.noise"),
-        Setting(key="motion_model", value=model, words="by the wheels of robot.toml", origin=KEPT),
-        Setting(key="publish.force_2d", value=True, words="locfuse estimates in the plane", origin=KEPT),
+        Setting("motion_model", model, "by the wheels of robot.toml", KEPT),
+        Setting("publish.force_2d", True, "locfuse estimates in the plane", KEPT),
     ]
 
 
@@ -69,7 +69,7 @@ def _compass(found: Found) -> list[Setting]:
     noise = math.radians(compass.sigma_deg)
     unit, z = "in the message's unit", "z is not measured"
     return [
-        Setting(key="magnetometer.enabled", value=True, words=f"{topic} in the log", origin=KEPT),
+        Setting("magnetometer.enabled", True, f"{topic} in the log", KEPT),
         found.topic_setting("magnetometer.topic", "compass", FIELD),
         found.setting("magnetometer.noise_rad", noise, "rad", "compass.sigma_deg"),
         found.setting("magnetometer.hard_iron", hard, f"{unit}; {z}", "compass.hard_iron", (0, 1)),

@@ -41,7 +41,7 @@ LABELS: dict[Origin, str] = {FOUND: "found: ", SET: "carried over: ", KEPT: "car
 OWN_COMMENT = re.compile(rf"""[^#'"\r\n]*\s(# (?:{"|".join(set(LABELS.values()))})[^\r\n]*)""")  # of an export
 
 
-class Setting(msgspec.Struct, frozen=True, kw_only=True):
+class Setting(msgspec.Struct, frozen=True):
     """One parameter of a node, and why it has its value."""
 
     key: str  # "odom0_config"; of nested ones "encoder.vel_noise"

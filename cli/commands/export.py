@@ -30,9 +30,11 @@ FILE = click.Path(path_type=Path, dir_okay=False)
     "--into",
     type=FILE,
     metavar="FILE",
-    help="Put the values into this YAML of yours: only the values change, and a diff is shown.",
+    help="Change the values in this YAML file of yours, keep your comments, and show a diff.",
 )
-@click.option("--node", metavar="NAME", help="The node of --into, where the file has several of its kind.")
+@click.option(
+    "--node", metavar="NAME", help="Name of the node in the --into file, if it has several of this kind."
+)
 @click.option("-o", "--out", type=FILE, help="Write to this file.  [default: print it, or change --into]")
 @click.option("--overwrite", is_flag=True, help="Replace an existing file.")
 @click.option("--as-set", is_flag=True, help="Take the settings as they are: calibrate and tune nothing.")
@@ -78,20 +80,20 @@ def export(
     with show.progress(how.quiet) as progress:
         found = gather(log, how, as_set, {"diff_drive", "amcl"}.issuperset(chosen), progress)
         progress("writing")
-        made = None if file is None else edited(found, chosen, file, node)
-        text = fresh(found, chosen) if made is None else made.text
+        made = fresh(found, chosen) if file is None else edited(found, chosen, file, node)
+    changed = file is None or bool(made.diff)
     place = out or into
     if out is not None:
         with whole_file(out) as temporary:
-            temporary.write_bytes(text.encode())
-    elif into is not None:
-        write(into, text)
+            temporary.write_bytes(made.text.encode())
+    elif into is not None and changed:
+        write(into, made.text)
     with reader_may_leave():
         if place is None:
-            put(text)
-        for line in () if made is None else (*made.diff, *made.reasons):
+            put(made.text)
+        for line in (*made.diff, *made.reasons):
             say(line)
         if place is not None:
-            say(f"{place}: {'written' if made is None or made.diff else 'nothing to change'}")
+            say(f"{place}: {'written' if changed else 'nothing to change'}")
     lost = loss_lines(found.loaded, list(found.loaded.drive.measurements), how.strict)
     return end(found.notes, lost, how.quiet)

@@ -2,7 +2,7 @@
 
 Motion (Probabilistic Robotics, table 5.6; nav2's differential model): a step that turns by r1, goes s and turns by
 r2 has the variances alpha1 r1^2 + alpha2 s^2 of a turn and alpha3 s^2 + alpha4 (r1^2 + r2^2) of the way. They grow
-with the square of a step and ours with the way, so they agree for one length of a step: AMCL takes one every
+with the square of a step and ours with the way, so they agree for one length of a step only: AMCL takes one every
 update_min_d metres or update_min_a radians. With the wheels' variance k per metre and the track L,
 
     straight on, s = update_min_d    2 k s / L^2 = 2 alpha2 s^2     k s / 2 = alpha3 s^2
@@ -26,7 +26,7 @@ from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.lines.points import ScanPoints
 from locfuse.fusion.map.beam_model import BeamModel, fit_beams
 
-from .found import Found
+from .found import Found, positive
 
 MIN_D_M, MIN_A_RAD = 0.25, 0.2  # nav2's update_min_d and update_min_a
 CELL_M = 0.05  # of a map by slam_toolbox or map_saver
@@ -41,13 +41,11 @@ def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
 
 
 def _motion(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
-    d, a = _positive(there, "update_min_d", MIN_D_M), _positive(there, "update_min_a", MIN_A_RAD)
+    d, a = positive(there, "update_min_d") or MIN_D_M, positive(there, "update_min_a") or MIN_A_RAD
     words = "alpha1 to alpha4 are for steps of this length"
-    yield Setting(
-        key="robot_model_type", value="nav2_amcl::DifferentialMotionModel", words="two wheels", origin=KEPT
-    )
-    yield Setting(key="update_min_d", value=d, words=f"m: {words}", origin=KEPT)
-    yield Setting(key="update_min_a", value=a, words=f"rad: {words}", origin=KEPT)
+    yield Setting("robot_model_type", "nav2_amcl::DifferentialMotionModel", "two wheels", KEPT)
+    yield Setting("update_min_d", d, f"m: {words}", KEPT)
+    yield Setting("update_min_a", a, f"rad: {words}", KEPT)
     k, track = _noise(found)
     alphas = {
         "alpha1": (k / (track * a), f"turn by turn, steps of {a:g} rad"),
@@ -55,9 +53,8 @@ def _motion(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
         "alpha3": (k / (2.0 * d), f"way by way, steps of {d:g} m"),
         "alpha4": (k * track / (4.0 * a), f"way by turn, steps of {a:g} rad"),
     }
-    why = found.why("wheels.noise")
     for key, (value, what) in alphas.items():
-        yield Setting(key=key, value=value, words=f"{what}; {why}", origin=found.origin("wheels.noise"))
+        yield found.setting(key, value, what, "wheels.noise")
 
 
 def _noise(found: Found) -> tuple[float, float]:
@@ -69,24 +66,17 @@ def _noise(found: Found) -> tuple[float, float]:
     return float(wheels.matched[:, 2, 2].sum()) * wheels.track**2 / max(way, 1e-9), wheels.track
 
 
-def _positive(there: Mapping[str, Any], key: str, usual: float) -> float:
-    value = there.get(key)
-    return value if isinstance(value, float) and value > 0.0 else usual
-
-
 def _laser(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
     if not found.has("lrf"):
-        yield Setting(key="sigma_hit, z_hit, z_rand, laser_max_range", value=None, words="this log has no laser")
+        yield Setting("sigma_hit, z_hit, z_rand, laser_max_range", None, "this log has no laser")
         return
     topic = found.topic("lrf")[0]
-    yield Setting(key="scan_topic", value=topic, words=f"{topic} in the log", origin=KEPT)
+    yield Setting("scan_topic", topic, f"{topic} in the log", KEPT)
     points, origins, none, reach = beams_in_map(found)
-    yield Setting(key="laser_max_range", value=reach, words=f"m: the farthest that {topic} measures")
+    yield Setting("laser_max_range", reach, f"m: the farthest that {topic} measures")
     model = fit_beams(origins, points, found.estimates.final_map, none, reach)
     if model is None:
-        yield Setting(
-            key="sigma_hit, z_hit, z_rand", value=None, words="too few beams at walls that the map holds"
-        )
+        yield Setting("sigma_hit, z_hit, z_rand", None, "the map has no walls, or the scans have too few beams")
         return
     yield from _beams(model, str(there.get("laser_model_type", FIELD)), found)
 
@@ -95,21 +85,17 @@ def _beams(model: BeamModel, kind: str, found: Found) -> Iterator[Setting]:
     given = (found.robot.lines and "the given map") or "the map of this drive"
     of = f"{model.beams} beams beside {given}"
     sigma = math.hypot(model.sigma, CELL_M / math.sqrt(6.0))
-    yield Setting(key="laser_model_type", value=FIELD, words="nav2's default", origin=KEPT)
-    yield Setting(
-        key="sigma_hit",
-        value=sigma,
-        words=f"m: {model.sigma:.4f} ± {model.spread:.1g} and cells of {CELL_M:g} m; {of}",
-    )
+    yield Setting("laser_model_type", FIELD, "nav2's default", KEPT)
+    yield Setting("sigma_hit", sigma, f"m: {model.sigma:.4f} ± {model.spread:.1g} and cells of {CELL_M:g} m; {of}")
     total = 1.0 if kind == "beam" else model.hit + model.random + model.short  # the field knows no short ones
     random = model.random if kind == "beam" else model.random + model.short
-    yield Setting(key="z_hit", value=model.hit / total, words=f"share that ends at a wall; {of}")
-    yield Setting(key="z_rand", value=random / total, words=f"share that ends elsewhere; {of}")
+    yield Setting("z_hit", model.hit / total, f"share that ends at a wall; {of}")
+    yield Setting("z_rand", random / total, f"share that ends elsewhere; {of}")
     only = "" if kind == "beam" else "; the beam model alone uses it"
-    yield Setting(key="z_short", value=model.short, words=f"share that ends before its wall{only}")
-    yield Setting(key="z_max", value=model.none, words=f"share without a return{only}")
+    yield Setting("z_short", model.short, f"share that ends before its wall{only}")
+    yield Setting("z_max", model.none, f"share without a return{only}")
     if model.decay is not None:
-        yield Setting(key="lambda_short", value=model.decay, words=f"1/m of those that end too early{only}")
+        yield Setting("lambda_short", model.decay, f"1/m of those that end too early{only}")
 
 
 def beams_in_map(found: Found) -> tuple[Array, Array, int, float]:

@@ -15,7 +15,7 @@ from locfuse.formats.robot.ros_yaml import FOUND, KEPT, Origin, Setting
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.wheels.odometry import ODOMETRY
 
-from .found import Found
+from .found import Found, positive
 
 UNMEASURED = 1e6  # variance of what a planar drive does not measure
 SIDEWAYS = 1e-6  # (m/s)^2: these wheels do not slip sideways in the model
@@ -40,15 +40,11 @@ def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
             "this log shows no two driven wheels (scan matching, or a steered wheel)", role="diff_drive"
         )
     nominal = (("wheel_separation", found.nominal.track), ("wheel_radius", found.nominal.radius))
-    made = [
-        Setting(key=key, value=value, words=f"{key} as it was set [m]", origin=KEPT)
-        for key, value in nominal
-        if value is not None
-    ]
+    made = [Setting(key, value, f"{key} as it was set [m]", KEPT) for key, value in nominal if value is not None]
     odometry = found.nominal.radius is None or found.topic("wheels")[1] == ODOMETRY
     factors = _of_odometry(found, there) if odometry else _of_wheels(found, there)
     for key, factor in zip(MULTIPLIERS, factors, strict=True):
-        made.append(Setting(key=key, value=factor.value, words=factor.words, origin=factor.origin))
+        made.append(Setting(key, factor.value, factor.words, factor.origin))
     return [*made, *_covariances(found)]
 
 
@@ -59,23 +55,23 @@ def _of_wheels(found: Found, there: Mapping[str, Any]) -> list[Factor]:
     assert was.track is not None
     assert now.radius is not None
     assert now.track is not None
-    radius, track = _number(there, "wheel_radius") or was.radius, _number(there, "wheel_separation") or was.track
+    radius, track = positive(there, "wheel_radius") or was.radius, positive(there, "wheel_separation") or was.track
     why, origin = found.why("wheels.radius"), found.origin("wheels.radius")
     if origin == FOUND:
         radii = [now.radius * share for share in now.shares]
         sides = [Factor(own / radius, f"{own:.4g} m over {radius:.4g} m; {why}", origin) for own in radii]
-        metre = 1.0
-    else:  # its metre stays: a turn shows the ratio of radius and track alone
-        old = [_number(there, key) or 1.0 for key in MULTIPLIERS[1:]]
+        scale = 1.0
+    else:  # the radius stays: turns show only its ratio to the track
+        old = [positive(there, key) or 1.0 for key in MULTIPLIERS[1:]]
         sides = [Factor(value, f"the radius was not measured; {why}", KEPT) for value in old]
-        metre = 0.5 * sum(old) * radius / now.radius
+        scale = 0.5 * sum(old) * radius / now.radius
     words = f"{now.track:.4g} m over {track:.4g} m; {found.why('wheels.track')}"
-    return [Factor(metre * now.track / track, words, found.origin("wheels.track")), *sides]
+    return [Factor(scale * now.track / track, words, found.origin("wheels.track")), *sides]
 
 
 def _of_odometry(found: Found, there: Mapping[str, Any]) -> list[Factor]:
     """Return the multipliers, moved from those that made the odometry of the log: the file's, else 1."""
-    old = [_number(there, key) or 1.0 for key in MULTIPLIERS]
+    old = [positive(there, key) or 1.0 for key in MULTIPLIERS]
     relative = None if found.calibration is None else found.calibration.relative()
     if relative is None:
         return [Factor(value, "no truth, laser or gyro measured the odometry", KEPT) for value in old]
@@ -84,7 +80,7 @@ def _of_odometry(found: Found, there: Mapping[str, Any]) -> list[Factor]:
     made = []
     for before, (change, sigma) in zip(old, changes, strict=True):
         if not math.isfinite(sigma):
-            made.append(Factor(before, "this drive does not tell it", KEPT))
+            made.append(Factor(before, "this drive does not show it", KEPT))
             continue
         words = (
             f"{1.0 + change:.4f} ± {sigma:.2g} times {before:g}, which made the log's odometry; locfuse calibrate"
@@ -93,32 +89,17 @@ def _of_odometry(found: Found, there: Mapping[str, Any]) -> list[Factor]:
     return made
 
 
-def _number(there: Mapping[str, Any], key: str) -> float | None:
-    value = there.get(key)
-    return value if isinstance(value, float) and value > 0.0 else None
-
-
 def _covariances(found: Found) -> list[Setting]:
-    noise, velocity, wheels = found.why("wheels.noise"), found.velocity, found.loaded.drive.wheels
+    velocity, wheels = found.velocity, found.loaded.drive.wheels
     twist = [UNMEASURED] * 6
     twist[X], twist[Y], twist[YAW] = float(velocity.reading[0]), SIDEWAYS, float(velocity.reading[1])
     k, track = wheels.noise, wheels.track
     turn = 2.0 * k / track**2  # rad^2 per metre straight ahead
     pose = [UNMEASURED] * 6
     pose[X], pose[Y], pose[YAW] = 0.5 * k * WAY_M, turn * WAY_M**3 / 3.0, turn * WAY_M + k / track * TURN_RAD
+    now = f"of one reading at {1.0 / velocity.period:.3g} Hz (see docs/export.md)"
+    then = f"as after {WAY_M:g} m and {TURN_RAD:g} rad"
     return [
-        Setting(
-            key="pose_covariance_diagonal",
-            value=pose,
-            words=f"as after {WAY_M:g} m and {TURN_RAD:g} rad; {noise}",
-            origin=found.origin("wheels.noise"),
-            places=(X, Y, YAW),
-        ),
-        Setting(
-            key="twist_covariance_diagonal",
-            value=twist,
-            words=f"of one reading at {1.0 / velocity.period:.3g} Hz (see docs/export.md); {noise}",
-            origin=found.origin("wheels.noise"),
-            places=(X, YAW),
-        ),
+        found.setting("pose_covariance_diagonal", pose, then, "wheels.noise", (X, Y, YAW)),
+        found.setting("twist_covariance_diagonal", twist, now, "wheels.noise", (X, YAW)),
     ]

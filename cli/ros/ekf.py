@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from locfuse.formats.robot.robot_localization import INPUT, SPEED, SWITCHES, TURN, YAW, X, Y
-from locfuse.formats.robot.ros_yaml import KEPT, UNMAPPED, Setting
+from locfuse.formats.robot.robot_localization import ACCELERATION, INPUT, SPEED, SWITCHES, TURN, YAW, X, Y
+from locfuse.formats.robot.ros_yaml import ASSUMED, KEPT, Origin, Setting
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.sensors.compass import OFFSET
 from locfuse.fusion.sensors.gyro import BIAS, up_rate
@@ -31,15 +32,21 @@ POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TWIST = "geometry_msgs/msg/TwistWithCovarianceStamped"
 KINDS = {ODOMETRY: "odom", TWIST: "twist", POSE: "pose", IMU: "imu"}
 DRIVERS_TOPIC = "/odom"  # where the log has no odometry: what most drivers call theirs
-ACCELERATION = 12  # along x
 STATES = ("x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "vroll", "vpitch", "vyaw", "ax", "ay", "az")
-SURE_SIGMAS = 3.0  # an offset farther from 0 is one
+SURE_SIGMAS = 3.0  # an offset farther from 0 is real
 TINY = 1e-9  # per second: nothing that is estimated changes by so little, and P stays positive
 OPTION_WORDS = {
-    ("differential", True): "only its changes count: it drifts, or is turned by an offset that is no state there",
-    ("differential", False): "it stands still in the frame of the filter",
-    ("relative", True): "counted from its first reading: where 0 lies is not known, and no state there",
-    ("relative", False): "its 0 is the filter's",
+    (
+        "differential",
+        True,
+    ): "only its changes count: it drifts, or has an offset that robot_localization does not estimate",
+    ("differential", False): "it does not drift in the frame of the filter",
+    ("relative", True): "counted from its first reading: robot_localization does not estimate its offset",
+    ("relative", False): "its zero is that of the filter",
+}
+REASONS = {
+    "lrf": "robot_localization reads no laser: fuse the pose of AMCL as pose0 (--to amcl)",
+    "gps": "satellite fixes come through navsat_transform_node: fuse its odometry/gps as another odom input",
 }
 POSES, TWISTS = (X, Y, YAW), (SPEED, TURN)
 
@@ -54,6 +61,7 @@ class Source(NamedTuple):
     gates: Mapping[str, tuple[float, str]]  # "pose" or "twist" -> confidence, and where it comes from
     options: Mapping[str, bool]  # differential, relative
     covariances: tuple[str, ...] = ()  # what the messages must say, in words
+    origin: Origin = KEPT
 
 
 def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
@@ -61,68 +69,61 @@ def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
     rate = 1.0 / found.velocity.period
     sources = list(_sources(found))
     made = [
-        Setting(key="frequency", value=float(max(1, round(rate))), words="Hz, as the wheels report", origin=KEPT),
-        Setting(key="two_d_mode", value=True, words="locfuse estimates in the plane", origin=KEPT),
+        Setting("frequency", float(max(1, round(rate))), "Hz, as the wheels report", KEPT),
+        Setting("two_d_mode", True, "locfuse estimates in the plane", KEPT),
         *(
-            Setting(key=f"{frame}_frame", value=name, words="REP 105; name your own", origin=KEPT)
+            Setting(f"{frame}_frame", name, "REP 105; name your own", KEPT)
             for frame, name in (("map", "map"), ("odom", "odom"), ("base_link", "base_link"))
         ),
-        Setting(
-            key="world_frame", value=_world(found), words="odom, or map where a pose is of the map", origin=KEPT
-        ),
+        Setting("world_frame", _world(found), "odom, or map where a pose is of the map", KEPT),
     ]
-    count: dict[str, int] = {}
+    count = Counter[str]()
     for source in sources:
         name = _named(source, there)
         if name is None:
             if there:
-                made.append(Setting(key=source.topic, value=None, words="no input of the file reads it"))
+                made.append(Setting(source.topic, None, "no input of the file reads it"))
                 continue
-            name = f"{source.kind}{count.get(source.kind, 0)}"
-            count[source.kind] = count.get(source.kind, 0) + 1
+            name = f"{source.kind}{count[source.kind]}"
+            count[source.kind] += 1
         made += _input(name, source, there)
-    return [*made, *_process_noise(found, there), *_rest(found)]
+    topics = {source.topic for source in sources}
+    mapped = {sensor for sensor in found.loaded.drive.measurements if found.topic(sensor)[0] in topics}
+    return [*made, *_process_noise(found, there), *found.unmapped("robot_localization", mapped, REASONS)]
 
 
 def _named(source: Source, there: Mapping[str, Any]) -> str | None:
     """Return the input of a file that reads a topic."""
     bare = source.topic.strip("/")
     inputs = ((key, str(value).strip("/")) for key, value in there.items() if INPUT.fullmatch(key))
-    if source.words.startswith(UNMAPPED):  # the log has no odometry: the file's first is of the same wheels
+    if source.origin == ASSUMED:  # the log has no odometry: the file's first is of the same wheels
         return next((key for key, _ in inputs if key.startswith("odom")), None)
     return next((key for key, topic in inputs if topic == bare or bare.endswith(f"/{topic}")), None)
 
 
 def _input(name: str, source: Source, there: Mapping[str, Any]) -> Iterator[Setting]:
-    yield Setting(key=name, value=source.topic, words=source.words, origin=KEPT)
+    yield Setting(name, source.topic, source.words, source.origin)
     on = [place in source.switches for place in range(SWITCHES)]
     rows = ("x y z", "roll pitch yaw", "their speeds", "their rates", "accelerations")
-    yield Setting(key=f"{name}_config", value=on, words=rows[0], origin=KEPT, row=3, row_words=rows)
+    yield Setting(f"{name}_config", on, rows[0], KEPT, row=3, row_words=rows)
     for option, value in source.options.items():
-        yield Setting(key=f"{name}_{option}", value=value, words=OPTION_WORDS[option, value], origin=KEPT)
+        yield Setting(f"{name}_{option}", value, OPTION_WORDS[option, value], KEPT)
     config = there.get(f"{name}_config")
     used = on if not isinstance(config, list) else config
     for part, (gate, words) in source.gates.items():
         size = sum(bool(used[place]) for place in (POSES if part == "pose" else TWISTS) if place < len(used))
         if not size:
             continue
-        key = (
-            f"{name}_{part}_rejection_threshold"
-            if source.kind in {"odom", "imu"}
-            else f"{name}_rejection_threshold"
-        )
+        of_part = f"{part}_" if source.kind in {"odom", "imu"} else ""
+        key = f"{name}_{of_part}rejection_threshold"
         if gate >= 1.0:
-            yield Setting(key=key, value=None, words=f"gate {gate:g} accepts all; {words}")
+            yield Setting(key, None, f"gate {gate:g} accepts all; {words}")
         else:
             distance = math.sqrt(chi_square(gate, size))
-            yield Setting(
-                key=key, value=distance, words=f"gate {gate:g}, {size} number{'s' * (size > 1)}; {words}"
-            )
+            yield Setting(key, distance, f"gate {gate:g}, {size} number{'s' * (size > 1)}; {words}")
     for words in source.covariances:
         yield Setting(
-            key=f"{name} covariance",
-            value=None,
-            words=f"it comes with the messages, so the driver must set it: {words}",
+            f"{name} covariance", None, f"it comes with the messages, so the driver must set it: {words}"
         )
 
 
@@ -145,8 +146,8 @@ def _wheels(found: Found) -> Source:
     noise = f"twist vx {speed:.4g} (m/s)^2, vyaw {turn:.4g} (rad/s)^2 {at}; {found.why('wheels.noise')}"
     if kind in {ODOMETRY, TWIST}:
         return Source(KINDS[kind], topic, TWISTS, f"{topic} in the log", {}, {}, (noise,))
-    words = f"{UNMAPPED}{topic} is {kind or 'no topic of ROS'}: name the odometry that your driver makes of it"
-    return Source("odom", DRIVERS_TOPIC, TWISTS, words, {}, {}, (noise,))
+    words = f"{topic} is {kind or 'no topic of ROS'}: name the odometry that your driver makes of it"
+    return Source("odom", DRIVERS_TOPIC, TWISTS, words, {}, {}, (noise,), ASSUMED)
 
 
 def _imu(found: Found) -> Iterator[Source]:
@@ -163,20 +164,19 @@ def _imu(found: Found) -> Iterator[Source]:
             switches.append(YAW)
             gates["pose"] = _gate(found, "compass")
             options = _heading_options(found)
-            variance = math.radians(compass.sigma_deg) ** 2
-            covariances.append(f"orientation, yaw {variance:.4g} rad^2; {found.why('compass.sigma_deg')}")
+            variance = f"orientation, yaw {math.radians(compass.sigma_deg) ** 2:.4g} rad^2"
+            covariances.append(f"{variance}; {found.why('compass.sigma_deg')}")
         if "gyro" in uses:
             switches.append(TURN)
             gates["twist"] = _gate(found, "gyro")
-            words = (
-                f"angular_velocity, z {gyro_variance(found):.4g} (rad/s)^2, with its bias, which is no state there"
-            )
-            covariances.append(f"{words}; {found.why('gyro.sigma_deg')}")
+            variance = f"angular_velocity, z {gyro_variance(found):.4g} (rad/s)^2"
+            bias = "with the gyro's bias, which robot_localization does not estimate"
+            covariances.append(f"{variance}, {bias}; {found.why('gyro.sigma_deg')}")
         yield Source("imu", topic, tuple(switches), f"{topic} in the log", gates, options, tuple(covariances))
 
 
 def _heading_options(found: Found) -> dict[str, bool]:
-    """Return how a compass counts: its offset is estimated here, and no state of robot_localization."""
+    """Return how a compass counts: only locfuse estimates its offset, robot_localization does not."""
     pose = found.robot.settings("pose")
     if not (found.has("pose") and pose.heading and pose.frame in {"map", "own"}):
         return {"relative": found.robot.settings("compass").offset_deg != 0.0}
@@ -266,26 +266,10 @@ def _process_noise(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
     else:
         value, places = np.diag(diagonal).ravel().tolist(), tuple(place * (SWITCHES + 1) for place in named)
     yield Setting(
-        key="process_noise_covariance",
-        value=value,
-        words="; ".join(f"{STATES[place]} {reasons[place]}" for place in (X, SPEED, TURN)),
+        "process_noise_covariance",
+        value,
+        "; ".join(f"{STATES[place]} {reasons[place]}" for place in (X, SPEED, TURN)),
         places=places,
         row=SWITCHES,
         row_words=rows,
     )
-
-
-def _rest(found: Found) -> Iterator[Setting]:
-    """Yield comments on what robot_localization has no input for."""
-    why = {
-        "lrf": "robot_localization reads no laser: fuse the pose of AMCL as pose0 (--to amcl)",
-        "gps": "satellite fixes come through navsat_transform_node: fuse its odometry/gps as another odom input",
-        **dict.fromkeys(("camera", "sonar", "landmarks", "ranges"), "robot_localization reads no such sensor"),
-    }
-    for role in ("compass", "gyro", "pose", "twist"):
-        topic, kind = found.topic(role)
-        if found.has(role) and kind not in KINDS:
-            why[role] = f"{topic} is {kind}, which robot_localization does not read"
-    for sensor, words in why.items():
-        if found.has(sensor):
-            yield Setting(key=sensor, value=None, words=words)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import os
-import re
 import stat
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -12,8 +11,8 @@ from typing import Any
 
 import msgspec
 
-from locfuse.formats.robot.ros_nodes import NODES, section_of
-from locfuse.formats.robot.ros_yaml import KEPT, UNMAPPED, RosFile, Setting, changed, in_yaml, parsed, render
+from locfuse.formats.robot.ros_nodes import NODES, section_of, sections_of
+from locfuse.formats.robot.ros_yaml import RosFile, Setting, changed, in_yaml, parsed, render
 from locfuse.formats.visible import visible
 from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import LocfuseError
@@ -28,29 +27,23 @@ TARGETS: dict[str, Mapped] = {
     "amcl": amcl.settings,
     "fusioncore": fusioncore.settings,
 }
-NAMES = {  # of a node that nobody named
-    "diff_drive": "diff_drive_controller",
-    "ekf": "ekf_filter_node",
-    "amcl": "amcl",
-    "fusioncore": "fusioncore",
-}
 
 
-class Edited(msgspec.Struct, frozen=True):
-    """A file with new values."""
+class Made(msgspec.Struct, frozen=True):
+    """A new parameter file, or one with new values."""
 
     text: str
-    diff: tuple[str, ...]  # unified
-    reasons: tuple[str, ...]  # why each value is what it is, and what has no place in the file
+    diff: tuple[str, ...] = ()  # unified, from a file that existed
+    reasons: tuple[str, ...] = ()  # why each value is what it is, and what has no place in the file
 
 
-def fresh(found: Found, targets: Sequence[str]) -> str:
+def fresh(found: Found, targets: Sequence[str]) -> Made:
     """Return a parameter file of these nodes."""
-    nodes = [(NAMES[target], NODES[target].name, TARGETS[target](found, {})) for target in targets]
+    nodes = [(NODES[target].usual, NODES[target].name, TARGETS[target](found, {})) for target in targets]
     head = (
         f"made by locfuse export ros from {found.loaded.log.name}\nfound: measured on this log, or by a file that "
     )
-    return render(f"{head}tune, calibrate or compare wrote; carried over: as it was set", nodes)
+    return Made(render(f"{head}tune, calibrate or compare wrote; carried over: as it was set", nodes))
 
 
 def targets_in(file: RosFile, targets: Sequence[str], node: str | None, any_of: bool) -> tuple[str, ...]:
@@ -59,16 +52,13 @@ def targets_in(file: RosFile, targets: Sequence[str], node: str | None, any_of: 
     Raises LocfuseError where one has none, or several, or one that is of another node.
     """
     if any_of:
-        there = [
-            t for t in targets if any(re.fullmatch(NODES[t].telling, key) for s in file.sections for key in s.at)
-        ]
-        targets = there or targets
+        targets = [target for target in targets if sections_of(file, target)] or targets
     for target in targets:
         section_of(file, target, node)
     return tuple(targets)
 
 
-def edited(found: Found, targets: Sequence[str], before: RosFile, node: str | None) -> Edited:
+def edited(found: Found, targets: Sequence[str], before: RosFile, node: str | None) -> Made:
     """Return a file with what was found in the place of its values."""
     now, reasons = before, []
     for target in targets:
@@ -80,13 +70,13 @@ def edited(found: Found, targets: Sequence[str], before: RosFile, node: str | No
     lines = difflib.unified_diff(
         before.text.splitlines(), now.text.splitlines(), str(before.path), str(before.path), lineterm=""
     )
-    return Edited(now.text, tuple(map(visible, lines)), tuple(reasons))
+    return Made(now.text, tuple(map(visible, lines)), tuple(reasons))
 
 
 def _reason(setting: Setting, absent: Sequence[Setting]) -> str:
     if setting.value is None:
-        return f"{setting.key}: {UNMAPPED}{setting.words}"
-    if setting.origin == KEPT:
+        return setting.note
+    if not setting.replaces:
         return ""
     long = isinstance(setting.value, list) and len(setting.value) > 6
     what = setting.key if long else f"{setting.key}: {in_yaml(setting.value)}"

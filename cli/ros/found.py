@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import cached_property
-from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
 from msgspec.structs import replace
 
+from locfuse.cli.advice.values import FIXES_FILE
+from locfuse.cli.analysis.grouping import result_file
 from locfuse.cli.analysis.load import Loaded, with_settings
 from locfuse.cli.analysis.settings import LogOptions, Progress
 from locfuse.cli.session.calibrate import Calibration, calibrate_logs
@@ -20,18 +21,14 @@ from locfuse.cli.session.tune import Tuning, tune_logs
 from locfuse.formats.caps import MAX_REPORT, MAX_ROBOT_TOML
 from locfuse.formats.inputs import read_small
 from locfuse.formats.robot.robot_toml import as_set, parse
-from locfuse.formats.robot.ros_yaml import FOUND, KEPT, SET, Origin
+from locfuse.formats.robot.ros_yaml import FOUND, KEPT, SET, Origin, Setting, Value
 from locfuse.fusion.data import Estimates, LocfuseError
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.velocity_noise import VelocityNoise, velocity_noise
 
-REPORTS = ("report.json", "run.json")
-FIXES = "fixes.toml"
-
-
-MAX_FIRST = 4  # settings that a command may want to be made first
+MAX_FIRST = 4  # other settings that a command may need first
 F = TypeVar("F", Calibration, Tuning)
 
 
@@ -80,12 +77,39 @@ class Found(msgspec.Struct, frozen=True, dict=True):
             return KEPT
         return FOUND if "locfuse" in words else SET
 
+    def setting(self, key: str, value: Value, words: str, source: str, places: tuple[int, ...] = ()) -> Setting:
+        """Return a parameter whose value comes from "table.key": `words` say its unit and what it is."""
+        words = f"{words}; {self.why(source)}"
+        return Setting(key, value, words, self.origin(source), places=places)
+
+    def topic_setting(self, key: str, role: str, msgtype: str) -> Setting:
+        """Return the topic of a role as a parameter; a comment only where its messages are of another type."""
+        topic, kind = self.topic(role)
+        if kind == msgtype:
+            return Setting(key, topic, f"{topic} in the log", KEPT)
+        words = f"{topic} is {kind or 'no topic of ROS'}, not {msgtype}: name your own"
+        return Setting(key, None, words, KEPT)
+
+    def unmapped(self, program: str, mapped: Collection[str], reasons: Mapping[str, str]) -> Iterator[Setting]:
+        """Yield a comment on every sensor of the log that a program has no parameters for."""
+        for sensor in self.loaded.drive.measurements:
+            topic, kind = self.topic(sensor)
+            unread = f"{topic} is {kind}, which {program} does not read" if kind else f"{program} does not read it"
+            if sensor not in mapped:
+                yield Setting(sensor, None, reasons.get(sensor, unread))
+
+
+def positive(there: Mapping[str, Any], key: str) -> float | None:
+    """Return a number of a file that is changed; None where it has none above 0."""
+    value = there.get(key)
+    return value if isinstance(value, float) and value > 0.0 else None
+
 
 def gather(log: Sequence[str], given: LogOptions, known: bool, wheels_only: bool, progress: Progress) -> Found:
     """Return what is known of the robot of a log, or of a folder of results, whose settings are taken as they are.
 
-    A log is calibrated and tuned, unless its settings are all that is to be `known`. Where only the wheels matter
-    it is not tuned if calibrating finds their noise.
+    A log is calibrated and tuned, unless its settings are `known` to be right. It is not tuned if `wheels_only`
+    matter and calibrating finds their noise.
     """
     words, how, by_result = _of_result(log, given)
     loaded = opened(words, how, progress).loaded
@@ -128,7 +152,10 @@ class _Work:
         self.notes: list[str] = []
 
     def by(self, command: str, find: Callable[[Sequence[str]], F]) -> F | None:
-        """Return what a command finds, and keep it. A setting that must come first is made; else noted is why."""
+        """Return what a command finds, and keep it; None and a note where it fails.
+
+        Where its error names fixes these are set, and the command runs once more.
+        """
         for _ in range(MAX_FIRST + 1):
             try:
                 found = find(self.sets)
@@ -166,7 +193,7 @@ def _calibrated(found: Calibration) -> dict[str, str]:
 
 
 def _tuned(found: Tuning) -> dict[str, str]:
-    """Return the words on what tune found; what the log does not tell is left to others."""
+    """Return the words on what tune found; values that the log does not determine are left out."""
     rows = () if found.refused else found.tuned.rows
     return {
         row.key: f"{row.key} {row.after:.4g} ± {row.after * row.error:.2g}, locfuse tune"
@@ -201,10 +228,10 @@ def _of_result(log: Sequence[str], how: LogOptions) -> tuple[Sequence[str], LogO
 
     Of a log this is the log itself, and no sources. Raises LocfuseError where the log of a result is not there.
     """
-    folder = Path(log[0])
-    report = next((folder / name for name in REPORTS if len(log) == 1 and (folder / name).is_file()), None)
+    report = result_file(log[0]) if len(log) == 1 else None
     if report is None:
         return log, how, {}
+    folder = report.parent
     try:
         found = msgspec.json.decode(read_small(report, MAX_REPORT))
         words = shlex.split(found["repeat"])[2:]
@@ -213,11 +240,11 @@ def _of_result(log: Sequence[str], how: LogOptions) -> tuple[Sequence[str], LogO
         raise LocfuseError(f"{report} does not say which log it is of; export the log itself") from None
     names = words[: next((i for i, word in enumerate(words) if word.startswith("-")), len(words))]
     places = [str(folder / name) if (folder / name).exists() else name for name in names]
-    fixes = folder / FIXES
+    fixes = folder / FIXES_FILE
     robots = [file for file in (folder / "robot.toml", fixes) if file.is_file()] + list(how.robot_files)
     used = replace(how, robot=robots[0] if robots else None, over=tuple(robots[1:]))
     sources = {key: f"{key} by {source} (compared)" for key, source in changed.items()}
     if fixes.is_file():
         tables = parse(read_small(fixes, MAX_ROBOT_TOML), str(fixes))
-        sources |= {key: f"{key} by {FIXES}, which locfuse compare tried" for key in _keys(tables)}
+        sources |= {key: f"{key} by {FIXES_FILE}, which locfuse compare tried" for key in _keys(tables)}
     return places, used, sources

@@ -19,6 +19,8 @@ from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.visible import visible
 from locfuse.fusion.data import LocfuseError
 
+from .ros_yaml import by_yaml
+
 X, Y, YAW, SPEED, TURN, ACCELERATION = 0, 1, 5, 6, 11, 12  # places of the switches
 SWITCHES = 15
 INPUT = re.compile(r"(odom|twist|pose|imu)(\d+)")
@@ -37,6 +39,7 @@ UNUSED_OF_INPUT = (
     "linear_acceleration_rejection_threshold",
     "pose_use_child_frame",
 )
+KNOWN_OF_INPUT = (*USED_OF_INPUT, *IDLE_OF_INPUT, *UNUSED_OF_INPUT)
 USED = ("initial_state", "two_d_mode", "world_frame", "map_frame", "odom_frame", "base_link_frame")
 IDLE = (  # of a node that runs live; a log has its own time
     "frequency",
@@ -115,15 +118,7 @@ def read(path: Path, topics: Sequence[str]) -> Translated:
 
 def _parameters(path: Path) -> tuple[dict[str, Any], list[str]]:
     """Return the parameters of the first filter in a file; what else is in there as notes."""
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
-    data = read_small(path, MAX_ROBOT_TOML)
-    try:
-        found = YAML(typ="safe", pure=True).load(data)
-    except (YAMLError, ValueError, RecursionError) as problem:
-        line = visible(" ".join(str(problem).split())[:160])
-        raise LocfuseError(f"{path} is no YAML: {line}") from None
+    found = by_yaml(path, "load", read_small(path, MAX_ROBOT_TOML))
     nodes = _nodes(found, "", 0)
     if not nodes:
         raise LocfuseError(f"{path} names no input (odom0, twist0, pose0, imu0): is it of robot_localization?")
@@ -229,7 +224,6 @@ def _words(parameters: Mapping[str, Any]) -> list[str]:
     notes = []
     if parameters.get("two_d_mode") is False:
         notes.append("two_d_mode: false: only the plane is estimated here")
-    known_of_input = (*USED_OF_INPUT, *IDLE_OF_INPUT, *UNUSED_OF_INPUT)
     for key in parameters:
         of_input = OF_INPUT.fullmatch(key)
         if of_input is None and (key in USED or key in IDLE or INPUT.fullmatch(key)):
@@ -238,7 +232,7 @@ def _words(parameters: Mapping[str, Any]) -> list[str]:
             notes.append(f"{key}: {UNUSED[key]}")
         elif of_input is not None and of_input[2] in UNUSED_OF_INPUT:
             notes.append(f"{key}: gates are confidences here (the key gate of the sensor's table)")
-        elif of_input is None or of_input[2] not in known_of_input:
-            known = [f"{of_input[1]}_{k}" for k in known_of_input] if of_input else [*USED, *IDLE, *UNUSED]
+        elif of_input is None or of_input[2] not in KNOWN_OF_INPUT:
+            known = [f"{of_input[1]}_{k}" for k in KNOWN_OF_INPUT] if of_input else [*USED, *IDLE, *UNUSED]
             notes.append(f"{visible(key[:60])}: unknown key; {did_you_mean(key, known) or 'nothing is like it'}")
     return notes

@@ -19,13 +19,11 @@ from .ros_yaml import RosFile, Section
 OF_EVERY_NODE = ("use_sim_time", r"qos_overrides\..+", "<<")
 
 
-OF_INPUT = (*ekf.USED_OF_INPUT, *ekf.IDLE_OF_INPUT, *ekf.UNUSED_OF_INPUT)  # odom0_config and the like
-
-
 class RosNode(NamedTuple):
     """One kind of node."""
 
     name: str  # as its users call it
+    usual: str  # its own name where its user gave none
     telling: str  # pattern of a key that only its section has
     example: str  # of such keys, for errors
     known: tuple[str, ...]  # patterns of its keys
@@ -34,6 +32,7 @@ class RosNode(NamedTuple):
 
 NODES = {
     "diff_drive": RosNode(
+        "diff_drive_controller",
         "diff_drive_controller",
         r"wheel_separation(_multiplier)?",
         "wheel_separation",
@@ -53,6 +52,7 @@ NODES = {
     ),
     "ekf": RosNode(
         "robot_localization",
+        "ekf_filter_node",
         ekf.INPUT.pattern,
         "odom0, imu0",
         (
@@ -60,10 +60,11 @@ NODES = {
             *ekf.IDLE,
             *ekf.UNUSED,
             ekf.INPUT.pattern,
-            *(rf"({ekf.INPUT.pattern})_{key}" for key in OF_INPUT),
+            *(rf"({ekf.INPUT.pattern})_{key}" for key in ekf.KNOWN_OF_INPUT),
         ),
     ),
     "amcl": RosNode(
+        "amcl",
         "amcl",
         r"alpha1|sigma_hit|laser_model_type",
         "alpha1, sigma_hit",
@@ -79,6 +80,7 @@ NODES = {
     ),
     "fusioncore": RosNode(
         "FusionCore",
+        "fusioncore",
         r"imu\.gyro_noise|encoder\.(vel|yaw)_noise|gnss\.base_noise_xy",
         "imu.gyro_noise, encoder.vel_noise",
         (
@@ -100,13 +102,18 @@ NODES = {
 }
 
 
+def sections_of(file: RosFile, target: str) -> list[Section]:
+    """Return the sections of a kind of node in a file."""
+    return [s for s in file.sections if any(re.fullmatch(NODES[target].telling, key) for key in s.at)]
+
+
 def section_of(file: RosFile, target: str, name: str | None = None) -> Section:
     """Return the section of a node in a file; `name` is the node's own, where the file has several of its kind.
 
     Raises LocfuseError where there is none, or several, or one of another type or with keys that it does not know.
     """
     node, types = NODES[target], dict(_types(file))
-    found = [s for s in file.sections if any(re.fullmatch(node.telling, key) for key in s.at)]
+    found = sections_of(file, target)
     if name is not None:
         found = [s for s in found if name in {s.name, s.name.rpartition("/")[2]}]
     if not found:

@@ -1,8 +1,8 @@
 """Parameter files of ROS nodes: a new one with a reason on every line, or new values in one that people wrote.
 
-In a file that exists only the bytes of the values that are named change: comments, order, quotes, line ends stay.
-The marks of the YAML parser say where a value begins and ends. What comes out is read again, and must hold exactly
-what was asked for.
+In a file that exists only the bytes of the named values change, and comments beside them that an export wrote.
+Other comments, order, quotes and line ends stay. The marks of the YAML parser say where a value begins and ends.
+The new text is read again, and must hold exactly what was asked for.
 """
 
 from __future__ import annotations
@@ -31,14 +31,17 @@ RESERVED = {"true", "false", "null", "yes", "no", "on", "off", "y", "n"}  # ... 
 Value = float | bool | str | list[float] | list[bool]
 
 
-# measured by a command; set by hand; what a file that exists keeps as it has it
-Origin = Literal["found", "set", "kept"]
+# measured by a command; set by hand; a file that exists keeps its own: of the log, or assumed where it has none
+Origin = Literal["found", "set", "kept", "assumed"]
 FOUND: Final = "found"
 SET: Final = "set"
 KEPT: Final = "kept"
+ASSUMED: Final = "assumed"
+LABELS: dict[Origin, str] = {FOUND: "found: ", SET: "carried over: ", KEPT: "carried over: ", ASSUMED: UNMAPPED}
+OWN_COMMENT = re.compile(rf"""[^#'"\r\n]*\s(# (?:{"|".join(set(LABELS.values()))})[^\r\n]*)""")  # of an export
 
 
-class Setting(msgspec.Struct, frozen=True, kw_only=True):
+class Setting(msgspec.Struct, frozen=True):
     """One parameter of a node, and why it has its value."""
 
     key: str  # "odom0_config"; of nested ones "encoder.vel_noise"
@@ -52,9 +55,22 @@ class Setting(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def label(self) -> str:
         """What a comment begins with."""
-        if self.words.startswith(UNMAPPED):
-            return ""
-        return "found: " if self.origin == FOUND else "carried over: "
+        return LABELS[self.origin]
+
+    @property
+    def note(self) -> str:
+        """The comment of a setting without a value."""
+        return f"{self.key}: {UNMAPPED}{printable(self.words)}"
+
+    @property
+    def replaces(self) -> bool:
+        """Whether the value takes the place of one in a file that exists."""
+        return self.value is not None and self.origin in {FOUND, SET}
+
+    def words_at(self, place: int | None) -> str:
+        """Return the words beside a number of a list: those of its row, if the list has rows."""
+        rows = isinstance(self.value, list) and self.row * len(self.row_words) == len(self.value)
+        return self.words if place is None or not rows else self.row_words[place // self.row]
 
 
 class Section(NamedTuple):
@@ -62,6 +78,8 @@ class Section(NamedTuple):
 
     name: str
     at: dict[str, Any]  # key -> node of the YAML parser; None where the key stands twice
+    begin: int  # of its text in the file
+    end: int
     shared: frozenset[str]  # keys inside a mapping with an anchor: to change them may change another place too
 
     @property
@@ -91,11 +109,10 @@ def render(head: str, nodes: Sequence[tuple[str, str, Sequence[Setting]]]) -> st
 
 
 def _rendered(setting: Setting) -> Iterator[str]:
-    words = printable(setting.words)
+    words, label = printable(setting.words), setting.label
     if setting.value is None:
-        yield f"# {setting.key}: {UNMAPPED}{words}"
+        yield f"# {setting.note}"
         return
-    label = setting.label
     n = setting.row
     if not isinstance(setting.value, list) or not n:
         yield f"{setting.key}: {in_yaml(setting.value)}  # {label}{words}"
@@ -140,15 +157,20 @@ def parsed(path: Path, text: str) -> RosFile:
     return RosFile(path, text, tuple(_sections(_composed(path, text), path)))
 
 
-def _composed(path: Path, text: str) -> Any:
-    """Return the root of the parser's tree, whose marks count the characters of `text`."""
+def by_yaml(path: Path, method: Literal["load", "compose"], text: str | bytes) -> Any:
+    """Return what a method of the YAML parser makes of a text. Raises LocfuseError if it is no YAML."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
     try:
-        root = YAML(typ="safe", pure=True).compose(text.removeprefix(BOM))
+        return getattr(YAML(typ="safe", pure=True), method)(text)
     except (YAMLError, ValueError, RecursionError) as problem:
         raise LocfuseError(f"{path} is no YAML: {visible(' '.join(str(problem).split())[:160])}") from None
+
+
+def _composed(path: Path, text: str) -> Any:
+    """Return the root of the parser's tree, whose marks count the characters of `text` behind its BOM."""
+    root = by_yaml(path, "compose", text.removeprefix(BOM))
     if not _is_mapping(root):
         raise LocfuseError(f"{path} is no parameter file of ROS: its top level is not a mapping")
     return root
@@ -172,7 +194,7 @@ def _sections(root: Any, path: Path) -> Iterator[Section]:
                 raise LocfuseError(names_its_cap(f"{path}: too many keys", len(at), MAX_KEYS))
             at[key] = None if key in at else node
             shared |= {key} if under else set()
-        yield Section(name, at, frozenset(shared))
+        yield Section(name, at, mapping.start_mark.index, mapping.end_mark.index, frozenset(shared))
 
 
 def _below(mapping: Any, name: str, anchored: bool, seen: set[int]) -> Iterator[tuple[str, Any, bool]]:
@@ -205,7 +227,7 @@ def _plain(node: Any) -> Any:
     if node is None or _is_mapping(node):
         return None
     if isinstance(node.value, list):
-        return [_plain(part) for part in node.value if isinstance(part.value, str)]
+        return [_plain(part) if isinstance(part.value, str) else None for part in node.value]
     kind = str(node.tag).rpartition(":")[2]
     try:
         if kind in {"int", "float"}:
@@ -221,25 +243,28 @@ def changed(file: RosFile, section: Section, settings: Sequence[Setting]) -> tup
 
     Raises LocfuseError in one line where a value cannot be replaced.
     """
-    spans: list[tuple[int, int, str]] = []
+    spans: dict[tuple[int, int], str] = {}  # begin and end in the text -> what comes there
     absent, wanted = [], section.values
     for setting in settings:
-        if setting.value is None or setting.origin == KEPT:
+        if not setting.replaces:
             continue
         if setting.key not in section.at:
             absent.append(setting)
             continue
-        for node, value in _pairs(file, section, setting):
-            if _plain(node) != (new := _reread(node, value)):
-                spans.append(_span(file, setting.key, node, value))
-            if isinstance(wanted[setting.key], list):
-                wanted[setting.key][section.at[setting.key].value.index(node)] = new
-            else:
+        for place, node, value in _pairs(file, section, setting):
+            new = _reread(node, value)
+            if _plain(node) != new:
+                spans |= _span(file, setting.key, node, value)
+            if place is None:
                 wanted[setting.key] = new
+            else:
+                wanted[setting.key][place] = new
+            _renew_comment(file, setting, place, node, spans)
     if absent and "<<" in section.at:
         raise LocfuseError(f"{file.path}: {section.name} takes keys by << from elsewhere: write its values out")
+    _renew_notes(file, section, settings, spans)
     text = file.text
-    for begin, end, new in sorted(spans, reverse=True):
+    for (begin, end), new in sorted(spans.items(), reverse=True):
         text = text[:begin] + new + text[end:]
     again = list(_sections(_composed(file.path, text), file.path))
     if again[file.sections.index(section)].values != wanted:
@@ -249,8 +274,31 @@ def changed(file: RosFile, section: Section, settings: Sequence[Setting]) -> tup
     return text, absent
 
 
-def _pairs(file: RosFile, section: Section, setting: Setting) -> Iterator[tuple[Any, float | bool | str]]:
-    """Yield the parser's node and the new value of every number or word that a setting means."""
+def _renew_comment(
+    file: RosFile, setting: Setting, place: int | None, node: Any, spans: dict[tuple[int, int], str]
+) -> None:
+    """Replace the comment of an earlier export on a value's line."""
+    if own := OWN_COMMENT.match(file.text, _end(file, node)):
+        words = setting.words if own.span(1) in spans else setting.words_at(place)  # several rows may share a line
+        spans[own.span(1)] = f"# {setting.label}{printable(words)}"
+
+
+def _renew_notes(
+    file: RosFile, section: Section, settings: Sequence[Setting], spans: dict[tuple[int, int], str]
+) -> None:
+    """Replace the comments of an earlier export on what cannot be mapped; a key may have several."""
+    begin: dict[str, int] = {}  # key -> where to look for its next comment
+    for key, note in ((setting.key, setting.note) for setting in settings if setting.value is None):
+        own = re.compile(rf"^[ \t]*(# {re.escape(key)}: {UNMAPPED}[^\r\n]*)", re.MULTILINE)
+        if found := own.search(file.text, begin.get(key, section.begin), section.end + len(BOM)):
+            spans[found.span(1)] = f"# {note}"
+            begin[key] = found.end()
+
+
+def _pairs(
+    file: RosFile, section: Section, setting: Setting
+) -> Iterator[tuple[int | None, Any, float | bool | str]]:
+    """Yield place in the list, the parser's node and new value of every number or word that a setting means."""
     node, value = section.at[setting.key], setting.value
     if node is None:
         raise LocfuseError(f"{file.path}: {setting.key} stands twice in {section.name}: keep one of them")
@@ -261,22 +309,27 @@ def _pairs(file: RosFile, section: Section, setting: Setting) -> Iterator[tuple[
     if not isinstance(value, list):
         if not isinstance(value, float | int | str) or not isinstance(node.value, str):
             raise LocfuseError(f"{file.path}: {_line(node)}: {setting.key} is not a single value")
-        yield node, value
+        yield None, node, value
         return
     if not isinstance(node.value, list) or len(node.value) != len(value):
         raise LocfuseError(f"{file.path}: {_line(node)}: {setting.key} is not a list of {len(value)} values")
     for place in setting.places or range(len(value)):
-        yield node.value[place], value[place]
+        yield place, node.value[place], value[place]
 
 
-def _span(file: RosFile, key: str, node: Any, value: float | bool | str) -> tuple[int, int, str]:
+def _end(file: RosFile, node: Any) -> int:
+    """Return where a value ends in the text."""
+    return int(node.end_mark.index) + file.text.startswith(BOM)
+
+
+def _span(file: RosFile, key: str, node: Any, value: float | bool | str) -> dict[tuple[int, int], str]:
     """Return where a value begins and ends in the text, and what comes there."""
-    shift = len(BOM) if file.text.startswith(BOM) else 0
-    begin, end = node.start_mark.index + shift, node.end_mark.index + shift
+    end = _end(file, node)
+    begin = end - (node.end_mark.index - node.start_mark.index)
     if begin == end or not isinstance(node.value, str) or node.style in {"|", ">"} or file.text[begin] in "!&*":
         raise LocfuseError(f"{file.path}: {_line(node)}: {key} has no plain value: write a number there first")
     new = in_yaml(value)
-    return begin, end, f"{node.style}{new.strip(chr(34))}{node.style}" if node.style else new
+    return {(begin, end): f"{node.style}{new.strip(chr(34))}{node.style}" if node.style else new}
 
 
 def _reread(node: Any, value: float | bool | str) -> float | bool | str:

@@ -46,11 +46,10 @@ def fit_beams(
     """
     if len(points) < MIN_BEAMS or not lines:
         return None
-    d = distances(points, lines)
+    d, expected = _beside_walls(origins, points, lines)
     hit, sigma = _mixture(d, reach)
     hits = _hits(d, hit, sigma, reach)
     seen = np.hypot(*(points - origins).T)
-    expected = cast_rays(origins, points - origins, lines)
     short = (hits < 0.5) & (seen < expected - SHORT_SIGMAS * sigma) & np.isfinite(expected)
     total = len(points) + none
     of_short = float(short.sum()) / total
@@ -81,35 +80,23 @@ def _hits(d: Array, hit: float, sigma: float, reach: float) -> Array:
     return np.asarray(near / (near + (1.0 - hit) / reach + 1e-300))
 
 
-def distances(points: Array, lines: Sequence[MapLine]) -> Array:
-    """Return how far each point (n, 2) lies from the nearest wall [m]."""
-    rho, c, s, low, high = _columns(lines)
-    found = []
-    for begin in range(0, len(points), CHUNK):
-        x, y = points[begin : begin + CHUNK, :1], points[begin : begin + CHUNK, 1:]
-        along = y * c - x * s
-        beyond = np.maximum(np.maximum(low - along, along - high), 0.0)
-        found.append(np.hypot(x * c + y * s - rho, beyond).min(axis=1))
-    return np.concatenate(found) if found else np.zeros(0)
+def _beside_walls(origins: Array, points: Array, lines: Sequence[MapLine]) -> tuple[Array, Array]:
+    """Return how far each point (n, 2) lies from the nearest wall, and how far the first wall is in its direction.
 
-
-def cast_rays(origins: Array, rays: Array, lines: Sequence[MapLine]) -> Array:
-    """Return how far the first wall is from each origin (n, 2) along its ray (n, 2) [m]; inf: none is there."""
-    rho, c, s, low, high = _columns(lines)
-    unit = rays / np.maximum(np.hypot(*rays.T), 1e-12)[:, None]
-    found = []
-    for begin in range(0, len(rays), CHUNK):
-        x, y = origins[begin : begin + CHUNK, :1], origins[begin : begin + CHUNK, 1:]
-        dx, dy = unit[begin : begin + CHUNK, :1], unit[begin : begin + CHUNK, 1:]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            way = (rho - x * c - y * s) / (dx * c + dy * s)
-            along = (y + way * dy) * c - (x + way * dx) * s
-            there = (way > 0.0) & (low <= along) & (along <= high)
-        found.append(np.where(there, way, np.inf).min(axis=1))
-    return np.concatenate(found) if found else np.zeros(0)
-
-
-def _columns(lines: Sequence[MapLine]) -> tuple[Array, Array, Array, Array, Array]:
+    The second is measured from the point's origin (n, 2), and inf where no wall is there; all in m.
+    """
     rho, beta = np.array([line.rho for line in lines]), np.array([line.beta for line in lines])
     low, high = np.array([line.ends for line in lines]).T
-    return rho, np.cos(beta), np.sin(beta), low, high
+    c, s = np.cos(beta), np.sin(beta)
+    nearest, first = [], []
+    for begin in range(0, len(points), CHUNK):
+        (x, y), (x0, y0) = (xy[begin : begin + CHUNK].T[..., None] for xy in (points, origins))
+        off, along = x * c + y * s - rho, y * c - x * s
+        nearest.append(np.hypot(off, np.maximum(np.maximum(low - along, along - high), 0.0)).min(axis=1))
+        dx, dy = x - x0, y - y0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = (rho - x0 * c - y0 * s) / (dx * c + dy * s)  # of the way to the point
+            along = (y0 + share * dy) * c - (x0 + share * dx) * s
+            hits = (share > 0.0) & (low <= along) & (along <= high)
+            first.append(np.where(hits, share * np.hypot(dx, dy), np.inf).min(axis=1))
+    return np.concatenate(nearest), np.concatenate(first)

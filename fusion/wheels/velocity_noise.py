@@ -1,4 +1,4 @@
-"""Noise of the wheels as a filter counts it that has velocities as states, such as robot_localization's.
+"""Noise of the wheels for a filter that has velocities as states, such as that of robot_localization.
 
 Here noise grows with the way (docs/paper.md, eq. 9): a wheel that rolls s metres has the variance k |s|, so per
 second
@@ -6,11 +6,12 @@ second
     forward   k (|v_left| + |v_right|) / 4         m^2 / s
     turn      k (|v_left| + |v_right|) / track^2   rad^2 / s
 
-at the speeds of the drive. There a twist is measured every T seconds with the variance R, and the velocity itself
-wanders with the process noise q per second. R T is what a reading adds to the pose per second, so R = needed / T.
+at the speeds of the drive. In such a filter a twist is measured every T seconds with the variance R, and
+the velocity itself wanders with the process noise q per second. R T is what a reading adds to the pose per second,
+so R = needed / T.
 
 Only noise that differs from reading to reading belongs into R: slip that lasts does not show in an odometry's own
-readings, and a filter with so large an R averages over real changes of speed. Of z_k = v_k + noise with a
+readings, and with so large an R a filter averages over real changes of speed. Of z_k = v_k + noise with a
 wandering v, the steps d_k = z_{k+1} - z_k have E d_k d_{k+1} = -R (covariance matching; Mehra 1970), and q is what
 makes the readings most likely in a filter whose only state is v (`random_walk`). What `needed` has beyond that R
 goes into the process noise of the pose.
@@ -29,8 +30,7 @@ from .motion import Wheels
 
 MIN_SHARE = 0.01  # of the steps' variance: R and q stay above it, or a filter divides by next to nothing
 MIN_VARIANCE = 1e-12
-LN_RATIOS, LN_TOLERANCE = (-16.0, 16.0), 0.05  # ln of q T / R
-GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+LN_RATIOS, LN_TOLERANCE = (-16.0, 16.0), 0.005  # ln of q T / R
 MAX_READINGS = 4000
 MAX_PERIODS = 1.5  # a longer pause between two readings is no step
 
@@ -69,6 +69,8 @@ def random_walk(z: Array, variance: float, period: float) -> float:
 
     By maximum likelihood: the prior variance p of the one state settles where p = p R / (p + R) + q T.
     """
+    from scipy.optimize import minimize_scalar
+
     begin = max(0, (len(z) - MAX_READINGS) // 2)
     values = z[begin : begin + MAX_READINGS].tolist()
     if len(values) < 3 or not variance > 0.0:
@@ -84,11 +86,8 @@ def random_walk(z: Array, variance: float, period: float) -> float:
             square += off * off
         return square / (p + variance) + (len(values) - 1) * math.log(p + variance)
 
-    low, high = LN_RATIOS
-    while high - low > LN_TOLERANCE:  # golden section
-        a, b = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
-        low, high = (low, b) if cost(a) < cost(b) else (a, high)
-    return variance * math.exp(0.5 * (low + high)) / period
+    best = minimize_scalar(cost, bounds=LN_RATIOS, method="bounded", options={"xatol": LN_TOLERANCE})
+    return variance * math.exp(float(best.x)) / period
 
 
 def _grown(wheels: Wheels) -> Array:

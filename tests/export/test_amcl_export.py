@@ -114,3 +114,14 @@ def test_values_go_into_the_users_file_and_nothing_else_changes(tmp_path: Path) 
     assert f"+{now[4]}" in done.stdout.splitlines()
     assert "z_rand: 0.0" in done.stdout
     assert "not in the file, add it by hand" in done.stdout
+
+
+def test_a_second_export_changes_nothing_and_does_not_write(tmp_path: Path) -> None:
+    file = tmp_path / "nav2.yaml"
+    file.write_text("amcl:\n  ros__parameters:\n    alpha1: 0.2\n    sigma_hit: 0.2  # found: m: of another log\n")
+    words = ("export", "ros", "rounded_rectangle", "--to", "amcl", "--as-set", "--into", file)
+    assert locfuse(*words).stdout.splitlines()[-1] == f"{file}: written"
+    text, inode = file.read_text(), file.stat().st_ino
+    assert "of another log" not in text
+    assert locfuse(*words).stdout.splitlines()[-1] == f"{file}: nothing to change"
+    assert (file.read_text(), file.stat().st_ino) == (text, inode)

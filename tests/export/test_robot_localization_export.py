@@ -146,3 +146,12 @@ def test_by_the_wheels_alone_it_is_as_uncertain_as_our_filter_and_its_twists_are
     ours = session.run("odometry", advice=False).filtered.P[-1]
     assert np.sqrt(np.diag(emulated.P)[:3]) == pytest.approx(np.sqrt(np.diag(ours)), rel=0.05)
     assert 0.8 < np.mean(emulated.nis["twist"]) < 1.25
+
+
+def test_fusioncore_names_every_sensor_that_it_has_no_parameters_for(log: Path) -> None:
+    sets = ("--set", "pose.topic=/amcl_pose", "--set", "pose.frame=map")
+    done = locfuse("export", "ros", log, *sets, "--to", "fusioncore", "--as-set", "-q")
+    assert done.exit_code == 0, done.stderr
+    comments = [line.split(":")[0].strip("# ") for line in done.stdout.splitlines() if "cannot be mapped" in line]
+    assert comments == ["compass", "pose"]
+    assert "gyro_noise" in done.stdout

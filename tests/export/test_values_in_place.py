@@ -73,6 +73,71 @@ def test_a_matrix_keeps_its_layout_and_the_numbers_that_are_not_meant() -> None:
     assert got == text.replace("0.05", "1.0").replace("0.06", "2.0")
 
 
+OLD = """amcl:  # amcl
+  ros__parameters:
+    alpha1: 0.2  # found: turn by turn; of another log
+    alpha2: 0.2 # found it at a fair: do not touch
+    alpha3: '0.2'    # carried over: way by way{end}    # found: not beside a value
+    poses: [1.0, 2.0,  # found: x: of another log
+      3.0, 4.0]  # found: y: of another log
+    z_hit: "# found: 0.5"  # mine: # found: 0.2
+"""
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_a_comment_of_an_earlier_export_is_replaced_and_one_of_the_users_stays(end: str) -> None:
+    file = parsed(FILE, OLD.replace("{end}", "\n").replace("\n", end))
+    settings = [
+        Setting(key="alpha1", value=0.3, words="by this log"),
+        Setting(key="alpha2", value=0.3, words="by this log"),
+        Setting(key="alpha3", value=0.3, words="by this log", origin="set"),
+        Setting(key="poses", value=[5.0, 2.0, 3.0, 4.0], words="", places=(0,), row=2, row_words=("x: new", "y")),
+        Setting(key="z_hit", value="near", words="by this log"),
+    ]
+    got, _ = changed(file, file.sections[0], settings)
+    assert got.split(end)[2:] == [
+        "    alpha1: 0.3  # found: by this log",
+        "    alpha2: 0.3 # found it at a fair: do not touch",
+        "    alpha3: '0.3'    # carried over: by this log",
+        "    # found: not beside a value",
+        "    poses: [5.0, 2.0,  # found: x: new",
+        "      3.0, 4.0]  # found: y: of another log",
+        '    z_hit: "near"  # mine: # found: 0.2',
+        "",
+    ]
+
+
+def test_a_list_on_one_line_gets_the_words_of_the_whole_list() -> None:
+    file = parsed(FILE, "n:\n  ros__parameters:\n    odom0: odom\n    Q: [1, 2, 3, 4]  # found: x: old\n")
+    setting = Setting(key="Q", value=[5.0, 2, 3, 6], words="x, y", places=(0, 3), row=2, row_words=("a", "b"))
+    got, _ = changed(file, file.sections[0], [setting])
+    assert got.splitlines()[3] == "    Q: [5.0, 2, 3, 6.0]  # found: x, y"
+
+
+def test_a_list_in_a_list_beside_the_meant_numbers_stays() -> None:
+    file = parsed(FILE, "n:\n  ros__parameters:\n    Q: [1, [2], 3]\n")
+    setting = Setting(key="Q", value=[5.0, 0.0, 6.0], words="", places=(0, 2))
+    assert changed(file, file.sections[0], [setting])[0] == file.text.replace("[1, [2], 3]", "[5.0, [2], 6.0]")
+
+
+def test_comments_of_an_earlier_export_on_what_cannot_be_mapped_are_replaced_in_this_section_alone() -> None:
+    text = (
+        "# imu0 covariance: cannot be mapped: above\nekf:\n  ros__parameters:\n    odom0: odom\n"
+        "    # imu0 covariance: cannot be mapped: yaw 1\n    # imu0 covariance: cannot be mapped: z 2\n"
+        "    # lrf: mine\n    x: 1  # lrf: cannot be mapped: beside\n"
+        "amcl:\n  ros__parameters:\n    alpha1: 1\n    # lrf: cannot be mapped: of amcl\n"
+    )
+    file = parsed(FILE, text)
+    notes = [
+        ("imu0 covariance", "yaw 5"),
+        ("imu0 covariance", "z 6"),
+        ("imu0 covariance", "w 7"),
+        ("lrf", "no laser"),
+    ]
+    settings = [Setting(key=key, value=None, words=words) for key, words in notes]
+    assert changed(file, file.sections[0], settings)[0] == text.replace("yaw 1", "yaw 5").replace("z 2", "z 6")
+
+
 REFUSED = {
     "amcl:\n\tros__parameters:\n\t\talpha1: 1\n": "line 2 begins with a tab; indent YAML with spaces",
     "amcl:\n  ros__parameters:\n    alpha1: &a 0.2\n    alpha2: *a\n": "line 3: alpha1 has an anchor or an alias",

@@ -7,6 +7,7 @@ from functools import cache
 from statistics import NormalDist
 
 EXACT_DOF, STEPS = 300, 50
+SIGMAS_95 = 1.96  # standard deviations of a 95 % interval of a normal distribution
 MAD = 0.6745  # median absolute deviation of a normal distribution
 
 

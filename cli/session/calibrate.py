@@ -11,6 +11,7 @@ import numpy as np
 
 from locfuse.cli.analysis.load import Loaded, find_log, load
 from locfuse.cli.analysis.settings import LogOptions, Progress, silent
+from locfuse.fusion.chi_square import SIGMAS_95
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.iron import Iron, fit_iron
@@ -26,7 +27,7 @@ from locfuse.fusion.wheels.likelihood import Figure
 from locfuse.fusion.wheels.motion_by_scans import match_scans
 from locfuse.fusion.wheels.tricycle import is_tricycle, read_encoders
 
-from .found import SIGMAS_95, Found, Row, refuse_doubtful
+from .found import Found, Row, refuse_doubtful
 
 USED = ("compass", "gyro", "lrf")  # sensors
 FIELD = "sensor_msgs/msg/MagneticField"

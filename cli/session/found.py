@@ -18,7 +18,6 @@ from locfuse.fusion.data import LocfuseError
 
 from .python_words import speaks_python
 
-SIGMAS_95 = 1.96  # standard deviations of a 95 % interval
 Row = tuple[str, str, str, str]
 
 

@@ -17,6 +17,7 @@ from locfuse.cli.analysis.settings import LogOptions
 from locfuse.formats.container.url import Place
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.checks.score import MAX_LOSS_NATS, Score, spoils
+from locfuse.fusion.chi_square import SIGMAS_95
 from locfuse.fusion.data import Evaluation, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import Run, judge
@@ -27,7 +28,7 @@ from locfuse.fusion.tune.noise import Figures
 from locfuse.fusion.tune.tune import Row as TunedRow
 from locfuse.fusion.tune.tune import Trial, Tuned, tune
 
-from .found import SIGMAS_95, Found, Row, refuse_doubtful
+from .found import Found, Row, refuse_doubtful
 
 HELD_OUT_SHARE = 0.2  # share of every log, its end, where no log is held out
 LIKELIHOOD = "ln likelihood per number, {part} ({numbers})"

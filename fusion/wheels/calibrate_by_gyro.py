@@ -23,6 +23,7 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
+from locfuse.fusion.chi_square import SIGMAS_95
 from locfuse.fusion.data import Array, LocfuseError
 
 from .likelihood import Figure
@@ -34,7 +35,6 @@ NOISE_WINDOWS_S = (0.1, 0.3, 1.0, 3.0, 10.0)
 MIN_WINDOWS, MIN_MOVED_M, MIN_TURNED_RAD = 20, 0.02, math.radians(180.0)  # windows, m a window, rad in all
 MIN_EXPLAINED = 0.9  # share of the turning that wheels explain: less is another motion
 SKIDS = 1.25  # track by the turns over the track that is set: more is no error of a measuring tape
-SIGMAS_95 = 1.96
 
 
 class GyroCalibration(msgspec.Struct, frozen=True):

@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion import se2
+from locfuse.fusion.chi_square import SIGMAS_95
 from locfuse.fusion.data import Array, LocfuseError, Truth
 from locfuse.fusion.robot import WheelSettings
 
@@ -36,7 +37,6 @@ GAIN_FACTORS = (1.0, 0.3, 3.0, 8.0, -1.0)  # of the steering gain that was set
 OUTLIER_M = 0.05  # m, rad: residuals beyond count less: a tracker jumps, a match goes wrong
 MIN_ROWS, MAX_ROWS = 50, 3000  # readings of the reference; more windows say no more
 MIN_TURN_RAD = math.radians(180.0)  # in all, of a gyro
-SIGMAS_95 = 1.96
 
 
 class Reference(NamedTuple):

@@ -119,7 +119,7 @@ class FleetGates(msgspec.Struct, frozen=True):
         limits = [parse_gate(text) for text in typed.fail_if]
         together = [gate for gate in limits if gate.figure.startswith(OF_FLEET)]
         earlier = read_summary(typed.baseline, typed.tolerance) if typed.baseline else None
-        return cls(Gates([gate for gate in limits if gate not in together]), together, earlier)
+        return cls(Gates([known_figure(gate) for gate in limits if gate not in together]), together, earlier)
 
     def failures(self, summary: Mapping[str, Any]) -> list[str]:
         """Return one line per gate that all logs together fail."""

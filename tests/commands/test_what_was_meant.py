@@ -21,6 +21,7 @@ LOG = "rounded_rectangle"
         (("compare", LOG, "--sensors", "laser"), 2, "did you mean lrf?"),
         (("compare", LOG, "--sensors", "imu"), 2, "did you mean gyro or compass?"),
         (("compare", LOG, "--fail-if", "all.rmse > 1"), 2, "did you mean position_rmse_m"),
+        (("fleet", LOG, "disturbed", "--fail-if", "all.rmse > 1"), 2, "did you mean position_rmse_m"),
         (("compare", LOG, "--fail-if", "all.nothing_alike > 1"), 2, "locfuse schema report"),
         (("explain", "anes"), 2, "ANEES"),
     ],

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from locfuse.formats.report import json_report
 from locfuse.formats.report.findings import length
 from locfuse.fusion import se2
-from locfuse.fusion.data import Drive, Estimates, Evaluation, Jump
+from locfuse.fusion.data import Drive, Estimates, Evaluation, Jump, result_name
 from locfuse.fusion.fuse import configuration_name
 from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.consistency import Run
@@ -321,7 +321,9 @@ def add_own_scans(
             times = apart.rms / max(own.claimed_m, 1e-9)
             values["notes"].append(f"covariance too small: the smoothed path lies {times:.1f} sigma away")
         if apart.doubted(values["distance_m"]):
-            proven = "Use the smoothed one: --smooth" if own.smoothed_is_better else "Neither is proven right"
+            row = result_name(name, smoothed=True)
+            use = f"Use {row}" if row in report["configurations"] else "Use the smoothed one: --smooth"
+            proven = use if own.smoothed_is_better else "Neither is proven right"
             report["doubt"] = f"Doubtful: the smoothed path of {name} {away}. {proven}."
 
 

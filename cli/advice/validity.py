@@ -46,7 +46,8 @@ def add_validity(
         _withdraw_verdicts(report, "All errors of this log are void.")
     elif doubts:
         report["credit"] = None  # a factor is a verdict too
-        _withdraw_verdicts(report, f"No sensor is judged while this is open: {doubts[0]['message']}.")
+        what = doubts[0]["message"].partition(". ")[0]  # the fix stands in the warning
+        _withdraw_verdicts(report, f"No sensor is judged while this is open: {what}.")
 
 
 def _withdraw_verdicts(report: dict[str, Any], words: str) -> None:

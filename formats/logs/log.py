@@ -461,19 +461,21 @@ class Log:
     def _walk(self, topics: Collection[str]) -> Iterator[tuple[str, Raw]]:
         """Yield the messages of several topics, batch by batch over all files."""
         span = self.time_span_ns
-        for source in self._sources:
-            wanted = {
-                ident: (topic, decoder)
-                for topic in topics
-                for ident, decoder in self._channels[topic].of(source).items()
-            }
-            for batch in source.batches(wanted.keys()):
-                for ident, messages in batch.messages.items():
-                    topic, decoder = wanted[ident]
-                    _say_read(messages, span)
-                    for data, unpacked in unpack(batch.data, messages):
-                        yield topic, dated(Raw(data, unpacked, decoder))
-        say_done(None)
+        try:
+            for source in self._sources:
+                wanted = {
+                    ident: (topic, decoder)
+                    for topic in topics
+                    for ident, decoder in self._channels[topic].of(source).items()
+                }
+                for batch in source.batches(wanted.keys()):
+                    for ident, messages in batch.messages.items():
+                        topic, decoder = wanted[ident]
+                        _say_read(messages, span)
+                        for data, unpacked in unpack(batch.data, messages):
+                            yield topic, dated(Raw(data, unpacked, decoder))
+        finally:  # also where nobody asks for the rest
+            say_done(None)
 
     def messages(self) -> Iterator[list[Recorded]]:
         """Yield all messages as they lie in the files, whether or not they can be read, batch by batch.

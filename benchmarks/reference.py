@@ -1,4 +1,4 @@
-"""The reference pages of docs/ are made from the code: --help of every command, the settings, the report's keys.
+"""Pages that are made: the reference pages of docs/ from the code, AGENTS.md and llms.txt from the other pages.
 
 python -m benchmarks.reference           exit 1 where a page differs from the code of today
 python -m benchmarks.reference --write   write the pages
@@ -7,8 +7,10 @@ python -m benchmarks.reference --write   write the pages
 from __future__ import annotations
 
 import json
+import re
 import sys
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +22,11 @@ from locfuse.cli.main import COMMANDS, locfuse
 from locfuse.cli.terminal.options import HELP_ALL
 from locfuse.fusion.sensors.registry import REGISTRY
 
-DOCS = Path(__file__).parent.parent / "docs"
-MADE = "Made from the code by `python -m benchmarks.reference --write`; do not edit.\n"
+ROOT = Path(__file__).resolve().parent.parent
+DOCS = ROOT / "docs"
+MADE = "Made by `python -m benchmarks.reference --write`; do not edit.\n"
 WIDTH = 100
+MIN_SHARED = 3  # tables that hold a key with the same words: it stands once on the page
 FIRST_KEYS = (  # of robot.toml: what users set first
     "wheels.topic",
     "wheels.radius",
@@ -49,20 +53,49 @@ Schema = dict[str, Any]
 
 
 def commands_page() -> str:
-    """Return the page of all commands, as --help prints them."""
-    parts = ["# Commands", MADE, "```text", _help(locfuse, "locfuse"), "```"]
-    for name in COMMANDS:
-        with click.Context(locfuse) as context:
-            command = locfuse.get_command(context, name)
+    """Return the page of all commands, as --help prints them; options of several commands stand there once."""
+    parts = ["# Commands", MADE, "```text", locfuse.get_help(_context(locfuse, "locfuse")), "```"]
+    with click.Context(locfuse) as root:
+        commands = {name: locfuse.get_command(root, name) for name in COMMANDS}
+    of = {
+        name: [
+            record
+            for p in command.get_params(context)
+            if isinstance(p, click.Option) and (record := p.get_help_record(context))
+        ]
+        for name, command in commands.items()
+        if command is not None and (context := _context(command, name))
+    }
+    counts = Counter(record for records in of.values() for record in records)
+    shared = [record for record, n in counts.items() if n > 1]
+    shared.sort(key=lambda record: record[0].lstrip("-"))
+    parts += ["\n## Options of several commands\n", "```text", _definitions(shared), "```"]
+    for name, command in commands.items():
         assert command is not None
-        parts += [f"\n## {name}\n", "```text", _help(command, f"locfuse {name}"), "```"]
-    return "\n".join(parts) + "\n"
+        context = _context(command, f"locfuse {name}")
+        formatter = context.make_formatter()
+        command.format_usage(context, formatter)
+        command.format_help_text(context, formatter)
+        formatter.write("\n" + _definitions([record for record in of[name] if counts[record] == 1]))
+        also = [re.findall(r"--[a-z-]+", option)[0] for option, words in of[name] if counts[option, words] > 1]
+        if also:
+            formatter.write_paragraph()
+            formatter.write_text(f"And: {', '.join(also)}")
+        parts += [f"\n## {name}\n", "```text", formatter.getvalue(), "```"]
+    return re.sub(r"\n{3,}", "\n\n", "\n".join(parts)).replace("\n\n```\n", "\n```\n") + "\n"
 
 
-def _help(command: click.Command, name: str) -> str:
+def _context(command: click.Command, name: str) -> click.Context:
     context = click.Context(command, info_name=name, max_content_width=WIDTH, terminal_width=WIDTH)
     context.meta[HELP_ALL] = True
-    return command.get_help(context)
+    return context
+
+
+def _definitions(records: Sequence[tuple[str, str]]) -> str:
+    formatter = click.HelpFormatter(width=WIDTH, max_width=WIDTH)
+    if records:
+        formatter.write_dl(records)
+    return formatter.getvalue()
 
 
 def settings_page() -> str:
@@ -73,8 +106,15 @@ def settings_page() -> str:
         "An editor completes these keys after `locfuse schema robot > robot.schema.json`."
     )
     parts = ["# Sensors and settings", MADE, head, "\n## Set first\n", *_first(schema)]
-    for name, kind in table_types().items():
-        parts += [f"\n## {name}\n", *_of_sensor(name), *_table(schema, schema["$defs"][kind.__name__])]
+    tables = {name: list(_table(schema, schema["$defs"][kind.__name__])) for name, kind in table_types().items()}
+    counts = Counter(row for rows in tables.values() for row in rows[2:])
+    shared = [row for row, n in counts.items() if n >= MIN_SHARED]
+    parts += ["\n## Keys of several sensors\n", *tables["wheels"][:2], *shared]
+    for name, rows in tables.items():
+        own = [row for row in rows if row not in shared]
+        also = [row.split("`")[1] for row in rows if row in shared]
+        parts += [f"\n## {name}\n", *_of_sensor(name), *own]
+        parts += [f"\nAnd {', '.join(f'`{key}`' for key in also)}."] if also else []
     return "\n".join(parts) + "\n"
 
 
@@ -147,19 +187,58 @@ def _type(part: Schema) -> str:
     return kind
 
 
-PAGES = {"commands.md": commands_page, "settings.md": settings_page, "report_keys.md": report_page}
+def agents_page() -> str:
+    """Return AGENTS.md: what a program that works on this repository, or with its tools, must know."""
+    working, tools = (ROOT / "CONTRIBUTING.md").read_text(), (DOCS / "mcp.md").read_text()
+    parts = ["# For agents\n", MADE, f"{_summary()}\n"]
+    parts += [_section(working, name) for name in ("Set up", "The house", "Tests, benchmarks, pages", "Habits")]
+    parts += ["\n# With its tools\n", _section(tools, "The tools").replace("](", "](docs/")]
+    return "\n".join(parts)
+
+
+def llms_page() -> str:
+    """Return llms.txt: every page in a line, with its first sentence."""
+    parts = ["# locfuse\n", f"> {_summary()}\n", "## Docs\n"]
+    names = re.findall(r"\]\(([^)]+)\)", (DOCS / "README.md").read_text())
+    for name in dict.fromkeys(f"docs/{name}" for name in names):
+        path = (ROOT / name).resolve()
+        title, _, text = path.read_text(encoding="utf-8").partition("\n")
+        found = re.search(r"^[A-Z`][^|]*?[.:](?=\s)", text.replace(MADE, ""), re.MULTILINE | re.DOTALL)
+        first = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", " ".join(found[0].split())) if found else ""
+        parts.append(f"- [{title.lstrip('# ')}]({path.relative_to(ROOT)}): {first.rstrip(':')}")
+    return "\n".join(parts) + "\n"
+
+
+def _summary() -> str:
+    """Return what the product is, as the README says it first."""
+    return " ".join((ROOT / "README.md").read_text().split("\n\n")[1].split())
+
+
+def _section(page: str, name: str) -> str:
+    found = re.search(rf"^## {name}\n.*?(?=^## |\Z)", page, re.MULTILINE | re.DOTALL)
+    assert found is not None, name
+    return found[0].rstrip() + "\n"
+
+
+PAGES = {
+    "docs/commands.md": commands_page,
+    "docs/settings.md": settings_page,
+    "docs/report_keys.md": report_page,
+    "AGENTS.md": agents_page,
+    "llms.txt": llms_page,
+}
 
 
 def main(write: bool) -> int:
     """Check or write all pages."""
     wrong = 0
     for name, page in PAGES.items():
-        path, now = DOCS / name, page()
+        path, now = ROOT / name, page()
         if write:
             path.write_text(now, encoding="utf-8")
         elif not path.exists() or path.read_text(encoding="utf-8") != now:
             wrong += 1
-            print(f"docs/{name} is not what the code says today: python -m benchmarks.reference --write")
+            print(f"{name} is not what the code and the pages say today: python -m benchmarks.reference --write")
     return 1 if wrong else 0
 
 

@@ -177,11 +177,13 @@ def exported_files(kinds: Collection[str], loaded: Loaded, found: Mapping[str, E
         if kind in kinds:
             out |= {f"{n}{end}": w(loaded.drive, e) for n, e in found.items() for end, w in endings.items()}
     if {"mcap", "log"} & set(kinds):
-        out[MCAP] = _mcap(loaded, found, "log" in kinds)
+        out |= _mcap(loaded, found, "log" in kinds)
     return out
 
 
-def _mcap(loaded: Loaded, found: Mapping[str, Estimates], with_log: bool) -> Callable[[Any], None]:
+def _mcap(loaded: Loaded, found: Mapping[str, Estimates], with_log: bool) -> dict[str, Content]:
+    """Return the file of messages, and the layouts that show it."""
+    from locfuse.formats.results.layouts import layouts
     from locfuse.formats.results.mcap_export import Export
     from locfuse.formats.robot import robot_toml
 
@@ -198,7 +200,7 @@ def _mcap(loaded: Loaded, found: Mapping[str, Estimates], with_log: bool) -> Cal
         clock_ns=_other_clock(loaded),
         log=loaded.log if with_log else None,
     )
-    return export.write
+    return {MCAP: export.write, **layouts(export.topics)}
 
 
 def _twist(drive: Drive) -> Array:

@@ -72,6 +72,8 @@ def export(
 
     chosen = tuple(TARGETS) if "all" in targets else tuple(dict.fromkeys(targets))
     may_replace(out, overwrite, log)
+    if into is not None and out is not None and out.exists() and out.samefile(into):
+        out = None  # the file itself is changed: its mode stays, and a link to it
     file = None if into is None else read(into)
     if file is not None:
         chosen = targets_in(file, chosen, node, "all" in targets)

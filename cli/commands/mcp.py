@@ -51,6 +51,7 @@ def served(tools: Any) -> MCPServer:
     from mcp.server.mcpserver.exceptions import ToolError
 
     from locfuse.cli.analysis.errors import expected
+    from locfuse.cli.session.agent_tools import spoken
     from locfuse.formats.versions import own
 
     server = MCPServer("locfuse", instructions=INSTRUCTIONS, version=own(), log_level="ERROR")
@@ -63,12 +64,12 @@ def served(tools: Any) -> MCPServer:
         def call(*args: Any, **keywords: Any) -> Any:
             try:
                 with lock:
-                    return tool(*args, **keywords)
+                    return spoken(tool(*args, **keywords))
             except Exception as problem:
                 known = expected(problem)
                 if known is None:
                     raise
-                raise ToolError(known[0]) from None
+                raise ToolError(spoken(known[0])) from None
 
         return call
 

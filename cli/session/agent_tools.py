@@ -7,7 +7,7 @@ are held to the same rule. Arrays and whole reports are not part of an answer, i
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from locfuse.fusion.data import UsageError
 
 from .explain import explain
 from .found import Found
+from .python_words import in_tools
 from .result import Comparison
 from .session import inspected, opened, tried_by_fusing
 
@@ -103,7 +104,7 @@ class Tools:
         paths = [[self._below(log)] for log in logs]
         found = tune.tune_logs(paths, [], tune.sensor_names(sensors), False, self._how(settings), silent)
         refused = "A log gets worse with the noise that was found: it is not used."
-        return self._found(found, refused if found.refused else f"Noise from {len(logs)} logs.")
+        return self._found(found, refused if found.refused else f"Noise from {_logs(logs)}.")
 
     def calibrate(self, logs: list[str], settings: Settings | None = None) -> Answer:
         """Find wheel noise, radius and track, laser mount and magnetometer iron from logs of one robot."""
@@ -111,7 +112,7 @@ class Tools:
 
         paths = [[str(self._below(log))] for log in logs]
         found = calibrate.calibrated(paths, self._how(settings), silent)
-        return self._found(found, f"Calibration from {len(logs)} logs.")
+        return self._found(found, f"Calibration from {_logs(logs)}.")
 
     def explain(self, term: str = "") -> Answer:
         """Say what a word of an answer or a report means: ANEES, lrf, drift; without `term`, all but sensors."""
@@ -148,7 +149,7 @@ class Tools:
         logs = list(self._logs())
         names = {str(path): path.stat().st_size for path in sorted(logs)[:MAX_LISTED]}
         more = "" if len(logs) <= MAX_LISTED else f", the first {MAX_LISTED} are listed"
-        return Answer(f"{len(logs)} logs{more}.", values={"bytes": names})
+        return Answer(f"{_logs(logs)}{more}.", values={"bytes": names})
 
     def _logs(self) -> Iterator[Path]:
         for folder in self._folders:
@@ -206,6 +207,23 @@ def _findings(found: Iterable[Mapping[str, Any]]) -> list[AgentFinding]:
 
 def _sentence(finding: Mapping[str, Any]) -> str:
     return sentence(finding) if "tried" in finding else str(finding["message"])
+
+
+def spoken(part: Any) -> Any:
+    """Return an answer, or a part of it, whose messages name settings in the words of these tools."""
+    if isinstance(part, Answer):
+        return Answer(*map(spoken, (part.headline, part.findings, part.values)), part.files)
+    if isinstance(part, AgentFinding):
+        return replace(part, message=in_tools(part.message))
+    if isinstance(part, dict):
+        return {key: spoken(value) for key, value in part.items()}
+    if isinstance(part, list):
+        return [spoken(value) for value in part]
+    return in_tools(part) if isinstance(part, str) else part
+
+
+def _logs(logs: Sequence[object]) -> str:
+    return f"{len(logs)} log" + "s" * (len(logs) != 1)
 
 
 def _is_file(text: str) -> bool:

@@ -37,6 +37,7 @@ OPTIONS = {  # option -> keyword with the option's value, or the keyword of an o
     "smooth": "smooth=True",
     "to": "between=(None, {})",
 }
+AS_CALL = re.compile(r'locfuse\.load\(("[^"]*")(.*?)\)\.(findings|tune|calibrate)\(\)')
 OPTION = re.compile(rf"--({'|'.join(sorted(OPTIONS, key=len, reverse=True))})(?![\w-])(?: (?!--)({WORD}))?(:?)")
 
 
@@ -46,6 +47,18 @@ def in_python(words: str) -> str:
     words = re.sub(r"--from (\S+) --to ([^\s:]+)", r"between=(\1, \2)", words)
     words = SETTINGS.sub(lambda found: _sets(shlex.split(found[0])), words)
     return OPTION.sub(_keyword, words)
+
+
+def in_tools(words: str) -> str:
+    """Return a message of the command line in the words of the tools of `locfuse mcp`."""
+    words = AS_CALL.sub(_tool_call, in_python(words)).replace("sets={", "settings={")
+    words = re.sub(r"\blocfuse\.(info|compare)\(", r"\1(", words)
+    return re.sub(r"([:=] ?)(True|False)\b", lambda found: found[0].lower(), words)
+
+
+def _tool_call(found: re.Match[str]) -> str:
+    log, rest, method = found.groups()
+    return f"info({log}{rest}, check=true)" if method == "findings" else f"{method}([{log}]{rest})"
 
 
 def speaks_python(function: Callable[P, R]) -> Callable[P, R]:

@@ -168,6 +168,7 @@ def _pose(at: str, pose: Array, position: str = "position", orientation: str = "
 # --- Estimates and truth
 
 BASE = "base_link"
+TRUTH_POINT, TRUTH_POSE, TRUTH_PATH = (f"/locfuse/truth/{what}" for what in ("point", "pose", "path"))
 CHUNK_BYTES = 1 << 20  # bytes before compression
 FIRST_STAMP, LAST_STAMP = -(2**31), 2**31 - 1  # s: a ROS stamp counts its seconds in 32 bits
 
@@ -181,6 +182,17 @@ class Export(msgspec.Struct, frozen=True):
     robot_toml: bytes
     clock_ns: int = 0  # recording clock minus stamps, where the log keeps two clocks
     log: Log | None = None  # its messages are copied
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Return the topics with poses, and their message types."""
+        found: dict[str, str] = {}
+        for name in (ros_name(e.name) for e in self.estimates):
+            found |= {f"/locfuse/{name}/odometry": ODOMETRY, f"/locfuse/{name}/path": PATH}
+        truth = self.drive.truth
+        if truth is not None and truth.theta is None:
+            return {**found, TRUTH_POINT: POINT}
+        return found if truth is None else {**found, TRUTH_POSE: POSE, TRUTH_PATH: PATH}
 
     def write(self, file: Path) -> None:
         """Write the file. Raises LocfuseError where its times do not fit a ROS stamp."""
@@ -232,11 +244,11 @@ class Export(msgspec.Struct, frozen=True):
 def _truth(topics: _Topics, truth: Truth, epoch_ns: int) -> None:
     t_ns = np.array(stamps(epoch_ns, truth.t), np.int64)
     if truth.theta is None:
-        topics.add("/locfuse/truth/point", points(t_ns, truth.xy))
+        topics.add(TRUTH_POINT, points(t_ns, truth.xy))
         return
     pose = np.column_stack((truth.xy, truth.theta))
-    topics.add("/locfuse/truth/pose", poses(t_ns, pose))
-    topics.once("/locfuse/truth/path", t_ns, pose)
+    topics.add(TRUTH_POSE, poses(t_ns, pose))
+    topics.once(TRUTH_PATH, t_ns, pose)
 
 
 class _Part(NamedTuple):

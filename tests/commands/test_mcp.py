@@ -58,6 +58,11 @@ def test_the_logs_are_listed(tools: Tools) -> None:
     assert {Path(name).stem for name in listed} == set(sample_logs.names())
 
 
+def test_one_log_is_no_plural(tmp_path: Path) -> None:
+    shutil.copy(sample_logs.path("rounded_triangle"), tmp_path)
+    assert Tools([tmp_path], tmp_path / "out").info().headline == "1 log."
+
+
 def test_which_sensor_is_kept_and_which_adds_nothing(tools: Tools) -> None:
     answer = asked(tools, "compare", log="rounded_rectangle.mcap")
     assert answer["headline"].startswith("Keep the laser: 3.9 mm")
@@ -95,12 +100,69 @@ def test_words_are_explained(tools: Tools) -> None:
         asked(tools, "explain", term="anes")
 
 
-@pytest.mark.skipif(DATA is None, reason="LOCFUSE_DATA is not set: no real logs to try")
-def test_strangers_setpoints_are_not_to_be_used(tmp_path: Path) -> None:
-    real = Tools([Path(DATA or "")], tmp_path)
+def test_which_sensor_lost_its_way_and_when(tools: Tools) -> None:
+    answer = asked(tools, "compare", log="disturbed.mcap", sensors=["compass"])
+    lost = [f["message"] for f in answer["findings"] if f["role"] == "compass"] + answer["values"]["notes"]
+    assert any(re.search(r"compass.*\b(19|20)(\.\d)?\b.* s", words) for words in lost), lost
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory: pytest.TempPathFactory) -> Tools:
+    if DATA is None:
+        pytest.skip("LOCFUSE_DATA is not set: no real logs to try")
+    return Tools([Path(DATA)], tmp_path_factory.mktemp("results"))
+
+
+BRENNER = {"wheels.radius": 0.0199962, "wheels.track": 0.173}
+FOUND = {  # log -> settings; role, code and a fix of a finding, its value and how far it may move
+    "whose clock is off": ("fr079/fr079.mcap", {}, "wheels", "lag", "wheels.time_offset", 0.13, 0.01),
+    "how late are the scans": ("brenner/brenner.mcap", BRENNER, "lrf", "lag", "lrf.time_offset", -0.45, 0.045),
+    "scale": ("brenner/brenner.mcap", BRENNER, "lrf", "range scale", "lrf.range_scale", 1 / 0.89, 0.02),
+}
+
+
+@pytest.mark.parametrize("question", FOUND)
+def test_clock_and_scale_are_findings_with_their_fix(real: Tools, question: str) -> None:
+    log, settings, role, code, key, value, tolerance = FOUND[question]
+    answer = asked(real, "info", log=log, settings=settings)
+    (fixes,) = (f["fixes"] for f in answer["findings"] if (f["role"], f["code"]) == (role, code))
+    found = dict(fix.split("=") for fix in fixes)
+    assert float(found[key]) == pytest.approx(value, abs=tolerance)
+
+
+def test_how_a_laser_is_yawed(real: Tools) -> None:
+    answer = asked(real, "compare", log="strangers/pimouse.bag", sensors=["lrf"], smooth=False)
+    (words,) = (note for note in answer["values"]["notes"] if "another mount" in note)
+    assert float(re.findall(r"yaw_deg (-?[\d.]+)", words)[0]) == pytest.approx(-2.2, abs=0.2)
+
+
+def test_which_sensor_is_kept_among_landmarks_and_how_its_ranges_are_meant(real: Tools) -> None:
+    files = {"landmarks.file": "mrclam/detections.csv", "landmarks.map": "mrclam/landmarks.csv"}
+    start = {"start.x": 1.426, "start.y": -3.905, "start.theta_deg": 134.8, "wheels.time_offset": 0.19}
+    answer = asked(real, "compare", log="mrclam/mrclam.mcap", settings={**files, **start})
+    assert re.search(r"[Kk]eep the landmarks", answer["headline"])
+    assert any("depth" in note for note in answer["values"]["notes"])
+
+
+def test_whether_a_causal_result_is_to_be_trusted_and_what_is_better(real: Tools) -> None:
+    values = asked(real, "compare", log="aces/aces.mcap", sensors=["lrf"], smooth=True)["values"]
+    assert not values["void"]
+    assert values["path_doubted"] is None
+    agreement = {name: v["revisit_agreement"] for name, v in values["configurations"].items()}
+    assert agreement["lrf-smoothed"] > agreement["lrf"]
+
+
+def test_strangers_setpoints_are_not_to_be_used(real: Tools) -> None:
     answer = asked(real, "info", log="strangers/setpoints.bag")
     assert answer["values"]["severe"]
     assert any("setpoint" in f["message"] for f in answer["findings"])
+
+
+def test_errors_and_fixes_name_arguments_of_the_tools(real: Tools) -> None:
+    with pytest.raises(LocfuseError, match=r'settings=\{"wheels\.radius": <metres>'):
+        asked(real, "info", log="uwb/labyrinth_uwb.mcap")
+    answer = asked(real, "info", log="brenner/brenner.mcap", settings=BRENNER)
+    assert any('settings={"lrf.walls": "flat"}' in f["message"] for f in answer["findings"])
 
 
 def outside(folder: Path) -> list[str]:

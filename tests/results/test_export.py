@@ -10,6 +10,7 @@ import warnings
 from collections import Counter
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
@@ -224,6 +225,32 @@ def test_compare_exports_every_configuration_under_a_name_that_ros_allows(tmp_pa
         assert (tmp_path / f"{name}_kitti.txt").exists()
     assert all(re.fullmatch(r"(/[A-Za-z_][A-Za-z0-9_]*)+", topic) for topic in topics)
     assert f"/locfuse/{ros_name('compass+lrf')}/odometry" in topics
+    layouts_name_what_is_there(tmp_path, topics, 3, 1)
+
+
+def field(message: Any, path: str) -> Any:
+    for name in path.split("."):
+        message = getattr(message, name)
+    return message
+
+
+def layouts_name_what_is_there(folder: Path, topics: Topics, results: int, truth: int) -> None:
+    """Every topic and field of both layouts is in the file, and no result is missing."""
+    layout = json.loads((folder / "estimates.foxglove.json").read_text())
+    panels = layout["configById"]
+    assert set(re.findall(r'"(?:first|second)": "([^"]+)"', json.dumps(layout["layout"]))) == set(panels)
+    assert set(panels.pop("3D!map")["topics"]) == {name for name in topics if name.startswith("/locfuse/")}
+    shown = [line["value"].split(".", 1) for panel in panels.values() for line in panel["paths"]]
+    assert len(shown) == 3 * results + 2 * truth  # x, y, turn rate
+    curves = list(ET.parse(folder / "estimates.plotjuggler.xml").iter("curve"))
+    assert len(curves) == len(shown) + results + truth  # and x against y
+    for curve in curves:
+        for series in (
+            [curve.get("curve_x"), curve.get("curve_y")] if curve.get("curve_x") else [curve.get("name")]
+        ):
+            (topic,) = (name for name in topics if str(series).startswith(f"{name}/"))
+            shown.append([topic, str(series).removeprefix(f"{topic}/").replace("/", ".")])
+    assert all(isinstance(field(topics[topic][0][0], path), float) for topic, path in shown)
 
 
 def test_a_frame_has_one_parent_where_the_log_has_a_tf_of_its_own(tmp_path: Path) -> None:
@@ -276,6 +303,7 @@ def test_without_truth_or_with_a_smoothed_estimate(tmp_path: Path, word: str, es
     topics = decoded(tmp_path / "out" / "estimates.mcap")
     assert len([t for t in topics if t.endswith("/odometry")]) == estimates
     assert not any("truth" in t for t in topics)
+    layouts_name_what_is_there(tmp_path / "out", topics, estimates, 0)
 
 
 def test_an_unknown_format_is_refused_before_any_work(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import pytest
 from commands import locfuse as command
 
 import locfuse
-from locfuse.cli.session.python_words import in_python
+from locfuse.cli.session.python_words import in_python, in_tools
 
 LOG = "rounded_rectangle"
 TO = 20.0  # s
@@ -149,6 +149,20 @@ def test_a_notebook_shows_headline_findings_and_the_paths_of_a_run_too(session: 
 def test_options_become_keywords(typed: str, spoken: str) -> None:
     assert in_python(typed) == spoken
     assert in_python(spoken) == spoken
+
+
+@pytest.mark.parametrize(
+    ("typed", "spoken"),
+    [
+        ("--set lrf.walls=flat --set a.b=true", 'settings={"lrf.walls": "flat", "a.b": true}'),
+        ("see: locfuse info a.mcap --set a.b=1 --check", 'see: info("a.mcap", settings={"a.b": 1}, check=true)'),
+        ("see: locfuse calibrate a.mcap --set a.b=1", 'see: calibrate(["a.mcap"], settings={"a.b": 1})'),
+        ("see: locfuse compare a.mcap", 'see: compare("a.mcap")'),
+        ("judge the shape with --align origin", 'judge the shape with align="origin"'),
+    ],
+)
+def test_options_become_arguments_of_tools(typed: str, spoken: str) -> None:
+    assert in_tools(typed) == spoken
 
 
 def test_errors_speak_python_and_the_command_its_own_words(session: locfuse.Session, tmp_path: Path) -> None:

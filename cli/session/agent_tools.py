@@ -212,7 +212,8 @@ def _sentence(finding: Mapping[str, Any]) -> str:
 def spoken(part: Any) -> Any:
     """Return an answer, or a part of it, whose messages name settings in the words of these tools."""
     if isinstance(part, Answer):
-        return Answer(*map(spoken, (part.headline, part.findings, part.values)), part.files)
+        words = {name: spoken(getattr(part, name)) for name in ("headline", "findings", "values")}
+        return replace(part, **words)
     if isinstance(part, AgentFinding):
         return replace(part, message=in_tools(part.message))
     if isinstance(part, dict):

@@ -104,4 +104,5 @@ def _area(split: ET.Element, mode: str, curves: Sequence[tuple[Shown, dict[str, 
     for shown, fields in curves:
         series = {axis: f"{shown.topic}/{path.replace('.', '/')}" for axis, path in fields.items()}
         ends = {f"curve_{axis}": name for axis, name in series.items() if axis}
-        ET.SubElement(plot, "curve", name=series.get("", shown.topic), color=shown.colour, **ends)
+        names = {"name": series.get("", shown.topic), "color": shown.colour}
+        ET.SubElement(plot, "curve", names | ends)

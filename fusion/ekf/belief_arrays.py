@@ -643,24 +643,6 @@ class JointBelief(ekf.State):
         return copy
 
 
-class InMap(ekf.InMap):
-    """A belief with a map frame as sensors see it that observe the pose in the map."""
-
-    def pose(self) -> Pose:
-        """Return the pose in the map, G o q."""
-        return self.x, self.y, self.theta
-
-    def triangle(self) -> Triangle:
-        """Return the upper triangle of the covariance of the pose in the map."""
-        triangle: Triangle = self.located()[1]
-        return triangle
-
-    def matrix(self) -> Array:
-        """Return the covariance of the pose in the map, (3, 3)."""
-        xx, xy, xt, yy, yt, tt = self.triangle()
-        return np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
-
-
 def _copied(value: Any) -> Any:
     return value.copy() if isinstance(value, np.ndarray | dict | list | set) else value
 

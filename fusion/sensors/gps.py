@@ -244,7 +244,7 @@ class GpsModel(Model):
         if length < 0.5:
             return
         by_a, by_b = -b / length**2, a / length**2
-        if belief.variance_of((first, first + 1), (by_a, by_b)) > MAX_KNOWN_DIRECTION_RAD**2:
+        if belief.variance((0.0, 0.0, 0.0), (first, first + 1), (by_a, by_b)) > MAX_KNOWN_DIRECTION_RAD**2:
             return
         G = (by_a, by_b), (a / length, b / length)
         belief.transform((first, first + 1), (math.atan2(b, a), length), G)

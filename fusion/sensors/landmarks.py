@@ -344,7 +344,9 @@ class LandmarksModel(Model):
         beside: tuple[float, ...] = (-by_bearing[0], -by_bearing[1]) if at else ()
         if z.shape[1] == 1:
             H_block = (beside,) if at else NO_BLOCK
-            return belief.compare(row, (off,), (by_bearing,), ((r,),), self.thresholds[1], at, H_block, landmark)
+            seen = belief.compare(row, (off,), (by_bearing,), ((r,),), self.thresholds[1], at, H_block)
+            seen.landmark = landmark
+            return seen
         short = 1.0 - math.cos(z[row, 0])
         share, more, columns = ranging.share(short), ranging.derivative(short, distance), at + ranging.columns
         y = off, z[row, 1] - share * distance - ranging.offset
@@ -354,7 +356,9 @@ class LandmarksModel(Model):
         if columns:
             H_block = (beside + ZEROS[: len(more)], (-ahead, -across, *more) if at else more)
         H = by_bearing, (ahead, across, turned)
-        return belief.compare(row, y, H, noise, self.thresholds[2], columns, H_block, landmark)
+        seen = belief.compare(row, y, H, noise, self.thresholds[2], columns, H_block)
+        seen.landmark = landmark
+        return seen
 
     def _ranging(self, belief: Belief) -> Ranging:
         """Return how ranges follow from distances as the belief has it."""

@@ -257,9 +257,8 @@ class RangesModel(Model):
         of_place = (-by_range[0], -by_range[1]) if at else ()
         H_block = ((*of_place, *of_offset),) if columns else NO_BLOCK
         y, R = z[row] - distance - longer - offset, variances[row] + 2.0 * longer * longer
-        seen: Innovation = belief.compare(
-            row, (y,), (by_range,), ((R,),), self.threshold, columns, H_block, anchor
-        )
+        seen: Innovation = belief.compare(row, (y,), (by_range,), ((R,),), self.threshold, columns, H_block)
+        seen.landmark = anchor
         return seen
 
 

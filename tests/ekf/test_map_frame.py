@@ -12,9 +12,9 @@ import pytest
 from textbook import move, numeric_jacobian
 from told import Told, correct, step
 
-from locfuse.fusion.ekf.belief_arrays import InMap, JointBelief
+from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.events import Before, Events
-from locfuse.fusion.ekf.map_frame import Triangle, in_map_P
+from locfuse.fusion.ekf.map_frame import InMap, Triangle, in_map_P
 from locfuse.fusion.kernels.ekf import bent
 from locfuse.fusion.sensor import Block
 from locfuse.fusion.whole_drive.smooth import Backward

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from worlds import World
 
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements
-from locfuse.fusion.ekf.belief_arrays import InMap
+from locfuse.fusion.ekf.map_frame import InMap
 from locfuse.fusion.fuse import Filter, fuse
 from locfuse.fusion.instants import due_readings, steps_of
 from locfuse.fusion.judge.evaluate import evaluate

@@ -153,7 +153,7 @@ def test_states_are_replaced_by_functions_of_themselves() -> None:
     P, x, at, G = belief.covariance.copy(), belief.state.copy(), [5, 2, 7], rng.normal(size=(3, 3))
     row = np.zeros(belief.n)
     row[at] = G[0]
-    assert belief.variance_of(at, G[0]) == pytest.approx(row @ P @ row, rel=1e-12)
+    assert belief.variance((0.0, 0.0, 0.0), at, G[0]) == pytest.approx(row @ P @ row, rel=1e-12)
     belief.transform(at, (1.0, 2.0, 3.0), G)
     A = np.eye(belief.n)
     A[np.ix_(at, at)] = G

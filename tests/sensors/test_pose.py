@@ -16,7 +16,6 @@ from loop_drive import ns, quaternion
 from numpy.typing import NDArray
 from said import one_by_one, said
 from textbook import move, numeric_jacobian
-from told import step
 
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion import se2
@@ -26,11 +25,9 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.sensor import Block
 from locfuse.fusion.sensors.landmark_messages import DETECTIONS
 from locfuse.fusion.sensors.pose import PoseSettings, plane_covariance
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 from locfuse.sample_logs.messages import RawMessage
 
 Array = NDArray[np.float64]
@@ -128,34 +125,6 @@ def test_it_improves_the_wheels_and_is_consistent(kind: str, left: float, anees:
     assert anees[0] < np.mean([f["anees"] for f in found]) < anees[1]
 
 
-@pytest.mark.parametrize("kind", ["own", "drift", "twist"])
-def test_smoothing_knows_what_became_of_the_kept_pose(kind: str) -> None:
-    """The last smoothed pose is the filtered one, and P never grows by the future."""
-    drive, robot = measured(1, kind)
-    filtered, smoothed = fuse_and_smooth(drive, robot, ("twist" if kind == "twist" else "pose",))
-    np.testing.assert_allclose(smoothed.pose[-1], filtered.pose[-1], atol=1e-9)
-    # but for levers that differ: both are linearised about poses of their own
-    assert (smoothed.triangles[:, (0, 3, 5)] <= 1.01 * filtered.triangles[:, (0, 3, 5)] + 1e-9).all()
-
-
-def test_a_kept_pose_stays_where_it_is_when_the_local_frame_begins_anew() -> None:
-    """The laser begins its map after the first pose: seen from the robot nothing has moved."""
-    belief = JointBelief(
-        (1.0, 2.0, 0.5),
-        (0.04, 0.0, 0.0, 0.02, 0.0, 0.01),
-        [Block("b", np.zeros(3), np.zeros((3, 3)), np.zeros(3))],
-    )
-    belief.clone_pose(3)
-    belief.predict(step((0.7, 0.1, 0.3), (0.01, 0.0, 0.0, 0.02, 0.0, 0.003)), 0)
-    seen, spread = se2.between(belief.state[3:6], belief.state[:3]), relative_covariance(belief)
-    belief.begin_frame()
-    np.testing.assert_allclose(se2.between(belief.state[3:6], belief.state[:3]), seen, atol=1e-12)
-    np.testing.assert_allclose(relative_covariance(belief), spread, atol=1e-12)
-    belief.place((5.0, 5.0, 2.0), 0.1, 0.1)
-    np.testing.assert_allclose(se2.between(belief.state[3:6], belief.state[:3]), seen, atol=1e-12)
-    np.testing.assert_allclose(relative_covariance(belief), 0.0, atol=1e-12)
-
-
 @pytest.mark.parametrize("later", ["pose", "landmarks"])
 def test_one_of_two_maps_begins_the_local_frame_whichever_is_first(
     later: str, monkeypatch: pytest.MonkeyPatch
@@ -211,12 +180,6 @@ def tagged(t: Array, pose: Array, rng: np.random.Generator) -> ArrayStream:
         "bearing": bearing.ravel(),
     }
     return ArrayStream("tags.csv", DETECTIONS, np.repeat(ns(t), 4), data)
-
-
-def relative_covariance(belief: JointBelief) -> Array:
-    J = np.hstack(se2.between_jacobians(belief.state[3:6], belief.state[:3]))
-    at = [3, 4, 5, 0, 1, 2]
-    return np.asarray(J @ belief.covariance[np.ix_(at, at)] @ J.T)
 
 
 # ---- one reading ----
@@ -297,30 +260,6 @@ def test_a_covariance_that_says_nothing_is_replaced_and_a_huge_one_is_cut() -> N
     np.testing.assert_allclose(P[1], np.diag([0.04, 0.09, 0.01]))
     np.testing.assert_allclose(P[3], np.diag([1e6, 0.01, 1e6]))
     assert not plane_covariance(said, np.arange(4), "sigma", own)[1].any()
-
-
-def test_a_covariance_that_is_not_positive_is_replaced() -> None:
-    P = np.diag([1.0, 1.0, 0.0, 0.0, 0.0, 1.0])
-    P[0, 1] = P[1, 0] = 2.0
-    own = np.full((1, 3), 0.5)
-    found, told = plane_covariance(P.reshape(1, 36), np.arange(1), "message", own)
-    assert not told[0]
-    np.testing.assert_allclose(found[0], 0.5 * np.eye(3))
-
-
-def test_readings_that_share_an_error_count_as_one() -> None:
-    (drive, _), (other, _) = (measured(2, "map", {"pose": {"frame": "map", "correlated": c}}) for c in (0.0, 1.0))
-    ratio = other.measurements["pose"].R_unit / np.where(
-        drive.measurements["pose"].R_unit == 0.0, 1.0, drive.measurements["pose"].R_unit
-    )
-    assert ratio[:, 0, 0] == pytest.approx(5.0, rel=1e-6)  # five in a second
-
-
-def test_only_x_and_y_count_where_the_heading_is_none() -> None:
-    drive, robot = measured(2, "map", {"pose": {"frame": "map", "heading": False}})
-    e = fuse(drive, robot, ("pose",))
-    assert np.nanmax(np.abs(e.audits["pose"].y[:, 2] / e.audits["pose"].sigma[:, 2])) < 0.01
-    assert figures(drive, robot, ("pose",))["position_rmse_m"] < 0.2
 
 
 # ---- a user's log ----

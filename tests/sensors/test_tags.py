@@ -237,16 +237,6 @@ def test_middles_of_boxes_are_bearings_too(tmp_path: Path) -> None:
     assert found["landmarks"]["position_rmse_m"] < 0.3 * found["odometry"]["position_rmse_m"]
 
 
-def test_the_noise_of_pixels_is_that_of_their_bearings(tmp_path: Path) -> None:
-    """Wheels that are exact, and bearings with the noise that is configured: NIS is 1 within its own scatter."""
-    exact = ("--set", "wheels.noise=1e-7", "--set", "start.sigma_xy=0.05", "--set", "start.sigma_theta_deg=2")
-    files = written(tmp_path, APRIL, april, camera_info(), slips=0.0, noise=0.0)
-    found, _ = compared(files, "--set", f"landmarks.sigma_bearing_deg={math.degrees(BEARING)}", *exact)
-    seen = found["landmarks"]["sensors"]["landmarks"]
-    assert seen["accepted"] > 300
-    assert abs(seen["nis"] - 1.0) < 3.0 * math.sqrt(2.0 / seen["accepted"])
-
-
 def test_pixels_without_a_camera_info_are_one_line_with_the_keys(tmp_path: Path) -> None:
     files = written(tmp_path, APRIL, april)
     done = locfuse(
@@ -366,23 +356,6 @@ def test_an_unknown_map_is_made_saved_and_used(tmp_path: Path) -> None:
     assert again["landmarks"]["position_rmse_m"] < 0.15
 
 
-def test_tags_without_a_map_are_used_and_it_is_said(tmp_path: Path) -> None:
-    """As with map = "grow", to the last digit."""
-    log, _, truth = written(tmp_path, ARUCO, aruco)
-    found = {}
-    for name, more in (("none", ()), ("grow", ("--set", "landmarks.map=grow"))):
-        out = tmp_path / name
-        words = (*GEOMETRY, "--no-advice", "--truth", truth, "--align", "se2", "--write", "json", "-o", out, *more)
-        done = locfuse("compare", log, "-v", *words)
-        assert done.exit_code == 0, done.stderr
-        found[name] = json.loads((out / "report.json").read_text())["configurations"]
-        said = " ".join(done.stderr.split())
-        assert ("no landmarks.map is set: where the landmarks stand is estimated" in said) == (name == "none")
-    with_tags, without = (found["none"][name]["position_rmse_m"] for name in ("landmarks", "odometry"))
-    assert with_tags < 0.75 * without  # an aligned shape hides most of what drifting wheels do
-    assert found["none"] == found["grow"]
-
-
 def test_bearings_alone_make_no_map_and_stop_no_other_sensor(tmp_path: Path) -> None:
     log, *_ = written(tmp_path, APRIL, april, camera_info())
     done = locfuse("compare", log, *GEOMETRY, "-v", "--no-advice", "--write", "json", "-o", tmp_path / "out")
@@ -390,18 +363,6 @@ def test_bearings_alone_make_no_map_and_stop_no_other_sensor(tmp_path: Path) -> 
     said = " ".join(done.stderr.split())
     assert "absent: landmarks: /tags says bearings only, and a map is made of ranges" in said
     assert "--set landmarks.map=landmarks.csv" in said
-
-
-def test_a_tag_that_moves_is_named(tmp_path: Path) -> None:
-    """Such as another robot."""
-    rng = np.random.default_rng(0)
-
-    def with_robot(stamp: dict[str, Any], seen: list[tuple[int, Array]]) -> bytes:
-        return aruco(stamp, [*seen, (3, np.array([rng.uniform(-2, 2), 0.0, rng.uniform(1, 4)]))])
-
-    _, stderr = compared(written(tmp_path, ARUCO, with_robot), "--set", "landmarks.map=grow")
-    assert "id 3 does not stand still" in stderr
-    assert "landmarks.ignore=[3]" in stderr
 
 
 def test_a_camera_that_looks_down_sees_further_than_the_floor() -> None:

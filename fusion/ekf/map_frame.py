@@ -16,7 +16,7 @@ Huang, Mourikis, Roumeliotis 2010; docs/trust.md). Compare robocentric maps (Cas
 from __future__ import annotations
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -26,17 +26,6 @@ from locfuse.fusion.kernels.ekf import bent
 
 Pose = tuple[float, float, float]
 Triangle = tuple[float, float, float, float, float, float]  # xx, xy, xt, yy, yt, tt
-Floats = list[list[float]]
-
-
-class Together(NamedTuple):
-    """The local pose and the map frame, with their covariances."""
-
-    q: Pose
-    G: Pose
-    P: Triangle  # of q
-    across: Floats  # cov(q, G), (3, 3)
-    own: Floats  # cov(G, G), (3, 3)
 
 
 class InMap:

@@ -22,8 +22,8 @@ from locfuse.formats.robot import landmark_map
 from locfuse.fusion.data import LocfuseError, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.sensors import points
-from locfuse.fusion.sensors.landmark_geometry import predict
 from locfuse.fusion.sensors.landmarks import LandmarksModel, LandmarksSettings
+from locfuse.fusion.sensors.points import predict
 
 SIGMA_RANGE, SIGMA_BEARING, OFFSET = 0.05, math.radians(1.0), 0.08
 

@@ -47,6 +47,8 @@ from locfuse.fusion.sensor import (
 )
 from locfuse.fusion.streams import count_dropped
 
+from .points import detector_at
+
 FRAME = "_gps_frame"
 FIRST_FIX_SIGMA_M = 100.0  # m: how far the first fix may be from where the robot was
 MAX_KNOWN_DIRECTION_RAD = math.radians(10.0)  # from here on the direction of east is a state of its own
@@ -220,9 +222,7 @@ class GpsModel(Model):
         """Compare one fix with the belief."""
         pose = belief.pose()
         if self.reference is None:
-            c, s = se2.direction(pose[2])
-            ahead, left = self.lever
-            self.reference = (pose[0] + c * ahead - s * left, pose[1] + s * ahead + c * left)
+            self.reference = detector_at(pose, (*self.lever, 0.0))
         tie, columns = self.tie, NO_COLUMNS
         if not self.fixed:
             first = belief.column(FRAME)

@@ -7,7 +7,6 @@ import struct
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -18,8 +17,6 @@ from numpy.typing import NDArray
 from omni_scene import Lens, Picture, Pole, picture, wrapped_deg
 from said import one_by_one, said
 
-from locfuse.cli.analysis.choose import choose
-from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.results.preview import write_pictures
 from locfuse.fusion.camera.bearing import paper_orientation, predict_bearing
 from locfuse.fusion.camera.image_header import image_size
@@ -226,10 +223,6 @@ def test_every_type_the_camera_reads_can_be_decoded() -> None:
     np.testing.assert_allclose(errors_deg(m, 30.0), 0.0, atol=0.15)
 
 
-def test_mono8_behind_a_compressed_format_is_refused_too() -> None:
-    assert measured(compressed(coded(picture(LENS)), layout="mono8; jpeg compressed ")).dropped == {"no_colour": 1}
-
-
 def test_pictures_of_another_size_have_another_calibration_and_are_not_used() -> None:
     shot = picture(LENS, Pole(30.0))
     small = cv2.resize(shot, (320, 240))
@@ -253,30 +246,11 @@ def test_a_long_stream_is_read_a_few_pictures_at_a_time() -> None:
     assert Camera.in_blocks
 
 
-def test_a_calibration_left_out_is_taken_from_the_pictures_size() -> None:
-    lens = Lens(width=480, height=480, x_c=239.5, y_c=239.5, inner=59.9, outer=239.5)
-    m = measured(compressed(coded(picture(lens, Pole(77.0)))), CameraSettings(landmark=(1.0, 1.0)))
-    np.testing.assert_allclose(errors_deg(m, 77.0), 0.0, atol=0.15)
-
-
 def test_without_a_landmark_the_error_names_the_key_and_the_command() -> None:
     with pytest.raises(LocfuseError, match=r"camera\.landmark.*locfuse info LOG --preview DIR"):
         measured(compressed(b""), CameraSettings())
     with pytest.raises(LocfuseError, match=r"camera\.landmark"):
         Camera().model(CameraSettings())
-
-
-def test_a_log_with_pictures_but_no_landmark_is_a_log_without_a_camera() -> None:
-    """A first bag has cameras, perhaps several, and no settings: that is no reason to stop."""
-    kinds = {"/odom": "nav_msgs/msg/Odometry", "/rgb": "sensor_msgs/msg/Image", "/depth": "sensor_msgs/msg/Image"}
-    topics = {t: SimpleNamespace(msgtype=kind, count=5, problem=None) for t, kind in kinds.items()}
-    odometry = SimpleNamespace(frame_id="odom")
-    log: Any = SimpleNamespace(name="bag", topics=topics, stream=lambda _: odometry, transform_topics=())
-    choice = choose(log, make_robot({}))
-    assert choice.topics == {"wheels": "/odom"}
-    assert "camera.landmark is not set" in choice.absent["camera"]
-    with pytest.raises(LocfuseError, match=r"2 topics that fit: /depth, /rgb"):
-        choose(log, make_robot({"camera": {"landmark": [1.0, 2.0]}}))
 
 
 @pytest.mark.parametrize(

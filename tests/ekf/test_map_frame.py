@@ -213,13 +213,6 @@ def test_a_slip_turns_the_pose_and_leaves_the_way_from_what_is_kept_as_it_was() 
     assert now[2, 2] + now[3, 3] - 2.0 * now[2, 3] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_a_start_that_is_known_exactly_needs_no_frame() -> None:
-    belief = JointBelief(START, (0.0,) * 6)
-    belief.begin_frame()
-    assert not belief.framed
-    assert belief.pose() == START
-
-
 def test_what_is_local_teaches_the_frame_nothing() -> None:
     belief = JointBelief(START, P0, [])
     belief.begin_frame()

@@ -20,13 +20,10 @@ from locfuse.fusion.data import Audit, Drive, Evaluation, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import Consistency, Run, judge
-from locfuse.fusion.judge.covariance import Honesty, _words, honesty
+from locfuse.fusion.judge.covariance import Honesty, honesty
 from locfuse.fusion.judge.innovations import heard, own
-from locfuse.fusion.judge.noise_verdicts import by_itself
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Block
-from locfuse.fusion.sensors.gyro import GyroSettings
-from locfuse.fusion.sensors.registry import REGISTRY
 
 # --- one number that wanders, measured with noise: a scalar Kalman filter from the book
 
@@ -72,13 +69,6 @@ def test_the_noise_of_a_scalar_filter_is_found_whatever_it_was_told(told: float)
     assert np.mean(factors) == pytest.approx(1.0, rel=0.25)
 
 
-def test_readings_beyond_the_gate_count_though_their_values_are_lost() -> None:
-    o = own(*scalar_filter(1, 1e-4, 9.0, 1.0, gate=4.0))
-    assert o is not None
-    assert o.refused > 0.3
-    assert o.scale == pytest.approx(9.0, rel=0.3)
-
-
 def test_right_noise_lies_within_its_bounds_and_is_white() -> None:
     inside = 0
     for seed in range(40):
@@ -87,35 +77,6 @@ def test_right_noise_lies_within_its_bounds_and_is_white() -> None:
         inside += o.bounds[0] <= o.nis <= o.bounds[1]
         assert abs(o.whiteness[0]) < 0.25
     assert inside >= 34, f"{inside} of 40 within bounds that should hold 95 %"
-
-
-@pytest.mark.parametrize(("q_told", "told", "verdict"), [(10.0, 1e-3, "unclear"), (1e-3, 9.0, "overstated")])
-def test_small_innovations_accuse_noise_only_where_they_show_it(q_told: float, told: float, verdict: str) -> None:
-    """A motion that is set ten times too uncertain, and an exact gyro; then a noise that is too large."""
-    o = own(*scalar_filter(1, min(q_told, 1.0), min(told, 1.0), told, q_told=q_told))
-    assert o is not None
-    assert by_itself("gyro", GyroSettings(), o, [0.0], 0.1).verdict == verdict
-
-
-@pytest.mark.parametrize(
-    ("sensor", "share", "words"),
-    [
-        ("landmarks", 0.07, "7% of the readings are rejected as outliers"),
-        ("lrf", 0.3, "30% of the lines do not fit the map"),
-        ("lrf", 0.07, None),
-    ],
-)
-def test_many_rejected_readings_are_called_lines_only_where_they_are(
-    sensor: str, share: float, words: str | None
-) -> None:
-    """Range and bearing of a tag are two numbers as rho and beta of a line are."""
-    o = own(*scalar_filter(1, 0.01, 1.0, 1.0))
-    assert o is not None
-    found = by_itself(
-        sensor, REGISTRY[sensor].Settings(), o._replace(R=(1.0, 1.0), refused=share), [0.0, 0.0], 0.1
-    )
-    assert found.verdict == ("outliers" if words else "consistent")
-    assert words is None or words in found.words
 
 
 # --- whole drives with one wrong setting
@@ -197,20 +158,6 @@ def markov(t: Array, sigma: float, time: float, seed: int) -> Array:
     return sigma * np.array(out)
 
 
-def test_the_cure_for_slow_noise_is_accepted_once_it_is_set() -> None:
-    for key in ("sigma_deg", "offset_drift_deg"):
-        robot = small_drive.robot(compass={"sigma_deg": 2.0})
-        drive = small_drive.drive(4, robot, compass_noise_deg=0.3)
-        m = drive.measurements["compass"]
-        slow = markov(m.t, math.radians(2.0), 3.0, 4)[:, None]
-        drive = replace(drive, measurements={**drive.measurements, "compass": replace(m, z=m.z + slow)})
-        cure = court(4, robot, drive)["compass"].cures[f"compass.{key}"]
-        cured = small_drive.robot(compass={"sigma_deg": 2.0, key: cure})
-        if key == "sigma_deg":
-            drive = told(drive, "compass", cure / 2.0)
-        assert court(4, cured, drive)["compass"].verdict != "correlated", key
-
-
 # --- where there is truth
 
 
@@ -266,27 +213,6 @@ def test_only_errors_of_a_regular_claim_count() -> None:
     assert found == whole
     for n, known in ((1, False), (2, True)):
         assert (honesty(judged_with(errors[:n], 1.0)) is not None) is known
-
-
-def test_the_heading_is_a_state_of_its_own_where_there_is_one() -> None:
-    errors = np.random.default_rng(9).normal(size=(400, 2))
-    judged = judged_with(errors, 1.0)
-    turned = replace(judged, heading=3.0 * np.random.default_rng(10).normal(size=400))
-    found = honesty(turned)
-    assert found is not None
-    assert found.states["theta"] == pytest.approx(9.0, rel=0.2)
-    assert honesty(replace(judged, figures={"anees": None})) is None
-
-
-@pytest.mark.parametrize(
-    ("anees", "word", "over", "consistent"),
-    [(0.4, "underconfident", False, False), (0.5, "consistent", False, True), (1.5, "consistent", False, True),
-     (1.6, "overconfident", True, False)],
-)  # fmt: skip
-def test_a_claim_is_consistent_within_its_bounds(anees: float, word: str, over: bool, consistent: bool) -> None:
-    found = Honesty(anees, (0.5, 1.5))
-    assert (found.overconfident, found.consistent) == (over, consistent)
-    assert _words(anees, (0.5, 1.5)).startswith(word)
 
 
 # --- as a user meets it

@@ -67,23 +67,6 @@ def test_a_run_without_the_sensor_measures_its_noise(
     assert found.scale == pytest.approx(scale, rel=0.01)
 
 
-@pytest.mark.parametrize(
-    ("changed", "verdict"),
-    [
-        ({"slow": 0.31, "reference": 0.1, "spread": 1.31}, "correlated"),
-        ({"slow": 0.29, "reference": 0.1, "spread": 1.29}, "consistent"),  # the run itself may be so slow
-        ({"slow": 0.11, "reference": 0.01, "spread": 1.11}, "correlated"),
-        ({"slow": 0.09, "reference": 0.01, "spread": 1.09}, "consistent"),  # next to nothing of it lasts
-    ],
-)
-def test_errors_that_last_are_the_sensors_where_the_reference_is_better(
-    changed: dict[str, float], verdict: str
-) -> None:
-    found = by_run(white=1.0, memory=20.0, R=1.0, **changed)
-    assert found is not None
-    assert found.verdict == verdict
-
-
 @pytest.mark.parametrize(("repeats", "verdict"), [(3.9, "consistent"), (4.1, "correlated")])
 def test_errors_that_last_matter_where_a_mean_of_many_is_off_by_twice_what_is_claimed(
     repeats: float, verdict: str

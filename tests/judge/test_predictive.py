@@ -21,7 +21,6 @@ from locfuse.fusion.judge.predictive import (
     ranking,
     scores,
 )
-from locfuse.fusion.measure import thinned
 from locfuse.fusion.robot import Robot
 
 SETS: tuple[tuple[str, ...], ...] = ((), ("compass",), ("lrf",), ("compass", "lrf"))
@@ -123,17 +122,3 @@ def test_a_biased_compass_and_a_laser_contradict_each_other(seed: int) -> None:
     found = scores(drive, tried(drive, robot))
     assert contradictions(found, {"compass": "compass", "lrf": "lrf"}) == [("compass", "lrf")]
     assert ranking(found, ["odometry", "compass", "lrf"])[0].configuration == "odometry"
-
-
-def test_thinning_keeps_the_first_reading_of_every_period_and_nothing_else_changes() -> None:
-    robot = small_drive.robot()
-    drive = small_drive.drive(1, robot)
-    slow = thinned(drive, {"lrf": 1.0})
-    before, after = drive.measurements["lrf"], slow.measurements["lrf"]
-    assert len(np.unique(np.floor(after.t))) == len(after.t)
-    assert set(np.floor(before.t)) == set(np.floor(after.t))
-    np.testing.assert_array_equal(slow.t, drive.t)
-    np.testing.assert_array_equal(slow.t[slow.instant["lrf"]], after.t)
-    assert slow.measurements["compass"] is drive.measurements["compass"]
-    rows = np.flatnonzero(np.isin(np.repeat(before.t, np.diff(before.first)), after.t))
-    np.testing.assert_array_equal(after.z, before.z[rows])

@@ -237,21 +237,6 @@ def test_a_piece_is_bent_where_its_parabola_explains_much_and_is_high_for_its_ch
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_a_piece_is_vague_where_its_direction_or_the_swing_of_its_foot_is(seed: int) -> None:
-    """Sigma of the direction by the inverse of the normal equations; the foot moves by r/2 sigma^2."""
-    _, q, w, sums = random_fit(seed)
-    A = np.column_stack((-np.ones_like(q), q))
-    variance, r = 0.03**2, 3.0
-    sigma = math.sqrt(np.linalg.inv((w[:, None] * A).T @ A)[1, 1] * variance)
-    swing = 0.5 * r * sigma**2 / math.sqrt(variance / w.sum())
-    sums.r = r
-    limits = partial(SimpleNamespace, variance=variance)
-    for less in (0.99, 1.01):
-        assert core.is_vague(sums, limits(max_sigma_psi=less * sigma, max_swing=2.0 * swing)) is (less < 1.0)
-        assert core.is_vague(sums, limits(max_sigma_psi=2.0 * sigma, max_swing=less * swing)) is (less < 1.0)
-
-
-@pytest.mark.parametrize("seed", range(10))
 def test_the_foot_and_the_distance_of_a_return_are_those_of_the_ray_and_the_line(seed: int) -> None:
     rng = np.random.default_rng(seed)
     r, psi, ratio = rng.uniform(0.5, 3.0), rng.uniform(-3.0, 3.0), 0.15

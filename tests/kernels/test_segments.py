@@ -124,29 +124,3 @@ def test_runs_end_where_neighbours_lie_farther_apart_than_a_wall_allows(seed: in
 def laser(sigma_range: float, sigma_angle: float, **limits: float) -> Any:
     """What the functions under test ask of a laser's limits."""
     return SimpleNamespace(sigma_range=sigma_range, sigma_angle=sigma_angle, **limits)
-
-
-def weighed(first: list[int], limits: Any, **columns: Any) -> Any:
-    """The moments (n, 6) of the pieces that begin at `first`."""
-    pieces = segments.Segments(first[-1])
-    pieces.pieces, pieces.first = len(first) - 1, first
-    segments.weigh(returns_of(**columns), limits, pieces)
-    return np.asarray(pieces.moments)[: pieces.pieces]
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_points_count_by_their_variance_across_the_chord_of_their_piece(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    angle, d = np.linspace(-1.0, 1.0, 30), rng.uniform(1.0, 4.0, 30)
-    u = np.column_stack((np.cos(angle), np.sin(angle)))
-    p = d[:, None] * u
-    (ux, uy), (x, y) = u.T, p.T
-    m = weighed([0, 12, 30], laser(0.02, 0.01, flatness=0.005), ranges=d, ux=ux, uy=uy, x=x, y=y)
-    for piece, at in enumerate((slice(0, 12), slice(12, 30))):
-        chord = p[at][-1] - p[at][0]
-        n = np.array([-chord[1], chord[0]]) / np.linalg.norm(chord)
-        side = np.column_stack((-u[at, 1], u[at, 0]))
-        w = 1.0 / ((0.02 * u[at] @ n) ** 2 + (0.01 * d[at] * (side @ n)) ** 2 + 0.005**2)
-        x, y = p[at].T
-        expected = [float((w * v).sum()) for v in (1.0 + 0.0 * x, x, y, x * x, x * y, y * y)]
-        assert m[piece].tolist() == pytest.approx(expected)

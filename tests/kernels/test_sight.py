@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from line_scene import MOUNT, MOVED, UPPER, covariance, scene, seated
+from line_scene import MOUNT, MOVED, UPPER, scene, seated
 from said import over_states, written
 from sighted import AMBIGUOUS, NEW, UNMATCHED, Pair, Sighted, equation_of, side_of, sighted
 from textbook import numeric_jacobian
@@ -16,7 +16,6 @@ from textbook import numeric_jacobian
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.map import tidy
 from locfuse.fusion.map.line_map import LineMap
 from locfuse.fusion.map.scan import Scan
 
@@ -132,23 +131,6 @@ def test_ends_lie_along_the_map_line_and_overlap_where_the_segments_do() -> None
 def test_a_pose_that_is_none_has_no_pairs(pose: tuple[float, float, float]) -> None:
     scan, lines, _ = scene(1, states=False)
     assert sighted(scan.rows, lines, JointBelief(pose, UPPER), ZONE, False).pair_list == []
-
-
-@pytest.mark.parametrize(("count", "walls"), [(0, 5), (3, 0), (40, 2000)])
-def test_maps_of_none_and_of_two_thousand_lines_have_the_pairs_that_matrices_give(count: int, walls: int) -> None:
-    rng, known = np.random.default_rng(0), LineMap()
-    for _ in range(min(walls, 50)):
-        value, P = np.array([0.0, rng.uniform(-3, 3)]), covariance(rng)
-        known.append(rng.normal(size=2) * 3.0, value, P, -1, (-1.0, 1.0), 0)
-    many = np.resize(np.arange(len(known)), walls)
-    for name in ("ids", "anchor", "lo", "hi", "hits", "column", "value", "P", "seen", "born"):
-        setattr(known, name, getattr(known, name)[many])
-    z = np.stack((rng.uniform(0.0, 4.0, count), rng.uniform(-3.0, 3.0, count)), axis=-1)
-    scan = Scan.of(z, np.tile(np.eye(2) * 1e-3, (count, 1, 1)), np.tile((-1.0, 1.0), (count, 1)))
-    belief = JointBelief((0.0, 0.0, 0.0), UPPER)
-    found = sighted(scan.rows, known, belief, ZONE, False)
-    assert [(p.line, p.which) for p in found.pair_list] == sorted(by_matrices(found, known, belief, ZONE))
-    assert bool(found.pair_list) == (count * walls > 100)
 
 
 # --- association
@@ -415,42 +397,3 @@ def test_lines_that_were_seen_bend_by_what_they_lack_of_their_unevenness() -> No
         np.testing.assert_allclose(np.diag(belief.covariance), expected, rtol=1e-14)
         bent += int((expected != before).sum())
     assert bent > 20
-
-
-def doubled(seed: int) -> tuple[LineMap, JointBelief]:
-    """A map in which some lines lie close to others."""
-    _, lines, belief = scene(seed, True)
-    rng, n = np.random.default_rng(seed), len(lines)
-    for j in range(1, n, 3):
-        lines.anchor[j] = lines.anchor[j - 1] + rng.normal(0.0, 0.15, 2)
-        belief.state[lines.column[j] + 1] = belief.state[lines.column[j - 1] + 1] + rng.normal(0.0, 0.1)
-    lines.hits, lines.seen = rng.integers(1, 9, n), rng.integers(60, 101, n)
-    lines.born = rng.integers(0, 101, n)
-    return lines, belief
-
-
-def one_wall(lines: LineMap, belief: JointBelief, i: int, j: int) -> bool:
-    """Whether two lines may be one wall: by angle, by offset of i's anchored point from j, by the gap along j."""
-    (rho_i, beta_i), (rho_j, beta_j) = lines.values(belief)[[i, j]]
-    d = lines.anchor[i] - lines.anchor[j]
-    offset = rho_j - rho_i - d @ [math.cos(beta_i), math.sin(beta_i)]
-    along = d @ [-math.sin(beta_j), math.cos(beta_j)]
-    gap = max(lines.lo[j], lines.lo[i] + along) - min(lines.hi[j], lines.hi[i] + along)
-    return i != j and abs(se2.wrap(beta_j - beta_i)) < math.radians(8.0) and abs(offset) <= 0.25 and gap <= 0.3
-
-
-def test_a_map_is_untidy_where_a_line_proved_worthless_or_a_recent_one_may_be_one_wall_with_another() -> None:
-    verdicts = []
-    for seed in range(60):
-        lines, belief = doubled(seed)
-        if seed % 2:
-            lines.hits[:] = 9
-        n = len(lines)
-        worthless = (lines.hits < 4) & (100 - lines.born > 15) & (lines.born > 0)
-        pairs = [[one_wall(lines, belief, i, j) for j in range(n)] for i in range(n)]
-        double = any(any(pairs[j]) for j in np.flatnonzero(100 - lines.seen <= 15))
-        assert tidy.untidy(lines, belief, 100) == (bool(worthless.any()) or double)
-        found = [tidy._near(lines, lines.values(belief), j).tolist() for j in range(n)]
-        assert found == [np.flatnonzero(row).tolist() for row in pairs]
-        verdicts.append((bool(worthless.any()), double))
-    assert len(set(verdicts)) == 4

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
 from numpy.typing import NDArray
 from said import one_by_one, said
 from told import step
@@ -190,23 +189,6 @@ def test_readings_are_summed_so_that_their_rate_costs_nothing() -> None:
     )
 
 
-def test_over_a_gap_nothing_is_claimed() -> None:
-    rng = np.random.default_rng(8)
-    t, theta, speed = way()
-    keep = (t < 8.0) | (t > 13.0)
-    full = imu(t, theta, rng, 0.0)
-    gappy = replace(full, t_ns=full.t_ns[keep], data={k: np.asarray(v)[keep] for k, v in full.data.items()})
-    described = robot()
-    drive = measure({"wheels": wheels(t, theta, speed, rng), "gyro": gappy}, described)
-    e = fuse(drive, described, ("gyro",))
-    before, after = (int(np.searchsorted(drive.t, s)) for s in (8.0, 13.0))
-    assert e.P[after, 2, 2] > 20 * e.P[before, 2, 2]
-    assert (
-        len(e.audits["gyro"].nis) == len(drive.measurements["gyro"].t) - 2
-    )  # the first of either piece only begins
-    assert np.nanmax(e.audits["gyro"].nis) < 20.0
-
-
 @pytest.mark.parametrize("turned", [(180.0, 0.0), (90.0, 0.0), (-90.0, 0.0), (0.0, 90.0), (30.0, -50.0)])
 def test_an_imu_mounted_at_any_angle_measures_the_same_turn(turned: tuple[float, float]) -> None:
     rng = np.random.default_rng(9)
@@ -251,31 +233,6 @@ def test_an_imu_without_angular_velocity_is_no_gyro() -> None:
         assert word in drive.absent["gyro"]
         with pytest.raises(LocfuseError, match="gyro"):
             fuse(drive, robot(), ("gyro",))
-
-
-def test_nan_rates_are_left_out_and_counted() -> None:
-    rng = np.random.default_rng(12)
-    t, theta, speed = way()
-    stream = imu(t, theta, rng)
-    rate = np.asarray(stream.data["angular_velocity.z"]).copy()
-    rate[200:210] = np.nan
-    bad = replace(stream, data={**stream.data, "angular_velocity.z": rate})
-    drive = measure({"wheels": wheels(t, theta, speed, rng), "gyro": bad}, robot())
-    assert drive.dropped["gyro"] == {"not_finite": 10}
-    e = fuse(drive, robot(), ("gyro",))
-    assert np.isfinite(e.pose).all()
-    assert (np.linalg.eigvalsh(e.P)[1:] > -1e-15).all()
-
-
-def test_a_given_bias_is_taken_out_and_no_state() -> None:
-    t, theta, _ = way()
-    model = Gyro().model(GyroSettings(bias_deg=0.5))
-    assert [b.name for b in model.blocks()] == ["_gyro_before"]
-    rng = np.random.default_rng(13)
-    described = robot({"bias_deg": 0.5})
-    drive = measure({"wheels": wheels(*way(), rng), "gyro": imu(t, theta, rng, math.radians(0.5))}, described)
-    e = fuse(drive, described, ("gyro",))
-    assert abs(e.pose[-1, 2] - theta[-1]) < math.radians(1.0)
 
 
 def stopping(bias_deg: float, stop: tuple[float, float], seed: int = 3) -> tuple[Drive, Array, Robot]:

@@ -282,18 +282,6 @@ def grown(tmp_path: Path, detections: list[tuple[float, int]], *words: str, jump
     return locfuse("run", log, *GEOMETRY, *file, "--sensors", "landmarks", "-v", "-o", tmp_path / "o", *words)
 
 
-def test_an_id_gets_a_place_in_the_map_from_its_third_detection_on(tmp_path: Path) -> None:
-    often = [(1.0 + k, key) for key in (1, 2) for k in range(3)]
-    done = grown(tmp_path, sorted([*often, (1.5, 7), (2.5, 7), *((3.0, 100 + k) for k in range(30))]))
-    assert done.exit_code == 3, done.stderr  # most detections are left out
-    told = " ".join(done.stderr.split())
-    assert "31 of 33 ids are not placed in the map: seen less than 3 times" in told
-    assert "a map of 2 landmarks was made" in told
-    assert json.loads((tmp_path / "o" / "run.json").read_text())["input"]["dropped"]["landmarks"] == {
-        "seen_rarely": 32
-    }
-
-
 def test_of_more_ids_than_the_cap_those_seen_most_often_are_placed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

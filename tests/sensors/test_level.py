@@ -93,18 +93,6 @@ def test_by_the_orientation_the_heading_is_the_yaw_whatever_roll_and_pitch(sign:
     assert "by the orientation of /imu" in levelled.note
 
 
-def test_a_magnetometer_mounted_otherwise_is_levelled_in_the_bases_axes() -> None:
-    yaw = 0.3 * T
-    body = attitude(12.0, yaw)
-    imu, field = streams(
-        imu_of(body, Rotation.identity(), orientation=True),
-        (body * Rotation.from_matrix(rotation(90.0, 0.0, 20.0))).inv().apply(FIELD),
-    )
-    tilt = tilt_of(imu, np.eye(3))
-    assert tilt is not None
-    assert error_deg(headings(LevelledField(field, tilt), roll_deg=90.0, yaw_deg=20.0), yaw) < 1e-6
-
-
 @pytest.mark.parametrize("unit", [1.0, -1.0, 1.0 / G])
 def test_gravity_and_rates_do_where_no_orientation_is_said(unit: float) -> None:
     """Gravity of either sign, or in g; accelerometer noise of 0.3 m/s^2."""

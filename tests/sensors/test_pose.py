@@ -25,14 +25,12 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.sensors.landmark_messages import DETECTIONS
 from locfuse.fusion.sensors.pose import PoseSettings, plane_covariance
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.sample_logs.messages import RawMessage
 
 Array = NDArray[np.float64]
 SIGMA, SIGMA_THETA = 0.04, math.radians(1.5)
-START_SIGMA_DEG = 2.0
 FRAME = np.array([4.0, -3.0, 2.0])  # where a frame of its own lies in the map
 WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
@@ -123,63 +121,6 @@ def test_it_improves_the_wheels_and_is_consistent(kind: str, left: float, anees:
     rmse, before = (math.sqrt(np.mean([f["position_rmse_m"] ** 2 for f in fs])) for fs in (found, alone))
     assert rmse < left * before
     assert anees[0] < np.mean([f["anees"] for f in found]) < anees[1]
-
-
-@pytest.mark.parametrize("later", ["pose", "landmarks"])
-def test_one_of_two_maps_begins_the_local_frame_whichever_is_first(
-    later: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Without a laser neither waits for the other: the first one begins the frame, where the robot is then."""
-    drive, robot = with_two_maps(late=later)
-    first = "landmarks" if later == "pose" else "pose"
-    began: list[np.float64] = []
-
-    class Watched(JointBelief):
-        def begin_frame(self) -> None:
-            began.append(drive.t[np.searchsorted(drive.t, drive.measurements[first].t[0])])
-            super().begin_frame()
-
-    monkeypatch.setattr("locfuse.fusion.fuse.JointBelief", Watched)
-    fused = fuse(drive, robot, ("landmarks", "pose"))
-    monkeypatch.undo()
-    assert began == [drive.measurements[first].t[0]]
-    alone = figures(drive, robot, ())
-    assert evaluate(fused, drive).figures["position_rmse_m"] < 0.3 * alone["position_rmse_m"]
-    north = math.radians(START_SIGMA_DEG)
-    assert fused.P[-1, 2, 2] > 0.999 * north**2  # neither has seen north
-
-
-def with_two_maps(late: str) -> tuple[Drive, Robot]:
-    """A drive past four tags whose places nobody knows, with poses in a frame of their own; `late` starts late."""
-    rng = np.random.default_rng(0)
-    t, pose = loop_drive.path()
-    begins = {"pose": 3, "landmarks": 3, late: 25}
-    posing, tagging = slice(begins["pose"], None, 2), slice(begins["landmarks"], None, 5)
-    inside = se2.between(np.broadcast_to(FRAME, pose.shape), pose)
-    streams = {
-        "wheels": loop_drive.wheels(t, pose, rng),
-        "truth": loop_drive.truth(t[::5], pose[::5]),
-        "pose": posed(t[posing], inside[posing], rng),
-        "landmarks": tagged(t[tagging], pose[tagging], rng),
-    }
-    tables = {"pose": {"frame": "own"}, "landmarks": {"map": "grow", "sigma_range": 0.1, "range_offset": 0.0}}
-    start = {**loop_drive.TABLES["start"], "sigma_xy": 0.1, "sigma_theta_deg": START_SIGMA_DEG}
-    robot = make_robot({**loop_drive.TABLES, **tables, "start": start})
-    return measure(streams, robot), robot
-
-
-def tagged(t: Array, pose: Array, rng: np.random.Generator) -> ArrayStream:
-    """Range and bearing to four tags, always in sight, with the noise that [landmarks] tells by default."""
-    seen = np.array([(4.0, 6.0), (-2.0, 3.0), (6.0, -4.0), (0.0, -5.0)])
-    d = seen[None] - pose[:, None, :2]
-    noise = rng.normal(size=d.shape) * (0.1, math.radians(1.5))
-    bearing = np.arctan2(d[..., 1], d[..., 0]) - pose[:, 2:] + noise[..., 1]
-    data: dict[str, Column] = {
-        "id": np.tile(np.arange(4.0), len(t)),
-        "range": (np.hypot(d[..., 0], d[..., 1]) + noise[..., 0]).ravel(),
-        "bearing": bearing.ravel(),
-    }
-    return ArrayStream("tags.csv", DETECTIONS, np.repeat(ns(t), 4), data)
 
 
 # ---- one reading ----
@@ -288,14 +229,6 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
         poses.append(RawMessage(SLAM, WITH_COVARIANCE, m.log_ns, m.stamp_ns, "slam_map", fields))
     drive.add(poses)
     return drive.record(tmp_path_factory.mktemp("pose") / "slam.mcap")
-
-
-def test_info_offers_it_and_init_writes_the_line(log: Path) -> None:
-    """An estimate is never taken unasked: it may repeat what wheels and laser say."""
-    told = locfuse("info", log)
-    assert f"not yet  pose: {SLAM} may be one" in told.stdout
-    table = locfuse("init", log).stdout.partition("[pose]")[2].partition("\n[")[0]
-    assert f'# topic = "{SLAM}"' in table
 
 
 def test_wishes_and_commands_are_no_estimates(tmp_path: Path) -> None:

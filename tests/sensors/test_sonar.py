@@ -179,15 +179,6 @@ def test_no_echo_is_no_measurement_in_every_drivers_way_of_saying_it() -> None:
     assert m.dropped == {"not_finite": 1}
 
 
-def test_several_topics_are_one_sensor_with_a_mount_each() -> None:
-    stream = merged([ranges([1.0, 1.5], "/a"), ranges([2.0, 2.5], "/b")])
-    settings = SonarSettings(mounts={"/a": (0.3, 0.0, 0.0), "/b": (0.0, 0.2, 90.0)})
-    m = Sonar().measure(stream, settings, None, 0)  # type: ignore[arg-type]
-    assert m.z[:, 0].tolist() == [1.0, 2.0, 1.5, 2.5]
-    np.testing.assert_allclose(m.extra["x"], [0.3, 0.0, 0.3, 0.0])
-    np.testing.assert_allclose(m.extra["yaw"], [0.0, math.pi / 2, 0.0, math.pi / 2])
-
-
 SONARS = (
     "camera.enabled=false",
     "compass.enabled=false",

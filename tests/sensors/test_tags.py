@@ -116,13 +116,6 @@ def aruco_opencv(stamp: dict[str, Any], seen: list[tuple[int, Array]]) -> bytes:
     )
 
 
-def vision_2d(stamp: dict[str, Any], seen: list[tuple[int, Array]]) -> bytes:
-    """Boxes whose middles are where the tags are in the picture."""
-    boxes = [(k, CX + FX * p[0] / p[2]) for k, p in seen]
-    found = [{"id": str(k), "bbox": {"center": {"position": {"x": u, "y": 200.0}}}} for k, u in boxes]
-    return cdr(VISION_2D, header=stamp, detections=found)
-
-
 def _xyz(p: Array) -> dict[str, float]:
     return dict(zip("xyz", p.tolist(), strict=True))
 
@@ -231,12 +224,6 @@ def test_pixels_of_tags_are_bearings_by_the_camera_info(tmp_path: Path) -> None:
     assert "innovation of bearing" in (tmp_path / "out/report.html").read_text()
 
 
-def test_middles_of_boxes_are_bearings_too(tmp_path: Path) -> None:
-    files = written(tmp_path, VISION_2D, vision_2d, camera_info(), noise=0.005)
-    found, _ = compared(files, "--set", f"landmarks.sigma_bearing_deg={math.degrees(BEARING)}")
-    assert found["landmarks"]["position_rmse_m"] < 0.3 * found["odometry"]["position_rmse_m"]
-
-
 def test_pixels_without_a_camera_info_are_one_line_with_the_keys(tmp_path: Path) -> None:
     files = written(tmp_path, APRIL, april)
     done = locfuse(
@@ -289,16 +276,6 @@ def test_two_cameras_are_one_sensor_each_where_its_frame_sits(tmp_path: Path) ->
     wrong = "landmarks.mounts={'/front/tags'=[0.2,0,0], '/rear/tags'=[-0.3,0,0]}"
     turned, _ = compared(files, "--set", wrong)
     assert turned["landmarks"]["position_rmse_m"] > 3.0 * found["landmarks"]["position_rmse_m"]
-
-
-def test_init_writes_both_cameras_and_where_they_sit(tmp_path: Path) -> None:
-    files = both_ways(tmp_path)
-    table = locfuse("init", files[0], *GEOMETRY).stdout.partition("[landmarks]")[2].partition("\n[")[0]
-    assert 'topics = ["/front/tags", "/rear/tags"]' in table
-    assert '"/rear/tags" = [-0.3, 0.0, ' in table
-    assert "where each of them sits" in table
-    assert "2 places by /tf_static" in " ".join(locfuse("info", files[0], *GEOMETRY).stdout.split())
-    assert "0 places" not in locfuse("info", written(tmp_path, ARUCO, aruco)[0], *GEOMETRY).stdout
 
 
 def test_pictures_of_two_cameras_have_the_optics_of_their_own(tmp_path: Path) -> None:

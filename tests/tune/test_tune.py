@@ -138,13 +138,6 @@ def test_tuning_arrives_at_the_same_noise_from_either_side(tuned: Callable[[floa
         assert low.after == pytest.approx(high.after, rel=0.05)
 
 
-def test_what_was_held_out_becomes_likelier_too(tuned: Callable[[float], Tuned]) -> None:
-    held_out = tuned(10.0).held_out
-    assert held_out is not None
-    assert held_out[1] > held_out[0] + 1.0
-    assert tuned(10.0).numbers[1] > 300
-
-
 def test_a_straight_drive_says_that_rotation_noise_is_not_identifiable() -> None:
     robot = told()
     found = tune([Trial("straight", drawn(7, robot, laps=0.25), robot)], ["compass", "lrf"])

@@ -15,6 +15,7 @@ Huang, Mourikis, Roumeliotis 2010; docs/trust.md). Compare robocentric maps (Cas
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -33,7 +34,8 @@ class InMap:
 
     def __init__(self, belief: Any) -> None:
         self.belief, self.column, self.value = belief, belief.column, belief.value
-        self.pose, self.located = belief.pose_in_map, partial(belief.located, True)
+        self.pose: Callable[[], Pose] = belief.pose_in_map
+        self.located = partial(belief.located, True)
         self.compare = partial(belief.compare, in_map=True)
         self.variance = partial(belief.variance, in_map=True)
 

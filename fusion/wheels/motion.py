@@ -121,10 +121,10 @@ class Wheels(msgspec.Struct, frozen=True):
         rate (the paper's eq. 9 depends on the period). An interval is cut at every reading, and each piece between
         two cuts contributes through eq. 8 in its right form plus the lever arm to the interval's end.
         """
-        blocks = range(0, max(len(t_from), 1), INTERVALS_PER_BLOCK)
-        parts = [
-            self._between(*(t[a : a + INTERVALS_PER_BLOCK] for t in (t_from, t_to)), parameters) for a in blocks
-        ]
+        parts = []
+        for at in range(0, max(len(t_from), 1), INTERVALS_PER_BLOCK):
+            rows = slice(at, at + INTERVALS_PER_BLOCK)
+            parts.append(self._between(t_from[rows], t_to[rows], parameters))
         return Motions(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
     def _between(self, t_from: Array, t_to: Array, parameters: bool) -> tuple[Array, Array, Array]:

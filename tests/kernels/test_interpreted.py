@@ -41,7 +41,8 @@ SETTINGS: dict[str, dict[str, Any]] = {
 
 def fused(which: str, folder: Path) -> None:
     """Write what a run of a sample log estimates."""
-    run = locfuse.load("disturbed", sets=SETTINGS[which]).run(["compass", "lrf"], advice=False).estimates
+    found = locfuse.load("disturbed", sets=SETTINGS[which]).run(["compass", "lrf"], advice=False).estimates
+    run = found["compass+lrf"]
     lines = [(line.rho, line.beta, *line.ends, *line.P.ravel()) for line in run.final_map]
     np.savez(folder / "run.npz", pose=run.pose, triangles=run.triangles, lines=np.array(lines))
 

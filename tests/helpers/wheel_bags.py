@@ -87,9 +87,10 @@ def turned(theta: float) -> dict[str, float]:
 
 def messages(topic: str, kind: str, t: Array, rows: Iterable[Any], frame: str | None = None) -> list[Said]:
     """Messages of one type with these fields at times t (n,), stamped in a frame where one is given."""
+    stamped: list[dict[str, Any]] = [{} if frame is None else {"header": header(ns, frame)} for ns in stamps(t)]
     return [
-        Said(topic, kind, cdr(kind, **({} if frame is None else {"header": header(ns, frame)}), **row), ns)
-        for ns, row in zip(stamps(t), rows, strict=True)
+        Said(topic, kind, cdr(kind, **head, **row), ns)
+        for ns, head, row in zip(stamps(t), stamped, rows, strict=True)
     ]
 
 

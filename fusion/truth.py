@@ -8,8 +8,8 @@ from typing import cast
 
 import numpy as np
 
-from locfuse.fusion.wheels.jumps import limits, spikes
 from locfuse.fusion.wheels.odometry import POSE
+from locfuse.fusion.wheels.repairs import limits, spikes
 
 from . import se2
 from .data import Array, Column, LocfuseError, Ragged, Stream, Truth, plausible

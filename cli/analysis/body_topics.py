@@ -16,13 +16,13 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.truth import looks_like_truth
 from locfuse.fusion.wheels.odometry import ODOMETRY, PLANAR, POSE, SCANS, SPEED, STEERED, TRANSFORM, commanded
 from locfuse.fusion.wheels.read import WHEEL_READS
+from locfuse.fusion.wheels.steered import GAIN_HINT, MOTOR, SERVO
 
 from .motion_evidence import Evidence
 from .motion_witnesses import Witnesses
-from .motor_topics import motor_of, motor_words
 from .mounts import is_base, is_odometry, is_room
 from .not_read import not_read
-from .topics import ONLY, Choice, of_sensor, of_type, one
+from .topics import ONLY, Choice, checked, of_sensor, of_type, one
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
@@ -113,11 +113,10 @@ def choose_body(log: Log, robot: Robot, choice: Choice, scans: bool, stand_in: b
     """
     laser = of_sensor(log, robot, "lrf", (SCANS,)) if scans else None
     if laser is None:
-        twists = [Body(t, ONLY) for t in _twists(log, robot, choice, asked=False) if _is_twist(log, t)]
-        body = _best_witnessed(log, robot, choice, [*_measured(log, robot, choice), twists])
+        body = _best_witnessed(log, robot, choice, [*_measured(log, robot, choice, speeds=True)])
         return body or (_stand_in(log, robot, choice) if stand_in else None)
     evidence = Evidence(log, robot, laser, choice.read)
-    for same in _measured(log, robot, choice):
+    for same in _measured(log, robot, choice, speeds=False):
         if (body := _one_of(log, same, evidence)) is not None:
             return _judged(body, evidence)
     lacks = "no wheels and no odometry" if stand_in else "no wheels of known size and no odometry"
@@ -160,8 +159,8 @@ def _one_of(log: Log, same: Sequence[Body], evidence: Evidence | Witnesses | Non
     return next((body for body in same if body.topic == topic), None)
 
 
-def _measured(log: Log, robot: Robot, choice: Choice) -> Iterator[Sequence[Body]]:
-    """Yield what measured how the body moved, kind by kind, the best first.
+def _measured(log: Log, robot: Robot, choice: Choice, speeds: bool) -> Iterator[Sequence[Body]]:
+    """Yield what measured how the body moved, kind by kind, the best first; Twists only where `speeds` will do.
 
     An odometry that says where the robot is in the room is somebody's estimate: what was measured comes before it.
     """
@@ -177,12 +176,12 @@ def _measured(log: Log, robot: Robot, choice: Choice) -> Iterator[Sequence[Body]
         poses = [t for t in _poses(log, robot, choice) if is_odometry(log.stream(t).frame_id)]
         yield [_beside(t, "poses in the frame of an odometry", estimated) for t in poses]
     measured = _twists(log, robot, choice, asked=False)
-    speeds = [t for t in measured if _is_twist(log, t)]
-    yield [_beside(t, ONLY, estimated) for t in measured if t not in speeds]
+    twists = [t for t in measured if _is_twist(log, t)]
+    yield [_beside(t, ONLY, estimated) for t in measured if t not in twists]
     if found := motor_of(log, robot):
         yield [Body(found[0], f"its motor's speed, steered as {found[1]} says", beside=tuple(found[1:]))]
-    if not of_sensor(log, robot, "lrf", (SCANS,)):
-        yield [_beside(t, ONLY, estimated) for t in speeds]
+    if speeds:
+        yield [_beside(t, ONLY, estimated) for t in twists]
     yield [Body(t, NOTHING_ELSE, ESTIMATED.format(topic=t)) for t in estimated]
 
 
@@ -344,4 +343,58 @@ def nothing_moves(log: Log) -> NoWheelsError:
         ". ".join([f"{words}{corrects if beside else ''}", *others]) + ".",
         role="wheels",
         hint=f"It has {have}",
+    )
+
+
+# ---- a car's motor controller: its topic, that of the steering, and what they lack ----
+
+
+def motors(log: Log) -> list[str]:
+    """Return topics that say how fast a car's motor turns."""
+    return [t for t in of_type(log, MOTOR) if log.topics[t].count]
+
+
+def steering_of(log: Log, robot: Robot) -> str | None:
+    """Return the topic that says how a car was steered: as set, else an Ackermann command, else a servo."""
+    named = robot.wheels.steering_topic
+    if named is not None:
+        return checked(log, "wheels", named, (*STEERED, SERVO))
+    commands = [t for t in of_type(log, STEERED) if log.topics[t].count]
+    servos = [t for t in of_type(log, (SERVO,)) if log.topics[t].count and "servo" in t.lower()]
+    if robot.wheels.servo_gain and servos:
+        return servos[0]
+    obeyed = [t for t in commands if t.rpartition("/")[2] == "ackermann_cmd"]
+    return next(iter([*obeyed, *commands, *servos]), None)
+
+
+def with_steering(log: Log, robot: Robot, motor: str) -> list[str]:
+    """Return the topics of a motor and of its steering. Raises LocfuseError where nothing was steered."""
+    steering = steering_of(log, robot)
+    if steering is None:
+        raise LocfuseError(
+            f"{motor} says how fast the motor turns, and no topic says how the car was steered "
+            "(an AckermannDrive, or a servo's position).",
+            role="wheels",
+            hint="Name it with --set wheels.steering_topic=<topic>, or the odometry that was made of both",
+        )
+    return [motor, steering]
+
+
+def motor_of(log: Log, robot: Robot) -> Sequence[str]:
+    """Return the topics of a motor and of its steering, where the settings make metres of them; else nothing."""
+    found, settings = motors(log), robot.wheels
+    known = settings.erpm_per_mps and settings.wheelbase and steering_of(log, robot) is not None
+    return with_steering(log, robot, found[0]) if len(found) == 1 and known else ()
+
+
+def motor_words(log: Log, robot: Robot) -> str:
+    """Say which settings would make a motion of what a motor controller measured; "" where there is none."""
+    found = motors(log)
+    if not found or motor_of(log, robot):
+        return ""
+    if steering_of(log, robot) is None:
+        return f"{found[0]} says how fast the motor turns, and no topic says how the car was steered"
+    return (
+        f"{found[0]} holds what its motor did: --set wheels.topic={found[0]} --set wheels.erpm_per_mps=<erpm> "
+        f"({GAIN_HINT}) --set wheels.wheelbase=<metres> uses it"
     )

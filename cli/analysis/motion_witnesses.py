@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-
-from locfuse.fusion.data import Array, Ints, LocfuseError
-from locfuse.fusion.geodesy import east_north
+from locfuse.fusion.data import LocfuseError, Measurements
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.motion_agreement import turns_explained, ways_explained
@@ -112,41 +109,21 @@ class Witnesses:
             if (topic := of_sensor(self._log, self._robot, name, kinds)) is not None:
                 yield f"the turning of {topic}", partial(self._turning, name, topic)
         if (topic := of_sensor(self._log, self._robot, "gps", (FIX,))) is not None:
-            yield f"the way between the fixes of {topic}", partial(_way, fixes(self._log, topic))
+            yield f"the way between the fixes of {topic}", partial(self._way, topic)
 
     def _turning(self, name: str, topic: str, motion: WheelReading) -> float | None:
-        sensor, settings = REGISTRY[name], self._robot.settings(name)
-        with suppress(LocfuseError):  # a sensor that cannot be read is reported where it is measured
-            stream = self._log.stream(topic, self._robot.order)
-            m = sensor.measure(stream, settings, motion.wheels, motion.epoch_ns)
-            found = sensor.heading(m) if len(m.t) > 1 else None
-            return None if found is None else turns_explained(motion.wheels, *found)
-        return None
+        m = seen(self._log, self._robot, name, topic, motion)
+        found = REGISTRY[name].heading(m) if m is not None and len(m.t) > 1 else None
+        return None if found is None else turns_explained(motion.wheels, *found)
+
+    def _way(self, topic: str, motion: WheelReading) -> float | None:
+        m = seen(self._log, self._robot, "gps", topic, motion)
+        return ways_explained(motion.wheels, m.t, m.z) if m is not None and len(m.t) > 1 else None
 
 
-class Fixes(NamedTuple):
-    """Where a receiver of satellites was."""
-
-    t_ns: Ints  # (n,)
-    xy: Array  # (n, 2) m east and north of the first
-
-
-def fixes(log: Log, topic: str) -> Fixes:
-    """Return the finite fixes of a topic."""
-    stream = log.stream(topic)
-    columns = cast("dict[str, Array]", stream.columns("latitude", "longitude"))
-    where = np.stack([columns["latitude"], columns["longitude"]], axis=-1)
-    known = np.isfinite(where).all(axis=1) & where.any(axis=1)
-    where = where[known]
-    if not len(where):
-        return Fixes(stream.t_ns[known], np.zeros((0, 2)))
-    return Fixes(
-        stream.t_ns[known], east_north(where[:, 0], where[:, 1], (float(where[0, 0]), float(where[0, 1])))
-    )
-
-
-def _way(of: Fixes, motion: WheelReading) -> float | None:
-    """Return the share of the way between fixes that a motion explains; None where they tell nothing."""
-    if len(of.t_ns) < 2:
-        return None
-    return ways_explained(motion.wheels, (of.t_ns - motion.epoch_ns) * np.float64(1e-9), of.xy)
+def seen(log: Log, robot: Robot, name: str, topic: str, motion: WheelReading) -> Measurements | None:
+    """Return what a sensor measures on a topic; None where it cannot be read: that is reported at its use."""
+    with suppress(LocfuseError):
+        stream = log.stream(topic, robot.order)
+        return REGISTRY[name].measure(stream, robot.settings(name), motion.wheels, motion.epoch_ns)
+    return None

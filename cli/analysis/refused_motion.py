@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from locfuse.formats.report.findings import options
-from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.data import LocfuseError, Measurements
 from locfuse.fusion.judge.evaluate import ERROR_KEYS
-from locfuse.fusion.robot import WheelSettings
+from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.truth import looks_like_truth
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.odometry import SPEED, commanded
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
-from .motion_witnesses import FIX, fixes
+from .motion_witnesses import FIX, seen
 from .topics import Choice, Note, of_type
 
 if TYPE_CHECKING:
@@ -32,13 +32,13 @@ MIN_FIX_SPREAD_M = 15.0  # m: a standing receiver's fixes wander by some metres
 VOID = (*ERROR_KEYS, "anees")  # figures that mean nothing then
 
 
-def spoiling(log: Log, choice: Choice, motion: WheelReading) -> tuple[Note, ...]:
+def spoiling(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> tuple[Note, ...]:
     """Return why the motion that is used is not the robot's; () where nothing speaks against it."""
     found = [note for note in choice.notes if note.spoils]
     topics = " and ".join(choice.of("wheels"))
     if motion.doubt:
         found.append(Note("wheels", f"{topics}: {motion.doubt}", (), spoils=True))
-    return (*found, *_standing(log, choice, motion.wheels))
+    return (*found, *_standing(log, robot, choice, motion))
 
 
 def void_all(report: dict[str, Any], spoils: Sequence[Note]) -> None:
@@ -58,9 +58,9 @@ def void_all(report: dict[str, Any], spoils: Sequence[Note]) -> None:
     report["headline"] = f"No verdict on this log: {message}."
 
 
-def _standing(log: Log, choice: Choice, wheels: Wheels) -> Iterator[Note]:
+def _standing(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> Iterator[Note]:
     """Yield the finding that the wheels' topic never moves while another topic does."""
-    if not wheels.stands:
+    if not motion.wheels.stands:
         return
     own = " and ".join(choice.of("wheels"))
     taken = set(choice.of("wheels"))
@@ -77,7 +77,7 @@ def _standing(log: Log, choice: Choice, wheels: Wheels) -> Iterator[Note]:
             yield Note("wheels", words, (f"wheels.topic={topic}",), spoils=True)
             return
     for topic in of_type(log, (FIX,)):
-        if (spread := _spread(log, topic)) > MIN_FIX_SPREAD_M:
+        if (spread := _spread(seen(log, robot, "gps", topic, motion))) > MIN_FIX_SPREAD_M:
             words = f"{own} never moves, but the fixes of {topic} lie up to {spread:.0f} m apart"
             yield Note("wheels", words, spoils=True)
             return
@@ -100,7 +100,8 @@ def way(wheels: Wheels) -> float:
     return float(np.hypot(*np.diff(wheels.pose[:, :2], axis=0).T).sum())
 
 
-def _spread(log: Log, topic: str) -> float:
-    """Return the greatest extent of a receiver's fixes along east or north [m], outliers left out."""
-    xy = fixes(log, topic).xy
-    return float(np.ptp(np.percentile(xy, (5.0, 95.0), axis=0), axis=0).max()) if len(xy) > 1 else 0.0
+def _spread(fixes: Measurements | None) -> float:
+    """Return the greatest extent of fixes along east or north [m], outliers left out."""
+    if fixes is None:
+        return 0.0
+    return float(np.ptp(np.percentile(fixes.z, (5.0, 95.0), axis=0), axis=0).max())

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, cast
 
 from locfuse.fusion.data import LocfuseError
-from locfuse.fusion.robot import Robot, WheelSettings
-from locfuse.fusion.wheels.motor import MOTOR
+from locfuse.fusion.robot import Robot
 from locfuse.fusion.wheels.odometry import SCANS
 from locfuse.fusion.wheels.read import WHEEL_READS, counts_ticks
 from locfuse.fusion.wheels.sources import ARRAYS, JOINTS, NUMBERS, SPEEDS, TICKS, joint_names
-from locfuse.fusion.wheels.tricycle import STEERING_WORD
+from locfuse.fusion.wheels.steered import MOTOR, STEERING_WORD
 
-from .body_topics import choose_body, nothing_moves
-from .motor_topics import with_steering
+from .body_topics import choose_body, nothing_moves, with_steering
 from .topics import NAMED, ONLY, Choice, Note, checked, of_type, several_fit
 
 if TYPE_CHECKING:
@@ -47,15 +46,13 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
     if settings.topic is not None:
         choice.take("wheels", _named(log, robot, settings.topic), NAMED)
         return
-    if (tricycle := _tricycle(log, robot)) and _steering_known(settings):
-        choice.take("wheels", tricycle, "the ticks of a steered wheel and of its steering")
-        return
-    counters, kind = _counters(log, robot)
-    unknown = _unknown(log, robot, counters)
+    counters, kind = counters_of(log, robot)
+    missing = [key.replace("_", " ") for key in missing_of(log, robot, counters)]
+    unknown = " and ".join([*filter(None, (", ".join(missing[:-1]),)), *missing[-1:]])
     if counters and not unknown:
         choice.take("wheels", counters, kind)
         return
-    wheeled = bool(counters) and _turn(log, counters, robot)
+    wheeled = bool(counters) and are_wheels(log, counters[0], robot)
     asked = wheeled and _size_is_near(log, robot)
     body = choose_body(log, robot, choice, scans=not asked, stand_in=not wheeled)
     if body is None:
@@ -134,29 +131,19 @@ def _tricycle(log: Log, robot: Robot) -> list[str]:
     return [] if steering is None else [rolls[0], steering]
 
 
-def _steering_known(settings: WheelSettings) -> bool:
-    sizes = settings.radius, settings.ticks_per_revolution, settings.servo_gain, settings.wheelbase
-    return all(size is not None for size in sizes)
-
-
 def _size_is_near(log: Log, robot: Robot) -> bool:
     """Return whether half of the wheels' size is set, or a robot description knows it: then it is asked for."""
     described = any(t.rpartition("/")[2] == "robot_description" and log.topics[t].count for t in log.topics)
     return described or robot.wheels.radius is not None or robot.wheels.track is not None
 
 
-def _turn(log: Log, counters: Sequence[str], robot: Robot) -> bool:
-    """Return whether what counts does count wheels: joints may be an arm's."""
-    return log.topics[counters[0]].msgtype != JOINTS or _has_wheels(log, counters[0], robot)
-
-
-def _unknown(log: Log, robot: Robot, counters: Sequence[str]) -> str:
-    """Return which settings are missing before these counters become metres, in words; "" for none."""
-    settings = robot.wheels
-    missing = [key for key in ("radius", "track") if getattr(settings, key) is None]
-    if counters and counts_ticks(log.topics[counters[0]].msgtype) and settings.ticks_per_revolution is None:
-        missing.append("ticks_per_revolution")
-    return " and ".join(key.replace("_", " ") for key in missing)
+def missing_of(log: Log, robot: Robot, counters: Sequence[str]) -> list[str]:
+    """Return the keys of [wheels] that are missing before these counters become metres."""
+    steered = len(counters) > 1 and STEERING_WORD in counters[1].lower()
+    needed = ["radius", *(("servo_gain", "wheelbase") if steered else ("track",))]
+    if counters and counts_ticks(log.topics[counters[0]].msgtype):
+        needed.append("ticks_per_revolution")
+    return [key for key in needed if getattr(robot.wheels, key) is None]
 
 
 def _named_pair(log: Log, robot: Robot) -> list[str]:
@@ -174,15 +161,18 @@ def _named_pair(log: Log, robot: Robot) -> list[str]:
     return pair
 
 
-def _counters(log: Log, robot: Robot) -> tuple[list[str], str]:
+def counters_of(log: Log, robot: Robot) -> tuple[list[str], str]:
     """Return what counts wheel turns, best kind first, and why; nothing where nothing does."""
+    tricycle, of_tricycle = _tricycle(log, robot), "the ticks of a steered wheel and of its steering"
+    if tricycle and not missing_of(log, robot, tricycle):
+        return tricycle, of_tricycle
     joints, ticks, speeds = (
         [t for t in of_type(log, kind) if log.topics[t].count != 0] for kind in ((JOINTS,), TICKS, SPEEDS)
     )
     arrays = array_topics(log)
     pairs = pair_topics(log)
     if len(joints) + len(ticks) + len(speeds) + len(pairs) > 1:
-        joints = [t for t in joints if _has_wheels(log, t, robot)]
+        joints = [t for t in joints if are_wheels(log, t, robot)]
     for found in (joints, ticks, [] if pairs or arrays else speeds, [] if pairs else arrays):
         if len(found) > 1:
             raise several_fit(log, "wheels", found)
@@ -197,17 +187,20 @@ def _counters(log: Log, robot: Robot) -> tuple[list[str], str]:
             fixes=fixes,
             hint=f"Choose one with --set {fixes[0]} --set {fixes[1]}",
         )
-    return (list(pairs[0]), "the only pair of numbers named left and right") if pairs else ([], "")
+    if pairs:
+        return list(pairs[0]), "the only pair of numbers named left and right"
+    return tricycle, of_tricycle if tricycle else ""
 
 
-def _has_wheels(log: Log, topic: str, robot: Robot) -> bool:
-    """Return whether joints on a topic are named like wheels: an arm's joints share the type."""
+def are_wheels(log: Log, topic: str, robot: Robot) -> bool:
+    """Return whether what counts does count wheels: joints may be an arm's, which share the type."""
+    if log.topics[topic].msgtype != JOINTS:
+        return True
     names = cast("list[tuple[str, ...]]", log.stream(topic).columns("name")["name"])
-    try:
+    with suppress(LocfuseError):
         joint_names(names, topic, robot.wheels)
-    except LocfuseError:
-        return False
-    return True
+        return True
+    return False
 
 
 def array_topics(log: Log) -> list[str]:

@@ -21,7 +21,7 @@ from locfuse.fusion.robot import WheelSettings
 
 from .likelihood import Figure
 from .motion import dead_reckoning
-from .tricycle import Encoders, rolled_by
+from .steered import Encoders, rolled_by
 
 By = Literal["truth", "lrf", "gyro"]
 # of all parameters: scale of the radius, gain [rad per tick], zero [rad], wheelbase [m]; place and heading of what

@@ -16,8 +16,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, LocfuseError, Stream
 from locfuse.fusion.robot import WheelSettings
 
-from .jumps import MAX_SPEED_MPS, Mask, limits, restarted, spikes
-from .repairs import times
+from .repairs import MAX_SPEED_MPS, Mask, limits, restarted, spikes, times
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
@@ -201,15 +200,14 @@ def travelled(t: Array, values: Array, by_twist: bool, max_speed: float | None, 
     twist = _steps(values)
     far = np.hypot(twist[:, 0], twist[:, 1]) > _limits(t, values, max_speed)
     doubt = unlike_a_robot(t, twist, far)
-    restart = restarted(t, twist, far)
-    steps = restart.steps
+    steps = restarted(t, twist, far)
     said = 0.5 * (values[1:, 3] + values[:-1, 3]) * np.diff(t)
     in_frame = bool(said.any()) and along_the_frame(steps[:, 0], np.diff(values[:, 0]), said)
     backing = backing_up(steps, said) if by_twist and not in_frame else np.zeros(len(steps), dtype=bool)
     steps[backing, :2] *= -1.0
     words = [] if placed or not posed else ["its place never changes: its speed is used along its heading"]
     words += ["its speeds are given along the axes of its poses, not of the body: not used"] if in_frame else []
-    words += _words(int(bad.sum()), restart.number, int(backing.sum()))
+    words += _words(int(bad.sum()), int(far.sum()), int(backing.sum()))
     return Way(~bad, steps, int(bad.sum()), tuple(words), doubt)
 
 

@@ -15,7 +15,6 @@ from locfuse.fusion.streams import MergedStream, count_dropped
 
 from . import odometry
 from .motion import Wheels
-from .motor import MOTOR, motor_speeds
 from .repairs import repaired
 from .sources import (
     ARRAYS,
@@ -29,7 +28,7 @@ from .sources import (
     require_two,
     usable,
 )
-from .tricycle import is_tricycle, read_encoders, twists_of
+from .steered import MOTOR, is_tricycle, motor_speeds, read_encoders, twists_of
 
 # In order of preference: angles of the wheels before somebody else's dead reckoning.
 WHEEL_READS: Mapping[str, tuple[str, ...]] = {

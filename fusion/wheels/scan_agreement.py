@@ -25,7 +25,7 @@ from locfuse.fusion.scan_matching.clouds import MAX_RANGE_M, Clouds, normals
 from locfuse.fusion.scan_matching.match import Targets, match, sources_of
 
 from .read import WheelReading
-from .scan_clouds import FIELDS, Standing
+from .scan_clouds import FIELDS, STANDING
 
 PAIRS, MIN_MOVING = 60, 20  # pairs that are looked at; so many that move: standing ones are not needed
 PAIR_S, MAX_PAIR_S = 1.0, 3.0  # s from the earlier to the later scan of a pair; scans further apart make none
@@ -173,6 +173,6 @@ def _moved(stream: Stream, motion: WheelReading, t_from: Array, t_to: Array) -> 
 def _points(stream: Stream, laser: Laser, rows: Ints, most: int) -> list[Array]:
     """Return what some scans saw in the laser's frame, about `most` points each at most, beam by beam."""
     plain = laser._replace(mount=np.zeros(3), deskew=False)
-    scans = ScanPoints(stream, FIELDS, np.zeros(len(stream.t_ns)), plain, Standing(), rows)
+    scans = ScanPoints(stream, FIELDS, np.zeros(len(stream.t_ns)), plain, STANDING, rows)
     near = (p[np.hypot(*p.T) < MAX_RANGE_M] for p in scans.read(np.arange(len(rows))))
     return [p[:: max(1, -(-len(p) // most))] for p in near]

@@ -15,26 +15,12 @@ from locfuse.fusion.lines.scans import Laser, equal_scans, points_in_base
 from locfuse.fusion.scan_matching.clouds import MAX_RANGE_M, Clouds, normals
 from locfuse.fusion.sensor import WheelMotion
 
+from .motion import Wheels
+
 MAX_POINTS = 240  # of a scan: neighbouring beams say nothing new
 FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "range_max", "ranges")
-
-
-class Standing:
-    """The motion of a robot of which nothing is known yet: none."""
-
-    track = 1.0  # m, of wheels that never turn
-
-    def relative(self, t_from: Array, t_to: Array) -> Array:
-        """Return that no pose changes, (n, 3)."""
-        return np.zeros((*np.shape(t_to), 3))
-
-    def heading(self, t: Array) -> Array:
-        """Return that nothing turns, (...)."""
-        return np.zeros(np.shape(t))
-
-    def slips(self, t: Array) -> Array:
-        """Return that no wheel slips at times t (..., k), (..., k - 1, 2)."""
-        return np.zeros((*np.shape(t)[:-1], np.shape(t)[-1] - 1, 2))
+# the motion of a robot of which nothing is known yet: none
+STANDING = Wheels.from_twists(np.array([0.0, 1.0]), np.zeros((1, 3)), 1.0, 0.0)
 
 
 class Scans(msgspec.Struct, frozen=True):

@@ -12,8 +12,7 @@ from locfuse.fusion.data import Array, Ints, LocfuseError, Ragged, Stream
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import MergedStream, count_dropped
 
-from .jumps import Mask
-from .repairs import Side
+from .repairs import Mask, Side
 
 JOINTS = "sensor_msgs/msg/JointState"
 KOBUKI = "kobuki_msgs/msg/SensorState"

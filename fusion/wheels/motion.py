@@ -15,7 +15,6 @@ from locfuse.fusion.data import Array, Ints, Motions
 
 MIN_GAP_S, MIN_GAP_PERIODS = 0.5, 5.0  # s, median periods: over a longer one the way is not known, only the sums
 INTERVALS_PER_BLOCK = 2048  # so that the pieces of an hour take a few MB
-PARAMETERS = ("scale_left", "scale_right", "track")  # relative corrections, 0 = as given
 
 
 def body_increments(ds_left: Array, ds_right: Array, track: float) -> tuple[Array, Array]:

@@ -79,7 +79,7 @@ def _foxglove(shown: Sequence[Shown], paths: Sequence[str]) -> str:
 def _plotjuggler(shown: Sequence[Shown]) -> str:
     """Return the XML that PlotJuggler's --layout takes."""
     root = ET.Element("root")
-    tabs = ET.SubElement(root, "tabbed_widget", name="Main Window", parent="main_window")
+    tabs = ET.SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
     _area(_tab(tabs, "paths", 1), "XYPlot", [(s, {"x": s.fields["x"], "y": s.fields["y"]}) for s in shown])
     split = _tab(tabs, "over time", len(CURVES))
     for curve in CURVES:

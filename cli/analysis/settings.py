@@ -110,6 +110,23 @@ class GateOptions(msgspec.Struct, frozen=True):
     tolerance: str = "5%"
 
 
+class FleetOptions(msgspec.Struct, frozen=True):
+    """What is asked of many logs beyond a single one."""
+
+    jobs: int = 1  # at once
+    max_failures: int | None = None
+    again: bool = False
+    each: tuple[str, ...] = ()  # folders
+    robot_from: str | None = None
+    sweep: tuple[str, ...] = ()  # as typed: "lrf.sigma_range=0.01,0.03"
+    cluster: str | None = None
+
+    @property
+    def asked(self) -> bool:
+        """Whether even a single log is treated as one of many."""
+        return bool(self.each or self.robot_from or self.sweep or self.again or self.cluster)
+
+
 class Outputs(msgspec.Struct, frozen=True):
     """What is written, and where."""
 

@@ -8,7 +8,7 @@ import click
 
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.terminal import completion
-from locfuse.cli.terminal.findings import end, findings_options, print_findings
+from locfuse.cli.terminal.findings import findings_options, finish
 from locfuse.cli.terminal.options import log_options
 
 BELOW = "95 % interval: where the value lies by these logs. was: as configured."
@@ -32,7 +32,6 @@ def calibrate(log: tuple[str, ...], out: Path | None, overwrite: bool, as_json: 
     locfuse calibrate straight.mcap turns.mcap -o robot.toml
     locfuse compare drive.mcap --robot robot.toml
     """
-    from locfuse.cli.analysis import results
     from locfuse.cli.analysis.grouping import logs_of
     from locfuse.cli.session import calibrate
     from locfuse.cli.terminal import show
@@ -41,10 +40,4 @@ def calibrate(log: tuple[str, ...], out: Path | None, overwrite: bool, as_json: 
     may_replace(out, overwrite, log)
     with show.progress(how.quiet) as progress:
         found = calibrate.calibrated(logs_of(log), how, progress)
-    if out is not None:
-        found.write(out, overwrite)
-    print_findings(found.values(), [(found.titles, found.rows(), BELOW)], out, as_json)
-    lost = [
-        line for one in found.loaded for line in results.loss_lines(one, list(one.drive.measurements), how.strict)
-    ]
-    return end(found.notes, lost, how.quiet)
+    return finish(found, [(found.titles, found.rows(), BELOW)], out, overwrite, as_json)

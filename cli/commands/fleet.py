@@ -55,7 +55,7 @@ def fleet(log: tuple[str, ...], options: o.Options) -> int:
     locfuse fleet @logs.txt --robot-from "fleet/([^/]+)/" --robot "robots/{robot}.toml"
     locfuse fleet --each day1 --sweep lrf.sigma_range=0.01,0.03
     """
-    from locfuse.cli.fleet.words import expanded
+    from locfuse.cli.analysis.grouping import expanded
 
     words = expanded(log, options.fleet.each)
     if not words:

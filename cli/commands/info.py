@@ -14,7 +14,7 @@ from locfuse.cli.terminal.options import ADVICE, log_options
 from locfuse.cli.terminal.screen import put, reader_may_leave
 
 if TYPE_CHECKING:
-    from locfuse.cli.inspect.overview import Overview
+    from locfuse.cli.inspect.inspect_log import Overview
 
 PICTURES = "pictures"
 TRIED = "tried by fusing"
@@ -132,7 +132,7 @@ def _preview(overview: Overview, folder: Path) -> list[str]:
 
 def _topic_of_pictures(overview: Overview) -> str:
     """Return the camera's topic: without a landmark it is not chosen, and its pictures help to find one."""
-    from locfuse.cli.inspect.sensors import pictures_of
+    from locfuse.cli.inspect.inspect_log import pictures_of
     from locfuse.fusion.data import LocfuseError
 
     fit = pictures_of(overview.log, overview.choice)

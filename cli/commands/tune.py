@@ -8,7 +8,7 @@ import click
 
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.terminal import completion
-from locfuse.cli.terminal.findings import Table, end, findings_options, print_findings
+from locfuse.cli.terminal.findings import Table, findings_options, finish
 from locfuse.cli.terminal.options import log_options
 
 BELOW_NOISE = " before: as configured. 95 % interval: where the value lies by these logs."
@@ -51,7 +51,6 @@ def tune(
     locfuse tune monday.mcap tuesday.mcap --hold-out friday.mcap -o robot.toml
     locfuse compare friday.mcap --robot robot.toml
     """
-    from locfuse.cli.analysis import results
     from locfuse.cli.analysis.grouping import logs_of
     from locfuse.cli.analysis.load import find_log
     from locfuse.cli.session import tune
@@ -63,13 +62,9 @@ def tune(
     held_out = [find_log(parts) for parts in logs_of(hold_out)]
     with show.progress(how.quiet) as progress:
         found = tune.tune_logs(paths, held_out, tune.sensor_names(sensors), drift, how, progress)
-    if out is not None:
-        found.write(out, overwrite)
     tables: list[Table] = [
         (found.titles, found.rows(), BELOW_NOISE),
         (("judged by", "before", "after"), found.judgements(), BELOW_JUDGED),
     ]
     held = "the settings as they were given; the noise that was found is not used" if found.refused else ""
-    print_findings(found.values(), tables, out, as_json, held)
-    lost = [line for one in found.loaded for line in results.loss_lines(one, found.sensors, how.strict)]
-    return end(found.notes, lost, how.quiet)
+    return finish(found, tables, out, overwrite, as_json, held)

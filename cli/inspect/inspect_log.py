@@ -10,16 +10,19 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import msgspec
+from msgspec import field
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.adapted_topics import offer_presented, offer_tags
 from locfuse.cli.analysis.body_topics import NoWheelsError
 from locfuse.cli.analysis.choose import choose_sensor, choose_truth
 from locfuse.cli.analysis.load import Loaded, measured
+from locfuse.cli.analysis.maps import GRID
 from locfuse.cli.analysis.mounts import mount_tables, shared_turns, transforms_of
 from locfuse.cli.analysis.refused_motion import STANDS
 from locfuse.cli.analysis.robot_tables import make_robot, merged_tables, named_by_hand
-from locfuse.cli.analysis.topics import Choice
+from locfuse.cli.analysis.topics import Choice, of_type
 from locfuse.cli.analysis.wheel_topics import choose_wheels
 from locfuse.formats.container.url import Place
 from locfuse.formats.logs.log import Log, open_log
@@ -27,19 +30,37 @@ from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.fusion.checks.examine import examine
 from locfuse.fusion.checks.finding import Finding, of_error
+from locfuse.fusion.checks.laser_driver import driver
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.read import WheelReading
 
 from .mounts import conflicts, unplaced
-from .robot_facts import find_robot_facts, of_robot
-from .sensors import raw_findings
-from .topics import derived_facts, of_publishers, of_stamps, topic_facts
+from .robot_facts import RobotFacts, find_robot_facts, of_robot
+from .topics import TopicFacts, derived_facts, of_publishers, of_stamps, topic_facts
 
 if TYPE_CHECKING:
     from locfuse.cli.analysis.settings import LogOptions
-from .overview import Overview
+
+
+class Overview(msgspec.Struct):
+    """A log as it is found: topics, roles, mounts, clocks, findings."""
+
+    log: Log
+    tables: dict[str, Any]  # robot.toml as merged, before mounts
+    choice: Choice
+    facts: list[TopicFacts]
+    transforms: StaticTransforms
+    robot: Robot  # with mounts where the log could be measured
+    loaded: Loaded | None = None
+    robot_facts: RobotFacts = field(default_factory=RobotFacts)
+    findings: list[Finding] = field(default_factory=list)
+
+    @property
+    def severe(self) -> bool:
+        """Whether an estimate would be wrong, or bytes are lost."""
+        return any(f.severe for f in self.findings)
 
 
 def inspect_log(
@@ -177,3 +198,58 @@ def _unusable(overview: Overview, loaded: Loaded) -> list[Finding]:
         for name, why in drive.absent.items()
         if name in overview.choice.topics and name not in known
     ]
+
+
+def raw_findings(log: Log, robot: Robot, choice: Choice) -> list[Finding]:
+    """Return how a laser's driver writes its scans, and what is wrong with a camera's pictures."""
+    return [
+        *_said("lrf", choice.of("lrf"), _scans, log, robot),
+        *_said("camera", pictures_of(log, choice), _pictures, log, robot),
+        *_maps(log, robot, choice),
+    ]
+
+
+def _maps(log: Log, robot: Robot, choice: Choice) -> list[Finding]:
+    """Offer the maps that a log holds to its laser; the user knows whether they were made of the same scans."""
+    topics = [t for t in of_type(log, (GRID,)) if log.topics[t].count and not _costs(t)]
+    topics.sort(key=lambda t: t != "/map")
+    if not topics or not choice.of("lrf") or robot.settings("lrf").map_topic is not None or robot.lines:
+        return []
+    words = (
+        f"{' and '.join(topics)} {'holds a map' if len(topics) == 1 else 'hold maps'}, in which the laser can be "
+        "localised; one that was made of these scans says nothing new"
+    )
+    return [Finding("lrf", "map", words, (f"lrf.map_topic={topics[0]}",))]
+
+
+def _costs(topic: str) -> bool:
+    """Return whether a grid is a costmap by its name, which has no walls."""
+    return "costmap" in topic.lower()
+
+
+def pictures_of(log: Log, choice: Choice) -> tuple[str, ...]:
+    """Return the topics of pictures: the camera's, else all."""
+    found = choice.of("camera") or tuple(of_type(log, REGISTRY["camera"].reads))
+    return tuple(topic for topic in found if log.topics[topic].count)
+
+
+def _said(
+    role: str, topics: Sequence[str], examine: Callable[[Any, Any], list[Finding]], log: Log, robot: Robot
+) -> list[Finding]:
+    """Examine the raw messages of a role that has exactly one topic."""
+    if len(topics) != 1:
+        return []
+    try:
+        return examine(log.stream(topics[0], robot.order), robot.settings(role))
+    except LocfuseError as e:
+        return [of_error(e, role, "unusable")]
+
+
+def _scans(stream: Any, _: Any) -> list[Finding]:
+    return driver(stream)
+
+
+def _pictures(stream: Any, settings: Any) -> list[Finding]:
+    from locfuse.fusion.checks.pictures import of_pictures
+
+    return of_pictures(stream, settings)

@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 import msgspec
 
 from locfuse.cli.analysis.load import Loaded
+from locfuse.cli.analysis.results import loss_lines
 from locfuse.cli.analysis.settings import LogOptions, PathLike, path_of
 from locfuse.formats.report.findings import options
 from locfuse.formats.robot import commented_toml, robot_toml
@@ -42,6 +43,14 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
     def rows(self) -> list[Row]:
         """Return the settings that were looked for as rows of words, for people."""
         raise NotImplementedError
+
+    def losses(self) -> list[str]:
+        """Return in words what was lost of the logs and of the readings that were used."""
+        return [line for one in self.loaded for line in loss_lines(one, self.used(one), self.how.strict)]
+
+    def used(self, one: Loaded) -> Sequence[str]:
+        """Return the sensors of a log whose readings were used."""
+        return list(one.drive.measurements)
 
     def before(self) -> str:
         """Return the text that robot.toml begins from where the user gave none."""

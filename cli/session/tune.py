@@ -53,9 +53,8 @@ class Tuning(Found, frozen=True, kw_only=True):
     command: ClassVar[str] = "tune"
     titles: ClassVar[Row] = ("noise", "before", "after", "95 % interval")
 
-    @property
-    def sensors(self) -> tuple[str, ...]:
-        """The sensors that were tuned by."""
+    def used(self, one: Loaded) -> tuple[str, ...]:
+        """Return the sensors that were tuned by."""
         return tuple(dict.fromkeys(s for j in self.judged for s in j.after.sensors))
 
     def tables(self) -> dict[str, dict[str, float]]:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from .screen import put, reader_may_leave, say
+
+if TYPE_CHECKING:
+    from locfuse.cli.session.found import Found
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 Table = tuple[Sequence[str], Iterable[Sequence[str]], str]  # titles, rows, the line below that explains them
@@ -30,24 +33,28 @@ def findings_options(what: str, tables: str) -> Callable[[Command], Command]:
     return add
 
 
-def print_findings(values: Any, tables: Iterable[Table], out: Path | None, as_json: bool, held: str = "") -> None:
-    """Print what was found as JSON, or as tables and with how the file is used; `held`: what it holds instead."""
+def finish(
+    found: Found, tables: Iterable[Table], out: Path | None, overwrite: bool, as_json: bool, held: str = ""
+) -> int:
+    """Write and print what was found; return the exit code; `held`: what the file holds instead of settings."""
     from locfuse.formats.report import json_report
     from locfuse.formats.report.table import of_words, texts
 
     from . import show
 
+    if out is not None:
+        found.write(out, overwrite)
     with reader_may_leave():
-        if as_json:
-            put(json_report.encode(values))
-            return
-        for titles, rows, below in tables:
+        for titles, rows, below in () if as_json else tables:
             shown = of_words(texts(*titles), rows)
             show.table(shown)
             if shown.rows and below:
                 show.lines([below])
-        if out is not None:
+        if as_json:
+            put(json_report.encode(found.values()))
+        elif out is not None:
             say(f"{out}: {held or f'use it with --robot {out}'}")
+    return end(found.notes, found.losses(), found.how.quiet)
 
 
 def end(notes: Iterable[str], lost: Sequence[str], quiet: bool) -> int:

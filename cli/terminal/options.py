@@ -15,8 +15,7 @@ import msgspec
 from msgspec import field
 
 from locfuse.cli.analysis import settings
-from locfuse.cli.analysis.settings import EXPORTS, Asked, GateOptions, LogOptions, Outputs
-from locfuse.cli.fleet.job import FleetOptions
+from locfuse.cli.analysis.settings import EXPORTS, Asked, FleetOptions, GateOptions, LogOptions, Outputs
 from locfuse.cli.rerun.record import RerunOptions
 
 from . import completion

@@ -25,12 +25,12 @@ from jobs_here import jobs_here
 from msgspec.structs import replace
 
 from benchmarks.fleet import killed, tables, write_logs
+from locfuse.cli.analysis.grouping import _regex, expanded
 from locfuse.cli.analysis.robot_tables import given_tables
 from locfuse.cli.analysis.settings import Asked, LogOptions, Outputs
 from locfuse.cli.fleet import process
 from locfuse.cli.fleet.job import Job, JobOutcome
 from locfuse.cli.fleet.queue import QueueState, duration, run_all
-from locfuse.cli.fleet.words import _regex, expanded
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.whole_files import RUN_LOCK, sole_writer
 from locfuse.fusion.data import UsageError

@@ -32,7 +32,7 @@ from .load import Loaded
 from .memory import lean
 from .settings import Asked, Progress, one_of
 from .trust import add_consistency, evidence, judge_values, noise_factors, reference_values
-from .verdicts import ByReference, by_reference, credit_values, prediction_values, verdicts
+from .verdicts import ByReference, add_pairs, by_reference, credit_values, prediction_values, verdicts
 
 if TYPE_CHECKING:
     from locfuse.fusion.whole_drive.reference import References
@@ -290,9 +290,14 @@ def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
     sets = {c.name: c.sensors for c in compared.configurations if not c.rates}
     report["verdicts"] = verdicts(compared.credit, compared.scores, sets, base=compared.base)
     report["credit"] = None if compared.credit is None else credit_values(compared.credit)
-    report["prediction"] = prediction_values(compared.scores, list(sets)) if compared.scores else None
+    report["prediction"] = (
+        prediction_values(compared.scores, list(sets), compared.base) if compared.scores else None
+    )
     add_consistency(report, compared.runs, compared.evaluations, compared.loaded.robot)
     add_reference(report, compared)
+    slower = {c.name: c.sensors for c in compared.configurations if c.rates}
+    errors = {name: values.get("position_rmse_m") for name, values in report["configurations"].items()}
+    add_pairs(report["verdicts"], sets, slower, errors)
     add_own_scans(report, compared.loaded.drive, compared.estimates, compared.smoothed)
     return json_report.plain(report)
 

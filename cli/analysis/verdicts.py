@@ -15,13 +15,14 @@ from locfuse.fusion.judge.verdict import MAX_UNSURE, MIN_EFFECT, Effect, overcon
 
 TRUST_SENSORS = (
     "There is no truth in this log. Configurations are ranked by how well each predicts the sensors that it "
-    "leaves out (innovation score, nats per number, compared with odometry). This finds a sensor that contradicts "
+    "leaves out (innovation score, nats per number, compared with {base}). This finds a sensor that contradicts "
     "the others or adds nothing. It gives no error in metres. It cannot see an error that all sensors share, nor "
     "walls matched to the wrong lines. A configuration that uses every sensor has no rank."
 )
 TRUST_STRETCHES = (
     "Self-check: the only sensor was switched off every other five seconds, and its readings there were predicted."
 )
+MIN_HARM_RATIO = 1.25  # of position errors with and without a sensor: less is no news
 
 
 class ByReference(NamedTuple):
@@ -176,13 +177,13 @@ def short(value: float) -> str:
     return f"{value:.0f}" if value >= 10 else f"{value:.1f}" if value >= 1.5 else f"{value:.2f}"
 
 
-def prediction_values(found: Sequence[Score], names: Sequence[str]) -> dict[str, Any]:
+def prediction_values(found: Sequence[Score], names: Sequence[str], base: str = ODOMETRY) -> dict[str, Any]:
     """Return ranking and scores as plain values, with how far to trust them."""
     ranked = ranking(found, names)
     stretches = any(r.stretches and r.gain is not None for r in ranked)
     return {
         "method": "innovation score of sensors that only listened",
-        "trust": TRUST_STRETCHES if stretches else TRUST_SENSORS,
+        "trust": TRUST_STRETCHES if stretches else TRUST_SENSORS.format(base=base),
         "ranking": [
             {"configuration": r.configuration, "gain_nats": r.gain, "sensors": list(r.on)} for r in ranked
         ],
@@ -200,6 +201,36 @@ def prediction_values(found: Sequence[Score], names: Sequence[str]) -> dict[str,
             for s in found
         ],
     }
+
+
+def add_pairs(
+    verdicts: Mapping[str, dict[str, Any]],
+    sets: Mapping[str, Sequence[str]],
+    slower: Mapping[str, Sequence[str]],
+    errors: Mapping[str, float | None],
+) -> None:
+    """Add to verdicts what pairs of configurations show: a lower rate, and beside which sensors one harms most.
+
+    `sets` are the sensors by configuration, those of a lower rate apart: `slower`. `errors` are in m.
+    """
+    names = {frozenset(sensors): name for name, sensors in sets.items()}
+    known = {name: error for name, error in errors.items() if error}
+    for sensor, verdict in verdicts.items():
+        pairs = [(names.get(frozenset(used)), name, name) for name, used in slower.items() if f"{sensor}@" in name]
+        beside = [(names.get(frozenset(used) - {sensor}), name) for name, used in sets.items() if sensor in used]
+        harms = [
+            (known[name] / known[without], without, name)
+            for without, name in beside
+            if without in known and name in known and len(sets[without]) and len(sets[name]) < len(verdicts)
+        ]
+        worst = max(harms, default=(0.0, "", ""))
+        pairs += [(worst[1], worst[2], f"Beside {worst[1]}")] if worst[0] > MIN_HARM_RATIO else []
+        words = [
+            f"{what}: {length(known[a])} -> {length(known[b])} ({times(math.log(known[a] / known[b]))})."
+            for a, b, what in pairs
+            if a in known and b in known
+        ]
+        verdict["words"] = " ".join((verdict["words"], *words)).strip()
 
 
 def _predicted_verdicts(

@@ -43,9 +43,9 @@ def tune(
     as_json: bool,
     how: LogOptions,
 ) -> int:
-    """Find the noise figures of LOGS of one robot: those under which what its sensors said is most likely.
+    """Estimate sensor and wheel noise from LOGs of one robot (maximum likelihood).
 
-    No truth is needed. What the logs cannot tell is left as it was, and said.
+    No truth is needed. Values that cannot be estimated are listed and unchanged.
 
     \b
     locfuse tune monday.mcap tuesday.mcap --hold-out friday.mcap -o robot.toml

@@ -303,7 +303,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         hold_out: Sequence[PathLike | Sequence[PathLike]] = (),
         drift: bool = False,
     ) -> Tuning:
-        """Find the noise under which what the sensors reported is most likely, as `locfuse tune` does.
+        """Estimate sensor and wheel noise (maximum likelihood), as `locfuse tune` does.
 
         Args:
             *more: more logs of the same robot.

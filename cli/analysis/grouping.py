@@ -15,13 +15,16 @@ from pathlib import Path
 
 from locfuse.formats.container.url import Place, Url, is_url, place
 from locfuse.formats.inputs import read_small
-from locfuse.formats.logs.files import ENDINGS, log_name
+from locfuse.formats.logs.files import ENDINGS, REPORTS, log_name
 from locfuse.formats.visible import writable
 from locfuse.formats.whole_files import RESULTS
 from locfuse.fusion.data import LocfuseError, UsageError
 
 from .load import find_log
 
+PART_NAME_PATTERN = re.compile(r"(?P<name>.+)_(?P<number>\d+)\.(?:mcap(?:\.zstd)?|db3(?:\.zstd)?)")
+OVERLAP_NS = 1_000_000_000  # parts of one recording follow each other; two drives need not
+METADATA_FILE = "metadata.yaml"
 MAX_LIST_BYTES = 64 * 1024 * 1024  # of a list of logs: half a million paths
 
 
@@ -116,20 +119,14 @@ def _below(folder: Path) -> Iterator[str]:
                 yield str(Path(here) / name)
 
 
-PART_NAME_PATTERN = re.compile(r"(?P<name>.+)_(?P<number>\d+)\.(?:mcap(?:\.zstd)?|db3(?:\.zstd)?)")
-OVERLAP_NS = 1_000_000_000  # parts of one recording follow each other; two drives need not
-METADATA_FILE = "metadata.yaml"
-REPORT_FILES = ("report.json", "run.json")
-
-
 def result_file(word: str) -> Path | None:
     """Return the report of a finished result that a word names (its folder or the file itself), else None."""
     if is_url(word):
         return None
     path = Path(word)
-    if path.name in REPORT_FILES and path.is_file():
+    if path.name in REPORTS and path.is_file():
         return path
-    return next((path / name for name in REPORT_FILES if (path / name).is_file()), None)
+    return next((path / name for name in REPORTS if (path / name).is_file()), None)
 
 
 def results_of(words: Sequence[str]) -> list[Path] | None:

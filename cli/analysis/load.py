@@ -384,6 +384,6 @@ def start_notes(robot: Robot, drive: Drive) -> list[str]:
     (x, y), (own_x, own_y) = places
     away = math.hypot(x - own_x, y - own_y)
     return [
-        f"truth starts {away:.2f} m away from the robot's start ({own_x:z.2f}, {own_y:z.2f}), at ({x:.2f}, {y:.2f}): "
-        "set [start], or judge the shape only with --align origin"
+        f"truth starts {away:.2f} m away from the robot's start ({own_x:z.2f}, {own_y:z.2f}), "
+        f"at ({x:.2f}, {y:.2f}): set [start], or judge the shape only with --align origin"
     ]

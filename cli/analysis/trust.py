@@ -77,8 +77,8 @@ def unless_overconfident(sensor: str, found: Consistency, using: Sequence[Honest
 
 
 REFERENCE = (
-    "Errors are measured against the smoothed solution of the {base}{sensors} (1 sigma {sigma}), not against truth. "
-    "See: locfuse explain reference."
+    "Errors are measured against the smoothed solution of the {base}{sensors} (1 sigma {sigma}), not against "
+    "truth. See: locfuse explain reference."
 )
 TOO_SMALL = {"understated", "correlated"}  # verdicts on a sigma
 

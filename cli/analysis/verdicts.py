@@ -215,7 +215,7 @@ def add_pairs(
     """
     names = {frozenset(sensors): name for name, sensors in sets.items()}
     known = {name: error for name, error in errors.items() if error}
-    for sensor, verdict in verdicts.items():
+    for sensor, found in verdicts.items():
         pairs = [(names.get(frozenset(used)), name, name) for name, used in slower.items() if f"{sensor}@" in name]
         beside = [(names.get(frozenset(used) - {sensor}), name) for name, used in sets.items() if sensor in used]
         harms = [
@@ -230,7 +230,7 @@ def add_pairs(
             for a, b, what in pairs
             if a in known and b in known
         ]
-        verdict["words"] = " ".join((verdict["words"], *words)).strip()
+        found["words"] = " ".join((found["words"], *words)).strip()
 
 
 def _predicted_verdicts(

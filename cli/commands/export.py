@@ -68,7 +68,7 @@ def export(
     from locfuse.cli.terminal import show
     from locfuse.cli.terminal.screen import put, reader_may_leave, say
     from locfuse.formats.robot.ros_yaml import read
-    from locfuse.formats.whole_files import may_replace, whole_file
+    from locfuse.formats.whole_files import may_replace, write_text
 
     chosen = tuple(TARGETS) if "all" in targets else tuple(dict.fromkeys(targets))
     may_replace(out, overwrite, log)
@@ -84,8 +84,7 @@ def export(
     changed = file is None or bool(made.diff)
     place = out or into
     if out is not None:
-        with whole_file(out) as temporary:
-            temporary.write_bytes(made.text.encode())
+        write_text(out, made.text)
     elif into is not None and changed:
         write(into, made.text)
     with reader_may_leave():

@@ -98,7 +98,7 @@ def many(words: Sequence[str], options: o.Options) -> int:
     _print(summary, written, outputs.as_json)
     _say_recordings(ended, every.recording)
     if outputs.open:
-        show.open_page(show.page_of(written))
+        show.open_page(written)
     return _code(found, gates.failures(summary), ended)
 
 

@@ -64,7 +64,7 @@ def init(
     from locfuse.cli.inspect.template import draft
     from locfuse.cli.terminal import show
     from locfuse.formats.robot.commented_toml import printable
-    from locfuse.formats.whole_files import may_replace, whole_file
+    from locfuse.formats.whole_files import may_replace, write_text
 
     if update is not None:
         if out is not None or how.robot is not None:
@@ -82,8 +82,7 @@ def init(
     name = printable(shlex.quote(str(place or "robot.toml")))
     text = _fresh(made, words, name) if update is None else _updated(made, update)
     if place is not None:
-        with whole_file(place) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_text(place, text)
         say(f"{place}: use it with --robot {name}")
     else:
         with reader_may_leave():

@@ -17,7 +17,7 @@ from locfuse.formats.logs.files import ENDINGS, log_files
 from locfuse.formats.report import json_report
 from locfuse.formats.report.findings import notes_of, sentence, void_reasons
 from locfuse.formats.robot import robot_toml
-from locfuse.formats.whole_files import whole_file
+from locfuse.formats.whole_files import write_text
 from locfuse.fusion.data import UsageError
 
 from .explain import explain
@@ -190,8 +190,7 @@ class Tools:
     def _write(self, name: str, values: Mapping[str, Any]) -> str:
         """Write values beside the folder that `compare` keeps for itself; return the file."""
         self._out.mkdir(parents=True, exist_ok=True)
-        with whole_file(self._out / name) as temporary:
-            temporary.write_text(json_report.encode(values), encoding="utf-8")
+        write_text(self._out / name, json_report.encode(values))
         return str(self._out / name)
 
 

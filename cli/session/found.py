@@ -13,7 +13,7 @@ from locfuse.cli.analysis.results import loss_lines
 from locfuse.cli.analysis.settings import LogOptions, PathLike, path_of
 from locfuse.formats.report.findings import options
 from locfuse.formats.robot import commented_toml, robot_toml
-from locfuse.formats.whole_files import may_replace, whole_file
+from locfuse.formats.whole_files import may_replace, write_text
 from locfuse.fusion.checks.examine import examine
 from locfuse.fusion.data import LocfuseError
 
@@ -70,10 +70,7 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
         may_replace(path, overwrite)
         text = commented_toml.text_of(self.how.robot) or self.before()
         changes = robot_toml.merge(self.given(), self.tables())
-        with whole_file(path) as temporary:
-            temporary.write_text(
-                commented_toml.updated(text, changes, f"locfuse {self.command}"), encoding="utf-8"
-            )
+        write_text(path, commented_toml.updated(text, changes, f"locfuse {self.command}"))
         return path
 
     def __repr__(self) -> str:

@@ -57,6 +57,12 @@ class LogOptions(msgspec.Struct, frozen=True):
         """Every robot.toml in the order in which they are merged."""
         return () if self.robot is None else (self.robot, *self.over)
 
+    @property
+    def words(self) -> list[str]:
+        """The options that describe the robot, as they were typed."""
+        robot = [word for file in self.robot_files for word in ("--robot", str(file))]
+        return [*robot, *(word for setting in self.sets for word in ("--set", setting))]
+
 
 class Choices(TypedDict, total=False):
     """The keywords of `Session.compare`: the fields of `Asked`."""

@@ -119,7 +119,8 @@ def _main_words(c: SensorCredit, main: Effect, several: bool, few: str, base: st
         how = f"Beside {' and '.join(c.beside)}"
     else:
         how = "Alone" if base == ODOMETRY else f"Alone, against {base}"
-    what = f"{how}: {times(main.value)}{_plausible(main)}."
+    span = "" if math.isnan(main.low) else f" (plausible: {interval(main)})"
+    what = f"{how}: {times(main.value)}{span}."
     sure = main.low > 0.0 or main.high < 0.0
     if c.verdict == "no effect seen":
         if abs(main.value) < MIN_EFFECT:
@@ -128,11 +129,6 @@ def _main_words(c: SensorCredit, main: Effect, several: bool, few: str, base: st
             return f"{what} {few}"
         return f"{what} The filter gives it almost no weight, so this change is probably chance." if sure else what
     return what if sure else f"{what} {few}"
-
-
-def _plausible(effect: Effect) -> str:
-    """Return the interval in brackets; "" where there is none."""
-    return "" if math.isnan(effect.low) else f" (plausible: {interval(effect)})"
 
 
 def _judged_by_last(c: SensorCredit, main: Effect) -> bool:

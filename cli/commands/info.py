@@ -78,7 +78,7 @@ def info(
             put(json_report.encode({**values.values(overview), **({"tried": tried} if check else {})}))
         else:
             helped = tried["fixes"] if tried else None
-            text = info_text.lines(overview, _typed(log, how), show.width(), helped)
+            text = info_text.lines(overview, (*log, *how.words), show.width(), helped)
             show.lines((*text, *pictures), (*info_text.TITLES, PICTURES))
             if tried:
                 show.lines(("", TRIED), (TRIED,))
@@ -106,12 +106,6 @@ def _list_topics(words: tuple[str, ...], as_json: bool, quiet: bool) -> int:
             show.lines(info_text.listed(values.listed(log), show.width()))
     show.transfer(log.transfer, quiet)
     return EXIT_LOSS if log.losses else 0
-
-
-def _typed(log: tuple[str, ...], how: LogOptions) -> list[str]:
-    """Return LOG and the options that describe it, as they were typed."""
-    robot = [word for file in how.robot_files for word in ("--robot", str(file))]
-    return [*log, *robot, *(word for setting in how.sets for word in ("--set", setting))]
 
 
 def _preview(overview: Overview, folder: Path) -> list[str]:

@@ -34,7 +34,6 @@ from locfuse.fusion.checks.laser_driver import driver
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.wheels.read import WheelReading
 
 from .mounts import conflicts, unplaced
 from .robot_facts import RobotFacts, find_robot_facts, of_robot
@@ -86,20 +85,18 @@ def inspect_log(
         *of_stamps(facts, choice, robot),
         *of_publishers(log, choice),
     ]
-    overview.findings += raw_findings(log, robot, choice)
+    overview.findings += [
+        *_said("lrf", choice.of("lrf"), lambda stream, _: driver(stream), log, robot),
+        *_said("camera", pictures_of(log, choice), _pictures, log, robot),
+        *_maps(log, robot, choice),
+    ]
     _measure(overview, progress)
-    if choice.unused_wheels and overview.loaded is not None and overview.loaded.matched is not None:
-        _size_by_scans(overview, robot, overview.loaded.reading)
+    if choice.unused_wheels and (loaded := overview.loaded) is not None and loaded.matched is not None:
+        overview.robot_facts = find_robot_facts(log, robot, choice, loaded.reading)  # by the motion of the scans
+        sized = [f for f in of_robot(log, robot, choice, overview.robot_facts) if f.code == "geometry"]
+        overview.findings = [*(f for f in overview.findings if f.code != "geometry"), *sized]
     overview.findings += [*unplaced(overview), *conflicts(overview)]
     return overview
-
-
-def _size_by_scans(overview: Overview, robot: Robot, scans: WheelReading | None) -> None:
-    """Say how big the wheels are by the motion that the scans gave."""
-    log, choice = overview.log, overview.choice
-    overview.robot_facts = find_robot_facts(log, robot, choice, scans)
-    sized = [f for f in of_robot(log, robot, choice, overview.robot_facts) if f.code == "geometry"]
-    overview.findings = [*(f for f in overview.findings if f.code != "geometry"), *sized]
 
 
 def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) -> Choice:
@@ -200,18 +197,9 @@ def _unusable(overview: Overview, loaded: Loaded) -> list[Finding]:
     ]
 
 
-def raw_findings(log: Log, robot: Robot, choice: Choice) -> list[Finding]:
-    """Return how a laser's driver writes its scans, and what is wrong with a camera's pictures."""
-    return [
-        *_said("lrf", choice.of("lrf"), _scans, log, robot),
-        *_said("camera", pictures_of(log, choice), _pictures, log, robot),
-        *_maps(log, robot, choice),
-    ]
-
-
 def _maps(log: Log, robot: Robot, choice: Choice) -> list[Finding]:
     """Offer the maps that a log holds to its laser; the user knows whether they were made of the same scans."""
-    topics = [t for t in of_type(log, (GRID,)) if log.topics[t].count and not _costs(t)]
+    topics = [t for t in of_type(log, (GRID,)) if log.topics[t].count and "costmap" not in t.lower()]
     topics.sort(key=lambda t: t != "/map")
     if not topics or not choice.of("lrf") or robot.settings("lrf").map_topic is not None or robot.lines:
         return []
@@ -220,11 +208,6 @@ def _maps(log: Log, robot: Robot, choice: Choice) -> list[Finding]:
         "localised; one that was made of these scans says nothing new"
     )
     return [Finding("lrf", "map", words, (f"lrf.map_topic={topics[0]}",))]
-
-
-def _costs(topic: str) -> bool:
-    """Return whether a grid is a costmap by its name, which has no walls."""
-    return "costmap" in topic.lower()
 
 
 def pictures_of(log: Log, choice: Choice) -> tuple[str, ...]:
@@ -243,10 +226,6 @@ def _said(
         return examine(log.stream(topics[0], robot.order), robot.settings(role))
     except LocfuseError as e:
         return [of_error(e, role, "unusable")]
-
-
-def _scans(stream: Any, _: Any) -> list[Finding]:
-    return driver(stream)
 
 
 def _pictures(stream: Any, settings: Any) -> list[Finding]:

@@ -50,8 +50,6 @@ def find_robot_facts(log: Log, robot: Robot, choice: Choice, scans: WheelReading
     joints = _joints(log, counters[0], robot) if kind == JOINTS else None
     settings = robot.wheels
     if joints is not None:
-        import msgspec
-
         settings = msgspec.structs.replace(settings, left=joints[0], right=joints[1])
     fitted, both = None, merged([log.stream(t) for t in counters])
     if odometry:

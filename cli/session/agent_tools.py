@@ -197,14 +197,12 @@ class Tools:
 def _findings(found: Iterable[Mapping[str, Any]]) -> list[AgentFinding]:
     """Return findings in short, each once: what was tried of a fix stands in the sentence."""
     unique = {
-        (f["role"], f["code"], f["message"]): AgentFinding(f["role"], f["code"], _sentence(f), list(f["fixes"]))
+        (f["role"], f["code"], f["message"]): AgentFinding(
+            f["role"], f["code"], sentence(f) if "tried" in f else str(f["message"]), list(f["fixes"])
+        )
         for f in found
     }
     return list(unique.values())
-
-
-def _sentence(finding: Mapping[str, Any]) -> str:
-    return sentence(finding) if "tried" in finding else str(finding["message"])
 
 
 def _is_file(text: str) -> bool:

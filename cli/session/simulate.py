@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import tempfile
 import weakref
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -113,20 +113,13 @@ def localise(word: str) -> Localise:
                 known = ", ".join(("truth", "odometry", *carried, "all"))
                 raise UsageError(f"control.estimator = {word}: this robot has no {name}; choose from {known}")
         sensors = tuple(name for name in carried if name in asked)
-        return make_estimator({name: tables[name] for name in ("wheels", "start", *sensors)}, sensors)
+        return Localiser(make_robot({name: tables[name] for name in ("wheels", "start", *sensors)}), sensors)
 
     return on_truth if word == "truth" else build
 
 
 MAX_LATENCY_S = 0.15  # s: longer than any sensor's latency in the scenarios
 WHEEL_MEMORY_S = 4.0  # s of wheel readings that are kept
-
-
-def make_estimator(
-    tables: Mapping[str, Any], sensors: Sequence[str]
-) -> Callable[[list[RawMessage]], tuple[float, float, float]]:
-    """Return a causal estimator for robot.toml tables: the messages since the last call -> the pose now."""
-    return Localiser(make_robot(tables), sensors)
 
 
 class Localiser:

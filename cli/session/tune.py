@@ -150,7 +150,7 @@ def tune_logs(
     loaded = [load(p, how, progress, only=sensors) for p in paths]
     for one in loaded:
         refuse_doubtful(one, "noise found now")
-    checks = [_check(p, how) for p in paths]
+    checks = [shlex.join(("locfuse", "info", *map(str, p), *how.words, "--check")) for p in paths]
     trials = []
     for i, one in enumerate(loaded):
         last = float(one.drive.t[-1])
@@ -180,13 +180,6 @@ def tune_logs(
         notes = [f"{note}. It is left out, and its sigma left as it was" for note in notes]
     notes = [*worse, *_notes(tuned), *notes]
     return Tuning(loaded=loaded, how=how, notes=tuple(notes), tuned=tuned, judged=judged, refused=bool(worse))
-
-
-def _check(log: Sequence[Place], how: LogOptions) -> str:
-    """Return the command that tries what else may be wrong with a log, under the same settings."""
-    robot = [word for file in how.robot_files for word in ("--robot", str(file))]
-    sets = [word for setting in how.sets for word in ("--set", setting)]
-    return shlex.join(("locfuse", "info", *map(str, log), *robot, *sets, "--check"))
 
 
 def _judged(loaded: Sequence[Loaded], tuned: Tuned, checks: Sequence[str]) -> list[Judged]:

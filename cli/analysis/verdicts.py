@@ -278,24 +278,17 @@ def by_reference(
     if found is None:
         return dict(own)
     name = f"a reference without it ({' and '.join(reference.sensors)}, 1 sigma {length(reference.sigma)})"
+    before, after = f"{length(found.before)} without it and ", f"{length(found.after)} with it"
+    if quarrel is None and (effect := found.effect) is not None:
+        bound = f"at {'least' if effect.low > 0.0 else 'most'} {times(effect.low)}"
+        span, after = (interval(effect), after) if found.sure else (bound, f"at most {after}")
+        words = f"Against {name} the position error is {before}{after} (plausible: {span}). {own['words']}".strip()
+        return {"verdict": verdict(None, effect, None, None), "words": words}
     if quarrel is not None:
         words = f"{name.capitalize()} cannot judge it: {' and '.join(quarrel)} contradict each other."
-        return {**own, "words": f"{own['words']} {words}".strip()}
-    if found.effect is None:
-        errors = f"{length(found.before)} without it and {length(found.after)} with it"
-        words = f"{name.capitalize()} is not exact enough to judge errors of {errors}."
-        return {**own, "words": f"{own['words']} {words}".strip()}
-    return {"verdict": verdict(None, found.effect, None, None), "words": _reference_words(name, found, own)}
-
-
-def _reference_words(name: str, found: ByReference, own: Mapping[str, Any]) -> str:
-    effect = found.effect
-    assert effect is not None
-    most = "" if found.sure else "at most "
-    errors = f"{length(found.before)} without it and {most}{length(found.after)} with it"
-    span = interval(effect) if found.sure else f"at {'least' if effect.low > 0.0 else 'most'} {times(effect.low)}"
-    words = f"Against {name} the position error is {errors} (plausible: {span})."
-    return f"{words} {own['words']}".strip()
+    else:
+        words = f"{name.capitalize()} is not exact enough to judge errors of {before}{after}."
+    return {**own, "words": f"{own['words']} {words}".strip()}
 
 
 def _grade(mine: Sequence[Score], gain: float) -> str:

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
-from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.terminal import completion
-from locfuse.cli.terminal.findings import findings_options, finish
-from locfuse.cli.terminal.options import log_options
+from locfuse.cli.terminal import options as o
+from locfuse.cli.terminal.findings import finish
 
 BELOW = "95 % interval: where the value lies by these logs. was: as configured."
 
 
 @click.command()
 @click.argument("log", nargs=-1, required=True, shell_complete=completion.logs)
-@findings_options("Write what was found as robot.toml, to be used with --robot.", "a table")
-@log_options
-def calibrate(log: tuple[str, ...], out: Path | None, overwrite: bool, as_json: bool, how: LogOptions) -> int:
+@o.carried(*o.found("Write what was found as robot.toml, to be used with --robot.", "a table"), *o.READING)
+def calibrate(log: tuple[str, ...], options: o.Options) -> int:
     """Find wheel noise, wheel geometry, laser mount and magnetometer iron from LOGs of one robot.
 
     From straight runs and turns on the spot with truth: the noise per metre (and the paper's delta), wheel radius,
@@ -37,7 +33,7 @@ def calibrate(log: tuple[str, ...], out: Path | None, overwrite: bool, as_json: 
     from locfuse.cli.terminal import show
     from locfuse.formats.whole_files import may_replace
 
-    may_replace(out, overwrite, log)
-    with show.progress(how.quiet) as progress:
-        found = calibrate.calibrated(logs_of(log), how, progress)
-    return finish(found, [(found.titles, found.rows(), BELOW)], out, overwrite, as_json)
+    may_replace(options.outputs.out, options.outputs.overwrite, log)
+    with show.progress(options.how.quiet) as progress:
+        found = calibrate.calibrated(logs_of(log), options.how, progress)
+    return finish(found, [(found.titles, found.rows(), BELOW)], options.outputs)

@@ -12,7 +12,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.cli.analysis import outputs
-from locfuse.cli.analysis.settings import Progress, silent
+from locfuse.cli.analysis.settings import Progress
 from locfuse.formats.figures.palette import looks_of, traces_of
 from locfuse.formats.figures.panels import Curve, Panel, Spots, Strokes
 from locfuse.formats.figures.sections import sections
@@ -46,7 +46,6 @@ class Driven(NamedTuple):
     """One drive of one scenario."""
 
     scenario: str
-    seed: int
     xy: Array  # (n, 2) m, where the robot really was
     path: Array  # (m, 2) m, where it should have been
 
@@ -60,20 +59,20 @@ class Distance(NamedTuple):
     largest: float  # m
 
 
-def drives(seed: int = SEED, jobs: int = 2) -> dict[str, Driven]:
+def drives(jobs: int) -> dict[str, Driven]:
     """Drive both paths with and without the EKF in the loop."""
     names = [name for path in PATHS.values() for name in (path, f"{path}_ekf")]
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        return dict(zip(names, pool.map(drive, names, [seed] * len(names)), strict=True))
+        return dict(zip(names, pool.map(drive, names), strict=True))
 
 
-def drive(scenario: str, seed: int) -> Driven:
+def drive(scenario: str) -> Driven:
     """Drive a scenario with its own estimator in the loop."""
     chosen = scenarios.load(scenario)
     if not isinstance(chosen.path, Polygon):
         raise TypeError(f"{scenario} follows no closed path")
-    *_, outcome = in_memory(chosen, seed, localise(chosen.control.estimator))
-    return Driven(scenario, seed, outcome.truth[::10, :2], polygon(chosen.path).pose[:, :2])
+    *_, outcome = in_memory(chosen, SEED, localise(chosen.control.estimator))
+    return Driven(scenario, outcome.truth[::10, :2], polygon(chosen.path).pose[:, :2])
 
 
 def distances(driven: Driven) -> Array:
@@ -167,7 +166,7 @@ class Repeated(msgspec.Struct, frozen=True):
         }
 
 
-def repeat(progress: Progress = silent, jobs: int = 2) -> Repeated:
+def repeat(progress: Progress, jobs: int) -> Repeated:
     """Compare the shipped log under both filters, and drive figure 14's paths."""
     compared = {
         which: load(LOG, preset=preset, progress=progress).compare(smooth=False)

@@ -40,9 +40,7 @@ class RobotFacts(msgspec.Struct, frozen=True):
 def find_robot_facts(log: Log, robot: Robot, choice: Choice, scans: WheelReading | None = None) -> RobotFacts:
     """Look for wheel geometry beyond robot.toml; `scans` is the motion by scans, where that was used."""
     described = _described(log)
-    topics = choice.of("wheels")
-    kind = log.topics[topics[0]].msgtype if topics else ""
-    counters = topics if topics and kind not in BODY_READS else _unused_counters(log, choice)
+    counters = _counters(log, choice)
     if not counters:
         return RobotFacts(described)
     kind = log.topics[counters[0]].msgtype
@@ -67,9 +65,7 @@ def of_robot(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list[
 
 
 def _geometry(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list[Finding]:
-    topics = choice.of("wheels") or _unused_counters(log, choice)
-    if not topics or log.topics[topics[0]].msgtype in BODY_READS:
-        topics = _unused_counters(log, choice)
+    topics = _counters(log, choice)
     if not topics:
         return []
     fixes, words = [], []
@@ -90,7 +86,7 @@ def _geometry(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list
         fixes += [f"wheels.left={found.joints[0]}", f"wheels.right={found.joints[1]}"]
     if not words:
         return []
-    other = choice.of("wheels") and log.topics[choice.of("wheels")[0]].msgtype in BODY_READS
+    other = choice.of("wheels") not in ((), topics)  # an odometry is read in their place
     counts = "count" if len(topics) > 1 else "counts"
     message = f"{' and '.join(topics)} {counts} wheel turns, but nothing says {', '.join(words)}"
     return [Finding("wheels", "geometry", message, tuple(fixes), not other, source if fixes else "")]
@@ -120,6 +116,13 @@ def geometry(robot: Robot, found: RobotFacts) -> tuple[dict[str, float], str]:
         parts = [f"{key} {value:.4g} m (1 sigma {sigma:.1g})" for (key, value), sigma in rows]
         return values, f"matching the scans of this drive gives {' and '.join(parts)}"
     return values, f"{found.odometry} was made with these"
+
+
+def _counters(log: Log, choice: Choice) -> tuple[str, ...]:
+    """Return the topics of wheel turns: those that are read, else those that could be; () without any."""
+    topics = choice.of("wheels")
+    turns = topics and log.topics[topics[0]].msgtype not in BODY_READS
+    return topics if turns else _unused_counters(log, choice)
 
 
 def _unused_counters(log: Log, choice: Choice) -> tuple[str, ...]:

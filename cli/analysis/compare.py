@@ -290,7 +290,7 @@ def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
     add_reference(report, compared)
     slower = {c.name: c.sensors for c in compared.configurations if c.rates}
     errors = {name: values.get("position_rmse_m") for name, values in report["configurations"].items()}
-    add_pairs(report["verdicts"], sets, slower, errors)
+    add_pairs(report["verdicts"], sets, slower, errors, compared.credit is not None)
     add_own_scans(report, compared.loaded.drive, compared.estimates, compared.smoothed)
     return json_report.plain(report)
 

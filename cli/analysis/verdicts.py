@@ -204,10 +204,12 @@ def add_pairs(
     sets: Mapping[str, Sequence[str]],
     slower: Mapping[str, Sequence[str]],
     errors: Mapping[str, float | None],
+    by_truth: bool,
 ) -> None:
     """Add to verdicts what pairs of configurations show: a lower rate, and beside which sensors one harms most.
 
-    `sets` are the sensors by configuration, those of a lower rate apart: `slower`. `errors` are in m.
+    `sets` are the sensors by configuration, those of a lower rate apart: `slower`. `errors` are in m. References
+    of two sets differ, so only errors `by_truth` show harm.
     """
     names = {frozenset(sensors): name for name, sensors in sets.items()}
     known = {name: error for name, error in errors.items() if error}
@@ -220,7 +222,7 @@ def add_pairs(
             if without in known and name in known and len(sets[without]) and len(sets[name]) < len(verdicts)
         ]
         worst = max(harms, default=(0.0, "", ""))
-        pairs += [(worst[1], worst[2], f"Beside {worst[1]}")] if worst[0] > MIN_HARM_RATIO else []
+        pairs += [(worst[1], worst[2], f"Beside {worst[1]}")] if by_truth and worst[0] > MIN_HARM_RATIO else []
         words = [
             f"{what}: {length(known[a])} -> {length(known[b])} ({times(math.log(known[a] / known[b]))})."
             for a, b, what in pairs

@@ -17,7 +17,7 @@ ERRORS = {"odometry": 0.5, "compass": 0.3, "camera": 0.064, "lrf": 0.004, "compa
 
 def test_a_lower_rate_and_a_pair_in_which_one_harms_are_said_in_figures() -> None:
     found = {s: {"verdict": "helps", "words": "Why."} for s in ("compass", "camera", "lrf")}
-    add_pairs(found, SETS, {"lrf@2Hz": ("lrf",)}, ERRORS)
+    add_pairs(found, SETS, {"lrf@2Hz": ("lrf",)}, ERRORS, by_truth=True)
     words = {s: v["words"].removeprefix("Why.").strip() for s, v in found.items()}
     assert words["camera"] == ""
     assert words["compass"] == "Beside camera: 64 mm -> 0.12 m (1.9x worse)."
@@ -26,5 +26,5 @@ def test_a_lower_rate_and_a_pair_in_which_one_harms_are_said_in_figures() -> Non
 
 def test_without_errors_nothing_is_added() -> None:
     found = {"lrf": {"verdict": "no verdict", "words": ""}}
-    add_pairs(found, SETS, {"lrf@2Hz": ("lrf",)}, dict.fromkeys(ERRORS))
+    add_pairs(found, SETS, {"lrf@2Hz": ("lrf",)}, dict.fromkeys(ERRORS), by_truth=True)
     assert found == {"lrf": {"verdict": "no verdict", "words": ""}}

@@ -62,17 +62,14 @@ def files(
         drive = compared.loaded.drive
         out |= {f"{e.name}.tum": partial(to.write_blocks, to.tum_blocks(drive, e)) for e in compared.estimates}
         out |= {} if drive.truth is None else {"truth.tum": to.truth_tum(drive, drive.truth)}
-    if "html" in kinds:
-        out["report.html"] = page(compared, drawn, report)
-    if "md" in kinds:
-        out["report.md"] = markdown.render(report)
-    if "csv" in kinds:
-        out["report.csv"] = tables.csv(report)
-    if "tex" in kinds:
-        out["report.tex"] = tables.latex(report)
-    if "json" in kinds:
-        out["report.json"] = json_report.encode(report)
-    return out
+    made: dict[str, Callable[[], str]] = {
+        "html": lambda: page(compared, drawn, report),
+        "md": lambda: markdown.render(report),
+        "csv": lambda: tables.csv(report),
+        "tex": lambda: tables.latex(report),
+        "json": lambda: json_report.encode(report),
+    }
+    return out | {f"report.{kind}": make() for kind, make in made.items() if kind in kinds}
 
 
 def files_of_run(

@@ -15,7 +15,7 @@ import msgspec
 from locfuse.cli.analysis.key import key
 from locfuse.cli.analysis.load import find_log
 from locfuse.cli.analysis.robot_tables import given_tables
-from locfuse.cli.analysis.settings import Asked, LogOptions, Outputs
+from locfuse.cli.analysis.settings import OF_COMPARISON, Asked, LogOptions, Outputs
 from locfuse.cli.rerun.recordings import Recording
 from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.inputs import read_small
@@ -72,7 +72,7 @@ class JobOutcome(msgspec.Struct, frozen=True):
 
 REPORT = "report.json"
 OTHER_FILES = ("robot.toml", "estimates.mcap")  # files of a result beside the kinds of output
-OF_KIND = {"html": "report.html", "md": "report.md", "csv": "report.csv", "tex": "report.tex", "json": REPORT}
+OF_KIND = {kind: f"report.{kind}" for kind in OF_COMPARISON if kind != "tum"}
 
 
 def is_finished(job: Job) -> bool:

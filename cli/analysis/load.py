@@ -37,8 +37,8 @@ from .memory import give_back
 from .mounts import level_compass, mount_tables, on_moving_parts, optics_tables, shared_turns, transforms_of
 from .refused_motion import spoiling, standing_notes
 from .robot_tables import (
+    flat,
     given_tables,
-    keys_of,
     make_robot,
     merged_tables,
     named_by_hand,
@@ -299,7 +299,7 @@ def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = sil
     choice = deepcopy(loaded.choice)
     before = loaded if wheels else replace(loaded, reading=None)
     found = measured(loaded.log, tables, choice, progress, known=unchanged, before=before)
-    sources = {**loaded.sources, **dict.fromkeys(keys_of(sets), "--set")}
+    sources = {**loaded.sources, **dict.fromkeys(flat(sets), "--set")}
     return _within(replace(found, sources=sources, given=given, hash_all=loaded.hash_all), loaded.window)
 
 

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from locfuse.cli.advice.validity import MAX_START_ERROR_M
 from locfuse.cli.analysis.configurations import refuse_beside_others, unknown_sensor
 from locfuse.cli.analysis.load import Loaded, load, start_error, with_settings
-from locfuse.cli.analysis.settings import LogOptions
+from locfuse.cli.analysis.settings import LogOptions, set_words
 from locfuse.formats.container.url import Place
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.checks.score import MAX_LOSS_NATS, Score, spoils
@@ -184,9 +184,7 @@ def tune_logs(
 
 def _judged(loaded: Sequence[Loaded], tuned: Tuned, checks: Sequence[str]) -> list[Judged]:
     """Evaluate every log as `run` would, before and after: what is measured depends on the noise too."""
-    sets = tuple(
-        f"{table}.{key}={value!r}" for table, keys in _tables(tuned).items() for key, value in keys.items()
-    )
+    sets = set_words(_tables(tuned))
     return [
         Judged(one.log.name, _evaluated(one), _evaluated(with_settings(one, sets)), check)
         for one, check in zip(loaded, checks, strict=True)

@@ -13,7 +13,7 @@ from locfuse.cli.terminal import options as o
 from locfuse.cli.terminal.screen import put, reader_may_leave
 
 if TYPE_CHECKING:
-    from locfuse.cli.inspect.inspect_log import Overview
+    from locfuse.cli.inspect.robot_facts import Overview
 
 PICTURES = "pictures"
 TRIED = "tried by fusing"

@@ -10,8 +10,6 @@ from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import msgspec
-from msgspec import field
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.adapted_topics import offer_presented, offer_tags
@@ -36,30 +34,11 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .mounts import conflicts, unplaced
-from .robot_facts import RobotFacts, find_robot_facts, of_robot
-from .topics import TopicFacts, derived_facts, of_publishers, of_stamps, topic_facts
+from .robot_facts import Overview, find_robot_facts, of_robot
+from .topics import derived_facts, of_publishers, of_stamps, topic_facts
 
 if TYPE_CHECKING:
     from locfuse.cli.analysis.settings import LogOptions
-
-
-class Overview(msgspec.Struct):
-    """A log as it is found: topics, roles, mounts, clocks, findings."""
-
-    log: Log
-    tables: dict[str, Any]  # robot.toml as merged, before mounts
-    choice: Choice
-    facts: list[TopicFacts]
-    transforms: StaticTransforms
-    robot: Robot  # with mounts where the log could be measured
-    loaded: Loaded | None = None
-    robot_facts: RobotFacts = field(default_factory=RobotFacts)
-    findings: list[Finding] = field(default_factory=list)
-
-    @property
-    def severe(self) -> bool:
-        """Whether an estimate would be wrong, or bytes are lost."""
-        return any(f.severe for f in self.findings)
 
 
 def inspect_log(

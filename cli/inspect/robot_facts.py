@@ -7,8 +7,11 @@ from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 import numpy as np
+from msgspec import field
 
+from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.topics import Choice, of_type
+from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.formats.robot.urdf import WheelGeometry, wheel_geometry
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.data import BY_SCANS, Array, LocfuseError, Ragged
@@ -19,6 +22,8 @@ from locfuse.fusion.wheels.geometry import Geometry, by_motion, by_odometry
 from locfuse.fusion.wheels.odometry import BODY_READS, ODOMETRY
 from locfuse.fusion.wheels.read import WheelReading, counts_ticks
 from locfuse.fusion.wheels.sources import JOINTS, USUAL_TICKS, joint_names
+
+from .topics import TopicFacts
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
@@ -35,6 +40,25 @@ class RobotFacts(msgspec.Struct, frozen=True):
     odometry: str = ""  # that topic
     ticks: float | None = None  # usual ticks per revolution of the message's type
     joints: tuple[str, str] | None = None  # wheel joints, by name or because only they turn
+
+
+class Overview(msgspec.Struct):
+    """A log as it is found: topics, roles, mounts, clocks, findings."""
+
+    log: Log
+    tables: dict[str, Any]  # robot.toml as merged, before mounts
+    choice: Choice
+    facts: list[TopicFacts]
+    transforms: StaticTransforms
+    robot: Robot  # with mounts where the log could be measured
+    loaded: Loaded | None = None
+    robot_facts: RobotFacts = field(default_factory=RobotFacts)
+    findings: list[Finding] = field(default_factory=list)
+
+    @property
+    def severe(self) -> bool:
+        """Whether an estimate would be wrong, or bytes are lost."""
+        return any(f.severe for f in self.findings)
 
 
 def find_robot_facts(log: Log, robot: Robot, choice: Choice, scans: WheelReading | None = None) -> RobotFacts:

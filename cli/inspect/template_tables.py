@@ -20,8 +20,8 @@ from locfuse.fusion.wheels.odometry import BODY_READS, STEERED
 from locfuse.fusion.wheels.read import counts_ticks
 from locfuse.fusion.wheels.sources import JOINTS
 
-from .inspect_log import Overview
 from .mounts import placed_by
+from .robot_facts import Overview
 
 Known = dict[str, tuple[Any, str]]  # "table.key" -> its value, and its source
 TOP_KEYS = ("order", "preset")

@@ -16,8 +16,9 @@ from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser import OPEN_SCALE
 from locfuse.fusion.data import LocfuseError
 
-from .inspect_log import Overview, inspect_log
+from .inspect_log import inspect_log
 from .known_robots import open_figures, recognise
+from .robot_facts import Overview
 from .template_tables import Facts, Known, found, lines
 
 MAX_ROUNDS = 4  # a fix may bring out what could not be seen before

@@ -24,16 +24,17 @@ from .scan import Scan
 from .scan_history import expected_share
 
 MAX_SLIP_RAD = math.radians(30.0)
-SLIP_SHARE = 0.6  # of the seen length that a slipped heading must explain, with two lines
-SLIP_XY, SLIP_THETA = 0.03, math.radians(1.5)  # m, rad: what is left to correct after a slip's heading was found
-CANDIDATES = 8
-RECENT = 60  # scans
-LOOKS = 3  # scans until a slip is decided
+MIN_SLIP_SHARE = 0.6  # of the seen length that a slipped heading must explain, with two lines
+# m, rad: what is left to correct after a slip's heading was found
+SLIP_SIGMA_M, SLIP_SIGMA_RAD = 0.03, math.radians(1.5)
+MAX_CANDIDATES = 8
+RECENT_SCANS = 60  # scans
+DECIDING_SCANS = 3  # scans until a slip is decided
 MIN_GAIN, SURE_GAIN = 0.2, 0.5  # how much more of them must match with it: matched scans say the same, or not
 SMALL_RAD = math.radians(5.0)  # a heading may be off by so much without a slip: below, no further scans are asked
 AGREE_RAD = math.radians(3.0)  # between the turns of a slip by the map and by matched scans
-CARRIED = 6  # scans in a row that ask for a slip: the robot is carried
-CONTINUES = 0.4  # share of the seen length where scans from before a jump expect it: then there was none
+CARRIED_SCANS = 6  # scans in a row that ask for a slip: the robot is carried
+CONTINUING_SHARE = 0.4  # share of the seen length where scans from before a jump expect it: then there was none
 
 Seen = tuple[float, Pose, Scan]  # a scan: when [s], and where the wheels alone put the robot
 Late = tuple[float, Pose, Callable[[], Scan]]  # the same of a scan that is made when it is asked for
@@ -64,7 +65,7 @@ class Series:
         if not self._scans:
             self.begun, self._before = now[0], made(before)
         self._scans += 1
-        if self._scans < CARRIED:
+        if self._scans < CARRIED_SCANS:
             return False
         self._scans = 0
         return not continues(self._before, now, slip=0.0)
@@ -92,7 +93,7 @@ class Suspicion:
     @property
     def decided(self) -> bool:
         """Whether enough scans have been seen."""
-        return self.looks >= LOOKS
+        return self.looks >= DECIDING_SCANS
 
     def confirmed(self, gain: float, by_scans: bool) -> bool:
         """Return whether the scans since ask for a slip, the last one by a `gain` in share.
@@ -108,7 +109,9 @@ def agree(by_scans: float | None, turn: float) -> bool:
     return by_scans is not None and abs(se2.wrap(by_scans - turn)) <= AGREE_RAD
 
 
-def continues(before: Sequence[Seen], now: Seen, share: float = CONTINUES, slip: float = MAX_SLIP_RAD) -> bool:
+def continues(
+    before: Sequence[Seen], now: Seen, share: float = CONTINUING_SHARE, slip: float = MAX_SLIP_RAD
+) -> bool:
     """Return whether this scan shows walls where one of these scans and the wheels expect them."""
     _, here, scan = now
     steps = ((old, se2.between(np.array(there), np.array(here))) for _, there, old in before if len(old.z))
@@ -121,8 +124,8 @@ def slip_turn(scan: Scan, lines: LineMap, belief: JointBelief, again: Callable[[
     Every heading is tried on the belief itself and the whole map: what is accepted here is what will be matched.
     `again` associates the scan with the belief as it is now.
     """
-    recent = np.flatnonzero(lines.seen.max(initial=0) - lines.seen <= RECENT)
-    least, found = SLIP_SHARE, None
+    recent = np.flatnonzero(lines.seen.max(initial=0) - lines.seen <= RECENT_SCANS)
+    least, found = MIN_SLIP_SHARE, None
     for turn in _turns(scan, lines, recent, belief):
         there = with_slip(belief, turn, again)
         share = there.share()
@@ -133,7 +136,7 @@ def slip_turn(scan: Scan, lines: LineMap, belief: JointBelief, again: Callable[[
 
 def with_slip(belief: JointBelief, turn: float, again: Callable[[], Association]) -> Association:
     """Return the association of the scan at hand if the heading were turned by a slip [rad]."""
-    with tried(belief, turn, SLIP_XY**2, SLIP_THETA**2):
+    with tried(belief, turn, SLIP_SIGMA_M**2, SLIP_SIGMA_RAD**2):
         return again()
 
 
@@ -157,5 +160,5 @@ def _turns(scan: Scan, lines: LineMap, recent: Ints, belief: JointBelief) -> lis
     support: dict[int, float] = {}
     for cell, weight in zip(cells.tolist(), length[near].tolist(), strict=True):
         support[cell] = support.get(cell, 0.0) + weight
-    ranked = sorted(support, key=lambda c: (-support[c], abs(c), c))[:CANDIDATES]
+    ranked = sorted(support, key=lambda c: (-support[c], abs(c), c))[:MAX_CANDIDATES]
     return [c * math.radians(2.0) for c in ranked if c != 0]

@@ -21,12 +21,14 @@ from .odometry import Odometry, moved
 GAP_S = 0.09  # between two scans that are matched: more often says little new
 SCANS_AT_ONCE = 1024  # whose points are held before they are thinned
 REST_S = 1.0  # a robot at rest for so long before and after a scan is where it was: wheels' stamps may be late
-POINTS = 90  # of one scan that are matched
-PRIOR = np.diag([0.1**-2, 0.1**-2, np.radians(4.0) ** -2])  # holds a match where the walls say nothing
+MAX_POINTS = 90  # of one scan that are matched
+PRIOR_INFORMATION = np.diag([0.1**-2, 0.1**-2, np.radians(4.0) ** -2])  # holds a match where the walls say nothing
 REACH_M = 0.4
-ROUNDS = 2  # a scan that fits badly is asked again from where its neighbours say that it is
-STEP = np.diag([0.002**2, 0.002**2, np.radians(0.1) ** 2])  # from scan to scan, even at rest: stamps are not exact
-EXACT = np.diag([1e10, 1e10, 1e12])  # 1/m^2, 1/rad^2: information of the next key
+ROUND_COUNT = 2  # a scan that fits badly is asked again from where its neighbours say that it is
+STEP_P = np.diag(
+    [0.002**2, 0.002**2, np.radians(0.1) ** 2]
+)  # from scan to scan, even at rest: stamps are not exact
+KEY_INFORMATION = np.diag([1e10, 1e10, 1e12])  # 1/m^2, 1/rad^2: information of the next key
 
 
 def scans_between(
@@ -47,10 +49,10 @@ def scans_between(
     targets, sources = Targets(both_ends(clouds, x)), points_of(m, chosen)
     xi, information = np.zeros((len(k), 3)), np.zeros((len(k), 3, 3))
     fixes, asked = ends, np.arange(len(k))
-    for _ in range(ROUNDS):
+    for _ in range(ROUND_COUNT):
         guess = fixes.at(odometry, k[asked], spans.take(asked))[0]
         u = spans.u[asked]
-        prior = np.broadcast_to(PRIOR, (len(asked), 3, 3))
+        prior = np.broadcast_to(PRIOR_INFORMATION, (len(asked), 3, 3))
         found = match(targets, spans.a[asked], sources, asked, se2.compose(guess, u), prior, REACH_M)
         xi[asked], information[asked] = said(found, u, guess)
         fixes = smoothed(odometry, ends, spans.a, k, xi, information)
@@ -81,7 +83,7 @@ def moving_scans(odometry: Odometry, t: Array, instants: Ints, readings: Ints) -
 def points_of(m: Measurements, chosen: Ints) -> Clouds:
     """Return the points of these readings that are matched, read in parts so that few whole scans are held."""
     cuts = np.arange(SCANS_AT_ONCE, len(chosen), SCANS_AT_ONCE)
-    parts = [sources_of(clouds_of(m, part), POINTS) for part in np.split(chosen, cuts)]
+    parts = [sources_of(clouds_of(m, part), MAX_POINTS) for part in np.split(chosen, cuts)]
     counts = np.concatenate([np.diff(part.first) for part in parts])
     first = np.concatenate(([0], np.cumsum(counts)))
     return Clouds(
@@ -115,10 +117,10 @@ def smoothed(odometry: Odometry, ends: Fixes, a: Ints, k: Ints, xi: Array, infor
     order = np.lexsort((np.concatenate((ends.instant, k)), np.concatenate((ends.a, a))))
     a, k = np.concatenate((ends.a, a))[order], np.concatenate((ends.instant, k))[order]
     z = np.concatenate((ends.xi, xi))[order]
-    L = np.concatenate((np.broadcast_to(EXACT, (len(ends.a), 3, 3)), information))[order]
+    L = np.concatenate((np.broadcast_to(KEY_INFORMATION, (len(ends.a), 3, 3)), information))[order]
     starts = np.flatnonzero(np.diff(a, prepend=-1))
     home = se2.inverse(odometry.pose[k[starts]])[np.searchsorted(a[starts], a)]
-    Q = moved(np.diff(odometry.C[k], axis=0, prepend=odometry.C[k[:1]]), home) + STEP
+    Q = moved(np.diff(odometry.C[k], axis=0, prepend=odometry.C[k[:1]]), home) + STEP_P
     lengths = np.diff(np.append(starts, len(a)))
     mean, V = z.copy(), np.zeros((len(a), 3, 3))
     for step in range(1, int(lengths.max())):

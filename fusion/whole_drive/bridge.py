@@ -7,19 +7,19 @@ key poses alike turns what lies between.
 
 from __future__ import annotations
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.scan_matching.clouds import Columns
 
 from .odometry import Odometry, by_lever, moved
 
-REST = np.diag([1e-9, 1e-9, 1e-9])  # m^2, rad^2: a robot at rest has no bridge
+REST_P = np.diag([1e-9, 1e-9, 1e-9])  # m^2, rad^2: a robot at rest has no bridge
 
 
-class Spans(msgspec.Struct, frozen=True):
+class Spans(Columns, frozen=True):
     """Stamps (n,) between keys: the key before each, and the wheels' way from there."""
 
     a: Ints  # (n,) key before, or the last but one
@@ -39,13 +39,9 @@ class Spans(msgspec.Struct, frozen=True):
         home = se2.inverse(odometry.pose[keys[a]])
         u = se2.compose(home, stamps.pose)
         C = moved(stamps.C - odometry.C[keys[a]], home)
-        C_ab = moved(odometry.C[keys[b]] - odometry.C[keys[a]], home) + REST
+        C_ab = moved(odometry.C[keys[b]] - odometry.C[keys[a]], home) + REST_P
         inside, beyond = (k >= keys[a]) & (k < keys[b]), k >= keys[b]
         return cls(a, b, inside[:, None, None], beyond[:, None, None], home, u, C, C_ab)
-
-    def take(self, at: Ints) -> Spans:
-        """Return those of some of the stamps."""
-        return Spans(*(column[at] for column in msgspec.structs.astuple(self)))
 
     @property
     def share(self) -> Array:
@@ -53,7 +49,7 @@ class Spans(msgspec.Struct, frozen=True):
         return np.where(self.inside, self.C @ np.linalg.inv(self.C_ab), np.where(self.beyond, np.eye(3), 0.0))
 
 
-class Fixes(msgspec.Struct, frozen=True):
+class Fixes(Columns, frozen=True):
     """Instants at which the wheels' error since the key before is known: both keys of every span, scans between.
 
     Sorted by key, then by instant; of every span the first row is its key (no error yet), the last the next one.
@@ -83,7 +79,7 @@ class Fixes(msgspec.Struct, frozen=True):
         f, g = np.clip(f, 0, last), np.clip(f + 1, 0, last)
         origin = odometry.C[self.instant[np.searchsorted(self.a, spans.a)]]
         C_f = moved(odometry.C[self.instant[f]] - origin, spans.home)
-        C_fg = moved(odometry.C[self.instant[g]] - origin, spans.home) - C_f + REST
+        C_fg = moved(odometry.C[self.instant[g]] - origin, spans.home) - C_f + REST_P
         since = spans.C - C_f
         share = np.where(spans.inside, since @ np.linalg.inv(C_fg), 0.0)
         xi = self.xi[f] + np.einsum("nij,nj->ni", share, self.xi[g] - self.xi[f])

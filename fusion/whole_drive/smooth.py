@@ -38,7 +38,7 @@ from .pose_graph import Graph, room_for_loops, whole_drive
 
 NOT_OPTIMAL = ("first-scan", "consider")
 MAX_WALLS = 300  # of a given map: each is two states, and each instant costs the square of their number
-RANK = 1e-12  # relative eigenvalue below which the wheels' noise has no extent
+MIN_EIGENVALUE_SHARE = 1e-12  # relative eigenvalue below which the wheels' noise has no extent
 
 
 def check_smoothing(robot: Robot, sensors: Sequence[str]) -> None:
@@ -261,7 +261,7 @@ def between_instants(
     turn = se2.rotation(start[:, 2])
     Q = eq6_noise(turn, drive.truth_motions.Q)
     whole = eq6_noise(turn, drive.motions.Q[after])
-    share = Q @ on.transpose(0, 2, 1) @ np.linalg.pinv(whole, rcond=RANK, hermitian=True)
+    share = Q @ on.transpose(0, 2, 1) @ np.linalg.pinv(whole, rcond=MIN_EIGENVALUE_SHARE, hermitian=True)
     share[k == after] = 0.0
     near = to_at - share @ to_end
     out = at + _apply(near, back.local[k] - start) + _apply(share, back.arrived[after] - end)

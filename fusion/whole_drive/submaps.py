@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.scan_matching.clouds import Clouds, merged
+from locfuse.fusion.scan_matching.free_space import Views
 
 SPACING_M, HALF_LENGTH_M = 3.0, 3.0  # between two submaps, and how far one reaches along the way to either side
 CELL_M, TURN_RAD = 0.25, np.radians(3.0)
 REACH_M = 12.0  # points further from the middle are left out
-SIZE = 256  # cells of the transform: submap and window fit in without wrapping
-MAX_SHIFT_M = 0.5 * SIZE * CELL_M - 2.0 - REACH_M
+GRID_CELLS = 256  # cells of the transform: submap and window fit in without wrapping
+MAX_SHIFT_M = 0.5 * GRID_CELLS * CELL_M - 2.0 - REACH_M
 APART_M = 1.5  # two peaks further apart are two places
-ALIKE = 0.93  # a second peak of this share of the best leaves it undecided
+ALIKE_SHARE = 0.93  # a second peak of this share of the best leaves it undecided
 
 
 class Submaps(msgspec.Struct, frozen=True):
@@ -29,14 +30,17 @@ class Submaps(msgspec.Struct, frozen=True):
     middle: Ints  # (s,) which key
     members: list[Ints]  # keys of each
     clouds: Clouds
+    keys: Clouds  # of the n keys themselves
+    views: Views  # of the keys
+    way: Array  # (n,) m, driven until each key
 
 
-def submaps_of(clouds: Clouds, x: Array, way: Array) -> Submaps:
-    """Cut the keys at poses x (n, 3), `way` (n,) [m] into submaps that overlap by half."""
+def submaps_of(keys: Clouds, origin: Array, x: Array, way: Array) -> Submaps:
+    """Cut the keys at poses x (n, 3), `way` (n,) [m], into submaps that overlap by half."""
     middle = np.flatnonzero(np.diff(np.floor(way / SPACING_M), prepend=-1.0) > 0)
     members = [np.flatnonzero(np.abs(way - way[k]) <= HALF_LENGTH_M) for k in middle.tolist()]
     poses = [se2.between(x[k], x[group]) for k, group in zip(middle.tolist(), members, strict=True)]
-    return Submaps(middle, members, merged(clouds, members, poses))
+    return Submaps(middle, members, merged(keys, members, poses), keys, Views.of(keys, origin), way)
 
 
 class Peak(msgspec.Struct, frozen=True):
@@ -50,7 +54,7 @@ class Peak(msgspec.Struct, frozen=True):
     @property
     def decided(self) -> bool:
         """Whether no other place fits about as well."""
-        return not self.edge and self.second < ALIKE * self.score
+        return not self.edge and self.second < ALIKE_SHARE * self.score
 
 
 def correlate(ours: Array, theirs: Array, guess: Array, sigma: Array) -> Peak:
@@ -65,12 +69,14 @@ def correlate(ours: Array, theirs: Array, guess: Array, sigma: Array) -> Peak:
     cells = int(reach / CELL_M)
     shift = np.round(guess[:2] / CELL_M).astype(np.int64)
     window = np.arange(-cells, cells + 1)
-    rows, columns = (window + shift[1]) % SIZE, (window + shift[0]) % SIZE
+    rows, columns = (window + shift[1]) % GRID_CELLS, (window + shift[0]) % GRID_CELLS
     scores = np.empty((len(turns), len(window), len(window)), np.float32)
     for n, turn in enumerate(turns.tolist()):
         other = _raster(se2.rotated(np.array(guess[2] + turn), theirs), spread=False)
         total = max(float(other.sum()), 1.0)
-        scores[n] = irfft2(target * np.conj(rfft2(other)), s=(SIZE, SIZE))[np.ix_(rows, columns)] / total
+        scores[n] = (
+            irfft2(target * np.conj(rfft2(other)), s=(GRID_CELLS, GRID_CELLS))[np.ix_(rows, columns)] / total
+        )
     k, r, c = (int(i) for i in np.unravel_index(int(scores.argmax()), scores.shape))
     dy, dx = window[r] + shift[1], window[c] + shift[0]
     away = (window[:, None] - window[r]) ** 2 + (window[None, :] - window[c]) ** 2 > (APART_M / CELL_M) ** 2
@@ -83,8 +89,8 @@ def correlate(ours: Array, theirs: Array, guess: Array, sigma: Array) -> Peak:
 
 def _raster(points: Array, spread: bool) -> NDArray[np.float32]:
     """Return which cells points fall in, (SIZE, SIZE) about the origin; `spread` gives their neighbours a half."""
-    cells = np.round(points[np.abs(points).max(axis=1) < REACH_M] / CELL_M).astype(np.int64) % SIZE
-    grid = np.zeros((SIZE, SIZE), np.float32)
+    cells = np.round(points[np.abs(points).max(axis=1) < REACH_M] / CELL_M).astype(np.int64) % GRID_CELLS
+    grid = np.zeros((GRID_CELLS, GRID_CELLS), np.float32)
     grid[cells[:, 1], cells[:, 0]] = 1.0
     if spread:
         around = np.maximum.reduce([np.roll(grid, (dy, dx), (0, 1)) for dy in (-1, 0, 1) for dx in (-1, 0, 1)])

@@ -24,7 +24,6 @@ ARGUMENTS: dict[str, int] = {
     "fusion/kernels/ekf.py:InMap.compare": 9,
     "fusion/kernels/ekf.py:State.compare": 10,
     "fusion/sensor.py:Belief.compare": 9,
-    "fusion/whole_drive/closures.py:judged": 10,
 }
 RECORD_FIELDS: dict[str, int] = {
     "formats/figures/panels.py:Panel": 16,
@@ -37,7 +36,6 @@ RECORD_FIELDS: dict[str, int] = {
     "fusion/lines/settings.py:LineSettings": 19,
     "fusion/map/line_map.py:LineMap": 15,
     "fusion/robot.py:WheelSettings": 24,
-    "fusion/whole_drive/pose_graph.py:Graph": 13,
 }
 CHANGING_FIELDS: dict[str, int] = {
     "fusion/ekf/belief_arrays.py:JointBelief": 15,

@@ -21,7 +21,6 @@ from locfuse.fusion.data import Drive, Evaluation
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
-from locfuse.fusion.robot import Robot
 from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 
 MODES = "first-scan,consider,refine,grow"
@@ -68,81 +67,56 @@ def work(
         measured = measured or measure(run.streams, robot)
         for used in ((), *((s,) for s in sensors), sensors):
             if set(used) <= set(measured.measurements):
-                for judged in judgements(measured, robot, used, smooth and mode in SMOOTHED):
+                both = smooth and bool(used) and mode in SMOOTHED
+                for run_of in fuse_and_smooth(measured, robot, used) if both else (fuse(measured, robot, used),):
+                    judged = evaluate(run_of, measured)
                     found[f"{mode} {judged.name}"] = figures(judged)
     return {"found": found}
 
 
-def judgements(measured: Drive, robot: Robot, sensors: tuple[str, ...], smooth: bool) -> list[Evaluation]:
-    """Judge the filter, and where asked and there is something to smooth, the smoother."""
-    found = fuse_and_smooth(measured, robot, sensors) if smooth and sensors else (fuse(measured, robot, sensors),)
-    return [evaluate(e, measured) for e in found]
-
-
 def figures(judged: Evaluation) -> dict[str, Any]:
-    """Return what the table needs of one run."""
-    keys = ("position_rmse_m", "heading_rmse_deg", "anees")
-    nis = {s: f.nis for s, f in judged.sensors.items()}
-    return {**{k: judged.figures[k] for k in keys}, "nis": nis, "nees": per_state(judged)}
-
-
-def per_state(judged: Evaluation) -> list[float]:
-    """Mean squared error over predicted variance of x, y and theta, each on its own."""
-    if judged.heading is None:
-        return []
-    e = np.column_stack((judged.deviation, judged.heading))
-    good = (judged.sigma > 0).all(axis=1)
-    ratios: list[float] = ((e[good] / judged.sigma[good]) ** 2).mean(axis=0).tolist()
-    return ratios
+    """Return what the table needs of one run; `nees`: squared error over predicted variance of x, y and theta."""
+    found: dict[str, Any] = {k: judged.figures[k] for k in ("position_rmse_m", "heading_rmse_deg", "anees")}
+    if judged.heading is not None:
+        good = (judged.sigma > 0).all(axis=1)
+        errors = np.column_stack((judged.deviation, judged.heading))[good]
+        found["nees"] = ((errors / judged.sigma[good]) ** 2).mean(axis=0).tolist()
+    return found
 
 
 def over_drives(results: Sequence[dict[str, dict[str, Any]]]) -> dict[str, dict[str, float]]:
     """Return for every mode and configuration the mean, median and spread over drives."""
-    table: dict[str, dict[str, float]] = {}
+    table = {}
     for name in results[0]:
         rows = [r[name] for r in results if name in r]
-        position = np.array([r["position_rmse_m"] for r in rows])
+        mm = 1000 * np.array([r["position_rmse_m"] for r in rows])
+        x, y, theta = np.mean([r["nees"] for r in rows], axis=0).tolist()
         table[name] = {
-            "drives": len(rows),
-            "position_rmse_mm": float(1000 * np.sqrt((position**2).mean())),
-            "mean_mm": float(1000 * position.mean()),
-            "median_mm": float(1000 * np.median(position)),
-            "worst_mm": float(1000 * position.max()),
+            "position_rmse_mm": float(np.sqrt((mm**2).mean())),
+            "mean_mm": float(mm.mean()),
+            "median_mm": float(np.median(mm)),
+            "worst_mm": float(mm.max()),
             "heading_rmse_deg": math.sqrt(float(np.mean([r["heading_rmse_deg"] ** 2 for r in rows]))),
             "anees": float(np.mean([r["anees"] for r in rows])),
-            **{
-                f"nees_{s}": float(np.mean([r["nees"][i] for r in rows]))
-                for i, s in enumerate(("x", "y", "theta"))
-            },
+            "nees_x": x,
+            "nees_y": y,
+            "nees_theta": theta,
         }
     return table
 
 
+HEAD = "map, configuration,rmse of all,mean of drives,median,worst,heading,ANEES,x,y,theta"
+FORMS = ("{:.2f} mm", "{:.2f}", "{:.2f}", "{:.2f}", "{:.4f}°", *["{:.2f}"] * 4)
+
+
 def markdown(table: dict[str, dict[str, float]]) -> str:
     """Return the table for people."""
-    head = (
-        "map, configuration",
-        "rmse of all",
-        "mean of drives",
-        "median",
-        "worst",
-        "heading",
-        "ANEES",
-        "x",
-        "y",
-        "theta",
-    )
+    first, *head = HEAD.rsplit(",", 9)
     lines = [
-        (
-            name,
-            f"{r['position_rmse_mm']:.2f} mm",
-            *(f"{r[key]:.2f}" for key in ("mean_mm", "median_mm", "worst_mm")),
-            f"{r['heading_rmse_deg']:.4f}°",
-            *(f"{r[key]:.2f}" for key in ("anees", "nees_x", "nees_y", "nees_theta")),
-        )
-        for name, r in table.items()
+        (name, *(form.format(v) for form, v in zip(FORMS, row.values(), strict=True)))
+        for name, row in table.items()
     ]
-    return "\n".join(experiment.table(head, lines, "123456789"))
+    return "\n".join(experiment.table((first, *head), lines, "123456789"))
 
 
 def table(rows: list[Row]) -> Iterator[str]:

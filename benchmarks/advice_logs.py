@@ -29,9 +29,8 @@ import numpy as np
 
 from benchmarks import experiment
 from benchmarks.advice import MAX_LOSS, MAX_LOSS_DEG, MAX_LOSS_M, PAGE
-from benchmarks.building import FAR_S
+from benchmarks.building import EPOCH_S, FAR_S, relation_errors
 from benchmarks.experiment import Row
-from benchmarks.relations import EPOCH_S, relation_errors
 from locfuse.cli.session.session import Session, load
 from locfuse.formats.report.findings import length
 

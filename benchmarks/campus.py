@@ -27,7 +27,7 @@ TOURS = (
     "00 20 22 02 00 10 12 02 01 21 20 00 01 11 10 20 21 11",
     "11 12 22 20 10 11 01 00 20 21 01 02 22",
 )
-HALF: Table = {  # 180 degrees, 30 m
+LASER: Table = {  # 180 degrees, 30 m
     "rate": 5.0,
     "phase": 0.031,
     "beams": 181,
@@ -38,20 +38,10 @@ HALF: Table = {  # 180 degrees, 30 m
     "sigma_range": 0.02,
     "lost": 0.005,
 }
-SMALL: Table = {  # all round, 12 m, a turn for a scan
-    **HALF,
-    "rate": 5.5,
-    "beams": 360,
-    "field_of_view_deg": 359.0,
-    "duration": 0.1813,
-    "range_max": 12.0,
-    "sigma_range": 0.03,
-}
-LASERS = {"half": HALF, "small": SMALL}
 Area = tuple[float, float, float, float]  # m: west, south, east, north
 
 
-def scenario(seed: int, laser: str) -> Table:
+def scenario(seed: int) -> Table:
     """Return a floor and a drive through it as the tables of a scenario."""
     tour = TOURS[seed % len(TOURS)].split()
     points = [[NORTHWARD[int(at[0])] + 0.5 * WIDTH, EASTWARD[int(at[1])] + 0.5 * WIDTH] for at in tour]
@@ -59,7 +49,7 @@ def scenario(seed: int, laser: str) -> Table:
         "title": f"A floor of 160 x 100 m (seed {seed}): corridors that form loops of 500 m",
         "control": {"estimator": "truth", "speed": 0.8, "wait": 4.0, "clearance": 0.32, "time_limit": 4000.0},
         "wheels": {"radius": 0.075, "track": 0.5, "noise": 4e-4},
-        "lrf": LASERS[laser],
+        "lrf": LASER,
         "camera": {"enabled": False},
         "compass": {"rate": 10.0, "noise_deg": 1.0},
         "truth": {"rate": 10.0},
@@ -140,10 +130,9 @@ def piece(area: Area, rng: random.Random) -> Table:
 @click.command()
 @click.option("-o", "--out", type=click.Path(path_type=Path), required=True, help="Scenario to write (.toml).")
 @click.option("--seed", default=0, show_default=True)
-@click.option("--laser", type=click.Choice(list(LASERS)), default="half", show_default=True)
-def main(out: Path, seed: int, laser: str) -> None:
+def main(out: Path, seed: int) -> None:
     """Write a floor of 160 x 100 m, and a drive through it, as a scenario."""
-    out.write_text(tomli_w.dumps(scenario(seed, laser)), encoding="utf-8")
+    out.write_text(tomli_w.dumps(scenario(seed)), encoding="utf-8")
 
 
 if __name__ == "__main__":

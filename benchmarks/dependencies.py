@@ -10,16 +10,15 @@ an empty one, the least of five. `locfuse --help` imports click only.
 from __future__ import annotations
 
 import re
-import resource
-import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
 
+from benchmarks import experiment
+from benchmarks.process import cost
 from locfuse.cli.analysis.errors import PACKAGES
 
 PAGE = Path(__file__).parent.parent / "docs" / "install.md"
-TABLE = re.compile(r"<!-- dependencies -->\n.*?<!-- end -->", re.DOTALL)
 MODULES = {package: module for module, package in PACKAGES.items()}
 USES = {
     "click": "every command",
@@ -75,16 +74,10 @@ def megabytes(packages: set[str]) -> float:
 
 def seconds(code: str) -> float:
     """Return the CPU time that a fresh interpreter takes for some code: the least of a few."""
-    times = []
-    for _ in range(RUNS):
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        times.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
-    return min(times)
+    return min(cost((sys.executable, "-c", code)).cpu for _ in range(RUNS))
 
 
-def table() -> str:
+def table() -> list[str]:
     """Return the rows, the largest first."""
     empty = seconds("pass")
     rows = []
@@ -97,17 +90,16 @@ def table() -> str:
         lines.append(f"| {package} | {own:.1f} | {all_of_it:.1f} | {max(took, 0.0):.2f} | {USES[package]} |")
     everything = {name for package in needed() for name in with_their_own(package)}
     lines.append(f"| **all of them** | | **{megabytes(everything):.0f}** | | |")
-    return "\n".join(lines)
+    return lines
 
 
 def main(write: bool) -> None:
     """Print the table, or put it into the page."""
     today = table()
-    if not write:
-        print(today)
-        return
-    page = PAGE.read_text(encoding="utf-8")
-    PAGE.write_text(TABLE.sub(lambda _: f"<!-- dependencies -->\n{today}\n<!-- end -->", page), encoding="utf-8")
+    if write:
+        experiment.put(PAGE, "dependencies", today)
+    else:
+        print("\n".join(today))
 
 
 if __name__ == "__main__":

@@ -39,14 +39,13 @@ BROKEN = {"text.mcap": b"no log at all\n", "empty.mcap": b"", "noise.mcap": byte
 
 def simulated_report(rng: np.random.Generator, log: int, robot: int) -> dict[str, Any]:
     """Return a report.json as far as fleets read it: five configurations, figures around a robot's own error."""
+    sensors = ("compass", "lrf", "camera")
     level = {"odometry": 0.5, "compass": 0.1, "lrf": 0.01, "camera": 0.06, "all": 0.01}
+    used = {"odometry": (), "all": sensors, **{s: (s,) for s in sensors}}
     own = np.exp(0.3 * np.random.default_rng(robot).standard_normal())
     rows = {}
     for name, error in level.items():
         rmse = float(error * own * np.exp(0.4 * rng.standard_normal()))
-        sensors = (
-            [name] if name not in {"odometry", "all"} else ["compass", "lrf", "camera"] if name == "all" else []
-        )
         rows[name] = {
             "configuration": name,
             "smoothed": False,
@@ -56,10 +55,11 @@ def simulated_report(rng: np.random.Generator, log: int, robot: int) -> dict[str
             "anees": float(rng.chisquare(30) / 30),
             **{key: rmse * (1.0 + i) for i, key in enumerate(("position_rmse_m", "position_max_m", "x_rmse_m"))},
             **{f"figure_{i}": rmse for i in range(12)},
-            "sensors": {s: {"accepted": 1000, "rejected": 3, "absent": 0, "nis": 1.0} for s in sensors},
+            "sensors": {s: {"accepted": 1000, "rejected": 3, "absent": 0, "nis": 1.0} for s in used[name]},
         }
     effect = {"ln": float(rng.normal(1.0, 0.3)), "expected": 2.7}
-    of_sensor = {"share": 0.3, "anees_without": 1.0, "anees_with": 1.2, "beside": []}
+    of_sensor: dict[str, Any] = {"share": 0.3, "anees_without": 1.0, "anees_with": 1.2, "beside": []}
+    of_sensor |= {"credit": None, "alone": effect, "leave_one_out": effect}
     day = datetime(2026, 1, 1, tzinfo=UTC) + timedelta(days=log // 20)
     return {
         "input": {
@@ -71,14 +71,11 @@ def simulated_report(rng: np.random.Generator, log: int, robot: int) -> dict[str
             "losses": {},
         },
         "configurations": rows,
-        "verdicts": {s: {"verdict": str(rng.choice(["helps", "hurts"]))} for s in ("compass", "lrf", "camera")},
+        "verdicts": {s: {"verdict": str(rng.choice(["helps", "hurts"]))} for s in sensors},
         "credit": {
             "complete": False,
             "total_factor": 3.0,
-            "sensors": {
-                s: {**of_sensor, "credit": None, "alone": effect, "leave_one_out": effect}
-                for s in ("compass", "lrf", "camera")
-            },
+            "sensors": dict.fromkeys(sensors, of_sensor),
         },
         "key": hashlib.sha256(f"key {log}".encode()).hexdigest(),
     }

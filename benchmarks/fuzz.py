@@ -17,31 +17,17 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple
 
 import click
 
 from benchmarks.fuzz_cases import Workshop
 from benchmarks.fuzz_directed import DirectedShop
-from benchmarks.fuzz_logs import bases
 from locfuse.cli.analysis.errors import silence_overflows
 
 MAX_WALL_RATIO = 20  # wall time of a case over its limit of CPU time: one that waits uses no CPU
 SLOW_SHARE = 1 / 3  # of the CPU time a case may take: what takes longer is named
 GIB = 1 << 30
-
-
-class Shop(Protocol):
-    """What builds the cases and judges them."""
-
-    def learn(self, folder: Path) -> None:
-        """Run what is healthy."""
-
-    def case(self, seed: int) -> Any:
-        """Return the case that belongs to a seed."""
-
-    def judge(self, case: Any, folder: Path) -> str:
-        """Return what is wrong with the outcome of a case, "" for nothing."""
 
 
 class Limits(NamedTuple):
@@ -60,7 +46,7 @@ class Answer(NamedTuple):
     wrong: str  # "" for nothing
 
 
-def started(shop: Shop, seed: int, folder: Path, limits: Limits) -> int:
+def started(shop: Workshop, seed: int, folder: Path, limits: Limits) -> int:
     """Fork a process that judges one case and writes title and verdict beside its folder; return its number."""
     if process := os.fork():
         return process
@@ -81,7 +67,7 @@ def started(shop: Shop, seed: int, folder: Path, limits: Limits) -> int:
 
 
 def answers(
-    shop: Shop, seeds: Sequence[int], scratch: Path, jobs: int, limits: Limits, end: float
+    shop: Workshop, seeds: Sequence[int], scratch: Path, jobs: int, limits: Limits, end: float
 ) -> Iterator[Answer]:
     """Yield the outcome of every case, `jobs` at a time, begun before `end` [s of the monotonic clock]."""
     waiting, running = list(seeds)[::-1], dict[int, tuple[int, Path]]()
@@ -123,7 +109,7 @@ def died(code: int, limits: Limits) -> str:
     return f"the process died (exit code {code})"
 
 
-def keep(shop: Shop, answer: Answer, folder: Path) -> None:
+def keep(shop: Workshop, answer: Answer, folder: Path) -> None:
     """Save a case that failed, and print it at once: a long run may be stopped at any time."""
     shop.case(answer.seed).save(folder / str(answer.seed))
     (folder / str(answer.seed) / "wrong.txt").write_text(answer.wrong)
@@ -135,7 +121,7 @@ def keep(shop: Shop, answer: Answer, folder: Path) -> None:
 @click.option("--first", default=0, show_default=True, help="The first seed.")
 @click.option("--minutes", default=math.inf, help="Stop after so long by the clock.  [default: never]")
 @click.option("--only", type=int, help="Run the case of one seed.")
-@click.option("--directed", is_flag=True, help="Build logs that lie (fuzz_directed.py) instead of damaging some.")
+@click.option("--directed", is_flag=True, help="Build logs that are wrong on purpose (fuzz_directed.py).")
 @click.option("--deeds", default="", help="Of --directed: do one of these first, such as odd_scans,line_maps.")
 @click.option("--jobs", default=2, show_default=True)
 @click.option("--memory", default=1.0, show_default=True, help="GiB of address space a case may take on top.")
@@ -166,7 +152,7 @@ def main(
     kinds, wrong, judged = Counter[str](), Counter[str](), 0
     memory_first = Path("/dev/shm")  # results are synced to the disk, thousands of times
     with tempfile.TemporaryDirectory(dir=memory_first if memory_first.is_dir() else None) as temporary:
-        shop: Shop = DirectedShop(tuple(filter(None, deeds.split(",")))) if directed else Workshop(bases())
+        shop: Workshop = DirectedShop([], first=tuple(filter(None, deeds.split(",")))) if directed else Workshop()
         shop.learn(Path(temporary) / "healthy")
         began = time.monotonic()
         for answer in answers(shop, seeds, Path(temporary), jobs, limits, began + 60.0 * minutes):

@@ -1,9 +1,8 @@
-"""Directed fuzzing: whole logs that lie, one or two deliberate ways at a time: benchmarks.fuzz --directed.
+"""Directed fuzzing: whole logs that are wrong on purpose, in one to three ways: benchmarks.fuzz --directed.
 
 Random damage seldom builds a definition whose fields are of another kind, a name that acts on a terminal, a stamp
 that is no time, or a text file of nonsense beside the log. Each case here takes a short drive, changes it in such
-ways (DEEDS), and gives it to some command. What must hold: what benchmarks/fuzz_cases.py holds random damage to;
-no character that acts on what shows it, on the terminal or in a file; every input as it was; nothing half written.
+ways (DEEDS), and gives it to some command.
 """
 
 from __future__ import annotations
@@ -11,9 +10,8 @@ from __future__ import annotations
 import json
 import math
 import random
-import shutil
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from random import Random
@@ -22,15 +20,13 @@ from typing import Any
 import numpy as np
 from mcap.records import Attachment, Channel, Schema
 from mcap.writer import CompressionType
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_typestore
 
-from benchmarks.fuzz_cases import Done, files_are_wrong, locfuse, words_are_wrong
+from benchmarks.fuzz_cases import Case, Workshop
 from benchmarks.fuzz_damage import INTERESTING, NUMBERS, VALUES, span
 from benchmarks.fuzz_logs import Spoken, contents, short_drive, written
 from benchmarks.fuzz_parsers import TARGETS, mutated
 from benchmarks.fuzz_sensors import DEEDS as OF_SENSORS
-from locfuse.formats.visible import UNSEEN
-from locfuse.formats.whole_files import TEMPORARY
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 ACTING = (
@@ -54,6 +50,7 @@ FOREIGN = (
     "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/LaserScan", "geometry_msgs/msg/PoseWithCovarianceStamped",
     "sensor_msgs/msg/JointState", "sensor_msgs/msg/MagneticField", "geometry_msgs/msg/PointStamped",
 )  # fmt: skip
+SIZES = (0, 1, 2, 3, 62, 1000, 100_000)  # of an array: beams of a scan
 SMALL_NUMBERS = [n for n in NUMBERS if not 1e38 < abs(n) < float("inf")]  # those that a float32 holds
 ROLES = (
     "wheels.topic", "truth.topic", "lrf.topic", "compass.topic", "gyro.topic", "gps.topic", "camera.topic",
@@ -68,7 +65,7 @@ COMMANDS = (
     ("info",), ("info",), ("info", "--json"), ("info", "--check"), ("init",), ("run",), ("run",),
     ("run", "--smooth"), ("run", "--export", "mcap,log,kitti,tum,tum-cov,csv"), ("compare",),
     ("compare", "--json"), ("compare", "--smooth"), ("compare", "--all-subsets"), ("recover",),
-    ("recover", "--json"), ("view",), ("calibrate",), ("twice",),
+    ("recover", "--json"), ("view",), ("calibrate",),
 )  # fmt: skip
 OPTIONS: tuple[tuple[str, ...], ...] = (
     ("--order", "recorded"), ("--order", "stamp"), ("--strict",), ("--hash",), ("-q",), ("--preset", "paper"),
@@ -79,217 +76,85 @@ KNOWN_OPTIONS = {"recover": 0, "info": 5, "init": 5, "view": 5, "calibrate": 5} 
 
 
 @dataclass(frozen=True)
-class Directed:
-    """A log, the files beside it, and what is asked of them; `{here}` in a word stands for the folder."""
+class Draft:
+    """A drive that is changed before it becomes a case."""
 
-    title: str
     spoken: tuple[Spoken, ...]
     robot: bytes
-    container: str = ".mcap"
     beside: dict[str, bytes] = field(default_factory=dict)  # name -> content
     words: tuple[str, ...] = ()
     command: tuple[str, ...] = ("run",)
-    seed: int = 0
     name: str = "log"  # of the log file, without its ending
 
-    def write(self, folder: Path) -> Path:
-        """Write everything into an empty folder and return the log."""
-        for name, content in self.beside.items():
-            (folder / name).write_bytes(content)
-        log = folder / f"{self.name}{self.container}"
-        log.write_bytes(_recorded(self, folder))
-        return log
-
-    def save(self, folder: Path) -> None:
-        """Keep the case to be looked at."""
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(parents=True)
-        self.write(folder)
-        (folder / "case.json").write_text(json.dumps({"words": [*self.command, *self.words], "title": self.title}))
+    def more(self, words: tuple[str, ...], files: Mapping[str, bytes] = {}) -> Draft:
+        """Return the draft with more words of the command line, and more files beside the log."""
+        return replace(self, words=(*self.words, *words), beside={**self.beside, **files})
 
 
-Deed = Callable[[Random, Directed], Directed]
+Deed = Callable[[Random, Draft], Draft]
 
 
 @dataclass
-class DirectedShop:
+class DirectedShop(Workshop):
     """The drive that the cases start from."""
 
     first: tuple[str, ...] = ()  # one of these deeds is done first; (): any
-    spoken: tuple[Spoken, ...] = ()
-    robot: bytes = b""
+    drive: Draft = field(default_factory=lambda: Draft((), b""))
 
     def learn(self, folder: Path) -> None:
         """Record the drive, and see that it is healthy."""
         spoken, attachments = contents(short_drive())
-        self.spoken, self.robot = tuple(spoken), attachments[0].data
+        self.drive = Draft(tuple(spoken), attachments[0].data)
         for command in ("run", "compare", "view"):  # loads every library before memory is limited
-            if wrong := self.judge(Directed("healthy", self.spoken, self.robot, command=(command,)), folder):
+            healthy = Case("healthy", _recorded(self.drive, Random(0)), command=(command,))
+            if wrong := self.judge(healthy, folder):
                 raise SystemExit(wrong)
 
-    def case(self, seed: int) -> Directed:
+    def case(self, seed: int) -> Case:
         """Return the case that belongs to a seed."""
         rng = random.Random(f"directed {seed}")
-        case = Directed("", self.spoken, self.robot, command=rng.choice(COMMANDS), seed=seed)
-        names: list[str] = []
+        draft = replace(self.drive, command=rng.choice(COMMANDS))
         deeds = rng.sample(DEEDS, rng.choice((1, 1, 2, 3)))
         if self.first:
             deeds[0] = rng.choice([deed for deed in DEEDS if deed.__name__ in self.first])
         for deed in deeds:
-            case = deed(rng, case)
-            names.append(deed.__name__)
-        known = OPTIONS[: KNOWN_OPTIONS.get(case.command[0])]
+            draft = deed(rng, draft)
+        known = OPTIONS[: KNOWN_OPTIONS.get(draft.command[0])]
         if rng.random() < 0.3 and known:
-            case = replace(case, words=(*case.words, *rng.choice(known)))
-        return replace(case, title=f"{' '.join(case.command)}: {', '.join(names)}")
-
-    def judge(self, case: Directed, folder: Path) -> str:
-        """Run a case and return what is wrong with the outcome, "" for nothing."""
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(parents=True)
-        log = case.write(folder)
-        before = {path: path.read_bytes() for path in folder.iterdir()}
-        done = locfuse(*_line(case, log, folder))
-        several = case.command[0] == "twice"  # each log has its line, and those of --check name settings
-        wrong = (
-            words_are_wrong(done, short=not several and "--check" not in case.command)
-            or _acts(done, folder, before)
-            or _changed(folder, before)
-        )
-        if not wrong and case.command[0] == "run" and done.code in {0, 3}:
-            wrong = files_are_wrong(folder, done, lost=done.code == 3 and "--strict" not in case.words)
-        if not wrong and case.command[0] == "recover" and done.code in {0, 3}:
-            wrong = _unreadable(folder / "fixed.mcap")
-        return wrong
+            draft = draft.more(rng.choice(known))
+        words = tuple(w for w in draft.words if w == "-q") if draft.command[0] == "recover" else draft.words
+        title = f"{' '.join(draft.command)}: {', '.join(deed.__name__ for deed in deeds)}"
+        log = _recorded(draft, Random(seed))
+        return Case(title, log, beside=draft.beside, words=words, command=draft.command, name=draft.name)
 
 
-def _line(case: Directed, log: Path, folder: Path) -> list[str]:
-    command, *options = case.command
-    out = {"recover": ["-o", str(folder / "fixed.mcap")], "view": ["--save", str(folder / "drive.rrd")]}
-    words = [word.replace("{here}", str(folder)).replace("{log}", str(log)) for word in case.words]
-    if command == "recover":
-        words = [word for word in words if word == "-q"]
-    if command == "twice":  # two logs, one process each
-        other = folder / f"other{case.container}"
-        other.write_bytes(log.read_bytes())
-        return ["compare", str(log), str(other), "-o", str(folder / "out"), *words]
-    results = ["-o", str(folder / "out")] if command in {"run", "compare"} else []
-    results += ["--write", "all"] if command == "run" else []  # what is judged stands in trajectory.csv
-    return [command, str(log), *options, *out.get(command, results), *words]
-
-
-def _acts(done: Done, folder: Path, before: dict[Path, bytes]) -> str:
-    """Return where a character acts on what shows it."""
-    texts = {"stdout": done.out, "stderr": done.err}
-    endings = {".md", ".html", ".json", ".toml", ".csv", ".tex", ".svg", ".tum", ".txt"}
-    for path in folder.rglob("*"):
-        if path.suffix in endings and path not in before and path.is_file():
-            texts[path.name] = path.read_text(encoding="utf-8", errors="surrogateescape")
-    for name, text in texts.items():
-        if found := UNSEEN.search(text.replace("\n", "")):
-            return (
-                f"{found[0]!r} acts in {name}: {text.replace(chr(10), '')[max(found.start() - 60, 0) :][:120]!r}"
-            )
-        if name.endswith((".html", ".svg")) and "<script>&" in text:
-            return f"text of the log is no text in {name}"
-    return ""
-
-
-def _changed(folder: Path, before: dict[Path, bytes]) -> str:
-    for path, content in before.items():
-        if not path.exists() or path.read_bytes() != content:
-            return f"the input {path.name} was changed"
-    left = [path.name for path in folder.rglob("*") if path.name.endswith((TEMPORARY, "-shm", "-journal"))]
-    return f"left behind: {left}" if left else ""
-
-
-def _unreadable(path: Path) -> str:
-    try:
-        contents(path.read_bytes())
-    except Exception as e:
-        return f"the recovered copy cannot be read by others: {type(e).__name__}: {e}"
-    return ""
-
-
-def _recorded(case: Directed, folder: Path) -> bytes:
-    """Return the log in its container."""
-    rng = random.Random(case.seed)
-    if case.container == ".db3":
-        return _database(case, rng, folder)
-    if case.container in TARGETS_OF_FILES:
-        return mutated(TARGETS[case.container[1:]], rng)
-    file = Attachment(0, 0, "robot.toml", "application/toml", case.robot)
+def _recorded(draft: Draft, rng: Random) -> bytes:
+    """Return the log as .mcap."""
+    file = Attachment(0, 0, "robot.toml", "application/toml", draft.robot)
     compression = rng.choice(list(CompressionType))
-    return written(list(case.spoken), [file], chunk_size=4000, compression=compression)
-
-
-TARGETS_OF_FILES = (".bag",)
-
-
-def _database(case: Directed, rng: Random, folder: Path) -> bytes:
-    """Return the messages as a rosbag2 database, a journal beside it where the dice say so."""
-    import sqlite3
-
-    live = folder / "live.db3"
-    database = sqlite3.connect(live)
-    journalled = rng.random() < 0.5
-    database.execute(f"PRAGMA journal_mode={'wal' if journalled else 'delete'}")
-    database.executescript(
-        "CREATE TABLE topics(id INTEGER PRIMARY KEY,name TEXT,type TEXT,serialization_format TEXT,"
-        "offered_qos_profiles TEXT);"
-        "CREATE TABLE messages(id INTEGER PRIMARY KEY,topic_id INTEGER,timestamp INTEGER,data BLOB);"
-    )
-    topics: dict[tuple[str, str], int] = {}
-    for i, (schema, channel, message) in enumerate(case.spoken):
-        key = (channel.topic, schema.name if schema else "")
-        if key not in topics:
-            topics[key] = len(topics)
-            row = (topics[key], *(one.encode("utf-8", "surrogatepass").decode("utf-8", "replace") for one in key))
-            database.execute("INSERT INTO topics VALUES(?,?,?,'cdr','')", row)
-        odd = rng.random() < 0.01
-        stamp = rng.choice((None, -1, "now", 1.5, b"x", 2**63 - 1)) if odd else min(message.log_time, 2**63 - 1)
-        data = rng.choice((None, "text", 7, b"")) if rng.random() < 0.005 else message.data
-        database.execute("INSERT INTO messages(topic_id,timestamp,data) VALUES(?,?,?)", (topics[key], stamp, data))
-        if i % 20 == 0:
-            database.commit()
-    database.commit()
-    plain = bytearray(live.read_bytes())
-    journal = Path(f"{live}-wal")
-    if journalled and journal.exists():
-        tail = bytearray(journal.read_bytes())
-        for _ in range(rng.choice((0, 1, 3))):
-            tail[rng.randrange(len(tail))] ^= 1 << rng.randrange(8)
-        (folder / f"{case.name}.db3-wal").write_bytes(
-            tail[: rng.choice((len(tail), rng.randrange(len(tail) + 1)))]
-        )
-    database.close()
-    for path in folder.glob("live.db3*"):
-        path.unlink()
-    for _ in range(rng.choice((0, 0, 1, 4))):
-        plain[rng.randrange(len(plain))] ^= 1 << rng.randrange(8)
-    return bytes(plain)
+    return written(list(draft.spoken), [file], chunk_size=4000, compression=compression)
 
 
 # --- deeds -------------------------------------------------------------------------------------------------------
 
 
-def _topics(case: Directed) -> list[str]:
+def _topics(case: Draft) -> list[str]:
     return sorted({one.channel.topic for one in case.spoken})
 
 
-def _of(rng: Random, case: Directed) -> tuple[str, Schema]:
+def _of(rng: Random, case: Draft) -> tuple[str, Schema]:
     topic = rng.choice(_topics(case))
     schema = next(one.schema for one in case.spoken if one.channel.topic == topic)
     assert schema is not None
     return topic, schema
 
 
-def _each(case: Directed, topic: str, change: Callable[[Spoken], Spoken]) -> Directed:
+def _each(case: Draft, topic: str, change: Callable[[Spoken], Spoken]) -> Draft:
     return replace(case, spoken=tuple(change(one) if one.channel.topic == topic else one for one in case.spoken))
 
 
-def another_kind(rng: Random, case: Directed) -> Directed:
-    """Let a field be of another kind, with messages as they were, or as the definition says."""
+def another_kind(rng: Random, case: Draft) -> Draft:
+    """Let a field of a definition be of another kind than in the messages."""
     topic, schema = _of(rng, case)
     lines = schema.data.decode("utf-8", "replace").split("\n")  # an earlier deed may have damaged it
     own = [i for i, line in enumerate(lines) if len(line.split()) == 2 and "=" not in line and "MSG" not in line]
@@ -297,32 +162,8 @@ def another_kind(rng: Random, case: Directed) -> Directed:
         return case
     i = rng.choice(own)
     lines[i] = f"{rng.choice(KINDS)} {lines[i].split()[1]}"
-    text = "\n".join(lines)
-    new = replace(schema, data=text.encode())
-    alike = rng.random() < 0.6
-    seed = rng.random()
-
-    def change(one: Spoken) -> Spoken:
-        data = one.message.data
-        if (
-            alike
-            and (made := _made(schema.name, text, Random(f"{seed} {one.message.log_time}"), data)) is not None
-        ):
-            data = made
-        return Spoken(new, one.channel, replace(one.message, data=data))
-
-    return _each(case, topic, change)
-
-
-def _made(name: str, text: str, rng: Random, header: bytes) -> bytes | None:
-    """Return a message that follows its definition, beginning as another did; None where rosbags knows none."""
-    try:
-        store = get_typestore(Stores.EMPTY)
-        store.register(get_types_from_msg(text, name))
-        data = bytes(store.serialize_cdr(_value(store, name, rng), name))
-    except Exception:  # not a definition that anyone could have recorded with
-        return None
-    return data[:4] + header[4:12] + data[12:] if len(data) >= 12 else data
+    new = replace(schema, data="\n".join(lines).encode())
+    return _each(case, topic, lambda one: one._replace(schema=new))
 
 
 def _value(store: Any, name: str, rng: Random) -> Any:
@@ -364,7 +205,7 @@ def _text(rng: Random) -> str:
     )
 
 
-def acting_names(rng: Random, case: Directed) -> Directed:
+def acting_names(rng: Random, case: Draft) -> Draft:
     """Let a name of the log act on what shows it: topic, type, language, encoding, the log's own."""
     topic, schema = _of(rng, case)
     odd = rng.choice(ACTING)
@@ -381,21 +222,19 @@ def acting_names(rng: Random, case: Directed) -> Directed:
     return _each(case, topic, change)
 
 
-def acting_values(rng: Random, case: Directed) -> Directed:
+def acting_values(rng: Random, case: Draft) -> Draft:
     """Let texts in messages act: frames, joints, descriptions."""
     topic, schema = _of(rng, case)
     return _typed(rng, case, topic, schema, _odd_texts)
 
 
-def odd_numbers(rng: Random, case: Directed) -> Directed:
+def odd_numbers(rng: Random, case: Draft) -> Draft:
     """Let numbers in messages be NaN, infinite, huge, or of another sign."""
     topic, schema = _of(rng, case)
     return _typed(rng, case, topic, schema, _odd_numbers)
 
 
-def _typed(
-    rng: Random, case: Directed, topic: str, schema: Schema, edit: Callable[[Random, Any], None]
-) -> Directed:
+def _typed(rng: Random, case: Draft, topic: str, schema: Schema, edit: Callable[[Random, Any], None]) -> Draft:
     """Change messages by their fields, every one or a few of a topic."""
     share, seed = rng.choice((1.0, 0.1)), rng.random()
 
@@ -434,12 +273,12 @@ def _odd_numbers(rng: Random, message: Any) -> None:
         elif isinstance(value, np.ndarray) and value.size and value.dtype.kind == "f":
             array = value.copy()
             array[rng.randrange(value.size) :] = rng.choice(SMALL_NUMBERS)
-            setattr(message, key, array)
+            setattr(message, key, rng.choice((array, np.resize(value, rng.choice(SIZES)))))
         elif hasattr(value, "__dataclass_fields__"):
             _odd_numbers(rng, value)
 
 
-def huge_counts(rng: Random, case: Directed) -> Directed:
+def huge_counts(rng: Random, case: Draft) -> Draft:
     """Let lengths of arrays and texts in a message be huge."""
     topic, _ = _of(rng, case)
     words = rng.sample(range(1, 20), 2)
@@ -455,7 +294,7 @@ def huge_counts(rng: Random, case: Directed) -> Directed:
     return _each(case, topic, change)
 
 
-def odd_stamps(rng: Random, case: Directed) -> Directed:
+def odd_stamps(rng: Random, case: Draft) -> Draft:
     """Let stamps and recording times be absurd, equal, or backwards."""
     topic, _ = _of(rng, case)
     deed, value = rng.randrange(5), rng.choice(INTERESTING)
@@ -479,7 +318,7 @@ def odd_stamps(rng: Random, case: Directed) -> Directed:
     return _each(case, topic, change)
 
 
-def other_order(rng: Random, case: Directed) -> Directed:
+def other_order(rng: Random, case: Draft) -> Draft:
     """Drop, repeat, reverse or shuffle messages."""
     where = span(rng, len(case.spoken))
     piece = case.spoken[where]
@@ -488,7 +327,7 @@ def other_order(rng: Random, case: Directed) -> Directed:
     return replace(case, spoken=case.spoken[: where.start] + changed + case.spoken[where.stop :])
 
 
-def foreign_topics(rng: Random, case: Directed) -> Directed:
+def foreign_topics(rng: Random, case: Draft) -> Draft:
     """Add topics of types that the product reads, full of odd values."""
     name = rng.choice(FOREIGN)
     topic = rng.choice(("/extra", "/tf", "/tf_static", "/odom", "/robot_description", "/imu/data", "/scan"))
@@ -509,20 +348,7 @@ def foreign_topics(rng: Random, case: Directed) -> Directed:
     return replace(case, spoken=(*case.spoken, *extra))
 
 
-def odd_json(rng: Random, case: Directed) -> Directed:
-    """Add a topic in JSON whose schema or values are odd."""
-    text = mutated(TARGETS["jsonschema"], rng) if rng.random() < 0.5 else TARGETS["jsonschema"].corpus[-1]
-    kinds = ("foxglove.LocationFix", "foxglove.CompressedImage", "foxglove.LaserScan", "foxglove.PoseInFrame", "A")
-    schema = Schema(0, text, "jsonschema", rng.choice(kinds))
-    channel = Channel(0, "/json", "json", {}, 0)
-    extra = [
-        Spoken(schema, channel, replace(one.message, data=mutated(TARGETS["json"], rng)))
-        for one in case.spoken[::10]
-    ]
-    return replace(case, spoken=(*case.spoken, *extra))
-
-
-def odd_definition(rng: Random, case: Directed) -> Directed:
+def odd_definition(rng: Random, case: Draft) -> Draft:
     """Let a definition be nonsense."""
     topic, schema = _of(rng, case)
     language = rng.choice(("ros2msg", "ros2msg", "ros2idl"))
@@ -530,78 +356,46 @@ def odd_definition(rng: Random, case: Directed) -> Directed:
     return _each(case, topic, lambda one: one._replace(schema=new))
 
 
-def odd_robot(rng: Random, case: Directed) -> Directed:
+def odd_robot(rng: Random, case: Draft) -> Draft:
     """Give a robot.toml of nonsense, in the log or beside it, or names in it that act."""
     data = mutated(TARGETS["robot.toml"], rng)
     if rng.random() < 0.4:
         name = json.dumps(rng.choice(ACTING))
-        keys = ("lrf.topic", "compass.frame", "wheels.joints", "truth.topic", "camera.model", f"{name}.x", name)
-        key = rng.choice(keys)
-        table, _, last = key.rpartition(".")
-        data = b"\n".join((case.robot, f"{table}.{last} = {name}".lstrip(".").encode()))
-        data = f"{table + '.' if table else ''}{last} = {name}\n".encode() if rng.random() < 0.5 else data
-    if rng.random() < 0.5 or case.command[0] == "recover":
+        key = rng.choice(("lrf.topic", "compass.frame", "wheels.joints", "truth.topic", f"{name}.x", name))
+        data = rng.choice((case.robot, b"")) + f"\n{key} = {name}\n".encode()
+    if rng.random() < 0.5:
         return replace(case, robot=data)
-    return replace(
-        case, beside={**case.beside, "robot.toml": data}, words=(*case.words, "--robot", "{here}/robot.toml")
-    )
+    return case.more(("--robot", "{here}/robot.toml"), {"robot.toml": data})
 
 
-def odd_set(rng: Random, case: Directed) -> Directed:
+def odd_set(rng: Random, case: Draft) -> Draft:
     """Set a key to an odd value."""
-    if case.command[0] == "recover":
-        return case
     values = (*VALUES, *map(json.dumps, ACTING), '"/tf"', '"/scan"', '"/extra"', '"odom>base_link"', "0.1", "3")
-    return replace(case, words=(*case.words, "--set", f"{rng.choice(KEYS)}={rng.choice(values)}"))
+    return case.more(("--set", f"{rng.choice(KEYS)}={rng.choice(values)}"))
 
 
-def files_beside(rng: Random, case: Directed) -> Directed:
+def files_beside(rng: Random, case: Draft) -> Draft:
     """Give text files of nonsense: truth, landmarks, detections, a map, a baseline, an estimate."""
-    command = case.command[0]
-    csv, tum = mutated(TARGETS["csv"], rng), mutated(TARGETS["tum"], rng)
+    csv, tum, places = (mutated(TARGETS[name], rng) for name in ("csv", "tum", "landmarks"))
+    landmarks = ("--set", "landmarks.file={here}/d.csv", "--set", "landmarks.map={here}/m.csv")
     ways: list[tuple[tuple[str, ...], dict[str, bytes]]] = [
         (("--truth", "{here}/t.csv"), {"t.csv": csv}),
         (("--truth", "{here}/t.tum"), {"t.tum": tum}),
-        (
-            ("--set", "landmarks.file={here}/d.csv", "--set", "landmarks.map={here}/m.csv"),
-            {"d.csv": csv, "m.csv": mutated(TARGETS["landmarks"], rng)},
-        ),
+        (landmarks, {"d.csv": csv, "m.csv": places}),
     ]
-    if command == "run":
+    if case.command[0] == "run":
         ways.append((("--map", "{here}/map.json"), {"map.json": mutated(TARGETS["line map"], rng)}))
-    if command == "compare":
-        report = rng.choice(
-            (b"[" * 9999, b"{}", b"[]", b"null", b'{"configurations": {"all": []}, "input": []}', csv)
-        )
+    if case.command[0] == "compare":
+        empty = b'{"configurations": {"all": []}, "input": []}'
+        report = rng.choice((b"[" * 9999, b"{}", b"[]", b"null", empty, csv))
         ways.append((("--baseline", "{here}/b.json"), {"b.json": report}))
         ways.append((("--estimate", "mine={here}/t.csv"), {"t.csv": csv}))
         ways.append((("--estimate", f"{rng.choice(ACTING[:-3])}=/ground_truth"), {}))
-    words, beside = rng.choice(ways)
-    if command == "recover":
-        return case
-    return replace(case, words=(*case.words, *words), beside={**case.beside, **beside})
-
-
-def outputs_onto_inputs(rng: Random, case: Directed) -> Directed:
-    """Name an input as an output."""
-    if case.command[0] not in {"run", "compare"}:
-        return case
-    ways = (
-        ["--rerun-save", "--figures"]
-        if case.command[0] == "compare"
-        else ["--audit", "--save-map", "--rerun-save"]
-    )
-    over = ("--overwrite",) if rng.random() < 0.5 else ()
-    return replace(case, words=(*case.words, rng.choice(ways), "{log}", *over))
-
-
-def another_container(rng: Random, case: Directed) -> Directed:
-    """Record as .db3 with odd rows and damage to its journal, or be a small .bag of nonsense."""
-    return replace(case, container=rng.choice((".db3", ".db3", ".bag")))
+    return case.more(*rng.choice(ways))
 
 
 DEEDS: list[Deed] = [
     another_kind, another_kind, acting_names, acting_values, odd_numbers, odd_numbers, huge_counts, odd_stamps,
-    odd_stamps, other_order, foreign_topics, foreign_topics, odd_json, odd_definition, odd_robot, odd_set,
-    files_beside, files_beside, outputs_onto_inputs, another_container, *OF_SENSORS,
+    odd_stamps, other_order, foreign_topics, foreign_topics, odd_definition, odd_robot, odd_set,
+    files_beside, files_beside, *OF_SENSORS,
 ]  # fmt: skip

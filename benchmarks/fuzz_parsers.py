@@ -1,6 +1,6 @@
 """Every parser by itself, in memory, on damaged input: python -m benchmarks.fuzz_parsers (an hour: --seconds 300).
 
-Each parser starts from a small corpus (benchmarks/corpus, and a few bytes built here), which is cut, spliced,
+Each parser starts from a small corpus (benchmarks/corpus), which is cut, spliced,
 repeated and sprinkled with words of its own language. A parser may refuse in its own words; anything else that it
 raises, an answer of the wrong kind, and an input that takes more than `SLOW` seconds of CPU are findings. They are
 saved; exit 1.
@@ -23,6 +23,7 @@ from pathlib import Path
 import click
 import numpy as np
 
+from benchmarks.fuzz_damage import damaged
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.container import mcap_records, ros1_bag
 from locfuse.formats.container.decompress import DamagedError
@@ -71,8 +72,10 @@ def definition(language: str) -> Callable[[bytes], object]:
 
 
 def jsonschema(data: bytes) -> object:
-    decoder = make_decoder(ChannelInfo("/a", "A", "json", "jsonschema", data, 1))
-    return decoded(decoder, b'{"a": 1, "b": [1, 2], "header": {"stamp": {"sec": 1, "nanosec": 2}}}')
+    return decoded(
+        maker("A", "json", "jsonschema", data),
+        b'{"a": 1, "b": [1, 2], "header": {"stamp": {"sec": 1, "nanosec": 2}}}',
+    )
 
 
 def decoded(decoder: object, *messages: bytes) -> object:
@@ -91,56 +94,19 @@ def all_fields(decoder: object) -> tuple[str, ...]:
     return tuple(paths(decoder.message)[:40])  # type: ignore[attr-defined]
 
 
-SCAN_TEXT = (
-    "std_msgs/Header header\nfloat32 angle_min\nfloat32[] ranges\nstring[] names\nuint8[] data\nfloat64[3] at\n"
-    + "=" * 80
-    + "\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
-    + "=" * 80
-    + "\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
-)
-SCAN = make_decoder(ChannelInfo("/a", "a/msg/A", "cdr", "ros2msg", SCAN_TEXT.encode(), 1))
-SCAN_MESSAGE = (
-    b"\0\1\0\0" + struct.pack("<iII6sxxfI3fI", 1, 2, 6, b"laser\0", 0.5, 3, 1.0, 2.0, 3.0, 1)
-    + struct.pack("<I4sI3sx3d", 4, b"abc\0", 3, b"xyz", 1.0, 2.0, 3.0)
-)  # fmt: skip
-FIX_SCHEMA = b"""{"type": "object", "properties": {"timestamp": {"type": "object", "properties": {"sec": {"type":
-"integer"}, "nsec": {"type": "integer"}}}, "frame_id": {"type": "string"}, "latitude": {"type": "number"},
-"cov": {"type": "array", "items": {"type": "number"}}, "data": {"type": "string", "contentEncoding": "base64"},
-"parts": {"type": "array", "items": {"type": "object", "properties": {"x": {"type": "number"}}}}}}"""
-FIX = make_decoder(ChannelInfo("/a", "A", "json", "jsonschema", FIX_SCHEMA, 1))
+def maker(type_name: str, encoding: str, language: str, definition: bytes) -> object:
+    return make_decoder(ChannelInfo("/a", type_name, encoding, language, definition, 1))
 
 
-def field(number: int, content: bytes) -> bytes:
-    """A field of Protobuf that holds bytes, a text or a message of less than 128 bytes."""
-    return bytes((number << 3 | 2, len(content))) + content
-
-
-def described(name: bytes, number: int, kind: int, label: int = 1, held: bytes = b"") -> bytes:
-    """A FieldDescriptorProto as it lies in its DescriptorProto."""
-    numbers = bytes((0x18, number, 0x20, label, 0x28, kind))
-    return field(2, field(1, name) + numbers + (field(6, held) if held else b""))
-
-
-TIMESTAMP = field(1, b"Timestamp") + described(b"seconds", 1, 3) + described(b"nanos", 2, 5)
-PART = field(1, b"P") + described(b"x", 1, 1) + described(b"z", 2, 18) + described(b"p", 3, 11, 1, b".P")
-ALL = (
-    field(1, b"A") + described(b"timestamp", 1, 11, 1, b".google.protobuf.Timestamp") + described(b"ns", 2, 1, 3)
-    + described(b"parts", 3, 11, 3, b".P") + described(b"data", 4, 12) + described(b"is", 5, 17, 3)
-)  # fmt: skip
-PROTO_SCHEMA = (
-    field(1, field(2, b"google.protobuf") + field(4, TIMESTAMP)) + field(1, field(4, PART))
-    + b"\x0a" + bytes((len(ALL) + 3 & 0x7F | 0x80, len(ALL) + 3 >> 7)) + b"\x22"
-    + bytes((len(ALL) & 0x7F | 0x80, len(ALL) >> 7)) + ALL
-)  # fmt: skip
-PROTO = make_decoder(ChannelInfo("/a", "A", "protobuf", "protobuf", PROTO_SCHEMA, 1))
-PROTO_MESSAGE = (
-    field(1, b"\x08\x05\x10\x07") + field(2, struct.pack("<2d", 1.5, 2.5))
-    + field(3, b"\x09" + bytes(8) + b"\x10\x03") + field(4, b"abc") + field(5, b"\x01\x80\x01")
-)  # fmt: skip
+# of the corpus: one definition with every kind of field, and one message by it
+(PROTO_MESSAGE,) = corpus("protobuf")
+SCAN = maker("a/msg/A", "cdr", "ros2msg", (CORPUS / "ros2msg" / "all_kinds").read_bytes())
+FIX = maker("A", "json", "jsonschema", (CORPUS / "jsonschema" / "all_kinds").read_bytes())
+PROTO = maker("A", "protobuf", "protobuf", (CORPUS / "protobuf schema" / "all_kinds").read_bytes())
 
 
 def protobuf_schema(data: bytes) -> object:
-    return decoded(make_decoder(ChannelInfo("/a", "A", "protobuf", "protobuf", data, 1)), PROTO_MESSAGE)
+    return decoded(maker("A", "protobuf", "protobuf", data), PROTO_MESSAGE)
 
 
 def protobuf_message(data: bytes) -> object:
@@ -241,21 +207,6 @@ def landmarks(data: bytes) -> object:
     return landmark_map.read(file)
 
 
-def bag_bytes() -> bytes:
-    head = b"\x04\0\0\0op=\x07" + b"\x09\0\0\0conn=\0\0\0\0" + b"\x08\0\0\0topic=/a"
-    body = b"\x10\0\0\0type=std_msgs/Int" + b"\x19\0\0\0message_definition=int8 a"
-    message = b"\x04\0\0\0op=\x02" + b"\x09\0\0\0conn=\0\0\0\0" + b"\x0d\0\0\0time=" + struct.pack("<II", 1, 2)
-    records = ((head, body), (message, b"\x05"))
-    return b"".join(struct.pack("<I", len(h)) + h + struct.pack("<I", len(d)) + d for h, d in records)
-
-
-MCAP = (
-    b"\x89MCAP0\r\n" + struct.pack("<BQII", 1, 8, 0, 0)
-    + struct.pack("<BQ", 3, 45) + struct.pack("<HI9sI7sI", 1, 9, b"a/msg/A__", 7, b"ros2msg", 11) + b"float64 x\n "
-    + struct.pack("<BQ", 4, 21) + struct.pack("<HHI2sI3sI", 1, 1, 2, b"/a", 3, b"cdr", 0)
-    + struct.pack("<BQHIQQ", 5, 34, 1, 0, 1, 1) + b"\0\1\0\0" + bytes(8)
-    + struct.pack("<BQI", 15, 4, 0)
-)  # fmt: skip
 ROS_WORDS = (
     b"float64", b"string", b"[]", b"[3]", b"[<=4]", b" x\n", b"=" * 80, b"\nMSG: a/A\n", b"a/A b\n", b"#",
     b"Header",
@@ -272,8 +223,7 @@ CSV_WORDS = (
     b",", b"\n", b"\r", b"\r\n", b'"', b" ", b"nan", b"1e400", b"-", b"_", b"0" * 5000, b"t,x,y\n", b"id,", b"#",
     b"\xe2\x80\xae", b"1e-99999999999999999999",
 )  # fmt: skip
-JOURNAL = struct.pack(">8I", 0x377F0682, 3007000, 512, 0, 1, 2, 0, 0) + bytes(1072)
-OURS = (LocfuseError,)
+OURS, DAMAGED = (LocfuseError,), (DamagedError,)
 
 
 def urdf(data: bytes) -> object:
@@ -293,22 +243,26 @@ def scan_message(data: bytes) -> object:
 
 
 TARGETS: dict[str, Target] = {
-    "ros2msg": Target(definition("ros2msg"), (*corpus("ros2msg"), SCAN_TEXT.encode()), ROS_WORDS, (SchemaError,)),
+    "ros2msg": Target(definition("ros2msg"), corpus("ros2msg"), ROS_WORDS, (SchemaError,)),
     "ros1msg": Target(definition("ros1msg"), corpus("ros2msg"), ROS_WORDS, (SchemaError,)),
     "ros2idl": Target(definition("ros2idl"), corpus("ros2idl"), IDL_WORDS, (SchemaError,)),
-    "jsonschema": Target(jsonschema, (*corpus("jsonschema"), FIX_SCHEMA), JSON_WORDS, (SchemaError,)),
+    "jsonschema": Target(jsonschema, corpus("jsonschema"), JSON_WORDS, (SchemaError,)),
     "json": Target(fix_message, corpus("json"), JSON_WORDS, ()),
-    "protobuf schema": Target(protobuf_schema, (PROTO_SCHEMA,), BYTES, (SchemaError,)),
-    "protobuf": Target(protobuf_message, (PROTO_MESSAGE,), (*BYTES, b"\x80" * 11, b"\x1a\x02"), ()),
-    "cdr": Target(scan_message, (SCAN_MESSAGE,), BYTES, ()),
+    "protobuf schema": Target(protobuf_schema, corpus("protobuf schema"), BYTES, (SchemaError,)),
+    "protobuf": Target(protobuf_message, corpus("protobuf"), (*BYTES, b"\x80" * 11, b"\x1a\x02"), ()),
+    "cdr": Target(scan_message, corpus("cdr"), BYTES, ()),
     "robot.toml": Target(robot, corpus("robot.toml"), TOML_WORDS, OURS),
     "urdf": Target(urdf, corpus("urdf"), XML_WORDS, ()),
     "metadata.yaml": Target(metadata, corpus("metadata.yaml"), YAML_WORDS, OURS),
-    "mcap record": Target(mcap_record, (MCAP[8:], MCAP[25:], MCAP[80:]), BYTES, (DamagedError,)),
-    "mcap": Target(file_of(".mcap"), (MCAP,), BYTES, OURS),
-    "bag record": Target(bag_record, (bag_bytes(),), (*BYTES, b"op=\x02", b"conn=", b"time="), (DamagedError,)),
-    "bag": Target(file_of(".bag"), (ros1_bag.MAGIC + bag_bytes(),), (*BYTES, b"op=\x05"), OURS),
-    "journal": Target(journal, (JOURNAL,), BYTES, ()),
+    "mcap record": Target(
+        mcap_record, tuple(corpus("mcap")[0][at:] for at in (8, 25, 80)), BYTES, (DamagedError,)
+    ),
+    "mcap": Target(file_of(".mcap"), corpus("mcap"), BYTES, OURS),
+    "bag record": Target(
+        bag_record, corpus("bag record"), (*BYTES, b"op=\x02", b"conn=", b"time="), (DamagedError,)
+    ),
+    "bag": Target(file_of(".bag"), corpus("bag"), (*BYTES, b"op=\x05"), OURS),
+    "journal": Target(journal, corpus("journal"), BYTES, ()),
     "tum": Target(beside_the_log(".tum"), corpus("tum"), CSV_WORDS, OURS),
     "csv": Target(beside_the_log(".csv"), corpus("csv"), CSV_WORDS, OURS),
     "landmarks": Target(landmarks, corpus("landmarks"), CSV_WORDS, OURS),
@@ -318,27 +272,10 @@ TARGETS: dict[str, Target] = {
 
 def mutated(target: Target, rng: random.Random) -> bytes:
     """Return an input: a corpus file, changed in one to eight places."""
-    data = bytearray(rng.choice(target.corpus))
+    data = rng.choice(target.corpus)
     for _ in range(rng.choice((1, 1, 2, 4, 8))):
-        at = rng.randrange(len(data) + 1)
-        end = min(at + rng.choice((1, 4, 16, 200)), len(data))
-        kind = rng.randrange(7)
-        if kind == 0:
-            del data[at:end]
-        elif kind == 1:
-            data[at:at] = rng.choice(target.words)
-        elif kind == 2:
-            data[at:end] = rng.choice(target.words)
-        elif kind == 3 and at < len(data):
-            data[at] ^= 1 << rng.randrange(8)
-        elif kind == 4:
-            data[at:at] = bytes(data[at:end]) * rng.choice((1, 2, 30, 1000))
-        elif kind == 5:
-            data[at:at] = rng.choice(target.corpus)[: rng.randrange(1, 400)]
-        else:
-            data[at:end] = rng.randbytes(end - at)
-        del data[LONGEST:]
-    return bytes(data)
+        data = damaged(rng, data or b"\0", target.words, target.corpus)[0][:LONGEST]
+    return data
 
 
 def wrong(target: Target, data: bytes) -> str | None:

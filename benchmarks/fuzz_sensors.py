@@ -1,4 +1,4 @@
-"""Deeds of benchmarks/fuzz_directed.py on what a drive is located by: given maps, detections of landmarks, scans.
+"""Deeds of benchmarks/fuzz_directed.py on what a drive is located by: given maps and detections of landmarks.
 
 Each is healthy in most of its parts, so that what is odd reaches deep: walls stand where the laser sees them,
 landmarks where they are detected. Sizes go up to the caps and a little beyond.
@@ -7,57 +7,37 @@ landmarks where they are detected. Sizes go up to the caps and a little beyond.
 from __future__ import annotations
 
 import json
-import math
-import random
-import struct
-import zlib
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from random import Random
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
-from mcap.records import Channel, Schema
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from benchmarks.fuzz_damage import ANY_FILE, NUMBERS
-from benchmarks.fuzz_logs import Spoken
+from benchmarks.fuzz_damage import NUMBERS, damaged
 from benchmarks.fuzz_parsers import TARGETS, mutated
-from benchmarks.loop_drive import Array, Loop, walls
+from benchmarks.loop_drive import Loop, walls
 
 if TYPE_CHECKING:
-    from benchmarks.fuzz_directed import Directed
+    from benchmarks.fuzz_directed import Draft
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
 CELL, CORNER = 0.05, -0.5  # m of a healthy map: the side of a cell, x and y of the picture's lower left corner
 ROWS = (10, 100, 1000, 5000, 20_000)  # detections in a file
-MOST_BEAMS = 3_000_000  # of all scans of a log together
-TAGS = {  # type -> definition: the parts first
-    "aruco_opencv_msgs/msg/MarkerPose": "int32 marker_id\ngeometry_msgs/Pose pose\n",
-    "apriltag_msgs/msg/Point": "float64 x\nfloat64 y\n",
-    "apriltag_msgs/msg/AprilTagDetection": "int32 id\nPoint centre\n",
-    "apriltag_msgs/msg/AprilTagDetectionArray": "std_msgs/Header header\nAprilTagDetection[] detections\n",
-    "aruco_opencv_msgs/msg/ArucoDetection": "std_msgs/Header header\nMarkerPose[] markers\n",
-    "ros2_aruco_interfaces/msg/ArucoMarkers":
-        "std_msgs/Header header\nint64[] marker_ids\ngeometry_msgs/Pose[] poses\n",
-}  # fmt: skip
-for _name, _text in TAGS.items():
-    STORE.register(get_types_from_msg(_text, _name))
+ODD_TIMES = ("0", "nan", "inf", "-1e30", "1700000001.0", "1700000001000000000", "9e18", "1e15", "1600000000", "x")
+ODD_IDS = ("-1", "0", "1.5", "9007199254740991", "9007199254740993", "1e15", "1e400", "nan", "", "x", "7")
+ODD_NUMBERS = (*map(str, NUMBERS), "1e-300", "2.0")
 
 
-def map_pictures(rng: Random, case: Directed) -> Directed:
+def map_pictures(rng: Random, case: Draft) -> Draft:
     """Give a map as a picture: of the room, of small cells, of noise; cut off, lying, or with odd words beside."""
     sides = (1, 2, 33, 200, 200, 200, 700, 2000, *((5800, 8192, 8200) if rng.random() < 0.1 else ()))
     width = rng.choice(sides)
     cells = _drawn(rng, width, width if rng.random() < 0.7 else min(rng.choice(sides), 2**26 // width + 1))
     name, picture = _encoded(rng, cells)
-    if rng.random() < 0.1:
-        picture = _lying(rng, picture)
-    if rng.random() < 0.1:
-        picture = rng.choice(ANY_FILE)(rng, picture)
+    if rng.random() < 0.2:
+        picture = damaged(rng, picture)[0]
     words = ("--map", "{here}/map.yaml", *rng.choice(((), ("--set", f"start.sigma_xy={rng.choice((0.5, 5))}"))))
-    return _beside(case, {name: picture, "map.yaml": _map_yaml(rng, name).encode("utf-8", "replace")}, words)
+    return _commanded(case, words, {name: picture, "map.yaml": _map_yaml(rng, name).encode("utf-8", "replace")})
 
 
 def _drawn(rng: Random, width: int, height: int) -> Any:
@@ -99,16 +79,6 @@ def _encoded(rng: Random, cells: Any) -> tuple[str, bytes]:
     return "m.png", cv2.imencode(".png", cells)[1].tobytes()
 
 
-def _lying(rng: Random, picture: bytes) -> bytes:
-    """Let a header say another size, with a checksum that is right."""
-    size = rng.choice((0, 1, 64, 8192, 8193, 2**24, 2**31 - 1, 2**32 - 1))
-    if picture.startswith(b"P"):
-        first, _, rest = picture.partition(b"\n")
-        return rng.choice((first[:2] + b"\n%d 7\n" % size, b"P5 %d %d 255\n" % (size, size), b"P6\n")) + rest
-    head = picture[12:16] + struct.pack(">I", size) + picture[20:29]
-    return picture[:12] + head + struct.pack(">I", zlib.crc32(head)) + picture[33:]
-
-
 def _map_yaml(rng: Random, name: str) -> str:
     odd = (*map(str, NUMBERS),
            ".nan", "-.inf", "1e-9", "0.001", "10", "11", "true", "text", "", "[1, 2]", "{a: 1}",
@@ -127,10 +97,10 @@ def _map_yaml(rng: Random, name: str) -> str:
     if rng.random() < 0.15:
         colons = text.replace(": ", ":")
         return rng.choice((text * 2, colons, "[" * 3000, f"{text}? ", "- " * 999, f"{text}\t", f"%YAML 9\n{text}"))
-    return rng.choice(ANY_FILE)(rng, text.encode()).decode("utf-8", "replace") if rng.random() < 0.1 else text
+    return damaged(rng, text.encode())[0].decode("utf-8", "replace") if rng.random() < 0.1 else text
 
 
-def line_maps(rng: Random, case: Directed) -> Directed:
+def line_maps(rng: Random, case: Draft) -> Draft:
     """Give a line map of few or very many walls, some of which are odd."""
     odd, count = rng.choice((0.0, 0.02, 0.5)), rng.choice((1, 8, 12, 12, 64, 1000, 10_000))
     ends = walls(12).tolist() if count == 12 else []
@@ -146,200 +116,44 @@ def line_maps(rng: Random, case: Directed) -> Directed:
         for i, (x0, y0, x1, y1) in enumerate(ends)
     ]  # fmt: skip
     text = json.dumps({"format": "locfuse line map", "version": 1, "lines": lines}).encode()
-    text = rng.choice(ANY_FILE)(rng, text) if rng.random() < 0.15 else text
-    return _beside(case, {"map.json": text}, ("--map", "{here}/map.json"))
+    text = damaged(rng, text)[0] if rng.random() < 0.15 else text
+    return _commanded(case, ("--map", "{here}/map.json"), {"map.json": text})
 
 
-class Seen(NamedTuple):
-    """Detections (n,) of landmarks that stand in the room, by the robot of the short drive."""
-
-    t: Array  # s since the drive began
-    ids: Any  # whole numbers
-    ranges: Array  # m
-    bearings: Array  # rad
-    places: dict[int, tuple[float, float]]
-
-
-def _seen(rng: Random, count: int, ids: int) -> Seen:
-    """Return detections of so many landmarks, up to 50 at one instant."""
-    noise = np.random.default_rng(rng.randrange(2**32))
+def detection_files(rng: Random, case: Draft) -> Draft:
+    """Give detections.csv: many lines and ids, one column of which is odd; with a map of landmarks, or none."""
+    noise, count = np.random.default_rng(rng.randrange(2**32)), rng.choice(ROWS)
+    known = max(rng.choice((1, 5, count // 200, count // 20, count)), 1)
+    places = noise.uniform((-1.0, -1.0), (9.0, 7.0), (known, 2))
     together = rng.choice((1, 1, 5, 50))
     t = np.sort(noise.uniform(0.0, 2.4, count // together + 1)).repeat(together)[:count]
-    which = np.arange(count) % ids
-    if rng.random() < 0.3:
-        which = noise.integers(0, ids, count)
-    places = noise.uniform((-1.0, -1.0), (9.0, 7.0), (ids, 2))
-    x, y, theta = Loop().pose(t).T
-    off = places[which] - np.stack((x, y), axis=-1)
-    ranges = np.hypot(*off.T) + 0.05 * noise.standard_normal(count)
-    bearings = np.arctan2(off[:, 1], off[:, 0]) - theta + 0.01 * noise.standard_normal(count)
-    return Seen(t, which, ranges, bearings, {i: (float(x), float(y)) for i, (x, y) in enumerate(places.tolist())})
-
-
-def detection_files(rng: Random, case: Directed) -> Directed:
-    """Give detections.csv: many lines and ids, some odd; with a map of landmarks, a wrong one, or none."""
-    count = rng.choice(ROWS)
-    seen = _seen(rng, count, max(rng.choice((1, 5, count // 200, count // 20, count // 3, count)), 1))
-    first = case.spoken[0].message.log_time
-    columns: list[list[str]] = [
-        [f"{(first + round(t * 1e9)) / 10**9:.9f}" for t in seen.t.tolist()],
-        [str(i) for i in seen.ids.tolist()],
-        [f"{r:.4f}" for r in seen.ranges.tolist()],
-        [f"{b:.4f}" for b in seen.bearings.tolist()],
-    ]
-    numbers = (*map(str, NUMBERS), "1e-300", "2.0")
-    for values, odd in zip(columns, (ODD_TIMES, ODD_IDS, numbers, numbers), strict=True):
-        share = rng.choice((*[0.0] * 7, 0.01, 0.5, 1.0))
-        some = odd if rng.random() < 0.2 else (rng.choice(odd),)
-        for i in range(count if share else 0):
-            values[i] = rng.choice(some) if rng.random() < share else values[i]
-    rows = list(zip(*columns, strict=True))
-    if rng.random() < 0.2:
-        rng.shuffle(rows)
-    text = "t,id,range,bearing\n" + "".join(f"{','.join(row)}\n" for row in rows)
-    if rng.random() < 0.1:
-        text = text.replace(",bearing", "", 1) if rng.random() < 0.5 else "\n".join(text.split("\n")[1:])
+    which = noise.integers(0, known, count)
+    pose = Loop().pose(t)
+    dx, dy = (places[which] - pose[:, :2]).T
+    bearings = np.arctan2(dy, dx) - pose[:, 2]
+    stamps = case.spoken[0].message.log_time * 1e-9 + t
+    columns = [[f"{v:.9f}" for v in stamps], [f"{i}" for i in which]]
+    columns += [[f"{v:.4f}" for v in numbers] for numbers in (np.hypot(dx, dy), bearings)]
+    column, odd = rng.choice(list(zip(columns, (ODD_TIMES, ODD_IDS, ODD_NUMBERS, ODD_NUMBERS), strict=True)))
+    share = rng.choice((0.0, 0.01, 0.5, 1.0))
+    column[:] = [rng.choice(odd) if rng.random() < share else value for value in column]
+    rows = [",".join(row) + "\n" for row in zip(*columns, strict=True)]
+    files = {"d.csv": ("t,id,range,bearing\n" + "".join(rows)).encode()}
     words = ["--set", "landmarks.file={here}/d.csv"]
-    beside = {"d.csv": text.encode()}
     if rng.random() < 0.5:
-        beside["lm.csv"] = _landmark_map(rng, seen.places)
-        words += ["--set", "landmarks.map={here}/lm.csv"]
-    return _beside(case, beside, tuple(words))
+        lines = [f"{i},{x},{y}\n" for i, (x, y) in enumerate(places.tolist())]
+        healthy = ("id,x,y\n" + "".join(lines)).encode()
+        files["m.csv"] = rng.choice(
+            (healthy, healthy, damaged(rng, healthy)[0], mutated(TARGETS["landmarks"], rng))
+        )
+        words += ["--set", "landmarks.map={here}/m.csv"]
+    return case.more(tuple(words), files)
 
 
-ODD_TIMES = ("0", "nan", "inf", "-1e30", "1700000001.0", "1700000001000000000", "9e18", "1e15", "1600000000", "x")
-ODD_IDS = ("-1", "0", "1.5", "9007199254740991", "9007199254740993", "1e15", "1e400", "nan", "", "x", "7")
+def _commanded(case: Draft, words: tuple[str, ...], files: dict[str, bytes]) -> Draft:
+    """Return the case with a map, by a command that takes one."""
+    command = case.command if case.command[0] in {"run", "compare"} else ("run",)
+    return replace(case, command=command).more(words, files)
 
 
-def _landmark_map(rng: Random, places: dict[int, tuple[float, float]]) -> bytes:
-    """Return landmarks.csv: as it is, with odd rows, with swapped places, or nonsense."""
-    rows = [(str(i), repr(x), repr(y)) for i, (x, y) in places.items()]
-    deed = rng.randrange(8)
-    if deed == 0:
-        return mutated(TARGETS["landmarks"], rng)
-    if deed == 1:
-        rows[rng.randrange(len(rows))] = (rng.choice(ODD_IDS), str(rng.choice(NUMBERS)), "1")
-    elif deed == 2:
-        others = rng.sample(rows, len(rows))
-        rows = [(ident, x, y) for (ident, _, _), (_, x, y) in zip(rows, others, strict=True)]
-    elif deed == 3:
-        rows = rows[: rng.choice((0, 1, len(rows) // 2))]
-    elif deed == 4:
-        rows = [(ident, repr(1e7 + i), "-1e7") for i, (ident, _, _) in enumerate(rows)]
-    return ("id,x,y\n" + "".join(f"{','.join(row)}\n" for row in rows)).encode()
-
-
-def detection_messages(rng: Random, case: Directed) -> Directed:
-    """Add a topic of detected tags: many, ids once or often, odd numbers, lists of unequal length."""
-    name = rng.choice(list(TAGS)[3:])
-    count = rng.choice((10, 100, 1000, 5000))
-    seen = _seen(rng, count, rng.choice((1, 5, max(count // 20, 1), count)))
-    odd = rng.choice((0.0, 0.0, 0.01, 1.0))
-    schema = Schema(0, STORE.generate_msgdef(name, ros_version=2)[0].encode(), "ros2msg", name)
-    channel = Channel(0, "/tags", "cdr", {}, 0)
-    first, extra = case.spoken[0], []
-    for group in np.split(np.arange(count), np.flatnonzero(np.diff(seen.t)) + 1):
-        found = [(int(seen.ids[i]), float(seen.ranges[i]), float(seen.bearings[i])) for i in group]
-        fields = _tags(rng, name, found, odd)
-        ns = first.message.log_time + round(float(seen.t[group[0]]) * 1e9)
-        stamp = STORE.types["builtin_interfaces/msg/Time"](sec=ns // 10**9, nanosec=ns % 10**9)
-        header = STORE.types["std_msgs/msg/Header"](stamp=stamp, frame_id=rng.choice(("base_link", "camera")))
-        data = bytes(STORE.serialize_cdr(STORE.types[name](header=header, **fields), name))
-        extra.append(Spoken(schema, channel, replace(first.message, log_time=ns, data=data)))
-    words: tuple[str, ...] = ("--set", "landmarks.topic=/tags", "--set", "landmarks.x=0", "--set", "landmarks.y=0")
-    words += ("--set", "landmarks.fx=400", "--set", "landmarks.cx=320") if "apriltag_msgs" in name else ()
-    beside = {}
-    if "apriltag_msgs" in name or rng.random() < 0.5:
-        beside["lm.csv"] = _landmark_map(rng, seen.places)
-        words += ("--set", "landmarks.map={here}/lm.csv")
-    return replace(_beside(case, beside, words), spoken=(*case.spoken, *extra))
-
-
-def _tags(rng: Random, name: str, found: Sequence[tuple[int, float, float]], odd: float) -> dict[str, Any]:
-    """Return the fields of one message: (id, range [m], bearing [rad]) each; x right and z ahead of the camera."""
-
-    def number(usual: float) -> float:
-        return rng.choice(NUMBERS) if rng.random() < odd else usual
-
-    def pose(distance: float, bearing: float) -> Any:
-        x, z = -distance * math.sin(bearing), distance * math.cos(bearing)
-        position = STORE.types["geometry_msgs/msg/Point"](x=number(x), y=number(0.0), z=number(z))
-        turn = STORE.types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=number(1.0))
-        return STORE.types["geometry_msgs/msg/Pose"](position=position, orientation=turn)
-
-    ids = [rng.choice((-1, 0, 2**31 - 1, -(2**31))) if rng.random() < odd else i for i, _, _ in found]
-    if "ArucoMarkers" in name:
-        ids = ids[: rng.randrange(len(ids) + 1)] if rng.random() < odd else ids
-        return {"marker_ids": np.array(ids, np.int64), "poses": [pose(r, b) for _, r, b in found]}
-    if "aruco_opencv" in name:
-        marker = STORE.types["aruco_opencv_msgs/msg/MarkerPose"]
-        return {"markers": [marker(marker_id=i, pose=pose(r, b)) for i, (_, r, b) in zip(ids, found, strict=True)]}
-    point, tag = (STORE.types[f"apriltag_msgs/msg/{kind}"] for kind in ("Point", "AprilTagDetection"))
-    at = [point(x=number(320.0 - 400.0 * math.tan(0.2 * b)), y=number(240.0)) for _, _, b in found]
-    return {"detections": [tag(id=i, centre=centre) for i, centre in zip(ids, at, strict=True)]}
-
-
-def odd_scans(rng: Random, case: Directed) -> Directed:
-    """Let scans have odd numbers of beams, angles, ranges, limits; two at one instant."""
-    name, seed, alike, left = "sensor_msgs/msg/LaserScan", rng.random(), rng.random() < 0.6, MOST_BEAMS
-    how = [edit for edit in SCAN_EDITS if rng.random() < 0.35] or [rng.choice(SCAN_EDITS)]
-    out: list[Spoken] = []
-    for one in case.spoken:
-        if one.schema is None or one.schema.name != name:
-            out.append(one)
-            continue
-        own = random.Random(seed if alike else f"{seed} {one.message.log_time}")
-        try:
-            scan = STORE.deserialize_cdr(one.message.data, name)
-            for edit in how:
-                edit(own, scan)
-            data = bytes(STORE.serialize_cdr(scan, name))
-        except Exception:  # another deed has changed the definition, or a number is no float32
-            data = one.message.data
-        left -= len(data) // 4
-        if left < 0:
-            continue
-        out += [one._replace(message=replace(one.message, data=data))] * own.choice((1, 1, 1, 2))
-    return replace(case, spoken=tuple(out))
-
-
-def _beams(rng: Random, scan: Any) -> None:
-    count = rng.choice((0, 1, 2, 3, 60, 61, 62, 1000, 100_000, 1_000_000))
-    scan.ranges = np.resize(scan.ranges, count) if len(scan.ranges) else np.full(count, 2.0, np.float32)
-    if rng.random() < 0.5:
-        scan.angle_increment = (scan.angle_max - scan.angle_min) / max(count - 1, 1)
-
-
-def _angles(rng: Random, scan: Any) -> None:
-    for key in rng.sample(("angle_increment", "angle_increment", "angle_min", "angle_max"), 2):
-        usual = getattr(scan, key)
-        setattr(scan, key, rng.choice((0.0, -usual, math.nan, math.inf, 1e-30, 1e30, 7.0, 400.0, usual)))
-
-
-def _ranges(rng: Random, scan: Any) -> None:
-    chance = np.random.default_rng(rng.randrange(2**32)).random(len(scan.ranges))
-    odd = np.float32(rng.choice((math.nan, math.inf, -math.inf, 0.0, -1.0, 1e30, 1e-40, 2.0)))
-    scan.ranges = np.where(chance < rng.choice((0.01, 0.5, 0.99, 2.0)), odd, scan.ranges).astype(np.float32)
-
-
-def _limits(rng: Random, scan: Any) -> None:
-    for key in rng.sample(("range_min", "range_max", "time_increment", "scan_time"), 2):
-        setattr(scan, key, rng.choice((0.0, -1.0, math.nan, math.inf, -math.inf, 1e30, 1e-30, 2.0)))
-
-
-def _instants(rng: Random, scan: Any) -> None:
-    step = rng.choice((1, 2, 10)) * 10**8
-    scan.header.stamp.nanosec = scan.header.stamp.nanosec // step * step
-
-
-SCAN_EDITS: tuple[Callable[[Random, Any], None], ...] = (_beams, _beams, _angles, _ranges, _limits, _instants)
-
-
-def _beside(case: Directed, files: dict[str, bytes], words: tuple[str, ...]) -> Directed:
-    """Return the case with more files and words, by a command that takes them."""
-    if case.command[0] == "recover" or ("--map" in words and case.command[0] not in {"run", "compare"}):
-        case = replace(case, command=("run",))
-    return replace(case, words=(*case.words, *words), beside={**case.beside, **files})
-
-
-DEEDS = (map_pictures, line_maps, detection_files, detection_messages, odd_scans)
+DEEDS = (map_pictures, line_maps, detection_files)

@@ -185,47 +185,33 @@ def read(file: Path) -> Found:
     return Found(columns, json.loads(columns.pop(VALUES).tobytes()))
 
 
-class Difference(NamedTuple):
-    """How much a column of a run differs, and that in words."""
-
-    size: float
-    words: str
-    run: str
-
-
 def differences(before: Found, now: Found, slack: float) -> tuple[list[str], set[str]]:
     """Return how two results of a case differ, in words, and in which runs."""
     if ("error" in before.values) != ("error" in now.values):
         errors = [found.values.get("error", "a result") for found in (before, now)]
         return [f"{errors[0]} before, {errors[1]} now"], runs_of(before) | runs_of(now)
     slack *= LOOPS if _loops(before) or _loops(now) else 1.0
-    gone, new = runs_of(before) - runs_of(now), runs_of(now) - runs_of(before)
-    said = [f"{run}: this run is {how}" for runs, how in ((gone, "missing"), (new, "new")) for run in sorted(runs)]
-    worst: dict[str, list[Difference]] = {}
-    for name in before.columns.keys() | now.columns.keys():
+    other = runs_of(before) ^ runs_of(now)
+    words = [f"{run}: this run is {'new' if run in runs_of(now) else 'missing'}" for run in sorted(other)]
+    columns: dict[str, list[tuple[float, str, str]]] = {}  # what -> size, words and run of each difference
+    for name in sorted(before.columns.keys() | now.columns.keys()):
         run, _, what = name.partition("/")
-        difference = _differs(name, before.columns.get(name), now.columns.get(name), slack)
-        if difference is not None and run not in gone | new:
-            worst.setdefault(what, []).append(difference)
-    columns = [f"{what}: {_largest(worst[what])}" for what in sorted(worst, key=_rank)]
-    told = [(k, before.values.get(k, NOTHING), now.values.get(k, NOTHING)) for k in before.values | now.values]
-    report = [f"{k}: {a} before, {b} now" for k, a, b in told if k not in NOT_COMPARED and not _equal(a, b, slack)]
-    for lines, of in ((columns, "columns"), (report, "values of the report")):
-        said += [*lines[:LISTED], *([f"and {len(lines) - LISTED} more {of}"] if len(lines) > LISTED else [])]
-    return said, gone | new | {d.run for found in worst.values() for d in found}
+        differs = _differs(what, before.columns.get(name), now.columns.get(name), slack)
+        if differs is not None and run not in other:
+            columns.setdefault(what, []).append((*differs, run))
+    for what in sorted(columns, key=lambda what: ([word not in what.split() for word in FIRST], what))[:LISTED]:
+        _, how, run = max(columns[what])
+        words.append(f"{what}: {how} ({run}, one of {len(columns[what])} runs)")
+    values = {k: (before.values.get(k, NOTHING), now.values.get(k, NOTHING)) for k in before.values | now.values}
+    report = {k: ab for k, ab in values.items() if k not in NOT_COMPARED and not _equal(*ab, slack)}
+    words += [f"{k}: {a} before, {b} now" for k, (a, b) in list(report.items())[:LISTED]]
+    more = max(len(columns) - LISTED, 0), max(len(report) - LISTED, 0)
+    words += [f"and {more[0]} more columns, {more[1]} more values of the report"] * any(more)
+    return words, other | {run for found in columns.values() for _, _, run in found}
 
 
 NOTHING = "nothing"
-FIRST = ("pose", "covariance", "verdict", "state")  # of what differs, the most telling
-
-
-def _rank(what: str) -> tuple[int, str]:
-    return next((i for i, word in enumerate(FIRST) if word in what.split()), len(FIRST)), what
-
-
-def _largest(found: list[Difference]) -> str:
-    largest = max(found, key=lambda d: (d.size, d.run))
-    return f"{largest.words} ({largest.run}{f', and {len(found) - 1} more runs' if len(found) > 1 else ''})"
+FIRST = ("pose", "covariance", "verdict", "state")  # of what differs, the most important
 
 
 def runs_of(found: Found) -> set[str]:
@@ -238,25 +224,27 @@ def _loops(found: Found) -> bool:
 
 
 def _equal(a: Any, b: Any, slack: float) -> bool:
-    numbers = all(isinstance(v, int | float) and not isinstance(v, bool) for v in (a, b))
-    if not numbers or a == b:
+    if not all(isinstance(v, int | float) and not isinstance(v, bool) for v in (a, b)):
         return bool(a == b)
-    near = abs(a - b) <= max(FLOOR, WITHIN * slack * max(abs(a), abs(b)))
-    return bool(near or (np.isnan(a) and np.isnan(b)))
+    return bool(np.isclose(a, b, rtol=WITHIN * slack, atol=FLOOR, equal_nan=True))
 
 
-def _differs(name: str, a: NDArray[Any] | None, b: NDArray[Any] | None, slack: float) -> Difference | None:
-    """Return how two columns differ, None where they do not."""
-    run, _, what = name.partition("/")
+def _differs(what: str, a: NDArray[Any] | None, b: NDArray[Any] | None, slack: float) -> tuple[float, str] | None:
+    """Return by how much two columns differ and that in words, None where they are equal."""
     if a is None or b is None:
-        return Difference(np.inf, "new" if a is None else "missing", run)
-    if a.shape == b.shape and np.array_equal(a, b, equal_nan=a.dtype.kind == "f"):
+        return np.inf, "new" if a is None else "missing"
+    if a.shape != b.shape:
+        return np.inf, f"{a.shape} before, {b.shape} now"
+    if np.array_equal(a, b, equal_nan=a.dtype.kind == "f"):
         return None
-    if a.shape != b.shape or a.dtype.kind == "i":
-        return _counted(run, what, a, b)
+    if a.dtype.kind == "i":
+        rows = np.argwhere(a != b)
+        first = [VERDICTS[v] if what.endswith("verdict") else v for v in (a[*rows[0]], b[*rows[0]])]
+        where = f"first in row {rows[0][0]}: {first[0]} before, {first[1]} now"
+        return float(len(rows)), f"{len(rows)} of {a.size} differ, {where}"
     known = np.isfinite(a) & np.isfinite(b)
     if not np.array_equal(a[~known], b[~known], equal_nan=True):
-        return Difference(np.inf, f"{(~known).sum()} are no numbers, before or now", run)
+        return np.inf, f"{(~known).sum()} are no numbers, before or now"
     off = np.abs(np.where(known, a, 0.0) - np.where(known, b, 0.0))
     if what == "pose":
         far, turned = float(np.hypot(off[:, 0], off[:, 1]).max()), float(off[:, 2].max())
@@ -267,22 +255,7 @@ def _differs(name: str, a: NDArray[Any] | None, b: NDArray[Any] | None, slack: f
         scale = np.abs(np.where(known, a, 0.0)).max(axis=0) if sigma is None else sigma[:, i] * sigma[:, j]
         size, limit = float((off / (scale + FLOOR)).max()), WITHIN * WIDER
         words = f"{size:.2g} of its size"
-    return Difference(size, words, run) if size > limit * slack else None
-
-
-def _counted(run: str, what: str, a: NDArray[Any], b: NDArray[Any]) -> Difference:
-    """Return how two columns differ that count or name something, or whose lengths differ, and where first."""
-    n = min(len(a), len(b))
-    words = [f"{a.shape} before, {b.shape} now"] if a.shape != b.shape else []
-    if a.dtype.kind != "i" or a.ndim > 1:
-        return Difference(np.inf, words[0], run)
-    other = np.flatnonzero(a[:n] != b[:n])
-    words.append(f"{len(other)} of {n} differ")
-    if len(other):
-        i = int(other[0])
-        first = [VERDICTS[v] if what.endswith("verdict") else str(v) for v in (a[i], b[i])]
-        words.append(f"first in row {i}: {first[0]} before, {first[1]} now")
-    return Difference(float(len(other)) if a.shape == b.shape else np.inf, ", ".join(words), run)
+    return (size, words) if size > limit * slack else None
 
 
 class Running(NamedTuple):

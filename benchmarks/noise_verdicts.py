@@ -11,7 +11,7 @@ exact than any real mirror, so 0.5 degrees of white noise are added to its beari
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,13 +28,8 @@ SCENARIO = ("compass.hard_iron=[0, 0]", "compass.soft_iron=[1, 1, 0]", "compass.
 CAMERA_NOISE = math.radians(0.5)
 NORTH_DEG = -65.0  # what compass.offset_deg should be: the scenario's magnetic north
 SLOW, SLOW_TIME = math.radians(1.0), 2.0  # rad, s: correlated compass noise
-CONFIGURATIONS: tuple[tuple[str, ...], ...] = (
-    (),
-    ("compass",),
-    ("lrf",),
-    ("camera",),
-    ("compass", "lrf", "camera"),
-)
+SENSORS = ("compass", "lrf", "camera")
+CONFIGURATIONS: tuple[tuple[str, ...], ...] = ((), *((s,) for s in SENSORS), SENSORS)
 
 
 @dataclass(frozen=True)
@@ -45,19 +40,14 @@ class Case:
     sensor: str = ""  # none: nobody
     verdict: str = ""
     key: str = ""
-    right: Callable[[float], bool] = lambda value: True
+    right: tuple[float, float] = (-math.inf, math.inf)  # between which the value of the key is right
     slow_compass: bool = False
 
 
-def between(low: float, high: float) -> Callable[[float], bool]:
-    """Return whether a value lies between two."""
-    return lambda value: low < value < high
-
-
-DEGREES, METRES = between(0.3, 0.8), between(0.015, 0.06)  # around the noise that was drawn
+DEGREES, METRES = (0.3, 0.8), (0.015, 0.06)  # around the noise that was drawn
 LINES = ("lrf.sigma_range", "lrf.sigma_angle_deg")
 OFF = f"compass.offset_deg={NORTH_DEG + 5.0}"
-NEAR_NORTH = between(NORTH_DEG - 1.0, NORTH_DEG + 1.0)
+NEAR_NORTH = (NORTH_DEG - 1.0, NORTH_DEG + 1.0)
 SMALL, LARGE = "understated", "overstated"
 CASES = {
     "clean": Case(),
@@ -68,11 +58,9 @@ CASES = {
     "camera sigma / 3": Case(("camera.sigma_deg=0.1667",), "camera", SMALL, "camera.sigma_deg", DEGREES),
     "camera sigma * 3": Case(("camera.sigma_deg=1.5",), "camera", LARGE, "camera.sigma_deg", DEGREES),
     "compass offset + 5 deg": Case((OFF,), "compass", "biased", "compass.offset_deg", NEAR_NORTH),
-    "camera zero + 3 deg": Case(
-        ("camera.zero_deg=3.0",), "camera", "biased", "camera.zero_deg", between(-1.0, 1.0)
-    ),
+    "camera zero + 3 deg": Case(("camera.zero_deg=3.0",), "camera", "biased", "camera.zero_deg", (-1.0, 1.0)),
     "compass noise of 2 s": Case(
-        ("compass.sigma_deg=1.0",), "compass", "correlated", "compass.sigma_deg", between(3.0, math.inf), True
+        ("compass.sigma_deg=1.0",), "compass", "correlated", "compass.sigma_deg", (3.0, math.inf), True
     ),
 }
 
@@ -113,8 +101,8 @@ def is_right(case: Case, found: dict[str, Consistency]) -> bool:
     if not case.sensor:
         return not accused
     mine = found[case.sensor]
-    value = mine.cures.get(case.key)
-    return accused == {case.sensor} and mine.verdict == case.verdict and value is not None and case.right(value)
+    value, (low, high) = mine.cures.get(case.key), case.right
+    return accused == {case.sensor} and mine.verdict == case.verdict and value is not None and low < value < high
 
 
 def work(name: str, seed: int) -> Row:

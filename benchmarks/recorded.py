@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -140,20 +140,15 @@ class Laser:
 
 
 class Camera:
-    """Pictures of the landmark, JPEG."""
+    """Pictures of the landmark, as JPEG."""
 
     def __init__(self, drive: Loop, rng: np.random.Generator, size: tuple[int, int]) -> None:
         self.drive, self.view = drive, OmniView(size, rng)
-        empty = cdr("sensor_msgs/msg/CompressedImage", {"format": "jpeg", "data": b""})
-        self.head = empty[: len(empty) - 4]  # less the length of the data
+        self.empty = cdr("sensor_msgs/msg/CompressedImage", {"format": "jpeg", "data": b""})
 
     def messages(self, t: Array) -> list[bytes]:
         """Return the pictures at t (n,) [s] as CDR."""
-        found = []
-        for stamp, pose in zip(stamps(t), self.drive.pose(t), strict=True):
-            jpeg = self.view.jpeg(pose)
-            found.append(self.head[:4] + stamp.tobytes() + self.head[12:] + struct.pack("<I", len(jpeg)) + jpeg)
-        return found
+        return with_data(self.empty, t, (self.view.jpeg(pose) for pose in self.drive.pose(t)))
 
 
 class RawPictures:
@@ -163,13 +158,18 @@ class RawPictures:
         width, height = size
         self.pixels = rng.integers(0, 256, 3 * width * height, np.uint8).tobytes()
         shape = {"height": height, "width": width, "encoding": "rgb8", "is_bigendian": 0, "step": 3 * width}
-        empty = cdr("sensor_msgs/msg/Image", {**shape, "data": b""})
-        self.head = empty[: len(empty) - 4]  # less the length of the data
+        self.empty = cdr("sensor_msgs/msg/Image", {**shape, "data": b""})
 
     def messages(self, t: Array) -> list[bytes]:
         """Return a picture at each t (n,) [s] as CDR."""
-        data = struct.pack("<I", len(self.pixels)) + self.pixels
-        return [self.head[:4] + stamp.tobytes() + self.head[12:] + data for stamp in stamps(t)]
+        return with_data(self.empty, t, [self.pixels] * len(t))
+
+
+def with_data(empty: bytes, t: Array, pictures: Iterable[bytes]) -> list[bytes]:
+    """Return messages whose last field is data, stamped t (n,) [s]; `empty` is one without data."""
+    head = empty[:4], empty[12:-4]  # before and behind the stamp, less the length of the data
+    both = zip(stamps(t), pictures, strict=True)
+    return [head[0] + at.tobytes() + head[1] + struct.pack("<I", len(data)) + data for at, data in both]
 
 
 class Truth:

@@ -11,8 +11,7 @@ import pytest
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from benchmarks.building import SETTINGS, contained
-from benchmarks.relations import relation_errors
+from benchmarks.building import SETTINGS, contained, relation_errors
 from locfuse.cli.analysis.load import load
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.fusion import se2

@@ -19,7 +19,7 @@ ROOT = Path(__file__).parents[2]
     ("cases", "words"),
     [
         (60, ()),
-        (20, ("--directed", "--deeds", "map_pictures,line_maps,detection_files,detection_messages,odd_scans")),
+        (20, ("--directed", "--deeds", "map_pictures,line_maps,detection_files,odd_numbers")),
     ],
 )
 def test_no_random_damage_breaks_the_promise(tmp_path: Path, cases: int, words: tuple[str, ...]) -> None:

@@ -45,7 +45,7 @@ SAY_START = "say where the drive begins: " + " ".join(
 
 
 class Start(NamedTuple):
-    """Where a robot was at its first scan, and how much of what it saw says so."""
+    """The pose of a robot at its first scan, and the share of beams that fit it."""
 
     pose: Array  # (3,) at time `t`, map frame
     t: float  # s: of the first scan

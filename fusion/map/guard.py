@@ -1,10 +1,10 @@
-"""When the scan and the map disagree: slips are found again, being carried away is noticed, and lost is said.
+"""Disagreement of scan and map: finds wheel slips and kidnapping, and reports when the robot is lost.
 
 The guard watches how much of what a scan shows is matched. New lines are no disagreement: a robot that explores
 sees new walls. Disagreement is seeing *through* walls that the map has, or walls that all jump from one scan to
 the next. A wheel that slipped is a wrong heading: a few near the old one are tried, and the next scans must
 confirm it before it turns the pose (`slips`). What stays is a robot that was carried off, or a map that was moved:
-nothing is corrected or learnt, the covariance says so, and the pose is looked for on the whole map until one
+no scan corrects pose or map, the covariance grows, and the pose is looked for on the whole map until one
 place fits all that was seen since. A growing map is left after some metres (`gives_up`): the robot is adrift in a
 new one until its place is recognised.
 """
@@ -25,17 +25,15 @@ from locfuse.fusion.ekf.map_frame import Pose
 from .line_map import Association, LineMap
 from .place_search import behind_walls, find_pose
 from .scan import Scan
-from .scan_history import Trail
 from .slips import (
     SLIP_SIGMA_M,
     SLIP_SIGMA_RAD,
-    Late,
     Seen,
     Series,
     Suspicion,
+    Trail,
     agree,
     continues,
-    made,
     slip_turn,
     with_slip,
 )
@@ -47,7 +45,7 @@ WELL_SHARE, MAX_BACKDATE_S = 0.9, 3.0
 MIN_DISAGREEMENT_S, MIN_DISAGREEMENT_SCANS = 0.5, 4  # s and scans of disagreement before the robot counts as lost
 MIN_MOVED_M, MIN_TURNED_RAD = 0.01, math.radians(0.5)  # since the last scan: at rest nothing slips
 MAX_GAP_S = 1.0  # s without a scan after which walls need not continue
-# share that still matches: doors stand open in walls that are known as one, and nobody is lost
+# share that still matches: doors stand open in walls that are known as one
 AGREEING_SHARE = 0.25
 MIN_WALLS_BEHIND = 3  # seen walls that must lie behind known ones: fewer are seen through a door
 # that walls must fill to contradict a map; scans before a jump that count
@@ -61,10 +59,10 @@ PLACED_SIGMA_M, PLACED_SIGMA_RAD = 0.15, math.radians(3.0)  # m, rad: after it w
 CARRY_M_PER_S, CARRY_RAD_PER_S = 0.5, math.radians(30.0)  # m, rad within a second: somebody may carry a lost robot
 # scans in a row, from different places, that must agree on where a lost robot is
 CONFIRMING_SCANS, CONFIRMING_SCANS_WITH_HEADING = 5, 3
-KNOWN_HEADING_SIGMA_RAD = math.radians(10.0)  # rad: standard deviation of a heading that other sensors tell
+KNOWN_HEADING_SIGMA_RAD = math.radians(10.0)  # rad: standard deviation of a heading that other sensors measure
 SAME_PLACE_M, SAME_PLACE_RAD = 0.12, math.radians(4.0)  # m, rad: within which they agree
 
-# scans along 12 m of a lost robot's way that did not tell its place: then it begins a map anew
+# scans along 12 m of a lost robot's way without a place: then a new map begins
 MAX_LOST_SCANS = 60
 
 Again = Callable[[], Association]  # associates the scan at hand with the belief as it is now
@@ -86,8 +84,8 @@ class Guard:
         self._series = Series()
         self._trail = Trail()  # since it is lost
         self._well = (0.0, 0)  # when a scan last fitted well, and the number of the first line born after it
-        self._before: deque[Late] = deque(maxlen=SCANS_BEFORE_JUMP)  # the last scans
-        self._before_torn: list[Seen] = []  # the last ones before the walls jumped
+        self._before: deque[Seen] = deque(maxlen=SCANS_BEFORE_JUMP)  # the last scans
+        self._before_torn: Sequence[Seen] = ()  # the last ones before the walls jumped
         self._torn = False  # the walls jumped, and little has matched since
         self._last = (math.inf, math.inf, math.inf)
         self._now = 0.0
@@ -100,7 +98,7 @@ class Guard:
         """Take in where a scan has put the robot: from here on the wheels lead."""
         self._after = pose
 
-    def fits(self, t: float, share: float, pose: Pose, scan: Callable[[], Scan], next_id: int) -> bool:
+    def fits(self, t: float, share: float, pose: Pose, scan: Scan, next_id: int) -> bool:
         """Take in a scan of which this share matches; False: nothing is taken in, `watch` must see to it.
 
         `pose` is predicted, `next_id` the number of the next map line.
@@ -125,12 +123,12 @@ class Guard:
         again: Again,
         slipped: Slipped,
     ) -> tuple[Association, bool]:
-        """Return the association to use and whether the scan may correct the pose and teach the map."""
+        """Return the association to use and whether the scan may correct pose and map."""
         dt, self._now = t - self._now, t
         moved = self._moved(belief)
         now = (t, self._rolled(belief.pose()), scan)
         before = tuple(self._before)
-        self._before.append((t, now[1], lambda: scan))
+        self._before.append(now)
         if self._lost_from is not None:
             _keep_open(belief, dt)
             return self._search(t, scan, found, lines, belief, again)
@@ -148,13 +146,13 @@ class Guard:
             return again(), False
         if turn is not None:
             return self._turned(turn, belief, again), True
-        teach = self._believed(made(before), now, share, lines, belief)
+        teach = self._believed(before, now, share, lines, belief)
         return again(), teach and self._suspicion is None
 
     def _suspected(
         self, scan: Scan, lines: LineMap, belief: JointBelief, again: Again, slipped: Slipped
     ) -> float | None:
-        """Return a small slip [rad] that map and matched scans tell; a large one waits for the next scans."""
+        """Return a small slip [rad] on which map and matched scans agree; a large one waits for the next scans."""
         turn = slip_turn(scan, lines, belief, again)
         if turn is None:
             return None
@@ -191,8 +189,10 @@ class Guard:
         self._since, self._torn = None, False
         return again()
 
-    def _believed(self, before: list[Seen], now: Seen, share: float, lines: LineMap, belief: JointBelief) -> bool:
-        """Return whether a scan of which little is matched may correct and teach; after several it is lost."""
+    def _believed(
+        self, before: Sequence[Seen], now: Seen, share: float, lines: LineMap, belief: JointBelief
+    ) -> bool:
+        """Return whether a scan of which little is matched may correct pose and map; after several it is lost."""
         t, _, scan = now
         if _view(scan) < MIN_VIEW_RAD:  # a doorway, clutter: too little to contradict anything
             return not self._torn
@@ -208,7 +208,7 @@ class Guard:
         return self._disagree(t, lines, belief)
 
     def _lose(self, since: float, lines: LineMap, belief: JointBelief) -> None:
-        """Mark the robot as lost from the last scan that fitted well; what was learnt after it is forgotten."""
+        """Mark the robot as lost from the last scan that fitted well; map lines born after it are dropped."""
         well, _ = self._well
         self._lost_from = max(min(since, well), since - MAX_BACKDATE_S)
         if self._intervals and self._lost_from <= self._intervals[-1][1]:  # what was found was no place
@@ -230,8 +230,8 @@ class Guard:
         self._after = here
         return self._wheels
 
-    def turn_page(self) -> None:
-        """Go on in another map: what was seen before in this one's frame is void."""
+    def enter_map(self) -> None:
+        """Go on in another map: scans in the frame of this one are dropped."""
         self._before.clear()
         self._since = self._after = self._suspicion = None
         self._last = (math.inf, math.inf, math.inf)

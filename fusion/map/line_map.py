@@ -214,7 +214,7 @@ RESERVE_FACTOR = 1.5  # times the room that is needed now
 class Association(sight.Sight, Reading):
     """The lines of a scan against a map: of every line its pair, or why there is none.
 
-    As a `Reading` of the filter it says all accepted lines together, as rows of the state's table.
+    As a `Reading` of the filter it holds all accepted lines together, as rows of the state's table.
     """
 
     def __init__(self, rules: sight.Rules, seat: sight.Seat) -> None:

@@ -29,7 +29,7 @@ from locfuse.fusion.scan_matching.solve import chi2_of
 from .anchors import Anchors
 from .line_map import LineMap
 from .scan import Scan
-from .scan_history import Trail
+from .slips import Trail
 from .small_maps import as_scan
 from .way import Way
 
@@ -136,7 +136,7 @@ def explained(
 ) -> tuple[Array, Array, Ints]:
     """Return (h,) each: share of the seen length explained, the same were walls longer than known, and walls.
 
-    What is known of a wall grows with what was seen of it: a rival may look at a part that nobody saw yet. `slack`
+    What is known of a wall grows with what was seen of it: a rival may look at a part not seen yet. `slack`
     widens what counts as the same wall.
     """
     out = np.empty((len(poses), 3))
@@ -241,7 +241,7 @@ class Closure(NamedTuple):
     """Where the frame of one map lies in another's."""
 
     pose: Array  # (3,)
-    P: Array  # (3, 3) large along what no wall tells
+    P: Array  # (3, 3) large in directions that no wall constrains
     length: float  # m of walls that agree
     walls: int
 
@@ -347,8 +347,8 @@ def _refined(pose: Array, scan: Scan, there: Here, known: Ints, expected: Array,
         data = J.T @ (W[:, None] * J)
         x = x - np.linalg.solve(data + prior, J.T @ (W * e) + prior @ (x - expected))
     weak = data + WEAK_INFORMATION
-    z = x - np.linalg.solve(weak, J.T @ (W * e))  # what the walls alone say
-    spread = np.linalg.inv(weak) + np.diag(np.square(MAP_SIGMAS))
+    z = x - np.linalg.solve(weak, J.T @ (W * e))  # by the walls alone
+    spread: Array = np.linalg.inv(weak) + np.diag(np.square(MAP_SIGMAS))
     return Closure(z, spread, float(lengths.sum()), len(lengths))
 
 
@@ -403,7 +403,7 @@ class Looks:
     def agree(self, anchor: int, found: Closure | None, unknown: bool, anchors: Anchors) -> bool:
         """Take in a look at the map of an anchor, and return whether it may close a loop.
 
-        Where nothing else tells where the map at hand lies, more is asked: long walls, one more look, and that it
+        Where the place of the map at hand is not known, more is asked: long walls, one more look, and that it
         is not seen in another map at another place.
         """
         if found is None or (unknown and found.length < UNKNOWN_LENGTH_M):
@@ -423,7 +423,7 @@ class Looks:
 
 
 def _same(one: Closure, other: Closure) -> bool:
-    """Return whether two looks tell the same place, by what each leaves open."""
+    """Return whether two looks found the same place, within their covariances."""
     return bool(chi2_of(other.pose[None], one.pose, one.P + other.P)[0] < SAME_CHI2)
 
 

@@ -98,7 +98,7 @@ class Standing:
         self._first = None
 
     def take(self, rows: Array) -> Array | None:
-        """Return what a scan says: itself, or at rest the mean since the last use; None where it only repeats."""
+        """Return the scan, or at rest the mean since the last use; None where it only repeats."""
         x, y, theta = self._rolled
         drives = x * x + y * y > MAX_ROLLED_M**2 or not -MAX_TURNED_RAD < theta < MAX_TURNED_RAD
         if drives or self._first is None:

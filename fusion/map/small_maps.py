@@ -52,7 +52,7 @@ def seen_from_here(lines: LineMap, at: Ints, belief: JointBelief) -> Bridge:
 def heading_among(lines: LineMap, at: Ints, belief: JointBelief) -> float:
     """Return how well the heading is known where the walls `at` (k,) are given, 1 sigma [rad].
 
-    That is what the last scans say of it, whatever the robot and its walls have drifted together.
+    That is the accuracy of the last scans, without what robot and walls have drifted together.
     """
     states = np.append(2, lines.states(at))
     P = belief.covariance[np.ix_(states, states)]

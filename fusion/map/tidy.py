@@ -20,7 +20,7 @@ from .line_map import LineMap
 TIDY_EVERY_SCANS = 10  # scans
 MIN_HITS = 4
 TRIAL_SCANS = 15  # scans after its birth in which a line must earn its hits
-# further apart is two walls, whatever the covariance says
+# further apart is two walls, whatever the covariance
 DOUBLE_ANGLE_RAD, DOUBLE_OFFSET_M = math.radians(8.0), 0.25
 MAX_GAP_M = 0.3  # m along the wall between two pieces that may still be one
 MAY_BE_ONE = sight.Doubles(MIN_HITS, TRIAL_SCANS, DOUBLE_ANGLE_RAD, DOUBLE_OFFSET_M, MAX_GAP_M)

@@ -1,9 +1,9 @@
-"""The line map inside one run: what a scan says of the pose, what it teaches the map, and the maps of a building.
+"""The line map inside one run: scans correct the pose and the map; and the small maps of a building.
 
 `LineTracker` keeps one map. `AtlasTracker` keeps small maps, one after another, held together by a graph of
 anchors: a map that the robot has left is frozen, and the next one begins at an anchor. The map frame moves on
 to the pose (fusion.ekf.map_frame), so that what one scan costs does not grow with the building. Where the map
-at hand is found to be a part of an earlier one, the loop is closed: the graph says where all anchors lie, and
+at hand is found to be a part of an earlier one, the loop is closed: all anchors are solved anew, and
 the pose jumps. Hierarchical SLAM (Estrada, Neira and Tardos, IEEE T-RO 2005) with the graph of Lu and Milios
 (1997).
 """
@@ -11,7 +11,7 @@ the pose jumps. Hierarchical SLAM (Estrada, Neira and Tardos, IEEE T-RO 2005) wi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -38,9 +38,10 @@ from locfuse.fusion.lines.extract import rows_in_base
 from locfuse.fusion.lines.flatness import bend
 from locfuse.fusion.mount import Mount
 from locfuse.fusion.scan_matching.neighbours import turned_beyond_wheels
+from locfuse.fusion.scan_matching.solve import NOWHERE
 from locfuse.fusion.sensor import Block, Model
 
-from .anchors import NOWHERE, Anchors, Edge, inverted
+from .anchors import Anchors, Edge, inverted
 from .guard import Guard, in_map, jump
 from .laser_mount import by_mount, moved_mount, seat_of
 from .line_map import NO_SHARES, Association, LineMap, about_middle, associate
@@ -76,7 +77,7 @@ RECENT_SCANS = 3  # scans: what was seen in them leads over to the next map
 # what adds to the variances of where a map ends: neighbouring beams and scans share errors that no filter counts,
 # and clutter is taken for walls. In one real building (aces) headings there were 2 degrees wrong at 0.4 claimed
 ADDED_P_SHARE, MIN_ADDED_VARIANCES = 8.0, np.square((0.02, 0.02, math.radians(0.3)))
-MIN_GAIN_SHARE = 1e-3  # share by which a variance must have fallen to count as told by another sensor
+MIN_GAIN_SHARE = 1e-3  # share by which a variance must have fallen to count as measured by another sensor
 
 
 class LineTracker(Model):
@@ -91,7 +92,7 @@ class LineTracker(Model):
         self.map = LineMap()
         self.joint = mode != "first-scan"
         self.maps = mode != "given"
-        # only a map that holds what was seen since can say that something is wrong
+        # only a map that holds what was seen since can show that something is wrong
         self._jumps: list[Jump] = []
         self.guard = Guard(self._jumps) if recover and mode in ("grow", "given") else None
         self._first_map: list[MapLine] = []
@@ -103,7 +104,7 @@ class LineTracker(Model):
         self._standing = Standing()
         self._sight: Association | None = None  # the scan at hand, where it is seen as expected
         self._found: Association | None = None  # the scan at hand; None: the map begins with it
-        self._late: Callable[[], Scan]  # the same in the base, by the mount as it was predicted
+        self._seen: Scan  # the same in the base, by the mount as it was predicted
         self._rows = np.zeros((0, 7))  # its lines, in the base as configured: at rest the mean since the last use
         self._teach = True
         self._fitted = -1  # the reading that was used last
@@ -138,7 +139,7 @@ class LineTracker(Model):
         return self.maps and not self.map.ids.size and bool(m.first[i] < m.first[i + 1])
 
     def rolled(self, u: Sequence[float]) -> None:
-        """Take in the wheels' motion: a robot that stands still learns nothing new."""
+        """Take in the wheels' motion: scans at rest repeat each other."""
         self._standing.rolled(u)
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> Sequence[Innovation] | Association:
@@ -158,20 +159,20 @@ class LineTracker(Model):
         self._rows = rows
         if len(self.map.ids) == 0:
             offset = None if self.mount is None else moved_mount(self.mount, belief)
-            self._late = partial(_in_base, rows, offset)
+            self._seen = _in_base(rows, offset)
             return [Innovation.unpredicted(row, NEW, 2, self.gate) for row in range(first, last)]
         if self._sight is None:
             self._sight = Association(self.rules, seat_of(self.mount, belief))
         shared = self._shared(m, first, last)
         found = self._sight
         share = found.compare(belief, self.map, rows, shared)
-        late = self._late = partial(_in_base, rows, None if self.mount is None else found.moved())
+        scan = self._seen = _in_base(rows, None if self.mount is None else found.moved())
         if self.guard is not None and not self.guard.fits(
-            self._t[i], share, belief.pose(), late, self.map.next_id
+            self._t[i], share, belief.pose(), scan, self.map.next_id
         ):
             again = partial(associate, rows, self.map, belief, found, shared)
             slipped = partial(turned_beyond_wheels, m, self._fitted, i)
-            found, self._teach = self.guard.watch(self._t[i], late(), found, self.map, belief, again, slipped)
+            found, self._teach = self.guard.watch(self._t[i], scan, found, self.map, belief, again, slipped)
         if not self._teach:
             self._standing.forget()
             return [Innovation.unpredicted(row, LOST, 2, self.gate) for row in range(first, last)]
@@ -336,9 +337,9 @@ class AtlasTracker(LineTracker):
         self._go_on(i, pose, belief)
 
     def _go_on(self, i: int, pose: Pose, belief: JointBelief) -> None:
-        """Follow the way, look for the map at hand in earlier ones, and tell whether it is full."""
+        """Follow the way, look for the map at hand in earlier ones, and note whether it is full."""
         if self._way.goes(pose):
-            self._way.keep(self._t[i], pose, self._late())
+            self._way.keep(self._t[i], pose, self._seen)
         if self._way.length - self._asked_at >= (LOOK_AGAIN_M if self._asked_at else FIRST_LOOK_M):
             self._asked_at = self._way.length
             self._look(self._t[i], belief)
@@ -348,9 +349,9 @@ class AtlasTracker(LineTracker):
     # ---- from one map to the next ----
 
     def turn_page(self, belief: JointBelief) -> bool:
-        """Leave a map that is full; the next one begins at once, where a scan has just told the pose."""
+        """Leave a map that is full; the next one begins at once, where a scan has just corrected the pose."""
         if self.guard is not None and self.guard.gives_up():
-            self._leave(belief, bridges=False)  # the next scan begins a map, whose place nothing tells
+            self._leave(belief, bridges=False)  # the next scan begins a map of unknown place
             self.guard.leave()
             self._full = False
             return False
@@ -364,7 +365,7 @@ class AtlasTracker(LineTracker):
             return True
         leading = self._seen_last()
         if not len(leading) or not self._may_turn(leading, belief):
-            return False  # no wall leads over yet, or this scan has not told the heading
+            return False  # no wall leads over yet, or this scan has not fixed the heading
         bridge = seen_from_here(self.map, leading, belief)
         self._leave(belief, bridges=True)
         self._begin_next(bridge, belief)
@@ -388,7 +389,7 @@ class AtlasTracker(LineTracker):
             if self._along is not None:
                 self._along.end(self.mount, belief)
             if self.guard is not None:
-                self.guard.turn_page()
+                self.guard.enter_map()
         self._left = np.array(belief.pose()), belief.matrix()
         belief.remove(self.map.drop(np.arange(len(self.map))))
 
@@ -420,7 +421,7 @@ class AtlasTracker(LineTracker):
         return found
 
     def _return_to(self, old: FrozenMap, belief: JointBelief) -> None:
-        """Take up a map again: its lines are states again, and the pose is where the graph says it is in it.
+        """Take up a map again: its lines are states again, and the pose is put into it by the graph.
 
         G o q stays what it is: G goes back by R, which leads from the old anchor to the last one, and q on by R.
         """
@@ -446,7 +447,7 @@ class AtlasTracker(LineTracker):
         self._way.resume()
         self._asked_at, self._looks, self._ask_known_at = self._way.length, Looks(), {}
         if self.guard is not None:
-            self.guard.turn_page()
+            self.guard.enter_map()
 
     def _enter(self, pose: Array, belief: JointBelief) -> None:
         """Begin a map at an anchor, which is the map frame."""
@@ -467,7 +468,7 @@ class AtlasTracker(LineTracker):
         self._ask_known_at = {}
 
     def _take_in_absolutes(self, belief: JointBelief) -> None:
-        """Tell the graph what other sensors have said of the map frame since it began: the information gained."""
+        """Add an edge to the graph: the information of other sensors on the map frame since it began."""
         frame = belief.frame_pose()
         if frame is None:
             return

@@ -1,8 +1,8 @@
 """The way through one map: scans along it, and the pose by matching them, where the map is left.
 
 A small map and the pose in it drift together where few walls are long, or clutter is taken for walls. A chain
-of matched scans, in which all that was seen counts, tells the way better. It is taken in where the map is left:
-the next map then begins where both say. The variances of the pose have grown before by what no filter counts
+of matched scans, in which all that was seen counts, gives the way better. It is taken in where the map is left:
+the next map then begins where both agree. The variances of the pose have grown before by what no filter counts
 (tracker.ADDED_P_SHARE), since the lines and the matches are of the same scans.
 """
 
@@ -30,8 +30,8 @@ from .anchors import MIN_STEP, inverted
 from .scan import Scan
 
 STRIDE_M, TURN_RAD = 0.75, math.radians(45.0)  # m, rad between two scans that are kept
-MAX_SIGHTS = 60  # of a map: more say nothing new
-# along a way: with fewer it says little, and a map in which the robot stayed longer holds together better than it
+MAX_SIGHTS = 60  # of a map: more add nothing
+# along a way: with fewer it is inexact, and a map in which the robot stayed longer holds together better than it
 MIN_KEYS, MAX_KEYS = 4, 100
 FILTER_P = np.square(np.diag((0.02, 0.02, np.radians(0.3))))  # of the filter's way to the next key scan, variances
 MAX_CHI2 = chi_square(0.999, 3)
@@ -64,7 +64,7 @@ class Way:
         self._last = None
 
     def goes(self, pose: Pose) -> bool:
-        """Take in the next pose, and tell whether a scan from there is worth keeping."""
+        """Take in the next pose, and return whether a scan from there is worth keeping."""
         x, y, theta = pose
         if self._last is not None:
             self.length += math.hypot(x - self._last[0], y - self._last[1])
@@ -154,10 +154,10 @@ def _bent(x: Array) -> Array:
 
 
 def compared(z: Array, R: Array, begin: Array, back: Array, mount: Mount | None, belief: JointBelief) -> Equation:
-    """Return what a way z (3,) by the scans, with covariance R, says of the pose and the mount.
+    """Return what a way z (3,) by the scans, with covariance R, measures of pose and mount.
 
-    It led from `begin` (3,) in the map to `back` (3,), which is seen from the pose. The scans say it of a base on
-    which the laser sits as told, which may not be as the belief has it.
+    It led from `begin` (3,) in the map to `back` (3,), which is seen from the pose. The scans are of a base on
+    which the laser is mounted as configured; the belief may have another mount.
     """
     free, columns = ([], ()) if mount is None else (list(mount.free), mount.columns(belief))
     place, sits = np.array(belief.pose()), np.zeros(3) if mount is None else np.array(mount.now(belief))

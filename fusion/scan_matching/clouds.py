@@ -14,7 +14,7 @@ from msgspec.structs import astuple
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, Measurements
 
-MAX_BEAMS = 360  # of a scan that are matched: more cost time and say nothing new
+MAX_BEAMS = 360  # of a scan that are matched: more cost time and add nothing
 NEIGHBOUR_BEAMS = 3  # beams to either side that make a surface
 MIN_NEIGHBOURS, MAX_SPREAD_M = 3, 0.03  # how many, and how far off their line at most
 MAX_GAP_M, GAP_SPACINGS = 0.25, 5.0  # neighbours further apart are of different surfaces
@@ -30,7 +30,7 @@ class Columns(msgspec.Struct, frozen=True):
         return len(astuple(self)[0])
 
     def take(self, at: Any) -> Self:
-        """Return the rows at these positions, or where a mask says so."""
+        """Return the rows at these positions, or where a mask is true."""
         return type(self)(*(column[at] for column in astuple(self)))
 
     @classmethod
@@ -133,7 +133,7 @@ def merged(clouds: Clouds, groups: list[Ints], poses: list[Array]) -> Clouds:
 
 
 def thinned(clouds: Clouds) -> Clouds:
-    """Return of every cloud one point on a surface in each square of CELL_M: overlapping scans say the same."""
+    """Return of every cloud one point on a surface in each square of CELL_M: overlapping scans repeat it."""
     rows = np.flatnonzero(np.isfinite(clouds.normal[:, 0]))
     square = np.floor(clouds.xy[rows] / CELL_M).astype(np.int64) + (1 << 20)
     of = clouds.owner[rows]

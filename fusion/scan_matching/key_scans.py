@@ -79,7 +79,7 @@ def _next(
 ) -> tuple[Ints, Matches, Array]:
     """Match every key with the next one: those that matched, the matches, and all steps (n - 1, 3).
 
-    Where the robot `turns` (n - 1,), and where two do not match at once, the scans between tell the way.
+    Where the robot `turns` (n - 1,), and where two do not match at once, the scans between give the way.
     """
     steps = points.moved(m.t[readings[:-1]], m.t[readings[1:]])
     i = np.flatnonzero(np.hypot(*steps[:, :2].T) < MAX_APART_M)

@@ -1,7 +1,7 @@
-"""Scan matching: many pairs of clouds at once, point to line, with a prior for what the walls do not say.
+"""Scan matching: many pairs of clouds at once, point to line, with a prior for directions that no wall constrains.
 
-A corridor says nothing along itself: there the prior (the wheels) holds, and without one a match slides (Censi
-2008, "An ICP variant using a point-to-line metric"). The nearest points of all pairs are found by one
+Nothing in a corridor fixes the place along it: there the prior (the wheels) holds, and without one a match slides
+(Censi 2008, "An ICP variant using a point-to-line metric"). The nearest points of all pairs are found by one
 search: each cloud lies in a layer of its own, far from all others.
 
 Frames: the pose of a pair is that of cloud j in the frame of cloud i, (x, y, theta); its information is that of
@@ -27,13 +27,13 @@ DEPENDENT_POINTS = 16.0  # neighbouring points are not independent: so many coun
 FLOOR_M, FLOOR_RAD = 0.01, np.radians(0.2)  # no pair is known better
 MIN_FACING = 0.7  # cosine between the normals of two points that are paired, at least: a wall has two sides
 INLIER_M = 0.1  # a point closer to its line fits
-MATCHED_POINTS = 120  # of one cloud: more cost time and, being neighbours, say little new
+MATCHED_POINTS = 120  # of one cloud: more cost time and, being neighbours, add little
 POINTS_AT_ONCE = 1_000_000
 SETTLED_M = 2e-4
 
 
 class Matches(Columns, frozen=True):
-    """What p pairs of clouds say of their relative poses."""
+    """Relative poses of p pairs of clouds."""
 
     pose: Array  # (p, 3)
     information: Array  # (p, 3, 3) by the points alone, without the prior

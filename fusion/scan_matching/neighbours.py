@@ -83,7 +83,7 @@ SCANS_AT_ONCE = 1024  # whose points are held
 def scan_by_scan(m: Measurements, points: Points, begin: Ints, end: Ints) -> Array:
     """Return readings `end` (n,) seen from readings `begin` before them, (n, 3).
 
-    Where a match on the way is not good, the wheels tell the step.
+    Where a match on the way is not good, the step is that of the wheels.
     """
     counts = end - begin
     first = np.cumsum(counts) - counts
@@ -104,7 +104,7 @@ def _scan_after(m: Measurements, points: Points, scans: Ints) -> Array:
 
 
 def turned_beyond_wheels(m: Measurements, a: int, b: int) -> float | None:
-    """Return how much more the robot turned from reading a to b than its wheels say [rad], by matching the two.
+    """Return how much more the robot turned from reading a to b than by its wheels [rad], by matching the two.
 
     None where they do not match.
     """

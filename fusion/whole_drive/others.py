@@ -1,7 +1,7 @@
 """Every other sensor of a drive in the graph: its own model compares its readings with the key poses.
 
 A reading between two keys is seen from the key before, by the wheels. Nothing here knows what a sensor is: its
-model says y, H and R, as it does in the filter.
+model gives y, H and R, as it does in the filter.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Others:
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """Those that say something."""
+        """Those that have readings."""
         return tuple(dict.fromkeys(seen.sensor for seen in self._seen))
 
     def move(self, step: Array) -> None:

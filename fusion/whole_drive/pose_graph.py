@@ -23,20 +23,18 @@ from locfuse.fusion.scan_matching.match import Targets, sources_of
 from locfuse.fusion.scan_matching.solve import Edges, Normal, Problem
 from locfuse.fusion.wheels.states import WHEELS
 
-from .between import scans_between
-from .bridge import Fixes, bridged
+from .between import Fixes, bridged, scans_between
 from .chain import again, sequential, wheel_edges
-from .closures import KERNEL_WIDTH_FACTORS, Loops, close, recognised
+from .closures import KERNEL_WIDTH_FACTORS, Loops, close, recognised, submaps_of
 from .odometry import Odometry, by_lever, odometry_of
 from .others import Others
-from .submaps import submaps_of
 from .walls import straightened
 
 LASER = "lrf"
 MIN_KEYS = 10
 KEY_WAY_M, KEY_TURN_RAD = 0.5, np.radians(20.0)  # between two keys
 START_FLOOR_P = np.diag([1e-4**2, 1e-4**2, 1e-5**2])  # m^2, rad^2: a start that is known exactly
-SPAN_GAP_S = 30.0  # closures further apart in time are told apart
+SPAN_GAP_S = 30.0  # closures further apart in time are listed apart
 MAX_EXTENT_VIEWS = 1.5  # extent of a drive over how far its scans reach, up to which there is no loop to close
 SAMPLE_SCANS = 20
 FAR_SHARE = 0.95  # of a scan's points that are nearer than how far it reaches
@@ -117,7 +115,7 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
         return straightened(self.drive.measurements[LASER], self.readings, self.x, self.spread[0])
 
     def misfit(self, pose: Array) -> float:
-        """Return how far poses (n, 3) of the drive are from what the closures say, rms [m]."""
+        """Return how far poses (n, 3) of the drive are from the closures, rms [m]."""
         return _rms(self.closures.errors(pose[self.keys]))
 
     def needed(self, filtered: Estimates) -> bool:
@@ -285,7 +283,7 @@ class Start(msgspec.Struct, frozen=True):
         return Edges.known(0, self.at_key, np.asarray(np.linalg.inv(self.P_at_key), np.float64))
 
     def smoothed(self, key: Array, P: Array) -> tuple[Array, Array, Array]:
-        """Return pose, covariance and that with the first key, once the whole drive says `key` (3,), P (3, 3)."""
+        """Return pose, covariance and that with the first key, once the whole drive gives `key` (3,), P (3, 3)."""
         G = self.cross @ np.linalg.inv(self.P_at_key)
         step = key - self.at_key
         step[2] = se2.wrap(float(step[2]))

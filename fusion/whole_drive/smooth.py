@@ -1,4 +1,4 @@
-"""Smoothing: what the whole drive, its end included, says of every instant (Rauch, Tung, Striebel 1965).
+"""Smoothing: every instant estimated from the whole drive, its end included (Rauch, Tung, Striebel 1965).
 
 One smoother for the user, two ways of solving it. Where a laser came back to places that the filter's own map does
 not hold together, the graph of key poses (whole_drive.pose_graph) closes these loops. Else the backward pass below
@@ -241,7 +241,7 @@ def between_instants(
 ) -> tuple[Array | None, Array | None]:
     """Return smoothed poses (q, 3) and covariances at the truth's stamps; NaN outside the drive.
 
-    A stamp lies on a bridge between two smoothed instants: what the wheels said on the way there, plus the share
+    A stamp lies on a bridge between two smoothed instants: the wheels' motion on the way there, plus the share
     of what they missed over the whole interval that their noise assigns to the part before the stamp. All in the
     local frame and about the filter's own poses, since across the wheels' direction the noise is micrometres and
     bending is not. Then the frame puts it into the map.

@@ -16,7 +16,7 @@ from locfuse.fusion.data import Estimates, Evaluation
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.map.scan import Scan
-from locfuse.fusion.map.scan_history import Trail, expected_share
+from locfuse.fusion.map.slips import Trail, expected_share
 from locfuse.fusion.measure import measure
 from locfuse.fusion.se2 import wrap
 

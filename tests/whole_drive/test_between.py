@@ -9,8 +9,16 @@ from locfuse.fusion.data import Array
 from locfuse.fusion.scan_matching.clouds import clouds_of
 from locfuse.fusion.scan_matching.key_scans import spaced
 from locfuse.fusion.whole_drive import between
-from locfuse.fusion.whole_drive.between import STEP_P, moving_scans, points_of, scans_between, smoothed
-from locfuse.fusion.whole_drive.bridge import Fixes, Spans, bridged
+from locfuse.fusion.whole_drive.between import (
+    STEP_P,
+    Fixes,
+    Spans,
+    bridged,
+    moving_scans,
+    points_of,
+    scans_between,
+    smoothed,
+)
 from locfuse.fusion.whole_drive.odometry import Odometry, odometry_of
 from locfuse.fusion.whole_drive.pose_graph import KEY_TURN_RAD, KEY_WAY_M
 

@@ -12,7 +12,7 @@ from ring_drive import WIDTH, ring_drive, robot
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Estimates
 from locfuse.fusion.whole_drive import closures
-from locfuse.fusion.whole_drive.bridge import Fixes, bridged
+from locfuse.fusion.whole_drive.between import Fixes, bridged
 from locfuse.fusion.whole_drive.closures import recognised
 from locfuse.fusion.whole_drive.odometry import Odometry, odometry_of
 from locfuse.fusion.whole_drive.pose_graph import Graph, wheels_share, whole_drive

@@ -51,7 +51,10 @@ def row(path: Path, sets: tuple[str, ...]) -> str:
     words += [note.words for note in choice.notes if note.role == "wheels" and not note.spoils]
     if log.topics[topics[0]].msgtype != SCANS:
         reading = read_wheels(merged([log.stream(topic) for topic in topics]), robot.wheels)
-        words += [*reading.notes[:1], *(f"**void**: {note.words}" for note in spoiling(log, choice, reading))]
+        words += [
+            *reading.notes[:1],
+            *(f"**void**: {note.words}" for note in spoiling(log, robot, choice, reading)),
+        ]
     taken = " and ".join(f"`{topic}`" for topic in topics)
     return f"| {path.name} | {taken} | {'; '.join(dict.fromkeys(words))} |"
 

@@ -1,4 +1,4 @@
-"""Which topics say how the body moved, where no wheels with known geometry do.
+"""Topics with the body's motion, for robots without wheels of known geometry.
 
 Candidates are ordered by what they hold: an odometry, an odometry that only /tf has, measured speeds, the scans of
 a laser, poses that another program estimated. With a laser they are judged by it (`motion_evidence`); a Twist
@@ -16,13 +16,13 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.truth import looks_like_truth
 from locfuse.fusion.wheels.odometry import ODOMETRY, PLANAR, POSE, SCANS, SPEED, STEERED, TRANSFORM, commanded
 from locfuse.fusion.wheels.read import WHEEL_READS
+from locfuse.fusion.wheels.steered import GAIN_HINT, MOTOR, SERVO
 
 from .motion_evidence import Evidence
 from .motion_witnesses import Witnesses
-from .motor_topics import motor_of, motor_words
 from .mounts import is_base, is_odometry, is_room
 from .not_read import not_read
-from .topics import ONLY, Choice, of_sensor, of_type, one
+from .topics import ONLY, Choice, checked, of_sensor, of_type, one
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
@@ -91,7 +91,7 @@ CAMERA_WORDS = ("camera", "optical", "marker", "aruco", "tag")  # of frames whos
 
 
 class Body(NamedTuple):
-    """The topic that says how the body moved."""
+    """The topic of the body's motion."""
 
     topic: str
     why: str
@@ -107,17 +107,16 @@ class Body(NamedTuple):
 
 
 def choose_body(log: Log, robot: Robot, choice: Choice, scans: bool, stand_in: bool) -> Body | None:
-    """Return the topic that says how the body moved, None where no topic does. Raises LocfuseError for several.
+    """Return the topic of the body's motion, None if there is none. Raises LocfuseError for several.
 
     `scans`: whether scans will do; `stand_in`: whether estimated poses and commands will.
     """
     laser = of_sensor(log, robot, "lrf", (SCANS,)) if scans else None
     if laser is None:
-        twists = [Body(t, ONLY) for t in _twists(log, robot, choice, asked=False) if _is_twist(log, t)]
-        body = _best_witnessed(log, robot, choice, [*_measured(log, robot, choice), twists])
+        body = _best_witnessed(log, robot, choice, [*_measured(log, robot, choice, speeds=True)])
         return body or (_stand_in(log, robot, choice) if stand_in else None)
     evidence = Evidence(log, robot, laser, choice.read)
-    for same in _measured(log, robot, choice):
+    for same in _measured(log, robot, choice, speeds=False):
         if (body := _one_of(log, same, evidence)) is not None:
             return _judged(body, evidence)
     lacks = "no wheels and no odometry" if stand_in else "no wheels of known size and no odometry"
@@ -128,7 +127,7 @@ def choose_body(log: Log, robot: Robot, choice: Choice, scans: bool, stand_in: b
 
 
 def _best_witnessed(log: Log, robot: Robot, choice: Choice, kinds: Sequence[Sequence[Body]]) -> Body | None:
-    """Return the best kind's body that other sensors do not contradict; None where there is none at all."""
+    """Return the best kind's motion that other sensors do not contradict; None without any motion."""
     witnesses = Witnesses(log, robot, [body.topics for same in kinds for body in same], choice.read)
     for same in kinds:
         if (body := _one_of(log, same, witnesses)) is not None:
@@ -142,7 +141,7 @@ def _best_witnessed(log: Log, robot: Robot, choice: Choice, kinds: Sequence[Sequ
 
 
 def _judged(body: Body, evidence: Evidence | Witnesses) -> Body:
-    """Return a body with what other sensors say of it and of those that were left out."""
+    """Return a motion with notes on its agreement with other sensors, and on the motions left out."""
     why = ": ".join(filter(None, (body.why, share := evidence.why(body.topics))))
     if not evidence.note:
         return body._replace(why=why)
@@ -153,15 +152,15 @@ def _judged(body: Body, evidence: Evidence | Witnesses) -> Body:
 
 
 def _one_of(log: Log, same: Sequence[Body], evidence: Evidence | Witnesses | None) -> Body | None:
-    """Return the body of several of one kind; None for none, or none that agrees with the other sensors."""
+    """Return the motion of several of one kind; None for none, or none that agrees with the other sensors."""
     if evidence is not None:
         same = [body for body, kept in zip(same, evidence.keep([b.topics for b in same]), strict=True) if kept]
     topic = one(log, "wheels", None, [body.topic for body in same], WHEEL_READS)
     return next((body for body in same if body.topic == topic), None)
 
 
-def _measured(log: Log, robot: Robot, choice: Choice) -> Iterator[Sequence[Body]]:
-    """Yield what measured how the body moved, kind by kind, the best first.
+def _measured(log: Log, robot: Robot, choice: Choice, speeds: bool) -> Iterator[Sequence[Body]]:
+    """Yield what measured how the body moved, kind by kind, the best first; Twists only where `speeds` will do.
 
     An odometry that says where the robot is in the room is somebody's estimate: what was measured comes before it.
     """
@@ -177,17 +176,17 @@ def _measured(log: Log, robot: Robot, choice: Choice) -> Iterator[Sequence[Body]
         poses = [t for t in _poses(log, robot, choice) if is_odometry(log.stream(t).frame_id)]
         yield [_beside(t, "poses in the frame of an odometry", estimated) for t in poses]
     measured = _twists(log, robot, choice, asked=False)
-    speeds = [t for t in measured if _is_twist(log, t)]
-    yield [_beside(t, ONLY, estimated) for t in measured if t not in speeds]
+    twists = [t for t in measured if _is_twist(log, t)]
+    yield [_beside(t, ONLY, estimated) for t in measured if t not in twists]
     if found := motor_of(log, robot):
         yield [Body(found[0], f"its motor's speed, steered as {found[1]} says", beside=tuple(found[1:]))]
-    if not of_sensor(log, robot, "lrf", (SCANS,)):
-        yield [_beside(t, ONLY, estimated) for t in speeds]
+    if speeds:
+        yield [_beside(t, ONLY, estimated) for t in twists]
     yield [Body(t, NOTHING_ELSE, ESTIMATED.format(topic=t)) for t in estimated]
 
 
 def _beside(topic: str, why: str, others: Sequence[str]) -> Body:
-    """Return an odometry that is taken before others, which are named; one that holds more than wheels says so."""
+    """Return an odometry that is preferred to others, which are named; one that uses other sensors is marked."""
     if not others:
         return Body(topic, why, HOLDS_MORE.format(topic=topic) if _of_filter(topic) else "")
     looks = "looks" if len(others) == 1 else "look"
@@ -200,7 +199,7 @@ def _is_twist(log: Log, topic: str) -> bool:
 
 
 def _stand_in(log: Log, robot: Robot, choice: Choice) -> Body | None:
-    """Return what stands in for a measured motion: poses, else commands, else a steering angle, else no motion."""
+    """Return a substitute for a measured motion: poses, else commands, else a steering angle, else no motion."""
     poses = _poses(log, robot, choice)
     of_robot = [t for t in poses if not (of_camera(log, t) or commanded(t, log.topics[t].msgtype))]
     if not of_robot:
@@ -228,7 +227,7 @@ def _stand_in(log: Log, robot: Robot, choice: Choice) -> Body | None:
 
 
 def nearest_to_base(topics: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return of several commands those that the base obeys, by their names, and the others."""
+    """Return, of several commands, those nearest to the base by their names, and the others."""
 
     def rank(topic: str) -> int:
         name = topic.rpartition("/")[2].lower()
@@ -240,7 +239,7 @@ def nearest_to_base(topics: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def _filled(log: Log, robot: Robot, choice: Choice, kinds: Sequence[str]) -> list[str]:
-    """Return recorded topics of these types that hold messages and that nobody else reads.
+    """Return recorded topics of these types with messages that no other role reads.
 
     A topic that the settings give to a sensor of its own (`[pose] topic`) is left to it where there are others.
     """
@@ -255,17 +254,17 @@ def _filled(log: Log, robot: Robot, choice: Choice, kinds: Sequence[str]) -> lis
 
 
 def _a_topic(name: str) -> bool:
-    """Return whether a name is a topic, or what a topic is presented as: not frames of /tf, nor a field."""
+    """Return whether a name is a topic or an adapted topic: not frames of /tf, nor a field."""
     return ":" not in name or name.rpartition(":")[2] in PRESENTED_AS
 
 
 def _of_filter(topic: str) -> bool:
-    """Return whether an odometry's name says that other sensors are in it already."""
+    """Return whether an odometry's name shows that other sensors are in it."""
     return _made(topic) > 1 and any(word in topic.lower() for word in (*OF_FILTERS, *MADE_OF_FIXES))
 
 
 def _made(topic: str) -> int:
-    """Return 0 where an odometry's name says that it is raw, 2: of more than wheels, 3: of fixes; else 1."""
+    """Return 0 if an odometry's name shows that it is raw, 2: of more than wheels, 3: of fixes; else 1."""
     name = topic.lower()
     if any(word in name for word in RAW):
         return 0
@@ -275,7 +274,7 @@ def _made(topic: str) -> int:
 
 
 def _twists(log: Log, robot: Robot, choice: Choice, asked: bool) -> list[str]:
-    """Return topics of speeds that can be read: commanded ones (`asked`), or those that were measured.
+    """Return readable topics of speeds: commanded ones (`asked`), or measured ones.
 
     Speeds in a frame that does not turn with the robot (odom, map), or of a receiver, are not those ahead.
     """
@@ -286,7 +285,7 @@ def _twists(log: Log, robot: Robot, choice: Choice, asked: bool) -> list[str]:
 
 
 def by_fixes(topic: str) -> bool:
-    """Return whether a receiver of satellites measured the speeds, by the topic's name: along east and north."""
+    """Return whether a satellite receiver measured the speeds, by the topic's name: along east and north."""
     return any(word in topic.lower() for word in BY_FIXES)
 
 
@@ -295,27 +294,27 @@ def _beside_body(frame: str) -> bool:
 
 
 def _poses(log: Log, robot: Robot, choice: Choice) -> list[str]:
-    """Return topics of poses, whoever's they are."""
+    """Return topics of poses of any source."""
     return _filled(log, robot, choice, POSES)
 
 
 def of_camera(log: Log, topic: str) -> bool:
-    """Return whether poses are given in the frame of a camera or a marker: they are not the robot's."""
+    """Return whether poses are in the frame of a camera or a marker: they are not the robot's."""
     return any(word in log.stream(topic).frame_id.lower() for word in CAMERA_WORDS)
 
 
 def odometry_frames(log: Log) -> list[str]:
-    """Return the pairs of frames in /tf that are an odometry, as topics: a base that moves in a frame odom."""
+    """Return the pairs of frames in /tf that are an odometry, as topics: a base in a frame odom."""
     return moving_frames(log, is_odometry)
 
 
 def in_room(log: Log, topic: str) -> bool:
-    """Return whether the poses of a topic are given in a frame that stands still in the room."""
+    """Return whether a topic's poses are in a frame that is fixed in the room."""
     return is_room(log.stream(topic).frame_id)
 
 
 def moving_frames(log: Log, fixed: Callable[[str], bool]) -> list[str]:
-    """Return pairs of frames in /tf, as topics, that move in a fixed one; only a base's where there is one."""
+    """Return pairs of frames in /tf, as topics, that move in a fixed one; only those of a base if there is one."""
     found: dict[str, bool] = {}
     for topic in log.transform_topics:
         for (parent, child), edge in log.frames(topic).items():
@@ -327,11 +326,11 @@ def moving_frames(log: Log, fixed: Callable[[str], bool]) -> list[str]:
 
 
 class NoWheelsError(LocfuseError):
-    """No topic gives the wheels' motion; the hint lists the topics that there are."""
+    """No topic gives the wheels' motion; the hint lists the available topics."""
 
 
 def nothing_moves(log: Log) -> NoWheelsError:
-    """Return the error that says what is missing, and which topics this log has."""
+    """Return the error with the missing motion and the topics of this log."""
     have = ", ".join(sorted(log.topics)[:12]) or "no topics"
     words = (
         f"nothing says how the robot moved: {log.name} has no wheels, no odometry (nor one in /tf), no laser, no "
@@ -344,4 +343,58 @@ def nothing_moves(log: Log) -> NoWheelsError:
         ". ".join([f"{words}{corrects if beside else ''}", *others]) + ".",
         role="wheels",
         hint=f"It has {have}",
+    )
+
+
+# ---- a car's motor controller: its topic, that of the steering, and what they lack ----
+
+
+def motors(log: Log) -> list[str]:
+    """Return topics with the speed of a car's motor."""
+    return [t for t in of_type(log, MOTOR) if log.topics[t].count]
+
+
+def steering_of(log: Log, robot: Robot) -> str | None:
+    """Return the topic of a car's steering: as configured, else an Ackermann command, else a servo."""
+    named = robot.wheels.steering_topic
+    if named is not None:
+        return checked(log, "wheels", named, (*STEERED, SERVO))
+    commands = [t for t in of_type(log, STEERED) if log.topics[t].count]
+    servos = [t for t in of_type(log, (SERVO,)) if log.topics[t].count and "servo" in t.lower()]
+    if robot.wheels.servo_gain and servos:
+        return servos[0]
+    obeyed = [t for t in commands if t.rpartition("/")[2] == "ackermann_cmd"]
+    return next(iter([*obeyed, *commands, *servos]), None)
+
+
+def with_steering(log: Log, robot: Robot, motor: str) -> list[str]:
+    """Return the topics of a motor and of its steering. Raises LocfuseError without steering."""
+    steering = steering_of(log, robot)
+    if steering is None:
+        raise LocfuseError(
+            f"{motor} says how fast the motor turns, and no topic says how the car was steered "
+            "(an AckermannDrive, or a servo's position).",
+            role="wheels",
+            hint="Name it with --set wheels.steering_topic=<topic>, or the odometry that was made of both",
+        )
+    return [motor, steering]
+
+
+def motor_of(log: Log, robot: Robot) -> Sequence[str]:
+    """Return the topics of a motor and of its steering, if the settings convert them to metres; else none."""
+    found, settings = motors(log), robot.wheels
+    known = settings.erpm_per_mps and settings.wheelbase and steering_of(log, robot) is not None
+    return with_steering(log, robot, found[0]) if len(found) == 1 and known else ()
+
+
+def motor_words(log: Log, robot: Robot) -> str:
+    """Return the settings needed to use a motor controller's data as motion; "" without a controller."""
+    found = motors(log)
+    if not found or motor_of(log, robot):
+        return ""
+    if steering_of(log, robot) is None:
+        return f"{found[0]} says how fast the motor turns, and no topic says how the car was steered"
+    return (
+        f"{found[0]} holds what its motor did: --set wheels.topic={found[0]} --set wheels.erpm_per_mps=<erpm> "
+        f"({GAIN_HINT}) --set wheels.wheelbase=<metres> uses it"
     )

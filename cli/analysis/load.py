@@ -217,7 +217,7 @@ def measured(
         *drive.notes,
     )
     drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})
-    spoils = spoiling(log, choice, motion)
+    spoils = spoiling(log, robot, choice, motion)
     return Loaded(log, robot, choice, drive, tables, matched=matched, reading=motion, spoils=spoils)
 
 

@@ -1,4 +1,4 @@
-"""Motions that are not the robot's: commands, poses of other things, what no robot can do, what stands still.
+"""Motions that are not the robot's: commands, poses of other bodies, impossible steps, no motion.
 
 Such a log is fused, so that its files can be looked at, and every figure is void (exit code 3).
 """
@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from locfuse.formats.report.findings import options
-from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.data import LocfuseError, Measurements
 from locfuse.fusion.judge.evaluate import ERROR_KEYS
-from locfuse.fusion.robot import WheelSettings
+from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.truth import looks_like_truth
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.odometry import SPEED, commanded
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
-from .motion_witnesses import FIX, fixes
+from .motion_witnesses import FIX, seen
 from .topics import Choice, Note, of_type
 
 if TYPE_CHECKING:
@@ -32,17 +32,17 @@ MIN_FIX_SPREAD_M = 15.0  # m: a standing receiver's fixes wander by some metres
 VOID = (*ERROR_KEYS, "anees")  # figures that mean nothing then
 
 
-def spoiling(log: Log, choice: Choice, motion: WheelReading) -> tuple[Note, ...]:
-    """Return why the motion that is used is not the robot's; () where nothing speaks against it."""
+def spoiling(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> tuple[Note, ...]:
+    """Return why the chosen motion is not the robot's; () without a reason."""
     found = [note for note in choice.notes if note.spoils]
     topics = " and ".join(choice.of("wheels"))
     if motion.doubt:
         found.append(Note("wheels", f"{topics}: {motion.doubt}", (), spoils=True))
-    return (*found, *_standing(log, choice, motion.wheels))
+    return (*found, *_standing(log, robot, choice, motion))
 
 
 def void_all(report: dict[str, Any], spoils: Sequence[Note]) -> None:
-    """Take all figures and verdicts out of a report of a motion that is not the robot's."""
+    """Void all figures and verdicts of a report whose motion is not the robot's."""
     if not spoils:
         return
     message = "; ".join(f"{n.role}: {n.words}" + (f": {options(n.fixes)}" if n.fixes else "") for n in spoils)
@@ -58,9 +58,9 @@ def void_all(report: dict[str, Any], spoils: Sequence[Note]) -> None:
     report["headline"] = f"No verdict on this log: {message}."
 
 
-def _standing(log: Log, choice: Choice, wheels: Wheels) -> Iterator[Note]:
-    """Yield the finding that the wheels' topic never moves while another topic does."""
-    if not wheels.stands:
+def _standing(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> Iterator[Note]:
+    """Yield the finding that the wheels' topic is constant while another topic moves."""
+    if not motion.wheels.stands:
         return
     own = " and ".join(choice.of("wheels"))
     taken = set(choice.of("wheels"))
@@ -77,30 +77,31 @@ def _standing(log: Log, choice: Choice, wheels: Wheels) -> Iterator[Note]:
             yield Note("wheels", words, (f"wheels.topic={topic}",), spoils=True)
             return
     for topic in of_type(log, (FIX,)):
-        if (spread := _spread(log, topic)) > MIN_FIX_SPREAD_M:
+        if (spread := _spread(seen(log, robot, "gps", topic, motion))) > MIN_FIX_SPREAD_M:
             words = f"{own} never moves, but the fixes of {topic} lie up to {spread:.0f} m apart"
             yield Note("wheels", words, spoils=True)
             return
 
 
 def standing_notes(wheels: Wheels) -> tuple[str, ...]:
-    """Return the note that the robot does not move; nothing where it does."""
+    """Return the note that the robot does not move; none if it does."""
     return (f"wheels: {STANDS}",) if wheels.stands else ()
 
 
 def _moved(log: Log, topic: str) -> float:
-    """Return how far the body moved by a topic [m], 0 where it cannot be read."""
+    """Return the body's distance by a topic [m], 0 if it cannot be read."""
     with suppress(LocfuseError):
         return way(read_wheels(log.stream(topic), WheelSettings()).wheels)
     return 0.0
 
 
 def way(wheels: Wheels) -> float:
-    """Return how far the body moved in all [m]."""
+    """Return the body's total distance [m]."""
     return float(np.hypot(*np.diff(wheels.pose[:, :2], axis=0).T).sum())
 
 
-def _spread(log: Log, topic: str) -> float:
-    """Return the greatest extent of a receiver's fixes along east or north [m], outliers left out."""
-    xy = fixes(log, topic).xy
-    return float(np.ptp(np.percentile(xy, (5.0, 95.0), axis=0), axis=0).max()) if len(xy) > 1 else 0.0
+def _spread(fixes: Measurements | None) -> float:
+    """Return the greatest extent of fixes along east or north [m], outliers left out."""
+    if fixes is None:
+        return 0.0
+    return float(np.ptp(np.percentile(fixes.z, (5.0, 95.0), axis=0), axis=0).max())

@@ -1,21 +1,20 @@
-"""Which topics feed the wheels: angles, ticks or speeds of the wheels, else what says how the body moved."""
+"""The topics of the wheels: angles, ticks or speeds of wheels, else a topic of the body's motion."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, cast
 
 from locfuse.fusion.data import LocfuseError
-from locfuse.fusion.robot import Robot, WheelSettings
-from locfuse.fusion.wheels.motor import MOTOR
+from locfuse.fusion.robot import Robot
 from locfuse.fusion.wheels.odometry import SCANS
 from locfuse.fusion.wheels.read import WHEEL_READS, counts_ticks
 from locfuse.fusion.wheels.sources import ARRAYS, JOINTS, NUMBERS, SPEEDS, TICKS, joint_names
-from locfuse.fusion.wheels.tricycle import STEERING_WORD
+from locfuse.fusion.wheels.steered import MOTOR, STEERING_WORD
 
-from .body_topics import choose_body, nothing_moves
-from .motor_topics import with_steering
+from .body_topics import choose_body, nothing_moves, with_steering
 from .topics import NAMED, ONLY, Choice, Note, checked, of_type, several_fit
 
 if TYPE_CHECKING:
@@ -39,7 +38,7 @@ COMMAND_WORDS = (
 
 
 def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
-    """Take the wheels' topic, or topics. Raises LocfuseError where none fits, or several do."""
+    """Choose the wheels' topic or topics. Raises LocfuseError if none or several fit."""
     settings = robot.wheels
     if settings.left_topic is not None or settings.right_topic is not None:
         choice.take("wheels", _named_pair(log, robot), NAMED)
@@ -47,15 +46,13 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
     if settings.topic is not None:
         choice.take("wheels", _named(log, robot, settings.topic), NAMED)
         return
-    if (tricycle := _tricycle(log, robot)) and _steering_known(settings):
-        choice.take("wheels", tricycle, "the ticks of a steered wheel and of its steering")
-        return
-    counters, kind = _counters(log, robot)
-    unknown = _unknown(log, robot, counters)
+    counters, kind = counters_of(log, robot)
+    missing = [key.replace("_", " ") for key in missing_of(log, robot, counters)]
+    unknown = " and ".join([*filter(None, (", ".join(missing[:-1]),)), *missing[-1:]])
     if counters and not unknown:
         choice.take("wheels", counters, kind)
         return
-    wheeled = bool(counters) and _turn(log, counters, robot)
+    wheeled = bool(counters) and are_wheels(log, counters[0], robot)
     asked = wheeled and _size_is_near(log, robot)
     body = choose_body(log, robot, choice, scans=not asked, stand_in=not wheeled)
     if body is None:
@@ -71,7 +68,7 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
 
 
 def _say_unused(log: Log, choice: Choice, counters: Sequence[str], lacks: str) -> None:
-    """Note why what counts is not used: what is not known of the wheels, or "" where no joint is called one."""
+    """Note why counters are not used: the unknown figures of the wheels, or "" if no joint has a wheel's name."""
     used = choice.topics["wheels"]
     if not lacks:
         words = f"{used} is used, since no joint of {counters[0]} is named like a wheel"
@@ -85,7 +82,7 @@ def _say_unused(log: Log, choice: Choice, counters: Sequence[str], lacks: str) -
 
 
 def unused_words(choice: Choice) -> str:
-    """Say that the log holds wheels and what is not known of them; "" where all wheels are used."""
+    """Return that the log has wheels and which figures are unknown; "" if all wheels are used."""
     if not choice.unused_wheels:
         return ""
     words = _of_wheels(choice.unused_wheels, choice.lacks)
@@ -99,7 +96,7 @@ def _of_wheels(counters: Sequence[str], lacks: str) -> str:
 
 
 def _named(log: Log, robot: Robot, name: str) -> list[str]:
-    """Return the topic that the settings name, with that of the steering where it needs one."""
+    """Return the configured topic, with that of the steering if it needs one."""
     topic = checked(log, "wheels", name, WHEEL_READS)
     kind = log.topics[topic].msgtype
     if kind in MOTOR:
@@ -118,7 +115,7 @@ def _named(log: Log, robot: Robot, name: str) -> list[str]:
 
 
 def steering_ticks(log: Log, robot: Robot, traction: str) -> str | None:
-    """Return the topic that says in ticks how the wheel of a tricycle is steered: as set, else by its name."""
+    """Return the topic with the steering ticks of a tricycle's wheel: as configured, else by its name."""
     named = robot.wheels.steering_topic
     if named is not None:
         return checked(log, "wheels", named, NUMBERS)
@@ -127,40 +124,30 @@ def steering_ticks(log: Log, robot: Robot, traction: str) -> str | None:
 
 
 def _tricycle(log: Log, robot: Robot) -> list[str]:
-    """Return a counter called traction or drive and its steering; nothing where there is no such pair."""
+    """Return a counter named traction or drive and its steering; none without such a pair."""
     numbers = [t for t in of_type(log, NUMBERS) if log.topics[t].count and _counts_by_name(t)]
     rolls = [t for t in numbers if any(word in t.lower() for word in ("traction", "drive"))]
     steering = steering_ticks(log, robot, rolls[0]) if len(rolls) == 1 else None
     return [] if steering is None else [rolls[0], steering]
 
 
-def _steering_known(settings: WheelSettings) -> bool:
-    sizes = settings.radius, settings.ticks_per_revolution, settings.servo_gain, settings.wheelbase
-    return all(size is not None for size in sizes)
-
-
 def _size_is_near(log: Log, robot: Robot) -> bool:
-    """Return whether half of the wheels' size is set, or a robot description knows it: then it is asked for."""
+    """Return whether one of the wheels' sizes is known from settings or a robot description."""
     described = any(t.rpartition("/")[2] == "robot_description" and log.topics[t].count for t in log.topics)
     return described or robot.wheels.radius is not None or robot.wheels.track is not None
 
 
-def _turn(log: Log, counters: Sequence[str], robot: Robot) -> bool:
-    """Return whether what counts does count wheels: joints may be an arm's."""
-    return log.topics[counters[0]].msgtype != JOINTS or _has_wheels(log, counters[0], robot)
-
-
-def _unknown(log: Log, robot: Robot, counters: Sequence[str]) -> str:
-    """Return which settings are missing before these counters become metres, in words; "" for none."""
-    settings = robot.wheels
-    missing = [key for key in ("radius", "track") if getattr(settings, key) is None]
-    if counters and counts_ticks(log.topics[counters[0]].msgtype) and settings.ticks_per_revolution is None:
-        missing.append("ticks_per_revolution")
-    return " and ".join(key.replace("_", " ") for key in missing)
+def missing_of(log: Log, robot: Robot, counters: Sequence[str]) -> list[str]:
+    """Return the keys of [wheels] that are missing before these counters become metres."""
+    steered = len(counters) > 1 and STEERING_WORD in counters[1].lower()
+    needed = ["radius", *(("servo_gain", "wheelbase") if steered else ("track",))]
+    if counters and counts_ticks(log.topics[counters[0]].msgtype):
+        needed.append("ticks_per_revolution")
+    return [key for key in needed if getattr(robot.wheels, key) is None]
 
 
 def _named_pair(log: Log, robot: Robot) -> list[str]:
-    """Return the topics that the settings name, left first."""
+    """Return the configured topics, left first."""
     pair = []
     for side in ("left", "right"):
         topic = getattr(robot.wheels, f"{side}_topic")
@@ -174,15 +161,18 @@ def _named_pair(log: Log, robot: Robot) -> list[str]:
     return pair
 
 
-def _counters(log: Log, robot: Robot) -> tuple[list[str], str]:
+def counters_of(log: Log, robot: Robot) -> tuple[list[str], str]:
     """Return what counts wheel turns, best kind first, and why; nothing where nothing does."""
+    tricycle, of_tricycle = _tricycle(log, robot), "the ticks of a steered wheel and of its steering"
+    if tricycle and not missing_of(log, robot, tricycle):
+        return tricycle, of_tricycle
     joints, ticks, speeds = (
         [t for t in of_type(log, kind) if log.topics[t].count != 0] for kind in ((JOINTS,), TICKS, SPEEDS)
     )
     arrays = array_topics(log)
     pairs = pair_topics(log)
     if len(joints) + len(ticks) + len(speeds) + len(pairs) > 1:
-        joints = [t for t in joints if _has_wheels(log, t, robot)]
+        joints = [t for t in joints if are_wheels(log, t, robot)]
     for found in (joints, ticks, [] if pairs or arrays else speeds, [] if pairs else arrays):
         if len(found) > 1:
             raise several_fit(log, "wheels", found)
@@ -197,21 +187,24 @@ def _counters(log: Log, robot: Robot) -> tuple[list[str], str]:
             fixes=fixes,
             hint=f"Choose one with --set {fixes[0]} --set {fixes[1]}",
         )
-    return (list(pairs[0]), "the only pair of numbers named left and right") if pairs else ([], "")
+    if pairs:
+        return list(pairs[0]), "the only pair of numbers named left and right"
+    return tricycle, of_tricycle if tricycle else ""
 
 
-def _has_wheels(log: Log, topic: str, robot: Robot) -> bool:
-    """Return whether joints on a topic are named like wheels: an arm's joints share the type."""
+def are_wheels(log: Log, topic: str, robot: Robot) -> bool:
+    """Return whether what counts does count wheels: joints may be an arm's, which share the type."""
+    if log.topics[topic].msgtype != JOINTS:
+        return True
     names = cast("list[tuple[str, ...]]", log.stream(topic).columns("name")["name"])
-    try:
+    with suppress(LocfuseError):
         joint_names(names, topic, robot.wheels)
-    except LocfuseError:
-        return False
-    return True
+        return True
+    return False
 
 
 def array_topics(log: Log) -> list[str]:
-    """Return topics of arrays whose names read like counters of wheels."""
+    """Return topics of arrays whose names fit counters of wheels."""
     return [t for t in of_type(log, ARRAYS) if log.topics[t].count and _counts_by_name(t)]
 
 
@@ -221,7 +214,7 @@ def _counts_by_name(topic: str) -> bool:
 
 
 def pair_topics(log: Log) -> list[tuple[str, str]]:
-    """Return pairs of topics with a number each, named alike but for left and right, that read like wheels."""
+    """Return pairs of topics with one number each, with equal names but for left and right, that fit wheels."""
     numbers = [t for t in of_type(log, NUMBERS) if log.topics[t].count != 0]
     found = []
     for topic in numbers:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import msgspec
 import numpy as np
 
+from locfuse.cli.analysis.body_topics import of_camera
 from locfuse.cli.analysis.topics import Choice, of_type
+from locfuse.cli.analysis.wheel_topics import are_wheels, counters_of, missing_of
 from locfuse.formats.robot.urdf import WheelGeometry, wheel_geometry
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.data import BY_SCANS, Array, LocfuseError, Ragged
@@ -16,9 +18,10 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import merged
 from locfuse.fusion.truth import FIX, TRUTH_READS, looks_like_truth
 from locfuse.fusion.wheels.geometry import Geometry, by_motion, by_odometry
-from locfuse.fusion.wheels.odometry import BODY_READS, ODOMETRY
-from locfuse.fusion.wheels.read import WheelReading, counts_ticks
+from locfuse.fusion.wheels.odometry import BODY_READS, ODOMETRY, commanded
+from locfuse.fusion.wheels.read import WheelReading
 from locfuse.fusion.wheels.sources import JOINTS, USUAL_TICKS, joint_names
+from locfuse.fusion.wheels.steered import is_tricycle
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
@@ -42,7 +45,7 @@ def find_robot_facts(log: Log, robot: Robot, choice: Choice, scans: WheelReading
     described = _described(log)
     topics = choice.of("wheels")
     kind = log.topics[topics[0]].msgtype if topics else ""
-    counters = topics if topics and kind not in BODY_READS else _unused_counters(log, choice)
+    counters = topics if topics and kind not in BODY_READS else _unused_counters(log, robot, choice)
     if not counters:
         return RobotFacts(described)
     kind = log.topics[counters[0]].msgtype
@@ -54,6 +57,8 @@ def find_robot_facts(log: Log, robot: Robot, choice: Choice, scans: WheelReading
 
         settings = msgspec.structs.replace(settings, left=joints[0], right=joints[1])
     fitted, both = None, merged([log.stream(t) for t in counters])
+    if is_tricycle(both):
+        return RobotFacts(described, ticks=USUAL_TICKS.get(kind))
     if odometry:
         fitted = by_odometry(both, log.stream(odometry[0]), settings)
     elif scans is not None:
@@ -69,25 +74,21 @@ def of_robot(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list[
 
 
 def _geometry(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list[Finding]:
-    topics = choice.of("wheels") or _unused_counters(log, choice)
+    topics = choice.of("wheels") or _unused_counters(log, robot, choice)
     if not topics or log.topics[topics[0]].msgtype in BODY_READS:
-        topics = _unused_counters(log, choice)
+        topics = _unused_counters(log, robot, choice)
     if not topics:
         return []
-    fixes, words = [], []
-    if robot.wheels.ticks_per_revolution is None and counts_ticks(log.topics[topics[0]].msgtype):
-        words.append("ticks per revolution")
-        if found.ticks is not None:
-            fixes.append(f"wheels.ticks_per_revolution={found.ticks:g}")
+    missing = missing_of(log, robot, topics)
     values, source = geometry(robot, found)
-    for key in ("radius", "track"):
-        if getattr(robot.wheels, key) is None:
-            words.append(key)
-            if key in values:
-                fixes.append(f"wheels.{key}={values[key]:.5g}")
+    known = {key: f"{value:.5g}" for key, value in values.items()}
+    if found.ticks is not None:
+        known["ticks_per_revolution"] = f"{found.ticks:g}"
+    words = [key.replace("_", " ") for key in missing]
+    fixes = [f"wheels.{key}={known[key]}" for key in missing if key in known]
     fixes += _senses(robot, found) if fixes else []
     named = robot.wheels.left is not None and robot.wheels.right is not None
-    if found.joints is not None and not named and not _named_well(log, topics[0], robot):
+    if found.joints is not None and not named and not are_wheels(log, topics[0], robot):
         words.append("which joints are the wheels'")
         fixes += [f"wheels.left={found.joints[0]}", f"wheels.right={found.joints[1]}"]
     if not words:
@@ -124,30 +125,13 @@ def geometry(robot: Robot, found: RobotFacts) -> tuple[dict[str, float], str]:
     return values, f"{found.odometry} was made with these"
 
 
-def _unused_counters(log: Log, choice: Choice) -> tuple[str, ...]:
+def _unused_counters(log: Log, robot: Robot, choice: Choice) -> tuple[str, ...]:
     """Return topics of wheel turns that lost to an odometry for lack of geometry."""
-    from locfuse.cli.analysis.wheel_topics import array_topics, pair_topics
-    from locfuse.fusion.wheels.sources import SPEEDS, TICKS
-
     taken = {t for role in choice.topics for t in choice.of(role)}
-    for kinds in ((JOINTS,), TICKS, SPEEDS):
-        free = [t for t in of_type(log, kinds) if t not in taken and log.topics[t].count]
-        if len(free) == 1:
-            return (free[0],)
-    if len(arrays := [t for t in array_topics(log) if t not in taken]) == 1:
-        return (arrays[0],)
-    pairs = pair_topics(log)
-    return pairs[0] if len(pairs) == 1 and pairs[0][0] not in taken else ()
-
-
-def _named_well(log: Log, topic: str, robot: Robot) -> bool:
-    if log.topics[topic].msgtype != JOINTS:
-        return True
-    try:
-        joint_names(cast("Any", log.stream(topic).columns("name")["name"]), topic, robot.wheels)
-    except LocfuseError:
-        return False
-    return True
+    with suppress(LocfuseError):  # several that fit: said where one is chosen
+        found, _ = counters_of(log, robot)
+        return () if taken & {*found} else tuple(found)
+    return ()
 
 
 def _joints(log: Log, topic: str, robot: Robot) -> tuple[str, str] | None:
@@ -207,6 +191,7 @@ def _possible_truth(log: Log, choice: Choice) -> list[Finding]:
     poses = [
         t for t in of_type(log, kinds) if log.topics[t].count and not any(w in t.lower() for w in ESTIMATE_WORDS)
     ]
+    poses = [t for t in poses if not (commanded(t, log.topics[t].msgtype) or of_camera(log, t))]
     if not poses:
         return []
     words = f"none is named; if {' or '.join(poses)} is a reference (not an estimate), say so"

@@ -7,18 +7,18 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from locfuse.cli.analysis.body_topics import motors
 from locfuse.cli.analysis.choose import best_of
-from locfuse.cli.analysis.motor_topics import motors
 from locfuse.cli.analysis.mounts import is_base, mount_tables
 from locfuse.cli.analysis.robot_tables import table_types
 from locfuse.cli.analysis.topics import of_type
 from locfuse.formats.robot.commented_toml import TomlLine
 from locfuse.fusion.sensor import Ask
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.wheels.motor import MOTOR, SERVO
 from locfuse.fusion.wheels.odometry import BODY_READS, STEERED
 from locfuse.fusion.wheels.read import counts_ticks
 from locfuse.fusion.wheels.sources import JOINTS
+from locfuse.fusion.wheels.steered import MOTOR, SERVO
 
 from .mounts import placed_by
 from .overview import Overview

@@ -25,7 +25,7 @@ from locfuse.fusion.wheels.calibrate_by_scans import LaserCalibration, Motion
 from locfuse.fusion.wheels.calibrate_tricycle import Reference, TricycleCalibration, calibrate_tricycle, of_truth
 from locfuse.fusion.wheels.likelihood import Figure
 from locfuse.fusion.wheels.motion_by_scans import match_scans
-from locfuse.fusion.wheels.tricycle import is_tricycle, read_encoders
+from locfuse.fusion.wheels.steered import is_tricycle, read_encoders
 
 from .found import Found, Row, refuse_doubtful
 

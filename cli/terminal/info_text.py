@@ -234,8 +234,8 @@ def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None
         kept = _without(typed, fixes)
         options = [word for key, value in fixes.items() for word in ("--set", f"{key}={value}")]
         return [shlex.join(("locfuse", "info", *kept, *options))]
-    if overview.loaded is not None:
-        return [shlex.join(("locfuse", "compare", *typed))]
+    if overview.loaded is not None:  # of a motion that is not the robot's nothing can be compared
+        return [] if overview.loaded.spoils else [shlex.join(("locfuse", "compare", *typed))]
     return [f"{shlex.join(('locfuse', 'init', *typed))} > robot.toml"] if overview.choice.of("wheels") else []
 
 

@@ -12,9 +12,8 @@ from locfuse.fusion.data import Array, Drive, Estimates, Truth
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import gap_limit
 from locfuse.fusion.wheels.calibrate import Sigma, truth_sigma
-from locfuse.fusion.wheels.jumps import Mask, spikes
 from locfuse.fusion.wheels.motion import Wheels
-from locfuse.fusion.wheels.repairs import gaps_of, times
+from locfuse.fusion.wheels.repairs import Mask, gaps_of, spikes, times
 
 from .finding import Finding, Least
 from .laser import OPEN_SCALE

@@ -28,7 +28,7 @@ MAX_DENSE_STATES = 3600  # states: up to here the whole inverse is the quickest 
 
 
 class Edges(Columns, frozen=True):
-    """m relative poses; `width` is where the robust kernel takes hold, in sigmas, inf for none."""
+    """m relative poses; `width` is the residual in sigmas from which the robust kernel acts, inf for none."""
 
     i: Ints  # (m,)
     j: Ints  # (m,)
@@ -45,12 +45,12 @@ class Edges(Columns, frozen=True):
 
     @classmethod
     def of(cls, i: Ints, j: Ints, z: Array, information: Array, width: float) -> Edges:
-        """Return edges that share the width of their kernel, and owe nothing to systematic errors."""
+        """Return edges with the same kernel width and without systematic errors."""
         return cls(i, j, z, information, np.full(len(i), width), np.zeros((len(i), 3, len(SYSTEMATIC_SIGMAS))))
 
     @classmethod
     def known(cls, j: int, pose: Array, information: Array) -> Edges:
-        """Return what is known of one pose by itself."""
+        """Return a prior on one pose."""
         return cls.of(np.array([NOWHERE]), np.array([j]), pose[None], information[None], np.inf)
 
     def errors(self, x: Array, systematic: Array | None = None) -> Array:
@@ -169,7 +169,7 @@ class Normal:
         return 0.5 * (own + own.transpose(0, 2, 1)), after
 
     def _dense(self, n: int) -> tuple[Array, Array]:
-        """Invert all of H in place: one matrix is held, and of that the lower triangle is known."""
+        """Invert all of H in place: only one matrix is in memory, filled in its lower triangle."""
         from scipy.linalg import cho_factor
         from scipy.linalg.lapack import dpotri
 
@@ -183,15 +183,15 @@ class Normal:
 
 
 class Beside(Protocol):
-    """What else is known of the key poses, such as other sensors' readings; it may have states of its own."""
+    """Other terms of the key poses, such as other sensors' readings; they may have states of their own."""
 
     states: int
 
     def rows(self, x: Array) -> list[Rows]:
-        """Return its share of the normal equations at poses x (n, 3) and its present states."""
+        """Return their part of the normal equations at poses x (n, 3) and their present states."""
 
     def move(self, step: Array) -> None:
-        """Add a step (states,) to its states."""
+        """Add a step (states,) to their states."""
 
 
 def relative(x: Array, joint: Array, i: Ints, j: Ints) -> tuple[Array, Array]:
@@ -207,7 +207,7 @@ def relative(x: Array, joint: Array, i: Ints, j: Ints) -> tuple[Array, Array]:
 
 
 class Problem:
-    """What every solve has in common: the start, other sensors, and the systematic errors found."""
+    """The common part of every solve: the start, other sensors, and the systematic errors."""
 
     def __init__(self, start: Edges | None = None, beside: Beside | None = None) -> None:
         self.start, self.beside = Edges.none() if start is None else start, beside
@@ -216,7 +216,7 @@ class Problem:
     def solve(
         self, x: Array, edges: Edges, graduations: tuple[float, ...] = (1.0,), min_step: float = MIN_STEP
     ) -> tuple[Array, Normal]:
-        """Return the poses of least squares (n, 3) from poses x (n, 3), and the normal equations there.
+        """Return the least-squares poses (n, 3) from poses x (n, 3), and the normal equations there.
 
         `graduations`: how wide the robust kernels are, one after another; the last is 1.
         """

@@ -24,8 +24,13 @@ from locfuse.fusion.data import Array, Drive, Ints, LocfuseError, Truth
 
 from .likelihood import Figure, Residuals
 from .motion import Wheels
-from .runs import MIN_RUNS, STANDSTILL_MPS, STRAIGHT, TURN, cut_runs, find_runs
 
+STRAIGHT, TURN = 0, 1
+WINDOW_S = 0.3  # s over which the motion is looked at
+STANDSTILL_MPS = 0.01  # m/s at the rim: below, nothing moves
+MAX_OTHER_SHARE = 0.2  # at most this share of the rim's motion may be of the other kind
+MAX_BEND_RAD_PER_M = 0.7  # rad/m: a straight run may wobble, but not turn more than that
+MIN_RUNS = (0.5, math.radians(45.0))  # m, rad: shorter runs are not used
 PAPER_PERIOD_S = 0.1  # s, the paper's sampling time: what its delta refers to
 PRIOR_SIGMAS = np.array(
     [0.1, 0.1, 0.3]
@@ -48,7 +53,7 @@ class Sigma(NamedTuple):
 
 
 class Pieces(msgspec.Struct, frozen=True):
-    """What the wheels said against what happened, over n pieces."""
+    """Measurements of the wheels and the true motion, over n pieces."""
 
     kind: Ints  # (n,)
     size: Array  # (n,) m or rad
@@ -70,7 +75,7 @@ class Pieces(msgspec.Struct, frozen=True):
 
     @property
     def prior(self) -> Array:
-        """How vague each parameter is to begin with; FIXED_SIGMA where no piece can tell it."""
+        """The prior sigma of each parameter; FIXED_SIGMA if no piece shows it."""
         straight, turn = self.kind == STRAIGHT, self.kind == TURN
         tells = (straight.any(), ((self.dof > 1) & (straight | turn)).any(), turn.any())
         return np.where(tells, PRIOR_SIGMAS, FIXED_SIGMA)
@@ -81,7 +86,7 @@ class Pieces(msgspec.Struct, frozen=True):
 
 
 class WheelCalibration(msgspec.Struct, frozen=True):
-    """What straight runs and turns say of the wheels. Geometry is relative to what was given: 0 = it was right."""
+    """Wheel calibration by straight runs and turns, relative to the configured geometry: 0 = it was right."""
 
     k: Figure  # m: variance per metre rolled
     delta: Figure  # the paper's, for its period
@@ -126,7 +131,7 @@ def calibrate_wheels(drives: Sequence[Drive]) -> WheelCalibration:
 
 
 def find_pieces(drive: Drive, moved: Array) -> Pieces:
-    """Return the pieces of one drive, its wheels' left scale, right scale and track moved by (3,), relative."""
+    """Return the pieces of one drive, with left scale, right scale and track changed by (3,), relative."""
     truth = drive.truth
     if truth is None:
         raise LocfuseError(
@@ -161,7 +166,7 @@ def find_pieces(drive: Drive, moved: Array) -> Pieces:
 
 
 def without_outliers(pieces: Pieces) -> Pieces:
-    """Drop pieces that the median piece makes unbelievable: a slip, a jump of the truth."""
+    """Drop pieces that are far from the median piece: a slip, or a jump of the truth."""
     for _ in range(2):
         if len(pieces.e) < MIN_PIECES:
             break
@@ -184,7 +189,7 @@ def adjusted(wheels: Wheels, moved: Array) -> Wheels:
 
 
 def truth_sigma(truth: Truth, wheels: Wheels) -> Sigma:
-    """Return the truth's noise: as set, else its scatter while the robot stands."""
+    """Return the truth's noise: as configured, else its scatter while the robot stands."""
     middle = 0.5 * (wheels.t[1:] + wheels.t[:-1])
     still = np.abs(wheels.rolled).max(axis=1) < STANDSTILL_MPS * np.diff(wheels.t)
     edges = np.flatnonzero(np.diff(still, prepend=False, append=False))
@@ -210,7 +215,7 @@ def piece_length(sigma: Sigma, wheels: Wheels) -> tuple[float, float]:
 
 
 def _body(truth: Truth) -> Array:
-    """Poses of the body (n, 3) from those of the tracked point; heading 0 where the truth has none."""
+    """Poses of the body (n, 3) from those of the tracked point; heading 0 if the truth has none."""
     theta = np.zeros(len(truth.t)) if truth.theta is None else truth.theta
     c, s = np.cos(theta), np.sin(theta)
     x, y = truth.point
@@ -218,7 +223,7 @@ def _body(truth: Truth) -> Array:
 
 
 def _truth_noise(seen: Array, sigma: Sigma) -> Array:
-    """Covariance (n, 3, 3) of the truth's relative poses (n, 3): both ends err, the first one in heading too."""
+    """Covariance (n, 3, 3) of the truth's relative poses (n, 3): both ends err, the first in heading too."""
     T = np.zeros((len(seen), 3, 3))
     lever = np.stack((seen[:, 1], -seen[:, 0], -np.ones(len(seen))), axis=-1)
     T += sigma.theta**2 * lever[:, :, None] * lever[:, None, :]
@@ -227,7 +232,7 @@ def _truth_noise(seen: Array, sigma: Sigma) -> Array:
 
 
 def _lengths(seen: Array, u: Array, sigma: Sigma) -> tuple[Array, Array]:
-    """Errors and covariances of straight pieces where the truth has no heading: only their length is known."""
+    """Errors and covariances of straight pieces for a truth without heading: only their length is known."""
     e = np.zeros_like(u)
     e[:, 0] = np.sign(u[:, 0]) * (np.hypot(seen[:, 0], seen[:, 1]) - np.hypot(u[:, 0], u[:, 1]))
     return e, np.tile(np.diag([2.0 * sigma.xy**2, UNSEEN_VARIANCE, UNSEEN_VARIANCE]), (len(u), 1, 1))
@@ -239,3 +244,65 @@ def _too_few(n: int) -> str:
         f"{n} usable pieces of straight runs and turns on the spot; at least {MIN_PIECES} of {least} are needed. "
         "See how such a drive looks: locfuse simulate straight_runs"
     )
+
+
+# ---- straight runs and turns on the spot ----
+
+
+class Runs(msgspec.Struct, frozen=True):
+    """Pieces of one kind of motion in one direction, n of them."""
+
+    kind: Ints  # (n,) STRAIGHT or TURN
+    start: Array  # (n,) s
+    end: Array  # (n,) s
+
+
+def find_runs(wheels: Wheels) -> Runs:
+    """Return the straight runs and turns on the spot of a drive, in time order."""
+    label = _labels(wheels)
+    edges = np.flatnonzero(np.diff(label, prepend=0, append=0))
+    found = []
+    for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        if label[a] == 0:
+            continue
+        kind = STRAIGHT if abs(label[a]) == 1 else TURN
+        if abs(float(wheels.twist[a:b, (0, 2)[kind]].sum())) >= MIN_RUNS[kind]:
+            found.append((kind, float(wheels.t[a]), float(wheels.t[b])))
+    kinds, starts, ends = zip(*found, strict=True) if found else ((), (), ())
+    return Runs(np.array(kinds, np.int64), np.array(starts, float), np.array(ends, float))
+
+
+def _labels(wheels: Wheels) -> Ints:
+    """Label every wheel interval: +-1 straight forward or backward, +-2 turning left or right, 0 anything else."""
+    middle = 0.5 * (wheels.t[1:] + wheels.t[:-1])
+    way = np.concatenate((np.zeros((1, 2)), np.cumsum(wheels.twist[:, [0, 2]], axis=0)))
+    before, after = (
+        np.stack([np.interp(middle + h, wheels.t, column) for column in way.T], axis=-1)
+        for h in (-0.5 * WINDOW_S, 0.5 * WINDOW_S)
+    )
+    ds, turn = (after - before).T
+    rim = 0.5 * wheels.track * turn
+    moving = np.abs(ds) + np.abs(rim) > STANDSTILL_MPS * WINDOW_S
+    straight = (np.abs(rim) <= MAX_OTHER_SHARE * np.abs(ds)) & (np.abs(turn) <= MAX_BEND_RAD_PER_M * np.abs(ds))
+    label = np.where(straight, np.sign(ds), 0.0)
+    label = np.where(np.abs(ds) <= MAX_OTHER_SHARE * np.abs(rim), 2.0 * np.sign(rim), label)
+    return np.where(moving, label, 0.0).astype(np.int64)
+
+
+def cut_runs(runs: Runs, wheels: Wheels, stamps: Array, least: tuple[float, float]) -> tuple[Ints, Ints, Ints]:
+    """Cut runs at `stamps` (m,) [s] into equal pieces of about `least` (m, rad), or leave them whole.
+
+    Returns (kind, first stamp, last stamp) of each piece, (k,) each; pieces follow each other and do not overlap.
+    """
+    rolled = np.concatenate((np.zeros((1, 2)), np.cumsum(np.abs(wheels.twist[:, [0, 2]]), axis=0)))
+    way = [np.interp(stamps, wheels.t, column) for column in rolled.T]
+    pieces = [np.zeros((0, 3), np.int64)]
+    for kind, start, end in zip(runs.kind.tolist(), runs.start.tolist(), runs.end.tolist(), strict=True):
+        a, b = np.searchsorted(stamps, start).item(), np.searchsorted(stamps, end, side="right").item() - 1
+        if a >= b or (total := float(way[kind][b] - way[kind][a])) < 0.5 * MIN_RUNS[kind]:
+            continue
+        cuts = np.linspace(way[kind][a], way[kind][b], max(1, int(total / least[kind])) + 1)
+        at = np.unique(np.clip(np.searchsorted(way[kind], cuts), a, b))
+        pieces.append(np.stack((np.full(len(at) - 1, kind), at[:-1], at[1:]), axis=-1))
+    kinds, first, last = np.concatenate(pieces).T
+    return kinds, first, last

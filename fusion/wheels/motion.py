@@ -16,7 +16,6 @@ from locfuse.fusion.kernels import wheels as kernel
 from locfuse.fusion.kernels.arrays import view
 
 MIN_GAP_S, MIN_GAP_PERIODS = 0.5, 5.0  # s, median periods: over a longer one the way is not known, only the sums
-PARAMETERS = ("scale_left", "scale_right", "track")  # relative corrections, 0 = as given
 
 
 def body_increments(ds_left: Array, ds_right: Array, track: float) -> tuple[Array, Array]:

@@ -4,9 +4,22 @@ Two scans one after the other say how fast the robot is (velocity): where it wil
 matched with its key, so that errors add up from key to key and not from scan to scan. Where a match says nothing,
 along a corridor or where nothing is in sight, the robot goes on as fast as before, and P says how little that is
 worth. Nothing looks ahead.
+
+The state is the body's velocity (forward, left, turn), which goes on and is slowly forgotten (Singer's model:
+Bar-Shalom, Li and Kirubarajan 2001, 8.2.3). A pair of scans dt apart says of v dt the twist m with an
+information H, which is singular along a corridor and zero where nothing matches: there the velocity before is the
+best guess. In information form the update needs no inverse of H:
+
+    P^-1 <- P^-1 + dt^2 H,    P^-1 v <- P^-1 v + dt H m
+
+A velocity that nothing corrects is wrong by the same for seconds: its errors add up, and do not average out. From
+one pair to the next the error goes on as A = P_after P_before^-1 times what is kept, so that over many pairs it
+spreads as independent steps of covariance dt^2 (P + M + M') do, with M = (1 - A)^-1 A P.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -18,10 +31,9 @@ from locfuse.fusion.robot import VIRTUAL_TRACK, WheelSettings
 from locfuse.fusion.scan_matching.clouds import Clouds
 from locfuse.fusion.scan_matching.match import Matches, Targets, match, se2_difference, sources_of
 
-from .constant_velocity import Velocity, inverse, standing
 from .motion import Wheels
 from .read import WheelReading
-from .scan_clouds import Scans, Standing, read_scans
+from .scan_clouds import STANDING, Scans, read_scans
 
 SCANS_AT_ONCE = 400
 # a new key after as much: fewer keys add up less error, and a laser that sees half a turn must still see the key
@@ -36,10 +48,12 @@ MIN_SEEN = 0.01  # of what is said across the walls: what is said along them is 
 TRUST = 0.3  # of the matches' information: neighbouring scans share errors that the matcher counts as their own
 USUAL_NOISE = WheelSettings().noise
 NO_RETURNS = "no scan of {topic} sees enough to be matched with another"
+USUAL = np.array([0.5, 0.3, 1.0]) ** 2  # (m/s)^2, (m/s)^2, (rad/s)^2: of a robot of which nothing is known
+FORGOTTEN_S = np.array([4.0, 4.0, 1.0])  # s after which a velocity says little: turns change fastest
 
 
 class _Way(msgspec.Struct):
-    """What is known of n scans: the step (3,) that leads to each from the one before, and its covariance."""
+    """The motion of n scans: the step (3,) to each from the one before, and its covariance."""
 
     t: Array  # (n,) s
     step: Array  # (n, 3) pose of each scan seen from the one before; [0] is none
@@ -48,7 +62,7 @@ class _Way(msgspec.Struct):
 
 
 class MatchedScans(msgspec.Struct, frozen=True):
-    """The way of a laser by its scans, before any setting of wheels or clocks has a say."""
+    """The path of a laser by its scans alone, independent of the settings of wheels and clocks."""
 
     laser: Laser  # that was matched so
     way: _Way
@@ -57,11 +71,11 @@ class MatchedScans(msgspec.Struct, frozen=True):
     notes: tuple[str, ...]
 
     def of(self, laser: Laser) -> bool:
-        """Return whether this is the way of a laser with these settings."""
+        """Return whether this is the path of a laser with these settings."""
         return np.array_equal(self.laser.mount, laser.mount) and self.laser[1:] == laser[1:]
 
     def reading(self, settings: WheelSettings, time_offset: float) -> WheelReading:
-        """Return it as the motion of wheels.
+        """Return the path as the motion of wheels.
 
         `wheels.noise` scales the covariance of the matches: its default leaves it as it was found. The times are
         those of the laser, `time_offset` [s] applied.
@@ -72,10 +86,10 @@ class MatchedScans(msgspec.Struct, frozen=True):
 
 
 def match_scans(stream: Stream, laser: Laser) -> MatchedScans:
-    """Return the motion by the scans of a laser alone. Raises LocfuseError where they cannot be matched."""
+    """Return the motion by the scans of a laser alone. Raises LocfuseError if they cannot be matched."""
     if len(stream.t_ns) < 2:
         raise LocfuseError(f"{stream.topic} has {len(stream.t_ns)} scans; two are the least", role="wheels")
-    scans = read_scans(stream, laser, Standing())
+    scans = read_scans(stream, laser, STANDING)
     if scans.t[0] == scans.t[-1]:
         raise LocfuseError(f"the {len(scans.t)} scans of {stream.topic} have one stamp", role="wheels")
     way = _matched(scans)
@@ -123,7 +137,7 @@ def _matched(scans: Scans) -> _Way:
 
 
 def _block(scans: Scans, rows: Ints, velocity: Velocity, way: _Way) -> tuple[Velocity, int]:
-    """Match the scans at these rows (m,); return the velocity at the last key, and where that is among them."""
+    """Match the scans at these rows (m,); return the velocity at the last key, and its position among them."""
     clouds = scans.clouds(rows)
     if not np.isfinite(clouds.normal[:, 0]).any():
         found, keys = _expected(velocity, scans.t[rows], way, rows)
@@ -141,7 +155,7 @@ def _block(scans: Scans, rows: Ints, velocity: Velocity, way: _Way) -> tuple[Vel
 
 
 def _expected(velocity: Velocity, t: Array, way: _Way, rows: Ints) -> tuple[Velocity, int]:
-    """Go on as before through scans (m,) that saw nothing."""
+    """Continue the motion through scans (m,) without lines."""
     for row, span in zip(rows[1:].tolist(), np.diff(t).tolist(), strict=True):
         velocity = velocity.after(span)
         way.step[row], way.P[row] = se2.exp(velocity.v * span), velocity.spread(velocity, span)
@@ -152,7 +166,7 @@ def _expected(velocity: Velocity, t: Array, way: _Way, rows: Ints) -> tuple[Velo
 def _followed(
     targets: Targets, sources: Clouds, dt: Array, known: Velocity
 ) -> tuple[list[Velocity], Array, Array]:
-    """Match every scan with the one before, from where the velocity leads.
+    """Match every scan with the one before, starting from the predicted motion.
 
     Returns the n velocities found, the covariances (n, 3, 3) of the steps, and which pairs match (n,). One after
     the other: two scans of a corridor match nearly as well half a step too short, and only the velocity so far
@@ -170,7 +184,7 @@ def _followed(
 
 
 def _neighbours(targets: Targets, sources: Clouds, k: Ints, known: Velocity, dt: float) -> Matches:
-    """Match scan k + 1 with scan k (1,); where that fits badly, as if the robot had turned."""
+    """Match scan k + 1 with scan k (1,); if that fits badly, try turned starts."""
     guess = se2.exp(known.v * dt)[None]
     prior = inverse(known.P * dt * dt + FLOOR)[None]
     found = match(targets, k, sources, k + 1, guess, prior, REACH_M)
@@ -190,12 +204,12 @@ def _fits(found: Matches) -> Array:
 
 
 def _believed(found: Matches) -> Array:
-    """Return the information (p, 3, 3) of the matches, none of those that do not fit."""
+    """Return the information (p, 3, 3) of the matches, 0 for those that do not fit."""
     return np.asarray(np.where(_fits(found)[:, None, None], TRUST * seen(found.information), 0.0))
 
 
 def seen(information: Array) -> Array:
-    """Return the information (p, 3, 3) without that about a direction of which the walls say next to nothing.
+    """Return the information (p, 3, 3) without directions that the walls hardly constrain.
 
     The noise of the walls' directions passes for information along a corridor, about no motion at all.
     """
@@ -213,7 +227,7 @@ def seen(information: Array) -> Array:
 
 
 def _keys(chain: Array) -> Ints:
-    """Return the key of each scan (m,): an earlier one, neither far nor turned away; the first is its own."""
+    """Return the key of each scan (m,): an earlier one, near in place and heading; the first is its own key."""
     key, at = np.zeros(len(chain), dtype=np.int64), 0
     for k, (x, y, theta) in enumerate(chain.tolist()):
         key[k] = at
@@ -226,7 +240,7 @@ def _keys(chain: Array) -> Ints:
 def _to_keys(
     targets: Targets, sources: Clouds, chain: Array, key: Ints, spread: Array, way: _Way, rows: Ints
 ) -> None:
-    """Match every scan with its key, and write down the steps from scan to scan."""
+    """Match every scan with its key, and store the steps from scan to scan."""
     later = np.arange(1, len(rows))
     mine = key[later]
     guess = se2.between(chain[mine], chain[later])
@@ -242,7 +256,7 @@ def _to_keys(
 
 
 def _updated(guess: Array, prior: Array, found: Matches) -> tuple[Array, Array]:
-    """Return poses (p, 3) and covariances: those of the matches, and the guess's where the walls say nothing."""
+    """Return poses (p, 3) and covariances: those of the matches, and the guess's where walls constrain nothing."""
     full = np.where(_fits(found)[:, None, None], seen(found.information), 0.0)
     off = se2_difference(found.pose, guess)
     step = np.linalg.solve(prior + full, (full @ off[:, :, None]))[:, :, 0]
@@ -260,6 +274,47 @@ def _shared(C: Array, key: Ints, start: Array) -> Array:
 
 
 def _turned(P: Array, theta: Array) -> Array:
-    """Return covariances (n, 3, 3) in frames that are turned by theta (n,) [rad]."""
+    """Return covariances (n, 3, 3) in frames turned by theta (n,) [rad]."""
     R = se2.rotation(theta)
     return np.asarray(R @ P @ R.transpose(0, 2, 1))
+
+
+# ---- constant velocity ----
+
+
+def inverse(P: Array) -> Array:
+    """Return the inverse of matrices (..., n, n)."""
+    return np.asarray(np.linalg.inv(P), np.float64)
+
+
+class Velocity(NamedTuple):
+    """A velocity (3,) [m/s, m/s, rad/s] with its covariance (3, 3)."""
+
+    v: Array
+    P: Array
+
+    def after(self, dt: float) -> Velocity:
+        """Return the prediction of the velocity dt [s] later."""
+        kept = np.exp(-dt / FORGOTTEN_S)
+        return Velocity(kept * self.v, self.P * np.outer(kept, kept) + np.diag((1.0 - kept**2) * USUAL))
+
+    def corrected(self, dt: float, twist: Array, information: Array) -> Velocity:
+        """Return the velocity corrected by a motion (3,) over dt [s] with this information (3, 3)."""
+        prior = inverse(self.P)
+        P = inverse(prior + dt * dt * information)
+        return Velocity(P @ (prior @ self.v + dt * (information @ twist)), 0.5 * (P + P.T))
+
+    def spread(self, before: Velocity, dt: float) -> Array:
+        """Return the covariance (3, 3) of a step of dt [s] at this velocity, which was expected to be `before`."""
+        if dt == 0.0:  # two scans of one stamp: no time to move, and A is 1
+            return np.zeros((3, 3))
+        A = self.P @ inverse(before.P) * np.exp(-dt / FORGOTTEN_S)
+        M = np.linalg.solve(np.eye(3) - A, A @ self.P)
+        values, vectors = np.linalg.eigh(dt * dt * (self.P + M + M.T))
+        out: Array = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        return out
+
+
+def standing() -> Velocity:
+    """Return the prior before the first scan: at rest, since a recording starts before the robot does."""
+    return Velocity(np.zeros(3), 0.25 * np.diag(USUAL))

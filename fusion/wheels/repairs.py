@@ -1,4 +1,4 @@
-"""A wheel's counter made whole: without rollovers, spikes and restarts, and what was done in words."""
+"""A wheel's counter repaired: without rollovers, spikes and restarts, with notes on the repairs."""
 
 from __future__ import annotations
 
@@ -7,13 +7,20 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array, Ints
 
-from .jumps import Mask, limits, restarted, spikes
-
+WINDOW_STEPS = 11  # steps whose median speed is the speed of the moment
+JUMP_FACTOR = 8.0  # times the speed of the moment ...
+JUMP_SLACK_MPS = 0.5  # ... plus this much [m/s] ...
+MIN_JUMP_M = 0.02  # ... plus this much [m]: less is no jump
+MAX_SPEED_MPS = 1e6  # m/s: not even a counter in a unit that nobody told goes faster
+MAX_SPIKE_READINGS, MAX_SPIKE_S = 10, 0.5  # what returns later than this did not spike
 COUNTER_BITS = (8, 10, 12, 13, 14, 15, 16, 18, 20, 24, 32)  # widths of counters seen in the wild
 MAX_FRACTION_QUANTA = 0.02  # quanta by which a step of a counter may miss a whole number
+
+Mask = NDArray[np.bool_]
 
 
 class Side(NamedTuple):
@@ -26,7 +33,7 @@ class Side(NamedTuple):
 
 
 class Repaired(NamedTuple):
-    """One wheel's way, and what had to be repaired."""
+    """One wheel's distance, and the repairs that were made."""
 
     keep: Ints  # (k,) readings that are not spikes
     rolled: Array  # (k,) m since the first reading
@@ -35,7 +42,7 @@ class Repaired(NamedTuple):
 
 
 def repaired(side: Side, metres: float, modulus: float | None, max_speed: float | None) -> Repaired:
-    """Return how far a wheel has rolled; `metres` is what one unit of its readings is worth.
+    """Return the distance rolled by a wheel; `metres` is one unit of its readings.
 
     `modulus` and `max_speed` are wheels.rollover and wheels.max_speed.
     """
@@ -47,8 +54,7 @@ def repaired(side: Side, metres: float, modulus: float | None, max_speed: float 
     t, rolled = side.t[keep], count.values * metres
     steps = np.diff(rolled)
     start_anew = np.abs(steps) > limits(t, steps, max_speed)
-    restart = restarted(t, steps[:, None], start_anew)
-    way = np.concatenate(([0.0], np.cumsum(restart.steps[:, 0])))
+    way = np.concatenate(([0.0], np.cumsum(restarted(t, steps[:, None], start_anew))))
     jumps = steps[start_anew] / metres
     return Repaired(keep, way, int(bad.sum()), tuple(_words(side.name, count, int(bad.sum()), jumps.tolist())))
 
@@ -100,7 +106,7 @@ class Unrolled(NamedTuple):
 
 
 def unrolled(values: Array, modulus: float | None = None, likely: Sequence[float] = ()) -> Unrolled:
-    """Return `values` (n,) counted on over the ends of its range.
+    """Return `values` (n,) unwrapped at the ends of their range.
 
     `modulus`: as set; 0 never; None finds it: one of `likely`, a turn in radians or degrees, or a power of two of
     the step that the values come in. It must explain every long step and hold all values within one range.
@@ -118,7 +124,7 @@ def unrolled(values: Array, modulus: float | None = None, likely: Sequence[float
 
 
 def _found(values: Array, steps: Array, likely: Sequence[float]) -> float | None:
-    """Return the smallest modulus that the values fit and that makes every long step a short one."""
+    """Return the smallest modulus that the values fit and that turns every long step into a short one."""
     if not len(steps):
         return None
     longest = float(np.abs(steps).max())
@@ -138,7 +144,7 @@ def _explains(modulus: float, steps: Array, span: float, longest: float) -> bool
 
 
 def _powers(steps: Array, longest: float) -> list[float]:
-    """Return 2^bits times the quantum of the steps, where they have one (ticks, or angles made of ticks)."""
+    """Return 2^bits times the quantum of the steps, if they have one (ticks, or angles made of ticks)."""
     sizes = np.abs(steps[steps != 0.0])
     quantum = float(sizes.min()) if len(sizes) else 0.0
     if quantum <= 1e-12 * longest:
@@ -150,3 +156,83 @@ def _powers(steps: Array, longest: float) -> list[float]:
     quantum = float(sizes[short].sum() / wholes[short].sum())
     # several ticks may pass in every step, so that the quantum seen is a multiple of the counter's own
     return [quantum / part * 2.0**bits for bits in COUNTER_BITS for part in (1, 2, 3, 4, 5)]
+
+
+# ---- steps that no wheel can make: readings that leave and return, and values that restart ----
+
+
+def limits(t: Array, steps: Array, max_speed: float | None = None) -> Array:
+    """Return the largest plausible step (n-1,) [m]: generously more than at the present speed, or `max_speed`.
+
+    A burst of messages has tiny dt, so that a step is never judged by less than the usual dt.
+    """
+    dt = np.diff(t)
+    if not len(dt):
+        return np.zeros(0)
+    usual = np.maximum(dt, np.median(dt))
+    if max_speed is not None:
+        return max_speed * usual + MIN_JUMP_M
+    least: Array = JUMP_SLACK_MPS * usual + MIN_JUMP_M
+    suspects = np.flatnonzero(np.abs(steps) > least)
+    out = least.copy()
+    out[suspects] += JUMP_FACTOR * _speeds(np.abs(steps) / usual, suspects) * usual[suspects]
+    return np.minimum(out, MAX_SPEED_MPS * usual)
+
+
+def _speeds(speed: Array, at: Ints) -> Array:
+    """Median of `speed` (n,) over the WINDOW_STEPS steps around, or nearest to, each position `at` (k,)."""
+    if not len(at):
+        return np.zeros(0)
+    window = min(WINDOW_STEPS, len(speed))
+    begin = np.clip(at - WINDOW_STEPS // 2, 0, len(speed) - window)
+    median: Array = np.median(speed[begin[:, None] + np.arange(window)], axis=1)
+    return median
+
+
+def spikes(t: Array, values: Array, limit: Array) -> Mask:
+    """Mark readings that jump away and return: values (n, k), steps longer than `limit` (n-1,) are jumps."""
+    out = np.zeros(len(t), dtype=bool)
+    jumps = np.flatnonzero(_length(np.diff(values, axis=0)) > limit)
+    at = 0
+    while at < len(jumps):
+        end = _return_of(t, values, limit, jumps, at)
+        if end is None:
+            at += 1
+            continue
+        out[jumps[at] + 1 : jumps[end] + 1] = True
+        at = end + 1
+    return out
+
+
+def _return_of(t: Array, values: Array, limit: Array, jumps: Ints, at: int) -> int | None:
+    """Return the later jump that takes the value back to that before jump `at`."""
+    before = int(jumps[at])
+    for later in range(at + 1, len(jumps)):
+        after = int(jumps[later]) + 1
+        if after - before > MAX_SPIKE_READINGS or t[after] - t[before] > MAX_SPIKE_S:
+            return None
+        allowed = float(limit[before:after].min()) * (after - before)
+        if float(_length(values[after] - values[before])) <= min(allowed, float(limit[before])):
+            return later
+    return None
+
+
+def restarted(t: Array, steps: Array, jumps: Mask) -> Array:
+    """Replace jumping steps (n-1, k) by the mean speed of the steps around them.
+
+    A counter that restarts says nothing about the motion between its last old and its first new value.
+    """
+    out = steps.copy()
+    dt = np.diff(t)
+    good = np.flatnonzero(~jumps)
+    for i in np.flatnonzero(jumps).tolist():
+        near = np.searchsorted(good, i)
+        beside = good[max(0, near - 1) : near + 1]
+        rate = (steps[beside] / dt[beside, None]).mean(axis=0) if len(beside) else 0.0
+        out[i] = rate * dt[i]
+    return out
+
+
+def _length(steps: Array) -> Array:
+    length: Array = np.hypot.reduce(steps, axis=-1)  # squares of absurd steps would overflow
+    return length

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -84,27 +85,56 @@ def turned(theta: float) -> dict[str, float]:
     return {"z": math.sin(theta / 2), "w": math.cos(theta / 2)}
 
 
+def messages(topic: str, kind: str, t: Array, rows: Iterable[Any], frame: str | None = None) -> list[Said]:
+    """Messages of one type with these fields at times t (n,), stamped in a frame where one is given."""
+    stamped: list[dict[str, Any]] = [{} if frame is None else {"header": header(ns, frame)} for ns in stamps(t)]
+    return [
+        Said(topic, kind, cdr(kind, **head, **row), ns)
+        for ns, head, row in zip(stamps(t), stamped, rows, strict=True)
+    ]
+
+
+def placed(poses: Array, place: str = "position", heading: str = "orientation") -> list[dict[str, Any]]:
+    """Poses (n, 3) as fields of a message."""
+    return [{place: {"x": x, "y": y}, heading: turned(theta)} for x, y, theta in poses.tolist()]
+
+
 def odometry(t: Array, poses: Array, topic: str = "/odom", frame: str = "odom") -> list[Said]:
     """Poses (n, 3) at times t (n,) as an odometry says them, given in a frame."""
-    return [
-        Said(
-            topic,
-            ODOMETRY,
-            cdr(
-                ODOMETRY,
-                header=header(ns, frame),
-                pose={"pose": {"position": {"x": p[0], "y": p[1]}, "orientation": turned(p[2])}},
-            ),
-            ns,
-        )
-        for ns, p in zip(stamps(t), poses.tolist(), strict=True)
-    ]
+    return messages(topic, ODOMETRY, t, ({"pose": {"pose": pose}} for pose in placed(poses)), frame)
+
+
+def poses_in(frame: str, t: Array, poses: Array, topic: str) -> list[Said]:
+    """Poses (n, 3) at times t (n,), given in a frame."""
+    return messages(topic, "geometry_msgs/msg/PoseStamped", t, ({"pose": pose} for pose in placed(poses)), frame)
+
+
+def twists(t: Array, topic: str, x: float, turn: Any, frame: str | None = None, wrap: int = 1) -> list[Said]:
+    """Speeds [m/s] and turning rates (n,) [rad/s]: bare, else stamped in a frame; `wrap` 2: with a covariance."""
+    rows: Any = [{"linear": {"x": x}, "angular": {"z": z}} for z in np.broadcast_to(turn, t.shape).tolist()]
+    kind = "TwistWithCovariance" if wrap == 2 else "Twist"
+    if frame is not None:
+        kind = f"{kind}Stamped"
+        for _ in range(wrap):
+            rows = [{"twist": row} for row in rows]
+    return messages(topic, f"geometry_msgs/msg/{kind}", t, rows, frame)
+
+
+def frames(parent: str, child: str, t: Array, poses: Array, topic: str = "/tf", more: Any = ()) -> list[Said]:
+    """One frame in another, and `more` (parent, child, pose) that never move in every message."""
+    still = [(a, b, *placed(np.array([pose]), "translation", "rotation")) for a, b, pose in more]
+    rows = (
+        {"transforms": [
+            {"header": header(ns, a), "child_frame_id": b, "transform": found}
+            for a, b, found in ((parent, child, moving), *still)]}
+        for ns, moving in zip(stamps(t), placed(poses, "translation", "rotation"), strict=True)
+    )  # fmt: skip
+    return messages(topic, "tf2_msgs/msg/TFMessage", t, rows)
 
 
 def numbers(topic: str, kind: str, t: Array, values: Any) -> list[Said]:
     """A topic of std_msgs numbers, dated by their recording alone."""
-    kind = f"std_msgs/msg/{kind}"
-    return [Said(topic, kind, cdr(kind, data=v), ns) for ns, v in zip(stamps(t), values, strict=True)]
+    return messages(topic, f"std_msgs/msg/{kind}", t, ({"data": value} for value in values))
 
 
 def custom(path: Path, topic: str, msgtype: str, text: str, t: Array, rows: list[dict[str, Any]]) -> Path:

@@ -15,7 +15,7 @@ from locfuse.fusion.lines.no_return import Longest
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings, laser_of
 from locfuse.fusion.wheels.motion_by_scans import match_scans
-from locfuse.fusion.wheels.scan_clouds import Standing
+from locfuse.fusion.wheels.scan_clouds import STANDING
 
 BEAMS, SCANS, WORD = 120, 60, 8.0  # m; range_max of the scans is 12 m
 YARD = np.array(box(-4.0, -3.0, 4.5, 3.5)[:3] + box(1.0, 2.6, 2.2, 3.4))  # a room without its fourth wall
@@ -37,7 +37,7 @@ def yard(word: float, step: float = 0.0) -> ArrayStream:
 
 
 def lines_of(stream: ArrayStream, **settings: Any) -> Measurements:
-    return Lrf().measure(stream, LrfSettings(**settings), Standing(), 0)
+    return Lrf().measure(stream, LrfSettings(**settings), STANDING, 0)
 
 
 @pytest.mark.parametrize("step", [0.0, 0.05])

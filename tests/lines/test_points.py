@@ -11,7 +11,7 @@ from locfuse.formats.columns import take
 from locfuse.fusion.data import ArrayStream, Block
 from locfuse.fusion.lines.points import ScanPoints
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings, laser_of
-from locfuse.fusion.wheels.scan_clouds import Standing
+from locfuse.fusion.wheels.scan_clouds import STANDING
 
 SCANS, PER_BLOCK, BEAMS = 12, 4, 8
 RANGES = np.repeat(1.0 + np.arange(SCANS)[:, None] / 2.0, BEAMS, axis=1)  # m: another one in each scan
@@ -36,7 +36,7 @@ def test_scans_beside_the_last_ones_are_not_read_again() -> None:
         Lrf.reads[SCAN],
         np.zeros(SCANS),
         laser_of(LrfSettings()),
-        Standing(),
+        STANDING,
         np.arange(SCANS),
     )
     # readings, and how many blocks are read by then: beside the last ones, over the end of a block, before it

@@ -17,10 +17,16 @@ from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion import se2
 from locfuse.fusion.data import Drive, LocfuseError, Measurements, Truth
 from locfuse.fusion.measure import measure
-from locfuse.fusion.wheels.calibrate import WheelCalibration, calibrate_wheels, find_pieces
+from locfuse.fusion.wheels.calibrate import (
+    STRAIGHT,
+    TURN,
+    WheelCalibration,
+    calibrate_wheels,
+    find_pieces,
+    find_runs,
+)
 from locfuse.fusion.wheels.likelihood import Residuals
 from locfuse.fusion.wheels.motion import Wheels
-from locfuse.fusion.wheels.runs import STRAIGHT, TURN, find_runs
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import in_memory
 
@@ -94,23 +100,16 @@ def test_arcs_and_short_moves_are_neither() -> None:
     assert len(find_runs(legs(0, [("forward", 0.3), ("turn", 0.5)] * 5).wheels).kind) == 0
 
 
-def test_a_straight_piece_has_the_closed_form_covariance() -> None:
+def test_straight_pieces_and_turns_have_the_closed_form_covariances_and_delta_is_that_of_one_period() -> None:
     pieces = find_pieces(legs(1, STRAIGHT_RUNS, k=0.0), np.zeros(3))
     D = pieces.size
     forms = {(0, 0): D / 2, (2, 2): 2 * D / TRACK**2, (1, 1): 2 * D**3 / (3 * TRACK**2)}
     for (i, j), variance in forms.items():
         np.testing.assert_allclose(pieces.Q[:, i, j], variance, rtol=1e-3)
     np.testing.assert_allclose(np.abs(pieces.e).max(), 0.0, atol=1e-9)
-
-
-def test_a_turn_has_the_closed_form_covariance() -> None:
-    pieces = find_pieces(legs(1, TURNS, k=0.0), np.zeros(3))
-    np.testing.assert_allclose(pieces.Q[:, 2, 2], pieces.size / TRACK, rtol=1e-9)
-
-
-def test_the_papers_delta_is_k_over_the_way_of_one_period() -> None:
-    pieces = find_pieces(legs(1, STRAIGHT_RUNS, k=0.0), np.zeros(3))
     np.testing.assert_allclose(pieces.Q_delta, pieces.Q * 0.3 * 0.1, rtol=1e-6, atol=1e-12)
+    turns = find_pieces(legs(1, TURNS, k=0.0), np.zeros(3))
+    np.testing.assert_allclose(turns.Q[:, 2, 2], turns.size / TRACK, rtol=1e-9)
 
 
 def test_without_truth_noise_the_interval_is_the_chi_square_one() -> None:

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bags import Said, cdr, header, real_log
+from bags import Said, real_log
 from commands import locfuse
 from laser_room import ROOM, circle, ranges_of, scans_of
 from scan_streams import scan_stream
-from wheel_bags import joint_states, log_of, odometry, stamps, turned
+from wheel_bags import joint_states, log_of, odometry, poses_in, stamps, twists
 
 from locfuse.cli.analysis.choose import choose
 from locfuse.cli.analysis.robot_tables import make_robot
@@ -27,20 +27,7 @@ from locfuse.fusion.wheels.odometry import pose_and_speed, unlike_a_robot
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 from locfuse.fusion.wheels.scan_agreement import ScanPairs, scan_pairs
 
-TWIST, POSE = "geometry_msgs/msg/Twist", "geometry_msgs/msg/PoseStamped"
 T, TRUTH = circle()
-
-
-def twists(topic: str, x: float, turn: float) -> list[Said]:
-    return [Said(topic, TWIST, cdr(TWIST, linear={"x": x}, angular={"z": turn}), ns) for ns in stamps(T)]
-
-
-def poses(topic: str, frame: str) -> list[Said]:
-    return [
-        Said(topic, POSE, cdr(POSE, header=header(ns, frame),
-                              pose={"position": {"x": p[0], "y": p[1]}, "orientation": turned(p[2])}), ns)
-        for ns, p in zip(stamps(T), TRUTH.tolist(), strict=True)
-    ]  # fmt: skip
 
 
 def chosen(path: Path, *said: list[Said], **tables: Any) -> Choice:
@@ -129,12 +116,12 @@ def test_where_all_stand_the_odometry_stays(tmp_path: Path) -> None:
 
 def test_a_twist_never_comes_before_scans_and_what_it_is_worth_is_said(tmp_path: Path) -> None:
     """The one is what was asked for, the other in the frame of the room; neither says so in any field."""
-    said = twists("/controller_output_linear", 0.8, 0.0), twists("/speed", 0.6, -0.2)
+    said = twists(T, "/controller_output_linear", 0.8, 0.0), twists(T, "/speed", 0.6, -0.2)
     choice = chosen(tmp_path, *said, scans_of(T, TRUTH))
     assert choice.of("wheels") == ("/scan",)
     assert "/controller_output_linear" in choice.notes[0].words
     assert "/speed" in choice.notes[0].words
-    assert chosen(tmp_path, twists("/speed", 0.6, -0.2)).of("wheels") == ("/speed",)
+    assert chosen(tmp_path, twists(T, "/speed", 0.6, -0.2)).of("wheels") == ("/speed",)
 
 
 def test_a_laser_that_repeats_one_scan_judges_nothing(tmp_path: Path) -> None:
@@ -163,18 +150,24 @@ def test_a_log_of_five_seconds_is_judged_as_well(tmp_path: Path) -> None:
 def test_poses_that_are_not_the_robots_void_every_figure(
     topic: str, frame: str, words: str, tmp_path: Path
 ) -> None:
-    log = log_of(tmp_path / "x.mcap", poses(topic, frame))
+    log = log_of(tmp_path / "x.mcap", poses_in(frame, T, TRUTH, topic))
     done = locfuse("compare", log, "-o", tmp_path / "out", "--write", "json")
     assert done.exit_code == 3
     assert words in done.stderr
     report = json.loads((tmp_path / "out/report.json").read_text())
     assert report["headline"].startswith("No verdict on this log: wheels:")
     assert report["validity"][0]["void"]
-    assert locfuse("info", log, "--check", "--no-advice").exit_code == 3
+    info = locfuse("info", log, "--check", "--no-advice")
+    assert info.exit_code == 3
+    assert "truth.topic" not in info.stdout
+    assert "locfuse compare" not in info.stdout
 
 
 def test_poses_of_the_robot_are_taken_before_a_marker_and_a_setpoint(tmp_path: Path) -> None:
-    said = poses("/marker/pose", "camera_link"), poses("/setpoint", "map"), poses("/slam/pose", "map")
+    said = [
+        poses_in(f, T, TRUTH, t)
+        for f, t in (("camera_link", "/marker/pose"), ("map", "/setpoint"), ("map", "/slam/pose"))
+    ]
     assert chosen(tmp_path, *said).of("wheels") == ("/slam/pose",)
 
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bags import Said, cdr, header
-from wheel_bags import log_of, odometry, stamps, turned
+from bags import Said
+from wheel_bags import log_of, messages, odometry, turned, twists
 
 from locfuse.cli.analysis.choose import choose
 from locfuse.cli.analysis.load import load
@@ -20,8 +20,6 @@ from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.motion_agreement import turns_explained, ways_explained
 
-IMU, FIX, STAMPED = "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix", "geometry_msgs/msg/TwistStamped"
-TWIST = "geometry_msgs/msg/Twist"
 T = np.arange(0.0, 40.0, 0.1)
 TURN = 1.5 * np.sin(0.3 * T)  # rad; 1 m/s along it
 STEP = np.stack((np.cos(TURN), np.sin(TURN)), axis=-1) * 0.1
@@ -31,28 +29,23 @@ METRES_PER_DEGREE = 111_320.0
 
 
 def imu(turn: Array = TURN, late_s: float = 0.0) -> list[Said]:
-    rate = np.gradient(turn, T)
-    return [
-        Said("/imu", IMU, cdr(IMU, header=header(ns, "imu"), angular_velocity={"z": r}, orientation=turned(h)), ns)
-        for ns, r, h in zip(stamps(T + late_s), rate.tolist(), turn.tolist(), strict=True)
-    ]
+    rows = (
+        {"angular_velocity": {"z": rate}, "orientation": turned(heading)}
+        for rate, heading in zip(np.gradient(turn, T).tolist(), turn.tolist(), strict=True)
+    )
+    return messages("/imu", "sensor_msgs/msg/Imu", T + late_s, rows, "imu")
 
 
 def fixes(places: Array) -> list[Said]:
-    return [
-        Said("/fix", FIX, cdr(FIX, header=header(ns, "gps"), latitude=y / METRES_PER_DEGREE,
-                              longitude=x / METRES_PER_DEGREE), ns)
-        for ns, (x, y) in zip(stamps(T[::10]), places[::10, :2].tolist(), strict=True)
-    ]  # fmt: skip
+    rows = (
+        {"latitude": y / METRES_PER_DEGREE, "longitude": x / METRES_PER_DEGREE}
+        for x, y, _ in places[::10].tolist()
+    )
+    return messages("/fix", "sensor_msgs/msg/NavSatFix", T[::10], rows, "gps")
 
 
-def speeds(topic: str, turn: Array, kind: str = STAMPED) -> list[Said]:
-    said = []
-    for ns, rate in zip(stamps(T), np.gradient(turn, T).tolist(), strict=True):
-        twist: dict[str, Any] = {"linear": {"x": 1.0}, "angular": {"z": rate}}
-        data = cdr(kind, header=header(ns, "base_link"), twist=twist) if kind == STAMPED else cdr(kind, **twist)
-        said.append(Said(topic, kind, data, ns))
-    return said
+def speeds(topic: str, turn: Array, frame: str | None = "base_link") -> list[Said]:
+    return twists(T, topic, 1.0, np.gradient(turn, T), frame)
 
 
 def chosen(path: Path, *said: list[Said], **tables: Any) -> Choice:
@@ -130,7 +123,7 @@ def test_where_nothing_judges_two_motions_the_better_kind_is_taken_and_said_to_b
 
 
 def test_a_command_is_taken_only_where_nothing_was_measured(tmp_path: Path) -> None:
-    command = speeds("/cmd_vel", TURN, TWIST)
+    command = speeds("/cmd_vel", TURN, None)
     assert chosen(tmp_path, odometry(T, OTHER), command, imu()).of("wheels") == ("/odom",)
     alone = chosen(tmp_path, command, imu())
     assert alone.of("wheels") == ("/cmd_vel",)
@@ -138,7 +131,7 @@ def test_a_command_is_taken_only_where_nothing_was_measured(tmp_path: Path) -> N
 
 
 def test_of_two_commands_that_are_named_alike_the_one_that_the_gyro_follows_is_taken(tmp_path: Path) -> None:
-    said = speeds("/a/cmd_vel", OTHER[:, 2], TWIST), speeds("/b/cmd_vel", TURN, TWIST)
+    said = speeds("/a/cmd_vel", OTHER[:, 2], None), speeds("/b/cmd_vel", TURN, None)
     choice = chosen(tmp_path, *said, imu())
     assert choice.of("wheels") == ("/b/cmd_vel",)
     assert "/a/cmd_vel explains" in choice.notes[0].words

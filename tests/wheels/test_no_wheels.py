@@ -23,9 +23,16 @@ from locfuse.fusion.data import Array, ArrayStream, LocfuseError, Stream
 from locfuse.fusion.lines.scans import Laser
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.lrf import LrfSettings, laser_of
-from locfuse.fusion.wheels.constant_velocity import FORGOTTEN_S, USUAL, Velocity, standing
 from locfuse.fusion.wheels.motion import Wheels
-from locfuse.fusion.wheels.motion_by_scans import MatchedScans, match_scans, seen
+from locfuse.fusion.wheels.motion_by_scans import (
+    FORGOTTEN_S,
+    USUAL,
+    MatchedScans,
+    Velocity,
+    match_scans,
+    seen,
+    standing,
+)
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
 CORRIDOR = np.array([(-90.0, -1.0, 90.0, -1.0), (-90.0, 1.0, 90.0, 1.0)])

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bags import Said, cdr, header, real_log, write
+from bags import real_log
 from commands import locfuse
 from msgspec.structs import replace
-from wheel_bags import stamps
+from wheel_bags import log_of, messages, numbers
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, ArrayStream, LocfuseError, Truth
@@ -19,9 +19,8 @@ from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import MergedStream
 from locfuse.fusion.wheels.calibrate_tricycle import Reference, calibrate_tricycle, of_truth
 from locfuse.fusion.wheels.read import read_wheels
-from locfuse.fusion.wheels.tricycle import read_encoders
+from locfuse.fusion.wheels.steered import read_encoders
 
-INT, IMU = "std_msgs/msg/Int64", "sensor_msgs/msg/Imu"
 RADIUS, TICKS, TURN, BASE, ZERO = 0.1, 5000.0, 8192, 1.2, 300.0  # m, ticks a turn, of the steering, m, ticks
 GAIN = TURN / (2.0 * np.pi)  # ticks per radian
 T = np.arange(0.0, 120.0, 0.04)
@@ -127,15 +126,11 @@ def test_a_reference_that_hardly_turns_calibrates_nothing() -> None:
 def tricycle_log(path: Path, gyro: bool) -> Path:
     """Both counters, and perhaps an IMU of the same drive, as a bag."""
     counters = encoders()
-    rates = np.gradient(true_path()[:, 2], T)
-    said = []
-    for part in counters.parts:
-        values = np.asarray(part.columns("data")["data"])
-        said += [Said(part.topic, INT, cdr(INT, data=int(v)), ns) for ns, v in zip(stamps(T), values, strict=True)]
+    said = [numbers(p.topic, "Int64", T, map(int, np.asarray(p.columns("data")["data"]))) for p in counters.parts]
     if gyro:
-        said += [Said("/imu", IMU, cdr(IMU, header=header(ns, "imu"), angular_velocity={"z": rate}), ns)
-                 for ns, rate in zip(stamps(T), rates.tolist(), strict=True)]  # fmt: skip
-    return write(path, sorted(said, key=lambda m: m.log_time))
+        rows = ({"angular_velocity": {"z": rate}} for rate in np.gradient(true_path()[:, 2], T).tolist())
+        said.append(messages("/imu", "sensor_msgs/msg/Imu", T, rows, "imu"))
+    return log_of(path, *said)
 
 
 def test_calibrate_uses_a_gyro_where_a_tricycle_has_no_truth_and_asks_without_any(tmp_path: Path) -> None:
@@ -147,7 +142,9 @@ def test_calibrate_uses_a_gyro_where_a_tricycle_has_no_truth_and_asks_without_an
     assert found["tricycle"]["by"] == "gyro"
     assert found["robot"]["wheels"]["servo_gain"] == pytest.approx(GAIN, rel=0.03)
     assert "radius" not in found["robot"]["wheels"]
-    blind = locfuse("calibrate", tricycle_log(tmp_path / "blind.mcap", False), *words)
+    info = locfuse("info", tricycle_log(tmp_path / "blind.mcap", False)).stdout
+    assert "nothing says radius, servo gain, wheelbase, ticks per revolution" in " ".join(info.split())
+    blind = locfuse("calibrate", tmp_path / "blind.mcap", *words)
     assert blind.exit_code == 1
     assert "a steered tricycle is calibrated by one log with truth, laser or gyro" in blind.stderr
 

@@ -1,0 +1,139 @@
+"""What is steered: a car's motor beside its steering, and a tricycle by the encoders of its front wheel.
+
+The VESC, a car's motor controller, counts electrical revolutions per minute (erpm). With those of 1 m/s, which
+its driver calls speed_to_erpm_gain, they are a speed v; the front wheels' angle d turns the car by
+v tan(d) / wheelbase. The angle is an Ackermann command, or the position of the servo, gain * angle + offset.
+
+The front wheel of a tricycle rolls ds in the direction phi, so that the middle of the rear axle goes ds cos(phi)
+and turns by ds sin(phi) / wheelbase. One tick of the traction is 2 pi radius / ticks_per_revolution; the steering
+reads servo_gain * phi + servo_offset, in its own ticks, and rolls over once a turn of its encoder.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple, cast
+
+import numpy as np
+
+from locfuse.fusion.data import Array, LocfuseError, Stream
+from locfuse.fusion.robot import WheelSettings
+from locfuse.fusion.streams import MergedStream
+
+from .odometry import STEERED, wheelbase_of
+from .repairs import Side, repaired, unrolled
+
+# Message type -> field of the motor's speed [erpm].
+MOTOR: Mapping[str, str] = {
+    "vesc_msgs/msg/VescStateStamped": "state.speed",
+    "vesc_msgs/msg/VescState": "speed",
+}
+SERVO = "std_msgs/msg/Float64"  # its position, 0 to 1
+GAIN_HINT = "speed_to_erpm_gain of vesc.yaml"
+COUNTER_RANGES = (2.0**16, 2.0**32)  # at which a traction counter rolls over, whatever its message could hold
+STEERING_WORD = "steer"
+
+
+def motor_speeds(stream: MergedStream, settings: WheelSettings) -> Array:
+    """Return (n, 5) zeros, forward speed [m/s] and turning rate [rad/s] at the motor's readings.
+
+    The steering is the newest that came before; before the first it is the first. Raises LocfuseError where a
+    setting is missing, or nothing was steered.
+    """
+    motor, steering = stream.parts
+    if not settings.erpm_per_mps:
+        raise LocfuseError(
+            f"{motor.topic} gives revolutions of the motor, so those of 1 m/s must be known.",
+            role="wheels",
+            hint=f"Set them with --set wheels.erpm_per_mps=<erpm> ({GAIN_HINT})",
+        )
+    if not len(steering.t_ns):
+        raise LocfuseError(f"{steering.topic} holds no messages, so nobody knows where to", role="wheels")
+    erpm = cast("dict[str, Array]", motor.columns(MOTOR[motor.msgtype]))[MOTOR[motor.msgtype]]
+    newest = np.searchsorted(steering.t_ns, motor.t_ns, side="right") - 1
+    angle = _angles(steering, settings)[np.maximum(newest, 0)]
+    values = np.zeros((len(motor.t_ns), 5))
+    values[:, 3] = erpm.astype(np.float64) / settings.erpm_per_mps
+    values[:, 4] = values[:, 3] * np.tan(angle) / wheelbase_of(motor, settings)
+    return values
+
+
+def _angles(steering: Stream, settings: WheelSettings) -> Array:
+    """Return the angles (n,) [rad] of the front wheels."""
+    field = STEERED[steering.msgtype][1] if steering.msgtype in STEERED else "data"
+    told = cast("dict[str, Array]", steering.columns(field))[field].astype(np.float64)
+    if steering.msgtype in STEERED:
+        return told
+    if not settings.servo_gain:
+        raise LocfuseError(
+            f"{steering.topic} gives positions of the servo, so its gain must be known.",
+            role="wheels",
+            hint="Set them with --set wheels.servo_gain=<gain> --set wheels.servo_offset=<offset> "
+            "(steering_angle_to_servo_gain and _offset of vesc.yaml)",
+        )
+    return (told - settings.servo_offset) / settings.servo_gain
+
+
+class Encoders(NamedTuple):
+    """Readings of both encoders of a tricycle, at the times of the traction."""
+
+    t: Array  # (n,) s since the first reading
+    zero_ns: int
+    rolled: Array  # (n,) m that the front wheel has rolled
+    steering: Array  # (n,) ticks, counted on over the ends of their range
+    spikes: int
+    notes: tuple[str, ...]
+
+
+def is_tricycle(stream: Stream) -> bool:
+    """Return whether two topics of numbers are traction and steering, not a left and a right wheel."""
+    return isinstance(stream, MergedStream) and STEERING_WORD in stream.parts[-1].topic.lower()
+
+
+def read_encoders(stream: MergedStream, settings: WheelSettings) -> Encoders:
+    """Return both encoders. Raises LocfuseError if the size of the wheel or of a tick is not known."""
+    traction, steering = stream.parts
+    if not (settings.radius and settings.ticks_per_revolution):
+        raise LocfuseError(
+            f"{traction.topic} counts how far the front wheel rolls, so its size must be known.",
+            role="wheels",
+            hint="Set it with --set wheels.radius=<metres> --set wheels.ticks_per_revolution=<ticks>",
+        )
+    if not len(steering.t_ns) or len(traction.t_ns) < 2:
+        raise LocfuseError(f"{traction.topic} and {steering.topic} hold too few messages", role="wheels")
+    rows = np.flatnonzero(np.diff(traction.t_ns, append=np.iinfo(np.int64).max) > 0)
+    zero_ns = int(traction.t_ns[0])
+    t = (traction.t_ns[rows] - zero_ns) * np.float64(1e-9)
+    metres = 2.0 * math.pi * settings.radius / settings.ticks_per_revolution
+    side = Side("traction", t, _numbers(traction)[rows], COUNTER_RANGES)
+    way = repaired(side, metres, settings.rollover, settings.max_speed)
+    turned = unrolled(_numbers(steering)).values
+    at = np.interp(t[way.keep], (steering.t_ns - zero_ns) * np.float64(1e-9), turned)
+    return Encoders(t[way.keep], zero_ns, way.rolled, at, way.spikes, way.notes)
+
+
+def twists_of(found: Encoders, settings: WheelSettings, stream: Stream) -> Array:
+    """Return the twists (n-1, 3) of the rear axle's middle.
+
+    Raises LocfuseError where it is not known how the steering's ticks become an angle, or the wheelbase.
+    """
+    if not settings.servo_gain:
+        raise LocfuseError(
+            f"{stream.topic}: how the steering's ticks become an angle must be known.",
+            role="wheels",
+            hint="Set it with --set wheels.servo_gain=<ticks per radian> --set wheels.servo_offset=<ticks "
+            "straight ahead>; locfuse calibrate refines both",
+        )
+    angle = (found.steering - settings.servo_offset) / settings.servo_gain
+    return rolled_by(np.diff(found.rolled), angle, wheelbase_of(stream, settings))
+
+
+def rolled_by(ds: Array, angle: Array, wheelbase: float) -> Array:
+    """Return twists (n-1, 3) for distances ds (n-1,) [m] of a front wheel steered by `angle` (n,) [rad]."""
+    middle = 0.5 * (angle[1:] + angle[:-1])
+    return np.stack((ds * np.cos(middle), np.zeros_like(ds), ds * np.sin(middle) / wheelbase), axis=-1)
+
+
+def _numbers(stream: Stream) -> Array:
+    return cast("dict[str, Array]", stream.columns("data"))["data"].astype(np.float64)

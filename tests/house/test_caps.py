@@ -43,7 +43,7 @@ CHANGING_FIELDS: dict[str, int] = {
     "fusion/kernels/sight.py:Sight": 22,
     "fusion/map/guard.py:Guard": 14,
     "fusion/map/line_map.py:LineMap": 15,
-    "fusion/map/tracker.py:AtlasTracker": 14,
+    "fusion/map/tracker.py:AtlasTracker": 12,
     "fusion/map/tracker.py:LineTracker": 13,
     "fusion/whole_drive/smooth.py:Backward": 13,
 }

@@ -155,7 +155,7 @@ def test_keys_are_matched_within_centimetres_and_a_slip_of_the_wheels_is_found()
     assert key_scans(m) is keys
     assert len(keys.readings) >= 15
     assert len(keys.matches) > 2 * len(keys.readings)
-    e = keys.pose - se2.between(way[keys.readings[keys.i]], way[keys.readings[keys.j]])
+    e = keys.matches.z - se2.between(way[keys.readings[keys.matches.i]], way[keys.readings[keys.matches.j]])
     assert np.abs(e[:, :2]).max() < 0.02
     assert np.degrees(np.abs(se2.wrap_all(e[:, 2]))).max() < 0.3
 

@@ -348,7 +348,7 @@ def _refined(pose: Array, scan: Scan, there: Here, known: Ints, expected: Array,
         x = x - np.linalg.solve(data + prior, J.T @ (W * e) + prior @ (x - expected))
     weak = data + WEAK_INFORMATION
     z = x - np.linalg.solve(weak, J.T @ (W * e))  # by the walls alone
-    spread: Array = np.linalg.inv(weak) + np.diag(np.square(MAP_SIGMAS))
+    spread = np.asarray(np.linalg.inv(weak), np.float64) + np.diag(np.square(MAP_SIGMAS))
     return Closure(z, spread, float(lengths.sum()), len(lengths))
 
 

@@ -34,8 +34,8 @@ def straight(n: int, step: float) -> Odometry:
 def test_scans_between_exact_keys_take_out_a_slip_that_the_wheels_did_not_see() -> None:
     drive, truth = ring_drive(3)
     odometry = odometry_of(drive)
-    k = drive.instant["lrf"]
-    readings = spaced(odometry.way()[k], odometry.pose[k, 2], KEY_WAY_M, KEY_TURN_RAD)
+    scans = drive.instant["lrf"]
+    readings = spaced(odometry.way()[scans], odometry.pose[scans, 2], KEY_WAY_M, KEY_TURN_RAD)
     keys = drive.instant["lrf"][readings]
     slip = np.zeros_like(odometry.pose)
     for k in keys[20:60:4] + 2:  # 6 degrees at once, just behind ten of the keys

@@ -12,10 +12,10 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.fusion.ekf.belief_arrays import InMap, JointBelief
+from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.equations import predicted
 from locfuse.fusion.ekf.events import Before, Events
-from locfuse.fusion.ekf.map_frame import Pose, Triangle
+from locfuse.fusion.ekf.map_frame import InMap, Pose, Triangle
 from locfuse.fusion.ekf.record import FIRST_CAPACITY, Record, Track
 from locfuse.fusion.ekf.robust import inflate
 from locfuse.fusion.kernels.ekf import Innovation, Steps

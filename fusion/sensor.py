@@ -26,7 +26,8 @@ from .data import (
 )
 
 GATE = VERDICTS.index("gate")
-Matrix = tuple[tuple[float, ...], ...]
+Row = tuple[float, ...]
+Matrix = tuple[Row, ...]
 NO_COLUMNS: tuple[int, ...] = ()  # of what depends on no state but the pose
 NO_BLOCK: Matrix = ()
 PoseRows = tuple[tuple[float, float, float], ...]  # (d, 3) derivatives by x [m], y [m], theta [rad] of the pose
@@ -138,8 +139,8 @@ class Belief(Protocol):
     def value(self, column: int) -> float:
         """Return the state at a column."""
 
-    def variance(self, H: tuple[float, float, float]) -> float:
-        """Return H P H' for one derivative H by the pose."""
+    def variance(self, H: Row, columns: tuple[int, ...] = (), H_block: Row = ()) -> float:
+        """Return H P H' for one derivative H (3,) by the pose and H_block (c,) by the states `columns` (c,)."""
 
     def compare(
         self,
@@ -150,14 +151,12 @@ class Belief(Protocol):
         threshold: float,
         columns: tuple[int, ...] = (),
         H_block: Matrix = (),
-        landmark: int = -1,
-        verdict: int = -1,
     ) -> Innovation:
         """Judge the innovation y (d,) of measurement `row` against the gate `threshold`.
 
         S = H P H' + R and NIS = y' S^-1 y (Bar-Shalom, Li and Kirubarajan 2001, 5.4.2). H (d, 3) is by the pose,
-        H_block (d, c) by the states `columns` (c,), R (d, d). The verdict is "accepted" or "gate" by the NIS where
-        `verdict` is -1, else that index into VERDICTS. Raises LocfuseError where S is not positive.
+        H_block (d, c) by the states `columns` (c,), R (d, d). The verdict is "accepted" or "gate" by the NIS, and
+        no landmark is named: a sensor that knows better sets them. Raises LocfuseError where S is not positive.
         """
 
 

@@ -36,7 +36,7 @@ from .events import (
     in_map,
     undone,
 )
-from .map_frame import Pose, Together, Triangle, by_frame
+from .map_frame import Pose, Triangle, by_frame
 
 POSE = np.arange(3)
 MAX_STATES_OF_A_ROW = 24  # that one row of an equation depends on
@@ -146,18 +146,10 @@ class JointBelief(ekf.State):
         x, y, theta = self._x[self.frame : self.frame + 3].tolist()
         return x, y, theta
 
-    def with_frame(self) -> Together:
-        """Return the pose and the map frame with their covariances."""
-        first = max(self.frame, 0)
-        x, rows = self._x[: first + 3].tolist(), self._P[:3, : first + 3].tolist()
-        (xx, xy, xt, *_), (_, yy, yt, *_), (_, _, tt, *_) = rows
-        return Together(
-            (x[0], x[1], x[2]),
-            (x[first], x[first + 1], x[first + 2]),
-            (xx, xy, xt, yy, yt, tt),
-            [row[first:] for row in rows],
-            self._P[first : first + 3, first : first + 3].tolist(),
-        )
+    def frame_covariance(self) -> Array:
+        """Return the covariance of the map frame, (3, 3); before it begins, that of the pose."""
+        at = slice(max(self.frame, 0), max(self.frame, 0) + 3)
+        return self._P[at, at].copy()
 
     # ---- one instant: predict, compare, queue, correct ----
 
@@ -641,24 +633,6 @@ class JointBelief(ekf.State):
         copy._hold()
         copy._let_drift()
         return copy
-
-
-class InMap(ekf.InMap):
-    """A belief with a map frame as sensors see it that observe the pose in the map."""
-
-    def pose(self) -> Pose:
-        """Return the pose in the map, G o q."""
-        return self.x, self.y, self.theta
-
-    def triangle(self) -> Triangle:
-        """Return the upper triangle of the covariance of the pose in the map."""
-        triangle: Triangle = self.located()[1]
-        return triangle
-
-    def matrix(self) -> Array:
-        """Return the covariance of the pose in the map, (3, 3)."""
-        xx, xy, xt, yy, yt, tt = self.triangle()
-        return np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
 
 
 def _copied(value: Any) -> Any:

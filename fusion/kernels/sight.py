@@ -15,6 +15,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from .arrays import memory
+
 try:
     import cython
 except ImportError:  # Cython is only needed to compile
@@ -57,42 +59,24 @@ LONE_D2, LONE_TURN_RAD, LONE_OFFSET_M = 5.0, 3.0 * (pi / 180.0), 0.15
 class Walls:
     """The line map as columns (J,), shared with fusion.map.LineMap."""
 
-    columns: Any
-    anchors: Any
-    low: Any
-    high: Any
-    fixed: Any
-    hits: Any
-    seen: Any
-    born: Any
-    ids: Any
-
     def __init__(self, columns: Any, anchors: Any, low: Any, high: Any, fixed: Any, states: bool) -> None:
         """State columns, anchors (J, 2), ends along the tangent; `fixed` (J, WALL) where they are no states."""
-        self.columns, self.anchors = memoryview(columns), memoryview(anchors)
-        self.low, self.high, self.fixed = memoryview(low), memoryview(high), memoryview(fixed)
+        self.columns, self.anchors = memory(columns), memory(anchors)
+        self.low, self.high, self.fixed = memory(low), memory(high), memory(fixed)
         self.states, self.places = states, len(columns)
 
     def count(self, hits: Any, seen: Any, born: Any, ids: Any) -> None:
         """Take in how often and when last each was seen, in which scan it was born, and its id."""
-        self.hits, self.seen, self.born, self.ids = (
-            memoryview(hits),
-            memoryview(seen),
-            memoryview(born),
-            memoryview(ids),
-        )
+        self.hits, self.seen = memory(hits), memory(seen)
+        self.born, self.ids = memory(born), memory(ids)
 
 
 class Seat:
     """The laser's mount as it is configured; which of x, y, yaw are states, and their columns."""
 
-    configured: Any
-    which: Any
-    columns: Any
-
     def __init__(self, configured: Any, which: Any, columns: Any) -> None:
         """Configured (3,) m, m, rad; which and columns (f,)."""
-        self.configured, self.which, self.columns = memoryview(configured), memoryview(which), memoryview(columns)
+        self.configured, self.which, self.columns = memory(configured), memory(which), memory(columns)
         self.free = len(which)
 
 
@@ -115,47 +99,18 @@ class Doubles:
 class Audit:
     """Columns (rows,) of what became of every measurement (fusion.ekf.record)."""
 
-    instant: Any
-    row: Any
-    verdict: Any
-    landmark: Any
-    nis: Any
-    threshold: Any
-    y: Any
-    sigma: Any
-
     def __init__(self, instant: Any, row: Any, verdict: Any, landmark: Any) -> None:
-        self.instant, self.row = memoryview(instant), memoryview(row)
-        self.verdict, self.landmark = memoryview(verdict), memoryview(landmark)
+        self.instant, self.row = memory(instant), memory(row)
+        self.verdict, self.landmark = memory(verdict), memory(landmark)
 
     def judged(self, nis: Any, threshold: Any, y: Any, sigma: Any) -> None:
         """Y and sigma (rows, d)."""
-        self.nis, self.threshold, self.y, self.sigma = (
-            memoryview(nis),
-            memoryview(threshold),
-            memoryview(y),
-            memoryview(sigma),
-        )
+        self.nis, self.threshold = memory(nis), memory(threshold)
+        self.y, self.sigma = memory(y), memory(sigma)
 
 
 class Sight:
     """The lines of one scan, associated with the map; fusion.map.line_map owns the arrays."""
-
-    rows: Any
-    match: Any
-    best: Any
-    rival: Any
-    near: Any
-    order: Any
-    pairs: Any
-    wall_rows: Any
-    seen: Any
-    mount: Any
-    place: Any
-    offset: Any
-    shared: Any
-    G: Any
-    bent: Loosening
 
     def __init__(self, rules: Rules, seat: Seat) -> None:
         self.rules, self.seat = rules, seat
@@ -166,17 +121,17 @@ class Sight:
 
     def hold_lines(self, rows: Any, match: Any, best: Any, rival: Any, near: Any, order: Any) -> None:
         """Have room for n lines: rows (n, 7), the others (n,)."""
-        self.rows, self.match, self.best = memoryview(rows), memoryview(match), memoryview(best)
-        self.rival, self.near, self.order = memoryview(rival), memoryview(near), memoryview(order)
+        self.rows, self.match, self.best = memory(rows), memory(match), memory(best)
+        self.rival, self.near, self.order = memory(rival), memory(near), memory(order)
 
     def hold_pairs(self, pairs: Any, walls: Any, seen: Any, mount: Any, place: Any, offset: Any) -> None:
         """Have room: pairs (n J, PAIR), walls (J, WALL + 2 f), seen (J, 4), mount (6, 3), place, offset (3,)."""
-        self.pairs, self.wall_rows, self.seen = memoryview(pairs), memoryview(walls), memoryview(seen)
-        self.mount, self.place, self.offset = memoryview(mount), memoryview(place), memoryview(offset)
+        self.pairs, self.wall_rows, self.seen = memory(pairs), memory(walls), memory(seen)
+        self.mount, self.place, self.offset = memory(mount), memory(place), memory(offset)
 
     def hold_shares(self, shared: Any, G: Any) -> None:
         """Have room for unit errors that lines share: shared (n, 2, parts), G (2 n, parts)."""
-        self.shared, self.G = memoryview(shared), memoryview(G)
+        self.shared, self.G = memory(shared), memory(G)
 
     def hold_states(self, bent: Loosening) -> None:
         """Have room for the states of matched lines (2 n,)."""
@@ -219,51 +174,38 @@ class Sight:
 
     def gather(self, state: State) -> None:
         """Write the map lines with their covariances, and the mount's."""
-        walls, seat = self.walls, self.seat
+        walls, seat, P, row = self.walls, self.seat, state.P, self.wall_rows
         free = seat.free
         for a in range(free):
             for i in range(3):
-                self.mount[i, a] = state.P[i, seat.columns[a]]
+                self.mount[i, a] = P[i, seat.columns[a]]
             for b in range(free):
-                self.mount[3 + a, b] = state.P[seat.columns[a], seat.columns[b]]
+                self.mount[3 + a, b] = P[seat.columns[a], seat.columns[b]]
         for j in range(walls.places):
             if not walls.states:
                 for i in range(WALL):
-                    self.wall_rows[j, i] = walls.fixed[j, i]
+                    row[j, i] = walls.fixed[j, i]
                 for i in range(2 * free):
-                    self.wall_rows[j, WALL + i] = 0.0
+                    row[j, WALL + i] = 0.0
                 continue
             rho = walls.columns[j]
             beta = rho + 1
-            self.wall_rows[j, RHO], self.wall_rows[j, BETA] = state.mean[rho], state.mean[beta]
-            self.wall_rows[j, ANCHOR_X], self.wall_rows[j, ANCHOR_Y] = walls.anchors[j, 0], walls.anchors[j, 1]
-            self.wall_rows[j, P_RR], self.wall_rows[j, P_RB], self.wall_rows[j, P_BB] = (
-                state.P[rho, rho],
-                state.P[rho, beta],
-                state.P[beta, beta],
-            )
+            row[j, RHO], row[j, BETA] = state.mean[rho], state.mean[beta]
+            row[j, ANCHOR_X], row[j, ANCHOR_Y] = walls.anchors[j, 0], walls.anchors[j, 1]
+            row[j, P_RR], row[j, P_RB], row[j, P_BB] = P[rho, rho], P[rho, beta], P[beta, beta]
             for i in range(3):
-                self.wall_rows[j, X_RHO + 2 * i], self.wall_rows[j, X_BETA + 2 * i] = (
-                    state.P[i, rho],
-                    state.P[i, beta],
-                )
+                row[j, X_RHO + 2 * i], row[j, X_BETA + 2 * i] = P[i, rho], P[i, beta]
             for a in range(free):
-                self.wall_rows[j, WALL + a], self.wall_rows[j, WALL + free + a] = (
-                    state.P[rho, seat.columns[a]],
-                    state.P[beta, seat.columns[a]],
-                )
+                row[j, WALL + a], row[j, WALL + free + a] = P[rho, seat.columns[a]], P[beta, seat.columns[a]]
 
     def predict(self, x: float, y: float, theta: float) -> None:
         """Eq. 17, 18: write what the robot should see of the map lines: r, psi, cos and sin of beta, (J, 4)."""
+        row = self.wall_rows
         for j in range(self.walls.places):
-            psi = self.wall_rows[j, BETA] - theta
+            psi = row[j, BETA] - theta
             if abs(psi) < MAX_ANGLE_RAD:
-                c, s = cos(self.wall_rows[j, BETA]), sin(self.wall_rows[j, BETA])
-                self.seen[j, 0] = (
-                    self.wall_rows[j, RHO]
-                    - (x - self.wall_rows[j, ANCHOR_X]) * c
-                    - (y - self.wall_rows[j, ANCHOR_Y]) * s
-                )
+                c, s = cos(row[j, BETA]), sin(row[j, BETA])
+                self.seen[j, 0] = row[j, RHO] - (x - row[j, ANCHOR_X]) * c - (y - row[j, ANCHOR_Y]) * s
                 self.seen[j, 1], self.seen[j, 2], self.seen[j, 3] = psi, c, s
             else:
                 self.seen[j, 0] = NOWHERE_M
@@ -286,12 +228,8 @@ class Sight:
                     turn, side = turn - pi if turn > 0.0 else turn + pi, -1.0
                 offset = side * r - distance
                 if abs(turn) < max_turn and abs(offset) < max_offset:
-                    self.pairs[p, LINE_OF], self.pairs[p, WALL_OF], self.pairs[p, OFFSET], self.pairs[p, TURN] = (
-                        i,
-                        j,
-                        offset,
-                        turn,
-                    )
+                    self.pairs[p, LINE_OF], self.pairs[p, WALL_OF] = i, j
+                    self.pairs[p, OFFSET], self.pairs[p, TURN] = offset, turn
                     self.spread(state, p, i, j, side)
                     if self.fits(p, distance, limit):
                         self.extent(p, i, j, side, state.mean[0], state.mean[1])
@@ -300,58 +238,46 @@ class Sight:
 
     def spread(self, state: State, p: int, i: int, j: int, side: float) -> None:
         """Write R and S = H P H' + R of a pair, cos, sin, u, and the measured psi as it is predicted."""
-        c, s = self.seen[j, 2], self.seen[j, 3]
-        u = (state.mean[0] - self.wall_rows[j, ANCHOR_X]) * s - (state.mean[1] - self.wall_rows[j, ANCHOR_Y]) * c
+        c, s, P, pairs, row = self.seen[j, 2], self.seen[j, 3], state.P, self.pairs, self.wall_rows
+        u = (state.mean[0] - row[j, ANCHOR_X]) * s - (state.mean[1] - row[j, ANCHOR_Y]) * c
         r00, r01, r11 = self.rows[i, R00_LINE], side * self.rows[i, R01_LINE], self.rows[i, R11_LINE]
-        m01, m11 = self.wall_rows[j, P_RB], self.wall_rows[j, P_BB]
+        m01, m11 = row[j, P_RB], row[j, P_BB]
         edge = m01 + u * m11
-        l00 = self.wall_rows[j, P_RR] + u * (m01 + edge)
-        by_rho, by_beta = (
-            -c * self.wall_rows[j, X_RHO] - s * self.wall_rows[j, Y_RHO],
-            -c * self.wall_rows[j, X_BETA] - s * self.wall_rows[j, Y_BETA],
-        )
-        turn_rho, turn_beta = -self.wall_rows[j, T_RHO], -self.wall_rows[j, T_BETA]
-        s00 = (
-            c * c * state.P[0, 0]
-            + 2.0 * c * s * state.P[0, 1]
-            + s * s * state.P[1, 1]
-            + l00
-            + 2.0 * (by_rho + u * by_beta)
-        )
-        s01 = c * state.P[0, 2] + s * state.P[1, 2] + edge + by_beta + turn_rho + u * turn_beta
-        s11 = state.P[2, 2] + m11 + 2.0 * turn_beta
-        self.pairs[p, R00], self.pairs[p, R01], self.pairs[p, R11] = r00, r01, r11
+        l00 = row[j, P_RR] + u * (m01 + edge)
+        by_rho = -c * row[j, X_RHO] - s * row[j, Y_RHO]
+        by_beta = -c * row[j, X_BETA] - s * row[j, Y_BETA]
+        turn_rho, turn_beta = -row[j, T_RHO], -row[j, T_BETA]
+        s00 = c * c * P[0, 0] + 2.0 * c * s * P[0, 1] + s * s * P[1, 1] + l00 + 2.0 * (by_rho + u * by_beta)
+        s01 = c * P[0, 2] + s * P[1, 2] + edge + by_beta + turn_rho + u * turn_beta
+        s11 = P[2, 2] + m11 + 2.0 * turn_beta
+        pairs[p, R00], pairs[p, R01], pairs[p, R11] = r00, r01, r11
         if not self.walls.states:
-            self.pairs[p, R00], self.pairs[p, R01], self.pairs[p, R11] = r00 + l00, r01 + edge, r11 + m11
-        self.pairs[p, S00], self.pairs[p, S01], self.pairs[p, S11] = s00 + r00, s01 + r01, s11 + r11
-        self.pairs[p, COS], self.pairs[p, SIN], self.pairs[p, LEVER] = c, s, u
-        self.pairs[p, PSI] = self.seen[j, 1] + self.pairs[p, TURN]
+            pairs[p, R00], pairs[p, R01], pairs[p, R11] = r00 + l00, r01 + edge, r11 + m11
+        pairs[p, S00], pairs[p, S01], pairs[p, S11] = s00 + r00, s01 + r01, s11 + r11
+        pairs[p, COS], pairs[p, SIN], pairs[p, LEVER] = c, s, u
+        pairs[p, PSI] = self.seen[j, 1] + pairs[p, TURN]
         if self.seat.free > 0:
             self.spread_mount(p, j)
 
     def spread_mount(self, p: int, j: int) -> None:
         """Add the covariance of an uncertain mount to S."""
-        free = self.seat.free
-        c, s, u = self.pairs[p, COS], self.pairs[p, SIN], self.pairs[p, LEVER]
-        c_psi, s_psi = cos(self.pairs[p, PSI]), sin(self.pairs[p, PSI])
+        free, pairs, mount, row = self.seat.free, self.pairs, self.mount, self.wall_rows
+        c, s, u = pairs[p, COS], pairs[p, SIN], pairs[p, LEVER]
+        c_psi, s_psi = cos(pairs[p, PSI]), sin(pairs[p, PSI])
         for a in range(free):
             r, turn = self.lever(a, c_psi, s_psi), -1.0 if self.seat.which[a] == 2 else 0.0
-            shared_r = (
-                -c * self.mount[0, a]
-                - s * self.mount[1, a]
-                + self.wall_rows[j, WALL + a]
-                + u * self.wall_rows[j, WALL + free + a]
-            )
-            shared_turn = -self.mount[2, a] + self.wall_rows[j, WALL + free + a]
-            self.pairs[p, S00] += 2.0 * shared_r * r
-            self.pairs[p, S01] += shared_r * turn + shared_turn * r
-            self.pairs[p, S11] += 2.0 * shared_turn * turn
+            with_beta = row[j, WALL + free + a]
+            shared_r = -c * mount[0, a] - s * mount[1, a] + row[j, WALL + a] + u * with_beta
+            shared_turn = -mount[2, a] + with_beta
+            pairs[p, S00] += 2.0 * shared_r * r
+            pairs[p, S01] += shared_r * turn + shared_turn * r
+            pairs[p, S11] += 2.0 * shared_turn * turn
             for b in range(free):
-                variance = self.mount[3 + a, b]
-                self.pairs[p, S00] += r * variance * self.lever(b, c_psi, s_psi)
+                variance = mount[3 + a, b]
+                pairs[p, S00] += r * variance * self.lever(b, c_psi, s_psi)
                 if self.seat.which[b] == 2:
-                    self.pairs[p, S01] -= r * variance
-                    self.pairs[p, S11] -= turn * variance
+                    pairs[p, S01] -= r * variance
+                    pairs[p, S11] -= turn * variance
 
     def lever(self, a: int, c: float, s: float) -> float:
         """Return by how much the r of a line depends on free state `a` of the mount; c, s of the line's psi."""
@@ -361,13 +287,9 @@ class Sight:
 
     def fits(self, p: int, distance: float, limit: float) -> bool:
         """Write squared distance and score of a pair; tell whether the right face is seen, near enough."""
-        offset, turn, s00, s01, s11 = (
-            self.pairs[p, OFFSET],
-            self.pairs[p, TURN],
-            self.pairs[p, S00],
-            self.pairs[p, S01],
-            self.pairs[p, S11],
-        )
+        pairs = self.pairs
+        offset, turn = pairs[p, OFFSET], pairs[p, TURN]
+        s00, s01, s11 = pairs[p, S00], pairs[p, S01], pairs[p, S11]
         det = s00 * s11 - s01 * s01
         if not (det > 0.0 and s00 > 0.0):  # no float holds it
             return False
@@ -377,16 +299,13 @@ class Sight:
 
     def extent(self, p: int, i: int, j: int, side: float, x: float, y: float) -> None:
         """Write where the measured segment lies along the map line [m], and by how much both overlap."""
+        pairs, row = self.pairs, self.wall_rows
         begin, end = self.rows[i, BEGIN_LINE], self.rows[i, END_LINE]
-        along = (y - self.wall_rows[j, ANCHOR_Y]) * self.pairs[p, COS] - (
-            x - self.wall_rows[j, ANCHOR_X]
-        ) * self.pairs[p, SIN]
-        self.pairs[p, BEGIN], self.pairs[p, END] = along + begin, along + end
+        along = (y - row[j, ANCHOR_Y]) * pairs[p, COS] - (x - row[j, ANCHOR_X]) * pairs[p, SIN]
+        pairs[p, BEGIN], pairs[p, END] = along + begin, along + end
         if side < 0.0:
-            self.pairs[p, BEGIN], self.pairs[p, END] = along - end, along - begin
-        self.pairs[p, OVERLAP] = min(self.pairs[p, END], self.walls.high[j]) - max(
-            self.pairs[p, BEGIN], self.walls.low[j]
-        )
+            pairs[p, BEGIN], pairs[p, END] = along - end, along - begin
+        pairs[p, OVERLAP] = min(pairs[p, END], self.walls.high[j]) - max(pairs[p, BEGIN], self.walls.low[j])
 
     # ---- association ----
 
@@ -402,11 +321,8 @@ class Sight:
             self.try_pair(p, int(self.pairs[p, LINE_OF]))
         for p in range(self.found):
             i = int(self.pairs[p, LINE_OF])
-            near = (
-                self.match[i] >= 0
-                and self.match[i] != p
-                and self.pairs[p, SCORE] - self.pairs[self.match[i], SCORE] < RIVAL_SCORE
-            )
+            m = self.match[i]
+            near = m >= 0 and m != p and self.pairs[p, SCORE] - self.pairs[m, SCORE] < RIVAL_SCORE
             if near and self.fits_well(p, i):
                 self.rival[i] = 1
         self.claim()
@@ -490,11 +406,8 @@ class Sight:
         if alone < 0 or self.lines < 2:
             return
         p = self.match[alone]
-        if (
-            self.pairs[p, D2] > LONE_D2
-            or abs(self.pairs[p, TURN]) > LONE_TURN_RAD
-            or abs(self.pairs[p, OFFSET]) > LONE_OFFSET_M
-        ):
+        turn, offset = abs(self.pairs[p, TURN]), abs(self.pairs[p, OFFSET])
+        if self.pairs[p, D2] > LONE_D2 or turn > LONE_TURN_RAD or offset > LONE_OFFSET_M:
             self.match[alone] = -1
 
     def is_matched(self, i: int) -> bool:
@@ -540,11 +453,8 @@ class Sight:
         state.row_count[a], state.row_count[b] = w, v
         for j in range(a):
             state.row_R[a, j] = state.row_R[b, j] = 0.0
-        state.row_R[a, a], state.row_R[b, a], state.row_R[b, b] = (
-            self.pairs[p, R00],
-            self.pairs[p, R01],
-            self.pairs[p, R11],
-        )
+        state.row_R[a, a], state.row_R[b, a] = self.pairs[p, R00], self.pairs[p, R01]
+        state.row_R[b, b] = self.pairs[p, R11]
         if self.parts > 0 and self.rules.states:
             self.share_noise(state, i, p, a - self.first)
         state.written = b + 1
@@ -589,10 +499,8 @@ class Sight:
             p = self.match[i]
             if p >= 0:
                 j = int(self.pairs[p, WALL_OF])
-                walls.low[j], walls.high[j] = (
-                    min(walls.low[j], self.pairs[p, BEGIN]),
-                    max(walls.high[j], self.pairs[p, END]),
-                )
+                walls.low[j] = min(walls.low[j], self.pairs[p, BEGIN])
+                walls.high[j] = max(walls.high[j], self.pairs[p, END])
                 walls.hits[j] += 1
                 walls.seen[j] = scan
 

@@ -283,7 +283,7 @@ class BearingModel(Model):
         judged = []
         for row in range(first, last):
             y, R = wrap(z[row] - bearing), ((variances[row] + bend * bend,),)
-            judged.append(belief.compare(row, (y,), (H,), R, self.threshold, columns, H_block, 0))
+            judged.append(belief.compare(row, (y,), (H,), R, self.threshold, columns, H_block))
         return choose(judged)
 
 
@@ -308,9 +308,7 @@ class OrientationModel(Model):
             return []
         z, variances = m.scalars
         y = wrap(paper_orientation(self.direction, z[row] + self.yaw) - belief.theta)
-        return choose(
-            [belief.compare(row, (y,), (H_ORIENTATION,), ((variances[row],),), self.threshold, landmark=0)]
-        )
+        return choose([belief.compare(row, (y,), (H_ORIENTATION,), ((variances[row],),), self.threshold)])
 
 
 def choose(judged: list[Innovation]) -> list[Innovation]:
@@ -323,6 +321,8 @@ def choose(judged: list[Innovation]) -> list[Innovation]:
     best.verdict = 0 if best.nis <= gate else GATE
     if others and best.verdict == 0 and min(others, key=_misfit).nis <= min(gate, best.nis + MIN_CANDIDATE_MARGIN):
         best.verdict = AMBIGUOUS
+    for s in judged:
+        s.landmark = 0
     for s in others:
         s.verdict = AMBIGUOUS if best.verdict == AMBIGUOUS and s.nis <= gate else UNMATCHED
         s.landmark = -1

@@ -132,7 +132,8 @@ class SonarModel(Model):
         if echo is None:
             return [Innovation.unpredicted(row, UNMATCHED, 1, self.threshold)]
         y, R = z[row] - echo.distance, ((variances[row] + echo.map_variance,),)
-        seen = belief.compare(row, (y,), echo.H, R, self.threshold, echo.columns, echo.H_block, echo.line)
+        seen = belief.compare(row, (y,), echo.H, R, self.threshold, echo.columns, echo.H_block)
+        seen.landmark = echo.line
         seen.threshold = min(self.threshold, likelier(echo.distance, seen.sigma[0]))
         seen.verdict = 0 if seen.nis <= seen.threshold else GATE
         return [seen]

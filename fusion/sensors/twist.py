@@ -22,7 +22,7 @@ from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Me
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.se2 import direction, wrap
 from locfuse.fusion.sensor import Ask, Block, Model, PoseRows, Sensor, SensorSettings, WheelMotion
-from locfuse.fusion.streams import count_dropped, gap_limit
+from locfuse.fusion.streams import count_dropped, gap_limit, last_of_periods
 from locfuse.fusion.wheels.odometry import SPEED
 
 from .pose import plane_covariance, seen_from
@@ -84,7 +84,7 @@ class Twist(Sensor):
         own = np.broadcast_to(sigmas**2, (len(t), 2))
         P, told = plane_covariance(columns.get("twist.covariance"), keep, settings.covariance, own, FORWARD_TURN)
         way, variance, piece = _summed(t, speeds[keep], np.diagonal(P, axis1=1, axis2=2))
-        rows = _one_each(t, settings.period)
+        rows = last_of_periods(t, settings.period)
         n = len(rows)
         R = np.zeros((n, 2, 2))
         R[:, (0, 1), (0, 1)] = np.diff(variance[rows], axis=0, prepend=np.zeros((1, 2)))
@@ -145,12 +145,6 @@ def _summed(t: Array, speeds: Array, variances: Array) -> tuple[Array, Array, Ar
     zero = np.zeros((1, 2))
     ways, total = (np.concatenate((zero, np.cumsum(part, axis=0))) for part in (steps, spread))
     return ways, total, np.concatenate((np.zeros(1), np.cumsum(gap)))
-
-
-def _one_each(t: Array, period: float) -> Ints:
-    """Return the last reading of every period."""
-    cell = np.floor(t / period) if period > 0.0 else t
-    return np.flatnonzero(np.append(np.diff(cell) > 0, True))
 
 
 class TwistModel(Model):

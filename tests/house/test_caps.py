@@ -20,11 +20,7 @@ MAX_CHANGING_FIELDS = 10  # of a class: what methods other than __init__ assign,
 MAX_FILE_LINES = 600
 
 # --- what is over a cap today
-ARGUMENTS: dict[str, int] = {
-    "fusion/kernels/ekf.py:InMap.compare": 9,
-    "fusion/kernels/ekf.py:State.compare": 10,
-    "fusion/sensor.py:Belief.compare": 9,
-}
+ARGUMENTS: dict[str, int] = {}
 RECORD_FIELDS: dict[str, int] = {
     "formats/figures/panels.py:Panel": 16,
     "formats/report/structure.py:Result": 30,
@@ -48,9 +44,8 @@ CHANGING_FIELDS: dict[str, int] = {
     "fusion/whole_drive/smooth.py:Backward": 13,
 }
 FILE_LINES: dict[str, int] = {
-    "fusion/ekf/belief_arrays.py": 676,
-    "fusion/kernels/ekf.py": 754,
-    "fusion/kernels/sight.py": 683,
+    "fusion/ekf/belief_arrays.py": 650,
+    "fusion/kernels/ekf.py": 635,
 }
 # ---
 

@@ -160,7 +160,7 @@ def _one_of(log: Log, same: Sequence[Body], evidence: Evidence | Witnesses | Non
 
 
 def _measured(log: Log, robot: Robot, choice: Choice, speeds: bool) -> Iterator[Sequence[Body]]:
-    """Yield what measured how the body moved, kind by kind, the best first; Twists only where `speeds` will do.
+    """Yield measured motions, kind by kind, the best first; twists only if `speeds` suffice.
 
     An odometry that says where the robot is in the room is somebody's estimate: what was measured comes before it.
     """

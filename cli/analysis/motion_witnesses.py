@@ -122,7 +122,7 @@ class Witnesses:
 
 
 def seen(log: Log, robot: Robot, name: str, topic: str, motion: WheelReading) -> Measurements | None:
-    """Return what a sensor measures on a topic; None where it cannot be read: that is reported at its use."""
+    """Return what a sensor measures on a topic; None if it cannot be read, which is reported at its use."""
     with suppress(LocfuseError):
         stream = log.stream(topic, robot.order)
         return REGISTRY[name].measure(stream, robot.settings(name), motion.wheels, motion.epoch_ns)

@@ -101,7 +101,7 @@ def way(wheels: Wheels) -> float:
 
 
 def _spread(fixes: Measurements | None) -> float:
-    """Return the greatest extent of fixes along east or north [m], outliers left out."""
+    """Return the largest extent of fixes along east or north [m], without outliers."""
     if fixes is None:
         return 0.0
     return float(np.ptp(np.percentile(fixes.z, (5.0, 95.0), axis=0), axis=0).max())

@@ -138,7 +138,7 @@ def _size_is_near(log: Log, robot: Robot) -> bool:
 
 
 def missing_of(log: Log, robot: Robot, counters: Sequence[str]) -> list[str]:
-    """Return the keys of [wheels] that are missing before these counters become metres."""
+    """Return the keys of [wheels] that are missing to convert these counters to metres."""
     steered = len(counters) > 1 and STEERING_WORD in counters[1].lower()
     needed = ["radius", *(("servo_gain", "wheelbase") if steered else ("track",))]
     if counters and counts_ticks(log.topics[counters[0]].msgtype):
@@ -162,7 +162,7 @@ def _named_pair(log: Log, robot: Robot) -> list[str]:
 
 
 def counters_of(log: Log, robot: Robot) -> tuple[list[str], str]:
-    """Return what counts wheel turns, best kind first, and why; nothing where nothing does."""
+    """Return the counters of wheel turns, best kind first, and why; none without any."""
     tricycle, of_tricycle = _tricycle(log, robot), "the ticks of a steered wheel and of its steering"
     if tricycle and not missing_of(log, robot, tricycle):
         return tricycle, of_tricycle
@@ -193,7 +193,7 @@ def counters_of(log: Log, robot: Robot) -> tuple[list[str], str]:
 
 
 def are_wheels(log: Log, topic: str, robot: Robot) -> bool:
-    """Return whether what counts does count wheels: joints may be an arm's, which share the type."""
+    """Return whether counters are those of wheels: joints of an arm share the type."""
     if log.topics[topic].msgtype != JOINTS:
         return True
     names = cast("list[tuple[str, ...]]", log.stream(topic).columns("name")["name"])

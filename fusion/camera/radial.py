@@ -38,7 +38,7 @@ def _window(height: int, width: int, optics: Optics) -> tuple[slice, slice, Pict
 
 
 def _planes(shape: tuple[int, ...]) -> list[Picture]:
-    """Return this thread's room for the three colour planes (h, w) of a picture."""
+    """Return this thread's buffers for the three colour planes (h, w) of a picture."""
     planes: list[Picture] = getattr(_ROOM, "planes", [])
     if not planes or planes[0].shape != shape:
         planes = _ROOM.planes = room_for_planes(shape)
@@ -69,7 +69,7 @@ def candidates(picture: Picture, optics: Optics, red: Red) -> list[Candidate]:
 
 
 def _things(pixels: Array) -> list[Array]:
-    """Return what belongs together of pixels (4, n: angle [rad], radius [px], level, whether on the edge).
+    """Return the red objects of pixels (4, n: angle [rad], radius [px], level, whether on the edge).
 
     The pixels of a thing, (4, k), follow each other along the circle by no more than MAX_GAP_PX.
     """
@@ -85,13 +85,13 @@ def _things(pixels: Array) -> list[Array]:
 
 
 def _whole(thing: Array) -> Array:
-    """Return the pixels of a thing without those on circles that the picture's edge cuts slantwise."""
+    """Return the pixels of an object without those on circles that the picture's edge cuts at an angle."""
     edge = thing[3] > 0.0
     return thing[:3, thing[1] < thing[1, edge].min() - 1.0] if edge.any() else thing[:3]
 
 
 def _measured(theta: Array, radius: Array, level: Array) -> Candidate | None:
-    """Return the candidate of these pixels (k,), None where nothing is left of it or it lies on the axis.
+    """Return the candidate of these pixels (k,), None if no pixel is left or it lies on the axis.
 
     Its middle is their centre of weight, which may lie across pi. A pixel's weight is its level, at most `cap`.
     """

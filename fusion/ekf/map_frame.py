@@ -30,7 +30,7 @@ Triangle = tuple[float, float, float, float, float, float]  # xx, xy, xt, yy, yt
 
 
 class InMap:
-    """A belief with a map frame, as sensors see it that observe the pose in the map (chain rule: State.derive)."""
+    """A belief with a map frame, for sensors that observe the pose in the map (chain rule: State.derive)."""
 
     def __init__(self, belief: Any) -> None:
         self.belief, self.column, self.value = belief, belief.column, belief.value
@@ -40,7 +40,7 @@ class InMap:
         self.variance = partial(belief.variance, in_map=True)
 
     def __getattr__(self, name: str) -> Any:
-        """Return what does not depend on the pose: covariance, block, transform ..."""
+        """Return what does not depend on the pose: covariance, block, transform and others."""
         return getattr(self.belief, name)
 
     @property

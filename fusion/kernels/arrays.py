@@ -25,5 +25,5 @@ def memory(values: Any) -> Any:
 
 
 def view(values: Any, dtype: Any = np.float64) -> Any:
-    """Return an array as it lies in memory: itself where its rows follow each other, else a copy."""
+    """Return an array as contiguous memory: itself if it is contiguous, else a copy."""
     return memoryview(np.require(values, dtype, ["C", "W"]))

@@ -1,4 +1,4 @@
-"""The filter's state with its two hot verbs: predict (paper eq. 5-7) and correct (eq. 10-12), and what they need.
+"""The filter's state with its two inner loops: predict (paper eq. 5-7) and correct (eq. 10-12).
 
 The mean (n,) begins with the pose: x [m], y [m], theta [rad, not wrapped]. P (n, n) is its covariance; both
 halves are kept. The arrays may have room for more states than there are; `fusion.ekf.belief` owns and grows them.
@@ -54,7 +54,7 @@ class Steps:
 
 
 class Track:
-    """Where the pose, its covariance and some states are recorded, one row for each instant."""
+    """The record of the pose, its covariance and some states, one row for each instant."""
 
     def __init__(self, pose: Any, triangle: Any, values: Any, states: Any) -> None:
         """Pose (n, 3), triangle (n, 6), values (n, 2 b): the `states` (b,), then their variances."""
@@ -63,7 +63,7 @@ class Track:
 
 
 class Innovation:
-    """One measurement against the belief: y = z - h(x), judged. Its rows of H and R stand in the state's table.
+    """One measurement against the belief: y = z - h(x) and NIS. Its rows of H and R are in the state's table.
 
     `row` in Measurements.z (-1: something known of states), `verdict` (index into VERDICTS), `landmark` (id of the
     map feature, -1 for none), `nis` y' S^-1 y and `threshold` of the gate, y (d,) and sigma (d,), the square roots
@@ -78,20 +78,20 @@ class Innovation:
 
     @staticmethod
     def unpredicted(row: int, verdict: int, d: int, threshold: float) -> Innovation:
-        """Return the record of a measurement of d numbers that was compared with nothing: all NaN."""
+        """Return the record of a measurement of d numbers without a prediction: all NaN."""
         none = (NAN,) * d
         return Innovation(row, verdict, -1, NAN, threshold, none, none)
 
 
 class Loosening:
-    """States that are to be loosened, and by which variances: the first `count` for which there is room."""
+    """States that gain variance, and how much: the first `count` of the columns."""
 
     def __init__(self, at: Any, by: Any) -> None:
         """State columns at (m,), variances by (m,)."""
         self.at, self.by, self.count = memory(at), memory(by), 0
 
     def add(self, column: int, variance: float) -> None:
-        """Let one more state be loosened."""
+        """Add one state and its variance."""
         self.at[self.count], self.by[self.count] = column, variance
         self.count += 1
 
@@ -116,21 +116,21 @@ class State:
     # ---- the arrays, which fusion.ekf.belief owns ----
 
     def hold(self, mean: Any, P: Any, kept: Any) -> None:
-        """Work on mean (size,), P (size, size); kept (size,) marks states that count but are never corrected."""
+        """Use mean (size,) and P (size, size); kept (size,) marks states that count but are never corrected."""
         self.mean, self.P, self.kept = memory(mean), memory(P), memory(kept)
 
     def hold_rows(self, at: Any, H: Any, count: Any, y: Any, R: Any) -> None:
-        """Have room for m rows: at and H (m, states of a row), count and y (m,), R (m, m)."""
+        """Use these arrays for m rows: at and H (m, states of a row), count and y (m,), R (m, m)."""
         self.row_at, self.row_H, self.row_count = memory(at), memory(H), memory(count)
         self.row_y, self.row_R = memory(y), memory(R)
 
     def hold_room(self, V: Any, S: Any, e: Any, queue: Any, small: Any) -> None:
-        """Have room to work in: V (m + 4, size), S (m, m), e (m,), queue (m,), small (16, 16)."""
+        """Use these arrays as scratch: V (m + 4, size), S (m, m), e (m,), queue (m,), small (16, 16)."""
         self.V, self.S, self.e = memory(V), memory(S), memory(e)
         self.queued_rows, self.small = memory(queue), memory(small)
 
     def drift(self, columns: Any, variances: Any) -> None:
-        """Let the states `columns` (k,) gain these variances (k,) each second."""
+        """Set the states `columns` (k,) that gain these variances (k,) each second."""
         self.drifting = len(columns)
         self.drift_at, self.drift_by = memory(columns), memory(variances)
 
@@ -139,7 +139,7 @@ class State:
         raise NotImplementedError
 
     def not_positive(self, greatest: float) -> None:
-        """Raise where an innovation covariance with this greatest variance came out as none."""
+        """Raise an error: an innovation covariance with this greatest variance is not positive definite."""
         raise NotImplementedError
 
     # ---- predict ----
@@ -201,7 +201,7 @@ class State:
         self, row: int, y: Sequence[float], H: Any, R: Any, threshold: float, columns: Any = (), H_block: Any = (),
         in_map: bool = False,
     ) -> Innovation:  # fmt: skip
-        """Write the rows of a measurement and judge them: S = H P H' + R, NIS = y' S^-1 y.
+        """Write the rows of a measurement and compute S = H P H' + R and NIS = y' S^-1 y.
 
         See fusion.sensor.Belief.compare; `in_map`: H (d, 3) is by the pose in the map, not by the local one.
         """
@@ -235,21 +235,21 @@ class State:
         self.row_count[k] = w
 
     def room_for(self, rows: int, columns: int) -> None:
-        """Make room for so many more rows; none may depend on more states than the table is wide."""
+        """Make room for this many more rows; none may depend on more states than the table has columns."""
         if rows > MAX_NUMBERS or columns + 6 > self.row_H.shape[1]:
             raise ValueError(f"{rows} numbers that depend on {columns} states beside the pose are too many")
         if self.written + rows + 1 > self.row_y.shape[0]:
             self.more_rows(self.written + rows + 1)
 
     def put(self, k: int, w: int, column: int, h: float) -> int:
-        """Let row k depend on a state, its (w + 1)th; return how many these are: a derivative of 0 is none."""
+        """Make row k depend on one more state, its (w + 1)th; return their number. Zeros are left out."""
         if h == 0.0:
             return w
         self.row_at[k, w], self.row_H[k, w] = column, h
         return w + 1
 
     def derive(self, k: int, by_x: float, by_y: float, by_theta: float, in_map: bool) -> int:
-        """Write row k's derivative by the local pose, where it is given by the pose in the map: H_q = H J_q.
+        """Write row k's derivative by the local pose from that by the pose in the map: H_q = H J_q.
 
         Returns how many states it depends on.
         """
@@ -260,7 +260,7 @@ class State:
         return self.put(k, self.put(k, self.put(k, 0, 0, by_x), 1, by_y), 2, by_theta)
 
     def derive_frame(self, k: int, w: int, by_x: float, by_y: float, by_theta: float) -> int:
-        """Write row k's derivative by the map frame, where it is given by the pose in the map: H_G = H J_G."""
+        """Write row k's derivative by the map frame from that by the pose in the map: H_G = H J_G."""
         G = self.frame
         if by_x != 0.0 or by_y != 0.0:  # a heading has no lever
             c, s = cos(self.mean[G + 2]), sin(self.mean[G + 2])
@@ -312,7 +312,7 @@ class State:
         return nis
 
     def sigma_of(self, a: int) -> float:
-        """Return the standard deviation of the number a that was judged last."""
+        """Return the standard deviation of number a of the measurement compared last."""
         variance = self.small[MAX_NUMBERS, a]
         return sqrt(variance) if variance > 0.0 else variance
 
@@ -325,11 +325,11 @@ class State:
     # ---- correct ----
 
     def begin(self) -> None:
-        """Begin the equation of an instant: no rows."""
+        """Start the equation of an instant, without rows."""
         self.written = self.queued = 0
 
     def queue_rows(self, first: int, rows: int) -> None:
-        """Let rows of the table correct the state, behind those that are queued."""
+        """Queue rows of the table as corrections of the state."""
         for k in range(rows):
             self.queued_rows[self.queued + k] = first + k
         self.queued += rows
@@ -396,7 +396,7 @@ class State:
         return True
 
     def correct_queued(self) -> None:
-        """Eq. 10-12 by all queued rows; what is known of the frame's place follows its correction (`turn_frame`).
+        """Eq. 10-12 by all queued rows; the covariance of the frame follows its correction (`turn_frame`).
 
         `frame_x` and `frame_y` say afterwards by how much the frame's place moved [m].
         """
@@ -439,7 +439,7 @@ class State:
             self.mirror(i, i, least)
 
     def correct_some(self, m: int) -> None:
-        """The same by Schmidt: states that are kept count, but neither they nor their covariance change."""
+        """The same for Schmidt-Kalman: considered states count, but neither they nor their covariance change."""
         n = self.n
         for j in range(n):
             for k in range(0 if self.kept[j] else m):
@@ -456,21 +456,21 @@ class State:
             self.mirror(i, 0, least)
 
     def mirror(self, i: int, first: int, least: float) -> None:
-        """Let column i be what row i is from column `first` on, and variance i at least `least`."""
+        """Copy row i to column i from column `first` on, and keep variance i at `least` or more."""
         if self.P[i, i] < least:
             self.P[i, i] = least
         for j in range(first, self.n):
             self.P[j, i] = self.P[i, j]
 
     def fit(self, rows: int) -> float:
-        """Return y' S^-1 y of the first rows that were whitened last, as a whole."""
+        """Return y' S^-1 y of the rows that were whitened last, together."""
         nis = 0.0
         for k in range(rows):
             nis += self.e[k] * self.e[k]
         return nis
 
     def turn_frame(self, dx: float, dy: float) -> None:
-        """Let the uncertainty of the map frame's place follow its correction by (dx, dy) [m].
+        """Let the covariance of the map frame follow its correction by (dx, dy) [m].
 
         A turn of the map about a point of it is what nobody has observed yet, and the frame's place is where that
         turn takes it: with the place moves the direction in which it takes it, rows x, y += (-dy, dx) row Th.
@@ -492,7 +492,7 @@ class State:
     # ---- clone and look ----
 
     def copy_pose(self, column: int, first: int, states: int) -> None:
-        """Let so many states from `column` on be those from `first` on as they are now (stochastic cloning)."""
+        """Copy the states from `first` on into this many states from `column` on (stochastic cloning)."""
         n = self.n
         for i in range(states):
             self.mean[column + i] = self.mean[first + i]
@@ -503,7 +503,7 @@ class State:
                 self.P[i, column + j] = self.P[i, first + j]
 
     def replace(self, columns: Any, values: Any, G: Any) -> None:
-        """Let states (k,) be functions of themselves: x <- values, P <- T P T', T the unit but for G (k, k)."""
+        """Replace states (k,) by functions of states: x <- values, P <- T P T', T the identity plus G (k, k)."""
         k, first = len(columns), self.written
         self.room_for(k, k)  # behind the rows of the equation
         for a in range(k):
@@ -515,7 +515,7 @@ class State:
             self.mean[self.row_at[first, a]] = values[a]
 
     def turn_rows(self, first: int, k: int) -> None:
-        """P <- T P T', where T is the unit but for the k rows of the table from `first` on."""
+        """P <- T P T', T the identity except for the k rows of the table from `first` on."""
         n = self.n
         for i in range(n):
             for a in range(k):
@@ -569,13 +569,13 @@ class State:
         return x, y, self.mean[2] + self.mean[G + 2]
 
     def located(self, in_map: bool = False) -> tuple[Any, Any]:
-        """Return the pose, local or in the map, and its covariance's upper triangle xx, xy, xt, yy, yt, tt."""
+        """Return the pose (local or in the map) and its covariance's upper triangle xx, xy, xt, yy, yt, tt."""
         self.locate(in_map)
         found = [self.small[MAX_NUMBERS + 2, j] for j in range(9)]
         return tuple(found[:3]), tuple(found[3:])
 
     def locate(self, in_map: bool) -> None:
-        """Write pose and covariance triangle, local or seen from the map, where the frame G lies.
+        """Write pose and covariance triangle, local, or in the map if there is a frame G.
 
         p = G o q has the covariance J_q P J_q' + J_q C J_G' + J_G C' J_q' + J_G P_G J_G' + bent r r', where
         C = cov(q, G), with the derivatives of fusion.ekf.map_frame.
@@ -624,7 +624,7 @@ class State:
 
 
 def bent(tt: float) -> float:
-    """Return by how much a heading of variance tt [rad^2] spreads a lever r along r itself, per r^2.
+    """Return how much variance along a lever r a heading variance tt [rad^2] causes, per r^2.
 
     To first order a heading moves the end of a lever across it only. With a Gaussian angle a the end is at cos(a)
     along the lever: E (cos a - 1)^2 = 1 - 2 exp(-tt / 2) + (1 + exp(-2 tt)) / 2. That is 3/4 tt^2 for small

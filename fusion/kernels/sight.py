@@ -1,4 +1,4 @@
-"""A scan against the line map: candidate pairs, association, verdicts, rows of the equation, what the map learns.
+"""A scan against the line map: candidate pairs, association, verdicts, rows of the equation, map updates.
 
 The robot at p = (x, y), theta should see the map line (rho, beta) about the anchor a as (r, psi): psi = beta -
 theta, r = rho - n.(p - a), n = (cos beta, sin beta) (paper eq. 17, 18); or as (-r, psi + pi), whichever is nearer.
@@ -66,13 +66,13 @@ class Walls:
         self.states, self.places = states, len(columns)
 
     def count(self, hits: Any, seen: Any, born: Any, ids: Any) -> None:
-        """Take in how often and when last each was seen, in which scan it was born, and its id."""
+        """Take the counts of every line: how often and when it was last seen, its first scan, and its id."""
         self.hits, self.seen = memory(hits), memory(seen)
         self.born, self.ids = memory(born), memory(ids)
 
 
 class Seat:
-    """The laser's mount as it is configured; which of x, y, yaw are states, and their columns."""
+    """The laser's configured mount; which of x, y, yaw are states, and their columns."""
 
     def __init__(self, configured: Any, which: Any, columns: Any) -> None:
         """Configured (3,) m, m, rad; which and columns (f,)."""
@@ -89,7 +89,7 @@ class Rules:
 
 
 class Doubles:
-    """When a map is tidied: how often and how long after birth a line must be seen, and what may be one wall."""
+    """Limits for tidying a map: how often and when a line must be seen, and which lines may be one wall."""
 
     def __init__(self, hits: int, trial: int, turn: float, offset: float, apart: float) -> None:
         """Scans; rad, m, m."""
@@ -97,7 +97,7 @@ class Doubles:
 
 
 class Audit:
-    """Columns (rows,) of what became of every measurement (fusion.ekf.record)."""
+    """The record of every measurement in columns (rows,) (fusion.ekf.record)."""
 
     def __init__(self, instant: Any, row: Any, verdict: Any, landmark: Any) -> None:
         self.instant, self.row = memory(instant), memory(row)
@@ -120,27 +120,27 @@ class Sight:
     # ---- room ----
 
     def hold_lines(self, rows: Any, match: Any, best: Any, rival: Any, near: Any, order: Any) -> None:
-        """Have room for n lines: rows (n, 7), the others (n,)."""
+        """Use arrays for n lines: rows (n, 7), the others (n,)."""
         self.rows, self.match, self.best = memory(rows), memory(match), memory(best)
         self.rival, self.near, self.order = memory(rival), memory(near), memory(order)
 
     def hold_pairs(self, pairs: Any, walls: Any, seen: Any, mount: Any, place: Any, offset: Any) -> None:
-        """Have room: pairs (n J, PAIR), walls (J, WALL + 2 f), seen (J, 4), mount (6, 3), place, offset (3,)."""
+        """Use arrays for pairs (n J, PAIR), walls (J, WALL + 2 f), seen (J, 4), mount (6, 3) and vectors (3,)."""
         self.pairs, self.wall_rows, self.seen = memory(pairs), memory(walls), memory(seen)
         self.mount, self.place, self.offset = memory(mount), memory(place), memory(offset)
 
     def hold_shares(self, shared: Any, G: Any) -> None:
-        """Have room for unit errors that lines share: shared (n, 2, parts), G (2 n, parts)."""
+        """Use arrays for errors that lines share: shared (n, 2, parts), G (2 n, parts)."""
         self.shared, self.G = memory(shared), memory(G)
 
     def hold_states(self, bent: Loosening) -> None:
-        """Have room for the states of matched lines (2 n,)."""
+        """Use an array for the states of matched lines (2 n,)."""
         self.bent = bent
 
     # ---- a scan ----
 
     def look(self, state: State, walls: Walls, rows: Any, shared: Any) -> float:
-        """Associate measured lines (n, 7), in the base by the mount as configured, with the map.
+        """Associate measured lines (n, 7), in the base by the configured mount, with the map.
 
         shared (n, 2, parts) are unit errors that they share. Returns the share of their length that matches.
         """
@@ -152,7 +152,7 @@ class Sight:
         return self.share()
 
     def put_in_base(self, state: State, rows: Any, shared: Any) -> None:
-        """Put the lines, and what they share, into the base by the mount as the state has it."""
+        """Move the lines, and the errors they share, into the base by the mount in the state."""
         seat, n = self.seat, self.lines
         for j in range(3):
             self.place[j] = seat.configured[j]
@@ -199,7 +199,7 @@ class Sight:
                 row[j, WALL + a], row[j, WALL + free + a] = P[rho, seat.columns[a]], P[beta, seat.columns[a]]
 
     def predict(self, x: float, y: float, theta: float) -> None:
-        """Eq. 17, 18: write what the robot should see of the map lines: r, psi, cos and sin of beta, (J, 4)."""
+        """Eq. 17, 18: write the predicted map lines as seen by the robot: r, psi, cos and sin of beta, (J, 4)."""
         row = self.wall_rows
         for j in range(self.walls.places):
             psi = row[j, BETA] - theta
@@ -211,7 +211,7 @@ class Sight:
                 self.seen[j, 0] = NOWHERE_M
 
     def find_pairs(self, state: State) -> int:
-        """Write the pairs on the right face that are near enough; return how many there are."""
+        """Write the pairs that face the robot and are near enough; return their number."""
         limit = max(self.rules.gate, NEAR_D2)
         max_turn = MAX_PAIR_ANGLE_RAD + PAIR_SIGMAS * sqrt(max(state.P[2, 2], 0.0))
         max_offset = MAX_PAIR_OFFSET_M + PAIR_SIGMAS * sqrt(max(state.P[0, 0] + state.P[1, 1], 0.0))
@@ -237,7 +237,7 @@ class Sight:
         return p
 
     def spread(self, state: State, p: int, i: int, j: int, side: float) -> None:
-        """Write R and S = H P H' + R of a pair, cos, sin, u, and the measured psi as it is predicted."""
+        """Write R and S = H P H' + R of a pair, and cos, sin, u, and the measured psi as predicted."""
         c, s, P, pairs, row = self.seen[j, 2], self.seen[j, 3], state.P, self.pairs, self.wall_rows
         u = (state.mean[0] - row[j, ANCHOR_X]) * s - (state.mean[1] - row[j, ANCHOR_Y]) * c
         r00, r01, r11 = self.rows[i, R00_LINE], side * self.rows[i, R01_LINE], self.rows[i, R11_LINE]
@@ -280,13 +280,13 @@ class Sight:
                     pairs[p, S11] -= turn * variance
 
     def lever(self, a: int, c: float, s: float) -> float:
-        """Return by how much the r of a line depends on free state `a` of the mount; c, s of the line's psi."""
+        """Return the derivative of a line's r by free state `a` of the mount; c, s of the line's psi."""
         if self.seat.which[a] == 2:
             return self.place[0] * s - self.place[1] * c
         return -c if self.seat.which[a] == 0 else -s
 
     def fits(self, p: int, distance: float, limit: float) -> bool:
-        """Write squared distance and score of a pair; tell whether the right face is seen, near enough."""
+        """Write squared distance and score of a pair; return whether the line faces the robot and is near."""
         pairs = self.pairs
         offset, turn = pairs[p, OFFSET], pairs[p, TURN]
         s00, s01, s11 = pairs[p, S00], pairs[p, S01], pairs[p, S11]
@@ -298,7 +298,7 @@ class Sight:
         return d2 <= limit and distance > -FACE_SIGMAS * sqrt(s00)
 
     def extent(self, p: int, i: int, j: int, side: float, x: float, y: float) -> None:
-        """Write where the measured segment lies along the map line [m], and by how much both overlap."""
+        """Write the position of the measured segment along the map line [m], and the overlap of both."""
         pairs, row = self.pairs, self.wall_rows
         begin, end = self.rows[i, BEGIN_LINE], self.rows[i, END_LINE]
         along = (y - row[j, ANCHOR_Y]) * pairs[p, COS] - (x - row[j, ANCHOR_X]) * pairs[p, SIN]
@@ -310,7 +310,7 @@ class Sight:
     # ---- association ----
 
     def associate(self) -> None:
-        """Write for every line the pair that matches and the best one, -1 for none; has it a rival, is it near?
+        """Write every line's matching pair and best pair (-1: none), and whether it has or is near a rival.
 
         A pair matches within the gate where it overlaps enough; another such pair that is worse by less than
         RIVAL_SCORE makes it ambiguous. A line is near a map line that it overlaps within NEAR_D2.
@@ -341,7 +341,7 @@ class Sight:
             self.best[i] = p
 
     def claim(self) -> None:
-        """Let the pair that matches be the best one, and each stretch of a map line be matched once.
+        """Make the matching pair the best one, and match each part of a map line only once.
 
         By their scores, lines claim the stretch of the map line that they match; who comes second is ambiguous.
         """
@@ -368,12 +368,12 @@ class Sight:
                 kept += 1
 
     def overlap(self, p: int, q: int) -> bool:
-        """Tell whether two pairs claim the same stretch of one map line."""
+        """Return whether two pairs use the same part of one map line."""
         common = min(self.pairs[p, END], self.pairs[q, END]) - max(self.pairs[p, BEGIN], self.pairs[q, BEGIN])
         return self.pairs[p, WALL_OF] == self.pairs[q, WALL_OF] and common > COMMON_M
 
     def fits_well(self, p: int, i: int) -> bool:
-        """Tell whether a pair of measured line i may match: by its distance, and by how much both overlap."""
+        """Return whether a pair of measured line i may match: by its distance and the overlap."""
         length = min(self.rows[i, END_LINE] - self.rows[i, BEGIN_LINE], MAX_LENGTH_M)
         return self.pairs[p, D2] <= self.rules.gate and self.pairs[p, OVERLAP] > MIN_OVERLAP_SHARE * length
 
@@ -396,7 +396,7 @@ class Sight:
         return n
 
     def refuse_alone(self) -> None:
-        """Let a scan's only match be none where others failed to match and it does not fit nearly perfectly."""
+        """Reject a scan's only match if other lines failed to match and it does not fit nearly perfectly."""
         alone = -1
         for i in range(self.lines):
             if self.match[i] >= 0:
@@ -415,7 +415,7 @@ class Sight:
         return self.match[i] >= 0
 
     def is_new(self, i: int) -> bool:
-        """Tell whether line i matches nothing and is near nothing that is known."""
+        """Return whether line i matches nothing and is near no known line."""
         return self.match[i] < 0 and not self.near[i]
 
     # ---- what it says ----
@@ -460,7 +460,7 @@ class Sight:
         state.written = b + 1
 
     def share_noise(self, state: State, i: int, p: int, a: int) -> None:
-        """Add to R between line i, the rows a and a + 1 of this scan, and those before what their errors share.
+        """Add the covariance of shared errors to R, between line i (rows a, a + 1) and earlier lines of the scan.
 
         A line that is read as (-r, psi + pi) shares the r of the other sign.
         """
@@ -474,7 +474,7 @@ class Sight:
                     state.row_R[first + m, first + j] += self.G[m, k] * self.G[j, k]
 
     def write(self, out: Audit, at: int, instant: int, row: int) -> None:
-        """Write what became of every line, the first of which is `row` of the measurements, from `at` on."""
+        """Write the verdict on every line from `at` on; `row` is the first line's row of the measurements."""
         rules, nan = self.rules, float("nan")
         for i in range(self.lines):
             k, p = at + i, self.best[i]
@@ -493,7 +493,7 @@ class Sight:
     # ---- what the map learns ----
 
     def extend(self, scan: int) -> None:
-        """Let matched map lines reach as far as the measured ones, and count them as seen in this scan."""
+        """Extend matched map lines to the ends of the measured ones, and count them as seen in this scan."""
         walls = self.walls
         for i in range(self.lines):
             p = self.match[i]
@@ -513,7 +513,7 @@ class Sight:
         return n
 
     def bends(self, state: State, uneven: float, uneven_angle: float, most: float, most_angle: float) -> None:
-        """Write into `bent` by what variance the states of the lines that were seen bend, `most` of each.
+        """Write into `bent` the variance to add to the states of the lines that were seen, `most` of each.
 
         A wall stays within its unevenness [m^2, rad^2], so a line that is known no better is left alone.
         """
@@ -533,7 +533,7 @@ class Sight:
 
 
 def lacks(state: State, walls: Walls, floor: float, floor_angle: float, missing: Loosening) -> None:
-    """Write which states of the map vary by less than the floor [m^2, rad^2], and by how much.
+    """Write which states of the map have less variance than the floor [m^2, rad^2], and how much less.
 
     First all offsets, then all angles: room for (2 J,).
     """
@@ -547,7 +547,7 @@ def lacks(state: State, walls: Walls, floor: float, floor_angle: float, missing:
 
 
 def untidy(state: State, walls: Walls, doubles: Doubles, scan: int, rows: Any, found: Any) -> bool:
-    """Tell whether a line proved worthless by now, or one that was seen lately may be one wall with another.
+    """Return whether a line was seen too rarely, or a line seen lately may be one wall with another.
 
     rows (J, 4) and found (J,) are room to work in.
     """
@@ -563,12 +563,12 @@ def untidy(state: State, walls: Walls, doubles: Doubles, scan: int, rows: Any, f
 
 
 def worthless(walls: Walls, j: int, scan: int, doubles: Doubles) -> bool:
-    """Tell whether line j was seen too rarely in the scans of its trial, which is over."""
+    """Return whether line j was seen too rarely in its trial scans, which are over."""
     return walls.hits[j] < doubles.hits and scan - walls.born[j] > doubles.trial and walls.born[j] > 0
 
 
 def one_wall(rows: Any, walls: Walls, i: int, j: int, doubles: Doubles) -> bool:
-    """Tell whether lines i and j of rows (J, 4 or more: rho, beta, anchor) may be one wall by where they lie."""
+    """Return whether lines i and j of rows (J, 4 or more: rho, beta, anchor) may be one wall by position."""
     turn = rows[j, BETA] - rows[i, BETA]
     if i == j or turn - turn != 0.0 or not abs(wrapped(turn)) < doubles.turn:  # Inf or NaN: there is no such line
         return False
@@ -582,7 +582,7 @@ def one_wall(rows: Any, walls: Walls, i: int, j: int, doubles: Doubles) -> bool:
 
 
 def neighbours(rows: Any, walls: Walls, i: int, doubles: Doubles, found: Any) -> int:
-    """Write which lines line i may be one wall with, found (J,); return how many these are."""
+    """Write the lines that may be one wall with line i, found (J,); return their number."""
     n = 0
     for j in range(walls.places):
         if one_wall(rows, walls, i, j, doubles):

@@ -85,18 +85,18 @@ class RangesSettings(PointsSettings, frozen=True, forbid_unknown_fields=True, kw
     sigma_offset: float = 0.2  # m: what an estimated offset may be at the start
 
     def __post_init__(self) -> None:
-        """Refuse an estimated offset that may not be anything."""
+        """Refuse an estimated offset whose sigma is 0."""
         super().__post_init__()
         if self.sigma_offset <= 0.0:
             raise ValueError(f"sigma_offset = {self.sigma_offset}: it must be positive")
 
     @property
     def searched_sigmas(self) -> tuple[float, float]:
-        """Standard deviations of a range and of the offset [m] while a start or a place is looked for."""
+        """Standard deviations of a range and of the offset [m] during the search for a start or a place."""
         return self.sigma, EXACT_M if self.offset is not None else self.sigma_offset
 
     def detector(self, rel: Array) -> Array:
-        """Return the places (n, 2) [m] of the antenna of a robot at poses (n, 3)."""
+        """Return the antenna's places (n, 2) [m] on a robot at poses (n, 3)."""
         return se2.compose(rel, np.array([self.x, self.y, 0.0]))[:, :2]
 
 
@@ -121,7 +121,7 @@ class Ranges(Sensor):
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {RANGES: ("id", "range")}
 
     def mount(self, settings: RangesSettings) -> tuple[float, float, float]:
-        """Return where the antenna sits on the base: x [m], y [m], and no yaw."""
+        """Return the antenna's mount on the base: x [m], y [m], and no yaw."""
         return settings.x, settings.y, 0.0
 
     def measure(
@@ -165,7 +165,7 @@ class Ranges(Sensor):
         )
 
     def start(self, m: Measurements, settings: RangesSettings, wheels: WheelMotion) -> FoundStart | None:
-        """Return the start of the drive among known anchors. Raises LocfuseError where it is ambiguous."""
+        """Return the start of the drive by known anchors. Raises LocfuseError if it is ambiguous."""
         if settings.grows or not len(m.z):
             return None
         places, t = settings.places, np.repeat(m.t, np.diff(m.first))
@@ -185,14 +185,14 @@ class Ranges(Sensor):
         return FoundStart(pose, max(float(sigma[:2].max()), MIN_SPREAD_M), float(sigma[2]))
 
     def model(self, settings: RangesSettings) -> Model:
-        """Return the ranges' side of a new run."""
+        """Return the ranges' model for a new run."""
         return GrowingRanges(settings) if settings.grows else RangesModel(settings)
 
 
 def _places_of(
     t: Array, ids: Ints, z: Array, keep: Any, settings: RangesSettings, wheels: WheelMotion
 ) -> tuple[Array, list[str]]:
-    """Return where the anchor of every range (n,) stands, seen from the robot then: ahead, left, sigma (n, 3) [m].
+    """Return the anchor's place for every range (n,), relative to the robot then: ahead, left, sigma (n, 3) [m].
 
     NaN, and a note, where this drive does not show the place.
     """
@@ -222,7 +222,7 @@ class RangesModel(PointsModel):
         self.prior = settings.sigma_offset
 
     def blocks(self) -> list[Block]:
-        """Return the ranges' offset, where it is not given."""
+        """Return the ranges' offset, if it is not given."""
         if self.given is not None:
             return []
         return [Block(OFFSET, np.zeros(1), np.array([[self.prior**2]]), np.zeros(1))]
@@ -230,7 +230,7 @@ class RangesModel(PointsModel):
     def compared(
         self, m: Measurements, row: int, anchor: int, place: Point, at: tuple[int, ...], belief: Any
     ) -> Innovation | None:
-        """Compare one range with an anchor's place, whose state columns are `at` where it is a state."""
+        """Compare one range with an anchor's place, whose state columns are `at` if it is a state."""
         predicted = predict(belief.pose(), place, self.mount)
         if predicted is None:
             return None
@@ -252,14 +252,14 @@ class RangesModel(PointsModel):
 
 
 class GrowingRanges(GrowingPoints, RangesModel):
-    """The same with places that are states, in the local frame."""
+    """The same with anchors as states, in the local frame."""
 
     def __init__(self, settings: RangesSettings) -> None:
         RangesModel.__init__(self, settings)
         GrowingPoints.__init__(self, settings.what, settings.table, self.threshold)
 
     def append(self, m: Measurements, row: int, belief: Any) -> int:
-        """Append the place a = p + R(theta) g, g where the wheels saw it from the robot."""
+        """Append the place a = p + R(theta) g, with g the anchor's place relative to the robot by the wheels."""
         ahead, left, sigma = (m.plain[name][row] for name in (AHEAD, LEFT, SPREAD))
         x, y = detector_at(belief.pose(), (ahead, left, 0.0))
         G = np.array([[1.0, 0.0, belief.y - y], [0.0, 1.0, x - belief.x]])
@@ -267,5 +267,5 @@ class GrowingRanges(GrowingPoints, RangesModel):
         return column
 
     def notes(self, belief: Any) -> list[str]:
-        """Say what the map holds."""
+        """Return notes: how many anchors the map has."""
         return self.map_notes("are the ranges in m?")

@@ -39,7 +39,7 @@ class Wheels(msgspec.Struct, frozen=True):
 
     @classmethod
     def from_wheels(cls, t: Array, left: Array, right: Array, track: float, noise: float) -> Wheels:
-        """Build from the distances that either wheel has rolled since the start, (n,) m."""
+        """Build from the distances rolled by either wheel since the start, (n,) m."""
         rolled = np.column_stack((np.diff(left), np.diff(right)))
         ds, turn = body_increments(rolled[:, 0], rolled[:, 1], track)
         twist = np.column_stack((ds, np.zeros_like(ds), turn))
@@ -47,7 +47,7 @@ class Wheels(msgspec.Struct, frozen=True):
 
     @classmethod
     def from_twists(cls, t: Array, twist: Array, track: float, noise: float) -> Wheels:
-        """Build from body twists (n-1, 3) between the times t (n,): they are known over a silence too.
+        """Build from body twists (n-1, 3) between the times t (n,), which are known during a gap too.
 
         A base that drives sideways (mecanum, legs) is taken for one whose wheels point the way it goes.
         """
@@ -63,7 +63,7 @@ class Wheels(msgspec.Struct, frozen=True):
 
     @property
     def stands(self) -> bool:
-        """Whether the robot stays where it is for the whole log."""
+        """Whether the robot does not move in the whole log."""
         x, y, theta = (float(np.ptp(column)) for column in self.pose.T)
         return max(x, y) <= STANDS_M and theta <= STANDS_RAD
 
@@ -83,7 +83,7 @@ class Wheels(msgspec.Struct, frozen=True):
         )
 
     def at(self, t: Array) -> tuple[Ints, Array, Array]:
-        """Return for each time the wheel interval, the share of it that has passed, and the dead-reckoned pose.
+        """Return for each time the wheel interval, its share that has passed, and the dead-reckoned pose.
 
         Up to one interval beyond either end is extrapolated: the last beams of a scan may need it.
         """
@@ -92,7 +92,7 @@ class Wheels(msgspec.Struct, frozen=True):
         return k, share, se2.compose(self.pose[k], se2.exp(share[..., None] * self.twist[k]))
 
     def relative(self, t_from: Array, t_to: Array) -> Array:
-        """Return the poses (..., 3) at t_to seen from those at t_from."""
+        """Return the poses (..., 3) at t_to relative to those at t_from."""
         return se2.between(self.at(t_from)[2], self.at(t_to)[2])
 
     def heading(self, t: Array) -> Array:
@@ -100,12 +100,12 @@ class Wheels(msgspec.Struct, frozen=True):
         return np.interp(t, self.t, self.pose[:, 2])
 
     def driven(self, t: Array) -> Array:
-        """Return the way (...) [m, never falling] that the faster wheel has rolled by times t (...) [s]."""
+        """Return the distance (...) [m, never decreasing] of the faster wheel until times t (...) [s]."""
         steps = np.abs(self.rolled).max(axis=1)
         return np.interp(t, self.t, np.concatenate(([0.0], np.cumsum(steps))))
 
     def slips(self, t: Array) -> Array:
-        """Return the variances (..., k - 1, 2) [m^2] of what either wheel rolled between times t (..., k) [s]."""
+        """Return the variances (..., k - 1, 2) [m^2] of either wheel's distance between times t (..., k) [s]."""
         if self.matched is None:
             steps = self.noise * np.abs(self.rolled)
         else:  # of wheels that would leave the turn as uncertain as matching the scans does

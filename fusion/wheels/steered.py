@@ -1,4 +1,4 @@
-"""What is steered: a car's motor beside its steering, and a tricycle by the encoders of its front wheel.
+"""Steered wheels: a car's motor and its steering, and the encoders of a tricycle's front wheel.
 
 The VESC, a car's motor controller, counts electrical revolutions per minute (erpm). With those of 1 m/s, which
 its driver calls speed_to_erpm_gain, they are a speed v; the front wheels' angle d turns the car by

@@ -97,6 +97,12 @@ def whole_file(path: Path) -> Iterator[Path]:
             _remove(temporary)
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write a text in UTF-8 as a whole file."""
+    with whole_file(path) as temporary:
+        temporary.write_bytes(text.encode("utf-8"))
+
+
 def _write_all(folder: Path, files: Mapping[str, Content]) -> None:
     temporary = {name: _temporary(folder / name) for name in files}
     try:

@@ -18,8 +18,7 @@ from scipy import stats
 from benchmarks.fleet import simulated_files, simulated_report
 from locfuse.cli.analysis.gates import FleetGates
 from locfuse.cli.analysis.settings import GateOptions
-from locfuse.cli.session.replicates import mean_over
-from locfuse.cli.session.summary import summarised
+from locfuse.cli.session.summary import mean_over, summarised
 from locfuse.formats.fleet.entry import Entry, slim
 from locfuse.formats.fleet.files import KINDS, Rows, csv, summary_files
 from locfuse.formats.report import summary as over

@@ -108,6 +108,5 @@ def kernels(logs: Logs) -> list[Kernel]:
             module("kernels", "ekf_lines", logs.minute),
         ),
         Kernel("lines of a 361-beam scan / small_gicp ICP", 0.025, module("kernels", "lines", logs.minute)),
-        Kernel("the same / recursive split-and-merge", 0.30, module("kernels", "lines_recursive", logs.minute)),
         Kernel("omni bearing, decoding included / imdecode", 0.90, module("kernels", "omni", logs.minute)),
     ]

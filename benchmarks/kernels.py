@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks import textbook_lines
 from locfuse.cli.analysis.load import load
 from locfuse.cli.analysis.memory import settle_heap
 from locfuse.cli.analysis.settings import LogOptions
@@ -147,15 +146,6 @@ def lines(path: Path) -> tuple[Work, Work]:
     return (lambda: len(extract_lines(matrix, angles).first) - 1), (lambda: icp(matrix, angles))
 
 
-def recursion(path: Path) -> tuple[Work, Work]:
-    """Lines of a scan against recursive split-and-merge, scan by scan, in NumPy."""
-    matrix, angles = scans(path)
-    return (
-        lambda: len(extract_lines(matrix, angles).first) - 1,
-        lambda: sum(1 for scan in matrix[:64] if textbook_lines.extract(scan, angles) is not None),
-    )
-
-
 def omni(path: Path) -> tuple[Work, Work]:
     """Bearing of the landmark, decoding included, against decoding alone."""
     import cv2
@@ -177,7 +167,6 @@ KERNELS: dict[str, Callable[[Path], tuple[Work, Work]]] = {
     "ekf_heading": headings,
     "ekf_lines": six_lines,
     "lines": lines,
-    "lines_recursive": recursion,
     "omni": omni,
 }
 

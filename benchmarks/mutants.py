@@ -40,10 +40,8 @@ fusion/kernels/angles: kernels/line_fits kernels/sight
 fusion/kernels/ekf: kernels/state ekf fusion/fuse
 fusion/kernels/line_fits: kernels/line_fits kernels/curves lines/lines
 fusion/kernels/places: map/places
-fusion/kernels/red: kernels/red camera/camera
 fusion/kernels/segments: kernels/segments lines/lines
 fusion/kernels/sight: kernels/sight map/prediction map/map_keeping sensors/lrf
-fusion/kernels/wheels: kernels/wheel_intervals wheels/motion
 fusion/wheels/motion: wheels/motion wheels/wheel_states
 fusion/wheels/repairs: wheels/rollover wheels/wheels
 fusion/sensors/compass: sensors/compass sensors/contract sensors/level

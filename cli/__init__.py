@@ -1,1 +1,1 @@
-"""Words the user types: one file per command; the one place that prints, and the one error border."""
+"""The command line: one file per command; the only place that prints, and turns errors into exit codes."""

@@ -1,4 +1,4 @@
-"""The entry: commands that are imported on use, and the one place where errors become exit codes.
+"""The entry point: commands are imported on use, and errors become exit codes in this one place.
 
 `locfuse --help` must not import NumPy, OpenCV or Rerun (benchmarks: "--help"), so a command's module is imported
 when the command is used.
@@ -60,7 +60,7 @@ class LazyGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the command that was typed; one that does not exist is an error that names the nearest."""
+        """Find the command that was typed; for an unknown one, raise an error with the most similar name."""
         from locfuse.formats.nearest import nearest
 
         if args and not args[0].startswith("-") and args[0] not in COMMANDS:
@@ -76,7 +76,7 @@ class LazyGroup(click.Group):
 
 
 def _say_version(ctx: click.Context, _option: click.Parameter, asked: bool) -> None:
-    """Print the version, and whether the kernels are compiled: the others are as exact, and slower."""
+    """Print the version, and whether the kernels are compiled: others are as exact, but slower."""
     if not asked or ctx.resilient_parsing:
         return
     from locfuse.formats.versions import own
@@ -105,7 +105,7 @@ def locfuse() -> None:
 
 
 def main(arguments: list[str] | None = None) -> NoReturn:
-    """Run the command line and exit with the code that design promises (0, 1, 2, 3, 4, 130, 143)."""
+    """Run the command line and exit with one of the documented codes (0, 1, 2, 3, 4, 130, 143)."""
     settle_streams()
     signal.signal(signal.SIGTERM, _terminate)
     on_interrupt = signal.getsignal(signal.SIGINT)
@@ -144,7 +144,7 @@ def _stopped(by: BaseException) -> int:
 
 
 def _misused(e: click.ClickException) -> int:
-    """Print in one line what is wrong with the command line and where it is explained; without words the help."""
+    """Print in one line the error of the command line and where to read more; without arguments, the help."""
     if isinstance(e, getattr(click.exceptions, "NoArgsIsHelpError", ())):  # click 8.1 shows it by itself
         e.show()
         return 2
@@ -154,7 +154,7 @@ def _misused(e: click.ClickException) -> int:
 
 
 def _expected(e: Exception) -> int:
-    """Turn our own errors and the operating system's into one line; let bugs be seen."""
+    """Print our own errors and the operating system's in one line; bugs keep their traceback."""
     known = expected(e)
     if known is None:
         raise e
@@ -167,11 +167,11 @@ def _say(text: str, code: int) -> int:
 
 
 class _Interrupted(BaseException):
-    """SIGINT arrived."""
+    """SIGINT was received."""
 
 
 class _Terminated(BaseException):
-    """SIGTERM arrived."""
+    """SIGTERM was received."""
 
 
 def _terminate(number: int, frame: FrameType | None) -> Any:

@@ -88,7 +88,7 @@ class Growing:
             self._values.add(piece)
 
     def column(self) -> Column | None:
-        """Return what was added, None for nothing."""
+        """Return the whole column, None if nothing was added."""
         if self._kind is None:
             return None
         if self._kind is list:
@@ -102,7 +102,7 @@ class Growing:
 
 
 class _Array:
-    """An array with room for more."""
+    """An array with spare rows."""
 
     def __init__(self, capacity: int) -> None:
         self.used = 0

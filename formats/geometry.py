@@ -1,4 +1,4 @@
-"""Plane geometry of what is drawn: poses, ellipses, walls with their uncertainty. NumPy only."""
+"""Plane geometry for figures: poses, ellipses, walls with their uncertainty. NumPy only."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def to_map(pose: Array, points: Array) -> Array:
 
 
 def mounted(pose: Array, mount: tuple[float, float, float]) -> Array:
-    """Return the poses (n, 3) in the map of a sensor that sits at `mount` on the robot at `pose` (n, 3)."""
+    """Return the poses (n, 3) in the map of a sensor with a `mount` on the robot at `pose` (n, 3)."""
     at = to_map(pose, np.broadcast_to(np.array(mount[:2]), (len(pose), 2)))
     return np.column_stack((at, pose[:, 2] + mount[2]))
 
@@ -44,7 +44,7 @@ def quaternions(angle: Array) -> Array:
 
 
 def headings(x: Array, y: Array, z: Array, w: Array) -> Array:
-    """Return the headings (n,) [rad] of quaternions of any length, by their parts (n,): `quaternions` undone."""
+    """Return the headings (n,) [rad] of quaternions of any length, by their parts (n,)."""
     return np.asarray(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z), np.float64)
 
 
@@ -64,7 +64,7 @@ def wall(line: MapLine) -> Array:
 
 
 def wall_band(line: MapLine, points: int = 9) -> Array:
-    """Return the outline (2 points + 1, 2) of where the wall is within 3 sigma, first point repeated.
+    """Return the outline (2 points + 1, 2) of the wall's 3-sigma area, first point repeated.
 
     At t along the tangent the wall is off by drho - t dbeta, so the band is narrowest near the middle of what
     was seen and opens towards the ends.

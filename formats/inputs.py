@@ -1,4 +1,4 @@
-"""Input files: only regular files are read, changes while reading are noticed, and no output overwrites one."""
+"""Input files: only regular files are read, changes during reading are detected, and no output overwrites one."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from .caps import names_its_cap
 
 
 class FileIdentity(NamedTuple):
-    """Which file a path led to, and in which state it was."""
+    """The file behind a path, and its state at that time."""
 
     device: int
     inode: int
@@ -26,7 +26,7 @@ class FileIdentity(NamedTuple):
 
     @property
     def file(self) -> tuple[int, int]:
-        """What stays the same while a file is written to."""
+        """The part that does not change while a file is written to."""
         return self.device, self.inode
 
 
@@ -35,7 +35,7 @@ DESTROYS = "it is the input: to write there would destroy it; choose another nam
 
 
 def identity(path: Path) -> FileIdentity:
-    """Return what a path leads to. Raises LocfuseError unless it is a regular file: a pipe would never end."""
+    """Return the file behind a path. Raises LocfuseError unless it is a regular file: a pipe would never end."""
     try:
         found = path.stat()
     except OSError as problem:
@@ -46,17 +46,17 @@ def identity(path: Path) -> FileIdentity:
 
 
 def identity_of_open(handle: int) -> FileIdentity:
-    """Return which file a descriptor reads."""
+    """Return the file behind a descriptor."""
     return _of(os.fstat(handle))
 
 
 def hold(reader: object, file: FileIdentity) -> None:
-    """Keep a file from being written as long as its `reader` lives."""
+    """Protect a file from being overwritten while its `reader` exists."""
     _HELD[reader] = file.file
 
 
 def refuse_to_write(path: Path) -> None:
-    """Raise LocfuseError where `path` is a file that is being read, or a device: to write it would destroy it."""
+    """Raise LocfuseError if `path` is a file that is being read, or a device: writing would destroy it."""
     try:
         found = path.stat()
     except OSError:
@@ -68,7 +68,7 @@ def refuse_to_write(path: Path) -> None:
 
 
 def is_among(path: Path, given: Iterable[Path]) -> bool:
-    """Tell whether `path` is one of the files given, or of those in a folder given."""
+    """Return whether `path` is one of the files given, or in a folder given."""
     if not path.exists():
         return False
     files = (file for one in given for file in (one.iterdir() if one.is_dir() else (one,)))

@@ -1,4 +1,4 @@
-"""Fewer points that look the same: a curve keeps the least and the greatest value of every bucket.
+"""Thinning without visible change: a curve keeps the least and the greatest value of every interval.
 
 A screen is about 2000 pixels wide, so a curve of 4000 extremes draws the same picture as one of 10^6 points,
 spikes included; every n-th point would lose the spikes, which are what one looks for.
@@ -15,7 +15,7 @@ MAX_SCANS = 2000
 
 
 def evenly(n: int, limit: int) -> Ints:
-    """Return at most `limit` positions of n, evenly spaced, both ends among them."""
+    """Return at most `limit` positions of n, evenly spaced, with both ends."""
     if n <= limit:
         return np.arange(n)
     return np.unique(np.rint(np.linspace(0, n - 1, limit)).astype(np.int64))

@@ -1,4 +1,4 @@
-r"""Text of a log made visible: the one place through which it passes before a terminal, a .md or a .html.
+r"""Escaping of text from a log: all of it passes here before a terminal, a .md or a .html.
 
 Whoever names a topic or a frame can else set the title of a window, clear the screen, or write over a line. What
 acts on the thing that shows it stands for itself instead, as \x1b or \u202e.
@@ -18,22 +18,22 @@ HALF = re.compile(rf"[{_HALF}]")
 
 
 def visible(text: str) -> str:
-    """Return one line of text that does nothing but stand there; of text that did so already, the same."""
+    """Return one line of text without control characters; escaped text is unchanged."""
     return text if text.isascii() and text.isprintable() else UNSEEN.sub(_shown, text)
 
 
 def visible_lines(text: str) -> str:
-    """Return many lines, the ends of which are ours."""
+    """Return several lines escaped, with our own line ends."""
     return "\n".join(visible(line) for line in text.split("\n"))
 
 
 def writable(text: str) -> str:
-    r"""Return text that UTF-8 can write: a byte of a file's name that is no UTF-8 becomes \udcff in letters."""
+    r"""Return text that UTF-8 can encode: an invalid byte of a file name becomes an escape in letters."""
     return text if text.isascii() else HALF.sub(_shown, text)
 
 
 def escaped(text: str) -> str:
-    """Return JSON or TOML with the same values in which no character acts on a terminal."""
+    """Return JSON or TOML with the same values, without characters that act on a terminal."""
     return text if text.isascii() and "\x7f" not in text else UNSEEN_IN_JSON.sub(_unicode, text)
 
 

@@ -24,7 +24,7 @@ END_OF_TIME = 2**62  # ns: no time beyond it is believed, and two within it diff
 
 
 class LocfuseError(Exception):
-    """What a file says is unusable: one line with what, where, the numbers, and what to try next.
+    """A file or a setting cannot be used: one line with what, where, the numbers, and what to try next.
 
     `str()` is the whole line, "role: message hint". Whoever needs a part of it finds it here as a value.
     """
@@ -41,7 +41,7 @@ class LocfuseError(Exception):
 
     @property
     def sentence(self) -> str:
-        """Message and hint, for a place that names the role itself."""
+        """Message and hint, for a place that already names the role."""
         return f"{self.message} {self.hint}" if self.hint else self.message
 
     @property
@@ -90,7 +90,7 @@ Block = tuple[Ints, dict[str, Column]]
 
 
 class Stream(Protocol):
-    """One topic of a log: its clock is settled, its fields are delivered as columns on request.
+    """One topic of a log, with repaired times; its fields come as columns on request.
 
     Row order is the log's order (log time, topic, sequence) and `t_ns` never decreases.
     """
@@ -109,11 +109,11 @@ class Stream(Protocol):
 
     @property
     def t_ns(self) -> Ints:
-        """When the readings were taken, (n,), never decreasing."""
+        """The times of the readings, (n,) ns, never decreasing."""
 
     @property
     def dropped(self) -> Mapping[str, int]:
-        """Messages of this topic that are not among the rows, by reason."""
+        """Messages of this topic that gave no row, by reason."""
 
     def columns(self, *fields: str) -> dict[str, Column]:
         """Return whole columns by dotted field path ("magnetic_field.x"), each with n rows."""
@@ -142,7 +142,7 @@ class ArrayStream(msgspec.Struct, frozen=True):
 
 
 class Points(Protocol):
-    """What a laser saw as points, read from the log again on request: an hour of points is too big for memory."""
+    """The points of a laser, read from the log again on request: an hour of points is too big for memory."""
 
     @property
     def origin(self) -> tuple[float, float]:
@@ -152,10 +152,10 @@ class Points(Protocol):
         """Return the points of the readings at these positions."""
 
     def moved(self, t_from: Array, t_to: Array) -> Array:
-        """Return by the wheels the poses (n, 3) at t_to seen from those at t_from, (n,) s each."""
+        """Return the poses (n, 3) at t_to relative to those at t_from, (n,) s each, by the wheels."""
 
     def read(self, readings: Ints) -> list[Array]:
-        """Return of each reading the points (k, 2) [m] in the base frame, in the order of the beams."""
+        """Return the points (k, 2) [m] of each reading in the base frame, in the order of the beams."""
 
 
 class Measurements(msgspec.Struct, frozen=True, dict=True):
@@ -186,7 +186,7 @@ class Measurements(msgspec.Struct, frozen=True, dict=True):
         return self.covariances(slice(None))
 
     def covariances(self, rows: slice | Ints) -> Array:
-        """Return the covariances (k, d, d) of some rows: those of an hour need not be held all at once."""
+        """Return the covariances (k, d, d) of some rows, so that those of an hour are not all in memory."""
         R: Array = self.scale**2 * self.R_unit[rows] + self.floor
         if "shared" in self.extra:
             G = self.extra["shared"][rows]
@@ -277,7 +277,7 @@ class Drive(msgspec.Struct, frozen=True):
     )  # absent sensor -> settings that may bring it in
 
     def lacks(self, sensor: str) -> LocfuseError:
-        """Return the error that says why there is nothing of a sensor, for raising."""
+        """Return the error to raise if the drive has no measurements of a sensor."""
         why = self.absent.get(sensor, "not in this log")
         return LocfuseError(why, role=sensor, fixes=self.fixes.get(sensor, ()))
 
@@ -287,7 +287,7 @@ VERDICTS = ("accepted", "gate", "ambiguous", "unmatched", "new", "disturbed", "l
 
 
 class Audit(msgspec.Struct, frozen=True):
-    """Every measurement of one sensor in one run: what was predicted, how far off it was, what became of it."""
+    """Every measurement of one sensor in one run: its prediction, its innovation, and its verdict."""
 
     instant: Counts  # (k,)
     row: Counts  # (k,) row in Measurements.z
@@ -322,7 +322,7 @@ class Event(NamedTuple):
 
 
 class Component(NamedTuple):
-    """One number of a measurement or of a state, as people read it."""
+    """One number of a measurement or of a state, with its name and unit."""
 
     name: str
     unit: str  # "m", "deg", "deg/s", "%"; "" for none
@@ -335,7 +335,7 @@ class Component(NamedTuple):
 
     @property
     def sign(self) -> str:
-        """The unit as it is typeset beside a number: ° for deg."""
+        """The unit as printed behind a number: ° for deg."""
         return self.unit.replace("deg", "°")
 
 
@@ -359,7 +359,7 @@ class MapLine(msgspec.Struct, frozen=True):
 
     @property
     def P_map(self) -> Array:
-        """Covariance (2, 2) of (rho, beta) in the map, all uncertainty counted: how well its place is known.
+        """Covariance (2, 2) of (rho, beta) in the map, with the uncertainty of the map frame.
 
         A map that is given to another run needs P instead: one and the same frame error of all its walls would be
         taken for as many independent ones.
@@ -368,7 +368,7 @@ class MapLine(msgspec.Struct, frozen=True):
 
 
 class SeenAgain(NamedTuple):
-    """A place that was recognised."""
+    """A place that was recognised, and the relative pose found there."""
 
     then: float  # s: when it was seen before
     now: float  # s: when it was recognised
@@ -379,7 +379,7 @@ SLIP, RELOCALISED, LOOP_TAKEN = "slip", "relocalised", "loop"  # kinds of jumps
 
 
 class Jump(NamedTuple):
-    """A correction of the pose that is no motion: a slip undone, a lost robot found again, a loop closed."""
+    """A correction of the pose that is no motion: a corrected slip, a relocalisation, or a closed loop."""
 
     t: float  # s
     kind: str  # SLIP, RELOCALISED or LOOP_TAKEN
@@ -413,12 +413,12 @@ class Estimates(msgspec.Struct, frozen=True):
 
     @property
     def name(self) -> str:
-        """What tells this result from all others of the drive: the configuration, perhaps with "-smoothed"."""
+        """The unique name of this result in its drive: the configuration, perhaps with "-smoothed"."""
         return result_name(self.configuration, self.smoothed)
 
     @property
     def slips(self) -> int:
-        """How many slips of a wheel were found and turned back."""
+        """How many wheel slips were detected and corrected."""
         return sum(jump.kind == SLIP for jump in self.jumps)
 
     @property
@@ -428,7 +428,7 @@ class Estimates(msgspec.Struct, frozen=True):
 
 
 def plausible(values: Array) -> NDArray[np.bool_]:
-    """Return where values (any shape; m, rad or degrees) are numbers whose squares can be computed with."""
+    """Return where values (any shape; m, rad or degrees) are finite and their squares do not overflow."""
     small: NDArray[np.bool_] = np.abs(values) < MAX_MAGNITUDE  # so is no NaN
     return small
 
@@ -453,7 +453,7 @@ def upper_triangles(P: Array) -> Array:
 
 
 class SensorFigures(msgspec.Struct, frozen=True):
-    """What became of one sensor's measurements in one configuration."""
+    """Counts and figures of one sensor's measurements in one configuration."""
 
     accepted: int
     rejected: int
@@ -494,6 +494,6 @@ class Evaluation(msgspec.Struct, frozen=True):
 
     @property
     def lost_share(self) -> float:
-        """The share of the drive for which the filter said that it was lost."""
+        """The share of the drive for which the filter reported that it was lost."""
         duration = self.figures.get("duration_s") or 0.0
         return min(1.0, sum(b - a for a, b in self.lost) / duration) if duration > 0.0 else 0.0

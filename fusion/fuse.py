@@ -12,10 +12,10 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.fusion.ekf.belief_arrays import InMap, JointBelief
+from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.equations import predicted
 from locfuse.fusion.ekf.events import Before, Events
-from locfuse.fusion.ekf.map_frame import Pose, Triangle
+from locfuse.fusion.ekf.map_frame import InMap, Pose, Triangle
 from locfuse.fusion.ekf.record import FIRST_CAPACITY, Record, Track
 from locfuse.fusion.ekf.robust import inflate
 from locfuse.fusion.kernels.ekf import Innovation, Steps
@@ -87,7 +87,7 @@ class Filter:
         instants: int = FIRST_CAPACITY,
         events: Events | None = None,
     ) -> None:
-        """`rows`: how many measurements of each sensor will come, where that is known; `instants` likewise."""
+        """`rows`: the number of measurements of each sensor, if known; `instants` likewise."""
         self._sensors = tuple(s for s in REGISTRY if s in sensors)
         self._wheels = robot.wheels
         self._inflates = {s for s in REGISTRY if s in sensors and robot.settings(s).outliers == "inflate"}
@@ -118,7 +118,7 @@ class Filter:
         self._track = Track(self.belief, fixed, instants)
 
     def advance(self, k: int, steps: Steps, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
-        """Take the belief to instant k and correct it by every reading (sensor, i) that is due there."""
+        """Predict to instant k and correct by every reading (sensor, i) that is due there."""
         belief = self.belief
         belief.predict(steps, k)  # eq. 5-7
         for model in self._rolling:
@@ -134,7 +134,7 @@ class Filter:
         self._track.note(belief)
 
     def _compare(self, k: int, sensor: str, i: int, m: Measurements) -> Passed:
-        """Judge reading i of a sensor against the prior, record that, and return what passed."""
+        """Compare reading i of a sensor with the prior, record that, and return what passed the gate."""
         model = self.models[sensor]
         seen = model.innovations(m, i, self.belief if model.local else self._in_map)
         if sensor in self._inflates and not isinstance(seen, Reading):
@@ -147,7 +147,7 @@ class Filter:
         return ones, len(ones)
 
     def _queue(self, due: Sequence[Due], passed: Sequence[Passed]) -> list[Fit]:
-        """Queue what was accepted; what is only listened to teaches blocks, and never moves the pose.
+        """Queue accepted innovations; those of a sensor that only listens correct its blocks, never the pose.
 
         Where states hang together, how well a reading of several rows fits as a whole is asked. The first of these
         stands first in the equation: whitened, its rows are what they would be alone.
@@ -180,7 +180,7 @@ class Filter:
             record.joint.extend((nis if n else self.belief.fit(numbers), numbers))
 
     def _learn(self, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:
-        """Let every reading teach its model; then a map that is full is left for the next one."""
+        """Update every model with its reading; then start a new map if one is full."""
         for sensor, i in due:
             if sensor in self._learning:
                 model = self.models[sensor]
@@ -205,12 +205,12 @@ class Filter:
         return self.belief if model.local else self._in_map
 
     def _follow_frame(self) -> None:
-        """See the pose in the map through the local frame, once there is one."""
+        """Set up the view of the pose in the map through the local frame, once there is one."""
         if self.belief.framed:
             self._in_map = InMap(self.belief)
 
     def estimates(self, drive: Drive, name: str) -> Estimates:
-        """Return everything recorded, with predictions at the truth's stamps beside it."""
+        """Return the whole record, with predictions at the truth's stamps."""
         pose, triangles = self._track.recorded()
         blocks, variances = self._track.blocks(), self._track.blocks(variances=True)
         maps = [m.lines(self._seen_by(m)) for m in self.models.values()]
@@ -240,7 +240,7 @@ class Filter:
         )
 
     def _notes(self) -> Iterator[str]:
-        """Say what this run found: its wheels, and what every sensor has to say."""
+        """Return notes on what this run found: its wheels, and the notes of every sensor."""
         belief = self.belief
         if self._wheels.estimate:
             column, x = belief.block(WHEELS)

@@ -12,7 +12,7 @@ E2 = FLATTENING * (2.0 - FLATTENING)
 
 
 def east_north(latitude: Array, longitude: Array, origin: tuple[float, float]) -> Array:
-    """Return (n, 2) metres east and north of `origin` (latitude, longitude [deg]) on the plane that touches there.
+    """Return (n, 2) metres east and north of `origin` (latitude, longitude [deg]) on its tangent plane.
 
     Heights are left out: points are taken on the ellipsoid, so that a receiver's vertical error moves nothing.
     """

@@ -1,4 +1,4 @@
-"""What the loop meets at each instant of a drive: the motion that leads there and the readings that are due.
+"""Input of the loop at each instant of a drive: the motion that leads there and the readings that are due.
 
 Readings become plain Python values a block of instants at a time: an hour's are never all in memory as objects.
 """

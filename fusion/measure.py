@@ -1,4 +1,4 @@
-"""The front end: streams of readings become a Drive. Nothing here knows where the robot is.
+"""The front end: streams of readings become a Drive. No pose of the robot is known here.
 
 Wheels are read first, since a scan is deskewed by them; then every sensor of the log is measured once, whatever
 configurations will use it; then wheel motion is cut at the instants of all of them, so that comparing two
@@ -108,7 +108,7 @@ def begun(robot: Robot, drive: Drive) -> tuple[Robot, Drive]:
 
 
 def led_back(robot: Robot, drive: Drive, first_scan: float | None) -> tuple[Robot, Drive]:
-    """Return the robot with its pose at the first wheel reading where [start] gives that of a later moment.
+    """Return the robot with its pose at the first wheel reading, computed back from a [start] at a later moment.
 
     The wheels lead back to it, and their noise adds to the pose's own. `first_scan` [s] is the laser's first scan
     within the drive, None without one. Raises LocfuseError where the moment is not in the drive.
@@ -139,7 +139,7 @@ def led_back(robot: Robot, drive: Drive, first_scan: float | None) -> tuple[Robo
 
 
 def _drop_dependent(measurements: dict[str, Measurements], missing: dict[str, str]) -> None:
-    """Leave out sensors whose map another one would have kept, had it been there."""
+    """Leave out sensors that need the map of another sensor, if that one is missing."""
     for name, why in unmet(measurements).items():
         del measurements[name]
         missing[name] = why
@@ -200,7 +200,7 @@ def recut(drive: Drive, robot: Robot, measurements: dict[str, Measurements]) -> 
 
 
 def _gap_notes(wheels: Wheels) -> list[str]:
-    """Say where the counters tell how far the wheels rolled, and not which way the robot took."""
+    """Return notes on gaps for which counters give the distance rolled but not the path."""
     silent = np.flatnonzero(wheels.silence[:, 1] > 0.0)
     if not len(silent):
         return []
@@ -230,7 +230,7 @@ def _to_truth(wheels: Wheels, t: Array, stamps: Array, estimate: bool) -> tuple[
 
 
 def _within(m: Measurements, wheels: Wheels) -> Measurements:
-    """Keep what lies within the wheels' time, in time order; the rest is counted."""
+    """Keep the readings within the wheels' time, in time order; count the others."""
     finite = np.isfinite(m.t)
     inside = finite & (m.t >= wheels.t[0]) & (m.t <= wheels.t[-1])
     if inside.all() and (np.diff(m.t) >= 0.0).all():
@@ -274,7 +274,7 @@ def _inside(m: Measurements, wheels: Wheels) -> Measurements:
 
 
 def _truth_between(truth: Truth | None, wheels: Wheels) -> Truth | None:
-    """Return the truth within the wheels' time, None where nothing of it lies there."""
+    """Return the truth within the wheels' time; None if none of it is inside."""
     if truth is None:
         return None
     rows = np.flatnonzero((truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1]))
@@ -283,7 +283,7 @@ def _truth_between(truth: Truth | None, wheels: Wheels) -> Truth | None:
 
 
 def _start_at(t: float, drive: Drive, robot: Robot) -> tuple[StartSettings, str]:
-    """Return the pose at time t [s], and in words where it comes from; [start] itself at the drive's beginning."""
+    """Return the pose at time t [s], and its source in words; [start] itself at the drive's beginning."""
     if t <= float(drive.t[0]):
         return robot.start, ""
     truth, start = drive.truth, robot.start

@@ -29,7 +29,7 @@ def direction(angle: float) -> tuple[float, float]:
 
 
 def sight(pose: Plain, point: tuple[float, float], mount: Plain, nearest: float) -> Sight | None:
-    """Return how a sensor at `mount` on a robot at `pose` sees a point; None if it is nearer than `nearest` [m].
+    """Return the view of a point from a sensor at `mount` on a robot at `pose`; None if nearer than `nearest` [m].
 
     With d from the sensor to the point, in the map: bearing = atan2(d_y, d_x) - theta - yaw, distance = |d|
     (Thrun, Burgard and Fox 2005, 6.6.2).
@@ -72,7 +72,7 @@ def inverse(a: Array) -> Array:
 
 
 def between(a: Array, b: Array) -> Array:
-    """Return ⊖a ⊕ b: pose b seen from pose a; (..., 3). The same, with sine and cosine of a taken once."""
+    """Return ⊖a ⊕ b: pose b relative to pose a; (..., 3), with the sine and cosine of a computed once."""
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
     return np.stack(
         (
@@ -168,7 +168,7 @@ def transform(pose: Array, points: Array) -> Array:
 
 
 def laid_on(a: Array, b: Array) -> tuple[float, float]:
-    """Return the turn [rad] and the scale that lay points a (n, 2) on b (n, 2) about their means.
+    """Return the turn [rad] and the scale that align points a (n, 2) with b (n, 2) about their means.
 
     Least squares over all points (Umeyama 1991, in the plane); who wants no scale leaves it.
     """

@@ -1,4 +1,4 @@
-"""What a sensor is: settings (its TOML table), what it reads, how it measures, and how the filter sees it."""
+"""What a sensor is: settings (its TOML table), what it reads, its measurements, and its model in the filter."""
 
 from __future__ import annotations
 
@@ -26,7 +26,8 @@ from .data import (
 )
 
 GATE = VERDICTS.index("gate")
-Matrix = tuple[tuple[float, ...], ...]
+Row = tuple[float, ...]
+Matrix = tuple[Row, ...]
 NO_COLUMNS: tuple[int, ...] = ()  # of what depends on no state but the pose
 NO_BLOCK: Matrix = ()
 PoseRows = tuple[tuple[float, float, float], ...]  # (d, 3) derivatives by x [m], y [m], theta [rad] of the pose
@@ -43,27 +44,27 @@ class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     only_fused: ClassVar[frozenset[str]] = frozenset({"gate", "outliers"})  # keys that no measurement depends on
 
     def __post_init__(self) -> None:
-        """Refuse a sensor without noise: P would be singular, and rounding makes that worse than singular."""
+        """Refuse a sensor without noise: P would become singular, or worse by rounding."""
         for key in ("sigma", "sigma_deg", "sigma_range"):
             if getattr(self, key, 1.0) <= 0.0:
                 raise ValueError(f"{key} = {getattr(self, key)}: no sensor is exact, it must be positive")
 
 
 class WheelMotion(Protocol):
-    """Relative motion of the robot by its wheels: all that `measure` may know of where the robot is."""
+    """Relative motion of the robot by its wheels: the only motion that `measure` may use."""
 
     @property
     def track(self) -> float:
         """Distance between the wheels [m]."""
 
     def relative(self, t_from: Array, t_to: Array) -> Array:
-        """Return the pose (n, 3) at t_to seen from the pose at t_from, both (n,) s since the drive's epoch."""
+        """Return the pose (n, 3) at t_to relative to that at t_from, both (n,) s since the drive's epoch."""
 
     def heading(self, t: Array) -> Array:
         """Return the heading (...) [rad, not wrapped] by the wheels alone at times t (...) within the drive."""
 
     def slips(self, t: Array) -> Array:
-        """Return the variances (..., k - 1, 2) [m^2] of what either wheel rolled between times t (..., k) [s]."""
+        """Return the variances (..., k - 1, 2) [m^2] of either wheel's distance between times t (..., k) [s]."""
 
 
 class Equation(NamedTuple):
@@ -76,7 +77,7 @@ class Equation(NamedTuple):
 
 
 class Reading:
-    """What a reading of many rows says, judged: an object for each row would take longer than the filter."""
+    """The judged rows of a reading in columns: an object per row would be slower than the filter."""
 
     row: int  # of the first in Measurements.z
     lines: int  # rows of the measurements
@@ -85,7 +86,7 @@ class Reading:
     numbers: int  # of that equation
 
     def write(self, audit: Audit, at: int, instant: int, row: int) -> None:
-        """Write what became of every row into the columns of an audit, from `at` on."""
+        """Write the verdict on every row into the columns of an audit, from `at` on."""
         raise NotImplementedError
 
     def rows_used(self) -> list[int]:
@@ -94,7 +95,7 @@ class Reading:
 
 
 def positive(greatest: float) -> None:
-    """Raise LocfuseError where the innovations' covariance, of this greatest variance, came out as none."""
+    """Raise LocfuseError if the innovation covariance with this greatest variance is not positive definite."""
     if not greatest > 0.0:
         raise LocfuseError(
             "the filter's variances span too many powers of ten to be computed with (innovations of up to "
@@ -112,7 +113,7 @@ class Block(NamedTuple):
 
 
 class Belief(Protocol):
-    """What a model may ask of the filter's state: pose, covariance, and where its block lies."""
+    """The part of the filter's state that a model may read: pose, covariance, and its own block."""
 
     @property
     def x(self) -> float:
@@ -138,8 +139,8 @@ class Belief(Protocol):
     def value(self, column: int) -> float:
         """Return the state at a column."""
 
-    def variance(self, H: tuple[float, float, float]) -> float:
-        """Return H P H' for one derivative H by the pose."""
+    def variance(self, H: Row, columns: tuple[int, ...] = (), H_block: Row = ()) -> float:
+        """Return H P H' for one derivative H (3,) by the pose and H_block (c,) by the states `columns` (c,)."""
 
     def compare(
         self,
@@ -150,19 +151,17 @@ class Belief(Protocol):
         threshold: float,
         columns: tuple[int, ...] = (),
         H_block: Matrix = (),
-        landmark: int = -1,
-        verdict: int = -1,
     ) -> Innovation:
-        """Judge the innovation y (d,) of measurement `row` against the gate `threshold`.
+        """Compare the innovation y (d,) of measurement `row` with the gate `threshold`.
 
         S = H P H' + R and NIS = y' S^-1 y (Bar-Shalom, Li and Kirubarajan 2001, 5.4.2). H (d, 3) is by the pose,
-        H_block (d, c) by the states `columns` (c,), R (d, d). The verdict is "accepted" or "gate" by the NIS where
-        `verdict` is -1, else that index into VERDICTS. Raises LocfuseError where S is not positive.
+        H_block (d, c) by the states `columns` (c,), R (d, d). The verdict is "accepted" or "gate" by the NIS, and
+        no landmark is named: a sensor that knows better sets them. Raises LocfuseError where S is not positive.
         """
 
 
 class Model:
-    """One sensor inside one run of the filter; holds what it has learnt (a map), never the pose."""
+    """One sensor in one run of the filter; keeps what it estimates (a map), never the pose."""
 
     joint: bool = False  # whether it adds states while driving, beyond its blocks
     local: bool = False  # whether it observes the pose in the run's local frame, as lines of its own map do
@@ -175,13 +174,13 @@ class Model:
         return []
 
     def begin(self, given: Sequence[MapLine], belief: Any) -> None:
-        """Take in a map that was made before this run. Raises LocfuseError where it is needed and missing."""
+        """Load a map that was made before this run. Raises LocfuseError if it is needed and missing."""
 
     def meet(self, others: Mapping[str, Model]) -> None:
-        """Get to know the other models of the run, by sensor: one may read the map that another keeps."""
+        """Link the other models of the run, by sensor: one may read the map of another."""
 
     def rolled(self, u: Sequence[float]) -> None:
-        """Take in the wheels' motion (x [m], y [m], theta [rad]) since the instant before, seen from there."""
+        """Receive the wheels' motion (x [m], y [m], theta [rad]) since the instant before, in its frame."""
 
     def begins_map(self, m: Measurements, i: int) -> bool:
         """Return whether reading i is the first of a map of its own: the local frame may begin at its instant."""
@@ -192,10 +191,10 @@ class Model:
         raise NotImplementedError
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Take in what reading i taught beyond the pose (new map lines), after the correction."""
+        """Update the model by reading i (new map lines), after the correction of the pose."""
 
     def turn_page(self, belief: Any) -> bool:
-        """Leave a map that is full for the next one, once all readings of an instant have taught what they can.
+        """Replace a map that is full by the next one, after all readings of an instant were used.
 
         Only asked of a model that `leads`. Return whether it did: the local frame may have moved on.
         """
@@ -214,7 +213,7 @@ class Model:
         return []
 
     def lost_intervals(self) -> list[tuple[float, float]]:
-        """Return when this sensor found the robot not to know where it was, (start, end) [s]."""
+        """Return when the robot was lost by this sensor, (start, end) [s]."""
         return []
 
     def closed_loops(self) -> list[SeenAgain]:
@@ -222,12 +221,12 @@ class Model:
         return []
 
     def notes(self, belief: Any) -> list[str]:
-        """Return in words what a reader of the results must know of this run, whose last belief is given."""
+        """Return notes on this run for its report, given the last belief."""
         return []
 
 
 class Ask(NamedTuple):
-    """What `locfuse init` writes beside a key that no log can tell: how to find its value."""
+    """The text of `locfuse init` for a key that no log shows: how to find its value."""
 
     words: str  # unit, and how to measure it
     needed: bool = False  # whether nothing of this table can be used without the key
@@ -235,7 +234,7 @@ class Ask(NamedTuple):
 
 
 class Bias(NamedTuple):
-    """The key of robot.toml that takes a constant error out of the readings."""
+    """The key of robot.toml that corrects a constant error of the readings."""
 
     key: str  # in the unit of the sensor's first component
     sign: float  # of the key's change by the mean innovation (measured - predicted)
@@ -244,14 +243,14 @@ class Bias(NamedTuple):
 
 
 class Reversal(NamedTuple):
-    """Why a sensor turns the other way round than the wheels, and what would turn it back."""
+    """Why a sensor turns opposite to the wheels, and the settings that correct it."""
 
     why: str
     sets: Mapping[str, Any] = {}
 
 
 class FoundStart(NamedTuple):
-    """Where the robot was at the first wheel reading, by a sensor that knows its map."""
+    """The robot's pose at the first wheel reading, found by a sensor with a known map."""
 
     pose: Array  # (3,) x, y [m], theta [rad], map frame
     sigma_xy: float  # m
@@ -259,7 +258,7 @@ class FoundStart(NamedTuple):
 
 
 class Sensor(ABC):
-    """A sensor: one file in `fusion/sensors` and one line in the registry there. All that concerns it stands here.
+    """A sensor: one file in `fusion/sensors` and one line in the registry there, with all its code.
 
     It gives `name`, `Settings`, `reads`, `noise_keys`, `components`, `colour`, `measure` and `model`. What else it
     may say has a default. An instance holds nothing: what a run learns lies in its `Model`.
@@ -307,11 +306,11 @@ class Sensor(ABC):
     """Sensor without which this one says nothing -> why: "held against the map of lrf"."""
 
     def carries(self, stream: Stream) -> bool:
-        """Return whether a topic of its types says anything to it; asked where several fit."""
+        """Return whether a topic of its types holds readings of this sensor; used if several topics fit."""
         return True
 
     def missing(self, settings: Any) -> str | None:
-        """Return which setting it cannot do without and how to find it, or None."""
+        """Return the setting that is missing and how to find it, or None."""
         return None
 
     # ---- how it measures ----
@@ -324,7 +323,7 @@ class Sensor(ABC):
         """
 
     def again(self, before: Measurements, settings: Any, epoch_ns: int) -> Measurements | None:
-        """Return what `measure` would under these settings, from what it measured under others.
+        """Return the result of `measure` under these settings, computed from that under others.
 
         None where the readings have to be looked at again.
         """
@@ -332,7 +331,7 @@ class Sensor(ABC):
 
     @abstractmethod
     def model(self, settings: Any) -> Model:
-        """Return its side of a new run of the filter."""
+        """Return its model for a new run of the filter."""
 
     def start(self, m: Measurements, settings: Any, wheels: WheelMotion) -> FoundStart | None:
         """Return the start of the drive by its readings and a known map; None for a sensor without such a map.
@@ -349,7 +348,7 @@ class Sensor(ABC):
         return None
 
     def misfit(self, m: Measurements, settings: Any, poses: Array) -> float | None:
-        """Return how badly its readings fit the robot's poses (n, 3) at their times: a spread, in any unit.
+        """Return how badly its readings fit the robot's poses (n, 3) at their times: a spread in any unit.
 
         None where poses do not say what it should read. A truth's clock is held against a sensor's by it.
         """
@@ -359,7 +358,7 @@ class Sensor(ABC):
     """Where its heading stays the same to the bit, nothing told the turn (a scan that matches no line)."""
 
     def reversal(self, settings: Any, msgtype: str) -> Reversal:
-        """Return why its heading turns the other way round than the wheels, and the settings that cure it."""
+        """Return why its heading turns opposite to the wheels, and the settings that fix it."""
         if not hasattr(settings, "roll_deg"):
             return Reversal("its sense of turning is wrong")
         return Reversal("it is mounted upside-down", {"roll_deg": (settings.roll_deg + 180.0) % 360.0})
@@ -382,7 +381,7 @@ class Sensor(ABC):
     """The setting by which what it measures in metres is multiplied."""
 
     def says_noise(self, m: Measurements) -> bool:
-        """Return whether readings came with their own covariance: then no sigma of ours is tuned."""
+        """Return whether readings come with their own covariance: then no sigma is tuned."""
         return False
 
     # ---- where it sits ----
@@ -391,7 +390,7 @@ class Sensor(ABC):
     """`locfuse info` warns where nothing tells where it sits on the base."""
 
     def mount(self, settings: Any) -> tuple[float, float, float]:
-        """Return where it sits on the base: x [m], y [m], yaw [rad]."""
+        """Return its mount on the base: x [m], y [m], yaw [rad]."""
         return 0.0, 0.0, 0.0
 
     # ---- what `locfuse init` and `locfuse info` say of it ----
@@ -403,7 +402,7 @@ class Sensor(ABC):
     """Key that no log states and whose default holds until somebody says otherwise -> what the default means."""
 
     def concerns(self, key: str, msgtype: str) -> bool:
-        """Return whether a key means anything to messages of this type ("" where it has no topic)."""
+        """Return whether a key applies to messages of this type ("" without a topic)."""
         return True
 
     sees: ClassVar[str] = "value"
@@ -427,7 +426,7 @@ class Sensor(ABC):
     """What a measurement is on the map: a ray ahead, a ray to what it saw, pieces of walls; "" is nothing."""
 
     def landmark(self, settings: Any) -> tuple[float, float] | None:
-        """Return the point of the map that it measures to, (x, y) [m]; None where it knows none."""
+        """Return the point of the map that it measures to, (x, y) [m]; None without one."""
         return None
 
     locates: ClassVar[bool] = False
@@ -435,5 +434,5 @@ class Sensor(ABC):
 
     @property
     def measures_metres(self) -> bool:
-        """Whether it and the wheels must mean the same metre."""
+        """Whether its distances depend on the same scale as the wheels'."""
         return any(c.unit == "m" for c in self.components)

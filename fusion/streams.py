@@ -80,3 +80,9 @@ class MergedStream(msgspec.Struct, frozen=True, dict=True):
 def merged(streams: Sequence[Stream]) -> Stream | MergedStream:
     """Return one stream; a single one stays what it is."""
     return streams[0] if len(streams) == 1 else MergedStream(tuple(streams))
+
+
+def last_of_periods(t: Array, period: float) -> Ints:
+    """Return the last reading of every period, at strictly increasing times (n,) [s]."""
+    cell = np.floor(t / period) if period > 0.0 else t
+    return np.flatnonzero(np.append(np.diff(cell) > 0, True)[: len(t)])

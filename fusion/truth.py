@@ -54,13 +54,13 @@ TRUTH_NAMES = (
 
 
 def looks_like_truth(topic: str) -> bool:
-    """Return whether a topic's name says that it is a reference."""
+    """Return whether a topic's name is that of a reference."""
     parts = topic.lower().strip("/").replace("-", "_").split("/")
     return any(name == part or (name != "gt" and name in part) for part in parts for name in TRUTH_NAMES)
 
 
 def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[Truth, dict[str, int]]:
-    """Return the truth in strictly increasing time, and what was dropped by reason."""
+    """Return the truth in strictly increasing time, and the counts of readings not used, by reason."""
     dropped = dict(stream.dropped)
     values = _values(stream, settings, dropped)
     finite = plausible(values).all(axis=1)
@@ -97,7 +97,7 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
 
 
 def _values(stream: Stream, settings: TruthSettings, dropped: dict[str, int]) -> Array:
-    """Return x, y [m] and perhaps a quaternion (n, 2) or (n, 6) of every reading; NaN where there is none."""
+    """Return x, y [m] and perhaps a quaternion (n, 2) or (n, 6) of every reading; NaN without a pose."""
     columns = stream.columns(*TRUTH_READS[stream.msgtype])
     if stream.msgtype in SEVERAL:
         return _of_body(stream.topic, columns, settings.body, dropped)
@@ -128,7 +128,7 @@ def _of_body(topic: str, columns: dict[str, Column], body: str | None, dropped: 
 
 
 def _moving(rows: list[tuple[str, ...]], fields: list[Ragged], known: list[str]) -> list[str]:
-    """Return the bodies that move, all where there is one: a simulated room stands still among them."""
+    """Return the bodies that move, or all if there is one: in a simulation the room is a body too."""
     if len(known) == 1:
         return known
     found = []
@@ -152,7 +152,7 @@ def _in_plane(where: Array, settings: TruthSettings) -> Array:
 
 
 def _yaw(q: Array) -> Array | None:
-    """Yaw of quaternions (n, 4) x, y, z, w; None where no heading was recorded (all zero)."""
+    """Yaw of quaternions (n, 4) x, y, z, w; None if no heading was recorded (all zero)."""
     x, y, z, w = q.T
     if not q.any():
         return None
@@ -160,7 +160,7 @@ def _yaw(q: Array) -> Array | None:
 
 
 def body_poses(truth: Truth, t: Array) -> Array:
-    """Return the poses (n, 3) of the body by a truth that has headings, at times t (n,) within it; not wrapped."""
+    """Return the body's poses (n, 3) by a truth with headings, at times t (n,) within it; not wrapped."""
     assert truth.theta is not None
     x, y, theta = (np.interp(t, truth.t, column) for column in (*truth.xy.T, np.unwrap(truth.theta)))
     c, s = np.cos(theta), np.sin(theta)

@@ -1,4 +1,4 @@
-"""The world we can know exactly: the simulated robot, its scenarios, and the logs it recorded."""
+"""The simulated world: the robot, its scenarios, and the logs it recorded, all exactly known."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def names() -> list[str]:
 
 
 def path(name: str) -> Path:
-    """Return where a shipped log lies. Raises UsageError for a name there is not."""
+    """Return the path of a shipped log. Raises UsageError for an unknown name."""
     if name not in names():
         raise UsageError(f"no sample log {name}: there are {', '.join(names())}")
     return HERE / f"{name}.mcap"

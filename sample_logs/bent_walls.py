@@ -49,7 +49,7 @@ def deviation(bow: float, rng: np.random.Generator) -> Deviation:
 
 
 class _Lines:
-    """The deviation of every straight line, drawn where it is first asked for."""
+    """The deviation of every straight line, drawn on first use."""
 
     def __init__(self, bow: float, streams: Streams) -> None:
         self.bow = bow

@@ -33,7 +33,7 @@ class Box(Table, frozen=True, tag_field="kind", tag="box"):
 
 
 class LeggedTable(Table, frozen=True, tag_field="kind", tag="table"):
-    """A table or a chair: four thin round legs under a top that the laser does not see."""
+    """A table or a chair: four thin round legs under a top above the laser."""
 
     at: Point
     size: Point
@@ -63,7 +63,7 @@ class Space(Table, frozen=True, kw_only=True):
 
 
 class Glass(Table, frozen=True, kw_only=True):
-    """What a laser beam does at a pane: it returns near normal incidence, or else it passes through."""
+    """The reflection of a laser beam at a pane: it returns near normal incidence, else it passes through."""
 
     within_deg: float = 8.0  # from the normal
     returns: Share = 0.8  # probability of an echo there
@@ -84,7 +84,7 @@ class Walker(Table, frozen=True, kw_only=True):
 
 
 class Building(Table, frozen=True, kw_only=True):
-    """Everything that is built: instead of the walls and plates of a `room`."""
+    """A whole building, instead of the walls and plates of a `room`."""
 
     spaces: tuple[Space, ...]
     wall: Positive = 0.15  # m, thickness of every wall

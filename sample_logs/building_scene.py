@@ -1,4 +1,4 @@
-"""A building made ready: its walls are bent, its people have their walks, and rays are cast through its glass."""
+"""A building prepared for a drive: bent walls, the people's walks, and ray casting through its glass."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ NO_SEGMENTS = np.zeros((0, 4))
 
 
 class Solid(NamedTuple):
-    """What of a building stands still at one height."""
+    """The static parts of a building at one height."""
 
     opaque: Plan
     panes: Array  # (g, 4) m, map frame
 
 
 def scene_of(scenario: Scenario, seed: int) -> Scene:
-    """Return the room or the building of a scenario, with its chance drawn from the seed."""
+    """Return the room or the building of a scenario, with its random parts drawn from the seed."""
     if scenario.building is None:
         return Scene(scenario)
     return BuildingScene(scenario, scenario.building, seed)
@@ -51,7 +51,7 @@ class BuildingScene(Scene):
         self._solid: dict[float, Solid] = {}
 
     def solid(self, z: float) -> Solid:
-        """Return what of the building stands still at height z [m]."""
+        """Return the static parts of the building at height z [m]."""
         if z not in self._solid:
             self._solid[z] = self._cut(z)
         return self._solid[z]
@@ -75,7 +75,7 @@ class BuildingScene(Scene):
         return np.asarray(np.min(echoes, axis=0))
 
     def _through_glass(self, z: float, t: float, origin: Array, angle: Array) -> Array:
-        """Return where panes send rays back, (n,) m; the chance of it is another one at every time t [s]."""
+        """Return the distances of returns from panes, (n,) m; the chance differs at every time t [s]."""
         panes = self.solid(z).panes
         direction = np.stack((np.cos(angle), np.sin(angle)), axis=-1)
         distance = hit_segments(panes, origin, direction)

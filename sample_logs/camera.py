@@ -45,7 +45,7 @@ class OmniCamera:
 
 
 class Painter:
-    """Turns a camera pose into a clean image: light that arrives, before lens and sensor spoil it."""
+    """Renders a clean image from a camera pose: the light before lens and sensor errors."""
 
     def __init__(self, camera: Camera, scene: Scene) -> None:
         self.camera, self.scene = camera, scene
@@ -65,7 +65,7 @@ class Painter:
         return image
 
     def trace(self, eye: Array, t: float) -> Hits:
-        """Return what the pixels' rays meet from `eye` = (x, y, z, heading) at t [s]."""
+        """Return the first hits of the pixels' rays from `eye` = (x, y, z, heading) at t [s]."""
         room, scene = self.scene.room, self.scene
         standing = [
             Standing(scene.walls, room.height, Surface.WALL),

@@ -29,7 +29,7 @@ STEP = np.array(
 
 
 class Counted(NamedTuple):
-    """What a decoder made of a stretch of phase samples."""
+    """The counts of a decoder over phase samples."""
 
     counts: Ints  # (..., n - 1) count change from sample to sample
     missed: NDArray[np.bool_]  # (..., n - 1) both phases changed: at least two counts are lost

@@ -1,4 +1,4 @@
-"""What the robot carries: the sensors of a scenario, where they sit, and the robot.toml that describes them."""
+"""The robot's equipment: the sensors of a scenario, their mounts, and the robot.toml that describes them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ EXACT_MOUNT = ("sigma_x", "sigma_y", "sigma_yaw_deg")  # a simulated laser sits 
 
 
 def sensors(scenario: Scenario, scene: Scene, robot: Robot, streams: Streams) -> list[Sensor]:
-    """Return the sensors of the scenario, each with its own source of chance."""
+    """Return the sensors of the scenario, each with its own random source."""
     carried: list[Sensor] = [Encoders(scenario, robot)]
     if scenario.compass.enabled:
         carried.append(Magnetometer(scenario.compass, scene, robot, streams("compass")))
@@ -42,7 +42,7 @@ def beam_pattern(lrf: Lrf, streams: Streams) -> Array:
 
 
 def static_transforms(scenario: Scenario, epoch_ns: int) -> RawMessage:
-    """Return the /tf_static message: where the sensors sit on the robot."""
+    """Return the /tf_static message with the sensors' mounts."""
     lrf, camera = scenario.lrf, scenario.camera
     mounts = [("compass", 0.0, 0.0, 0.6, 0.0)] if scenario.compass.enabled else []
     if lrf.enabled:
@@ -69,7 +69,7 @@ def static_transforms(scenario: Scenario, epoch_ns: int) -> RawMessage:
 
 
 def stated_start(scenario: Scenario, true: Pose, streams: Streams) -> Pose:
-    """Return the start pose that the user states: the true one, the user's error and one draw of the sigmas."""
+    """Return the user's start pose: the true one plus the user's error plus one draw of the sigmas."""
     s = scenario.start
     sigma = np.array([s.sigma_xy, s.sigma_xy, math.radians(s.sigma_theta_deg)])
     wrong = np.array([*s.error[:2], math.radians(s.error[2])])

@@ -1,4 +1,4 @@
-"""Faults as data: what goes wrong between `start` and `end`, and the labels that say so in the log.
+"""Faults as data: what is wrong between `start` and `end`, and their labels in the log.
 
 A fault changes the physics or the message it names and nothing else: no source of chance is shared, so the
 other sensors of a drive with open-loop wheels read the same numbers with and without it. Faults act on messages
@@ -23,13 +23,13 @@ Side = Literal["left", "right"]
 
 
 class Interval(Table, frozen=True, tag_field="kind"):
-    """Something that is wrong from `start` to `end` [s]; left out, the whole drive."""
+    """A fault that lasts from `start` to `end` [s]; by default the whole drive."""
 
     start: float = 0.0
     end: float = math.inf
 
     def active(self, t: float) -> bool:
-        """Say whether t [s] lies within."""
+        """Return whether t [s] lies within the interval."""
         return self.start <= t < self.end
 
     def __post_init__(self) -> None:
@@ -38,7 +38,7 @@ class Interval(Table, frozen=True, tag_field="kind"):
 
 
 class Dates(NamedTuple):
-    """When one message was taken, as its stamp says and in truth, and when it arrives [s]."""
+    """Times of one message: its stamp, its true time, and its arrival [s]."""
 
     taken: float
     stamp: float
@@ -46,12 +46,12 @@ class Dates(NamedTuple):
 
 
 class MessageFault(Interval, frozen=True, kw_only=True):
-    """Something that happens to a sensor's messages on their way."""
+    """A fault of a sensor's messages."""
 
     sensor: SensorWord
 
     def dated(self, dates: Dates, rng: np.random.Generator) -> Dates | None:
-        """Return what becomes of a message; None: it is lost."""
+        """Return the times of a message with the fault; None: it is lost."""
         raise NotImplementedError
 
 
@@ -64,13 +64,13 @@ class Dropout(MessageFault, frozen=True, kw_only=True, tag="dropout"):
 
 
 class Latency(MessageFault, frozen=True, kw_only=True, tag="latency"):
-    """The sensor's messages arrive late, and are dated on arrival unless the driver knows better."""
+    """The sensor's messages arrive late, and are stamped on arrival unless the driver knows the right time."""
 
     seconds: float
     dated_on_arrival: bool = True
 
     def dated(self, dates: Dates, rng: np.random.Generator) -> Dates | None:
-        """Return the later arrival, and a later stamp where the message is dated on arrival."""
+        """Return the later arrival, and a later stamp if the message is stamped on arrival."""
         later = self.seconds if self.dated_on_arrival else 0.0
         return Dates(dates.taken, dates.stamp + later, dates.arrival + self.seconds)
 
@@ -89,7 +89,7 @@ class ClockOffset(MessageFault, frozen=True, kw_only=True, tag="clock_offset"):
 
 
 class Displaced(Interval, frozen=True, kw_only=True, tag="displaced"):
-    """The sensor sits elsewhere on the robot than robot.toml says: a bumped laser, a twisting compass, a marker.
+    """The sensor's mount differs from robot.toml: a bumped laser, a twisting compass, a marker.
 
     Of the truth it moves the body point. A compass feels the turn alone.
     """
@@ -109,7 +109,7 @@ class Displaced(Interval, frozen=True, kw_only=True, tag="displaced"):
 
 
 class TruthStep(Interval, frozen=True, kw_only=True, tag="truth_step"):
-    """The frame of the truth moves at `start`, and back at `end`: its system was calibrated again."""
+    """The frame of the truth moves at `start`, and back at `end`, as after a new calibration."""
 
     x: float = 0.0  # m, in the map frame
     y: float = 0.0
@@ -125,7 +125,7 @@ class Magnetic(Interval, frozen=True, kw_only=True, tag="magnetic"):
     axis_deg: float = 0.0  # of the dipole, map frame
 
     def field(self, at: Array) -> Array:
-        """Return its field at points (n, 2) in the map, (n, 2) T."""
+        """Return the magnet's field at points (n, 2) in the map, (n, 2) T."""
         r = at - (self.x, self.y)
         distance = np.maximum(np.hypot(r[:, 0], r[:, 1]), 0.1)[:, None]
         axis = np.array([math.cos(math.radians(self.axis_deg)), math.sin(math.radians(self.axis_deg))])
@@ -134,10 +134,10 @@ class Magnetic(Interval, frozen=True, kw_only=True, tag="magnetic"):
 
 
 class GroundFault(Interval, frozen=True, kw_only=True):
-    """Something that happens between the wheels and the ground."""
+    """A fault between the wheels and the ground."""
 
     def moved(self, ways: Array, heading: float) -> Array:
-        """Return how far both wheels and the robot's side move, (3, k) m: left, right, and to the left.
+        """Return the motion of both wheels and of the robot's side, (3, k) m: left, right, and to the left.
 
         Args:
             ways: (3, k) m, the same without this fault.
@@ -153,7 +153,7 @@ class Slip(GroundFault, frozen=True, kw_only=True, tag="slip"):
     ratio: Share  # share of the way that is lost; 1 spins on the spot
 
     def moved(self, ways: Array, heading: float) -> Array:
-        """Return the ways of the wheels that lose a share of theirs."""
+        """Return the wheels' distances without their lost share."""
         left, right = (1.0 - self.ratio * (self.wheel in {side, "both"}) for side in ("left", "right"))
         return np.asarray(ways * np.array([[left], [right], [1.0]]))
 
@@ -165,7 +165,7 @@ class Creep(GroundFault, frozen=True, kw_only=True, tag="creep"):
     downhill_deg: float | None = None  # a slope: where it falls to, map frame, and m per metre driven
 
     def moved(self, ways: Array, heading: float) -> Array:
-        """Return the ways with a sideways one; a slope also lengthens or shortens those of the wheels."""
+        """Return the distances with a sideways one; a slope also lengthens or shortens those of the wheels."""
         forward = (ways[0] + ways[1]) / 2
         if self.downhill_deg is None:
             return np.asarray(ways + self.ratio * forward * np.array([[0.0], [0.0], [1.0]]))
@@ -203,13 +203,13 @@ class People(Interval, frozen=True, kw_only=True, tag="people"):
 
 
 class HiddenLandmark(Interval, frozen=True, kw_only=True, tag="hidden_landmark"):
-    """A grey cloth hangs over the landmark: the laser still sees it, the camera sees no red."""
+    """A grey cloth covers the landmark: the laser still sees it, the camera sees no red."""
 
     colour: Colour = (120, 120, 118)
 
 
 class RedObject(Interval, frozen=True, kw_only=True, tag="red_object"):
-    """A second red thing stands in the room."""
+    """A second red object in the room."""
 
     x: float
     y: float
@@ -219,7 +219,7 @@ class RedObject(Interval, frozen=True, kw_only=True, tag="red_object"):
     colour: Colour = RED
 
     def pillar(self) -> Pillar:
-        """Return it as a thing in the room."""
+        """Return the object as a cylinder in the room."""
         return Pillar(x=self.x, y=self.y, radius=self.radius, bottom=self.bottom, top=self.top, colour=self.colour)
 
 

@@ -1,4 +1,4 @@
-"""A floor plan as an image and a YAML file for ROS map_server: an occupancy grid of what stands still."""
+"""A floor plan as an image and a YAML file for ROS map_server: an occupancy grid of static things."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class FloorPlan(NamedTuple):
 
 
 def floor_plan(plan: Plan, inside: Point, cell_m: float = 0.05) -> FloorPlan:
-    """Return what stands still as an occupancy grid; what cannot be reached from `inside` is unknown.
+    """Return static things as an occupancy grid; cells not connected with `inside` are unknown.
 
     Args:
         plan: segments and circles at one height, such as `scene.obstacles(0.25)`.
@@ -63,7 +63,7 @@ def write(plan: FloorPlan, path: Path) -> None:
 
 
 def _on_segments(segments: Array, cell: float) -> Array:
-    """Return points on segments, so close together that no cell between them is left out for a flood to pass."""
+    """Return points on segments, dense enough that a flood fill cannot pass between them."""
     found = [np.zeros((0, 2))]
     for x1, y1, x2, y2 in segments:
         n = int(np.ceil(max(abs(x2 - x1), abs(y2 - y1)) / (cell / 4))) + 1

@@ -1,4 +1,4 @@
-"""How the robot steers: from where it believes to be to wheel speeds, until the way is done."""
+"""Steering: from the estimated pose to wheel speeds, until the path is done."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ RESOLUTION = 1e-3  # rad/s, of the set points: what is sent to a motor controlle
 
 
 class Command(NamedTuple):
-    """What the follower asks of the robot."""
+    """The commanded motion."""
 
     v: float  # m/s
     omega: float  # rad/s
@@ -34,7 +34,7 @@ class Follower(Protocol):
     """Turns pose estimates into commands."""
 
     def command(self, now: float, pose: Pose) -> Command | None:
-        """Return what to do at this pose, None once the way is done."""
+        """Return the command at this pose, None after the end of the path."""
 
 
 class PathFollower:
@@ -64,13 +64,13 @@ class PathFollower:
         return Command(speed, speed * omega)
 
     def _speed(self) -> float:
-        """Return how fast to drive here [m/s]."""
+        """Return the speed here [m/s]."""
         sharpest = float(np.abs(self.path.curvature[self.at : self.at + self.SLOWING]).max())
         return self.speed if self.speed * sharpest <= self.turning else self.turning / sharpest
 
 
 class LegFollower:
-    """Drives straight runs and turns on the spot; each leg begins where the one before left the robot."""
+    """Drives straight runs and turns on the spot; each leg begins at the end of the one before."""
 
     def __init__(self, legs: tuple[Leg, ...], track: float) -> None:
         self.legs = list(legs)
@@ -116,7 +116,7 @@ class LegFollower:
 
 
 def off_line(pose: Pose, line: Pose) -> tuple[float, float]:
-    """Return how far `pose` is to the left of the directed line [m] and how it is turned against it [rad]."""
+    """Return the pose's distance to the left of the directed line [m] and its angle against it [rad]."""
     x, y, theta = line
     lateral = -math.sin(theta) * (pose[0] - x) + math.cos(theta) * (pose[1] - y)
     return lateral, wrap(pose[2] - theta)
@@ -127,7 +127,7 @@ def _braked(speed: float, left: float) -> float:
 
 
 class Steering:
-    """Stands still, drives the way, stands still again."""
+    """Stands still, drives the path, stands still again."""
 
     def __init__(self, scenario: Scenario, follower: Follower) -> None:
         self.control: Control = scenario.control

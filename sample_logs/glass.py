@@ -1,4 +1,4 @@
-"""Glass walls: where their panes and posts stand, and which laser beams a pane returns."""
+"""Glass walls: their panes and posts, and which laser beams a pane returns."""
 
 from __future__ import annotations
 

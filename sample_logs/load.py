@@ -1,4 +1,4 @@
-"""Scenario files: found by name or path, put on top of their `base`, changed by settings, checked key by key."""
+"""Scenario files: found by name or path, merged with their `base`, changed by settings, checked key by key."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ def load(name: str, settings: Iterable[str] = ()) -> Scenario:
 
 
 def dumps(scenario: Scenario) -> str:
-    """Return the whole scenario as TOML, every key with its value: a start for one's own."""
+    """Return the whole scenario as TOML, every key with its value, as a template."""
     return tomli_w.dumps(_without_none(msgspec.to_builtins(scenario)))
 
 
 def merge(tables: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """Return `tables` with the keys of `above` put on top; a table of another `kind` replaces the old one."""
+    """Return `tables` with the keys of `above` merged in; a table of another `kind` replaces the old one."""
     merged = dict(tables)
     for key, value in above.items():
         old = merged.get(key)
@@ -120,7 +120,7 @@ def _explain(error: str) -> str:
 
 
 def _tables_at(path: str) -> list[type[Table]]:
-    """Return the tables that may stand at a msgspec path such as `.faults[0]`."""
+    """Return the possible tables at a msgspec path such as `.faults[0]`."""
     found: list[type[Table]] = [Scenario]
     for step in filter(None, path.replace("[...]", "").split(".")):
         name = re.sub(r"\[\d+\]", "", step)

@@ -1,4 +1,4 @@
-"""The walls of a building: what remains of a solid block when its spaces and openings are hollowed out."""
+"""The walls of a building: the faces of a solid block after its spaces and openings are removed."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def _hole(space: Space, opening: Opening, half: float) -> Segment:
 
 
 def _inside(rectangles: Array, x: Array, y: Array) -> Mask:
-    """Tell which cells of the grid of all coordinates lie in a rectangle, with a rim of cells outside."""
+    """Return which cells of the grid of all coordinates lie in a rectangle, with a rim of outside cells."""
     mask = np.zeros((len(x) + 1, len(y) + 1), bool)
     for west, south, east, north in rectangles:
         i, j = np.searchsorted(x, (west, east)), np.searchsorted(y, (south, north))

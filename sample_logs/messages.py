@@ -1,4 +1,4 @@
-"""What flows through a simulated drive: raw messages, pose estimates, and named sources of chance."""
+"""Data of a simulated drive: raw messages, pose estimates, and named random sources."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 
 class RawMessage(NamedTuple):
-    """One message as a recorder gets it: standard ROS 2 type, values by dotted field path."""
+    """One message for a recorder: standard ROS 2 type, values by dotted field path."""
 
     topic: str
     msgtype: str
@@ -29,7 +29,7 @@ Streams = Callable[[str], np.random.Generator]
 
 
 def streams(seed: int) -> Streams:
-    """Return the sources of chance of one drive."""
+    """Return the named random sources of one drive."""
 
     def stream(name: str) -> np.random.Generator:
         return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(zlib.crc32(name.encode()),)))

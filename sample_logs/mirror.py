@@ -1,4 +1,4 @@
-"""The hyperbolic mirror of an omni-directional camera: which way every pixel looks.
+"""The hyperbolic mirror of an omni-directional camera: the viewing direction of every pixel.
 
 The mirror is the sheet Z > 0 of Z^2/b^2 - rho^2/a^2 = 1 and turns its hollow side down; its foci lie at
 +c and -c, c^2 = a^2 + b^2. The camera's pinhole is at -c and looks up. A ray towards +c is reflected to -c,
@@ -18,7 +18,7 @@ from .scenario import Camera
 
 
 class Rays(NamedTuple):
-    """The pixels that look into the mirror, in order of azimuth, and where they look."""
+    """The pixels inside the mirror, in order of azimuth, with their viewing directions."""
 
     pixel: Ints  # (n,) index into the flattened image
     azimuth: Array  # (n,) rad in [-pi, pi), from the camera's forward axis, counter-clockwise seen from above
@@ -35,7 +35,7 @@ def slope(radius: Array, camera: Camera) -> Array:
 
 
 def azimuth(u: Array, v: Array, camera: Camera) -> Array:
-    """Return which way pixels (u, v) look, rad in [-pi, pi): the image's "down" is `zero_deg` (paper eq. 1)."""
+    """Return the azimuth of pixels (u, v), rad in [-pi, pi): the image's "down" is `zero_deg` (paper eq. 1)."""
     right_of_down = np.arctan2(u - camera.centre[0], v - camera.centre[1])
     turn = -right_of_down if camera.clockwise else right_of_down
     return wrap_all(turn + np.radians(camera.zero_deg))

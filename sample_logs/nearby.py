@@ -1,4 +1,4 @@
-"""Ray casting in a large plan: each segment and circle is tried only by the rays that may meet it.
+"""Ray casting in a large plan: each segment and circle is tested only against rays that may meet it.
 
 The rays of one scan begin close together, so a thing is seen from all their origins at nearly the same bearing.
 What is left out is what no ray can meet within its reach; what is tried is computed exactly.
@@ -59,7 +59,7 @@ def fan(origin: Array, angle: Array) -> Fan:
 
 
 def _segments(segments: Array, rays: Fan, reach: float) -> tuple[Indices, Array]:
-    """Return which rays (p,) meet a segment, and how far away (p,) m."""
+    """Return which rays (p,) meet a segment, and at which distance (p,) m."""
     a, b = segments[:, :2] - rays.middle, segments[:, 2:] - rays.middle
     gap = _gap(a, b)
     kept = np.flatnonzero(gap <= reach + rays.spread + SLACK)
@@ -79,7 +79,7 @@ def _segments(segments: Array, rays: Fan, reach: float) -> tuple[Indices, Array]
 
 
 def _circles(circles: Array, rays: Fan, reach: float) -> tuple[Indices, Array]:
-    """Return which rays (p,) meet a circle, and how far away (p,) m."""
+    """Return which rays (p,) meet a circle, and at which distance (p,) m."""
     to = circles[:, :2] - rays.middle
     distance = np.hypot(to[:, 0], to[:, 1])
     kept = np.flatnonzero(distance - circles[:, 2] <= reach + rays.spread + SLACK)
@@ -103,7 +103,7 @@ def _gap(a: Array, b: Array) -> Array:
 
 
 def _pairs(rays: Fan, centre: Array, width: Array, gap: Array) -> tuple[Indices, Indices]:
-    """Return every ray (p,) that may meet a thing, and the thing (p,).
+    """Return every ray (p,) that may meet an object, and the object (p,).
 
     Args:
         rays: n of them.

@@ -1,4 +1,4 @@
-"""Where the robot should go: polygons with rounded corners, given or drawn at random, sampled every centimetre."""
+"""The planned path: polygons with rounded corners, given or drawn at random, sampled every centimetre."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Sampled(NamedTuple):
 
     @property
     def start(self) -> Pose:
-        """Return the pose at its beginning."""
+        """Return the first pose of the path."""
         x, y, theta = self.pose[0].tolist()
         return x, y, theta
 
@@ -139,7 +139,7 @@ def _lay(start: Pose, pieces: list[tuple[float, float]]) -> Sampled:
 
 
 def _along(start: Pose, s: Array, curvature: float) -> Array:
-    """Return the poses (n, 3) after the ways s (n,) on an arc."""
+    """Return the poses (n, 3) at distances s (n,) along an arc."""
     x, y, theta = start
     turn = curvature * s
     chord = s * np.sinc(turn / (2 * np.pi))

@@ -1,4 +1,4 @@
-"""Where a simulated drive goes: into a log file, or straight into columns in memory."""
+"""Outputs of a simulated drive: a log file, or columns in memory."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def write_log(scenario: Scenario, seed: int, localise: Localise, path: Path) -> 
 
 
 def to_log(log: LogWriter) -> Emit:
-    """Return what writes every message to a log."""
+    """Return a function that writes every message to a log."""
 
     def emit(m: RawMessage) -> None:
         log.write(
@@ -71,7 +71,7 @@ class Columns:
         self._messages: dict[str, list[RawMessage]] = {}
 
     def emit(self, message: RawMessage) -> None:
-        """Take one message."""
+        """Add one message."""
         self._messages.setdefault(message.topic, []).append(message)
 
     def streams(self) -> dict[str, ArrayStream]:

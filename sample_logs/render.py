@@ -1,4 +1,4 @@
-"""What rays through one point see of the room: the nearest of floor, ceiling, walls, plates and cylinders.
+"""Ray tracing from one point in the room: the nearest of floor, ceiling, walls, plates and cylinders.
 
 Rays come sorted by azimuth, so that whatever spans an angle touches one slice of them; inside the slice
 every ray is intersected exactly.
@@ -48,7 +48,7 @@ class View:
         ceiling: float,
         rings: Array = NO_RINGS,
     ) -> Hits:
-        """Return what every ray from `eye` = (x, y, z, heading) meets first, and where.
+        """Return the first hit of every ray from `eye` = (x, y, z, heading), and its place.
 
         `rings` (l, 3) are round walls up to the ceiling: x, y, radius [m], seen from inside.
         """
@@ -146,7 +146,7 @@ class View:
 def _side_or_lid(
     eye_z: float, slope: Floats, way_in: Floats, way_out: Floats, pillar: Pillar
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return how far a ray goes until it meets a cylinder's side or lid (inf: neither), and if it is a lid."""
+    """Return the distance of a cylinder's side or lid along a ray (inf: no hit), and whether it is a lid."""
     z_in, z_out = eye_z + way_in * slope, eye_z + way_out * slope
     side = (z_in >= pillar.bottom) & (z_in <= pillar.top)
     top = ~side & (z_in > pillar.top) & (z_out < pillar.top)

@@ -1,4 +1,4 @@
-"""The robot as physics: motors under PID control, encoders, wheels on a floor, and where that leads it.
+"""The robot as physics: motors under PID control, encoders, wheels on a floor, and its true path.
 
 Motion is exact: within a step both wheels turn at constant speed, so the path is a circular arc, and the
 pose between two knots is a point on that arc. No sensor samples a knot; all of them ask `Trail.pose`.
@@ -27,7 +27,7 @@ KNOTS = np.arange(STEPS_PER_TICK + 1)  # their ends
 
 
 class Trail:
-    """Where the robot has been: knots every `step` seconds, arcs between them."""
+    """The true path of the robot: knots every `step` seconds, arcs between them."""
 
     def __init__(self, step: float, start: Pose) -> None:
         self.step = step
@@ -79,7 +79,7 @@ def _chained(start: Array, moves: Array) -> list[tuple[float, float, float]]:
 
 
 class Tick(NamedTuple):
-    """What the motor controller knows at one reading of its counters."""
+    """Readings of the motor controller at one tick of its counters."""
 
     t: float  # s
     counts: tuple[int, int]  # left, right
@@ -113,7 +113,7 @@ class Wheel:
         self._error = 0.0
 
     def turn(self, target: float) -> list[float]:
-        """Run the controller once and the motor for one tick; return the angles turned per step [rad]."""
+        """Run the controller and the motor for one tick; return the angles turned per step [rad]."""
         voltage = self._control(target)
         turned, angles = [], [self.angle]
         decay = math.exp(-self.step / self.motor.time_constant)
@@ -156,7 +156,7 @@ class Wheel:
 
 
 class Robot:
-    """Two wheels on a floor that adds noise per metre rolled, and what faults do to them."""
+    """Two wheels on a floor that adds noise per metre rolled, with faults."""
 
     def __init__(self, scenario: Scenario, start: Pose, streams: Streams) -> None:
         self.wheels = tuple(
@@ -170,7 +170,7 @@ class Robot:
         self.ticks: list[Tick] = [self._tick()]
 
     def drive(self, targets: tuple[float, float]) -> None:
-        """Let one tick pass with the wheel speeds `targets` [rad/s] asked for."""
+        """Drive one tick with the commanded wheel speeds `targets` [rad/s]."""
         t = self.trail.end
         rolled = np.array([w.radius * np.array(w.turn(s)) for w, s in zip(self.wheels, targets, strict=True)])
         ways = np.concatenate((rolled, np.zeros_like(rolled[:1])))
@@ -201,7 +201,7 @@ class Robot:
         return se2.compose(self.trail.pose(t), seat)
 
     def _carried(self, kidnap: Kidnap, steps: int) -> Array:
-        """Return the twists (steps, 3) of a robot in someone's arms: its wheels move nothing."""
+        """Return the twists (steps, 3) of a robot that is carried: its wheels do not move it."""
         share = self.trail.step / (kidnap.end - kidnap.start)
         move = share * np.array([kidnap.x, kidnap.y, math.radians(kidnap.theta_deg)])
         poses = self.trail.knots()[-1] + np.arange(steps + 1)[:, None] * move

@@ -35,7 +35,7 @@ class Landmark(Pillar, frozen=True, kw_only=True):
 
 
 class Wheels(Table, frozen=True, kw_only=True):
-    """Two driven wheels, their encoders, and how they meet the ground."""
+    """Two driven wheels, their encoders, and their noise on the ground."""
 
     radius: Positive = 0.05  # m, what the user knows
     track: Positive = 0.60
@@ -62,7 +62,7 @@ class Motor(Table, frozen=True, kw_only=True):
 
 
 class Control(Table, frozen=True, kw_only=True):
-    """What closes the loop: the follower steers on this estimate of the pose."""
+    """The control loop: the follower steers on this estimate of the pose."""
 
     estimator: str = "odometry"  # "truth", "odometry", "all", or sensors: "compass+lrf"
     period: Positive = 0.1  # s
@@ -209,7 +209,7 @@ class Gps(Table, frozen=True, kw_only=True):
 
 
 class Start(Table, frozen=True, kw_only=True):
-    """How well the user knows the start: robot.toml gets the true pose, the error, one draw, and these sigmas."""
+    """The user's knowledge of the start: robot.toml gets the true pose, the error, one draw, and these sigmas."""
 
     sigma_xy: NotNegative = 0.0  # m, of x and of y
     sigma_theta_deg: NotNegative = 0.0

@@ -1,4 +1,4 @@
-"""The sensors as physics: each reads the true world at its own instants and returns a raw message's fields."""
+"""The sensors as physics: each measures the true world at its own times and returns a message's fields."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ JOINTS = ("left_wheel_joint", "right_wheel_joint")
 
 
 class Sensor(Protocol):
-    """Something that publishes: when it reads, how long that takes, and what it says."""
+    """A sensor with a topic: its times, its duration, and its message fields."""
 
     name: str
     topic: str
@@ -31,7 +31,7 @@ class Sensor(Protocol):
     latency: float  # s, from the last sample to the recorder
 
     def read(self, t: float) -> dict[str, Any]:
-        """Return the fields of the reading that begins at t; the robot's trail covers its duration."""
+        """Return the fields of the reading that starts at t; the robot's trail covers its duration."""
 
 
 class Encoders:
@@ -46,7 +46,7 @@ class Encoders:
         self.faults = [f for f in scenario.faults if isinstance(f, EncoderSpike | EncoderRollover)]
 
     def read(self, t: float) -> dict[str, Any]:
-        """Return the counters of the tick at t as joint angles."""
+        """Return the counters at tick t as joint angles."""
         tick = self.robot.ticks[round(t / self.period)]
         counts = list(tick.counts)
         for fault in self.faults:
@@ -62,7 +62,7 @@ class Encoders:
 
 
 class Magnetometer:
-    """The earth's field in the robot's plane, bent by the iron on the robot."""
+    """The earth's field in the robot's plane, distorted by iron on the robot."""
 
     name, topic, msgtype, frame_id = "compass", "/compass", "sensor_msgs/msg/MagneticField", "compass"
     duration, latency = 0.0, 0.002
@@ -81,7 +81,7 @@ class Magnetometer:
         self.rng = rng
 
     def read(self, t: float) -> dict[str, Any]:
-        """Return the field strength on the two axes; the module has no third."""
+        """Return the field strength on the two axes; the sensor has no third."""
         pose = self.robot.sensor_pose("compass", np.array([t]))
         field = self.earth + self.scene.magnetic(t, pose[:, :2])[0]
         c, s = np.cos(pose[0, 2]), np.sin(pose[0, 2])
@@ -98,7 +98,7 @@ class Magnetometer:
 
 
 class Laser:
-    """A rotating beam: every ray leaves from where the robot is at its own instant."""
+    """A rotating beam: every ray starts from the robot's pose at its own time."""
 
     name, topic, msgtype, frame_id = "lrf", "/scan", "sensor_msgs/msg/LaserScan", "laser"
     latency = 0.002
@@ -146,7 +146,7 @@ class Laser:
 
 
 class GroundTruth:
-    """The robot's pose, with the noise and the frame of what tracks it."""
+    """The robot's pose, with the noise and the frame of the tracking system."""
 
     name, topic, msgtype, frame_id = "truth", "/ground_truth/pose", "geometry_msgs/msg/PoseStamped", "map"
     duration, latency = 0.0, 0.001

@@ -1,4 +1,4 @@
-"""The simulated drive: the robot follows a path on its own pose estimate while its sensors are recorded."""
+"""The simulated drive: the robot follows a path by its own pose estimate while its sensors are recorded."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ OBSTACLE_HEIGHT = 0.25  # m: what stands at this height can be hit
 
 @dataclass(frozen=True)
 class Outcome:
-    """What only the simulator knows of a drive."""
+    """Results of a drive that only the simulator knows."""
 
     truth_t: Array  # (n,) s since EPOCH_NS
     truth: Array  # (n, 3) pose at every physics step
@@ -46,12 +46,12 @@ class Outcome:
 
     @property
     def way(self) -> float:
-        """Way rolled, mean of both wheels [m]."""
+        """Distance rolled, mean of both wheels [m]."""
         return float(np.abs(np.diff(self.counts, axis=0)).sum() / 2 * self.rad_per_count * self.radius)
 
 
 class Simulation:
-    """A scenario made ready with a seed: its way and its start are drawn, nothing has moved yet."""
+    """A scenario prepared with a seed: path and start are drawn, the drive has not begun."""
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
         self.scenario = scenario
@@ -62,7 +62,7 @@ class Simulation:
 
     @property
     def robot_tables(self) -> dict[str, dict[str, Any]]:
-        """What a user of this robot would write into robot.toml."""
+        """The robot.toml that a user of this robot would write."""
         stated = equipment.stated_start(self.scenario, self.start, self.streams)
         return equipment.robot_tables(self.scenario, stated)
 
@@ -109,7 +109,7 @@ class Simulation:
 
 
 class Recorder:
-    """Lets the sensors read as time passes and hands their messages out in the order they arrive."""
+    """Reads the sensors in time and returns their messages in the order of arrival."""
 
     def __init__(self, sensors: list[Sensor], faults: tuple[Fault, ...], streams: Streams) -> None:
         self.sensors = sensors
@@ -125,7 +125,7 @@ class Recorder:
             self._announce(fault)
 
     def until(self, now: float) -> list[RawMessage]:
-        """Return the messages that have arrived by `now` [s] and were not handed out before."""
+        """Return the messages that arrived by `now` [s] and were not returned before."""
         for i, sensor in enumerate(self.sensors):
             while (t := sensor.phase + self.read[i] * sensor.period) + sensor.duration <= now + 1e-9:
                 self._receive(i, t)
@@ -169,7 +169,7 @@ def nanoseconds(t: float) -> int:
 
 
 def plan_way(scenario: Scenario, scene: Scene, streams: Streams) -> tuple[Pose, Callable[[], Follower]]:
-    """Return where the robot starts and what makes the follower that will steer it."""
+    """Return the robot's start, and a function that makes its follower."""
     path, speed = scenario.path, scenario.control.speed
     if isinstance(path, Legs):
         start = (path.x, path.y, float(np.radians(path.theta_deg)))

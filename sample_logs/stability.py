@@ -1,4 +1,4 @@
-"""How steady the motor controllers hold the wheels, as the paper states it: per sampling time, within 5 %."""
+"""Stability of the wheel speeds, as in the paper: per sampling time, within 5 %."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Stability(NamedTuple):
 
 
 def speed_stability(outcome: Outcome, window: float = 0.1) -> Stability:
-    """Return how steady the wheels were over windows of `window` [s], both wheels, standstill left out."""
+    """Return the stability of both wheels over windows of `window` [s], without standstill."""
     per = max(1, round(window / (outcome.ticks_t[1] - outcome.ticks_t[0])))
     n = (len(outcome.ticks_t) - 1) // per
     turned = np.diff(outcome.counts[: n * per + 1 : per], axis=0) * outcome.rad_per_count

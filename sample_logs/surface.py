@@ -1,4 +1,4 @@
-"""How things look: cement walls, wooden plates, a tiled floor, painted cylinders, lit from the ceiling."""
+"""Appearance of surfaces: cement walls, wooden plates, a tiled floor, painted cylinders, lit from the ceiling."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LAMP = 4.0  # m^2: brightness of one lamp, times cosine over squared distance
 
 
 class Surface(IntEnum):
-    """What a ray hits; from PAINTED on, one number per cylinder."""
+    """The surface that a ray hits; from PAINTED on, one number per cylinder."""
 
     FLOOR = 0
     CEILING = 1
@@ -38,7 +38,7 @@ COLOUR: dict[int, Colour] = {  # red, green, blue
 
 @dataclass
 class Hits:
-    """What every ray has met so far."""
+    """The nearest hits of every ray so far."""
 
     dx: Floats  # (n,) direction in plan, unit length, map frame
     dy: Floats
@@ -60,7 +60,7 @@ class Hits:
         nx: Floats | float,
         ny: Floats | float,
     ) -> None:
-        """Let the rays of a slice where `seen` is true end at a new thing."""
+        """Set the hits of a slice's rays, where `seen` is true, to a new object."""
         self.way[part] = np.where(seen, way, self.way[part])
         self.surface[part][seen] = surface
         self.along[part] = np.where(seen, along, self.along[part])
@@ -69,7 +69,7 @@ class Hits:
 
 
 def shade(hits: Hits, eye: Array, lamps: Array) -> Floats:
-    """Return the light each ray brings back, (n, 3) red, green, blue in 0..255."""
+    """Return the colour of every ray, (n, 3) red, green, blue in 0..255."""
     way = np.minimum(hits.way, np.float32(100))  # an open door: the floor goes on, but not for ever
     x, y = np.float32(eye[0]) + way * hits.dx, np.float32(eye[1]) + way * hits.dy
     z = np.float32(eye[2]) + way * hits.slope

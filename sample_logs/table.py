@@ -1,4 +1,4 @@
-"""What the tables of a scenario have in common."""
+"""The base of all tables of a scenario."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""People who walk up and down their paths for the whole drive, as moving circles: two legs, above them a body."""
+"""People who walk up and down their paths, as moving circles: two legs, above them a body."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ AWAY = 0.75  # m: nobody comes closer to the robot's laser than this
 
 
 class Walk:
-    """One person's walk: there, a pause, back, a pause, and so on."""
+    """One person's walk: forth, a pause, back, a pause, and so on."""
 
     def __init__(self, walker: Walker, rng: np.random.Generator) -> None:
         self.path = np.array(walker.path, float)
@@ -32,20 +32,20 @@ class Walk:
         self.start = rng.uniform(0, 2 * (self.once + self.pause))
 
     def way(self, t: Array) -> Array:
-        """Return how far along the path the person is at the times t [s], (n,) m."""
+        """Return the person's distance along the path at the times t [s], (n,) m."""
         phase = (t + self.start) % (2 * (self.once + self.pause))
         there = np.minimum(phase, self.once)
         back = np.clip(phase - self.once - self.pause, 0, self.once)
         return np.asarray(self.speed * (there - back))
 
     def place(self, t: Array) -> tuple[Array, Array]:
-        """Return where the person is and which way the path runs there, both (n, 2), map frame."""
+        """Return the person's place and the path's direction there, both (n, 2), map frame."""
         way = self.way(t)
         i = np.clip(np.searchsorted(self.gone, way, side="right") - 1, 0, len(self.ahead) - 1)
         return self.path[i] + (way - self.gone[i])[:, None] * self.ahead[i], self.ahead[i]
 
     def circles(self, t: Array, z: float, robot: Array) -> Array:
-        """Return what of the person is at height z [m] at the times t (n,), (n, k, 3): x, y, radius, m.
+        """Return the circles of the person at height z [m] at the times t (n,), (n, k, 3): x, y, radius, m.
 
         Args:
             t: s of the drive.
@@ -70,7 +70,7 @@ def stepped_aside(middle: Array, robot: Array) -> Array:
 
 
 def circles(walks: list[Walk], t: Array, z: float, robot: Array) -> Array:
-    """Return everybody at height z [m] at the times of the rays, (n, k, 3): x, y, radius, m, map frame.
+    """Return all people at height z [m] at the times of the rays, (n, k, 3): x, y, radius, m, map frame.
 
     Between the first and the last ray people move evenly.
 

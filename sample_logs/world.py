@@ -1,4 +1,4 @@
-"""The room in plan and in time: what stands where, and exact ray casting against it."""
+"""The room in plan and in time: its objects, and exact ray casting against them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .table import Pillar
 
 
 class Plan(NamedTuple):
-    """What a horizontal ray can hit."""
+    """Objects that a horizontal ray can hit."""
 
     segments: Array  # (m, 4) x1, y1, x2, y2 [m], map frame
     circles: Array  # (k, 3) x, y, radius [m], or (n, k, 3) where they move from ray to ray
@@ -23,7 +23,7 @@ class Plan(NamedTuple):
 
 
 def walls(room: Room) -> Array:
-    """Return the straight outer walls, (m, 4); a round room has only those it names."""
+    """Return the straight outer walls, (m, 4); a round room has only the configured ones."""
     if room.walls is not None or room.radius is not None:
         return np.array(room.walls or (), float).reshape(-1, 4)
     w, h = room.size
@@ -53,7 +53,7 @@ class Scene:
         return (self._landmark(t), *self.room.pillars, *self._red_objects(t), *self._people(t, t))
 
     def plan(self, z: float, times: Array | None = None) -> Plan:
-        """Return what lies at height z [m]: lasting things, or with `times` (n,) all there is at each of them."""
+        """Return the objects at height z [m]: static ones, or with `times` (n,) all at each of them."""
         standing = [(self.walls, self.room.height), (self.plates, self.room.plate_height)]
         segments = np.concatenate([part for part, height in standing if z < height] or [np.zeros((0, 4))])
         round_walls = self.rings if z < self.room.height else self.rings[:0]
@@ -102,7 +102,7 @@ class Scene:
         return tuple(f.pillar() for f in self.faults if isinstance(f, RedObject) and f.active(t))
 
     def _people(self, present: float, t: float) -> tuple[Pillar, ...]:
-        """Return those who are there at `present`, where they are at t."""
+        """Return the people present at `present`, at their places at t."""
         found = [f for f in self.faults if isinstance(f, People) and f.active(present)]
         return tuple(solid for person in found for solid in person.solids(t))
 
@@ -167,7 +167,7 @@ def hit_rings(rings: Array, origin: Array, direction: Array) -> Array:
 
 
 def clearance(plan: Plan, points: Array) -> Array:
-    """Return the distance of every point (n, 2) from the nearest thing in the plan, (n,) m."""
+    """Return the distance of every point (n, 2) from the nearest object in the plan, (n,) m."""
     to_walls = _squared_gaps(plan.segments, points)
     to_circles = points[:, None] - plan.circles[None, :, :2]
     to_rings = points[:, None] - plan.rings[None, :, :2]

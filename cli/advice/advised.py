@@ -1,4 +1,4 @@
-"""What the evaluation of a log found."""
+"""The result of evaluating a log."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from locfuse.fusion.checks.tried import Advice, Fixes, together
 
 
 class Advised(msgspec.Struct, frozen=True):
-    """What a log's evaluation found."""
+    """The result of a log's evaluation."""
 
     advice: tuple[Advice, ...] = ()  # what helps first, in the order in which it was found to help
     fusions: int = 0  # runs of the filter that it cost
 
     @property
     def fixes(self) -> Fixes:
-        """Everything that helps, together."""
+        """All helpful fixes together."""
         kept: Fixes = ()
         for advice in self.advice:
             kept = together(kept, advice.fixes)

@@ -1,4 +1,4 @@
-"""Clocks that look off by truth, other sensors, the run of the laser and the wheels; the offsets to be tried."""
+"""Clocks that look wrong by truth, other sensors, the laser's run and the wheels; the offsets to try."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ CAMERA_LAGS_S = (-0.2, -0.1, 0.1, 0.2)  # s
 
 
 class Clocks(Judged):
-    """What a compared log says of clocks."""
+    """Findings on clocks of a compared log."""
 
     @cached_property
     def wrong(self) -> list[tuple[Clock, ...]]:
-        """Return which clocks look off, the best explanation first."""
+        """Return which clocks look wrong, the best explanation first."""
         found = differences(self.loaded.drive, self.loaded.robot, self.compared.estimates)
         again = any(".time_offset=" in fix for fix in self.fixes)
         return wrong_clocks(found, TRIED_SIGMAS, MIN_AGAIN_S if again else MIN_LAG_S)
 
     def clocks(self) -> list[Candidate]:
-        """Return the clocks that look off: while one is, the rest is not to be trusted."""
+        """Return the clocks that look wrong: before they are fixed, other findings are not reliable."""
         found: dict[str, Candidate] = {}
         by_truth = self.loaded.drive.truth is not None
         for clock in (clock for clocks in self.wrong for clock in clocks):

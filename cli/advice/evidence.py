@@ -1,4 +1,4 @@
-"""What looks wrong in a log under some settings, and which settings might be right: candidates to be tried.
+"""Faults of a log under some settings, and settings that may correct them: candidates to try.
 
 The order of evidence: as long as a clock, a mount, a scale or a direction may be wrong, nothing is said of offsets
 and noise, since each of these looks like one. Clocks and noise have files of their own.
@@ -42,10 +42,10 @@ SIGNS = {("wheels", "swapped"), ("wheels", "mirrored")}  # judged by the path's 
 
 
 class Evidence(Clocks, Noise):
-    """One log compared under some settings, and what can be asked of it."""
+    """One log compared under some settings, with its candidates for fixes."""
 
     def suspicious(self) -> bool:
-        """Return whether anything looks wrong at all: else nothing is tried, and nothing costs time."""
+        """Return whether anything looks wrong; if not, no fix is tried."""
         noise = any(f.verdict not in FINE for f in self.consistency.values())
         claims_too_much = bool(overconfident(self.honesty))
         lost = any(e.lost for e in self.compared.estimates)
@@ -68,7 +68,7 @@ class Evidence(Clocks, Noise):
         )
 
     def classes(self) -> Sequence[Sequence[Callable[[], Sequence[Candidate]]]]:
-        """Return what may be wrong by class of evidence, in groups: the next waits while one of this is open."""
+        """Return possible faults by class of evidence: a later group waits while an earlier one is open."""
         return (
             (self.truth,),
             (self.clocks, self.geometry),
@@ -83,11 +83,11 @@ class Evidence(Clocks, Noise):
         return any(s.high < 0.0 for s in self.compared.scores)
 
     def truth(self) -> list[Candidate]:
-        """Return the finding that the truth jumps aside: errors after that cannot be judged."""
+        """Return the finding that the truth jumps aside: errors after that cannot be used."""
         return [self._candidate(f, ()) for f in self.doctor if f.code == STEP]
 
     def geometry(self) -> list[Candidate]:
-        """Return what measuring and a run with more states say of mounts, scales and directions."""
+        """Return findings on mounts, scales and directions, by measuring and by a run with more states."""
         probed = [] if self._open_scale else [*self._probed(), *self._scaled()]
         probed = [*self._points(), *probed]
         named = {(f.role, f.code) for f in probed}
@@ -106,7 +106,7 @@ class Evidence(Clocks, Noise):
 
     @cached_property
     def _distances(self) -> list[Finding]:
-        """Return that laser and wheels differ in distance, by the laser's run: only truth decides."""
+        """Return the finding that laser and wheels differ in distance, by the laser's run: only truth decides."""
         if self.loaded.drive.truth is not None or self.loaded.drive.wheels.matched is not None:
             return []
         runs = (e for e in self.compared.estimates if e.sensors == (LASER,) and not e.smoothed and not e.lost)
@@ -119,7 +119,7 @@ class Evidence(Clocks, Noise):
         by_measuring: Collection[Key],
         by_offers: Collection[Key],
     ) -> list[Candidate]:
-        """Return candidates; a sensor that no run can use as it is (its readings are refused) has no judge.
+        """Return candidates; a sensor whose readings are all rejected at present has no judge.
 
         `by_measuring` names those of `seen` whose value the drive shows beyond chance, `by_offers` of `offers`.
         """
@@ -155,11 +155,11 @@ class Evidence(Clocks, Noise):
 
     @property
     def _open_scale(self) -> bool:
-        """Whether laser and wheels surely differ in distance and nothing tells who is right: that moves mounts."""
+        """Whether laser and wheels differ in distance and no reference decides: that also shifts mounts."""
         return any(f.severe and not self._decided(f).fixes for f in self.doctor if f.code == OPEN_SCALE)
 
     def _decided(self, finding: Finding) -> Finding:
-        """Return a finding; without its fix where nothing tells whose distances are right, laser's or wheels'.
+        """Return a finding; without its fix if it is open whose distances are right, laser's or wheels'.
 
         The laser's own readings are predicted better if its distances are the wheels', whoever is wrong.
         """
@@ -170,7 +170,7 @@ class Evidence(Clocks, Noise):
         return replace(finding, fixes=(), message=f"{finding.message}. Nothing in this log says which")
 
     def _points(self) -> Iterator[Finding]:
-        """Yield the body point that the truth tracks by the run of all sensors, which does not slip as wheels."""
+        """Yield the body point of the truth by the run of all sensors, which does not slip as wheels do."""
         truth = self.loaded.drive.truth
         for e in self.compared.estimates:
             if (
@@ -182,7 +182,7 @@ class Evidence(Clocks, Noise):
                 yield from of_point(truth, swing(truth, self.loaded.drive, e.truth_pose[:, :2]))
 
     def _probed(self) -> Iterator[Finding]:
-        """Yield mounts and the track as a run with `all` sensors estimates them, one sensor at a time."""
+        """Yield mounts and track as estimated by a run with `all` sensors, one sensor at a time."""
         drive, robot = self.loaded.drive, self.loaded.robot
         for sensor in filter(self._using, drive.measurements):
             if sensor == LASER and drive.wheels.matched is not None:
@@ -199,7 +199,7 @@ class Evidence(Clocks, Noise):
 
     @cached_property
     def _mounts_found(self) -> list[Finding]:
-        """Mounts that are states already, where the run of their sensor alone finds them elsewhere."""
+        """Mounts that are states already, if the run of their sensor alone finds them elsewhere."""
         return [
             finding
             for e in self.compared.estimates
@@ -209,20 +209,20 @@ class Evidence(Clocks, Noise):
 
     @cached_property
     def _beyond_prior(self) -> set[str]:
-        """Sensors whose mount is a state already that the drive finds further off than its prior allows."""
+        """Sensors whose mount is a state already and is found further off than its prior allows."""
         if self.loaded.drive.truth is not None:
             return set()  # the truth judges what the state says
         alone = (e for e in self.compared.estimates if len(e.sensors) == 1 and not e.smoothed and not e.lost)
         return {e.sensors[0] for e in alone if beyond_prior(self.loaded.robot, e.sensors[0], e)}
 
     def _scaled(self) -> Iterator[Finding]:
-        """Yield the laser's range scale by the size of its own run, once no clock or mount is wrong."""
+        """Yield the laser's range scale by the size of its own run, after clocks and mounts are right."""
         for e in self.compared.estimates:
             if e.sensors == (LASER,) and not e.smoothed and not e.lost and self._complained(LASER):
                 yield from of_scale(self.loaded.robot, e, self.loaded.drive)
 
     def offsets(self) -> list[Candidate]:
-        """Return constant errors: offsets that were estimated or are configured wrongly, a mirrored camera."""
+        """Return constant errors: offsets that are estimated or configured wrongly, a mirrored camera."""
         found = [
             self._candidate(f, (f.fixes,), True)
             for e in self.compared.estimates
@@ -246,7 +246,7 @@ class Evidence(Clocks, Noise):
         return found
 
     def _start_heading(self) -> list[Candidate]:
-        """Return the heading of the start where a compass whose offset is configured shows another one."""
+        """Return the start heading by a compass with a configured offset, if it differs."""
         verdict, robot = self.consistency.get("compass"), self.loaded.robot
         offset = robot.settings("compass").offset_deg
         if verdict is None or offset is None or self.loaded.drive.truth is not None or not robot.start_given:
@@ -260,7 +260,7 @@ class Evidence(Clocks, Noise):
 
     @cached_property
     def _biases_again(self) -> dict[str, NoiseVerdict]:
-        """Offsets that were fixed before something else was: measured again, since that had moved them."""
+        """Offsets that were fixed before another fix: measured again, since that fix moved them."""
         keys = [fix.partition("=")[0] for fix in self.fixes]
         fixed = [
             s for s in self.consistency if (b := REGISTRY[s].bias) is not None and f"{s}.{b.key}" in keys[:-1]
@@ -272,7 +272,7 @@ class Evidence(Clocks, Noise):
         return {s: verdict for s, verdict in found.items() if verdict is not None}
 
     def unexplained(self) -> list[Candidate]:
-        """Return what is unusual in a sensor's residuals where no setting is known that explains it."""
+        """Return unusual residuals of a sensor for which no fixing setting is known."""
         return [
             self._candidate(Finding(sensor, verdict.verdict, verdict.words), ())
             for sensor, verdict in self.consistency.items()
@@ -281,7 +281,7 @@ class Evidence(Clocks, Noise):
 
 
 def _ways(finding: Finding) -> tuple[Fixes, ...]:
-    """Return the ways to fix what measuring shows; a wrong radius alone turns the robot wrongly too."""
+    """Return the ways to fix what measuring shows; a wrong radius alone also makes turns wrong."""
     if finding.code == WHEEL_SCALE and len(finding.fixes) > 1:
         return finding.fixes, finding.fixes[:1]
     return (finding.fixes,) if finding.fixes else ()

@@ -1,4 +1,4 @@
-"""Noise that does not fit: sensor by sensor as residuals, ranges and truth show it, and that of the wheels."""
+"""Wrong noise settings: of each sensor by residuals, ranges and truth; of the wheels by their slip."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ NOISE = {"understated", "overstated", "correlated"}
 
 
 class Noise(Judged):
-    """What a compared log says of noise."""
+    """Findings on noise of a compared log."""
 
     def noise(self) -> list[Candidate]:
-        """Return noise that does not fit, sensor by sensor, and that of the wheels."""
+        """Return findings on wrong noise, of each sensor and of the wheels."""
         found = []
         for sensor, verdict in self.consistency.items():
             seen, more = [*_noise_options(verdict), *_above(verdict)], self._by_anees(sensor)
@@ -66,7 +66,7 @@ class Noise(Judged):
         return found
 
     def _shared_by_lines(self, sensor: str, verdict: Consistency) -> list[Candidate]:
-        """Return larger floors of a laser's lines where these scatter more than their beams say, and no sigma is.
+        """Return larger floors for a laser's lines if they scatter more than their beams and no sigma explains it.
 
         A depth camera's neighbouring beams are wrong alike (calibration, steps of the disparity): what a line is
         off does not become less with the number of its beams.
@@ -88,12 +88,12 @@ class Noise(Judged):
         return [self._candidate(Finding(LASER, "floor", words), options, True)]
 
     def slips(self) -> list[Candidate]:
-        """Return the wheels' noise where their turning shows it: every sensor's run is as sure as it says."""
+        """Return the wheels' noise if their turning shows it and every sensor's run is consistent."""
         return [self._wheel_noise()] if self._slips_unusually else []
 
     @cached_property
     def _ranges_sigma(self) -> float | None:
-        """The noise of a range as the laser's raw ranges show it [m]; None where they show none."""
+        """The noise of a range by the laser's raw ranges [m]; None if they show none."""
         if LASER not in self.loaded.drive.measurements:
             return None
         return ranges_sigma(self.loaded.stream(LASER), self.loaded.robot.settings(LASER))
@@ -104,7 +104,7 @@ class Noise(Judged):
         return scatter_more(self._ranges_sigma, self.loaded.robot.settings(LASER).sigma_range)
 
     def _as_ranges_scatter(self, sensor: str, verdict: Consistency) -> Fixes:
-        """Return the laser's noise as its raw ranges show it, where its lines show it too, if not as exactly.
+        """Return the laser's noise by its raw ranges, if its lines show about the same.
 
         A sigma that is far too high also joins walls that are two, and these lines fit worse than others.
         """
@@ -116,7 +116,7 @@ class Noise(Judged):
         return tuple(f"{LASER}.{k}={getattr(settings, k) * share:.2g}" for k in REGISTRY[LASER].noise_keys)
 
     def _ranges_show_more(self, sensor: str, verdict: Consistency) -> bool:
-        """Whether the laser's raw ranges scatter by more than a smaller sigma would say: then it is none.
+        """Whether the laser's raw ranges scatter more than a smaller sigma allows: then it is not proposed.
 
         The lines' residuals show the noise of ranges and angles together; the ranges show their own.
         """
@@ -138,12 +138,12 @@ class Noise(Judged):
         return found is not None and found.unusual and (found.factor > 1.0 or truth is not None or found.agreed)
 
     def _too_sure(self, sensor: str, verdict: Consistency) -> bool:
-        """Whether truth shows that a filter which is to trust a sensor more trusts it too much already."""
+        """Whether truth shows that a filter that would trust a sensor more is overconfident already."""
         honest = self.honesty.get(self._alone(sensor))
         return verdict.verdict == "overstated" and honest is not None and honest.overconfident
 
     def _beside_the_wheels(self, sensor: str, seen: list[Fixes], words: str) -> tuple[list[Fixes], str]:
-        """Return smaller noise with more of the wheels' where the smaller alone makes the gate refuse too much.
+        """Return smaller noise with more wheel noise, if the smaller alone makes the gate reject too much.
 
         Noise of a sensor that is set too high can hide noise of the wheels that is set too low: with the first
         alone the filter trusts its prediction too much. Truth shows that by itself (`_too_sure`).
@@ -166,12 +166,12 @@ class Noise(Judged):
         return both, f"{words}; wheels.noise is set too low ({alone})"
 
     def _refused(self, sensor: str, fixes: Fixes) -> float | None:
-        """Return the share of a sensor's readings that its own run refuses under more settings."""
+        """Return the share of a sensor's readings that its own run rejects under more settings."""
         found = self._own(sensor, fixes)
         return None if found is None else found.refused
 
     def _own(self, sensor: str, fixes: Fixes) -> Own | None:
-        """Return what the innovations of a sensor's own run say under more settings."""
+        """Return the innovation figures of a sensor's own run under more settings."""
         tried = self.trial.under((*self.fixes, *fixes))
         run = None if tried is None else self.trial.fused(tried, self._alone(sensor))
         if tried is None or run is None:
@@ -180,14 +180,14 @@ class Noise(Judged):
 
     @property
     def _noise_factors(self) -> tuple[float, ...]:
-        """Factors on the wheels' noise, to be tried where truth judges: less is no fix of a filter too sure."""
+        """Factors on the wheels' noise, tried with truth: a smaller one cannot fix an overconfident filter."""
         honest = self.honesty.get(self._best(self.trial.configurations))
         if honest is None:
             return ()
         return tuple(factor for factor in WHEEL_NOISE_FACTORS if (factor > 1.0) == (honest.anees > 1.0))
 
     def _by_anees(self, sensor: str) -> list[Fixes]:
-        """Return the sensor's noise scaled by what truth says of the run that uses it alone.
+        """Return the sensor's noise scaled by the ANEES of the run that uses it alone.
 
         Not against what its residuals show: only a map that is built from the readings takes their errors along.
         """
@@ -205,12 +205,12 @@ class Noise(Judged):
         return [tuple(f"{sensor}.{k}={getattr(settings, k) * factor:.2g}" for k in keys)]
 
     def _by_truth(self, sensor: str) -> str:
-        """Return what truth says of the covariance of the run that uses a sensor alone."""
+        """Return the covariance figures by truth for the run that uses a sensor alone."""
         honest = self.honesty.get(self._alone(sensor))
         return "understated" if honest is None or honest.anees > 1.0 else "overstated"
 
     def _errors_in_sigmas(self, sensor: str) -> str:
-        """Return how much larger or smaller the errors of the sensor's own run are than it claims."""
+        """Return the ratio of the errors of the sensor's own run to its claimed sigmas."""
         honest = self.honesty.get(self._alone(sensor))
         times = 1.0 if honest is None else honest.anees**0.5
         return f"position errors with it are {times:.2g} times what the covariance claims"
@@ -240,21 +240,21 @@ class Noise(Judged):
 
 
 def _smaller_range_noise(sensor: str, verdict: Consistency) -> float | None:
-    """Return the smaller noise of a range [m] that the lines of a laser show, None where they show none."""
+    """Return the smaller noise of a range [m] by the lines of a laser, None if they show none."""
     return (
         verdict.cures.get(f"{LASER}.sigma_range") if sensor == LASER and verdict.verdict == "overstated" else None
     )
 
 
 def useful(fixes: Fixes, settings: Any) -> bool:
-    """Whether a sigma is plausible: many times the configured one would mean not to use the sensor at all."""
+    """Return whether a sigma is plausible: a much larger one would mean not to use the sensor."""
     changed = (fix.partition("=") for fix in fixes)
     pairs = ((float(value), getattr(settings, key.partition(".")[2], None)) for key, _, value in changed)
     return all(not now or value <= MAX_OFFERED_FACTOR * now for value, now in pairs)
 
 
 def _noise_options(verdict: Consistency) -> list[Fixes]:
-    """Return the alternatives of one noise verdict: all keys of a sigma at once, else one key after the other."""
+    """Return the alternatives of one noise verdict: all keys of a sigma at once, else one key after another."""
     if verdict.verdict not in NOISE or not verdict.cures:
         return []
     if verdict.verdict == "correlated":
@@ -263,7 +263,7 @@ def _noise_options(verdict: Consistency) -> list[Fixes]:
 
 
 def _above(verdict: Consistency) -> list[Fixes]:
-    """Return a sigma above the observed one, where the configured one was too low."""
+    """Return a sigma above the observed one, if the configured one was too low."""
     if verdict.verdict != "understated" or not verdict.cures:
         return []
     return [as_fixes({key: float(f"{TOO_LOW * value:.2g}") for key, value in verdict.cures.items()})]

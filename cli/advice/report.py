@@ -1,4 +1,4 @@
-"""What evaluating adds to a report: findings, fixes, and the headline that answers first."""
+"""The evaluation's part of a report: findings, fixes, and the headline."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def complete(
 
 
 def _leave_out_what_findings_say(report: dict[str, Any]) -> None:
-    """Take out the notes on a mount that a finding gives as a fix: it would be said twice, with other digits."""
+    """Remove the notes on a mount that a finding gives as a fix, to avoid two different numbers."""
     mounts = {f["role"] for f in report["findings"] or () if f["code"] == MOUNT and f["fixes"]}
     for values in report["configurations"].values():
         values["notes"] = [

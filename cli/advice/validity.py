@@ -1,4 +1,4 @@
-"""Validity: figures that would look like a result and are none, or doubtful ones, and why.
+"""Validity: figures that are void or doubtful, and why.
 
 A robot that was lost for a notable share of the drive has no accuracy; a truth that starts somewhere else judges
 the start and nothing more; one that jumps again and again judges nothing. Such a figure is null in report.json,
@@ -27,7 +27,7 @@ JUDGED = (*ERROR_KEYS, "anees")
 def add_validity(
     report: dict[str, Any], advised: Advised | None, start_error_m: float | None, jumps: Jumps | None = None
 ) -> None:
-    """Add `validity`; take void figures out of their configurations: these stay readable under `void`."""
+    """Add `validity`; move void figures out of their configurations to `void`, where they stay readable."""
     found = []
     for name, values in report["configurations"].items():
         reason = _lost(values) or _jumping(jumps) or _elsewhere(start_error_m, values)
@@ -51,13 +51,13 @@ def add_validity(
 
 
 def _withdraw_verdicts(report: dict[str, Any], words: str) -> None:
-    """Take the verdicts back: what is void or doubtful speaks against no sensor, and for none."""
+    """Withdraw verdicts that rest on void or doubtful figures."""
     for verdict in report.get("verdicts", {}).values():
         verdict.update(verdict="no verdict", words=words)
 
 
 def _doubts(report: dict[str, Any], advised: Advised | None) -> list[dict[str, Any]]:
-    """Return what is surely wrong with the settings; what obeying changes stands in the findings.
+    """Return certain faults of the settings; the effects of their fixes are in the findings.
 
     Where the fix was tried and changes little, the figures do not depend on it.
     """
@@ -75,7 +75,7 @@ def _doubts(report: dict[str, Any], advised: Advised | None) -> list[dict[str, A
 
 
 def _first_sentence(words: str) -> str:
-    """Return what is wrong; how it was measured stands with the finding."""
+    """Return the fault without how it was measured, which is in the finding."""
     return re.sub(r" \(correlation [^()]*\)", "", words.partition(". ")[0])
 
 
@@ -107,7 +107,7 @@ def _since(values: dict[str, Any], code: str) -> float:
 
 
 def _once(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return one entry for each message, with all configurations that it concerns."""
+    """Return one entry for each message, with all configurations it applies to."""
     by_message: dict[str, dict[str, Any]] = {}
     for entry in found:
         name = entry.pop("configuration")

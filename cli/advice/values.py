@@ -18,7 +18,7 @@ MAX_REFINED_SHARE = 0.2  # of a value: a larger change between two fixes is not 
 
 
 def add_findings(report: dict[str, Any], advised: Advised | None) -> None:
-    """Add `findings`, and `fixes`: what helps of them, together; null where the log was not evaluated."""
+    """Add `findings`, and `fixes`: all helpful ones together; null if the log was not evaluated."""
     if advised is None:
         report["findings"] = report["fixes"] = None
         return
@@ -30,7 +30,7 @@ def add_findings(report: dict[str, Any], advised: Advised | None) -> None:
 
 
 def fixes_file(report: Mapping[str, Any]) -> dict[str, str]:
-    """Return fixes.toml by its name, nothing where no fix helps: --robot robot.toml --robot fixes.toml."""
+    """Return fixes.toml by its name, empty if no fix helps: --robot robot.toml --robot fixes.toml."""
     fixes = report.get("fixes")
     if not fixes:
         return {}
@@ -42,7 +42,7 @@ def fixes_file(report: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _joined(found: Sequence[Advice]) -> Advice:
-    """Return what was found of one sensor, step by step, as one finding with one fix."""
+    """Return the findings of one sensor, step by step, as one finding with one fix."""
     first, *later = found
     before_it = first.finding.brief  # what was found before this kind of fault was measured again
     for advice in later:
@@ -62,7 +62,7 @@ def _joined(found: Sequence[Advice]) -> Advice:
 
 
 def _moved(before: Iterable[str], after: Iterable[str]) -> bool:
-    """Return whether a value is another one in the end, by more than what measuring again changes."""
+    """Return whether a value changed in the end, by more than measuring again changes it."""
     first, last = (dict(fix.partition("=")[::2] for fix in fixes) for fixes in (before, after))
     return any(_apart(value, last[key]) for key, value in first.items() if key in last)
 

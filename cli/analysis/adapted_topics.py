@@ -1,4 +1,4 @@
-"""Topics that are read as another type: scans of clouds, joints of ros2_control, PX4, Foxglove, tags in /tf."""
+"""Topics read as another type: scans from clouds, joints of ros2_control, PX4, Foxglove, tags in /tf."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ ROOM_FRAMES = ("map", "world", "earth", "odom")  # a camera that hangs there is 
 
 
 def offer_presented(log: Log) -> None:
-    """Make topics of the usual types where the log holds none: each is called after its source, "/points:scan".
+    """Add topics of usual types if the log lacks them, named after their source: "/points:scan".
 
     Of a laser's scans of Foxglove's kind and of its echoes all are offered, of clouds the likeliest one.
     """
@@ -86,7 +86,7 @@ def _clouds(log: Log) -> list[str]:
 
 
 def offer_tags(log: Log, robot: Robot) -> None:
-    """Make a topic of the tags that each camera of the robot saw, "/tf:camera_optical:tags", where /tf has any.
+    """Add a topic of the tags seen by each camera of the robot, "/tf:camera_optical:tags", if /tf has any.
 
     A frame is a tag where its name has a word for tags and ends in a number, its parent is a camera of the robot,
     it moves there, and there are several. Where a detector publishes poses too, or the settings name a topic,
@@ -119,7 +119,7 @@ def _on_robot(frame: str, transforms: StaticTransforms) -> bool:
 
 
 def _is_camera(log: Log, frame: str) -> bool:
-    """Return whether a frame is called like a camera, or pictures are taken in it."""
+    """Return whether a frame has a camera's name, or is the frame of pictures."""
     if any(word in frame.lower() for word in CAMERA_WORDS):
         return True
     pictures = [t for t in of_type(log, (*REGISTRY["camera"].reads, CAMERA_INFO)) if log.topics[t].count]

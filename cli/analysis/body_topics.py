@@ -1,4 +1,4 @@
-"""Which topics say how the body moved, where no wheels with known geometry do.
+"""Topics with the body's motion, for robots without wheels of known geometry.
 
 Candidates are ordered by what they hold: an odometry, an odometry that only /tf has, measured speeds, the scans of
 a laser, poses that another program estimated. With a laser they are judged by it (`motion_evidence`); a Twist
@@ -91,7 +91,7 @@ CAMERA_WORDS = ("camera", "optical", "marker", "aruco", "tag")  # of frames whos
 
 
 class Body(NamedTuple):
-    """The topic that says how the body moved."""
+    """The topic of the body's motion."""
 
     topic: str
     why: str
@@ -107,7 +107,7 @@ class Body(NamedTuple):
 
 
 def choose_body(log: Log, robot: Robot, choice: Choice, scans: bool, stand_in: bool) -> Body | None:
-    """Return the topic that says how the body moved, None where no topic does. Raises LocfuseError for several.
+    """Return the topic of the body's motion, None if there is none. Raises LocfuseError for several.
 
     `scans`: whether scans will do; `stand_in`: whether estimated poses and commands will.
     """
@@ -127,7 +127,7 @@ def choose_body(log: Log, robot: Robot, choice: Choice, scans: bool, stand_in: b
 
 
 def _best_witnessed(log: Log, robot: Robot, choice: Choice, kinds: Sequence[Sequence[Body]]) -> Body | None:
-    """Return the best kind's body that other sensors do not contradict; None where there is none at all."""
+    """Return the best kind's motion that other sensors do not contradict; None without any motion."""
     witnesses = Witnesses(log, robot, [body.topics for same in kinds for body in same], choice.read)
     for same in kinds:
         if (body := _one_of(log, same, witnesses)) is not None:
@@ -141,7 +141,7 @@ def _best_witnessed(log: Log, robot: Robot, choice: Choice, kinds: Sequence[Sequ
 
 
 def _judged(body: Body, evidence: Evidence | Witnesses) -> Body:
-    """Return a body with what other sensors say of it and of those that were left out."""
+    """Return a motion with notes on its agreement with other sensors, and on the motions left out."""
     why = ": ".join(filter(None, (body.why, share := evidence.why(body.topics))))
     if not evidence.note:
         return body._replace(why=why)
@@ -152,7 +152,7 @@ def _judged(body: Body, evidence: Evidence | Witnesses) -> Body:
 
 
 def _one_of(log: Log, same: Sequence[Body], evidence: Evidence | Witnesses | None) -> Body | None:
-    """Return the body of several of one kind; None for none, or none that agrees with the other sensors."""
+    """Return the motion of several of one kind; None for none, or none that agrees with the other sensors."""
     if evidence is not None:
         same = [body for body, kept in zip(same, evidence.keep([b.topics for b in same]), strict=True) if kept]
     topic = one(log, "wheels", None, [body.topic for body in same], WHEEL_READS)
@@ -160,7 +160,7 @@ def _one_of(log: Log, same: Sequence[Body], evidence: Evidence | Witnesses | Non
 
 
 def _measured(log: Log, robot: Robot, choice: Choice, speeds: bool) -> Iterator[Sequence[Body]]:
-    """Yield what measured how the body moved, kind by kind, the best first; Twists only where `speeds` will do.
+    """Yield measured motions, kind by kind, the best first; twists only if `speeds` suffice.
 
     An odometry that says where the robot is in the room is somebody's estimate: what was measured comes before it.
     """
@@ -186,7 +186,7 @@ def _measured(log: Log, robot: Robot, choice: Choice, speeds: bool) -> Iterator[
 
 
 def _beside(topic: str, why: str, others: Sequence[str]) -> Body:
-    """Return an odometry that is taken before others, which are named; one that holds more than wheels says so."""
+    """Return an odometry that is preferred to others, which are named; one that uses other sensors is marked."""
     if not others:
         return Body(topic, why, HOLDS_MORE.format(topic=topic) if _of_filter(topic) else "")
     looks = "looks" if len(others) == 1 else "look"
@@ -199,7 +199,7 @@ def _is_twist(log: Log, topic: str) -> bool:
 
 
 def _stand_in(log: Log, robot: Robot, choice: Choice) -> Body | None:
-    """Return what stands in for a measured motion: poses, else commands, else a steering angle, else no motion."""
+    """Return a substitute for a measured motion: poses, else commands, else a steering angle, else no motion."""
     poses = _poses(log, robot, choice)
     of_robot = [t for t in poses if not (of_camera(log, t) or commanded(t, log.topics[t].msgtype))]
     if not of_robot:
@@ -227,7 +227,7 @@ def _stand_in(log: Log, robot: Robot, choice: Choice) -> Body | None:
 
 
 def nearest_to_base(topics: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Return of several commands those that the base obeys, by their names, and the others."""
+    """Return, of several commands, those nearest to the base by their names, and the others."""
 
     def rank(topic: str) -> int:
         name = topic.rpartition("/")[2].lower()
@@ -239,7 +239,7 @@ def nearest_to_base(topics: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def _filled(log: Log, robot: Robot, choice: Choice, kinds: Sequence[str]) -> list[str]:
-    """Return recorded topics of these types that hold messages and that nobody else reads.
+    """Return recorded topics of these types with messages that no other role reads.
 
     A topic that the settings give to a sensor of its own (`[pose] topic`) is left to it where there are others.
     """
@@ -254,17 +254,17 @@ def _filled(log: Log, robot: Robot, choice: Choice, kinds: Sequence[str]) -> lis
 
 
 def _a_topic(name: str) -> bool:
-    """Return whether a name is a topic, or what a topic is presented as: not frames of /tf, nor a field."""
+    """Return whether a name is a topic or an adapted topic: not frames of /tf, nor a field."""
     return ":" not in name or name.rpartition(":")[2] in PRESENTED_AS
 
 
 def _of_filter(topic: str) -> bool:
-    """Return whether an odometry's name says that other sensors are in it already."""
+    """Return whether an odometry's name shows that other sensors are in it."""
     return _made(topic) > 1 and any(word in topic.lower() for word in (*OF_FILTERS, *MADE_OF_FIXES))
 
 
 def _made(topic: str) -> int:
-    """Return 0 where an odometry's name says that it is raw, 2: of more than wheels, 3: of fixes; else 1."""
+    """Return 0 if an odometry's name shows that it is raw, 2: of more than wheels, 3: of fixes; else 1."""
     name = topic.lower()
     if any(word in name for word in RAW):
         return 0
@@ -274,7 +274,7 @@ def _made(topic: str) -> int:
 
 
 def _twists(log: Log, robot: Robot, choice: Choice, asked: bool) -> list[str]:
-    """Return topics of speeds that can be read: commanded ones (`asked`), or those that were measured.
+    """Return readable topics of speeds: commanded ones (`asked`), or measured ones.
 
     Speeds in a frame that does not turn with the robot (odom, map), or of a receiver, are not those ahead.
     """
@@ -285,7 +285,7 @@ def _twists(log: Log, robot: Robot, choice: Choice, asked: bool) -> list[str]:
 
 
 def by_fixes(topic: str) -> bool:
-    """Return whether a receiver of satellites measured the speeds, by the topic's name: along east and north."""
+    """Return whether a satellite receiver measured the speeds, by the topic's name: along east and north."""
     return any(word in topic.lower() for word in BY_FIXES)
 
 
@@ -294,27 +294,27 @@ def _beside_body(frame: str) -> bool:
 
 
 def _poses(log: Log, robot: Robot, choice: Choice) -> list[str]:
-    """Return topics of poses, whoever's they are."""
+    """Return topics of poses of any source."""
     return _filled(log, robot, choice, POSES)
 
 
 def of_camera(log: Log, topic: str) -> bool:
-    """Return whether poses are given in the frame of a camera or a marker: they are not the robot's."""
+    """Return whether poses are in the frame of a camera or a marker: they are not the robot's."""
     return any(word in log.stream(topic).frame_id.lower() for word in CAMERA_WORDS)
 
 
 def odometry_frames(log: Log) -> list[str]:
-    """Return the pairs of frames in /tf that are an odometry, as topics: a base that moves in a frame odom."""
+    """Return the pairs of frames in /tf that are an odometry, as topics: a base in a frame odom."""
     return moving_frames(log, is_odometry)
 
 
 def in_room(log: Log, topic: str) -> bool:
-    """Return whether the poses of a topic are given in a frame that stands still in the room."""
+    """Return whether a topic's poses are in a frame that is fixed in the room."""
     return is_room(log.stream(topic).frame_id)
 
 
 def moving_frames(log: Log, fixed: Callable[[str], bool]) -> list[str]:
-    """Return pairs of frames in /tf, as topics, that move in a fixed one; only a base's where there is one."""
+    """Return pairs of frames in /tf, as topics, that move in a fixed one; only those of a base if there is one."""
     found: dict[str, bool] = {}
     for topic in log.transform_topics:
         for (parent, child), edge in log.frames(topic).items():
@@ -326,11 +326,11 @@ def moving_frames(log: Log, fixed: Callable[[str], bool]) -> list[str]:
 
 
 class NoWheelsError(LocfuseError):
-    """No topic gives the wheels' motion; the hint lists the topics that there are."""
+    """No topic gives the wheels' motion; the hint lists the available topics."""
 
 
 def nothing_moves(log: Log) -> NoWheelsError:
-    """Return the error that says what is missing, and which topics this log has."""
+    """Return the error with the missing motion and the topics of this log."""
     have = ", ".join(sorted(log.topics)[:12]) or "no topics"
     words = (
         f"nothing says how the robot moved: {log.name} has no wheels, no odometry (nor one in /tf), no laser, no "
@@ -350,12 +350,12 @@ def nothing_moves(log: Log) -> NoWheelsError:
 
 
 def motors(log: Log) -> list[str]:
-    """Return topics that say how fast a car's motor turns."""
+    """Return topics with the speed of a car's motor."""
     return [t for t in of_type(log, MOTOR) if log.topics[t].count]
 
 
 def steering_of(log: Log, robot: Robot) -> str | None:
-    """Return the topic that says how a car was steered: as set, else an Ackermann command, else a servo."""
+    """Return the topic of a car's steering: as configured, else an Ackermann command, else a servo."""
     named = robot.wheels.steering_topic
     if named is not None:
         return checked(log, "wheels", named, (*STEERED, SERVO))
@@ -368,7 +368,7 @@ def steering_of(log: Log, robot: Robot) -> str | None:
 
 
 def with_steering(log: Log, robot: Robot, motor: str) -> list[str]:
-    """Return the topics of a motor and of its steering. Raises LocfuseError where nothing was steered."""
+    """Return the topics of a motor and of its steering. Raises LocfuseError without steering."""
     steering = steering_of(log, robot)
     if steering is None:
         raise LocfuseError(
@@ -381,14 +381,14 @@ def with_steering(log: Log, robot: Robot, motor: str) -> list[str]:
 
 
 def motor_of(log: Log, robot: Robot) -> Sequence[str]:
-    """Return the topics of a motor and of its steering, where the settings make metres of them; else nothing."""
+    """Return the topics of a motor and of its steering, if the settings convert them to metres; else none."""
     found, settings = motors(log), robot.wheels
     known = settings.erpm_per_mps and settings.wheelbase and steering_of(log, robot) is not None
     return with_steering(log, robot, found[0]) if len(found) == 1 and known else ()
 
 
 def motor_words(log: Log, robot: Robot) -> str:
-    """Say which settings would make a motion of what a motor controller measured; "" where there is none."""
+    """Return the settings needed to use a motor controller's data as motion; "" without a controller."""
     found = motors(log)
     if not found or motor_of(log, robot):
         return ""

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def choose(log: Log, robot: Robot, insisted: Collection[str] = ()) -> Choice:
-    """Choose topics. Raises LocfuseError where several fit, none gives the wheels, or a named one is unfit.
+    """Choose topics. Raises LocfuseError if several fit, none gives the wheels, or a named one does not fit.
 
     A robot.toml serves many logs, so a sensor or truth topic that it names may be missing; one named by --set
     (`insisted`) may not.
@@ -49,7 +49,7 @@ def choose(log: Log, robot: Robot, insisted: Collection[str] = ()) -> Choice:
 
 
 def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Choice) -> None:
-    """Take the topics of one sensor, or say why it has none."""
+    """Choose the topics of one sensor, or note why it has none."""
     sensor, settings = REGISTRY[name], robot.settings(name)
     named = _names(settings)
     gone = [t for t in named if log.find(t) is None]
@@ -84,13 +84,13 @@ def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Cho
 
 
 def _leave_empty(log: Log, name: str, choice: Choice) -> None:
-    """Take a sensor's topics away again where none of them holds a message."""
+    """Remove a sensor's topics if none of them has a message."""
     if name in choice.topics and all(log.topics[t].count == 0 for t in choice.of(name)):
         choice.absent[name] = f"{choice.topics.pop(name)} holds no messages"
 
 
 def _offer(log: Log, name: str, candidates: Sequence[str], choice: Choice) -> None:
-    """Say that a sensor that is used only where it is asked for could read these topics."""
+    """Add a note that these topics fit a sensor that is used only on request."""
     others = (lambda t: commanded(t, log.topics[t].msgtype), looks_like_truth, by_fixes)
     candidates = [t for t in candidates if not any(is_one(t) for is_one in others)]
     if candidates:
@@ -100,7 +100,7 @@ def _offer(log: Log, name: str, candidates: Sequence[str], choice: Choice) -> No
 
 
 def _refuse_twice(named: Collection[str], sensor: Sensor, choice: Choice) -> None:
-    """Raise LocfuseError where a sensor that must be independent is to read the wheels' topic, or the truth's."""
+    """Raise LocfuseError if an independent sensor would read the topic of the wheels or of the truth."""
     for role, why in (
         ("wheels", "what counts twice makes the filter overconfident"),
         ("truth", "it would judge itself"),
@@ -120,7 +120,7 @@ def _names(settings: Any) -> tuple[str, ...]:
 
 
 def _candidates(log: Log, name: str, choice: Choice) -> list[str]:
-    """Return the topics that a sensor could read and nobody but another sensor does, those with messages first."""
+    """Return the topics that fit a sensor and that only other sensors read, those with messages first."""
     sensor = REGISTRY[name]
     wheels = [t for t in choice.of("wheels") if log.topics[t].msgtype != SCANS]  # without wheels: scans serve both
     taken = {*choice.of("truth"), *wheels}
@@ -133,12 +133,12 @@ def _candidates(log: Log, name: str, choice: Choice) -> list[str]:
 
 
 def best_of(log: Log, sensor: Sensor, topics: list[str]) -> list[str]:
-    """Return topics of a sensor's types without those that say less than another one of them."""
+    """Return a sensor's topics, without second-best message types if there are others."""
     return [t for t in topics if log.topics[t].msgtype not in sensor.second_best] or topics
 
 
 def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None:
-    """Take the only candidate, or all; the likeliest; where a sensor beside it has one, the same."""
+    """Choose the only candidate, or all, or the likeliest; if a related sensor has a topic, the same."""
     sensor = REGISTRY[name]
     if len(candidates) == 1:
         same = [t for t in of_type(log, [log.topics[candidates[0]].msgtype]) if log.topics[t].count]
@@ -160,18 +160,18 @@ def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None
 
 
 def _of_frames(log: Log, topics: Sequence[str]) -> bool:
-    """Return whether topics are of one type and each has a frame of its own: what sits in different places."""
+    """Return whether topics have one type and one frame each: several sensors at different places."""
     frames = {log.stream(t).frame_id for t in topics}
     return len({log.topics[t].msgtype for t in topics}) == 1 and len(frames - {""}) == len(topics)
 
 
 def _named_well(topic: str, msgtype: str, sensor: Sensor) -> bool:
-    """Return whether a bare number's topic says what the number is; other types need no such word."""
+    """Return whether a bare number's topic has a name that fits the sensor; other types need no such name."""
     return msgtype not in sensor.named or any(word in topic.lower() for word in sensor.named[msgtype])
 
 
 def choose_truth(log: Log, robot: Robot, insisted: bool, choice: Choice) -> None:
-    """Take the truth's topic: by its name only."""
+    """Choose the truth's topic, by its name only."""
     named = robot.truth.topic
     if named == NO_TRUTH:
         return

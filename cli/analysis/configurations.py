@@ -1,4 +1,4 @@
-"""Which sets of sensors a command runs: the words of --sensors, or the paper's five, or every subset."""
+"""The sets of sensors of a command: the words of --sensors, or the paper's five, or every subset."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ Sensors = str | Iterable[str]  # of one configuration
 
 
 class Configuration(msgspec.Struct, frozen=True):
-    """A set of sensors in registry order, some perhaps at a lower rate than the log has them."""
+    """A set of sensors in registry order, perhaps some at a lower rate than in the log."""
 
     name: str
     sensors: tuple[str, ...]
     rates: Mapping[str, float] = field(default_factory=dict)  # Hz
 
     def drive(self, drive: Drive) -> Drive:
-        """Return the drive as this configuration sees it."""
+        """Return the drive with the readings of this configuration."""
         return thinned(drive, self.rates) if self.rates else drive
 
     def is_smoothed(self, asked: Asked, robot: Robot) -> bool:
-        """Return whether its smoothed path is shown: if asked for; by default with a laser where it can be."""
+        """Return whether its smoothed path is shown: if asked for; by default with a laser if possible."""
         if asked.smooth is not None:
             return asked.smooth and bool(self.sensors)
         if asked.jitter or self.rates or LASER not in self.sensors:
@@ -70,7 +70,7 @@ class Configuration(msgspec.Struct, frozen=True):
 
 
 def parse(sensors: Sensors, drive: Drive) -> Configuration:
-    """Return the configuration that one --sensors names: "all", "odometry", "compass,lrf", or a list of sensors.
+    """Return the configuration of one --sensors: "all", "odometry", "compass,lrf", or a list of sensors.
 
     Raises UsageError for an unknown word, LocfuseError for a sensor that this log lacks.
     """
@@ -104,7 +104,7 @@ def parse(sensors: Sensors, drive: Drive) -> Configuration:
 
 
 def _check_needs(sensor: str, written: Mapping[str, str], words: str) -> None:
-    """Raise UsageError where a sensor that this one needs is not among those written."""
+    """Raise UsageError if a sensor's required sensor is not in the set."""
     for other, why in REGISTRY[sensor].needs.items():
         if other not in written:
             enough = ",".join((other, *written.values()))
@@ -131,7 +131,7 @@ ALIASES = {  # what people call a sensor -> its name here
 
 
 def unknown_sensor(name: str) -> UsageError:
-    """Return the error of a name that is no sensor's, with the one that was probably meant."""
+    """Return the error for an unknown sensor, with the most similar name."""
     known = ("odometry", *REGISTRY, "all")
     near = f"did you mean {ALIASES[name.lower()]}?" if name.lower() in ALIASES else did_you_mean(name, known)
     choose = f"choose from {', '.join(known)}"
@@ -139,7 +139,7 @@ def unknown_sensor(name: str) -> UsageError:
 
 
 def refuse_beside_others(words: str, names: Sequence[str]) -> None:
-    """Raise UsageError where `all` or `odometry` is named together with other words."""
+    """Raise UsageError if `all` or `odometry` is given together with other words."""
     meaning = {"all": "every sensor of the log", "odometry": "the wheels and no sensor"}
     for word, what in meaning.items():
         others = [name for name in names if name != word]
@@ -159,7 +159,7 @@ def _rate(name: str, text: str) -> float:
 
 
 def plain(sensors: tuple[str, ...], drive: Drive) -> Configuration:
-    """Return a configuration of sensors at the rates of the log."""
+    """Return a configuration with all sensors at the rates of the log."""
     return Configuration(configuration_name(sensors, drive), sensors)
 
 

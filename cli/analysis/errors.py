@@ -1,4 +1,4 @@
-"""Errors that are no bug, as one line and an exit code: our own, and those of the machine. Warnings of NumPy."""
+"""Errors that are no bug, as one line and an exit code: our own, and those of the system. NumPy warnings."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ OUT_OF_MEMORY_WORDS = (
 
 
 def has_scipy() -> bool:
-    """Return whether SciPy is installed; a small install does without what needs it and was not asked for."""
+    """Return whether SciPy is installed; without it, features that need it and were not asked for are skipped."""
     try:
         import scipy  # noqa: F401
     except ImportError:
@@ -52,13 +52,13 @@ def expected(e: Exception) -> tuple[str, int] | None:
 
 
 def _package_of(e: ModuleNotFoundError) -> str | None:
-    """Return what to install for a module that is missing; None for one of ours, which is a bug."""
+    """Return the package to install for a missing module; None for one of ours, which is a bug."""
     module = (e.name or "").partition(".")[0]
     return None if module in {"", "locfuse"} else PACKAGES.get(module, module)
 
 
 def silence_overflows() -> None:
-    """Ignore RuntimeWarning from here on, in this process; `import locfuse` silences nothing.
+    """Ignore RuntimeWarning from here on, in this process; `import locfuse` alone ignores none.
 
     Absurd readings (1e300 m, NaN) overflow on their way to the gate that counts and reports them. NumPy's
     warning about it names a line of our source and no reading, so it does not help at a terminal.

@@ -29,7 +29,7 @@ FILES = "files"  # beside the settings: the files that they name -> the hash of 
 
 
 def with_files(tables: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings with the hash of every text file that they name: a truth, detections, a map.
+    """Return settings with the hash of every text file in them: a truth, detections, a map.
 
     Take it before the files are read: one that changes in between then has another hash at the next run.
     """
@@ -39,7 +39,7 @@ def with_files(tables: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def files_of(tables: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield table, key and text of every setting that names a text file: detections, a map, a topic "x.tum"."""
+    """Yield table, key and text of every setting that is a text file: detections, a map, a topic "x.tum"."""
     for table, keys in tables.items():
         for key, value in keys.items() if isinstance(keys, Mapping) else ():
             for text in texts_of(value):
@@ -61,7 +61,7 @@ def texts_of(value: Any) -> Iterator[str]:
 
 
 def _digest(text: str) -> str | None:
-    """Return the hash of the file that a setting names, None for a setting that names none."""
+    """Return the hash of a setting's file, None for a setting without one."""
     try:
         path = Path(text).expanduser()
         if not path.is_file():

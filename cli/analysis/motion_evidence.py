@@ -1,4 +1,4 @@
-"""How well the laser of a log agrees with each motion that the log holds.
+"""The agreement of a log's laser with each of its motions.
 
 A measured motion is kept where about as many points agree as by matching the scans with each other. What it does
 not see is said in `fusion.wheels.scan_agreement`; where the scans tell nothing, every motion is kept and the kinds
@@ -41,7 +41,7 @@ Read = dict[tuple[str, ...], WheelReading]  # motions that were read while one w
 
 
 def motion_of(log: Log, robot: Robot, topics: Sequence[str], read: Read) -> WheelReading | None:
-    """Return the motion that topics hold; None where they cannot be read: that is reported at their use."""
+    """Return the motion of topics; None if they cannot be read, which is reported at their use."""
     if tuple(topics) not in read:
         with suppress(LocfuseError):
             streams = [log.stream(topic, robot.order) for topic in topics]
@@ -50,7 +50,7 @@ def motion_of(log: Log, robot: Robot, topics: Sequence[str], read: Read) -> Whee
 
 
 class Evidence:
-    """Judges motions by the scans of one topic, which are looked at when the first motion is asked about."""
+    """Judges motions by the scans of one topic, which are read for the first motion."""
 
     agrees = "it agrees with the scans"
 
@@ -61,7 +61,7 @@ class Evidence:
         self._gone: dict[tuple[str, ...], str] = {}
 
     def keep(self, candidates: Sequence[Sequence[str]]) -> list[bool]:
-        """Tell which motions agree with the scans; of several that differ much in this only the best."""
+        """Return the motions that agree with the scans; of several that differ much, only the best."""
         known = {}
         for topics in map(tuple, candidates):
             if (motion := motion_of(self._log, self._robot, topics, self._read)) is not None:
@@ -79,7 +79,7 @@ class Evidence:
         return [tuple(topics) not in known or tuple(topics) in left for topics in candidates]
 
     def look_at(self, speeds: Sequence[str]) -> None:
-        """Look at topics of speeds, which never come before scans, for the record of what they were worth."""
+        """Score topics of speeds, which never come before scans, for the record."""
         for topic in speeds[:MAX_SPEEDS]:
             motion = motion_of(self._log, self._robot, [topic], self._read)
             if motion is None or motion.wheels.stands:
@@ -90,7 +90,7 @@ class Evidence:
                 self._gone[topic,] = f"by {topic}, speeds, {self._pairs.of(motion):.0%}"
 
     def behind(self, topics: Sequence[str], motion: WheelReading) -> str:
-        """Say by how much matching the scans agrees better than the motion that is used; "" where it does not."""
+        """Return by how much scan matching agrees better than the used motion; "" if it does not."""
         self._look([motion])
         if self._pairs is None or not self._pairs.judge:
             return ""
@@ -104,13 +104,13 @@ class Evidence:
         )
 
     def why(self, topics: Sequence[str]) -> str:
-        """Return how well a motion that is kept agrees with the scans, in words; "" where it was not compared."""
+        """Return the score of a kept motion against the scans, in words; "" if it was not compared."""
         share = self._shares.get(tuple(topics))
         return "" if share is None else f"{share:.0%} of a scan's points agree with it"
 
     @property
     def note(self) -> str:
-        """Say which motions do not agree with the scans, with the numbers; "" where all do."""
+        """Return the motions that do not agree with the scans, with numbers; "" if all agree."""
         if not self._gone:
             return ""
         return (
@@ -150,7 +150,7 @@ class Evidence:
             self._pairs = scan_pairs(stream, self._laser(), motions)
 
     def _laser(self) -> Laser:
-        """Return the laser as configured, else where /tf_static puts it."""
+        """Return the laser's mount as configured, else by /tf_static."""
         stream, settings = self._log.stream(self._topic), self._robot.settings("lrf")
         placed: Mapping[str, Any] = {}
         with suppress(LocfuseError):  # frames in a loop are reported where they are used

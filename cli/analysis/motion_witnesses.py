@@ -1,4 +1,4 @@
-"""Which of several motions agrees with the gyro, the fixes or the compass, in a log without a laser."""
+"""The agreement of several motions with the gyro, the fixes or the compass, in a log without a laser."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ ALIKE_SHARE = 0.1  # by which two motions of one kind must differ: else neither 
 
 
 class Witness(NamedTuple):
-    """A sensor that saw how the robot moved, and the share of it that each motion explains."""
+    """A sensor that measures the robot's motion, and the share of it that each motion explains."""
 
     name: str  # "the turning of /imu"
     shares: dict[Topics, float]  # by the topics of a motion
 
 
 class Witnesses:
-    """Judges motions, of all kinds that a log holds, by the first sensor that one of them explains."""
+    """Judges all motions of a log by the first sensor that one of them explains."""
 
     agrees = "it agrees best with the other sensors"
 
@@ -46,7 +46,7 @@ class Witnesses:
         self._gone: dict[Topics, None] = {}
 
     def keep(self, candidates: Sequence[Sequence[str]]) -> list[bool]:
-        """Tell which motions explain what the sensor saw; of several that differ much in this only the best."""
+        """Return the motions that explain the sensor; of several that differ much, only the best."""
         if self._found is None:
             return [True] * len(candidates)
         shares, best = self._found.shares, max(self._found.shares.values())
@@ -56,20 +56,20 @@ class Witnesses:
         return [share >= least for share in kept]
 
     def why(self, topics: Sequence[str]) -> str:
-        """Return how much of what the sensor saw a motion explains, in words; "" where nothing judged it."""
+        """Return the share of the sensor that a motion explains, in words; "" if no sensor judged it."""
         share = None if self._found is None else self._found.shares.get(tuple(topics))
         return "" if share is None or self._found is None else f"it explains {share:.0%} of {self._found.name}"
 
     @property
     def note(self) -> str:
-        """Say which motions explain less, with the numbers; "" where none was left out."""
+        """Return the motions that explain less, with numbers; "" if none was left out."""
         if self._found is None or not self._gone:
             return ""
         parts = [f"{' and '.join(topics)} explains {self._found.shares[topics]:.0%}" for topics in self._gone]
         return f"{'; '.join(parts)} of {self._found.name}"
 
     def unjudged(self, topics: Sequence[str]) -> str:
-        """Say which other motion disagrees with the one that is taken, where nothing judges them; else ""."""
+        """Return another motion that disagrees with the chosen one, if no sensor judges them; else ""."""
         own = self._known.get(tuple(topics))
         if self._found is not None or own is None:
             return ""
@@ -87,7 +87,7 @@ class Witnesses:
 
     @cached_property
     def _known(self) -> dict[Topics, WheelReading]:
-        """All motions that can be read, where there are several."""
+        """All readable motions, if there are several."""
         read = {
             t: motion_of(self._log, self._robot, t, self._read) for t in self._motions if len(self._motions) > 1
         }
@@ -95,7 +95,7 @@ class Witnesses:
 
     @cached_property
     def _found(self) -> Witness | None:
-        """The first sensor of which a motion explains enough; None for none."""
+        """The first sensor of which a motion explains enough; None without one."""
         for name, explained in self._sensors() if len(self._known) > 1 else ():
             found = {topics: explained(motion) for topics, motion in self._known.items()}
             shares = {topics: share for topics, share in found.items() if share is not None}
@@ -104,7 +104,7 @@ class Witnesses:
         return None
 
     def _sensors(self) -> Iterator[tuple[str, Callable[[WheelReading], float | None]]]:
-        """Yield what can judge motions: what it saw, in words, and the share of it that a motion explains."""
+        """Yield the sensors that can judge motions: their name in words, and the share that a motion explains."""
         for name, kinds in TURNING.items():
             if (topic := of_sensor(self._log, self._robot, name, kinds)) is not None:
                 yield f"the turning of {topic}", partial(self._turning, name, topic)
@@ -122,7 +122,7 @@ class Witnesses:
 
 
 def seen(log: Log, robot: Robot, name: str, topic: str, motion: WheelReading) -> Measurements | None:
-    """Return what a sensor measures on a topic; None where it cannot be read: that is reported at its use."""
+    """Return what a sensor measures on a topic; None if it cannot be read, which is reported at its use."""
     with suppress(LocfuseError):
         stream = log.stream(topic, robot.order)
         return REGISTRY[name].measure(stream, robot.settings(name), motion.wheels, motion.epoch_ns)

@@ -1,4 +1,4 @@
-"""What a report notes about its motion source: void figures, and wheels that could not be used."""
+"""Notes on the motion source in a report: void figures, and wheels that could not be used."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .wheel_topics import unused_words
 
 
 def say_motion(report: dict[str, Any], loaded: Loaded, judged: bool = False) -> None:
-    """Add to a report what its reader must know about the motion before any figure.
+    """Add warnings on the motion to a report, to be read before any figure.
 
     Where it is `judged`, encoders are compared with the matching of the scans beside them.
     """
@@ -29,7 +29,7 @@ def say_motion(report: dict[str, Any], loaded: Loaded, judged: bool = False) -> 
 
 
 def _behind_scans(loaded: Loaded) -> str:
-    """Say that scan matching agrees better with the laser than the wheels do; "" without encoders or laser."""
+    """Return that scan matching agrees better with the laser than the wheels; "" without encoders or laser."""
     topics, lasers = loaded.choice.of("wheels"), loaded.choice.of("lrf")
     encoders = loaded.log.topics[topics[0]].msgtype not in BODY_READS
     if not encoders or len(lasers) != 1 or loaded.reading is None or not has_scipy():

@@ -1,4 +1,4 @@
-"""Message types that robots record often and that are not read: what to record instead, in a few words."""
+"""Common message types that are not read, and what to record instead."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ NOT_READ: dict[str, dict[str, str]] = {
 
 
 def not_read(log: Log, role: str) -> str:
-    """Return what a log holds for a role in types that are not read, in words; "" where it holds none."""
+    """Return a log's topics for a role in types that are not read, in words; "" without any."""
     kinds = NOT_READ.get(role, {})
     found = [
         f"{topic} ({info.msgtype.replace('/msg/', '/')}) holds {kinds[info.msgtype].format(topic=topic)}"

@@ -1,4 +1,4 @@
-"""Motions that are not the robot's: commands, poses of other things, what no robot can do, what stands still.
+"""Motions that are not the robot's: commands, poses of other bodies, impossible steps, no motion.
 
 Such a log is fused, so that its files can be looked at, and every figure is void (exit code 3).
 """
@@ -33,7 +33,7 @@ VOID = (*ERROR_KEYS, "anees")  # figures that mean nothing then
 
 
 def spoiling(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> tuple[Note, ...]:
-    """Return why the motion that is used is not the robot's; () where nothing speaks against it."""
+    """Return why the chosen motion is not the robot's; () without a reason."""
     found = [note for note in choice.notes if note.spoils]
     topics = " and ".join(choice.of("wheels"))
     if motion.doubt:
@@ -42,7 +42,7 @@ def spoiling(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> tu
 
 
 def void_all(report: dict[str, Any], spoils: Sequence[Note]) -> None:
-    """Take all figures and verdicts out of a report of a motion that is not the robot's."""
+    """Void all figures and verdicts of a report whose motion is not the robot's."""
     if not spoils:
         return
     message = "; ".join(f"{n.role}: {n.words}" + (f": {options(n.fixes)}" if n.fixes else "") for n in spoils)
@@ -59,7 +59,7 @@ def void_all(report: dict[str, Any], spoils: Sequence[Note]) -> None:
 
 
 def _standing(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> Iterator[Note]:
-    """Yield the finding that the wheels' topic never moves while another topic does."""
+    """Yield the finding that the wheels' topic is constant while another topic moves."""
     if not motion.wheels.stands:
         return
     own = " and ".join(choice.of("wheels"))
@@ -84,24 +84,24 @@ def _standing(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> I
 
 
 def standing_notes(wheels: Wheels) -> tuple[str, ...]:
-    """Return the note that the robot does not move; nothing where it does."""
+    """Return the note that the robot does not move; none if it does."""
     return (f"wheels: {STANDS}",) if wheels.stands else ()
 
 
 def _moved(log: Log, topic: str) -> float:
-    """Return how far the body moved by a topic [m], 0 where it cannot be read."""
+    """Return the body's distance by a topic [m], 0 if it cannot be read."""
     with suppress(LocfuseError):
         return way(read_wheels(log.stream(topic), WheelSettings()).wheels)
     return 0.0
 
 
 def way(wheels: Wheels) -> float:
-    """Return how far the body moved in all [m]."""
+    """Return the body's total distance [m]."""
     return float(np.hypot(*np.diff(wheels.pose[:, :2], axis=0).T).sum())
 
 
 def _spread(fixes: Measurements | None) -> float:
-    """Return the greatest extent of fixes along east or north [m], outliers left out."""
+    """Return the largest extent of fixes along east or north [m], without outliers."""
     if fixes is None:
         return 0.0
     return float(np.ptp(np.percentile(fixes.z, (5.0, 95.0), axis=0), axis=0).max())

@@ -1,4 +1,4 @@
-"""Topics by role, and the rules that every role shares: named, of the right type, the only candidate."""
+"""Topics by role, and the rules of every role: by name, by type, or the only candidate."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ONLY = "the only topic of its type"
 
 
 class Note(NamedTuple):
-    """A choice that the user has to know of."""
+    """A choice that the user should know."""
 
     role: str
     words: str
@@ -50,13 +50,13 @@ class Choice(msgspec.Struct):
         return (self.topics[role], *self.more.get(role, ())) if role in self.topics else ()
 
     def take(self, role: str, topics: Sequence[str], why: str) -> None:
-        """Give a role its topics."""
+        """Assign topics to a role."""
         self.topics[role], self.why[role] = topics[0], why
         if len(topics) > 1:
             self.more[role] = tuple(topics[1:])
 
     def leave(self, role: str, why: str, fixes: Sequence[str] = ()) -> None:
-        """Leave a role without a topic; `fixes` are the settings that may bring it in."""
+        """Leave a role without a topic; `fixes` are settings that may give it one."""
         self.absent[role], self.fixes[role] = why, tuple(fixes)
 
 
@@ -77,13 +77,13 @@ def one(log: Log, role: str, named: str | None, candidates: list[str], reads: It
 
 
 def likeliest(topics: Sequence[str], unlikely: Iterable[str], beside: str = "") -> str:
-    """Return the first of several topics: of the robot of the topic `beside`, then without these words."""
+    """Return the first of several topics: of the same robot as `beside`, then one without these words."""
     words, robot = tuple(unlikely), _robot(beside)
     return min(topics, key=lambda t: (_robot(t) != robot, any(word in t.lower() for word in words)))
 
 
 def of_sensor(log: Log, robot: Robot, sensor: str, kinds: Iterable[str]) -> str | None:
-    """Return the topic of these types that a sensor will read, of those with messages; None without one."""
+    """Return the topic of these types for a sensor, among those with messages; None without one."""
     filled = [t for t in of_type(log, kinds) if log.topics[t].count]
     named = robot.settings(sensor).topic
     return named if named in filled else likeliest(filled, REGISTRY[sensor].unlikely or ()) if filled else None
@@ -95,7 +95,7 @@ def _robot(topic: str) -> str:
 
 
 def several_fit(log: Log, role: str, topics: Sequence[str]) -> LocfuseError:
-    """Return the error that names the candidates and how to choose."""
+    """Return the error with the candidates and how to choose."""
     fix = f"{role}.topic={topics[0]}"
     return LocfuseError(
         f"{log.name} has {len(topics)} topics that fit: {', '.join(topics)}.",
@@ -106,7 +106,7 @@ def several_fit(log: Log, role: str, topics: Sequence[str]) -> LocfuseError:
 
 
 def checked(log: Log, role: str, topic: str, reads: Iterable[str]) -> str:
-    """Return a topic that was named. Raises LocfuseError where it is missing or cannot be read."""
+    """Return a topic that was named. Raises LocfuseError if it is missing or cannot be read."""
     info = log.find(topic)
     if info is None:
         have = ", ".join(sorted(log.topics)[:12]) or "no topics"
@@ -125,6 +125,6 @@ def checked(log: Log, role: str, topic: str, reads: Iterable[str]) -> str:
 
 
 def types(reads: Iterable[str]) -> str:
-    """Return message types as people write them, those of ROS where there are any."""
+    """Return message types in readable form, those of ROS if there are any."""
     kinds = list(reads)
     return " or ".join(t.replace("/msg/", "/") for t in [k for k in kinds if "foxglove" not in k] or kinds)

@@ -1,4 +1,4 @@
-"""Which topics feed the wheels: angles, ticks or speeds of the wheels, else what says how the body moved."""
+"""The topics of the wheels: angles, ticks or speeds of wheels, else a topic of the body's motion."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ COMMAND_WORDS = (
 
 
 def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
-    """Take the wheels' topic, or topics. Raises LocfuseError where none fits, or several do."""
+    """Choose the wheels' topic or topics. Raises LocfuseError if none or several fit."""
     settings = robot.wheels
     if settings.left_topic is not None or settings.right_topic is not None:
         choice.take("wheels", _named_pair(log, robot), NAMED)
@@ -68,7 +68,7 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
 
 
 def _say_unused(log: Log, choice: Choice, counters: Sequence[str], lacks: str) -> None:
-    """Note why what counts is not used: what is not known of the wheels, or "" where no joint is called one."""
+    """Note why counters are not used: the unknown figures of the wheels, or "" if no joint has a wheel's name."""
     used = choice.topics["wheels"]
     if not lacks:
         words = f"{used} is used, since no joint of {counters[0]} is named like a wheel"
@@ -82,7 +82,7 @@ def _say_unused(log: Log, choice: Choice, counters: Sequence[str], lacks: str) -
 
 
 def unused_words(choice: Choice) -> str:
-    """Say that the log holds wheels and what is not known of them; "" where all wheels are used."""
+    """Return that the log has wheels and which figures are unknown; "" if all wheels are used."""
     if not choice.unused_wheels:
         return ""
     words = _of_wheels(choice.unused_wheels, choice.lacks)
@@ -96,7 +96,7 @@ def _of_wheels(counters: Sequence[str], lacks: str) -> str:
 
 
 def _named(log: Log, robot: Robot, name: str) -> list[str]:
-    """Return the topic that the settings name, with that of the steering where it needs one."""
+    """Return the configured topic, with that of the steering if it needs one."""
     topic = checked(log, "wheels", name, WHEEL_READS)
     kind = log.topics[topic].msgtype
     if kind in MOTOR:
@@ -115,7 +115,7 @@ def _named(log: Log, robot: Robot, name: str) -> list[str]:
 
 
 def steering_ticks(log: Log, robot: Robot, traction: str) -> str | None:
-    """Return the topic that says in ticks how the wheel of a tricycle is steered: as set, else by its name."""
+    """Return the topic with the steering ticks of a tricycle's wheel: as configured, else by its name."""
     named = robot.wheels.steering_topic
     if named is not None:
         return checked(log, "wheels", named, NUMBERS)
@@ -124,7 +124,7 @@ def steering_ticks(log: Log, robot: Robot, traction: str) -> str | None:
 
 
 def _tricycle(log: Log, robot: Robot) -> list[str]:
-    """Return a counter called traction or drive and its steering; nothing where there is no such pair."""
+    """Return a counter named traction or drive and its steering; none without such a pair."""
     numbers = [t for t in of_type(log, NUMBERS) if log.topics[t].count and _counts_by_name(t)]
     rolls = [t for t in numbers if any(word in t.lower() for word in ("traction", "drive"))]
     steering = steering_ticks(log, robot, rolls[0]) if len(rolls) == 1 else None
@@ -132,13 +132,13 @@ def _tricycle(log: Log, robot: Robot) -> list[str]:
 
 
 def _size_is_near(log: Log, robot: Robot) -> bool:
-    """Return whether half of the wheels' size is set, or a robot description knows it: then it is asked for."""
+    """Return whether one of the wheels' sizes is known from settings or a robot description."""
     described = any(t.rpartition("/")[2] == "robot_description" and log.topics[t].count for t in log.topics)
     return described or robot.wheels.radius is not None or robot.wheels.track is not None
 
 
 def missing_of(log: Log, robot: Robot, counters: Sequence[str]) -> list[str]:
-    """Return the keys of [wheels] that are missing before these counters become metres."""
+    """Return the keys of [wheels] that are missing to convert these counters to metres."""
     steered = len(counters) > 1 and STEERING_WORD in counters[1].lower()
     needed = ["radius", *(("servo_gain", "wheelbase") if steered else ("track",))]
     if counters and counts_ticks(log.topics[counters[0]].msgtype):
@@ -147,7 +147,7 @@ def missing_of(log: Log, robot: Robot, counters: Sequence[str]) -> list[str]:
 
 
 def _named_pair(log: Log, robot: Robot) -> list[str]:
-    """Return the topics that the settings name, left first."""
+    """Return the configured topics, left first."""
     pair = []
     for side in ("left", "right"):
         topic = getattr(robot.wheels, f"{side}_topic")
@@ -162,7 +162,7 @@ def _named_pair(log: Log, robot: Robot) -> list[str]:
 
 
 def counters_of(log: Log, robot: Robot) -> tuple[list[str], str]:
-    """Return what counts wheel turns, best kind first, and why; nothing where nothing does."""
+    """Return the counters of wheel turns, best kind first, and why; none without any."""
     tricycle, of_tricycle = _tricycle(log, robot), "the ticks of a steered wheel and of its steering"
     if tricycle and not missing_of(log, robot, tricycle):
         return tricycle, of_tricycle
@@ -193,7 +193,7 @@ def counters_of(log: Log, robot: Robot) -> tuple[list[str], str]:
 
 
 def are_wheels(log: Log, topic: str, robot: Robot) -> bool:
-    """Return whether what counts does count wheels: joints may be an arm's, which share the type."""
+    """Return whether counters are those of wheels: joints of an arm share the type."""
     if log.topics[topic].msgtype != JOINTS:
         return True
     names = cast("list[tuple[str, ...]]", log.stream(topic).columns("name")["name"])
@@ -204,7 +204,7 @@ def are_wheels(log: Log, topic: str, robot: Robot) -> bool:
 
 
 def array_topics(log: Log) -> list[str]:
-    """Return topics of arrays whose names read like counters of wheels."""
+    """Return topics of arrays whose names fit counters of wheels."""
     return [t for t in of_type(log, ARRAYS) if log.topics[t].count and _counts_by_name(t)]
 
 
@@ -214,7 +214,7 @@ def _counts_by_name(topic: str) -> bool:
 
 
 def pair_topics(log: Log) -> list[tuple[str, str]]:
-    """Return pairs of topics with a number each, named alike but for left and right, that read like wheels."""
+    """Return pairs of topics with one number each, with equal names but for left and right, that fit wheels."""
     numbers = [t for t in of_type(log, NUMBERS) if log.topics[t].count != 0]
     found = []
     for topic in numbers:

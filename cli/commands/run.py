@@ -73,7 +73,7 @@ def run(log: tuple[str, ...], options: o.Options) -> int:
 
 
 def _refuse_maps_without_laser(options: o.Options, sensors: tuple[str, ...]) -> None:
-    """Raise UsageError where a map is given to a run without a laser, or is to be saved of one."""
+    """Raise UsageError if a map is given to, or saved of, a run without a laser."""
     from locfuse.fusion.data import UsageError
     from locfuse.fusion.sensors.registry import of_points
 

@@ -77,7 +77,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import what is asked for. Raises AttributeError for a name that there is not."""
+    """Import a public name on use. Raises AttributeError for an unknown one."""
     if name == "__version__":
         from locfuse.formats.versions import own
 

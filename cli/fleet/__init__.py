@@ -1,1 +1,1 @@
-"""Many logs: a job each in a process of its own, finished ones are not run again, one table over all."""
+"""Many logs: one job each in its own process, finished ones are not repeated, one table over all."""

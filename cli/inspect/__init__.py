@@ -1,1 +1,1 @@
-"""What `info` and `init` find in a log: topics, mounts, clocks, findings, a first robot.toml."""
+"""The contents of a log for `info` and `init`: topics, mounts, clocks, findings, a first robot.toml."""

@@ -1,4 +1,4 @@
-"""Facts of every topic for `locfuse info`: how often, how regularly, by which clock, in which frame.
+"""Facts of every topic for `locfuse info`: rate, regularity, clock, frame.
 
 And what its stamps show: repaired, of two clocks, or of a clock that the wheels do not share.
 """
@@ -32,7 +32,7 @@ MIN_JUDGED = 5  # messages from which a clock is judged
 
 
 class StampFacts(msgspec.Struct, frozen=True):
-    """How the messages of one topic are dated."""
+    """The time stamps of one topic's messages."""
 
     clock: str = ""  # which times were taken, in words
     by_stamps: bool = False  # whether they are those of the headers, sorted or repaired perhaps,
@@ -42,7 +42,7 @@ class StampFacts(msgspec.Struct, frozen=True):
 
     @property
     def beside_s(self) -> float:
-        """By how much the times are before those of the recording, 0 for an ordinary delay [s]."""
+        """How far the times are before those of the recording, 0 for an ordinary delay [s]."""
         delay = self.delay_s
         return delay if delay is not None and abs(delay) > OTHER_CLOCK_S and self.by_stamps else 0.0
 
@@ -63,7 +63,7 @@ class TopicFacts(msgspec.Struct, frozen=True):
     derived: bool = False  # made of another topic, or a file: it holds no messages of its own
 
     def values(self) -> dict[str, Any]:
-        """Return it for report and JSON."""
+        """Return the facts for report and JSON."""
         return {
             "type": self.msgtype,
             "messages": self.count,
@@ -81,7 +81,7 @@ class TopicFacts(msgspec.Struct, frozen=True):
 
 
 def clock_word(f: TopicFacts) -> str:
-    """Return in a word or two how a topic is dated: by its stamps, so much before recording, or by what else."""
+    """Return the clock of a topic in a word or two: stamps, their delay to recording, or another source."""
     delay = f.stamps.delay_s
     if delay is None:
         return "no stamps" if f.count else ""
@@ -136,7 +136,7 @@ def _facts(log: Log, name: str, order: str) -> TopicFacts:
 
 
 def of_publishers(log: Log, choice: Choice) -> list[Finding]:
-    """Return a finding per topic that is read and mixes the messages of two publishers."""
+    """Return a finding per used topic that mixes the messages of two publishers."""
     found = []
     for role in choice.topics:
         for topic in choice.of(role):
@@ -148,7 +148,7 @@ def of_publishers(log: Log, choice: Choice) -> list[Finding]:
 
 
 def of_stamps(facts: Sequence[TopicFacts], choice: Choice, robot: Robot) -> list[Finding]:
-    """Return a finding per topic that is read and is not dated simply by its headers."""
+    """Return a finding per used topic whose times are not the plain header stamps."""
     known = {f.topic: f for f in facts if f.count >= MIN_JUDGED and f.problem is None}
     used = {t: (role, known[t]) for role in choice.topics for t in choice.of(role) if t in known}
     found = [

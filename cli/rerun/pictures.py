@@ -1,4 +1,4 @@
-"""Some pictures of a log with what was found in them, in the pixels of the picture and of its panorama."""
+"""Some pictures of a log with their detections, in pixels of the picture and of its panorama."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _NONE: Ints = np.zeros(0, np.int64)
 
 
 def panorama_rows(stream: Stream, settings: Any) -> int | None:
-    """Return the height of the panoramas [px], None where no picture can be read."""
+    """Return the height of the panoramas [px], None if no picture can be read."""
     from locfuse.fusion.camera.images import decode, messages
     from locfuse.fusion.sensors.camera import detector
 
@@ -52,7 +52,7 @@ def panorama_rows(stream: Stream, settings: Any) -> int | None:
 
 
 def _verdicts(best: Estimates, rows: int) -> np.ndarray[Any, np.dtype[np.str_]]:
-    """Return the group of every candidate (rows,) in this configuration; "new" where it was not compared."""
+    """Return the group of every candidate (rows,) in this configuration; "new" if it was not compared."""
     out = np.full(rows, "new", dtype="<U8")
     audit = best.audits.get("camera")
     if audit is not None:
@@ -82,7 +82,7 @@ def _picture(t: float, message: Any, picture: Any, optics: Any, bearings: Array,
 
 
 def _passed_through(message: Any, picture: Any) -> tuple[bytes, str]:
-    """Return the picture's own bytes where they are a JPEG or PNG, else a JPEG of it, and the media type."""
+    """Return the picture's own bytes if they are a JPEG or PNG, else a JPEG of it, and the media type."""
     if len(message) == 2:
         data = bytes(message[0])
         if data[:2] in MEDIA:

@@ -1,4 +1,4 @@
-"""Recording a result and showing it: what `run` and `compare` do last.
+"""Recording a result and showing it: the last step of `run` and `compare`.
 
 Whatever goes wrong here costs one warning: the results are already written.
 """
@@ -26,12 +26,12 @@ class RerunOptions(msgspec.Struct, frozen=True):
 
     @property
     def wanted(self) -> bool:
-        """Whether anything of Rerun was asked for; if not, it is not imported."""
+        """Whether any Rerun option was given; if not, Rerun is not imported."""
         return self.show or self.save is not None
 
 
 def record(options: RerunOptions, result: Result, folder: Path, say: Say) -> None:
-    """Write the recording of a result and show it as the options say; at worst warn.
+    """Write a result's recording and show it by the options; a failure is only a warning.
 
     Without --rerun-save the recording lies beside the results, where `locfuse view FOLDER` finds it. With it, the
     file was asked for by name: LocfuseError where it cannot be written.
@@ -58,7 +58,7 @@ def record(options: RerunOptions, result: Result, folder: Path, say: Say) -> Non
 
 
 def saved(path: Path, result: Result, identity: str | None = None) -> str:
-    """Write the recording of a result; return in one line why there is none, else "".
+    """Write a result's recording; return the reason in one line if it fails, else "".
 
     Nothing fails the run, not a Rerun of another version, none, or a broken one: the results stand.
     """
@@ -83,5 +83,5 @@ def saved(path: Path, result: Result, identity: str | None = None) -> str:
 
 
 def warning(text: str) -> str:
-    """Return in one line what did not work."""
+    """Return a failure in one line."""
     return f"warning: rerun: {' '.join(text.split())}"

@@ -20,7 +20,7 @@ CATALOG_PORT = 51234  # Rerun's own default for a catalog
 
 
 class Recording(msgspec.Struct, frozen=True):
-    """What a job records of its drive, and where."""
+    """What a job records of its drive, and the folder."""
 
     folder: str
 
@@ -30,14 +30,14 @@ class Recording(msgspec.Struct, frozen=True):
 
 
 def write(wanted: Recording, name: str, result: Result) -> str:
-    """Write the recording of a result that has its audits; return in one line why there is none, else ""."""
+    """Write the recording of a result with its audits; return the reason in one line if it fails, else ""."""
     path = wanted.file(name)
     problem = saved(path, result, identity=path.stem)  # by which the catalog lists it
     return f"{name}: {warning(problem)}" if problem else ""
 
 
 def catalog(folder: Path) -> str:
-    """Return the commands that show all recordings of a folder in one viewer; nothing listens off this machine."""
+    """Return the commands that show all recordings of a folder in one viewer on this machine."""
     there = shlex.quote(str(folder))
     serve = f"rerun server --host 127.0.0.1 --port {CATALOG_PORT} --dataset drives={there}"
     return f"{serve}   and beside it: rerun rerun+http://127.0.0.1:{CATALOG_PORT}"

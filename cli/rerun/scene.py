@@ -1,4 +1,4 @@
-"""From a measured log and its estimates to what a recording shows."""
+"""From a measured log and its estimates to the scene of a recording."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ NIS_LOW, NIS_HIGH = 0.025, 0.975  # between them lie 95 % of consistent NIS
 
 
 def scene_of_result(result: Result, images: int | None = None, full: bool = False) -> RerunScene:
-    """Return what a recording of a result shows, its report's tables too; `images`, `full` as in `make_scene`."""
+    """Return the scene of a result with its report's tables; `images`, `full` as in `make_scene`."""
     estimates, evaluations = tuple(result.estimates.values()), tuple(result.evaluations.values())
     return make_scene(result.loaded, estimates, evaluations, table_of(result.report), images, full)
 
 
 def table_of(report: Mapping[str, Any]) -> str:
-    """Return the tables of a report in Markdown, and below them the command to type next."""
+    """Return the tables of a report in Markdown, with the next command to type."""
     log = shlex.quote(visible(str(report["input"]["name"])))
     what = "tune" if "verdicts" in report else "compare"
     why = "which noise figures suit this log" if what == "tune" else "what each sensor adds"
@@ -60,7 +60,7 @@ def make_scene(
     images: int | None = None,
     full: bool = False,
 ) -> RerunScene:
-    """Return what a recording of these configurations shows.
+    """Return the scene of these configurations.
 
     `images` = n keeps every n-th picture, 0 none, None as many as stay light.
     """
@@ -87,7 +87,7 @@ def make_scene(
 
 
 def palette(traces: Mapping[str, Trace]) -> dict[str, Rgb]:
-    """Return the colours that results have in the report, on its dark page.
+    """Return the colours of results in the report, for a dark page.
 
     The report dashes what is smoothed. The viewer has no dashes: there it is the same colour, darker.
     """
@@ -105,7 +105,7 @@ def _rgb(web: str, light: float) -> Rgb:
 
 
 def sights(loaded: Loaded) -> dict[str, SensorLook]:
-    """Return how each measured sensor is drawn."""
+    """Return the drawing style of each measured sensor."""
     return {s: _sight(REGISTRY[s], loaded.robot.settings(s)) for s in loaded.drive.measurements}
 
 
@@ -133,7 +133,7 @@ def _scans(loaded: Loaded, detail: Detail, full: bool) -> DrawnScans | None:
 
 
 def scan_points(stream: Stream, settings: LrfSettings, drive: Drive, scans: int, beams: int) -> DrawnScans:
-    """Return at most `scans` scans of at most `beams` points, evenly over the log, read as the lines were."""
+    """Return at most `scans` scans of at most `beams` points, evenly over the log, corrected as for lines."""
     measured = drive.measurements["lrf"].points
     laser = measured.laser if isinstance(measured, ScanPoints) else laser_of(settings)
     wanted = evenly(len(stream.t_ns), scans)
@@ -151,7 +151,7 @@ def scan_points(stream: Stream, settings: LrfSettings, drive: Drive, scans: int,
 
 
 def _chosen(rows: Ints, columns: dict[str, Any], wanted: Ints) -> Iterator[tuple[int, dict[str, Any]]]:
-    """Yield (position among the wanted, its fields) for the rows of a block that are wanted."""
+    """Yield (position among the wanted, its fields) for the wanted rows of a block."""
     at = np.searchsorted(wanted, rows)
     hit = np.flatnonzero(wanted[np.minimum(at, len(wanted) - 1)] == rows)
     ranges = cast("Ragged", columns["ranges"])
@@ -183,7 +183,7 @@ def _pictures(loaded: Loaded, best: Estimates, images: int | None) -> tuple[Any,
 
 
 def raw_topics(loaded: Loaded) -> list[RawTopic]:
-    """Return the numbers of every topic that was read, as the log holds them."""
+    """Return the numbers of every used topic, as in the log."""
     found = []
     for role in loaded.choice.topics:
         stream = _stream(loaded, role)
@@ -195,7 +195,7 @@ def raw_topics(loaded: Loaded) -> list[RawTopic]:
 
 
 def _fields(role: str, msgtype: str) -> tuple[str, ...]:
-    """Return the fields of a topic that are numbers: none where rows are scans or pictures."""
+    """Return the fields of a topic that are numbers; none for scans or pictures."""
     sensor = REGISTRY.get(role)
     if sensor is not None and sensor.in_blocks:
         return ()
@@ -204,7 +204,7 @@ def _fields(role: str, msgtype: str) -> tuple[str, ...]:
 
 
 def _curves(columns: Mapping[str, Column]) -> dict[str, Array]:
-    """Return what can be drawn as curves (n,): numbers, and arrays of a few numbers per row."""
+    """Return the curves (n,) of a topic: numbers, and arrays of a few numbers per row."""
     names = columns.get("name")
     curves: dict[str, Array] = {}
     for field, column in columns.items():
@@ -219,6 +219,6 @@ def _curves(columns: Mapping[str, Column]) -> dict[str, Array]:
 
 
 def _named(field: str, i: int, names: Column | None) -> str:
-    """Return the name of one number of an array: by the message's own names where it has them (JointState)."""
+    """Return the name of one number of an array: from the message if it has names (JointState)."""
     first = names[0] if isinstance(names, list) and names else ()
     return f"{field}.{first[i]}" if isinstance(first, tuple) and i < len(first) else f"{field}.{i}"

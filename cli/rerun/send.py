@@ -1,4 +1,4 @@
-"""`python -m locfuse.cli.rerun.send FILE.rrd URL`: hand a recording to a running viewer.
+"""`python -m locfuse.cli.rerun.send FILE.rrd URL`: send a recording to a running viewer.
 
 A process of its own, because Rerun's connection cannot be made to give up (benchmarks: a port that accepts
 and never answers holds `flush(timeout_sec=10)` for 59 s); who runs it sets the limit.

@@ -1,4 +1,4 @@
-"""Rerun's viewer: is one running, can one be started, and handing it a recording without ever hanging.
+"""Rerun's viewer: find a running one, start one, and send it a recording without ever hanging.
 
 The viewer is started as its own process on the loopback interface (Rerun's own `spawn` listens on all), and a
 recording is sent to a running one by a child process that is given up after a while: the library's own
@@ -91,7 +91,7 @@ def send(path: Path, url: str) -> None:
 
 
 def require() -> None:
-    """Raise LocfuseError where nothing could show a recording: before anything is computed for it."""
+    """Raise LocfuseError, before any computing, if no viewer can show a recording."""
     if not has_display() and not listening(HOST, PORT):
         raise LocfuseError(
             f"there is no display, and no viewer runs at {HOST}:{PORT}. Save the recording with --save FILE.rrd, "
@@ -100,7 +100,7 @@ def require() -> None:
 
 
 def show_and_wait(path: Path) -> None:
-    """Show a recording like `show`, and where a viewer is started wait until its window is closed."""
+    """Show a recording like `show`; for a new viewer, wait until its window is closed."""
     viewer = show(path)
     if viewer is None:
         return
@@ -114,7 +114,7 @@ def show_and_wait(path: Path) -> None:
 
 
 def start(path: Path) -> subprocess.Popen[bytes]:
-    """Open a viewer of our own on the loopback interface and leave it running.
+    """Start a viewer on the loopback interface and leave it running.
 
     Raises LocfuseError where it ends at once (no graphics driver, no such program).
     """
@@ -150,7 +150,7 @@ def serve(path: Path, wanted: int, say: Callable[[str], None]) -> None:
 
 
 def _popen(command: list[str]) -> subprocess.Popen[bytes]:
-    """Start Rerun's program: quiet, out of reach of the terminal's Ctrl-C, without its first-start questions."""
+    """Start Rerun's program: quiet, not affected by the terminal's Ctrl-C, without its first-start questions."""
     environment = {**os.environ, "RERUN_APP_ONLY": "true", "RUST_LOG": os.environ.get("RUST_LOG", "off")}
     nowhere = subprocess.DEVNULL
     try:
@@ -162,7 +162,7 @@ def _popen(command: list[str]) -> subprocess.Popen[bytes]:
 
 
 def free_port(wanted: int) -> int:
-    """Return this port if it is free, else one that is."""
+    """Return this port if it is free, else a free one."""
     for port in (wanted, 0):
         with socket.socket() as probe:
             try:

@@ -1,1 +1,1 @@
-"""`locfuse export ros`: what was found about a robot as parameters of ROS nodes, each with its reason."""
+"""`locfuse export ros`: a robot's figures as parameters of ROS nodes, each with its reason."""

@@ -1,4 +1,4 @@
-"""nav2's AMCL: noise of the odometry per step (alpha1-4), and how the laser's beams lie beside the map.
+"""nav2's AMCL: noise of the odometry per step (alpha1-4), and the distances of the laser's beams from the map.
 
 Motion (Probabilistic Robotics, table 5.6; nav2's differential model): a step that turns by r1, goes s and turns by
 r2 has the variances alpha1 r1^2 + alpha2 s^2 of a turn and alpha3 s^2 + alpha4 (r1^2 + r2^2) of the way. They grow
@@ -36,7 +36,7 @@ NO_RANGE_M = 1e3  # a range_max beyond is none
 
 
 def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
-    """Return the parameters; `there` are those of the file that is changed."""
+    """Return the parameters; `there` are those of the file to change."""
     return [*_motion(found, there), *_laser(found, there)]
 
 
@@ -58,7 +58,7 @@ def _motion(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
 
 
 def _noise(found: Found) -> tuple[float, float]:
-    """Return the variance per metre of a wheel [m] and the track [m] that give the drive's noise of turning."""
+    """Return the variance per metre of a wheel [m] and the track [m] that give the drive's turning noise."""
     wheels = found.loaded.drive.wheels
     if wheels.matched is None:
         return wheels.noise, wheels.track
@@ -99,7 +99,7 @@ def _beams(model: BeamModel, kind: str, found: Found) -> Iterator[Setting]:
 
 
 def beams_in_map(found: Found) -> tuple[Array, Array, int, float]:
-    """Return ends and origins (n, 2) of some beams in the map [m], how many had no return, and the reach [m]."""
+    """Return ends and origins (n, 2) of some beams in the map [m], the number without return, the reach [m]."""
     drive = found.loaded.drive
     m = drive.measurements["lrf"]
     assert isinstance(m.points, ScanPoints)

@@ -25,7 +25,7 @@ MULTIPLIERS = ("wheel_separation_multiplier", "left_wheel_radius_multiplier", "r
 
 
 class Factor(NamedTuple):
-    """A length over what it is in the file or in robot.toml."""
+    """A length over its value in the file or in robot.toml."""
 
     value: float
     words: str
@@ -33,7 +33,7 @@ class Factor(NamedTuple):
 
 
 def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
-    """Return the parameters; `there` are those of the file that is changed. Raises LocfuseError without wheels."""
+    """Return the parameters; `there` are those of the file to change. Raises LocfuseError without wheels."""
     wheels = found.loaded.drive.wheels
     if wheels.matched is not None or found.robot.wheels.wheelbase is not None:
         raise LocfuseError(
@@ -49,7 +49,7 @@ def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
 
 
 def _of_wheels(found: Found, there: Mapping[str, Any]) -> list[Factor]:
-    """Return the multipliers of separation, left and right radius: what was found over what the file has."""
+    """Return the multipliers of separation, left and right radius: estimated values over those of the file."""
     was, now = found.nominal, found.robot.wheels
     assert was.radius is not None
     assert was.track is not None
@@ -70,7 +70,7 @@ def _of_wheels(found: Found, there: Mapping[str, Any]) -> list[Factor]:
 
 
 def _of_odometry(found: Found, there: Mapping[str, Any]) -> list[Factor]:
-    """Return the multipliers, moved from those that made the odometry of the log: the file's, else 1."""
+    """Return the multipliers, relative to those of the log's odometry: the file's, else 1."""
     old = [positive(there, key) or 1.0 for key in MULTIPLIERS]
     relative = None if found.calibration is None else found.calibration.relative()
     if relative is None:

@@ -65,7 +65,7 @@ class Source(NamedTuple):
 
 
 def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
-    """Return the parameters; `there` are those of the file that is changed."""
+    """Return the parameters; `there` are those of the file to change."""
     rate = 1.0 / found.velocity.period
     sources = list(_sources(found))
     made = [
@@ -93,7 +93,7 @@ def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
 
 
 def _named(source: Source, there: Mapping[str, Any]) -> str | None:
-    """Return the input of a file that reads a topic."""
+    """Return the input of a file with a topic."""
     bare = source.topic.strip("/")
     inputs = ((key, str(value).strip("/")) for key, value in there.items() if INPUT.fullmatch(key))
     if source.origin == ASSUMED:  # the log has no odometry: the file's first is of the same wheels
@@ -139,7 +139,7 @@ def _sources(found: Found) -> Iterator[Source]:
 
 
 def _wheels(found: Found) -> Source:
-    """Return the odometry of the wheels; where the log has none that this node reads, what drivers call theirs."""
+    """Return the wheels' odometry; if this node reads none of the log's topics, the usual name of drivers."""
     topic, kind = found.topic("wheels")
     speed, turn = found.velocity.reading.tolist()
     at = f"at {1.0 / found.velocity.period:.3g} Hz"
@@ -176,7 +176,7 @@ def _imu(found: Found) -> Iterator[Source]:
 
 
 def _heading_options(found: Found) -> dict[str, bool]:
-    """Return how a compass counts: only locfuse estimates its offset, robot_localization does not."""
+    """Return the options of a compass: only locfuse estimates its offset, robot_localization does not."""
     pose = found.robot.settings("pose")
     if not (found.has("pose") and pose.heading and pose.frame in {"map", "own"}):
         return {"relative": found.robot.settings("compass").offset_deg != 0.0}
@@ -208,7 +208,7 @@ def _world(found: Found) -> str:
 
 
 def readings_per_second(found: Found, sensor: str) -> float:
-    """Return how often the messages of a sensor come."""
+    """Return the message rate of a sensor."""
     drive = found.loaded.drive
     name = found.topic(sensor)[0]
     count = found.loaded.log.topics[name].count if name in found.loaded.log.topics else 0
@@ -216,7 +216,7 @@ def readings_per_second(found: Found, sensor: str) -> float:
 
 
 def gyro_variance(found: Found, with_bias: bool = True) -> float:
-    """Return the variance of one turning rate [(rad/s)^2]: its random walk over a period, and the bias or not."""
+    """Return the variance of one turning rate [(rad/s)^2]: its random walk over a period, perhaps the bias."""
     gyro = found.robot.settings("gyro")
     white = math.radians(gyro.sigma_deg) ** 2 * readings_per_second(found, "gyro")
     biases = found.estimates.blocks.get(BIAS)
@@ -225,7 +225,7 @@ def gyro_variance(found: Found, with_bias: bool = True) -> float:
 
 
 def _turn_walk(found: Found) -> float:
-    """Return how fast the turning rate wanders [(rad/s)^2 per s]: by the gyro, which is finer than the wheels."""
+    """Return the random walk of the turning rate [(rad/s)^2 per s], by the gyro, finer than the wheels."""
     if not found.has("gyro") or found.topic("gyro")[1] != IMU:
         return float(found.velocity.walk[1])
     stream, settings = found.loaded.stream("gyro"), found.robot.settings("gyro")
@@ -236,7 +236,7 @@ def _turn_walk(found: Found) -> float:
 
 
 def _process_noise(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
-    """Yield Q, 15 x 15 per second, row by row; a file that gives the diagonal alone keeps that."""
+    """Yield Q, 15 x 15 per second, row by row; a file with only the diagonal keeps that form."""
     velocity = found.velocity
     diagonal = [TINY] * SWITCHES
     along, turn = velocity.pose.tolist()

@@ -1,4 +1,4 @@
-"""The parameters of ROS nodes for a log or a result: a new file, or the values of one that exists."""
+"""The parameters of ROS nodes for a log or a result: a new file, or the values of an existing one."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def fresh(found: Found, targets: Sequence[str]) -> Made:
 
 
 def targets_in(file: RosFile, targets: Sequence[str], node: str | None, any_of: bool) -> tuple[str, ...]:
-    """Return the targets that have a section in a file; with `any_of` at least one must, else all.
+    """Return the targets with a section in a file; with `any_of` at least one must have one, else all.
 
     Raises LocfuseError where one has none, or several, or one that is of another node.
     """
@@ -59,7 +59,7 @@ def targets_in(file: RosFile, targets: Sequence[str], node: str | None, any_of: 
 
 
 def edited(found: Found, targets: Sequence[str], before: RosFile, node: str | None) -> Made:
-    """Return a file with what was found in the place of its values."""
+    """Return a file with its values replaced by the estimated ones."""
     now, reasons = before, []
     for target in targets:
         section = section_of(now, target, node)
@@ -85,13 +85,13 @@ def _reason(setting: Setting, absent: Sequence[Setting]) -> str:
 
 
 def refuse_read_only(path: Path) -> None:
-    """Raise LocfuseError where a file may not be written: to rename another over it would need no permission."""
+    """Raise LocfuseError if a file is read-only: renaming another over it would need no permission."""
     if not stat.S_IMODE(path.stat().st_mode) & 0o222 or not os.access(path, os.W_OK):
         raise LocfuseError(f"{path} is read-only: write elsewhere with -o, or allow it: chmod u+w {path}")
 
 
 def write(path: Path, text: str) -> None:
-    """Put a text in the place of a file, whose mode stays; of a link in the place of what it leads to."""
+    """Replace the text of a file, whose mode stays; for a link, that of its target."""
     refuse_read_only(path)
     place = path.resolve()
     mode = stat.S_IMODE(place.stat().st_mode)

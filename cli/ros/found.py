@@ -1,4 +1,4 @@
-"""What is known of a robot, and by which command: settings of a result, or of a log calibrated and tuned now."""
+"""A robot's figures and their source commands: settings of a result, or of a log calibrated and tuned now."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ F = TypeVar("F", Calibration, Tuning)
 
 
 class Found(msgspec.Struct, frozen=True, dict=True):
-    """A log under the settings that were found, and where each of them comes from."""
+    """A log under the estimated settings, with the source of each."""
 
     loaded: Loaded
     nominal: WheelSettings  # as they were set before anything was found
@@ -43,17 +43,17 @@ class Found(msgspec.Struct, frozen=True, dict=True):
 
     @property
     def robot(self) -> Robot:
-        """The settings that were found."""
+        """The estimated settings."""
         return self.loaded.robot
 
     @cached_property
     def velocity(self) -> VelocityNoise:
-        """The noise of the wheels as velocities."""
+        """The wheels' noise as noise of velocities."""
         return velocity_noise(self.loaded.drive.wheels)
 
     @cached_property
     def estimates(self) -> Estimates:
-        """The drive by all sensors."""
+        """The estimate of the drive with all sensors."""
         return fuse(self.loaded.drive, self.robot, list(self.loaded.drive.measurements))
 
     def topic(self, role: str) -> tuple[str, str]:
@@ -67,23 +67,23 @@ class Found(msgspec.Struct, frozen=True, dict=True):
         return sensor in self.loaded.drive.measurements
 
     def why(self, key: str) -> str:
-        """Return where the value of "table.key" comes from."""
+        """Return the source of the value of "table.key"."""
         return self.sources.get(key, f"{key} is the default of locfuse")
 
     def origin(self, key: str) -> Origin:
-        """Return whether the value of "table.key" was found by a command, set by hand, or is a default."""
+        """Return whether the value of "table.key" was estimated by a command, set by hand, or is a default."""
         words = self.sources.get(key)
         if words is None:
             return KEPT
         return FOUND if "locfuse" in words else SET
 
     def setting(self, key: str, value: Value, words: str, source: str, places: tuple[int, ...] = ()) -> Setting:
-        """Return a parameter whose value comes from "table.key": `words` say its unit and what it is."""
+        """Return a parameter with the source of "table.key": `words` are its unit and meaning."""
         words = f"{words}; {self.why(source)}"
         return Setting(key, value, words, self.origin(source), places=places)
 
     def topic_setting(self, key: str, role: str, msgtype: str) -> Setting:
-        """Return the topic of a role as a parameter; a comment only where its messages are of another type."""
+        """Return the topic of a role as a parameter; only a comment if its messages are of another type."""
         topic, kind = self.topic(role)
         if kind == msgtype:
             return Setting(key, topic, f"{topic} in the log", KEPT)
@@ -91,7 +91,7 @@ class Found(msgspec.Struct, frozen=True, dict=True):
         return Setting(key, None, words, KEPT)
 
     def unmapped(self, program: str, mapped: Collection[str], reasons: Mapping[str, str]) -> Iterator[Setting]:
-        """Yield a comment on every sensor of the log that a program has no parameters for."""
+        """Yield a comment on every sensor of the log without parameters in a program."""
         for sensor in self.loaded.drive.measurements:
             topic, kind = self.topic(sensor)
             unread = f"{topic} is {kind}, which {program} does not read" if kind else f"{program} does not read it"
@@ -100,13 +100,13 @@ class Found(msgspec.Struct, frozen=True, dict=True):
 
 
 def positive(there: Mapping[str, Any], key: str) -> float | None:
-    """Return a number of a file that is changed; None where it has none above 0."""
+    """Return a number of the file to change; None if it is not above 0."""
     value = there.get(key)
     return value if isinstance(value, float) and value > 0.0 else None
 
 
 def gather(log: Sequence[str], given: LogOptions, known: bool, wheels_only: bool, progress: Progress) -> Found:
-    """Return what is known of the robot of a log, or of a folder of results, whose settings are taken as they are.
+    """Return the figures of a log's robot, or of a folder of results, whose settings are used unchanged.
 
     A log is calibrated and tuned, unless its settings are `known` to be right. It is not tuned if `wheels_only`
     matter and calibrating finds their noise.
@@ -144,7 +144,7 @@ def _under(loaded: Loaded, sets: Sequence[str], progress: Progress) -> Loaded:
 
 
 class _Work:
-    """What the commands found so far: settings, where the settings come from, and notes, in words."""
+    """The results of commands so far: settings, their sources, and notes in words."""
 
     def __init__(self) -> None:
         self.sets: list[str] = []
@@ -152,7 +152,7 @@ class _Work:
         self.notes: list[str] = []
 
     def by(self, command: str, find: Callable[[Sequence[str]], F]) -> F | None:
-        """Return what a command finds, and keep it; None and a note where it fails.
+        """Return the result of a command, and keep it; None with a note if it fails.
 
         Where its error names fixes these are set, and the command runs once more.
         """
@@ -178,7 +178,7 @@ def _sets(tables: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def _calibrated(found: Calibration) -> dict[str, str]:
-    """Return the words on what calibrate found, with its standard deviation."""
+    """Return the result of calibrate in words, with its standard deviation."""
     figures = {f"wheels.{key}": figure for key, figure in found.geometry().items()}
     if (noise := found.wheels or found.gyro) is not None:
         figures["wheels.noise"] = noise.k
@@ -193,7 +193,7 @@ def _calibrated(found: Calibration) -> dict[str, str]:
 
 
 def _tuned(found: Tuning) -> dict[str, str]:
-    """Return the words on what tune found; values that the log does not determine are left out."""
+    """Return the result of tune in words, without values that the log does not determine."""
     rows = () if found.refused else found.tuned.rows
     return {
         row.key: f"{row.key} {row.after:.4g} ± {row.after * row.error:.2g}, locfuse tune"
@@ -203,12 +203,12 @@ def _tuned(found: Tuning) -> dict[str, str]:
 
 
 def _by_settings(loaded: Loaded) -> dict[str, str]:
-    """Return the words on who set each key."""
+    """Return the source of each key in words."""
     return {key: f"{key} by {source}" for key, source in loaded.sources.items()}
 
 
 def _by_files(how: LogOptions) -> dict[str, str]:
-    """Return the words on what robot files set, and by which command they were written."""
+    """Return the settings of robot files in words, and the commands that wrote them."""
     words: dict[str, str] = {}
     for file in how.robot_files:
         text = read_small(file, MAX_ROBOT_TOML).decode("utf-8", "replace")
@@ -224,7 +224,7 @@ def _keys(tables: Mapping[str, Any]) -> list[str]:
 
 
 def _of_result(log: Sequence[str], how: LogOptions) -> tuple[Sequence[str], LogOptions, dict[str, str]]:
-    """Return the log of a folder of results, how to read it under their settings, and where these come from.
+    """Return the log of a folder of results, its options with their settings, and the sources of these.
 
     Of a log this is the log itself, and no sources. Raises LocfuseError where the log of a result is not there.
     """

@@ -1,1 +1,1 @@
-"""The Python API: a measured log and what it gives; and what `calibrate`, `tune`, `paper`, `simulate` do."""
+"""The Python API: a measured log and its results; the bodies of `calibrate`, `tune`, `paper`, `simulate`."""

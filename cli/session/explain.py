@@ -1,4 +1,4 @@
-"""What a term of a report means, and what a sensor reads."""
+"""The meaning of a report's terms, and the description of sensors."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from locfuse.fusion.data import UsageError
 
 
 def explain(term: str) -> str:
-    """Return what a term or a sensor is, whatever its case. Raises UsageError for any other word."""
+    """Return the meaning of a term or sensor in any case. Raises UsageError for any other word."""
     words = explained(term) or _sensor(term.strip().lower())
     if words is None:
         raise UsageError(f"no such term: {term}. Known: {', '.join(similar(term))}")
@@ -15,7 +15,7 @@ def explain(term: str) -> str:
 
 
 def _sensor(name: str) -> str | None:
-    """Return what a sensor reads and measures, None for what is no sensor."""
+    """Return a sensor's messages and measurements, None if it is no sensor."""
     from locfuse.fusion.sensors.registry import REGISTRY
 
     if name not in REGISTRY:

@@ -1,4 +1,4 @@
-"""Other people's estimates as rows of a comparison: `--estimate NAME=/topic` or `NAME=file.tum`."""
+"""Foreign estimates as rows of a comparison: `--estimate NAME=/topic` or `NAME=file.tum`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ WITH_COVARIANCE = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianc
 
 
 def named_sources(words: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
-    """Return name -> topic or file of `--estimate` words. Raises UsageError for a name that is taken or none."""
+    """Return name -> topic or file of `--estimate` words. Raises UsageError for a taken or missing name."""
     pairs = (
         list(words.items()) if isinstance(words, Mapping) else [tuple(word.partition("=")[::2]) for word in words]
     )
@@ -42,7 +42,7 @@ def named_sources(words: Sequence[str] | Mapping[str, str]) -> dict[str, str]:
 
 
 def foreign_estimates(loaded: Loaded, sources: Mapping[str, str], taken: Collection[str] = ()) -> list[Estimates]:
-    """Return the estimates of topics or files. Raises LocfuseError for what holds no poses of this drive."""
+    """Return the estimates of topics or files. Raises LocfuseError if they have no poses in this drive."""
     for name in sources:
         if name in taken:
             raise UsageError(f"--estimate {name}: that is the name of a configuration; choose another")

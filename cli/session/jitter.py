@@ -1,4 +1,4 @@
-"""`--jitter N`: every configuration fused N times more, each time on a drive with tiny changes.
+"""`--jitter N`: every configuration fused N more times, each time on a slightly changed drive.
 
 The range of a figure over these runs is how much of it is chance. A verdict that changes its direction in any of
 them becomes "no effect seen".
@@ -34,14 +34,14 @@ JITTER_NOTE = (
 
 
 def check_runs(runs: int) -> int:
-    """Return how many runs are asked for, 0 for none. Raises UsageError for a number that cannot be one."""
+    """Return the number of runs, 0 for none. Raises UsageError for an invalid number."""
     if not 0 <= runs <= MAX_RUNS:
         raise UsageError(f"--jitter {runs}: give a number of runs from 1 to {MAX_RUNS}")
     return runs
 
 
 class Jittered(msgspec.Struct, frozen=True):
-    """What one run on a jittered drive gave."""
+    """The result of one run on a jittered drive."""
 
     figures: Mapping[str, Mapping[str, float | None]]  # result -> figure -> value
     away: Mapping[str, float]  # result -> how far its path is from the one of the drive as it is, at most [m]
@@ -55,7 +55,7 @@ def jitter_runs(
     plain: Mapping[str, Estimates],
     progress: Progress,
 ) -> Iterator[Jittered]:
-    """Fuse and judge every configuration on jittered drives; `plain` are the estimates of the drive as it is."""
+    """Fuse and judge every configuration on jittered drives; `plain` are the estimates of the unchanged drive."""
     once = replace(asked, reference=False, audits=False)
     for seed in range(asked.jitter):
         progress(f"jitter {seed + 1} of {asked.jitter}")
@@ -94,7 +94,7 @@ def add_jitter(report: dict[str, Any], found: Sequence[Jittered]) -> None:
 
 
 def _ranges(own: Mapping[str, Any], runs: Sequence[Mapping[str, float | None]]) -> dict[str, Any]:
-    """Return [least, most] of every figure that exists in all runs."""
+    """Return [least, most] of every figure that is in all runs."""
     out = {}
     for key in runs[0]:
         values = [own.get(key), *(run.get(key) for run in runs)]
@@ -105,7 +105,7 @@ def _ranges(own: Mapping[str, Any], runs: Sequence[Mapping[str, float | None]]) 
 
 
 def _unless_it_flips(verdict: Mapping[str, Any], seen: Counter[str]) -> dict[str, Any]:
-    """Return a verdict as it is where all runs have its direction, else that no effect is seen, and why."""
+    """Return a verdict unchanged if all runs agree in direction, else no effect seen, with the reason."""
     directions = {DIRECTIONS.get(word, 0) for word in (verdict["verdict"], *seen)}
     if len(directions) == 1:
         return dict(verdict)

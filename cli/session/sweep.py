@@ -29,7 +29,7 @@ def parse(words: Sequence[str]) -> dict[str, list[str]]:
 
 
 def cells(sets: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
-    """Return the words of --set of every combination, by its name: the words one after the other.
+    """Return the --set words of every combination, by its name: the words joined.
 
     Raises UsageError for more than MAX_CELLS, and for a value that cannot be part of a folder's name.
     """

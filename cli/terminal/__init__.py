@@ -1,1 +1,1 @@
-"""What the terminal shows and takes: shared options, tables, notes, progress."""
+"""The terminal: shared options, tables, notes, progress."""

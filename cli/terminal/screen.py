@@ -39,7 +39,7 @@ def screen(**options: Any) -> Console:
 
 
 def say(line: str, err: bool = False) -> None:
-    """Print one line on stdout or stderr, whatever a log put into it.
+    """Print one line on stdout or stderr, with control characters escaped.
 
     Where the reader of stderr has gone (`2>&1 | head`) it is dropped: the exit code is still returned.
     """
@@ -52,12 +52,12 @@ def say(line: str, err: bool = False) -> None:
 
 
 def put(document: str) -> None:
-    """Print JSON or TOML as it is: its writer has escaped what acts on a terminal."""
+    """Print JSON or TOML unchanged: its writer has escaped control characters."""
     click.echo(document, nl=False)
 
 
 def settle_streams() -> None:
-    """Make the streams safe: a closed one leads to the null device, what an encoding lacks is escaped."""
+    """Make the streams safe: a closed one becomes the null device, characters outside an encoding are escaped."""
     for number in range(3):
         try:
             os.fstat(number)

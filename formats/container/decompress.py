@@ -1,4 +1,4 @@
-"""Decompression that cannot be made to fill the memory: known codecs only, sizes capped and checked.
+"""Decompression with bounded memory: known codecs only, sizes capped and checked.
 
 A 65 kB file can expand to gigabytes, and zstd ignores its own limit where a frame declares its size, so both
 the declared and the actual size are held against the cap before and while bytes are made.
@@ -32,7 +32,7 @@ Codec = Callable[[bytes, int], bytes]  # (data, at most so many bytes) -> bytes
 
 
 class DamagedError(ValueError):
-    """Bytes that are not what they should be; the message is the reason, a few words."""
+    """Damaged bytes; the message is the reason in a few words."""
 
 
 def decompress(data: bytes, compression: str, size: int) -> bytes:
@@ -48,7 +48,7 @@ def decompress(data: bytes, compression: str, size: int) -> bytes:
 
 
 def decompress_prefix(data: bytes, compression: str, size: int) -> bytes:
-    """Return what a cut-off stream still gives: at most `size` bytes."""
+    """Return the part of a cut-off stream that can be read: at most `size` bytes."""
     limit = min(size, MAX_CHUNK)
     if compression == "zstd":
         return _zstd_prefix(data, limit)
@@ -105,7 +105,7 @@ def _lz4_prefix(data: bytes, limit: int) -> bytes:
 
 
 def _until_damage(read: Callable[[int], bytes], limit: int) -> bytes:
-    """Return what can be read, at most `limit` bytes."""
+    """Return the part that can be read, at most `limit` bytes."""
     parts: list[bytes] = []
     room = limit
     with suppress(zstandard.ZstdError, RuntimeError, EOFError):
@@ -176,12 +176,12 @@ MAX_UNPACK_RATIO = 200  # a larger one to so many times its size (real bags: 2 t
 
 
 def unpack_file(data: FileBytes, losses: Losses) -> FileBytes:
-    """Return the unpacked bytes; what a cut-off or damaged file still gives is kept and the rest counted."""
+    """Return the unpacked bytes; of a cut-off or damaged file, keep what can be read and count the rest."""
     return data.unpacked(lambda packed: _unpacked(packed, data.path, losses))
 
 
 def _unpacked(packed: Path, name: Place, losses: Losses) -> Path:
-    """Return a temporary file with what `packed` holds; messages call it `name`."""
+    """Return a temporary file with the unpacked content of `packed`; messages call it `name`."""
     import tempfile
 
     handle, place = tempfile.mkstemp(prefix=scratch_prefix())

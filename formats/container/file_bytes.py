@@ -20,7 +20,7 @@ WRITTEN_TO = "the file was written to while it was read: what was read may not f
 
 
 class FileBytes:
-    """Random access to a file with a read-ahead window: never more in memory than asked for plus the window.
+    """Random access to a file with a read-ahead window: memory holds at most the request plus the window.
 
     The file is opened for each read (some microseconds per chunk), so that nothing needs to be closed; each time
     it must be the file that it was. As long as this object lives, nothing of ours is written onto it. Where it
@@ -57,7 +57,7 @@ class FileBytes:
         return self._window[offset : offset + n]
 
     def fetch(self, spans: Iterable[tuple[int, int]]) -> None:
-        """Have ranges (start, stop) at hand for the next reads; nothing to do for a file on this machine."""
+        """Load ranges (start, stop) for the next reads; nothing to do for a file on this machine."""
 
     @property
     def state(self) -> tuple[int, str] | None:
@@ -66,11 +66,11 @@ class FileBytes:
 
     @property
     def transfer(self) -> tuple[int, int] | None:
-        """Bytes that came over the network, and those that there are; None for a file on this machine."""
+        """Bytes transferred over the network, and the file's size; None for a file on this machine."""
         return None
 
     def copy_here(self) -> None:
-        """Have all bytes on this machine, where they are already."""
+        """Copy all bytes to this machine, unless they are here."""
 
     def unpacked(self, unpack: Callable[[Path], Path]) -> FileBytes:
         """Return the bytes of the temporary file that `unpack` makes of this one, under the same name."""
@@ -78,7 +78,7 @@ class FileBytes:
 
     @property
     def read_bytes(self) -> int:
-        """How many bytes were read; those that were read twice count once."""
+        """The number of bytes read, without repeats."""
         total = end = 0
         for start, stop in sorted(self._spans):
             total += max(stop - max(start, end), 0)
@@ -98,7 +98,7 @@ class FileBytes:
         return crc
 
     def feed(self, take: Callable[[bytes], None]) -> None:
-        """Give all bytes of the file as the user has it, packed or not, piece by piece."""
+        """Pass all bytes of the file, as the user has it (perhaps packed), piece by piece."""
         try:
             with self._file.open("rb") as file:
                 self._compare(inputs.identity_of_open(file.fileno()), self._given)
@@ -108,7 +108,7 @@ class FileBytes:
             raise LocfuseError(f"{self.path}: cannot be read: {problem.strerror}") from None
 
     def still_the_same(self) -> None:
-        """Raise LocfuseError where another file has taken the name; count one that was written to as a loss."""
+        """Raise LocfuseError if another file has taken the name; count a file that was written to as a loss."""
         self._compare(inputs.identity(self._file), self._given)
 
     def _pread(self, n: int, at: int) -> bytes:

@@ -1,4 +1,4 @@
-"""What a log lost: every unreadable place, once, by reason, in bytes and (where known) messages."""
+"""Losses of a log: every unreadable place once, by reason, in bytes and (where known) messages."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Loss(msgspec.Struct, frozen=True):
 
 
 class Losses(msgspec.Struct):
-    """All losses of a log. The same place met by a second walk counts once."""
+    """All losses of a log; a place that is read twice counts once."""
 
     places: dict[tuple[str, str, int], Loss] = field(default_factory=dict)  # (path, reason, offset) -> loss
 
@@ -38,7 +38,7 @@ class Losses(msgspec.Struct):
         return sum(loss.messages or 0 for loss in self.places.values())
 
     def by_reason(self) -> dict[str, dict[str, int]]:
-        """Return reason -> {places, bytes, messages}, for machines."""
+        """Return reason -> {places, bytes, messages}, for reports."""
         table: dict[str, dict[str, int]] = {}
         for loss in self.places.values():
             row = table.setdefault(loss.reason, {"places": 0, "bytes": 0, "messages": 0})
@@ -48,7 +48,7 @@ class Losses(msgspec.Struct):
         return table
 
     def lines(self) -> list[str]:
-        """Say it in words, one line per file and reason."""
+        """Return the losses in words, one line per file and reason."""
         groups: dict[tuple[str, str], list[Loss]] = {}
         for loss in self.places.values():
             groups.setdefault((loss.path, loss.reason), []).append(loss)

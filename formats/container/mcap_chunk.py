@@ -1,4 +1,4 @@
-"""The inside of a chunk: find every message, by the message index where it holds good, else record by record.
+"""The inside of a chunk: find every message by a valid message index, else record by record.
 
 The index is believed only after all of it was checked at once: each entry points at a Message record of its
 channel and log time, and what lies between the messages are whole Schema and Channel records.
@@ -34,7 +34,7 @@ class Records(NamedTuple):
 
 
 def records(data: NDArray[np.uint8], index: Index | None, packed: int | None = None) -> Records:
-    """Find the records of a chunk's decompressed bytes; `packed` is how many they were in the file.
+    """Find the records of a chunk's decompressed bytes; `packed` is their number of bytes in the file.
 
     Raises DamagedError where so few bytes unpack to absurdly many records.
     """
@@ -48,12 +48,12 @@ def records(data: NDArray[np.uint8], index: Index | None, packed: int | None = N
 
 
 def most_records(packed: int) -> int:
-    """Return how many records so many bytes of a file may unpack to: every real one takes a byte and more."""
+    """Return how many records this many bytes of a file may unpack to: every real one takes at least one byte."""
     return FREE_RECORDS + packed
 
 
 def scan(data: NDArray[np.uint8], most: int | None = None) -> Records:
-    """Walk record by record until the end or the first record that cannot be one.
+    """Read record by record until the end or the first impossible record.
 
     Raises DamagedError at more than `most` records.
     """
@@ -112,7 +112,7 @@ def _gather(data: NDArray[np.uint8], offsets: Ints) -> dict[int, Messages]:
 def credible(
     data: NDArray[np.uint8], channel: Ints, log_time: NDArray[np.uint64], offsets: Ints
 ) -> NDArray[np.bool_]:
-    """Tell which index entries (k,) point at a Message record of their channel and log time."""
+    """Return which index entries (k,) point at a Message record of their channel and log time."""
     if len(data) < PAYLOAD_OFFSET_BYTES:
         return np.zeros(len(offsets), bool)
     inside = (offsets >= 0) & (offsets <= len(data) - PAYLOAD_OFFSET_BYTES)
@@ -167,14 +167,14 @@ def _gaps(offsets: Ints, ends: Ints, size: int) -> Iterator[tuple[int, int]]:
 
 
 def _salvage(data: NDArray[np.uint8], scanned: Records, index: Index) -> Records:
-    """Read a damaged chunk: what the index lists and the bytes confirm, before and behind the damage."""
+    """Read a damaged chunk: messages that the index lists and the bytes confirm, before and after the damage."""
     channel, log_time, offsets = _flatten(index)
     good = offsets[credible(data, channel, log_time, offsets)]
     return Records(_gather(data, _followed(data, _disjoint(data, good))), scanned.definitions, scanned.end)
 
 
 def _followed(data: NDArray[np.uint8], offsets: Ints) -> Ints:
-    """Leave out messages that run into bytes that are no record: the damage began in them."""
+    """Leave out messages that are followed by no record: the damage began inside them."""
     ends = offsets + RECORD.size + view(data, "<u8", offsets + 1).astype(np.int64)
     inside = ends < len(data)
     opcode = data[np.where(inside, ends, 0)]

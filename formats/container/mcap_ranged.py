@@ -1,4 +1,4 @@
-"""Messages of a file that is elsewhere, by ranges: of stored chunks the messages alone, of packed ones the chunk.
+"""Messages of a remote file by byte ranges: single messages of stored chunks, whole compressed chunks.
 
 The message indexes of a stored chunk hold where its messages begin; each ends where the next one begins, of
 whatever channel.
@@ -40,7 +40,7 @@ ENTRY_BYTES = 16  # bytes
 
 
 def promised(data: FileBytes) -> Survey | None:
-    """Return the survey by the summary of a file, None where it cannot be believed without a walk."""
+    """Return the survey by a file's summary; None if the summary is not reliable without reading the file."""
     summary = read_summary(data)
     if summary is None or summary.statistics is None:
         return None
@@ -60,7 +60,7 @@ def promised(data: FileBytes) -> Survey | None:
 
 
 def _chunk(entry: rec.ChunkIndex) -> ChunkRef | None:
-    """Return a chunk with its message indexes, None where the entry contradicts itself or it is too large."""
+    """Return a chunk with its message indexes; None if its entry contradicts itself or it is too large."""
     front = CHUNK_FRONT + len(entry.compression.encode())
     if entry.length != rec.RECORD.size + front + entry.packed:
         return None
@@ -75,7 +75,7 @@ def _chunk(entry: rec.ChunkIndex) -> ChunkRef | None:
 
 
 def _indexes(entry: rec.ChunkIndex) -> dict[int, tuple[int, int]] | None:
-    """Return channel -> (file offset, length) of the message indexes, which lie behind the chunk without a gap."""
+    """Return channel -> (file offset, length) of the message indexes, which follow the chunk without a gap."""
     begin = entry.offset + entry.length
     order = sorted((at, ident) for ident, at in entry.indexes.items())
     ends = [*(at for at, _ in order[1:]), begin + entry.index_length]
@@ -91,7 +91,7 @@ def _indexes(entry: rec.ChunkIndex) -> dict[int, tuple[int, int]] | None:
 
 
 def _consistent(summary: FileSummary, statistics: rec.Statistics, chunks: list[ChunkRef]) -> bool:
-    """Tell whether chunks, counts and definitions agree: then nothing lies between the chunks that matters."""
+    """Return whether chunks, counts and definitions agree: then no needed record lies between the chunks."""
     total: Counter[int] = Counter()
     for chunk in chunks:
         total.update(chunk.counts or {})
@@ -120,7 +120,7 @@ ELSEWHERE = "messages are not where the index says"
 
 
 class WantedChunk:
-    """What is wanted of one chunk, and where it lies."""
+    """The wanted messages of one chunk, and its place in the file."""
 
     def __init__(self, data: FileBytes, chunk: ChunkRef, channels: Collection[int]) -> None:
         self.chunk = chunk
@@ -145,7 +145,7 @@ class WantedChunk:
 
     @property
     def spans(self) -> list[Span]:
-        """The ranges to have at hand before it is read."""
+        """The ranges to load before it is read."""
         if self.whole:
             return [(self.chunk.offset, self.index_span[1])]
         try:
@@ -160,7 +160,7 @@ class WantedChunk:
         return sum(stop - start for start, stop in self.spans)
 
     def messages(self, losses: Losses) -> tuple[NDArray[np.uint8], dict[int, Messages]]:
-        """Return the records of the wanted messages in one buffer, and where they are in it."""
+        """Return the records of the wanted messages in one buffer, and their offsets in it."""
         name, at = str(self._data.path), self.chunk.offset
         try:
             channel, log_time, start, stop = self._places
@@ -210,7 +210,7 @@ def _by_channel(
 
 
 def wanted_of(data: FileBytes, chunks: Sequence[ChunkRef], channels: Collection[int]) -> list[WantedChunk]:
-    """Return what is wanted of the chunks, with the message indexes that hold its places at hand."""
+    """Return the wanted parts of the chunks, after loading the message indexes."""
     found = [WantedChunk(data, chunk, channels) for chunk in chunks]
     data.fetch(one.index_span for one in found if not one.whole)
     return found
@@ -235,7 +235,7 @@ def _at_hand(data: FileBytes, group: Sequence[WantedChunk]) -> Iterator[WantedCh
 
 
 def own_header(data: FileBytes, chunk: ChunkRef) -> rec.ChunkHeader:
-    """Return a chunk's own header. Raises DamagedError where it differs from the summary's."""
+    """Return a chunk's own header. Raises DamagedError if it differs from the summary's."""
     head = data.read(chunk.offset, CHUNK_HEAD)
     opcode, _ = rec.opcode_and_length(head)
     header = rec.chunk_header(head[rec.RECORD.size :])

@@ -40,7 +40,7 @@ class Channel(NamedTuple):
 
 
 class ChunkHeader(NamedTuple):
-    """What stands before a chunk's bytes."""
+    """The header in front of a chunk's bytes."""
 
     uncompressed_size: int
     crc: int  # 0 = not checked by the writer
@@ -52,7 +52,7 @@ class ChunkHeader(NamedTuple):
 
 
 class ChunkIndex(NamedTuple):
-    """Where a chunk lies by the summary, and how many bytes of message indexes follow it."""
+    """A chunk's place by the summary, and the bytes of message indexes after it."""
 
     offset: int
     length: int
@@ -66,25 +66,25 @@ class ChunkIndex(NamedTuple):
 
     @property
     def channels(self) -> frozenset[int]:
-        """The channels that have messages in it."""
+        """The channels with messages in the file."""
         return frozenset(self.indexes)
 
 
 class AttachmentIndex(NamedTuple):
-    """Where an attachment's record lies by the summary."""
+    """An attachment's place by the summary."""
 
     offset: int
     length: int
 
 
 def opcode_and_length(head: bytes) -> tuple[int, int]:
-    """Read the front of any record."""
+    """Read the opcode and length of any record."""
     opcode, length = RECORD.unpack_from(head)
     return int(opcode), int(length)
 
 
 class Cursor:
-    """Take values off the front of a record; what does not fit is DamagedError."""
+    """Reads values from the front of a record; raises DamagedError if a value does not fit."""
 
     def __init__(self, data: bytes, at: int = 0) -> None:
         self.data = data
@@ -134,7 +134,7 @@ def channel(data: bytes) -> Channel:
 
 
 def chunk_header(data: bytes) -> ChunkHeader:
-    """Read the front of a Chunk record's content."""
+    """Read the header in a Chunk record's content."""
     c = Cursor(data)
     first, last, size, crc = c.integers("QQQI")
     compression = c.text()
@@ -153,7 +153,7 @@ def chunk_index(data: bytes) -> ChunkIndex:
 
 
 def attachment_index(data: bytes) -> AttachmentIndex:
-    """Read the front of an AttachmentIndex record's content."""
+    """Read the header in an AttachmentIndex record's content."""
     return AttachmentIndex(*Cursor(data).integers("QQ"))
 
 
@@ -177,7 +177,7 @@ def attachment(data: bytes) -> tuple[str, bytes, int]:
 
 
 class Statistics(NamedTuple):
-    """How much a file holds."""
+    """The counts of a file."""
 
     messages: int
     attachments: int

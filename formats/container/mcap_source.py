@@ -42,7 +42,7 @@ class McapSource:
         self._compare_with_statistics()
 
     def _surveyed(self) -> Survey:
-        """Walk over a file; believe the summary of one that is elsewhere, or copy it where that cannot be."""
+        """Read the outermost records; for a remote file use a reliable summary, else copy the file."""
         if self.data.far:
             if (found := promised(self.data)) is not None:
                 return found
@@ -68,7 +68,7 @@ class McapSource:
 
     @property
     def checked(self) -> bool:
-        """Whether a changed value would be noticed: every chunk has a checksum, and nothing lies outside one."""
+        """Whether a changed value would be noticed: every chunk has a checksum, and no message is outside."""
         parts = self._survey.parts
         chunks = [part for part in parts if isinstance(part, ChunkRef)]
         self.data.fetch((chunk.offset, chunk.start) for chunk in chunks if chunk.promised)
@@ -77,19 +77,19 @@ class McapSource:
         return False
 
     def _confirmed(self, chunk: ChunkRef) -> bool:
-        """Read the header of a chunk where only the summary was; return whether it has a checksum."""
+        """Read the header of a chunk that is known only by the summary; return whether it has a checksum."""
         if chunk.promised:
             chunk.header, chunk.promised = own_header(self.data, chunk), False
         return bool(chunk.header.crc)
 
     @property
     def time_span_ns(self) -> tuple[int, int] | None:
-        """First and last log time of what is known to hold messages by now, None without any."""
+        """First and last log time of the parts that hold messages, None without any."""
         spans = [part.span for part in self._survey.parts if part.counts and any(part.counts.values())]
         return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
 
     def published(self, data: NDArray[np.uint8], messages: Messages) -> Ints:
-        """Return when the messages were published, ns: the last thing in front of their payloads."""
+        """Return the publish times of the messages, ns, which lie in front of their payloads."""
         return view(data, "<u8", messages.start - 8).astype(np.int64)
 
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
@@ -108,7 +108,7 @@ class McapSource:
         return Batch(data, {ident: m for ident, m in found.messages.items() if ident in wanted})
 
     def _ranged(self, wanted: Collection[int]) -> Iterator[Batch] | None:
-        """Return the batches by ranges of a file that is elsewhere; copy it where they are most of it anyway."""
+        """Return the batches by byte ranges of a remote file; copy the file if they are most of it."""
         chunks = [p for p in self._survey.parts if isinstance(p, ChunkRef) and (p.counts or {}).keys() & wanted]
         parts = wanted_of(self.data, chunks, wanted)
         if sum(part.n_bytes for part in parts) <= MAX_SHARE * self.data.size:
@@ -126,7 +126,7 @@ class McapSource:
                 yield batch
 
     def _load(self, part: Part) -> tuple[Bytes, Records]:
-        """Read one part; what is damaged is counted and left out."""
+        """Read one part; damage is counted and left out."""
         try:
             data = self._bytes(part)
             found = records(data, self._index(part) if isinstance(part, ChunkRef) else None, part.size)
@@ -156,7 +156,7 @@ class McapSource:
         return np.frombuffer(plain, np.uint8)
 
     def _index(self, chunk: ChunkRef) -> Index | None:
-        """Return the message indexes behind a chunk, None where there are none."""
+        """Return the message indexes after a chunk, None without any."""
         try:
             found = [rec.message_index(self.data.read(at, length)) for at, length in chunk.index.values()]
         except DamagedError:
@@ -171,7 +171,7 @@ class McapSource:
         self.losses.add(str(self.path), reason, part.offset, size - found.end, missing)
 
     def _discover(self) -> None:
-        """Read the parts that alone can tell which channels and how many messages they hold."""
+        """Read the parts whose channels and message counts are only known from their content."""
         known = self._survey
         for part in known.parts:
             complete = part.counts is not None and part.counts.keys() <= known.channels.keys()

@@ -1,4 +1,4 @@
-"""One walk over an MCAP file's outermost records: where its chunks lie, and what cannot be read.
+"""One pass over an MCAP file's outermost records: the places of its chunks, and unreadable parts.
 
 Only record headers are touched, so it costs milliseconds per gigabyte, and nothing is believed unchecked. The
 summary section is the safety net: its chunk index gives the place to go on after a hole, its statistics what
@@ -76,7 +76,7 @@ Part = ChunkRef | LooseRun
 
 
 def put_in_order(parts: list[Part]) -> None:
-    """Sort parts by time where one of them ends before an earlier one begins: chunks may stand in any order.
+    """Sort parts by time if one of them ends before an earlier one begins: chunks may have any order.
 
     Those whose times overlap stay as they are: stamps jitter, the order of a file does not.
     """
@@ -89,7 +89,7 @@ def put_in_order(parts: list[Part]) -> None:
 
 
 class Survey(msgspec.Struct):
-    """What the walk found."""
+    """The result of the pass."""
 
     parts: list[Part] = field(default_factory=list)
     schemas: dict[int, rec.Schema] = field(default_factory=dict)
@@ -98,7 +98,7 @@ class Survey(msgspec.Struct):
     expected: dict[int, int] | None = None  # channel -> messages, by the statistics
 
     def define(self, opcode: int, content: bytes) -> None:
-        """Take a Schema or Channel record; the first definition counts (the summary's, where there is one)."""
+        """Add a Schema or Channel record; the first definition counts (the summary's, if there is one)."""
         if opcode == rec.SCHEMA:
             schema = rec.schema(content)
             self.schemas.setdefault(schema.id, schema)
@@ -111,7 +111,7 @@ class Survey(msgspec.Struct):
 
 
 class FileSummary(msgspec.Struct):
-    """What the writer noted about the whole file."""
+    """The writer's summary of the whole file."""
 
     start: int  # file offset of the section
     schemas: dict[int, rec.Schema] = field(default_factory=dict)
@@ -122,7 +122,7 @@ class FileSummary(msgspec.Struct):
 
     @property
     def counts(self) -> dict[int, int] | None:
-        """Channel -> messages; None where the writer counted none."""
+        """Channel -> messages; None if the writer did not count them."""
         return None if self.statistics is None else self.statistics.counts
 
 
@@ -130,20 +130,20 @@ TAIL_BYTES = rec.RECORD.size + rec.FOOTER_LENGTH + len(rec.MAGIC)  # bytes of fo
 
 
 def lost_summary(data: FileBytes) -> bool:
-    """Tell whether a file without a summary to believe should have one: its footer is damaged or points at it."""
+    """Return whether a file without a valid summary should have one: its footer is damaged or points at it."""
     foot = _footer(data)
     return not foot or rec.Cursor(foot, rec.RECORD.size).integers("QQI")[0] != 0
 
 
 def _footer(data: FileBytes) -> bytes:
-    """Return the footer's record and the magic behind it, nothing where either is not there."""
+    """Return the footer's record and the magic after it, empty if either is missing."""
     foot = data.read(max(data.size - TAIL_BYTES, 0), TAIL_BYTES)
     whole = len(foot) == TAIL_BYTES and foot[-len(rec.MAGIC) :] == rec.MAGIC and foot[0] == rec.FOOTER
     return foot if whole else b""
 
 
 def summary_section(data: FileBytes) -> bytes | None:
-    """Return the bytes of the summary section, None where there are none or their checksum is wrong."""
+    """Return the bytes of the summary section, None if it is missing or its checksum is wrong."""
     foot = _footer(data)
     if not foot:
         return None
@@ -158,7 +158,7 @@ def summary_section(data: FileBytes) -> bytes | None:
 
 
 def read_summary(data: FileBytes) -> FileSummary | None:
-    """Return the summary, None where there is none to believe."""
+    """Return the summary, None if there is no valid one."""
     section = summary_section(data)
     if section is None:
         return None
@@ -199,7 +199,7 @@ CHUNK_HEAD = rec.RECORD.size + 64  # bytes that hold a chunk's header
 
 
 class Resync:
-    """Finds the next place that can be read: by the chunk index, else by looking for records."""
+    """Finds the next readable place: by the chunk index, else by searching for records."""
 
     def __init__(self, data: FileBytes, summary: FileSummary | None) -> None:
         self.data = data
@@ -228,7 +228,7 @@ class Resync:
         return None
 
     def _search_window(self, at: int, chunked: bool) -> None:
-        """Note where a record might begin, once for all holes in these bytes."""
+        """Find possible starts of records, once for all gaps in these bytes."""
         window = np.frombuffer(self.data.read(at, SEARCH_BYTES), np.uint8)
         n = len(window) - rec.RECORD.size + 1
         wanted = window[:n] == rec.CHUNK
@@ -251,7 +251,7 @@ class Resync:
         return fits and header.compression in CODECS and header.start + header.length == length
 
     def _are_records(self, at: int, channels: Collection[int]) -> bool:
-        """Tell whether three plausible records in a row begin here, messages of known channels only."""
+        """Return whether three plausible records in a row begin here, with messages of known channels only."""
         for _ in range(3):
             head = self.data.read(at, rec.RECORD.size + 2)
             if len(head) < rec.RECORD.size + 2:
@@ -289,7 +289,7 @@ SIGNATURES = (
 
 
 def describe(head: bytes) -> str:
-    """Return what a file that starts with `head` (the first 64 bytes or more) is, in words."""
+    """Return the kind of file that starts with `head` (the first 64 bytes or more), in words."""
     if not head:
         return "empty (0 bytes)"
     for signature, words in SIGNATURES:
@@ -313,7 +313,7 @@ NO_SUMMARY = "the summary is damaged: messages may be missing that nobody counts
 
 
 def survey(data: FileBytes, losses: Losses) -> Survey:
-    """Walk the data section from the first record to DataEnd, over whatever damage there is."""
+    """Read the data section from the first record to DataEnd, across any damage."""
     magic = data.read(0, len(rec.MAGIC))
     summary = read_summary(data)
     if magic != rec.MAGIC and summary is None:
@@ -384,7 +384,7 @@ class _SurveyWalk:
         return min(end, self.data.size)
 
     def _is_end(self, at: int, opcode: int, length: int) -> bool:
-        """Tell a real end of the data section from a flipped bit that looks like one."""
+        """Return whether this is the real end of the data section, not a flipped bit that looks like one."""
         if opcode == rec.FOOTER:
             return at + rec.RECORD.size + length + len(rec.MAGIC) == self.data.size
         if opcode != rec.DATA_END or length != 4:
@@ -395,7 +395,7 @@ class _SurveyWalk:
         return 0 < self.data.read(end, 1)[:1][0] <= rec.DATA_END if end < self.data.size else True
 
     def _check_data_crc(self, at: int, opcode: int) -> None:
-        """Check what no chunk's checksum covers, where the writer gave a checksum of everything."""
+        """Check the bytes outside chunk checksums, if the writer gave a checksum of the whole."""
         value = self.data.read(at + rec.RECORD.size, 4)
         whole = opcode == rec.DATA_END and len(value) == 4  # a file may be cut within the checksum itself
         if whole and any(isinstance(part, LooseRun) for part in self.found.parts):
@@ -404,7 +404,7 @@ class _SurveyWalk:
                 self.losses.add(self.name, "the file fails its checksum: values may be wrong", 0, 0)
 
     def _distrust_unconfirmed(self) -> None:
-        """Skip chunks only by indexes that the summary confirms; the others are read to know their channels."""
+        """Use only message indexes that the summary confirms; chunks without one are read for their channels."""
         promised = self.summary.chunks if self.summary else {}
         for part in self.found.parts:
             if isinstance(part, ChunkRef):
@@ -413,7 +413,7 @@ class _SurveyWalk:
                     part.counts = None
 
     def _distrust_index(self) -> None:
-        """Damage behind a chunk may have taken some of its message indexes: read the chunk itself."""
+        """Read the chunk itself if damage after it may have removed some of its message indexes."""
         if self.found.parts and isinstance(chunk := self.found.parts[-1], ChunkRef):
             chunk.index.clear()
             chunk.counts = None
@@ -430,7 +430,7 @@ class _SurveyWalk:
         self.found.define(rec.CHANNEL, self._content(at, length))
 
     def _loose(self, at: int, length: int) -> int:
-        """Take messages outside any chunk, as many as lie in a row; return where they end."""
+        """Collect consecutive messages outside any chunk; return where they end."""
         n_bytes = max(rec.RECORD.size + length, RUN_BYTES)
         if n_bytes > MAX_CHUNK:
             self.losses.add(self.name, f"a message is larger than {MAX_CHUNK >> 20} MiB", at, n_bytes, 1)
@@ -463,7 +463,7 @@ class _SurveyWalk:
         return None
 
     def _opened(self, header: rec.ChunkHeader, start: int, available: int) -> int:
-        """Walk into an uncompressed chunk too large to hold: its messages are as good as loose ones."""
+        """Read inside an uncompressed chunk too large for memory: its messages are treated as loose ones."""
         whole = available == header.length
         if whole and header.crc and self.data.crc32(start, start + available) != header.crc:
             self.losses.add(self.name, "a chunk fails its checksum", start, available)
@@ -496,7 +496,7 @@ class _SurveyWalk:
         return self.resync.next(at, self.chunked, self.found.channels.keys())
 
     def _lost(self, at: int, reason: str) -> int:
-        """Count the bytes up to the next chunk (or the end) as lost and go on there."""
+        """Count the bytes up to the next chunk (or the end) as lost and continue there."""
         onward = self._onward(at + 1)
         if onward is None:
             onward = self.summary.start if self.summary and self.summary.start > at else self.data.size

@@ -37,7 +37,7 @@ MAX_TOGETHER_BYTES = 8 * 1024 * 1024  # of one request: a dropped connection los
 
 
 def joined(spans: Iterable[Span], gap: int = MAX_GAP_BYTES) -> Iterator[Span]:
-    """Yield ranges that hold all `spans`, with those joined that lie close to each other."""
+    """Yield ranges that cover all `spans`, with close ones joined."""
     start = stop = -1
     for a, b in sorted(spans):
         if stop >= 0 and a - stop <= gap and max(b, stop) - start <= MAX_TOGETHER_BYTES:
@@ -58,7 +58,7 @@ def cut(spans: Iterable[Span], size: int = MAX_TOGETHER_BYTES) -> Iterator[Span]
 
 
 class Ranges:
-    """Ranges that were fetched, up to a number of bytes; those unused for longest go first."""
+    """Cached ranges up to a number of bytes; the least recently used go first."""
 
     def __init__(self, capacity: int) -> None:
         self.capacity = capacity
@@ -83,7 +83,7 @@ class Ranges:
             self._size -= len(old)
 
     def get(self, start: int, stop: int) -> bytes | None:
-        """Return the bytes of a range, None where not all of them are here."""
+        """Return the bytes of a range, None if some of them are not cached."""
         pieces: list[bytes] = []
         while start < stop:
             i = bisect_right(self._starts, start) - 1
@@ -116,19 +116,19 @@ LIST_ALL = 1000  # objects at a time
 
 
 class ObjectState(NamedTuple):
-    """Which state of an object was seen."""
+    """One version of an object: its size and tag."""
 
     size: int  # bytes
     tag: str  # changes with the content: the store's ETag, or where there is none the time of the last change
 
 
 def state_of(meta: Mapping[str, Any]) -> ObjectState:
-    """Return the state that an answer of a store is of."""
+    """Return the version of an object by a store's answer."""
     return ObjectState(int(meta["size"]), str(meta["e_tag"] or meta["last_modified"]))
 
 
 class Object:
-    """One object. What is read of it is of one state: the one of the first answer."""
+    """One object; all reads are of one version: that of the first answer."""
 
     def __init__(self, url: Url) -> None:
         self.url = url
@@ -144,7 +144,7 @@ class Object:
         return self._state
 
     def tail(self, n: int) -> bytes:
-        """Return the last n bytes, all where there are fewer."""
+        """Return the last n bytes, or all if there are fewer."""
         import obstore.exceptions as problems
 
         try:
@@ -183,7 +183,7 @@ class Object:
             yield from zip(spans, threads.map(self.read, spans), strict=True)
 
     def _get(self, span: Span | Mapping[str, int]) -> bytes:
-        """Return a range; errors are those of obstore but for what every request may meet."""
+        """Return a range; raises errors of obstore, except those that any request may meet."""
         import obstore
 
         try:
@@ -198,7 +198,7 @@ class Object:
         return asked(self.url, ask)
 
     def _see(self, meta: Mapping[str, Any]) -> None:
-        """Raise LocfuseError where the object is not what it was."""
+        """Raise LocfuseError if the object has changed."""
         found = state_of(meta)
         if self._state is None:
             self._state = found
@@ -207,7 +207,7 @@ class Object:
 
 
 def asked(url: Url, ask: Callable[[Any], Any]) -> Any:
-    """Return what a store answers. Raises LocfuseError in one line."""
+    """Return a store's answer. Raises LocfuseError in one line."""
     import obstore
     from obstore.exceptions import BaseError
 
@@ -218,7 +218,7 @@ def asked(url: Url, ask: Callable[[Any], Any]) -> Any:
 
 
 def below(folder: Url) -> list[Url]:
-    """Return all objects below a folder, by key. Raises LocfuseError where the store cannot list."""
+    """Return all objects below a folder, by key. Raises LocfuseError if the store cannot list."""
     if folder.scheme in WEB:
         raise LocfuseError(f"{folder}: a web server has no list of its files; name each log, or use @list.txt")
     prefix = folder.key if folder.is_folder else folder.key + "/"
@@ -254,7 +254,7 @@ def _endpoint() -> str:
 
 
 def _words(problem: BaseException, url: Url) -> str:
-    """Return what went wrong in one line with what to do about it."""
+    """Return an error of a store in one line, with its fix."""
     from obstore.exceptions import PermissionDeniedError, UnauthenticatedError
 
     text = str(problem)
@@ -273,7 +273,7 @@ def _words(problem: BaseException, url: Url) -> str:
 
 
 def _first_line(problem: BaseException) -> str:
-    """Return the message of the store without addresses of requests and times, which are different every time."""
+    """Return the message of the store without request addresses and times, which always differ."""
     line = " ".join(str(problem).partition("\n\nDebug source")[0].split())
     return re.sub(r"Error performing \w+ \S+ in [\d.]+\w+(, after .*?retry_timeout: \w+)?\s+- ", "", line)[:300]
 
@@ -286,7 +286,7 @@ COPIED_AT_ONCE = 8  # ranges that are in memory while an object is copied
 
 
 class RemoteBytes(FileBytes):
-    """Random access to an object (FileBytes is that to a file), until it is copied; then to the copy."""
+    """Random access to an object, as FileBytes for a file; after a copy, access to the copy."""
 
     def __init__(self, url: Url, losses: Losses) -> None:  # not that of FileBytes: there is no file yet
         self.path = url
@@ -312,7 +312,7 @@ class RemoteBytes(FileBytes):
 
     @property
     def all_read(self) -> bool:
-        """Whether every byte was read: always False for an object, which is known by its tag."""
+        """Whether every byte was read: always False for an object, which is identified by its tag."""
         return False
 
     def read(self, at: int, n: int) -> bytes:
@@ -329,7 +329,7 @@ class RemoteBytes(FileBytes):
         return found if found is not None else b"".join(self._pieces([(start, stop)]))  # larger than what is kept
 
     def fetch(self, spans: Iterable[Span]) -> None:
-        """Have these ranges at hand for the next reads: what lies close together in one request."""
+        """Load these ranges for the next reads: close ones in one request."""
         if self.far:
             inside = ((max(a, 0), min(b, self.size)) for a, b in spans)
             missing = [span for span in inside if self._kept.get(*span) is None]
@@ -351,7 +351,7 @@ class RemoteBytes(FileBytes):
             self._read_from(self._copied())
 
     def unpacked(self, unpack: Callable[[Path], Path]) -> FileBytes:
-        """Read from the temporary file that `unpack` makes of the copy from now on."""
+        """Read from now on the temporary file that `unpack` makes of the copy."""
         self.copy_here()
         self._packed = self.where
         self._read_from(unpack(self.where))
@@ -392,11 +392,11 @@ class RemoteBytes(FileBytes):
             )
 
     def feed(self, take: Callable[[bytes], None]) -> None:
-        """Give all bytes of the object as it is in the store, piece by piece."""
+        """Pass all bytes of the object, as they are in the store, piece by piece."""
         self.copy_here()
         with (self._packed or self.where).open("rb") as file:
             while piece := file.read(1 << 20):
                 take(piece)
 
     def still_the_same(self) -> None:
-        """Do nothing: every range was checked to be of the same object, and no other program knows the copy."""
+        """Do nothing: every range was checked to be of the same version, and the copy is private."""

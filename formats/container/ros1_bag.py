@@ -33,7 +33,7 @@ Fields = dict[bytes, bytes]
 
 
 class BagRecord(NamedTuple):
-    """One record: its fields, and where its data lies."""
+    """One record: its fields, and the place of its data."""
 
     at: int
     op: int
@@ -63,7 +63,7 @@ class BagRecord(NamedTuple):
 
 
 def read_entry(data: FileBytes, at: int) -> BagRecord:
-    """Read the record at a file offset. Raises DamagedError for what is none."""
+    """Read the record at a file offset. Raises DamagedError if there is none."""
     word = data.read(at, WORD.size)
     n = WORD.unpack(word)[0] if len(word) == WORD.size else HEAD_BYTES
     header = data.read(at + WORD.size, min(n, HEAD_BYTES) + WORD.size)
@@ -104,7 +104,7 @@ class Scanned(NamedTuple):
 
 
 def scan_chunk(data: NDArray[np.uint8], most: int) -> Scanned:
-    """Walk a chunk's decompressed bytes record by record. Raises DamagedError at more than `most` records."""
+    """Read a chunk's decompressed bytes record by record. Raises DamagedError at more than `most` records."""
     buffer = data.data
     connections: dict[int, tuple[Fields, bytes]] = {}
     rows: list[tuple[int, int, int, int]] = []
@@ -156,7 +156,7 @@ BEFORE = range(4, 64)  # so many bytes behind the record's start
 
 
 class BagPart(msgspec.Struct):
-    """A chunk, or messages that a crash left outside one."""
+    """A chunk, or messages outside any chunk after a crash."""
 
     at: int
     start: int
@@ -207,7 +207,7 @@ class BagSource:
                 yield Batch(data, messages)
 
     def _survey(self) -> None:
-        """Walk the outermost records: chunks and their indexes, connections, the span of time."""
+        """Read the outermost records: chunks and their indexes, connections, and the time span."""
         at = len(MAGIC)
         closed = False
         while at < self.data.size:
@@ -224,7 +224,7 @@ class BagSource:
             self.losses.add(str(self.path), CUT_OFF, 0, 0)
 
     def _take(self, entry: BagRecord) -> bool:
-        """Note one record; tell whether it is of the index that closes a bag."""
+        """Add one record; return whether it belongs to the index at the end of a bag."""
         if entry.op == BAG_HEADER:
             if entry.fields.get(b"encryptor"):
                 raise LocfuseError(f"{self.path}: the bag is encrypted")
@@ -252,7 +252,7 @@ class BagSource:
             self._parts.append(part)
 
     def _take_loose(self, entry: BagRecord) -> None:
-        """Collect messages that a crash left outside a chunk, whose header was never completed."""
+        """Collect messages outside a chunk whose header was never completed, after a crash."""
         before = self._parts[-1] if self._parts else None
         if (
             before
@@ -270,7 +270,7 @@ class BagSource:
         self._span = first, last
 
     def _lost(self, at: int, reason: str) -> int:
-        """Count the bytes up to the next chunk (or the end) as lost and go on there."""
+        """Count the bytes up to the next chunk (or the end) as lost and continue there."""
         onward = self._next_chunk(at + 1)
         self.losses.add(str(self.path), reason, at, onward - at)
         if self._parts:
@@ -296,7 +296,7 @@ class BagSource:
         return entry.op == CHUNK and entry.end <= self.data.size
 
     def _load(self, part: BagPart) -> tuple[NDArray[np.uint8], Scanned]:
-        """Read one part; what is damaged is counted and left out."""
+        """Read one part; damage is counted and left out."""
         try:
             data = np.frombuffer(self._bytes(part), np.uint8)
             found = scan_chunk(data, FREE_RECORDS + part.length)
@@ -324,7 +324,7 @@ class BagSource:
         return unpack(packed, part.compression, part.size)
 
     def _discover(self) -> None:
-        """Read the parts that alone can tell which connections and how many messages they hold."""
+        """Read the parts whose connections and message counts are only known from their content."""
         for part in self._parts:
             if part.counts is not None and part.counts.keys() <= self._connections.keys() and self._span:
                 continue
@@ -352,7 +352,7 @@ class BagSource:
 
 
 def _heads(window: bytes, start: int, end: int) -> bool:
-    """Tell whether a record that starts here has a header that reaches `end` and is as short as a chunk's."""
+    """Return whether the header of a record here reaches `end` and is as short as a chunk's."""
     length = int(WORD.unpack_from(window, start)[0])
     return end <= start + WORD.size + length <= start + 2 * BEFORE.stop
 

@@ -41,7 +41,7 @@ Row = tuple[int, int, bytes | None]  # topic, time in ns, message
 
 
 class Leash:
-    """Ends a step of sqlite that takes too long, and lets a signal end any.
+    """Aborts a step of sqlite that takes too long; a signal aborts any step.
 
     sqlite calls back after some instructions and drops exceptions from there: a step that was interrupted before
     its time was interrupted by a signal.
@@ -53,7 +53,7 @@ class Leash:
         self._end_s = 0.0
 
     def hold(self, database: sqlite3.Connection) -> None:
-        """Put a connection on the leash."""
+        """Limit the steps of a connection."""
         database.set_progress_handler(self._late, STEPS_PER_LOOK)
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_CHUNK)
 
@@ -66,7 +66,7 @@ class Leash:
 
     @contextmanager
     def step(self) -> Iterator[None]:
-        """Bound one step. Raises LocfuseError where it takes too long, KeyboardInterrupt for a signal."""
+        """Limit one step. Raises LocfuseError if it takes too long, KeyboardInterrupt for a signal."""
         self.begin()
         try:
             yield
@@ -100,7 +100,7 @@ class SqliteSource:
             raise LocfuseError(f"{self.path}: not a readable rosbag2 database: {problem}") from None
 
     def _count_unused_journal(self) -> bool:
-        """Count what sqlite leaves out of the journal of a crashed recording; return whether it uses any of it."""
+        """Count the part of a crashed recording's journal that sqlite ignores; return whether it uses any."""
         journal = self._journal
         try:
             if not journal.exists() or not journal.stat().st_size:
@@ -117,7 +117,7 @@ class SqliteSource:
         return Path(f"{self.data.where.resolve()}-wal")
 
     def _refuse_programs(self, database: sqlite3.Connection) -> None:
-        """Refuse tables whose rows are not stored but computed: they can be without end."""
+        """Refuse tables with computed rows, which may have no end."""
         listed = "SELECT lower(name), type, sql FROM sqlite_master WHERE lower(name) IN (?, ?, ?)"
         for name, kind, sql in database.execute(listed, TABLES).fetchall():
             if kind != "table" or str(sql).upper().startswith("CREATE VIRTUAL"):
@@ -129,7 +129,7 @@ class SqliteSource:
                 )
 
     def _check(self, database: sqlite3.Connection) -> None:
-        """Look for damage, which sqlite would meet in silence: rows it cannot reach are just not there."""
+        """Search for damage that sqlite would not report: rows that it cannot reach are just missing."""
         try:
             with self._leash.step():
                 verdict = str(database.execute("PRAGMA quick_check(1)").fetchone()[0])
@@ -139,7 +139,7 @@ class SqliteSource:
             self.losses.add(str(self.path), DAMAGED, 0, 0)
 
     def _connect(self) -> sqlite3.Connection:
-        """Open read-only; with the journal of a crashed recording where there is one and it can be read."""
+        """Open read-only; with the journal of a crashed recording if it can be read."""
         self.data.still_the_same()
         where = self.data.where.resolve()
         journal = self._journal
@@ -243,7 +243,7 @@ def _channels(database: sqlite3.Connection, leash: Leash) -> tuple[dict[int, Cha
 
 
 def _samples(database: sqlite3.Connection, leash: Leash) -> dict[int, bytes]:
-    """Return the first message of every topic, of those that are not too long to be looked at."""
+    """Return the first message of every topic, without messages that are too long."""
     query = (
         f"SELECT {TOPIC}, CAST(data AS BLOB) FROM messages WHERE rowid IN "
         f"(SELECT min(rowid) FROM messages GROUP BY {TOPIC}) AND length(data) <= ?"
@@ -267,7 +267,7 @@ def _definitions(database: sqlite3.Connection, leash: Leash) -> dict[str, tuple[
 
 
 def _batch(rows: list[Row]) -> Batch:
-    """Lay the messages one behind the other; one that is too large comes out empty."""
+    """Join the messages in one buffer; one that is too large becomes empty."""
     topic = np.array([row[0] for row in rows], np.int64)
     length = np.array([len(row[2] or b"") for row in rows], np.int64)
     everything = Messages(
@@ -303,14 +303,14 @@ class JournalTail(NamedTuple):
 
 
 class Journal(NamedTuple):
-    """What sqlite makes of a journal."""
+    """sqlite's use of a journal."""
 
     used: bool  # whether it holds a commit that sqlite reads
     tail: JournalTail | None  # what sqlite leaves out although it was written
 
 
 def journal_of(path: Path) -> Journal:
-    """Return whether sqlite uses a journal, and what it leaves out."""
+    """Return whether sqlite uses a journal, and the part that it ignores."""
     size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(HEADER.size)
@@ -345,7 +345,7 @@ def _is_header(head: bytes) -> bool:
 
 
 def _summed(data: bytes, order: str, before: tuple[int, int] = (0, 0)) -> tuple[int, int]:
-    """Return the running checksum behind some words."""
+    """Return the running checksum after some words."""
     a, b = before
     words = np.frombuffer(data, f"{order}u4").tolist()
     for x, y in zip(words[::2], words[1::2], strict=True):

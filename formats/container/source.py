@@ -1,4 +1,4 @@
-"""What every kind of log file gives: channels, and batches of raw messages that lie in one buffer.
+"""The common interface of log files: channels, and batches of raw messages in one buffer.
 
 A batch is one chunk, so memory stays flat; its messages are columns of offsets into the buffer, so that
 decoding can gather a field of all messages at once.
@@ -68,14 +68,14 @@ class Source(Protocol):
         """First and last log time, None without messages."""
 
     def published(self, data: NDArray[np.uint8], messages: Messages) -> Ints:
-        """Return when the messages of a batch were published, ns; the log times where the file holds no other."""
+        """Return the publish times of a batch, ns; the log times if the file has no others."""
 
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
-        """Yield the messages of the wanted channels in file order; the same order at every call."""
+        """Yield the messages of the wanted channels in file order, the same at every call."""
 
 
 class Recorded(NamedTuple):
-    """Messages of one channel as they lie in a file, whether or not they can be decoded."""
+    """Messages of one channel as they are stored, decodable or not."""
 
     channel: ChannelInfo
     data: NDArray[np.uint8]  # the buffer they lie in

@@ -1,4 +1,4 @@
-"""Addresses of logs that are elsewhere: an object in a bucket, or a file on a web server."""
+"""Addresses of remote logs: an object in a bucket, or a file on a web server."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ WEB = ("http", "https")
 
 
 class Url(msgspec.Struct, frozen=True, order=True):
-    """The address of one object; of a folder of objects where it ends in "/"."""
+    """The address of one object; with a final "/" that of a folder of objects."""
 
     text: str
 
@@ -72,7 +72,7 @@ class Url(msgspec.Struct, frozen=True, order=True):
 
     @property
     def is_folder(self) -> bool:
-        """Whether it names everything below it."""
+        """Whether it is the address of a folder."""
         return self.text.endswith("/") or not self.key
 
     def at(self, key: str) -> Url:
@@ -88,7 +88,7 @@ Place = Path | Url  # where a file is: on this machine or elsewhere
 
 
 def is_url(word: str) -> bool:
-    """Tell whether a word of a command line is an address."""
+    """Return whether a word of a command line is an address."""
     return ADDRESS.fullmatch(word) is not None
 
 

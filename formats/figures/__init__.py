@@ -1,1 +1,1 @@
-"""Figures of a report: what each panel shows, as values, and how it is drawn: SVG for a page, PDF for print."""
+"""Figures of a report: the content of each panel as values, and its renderers: SVG for a page, PDF for print."""

@@ -1,4 +1,4 @@
-"""Errors: deviations over time as in the paper's fig. 12 and 13, their sizes, and how each sensor changes them."""
+"""Error figures: deviations over time as in the paper's fig. 12 and 13, and the effect of each sensor."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def _overlay(judged: list[Evaluation], name: str, columns: list[Array], span: tu
 
 
 def _enlarged(panel: Panel, names: list[str], columns: list[Array]) -> Panel | None:
-    """Return a panel once more on the scale of its smallest curves; None where all are of one size."""
+    """Return a panel again at the scale of its smallest curves; None if all are of similar size."""
     rms = {
         n: float(np.sqrt(np.nanmean(c**2))) for n, c in zip(names, columns, strict=True) if np.isfinite(c).any()
     }
@@ -88,7 +88,7 @@ def _heading(judged: list[Evaluation], span: tuple[float, float]) -> Panel:
 
 
 def _error(judged: list[Evaluation], by: str) -> Panel:
-    """Position error against the way driven, on a logarithmic axis."""
+    """Position error against distance driven, on a logarithmic axis."""
     errors = [np.maximum(np.hypot(*j.deviation.T), MIN_ERROR_M) for j in judged]
     scale, unit = metres(errors)
     return Panel(
@@ -103,7 +103,7 @@ def _error(judged: list[Evaluation], by: str) -> Panel:
 
 
 def bands(scene: Scene) -> Section:
-    """Return x, y and heading of each configuration alone, between the 3 sigma that it claims for itself."""
+    """Return x, y and heading of each configuration alone, with its own 3 sigma band."""
     panels: list[Panel] = []
     names: list[str] = []
     columns = 2
@@ -142,7 +142,7 @@ def _band(judged: Evaluation, what: str, deviation: Array, column: int) -> Panel
 
 
 def uncertainty(scene: Scene) -> Section:
-    """Return the standard deviations that the filters claim: all that can be shown without truth."""
+    """Return the standard deviations of the filters: the only error figure without truth."""
     panels = []
     names = {shown.name for shown, _ in scene.shown()}
     for what, column in (("x", 0), ("y", 1), ("heading", 2)):
@@ -183,7 +183,7 @@ def spread(scene: Scene) -> Section:
 
 
 def _sizes(errors: Array, least: float) -> Array:
-    """Return the finite sizes (k,) of errors, none below what is drawn."""
+    """Return the finite error sizes (k,), limited below to the smallest that is drawn."""
     found: Array = np.maximum(np.abs(errors[np.isfinite(errors)]), least)
     return found
 
@@ -227,7 +227,7 @@ def _histograms(what: str, errors: Mapping[str, Array], scale: float, unit: str)
 
 
 def _bins(errors: Array) -> Array:
-    """Return edges of bins of equal ratio that hold all errors, of the largest decades where there are many."""
+    """Return edges of bins of equal ratio for all errors; with many decades, for the largest."""
     high = np.ceil(BINS_PER_DECADE * np.log10(errors.max()) + 1e-9)
     low = np.floor(BINS_PER_DECADE * np.log10(errors.min()) - 1e-9)
     low = max(low, high - MAX_DECADES * BINS_PER_DECADE)

@@ -1,4 +1,4 @@
-"""What the filter says of itself: NEES and NIS with their bounds, innovations, gates over time, learnt states."""
+"""Filter figures: NEES and NIS with their bounds, innovations, gates over time, estimated states."""
 
 from __future__ import annotations
 
@@ -178,7 +178,7 @@ def learnt(scene: Scene) -> Section:
 
 
 def means(t: Array, values: Array, count: int) -> tuple[Array, Array]:
-    """Return middles and means of `count` stretches; NaN where a stretch holds no finite value."""
+    """Return centres and means of `count` intervals; NaN for an interval without finite values."""
     if len(t) == 0:
         return np.zeros(0), np.zeros(0)
     good = np.isfinite(values)
@@ -198,7 +198,7 @@ def _log_range(curves: list[Array], bounds: tuple[float, float]) -> tuple[float,
 
 
 def _robust(y: Array, sigma: Array, refused: Array) -> tuple[float, float]:
-    """Return limits that show what was used but for one in 200; far refused ones lie beyond."""
+    """Return limits that show all accepted values but 1 in 200; far rejected ones lie outside."""
     most = max(
         float(np.nanpercentile(np.abs(y), 99.5)) if len(y) else 0.0,
         float(np.nanpercentile(sigma, 95)) if np.isfinite(sigma).any() else 0.0,

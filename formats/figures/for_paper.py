@@ -86,7 +86,7 @@ def paper_figures(
 
 
 def _inks(names: Sequence[str], traces: Mapping[str, Trace], sensors: Mapping[str, Colour]) -> dict[str, str]:
-    """Return the colour on paper of every name that marks have."""
+    """Return the print colour of every name used by marks."""
     every = {**{s: Trace(s, (s,)) for s in names if s in sensors}, **traces}
     return {**{n: c.light for n, c in palette.colours(every, sensors).items()}, **_light_roles()}
 
@@ -102,7 +102,7 @@ def on_axes(axes: Any, panel: Panel, traces: Mapping[str, Trace], sensors: Mappi
 
 
 def file_name(panel: str) -> str:
-    """Return a panel's name as a file's: letters, digits, and what configurations are written with."""
+    """Return a panel's name as a file name: letters, digits, and characters of configuration names."""
     return "".join(c if c.isalnum() or c in "_-+@." else "_" for c in panel)
 
 
@@ -166,7 +166,7 @@ def _light_roles() -> dict[str, str]:
 
 
 def _dress(axes: Any, panel: Panel) -> None:
-    """Set limits, words and the legend."""
+    """Set limits, labels and the legend."""
     x, y = ranges(panel)
     axes.set_xlabel(panel.x_label)
     axes.set_ylabel(panel.y_label)
@@ -227,7 +227,7 @@ def _curve(axes: Any, mark: Curve, ink: str, label: str | None, broken: Any) -> 
 
 
 def _label(axes: Any, panel: Panel, mark: Mark) -> str | None:
-    """Return the mark's name for the legend, once."""
+    """Return the mark's name for the legend at its first use."""
     taken = set(axes.get_legend_handles_labels()[1])
     name = panel.said.get(mark.of, "rejected" if mark.of == "gate" else mark.of)
     return None if name in taken or name == "bounds" else name

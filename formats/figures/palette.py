@@ -1,4 +1,4 @@
-"""One colour per configuration, the same in every figure and every report, apart for every kind of colour vision.
+"""One colour per configuration, the same in every figure and report, distinct for every kind of colour vision.
 
 Chosen by search so that all pairs stay apart under protanopia, deuteranopia and tritanopia and each has a
 contrast of 3 against its page (tests/figures/test_figures.py measures both). A sensor brings its own colour and
@@ -14,7 +14,7 @@ from locfuse.fusion.data import BASES, FAULT, JUMP, LOOP, LOST, REFUSED, REST, V
 
 
 class Trace(NamedTuple):
-    """What decides how the curve of one result is drawn."""
+    """Properties of a result that decide its line colour and style."""
 
     configuration: str  # "odometry", "compass+lrf", "all"
     sensors: tuple[str, ...]
@@ -29,7 +29,7 @@ class Trace(NamedTuple):
 
     @property
     def look(self) -> str:
-        """How the line is broken: "" solid, "dash", or "over" for `all`, whose gaps show what it lies on.
+        """The line style: "" solid, "dash", or "over" for `all`, whose gaps show the curves below.
 
         `all` is drawn last and often lies on the laser's curve: both are seen.
         """
@@ -96,12 +96,12 @@ EVENTS = {FAULT: "fault", LOST: "lost", REFUSED: "gate", REST: "rest", LOOP: "lo
 
 
 def traces_of(estimates: Iterable[Estimates]) -> dict[str, Trace]:
-    """Return how each result is drawn, by its name."""
+    """Return the style of each result's curve, by its name."""
     return {e.name: Trace(e.configuration, e.sensors, bool(e.rates), e.smoothed) for e in estimates}
 
 
 def traces_in(report: Mapping[str, Any]) -> dict[str, Trace]:
-    """Return how each result of a report is drawn, by its name."""
+    """Return the style of each result of a report, by its name."""
     return {
         name: Trace(v["configuration"], tuple(v["sensors"]), bool(v["rates_hz"]), v["smoothed"])
         for name, v in report["configurations"].items()
@@ -114,7 +114,7 @@ def looks_of(traces: Mapping[str, Trace]) -> dict[str, str]:
 
 
 def colours(traces: Mapping[str, Trace], sensors: Mapping[str, Colour]) -> dict[str, Colour]:
-    """Return a colour for every trace, by those of all sensors known to the product."""
+    """Return a colour for every trace, given the colours of all sensors."""
     return {name: _colour(trace, sensors) for name, trace in traces.items()}
 
 

@@ -1,4 +1,4 @@
-"""What a figure shows, as values: series with their roles, axes with their words. Two renderers draw them.
+"""The content of figures as values: series with their roles, axes with their labels. Two renderers draw them.
 
 `drawing.svg` draws for the page (theme, phone, toggles, pointer), `drawing.for_paper` for print (PDF, SVG by
 matplotlib).
@@ -54,7 +54,7 @@ class Strokes(msgspec.Struct, frozen=True):
 
 
 class Spots(msgspec.Struct, frozen=True):
-    """Places that keep their size when the panel is enlarged; `of` is a role of the palette that has a shape."""
+    """Marks of constant size when the panel is enlarged; `of` is a role of the palette with a shape."""
 
     of: str
     x: Array  # (n,)
@@ -65,7 +65,7 @@ Mark = Curve | Band | Dots | Strokes | Spots
 
 
 class TimedPlaces(msgspec.Struct, frozen=True):
-    """Where something was at evenly spaced times, so that a cursor over time finds its place. It is not drawn."""
+    """Positions at evenly spaced times, for a cursor over time. They are not drawn."""
 
     of: str
     start: float  # s
@@ -107,7 +107,7 @@ class Section(msgspec.Struct, frozen=True):
 
 
 def ranges(panel: Panel) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the limits of x and y: as given, else what the marks need with a little air."""
+    """Return the limits of x and y: as given, else the marks' range with a small margin."""
     xs = [_x(m) for m in panel.marks]
     ys = [v for m in panel.marks for v in _y(m)]
     x = panel.x_range or _span(xs, 0.0, panel.x_log)
@@ -138,7 +138,7 @@ def _span(columns: list[Array], air: float, log: bool = False) -> tuple[float, f
 
 
 def _opened(low: float, high: float) -> tuple[float, float]:
-    """Return limits with something between them: a log may be one instant long, a value constant."""
+    """Return limits that differ: a log may be one instant long, a value constant."""
     low, high = max(low, -MAX_AXIS_VALUE), min(high, MAX_AXIS_VALUE)
     if high - low >= 1e-12 * max(1.0, abs(high)):
         return low, high

@@ -15,7 +15,7 @@ MAX_CONFIGURATIONS = 8  # more curves in one panel say nothing
 
 
 class Stretches(NamedTuple):
-    """A figure of merit over stretches of the drive, and between what it should lie."""
+    """A figure of merit over intervals of the drive, with its bounds."""
 
     t: Array  # (n,) s
     value: Array  # (n,)
@@ -44,16 +44,16 @@ class Scene(msgspec.Struct, frozen=True):
 
     @property
     def judged_by(self) -> str:
-        """What deviations are from."""
+        """The reference of deviations: truth or a reference run."""
         return "reference" if any(e.reference for e in self.evaluations) else "truth"
 
     @property
     def has_truth(self) -> bool:
-        """Whether anything could be judged."""
+        """Whether there is a reference for deviations."""
         return any(len(e.t) for e in self.evaluations)
 
     def shown(self) -> list[tuple[Estimates, Evaluation]]:
-        """Return the configurations that are drawn: all, or of many the single sensors, none, and all."""
+        """Return the configurations that are drawn: all, or with many only odometry, single sensors, and all."""
         pairs = list(zip(self.estimates, self.evaluations, strict=True))
         if len(pairs) <= MAX_CONFIGURATIONS:
             return pairs
@@ -62,6 +62,6 @@ class Scene(msgspec.Struct, frozen=True):
 
 
 def metres(values: Sequence[Array], most: float = 0.2) -> tuple[float, str]:
-    """Return (scale, unit) in which lengths read well: millimetres where all are small."""
+    """Return (scale, unit) for readable lengths: millimetres if all are small."""
     largest = max((float(np.nanmax(np.abs(v))) for v in values if np.isfinite(v).any()), default=0.0)
     return (1000.0, "mm") if largest < most else (1.0, "m")

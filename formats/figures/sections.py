@@ -1,4 +1,4 @@
-"""Which figures a report has, in reading order: from the map to what the filter learnt."""
+"""The figures of a report in reading order, from the map to the estimated states."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .scene import Scene
 
 
 def sections(scene: Scene) -> list[Section]:
-    """Return the figures of a report in reading order; a section that has nothing to show is left out."""
+    """Return the figures of a report in reading order, without empty sections."""
     from .deviation import bands, credit, deviations, spread, uncertainty
     from .filter import consistency, gates, innovations, learnt
     from .where import trajectories, where
@@ -22,7 +22,7 @@ def sections(scene: Scene) -> list[Section]:
 
 
 def _with_events(section: Section, scene: Scene) -> Section:
-    """Return a section whose time axes show what happened when."""
+    """Return a section whose time axes show the events of the drive."""
     events = tuple(scene.events)
     panels = (replace(p, events=events) if p.x_label == TIME else p for p in section.panels)
     return replace(section, panels=tuple(panels))

@@ -37,7 +37,7 @@ def curve_path(x: Array, y: Array, pixels: int) -> str:
 
 
 def free_path(x: Array, y: Array) -> str:
-    """Return the path of a curve (n,) in px that goes anywhere: a trajectory, one point per small cell."""
+    """Return the path of a curve (n,) in px in any direction: a trajectory, one point per small cell."""
     cells = np.floor(np.stack((x, y), axis=-1) / CELL_PX)
     stays = (cells[1:-1] == cells[:-2]).all(axis=1) & np.isfinite(x[2:]) if len(x) > 2 else np.zeros(0, dtype=bool)
     kept = np.concatenate(([True], ~stays, [True]))[: len(x)]
@@ -58,7 +58,7 @@ def band_path(x: Array, low: Array, high: Array, pixels: int) -> str:
 
 
 def dots_path(x: Array, y: Array) -> str:
-    """Return one stroke per run of dots in a column of pixels; round caps make a single dot round."""
+    """Return one stroke per run of dots in a column of pixels; round caps draw a single dot as a circle."""
     good = np.isfinite(x) & np.isfinite(y) & (np.abs(y) < MAX_COORDINATE_PX)
     cells = np.unique(np.rint(np.stack((x[good], y[good]), axis=-1)).astype(np.int64), axis=0)
     if len(cells) == 0:
@@ -78,7 +78,7 @@ def strokes_path(ends: Array) -> str:
 
 
 def spots_path(x: Array, y: Array, crossed: bool = False) -> str:
-    """Return one point per place, which its round or square cap makes a spot of fixed size; or a cross."""
+    """Return one point per place, drawn as a spot of fixed size by its round or square cap; or a cross."""
     good = np.isfinite(x) & np.isfinite(y)
     tenths = np.rint(10.0 * np.clip(np.stack((x[good], y[good]), axis=-1), -MAX_COORDINATE_PX, MAX_COORDINATE_PX))
     r = round(10 * CROSS_PX)
@@ -154,7 +154,7 @@ class Axis(msgspec.Struct, frozen=True):
     log: bool = False
 
     def px(self, values: Array) -> Array:
-        """Return px of data values, FAR_PX away at most; what a logarithm cannot show is NaN."""
+        """Return px of data values, limited to FAR_PX; values that a logarithm cannot show are NaN."""
         if not self.log:
             px = self.start + (values - self.low) * ((self.end - self.start) / (self.high - self.low))
             return np.clip(px, -FAR_PX, FAR_PX)
@@ -209,14 +209,14 @@ def svg(
 
 
 def _axes(panel: Panel, x: Axis, y: Axis) -> str:
-    """Return what a script must know to turn px into values: both axes, and the kind of panel."""
+    """Return the data for a script to turn px into values: both axes, and the kind of panel."""
     kind = "map" if panel.equal else "lanes" if panel.lanes else "time" if panel.x_label == TIME else "other"
     ends = (f"{a.low:.9g} {a.high:.9g} {a.start:.5g} {a.end:.5g} {int(a.log)}" for a in (x, y))
     return f"{' '.join(ends)} {kind}"
 
 
 def _left(panel: Panel, y0: float, y1: float) -> float:
-    """Return the margin that the y labels need."""
+    """Return the left margin for the y labels."""
     if panel.lanes:
         return 12 + CHARACTER_WIDTH_PX * max(len(lane) for lane in panel.lanes)
     found = (ticks.logarithmic if panel.log else ticks.linear)(y0, y1, 6)
@@ -226,7 +226,7 @@ def _left(panel: Panel, y0: float, y1: float) -> float:
 def _equal(
     x0: float, x1: float, y0: float, y1: float, inner: float, most: float
 ) -> tuple[float, float, float, float, int]:
-    """Return limits and height with one scale for x and y, with a little air, at most `most` px high."""
+    """Return limits and height with one scale for x and y and a small margin, at most `most` px high."""
     pad = 0.04 * max(x1 - x0, y1 - y0, 1e-6)
     x0, x1, y0, y1 = x0 - pad, x1 + pad, y0 - pad, y1 + pad
     scale = min(inner / (x1 - x0), (most - TOP - BOTTOM) / (y1 - y0))
@@ -236,7 +236,7 @@ def _equal(
 
 
 def _frame(panel: Panel, x: Axis, y: Axis) -> str:
-    """Return grid, ticks, and the words of both axes."""
+    """Return grid, ticks, and the labels of both axes."""
     bottom, right = round(y.start), round(x.end)
     rows = [] if panel.lanes else y.ticks(max(3, round((y.start - y.end) / 34)))
     columns = x.ticks(max(3, round((x.end - x.start) / 60)))
@@ -272,14 +272,14 @@ def _mark(mark: Mark, x: Axis, y: Axis, slugs: dict[str, str], looks: Mapping[st
 
 
 def _track(track: TimedPlaces, x: Axis, y: Axis, slugs: dict[str, str]) -> str:
-    """Return a path without a drawing that knows its places at even times, for the cursor's spot."""
+    """Return an invisible path with its places at even times, for the cursor."""
     at = places(x.px(track.x), y.px(track.y))
     name = f"<title>{escape(track.of)}</title>"
     return f'<path class="here {slugs[track.of]}" data-at="{track.start:.9g} {track.end:.9g} {at}">{name}</path>'
 
 
 def _shade(event: Event, x: Axis, y: Axis, slugs: dict[str, str]) -> str:
-    """Return what happened when as a stretch behind the curves; what was refused in a row lies at the foot."""
+    """Return events as shaded intervals behind the curves; rejected readings lie at the bottom."""
     start, end = x.px(np.array([event.start, event.end])).tolist()
     width = max(end - start, MIN_SHADE)
     top = y.start - SHADE_FOOT if event.kind == REFUSED else y.end

@@ -1,4 +1,4 @@
-"""Where an axis has its ticks, and how they read: 1, 2, 5 steps, decades on logarithmic axes."""
+"""Ticks of an axis and their labels: steps of 1, 2, 5; decades on logarithmic axes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def nice_step(least: float) -> float:
 
 
 def logarithmic(low: float, high: float, most: int = 6) -> list[tuple[float, str]]:
-    """Return decades within [low, high]; 1, 2, 5 between them where there is only one decade or less."""
+    """Return decades within [low, high], with 1, 2, 5 between them if there is only one decade or less."""
     first, last = math.ceil(math.log10(low) - 1e-9), math.floor(math.log10(high) + 1e-9)
     if last - first < 1:
         steps = [m * 10.0**p for p in range(first - 1, last + 2) for m in (1.0, 2.0, 5.0)]

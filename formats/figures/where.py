@@ -1,4 +1,4 @@
-"""Maps: trajectories over the line map, and each path in the colours of its error."""
+"""Map figures: trajectories over the line map, and each path coloured by its error."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def timed_path(estimates: Estimates, judged: Evaluation) -> tuple[Array, Array]:
 
 
 def spots(t: Array, xy: Array) -> list[Spots]:
-    """Return start, end and the spots between them; none of a path that has no place."""
+    """Return start, end and the spots between them; empty for a path without positions."""
     good = np.isfinite(xy).all(axis=1)
     t, xy = t[good], xy[good]
     if len(t) == 0:
@@ -50,7 +50,7 @@ def between(t: Array, xy: Array, times: Array) -> Array:
 
 
 def track(of: str, t: Array, xy: Array) -> list[TimedPlaces]:
-    """Return where the path was at evenly spaced times; none of a path that has no place."""
+    """Return positions at evenly spaced times; empty for a path without positions."""
     good = np.isfinite(xy).all(axis=1)
     t, xy = t[good], xy[good]
     if len(t) < 2:
@@ -109,7 +109,7 @@ def trajectories(scene: Scene) -> Section:
 
 
 def framed(path: Array, marks: Sequence[Mark]) -> list[tuple[float, float] | None]:
-    """Return the limits of x and y: 99 % of the best path (n, 2), and what lies within a quarter of its size.
+    """Return the limits of x and y: 99 % of the best path (n, 2), and marks within a quarter of its size.
 
     One stray wall, or an estimate that left the building, would make all else small.
     """
@@ -157,7 +157,7 @@ TINY_M = 1e-6  # m: below, a path is without error
 
 
 class Route(NamedTuple):
-    """A path and what colours it."""
+    """A path with the values that colour it."""
 
     name: str
     t: Array  # (n,)
@@ -167,7 +167,7 @@ class Route(NamedTuple):
 
 
 def where(scene: Scene) -> Section:
-    """Return one map per configuration, its path in the colours of its error."""
+    """Return one map per configuration, its path coloured by its error."""
     routes = [_route(e, j, scene.has_truth) for e, j in scene.shown()]
     routes = [r for r in routes if np.isfinite(r.value).any()]
     if not routes:
@@ -235,7 +235,7 @@ def _panel(scene: Scene, route: Route, edges: Array, what: str, said: dict[str, 
 
 
 def _coloured(route: Route, edges: Array) -> list[Curve]:
-    """Return the path as one curve per colour; a stretch has the colour of its rms value."""
+    """Return the path as one curve per colour; each piece has the colour of its rms value."""
     ends = np.unique(np.rint(np.linspace(0, len(route.t) - 1, COLOURED_STRETCHES + 1)).astype(int))
     pieces: dict[int, list[Array]] = {}
     for first, last in pairwise(ends):
@@ -251,7 +251,7 @@ def _coloured(route: Route, edges: Array) -> list[Curve]:
 
 
 def _extend(found: list[Array], stretch: Array) -> None:
-    """Continue a curve where it ended, else begin a new one after a break."""
+    """Extend a curve from its end, else begin a new one after a break."""
     if found and (found[-1][-1] == stretch[0]).all():
         found.append(stretch[1:])
     else:
@@ -259,7 +259,7 @@ def _extend(found: list[Array], stretch: Array) -> None:
 
 
 def _crosses(route: Route) -> Array:
-    """Return where readings were refused, (k, 2): one cross for many at one place."""
+    """Return where readings were rejected, (k, 2): one cross for many at one place."""
     places = between(route.t, route.xy, route.refused)
     places = places[np.isfinite(places).all(axis=1)]
     if len(places) == 0:

@@ -1,1 +1,1 @@
-"""Results of many logs: one row each for machines (CSV, Parquet), and one page over all of them for people."""
+"""Results of many logs: one row each (CSV, Parquet), and one page over all of them."""

@@ -1,1 +1,1 @@
-"""A log: topics over all its files, adapted to the types that are read, as streams of columns on one clock."""
+"""A log: the topics of all its files, adapted to known types, as streams of columns on one clock."""

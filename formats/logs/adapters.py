@@ -1,4 +1,4 @@
-"""Message types that are read as another one: what they are presented as, by whom, and what it takes."""
+"""Adapters: message types that are read as another type, with the fields they need."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ DRIVERS = ("left_wheel", "right_wheel")
 
 
 def as_joints(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return fields of JointStates made of k messages; `columns` are OF_DYNAMIC. What is missing is NaN."""
+    """Return JointState fields of k messages; `columns` are OF_DYNAMIC. Missing values are NaN."""
     names = cast("list[tuple[str, ...]]", columns["joint_names"])
     made: dict[str, Column] = {"name": names}
     first = np.concatenate(([0], np.cumsum([len(row) for row in names], dtype=np.int64)))
@@ -34,12 +34,12 @@ def as_joints(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: 
 
 
 def joints_of_foxglove(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return fields of JointStates made of k of Foxglove's; `columns` are OF_FOXGLOVE_JOINTS."""
+    """Return JointState fields of k of Foxglove's messages; `columns` are OF_FOXGLOVE_JOINTS."""
     return {name: columns[f"joints.{name}"] for name in fields}
 
 
 def joints_of_feedback(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return fields of JointStates made of k Feedbacks of two motors; `columns` are OF_FEEDBACK."""
+    """Return JointState fields of k Feedbacks of two motors; `columns` are OF_FEEDBACK."""
     travel, rate = (cast("Ragged", columns[name]) for name in OF_FEEDBACK)
     made: dict[str, Column] = {"position": travel, "velocity": rate}
     made["name"] = [DRIVERS if n == len(DRIVERS) else ("",) * n for n in travel.lengths.tolist()]
@@ -47,7 +47,7 @@ def joints_of_feedback(columns: Mapping[str, Column], fields: tuple[str, ...], f
 
 
 def _interface(columns: Mapping[str, Column], names: list[tuple[str, ...]], field: str) -> Array:
-    """Return one interface of every joint of every message, end to end; messages alike share the search."""
+    """Return one interface of every joint of every message, end to end; equal messages share the search."""
     interfaces = cast("list[tuple[str, ...]]", columns[INTERFACES])
     values, lengths = cast("Ragged", columns[VALUES]), cast("Ragged", columns[f"{VALUES}.length"])
     places: dict[tuple[object, ...], Ints] = {}
@@ -62,7 +62,7 @@ def _interface(columns: Mapping[str, Column], names: list[tuple[str, ...]], fiel
 
 
 def _places(joints: int, interfaces: tuple[str, ...], lengths: Ints, field: str) -> Ints:
-    """Return where each joint's value of an interface stands among all values of a message, -1: nowhere."""
+    """Return the position of each joint's value of an interface among all values of a message, -1 if missing."""
     at = np.full(joints, -1)
     if len(interfaces) != lengths.sum() or len(lengths) != joints:
         return at
@@ -90,7 +90,7 @@ OF_SPORT_STATE = ("position", "imu_state.quaternion")
 def odometry_of_foxglove(
     columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str
 ) -> dict[str, Column]:
-    """Return fields of Odometry made of k of Foxglove's, which may leave velocities out."""
+    """Return Odometry fields of k of Foxglove's messages, which may leave velocities out."""
     made: dict[str, Column] = {f"pose.{name}": columns[name] for name in PLANE_POSE}
     for name, speed in zip(("linear.x", "angular.z"), SPEEDS, strict=True):
         made[f"twist.twist.{name}"] = np.nan_to_num(_numbers(columns[speed]), nan=0.0)
@@ -102,7 +102,7 @@ def odometry_of_foxglove(
 def odometry_of_sport_state(
     columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str
 ) -> dict[str, Column]:
-    """Return fields of Odometry made of k SportModeStates: their poses; `columns` are OF_SPORT_STATE."""
+    """Return Odometry fields by the poses of k SportModeStates; `columns` are OF_SPORT_STATE."""
     place, (w, x, y, z) = _numbers(columns["position"]), _numbers(columns["imu_state.quaternion"]).T
     made: dict[str, Column] = {"pose.pose.position.x": place[:, 0], "pose.pose.position.y": place[:, 1]}
     made |= {f"pose.pose.orientation.{axis}": value for axis, value in zip("xyzw", (x, y, z, w), strict=True)}
@@ -116,7 +116,7 @@ def _numbers(column: Column) -> Array:
 
 
 def _six_by_six(column: Column) -> Array:
-    """Return covariances as (n, 36); one of another length is none: zeros."""
+    """Return covariances as (n, 36); one of another length becomes zeros."""
     if not isinstance(column, Ragged):
         return _numbers(column).reshape(-1, 36)
     matrix = np.zeros((len(column), 36))
@@ -141,7 +141,7 @@ BODY_FRAME = 3  # of velocity_frame: forward, right, down
 def odometry_of_vehicle(
     columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str
 ) -> dict[str, Column]:
-    """Return fields of Odometry made of k VehicleOdometry messages; `columns` are OF_ODOMETRY."""
+    """Return Odometry fields of k VehicleOdometry messages; `columns` are OF_ODOMETRY."""
     place, q, velocity, rates = (_numbers(columns[k]) for k in ("position", "q", "velocity", "angular_velocity"))
     w, x, y, z = q.T
     yaw = headings(x, y, z, w)
@@ -153,13 +153,13 @@ def odometry_of_vehicle(
 def odometry_of_position(
     columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str
 ) -> dict[str, Column]:
-    """Return fields of Odometry made of k VehicleLocalPosition messages; `columns` are OF_POSITION."""
+    """Return Odometry fields of k VehicleLocalPosition messages; `columns` are OF_POSITION."""
     north, east, yaw, vx, vy = (_numbers(columns[name]) for name in OF_POSITION)
     return _odometry(north, east, yaw, vx * np.cos(yaw) + vy * np.sin(yaw), np.zeros(len(yaw)), fields)
 
 
 def imu_of_sensor(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return fields of Imu without an orientation, made of k SensorCombined messages; `columns` are OF_SENSOR."""
+    """Return Imu fields without orientation of k SensorCombined messages; `columns` are OF_SENSOR."""
     rates, accelerations = (_numbers(columns[name]) for name in OF_SENSOR)
     n = len(rates)
     turned = np.array([1.0, -1.0, -1.0])
@@ -223,23 +223,23 @@ OPTICAL = "_optical"  # a camera's frame: x right, y down, z ahead
 
 
 def level_frame(frame_id: str) -> str:
-    """Return the frame in which a scan lies: that of the camera's body for its optical frame."""
+    """Return the frame of the scan plane: for a camera's optical frame, that of its body."""
     return frame_id.replace(OPTICAL, "")
 
 
 def echoes_as_scans(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return fields of LaserScans made of k MultiEchoLaserScans; `columns` are OF_ECHOES."""
+    """Return LaserScan fields of k MultiEchoLaserScans; `columns` are OF_ECHOES."""
     return {name: _first_echoes(columns) if name == "ranges" else columns[name] for name in fields}
 
 
 def cloud_as_scans(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return fields of LaserScans made of k clouds in the frame `frame_id`; `columns` are OF_CLOUD."""
+    """Return LaserScan fields of k clouds in the frame `frame_id`; `columns` are OF_CLOUD."""
     n = len(cast("Array", columns["width"]))
     return _as_scans(n, lambda i: points(columns, i), fields, frame_id)
 
 
 def _as_scans(n: int, cloud: Callable[[int], Array], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return fields of LaserScans made of n clouds; `cloud` gives the points (m, 3) [m] of one of them."""
+    """Return LaserScan fields of n clouds; `cloud` gives the points (m, 3) [m] of one of them."""
     step = 2.0 * np.pi / SLICE_BEAMS
     fixed = {"angle_min": -np.pi + 0.5 * step, "angle_increment": step, "time_increment": 0.0}
     fixed |= {"range_min": NEAR_M, "range_max": FAR_M}
@@ -254,7 +254,7 @@ def _as_scans(n: int, cloud: Callable[[int], Array], fields: tuple[str, ...], fr
 def foxglove_clouds_as_scans(
     columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str
 ) -> dict[str, Column]:
-    """Return fields of LaserScans made of k of Foxglove's clouds, placed by their pose; OF_FOXGLOVE_CLOUD."""
+    """Return LaserScan fields of k of Foxglove's clouds, placed by their pose; OF_FOXGLOVE_CLOUD."""
     step = np.asarray(columns["point_stride"], np.float64)
     data = cast("list[bytes]", columns["data"])
     bytes_of = np.array([len(one) for one in data], np.float64)
@@ -271,7 +271,7 @@ def foxglove_clouds_as_scans(
 
 
 def _moved(xyz: Array, place: Array, quaternion: Array) -> Array:
-    """Return points (n, 3) [m] seen from where their frame has a place (3,) and a turn x, y, z, w (4,)."""
+    """Return points (n, 3) [m] moved by the pose of their frame: a place (3,) and a quaternion x, y, z, w (4,)."""
     axis, w = quaternion[:3], quaternion[3]
     norm = float(quaternion @ quaternion)
     if not 0.0 < norm < np.inf:  # no orientation: none is meant
@@ -282,7 +282,7 @@ def _moved(xyz: Array, place: Array, quaternion: Array) -> Array:
 
 
 def foxglove_as_scans(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return fields of LaserScans made of k of Foxglove's, evenly spaced from start to end; turned by their pose.
+    """Return LaserScan fields of k of Foxglove's scans, evenly spaced from start to end, turned by their pose.
 
     They say neither how long a scan takes nor which ranges are none: what is no number or not above zero.
     """
@@ -301,7 +301,7 @@ def foxglove_as_scans(columns: Mapping[str, Column], fields: tuple[str, ...], fr
 
 
 def _first_echoes(columns: Mapping[str, Column]) -> Ragged:
-    """Return the first echo of each beam, Inf where there is none."""
+    """Return the first echo of each beam, Inf without one."""
     echoes, lengths = cast("Ragged", columns["ranges.echoes"]), cast("Ragged", columns["ranges.echoes.length"])
     counts = lengths.values.astype(np.int64)
     first = np.cumsum(counts) - counts
@@ -311,7 +311,7 @@ def _first_echoes(columns: Mapping[str, Column]) -> Ragged:
 
 
 def points(columns: Mapping[str, Any], i: int) -> Array:
-    """Return the points of cloud i, (n, 3) m in its frame; none where its fields do not say x, y and z."""
+    """Return the points of cloud i, (n, 3) m in its frame; none if its fields are not x, y and z."""
     nothing: Array = np.empty((0, 3))
     names, first = columns["fields.name"][i], columns["fields.offset"].first[i]
     if not {"x", "y", "z"} <= set(names):
@@ -338,7 +338,7 @@ def points(columns: Mapping[str, Any], i: int) -> Array:
 
 
 def level_slice(xyz: Array, optical: bool = False) -> Array:
-    """Return the ranges (SLICE_BEAMS,) [m] of points (n, 3) [m] at the sensor's level, Inf where there is none."""
+    """Return the ranges (SLICE_BEAMS,) [m] of points (n, 3) [m] at the sensor's height, Inf without one."""
     if optical:
         xyz = np.stack((xyz[:, 2], -xyz[:, 0], -xyz[:, 1]), axis=-1)
     ranges = np.full(SLICE_BEAMS, np.inf)
@@ -366,7 +366,7 @@ OF_PATH = (
 
 
 class Presented(NamedTuple):
-    """How the messages of a type become those of another."""
+    """The adapter from one message type to another."""
 
     msgtype: str  # what they become
     suffix: str  # the topic is called "/source:suffix"
@@ -396,6 +396,6 @@ PRESENTED: Mapping[str, Presented] = {
 
 
 def presented_name(name: str, msgtype: str) -> str | None:
-    """Return the name under which a topic of this type is presented as another, None for any other type."""
+    """Return the name of a topic of this type after its adapter, None for any other type."""
     kind = PRESENTED.get(msgtype)
     return f"{name}:{kind.suffix}" if kind is not None else None

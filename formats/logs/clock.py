@@ -1,4 +1,4 @@
-"""When the readings of a stream were taken: header stamps, held against the order of recording.
+"""The times of a stream's readings: header stamps, compared with the order of recording.
 
 Real stamps go backwards, repeat, are zero or absurd. The order of recording is the true one, so a stamp that
 contradicts it is replaced: it is dated by its recording time, between the trusted readings around it. Where
@@ -43,7 +43,7 @@ Mask = NDArray[np.bool_]
 
 
 class Clock(msgspec.Struct, frozen=True):
-    """The times of a stream's rows, and how they came about."""
+    """The times of a stream's rows, and their source."""
 
     t_ns: Ints  # (n,) never decreasing
     rows: Ints | None  # (n,) which recorded message each row is; None: all of them in recording order
@@ -55,44 +55,44 @@ class Clock(msgspec.Struct, frozen=True):
 
     @property
     def as_stamped(self) -> bool:
-        """Whether every time is simply its header's."""
+        """Whether every time is the unchanged header stamp."""
         return self.by_stamps and self.rows is None and not self.repaired
 
 
 class Dated(ABC):
-    """A stream: the times that were taken for its rows, and all rows as one block where they are light."""
+    """A stream with its chosen times; all rows come as one block if they need little memory."""
 
     @property
     @abstractmethod
     def _clock(self) -> Clock:
-        """Return what was settled."""
+        """Return the chosen times."""
 
     @abstractmethod
     def columns(self, *fields: str) -> dict[str, Column]:
         """Return whole columns by dotted field path, each with n rows."""
 
     def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
-        """Yield (row numbers (k,), columns), k at most `rows`, in file order; what is light as one block."""
+        """Yield (row numbers (k,), columns), k at most `rows`, in file order; small streams as one block."""
         yield np.arange(len(self.t_ns)), self.columns(*fields)
 
     @property
     def t_ns(self) -> Ints:
-        """When the readings were taken, (n,), never decreasing."""
+        """The times of the readings, (n,) ns, never decreasing."""
         return self._clock.t_ns
 
     @property
     def clock(self) -> str:
-        """Which times were taken, in words."""
+        """The source of the times, in words."""
         return self._clock.words
 
     @property
     def by_stamps(self) -> bool:
-        """Whether the times are those of the headers, sorted or repaired perhaps."""
+        """Whether the times are header stamps, perhaps sorted or repaired."""
         return self._clock.by_stamps
 
     @property
     def as_stamped(self) -> bool:
-        """Whether every time is simply its header's."""
+        """Whether every time is the unchanged header stamp."""
         return self._clock.as_stamped
 
     @property
@@ -107,7 +107,7 @@ class Dated(ABC):
 
 
 def settle(log_time: Ints, stamp: Ints | None, order: str = "auto") -> Clock:
-    """Date readings recorded at `log_time` (n,), never decreasing, with header stamps (n,) where there are any."""
+    """Choose times for readings recorded at `log_time` (n,), never decreasing, by header stamps (n,)."""
     if stamp is None:
         return Clock(log_time, None, "log time (no header)")
     if not len(stamp):
@@ -135,7 +135,7 @@ def _by_stamp(log_time: Ints, stamp: Ints) -> Clock:
 
 
 def _recorded(log_time: Ints, stamp: Ints, trusted: Mask, words: str) -> Clock:
-    """Date everything by recording time, less the usual delay where there is one."""
+    """Use recording times, minus the usual delay if there is one."""
     delay = int(np.median((log_time - stamp)[trusted])) if trusted.any() else 0
     if abs(delay) > LATENCY_NS:
         return Clock(log_time, None, f"{words}; log time", notes=_differ(log_time, stamp))
@@ -155,7 +155,7 @@ def _repaired(log_time: Ints, stamp: Ints, trusted: Mask, bad: dict[str, Mask]) 
 
 
 def _fill(log_time: Ints, stamp: Ints, trusted: Mask, in_order: bool = True) -> Ints:
-    """Replace untrusted stamps: interpolated in recording time, beyond the ends with the nearest delay."""
+    """Replace untrusted stamps: interpolated in recording time, outside the range with the nearest delay."""
     known = np.flatnonzero(trusted)
     first, last = known[0], known[-1]
     t = stamp.copy()
@@ -169,7 +169,7 @@ def _fill(log_time: Ints, stamp: Ints, trusted: Mask, in_order: bool = True) -> 
 
 
 def _untrusted(log_time: Ints, stamp: Ints) -> dict[str, Mask]:
-    """Return reason -> which stamps (n,) it makes untrustworthy."""
+    """Return reason -> the stamps (n,) that are untrusted for it."""
     zero = stamp == 0
     negative = stamp < 0
     off = np.zeros(len(stamp), bool)
@@ -189,7 +189,7 @@ def _untrusted(log_time: Ints, stamp: Ints) -> dict[str, Mask]:
 
 
 def _out_of_order(log_time: Ints, stamp: Ints) -> tuple[Mask, Mask]:
-    """Mark the stamps (n,) that make the series run backwards, and those that are off the beat besides."""
+    """Mark the stamps (n,) that run backwards, and those that are also off the regular period."""
     delay = log_time - stamp
     weights, _ = jitter.credibility(stamp)
     backwards = ~never_decreasing(stamp, _credibility(delay) * weights)
@@ -199,13 +199,13 @@ def _out_of_order(log_time: Ints, stamp: Ints) -> tuple[Mask, Mask]:
 
 
 def _off_the_delay(delay: Ints) -> Mask:
-    """Mark stamps (n,) that recording does not follow: of the two, the one that keeps the beat worse is wrong."""
+    """Mark stamps (n,) whose delay is unusual: of stamp and recording time, the less regular one is wrong."""
     unusual = np.abs(delay - np.median(delay))
     return unusual > jitter.OFF_BEAT * max(float(np.median(unusual)), NS_PER_MS)
 
 
 def _credibility(delay: Ints) -> Array:
-    """Weigh stamps by how usual their delay (n,) is, with the long tail of a Cauchy distribution."""
+    """Weight stamps by how usual their delay (n,) is, with the long tail of a Cauchy distribution."""
     if not len(delay):
         return np.empty(0)
     unusual = np.abs(delay - np.median(delay))
@@ -215,7 +215,7 @@ def _credibility(delay: Ints) -> Array:
 
 
 def _bunched(log_time: Ints) -> Mask:
-    """Mark messages (n,) recorded in a bunch, as after a stall: such recording times say nothing."""
+    """Mark messages (n,) recorded in a burst, as after a stall: their recording times are unreliable."""
     steps = np.diff(log_time)
     close = steps < 0.25 * np.median(steps) if len(steps) else np.zeros(0, bool)
     marked = np.zeros(len(log_time), bool)
@@ -225,7 +225,7 @@ def _bunched(log_time: Ints) -> Mask:
 
 
 def _off_the_clock(log_time: Ints, stamp: Ints) -> Mask:
-    """Cut the stream where stamps jump against recording; what is far from the longest piece's delay is off."""
+    """Split the stream where stamps jump against recording; mark pieces far from the delay of the longest one."""
     delay = log_time - stamp
     cuts = np.flatnonzero(np.abs(np.diff(delay)) > JUMP_NS) + 1
     if not len(cuts):
@@ -238,7 +238,7 @@ def _off_the_clock(log_time: Ints, stamp: Ints) -> Mask:
 
 
 def _differ(log_time: Ints, stamp: Ints) -> tuple[str, ...]:
-    """Say so where stamps and recording times are two different clocks."""
+    """Report stamps and recording times of two different clocks."""
     delay = float(np.median(log_time - stamp)) / 1e9
     if abs(delay) * 1e9 <= LATENCY_NS:
         return ()
@@ -246,13 +246,13 @@ def _differ(log_time: Ints, stamp: Ints) -> tuple[str, ...]:
 
 
 def stamped_topics(types: Mapping[str, str], counts: Mapping[str, int]) -> list[str]:
-    """Return the topics whose stamps are looked at, of all by their types and numbers of messages."""
+    """Return the topics whose stamps are read, by their types and numbers of messages."""
     found = [t for kind in LIGHT for t in sorted(types) if types[t] == kind and counts[t] >= MIN_MESSAGES]
     return found[:MAX_TOPICS]
 
 
 def common_clock(pairs: Sequence[tuple[Ints, Ints]]) -> tuple[Ints, Ints] | None:
-    """Return log times and stamps (n,) of one clock, both rising, where all topics' stamps are of another one.
+    """Return log times and stamps (n,) of one clock, both rising, if the stamps of all topics are of another one.
 
     `pairs` are log times and stamps (m,) of each topic. None where any is stamped as it was recorded, where they
     differ, or where stamps run backwards.
@@ -268,7 +268,7 @@ def common_clock(pairs: Sequence[tuple[Ints, Ints]]) -> tuple[Ints, Ints] | None
 
 
 def on_clock(clock: Clock, known: tuple[Ints, Ints]) -> Clock:
-    """Return the clock of messages without a header, which holds log times, on that of the stamps."""
+    """Return the clock of messages without a header, which has log times, converted to the clock of the stamps."""
     log_time, stamp = known
     inside = np.clip(clock.t_ns, log_time[0], log_time[-1])
     # beyond either end both clocks are taken to run alike

@@ -37,7 +37,7 @@ MIN_NS = 1e14  # a time beyond this is no number of seconds, but of nanoseconds
 
 
 class FileStream(Dated):
-    """A text file with the face of a topic (formats.logs.stream.LogStream): the readings in the order of time."""
+    """A text file with the interface of a topic (formats.logs.stream.LogStream): its readings in time order."""
 
     words = "times of the file"
     delay_s: float | None = None
@@ -63,13 +63,13 @@ class FileStream(Dated):
 
 
 def is_file_topic(name: str) -> bool:
-    """Return whether a topic's name is that of a text file that is there."""
+    """Return whether a topic's name is that of an existing text file."""
     path = Path(name).expanduser()
     return path.suffix.lower() in SUFFIXES and path.is_file()
 
 
 def read_file(name: str) -> FileStream:
-    """Return a text file as a stream. Raises LocfuseError naming the line that cannot be read."""
+    """Return a text file as a stream. Raises LocfuseError with the line that cannot be read."""
     path = Path(name).expanduser()
     made = _csv(path) if path.suffix.lower() == ".csv" else _tum(path)
     if not len(made.t_ns):
@@ -105,7 +105,7 @@ def _tum(path: Path) -> FileStream:
 
 
 def _csv(path: Path) -> FileStream:
-    """Read a table whose first line names t and x, y (theta) of poses, or t and id, range, bearing."""
+    """Read a table whose header has t and x, y (theta) of poses, or t and id, range, bearing."""
     lines = csv_rows(path, MAX_TEXT_FILE)
     if not lines:
         raise LocfuseError(f"{path} is empty")

@@ -1,4 +1,4 @@
-"""Times that jitter: the messages lie in their true order, and some of their times run backwards.
+"""Jitter in times: the messages are in the right order, but some of their times run backwards.
 
 A time that lies before that of the message before it has one of two reasons. The message was written late: then
 its time is right, and where it belongs by its time there is a hole that it fills. Or its time was taken wrongly:
@@ -23,7 +23,7 @@ OFF_BEAT, OFF_PERIODS = 8.0, 0.25  # robust deviations and periods off the beat:
 
 
 def credibility(times: Ints) -> tuple[Array, NDArray[np.bool_]]:
-    """Weigh times (n,) in their true order by how well they keep their neighbours' beat; mark what is off it.
+    """Weight times (n,) in their true order by the regularity of their steps; mark irregular ones.
 
     The beat at i is the median of t_j + (i - j) T over the neighbours j, T their median step. Most streams keep
     it, and then it tells which of two times in the wrong order is the wrong one, and which one is wrong without
@@ -46,7 +46,7 @@ def credibility(times: Ints) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def pooled(times: Ints) -> tuple[Ints, int] | None:
-    """Return times (n,) in the order of the file that never decrease, and how many of them were replaced.
+    """Return times (n,) in file order that never decrease, and how many of them were replaced.
 
     None where the times are in order, or where they are right and the order of the file is not. The least credible
     times that make the others an ordered series are replaced, evenly between their neighbours: isotonic regression
@@ -71,7 +71,7 @@ def pooled(times: Ints) -> tuple[Ints, int] | None:
 
 
 def in_order(times: Ints) -> Ints:
-    """Return times (n,) that rise in the order given, moved as little as that asks for: isotonic regression.
+    """Return times (n,) that rise in the order given, with the smallest changes: isotonic regression.
 
     A time that is off the beat of its neighbours is replaced first. Times that had to be moved lie half a usual
     step apart at least.
@@ -97,7 +97,7 @@ def in_order(times: Ints) -> Ints:
 
 
 def _filled(times: Ints, keep: NDArray[np.bool_]) -> Ints:
-    """Replace what is not kept, evenly between the neighbours; beyond the last one, by the usual period."""
+    """Replace times that are not kept: evenly between neighbours, after the last one by the usual period."""
     known = np.flatnonzero(keep)
     first = int(times[known[0]])
     at = np.arange(len(times))
@@ -111,7 +111,7 @@ def _filled(times: Ints, keep: NDArray[np.bool_]) -> Ints:
 
 
 def _room_in_file(times: Ints, keep: NDArray[np.bool_], wrong: Ints) -> bool:
-    """Return whether there is room for most of the `wrong` where they lie, rather than where their times are."""
+    """Return whether most of the `wrong` times fit at their places in the file, rather than at their times."""
     known, kept = np.flatnonzero(keep), times[keep]
     after = np.searchsorted(known, wrong)
     inner = (after > 0) & (after < len(known))

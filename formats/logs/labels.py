@@ -1,4 +1,4 @@
-"""Faults that a log labels itself: texts on /faults, as `locfuse simulate` writes them."""
+"""Fault labels in a log: texts on /faults, as written by `locfuse simulate`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TIMES = ("event", "start", "end")
 
 
 def labels(log: Log, drive: Drive, order: str) -> list[Event]:
-    """Return the labelled faults of a log, clipped to the drive; none where it has no such topic."""
+    """Return the labelled faults of a log, clipped to the drive; none without the topic."""
     info = log.topics.get(TOPIC)
     if info is None or info.msgtype != MSGTYPE:
         return []
@@ -41,7 +41,7 @@ def labels(log: Log, drive: Drive, order: str) -> list[Event]:
 
 
 def _read(text: str) -> tuple[str, str]:
-    """Return (begin, end or "", words) of one label; a text that is not of the simulator speaks for itself."""
+    """Return (begin, end or "", words) of one label; a text not from the simulator is used as it is."""
     try:
         table = msgspec.json.decode(text, type=dict[str, Any])
     except msgspec.DecodeError:

@@ -90,7 +90,7 @@ class Carrier(NamedTuple):
 
 
 class TopicChannels:
-    """All channels of one topic. The type of the busiest is the topic's; what is of another kind is left out."""
+    """All channels of one topic. Its type is that of the busiest channel; other types are left out."""
 
     def __init__(self, carriers: Sequence[Carrier]) -> None:
         self.carriers = sorted(carriers, key=lambda carrier: -(carrier.channel.n or 0))
@@ -101,7 +101,7 @@ class TopicChannels:
 
     @property
     def decoder(self) -> MessageDecoder:
-        """What decodes the topic. Raises SchemaError where its definition cannot be used."""
+        """The decoder of the topic. Raises SchemaError if its definition cannot be used."""
         return self._decoders[0][1]
 
     @cached_property
@@ -125,7 +125,7 @@ class TopicChannels:
         return found
 
     def of(self, source: Source) -> dict[int, MessageDecoder]:
-        """Return channel id -> decoder for the channels of one file that are read."""
+        """Return channel id -> decoder for the readable channels of one file."""
         return {carrier.ident: decoder for carrier, decoder in self._decoders if carrier.source is source}
 
     def left_out(self) -> Counter[str]:
@@ -196,12 +196,12 @@ class Log:
 
     @property
     def all_read(self) -> bool:
-        """Whether every byte of the files was read, so that their hash costs no reading."""
+        """Whether every byte of the files was read, so that a hash needs no more reading."""
         return all(source.data.all_read for source in self._sources)
 
     @cached_property
     def identity(self) -> Identity:
-        """What the content is known by without reading all of it."""
+        """The identity of the content, without reading all of it."""
         seen = [source.data.state for source in self._sources]
         if all(state is None for state in seen):
             return identity_of(self.paths)
@@ -209,12 +209,12 @@ class Log:
 
     @property
     def etags(self) -> list[str]:
-        """What stores know its files by; none of files on this machine."""
+        """The store's tags of its files; none for files on this machine."""
         return [source.data.state[1] for source in self._sources if source.data.state is not None]
 
     @property
     def transfer(self) -> tuple[int, int] | None:
-        """Bytes that came over the network so far, and the size of the files there; None where all are here."""
+        """Bytes transferred over the network so far, and the size of remote files; None if all are local."""
         found = [source.data.transfer for source in self._sources if source.data.transfer is not None]
         return (sum(came for came, _ in found), sum(size for _, size in found)) if found else None
 
@@ -225,17 +225,17 @@ class Log:
 
     @property
     def unchecked(self) -> list[str]:
-        """Names of the files in which a changed value cannot be noticed: without checksums, or not of MCAP."""
+        """Names of the files without checksums, in which a changed value cannot be detected."""
         return [p.name for p, s in zip(self.paths, self._sources, strict=True) if not getattr(s, "checked", False)]
 
     @property
     def decoded_fast(self) -> int:
-        """Messages gathered by a layout that another message gave."""
+        """Messages decoded by the layout of another message."""
         return sum(table.decoder.fast for table in self._tables.values())
 
     @property
     def decoded_general(self) -> int:
-        """Messages walked by themselves."""
+        """Messages decoded one by one."""
         return sum(table.decoder.general for table in self._tables.values())
 
     def stream(self, topic: str, order: str = "auto") -> AnyStream:
@@ -299,7 +299,7 @@ class Log:
         return self.topics.get(name)
 
     def _of_frames(self, pair: tuple[str, str, str]) -> Topic | None:
-        """Return two frames of /tf, or the tags that were seen in a frame, as a topic; None without any tag."""
+        """Return two frames of /tf, or the tags seen in a frame, as a topic; None without any tag."""
         source, edges = self.topics[pair[0]], self.frames(pair[0])
         if pair[2] == OF_CAMERA:
             seen = sum(len(edge.stamp) for edge in tags_of(edges, pair[1]))
@@ -308,13 +308,13 @@ class Log:
         return Topic(TRANSFORM, count, source.encoding, source.schema_encoding)
 
     def _presents(self, name: str) -> str | None:
-        """Return the topic that is presented as another type under this name, None for any other name."""
+        """Return the topic with this adapted name, None for any other name."""
         source = name.rpartition(":")[0]
         known = source in self._channels and name not in self._channels
         return source if known and presented_name(source, self.topics[source].msgtype) == name else None
 
     def _check_numbers(self, topic: str, fields: Sequence[str]) -> None:
-        """Raise LocfuseError where a field is not there or is no number; id and range may be two lists of them."""
+        """Raise LocfuseError if a field is missing or is no number; id and range may be two lists of numbers."""
         self._check(topic)
         self._check_fields(topic, tuple(fields))
         kinds = [kind_of(resolve(self._channels[topic].decoder.message, field)) for field in fields]
@@ -326,7 +326,7 @@ class Log:
                 raise LocfuseError(f"{source}: {field} is {kind}, not {A_NUMBER}")
 
     def recorded(self, name: str) -> bool:
-        """Return whether a topic was recorded; frames of /tf, numbers and files are made of something else."""
+        """Return whether a topic was recorded; frames of /tf, numbers and files are derived."""
         return name in self._channels
 
     def is_file(self, name: str) -> bool:
@@ -366,7 +366,7 @@ class Log:
         return transforms.static_transforms(self.stream(topic).columns(*transforms.FIELDS) for topic in topics)
 
     def still_transforms(self) -> transforms.StaticTransforms:
-        """Return the transforms of /tf that never change: mounts, where nothing publishes /tf_static."""
+        """Return the transforms of /tf that never change: mounts, if nothing publishes /tf_static."""
         return transforms.StaticTransforms(
             tuple(
                 _at_first(edge)
@@ -377,7 +377,7 @@ class Log:
         )
 
     def moving_transforms(self) -> list[transforms.Transform]:
-        """Return the transforms of /tf that change, as they were first."""
+        """Return the first values of the transforms of /tf that change."""
         return [
             _at_first(edge)
             for topic in self.transform_topics
@@ -386,7 +386,7 @@ class Log:
         ]
 
     def all_mounts(self) -> transforms.StaticTransforms:
-        """Return what never moves: by /tf_static, of other frames by the transforms of /tf that never change."""
+        """Return all fixed transforms: by /tf_static, for other frames by constant transforms of /tf."""
         static = self.static_transforms()
         known = {edge.child for edge in static.edges}
         still = (edge for edge in self.still_transforms().edges if edge.child not in known)
@@ -394,7 +394,7 @@ class Log:
 
     @cached_property
     def stamps_clock(self) -> tuple[Ints, Ints] | None:
-        """Log times and stamps (n,), where the light topics' stamps are of a clock that is not the recording's."""
+        """Log times and stamps (n,) of the small topics, if their stamps are not of the recording's clock."""
         readable = {name: t for name, t in self.topics.items() if self.recorded(name) and not t.problem}
         types = {name: topic.msgtype for name, topic in readable.items()}
         counts = {name: topic.count for name, topic in readable.items()}
@@ -420,7 +420,7 @@ class Log:
             raise UnreadableTopicError.of(self.name, topic, problem)
 
     def read(self, wants: Mapping[str, Sequence[str]]) -> dict[str, TopicTable]:
-        """Make sure that the fields are in memory; what is missing is read in one walk."""
+        """Load the fields; missing ones are read in one pass."""
         tables = {topic: self._table(topic) for topic in wants}
         reading = {t: table for t, table in tables.items() if not table.known or table.missing(wants[t])}
         for topic, table in reading.items():
@@ -478,7 +478,7 @@ class Log:
             say_done(None)
 
     def messages(self) -> Iterator[list[Recorded]]:
-        """Yield all messages as they lie in the files, whether or not they can be read, batch by batch.
+        """Yield all messages in file order, readable or not, batch by batch.
 
         Messages that were compressed one by one come in batches of their own: a file of 300 kB can hold gigabytes.
         """
@@ -497,13 +497,13 @@ class Log:
                     yield together
 
     def raw(self, topic: str, fields: Sequence[str]) -> Iterator[Raw]:
-        """Yield the messages of one topic, of which `fields` will be asked, batch by batch."""
+        """Yield the messages of one topic, for the given `fields`, batch by batch."""
         self._check_fields(topic, fields)
         for _, raw in self._walk({topic}):
             yield raw
 
     def in_turn(self, topic: str) -> list[int]:
-        """Count the messages of channels of one file that write to a topic in turn; none where only one does.
+        """Count the messages of channels of one file that write to a topic in turn; none for a single channel.
 
         A recorder gives each publisher of a topic its own channel. One that starts again, and one whose messages
         are recorded twice, are no second publisher.
@@ -516,7 +516,7 @@ class Log:
         return []
 
     def forget(self) -> None:
-        """Let go of what was read; what is asked for again is read again."""
+        """Free what was read; later requests read it again."""
         self._tables.clear()
         self._streams.clear()
         self._edges.clear()
@@ -527,7 +527,7 @@ class Log:
 
 
 def _in_turn(source: Source, idents: Sequence[int]) -> list[int]:
-    """Return the counts of channels whose messages lie between each other's and are not the same."""
+    """Return the counts of channels whose messages alternate and differ."""
     times: dict[int, list[Ints]] = {ident: [] for ident in idents}
     seen: dict[int, set[int]] = {ident: set() for ident in idents}
     for batch in source.batches(idents):
@@ -548,7 +548,7 @@ def _in_turn(source: Source, idents: Sequence[int]) -> list[int]:
 
 
 def _at_first(edge: FrameEdge) -> transforms.Transform:
-    """Return a transform as it was first."""
+    """Return the first value of a transform."""
     return transforms.Transform(edge.parent, edge.child, transforms.matrices_of(edge.values[:1])[0])
 
 
@@ -557,6 +557,6 @@ def _is_static_tf(name: str, topic: Topic) -> bool:
 
 
 def _say_read(messages: Messages, span: tuple[int, int] | None) -> None:
-    """Say by log time how far the reading has come."""
+    """Report the progress of reading by log time."""
     if span is not None and span[0] < span[1] and len(messages.log_time):
         say_done(min(1.0, max(0.0, (int(messages.log_time[0]) - span[0]) / (span[1] - span[0]))))

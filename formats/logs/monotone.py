@@ -1,4 +1,4 @@
-"""Which of a series of stamps to believe: those that do not contradict each other and weigh the most."""
+"""Which of a series of stamps to trust: the consistent ones with the greatest weight."""
 
 from __future__ import annotations
 

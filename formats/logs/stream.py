@@ -1,4 +1,4 @@
-"""One topic of a log as fusion sees it: its clock is settled, its fields are columns on request.
+"""One topic of a log for fusion: with chosen times, and fields as columns on request.
 
 A table holds the columns in recording order: by (log time, sequence), never by position in the file.
 """
@@ -30,7 +30,7 @@ from .file_stream import RANGES, FileStream
 
 
 class Raw(NamedTuple):
-    """The messages of one channel in one batch, and what decodes them."""
+    """The messages of one channel in one batch, with their decoder."""
 
     data: NDArray[np.uint8]
     messages: Messages
@@ -53,7 +53,7 @@ NO_TIMES: tuple[Ints, Ints] = (np.empty(0, np.int64), np.empty(0, np.int64))
 
 
 class Pass:
-    """What one walk over the files collects."""
+    """The rows collected in one pass over the files."""
 
     def __init__(self, fields: Sequence[str], rows: int) -> None:
         self.fields = tuple(fields)
@@ -84,7 +84,7 @@ class TopicTable:
         self._times = NO_TIMES  # log time and sequence in walk order, until the rows are sorted
 
     def missing(self, fields: Sequence[str]) -> tuple[str, ...]:
-        """Return the fields that a walk has yet to read, the stamp among them."""
+        """Return the fields that still have to be read, with the stamp."""
         wanted = dict.fromkeys(fields)
         if self.stamp:
             wanted[self.stamp] = None
@@ -92,15 +92,15 @@ class TopicTable:
 
     @property
     def known(self) -> bool:
-        """Whether the messages were read once."""
+        """Whether the messages were read before."""
         return self.log_time is not None
 
     def begin(self, fields: Sequence[str]) -> None:
-        """Start collecting what is missing of `fields`."""
+        """Start collecting the missing ones of `fields`."""
         self._pass = Pass(self.missing(fields), self._expected)
 
     def feed(self, raw: Raw) -> None:
-        """Take the next messages in file order."""
+        """Add the next messages in file order."""
         decoded = raw.columns(self._pass.fields)
         self._refuse_too_much(raw, decoded.good)
         for name, piece in decoded.columns.items():
@@ -116,7 +116,7 @@ class TopicTable:
             self._take_frame(raw, decoded.good, self._frame)
 
     def _refuse_too_much(self, raw: Raw, held: NDArray[np.bool_]) -> None:
-        """Bound the memory: a small compressed file can hold any number of giant messages."""
+        """Limit the memory: a small compressed file can hold any number of giant messages."""
         fields = [name for name in self._pass.fields if name != self.stamp]
         long = held & (raw.messages.length > LONG_BYTES)
         if not fields or not long.any():
@@ -139,7 +139,7 @@ class TopicTable:
             self.frame_id = str(one.columns((path,)).columns[path][0])
 
     def end(self) -> bool:
-        """End the walk; return whether messages share a log time, so that their bytes must decide."""
+        """End the pass; return whether messages share a log time, so that their bytes must decide the order."""
         collected, self._pass = self._pass, Pass((), 0)
         columns = {name: self._finished(name, column) for name, column in collected.columns.items()}
         log_time, sequence = _integers(collected.log_time), _integers(collected.sequence)
@@ -171,7 +171,7 @@ class TopicTable:
         return times[counts > 1]
 
     def sort(self, digests: Ints | None) -> None:
-        """Put the rows into recording order; `digests` (n,) of the bytes, walk order, settle ties.
+        """Sort the rows into recording order; `digests` (n,) of the bytes, then file order, decide ties.
 
         That is the order of their log times, or, where these jitter, the order in which they lie in the file.
         """
@@ -202,7 +202,7 @@ class TopicTable:
         return row
 
     def _without_repeats(self, order: Ints, keys: tuple[Ints, ...]) -> Ints:
-        """Leave out messages with the log time and the bytes of another: recorded twice, not measured twice."""
+        """Leave out messages with the same log time and bytes as another: recorded twice."""
         digests, sequence, log_time = keys
         by_content = np.lexsort((sequence, digests, log_time))
         same = (
@@ -225,7 +225,7 @@ def _integers(growing: Growing) -> Ints:
 
 
 def dated(raw: Raw) -> Raw:
-    """Leave out messages recorded before 1970 or after 2116: their log time is not a time."""
+    """Leave out messages recorded before 1970 or after 2116, whose log time is invalid."""
     plausible = (raw.messages.log_time >= 0) & (raw.messages.log_time < END_OF_TIME)
     if plausible.all():
         return raw
@@ -233,7 +233,7 @@ def dated(raw: Raw) -> Raw:
 
 
 def digest(raw: Raw, tied: Ints) -> Ints:
-    """Return a number for the bytes of each readable message whose log time is among `tied`, 0 for the others."""
+    """Return a hash of each readable message with a log time among `tied`, 0 for the others."""
     decoded = raw.columns(())
     messages = raw.messages.take(decoded.good)
     found = np.zeros(len(messages.start), np.int64)
@@ -251,24 +251,24 @@ BLOCK_BYTES = 32 * 1024 * 1024
 
 
 class Reader(Protocol):
-    """What a stream asks of its log."""
+    """The part of a log that a stream uses."""
 
     def read(self, wants: Mapping[str, Sequence[str]]) -> dict[str, TopicTable]:
-        """Make sure that the fields of the topics are in memory."""
+        """Load the fields of the topics."""
 
     def raw(self, topic: str, fields: Sequence[str]) -> Iterator[Raw]:
-        """Yield the messages of one topic, of which `fields` will be asked, batch by batch."""
+        """Yield the messages of one topic, for the given `fields`, batch by batch."""
 
     def left_out(self, topic: str) -> Mapping[str, int]:
         """Count the messages on a topic that are of another type than the rest of it."""
 
     @property
     def stamps_clock(self) -> tuple[Ints, Ints] | None:
-        """Log times and stamps of the other topics, where these are of a clock that is not the recording's."""
+        """Log times and stamps of the other topics, if these are not of the recording's clock."""
 
 
 class LogStream(clocks.Dated):
-    """One topic: its clock is settled, its fields are columns on request (fusion.data.Stream)."""
+    """One topic with chosen times and fields as columns on request (fusion.data.Stream)."""
 
     def __init__(self, log: Reader, topic: str, msgtype: str, order: str) -> None:
         self.topic = topic
@@ -297,7 +297,7 @@ class LogStream(clocks.Dated):
 
     @property
     def delay_s(self) -> float | None:
-        """By how much recording lags behind the header stamps, median [s]; None without headers or messages."""
+        """The median delay of recording after the header stamps [s]; None without headers or messages."""
         table = self._table
         if table.stamp is None or table.log_time is None or not len(table.log_time):
             return None
@@ -305,7 +305,7 @@ class LogStream(clocks.Dated):
 
     @property
     def dropped(self) -> Mapping[str, int]:
-        """Messages that are not among the rows, by reason."""
+        """Messages that gave no row, by reason."""
         return {**self._log.left_out(self.topic), **self._table.bad, **self._clock.dropped}
 
     def columns(self, *fields: str) -> dict[str, Column]:
@@ -347,7 +347,7 @@ class LogStream(clocks.Dated):
 
 
 def _jittered(n: int) -> str:
-    """Say that times ran backwards and the order of the file was kept."""
+    """Report that times ran backwards and the file order was kept."""
     return (
         f"recording times jitter: {n} run backwards or are off the beat; the order of the messages in the file "
         "is kept, and those are dated evenly between their neighbours"
@@ -383,7 +383,7 @@ def field_of(name: str) -> tuple[str, str] | None:
 
 
 class DerivedStream(clocks.Dated):
-    """A topic made of another one, with its clock and the face of a topic (formats.logs.stream.LogStream)."""
+    """A topic derived from another one, with its clock and interface (formats.logs.stream.LogStream)."""
 
     msgtype = ""
 
@@ -403,7 +403,7 @@ class DerivedStream(clocks.Dated):
 
     @property
     def delay_s(self) -> float | None:
-        """By how much recording lags behind the header stamps, median [s]."""
+        """The median delay of recording after the header stamps [s]."""
         return self._source.delay_s
 
     @property
@@ -412,7 +412,7 @@ class DerivedStream(clocks.Dated):
 
     @property
     def dropped(self) -> Mapping[str, int]:
-        """Messages that are not among the rows, by reason."""
+        """Messages that gave no row, by reason."""
         return self._source.dropped
 
 
@@ -432,7 +432,7 @@ class NumberStream(DerivedStream):
 
 
 class RangeStream(DerivedStream):
-    """Two fields of a topic as ids and ranges; where both are lists, each of their entries is a row."""
+    """Two fields of a topic as ids and ranges; two lists give one row per entry."""
 
     msgtype = RANGES
 
@@ -457,7 +457,7 @@ class RangeStream(DerivedStream):
 
     @property
     def t_ns(self) -> Ints:
-        """When the ranges were taken, (n,), never decreasing."""
+        """The times of the ranges, (n,) ns, never decreasing."""
         return self._columns[0]
 
     def columns(self, *fields: str) -> dict[str, Column]:
@@ -466,7 +466,7 @@ class RangeStream(DerivedStream):
 
 
 class PresentedStream(DerivedStream):
-    """Messages of one type as those of another (formats.logs.adapters)."""
+    """Messages of one type adapted to another (formats.logs.adapters)."""
 
     def __init__(self, topic: str, source: LogStream) -> None:
         super().__init__(topic, source)
@@ -475,11 +475,11 @@ class PresentedStream(DerivedStream):
 
     @property
     def frame_id(self) -> str:
-        """The frame in which the messages made are."""
+        """The frame of the adapted messages."""
         return self._how.frame(self._source.frame_id)
 
     def columns(self, *fields: str) -> dict[str, Column]:
-        """Return whole columns of the type that it is presented as; the source is read block by block."""
+        """Return whole columns of the adapted type; the source is read block by block."""
         blocks = list(self.blocks(*fields))
         if not blocks:
             return self._made(self._source.columns(*self._how.fields), fields)
@@ -519,7 +519,7 @@ class PathStream(FileStream):
 
 
 def _last_message(source: LogStream) -> dict[str, Column]:
-    """Return the columns of the poses in the last message; of the others nothing is kept."""
+    """Return the columns of the poses in the last message only."""
     found: dict[str, Column] = {name: np.empty(0) for name in OF_PATH}
     latest = -1
     for rows, columns in source.blocks(*OF_PATH, rows=16):

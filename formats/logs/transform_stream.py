@@ -41,7 +41,7 @@ NAMES = tuple(f"transform.{part}" for part in ("translation.x", "translation.y",
 
 
 class FrameEdge(NamedTuple):
-    """One frame in its parent over time, as often as it was published."""
+    """One frame in its parent over time, at every published time."""
 
     parent: str
     child: str
@@ -52,7 +52,7 @@ class FrameEdge(NamedTuple):
 
     @property
     def moves(self) -> bool:
-        """Whether it ever changes."""
+        """Whether the transform ever changes."""
         return bool(np.ptp(self.values, axis=0).max() > MAX_STILL_M)
 
 
@@ -91,7 +91,7 @@ def edges_of(log_time: Ints, columns: Mapping[str, Column], order: str) -> dict[
 
 
 class TransformStream(clocks.Dated):
-    """One frame in another over time, with the face of a topic (formats.logs.stream.LogStream)."""
+    """One frame in another over time, with the interface of a topic (formats.logs.stream.LogStream)."""
 
     def __init__(self, topic: str, order: str, edges: Sequence[FrameEdge], static: StaticTransforms) -> None:
         self.topic = topic
@@ -105,12 +105,12 @@ class TransformStream(clocks.Dated):
 
     @cached_property
     def _steps(self) -> list[EdgeStep]:
-        """The way from the parent to the child, edge by edge. Raises LocfuseError where there is none."""
+        """The path from the parent to the child, edge by edge. Raises LocfuseError if there is none."""
         return _way(self._parent, self._child, self._edges, self._static, self.source)
 
     @cached_property
     def _main(self) -> FrameEdge:
-        """The transform that dates the stream: the most frequent one of the way."""
+        """The transform that gives the times of the stream: the most frequent one on the path."""
         moving = [step.edge for step in self._steps if isinstance(step.edge, FrameEdge)]
         if not moving:
             words = f"{self.source}: {self._child} never moves in {self._parent}: both are on one rigid body"
@@ -138,17 +138,17 @@ class TransformStream(clocks.Dated):
 
     @property
     def t_ns(self) -> Ints:
-        """When, (n,), never decreasing."""
+        """The times of the transforms, (n,) ns, never decreasing."""
         return self._main.clock.t_ns[self._keep]
 
     @property
     def delay_s(self) -> float | None:
-        """By how much recording lags behind the stamps, median [s]."""
+        """The median delay of recording after the stamps [s]."""
         return float(np.median(self._main.log_time - self._main.stamp)) * 1e-9
 
     @property
     def dropped(self) -> Mapping[str, int]:
-        """Transforms that are not among the rows, by reason."""
+        """Transforms that gave no row, by reason."""
         outside = int((~self._keep).sum())
         return {**self._main.clock.dropped, **({"outside_chain": outside} if outside else {})}
 
@@ -167,7 +167,7 @@ class TransformStream(clocks.Dated):
 
 
 class TagStream(clocks.Dated):
-    """The tags that a camera saw, a row for each, with the face of a topic; made of frames of /tf.
+    """The tags seen by a camera, one row each, with the interface of a topic; derived from frames of /tf.
 
     A transform equal to the bit to the one before of its tag was published again, not seen again.
     """
@@ -201,7 +201,7 @@ class TagStream(clocks.Dated):
 
 
 def tags_of(edges: Mapping[tuple[str, str], FrameEdge], camera: str) -> list[FrameEdge]:
-    """Return the numbered frames that were seen in a frame, those called like tags where there are any.
+    """Return the numbered frames seen in a frame, preferably those named like tags.
 
     What never moves there is a part of the robot.
     """
@@ -214,21 +214,21 @@ def tags_of(edges: Mapping[tuple[str, str], FrameEdge], camera: str) -> list[Fra
 
 
 def _again(edge: FrameEdge) -> NDArray[np.bool_]:
-    """Mark the transforms (n,) that are those before them, to the bit."""
+    """Mark the transforms (n,) that are equal to the one before, to the bit."""
     same = np.zeros(len(edge.stamp), dtype=bool)
     same[1:] = (edge.values[1:] == edge.values[:-1]).all(axis=1)
     return same
 
 
 class EdgeStep(NamedTuple):
-    """One edge on the way from a frame to another."""
+    """One edge on the path from one frame to another."""
 
     edge: FrameEdge | Array  # an array (4, 4) where it never moves
     backward: bool
 
 
 def _at(edge: FrameEdge, t_ns: Ints) -> Array:
-    """Return the transforms (n, 4, 4) at some times within those of the edge, interpolated."""
+    """Return the transforms (n, 4, 4) at times within those of the edge, interpolated."""
     rows = edge.clock.rows
     values = edge.values if rows is None else edge.values[rows]
     last = np.append(np.diff(edge.clock.t_ns) > 0, True)  # of several at one time the last one counts
@@ -243,7 +243,7 @@ def _at(edge: FrameEdge, t_ns: Ints) -> Array:
 def _way(
     start: str, goal: str, edges: Sequence[FrameEdge], static: StaticTransforms, source: str
 ) -> list[EdgeStep]:
-    """Return the shortest way between two frames over edges in either direction."""
+    """Return the shortest path between two frames over edges in either direction."""
     at: dict[str, list[tuple[str, EdgeStep]]] = {}
     every = [(e.parent, e.child, cast("FrameEdge | Array", e)) for e in edges]
     every += [(e.parent, e.child, e.T_parent_child) for e in static.edges]
@@ -268,7 +268,7 @@ def _way(
 
 
 def loop_in(edges: Sequence[FrameEdge]) -> tuple[str, ...]:
-    """Return the frames of a loop in the tree (a frame that is its own ancestor), nothing where there is none."""
+    """Return the frames of a loop in the tree (a frame that is its own ancestor), empty without one."""
     above: dict[str, set[str]] = {}
     for edge in edges:
         above.setdefault(edge.child, set()).add(edge.parent)

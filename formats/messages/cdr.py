@@ -1,4 +1,4 @@
-"""Decode serialised messages into columns: a field of all messages of a chunk at once.
+"""Decodes serialised messages into columns: one field of all messages of a chunk at a time.
 
 Strings and arrays give their own lengths, so the layout of a message depends on its length words alone, but for
 the length of an array of numbers at its very end (an image's bytes). Messages are grouped by layout: the first of
@@ -35,7 +35,7 @@ class MalformedError(ValueError):
 
 
 class LayoutRules(NamedTuple):
-    """How a serialisation lays values out."""
+    """The rules of a serialisation format."""
 
     header: int  # bytes before the first value; alignment counts from behind them
     aligned: bool  # numbers stand at multiples of their size
@@ -51,14 +51,14 @@ Wanted = Mapping[str, "Wanted | str"]
 
 
 class Leaf(msgspec.Struct):
-    """Where one wanted field lies in a message; several times where it lies inside an array."""
+    """The place of one wanted field in a message; several places if it is inside an array."""
 
     offsets: list[int] = field(default_factory=list)  # bytes from the payload's start
     counts: list[int] = field(default_factory=list)  # elements (arrays) or bytes (strings) at each offset
 
 
 class Tail(NamedTuple):
-    """An array of numbers at the very end of a message: its length is free."""
+    """An array of numbers at the very end of a message, of any length."""
 
     spot: int  # where its length word lies
     start: int  # where its elements begin, if there are any
@@ -81,7 +81,7 @@ class Layout(msgspec.Struct, frozen=True, eq=False):
 
 
 def read_layout(message: Structure, wanted: Wanted, payload: memoryview, rules: LayoutRules) -> Layout:
-    """Walk one message. Raises MalformedError when it does not fill its bytes exactly (but for padding)."""
+    """Read one message's layout. Raises MalformedError unless it fills its bytes exactly (except padding)."""
     walk = _LayoutWalk(payload, rules)
     try:
         walk.step(message, wanted)
@@ -122,12 +122,12 @@ class _LayoutWalk:
         return kind == b"\x00\x01"
 
     def room(self, n: int) -> None:
-        """Check that n more bytes are there."""
+        """Check that n more bytes exist."""
         if self.at + n > len(self.payload):
             raise MalformedError("shorter than its type")
 
     def step(self, node: Node, wanted: Wanted | str | None) -> None:
-        """Go over one value and remember where its wanted parts lie."""
+        """Skip one value and store the places of its wanted parts."""
         if wanted is None and (size := fixed_size(node, self._phase(), self.rules.aligned)) is not None:
             self.at += size
         elif isinstance(node, Scalar):
@@ -149,7 +149,7 @@ class _LayoutWalk:
             self.at += -(self.at - self.rules.header) % size
 
     def _length(self) -> int:
-        """Read a length word and remember its place."""
+        """Read a length word and store its place."""
         self._align(4)
         (n,) = self.word.unpack_from(self.payload, self.at)
         self.spots.append(self.at)
@@ -183,7 +183,7 @@ class _LayoutWalk:
         return Tail(self.at - 4, self.at + padding, size, wanted if isinstance(wanted, str) else None)
 
     def _count_items(self, count: int) -> None:
-        """Refuse what would take minutes to walk; the verdict must not depend on what is wanted."""
+        """Refuse messages that would take minutes to read, whichever fields are wanted."""
         self.items += count
         if self.items > MAX_ITEMS:
             raise MalformedError(f"more than {MAX_ITEMS} strings and structures of their own length")
@@ -213,7 +213,7 @@ class _LayoutWalk:
 
 @lru_cache(maxsize=4096)
 def fixed_size(node: Node, phase: int, aligned: bool) -> int | None:
-    """Return the bytes a value takes, alignment included, from `phase` = offset mod 8 on; None if it depends."""
+    """Return the bytes of a value with alignment, from `phase` = offset mod 8 on; None if they vary."""
     if isinstance(node, Scalar):
         return node.size + (-phase % node.size if aligned else 0)
     if isinstance(node, Structure):
@@ -230,7 +230,7 @@ def fixed_size(node: Node, phase: int, aligned: bool) -> int | None:
 
 
 def _fixed_run(element: Node, count: int, phase: int, aligned: bool) -> int | None:
-    """Return the bytes of `count` elements in a row; their strides repeat as soon as the phase does."""
+    """Return the bytes of `count` elements in a row; strides repeat with the phase."""
     size, i = 0, 0
     seen: dict[int, tuple[int, int]] = {}
     while i < count:
@@ -278,7 +278,7 @@ class Request(msgspec.Struct):
 
 
 class Decoder:
-    """Columns out of the messages of one type."""
+    """Decodes the messages of one type into columns."""
 
     def __init__(self, message: Structure, rules: LayoutRules = CDR) -> None:
         self.message = message
@@ -328,7 +328,7 @@ class Decoder:
     def _new_groups(
         self, data: Bytes, start: Ints, length: Ints, rows: Ints, request: Request
     ) -> tuple[list[Group], Counter[str]]:
-        """Walk the first of the remaining messages, gather those like it, and so on."""
+        """Read the first remaining message, collect those with its layout, and repeat."""
         groups: list[Group] = []
         bad: Counter[str] = Counter()
         i = 0
@@ -362,7 +362,7 @@ def _want(tree: dict[str, Any], path: str) -> None:
 
 
 def _same(data: Bytes, start: Ints, length: Ints, layout: Layout, spare: int) -> tuple[NDArray[np.bool_], Ints]:
-    """Tell which messages (k,) have a layout, and how many elements (k,) the array at their end has."""
+    """Return which messages (k,) have a layout, and the number of elements (k,) of the array at their end."""
     tail = layout.tail
     tails = np.zeros(len(start), np.int64)
     same = length == layout.length if tail is None else length >= tail.spot + 4
@@ -477,7 +477,7 @@ def _rows(values: NDArray[Any]) -> Ragged:
 
 
 def _texts(data: Bytes, start: Ints, leaf: Leaf) -> list[tuple[str, ...]]:
-    """Read the strings of every message; mostly all messages have the same ones."""
+    """Read the strings of every message; usually all messages have the same ones."""
     columns = [_text(data, start + offset, n) for offset, n in zip(leaf.offsets, leaf.counts, strict=True)]
     if not columns:
         return [()] * len(start)
@@ -497,7 +497,7 @@ def _text(data: Bytes, at: Ints, n: int) -> list[str]:
 
 
 def _empty(part: Part) -> Column:
-    """Return the column of no messages."""
+    """Return the column for zero messages."""
     node = part.node
     if isinstance(node, Text):
         return []

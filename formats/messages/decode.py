@@ -21,7 +21,7 @@ def encoding_problem(channel: ChannelInfo) -> str | None:
 
 
 def make_decoder(channel: ChannelInfo) -> MessageDecoder:
-    """Return the decoder of a channel's messages. Raises SchemaError with the reason where there is none."""
+    """Return the decoder of a channel's messages. Raises SchemaError with the reason if there is none."""
     problem = encoding_problem(channel)
     if problem:
         raise SchemaError(problem)

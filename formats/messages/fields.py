@@ -1,4 +1,4 @@
-"""Dotted field paths ("header.stamp", "transforms.child_frame_id") and what of a message they mean."""
+"""Dotted field paths ("header.stamp", "transforms.child_frame_id") and the parts of a message they name."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class FieldError(KeyError):
 
 
 class Part(NamedTuple):
-    """A field as it lies in the message: a stamp is two of them, seconds and nanoseconds."""
+    """A field in the message: a stamp has two, seconds and nanoseconds."""
 
     path: str
     node: Node
@@ -31,7 +31,7 @@ OR = "|"  # between the names that releases of a package gave to one field: "k|K
 
 
 def resolve(message: Structure, path: str) -> tuple[Part, ...]:
-    """Find a field path in a message type, the first that it has of several. Raises FieldError naming the nearest.
+    """Find a field path in a message type: the first one that exists. Raises FieldError with the nearest name.
 
     Arrays inside an array are one column end to end; the `.length` of arrays of numbers is where each ends.
     """
@@ -94,12 +94,12 @@ def _paths(node: Node, path: str, *, inside: bool) -> Iterator[str]:
 
 
 def stamp_path(message: Structure) -> str | None:
-    """Return the field that dates the message, None where only the recording does."""
+    """Return the field with the message's time, None if only the recording has one."""
     return next((path for path in STAMPS if len(_resolved(message, path)) == 2), None)
 
 
 def frame_path(message: Structure) -> str | None:
-    """Return the field that names the frame of the message's values."""
+    """Return the field with the frame of the message's values."""
     found = ((path, _resolved(message, path)) for path in FRAMES)
     return next((path for path, parts in found if parts and isinstance(parts[0].node, Text)), None)
 
@@ -127,7 +127,7 @@ FOXGLOVE = ("foxglove.", "foxglove_msgs/msg/")  # packages of one type: with Pro
 
 
 def words(text: str, before: str = "") -> list[str]:
-    """Return the words of a text, names of types or fields, with their package before each."""
+    """Return the words of a text (names of types or fields), each preceded by its package."""
     return [f"{before}{word}" for word in text.split()]
 
 
@@ -266,7 +266,7 @@ TF_TEXTS = ("frame_id",)
 
 
 def kind_of(parts: Sequence[Part]) -> str:
-    """Return what a resolved field holds in one message: the kind of its column."""
+    """Return the kind of column for a resolved field."""
     first = parts[0]
     if len(parts) == 2:
         return TIMES if first.inside else TIME
@@ -302,7 +302,7 @@ def expected(msgtype: str, path: str) -> tuple[str, ...]:
 
 
 def check_kind(msgtype: str, path: str, parts: Sequence[Part]) -> None:
-    """Raise FieldError where a field is of a kind that its readers cannot take."""
+    """Raise FieldError if a field is of a kind that its readers cannot use."""
     found, accepted = kind_of(parts), expected(msgtype, path)
     if accepted and found not in accepted:
         raise FieldError(f"{path} is {found} by its definition; accepted: {' or '.join(accepted)}")

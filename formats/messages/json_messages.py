@@ -1,4 +1,4 @@
-"""JSON messages as columns, and columns out of any messages that were read into Python objects (Protobuf too).
+"""JSON messages as columns; also columns of other messages read into Python objects (Protobuf).
 
 A value that is missing is NaN, "" or an empty array; a time that is none is zero, which the clock repairs.
 """
@@ -31,7 +31,7 @@ NAN = float("nan")
 
 
 def column(objects: list[dict[str, Any]], path: str, parts: tuple[Part, ...]) -> Column:
-    """Return one field of all messages; `parts` is what `path` was resolved to."""
+    """Return one field of all messages; `parts` is the resolved `path`."""
     inside = parts[0].inside
     if inside and isinstance(parts[0].node, Many | LengthCounts):
         return _nested(parts[0], objects)
@@ -49,7 +49,7 @@ def column(objects: list[dict[str, Any]], path: str, parts: tuple[Part, ...]) ->
 
 
 def _nested(part: Part, objects: list[dict[str, Any]]) -> Column:
-    """Return the arrays inside an array end to end, or how long each is."""
+    """Return the arrays inside an array end to end, or the length of each."""
     found = [_at(one, part.path.split(".")) for one in objects]
     rows = [[v if isinstance(v, list) else [] for v in row] if isinstance(row, list) else [] for row in found]
     if isinstance(part.node, LengthCounts):
@@ -92,7 +92,7 @@ def _number(value: Any) -> float:
 
 
 def _nanoseconds(value: Any) -> int:
-    """Return a time in ns, 0 where there is none (the clock then repairs it)."""
+    """Return a time in ns, 0 without one (the clock then repairs it)."""
     if not isinstance(value, dict):
         return 0
     fraction = next((value[key] for key in NANOSECONDS if key in value), 0)
@@ -155,7 +155,7 @@ def parse_jsonschema(name: str, text: str) -> Structure:
 
 
 def _node(name: str, schema: Any, depth: int) -> Node | None:
-    """Return a schema's tree, None for what cannot be a column."""
+    """Return a schema's tree, None if it cannot be a column."""
     if not isinstance(schema, Mapping) or depth > MAX_DEPTH:
         return None
     kind = schema.get("type")

@@ -1,4 +1,4 @@
-"""Protobuf messages, such as Foxglove's, as columns. A field that the bytes leave out is zero, "" or empty.
+"""Protobuf messages, such as Foxglove's, as columns. A missing field is zero, "" or empty.
 
 Encoding: https://protobuf.dev/programming-guides/encoding. Unknown fields, and known ones that lie in another way
 than their definition says, are passed over, as Protobuf wants it; of a repeated single value the last one counts.
@@ -38,7 +38,7 @@ SHORT = "shorter than its type"
 
 
 def varint(data: bytes, at: int, end: int) -> tuple[int, int]:
-    """Return the number that begins at a byte, seven bits a byte from the lowest, and where it ends."""
+    """Return the number that begins at a byte (seven bits per byte, lowest first), and its end."""
     value = shift = 0
     for i in range(at, min(end, at + MAX_VARINT)):
         byte = data[i]
@@ -50,7 +50,7 @@ def varint(data: bytes, at: int, end: int) -> tuple[int, int]:
 
 
 def walk(data: bytes, at: int, end: int) -> Iterator[tuple[int, int, int, int]]:
-    """Yield each field of a message that lies at data[at:end]: number, how it lies, first byte, end.
+    """Yield each field of a message at data[at:end]: number, wire type, first byte, end.
 
     Of a text, bytes or a message these are those of its content. Raises MalformedError.
     """
@@ -80,7 +80,7 @@ def contents(data: bytes, number: int) -> list[bytes]:
 
 
 def whole(data: bytes, number: int) -> int:
-    """Return the whole number of one field of a message, zero where it is left out."""
+    """Return the integer of one field of a message, zero if it is missing."""
     found = [at for n, how, at, _ in walk(data, 0, len(data)) if n == number and how == VARINT]
     return varint(data, found[-1], len(data))[0] if found else 0
 
@@ -112,19 +112,19 @@ class Field(msgspec.Struct, frozen=True, eq=False):
 
 
 class Message(msgspec.Struct, frozen=True, eq=False):
-    """A message type; it may hold itself."""
+    """A message type; it may contain itself."""
 
     name: str
     fields: dict[int, Field] = msgspec.field(default_factory=dict)
 
     @property
     def is_time(self) -> bool:
-        """Whether it is a stamp or a duration: delivered as one number of nanoseconds."""
+        """Whether it is a stamp or a duration, read as one number of nanoseconds."""
         return self.name in TIME_TYPES
 
 
 def parse_descriptors(name: str, data: bytes) -> tuple[Message, Structure]:
-    """Return message type `name` of a FileDescriptorSet, and the tree of what can be a column."""
+    """Return message type `name` of a FileDescriptorSet, and the tree of fields that can be columns."""
     if len(data) > MAX_DEFINITION:
         raise SchemaError(
             names_its_cap(f"its protobuf definition of {name} is too long", len(data), MAX_DEFINITION, "bytes")
@@ -163,7 +163,7 @@ def _nested(scope: str, data: bytes, depth: int) -> Iterator[tuple[str, bytes]]:
 
 
 def _message(name: str, described: dict[str, bytes], made: dict[str, Message]) -> Message:
-    """Return a message type with those that it holds; each is made once."""
+    """Return a message type with the types in it; each is built once."""
     waiting = [name]
     made[name] = Message(name)
     while waiting:
@@ -185,7 +185,7 @@ def _message(name: str, described: dict[str, bytes], made: dict[str, Message]) -
 
 
 def _name(data: bytes, number: int) -> str:
-    """Return the name that one field holds, "" where it is left out. Raises MalformedError where it is no name."""
+    """Return the name in one field, "" if it is missing. Raises MalformedError if it is no name."""
     name = b"".join(contents(data, number)[-1:])
     if NAME.fullmatch(name) is None:
         raise MalformedError("a name of other letters")
@@ -193,7 +193,7 @@ def _name(data: bytes, number: int) -> str:
 
 
 def _field(name: str, kind: int, repeated: bool, inside: Message | None) -> Field | None:
-    """Return a field, None for a group, a kind that is out of use since 2008."""
+    """Return a field, None for a group (deprecated since 2008)."""
     if kind in NUMBERS:
         wire, dtype = NUMBERS[kind]
         return Field(name, wire, repeated, dtype)
@@ -268,7 +268,7 @@ class ProtobufDecoder:
 
 
 def _wanted(fields: Sequence[str]) -> Wanted:
-    """Return the tree of what is wanted; of several names of one field all are."""
+    """Return the tree of the wanted fields; a field with several names is read for each of them."""
     tree: dict[str, Any] = {}
     for path in (name for field in fields for name in field.split(OR)):
         at = tree
@@ -278,7 +278,7 @@ def _wanted(fields: Sequence[str]) -> Wanted:
 
 
 class _Reader:
-    """One message: every byte is checked, so that the verdict does not depend on what is wanted."""
+    """Reads one message: every byte is checked, so that validity does not depend on the wanted fields."""
 
     def __init__(self, data: bytes) -> None:
         if len(data) > MAX_MESSAGE:
@@ -310,7 +310,7 @@ class _Reader:
         wanted: Wanted | None,
         where: tuple[int, int, int],
     ) -> None:
-        """Read a message in the message."""
+        """Read a nested message."""
         self._count()
         first, stop, depth = where
         if kind.is_time:
@@ -333,7 +333,7 @@ class _Reader:
         return parts
 
     def _value(self, found: dict[str, Value], field: Field, wire: int, first: int, stop: int) -> None:
-        """Take a number, an array of numbers, a text or bytes."""
+        """Read a number, an array of numbers, a text or bytes."""
         packed = bool(field.dtype) and wire == BYTES and field.repeated
         if not packed and wire != field.wire:
             return
@@ -364,14 +364,14 @@ class _Reader:
             raise MalformedError("an array that ends within a number")
 
     def _count(self) -> None:
-        """Refuse what would take minutes to walk."""
+        """Refuse messages that would take minutes to read."""
         self.items += 1
         if self.items > MAX_ITEMS:
             raise MalformedError(f"more than {MAX_ITEMS} strings and structures of their own length")
 
 
 def _defaults(kind: Message, wanted: Wanted) -> dict[str, Value]:
-    """Return what the wanted fields are where the bytes leave them out."""
+    """Return the default values of the wanted fields."""
     if not wanted:
         return {}
     found: dict[str, Value] = {}
@@ -407,7 +407,7 @@ def _packed(data: bytes, field: Field) -> list[Any]:
 
 
 def _number(value: int, dtype: str) -> float:
-    """Return the number that a varint of 64 bits means."""
+    """Return the number of a 64-bit varint."""
     if dtype[0] == "z":
         value &= 0xFFFFFFFF if dtype == "z4" else 0xFFFFFFFFFFFFFFFF
         return (value >> 1) ^ -(value & 1)

@@ -1,4 +1,4 @@
-"""Message definitions (ros2msg, ros2idl, ros1msg) as a tree: how the bytes of a message lie."""
+"""Message definitions (ros2msg, ros2idl, ros1msg) as a tree: the byte layout of a message."""
 
 from __future__ import annotations
 
@@ -65,14 +65,14 @@ class Structure(msgspec.Struct, frozen=True, eq=False):
 
     @property
     def is_time(self) -> bool:
-        """Whether this is a stamp or a duration: delivered as one number of nanoseconds."""
+        """Whether this is a stamp or a duration, read as one number of nanoseconds."""
         parts = tuple(self.fields.values())
         whole = all(isinstance(part, Scalar) and part.dtype[0] in "iu" for part in parts)
         return self.name in TIMES and len(parts) == 2 and whole
 
 
 class LengthCounts(msgspec.Struct, frozen=True, eq=False):
-    """How long each of the arrays inside an array is: not a field, but known from the bytes."""
+    """The length of each array inside an array: not a field, but known from the bytes."""
 
 
 Node = Scalar | Text | Many | Structure | LengthCounts
@@ -129,7 +129,7 @@ def _types(msgtype: str, encoding: str, text: str) -> Typesdict:
 
 
 class _Trees:
-    """Builds each type of a definition once: a type that is mentioned often is one tree in many places."""
+    """Builds each type of a definition once: a type that is used often is one shared tree."""
 
     def __init__(self, types: Typesdict) -> None:
         self._types = types
@@ -166,7 +166,7 @@ class _Trees:
 
 
 def count_fields(tree: Structure) -> int:
-    """Count the fields of a message, those of its parts at every mention."""
+    """Count the fields of a message; those of a nested type count at every use."""
     return _fields(tree, {})
 
 
@@ -181,7 +181,7 @@ def _fields(node: Node, known: dict[int, int]) -> int:
 
 
 def _without_filler(record: Structure) -> Structure:
-    """Return the same tree with its empty parts really empty."""
+    """Return the same tree with empty structures that have no bytes."""
     return Structure(record.name, {name: _bare(part) for name, part in record.fields.items() if name != FILLER})
 
 
@@ -200,7 +200,7 @@ def _base(name: str) -> Node:
 
 
 def signature(node: Node) -> object:
-    """Return a value that is equal for definitions whose columns are alike."""
+    """Return a value that is equal for definitions with equal columns."""
     if isinstance(node, Structure):
         return tuple((name, signature(part)) for name, part in node.fields.items())
     if isinstance(node, Many):
@@ -212,7 +212,7 @@ def signature(node: Node) -> object:
 
 
 class Decoded(NamedTuple):
-    """The messages of one channel in one batch, as columns of those that could be read."""
+    """The readable messages of one channel in one batch, as columns."""
 
     good: NDArray[np.bool_]  # (k,) which of the messages are rows
     columns: dict[str, Column]
@@ -220,7 +220,7 @@ class Decoded(NamedTuple):
 
 
 class MessageDecoder(Protocol):
-    """Columns out of the messages of one type. Which messages are good must not depend on the fields."""
+    """Decodes the messages of one type into columns. Which messages are valid must not depend on the fields."""
 
     message: Structure
     fast: int  # messages decoded together with others

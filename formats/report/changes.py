@@ -16,7 +16,7 @@ COLUMNS = texts("configuration", "figure", "before", "after", "change", left=2)
 
 
 def changes(before: Report, after: Report) -> dict[str, Any]:
-    """Return every figure of both reports with its change, and what else differs between them."""
+    """Return every figure of both reports with its change, and other differences between them."""
     a, b = before["configurations"], after["configurations"]
     return {
         "same_input": same_input(before["input"], after["input"]),
@@ -31,7 +31,7 @@ def changes(before: Report, after: Report) -> dict[str, Any]:
 
 
 def judged_by(report: Report) -> str | None:
-    """Return what a report's errors are against: "truth", or a reference of which sensors; None for nothing."""
+    """Return the reference of a report's errors: "truth", or the sensors of a reference; None without one."""
     if report.get("truth") is not None:
         return "truth"
     reference = report.get("reference")
@@ -70,7 +70,7 @@ def _flat(tables: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]
 
 
 def table(found: Mapping[str, Any]) -> Table:
-    """Return for people the main figures that both results have, before and after."""
+    """Return the main figures of both results, before and after, as a table."""
     rows = (
         (name, column.heading, *_sides(column, figures[column.key]))
         for name, figures in found["configurations"].items()
@@ -81,7 +81,7 @@ def table(found: Mapping[str, Any]) -> Table:
 
 
 def _sides(column: Column, figure: Mapping[str, float | None]) -> tuple[str, str, str]:
-    """Return before, after and change as text; the figures of a column differ in unit."""
+    """Return before, after and change as text; a column may hold figures of different units."""
     share = figure["share"]
     change = (
         ""
@@ -97,7 +97,7 @@ def _sides(column: Column, figure: Mapping[str, float | None]) -> tuple[str, str
 
 
 def remarks(found: Mapping[str, Any]) -> list[str]:
-    """Return in words what a reader of the changes must know."""
+    """Return notes that a reader of the changes needs."""
     lines = []
     if not found["same_input"]:
         lines.append("different input: {} and {}".format(*found["inputs"]))

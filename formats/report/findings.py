@@ -1,4 +1,4 @@
-"""Findings in words: what was found, the fix that was tried, what it did. The same sentence in every medium."""
+"""Findings in words: the problem, the fix that was tried, and its effect. The same sentence in every medium."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ MAX_ANEES = 50.0  # above: the number says nothing more, only that something is 
 
 
 def banner_of(report: Mapping[str, Any]) -> list[str]:
-    """Return what else must be known before any figure: what is void or doubtful, and why."""
+    """Return warnings to read before any figure: what is void or doubtful, and why."""
     found = [report["validity"][i] for i in boxed(report)]
     return [f"{'Void' if v.get('void', True) else 'Warning'}: {v['message']}." for v in found]
 
 
 def boxed(report: Mapping[str, Any]) -> list[int]:
-    """Return the positions of what is void or doubtful and not named by the headline."""
+    """Return the positions of void or doubtful entries that the headline does not name."""
     headline = report.get("headline") or ""
     return [i for i, v in enumerate(report.get("validity") or ()) if v["message"] not in headline]
 
 
 def void_reasons(report: Mapping[str, Any]) -> list[str]:
-    """Return why figures are void, one line each: a command that made them exits with 3."""
+    """Return why figures are void, one line each: the command then exits with 3."""
     return [v["message"] for v in report.get("validity") or () if v["void"]]
 
 
@@ -42,7 +42,7 @@ def sentence(finding: Mapping[str, Any], brief: bool = False) -> str:
 
 
 def in_parts(finding: Mapping[str, Any], brief: bool = False) -> tuple[str, str]:
-    """Return a finding's sentence and the options that fix it, "" where none does."""
+    """Return a finding's sentence and the options that fix it, "" without a fix."""
     words = finding["message"].rstrip(". ")
     head = f"{finding['role']}: {CLAUSE_END.split(words)[0] if brief and finding['fixes'] else words}."
     if not finding["fixes"]:
@@ -54,13 +54,13 @@ def in_parts(finding: Mapping[str, Any], brief: bool = False) -> tuple[str, str]
 
 
 def _worse(tried: Mapping[str, Any]) -> bool:
-    """Return whether the position error of what was tried is larger than before."""
+    """Return whether the tried fix made the position error larger."""
     before, after = tried["before"]["position_rmse_m"], tried["after"]["position_rmse_m"]
     return before is not None and after is not None and after > 1.01 * before
 
 
 def _in_vain(finding: Mapping[str, Any]) -> str:
-    """Return what was tried and does not help, "" where there was nothing to try."""
+    """Return the fixes that were tried without success, "" without any."""
     tried = ", or ".join(" and ".join(fixes) for fixes in finding.get("alternatives", ()))
     if not tried:
         return ""
@@ -70,7 +70,7 @@ def _in_vain(finding: Mapping[str, Any]) -> str:
 
 
 def options(fixes: Sequence[str]) -> str:
-    """Return settings as they are typed."""
+    """Return settings as options of the command line."""
     return " ".join(f"--set {shlex.quote(fix)}" for fix in fixes)
 
 
@@ -101,7 +101,7 @@ def _effect(tried: Mapping[str, Any], brief: bool) -> str:
 
 
 def _ratio(value: float) -> str:
-    """Return a ratio as people say it: "0.92", "4.7"; more says only that the covariance means nothing."""
+    """Return a ratio with two digits: "0.92", "4.7"; very large ones only as a limit."""
     return f"over {MAX_ANEES:g}" if value > MAX_ANEES else f"{value:.2g}"
 
 
@@ -115,7 +115,7 @@ def change(before: float, after: float) -> str:
 
 
 def length(metres: float) -> str:
-    """Return a length as people say it: "4 mm", "0.11 m", "12 m"."""
+    """Return a readable length: "4 mm", "0.11 m", "12 m"."""
     if metres < 0.0995:
         return f"{1000.0 * metres:.2g} mm" if metres < 0.00995 else f"{1000.0 * metres:.0f} mm"
     return f"{metres:.2f} m" if metres < 9.95 else f"{metres:.0f} m"
@@ -134,7 +134,7 @@ def title_of(report: Mapping[str, Any]) -> str:
 
 
 def notes_of(report: Mapping[str, Any]) -> list[str]:
-    """Return the log's notes, then the configurations' (slips, a track that was found), with who found them."""
+    """Return the log's notes, then those of configurations (slips, an estimated track), with their names."""
     runs = report["configurations"]
     found: dict[tuple[str, int], dict[str, str]] = {}
     for name, values in runs.items():
@@ -148,12 +148,12 @@ def notes_of(report: Mapping[str, Any]) -> list[str]:
 
 
 def _form(words: str) -> str:
-    """Return words without their numbers: what differs only there is the same note."""
+    """Return words without their numbers: notes that differ only in numbers are one note."""
     return NUMBER.sub("#", words)
 
 
 def _of_log(notes: Sequence[str]) -> list[str]:
-    """Return the log's notes; what is true of several streams stands once, with the names of all."""
+    """Return the log's notes; one that holds for several streams appears once, with all names."""
     found: dict[tuple[str, int], dict[str, str]] = {}
     times: Counter[tuple[str, str]] = Counter()
     for note in notes:
@@ -166,7 +166,7 @@ def _of_log(notes: Sequence[str]) -> list[str]:
 
 
 def _whose(own: Mapping[str, str]) -> str:
-    """Put the configurations before what they found, words by name; a sensor's own words name it already.
+    """Put the names of configurations before their notes; notes that name a sensor already are unchanged.
 
     Numbers that are not the first one's stand behind it: "19 (all: 5) places were recognised".
     """
@@ -179,7 +179,7 @@ def _whose(own: Mapping[str, str]) -> str:
 
 
 def _with_others(own: Mapping[str, str]) -> str:
-    """Return the first configuration's words; behind each number, whose is another one."""
+    """Return the first configuration's words; after each number, the configurations with another one."""
     first, *others = own
     numbers = {name: iter(NUMBER.findall(words)) for name, words in own.items()}
 
@@ -198,7 +198,7 @@ def _with_others(own: Mapping[str, str]) -> str:
 
 
 def fingerprint(source: Mapping[str, Any], digits: int | None = None) -> str:
-    """Return the hash of the input's bytes, or where not all were read, what its content is known by."""
+    """Return the hash of the input's bytes, or the identity of its content if not all were read."""
     if source.get("sha256") is not None:
         return f"sha256 {source['sha256'][:digits]}"
     return f"identity {source['identity'][:digits]}"

@@ -89,14 +89,14 @@ GLOSSARY: Mapping[str, str] = {
 
 
 def explained(term: str) -> str | None:
-    """Return what a term means, whatever its case: "anees", "NEES, ANEES"; None where it is not known."""
+    """Return the meaning of a term in any case: "anees", "NEES, ANEES"; None if it is not known."""
     wanted = term.strip().lower()
     by_lower = {name.lower(): words for name, words in GLOSSARY.items()}
     return next((words for name, words in by_lower.items() if wanted in {name, *_names(name)}), None)
 
 
 def similar(term: str) -> Sequence[str]:
-    """Return known terms that are written like this one, else all of them."""
+    """Return known terms with similar spelling, else all of them."""
     known = {name.lower(): name for names in GLOSSARY for name in _names(names)}
     return [known[name] for name in difflib.get_close_matches(term.lower(), known, n=3)] or [*known.values()]
 

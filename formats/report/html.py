@@ -1,4 +1,4 @@
-"""report.html: one page that opens offline anywhere: verdicts and table first, then figures, then the small print.
+"""report.html: one self-contained page: verdicts and table first, then figures, then details.
 
 Every number on it is a <data> element that names its place in report.json (RFC 6901), so that the two cannot
 drift apart unseen; text from logs goes through the template's escaping.
@@ -89,7 +89,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
 
 @cache
 def _template() -> Template:
-    """Return the template: compiling it takes as long as a page, and several logs or a notebook write many."""
+    """Return the compiled template, cached because compiling it takes as long as a page."""
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
@@ -97,13 +97,13 @@ def _template() -> Template:
 
 
 class ReportFigures:
-    """Looks figures up in the report and writes them as <data> that says where they are from."""
+    """Looks figures up in the report and writes them as <data> with their JSON path."""
 
     def __init__(self, report: Mapping[str, Any]) -> None:
         self._report = report
 
     def __call__(self, path: Sequence[str | int], form: str = "{}") -> Markup:
-        """Return the figure at `path`, formatted; a dash where it does not exist."""
+        """Return the figure at `path`, formatted; a dash if it does not exist."""
         from markupsafe import Markup
 
         value: Any = self._report
@@ -136,14 +136,14 @@ def style_sheet(css: str, roles: Mapping[str, Colour], slugs: Mapping[str, str])
 
 
 def compact(source: str) -> str:
-    """Return our script without comments, indents, line ends and spaces that no string holds."""
+    """Return our script without comments, indents, line ends and spaces outside strings."""
     lines = (line.strip() for line in source.splitlines())
     parts = re.split(r"""("[^"]*"|`[^`]*`)""", "".join(line for line in lines if not line.startswith("//")))
     return "".join(p if i % 2 else re.sub(r" *([-=+*/<>?:,;{}()&|!]) *", r"\1", p) for i, p in enumerate(parts))
 
 
 def hash_of(script: str) -> str:
-    """Return what a Content-Security-Policy lets run: this script and no other, whatever a log's name holds."""
+    """Return the Content-Security-Policy hash of this script: no other script runs, even from a log's name."""
     return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
 
 
@@ -162,17 +162,17 @@ def section_drawings(section: Section, slugs: dict[str, str], looks: Mapping[str
 
 
 def _level_first(key: tuple[str, str]) -> tuple[bool, str]:
-    """Order the keys of a legend: the colours of a scale in their order, before all else as it comes."""
+    """Order the entries of a legend: the colours of a scale first, in their order."""
     return (not key[0].startswith("level "), key[0] if key[0].startswith("level ") else "")
 
 
 def p_id(section: Section, number: int) -> str:
-    """Return an id for a panel that no text from a log can spoil."""
+    """Return an id for a panel that contains no text from a log."""
     return f"{section.name}-{number}"
 
 
 def _bars(report: Mapping[str, Any]) -> dict[Path, float]:
-    """Return each position rmse as a share [%] of the worst by its place, for the bars in the table."""
+    """Return each position rmse as a share [%] of the worst, by its path, for the bars in the table."""
     key = tables.RMSE.key
     values = {name: v.get(key) for name, v in report["configurations"].items()}
     worst = max((v for v in values.values() if v), default=0.0)
@@ -184,7 +184,7 @@ def _bars(report: Mapping[str, Any]) -> dict[Path, float]:
 
 
 def _strips(report: Mapping[str, Any]) -> dict[str, dict[str, float | str]]:
-    """Return each sensor's effect as px on one logarithmic scale: interval, value, and where 'no effect' lies."""
+    """Return each sensor's effect in px on one logarithmic scale: interval, value, place of 'no effect'."""
     credit = report.get("credit")
     if not credit:
         return {}

@@ -1,4 +1,4 @@
-"""report.json and run.json: what other programs rely on. SI units, the unit in the key, null for none."""
+"""report.json and run.json, the interface for other programs. SI units, the unit in the key, null for none."""
 
 from __future__ import annotations
 
@@ -51,13 +51,13 @@ def report(
 
 
 def same_input(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
-    """Tell whether two reports are of the same log: by all bytes where both hashed them, else by its identity."""
+    """Return whether two reports are of the same log: by the hash of all bytes if known, else by identity."""
     both = next((k for k in ("sha256", "identity") if a.get(k) is not None and b.get(k) is not None), None)
     return both is not None and bool(a[both] == b[both])
 
 
 def made_with() -> dict[str, str | None]:
-    """Return the versions on which the last digits depend: same bytes are promised for the same versions only."""
+    """Return the versions that affect the last digits: the same bytes need the same versions."""
     found: dict[str, str | None] = {"python": platform.python_version(), "machine": platform.machine()}
     for name, distributions in LIBRARIES.items():
         found[name] = next((v for d in distributions if (v := installed(d)) is not None), None)
@@ -95,7 +95,7 @@ def current(report: Mapping[str, Any], source: str) -> dict[str, Any]:
 
 
 def _row_of_0_1(name: str, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of a configuration of 0.1, where only the name tells of which set a result is."""
+    """Return the values of a configuration of version 0.1, where only its name gives the set of sensors."""
     smoothed = bool(values.get("smoothed", False))
     configuration = name.removesuffix(SMOOTHED_IN_0_1) if smoothed else name
     return {"rates_hz": {}, **values, "configuration": configuration, "smoothed": smoothed}
@@ -142,7 +142,7 @@ def _truth(drive: Drive, evaluations: Sequence[Evaluation]) -> dict[str, Any]:
 
 
 def _finite(value: Any) -> Any:
-    """Replace what JSON cannot say by null, at any depth."""
+    """Replace values that JSON lacks by null, at any depth."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, Mapping):

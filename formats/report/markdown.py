@@ -1,4 +1,4 @@
-"""report.md: the comparison as Markdown that fits a pull request: verdicts, one table, the rest folded away."""
+"""report.md: the comparison as Markdown for a pull request: verdicts, one table, the rest folded."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def render(report: Mapping[str, Any]) -> str:
 
 
 def compared_with(report: Mapping[str, Any]) -> str:
-    """Return what errors are taken against."""
+    """Return the reference of the errors, in words."""
     return "reference" if report.get("reference") else "truth"
 
 

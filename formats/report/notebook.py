@@ -1,4 +1,4 @@
-"""A report as a notebook shows it: headline, findings, verdicts, a table as HTML in its style, and the paths."""
+"""A report in a notebook: headline, findings, verdicts, a table as HTML in its style, and the paths."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Picture(NamedTuple):
         return f"{opening}{drawn.removeprefix('<svg')}".replace("<title", f"<style>{style}</style><title", 1)
 
     def html(self) -> str:
-        """Return it as an image: styles inside it touch nothing else of the notebook. Lines are named below it."""
+        """Return the image as HTML, isolated from the notebook's styles, with a legend below it."""
         data = base64.b64encode(self._repr_svg_().encode()).decode()
         inks = palette.colours(self.traces, self.sensors)
         names = " ".join(
@@ -53,7 +53,7 @@ class Picture(NamedTuple):
 
 
 def render(report: Mapping[str, Any], spoken: Callable[[str], str] = str) -> str:
-    """Return headline, findings, verdicts and main figures of a report; `spoken` turns options into other words.
+    """Return headline, findings, verdicts and main figures of a report; `spoken` rewrites command-line options.
 
     Text from the log is escaped.
     """

@@ -1,4 +1,4 @@
-"""The paper's experiment on one page: the print and our filter side by side, and figures 12, 13, 14."""
+"""The paper's experiment on one page: the printed filter and ours side by side, and figures 12, 13, 14."""
 
 from __future__ import annotations
 
@@ -46,19 +46,19 @@ FIGURES = {  # name -> title, columns
 
 
 def table(values: Mapping[str, Any]) -> Table:
-    """Return the print and our filter side by side."""
+    """Return a table of the printed filter and ours side by side."""
     rows = ((row, ("table", i)) for i, row in enumerate(values["table"]))
     return of_values(COLUMNS, rows, "The print and our filter")
 
 
 def distances(values: Mapping[str, Any]) -> Table:
-    """Return how far from its path each robot of figure 14 was."""
+    """Return the distance of each robot of figure 14 from its path."""
     rows = ((row, ("figure_14", i)) for i, row in enumerate(values["figure_14"]))
     return of_values(DISTANCES, rows, "Distances from the path in figure 14")
 
 
 def conclusion(values: Mapping[str, Any]) -> str:
-    """Return in one sentence what the table says of the paper's conclusion that all sensors together are best."""
+    """Return in one sentence whether the table supports the paper's conclusion: all sensors are best."""
     rows = {row["configuration"]: row for row in values["table"]}
     parts = []
     for of, words in {"ours": "with our filter", "print": "by the equations as printed"}.items():
@@ -90,7 +90,7 @@ def render(
     inks: Mapping[str, Colour],
     looks: Mapping[str, str],
 ) -> str:
-    """Return the page. `figures` are panels by the figure's name, `inks` the colours of all that they draw."""
+    """Return the page. `figures` are panels by the figure's name, `inks` the colours of everything in them."""
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
 
@@ -121,5 +121,5 @@ def _section(name: str, panels: Sequence[Panel]) -> Section:
 
 
 def _drawn(panels: Sequence[Panel]) -> list[str]:
-    """Return the names of everything drawn, for a legend."""
+    """Return the names of everything in the figures, for a legend."""
     return list(dict.fromkeys(mark.of for panel in panels for mark in panel.marks))

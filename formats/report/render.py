@@ -66,7 +66,7 @@ def html(
     bars: Mapping[Path, float] | None = None,
     tinted: Collection[str] = (),
 ) -> str:
-    """Return the table as HTML, every number as <data> that names its place in report.json (RFC 6901).
+    """Return the table as HTML, every number as <data> with its path in report.json (RFC 6901).
 
     `swatches` puts a spot of its colour before each name; `bars` the length [%] of a bar under a
     cell by the cell's place; `tinted` are the names of rows of another kind than the rest.
@@ -118,7 +118,7 @@ def _html_cell(column: Column, cell: Cell) -> str:
 
 
 def data(piece: Piece) -> str:
-    """Return a number as an element that says its full value and where it is from; text alone has no place."""
+    """Return a number as an element with its full value and its path; text alone has no path."""
     if not piece.at:
         return html_text(piece.text)
     value, place = html_text(repr(piece.value)), html_text(pointer(piece.at))
@@ -131,7 +131,7 @@ def pointer(path: Path) -> str:
 
 
 def html_text(words: str) -> str:
-    """Return a text in which HTML sees no markup, and a browser nothing that acts."""
+    """Return a text escaped for HTML, without characters that act in a browser."""
     return _escaped(visible_lines(words))
 
 
@@ -148,12 +148,12 @@ def latex(table: Table) -> str:
 
 
 def latex_text(words: str) -> str:
-    """Return a text in which LaTeX sees no command."""
+    """Return a text escaped for LaTeX."""
     return "".join(LATEX.get(character, character) for character in visible(_one_line(words)))
 
 
 def csv(table: Table) -> str:
-    """Return the table with its keys as headings and every number in full precision; empty where there is none."""
+    """Return the table with its keys as headings and every number in full precision; missing values are empty."""
     return csv_text([c.key for c in table.columns], (row.values() for row in records(table)))
 
 
@@ -161,7 +161,7 @@ FORMULA = ("=", "+", "-", "@", "\t", "\r")  # a spreadsheet evaluates a cell tha
 
 
 def csv_text(heads: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
-    """Return rows of values as CSV, every number in full precision, nothing where there is no value."""
+    """Return rows of values as CSV, every number in full precision, missing values empty."""
     out = io.StringIO()
     writer = csv_format.writer(out, lineterminator="\n")
     writer.writerow(map(_plain, heads))
@@ -177,14 +177,14 @@ def _plain(value: Any) -> str:
 
 
 def escape(words: str) -> str:
-    """Escape what Markdown would read as markup: topic names and notes come from logs."""
+    """Escape Markdown: topic names and notes come from logs."""
     for character in "\\`*_[]<>|":
         words = words.replace(character, "\\" + character)
     return visible(_one_line(words))
 
 
 def code(words: str) -> str:
-    """Return a code span, fenced so that no backtick of the text can end it."""
+    """Return a code span that no backtick of the text can end."""
     words = visible(_one_line(words)).replace("|", "\\|")
     fence = "`" * (1 + max((len(run) for run in re.findall(r"`+", words)), default=0))
     pad = " " if words.startswith("`") or words.endswith("`") else ""

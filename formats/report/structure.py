@@ -1,4 +1,4 @@
-"""The structure of report.json, run.json and what --json prints: the keys that programs may rely on.
+"""The structure of report.json, run.json and --json output: the keys that programs may rely on.
 
 With type, unit and meaning. There may be more keys; `schema_version` grows when one of a report's keys changes its
 meaning. None where a figure does not exist. Lengths are in metres, times in seconds, angles in degrees where the
@@ -18,7 +18,7 @@ Interval = tuple[float, float]
 
 
 class MadeWith(Struct):
-    """Versions on which the last digits depend; and whether the kernels are compiled: it hardly matters."""
+    """Versions that affect the last digits, and whether the kernels are compiled, which hardly matters."""
 
     python: str
     machine: str  # kind of CPU
@@ -81,7 +81,7 @@ class CovarianceConsistency(Struct):
 
 
 class Reference(Struct):
-    """What took the place of truth: the solution of the whole drive, forward and backward."""
+    """The reference used instead of truth: the solution of the whole drive, forward and backward."""
 
     sensors: list[str]  # it was solved with, beside the wheels
     left_out: list[str]  # sensors of the log that it was solved without
@@ -102,7 +102,7 @@ class Jump(Struct):
 
 
 class SmoothedDistance(Struct):
-    """How far a path and its smoothed one lie apart, laid on each other as a whole."""
+    """The distance between a path and its smoothed one after rigid alignment."""
 
     rms: float
     max: float
@@ -110,7 +110,7 @@ class SmoothedDistance(Struct):
 
 
 class WithoutTruth(Struct):
-    """What a path says of itself."""
+    """Figures of a path without truth."""
 
     revisit_agreement: Figure = None  # share of a scan's points that lie on what was seen at a place before
     crispness_cells: Figure = None  # cells of 5 cm that the points of all scans hit: fewer is better, on one drive
@@ -154,14 +154,14 @@ class Result(WithoutTruth, Struct, kw_only=True):
 
 
 class Void(Struct):
-    """Figures of a configuration that look like results and are none."""
+    """Figures of a configuration that are not valid results."""
 
     reason: str
     figures: dict[str, Figure]  # what they would be, by key
 
 
 class Validity(Struct):
-    """Why figures are void or doubtful, once for all configurations that it concerns."""
+    """Why figures are void or doubtful, once for all configurations it applies to."""
 
     code: str  # lost: the filter was; start: the truth starts elsewhere; else the code of a finding
     message: str
@@ -182,7 +182,7 @@ class Trial(Struct):
 
 
 class Tried(Struct):
-    """What a fix did when the log was fused again with it."""
+    """The effect of a fix when the log was fused again with it."""
 
     configuration: str
     before: Trial
@@ -212,14 +212,14 @@ class Truth(Struct):
 
 
 class Jitter(Struct):
-    """Runs on drives that differ by next to nothing: how much of a figure is chance."""
+    """Runs on slightly changed drives: how much of a figure is chance."""
 
     runs: Count
     words: str
 
 
 class Verdict(Struct):
-    """What a sensor is worth, in words."""
+    """The effect of a sensor, in words."""
 
     verdict: str  # helps, seems to help, no effect seen, seems to hurt, hurts, no verdict
     words: str
@@ -282,7 +282,7 @@ class InfoTopic(ListedTopic):
 
 
 class InfoRole(Struct):
-    """What reads which topics."""
+    """The topics of a role."""
 
     topics: list[str]
     why: str | None  # it was chosen
@@ -300,7 +300,7 @@ class InfoFinding(Struct):
 
 
 class InfoTried(Struct):
-    """What --check found by fusing, as in a report; without keys where the log cannot be fused."""
+    """Results of --check by fusing, as in a report; without keys if the log cannot be fused."""
 
     headline: str | None = None
     validity: list[Validity] = []
@@ -353,7 +353,7 @@ class TunedNoise(Struct):
 
 
 class TunedLikelihood(Struct):
-    """Natural logarithm of the likelihood per number that was measured: more is better."""
+    """Natural logarithm of the likelihood per measured number: more is better."""
 
     before: Figure
     after: Figure
@@ -361,14 +361,14 @@ class TunedLikelihood(Struct):
 
 
 class TunedFigures(Struct):
-    """How a log is judged."""
+    """Figures by which a log is judged."""
 
     position_rmse_m: Figure
     nis: dict[str, Figure]  # sensor -> mean normalised innovation squared: 1 is right
 
 
 class TunedLog(Struct):
-    """A log before and after."""
+    """A log before and after tuning."""
 
     name: str
     before: TunedFigures
@@ -399,7 +399,7 @@ class Estimated(Struct):
 
 
 class CalibratedGeometry(Struct, kw_only=True):
-    """The wheels' lengths; null where the logs do not show them."""
+    """The wheels' lengths; null if the logs do not show them."""
 
     radius: Estimated | None = None  # m
     ratio: Estimated | None = None  # right radius over left
@@ -407,7 +407,7 @@ class CalibratedGeometry(Struct, kw_only=True):
 
 
 class CalibratedWheels(CalibratedGeometry, kw_only=True):
-    """By truth."""
+    """Calibration by truth."""
 
     noise_m: Estimated  # wheels.noise
     delta: Estimated  # the paper's, at its period
@@ -421,7 +421,7 @@ class CalibratedWheels(CalibratedGeometry, kw_only=True):
 
 
 class CalibratedLaser(CalibratedGeometry, kw_only=True):
-    """By wheels and laser."""
+    """Calibration by wheels and laser."""
 
     x: Estimated | None = None  # m
     y: Estimated | None = None  # m
@@ -434,7 +434,7 @@ class CalibratedLaser(CalibratedGeometry, kw_only=True):
 
 
 class CalibratedByGyro(CalibratedGeometry, kw_only=True):
-    """By wheels and gyro."""
+    """Calibration by wheels and gyro."""
 
     noise_m: Estimated
     noise_by_window_m: dict[str, float]  # length [s] -> noise
@@ -458,7 +458,7 @@ class CalibratedIron(Struct):
 
 
 class CalibrateOutput(Struct):
-    """What `locfuse calibrate LOG --json` prints; null for what the logs do not show."""
+    """Output of `locfuse calibrate LOG --json`; null for values that the logs do not show."""
 
     wheels: CalibratedWheels | None
     laser: CalibratedLaser | None

@@ -1,4 +1,4 @@
-"""summary.json and .md: what several logs say together about each configuration."""
+"""summary.json and .md: the figures of several logs together, for each configuration."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def best_of(report: Mapping[str, Any]) -> str | None:
 
 
 def _best_mean(configurations: Mapping[str, Any], judged: int) -> str | None:
-    """Return the configuration with the smallest mean position error among those that every judged log has."""
+    """Return the configuration with the smallest mean position error among those in every judged log."""
     known = {n: c["figures"][RMSE.key] for n, c in configurations.items() if RMSE.key in c["figures"]}
     everywhere = {n: f["mean"] for n, f in known.items() if f["logs"] == judged}
     return min(everywhere, key=lambda name: everywhere[name]) if everywhere else None
@@ -93,7 +93,7 @@ def _figures(name: str, reports: Reports) -> dict[str, dict[str, Any]]:
 
 
 def quantile(ordered: Sequence[float], share: float) -> float:
-    """Return the value below which this share of sorted values lies, between neighbours where it must."""
+    """Return the value below which this share of sorted values lies, interpolated between neighbours."""
     at = share * (len(ordered) - 1)
     low = int(at)
     high = min(low + 1, len(ordered) - 1)
@@ -101,7 +101,7 @@ def quantile(ordered: Sequence[float], share: float) -> float:
 
 
 def _p90_anees(values: Mapping[str, float], far: Mapping[str, float]) -> float:
-    """Return the ANEES that only a tenth of the logs is further from 1 than."""
+    """Return the ANEES at the 90 % quantile of distance from 1."""
     order = sorted(values, key=lambda log: far[log])
     return values[order[round(0.9 * (len(order) - 1))]]
 
@@ -112,7 +112,7 @@ def is_figure(key: str, value: Any) -> bool:
 
 
 def columns_of(summary: Mapping[str, Any]) -> list[Column]:
-    """Return the main columns that any configuration has."""
+    """Return the main columns that at least one configuration has."""
     rows = [c["figures"] for c in summary["configurations"].values()]
     return [c for c in MAIN if any(c.key in row for row in rows)]
 
@@ -156,7 +156,7 @@ def _logs(summary: Mapping[str, Any]) -> Table:
 
 
 def _not_judged(log: Mapping[str, Any]) -> str | None:
-    """Return why a log was not run, or why figures of it are void."""
+    """Return why a log was not run, or why its figures are void."""
     return log.get("reason") or "; ".join(f"void: {line}" for line in log.get("void") or ()) or None
 
 
@@ -193,7 +193,7 @@ def headline(summary: Mapping[str, Any]) -> str:
 
 
 def _unjudged(summary: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the logs that were compared and have no error figure."""
+    """Return the logs that were compared without an error figure."""
     done = (log for log in summary["logs"].values() if log.get("state", "done") == "done")
     return [log for log in done if log.get("best") is None]
 
@@ -213,7 +213,7 @@ def _left_out(logs: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _ties(summary: Mapping[str, Any]) -> str:
-    """Say which configurations are as good as the best, as far as these logs can show."""
+    """Return the configurations that are as good as the best, within the uncertainty of these logs."""
     ties, of = summary.get("ties") or {}, summary.get("replicates") or {}
     if not ties:
         return ""
@@ -225,7 +225,7 @@ def _ties(summary: Mapping[str, Any]) -> str:
 
 
 def not_done(summary: Mapping[str, Any]) -> str:
-    """Say how many logs failed and how many were not run."""
+    """Return how many logs failed and how many were not run."""
     states = [log.get("state", "done") for log in summary["logs"].values()]
     return "".join(
         f" {states.count(state)} {words}."

@@ -1,4 +1,4 @@
-"""A table of results: columns that say how their values are written, and rows of values; every medium shows it.
+"""A table of results: columns with formats, and rows of values, for every medium.
 
 A cell may say where its value lies in report.json, so that a page can name the source of every number.
 """
@@ -19,7 +19,7 @@ Path = tuple[str | int, ...]
 
 
 class Column(msgspec.Struct, frozen=True):
-    """One column. Its unit stands in the heading; where units differ by row, in each cell."""
+    """One column. Its unit is in the heading; if units differ by row, in each cell."""
 
     key: str  # of its values in report.json, and of the column for programs
     heading: str
@@ -35,27 +35,27 @@ class Column(msgspec.Struct, frozen=True):
     rank: int = 0  # on a screen that is too narrow the highest is left out first; 0 always stays
 
     def with_unit(self, value: float | None) -> str:
-        """Return a number and its unit; a dash where there is none."""
+        """Return a number and its unit; a dash without a value."""
         if value is None or not math.isfinite(value):
             return "-"
         return self.number(value) + ("" if self.unit in {"", "°"} else " ") + self.unit
 
     def number(self, value: float) -> str:
-        """Return a number in the column's unit, without that; "over 50" where a larger one means nothing more."""
+        """Return a number in the column's unit, without the unit; "over 50" if larger values mean nothing more."""
         if self.most is not None and value > self.most:
             return f"over {self.most:g}"
         return written(value if self.scale == 1.0 else value * self.scale, self.form)
 
 
 class Cell(NamedTuple):
-    """A text, a number, a range (low, high), counts by reason, or None; and where it lies in report.json."""
+    """A text, a number, a range (low, high), counts by reason, or None; with its path in report.json."""
 
     value: Any = None
     at: Path = ()
 
 
 class Piece(NamedTuple):
-    """A part of a cell's text; a number keeps its value and place."""
+    """A part of a cell's text; a number keeps its value and path."""
 
     text: str
     value: float | None = None
@@ -70,13 +70,13 @@ class Table(msgspec.Struct, frozen=True):
     label: str = ""  # what it shows, for who cannot see it
 
     def without(self, *keys: str) -> Table:
-        """Return the table less some columns."""
+        """Return the table without some columns."""
         kept = [i for i, c in enumerate(self.columns) if c.key not in keys]
         rows = tuple(tuple(row[i] for i in kept) for row in self.rows)
         return replace(self, columns=tuple(self.columns[i] for i in kept), rows=rows)
 
     def once(self) -> Table:
-        """Return the table with the first cell of a row empty where it repeats the row above."""
+        """Return the table with the first cell of a row empty if it repeats the row above."""
         above = (None, *(row[0].value for row in self.rows))
         rows = (
             row if row[0].value != last else (Cell(""), *row[1:])
@@ -92,7 +92,7 @@ def heading(column: Column, brief: bool = False) -> str:
 
 
 def texts(*headings: str, left: int = 1) -> tuple[Column, ...]:
-    """Return columns of ready text: the first `left` of them stand at the left."""
+    """Return columns of ready text, the first `left` of them left-aligned."""
     return tuple(Column(h, h, kind="text" if i < left else "number") for i, h in enumerate(headings))
 
 
@@ -102,7 +102,7 @@ def of_words(columns: tuple[Column, ...], rows: Iterable[Sequence[str | None]]) 
 
 
 def of_values(columns: Sequence[Column], rows: Iterable[tuple[Mapping[str, Any], Path]], label: str = "") -> Table:
-    """Return a row of the columns' keys for every mapping, which lies at its path in report.json."""
+    """Return a row of the columns' keys for every mapping, with its path in report.json."""
     return Table(
         tuple(columns),
         tuple(tuple(Cell(values.get(c.key), (*at, c.key)) for c in columns) for values, at in rows),
@@ -111,7 +111,7 @@ def of_values(columns: Sequence[Column], rows: Iterable[tuple[Mapping[str, Any],
 
 
 def pieces(column: Column, cell: Cell) -> list[Piece]:
-    """Return a cell's text in parts, each number by itself; nothing where there is no value."""
+    """Return a cell's text in parts, each number by itself; empty without a value."""
     value, at = cell
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return []
@@ -144,13 +144,13 @@ def text(column: Column, cell: Cell, dash: str = "-") -> str:
 
 
 def written(value: float, form: str) -> str:
-    """Format a figure; powers of ten where it is too large to be read (the ANEES of the printed filter)."""
+    """Format a figure; very large ones as powers of ten (the ANEES of the printed filter)."""
     large = isinstance(value, float) and abs(value) >= MIN_EXPONENT_FORM
     text = f"{value:.1e}" if large else form.format(value)
     return text.replace("-", "", 1) if NEGATIVE_ZERO.fullmatch(text) else text
 
 
 def records(table: Table) -> list[dict[str, Any]]:
-    """Return the rows by their columns' keys, values as they are: for pandas, polars and other programs."""
+    """Return the rows by their columns' keys with plain values: for pandas, polars and other programs."""
     keys = [c.key for c in table.columns]
     return [dict(zip(keys, (cell.value for cell in row), strict=True)) for row in table.rows]

@@ -127,7 +127,7 @@ def has_figures(report: Report) -> bool:
 
 
 def configurations(report: Report, main: bool = True) -> Table:
-    """Return the error figures of every configuration that exist, the main ones or all; else how far it went."""
+    """Return the existing error figures of every configuration, the main ones or all; else the distance driven."""
     rows = report["configurations"].values()
     found = [c for c in (MAIN if main else COLUMNS) if any(v.get(c.key) is not None for v in rows)]
     found += [LOST] if any(v.get(LOST.key) for v in rows) else []
@@ -145,14 +145,14 @@ def _in_mm(column: Column) -> Column:
 
 
 def _readable(columns: Iterable[Column], report: Report) -> tuple[Column, ...]:
-    """Return columns in which an ANEES by a truth without noise is no number where it is absurdly large."""
+    """Return columns in which an absurdly large ANEES, by a truth without noise, is not printed as a number."""
     truth = report.get("settings", {}).get("truth", {})
     known = report["truth"] is None or truth.get("sigma") or truth.get("sigma_theta_deg")
     return tuple(replace(c, most=MAX_ANEES) if c == ANEES and not known else c for c in columns)
 
 
 def _configurations(report: Report, key: str | None = None) -> Rows:
-    """Yield every configuration's values, or what it has below a key, with its name."""
+    """Yield every configuration's values, or those below a key, with its name."""
     runs = report["configurations"]
     hit = (v.get("crispness_cells") for v in runs.values() if _agrees(v))
     fewest = min(filter(None, hit), default=0)
@@ -171,20 +171,20 @@ def _configurations(report: Report, key: str | None = None) -> Rows:
 
 
 def _by_own_scans(report: Report) -> list[Column]:
-    """Return the columns of what scans say of the path that they were taken on, where that is known."""
+    """Return the columns of figures by the path's own scans, if there are any."""
     runs = report["configurations"].values()
     found = [AGREEMENT] if any(v.get(AGREEMENT.key) is not None for v in runs) else []
     return found + ([CRISPNESS] if any(_crispness(v, 1) for v in runs) else [])
 
 
 def _agrees(values: Mapping[str, Any]) -> bool:
-    """Return whether a path agrees with itself where it was before, as far as that is known."""
+    """Return whether a path agrees with itself at places seen twice, if known."""
     agreement = values.get(AGREEMENT.key)
     return agreement is None or agreement >= MIN_AGREEMENT
 
 
 def _crispness(values: Mapping[str, Any], fewest: int) -> str | None:
-    """Return how many times the fewest cells are hit; "bad" for a path that does not agree with itself."""
+    """Return the number of cells over the smallest one; "bad" for a path that does not agree with itself."""
     cells = values.get("crispness_cells")
     return "bad" if not _agrees(values) else f"x {cells / fewest:.2f}" if cells and fewest else None
 
@@ -203,7 +203,7 @@ def jumps(report: Report) -> Table:
 
 
 def _judged_by(reference: Mapping[str, Any] | None) -> str | None:
-    """Return which reference judged a result: "all", "all *" where it shares sensors, "camera ?" in doubt."""
+    """Return the reference that judged a result: "all", "all *" if it shares sensors, "camera ?" if in doubt."""
     if reference is None:
         return None
     every = not reference["left_out"] and len(reference["sensors"]) > 1
@@ -212,7 +212,7 @@ def _judged_by(reference: Mapping[str, Any] | None) -> str | None:
 
 
 def brief(report: Report, short: bool = False) -> Table:
-    """Return the configurations for a terminal: without truth, how well they predict each other's sensors.
+    """Return the configurations for a terminal; without truth, with their predictions of each other's sensors.
 
     A short one has the error of a smoothed result in the row of its filter, and leaves out what few look for.
     """
@@ -259,14 +259,14 @@ def sensors(report: Report) -> Table:
 
 
 def ranking(report: Report) -> Table:
-    """Return the configurations, the best predictor of the sensors that it does not use first."""
+    """Return the configurations, best predictor of unused sensors first."""
     found = enumerate(report["prediction"]["ranking"])
     rows = (({**r, "sensors": ", ".join(r["sensors"])}, ("prediction", "ranking", i)) for i, r in found)
     return of_values(RANKING, rows, "Ranked by prediction")
 
 
 def scores(report: Report) -> Table:
-    """Return how well each configuration predicts each sensor that it leaves out."""
+    """Return how well each configuration predicts each sensor that it does not use."""
     where = {"stretches": "stretches", "sensors": "all of the drive"}
     found = enumerate(report["prediction"]["scores"])
     rows = (({**s, "by": where[s["by"]]}, ("prediction", "scores", i)) for i, s in found)
@@ -274,7 +274,7 @@ def scores(report: Report) -> Table:
 
 
 def consistency(report: Report) -> Table:
-    """Return whether every configuration's covariance is as large as its error."""
+    """Return whether every configuration's covariance matches its error."""
     return of_values(
         _readable(CONSISTENCY, report),
         _configurations(report, "consistency"),
@@ -283,7 +283,7 @@ def consistency(report: Report) -> Table:
 
 
 def jitter(report: Report) -> Table:
-    """Return between what the main figures of every configuration lie on drives that differ by next to nothing."""
+    """Return the range of each configuration's main figures on slightly changed drives."""
     found = [v["jitter"] for v in report["configurations"].values() if v.get("jitter")]
     columns = [JITTER[0], *(c for c in JITTER[1:] if any(c.key in values for values in found))]
     return of_values(columns, _configurations(report, "jitter"), "Ranges of the main figures under jitter")
@@ -304,7 +304,7 @@ def credit(report: Report) -> Table:
 
 
 def streams(report: Report) -> Table:
-    """Return what was read for each stream, what of it was dropped, and why sensors are absent."""
+    """Return what was read for each stream, what was dropped, and why sensors are absent."""
     source = report["input"]
     rows = [
         (
@@ -320,7 +320,7 @@ def streams(report: Report) -> Table:
 
 
 def changed_settings(report: Report) -> Table:
-    """Return the settings that are not as they are by default, with unit and source."""
+    """Return the settings that differ from their defaults, with unit and source."""
     rows = (
         ({**v, "key": key, "value": _number_or_text(v["value"])}, ("changed_settings", key))
         for key, v in report["changed_settings"].items()
@@ -329,7 +329,7 @@ def changed_settings(report: Report) -> Table:
 
 
 def _number_or_text(value: Any) -> Any:
-    """Return a number or a list of numbers as it is, everything else as text."""
+    """Return a number or a list of numbers unchanged, everything else as text."""
     numbers = value if isinstance(value, list) else [value]
     plain = all(isinstance(v, int | float) and not isinstance(v, bool) for v in numbers)
     return value if plain and numbers else json.dumps(value).strip('"')

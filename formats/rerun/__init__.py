@@ -1,1 +1,1 @@
-"""Rerun recordings: a scene as values, and how it is drawn, saved and sent."""
+"""Rerun recordings: a scene as values, and its drawing, saving and streaming."""

@@ -1,4 +1,4 @@
-"""How the viewer opens: the map large on the left, what explains it on the right, the rest one click away."""
+"""The layout of the viewer: a large map on the left, plots of the estimate on the right, the rest in tabs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Overrides = Mapping[Any, Any]
 
 
 def blueprint(scene: RerunScene, tab: str | None = None) -> rrb.Blueprint:
-    """Return the layout of a scene: only views that have something to show; `tab` in front."""
+    """Return the layout of a scene without empty views; `tab` in front."""
     left, right = _left(scene), _right(scene, tab)
     return rrb.Blueprint(
         left if right is None else rrb.Horizontal(contents=[left, right], column_shares=[0.54, 0.46]),
@@ -37,7 +37,7 @@ def blueprint(scene: RerunScene, tab: str | None = None) -> rrb.Blueprint:
 
 
 def _left(scene: RerunScene) -> Any:
-    """Return the map with its legend, and the panorama below where there are pictures."""
+    """Return the map with its legend, and the panorama below if there are pictures."""
     rows = [(_map_view(scene), 0.66)]
     if len(list(style.legend_entries(scene))) > 1:
         (x0, y0), (x1, y1) = style.legend_bounds(scene)
@@ -50,7 +50,7 @@ def _left(scene: RerunScene) -> Any:
 
 
 def _right(scene: RerunScene, tab: str | None) -> Any | None:
-    """Return what the robot saw above what explains the estimate."""
+    """Return the robot's view above the plots of the estimate."""
     looks = [_scan_view(scene)] if scene.scans is not None and len(scene.scans.t) else []
     if scene.picture_rows is not None:
         looks.append(_view_2d("Omni image", f"/{images.OMNI}"))
@@ -65,13 +65,13 @@ def _right(scene: RerunScene, tab: str | None) -> Any | None:
 
 
 def _view_2d(name: str, origin: str, x: Range | None = None, y: Range | None = None, **more: Any) -> Any:
-    """Return a view of the plane; x and y are the ranges it opens on, y down."""
+    """Return a view of the plane; x and y are its first ranges, y down."""
     bounds = None if x is None or y is None else rrb.VisualBounds2D(x_range=x, y_range=y)
     return rrb.Spatial2DView(name=name, origin=origin, background=BACKGROUND, visual_bounds=bounds, **more)
 
 
 def _map_view(scene: RerunScene) -> Any:
-    """Return the map: one entry per configuration to switch, walls and matches shown for the best one only."""
+    """Return the map: a switch per configuration; walls and matches are shown for the best one only."""
     low, high = scene.extent
     margin = MARGIN_SHARE * max(float((high - low).max()), 1.0)
     (x0, y0), (x1, y1) = (low - margin).tolist(), (high + margin).tolist()
@@ -87,7 +87,7 @@ def _map_view(scene: RerunScene) -> Any:
 
 
 def _scan_view(scene: RerunScene) -> Any:
-    """Return the view from the robot: x ahead to the right, y to the left upwards; 4 of 5 returns are in it."""
+    """Return the view from the robot: x ahead to the right, y to the left upwards; it shows 4 of 5 returns."""
     root, (least, most) = f"{ROOT}/{part(scene.best.name)}", SCAN_RANGE_M
     reach = least
     if scene.scans is not None and len(scene.scans.xy):
@@ -107,7 +107,7 @@ def _until_now() -> Any:
 
 
 def _reasons(scene: RerunScene) -> dict[str, Any]:
-    """Return the tabs that explain the estimate, by name: those that have something to show."""
+    """Return the tabs with plots of the estimate, by name, without empty ones."""
     used = {s for e in scene.estimates for s, audit in e.audits.items() if len(audit.instant)}
     sensors = [s for s in scene.drive.measurements if s in used]
     raw = [t for t in scene.raw[:MAX_RAW_VIEWS] if t.fields]
@@ -157,14 +157,14 @@ def _close_spans(judged: list[Evaluation]) -> list[float]:
 
 
 def _nis(scene: RerunScene, sensor: str) -> Any:
-    """Return the NIS up to just above the gate: outliers of 10^4 would flatten the rest."""
+    """Return NIS limits just above the gate: outliers of 10^4 would flatten the rest."""
     gates = [float(e.audits[sensor].threshold[0]) for e in scene.estimates if sensor in e.audits]
     top = 1.6 * gates[0] if gates and np.isfinite(gates[0]) else None
     return _plot(f"NIS {sensor}", f"/nis/{sensor}", top, low=None if top is None else -0.04 * top)
 
 
 def _innovations(scene: RerunScene, sensor: str) -> list[Any]:
-    """Return a plot of each component, as high as 99 % of the values: the first ones may hold an offset."""
+    """Return a plot of each component, with limits for 99 % of the values: the first ones may hold an offset."""
     audits = [e.audits[sensor].y for e in scene.estimates if sensor in e.audits]
     views = []
     for i in range(audits[0].shape[1]):

@@ -1,4 +1,4 @@
-"""Pictures of the log, passed through as they were recorded, with what was found in them."""
+"""Pictures of the log, as they were recorded, with the detections in them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PICTURES_AT_ONCE = 16  # in memory at a time
 
 
 def draw_pictures(to: TimelineRecorder, pictures: Iterable[Picture], rows: int) -> None:
-    """Draw the omni pictures, their panoramas, and a ray or a column through everything that was found."""
+    """Draw the omni pictures, their panoramas, and a ray or a column through every detection."""
     for root in (OMNI, PANORAMA):
         for name, colour in style.GROUPS.items():
             to.static(f"{root}/found/{name}", style.lines(colour, 1.0, order=FOUND_ORDER))
@@ -41,7 +41,7 @@ def _send_encoded(to: TimelineRecorder, path: str, t: Array, data: Sequence[byte
 
 
 def _send_found(to: TimelineRecorder, group: str, t: Array, batch: Sequence[Picture], rows: int) -> None:
-    """Draw what was found of one group; a picture without a member of the group empties it."""
+    """Draw the detections of one group; a picture without any clears the group."""
     members = [[i for i, verdict in enumerate(p.verdicts) if verdict == group] for p in batch]
     lengths = [len(found) for found in members]
     found = [(p, i) for p, some in zip(batch, members, strict=True) for i in some]

@@ -1,4 +1,4 @@
-"""The map view: truth, each configuration's path, pose, 3-sigma ellipse and map, and what the sensors measured.
+"""The map view: truth; each configuration's path, pose, 3-sigma ellipse and map; the sensors' measurements.
 
 Data are in map coordinates, y up; one flip at the root turns them for the screen, where y grows down. Segments,
 rays and headings are drawn from the configuration's own pose, so that a wrong pose shows: matched segments of a
@@ -33,7 +33,7 @@ FLIP = rr.Transform3D(mat3x3=((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)
 
 
 def draw_map(to: TimelineRecorder, scene: RerunScene) -> None:
-    """Draw everything that has a place on the map."""
+    """Draw everything with a position on the map."""
     to.static(ROOT, FLIP)
     for order, e in enumerate(scene.estimates, start=int(PATH_ORDER)):
         root, colour = f"{ROOT}/{part(e.name)}", scene.colour(e.name)
@@ -55,7 +55,7 @@ def draw_map(to: TimelineRecorder, scene: RerunScene) -> None:
 def _draw_path(
     to: TimelineRecorder, path: str, t: Array, xy: Array, scene: RerunScene, look: rr.LineStrips2D
 ) -> None:
-    """Draw a growing path: one short strip per step, so that nothing is written twice."""
+    """Draw a growing path: one short strip per step, so that no point is written twice."""
     picks = extremes(xy, scene.detail.curve)
     to.static(path, look)
     to.send(path, t[picks][1:], rr.LineStrips2D.columns(strips=steps(xy[picks]).astype(np.float32)))
@@ -78,14 +78,14 @@ def _moves(xy: Array, angle: Array) -> rr.ComponentColumnList:
 
 
 def _body(scene: RerunScene) -> Array:
-    """Return the robot's outline (5, 2): an arrow head on the axle, as wide as the track or as can be seen."""
+    """Return the robot's outline (5, 2): an arrow head on the axle, as wide as the track or a visible minimum."""
     low, high = scene.extent
     size = max(scene.track, MIN_BODY_SHARE * float((high - low).max()))
     return size * np.array([[0.6, 0.0], [-0.4, 0.45], [-0.2, 0.0], [-0.4, -0.45], [0.6, 0.0]])
 
 
 def _draw_walls(to: TimelineRecorder, root: str, e: Estimates) -> None:
-    """Draw the first scan's walls, and the refined ones with their uncertainty, each from when it was matched."""
+    """Draw the first scan's walls, and the refined ones with their uncertainty, each from its first match."""
     if not e.first_map and not e.final_map:
         return
     start, born = _first_matches(e)
@@ -122,7 +122,7 @@ def _label(line: MapLine) -> str:
 
 
 def _draw_loops(to: TimelineRecorder, path: str, e: Estimates) -> None:
-    """Draw a line for every place that was recognised: from where the robot is to where it was then."""
+    """Draw a line for every recognised place: from the robot to its earlier place."""
     if len(e.loops):
         at = np.minimum(np.searchsorted(e.t, e.loops), len(e.t) - 1)
         to.static(path, style.lines(style.faded(style.LOOP, 120), 0.75, PATH_ORDER - 1.0))
@@ -185,7 +185,7 @@ def _some_readings(m: Measurements, t: Array, audit: Audit, e: Estimates, limit:
 
 
 def _strips(m: Measurements, seen: SeenReadings, sight: SensorLook, track: float) -> Array:
-    """Return what each audit row looks like on the map, (k, 2, 2) m."""
+    """Return the drawing of each audit row on the map, (k, 2, 2) m."""
     z = m.z[seen.audit.row]
     if sight.kind == "segments":
         return to_map(seen.pose[:, None], segments(z, m.extra["ends"][seen.audit.row]))
@@ -203,7 +203,7 @@ def _strips(m: Measurements, seen: SeenReadings, sight: SensorLook, track: float
 
 
 def _labels(audit: Audit, rows: Ints) -> list[str]:
-    """Return for each row what hovering shows: the verdict, the wall it was compared with, its NIS."""
+    """Return the hover text of each row: the verdict, the matched wall, its NIS."""
     columns = (audit.verdict[rows].tolist(), audit.landmark[rows].tolist(), audit.nis[rows].tolist())
     return [
         f"{VERDICTS[v]}: NIS {nis:.1f}" + (f", wall {line}" if line >= 0 else "")
@@ -214,7 +214,7 @@ def _labels(audit: Audit, rows: Ints) -> list[str]:
 
 
 def _draw_scans(to: TimelineRecorder, scene: RerunScene) -> None:
-    """Draw the scans once, in the robot's frame: the map shows them through the best pose."""
+    """Draw the scans once, in the robot's frame; the map shows them at the best pose."""
     scans, best = scene.scans, scene.best
     if scans is None or len(scans.t) == 0:
         return

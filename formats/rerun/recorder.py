@@ -1,4 +1,4 @@
-"""A Rerun stream on the log's clock: columns of a drive, and what holds at all times."""
+"""A Rerun stream on the log's clock: columns of a drive, and static data."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ MIN_DATE_NS = 10**17  # 1973: a smaller clock counts from the robot's start and 
 
 
 class TimelineRecorder:
-    """Writes columns on all timelines: seconds since the start, the log's time, the update time then."""
+    """Writes columns on all timelines: seconds since the start, log time, update time."""
 
     def __init__(self, stream: rr.RecordingStream, drive: Drive) -> None:
         self._stream, self._epoch_ns, self._updates = stream, drive.epoch_ns, drive.t
 
     def send(self, path: str, t: Array, *columns: Any, lengths: Sequence[int] | Ints | None = None) -> None:
-        """Write component columns with one row at each t (n,) s; `lengths` (n,) cuts them into ragged rows."""
+        """Write component columns with one row at each t (n,) s; `lengths` (n,) splits them into ragged rows."""
         if len(t) == 0:
             return
         parts = [part for group in columns for part in (group if lengths is None else group.partition(lengths))]
@@ -38,10 +38,10 @@ class TimelineRecorder:
         self._stream.send_columns(path, times, parts, strict=True)
 
     def static(self, path: str, *archetypes: Any) -> None:
-        """Write what holds at all times, such as colours."""
+        """Write static data, such as colours."""
         self._stream.log(path, *archetypes, static=True, strict=True)
 
 
 def part(name: str) -> str:
-    """Return a name as one part of an entity path: what Rerun would read as grammar is escaped."""
+    """Return a name as one part of an entity path, escaped for Rerun's grammar."""
     return "".join(c if c.isalnum() or c in "_-." else f"\\{c}" for c in name)

@@ -1,4 +1,4 @@
-"""What a recording shows, as values, without Rerun."""
+"""The content of a recording as values, without Rerun."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ GROUP_OF = tuple(GROUP.get(v, REJECTED) for v in VERDICTS)
 
 
 class SensorLook(msgspec.Struct, frozen=True):
-    """How one sensor's measurements are drawn and named."""
+    """The style and name of one sensor's measurements."""
 
     components: tuple[Component, ...]  # of its innovation
     bounds: tuple[float, float]  # of the NIS: 95 % of consistent measurements lie between
@@ -44,7 +44,7 @@ class DrawnScans(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """One image of the log with what was found in it."""
+    """One image of the log with its detections."""
 
     t: float  # s since Drive.epoch_ns
     omni: bytes  # JPEG or PNG
@@ -56,7 +56,7 @@ class Picture(NamedTuple):
 
 
 class RawTopic(NamedTuple):
-    """Numbers of one topic as the log holds them."""
+    """Numbers of one topic as in the log."""
 
     topic: str
     t: Array  # (n,) s since Drive.epoch_ns
@@ -64,19 +64,19 @@ class RawTopic(NamedTuple):
 
 
 class Detail(msgspec.Struct, frozen=True):
-    """How much of a long log is drawn."""
+    """Limits for drawing a long log."""
 
     curve: int = MAX_CURVE_POINTS
     scans: int = MAX_SCANS
 
     @classmethod
     def everything(cls) -> Detail:
-        """Leave nothing out."""
+        """Return limits that leave nothing out."""
         return cls(2**62, 2**62)
 
 
 class RerunScene(msgspec.Struct, frozen=True, dict=True):
-    """A drive, its configurations, and what was seen on the way."""
+    """A drive, its configurations, and the sensors' measurements."""
 
     name: str  # of the log
     drive: Drive
@@ -99,7 +99,7 @@ class RerunScene(msgspec.Struct, frozen=True, dict=True):
         return self.palette.get(configuration, GREY)
 
     def seen_by(self, configuration: str) -> Drive:
-        """Return the drive as a configuration saw it: its audit counts the readings of this one."""
+        """Return the drive of a configuration, whose readings its audit counts."""
         return self.thinned.get(configuration, self.drive)
 
     @property
@@ -109,7 +109,7 @@ class RerunScene(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def extent(self) -> tuple[Array, Array]:
-        """Least and greatest corner (2,) [m] of what matters: truth, the best path, its walls, the landmarks."""
+        """Least and greatest corner (2,) [m] of truth, the best path, its walls, and the landmarks."""
         parts: list[Array] = [self.best.pose[:, :2]]
         if self.drive.truth is not None and len(self.drive.truth.xy):
             parts.append(self.drive.truth.xy)

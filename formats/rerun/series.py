@@ -1,4 +1,4 @@
-"""What is shown over time: deviation from truth, NIS, innovations, gates, raw numbers, and events as texts."""
+"""Plots over time: deviation from truth, NIS, innovations, gates, raw numbers, and events as texts."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def entity(name: str) -> str:
 
 
 def component(sight: SensorLook | None, i: int) -> Component:
-    """Return how number i of a sensor's innovation is shown, y0, y1, ... for a sensor without a description."""
+    """Return the name of number i of a sensor's innovation; y0, y1, ... for a sensor without a description."""
     return sight.components[i] if sight else Component(f"y{i}", "")
 
 
@@ -106,7 +106,7 @@ def raw_path(topic: str, name: str = "") -> str:
 
 
 def draw_deviation(pen: Pen, judged: Evaluation) -> None:
-    """Draw estimate - truth in x, y, heading, and the 3 sigma that the filter claims around zero."""
+    """Draw estimate - truth in x, y, heading, and the filter's 3 sigma around zero."""
     columns = [judged.deviation[:, 0], judged.deviation[:, 1]]
     if judged.heading is not None:
         columns.append(np.degrees(judged.heading))
@@ -131,7 +131,7 @@ def draw_innovation(pen: Pen, root: str, e: Estimates, audit: Audit, sight: Sens
 
 
 def draw_limits(to: TimelineRecorder, scene: RerunScene, sensor: str, sight: SensorLook) -> None:
-    """Draw the gate of a sensor and between what 95 % of consistent NIS lie, as level lines."""
+    """Draw a sensor's gate and the 95 % bounds of a consistent NIS, as level lines."""
     audits = [e.audits[sensor] for e in scene.estimates if sensor in e.audits]
     gates = [float(a.threshold[0]) for a in audits if len(a.threshold)]
     if not gates:
@@ -164,7 +164,7 @@ class States(NamedTuple):
 
 
 def reading_states(m: Measurements, audit: Audit) -> Ints:
-    """Return the state of every reading (n,): a scan of five walls is one reading."""
+    """Return the state of every reading (n,): a scan with five walls is one reading."""
     n = len(m.t)
     owner = np.searchsorted(m.first, audit.row, side="right") - 1
     accepted = np.bincount(owner[np.isin(audit.verdict, (ACCEPTED, REPEATED))], minlength=n) > 0
@@ -178,7 +178,7 @@ def reading_states(m: Measurements, audit: Audit) -> Ints:
 
 
 def thinned_states(code: Ints, limit: int) -> States:
-    """Return the states of all readings, or of `limit` stretches of them by the worst in each."""
+    """Return the states of all readings, or of `limit` intervals of them by the worst in each."""
     n = len(code)
     if np.count_nonzero(np.diff(code)) < limit:
         return States(np.arange(n), code)
@@ -187,7 +187,7 @@ def thinned_states(code: Ints, limit: int) -> States:
 
 
 def draw_events(to: TimelineRecorder, events: Sequence[Event]) -> None:
-    """Draw each event as a text where it begins, and where it ends if it lasted; one entity for each kind."""
+    """Draw each event as a text at its begin, and at its end if it lasted; one entity for each kind."""
     for kind in dict.fromkeys(e.kind for e in events):
         some = sorted(line for e in events if e.kind == kind for line in _lines(e))
         texts = [text for _, text in some]

@@ -1,4 +1,4 @@
-"""How lines and points look on a dark page, and a legend of what each colour means.
+"""Styles of lines and points on a dark page, and a legend of the colours.
 
 One colour means one thing: what was refused is red and nothing else is.
 """
@@ -22,7 +22,7 @@ def on_screen(points: float) -> Any:
 
 
 def lines(colour: Colour, width: float, order: float | None = None) -> rr.LineStrips2D:
-    """Return the style of line strips; labels wait for the mouse."""
+    """Return the style of line strips, with labels on hover."""
     return rr.LineStrips2D.from_fields(
         colors=[colour], radii=[on_screen(width)], draw_order=order, show_labels=False
     )
@@ -65,7 +65,7 @@ COLUMNS, CELL = 7, 4.0  # words in a row, and their distance in heights of a row
 
 
 def legend_entries(scene: RerunScene) -> Iterator[tuple[str, Rgb]]:
-    """Yield (words, colour) of everything that the map shows, configurations first."""
+    """Yield (words, colour) of everything on the map, configurations first."""
     for e in scene.estimates:
         yield e.name, scene.colour(e.name)
     if scene.drive.truth is not None:
@@ -92,7 +92,7 @@ def legend_bounds(scene: RerunScene) -> tuple[tuple[float, float], tuple[float, 
 
 
 def draw_legend(to: TimelineRecorder, scene: RerunScene) -> None:
-    """Send the words of each entry in its colour."""
+    """Send the text of each entry in its colour."""
     for i, (words, colour) in enumerate(legend_entries(scene)):
         row, column = divmod(i, COLUMNS)
         words_at = rr.Points2D([[column * CELL, float(row)]], labels=[words], show_labels=True)

@@ -1,4 +1,4 @@
-"""Trajectories as text: TUM for evo and friends, CSV with covariances. Full precision, no alignment."""
+"""Trajectories as text: TUM for evo and similar tools, CSV with covariances. Full precision, no alignment."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def _blocks(n: int) -> Iterator[slice]:
 
 
 def write_blocks(blocks: Iterable[str], path: Path) -> None:
-    """Write a text that is never held whole."""
+    """Write a text block by block, so that it is never whole in memory."""
     with path.open("wb") as file:
         file.writelines(block.encode() for block in blocks)
 

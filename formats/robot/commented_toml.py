@@ -21,7 +21,7 @@ MAX_LINE_CHARACTERS = 100
 
 
 class TomlLine(NamedTuple):
-    """One key. `words` say where its value comes from, or how to find it."""
+    """One key. `words` are the source of its value, or how to find it."""
 
     key: str
     value: Any  # None: blank, to be filled in
@@ -61,7 +61,7 @@ def as_toml(plain: Any) -> str:
 
 
 def printable(text: str) -> str:
-    """Return text without what would end a comment or move a terminal's cursor."""
+    """Return text without characters that end a comment or move a terminal's cursor."""
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
@@ -121,7 +121,7 @@ def updated(text: str, changes: Mapping[str, Any], who: str) -> str:
 
 
 def _in_table(lines: list[str], table: str, values: Mapping[str, Any], who: str) -> list[str]:
-    """Return the lines with the values of one table; "" is what stands above all tables."""
+    """Return the lines with the values of one table; "" is the part above all tables."""
     start, end = _bounds(lines, table)
     if start is None:
         return [*lines, *([""] if lines and lines[-1] else []), f"[{table}]", *_added(values, who)]
@@ -140,7 +140,7 @@ def _in_table(lines: list[str], table: str, values: Mapping[str, Any], who: str)
 
 
 def _bounds(lines: list[str], table: str) -> tuple[int | None, int]:
-    """Return the first line of a table's body and the one after its last; None where there is no such table."""
+    """Return the first line of a table's body and the one after its last; None if there is no such table."""
     heads = [(i, m[2], bool(m[1])) for i, line in enumerate(lines) if (m := HEADING.match(line))]
     if not table:
         return 0, heads[0][0] if heads else len(lines)
@@ -152,7 +152,7 @@ def _bounds(lines: list[str], table: str) -> tuple[int | None, int]:
 
 
 def _holds(body: list[str], key: str) -> bool:
-    """Return whether a key has a line that is in effect."""
+    """Return whether a key has an active line."""
     return any(re.match(rf"\s*{re.escape(key)}\s*=", line) for line in body)
 
 

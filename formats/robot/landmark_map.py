@@ -1,4 +1,4 @@
-"""A map of landmarks: a .csv whose first line names id, x and y [m, map frame]."""
+"""A map of landmarks: a .csv with the header id, x and y [m, map frame]."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from locfuse.fusion.data import MAX_MAGNITUDE, LocfuseError
 
 
 def read(path: Path) -> dict[str, tuple[float, float]]:
-    """Return id -> x, y [m]. Raises LocfuseError naming the line that is wrong, and an id that occurs twice."""
+    """Return id -> x, y [m]. Raises LocfuseError with the line that is wrong or repeats an id."""
     rows = csv_rows(path, MAX_MAP_FILE)
     names = [word.strip().lstrip("#").strip().lower() for word in rows[0][1]] if rows else []
     missing = [name for name in ("id", "x", "y") if name not in names]

@@ -1,4 +1,4 @@
-"""The line map as a file that people can read and change: every wall by its two ends, as JSON.
+"""The line map as an editable file: every wall by its two ends, as JSON.
 
 Walking from `from` to `to`, the robot saw the wall from its left. `covariance` is that of the wall's offset [m]
 along its normal at the wall's middle and of its direction [rad]: there the two hardly depend on each other.
@@ -50,7 +50,7 @@ def encode(lines: Sequence[MapLine], made_from: str = "") -> str:
 
 
 def read(path: Path) -> list[MapLine]:
-    """Read a map file. Raises LocfuseError where it is not one, or says what cannot be."""
+    """Read a map file. Raises LocfuseError if it is none, or has impossible values."""
     return decode(read_small(path, MAX_MAP_FILE), str(path))
 
 

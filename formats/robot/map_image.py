@@ -37,7 +37,7 @@ class MapImage(NamedTuple):
 
 
 def read(path: Path) -> MapImage:
-    """Read map.yaml and its image. Raises LocfuseError with one line on what is missing or cannot be."""
+    """Read map.yaml and its image. Raises LocfuseError with one line on what is missing or impossible."""
     keys = _keys(path)
     image = _text(keys, "image", path)
     file = Path(image) if Path(image).is_absolute() else path.parent / image
@@ -68,7 +68,7 @@ def of_message(data: Any, width: int, height: int, cell: float, origin: Array, n
 
 
 def checked(found: MapImage, name: str) -> MapImage:
-    """Return a map in which something can be seen from somewhere. Raises LocfuseError."""
+    """Return a map with walls that are visible from free space. Raises LocfuseError for others."""
     for cells, what in ((found.occupied, "wall"), (found.free, "free cell")):
         if not cells.any():
             raise LocfuseError(f"{name} has no {what}: nothing can be localised in it (negate, thresholds)")
@@ -109,7 +109,7 @@ def _number(keys: dict[str, Any], key: str, path: Path, usual: float | None = No
 
 
 def _kind(value: Any) -> str:
-    """Return what a file holds in a few characters, however large it is."""
+    """Return the kind of a file by its first characters, however large it is."""
     return repr(visible(value[:40])) if isinstance(value, str) else f"of type {type(value).__name__}"
 
 
@@ -143,7 +143,7 @@ def _pixels(file: Path) -> NDArray[Any]:
 
 
 def _darkness(pixels: NDArray[Any]) -> Array:
-    """Return how dark each pixel is, (rows, columns) 0 to 1; transparent ones are half: unknown."""
+    """Return the darkness of each pixel, (rows, columns) 0 to 1; transparent ones are 0.5: unknown."""
     light = pixels.astype(np.float64) / (255.0 if pixels.dtype == np.uint8 else 65535.0)
     if light.ndim == 2:
         unknown = (pixels == UNKNOWN_GREY) & (pixels.dtype == np.uint8)
@@ -153,7 +153,7 @@ def _darkness(pixels: NDArray[Any]) -> Array:
 
 
 def _size(data: bytes) -> tuple[int, int] | None:
-    """Return width and height by the header of a PGM or PNG, before anything is decoded; None: neither."""
+    """Return width and height by the header of a PGM or PNG, before decoding; None for other files."""
     if data.startswith(b"\x89PNG\r\n\x1a\n") and len(data) >= 24:
         width, height = struct.unpack(">II", data[16:24])
         return int(width), int(height)

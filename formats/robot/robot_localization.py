@@ -1,4 +1,4 @@
-"""An ekf.yaml of robot_localization as tables of robot.toml, and in words what of it means nothing here.
+"""An ekf.yaml of robot_localization as tables of robot.toml, with notes on settings without a counterpart.
 
 Its inputs are odom0, twist0, pose0, imu0 ..., each with 15 switches: x, y, z, roll, pitch, yaw, their six speeds,
 and three accelerations (robot_localization, state_estimation_nodes). Here the motion comes from the wheels and is
@@ -82,7 +82,7 @@ UNUSED = {
 
 
 class Translated(NamedTuple):
-    """What an ekf.yaml says in our words."""
+    """An ekf.yaml in terms of robot.toml."""
 
     tables: dict[str, dict[str, Any]]
     notes: tuple[str, ...]  # what does not map, one line each
@@ -100,7 +100,7 @@ class EkfInput(NamedTuple):
 
 
 def read(path: Path, topics: Sequence[str]) -> Translated:
-    """Translate a file for a log with these topics. Raises LocfuseError where it is no ekf.yaml."""
+    """Translate a file for a log with these topics. Raises LocfuseError if it is no ekf.yaml."""
     parameters, notes = _parameters(path)
     sources = [source for source in _sources(path, parameters) if source is not None]
     if not sources:
@@ -117,7 +117,7 @@ def read(path: Path, topics: Sequence[str]) -> Translated:
 
 
 def _parameters(path: Path) -> tuple[dict[str, Any], list[str]]:
-    """Return the parameters of the first filter in a file; what else is in there as notes."""
+    """Return the parameters of the first filter in a file, with notes on the other content."""
     found = by_yaml(path, "load", read_small(path, MAX_ROBOT_TOML))
     nodes = _nodes(found, "", 0)
     if not nodes:
@@ -128,7 +128,7 @@ def _parameters(path: Path) -> tuple[dict[str, Any], list[str]]:
 
 
 def _nodes(value: Any, name: str, depth: int) -> list[tuple[str, dict[str, Any]]]:
-    """Return the mappings that name inputs, with the names of their nodes."""
+    """Return the mappings with inputs, with the names of their nodes."""
     if not isinstance(value, Mapping) or depth > 4:
         return []
     if any(INPUT.fullmatch(str(key)) for key in value):
@@ -142,7 +142,7 @@ def _sources(path: Path, parameters: Mapping[str, Any]) -> list[EkfInput | None]
 
 
 def _source(path: Path, name: str, parameters: Mapping[str, Any]) -> EkfInput | None:
-    """Return one input; None where it has no topic."""
+    """Return one input; None without a topic."""
     topic, switches = parameters[name], parameters.get(f"{name}_config")
     if not isinstance(topic, str) or not topic:
         return None
@@ -157,14 +157,14 @@ def _source(path: Path, name: str, parameters: Mapping[str, Any]) -> EkfInput | 
 
 
 def _in_log(topic: str, topics: Sequence[str]) -> str | None:
-    """Return a topic as the log has it: relative names have no slash, and a namespace may stand before them."""
+    """Return a topic as in the log: relative names have no slash, and may follow a namespace."""
     bare = topic.strip("/")
     near = [t for t in topics if t.strip("/") == bare] or [t for t in topics if t.endswith(f"/{bare}")]
     return near[0] if len(near) == 1 else None
 
 
 def _placed(source: EkfInput, tables: dict[str, dict[str, Any]]) -> list[str]:
-    """Give an input its place among the tables; return in words what of it finds none."""
+    """Assign an input to a table; return notes on the parts without a counterpart."""
     if source.kind == "imu":
         return _imu(source, tables)
     on = source.switches
@@ -191,7 +191,7 @@ def _placed(source: EkfInput, tables: dict[str, dict[str, Any]]) -> list[str]:
 
 
 def _imu(source: EkfInput, tables: dict[str, dict[str, Any]]) -> list[str]:
-    """Let an IMU be compass and gyro, as its switches say."""
+    """Use an IMU as compass and gyro, by its switches."""
     on, notes = source.switches, []
     for table, switch in (("compass", YAW), ("gyro", TURN)):
         if on[switch] and table not in tables:
@@ -220,7 +220,7 @@ def _finite(value: Any) -> bool:
 
 
 def _words(parameters: Mapping[str, Any]) -> list[str]:
-    """Note keys that have no meaning here, and unknown ones."""
+    """Add notes on keys without meaning here, and unknown ones."""
     notes = []
     if parameters.get("two_d_mode") is False:
         notes.append("two_d_mode: false: only the plane is estimated here")

@@ -26,7 +26,7 @@ Tables = dict[str, Any]
 
 
 def parse(text: str | bytes, source: str) -> Tables:
-    """Return the tables of a robot.toml; `source` names it in errors."""
+    """Return the tables of a robot.toml; `source` is its name in errors."""
     try:
         if isinstance(text, bytes):
             text = text.decode("utf-8")
@@ -43,7 +43,7 @@ def parse(text: str | bytes, source: str) -> Tables:
 
 
 def _refuse_large(text: str, source: str) -> None:
-    """Refuse what TOML's parser would take minutes for."""
+    """Refuse a text that would take TOML's parser minutes."""
     if len(text) > MAX_ROBOT_TOML:
         raise LocfuseError(names_its_cap(f"{source}: too long", len(text), MAX_ROBOT_TOML, "characters"))
     dots = max((line.count(".") for line in text.splitlines()), default=0)
@@ -63,7 +63,7 @@ def merge(*tables: Mapping[str, Any]) -> Tables:
 
 
 def layered(*tables: Mapping[str, Any]) -> Tables:
-    """Merge what several places say of one robot; what comes later wins.
+    """Merge the settings of several sources for one robot; later ones win.
 
     `sigma_x = 0` says that the x beside it is exact. Where a later place gives another x, and no sigma, that is
     not said of it: the sigma goes. The same holds of y and yaw_deg.
@@ -76,7 +76,7 @@ def layered(*tables: Mapping[str, Any]) -> Tables:
 
 
 def _without_void(before: Any, above: Any) -> Any:
-    """Return a table without the sigmas of 0 that were said of another value than the one above it."""
+    """Return a table without the sigmas of 0 of mount values that a later table changes."""
     if not (isinstance(before, Mapping) and isinstance(above, Mapping)):
         return before
     moved = (key for key in MOUNT_KEYS if key in above and above[key] != before.get(key, 0.0))
@@ -85,7 +85,7 @@ def _without_void(before: Any, above: Any) -> Any:
 
 
 def apply_sets(sets: Sequence[str]) -> Tables:
-    """Turn ["lrf.topic=/scan", "wheels.radius=0.03"] into tables: a TOML value, else plain text."""
+    """Convert ["lrf.topic=/scan", "wheels.radius=0.03"] to tables: a TOML value, else plain text."""
     tables: Tables = {}
     for text in sets:
         path, equals, value = text.partition("=")
@@ -130,7 +130,7 @@ def _value(text: str) -> Any:
 
 
 def _refuse_absurd(tables: Mapping[str, Any], source: str) -> None:
-    """Refuse numbers that are none of a robot, and more or deeper keys than any robot has."""
+    """Refuse impossible numbers of a robot, and more or deeper keys than any robot has."""
     waiting: list[tuple[str, Any]] = [("", tables)]
     for count, (path, value) in enumerate(waiting):  # grows while it is walked
         _refuse_number(value, source, path)
@@ -162,7 +162,7 @@ def _refuse_number(value: Any, source: str, path: str) -> None:
 
 
 def convert(tables: Mapping[str, Any], types: Mapping[str, Any]) -> dict[str, Any]:
-    """Turn tables (and top-level values) into the type registered for each name.
+    """Convert tables (and top-level values) to the type registered for each name.
 
     Raises LocfuseError naming the key path and the value, or the nearest known key for an unknown one.
     """
@@ -192,7 +192,7 @@ def _check_table(name: str, table: Any, kind: type[msgspec.Struct]) -> None:
 
 
 def _refuse_far(path: str, value: Any) -> None:
-    """Refuse metres, or a list or table of them, that lead off the Earth."""
+    """Refuse lengths in metres, or lists or tables of them, that are larger than the Earth."""
     if isinstance(value, Mapping | list):
         for one in value.values() if isinstance(value, Mapping) else value:
             _refuse_far(path, one)
@@ -215,7 +215,7 @@ def _unknown(key: str, table: str, known: Sequence[str], paths: Sequence[str] = 
 
 
 def _mismatch(name: str, table: Any, kind: Any, problem: str) -> str:
-    """Say "wheels.radius = 'big': expected float, got str" for msgspec's "... - at `$.radius`"."""
+    """Return "wheels.radius = 'big': expected float, got str" for msgspec's "... - at `$.radius`"."""
     reason, _, where = problem.partition(" - at `$")
     path = where.rstrip("`")
     if not path and isinstance(table, Mapping):  # a whole table is refused, in words of its own
@@ -233,7 +233,7 @@ def _mismatch(name: str, table: Any, kind: Any, problem: str) -> str:
 
 
 def _choices(kind: Any, key: str) -> str:
-    """Return which words a key may have, and whether a number; "" where it is no key of that kind."""
+    """Return the allowed words of a key, and whether a number is allowed; "" for other kinds of keys."""
     hint = get_type_hints(kind).get(key) if isinstance(kind, type) else None
     kinds = get_args(hint) if get_origin(hint) is not Literal else (hint,)
     words = ", ".join(repr(word) for one in kinds if get_origin(one) is Literal for word in get_args(one))
@@ -241,7 +241,7 @@ def _choices(kind: Any, key: str) -> str:
 
 
 def _needed(table: str, key: str, reason: str) -> str:
-    """Say "must be a number, in metres" of a value of the wrong kind; else what is wrong in msgspec's words."""
+    """Return "must be a number, in metres" for a value of the wrong kind; else the error of msgspec."""
     unit = units.in_words(table, key)
     found = re.match(r"Expected `(int|float)(?: \| null)?`( [<>]=? [-\d.e+]+)?", reason)
     if not found:
@@ -267,7 +267,7 @@ def _one_line(text: str) -> str:
 
 
 def dump(tables: Mapping[str, Any]) -> str:
-    """Return tables as TOML: same tables, same text; floats in full precision; keys without a value left out."""
+    """Return tables as TOML: equal for equal tables; floats in full precision; keys without a value left out."""
     import tomli_w
 
     _refuse_absurd(dict(tables), "robot.toml")

@@ -1,4 +1,4 @@
-"""The ROS nodes that `locfuse export ros` writes for: how their section of a file is found, and which keys it has.
+"""The ROS nodes that `locfuse export ros` writes for: how to find their section of a file, and their keys.
 
 Keys: robot_localization (state_estimation_nodes), nav2 (configuring-amcl), ros2_controllers (parameters of
 diff_drive_controller), FusionCore (docs/configuration.md).
@@ -108,7 +108,7 @@ def sections_of(file: RosFile, target: str) -> list[Section]:
 
 
 def section_of(file: RosFile, target: str, name: str | None = None) -> Section:
-    """Return the section of a node in a file; `name` is the node's own, where the file has several of its kind.
+    """Return the section of a node in a file; `name` is the node's own, if the file has several of its kind.
 
     Raises LocfuseError where there is none, or several, or one of another type or with keys that it does not know.
     """

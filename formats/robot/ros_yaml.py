@@ -1,4 +1,4 @@
-"""Parameter files of ROS nodes: a new one with a reason on every line, or new values in one that people wrote.
+"""Parameter files of ROS nodes: a new file with a reason on every line, or new values in an existing one.
 
 In a file that exists only the bytes of the named values change, and comments beside them that an export wrote.
 Other comments, order, quotes and line ends stay. The marks of the YAML parser say where a value begins and ends.
@@ -42,7 +42,7 @@ OWN_COMMENT = re.compile(rf"""[^#'"\r\n]*\s(# (?:{"|".join(set(LABELS.values()))
 
 
 class Setting(msgspec.Struct, frozen=True):
-    """One parameter of a node, and why it has its value."""
+    """One parameter of a node, with the reason for its value."""
 
     key: str  # "odom0_config"; of nested ones "encoder.vel_noise"
     value: Value | None  # None: a comment only
@@ -54,7 +54,7 @@ class Setting(msgspec.Struct, frozen=True):
 
     @property
     def label(self) -> str:
-        """What a comment begins with."""
+        """The first words of a comment."""
         return LABELS[self.origin]
 
     @property
@@ -64,17 +64,17 @@ class Setting(msgspec.Struct, frozen=True):
 
     @property
     def replaces(self) -> bool:
-        """Whether the value takes the place of one in a file that exists."""
+        """Whether the value replaces one in an existing file."""
         return self.value is not None and self.origin in {FOUND, SET}
 
     def words_at(self, place: int | None) -> str:
-        """Return the words beside a number of a list: those of its row, if the list has rows."""
+        """Return the words for a number of a list: those of its row, if the list has rows."""
         rows = isinstance(self.value, list) and self.row * len(self.row_words) == len(self.value)
         return self.words if place is None or not rows else self.row_words[place // self.row]
 
 
 class Section(NamedTuple):
-    """The parameters of one node: where every value stands, nested keys joined by dots."""
+    """The parameters of one node: the place of every value, nested keys joined by dots."""
 
     name: str
     at: dict[str, Any]  # key -> node of the YAML parser; None where the key stands twice
@@ -124,7 +124,7 @@ def _rendered(setting: Setting) -> Iterator[str]:
 
 
 def in_yaml(value: Value) -> str:
-    """Return a value as ROS reads it: a float needs its dot, or YAML 1.1 takes 1e-09 for text."""
+    """Return a value in ROS's YAML: a float needs its dot, or YAML 1.1 reads 1e-09 as text."""
     if isinstance(value, list):
         return f"[{', '.join(in_yaml(v) for v in value)}]"
     if isinstance(value, bool):
@@ -140,7 +140,7 @@ def in_yaml(value: Value) -> str:
 
 
 def read(path: Path) -> RosFile:
-    """Read a parameter file. Raises LocfuseError in one line where it is none."""
+    """Read a parameter file. Raises LocfuseError in one line if it is none."""
     data = read_small(path, MAX_ROBOT_TOML)
     try:
         text = data.decode("utf-8")
@@ -150,7 +150,7 @@ def read(path: Path) -> RosFile:
 
 
 def parsed(path: Path, text: str) -> RosFile:
-    """Return a parameter file of this text. Raises LocfuseError in one line where it is none."""
+    """Return a parameter file of this text. Raises LocfuseError in one line if it is none."""
     for number, line in enumerate(text.splitlines(), 1):
         if "\t" in line[: len(line) - len(line.lstrip())]:
             raise LocfuseError(f"{path}: line {number} begins with a tab; indent YAML with spaces")
@@ -158,7 +158,7 @@ def parsed(path: Path, text: str) -> RosFile:
 
 
 def by_yaml(path: Path, method: Literal["load", "compose"], text: str | bytes) -> Any:
-    """Return what a method of the YAML parser makes of a text. Raises LocfuseError if it is no YAML."""
+    """Return the result of a method of the YAML parser for a text. Raises LocfuseError if it is no YAML."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
@@ -169,7 +169,7 @@ def by_yaml(path: Path, method: Literal["load", "compose"], text: str | bytes) -
 
 
 def _composed(path: Path, text: str) -> Any:
-    """Return the root of the parser's tree, whose marks count the characters of `text` behind its BOM."""
+    """Return the root of the parser's tree, whose positions count characters of `text` after its BOM."""
     root = by_yaml(path, "compose", text.removeprefix(BOM))
     if not _is_mapping(root):
         raise LocfuseError(f"{path} is no parameter file of ROS: its top level is not a mapping")
@@ -181,7 +181,7 @@ def _is_mapping(node: Any) -> bool:
 
 
 def _sections(root: Any, path: Path) -> Iterator[Section]:
-    """Yield the nodes of a file: what lies under ros__parameters, or as in ROS 1, at the top or a level below."""
+    """Yield the nodes of a file: below ros__parameters, or as in ROS 1, at the top or a level below."""
     found = list(_below(root, "", False, set()))
     if not found:
         inside = ((key.value, part, _has_anchor(part)) for key, part in root.value if _is_mapping(part))
@@ -198,7 +198,7 @@ def _sections(root: Any, path: Path) -> Iterator[Section]:
 
 
 def _below(mapping: Any, name: str, anchored: bool, seen: set[int]) -> Iterator[tuple[str, Any, bool]]:
-    """Yield (node's name, its parameters, whether an anchor stands above them), every mapping once."""
+    """Yield (node's name, its parameters, whether an anchor is above them), every mapping once."""
     for key, part in mapping.value:
         if not _is_mapping(part) or id(part) in seen or len(seen) > MAX_KEYS:
             continue
@@ -239,7 +239,7 @@ def _plain(node: Any) -> Any:
 
 
 def changed(file: RosFile, section: Section, settings: Sequence[Setting]) -> tuple[str, list[Setting]]:
-    """Return the text with the found values in place, and the settings for which the section has no key.
+    """Return the text with the new values in place, and the settings whose key the section lacks.
 
     Raises LocfuseError in one line where a value cannot be replaced.
     """
@@ -286,7 +286,7 @@ def _renew_comment(
 def _renew_notes(
     file: RosFile, section: Section, settings: Sequence[Setting], spans: dict[tuple[int, int], str]
 ) -> None:
-    """Replace the comments of an earlier export on what cannot be mapped; a key may have several."""
+    """Replace the comments of an earlier export on settings without a counterpart; a key may have several."""
     begin: dict[str, int] = {}  # key -> where to look for its next comment
     for key, note in ((setting.key, setting.note) for setting in settings if setting.value is None):
         own = re.compile(rf"^[ \t]*(# {re.escape(key)}: {UNMAPPED}[^\r\n]*)", re.MULTILINE)
@@ -298,7 +298,7 @@ def _renew_notes(
 def _pairs(
     file: RosFile, section: Section, setting: Setting
 ) -> Iterator[tuple[int | None, Any, float | bool | str]]:
-    """Yield place in the list, the parser's node and new value of every number or word that a setting means."""
+    """Yield list index, parser node and new value of every number or word that a setting changes."""
     node, value = section.at[setting.key], setting.value
     if node is None:
         raise LocfuseError(f"{file.path}: {setting.key} stands twice in {section.name}: keep one of them")
@@ -333,7 +333,7 @@ def _span(file: RosFile, key: str, node: Any, value: float | bool | str) -> dict
 
 
 def _reread(node: Any, value: float | bool | str) -> float | bool | str:
-    """Return a value as a reader finds it in a node's place: with the digits written, in quotes as text."""
+    """Return a value as written at a node's place: with the digits written, in quotes as text."""
     if node.style:
         return in_yaml(value).strip('"')
     return value if isinstance(value, bool | str) else float(in_yaml(value))

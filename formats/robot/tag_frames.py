@@ -1,4 +1,4 @@
-"""Tags that a detector publishes as frames of /tf, one transform camera -> tag at every detection.
+"""Tags published as frames of /tf, one transform camera -> tag at every detection.
 
 Which child frames of a camera are tags, what their numbers are, and along which axes the camera sees them.
 """
@@ -22,19 +22,19 @@ MIN_UPRIGHT_SHARE = 0.7  # of the z axis, along the vertical: more is a body's f
 
 
 def number_of(frame: str) -> int | None:
-    """Return the id of a frame whose name ends in a number ("tag_3", "tag36h11:5"), None of any other."""
+    """Return the id of a frame whose name ends in a number ("tag_3", "tag36h11:5"), None for any other."""
     match = NUMBERED.match(frame)
     return int(match[2][-18:]) % MAX_ID if match else None
 
 
 def named_as_tag(frame: str) -> bool:
-    """Return whether a frame's name says that it is a tag, and which one."""
+    """Return whether a frame has the name of a tag with a number."""
     name = frame.rpartition("/")[2].lower()
     return number_of(name) is not None and TAG_NAME.search(name) is not None
 
 
 def ancestors(transforms: StaticTransforms, frame: str) -> list[tuple[str, Array]]:
-    """Return the frames above a frame, the nearest first, and the frame in each of them (4, 4)."""
+    """Return the frames above a frame, nearest first, and the frame's pose in each of them (4, 4)."""
     above = {edge.child: edge for edge in transforms.edges}
     found: list[tuple[str, Array]] = []
     T = np.eye(4)

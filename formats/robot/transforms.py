@@ -1,4 +1,4 @@
-"""Where sensors sit on the robot: the transforms of /tf_static, chained into a mount on the base.
+"""Sensor mounts on the robot: the transforms of /tf_static, chained to the base.
 
 `T_parent_child` maps coordinates in the child frame to coordinates in the parent frame (REP-105 trees).
 """
@@ -39,19 +39,19 @@ class Transform(msgspec.Struct, frozen=True):
 
 
 class Conflict(NamedTuple):
-    """What is wrong with what was said of one frame: it sits in two places, or its rotation is unusable."""
+    """A problem with one frame: it has two places, or its rotation is unusable."""
 
     frame: str
     message: str
 
     @property
     def line(self) -> str:
-        """Return the name of the frame and its conflict as a sentence."""
+        """Return the name of the frame and its conflict in one sentence."""
         return f"{self.frame}: {self.message}"
 
 
 class StaticTransforms(msgspec.Struct, frozen=True):
-    """What all publishers said, one transform per child frame: as in tf2, the last one said counts."""
+    """The transforms of all publishers, one per child frame: as in tf2, the last one counts."""
 
     edges: tuple[Transform, ...] = ()
     conflicts: tuple[Conflict, ...] = ()
@@ -94,7 +94,7 @@ def static_transforms(columns: Iterable[Mapping[str, Column]]) -> StaticTransfor
 
 
 def as_lists(columns: Mapping[str, Column]) -> dict[str, Column]:
-    """Return columns with one value a message as columns of lists of one: a message that is a single transform.
+    """Return columns of one transform per message as columns of lists with one entry.
 
     Raises LocfuseError where a definition makes a field an array, so that it is not one for each transform.
     """
@@ -132,7 +132,7 @@ def _entries(topic: Mapping[str, Column]) -> Iterable[tuple[str, str, list[float
 
 
 def _matrix(numbers: Sequence[float]) -> Array | None:
-    """Return the (4, 4) matrix of x, y, z and a quaternion x, y, z, w; None where that is no rotation."""
+    """Return the (4, 4) matrix of x, y, z and a quaternion x, y, z, w; None if that is no rotation."""
     tx, ty, tz, x, y, z, w = numbers
     norm = math.sqrt(x * x + y * y + z * z + w * w)
     if not (math.isfinite(tx + ty + tz) and math.isfinite(norm) and norm > 1e-6):
@@ -196,7 +196,7 @@ def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
 
 
 def planar_mount(transforms: StaticTransforms, base_frames: Sequence[str], frame: str) -> Mount | None:
-    """Return where `frame` sits on the first of the base frames it is connected with, None if with none."""
+    """Return the mount of `frame` on the first of the base frames connected with it, None if there is none."""
     wanted = frame.lstrip("/")
     for base in base_frames:
         T = _chain(transforms, base, wanted)
@@ -208,7 +208,7 @@ def planar_mount(transforms: StaticTransforms, base_frames: Sequence[str], frame
 
 
 def _chain(transforms: StaticTransforms, start: str, goal: str) -> Array | None:
-    """Return T_start_goal over the edges in either direction, None where there is no way."""
+    """Return T_start_goal over the edges in either direction, None without a path."""
     reached = {start: np.eye(4)}
     waiting = deque([start])
     at: dict[str, list[Transform]] = {}  # frame -> the edges that it is an end of

@@ -1,4 +1,4 @@
-"""The unit of every number in robot.toml, for people: by the key's ending, else by what the key is."""
+"""The unit of every number in robot.toml: by the key's ending, else by the key."""
 
 from __future__ import annotations
 
@@ -63,13 +63,13 @@ WORDS = {"m": "metres", "°": "degrees", "s": "seconds", "px": "pixels", "m/s": 
 
 
 def of(table: str, key: str) -> str:
-    """Return the unit of a key's value, "" where it has none."""
+    """Return the unit of a key's value, "" without one."""
     if (path := f"{table}.{key}") in EXACT:
         return EXACT[path]
     return "°" if key.endswith("_deg") else "s" if key in SECONDS else "m" if key in METRES else ""
 
 
 def in_words(table: str, key: str) -> str:
-    """Return the unit as a word for a sentence: "metres"; "" where the value has none."""
+    """Return the unit as a word for a sentence: "metres"; "" without a unit."""
     unit = of(table, key)
     return WORDS.get(unit, unit)

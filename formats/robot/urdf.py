@@ -1,4 +1,4 @@
-"""Wheel geometry from a robot description (URDF): which joints turn the wheels, their radius, how far apart."""
+"""Wheel geometry from a robot description (URDF): the wheels' joints, radius, and track."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TURNS = ("continuous", "revolute")
 
 
 class WheelGeometry(NamedTuple):
-    """What a description says of the two driven wheels."""
+    """The two driven wheels of a description."""
 
     left: str  # joint names
     right: str
@@ -25,7 +25,7 @@ class WheelGeometry(NamedTuple):
 
 
 def wheel_geometry(text: str) -> WheelGeometry | None:
-    """Return the geometry of the one pair of wheels that stand side by side; None where the text tells none.
+    """Return the geometry of the only pair of wheels side by side; None if the text has none.
 
     Descriptions with a DTD are not read: entities can be made to fill the memory.
     """
@@ -51,7 +51,7 @@ def wheel_geometry(text: str) -> WheelGeometry | None:
 
 
 def _place(robot: ET.Element, joint: ET.Element) -> Array:
-    """Return where a joint sits in the root link (3,), over the fixed joints above it."""
+    """Return the position of a joint in the root link (3,), over the fixed joints above it."""
     T = np.eye(4)
     seen: set[str] = set()
     above: dict[str | None, ET.Element] = {}  # link -> the joint on which it hangs
@@ -98,7 +98,7 @@ def _numbers(text: str | None) -> Sequence[float]:
 
 
 def _radius(robot: ET.Element, joint: ET.Element) -> float | None:
-    """Return the radius of the wheel that hangs on a joint, by its collision shape, else by what is drawn."""
+    """Return the radius of the wheel on a joint, by its collision shape, else by its visual shape."""
     link = next((ln for ln in robot.iter("link") if ln.get("name") == _child(joint)), None)
     if link is None:
         return None

@@ -1,4 +1,4 @@
-"""What the picture libraries say of a damaged picture: off the terminal, and known to us.
+"""Messages of the picture libraries about damaged pictures: kept off the terminal, and recognised.
 
 libjpeg returns a picture of damaged data as if it were whole and says so only on the process' stderr. While a
 picture is decoded, that stream leads to a file in memory; what arrives there tells which picture is damaged.
@@ -23,7 +23,7 @@ MAX_PADDING_BYTES = 15
 
 
 class _Listener:
-    """Leads stderr to a file while anybody decodes."""
+    """Redirects stderr to a file while pictures are decoded."""
 
     def __init__(self) -> None:
         self._change = threading.Condition()
@@ -34,7 +34,7 @@ class _Listener:
 
     @contextmanager
     def listening(self, alone: bool) -> Iterator[int]:
-        """Decode beside others, or alone so that all that is said is of one picture."""
+        """Decode beside other threads, or alone so that every message on stderr belongs to one picture."""
         with self._change:
             while alone and self._decoding:
                 self._change.wait()
@@ -73,7 +73,7 @@ _LISTENER = _Listener()
 
 
 def listened(decode: Callable[[], T]) -> tuple[T, bytes]:
-    """Return what `decode` returns, and what the libraries said of it on stderr (mostly nothing)."""
+    """Return the result of `decode`, and what the libraries wrote to stderr (mostly nothing)."""
     with _LISTENER.listening(alone=False) as file:
         before = _LISTENER.heard
         found = decode()
@@ -87,7 +87,7 @@ def listened(decode: Callable[[], T]) -> tuple[T, bytes]:
 
 
 def tells_of_damage(words: bytes) -> bool:
-    """Return whether what was said means that part of a picture is not what the camera saw."""
+    """Return whether a library's message means that part of a picture was lost."""
     lines = [line for line in words.splitlines() if b"JPEG" in line]
     return any(not _is_padding(line) for line in lines)
 

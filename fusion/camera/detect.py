@@ -30,7 +30,7 @@ MIN_HALF_RADIUS_PX = 120.0  # px of the mirror in the whole picture; a smaller o
 
 
 class Detection(NamedTuple):
-    """What one picture showed."""
+    """The result of one picture."""
 
     shape: tuple[int, int]  # px, height and width
     optics: Optics
@@ -38,7 +38,7 @@ class Detection(NamedTuple):
 
 
 class Detector(msgspec.Struct, frozen=True):
-    """Finds red vertical things in pictures; a calibration that is None is taken from the picture's size."""
+    """Detects red vertical objects in pictures; a calibration that is None is taken from the picture's size."""
 
     chain: Chain = "fast"
     red: Red = field(default_factory=Red)
@@ -55,7 +55,7 @@ class Detector(msgspec.Struct, frozen=True):
         return _optics(shape[:2], self.centre, self.inner, self.outer, (self.width, self.zero, self.clockwise))
 
     def looks_like(self, other: Detector) -> bool:
-        """Return whether another one finds the same in every picture: it may name its directions otherwise."""
+        """Return whether another detector finds the same in every picture; its names of directions may differ."""
         return replace(self, zero=other.zero, clockwise=other.clockwise) == other
 
     def coloured(self, picture: Picture) -> Picture:
@@ -72,7 +72,7 @@ class Detector(msgspec.Struct, frozen=True):
         return Detection((picture.shape[0], picture.shape[1]), optics, found)
 
     def is_half_enough(self, shape: tuple[int, int]) -> bool:
-        """Return whether a picture (h, w) with coarse colour shows at half size all that it shows whole."""
+        """Return whether a picture (h, w) with coarse colour loses nothing that is detected at half its size."""
         return self.chain == "fast" and self.optics(shape).outer >= MIN_HALF_RADIUS_PX
 
     def find_in_half(self, picture: Picture, shape: tuple[int, int]) -> Detection:

@@ -15,7 +15,7 @@ COLOURS = 3  # components of a colour picture: Y, Cb, Cr
 
 
 def image_size(data: memoryview) -> tuple[int, int] | None:
-    """Return (width, height) [px] that a picture declares; None where it is no JPEG or PNG, or has no end."""
+    """Return (width, height) [px] from a picture's header; None if it is no JPEG or PNG, or is cut off."""
     if bytes(data[:8]) == PNG and bytes(data[12:16]) == b"IHDR" and b"IEND" in bytes(data[24:]):
         return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
     return _jpeg_size(data, _frame(data)) if bytes(data[:2]) == JPEG else None

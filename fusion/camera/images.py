@@ -1,4 +1,4 @@
-"""Image messages to BGR pictures (h, w, 3) uint8; what cannot be used comes back as the reason, a word."""
+"""Image messages to BGR pictures (h, w, 3) uint8; a picture that cannot be used gives the reason as a word."""
 
 from __future__ import annotations
 

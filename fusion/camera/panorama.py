@@ -157,7 +157,7 @@ def candidates(picture: Picture, optics: Optics, red: Red, printed: bool = False
 
 
 def _blob(band: Picture, x_p: int) -> tuple[NDArray[np.int64], Array]:
-    """Return the columns (k,) of the red blob around column x_p, counted on past the edges, and their weight."""
+    """Return the columns (k,) of the red blob around column x_p, counted on past the edges, and their weights."""
     width = band.shape[1]
     bright = band[band > 0]
     weight = np.minimum(band, cap(bright)).sum(axis=0, dtype=float) if len(bright) else np.zeros(width)
@@ -184,7 +184,7 @@ def _measured(panorama: Picture, columns: NDArray[np.int64], weight: Array, inne
 
 
 def cap(grey: NDArray[Any]) -> float:
-    """Return the grey level from which a pixel counts fully: so that shading does not shift the middle."""
+    """Return the grey level from which a pixel has full weight, so that shading does not shift the centre."""
     return 0.75 * float(grey.mean())
 
 

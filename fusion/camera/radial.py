@@ -1,6 +1,6 @@
 """The fast landmark detection: a vertical line is a radial line in the raw picture, so nothing is unwrapped.
 
-Red pixels inside the mirror are few, and only they get an angle (`kernels.red`). The bearing is that of `panorama`
+Red pixels inside the mirror are few, and only they get an angle and a radius. The bearing is that of `panorama`
 (tests/camera/test_panorama.py holds the two together).
 """
 
@@ -11,13 +11,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from locfuse.fusion.kernels import red as kernel
-from locfuse.fusion.kernels.arrays import view
+from locfuse.fusion.data import Array
+from locfuse.fusion.se2 import TAU
 
 from .opencv import cv2
 from .optics import Optics
-from .panorama import Candidate, Picture, Red, largest, red_excess, room_for_planes, variance
+from .panorama import Candidate, Picture, Red, cap, largest, red_excess, red_share, room_for_planes, variance
 
+MIN_RED_NEIGHBOURS = 5  # of a pixel and its eight neighbours: then the median of the nine is red too
+MAX_GAP_PX = 2.0  # red pixels further apart than this, along the circle, belong to two things
 _ROOM = threading.local()  # memory that one picture leaves for the next
 
 
@@ -36,7 +38,7 @@ def _window(height: int, width: int, optics: Optics) -> tuple[slice, slice, Pict
 
 
 def _planes(shape: tuple[int, ...]) -> list[Picture]:
-    """Return this thread's room for the three colour planes (h, w) of a picture."""
+    """Return this thread's buffers for the three colour planes (h, w) of a picture."""
     planes: list[Picture] = getattr(_ROOM, "planes", [])
     if not planes or planes[0].shape != shape:
         planes = _ROOM.planes = room_for_planes(shape)
@@ -51,23 +53,54 @@ def candidates(picture: Picture, optics: Optics, red: Red) -> list[Candidate]:
     excess, r = red_excess(picture[rows, columns], red, _planes(mirror.shape))
     cv2.bitwise_and(excess, mirror, dst=excess)
     x, y, w, h = cv2.boundingRect(excess)
-    points = cv2.findNonZero(excess[y : y + h, x : x + w]) if w else None
-    if points is None or len(points) < red.length:
+    # with a rim, so that the red pixels' neighbours are there; beyond the window the nearest pixel counts
+    part = slice(max(y - 1, 0), y + h + 1), slice(max(x - 1, 0), x + w + 1)
+    level = red_share(excess[part], r[part], red)
+    reds = cv2.boxFilter(np.minimum(level, 1), -1, (3, 3), normalize=False, borderType=cv2.BORDER_REPLICATE)
+    at = np.nonzero((level > 0) & (reds >= MIN_RED_NEIGHBOURS))
+    if len(at[0]) < max(red.length, 1.0):
         return []
-    at = np.asarray(points, np.int32).reshape(-1, 2)
-    at += np.array((x, y), np.int32)
-    window = kernel.Window(excess, r, _least(red.ratio), columns.start, rows.start)
-    circle = kernel.Circle(optics.x_c, optics.y_c, picture.shape[1], picture.shape[0], optics.outer)
-    pixels, out = kernel.Pixels(len(at), red.length, optics.outer), np.empty((len(at), kernel.THING_NUMBERS))
-    found = kernel.find_things(window, circle, view(at, np.int32), pixels, view(out))
-    return largest([_candidate(*thing) for thing in out[:found].tolist()], red)
+    i, j = at[1] + part[1].start + columns.start, at[0] + part[0].start + rows.start
+    edge = (i == 0) | (j == 0) | (i == picture.shape[1] - 1) | (j == picture.shape[0] - 1)
+    dx, dy = i - optics.x_c, j - optics.y_c
+    pixels = np.stack((np.arctan2(dx, dy), np.sqrt(dx * dx + dy * dy), level[at], edge))
+    found = [_measured(*_whole(thing)) for thing in _things(pixels) if thing.shape[1] >= red.length]
+    return largest([thing for thing in found if thing is not None], red)
 
 
-def _candidate(theta: float, pixels: float, length: float, width: float, radius: float) -> Candidate:
-    return Candidate(theta, variance(theta, radius, length, width), pixels, length, width, radius)
+def _things(pixels: Array) -> list[Array]:
+    """Return the red objects of pixels (4, n: angle [rad], radius [px], level, whether on the edge).
+
+    The pixels of a thing, (4, k), follow each other along the circle by no more than MAX_GAP_PX.
+    """
+    pixels = pixels[:, np.argsort(pixels[0], kind="stable")]
+    theta, radius = pixels[:2]
+    apart = (np.append(theta[1:], theta[0] + TAU) - theta) * 0.5 * (radius + np.roll(radius, -1))
+    last = np.flatnonzero(apart > MAX_GAP_PX)  # the last pixel of each thing
+    if not len(last):
+        return [pixels]
+    turned = (last[-1] + 1) % len(theta)  # what lies before the first gap goes on behind the last pixel
+    ends = np.sort((last - turned) % len(theta)) + 1
+    return np.split(np.roll(pixels, -turned, axis=1), ends[:-1], axis=1)
 
 
-@lru_cache(maxsize=4)
-def _least(ratio: float) -> Picture:
-    """Return what excess is enough for every level of red, (256,)."""
-    return np.asarray(cv2.convertScaleAbs(np.arange(256, dtype=np.uint8), alpha=ratio), np.uint8).ravel()
+def _whole(thing: Array) -> Array:
+    """Return the pixels of an object without those on circles that the picture's edge cuts at an angle."""
+    edge = thing[3] > 0.0
+    return thing[:3, thing[1] < thing[1, edge].min() - 1.0] if edge.any() else thing[:3]
+
+
+def _measured(theta: Array, radius: Array, level: Array) -> Candidate | None:
+    """Return the candidate of these pixels (k,), None if no pixel is left or it lies on the axis.
+
+    Its middle is their centre of weight, which may lie across pi. A pixel's weight is its level, at most `cap`.
+    """
+    if not len(theta) or not radius.max() > 0.0:
+        return None
+    near, weight = radius.min(), np.minimum(level, cap(level))
+    angle = np.where(theta < theta[0], theta + TAU, theta)
+    middle = float((weight * angle).sum() / weight.sum()) % TAU
+    length = float(len(np.unique((radius - near).astype(np.intp))))
+    centre = 0.5 * float(near + radius.max())
+    width = len(theta) / (length * centre)
+    return Candidate(middle, variance(middle, centre, length, width), len(theta), length, width, centre)

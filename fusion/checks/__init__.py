@@ -1,1 +1,1 @@
-"""Checks: what the sensors of a drive say of each other, and whether a fix helps. Nothing here fuses."""
+"""Checks: compare the sensors of a drive with each other, and test whether a fix helps. No filter runs here."""

@@ -17,7 +17,7 @@ class Least(NamedTuple):
 
 
 class Finding(msgspec.Struct, frozen=True):
-    """Something unusual: harmless, repaired, or such that an estimate would be wrong."""
+    """Something unusual: harmless, repaired, or an error that would make an estimate wrong."""
 
     role: str  # what it is about: wheels, a sensor, truth, log, file, or a topic
     code: str  # one word or two, for machines and tests
@@ -29,12 +29,12 @@ class Finding(msgspec.Struct, frozen=True):
 
     @property
     def sentence(self) -> str:
-        """Message, source and hint: everything that is to be said."""
+        """The message with its source and hint."""
         return f"{self._whole} {self.hint}" if self.hint else self._whole
 
     @property
     def brief(self) -> str:
-        """The same without the hint, for a place that prints the fixes itself."""
+        """The message and its source without the hint, for a place that prints the fixes itself."""
         return self._whole.rstrip(".:;?") if self.hint else self._whole
 
     @property
@@ -43,11 +43,11 @@ class Finding(msgspec.Struct, frozen=True):
 
     @property
     def line(self) -> str:
-        """The whole of it with the options that fix it."""
+        """The whole finding in one line, with the options that fix it."""
         return f"{self.role}: {self.sentence}" + "".join(f" --set {fix}" for fix in self.fixes)
 
 
 def of_error(error: LocfuseError, role: str, code: str, severe: bool = True) -> Finding:
-    """Return what an error says of a role; what it says of another one, or of a file, names that."""
+    """Return the finding of an error about a role; if the error is about another role or a file, it names that."""
     message = error.message if error.role in {role, ""} else f"{error.role}: {error.message}"
     return Finding(role, code, message, error.fixes, severe, hint=error.hint)

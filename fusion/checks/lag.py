@@ -69,7 +69,7 @@ class Lag(NamedTuple):
 
 
 class _Turns(NamedTuple):
-    """By how much a sensor says that the robot turned, from one of its readings to another."""
+    """How far a sensor turned between pairs of its readings."""
 
     start: Array  # (n,) s
     end: Array  # (n,) s
@@ -77,7 +77,7 @@ class _Turns(NamedTuple):
     overlap: float  # how many of them there are at any time
 
     def where(self, keep: NDArray[np.bool_]) -> _Turns:
-        """Return some of them."""
+        """Return the turns that a mask selects."""
         return _Turns(self.start[keep], self.end[keep], self.angle[keep], self.overlap)
 
     def scores(self, heading: Heading, lags: Array) -> Array:
@@ -92,7 +92,7 @@ class _Fit(NamedTuple):
 
 
 def by_wheels(wheels: Wheels) -> Reference:
-    """Return the wheels as what is held against."""
+    """Return the wheels as the reference for a lag."""
     return Reference(wheels.heading, (float(wheels.t[0]), float(wheels.t[-1])), wheels.heading)
 
 
@@ -208,14 +208,14 @@ def _by_residuals(start: float, t: Array, heading: Array, reference: Reference) 
 
 
 def _without(column: Array, others: Array) -> Array:
-    """Return a column (n,) less what others (n, k) explain of it."""
+    """Return a column (n,) minus what other columns (n, k) explain of it."""
     x, *_ = np.linalg.lstsq(others, column, rcond=None)
     rest: Array = column - others @ x
     return rest
 
 
 def _changing(turns: _Turns, reference: Reference, lag: float) -> NDArray[np.bool_]:
-    """Return where the turning changes by more than its rms; at least in a tenth of the windows."""
+    """Return where the turning changes by more than its rms; at least a tenth of the windows."""
     middle = 0.5 * (turns.start + turns.end) + lag
     before, now, after = reference.wheels(middle + RATE_CHANGE_SPAN_S * np.array([[-1.0], [0.0], [1.0]]))
     change = np.abs(after - 2.0 * now + before)

@@ -1,4 +1,4 @@
-"""Does the laser move and turn as the wheels say? Its metre, its direction on the robot, and the wheels' track.
+"""Laser checks: do its distances, its direction on the robot and its turning match the wheels and their track?
 
 A wall seen from two places of the laser, d apart, changes its distance by n.d, whatever the room. Over many walls
 y = a n.d + b n.(Jd) gives the laser's metre, 1 / sqrt(a^2 + b^2), and by how much its assumed yaw is off. By how
@@ -59,7 +59,7 @@ class Walls(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """What the walls say."""
+    """What the walls show of scale, yaw and track."""
 
     scale: float  # that makes the laser's metre the wheels'
     scale_sigma: float
@@ -72,7 +72,7 @@ class Motion(NamedTuple):
 
     @property
     def turns_anywhere(self) -> float:
-        """1 sigma of `turns` for any drive: eight stretches of a lap may slip alike."""
+        """Sigma of `turns` for any drive: eight stretches of a lap may slip alike."""
         return max(self.turns_sigma, self.by_slips)
 
 
@@ -97,7 +97,7 @@ def laser_motion(m: Measurements, t: Array, drive: Drive, robot: Robot) -> Motio
 
 
 class Looking(NamedTuple):
-    """What the walls say of the direction of a laser, found from a first guess."""
+    """What the walls show of the laser's yaw, from a first guess."""
 
     walls: Walls
     scale: float  # that makes the laser's metre the wheels'
@@ -106,7 +106,7 @@ class Looking(NamedTuple):
 
 
 def _looking(m: Measurements, t: Array, drive: Drive, mount: Array, yaw: float) -> Looking | None:
-    """Return what the walls say if the laser looks about `yaw` [rad] less than assumed, None if few were seen."""
+    """Return what the walls show if the laser's yaw is about `yaw` [rad] less than configured, or None."""
     for _ in range(MAX_ITERATIONS):  # walls pair badly while the laser is thought to look elsewhere
         walls = seen_twice(_turned(m, yaw, mount), t, drive, mount)
         if (fit := fitted(walls)) is None:
@@ -120,7 +120,7 @@ def _looking(m: Measurements, t: Array, drive: Drive, mount: Array, yaw: float) 
 
 
 def _turned(m: Measurements, yaw: float, mount: Array) -> Measurements:
-    """Return the lines as they are in the base frame if the laser's yaw is `yaw` less than assumed."""
+    """Return the lines in the base frame if the laser's yaw is `yaw` less than configured."""
     r, psi = m.z.T
     own = r - np.cos(psi) * mount[0] - np.sin(psi) * mount[1]
     psi = psi - yaw
@@ -128,7 +128,7 @@ def _turned(m: Measurements, yaw: float, mount: Array) -> Measurements:
 
 
 def of_radius(motion: Motion | None, robot: Robot, least: Least = WORTH_SAYING) -> list[Finding]:
-    """Return the wheels' radius where the walls say that they measure ways and turns too long by one factor.
+    """Return the wheel radius if, by the walls, wheels measure distances and turns too long by the same factor.
 
     A wrong range scale changes no turn, a wrong track no way: one number explains both, where it would take two.
     Wheels slip, which moves turns by percents: for somebody who will try the fix it is enough that both together
@@ -166,7 +166,7 @@ def of_laser(
     least: Least = WORTH_SAYING,
     by_truth: bool = False,
 ) -> list[Finding]:
-    """Check range scale and yaw.
+    """Check the laser's range scale and yaw.
 
     `metre` is by how much another fix will scale the wheels' metre: the laser's follows. A scale that is off by
     less than `least` is not named. `by_truth`: the wheels' metre is the truth's; else nothing says who is right.
@@ -204,7 +204,7 @@ def of_laser(
 
 
 def fitted(walls: Walls) -> tuple[float, float] | None:
-    """Return the factor that makes the laser's metre the wheels', and its yaw error [rad]."""
+    """Return the factor from the laser's distance scale to the wheels', and its yaw error [rad]."""
     along = (walls.n * walls.d).sum(axis=1)
     across = walls.n[:, 1] * walls.d[:, 0] - walls.n[:, 0] * walls.d[:, 1]
     A, keep = np.stack((along, across), axis=-1), np.ones(len(along), dtype=bool)
@@ -219,7 +219,7 @@ def fitted(walls: Walls) -> tuple[float, float] | None:
 
 
 def turned(walls: Walls) -> float | None:
-    """Return the robot's turn per turn that the wheels tell, None where it hardly turned or the two disagree."""
+    """Return the robot's turn per turn of the wheels; None if it hardly turned or the two disagree."""
     rest = np.abs(walls.turn - walls.by_wheels)
     near = rest < MAX_WALL_TURN_RAD
     c = _slope(walls, near)
@@ -230,7 +230,7 @@ def turned(walls: Walls) -> float | None:
 
 
 def slip_sigma(wheels: Wheels, t: Array) -> float:
-    """Return by how much slips alone move a ratio of turns on this drive, seen at t (n,): 1 sigma, relative."""
+    """Return the effect of slip alone on a ratio of turns, for readings at t (n,): 1 sigma, relative."""
     if wheels.noise <= 0.0 or len(t) < 2:
         return 0.0
     t = np.clip(t, wheels.t[0], wheels.t[-1])
@@ -249,7 +249,7 @@ def _slope(walls: Walls, rows: NDArray[np.bool_]) -> float | None:
 
 
 def _spread(estimate: Callable[[Walls], tuple[float, ...] | None], walls: Walls, numbers: int) -> list[float]:
-    """Return standard errors by leaving out stretches of the drive (jackknife): pairs overlap, they depend."""
+    """Return standard errors by leaving out stretches of the drive (jackknife), since pairs of scans overlap."""
     parts = np.array_split(np.arange(len(walls.y)), STRETCHES)
     found = [estimate(Walls(*(np.delete(column, part, axis=0) for column in walls))) for part in parts]
     if any(f is None for f in found):
@@ -260,7 +260,7 @@ def _spread(estimate: Callable[[Walls], tuple[float, ...] | None], walls: Walls,
 
 
 def seen_twice(m: Measurements, t: Array, drive: Drive, mount: Array) -> Walls:
-    """Return walls seen from places apart from each other, paired by where the wheels say they must be."""
+    """Return walls seen from two separate places, paired by the motion of the wheels."""
     first, second = _places(t, drive)
     moved = drive.wheels.relative(t[first], t[second])
     c, s = np.cos(moved[:, 2]), np.sin(moved[:, 2])
@@ -312,7 +312,7 @@ def _paired(a: Array, b: Array, moved: Array, d: Array, mount: Array) -> Walls:
 
 
 def _who_is_right(robot: Robot, scale: float, fix: str) -> str:
-    """Say what to set where laser and wheels disagree; an odometry's wheels are not ours to set."""
+    """Report what to set if laser and wheels disagree; an odometry topic's own wheels cannot be set here."""
     wheels = robot.wheels
     if wheels.radius is None:
         return f". If the odometry is right, set {fix}; if the laser is, the odometry has a wrong wheel radius"

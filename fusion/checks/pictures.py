@@ -1,4 +1,4 @@
-"""Can a camera's pictures be used, is something red in them, and which way round do their columns turn?
+"""Camera checks: can its pictures be used, do they show red, and in which direction do their columns turn?
 
 A few pictures are looked at: decoding all takes long.
 """
@@ -70,7 +70,7 @@ def of_calibration(stream: Stream, settings: CameraSettings) -> list[Finding]:
 
 
 def _red(pictures: list[Picture], settings: CameraSettings) -> list[Finding]:
-    """Say so where hardly any picture shows something red and upright, unless its colours are exchanged."""
+    """Report if hardly any picture shows something red and upright, unless its colours are exchanged."""
     if settings.landmark is None or not pictures:
         return []
     find, n = detector(settings), len(pictures)
@@ -89,7 +89,7 @@ def _red(pictures: list[Picture], settings: CameraSettings) -> list[Finding]:
 
 
 def of_handedness(drive: Drive, robot: Robot) -> list[Finding]:
-    """Return that the columns turn the other way round: then the landmark goes with the robot's turns.
+    """Report if the columns turn the other way: then the landmark turns with the robot.
 
     It must go against them, but for what the robot drives in the meantime. A known start gives the zero too.
     """
@@ -127,7 +127,7 @@ def _alone(drive: Drive) -> tuple[Array, Array]:
 
 
 def _zero(drive: Drive, robot: Robot, t: Array, z: Array) -> float | None:
-    """Return what bearings z (n,) at t (n,) lack to those expected on the first metres; None: nobody knows."""
+    """Return the offset of bearings z (n,) at t (n,) from those expected on the first metres; None if unknown."""
     settings, start = robot.settings("camera"), robot.start
     near = drive.wheels.driven(t) < START_WAY_M
     early = t[near]

@@ -19,7 +19,7 @@ RING_COLOUR, GRID_COLOUR, CANDIDATE_COLOUR = (255, 200, 0), (0, 200, 255), (80, 
 
 
 class PreviewPictures(NamedTuple):
-    """One message of the stream, looked at."""
+    """One message of the stream, with the steps of its detection."""
 
     row: int  # of the stream
     raw: Picture  # (h, w, 3) BGR
@@ -97,7 +97,7 @@ def _drawn(picture: Picture, detection: Detection, bearings: list[float]) -> Pic
 def _ray(
     canvas: Picture, optics: Optics, theta: float, reach: tuple[float, float], colour: tuple[int, ...], word: str
 ) -> None:
-    """Draw part of a radius, and write where it would go on inwards: beside it would be across it elsewhere."""
+    """Draw part of a radius, with its label on the inner side, so that the label does not cross the line."""
     pen, scale = _pen(canvas), max(0.35, canvas.shape[0] / 1400)
     (width, height), _ = cv2.getTextSize(word, cv2.FONT_HERSHEY_SIMPLEX, scale, pen)
     halfway = (abs(math.sin(theta)) * width + abs(math.cos(theta)) * height) / 2.0 + 3.0 * pen
@@ -110,6 +110,6 @@ def _ray(
 
 
 def _pen(canvas: Picture) -> int:
-    """Return the width of a line [px] that can be seen on a large picture too."""
+    """Return the width of a line [px] that is visible on a large picture too."""
     height, width = canvas.shape[:2]
     return max(1, min(int(height), int(width)) // 500)

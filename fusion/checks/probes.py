@@ -1,4 +1,4 @@
-"""Fixes that a run itself estimates: a mount, the track, an offset that were states, once they are known well."""
+"""Fixes that a run estimates: a mount, the track or an offset that were states, once they are known well."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def of_mount(
 
 
 def beyond_prior(robot: Robot, sensor: str, e: Estimates) -> bool:
-    """Return whether a run found the mount surely, and further off than its settings took for likely.
+    """Return whether a run found the mount with certainty, and further off than its configured sigmas allow.
 
     What such a state says is pulled to what is configured: a run that takes more for likely tells the mount.
     """
@@ -145,7 +145,7 @@ def of_scale(robot: Robot, e: Estimates, drive: Drive) -> Iterator[Finding]:
 
 
 def of_offsets(robot: Robot, e: Estimates) -> Iterator[Finding]:
-    """Yield the offsets that a run estimated as states: known beforehand, they help from the first second on."""
+    """Yield the offsets that a run estimated as states: configured beforehand, they help from the start."""
     for sensor in e.sensors:
         bias: Any = REGISTRY[sensor].bias
         name = f"{sensor}_offset"

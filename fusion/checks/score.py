@@ -40,7 +40,7 @@ class Score(NamedTuple):
 
 
 def spoils(before: Score, after: Score, allowed: float = MAX_LOSS, allowed_nats: float = MAX_LOSS_NATS) -> bool:
-    """Return whether any figure gets notably worse, or ceases to exist.
+    """Return whether any figure gets notably worse or is missing.
 
     `allowed` is the share by which the position error may grow, `allowed_nats` what a prediction may lose.
     """
@@ -66,12 +66,12 @@ def _turns_worse(before: Score, after: Score, allowed: float) -> bool:
 
 
 def turns_right(before: Score, after: Score) -> bool:
-    """Return whether the heading error falls by more than a third: no chance of one drive does that."""
+    """Return whether the heading error falls by more than a third: more than chance on one drive."""
     return _turned(before, after) > -math.log(1.0 - MAX_TURNED_SHARE)
 
 
 def spoils_alone(before: Score, after: Score) -> bool:
-    """Return whether a configuration that nobody would keep gets notably worse.
+    """Return whether a configuration that no user would keep gets notably worse.
 
     One drive's error moves by many percent with every other way of weighing the same readings, by chance: such a
     configuration may not hinder what helps the better ones.
@@ -80,7 +80,7 @@ def spoils_alone(before: Score, after: Score) -> bool:
 
 
 def _only_underconfident(before: Score, after: Score) -> bool:
-    """Return whether all that changes, beside chance, is that more is claimed than the error: no harm."""
+    """Return whether, apart from chance, only the claimed uncertainty grows: no harm."""
     if before.position is None or after.position is None or after.lost > before.lost + MAX_LOST_SHARE:
         return False
     small = after.position <= before.position * (1.0 + MAX_CHANCE_LOSS) + MAX_LOSS_M
@@ -99,14 +99,14 @@ def ruins(before: Score, after: Score) -> bool:
 
 
 def was_chance(before: Score, after: Score) -> bool:
-    """Return whether a smaller error before was chance: that run was far off what it claimed, and no more is."""
+    """Return whether a smaller error before was chance: that run was inconsistent, and the new one is not."""
     if before.position is None or not after.anees:
         return False
     return _off(before) > MIN_LN_ANEES_GAIN and _off(after) == 0.0
 
 
 def leaves(before: Score, after: Score) -> bool:
-    """Return whether an ANEES that was within its chance range is so no longer."""
+    """Return whether an ANEES leaves its chance range."""
     return before.bounds is not None and _off(before) == 0.0 and _off(after) > MAX_LN_ANEES_LOSS
 
 
@@ -129,7 +129,7 @@ def improves(before: Score, after: Score) -> bool:
 
 
 def settles(before: Score, after: Score) -> bool:
-    """Return whether a configuration's error falls to less than half: no chance of one drive does that."""
+    """Return whether a configuration's error falls to less than half: more than chance on one drive."""
     if before.position is None or after.position is None:
         return False
     return after.position < MAX_SETTLED_SHARE * before.position and not spoils(before, after)
@@ -152,7 +152,7 @@ def gain(before: Score, after: Score) -> float:
 
 
 def _turned(before: Score, after: Score) -> float:
-    """Return ln of how many times smaller the heading error gets, 0 where that is next to nothing."""
+    """Return ln of how many times smaller the heading error gets, 0 if the change is negligible."""
     if before.heading is None or after.heading is None:
         return 0.0
     small = abs(before.heading - after.heading) < max(MIN_TURN_DEG, MIN_GAIN * before.heading)

@@ -35,12 +35,12 @@ class Slip(NamedTuple):
 
     @property
     def unusual(self) -> bool:
-        """Whether it differs from what is configured by more than one drive's chance."""
+        """Whether the slip differs from the configured noise by more than chance on one drive."""
         return not 1.0 / MAX_FACTOR <= self.factor <= MAX_FACTOR
 
     @property
     def words(self) -> str:
-        """What was seen and what is configured."""
+        """The observed and the configured noise, in words."""
         return (
             f"slips turn the robot by {math.degrees(self.seen):.2g}° in {LONG_S:g} s (1 sigma, by the {self.by}); "
             f"wheels.noise says {math.degrees(self.expected):.2g}°"
@@ -55,7 +55,7 @@ class _Spread(NamedTuple):
 
 
 def slip(drive: Drive) -> Slip | None:
-    """Return how much the wheels slip, by the sensor that agrees with them best; None where nothing tells.
+    """Return how much the wheels slip, by the sensor that agrees with them best; None if no sensor shows it.
 
     What a sensor's own turning wanders is taken for slip too, so that the smallest answer is the wheels'. Where
     several find less than configured, the largest of them is taken: all of them vouch for that.
@@ -90,7 +90,7 @@ def _by(name: str, t: Array, heading: Array, wheels: Wheels) -> Slip | None:
 
 
 def _differences(t: Array, heading: Array, window: float, wheels: Wheels) -> _Spread | None:
-    """Return how a sensor's turns differ from the wheels', and by how much slips should make them differ.
+    """Return the differences of a sensor's turns from the wheels', and the differences that slip should cause.
 
     A wrong track, or a sensor whose scale is off, is no noise: the slope between the two turnings is taken out.
     """

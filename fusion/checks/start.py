@@ -66,7 +66,7 @@ class Start(NamedTuple):
 
 
 def start_pose(truth: Truth, drive: Drive) -> Start | None:
-    """Return where the drive started; None where the beginning does not tell.
+    """Return where the drive started; None if its first metres do not show it.
 
     A truth with headings tells at once, points only by the shape of the first metres of the truth.
     """

@@ -69,7 +69,7 @@ def turnings(drive: Drive) -> dict[str, Turning]:
 
 
 def _turns_without_lines(heading: Array) -> Array:
-    """Return how many turns up to each reading (n,) nothing told: the heading stands still, to the bit."""
+    """Return how many turns up to each reading (n,) add nothing: the heading is unchanged to the bit."""
     return np.cumsum(np.diff(heading, prepend=np.nan) == 0.0).astype(np.float64)
 
 
@@ -98,7 +98,7 @@ def _way(wheels: Wheels, way: Array, t: Array) -> Array:
 
 
 def _fit(own: Array, rolled: Array, offset: float) -> Turning | None:
-    """Explain turns (n,) by both wheels (n, 2); where these move as one, by difference or sum."""
+    """Explain turns (n,) by both wheels (n, 2); if both move together, by their difference or sum."""
     left, right = rolled.T
     if np.std(left) < MIN_ROLL_SPREAD_M or np.std(right) < MIN_ROLL_SPREAD_M or own.var() == 0.0:
         return None
@@ -133,7 +133,7 @@ def _regression(own: Array, by: Array, shares: Array, offset: float) -> Turning 
 def of_turning(
     drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], streams: Mapping[str, Stream]
 ) -> list[Finding]:
-    """Return what the turning of all sensors together says of the senses of wheels and mounts."""
+    """Return the findings about the directions of wheels and mounts, by the turning of all sensors together."""
     counts_wheels = streams["wheels"].msgtype not in BODY_READS
     found = _dead_wheel(drive.wheels) if counts_wheels else []
     if not found and not by_sensor and counts_wheels:
@@ -154,7 +154,7 @@ def of_turning(
 
 
 def _mirrored(t: Turning) -> str | None:
-    """Return which wheel's sign is wrong, None where neither or where it cannot be told."""
+    """Return the wheel with the wrong sign; None if neither has it or it is unclear."""
     weak = 0.3 * max(abs(t.a), abs(t.b))
     if abs(t.a) < weak or abs(t.b) < weak or t.a * t.b < 0.0:
         return None
@@ -182,7 +182,7 @@ def _swapped(settings: WheelSettings, stream: Stream) -> tuple[str, ...]:
 
 
 def _reversed(name: str, robot: Robot, streams: Mapping[str, Stream]) -> Finding:
-    """Return what to do about one sensor that turns the other way round."""
+    """Return the finding for one sensor that turns in the other direction."""
     why, sets = REGISTRY[name].reversal(robot.settings(name), streams[name].msgtype)
     fixes = tuple(f"{name}.{key}={_toml(value)}" for key, value in sets.items())
     return Finding(name, "reversed", f"it turns the other way round than the wheels: {why}", fixes, True)
@@ -201,7 +201,7 @@ def of_track(
     metre: float = 1.0,
     least: Least = WORTH_SAYING,
 ) -> list[Finding]:
-    """Hold the track against the truth, else the laser's walls, the compass, or a gyro, whose scale may be off.
+    """Compare the track with the truth, else the laser's walls, the compass, or a gyro, whose scale may be off.
 
     `metre` is by how much another fix will scale the wheels' metre: the track follows. A track that is off by less
     than `least` is not named; slips, which turn the robot by chance, are part of its sigma.
@@ -227,7 +227,7 @@ def of_track(
 def _observed_track(
     configured: float, drive: Drive, by_sensor: Mapping[str, Turning], motion: Motion | None
 ) -> tuple[float, float, str] | None:
-    """Return a track, its sigma, and who says so."""
+    """Return an estimate of the track, its sigma, and its source."""
     turns = turns_by_truth(drive)
     if turns is not None:
         return configured / turns[0], configured * turns[1] / turns[0] ** 2, "the truth"
@@ -242,13 +242,13 @@ def _observed_track(
 
 
 def turns_by_truth(drive: Drive) -> tuple[float, float] | None:
-    """Return the robot's turn per turn of the wheels by the truth, and its sigma; None where it shows no track."""
+    """Return the robot's turn per turn of the wheels by the truth, and its sigma; None if it is not shown."""
     found = _slope_by_truth(drive, MIN_PIECES)
     return found if found is not None and found[0] > MIN_SLOPE and found[1] < MAX_SLOPE_SIGMA else None
 
 
 def _slope_by_truth(drive: Drive, fewest: int) -> tuple[float, float] | None:
-    """Return the same where the wheels may turn against the truth; None for less than the `fewest` pieces.
+    """Return the same if the wheels may turn against the truth; None with less than the `fewest` pieces.
 
     A truth of points tells the direction of travel. Turns are summed over pieces of the way: each slips by itself.
     """
@@ -284,7 +284,7 @@ def _slope_by_truth(drive: Drive, fewest: int) -> tuple[float, float] | None:
 
 
 def _against_the_truth(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Finding]:
-    """Return that left and right are exchanged where no sensor turns: the truth shows it, points do as well."""
+    """Report that left and right are exchanged, if no sensor turns and the truth shows it; points are enough."""
     slope, sigma = _slope_by_truth(drive, MIN_PIECES_OF_SIGN) or (1.0, 0.0)
     if slope > -MIN_SLOPE or sigma > MAX_AGAINST_SIGMA * abs(slope):
         return []
@@ -302,7 +302,7 @@ def _dead_wheel(wheels: Wheels) -> list[Finding]:
 
 
 def _by_the_wheels_alone(wheels: Wheels, robot: Robot) -> list[Finding]:
-    """Return a suspicion where no other sensor turns: wheels that nearly always turn against each other."""
+    """Report a suspicion if no other sensor turns: wheels that nearly always turn against each other."""
     left, right = wheels.rolled.T
     moving = (np.abs(left) > 1e-5) & (np.abs(right) > 1e-5)
     against = float(np.mean(left[moving] * right[moving] < 0.0)) if moving.any() else 0.0

@@ -1,1 +1,1 @@
-"""The extended Kalman filter: the belief with all its verbs, the map frame, and what is recorded of a run."""
+"""The extended Kalman filter: the belief and its operations, the map frame, and the record of a run."""

@@ -36,7 +36,7 @@ from .events import (
     in_map,
     undone,
 )
-from .map_frame import Pose, Together, Triangle, by_frame
+from .map_frame import Pose, Triangle, by_frame
 
 POSE = np.arange(3)
 MAX_STATES_OF_A_ROW = 24  # that one row of an equation depends on
@@ -73,11 +73,11 @@ class JointBelief(ekf.State):
 
     @classmethod
     def still(cls, blocks: Sequence[Block]) -> JointBelief:
-        """Return a belief for models outside the filter: the blocks stay as they start, and are certain."""
+        """Return a belief for models outside the filter: its blocks keep their first values and are certain."""
         return cls((0.0,) * 3, (0.0,) * 6, [block._replace(P=0.0 * block.P) for block in blocks])
 
     def stand(self, pose: Array | Sequence[float], P: Any = 0.0) -> None:
-        """Let the pose be this one, with covariance P (3, 3) and independent of all else; forget all rows."""
+        """Set the pose and its covariance P (3, 3), independent of all other states; clear all rows."""
         self._x[:3], self._P[:3, :3] = pose, P
         self.begin()
 
@@ -95,12 +95,12 @@ class JointBelief(ekf.State):
 
     @property
     def framed(self) -> bool:
-        """Whether a local frame has begun; until then it is the map."""
+        """Whether a local frame has begun; before that, the local frame is the map."""
         return self.frame >= 0
 
     @property
     def lost(self) -> bool:
-        """Whether the pose is wrong by metres: it must not teach the map frame."""
+        """Whether the pose may be wrong by metres: then it must not correct the map frame."""
         return self._lost
 
     @lost.setter
@@ -146,18 +146,10 @@ class JointBelief(ekf.State):
         x, y, theta = self._x[self.frame : self.frame + 3].tolist()
         return x, y, theta
 
-    def with_frame(self) -> Together:
-        """Return the pose and the map frame with their covariances."""
-        first = max(self.frame, 0)
-        x, rows = self._x[: first + 3].tolist(), self._P[:3, : first + 3].tolist()
-        (xx, xy, xt, *_), (_, yy, yt, *_), (_, _, tt, *_) = rows
-        return Together(
-            (x[0], x[1], x[2]),
-            (x[first], x[first + 1], x[first + 2]),
-            (xx, xy, xt, yy, yt, tt),
-            [row[first:] for row in rows],
-            self._P[first : first + 3, first : first + 3].tolist(),
-        )
+    def frame_covariance(self) -> Array:
+        """Return the covariance of the map frame, (3, 3); before it begins, that of the pose."""
+        at = slice(max(self.frame, 0), max(self.frame, 0) + 3)
+        return self._P[at, at].copy()
 
     # ---- one instant: predict, compare, queue, correct ----
 
@@ -190,7 +182,7 @@ class JointBelief(ekf.State):
         return in_map(Q.reshape(3, 3), theta), coupling
 
     def queue(self, seen: Innovation | Reading, sensor: str = "") -> None:
-        """Let what was judged correct the state at this instant."""
+        """Queue accepted rows, which correct the state at this instant."""
         self.queue_rows(seen.first, seen.numbers)
         if self.events is not None:
             rows = seen.rows_used() if isinstance(seen, Reading) else [seen.row]
@@ -204,7 +196,7 @@ class JointBelief(ekf.State):
         return self.fit(end - begin)
 
     def correct(self) -> None:
-        """Eq. 10-12 with everything that was queued at this instant; considered columns keep their values."""
+        """Eq. 10-12 with all rows queued at this instant; considered columns keep their values."""
         if not self.queued:
             return
         if self.events is None:
@@ -220,7 +212,7 @@ class JointBelief(ekf.State):
             self._note_turn(self.frame_x, self.frame_y)
 
     def know(self, y: Sequence[float], R: Any, columns: Sequence[int], H: Any) -> None:
-        """Correct by what is known of states without a reading, such as that two of them are equal.
+        """Correct by a relation of states that needs no reading, such as that two of them are equal.
 
         y (d,) = H dx + noise of covariance R (d, d), H (d, c) by the states `columns` (c,).
         """
@@ -230,7 +222,7 @@ class JointBelief(ekf.State):
         self.begin()
 
     def listen(self, seen: Sequence[Innovation | Reading]) -> None:
-        """Let innovations teach only the blocks that they depend on; the pose and all else is considered."""
+        """Let innovations correct only the blocks they depend on; the pose and other states are considered."""
         at, _, count, *_ = self._rows
         rows = [k for s in seen for k in range(s.first, s.first + s.numbers)]
         named = np.unique(np.concatenate([at[k, : count[k]] for k in rows])) if rows else np.zeros(0, np.int64)
@@ -248,7 +240,7 @@ class JointBelief(ekf.State):
         self._queue[: self.queued] = waiting
 
     def equation(self, seen: Sequence[Innovation] | None = None) -> Equation:
-        """Return innovations, else all that is queued, as y (m,), columns (c,), H (m, c), R (m, m)."""
+        """Return innovations, or all queued rows, as y (m,), columns (c,), H (m, c), R (m, m)."""
         at, H, count, y, R = self._rows
         rows = self._queue[: self.queued].tolist()
         if seen is not None:
@@ -274,13 +266,13 @@ class JointBelief(ekf.State):
             self._let_drift()
 
     def _let_drift(self) -> None:
-        """Tell the kernel which states drift."""
+        """Register the states that drift in the kernel."""
         if self._drift:
             columns, drift = (np.concatenate(part) for part in zip(*self._drift, strict=True))
             self.drift(columns.astype(np.intp), drift.astype(np.float64))
 
     def drive_with(self, name: str) -> None:
-        """Let a block's values correct the wheel motion: `predict` takes J = du/d(block)."""
+        """Use a block's values as wheel parameters: `predict` takes J = du/d(block)."""
         self.wheels = self._slices[name].start
 
     def augment(self, values: Array, G: Array, noise: Array, columns: Sequence[int] = ()) -> int:
@@ -303,12 +295,12 @@ class JointBelief(ekf.State):
         return int(where.start)
 
     def own_point(self, name: str, column: int) -> None:
-        """Let two appended states be a block: a point in the local frame, found by its name wherever it moves."""
+        """Make two appended states a block: a point in the local frame, found by its name after columns move."""
         self._slices[name] = slice(column, column + 2)
         self._points.add(name)
 
     def remove(self, columns: Ints) -> None:
-        """Drop state columns that belong to no named block (map lines that proved worthless).
+        """Remove state columns that belong to no named block (map lines that were seen too rarely).
 
         Map lines come after the map frame, whose columns stay where they are. Only what lies behind a dropped
         column moves: the covariance is not copied.
@@ -355,7 +347,7 @@ class JointBelief(ekf.State):
         self.events.add(Changed(columns, by, np.zeros((k, k)), back))
 
     def loosen(self, columns: Ints, variance: Array) -> None:
-        """Add independent variance (k,) to distinct states: they are not quite what they were."""
+        """Add independent variance (k,) to distinct states."""
         if self.events is None:
             self._P[columns, columns] += variance
             return
@@ -372,7 +364,7 @@ class JointBelief(ekf.State):
         self.events.add(Loosened(columns, variance, back))
 
     def loosen_all(self, these: Loosening) -> None:
-        """Do the same to the states that a kernel found."""
+        """Add variance to the states that a kernel found."""
         if self.events is None:
             self.loosen_states(these)
         elif these.count:
@@ -387,7 +379,7 @@ class JointBelief(ekf.State):
     # ---- the pose is set ----
 
     def shift(self, turn: float, xy: float, theta: float) -> None:
-        """Turn the pose by `turn` [rad] and add variances xy [m^2] and theta [rad^2]: a slip was found."""
+        """Turn the pose by `turn` [rad] and add variances xy [m^2] and theta [rad^2], after a slip was found."""
         behind, before = self._behind(), self._before()
         self._x[2] += turn
         self._P[(0, 1, 2), (0, 1, 2)] += (xy, xy, theta)
@@ -398,7 +390,7 @@ class JointBelief(ekf.State):
         self._carry(behind)
 
     def place(self, pose: Pose, xy: float, theta: float) -> None:
-        """Set the pose with variances xy [m^2] and theta [rad^2]: the robot was kidnapped, or found again."""
+        """Set the pose with variances xy [m^2] and theta [rad^2], after kidnapping or relocalisation."""
         behind = self._behind()
         if self.events is not None:
             back = by_others(self._before(), POSE) if self.events.backward else None
@@ -412,7 +404,7 @@ class JointBelief(ekf.State):
     # ---- clones ----
 
     def clone_heading(self, column: int, behind: float = 0.0) -> None:
-        """Let a state be the heading as it is now, less `behind` [rad] (Roumeliotis and Burdick 2002)."""
+        """Make a state a copy of the present heading, less `behind` [rad] (Roumeliotis and Burdick 2002)."""
         if self.events is not None:
             by = np.zeros((1, self.n))
             by[0, 2] = 1.0
@@ -423,7 +415,7 @@ class JointBelief(ekf.State):
         self._clones.add(column)
 
     def clone_pose(self, column: int, behind: Array | None = None) -> None:
-        """Let three states be the pose as it is now, or the pose `behind` (3,) as it is seen from there."""
+        """Make three states a copy of the present pose, or of the pose `behind` (3,) relative to it."""
         J = np.eye(3) if behind is None else by_frame(self._x[None, :3], behind[None])[0]
         if self.events is not None:
             by = np.zeros((3, self.n))
@@ -444,7 +436,7 @@ class JointBelief(ekf.State):
         return turns, {c: se2.between(self._x[:3], self._x[c : c + 3]) for c in self._kept}
 
     def _carry(self, behind: tuple[dict[int, float], dict[int, Array]]) -> None:
-        """Move kept headings and poses along with a pose that was found wrong: nothing has moved."""
+        """Move cloned headings and poses along with a pose that is corrected, since the robot did not move."""
         turns, poses = behind
         for column, turn in turns.items():
             self.clone_heading(column, turn)
@@ -477,7 +469,7 @@ class JointBelief(ekf.State):
         self._mark_kept()
 
     def know_frame(self, frame: Array, P: Array) -> None:
-        """Let the map frame be (3,) with covariance P (3, 3), by evidence that is none of this state's.
+        """Set the map frame to (3,) with covariance P (3, 3), from evidence that is independent of this state.
 
         All else follows by what it has to do with the frame (Jeffrey's rule for Gaussians): with K = P_rG P_G^-1
         it moves by K (frame - G), and its covariance changes by K (P - P_G) K'.
@@ -510,7 +502,7 @@ class JointBelief(ekf.State):
         self.transform(at, np.concatenate((q, se2.compose(G, q))), J)
 
     def _keep_in_frame(self, column: int) -> None:
-        """Let a kept pose be seen from where the robot is now."""
+        """Express a kept pose in the robot's present frame."""
         pose, at = self._x[:3].copy(), np.arange(column, column + 3)
         kept = self._x[at].copy()
         J = np.eye(6)
@@ -518,7 +510,7 @@ class JointBelief(ekf.State):
         self.transform(np.concatenate((POSE, at)), np.concatenate((pose, se2.between(pose, kept))), J)
 
     def _point_in_frame(self, column: int) -> None:
-        """Let a point be seen from where the robot is now."""
+        """Express a point in the robot's present frame."""
         pose, at = self._x[:3].copy(), np.arange(column, column + 2)
         placed = np.append(self._x[at], 0.0)
         by_pose, by_placed = se2.between_jacobians(pose, placed)
@@ -527,7 +519,7 @@ class JointBelief(ekf.State):
         self.transform(np.concatenate((POSE, at)), np.append(pose, se2.between(pose, placed)[:2]), J)
 
     def _forget_pose(self, first: bool) -> None:
-        """Set the pose to exactly 0: the map frame has taken its place."""
+        """Set the pose to exactly 0: the map frame has taken its value."""
         if self.events is not None:
             back = None
             if first:
@@ -547,7 +539,7 @@ class JointBelief(ekf.State):
     # ---- events ----
 
     def note_events(self, events: Events) -> None:
-        """Note what happens from here on."""
+        """Record events from here on."""
         self.events = events
         events.start = self._before()
         events.columns = {name: where.start for name, where in self._slices.items()}
@@ -557,19 +549,19 @@ class JointBelief(ekf.State):
             (events.wheels,) = (where for where in self._slices.values() if where.start == self.wheels)
 
     def _before(self) -> Before:
-        """Return copies of state and covariance, where events are noted; else views."""
+        """Return copies of state and covariance if events are recorded; else views."""
         if self.events is None:
             return Before(self.state, self.covariance)
         return Before(self.state.copy(), self.covariance.copy())
 
     def _note_change(self, rows: Ints, by: Array) -> None:
-        """Note that states are about to be functions of other states."""
+        """Record that states become functions of other states."""
         if self.events is not None:
             back = by_others(self._before(), rows) if self.events.backward else None
             self.events.add(Changed(rows, by, np.zeros((len(rows), len(rows))), back))
 
     def _note_turn(self, dx: float, dy: float) -> None:
-        """Note that the map frame was corrected by (dx, dy) [m] and turned (State.turn_frame)."""
+        """Record that the map frame was corrected by (dx, dy) [m] and turned (State.turn_frame)."""
         assert self.events is not None
         first = self.frame
         rows = np.array((first, first + 1))
@@ -593,14 +585,14 @@ class JointBelief(ekf.State):
         return slice(n, n + k)
 
     def _hold(self) -> None:
-        """Let the kernel work on the arrays as they are now."""
+        """Pass the present arrays to the kernel."""
         self._flags = np.zeros(len(self._x), np.intp)
         self.hold(self._x, self._P, self._flags)
         self._mark_kept()
         self.more_rows(len(self._rows[3]) if self._rows else FIRST_ROWS)
 
     def more_rows(self, rows: int) -> None:
-        """Have room for at least so many rows of an equation."""
+        """Make room for this many rows of an equation."""
         m = max(rows, 2 * self.written)
         wide, old = (m, MAX_STATES_OF_A_ROW), self._rows
         new = np.zeros(wide, np.intp), np.zeros(wide), np.zeros(m, np.intp), np.zeros(m), np.zeros((m, m))
@@ -617,7 +609,7 @@ class JointBelief(ekf.State):
         self.hold_room(*room, queue, np.zeros((16, 16)))
 
     def _mark_kept(self, columns: Ints | None = None) -> None:
-        """Mark the states that count but are not corrected: while lost also the map frame."""
+        """Mark the states that count but are not corrected; while lost, the map frame is one of them."""
         kept = self._considered
         if columns is not None:
             kept = np.union1d(columns, kept)
@@ -628,7 +620,7 @@ class JointBelief(ekf.State):
         self.keeps = len(kept) > 0
 
     def not_positive(self, greatest: float) -> None:
-        """Raise LocfuseError: the innovations' covariance, of this greatest variance, came out as none."""
+        """Raise LocfuseError: an innovation covariance with this greatest variance is not positive definite."""
         positive(greatest)
 
     def __deepcopy__(self, memo: object) -> JointBelief:
@@ -643,30 +635,12 @@ class JointBelief(ekf.State):
         return copy
 
 
-class InMap(ekf.InMap):
-    """A belief with a map frame as sensors see it that observe the pose in the map."""
-
-    def pose(self) -> Pose:
-        """Return the pose in the map, G o q."""
-        return self.x, self.y, self.theta
-
-    def triangle(self) -> Triangle:
-        """Return the upper triangle of the covariance of the pose in the map."""
-        triangle: Triangle = self.located()[1]
-        return triangle
-
-    def matrix(self) -> Array:
-        """Return the covariance of the pose in the map, (3, 3)."""
-        xx, xy, xt, yy, yt, tt = self.triangle()
-        return np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
-
-
 def _copied(value: Any) -> Any:
     return value.copy() if isinstance(value, np.ndarray | dict | list | set) else value
 
 
 def _moves(gone: Ints, n: int) -> list[tuple[int, slice]]:
-    """Return where the blocks of n columns between those that are gone (k,) move to, and the blocks, in order."""
+    """Return the new place of each block of n columns once some (k,) are removed, and the blocks in order."""
     found, to = [], int(gone.min())
     after = np.sort(gone) + 1
     for begin, end in zip(after.tolist(), [*(after[1:] - 1).tolist(), n], strict=True):

@@ -1,4 +1,4 @@
-"""What happened to the state in one run of the filter, in order: for whoever goes through it again.
+"""Events of one run of the filter, in order, for the smoother and the tuner.
 
 The verbs of the belief write this list. The smoother (whole_drive) goes through it backward: an event is undone
 by before = c + G after + an independent rest of covariance D (Rauch, Tung, Striebel 1965), and a correction only
@@ -26,7 +26,7 @@ Source = tuple[str, int, int]  # sensor, row in its measurements, numbers; ("", 
 
 
 class Undone(NamedTuple):
-    """The way back over an event: x[rows] before = c + G x after + noise of covariance D."""
+    """The inverse of an event: x[rows] before = c + G x after + noise of covariance D."""
 
     rows: Ints  # (r,)
     c: Array  # (r,)
@@ -55,7 +55,7 @@ class Moved(NamedTuple):
 
 
 class Corrected(NamedTuple):
-    """A correction, y = H dx + noise of covariance R; only noted for a way forward."""
+    """A correction, y = H dx + noise of covariance R; recorded only for replay in forward order."""
 
     y: Array  # (m,)
     columns: Ints  # (c,)
@@ -91,7 +91,7 @@ class Added(NamedTuple):
 
 
 class Dropped(NamedTuple):
-    """States were dropped; `back` says how they follow from those that stayed (rows in the layout before)."""
+    """States were removed; `back` gives them from the states that remained (rows in the layout before)."""
 
     columns: Ints  # (k,) in the layout before
     before: int  # number of states until then
@@ -122,7 +122,7 @@ class Before(NamedTuple):
 
 
 class Events:
-    """The list of one run; `backward`: it will be gone through from its end, so that the ways back are noted."""
+    """The events of one run; `backward`: replayed from the end, so the inverse of each is recorded."""
 
     def __init__(self, backward: bool) -> None:
         self.backward = backward
@@ -139,7 +139,7 @@ class Events:
 
 
 def undone(before: Before, after: Before, rows: Ints, noise: Array, coupling: Array | None = None) -> Undone:
-    """Return the way back over the prediction x after = F x before + noise, which acts on `rows` only (r,).
+    """Return the inverse of the prediction x after = F x before + noise, which acts on `rows` only (r,).
 
     `coupling` (3, n) is how static states enter the pose's motion. Gain P F' P_next^-1 (Särkkä 2013, eq. 8.6);
     D = (1 - G F) P (1 - G F)' + G Q G' stays positive and is blind to rounding in G, which matters after an exact
@@ -168,7 +168,7 @@ def undone(before: Before, after: Before, rows: Ints, noise: Array, coupling: Ar
 
 
 def by_others(before: Before, rows: Ints, dropped: bool = False) -> Undone:
-    """Return how the states `rows` follow from all others, which is all that is left of them once they are set.
+    """Return the states `rows` as functions of all others: their only information after they are set.
 
     G is in the layout of the state before, with zeros at `rows`; without these columns where they are `dropped`.
     """
@@ -187,7 +187,7 @@ def by_others(before: Before, rows: Ints, dropped: bool = False) -> Undone:
 
 
 def _solved(P: Array, B: Array) -> Array:
-    """Return P^-1 B; where P is singular (an exact start, a frame that just began), the least of all solutions.
+    """Return P^-1 B; for a singular P (an exact start, a new frame), the minimum-norm solution.
 
     Rounding hides a singular P from the solver, whose solution is then of 1e16 and does not even solve: its rest
     tells.

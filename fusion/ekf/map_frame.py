@@ -15,7 +15,9 @@ Huang, Mourikis, Roumeliotis 2010; docs/trust.md). Compare robocentric maps (Cas
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -25,17 +27,46 @@ from locfuse.fusion.kernels.ekf import bent
 
 Pose = tuple[float, float, float]
 Triangle = tuple[float, float, float, float, float, float]  # xx, xy, xt, yy, yt, tt
-Floats = list[list[float]]
 
 
-class Together(NamedTuple):
-    """The local pose and the map frame, with their covariances."""
+class InMap:
+    """A belief with a map frame, for sensors that observe the pose in the map (chain rule: State.derive)."""
 
-    q: Pose
-    G: Pose
-    P: Triangle  # of q
-    across: Floats  # cov(q, G), (3, 3)
-    own: Floats  # cov(G, G), (3, 3)
+    def __init__(self, belief: Any) -> None:
+        self.belief, self.column, self.value = belief, belief.column, belief.value
+        self.pose: Callable[[], Pose] = belief.pose_in_map
+        self.located = partial(belief.located, True)
+        self.compare = partial(belief.compare, in_map=True)
+        self.variance = partial(belief.variance, in_map=True)
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what does not depend on the pose: covariance, block, transform and others."""
+        return getattr(self.belief, name)
+
+    @property
+    def x(self) -> float:
+        """X of the pose in the map [m]."""
+        return self.pose()[0]
+
+    @property
+    def y(self) -> float:
+        """Y of the pose in the map [m]."""
+        return self.pose()[1]
+
+    @property
+    def theta(self) -> float:
+        """Heading of the pose in the map [rad], not wrapped."""
+        return self.pose()[2]
+
+    def triangle(self) -> Triangle:
+        """Return the upper triangle of the covariance of the pose in the map."""
+        triangle: Triangle = self.located()[1]
+        return triangle
+
+    def matrix(self) -> Array:
+        """Return the covariance of the pose in the map, (3, 3)."""
+        xx, xy, xt, yy, yt, tt = self.triangle()
+        return np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
 
 
 def in_map_P(G: Array, q: Array, P: Array) -> Array:

@@ -1,4 +1,4 @@
-"""What is recorded of one run: what became of every measurement, and the state at every instant, in columns."""
+"""The record of one run: the verdict on every measurement, and the state at every instant, in columns."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ PER_COMPONENT = ("y", "sigma")  # one number for each that the sensor measures
 
 
 class Record:
-    """An hour of Python objects would be hundreds of megabytes; of columns it is tens.
+    """Measurements in columns: an hour of Python objects would take hundreds of megabytes, columns take tens.
 
     `room` is how many rows will come, where that is known: a column that grows is moved, and leaves a hole.
     """
@@ -47,7 +47,7 @@ class Record:
         self.joint = array("d")  # flat: y' S^-1 y of all accepted rows of a reading together, its dof
 
     def add(self, k: int, seen: Sequence[Innovation] | Reading) -> None:
-        """Note what was judged of one reading at instant k."""
+        """Record the judged innovations of one reading at instant k."""
         if isinstance(seen, Reading):
             self._add_reading(k, seen)
             return
@@ -81,7 +81,7 @@ class Record:
         waiting.clear()
 
     def _make_room(self, rows: int, width: int) -> None:
-        """Have columns of at least so many rows; an innovation has `width` numbers."""
+        """Make room for this many rows; an innovation has `width` numbers."""
         if self._columns and rows <= self._room:
             return
         self._room = max(self._room if not self._columns else 3 * self._room // 2, rows)
@@ -94,7 +94,7 @@ class Record:
             self._columns[name] = column
 
     def audit(self) -> Audit:
-        """Return the record as columns: views, since a copy would hold everything twice for a moment."""
+        """Return the record as columns: views, since a copy would need twice the memory for a moment."""
         self._write()
         self._make_room(0, 1)
         joint = np.array(self.joint).reshape(-1, 2)
@@ -102,7 +102,7 @@ class Record:
 
 
 class Track:
-    """Columns with room for more instants: an hour of Python tuples would be hundreds of megabytes."""
+    """States in columns with spare rows: an hour of Python tuples would take hundreds of megabytes."""
 
     def __init__(self, belief: JointBelief, blocks: Sequence[str], instants: int) -> None:
         """`blocks` are recorded too: their states keep their columns. `instants`: how many come, if known."""
@@ -124,7 +124,7 @@ class Track:
         self._kernel = ekf.Track(pose, triangle, values, self._states)
 
     def note(self, belief: JointBelief) -> None:
-        """Record an instant, seen from the map."""
+        """Record an instant, with the pose in the map."""
         if self._n == self._room:
             self._make_room(2 * self._n + 1)
         belief.note(self._n, self._kernel)

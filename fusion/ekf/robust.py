@@ -1,4 +1,4 @@
-"""Outliers that are kept but trusted less: an adaptive R instead of a refusal.
+"""Outliers that are kept with less weight: an adaptive R instead of a rejection.
 
 A reading beyond the gate is refused by default. Where a sensor's errors have heavy tails, refusing loses the
 information that the heading did jump; inflating R until the reading lies on the gate keeps what it still says
@@ -16,7 +16,7 @@ GATE = VERDICTS.index("gate")
 
 
 def inflate(seen: Innovation, state: State) -> None:
-    """Accept a refused innovation of one number with the R that puts it on its gate; leave others as they are."""
+    """Accept a rejected innovation of one number with the R that puts it on its gate; leave others unchanged."""
     if seen.verdict != GATE or seen.numbers != 1 or not math.isfinite(seen.nis) or seen.threshold <= 0.0:
         return
     needed = seen.y[0] ** 2 / seen.threshold

@@ -1,1 +1,1 @@
-"""Judging estimates: deviation from truth, consistency, what each sensor adds. Nothing here fuses."""
+"""Judging estimates: deviation from truth, consistency, the effect of each sensor. No filter runs here."""

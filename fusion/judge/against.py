@@ -1,4 +1,4 @@
-"""A reference in the place of truth: the solution of a whole drive, and estimates that are held against it.
+"""A reference instead of truth: the solution of a whole drive, with which estimates are compared.
 
 It is no truth: it shares the wheels with every estimate, and it has the errors of its own sensors. So a sensor is
 judged by a reference that was solved without it, and only where that one is exact enough to judge.
@@ -25,7 +25,7 @@ MIN_ERROR_SHARE = 1e-3  # of an error, below which nothing is said of it
 
 
 class Reference(msgspec.Struct, frozen=True):
-    """The smoothed estimate of a drive in the place of truth."""
+    """The smoothed estimate of a drive, used instead of truth."""
 
     sensors: tuple[str, ...]  # it was solved with, beside the wheels
     left_out: tuple[str, ...]  # sensors of the log that it was solved without
@@ -34,7 +34,7 @@ class Reference(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, solved: Estimates, drive: Drive, left_out: tuple[str, ...] = ()) -> Reference:
-        """Return the reference that a smoothed estimate on this drive is."""
+        """Return the reference made of a smoothed estimate of this drive."""
         spread = np.sqrt(np.maximum(solved.triangles[:, 0] + solved.triangles[:, 3], 0.0))
         truth = Truth(TOPIC, drive.t, solved.pose[:, :2], solved.pose[:, 2])
         return cls(
@@ -49,7 +49,7 @@ class Reference(msgspec.Struct, frozen=True):
         return error is not None and self.sigma <= MAX_SIGMA_SHARE * error
 
     def agrees(self, other: Reference) -> bool:
-        """Return whether two references of one drive are as near to each other as both claim."""
+        """Return whether two references of one drive differ by no more than their sigmas allow."""
         assert self.drive.truth is not None
         assert other.drive.truth is not None
         apart = np.hypot(*(self.drive.truth.xy - other.drive.truth.xy).T)
@@ -73,14 +73,14 @@ class Reference(msgspec.Struct, frozen=True):
         )
 
     def seen(self, e: Estimates) -> Estimates:
-        """Return an estimate with its poses at the stamps of the reference, and without its innovations."""
+        """Return an estimate with its poses at the reference's stamps, and without its innovations."""
         t = self.drive.t
         same = len(e.t) == len(t) and bool((e.t == t).all())
         pose, P = (e.pose, matrices(e.triangles)) if same else interpolated(t, e.t, e.pose, e.triangles)
         return replace(e, audits={}, truth_pose=pose, truth_P=P)
 
     def widened(self, effect: Effect, before: float, after: float) -> Effect:
-        """Return an effect ln(before / after) of errors [m] with what the reference's own errors leave open.
+        """Return an effect ln(before / after) of errors [m] with the uncertainty of the reference added.
 
         Of an estimate that has nothing to do with the reference the squared error is smaller by sigma^2; of one
         that shares its sensors, larger by as much.

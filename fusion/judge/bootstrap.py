@@ -1,4 +1,4 @@
-"""How sure is a comparison made on one drive? Intervals for contrasts of ln(RMSE) from correlated errors.
+"""How certain is a comparison on one drive? Intervals for contrasts of ln(RMSE) from correlated errors.
 
 Errors of one drive are not independent samples: odometry's are one random walk. So the drive is resampled in
 blocks longer than the errors remember (moving-block bootstrap, Künsch 1989), and since few blocks understate
@@ -27,14 +27,14 @@ MIN_MSE_M2 = 1e-18  # m^2: a mean squared error below is taken as this
 
 
 class Interval(NamedTuple):
-    """Where a contrast lies, at CONFIDENCE."""
+    """The interval of a contrast, at CONFIDENCE."""
 
     low: float
     high: float
 
 
 class Errors(msgspec.Struct, frozen=True):
-    """Deviations of k configurations at the same q truth stamps of one drive, and how much they repeat."""
+    """Deviations of k configurations at the same q truth stamps of one drive, and their autocorrelation."""
 
     deviation: Array  # (k, q, 2) m
     ln_rmse: Array  # (k,)
@@ -123,7 +123,7 @@ def _ln_rms(mean_squares: Array) -> Array:
 
 
 def _correlation(deviation: Array, samples: Array) -> Array:
-    """Return correlations (k, k) about zero, each lowered by what so few samples leave open (Fisher's z)."""
+    """Return correlations (k, k) about zero, each lowered by its uncertainty for so few samples (Fisher's z)."""
     k = len(deviation)
     flat = deviation.reshape(k, -1)
     norms = np.linalg.norm(flat, axis=1)

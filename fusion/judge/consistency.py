@@ -1,4 +1,4 @@
-"""Can the covariance be trusted? A verdict on every sensor's noise, without truth, in words that name the cure.
+"""Can the covariance be trusted? A verdict on every sensor's noise, without truth, with the fix.
 
 A sensor is best judged by a run that does not use it and is healthy itself; else by its own innovations. Where two
 sensors disagree, the one that others disagree with too is to blame. A run that uses a sensor whose noise is
@@ -46,7 +46,7 @@ MAX_START_M, MAX_START_RAD = 0.5, math.radians(20.0)  # a truth that starts furt
 
 
 class Consistency(msgspec.Struct, frozen=True):
-    """What one run's innovations say of one sensor, and the verdict that all runs together reach."""
+    """Figures of one sensor's innovations in one run, and the verdict of all runs together."""
 
     verdict: Verdict
     words: str
@@ -59,7 +59,7 @@ class Consistency(msgspec.Struct, frozen=True):
 
 
 class Run(NamedTuple):
-    """One configuration's result on the drive as it saw it, and what its own innovations say of every sensor."""
+    """One configuration's result on its drive, and the figures of its innovations of every sensor."""
 
     drive: Drive
     estimates: Estimates  # without audits
@@ -67,7 +67,7 @@ class Run(NamedTuple):
 
     @classmethod
     def of(cls, drive: Drive, estimates: Estimates) -> Run:
-        """Look at a run's innovations; its audits are needed no more."""
+        """Summarise a run's innovations; its audits are not needed afterwards."""
         found = {s: own(estimates.audits[s], drive.measurements[s]) for s in estimates.sensors}
         return cls(drive, replace(estimates, audits={}), found)
 
@@ -88,7 +88,7 @@ def judge(
 
 
 class Evidence:
-    """The evidence of all runs."""
+    """The evidence of all runs together."""
 
     def __init__(self, runs: Sequence[Run], robot: Robot, overconfident: Collection[str] = ()) -> None:
         self.robot, self.runs, self.overconfident = robot, runs, overconfident
@@ -103,7 +103,7 @@ class Evidence:
         self._flag()
 
     def in_run(self, run: Run, sensor: str, found: NoiseVerdict) -> Consistency:
-        """Return the run's own figures with the verdict that all runs reach."""
+        """Return the run's own figures with the verdict of all runs."""
         o = self.own[run.estimates.name, sensor]
         if o is None:
             return Consistency(found.verdict, found.words, scale=found.scale, cures=found.cures)
@@ -166,7 +166,7 @@ class Evidence:
         return sorted(found, key=lambda w: w[1].reference)
 
     def bias(self, sensor: str) -> NoiseVerdict | None:
-        """Return by how much a sensor's mean is off, if that is notable, sure or not; None where nothing tells."""
+        """Return a sensor's mean innovation if it is notable, certain or not; None if no run shows it."""
         found = self._hear_by_truth(sensor) or next((h for _, h in self.reference_runs(sensor)), None)
         if found is None or not notable(found):
             return None
@@ -183,7 +183,7 @@ class Evidence:
         return self._heard[key]
 
     def _healthy(self, run: Run, but: str = "") -> bool:
-        """Whether no sensor of a run (except one) has understated noise or is mostly refused."""
+        """Return whether no sensor of a run (except one) has understated noise or is mostly rejected."""
         found = [self.own[run.estimates.name, s] for s in run.estimates.sensors if s != but]
         return all(
             o is not None and o.scale < MAX_REFERENCE_NIS_RATIO and o.refused < MAX_REFUSED_LINE_SHARE
@@ -191,18 +191,18 @@ class Evidence:
         )
 
     def _purest(self, sensor: str) -> Run | None:
-        """Return the run with the fewest other sensors, all healthy, that uses a sensor."""
+        """Return the run that uses a sensor with the fewest other sensors, all of them healthy."""
         using = [r for r in self.runs if sensor in r.estimates.sensors]
         pure = [r for r in using if self._healthy(r, sensor) or self._worst(r) == sensor]
         return min(pure, key=lambda r: len(r.estimates.sensors)) if pure else None
 
     def _worst(self, run: Run) -> str:
-        """Return the sensor of a run whose innovations are the most too large."""
+        """Return the sensor of a run whose innovations are too large by the greatest factor."""
         scales = {s: o.scale for s in run.estimates.sensors if (o := self.own[run.estimates.name, s])}
         return max(scales, key=lambda s: scales[s]) if scales else ""
 
     def _flag(self) -> None:
-        """Find the sensors whose mean is off: by truth, else the surest evidence first."""
+        """Find the sensors whose mean is off: by truth if there is one, else the most certain evidence first."""
         by_truth = {s: h for s in self.sensors if (h := self._hear_by_truth(s)) is not None}
         self.flagged |= {s: h for s, h in by_truth.items() if disagrees(h)}
         left = [s for s in self.sensors if s not in by_truth]

@@ -1,4 +1,4 @@
-"""Where there is truth: are the errors as large as the filter says, all states together and each on its own?"""
+"""With truth: are the errors as large as the filter claims, for all states together and for each?"""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ STATES = ("x", "y", "theta")
 
 
 class Honesty(msgspec.Struct, frozen=True):
-    """Mean squared error over predicted variance: 1 is right, more is over-confident."""
+    """Mean squared error over predicted variance: 1 is right, more is overconfident."""
 
     anees: float
     bounds: tuple[float, float]  # of an honest filter's ANEES at CONFIDENCE, for one drive's worth of errors
@@ -30,17 +30,17 @@ class Honesty(msgspec.Struct, frozen=True):
 
     @property
     def overconfident(self) -> bool:
-        """Whether its errors are larger than an honest filter's by more than chance."""
+        """Whether the errors are larger than those of a consistent filter by more than chance."""
         return self.anees > self.bounds[1]
 
     @property
     def consistent(self) -> bool:
-        """Whether its ANEES is one that an honest filter has."""
+        """Whether the ANEES is one that a consistent filter can have."""
         return self.bounds[0] <= self.anees <= self.bounds[1]
 
 
 def honesty(judged: Evaluation) -> Honesty | None:
-    """Return how honest a configuration's covariance is; None without truth or after alignment."""
+    """Return the consistency of a configuration's covariance; None without truth or after alignment."""
     anees = judged.figures.get("anees")
     e = judged.deviation if judged.heading is None else np.column_stack((judged.deviation, judged.heading))
     sigma = judged.sigma[:, : e.shape[1]]

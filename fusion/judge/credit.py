@@ -1,4 +1,4 @@
-"""What did each sensor buy? Its share of the improvement, how sure that is, and a verdict in one word.
+"""The effect of each sensor: its share of the improvement, the interval of that, and a verdict in one word.
 
 The value of a set of sensors is -ln(position RMSE), so that effects are factors: +0.69 halves the error. A
 sensor's credit is its Shapley value (Shapley 1953): its effect averaged over every order in which the sensors
@@ -26,7 +26,7 @@ Subset = frozenset[str]
 
 
 class SensorCredit(msgspec.Struct, frozen=True):
-    """What one sensor bought."""
+    """The effect of one sensor."""
 
     verdict: Verdict
     credit: Effect | None  # Shapley value; None unless every subset was run
@@ -38,7 +38,7 @@ class SensorCredit(msgspec.Struct, frozen=True):
 
 
 class Credit(msgspec.Struct, frozen=True):
-    """Every sensor's credit, and what the intervals rest on."""
+    """The effect of every sensor, and the samples behind the intervals."""
 
     sensors: Mapping[str, SensorCredit]
     total: float | None  # ln of how many times smaller the error is with all sensors than with none
@@ -115,7 +115,7 @@ def shapley_steps(sensor: str, sensors: Sequence[str]) -> list[Step]:
 
 
 class _Book(msgspec.Struct, frozen=True):
-    """Errors by subset, and the questions asked of them."""
+    """Errors by subset of sensors, and the effects computed from them."""
 
     sets: list[Subset]
     errors: Errors
@@ -130,7 +130,7 @@ class _Book(msgspec.Struct, frozen=True):
         return None if effect is None else effect.value
 
     def effect(self, steps: Sequence[Step]) -> Effect | None:
-        """Return the weighted sum of ln(RMSE before / RMSE after); None where a subset was not run."""
+        """Return the weighted sum of ln(RMSE before / RMSE after); None if a subset was not run."""
         if any(s not in self.sets for step in steps for s in (step.before, step.after)):
             return None
         w = np.zeros(len(self.sets))
@@ -146,7 +146,7 @@ class _Book(msgspec.Struct, frozen=True):
         return Effect(value, min(low, value - most), max(high, value - least), expected)
 
     def _luck(self, i: int, j: int) -> tuple[float, float]:
-        """Return between what ln(RMSE before / after) lies if the sensor knew nothing and only moved the estimate.
+        """Return the range of ln(RMSE before / after) for a sensor without information that moves the estimate.
 
         A sensor that shrinks the predicted variance has moved the estimate by the square root of what it shrank
         it by. On a drive worth few independent stretches such a move helps or hurts by its direction alone, and
@@ -171,7 +171,7 @@ class _Book(msgspec.Struct, frozen=True):
         return SensorCredit(verdict(shapley, alone, last, anees), shapley, alone, last, share, anees, beside)
 
     def _beside(self, sensor: str, sensors: Sequence[str]) -> tuple[str, ...]:
-        """Return the sensors that it is added to: those it needs, else the fewest it was run with and without."""
+        """Return the sensors beside it: those it needs, else the smallest set that was run with and without it."""
         usual = needed(sensor)  # what it buys "alone" is what it adds to them
         run = [s for s in self.sets if sensor not in s and s | {sensor} in self.sets]
         if not run or frozenset(usual) in run:
@@ -180,7 +180,7 @@ class _Book(msgspec.Struct, frozen=True):
         return tuple(s for s in sensors if s in fewest)
 
     def _worst_anees(self, sensor: str) -> tuple[float, float] | None:
-        """ANEES without and with the sensor, for the honest set of sensors whose ANEES it multiplies most."""
+        """Return ANEES without and with the sensor, for the consistent set whose ANEES it multiplies most."""
         pairs = [
             (a, b)
             for s, a in zip(self.sets, self.anees, strict=True)
@@ -192,7 +192,7 @@ class _Book(msgspec.Struct, frozen=True):
 
 
 def _expected(judged: Iterable[Evaluation]) -> Array | None:
-    """Ln of the position deviation that each filter predicts of itself, (k,)."""
+    """Return ln of the position deviation that each filter predicts for itself, (k,)."""
     mean = np.array([float((e.sigma[:, :2] ** 2).sum(axis=1).mean()) for e in judged])
     return 0.5 * np.log(mean) if (mean > 0.0).all() else None
 

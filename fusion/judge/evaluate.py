@@ -1,4 +1,4 @@
-"""Judging an estimate: deviation from truth where there is truth, and what the filter said of itself.
+"""Judging an estimate: deviation from truth if there is truth, and the filter's own consistency figures.
 
 Errors are taken at the truth's stamps, where the filter's own prediction is exact; nothing is aligned unless
 asked, since an aligned error hides the start.
@@ -145,7 +145,7 @@ def _pairs(estimates: Estimates, truth: Truth) -> _Pairs:
 
 
 def aligned(pairs: _Pairs, point: tuple[float, float], align: Align) -> _Pairs:
-    """Return the pairs with the estimate moved rigidly onto the truth, its covariances turned as its poses are.
+    """Return the pairs with the estimate and its covariances moved rigidly onto the truth.
 
     "origin": its first pose onto the truth's first (its first position only, where the truth has no heading).
     "se2": least squares over all positions (Umeyama 1991 without scale).
@@ -233,7 +233,7 @@ def _squared(L: Array, w: Array, first: int) -> Array:
 
 
 def _segments(t: Array) -> NDArray[np.int64]:
-    """Number the stretches of truth between holes, (q,)."""
+    """Number the pieces of truth between gaps, (q,)."""
     return np.cumsum(np.diff(t, prepend=t[0]) > gap_limit(t))
 
 

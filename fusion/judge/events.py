@@ -1,4 +1,4 @@
-"""What happened when in a drive: rest, lost, jumps, loops closed, readings refused in a row, labelled faults."""
+"""Events of a drive in time: rest, lost, jumps, closed loops, readings rejected in a row, labelled faults."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def events_of_drive(drive: Drive) -> list[Event]:
 
 
 def events_of_run(drive: Drive, e: Estimates) -> list[Event]:
-    """Return when a run was lost, jumped, closed a loop, and refused a sensor for a while, in order of time.
+    """Return when a run was lost, jumped, closed a loop, or rejected a sensor for a while, in order of time.
 
     Args:
         drive: as the configuration saw it: its audits count the readings of this one.
@@ -56,7 +56,7 @@ def events_of_run(drive: Drive, e: Estimates) -> list[Event]:
 
 
 def _loops(e: Estimates) -> Iterator[Event]:
-    """Yield the times at which places were recognised; those that follow close upon each other are one event."""
+    """Yield the times at which places were recognised; times in close succession are one event."""
     if not len(e.loops):
         return
     then, now = e.loops.T
@@ -67,7 +67,7 @@ def _loops(e: Estimates) -> Iterator[Event]:
 
 
 def _step(jump: Jump) -> str:
-    """Return what a jump was and how far it went, in words."""
+    """Return kind and size of a jump in words."""
     x, y, turn = jump.step
     return f"{JUMPS[jump.kind]}: moved {math.hypot(x, y):.2f} m, turned {math.degrees(turn):+.1f}°"
 
@@ -92,7 +92,7 @@ def stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
 
 
 def _refusals(sensor: str, m: Measurements, t: Array, audit: Audit, name: str) -> Iterator[Event]:
-    """Yield the stretches of MIN_REFUSED and more readings in a row of which nothing was taken."""
+    """Yield the intervals of MIN_REFUSED and more readings in a row that were all rejected."""
     n = len(m.t)
     owner = np.searchsorted(m.first, audit.row, side="right") - 1
     taken = np.bincount(owner[np.isin(audit.verdict, USED_VERDICTS)], minlength=n) > 0

@@ -1,4 +1,4 @@
-"""How much of a result is chance: the same drive after changes that no measurement could feel.
+"""How much of a result is chance: the same drive after changes that should not matter.
 
 Gates, association and map building decide by thresholds. A reading close to one falls on the other side after the
 smallest change, and what comes later differs too. So a drive is fused again with times moved by a microsecond and
@@ -32,7 +32,7 @@ def jittered(drive: Drive, robot: Robot, seed: int) -> Drive:
 
 
 def _jittered(m: Measurements, first: float, last: float, rng: np.random.Generator) -> Measurements:
-    """Return the readings whose lot it is to stay, in the order of their moved times within first and last [s]."""
+    """Return the readings that are kept at random, in the order of their moved times within first and last [s]."""
     n = len(m.t)
     t: Array = np.clip(m.t + MOVED_S * rng.uniform(-1.0, 1.0, n), first, last)
     stays = np.flatnonzero(rng.random(n) >= DROPPED_SHARE)

@@ -1,4 +1,4 @@
-"""Consistency over time: the mean NIS of short stretches with the bounds that so many values allow."""
+"""Consistency over time: the mean NIS of short intervals, with its bounds for so many values."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CONFIDENCE = 0.95
 
 
 class Running(NamedTuple):
-    """Mean NIS per degree of freedom of stretches of a drive; NaN where a stretch holds none."""
+    """Mean NIS per degree of freedom of intervals of a drive; NaN for an interval without values."""
 
     t: Array  # (n,) s, middle of each stretch
     mean: Array  # (n,)
@@ -24,7 +24,7 @@ class Running(NamedTuple):
 
 
 def running_nis(audit: Audit, t: Array, stretches: int = STRETCHES) -> Running:
-    """Return the running NIS of what one run accepted; `t` (n,) are the drive's instants [s]."""
+    """Return the running NIS of one run's accepted innovations; `t` (n,) are the drive's instants [s]."""
     accepted = audit.verdict == 0
     stretches = int(np.clip(int(accepted.sum()) // MIN_MEASUREMENTS, 1, stretches))
     edges = np.linspace(t[0], t[-1], stretches + 1)

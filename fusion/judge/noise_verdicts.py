@@ -1,4 +1,4 @@
-"""Verdicts on one sensor's noise and the words that name the cure: the key of robot.toml and its value."""
+"""Verdicts on one sensor's noise, with the fix: the key of robot.toml and its value."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ MAX_REFUSED_SHARE, MAX_REFUSED_LINE_SHARE = 0.05, 0.25  # share of readings; of 
 
 
 class NoiseVerdict(msgspec.Struct, frozen=True):
-    """A verdict, its words, and what to write into robot.toml."""
+    """A verdict, its words, and the settings that fix it."""
 
     verdict: Verdict
     words: str
@@ -43,7 +43,7 @@ class NoiseVerdict(msgspec.Struct, frozen=True):
 
 
 def disagrees(h: Heard) -> bool:
-    """Return whether a sensor's mean is surely and notably off a run that does not use it."""
+    """Return whether a sensor's mean differs certainly and notably from a run that does not use it."""
     return h.bias is not None and abs(h.bias) > MIN_SIGMAS * h.sure and notable(h)
 
 
@@ -89,7 +89,7 @@ def by_itself(sensor: str, settings: Any, o: Own, floor: Sequence[float], period
 
 
 def _drifts(sensor: str, settings: Any, h: Heard) -> bool:
-    """Whether an estimated offset already drifts as much as the slow errors need."""
+    """Whether the drift of an estimated offset already covers the slow errors."""
     key = REGISTRY[sensor].drift_key
     if key is None or h.bias is not None:
         return False
@@ -100,7 +100,7 @@ def _drifts(sensor: str, settings: Any, h: Heard) -> bool:
 def by_memory(
     sensor: str, settings: Any, variance: float, repeats: float, period: float, R: float
 ) -> NoiseVerdict:
-    """Judge slow errors: a mean of many readings is only as good as variance * repeats over their number."""
+    """Judge slow errors: the variance of a mean of n readings is variance * repeats / n."""
     if variance * repeats > MIN_MEAN_VARIANCE_RATIO * R:
         return correlated(sensor, settings, math.sqrt(variance), repeats, period)
     return by_scale(sensor, settings, min(1.0, math.sqrt(variance * repeats / R)))
@@ -113,7 +113,7 @@ def _on_sigma(o: Own, floor: Sequence[float]) -> float:
 
 
 def by_scale(sensor: str, settings: Any, factor: float) -> NoiseVerdict:
-    """Complain about a sigma that is off by more than MAX_SIGMA_FACTOR."""
+    """Report a sigma that is off by more than MAX_SIGMA_FACTOR."""
     if MIN_SIGMA_FACTOR <= factor <= MAX_SIGMA_FACTOR:
         return NoiseVerdict("consistent", f"{sensor} noise matches the configured noise", factor)
     keys = REGISTRY[sensor].noise_keys
@@ -129,7 +129,7 @@ def by_scale(sensor: str, settings: Any, factor: float) -> NoiseVerdict:
 
 
 def of_messages(sensor: str, found: NoiseVerdict) -> NoiseVerdict:
-    """Return a verdict on readings that came with their own covariance: no sigma of ours would change them."""
+    """Return a verdict on readings that bring their own covariance, which no sigma of robot.toml changes."""
     if found.scale is None or found.verdict not in {"understated", "overstated", "correlated"}:
         return found
     times = f"{rounded(max(found.scale, 1.0 / found.scale)):g} times"
@@ -143,12 +143,12 @@ def of_messages(sensor: str, found: NoiseVerdict) -> NoiseVerdict:
 
 
 def biased_against(sensor: str, settings: Any, h: Heard) -> NoiseVerdict:
-    """Complain about a mean that is off a run that does not use the sensor."""
+    """Report a mean that differs from a run that does not use the sensor."""
     return biased(sensor, settings, h.bias or 0.0, h.sure, math.sqrt(h.white / h.readings))
 
 
 def biased(sensor: str, settings: Any, bias: float, sure: float, drawn: float) -> NoiseVerdict:
-    """Complain about a mean that is off; `bias` is measured minus predicted [rad or m], `sure` its sigma.
+    """Report a mean that is off; `bias` is measured minus predicted [rad or m], `sure` its sigma.
 
     A mean that is known less exactly than the readings' own noise would allow (`drawn`) has another's error in it,
     which is the same in every reading: set as exact, it would pull the estimate with all their weight. So the fix
@@ -169,7 +169,7 @@ def biased(sensor: str, settings: Any, bias: float, sure: float, drawn: float) -
 
 
 def _accepts(settings: Any, key: str, value: float) -> bool:
-    """Whether settings allow a value beside the others: a camera that takes no mount takes no sigma of it."""
+    """Return whether settings allow a value beside the others; without mount states they have no sigmas."""
     try:
         type(settings)(**{**asdict(settings), key: value})
     except ValueError:
@@ -178,13 +178,13 @@ def _accepts(settings: Any, key: str, value: float) -> bool:
 
 
 def contradicting(sensor: str, others: Sequence[str]) -> NoiseVerdict:
-    """Complain about sensors of which nobody can say which is wrong."""
+    """Report sensors that contradict each other where the wrong one is unknown."""
     words = f"{sensor} and {' and '.join(others)} contradict each other; no other sensor can tell which is wrong"
     return NoiseVerdict("contradicts", words)
 
 
 def correlated(sensor: str, settings: Any, sigma: float, repeats: float, period: float) -> NoiseVerdict:
-    """Complain about slow errors: `sigma` [rad or m], repeating over so many readings."""
+    """Report slow errors: `sigma` [rad or m], correlated over so many readings."""
     memory = repeats * period
     amount, unit = _human(sigma, sensor)
     key = REGISTRY[sensor].noise_keys[0]
@@ -210,7 +210,7 @@ def wanders(sensor: str, o: Own) -> NoiseVerdict:
 
 
 def many_refused(sensor: str, share: float) -> bool:
-    """Return whether this share of a sensor's readings is more than may be refused; of lines people cause many."""
+    """Return whether too large a share of a sensor's readings is rejected; for lines, people cause many."""
     return share > (MAX_REFUSED_LINE_SHARE if _sees_lines(sensor) else MAX_REFUSED_SHARE)
 
 
@@ -219,7 +219,7 @@ def _sees_lines(sensor: str) -> bool:
 
 
 def by_share(sensor: str, share: float, rest: NoiseVerdict) -> NoiseVerdict:
-    """Say that many readings are refused, unless their noise is understated anyway."""
+    """Report that many readings are rejected, unless their noise is understated anyway."""
     if not many_refused(sensor, share) or rest.verdict == "understated":
         return rest
     if _sees_lines(sensor):
@@ -243,7 +243,7 @@ def _human(value: float, sensor: str) -> tuple[float, str]:
 
 
 def rounded(value: float) -> float:
-    """Return a number with two digits that mean something."""
+    """Return a number with two significant digits."""
     return float(f"{value:.2g}")
 
 

@@ -1,4 +1,4 @@
-"""A path judged by its own scans, where there is no truth: do places seen twice agree, and is the map crisp?
+"""A path judged by its own scans, without truth: do places seen twice agree, and is the map crisp?
 
 Revisit agreement: of the scans at places that the path has been at before, the share of points that lie on what
 was seen then. Crispness: in how many cells the points of all scans fall; of two paths of one drive the better one
@@ -29,7 +29,7 @@ BETTER, GOOD = 0.2, 0.7  # by how much agreement must rise, or what it must be, 
 
 
 class Distance(msgspec.Struct, frozen=True):
-    """How far two paths of one drive lie apart, laid on each other as a whole (SE(2))."""
+    """The distance between two paths of one drive after rigid alignment (SE(2))."""
 
     rms: float  # m
     max: float  # m
@@ -37,23 +37,23 @@ class Distance(msgspec.Struct, frozen=True):
 
     @classmethod
     def between(cls, t: Array, a: Array, b: Array) -> Distance:
-        """Return that of the places a and b (n, 2) [m] at the instants t (n,)."""
+        """Return the distance of the paths a and b (n, 2) [m] at the instants t (n,)."""
         turn, _ = se2.laid_on(a, b)
         p, q = a - a.mean(axis=0), b - b.mean(axis=0)
         off = np.hypot(*(se2.rotated(np.full(len(p), turn), p) - q).T)
         return cls(float(np.sqrt((off**2).mean())), float(off.max()), float(t[off.argmax()]))
 
     def doubted(self, way: float) -> bool:
-        """Return whether the paths differ by more than is plausible over this distance driven [m]."""
+        """Return whether the paths differ by more than is plausible for this distance driven [m]."""
         return self.max > max(DOUBT_M, DOUBT_SHARE * way)
 
     def contradicts(self, a: float, b: float) -> bool:
-        """Return whether the paths lie further apart than both claim, by their standard deviations [m]."""
+        """Return whether the paths differ by more than their standard deviations [m] allow."""
         return self.rms > max(MAX_APART_SIGMAS * float(np.hypot(a, b)), MIN_APART_M)
 
 
 class OwnScans(msgspec.Struct, frozen=True):
-    """Scans along a drive, the same for every path that is judged by them."""
+    """Scans along a drive that judge every path of it."""
 
     t: Array  # (k,) s
     instants: Ints  # (k,) of the drive
@@ -61,7 +61,7 @@ class OwnScans(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, drive: Drive) -> OwnScans | None:
-        """Return those of a drive; None without a laser whose points are known."""
+        """Return the scans of a drive; None without a laser whose points can be read."""
         m = drive.measurements.get(LASER)
         if m is None or m.points is None or not len(m.t):
             return None
@@ -72,7 +72,7 @@ class OwnScans(msgspec.Struct, frozen=True):
         return cls(drive.t[instants[chosen]], instants[chosen], list(m.points.read(chosen)))
 
     def judge(self, e: Estimates) -> tuple[float | None, int, float]:
-        """Return revisit agreement (0 to 1, None: nothing is revisited), cells, and how often scans overlap."""
+        """Return revisit agreement (0 to 1; None without revisits), cells, and how often scans overlap."""
         pose = e.pose[self.instants]
         placed = [
             se2.transform(np.broadcast_to(x, (len(p), 3)), p) for x, p in zip(pose, self.points, strict=True)
@@ -97,14 +97,14 @@ class OwnScans(msgspec.Struct, frozen=True):
 
 
 def _cells(placed: list[Array]) -> tuple[int, float]:
-    """Return in how many cells the points fall, and how many cells of single scans there are for each."""
+    """Return the number of cells that hold points, and the cells of single scans for each of them."""
     cells = [np.unique(np.floor(p / CELL_M).astype(np.int64) @ (1 << 32, 1)) for p in placed]
     every = len(np.unique(np.concatenate([np.zeros(0, np.int64), *cells])))
     return every, sum(len(c) for c in cells) / max(every, 1)
 
 
 def are_contradictory(a: Estimates, b: Estimates) -> bool:
-    """Return whether estimates at the same instants lie further apart than both claim: one of them is wrong."""
+    """Return whether estimates at the same instants differ by more than their sigmas: then one is wrong."""
     return Distance.between(a.t, a.pose[:, :2], b.pose[:, :2]).contradicts(_claimed(a), _claimed(b))
 
 
@@ -114,14 +114,14 @@ def _claimed(e: Estimates) -> float:
 
 
 def is_better(before: float | None, after: float | None) -> bool:
-    """Return whether agreement where places were seen twice proves a path to be the better one."""
+    """Return whether agreement at places seen twice shows that a path is the better one."""
     if before is None or after is None:
         return False
     return after >= before + BETTER or (after >= GOOD and after >= before)
 
 
 class Own(msgspec.Struct, frozen=True):
-    """What a drive's own scans say of one estimate."""
+    """Figures of one estimate by the drive's own scans."""
 
     revisit_agreement: float | None
     crispness_cells: int | None
@@ -140,7 +140,7 @@ class Own(msgspec.Struct, frozen=True):
 def judged_by_scans(
     drive: Drive, estimates: Sequence[Estimates], smoothed: Mapping[str, Estimates]
 ) -> dict[str, Own]:
-    """Return what the laser's scans say of estimates at the instants of a drive, by name.
+    """Return the figures by the laser's scans for estimates at the instants of a drive, by name.
 
     `smoothed` are the smoothed estimates of those that have one, by the name of the estimate that they smooth.
     """

@@ -1,4 +1,4 @@
-"""Judging configurations without truth: how well does each predict the sensors that it leaves out?
+"""Judging configurations without truth: how well does each predict the sensors that it does not use?
 
 A configuration runs while the other sensors listen (`fuse(..., listen=...)`): each reading is compared with what
 the pose, its covariance and that sensor's own map or offset predict, and scored by the logarithm of the
@@ -45,7 +45,7 @@ class Score(msgspec.Struct, frozen=True):
 
 
 class Ranked(msgspec.Struct, frozen=True):
-    """One configuration's place."""
+    """The rank of one configuration."""
 
     configuration: str
     gain: float | None  # mean over the sensors that listened; None where the configuration has no place
@@ -54,7 +54,7 @@ class Ranked(msgspec.Struct, frozen=True):
 
 
 def listeners(drive: Drive, sensors: Sequence[str]) -> dict[str, NDArray[np.bool_]]:
-    """Return what listens while a configuration of `sensors` is tried: flags per reading, for `fuse`.
+    """Return which readings a configuration of `sensors` only listens to: flags per reading, for `fuse`.
 
     Sensors left out listen always. Where none is left out, stretches of STRETCH_S take turns: in the first all
     are used, then one sensor after the other listens.
@@ -118,7 +118,7 @@ def scores_of(drive: Drive, e: Estimates, base: Estimates) -> list[Score]:
 
 
 def mean_density(drive: Drive, e: Estimates, flags: Mapping[str, NDArray[np.bool_]]) -> float | None:
-    """Return the mean log density of what only listened, sensor by sensor [nats per number]; None for nothing."""
+    """Return the mean log density of the sensors that only listened, each in nats per number; None without any."""
     means = []
     for sensor in (s for s in e.audits if s in flags):
         m = drive.measurements[sensor]
@@ -130,7 +130,7 @@ def mean_density(drive: Drive, e: Estimates, flags: Mapping[str, NDArray[np.bool
 
 
 def ranking(found: Sequence[Score], configurations: Sequence[str]) -> list[Ranked]:
-    """Return configurations from the best predictor to the worst; those without a place come last.
+    """Return configurations from the best predictor to the worst; those without a rank come last.
 
     Places go by sensors left out. A configuration that leaves none out has a place only where no other way of
     comparing is left: where the log has a single sensor.
@@ -145,7 +145,7 @@ def ranking(found: Sequence[Score], configurations: Sequence[str]) -> list[Ranke
 
 
 def contradictions(found: Sequence[Score], alone: Mapping[str, str]) -> list[tuple[str, str]]:
-    """Return pairs of sensors of which one surely makes the prediction of the other worse than odometry's.
+    """Return pairs of sensors of which one certainly makes the prediction of the other worse than odometry's.
 
     `alone` names the configuration that uses a sensor alone.
     """
@@ -163,7 +163,7 @@ def contradictions(found: Sequence[Score], alone: Mapping[str, str]) -> list[tup
 
 
 def _later(audit: Audit, rows: int) -> NDArray[np.bool_]:
-    """Whether a row comes after the first reading, which only starts its sensor's own map or offset."""
+    """Whether a row comes after the first reading, which only initialises its sensor's own map or offset."""
     out = np.ones(rows, dtype=bool)
     if len(audit.instant):
         out[audit.row[audit.instant == audit.instant[0]]] = False

@@ -32,7 +32,7 @@ class Effect(msgspec.Struct, frozen=True):
 def verdict(
     shapley: Effect | None, alone: Effect | None, last: Effect | None, anees: tuple[float, float] | None
 ) -> Verdict:
-    """Return the grade of a sensor; "no verdict" where nothing was compared.
+    """Return the grade of a sensor; "no verdict" if nothing was compared.
 
     Helps or hurts: the interval of the effect excludes none (or the set is surely better off without the sensor).
     Seems to: the effect is large and its interval includes none. The filter's own covariance has a veto where it
@@ -56,12 +56,12 @@ def verdict(
 
 
 def overconfident(anees: tuple[float, float] | None) -> bool:
-    """Return whether adding a sensor, ANEES (without, with), makes the filter claim far more than it knows."""
+    """Return whether adding a sensor, ANEES (without, with), makes the filter much more overconfident."""
     return anees is not None and anees[1] > max(MAX_ANEES, MAX_ANEES_RATIO * anees[0])
 
 
 def _surely(effect: Effect, sign: float) -> bool:
-    """Whether an effect of this sign matters and its interval excludes none, twice where nothing is expected.
+    """Whether an effect of this sign matters and its interval excludes none (twice, if no effect is expected).
 
     The filter itself takes little from a sensor that its covariances expect little of: there chance is the
     likelier reason for an effect, and 1 in 20 would be too often.

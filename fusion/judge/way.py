@@ -63,7 +63,7 @@ def directions(t: Array, xy: Array, segments: Ints) -> Array:
 
 
 def noise_of(t: Array, xy: Array, segments: Ints) -> float:
-    """Return the standard deviation [m, per axis] of what varies in a path (q, 2) faster than MAX_NOISE_S.
+    """Return the standard deviation [m, per axis] of changes in a path (q, 2) that are faster than MAX_NOISE_S.
 
     By divided differences of six readings, scaled so that white noise keeps its size: of neighbours, and of
     readings further apart, since noise may last. The median ignores where the robot starts and stops.

@@ -13,5 +13,5 @@ if not cython.compiled:
 
 
 def wrapped(angle: float) -> float:
-    """Return the angle in [-pi, pi), NaN where it is no number."""
+    """Return the angle in [-pi, pi); NaN stays NaN."""
     return (angle + pi) - 2.0 * pi * floor((angle + pi) / (2.0 * pi)) - pi

@@ -19,6 +19,11 @@ def wholes(*shape: int) -> Ints:
     return cast("Ints", memoryview(cast("Any", np.zeros(shape, np.intp))))
 
 
+def memory(values: Any) -> Any:
+    """Return the memory of an array, as it is."""
+    return memoryview(values)
+
+
 def view(values: Any, dtype: Any = np.float64) -> Any:
-    """Return an array as it lies in memory: itself where its rows follow each other, else a copy."""
+    """Return an array as contiguous memory: itself if it is contiguous, else a copy."""
     return memoryview(np.require(values, dtype, ["C", "W"]))

@@ -26,7 +26,6 @@ cdef class Loosening:
     cdef double[::1] by
     cdef readonly Py_ssize_t count
     cdef void add(self, Py_ssize_t column, double variance)
-    @cython.locals(i=Py_ssize_t)
     cpdef listed(self)
 
 cdef class State:
@@ -42,77 +41,44 @@ cdef class State:
 
     @cython.locals(n=Py_ssize_t, i=Py_ssize_t, j=Py_ssize_t, states=Py_ssize_t, at=Py_ssize_t, by=double, ux=double, uy=double, turn=double, dx=double, dy=double)
     cpdef void move(self, Steps steps, Py_ssize_t k)
-    @cython.locals(d=Py_ssize_t, states=Py_ssize_t, first=Py_ssize_t, a=Py_ssize_t, j=Py_ssize_t, w=Py_ssize_t, by_x=double, by_y=double, by_theta=double, found=Innovation)
+    @cython.locals(d=Py_ssize_t, states=Py_ssize_t, first=Py_ssize_t, a=Py_ssize_t, j=Py_ssize_t, found=Innovation)
     cpdef Innovation compare(
         self, Py_ssize_t row, object y, object H, object R, double threshold, object columns=*, object H_block=*,
-        Py_ssize_t landmark=*, Py_ssize_t verdict=*, bint in_map=*)
+        bint in_map=*)
+    @cython.locals(w=Py_ssize_t, j=Py_ssize_t, by_x=double, by_y=double, by_theta=double)
+    cdef object write_row(self, Py_ssize_t k, object H, object columns, object H_block, bint in_map)
     cdef object room_for(self, Py_ssize_t rows, Py_ssize_t columns)
     cdef Py_ssize_t put(self, Py_ssize_t k, Py_ssize_t w, Py_ssize_t column, double h)
-    @cython.locals(turn=double, c=double, s=double)
     cdef Py_ssize_t derive(self, Py_ssize_t k, double by_x, double by_y, double by_theta, bint in_map)
-    @cython.locals(G=Py_ssize_t, c=double, s=double, rx=double, ry=double)
     cdef Py_ssize_t derive_frame(self, Py_ssize_t k, Py_ssize_t w, double by_x, double by_y, double by_theta)
     @cython.locals(total=double, v=double, i=Py_ssize_t, j=Py_ssize_t, at=Py_ssize_t)
     cdef double covariance_of(self, Py_ssize_t a, Py_ssize_t b)
     @cython.locals(total=double, nis=double, greatest=double, share=double, v=double, a=Py_ssize_t, b=Py_ssize_t, i=Py_ssize_t, j=Py_ssize_t, k=Py_ssize_t)
     cdef double judge(self, Py_ssize_t first, Py_ssize_t d) except? -1.0
-    @cython.locals(variance=double)
     cdef double sigma_of(self, Py_ssize_t a)
-    @cython.locals(k=Py_ssize_t, w=Py_ssize_t, by_x=double, by_y=double, by_theta=double)
-    cpdef double variance(self, object H, bint in_map=*) except? -1.0
-    @cython.locals(total=double, h=double, by=double, i=Py_ssize_t, j=Py_ssize_t, k=Py_ssize_t, at=Py_ssize_t, column=Py_ssize_t)
-    cpdef double variance_of(self, object columns, object H) except? -1.0
+    cpdef double variance(self, object H, object columns=*, object H_block=*, bint in_map=*) except? -1.0
     cpdef void begin(self)
-    @cython.locals(k=Py_ssize_t)
     cpdef void queue_rows(self, Py_ssize_t first, Py_ssize_t rows)
     cpdef void loosen_row(self, Py_ssize_t k, double variance)
-    @cython.locals(n=Py_ssize_t, m=Py_ssize_t, i=Py_ssize_t, j=Py_ssize_t, k=Py_ssize_t, greatest=double, lower=double, root=double)
     cpdef double whiten(self, Py_ssize_t begin, Py_ssize_t end)
     @cython.locals(n=Py_ssize_t, i=Py_ssize_t, j=Py_ssize_t, k=Py_ssize_t, q=Py_ssize_t, r=Py_ssize_t, row=Py_ssize_t, greatest=double, h=double)
     cdef double project(self, Py_ssize_t begin, Py_ssize_t m)
-    @cython.locals(i=Py_ssize_t, j=Py_ssize_t, k=Py_ssize_t)
     cdef bint factor(self, Py_ssize_t m)
-    @cython.locals(m=Py_ssize_t, G=Py_ssize_t, greatest=double)
     cpdef object correct_queued(self)
-    @cython.locals(n=Py_ssize_t, i=Py_ssize_t, j=Py_ssize_t, k=Py_ssize_t, a=double, b=double, c=double, d=double, least=double)
     cdef void correct_all(self, Py_ssize_t m)
-    @cython.locals(n=Py_ssize_t, i=Py_ssize_t, j=Py_ssize_t, k=Py_ssize_t, a=double, least=double)
     cdef void correct_some(self, Py_ssize_t m)
-    @cython.locals(j=Py_ssize_t)
     cdef void mirror(self, Py_ssize_t i, Py_ssize_t first, double least)
-    @cython.locals(nis=double, k=Py_ssize_t)
     cpdef double fit(self, Py_ssize_t rows)
-    @cython.locals(G=Py_ssize_t, n=Py_ssize_t, i=Py_ssize_t, j=Py_ssize_t)
     cpdef void turn_frame(self, double dx, double dy)
-    @cython.locals(i=Py_ssize_t)
     cpdef void loosen_states(self, Loosening these)
-    @cython.locals(n=Py_ssize_t, i=Py_ssize_t, j=Py_ssize_t)
     cpdef void copy_pose(self, Py_ssize_t column, Py_ssize_t first, Py_ssize_t states)
-    @cython.locals(k=Py_ssize_t, first=Py_ssize_t, a=Py_ssize_t, b=Py_ssize_t)
     cpdef object replace(self, object columns, object values, object G)
-    @cython.locals(n=Py_ssize_t, a=Py_ssize_t, b=Py_ssize_t, i=Py_ssize_t)
     cdef void turn_rows(self, Py_ssize_t first, Py_ssize_t k)
     cpdef double value(self, Py_ssize_t column)
-    @cython.locals(G=Py_ssize_t)
-    cpdef double x_in_map(self)
-    @cython.locals(G=Py_ssize_t)
-    cpdef double y_in_map(self)
-    cpdef double heading(self, bint in_map)
     cpdef pose(self)
-    @cython.locals(r=Py_ssize_t)
+    cpdef pose_in_map(self)
     cpdef located(self, bint in_map=*)
-    @cython.locals(o=Py_ssize_t, a=Py_ssize_t, b=Py_ssize_t, t=Py_ssize_t, e=double)
     cdef void locate(self, bint in_map)
-    @cython.locals(o=Py_ssize_t, n=Py_ssize_t, j=Py_ssize_t)
     cpdef void note(self, Py_ssize_t k, Track track)
-
-cdef class InMap:
-    cdef readonly State belief
-    cpdef double value(self, Py_ssize_t column)
-    cpdef located(self)
-    cpdef double variance(self, object H) except? -1.0
-    cpdef Innovation compare(
-        self, Py_ssize_t row, object y, object H, object R, double threshold, object columns=*, object H_block=*,
-        Py_ssize_t landmark=*, Py_ssize_t verdict=*)
 
 cpdef double bent(double tt)

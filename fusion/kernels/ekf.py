@@ -1,4 +1,4 @@
-"""The filter's state with its two hot verbs: predict (paper eq. 5-7) and correct (eq. 10-12), and what they need.
+"""The filter's state with its two inner loops: predict (paper eq. 5-7) and correct (eq. 10-12).
 
 The mean (n,) begins with the pose: x [m], y [m], theta [rad, not wrapped]. P (n, n) is its covariance; both
 halves are kept. The arrays may have room for more states than there are; `fusion.ekf.belief` owns and grows them.
@@ -12,6 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any
+
+from .arrays import memory
 
 try:
     import cython
@@ -31,15 +33,10 @@ MIN_KEPT_SHARE = 1e-14  # a correction leaves at least this share of a variance:
 class Steps:
     """Relative motions by the wheels: step k leads to instant k; the arrays begin with step `first`."""
 
-    u: Any
-    Q: Any
-    dt: Any
-    J: Any
-
     def __init__(self, u: Any, Q: Any, dt: Any, J: Any, first: int = 0) -> None:
         """U (s, 3) [m, m, rad], Q (s, 9), dt (s,) [s]; J (s, 3 p) is d u/d(wheel parameters), row by row."""
-        self.u, self.Q = memoryview(u), memoryview(Q)
-        self.dt, self.J, self.first = memoryview(dt), memoryview(J), first
+        self.u, self.Q = memory(u), memory(Q)
+        self.dt, self.J, self.first = memory(dt), memory(J), first
 
     def of(self, k: int) -> tuple[float, float, float]:
         """Return the relative motion x, y [m], theta [rad] that leads to instant k."""
@@ -57,31 +54,21 @@ class Steps:
 
 
 class Track:
-    """Where the pose, its covariance and some states are recorded, one row for each instant."""
-
-    pose: Any
-    triangle: Any
-    values: Any
-    states: Any
+    """The record of the pose, its covariance and some states, one row for each instant."""
 
     def __init__(self, pose: Any, triangle: Any, values: Any, states: Any) -> None:
         """Pose (n, 3), triangle (n, 6), values (n, 2 b): the `states` (b,), then their variances."""
-        self.pose, self.triangle, self.values = memoryview(pose), memoryview(triangle), memoryview(values)
-        self.states = memoryview(states)
+        self.pose, self.triangle, self.values = memory(pose), memory(triangle), memory(values)
+        self.states = memory(states)
 
 
 class Innovation:
-    """One measurement against the belief: y = z - h(x), judged. Its rows of H and R stand in the state's table."""
+    """One measurement against the belief: y = z - h(x) and NIS. Its rows of H and R are in the state's table.
 
-    row: int  # in Measurements.z; -1: no measurement, but something known of states
-    verdict: int  # index into VERDICTS
-    landmark: int  # id of the map feature, -1 for none
-    nis: float  # y' S^-1 y
-    threshold: float  # of the gate
-    y: Sequence[float]  # (d,)
-    sigma: Sequence[float]  # (d,) square roots of the diagonal of S
-    first: int  # row of the table, -1: it was compared with nothing
-    numbers: int  # d
+    `row` in Measurements.z (-1: something known of states), `verdict` (index into VERDICTS), `landmark` (id of the
+    map feature, -1 for none), `nis` y' S^-1 y and `threshold` of the gate, y (d,) and sigma (d,), the square roots
+    of the diagonal of S; its `first` row of the table (-1: it was compared with nothing) and `numbers` d.
+    """
 
     def __init__(
         self, row: int, verdict: int, landmark: int, nis: float, threshold: float, y: Any, sigma: Any
@@ -91,23 +78,20 @@ class Innovation:
 
     @staticmethod
     def unpredicted(row: int, verdict: int, d: int, threshold: float) -> Innovation:
-        """Return the record of a measurement of d numbers that was compared with nothing: all NaN."""
+        """Return the record of a measurement of d numbers without a prediction: all NaN."""
         none = (NAN,) * d
         return Innovation(row, verdict, -1, NAN, threshold, none, none)
 
 
 class Loosening:
-    """States that are to be loosened, and by which variances: the first `count` for which there is room."""
-
-    at: Any
-    by: Any
+    """States that gain variance, and how much: the first `count` of the columns."""
 
     def __init__(self, at: Any, by: Any) -> None:
         """State columns at (m,), variances by (m,)."""
-        self.at, self.by, self.count = memoryview(at), memoryview(by), 0
+        self.at, self.by, self.count = memory(at), memory(by), 0
 
     def add(self, column: int, variance: float) -> None:
-        """Let one more state be loosened."""
+        """Add one state and its variance."""
         self.at[self.count], self.by[self.count] = column, variance
         self.count += 1
 
@@ -117,29 +101,12 @@ class Loosening:
 
 
 class State:
-    """Mean and covariance of the filter, and the rows of the equation of one instant."""
+    """Mean and covariance of the filter, and the rows of the equation of one instant.
 
-    n: int  # how many states there are
-    frame: int  # first column of the map frame, -1 without one
-    wheels: int  # first column of the wheel parameters, -1 where they are no states
-    written: int  # rows in the table
-    queued: int  # of them, that will correct the state
-    keeps: bool  # whether some states are kept: they count and are never corrected
-    mean: Any  # (size,)
-    P: Any  # (size, size)
-    kept: Any  # (size,) 1 for such states
-    row_at: Any  # (m, states of a row) state columns, row by row
-    row_H: Any  # (m, states of a row) derivatives
-    row_count: Any  # (m,) how many of these
-    row_y: Any  # (m,)
-    row_R: Any  # (m, m), its lower half
-    queued_rows: Any  # (m,) which rows are queued, in order
-    V: Any  # (m + 4, size) room to work in, as are:
-    S: Any  # (m, m)
-    e: Any  # (m,)
-    small: Any  # (16, 16)
-    drift_at: Any  # (k,) states that drift
-    drift_by: Any  # (k,) their variance per second
+    There are `n` states. The map frame begins at column `frame`, the wheel parameters at column `wheels`, -1 where
+    there are none. So many rows are `written`, and of these `queued`, which will correct the state. `keeps`: some
+    states are kept.
+    """
 
     def __init__(self) -> None:
         self.n, self.frame, self.wheels = 3, -1, -1
@@ -149,30 +116,30 @@ class State:
     # ---- the arrays, which fusion.ekf.belief owns ----
 
     def hold(self, mean: Any, P: Any, kept: Any) -> None:
-        """Work on mean (size,), P (size, size); kept (size,) marks states that count but are never corrected."""
-        self.mean, self.P, self.kept = memoryview(mean), memoryview(P), memoryview(kept)
+        """Use mean (size,) and P (size, size); kept (size,) marks states that count but are never corrected."""
+        self.mean, self.P, self.kept = memory(mean), memory(P), memory(kept)
 
     def hold_rows(self, at: Any, H: Any, count: Any, y: Any, R: Any) -> None:
-        """Have room for m rows: at and H (m, states of a row), count and y (m,), R (m, m)."""
-        self.row_at, self.row_H, self.row_count = memoryview(at), memoryview(H), memoryview(count)
-        self.row_y, self.row_R = memoryview(y), memoryview(R)
+        """Use these arrays for m rows: at and H (m, states of a row), count and y (m,), R (m, m)."""
+        self.row_at, self.row_H, self.row_count = memory(at), memory(H), memory(count)
+        self.row_y, self.row_R = memory(y), memory(R)
 
     def hold_room(self, V: Any, S: Any, e: Any, queue: Any, small: Any) -> None:
-        """Have room to work in: V (m + 4, size), S (m, m), e (m,), queue (m,), small (16, 16)."""
-        self.V, self.S, self.e = memoryview(V), memoryview(S), memoryview(e)
-        self.queued_rows, self.small = memoryview(queue), memoryview(small)
+        """Use these arrays as scratch: V (m + 4, size), S (m, m), e (m,), queue (m,), small (16, 16)."""
+        self.V, self.S, self.e = memory(V), memory(S), memory(e)
+        self.queued_rows, self.small = memory(queue), memory(small)
 
     def drift(self, columns: Any, variances: Any) -> None:
-        """Let the states `columns` (k,) gain these variances (k,) each second."""
+        """Set the states `columns` (k,) that gain these variances (k,) each second."""
         self.drifting = len(columns)
-        self.drift_at, self.drift_by = memoryview(columns), memoryview(variances)
+        self.drift_at, self.drift_by = memory(columns), memory(variances)
 
     def more_rows(self, rows: int) -> None:
         """Make room for so many rows."""
         raise NotImplementedError
 
     def not_positive(self, greatest: float) -> None:
-        """Raise where an innovation covariance with this greatest variance came out as none."""
+        """Raise an error: an innovation covariance with this greatest variance is not positive definite."""
         raise NotImplementedError
 
     # ---- predict ----
@@ -232,24 +199,16 @@ class State:
 
     def compare(
         self, row: int, y: Sequence[float], H: Any, R: Any, threshold: float, columns: Any = (), H_block: Any = (),
-        landmark: int = -1, verdict: int = -1, in_map: bool = False,
+        in_map: bool = False,
     ) -> Innovation:  # fmt: skip
-        """Write the rows of a measurement and judge them: S = H P H' + R, NIS = y' S^-1 y.
+        """Write the rows of a measurement and compute S = H P H' + R and NIS = y' S^-1 y.
 
         See fusion.sensor.Belief.compare; `in_map`: H (d, 3) is by the pose in the map, not by the local one.
         """
         d, states, first = len(y), len(columns), self.written
         self.room_for(d, states)
         for a in range(d):
-            by_x, by_y, by_theta = H[a]
-            w = self.derive(first + a, by_x, by_y, by_theta, in_map)
-            if states > 0:
-                own = H_block[a]
-                for j in range(states):
-                    w = self.put(first + a, w, columns[j], own[j])
-            if in_map and self.frame >= 0:
-                w = self.derive_frame(first + a, w, by_x, by_y, by_theta)
-            self.row_count[first + a] = w
+            self.write_row(first + a, H[a], columns, H_block[a] if states > 0 else (), in_map)
             noise = R[a]
             for j in range(first):
                 self.row_R[first + a, j] = 0.0
@@ -258,31 +217,39 @@ class State:
             self.row_y[first + a] = y[a]
         self.written = first + d
         found = Innovation.__new__(Innovation)
-        found.row, found.landmark, found.threshold, found.y = row, landmark, threshold, y
+        found.row, found.landmark, found.threshold, found.y = row, -1, threshold, y
         found.first, found.numbers = first, d
         found.nis = self.judge(first, d)
         found.sigma = tuple([self.sigma_of(a) for a in range(d)])
-        found.verdict = verdict
-        if verdict < 0:
-            found.verdict = ACCEPTED if found.nis <= threshold else GATE
+        found.verdict = ACCEPTED if found.nis <= threshold else GATE
         return found
 
+    def write_row(self, k: int, H: Any, columns: Any, H_block: Any, in_map: bool) -> None:
+        """Let row k of the table be one derivative H (3,) by the pose and H_block (c,) by the states `columns`."""
+        by_x, by_y, by_theta = H
+        w = self.derive(k, by_x, by_y, by_theta, in_map)
+        for j in range(len(columns)):
+            w = self.put(k, w, columns[j], H_block[j])
+        if in_map and self.frame >= 0:
+            w = self.derive_frame(k, w, by_x, by_y, by_theta)
+        self.row_count[k] = w
+
     def room_for(self, rows: int, columns: int) -> None:
-        """Make room for so many more rows; none may depend on more states than the table is wide."""
+        """Make room for this many more rows; none may depend on more states than the table has columns."""
         if rows > MAX_NUMBERS or columns + 6 > self.row_H.shape[1]:
             raise ValueError(f"{rows} numbers that depend on {columns} states beside the pose are too many")
         if self.written + rows + 1 > self.row_y.shape[0]:
             self.more_rows(self.written + rows + 1)
 
     def put(self, k: int, w: int, column: int, h: float) -> int:
-        """Let row k depend on a state, its (w + 1)th; return how many these are: a derivative of 0 is none."""
+        """Make row k depend on one more state, its (w + 1)th; return their number. Zeros are left out."""
         if h == 0.0:
             return w
         self.row_at[k, w], self.row_H[k, w] = column, h
         return w + 1
 
     def derive(self, k: int, by_x: float, by_y: float, by_theta: float, in_map: bool) -> int:
-        """Write row k's derivative by the local pose, where it is given by the pose in the map: H_q = H J_q.
+        """Write row k's derivative by the local pose from that by the pose in the map: H_q = H J_q.
 
         Returns how many states it depends on.
         """
@@ -293,7 +260,7 @@ class State:
         return self.put(k, self.put(k, self.put(k, 0, 0, by_x), 1, by_y), 2, by_theta)
 
     def derive_frame(self, k: int, w: int, by_x: float, by_y: float, by_theta: float) -> int:
-        """Write row k's derivative by the map frame, where it is given by the pose in the map: H_G = H J_G."""
+        """Write row k's derivative by the map frame from that by the pose in the map: H_G = H J_G."""
         G = self.frame
         if by_x != 0.0 or by_y != 0.0:  # a heading has no lever
             c, s = cos(self.mean[G + 2]), sin(self.mean[G + 2])
@@ -345,39 +312,24 @@ class State:
         return nis
 
     def sigma_of(self, a: int) -> float:
-        """Return the standard deviation of the number a that was judged last."""
+        """Return the standard deviation of number a of the measurement compared last."""
         variance = self.small[MAX_NUMBERS, a]
         return sqrt(variance) if variance > 0.0 else variance
 
-    def variance(self, H: Sequence[float], in_map: bool = False) -> float:
-        """Return H P H' for one derivative H (3,) by the pose."""
-        self.room_for(1, 0)
-        k = self.written
-        by_x, by_y, by_theta = H
-        w = self.derive(k, by_x, by_y, by_theta, in_map)
-        if in_map and self.frame >= 0:
-            w = self.derive_frame(k, w, by_x, by_y, by_theta)
-        self.row_count[k] = w
-        return max(self.covariance_of(k, k), 0.0)
-
-    def variance_of(self, columns: Sequence[int], H: Sequence[float]) -> float:
-        """Return H P H' for one derivative H (k,) by the states `columns` (k,)."""
-        total, k = 0.0, len(columns)
-        for i in range(k):
-            at, h = columns[i], H[i]
-            for j in range(k):
-                column, by = columns[j], H[j]
-                total += h * by * self.P[at, column]
-        return max(total, 0.0)
+    def variance(self, H: Any, columns: Any = (), H_block: Any = (), in_map: bool = False) -> float:
+        """Return H P H' for one derivative H (3,) by the pose and H_block (c,) by the states `columns` (c,)."""
+        self.room_for(1, len(columns))
+        self.write_row(self.written, H, columns, H_block, in_map)
+        return max(self.covariance_of(self.written, self.written), 0.0)
 
     # ---- correct ----
 
     def begin(self) -> None:
-        """Begin the equation of an instant: no rows."""
+        """Start the equation of an instant, without rows."""
         self.written = self.queued = 0
 
     def queue_rows(self, first: int, rows: int) -> None:
-        """Let rows of the table correct the state, behind those that are queued."""
+        """Queue rows of the table as corrections of the state."""
         for k in range(rows):
             self.queued_rows[self.queued + k] = first + k
         self.queued += rows
@@ -444,7 +396,7 @@ class State:
         return True
 
     def correct_queued(self) -> None:
-        """Eq. 10-12 by all queued rows; what is known of the frame's place follows its correction (`turn_frame`).
+        """Eq. 10-12 by all queued rows; the covariance of the frame follows its correction (`turn_frame`).
 
         `frame_x` and `frame_y` say afterwards by how much the frame's place moved [m].
         """
@@ -487,7 +439,7 @@ class State:
             self.mirror(i, i, least)
 
     def correct_some(self, m: int) -> None:
-        """The same by Schmidt: states that are kept count, but neither they nor their covariance change."""
+        """The same for Schmidt-Kalman: considered states count, but neither they nor their covariance change."""
         n = self.n
         for j in range(n):
             for k in range(0 if self.kept[j] else m):
@@ -504,21 +456,21 @@ class State:
             self.mirror(i, 0, least)
 
     def mirror(self, i: int, first: int, least: float) -> None:
-        """Let column i be what row i is from column `first` on, and variance i at least `least`."""
+        """Copy row i to column i from column `first` on, and keep variance i at `least` or more."""
         if self.P[i, i] < least:
             self.P[i, i] = least
         for j in range(first, self.n):
             self.P[j, i] = self.P[i, j]
 
     def fit(self, rows: int) -> float:
-        """Return y' S^-1 y of the first rows that were whitened last, as a whole."""
+        """Return y' S^-1 y of the rows that were whitened last, together."""
         nis = 0.0
         for k in range(rows):
             nis += self.e[k] * self.e[k]
         return nis
 
     def turn_frame(self, dx: float, dy: float) -> None:
-        """Let the uncertainty of the map frame's place follow its correction by (dx, dy) [m].
+        """Let the covariance of the map frame follow its correction by (dx, dy) [m].
 
         A turn of the map about a point of it is what nobody has observed yet, and the frame's place is where that
         turn takes it: with the place moves the direction in which it takes it, rows x, y += (-dy, dx) row Th.
@@ -540,7 +492,7 @@ class State:
     # ---- clone and look ----
 
     def copy_pose(self, column: int, first: int, states: int) -> None:
-        """Let so many states from `column` on be those from `first` on as they are now (stochastic cloning)."""
+        """Copy the states from `first` on into this many states from `column` on (stochastic cloning)."""
         n = self.n
         for i in range(states):
             self.mean[column + i] = self.mean[first + i]
@@ -551,7 +503,7 @@ class State:
                 self.P[i, column + j] = self.P[i, first + j]
 
     def replace(self, columns: Any, values: Any, G: Any) -> None:
-        """Let states (k,) be functions of themselves: x <- values, P <- T P T', T the unit but for G (k, k)."""
+        """Replace states (k,) by functions of states: x <- values, P <- T P T', T the identity plus G (k, k)."""
         k, first = len(columns), self.written
         self.room_for(k, k)  # behind the rows of the equation
         for a in range(k):
@@ -563,7 +515,7 @@ class State:
             self.mean[self.row_at[first, a]] = values[a]
 
     def turn_rows(self, first: int, k: int) -> None:
-        """P <- T P T', where T is the unit but for the k rows of the table from `first` on."""
+        """P <- T P T', T the identity except for the k rows of the table from `first` on."""
         n = self.n
         for i in range(n):
             for a in range(k):
@@ -600,84 +552,62 @@ class State:
         """Return the state at a column."""
         return self.mean[column]
 
-    def x_in_map(self) -> float:
-        """Return x of the pose in the map [m]."""
-        G = self.frame
-        return (
-            self.mean[0]
-            if G < 0
-            else self.mean[G] + cos(self.mean[G + 2]) * self.mean[0] - sin(self.mean[G + 2]) * self.mean[1]
-        )
-
-    def y_in_map(self) -> float:
-        """Return y of the pose in the map [m]."""
-        G = self.frame
-        return (
-            self.mean[1]
-            if G < 0
-            else self.mean[G + 1] + sin(self.mean[G + 2]) * self.mean[0] + cos(self.mean[G + 2]) * self.mean[1]
-        )
-
-    def heading(self, in_map: bool) -> float:
-        """Return the heading, local or in the map [rad, not wrapped]."""
-        return self.mean[2] + self.mean[self.frame + 2] if in_map and self.frame >= 0 else self.mean[2]
-
     def pose(self) -> tuple[float, float, float]:
         """Return the local pose x, y [m], theta [rad]."""
         return self.mean[0], self.mean[1], self.mean[2]
 
-    def located(self, in_map: bool = False) -> tuple[Any, Any]:
-        """Return the pose, local or in the map, and its covariance's upper triangle xx, xy, xt, yy, yt, tt."""
-        self.locate(in_map)
-        r = MAX_NUMBERS + 2
-        return (
-            (self.small[r, 0], self.small[r, 1], self.small[r, 2]),
-            (
-                self.small[r, 3],
-                self.small[r, 4],
-                self.small[r, 5],
-                self.small[r, 6],
-                self.small[r, 7],
-                self.small[r, 8],
-            ),
+    def pose_in_map(self) -> tuple[float, float, float]:
+        """Return the pose in the map x, y [m], theta [rad, not wrapped]."""
+        G = self.frame
+        if G < 0:
+            return self.mean[0], self.mean[1], self.mean[2]
+        c, s = cos(self.mean[G + 2]), sin(self.mean[G + 2])
+        x, y = (
+            self.mean[G] + c * self.mean[0] - s * self.mean[1],
+            self.mean[G + 1] + s * self.mean[0] + c * self.mean[1],
         )
+        return x, y, self.mean[2] + self.mean[G + 2]
+
+    def located(self, in_map: bool = False) -> tuple[Any, Any]:
+        """Return the pose (local or in the map) and its covariance's upper triangle xx, xy, xt, yy, yt, tt."""
+        self.locate(in_map)
+        found = [self.small[MAX_NUMBERS + 2, j] for j in range(9)]
+        return tuple(found[:3]), tuple(found[3:])
 
     def locate(self, in_map: bool) -> None:
-        """Write pose and covariance triangle, local or seen from the map, where the frame G lies.
+        """Write pose and covariance triangle, local, or in the map if there is a frame G.
 
         p = G o q has the covariance J_q P J_q' + J_q C J_G' + J_G C' J_q' + J_G P_G J_G' + bent r r', where
         C = cov(q, G), with the derivatives of fusion.ekf.map_frame.
         """
-        o = MAX_NUMBERS + 2
+        o, P, small = MAX_NUMBERS + 2, self.P, self.small
+        qx, qy, qt = self.mean[0], self.mean[1], self.mean[2]
         if not in_map or self.frame < 0:
-            self.small[o, 0], self.small[o, 1], self.small[o, 2] = self.mean[0], self.mean[1], self.mean[2]
-            self.small[o, 3], self.small[o, 4], self.small[o, 5] = self.P[0, 0], self.P[0, 1], self.P[0, 2]
-            self.small[o, 6], self.small[o, 7], self.small[o, 8] = self.P[1, 1], self.P[1, 2], self.P[2, 2]
+            small[o, 0], small[o, 1], small[o, 2] = qx, qy, qt
+            small[o, 3], small[o, 4], small[o, 5] = P[0, 0], P[0, 1], P[0, 2]
+            small[o, 6], small[o, 7], small[o, 8] = P[1, 1], P[1, 2], P[2, 2]
             return
         a, b, t = self.frame, self.frame + 1, self.frame + 2
         c, s = cos(self.mean[t]), sin(self.mean[t])
-        rx, ry = c * self.mean[0] - s * self.mean[1], s * self.mean[0] + c * self.mean[1]
-        self.small[o, 0] = self.mean[a] + c * self.mean[0] - s * self.mean[1]
-        self.small[o, 1], self.small[o, 2] = (
-            self.mean[b] + s * self.mean[0] + c * self.mean[1],
-            self.mean[t] + self.mean[2],
-        )
-        cc, cs, ss, e = c * c, c * s, s * s, bent(self.P[t, t])
+        rx, ry = c * qx - s * qy, s * qx + c * qy
+        small[o, 0] = self.mean[a] + c * qx - s * qy
+        small[o, 1], small[o, 2] = self.mean[b] + s * qx + c * qy, self.mean[t] + qt
+        cc, cs, ss, e = c * c, c * s, s * s, bent(P[t, t])
         # J_q C, then times J_G': the columns of x and y take -ry and rx times the column of Th
-        at, bt, tt = c * self.P[0, t] - s * self.P[1, t], s * self.P[0, t] + c * self.P[1, t], self.P[2, t]
-        ax, ay = c * self.P[0, a] - s * self.P[1, a] - ry * at, c * self.P[0, b] - s * self.P[1, b] + rx * at
-        bx, by = s * self.P[0, a] + c * self.P[1, a] - ry * bt, s * self.P[0, b] + c * self.P[1, b] + rx * bt
-        tx, ty = self.P[2, a] - ry * tt, self.P[2, b] + rx * tt
-        gxt, gyt, gtt = self.P[a, t], self.P[b, t], self.P[t, t]
-        self.small[o, 3] = cc * self.P[0, 0] - 2.0 * cs * self.P[0, 1] + ss * self.P[1, 1] + 2.0 * ax
-        self.small[o, 3] += self.P[a, a] - 2.0 * ry * gxt + ry * ry * gtt + e * rx * rx
-        self.small[o, 4] = cs * (self.P[0, 0] - self.P[1, 1]) + (cc - ss) * self.P[0, 1] + ay + bx
-        self.small[o, 4] += self.P[a, b] + rx * gxt - ry * gyt - rx * ry * gtt + e * rx * ry
-        self.small[o, 5] = c * self.P[0, 2] - s * self.P[1, 2] + at + tx + gxt - ry * gtt
-        self.small[o, 6] = ss * self.P[0, 0] + 2.0 * cs * self.P[0, 1] + cc * self.P[1, 1] + 2.0 * by
-        self.small[o, 6] += self.P[b, b] + 2.0 * rx * gyt + rx * rx * gtt + e * ry * ry
-        self.small[o, 7] = s * self.P[0, 2] + c * self.P[1, 2] + bt + ty + gyt + rx * gtt
-        self.small[o, 8] = self.P[2, 2] + 2.0 * tt + gtt
+        at, bt, tt = c * P[0, t] - s * P[1, t], s * P[0, t] + c * P[1, t], P[2, t]
+        ax, ay = c * P[0, a] - s * P[1, a] - ry * at, c * P[0, b] - s * P[1, b] + rx * at
+        bx, by = s * P[0, a] + c * P[1, a] - ry * bt, s * P[0, b] + c * P[1, b] + rx * bt
+        tx, ty = P[2, a] - ry * tt, P[2, b] + rx * tt
+        gxt, gyt, gtt = P[a, t], P[b, t], P[t, t]
+        small[o, 3] = cc * P[0, 0] - 2.0 * cs * P[0, 1] + ss * P[1, 1] + 2.0 * ax
+        small[o, 3] += P[a, a] - 2.0 * ry * gxt + ry * ry * gtt + e * rx * rx
+        small[o, 4] = cs * (P[0, 0] - P[1, 1]) + (cc - ss) * P[0, 1] + ay + bx
+        small[o, 4] += P[a, b] + rx * gxt - ry * gyt - rx * ry * gtt + e * rx * ry
+        small[o, 5] = c * P[0, 2] - s * P[1, 2] + at + tx + gxt - ry * gtt
+        small[o, 6] = ss * P[0, 0] + 2.0 * cs * P[0, 1] + cc * P[1, 1] + 2.0 * by
+        small[o, 6] += P[b, b] + 2.0 * rx * gyt + rx * rx * gtt + e * ry * ry
+        small[o, 7] = s * P[0, 2] + c * P[1, 2] + bt + ty + gyt + rx * gtt
+        small[o, 8] = P[2, 2] + 2.0 * tt + gtt
 
     def note(self, k: int, track: Track) -> None:
         """Record instant k: the pose in the map with its covariance, and the track's states."""
@@ -693,57 +623,8 @@ class State:
             track.values[k, n + j] = self.P[track.states[j], track.states[j]]
 
 
-class InMap:
-    """A belief with a map frame, as sensors see it that observe the pose in the map (chain rule: `derive`)."""
-
-    def __init__(self, belief: Any) -> None:
-        self.belief = belief
-
-    def __getattr__(self, name: str) -> Any:
-        """Return what does not depend on the pose: covariance, block, transform ..."""
-        return getattr(self.belief, name)
-
-    @property
-    def x(self) -> float:
-        """X of the pose in the map [m]."""
-        return self.belief.x_in_map()
-
-    @property
-    def y(self) -> float:
-        """Y of the pose in the map [m]."""
-        return self.belief.y_in_map()
-
-    @property
-    def theta(self) -> float:
-        """Heading of the pose in the map [rad], not wrapped."""
-        return self.belief.heading(True)
-
-    def column(self, name: str) -> int:
-        """Return the first state column of a block."""
-        return self.belief.column(name)
-
-    def value(self, column: int) -> float:
-        """Return the state at a column."""
-        return self.belief.value(column)
-
-    def located(self) -> tuple[Any, Any]:
-        """Return the pose in the map and its covariance's upper triangle."""
-        return self.belief.located(True)
-
-    def variance(self, H: Sequence[float]) -> float:
-        """Return H P H' for one derivative H (3,) by the pose in the map."""
-        return self.belief.variance(H, True)
-
-    def compare(
-        self, row: int, y: Sequence[float], H: Any, R: Any, threshold: float, columns: Any = (), H_block: Any = (),
-        landmark: int = -1, verdict: int = -1,
-    ) -> Innovation:  # fmt: skip
-        """Judge the innovation of a measurement whose H (d, 3) is by the pose in the map."""
-        return self.belief.compare(row, y, H, R, threshold, columns, H_block, landmark, verdict, True)
-
-
 def bent(tt: float) -> float:
-    """Return by how much a heading of variance tt [rad^2] spreads a lever r along r itself, per r^2.
+    """Return how much variance along a lever r a heading variance tt [rad^2] causes, per r^2.
 
     To first order a heading moves the end of a lever across it only. With a Gaussian angle a the end is at cos(a)
     along the lever: E (cos a - 1)^2 = 1 - 2 exp(-tt / 2) + (1 + exp(-2 tt)) / 2. That is 3/4 tt^2 for small

@@ -1,4 +1,4 @@
-"""Weighted fit of one line to the beams that see it: (r, psi), covariance, and whether it is a straight wall.
+"""Weighted fit of one line to the beams that hit it: (r, psi), covariance, and whether the wall is straight.
 
 A line is n.P = r with n = (cos psi, sin psi), r >= 0. A beam starts at o (the laser's own place when the beam
 was fired: zero without deskewing), points along u and should return the range p = (r - n.o) / n.u. Its noise acts
@@ -39,7 +39,7 @@ MIN_PIECE_GAIN_CHI2 = -25.0  # that a curve saves in a piece which is straight b
 
 
 class Fit:
-    """The returns of one wall, `count` of them, in the fit of a line (r, psi), and what they add up to.
+    """The returns of one wall, `count` of them, in the fit of a line (r, psi), and the sums of the fit.
 
     Return row[k] lies `error[k]` [m] off the line, whose foot is foot[k] [m], and counts with weight[k]. With e, q
     and w for these: `sum_wqe` is the sum of w q e.
@@ -54,7 +54,7 @@ class Fit:
 
 
 class Curves:
-    """Which walls are `curved`, the curvature [1/m] with which each goes on in the next, and what curves save."""
+    """Which walls are `curved`, the curvature [1/m] at which each joins the next, and the chi2 of a curve."""
 
     def __init__(self, beams: int) -> None:
         self.joint, self.gains, self.curved = floats(beams), floats(beams), wholes(beams)
@@ -62,7 +62,7 @@ class Curves:
 
 
 class Sweep:
-    """How beams of a scan move with the base: `share` (pieces, beams) of every piece of the sweep.
+    """Motion of the base during a scan: the `share` (pieces, beams) of every piece of the sweep.
 
     The lever [m] from the base to the laser and the base's forward direction are in the laser's axes.
     """
@@ -74,7 +74,7 @@ class Sweep:
 
 
 class Found:
-    """The lines of n scans, so far `count`, at most `most`: the columns of `lines.extract.Lines`.
+    """The lines of n scans, `count` so far, at most `most`: the columns of `lines.extract.Lines`.
 
     R is over sigma_range^2, as rr, rp, pp; sweep (most, 4, pieces) is what r owes to a turn and a move, then psi.
     """
@@ -86,7 +86,7 @@ class Found:
 
 
 def find_lines(scans: Scans, limits: Limits, sweep: Sweep) -> Found:
-    """Return the lines of all scans; nothing crosses from one to another."""
+    """Return the lines of all scans; scans are independent of each other."""
     number, beams = scans.ranges.shape[0], scans.ranges.shape[1]
     found = Found(number, number * (beams // 3), sweep.pieces)  # no line of fewer beams
     returns, segments, fit, curves = Returns(beams), Segments(beams), Fit(beams), Curves(beams)
@@ -107,7 +107,7 @@ def find_lines(scans: Scans, limits: Limits, sweep: Sweep) -> Found:
 
 
 def fit_wall(returns: Returns, limits: Limits, segments: Segments, wall: int, fit: Fit, found: Found) -> bool:
-    """Fit a line to the returns of a wall and write it; tell whether it is one.
+    """Fit a line to the returns of a wall and write it; return whether it is valid.
 
     Two Gauss-Newton steps. What lies outside the wall's own feet, or is seen too flat, leaves before the first,
     strays before the second.
@@ -132,7 +132,7 @@ def fit_wall(returns: Returns, limits: Limits, segments: Segments, wall: int, fi
 
 
 def finish(returns: Returns, limits: Limits, fit: Fit, found: Found) -> bool:
-    """Take the last step, and write the line if it is a straight wall, known well enough to be of use."""
+    """Take the last step, and write the line if its wall is straight and its covariance small enough."""
     if singular(fit):
         return False
     line, det = found.count, determinant(fit)
@@ -153,7 +153,7 @@ def finish(returns: Returns, limits: Limits, fit: Fit, found: Found) -> bool:
 
 
 def loadings(returns: Returns, fit: Fit, sweep: Sweep, found: Found) -> None:
-    """Write what (r, psi) of a line owe to a turn [rad] and a move [m] of 1 in each piece of the sweep.
+    """Write the change of (r, psi) of a line for a turn [rad] and a move [m] of 1 in each piece of the sweep.
 
     A beam's end moves across its line by lever - q per radian and by n.ahead per metre; the fit passes that on.
     """
@@ -183,7 +183,7 @@ def loadings(returns: Returns, fit: Fit, sweep: Sweep, found: Found) -> None:
 
 
 def rows_of(segments: Segments, wall: int, fit: Fit) -> None:
-    """Take the returns of all parts of a wall, one after another."""
+    """Collect the returns of all parts of a wall, one after another."""
     count = 0
     for part in range(segments.bounds[wall], segments.bounds[wall + 1]):
         for i in range(segments.start[part], segments.stop[part]):
@@ -214,7 +214,7 @@ def residuals(returns: Returns, limits: Limits, fit: Fit) -> None:
 
 
 def keep(fit: Fit, k: int, kept: int) -> None:
-    """Move return k of the fit to the place of those that are kept."""
+    """Move return k of the fit to the kept ones."""
     fit.row[kept], fit.error[kept], fit.foot[kept], fit.weight[kept] = (
         fit.row[k],
         fit.error[k],
@@ -237,7 +237,7 @@ def keep_clear(fit: Fit, low: float, high: float) -> None:
 
 
 def leave_strays(fit: Fit, limit: float, least: float) -> None:
-    """Leave out returns that are not of the wall, a pole or a person's leg before it.
+    """Leave out returns that are not from the wall: a pole or a leg before it.
 
     Stray is what has e^2 w > `limit` [m^2]. A few such beams are too few to be cut off as a piece of their own,
     and pull the whole line. A wall that would have fewer than `least` without them keeps them; its misfit shows.
@@ -288,7 +288,7 @@ def determinant(fit: Fit) -> float:
 
 
 def singular(fit: Fit) -> bool:
-    """Tell whether the beams give no direction: they all meet the line in one point."""
+    """Return whether the beams give no direction: they all meet the line in one point."""
     return not determinant(fit) > 1e-12 * fit.sum_w * fit.sum_wqq
 
 
@@ -323,26 +323,26 @@ def foot_of(returns: Returns, i: int, r: float, psi: float) -> float:
 
 
 def stiffness(fit: Fit) -> float:
-    """Return the weight of q^2 less its part along 1 and q, which the line already has."""
+    """Return the weight of q^2 without its part along 1 and q, which the line already explains."""
     a, b, c, cubic = fit.sum_w, fit.sum_wq, fit.sum_wqq, fit.sum_wqqq
     return fit.sum_wqqqq - (c * (c * c - b * cubic) + cubic * (a * cubic - b * c)) / determinant(fit)
 
 
 def curvature(fit: Fit) -> float:
-    """Return the coefficient [1/m] of the parabola that is left beside the line; 0 where there is none to tell."""
+    """Return the coefficient [1/m] of the parabola on top of the line; 0 if it cannot be found."""
     norm = stiffness(fit)
     left = fit.sum_wqqe - step_r(fit) * fit.sum_wqq + step_psi(fit) * fit.sum_wqqq
     return left / norm if norm > 0.0 else 0.0
 
 
 def bend(fit: Fit) -> float:
-    """Return by how much that parabola would lower the sum of squares [m^2]."""
+    """Return how much that parabola would lower the sum of squares [m^2]."""
     coefficient = curvature(fit)
     return stiffness(fit) * coefficient * coefficient
 
 
 def is_bent(fit: Fit, extent: float, limits: Limits) -> bool:
-    """Tell whether a parabola explains so much of the misfit, and is so high, that this is no straight wall.
+    """Return whether the wall is not straight: a parabola is high and explains much of the misfit.
 
     The highest bow is a share of the chord `extent` [m]: k q^2 is k extent^2 / 4 high over it.
     """
@@ -351,7 +351,7 @@ def is_bent(fit: Fit, extent: float, limits: Limits) -> bool:
 
 
 def is_vague(fit: Fit, limits: Limits) -> bool:
-    """Tell whether the line is too short for its noise: what is linear no longer is.
+    """Return whether the line is too short for its noise, so that linearisation no longer holds.
 
     Turning about its middle by sigma(psi) moves the line's foot by `swing` [m]; of r, where psi is known, the
     variance is s_d^2 / sum of w.
@@ -393,14 +393,14 @@ def find_curves(returns: Returns, limits: Limits, segments: Segments, fit: Fit, 
 
 
 def following(walls: int, closed: bool, i: int) -> int:
-    """Return the wall after wall i in the order of the beams, -1: none."""
+    """Return the wall after wall i in the order of the beams, -1 if there is none."""
     if i + 1 < walls:
         return i + 1
     return 0 if closed and walls > 1 else -1
 
 
 def joints(returns: Returns, segments: Segments, curves: Curves) -> int:
-    """Write the curvature [1/m] with which each wall goes on in the next, 0 where it does not; return how many do.
+    """Write the curvature [1/m] at which each wall joins the next, 0 where it does not; return how many do.
 
     Positive where psi grows along the tangent (-sin psi, cos psi).
     """
@@ -426,7 +426,7 @@ def joints(returns: Returns, segments: Segments, curves: Curves) -> int:
 
 
 def curvature_of(curves: Curves, walls: int, closed: bool, i: int) -> float:
-    """Return the curvature [1/m] that the neighbours of wall i give it; 0 where it has none or they disagree."""
+    """Return the curvature [1/m] of wall i by its neighbours; 0 if it has none or they disagree."""
     behind = curves.joint[i - 1] if i > 0 else curves.joint[walls - 1] if closed else 0.0
     ahead = curves.joint[i]
     if behind == 0.0 or ahead == 0.0:
@@ -435,7 +435,7 @@ def curvature_of(curves: Curves, walls: int, closed: bool, i: int) -> float:
 
 
 def gain(returns: Returns, limits: Limits, segments: Segments, wall: int, fit: Fit, bent: float) -> float:
-    """Return by how much the chi2 of a wall's returns falls if it has the curvature `bent` [1/m], not none."""
+    """Return how much the chi2 of a wall's returns falls with curvature `bent` [1/m] instead of 0."""
     if bent == 0.0:
         return 0.0
     rows_of(segments, wall, fit)
@@ -450,7 +450,7 @@ def gain(returns: Returns, limits: Limits, segments: Segments, wall: int, fit: F
 
 
 def goes_on(curves: Curves, walls: int, closed: bool, i: int, step: int) -> None:
-    """Add the chi2 that a curve saves beyond wall i one way (step 1, -1), and its pieces there."""
+    """Add the chi2 that a curve saves beyond wall i in one direction (step 1, -1), and its pieces there."""
     sign = 0.0
     for _ in range(walls - 1):
         at = i if step > 0 else i - 1 if i > 0 else walls - 1
@@ -465,7 +465,7 @@ def goes_on(curves: Curves, walls: int, closed: bool, i: int, step: int) -> None
 
 
 def is_piece(curves: Curves, walls: int, closed: bool, i: int, length: float) -> bool:
-    """Tell whether wall i of `length` [m] is a piece of a curve of several pieces, which explains them better."""
+    """Return whether wall i of `length` [m] belongs to a curve of several pieces that explains them better."""
     bent = curvature_of(curves, walls, closed, i)
     if abs(bent) * length < MIN_BEND_RAD or curves.gains[i] < MIN_PIECE_GAIN_CHI2:
         return False

@@ -7,20 +7,10 @@ cdef double SAME_ANGLE_RAD, SAME_OFFSET_M, MIN_OVERLAP_SHARE, MIN_BEHIND_M, MIN_
 cdef Py_ssize_t SIGHT_LINES
 
 cdef enum:
-    R = 0
-    PSI = 1
-    BEGIN = 5
-    END = 6
+    R, PSI, BEGIN = 5, END
 
 cdef enum:
-    RHO
-    BETA
-    X
-    Y
-    LOW
-    HIGH
-    NX
-    NY
+    RHO, BETA, X, Y, LOW, HIGH, NX, NY
 
 @cython.locals(psi=double, r=double, cross=double, begin=double, end=double)
 cpdef void into_base(double[:, ::1] rows, Py_ssize_t lines, double x, double y, double yaw, double[:, ::1] out)

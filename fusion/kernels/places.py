@@ -1,4 +1,4 @@
-"""Lines from another place: what a sensor elsewhere would see, and which places a scan may have been taken from.
+"""Lines seen from another place: by a sensor elsewhere, and the places from which a scan may have been taken.
 
 From the laser to the base, or from one mount to another, exact:
 r_b = r + l.n(psi_b), psi_b = psi + yaw for a laser at l = (x, y), Jacobian [[1, u], [0, 1]] with
@@ -58,7 +58,7 @@ def into_base(rows: Array, lines: int, x: float, y: float, yaw: float, out: Arra
 
 
 def moved(place: Array, told: Array, out: Array) -> None:
-    """Write what leads from the base by the mount `told` to that by the one at `place`: x, y [m], yaw [rad]."""
+    """Write the motion from the base by the mount `told` to that by the one at `place`: x, y [m], yaw [rad]."""
     turn = place[2] - told[2]
     c, s = cos(turn), sin(turn)
     out[0], out[1], out[2] = place[0] - c * told[0] + s * told[1], place[1] - s * told[0] - c * told[1], turn
@@ -67,7 +67,7 @@ def moved(place: Array, told: Array, out: Array) -> None:
 def shares_into_base(
     rows: Array, lines: int, x: float, y: float, yaw: float, shared: Array, first: int, out: Array
 ) -> None:
-    """Write unit errors (lines, 2, parts) of r and psi of the lines as `into_base` moves these.
+    """Write unit errors (lines, 2, parts) of r and psi of the lines, moved as `into_base` moves the lines.
 
     They stand in `shared` from line `first` on.
     """
@@ -112,7 +112,7 @@ def behind(rows: Array, walls: Array, x: float, y: float, theta: float, both: bo
 
 
 def blocked(walls: Array, x: float, y: float, dx: float, dy: float, reach: float, both: bool) -> bool:
-    """Tell whether a wall stands within `reach` [m] of (x, y) in the direction (dx, dy)."""
+    """Return whether a wall stands within `reach` [m] of (x, y) in the direction (dx, dy)."""
     for j in range(walls.shape[0]):
         c, s = walls[j, NX], walls[j, NY]
         facing = dx * c + dy * s
@@ -126,7 +126,7 @@ def blocked(walls: Array, x: float, y: float, dx: float, dy: float, reach: float
 
 
 def explained(rows: Array, walls: Array, poses: Array, slack: float, out: Array) -> None:
-    """Write what map lines (m, 8) explain of the lines (k, 7) of a scan from every pose (h, 3), out (h, 3).
+    """Write how much of a scan's lines (k, 7) map lines (m, 8) explain from every pose (h, 3), out (h, 3).
 
     These are the share of the measured length, the share were the map lines longer than known, and how many lines.
     A line is explained by a map line that is the same, within `slack` times the usual limits, where both overlap.
@@ -149,7 +149,7 @@ def explained(rows: Array, walls: Array, poses: Array, slack: float, out: Array)
 
 
 def likeness(rows: Array, walls: Array, i: int, x: float, y: float, theta: float, slack: float) -> int:
-    """Return 2 where a map line explains line i from a pose, 1 where it would if it were longer, else 0."""
+    """Return 2 if a map line explains line i from a pose, 1 if it would if it were longer, else 0."""
     kind, angle, offset = 0, slack * SAME_ANGLE_RAD, slack * SAME_OFFSET_M
     least = MIN_OVERLAP_SHARE * (rows[i, END] - rows[i, BEGIN])
     for j in range(walls.shape[0]):

@@ -1,4 +1,4 @@
-"""From ranges to walls: runs that no gap cuts are split, neighbours that are one line merged, corners left out.
+"""From ranges to walls: cut at gaps, split into straight pieces, merge those of one line, leave corners out.
 
 V. Nguyen, A. Martinelli, N. Tomatis, R. Siegwart: "A comparison of line extraction algorithms using 2D laser
 rangefinder for indoor mobile robotics", IROS 2005. What counts as a wall: `lines.settings.LineSettings`.
@@ -53,7 +53,7 @@ class Scans:
 
 
 class Limits:
-    """What counts as a wall: the numbers of LineSettings."""
+    """The limits of a wall: the numbers of LineSettings."""
 
     def __init__(self, settings: Any) -> None:
         self.sigma_range, self.sigma_angle = settings.sigma_range, settings.sigma_angle
@@ -86,7 +86,7 @@ class Returns:
 
 
 class Segments:
-    """Straight pieces of a scan, then the parts of walls, then walls.
+    """Straight pieces of a scan; merged into parts of walls, then into walls.
 
     Piece i owns the returns first[i]:first[i + 1], group i the pieces bounds[i]:bounds[i + 1]. Part j owns the
     returns start[j]:stop[j], wall i the parts bounds[i]:bounds[i + 1]. Moments of a piece, part or wall are the
@@ -106,7 +106,7 @@ class Segments:
 
 
 def find_walls(scans: Scans, scan: int, limits: Limits, returns: Returns, segments: Segments) -> None:
-    """Find the walls of a scan, and where their own returns begin and end."""
+    """Find the walls of a scan, and which of its returns belong to each."""
     growth = scans.growth[scan]
     gather(scans, scan, 0, returns)
     returns.closed = False
@@ -132,7 +132,7 @@ def find_walls(scans: Scans, scan: int, limits: Limits, returns: Returns, segmen
 
 
 def gather(scans: Scans, scan: int, begin: int, returns: Returns) -> None:
-    """Gather the returns of a scan from beam `begin` once round."""
+    """Collect the returns of a scan from beam `begin` once round."""
     beams, count, row = scans.ranges.shape[1], 0, scan if scans.moving else 0
     for i in range(beams):
         j = i + begin
@@ -153,7 +153,7 @@ def gather(scans: Scans, scan: int, begin: int, returns: Returns) -> None:
 
 
 def gap(returns: Returns, before: int, i: int, growth: float, max_gap: float) -> float:
-    """Return the squared distance of two neighbouring end points in units of what one wall allows.
+    """Return the squared distance of two neighbouring end points relative to the limit within one wall.
 
     That is `max_gap` [m] > 0, or `growth` times the larger range: beam spacings grow with the range and, on a wall
     seen flat, with the angle of incidence.
@@ -165,7 +165,7 @@ def gap(returns: Returns, before: int, i: int, growth: float, max_gap: float) ->
 
 
 def ring_start(returns: Returns, growth: float, max_gap: float) -> int:
-    """Return which return of a scan of the whole circle is its best first one.
+    """Return the best first return of a full-circle scan.
 
     The one behind the widest gap; where there is none, the farthest, and then -1 - it: the ring is closed.
     """
@@ -190,7 +190,7 @@ def cut_at_gaps(returns: Returns, growth: float, max_gap: float, segments: Segme
 
 
 def allow(returns: Returns, limits: Limits) -> None:
-    """Write how far every return may lie off a straight piece [m], whatever the piece's direction."""
+    """Write how far every return may lie from a straight piece [m], for any direction of the piece."""
     least = max(limits.split_floor, MIN_DIVISOR)
     for i in range(returns.count):
         across = limits.sigma_angle * returns.ranges[i]
@@ -199,7 +199,7 @@ def allow(returns: Returns, limits: Limits) -> None:
 
 
 def farthest(returns: Returns, begin: int, end: int) -> int:
-    """Return the point that is farthest off the chord from `begin` to the last before `end`, in tolerances.
+    """Return the point farthest from the chord between `begin` and the last before `end`, in tolerances.
 
     -1 where every point lies within its tolerance. The earliest of equals.
     """
@@ -307,7 +307,7 @@ def join(segments: Segments, i: int, j: int) -> None:
 
 
 def merge(segments: Segments, count: int, limit: float) -> int:
-    """Join neighbours that are statistically one line; return how many groups there are.
+    """Join neighbours that are statistically one line; return the number of groups.
 
     Two are one line if fitting them as one raises the misfit by less than `limit`: a likelihood ratio, chi-square
     with 2 degrees of freedom. Pairs that cost less than both neighbouring pairs go first, all of them at a time.
@@ -333,7 +333,7 @@ def merge(segments: Segments, count: int, limit: float) -> int:
 
 
 def cheapest(segments: Segments, count: int, limit: float) -> int:
-    """Write into `best` which pairs are to be joined now, by their first ones; return how many."""
+    """Write the first of each pair to join now into `best`; return their number."""
     chosen, cost = 0, segments.cost
     for i in range(count):
         if cost[i] < limit and cost[i] < cost[segments.before[i]] and cost[i] <= cost[segments.after[i]]:
@@ -343,7 +343,7 @@ def cheapest(segments: Segments, count: int, limit: float) -> int:
 
 
 def join_pairs(segments: Segments, chosen: int) -> None:
-    """Join the chosen ones with those after them."""
+    """Join the chosen pieces with those after them."""
     for q in range(chosen):
         i = segments.best[q]
         gone = segments.after[i]
@@ -355,7 +355,7 @@ def join_pairs(segments: Segments, chosen: int) -> None:
 
 
 def renew_cost(segments: Segments, i: int) -> None:
-    """Work out anew what it costs to join i with the one after it, if that is allowed at all."""
+    """Compute again the cost of joining i with the one after it, if they may be joined."""
     if segments.cost[i] < JOINS_NEVER_CHI2:
         j = segments.after[i]
         segments.cost[i] = joint_misfit(segments, i, j) - segments.own[i] - segments.own[j]
@@ -394,7 +394,7 @@ def tail_of(segments: Segments, wall: int) -> int:
 
 
 def long_enough(returns: Returns, limits: Limits, segments: Segments) -> None:
-    """Write the parts that have the points and the length of a wall."""
+    """Keep the parts with enough points and length for a wall."""
     parts = 0
     for g in range(segments.groups):
         begin, end = segments.first[segments.bounds[g]], segments.first[segments.bounds[g + 1]]
@@ -409,7 +409,7 @@ def long_enough(returns: Returns, limits: Limits, segments: Segments) -> None:
 def near(
     returns: Returns, limits: Limits, head: int, tail: int, next_head: int, next_tail: int, between: int
 ) -> bool:
-    """Tell whether one line may go on in the next part of its scan, given both parts' first and last returns.
+    """Return whether one line may continue in the next part of its scan, by both parts' end returns.
 
     It may if next to no beams are `between` them, or if they are closer than the bridge [m] and than both lengths.
     """
@@ -419,7 +419,7 @@ def near(
 
 
 def link_parts(returns: Returns, limits: Limits, segments: Segments) -> None:
-    """Write which neighbouring parts may be one wall left and right of what stands before it."""
+    """Write which neighbouring parts may be one wall on both sides of an object before it."""
     start, stop = segments.start, segments.stop
     for i in range(segments.parts - 1):
         between = start[i + 1] - stop[i]
@@ -427,7 +427,7 @@ def link_parts(returns: Returns, limits: Limits, segments: Segments) -> None:
 
 
 def close_ring(returns: Returns, limits: Limits, segments: Segments) -> None:
-    """Join the first and the last wall of a closed ring if they are one."""
+    """Join the first and the last wall of a full circle if they are one."""
     last, bounds, m = segments.walls - 1, segments.bounds, segments.moments
     if last < 1:
         return
@@ -475,7 +475,7 @@ def perpendicular_fit(segments: Segments) -> None:
 
 
 def corner_limits(returns: Returns, limits: Limits, segments: Segments) -> None:
-    """Write the feet [m] along each wall's tangent between which its returns are its own.
+    """Write the feet [m] along each wall's tangent between which its returns are used.
 
     Near a corner the noise decides which wall a beam is counted to, so those beams are biased, and at the end of a
     wall they turn it most. A corner is where the next wall begins within a few beams and `max_gap` [m]; behind the
@@ -502,7 +502,7 @@ def corner_limits(returns: Returns, limits: Limits, segments: Segments) -> None:
 
 
 def limit_end(returns: Returns, segments: Segments, wall: int, corner: float, margin: float) -> None:
-    """Leave out the end of a wall near a corner at the foot `corner` [m], but not too much of it."""
+    """Leave out the end of a wall near a corner at the foot `corner` [m], but only a limited share of it."""
     begin = along(returns, head_of(segments, wall), segments.psi[wall])
     end = along(returns, tail_of(segments, wall), segments.psi[wall])
     share = MAX_CORNER_SHARE * abs(end - begin)
@@ -513,7 +513,7 @@ def limit_end(returns: Returns, segments: Segments, wall: int, corner: float, ma
 
 
 def limit_begin(returns: Returns, segments: Segments, wall: int, corner: float, margin: float) -> None:
-    """Leave out the beginning of a wall near a corner at the foot `corner` [m], but not too much of it."""
+    """Leave out the beginning of a wall near a corner at the foot `corner` [m], but only a limited share of it."""
     begin = along(returns, head_of(segments, wall), segments.psi[wall])
     end = along(returns, tail_of(segments, wall), segments.psi[wall])
     share = MAX_CORNER_SHARE * abs(end - begin)
@@ -524,5 +524,5 @@ def limit_begin(returns: Returns, segments: Segments, wall: int, corner: float, 
 
 
 def along(returns: Returns, i: int, psi: float) -> float:
-    """Return where a return lies along the tangent of a line at psi [m]."""
+    """Return the coordinate [m] of a return along the tangent of a line at psi."""
     return -sin(psi) * returns.x[i] + cos(psi) * returns.y[i]

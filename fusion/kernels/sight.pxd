@@ -8,51 +8,14 @@ cdef double MAX_PAIR_ANGLE_RAD, MAX_PAIR_OFFSET_M, PAIR_SIGMAS, FACE_SIGMAS, MAX
 cdef double RIVAL_SCORE, NEAR_D2, MIN_OVERLAP_SHARE, MAX_LENGTH_M, COMMON_M, LONE_D2, LONE_TURN_RAD, LONE_OFFSET_M
 
 cdef enum:
-    R_LINE = 0
-    PSI_LINE = 1
-    R00_LINE = 2
-    R01_LINE = 3
-    R11_LINE = 4
-    BEGIN_LINE = 5
-    END_LINE = 6
+    R_LINE, PSI_LINE, R00_LINE, R01_LINE, R11_LINE, BEGIN_LINE, END_LINE
 
 cdef enum:
-    RHO = 0
-    BETA = 1
-    ANCHOR_X = 2
-    ANCHOR_Y = 3
-    P_RR = 4
-    P_RB = 5
-    P_BB = 6
-    X_RHO = 7
-    X_BETA = 8
-    Y_RHO = 9
-    Y_BETA = 10
-    T_RHO = 11
-    T_BETA = 12
-    WALL = 13
+    RHO, BETA, ANCHOR_X, ANCHOR_Y, P_RR, P_RB, P_BB, X_RHO, X_BETA, Y_RHO, Y_BETA, T_RHO, T_BETA, WALL
 
 cdef enum:
-    LINE_OF = 0
-    WALL_OF = 1
-    OFFSET = 2
-    TURN = 3
-    R00 = 4
-    R01 = 5
-    R11 = 6
-    S00 = 7
-    S01 = 8
-    S11 = 9
-    D2 = 10
-    SCORE = 11
-    BEGIN = 12
-    END = 13
-    OVERLAP = 14
-    COS = 15
-    SIN = 16
-    LEVER = 17
-    PSI = 18
-    PAIR = 19
+    LINE_OF, WALL_OF, OFFSET, TURN, R00, R01, R11, S00, S01, S11
+    D2, SCORE, BEGIN, END, OVERLAP, COS, SIN, LEVER, PSI, PAIR
 
 cdef class Walls:
     cdef Py_ssize_t[::1] columns, hits, seen, born, ids
@@ -94,57 +57,42 @@ cdef class Sight:
     cdef readonly Py_ssize_t lines, accepted, numbers, found, first, parts
 
     cpdef double look(self, State state, Walls walls, double[:, ::1] rows, double[:, :, ::1] shared)
-    @cython.locals(seat=Seat, n=Py_ssize_t, i=Py_ssize_t, j=Py_ssize_t, k=Py_ssize_t, x=double, y=double, yaw=double)
     cdef void put_in_base(self, State state, double[:, ::1] rows, double[:, :, ::1] shared)
-    @cython.locals(walls=Walls, seat=Seat, free=Py_ssize_t, a=Py_ssize_t, b=Py_ssize_t, i=Py_ssize_t, j=Py_ssize_t, rho=Py_ssize_t, beta=Py_ssize_t)
     cdef void gather(self, State state)
-    @cython.locals(j=Py_ssize_t)
     cdef void predict(self, double x, double y, double theta)
-    @cython.locals(p=Py_ssize_t, i=Py_ssize_t, j=Py_ssize_t, max_turn=double, max_offset=double, limit=double, distance=double, turn=double, side=double, offset=double)
     cdef Py_ssize_t find_pairs(self, State state)
     cdef void spread(self, State state, Py_ssize_t p, Py_ssize_t i, Py_ssize_t j, double side)
-    @cython.locals(free=Py_ssize_t, a=Py_ssize_t, b=Py_ssize_t, r=double, turn=double)
     cdef void spread_mount(self, Py_ssize_t p, Py_ssize_t j)
     cdef double lever(self, Py_ssize_t a, double c, double s)
     cdef bint fits(self, Py_ssize_t p, double distance, double limit)
     cdef void extent(self, Py_ssize_t p, Py_ssize_t i, Py_ssize_t j, double side, double x, double y)
-    @cython.locals(i=Py_ssize_t, p=Py_ssize_t, near=bint)
+    @cython.locals(i=Py_ssize_t, p=Py_ssize_t, m=Py_ssize_t, near=bint)
     cdef void associate(self)
     cdef void try_pair(self, Py_ssize_t p, Py_ssize_t i)
-    @cython.locals(claims=Py_ssize_t, kept=Py_ssize_t, i=Py_ssize_t, j=Py_ssize_t, k=Py_ssize_t)
     cdef void claim(self)
     cdef bint overlap(self, Py_ssize_t p, Py_ssize_t q)
     cdef bint fits_well(self, Py_ssize_t p, Py_ssize_t i)
     @cython.locals(i=Py_ssize_t, total=double, matched=double, length=double)
     cpdef double share(self)
-    @cython.locals(i=Py_ssize_t, n=Py_ssize_t)
     cpdef Py_ssize_t matches(self)
-    @cython.locals(i=Py_ssize_t, alone=Py_ssize_t, p=Py_ssize_t)
     cpdef void refuse_alone(self)
     cpdef bint is_matched(self, Py_ssize_t i)
     cpdef bint is_new(self, Py_ssize_t i)
-    @cython.locals(i=Py_ssize_t)
     cpdef Py_ssize_t state_rows(self, State state) except? -1
     @cython.locals(seat=Seat, a=Py_ssize_t, b=Py_ssize_t, v=Py_ssize_t, w=Py_ssize_t, j=Py_ssize_t, rho=Py_ssize_t, c_psi=double, s_psi=double)
     cdef void state_line(self, State state, Py_ssize_t i, Py_ssize_t p)
-    @cython.locals(first=Py_ssize_t, j=Py_ssize_t, k=Py_ssize_t, m=Py_ssize_t)
     cdef void share_noise(self, State state, Py_ssize_t i, Py_ssize_t p, Py_ssize_t a)
     @cython.locals(rules=Rules, nan=double, i=Py_ssize_t, j=Py_ssize_t, k=Py_ssize_t, p=Py_ssize_t)
     cpdef void write(self, Audit out, Py_ssize_t at, Py_ssize_t instant, Py_ssize_t row)
     @cython.locals(walls=Walls, i=Py_ssize_t, j=Py_ssize_t, p=Py_ssize_t)
     cpdef void extend(self, Py_ssize_t scan)
-    @cython.locals(i=Py_ssize_t, n=Py_ssize_t)
     cpdef Py_ssize_t new_lines(self)
     @cython.locals(bent=Loosening, i=Py_ssize_t, j=Py_ssize_t, rho=Py_ssize_t, known=Py_ssize_t)
     cpdef void bends(self, State state, double uneven, double uneven_angle, double most, double most_angle)
 
-@cython.locals(i=Py_ssize_t, j=Py_ssize_t, k=Py_ssize_t, lacking=double)
 cpdef void lacks(State state, Walls walls, double floor, double floor_angle, Loosening missing)
-@cython.locals(j=Py_ssize_t)
 cpdef bint untidy(
     State state, Walls walls, Doubles doubles, Py_ssize_t scan, double[:, ::1] rows, Py_ssize_t[::1] found)
 cpdef bint worthless(Walls walls, Py_ssize_t j, Py_ssize_t scan, Doubles doubles)
-@cython.locals(turn=double, c=double, s=double, dx=double, dy=double, along=double, apart=double)
 cpdef bint one_wall(double[:, ::1] rows, Walls walls, Py_ssize_t i, Py_ssize_t j, Doubles doubles)
-@cython.locals(j=Py_ssize_t, n=Py_ssize_t)
 cpdef Py_ssize_t neighbours(double[:, ::1] rows, Walls walls, Py_ssize_t i, Doubles doubles, Py_ssize_t[::1] found)

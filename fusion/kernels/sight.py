@@ -1,4 +1,4 @@
-"""A scan against the line map: candidate pairs, association, verdicts, rows of the equation, what the map learns.
+"""A scan against the line map: candidate pairs, association, verdicts, rows of the equation, map updates.
 
 The robot at p = (x, y), theta should see the map line (rho, beta) about the anchor a as (r, psi): psi = beta -
 theta, r = rho - n.(p - a), n = (cos beta, sin beta) (paper eq. 17, 18); or as (-r, psi + pi), whichever is nearer.
@@ -14,6 +14,8 @@ which goes with their error in distance. Pose, line and mount are correlated whe
 from __future__ import annotations
 
 from typing import Any
+
+from .arrays import memory
 
 try:
     import cython
@@ -57,42 +59,24 @@ LONE_D2, LONE_TURN_RAD, LONE_OFFSET_M = 5.0, 3.0 * (pi / 180.0), 0.15
 class Walls:
     """The line map as columns (J,), shared with fusion.map.LineMap."""
 
-    columns: Any
-    anchors: Any
-    low: Any
-    high: Any
-    fixed: Any
-    hits: Any
-    seen: Any
-    born: Any
-    ids: Any
-
     def __init__(self, columns: Any, anchors: Any, low: Any, high: Any, fixed: Any, states: bool) -> None:
         """State columns, anchors (J, 2), ends along the tangent; `fixed` (J, WALL) where they are no states."""
-        self.columns, self.anchors = memoryview(columns), memoryview(anchors)
-        self.low, self.high, self.fixed = memoryview(low), memoryview(high), memoryview(fixed)
+        self.columns, self.anchors = memory(columns), memory(anchors)
+        self.low, self.high, self.fixed = memory(low), memory(high), memory(fixed)
         self.states, self.places = states, len(columns)
 
     def count(self, hits: Any, seen: Any, born: Any, ids: Any) -> None:
-        """Take in how often and when last each was seen, in which scan it was born, and its id."""
-        self.hits, self.seen, self.born, self.ids = (
-            memoryview(hits),
-            memoryview(seen),
-            memoryview(born),
-            memoryview(ids),
-        )
+        """Take the counts of every line: how often and when it was last seen, its first scan, and its id."""
+        self.hits, self.seen = memory(hits), memory(seen)
+        self.born, self.ids = memory(born), memory(ids)
 
 
 class Seat:
-    """The laser's mount as it is configured; which of x, y, yaw are states, and their columns."""
-
-    configured: Any
-    which: Any
-    columns: Any
+    """The laser's configured mount; which of x, y, yaw are states, and their columns."""
 
     def __init__(self, configured: Any, which: Any, columns: Any) -> None:
         """Configured (3,) m, m, rad; which and columns (f,)."""
-        self.configured, self.which, self.columns = memoryview(configured), memoryview(which), memoryview(columns)
+        self.configured, self.which, self.columns = memory(configured), memory(which), memory(columns)
         self.free = len(which)
 
 
@@ -105,7 +89,7 @@ class Rules:
 
 
 class Doubles:
-    """When a map is tidied: how often and how long after birth a line must be seen, and what may be one wall."""
+    """Limits for tidying a map: how often and when a line must be seen, and which lines may be one wall."""
 
     def __init__(self, hits: int, trial: int, turn: float, offset: float, apart: float) -> None:
         """Scans; rad, m, m."""
@@ -113,49 +97,20 @@ class Doubles:
 
 
 class Audit:
-    """Columns (rows,) of what became of every measurement (fusion.ekf.record)."""
-
-    instant: Any
-    row: Any
-    verdict: Any
-    landmark: Any
-    nis: Any
-    threshold: Any
-    y: Any
-    sigma: Any
+    """The record of every measurement in columns (rows,) (fusion.ekf.record)."""
 
     def __init__(self, instant: Any, row: Any, verdict: Any, landmark: Any) -> None:
-        self.instant, self.row = memoryview(instant), memoryview(row)
-        self.verdict, self.landmark = memoryview(verdict), memoryview(landmark)
+        self.instant, self.row = memory(instant), memory(row)
+        self.verdict, self.landmark = memory(verdict), memory(landmark)
 
     def judged(self, nis: Any, threshold: Any, y: Any, sigma: Any) -> None:
         """Y and sigma (rows, d)."""
-        self.nis, self.threshold, self.y, self.sigma = (
-            memoryview(nis),
-            memoryview(threshold),
-            memoryview(y),
-            memoryview(sigma),
-        )
+        self.nis, self.threshold = memory(nis), memory(threshold)
+        self.y, self.sigma = memory(y), memory(sigma)
 
 
 class Sight:
     """The lines of one scan, associated with the map; fusion.map.line_map owns the arrays."""
-
-    rows: Any
-    match: Any
-    best: Any
-    rival: Any
-    near: Any
-    order: Any
-    pairs: Any
-    wall_rows: Any
-    seen: Any
-    mount: Any
-    place: Any
-    offset: Any
-    shared: Any
-    G: Any
-    bent: Loosening
 
     def __init__(self, rules: Rules, seat: Seat) -> None:
         self.rules, self.seat = rules, seat
@@ -165,27 +120,27 @@ class Sight:
     # ---- room ----
 
     def hold_lines(self, rows: Any, match: Any, best: Any, rival: Any, near: Any, order: Any) -> None:
-        """Have room for n lines: rows (n, 7), the others (n,)."""
-        self.rows, self.match, self.best = memoryview(rows), memoryview(match), memoryview(best)
-        self.rival, self.near, self.order = memoryview(rival), memoryview(near), memoryview(order)
+        """Use arrays for n lines: rows (n, 7), the others (n,)."""
+        self.rows, self.match, self.best = memory(rows), memory(match), memory(best)
+        self.rival, self.near, self.order = memory(rival), memory(near), memory(order)
 
     def hold_pairs(self, pairs: Any, walls: Any, seen: Any, mount: Any, place: Any, offset: Any) -> None:
-        """Have room: pairs (n J, PAIR), walls (J, WALL + 2 f), seen (J, 4), mount (6, 3), place, offset (3,)."""
-        self.pairs, self.wall_rows, self.seen = memoryview(pairs), memoryview(walls), memoryview(seen)
-        self.mount, self.place, self.offset = memoryview(mount), memoryview(place), memoryview(offset)
+        """Use arrays for pairs (n J, PAIR), walls (J, WALL + 2 f), seen (J, 4), mount (6, 3) and vectors (3,)."""
+        self.pairs, self.wall_rows, self.seen = memory(pairs), memory(walls), memory(seen)
+        self.mount, self.place, self.offset = memory(mount), memory(place), memory(offset)
 
     def hold_shares(self, shared: Any, G: Any) -> None:
-        """Have room for unit errors that lines share: shared (n, 2, parts), G (2 n, parts)."""
-        self.shared, self.G = memoryview(shared), memoryview(G)
+        """Use arrays for errors that lines share: shared (n, 2, parts), G (2 n, parts)."""
+        self.shared, self.G = memory(shared), memory(G)
 
     def hold_states(self, bent: Loosening) -> None:
-        """Have room for the states of matched lines (2 n,)."""
+        """Use an array for the states of matched lines (2 n,)."""
         self.bent = bent
 
     # ---- a scan ----
 
     def look(self, state: State, walls: Walls, rows: Any, shared: Any) -> float:
-        """Associate measured lines (n, 7), in the base by the mount as configured, with the map.
+        """Associate measured lines (n, 7), in the base by the configured mount, with the map.
 
         shared (n, 2, parts) are unit errors that they share. Returns the share of their length that matches.
         """
@@ -197,7 +152,7 @@ class Sight:
         return self.share()
 
     def put_in_base(self, state: State, rows: Any, shared: Any) -> None:
-        """Put the lines, and what they share, into the base by the mount as the state has it."""
+        """Move the lines, and the errors they share, into the base by the mount in the state."""
         seat, n = self.seat, self.lines
         for j in range(3):
             self.place[j] = seat.configured[j]
@@ -219,57 +174,44 @@ class Sight:
 
     def gather(self, state: State) -> None:
         """Write the map lines with their covariances, and the mount's."""
-        walls, seat = self.walls, self.seat
+        walls, seat, P, row = self.walls, self.seat, state.P, self.wall_rows
         free = seat.free
         for a in range(free):
             for i in range(3):
-                self.mount[i, a] = state.P[i, seat.columns[a]]
+                self.mount[i, a] = P[i, seat.columns[a]]
             for b in range(free):
-                self.mount[3 + a, b] = state.P[seat.columns[a], seat.columns[b]]
+                self.mount[3 + a, b] = P[seat.columns[a], seat.columns[b]]
         for j in range(walls.places):
             if not walls.states:
                 for i in range(WALL):
-                    self.wall_rows[j, i] = walls.fixed[j, i]
+                    row[j, i] = walls.fixed[j, i]
                 for i in range(2 * free):
-                    self.wall_rows[j, WALL + i] = 0.0
+                    row[j, WALL + i] = 0.0
                 continue
             rho = walls.columns[j]
             beta = rho + 1
-            self.wall_rows[j, RHO], self.wall_rows[j, BETA] = state.mean[rho], state.mean[beta]
-            self.wall_rows[j, ANCHOR_X], self.wall_rows[j, ANCHOR_Y] = walls.anchors[j, 0], walls.anchors[j, 1]
-            self.wall_rows[j, P_RR], self.wall_rows[j, P_RB], self.wall_rows[j, P_BB] = (
-                state.P[rho, rho],
-                state.P[rho, beta],
-                state.P[beta, beta],
-            )
+            row[j, RHO], row[j, BETA] = state.mean[rho], state.mean[beta]
+            row[j, ANCHOR_X], row[j, ANCHOR_Y] = walls.anchors[j, 0], walls.anchors[j, 1]
+            row[j, P_RR], row[j, P_RB], row[j, P_BB] = P[rho, rho], P[rho, beta], P[beta, beta]
             for i in range(3):
-                self.wall_rows[j, X_RHO + 2 * i], self.wall_rows[j, X_BETA + 2 * i] = (
-                    state.P[i, rho],
-                    state.P[i, beta],
-                )
+                row[j, X_RHO + 2 * i], row[j, X_BETA + 2 * i] = P[i, rho], P[i, beta]
             for a in range(free):
-                self.wall_rows[j, WALL + a], self.wall_rows[j, WALL + free + a] = (
-                    state.P[rho, seat.columns[a]],
-                    state.P[beta, seat.columns[a]],
-                )
+                row[j, WALL + a], row[j, WALL + free + a] = P[rho, seat.columns[a]], P[beta, seat.columns[a]]
 
     def predict(self, x: float, y: float, theta: float) -> None:
-        """Eq. 17, 18: write what the robot should see of the map lines: r, psi, cos and sin of beta, (J, 4)."""
+        """Eq. 17, 18: write the predicted map lines as seen by the robot: r, psi, cos and sin of beta, (J, 4)."""
+        row = self.wall_rows
         for j in range(self.walls.places):
-            psi = self.wall_rows[j, BETA] - theta
+            psi = row[j, BETA] - theta
             if abs(psi) < MAX_ANGLE_RAD:
-                c, s = cos(self.wall_rows[j, BETA]), sin(self.wall_rows[j, BETA])
-                self.seen[j, 0] = (
-                    self.wall_rows[j, RHO]
-                    - (x - self.wall_rows[j, ANCHOR_X]) * c
-                    - (y - self.wall_rows[j, ANCHOR_Y]) * s
-                )
+                c, s = cos(row[j, BETA]), sin(row[j, BETA])
+                self.seen[j, 0] = row[j, RHO] - (x - row[j, ANCHOR_X]) * c - (y - row[j, ANCHOR_Y]) * s
                 self.seen[j, 1], self.seen[j, 2], self.seen[j, 3] = psi, c, s
             else:
                 self.seen[j, 0] = NOWHERE_M
 
     def find_pairs(self, state: State) -> int:
-        """Write the pairs on the right face that are near enough; return how many there are."""
+        """Write the pairs that face the robot and are near enough; return their number."""
         limit = max(self.rules.gate, NEAR_D2)
         max_turn = MAX_PAIR_ANGLE_RAD + PAIR_SIGMAS * sqrt(max(state.P[2, 2], 0.0))
         max_offset = MAX_PAIR_OFFSET_M + PAIR_SIGMAS * sqrt(max(state.P[0, 0] + state.P[1, 1], 0.0))
@@ -286,12 +228,8 @@ class Sight:
                     turn, side = turn - pi if turn > 0.0 else turn + pi, -1.0
                 offset = side * r - distance
                 if abs(turn) < max_turn and abs(offset) < max_offset:
-                    self.pairs[p, LINE_OF], self.pairs[p, WALL_OF], self.pairs[p, OFFSET], self.pairs[p, TURN] = (
-                        i,
-                        j,
-                        offset,
-                        turn,
-                    )
+                    self.pairs[p, LINE_OF], self.pairs[p, WALL_OF] = i, j
+                    self.pairs[p, OFFSET], self.pairs[p, TURN] = offset, turn
                     self.spread(state, p, i, j, side)
                     if self.fits(p, distance, limit):
                         self.extent(p, i, j, side, state.mean[0], state.mean[1])
@@ -299,75 +237,59 @@ class Sight:
         return p
 
     def spread(self, state: State, p: int, i: int, j: int, side: float) -> None:
-        """Write R and S = H P H' + R of a pair, cos, sin, u, and the measured psi as it is predicted."""
-        c, s = self.seen[j, 2], self.seen[j, 3]
-        u = (state.mean[0] - self.wall_rows[j, ANCHOR_X]) * s - (state.mean[1] - self.wall_rows[j, ANCHOR_Y]) * c
+        """Write R and S = H P H' + R of a pair, and cos, sin, u, and the measured psi as predicted."""
+        c, s, P, pairs, row = self.seen[j, 2], self.seen[j, 3], state.P, self.pairs, self.wall_rows
+        u = (state.mean[0] - row[j, ANCHOR_X]) * s - (state.mean[1] - row[j, ANCHOR_Y]) * c
         r00, r01, r11 = self.rows[i, R00_LINE], side * self.rows[i, R01_LINE], self.rows[i, R11_LINE]
-        m01, m11 = self.wall_rows[j, P_RB], self.wall_rows[j, P_BB]
+        m01, m11 = row[j, P_RB], row[j, P_BB]
         edge = m01 + u * m11
-        l00 = self.wall_rows[j, P_RR] + u * (m01 + edge)
-        by_rho, by_beta = (
-            -c * self.wall_rows[j, X_RHO] - s * self.wall_rows[j, Y_RHO],
-            -c * self.wall_rows[j, X_BETA] - s * self.wall_rows[j, Y_BETA],
-        )
-        turn_rho, turn_beta = -self.wall_rows[j, T_RHO], -self.wall_rows[j, T_BETA]
-        s00 = (
-            c * c * state.P[0, 0]
-            + 2.0 * c * s * state.P[0, 1]
-            + s * s * state.P[1, 1]
-            + l00
-            + 2.0 * (by_rho + u * by_beta)
-        )
-        s01 = c * state.P[0, 2] + s * state.P[1, 2] + edge + by_beta + turn_rho + u * turn_beta
-        s11 = state.P[2, 2] + m11 + 2.0 * turn_beta
-        self.pairs[p, R00], self.pairs[p, R01], self.pairs[p, R11] = r00, r01, r11
+        l00 = row[j, P_RR] + u * (m01 + edge)
+        by_rho = -c * row[j, X_RHO] - s * row[j, Y_RHO]
+        by_beta = -c * row[j, X_BETA] - s * row[j, Y_BETA]
+        turn_rho, turn_beta = -row[j, T_RHO], -row[j, T_BETA]
+        s00 = c * c * P[0, 0] + 2.0 * c * s * P[0, 1] + s * s * P[1, 1] + l00 + 2.0 * (by_rho + u * by_beta)
+        s01 = c * P[0, 2] + s * P[1, 2] + edge + by_beta + turn_rho + u * turn_beta
+        s11 = P[2, 2] + m11 + 2.0 * turn_beta
+        pairs[p, R00], pairs[p, R01], pairs[p, R11] = r00, r01, r11
         if not self.walls.states:
-            self.pairs[p, R00], self.pairs[p, R01], self.pairs[p, R11] = r00 + l00, r01 + edge, r11 + m11
-        self.pairs[p, S00], self.pairs[p, S01], self.pairs[p, S11] = s00 + r00, s01 + r01, s11 + r11
-        self.pairs[p, COS], self.pairs[p, SIN], self.pairs[p, LEVER] = c, s, u
-        self.pairs[p, PSI] = self.seen[j, 1] + self.pairs[p, TURN]
+            pairs[p, R00], pairs[p, R01], pairs[p, R11] = r00 + l00, r01 + edge, r11 + m11
+        pairs[p, S00], pairs[p, S01], pairs[p, S11] = s00 + r00, s01 + r01, s11 + r11
+        pairs[p, COS], pairs[p, SIN], pairs[p, LEVER] = c, s, u
+        pairs[p, PSI] = self.seen[j, 1] + pairs[p, TURN]
         if self.seat.free > 0:
             self.spread_mount(p, j)
 
     def spread_mount(self, p: int, j: int) -> None:
         """Add the covariance of an uncertain mount to S."""
-        free = self.seat.free
-        c, s, u = self.pairs[p, COS], self.pairs[p, SIN], self.pairs[p, LEVER]
-        c_psi, s_psi = cos(self.pairs[p, PSI]), sin(self.pairs[p, PSI])
+        free, pairs, mount, row = self.seat.free, self.pairs, self.mount, self.wall_rows
+        c, s, u = pairs[p, COS], pairs[p, SIN], pairs[p, LEVER]
+        c_psi, s_psi = cos(pairs[p, PSI]), sin(pairs[p, PSI])
         for a in range(free):
             r, turn = self.lever(a, c_psi, s_psi), -1.0 if self.seat.which[a] == 2 else 0.0
-            shared_r = (
-                -c * self.mount[0, a]
-                - s * self.mount[1, a]
-                + self.wall_rows[j, WALL + a]
-                + u * self.wall_rows[j, WALL + free + a]
-            )
-            shared_turn = -self.mount[2, a] + self.wall_rows[j, WALL + free + a]
-            self.pairs[p, S00] += 2.0 * shared_r * r
-            self.pairs[p, S01] += shared_r * turn + shared_turn * r
-            self.pairs[p, S11] += 2.0 * shared_turn * turn
+            with_beta = row[j, WALL + free + a]
+            shared_r = -c * mount[0, a] - s * mount[1, a] + row[j, WALL + a] + u * with_beta
+            shared_turn = -mount[2, a] + with_beta
+            pairs[p, S00] += 2.0 * shared_r * r
+            pairs[p, S01] += shared_r * turn + shared_turn * r
+            pairs[p, S11] += 2.0 * shared_turn * turn
             for b in range(free):
-                variance = self.mount[3 + a, b]
-                self.pairs[p, S00] += r * variance * self.lever(b, c_psi, s_psi)
+                variance = mount[3 + a, b]
+                pairs[p, S00] += r * variance * self.lever(b, c_psi, s_psi)
                 if self.seat.which[b] == 2:
-                    self.pairs[p, S01] -= r * variance
-                    self.pairs[p, S11] -= turn * variance
+                    pairs[p, S01] -= r * variance
+                    pairs[p, S11] -= turn * variance
 
     def lever(self, a: int, c: float, s: float) -> float:
-        """Return by how much the r of a line depends on free state `a` of the mount; c, s of the line's psi."""
+        """Return the derivative of a line's r by free state `a` of the mount; c, s of the line's psi."""
         if self.seat.which[a] == 2:
             return self.place[0] * s - self.place[1] * c
         return -c if self.seat.which[a] == 0 else -s
 
     def fits(self, p: int, distance: float, limit: float) -> bool:
-        """Write squared distance and score of a pair; tell whether the right face is seen, near enough."""
-        offset, turn, s00, s01, s11 = (
-            self.pairs[p, OFFSET],
-            self.pairs[p, TURN],
-            self.pairs[p, S00],
-            self.pairs[p, S01],
-            self.pairs[p, S11],
-        )
+        """Write squared distance and score of a pair; return whether the line faces the robot and is near."""
+        pairs = self.pairs
+        offset, turn = pairs[p, OFFSET], pairs[p, TURN]
+        s00, s01, s11 = pairs[p, S00], pairs[p, S01], pairs[p, S11]
         det = s00 * s11 - s01 * s01
         if not (det > 0.0 and s00 > 0.0):  # no float holds it
             return False
@@ -376,22 +298,19 @@ class Sight:
         return d2 <= limit and distance > -FACE_SIGMAS * sqrt(s00)
 
     def extent(self, p: int, i: int, j: int, side: float, x: float, y: float) -> None:
-        """Write where the measured segment lies along the map line [m], and by how much both overlap."""
+        """Write the position of the measured segment along the map line [m], and the overlap of both."""
+        pairs, row = self.pairs, self.wall_rows
         begin, end = self.rows[i, BEGIN_LINE], self.rows[i, END_LINE]
-        along = (y - self.wall_rows[j, ANCHOR_Y]) * self.pairs[p, COS] - (
-            x - self.wall_rows[j, ANCHOR_X]
-        ) * self.pairs[p, SIN]
-        self.pairs[p, BEGIN], self.pairs[p, END] = along + begin, along + end
+        along = (y - row[j, ANCHOR_Y]) * pairs[p, COS] - (x - row[j, ANCHOR_X]) * pairs[p, SIN]
+        pairs[p, BEGIN], pairs[p, END] = along + begin, along + end
         if side < 0.0:
-            self.pairs[p, BEGIN], self.pairs[p, END] = along - end, along - begin
-        self.pairs[p, OVERLAP] = min(self.pairs[p, END], self.walls.high[j]) - max(
-            self.pairs[p, BEGIN], self.walls.low[j]
-        )
+            pairs[p, BEGIN], pairs[p, END] = along - end, along - begin
+        pairs[p, OVERLAP] = min(pairs[p, END], self.walls.high[j]) - max(pairs[p, BEGIN], self.walls.low[j])
 
     # ---- association ----
 
     def associate(self) -> None:
-        """Write for every line the pair that matches and the best one, -1 for none; has it a rival, is it near?
+        """Write every line's matching pair and best pair (-1: none), and whether it has or is near a rival.
 
         A pair matches within the gate where it overlaps enough; another such pair that is worse by less than
         RIVAL_SCORE makes it ambiguous. A line is near a map line that it overlaps within NEAR_D2.
@@ -402,11 +321,8 @@ class Sight:
             self.try_pair(p, int(self.pairs[p, LINE_OF]))
         for p in range(self.found):
             i = int(self.pairs[p, LINE_OF])
-            near = (
-                self.match[i] >= 0
-                and self.match[i] != p
-                and self.pairs[p, SCORE] - self.pairs[self.match[i], SCORE] < RIVAL_SCORE
-            )
+            m = self.match[i]
+            near = m >= 0 and m != p and self.pairs[p, SCORE] - self.pairs[m, SCORE] < RIVAL_SCORE
             if near and self.fits_well(p, i):
                 self.rival[i] = 1
         self.claim()
@@ -425,7 +341,7 @@ class Sight:
             self.best[i] = p
 
     def claim(self) -> None:
-        """Let the pair that matches be the best one, and each stretch of a map line be matched once.
+        """Make the matching pair the best one, and match each part of a map line only once.
 
         By their scores, lines claim the stretch of the map line that they match; who comes second is ambiguous.
         """
@@ -452,12 +368,12 @@ class Sight:
                 kept += 1
 
     def overlap(self, p: int, q: int) -> bool:
-        """Tell whether two pairs claim the same stretch of one map line."""
+        """Return whether two pairs use the same part of one map line."""
         common = min(self.pairs[p, END], self.pairs[q, END]) - max(self.pairs[p, BEGIN], self.pairs[q, BEGIN])
         return self.pairs[p, WALL_OF] == self.pairs[q, WALL_OF] and common > COMMON_M
 
     def fits_well(self, p: int, i: int) -> bool:
-        """Tell whether a pair of measured line i may match: by its distance, and by how much both overlap."""
+        """Return whether a pair of measured line i may match: by its distance and the overlap."""
         length = min(self.rows[i, END_LINE] - self.rows[i, BEGIN_LINE], MAX_LENGTH_M)
         return self.pairs[p, D2] <= self.rules.gate and self.pairs[p, OVERLAP] > MIN_OVERLAP_SHARE * length
 
@@ -480,7 +396,7 @@ class Sight:
         return n
 
     def refuse_alone(self) -> None:
-        """Let a scan's only match be none where others failed to match and it does not fit nearly perfectly."""
+        """Reject a scan's only match if other lines failed to match and it does not fit nearly perfectly."""
         alone = -1
         for i in range(self.lines):
             if self.match[i] >= 0:
@@ -490,11 +406,8 @@ class Sight:
         if alone < 0 or self.lines < 2:
             return
         p = self.match[alone]
-        if (
-            self.pairs[p, D2] > LONE_D2
-            or abs(self.pairs[p, TURN]) > LONE_TURN_RAD
-            or abs(self.pairs[p, OFFSET]) > LONE_OFFSET_M
-        ):
+        turn, offset = abs(self.pairs[p, TURN]), abs(self.pairs[p, OFFSET])
+        if self.pairs[p, D2] > LONE_D2 or turn > LONE_TURN_RAD or offset > LONE_OFFSET_M:
             self.match[alone] = -1
 
     def is_matched(self, i: int) -> bool:
@@ -502,7 +415,7 @@ class Sight:
         return self.match[i] >= 0
 
     def is_new(self, i: int) -> bool:
-        """Tell whether line i matches nothing and is near nothing that is known."""
+        """Return whether line i matches nothing and is near no known line."""
         return self.match[i] < 0 and not self.near[i]
 
     # ---- what it says ----
@@ -540,17 +453,14 @@ class Sight:
         state.row_count[a], state.row_count[b] = w, v
         for j in range(a):
             state.row_R[a, j] = state.row_R[b, j] = 0.0
-        state.row_R[a, a], state.row_R[b, a], state.row_R[b, b] = (
-            self.pairs[p, R00],
-            self.pairs[p, R01],
-            self.pairs[p, R11],
-        )
+        state.row_R[a, a], state.row_R[b, a] = self.pairs[p, R00], self.pairs[p, R01]
+        state.row_R[b, b] = self.pairs[p, R11]
         if self.parts > 0 and self.rules.states:
             self.share_noise(state, i, p, a - self.first)
         state.written = b + 1
 
     def share_noise(self, state: State, i: int, p: int, a: int) -> None:
-        """Add to R between line i, the rows a and a + 1 of this scan, and those before what their errors share.
+        """Add the covariance of shared errors to R, between line i (rows a, a + 1) and earlier lines of the scan.
 
         A line that is read as (-r, psi + pi) shares the r of the other sign.
         """
@@ -564,7 +474,7 @@ class Sight:
                     state.row_R[first + m, first + j] += self.G[m, k] * self.G[j, k]
 
     def write(self, out: Audit, at: int, instant: int, row: int) -> None:
-        """Write what became of every line, the first of which is `row` of the measurements, from `at` on."""
+        """Write the verdict on every line from `at` on; `row` is the first line's row of the measurements."""
         rules, nan = self.rules, float("nan")
         for i in range(self.lines):
             k, p = at + i, self.best[i]
@@ -583,16 +493,14 @@ class Sight:
     # ---- what the map learns ----
 
     def extend(self, scan: int) -> None:
-        """Let matched map lines reach as far as the measured ones, and count them as seen in this scan."""
+        """Extend matched map lines to the ends of the measured ones, and count them as seen in this scan."""
         walls = self.walls
         for i in range(self.lines):
             p = self.match[i]
             if p >= 0:
                 j = int(self.pairs[p, WALL_OF])
-                walls.low[j], walls.high[j] = (
-                    min(walls.low[j], self.pairs[p, BEGIN]),
-                    max(walls.high[j], self.pairs[p, END]),
-                )
+                walls.low[j] = min(walls.low[j], self.pairs[p, BEGIN])
+                walls.high[j] = max(walls.high[j], self.pairs[p, END])
                 walls.hits[j] += 1
                 walls.seen[j] = scan
 
@@ -605,7 +513,7 @@ class Sight:
         return n
 
     def bends(self, state: State, uneven: float, uneven_angle: float, most: float, most_angle: float) -> None:
-        """Write into `bent` by what variance the states of the lines that were seen bend, `most` of each.
+        """Write into `bent` the variance to add to the states of the lines that were seen, `most` of each.
 
         A wall stays within its unevenness [m^2, rad^2], so a line that is known no better is left alone.
         """
@@ -625,7 +533,7 @@ class Sight:
 
 
 def lacks(state: State, walls: Walls, floor: float, floor_angle: float, missing: Loosening) -> None:
-    """Write which states of the map vary by less than the floor [m^2, rad^2], and by how much.
+    """Write which states of the map have less variance than the floor [m^2, rad^2], and how much less.
 
     First all offsets, then all angles: room for (2 J,).
     """
@@ -639,7 +547,7 @@ def lacks(state: State, walls: Walls, floor: float, floor_angle: float, missing:
 
 
 def untidy(state: State, walls: Walls, doubles: Doubles, scan: int, rows: Any, found: Any) -> bool:
-    """Tell whether a line proved worthless by now, or one that was seen lately may be one wall with another.
+    """Return whether a line was seen too rarely, or a line seen lately may be one wall with another.
 
     rows (J, 4) and found (J,) are room to work in.
     """
@@ -655,12 +563,12 @@ def untidy(state: State, walls: Walls, doubles: Doubles, scan: int, rows: Any, f
 
 
 def worthless(walls: Walls, j: int, scan: int, doubles: Doubles) -> bool:
-    """Tell whether line j was seen too rarely in the scans of its trial, which is over."""
+    """Return whether line j was seen too rarely in its trial scans, which are over."""
     return walls.hits[j] < doubles.hits and scan - walls.born[j] > doubles.trial and walls.born[j] > 0
 
 
 def one_wall(rows: Any, walls: Walls, i: int, j: int, doubles: Doubles) -> bool:
-    """Tell whether lines i and j of rows (J, 4 or more: rho, beta, anchor) may be one wall by where they lie."""
+    """Return whether lines i and j of rows (J, 4 or more: rho, beta, anchor) may be one wall by position."""
     turn = rows[j, BETA] - rows[i, BETA]
     if i == j or turn - turn != 0.0 or not abs(wrapped(turn)) < doubles.turn:  # Inf or NaN: there is no such line
         return False
@@ -674,7 +582,7 @@ def one_wall(rows: Any, walls: Walls, i: int, j: int, doubles: Doubles) -> bool:
 
 
 def neighbours(rows: Any, walls: Walls, i: int, doubles: Doubles, found: Any) -> int:
-    """Write which lines line i may be one wall with, found (J,); return how many these are."""
+    """Write the lines that may be one wall with line i, found (J,); return their number."""
     n = 0
     for j in range(walls.places):
         if one_wall(rows, walls, i, j, doubles):

@@ -1,4 +1,4 @@
-"""What an interpreted kernel needs: a stand-in for the module `cython`, and C's math.
+"""Stand-ins for an interpreted kernel: the module `cython` and C's math.
 
 C's functions return NaN or Inf where Python's raise.
 """
@@ -26,5 +26,5 @@ def sin(angle: float) -> float:
 
 
 def sqrt(value: float) -> float:
-    """Return the square root, NaN of what is negative."""
+    """Return the square root, NaN of a negative number."""
     return math.sqrt(value) if value >= 0.0 else math.nan

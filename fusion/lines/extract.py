@@ -116,7 +116,7 @@ def rows_of(z: Array, R: Array, ends: Array) -> Array:
 
 
 def of_rows(rows: Array) -> tuple[Array, Array, Array]:
-    """Return (z, R, ends) of such a table."""
+    """Return (z, R, ends) of such a table of lines."""
     return rows[:, :2], rows.take(_OF_R, axis=1).reshape(-1, 2, 2), rows[:, 5:]
 
 
@@ -160,7 +160,7 @@ def lines_of(scans: Scans, settings: LineSettings, motion: Motion | None) -> Lin
 
 
 def _joined(parts: list[Lines]) -> Lines:
-    """Return the batches' lines as one."""
+    """Return the lines of all batches as one record."""
     columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in Lines.__struct_fields__}
     counts = np.concatenate([np.diff(part.first) for part in parts])
     return Lines(**(columns | {"first": np.concatenate(([0], np.cumsum(counts)))}))

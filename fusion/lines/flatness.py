@@ -1,4 +1,4 @@
-"""How straight are the walls? Found without a pose: the angle between two walls stays as the robot moves.
+"""How straight are the walls? Measured without a pose: the angle between two walls is constant as the robot moves.
 
 Where it changes by more than the fits' noise allows, the walls are not planes: plaster, door frames, things that
 lean on them. That is a floor under the noise of every line: none in a simulated room, 0.5° in an old corridor.
@@ -30,7 +30,7 @@ OFFSET_PER_ANGLE_M = 1.3  # m per rad: 8 mm with 0.35 degrees
 def wall_floor(
     t: Array, first: Ints, z: Array, variance: Array, wheels: WheelMotion, sweep: Array | None = None
 ) -> tuple[float, float]:
-    """Return the floors of r [m] and psi [rad] that the walls ask for, (0, 0) where they are flat or too few.
+    """Return the floors of r [m] and psi [rad] that the walls need, (0, 0) if they are flat or too few.
 
     z (m, 2) lines of scans at t (n,), owned by first (n + 1,); variance (m,) of psi by the fit [rad^2].
     `sweep` (m, k): what psi owes to wheels that slip within a scan, which its lines share (lines.sweep) [rad].
@@ -49,7 +49,7 @@ def wall_floor(
 
 
 def bend(uneven: Array) -> Array:
-    """Return by what variance (2,) a wall differs from one scan to the next, from that of its unevenness.
+    """Return the variance (2,) by which a wall differs from scan to scan, given that of its unevenness.
 
     What is uneven about a wall repeats while the same part of it is seen, so it does not average out. As a random
     walk of the line that explains the change over LAG_SCANS scans, 2 `uneven`, it does not either.

@@ -1,4 +1,4 @@
-"""The range that a driver writes where nothing came back, where it is no NaN, no Inf and not beyond range_max.
+"""The range that a driver writes for no return, if that is not NaN, not Inf and not beyond range_max.
 
 Many drivers write one fixed range, such as 50 m, and say range_max = 80 m. Read as walls, these beams draw an arc
 round the robot that goes with it. Ranges of a wall scatter: hardly two of the longest are the same number.
@@ -51,7 +51,7 @@ class Longest:
 
     @property
     def no_return(self) -> float | None:
-        """The range [m] that means "nothing came back", None where the longest range is a wall's."""
+        """The range [m] that means no return; None if the longest range is a wall's."""
         repeated = self.count >= MIN_REPEATS and self.count > CROWD * self._near
         return self.value if repeated else None
 
@@ -66,7 +66,7 @@ class Longest:
 
 
 def left_out(laser: Laser, read: Callable[[Laser, Longest], T]) -> tuple[T, Laser, tuple[str, ...]]:
-    """Read scans, and once more without the word for no return where they have one; with the laser, and a note.
+    """Read scans, and again without the range that means no return if there is one; with the laser and a note.
 
     Not where `laser` says how far it sees: then the user has decided. `read` shows all ranges to what it is given.
     """

@@ -38,7 +38,7 @@ def _padded(first: Ints, counts: Ints, readings: Ints) -> Padded:
 
 
 def misfit(turn: Array, shift: Array, scale: tuple[float, float], a: Padded, b: Padded) -> Array:
-    """Return how badly line j of b fits line i of a, (k, w_a, w_b): below 1 is near; infinite where none is.
+    """Return how badly line j of b fits line i of a, (k, w_a, w_b): below 1 is near; infinite without a line.
 
     turn [rad] and shift [m] from one to the other, in units of scale (rad, m).
     """
@@ -47,12 +47,12 @@ def misfit(turn: Array, shift: Array, scale: tuple[float, float], a: Padded, b: 
 
 
 def turn_of(a: Array, b: Array) -> Array:
-    """Return by how much line j of b (k, w_b) is turned against line i of a (k, w_a), [rad], (k, w_a, w_b)."""
+    """Return the turn of line j of b (k, w_b) against line i of a (k, w_a), [rad], (k, w_a, w_b)."""
     return wrap_all(a[:, :, None] - b[:, None, :])
 
 
 def nearest(values: Array, cost: Array) -> tuple[Array, Array, Ints]:
-    """Return of each line of a, (k, w_a): the value and the cost of its nearest line of b, and which that is."""
+    """Return for each line of a, (k, w_a), value, cost and index of its nearest line of b."""
     j = cost.argmin(axis=2)
     at = j[:, :, None]
     return np.take_along_axis(values, at, 2)[:, :, 0], np.take_along_axis(cost, at, 2)[:, :, 0], j

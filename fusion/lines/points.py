@@ -1,4 +1,4 @@
-"""Points of chosen scans, read from the log again: only large maps need them, and only of some scans."""
+"""Points of chosen scans, read from the log again: only large maps need them, and only those of some scans."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class ScanPoints(msgspec.Struct, frozen=True, eq=False, weakref=True):
         return replace(self, rows=self.rows[readings])
 
     def moved(self, t_from: Array, t_to: Array) -> Array:
-        """Return by the wheels the poses (n, 3) at t_to seen from those at t_from, (n,) s each."""
+        """Return the poses (n, 3) at t_to relative to those at t_from, (n,) s each, by the wheels."""
         return self.wheels.relative(t_from, t_to)
 
     def read(self, readings: Ints) -> list[Array]:

@@ -29,7 +29,7 @@ MAX_SAME_TURN_RAD, MAX_SAME_SHIFT_M = (
 
 
 class Laser(NamedTuple):
-    """Where the laser sits and how its readings become ranges."""
+    """The laser's mount and the settings that correct its readings."""
 
     mount: Array  # (3,) x, y [m], yaw [rad] on the base
     flipped: bool  # mounted upside-down: beams run clockwise seen from above
@@ -82,7 +82,7 @@ def lines_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: Wh
 
 
 def points_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: WheelMotion) -> tuple[Array, Array]:
-    """Return what k scans saw as points in the base, (k, b, 2) [m], NaN without a return; and when (k,) [s]."""
+    """Return the points of k scans in the base, (k, b, 2) [m], NaN without a return; and their times (k,) [s]."""
     ranges, angles = returns(scans, laser)
     t, offsets = deskew(scans["time_increment"].astype(np.float64), ranges.shape[1], stamps, laser, wheels)
     points = np.stack((ranges * np.cos(angles), ranges * np.sin(angles)), axis=-1)
@@ -92,7 +92,7 @@ def points_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: W
 
 
 def returns(scans: dict[str, Any], laser: Laser) -> tuple[Array, Array]:
-    """Return the ranges [m], NaN where there is none, and angles [rad, laser's frame] of k scans, (k, b) each."""
+    """Return ranges [m] (NaN without a return) and angles [rad, laser's frame] of k scans, (k, b) each."""
     beams = scans["ranges"].shape[1]
     angles = scans["angle_min"][:, None] + scans["angle_increment"][:, None] * np.arange(beams)
     if laser.flipped:
@@ -110,7 +110,7 @@ def returns(scans: dict[str, Any], laser: Laser) -> tuple[Array, Array]:
 def deskew(
     increment: Array, beams: int, stamps: Array, laser: Laser, wheels: WheelMotion
 ) -> tuple[Array, Array | None]:
-    """Return each scan's middle instant and each beam's pose seen from it, (n, b, 3) in the laser's frame.
+    """Return each scan's middle instant and each beam's pose relative to it, (n, b, 3) in the laser's frame.
 
     The wheels are asked at a few knots and the poses between are interpolated: over a quarter of a scan a
     robot's arc leaves its chord by micrometres.
@@ -130,7 +130,7 @@ def deskew(
 
 
 def sweep_time(increment: Array, beams: int) -> Array:
-    """Return from the first beam to the last, (n,) s: at most a second, none where the increment is NaN."""
+    """Return the time from the first beam to the last, (n,) s: at most a second; 0 if the increment is NaN."""
     return np.fmin(np.fmax(increment, 0.0), 1.0 / beams) * (beams - 1)
 
 
@@ -146,7 +146,7 @@ class Gathered:
         self.giants = self.crowded = 0  # scans of more than MAX_BEAMS, and MAX_LINES: none of them is used
 
     def add(self, at: Ints, lines: Lines) -> None:
-        """Add the lines of the readings `at` (k,); of each line what a measurement needs."""
+        """Add the lines of the readings `at` (k,), with the values that a measurement of each needs."""
         counts = np.diff(lines.first)
         kept: slice | NDArray[np.bool_] = np.s_[:]
         crowded = counts > MAX_LINES
@@ -163,7 +163,7 @@ class Gathered:
         self._sweep.append(lines.sweep[kept])
 
     def in_order(self, n: int) -> tuple[Ints, Array, Array, Array, Array]:
-        """Return the lines of n readings in order: first (n + 1,), z, R_unit, ends, sweep; none is kept."""
+        """Return the lines of n readings in order: first (n + 1,), z, R_unit, ends, sweep; frees the pieces."""
         at, counts = (np.concatenate([np.empty(0, np.int64), *pieces]) for pieces in (self._at, self._counts))
         of_reading = np.zeros(n, dtype=np.int64)
         of_reading[at] = counts
@@ -179,13 +179,13 @@ class Gathered:
 
 
 def _as_wide(pieces: list[Array]) -> list[Array]:
-    """Return loadings (m, 2, k) with as many columns as any has: those of lines that share nothing are 0."""
+    """Return loadings (m, 2, k) padded to the same number of columns: 0 for lines that share no error."""
     widest = max([piece.shape[2] for piece in pieces], default=0)
     return [p if p.shape[2] else np.zeros((*p.shape[:2], widest), p.dtype) for p in pieces]
 
 
 def _joined(pieces: list[Array], rows: Ints | None) -> Array:
-    """Return pieces as one array, line k at rows[k] (m,); the pieces are let go of: an hour of them is big."""
+    """Return pieces as one array, line k at rows[k] (m,); frees the pieces, since an hour of them is big."""
     whole = np.concatenate(pieces)
     pieces.clear()
     if rows is None:
@@ -214,7 +214,7 @@ def turns(first: Ints, z: Array, variance: Array) -> Array:
 
 
 def _medians(values: Array, weights: Array) -> Array:
-    """Return the weighted median of each row (k, w), 0 where nothing has weight.
+    """Return the weighted median of each row (k, w), 0 without weight.
 
     Where half the weight lies between the middles of two values' weights, the median is between the values alike:
     equal weights give the ordinary median, two values their weighted mean.

@@ -1,4 +1,4 @@
-"""What counts as a wall."""
+"""Settings of a wall."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import msgspec
 
 
 class LineSettings(msgspec.Struct, frozen=True):
-    """How noisy the laser is and what counts as a wall; the defaults are the paper's laser: 30 mm, 0.25 deg."""
+    """Noise of the laser and limits of a wall; the defaults are the paper's laser: 30 mm, 0.25 deg."""
 
     sigma_range: float = 0.03  # m
     sigma_angle: float = math.radians(0.25)  # rad

@@ -1,4 +1,4 @@
-"""Noise of deskewing: while a scan sweeps, wheels slip, and the beams are put where the wheels say the robot was.
+"""Noise of deskewing: wheels slip during a scan, and the beams are placed by the wheels.
 
 Between the middle of the sweep and a beam either wheel errs by a random walk w of variance k |rolled| (the k of
 wheels.noise), so that the beam is turned about the base by (w_right - w_left) / L and moved ahead by their mean.
@@ -23,7 +23,7 @@ PIECE_EDGES = np.linspace(-0.5, 0.5, SWEEP_PIECES + 1)  # of the pieces, in swee
 
 
 class Motion(NamedTuple):
-    """How beams of a scan move with the base: numbers of the laser's mount."""
+    """Motion of a scan's beams with the base: numbers of the laser's mount."""
 
     lever: tuple[float, float]  # m, from the base to the laser, in the laser's axes
     ahead: tuple[float, float]  # the base's forward direction in the laser's axes
@@ -59,7 +59,7 @@ def noise_of(per_unit: Array, scan: Ints, middle: Array, duration: Array, wheels
 
 
 def in_base(loads: Array, z: Array, mount: Array) -> Array:
-    """Return loadings (m, 2, ...) of the laser's lines z (m, 2) as the base sees them, by `kernels.places`."""
+    """Return loadings (m, 2, ...) of the laser's lines z (m, 2) in the base frame, by `kernels.places`."""
     out = np.empty(loads.shape)
     if loads.size:
         parts = (len(z), 2, -1)

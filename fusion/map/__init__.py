@@ -1,1 +1,1 @@
-"""The map that a drive builds or is given: lines, association, small maps of a building, getting found again."""
+"""The map that a drive builds or is given: lines, association, submaps of a building, relocalisation."""

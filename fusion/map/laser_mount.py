@@ -1,4 +1,4 @@
-"""A laser whose mount is uncertain: its lines as the estimated mount puts them into the base, and what that costs.
+"""A laser with an uncertain mount: its lines in the base by the estimated mount, and their added covariance.
 
 A line (r, psi) in the base frame follows from the laser's own one and the mount (x, y, yaw) by psi = psi_L + yaw,
 r = r_L + x cos(psi) + y sin(psi). So what is predicted for the laser's reading depends on the mount by
@@ -24,7 +24,7 @@ from locfuse.fusion.mount import Mount
 
 
 def seat_of(mount: Mount | None, belief: JointBelief) -> Seat:
-    """Return the laser's mount for the kernel: as configured, and what of it is a state."""
+    """Return the laser's mount for the kernel: its configured values, and which of them are states."""
     if mount is None:
         return Seat(np.zeros(3), np.zeros(0, np.intp), np.zeros(0, np.intp))
     columns = np.array(mount.columns(belief), np.intp)
@@ -32,7 +32,7 @@ def seat_of(mount: Mount | None, belief: JointBelief) -> Seat:
 
 
 def by_mount(mount: Mount, belief: JointBelief, psi: float) -> Array:
-    """Return by how much a predicted line at psi [rad, base frame] depends on the mount's states, (2, f)."""
+    """Return the derivative of a predicted line at psi [rad, base frame] by the mount's states, (2, f)."""
     x, y, _ = mount.now(belief)
     c, s = math.cos(psi), math.sin(psi)
     whole = np.array(((-c, -s, x * s - y * c), (0.0, 0.0, -1.0)))
@@ -41,6 +41,6 @@ def by_mount(mount: Mount, belief: JointBelief, psi: float) -> Array:
 
 
 def moved_mount(mount: Mount, belief: JointBelief) -> Pose:
-    """Return what leads from the base by the mount as configured to that by the one that is estimated now."""
+    """Return the motion from the base by the configured mount to that by the estimated mount."""
     x, y, yaw = se2.compose(np.array(mount.now(belief)), se2.inverse(np.array(mount.told))).tolist()
     return x, y, yaw

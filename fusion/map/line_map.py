@@ -198,7 +198,7 @@ class LineMap(msgspec.Struct):
     def _joint_with_frame(self, j: int, P: Array, belief: JointBelief) -> Array:
         """Return the covariance of (rho, beta) of line j and the map frame, (5, 5)."""
         out = np.zeros((5, 5))
-        out[:2, :2], out[2:, 2:] = P, belief.with_frame().own
+        out[:2, :2], out[2:, 2:] = P, belief.frame_covariance()
         if belief.framed and self.column[j] >= 0:
             own, frame = self.column[j] + np.arange(2), belief.frame + np.arange(3)
             out[:2, 2:] = belief.covariance[np.ix_(own, frame)]

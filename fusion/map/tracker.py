@@ -442,7 +442,7 @@ class AtlasTracker(LineTracker):
         """Begin a map at an anchor, which is the map frame."""
         frame = belief.frame_pose()
         if self._left is None:
-            own = np.zeros((3, 3)) if frame is None else np.array(belief.with_frame().own)
+            own = np.zeros((3, 3)) if frame is None else belief.frame_covariance()
             self._at = self._anchors.first(np.zeros(3) if frame is None else np.array(frame), own)
         else:
             z, P = self._left
@@ -463,7 +463,7 @@ class AtlasTracker(LineTracker):
         if frame is None:
             return
         at = self._at
-        before, now = self._anchors.covariance((at,)), np.array(belief.with_frame().own)
+        before, now = self._anchors.covariance((at,)), belief.frame_covariance()
         if (np.diagonal(now) > (1.0 - KNOWN_BETTER) * np.diagonal(before)).all():
             return
         L = inverted(now)

@@ -80,7 +80,7 @@ def eq8_W(ds: Array, dtheta: Array, theta: Array, L: float) -> Array:
 
 
 def eq9_Q(delta: float, omega_right: Array, omega_left: Array) -> Array:
-    """Eq. 9: covariance (..., 2, 2) of the wheel speeds [rad^2/s^2], whatever the sampling period is."""
+    """Eq. 9: covariance (..., 2, 2) of the wheel speeds [rad^2/s^2], independent of the sampling period."""
     Q = np.zeros((*np.shape(omega_right), 2, 2))
     Q[..., 0, 0] = delta * omega_right**2
     Q[..., 1, 1] = delta * omega_left**2
@@ -99,7 +99,7 @@ def eq11_x(x: Array, K: Array, y: Array) -> Array:
 
 
 def eq12_P(K: Array, H: Array, P: Array) -> Array:
-    """Eq. 12: covariance (3, 3) after the correction. Nothing keeps it symmetric, or positive."""
+    """Eq. 12: covariance (3, 3) after the correction; it may become asymmetric or lose positivity."""
     return (np.eye(len(P)) - K @ H) @ P
 
 
@@ -128,7 +128,7 @@ def eq17_C(rho: float, beta: float, x: float, y: float) -> float:
 
 
 def eq18_prediction(C: float, beta: float, theta: float) -> tuple[float, float]:
-    """Eq. 18: the (r, psi) in which the line should be seen; not wrapped. (Print lost the "+" before 0.5.)"""
+    """Eq. 18: the predicted (r, psi) of the line, not wrapped. (The print lost the "+" before 0.5.)"""
     sign = math.copysign(1.0, C) if C else 0.0
     return abs(C), beta - (theta - math.pi / 2) + (-0.5 * sign + 0.5) * math.pi
 

@@ -1,4 +1,4 @@
-"""The paper's filter as printed, in lock-step: every 100 ms the newest of everything, stacked as in eq. 16.
+"""The paper's filter as printed, in lock-step: every 100 ms the newest reading of every sensor, as in eq. 16.
 
 It shares the front end (lines, headings, bearings) with the product's filter, so that what differs is the filter.
 What the print leaves open, and what is done here, stands in docs/paper.md.
@@ -60,7 +60,7 @@ def fuse_as_printed(
 
 
 class Counts:
-    """Distances that the wheels have rolled, as the paper's robot knows them: by what the encoders last said."""
+    """Distances rolled by the wheels, as the paper's robot knows them: the newest encoder reading at any time."""
 
     def __init__(self, wheels: Wheels) -> None:
         self.t = wheels.t
@@ -78,7 +78,7 @@ class Counts:
 
 
 def _grid(end: float, period: float) -> Array:
-    """Return the instants of the filter's loop, (m,) [s]. Raises LocfuseError where they are too many to hold."""
+    """Return the instants of the filter's loop, (m,) [s]. Raises LocfuseError if they are too many for memory."""
     if end / period > MAX_STEPS:
         raise LocfuseError(
             f"--preset paper steps every {period:g} s, and this drive of {end:.3g} s has {end / period:.3g} "
@@ -88,7 +88,7 @@ def _grid(end: float, period: float) -> Array:
 
 
 class PrintedFilter:
-    """State, covariance, each sensor's part of eq. 16, and the record of what happened."""
+    """State, covariance, each sensor's part of eq. 16, and the record of a run."""
 
     def __init__(
         self,
@@ -143,7 +143,7 @@ class PrintedFilter:
         return equations.eq3_motion(x, ds, dtheta), equations.eq6_P(P, A, W, Q)
 
     def correct(self, seen: dict[str, list[Row]]) -> None:
-        """Eq. 10-12 with everything stacked as in eq. 16."""
+        """Eq. 10-12 with all measurements stacked as in eq. 16."""
         stacked = [row for sensor in PARTS for row in seen.get(sensor, [])]
         if not stacked:
             return
@@ -155,7 +155,7 @@ class PrintedFilter:
         self.x, self.P = equations.eq11_x(self.x, K, y), equations.eq12_P(K, H, self.P)
 
     def at(self, t: Array) -> tuple[Array, Array]:
-        """Return pose (n, 3) and covariance (n, 3, 3) at any times of the drive: the last step's, moved on."""
+        """Return pose (n, 3) and covariance (n, 3, 3) at any times of the drive, predicted from the last step."""
         k = np.clip(np.searchsorted(self.grid, t + MAX_STAMP_ROUNDING_S, side="right") - 1, 0, len(self.grid) - 1)
         moved = self.counts.interpolated(t) - self.counts.interpolated(self.grid[k])
         return self.predict(self._poses[k], self._covariances[k], moved)
@@ -185,7 +185,7 @@ class PrintedFilter:
         )
 
     def _notes(self) -> list[str]:
-        """Say how many readings the fixed grid leaves out."""
+        """Return a note on how many readings the fixed grid leaves out."""
         notes = []
         for sensor, used in self._newest.items():
             n = len(self.drive.measurements[sensor].t)

@@ -1,4 +1,4 @@
-"""Which filter a preset runs: the product's own, or the paper's as printed."""
+"""The filter that a preset runs: the product's own, or the paper's as printed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NOTE = (
 
 
 def fuser(preset: Preset) -> Callable[..., Estimates]:
-    """Return what fuses a drive under a preset; both have the arguments of `fusion.fuse.fuse`."""
+    """Return the function that fuses a drive under a preset; both have the arguments of `fusion.fuse.fuse`."""
     if preset == "paper":
         from .filter import fuse_as_printed
 

@@ -1,4 +1,4 @@
-"""What each sensor puts into the paper's measurement vector (16): rows of z - h(x) and of H, as printed."""
+"""Each sensor's part of the paper's measurement vector (16): rows of z - h(x) and of H, as printed."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class LineRows:
         return innovation(row, j, np.array([dr, dpsi]), equations.eq13_H_line(C, beta), self.R, P)
 
     def _nearest(self, r: float, psi: float, x: Array) -> tuple[int, float, float]:
-        """Return the map line nearest in (r, psi) and both differences; -1 where none is in the window."""
+        """Return the map line nearest in (r, psi) and both differences; -1 if none is in the window."""
         best, least = (-1, math.nan, math.nan), math.inf
         for j, (rho, beta) in enumerate(self.map):
             C = equations.eq17_C(rho, beta, float(x[0]), float(x[1]))
@@ -92,7 +92,7 @@ class LineRows:
 
 
 class CompassRow:
-    """phi: the heading itself. Where no offset is given, the first reading is the predicted heading."""
+    """phi: the heading itself. Without a configured offset, the first reading defines it."""
 
     def __init__(self, robot: Robot, numbers: Printed) -> None:
         offset = robot.settings("compass").offset_deg
@@ -130,7 +130,7 @@ class CameraRow:
 
 
 def innovation(row: int, landmark: int, y: Array, H: Array, R: Array, P: Array) -> Row:
-    """Return an accepted measurement with y (d,), H (d, 3), R (d, d): the print knows no gate."""
+    """Return an accepted measurement with y (d,), H (d, 3), R (d, d): the paper has no gate."""
     S = H @ P @ H.T + R
     nis = float(y @ np.linalg.solve(S, y))
     sigma = np.sqrt(np.maximum(np.diag(S), 0.0))
@@ -138,7 +138,7 @@ def innovation(row: int, landmark: int, y: Array, H: Array, R: Array, P: Array) 
 
 
 def unmatched(row: int, verdict: int) -> Row:
-    """Return a line that was compared with nothing."""
+    """Return a line without a match."""
     return Row(Innovation.unpredicted(row, verdict, 2, math.inf), np.zeros((0, 3)))
 
 

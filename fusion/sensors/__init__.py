@@ -1,1 +1,1 @@
-"""One file per sensor: its settings (its TOML table), how it measures, how the filter sees it."""
+"""One file per sensor: its settings (its TOML table), its measurements, and its model in the filter."""

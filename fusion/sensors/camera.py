@@ -43,7 +43,7 @@ MIN_CANDIDATE_MARGIN = 9.0  # squared sigmas by which the second-best candidate 
 
 
 class CameraSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """[camera]: where the landmark stands, how the picture is calibrated, what counts as red."""
+    """[camera]: the landmark's place, the calibration of pictures, and the limits of red."""
 
     landmark: Point | None = None  # m, map frame; without it the camera cannot be used
     centre: Point | None = None  # px, where the mirror's axis meets the picture; None: its middle
@@ -62,7 +62,7 @@ class CameraSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, k
     min_slender: float = 1.5  # length over width
 
     def __post_init__(self) -> None:
-        """Raise ValueError where the numbers cannot be a calibration."""
+        """Raise ValueError if the numbers are no possible calibration."""
         super().__post_init__()
         numbers = [v for f in self.__struct_fields__ for v in _numbers(getattr(self, f))]
         if not all(map(math.isfinite, numbers)):
@@ -131,7 +131,7 @@ class Camera(Sensor):
         )
 
     def mount(self, settings: CameraSettings) -> tuple[float, float, float]:
-        """Return where it sits on the base: x [m], y [m], yaw [rad]."""
+        """Return its mount on the base: x [m], y [m], yaw [rad]."""
         return settings.mount
 
     def landmark(self, settings: CameraSettings) -> Point | None:
@@ -152,14 +152,14 @@ class Camera(Sensor):
         return _collect(look(stream, detector(settings)), settings, epoch_ns)
 
     def again(self, before: Measurements, settings: CameraSettings, epoch_ns: int) -> Measurements | None:
-        """Return what `measure` would: no picture is looked at again for a clock, a direction or a sigma."""
+        """Return the result of `measure` without a new detection, after a change of clock, direction or sigma."""
         seen = before.seen
         if self.missing(settings) or not isinstance(seen, Seen) or not seen.by.looks_like(detector(settings)):
             return None
         return _collect(seen, settings, epoch_ns)
 
     def model(self, settings: CameraSettings) -> Model:
-        """Return the camera's side of a new run."""
+        """Return the camera's model for a new run."""
         missing = self.missing(settings)
         if missing or settings.landmark is None:
             raise LocfuseError(f"camera: {missing}")
@@ -198,7 +198,7 @@ class Seen(NamedTuple):
 
 
 def look(stream: Stream, by: Any) -> Seen:
-    """Look at every picture of a stream; those of another size than most are left out."""
+    """Detect in every picture of a stream; pictures of another size than most are left out."""
     from locfuse.fusion.camera.detect import Detection, detections
 
     found: list[tuple[int, Detection]] = []
@@ -257,11 +257,11 @@ class BearingModel(Model):
         self.threshold = chi_square(settings.gate, 1)
 
     def blocks(self) -> list[Block]:
-        """Return what is uncertain of the camera's mount."""
+        """Return the uncertain parts of the camera's mount."""
         return self.mount.blocks()
 
     def notes(self, belief: Any) -> list[str]:
-        """Say where the camera was found to sit."""
+        """Return the estimated mount of the camera, in words."""
         return self.mount.words(belief)
 
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
@@ -283,7 +283,7 @@ class BearingModel(Model):
         judged = []
         for row in range(first, last):
             y, R = wrap(z[row] - bearing), ((variances[row] + bend * bend,),)
-            judged.append(belief.compare(row, (y,), (H,), R, self.threshold, columns, H_block, 0))
+            judged.append(belief.compare(row, (y,), (H,), R, self.threshold, columns, H_block))
         return choose(judged)
 
 
@@ -308,13 +308,11 @@ class OrientationModel(Model):
             return []
         z, variances = m.scalars
         y = wrap(paper_orientation(self.direction, z[row] + self.yaw) - belief.theta)
-        return choose(
-            [belief.compare(row, (y,), (H_ORIENTATION,), ((variances[row],),), self.threshold, landmark=0)]
-        )
+        return choose([belief.compare(row, (y,), (H_ORIENTATION,), ((variances[row],),), self.threshold)])
 
 
 def choose(judged: list[Innovation]) -> list[Innovation]:
-    """Give the candidates of one picture their verdicts, the best first: at most one is accepted.
+    """Give the candidates of one picture their verdicts, best first; at most one is accepted.
 
     It is the best, if it is within the gate and no other within it is worse by less than MIN_CANDIDATE_MARGIN.
     """
@@ -323,6 +321,8 @@ def choose(judged: list[Innovation]) -> list[Innovation]:
     best.verdict = 0 if best.nis <= gate else GATE
     if others and best.verdict == 0 and min(others, key=_misfit).nis <= min(gate, best.nis + MIN_CANDIDATE_MARGIN):
         best.verdict = AMBIGUOUS
+    for s in judged:
+        s.landmark = 0
     for s in others:
         s.verdict = AMBIGUOUS if best.verdict == AMBIGUOUS and s.nis <= gate else UNMATCHED
         s.landmark = -1

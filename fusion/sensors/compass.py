@@ -209,8 +209,10 @@ class CompassModel(Model):
             column = belief.column(OFFSET)
             offset, columns, H_block = belief.value(column), (column,), H_OFFSET
         y, R = wrap(z[i] - belief.theta - offset), ((variances[i],),)
-        verdict = DISTURBED if abs(m.plain["strength"][i] - 1.0) > self.tolerance else -1
-        return [belief.compare(i, (y,), H_HEADING, R, self.threshold, columns, H_block, verdict=verdict)]
+        seen = belief.compare(i, (y,), H_HEADING, R, self.threshold, columns, H_block)
+        if abs(m.plain["strength"][i] - 1.0) > self.tolerance:
+            seen.verdict = DISTURBED
+        return [seen]
 
 
 def _refuse_stuck(t: Array, heading: Array, wheels: WheelMotion, topic: str) -> None:

@@ -47,6 +47,8 @@ from locfuse.fusion.sensor import (
 )
 from locfuse.fusion.streams import count_dropped
 
+from .points import detector_at
+
 FRAME = "_gps_frame"
 FIRST_FIX_SIGMA_M = 100.0  # m: how far the first fix may be from where the robot was
 MAX_KNOWN_DIRECTION_RAD = math.radians(10.0)  # from here on the direction of east is a state of its own
@@ -220,9 +222,7 @@ class GpsModel(Model):
         """Compare one fix with the belief."""
         pose = belief.pose()
         if self.reference is None:
-            c, s = se2.direction(pose[2])
-            ahead, left = self.lever
-            self.reference = (pose[0] + c * ahead - s * left, pose[1] + s * ahead + c * left)
+            self.reference = detector_at(pose, (*self.lever, 0.0))
         tie, columns = self.tie, NO_COLUMNS
         if not self.fixed:
             first = belief.column(FRAME)
@@ -244,7 +244,7 @@ class GpsModel(Model):
         if length < 0.5:
             return
         by_a, by_b = -b / length**2, a / length**2
-        if belief.variance_of((first, first + 1), (by_a, by_b)) > MAX_KNOWN_DIRECTION_RAD**2:
+        if belief.variance((0.0, 0.0, 0.0), (first, first + 1), (by_a, by_b)) > MAX_KNOWN_DIRECTION_RAD**2:
             return
         G = (by_a, by_b), (a / length, b / length)
         belief.transform((first, first + 1), (math.atan2(b, a), length), G)

@@ -29,7 +29,7 @@ from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, Locfus
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import BARE_NUMBERS, NOT_ON_BODY, rotation
 from locfuse.fusion.sensor import Block, Matrix, Model, Sensor, SensorSettings, WheelMotion
-from locfuse.fusion.streams import count_dropped, gap_limit
+from locfuse.fusion.streams import count_dropped, gap_limit, last_of_periods
 
 MAX_REST_ROLLED_M, MAX_REST_TURNED_RAD = 0.001, math.radians(0.1)  # over a whole rest: encoders tremble by a tick
 WILD_SIGMAS = 4.0  # prior sigmas by which a bias at rest is none: somebody turned the robot by hand
@@ -112,7 +112,7 @@ class Gyro(Sensor):
         count_dropped(dropped, "not_finite", int((~good).sum()))
         t, rate = t[good], rate[good]
         angle, piece = _summed(t, rate)
-        keep = _one_each(t, settings.period)
+        keep = last_of_periods(t, settings.period)
         _check_against(t[keep], angle[keep], piece[keep], wheels, stream.topic, settings)
         n = len(keep)
         return Measurements(
@@ -244,14 +244,6 @@ def _summed(t: Array, rate: Array) -> tuple[Array, Ints]:
     gap = dt > gap_limit(t)  # over a longer silence the turn is not known
     steps = np.where(gap, 0.0, 0.5 * (rate[1:] + rate[:-1]) * dt)
     return np.concatenate(([0.0], np.cumsum(steps))), np.concatenate(([0], np.cumsum(gap)))
-
-
-def _one_each(t: Array, period: float) -> Ints:
-    """Return the last reading of every period, at strictly increasing times."""
-    if not len(t):
-        return np.zeros(0, dtype=np.int64)
-    cell = np.floor(t / period) if period > 0.0 else t
-    return np.flatnonzero(np.append(np.diff(cell) > 0, True))
 
 
 def _rest_of(t: Array, angle: Array, piece: Ints, wheels: WheelMotion, settings: GyroSettings) -> dict[str, Array]:

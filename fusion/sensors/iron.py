@@ -1,4 +1,4 @@
-"""Hard and soft iron of a magnetometer, from any drive that turns once: no pose, no truth.
+"""Hard and soft iron of a magnetometer, from any drive with one full turn: no pose, no truth.
 
 In a uniform field the two axes trace a circle about zero. Magnets on the robot move its centre (hard iron), steel
 makes it an ellipse (soft iron). The fit finds the centre c and the symmetric matrix A for which |A (m - c)| = 1;
@@ -25,7 +25,7 @@ MAX_ELLIPSE_SCATTER = 0.2  # relative scatter above which the readings lie on no
 
 
 class Iron(msgspec.Struct, frozen=True):
-    """What turns field readings into headings: heading of soft (m - hard)."""
+    """The correction from field readings to headings: heading of soft (m - hard)."""
 
     hard: Array  # (2,) in the unit of the message
     soft: Array  # (2, 2) symmetric, determinant 1
@@ -45,7 +45,7 @@ class Iron(msgspec.Struct, frozen=True):
 
 
 def fit_iron(field: Array) -> Iron:
-    """Fit an ellipse to field readings (n, 2). Raises LocfuseError where they show too little of one."""
+    """Fit an ellipse to field readings (n, 2). Raises LocfuseError if they show too little of one."""
     field = field[plausible(field)]
     if len(field) < MIN_READINGS:
         raise LocfuseError(f"{len(field)} field readings; at least {MIN_READINGS} are needed", role="compass")
@@ -108,7 +108,7 @@ def _gauss_newton(m: Array, c: Array, A: Array, weights: Array) -> tuple[Array, 
 
 
 def _judged(field: Array, unit: float, c: Array, A: Array, scatter: float, spread: Array) -> Iron:
-    """Return the fit in the message's unit, or say why it is none."""
+    """Return the fit in the message's unit. Raises LocfuseError with the reason if it is no fit."""
     size = math.sqrt(float(np.linalg.det(A)))
     if scatter > MAX_ELLIPSE_SCATTER:
         raise LocfuseError(
@@ -151,7 +151,7 @@ def _shape_sigma(A: Array, spread: Array) -> Array:
 
 
 def iron_error_deg(c: Array, A: Array) -> float:
-    """Return the rms heading error of raw readings m = c + A^-1 (cos, sin) over a full turn, its mean left out."""
+    """Return the rms heading error of raw readings m = c + A^-1 (cos, sin) over a full turn, without its mean."""
     a = np.linspace(0.0, 2.0 * math.pi, 720, endpoint=False)
     raw = c + np.column_stack((np.cos(a), np.sin(a))) @ np.linalg.inv(A)
     error = wrap_all(np.arctan2(raw[:, 1], raw[:, 0]) - a)

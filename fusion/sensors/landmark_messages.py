@@ -1,4 +1,4 @@
-"""What detectors of tags and barcodes publish, as one table: message, id, range, bearing.
+"""Messages of tag and barcode detectors as one table: message, id, range, bearing.
 
 Detectors that look through a camera give positions in its optical frame (REP 103: x right, y down, z ahead), or
 only where a tag's centre is in the picture. A camera that looks down by the angle p sees a point (x, y, z) ahead
@@ -24,7 +24,7 @@ BUNDLE = -(2**62)  # of several tags that are one detection: left out
 
 
 class Fields(NamedTuple):
-    """Where a message type says ids and places."""
+    """Where the ids and places are in a message type."""
 
     ids: str
     x: str
@@ -72,7 +72,7 @@ READS: Mapping[str, tuple[str, ...]] = {
 
 
 class Looks(NamedTuple):
-    """How the camera looks: its focal length and the middle of its picture [px], and how far down [rad]."""
+    """The camera's view: focal length and middle of its picture [px], and downward tilt [rad]."""
 
     fx: float | None
     cx: float | None
@@ -80,7 +80,7 @@ class Looks(NamedTuple):
 
 
 class Sighted(NamedTuple):
-    """Detections, those of one message next to each other."""
+    """Detections; those of one message follow each other."""
 
     t_ns: Ints  # (m,)
     ids: Ints  # (m,) NO_ID: none that is a number
@@ -89,7 +89,7 @@ class Sighted(NamedTuple):
 
 
 def sighted(stream: Stream, looks: Looks) -> Sighted:
-    """Return what a topic or file detects. Raises LocfuseError where pixels come without a focal length."""
+    """Return the detections of a topic or file. Raises LocfuseError for pixels without a focal length."""
     if stream.msgtype == DETECTIONS:
         columns = cast("dict[str, Array]", stream.columns(*READS[DETECTIONS]))
         ranges: Array = np.asarray(columns["range"], np.float64)
@@ -128,7 +128,7 @@ def _placed(t_ns: Ints, ids: Ints, place: tuple[Array, Array, Array], looks: Loo
 
 
 def _ids(column: Any) -> tuple[Ints, Ints]:
-    """Return the message of each detection and its id; of a text like "tag36h11:5" the last number is the id."""
+    """Return the message of each detection and its id; of a text like "tag36h11:5" the id is the last number."""
     if isinstance(column, Ragged):
         rows = np.repeat(np.arange(len(column)), column.lengths)
         return rows, np.asarray(column.values[column.first[0] : column.first[-1]]).astype(np.int64)
@@ -148,7 +148,7 @@ def _first_ids(ids: Any, counts: Any) -> tuple[Ints, Ints]:
 
 
 def _values(column: Any, row: Ints, topic: str) -> Array:
-    """Return numbers, one of each detection; `row` (n,) is the message of each of their ids."""
+    """Return numbers, one per detection; `row` (n,) is the message of each of their ids."""
     values = np.asarray(column.values[column.first[0] : column.first[-1]], np.float64)
     if not np.array_equal(np.bincount(row, minlength=len(column)), column.lengths):
         raise LocfuseError(

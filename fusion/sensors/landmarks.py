@@ -31,7 +31,6 @@ import numpy as np
 
 from locfuse.fusion.chi_square import MAD, chi_square
 from locfuse.fusion.data import (
-    VERDICTS,
     Array,
     Colour,
     Component,
@@ -57,17 +56,19 @@ from locfuse.fusion.sensor import (
 )
 from locfuse.fusion.streams import MergedStream
 
-from .landmark_geometry import Point, Row, detector_at, predict
 from .landmark_messages import PIXELS, READS, Looks, Sighted, sighted
-from .landmark_places import wrong_places
 from .points import (
+    MIN_JUDGED,
     GrowingPoints,
+    Point,
+    PointsModel,
     PointsSettings,
+    Row,
     by_instant,
+    detector_at,
     nothing_usable,
     often_seen,
-    rows_of,
-    state_of,
+    predict,
     usable,
 )
 
@@ -75,7 +76,8 @@ LEVER = ("x", "y", "yaw")  # of a detection, where several cameras look
 OFFSET, DEPTH = "range_offset", "range_depth"
 SIGMA_DEPTH = 0.5  # of a share that lies at 0 or 1
 KNOWN_DEPTH, SAID_DEPTH = 0.2, 0.5  # 1 sigma, and value, from which it is said that the ranges are depths
-NEW = VERDICTS.index("new")
+MAX_WRONG = 20  # notes on them
+WRONG_SIGMAS = 3.0  # of one detection's place: the median of many is much better known than that
 MIN_FIT = 50  # detections that are held against poses
 
 MIN_SHARE = 0.1  # of a distance that a depth is taken for: a detector looks ahead
@@ -284,7 +286,7 @@ class Ranging(NamedTuple):
         return (*of_offset, -short * distance) if self.free[1] else of_offset
 
 
-class LandmarksModel(Model):
+class LandmarksModel(PointsModel):
     """Range and bearing as above; d from the detector to the landmark, in the map."""
 
     def __init__(self, settings: LandmarksSettings) -> None:
@@ -305,34 +307,21 @@ class LandmarksModel(Model):
         return [Block(name, np.zeros(1), np.array([[s**2]]), np.zeros(1)) for name, s in free.items()]
 
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
-        """Compare the detections of one instant with the belief."""
-        found, pose, ranging, sigma = [], belief.pose(), self._ranging(belief), -1.0
-        for row in rows_of(m, i):
-            landmark = int(m.plain["id"][row])
-            seen = self._compared(m, row, landmark, pose, ranging, self.places[landmark], NO_COLUMNS, belief)
-            if seen is None:
-                continue
-            found.append(seen)
-            if m.z.shape[1] > 1:
-                angle, distance = m.plain["z"][row, 0], m.plain["z"][row, 1]
-                sigma = sigma if sigma >= 0.0 else _sigma_of_place(belief)
+        """Compare the detections of one instant with the belief, and keep where they place their landmarks."""
+        found = super().innovations(m, i, belief)
+        if found and m.z.shape[1] > 1 and (sigma := _sigma_of_place(belief)) <= MAX_SIGMA_M:
+            pose, ranging, z = belief.pose(), self._ranging(belief), m.plain["z"]
+            for seen in found:
+                angle, distance = z[seen.row, 0], z[seen.row, 1]
                 distance = (distance - ranging.offset) / ranging.share(1.0 - math.cos(angle))
-                self._note_place(landmark, distance, angle, self._mount_of(m, row), pose, sigma)
+                self._note_place(seen.landmark, distance, angle, self._mount_of(m, seen.row), pose, sigma)
         return found
 
-    def _compared(
-        self,
-        m: Measurements,
-        row: int,
-        landmark: int,
-        pose: Row,
-        ranging: Ranging,
-        place: Point,
-        at: tuple[int, ...],
-        belief: Belief,
+    def compared(
+        self, m: Measurements, row: int, landmark: int, place: Point, at: tuple[int, ...], belief: Belief
     ) -> Innovation | None:
         """Compare one detection with a place, whose state columns are `at` where it is a state."""
-        predicted = predict(pose, place, self._mount_of(m, row))
+        predicted, ranging = predict(belief.pose(), place, self._mount_of(m, row)), self._ranging(belief)
         if predicted is None:
             return None
         (distance, bearing), (by_range, by_bearing) = predicted
@@ -344,7 +333,9 @@ class LandmarksModel(Model):
         beside: tuple[float, ...] = (-by_bearing[0], -by_bearing[1]) if at else ()
         if z.shape[1] == 1:
             H_block = (beside,) if at else NO_BLOCK
-            return belief.compare(row, (off,), (by_bearing,), ((r,),), self.thresholds[1], at, H_block, landmark)
+            seen = belief.compare(row, (off,), (by_bearing,), ((r,),), self.thresholds[1], at, H_block)
+            seen.landmark = landmark
+            return seen
         short = 1.0 - math.cos(z[row, 0])
         share, more, columns = ranging.share(short), ranging.derivative(short, distance), at + ranging.columns
         y = off, z[row, 1] - share * distance - ranging.offset
@@ -354,7 +345,9 @@ class LandmarksModel(Model):
         if columns:
             H_block = (beside + ZEROS[: len(more)], (-ahead, -across, *more) if at else more)
         H = by_bearing, (ahead, across, turned)
-        return belief.compare(row, y, H, noise, self.thresholds[2], columns, H_block, landmark)
+        seen = belief.compare(row, y, H, noise, self.thresholds[2], columns, H_block)
+        seen.landmark = landmark
+        return seen
 
     def _ranging(self, belief: Belief) -> Ranging:
         """Return how ranges follow from distances as the belief has it."""
@@ -377,16 +370,11 @@ class LandmarksModel(Model):
     def _note_place(
         self, landmark: int, distance: float, bearing: float, mount: Row, pose: Row, sigma: float
     ) -> None:
-        """Keep where a detection places its landmark, where the robot's own place is known, to `sigma` [m]."""
-        if sigma > MAX_SIGMA_M:
-            return
+        """Keep where a detection places its landmark; the robot's own place is known to `sigma` [m]."""
         (x, y), (c, s) = detector_at(pose, mount), direction(pose[2] + mount[2] + bearing)
-        sigma = math.hypot(sigma, self.sigmas[1], distance * self.sigmas[0])
-        self._keep_place(landmark, x + distance * c, y + distance * s, sigma)
-
-    def _keep_place(self, landmark: int, x: float, y: float, sigma: float) -> None:
-        if math.isfinite(x + y + sigma):
-            self._seen_at[landmark].append((x, y, sigma))
+        place = x + distance * c, y + distance * s, math.hypot(sigma, self.sigmas[1], distance * self.sigmas[0])
+        if math.isfinite(sum(place)):
+            self._seen_at[landmark].append(place)
 
     def notes(self, belief: Any) -> list[str]:
         """Say which landmarks stand elsewhere than the map says, and which two stand in each other's place."""
@@ -411,48 +399,25 @@ class GrowingModel(GrowingPoints, LandmarksModel):
     """The same with places that are states, in the local frame."""
 
     def __init__(self, settings: LandmarksSettings) -> None:
-        GrowingPoints.__init__(self, settings.what, settings.table)
         LandmarksModel.__init__(self, settings)
+        GrowingPoints.__init__(self, settings.what, settings.table, self.thresholds[2])
 
-    def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
-        """Compare the detections of one instant with the belief; those of new landmarks are none yet."""
-        found, pose, ranging = [], belief.pose(), self._ranging(belief)
-        for row in rows_of(m, i):
-            landmark = int(m.plain["id"][row])
-            if landmark not in self._known:
-                found.append(Innovation.unpredicted(row, NEW, m.z.shape[1], self.thresholds[2]))
-                continue
-            column = belief.column(state_of(landmark, "landmarks"))
-            place, at = (belief.value(column), belief.value(column + 1)), (column, column + 1)
-            seen = self._compared(m, row, landmark, pose, ranging, place, at, belief)
-            if seen is not None:
-                found.append(seen)
-                self._refused[landmark] += seen.verdict != 0
-        return found
-
-    def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Append the landmarks that were seen for the first time, where they were seen."""
-        for row in rows_of(m, i):
-            landmark = int(m.plain["id"][row])
-            if landmark not in self._known:
-                self._append(landmark, m.z[row].tolist(), m.R[row], self._mount_of(m, row), belief)
-            self._known[landmark] = self._known.get(landmark, 0) + 1
-
-    def _append(self, landmark: int, z: list[float], R: Array, mount: Row, belief: Any) -> None:
+    def append(self, m: Measurements, row: int, belief: Any) -> int:
         """Append the place l = s + r (cos, sin)(theta + yaw + bearing), r the distance that the range says."""
-        ranging, short = self._ranging(belief), 1.0 - math.cos(z[0])
+        (angle, distance), mount = m.z[row].tolist(), self._mount_of(m, row)
+        ranging, short = self._ranging(belief), 1.0 - math.cos(angle)
         x, y = detector_at(belief.pose(), mount)
         share = ranging.share(short)
-        r, (c, s) = (z[1] - ranging.offset) / share, direction(belief.theta + mount[2] + z[0])
+        r, (c, s) = (distance - ranging.offset) / share, direction(belief.theta + mount[2] + angle)
         by_turn = [[belief.y - y - r * s], [x - belief.x + r * c]]  # of the pose: detector and ray turn together
         by_range = np.array([[c], [s]]) / share
-        by_states = [
-            -v * by_range for v in ranging.derivative(short, r)
-        ]  # what makes the range longer, makes r shorter
+        # what makes the range longer, makes r shorter
+        by_states = [-v * by_range for v in ranging.derivative(short, r)]
         G = np.hstack((np.eye(2), by_turn, *by_states))
         J = np.hstack(([[-r * s], [r * c]], by_range))
-        column = belief.augment(np.array([x + r * c, y + r * s]), G, J @ R @ J.T, ranging.columns)
-        belief.own_point(state_of(landmark, "landmarks"), column)
+        noise = J @ m.R[row] @ J.T
+        column: int = belief.augment(np.array([x + r * c, y + r * s]), G, noise, ranging.columns)
+        return column
 
     def notes(self, belief: Any) -> list[str]:
         """Say what the map holds, and that the ranges were found to be depths."""
@@ -463,3 +428,40 @@ class GrowingModel(GrowingPoints, LandmarksModel):
 def _sigma_of_place(belief: Belief) -> float:
     """Return the greater standard deviation of the robot's x and y [m]."""
     return math.sqrt(max(belief.variance((1.0, 0.0, 0.0)), belief.variance((0.0, 1.0, 0.0))))
+
+
+def wrong_places(places: Mapping[int, Point], seen_at: Mapping[int, Array]) -> list[str]:
+    """Return in words which landmarks stand elsewhere than in the map, by where detections (n, 3) place them.
+
+    A row is x, y and its standard deviation [m]. A landmark is wrong where the median lies further from its entry
+    than WRONG_SIGMAS of one detection, and two such are swapped where each lies that near the other's entry.
+    """
+    median = {key: np.median(rows, axis=0) for key, rows in seen_at.items() if len(rows) >= MIN_JUDGED}
+    reach = {key: WRONG_SIGMAS * max(float(v[2]), _scatter(seen_at[key])) for key, v in median.items()}
+
+    def away(key: int, entry: int) -> float:
+        return math.hypot(median[key][0] - places[entry][0], median[key][1] - places[entry][1])
+
+    wrong = sorted(key for key in median if away(key, key) > reach[key])
+    if len(wrong) > 2 and 2 * len(wrong) > len(median):
+        return [f"{len(wrong)} of {len(median)} landmarks are seen elsewhere than in the map: is [start] right?"]
+    words, paired = [], set[int]()
+    for a in wrong:
+        for b in wrong:
+            if a < b and away(a, b) < reach[a] and away(b, a) < reach[b]:
+                words.append(f"ids {a} and {b} look swapped in the map: each is seen where the other should stand")
+                paired |= {a, b}
+    for key in wrong:
+        if key not in paired:
+            x, y, _ = median[key]
+            words.append(
+                f"id {key} is seen at ({x:.2f}, {y:.2f}) m, {away(key, key):.2f} m from its place in the map "
+                f"({len(seen_at[key])} detections)"
+            )
+    left = len(words) - MAX_WRONG
+    return [*words[:MAX_WRONG], f"{left} more notes of this kind"] if left > 0 else words
+
+
+def _scatter(rows: Array) -> float:
+    """Return the robust standard deviation per axis of places (n, 3) [m]."""
+    return float(np.median(np.abs(rows[:, :2] - np.median(rows[:, :2], axis=0)), axis=0).max()) / MAD

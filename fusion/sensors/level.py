@@ -1,4 +1,4 @@
-"""Roll and pitch out of an IMU, to level a magnetic field before its heading is taken.
+"""Roll and pitch by an IMU, to level a magnetic field before its heading is computed.
 
 The earth's field dips by 60 degrees and more in most places, so that a degree of roll turns a heading by two.
 Which way is up follows from the IMU's orientation where it says one, else from gravity and turning rates by a
@@ -38,7 +38,7 @@ MAX_STEP_S = 0.5  # of rates that are integrated: a longer gap begins anew
 
 
 class Tilt(NamedTuple):
-    """Which way is up over time."""
+    """The direction of up over time."""
 
     t_ns: Ints  # (n,)
     up: Array  # (n, 3) unit vectors in the base's axes
@@ -46,7 +46,7 @@ class Tilt(NamedTuple):
 
 
 class LevelledField:
-    """A magnetometer's stream that also says which way is up; otherwise the stream that it was."""
+    """A magnetometer's stream with the direction of up added."""
 
     def __init__(self, stream: Stream, tilt: Tilt) -> None:
         self.topic, self.msgtype, self.frame_id = stream.topic, stream.msgtype, stream.frame_id
@@ -69,7 +69,7 @@ class LevelledField:
 
 
 def tilt_of(stream: Stream, R: Array) -> Tilt | None:
-    """Return which way is up by an IMU whose axes R (3, 3) turns into the base's; None for a robot on a floor.
+    """Return the direction of up by an IMU whose axes R (3, 3) turns into the base's; None on a level floor.
 
     None too where the IMU says neither orientation nor gravity and rates, and where up is elsewhere than the mount
     has it: `locfuse info` says so then.
@@ -96,7 +96,7 @@ def tilt_of(stream: Stream, R: Array) -> Tilt | None:
 
 
 def levelled(m: Array, up: Array) -> tuple[Array, Array]:
-    """Return the field's parts (n,) ahead and to the left on the level, of fields (n, 3) in the base's axes.
+    """Return the horizontal parts (n,) of fields (n, 3) in the base's axes: ahead and to the left.
 
     Ahead is the base's x axis seen from above: heading is then yaw, whatever roll and pitch are.
     """
@@ -107,7 +107,7 @@ def levelled(m: Array, up: Array) -> tuple[Array, Array]:
 
 
 def by_orientation(columns: dict[str, Array]) -> Array | None:
-    """Return up in the IMU's axes (n, 3), NaN where nothing is said; None where tilt is never said."""
+    """Return up in the IMU's axes (n, 3), NaN without orientation; None if the topic never has one."""
     q = np.stack([columns[name] for name in ORIENTATION], axis=-1).astype(np.float64)
     none = (columns["orientation_covariance"][:, 0] == -1.0) | ~((q**2).sum(axis=1) >= 0.25)
     if none.all():
@@ -140,7 +140,7 @@ def by_gravity(t_ns: Ints, columns: dict[str, Array]) -> Array | None:
 
 
 def _bias(a: Array, w: Array) -> Array:
-    """Return the bias of the rates (3,) about level axes: robots on wheels do not keep rolling over."""
+    """Return the bias of the rates (3,) about horizontal axes: a wheeled robot does not keep rolling."""
     up = np.median(a, axis=0)
     up = up / max(float(np.linalg.norm(up)), 1e-9)
     bias = np.median(w, axis=0)
@@ -148,7 +148,7 @@ def _bias(a: Array, w: Array) -> Array:
 
 
 def _complementary(t: Array, a: Array, w: Array, usual: float) -> Array:
-    """Return up (n, 3) by the filter above; accelerations of another strength than usual say nothing."""
+    """Return up (n, 3) by a complementary filter; accelerations of unusual strength are not used."""
     x, y, z = (float(v) for v in np.median(a[t < t[0] + MAX_STEP_S], axis=0) / usual)
     found = []
     before = float(t[0])

@@ -1,4 +1,4 @@
-"""Points with ids (landmarks, radio anchors): their map, and which readings of them can be used."""
+"""Points with ids (landmarks, radio anchors): how they are seen, their map, which readings can be used."""
 
 from __future__ import annotations
 
@@ -9,12 +9,16 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.fusion.data import Array, Ints, LocfuseError, Measurements
-from locfuse.fusion.sensor import Model, SensorSettings
+from locfuse.fusion.data import VERDICTS, Array, Ints, LocfuseError, Measurements
+from locfuse.fusion.kernels.ekf import Innovation
+from locfuse.fusion.se2 import direction, sight
+from locfuse.fusion.sensor import NO_COLUMNS, Model, SensorSettings
 from locfuse.fusion.streams import count_dropped
 
-from .landmark_geometry import Point
-
+Point = tuple[float, float]
+Row = tuple[float, float, float]
+NEW = VERDICTS.index("new")
+MIN_DISTANCE_M = 1e-3  # m: nearer than this a bearing has no direction
 GROW = "grow"
 MIN_SEEN = 3  # readings of an id from which its point is placed in a map that is made
 MAX_POINTS = 300  # in a map that is made: each reading costs the square of their number, 0.2 ms at 300
@@ -133,21 +137,91 @@ def by_instant(t_ns: Ints, epoch_ns: int, time_offset: float) -> tuple[Array, In
     return t, np.append(first, len(t_ns)).astype(np.int64)
 
 
-class GrowingPoints(Model):
-    """A model whose points are states in the local frame: no known place is seen, nor north."""
+def detector_at(pose: Row, mount: Row) -> Point:
+    """Return where the detector is in the map, of a robot at a pose x, y [m], theta [rad]."""
+    c, s = direction(pose[2])
+    return pose[0] + c * mount[0] - s * mount[1], pose[1] + s * mount[0] + c * mount[1]
+
+
+def predict(pose: Row, place: Point, mount: Row) -> tuple[Point, tuple[Row, Row]] | None:
+    """Return (range [m], bearing [rad]) of a point, and their derivatives by the robot's x, y, theta.
+
+    Thrun, Burgard and Fox 2005, 6.6.2.
+    """
+    seen = sight(pose, place, mount, MIN_DISTANCE_M)
+    if seen is None:
+        return None
+    bearing, distance, by_pose, (by_lever_x, by_lever_y, _) = seen
+    turned = -distance * (mount[0] * by_lever_x + mount[1] * by_lever_y)
+    by_range = by_pose[1] * distance, -by_pose[0] * distance, turned
+    return (distance, bearing), (by_range, by_pose)
+
+
+class PointsModel(Model):
+    """A model of points at known places."""
+
+    places: dict[int, Point]
+
+    def compared(
+        self, m: Measurements, row: int, point: int, place: Point, at: tuple[int, ...], belief: Any
+    ) -> Innovation | None:
+        """Compare one reading with a place, whose state columns are `at` where it is a state."""
+        raise NotImplementedError
+
+    def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
+        """Compare the readings of one instant with the belief."""
+        ids, found = m.plain["id"], []
+        for row in rows_of(m, i):
+            point = int(ids[row])
+            seen = self.compared(m, row, point, self.places[point], NO_COLUMNS, belief)
+            if seen is not None:
+                found.append(seen)
+        return found
+
+
+class GrowingPoints(PointsModel):
+    """The same with places that are states in the local frame: no known place is seen, nor north."""
 
     joint = True
     local = True
     maps = True
 
-    def __init__(self, what: str, table: str) -> None:
-        self._what, self._table = what, table
+    def __init__(self, what: str, table: str, gate: float) -> None:
+        self._what, self._table, self._gate = what, table, gate
         self._known: dict[int, int] = {}  # id -> readings
         self._refused: dict[int, int] = defaultdict(int)
 
     def begins_map(self, m: Measurements, i: int) -> bool:
         """Return whether these are the first readings, with which a local frame can begin."""
         return not self._known and len(rows_of(m, i)) > 0
+
+    def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
+        """Compare the readings of one instant with the belief; those of new points are none yet."""
+        ids, found = m.plain["id"], []
+        for row in rows_of(m, i):
+            point = int(ids[row])
+            if point not in self._known:
+                found.append(Innovation.unpredicted(row, NEW, m.z.shape[1], self._gate))
+                continue
+            column = belief.column(state_of(point, self._table))
+            place = belief.value(column), belief.value(column + 1)
+            seen = self.compared(m, row, point, place, (column, column + 1), belief)
+            if seen is not None:
+                found.append(seen)
+                self._refused[point] += seen.verdict != 0
+        return found
+
+    def learn(self, m: Measurements, i: int, belief: Any) -> None:
+        """Append the points that were seen for the first time, where they were seen."""
+        for row in rows_of(m, i):
+            point = int(m.plain["id"][row])
+            if point not in self._known:
+                belief.own_point(state_of(point, self._table), self.append(m, row, belief))
+            self._known[point] = self._known.get(point, 0) + 1
+
+    def append(self, m: Measurements, row: int, belief: Any) -> int:
+        """Append the place of the point that a reading shows; return its first state column."""
+        raise NotImplementedError
 
     def points(self, belief: Any) -> list[tuple[int, float, float]]:
         """Return id and place [m, map frame] of every point, as the run ended."""

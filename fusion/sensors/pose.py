@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, Stream, plausible
+from locfuse.fusion.ekf.map_frame import by_frame
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.se2 import wrap
@@ -134,7 +135,7 @@ class PoseSensor(Sensor):
         own = np.broadcast_to(_own(settings), (len(z), 3))
         R, told = plane_covariance(columns.get("pose.covariance"), keep, settings.covariance, own)
         off = se2.inverse(np.array(self.mount(settings)))
-        J = _by_pose(z, off)
+        J = by_frame(z, np.broadcast_to(off, z.shape))
         n = len(z)
         return Measurements(
             t=t,
@@ -237,15 +238,6 @@ def _refuse_stuck(t: Array, z: Array, wheels: WheelMotion, topic: str) -> None:
         raise LocfuseError(
             f"{topic} says the same pose in all {len(t)} messages while the wheels drove {way:.1f} m", role="pose"
         )
-
-
-def _by_pose(z: Array, off: Array) -> Array:
-    """Return d(z (+) off)/dz, (n, 3, 3)."""
-    r = se2.rotated(z[:, 2], np.broadcast_to(off[:2], (len(z), 2)))
-    J = np.zeros((len(z), 3, 3))
-    J[:] = np.eye(3)
-    J[:, 0, 2], J[:, 1, 2] = -r[:, 1], r[:, 0]
-    return J
 
 
 def _in_a_row(t: Array, correlated: float) -> float:

@@ -24,7 +24,6 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import (
-    VERDICTS,
     Array,
     Colour,
     Component,
@@ -38,7 +37,6 @@ from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.sensor import (
     NO_BLOCK,
-    NO_COLUMNS,
     Ask,
     Bias,
     Block,
@@ -49,15 +47,16 @@ from locfuse.fusion.sensor import (
 )
 from locfuse.fusion.streams import count_dropped
 
-from .landmark_geometry import Point, detector_at, predict
 from .points import (
     GrowingPoints,
+    Point,
+    PointsModel,
     PointsSettings,
     by_instant,
+    detector_at,
     nothing_usable,
     often_seen,
-    rows_of,
-    state_of,
+    predict,
     usable,
 )
 from .trilateration import anchor_beside, start_among
@@ -65,7 +64,6 @@ from .trilateration import anchor_beside, start_among
 RANGES = "locfuse/msg/Ranges"  # a file beside the log, or two fields of a topic
 OFFSET = "range_offset_of_anchors"
 AHEAD, LEFT, SPREAD = "anchor_ahead", "anchor_left", "anchor_sigma"
-NEW = VERDICTS.index("new")
 REUSED_SIGMA_FACTOR = 3.0  # x the sigma of a place or start that the filter's own ranges gave: they are used again
 MIN_SPREAD_M = 0.1
 EXACT_M = 1e-6  # of an offset that is given
@@ -87,18 +85,18 @@ class RangesSettings(PointsSettings, frozen=True, forbid_unknown_fields=True, kw
     sigma_offset: float = 0.2  # m: what an estimated offset may be at the start
 
     def __post_init__(self) -> None:
-        """Refuse an estimated offset that may not be anything."""
+        """Refuse an estimated offset whose sigma is 0."""
         super().__post_init__()
         if self.sigma_offset <= 0.0:
             raise ValueError(f"sigma_offset = {self.sigma_offset}: it must be positive")
 
     @property
     def searched_sigmas(self) -> tuple[float, float]:
-        """Standard deviations of a range and of the offset [m] while a start or a place is looked for."""
+        """Standard deviations of a range and of the offset [m] during the search for a start or a place."""
         return self.sigma, EXACT_M if self.offset is not None else self.sigma_offset
 
     def detector(self, rel: Array) -> Array:
-        """Return the places (n, 2) [m] of the antenna of a robot at poses (n, 3)."""
+        """Return the antenna's places (n, 2) [m] on a robot at poses (n, 3)."""
         return se2.compose(rel, np.array([self.x, self.y, 0.0]))[:, :2]
 
 
@@ -123,7 +121,7 @@ class Ranges(Sensor):
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {RANGES: ("id", "range")}
 
     def mount(self, settings: RangesSettings) -> tuple[float, float, float]:
-        """Return where the antenna sits on the base: x [m], y [m], and no yaw."""
+        """Return the antenna's mount on the base: x [m], y [m], and no yaw."""
         return settings.x, settings.y, 0.0
 
     def measure(
@@ -167,7 +165,7 @@ class Ranges(Sensor):
         )
 
     def start(self, m: Measurements, settings: RangesSettings, wheels: WheelMotion) -> FoundStart | None:
-        """Return the start of the drive among known anchors. Raises LocfuseError where it is ambiguous."""
+        """Return the start of the drive by known anchors. Raises LocfuseError if it is ambiguous."""
         if settings.grows or not len(m.z):
             return None
         places, t = settings.places, np.repeat(m.t, np.diff(m.first))
@@ -187,14 +185,14 @@ class Ranges(Sensor):
         return FoundStart(pose, max(float(sigma[:2].max()), MIN_SPREAD_M), float(sigma[2]))
 
     def model(self, settings: RangesSettings) -> Model:
-        """Return the ranges' side of a new run."""
+        """Return the ranges' model for a new run."""
         return GrowingRanges(settings) if settings.grows else RangesModel(settings)
 
 
 def _places_of(
     t: Array, ids: Ints, z: Array, keep: Any, settings: RangesSettings, wheels: WheelMotion
 ) -> tuple[Array, list[str]]:
-    """Return where the anchor of every range (n,) stands, seen from the robot then: ahead, left, sigma (n, 3) [m].
+    """Return the anchor's place for every range (n,), relative to the robot then: ahead, left, sigma (n, 3) [m].
 
     NaN, and a note, where this drive does not show the place.
     """
@@ -213,7 +211,7 @@ def _places_of(
     return found, words
 
 
-class RangesModel(Model):
+class RangesModel(PointsModel):
     """Range as above; |s - a| from the antenna to the anchor, in the map."""
 
     def __init__(self, settings: RangesSettings) -> None:
@@ -224,24 +222,15 @@ class RangesModel(Model):
         self.prior = settings.sigma_offset
 
     def blocks(self) -> list[Block]:
-        """Return the ranges' offset, where it is not given."""
+        """Return the ranges' offset, if it is not given."""
         if self.given is not None:
             return []
         return [Block(OFFSET, np.zeros(1), np.array([[self.prior**2]]), np.zeros(1))]
 
-    def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
-        """Compare the ranges of one instant with the belief."""
-        ids = m.plain["id"]
-        compared = (
-            self._compared(m, row, int(ids[row]), self.places[int(ids[row])], NO_COLUMNS, belief)
-            for row in rows_of(m, i)
-        )
-        return [seen for seen in compared if seen is not None]
-
-    def _compared(
+    def compared(
         self, m: Measurements, row: int, anchor: int, place: Point, at: tuple[int, ...], belief: Any
     ) -> Innovation | None:
-        """Compare one range with an anchor's place, whose state columns are `at` where it is a state."""
+        """Compare one range with an anchor's place, whose state columns are `at` if it is a state."""
         predicted = predict(belief.pose(), place, self.mount)
         if predicted is None:
             return None
@@ -257,51 +246,26 @@ class RangesModel(Model):
         of_place = (-by_range[0], -by_range[1]) if at else ()
         H_block = ((*of_place, *of_offset),) if columns else NO_BLOCK
         y, R = z[row] - distance - longer - offset, variances[row] + 2.0 * longer * longer
-        seen: Innovation = belief.compare(
-            row, (y,), (by_range,), ((R,),), self.threshold, columns, H_block, anchor
-        )
+        seen: Innovation = belief.compare(row, (y,), (by_range,), ((R,),), self.threshold, columns, H_block)
+        seen.landmark = anchor
         return seen
 
 
 class GrowingRanges(GrowingPoints, RangesModel):
-    """The same with places that are states, in the local frame."""
+    """The same with anchors as states, in the local frame."""
 
     def __init__(self, settings: RangesSettings) -> None:
-        GrowingPoints.__init__(self, settings.what, settings.table)
         RangesModel.__init__(self, settings)
+        GrowingPoints.__init__(self, settings.what, settings.table, self.threshold)
 
-    def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
-        """Compare the ranges of one instant with the belief; those of new anchors are none yet."""
-        found = []
-        for row in rows_of(m, i):
-            anchor = int(m.plain["id"][row])
-            if anchor not in self._known:
-                found.append(Innovation.unpredicted(row, NEW, 1, self.threshold))
-                continue
-            column = belief.column(state_of(anchor, self._table))
-            place = belief.value(column), belief.value(column + 1)
-            seen = self._compared(m, row, anchor, place, (column, column + 1), belief)
-            if seen is not None:
-                found.append(seen)
-                self._refused[anchor] += seen.verdict != 0
-        return found
-
-    def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Append new anchors at the places that the first stretch of the drive shows."""
-        for row in rows_of(m, i):
-            anchor = int(m.plain["id"][row])
-            if anchor not in self._known:
-                self._append(anchor, m, row, belief)
-            self._known[anchor] = self._known.get(anchor, 0) + 1
-
-    def _append(self, anchor: int, m: Measurements, row: int, belief: Any) -> None:
-        """Append the place a = p + R(theta) g, g where the wheels saw it from the robot."""
+    def append(self, m: Measurements, row: int, belief: Any) -> int:
+        """Append the place a = p + R(theta) g, with g the anchor's place relative to the robot by the wheels."""
         ahead, left, sigma = (m.plain[name][row] for name in (AHEAD, LEFT, SPREAD))
         x, y = detector_at(belief.pose(), (ahead, left, 0.0))
         G = np.array([[1.0, 0.0, belief.y - y], [0.0, 1.0, x - belief.x]])
-        column = belief.augment(np.array([x, y]), G, sigma**2 * np.eye(2))
-        belief.own_point(state_of(anchor, self._table), column)
+        column: int = belief.augment(np.array([x, y]), G, sigma**2 * np.eye(2))
+        return column
 
     def notes(self, belief: Any) -> list[str]:
-        """Say what the map holds."""
+        """Return notes: how many anchors the map has."""
         return self.map_notes("are the ranges in m?")

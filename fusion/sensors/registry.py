@@ -49,7 +49,7 @@ RESERVED_NAMES = {*BASES, "all", "order", "preset", "start", "truth", "wheels"}
 
 
 def register(sensor: Sensor | type[Sensor]) -> None:
-    """Add a sensor to this process, as if it were one of ours: `locfuse.register(Beacon())`.
+    """Add a sensor to this process, like a built-in one: `locfuse.register(Beacon())`.
 
     Args:
         sensor: a `Sensor`, or its class. A package that is installed names it by an entry point instead, which the
@@ -63,7 +63,7 @@ def register(sensor: Sensor | type[Sensor]) -> None:
 
 
 def _add(load: Callable[[], Any], source: str, hint: str) -> None:
-    """Add what `load` returns, a sensor or its class. Raises LocfuseError with the source and the hint."""
+    """Add the result of `load`, a sensor or its class. Raises LocfuseError with the source and the hint."""
     try:
         found = load()
         sensor = found() if isinstance(found, type) else found
@@ -109,18 +109,18 @@ def register_installed() -> None:
 
 
 def of_points() -> frozenset[str]:
-    """Return the sensors of points with ids, whose map is a .csv that is given or made."""
+    """Return the sensors of points with ids, whose map is a .csv file or estimated."""
     return frozenset(name for name, sensor in REGISTRY.items() if issubclass(sensor.Settings, PointsSettings))
 
 
 def needed(sensor: str) -> tuple[str, ...]:
-    """Return the sensors without which this one says nothing, those that they need first; () for unknown ones."""
+    """Return the sensors that this one depends on, in the order of dependence; () for unknown ones."""
     own = REGISTRY[sensor].needs if sensor in REGISTRY else ()
     return tuple(dict.fromkeys(name for other in own for name in (*needed(other), other)))
 
 
 def unmet(present: Collection[str]) -> dict[str, str]:
-    """Return which of these sensors cannot be used for want of another one, and why."""
+    """Return which of these sensors lack another one that they need, and why."""
     left, found = set(present), dict[str, str]()
     while lacking := {
         name: f"it is {why}, and that is absent"

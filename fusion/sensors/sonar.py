@@ -1,4 +1,4 @@
-"""Sonar: the nearest echo in a cone, held against the laser's line map.
+"""Sonar: the nearest echo in a cone, matched with the laser's line map.
 
 A smooth wall sends sound back only where it stands square to a ray of the cone. So an echo is the distance to a
 wall whose foot point lies within the cone and on the wall; nothing else that the map knows may stand nearer.
@@ -31,7 +31,7 @@ Mount = tuple[float, float, float]
 
 
 class SonarSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """[sonar]: one or several rangers, which are one sensor."""
+    """[sonar]: one or several rangers, which form one sensor."""
 
     topics: tuple[str, ...] = ()  # none: all topics of the type
     mounts: dict[str, Mount] = msgspec.field(default_factory=dict)  # topic -> x [m], y [m], yaw [deg] on the base
@@ -89,12 +89,12 @@ class Sonar(Sensor):
         )
 
     def model(self, settings: SonarSettings) -> Model:
-        """Return the sonars' side of a new run."""
+        """Return the sonars' model for a new run."""
         return SonarModel(settings)
 
 
 def _mounts(stream: Stream, settings: SonarSettings) -> Array:
-    """Return where the sonar of every row sits, (n, 3) m, m, degrees; on the base's origin where nobody says."""
+    """Return the mount of every row's sonar, (n, 3) m, m, degrees; the base's origin if it is not known."""
     parts = stream.parts if isinstance(stream, MergedStream) else (stream,)
     source: Ints = (
         stream.source if isinstance(stream, MergedStream) else np.zeros(len(stream.t_ns), dtype=np.int64)
@@ -105,7 +105,7 @@ def _mounts(stream: Stream, settings: SonarSettings) -> Array:
 
 
 class SonarModel(Model):
-    """z = C + noise for the wall that must have answered."""
+    """z = C + noise for the wall that is predicted to return the echo."""
 
     teaches = False
     local = True
@@ -116,11 +116,11 @@ class SonarModel(Model):
         self._laser: Any = None  # the model whose line map is read
 
     def meet(self, others: Mapping[str, Model]) -> None:
-        """Read the map of the laser that runs in the same filter; without one there is nothing to compare with."""
+        """Link the map of the laser in the same filter; without a map nothing is compared."""
         self._laser = others.get("lrf")
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
-        """Compare one echo with the wall that should have answered."""
+        """Compare one echo with the wall that is predicted to return it."""
         plain = m.plain
         row = plain["first"][i]
         lines = None if self._laser is None else self._laser.map
@@ -132,7 +132,8 @@ class SonarModel(Model):
         if echo is None:
             return [Innovation.unpredicted(row, UNMATCHED, 1, self.threshold)]
         y, R = z[row] - echo.distance, ((variances[row] + echo.map_variance,),)
-        seen = belief.compare(row, (y,), echo.H, R, self.threshold, echo.columns, echo.H_block, echo.line)
+        seen = belief.compare(row, (y,), echo.H, R, self.threshold, echo.columns, echo.H_block)
+        seen.landmark = echo.line
         seen.threshold = min(self.threshold, likelier(echo.distance, seen.sigma[0]))
         seen.verdict = 0 if seen.nis <= seen.threshold else GATE
         return [seen]

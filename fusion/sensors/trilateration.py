@@ -1,4 +1,4 @@
-"""Trilateration along a path: where a drive began among known anchors, or where an anchor stands beside a drive.
+"""Trilateration along a path: the start of a drive among known anchors, or an anchor's place beside a drive.
 
 With the detector at s_k by the wheels, in the frame of the robot at the first range, and an anchor a,
 
@@ -36,7 +36,7 @@ Predict = Callable[[Array], tuple[Array, Array]]  # guesses (s, k) -> ranges (s,
 
 
 class Answer(NamedTuple):
-    """What fits the ranges best."""
+    """The best fit to the ranges."""
 
     values: Array  # (k,) x, y [m], perhaps theta [rad]; last the offset of the ranges [m]
     covariance: Array  # (k, k)
@@ -45,7 +45,7 @@ class Answer(NamedTuple):
 def start_among(
     anchors: Array, seen: Array, t: Array, ranges: Array, sigmas: tuple[float, float]
 ) -> Answer | None:
-    """Return the pose x, y, theta of the robot at the first of n ranges, and their offset; None where unclear.
+    """Return the pose x, y, theta of the robot at the first of n ranges, and their offset; or None.
 
     anchors (n, 2) [m, map frame] of each range, `seen` (n, 2) [m] the places of the detector by the wheels, in the
     frame of the robot at the first range, t (n,) [s], ranges (n,) [m]; `sigmas` of a range and of the offset [m].
@@ -71,7 +71,7 @@ def start_among(
 
 
 def anchor_beside(seen: Array, t: Array, ranges: Array, sigmas: tuple[float, float]) -> Answer | None:
-    """Return the place of an anchor in the frame of `seen` (n, 2) [m], and the offset; None where unclear."""
+    """Return an anchor's place in the frame of `seen` (n, 2) [m], and the offset; None if it is ambiguous."""
     turns = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
     around = seen[0] + ranges[0] * np.stack((np.cos(turns), np.sin(turns)), axis=-1)
     guesses = np.column_stack((around, np.zeros(DIRECTIONS)))
@@ -90,7 +90,7 @@ def anchor_beside(seen: Array, t: Array, ranges: Array, sigmas: tuple[float, flo
 def _shortest(
     predict: Callable[[int], Predict], guesses: Array, t: Array, ranges: Array, sigmas: tuple[float, float]
 ) -> Answer | None:
-    """Return the answer of the shortest stretch that gives a clear one."""
+    """Return the fit of the shortest part of the drive with a clear one."""
     tried = 0
     for seconds in STRETCHES_S:
         n = int(np.searchsorted(t, t[0] + seconds, side="right"))
@@ -104,7 +104,7 @@ def _shortest(
 
 
 def _clear(predict: Predict, guesses: Array, ranges: Array, sigmas: tuple[float, float]) -> Answer | None:
-    """Return the best answer where it is known well, and no other one is nearly as good."""
+    """Return the best fit if it is certain enough and no other one is nearly as good."""
     values, costs, scatter = _refined(predict, guesses, ranges, sigmas)
     best = values[np.argmin(costs)]
     _, J = predict(best[None])

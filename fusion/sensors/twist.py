@@ -1,4 +1,4 @@
-"""Speeds that somebody else measured (visual odometry, optical flow, radar, a second odometry).
+"""Speeds measured by others (visual odometry, optical flow, radar, a second odometry).
 
 The state holds no speed: the wheels' motion is the filter's input. So speeds are summed up to how far the robot
 came between two readings, forward s and turn a, and compared with the pose kept from the reading before (a
@@ -22,7 +22,7 @@ from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Me
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.se2 import direction, wrap
 from locfuse.fusion.sensor import Ask, Block, Model, PoseRows, Sensor, SensorSettings, WheelMotion
-from locfuse.fusion.streams import count_dropped, gap_limit
+from locfuse.fusion.streams import count_dropped, gap_limit, last_of_periods
 from locfuse.fusion.wheels.odometry import SPEED
 
 from .pose import plane_covariance, seen_from
@@ -71,7 +71,7 @@ class Twist(Sensor):
     }
 
     def measure(self, stream: Stream, settings: TwistSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
-        """Sum speeds up to z (n, 2): way [m] and turn [rad] since the first one, one row every `period`.
+        """Sum speeds up to z (n, 2): distance [m] and turn [rad] since the first one, one row every `period`.
 
         Raises LocfuseError where no message holds a speed.
         """
@@ -84,7 +84,7 @@ class Twist(Sensor):
         own = np.broadcast_to(sigmas**2, (len(t), 2))
         P, told = plane_covariance(columns.get("twist.covariance"), keep, settings.covariance, own, FORWARD_TURN)
         way, variance, piece = _summed(t, speeds[keep], np.diagonal(P, axis1=1, axis2=2))
-        rows = _one_each(t, settings.period)
+        rows = last_of_periods(t, settings.period)
         n = len(rows)
         R = np.zeros((n, 2, 2))
         R[:, (0, 1), (0, 1)] = np.diff(variance[rows], axis=0, prepend=np.zeros((1, 2)))
@@ -109,16 +109,16 @@ class Twist(Sensor):
         return m.t, m.z[:, 1]
 
     def says_noise(self, m: Measurements) -> bool:
-        """Return whether the messages say how good their speeds are: then `sigma` changes nothing."""
+        """Return whether the messages give the covariance of their speeds: then `sigma` changes nothing."""
         return bool(m.extra["told"].any())
 
     def model(self, settings: TwistSettings) -> Model:
-        """Return the source's side of a new run."""
+        """Return the source's model for a new run."""
         return TwistModel(settings)
 
 
 def _usable(speeds: Array, stream: Stream, dropped: dict[str, int]) -> Ints:
-    """Return the rows (k,) that hold speeds at a time of their own; count the others."""
+    """Return the rows (k,) with speeds and a new time; count the others."""
     finite = plausible(speeds).all(axis=1)
     later = np.diff(stream.t_ns, append=np.iinfo(np.int64).max) > 0
     for reason, out in (("not_finite", ~finite), ("repeat", finite & ~later)):
@@ -134,7 +134,7 @@ def _usable(speeds: Array, stream: Stream, dropped: dict[str, int]) -> Ints:
 
 
 def _summed(t: Array, speeds: Array, variances: Array) -> tuple[Array, Array, Array]:
-    """Return way and turn (n, 2) since the first reading, their variance (n, 2), and the gaps until then (n,).
+    """Return distance and turn (n, 2) since the first reading, their variance (n, 2), and the gaps so far (n,).
 
     By trapezoids; the errors of two readings are independent.
     """
@@ -147,14 +147,8 @@ def _summed(t: Array, speeds: Array, variances: Array) -> tuple[Array, Array, Ar
     return ways, total, np.concatenate((np.zeros(1), np.cumsum(gap)))
 
 
-def _one_each(t: Array, period: float) -> Ints:
-    """Return the last reading of every period."""
-    cell = np.floor(t / period) if period > 0.0 else t
-    return np.flatnonzero(np.append(np.diff(cell) > 0, True))
-
-
 class TwistModel(Model):
-    """Way and turn since the kept pose, in the local frame."""
+    """Distance and turn since the cloned pose, in the local frame."""
 
     local = True
 
@@ -164,11 +158,11 @@ class TwistModel(Model):
         self._last: int | None = None  # the reading whose pose is kept
 
     def blocks(self) -> list[Block]:
-        """Return the kept pose."""
+        """Return the cloned pose."""
         return [Block(CLONE, np.zeros(3), np.zeros((3, 3)), np.zeros(3))]
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
-        """Compare way and turn since the last reading with the belief; the first, and one after a gap, begins."""
+        """Compare distance and turn since the last reading with the belief; the first one initialises."""
         last = self._last
         if last is None or m.plain["piece"][i] != m.plain["piece"][last]:
             return []
@@ -182,18 +176,18 @@ class TwistModel(Model):
         return [belief.compare(i, y, by_pose, R, self.threshold, columns, by_kept)]
 
     def _variance(self, m: Measurements, of: int, value: float, last: int, i: int) -> float:
-        """Return the variance of way (of = 0) or turn (of = 1) since `last`: readings, scale and floor."""
+        """Return the variance of distance (of = 0) or turn (of = 1) since `last`: readings, scale and floor."""
         variance = m.plain[VARIANCES[of]]
         return float(variance[i] - variance[last] + self.scale * value * value + m.floor.item(of, of))
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Keep the pose as it is now."""
+        """Clone the present pose."""
         belief.clone_pose(belief.column(CLONE))
         self._last = i
 
 
 def chord(kept: Sequence[float], pose: Sequence[float]) -> tuple[tuple[float, float], PoseRows, PoseRows]:
-    """Return chord [m] and turn [rad] from the kept pose to the pose, and the derivatives (2, 3) by both."""
+    """Return chord [m] and turn [rad] from the cloned pose to the pose, and the derivatives (2, 3) by both."""
     (x, y, turn), by_kept, by_pose = seen_from(kept, pose)
     c, s = direction(0.5 * turn)
     bent = 0.5 * (y * c - x * s)
@@ -205,6 +199,6 @@ def chord(kept: Sequence[float], pose: Sequence[float]) -> tuple[tuple[float, fl
 
 
 def straight(way: float, turn: float) -> float:
-    """Return the chord s sinc(a / 2) [m] of an arc of this way s [m] and turn a [rad]."""
+    """Return the chord s sinc(a / 2) [m] of an arc of length s [m] and turn a [rad]."""
     half = 0.5 * turn
     return way * direction(half)[1] / half if half else way

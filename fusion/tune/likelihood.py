@@ -56,7 +56,7 @@ class Problem(msgspec.Struct):
         return total
 
     def means(self, theta: Array) -> tuple[list[tuple[float, ...] | None], tuple[int, int]]:
-        """Return mean scores per number of B points, in training and held out, and how many numbers these are."""
+        """Return mean scores per number of B points, in training and held out, and the counts of these numbers."""
         sums, counts = np.zeros((2, len(theta))), np.zeros(2)
         for tape, end in zip(self.tapes, self.until, strict=True):
             played = play(tape, self._noise(tape, theta))
@@ -101,7 +101,7 @@ def best(problem: Problem, starts: Sequence[float], least: Sequence[float] | Non
 
 
 def identify(problem: Problem) -> tuple[Array, list[str]]:
-    """Return the standard error of every logarithm (p,), and in words what the wheels' noise was not found on.
+    """Return the standard error of every logarithm (p,), and in words why the wheels' noise was not identified.
 
     From the likelihood's curvature with the wheels' noise split: on straights, and in turns.
     """
@@ -131,7 +131,7 @@ def at_most(problem: Problem, which: int, told: float) -> float:
 
 
 def _moves(problem: Problem, turning: bool) -> list[Moved]:
-    """Return the motions in training that turn, or that do not."""
+    """Return the motions in training that turn, or those that do not."""
     return [
         op
         for tape, end in zip(problem.tapes, problem.until, strict=True)

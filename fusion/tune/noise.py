@@ -1,4 +1,4 @@
-"""The noise figures of robot.toml as logarithms: what is searched, and how it is told to the filter.
+"""The noise figures of robot.toml as logarithms: which ones are searched, and how the filter gets them.
 
 One logarithm per sensor: keys of one sensor (range, angle) keep their ratio, which measuring has already used to
 weigh its beams.
@@ -22,7 +22,7 @@ DRIFT_START = 0.1  # degrees per sqrt(s)
 
 
 class Figures(msgspec.Struct):
-    """Noise as it stands: `factors` are ln(now / told), of the variance for the wheels, else of sigmas."""
+    """The present noise figures: `factors` are ln(now / told), of the variance for the wheels, else of sigmas."""
 
     told: Robot
     sensors: tuple[str, ...]
@@ -39,7 +39,7 @@ class Figures(msgspec.Struct):
         return math.exp(self.factors.get(name, 0.0))
 
     def values(self) -> dict[str, float]:
-        """Return every figure as it stands, by its key in robot.toml."""
+        """Return every present figure by its key in robot.toml."""
         out = {WHEELS: self.told.wheels.noise * self.factor(WHEELS)}
         for s in self.sensors:
             settings = self.told.settings(s)
@@ -66,7 +66,7 @@ class Figures(msgspec.Struct):
         return tables
 
     def robot(self, robot: Robot) -> Robot:
-        """Return a robot with the figures as they stand."""
+        """Return a robot with the present figures."""
         tables = self.tables()
         wheels = msgspec.structs.replace(robot.wheels, **tables.pop("wheels"))
         settings = {s: msgspec.structs.replace(c, **tables.get(s, {})) for s, c in robot.sensors.items()}
@@ -74,12 +74,12 @@ class Figures(msgspec.Struct):
 
 
 def drift_key(sensor: str) -> str:
-    """Return the setting by which a sensor's estimated offset drifts, "" where it has none."""
+    """Return the key for the drift of a sensor's estimated offset, "" without one."""
     return REGISTRY[sensor].drift_key or ""
 
 
 def drifting(robot: Robot, sensors: Sequence[str], wanted: bool) -> str | None:
-    """Return the sensor whose offset is estimated and drifts, or may be asked whether it does."""
+    """Return the sensor whose offset is estimated and drifts, or may drift."""
     for s in sensors:
         offset, key = REGISTRY[s].bias, drift_key(s)
         if key and offset is not None and getattr(robot.settings(s), offset.key) is None:

@@ -1,4 +1,4 @@
-"""One run of the filter as a tape: what was accepted, matched and linearised stays, only the noise changes.
+"""One run of the filter as a tape: acceptance, matches and linearisation are fixed, only the noise changes.
 
 Played with other noise (tune.replay), the events of the run are a linear Kalman filter on the deviations from it,
 and its innovations have a likelihood (Schweppe 1965). New map lines start without knowledge, so that what they
@@ -62,7 +62,7 @@ def record(drive: Drive, robot: Robot, sensors: Sequence[str]) -> Tape:
 
 
 def see(event: Corrected, drive: Drive, names: Sequence[str]) -> See:
-    """Tell what of a correction's R grows with the sigma of which sensor."""
+    """Return which part of a correction's R grows with the sigma of which sensor."""
     R_sigma, sensor, k = np.zeros_like(event.R), np.full(len(event.y), -1), 0
     for name, row, numbers in event.sources:
         at = slice(k, k + numbers)

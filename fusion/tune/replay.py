@@ -1,4 +1,4 @@
-"""A tape played with other noise: many Kalman filters at once on the deviations from the recorded run.
+"""A tape replayed with other noise: many Kalman filters at once on the deviations from the recorded run.
 
 Along a leading axis: at this size NumPy's call overhead is most of the cost (27 filters take three times as long
 as one). The innovations' likelihood is what noise is tuned by (Schweppe 1965).
@@ -117,7 +117,7 @@ class Head:
         return score
 
     def turn_frame(self, op: FrameTurned) -> None:
-        """Let the map frame's place follow its direction, by a recorded correction."""
+        """Let the place of the map frame follow its direction, by a recorded correction."""
         P, m, turn = self.P, self.m, op.first + 2
         for column, by in ((op.first, -op.dy), (op.first + 1, op.dx)):
             m[:, column] += by * m[:, turn]
@@ -126,7 +126,7 @@ class Head:
             P[:, :, column] += by * P[:, :, turn]
 
     def add(self, op: Added) -> None:
-        """Append the map frame, a copy of the pose; of other new states nothing is known."""
+        """Append the map frame as a copy of the pose; other new states are unknown."""
         n, k = op.before, op.states
         T = np.eye(n + k, n)
         if op.frame:
@@ -145,5 +145,5 @@ class Head:
 
 
 def bends(op: Moved, bend: float) -> bool:
-    """Whether a motion's path bends by more than `bend` [1/m]; turning on the spot does, resting does not."""
+    """Return whether a motion's path bends by more than `bend` [1/m]: also on the spot, not at rest."""
     return abs(op.turned) > bend * op.driven

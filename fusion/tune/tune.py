@@ -1,4 +1,4 @@
-"""Noise figures from logs, without truth: those under which the innovations are most likely.
+"""Noise figures from logs, without truth: the maximum-likelihood noise of the innovations.
 
 A mean NIS of 1 proves nothing, since too much noise here hides too little there; the likelihood of the innovations
 punishes both (Schweppe 1965). What is accepted and matched is decided once for each round and stays
@@ -67,7 +67,7 @@ class Row(NamedTuple):
 
 
 class Tuned(msgspec.Struct, frozen=True):
-    """What was found, and what speaks for it."""
+    """The tuned figures, with their evidence."""
 
     rows: Sequence[Row]
     train: tuple[float, ...] | None  # mean log likelihood per number before and after [nats]
@@ -85,7 +85,7 @@ def tune(
     remeasure: Remeasure | None = None,
     progress: Progress = lambda what: None,
 ) -> Tuned:
-    """Return the noise under which the innovations of these logs are most likely.
+    """Return the noise that makes the innovations of these logs most likely.
 
     `remeasure` is asked for sensors whose lines were cut by a sigma that proved wrong; nothing else is measured
     twice. Raises LocfuseError where there is nothing to tune by, or the logs were told of different noise.
@@ -106,7 +106,7 @@ def tune(
 
 
 class Bench:
-    """The logs under the noise as it stands."""
+    """The logs with the present noise."""
 
     def __init__(
         self, trials: Sequence[Trial], sensors: Sequence[str], drift: bool, remeasure: Remeasure | None
@@ -142,7 +142,7 @@ class Bench:
         return trial._replace(drive=drive, robot=figures.robot(trial.robot))
 
     def now(self) -> list[Trial]:
-        """Return the logs with the noise as it stands."""
+        """Return the logs with the present noise."""
         return [self.trial(t, self.figures) for t in self.trials]
 
     def bring_near(self, progress: Progress) -> None:
@@ -160,7 +160,7 @@ class Bench:
             self.move(steps)
 
     def preview(self) -> list[float]:
-        """Return when PREVIEW_S seconds have been driven, per log [s]."""
+        """Return the time after PREVIEW_S seconds of driving, per log [s]."""
         ends = []
         for t in self.trials:
             d = t.drive
@@ -169,7 +169,7 @@ class Bench:
         return ends
 
     def move(self, steps: dict[str, float]) -> None:
-        """Change logarithms; measure again where the sigma used so far was wrong."""
+        """Change logarithms; measure again if the sigma used so far was wrong."""
         for name, step in steps.items():
             self.figures.factors[name] = self.figures.factors.get(name, 0.0) + step
         for s in self.figures.sensors:
@@ -184,12 +184,12 @@ class Bench:
                 self._again.append(s)
 
     def problem(self) -> Problem:
-        """Record every log with the noise as it stands: what is accepted now stays."""
+        """Record every log with the present noise: acceptance is fixed from here on."""
         tapes = [record(t.drive, t.robot, list(t.drive.measurements)) for t in self.now()]
         return Problem(tapes, [t.until for t in self.trials], self.figures.names)
 
     def result(self) -> Tuned:
-        """Judge what was found, against what was told, on the same measurements."""
+        """Compare the tuned figures with the configured ones on the same measurements."""
         figures, problem = self.figures, self.problem()
         errors, flags = identify(problem)
         told = -np.array([figures.factors.get(name, 0.0) for name in figures.names])
@@ -210,12 +210,12 @@ class Bench:
         return Tuned(rows, train, held_out, numbers, flags, again, self.as_used())
 
     def as_used(self) -> list[Trial]:
-        """Return the logs with what was found and everything else as given: what other commands would fuse."""
+        """Return the logs with the tuned figures and all other settings as given, as other commands use them."""
         given = zip(self.now(), self._given, strict=True)
         return [t._replace(robot=self.figures.robot(robot)) for t, robot in given]
 
     def _leave(self, problem: Problem, name: str) -> str:
-        """Take back what the likelihood does not tell, as far as it allows, and say so."""
+        """Reset figures that the likelihood does not identify, as far as it allows, and report it."""
         figures = self.figures
         if name.endswith(DRIFT):
             figures.factors[name] = -math.inf
@@ -232,13 +232,13 @@ class Bench:
 
 
 def says_noise(sensor: str, trials: Sequence[Trial]) -> bool:
-    """Return whether a sensor's readings come with their own covariance: its sigma would change nothing."""
+    """Return whether a sensor's readings come with their own covariance: then its sigma changes nothing."""
     found = [t.drive.measurements[sensor] for t in trials if sensor in t.drive.measurements]
     return any(map(REGISTRY[sensor].says_noise, found))
 
 
 def check_told_alike(trials: Sequence[Trial], sensors: Sequence[str]) -> None:
-    """Raise LocfuseError where two logs come with different noise figures: they must start from one."""
+    """Raise LocfuseError if two logs have different noise figures: all must start from the same ones."""
     first = trials[0]
     for t in trials[1:]:
         pairs = [("wheels.noise", first.robot.wheels.noise, t.robot.wheels.noise)]
@@ -257,7 +257,7 @@ def check_told_alike(trials: Sequence[Trial], sensors: Sequence[str]) -> None:
 
 
 def optimal(robot: Robot) -> Robot:
-    """Return the robot with maps that are weighed optimally, and outliers refused."""
+    """Return the robot with optimal weights for maps, and outliers rejected."""
     settings = {}
     for s, c in robot.sensors.items():
         mode = getattr(c, "map", "")
@@ -289,7 +289,7 @@ def _louder(motions: Motions, factor: float) -> Motions:
 
 
 def _off(o: Own | None) -> float:
-    """Return a factor on sigma that brings a sensor nearer, 1 where it is near."""
+    """Return a factor on sigma that makes a sensor more consistent, 1 if it is close."""
     if o is None or o.refused > MAX_REFUSED_SHARE or math.isinf(o.raw):
         return WIDENING_FACTOR
     if MIN_NIS_RATIO <= o.raw <= MAX_NIS_RATIO or (o.raw < MIN_NIS_RATIO and o.share < MIN_OWN_SHARE):

@@ -53,7 +53,7 @@ class Sigma(NamedTuple):
 
 
 class Pieces(msgspec.Struct, frozen=True):
-    """What the wheels said against what happened, over n pieces."""
+    """Measurements of the wheels and the true motion, over n pieces."""
 
     kind: Ints  # (n,)
     size: Array  # (n,) m or rad
@@ -75,7 +75,7 @@ class Pieces(msgspec.Struct, frozen=True):
 
     @property
     def prior(self) -> Array:
-        """How vague each parameter is to begin with; FIXED_SIGMA where no piece can tell it."""
+        """The prior sigma of each parameter; FIXED_SIGMA if no piece shows it."""
         straight, turn = self.kind == STRAIGHT, self.kind == TURN
         tells = (straight.any(), ((self.dof > 1) & (straight | turn)).any(), turn.any())
         return np.where(tells, PRIOR_SIGMAS, FIXED_SIGMA)
@@ -86,7 +86,7 @@ class Pieces(msgspec.Struct, frozen=True):
 
 
 class WheelCalibration(msgspec.Struct, frozen=True):
-    """What straight runs and turns say of the wheels. Geometry is relative to what was given: 0 = it was right."""
+    """Wheel calibration by straight runs and turns, relative to the configured geometry: 0 = it was right."""
 
     k: Figure  # m: variance per metre rolled
     delta: Figure  # the paper's, for its period
@@ -131,7 +131,7 @@ def calibrate_wheels(drives: Sequence[Drive]) -> WheelCalibration:
 
 
 def find_pieces(drive: Drive, moved: Array) -> Pieces:
-    """Return the pieces of one drive, its wheels' left scale, right scale and track moved by (3,), relative."""
+    """Return the pieces of one drive, with left scale, right scale and track changed by (3,), relative."""
     truth = drive.truth
     if truth is None:
         raise LocfuseError(
@@ -166,7 +166,7 @@ def find_pieces(drive: Drive, moved: Array) -> Pieces:
 
 
 def without_outliers(pieces: Pieces) -> Pieces:
-    """Drop pieces that the median piece makes unbelievable: a slip, a jump of the truth."""
+    """Drop pieces that are far from the median piece: a slip, or a jump of the truth."""
     for _ in range(2):
         if len(pieces.e) < MIN_PIECES:
             break
@@ -189,7 +189,7 @@ def adjusted(wheels: Wheels, moved: Array) -> Wheels:
 
 
 def truth_sigma(truth: Truth, wheels: Wheels) -> Sigma:
-    """Return the truth's noise: as set, else its scatter while the robot stands."""
+    """Return the truth's noise: as configured, else its scatter while the robot stands."""
     middle = 0.5 * (wheels.t[1:] + wheels.t[:-1])
     still = np.abs(wheels.rolled).max(axis=1) < STANDSTILL_MPS * np.diff(wheels.t)
     edges = np.flatnonzero(np.diff(still, prepend=False, append=False))
@@ -215,7 +215,7 @@ def piece_length(sigma: Sigma, wheels: Wheels) -> tuple[float, float]:
 
 
 def _body(truth: Truth) -> Array:
-    """Poses of the body (n, 3) from those of the tracked point; heading 0 where the truth has none."""
+    """Poses of the body (n, 3) from those of the tracked point; heading 0 if the truth has none."""
     theta = np.zeros(len(truth.t)) if truth.theta is None else truth.theta
     c, s = np.cos(theta), np.sin(theta)
     x, y = truth.point
@@ -223,7 +223,7 @@ def _body(truth: Truth) -> Array:
 
 
 def _truth_noise(seen: Array, sigma: Sigma) -> Array:
-    """Covariance (n, 3, 3) of the truth's relative poses (n, 3): both ends err, the first one in heading too."""
+    """Covariance (n, 3, 3) of the truth's relative poses (n, 3): both ends err, the first in heading too."""
     T = np.zeros((len(seen), 3, 3))
     lever = np.stack((seen[:, 1], -seen[:, 0], -np.ones(len(seen))), axis=-1)
     T += sigma.theta**2 * lever[:, :, None] * lever[:, None, :]
@@ -232,7 +232,7 @@ def _truth_noise(seen: Array, sigma: Sigma) -> Array:
 
 
 def _lengths(seen: Array, u: Array, sigma: Sigma) -> tuple[Array, Array]:
-    """Errors and covariances of straight pieces where the truth has no heading: only their length is known."""
+    """Errors and covariances of straight pieces for a truth without heading: only their length is known."""
     e = np.zeros_like(u)
     e[:, 0] = np.sign(u[:, 0]) * (np.hypot(seen[:, 0], seen[:, 1]) - np.hypot(u[:, 0], u[:, 1]))
     return e, np.tile(np.diag([2.0 * sigma.xy**2, UNSEEN_VARIANCE, UNSEEN_VARIANCE]), (len(u), 1, 1))
@@ -250,7 +250,7 @@ def _too_few(n: int) -> str:
 
 
 class Runs(msgspec.Struct, frozen=True):
-    """Stretches of one kind of motion in one direction, n of them."""
+    """Pieces of one kind of motion in one direction, n of them."""
 
     kind: Ints  # (n,) STRAIGHT or TURN
     start: Array  # (n,) s

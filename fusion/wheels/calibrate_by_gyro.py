@@ -1,4 +1,4 @@
-"""Track, ratio and noise of the wheels by a gyro: no truth, no laser.
+"""Track, ratio and noise of the wheels by a gyro, without truth or laser.
 
 Over a window of length W a robot turns by
 
@@ -97,7 +97,7 @@ def calibrate_by_gyro(
 
 
 def _delay(wheels: Wheels, t: Array, own: Array) -> float:
-    """Return what to add to the gyro's times so that the wheels explain most of its turning [s]."""
+    """Return the time to add to the gyro's stamps so that the wheels explain most of its turning [s]."""
     explained = []
     for delay in LAGS_S.tolist():
         rows = _windows(wheels, t, own, delay, 0.5 * WINDOW_S)
@@ -106,7 +106,7 @@ def _delay(wheels: Wheels, t: Array, own: Array) -> float:
 
 
 def _windows(wheels: Wheels, t: Array, own: Array, delay: float, length: float) -> tuple[Array, Array]:
-    """Return turns (n,) of the gyro in windows that move, and (n, 4): right, left [m], s, what both rolled [m]."""
+    """Return the gyro's turns (n,) in windows with motion, and (n, 4): right, left [m], s, both [m]."""
     first, last = max(t[0], wheels.t[0] - delay), min(t[-1], wheels.t[-1] - delay)
     start = np.arange(first, last - length, length)
     turn = np.interp(start + length, t, own) - np.interp(start, t, own)
@@ -121,7 +121,7 @@ def _windows(wheels: Wheels, t: Array, own: Array, delay: float, length: float) 
 
 
 def _fit(rows: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, float]:
-    """Return (a, b), their covariance (2, 2), and the share explained; every drive has a bias of its own."""
+    """Return (a, b), their covariance (2, 2), and the share explained; every drive has its own bias."""
     own = np.concatenate([turn for turn, _ in rows])
     by = np.zeros((len(own), 2 + len(rows)))
     at = 0
@@ -143,7 +143,7 @@ def _noise(
     slides: float,
     white: float,
 ) -> tuple[dict[float, float], int]:
-    """Return by window [s] the variance per metre that a wheel rolls [m], without the gyro's own noise.
+    """Return by window [s] the variance per metre of a wheel [m], without the gyro's own noise.
 
     `by` is the turn per metre of the right and the left wheel [rad/m]. And the number of windows of the longest.
     """

@@ -59,7 +59,7 @@ MAX_SCALE = 0.6  # of a wheel: one that is further off is another unit
 
 
 class Motion(NamedTuple):
-    """How wheels and laser moved in one drive, on one clock."""
+    """The motion of wheels and laser in one drive, on one clock."""
 
     wheels: Wheels  # the robot, as configured
     laser: Wheels  # the laser, by its scans: a frame that looks along its first beam's zero
@@ -78,12 +78,12 @@ class LaserCalibration(msgspec.Struct, frozen=True):
     turned_rad: float
 
     def untold(self) -> list[str]:
-        """Return the names of what the drives cannot tell."""
+        """Return the names of parameters that the drives do not show."""
         return [name for name, sigma in zip(NAMES, self.sigmas.tolist(), strict=True) if np.isnan(sigma)]
 
 
 class Intervals(msgspec.Struct, frozen=True):
-    """Times (n,) between which wheels and laser are compared, and what the laser says."""
+    """Times (n,) between which wheels and laser are compared, and the laser's motions."""
 
     motion: Motion
     t_from: Array
@@ -93,7 +93,7 @@ class Intervals(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, motion: Motion) -> Intervals:
-        """Cut a drive where the laser has moved far enough; intervals at rest are left out."""
+        """Cut a drive into intervals in which the laser moved far enough; intervals at rest are left out."""
         t, pose = motion.laser.t, motion.laser.pose
         a, b = _cut(t, pose)
         inside = (t[a] + motion.delay > motion.wheels.t[0]) & (t[b] + motion.delay < motion.wheels.t[-1])
@@ -105,7 +105,7 @@ class Intervals(msgspec.Struct, frozen=True):
         return cls(motion, t_from + motion.delay, t_to + motion.delay, found.u, found.Q)
 
     def predicted(self, p: Array) -> Array:
-        """Return the laser's motions (n, 3) that the wheels and parameters p (7,) mean."""
+        """Return the laser's motions (n, 3) predicted by the wheels and parameters p (7,)."""
         wheels = corrected(self.motion.wheels, p[:3])
         u = wheels.relative(self.t_from + p[6], self.t_to + p[6])
         return seen_from_laser(u, p[3:6])
@@ -207,7 +207,7 @@ def corrected(wheels: Wheels, p: Array) -> Wheels:
 
 
 def seen_from_laser(u: Array, mount: Array) -> Array:
-    """Return motions (n, 3) of the robot as a laser at mount (3,) makes them, seen from where it was."""
+    """Return motions (n, 3) of the robot as those of a laser at mount (3,), in its earlier frame."""
     at = np.broadcast_to(mount, u.shape)
     return se2.between(at, se2.compose(u, at))
 
@@ -237,12 +237,12 @@ def first_guess(every: Sequence[Intervals]) -> Array:
 
 
 def _moved(every: Sequence[Intervals], delay: float) -> Array:
-    """Return the robot's motions (n, 3) by its wheels as configured, the laser's times moved by a delay [s]."""
+    """Return the robot's motions (n, 3) by the configured wheels, with the laser's times moved by a delay [s]."""
     return np.concatenate([one.motion.wheels.relative(one.t_from + delay, one.t_to + delay) for one in every])
 
 
 def _on_the_spot(u: Array) -> bool:
-    """Return whether the robot hardly went anywhere in its motions (n, 3)."""
+    """Return whether the robot hardly moved its centre in its motions (n, 3)."""
     return bool(np.hypot(u[:, 0], u[:, 1]).mean() < MOVED_M)
 
 
@@ -252,7 +252,7 @@ def _straight(s: Array) -> bool:
 
 
 def _turn_mismatch(every: Sequence[Intervals], s: Array, delay: float) -> float:
-    """Return how much of the turns of s (n, 3) is no multiple of the wheels'."""
+    """Return the part of the turns of s (n, 3) that is no multiple of the wheels' turns."""
     turn = _moved(every, delay)[:, 2]
     left = s[:, 2] - turn * (float(turn @ s[:, 2]) / max(float(turn @ turn), 1e-12))
     return float(left @ left)
@@ -310,7 +310,7 @@ def _fitted(every: Sequence[Intervals], p: Array, guess: Array) -> tuple[Array, 
 
 
 def _inside(one: Intervals, p: Array) -> NDArray[np.bool_]:
-    """Return which intervals are believable where the median one is (n,): no slip, no wrong match."""
+    """Return which intervals are plausible, given the median one (n,): no slip, no wrong match."""
     residuals = _residuals([one], p)
     match, noise = _noise(residuals)
     squares = _scaled(residuals, match).squares(noise, np.zeros(7))

@@ -40,7 +40,7 @@ MIN_TURN_RAD = math.radians(180.0)  # in all, of a gyro
 
 
 class Reference(NamedTuple):
-    """What the encoders are compared with: poses of one body on a clock of its own, or headings alone."""
+    """The reference for the encoders: poses of one body on its own clock, or headings alone."""
 
     by: By
     t: Array  # (n,) s
@@ -48,7 +48,7 @@ class Reference(NamedTuple):
 
 
 class TricycleCalibration(msgspec.Struct, frozen=True):
-    """What a drive says of a tricycle: values with their 95 % intervals by the keys of robot.toml."""
+    """Parameters of a tricycle by a drive: values with 95 % intervals by the keys of robot.toml."""
 
     wheels: dict[str, Figure]  # radius, servo_gain, servo_offset, wheelbase
     by: By
@@ -57,7 +57,7 @@ class TricycleCalibration(msgspec.Struct, frozen=True):
 
 
 def of_truth(truth: Truth) -> Reference:
-    """Return a truth as a reference. Raises LocfuseError where it has no heading."""
+    """Return a truth as a reference. Raises LocfuseError if it has no heading."""
     if truth.theta is None:
         raise LocfuseError("a steered tricycle needs a truth with heading", role="calibrate")
     return Reference("truth", truth.t, np.column_stack((truth.xy, truth.theta)))
@@ -66,7 +66,7 @@ def of_truth(truth: Truth) -> Reference:
 def calibrate_tricycle(
     found: Encoders, settings: WheelSettings, reference: Reference, shift: float
 ) -> TricycleCalibration:
-    """Fit size and steering to the reference; `shift` [s] is added to the encoders' times to be on its clock.
+    """Fit size and steering to the reference; `shift` [s] moves the encoders' times to its clock.
 
     Raises LocfuseError where it has too few readings, or turns too little.
     """
@@ -82,7 +82,7 @@ def calibrate_tricycle(
     moved, spans = se2.between(pose[first], pose[later[first]]), stamps[later[first]] - stamps[first]
 
     def point(p: Array) -> Array:
-        """Poses (k, 3) of the tracked point, seen from the start of the body."""
+        """Poses (k, 3) of the tracked point, relative to the start of the body."""
         ds = np.diff(found.rolled) * p[SCALE]
         angle = (found.steering - settings.servo_offset) * p[GAIN] + p[ZERO]
         way = dead_reckoning(rolled_by(ds, angle, p[BASE]))
@@ -146,7 +146,7 @@ def _figure(value: float, sigma: float) -> Figure:
 
 
 def _wheels(p: Array, sigmas: Array, settings: WheelSettings) -> dict[str, Figure]:
-    """Return what the parameters mean by the keys of [wheels], those that were found."""
+    """Return the fitted parameters as keys of [wheels]."""
     scale, gain, offset, base = p[:4].tolist()
     radius, zero = settings.radius or 0.0, settings.servo_offset - offset / gain
     values: Sequence[tuple[str, float, float]] = (
@@ -159,7 +159,7 @@ def _wheels(p: Array, sigmas: Array, settings: WheelSettings) -> dict[str, Figur
 
 
 def _mount(by: By, p: Array, sigmas: Array) -> dict[str, Figure]:
-    """Return where the truth's point or the laser sits, and how late the laser is."""
+    """Return the mount of the truth's point or the laser, and the laser's delay."""
     found = {"x": (4, 1.0), "y": (5, 1.0), "yaw_deg": (6, math.degrees(1.0)), "time_offset": (DELAY, 1.0)}
     keys = {"truth": ("x", "y"), "lrf": (*found,), "gyro": ()}[by]
     return {

@@ -1,4 +1,4 @@
-"""Wheel radius and track by holding wheel angles against the odometry that the robot itself computed from them."""
+"""Wheel radius and track by comparing wheel angles with the odometry that the robot computed from them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MIN_TURN_RAD = 0.5  # rad, rms sum of turns, before the track is told
 
 
 class Geometry(NamedTuple):
-    """What the robot's own odometry took its wheels for."""
+    """The wheel geometry that the robot's own odometry used."""
 
     radius: float  # m; of ticks: metres per tick times ticks_per_revolution / 2 pi, one tick taken as a radian
     track: float | None  # m; None where the robot hardly turned
@@ -32,7 +32,7 @@ class Geometry(NamedTuple):
 
 
 def by_odometry(counters: Stream, odometry: Stream, settings: WheelSettings) -> Geometry | None:
-    """Return radius and track under which the wheel angles give the odometry; None where they do not agree."""
+    """Return radius and track with which the wheel angles give the odometry; None if they do not agree."""
     try:
         return by_motion(counters, read_wheels(odometry, WheelSettings()), settings)
     except LocfuseError:
@@ -40,7 +40,7 @@ def by_odometry(counters: Stream, odometry: Stream, settings: WheelSettings) -> 
 
 
 def by_motion(counters: Stream, theirs: WheelReading, settings: WheelSettings) -> Geometry | None:
-    """Return radius and track under which the wheel angles give a motion; None where they do not agree.
+    """Return radius and track with which the wheel angles give a motion; None if they do not agree.
 
     Raises LocfuseError where the counters cannot be read.
     """
@@ -76,7 +76,7 @@ def _angles(both: Counters, settings: WheelSettings) -> tuple[Array, Array, Arra
 
 
 def _best(left: Array, right: Array, moved: Array) -> Geometry | None:
-    """Return the geometry under the senses of counting that fit best: as they are, where that is as good."""
+    """Return the geometry with the best-fitting signs of the counters: the configured ones if they fit as well."""
     agrees = {
         mirrored: _correlation(0.5 * (s_left * left + s_right * right), moved[:, 0])
         for mirrored, (s_left, s_right) in SIGNS.items()

@@ -1,4 +1,4 @@
-"""How large is a noise whose shape is known? Restricted likelihood with linear nuisance parameters.
+"""The size of a noise of known shape: restricted likelihood with linear nuisance parameters.
 
 e_i = X_i p + noise, noise ~ N(0, s Q_i + T_i), p ~ N(0, P0): p is integrated out, so that what p explains is not
 counted as noise (Patterson and Thompson 1971). With T = 0 and a vague prior, s is the sum of squares over its
@@ -29,7 +29,7 @@ class Figure(msgspec.Struct, frozen=True):
 
 
 class Residuals(msgspec.Struct, frozen=True):
-    """Errors of n pieces with d components, what explains them, and their covariances."""
+    """Errors of n pieces with d components, their regressors, and their covariances."""
 
     e: Array  # (n, d)
     X: Array  # (n, d, p)
@@ -79,7 +79,7 @@ class Residuals(msgspec.Struct, frozen=True):
         return Figure(scale, low, high), top
 
     def _edge(self, inside: float, outside: float, top: float) -> float:
-        """Return ln of the scale between two where the likelihood has fallen to the interval's edge."""
+        """Return ln of the scale, between two, at which the likelihood falls to the interval's edge."""
         from scipy.optimize import brentq
 
         drop = 0.5 * chi_square(CONFIDENCE, 1)

@@ -1,7 +1,7 @@
 """Wheel motion (paper eq. 1-3, 7, 8): exact arcs, pre-integrated between any two instants.
 
 Encoder rate costs nothing in the filter: all wheel readings are turned at once into a chain of body twists, and
-the motion, its covariance and its derivative by the wheel parameters are summed per interval (`kernels.wheels`).
+the motion, its covariance and its derivative by the wheel parameters are summed per interval.
 """
 
 from __future__ import annotations
@@ -12,10 +12,9 @@ from msgspec.structs import replace
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, Motions
-from locfuse.fusion.kernels import wheels as kernel
-from locfuse.fusion.kernels.arrays import view
 
 MIN_GAP_S, MIN_GAP_PERIODS = 0.5, 5.0  # s, median periods: over a longer one the way is not known, only the sums
+INTERVALS_PER_BLOCK = 2048  # so that the pieces of an hour take a few MB
 
 
 def body_increments(ds_left: Array, ds_right: Array, track: float) -> tuple[Array, Array]:
@@ -40,7 +39,7 @@ class Wheels(msgspec.Struct, frozen=True):
 
     @classmethod
     def from_wheels(cls, t: Array, left: Array, right: Array, track: float, noise: float) -> Wheels:
-        """Build from the distances that either wheel has rolled since the start, (n,) m."""
+        """Build from the distances rolled by either wheel since the start, (n,) m."""
         rolled = np.column_stack((np.diff(left), np.diff(right)))
         ds, turn = body_increments(rolled[:, 0], rolled[:, 1], track)
         twist = np.column_stack((ds, np.zeros_like(ds), turn))
@@ -48,7 +47,7 @@ class Wheels(msgspec.Struct, frozen=True):
 
     @classmethod
     def from_twists(cls, t: Array, twist: Array, track: float, noise: float) -> Wheels:
-        """Build from body twists (n-1, 3) between the times t (n,): they are known over a silence too.
+        """Build from body twists (n-1, 3) between the times t (n,), which are known during a gap too.
 
         A base that drives sideways (mecanum, legs) is taken for one whose wheels point the way it goes.
         """
@@ -64,7 +63,7 @@ class Wheels(msgspec.Struct, frozen=True):
 
     @property
     def stands(self) -> bool:
-        """Whether the robot stays where it is for the whole log."""
+        """Whether the robot does not move in the whole log."""
         x, y, theta = (float(np.ptp(column)) for column in self.pose.T)
         return max(x, y) <= STANDS_M and theta <= STANDS_RAD
 
@@ -84,16 +83,16 @@ class Wheels(msgspec.Struct, frozen=True):
         )
 
     def at(self, t: Array) -> tuple[Ints, Array, Array]:
-        """Return for each time the wheel interval, the share of it that has passed, and the dead-reckoned pose.
+        """Return for each time the wheel interval, its share that has passed, and the dead-reckoned pose.
 
         Up to one interval beyond either end is extrapolated: the last beams of a scan may need it.
         """
         k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.twist) - 1)
-        share = np.clip((t - self.t[k]) / (self.t[k + 1] - self.t[k]), -1.0, 2.0)
+        share = self._passed(k, t)
         return k, share, se2.compose(self.pose[k], se2.exp(share[..., None] * self.twist[k]))
 
     def relative(self, t_from: Array, t_to: Array) -> Array:
-        """Return the poses (..., 3) at t_to seen from those at t_from."""
+        """Return the poses (..., 3) at t_to relative to those at t_from."""
         return se2.between(self.at(t_from)[2], self.at(t_to)[2])
 
     def heading(self, t: Array) -> Array:
@@ -101,12 +100,12 @@ class Wheels(msgspec.Struct, frozen=True):
         return np.interp(t, self.t, self.pose[:, 2])
 
     def driven(self, t: Array) -> Array:
-        """Return the way (...) [m, never falling] that the faster wheel has rolled by times t (...) [s]."""
+        """Return the distance (...) [m, never decreasing] of the faster wheel until times t (...) [s]."""
         steps = np.abs(self.rolled).max(axis=1)
         return np.interp(t, self.t, np.concatenate(([0.0], np.cumsum(steps))))
 
     def slips(self, t: Array) -> Array:
-        """Return the variances (..., k - 1, 2) [m^2] of what either wheel rolled between times t (..., k) [s]."""
+        """Return the variances (..., k - 1, 2) [m^2] of either wheel's distance between times t (..., k) [s]."""
         if self.matched is None:
             steps = self.noise * np.abs(self.rolled)
         else:  # of wheels that would leave the turn as uncertain as matching the scans does
@@ -118,13 +117,84 @@ class Wheels(msgspec.Struct, frozen=True):
         """Pre-integrate n intervals [t_from, t_to], (n,) s each.
 
         Noise is independent per wheel with variance `noise` times the distance rolled, whatever the encoder
-        rate (the paper's eq. 9 depends on the period). Each piece between two cuts contributes through
-        eq. 8 in its right form plus the lever arm to the interval's end.
+        rate (the paper's eq. 9 depends on the period). An interval is cut at every reading, and each piece between
+        two cuts contributes through eq. 8 in its right form plus the lever arm to the interval's end.
         """
-        n, parts = len(t_from), 9 if parameters else 0
-        u, Q, J = np.empty((n, 3)), np.empty((n, 9)), np.empty((n, parts))
-        kernel.integrate(kernel.Odometer(self), view(t_from), view(t_to), kernel.Intervals(u, Q, J))
-        return Motions(u, Q.reshape(n, 3, 3), J.reshape(n, 3, parts // 3))
+        parts = []
+        for at in range(0, max(len(t_from), 1), INTERVALS_PER_BLOCK):
+            rows = slice(at, at + INTERVALS_PER_BLOCK)
+            parts.append(self._between(t_from[rows], t_to[rows], parameters))
+        return Motions(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+    def _between(self, t_from: Array, t_to: Array, parameters: bool) -> tuple[Array, Array, Array]:
+        """Return u, Q and J of some intervals, all their pieces in memory at once."""
+        (first, _, begin), (last, _, end) = self.at(t_from), self.at(t_to)
+        count = np.where(t_to > t_from, last - first + 1, 0)
+        of = np.repeat(np.arange(len(count)), count)
+        k = np.arange(len(of)) - np.repeat(np.cumsum(count) - count - first, count)
+        share = [
+            np.where(k == edge[of], self._passed(k, t[of]), whole)
+            for edge, t, whole in ((first, t_from, 0.0), (last, t_to, 1.0))
+        ]
+        with np.errstate(invalid="ignore", over="ignore"):
+            noise, J = self._pieces(k, share[0], share[1] - share[0], end[of], parameters)
+            back = np.swapaxes(se2.rotation(begin[:, 2]), 1, 2)
+            Q = back @ _sums(noise, count) @ np.swapaxes(back, 1, 2)
+            return se2.between(begin, end), 0.5 * (Q + np.swapaxes(Q, 1, 2)), back @ _sums(J, count)
+
+    def _passed(self, k: Ints, t: Array) -> Array:
+        """Return the share of interval k (...) that has passed at times t (...), at most one beyond either end."""
+        return np.clip((t - self.t[k]) / (self.t[k + 1] - self.t[k]), -1.0, 2.0)
+
+    def _pieces(self, k: Ints, begin: Array, share: Array, end: Array, parameters: bool) -> tuple[Array, Array]:
+        """Return what pieces (m,) of intervals k do to the poses `end` (m, 3): noise and derivative, (m, 3, 3).
+
+        Piece i is the `share` of interval k from the share `begin` on. The derivative is by the wheel parameters.
+        """
+        twist = share[:, None] * self.twist[k]
+        (ahead, left, turned), rolled = twist.T, share[:, None] * self.rolled[k]
+        start = se2.compose(self.pose[k], se2.exp(begin[:, None] * self.twist[k]))
+        lever = (end - se2.compose(start, se2.exp(twist)))[:, :2]
+        middle, one = start[:, 2] + 0.5 * turned, np.ones_like(turned)
+        chord = se2.rotated(middle, twist[:, :2])
+        # the derivative of the end by the turn: that of the chord, and the lever arm from the piece to the end
+        by_turn = np.stack((-0.5 * chord[:, 1] - lever[:, 1], 0.5 * chord[:, 0] + lever[:, 0], one), axis=-1)
+        way = middle + _aside(ahead, left)
+        by_way = np.stack((np.cos(way), np.sin(way), 0.0 * way), axis=-1)
+        by_wheels = np.stack((0.5 * by_way - by_turn / self.track, 0.5 * by_way + by_turn / self.track), axis=-1)
+        if self.matched is None:
+            noise = (by_wheels * (self.noise * np.abs(rolled))[:, None]) @ np.swapaxes(by_wheels, 1, 2)
+            astray, rate = self.silence[k].T
+            if (
+                rate.any()
+            ):  # a whole silence leaves no doubt about the heading, the difference of the sums; a part does
+                most = np.minimum(rate * share * (self.t[k + 1] - self.t[k]), np.pi)
+                noise[:, (0, 1), (0, 1)] += (share * astray)[:, None]
+                noise[:, 2, 2] += (1.0 - share) * most**2 / 3.0
+        else:
+            lever_of = se2.rotation(middle)
+            lever_of[:, :2, 2] = by_turn[:, :2]
+            noise = share[:, None, None] * (lever_of @ self.matched[k] @ np.swapaxes(lever_of, 1, 2))
+        if not parameters:
+            return noise, np.zeros((len(k), 3, 0))
+        return noise, np.concatenate(
+            (by_wheels * rolled[:, None], (-turned[:, None] * by_turn)[..., None]), axis=-1
+        )
+
+
+def _aside(ahead: Array, left: Array) -> Array:
+    """Return the direction of travel from the body's axis (n,) [rad], at most a quarter turn: 0 ahead and back."""
+    back = np.where(ahead < 0.0, -1.0, 1.0)
+    sideways = (left != 0.0) & np.isfinite(left) & np.isfinite(ahead)
+    return np.where(sideways, np.arctan2(back * left, back * ahead + 0.0), 0.0)
+
+
+def _sums(pieces: Array, count: Ints) -> Array:
+    """Return the sums (n, ...) of the pieces (m, ...) of each interval, which has `count` (n,) of them."""
+    out, some = np.zeros((len(count), *pieces.shape[1:])), count > 0
+    if some.any():
+        out[some] = np.add.reduceat(pieces, (np.cumsum(count) - count)[some])
+    return out
 
 
 def silences(t: Array, rolled: Array, turn: Array) -> Array:

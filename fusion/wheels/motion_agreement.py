@@ -1,4 +1,4 @@
-"""How much of what another sensor saw a motion explains: turns of a gyro or a compass, ways between fixes.
+"""How much of another sensor's readings a motion explains: turns of a gyro or compass, distances between fixes.
 
 The log is cut into windows; of n windows with what the sensor saw, a (n,), and what the motion says, b (n,), the
 share explained is 1 - |a - b|^2 / |a|^2, at the delay between both clocks that suits the motion best. A motion
@@ -22,7 +22,7 @@ MIN_WAY_M = 15.0  # m in all: fixes of a receiver that stands wander by some met
 
 
 def turns_explained(wheels: Wheels, t: Array, heading: Array) -> float | None:
-    """Return the share of a sensor's turning that a motion explains; None where the sensor hardly turns.
+    """Return the share of a sensor's turning that a motion explains; None if the sensor hardly turns.
 
     `heading` (n,) [rad], not wrapped, is the sensor's at times t (n,) [s] on the clock of the motion.
     """
@@ -38,7 +38,7 @@ def turns_explained(wheels: Wheels, t: Array, heading: Array) -> float | None:
 
 
 def ways_explained(wheels: Wheels, t: Array, xy: Array, least: float = MIN_WAY_M) -> float | None:
-    """Return the share of the ways between places that a motion explains; None below `least` [m] in all.
+    """Return the share of the distances between places that a motion explains; None below `least` [m] in all.
 
     `xy` (n, 2) [m] are the places at times t (n,) [s] on the clock of the motion; only distances count.
     """

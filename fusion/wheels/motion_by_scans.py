@@ -53,7 +53,7 @@ FORGOTTEN_S = np.array([4.0, 4.0, 1.0])  # s after which a velocity says little:
 
 
 class _Way(msgspec.Struct):
-    """What is known of n scans: the step (3,) that leads to each from the one before, and its covariance."""
+    """The motion of n scans: the step (3,) to each from the one before, and its covariance."""
 
     t: Array  # (n,) s
     step: Array  # (n, 3) pose of each scan seen from the one before; [0] is none
@@ -62,7 +62,7 @@ class _Way(msgspec.Struct):
 
 
 class MatchedScans(msgspec.Struct, frozen=True):
-    """The way of a laser by its scans, before any setting of wheels or clocks has a say."""
+    """The path of a laser by its scans alone, independent of the settings of wheels and clocks."""
 
     laser: Laser  # that was matched so
     way: _Way
@@ -71,11 +71,11 @@ class MatchedScans(msgspec.Struct, frozen=True):
     notes: tuple[str, ...]
 
     def of(self, laser: Laser) -> bool:
-        """Return whether this is the way of a laser with these settings."""
+        """Return whether this is the path of a laser with these settings."""
         return np.array_equal(self.laser.mount, laser.mount) and self.laser[1:] == laser[1:]
 
     def reading(self, settings: WheelSettings, time_offset: float) -> WheelReading:
-        """Return it as the motion of wheels.
+        """Return the path as the motion of wheels.
 
         `wheels.noise` scales the covariance of the matches: its default leaves it as it was found. The times are
         those of the laser, `time_offset` [s] applied.
@@ -86,7 +86,7 @@ class MatchedScans(msgspec.Struct, frozen=True):
 
 
 def match_scans(stream: Stream, laser: Laser) -> MatchedScans:
-    """Return the motion by the scans of a laser alone. Raises LocfuseError where they cannot be matched."""
+    """Return the motion by the scans of a laser alone. Raises LocfuseError if they cannot be matched."""
     if len(stream.t_ns) < 2:
         raise LocfuseError(f"{stream.topic} has {len(stream.t_ns)} scans; two are the least", role="wheels")
     scans = read_scans(stream, laser, STANDING)
@@ -137,7 +137,7 @@ def _matched(scans: Scans) -> _Way:
 
 
 def _block(scans: Scans, rows: Ints, velocity: Velocity, way: _Way) -> tuple[Velocity, int]:
-    """Match the scans at these rows (m,); return the velocity at the last key, and where that is among them."""
+    """Match the scans at these rows (m,); return the velocity at the last key, and its position among them."""
     clouds = scans.clouds(rows)
     if not np.isfinite(clouds.normal[:, 0]).any():
         found, keys = _expected(velocity, scans.t[rows], way, rows)
@@ -155,7 +155,7 @@ def _block(scans: Scans, rows: Ints, velocity: Velocity, way: _Way) -> tuple[Vel
 
 
 def _expected(velocity: Velocity, t: Array, way: _Way, rows: Ints) -> tuple[Velocity, int]:
-    """Go on as before through scans (m,) that saw nothing."""
+    """Continue the motion through scans (m,) without lines."""
     for row, span in zip(rows[1:].tolist(), np.diff(t).tolist(), strict=True):
         velocity = velocity.after(span)
         way.step[row], way.P[row] = se2.exp(velocity.v * span), velocity.spread(velocity, span)
@@ -166,7 +166,7 @@ def _expected(velocity: Velocity, t: Array, way: _Way, rows: Ints) -> tuple[Velo
 def _followed(
     targets: Targets, sources: Clouds, dt: Array, known: Velocity
 ) -> tuple[list[Velocity], Array, Array]:
-    """Match every scan with the one before, from where the velocity leads.
+    """Match every scan with the one before, starting from the predicted motion.
 
     Returns the n velocities found, the covariances (n, 3, 3) of the steps, and which pairs match (n,). One after
     the other: two scans of a corridor match nearly as well half a step too short, and only the velocity so far
@@ -184,7 +184,7 @@ def _followed(
 
 
 def _neighbours(targets: Targets, sources: Clouds, k: Ints, known: Velocity, dt: float) -> Matches:
-    """Match scan k + 1 with scan k (1,); where that fits badly, as if the robot had turned."""
+    """Match scan k + 1 with scan k (1,); if that fits badly, try turned starts."""
     guess = se2.exp(known.v * dt)[None]
     prior = inverse(known.P * dt * dt + FLOOR)[None]
     found = match(targets, k, sources, k + 1, guess, prior, REACH_M)
@@ -204,12 +204,12 @@ def _fits(found: Matches) -> Array:
 
 
 def _believed(found: Matches) -> Array:
-    """Return the information (p, 3, 3) of the matches, none of those that do not fit."""
+    """Return the information (p, 3, 3) of the matches, 0 for those that do not fit."""
     return np.asarray(np.where(_fits(found)[:, None, None], TRUST * seen(found.information), 0.0))
 
 
 def seen(information: Array) -> Array:
-    """Return the information (p, 3, 3) without that about a direction of which the walls say next to nothing.
+    """Return the information (p, 3, 3) without directions that the walls hardly constrain.
 
     The noise of the walls' directions passes for information along a corridor, about no motion at all.
     """
@@ -242,7 +242,7 @@ def _keys(targets: Targets, sources: Clouds, chain: Array) -> Ints:
 def _to_keys(
     targets: Targets, sources: Clouds, chain: Array, key: Ints, spread: Array, way: _Way, rows: Ints
 ) -> None:
-    """Match every scan with its key, and write down the steps from scan to scan."""
+    """Match every scan with its key, and store the steps from scan to scan."""
     later = np.arange(1, len(rows))
     mine = key[later]
     guess = se2.between(chain[mine], chain[later])
@@ -258,7 +258,7 @@ def _to_keys(
 
 
 def _updated(guess: Array, prior: Array, found: Matches) -> tuple[Array, Array]:
-    """Return poses (p, 3) and covariances: those of the matches, and the guess's where the walls say nothing."""
+    """Return poses (p, 3) and covariances: those of the matches, and the guess's where walls constrain nothing."""
     full = np.where(_fits(found)[:, None, None], seen(found.information), 0.0)
     off = se2_difference(found.pose, guess)
     step = np.linalg.solve(prior + full, (full @ off[:, :, None]))[:, :, 0]
@@ -276,7 +276,7 @@ def _shared(C: Array, key: Ints, start: Array) -> Array:
 
 
 def _turned(P: Array, theta: Array) -> Array:
-    """Return covariances (n, 3, 3) in frames that are turned by theta (n,) [rad]."""
+    """Return covariances (n, 3, 3) in frames turned by theta (n,) [rad]."""
     R = se2.rotation(theta)
     return np.asarray(R @ P @ R.transpose(0, 2, 1))
 
@@ -296,12 +296,12 @@ class Velocity(NamedTuple):
     P: Array
 
     def after(self, dt: float) -> Velocity:
-        """Return what is known of the velocity dt [s] later."""
+        """Return the prediction of the velocity dt [s] later."""
         kept = np.exp(-dt / FORGOTTEN_S)
         return Velocity(kept * self.v, self.P * np.outer(kept, kept) + np.diag((1.0 - kept**2) * USUAL))
 
     def corrected(self, dt: float, twist: Array, information: Array) -> Velocity:
-        """Return what a motion (3,) over dt [s] with this information (3, 3) leaves of it."""
+        """Return the velocity corrected by a motion (3,) over dt [s] with this information (3, 3)."""
         prior = inverse(self.P)
         P = inverse(prior + dt * dt * information)
         return Velocity(P @ (prior @ self.v + dt * (information @ twist)), 0.5 * (P + P.T))
@@ -318,5 +318,5 @@ class Velocity(NamedTuple):
 
 
 def standing() -> Velocity:
-    """Return what is known before the first scan: a recording is started before the robot is."""
+    """Return the prior before the first scan: at rest, since a recording starts before the robot does."""
     return Velocity(np.zeros(3), 0.25 * np.diag(USUAL))

@@ -1,4 +1,4 @@
-"""The body's motion as somebody else computed it: increments of poses, or speeds.
+"""The body's motion as computed by others: increments of poses, or speeds.
 
 Of poses only increments count, so that a first pose far from 0 does not matter. Some drivers put wheel turns
 without their sign into the pose, while the twist still knows that the robot backs up: then the pose moves ahead
@@ -88,7 +88,7 @@ MAX_REVERSE_SHARE = 0.1  # share of backing up that the pose may know of and sti
 
 
 class Way(NamedTuple):
-    """What an odometry topic says of the motion."""
+    """The motion by an odometry topic."""
 
     keep: Mask  # (n,) readings used
     twist: Array  # (k-1, 3) forward, left [m], turn [rad] between the readings used
@@ -98,7 +98,7 @@ class Way(NamedTuple):
 
 
 def pose_and_speed(stream: Stream, settings: WheelSettings) -> Array:
-    """Return (n, 5) x, y [m], yaw [rad], forward speed [m/s], turning rate [rad/s]; what is not said is zero.
+    """Return (n, 5) x, y [m], yaw [rad], forward speed [m/s], turning rate [rad/s]; missing values are zero.
 
     Raises LocfuseError where a steering angle turns the body by a wheelbase that is not known.
     """
@@ -125,12 +125,12 @@ def pose_and_speed(stream: Stream, settings: WheelSettings) -> Array:
 
 
 def has_pose(msgtype: str, settings: WheelSettings) -> bool:
-    """Return whether messages of this type say poses, or speed and heading, of which poses are made."""
+    """Return whether messages of this type hold poses, or speed and heading, from which poses are computed."""
     return msgtype in POSE or msgtype in PLANAR or (msgtype in STEERED and settings.steering == "heading")
 
 
 def _headed(t: Array, speed: Array, heading: Array) -> Array:
-    """Return the poses (n, 3) of a body of this speed [m/s] and heading [rad] at t (n,) [s]: arcs between them.
+    """Return the poses (n, 3) of a body with this speed [m/s] and heading [rad] at t (n,) [s], joined by arcs.
 
     An arc of length s that turns by d has the chord s sin(d / 2) / (d / 2), in the direction of its middle.
     """
@@ -147,7 +147,7 @@ def _headed(t: Array, speed: Array, heading: Array) -> Array:
 
 
 def commanded(topic: str, msgtype: str) -> bool:
-    """Return whether a topic's poses or speeds were asked for: by its name, or by its type, a command's.
+    """Return whether a topic holds commands instead of measurements: by its name or its type.
 
     An Odometry is none, whoever publishes it: /husky_velocity_controller/odom is measured.
     """
@@ -158,7 +158,7 @@ def commanded(topic: str, msgtype: str) -> bool:
 
 
 def obeyed(t: Array, speeds: Array) -> tuple[Array, Array]:
-    """Return what a body does that obeys commands (n, 2) of speed [m/s] and turning rate [rad/s] at t (n,) [s].
+    """Return the motion of a body that follows commands (n, 2) of speed [m/s] and rate [rad/s] at t (n,) [s].
 
     A command lasts until the next one, MAX_HOLD_S at most; then the body stands. Returns times (m,) and the twists
     (m-1, 3) between them.
@@ -172,7 +172,7 @@ def obeyed(t: Array, speeds: Array) -> tuple[Array, Array]:
 
 
 def wheelbase_of(stream: Stream, settings: WheelSettings) -> float:
-    """Return the distance between the axles [m]. Raises LocfuseError where it is not known."""
+    """Return the distance between the axles [m]. Raises LocfuseError if it is not known."""
     if not settings.wheelbase or settings.wheelbase <= 0.0:
         raise LocfuseError(
             f"{stream.topic} gives a steering angle, so the distance between the axles must be known.",
@@ -184,7 +184,7 @@ def wheelbase_of(stream: Stream, settings: WheelSettings) -> float:
 
 
 def travelled(t: Array, values: Array, by_twist: bool, max_speed: float | None, posed: bool = True) -> Way:
-    """Return the way of poses (n, 5); the twist counts only where the place never changes, or for its sign.
+    """Return the motion by poses (n, 5); the twist is used only for its sign, or if the place never changes.
 
     `posed` is whether the messages have a pose at all.
     """
@@ -212,7 +212,7 @@ def travelled(t: Array, values: Array, by_twist: bool, max_speed: float | None, 
 
 
 def unlike_a_robot(t: Array, twist: Array, far: Mask) -> str:
-    """Say why no robot takes steps (n-1, 3) like these; `far` marks those that the steps around do not explain."""
+    """Return why steps (n-1, 3) are impossible for a robot; `far` marks those unlike the steps around."""
     dt = np.diff(t)
     dt = np.maximum(dt, np.median(dt)) if len(dt) else dt  # a burst of messages has tiny dt
     sideways = float(np.percentile(np.abs(twist[:, 1]) / dt, 95.0)) if len(dt) else 0.0
@@ -241,7 +241,7 @@ def _words(spiked: int, restarts: int, turned: int) -> list[str]:
 
 
 def backing_up(steps: Array, said: Array) -> Mask:
-    """Mark steps (n-1, 3) that go ahead while the twist says that they go back: `said` (n-1,) [m].
+    """Mark steps (n-1, 3) that go forward while the twist says backward: `said` (n-1,) [m].
 
     None where the twist is not to be believed (it disagrees with most steps), or where the pose does know how to
     back up, so that a disagreement is something else.
@@ -261,7 +261,7 @@ def backing_up(steps: Array, said: Array) -> Mask:
 
 
 def along_the_frame(ahead: Array, dx: Array, said: Array) -> bool:
-    """Return whether speeds are given along the frame of the poses, not of the body (REP 103 wants the body's).
+    """Return whether speeds are in the frame of the poses, not of the body (REP 103 requires the body's).
 
     `said` (n,) [m] is how far they say that the body went; `ahead` and `dx` are the poses' ways ahead and along x.
     """
@@ -283,7 +283,7 @@ def _limits(t: Array, values: Array, max_speed: float | None) -> Array:
 
 
 def possible(speeds: Array, max_speed: float | None) -> Mask:
-    """Mark speeds [m/s] and turning rates [rad/s] (n, 2) that a body can have."""
+    """Mark speeds [m/s] and turning rates [rad/s] (n, 2) that are possible for a body."""
     most = MAX_SPEED_MPS if max_speed is None else max_speed
     return (np.abs(speeds[:, 0]) <= most) & (np.abs(speeds[:, 1]) <= MAX_TURN_RADPS)
 

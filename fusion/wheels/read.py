@@ -50,7 +50,7 @@ SIGNS: Mapping[Mirrored, tuple[float, float]] = {
 
 
 class WheelReading(NamedTuple):
-    """The wheel motion of a log, and how it came about."""
+    """The wheel motion of a log, and its source."""
 
     wheels: Wheels
     epoch_ns: int  # the first reading used, time offset applied
@@ -64,7 +64,7 @@ class WheelReading(NamedTuple):
 
 
 def read_wheels(stream: Stream, settings: WheelSettings) -> WheelReading:
-    """Return the wheel motion. Raises LocfuseError where the readings give none or the geometry is not known."""
+    """Return the wheel motion. Raises LocfuseError if the readings give none or the geometry is not known."""
     if stream.msgtype == odometry.SCANS:
         raise LocfuseError(f"{stream.topic} holds scans, whose motion has to be matched first", role="wheels")
     if stream.msgtype in odometry.BODY_READS:
@@ -105,7 +105,7 @@ def _from_tricycle(stream: MergedStream, settings: WheelSettings) -> WheelReadin
 def _rolled(
     counters: Counters, metres: float, settings: WheelSettings
 ) -> tuple[Array, Array, Array, tuple[str, ...]]:
-    """Return times and the distances rolled by either wheel (n,) [m], repaired, at the same instants."""
+    """Return times and the repaired distances of either wheel (n,) [m], at the same instants."""
     left, right = (
         repaired(side, metres, settings.rollover, settings.max_speed) for side in (counters.left, counters.right)
     )
@@ -119,7 +119,7 @@ def _rolled(
 
 
 def _common(left: Array, right: Array, synchronised: bool) -> Array:
-    """Return the instants at which both wheels are known; of two topics, the left one's instants."""
+    """Return the instants at which both wheels are known; for two topics, those of the left one."""
     if synchronised:
         common: Array = np.intersect1d(left, right)
         return common
@@ -128,7 +128,7 @@ def _common(left: Array, right: Array, synchronised: bool) -> Array:
 
 
 def _geometry(settings: WheelSettings, stream: Stream) -> tuple[float, float]:
-    """Return radius and track. Raises LocfuseError where one is missing or what a tick is worth is not known."""
+    """Return radius and track. Raises LocfuseError if one is missing or the size of a tick is not known."""
     missing = [key for key in ("radius", "track") if getattr(settings, key) is None]
     if missing:
         raise LocfuseError(
@@ -164,7 +164,7 @@ def counts_ticks(msgtype: str) -> bool:
 
 
 def _from_body(stream: Stream, values: Array, settings: WheelSettings, posed: bool, asked: bool) -> WheelReading:
-    """Use the body's own motion (n, 5); the noise grows by a virtual track, since an odometry knows no wheels.
+    """Use the body's own motion (n, 5); noise grows with a virtual track, since an odometry has no wheels.
 
     `posed` is whether the messages have poses, `asked` whether their speeds were only commanded.
     """

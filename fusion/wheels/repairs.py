@@ -1,4 +1,4 @@
-"""A wheel's counter made whole: without rollovers, spikes and restarts, and what was done in words."""
+"""A wheel's counter repaired: without rollovers, spikes and restarts, with notes on the repairs."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Side(NamedTuple):
 
 
 class Repaired(NamedTuple):
-    """One wheel's way, and what had to be repaired."""
+    """One wheel's distance, and the repairs that were made."""
 
     keep: Ints  # (k,) readings that are not spikes
     rolled: Array  # (k,) m since the first reading
@@ -42,7 +42,7 @@ class Repaired(NamedTuple):
 
 
 def repaired(side: Side, metres: float, modulus: float | None, max_speed: float | None) -> Repaired:
-    """Return how far a wheel has rolled; `metres` is what one unit of its readings is worth.
+    """Return the distance rolled by a wheel; `metres` is one unit of its readings.
 
     `modulus` and `max_speed` are wheels.rollover and wheels.max_speed.
     """
@@ -106,7 +106,7 @@ class Unrolled(NamedTuple):
 
 
 def unrolled(values: Array, modulus: float | None = None, likely: Sequence[float] = ()) -> Unrolled:
-    """Return `values` (n,) counted on over the ends of its range.
+    """Return `values` (n,) unwrapped at the ends of their range.
 
     `modulus`: as set; 0 never; None finds it: one of `likely`, a turn in radians or degrees, or a power of two of
     the step that the values come in. It must explain every long step and hold all values within one range.
@@ -124,7 +124,7 @@ def unrolled(values: Array, modulus: float | None = None, likely: Sequence[float
 
 
 def _found(values: Array, steps: Array, likely: Sequence[float]) -> float | None:
-    """Return the smallest modulus that the values fit and that makes every long step a short one."""
+    """Return the smallest modulus that the values fit and that turns every long step into a short one."""
     if not len(steps):
         return None
     longest = float(np.abs(steps).max())
@@ -144,7 +144,7 @@ def _explains(modulus: float, steps: Array, span: float, longest: float) -> bool
 
 
 def _powers(steps: Array, longest: float) -> list[float]:
-    """Return 2^bits times the quantum of the steps, where they have one (ticks, or angles made of ticks)."""
+    """Return 2^bits times the quantum of the steps, if they have one (ticks, or angles made of ticks)."""
     sizes = np.abs(steps[steps != 0.0])
     quantum = float(sizes.min()) if len(sizes) else 0.0
     if quantum <= 1e-12 * longest:
@@ -162,7 +162,7 @@ def _powers(steps: Array, longest: float) -> list[float]:
 
 
 def limits(t: Array, steps: Array, max_speed: float | None = None) -> Array:
-    """Return how far each step (n-1,) [m] may go: generously more than the speed of the moment, or `max_speed`.
+    """Return the largest plausible step (n-1,) [m]: generously more than at the present speed, or `max_speed`.
 
     A burst of messages has tiny dt, so that a step is never judged by less than the usual dt.
     """
@@ -205,7 +205,7 @@ def spikes(t: Array, values: Array, limit: Array) -> Mask:
 
 
 def _return_of(t: Array, values: Array, limit: Array, jumps: Ints, at: int) -> int | None:
-    """Return which later jump brings the value back to where it was before jump `at`."""
+    """Return the later jump that takes the value back to that before jump `at`."""
     before = int(jumps[at])
     for later in range(at + 1, len(jumps)):
         after = int(jumps[later]) + 1
@@ -218,7 +218,7 @@ def _return_of(t: Array, values: Array, limit: Array, jumps: Ints, at: int) -> i
 
 
 def restarted(t: Array, steps: Array, jumps: Mask) -> Array:
-    """Replace jumping steps (n-1, k) by what the steps around them went on average per second.
+    """Replace jumping steps (n-1, k) by the mean speed of the steps around them.
 
     A counter that restarts says nothing about the motion between its last old and its first new value.
     """

@@ -1,4 +1,4 @@
-"""How well a motion agrees with a laser: the share of a scan that lies on the scan of a second before.
+"""How well a motion agrees with a laser: the share of a scan that lies on the scan one second before.
 
 Some pairs of scans are drawn from the whole log. A motion moves the later scan of each pair into the frame of the
 earlier one; a point that comes to lie within 10 cm of a point there agrees. The mean share over all pairs, s, is
@@ -43,7 +43,7 @@ LANE_M = 1e4  # between two scans in the search tree
 
 
 class ScanPairs(msgspec.Struct, frozen=True, dict=True):
-    """Pairs of scans of one laser, and everything that is asked of them."""
+    """Pairs of scans of one laser, and the scores of motions over them."""
 
     stream: Stream
     laser: Laser
@@ -55,11 +55,11 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
 
     @property
     def judge(self) -> bool:
-        """Whether any pair saw something."""
+        """Whether any pair has points."""
         return any(len(p) for p in self.points) and any(len(p) for p in self.surface)
 
     def share(self, moved: Array) -> float:
-        """Return s for motions of the laser (p, 3), the later scan seen from the earlier one."""
+        """Return the share s for motions of the laser (p, 3): the later scan relative to the earlier one."""
         counts = [len(p) for p in self.points]
         lane = np.repeat(np.arange(len(counts)), counts)
         at = se2.transform(moved[lane], np.concatenate(self.points))
@@ -72,11 +72,11 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
 
     @property
     def still(self) -> float:
-        """S of a robot that does not move."""
+        """The share s for a robot at rest."""
         return self.share(np.zeros((len(self.first), 3)))
 
     def of(self, motion: WheelReading) -> float:
-        """Return s of a motion of the wheels, with the best direction, clock and place of the laser in turn."""
+        """Return s of a motion of the wheels, with the best direction, clock and mount of the laser in turn."""
         best = np.zeros(3)  # turn [rad], lag [s], ahead [m]
         share = self.share(self._by(motion, best))
         placed = self.laser.mount[:2].any()
@@ -88,7 +88,7 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         return share
 
     def matched(self) -> float:
-        """Return s of the scans' own matching: steps of a fraction of a second, then from end to end."""
+        """Return s of the scans' own matching: by steps of a fraction of a second, then from end to end."""
         chains = [self._rows_between(i, j) for i, j in zip(self.first.tolist(), self.later.tolist(), strict=True)]
         rows, at = np.unique(np.concatenate(chains), return_inverse=True)
         clouds = self._clouds(rows)
@@ -110,7 +110,7 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         return cKDTree(np.column_stack((np.concatenate(self.surface), LANE_M * lane)))
 
     def _by(self, motion: WheelReading, how: Array) -> Array:
-        """Return by a motion of the wheels how the laser moved over each pair (p, 3); `how` as in `of`."""
+        """Return the laser's motion over each pair (p, 3) by a motion of the wheels; `how` as in `of`."""
         turn, lag, ahead = how.tolist()
         mount = self.laser.mount + np.array([ahead, 0.0, turn])
         body = _moved(self.stream, motion, self.t[self.first] + lag, self.t[self.later] + lag)
@@ -131,7 +131,7 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
 
 
 def scan_pairs(stream: Stream, laser: Laser, motions: Sequence[WheelReading]) -> ScanPairs | None:
-    """Return pairs of scans, those during which one of the motions moves; None where there are no two scans."""
+    """Return pairs of scans during which one of the motions moves; None with less than two scans."""
     t: Array = (stream.t_ns - stream.t_ns[0]) * np.float64(1e-9) if len(stream.t_ns) else np.zeros(0)
     later = np.searchsorted(t, t + PAIR_S - 1e-3)
     first = np.flatnonzero(later < len(t))
@@ -158,20 +158,20 @@ def scan_pairs(stream: Stream, laser: Laser, motions: Sequence[WheelReading]) ->
 
 
 def _steps(targets: Targets, sources: Clouds, i: Ints, j: Ints) -> Array:
-    """Return how far the laser moved from scan i to scan j (k,) each, of which nothing is known before, (k, 3)."""
+    """Return the laser's motion from scan i to scan j (k,) each, matched without a prior, (k, 3)."""
     start = np.zeros((len(i), 3))
     return match(targets, i, sources, j, start, np.broadcast_to(STEP_PRIOR, (len(i), 3, 3)), STEP_REACH_M).pose
 
 
 def _moved(stream: Stream, motion: WheelReading, t_from: Array, t_to: Array) -> Array:
-    """Return how the body moved between times (p,) [s] since the first scan; beyond its ends it stands."""
+    """Return the body's motion between times (p,) [s] since the first scan; outside its range it is at rest."""
     shift = (int(stream.t_ns[0]) - motion.epoch_ns) * 1e-9
     a, b = (np.clip(t + shift, motion.wheels.t[0], motion.wheels.t[-1]) for t in (t_from, t_to))
     return motion.wheels.relative(a, b)
 
 
 def _points(stream: Stream, laser: Laser, rows: Ints, most: int) -> list[Array]:
-    """Return what some scans saw in the laser's frame, about `most` points each at most, beam by beam."""
+    """Return the points of some scans in the laser's frame, about `most` each, in the order of beams."""
     plain = laser._replace(mount=np.zeros(3), deskew=False)
     scans = ScanPoints(stream, FIELDS, np.zeros(len(stream.t_ns)), plain, STANDING, rows)
     near = (p[np.hypot(*p.T) < MAX_RANGE_M] for p in scans.read(np.arange(len(rows))))

@@ -24,7 +24,7 @@ STANDING = Wheels.from_twists(np.array([0.0, 1.0]), np.zeros((1, 3)), 1.0, 0.0)
 
 
 class Scans(msgspec.Struct, frozen=True):
-    """All scans of a log, in time order: of each the points in the base frame, evenly thinned."""
+    """All scans of a log in time order: their points in the base frame, evenly thinned."""
 
     t: Array  # (n,) s since the stream's first stamp: the instants to which they are deskewed
     points: list[NDArray[np.float32]]  # n of (k, 2) [m], in the order of the beams: an hour of them fits in memory
@@ -41,7 +41,7 @@ class Scans(msgspec.Struct, frozen=True):
 
 
 def read_scans(stream: Stream, laser: Laser, wheels: WheelMotion) -> Scans:
-    """Return the scans of a stream; `wheels` says how the robot moved while each was taken.
+    """Return the scans of a stream; `wheels` gives the robot's motion during each.
 
     A range that the driver writes where nothing came back is left out, unless `laser` says how far it sees.
     """
@@ -49,7 +49,7 @@ def read_scans(stream: Stream, laser: Laser, wheels: WheelMotion) -> Scans:
 
 
 def _read(stream: Stream, laser: Laser, wheels: WheelMotion, longest: Longest) -> Scans:
-    """Return the scans of a stream; `longest` sees all of its ranges."""
+    """Return the scans of a stream; `longest` counts all of its ranges."""
     stamps: Array = (stream.t_ns - stream.t_ns[0]) * np.float64(1e-9)
     t = stamps.copy()
     points: list[NDArray[np.float32]] = [np.zeros((0, 2), np.float32)] * len(t)
@@ -66,7 +66,7 @@ def _read(stream: Stream, laser: Laser, wheels: WheelMotion, longest: Longest) -
 
 
 def _thinned(points: Array, origin: Array) -> Array:
-    """Return the points (k, 2) that are near enough to say something, evenly thinned."""
+    """Return the points (k, 2) that are near enough to be useful, evenly thinned."""
     near = points[np.hypot(*(points - origin).T) < MAX_RANGE_M]  # False for NaN: no return
     thinned: Array = near[:: max(1, -(-len(near) // MAX_POINTS))]
     return thinned

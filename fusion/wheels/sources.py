@@ -1,4 +1,4 @@
-"""What publishes wheels: joint angles or speeds, tick messages, and pairs of bare numbers on two topics."""
+"""Sources of wheel readings: joint angles or speeds, tick messages, and pairs of bare numbers on two topics."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ LIMBS = (
 
 
 class Counters(NamedTuple):
-    """Both wheels' readings, and what was refused on the way."""
+    """Both wheels' readings, and the counts of readings not used."""
 
     left: Side
     right: Side
@@ -79,7 +79,7 @@ class Counters(NamedTuple):
 
 
 def read_counters(stream: Stream, settings: WheelSettings) -> Counters:
-    """Return both wheels' counters from whatever publishes them. Raises LocfuseError where it does not."""
+    """Return both wheels' counters from their source. Raises LocfuseError if there is none."""
     if isinstance(stream, MergedStream):
         return _pair(stream, settings)
     dropped = dict(stream.dropped)
@@ -112,7 +112,7 @@ def _two(stream: Stream, fields: tuple[str, str]) -> Array:
 
 
 def _of_array(stream: Stream, settings: WheelSettings) -> Array:
-    """Return the numbers (n, 2) of the left and the right wheel in arrays, NaN in those of another length.
+    """Return the numbers (n, 2) of the left and the right wheel in arrays, NaN for arrays of another length.
 
     Two numbers are left and right. Of more, `[wheels] left` and `right` say which they are: "0" is the first.
     """
@@ -166,7 +166,7 @@ def usable(t_ns: Ints, values: Array, dropped: dict[str, int]) -> Ints:
 
 
 def require_two(topic: str, found: int, n: int) -> None:
-    """Raise LocfuseError where fewer than two readings are left."""
+    """Raise LocfuseError if less than two readings are left."""
     if found < 2:
         raise LocfuseError(f"{topic} has {found} usable readings of {n}; two are the least", role="wheels")
 
@@ -176,7 +176,7 @@ def _revolution(settings: WheelSettings) -> tuple[float, ...]:
 
 
 def _pair(stream: MergedStream, settings: WheelSettings) -> Counters:
-    """Two topics with a bare number each: they come unsynchronised, and only the recording dates them."""
+    """Two topics with one bare number each: they are not synchronised, and have only the recording time."""
     dropped: dict[str, int] = {}
     zero_ns = int(max(part.t_ns[0] if len(part.t_ns) else 0 for part in stream.parts))
     sides = []
@@ -195,7 +195,7 @@ def _pair(stream: MergedStream, settings: WheelSettings) -> Counters:
 
 
 def _joints(stream: Stream, settings: WheelSettings, dropped: dict[str, int]) -> _Found:
-    """Return the wheels' joints, matched by name only; messages of other joints (an arm) are set aside."""
+    """Return the wheels' joints, matched by name only; messages of other joints (an arm) are left out."""
     columns = stream.columns("name", "position")
     names, positions = cast("list[tuple[str, ...]]", columns["name"]), cast("Ragged", columns["position"])
     joints = joint_names(names, stream.topic, settings)
@@ -236,7 +236,7 @@ def _by_name(names: list[tuple[str, ...]], positions: Ragged, joints: Sequence[s
 
 
 def joint_names(names: list[tuple[str, ...]], topic: str, settings: WheelSettings) -> tuple[str, str]:
-    """Return the joints of the left and right wheel: as set, else the pair whose names say so.
+    """Return the joints of the left and right wheel: as configured, else the pair with matching names.
 
     Of two pairs that is the rear one: the wheels of one side of a robot that skids turn alike, and those of a
     car's rear axle never steer.
@@ -268,7 +268,7 @@ def joint_names(names: list[tuple[str, ...]], topic: str, settings: WheelSetting
 
 
 def _guesses(joints: Sequence[str], side: str) -> list[str]:
-    """Return the joints that are called like a wheel of this side; else like anything but a limb."""
+    """Return the joints named like a wheel of this side; else all that are not named like a limb."""
     found = [j for j in joints if side in j.lower() and not any(word in j.lower() for word in LIMBS)]
     wheels = [j for j in joints if "wheel" in j.lower() and not any(word in j.lower() for word in NO_DRIVE)]
     return [j for j in wheels if j in found or _letters(j) & SIDE_LETTERS[side]] or found

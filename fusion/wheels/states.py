@@ -1,4 +1,4 @@
-"""Wheels as states (`wheels.estimate`): what the filter learns of radius, ratio and track, and what it cannot.
+"""Wheels as states (`wheels.estimate`): what the filter estimates of radius, ratio and track.
 
 The states a, b, q are corrections in which the motion is linear: the wheels roll (1 + a) and (1 + b) times what is
 told, and a difference of distances turns the robot by (1 + s - q) / track, with s the mean of a and b. People are
@@ -35,7 +35,7 @@ def wheel_block(wheels: WheelSettings) -> Block:
 
 
 def geometry(x: Array) -> Array:
-    """Return the relative corrections of (radius, ratio right / left, track) that states x (3,) mean, (3,)."""
+    """Return the relative corrections of (radius, ratio right / left, track) for states x (3,), (3,)."""
     s, q = 0.5 * (x[0] + x[1]), x[2]
     return np.array([s, (1.0 + x[1]) / (1.0 + x[0]) - 1.0, (1.0 + s) / (1.0 + s - q) - 1.0])
 
@@ -53,7 +53,7 @@ def derivative(x: Array) -> Array:
 def wheel_words(
     settings: WheelSettings, x: Array, P: Array, sensors: Sequence[str], metric: Mapping[str, str | None]
 ) -> list[str]:
-    """Say what the states x (3,) with covariance P (3, 3) mean, and what these sensors cannot tell.
+    """Return notes on states x (3,) with covariance P (3, 3), and what these sensors do not show.
 
     `metric`: those of them that measure metres, and the setting, where there is one, by which theirs are scaled.
     """
@@ -93,7 +93,7 @@ def _metres(settings: WheelSettings, found: Array, prior: float, metric: Mapping
 
 
 def _told(settings: WheelSettings, found: Array, sigma: Array) -> str:
-    """Return radius, ratio and track as robot.toml should have them; their change where it has none."""
+    """Return radius, ratio and track for robot.toml; their relative change if it has none."""
     parts = []
     for key, change, s in zip(("radius", "ratio", "track"), found.tolist(), sigma.tolist(), strict=True):
         value = getattr(settings, key)

@@ -1,4 +1,4 @@
-"""What is steered: a car's motor beside its steering, and a tricycle by the encoders of its front wheel.
+"""Steered wheels: a car's motor and its steering, and the encoders of a tricycle's front wheel.
 
 The VESC, a car's motor controller, counts electrical revolutions per minute (erpm). With those of 1 m/s, which
 its driver calls speed_to_erpm_gain, they are a speed v; the front wheels' angle d turns the car by
@@ -76,7 +76,7 @@ def _angles(steering: Stream, settings: WheelSettings) -> Array:
 
 
 class Encoders(NamedTuple):
-    """What both encoders of a tricycle say at the readings of the traction."""
+    """Readings of both encoders of a tricycle, at the times of the traction."""
 
     t: Array  # (n,) s since the first reading
     zero_ns: int
@@ -87,12 +87,12 @@ class Encoders(NamedTuple):
 
 
 def is_tricycle(stream: Stream) -> bool:
-    """Return whether two topics of numbers are a traction and its steering, not a left and a right wheel."""
+    """Return whether two topics of numbers are traction and steering, not a left and a right wheel."""
     return isinstance(stream, MergedStream) and STEERING_WORD in stream.parts[-1].topic.lower()
 
 
 def read_encoders(stream: MergedStream, settings: WheelSettings) -> Encoders:
-    """Return both encoders. Raises LocfuseError where the size of the wheel or a tick's worth is not known."""
+    """Return both encoders. Raises LocfuseError if the size of the wheel or of a tick is not known."""
     traction, steering = stream.parts
     if not (settings.radius and settings.ticks_per_revolution):
         raise LocfuseError(
@@ -130,7 +130,7 @@ def twists_of(found: Encoders, settings: WheelSettings, stream: Stream) -> Array
 
 
 def rolled_by(ds: Array, angle: Array, wheelbase: float) -> Array:
-    """Return twists (n-1, 3) of ways ds (n-1,) [m] of a front wheel that is steered by `angle` (n,) [rad]."""
+    """Return twists (n-1, 3) for distances ds (n-1,) [m] of a front wheel steered by `angle` (n,) [rad]."""
     middle = 0.5 * (angle[1:] + angle[:-1])
     return np.stack((ds * np.cos(middle), np.zeros_like(ds), ds * np.sin(middle) / wheelbase), axis=-1)
 

@@ -65,7 +65,7 @@ def velocity_noise(wheels: Wheels) -> VelocityNoise:
 
 
 def random_walk(z: Array, variance: float, period: float) -> float:
-    """Return the process noise per second of a value that is read every `period` s, z (n,), with this variance.
+    """Return the process noise per second of a value z (n,) that is read every `period` s, with this variance.
 
     By maximum likelihood: the prior variance p of the one state settles where p = p R / (p + R) + q T.
     """
@@ -91,7 +91,7 @@ def random_walk(z: Array, variance: float, period: float) -> float:
 
 
 def _grown(wheels: Wheels) -> Array:
-    """Return the variance of way [m^2] and turn [rad^2] that each interval adds, (n, 2)."""
+    """Return the variance of distance [m^2] and turn [rad^2] added in each interval, (n, 2)."""
     if wheels.matched is not None:
         return np.stack((wheels.matched[:, 0, 0], wheels.matched[:, 2, 2]), axis=-1)
     noise = wheels.noise * np.abs(wheels.rolled).sum(axis=1)

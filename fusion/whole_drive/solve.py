@@ -24,7 +24,7 @@ MAX_DENSE = 3600  # states: up to here the whole inverse is the quickest way to 
 
 
 class Edges(msgspec.Struct, frozen=True):
-    """m relative poses; `width` is where the robust kernel takes hold, in sigmas, inf for none."""
+    """m relative poses; `width` is the residual in sigmas from which the robust kernel acts, inf for none."""
 
     i: Ints  # (m,)
     j: Ints  # (m,)
@@ -49,7 +49,7 @@ class Edges(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, i: Ints, j: Ints, z: Array, information: Array, width: float) -> Edges:
-        """Return edges that share the width of their kernel, and owe nothing to systematic errors."""
+        """Return edges with the same kernel width and without systematic errors."""
         return cls(i, j, z, information, np.full(len(i), width), np.zeros((len(i), 3, len(SYSTEMATIC))))
 
     @classmethod
@@ -93,7 +93,7 @@ class Rows(msgspec.Struct, frozen=True):
 
 
 class Anchor(msgspec.Struct, frozen=True):
-    """What is known of one pose by itself: the start."""
+    """A prior on one pose: the start."""
 
     at: int
     pose: Array  # (3,)
@@ -174,7 +174,7 @@ class Normal:
         return 0.5 * (own + own.transpose(0, 2, 1)), after
 
     def _dense(self, n: int) -> tuple[Array, Array]:
-        """Invert all of H in place: one matrix is held, and of that the lower triangle is known."""
+        """Invert all of H in place: only one matrix is in memory, filled in its lower triangle."""
         from scipy.linalg import cho_factor
         from scipy.linalg.lapack import dpotri
 
@@ -188,26 +188,26 @@ class Normal:
 
 
 class Beside(Protocol):
-    """What else is known of the key poses, such as other sensors' readings; it may have states of its own."""
+    """Other terms of the key poses, such as other sensors' readings; they may have states of their own."""
 
     states: int
 
     def rows(self, x: Array) -> list[Rows]:
-        """Return its share of the normal equations at poses x (n, 3) and its present states."""
+        """Return their part of the normal equations at poses x (n, 3) and their present states."""
 
     def move(self, step: Array) -> None:
-        """Add a step (states,) to its states."""
+        """Add a step (states,) to their states."""
 
 
 class Problem:
-    """What every solve of a drive has in common: the start, other sensors, and the systematic errors found."""
+    """The common part of every solve of a drive: the start, other sensors, and the systematic errors."""
 
     def __init__(self, anchor: Anchor, beside: Beside | None = None) -> None:
         self.anchor, self.beside = anchor, beside
         self.systematic = np.zeros(len(SYSTEMATIC))
 
     def solve(self, x: Array, edges: Edges, graduations: tuple[float, ...] = (1.0,)) -> tuple[Array, Normal]:
-        """Return the poses of least squares (n, 3) from poses x (n, 3), and the normal equations there.
+        """Return the least-squares poses (n, 3) from poses x (n, 3), and the normal equations there.
 
         `graduations`: how wide the robust kernels are, one after another; the last is 1.
         """

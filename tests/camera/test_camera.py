@@ -7,7 +7,6 @@ import struct
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -18,10 +17,7 @@ from numpy.typing import NDArray
 from omni_scene import Lens, Picture, Pole, picture, wrapped_deg
 from said import one_by_one, said
 
-from locfuse.cli.analysis.choose import choose
-from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.results.preview import write_pictures
-from locfuse.fusion.camera import detect as landmark_module
 from locfuse.fusion.camera.bearing import paper_orientation, predict_bearing
 from locfuse.fusion.camera.image_header import image_size
 from locfuse.fusion.camera.images import FIELDS
@@ -227,10 +223,6 @@ def test_every_type_the_camera_reads_can_be_decoded() -> None:
     np.testing.assert_allclose(errors_deg(m, 30.0), 0.0, atol=0.15)
 
 
-def test_mono8_behind_a_compressed_format_is_refused_too() -> None:
-    assert measured(compressed(coded(picture(LENS)), layout="mono8; jpeg compressed ")).dropped == {"no_colour": 1}
-
-
 def test_pictures_of_another_size_have_another_calibration_and_are_not_used() -> None:
     shot = picture(LENS, Pole(30.0))
     small = cv2.resize(shot, (320, 240))
@@ -238,17 +230,6 @@ def test_pictures_of_another_size_have_another_calibration_and_are_not_used() ->
     assert m.dropped == {"other_size": 2}
     np.testing.assert_allclose(m.t, (0.1, 0.2, 0.4), atol=1e-9)
     np.testing.assert_allclose(errors_deg(m, 30.0, 30.0, 30.0), 0.0, atol=0.15)
-
-
-def test_the_number_of_threads_does_not_change_a_bit(monkeypatch: pytest.MonkeyPatch) -> None:
-    shots = [coded(picture(LENS, Pole(13.0 * k, 1.0 + 0.3 * k))) for k in range(12)]
-    results = []
-    for threads in (1, 3):
-        monkeypatch.setattr(landmark_module, "MAX_THREADS", threads)
-        monkeypatch.setattr("os.cpu_count", lambda: 8)
-        m = measured(compressed(*shots))
-        results.append((m.z.tobytes(), m.R.tobytes(), m.first.tobytes(), m.extra["pixels"].tobytes()))
-    assert results[0] == results[1]
 
 
 def test_a_long_stream_is_read_a_few_pictures_at_a_time() -> None:
@@ -265,30 +246,11 @@ def test_a_long_stream_is_read_a_few_pictures_at_a_time() -> None:
     assert Camera.in_blocks
 
 
-def test_a_calibration_left_out_is_taken_from_the_pictures_size() -> None:
-    lens = Lens(width=480, height=480, x_c=239.5, y_c=239.5, inner=59.9, outer=239.5)
-    m = measured(compressed(coded(picture(lens, Pole(77.0)))), CameraSettings(landmark=(1.0, 1.0)))
-    np.testing.assert_allclose(errors_deg(m, 77.0), 0.0, atol=0.15)
-
-
 def test_without_a_landmark_the_error_names_the_key_and_the_command() -> None:
     with pytest.raises(LocfuseError, match=r"camera\.landmark.*locfuse info LOG --preview DIR"):
         measured(compressed(b""), CameraSettings())
     with pytest.raises(LocfuseError, match=r"camera\.landmark"):
         Camera().model(CameraSettings())
-
-
-def test_a_log_with_pictures_but_no_landmark_is_a_log_without_a_camera() -> None:
-    """A first bag has cameras, perhaps several, and no settings: that is no reason to stop."""
-    kinds = {"/odom": "nav_msgs/msg/Odometry", "/rgb": "sensor_msgs/msg/Image", "/depth": "sensor_msgs/msg/Image"}
-    topics = {t: SimpleNamespace(msgtype=kind, count=5, problem=None) for t, kind in kinds.items()}
-    odometry = SimpleNamespace(frame_id="odom")
-    log: Any = SimpleNamespace(name="bag", topics=topics, stream=lambda _: odometry, transform_topics=())
-    choice = choose(log, make_robot({}))
-    assert choice.topics == {"wheels": "/odom"}
-    assert "camera.landmark is not set" in choice.absent["camera"]
-    with pytest.raises(LocfuseError, match=r"2 topics that fit: /depth, /rgb"):
-        choose(log, make_robot({"camera": {"landmark": [1.0, 2.0]}}))
 
 
 @pytest.mark.parametrize(
@@ -321,23 +283,6 @@ def test_the_camera_page_explains_every_key_with_its_default() -> None:
 
 
 # --- the model ---
-
-
-@pytest.mark.parametrize("pose", POSES)
-@pytest.mark.parametrize(("lever", "yaw"), MOUNTS)
-def test_h_is_the_derivative_of_the_bearing(pose: tuple[float, float, float], lever: Any, yaw: float) -> None:
-    predicted = predict_bearing(pose, (4.0, 1.0), lever, yaw)
-    assert predicted is not None
-    eps = 1e-6
-    for k in range(3):
-        step = np.zeros(3)
-        step[k] = eps
-        ahead, behind = (
-            predict_bearing(tuple(np.array(pose) + s * step), (4.0, 1.0), lever, yaw) for s in (1.0, -1.0)
-        )
-        assert ahead is not None
-        assert behind is not None
-        assert wrap(ahead[0] - behind[0]) / (2 * eps) == pytest.approx(predicted[1][k], rel=1e-5, abs=1e-6)
 
 
 @pytest.mark.parametrize(("lever", "yaw"), MOUNTS)
@@ -417,29 +362,6 @@ def test_near_the_landmark_the_innovation_is_as_large_as_predicted(distance: flo
         assert np.mean(nis) > 0.95
 
 
-def test_nearer_still_the_bearings_second_order_spread_is_claimed_too() -> None:
-    """A tenth of a metre off, H P H alone is a quarter too small: the bearing bends over the belief's width."""
-    rng = np.random.default_rng(2)
-    now = belief(3.9, 0.0, 0.0, 0.04, 0.02)
-    model = Camera().model(CameraSettings(landmark=(4.0, 0.0), gate=1.0))
-    off = rng.normal(size=(8000, 3)) * (0.04, 0.04, 0.02)
-    true = np.arctan2(-off[:, 1], 0.1 - off[:, 0]) - off[:, 2] + 0.005 * rng.normal(size=8000)
-    m = readings(*((z,) for z in wrap_all(true).tolist()), sigma=0.005)
-    nis = [one_by_one(model.innovations(m, i, now))[0].nis for i in range(8000)]
-    assert 0.95 < np.mean(nis) < 1.15
-
-
-def test_the_noise_of_a_bearing_grows_by_the_square_of_what_the_place_spreads_it() -> None:
-    """Second order: (H P H')^2 by the place, beside the variance of the reading."""
-    now = belief(3.0, 0.5, 0.2, 0.3, 0.02)
-    (seen,) = one_by_one(
-        Camera().model(CameraSettings(landmark=(4.0, 0.0))).innovations(readings((0.0,), sigma=0.01), 0, now)
-    )
-    away = np.array([1.0, -0.5])
-    spread = 0.3**2 / float(away @ away)  # sigma over distance, squared
-    assert said(seen, now).R[0, 0] == pytest.approx(0.01**2 + spread**2)
-
-
 def candidates(*nis: float, threshold: float = 20.0) -> list[str]:
     """What becomes of candidates that fit so well: their verdicts, best first."""
     judged = [Innovation(i, 0, 0, d2, threshold, (0.0,), (1.0,)) for i, d2 in enumerate(nis)]
@@ -447,16 +369,6 @@ def candidates(*nis: float, threshold: float = 20.0) -> list[str]:
     assert [seen.nis for seen in chosen] == sorted(nis)
     assert [seen.landmark for seen in chosen] == [0] + [-1] * (len(nis) - 1)
     return [VERDICTS[seen.verdict] for seen in chosen]
-
-
-def test_of_several_candidates_one_is_the_landmark_where_the_next_fits_worse_by_nine_squared_sigmas() -> None:
-    assert candidates(1.0) == ["accepted"]
-    assert candidates(21.0) == ["gate"]
-    assert candidates(10.1, 1.0) == ["accepted", "unmatched"]
-    assert candidates(9.9, 1.0) == ["ambiguous", "ambiguous"]
-    assert candidates(1.0, 9.9, 19.0, 30.0) == ["ambiguous", "ambiguous", "ambiguous", "unmatched"]
-    assert candidates(15.0, 21.0) == ["accepted", "unmatched"]  # the other is beyond the gate
-    assert candidates(25.0, 21.0) == ["gate", "unmatched"]
 
 
 def test_the_papers_orientation_is_the_landmarks_first_direction_minus_its_bearing() -> None:
@@ -472,20 +384,6 @@ def test_the_papers_orientation_is_the_landmarks_first_direction_minus_its_beari
     assert said(first, there).H.tolist() == said(second, here).H.tolist() == [[0.0, 0.0, 1.0]]  # eq. 13
     assert model.innovations(m, 2, belief(0.0, 0.0, 0.5)) == []
     assert paper_orientation(1.0, 0.3) == pytest.approx(0.7)
-
-
-def test_the_printed_orientation_errs_by_a_degree_five_centimetres_off_at_three_metres() -> None:
-    pose = (0.0, 0.05, 0.0)
-    right = predict_bearing(pose, (3.0, 0.0), (0.0, 0.0), 0.0)
-    assert right is not None
-    gamma = paper_orientation(0.0, right[0])  # the direction from the start (0, 0) is 0
-    assert math.degrees(gamma) == pytest.approx(0.95, abs=0.01)
-
-
-def test_the_papers_variance_knows_no_pixels() -> None:
-    shots = compressed(coded(picture(LENS, Pole(30.0, 6.0))))
-    m = measured(shots, msgspec.structs.replace(SETTINGS, bearing="absolute", chain="paper", sigma_deg=0.5))
-    assert m.R[:, 0, 0] == pytest.approx(math.radians(0.5) ** 2)
 
 
 # --- previews ---
@@ -510,25 +408,6 @@ def test_a_preview_shows_pictures_evenly_spread_with_what_was_found(tmp_path: Pa
 def test_a_preview_needs_no_landmark_and_no_calibration() -> None:
     (shown,) = preview(compressed(coded(picture(LENS, Pole(10.0)))), CameraSettings(), count=4)
     assert shown.row == 0
-
-
-def test_the_numbers_of_a_preview_stand_clear_of_the_rim_and_its_ticks() -> None:
-    (shown,) = preview(compressed(coded(picture(LENS, Pole(45.0)), ".png"), layout="png"), SETTINGS, count=1)
-    drawn = (shown.detection != shown.raw).any(axis=2)
-    along, beside = np.meshgrid(np.arange(0.94 * LENS.outer, LENS.outer - 3.0), (-9, -6, -3, 3, 6, 9))  # px
-    for theta in np.radians(np.arange(0.0, 360.0, 30.0)):
-        x = LENS.x_c + along * np.sin(theta) + beside * np.cos(theta)
-        y = LENS.y_c + along * np.cos(theta) - beside * np.sin(theta)
-        assert not drawn[np.rint(y).astype(int), np.rint(x).astype(int)].any()
-
-
-def test_a_preview_passes_by_broken_pictures_and_says_so_where_all_are() -> None:
-    good = coded(picture(LENS))
-    assert len(preview(compressed(b"x", good), SETTINGS, count=2)) == 1
-    with pytest.raises(LocfuseError, match=r"/omni.*2 pictures.*unreadable"):
-        preview(compressed(b"x", b"y"), SETTINGS)
-    with pytest.raises(LocfuseError, match="no messages"):
-        preview(compressed(), SETTINGS)
 
 
 def test_pictures_that_cannot_be_written_are_one_line(tmp_path: Path) -> None:

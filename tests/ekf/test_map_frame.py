@@ -12,9 +12,9 @@ import pytest
 from textbook import move, numeric_jacobian
 from told import Told, correct, step
 
-from locfuse.fusion.ekf.belief_arrays import InMap, JointBelief
+from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.events import Before, Events
-from locfuse.fusion.ekf.map_frame import Triangle, in_map_P
+from locfuse.fusion.ekf.map_frame import InMap, Triangle, in_map_P
 from locfuse.fusion.kernels.ekf import bent
 from locfuse.fusion.sensor import Block
 from locfuse.fusion.whole_drive.smooth import Backward
@@ -213,23 +213,6 @@ def test_a_slip_turns_the_pose_and_leaves_the_way_from_what_is_kept_as_it_was() 
     assert now[2, 2] + now[3, 3] - 2.0 * now[2, 3] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_pose_and_frame_together_are_their_parts_of_the_state() -> None:
-    belief = driven(JointBelief(START, P0, [OFFSET]))
-    x, P, f = belief.state, belief.covariance, belief.frame
-    both = belief.with_frame()
-    assert (*both.q, *both.G) == (*x[:3], *x[f : f + 3])
-    np.testing.assert_array_equal(both.P, P[:3, :3][np.triu_indices(3)])
-    np.testing.assert_array_equal(both.across, P[:3, f : f + 3])
-    np.testing.assert_array_equal(both.own, P[f : f + 3, f : f + 3])
-
-
-def test_a_start_that_is_known_exactly_needs_no_frame() -> None:
-    belief = JointBelief(START, (0.0,) * 6)
-    belief.begin_frame()
-    assert not belief.framed
-    assert belief.pose() == START
-
-
 def test_what_is_local_teaches_the_frame_nothing() -> None:
     belief = JointBelief(START, P0, [])
     belief.begin_frame()
@@ -262,20 +245,6 @@ def test_listening_teaches_the_frame_nothing() -> None:
     belief.listen([row(COMPASS, 0.4, 1e-4, (3,), ((1.0,),)).judged(InMap(belief))])
     np.testing.assert_array_equal(belief.state[frame], G[frame])
     assert belief.state[3] != G[3]
-
-
-def test_what_is_queued_corrects_alike_whether_or_not_another_sensor_listens_at_that_instant() -> None:
-    beliefs = [driven(JointBelief(START, P0, [OFFSET])) for _ in range(2)]
-    for listening, belief in enumerate(beliefs):
-        belief.begin()
-        belief.queue(row(((0.3, -0.2, 0.1),), 0.2, 1e-3, (), ((),)).judged(belief))
-        if listening:
-            belief.listen([row(COMPASS, 0.4, 1e-4, (3,), ((1.0,),)).judged(InMap(belief))])
-        belief.correct()
-    alone, heard = beliefs
-    np.testing.assert_array_equal(heard.pose(), alone.pose())
-    np.testing.assert_array_equal(heard.matrix(), alone.matrix())
-    assert heard.state[3] != alone.state[3]
 
 
 class Batch:

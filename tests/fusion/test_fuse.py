@@ -128,24 +128,6 @@ def test_every_map_mode_beats_odometry_and_stays_positive(mode: str) -> None:
     assert np.linalg.eigvalsh(P).min() > 0
 
 
-def test_perfect_readings_give_the_closed_form_arc() -> None:
-    world = World(wheel_noise=0.0, sigma_range=0.0, compass_sigma=0.0)
-    drive, robot = drive_of(world)
-    for sensors in ([], ["compass"], ["lrf"], ["compass", "lrf"]):
-        found = fuse(drive, robot, sensors)
-        # beams beside a corner may sit on the neighbouring wall by less than the line settings can tell
-        tolerance = 5e-4 if "lrf" in sensors else 1e-6
-        np.testing.assert_allclose(found.pose, world.pose(found.t), atol=tolerance)
-
-
-def test_the_compass_offset_is_found() -> None:
-    drive, robot = drive_of(World())
-    found = fuse(drive, robot, ["compass"])
-    offset, sigma = found.blocks["compass_offset"][-1, 0], found.block_sigmas["compass_offset"][-1, 0]
-    assert offset == pytest.approx(0.7, abs=4 * sigma)
-    assert sigma < math.radians(1.5)
-
-
 def test_a_truth_moved_by_half_a_period_changes_no_error_figure_on_an_arc() -> None:
     """With noise-free wheels the estimate is the arc itself, so any change would come from interpolation."""
     figures = []

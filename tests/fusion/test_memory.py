@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from worlds import World
 
 from locfuse import sample_logs
 from locfuse.cli.analysis.compare import Compared, compare_log
@@ -16,11 +15,7 @@ from locfuse.cli.analysis.configurations import for_comparison
 from locfuse.cli.analysis.load import load
 from locfuse.cli.analysis.settings import Asked, LogOptions
 from locfuse.fusion.data import Audit, Estimates, Measurements
-from locfuse.fusion.ekf.record import Record
-from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.innovations import own
-from locfuse.fusion.kernels.ekf import Innovation
-from locfuse.fusion.measure import measure
 
 LINES = 100_000
 
@@ -82,39 +77,6 @@ def test_what_remains_of_a_configuration_is_a_few_numbers_an_instant(
     for e, judged in zip(found.estimates, found.evaluations, strict=True):
         assert size(e) <= 8 * (12 * len(e.t) + 12 * len(truth.t))
         assert size(judged) <= 8 * 13 * len(truth.t)
-
-
-def test_covariances_of_lines_are_not_held_all_at_once() -> None:
-    world = World()
-    robot = world.robot()
-    drive = measure(world.streams(), robot)
-    fuse(drive, robot, ["compass", "lrf"])
-    assert "R" not in vars(drive.measurements["lrf"])
-
-
-def test_a_record_whose_length_is_known_is_held_once() -> None:
-    seen = [Innovation(i, 0, 3, 1.5, 18.4, (0.1, 0.2), (0.3, 0.4)) for i in range(8)]
-
-    def record() -> None:
-        kept = Record(LINES)
-        for k in range(LINES // 8):
-            kept.add(k, seen)
-        audit = kept.audit()
-        assert len(audit.row) == LINES
-        assert audit.y[-1].tolist() == [0.1, 0.2]
-
-    assert peak(record) < 1.1 * size(lines()[0])
-
-
-@pytest.mark.parametrize("room", [1, 1000])
-def test_a_record_grows_beyond_the_room_it_was_given(room: int) -> None:
-    kept = Record(room)
-    for k in range(3000):
-        kept.add(k, [Innovation(k, k % 3, -1, float(k), 6.6, (k + 0.5,), (2.0,))])
-    audit = kept.audit()
-    np.testing.assert_array_equal(audit.instant, np.arange(3000))
-    np.testing.assert_array_equal(audit.verdict, np.arange(3000) % 3)
-    np.testing.assert_array_equal(audit.y[:, 0], np.arange(3000) + 0.5)
 
 
 def test_judging_a_sensors_noise_takes_little_more_than_its_audit() -> None:

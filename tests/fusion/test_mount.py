@@ -9,14 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 from lock_step import simulated
-from said import written
-from textbook import numeric_jacobian, wrap
+from textbook import numeric_jacobian
 
 from locfuse.fusion.camera.bearing import predict_bearing
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.kernels.places import shares_into_base
 from locfuse.fusion.kernels.sight import Rules
 from locfuse.fusion.lines.extract import rows_of
 from locfuse.fusion.map.laser_mount import seat_of
@@ -66,70 +64,6 @@ def compared(mount: Mount, belief: JointBelief, lines: LineMap, rows: np.ndarray
     found = Association(Rules(math.inf, True, False, 2, 3, 4), seat_of(mount, belief))
     found.compare(belief, lines, rows)
     return found
-
-
-@pytest.mark.parametrize("free", [(0, 1, 2), (2,), (0, 1)])
-@pytest.mark.parametrize(("pose", "line", "anchor"), PLACES)
-def test_an_innovation_depends_on_pose_line_and_mount_as_finite_differences_say(
-    pose: tuple[float, float, float], line: tuple[float, float], anchor: tuple[float, float], free: tuple[int, ...]
-) -> None:
-    mount, parts = laser(*free), list(free)
-    belief = JointBelief(pose, (0.0,) * 6, mount.blocks())
-    now = np.array(TOLD)  # the filter has moved on from what it was told
-    now[parts] += np.array([0.04, -0.03, 0.05])[parts]
-    belief.state[3:] = now[parts]
-    model = LineTracker("refine", 0.9999, mount=mount)
-    column = belief.augment(np.array(line), np.zeros((2, 3)), np.zeros((2, 2)))
-    A = np.random.default_rng(1).normal(size=(belief.n, belief.n))
-    belief.covariance[:] = 1e-3 * A @ A.T  # everything goes with everything
-    model.map.append(np.array(anchor), np.array(line), np.zeros((2, 2)), column, (-5.0, 5.0), 0)
-    seen_by_laser = by_laser(line_from(pose, line, anchor), now) + np.array([0.003, 0.002])
-    R = np.array([[1e-3, 2e-4], [2e-4, 4e-4]])
-    told = in_base(seen_by_laser, TOLD)  # as the front end puts it there
-    found = compared(mount, belief, model.map, rows_of(told[None], R[None], np.array([[-100.0, 100.0]])))
-    assert found.matches() == 1
-    belief.begin()
-    found.state_rows(belief)
-    belief.queue(found)
-    said, seen = belief.equation(), written(found)
-
-    def lost(v: np.ndarray) -> np.ndarray:
-        """What the innovation loses when the states move: h(pose, line) - z(mount)."""
-        at = now.copy()
-        at[parts] = v[5:]
-        h: np.ndarray = line_from(v[:3], v[3:5], anchor) - in_base(seen_by_laser, at)
-        return h
-
-    states = np.array([*pose, *line, *now[parts]])
-    r, psi = -lost(states)
-    np.testing.assert_allclose(said.y, [r, wrap(psi)], atol=1e-12)
-    np.testing.assert_array_equal(said.columns, [0, 1, 2, *mount.columns(belief), column, column + 1])
-    at = [0, 1, 2, *range(5, 5 + len(free)), 3, 4]  # of `states`: pose, mount, line
-    np.testing.assert_allclose(said.H, numeric_jacobian(lost, states)[:, at], atol=1e-7)
-    S = said.H @ belief.covariance[np.ix_(said.columns, said.columns)] @ said.H.T + said.R
-    np.testing.assert_array_equal(seen.y[0], said.y)
-    np.testing.assert_allclose(seen.sigma[0], np.sqrt(np.diag(S)), rtol=1e-9)
-    assert seen.nis[0] == pytest.approx(said.y @ np.linalg.solve(S, said.y), rel=1e-9)
-
-
-def test_what_lines_share_moves_with_them_and_stays_a_part_of_their_covariance() -> None:
-    mount = laser(0, 1, 2)
-    belief = JointBelief((0.0, 0.0, 0.0), (0.0,) * 6, mount.blocks())
-    belief.state[3:] = np.add(TOLD, (0.03, -0.05, 0.2))
-    rng = np.random.default_rng(3)
-    z = np.array([(2.0, 0.3), (1.5, -2.0), (0.02, 1.2)])  # the last wall is passed: it is read from its other side
-    G, own = 0.01 * rng.normal(size=(3, 2, 12)), np.tile(np.diag([1e-4, 4e-5]), (3, 1, 1))
-    rows = rows_of(z, own + G @ G.transpose(0, 2, 1), np.zeros((3, 2)))
-    found = compared(mount, belief, LineMap(), rows)
-    R = Scan(found.in_base()).R
-    R_own = Scan(compared(mount, belief, LineMap(), rows_of(z, own, np.zeros((3, 2)))).in_base()).R
-    moved = np.empty_like(G)
-    shares_into_base(rows, 3, *found.moved(), G, 0, moved)
-    np.testing.assert_allclose(R - R_own, moved @ moved.transpose(0, 2, 1), atol=1e-12)
-    joint = np.concatenate(moved) @ np.concatenate(moved).T  # of the scan, as the filter puts it together
-    for k, block in enumerate(R):
-        joint[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = block
-    assert np.linalg.eigvalsh(joint)[0] > 0.0
 
 
 @pytest.mark.parametrize(("pose", "line", "anchor"), PLACES[::2])

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from worlds import World
 
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements
-from locfuse.fusion.ekf.belief_arrays import InMap
+from locfuse.fusion.ekf.map_frame import InMap
 from locfuse.fusion.fuse import Filter, fuse
 from locfuse.fusion.instants import due_readings, steps_of
 from locfuse.fusion.judge.evaluate import evaluate
@@ -62,13 +62,6 @@ def aligned(run: Estimates, drive: Drive) -> float:
     return float(evaluate(run, drive, align="se2").figures["position_rmse_m"] or math.nan)
 
 
-def test_the_shape_of_the_drive_is_the_same_for_every_start() -> None:
-    drive, robot = drive_of()
-    errors = [aligned(fuse(drive, begun(robot, s, 0.7 * s), ["lrf"]), drive) for s in (0.0, 2.0, 5.0, 20.0)]
-    assert max(errors) < 1.01 * min(errors)
-    assert max(errors) < 0.01
-
-
 def test_no_scan_says_where_north_is() -> None:
     """No wall's direction is ever known better than the heading was at the first scan, whatever the laser sees."""
     drive, robot = drive_of()
@@ -115,16 +108,6 @@ def shape(run: Estimates) -> Array:
     from locfuse.fusion.se2 import between
 
     return between(np.broadcast_to(run.pose[-1], run.pose.shape), run.pose)
-
-
-def test_a_map_that_is_saved_holds_what_is_known_within_its_frame() -> None:
-    """The same walls, whatever the start was known to; placed where the frame lies."""
-    drive, robot = drive_of(seconds=6.0)
-    exact, vague = (run_of(drive, begun(robot, s), ["lrf"]) for s in (1.0, 30.0))
-    for one, other in zip(*(run.models["lrf"].lines(run.belief)[1] for run in (exact, vague)), strict=True):
-        np.testing.assert_allclose((one.rho, one.beta), (other.rho, other.beta), atol=1e-12)
-        np.testing.assert_allclose(one.P, other.P, atol=1e-15)
-        assert other.P_map[1, 1] > 100.0 * one.P_map[1, 1] > 0.0
 
 
 def test_a_wall_in_the_map_has_the_covariance_of_finite_differences() -> None:

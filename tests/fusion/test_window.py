@@ -15,15 +15,6 @@ from locfuse.fusion.data import LocfuseError
 SAMPLE = "rounded_rectangle"
 
 
-def test_a_window_over_everything_changes_nothing() -> None:
-    whole, window = api.load(SAMPLE), api.load(SAMPLE, between=(0.0, 1e6))
-    for sensors in ("odometry", "compass"):
-        a, b = (session.run(sensors, advice=False).estimates[sensors] for session in (whole, window))
-        np.testing.assert_array_equal(a.t, b.t)
-        np.testing.assert_allclose(a.pose, b.pose, atol=1e-12)
-        np.testing.assert_allclose(a.triangles, b.triangles, atol=1e-15)
-
-
 def test_a_window_holds_what_lies_in_it_and_its_motion_is_that_of_the_whole_drive() -> None:
     whole, window = api.load(SAMPLE).drive, api.load(SAMPLE, between=(10.0, 25.0)).drive
     assert window.t[0] >= 10.0

@@ -89,4 +89,6 @@ class BeaconModel(Model):
         z, variances = m.scalars
         H = ((dx / h, dy / h, 0.0),)
         y, R = (z[i] - h,), ((variances[i],),)
-        return [belief.compare(i, y, H, R, self.threshold, landmark=0)]
+        seen = belief.compare(i, y, H, R, self.threshold)
+        seen.landmark = 0
+        return [seen]

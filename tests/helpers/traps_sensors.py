@@ -364,12 +364,6 @@ def points_only(drive: Drive) -> None:
     del drive.tables["truth"]
 
 
-def unnamed(drive: Drive) -> None:
-    """A reference whose topic does not say that it is one."""
-    drive.messages = [m._replace(topic="/robot_1/pose") if m.topic == TRUTH else m for m in drive.messages]
-    del drive.tables["truth"]
-
-
 def blind_spots(drive: Drive) -> None:
     drive.each(TRUTH, lambda m: None if 8.0 < seconds(m) < 10.0 or 14.0 < seconds(m) < 15.0 else m)
 

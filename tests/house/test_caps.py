@@ -21,9 +21,6 @@ MAX_FILE_LINES = 600
 
 # --- what is over a cap today
 ARGUMENTS: dict[str, int] = {
-    "fusion/kernels/ekf.py:InMap.compare": 9,
-    "fusion/kernels/ekf.py:State.compare": 10,
-    "fusion/sensor.py:Belief.compare": 9,
     "fusion/whole_drive/closures.py:judged": 10,
 }
 RECORD_FIELDS: dict[str, int] = {
@@ -50,9 +47,8 @@ CHANGING_FIELDS: dict[str, int] = {
     "fusion/whole_drive/smooth.py:Backward": 13,
 }
 FILE_LINES: dict[str, int] = {
-    "fusion/ekf/belief_arrays.py": 676,
-    "fusion/kernels/ekf.py": 754,
-    "fusion/kernels/sight.py": 683,
+    "fusion/ekf/belief_arrays.py": 650,
+    "fusion/kernels/ekf.py": 635,
 }
 # ---
 

@@ -36,10 +36,6 @@ def reference() -> Reference:
     return Reference.of(of_poses(path()), drive(), ("compass",))
 
 
-def test_the_sigma_of_a_reference_is_that_of_its_place() -> None:
-    assert reference().sigma == pytest.approx(math.hypot(SIGMA, SIGMA))
-
-
 def test_errors_are_distances_to_the_reference_and_no_claim_is_made_of_consistency() -> None:
     moved = of_poses(path() + np.array([0.3, -0.4, 0.01]), "compass")
     found = reference().judge(evaluate(moved, drive()), moved)
@@ -80,27 +76,6 @@ def test_an_estimate_is_read_at_its_own_stamps_between_them_and_nowhere_else() -
     np.testing.assert_allclose(spread[known], np.eye(3) * (1.0 + row_before)[:, None, None])
 
 
-def test_an_estimate_at_the_stamps_of_the_reference_is_taken_as_it_is() -> None:
-    e = of_poses(path() + np.array([0.3, -0.4, 0.01]), "compass")
-    seen = reference().seen(e)
-    assert seen.truth_pose is e.pose
-    assert seen.truth_P is not None
-    np.testing.assert_allclose(seen.truth_P[:, 0, 0], SIGMA**2)
-    later = Estimates("compass", (), e.t + 0.01, e.pose, e.triangles, {})
-    moved = reference().seen(later).truth_pose
-    assert moved is not None
-    assert np.isnan(moved[0]).all()
-    assert not np.allclose(moved[1:], e.pose[1:], atol=1e-4)
-
-
-def test_the_reference_keeps_what_the_estimate_says_of_its_own_drive() -> None:
-    moved = of_poses(path() + np.array([0.3, -0.4, 0.01]), "compass")
-    own = evaluate(moved, drive())
-    found = reference().judge(own, moved)
-    assert found.figures["duration_s"] == own.figures["duration_s"] == pytest.approx(40.0)
-    assert found.figures["distance_m"] == own.figures["distance_m"]
-
-
 def test_an_effect_is_widened_by_what_the_reference_may_add_or_hide() -> None:
     """Errors of 50 and 30 mm by a reference of 28 mm lie between sqrt(e^2 - s^2) and sqrt(e^2 + s^2)."""
     square = 2.0 * SIGMA**2
@@ -113,18 +88,6 @@ def test_an_effect_is_widened_by_what_the_reference_may_add_or_hide() -> None:
     assert (found.value, found.expected) == (value, 0.3)
     below = reference().widened(Effect(0.0, 0.0, 0.0, None), 0.05, 0.02)  # less than the reference's own error
     assert below.high == pytest.approx(math.log(most[0] / 0.05 / 1e-3))
-
-
-@pytest.mark.parametrize(("error", "able"), [(0.0, False), (0.08, False), (0.09, True), (None, False)])
-def test_it_judges_errors_of_three_sigmas_and_more(error: float | None, able: bool) -> None:
-    assert reference().can_judge(error) is able
-
-
-@pytest.mark.parametrize(("shift", "agree"), [(0.0, True), (0.1, True), (0.13, False)])
-def test_two_references_agree_up_to_three_of_their_sigmas_apart(shift: float, agree: bool) -> None:
-    """Of 28 mm each, 40 mm together."""
-    other = Reference.of(of_poses(path() + np.array([shift, 0.0, 0.0])), drive())
-    assert reference().agrees(other) is agree
 
 
 @pytest.mark.parametrize("shares", [False, True])

@@ -152,14 +152,6 @@ def exact(point: tuple[float, float]) -> tuple[Estimates, Drive]:
     return replace(estimates, pose=pose, truth_pose=pose), drive
 
 
-def test_a_drive_lasts_from_its_first_instant_to_its_last_and_is_as_long_as_its_steps() -> None:
-    estimates, drive = exact((0.0, 0.0))
-    figures = evaluate(estimates, drive).figures
-    assert figures["duration_s"] == pytest.approx(0.1 * N)
-    steps = np.diff(estimates.pose[:, :2], axis=0)
-    assert figures["distance_m"] == pytest.approx(float(np.sqrt((steps**2).sum(axis=1)).sum()), rel=1e-12)
-
-
 # --- every figure of a short drive, written out
 
 
@@ -236,31 +228,6 @@ def test_errors_along_and_across_are_by_the_way_the_robot_goes(heading: bool) ->
     for name, expected in (("max", apart.max()), ("mean", apart.mean()), ("median", np.median(apart))):
         assert found.figures[f"position_{name}_m"] == pytest.approx(float(expected))
     assert found.figures["final_position_error_m"] == pytest.approx(float(apart[-1]))
-
-
-def test_where_a_robot_rests_the_way_is_that_in_which_it_came() -> None:
-    estimates, drive = wandering(False)
-    assert drive.truth is not None
-    xy = np.column_stack((np.append(np.arange(50.0), np.full(40, 49.0)), np.full(90, 2.0)))
-    pose = np.column_stack((xy + np.array([0.3, 0.4]), np.zeros(90)))
-    truth = replace(drive.truth, xy=xy)
-    found = evaluate(replace(estimates, pose=pose, truth_pose=pose), replace(drive, truth=truth))
-    np.testing.assert_allclose(found.along_cross, np.tile([0.3, 0.4], (90, 1)), atol=1e-12)
-
-
-def test_a_truth_covers_the_time_of_the_drive_but_for_its_holes() -> None:
-    """22.25 s of stamps and 5 s without; then a hole of 40 s in the middle, whose other side is 22 s of stamps."""
-    whole = evaluate(*wandering(True)).figures
-    assert whole["duration_s"] == pytest.approx(27.25)
-    assert whole["truth_coverage"] == pytest.approx(22.25 / 27.25)
-    holed = evaluate(*wandering(True, gap=40)).figures
-    assert holed["duration_s"] == pytest.approx(67.25)
-    assert holed["truth_coverage"] == pytest.approx(22.0 / 67.25)
-
-
-def test_a_truth_that_goes_on_behind_the_drive_covers_all_of_it() -> None:
-    estimates, drive = wandering(True)
-    assert evaluate(estimates, replace(drive, t=drive.t[:40])).figures["truth_coverage"] == 1.0
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ from locfuse.fusion.data import (
     Motions,
 )
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.judge.events import events_of_drive, events_of_run, rests, stretches
+from locfuse.fusion.judge.events import events_of_drive, events_of_run, stretches
 
 
 def resting(drive: Drive, first: int, last: int) -> Drive:
@@ -46,11 +46,6 @@ def test_a_rest_is_as_long_as_the_wheels_stand() -> None:
     (event,) = events_of_drive(resting(drive, first, last))
     assert event.kind == REST
     assert (event.start, event.end) == (drive.t[first - 1], drive.t[last])
-
-
-def test_a_short_stop_is_no_event() -> None:
-    drive = small_drive(1, small_robot(), laps=0.5)
-    assert events_of_drive(resting(drive, 40, 45)) == []
 
 
 @pytest.mark.parametrize(("refused", "told"), [(4, 0), (5, 1), (9, 1)])
@@ -80,35 +75,6 @@ def laid(steps: list[tuple[float, float, float]], period: float = 0.5) -> Drive:
 
 
 MOVED, STOOD = (0.1, 0.0, 0.0), (0.0, 0.0, 0.0)
-
-
-@pytest.mark.parametrize(
-    ("step", "stands"),
-    [
-        ((0.9e-4, 0.0, 0.0), True),
-        ((1.1e-4, 0.0, 0.0), False),
-        ((0.0, -1.1e-4, 0.0), False),
-        ((0.8e-4, 0.8e-4, 0.0), False),  # 1.1e-4 m together
-        ((0.0, 0.0, 0.9e-4), True),
-        ((0.0, 0.0, -1.1e-4), False),
-    ],
-)
-def test_a_robot_rests_where_it_neither_goes_nor_turns(step: tuple[float, float, float], stands: bool) -> None:
-    drive = laid([MOVED, MOVED, *[step] * 6, MOVED])
-    assert list(rests(drive)) == ([(0.5, 3.5)] if stands else [])
-
-
-@pytest.mark.parametrize(("n", "long"), [(3, False), (4, True)])
-def test_a_rest_lasts_two_seconds_and_may_begin_and_end_the_drive(n: int, long: bool) -> None:
-    assert list(rests(laid([STOOD, *[STOOD] * n, MOVED, *[STOOD] * n]))) == (
-        [(0.0, 0.5 * n), (0.5 * (n + 1), 0.5 * (2 * n + 1))] if long else []
-    )
-
-
-def test_a_result_read_back_has_no_rests() -> None:
-    drive = laid([STOOD] * 9)
-    motions = Motions(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3, 0)))
-    assert list(rests(replace(drive, motions=motions))) == []
 
 
 def test_stretches_are_runs_of_true_values() -> None:

@@ -18,7 +18,6 @@ from locfuse.fusion.judge.innovations import (
     _agreement,
     _some,
     own,
-    usual_period,
 )
 
 Array = NDArray[np.float64]
@@ -123,53 +122,6 @@ def test_the_figures_of_a_run_are_those_written_out(d: int, keep: float) -> None
     assert found.scale == pytest.approx(found.raw * np.clip(1.0 - white[0] * ratio, 0.3, 2.0))
 
 
-def test_the_share_of_white_noise_is_never_below_zero_and_the_factor_stays_in_bounds() -> None:
-    rng = np.random.default_rng(1)
-    for keep, least in ((0.95, 0.3), (-0.95, 2.0)):
-        y = 3.0 * colored(rng, 400, keep)
-        audit, m = audited(y, np.full((400, 1), 6.0), np.zeros(400, np.int8), np.full(400, -1), 99.0, 0.5)
-        found = own(audit, m)
-        assert found is not None
-        assert found.scale / found.raw == pytest.approx(least)
-        assert bool(found.white) is (keep < 0.0)
-
-
-@pytest.mark.parametrize(("n", "known"), [(2 * LAGS - 1, False), (2 * LAGS, True)])
-def test_figures_need_twice_as_many_readings_as_lags(n: int, known: bool) -> None:
-    y = np.random.default_rng(2).normal(size=(n, 1))
-    audit, m = audited(y, np.ones((n, 1)), np.zeros(n, np.int8), np.full(n, -1), 99.0)
-    assert (own(audit, m) is not None) is known
-
-
-def test_where_most_lie_beyond_the_gate_the_factor_has_no_bound() -> None:
-    y = np.append(np.random.default_rng(3).normal(size=20), np.full(21, 50.0))[:, None]
-    verdict = np.append(np.zeros(20, np.int8), np.full(21, GATE, np.int8)).astype(np.int8)
-    found = own(*audited(y, np.ones((41, 1)), verdict, np.full(41, -1), 9.0))
-    assert found is not None
-    assert math.isinf(found.raw)
-    one_less = own(*audited(y[:-2], np.ones((39, 1)), verdict[:-2], np.full(39, -1), 9.0))
-    assert one_less is not None
-    assert math.isfinite(one_less.raw)
-
-
-def test_landmarks_of_any_number_are_told_apart() -> None:
-    rng = np.random.default_rng(4)
-    n = 400
-    y = colored(rng, n, 0.8)
-    for marks in ((-40_000, 1), (1, 40_000), (2**15, -(2**15)), (2**15 - 1, -(2**15)), (0, 2**16)):
-        mark = np.where(np.arange(n) < n // 2, *marks)
-        order = np.argsort(np.arange(n) % (n // 2), kind="stable")  # they take turns
-        audit, m = audited(y[order], np.ones((n, 1)), np.zeros(n, np.int8), mark[order], 99.0)
-        found = own(audit, m)
-        assert found is not None
-        assert found.whiteness[0] == pytest.approx(0.8, abs=0.1)
-
-
-def test_the_usual_period_is_between_instants() -> None:
-    assert usual_period(np.array([0.0, 0.0, 0.5, 0.5, 1.0, 1.5, 9.0])) == 0.5
-    assert usual_period(np.zeros(4)) is None
-
-
 def agreed(t: NDArray[Any], y: Array, h: Array, R: Array, unknown: bool = False, angular: bool = False) -> Heard:
     found = _agreement(np.column_stack((t, y, h, R)), unknown, angular)
     assert found is not None
@@ -212,29 +164,6 @@ def test_what_a_run_that_does_not_use_a_sensor_says_of_it(keep: float, angular: 
     assert found.period == pytest.approx(0.2)
     assert found.reference == pytest.approx(h[tame].mean())
     assert pytest.approx(R[tame].mean()) == found.R
-
-
-def test_a_reading_is_an_outlier_from_six_sigmas_on() -> None:
-    """By the median: of readings at -1 and 1 the sigma is 1 / 0.6745."""
-    for far, wild in ((5.9 / 0.6745, 0), (6.1 / 0.6745, 2)):
-        y = np.append(np.tile([-1.0, 1.0], 50), [0.0, far, -far])
-        found = agreed(0.1 * np.arange(103), y, np.zeros(103), np.ones(103))
-        assert found.readings == 103 - wild
-
-
-def test_a_bias_is_none_where_the_sensor_has_an_offset_of_its_own() -> None:
-    y = np.random.default_rng(6).normal(size=50)
-    assert agreed(np.arange(50.0), y, np.zeros(50), np.ones(50), unknown=True).bias is None
-    assert _agreement(np.column_stack((np.zeros(50), y, y, y)), False, False) is None
-
-
-def test_neighbours_over_a_gap_are_no_neighbours() -> None:
-    """Two stretches, each constant: across the gap between them their error changes, and nowhere else."""
-    t = np.append(0.1 * np.arange(50), 60.0 + 0.1 * np.arange(50))
-    y = np.repeat([0.0, 1.0], 50)
-    found = agreed(t, y, np.zeros(100), np.ones(100))
-    assert found.white == 0.0
-    assert found.slow == pytest.approx(0.25)
 
 
 def test_of_many_readings_some_stretches_of_neighbours_are_heard() -> None:

@@ -55,13 +55,6 @@ def test_splitting_depth_by_depth_equals_the_recursion(seed: int) -> None:
     assert linked == [1] * (len(first) - 2) + [0]
 
 
-def test_runs_are_split_each_for_itself() -> None:
-    """Two corners of three points, side by side: no chord leads from one run to the next."""
-    x, y = [0.0, 1.0, 1.0, 5.0, 6.0, 6.0, 7.0], [0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 1.0]
-    assert split(np.column_stack((x, y)), np.full(7, 0.3), [0, 3, 7]) == ([0, 1, 3, 4, 5, 7], [1, 0, 1, 1, 0])
-    assert segments.farthest(returns_of(x=x, y=y, tolerance=[0.3] * 7), 2, 4) == -1  # two points have no third
-
-
 def pieces_of(moments: Array, linked: list[int]) -> Any:
     """Pieces with these moments (n, 6)."""
     pieces = segments.Segments(len(moments))
@@ -102,27 +95,6 @@ def test_what_is_not_linked_is_not_joined() -> None:
 # --- returns, gaps and weights, written out in NumPy
 
 
-@pytest.mark.parametrize("begin", [0, 5, 39])
-def test_returns_are_gathered_once_round_with_their_directions_and_ends(begin: int) -> None:
-    rng = np.random.default_rng(begin)
-    beams, scan = 40, 2
-    ranges = rng.uniform(0.0, 6.0, (3, beams))
-    ranges[2, [5, 20]] = math.nan, math.inf
-    ranges[2, [10, 11]] = 0.5, 5.0  # the ends: [0.5, 5)
-    angle, x0, y0 = rng.uniform(-3.0, 3.0, (3, beams)), rng.normal(size=(3, beams)), rng.normal(size=(3, beams))
-    rays = np.cos(angle), np.sin(angle), x0, y0
-    returns = segments.Returns(beams)
-    segments.gather(segments.Scans(ranges, rays, np.zeros(3), np.zeros(3), (0.5, 5.0)), scan, begin, returns)
-    order = np.roll(np.arange(beams), -begin)
-    d = ranges[scan, order]
-    seen = order[(d >= 0.5) & (d < 5.0)]
-    d, c, s, x, y = (column[scan, seen] for column in (ranges, *rays))
-    assert returns.count == len(seen) > 20
-    found = returns.ranges, returns.ux, returns.uy, returns.ox, returns.oy, returns.x, returns.y, returns.beam
-    expected = d, c, s, x, y, x + d * c, y + d * s, seen
-    np.testing.assert_allclose([column[: len(seen)] for column in found], expected, atol=1e-15)
-
-
 def allowed(d: float, before: float) -> float:
     """How far neighbours on one wall may lie apart: 0.3 m, or a tenth of the farther range."""
     return max(0.3, 0.1 * max(d, before))
@@ -149,66 +121,6 @@ def test_runs_end_where_neighbours_lie_farther_apart_than_a_wall_allows(seed: in
         assert found == pytest.approx((apart[i] / allowed(d[i], d[i + 1])) ** 2)
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_a_ring_begins_behind_its_widest_gap_or_at_its_farthest_return(seed: int) -> None:
-    d, x, y = cluster(seed)
-    jump = [np.hypot(x[i] - x[i - 1], y[i] - y[i - 1]) / allowed(d[i], d[i - 1]) for i in range(40)]
-    assert segments.ring_start(returns_of(ranges=d, x=x, y=y), 0.1, 0.3) == int(np.argmax(jump))
-    angle = np.linspace(0.0, 2.0 * math.pi, 40, endpoint=False)
-    x, y = np.cos(angle), np.sin(angle)  # 0.16 m from one to the next
-    for unit in (1.0, 0.1):
-        assert segments.ring_start(returns_of(ranges=unit * d, x=x, y=y), 0.1, 0.3) == -1 - int(np.argmax(d))
-
-
-def test_a_return_may_lie_off_a_straight_piece_by_so_many_sigmas_of_both_its_errors() -> None:
-    returns = returns_of(ranges=[0.1, 1.0, 5.0, 20.0])
-    segments.allow(returns, laser(0.02, 0.01, split_sigmas=3.0, split_floor=0.08))
-    expected = [max(0.08, 3.0 * math.hypot(0.02, 0.01 * r)) for r in returns.ranges]
-    assert list(returns.tolerance) == pytest.approx(expected)
-    segments.allow(returns, laser(0.0, 0.0, split_sigmas=3.0, split_floor=0.0))
-    assert min(returns.tolerance) > 0.0
-
-
 def laser(sigma_range: float, sigma_angle: float, **limits: float) -> Any:
     """What the functions under test ask of a laser's limits."""
     return SimpleNamespace(sigma_range=sigma_range, sigma_angle=sigma_angle, **limits)
-
-
-def weighed(first: list[int], limits: Any, **columns: Any) -> Any:
-    """The moments (n, 6) of the pieces that begin at `first`."""
-    pieces = segments.Segments(first[-1])
-    pieces.pieces, pieces.first = len(first) - 1, first
-    segments.weigh(returns_of(**columns), limits, pieces)
-    return np.asarray(pieces.moments)[: pieces.pieces]
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_points_count_by_their_variance_across_the_chord_of_their_piece(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    angle, d = np.linspace(-1.0, 1.0, 30), rng.uniform(1.0, 4.0, 30)
-    u = np.column_stack((np.cos(angle), np.sin(angle)))
-    p = d[:, None] * u
-    (ux, uy), (x, y) = u.T, p.T
-    m = weighed([0, 12, 30], laser(0.02, 0.01, flatness=0.005), ranges=d, ux=ux, uy=uy, x=x, y=y)
-    for piece, at in enumerate((slice(0, 12), slice(12, 30))):
-        chord = p[at][-1] - p[at][0]
-        n = np.array([-chord[1], chord[0]]) / np.linalg.norm(chord)
-        side = np.column_stack((-u[at, 1], u[at, 0]))
-        w = 1.0 / ((0.02 * u[at] @ n) ** 2 + (0.01 * d[at] * (side @ n)) ** 2 + 0.005**2)
-        x, y = p[at].T
-        expected = [float((w * v).sum()) for v in (1.0 + 0.0 * x, x, y, x * x, x * y, y * y)]
-        assert m[piece].tolist() == pytest.approx(expected)
-
-
-def test_a_single_point_counts_by_its_variance_in_some_direction() -> None:
-    """It has no chord; 2 cm along the beam and 5 cm across it, whichever way."""
-    (m,) = weighed([0, 1], laser(0.02, 0.01, flatness=0.0), ranges=[5.0], ux=[0.8], uy=[0.6], x=[4.0], y=[3.0])
-    assert 1.0 / 0.05**2 <= m[0] <= 1.0 / 0.02**2
-    assert m[1:3].tolist() == pytest.approx([4.0 * m[0], 3.0 * m[0]])
-
-
-def test_of_a_loop_that_closes_exactly_the_point_off_it_is_measured_in_some_direction() -> None:
-    """Begin and end are one point, 0.5 m from the other two in x and in y: no direction makes that 0 or more."""
-    x, y = [0.0, 0.5, 0.5, 0.0], [0.0, 0.5, 0.5, 0.0]
-    assert segments.farthest(returns_of(x=x, y=y, tolerance=[0.45] * 4), 0, 4) == 1
-    assert segments.farthest(returns_of(x=x, y=y, tolerance=[0.75] * 4), 0, 4) == -1

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from interpreted import interpreted
-from line_scene import MOUNT, MOVED, UPPER, covariance, scene, seated
+from line_scene import MOUNT, MOVED, UPPER, scene, seated
 from said import over_states, written
 from sighted import AMBIGUOUS, NEW, UNMATCHED, Pair, Sighted, equation_of, side_of, sighted
 from textbook import numeric_jacobian
@@ -17,9 +16,6 @@ from textbook import numeric_jacobian
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.kernels import ekf, sight
-from locfuse.fusion.kernels.arrays import view
-from locfuse.fusion.map import tidy
 from locfuse.fusion.map.line_map import LineMap
 from locfuse.fusion.map.scan import Scan
 
@@ -137,23 +133,6 @@ def test_a_pose_that_is_none_has_no_pairs(pose: tuple[float, float, float]) -> N
     assert sighted(scan.rows, lines, JointBelief(pose, UPPER), ZONE, False).pair_list == []
 
 
-@pytest.mark.parametrize(("count", "walls"), [(0, 5), (3, 0), (40, 2000)])
-def test_maps_of_none_and_of_two_thousand_lines_have_the_pairs_that_matrices_give(count: int, walls: int) -> None:
-    rng, known = np.random.default_rng(0), LineMap()
-    for _ in range(min(walls, 50)):
-        value, P = np.array([0.0, rng.uniform(-3, 3)]), covariance(rng)
-        known.append(rng.normal(size=2) * 3.0, value, P, -1, (-1.0, 1.0), 0)
-    many = np.resize(np.arange(len(known)), walls)
-    for name in ("ids", "anchor", "lo", "hi", "hits", "column", "value", "P", "seen", "born"):
-        setattr(known, name, getattr(known, name)[many])
-    z = np.stack((rng.uniform(0.0, 4.0, count), rng.uniform(-3.0, 3.0, count)), axis=-1)
-    scan = Scan.of(z, np.tile(np.eye(2) * 1e-3, (count, 1, 1)), np.tile((-1.0, 1.0), (count, 1)))
-    belief = JointBelief((0.0, 0.0, 0.0), UPPER)
-    found = sighted(scan.rows, known, belief, ZONE, False)
-    assert [(p.line, p.which) for p in found.pair_list] == sorted(by_matrices(found, known, belief, ZONE))
-    assert bool(found.pair_list) == (count * walls > 100)
-
-
 # --- association
 
 
@@ -198,13 +177,6 @@ def test_matches_are_those_of_the_rule(states: bool, gate: float) -> None:
         matched, doubtful = matched + sum(hit), doubtful + sum(ambiguous)
     assert matched > 20
     assert doubtful > 10
-
-
-def test_a_scan_of_nothing_matches_nothing() -> None:
-    _, lines, belief = scene(0, True)
-    found = sighted(np.zeros((0, 7)), lines, belief, 13.8, True)
-    assert (found.pair_of, found.new(), found.share()) == ([], [], 1.0)
-    assert (found.lines, found.accepted, found.numbers, found.rows_used()) == (0, 0, 0, [])
 
 
 def two_lines(offset: float, turn: float, sigma: tuple[float, float], others: int = 1) -> Sighted:
@@ -425,124 +397,3 @@ def test_lines_that_were_seen_bend_by_what_they_lack_of_their_unevenness() -> No
         np.testing.assert_allclose(np.diag(belief.covariance), expected, rtol=1e-14)
         bent += int((expected != before).sum())
     assert bent > 20
-
-
-def doubled(seed: int) -> tuple[LineMap, JointBelief]:
-    """A map in which some lines lie close to others."""
-    _, lines, belief = scene(seed, True)
-    rng, n = np.random.default_rng(seed), len(lines)
-    for j in range(1, n, 3):
-        lines.anchor[j] = lines.anchor[j - 1] + rng.normal(0.0, 0.15, 2)
-        belief.state[lines.column[j] + 1] = belief.state[lines.column[j - 1] + 1] + rng.normal(0.0, 0.1)
-    lines.hits, lines.seen = rng.integers(1, 9, n), rng.integers(60, 101, n)
-    lines.born = rng.integers(0, 101, n)
-    return lines, belief
-
-
-def one_wall(lines: LineMap, belief: JointBelief, i: int, j: int) -> bool:
-    """Whether two lines may be one wall: by angle, by offset of i's anchored point from j, by the gap along j."""
-    (rho_i, beta_i), (rho_j, beta_j) = lines.values(belief)[[i, j]]
-    d = lines.anchor[i] - lines.anchor[j]
-    offset = rho_j - rho_i - d @ [math.cos(beta_i), math.sin(beta_i)]
-    along = d @ [-math.sin(beta_j), math.cos(beta_j)]
-    gap = max(lines.lo[j], lines.lo[i] + along) - min(lines.hi[j], lines.hi[i] + along)
-    return i != j and abs(se2.wrap(beta_j - beta_i)) < math.radians(8.0) and abs(offset) <= 0.25 and gap <= 0.3
-
-
-def test_a_map_is_untidy_where_a_line_proved_worthless_or_a_recent_one_may_be_one_wall_with_another() -> None:
-    verdicts = []
-    for seed in range(60):
-        lines, belief = doubled(seed)
-        if seed % 2:
-            lines.hits[:] = 9
-        n = len(lines)
-        worthless = (lines.hits < 4) & (100 - lines.born > 15) & (lines.born > 0)
-        pairs = [[one_wall(lines, belief, i, j) for j in range(n)] for i in range(n)]
-        double = any(any(pairs[j]) for j in np.flatnonzero(100 - lines.seen <= 15))
-        assert tidy.untidy(lines, belief, 100) == (bool(worthless.any()) or double)
-        found = [tidy._near(lines, lines.values(belief), j).tolist() for j in range(n)]
-        assert found == [np.flatnonzero(row).tolist() for row in pairs]
-        verdicts.append((bool(worthless.any()), double))
-    assert len(set(verdicts)) == 4
-
-
-# --- interpreted
-
-
-def everything(kernel: Any, states: Any, seed: int, free: tuple[int, ...]) -> list[Any]:
-    """All that a scene is worked out to, by a kernel on its own arrays."""
-    as_states = seed % 3 > 0
-    scan, lines, belief = scene(seed, as_states)
-    seated(belief, free)
-    rng, n, places = np.random.default_rng(seed), len(scan.z), len(lines)
-    mounted = np.arange(belief.n - len(free), belief.n, dtype=np.intp)
-    seat = kernel.Seat(MOUNT.copy(), np.array(free, np.intp), mounted)
-    state, size, m = states.State(), belief.n, 2 * n + 8
-    state.n = size
-    x, P = belief.state.copy(), belief.covariance.copy()
-    state.hold(x, P, np.zeros(size, np.intp))
-    table = np.zeros((m, 24), np.intp), np.zeros((m, 24)), np.zeros(m, np.intp), np.zeros(m), np.zeros((m, m))
-    state.hold_rows(*table)
-    small = np.zeros((16, 16))
-    state.hold_room(np.zeros((m + 4, size)), np.zeros((m, m)), np.zeros(m), np.zeros(m, np.intp), small)
-    fixed = np.zeros((0 if as_states else places, 13))
-    if not as_states:
-        fixed[:, :2], fixed[:, 2:4] = lines.value, lines.anchor
-        fixed[:, 4:7] = lines.P.reshape(-1, 4)[:, (0, 1, 3)]
-    walls = kernel.Walls(lines.column.astype(np.intp), lines.anchor, lines.lo, lines.hi, fixed, as_states)
-    hits, seen, born = (rng.integers(0, 101, places).astype(np.intp) for _ in range(3))
-    walls.count(hits, seen, born, lines.ids.astype(np.intp))
-    sees = kernel.Sight(kernel.Rules(13.8, as_states, True, UNMATCHED, AMBIGUOUS, NEW), seat)
-    whole = [np.zeros(n, np.intp) for _ in range(5)]
-    rows, pairs = np.zeros((n, 7)), np.zeros((n * places, 20))
-    sees.hold_lines(rows, *whole)
-    sees.hold_pairs(
-        pairs,
-        np.zeros((places, 13 + 2 * len(free))),
-        np.zeros((places, 4)),
-        np.zeros((6, 3)),
-        np.zeros(3),
-        np.zeros(3),
-    )
-    sees.hold_shares(np.zeros((n, 2, 2)), np.zeros((2 * n, 2)))
-    bent, lacking = (states.Loosening(np.zeros(k, np.intp), np.zeros(k)) for k in (2 * n, 2 * places))
-    sees.hold_states(bent)
-    share = sees.look(state, walls, view(scan.rows), view(rng.normal(0.0, 0.01, (n, 2, 2))))
-    if seed % 2:
-        sees.refuse_alone()
-    accepted = sees.state_rows(state)
-    audit = [np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n, np.int8), np.zeros(n, np.int64)]
-    judged: list[Any] = [np.zeros(n), np.zeros(n), np.zeros((n, 2)), np.zeros((n, 2))]
-    out = kernel.Audit(*audit)
-    out.judged(*judged)
-    sees.write(out, 0, 5, 7)
-    sees.extend(101)
-    numbers = [share, accepted, sees.new_lines(), sees.matches()]
-    if as_states:
-        sees.bends(state, 3e-3, 2e-2, 2e-3, 5e-3)
-        kernel.lacks(state, walls, 3e-4, 2e-4, lacking)
-        doubles = kernel.Doubles(4, 15, math.radians(8.0), 0.25, 0.3)
-        numbers.append(kernel.untidy(state, walls, doubles, 101, np.zeros((places, 4)), np.zeros(places, np.intp)))
-    ends = [lines.lo, lines.hi, hits, seen]
-    return [
-        np.array(numbers, float),
-        rows,
-        pairs[: sees.found, :19],
-        *whole,
-        *table,
-        *audit,
-        *judged,
-        *bent.listed(),
-        *lacking.listed(),
-        *ends,
-    ]
-
-
-@FREE
-def test_the_interpreted_kernel_agrees(free: tuple[int, ...]) -> None:
-    for seed in range(30):
-        compiled = everything(sight, ekf, seed, free)
-        for one, other in zip(
-            compiled, everything(interpreted("sight"), interpreted("ekf"), seed, free), strict=True
-        ):
-            np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)

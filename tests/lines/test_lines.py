@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 
 import numpy as np
 import pytest
@@ -12,8 +11,7 @@ from rooms import ARENA, box, pole, poses, ranges, scan, wall_lines
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array
-from locfuse.fusion.kernels.built import COMPILED, how
-from locfuse.fusion.lines.extract import Lines, LineSettings, extract_lines, to_base
+from locfuse.fusion.lines.extract import Lines, LineSettings, extract_lines
 
 HALF = np.radians(np.linspace(-90.0, 90.0, 361))
 CIRCLE = np.radians(np.arange(720) * 0.5 - 180.0)
@@ -128,29 +126,6 @@ def test_a_scan_has_the_same_lines_alone_and_in_any_batch(angles: Array, deskewe
     assert same_bytes(together, extract_lines(d, own, offsets=offsets))
 
 
-@pytest.mark.skipif(how() != COMPILED, reason="the kernels are not compiled")
-def test_python_does_no_work_per_scan() -> None:
-    """Calls, not seconds: a hundred scans of a batch take no more calls than one."""
-    d = noisy(np.random.default_rng(15), poses(np.random.default_rng(15), 100), HALF, NOISE["30mm_0.25deg"])
-
-    def calls(scans: Array) -> int:
-        count = 0
-
-        def tally(_frame: object, event: str, _what: object) -> None:
-            nonlocal count
-            count += event in {"call", "c_call"}
-
-        sys.setprofile(tally)
-        try:
-            extract_lines(scans, HALF)
-        finally:
-            sys.setprofile(None)
-        return count
-
-    calls(d[:1])
-    assert calls(d) == calls(d[:1])
-
-
 # --- one wall or two
 
 
@@ -159,11 +134,6 @@ def facing(walls: list[tuple[float, float, float, float]], noise: float = 0.005,
     rng = np.random.default_rng(2)
     d = scan(np.array(walls, float), np.zeros(3), angles) + rng.normal(0.0, noise, len(angles))
     return extract_lines(d[None], angles, replace(SHARP, sigma_range=noise))
-
-
-def test_parallel_walls_20_cm_apart_are_two_lines() -> None:
-    lines = facing([(2.0, -2.0, 2.0, 0.0), (2.2, 0.0, 2.2, 2.0)])
-    assert sorted(lines.z[:, 0].tolist()) == pytest.approx([2.0, 2.2], abs=0.005)
 
 
 @pytest.mark.parametrize("behind", [[], [(4.0, -3.0, 4.0, 3.0)]])
@@ -257,19 +227,6 @@ def test_a_wall_across_the_first_beam_is_one_line() -> None:
         assert lines.span[back, 0] > lines.span[back, 1]
 
 
-@pytest.mark.parametrize("shift", [1, 100, 359, 360, 500])
-def test_where_the_circle_starts_does_not_matter(shift: int) -> None:
-    rng = np.random.default_rng(8)
-    d = noisy(rng, poses(rng, 40), CIRCLE, NOISE["5mm_0.1deg"])
-    one = extract_lines(d, CIRCLE, SHARP)
-    two = extract_lines(np.roll(d, -shift, axis=1), CIRCLE + math.radians(0.5 * shift), SHARP)
-    for i in range(40):
-        a, b = one.z[rows(one, i)], two.z[rows(two, i)]
-        a, b = (v[np.lexsort((v[:, 0], np.round(se2.wrap_all(v[:, 1] + 0.01), 3)))] for v in (a, b))
-        np.testing.assert_allclose(a[:, 0], b[:, 0], atol=1e-9)
-        np.testing.assert_allclose(se2.wrap_all(a[:, 1] - b[:, 1]), 0.0, atol=1e-9)
-
-
 @pytest.mark.parametrize("angle", [0.0, -1.57])
 def test_beams_that_all_look_the_same_way_see_no_line(angle: float) -> None:
     """An angle_increment of 0: a damaged message, or a driver that never set it."""
@@ -277,21 +234,6 @@ def test_beams_that_all_look_the_same_way_see_no_line(angle: float) -> None:
     with np.errstate(all="ignore"):
         lines = extract_lines(ranges, np.full(61, angle), SHARP)
     assert lines.first[-1] == 0
-
-
-def test_a_clockwise_scanner_sees_the_same_lines() -> None:
-    """A corner's own beam goes with the wall scanned after it, so a few lines differ, within their noise."""
-    rng = np.random.default_rng(9)
-    d = noisy(rng, poses(rng, 40), HALF, NOISE["5mm_0.1deg"])
-    one, two = extract_lines(d, HALF, SHARP), extract_lines(d[:, ::-1], HALF[::-1], SHARP)
-    both = [i for i in range(40) if len(one.z[rows(one, i)]) == len(two.z[rows(two, i)])]
-    assert len(both) >= 39
-    gap = np.concatenate([one.z[rows(one, i)] - two.z[rows(two, i)][::-1] for i in both])
-    gap[:, 1] = se2.wrap_all(gap[:, 1])
-    sigma = 0.005 * np.sqrt(np.concatenate([one.R_unit[rows(one, i)][:, [0, 1], [0, 1]] for i in both]))
-    assert np.median(np.abs(gap)) < 1e-9
-    assert (np.abs(gap) < 0.5 * sigma).mean() > 0.95
-    assert (two.ends[:, 0] < two.ends[:, 1]).all()
 
 
 def test_a_laser_that_moves_while_it_scans_is_deskewed() -> None:
@@ -316,67 +258,7 @@ def test_a_laser_that_moves_while_it_scans_is_deskewed() -> None:
 # --- what is no return
 
 
-def test_returns_that_are_none_are_as_if_the_beam_were_not_there() -> None:
-    rng = np.random.default_rng(11)
-    d = noisy(rng, poses(rng, 30), HALF, NOISE["5mm_0.1deg"])
-    gone = rng.uniform(size=361) < 0.3
-    spaced = replace(SHARP, gap_spacings=0.0)
-    kept = extract_lines(d[:, ~gone], HALF[~gone], spaced)
-    for value in (np.nan, np.inf, -np.inf, 0.0, -1.0, 80.0, 0.01):
-        masked = np.where(gone, value, d)
-        found = extract_lines(masked, HALF, spaced, range_min=0.04, range_max=80.0)
-        assert found.z.tobytes() == kept.z.tobytes()
-        assert found.R_unit.tobytes() == kept.R_unit.tobytes()
-        assert (found.span == np.flatnonzero(~gone)[kept.span]).all()
-
-
-@pytest.mark.parametrize("shape", [(0, 361), (3, 0), (3, 1), (0, 0), (3, 361)])
-@pytest.mark.parametrize("value", [np.nan, 1e-9, np.inf, 2.0])
-def test_scans_with_nothing_to_see_have_no_lines(shape: tuple[int, int], value: float) -> None:
-    lines = extract_lines(np.full(shape, value), np.linspace(-1.0, 1.0, shape[1]), offsets=np.zeros((*shape, 3)))
-    if value != 2.0 or shape[1] < 2:  # (an arc of 2 m at 2 m is another matter)
-        assert len(lines.z) == 0
-    assert lines.first.shape == (shape[0] + 1,)
-    assert lines.z.shape[1:] == (2,)
-    assert lines.R_unit.shape[1:] == (2, 2)
-    assert lines.ends.shape[1:] == lines.span.shape[1:] == (2,)
-
-
 def test_noise_alone_gives_next_to_no_lines() -> None:
     rng = np.random.default_rng(12)
     lines = extract_lines(rng.uniform(0.1, 10.0, (200, 361)), HALF)
     assert len(lines.z) < 10
-
-
-# --- from the laser to the base
-
-
-@pytest.mark.parametrize("mount", [(0.0, 0.0, 0.0), (0.2, -0.1, 0.4), (-1.0, 2.0, 3.0), (-0.3, 0.0, math.pi)])
-def test_lines_move_into_the_base_frame_exactly(mount: tuple[float, float, float]) -> None:
-    rng = np.random.default_rng(13)
-    r, psi = rng.uniform(0.05, 3.0, 50), rng.uniform(-math.pi, math.pi, 50)
-    ends = np.sort(rng.uniform(-3.0, 3.0, (50, 2)), axis=1)
-    A = rng.normal(0.0, 1.0, (50, 2, 2))
-    R_unit = A @ A.transpose(0, 2, 1)
-    z, R, moved = to_base(np.stack((r, psi), axis=1), R_unit, ends, *mount)
-    assert (z[:, 0] >= 0.0).all()
-    assert (moved[:, 0] < moved[:, 1]).all()
-    for i in range(50):
-        points = foot_points(r[i], psi[i], ends[i])
-        expected = se2.transform(np.array(mount), points)
-        back = foot_points(z[i, 0], z[i, 1], moved[i])
-        straight = np.abs(back - expected).max()
-        turned = np.abs(back[::-1] - expected).max()
-        assert min(straight, turned) < 1e-12
-        J = np.empty((2, 2))
-        for k, step in enumerate(np.eye(2) * 1e-6):
-            near = np.array([r[i], psi[i]]) + np.array([step, -step])
-            (ahead, behind), _, _ = to_base(near, R_unit[:2], ends[:2], *mount)
-            J[:, k] = (ahead[0] - behind[0]) / 2e-6, se2.wrap(ahead[1] - behind[1]) / 2e-6
-        np.testing.assert_allclose(R[i], J @ R_unit[i] @ J.T, rtol=1e-6, atol=1e-8)
-
-
-def foot_points(r: float, psi: float, ends: Array) -> Array:
-    """Return the end points (2, 2) of a line."""
-    n, t = np.array([math.cos(psi), math.sin(psi)]), np.array([-math.sin(psi), math.cos(psi)])
-    return np.asarray(r * n + ends[:, None] * t)

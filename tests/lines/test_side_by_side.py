@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from textbook import wrap
 
-from locfuse.fusion.lines import flatness, scans
 from locfuse.fusion.lines import pairs as side_by_side
+from locfuse.fusion.lines import scans
 
 Array = NDArray[np.float64]
 
@@ -62,54 +61,3 @@ def test_lines_that_are_equally_good_turn_by_their_median() -> None:
 def test_scans_without_lines_have_no_turns() -> None:
     none = np.zeros((0, 2))
     np.testing.assert_array_equal(scans.turns(np.zeros(4, np.int64), none, none[:, 0]), np.zeros(3))
-
-
-class Standing:
-    """A robot that does not move."""
-
-    def relative(self, t_from: Array, t_to: Array) -> Array:
-        return np.zeros((len(t_from), 3))
-
-    track = 1.0
-
-    def slips(self, t: Array) -> Array:
-        return np.zeros((*t.shape[:-1], t.shape[-1] - 1, 2))
-
-    def heading(self, t: Array) -> Array:
-        return np.zeros_like(t)
-
-
-def one_change(before: Array, after: Array, a: Array, b: Array) -> tuple[list[float], list[float]]:
-    """Changes of the angles between neighbouring walls that are each other's nearest, and their variances."""
-    if len(before) < 2 or len(after) < 2:
-        return [], []
-
-    def cost(i: int, j: int) -> float:
-        return float((wrap(before[i, 1] - after[j, 1]) / 0.3) ** 2 + ((before[i, 0] - after[j, 0]) / 0.3) ** 2)
-
-    kept = []
-    for i in range(len(before)):
-        j = min(range(len(after)), key=lambda j: cost(i, j))
-        if cost(i, j) < 1.0 and min(range(len(before)), key=lambda k: cost(k, j)) == i:
-            kept.append((wrap(before[i, 1] - after[j, 1]), float(a[i] + b[j])))
-    pairs = list(pairwise(kept))
-    return [q - p for (p, _), (q, _) in pairs], [v + w for (_, v), (_, w) in pairs]
-
-
-def test_changes_between_walls_equal_those_found_one_by_one() -> None:
-    rng = np.random.default_rng(4)
-    first, z = lines(rng, 60)
-    variance = rng.uniform(0.1, 1.2, len(z)) * flatness.MAX_SIGMA_RAD**2
-    change, noise = flatness._changes(np.arange(60.0), first, z, variance, Standing(), np.zeros((len(z), 0)))
-    expected: tuple[list[float], list[float]] = ([], [])
-    for i in range(60 - flatness.LAG_SCANS):
-        rows = []
-        for k in (i, i + flatness.LAG_SCANS):
-            at = np.arange(first[k], first[k + 1])
-            rows.append(at[variance[at] < flatness.MAX_SIGMA_RAD**2])
-        a, b = rows
-        for total, more in zip(expected, one_change(z[a], z[b], variance[a], variance[b]), strict=True):
-            total.extend(more)
-    assert len(change) > 20
-    np.testing.assert_allclose(change, expected[0], atol=1e-12)
-    np.testing.assert_allclose(noise, expected[1], atol=1e-15)

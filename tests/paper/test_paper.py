@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from locfuse.formats.robot import line_map
 from locfuse.fusion.data import Drive, LocfuseError, Measurements
-from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import cut
 from locfuse.fusion.paper import equations
 from locfuse.fusion.paper.filter import PrintedFilter, fuse_as_printed, newest
@@ -74,13 +73,6 @@ def test_equation_9_is_the_printed_matrix(omega_R: float, omega_L: float, c: flo
     np.testing.assert_allclose(equations.eq9_Q(0.01, np.array(omega_R), np.array(omega_L)), Q, rtol=1e-15)
 
 
-def test_equation_8_read_literally_is_108_degrees_of_noise_a_step() -> None:
-    omega = np.array(0.4 / 0.05)  # both wheels at 0.4 m/s
-    zero = np.array(0.0)
-    W, Q = equations.eq8_W(zero, zero, zero, 0.6), equations.eq9_Q(0.01, omega, omega)
-    assert math.degrees(math.sqrt((W @ Q @ W.T)[2, 2])) == pytest.approx(108.0, abs=0.1)
-
-
 def test_equations_6_10_11_12_are_the_printed_products() -> None:
     A, B, H = RNG.normal(size=(3, 3)), RNG.normal(size=(3, 3)), RNG.normal(size=(2, 3))
     P, Q, R, W = B @ B.T, np.diag([0.3, 0.2]), np.diag([0.5, 0.1]), RNG.normal(size=(3, 2))
@@ -123,18 +115,6 @@ def test_equations_17_and_18_are_the_printed_prediction(rho: float, beta: float,
     sign = 1 if C > 0 else -1
     psi = beta - (theta - math.pi / 2) + (-0.5 * sign + 0.5) * math.pi
     assert equations.eq18_prediction(C, beta, theta) == pytest.approx((abs(C), psi), abs=1e-14)
-
-
-@pytest.mark.parametrize(("r", "psi", "x", "theta"), CASES)
-def test_a_line_put_into_the_map_is_predicted_where_it_was_seen(
-    r: float, psi: float, x: float, theta: float
-) -> None:
-    pose = np.array([x, -0.3, theta])
-    rho, beta = equations.eq14_line(pose, abs(r), psi)
-    C = equations.eq17_C(rho, beta, x, -0.3)
-    r_, psi_ = equations.eq18_prediction(C, beta, theta)
-    assert r_ == pytest.approx(abs(r), abs=1e-12)
-    assert math.remainder(psi_ - psi, math.tau) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_equation_19_is_diagonal_with_the_printed_variances() -> None:
@@ -265,44 +245,6 @@ def test_the_lock_step_filter_is_the_print_line_by_line() -> None:
     np.testing.assert_allclose(P, expected_P, atol=1e-12)
 
 
-def test_without_sensors_the_print_is_equation_3_and_has_no_noise_along_a_straight() -> None:
-    robot = small_drive.robot()
-    drive = small_drive.drive(1, robot)
-    estimates = fuse_as_printed(drive, robot, ())
-    reckoned = drive.wheels.at(drive.t)[2] + np.array(small_drive.START)
-    np.testing.assert_allclose(estimates.pose, reckoned, atol=2e-3)
-    assert estimates.name == "odometry"
-    on_first_straight = int(np.searchsorted(drive.t, 10.0))
-    right = small_drive.NOISE * 3.0 / 2.0  # var(along) after 3 m
-    assert estimates.P[on_first_straight, 0, 0] < 0.2 * right
-
-
-def test_results_go_through_the_same_judging_as_the_products_filter() -> None:
-    robot = small_drive.robot()
-    drive = small_drive.drive(2, robot)
-    estimates = fuse_as_printed(drive, robot, ("compass", "lrf"))
-    judged = evaluate(estimates, drive)
-    assert estimates.name == "all"
-    assert len(estimates.pose) == len(drive.t)
-    assert judged.figures["position_rmse_m"] is not None
-    lines = judged.sensors["lrf"].verdicts
-    assert lines["new"] == len(small_drive.ROOM)
-    assert lines["accepted"] > 0.9 * len(drive.measurements["lrf"].z)
-    assert [line.id for line in estimates.first_map] == [0, 1, 2, 3]
-    assert not np.any([line.P for line in estimates.first_map]), "the print takes its map as the truth"
-    wall = min(estimates.first_map, key=lambda line: abs(line.rho - 8.0))
-    assert wall.ends[1] - wall.ends[0] == pytest.approx(6.0, abs=1e-6)
-
-
-def test_readings_that_the_fixed_grid_leaves_out_are_counted() -> None:
-    robot = small_drive.robot()
-    drive = small_drive.drive(2, robot, headings=20.0)
-    notes = fuse_as_printed(drive, robot, ("compass",)).notes
-    n = len(drive.measurements["compass"].t)
-    assert len(notes) == 1
-    assert f"of {n} readings were not the newest" in notes[0]
-
-
 def test_a_listening_sensor_is_audited_but_moves_nothing() -> None:
     robot = small_drive.robot()
     drive = small_drive.drive(2, robot)
@@ -359,15 +301,6 @@ def test_the_preset_is_said_and_recorded_and_reproduces(log: Path, tmp_path: Pat
     assert ours.exit_code == 0, ours.stderr
     figures = json.loads((tmp_path / "ours" / "run.json").read_text())["configurations"]["lrf"]
     assert figures["position_rmse_m"] != report["configurations"]["lrf"]["position_rmse_m"]
-
-
-def test_run_gives_what_compare_gives_under_the_preset(log: Path, tmp_path: Path) -> None:
-    words = ("--preset", "paper", "--json")
-    run = locfuse("run", log, "--sensors", "compass,lrf", "-o", tmp_path / "run", *words)
-    both = locfuse("compare", log, "--sensors", "compass,lrf", "-o", tmp_path / "both", "--write", "json", *words)
-    assert run.exit_code == both.exit_code == 0, run.stderr + both.stderr
-    one, other = (json.loads(done.stdout)["configurations"] for done in (run, both))
-    assert one == other
 
 
 def test_an_unknown_preset_is_refused_with_the_known_ones(log: Path, tmp_path: Path) -> None:

@@ -59,11 +59,16 @@ def test_a_pattern_is_one_error_per_beam_for_the_whole_drive() -> None:
     assert np.abs(error - np.where(seen, expected, 0.0)).max() < 2e-6  # ranges are 32-bit floats
 
 
-def test_a_pattern_changes_nothing_but_the_ranges() -> None:
-    plain, with_pattern = drive(), drive("lrf.pattern=0.006")
-    for topic in plain.keys() - {"/scan"}:
+@pytest.mark.parametrize(
+    ("sets", "changed"),
+    [(("lrf.pattern=0.006",), {"/scan"}), (("start.sigma_xy=0.5", "start.sigma_theta_deg=20"), set[str]())],
+)
+def test_nothing_else_of_the_drive_changes(sets: tuple[str, ...], changed: set[str]) -> None:
+    plain, now = drive(), drive(*sets)
+    for topic in plain.keys() - changed:
         for name, column in plain[topic].data.items():
-            assert np.array_equal(np.asarray(column), np.asarray(with_pattern[topic].data[name])), (topic, name)
+            a, b = (c.values if isinstance(c, Ragged) else c for c in (column, now[topic].data[name]))
+            assert np.array_equal(np.asarray(a), np.asarray(b)), (topic, name)
 
 
 def test_patterns_have_their_sigma_and_beams_know_nothing_of_each_other() -> None:
@@ -73,12 +78,6 @@ def test_patterns_have_their_sigma_and_beams_know_nothing_of_each_other() -> Non
     assert kstest(drawn.ravel(), "norm").pvalue > 1e-4
     for a, b in ((drawn[:, 1:], drawn[:, :-1]), (drawn[1:], drawn[:-1])):  # neighbour beams, neighbour seeds
         assert abs((a * b).mean()) < 4 / math.sqrt(a.size)
-
-
-def test_the_seed_gives_the_pattern() -> None:
-    first, again, other = (beam_pattern(Lrf(pattern=0.006), streams(s)) for s in (1, 1, 2))
-    assert np.array_equal(first, again)
-    assert not np.allclose(first, other)
 
 
 def test_without_a_pattern_nothing_is_added() -> None:
@@ -147,11 +146,6 @@ def test_a_robot_too_near_to_the_round_wall_hits_it() -> None:
         in_memory(load.load("round_room", (*SHORT, "path.x=7.0", "path.y=4.0")), 1)
 
 
-def test_the_stated_start_is_the_true_one_unless_a_sigma_is_given() -> None:
-    simulation = Simulation(load.load("rounded_rectangle"), 5)
-    assert simulation.robot_tables["start"] == {"x": 1.5, "y": 1.5, "theta_deg": 0.0}
-
-
 def test_the_stated_start_errs_by_its_sigmas_and_says_them() -> None:
     scenario = Scenario(start=Start(sigma_xy=0.1, sigma_theta_deg=5.0))
     true = (1.5, 1.5, 0.3)
@@ -161,11 +155,3 @@ def test_the_stated_start_errs_by_its_sigmas_and_says_them() -> None:
     assert chi2.ppf(1e-4, n) < (normalised**2).sum() < chi2.ppf(1 - 1e-4, n)
     table = Simulation(scenario, 5).robot_tables["start"]
     assert (table["sigma_xy"], table["sigma_theta_deg"]) == (0.1, 5.0)
-
-
-def test_a_vague_start_changes_nothing_of_the_drive() -> None:
-    plain, vague = drive(), drive("start.sigma_xy=0.5", "start.sigma_theta_deg=20")
-    for topic, stream in plain.items():
-        for name, column in stream.data.items():
-            a, b = (c.values if isinstance(c, Ragged) else c for c in (column, vague[topic].data[name]))
-            assert np.array_equal(np.asarray(a), np.asarray(b)), (topic, name)

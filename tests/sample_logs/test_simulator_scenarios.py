@@ -26,19 +26,6 @@ def run(*arguments: str) -> Result:
     return CliRunner().invoke(simulate, list(arguments))
 
 
-def test_the_experiments_of_the_paper_and_monte_carlo_are_shipped() -> None:
-    assert {
-        "rounded_rectangle",
-        "rounded_rectangle_ekf",
-        "rounded_triangle",
-        "rounded_triangle_ekf",
-        "disturbed",
-        "straight_runs",
-        "turns_on_the_spot",
-        "tour",
-    } <= set(load.names())
-
-
 @pytest.mark.parametrize("name", load.names())
 def test_a_shipped_scenario_says_what_it_is_and_survives_being_written_out(name: str, tmp_path: Path) -> None:
     scenario = load.load(name)

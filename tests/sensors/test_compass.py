@@ -5,15 +5,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
-from msgspec.structs import replace
 from said import Said, said
 from scipy.spatial.transform import Rotation
 from worlds import World, stream
 
-from locfuse.fusion.data import VERDICTS, ArrayStream, Estimates, LocfuseError, Measurements
+from locfuse.fusion.data import VERDICTS, ArrayStream, LocfuseError, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
@@ -133,28 +131,6 @@ def test_a_field_that_is_a_little_too_strong_is_a_heading_that_may_be_off_by_as_
     np.testing.assert_allclose(m.R[:, 0, 0], expected, rtol=1e-9)
 
 
-def test_strengths_that_only_scatter_are_noise_whatever_sigma_is_told() -> None:
-    field = 2e-5 * (1.0 + 0.02 * np.random.default_rng(0).normal(size=200))
-    axes = {"magnetic_field.x": field, "magnetic_field.y": np.zeros(200)}
-    m = measured(
-        stream("/mag", "sensor_msgs/msg/MagneticField", np.arange(200) * np.float64(0.1), axes), sigma_deg=0.1
-    )
-    assert np.median(m.R[:, 0, 0]) == pytest.approx(math.radians(0.1) ** 2, rel=1e-9)
-    assert np.mean(m.R[:, 0, 0]) < 2 * math.radians(0.1) ** 2
-
-
-def test_what_is_new_in_every_strength_is_the_spread_of_a_normal_distribution() -> None:
-    """A field that scatters by 2 %: 10 % too much are 4 % beyond three sigmas, and so may the heading be off."""
-    field = 2e-5 * (1.0 + 0.02 * np.random.default_rng(0).normal(size=20_000))
-    field[777] = 2.2e-5
-    axes = {"magnetic_field.x": field, "magnetic_field.y": np.zeros(len(field))}
-    m = measured(
-        stream("/mag", "sensor_msgs/msg/MagneticField", np.arange(len(field)) * np.float64(0.1), axes),
-        sigma_deg=0.1,
-    )
-    assert math.sqrt(m.R[777, 0, 0]) == pytest.approx(math.hypot(math.radians(0.1), 0.04), rel=0.05)
-
-
 @pytest.mark.parametrize("convention", ["enu_rad", "compass_rad"])
 @pytest.mark.parametrize("theta", [0.3, 2.0, -1.5])
 def test_an_orientation_is_the_yaw_of_a_world_of_east_north_up_or_north_east_down(
@@ -173,40 +149,6 @@ def test_an_orientation_of_less_than_half_the_length_is_none(length: float, good
     data["orientation.w"][0] = 1.0  # one reading that is good
     s = stream("/imu", "sensor_msgs/msg/Imu", T, {**data, "orientation_covariance": np.zeros((5, 9))})
     assert len(measured(s).z) == (5 if good else 1)
-
-
-def test_an_offset_that_nobody_knows_is_uniform_over_a_turn() -> None:
-    (block,) = CompassModel(CompassSettings(offset_drift_deg=0.3)).blocks()
-    angle = np.linspace(-math.pi, math.pi, 100_001)
-    assert block.P[0, 0] == pytest.approx(float(np.mean(angle**2)), rel=1e-4)
-    assert block.drift[0] == pytest.approx(math.radians(0.3) ** 2)
-
-
-def test_an_offset_that_is_known_to_its_sigma_is_a_state_from_there() -> None:
-    (block,) = CompassModel(CompassSettings(offset_deg=-40.0, sigma_offset_deg=0.5, offset_drift_deg=0.1)).blocks()
-    assert block.x[0] == pytest.approx(math.radians(-40.0))
-    assert block.P[0, 0] == pytest.approx(math.radians(0.5) ** 2)
-    assert block.drift[0] == pytest.approx(math.radians(0.1) ** 2)
-    assert CompassModel(CompassSettings(offset_deg=-40.0)).blocks() == []
-    with pytest.raises(ValueError, match="sigma_offset_deg"):
-        CompassSettings(sigma_offset_deg=-0.1)
-
-
-def test_an_offset_of_a_tiny_sigma_is_exact_and_one_of_a_turn_is_unknown() -> None:
-    world = World(compass_offset=0.7)
-    streams = world.streams()
-
-    def end(**compass: float) -> Estimates:
-        robot = world.robot()
-        settings = msgspec.structs.replace(robot.settings("compass"), **compass)
-        robot = replace(robot, sensors={**robot.sensors, "compass": settings})
-        return fuse(measure(streams, robot), robot, ["compass"])
-
-    known = {"offset_deg": math.degrees(0.7)}
-    np.testing.assert_allclose(end(**known, sigma_offset_deg=1e-6).pose, end(**known).pose, atol=1e-6)
-    anything = end(offset_deg=0.0, sigma_offset_deg=math.degrees(math.pi / math.sqrt(3.0)))
-    np.testing.assert_allclose(anything.pose, end().pose, atol=1e-9)
-    np.testing.assert_allclose(anything.triangles, end().triangles, atol=1e-9)
 
 
 @pytest.mark.parametrize(("turn_deg", "refused"), [(15.0, False), (25.0, True)])
@@ -242,26 +184,3 @@ def test_its_derivatives_by_heading_and_offset_are_finite_differences() -> None:
     by_offset = (seen(0.2, 0.1 - h)[0] - seen(0.2, 0.1 + h)[0]) / (2 * h)
     assert at.columns == (3,)
     np.testing.assert_allclose(at.H, [[0.0, 0.0, by_heading, by_offset]], atol=1e-9)
-
-
-@pytest.mark.parametrize(("share", "usable"), [(0.7, False), (0.8, True), (1.2, True), (1.3, False)])
-def test_a_field_is_usable_where_its_strength_is_within_a_quarter_of_the_usual(share: float, usable: bool) -> None:
-    field = np.full(9, 2e-5)
-    field[3] *= share
-    axes = {"magnetic_field.x": field, "magnetic_field.y": np.zeros(9)}
-    m = measured(stream("/mag", "sensor_msgs/msg/MagneticField", np.arange(9) * np.float64(0.1), axes))
-    model, belief = CompassModel(CompassSettings(offset_deg=0.0)), JointBelief((0, 0, 0), (0, 0, 0, 0, 0, 0.01))
-    verdicts = [model.innovations(m, i, belief)[0].verdict for i in range(9)]
-    expected = [0] * 9
-    expected[3] = 0 if usable else VERDICTS.index("disturbed")
-    assert verdicts == expected
-
-
-@pytest.mark.parametrize(("largest", "radians"), [(12.5, True), (13.0, False), (-13.0, False)])
-def test_numbers_beyond_two_turns_are_no_radians(largest: float, radians: bool) -> None:
-    s = stream("/heading", "std_msgs/msg/Float64", T, {"data": np.array([0.1, largest, 0.2, 0.3, 0.4])})
-    if radians:
-        assert len(measured(s).z) == 5
-    else:
-        with pytest.raises(LocfuseError, match="no angle in radians"):
-            measured(s)

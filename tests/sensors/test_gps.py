@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import cmath
 import math
 import re
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from said import one_by_one, said
-from textbook import numeric_jacobian
+from said import said
 
 from locfuse.cli.analysis.robot_tables import make_robot
-from locfuse.fusion.data import ArrayStream, Column, Drive, Estimates, LocfuseError, Measurements, Ragged
-from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.data import ArrayStream, Column, Drive, Estimates, Measurements
 from locfuse.fusion.fuse import Filter, fuse
 from locfuse.fusion.geodesy import east_north
 from locfuse.fusion.measure import measure
@@ -140,15 +137,6 @@ def test_one_degree_is_as_long_as_the_tables_say(
     assert np.hypot(*found) == pytest.approx(metres, rel=2e-4)
 
 
-def test_north_is_north_and_east_is_east_everywhere() -> None:
-    for latitude in (-70.0, -20.0, 0.0, 21.0, 52.0, 80.0):
-        place = (latitude, 105.0)
-        moved = east_north(np.array([latitude + 1e-4, latitude]), np.array([105.0, 105.0 + 1e-4]), place)
-        meridian, parallel = radii(latitude)
-        np.testing.assert_allclose(moved[0], [0.0, math.radians(1e-4) * meridian], atol=1e-3)
-        np.testing.assert_allclose(moved[1], [math.radians(1e-4) * parallel, 0.0], atol=1e-3)
-
-
 @pytest.mark.parametrize("east_deg", [-170.0, -90.0, -30.0, 0.0, 45.0, 120.0, 180.0])
 def test_any_direction_of_east_is_found_without_a_guess(east_deg: float) -> None:
     drive, described, truth = drive_of(3, east_deg=east_deg, noise=2e-5)
@@ -191,13 +179,6 @@ def test_a_given_frame_needs_no_state_and_gives_metres_on_the_map() -> None:
         assert e.notes == ()
     assert np.mean(sizes) < 0.5
     assert 0.6 < np.mean(found) < 1.5
-
-
-@pytest.mark.parametrize("known", [{"origin": list(ORIGIN)}, {"east_deg": 70.0}])
-def test_half_a_frame_may_be_given(known: dict[str, Any]) -> None:
-    drive, described, truth = drive_of(5, known)
-    e = fuse(drive, described, ("gps",))
-    assert errors(drive, e, truth)[100:].mean() < 1.5
 
 
 def test_the_antenna_may_sit_anywhere_on_the_robot() -> None:
@@ -257,24 +238,6 @@ def test_a_receiver_that_says_nothing_of_its_accuracy_is_given_sigma() -> None:
     np.testing.assert_allclose(unknown.measurements["gps"].R[3], 2.5**2 * np.eye(2))
 
 
-def test_a_jump_of_the_receiver_is_gated() -> None:
-    known = {"origin": list(ORIGIN), "east_deg": 70.0}
-    drive, described, truth = drive_of(10, known)
-    m = drive.measurements["gps"]
-    m.z[150:155] += 60.0
-    e = fuse(drive, described, ("gps",))
-    assert (e.audits["gps"].verdict[150:155] != 0).all()
-    assert errors(drive, e, truth)[20:].max() < 3.0
-
-
-def test_a_short_drive_says_that_it_cannot_tell() -> None:
-    drive, described, _ = drive_of(11, length=4.0)
-    e = fuse(drive, described, ("gps",))
-    assert "too short" in e.notes[0]
-    assert np.isfinite(e.pose).all()
-    assert np.hypot(*(e.pose[-1, :2] - fuse(drive, described, ()).pose[-1, :2])) < 0.2
-
-
 # --- what a fix is, and how good it claims to be
 
 STILL = Wheels.from_wheels(np.array([0.0, 100.0]), np.zeros(2), np.zeros(2), 0.5, 1e-4)
@@ -305,96 +268,3 @@ def test_the_covariance_of_a_fix_is_the_receivers_where_it_is_one() -> None:
     np.testing.assert_allclose(R[0], [[4.0, 1.1], [1.1, 9.0]])
     np.testing.assert_allclose(R[1:5], np.tile(2.5**2 * np.eye(2), (4, 1, 1)))
     np.testing.assert_allclose(R[5], np.diag([0.002**2, 0.003**2]))
-
-
-def test_covariances_of_another_length_are_none() -> None:
-    nine = np.diag([4.0, 9.0, 1.0]).ravel()
-    column = Ragged(np.concatenate((nine, [1.0, 2.0], 4.0 * nine)), np.array([0, 9, 11, 11, 20]))
-    R = measured({"position_covariance": column}, sigma=2.5).R
-    np.testing.assert_allclose(R[0], np.diag([4.0, 9.0]))
-    np.testing.assert_allclose(R[3], np.diag([16.0, 36.0]))
-    np.testing.assert_allclose(R[1:3], np.tile(2.5**2 * np.eye(2), (2, 1, 1)))
-
-
-def test_a_latitude_beyond_the_poles_is_nowhere() -> None:
-    m = measured({"latitude": np.array([89.0, 90.5, -89.0, -90.5]), "longitude": np.full(4, 10.0)})
-    assert m.dropped == {"nowhere": 2}
-    m = measured({"latitude": np.array([0.0, 0.0, 10.0, 10.0]), "longitude": np.array([0.0, 10.0, 0.0, 10.0])})
-    assert m.dropped == {"nowhere": 1}
-    with pytest.raises(LocfuseError, match=r"no fix in 4 messages \(4 nowhere\)"):
-        measured({"latitude": np.zeros(4), "longitude": np.zeros(4)})
-
-
-def test_a_tie_that_nobody_knows_is_a_direction_on_a_circle_and_a_place_within_a_hundred_metres() -> None:
-    """Cosine and sine of an angle that may be anything have the variance 1/2."""
-
-    def begins(**settings: Any) -> tuple[list[float], list[float]]:
-        (block,) = Gps().model(GpsSettings(**settings)).blocks()
-        assert not block.drift.any()
-        return block.x.tolist(), np.diag(block.P).tolist()
-
-    assert begins() == ([0.0] * 4, [0.5, 0.5, 100.0**2, 100.0**2])
-    assert begins(origin=ORIGIN) == ([0.0] * 4, [0.5, 0.5, 0.0, 0.0])
-    assert begins(east_deg=30.0) == ([math.radians(30.0), 1.0, 0.0, 0.0], [0.0, 0.0, 100.0**2, 100.0**2])
-
-
-def tied(length: float, east: float, sigma: float) -> tuple[JointBelief, Any]:
-    """A belief whose tie has a direction known to sigma [rad], and its length to a tenth."""
-    model = Gps().model(GpsSettings())
-    belief = JointBelief((1.0, 2.0, 0.3), (0.01, 0.0, 0.0, 0.01, 0.0, 0.02), model.blocks())
-    first = belief.block("_gps_frame")[0]
-    c, s = math.cos(east), math.sin(east)
-    turned = np.array([[c, -s], [s, c]])
-    belief.state[first : first + 4] = length * c, length * s, 3.0, -4.0
-    belief.covariance[first : first + 2, first : first + 2] = (
-        turned @ np.diag([0.01, (length * sigma) ** 2]) @ turned.T
-    )
-    return belief, model
-
-
-@pytest.mark.parametrize(
-    ("length", "sigma_deg", "known"), [(0.9, 9.0, True), (0.9, 11.0, False), (0.55, 9.0, True), (0.45, 1.0, False)]
-)
-def test_a_direction_known_to_ten_degrees_becomes_a_state_and_its_cosine_and_sine_lie_on_the_circle(
-    length: float, sigma_deg: float, known: bool
-) -> None:
-    belief, model = tied(length, 2.4, math.radians(sigma_deg))
-    first, n = belief.block("_gps_frame")[0], belief.n
-    belief.covariance[:2, first : first + 2] = 1e-3  # the robot's place has to do with it
-    belief.covariance[first : first + 2, :2] = 1e-3
-    x, P = belief.state.copy(), belief.covariance.copy()
-    model.learn(cast("Any", None), 0, belief)
-    assert model.known is known
-    if not known:
-        np.testing.assert_array_equal(belief.state, x)
-        return
-
-    def by_angle(x: Array) -> Array:
-        a, b = x[first : first + 2]
-        return np.concatenate((x[:first], [math.atan2(b, a), math.hypot(a, b)], x[first + 2 :]))
-
-    J = numeric_jacobian(by_angle, x)
-    x, P = by_angle(x), J @ P @ J.T
-    h = np.eye(n)[first + 1]  # the length is one, to a ten thousandth
-    K = P @ h / (h @ P @ h + 1e-8)
-    np.testing.assert_allclose(belief.state, x + K * (1.0 - length), atol=1e-7)
-    np.testing.assert_allclose(belief.covariance, P - np.outer(K, h @ P), atol=1e-7)
-    model.learn(cast("Any", None), 1, belief)
-    sigma = math.degrees(math.sqrt(belief.covariance[first, first]))
-    assert model.notes(belief) == [
-        f"east lies {math.degrees(belief.state[first]):.1f} deg (1 sigma: {sigma:.1f}) from the map's x axis "
-        "(gps.east_deg)"
-    ]
-
-
-@pytest.mark.parametrize("lever", [(0.0, 0.0), (2.0, -1.5)])
-def test_a_fix_is_where_the_antenna_is_seen_from_the_origin_in_axes_of_east_and_north(
-    lever: tuple[float, float],
-) -> None:
-    model = Gps().model(GpsSettings(origin=ORIGIN, east_deg=40.0, x=lever[0], y=lever[1]))
-    pose = (5.0, -3.0, 0.8)
-    m = measured({"latitude": np.full(4, ORIGIN[0] + 1e-5)}, origin=ORIGIN)
-    (seen,) = one_by_one(model.innovations(m, 0, JointBelief(pose, (0.01, 0.0, 0.0, 0.01, 0.0, 0.02))))
-    antenna = complex(*pose[:2]) + complex(*lever) * cmath.exp(1j * pose[2])
-    expected = complex(*m.z[0]) - antenna * cmath.exp(-1j * math.radians(40.0))
-    assert complex(*seen.y) == pytest.approx(expected)

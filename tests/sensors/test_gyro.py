@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
 from numpy.typing import NDArray
 from said import one_by_one, said
 from told import step
@@ -16,11 +15,11 @@ from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion.data import ArrayStream, Column, Drive, LocfuseError, Measurements, Ragged
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.measure import measure, thinned
+from locfuse.fusion.measure import measure
 from locfuse.fusion.mount import rotation
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Block
-from locfuse.fusion.sensors.gyro import BEFORE, BIAS, Gyro, GyroSettings, rests
+from locfuse.fusion.sensors.gyro import BEFORE, BIAS, Gyro, GyroSettings
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 
@@ -88,11 +87,6 @@ def compass(t: Array, theta: Array, rng: np.random.Generator, sigma: float) -> A
     return ArrayStream(
         "/heading", "std_msgs/msg/Float64", stamps(t), {"data": theta + sigma * rng.normal(size=len(t))}
     )
-
-
-def turned_since_first(at: Array, t: Array, theta: Array) -> Array:
-    heading: Array = np.interp(at, t, theta) - np.interp(at[0], t, theta)
-    return heading
 
 
 def drive_with_all(seed: int) -> tuple[Drive, Robot]:
@@ -195,53 +189,6 @@ def test_readings_are_summed_so_that_their_rate_costs_nothing() -> None:
     )
 
 
-@pytest.mark.parametrize("period", [0.1, 0.4])
-def test_the_variance_of_a_turn_grows_with_the_time_it_took(period: float) -> None:
-    """White noise of the rate summed over a period: sigma^2 times the period, whatever the rate of readings."""
-    walk, errors, claims = 0.01, [], []
-    for seed in range(12):
-        rng = np.random.default_rng(seed)
-        t, theta, speed = way(20.0, rate=100.0)
-        described = robot({"period": period, "sigma_deg": math.degrees(walk)})
-        stream = imu(t, theta, rng, walk=walk)
-        m = measure({"wheels": wheels(t, theta, speed, rng), "gyro": stream}, described).measurements["gyro"]
-        true = np.diff(np.interp(m.t, t, theta))
-        errors.append(np.diff(m.z[:, 0]) - true)
-        claims.append(m.R[1:, 0, 0])
-    ratio = np.concatenate(errors) ** 2 / np.concatenate(claims)
-    assert ratio.mean() == pytest.approx(1.0, abs=0.15)
-
-
-def test_a_thinned_gyro_compares_turns_over_its_own_longer_periods() -> None:
-    rng = np.random.default_rng(7)
-    t, theta, speed = way()
-    described = robot()
-    drive = measure({"wheels": wheels(t, theta, speed, rng), "gyro": imu(t, theta, rng, 0.01)}, described)
-    slow = fuse(thinned(drive, {"gyro": 1.0}), described, ("gyro",))
-    assert np.isfinite(slow.pose).all()
-    sigma = math.sqrt(slow.P[-1, 2, 2])
-    assert sigma < math.radians(5.0)
-    assert abs(slow.pose[-1, 2] - theta[-1]) < 3.0 * sigma
-    assert np.nanmean(slow.audits["gyro"].nis) < 2.0  # NaN: what the bias at rest was taken from
-
-
-def test_over_a_gap_nothing_is_claimed() -> None:
-    rng = np.random.default_rng(8)
-    t, theta, speed = way()
-    keep = (t < 8.0) | (t > 13.0)
-    full = imu(t, theta, rng, 0.0)
-    gappy = replace(full, t_ns=full.t_ns[keep], data={k: np.asarray(v)[keep] for k, v in full.data.items()})
-    described = robot()
-    drive = measure({"wheels": wheels(t, theta, speed, rng), "gyro": gappy}, described)
-    e = fuse(drive, described, ("gyro",))
-    before, after = (int(np.searchsorted(drive.t, s)) for s in (8.0, 13.0))
-    assert e.P[after, 2, 2] > 20 * e.P[before, 2, 2]
-    assert (
-        len(e.audits["gyro"].nis) == len(drive.measurements["gyro"].t) - 2
-    )  # the first of either piece only begins
-    assert np.nanmax(e.audits["gyro"].nis) < 20.0
-
-
 @pytest.mark.parametrize("turned", [(180.0, 0.0), (90.0, 0.0), (-90.0, 0.0), (0.0, 90.0), (30.0, -50.0)])
 def test_an_imu_mounted_at_any_angle_measures_the_same_turn(turned: tuple[float, float]) -> None:
     rng = np.random.default_rng(9)
@@ -288,47 +235,6 @@ def test_an_imu_without_angular_velocity_is_no_gyro() -> None:
             fuse(drive, robot(), ("gyro",))
 
 
-def test_nan_rates_are_left_out_and_counted() -> None:
-    rng = np.random.default_rng(12)
-    t, theta, speed = way()
-    stream = imu(t, theta, rng)
-    rate = np.asarray(stream.data["angular_velocity.z"]).copy()
-    rate[200:210] = np.nan
-    bad = replace(stream, data={**stream.data, "angular_velocity.z": rate})
-    drive = measure({"wheels": wheels(t, theta, speed, rng), "gyro": bad}, robot())
-    assert drive.dropped["gyro"] == {"not_finite": 10}
-    e = fuse(drive, robot(), ("gyro",))
-    assert np.isfinite(e.pose).all()
-    assert (np.linalg.eigvalsh(e.P)[1:] > -1e-15).all()
-
-
-@pytest.mark.filterwarnings("ignore:overflow encountered")
-@pytest.mark.filterwarnings("ignore:invalid value encountered")
-def test_a_turn_too_large_to_be_squared_is_refused() -> None:
-    drive, _ = drive_with_all(4)
-    settings = robot({"sigma_scale": 0.005})
-    m = drive.measurements["gyro"]
-    z = m.z.copy()
-    z[len(z) // 2 :] += 1e200
-    estimates = fuse(
-        replace(drive, measurements={**drive.measurements, "gyro": replace(m, z=z)}), settings, ["gyro"]
-    )
-    verdicts = estimates.audits["gyro"].verdict
-    assert (verdicts != 0).sum() >= 1
-    assert np.isfinite(estimates.pose).all()
-
-
-def test_a_given_bias_is_taken_out_and_no_state() -> None:
-    t, theta, _ = way()
-    model = Gyro().model(GyroSettings(bias_deg=0.5))
-    assert [b.name for b in model.blocks()] == ["_gyro_before"]
-    rng = np.random.default_rng(13)
-    described = robot({"bias_deg": 0.5})
-    drive = measure({"wheels": wheels(*way(), rng), "gyro": imu(t, theta, rng, math.radians(0.5))}, described)
-    e = fuse(drive, described, ("gyro",))
-    assert abs(e.pose[-1, 2] - theta[-1]) < math.radians(1.0)
-
-
 def stopping(bias_deg: float, stop: tuple[float, float], seed: int = 3) -> tuple[Drive, Array, Robot]:
     """A wide curve that begins in motion, with a stop from stop[0] to stop[1] s; the true places."""
     rng = np.random.default_rng(seed)
@@ -356,42 +262,6 @@ def test_a_robot_that_stops_is_not_thrown_about_by_a_bias_that_shows_only_there(
     assert np.hypot(*(run.pose[:, :2] - places).T).max() < 4.0
     assert run.blocks["gyro_bias"][-1, 0] == pytest.approx(math.radians(1.5), abs=math.radians(0.05))
     assert any("bias at rest: 1." in note for note in run.notes)
-
-
-def test_a_robot_that_is_turned_by_hand_at_rest_says_nothing_of_the_bias() -> None:
-    rng = np.random.default_rng(5)
-    t = np.arange(0.0, 12.0, 0.02)
-    still = np.zeros_like(t)
-    by_hand = np.interp(t, [2.0, 6.0], [0.0, 2.0])
-    described = robot()
-    streams = {
-        "wheels": wheels(t, still, np.where(t > 10.0, 0.3, 0.0), rng),
-        "gyro": imu(t, by_hand, rng, 0.0, 1e-4),
-    }
-    m = measure(streams, described).measurements["gyro"]
-    assert "rest_begin" not in m.extra
-
-
-def test_a_bias_that_is_given_is_not_taken_at_rest() -> None:
-    drive, _, _ = stopping(1.5, (5.0, 8.0))
-    run = fuse(drive, robot({"bias_deg": 1.0}), ("gyro",))
-    assert not run.notes
-    assert len(run.audits["gyro"].verdict) == len(drive.measurements["gyro"].t) - 1
-    assert not run.audits["gyro"].verdict.any()
-
-
-def test_the_bias_of_a_rest_is_as_sure_at_the_start_as_its_span_and_its_drift_until_then_say() -> None:
-    """Closed form: white noise over the rest, and a drift from the middle of the rest to the first reading."""
-    drive, _, _ = stopping(1.5, (60.0, 70.0))
-    described = robot({"sigma_scale": 0.0, "bias_drift_deg": 0.02, "sigma_bias_deg": 3.0})
-    m = drive.measurements["gyro"]
-    begin, end = (float(m.extra[f"rest_{name}"][0]) for name in ("begin", "end"))
-    measured = m.scale**2 / (end - begin) + math.radians(0.02) ** 2 * (0.5 * (begin + end) - float(m.t[0]))
-    prior = math.radians(3.0) ** 2
-    run = fuse(drive, described, ("gyro",))
-    first = int(drive.instant["gyro"][0])
-    found = run.block_sigmas["gyro_bias"][first, 0] ** 2
-    assert found == pytest.approx(1.0 / (1.0 / prior + 1.0 / measured), rel=1e-6)
 
 
 # --- one reading, in closed form
@@ -444,28 +314,6 @@ def test_a_rest_measures_the_bias_as_a_scalar_filter_takes_it() -> None:
     assert model.notes(belief) == ["bias at rest: 2.865°/s over 4.0 s, from 1.0 s on"]
 
 
-def test_the_blocks_of_an_estimated_bias_begin_as_the_settings_say() -> None:
-    before, bias = Gyro().model(GyroSettings(sigma_bias_deg=0.5, bias_drift_deg=0.01)).blocks()
-    assert not before.P.any()
-    assert bias.P[0, 0] == pytest.approx(math.radians(0.5) ** 2)
-    assert bias.drift[0] == pytest.approx(math.radians(0.01) ** 2)
-
-
-@pytest.mark.parametrize(
-    ("way", "resting"),
-    [
-        ((0.0007, 0.0006, 0.0), True),  # 0.92 mm
-        ((0.0008, 0.0009, 0.0), False),  # 1.2 mm
-        ((0.0, 0.0, math.radians(0.09)), True),
-        ((0.0, 0.0, math.radians(-0.13)), False),
-    ],
-)
-def test_wheels_that_tremble_by_a_tick_rest(way: tuple[float, float, float], resting: bool) -> None:
-    where = np.tile([3.0, 2.0, 1.0], (9, 1))
-    where[5:] += way
-    assert list(rests(where, np.zeros(9, np.int64))) == ([(0, 8)] if resting else [(0, 4), (5, 8)])
-
-
 def drive_at(speed: Array, turning: Array, t: Array) -> Wheels:
     """Wheels of a robot that goes and turns at these rates, (n,) m/s and rad/s."""
     way, turn = (np.append(0.0, np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))) for v in (speed, turning))
@@ -474,35 +322,6 @@ def drive_at(speed: Array, turning: Array, t: Array) -> Wheels:
 
 def rates(t: Array, rate: Array) -> ArrayStream:
     return ArrayStream("/rate", "std_msgs/msg/Float64", stamps(t), {"data": rate})
-
-
-@pytest.mark.parametrize("drift_deg", [0.0, 0.01, 0.02, 0.024, 0.03, 0.1])
-def test_of_two_rests_that_one_gives_the_bias_which_says_most_of_it(drift_deg: float) -> None:
-    """Half a second at the start, or eight seconds later on: white noise over the span, drift until its middle.
-
-    Wheels that creep while they rest did turn the robot, and the gyro less that is its bias.
-    """
-    t = np.arange(0.0, 60.0, 0.05)
-    moves = ~((t <= 0.5) | ((t >= 30.0) & (t <= 38.0)))
-    wheels = drive_at(np.where(moves, 0.4, 0.0), np.where(moves, 0.0, 1e-4), t)
-    settings = GyroSettings(period=0.0, sigma_deg=0.1, bias_drift_deg=drift_deg)
-    m = Gyro().measure(rates(t, np.where(t < 1.0, 0.0021, 0.0041)), settings, wheels, T0)
-    early, late = 0.1**2 / 0.5 + drift_deg**2 * 0.25, 0.1**2 / 8.0 + drift_deg**2 * 34.0
-    assert m.extra["rest_begin"][0] == pytest.approx(0.0 if early < late else 30.0, abs=0.06)
-    span = m.extra["rest_end"][0] - m.extra["rest_begin"][0]
-    assert m.extra["rest_turned"][0] / span == pytest.approx(0.002 if early < late else 0.004, rel=1e-6)
-
-
-@pytest.mark.parametrize(("sigmas", "believed"), [(3.8, True), (-3.8, True), (4.2, False), (-4.3, False)])
-@pytest.mark.parametrize("drift_deg", [0.0, 0.3])
-def test_a_bias_beyond_four_of_its_sigmas_is_none(sigmas: float, believed: bool, drift_deg: float) -> None:
-    """Its own, and those of its measurement: noise over ten seconds of rest, drift over half of them."""
-    t = np.arange(100.0, 120.0, 0.05)
-    wheels = drive_at(np.where(t < 110.0, 0.0, 0.3), np.zeros_like(t), t)
-    settings = GyroSettings(sigma_bias_deg=0.8, bias_drift_deg=drift_deg, sigma_deg=0.1)
-    sigma = math.sqrt(0.8**2 + 0.1**2 / 10.0 + drift_deg**2 * 5.0)
-    m = Gyro().measure(rates(t, np.full(len(t), math.radians(sigmas * sigma))), settings, wheels, T0)
-    assert ("rest_begin" in m.extra) is believed
 
 
 @pytest.mark.parametrize(
@@ -523,23 +342,3 @@ def test_a_gyro_that_turns_by_another_factor_than_the_wheels_is_refused_with_wha
     with pytest.raises(LocfuseError, match=says) as raised:
         Gyro().measure(stream, GyroSettings(), wheels, T0)
     assert ("in degrees" in str(raised.value)) is (says == "in degrees")
-
-
-@pytest.mark.parametrize(
-    ("turn_deg", "noise", "refused"), [(16.0, 0.0, False), (25.0, 0.0, True), (25.0, 2.0, False)]
-)
-def test_a_gyro_is_held_against_wheels_that_turn_enough_and_alike(
-    turn_deg: float, noise: float, refused: bool
-) -> None:
-    """The wheels' turn about its mean as the root of the sum of squares; noise hides what both have in common."""
-    t = np.arange(0.0, 20.0, 0.1)
-    turning = np.sin(1.3 * t)
-    steps = np.diff(drive_at(np.zeros_like(t), turning, t).heading(t))
-    turning *= math.radians(turn_deg) / math.sqrt(float(((steps - steps.mean()) ** 2).sum()))
-    rate = 5.0 * turning + noise * np.random.default_rng(0).normal(size=len(t)) * turning.std() * 5.0
-    wheels, settings = drive_at(np.zeros_like(t), turning, t), GyroSettings(period=0.0)
-    if refused:
-        with pytest.raises(LocfuseError, match="times as far"):
-            Gyro().measure(rates(t, rate), settings, wheels, T0)
-    else:
-        assert len(Gyro().measure(rates(t, rate), settings, wheels, T0).z) == len(t)

@@ -14,7 +14,6 @@ from commands import locfuse
 from landmark_drive import MAP, path_of
 from mcap.reader import make_reader
 from mcap.writer import Writer
-from numpy.typing import NDArray
 from said import said
 from textbook import numeric_jacobian, wrap
 from wheel_bags import GEOMETRY, angles, joint_states, log_of
@@ -23,12 +22,9 @@ from locfuse.formats.robot import landmark_map
 from locfuse.fusion.data import LocfuseError, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.sensors import points
-from locfuse.fusion.sensors.landmark_geometry import predict
-from locfuse.fusion.sensors.landmark_places import wrong_places
 from locfuse.fusion.sensors.landmarks import LandmarksModel, LandmarksSettings
-from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.sensors.points import predict
 
-Array = NDArray[np.float64]
 SIGMA_RANGE, SIGMA_BEARING, OFFSET = 0.05, math.radians(1.0), 0.08
 
 
@@ -122,13 +118,6 @@ def test_depths_of_a_camera_are_told_from_distances_by_the_drive(tmp_path: Path)
     assert "depths" not in stderr
 
 
-def test_depths_make_a_map_too(tmp_path: Path) -> None:
-    log, detections, _, truth = written(tmp_path, depth=True)
-    report, stderr = compared((log, detections, Path("grow"), truth), "--align", "se2")
-    assert "its ranges are depths along its axis" in stderr
-    assert report["configurations"]["landmarks"]["position_rmse_m"] < 0.08
-
-
 def test_landmarks_that_agree_with_the_truths_clock_say_that_the_wheels_are_early(tmp_path: Path) -> None:
     """A robot follows its commands late: it is not the truth that is late, as it would look beside the wheels."""
     log, detections, given, truth = written(tmp_path, late=0.25)
@@ -146,14 +135,6 @@ def test_landmarks_that_agree_with_the_truths_clock_say_that_the_wheels_are_earl
     assert "truth.time_offset" not in done.stdout
     done = locfuse("info", log, *GEOMETRY, "--set", f"truth.topic={truth}")  # nobody is there to say it
     assert "truth.time_offset=-0.25" in done.stdout
-
-
-def test_tune_takes_a_map_of_landmarks(tmp_path: Path) -> None:
-    log, detections, given, _ = written(tmp_path, seconds=20.0)
-    words = ("--set", f"landmarks.file={detections}", "--set", f"landmarks.map={given}")
-    done = locfuse("tune", log, *GEOMETRY, *words, "-o", tmp_path / "tuned.toml")
-    assert done.exit_code == 0, done.stderr
-    assert "sigma_range" in (tmp_path / "tuned.toml").read_text()
 
 
 def test_two_swapped_landmarks_and_a_wrong_one_are_named(tmp_path: Path) -> None:
@@ -289,32 +270,6 @@ def test_a_range_is_the_distance_less_its_share_of_depth_and_with_an_offset() ->
     assert columns == (3, 4)
 
 
-def test_a_landmark_that_stands_elsewhere_is_named_with_its_place_where_the_robots_own_is_known() -> None:
-    pose = (0.3, -0.2, 0.4)
-    distance, turn = (2.0 - 0.04) / (1.0 - 0.25 * (1.0 - math.cos(0.4))), 0.4 + MOUNT[2] + 0.4
-    ray = distance * complex(math.cos(turn), math.sin(turn))
-    place = complex(*pose[:2]) + complex(*MOUNT[:2]) * complex(math.cos(0.4), math.sin(0.4)) + ray
-    for sigma, known in ((0.1, True), (0.31, False)):
-        model, belief = model_at(pose, sigma)
-        for _ in range(50):
-            model.innovations(detected(0.4, 2.0), 0, belief)
-        words = " ".join(model.notes(belief))
-        assert (f"{place.real:.2f}" in words and f"{place.imag:.2f}" in words) == known, words
-
-
-def test_the_key_that_takes_out_a_constant_bearing_moves_against_it() -> None:
-    """A detector that looks 5 degrees further left than configured measures bearings 5 degrees too small."""
-    bias = REGISTRY["landmarks"].bias
-    assert bias is not None
-    place = (2.0, 1.0)
-    configured, true = (predict((0.0, 0.0, 0.0), place, (0.0, 0.0, math.radians(yaw))) for yaw in (0.0, 5.0))
-    assert configured is not None
-    assert true is not None
-    innovation = math.degrees(true[0][1] - configured[0][1])
-    assert bias.key == "yaw_deg"
-    assert bias.sign * innovation == pytest.approx(5.0)
-
-
 def grown(tmp_path: Path, detections: list[tuple[float, int]], *words: str, jump: float = 0.0) -> Any:
     """Run a drive of 10 s with detections (s, id) of unmapped landmarks; `jump`: rad in odd seconds."""
     log = written(tmp_path, seconds=10.0)[0]
@@ -327,25 +282,6 @@ def grown(tmp_path: Path, detections: list[tuple[float, int]], *words: str, jump
     return locfuse("run", log, *GEOMETRY, *file, "--sensors", "landmarks", "-v", "-o", tmp_path / "o", *words)
 
 
-def test_an_id_gets_a_place_in_the_map_from_its_third_detection_on(tmp_path: Path) -> None:
-    often = [(1.0 + k, key) for key in (1, 2) for k in range(3)]
-    done = grown(tmp_path, sorted([*often, (1.5, 7), (2.5, 7), *((3.0, 100 + k) for k in range(30))]))
-    assert done.exit_code == 3, done.stderr  # most detections are left out
-    told = " ".join(done.stderr.split())
-    assert "31 of 33 ids are not placed in the map: seen less than 3 times" in told
-    assert "a map of 2 landmarks was made" in told
-    assert json.loads((tmp_path / "o" / "run.json").read_text())["input"]["dropped"]["landmarks"] == {
-        "seen_rarely": 32
-    }
-
-
-def test_an_id_is_any_number_that_a_tag_can_hold(tmp_path: Path) -> None:
-    key = 2**53 - 1
-    done = grown(tmp_path, [(1.0 + 0.5 * k, key) for k in range(6)], "--save-map", str(tmp_path / "map.csv"))
-    assert done.exit_code == 0, done.stderr
-    assert f"{key}," in (tmp_path / "map.csv").read_text()
-
-
 def test_of_more_ids_than_the_cap_those_seen_most_often_are_placed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -354,24 +290,6 @@ def test_of_more_ids_than_the_cap_those_seen_most_often_are_placed(
     told = " ".join(done.stderr.split())
     assert "3 of 6 ids are not placed in the map: beyond the 3 seen most often" in told
     assert "a map of 3 landmarks was made" in told
-
-
-def test_notes_on_many_landmarks_stay_short(tmp_path: Path) -> None:
-    """400 ids jump about: 100 are beyond the cap, and the 300 that are placed were listed one by one, twice."""
-    often = sorted((0.5 + 0.8 * k, key) for key in range(400) for k in range(9))
-    done = grown(tmp_path, often, jump=2.0)
-    told = " ".join(done.stderr.split())
-    assert "100 of 400 ids are not placed in the map: beyond the 300 seen most often" in told
-    assert "of 300 landmarks do not stand still" in told
-    assert max(map(len, done.stderr.splitlines())) < 400
-
-
-def test_a_map_with_many_wrong_places_names_the_first_of_them(tmp_path: Path) -> None:
-    keys = range(100)
-    seen = {key: np.array([[key + (key % 3 == 0), 0.0, 0.01]] * 8) for key in keys}
-    words = wrong_places({key: (float(key), 0.0) for key in keys}, seen)
-    assert len(words) == 21  # of 34
-    assert words[-1] == "14 more notes of this kind"
 
 
 def test_a_tracker_that_counts_up_is_refused_in_one_line(tmp_path: Path) -> None:
@@ -437,17 +355,3 @@ def test_a_log_names_files_in_its_own_folder_wherever_the_reader_is(
         out = tmp_path / f"of_{folder.name}"
         done = locfuse("run", place, *GEOMETRY, "--sensors", "landmarks", "--no-advice", "-o", out)
         assert done.exit_code == 0, done.stderr
-
-
-def test_an_exported_log_takes_no_path_of_this_machine_along(tmp_path: Path) -> None:
-    log, detections, _, truth = written(tmp_path)
-    words = ("--no-advice", "-o", tmp_path / "out", "--export", "mcap,log", "--truth", truth)
-    done = locfuse("run", log, *GEOMETRY, "--set", f"landmarks.file={detections}", *words)
-    assert done.exit_code == 0, done.stderr
-    with (tmp_path / "out" / "estimates.mcap").open("rb") as file:
-        attached = [a.data for a in make_reader(file).iter_attachments() if a.name == "robot.toml"]
-    assert len(attached) == 1
-    assert str(tmp_path).encode() not in attached[0]
-    assert b"sigma_range" in attached[0]
-    done = locfuse("run", tmp_path / "out" / "estimates.mcap", "--no-advice", "-o", tmp_path / "again")
-    assert done.exit_code == 0, done.stderr

@@ -14,9 +14,8 @@ from commands import locfuse
 from landmark_drive import path_of
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from wheel_bags import GEOMETRY, RADIUS, TRACK, angles, joint_states, log_of
+from wheel_bags import GEOMETRY, angles, joint_states, log_of
 
-from locfuse.cli.session.session import load
 from locfuse.fusion.data import ArrayStream, Measurements
 from locfuse.fusion.mount import rotation
 from locfuse.fusion.sensors.compass import Compass, CompassSettings
@@ -94,18 +93,6 @@ def test_by_the_orientation_the_heading_is_the_yaw_whatever_roll_and_pitch(sign:
     assert "by the orientation of /imu" in levelled.note
 
 
-def test_a_magnetometer_mounted_otherwise_is_levelled_in_the_bases_axes() -> None:
-    yaw = 0.3 * T
-    body = attitude(12.0, yaw)
-    imu, field = streams(
-        imu_of(body, Rotation.identity(), orientation=True),
-        (body * Rotation.from_matrix(rotation(90.0, 0.0, 20.0))).inv().apply(FIELD),
-    )
-    tilt = tilt_of(imu, np.eye(3))
-    assert tilt is not None
-    assert error_deg(headings(LevelledField(field, tilt), roll_deg=90.0, yaw_deg=20.0), yaw) < 1e-6
-
-
 @pytest.mark.parametrize("unit", [1.0, -1.0, 1.0 / G])
 def test_gravity_and_rates_do_where_no_orientation_is_said(unit: float) -> None:
     """Gravity of either sign, or in g; accelerometer noise of 0.3 m/s^2."""
@@ -180,29 +167,3 @@ def test_compare_levels_the_field_of_a_robot_that_tilts_and_info_says_so(tmp_pat
     sentence = "compass: the robot tilts by up to 11° by the orientation of /imu: the field is levelled by that"
     assert sentence in said
     assert sentence in " ".join(words.split())
-
-
-def test_a_flat_drive_is_the_same_to_the_bit_with_an_imu_beside_it(tmp_path: Path) -> None:
-    made = []
-    for imu in (False, True):
-        folder = tmp_path / str(imu)
-        folder.mkdir()
-        log, _ = recorded(folder, 0.0, imu)
-        words = ("--no-advice", "--sensors", "compass", "-o", folder / "out", "--set", "gyro.topic=/imu")
-        assert locfuse("run", log, *GEOMETRY, *SETS, *(words if imu else words[:5])).exit_code == 0
-        made.append((folder / "out/trajectory.csv").read_bytes())
-    assert made[0] == made[1]
-
-
-def test_another_mount_of_the_imu_levels_the_field_anew(tmp_path: Path) -> None:
-    """Of a session all that depends on a setting is measured again, also the compass on the gyro's mount."""
-    log, _ = recorded(tmp_path, 8.0, frame="mag")
-    sets = {"wheels.radius": RADIUS, "wheels.track": TRACK, "compass.topic": "/mag", "gyro.topic": "/imu"}
-    on_end = {"gyro.roll_deg": 90.0}  # then up is not where the mount has it, and nothing is levelled
-    session = load(log, sets=sets)
-    before, after, fresh = (
-        s.drive.measurements["compass"].z
-        for s in (session, session.with_settings(on_end), load(log, sets={**sets, **on_end}))
-    )
-    np.testing.assert_array_equal(after, fresh)
-    assert np.abs(after - before).max() > 0.1

@@ -16,7 +16,6 @@ from loop_drive import ns, quaternion
 from numpy.typing import NDArray
 from said import one_by_one, said
 from textbook import move, numeric_jacobian
-from told import step
 
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion import se2
@@ -26,16 +25,12 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.sensor import Block
-from locfuse.fusion.sensors.landmark_messages import DETECTIONS
 from locfuse.fusion.sensors.pose import PoseSettings, plane_covariance
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 from locfuse.sample_logs.messages import RawMessage
 
 Array = NDArray[np.float64]
 SIGMA, SIGMA_THETA = 0.04, math.radians(1.5)
-START_SIGMA_DEG = 2.0
 FRAME = np.array([4.0, -3.0, 2.0])  # where a frame of its own lies in the map
 WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
@@ -128,97 +123,6 @@ def test_it_improves_the_wheels_and_is_consistent(kind: str, left: float, anees:
     assert anees[0] < np.mean([f["anees"] for f in found]) < anees[1]
 
 
-@pytest.mark.parametrize("kind", ["own", "drift", "twist"])
-def test_smoothing_knows_what_became_of_the_kept_pose(kind: str) -> None:
-    """The last smoothed pose is the filtered one, and P never grows by the future."""
-    drive, robot = measured(1, kind)
-    filtered, smoothed = fuse_and_smooth(drive, robot, ("twist" if kind == "twist" else "pose",))
-    np.testing.assert_allclose(smoothed.pose[-1], filtered.pose[-1], atol=1e-9)
-    # but for levers that differ: both are linearised about poses of their own
-    assert (smoothed.triangles[:, (0, 3, 5)] <= 1.01 * filtered.triangles[:, (0, 3, 5)] + 1e-9).all()
-
-
-def test_a_kept_pose_stays_where_it_is_when_the_local_frame_begins_anew() -> None:
-    """The laser begins its map after the first pose: seen from the robot nothing has moved."""
-    belief = JointBelief(
-        (1.0, 2.0, 0.5),
-        (0.04, 0.0, 0.0, 0.02, 0.0, 0.01),
-        [Block("b", np.zeros(3), np.zeros((3, 3)), np.zeros(3))],
-    )
-    belief.clone_pose(3)
-    belief.predict(step((0.7, 0.1, 0.3), (0.01, 0.0, 0.0, 0.02, 0.0, 0.003)), 0)
-    seen, spread = se2.between(belief.state[3:6], belief.state[:3]), relative_covariance(belief)
-    belief.begin_frame()
-    np.testing.assert_allclose(se2.between(belief.state[3:6], belief.state[:3]), seen, atol=1e-12)
-    np.testing.assert_allclose(relative_covariance(belief), spread, atol=1e-12)
-    belief.place((5.0, 5.0, 2.0), 0.1, 0.1)
-    np.testing.assert_allclose(se2.between(belief.state[3:6], belief.state[:3]), seen, atol=1e-12)
-    np.testing.assert_allclose(relative_covariance(belief), 0.0, atol=1e-12)
-
-
-@pytest.mark.parametrize("later", ["pose", "landmarks"])
-def test_one_of_two_maps_begins_the_local_frame_whichever_is_first(
-    later: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Without a laser neither waits for the other: the first one begins the frame, where the robot is then."""
-    drive, robot = with_two_maps(late=later)
-    first = "landmarks" if later == "pose" else "pose"
-    began: list[np.float64] = []
-
-    class Watched(JointBelief):
-        def begin_frame(self) -> None:
-            began.append(drive.t[np.searchsorted(drive.t, drive.measurements[first].t[0])])
-            super().begin_frame()
-
-    monkeypatch.setattr("locfuse.fusion.fuse.JointBelief", Watched)
-    fused = fuse(drive, robot, ("landmarks", "pose"))
-    monkeypatch.undo()
-    assert began == [drive.measurements[first].t[0]]
-    alone = figures(drive, robot, ())
-    assert evaluate(fused, drive).figures["position_rmse_m"] < 0.3 * alone["position_rmse_m"]
-    north = math.radians(START_SIGMA_DEG)
-    assert fused.P[-1, 2, 2] > 0.999 * north**2  # neither has seen north
-
-
-def with_two_maps(late: str) -> tuple[Drive, Robot]:
-    """A drive past four tags whose places nobody knows, with poses in a frame of their own; `late` starts late."""
-    rng = np.random.default_rng(0)
-    t, pose = loop_drive.path()
-    begins = {"pose": 3, "landmarks": 3, late: 25}
-    posing, tagging = slice(begins["pose"], None, 2), slice(begins["landmarks"], None, 5)
-    inside = se2.between(np.broadcast_to(FRAME, pose.shape), pose)
-    streams = {
-        "wheels": loop_drive.wheels(t, pose, rng),
-        "truth": loop_drive.truth(t[::5], pose[::5]),
-        "pose": posed(t[posing], inside[posing], rng),
-        "landmarks": tagged(t[tagging], pose[tagging], rng),
-    }
-    tables = {"pose": {"frame": "own"}, "landmarks": {"map": "grow", "sigma_range": 0.1, "range_offset": 0.0}}
-    start = {**loop_drive.TABLES["start"], "sigma_xy": 0.1, "sigma_theta_deg": START_SIGMA_DEG}
-    robot = make_robot({**loop_drive.TABLES, **tables, "start": start})
-    return measure(streams, robot), robot
-
-
-def tagged(t: Array, pose: Array, rng: np.random.Generator) -> ArrayStream:
-    """Range and bearing to four tags, always in sight, with the noise that [landmarks] tells by default."""
-    seen = np.array([(4.0, 6.0), (-2.0, 3.0), (6.0, -4.0), (0.0, -5.0)])
-    d = seen[None] - pose[:, None, :2]
-    noise = rng.normal(size=d.shape) * (0.1, math.radians(1.5))
-    bearing = np.arctan2(d[..., 1], d[..., 0]) - pose[:, 2:] + noise[..., 1]
-    data: dict[str, Column] = {
-        "id": np.tile(np.arange(4.0), len(t)),
-        "range": (np.hypot(d[..., 0], d[..., 1]) + noise[..., 0]).ravel(),
-        "bearing": bearing.ravel(),
-    }
-    return ArrayStream("tags.csv", DETECTIONS, np.repeat(ns(t), 4), data)
-
-
-def relative_covariance(belief: JointBelief) -> Array:
-    J = np.hstack(se2.between_jacobians(belief.state[3:6], belief.state[:3]))
-    at = [3, 4, 5, 0, 1, 2]
-    return np.asarray(J @ belief.covariance[np.ix_(at, at)] @ J.T)
-
-
 # ---- one reading ----
 
 R_POSE = np.array([[0.2, 0.05, 0.02], [0.05, 0.3, -0.04], [0.02, -0.04, 0.1]])
@@ -299,30 +203,6 @@ def test_a_covariance_that_says_nothing_is_replaced_and_a_huge_one_is_cut() -> N
     assert not plane_covariance(said, np.arange(4), "sigma", own)[1].any()
 
 
-def test_a_covariance_that_is_not_positive_is_replaced() -> None:
-    P = np.diag([1.0, 1.0, 0.0, 0.0, 0.0, 1.0])
-    P[0, 1] = P[1, 0] = 2.0
-    own = np.full((1, 3), 0.5)
-    found, told = plane_covariance(P.reshape(1, 36), np.arange(1), "message", own)
-    assert not told[0]
-    np.testing.assert_allclose(found[0], 0.5 * np.eye(3))
-
-
-def test_readings_that_share_an_error_count_as_one() -> None:
-    (drive, _), (other, _) = (measured(2, "map", {"pose": {"frame": "map", "correlated": c}}) for c in (0.0, 1.0))
-    ratio = other.measurements["pose"].R_unit / np.where(
-        drive.measurements["pose"].R_unit == 0.0, 1.0, drive.measurements["pose"].R_unit
-    )
-    assert ratio[:, 0, 0] == pytest.approx(5.0, rel=1e-6)  # five in a second
-
-
-def test_only_x_and_y_count_where_the_heading_is_none() -> None:
-    drive, robot = measured(2, "map", {"pose": {"frame": "map", "heading": False}})
-    e = fuse(drive, robot, ("pose",))
-    assert np.nanmax(np.abs(e.audits["pose"].y[:, 2] / e.audits["pose"].sigma[:, 2])) < 0.01
-    assert figures(drive, robot, ("pose",))["position_rmse_m"] < 0.2
-
-
 # ---- a user's log ----
 
 SLAM = "/slam/pose"
@@ -349,14 +229,6 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
         poses.append(RawMessage(SLAM, WITH_COVARIANCE, m.log_ns, m.stamp_ns, "slam_map", fields))
     drive.add(poses)
     return drive.record(tmp_path_factory.mktemp("pose") / "slam.mcap")
-
-
-def test_info_offers_it_and_init_writes_the_line(log: Path) -> None:
-    """An estimate is never taken unasked: it may repeat what wheels and laser say."""
-    told = locfuse("info", log)
-    assert f"not yet  pose: {SLAM} may be one" in told.stdout
-    table = locfuse("init", log).stdout.partition("[pose]")[2].partition("\n[")[0]
-    assert f'# topic = "{SLAM}"' in table
 
 
 def test_wishes_and_commands_are_no_estimates(tmp_path: Path) -> None:

@@ -127,16 +127,6 @@ def test_compare_lists_it_and_it_helps(compared: Path) -> None:
     assert alone["position_rmse_m"] < without["position_rmse_m"]
 
 
-def test_run_writes_what_became_of_it(log: Path, tmp_path: Path) -> None:
-    audit = tmp_path / "audit.csv"
-    done = locfuse("run", log, *SET, "--sensors", "beacon", "-o", tmp_path / "out", "--audit", audit)
-    assert done.exit_code == 0, done.stderr
-    assert "beacon" in done.stdout
-    header, *rows = audit.read_text().splitlines()
-    assert sum("beacon" in row for row in rows) > 50
-    assert len(rows[0].split(",")) == len(header.split(","))
-
-
 def test_report_and_figures_name_it_with_its_unit(compared: Path) -> None:
     page = (compared / "report.html").read_text()
     assert "beacon: innovation of range" in page
@@ -164,15 +154,6 @@ def test_a_constant_error_is_named_with_the_key_that_takes_it_out(tmp_path: Path
     said = next(line for line in done.stdout.splitlines() if line.startswith("beacon: "))
     assert "on average" in said
     assert said.endswith(f"--set beacon.offset={TOO_MUCH}")
-
-
-def test_words_of_sensors_know_it(log: Path) -> None:
-    done = locfuse("run", log, "--sensors", "bacon")
-    assert done.exit_code == 2
-    assert "beacon" in done.stderr
-    done = locfuse("run", log, "--sensors", "beacon")
-    assert done.exit_code == 1
-    assert "--set beacon.place" in done.stderr
 
 
 def test_a_process_of_its_own_finds_it_and_checks_its_settings(installed: Path, log: Path, tmp_path: Path) -> None:

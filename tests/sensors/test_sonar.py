@@ -145,63 +145,6 @@ def heard(
     return nearest_echo(lines, belief_at(pose), Cone(0.0, 0.0, 0.0, half, 0.0), sigma)
 
 
-@pytest.mark.parametrize(("half", "same"), [(math.inf, math.pi), (7.0, math.pi), (-1.0, 0.0)])
-def test_a_cone_is_no_wider_than_all_around_and_no_narrower_than_a_ray(half: float, same: float) -> None:
-    lines = walls((2.0, 0.0, -1.0, 1.0), (-1.5, math.pi, -2.0, 2.0))
-    found = heard(lines, half)
-    assert found is not None
-    assert found == heard(lines, same)
-    assert found.distance == (1.5 if half > 0.0 else 2.0)
-
-
-@pytest.mark.parametrize("seed", range(60))
-def test_a_wall_on_a_slant_hides_one_behind_from_its_nearest_point_in_the_cone_on(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    distance, foot, off, half = rng.uniform(0.3, 3.0), rng.uniform(-3.0, 3.0), rng.uniform(-1.4, 1.4), 0.4
-    low, high = np.sort(rng.uniform(-4.0, 4.0, 2)).tolist()
-    if abs(off) <= half and low - 0.05 <= foot <= high + 0.05:
-        return  # it is square to the cone
-    # the sonar looks along x; the wall's normal is turned by `off`, and `foot` is where it comes from the sonar
-    along = np.linspace(low, high, 100_001)
-    n, t = np.array([math.cos(off), math.sin(off)]), np.array([-math.sin(off), math.cos(off)])
-    points = distance * n + (along - foot)[:, None] * t
-    inside = np.abs(np.arctan2(points[:, 1], points[:, 0])) <= half
-    nearest = np.hypot(*points[inside].T).min() if inside.any() else 20.0
-
-    def answers(behind: float) -> bool:
-        lines = walls((behind, 0.0, -0.01, 0.01))
-        lines.append(distance * n - foot * t, np.array([0.0, off]), np.eye(2), -1, (low, high), 1)
-        return heard(lines, half, 1e-9) is not None
-
-    assert answers(0.998 * nearest)
-    assert not inside.any() or not answers(1.002 * nearest)
-
-
-@pytest.mark.parametrize(("sigmas", "answers"), [(3.1, False), (2.9, True), (0.0, True), (-2.0, True)])
-def test_what_stands_three_sigmas_nearer_answers_first(sigmas: float, answers: bool) -> None:
-    lines = walls((3.0, 0.0, -1.0, 1.0), (3.0 - 0.1 * sigmas, 0.6, -1.0, 0.0))
-    assert (heard(lines) is not None) == answers
-
-
-@pytest.mark.parametrize("beta", [math.nan, math.inf, -math.inf])
-def test_a_wall_without_a_direction_neither_answers_nor_hides_another(beta: float) -> None:
-    found = heard(walls((3.0, 0.0, -1.0, 1.0), (2.0, beta, -1.0, 0.0)))
-    assert found is not None
-    assert found.distance == 3.0
-
-
-@pytest.mark.parametrize("theta", [math.nan, math.inf, -math.inf])
-def test_a_robot_without_a_heading_hears_nothing(theta: float) -> None:
-    assert heard(walls((3.0, 0.0, -1.0, 1.0)), pose=(0.0, 0.0, theta)) is None
-
-
-@pytest.mark.parametrize(("aside", "answers"), [(1.04, True), (1.06, False), (-2.04, True), (-2.06, False)])
-def test_a_wall_may_go_on_five_centimetres_beyond_what_was_seen_of_it(aside: float, answers: bool) -> None:
-    found = heard(walls((3.0, 0.0, -2.0, 1.0)), pose=(0.0, aside, 0.0))
-    assert (found is not None) == answers
-    assert found is None or found.distance == pytest.approx(3.0)
-
-
 @pytest.mark.parametrize(("distance", "sigma"), [(2.0, 0.03), (0.5, 0.1), (0.12, 0.1), (0.08, 0.1), (1e-3, 0.1)])
 def test_an_echo_is_refused_from_where_clutter_is_as_likely(distance: float, sigma: float) -> None:
     """A quarter of the echoes come from what the map lacks, anywhere before the wall."""
@@ -234,15 +177,6 @@ def test_no_echo_is_no_measurement_in_every_drivers_way_of_saying_it() -> None:
     assert len(m.t) == 8
     assert m.absent == 6
     assert m.dropped == {"not_finite": 1}
-
-
-def test_several_topics_are_one_sensor_with_a_mount_each() -> None:
-    stream = merged([ranges([1.0, 1.5], "/a"), ranges([2.0, 2.5], "/b")])
-    settings = SonarSettings(mounts={"/a": (0.3, 0.0, 0.0), "/b": (0.0, 0.2, 90.0)})
-    m = Sonar().measure(stream, settings, None, 0)  # type: ignore[arg-type]
-    assert m.z[:, 0].tolist() == [1.0, 2.0, 1.5, 2.5]
-    np.testing.assert_allclose(m.extra["x"], [0.3, 0.0, 0.3, 0.0])
-    np.testing.assert_allclose(m.extra["yaw"], [0.0, math.pi / 2, 0.0, math.pi / 2])
 
 
 SONARS = (

@@ -13,7 +13,6 @@ import pytest
 from bags import T0, S, Said, cdr, header
 from commands import locfuse
 from landmark_drive import MAP, path_of
-from numpy.typing import NDArray
 from wheel_bags import GEOMETRY, angles, joint_states, log_of
 
 from locfuse.formats.logs.log import open_log
@@ -21,7 +20,6 @@ from locfuse.formats.robot import landmark_map
 from locfuse.formats.robot.tag_frames import named_as_tag, number_of
 from locfuse.fusion import se2
 
-Array = NDArray[np.float64]
 KIND = "tf2_msgs/msg/TFMessage"
 CAMERA = np.array([0.1, -0.05, math.radians(30.0)])  # on the base; turned, so that a forgotten mount shows
 OPTICAL, BODY = "camera_color_optical_frame", "camera_link"
@@ -169,22 +167,6 @@ def test_other_frames_are_no_tags(parent: str, children: tuple[str, ...], tmp_pa
         "run", log, *GEOMETRY, "--set", "landmarks.map=grow", "--sensors", "landmarks", "-o", tmp_path / "o"
     )
     assert done.exit_code == 1
-
-
-def test_other_numbered_frames_beside_tags_are_left_out_and_alone_they_are_read_where_they_are_named(
-    tmp_path: Path,
-) -> None:
-    def seen(*names: str) -> Path:
-        said = [
-            tf(T0 + i * S, *(frame(T0 + i * S, OPTICAL, c, (0.1 * i, k, 1)) for k, c in enumerate(names)))
-            for i in range(5)
-        ]
-        return log_of(tmp_path / f"{names[-1]}.mcap", said)
-
-    beside = open_log([seen("tag_1", "tag_2", "person_1")]).stream(f"/tf:{OPTICAL}:tags")
-    assert np.asarray(beside.columns("id")["id"]).tolist() == [1, 2] * 5
-    alone = open_log([seen("shelf_4", "shelf_7")]).stream(f"/tf:{OPTICAL}:tags")
-    assert np.asarray(alone.columns("id")["id"]).tolist() == [4, 7] * 5
 
 
 def test_tags_that_never_move_in_the_camera_are_no_tags(tmp_path: Path) -> None:

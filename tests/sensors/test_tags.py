@@ -116,13 +116,6 @@ def aruco_opencv(stamp: dict[str, Any], seen: list[tuple[int, Array]]) -> bytes:
     )
 
 
-def vision_2d(stamp: dict[str, Any], seen: list[tuple[int, Array]]) -> bytes:
-    """Boxes whose middles are where the tags are in the picture."""
-    boxes = [(k, CX + FX * p[0] / p[2]) for k, p in seen]
-    found = [{"id": str(k), "bbox": {"center": {"position": {"x": u, "y": 200.0}}}} for k, u in boxes]
-    return cdr(VISION_2D, header=stamp, detections=found)
-
-
 def _xyz(p: Array) -> dict[str, float]:
     return dict(zip("xyz", p.tolist(), strict=True))
 
@@ -231,22 +224,6 @@ def test_pixels_of_tags_are_bearings_by_the_camera_info(tmp_path: Path) -> None:
     assert "innovation of bearing" in (tmp_path / "out/report.html").read_text()
 
 
-def test_middles_of_boxes_are_bearings_too(tmp_path: Path) -> None:
-    files = written(tmp_path, VISION_2D, vision_2d, camera_info(), noise=0.005)
-    found, _ = compared(files, "--set", f"landmarks.sigma_bearing_deg={math.degrees(BEARING)}")
-    assert found["landmarks"]["position_rmse_m"] < 0.3 * found["odometry"]["position_rmse_m"]
-
-
-def test_the_noise_of_pixels_is_that_of_their_bearings(tmp_path: Path) -> None:
-    """Wheels that are exact, and bearings with the noise that is configured: NIS is 1 within its own scatter."""
-    exact = ("--set", "wheels.noise=1e-7", "--set", "start.sigma_xy=0.05", "--set", "start.sigma_theta_deg=2")
-    files = written(tmp_path, APRIL, april, camera_info(), slips=0.0, noise=0.0)
-    found, _ = compared(files, "--set", f"landmarks.sigma_bearing_deg={math.degrees(BEARING)}", *exact)
-    seen = found["landmarks"]["sensors"]["landmarks"]
-    assert seen["accepted"] > 300
-    assert abs(seen["nis"] - 1.0) < 3.0 * math.sqrt(2.0 / seen["accepted"])
-
-
 def test_pixels_without_a_camera_info_are_one_line_with_the_keys(tmp_path: Path) -> None:
     files = written(tmp_path, APRIL, april)
     done = locfuse(
@@ -299,16 +276,6 @@ def test_two_cameras_are_one_sensor_each_where_its_frame_sits(tmp_path: Path) ->
     wrong = "landmarks.mounts={'/front/tags'=[0.2,0,0], '/rear/tags'=[-0.3,0,0]}"
     turned, _ = compared(files, "--set", wrong)
     assert turned["landmarks"]["position_rmse_m"] > 3.0 * found["landmarks"]["position_rmse_m"]
-
-
-def test_init_writes_both_cameras_and_where_they_sit(tmp_path: Path) -> None:
-    files = both_ways(tmp_path)
-    table = locfuse("init", files[0], *GEOMETRY).stdout.partition("[landmarks]")[2].partition("\n[")[0]
-    assert 'topics = ["/front/tags", "/rear/tags"]' in table
-    assert '"/rear/tags" = [-0.3, 0.0, ' in table
-    assert "where each of them sits" in table
-    assert "2 places by /tf_static" in " ".join(locfuse("info", files[0], *GEOMETRY).stdout.split())
-    assert "0 places" not in locfuse("info", written(tmp_path, ARUCO, aruco)[0], *GEOMETRY).stdout
 
 
 def test_pictures_of_two_cameras_have_the_optics_of_their_own(tmp_path: Path) -> None:
@@ -366,23 +333,6 @@ def test_an_unknown_map_is_made_saved_and_used(tmp_path: Path) -> None:
     assert again["landmarks"]["position_rmse_m"] < 0.15
 
 
-def test_tags_without_a_map_are_used_and_it_is_said(tmp_path: Path) -> None:
-    """As with map = "grow", to the last digit."""
-    log, _, truth = written(tmp_path, ARUCO, aruco)
-    found = {}
-    for name, more in (("none", ()), ("grow", ("--set", "landmarks.map=grow"))):
-        out = tmp_path / name
-        words = (*GEOMETRY, "--no-advice", "--truth", truth, "--align", "se2", "--write", "json", "-o", out, *more)
-        done = locfuse("compare", log, "-v", *words)
-        assert done.exit_code == 0, done.stderr
-        found[name] = json.loads((out / "report.json").read_text())["configurations"]
-        said = " ".join(done.stderr.split())
-        assert ("no landmarks.map is set: where the landmarks stand is estimated" in said) == (name == "none")
-    with_tags, without = (found["none"][name]["position_rmse_m"] for name in ("landmarks", "odometry"))
-    assert with_tags < 0.75 * without  # an aligned shape hides most of what drifting wheels do
-    assert found["none"] == found["grow"]
-
-
 def test_bearings_alone_make_no_map_and_stop_no_other_sensor(tmp_path: Path) -> None:
     log, *_ = written(tmp_path, APRIL, april, camera_info())
     done = locfuse("compare", log, *GEOMETRY, "-v", "--no-advice", "--write", "json", "-o", tmp_path / "out")
@@ -390,18 +340,6 @@ def test_bearings_alone_make_no_map_and_stop_no_other_sensor(tmp_path: Path) -> 
     said = " ".join(done.stderr.split())
     assert "absent: landmarks: /tags says bearings only, and a map is made of ranges" in said
     assert "--set landmarks.map=landmarks.csv" in said
-
-
-def test_a_tag_that_moves_is_named(tmp_path: Path) -> None:
-    """Such as another robot."""
-    rng = np.random.default_rng(0)
-
-    def with_robot(stamp: dict[str, Any], seen: list[tuple[int, Array]]) -> bytes:
-        return aruco(stamp, [*seen, (3, np.array([rng.uniform(-2, 2), 0.0, rng.uniform(1, 4)]))])
-
-    _, stderr = compared(written(tmp_path, ARUCO, with_robot), "--set", "landmarks.map=grow")
-    assert "id 3 does not stand still" in stderr
-    assert "landmarks.ignore=[3]" in stderr
 
 
 def test_a_camera_that_looks_down_sees_further_than_the_floor() -> None:

@@ -22,13 +22,12 @@ from traps_sensors import elsewhere
 from locfuse.cli.analysis.load import find_log, load
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.session.tune import lasting_errors, tune_logs
-from locfuse.fusion.data import Array, Drive, LocfuseError, Measurements
+from locfuse.fusion.data import Drive
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.tune.likelihood import hessian, standard_errors
 from locfuse.fusion.tune.record import record
 from locfuse.fusion.tune.replay import Noise, play
-from locfuse.fusion.tune.tune import Trial, Tuned, rescaled, tune
+from locfuse.fusion.tune.tune import Trial, Tuned, tune
 
 
 def told(factor: float = 1.0, **compass: float) -> Robot:
@@ -139,13 +138,6 @@ def test_tuning_arrives_at_the_same_noise_from_either_side(tuned: Callable[[floa
         assert low.after == pytest.approx(high.after, rel=0.05)
 
 
-def test_what_was_held_out_becomes_likelier_too(tuned: Callable[[float], Tuned]) -> None:
-    held_out = tuned(10.0).held_out
-    assert held_out is not None
-    assert held_out[1] > held_out[0] + 1.0
-    assert tuned(10.0).numbers[1] > 300
-
-
 def test_a_straight_drive_says_that_rotation_noise_is_not_identifiable() -> None:
     robot = told()
     found = tune([Trial("straight", drawn(7, robot, laps=0.25), robot)], ["compass", "lrf"])
@@ -171,30 +163,6 @@ def test_noise_that_nothing_depends_on_is_left_as_it_was() -> None:
     assert wheels.after == wheels.before == pytest.approx(9.0 * small_drive.NOISE)
     assert sigma.after == pytest.approx(1.0, rel=0.3)
     assert any("wheels.noise is not identifiable" in flag for flag in found.flags)
-
-
-def test_another_sigma_leaves_what_is_not_the_sigmas() -> None:
-    """A bearing's pixels stay as exact as they were."""
-    sigma, rest = 0.01, np.array([1e-5, 4e-5])
-    R_unit = (1.0 + rest / sigma**2).reshape(-1, 1, 1)
-    m = Measurements(np.zeros(2), np.arange(3), np.zeros((2, 1)), R_unit, sigma, np.zeros((1, 1)), {"rest": rest})
-    R = rescaled(m, 3.0).R.ravel()
-    assert pytest.approx((3.0 * sigma) ** 2 + rest) == R
-
-
-def test_logs_told_of_different_noise_are_refused() -> None:
-    trials = [Trial(str(f), drawn(1, told(f), laps=0.1), told(f)) for f in (1.0, 2.0)]
-    with pytest.raises(LocfuseError, match=r"wheels\.noise is 0\.0004 in 1\.0 and 0\.0016 in 2\.0"):
-        tune(trials, ["compass"])
-
-
-def test_curvature_gives_the_standard_errors_of_a_normal_likelihood() -> None:
-    C = np.array([[0.04, 0.01], [0.01, 0.09]])
-
-    def f(theta: Array) -> Array:
-        return np.asarray(0.5 * np.einsum("bi,ij,bj->b", theta, np.linalg.inv(C), theta))
-
-    assert standard_errors(hessian(f, 2)) == pytest.approx([0.2, 0.3])
 
 
 def test_the_command_writes_a_robot_that_the_next_command_takes(tmp_path: Path) -> None:

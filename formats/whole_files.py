@@ -7,16 +7,10 @@ from __future__ import annotations
 
 import glob
 import os
-import signal
-import sys
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from functools import partial
 from pathlib import Path
-from types import FrameType
-from typing import Any
 
 from locfuse.fusion.data import LocfuseError, UsageError
 
@@ -46,7 +40,7 @@ def write_results(folder: Path, files: Mapping[str, Content], overwrite: bool = 
     created = _prepare(folder, overwrite)
     names = sorted(files, key=lambda name: (name.endswith(".json"), name))
     try:
-        with orderly_end(), sole_writer(folder):
+        with sole_writer(folder):
             _remove_leftovers(folder.iterdir())
             _write_all(folder, {name: files[name] for name in names})
     except OSError as problem:
@@ -82,35 +76,38 @@ def may_replace(file: Path | None, overwrite: bool, given: Iterable[str | Path] 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """Give a temporary path beside `path` to write to; it takes the final name when the block ends well."""
-    with orderly_end():
-        temporary = temporary_for(path)
-        try:
-            with interruptible():
-                claim(temporary)
-                yield temporary
-                _sync(temporary)
-                temporary.replace(path)
-                _sync(path.parent)
-        except OSError as problem:
-            raise LocfuseError(f"cannot write {path}: {problem.strerror or problem}") from None
-        finally:
-            _remove(temporary)
+    temporary = temporary_for(path)
+    try:
+        claim(temporary)
+        yield temporary
+        _sync(temporary)
+        temporary.replace(path)
+        _sync(path.parent)
+    except OSError as problem:
+        raise LocfuseError(f"cannot write {path}: {problem.strerror or problem}") from None
+    finally:
+        _remove(temporary)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text in UTF-8 as a whole file."""
+    with whole_file(path) as temporary:
+        temporary.write_bytes(text.encode("utf-8"))
 
 
 def _write_all(folder: Path, files: Mapping[str, Content]) -> None:
     temporary = {name: _temporary(folder / name) for name in files}
     try:
-        with interruptible():
-            for name, content in files.items():
-                claim(temporary[name])
-                if callable(content):
-                    content(temporary[name])
-                else:
-                    temporary[name].write_bytes(_encoded(name, content) if isinstance(content, str) else content)
-                _sync(temporary[name])
-            for name in files:
-                temporary[name].replace(folder / name)
-            _sync(folder)
+        for name, content in files.items():
+            claim(temporary[name])
+            if callable(content):
+                content(temporary[name])
+            else:
+                temporary[name].write_bytes(_encoded(name, content) if isinstance(content, str) else content)
+            _sync(temporary[name])
+        for name in files:
+            temporary[name].replace(folder / name)
+        _sync(folder)
     finally:
         for path in temporary.values():
             _remove(path)
@@ -174,8 +171,7 @@ def _locked(path: Path, patience_s: float) -> int | None:
                 raise LocfuseError(
                     f"{path.parent} is being written by process {who}: wait for it, or choose another -o"
                 ) from None
-            with interruptible():
-                time.sleep(0.02)
+            time.sleep(0.02)
         except OSError:  # a file system without locks
             os.close(handle)
             return None
@@ -265,69 +261,3 @@ def _sync(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
-
-
-# --- SIGINT and SIGTERM end the work, never the cleaning up behind it
-# Python runs a signal's handler between any two steps, so also inside `finally:`. There its exception would leave
-# a lock or half a file behind. Within `orderly_end` signals therefore wait, except inside `interruptible`.
-
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
-
-
-class _Gate:
-    """Delays signals while files are replaced. One per process: only the main thread gets signals."""
-
-    waiting: list[Callable[[], object]] | None = None  # what they will do; None: they do not wait
-
-    def handle(self, original: Any, number: int, frame: FrameType | None) -> None:
-        act = partial(original, number, frame) if callable(original) else partial(sys.exit, 128 + number)
-        if self.waiting is None:
-            act()
-        else:
-            self.waiting.append(act)
-
-    def open(self) -> None:
-        """Let signals through again, first the one that has waited for longest."""
-        first, self.waiting = (self.waiting or [])[:1], None
-        for act in first:
-            act()
-
-
-_gate = _Gate()
-
-
-def _in_main_thread() -> bool:
-    return threading.current_thread() is threading.main_thread()
-
-
-@contextmanager
-def orderly_end() -> Iterator[None]:
-    """Let signals wait until the block is over, but for what runs in `interruptible` inside it."""
-    if not _in_main_thread() or _gate.waiting is not None:
-        yield
-        return
-    before = {number: signal.getsignal(number) for number in SIGNALS}
-    _gate.waiting = []
-    try:
-        for number, handler in before.items():
-            if callable(handler) or handler is signal.SIG_DFL:
-                signal.signal(number, partial(_gate.handle, handler))
-        yield
-    finally:
-        for number, handler in before.items():
-            if handler is not None:  # one that was not set from Python stays as it is
-                signal.signal(number, handler)
-        _gate.open()
-
-
-@contextmanager
-def interruptible() -> Iterator[None]:
-    """Let signals end the block: what belongs to it is cleaned up outside, where they wait again."""
-    if not _in_main_thread() or _gate.waiting is None:
-        yield
-        return
-    try:
-        _gate.open()
-        yield
-    finally:
-        _gate.waiting = []

@@ -39,11 +39,11 @@ class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
     """Keys of a sensor whose place on the base counts."""
 
     x: float = 0.0  # m, sensor on the base
-    y: float = 0.0
-    yaw_deg: float = 0.0
+    y: float = 0.0  # m, likewise, to the left
+    yaw_deg: float = 0.0  # degrees, turned to the left
     # standard deviations: above 0 a state, 0 exact; None: SIGMA_M and SIGMA_DEG if the drive can tell it, else 0
     sigma_x: float | None = None  # m; 0 is exact. A laser that builds its map: 0.01 unless set
-    sigma_y: float | None = None
+    sigma_y: float | None = None  # m, likewise
     sigma_yaw_deg: float | None = None  # degrees; 0 is exact. A laser that builds its map: 0.5 unless set
 
     only_fused: ClassVar[frozenset[str]] = SensorSettings.only_fused | {"sigma_x", "sigma_y", "sigma_yaw_deg"}

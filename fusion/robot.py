@@ -32,11 +32,11 @@ VIRTUAL_TRACK = 0.3  # m: carries the noise of an odometry topic, which knows no
 class WheelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """[wheels]: geometry, encoder and noise of the drive."""
 
-    topic: str | None = None
+    topic: str | None = None  # None: found
     left_topic: str | None = None  # where either wheel has a topic of its own (std_msgs numbers)
-    right_topic: str | None = None
+    right_topic: str | None = None  # likewise
     left: str | None = None  # joint name
-    right: str | None = None
+    right: str | None = None  # joint name
     radius: float | None = None  # m, mean of both wheels
     ratio: float = 1.0  # right wheel's radius over the left one's
     track: float | None = None  # m between the wheels' contact points
@@ -45,7 +45,7 @@ class WheelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     steering_topic: str | None = None  # of a car's motor: where its steering stands; None: found
     erpm_per_mps: float | None = None  # electrical revolutions per minute of its motor at 1 m/s
     servo_gain: float | None = None  # servo position = gain * angle [rad] + offset
-    servo_offset: float = 0.0
+    servo_offset: float = 0.0  # servo position of straight wheels
     ticks_per_revolution: float | None = None  # positions are ticks, not radians
     mirrored: Mirrored = "none"  # wheels whose count falls while the robot drives forward
     rollover: float | None = None  # the counter's range, in its own unit; 0: it never rolls over; None: found
@@ -72,9 +72,9 @@ class StartSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
     x: float = 0.0  # m
     y: float = 0.0  # m
-    theta_deg: float = 0.0
-    sigma_xy: Annotated[float, msgspec.Meta(ge=0.0, le=MAX_START_SIGMA_M)] = 0.0
-    sigma_theta_deg: Annotated[float, msgspec.Meta(ge=0.0, le=MAX_START_SIGMA_DEG)] = 0.0
+    theta_deg: float = 0.0  # degrees, heading
+    sigma_xy: Annotated[float, msgspec.Meta(ge=0.0, le=MAX_START_SIGMA_M)] = 0.0  # m, 1 sigma per axis
+    sigma_theta_deg: Annotated[float, msgspec.Meta(ge=0.0, le=MAX_START_SIGMA_DEG)] = 0.0  # degrees, 1 sigma
     at: Moment = 0.0  # when the robot has this pose: s after the first wheel reading, or "scan": at the first scan
 
     @property
@@ -95,9 +95,9 @@ class TruthSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     body: str | None = None  # name of the rigid body, where a mocap tracks several
     origin: tuple[float, float] | None = None  # latitude, longitude [deg] of the map's origin, of satellite fixes
     east_deg: float = 0.0  # where east lies in the map, counter-clockwise from its x axis, of satellite fixes
-    x: float = 0.0
-    y: float = 0.0
-    time_offset: float = 0.0
+    x: float = 0.0  # m, the tracked point on the base
+    y: float = 0.0  # m, likewise
+    time_offset: float = 0.0  # s, added to its stamps
     sigma: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0  # m, standard deviation per axis
     sigma_theta_deg: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0  # of the truth's heading
     max_speed: float | None = None  # m/s: readings that jump away faster and return are not used

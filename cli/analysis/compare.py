@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from locfuse.formats.report import json_report
 from locfuse.formats.report.findings import length
 from locfuse.fusion import se2
-from locfuse.fusion.data import Drive, Estimates, Evaluation, Jump, result_name
+from locfuse.fusion.data import Drive, Estimates, Evaluation, result_name
 from locfuse.fusion.fuse import configuration_name
 from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.consistency import Run
@@ -32,7 +32,7 @@ from .load import Loaded
 from .memory import lean
 from .settings import Asked, Progress, one_of
 from .trust import add_consistency, evidence, judge_values, noise_factors, reference_values
-from .verdicts import ByReference, by_reference, credit_values, prediction_values, verdicts
+from .verdicts import ByReference, add_pairs, by_reference, credit_values, prediction_values, verdicts
 
 if TYPE_CHECKING:
     from locfuse.fusion.whole_drive.reference import References
@@ -102,7 +102,11 @@ def compare_log(
     filtered, smoothed = [], []
     solved: dict[frozenset[str], tuple[Estimates, Estimates]] = {}  # filtered and smoothed
     wholes: dict[str, Estimates] = {}  # smoothed estimates by the name of what they smooth
-    solves = _solved_sets(drive) if reference else set()
+    solves: set[frozenset[str]] = set()
+    if reference:
+        from locfuse.fusion.whole_drive.reference import sets
+
+        solves = {frozenset(sensors) for sensors in sets(drive)}
     for c in configurations:
         progress(f"fusing {c.name}")
         solve = frozenset(c.sensors) in solves and not c.rates
@@ -126,7 +130,7 @@ def compare_log(
         else None
     )
     others = [_in_frame_of(e, drive, references, align) for e in foreign]
-    every = [*filtered, *smoothed, *(_judged_foreign(e, drive, how) for e, how in others)]
+    every = [*filtered, *smoothed, *(JudgedRun(e, evaluate(e, drive, how), []) for e, how in others)]
     hows = [*([align] * (len(every) - len(others))), *(how for _, how in others)]
     referenced = None if references is None else _referenced(references, every, hows, filtered)
     return Compared(
@@ -140,12 +144,6 @@ def compare_log(
         smoothed=wholes,
         reference=None if referenced is None else referenced[0],
     )
-
-
-def _solved_sets(drive: Drive) -> set[frozenset[str]]:
-    from locfuse.fusion.whole_drive.reference import sets
-
-    return {frozenset(sensors) for sensors in sets(drive)}
 
 
 def _references(
@@ -240,11 +238,6 @@ def _in_frame_of(e: Estimates, drive: Drive, references: References | None, alig
     return replace(e, notes=(*e.notes, words)), "origin"
 
 
-def _judged_foreign(e: Estimates, drive: Drive, how: Align) -> JudgedRun:
-    """Judge an estimate that is not ours."""
-    return JudgedRun(e, evaluate(e, drive, how), [])
-
-
 def refuse_smoothing(robot: Robot, configurations: Sequence[Configuration]) -> None:
     """Raise UsageError before any work is done where a filter cannot be smoothed: its gain is not optimal."""
     from locfuse.fusion.whole_drive.smooth import check_smoothing
@@ -290,9 +283,14 @@ def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
     sets = {c.name: c.sensors for c in compared.configurations if not c.rates}
     report["verdicts"] = verdicts(compared.credit, compared.scores, sets, base=compared.base)
     report["credit"] = None if compared.credit is None else credit_values(compared.credit)
-    report["prediction"] = prediction_values(compared.scores, list(sets)) if compared.scores else None
+    report["prediction"] = (
+        prediction_values(compared.scores, list(sets), compared.base) if compared.scores else None
+    )
     add_consistency(report, compared.runs, compared.evaluations, compared.loaded.robot)
     add_reference(report, compared)
+    slower = {c.name: c.sensors for c in compared.configurations if c.rates}
+    errors = {name: values.get("position_rmse_m") for name, values in report["configurations"].items()}
+    add_pairs(report["verdicts"], sets, slower, errors, compared.credit is not None)
     add_own_scans(report, compared.loaded.drive, compared.estimates, compared.smoothed)
     return json_report.plain(report)
 
@@ -330,12 +328,11 @@ def add_own_scans(
 def add_events(report: dict[str, Any], estimates: Sequence[Estimates]) -> None:
     """Add to each result the corrections of its pose that are no motion."""
     for e in estimates:
-        report["configurations"][e.name]["events"] = [_event(jump) for jump in e.jumps]
-
-
-def _event(jump: Jump) -> dict[str, Any]:
-    x, y, theta = jump.step
-    return {"t_s": jump.t, "kind": jump.kind, "dx_m": x, "dy_m": y, "dtheta_deg": math.degrees(theta)}
+        report["configurations"][e.name]["events"] = [
+            {"t_s": jump.t, "kind": jump.kind, "dx_m": x, "dy_m": y, "dtheta_deg": math.degrees(theta)}
+            for jump in e.jumps
+            for x, y, theta in (jump.step,)
+        ]
 
 
 def add_reference(report: dict[str, Any], compared: Compared) -> None:

@@ -118,7 +118,7 @@ class FleetGates(msgspec.Struct, frozen=True):
         """Return the gates of --fail-if, --baseline, --tolerance. Raises LocfuseError for what cannot be one."""
         limits = [parse_gate(text) for text in typed.fail_if]
         together = [gate for gate in limits if gate.figure.startswith(OF_FLEET)]
-        earlier = read_summary(typed.baseline, typed.tolerance) if typed.baseline else None
+        earlier = read_baseline(typed.baseline, typed.tolerance, True) if typed.baseline else None
         return cls(Gates([known_figure(gate) for gate in limits if gate not in together]), together, earlier)
 
     def failures(self, summary: Mapping[str, Any]) -> list[str]:
@@ -163,39 +163,24 @@ def parse_tolerance(text: str) -> Tolerance:
     return Tolerance(text.strip(), **found)
 
 
-def read_baseline(path: Path, tolerance: str) -> Baseline:
-    """Return an earlier report.json. Raises LocfuseError where the file is none."""
-
-    def checked(values: Any) -> Any:
-        report = json_report.current(values, f"--baseline {path}")
-        _refuse_other_than_tables(report.get("input", {}), *report["configurations"].values())
-        return report
-
-    return _read(path, tolerance, checked, "report.json of locfuse; make one with: locfuse compare LOG -o DIR")
-
-
-def read_summary(path: Path, tolerance: str) -> Baseline:
-    """Return an earlier summary.json. Raises LocfuseError where the file is none."""
-
-    def checked(summary: Any) -> Any:
-        rows = [c["figures"] for c in summary["configurations"].values()]
-        _refuse_other_than_tables(summary["logs"], *summary["logs"].values(), *rows)
-        return summary
-
-    return _read(path, tolerance, checked, "summary.json of locfuse; make one with: locfuse fleet LOGS... -o DIR")
-
-
-def _read(path: Path, tolerance: str, checked: Callable[[Any], Any], wanted: str) -> Baseline:
+def read_baseline(path: Path, tolerance: str, of_fleet: bool = False) -> Baseline:
+    """Return an earlier report.json, or a fleet's summary.json. Raises LocfuseError where the file is none."""
     try:
-        values = checked(json.loads(read_small(path, MAX_REPORT)))
+        values = json.loads(read_small(path, MAX_REPORT))
+        if of_fleet:
+            figures = (c["figures"] for c in values["configurations"].values())
+            tables = [values["logs"], *values["logs"].values(), *figures]
+        else:
+            values = json_report.current(values, f"--baseline {path}")
+            tables = [values.get("input", {}), *values["configurations"].values()]
+        if not all(isinstance(table, dict) for table in tables):
+            raise TypeError
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        raise LocfuseError(f"--baseline {path}: not a {wanted}") from None
+        wanted = ("summary.json", "fleet LOGS...") if of_fleet else ("report.json", "compare LOG")
+        raise LocfuseError(
+            f"--baseline {path}: not a {wanted[0]} of locfuse; make one with: locfuse {wanted[1]} -o DIR"
+        ) from None
     return Baseline(path, values, parse_tolerance(tolerance))
-
-
-def _refuse_other_than_tables(*values: Any) -> None:
-    if not all(isinstance(value, dict) for value in values):
-        raise TypeError
 
 
 def refuse_another_log(baseline: Baseline | None, log: Log) -> None:

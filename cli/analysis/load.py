@@ -37,8 +37,8 @@ from .memory import give_back
 from .mounts import level_compass, mount_tables, on_moving_parts, optics_tables, shared_turns, transforms_of
 from .refused_motion import spoiling, standing_notes
 from .robot_tables import (
+    flat,
     given_tables,
-    keys_of,
     make_robot,
     merged_tables,
     named_by_hand,
@@ -299,7 +299,7 @@ def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = sil
     choice = deepcopy(loaded.choice)
     before = loaded if wheels else replace(loaded, reading=None)
     found = measured(loaded.log, tables, choice, progress, known=unchanged, before=before)
-    sources = {**loaded.sources, **dict.fromkeys(keys_of(sets), "--set")}
+    sources = {**loaded.sources, **dict.fromkeys(flat(sets), "--set")}
     return _within(replace(found, sources=sources, given=given, hash_all=loaded.hash_all), loaded.window)
 
 
@@ -382,7 +382,8 @@ def start_notes(robot: Robot, drive: Drive) -> list[str]:
     if places is None or math.hypot(*(places[0] - places[1])) < 0.05:
         return []
     (x, y), (own_x, own_y) = places
+    away = math.hypot(x - own_x, y - own_y)
     return [
-        f"truth starts at ({x:.2f}, {y:.2f}) m but the drive at ({own_x:z.2f}, {own_y:z.2f}): "
-        "set [start], or judge the shape only with --align origin"
+        f"truth starts {away:.2f} m away from the robot's start ({own_x:z.2f}, {own_y:z.2f}), "
+        f"at ({x:.2f}, {y:.2f}): set [start], or judge the shape only with --align origin"
     ]

@@ -14,7 +14,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.formats.caps import MAX_WALLS, names_its_cap
-from locfuse.fusion.data import Estimates, LocfuseError, MapLine, Ragged, UsageError
+from locfuse.fusion.data import LocfuseError, MapLine, Ragged, UsageError
 from locfuse.fusion.map.given_grid import Grid
 from locfuse.fusion.robot import Robot
 
@@ -121,21 +121,3 @@ def _within(robot: Robot, lines: list[MapLine], name: str) -> Robot:
         raise LocfuseError(f"{many}; keep only the part that the drive is in", role="map")
     lrf = msgspec.structs.replace(robot.settings("lrf"), map="given")
     return replace(robot, sensors={**robot.sensors, "lrf": lrf}, lines=tuple(lines))
-
-
-def keep(estimates: Estimates, file: Path, made_from: str) -> None:
-    """Write the map that a run ended with."""
-    from locfuse.formats.robot import line_map
-    from locfuse.formats.whole_files import whole_file
-
-    with whole_file(file) as path:
-        path.write_text(line_map.encode(estimates.final_map, made_from))
-
-
-def keep_landmarks(estimates: Estimates, file: Path) -> None:
-    """Write the landmarks that a run placed, as the .csv that `landmarks.map` reads."""
-    from locfuse.formats.robot import landmark_map
-    from locfuse.formats.whole_files import whole_file
-
-    with whole_file(file) as path:
-        path.write_text(landmark_map.encode(estimates.points))

@@ -80,7 +80,7 @@ def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[St
         mounts = {part.topic: m for part in parts if (m := mount_of(transforms, part.frame_id)) is not None}
         if "mounts" in keys and (len(parts) > 1 or "x" not in keys):
             looks = {t: _looks(m) if "fx" in keys else {} for t, m in mounts.items()}
-            tables[sensor] = {"mounts": {t: [*_placed(m, looks[t]), *_down(looks[t])] for t, m in mounts.items()}}
+            tables[sensor] = {"mounts": {t: _placed(m, looks[t]) for t, m in mounts.items()}}
         elif parts[0].topic in mounts:
             mount = mounts[parts[0].topic]
             looks = _looks(mount) if "fx" in keys else {}
@@ -88,12 +88,10 @@ def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[St
     return tables
 
 
-def _placed(mount: Mount, looks: Mapping[str, Any]) -> tuple[float, float, float]:
-    return mount.x, mount.y, looks.get("yaw_deg", math.degrees(mount.yaw))
-
-
-def _down(looks: Mapping[str, Any]) -> tuple[float, ...]:
-    return (looks["pitch_deg"],) if looks else ()
+def _placed(mount: Mount, looks: Mapping[str, Any]) -> list[float]:
+    if not looks:
+        return [mount.x, mount.y, math.degrees(mount.yaw)]
+    return [mount.x, mount.y, looks["yaw_deg"], looks["pitch_deg"]]
 
 
 def _looks(mount: Mount) -> dict[str, Any]:

@@ -55,21 +55,21 @@ def files(
 ) -> dict[str, Content]:
     """Return the content of every file of these kinds by its name; `drawn` is what .html shows of the audits."""
     from locfuse.formats.report import json_report, markdown, tables
+    from locfuse.formats.results import trajectory as to
 
     out: dict[str, Content] = {"robot.toml": results.robot_file(compared.loaded.robot)}
     if "tum" in kinds:
-        out |= trajectories(compared)
-    if "html" in kinds:
-        out["report.html"] = page(compared, drawn, report)
-    if "md" in kinds:
-        out["report.md"] = markdown.render(report)
-    if "csv" in kinds:
-        out["report.csv"] = tables.csv(report)
-    if "tex" in kinds:
-        out["report.tex"] = tables.latex(report)
-    if "json" in kinds:
-        out["report.json"] = json_report.encode(report)
-    return out
+        drive = compared.loaded.drive
+        out |= {f"{e.name}.tum": partial(to.write_blocks, to.tum_blocks(drive, e)) for e in compared.estimates}
+        out |= {} if drive.truth is None else {"truth.tum": to.truth_tum(drive, drive.truth)}
+    made: dict[str, Callable[[], str]] = {
+        "html": lambda: page(compared, drawn, report),
+        "md": lambda: markdown.render(report),
+        "csv": lambda: tables.csv(report),
+        "tex": lambda: tables.latex(report),
+        "json": lambda: json_report.encode(report),
+    }
+    return out | {f"report.{kind}": make() for kind, make in made.items() if kind in kinds}
 
 
 def files_of_run(
@@ -87,20 +87,6 @@ def files_of_run(
             out[f"{name}.csv"] = partial(to.write_blocks, to.csv_blocks(loaded.drive, e))
     if "json" in kinds:
         out["run.json"] = json_report.encode(report)
-    return out
-
-
-def trajectories(compared: Compared) -> dict[str, Content]:
-    """Return one .tum for each configuration, and the truth's."""
-    from locfuse.formats.results import trajectory
-
-    drive = compared.loaded.drive
-    out: dict[str, Content] = {
-        f"{e.name}.tum": partial(trajectory.write_blocks, trajectory.tum_blocks(drive, e))
-        for e in compared.estimates
-    }
-    if drive.truth is not None:
-        out["truth.tum"] = trajectory.truth_tum(drive, drive.truth)
     return out
 
 

@@ -20,7 +20,7 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import SOURCES
 
 from .load import Loaded
-from .robot_tables import make_robot
+from .robot_tables import flat, make_robot
 from .settings import Asked
 
 REFUSED_SHARE = 0.01  # of a used sensor's readings: more is a loss
@@ -47,18 +47,13 @@ def changed_settings(loaded: Loaded) -> dict[str, dict[str, Any]]:
 
     Those of sensors that the log lacks are left out. Found in the log are mounts (/tf_static) and the like.
     """
-    plain = settings_tables(make_robot({}))
+    plain = flat(settings_tables(make_robot({})))
     found: dict[str, dict[str, Any]] = {}
-    for table, values in settings_tables(loaded.robot).items():
-        if table in loaded.drive.absent:
-            continue
-        inside = values if isinstance(values, dict) else {"": values}
-        before = plain[table] if isinstance(values, dict) else {"": plain[table]}
-        for key, value in inside.items():
-            if key not in before or before[key] != value:
-                path = f"{table}.{key}".rstrip(".")
-                source = loaded.sources.get(path, "found in the log")
-                found[path] = {"value": value, "unit": units.of(table, key), "from": source}
+    for path, value in flat(settings_tables(loaded.robot)).items():
+        table, _, key = path.partition(".")
+        if table not in loaded.drive.absent and plain.get(path) != value:
+            source = loaded.sources.get(path, "found in the log")
+            found[path] = {"value": value, "unit": units.of(table, key), "from": source}
     return found
 
 

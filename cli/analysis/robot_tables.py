@@ -72,7 +72,7 @@ def _of_log(log: Log, tables: dict[str, Any], above: Mapping[str, dict[str, Any]
     The log may be a stranger's: it names no other file of the reader. Raises LocfuseError where it does, unless
     a layer above sets the same key.
     """
-    given = {key for others in above.values() for key in keys_of(others)}
+    given = {key for others in above.values() for key in flat(others)}
     for table, key, text in list(files_of(tables)):
         if f"{table}.{key}" in given or log.recorded(text):
             continue
@@ -100,13 +100,15 @@ def _is_below(folder: Path, text: str) -> bool:
 
 def sources_of(log: Log, how: LogOptions) -> dict[str, str]:
     """Return the source of each key that is set, "lrf.x" -> "--robot"."""
-    return {key: who for who, tables in _layers(log, how).items() for key in keys_of(tables)}
+    return {key: who for who, tables in _layers(log, how).items() for key in flat(tables)}
 
 
-def keys_of(tables: Mapping[str, Any]) -> list[str]:
-    """Return "table.key" of every key in tables; keys above all tables by their own names."""
-    inside = ((t, list(v) if isinstance(v, Mapping) else [""]) for t, v in tables.items())
-    return [f"{table}.{key}".rstrip(".") for table, keys in inside for key in keys]
+def flat(tables: Mapping[str, Any]) -> dict[str, Any]:
+    """Return {"wheels": {"radius": 1}} as {"wheels.radius": 1}; keys above all tables by their own names."""
+    found: dict[str, Any] = {}
+    for name, table in tables.items():
+        found |= {f"{name}.{k}": v for k, v in table.items()} if isinstance(table, Mapping) else {name: table}
+    return found
 
 
 def set_tables(words: Sequence[str]) -> dict[str, Any]:

@@ -57,6 +57,12 @@ class LogOptions(msgspec.Struct, frozen=True):
         """Every robot.toml in the order in which they are merged."""
         return () if self.robot is None else (self.robot, *self.over)
 
+    @property
+    def words(self) -> list[str]:
+        """The options that describe the robot, as they were typed."""
+        robot = [word for file in self.robot_files for word in ("--robot", str(file))]
+        return [*robot, *(word for setting in self.sets for word in ("--set", setting))]
+
 
 class Choices(TypedDict, total=False):
     """The keywords of `Session.compare`: the fields of `Asked`."""
@@ -108,6 +114,23 @@ class GateOptions(msgspec.Struct, frozen=True):
     fail_if: tuple[str, ...] = ()
     baseline: Path | None = None
     tolerance: str = "5%"
+
+
+class FleetOptions(msgspec.Struct, frozen=True):
+    """What is asked of many logs beyond a single one."""
+
+    jobs: int = 1  # at once
+    max_failures: int | None = None
+    again: bool = False
+    each: tuple[str, ...] = ()  # folders
+    robot_from: str | None = None
+    sweep: tuple[str, ...] = ()  # as typed: "lrf.sigma_range=0.01,0.03"
+    cluster: str | None = None
+
+    @property
+    def asked(self) -> bool:
+        """Whether even a single log is treated as one of many."""
+        return bool(self.each or self.robot_from or self.sweep or self.again or self.cluster)
 
 
 class Outputs(msgspec.Struct, frozen=True):

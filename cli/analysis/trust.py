@@ -77,11 +77,8 @@ def unless_overconfident(sensor: str, found: Consistency, using: Sequence[Honest
 
 
 REFERENCE = (
-    "Errors are against a reference, not truth: the whole drive solved forward and backward with the "
-    "{base}{sensors} (1 sigma {sigma}), or without the sensor that is judged. A * marks a result whose own "
-    "sensors are in its reference: its error shows only what the rest of the drive corrects. A ? marks a "
-    "reference that is further from the one of all sensors than both claim: one of the two is wrong. An error of "
-    "the {base} that no sensor corrects is not seen."
+    "Errors are measured against the smoothed solution of the {base}{sensors} (1 sigma {sigma}), not against "
+    "truth. See: locfuse explain reference."
 )
 TOO_SMALL = {"understated", "correlated"}  # verdicts on a sigma
 

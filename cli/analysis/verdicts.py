@@ -15,13 +15,14 @@ from locfuse.fusion.judge.verdict import MAX_UNSURE, MIN_EFFECT, Effect, overcon
 
 TRUST_SENSORS = (
     "There is no truth in this log. Configurations are ranked by how well each predicts the sensors that it "
-    "leaves out (innovation score, nats per number, compared with odometry). This finds a sensor that contradicts "
+    "leaves out (innovation score, nats per number, compared with {base}). This finds a sensor that contradicts "
     "the others or adds nothing. It gives no error in metres. It cannot see an error that all sensors share, nor "
     "walls matched to the wrong lines. A configuration that uses every sensor has no rank."
 )
 TRUST_STRETCHES = (
     "Self-check: the only sensor was switched off every other five seconds, and its readings there were predicted."
 )
+MIN_HARM_RATIO = 1.25  # of position errors with and without a sensor: less is no news
 
 
 class ByReference(NamedTuple):
@@ -118,7 +119,8 @@ def _main_words(c: SensorCredit, main: Effect, several: bool, few: str, base: st
         how = f"Beside {' and '.join(c.beside)}"
     else:
         how = "Alone" if base == ODOMETRY else f"Alone, against {base}"
-    what = f"{how}: {times(main.value)}{_plausible(main)}."
+    span = "" if math.isnan(main.low) else f" (plausible: {interval(main)})"
+    what = f"{how}: {times(main.value)}{span}."
     sure = main.low > 0.0 or main.high < 0.0
     if c.verdict == "no effect seen":
         if abs(main.value) < MIN_EFFECT:
@@ -127,11 +129,6 @@ def _main_words(c: SensorCredit, main: Effect, several: bool, few: str, base: st
             return f"{what} {few}"
         return f"{what} The filter gives it almost no weight, so this change is probably chance." if sure else what
     return what if sure else f"{what} {few}"
-
-
-def _plausible(effect: Effect) -> str:
-    """Return the interval in brackets; "" where there is none."""
-    return "" if math.isnan(effect.low) else f" (plausible: {interval(effect)})"
 
 
 def _judged_by_last(c: SensorCredit, main: Effect) -> bool:
@@ -176,13 +173,13 @@ def short(value: float) -> str:
     return f"{value:.0f}" if value >= 10 else f"{value:.1f}" if value >= 1.5 else f"{value:.2f}"
 
 
-def prediction_values(found: Sequence[Score], names: Sequence[str]) -> dict[str, Any]:
+def prediction_values(found: Sequence[Score], names: Sequence[str], base: str = ODOMETRY) -> dict[str, Any]:
     """Return ranking and scores as plain values, with how far to trust them."""
     ranked = ranking(found, names)
     stretches = any(r.stretches and r.gain is not None for r in ranked)
     return {
         "method": "innovation score of sensors that only listened",
-        "trust": TRUST_STRETCHES if stretches else TRUST_SENSORS,
+        "trust": TRUST_STRETCHES if stretches else TRUST_SENSORS.format(base=base),
         "ranking": [
             {"configuration": r.configuration, "gain_nats": r.gain, "sensors": list(r.on)} for r in ranked
         ],
@@ -200,6 +197,38 @@ def prediction_values(found: Sequence[Score], names: Sequence[str]) -> dict[str,
             for s in found
         ],
     }
+
+
+def add_pairs(
+    verdicts: Mapping[str, dict[str, Any]],
+    sets: Mapping[str, Sequence[str]],
+    slower: Mapping[str, Sequence[str]],
+    errors: Mapping[str, float | None],
+    by_truth: bool,
+) -> None:
+    """Add to verdicts what pairs of configurations show: a lower rate, and beside which sensors one harms most.
+
+    `sets` are the sensors by configuration, those of a lower rate apart: `slower`. `errors` are in m. References
+    of two sets differ, so only errors `by_truth` show harm.
+    """
+    names = {frozenset(sensors): name for name, sensors in sets.items()}
+    known = {name: error for name, error in errors.items() if error}
+    for sensor, found in verdicts.items():
+        pairs = [(names.get(frozenset(used)), name, name) for name, used in slower.items() if f"{sensor}@" in name]
+        beside = [(names.get(frozenset(used) - {sensor}), name) for name, used in sets.items() if sensor in used]
+        harms = [
+            (known[name] / known[without], without, name)
+            for without, name in beside
+            if without in known and name in known and len(sets[without]) and len(sets[name]) < len(verdicts)
+        ]
+        worst = max(harms, default=(0.0, "", ""))
+        pairs += [(worst[1], worst[2], f"Beside {worst[1]}")] if by_truth and worst[0] > MIN_HARM_RATIO else []
+        words = [
+            f"{what}: {length(known[a])} -> {length(known[b])} ({times(math.log(known[a] / known[b]))})."
+            for a, b, what in pairs
+            if a in known and b in known
+        ]
+        found["words"] = " ".join((found["words"], *words)).strip()
 
 
 def _predicted_verdicts(
@@ -251,24 +280,17 @@ def by_reference(
     if found is None:
         return dict(own)
     name = f"a reference without it ({' and '.join(reference.sensors)}, 1 sigma {length(reference.sigma)})"
+    before, after = f"{length(found.before)} without it and ", f"{length(found.after)} with it"
+    if quarrel is None and (effect := found.effect) is not None:
+        bound = f"at {'least' if effect.low > 0.0 else 'most'} {times(effect.low)}"
+        span, after = (interval(effect), after) if found.sure else (bound, f"at most {after}")
+        words = f"Against {name} the position error is {before}{after} (plausible: {span}). {own['words']}".strip()
+        return {"verdict": verdict(None, effect, None, None), "words": words}
     if quarrel is not None:
         words = f"{name.capitalize()} cannot judge it: {' and '.join(quarrel)} contradict each other."
-        return {**own, "words": f"{own['words']} {words}".strip()}
-    if found.effect is None:
-        errors = f"{length(found.before)} without it and {length(found.after)} with it"
-        words = f"{name.capitalize()} is not exact enough to judge errors of {errors}."
-        return {**own, "words": f"{own['words']} {words}".strip()}
-    return {"verdict": verdict(None, found.effect, None, None), "words": _reference_words(name, found, own)}
-
-
-def _reference_words(name: str, found: ByReference, own: Mapping[str, Any]) -> str:
-    effect = found.effect
-    assert effect is not None
-    most = "" if found.sure else "at most "
-    errors = f"{length(found.before)} without it and {most}{length(found.after)} with it"
-    span = interval(effect) if found.sure else f"at {'least' if effect.low > 0.0 else 'most'} {times(effect.low)}"
-    words = f"Against {name} the position error is {errors} (plausible: {span})."
-    return f"{words} {own['words']}".strip()
+    else:
+        words = f"{name.capitalize()} is not exact enough to judge errors of {before}{after}."
+    return {**own, "words": f"{own['words']} {words}".strip()}
 
 
 def _grade(mine: Sequence[Score], gain: float) -> str:

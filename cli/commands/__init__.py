@@ -1,1 +1,1 @@
-"""The commands, one file each; `compare` has one more, for finished results."""
+"""The commands, one file each."""

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
-from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.terminal import completion
-from locfuse.cli.terminal.findings import end, findings_options, print_findings
-from locfuse.cli.terminal.options import log_options
+from locfuse.cli.terminal import options as o
+from locfuse.cli.terminal.findings import finish
 
 BELOW = "95 % interval: where the value lies by these logs. was: as configured."
 
 
 @click.command()
 @click.argument("log", nargs=-1, required=True, shell_complete=completion.logs)
-@findings_options("Write what was found as robot.toml, to be used with --robot.", "a table")
-@log_options
-def calibrate(log: tuple[str, ...], out: Path | None, overwrite: bool, as_json: bool, how: LogOptions) -> int:
+@o.carried(*o.found("Write what was found as robot.toml, to be used with --robot.", "a table"), *o.READING)
+def calibrate(log: tuple[str, ...], options: o.Options) -> int:
     """Find wheel noise, wheel geometry, laser mount and magnetometer iron from LOGs of one robot.
 
     From straight runs and turns on the spot with truth: the noise per metre (and the paper's delta), wheel radius,
@@ -32,19 +28,12 @@ def calibrate(log: tuple[str, ...], out: Path | None, overwrite: bool, as_json: 
     locfuse calibrate straight.mcap turns.mcap -o robot.toml
     locfuse compare drive.mcap --robot robot.toml
     """
-    from locfuse.cli.analysis import results
     from locfuse.cli.analysis.grouping import logs_of
     from locfuse.cli.session import calibrate
     from locfuse.cli.terminal import show
     from locfuse.formats.whole_files import may_replace
 
-    may_replace(out, overwrite, log)
-    with show.progress(how.quiet) as progress:
-        found = calibrate.calibrated(logs_of(log), how, progress)
-    if out is not None:
-        found.write(out, overwrite)
-    print_findings(found.values(), [(found.titles, found.rows(), BELOW)], out, as_json)
-    lost = [
-        line for one in found.loaded for line in results.loss_lines(one, list(one.drive.measurements), how.strict)
-    ]
-    return end(found.notes, lost, how.quiet)
+    may_replace(options.outputs.out, options.outputs.overwrite, log)
+    with show.progress(options.how.quiet) as progress:
+        found = calibrate.calibrated(logs_of(log), options.how, progress)
+    return finish(found, [(found.titles, found.rows(), BELOW)], options.outputs)

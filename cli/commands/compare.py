@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
 
 import click
+from click.core import ParameterSource
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.settings import OF_COMPARISON as KINDS
+from locfuse.cli.analysis.settings import Outputs
 from locfuse.cli.terminal import completion
 from locfuse.cli.terminal import options as o
+from locfuse.cli.terminal.screen import put, say
+
+ALLOWED_OPTIONS = ("log", "out", "overwrite", "as_json", "quiet")  # options that finished results can follow
 
 
 @click.command(cls=o.Grouped)
@@ -56,16 +63,13 @@ def compare(log: tuple[str, ...], options: o.Options) -> int:
     locfuse compare rounded_rectangle rounded_triangle
     locfuse compare locfuse-out/before locfuse-out/after
     """
-    from locfuse.cli.analysis.grouping import logs_of, results_of
-    from locfuse.cli.fleet.words import expanded
+    from locfuse.cli.analysis.grouping import expanded, logs_of, results_of
 
     words = expanded(log, options.fleet.each)
     if not words:
         raise click.UsageError("Missing argument 'LOG...'.", click.get_current_context())
     finished = results_of(words)
     if finished is not None:
-        from .compare_changes import changes
-
         return changes(finished, options.outputs)
     listed = any(word.startswith("@") for word in log) or options.fleet.asked
     if not listed and (len(words) == 1 or len(logs_of(words)) == 1):
@@ -107,3 +111,63 @@ def one(log: Sequence[str], options: o.Options) -> int:
     for line in failed:
         show.say(f"gate: {line}")
     return EXIT_GATE_FAILED if failed else EXIT_LOSS if lost else 0
+
+
+def changes(files: Sequence[Path], outputs: Outputs) -> int:
+    """Set finished results beside the first of them and print what changed."""
+    from locfuse.cli.terminal import show
+    from locfuse.formats.report import changes as sides
+    from locfuse.formats.report import json_report
+    from locfuse.formats.whole_files import write_results
+
+    _refuse_what_needs_a_log()
+    reports = [_read(file) for file in files]
+    first, *others = zip(files, reports, strict=True)
+    found = {str(file.parent): sides.changes(first[1], report) for file, report in others}
+    before = str(first[0].parent)
+    values = {"before": before, "after": found}
+    written: dict[str, str] = {}
+    if outputs.out is not None:
+        texts = [sides.render((before, after), c) for after, c in found.items()]
+        written = {"changes.json": json_report.encode(values), "changes.md": "\n".join(texts)}
+        write_results(outputs.out, written, outputs.overwrite)
+    if outputs.as_json:
+        put(json_report.encode(values))
+        return 0
+    for after, one in found.items():
+        say(f"{before} -> {after}")
+        show.table(sides.table(one).once())
+        for line in sides.remarks(one):
+            say(line)
+    if written:
+        say(f"{outputs.out}: {', '.join(written)}")
+    return 0
+
+
+def _refuse_what_needs_a_log() -> None:
+    """Raise UsageError for an option that finished results cannot follow: a gate is never skipped silently."""
+    from locfuse.fusion.data import UsageError
+
+    context = click.get_current_context()
+    for option in context.command.params:
+        given = context.get_parameter_source(str(option.name)) is ParameterSource.COMMANDLINE
+        if given and option.name not in ALLOWED_OPTIONS:
+            name = max(option.opts, key=len)
+            raise UsageError(f"{name} is for logs; finished results are set side by side as they are")
+
+
+def _read(file: Path) -> dict[str, Any]:
+    import json
+
+    from locfuse.formats.caps import MAX_REPORT
+    from locfuse.formats.inputs import read_small
+    from locfuse.formats.report import changes as sides
+    from locfuse.formats.report import json_report
+    from locfuse.fusion.data import LocfuseError
+
+    try:
+        report = json_report.current(json.loads(read_small(file, MAX_REPORT)), str(file))
+        sides.changes(report, report)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        raise LocfuseError(f"{file}: not a report of locfuse; make one with: locfuse compare LOG -o DIR") from None
+    return report

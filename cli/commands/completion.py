@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import click
+from click.shell_completion import get_completion_class
 
-from locfuse.cli.terminal.completion import SHELLS, script
 from locfuse.cli.terminal.screen import put
+
+SHELLS = ("bash", "zsh", "fish")
+COMPLETION_VARIABLE = "_LOCFUSE_COMPLETE"  # the variable by which the shell asks
 
 
 @click.command()
@@ -18,4 +21,6 @@ def completion(shell: str) -> None:
     eval "$(locfuse completion zsh)"                                 # in ~/.zshrc
     locfuse completion fish > ~/.config/fish/completions/locfuse.fish
     """
-    put(script(shell, click.get_current_context().find_root().command))
+    kind = get_completion_class(shell)
+    assert kind is not None  # click has all of SHELLS
+    put(kind(click.get_current_context().find_root().command, {}, "locfuse", COMPLETION_VARIABLE).source())

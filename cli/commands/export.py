@@ -6,13 +6,11 @@ from pathlib import Path
 
 import click
 
-from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.terminal import completion
+from locfuse.cli.terminal import options as o
 from locfuse.cli.terminal.findings import end
-from locfuse.cli.terminal.options import GIVEN_MAP, log_options
 
 TARGETS = ("diff_drive", "ekf", "amcl", "fusioncore")  # cli/ros/export.py: its own needs NumPy
-FILE = click.Path(path_type=Path, dir_okay=False)
 
 
 @click.command()
@@ -28,29 +26,25 @@ FILE = click.Path(path_type=Path, dir_okay=False)
 )
 @click.option(
     "--into",
-    type=FILE,
+    type=o.FILE,
     metavar="FILE",
     help="Change the values in this YAML file of yours, keep your comments, and show a diff.",
 )
 @click.option(
     "--node", metavar="NAME", help="Name of the node in the --into file, if it has several of this kind."
 )
-@click.option("-o", "--out", type=FILE, help="Write to this file.  [default: print it, or change --into]")
-@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+@click.option("-o", "--out", type=o.FILE, help="Write to this file.  [default: print it, or change --into]")
+@o.OVERWRITE
 @click.option("--as-set", is_flag=True, help="Take the settings as they are: calibrate and tune nothing.")
-@GIVEN_MAP
-@log_options
+@o.carried(o.GIVEN_MAP, *o.READING)
 def export(
-    kind: str,
     log: tuple[str, ...],
+    options: o.Options,
+    kind: str,
     targets: tuple[str, ...],
     into: Path | None,
     node: str | None,
-    out: Path | None,
-    overwrite: bool,
     as_set: bool,
-    given_map: Path | None,
-    how: LogOptions,
 ) -> int:
     """Write the parameters of ROS nodes as found on LOG: ekf.yaml, controllers, AMCL, FusionCore.
 
@@ -68,10 +62,11 @@ def export(
     from locfuse.cli.terminal import show
     from locfuse.cli.terminal.screen import put, reader_may_leave, say
     from locfuse.formats.robot.ros_yaml import read
-    from locfuse.formats.whole_files import may_replace, whole_file
+    from locfuse.formats.whole_files import may_replace, write_text
 
+    how, out = options.how, options.outputs.out
     chosen = tuple(TARGETS) if "all" in targets else tuple(dict.fromkeys(targets))
-    may_replace(out, overwrite, log)
+    may_replace(out, options.outputs.overwrite, log)
     file = None if into is None else read(into)
     if file is not None:
         chosen = targets_in(file, chosen, node, "all" in targets)
@@ -84,8 +79,7 @@ def export(
     changed = file is None or bool(made.diff)
     place = out or into
     if out is not None:
-        with whole_file(out) as temporary:
-            temporary.write_bytes(made.text.encode())
+        write_text(out, made.text)
     elif into is not None and changed:
         write(into, made.text)
     with reader_may_leave():

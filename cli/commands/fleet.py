@@ -55,7 +55,7 @@ def fleet(log: tuple[str, ...], options: o.Options) -> int:
     locfuse fleet @logs.txt --robot-from "fleet/([^/]+)/" --robot "robots/{robot}.toml"
     locfuse fleet --each day1 --sweep lrf.sigma_range=0.01,0.03
     """
-    from locfuse.cli.fleet.words import expanded
+    from locfuse.cli.analysis.grouping import expanded
 
     words = expanded(log, options.fleet.each)
     if not words:
@@ -98,7 +98,7 @@ def many(words: Sequence[str], options: o.Options) -> int:
     _print(summary, written, outputs.as_json)
     _say_recordings(ended, every.recording)
     if outputs.open:
-        show.open_page(show.page_of(written))
+        show.open_page(written)
     return _code(found, gates.failures(summary), ended)
 
 

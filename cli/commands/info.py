@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from locfuse.cli.analysis.errors import EXIT_LOSS
-from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.terminal import completion
-from locfuse.cli.terminal.options import ADVICE, log_options
+from locfuse.cli.terminal import options as o
 from locfuse.cli.terminal.screen import put, reader_may_leave
 
 if TYPE_CHECKING:
-    from locfuse.cli.inspect.overview import Overview
+    from locfuse.cli.inspect.robot_facts import Overview
 
 PICTURES = "pictures"
 TRIED = "tried by fusing"
@@ -27,7 +26,7 @@ TRIED = "tried by fusing"
     is_flag=True,
     help="Also try the fixes by fusing again. Exit with 3 if something would spoil an estimate, or a run is lost.",
 )
-@ADVICE
+@o.ADVICE
 @click.option("--topics", is_flag=True, help="List the topics and nothing else: no message is read.")
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
 @click.option(
@@ -36,16 +35,8 @@ TRIED = "tried by fusing"
     metavar="DIR",
     help="Write a few of the camera's pictures there, with what counts as red and what was found.",
 )
-@log_options
-def info(
-    log: tuple[str, ...],
-    check: bool,
-    advice: bool,
-    topics: bool,
-    as_json: bool,
-    preview: Path | None,
-    how: LogOptions,
-) -> int:
+@o.carried(*o.READING)
+def info(log: tuple[str, ...], options: o.Options, check: bool, topics: bool, preview: Path | None) -> int:
     """Say what is in LOG, which sensor reads which topic and why, what is missing, and what looks wrong.
 
     A finding that a setting fixes is printed with that setting. --check tries them by fusing.
@@ -56,6 +47,7 @@ def info(
     locfuse info bag/ --preview pictures --set camera.outer=230
     locfuse info --topics s3://bucket/drive.mcap
     """
+    how, as_json = options.how, options.outputs.as_json
     if topics:
         return _list_topics(log, as_json, how.quiet)
     from locfuse.cli.analysis.load import find_log
@@ -69,7 +61,7 @@ def info(
         overview = inspect_log(find_log(log), how, progress)
         pictures = _preview(overview, preview) if preview is not None else []
         tried: dict[str, Any] = {}
-        if check and advice and overview.loaded is not None:
+        if check and options.asked.advice and overview.loaded is not None:
             from locfuse.cli.session.session import tried_by_fusing  # `info` alone does without its imports
 
             tried = tried_by_fusing(log, how, progress)
@@ -78,7 +70,7 @@ def info(
             put(json_report.encode({**values.values(overview), **({"tried": tried} if check else {})}))
         else:
             helped = tried["fixes"] if tried else None
-            text = info_text.lines(overview, _typed(log, how), show.width(), helped)
+            text = info_text.lines(overview, (*log, *how.words), show.width(), helped)
             show.lines((*text, *pictures), (*info_text.TITLES, PICTURES))
             if tried:
                 show.lines(("", TRIED), (TRIED,))
@@ -108,12 +100,6 @@ def _list_topics(words: tuple[str, ...], as_json: bool, quiet: bool) -> int:
     return EXIT_LOSS if log.losses else 0
 
 
-def _typed(log: tuple[str, ...], how: LogOptions) -> list[str]:
-    """Return LOG and the options that describe it, as they were typed."""
-    robot = [word for file in how.robot_files for word in ("--robot", str(file))]
-    return [*log, *robot, *(word for setting in how.sets for word in ("--set", setting))]
-
-
 def _preview(overview: Overview, folder: Path) -> list[str]:
     """Write preview pictures; return what to print of them."""
     from locfuse.formats.results.preview import write_pictures
@@ -132,7 +118,7 @@ def _preview(overview: Overview, folder: Path) -> list[str]:
 
 def _topic_of_pictures(overview: Overview) -> str:
     """Return the camera's topic: without a landmark it is not chosen, and its pictures help to find one."""
-    from locfuse.cli.inspect.sensors import pictures_of
+    from locfuse.cli.inspect.inspect_log import pictures_of
     from locfuse.fusion.data import LocfuseError
 
     fit = pictures_of(overview.log, overview.choice)

@@ -11,9 +11,8 @@ import click
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.errors import EXIT_LOSS
-from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.terminal import completion
-from locfuse.cli.terminal.options import log_options
+from locfuse.cli.terminal import options as o
 from locfuse.cli.terminal.screen import put, reader_may_leave, say
 
 if TYPE_CHECKING:
@@ -24,29 +23,26 @@ if TYPE_CHECKING:
 
 SCHEMA = "robot.schema.json"  # beside robot.toml: a path that holds on every machine, and wherever both are moved
 LONGEST_UNIT = 24  # characters, as in "[latitude, longitude]"
-FILE = click.Path(path_type=Path, dir_okay=False)
 
 
 @click.command()
 @click.argument("log", nargs=-1, required=True, shell_complete=completion.logs)
-@click.option("-o", "--out", type=FILE, help="Write it to this file.  [default: print it]")
-@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+@click.option("-o", "--out", type=o.FILE, help="Write it to this file.  [default: print it]")
+@o.OVERWRITE
 @click.option(
     "--update",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    type=o.EXISTING,
     metavar="ROBOT.TOML",
     help="Add to this file what the log shows and the file does not say; its comments and values stay.",
 )
 @click.option(
     "--ekf",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    type=o.EXISTING,
     metavar="EKF.YAML",
     help="Take topics and frames from this configuration of robot_localization; what does not map is said.",
 )
-@log_options
-def init(
-    log: tuple[str, ...], out: Path | None, overwrite: bool, update: Path | None, ekf: Path | None, how: LogOptions
-) -> int:
+@o.carried(*o.READING)
+def init(log: tuple[str, ...], options: o.Options, update: Path | None, ekf: Path | None) -> int:
     """Print a robot.toml for LOG: a starting point with a comment on every line.
 
     With -o or --update on a terminal it asks for the values that no log can tell, such as the wheels' radius.
@@ -64,13 +60,14 @@ def init(
     from locfuse.cli.inspect.template import draft
     from locfuse.cli.terminal import show
     from locfuse.formats.robot.commented_toml import printable
-    from locfuse.formats.whole_files import may_replace, whole_file
+    from locfuse.formats.whole_files import may_replace, write_text
 
+    how, out = options.how, options.outputs.out
     if update is not None:
         if out is not None or how.robot is not None:
             raise click.UsageError("--update FILE reads and writes FILE: leave out -o and --robot")
         how = replace(how, robot=update)
-    may_replace(out, overwrite, log)
+    may_replace(out, options.outputs.overwrite, log)
     place = update or out
     with show.progress(how.quiet) as progress:
         foreign, notes = _translated(find_log(log), ekf)
@@ -82,8 +79,7 @@ def init(
     name = printable(shlex.quote(str(place or "robot.toml")))
     text = _fresh(made, words, name) if update is None else _updated(made, update)
     if place is not None:
-        with whole_file(place) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_text(place, text)
         say(f"{place}: use it with --robot {name}")
     else:
         with reader_may_leave():

@@ -44,14 +44,14 @@ def paper(out: Path, overwrite: bool, jobs: int, as_json: bool, shown: bool, qui
         progress("drawing figures")
         files = job.files(found)
     write_results(out, files, overwrite)
+    values = json_report.plain(found.values())
     with reader_may_leave():
         if as_json:
-            put(json_report.encode(json_report.plain(found.values())))
+            put(json_report.encode(values))
         else:
-            values = json_report.plain(found.values())
             show.table(paper_page.table(values))
             show.lines([paper_page.conclusion(values)])
             show.lines(job.lines(found))
             show.end([out / name for name in files])
     if shown:
-        show.open_page(show.page_of([out / name for name in files]))
+        show.open_page([out / name for name in files])

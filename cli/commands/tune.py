@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
-from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.terminal import completion
-from locfuse.cli.terminal.findings import Table, end, findings_options, print_findings
-from locfuse.cli.terminal.options import log_options
+from locfuse.cli.terminal import options as o
+from locfuse.cli.terminal.findings import Table, finish
 
 BELOW_NOISE = " before: as configured. 95 % interval: where the value lies by these logs."
 BELOW_JUDGED = " ln likelihood: more is better; by 0.69: readings are twice as likely. NIS: 1 is right."
@@ -22,6 +19,7 @@ BELOW_JUDGED = " ln likelihood: more is better; by 0.69: readings are twice as l
     shell_complete=completion.sensors,
     default="all",
     show_default=True,
+    callback=lambda context, parameter, value: (value,),
     help="Comma-separated sensors to tune and to tune by, or: all.",
 )
 @click.option(
@@ -31,45 +29,31 @@ BELOW_JUDGED = " ln likelihood: more is better; by 0.69: readings are twice as l
     help="Judge by this log instead of tuning on it. Repeatable.  [default: the last fifth of every log]",
 )
 @click.option("--drift", is_flag=True, help="Ask also whether the compass' estimated offset drifts.")
-@findings_options("Write robot.toml: --robot and --set with the noise that was found.", "tables")
-@log_options
-def tune(
-    log: tuple[str, ...],
-    sensors: str,
-    hold_out: tuple[str, ...],
-    drift: bool,
-    out: Path | None,
-    overwrite: bool,
-    as_json: bool,
-    how: LogOptions,
-) -> int:
-    """Find the noise figures of LOGS of one robot: those under which what its sensors said is most likely.
+@o.carried(*o.found("Write robot.toml: --robot and --set with the noise that was found.", "tables"), *o.READING)
+def tune(log: tuple[str, ...], options: o.Options, hold_out: tuple[str, ...], drift: bool) -> int:
+    """Estimate sensor and wheel noise from LOGs of one robot (maximum likelihood).
 
-    No truth is needed. What the logs cannot tell is left as it was, and said.
+    No truth is needed. Values that cannot be estimated are listed and unchanged.
 
     \b
     locfuse tune monday.mcap tuesday.mcap --hold-out friday.mcap -o robot.toml
     locfuse compare friday.mcap --robot robot.toml
     """
-    from locfuse.cli.analysis import results
     from locfuse.cli.analysis.grouping import logs_of
     from locfuse.cli.analysis.load import find_log
     from locfuse.cli.session import tune
     from locfuse.cli.terminal import show
     from locfuse.formats.whole_files import may_replace
 
-    may_replace(out, overwrite, (*log, *hold_out))
+    how, sensors = options.how, tune.sensor_names(options.asked.sensors[0])
+    may_replace(options.outputs.out, options.outputs.overwrite, (*log, *hold_out))
     paths = [find_log(parts) for parts in logs_of(log)]
     held_out = [find_log(parts) for parts in logs_of(hold_out)]
     with show.progress(how.quiet) as progress:
-        found = tune.tune_logs(paths, held_out, tune.sensor_names(sensors), drift, how, progress)
-    if out is not None:
-        found.write(out, overwrite)
+        found = tune.tune_logs(paths, held_out, sensors, drift, how, progress)
     tables: list[Table] = [
         (found.titles, found.rows(), BELOW_NOISE),
         (("judged by", "before", "after"), found.judgements(), BELOW_JUDGED),
     ]
     held = "the settings as they were given; the noise that was found is not used" if found.refused else ""
-    print_findings(found.values(), tables, out, as_json, held)
-    lost = [line for one in found.loaded for line in results.loss_lines(one, found.sensors, how.strict)]
-    return end(found.notes, lost, how.quiet)
+    return finish(found, tables, options.outputs, held)

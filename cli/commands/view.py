@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.rerun.record import RECORDING
 from locfuse.cli.terminal import completion
-from locfuse.cli.terminal.options import Grouped, log_options
+from locfuse.cli.terminal import options as o
 from locfuse.cli.terminal.screen import say
 
 if TYPE_CHECKING:
@@ -22,8 +21,8 @@ if TYPE_CHECKING:
 TABS = ("Deviation", "Close-up", "NIS", "Innovation", "Gates", "Result", "Raw topics")
 
 
-@click.command(cls=Grouped)
-@click.argument("what", nargs=-1, required=True, metavar="LOG|OUT|FILE.rrd", shell_complete=completion.logs)
+@click.command(cls=o.Grouped)
+@click.argument("log", nargs=-1, required=True, metavar="LOG|OUT|FILE.rrd", shell_complete=completion.logs)
 @click.option(
     "--sensors",
     multiple=True,
@@ -32,7 +31,7 @@ TABS = ("Deviation", "Close-up", "NIS", "Innovation", "Gates", "Result", "Raw to
 )
 @click.option(
     "--save",
-    type=click.Path(path_type=Path, dir_okay=False),
+    type=o.FILE,
     metavar="FILE.rrd",
     help="Write the recording to this file and open nothing.",
 )
@@ -55,19 +54,17 @@ TABS = ("Deviation", "Close-up", "NIS", "Innovation", "Gates", "Result", "Raw to
 @click.option(
     "--full", is_flag=True, help="Record everything: no thinning of curves (4000 points) and scans (2000)."
 )
-@log_options
+@o.carried(*o.READING)
 def view(
-    what: tuple[str, ...],
-    sensors: tuple[str, ...],
+    log: tuple[str, ...],
+    options: o.Options,
     save: Path | None,
-    overwrite: bool,
     connect: str | None,
     web: bool,
     web_port: int,
     tab: str | None,
     images: int | None,
     full: bool,
-    how: LogOptions,
 ) -> None:
     """Show a log with all its configurations, a folder of results, or a recording, in Rerun's viewer.
 
@@ -85,19 +82,19 @@ def view(
     from locfuse.formats.whole_files import may_replace, scratch_prefix
     from locfuse.fusion.data import UsageError
 
-    may_replace(save, overwrite, what)
-    for word in what:
+    may_replace(save, options.outputs.overwrite, log)
+    for word in log:
         if word.endswith(".rrd") and not Path(word).is_file():
             raise UsageError(f"{word}: there is no such recording; make one with: locfuse view LOG --save {word}")
     if save is None and connect is None and not web:
         viewer.require()
     with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
-        with show.progress(how.quiet) as progress:
-            path = ready(what)
+        with show.progress(options.how.quiet) as progress:
+            path = ready(log)
             if path is None:
                 path = save or Path(scratch) / RECORDING
                 progress("recording")
-                save_recording(path, _scene(what, sensors, images, full, how, progress), tab)
+                save_recording(path, _scene(log, options, images, full, progress), tab)
             elif save is not None:
                 copy(path, save)
         if save is not None:
@@ -151,12 +148,7 @@ def ready(what: Sequence[str]) -> Path | None:
 
 
 def _scene(
-    what: Sequence[str],
-    sensors: Sequence[str],
-    images: int | None,
-    full: bool,
-    how: LogOptions,
-    progress: Progress,
+    what: Sequence[str], options: o.Options, images: int | None, full: bool, progress: Progress
 ) -> RerunScene:
     """Return what is shown of a folder of results, or of a log that is measured and fused now."""
     from locfuse.cli.rerun.folder import report_of, scene_of
@@ -165,6 +157,8 @@ def _scene(
 
     if len(what) == 1 and report_of(Path(what[0])) is not None:
         return scene_of(Path(what[0]))
-    result = opened(what, how, progress, read_again=True).compare(sensors or None, reference=False)
+    result = opened(what, options.how, progress, read_again=True).compare(
+        options.asked.sensors or None, reference=False
+    )
     progress("recording")
     return scene_of_result(result, images, full)

@@ -1,31 +1,27 @@
-"""A job: one log, what is asked of it, and how it ended. Plain values, so that another machine can run it."""
+"""A job: one log, what is asked of it, and how it ended. Plain values, so that another machine can run it.
+
+Results that a job would only repeat are left as they are. They are there when every report.json has the key that
+this run would give it, all its files lie beside it, and no file of the log was changed after it was written.
+"""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 
-from locfuse.cli.analysis.settings import Asked, LogOptions, Outputs
+from locfuse.cli.analysis.key import key
+from locfuse.cli.analysis.load import find_log
+from locfuse.cli.analysis.robot_tables import given_tables
+from locfuse.cli.analysis.settings import OF_COMPARISON, Asked, LogOptions, Outputs
 from locfuse.cli.rerun.recordings import Recording
-
-
-class FleetOptions(msgspec.Struct, frozen=True):
-    """What is asked of many logs beyond a single one."""
-
-    jobs: int = 1  # at once
-    max_failures: int | None = None
-    again: bool = False
-    each: tuple[str, ...] = ()  # folders
-    robot_from: str | None = None
-    sweep: tuple[str, ...] = ()  # as typed: "lrf.sigma_range=0.01,0.03"
-    cluster: str | None = None
-
-    @property
-    def asked(self) -> bool:
-        """Whether even a single log is treated as one of many."""
-        return bool(self.each or self.robot_from or self.sweep or self.again or self.cluster)
+from locfuse.formats.caps import MAX_REPORT
+from locfuse.formats.inputs import read_small
+from locfuse.formats.logs.files import files_of, identity_of
+from locfuse.formats.whole_files import TEMPORARY
+from locfuse.fusion.data import LocfuseError
 
 
 class SweepCell(msgspec.Struct, frozen=True):
@@ -72,3 +68,67 @@ class JobOutcome(msgspec.Struct, frozen=True):
     misused: bool = False  # it failed by what was asked for, not by the log
     resumed: bool = False  # its results were there already
     warnings: tuple[str, ...] = ()  # what did not work beside its results
+
+
+REPORT = "report.json"
+OTHER_FILES = ("robot.toml", "estimates.mcap")  # files of a result beside the kinds of output
+OF_KIND = {kind: f"report.{kind}" for kind in OF_COMPARISON if kind != "tum"}
+
+
+def is_finished(job: Job) -> bool:
+    """Return whether a job's results are there. Raises LocfuseError where its log or settings cannot be read."""
+    if job.again or job.outputs.export or job.outputs.figures is not None:  # exports are not looked for
+        return False
+    if not all((job.place(cell) / REPORT).is_file() for cell in job.cells):
+        return False
+    if job.recording is not None and not all(_is_recorded(job, cell) for cell in job.cells):
+        return False
+    files = files_of(find_log(job.log))
+    content = identity_of(files)
+    changed = max((file.stat().st_mtime_ns for file in files if isinstance(file, Path)), default=0)
+    return all(
+        _is_there(job, cell, changed, key(content, given_tables(job.how, cell.sets), job.asked))
+        for cell in job.cells
+    )
+
+
+def _is_there(job: Job, cell: SweepCell, changed_ns: int, expected: str) -> bool:
+    folder = job.place(cell)
+    report = read_report(folder)
+    if report is None or report.get("key") != expected:
+        return False
+    if (folder / REPORT).stat().st_mtime_ns < changed_ns:
+        return False
+    names = [OF_KIND[kind] for kind in job.outputs.write if kind in OF_KIND]
+    names += [f"{name}.tum" for name in report["configurations"]] if "tum" in job.outputs.write else []
+    return all((folder / name).is_file() for name in names)
+
+
+def _is_recorded(job: Job, cell: SweepCell) -> bool:
+    """Return whether the recording of a result is there, and not older than the result."""
+    assert job.recording is not None
+    file, report = job.recording.file(job.recording_of(cell)), job.place(cell) / REPORT
+    return file.is_file() and file.stat().st_mtime_ns >= report.stat().st_mtime_ns
+
+
+def is_replaceable(folder: Path) -> bool:
+    """Return whether a folder holds nothing but files of a result, or the cells of a sweep with theirs.
+
+    Such a folder has no report of its own where its writing was ended by force, or where a sweep wrote it.
+    """
+    known = {*OF_KIND.values(), *OTHER_FILES}
+    return not folder.is_dir() or all(
+        path.name in known
+        or path.name.endswith((".tum", TEMPORARY))
+        or (path.is_dir() and ((path / REPORT).is_file() or is_replaceable(path)))
+        for path in folder.iterdir()
+    )
+
+
+def read_report(folder: Path) -> dict[str, Any] | None:
+    """Return the report of a folder, None where there is none or it is not a whole one."""
+    try:
+        report = json.loads(read_small(folder / REPORT, MAX_REPORT))
+        return report if isinstance(report["configurations"], dict) and isinstance(report["input"], dict) else None
+    except (LocfuseError, ValueError, KeyError, TypeError, RecursionError):
+        return None

@@ -19,8 +19,7 @@ from locfuse.cli.session import sweep
 from locfuse.formats.fleet.entry import Entry, slim
 from locfuse.fusion.data import UsageError
 
-from .job import Job, JobOutcome, SweepCell
-from .resume import read_report
+from .job import Job, JobOutcome, SweepCell, read_report
 
 ROBOT_PLACEHOLDER = "{robot}"  # in --robot: where the name of the robot goes
 REPORT_IS_GONE = "its report.json is gone or cannot be read; run it again with --again"

@@ -13,12 +13,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from locfuse.cli.analysis.settings import FleetOptions
 from locfuse.formats.versions import own
 from locfuse.fusion.data import LocfuseError, UsageError
 
 from . import process
-from .job import FleetOptions, Job, JobOutcome
-from .resume import is_finished
+from .job import Job, JobOutcome, is_finished
 
 MAX_WAITING_PER_SLOT = 4  # jobs that wait at the executor for each that runs
 NOT_RUN = "stopped before it was run"

@@ -16,10 +16,11 @@ from locfuse.cli.analysis.adapted_topics import offer_presented, offer_tags
 from locfuse.cli.analysis.body_topics import NoWheelsError
 from locfuse.cli.analysis.choose import choose_sensor, choose_truth
 from locfuse.cli.analysis.load import Loaded, measured
+from locfuse.cli.analysis.maps import GRID
 from locfuse.cli.analysis.mounts import mount_tables, shared_turns, transforms_of
 from locfuse.cli.analysis.refused_motion import STANDS
 from locfuse.cli.analysis.robot_tables import make_robot, merged_tables, named_by_hand
-from locfuse.cli.analysis.topics import Choice
+from locfuse.cli.analysis.topics import Choice, of_type
 from locfuse.cli.analysis.wheel_topics import choose_wheels
 from locfuse.formats.container.url import Place
 from locfuse.formats.logs.log import Log, open_log
@@ -27,19 +28,17 @@ from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.fusion.checks.examine import examine
 from locfuse.fusion.checks.finding import Finding, of_error
+from locfuse.fusion.checks.laser_driver import driver
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.wheels.read import WheelReading
 
 from .mounts import conflicts, unplaced
-from .robot_facts import find_robot_facts, of_robot
-from .sensors import raw_findings
+from .robot_facts import Overview, find_robot_facts, of_robot
 from .topics import derived_facts, of_publishers, of_stamps, topic_facts
 
 if TYPE_CHECKING:
     from locfuse.cli.analysis.settings import LogOptions
-from .overview import Overview
 
 
 def inspect_log(
@@ -65,20 +64,18 @@ def inspect_log(
         *of_stamps(facts, choice, robot),
         *of_publishers(log, choice),
     ]
-    overview.findings += raw_findings(log, robot, choice)
+    overview.findings += [
+        *_said("lrf", choice.of("lrf"), lambda stream, _: driver(stream), log, robot),
+        *_said("camera", pictures_of(log, choice), _pictures, log, robot),
+        *_maps(log, robot, choice),
+    ]
     _measure(overview, progress)
-    if choice.unused_wheels and overview.loaded is not None and overview.loaded.matched is not None:
-        _size_by_scans(overview, robot, overview.loaded.reading)
+    if choice.unused_wheels and (loaded := overview.loaded) is not None and loaded.matched is not None:
+        overview.robot_facts = find_robot_facts(log, robot, choice, loaded.reading)  # by the motion of the scans
+        sized = [f for f in of_robot(log, robot, choice, overview.robot_facts) if f.code == "geometry"]
+        overview.findings = [*(f for f in overview.findings if f.code != "geometry"), *sized]
     overview.findings += [*unplaced(overview), *conflicts(overview)]
     return overview
-
-
-def _size_by_scans(overview: Overview, robot: Robot, scans: WheelReading | None) -> None:
-    """Say how big the wheels are by the motion that the scans gave."""
-    log, choice = overview.log, overview.choice
-    overview.robot_facts = find_robot_facts(log, robot, choice, scans)
-    sized = [f for f in of_robot(log, robot, choice, overview.robot_facts) if f.code == "geometry"]
-    overview.findings = [*(f for f in overview.findings if f.code != "geometry"), *sized]
 
 
 def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) -> Choice:
@@ -177,3 +174,40 @@ def _unusable(overview: Overview, loaded: Loaded) -> list[Finding]:
         for name, why in drive.absent.items()
         if name in overview.choice.topics and name not in known
     ]
+
+
+def _maps(log: Log, robot: Robot, choice: Choice) -> list[Finding]:
+    """Offer the maps that a log holds to its laser; the user knows whether they were made of the same scans."""
+    topics = [t for t in of_type(log, (GRID,)) if log.topics[t].count and "costmap" not in t.lower()]
+    topics.sort(key=lambda t: t != "/map")
+    if not topics or not choice.of("lrf") or robot.settings("lrf").map_topic is not None or robot.lines:
+        return []
+    words = (
+        f"{' and '.join(topics)} {'holds a map' if len(topics) == 1 else 'hold maps'}, in which the laser can be "
+        "localised; one that was made of these scans says nothing new"
+    )
+    return [Finding("lrf", "map", words, (f"lrf.map_topic={topics[0]}",))]
+
+
+def pictures_of(log: Log, choice: Choice) -> tuple[str, ...]:
+    """Return the topics of pictures: the camera's, else all."""
+    found = choice.of("camera") or tuple(of_type(log, REGISTRY["camera"].reads))
+    return tuple(topic for topic in found if log.topics[topic].count)
+
+
+def _said(
+    role: str, topics: Sequence[str], examine: Callable[[Any, Any], list[Finding]], log: Log, robot: Robot
+) -> list[Finding]:
+    """Examine the raw messages of a role that has exactly one topic."""
+    if len(topics) != 1:
+        return []
+    try:
+        return examine(log.stream(topics[0], robot.order), robot.settings(role))
+    except LocfuseError as e:
+        return [of_error(e, role, "unusable")]
+
+
+def _pictures(stream: Any, settings: Any) -> list[Finding]:
+    from locfuse.fusion.checks.pictures import of_pictures
+
+    return of_pictures(stream, settings)

@@ -19,7 +19,7 @@ from locfuse.fusion.wheels.odometry import BODY_READS, SCANS
 from locfuse.fusion.wheels.read import counts_ticks
 from locfuse.fusion.wheels.sources import JOINTS, NUMBERS, TICKS
 
-from .overview import Overview
+from .robot_facts import Overview
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log

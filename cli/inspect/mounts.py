@@ -10,7 +10,7 @@ from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.sensors.registry import REGISTRY
 
 if TYPE_CHECKING:
-    from .overview import Overview
+    from .robot_facts import Overview
 
 MOUNT_KEYS = ("x", "y", "roll_deg", "pitch_deg", "yaw_deg", "flipped", "mounts")
 

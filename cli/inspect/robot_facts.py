@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import msgspec
 import numpy as np
+from msgspec import field
 
 from locfuse.cli.analysis.body_topics import of_camera
+from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.topics import Choice, of_type
 from locfuse.cli.analysis.wheel_topics import are_wheels, counters_of, missing_of
+from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.formats.robot.urdf import WheelGeometry, wheel_geometry
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.data import BY_SCANS, Array, LocfuseError, Ragged
@@ -22,6 +25,8 @@ from locfuse.fusion.wheels.odometry import BODY_READS, ODOMETRY, commanded
 from locfuse.fusion.wheels.read import WheelReading
 from locfuse.fusion.wheels.sources import JOINTS, USUAL_TICKS, joint_names
 from locfuse.fusion.wheels.steered import is_tricycle
+
+from .topics import TopicFacts
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
@@ -40,12 +45,29 @@ class RobotFacts(msgspec.Struct, frozen=True):
     joints: tuple[str, str] | None = None  # wheel joints, by name or because only they turn
 
 
+class Overview(msgspec.Struct):
+    """A log as it is found: topics, roles, mounts, clocks, findings."""
+
+    log: Log
+    tables: dict[str, Any]  # robot.toml as merged, before mounts
+    choice: Choice
+    facts: list[TopicFacts]
+    transforms: StaticTransforms
+    robot: Robot  # with mounts where the log could be measured
+    loaded: Loaded | None = None
+    robot_facts: RobotFacts = field(default_factory=RobotFacts)
+    findings: list[Finding] = field(default_factory=list)
+
+    @property
+    def severe(self) -> bool:
+        """Whether an estimate would be wrong, or bytes are lost."""
+        return any(f.severe for f in self.findings)
+
+
 def find_robot_facts(log: Log, robot: Robot, choice: Choice, scans: WheelReading | None = None) -> RobotFacts:
     """Look for wheel geometry beyond robot.toml; `scans` is the motion by scans, where that was used."""
     described = _described(log)
-    topics = choice.of("wheels")
-    kind = log.topics[topics[0]].msgtype if topics else ""
-    counters = topics if topics and kind not in BODY_READS else _unused_counters(log, robot, choice)
+    counters = _counters(log, robot, choice)
     if not counters:
         return RobotFacts(described)
     kind = log.topics[counters[0]].msgtype
@@ -53,8 +75,6 @@ def find_robot_facts(log: Log, robot: Robot, choice: Choice, scans: WheelReading
     joints = _joints(log, counters[0], robot) if kind == JOINTS else None
     settings = robot.wheels
     if joints is not None:
-        import msgspec
-
         settings = msgspec.structs.replace(settings, left=joints[0], right=joints[1])
     fitted, both = None, merged([log.stream(t) for t in counters])
     if is_tricycle(both):
@@ -74,9 +94,7 @@ def of_robot(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list[
 
 
 def _geometry(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list[Finding]:
-    topics = choice.of("wheels") or _unused_counters(log, robot, choice)
-    if not topics or log.topics[topics[0]].msgtype in BODY_READS:
-        topics = _unused_counters(log, robot, choice)
+    topics = _counters(log, robot, choice)
     if not topics:
         return []
     missing = missing_of(log, robot, topics)
@@ -93,7 +111,7 @@ def _geometry(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list
         fixes += [f"wheels.left={found.joints[0]}", f"wheels.right={found.joints[1]}"]
     if not words:
         return []
-    other = choice.of("wheels") and log.topics[choice.of("wheels")[0]].msgtype in BODY_READS
+    other = choice.of("wheels") not in ((), topics)  # an odometry is read in their place
     counts = "count" if len(topics) > 1 else "counts"
     message = f"{' and '.join(topics)} {counts} wheel turns, but nothing says {', '.join(words)}"
     return [Finding("wheels", "geometry", message, tuple(fixes), not other, source if fixes else "")]
@@ -123,6 +141,13 @@ def geometry(robot: Robot, found: RobotFacts) -> tuple[dict[str, float], str]:
         parts = [f"{key} {value:.4g} m (1 sigma {sigma:.1g})" for (key, value), sigma in rows]
         return values, f"matching the scans of this drive gives {' and '.join(parts)}"
     return values, f"{found.odometry} was made with these"
+
+
+def _counters(log: Log, robot: Robot, choice: Choice) -> tuple[str, ...]:
+    """Return the topics of wheel turns: those that are read, else those that could be; () without any."""
+    topics = choice.of("wheels")
+    turns = topics and log.topics[topics[0]].msgtype not in BODY_READS
+    return topics if turns else _unused_counters(log, robot, choice)
 
 
 def _unused_counters(log: Log, robot: Robot, choice: Choice) -> tuple[str, ...]:

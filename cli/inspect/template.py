@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from msgspec.structs import replace
 
-from locfuse.cli.analysis.robot_tables import ATTACHMENT, make_robot, table_types
+from locfuse.cli.analysis.robot_tables import ATTACHMENT, flat, make_robot, table_types
 from locfuse.cli.analysis.settings import LogOptions, set_words
 from locfuse.formats.container.url import Place
 from locfuse.formats.robot import robot_toml
@@ -18,7 +18,7 @@ from locfuse.fusion.data import LocfuseError
 
 from .inspect_log import inspect_log
 from .known_robots import open_figures, recognise
-from .overview import Overview
+from .robot_facts import Overview
 from .template_tables import Facts, Known, found, lines
 
 MAX_ROUNDS = 4  # a fix may bring out what could not be seen before
@@ -95,16 +95,8 @@ def _given(overview: Overview, how: LogOptions, said: Mapping[str, Mapping[str, 
     layers += [(file.name, robot_toml.parse(file.read_bytes(), file.name)) for file in how.robot_files]
     layers += said.items()
     layers.append(("--set", robot_toml.apply_sets(how.sets)))
-    merged = _flat(overview.tables)
-    return {key: (merged[key], f"by {who}") for who, tables in layers for key in _flat(tables)}
-
-
-def _flat(tables: Mapping[str, Any]) -> dict[str, Any]:
-    """Return {"wheels": {"radius": 1}} as {"wheels.radius": 1}."""
-    flat: dict[str, Any] = {}
-    for name, table in tables.items():
-        flat |= {f"{name}.{k}": v for k, v in table.items()} if isinstance(table, Mapping) else {name: table}
-    return flat
+    merged = flat(overview.tables)
+    return {key: (merged[key], f"by {who}") for who, tables in layers for key in flat(tables)}
 
 
 def _fixes(findings: Iterable[Finding]) -> dict[str, tuple[str, str]]:
@@ -133,4 +125,4 @@ def _loads(fix: str) -> bool:
 
 
 def _read(fixes: Mapping[str, tuple[str, str]]) -> Known:
-    return {key: (_flat(robot_toml.apply_sets([fix]))[key], why) for key, (fix, why) in fixes.items()}
+    return {key: (flat(robot_toml.apply_sets([fix]))[key], why) for key, (fix, why) in fixes.items()}

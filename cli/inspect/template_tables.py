@@ -21,7 +21,7 @@ from locfuse.fusion.wheels.sources import JOINTS
 from locfuse.fusion.wheels.steered import MOTOR, SERVO
 
 from .mounts import placed_by
-from .overview import Overview
+from .robot_facts import Overview
 
 Known = dict[str, tuple[Any, str]]  # "table.key" -> its value, and its source
 TOP_KEYS = ("order", "preset")
@@ -178,7 +178,8 @@ def lines(facts: Facts, table: str, missing: list[str]) -> Iterator[TomlLine]:
 
 
 def _unknown(table: str, key: str, default: Any, missing: list[str]) -> Iterator[TomlLine]:
-    guessed, asked = _guess(table, key), _ask(table, key)
+    guessed = (REGISTRY[table].guesses if table in REGISTRY else GUESSED_DEFAULTS.get(table, {})).get(key)
+    asked = _ask(table, key)
     if guessed is not None:
         yield TomlLine(key, default, guessed)
     elif asked is not None:
@@ -229,8 +230,3 @@ def _concerns(facts: Facts, table: str, key: str) -> bool:
 def _ask(table: str, key: str) -> Ask | None:
     """Return how the robot's owner finds the value of a key, None where nothing need be asked."""
     return (REGISTRY[table].asks if table in REGISTRY else HOW_TO_MEASURE.get(table, {})).get(key)
-
-
-def _guess(table: str, key: str) -> str | None:
-    """Return the meaning of a default that is a guess, None where it is none."""
-    return (REGISTRY[table].guesses if table in REGISTRY else GUESSED_DEFAULTS.get(table, {})).get(key)

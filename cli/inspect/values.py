@@ -10,7 +10,7 @@ from locfuse.fusion.data import BY_SCANS, ODOMETRY
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .mounts import extrinsics
-from .overview import Overview
+from .robot_facts import Overview
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log

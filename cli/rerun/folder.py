@@ -12,6 +12,7 @@ import numpy as np
 from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.figures.palette import traces_in
 from locfuse.formats.inputs import read_small
+from locfuse.formats.logs.files import REPORTS
 from locfuse.formats.report import json_report
 from locfuse.formats.rerun.scene import RerunScene
 from locfuse.formats.results.trajectory import read_tum
@@ -20,7 +21,6 @@ from locfuse.fusion.judge.evaluate import evaluate
 
 from .scene import palette, table_of
 
-REPORTS = ("report.json", "run.json")
 TRUTH = "truth.tum"
 COVARIANCE, SMOOTHED = "trajectory.csv", "smoothed.csv"
 

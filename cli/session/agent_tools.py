@@ -17,7 +17,7 @@ from locfuse.formats.logs.files import ENDINGS, log_files
 from locfuse.formats.report import json_report
 from locfuse.formats.report.findings import notes_of, sentence, void_reasons
 from locfuse.formats.robot import robot_toml
-from locfuse.formats.whole_files import whole_file
+from locfuse.formats.whole_files import write_text
 from locfuse.fusion.data import UsageError
 
 from .explain import explain
@@ -190,22 +190,19 @@ class Tools:
     def _write(self, name: str, values: Mapping[str, Any]) -> str:
         """Write values beside the folder that `compare` keeps for itself; return the file."""
         self._out.mkdir(parents=True, exist_ok=True)
-        with whole_file(self._out / name) as temporary:
-            temporary.write_text(json_report.encode(values), encoding="utf-8")
+        write_text(self._out / name, json_report.encode(values))
         return str(self._out / name)
 
 
 def _findings(found: Iterable[Mapping[str, Any]]) -> list[AgentFinding]:
     """Return findings in short, each once: what was tried of a fix stands in the sentence."""
     unique = {
-        (f["role"], f["code"], f["message"]): AgentFinding(f["role"], f["code"], _sentence(f), list(f["fixes"]))
+        (f["role"], f["code"], f["message"]): AgentFinding(
+            f["role"], f["code"], sentence(f) if "tried" in f else str(f["message"]), list(f["fixes"])
+        )
         for f in found
     }
     return list(unique.values())
-
-
-def _sentence(finding: Mapping[str, Any]) -> str:
-    return sentence(finding) if "tried" in finding else str(finding["message"])
 
 
 def _is_file(text: str) -> bool:

@@ -59,16 +59,6 @@ class ByLaser(msgspec.Struct, frozen=True):
     fit: LaserCalibration
     was: LrfSettings
 
-    @property
-    def parameters(self) -> Array:
-        """Of NAMES, (7,)."""
-        return self.fit.parameters
-
-    @property
-    def sigmas(self) -> Array:
-        """Of NAMES, (7,): NaN where the drives cannot tell."""
-        return self.fit.sigmas
-
     def mount(self) -> dict[str, Figure]:
         """Return the laser's mount and clock by the keys of [lrf], those that the drives can tell."""
         unit = np.array([1.0, 1.0, math.degrees(1.0), 1.0])
@@ -120,7 +110,7 @@ class Calibration(Found, frozen=True, kw_only=True):
 
     def relative(self) -> tuple[Array, Array] | None:
         """Return mean scale, scale difference and track, 0: as set, and their sigmas, NaN: unknown; (3,) each."""
-        found = self.wheels or self.laser or self.gyro
+        found = self.wheels or (self.laser and self.laser.fit) or self.gyro
         if found is None:
             return None
         parameters, sigmas = found.parameters[:3].copy(), found.sigmas[:3].copy()

@@ -9,10 +9,11 @@ from typing import Any, ClassVar
 import msgspec
 
 from locfuse.cli.analysis.load import Loaded
+from locfuse.cli.analysis.results import loss_lines
 from locfuse.cli.analysis.settings import LogOptions, PathLike, path_of
 from locfuse.formats.report.findings import options
 from locfuse.formats.robot import commented_toml, robot_toml
-from locfuse.formats.whole_files import may_replace, whole_file
+from locfuse.formats.whole_files import may_replace, write_text
 from locfuse.fusion.checks.examine import examine
 from locfuse.fusion.data import LocfuseError
 
@@ -43,6 +44,14 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
         """Return the settings that were looked for as rows of words, for people."""
         raise NotImplementedError
 
+    def losses(self) -> list[str]:
+        """Return in words what was lost of the logs and of the readings that were used."""
+        return [line for one in self.loaded for line in loss_lines(one, self.used(one), self.how.strict)]
+
+    def used(self, one: Loaded) -> Sequence[str]:
+        """Return the sensors of a log whose readings were used."""
+        return list(one.drive.measurements)
+
     def before(self) -> str:
         """Return the text that robot.toml begins from where the user gave none."""
         return f"# found by locfuse {self.command}\n"
@@ -61,10 +70,7 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
         may_replace(path, overwrite)
         text = commented_toml.text_of(self.how.robot) or self.before()
         changes = robot_toml.merge(self.given(), self.tables())
-        with whole_file(path) as temporary:
-            temporary.write_text(
-                commented_toml.updated(text, changes, f"locfuse {self.command}"), encoding="utf-8"
-            )
+        write_text(path, commented_toml.updated(text, changes, f"locfuse {self.command}"))
         return path
 
     def __repr__(self) -> str:

@@ -2,26 +2,116 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
+import numpy as np
 from msgspec.structs import replace
 
 from locfuse.cli.analysis import outputs
-from locfuse.cli.analysis.settings import Progress, silent
+from locfuse.cli.analysis.settings import Progress
 from locfuse.formats.figures.palette import looks_of, traces_of
-from locfuse.formats.figures.panels import Panel, Spots
+from locfuse.formats.figures.panels import Curve, Panel, Spots, Strokes
 from locfuse.formats.figures.sections import sections
+from locfuse.fusion.data import Array, Colour
 from locfuse.fusion.sensors.registry import colours
+from locfuse.sample_logs import load as scenarios
+from locfuse.sample_logs.paths import polygon
+from locfuse.sample_logs.record import in_memory
+from locfuse.sample_logs.scenario import Polygon
 
-from . import path_following
-from .path_following import Distance, Driven
 from .result import Comparison
 from .session import load
+from .simulate import localise
 
 if TYPE_CHECKING:
     from locfuse.formats.whole_files import Content
+
+PATHS = {"a": "rounded_rectangle", "b": "rounded_triangle"}
+WITHOUT, WITH, INTENDED, WALLS = "steered on odometry", "steered on the EKF", "path", "walls"
+INKS = {
+    WITHOUT: Colour("#cb7627", "#ec8c10"),
+    WITH: Colour("#1a34b0", "#3a78de"),
+    INTENDED: Colour("#0d0f12", "#f4f5f7"),
+    WALLS: Colour("#9aa3af", "#667080"),
+}
+LOOKS = {WITHOUT: "dash", WITH: "over"}  # the path is seen in the gaps of the way on the EKF
+SEED = 1
+
+
+class Driven(NamedTuple):
+    """One drive of one scenario."""
+
+    scenario: str
+    xy: Array  # (n, 2) m, where the robot really was
+    path: Array  # (m, 2) m, where it should have been
+
+
+class Distance(NamedTuple):
+    """How far from its path a robot was."""
+
+    figure: str  # "14 a"
+    steered: str
+    rms: float  # m
+    largest: float  # m
+
+
+def drives(jobs: int) -> dict[str, Driven]:
+    """Drive both paths with and without the EKF in the loop."""
+    names = [name for path in PATHS.values() for name in (path, f"{path}_ekf")]
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        return dict(zip(names, pool.map(drive, names), strict=True))
+
+
+def drive(scenario: str) -> Driven:
+    """Drive a scenario with its own estimator in the loop."""
+    chosen = scenarios.load(scenario)
+    if not isinstance(chosen.path, Polygon):
+        raise TypeError(f"{scenario} follows no closed path")
+    *_, outcome = in_memory(chosen, SEED, localise(chosen.control.estimator))
+    return Driven(scenario, outcome.truth[::10, :2], polygon(chosen.path).pose[:, :2])
+
+
+def distances(driven: Driven) -> Array:
+    """Return the distance of every point driven to the nearest point of the path, (n,) m; it has one every cm."""
+    return np.array([np.hypot(*(driven.path - p).T).min() for p in driven.xy])
+
+
+def path_distances(driven: Mapping[str, Driven]) -> Iterator[Distance]:
+    """Yield a row per drive."""
+    for letter, path in PATHS.items():
+        for name, steered in ((path, WITHOUT), (f"{path}_ekf", WITH)):
+            d = distances(driven[name])
+            yield Distance(f"14 {letter}", steered, float(np.sqrt((d**2).mean())), float(d.max()))
+
+
+def path_panels(driven: Mapping[str, Driven]) -> list[Panel]:
+    """Return figures 14 a and 14 b."""
+    return [_panel(letter, driven[path], driven[f"{path}_ekf"]) for letter, path in PATHS.items()]
+
+
+def _panel(letter: str, without: Driven, with_ekf: Driven) -> Panel:
+    room = scenarios.load(without.scenario).room
+    x, y = room.size
+    sides = [((0, 0), (x, 0)), ((x, 0), (x, y)), ((x, y), (0, y)), ((0, y), (0, 0))]
+    ends = np.array([*sides, *(((a, b), (c, d)) for a, b, c, d in room.plates)], float)
+    closed = np.concatenate((without.path, without.path[:1]))
+    curves = {INTENDED: closed, WITHOUT: without.xy, WITH: with_ekf.xy}
+    title = f"Figure 14 {letter}: {without.scenario.replace('_', ' ')}"
+    return Panel(
+        name=f"fig14{letter}",
+        title=title,
+        y_label="y, m",
+        x_label="x, m",
+        marks=(Strokes(WALLS, ends), *(Curve(of, xy[:, 0], xy[:, 1]) for of, xy in curves.items())),
+        summary=f"{title}: the way that the robot really took, steered on odometry and on the EKF.",
+        equal=True,
+        keys=(INTENDED, WITHOUT, WITH),
+    )
+
 
 LOG = "rounded_rectangle"
 PRESETS = {"ours": "default", "print": "paper"}  # column -> preset
@@ -47,7 +137,7 @@ class Repeated(msgspec.Struct, frozen=True):
 
     def distances(self) -> list[Distance]:
         """Return how far from its path each robot of figure 14 was."""
-        return list(path_following.table(self.driven))
+        return list(path_distances(self.driven))
 
     def values(self) -> dict[str, Any]:
         """Return everything as plain values: paper.json."""
@@ -56,7 +146,7 @@ class Repeated(msgspec.Struct, frozen=True):
             "locfuse": first["locfuse"],
             "made_with": first["made_with"],
             "log": LOG,
-            "seed": path_following.SEED,
+            "seed": SEED,
             "table": self.rows(),
             "figure_14": [d._asdict() for d in self.distances()],
         }
@@ -76,14 +166,14 @@ class Repeated(msgspec.Struct, frozen=True):
         }
 
 
-def repeat(progress: Progress = silent, jobs: int = 2) -> Repeated:
+def repeat(progress: Progress, jobs: int) -> Repeated:
     """Compare the shipped log under both filters, and drive figure 14's paths."""
     compared = {
         which: load(LOG, preset=preset, progress=progress).compare(smooth=False)
         for which, preset in PRESETS.items()
     }
     progress("driving the paths of figure 14")
-    return Repeated(compared, path_following.drives(jobs=jobs))
+    return Repeated(compared, drives(jobs=jobs))
 
 
 def files(found: Repeated) -> dict[str, Content]:
@@ -93,7 +183,7 @@ def files(found: Repeated) -> dict[str, Content]:
 
     out: dict[str, Content] = {}
     shown: dict[str, list[Panel]] = {}
-    inks, looks = colours_of(found), dict(path_following.LOOKS)
+    inks, looks = colours_of(found), dict(LOOKS)
     light = {name: colour.light for name, colour in inks.items()}
     for which in PRESETS:
         looks |= looks_of(traces_of(found.compared[which].compared.estimates))
@@ -101,7 +191,7 @@ def files(found: Repeated) -> dict[str, Content]:
     for name, panels in shown.items():
         drawn = draw(panels[0], light, looks) if len(panels) == 1 else draw_column(panels, light, looks)
         out[f"{name}.svg"], out[f"{name}.pdf"] = drawn
-    for panel in path_following.panels(found.driven):
+    for panel in path_panels(found.driven):
         shown[panel.name] = [panel]
         out[f"{panel.name}.svg"], out[f"{panel.name}.pdf"] = draw(panel, light, looks)
     values = json_report.plain(found.values())
@@ -117,7 +207,7 @@ def colours_of(found: Repeated) -> dict[str, Any]:
     from locfuse.formats.figures import palette
 
     traces = traces_of(found.compared["ours"].compared.estimates)
-    return {**palette.ROLES, **palette.colours(traces, colours()), **path_following.INKS}
+    return {**palette.ROLES, **palette.colours(traces, colours()), **INKS}
 
 
 def lines(found: Repeated) -> Sequence[str]:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.cli.advice.values import fixes_file
-from locfuse.cli.analysis import maps, outputs, results
+from locfuse.cli.analysis import outputs, results
 from locfuse.cli.analysis.compare import Compared
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import EXPORTS, OF_COMPARISON, OF_RUN, PathLike, chosen, path_of
@@ -271,10 +271,9 @@ class Run(Result, frozen=True, eq=False):
     def write_audit(self, file: PathLike) -> None:
         """Write every measurement with its distance, threshold and verdict as CSV."""
         from locfuse.formats.results.trajectory import audit_csv
-        from locfuse.formats.whole_files import whole_file
+        from locfuse.formats.whole_files import write_text
 
-        with whole_file(path_of(file)) as path:
-            path.write_text(audit_csv(self.drive, self.filtered))
+        write_text(path_of(file), audit_csv(self.drive, self.filtered))
 
     @speaks_python
     def save_map(self, file: PathLike) -> None:
@@ -282,19 +281,22 @@ class Run(Result, frozen=True, eq=False):
 
         A .csv gets the landmarks or anchors that the run placed (`landmarks.map = "grow"`), for `landmarks.map`.
         """
+        from locfuse.formats.robot import landmark_map, line_map
+        from locfuse.formats.whole_files import write_text
+
         if path_of(file).suffix == ".csv":
             if not self.filtered.points:
                 raise UsageError(
                     "save_map: this run placed no landmarks",
                     hint="--set landmarks.map=grow makes a map of them",
                 )
-            maps.keep_landmarks(self.filtered, path_of(file))
+            write_text(path_of(file), landmark_map.encode(self.filtered.points))
             return
         if "lrf" not in self.filtered.sensors:
             raise UsageError(
                 "save_map: only the laser has a map, and this run did not use it; add lrf to its sensors"
             )
-        maps.keep(self.filtered, path_of(file), self.loaded.log.name)
+        write_text(path_of(file), line_map.encode(self.filtered.final_map, self.loaded.log.name))
 
 
 class Comparison(Result, frozen=True, eq=False, dict=True):

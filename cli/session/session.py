@@ -204,7 +204,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         complete(
             report,
             self._advice_on_run(used, estimates[0], evaluations[0], align) if advice else None,
-            self._start_error(),
+            start_error(self.robot, self.drive),
             stands=self.drive.wheels.stands,
             jumps=jumps_of(self.drive),
         )
@@ -262,7 +262,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         self._add_jitter(report, wanted, asked, compared.estimates)
         advised = None if evaluator is None else evaluator.advised()
         stands, jumps = self.drive.wheels.stands, jumps_of(self.drive)
-        complete(report, advised, self._start_error(), [e.name for e in foreign], stands, jumps)
+        complete(report, advised, start_error(self.robot, self.drive), [e.name for e in foreign], stands, jumps)
         say_motion(report, self.loaded, asked.advice and moves)
         self.progress("writing")
         return Comparison(
@@ -303,7 +303,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         hold_out: Sequence[PathLike | Sequence[PathLike]] = (),
         drift: bool = False,
     ) -> Tuning:
-        """Find the noise under which what the sensors reported is most likely, as `locfuse tune` does.
+        """Estimate sensor and wheel noise (maximum likelihood), as `locfuse tune` does.
 
         Args:
             *more: more logs of the same robot.
@@ -353,9 +353,6 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         """Add the range of every figure over the jittered runs to a report, where any are asked for."""
         plain = {e.name: e for e in estimates}
         add_jitter(report, list(jitter_runs(self.loaded, configurations, asked, plain, self.progress)))
-
-    def _start_error(self) -> float | None:
-        return start_error(self.robot, self.drive)
 
     def _advice_on_run(self, c: Configuration, e: Estimates, judged: Evaluation, align: str) -> Advised:
         """Evaluate the log if this one run of it gives reason to."""

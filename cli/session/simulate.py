@@ -1,24 +1,36 @@
-"""Simulated drives: a scenario driven with a localisation of ours in its control loop, recorded as a log."""
+"""Simulated drives: a scenario driven with a localisation of ours in its control loop, recorded as a log.
+
+In the loop a scan arrives after the compass reading that was taken in its middle. So the filter runs MAX_LATENCY_S
+behind the newest wheel reading, where the order of everything is known, and the wheels bridge from there to now.
+"""
 
 from __future__ import annotations
 
 import tempfile
 import weakref
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.cli.analysis.settings import PathLike, Progress, Sets, path_of, set_words, silent
 from locfuse.formats.whole_files import may_replace, scratch_prefix
-from locfuse.fusion.data import UsageError
+from locfuse.fusion import se2
+from locfuse.fusion.data import ArrayStream, Column, LocfuseError, Measurements, Ragged, UsageError
+from locfuse.fusion.fuse import Filter
+from locfuse.fusion.instants import step_between
+from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.wheels.motion import Wheels
 
-from .control_loop import make_estimator
 from .python_words import speaks_python
 from .session import Session, load
 
 if TYPE_CHECKING:
-    from locfuse.sample_logs.messages import Estimator
+    from locfuse.sample_logs.messages import Estimator, RawMessage
     from locfuse.sample_logs.record import Localise
     from locfuse.sample_logs.scenario import Scenario
     from locfuse.sample_logs.simulate import Outcome
@@ -101,6 +113,101 @@ def localise(word: str) -> Localise:
                 known = ", ".join(("truth", "odometry", *carried, "all"))
                 raise UsageError(f"control.estimator = {word}: this robot has no {name}; choose from {known}")
         sensors = tuple(name for name in carried if name in asked)
-        return make_estimator({name: tables[name] for name in ("wheels", "start", *sensors)}, sensors)
+        return Localiser(make_robot({name: tables[name] for name in ("wheels", "start", *sensors)}), sensors)
 
     return on_truth if word == "truth" else build
+
+
+MAX_LATENCY_S = 0.15  # s: longer than any sensor's latency in the scenarios
+WHEEL_MEMORY_S = 4.0  # s of wheel readings that are kept
+
+
+class Localiser:
+    """The state between two calls: the filter, recent wheel readings, and readings whose turn has not come."""
+
+    def __init__(self, robot: Robot, sensors: Sequence[str]) -> None:
+        self.robot = robot
+        self.filter = Filter(robot, sensors)
+        self._role = {robot.settings(s).topic: s for s in sensors}
+        self._wheel_t: list[float] = []
+        self._rolled: list[tuple[float, float]] = []
+        self._waiting: list[tuple[str, RawMessage]] = []
+        self._epoch_ns = 0
+        self._at = 0.0  # s: the time that the filter has reached
+        if robot.start.at:
+            raise LocfuseError(
+                "start.at is for recorded logs: while a robot drives, its later pose is unknown; remove start.at"
+            )
+        self._pose = np.array(robot.start.pose)
+
+    def __call__(self, messages: list[RawMessage]) -> tuple[float, float, float]:
+        """Take in what arrived and return the pose at the newest wheel reading."""
+        for message in messages:
+            if message.topic == self.robot.wheels.topic:
+                self._roll(message)
+            elif message.topic in self._role:
+                self._waiting.append((self._role[message.topic], message))
+        if len(self._wheel_t) >= 2:
+            wheels = self._wheels()
+            self._correct(wheels)
+            now = wheels.relative(np.array([self._at]), wheels.t[-1:])[0]
+            self._pose = se2.compose(np.array(self.filter.pose()), now)
+            self._forget()
+        x, y, theta = self._pose.tolist()
+        return x, y, theta
+
+    def _roll(self, message: RawMessage) -> None:
+        """Note the distances that the wheels had rolled by this message."""
+        if not self._wheel_t:
+            self._epoch_ns = message.stamp_ns
+        t = (message.stamp_ns - self._epoch_ns) * 1e-9
+        if self._wheel_t and t <= self._wheel_t[-1]:
+            return
+        settings, names = self.robot.wheels, list(message.fields["name"])
+        angle = dict(zip(names, np.asarray(message.fields["position"]).tolist(), strict=True))
+        radius, (left, right) = settings.radius or 0.0, settings.shares
+        self._wheel_t.append(t)
+        self._rolled.append((radius * left * angle[settings.left], radius * right * angle[settings.right]))
+
+    def _wheels(self) -> Wheels:
+        rolled = np.array(self._rolled)
+        settings = self.robot.wheels
+        return Wheels.from_wheels(
+            np.array(self._wheel_t), rolled[:, 0], rolled[:, 1], settings.track or 1.0, settings.noise
+        )
+
+    def _correct(self, wheels: Wheels) -> None:
+        """Advance the filter through every reading that is older than MAX_LATENCY_S, in time order."""
+        horizon = wheels.t[-1] - MAX_LATENCY_S
+        measured = [(self._measure(s, message, wheels), s, message) for s, message in self._waiting]
+        ready = [(m, s) for m, s, _ in measured if len(m.t) and self._at <= m.t[0] <= horizon]
+        self._waiting = [(s, message) for m, s, message in measured if len(m.t) and m.t[0] > horizon]
+        for t in sorted({float(m.t[0]) for m, _ in ready}):
+            step = step_between(wheels, self._at, t, self.robot.wheels.estimate)
+            due = {s: m for m, s in ready if m.t[0] == t}
+            self.filter.advance(0, step, [(s, 0) for s in due], due)
+            self._at = t
+
+    def _measure(self, sensor: str, message: RawMessage, wheels: Wheels) -> Measurements:
+        stream = ArrayStream(
+            message.topic,
+            message.msgtype,
+            np.array([message.stamp_ns]),
+            {name: _column(value) for name, value in message.fields.items()},
+            message.frame_id,
+        )
+        return REGISTRY[sensor].measure(stream, self.robot.settings(sensor), wheels, self._epoch_ns)
+
+    def _forget(self) -> None:
+        while self._wheel_t[0] < min(self._wheel_t[-1] - WHEEL_MEMORY_S, self._at - WHEEL_MEMORY_S / 2):
+            self._wheel_t.pop(0)
+            self._rolled.pop(0)
+
+
+def _column(value: Any) -> Column:
+    """Return one message's value as a column of one row."""
+    if isinstance(value, np.ndarray) and value.ndim == 1:
+        return Ragged(value, np.array([0, len(value)]))
+    if isinstance(value, (int, float)):
+        return np.array([value], dtype=np.float64)
+    return [value]

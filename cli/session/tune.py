@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from locfuse.cli.advice.validity import MAX_START_ERROR_M
 from locfuse.cli.analysis.configurations import refuse_beside_others, unknown_sensor
 from locfuse.cli.analysis.load import Loaded, load, start_error, with_settings
-from locfuse.cli.analysis.settings import LogOptions
+from locfuse.cli.analysis.settings import LogOptions, set_words
 from locfuse.formats.container.url import Place
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.checks.score import MAX_LOSS_NATS, Score, spoils
@@ -53,9 +53,8 @@ class Tuning(Found, frozen=True, kw_only=True):
     command: ClassVar[str] = "tune"
     titles: ClassVar[Row] = ("noise", "before", "after", "95 % interval")
 
-    @property
-    def sensors(self) -> tuple[str, ...]:
-        """The sensors that were tuned by."""
+    def used(self, one: Loaded) -> tuple[str, ...]:
+        """Return the sensors that were tuned by."""
         return tuple(dict.fromkeys(s for j in self.judged for s in j.after.sensors))
 
     def tables(self) -> dict[str, dict[str, float]]:
@@ -151,7 +150,7 @@ def tune_logs(
     loaded = [load(p, how, progress, only=sensors) for p in paths]
     for one in loaded:
         refuse_doubtful(one, "noise found now")
-    checks = [_check(p, how) for p in paths]
+    checks = [shlex.join(("locfuse", "info", *map(str, p), *how.words, "--check")) for p in paths]
     trials = []
     for i, one in enumerate(loaded):
         last = float(one.drive.t[-1])
@@ -183,18 +182,9 @@ def tune_logs(
     return Tuning(loaded=loaded, how=how, notes=tuple(notes), tuned=tuned, judged=judged, refused=bool(worse))
 
 
-def _check(log: Sequence[Place], how: LogOptions) -> str:
-    """Return the command that tries what else may be wrong with a log, under the same settings."""
-    robot = [word for file in how.robot_files for word in ("--robot", str(file))]
-    sets = [word for setting in how.sets for word in ("--set", setting)]
-    return shlex.join(("locfuse", "info", *map(str, log), *robot, *sets, "--check"))
-
-
 def _judged(loaded: Sequence[Loaded], tuned: Tuned, checks: Sequence[str]) -> list[Judged]:
     """Evaluate every log as `run` would, before and after: what is measured depends on the noise too."""
-    sets = tuple(
-        f"{table}.{key}={value!r}" for table, keys in _tables(tuned).items() for key, value in keys.items()
-    )
+    sets = set_words(_tables(tuned))
     return [
         Judged(one.log.name, _evaluated(one), _evaluated(with_settings(one, sets)), check)
         for one, check in zip(loaded, checks, strict=True)

@@ -9,19 +9,6 @@ import shlex
 import click
 from click.shell_completion import CompletionItem
 
-SHELLS = ("bash", "zsh", "fish")
-COMPLETION_VARIABLE = "_LOCFUSE_COMPLETE"  # the variable by which the shell asks
-
-
-def script(shell: str, program: click.Command) -> str:
-    """Return the script that a shell sources once: `eval "$(locfuse completion bash)"`."""
-    from click.shell_completion import get_completion_class
-
-    found = get_completion_class(shell)
-    if found is None:
-        raise click.UsageError(f"no completion for {shell}; choose from {', '.join(SHELLS)}")
-    return found(program, {}, "locfuse", COMPLETION_VARIABLE).source()
-
 
 def logs(context: click.Context, parameter: click.Parameter, begun: str) -> list[CompletionItem]:
     """Offer sample logs by name, and files."""

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 from locfuse.cli.inspect.mounts import extrinsics
-from locfuse.cli.inspect.overview import Overview
+from locfuse.cli.inspect.robot_facts import Overview
 from locfuse.cli.inspect.topics import TopicFacts, clock_word
 from locfuse.cli.inspect.values import absent, configurations, wheels_missing
 from locfuse.formats.report.table import Cell, Column, Table

@@ -15,8 +15,7 @@ import msgspec
 from msgspec import field
 
 from locfuse.cli.analysis import settings
-from locfuse.cli.analysis.settings import EXPORTS, Asked, GateOptions, LogOptions, Outputs
-from locfuse.cli.fleet.job import FleetOptions
+from locfuse.cli.analysis.settings import EXPORTS, Asked, FleetOptions, GateOptions, LogOptions, Outputs
 from locfuse.cli.rerun.record import RerunOptions
 
 from . import completion
@@ -26,6 +25,10 @@ Declared = Callable[[Any], Any]  # what click.option returns
 P = TypeVar("P", bound=msgspec.Struct)
 SECONDS = "s since the first wheel reading"
 RERUN_PREFIX = "rerun_"  # of the parameters that fill RerunOptions
+CARRIED = {  # parameters that fill the parts of Options
+    *("robots", "truth"),
+    *(name for part in (LogOptions, Asked, Outputs, GateOptions, FleetOptions) for name in part.__struct_fields__),
+}
 HELP_ALL = "locfuse.help_all"  # in a context's meta: every option is shown
 FIRST = {  # group of --help -> its parameters, in a user's order; all others are shown by --help-all
     "Input": ("sensors", "robots", "sets", "truth", "given_map", "smooth"),
@@ -52,15 +55,19 @@ class Options(msgspec.Struct, frozen=True):
 
 
 def carried(*declared: Declared) -> Callable[[F], F]:
-    """Add options to a command, which receives them as `options: Options`."""
+    """Add options to a command, which receives them as `options: Options`, and others under their own names."""
 
     def decorate(command: F) -> F:
         @functools.wraps(command)
         def wrapped(log: tuple[str, ...], **given: Any) -> Any:
-            return command(log, options=options_of(given))
+            own = {n: v for n, v in given.items() if n not in CARRIED and not n.startswith(RERUN_PREFIX)}
+            return command(log, options=options_of(given), **own)
 
-        decorated: F = _with(wrapped, declared)
-        return decorated
+        decorated: Any = wrapped
+        for option in reversed(declared):
+            decorated = option(decorated)
+        found: F = decorated
+        return found
 
     return decorate
 
@@ -85,18 +92,6 @@ def _part(kind: type[P], given: Mapping[str, Any]) -> P:
     return kind(**{name: given[name] for name in kind.__struct_fields__ if name in given})
 
 
-def log_options(command: F) -> F:
-    """Add the options that say how a log is read; the command receives them as `how: LogOptions`."""
-
-    @functools.wraps(command)
-    def wrapped(*args: Any, **given: Any) -> Any:
-        own = {name: value for name, value in given.items() if name not in OF_READING}
-        return command(*args, how=_how(given), **own)
-
-    decorated: F = _with(wrapped, READING)
-    return decorated
-
-
 def _how(given: Mapping[str, Any]) -> LogOptions:
     robots, sets, truth = given["robots"], given["sets"], given["truth"]
     begin, end = given.get("begin"), given.get("end")
@@ -111,12 +106,6 @@ def _how(given: Mapping[str, Any]) -> LogOptions:
         sets = (*sets, as_set("truth.topic", str(truth)))
     named = {"robot": robots[0] if robots else None, "over": robots[1:], "sets": sets}
     return _part(LogOptions, {**given, **named})
-
-
-def _with(command: Any, declared: Sequence[Declared]) -> Any:
-    for option in reversed(declared):
-        command = option(command)
-    return command
 
 
 class Grouped(click.Command):
@@ -231,7 +220,6 @@ READING = (
     ),
     click.option("-q", "--quiet", is_flag=True, help="Print no progress and no notes."),
 )
-OF_READING = ("robots", "sets", "order", "truth", "strict", "hash_all", "quiet")  # their parameters
 PRESET = click.option(
     "--preset",
     type=click.Choice(settings.PRESETS),
@@ -324,6 +312,18 @@ GATES = (
 )
 
 # --- what is written
+OVERWRITE = click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+
+
+def found(what: str, tables: str) -> tuple[Declared, ...]:
+    """Return the options of a command that writes settings which logs gave, and prints JSON instead of tables."""
+    return (
+        click.option("-o", "--out", type=FILE, help=what),
+        OVERWRITE,
+        click.option("--json", "as_json", is_flag=True, help=f"Print the result as JSON instead of {tables}."),
+    )
+
+
 FIGURES = click.option(
     "--figures",
     type=click.Path(path_type=Path, file_okay=False),

@@ -119,7 +119,7 @@ def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]
     if not outputs.as_json:
         end(files, 0 if how.quiet or outputs.verbose else len(unprinted))
     if outputs.open:
-        open_page(page_of(files))
+        open_page(files)
     return lost
 
 
@@ -137,11 +137,11 @@ def end(files: Sequence[Path], notes: int = 0) -> None:
         on_screen(f"{where}{count}")
 
 
-def open_page(page: Path | None) -> None:
-    """Show a page in the user's browser; print a line where there is none."""
+def open_page(files: Sequence[Path]) -> None:
+    """Show the page among files in the user's browser; print a line where there is none."""
     import webbrowser
 
-    if page is None:
+    if (page := page_of(files)) is None:
         say("--open: no page was written; add html to --write")
     elif not webbrowser.open(page.resolve().as_uri()):
         say(f"--open: no browser was found; open {page} yourself")

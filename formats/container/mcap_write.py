@@ -1,39 +1,15 @@
-"""Writing ROS 2 logs as MCAP: message by message, or from columns without a Python call for each message.
-
-Chunks are packed by zstd and have checksums. Format: https://mcap.dev/spec. Records but for messages are those of
-the `mcap` library.
-"""
+"""Writing ROS 2 logs as MCAP by the `mcap` library: chunks are packed by zstd and have checksums."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-import struct
-import zlib
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, NamedTuple, Self
 
 import numpy as np
-import zstandard
-from mcap.data_stream import RecordBuilder
-from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
@@ -42,12 +18,7 @@ from rosbags.typesys import Stores, get_typestore
 from locfuse.formats.whole_files import claim, temporary_for
 from locfuse.fusion.data import Ints, LocfuseError
 
-from .mcap_records import MAGIC
-
-RECORD_HEAD_BYTES = 9  # bytes of opcode and length
-HEAD = [("op", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<u8"), ("pub", "<u8")]
-HEAD_BYTES = np.dtype(HEAD).itemsize
-COMPRESSION = "zstd"
+CHUNK_BYTES = 512 * 1024  # bytes before compression: a reader of one topic skips little
 
 
 class MessageBlock(NamedTuple):
@@ -59,165 +30,19 @@ class MessageBlock(NamedTuple):
     payload: NDArray[np.uint8] | Sequence[memoryview]  # (n, size), or of any lengths
     publish_time: Ints | None = None  # (n,) ns; None: the log times
 
-
-class ColumnWriter:
-    """Writes an MCAP into an open file: definitions, then chunks, then `finish`."""
-
-    def __init__(self, file: IO[bytes], profile: str = "ros2") -> None:
-        self._file = file
-        self._at = 0
-        self._crc = 0
-        self._schemas: list[Schema] = []
-        self._channels: list[Channel] = []
-        self._chunks: list[ChunkIndex] = []
-        self._attachments: list[AttachmentIndex] = []
-        self._counts: Counter[int] = Counter()
-        self._times: list[int] = []
-        self._notes: list[MetadataIndex] = []
-        self._put(MAGIC)
-        self._record(Header(profile, "locfuse"))
-
-    def schema(self, name: str, encoding: str, data: bytes) -> int:
-        """Write a schema and return its number."""
-        self._schemas.append(Schema(id=len(self._schemas) + 1, name=name, encoding=encoding, data=data))
-        self._record(self._schemas[-1])
-        return self._schemas[-1].id
-
-    def channel(self, topic: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> int:
-        """Write a channel and return its number."""
-        number = len(self._channels) + 1
-        self._channels.append(Channel(number, topic, encoding, dict(metadata), schema))
-        self._record(self._channels[-1])
-        return number
-
-    def attach(self, name: str, data: bytes, media_type: str, time_ns: int) -> None:
-        """Write an attachment, such as robot.toml."""
-        at = self._at
-        self._record(Attachment(time_ns, time_ns, name, media_type, data))
-        length = self._at - at
-        self._attachments.append(AttachmentIndex(at, length, time_ns, time_ns, len(data), name, media_type))
-
-    def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Write a metadata record: words about the file by key."""
-        at = self._at
-        self._record(Metadata(name=name, metadata=dict(values)))
-        self._notes.append(MetadataIndex(length=self._at - at, name=name, offset=at))
-
-    def chunk(self, blocks: Sequence[MessageBlock]) -> None:
-        """Write messages as one chunk with an index for each of its channels."""
-        blocks = [block for block in blocks if len(block.log_time)]
-        if not blocks:
-            return
-        packed = [_records(block) for block in blocks]
-        first = np.cumsum([0, *(len(data) for data, _ in packed)]).tolist()
-        plain = b"".join(data for data, _ in packed)
-        entries: dict[int, list[NDArray[np.uint64]]] = {}
-        for block, (_, offsets), start in zip(blocks, packed, first, strict=False):
-            pair = np.stack((block.log_time, offsets + start), axis=1).astype("<u8")
-            entries.setdefault(block.channel, []).append(pair)
-            self._counts[block.channel] += len(pair)
-        self._write_chunk(plain, {channel: np.concatenate(pairs) for channel, pairs in entries.items()})
-
-    def _write_chunk(self, plain: bytes, entries: Mapping[int, NDArray[np.uint64]]) -> None:
-        times = np.concatenate([pairs[:, 0] for pairs in entries.values()])
-        begin, end = int(times.min()), int(times.max())
-        self._times += [begin, end]
-        data = zstandard.compress(plain)
-        name = COMPRESSION.encode()
-        head = struct.pack("<QQQII", begin, end, len(plain), zlib.crc32(plain), len(name)) + name
-        body = head + struct.pack("<Q", len(data))
-        at = self._at
-        self._put(struct.pack("<BQ", Opcode.CHUNK, len(body) + len(data)) + body + data)
-        size, offsets = self._at - at, {}
-        for channel, pairs in sorted(entries.items()):
-            offsets[channel] = self._at
-            content = pairs[np.argsort(pairs[:, 0], kind="stable")].tobytes()
-            self._put(
-                struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + len(content), channel, len(content)) + content
-            )
-        self._chunks.append(
-            ChunkIndex(
-                chunk_length=size,
-                chunk_start_offset=at,
-                compression=COMPRESSION,
-                compressed_size=len(data),
-                message_end_time=end,
-                message_index_length=self._at - at - size,
-                message_index_offsets=offsets,
-                message_start_time=begin,
-                uncompressed_size=len(plain),
-            )
-        )
-
-    def finish(self) -> None:
-        """Write the summary and the file's end."""
-        self._record(DataEnd(self._crc))
-        groups: list[tuple[Opcode, list[Any]]] = [
-            (Opcode.SCHEMA, self._schemas),
-            (Opcode.CHANNEL, self._channels),
-            (Opcode.STATISTICS, [self._statistics()]),
-            (Opcode.CHUNK_INDEX, self._chunks),
-            (Opcode.ATTACHMENT_INDEX, self._attachments),
-            (Opcode.METADATA_INDEX, self._notes),
-        ]
-        start, offsets = self._at, []
-        summary: Any = RecordBuilder()  # Any: its `end` is untyped
-        for opcode, records in groups:
-            if not records:
-                continue
-            begin = summary.count
-            for record in records:
-                record.write(summary)
-            offsets.append(
-                SummaryOffset(group_opcode=opcode, group_start=start + begin, group_length=summary.count - begin)
-            )
-        offset_start = start + summary.count
-        for offset in offsets:
-            offset.write(summary)
-        data: bytes = summary.end()
-        self._put(data)
-        begin_of_footer = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offset_start)
-        self._record(Footer(start, offset_start, zlib.crc32(begin_of_footer, zlib.crc32(data))))
-        self._put(MAGIC)
-
-    def _statistics(self) -> Statistics:
-        return Statistics(
-            attachment_count=len(self._attachments),
-            channel_count=len(self._channels),
-            channel_message_counts=dict(sorted(self._counts.items())),
-            chunk_count=len(self._chunks),
-            message_count=self._counts.total(),
-            message_end_time=max(self._times, default=0),
-            message_start_time=min(self._times, default=0),
-            metadata_count=len(self._notes),
-            schema_count=len(self._schemas),
-        )
-
-    def _record(self, record: Any) -> None:
-        builder: Any = RecordBuilder()
-        record.write(builder)
-        self._put(builder.end())
-
-    def _put(self, data: bytes) -> None:
-        self._file.write(data)
-        self._at += len(data)
-        self._crc = zlib.crc32(data, self._crc)
+    def write(self, writer: Any) -> None:
+        """Give the messages to a writer."""
+        published = self.log_time if self.publish_time is None else self.publish_time
+        columns = (self.log_time.tolist(), published.tolist(), self.sequence.tolist(), self.payload)
+        for log_time, publish_time, sequence, data in zip(*columns, strict=True):
+            writer.add_message(self.channel, log_time, bytes(data), publish_time, sequence)
 
 
-def _records(block: MessageBlock) -> tuple[bytes, Ints]:
-    """Return the Message records of a block, and where each begins (n,)."""
-    n = len(block.log_time)
-    lengths = np.fromiter(map(len, block.payload), np.int64, n)
-    head = np.empty(n, HEAD)
-    head["op"], head["channel"] = Opcode.MESSAGE, block.channel
-    head["length"] = HEAD_BYTES - RECORD_HEAD_BYTES + lengths
-    published = block.log_time if block.publish_time is None else block.publish_time
-    head["sequence"], head["log"], head["pub"] = block.sequence, block.log_time, published
-    offsets: Ints = np.concatenate(([0], np.cumsum(HEAD_BYTES + lengths)[:-1]))
-    heads = head.view(np.uint8).reshape(n, -1)
-    if isinstance(block.payload, np.ndarray):
-        return np.hstack((heads, block.payload)).tobytes(), offsets
-    return b"".join(part for pair in zip(map(bytes, heads), block.payload, strict=True) for part in pair), offsets
+def open_writer(file: IO[bytes], profile: str = "ros2") -> Any:
+    """Return mcap's writer of an open file: its methods are not typed."""
+    writer: Any = Writer(file, CHUNK_BYTES, CompressionType.ZSTD, enable_data_crcs=True)
+    writer.start(profile=profile, library="locfuse")
+    return writer
 
 
 # --- Standard ROS 2 messages as CDR, with their ros2msg schemas
@@ -234,8 +59,6 @@ LATCHED = """\
   liveliness_lease_duration: {sec: 9223372036, nsec: 854775807}
   avoid_ros_namespace_conventions: false
 """
-
-CHUNK_BYTES = 512 * 1024  # bytes before compression: a reader of one topic skips little
 
 
 def time_message(ns: int) -> dict[str, int]:
@@ -320,10 +143,7 @@ class LogWriter:
         self._channels: dict[str, tuple[int, str]] = {}  # topic -> channel id, message type
         self._sequence: dict[str, int] = {}
         self._file = self._open()
-        self._writer: Any = Writer(  # Any: its `finish` is untyped
-            self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True
-        )
-        self._writer.start(profile="ros2", library="locfuse")
+        self._writer = open_writer(self._file)
 
     def attach(self, name: str, data: bytes, media_type: str = "application/toml", log_ns: int = 0) -> None:
         """Add an attachment, such as robot.toml."""

@@ -62,6 +62,7 @@ def slim(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
             for name, values in report["configurations"].items()
         },
         "void": list(dict.fromkeys(line for report in reports.values() for line in void_reasons(report))),
+        "findings": [(f["role"], f["code"], f["message"], bool(f["fixes"])) for f in first.get("findings") or ()],
         "verdicts": {sensor: v["verdict"] for sensor, v in (first.get("verdicts") or {}).items()},
         "credit": _effects(first.get("credit")),
     }

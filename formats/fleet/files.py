@@ -9,7 +9,6 @@ from typing import Any
 from locfuse.formats.report import json_report
 from locfuse.formats.report import summary as over
 from locfuse.formats.report.render import csv_text
-from locfuse.formats.versions import without_pandas
 from locfuse.formats.whole_files import Content
 from locfuse.fusion.data import Colour
 
@@ -124,9 +123,8 @@ def parquet(rows: Rows) -> bytes | None:
     text = {*TEXT, *rows.sweep, *(c for c in rows.columns if c.endswith("_verdict"))}
     found = list(rows)
     sink = io.BytesIO()
-    with without_pandas():
-        columns = {c: _column(pa, [row.get(c) for row in found], c in text) for c in rows.columns}
-        written.write_table(pa.table(columns), sink, compression="zstd")
+    columns = {c: _column(pa, [row.get(c) for row in found], c in text) for c in rows.columns}
+    written.write_table(pa.table(columns), sink, compression="zstd")
     return sink.getvalue()
 
 

@@ -6,6 +6,7 @@ ten thousand logs give a page below 3 MB.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import date
@@ -30,8 +31,9 @@ from locfuse.fusion.data import Array, Colour
 
 from .entry import Entry
 
-WORST_LOGS = 10
-MAX_ROWS = 200  # of robots, failures and losses on the page; all of them are in summary.csv
+MAX_ROWS = 200  # of each table on the page; all rows are in summary.csv
+MAX_CONFIGURATIONS = 12  # columns of the table of logs
+MAX_TINT_RATIO, MAX_TINT_PERCENT = 10.0, 30  # an error so many times the least of its log has the strongest tint
 TEXT: Literal["text"] = "text"
 
 
@@ -59,10 +61,11 @@ def render(summary: Mapping[str, Any], entries: Sequence[Entry], sensors: Mappin
         sections=[section_drawings(s, slugs, swatches.looks) for s in figures],
         legend=[(name, slugs[name]) for name in summary["configurations"] if name in shown],
         swatch=lambda name: Markup(swatches.of(name)),
-        worst=Markup(_worst(summary, entries)),
+        logs=Markup(logs(summary, entries)),
+        findings=_cut(findings(entries)),
         robots=_cut(robots(summary, entries)),
         matrix=_cut(matrix(entries)),
-        failures=_cut(_failures(entries)),
+        failures=_cut(_without_figure(entries)),
         losses=_cut(_losses(entries)),
         signs=SIGNS,
         slugs=slugs,
@@ -106,32 +109,40 @@ def _error(entry: Entry, configuration: str) -> float | None:
     return None if value is None else float(value)
 
 
-def _worst(summary: Mapping[str, Any], entries: Sequence[Entry]) -> str:
-    """Return the logs with the largest error of the best configuration, each with a link to its page."""
-    best = summary["best"]
-    known = [(e, error) for e in entries if best and (error := _error(e, best)) is not None]
+def logs(summary: Mapping[str, Any], entries: Sequence[Entry]) -> str:
+    """Return logs x configurations as HTML, the worst log first: each links to its page, colours compare a row."""
+    best, names = summary["best"], list(summary["configurations"])[:MAX_CONFIGURATIONS]
+    known = sorted(((e, error) for e in entries if best and (error := _error(e, best)) is not None), key=_of_error)
     rows = []
-    for entry, error in sorted(known, key=lambda pair: -pair[1])[:WORST_LOGS]:
-        values = entry.report["configurations"][best]
-        folder = PurePosixPath(entry.name, values["cell"].replace(" ", ","))
+    for entry, _ in known[:MAX_ROWS]:
+        folder = PurePosixPath(entry.name, entry.report["configurations"][best]["cell"].replace(" ", ","))
         link = f'<a href="{quote(str(folder))}/report.html">{html_text(entry.name)}</a>'
-        cells = (
-            entry.robot or "–",
-            RMSE.form.format(error),
-            f"{values['duration_s']:.0f}",
-            _hurting(entry) or "–",
+        errors = [_error(entry, name) for name in names]
+        least = min((e for e in errors if e), default=0.0)
+        cells = "".join(f"<td{_tint(e, least)}>{'–' if e is None else RMSE.form.format(e)}</td>" for e in errors)
+        rows.append(
+            f'<tr><th scope=row>{link}</th><td class="left">{html_text(entry.robot or "–")}</td>{cells}</tr>'
         )
-        rows.append(f"<tr><th scope=row>{link}</th>{''.join(f'<td>{html_text(c)}</td>' for c in cells)}</tr>")
     if not rows:
         return ""
-    heads = ("log", "robot", f"position rmse of {best}, m", "duration, s", "hurting")
-    head = "".join(f"<th scope=col>{html_text(h)}</th>" for h in heads)
+    heads = "".join(f"<th scope=col>{html_text(h)}</th>" for h in names)
+    head = f'<tr><th scope=col>log</th><th scope=col class="left">robot</th>{heads}</tr>'
+    label = 'tabindex="0" role="region" aria-label="Position error of every log"'
     body = "\n".join(rows)
-    return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+    return f'<div class="scroll" {label}><table><thead>{head}</thead><tbody>{body}</tbody></table></div>'
 
 
-def _hurting(entry: Entry) -> str:
-    return ", ".join(s for s, verdict in entry.report["verdicts"].items() if verdict == "hurts")
+def _of_error(pair: tuple[Entry, float]) -> float:
+    return -pair[1]
+
+
+def _tint(error: float | None, least: float) -> str:
+    """Return the style of a cell: green for the least error of its row, the redder the more times it is larger."""
+    if not error or not least:
+        return ""
+    share = min(math.log(error / least) / math.log(MAX_TINT_RATIO), 1.0)
+    colour = f"var(--bad) {MAX_TINT_PERCENT * share:.0f}%" if error > least else f"var(--good) {MAX_TINT_PERCENT}%"
+    return f' style="background:color-mix(in srgb,{colour},transparent)"'
 
 
 def robots(summary: Mapping[str, Any], entries: Sequence[Entry]) -> Table:
@@ -188,8 +199,8 @@ def matrix(entries: Sequence[Entry]) -> Table:
         rows.append((-sum(c["hurts"] for c in counts.values()) / len(own), robot, counts))
     rows.sort(key=lambda row: row[:2])
     columns = (Column("robot", "robot", kind=TEXT), *(Column(f"of {s}", s, kind=TEXT) for s in sensors))
-    told = ({"robot": robot, **{f"of {s}": _counted(c) for s, c in counts.items()}} for _, robot, counts in rows)
-    return of_values(columns, ((row, ()) for row in told))
+    shown = ({"robot": robot, **{f"of {s}": _counted(c) for s, c in counts.items()}} for _, robot, counts in rows)
+    return of_values(columns, ((row, ()) for row in shown))
 
 
 def _counted(verdicts: Counter[str]) -> str | None:
@@ -200,15 +211,38 @@ def _counted(verdicts: Counter[str]) -> str | None:
     return ", ".join(f"{SIGNS.get(v, '●')} {v} {n}" for v, n in verdicts.most_common()) or None
 
 
-def _failures(entries: Sequence[Entry]) -> Table:
+def findings(entries: Sequence[Entry]) -> Table:
+    """Return what looks wrong in the logs' settings, the most frequent first, with one log as an example."""
+    found: dict[tuple[str, str], dict[str, Any]] = {}
+    for e in entries:
+        for role, code, message, fixed in e.report.get("findings", ()):
+            first = {"role": role, "logs": 0, "fixed": 0, "example": f"{e.name}: {message}"}
+            row = found.setdefault((role, code), first)
+            row["logs"] += 1
+            row["fixed"] += fixed
+    columns = (
+        Column("role", "of", kind=TEXT),
+        Column("logs", "logs"),
+        Column("fixed", "with a fix"),
+        Column("example", "for example", kind="long"),
+    )
+    return of_values(columns, ((row, ()) for row in sorted(found.values(), key=lambda row: -row["logs"])))
+
+
+def _without_figure(entries: Sequence[Entry]) -> Table:
+    """Return the logs that failed, are void or have no truth, with the reason."""
     columns = (
         Column("log", "log", kind=TEXT),
         Column("robot", "robot", kind=TEXT),
         Column("state", "state", kind=TEXT),
-        Column("reason", "reason", kind="long"),
+        Column("reason", "reason", kind="long", missing=""),
     )
-    found = (e for e in entries if e.state != "done")
-    rows = ({"log": e.name, "robot": e.robot, "state": e.state, "reason": e.reason} for e in found)
+    rows = []
+    for e in entries:
+        unjudged = all(_error(e, name) is None for name in e.report.get("configurations", {}))
+        state = e.state if e.state != "done" else "void" if e.void else "no truth" if unjudged else ""
+        if state:
+            rows.append({"log": e.name, "robot": e.robot, "state": state, "reason": e.reason or "; ".join(e.void)})
     return of_values(columns, ((row, ()) for row in rows))
 
 
@@ -234,18 +268,13 @@ FEW_LOGS = 3  # below, a distribution is the table's numbers
 def sections(summary: Mapping[str, Any], entries: Sequence[Entry]) -> list[Section]:
     """Return the figures that these logs allow."""
     errors = {
-        name: np.array([v for e in entries if (v := _rmse_of(e, name)) is not None])
+        name: np.array([v for e in entries if (v := _error(e, name)) is not None])
         for name in summary["configurations"]
     }
     known = {name: np.sort(v[v > 0.0]) for name, v in errors.items() if (v > 0.0).any()}
     best = dict(sorted(known.items(), key=lambda pair: float(np.median(pair[1])))[:MAX_CURVES])
     found = [_distribution(best)] if any(len(v) >= FEW_LOGS for v in best.values()) else []
     return [*found, *_trend(summary["best"], entries)]
-
-
-def _rmse_of(entry: Entry, name: str) -> float | None:
-    value: float | None = entry.report.get("configurations", {}).get(name, {}).get(RMSE.key)
-    return value
 
 
 def _distribution(errors: Mapping[str, Array]) -> Section:
@@ -271,7 +300,7 @@ def _trend(best: str | None, entries: Sequence[Entry]) -> list[Section]:
     """Return the error of the best configuration by day, where the logs are of several days."""
     days: dict[date, list[float]] = {}
     for entry in entries:
-        value = _rmse_of(entry, best) if best else None
+        value = _error(entry, best) if best else None
         start = entry.report.get("input", {}).get("start")
         if value is not None and value > 0.0 and start:
             days.setdefault(date.fromisoformat(start[:10]), []).append(value)

@@ -40,7 +40,7 @@ SOURCES: dict[bytes, Callable[[FileBytes, Losses], Source]] = {
     b"#ROSBAG V2.0\n": _bag,
 }
 ENDINGS = ("*.mcap", "*.mcap.zstd", "*.db3", "*.db3.zstd", "*.bag")  # of the files in a folder without metadata
-RESULTS = ("run.json", "report.json")
+REPORTS = ("report.json", "run.json")  # one of them makes a folder a result
 UNNAMED = "log"  # what to call "...mcap": its stem ".." would lead results out of their folder
 
 
@@ -75,7 +75,7 @@ def _folder(folder: Path) -> list[Place]:
     listed = [folder / name for name in _listed(folder / "metadata.yaml")]
     if files := [file for file in listed if file.is_file()] or _by_ending(folder):
         return list(files)
-    if any((folder / name).exists() for name in RESULTS):
+    if any((folder / name).exists() for name in REPORTS):
         raise LocfuseError(f"{folder} is a locfuse result, not a log; see: locfuse view {folder}")
     raise LocfuseError(f"{folder}: no log in this folder (.mcap, .db3, .bag)")
 

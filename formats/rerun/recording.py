@@ -11,7 +11,6 @@ import shutil
 import warnings
 from pathlib import Path
 
-from locfuse.formats.versions import without_pandas
 from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import LocfuseError
 
@@ -29,7 +28,7 @@ def save_recording(path: Path, scene: RerunScene, tab: str | None = None, identi
     quiet_rust()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as temporary, without_pandas():
+        with whole_file(path) as temporary:
             _write(temporary, scene, tab, identity)
     except OSError as problem:
         raise LocfuseError(f"cannot write {path}: {problem.strerror or problem}") from None

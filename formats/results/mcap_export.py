@@ -17,11 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.formats.container.mcap_write import (
+    CHUNK_BYTES,
     LATCHED,
-    ColumnWriter,
     MessageBlock,
     StandardMessages,
     nested,
+    open_writer,
     time_message,
 )
 from locfuse.formats.geometry import quaternions
@@ -168,7 +169,6 @@ def _pose(at: str, pose: Array, position: str = "position", orientation: str = "
 # --- Estimates and truth
 
 BASE = "base_link"
-CHUNK_BYTES = 1 << 20  # bytes before compression
 FIRST_STAMP, LAST_STAMP = -(2**31), 2**31 - 1  # s: a ROS stamp counts its seconds in 32 bits
 
 
@@ -188,10 +188,9 @@ class Export(msgspec.Struct, frozen=True):
         if self.drive.truth is not None:
             self._check("the truth", self.drive.truth.t)
         with file.open("wb") as opened:
-            writer = ColumnWriter(opened)
-            writer.attach(
-                "robot.toml", self.robot_toml, "application/toml", max(self.drive.epoch_ns + self.clock_ns, 0)
-            )
+            writer = open_writer(opened)
+            began = max(self.drive.epoch_ns + self.clock_ns, 0)
+            writer.add_attachment(began, began, "robot.toml", "application/toml", self.robot_toml)
             topics = _Topics(writer, self.clock_ns)
             for e in self.estimates:
                 self._estimates(topics, e)
@@ -247,7 +246,7 @@ class _Part(NamedTuple):
 class _Topics:
     """Channels by topic, and the series of messages that go there."""
 
-    def __init__(self, writer: ColumnWriter, clock_ns: int) -> None:
+    def __init__(self, writer: Any, clock_ns: int) -> None:
         self._writer, self._clock_ns = writer, clock_ns
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
@@ -262,7 +261,7 @@ class _Topics:
         block = MessageBlock(
             self._channel(topic, PATH, LATCHED), self._recorded(t_ns[:1]), np.ones(1, np.int64), path(t_ns, pose)
         )
-        self._writer.chunk([block])
+        block.write(self._writer)
 
     def _recorded(self, t_ns: Ints) -> Ints:
         """Return recording times (n,) of stamps (n,): an MCAP has none before the recording clock's zero."""
@@ -271,10 +270,11 @@ class _Topics:
     def _channel(self, topic: str, msgtype: str, profile: str = "") -> int:
         if msgtype not in self._schemas:
             text = MESSAGES.schema(msgtype).encode()
-            self._schemas[msgtype] = self._writer.schema(msgtype, "ros2msg", text)
+            self._schemas[msgtype] = self._writer.register_schema(msgtype, "ros2msg", text)
         if topic not in self._channels:
             metadata = {"offered_qos_profiles": profile}
-            self._channels[topic] = self._writer.channel(topic, "cdr", self._schemas[msgtype], metadata)
+            schema = self._schemas[msgtype]
+            self._channels[topic] = self._writer.register_channel(topic, "cdr", schema, metadata)
         return self._channels[topic]
 
     def write(self) -> None:
@@ -285,8 +285,8 @@ class _Topics:
         cuts = t[np.linspace(0, len(t) - 1, number + 1).astype(np.int64)[1:-1]]
         ends = [[0, *np.searchsorted(s.t_ns, cuts).tolist(), len(s.t_ns)] for _, s in self._parts]
         for i in range(number):
-            rows = [slice(e[i], e[i + 1]) for e in ends]
-            self._writer.chunk([self._block(part, r) for part, r in zip(self._parts, rows, strict=True)])
+            for part, e in zip(self._parts, ends, strict=True):
+                self._block(part, slice(e[i], e[i + 1])).write(self._writer)
 
     def _block(self, part: _Part, rows: slice) -> MessageBlock:
         t_ns = part.series.t_ns[rows]

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
-from locfuse.formats.container.mcap_write import LATCHED, ColumnWriter, MessageBlock
+from locfuse.formats.container.mcap_write import LATCHED, MessageBlock, open_writer
 from locfuse.formats.container.source import Recorded
 from locfuse.formats.logs.log import Log
 from locfuse.formats.visible import writable
@@ -35,15 +36,15 @@ def recover(log: Log, path: Path) -> Recovered:
     """Write everything readable of a log to `path`, whole or not at all. Raises LocfuseError where nothing is."""
     encodings = {topic.encoding for topic in log.topics.values()}
     with whole_file(path) as temporary, temporary.open("wb") as file:
-        writer = ColumnWriter(file, "ros1" if encodings == {"ros1"} else "ros2")
+        writer = open_writer(file, "ros1" if encodings == {"ros1"} else "ros2")
         for name, data in log.attachments.items():
-            writer.attach(name, data, "application/octet-stream", 0)
+            writer.add_attachment(0, 0, name, "application/octet-stream", data)
         counts = copy_messages(writer, log)
         if not counts:
             why = f": {log.losses.lines()[0]}" if log.losses else ""
             raise LocfuseError(f"{log.name}: not one message can be read{why}")
         lines = tuple(log.losses.lines())
-        writer.metadata(
+        writer.add_metadata(
             NOTE,
             {
                 "input": ", ".join(writable(file.name) for file in log.paths),
@@ -57,25 +58,23 @@ def recover(log: Log, path: Path) -> Recovered:
     return Recovered(path, dict(sorted(counts.items())), lines)
 
 
-def copy_messages(writer: ColumnWriter, log: Log) -> Counter[str]:
+def copy_messages(writer: Any, log: Log) -> Counter[str]:
     """Copy every message of a log, bytes, times and order as they are; return their number by topic."""
     schemas: dict[tuple[str, str, bytes], int] = {}
     channels: dict[tuple[str, str, int], int] = {}
     counts: Counter[str] = Counter()
     for batch in log.messages():
-        blocks = []
         for recorded in batch:
             channel = recorded.channel
             schema = (channel.msgtype, channel.schema_encoding, channel.schema)
             if schema not in schemas:
-                schemas[schema] = writer.schema(*schema) if channel.schema_encoding else 0
+                schemas[schema] = writer.register_schema(*schema) if channel.schema_encoding else 0
             key = (channel.topic, channel.encoding, schemas[schema])
             if key not in channels:
                 once = channel.n == 1 or channel.topic.endswith("tf_static")  # such topics are latched
-                channels[key] = writer.channel(*key, {"offered_qos_profiles": LATCHED if once else ""})
-            blocks.append(_block(channels[key], recorded))
+                channels[key] = writer.register_channel(*key, {"offered_qos_profiles": LATCHED if once else ""})
+            _block(channels[key], recorded).write(writer)
             counts[channel.topic] += len(recorded.messages.start)
-        writer.chunk(blocks)
     return counts
 
 

@@ -58,8 +58,8 @@ class CompassSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
     unit: Literal["rad", "deg"] | None = None  # of heading messages; None: as the convention says
     convention: Convention = "enu_rad"  # of headings: 0 = east, ccw; or 0 = north, clockwise (an IMU in NED)
     roll_deg: float = 0.0  # mount on the base, of a magnetometer or an IMU
-    pitch_deg: float = 0.0
-    yaw_deg: float = 0.0
+    pitch_deg: float = 0.0  # degrees, likewise
+    yaw_deg: float = 0.0  # degrees, likewise
     hard_iron: tuple[float, float] = (0.0, 0.0)  # centre of the field's circle in the base's plane, message's unit
     soft_iron: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 1.0)  # row by row, applied after hard_iron
     level: bool = True  # a magnetometer's field is levelled by an IMU of the log where the robot tilts

@@ -51,7 +51,7 @@ class GyroSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_o
     field: str | None = None  # of a message of any type: the number that is the turning rate, "state.yaw_rate"
     unit: Literal["rad", "deg"] = "rad"  # of the angular velocity, per second
     roll_deg: float = 0.0  # mount of the IMU on the base
-    pitch_deg: float = 0.0
+    pitch_deg: float = 0.0  # degrees, likewise
     period: float = 0.1  # s: readings are summed up to this, so that their rate costs nothing in the filter
     sigma_deg: float = 0.05  # angle random walk, degrees per sqrt(s)
     sigma_scale: float = 0.005  # relative error of the gyro's scale, taken as noise of every turn

@@ -94,13 +94,11 @@ class LandmarksSettings(PointsSettings, frozen=True, forbid_unknown_fields=True,
     topics: tuple[str, ...] = ()  # several cameras: each its topic
     mounts: dict[str, tuple[float, ...]] = msgspec.field(
         default_factory=dict
-    )  # of theirs: topic -> x, y [m], yaw, degrees it looks down
+    )  # topic -> x, y [m], yaw, down [deg]
     optics: dict[str, tuple[float, float]] = msgspec.field(default_factory=dict)  # topic -> fx, cx [px]
-    yaw_deg: float = 0.0
+    yaw_deg: float = 0.0  # degrees, of its mount
     pitch_deg: float = 0.0  # degrees that a camera looks down
-    fx: float | None = (
-        None  # px, focal length of a camera whose tags come in pixels; None: of the log's CameraInfo
-    )
+    fx: float | None = None  # px, focal length where tags come in pixels; None: of the log's CameraInfo
     cx: float | None = None  # px, middle of its picture
     sigma_range: float = 0.1  # m
     sigma_bearing_deg: float = 1.5

@@ -33,17 +33,17 @@ class LrfSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, kw_o
 
     flipped: bool = False  # mounted upside-down: beams run clockwise seen from above
     sigma_range: float = 0.02  # m
-    sigma_angle_deg: float = 0.25
+    sigma_angle_deg: float = 0.25  # degrees, of a beam
     range_scale: float = 1.0  # true range = scale * reading + offset
     range_offset: float = 0.0  # m
     range_max: float | None = None  # m, readings beyond are not used
     deskew: bool = True  # by time_increment and the wheels
-    min_points: int = 6
+    min_points: int = 6  # beams of a line
     min_length: float = 0.3  # m
     floor_range: float = 0.002  # m: walls are not planes to less than this
-    floor_angle_deg: float = 0.05
+    floor_angle_deg: float = 0.05  # degrees, likewise
     walls: Literal["found", "flat"] = "found"  # found: the floors rise to what the walls of the log show
-    map: MapMode = "grow"
+    map: MapMode = "grow"  # how its line map is made (docs/maps.md)
     map_topic: str | None = None  # nav_msgs/OccupancyGrid of the log, in which it localises (map = given)
     recover: bool = True  # from slips and being carried away
 

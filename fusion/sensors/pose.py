@@ -74,8 +74,8 @@ class PoseSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_o
     sigma_drift: float = 0.02  # m per sqrt(m) of way, in a drifting frame
     sigma_drift_deg: float = 1.0  # degrees per sqrt(m) of way, in a drifting frame
     x: float = 0.0  # m, the body whose pose it is, on the base
-    y: float = 0.0
-    yaw_deg: float = 0.0
+    y: float = 0.0  # m, likewise
+    yaw_deg: float = 0.0  # degrees, likewise
 
     def __post_init__(self) -> None:
         """Refuse a source without noise, and points in a frame whose direction nobody knows."""

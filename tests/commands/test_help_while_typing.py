@@ -15,24 +15,6 @@ from commands import locfuse
 LOG = "rounded_rectangle"
 
 
-@pytest.mark.parametrize(
-    ("words", "meant"),
-    [
-        (("comapre", LOG), "did you mean compare"),
-        (("compare", "rounded_rectangl"), "did you mean rounded_rectangle?"),
-        (("compare", LOG, "--sensors", "compass,lfr"), "did you mean lrf?"),
-        (("tune", LOG, "--sensors", "cmpass"), "did you mean compass?"),
-        (("compare", LOG, "--set", "lrf.sigma_rnge=1"), "did you mean sigma_range?"),
-        (("compare", LOG, "--set", "lrf.topic=/scn"), "did you mean /scan?"),
-    ],
-)
-def test_a_mistyped_word_names_the_nearest(words: tuple[str, ...], meant: str) -> None:
-    done = locfuse(*words)
-    assert done.exit_code in {1, 2}
-    assert meant in done.stderr
-    assert done.stderr.count("\n") == 1
-
-
 def test_a_mistyped_file_names_the_one_beside_it(tmp_path: Path) -> None:
     (tmp_path / "monday_run.mcap").touch()
     assert f"did you mean {tmp_path}/monday_run.mcap?" in locfuse("info", tmp_path / "monday_rum.mcap").stderr

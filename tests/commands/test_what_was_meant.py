@@ -24,6 +24,12 @@ LOG = "rounded_rectangle"
         (("fleet", LOG, "disturbed", "--fail-if", "all.rmse > 1"), 2, "did you mean position_rmse_m"),
         (("compare", LOG, "--fail-if", "all.nothing_alike > 1"), 2, "locfuse schema report"),
         (("explain", "anes"), 2, "ANEES"),
+        (("comapre", LOG), 2, "did you mean compare"),
+        (("compare", "rounded_rectangl"), 2, "did you mean rounded_rectangle?"),
+        (("compare", LOG, "--sensors", "compass,lfr"), 2, "did you mean lrf?"),
+        (("tune", LOG, "--sensors", "cmpass"), 2, "did you mean compass?"),
+        (("compare", LOG, "--set", "lrf.sigma_rnge=1"), 2, "did you mean sigma_range?"),
+        (("compare", LOG, "--set", "lrf.topic=/scn"), 1, "did you mean /scan?"),
     ],
 )
 def test_what_was_meant_is_named(words: tuple[str, ...], code: int, meant: str, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from range_server import Shelf, serving
 from rosbags.rosbag2 import Writer
 
 from benchmarks.make_log import main as make_log
-from locfuse.cli.fleet.words import expanded
+from locfuse.cli.analysis.grouping import expanded
 from locfuse.formats.container import remote_objects as objects
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.mcap_survey import read_summary

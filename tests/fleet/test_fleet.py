@@ -25,12 +25,12 @@ from jobs_here import jobs_here
 from msgspec.structs import replace
 
 from benchmarks.fleet import killed, tables, write_logs
+from locfuse.cli.analysis.grouping import _regex, expanded
 from locfuse.cli.analysis.robot_tables import given_tables
 from locfuse.cli.analysis.settings import Asked, LogOptions, Outputs
 from locfuse.cli.fleet import process
 from locfuse.cli.fleet.job import Job, JobOutcome
 from locfuse.cli.fleet.queue import QueueState, duration, run_all
-from locfuse.cli.fleet.words import _regex, expanded
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.whole_files import RUN_LOCK, sole_writer
 from locfuse.fusion.data import UsageError
@@ -303,16 +303,6 @@ def test_lists_patterns_and_folders_name_logs(logs: list[Path], tmp_path: Path) 
             expanded(words)
 
 
-def test_a_list_gives_a_summary_even_of_one_log(
-    logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    jobs_here(monkeypatch)
-    (tmp_path / "logs.txt").write_text(f"{logs[0]}\n")
-    done = locfuse("compare", f"@{tmp_path / 'logs.txt'}", "-o", tmp_path / "out", *ONE)
-    assert done.exit_code == 0, done.stderr
-    assert (tmp_path / "out" / logs[0].stem / "report.json").is_file()
-
-
 def test_fleet_is_the_command_and_compare_of_several_logs_gives_the_same(
     logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -323,22 +313,12 @@ def test_fleet_is_the_command_and_compare_of_several_logs_gives_the_same(
     assert tables(tmp_path / "fleet") == tables(tmp_path / "compare")
     assert locfuse("fleet", logs[0], "-o", tmp_path / "one", *ONE).exit_code == 0
     assert [r["log"] for r in rows(tmp_path / "one")] == [logs[0].stem] * 2
+    (tmp_path / "logs.txt").write_text(f"{logs[0]}\n")  # a list is of many logs, even where it names one
+    assert locfuse("compare", f"@{tmp_path / 'logs.txt'}", "-o", tmp_path / "list", *ONE).exit_code == 0
+    assert (tmp_path / "list" / logs[0].stem / "report.json").is_file()
     assert "Missing argument 'LOG...'; see: locfuse fleet --help" in locfuse("fleet").stderr
     assert "--jobs" in locfuse("fleet", "--help").stdout
     assert "--jobs" not in locfuse("compare", "--help").stdout
-
-
-def test_a_later_robot_file_goes_over_the_robots_own(
-    logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    jobs_here(monkeypatch)
-    (tmp_path / "r0.toml").write_text("[compass]\nsigma_deg = 4\n")
-    (tmp_path / "fixes.toml").write_text("[compass]\nsigma_deg = 7\n")
-    words = ("--robot-from", r"/(r\d)/", "--robot", tmp_path / "{robot}.toml", "--robot", tmp_path / "fixes.toml")
-    done = locfuse("fleet", logs[0], *words, "-o", tmp_path / "out", *ONE)
-    assert done.exit_code == 0, done.stderr
-    report = json.loads((tmp_path / "out" / logs[0].stem / "report.json").read_text())
-    assert report["settings"]["compass"]["sigma_deg"] == 7.0
 
 
 def test_a_robot_has_its_own_settings(logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -352,6 +332,10 @@ def test_a_robot_has_its_own_settings(logs: list[Path], tmp_path: Path, monkeypa
         report = json.loads((tmp_path / "out" / log.stem / "report.json").read_text())
         assert report["settings"]["compass"]["sigma_deg"] == sigma
     assert {r["log"]: r["robot"] for r in rows(tmp_path / "out")} == {log.stem: log.parent.name for log in logs}
+    (tmp_path / "fixes.toml").write_text("[compass]\nsigma_deg = 7\n")
+    assert locfuse("fleet", logs[0], *words, "--robot", tmp_path / "fixes.toml", *ONE).exit_code == 0
+    report = json.loads((tmp_path / "out" / logs[0].stem / "report.json").read_text())
+    assert report["settings"]["compass"]["sigma_deg"] == 7.0, "a later file goes over the robot's own"
     (tmp_path / "r1.toml").unlink()
     done = locfuse("fleet", *logs, *words, *ONE)
     assert done.exit_code == 3

@@ -18,8 +18,7 @@ from scipy import stats
 from benchmarks.fleet import simulated_files, simulated_report
 from locfuse.cli.analysis.gates import FleetGates
 from locfuse.cli.analysis.settings import GateOptions
-from locfuse.cli.session.replicates import mean_over
-from locfuse.cli.session.summary import summarised
+from locfuse.cli.session.summary import mean_over, summarised
 from locfuse.formats.fleet.entry import Entry, slim
 from locfuse.formats.fleet.files import KINDS, Rows, csv, summary_files
 from locfuse.formats.report import summary as over
@@ -178,15 +177,24 @@ def page(entries: list[Entry]) -> str:
     return found
 
 
-def test_the_page_links_the_worst_logs_and_shows_robots_failures_and_days() -> None:
-    entries = [entry(f"log {i}", f"r{i % 3}", {"all": 0.01 * (i + 1)}, log=20 * i) for i in range(15)]
+def test_the_page_links_every_log_the_worst_first_and_shows_robots_failures_and_days() -> None:
+    finding = {"role": "compass", "code": "late", "message": "stamps look late", "fixes": ["compass.x=1"]}
+    entries = [
+        entry(f"log {i}", f"r{i % 3}", {"all": 0.01 * (i + 1), "odometry": 1.0}, log=20 * i, findings=[finding])
+        for i in range(15)
+    ]
+    void = {"validity": [{"message": "the filter was lost", "void": True}]}
+    entries += [entry("truthless", "r1", {"all": None}), entry("lost", "r2", {"all": None}, **void)]
     entries.append(Entry("torn", "r1", "failed", "torn.mcap: not an MCAP file: empty (0 bytes)"))
     found = page(entries)
-    worst = found[found.index('id="worst"') : found.index('id="robots"')]
-    assert worst.index('href="log%2014/report.html"') < worst.index('href="log%2013/report.html"')
-    assert worst.count("/report.html") == 10
-    assert "not an MCAP file: empty" in found[found.index('id="failures"') :]
-    assert "15 logs of 3 robots" in found
+    logs = found[found.index('id="logs"') : found.index('id="findings"')]
+    assert logs.index('href="log%2014/report.html"') < logs.index('href="log%2013/report.html"')
+    assert logs.count("/report.html") == logs.count("var(--good)") == logs.count("var(--bad)") == 15
+    assert ">15</data>" in found[found.index('id="findings"') : found.index('id="robots"')]
+    failures = found[found.index('id="failures"') :]
+    for words in ("not an MCAP file: empty", "no truth", "the filter was lost"):
+        assert words in failures
+    assert "17 logs of 3 robots" in found
     assert "days since 2026-01-01" in found
     assert 'id="distribution"' in found
     assert "<script" not in found

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from commands import locfuse
 
-from locfuse.cli.session import paper, path_following
-from locfuse.cli.session.path_following import Driven
+from locfuse.cli.session import paper
+from locfuse.cli.session.paper import Driven
 from locfuse.cli.session.session import load
 from locfuse.formats.report import paper_page
 from locfuse.formats.whole_files import write_results
@@ -30,7 +30,7 @@ def found() -> paper.Repeated:
     compared = {
         which: load(paper.LOG, preset=p).compare(smooth=False, advice=False) for which, p in paper.PRESETS.items()
     }
-    return paper.Repeated(compared, {name: Driven(name, 1, circle(1.7), circle(1.5)) for name in PATHS})
+    return paper.Repeated(compared, {name: Driven(name, circle(1.7), circle(1.5)) for name in PATHS})
 
 
 @pytest.fixture(scope="module")
@@ -91,8 +91,8 @@ def test_figure_13_has_y_below_x_on_one_time_axis(folder: Path) -> None:
 
 
 def test_the_walls_of_figure_14_are_those_of_the_scenario(found: paper.Repeated) -> None:
-    a, b = path_following.panels(found.driven)
-    walls = next(m for m in a.marks if m.of == path_following.WALLS)
+    a, b = paper.path_panels(found.driven)
+    walls = next(m for m in a.marks if m.of == paper.WALLS)
     assert (a.name, b.name) == ("fig14a", "fig14b")
     assert {8.0, 6.0, 0.0} <= set(np.ravel(walls.ends))  # type: ignore[union-attr]
 

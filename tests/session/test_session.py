@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -189,10 +188,6 @@ def test_a_result_says_what_it_is_of_as_values(compared: locfuse.Comparison) -> 
     assert (row["configuration"], row["smoothed"], row["rates_hz"]) == ("compass+lrf@2Hz", True, {"lrf": 2.0})
     assert compared.report["schema_version"] == 1
     assert compared.evaluations[e.name].name == e.name
-
-
-def test_the_report_is_what_the_file_holds(compared: locfuse.Comparison, by_command: Path) -> None:
-    assert compared.report == json.loads((by_command / "report.json").read_text())
 
 
 def test_the_table_has_the_columns_and_figures_of_the_csv(compared: locfuse.Comparison, by_command: Path) -> None:

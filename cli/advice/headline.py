@@ -41,13 +41,14 @@ def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], err
     best = min(ties, key=lambda n: len(sets[n]))
     if not sets[best]:
         return f"No sensor improves on {best}: {length(errors[best])}.{_with_fixes(report, sets, least)}"
+    smoothed = _smoothed(report, best, errors[best])
     if any(not v["void"] for v in report.get("validity") or ()):
-        first = f"As configured the best is {_names(sets[best])}: {length(errors[best])}."
+        first = f"As configured the best is {_names(sets[best])}: {length(errors[best])}{smoothed}."
         first += (
             " Set the fixes first." if report.get("fixes") else " Something is wrong that no setting explains."
         )
         return f"{first}{_with_fixes(report, sets, least)}"
-    first = f"Keep {_names(sets[best])}: {length(errors[best])}{_smoothed(report, best, errors[best])}."
+    first = f"Keep {_names(sets[best])}: {length(errors[best])}{smoothed}."
     return f"{_as_configured(report, sets, errors, best, first)}{_with_fixes(report, sets, least)}"
 
 

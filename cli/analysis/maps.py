@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from locfuse.formats.caps import MAX_WALLS, names_its_cap
 from locfuse.fusion.data import LocfuseError, MapLine, Ragged, UsageError
-from locfuse.fusion.map.given_grid import Grid
+from locfuse.fusion.map.given_walls import Grid
 from locfuse.fusion.robot import Robot
 
 from .load import Loaded, start_notes

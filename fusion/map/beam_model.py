@@ -15,12 +15,12 @@ import numpy as np
 
 from locfuse.fusion.data import Array, MapLine
 
-STEPS = 200  # of expectation and maximization
-TOLERANCE = 1e-6  # m
+MAX_STEPS = 200  # of expectation and maximization
+MIN_STEP_M = 1e-6  # m
 BEGIN_SIGMA_M, BEGIN_HIT = 0.1, 0.8
 MIN_SIGMA_M, MIN_RANDOM = 1e-3, 0.01  # a share of 0 would let a single beam rule a particle out
 SHORT_SIGMAS = 3.0  # a beam that ends so far before its wall is a short one
-CHUNK = 4096  # points at once
+POINTS_AT_ONCE = 4096  # points at once
 MIN_BEAMS = 200
 
 
@@ -65,11 +65,11 @@ def fit_beams(
 def _mixture(d: Array, reach: float) -> tuple[float, float]:
     """Return z_hit and sigma_hit [m] of distances (n,) [m]."""
     hit, sigma = BEGIN_HIT, BEGIN_SIGMA_M
-    for _ in range(STEPS):
+    for _ in range(MAX_STEPS):
         share = _hits(d, hit, sigma, reach)
         before, hit = sigma, float(share.mean())
         sigma = max(float(np.sqrt((share * d**2).sum() / max(share.sum(), 1e-12))), MIN_SIGMA_M)
-        if abs(sigma - before) < TOLERANCE:
+        if abs(sigma - before) < MIN_STEP_M:
             break
     return hit, sigma
 
@@ -89,8 +89,8 @@ def _beside_walls(origins: Array, points: Array, lines: Sequence[MapLine]) -> tu
     low, high = np.array([line.ends for line in lines]).T
     c, s = np.cos(beta), np.sin(beta)
     nearest, first = [], []
-    for begin in range(0, len(points), CHUNK):
-        (x, y), (x0, y0) = (xy[begin : begin + CHUNK].T[..., None] for xy in (points, origins))
+    for begin in range(0, len(points), POINTS_AT_ONCE):
+        (x, y), (x0, y0) = (xy[begin : begin + POINTS_AT_ONCE].T[..., None] for xy in (points, origins))
         off, along = x * c + y * s - rho, y * c - x * s
         nearest.append(np.hypot(off, np.maximum(np.maximum(low - along, along - high), 0.0)).min(axis=1))
         dx, dy = x - x0, y - y0

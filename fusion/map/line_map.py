@@ -30,16 +30,7 @@ from locfuse.fusion.kernels import sight
 from locfuse.fusion.kernels.ekf import Loosening
 from locfuse.fusion.sensor import Reading
 
-
-class Prediction(NamedTuple):
-    """What the robot should see of k map lines, and how the prediction depends on the state."""
-
-    r: Array  # (k,) m, signed: paper eq. 17, 18 without the sign
-    psi: Array  # (k,) rad, base frame, not wrapped
-    cos: Array  # (k,) of beta
-    sin: Array  # (k,) of beta
-    u: Array  # (k,) dr/dbeta
-    spread: Array  # (k, 2, 2) H P H', and the map's covariance where the map is not a state
+COLUMN_NAMES = ("ids", "anchor", "lo", "hi", "hits", "column", "value", "P", "seen", "born")
 
 
 class LineMap(msgspec.Struct):
@@ -126,37 +117,14 @@ class LineMap(msgspec.Struct):
         keep = np.setdiff1d(np.arange(len(self)), gone)
         freed = self.column[gone]
         freed = np.sort(np.concatenate((freed[freed >= 0], freed[freed >= 0] + 1)))
-        for name in ("ids", "anchor", "lo", "hi", "hits", "column", "value", "P", "seen", "born"):
+        for name in COLUMN_NAMES:
             setattr(self, name, getattr(self, name)[keep])
         self.column = self.column - np.searchsorted(freed, self.column)
         return freed
 
-    def predict(self, which: Ints, values: Array, belief: JointBelief) -> Prediction:
-        """Predict (r, psi) of lines `which` (k,) and their innovation covariance without R."""
-        beta = values[which, 1]
-        c, s = np.cos(beta), np.sin(beta)
-        dx, dy = belief.x - self.anchor[which, 0], belief.y - self.anchor[which, 1]
-        r = values[which, 0] - dx * c - dy * s
-        u = dx * s - dy * c
-        columns = self.column[which]
-        P = belief.matrix()
-        spread = _pose_spread(P, c, s)
-        if len(columns) == 0 or columns[0] < 0:
-            spread += line_spread(self.P[which], u)
-        else:
-            spread += line_spread(self.covariances_of(which, belief), u)
-            spread += _cross_spread(belief.covariance, columns, c, s, u)
-        return Prediction(r, beta - belief.theta, c, s, u, spread)
-
     def states(self, which: Ints | slice) -> Ints:
         """Return the state columns of lines `which` (k,), rho and beta line by line, (2k,)."""
         return (self.column[which][:, None] + np.arange(2)).reshape(-1)
-
-    def covariances_of(self, which: Ints, belief: JointBelief) -> Array:
-        """Return the state covariances of lines `which`, (k, 2, 2)."""
-        at = self.column[which, None] + np.arange(2)
-        P: Array = belief.covariance[at[:, :, None], at[:, None, :]]
-        return P
 
     def lines(self, belief: JointBelief) -> list[MapLine]:
         """Return the map about the map's origin: values in the paper's form, for people and files."""
@@ -239,46 +207,14 @@ def about_middle(line: MapLine) -> tuple[Array, float, Array]:
     return np.array([line.rho * c - along * s, line.rho * s + along * c]), half, G @ line.P @ G.T
 
 
-def _pose_spread(P: Array, c: Array, s: Array) -> Array:
-    """H P H' for H = [[-c, -s, 0], [0, 0, -1]], (k, 2, 2)."""
-    out = np.empty((len(c), 2, 2))
-    out[:, 0, 0] = c * c * P[0, 0] + 2.0 * c * s * P[0, 1] + s * s * P[1, 1]
-    out[:, 0, 1] = out[:, 1, 0] = c * P[0, 2] + s * P[1, 2]
-    out[:, 1, 1] = P[2, 2]
-    return out
-
-
-def line_spread(M: Array, u: Array) -> Array:
-    """H M H' for H = [[1, u], [0, 1]], (k, 2, 2)."""
-    out = np.empty_like(M)
-    cross = M[:, 0, 1] + u * M[:, 1, 1]
-    out[:, 0, 0] = M[:, 0, 0] + u * (M[:, 0, 1] + cross)
-    out[:, 0, 1] = out[:, 1, 0] = cross
-    out[:, 1, 1] = M[:, 1, 1]
-    return out
-
-
-def _cross_spread(P: Array, columns: Ints, c: Array, s: Array, u: Array) -> Array:
-    """H_pose P_pose,line H_line' plus its transpose, (k, 2, 2)."""
-    rho, beta = P[:3, columns], P[:3, columns + 1]
-    r_rho = -c * rho[0] - s * rho[1]
-    r_beta = -c * beta[0] - s * beta[1]
-    psi_rho, psi_beta = -rho[2], -beta[2]
-    out = np.empty((len(c), 2, 2))
-    out[:, 0, 0] = 2.0 * (r_rho + u * r_beta)
-    out[:, 0, 1] = out[:, 1, 0] = r_beta + psi_rho + u * psi_beta
-    out[:, 1, 1] = 2.0 * psi_beta
-    return out
-
-
 NO_SHARES = np.zeros((0, 2, 0))
-RESERVE = 1.5  # times the room that is needed now
+RESERVE_FACTOR = 1.5  # times the room that is needed now
 
 
 class Association(sight.Sight, Reading):
     """The lines of a scan against a map: of every line its pair, or why there is none.
 
-    As a `Reading` of the filter it says all accepted lines together, as rows of the state's table.
+    As a `Reading` of the filter it holds all accepted lines together, as rows of the state's table.
     """
 
     def __init__(self, rules: sight.Rules, seat: sight.Seat) -> None:
@@ -301,8 +237,8 @@ class Association(sight.Sight, Reading):
         return share
 
     def _make_room(self, n: int, places: int, parts: int) -> None:
-        n = self._lines = max(self._lines, int(RESERVE * n) + 1)
-        places = self._places = max(self._places, int(RESERVE * places) + 1)
+        n = self._lines = max(self._lines, int(RESERVE_FACTOR * n) + 1)
+        places = self._places = max(self._places, int(RESERVE_FACTOR * places) + 1)
         parts = self._parts = max(self._parts, parts)
         free, whole = self.seat.free, [np.zeros(n, np.intp) for _ in range(5)]
         self._rows = np.zeros((n, 7))

@@ -20,7 +20,7 @@ from locfuse.fusion.data import Array, Ints, Measurements
 from locfuse.fusion.lines.extract import LINE_COLUMNS, rows_of
 from locfuse.fusion.se2 import wrap_all
 
-BLOCK = 4096  # lines that become one table at a time: an hour of them need not be there at once
+LINES_AT_ONCE = 4096  # lines that become one table at a time: an hour of them need not be there at once
 
 
 class Scan:
@@ -65,7 +65,7 @@ class Scans:
     def read(self, m: Measurements, first: int, last: int) -> Array:
         """Return rows first:last as one table (k, 7)."""
         if m is not self._of or first < self._begin or last > self._end:
-            self._of, self._begin, self._end = m, first, max(last, min(first + BLOCK, len(m.z)))
+            self._of, self._begin, self._end = m, first, max(last, min(first + LINES_AT_ONCE, len(m.z)))
             at = slice(self._begin, self._end)
             self._rows = rows_of(m.z[at], m.covariances(at), m.extra["ends"][at])
         return self._rows[first - self._begin : last - self._begin]
@@ -98,7 +98,7 @@ class Standing:
         self._first = None
 
     def take(self, rows: Array) -> Array | None:
-        """Return what a scan says: itself, or at rest the mean since the last use; None where it only repeats."""
+        """Return the scan, or at rest the mean since the last use; None where it only repeats."""
         x, y, theta = self._rolled
         drives = x * x + y * y > MAX_ROLLED_M**2 or not -MAX_TURNED_RAD < theta < MAX_TURNED_RAD
         if drives or self._first is None:

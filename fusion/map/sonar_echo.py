@@ -19,7 +19,7 @@ MIN_SLOPE = 1e-6  # cosine from which an edge of the cone meets a wall at all
 
 
 class Cone(NamedTuple):
-    """Where a sonar sits on the base, and what it hears."""
+    """Mount of a sonar on the base, and its cone."""
 
     x: float  # m
     y: float
@@ -46,7 +46,7 @@ def nearest_echo(lines: LineMap, belief: JointBelief, cone: Cone, sigma: float) 
         return None
     c, s = math.cos(theta), math.sin(theta)
     lever_x, lever_y = c * cone.x - s * cone.y, s * cone.x + c * cone.y
-    half = max(min(cone.half, math.pi), 0.0)  # none is wider than all around, whatever a message says
+    half = max(min(cone.half, math.pi), 0.0)  # none is wider than all around, whatever a message holds
     axis, widest = theta + cone.yaw, half + cone.widen
     rho, beta = _values(lines, belief)
     with np.errstate(invalid="ignore"):  # of a direction that is infinite: NaN, which answers nothing

@@ -17,14 +17,15 @@ from locfuse.fusion.se2 import wrap
 
 from .line_map import LineMap
 
-TIDY_EVERY = 10  # scans
+TIDY_EVERY_SCANS = 10  # scans
 MIN_HITS = 4
 TRIAL_SCANS = 15  # scans after its birth in which a line must earn its hits
-DOUBLE_ANGLE, DOUBLE_OFFSET = math.radians(8.0), 0.25  # further apart is two walls, whatever the covariance says
-APART = 0.3  # m along the wall between two pieces that may still be one
-MAY_BE_ONE = sight.Doubles(MIN_HITS, TRIAL_SCANS, DOUBLE_ANGLE, DOUBLE_OFFSET, APART)
+# further apart is two walls, whatever the covariance
+DOUBLE_ANGLE_RAD, DOUBLE_OFFSET_M = math.radians(8.0), 0.25
+MAX_GAP_M = 0.3  # m along the wall between two pieces that may still be one
+MAY_BE_ONE = sight.Doubles(MIN_HITS, TRIAL_SCANS, DOUBLE_ANGLE_RAD, DOUBLE_OFFSET_M, MAX_GAP_M)
 DOUBLE_D2 = 9.2  # chi-square with 2 degrees of freedom at 99 %
-FLAT = np.array([0.005, math.radians(0.2)])  # m, rad: how well two pieces of one flat wall agree
+FLAT_SIGMAS = np.array([0.005, math.radians(0.2)])  # m, rad: how well two pieces of one flat wall agree
 
 
 def untidy(lines: LineMap, belief: JointBelief, scan: int) -> bool:
@@ -46,7 +47,7 @@ def merge_doubles(lines: LineMap, belief: JointBelief, scan: int, uneven: Array)
 
     `uneven` (2,) is the variance [m^2, rad^2] by which a piece of wall is off its line: two pieces differ by both.
     """
-    R = np.diag(np.maximum(FLAT**2, 2.0 * uneven))
+    R = np.diag(np.maximum(FLAT_SIGMAS**2, 2.0 * uneven))
     recent = np.flatnonzero(scan - lines.seen <= TRIAL_SCANS)[::-1]
     while len(recent):
         values = lines.values(belief)

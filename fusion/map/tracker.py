@@ -1,9 +1,9 @@
-"""The line map inside one run: what a scan says of the pose, what it teaches the map, and the maps of a building.
+"""The line map inside one run: scans correct the pose and the map; and the small maps of a building.
 
 `LineTracker` keeps one map. `AtlasTracker` keeps small maps, one after another, held together by a graph of
 anchors: a map that the robot has left is frozen, and the next one begins at an anchor. The map frame moves on
 to the pose (fusion.ekf.map_frame), so that what one scan costs does not grow with the building. Where the map
-at hand is found to be a part of an earlier one, the loop is closed: the graph says where all anchors lie, and
+at hand is found to be a part of an earlier one, the loop is closed: all anchors are solved anew, and
 the pose jumps. Hierarchical SLAM (Estrada, Neira and Tardos, IEEE T-RO 2005) with the graph of Lu and Milios
 (1997).
 """
@@ -11,7 +11,7 @@ the pose jumps. Hierarchical SLAM (Estrada, Neira and Tardos, IEEE T-RO 2005) wi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -37,37 +37,47 @@ from locfuse.fusion.kernels.sight import Rules
 from locfuse.fusion.lines.extract import rows_in_base
 from locfuse.fusion.lines.flatness import bend
 from locfuse.fusion.mount import Mount
-from locfuse.fusion.scan_matching.scan_by_scan import turned_beyond_wheels
+from locfuse.fusion.scan_matching.neighbours import turned_beyond_wheels
+from locfuse.fusion.scan_matching.solve import NOWHERE
 from locfuse.fusion.sensor import Block, Model
 
-from .anchors import NOWHERE, Anchors, Edge, inverted
-from .bridge import Bridge, cross, heading_among, seen_from_here
-from .closing import Closure, Here, find_closure
-from .frozen import FrozenMap, box_of, frozen, joint_covariance, thaw
+from .anchors import Anchors, Edge, inverted
 from .guard import Guard, in_map, jump
 from .laser_mount import by_mount, moved_mount, seat_of
 from .line_map import NO_SHARES, Association, LineMap, about_middle, associate
-from .looks import INSISTING, Looks, is_open
+from .place_search import INSISTING_LOOKS, Closure, Here, Looks, find_closure, is_open
 from .scan import Scan, Scans, Standing
-from .tidy import MIN_HITS, TIDY_EVERY, merge_doubles, prune, untidy
+from .small_maps import (
+    Bridge,
+    FrozenMap,
+    box_of,
+    cross,
+    frozen,
+    heading_among,
+    joint_covariance,
+    seen_from_here,
+    thaw,
+)
+from .tidy import MIN_HITS, TIDY_EVERY_SCANS, merge_doubles, prune, untidy
 from .way import Way, WayByScans
 
 UNMATCHED, AMBIGUOUS, NEW, LOST, REPEATED = (
     VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost", "repeated")
 )
-REACH, MANY = 12.0, 100  # m from the anchor, and lines, beyond which the next map begins
+REACH_M, MAX_LINES = 12.0, 100  # m from the anchor, and lines, beyond which the next map begins
 # rad: 1 sigma of the heading among the walls in view, with which a map may be left; times the reach, beyond which
 # it must be: the next map keeps for good what of its frame is wrong when it begins
-TOLD, WAIT = math.radians(0.5), 1.5
-FIRST_ASK, ASK_AGAIN = 3.0, 1.5  # m of way in a map before it is looked for in earlier ones, and between two looks
-BACK_WITHIN = 0.8  # share of the reach within which the robot returns to a map that it left
-BACK_XY, BACK_THETA = 0.3, math.radians(3.0)  # m, rad: standard deviations of where that is, at most
-WORSE = 30.0  # chi-square by which a closure may make all others worse
-RECENT = 3  # scans: what was seen in them leads over to the next map
+MAX_HEADING_SIGMA_RAD, MAX_REACH_FACTOR = math.radians(0.5), 1.5
+# m of way in a map before it is looked for in earlier ones, and between two looks
+FIRST_LOOK_M, LOOK_AGAIN_M = 3.0, 1.5
+BACK_REACH_SHARE = 0.8  # share of the reach within which the robot returns to a map that it left
+BACK_SIGMA_M, BACK_SIGMA_RAD = 0.3, math.radians(3.0)  # m, rad: standard deviations of where that is, at most
+MAX_WORSE_CHI2 = 30.0  # chi-square by which a closure may make all others worse
+RECENT_SCANS = 3  # scans: what was seen in them leads over to the next map
 # what adds to the variances of where a map ends: neighbouring beams and scans share errors that no filter counts,
 # and clutter is taken for walls. In one real building (aces) headings there were 2 degrees wrong at 0.4 claimed
-LESS_SURE, LEAST = 8.0, np.square((0.02, 0.02, math.radians(0.3)))
-KNOWN_BETTER = 1e-3  # share by which a variance must have fallen to count as told by another sensor
+ADDED_P_SHARE, MIN_ADDED_VARIANCES = 8.0, np.square((0.02, 0.02, math.radians(0.3)))
+MIN_GAIN_SHARE = 1e-3  # share by which a variance must have fallen to count as measured by another sensor
 
 
 class LineTracker(Model):
@@ -82,7 +92,7 @@ class LineTracker(Model):
         self.map = LineMap()
         self.joint = mode != "first-scan"
         self.maps = mode != "given"
-        # only a map that holds what was seen since can say that something is wrong
+        # only a map that holds what was seen since can show that something is wrong
         self._jumps: list[Jump] = []
         self.guard = Guard(self._jumps) if recover and mode in ("grow", "given") else None
         self._first_map: list[MapLine] = []
@@ -94,7 +104,7 @@ class LineTracker(Model):
         self._standing = Standing()
         self._sight: Association | None = None  # the scan at hand, where it is seen as expected
         self._found: Association | None = None  # the scan at hand; None: the map begins with it
-        self._late: Callable[[], Scan]  # the same in the base, by the mount as it was predicted
+        self._seen: Scan  # the same in the base, by the mount as it was predicted
         self._rows = np.zeros((0, 7))  # its lines, in the base as configured: at rest the mean since the last use
         self._teach = True
         self._fitted = -1  # the reading that was used last
@@ -129,7 +139,7 @@ class LineTracker(Model):
         return self.maps and not self.map.ids.size and bool(m.first[i] < m.first[i + 1])
 
     def rolled(self, u: Sequence[float]) -> None:
-        """Take in the wheels' motion: a robot that stands still learns nothing new."""
+        """Take in the wheels' motion: scans at rest repeat each other."""
         self._standing.rolled(u)
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> Sequence[Innovation] | Association:
@@ -149,20 +159,20 @@ class LineTracker(Model):
         self._rows = rows
         if len(self.map.ids) == 0:
             offset = None if self.mount is None else moved_mount(self.mount, belief)
-            self._late = partial(_in_base, rows, offset)
+            self._seen = _in_base(rows, offset)
             return [Innovation.unpredicted(row, NEW, 2, self.gate) for row in range(first, last)]
         if self._sight is None:
             self._sight = Association(self.rules, seat_of(self.mount, belief))
         shared = self._shared(m, first, last)
         found = self._sight
         share = found.compare(belief, self.map, rows, shared)
-        late = self._late = partial(_in_base, rows, None if self.mount is None else found.moved())
+        scan = self._seen = _in_base(rows, None if self.mount is None else found.moved())
         if self.guard is not None and not self.guard.fits(
-            self._t[i], share, belief.pose(), late, self.map.next_id
+            self._t[i], share, belief.pose(), scan, self.map.next_id
         ):
             again = partial(associate, rows, self.map, belief, found, shared)
             slipped = partial(turned_beyond_wheels, m, self._fitted, i)
-            found, self._teach = self.guard.watch(self._t[i], late(), found, self.map, belief, again, slipped)
+            found, self._teach = self.guard.watch(self._t[i], scan, found, self.map, belief, again, slipped)
         if not self._teach:
             self._standing.forget()
             return [Innovation.unpredicted(row, LOST, 2, self.gate) for row in range(first, last)]
@@ -226,7 +236,7 @@ class LineTracker(Model):
                 scan = self._scan_in_base(belief)
                 for k in found.new():
                     self._add(scan, k, belief)
-            if self._scan % TIDY_EVERY == 0 and untidy(self.map, belief, self._scan):
+            if self._scan % TIDY_EVERY_SCANS == 0 and untidy(self.map, belief, self._scan):
                 prune(self.map, belief, self._scan)
                 merge_doubles(self.map, belief, self._scan, np.array(uneven))
         if floor[0] > 0.0 or floor[1] > 0.0:
@@ -301,7 +311,6 @@ class AtlasTracker(LineTracker):
         self._way = Way()
         self._at = 0  # the anchor of the map at hand
         self._origin: Array = np.zeros(3)
-        self._origin_x = self._origin_y = 0.0
         self._now: tuple[Measurements, int] | None = None  # the reading at hand
         self._along: WayByScans | None = None  # from where this map began; None: it was taken up again
         self._left: tuple[Array, Array] | None = None  # where in the map before the next one began, and P
@@ -328,21 +337,21 @@ class AtlasTracker(LineTracker):
         self._go_on(i, pose, belief)
 
     def _go_on(self, i: int, pose: Pose, belief: JointBelief) -> None:
-        """Follow the way, look for the map at hand in earlier ones, and tell whether it is full."""
+        """Follow the way, look for the map at hand in earlier ones, and note whether it is full."""
         if self._way.goes(pose):
-            self._way.keep(self._t[i], pose, self._late())
-        if self._way.length - self._asked_at >= (ASK_AGAIN if self._asked_at else FIRST_ASK):
+            self._way.keep(self._t[i], pose, self._seen)
+        if self._way.length - self._asked_at >= (LOOK_AGAIN_M if self._asked_at else FIRST_LOOK_M):
             self._asked_at = self._way.length
             self._look(self._t[i], belief)
-        away = math.hypot(pose[0] - self._origin_x, pose[1] - self._origin_y)
-        self._full = away > REACH or len(self.map.ids) > MANY
+        away = math.hypot(pose[0] - self._origin.item(0), pose[1] - self._origin.item(1))
+        self._full = away > REACH_M or len(self.map.ids) > MAX_LINES
 
     # ---- from one map to the next ----
 
     def turn_page(self, belief: JointBelief) -> bool:
-        """Leave a map that is full; the next one begins at once, where a scan has just told the pose."""
+        """Leave a map that is full; the next one begins at once, where a scan has just corrected the pose."""
         if self.guard is not None and self.guard.gives_up():
-            self._leave(belief, bridges=False)  # the next scan begins a map, whose place nothing tells
+            self._leave(belief, bridges=False)  # the next scan begins a map of unknown place
             self.guard.leave()
             self._full = False
             return False
@@ -356,7 +365,7 @@ class AtlasTracker(LineTracker):
             return True
         leading = self._seen_last()
         if not len(leading) or not self._may_turn(leading, belief):
-            return False  # no wall leads over yet, or this scan has not told the heading
+            return False  # no wall leads over yet, or this scan has not fixed the heading
         bridge = seen_from_here(self.map, leading, belief)
         self._leave(belief, bridges=True)
         self._begin_next(bridge, belief)
@@ -376,40 +385,43 @@ class AtlasTracker(LineTracker):
         joint = joint_covariance(self.map, belief)
         self._frozen.append(FrozenMap(self._at, lines, self._way, box, self._origin, joint))
         if bridges:
-            belief.loosen(np.arange(3), LESS_SURE * np.diagonal(belief.matrix()) + LEAST)
+            belief.loosen(np.arange(3), ADDED_P_SHARE * np.diagonal(belief.matrix()) + MIN_ADDED_VARIANCES)
             if self._along is not None:
                 self._along.end(self.mount, belief)
             if self.guard is not None:
-                self.guard.turn_page()
+                self.guard.enter_map()
         self._left = np.array(belief.pose()), belief.matrix()
         belief.remove(self.map.drop(np.arange(len(self.map))))
 
     def _seen_last(self) -> Ints:
         """Return the walls that were seen last."""
-        return np.flatnonzero((self.map.seen >= self._scan - RECENT) & (self.map.hits >= MIN_HITS))
+        return np.flatnonzero((self.map.seen >= self._scan - RECENT_SCANS) & (self.map.hits >= MIN_HITS))
 
     def _may_turn(self, leading: Ints, belief: JointBelief) -> bool:
         """Return whether the heading is well known among the walls that lead over, or waiting must end."""
         x, y = (np.array(belief.pose()) - self._origin)[:2].tolist()
-        return math.hypot(x, y) > WAIT * REACH or heading_among(self.map, leading, belief) < TOLD
+        return (
+            math.hypot(x, y) > MAX_REACH_FACTOR * REACH_M
+            or heading_among(self.map, leading, belief) < MAX_HEADING_SIGMA_RAD
+        )
 
     def _beside(self, belief: JointBelief) -> FrozenMap | None:
         """Return the map beside the one at hand, by an edge of the graph, in which the robot is; None: in none."""
         if not belief.framed:
             return None
-        beside, best, found = self._anchors.beside(self._at), BACK_WITHIN * REACH, None
+        beside, best, found = self._anchors.beside(self._at), BACK_REACH_SHARE * REACH_M, None
         for old in self._frozen:
-            if old.anchor not in beside or len(old.lines) > MANY:
+            if old.anchor not in beside or len(old.lines) > MAX_LINES:
                 continue
             R, P = self._anchors.relative(old.anchor, self._at)
             here = se2.compose(R, np.array(belief.pose()))
             away = math.hypot(*(here[:2] - old.origin[:2]))
-            if away < best and float(P[0, 0] + P[1, 1]) < BACK_XY**2 and float(P[2, 2]) < BACK_THETA**2:
+            if away < best and float(P[0, 0] + P[1, 1]) < BACK_SIGMA_M**2 and float(P[2, 2]) < BACK_SIGMA_RAD**2:
                 best, found = away, old
         return found
 
     def _return_to(self, old: FrozenMap, belief: JointBelief) -> None:
-        """Take up a map again: its lines are states again, and the pose is where the graph says it is in it.
+        """Take up a map again: its lines are states again, and the pose is put into it by the graph.
 
         G o q stays what it is: G goes back by R, which leads from the old anchor to the last one, and q on by R.
         """
@@ -432,11 +444,10 @@ class AtlasTracker(LineTracker):
         self.map.seen, self.map.born = np.full(n, self._scan), np.zeros(n, np.int64)
         self._frozen = [one for one in self._frozen if one is not old]
         self._at, self._way, self._origin, self._along = old.anchor, old.way, old.origin, None
-        self._origin_x, self._origin_y, _ = self._origin.tolist()
         self._way.resume()
         self._asked_at, self._looks, self._ask_known_at = self._way.length, Looks(), {}
         if self.guard is not None:
-            self.guard.turn_page()
+            self.guard.enter_map()
 
     def _enter(self, pose: Array, belief: JointBelief) -> None:
         """Begin a map at an anchor, which is the map frame."""
@@ -451,24 +462,23 @@ class AtlasTracker(LineTracker):
             if frame is not None:
                 self._anchors.pose[-1] = frame
         self._way, self._origin, self._asked_at, self._looks = Way(), pose, 0.0, Looks()
-        self._origin_x, self._origin_y, _ = pose.tolist()
         if self._now is not None:
             m, i = self._now
             self._along = WayByScans(m, i, (pose[0], pose[1], pose[2]))
         self._ask_known_at = {}
 
     def _take_in_absolutes(self, belief: JointBelief) -> None:
-        """Tell the graph what other sensors have said of the map frame since it began: the information gained."""
+        """Add an edge to the graph: the information of other sensors on the map frame since it began."""
         frame = belief.frame_pose()
         if frame is None:
             return
         at = self._at
         before, now = self._anchors.covariance((at,)), belief.frame_covariance()
-        if (np.diagonal(now) > (1.0 - KNOWN_BETTER) * np.diagonal(before)).all():
+        if (np.diagonal(now) > (1.0 - MIN_GAIN_SHARE) * np.diagonal(before)).all():
             return
         L = inverted(now)
         gained, turned = np.linalg.eigh(L - inverted(before))
-        gained = np.where(gained > KNOWN_BETTER * np.diagonal(L).min(), gained, 0.0)
+        gained = np.where(gained > MIN_GAIN_SHARE * np.diagonal(L).min(), gained, 0.0)
         step = np.array(frame) - self._anchors.pose[at]
         back = np.divide(1.0, gained, out=np.zeros(3), where=gained > 0.0)
         z = self._anchors.pose[at] + turned @ (back * (turned.T @ (L @ step)))
@@ -515,9 +525,9 @@ class AtlasTracker(LineTracker):
         self._anchors.add(edge)
         self._anchors.solve()
         worse = self._anchors.cost() - before
-        if worse > WORSE:
+        if worse > MAX_WORSE_CHI2:
             self._anchors.remove(edge)
-            if self._looks.count(of) < INSISTING:
+            if self._looks.count(of) < INSISTING_LOOKS:
                 for e in old:
                     self._anchors.add(e)
                 self._anchors.pose = poses

@@ -12,7 +12,7 @@ from locfuse.fusion.data import Array, Ints
 
 from .clouds import Clouds
 
-BINS = 360
+BIN_COUNT = 360
 MARGIN_M, MARGIN_SHARE = 0.3, 0.03  # a point must lie so much before what was seen behind it
 MIN_POINTS = 20  # in the field of view of the other scan: fewer decide nothing
 
@@ -26,7 +26,7 @@ class Views(msgspec.Struct, frozen=True):
     @classmethod
     def of(cls, clouds: Clouds, origin: Array) -> Views:
         """Return the views of scans; of the ranges in a direction and beside it the shortest counts."""
-        depth = np.full((len(clouds), BINS), np.inf)
+        depth = np.full((len(clouds), BIN_COUNT), np.inf)
         bins, ranges = _polar(clouds.xy - origin)
         np.minimum.at(depth, (clouds.owner, bins), ranges)
         nearest = np.minimum.reduce([np.roll(depth, s, axis=1) for s in (-1, 0, 1)])
@@ -46,5 +46,8 @@ class Views(msgspec.Struct, frozen=True):
 
 
 def _polar(points: Array) -> tuple[Ints, Array]:
-    bins = np.floor((np.arctan2(points[:, 1], points[:, 0]) / (2.0 * np.pi) % 1.0) * BINS).astype(np.int64) % BINS
+    bins = (
+        np.floor((np.arctan2(points[:, 1], points[:, 0]) / (2.0 * np.pi) % 1.0) * BIN_COUNT).astype(np.int64)
+        % BIN_COUNT
+    )
     return bins, np.hypot(points[:, 0], points[:, 1])

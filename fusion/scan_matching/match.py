@@ -1,7 +1,7 @@
-"""Scan matching: many pairs of clouds at once, point to line, with a prior for what the walls do not say.
+"""Scan matching: many pairs of clouds at once, point to line, with a prior for directions that no wall constrains.
 
-A corridor says nothing along itself: there the prior (the wheels) holds, and without one a match slides (Censi
-2008, "An ICP variant using a point-to-line metric"). The nearest points of all pairs are found by one
+Nothing in a corridor fixes the place along it: there the prior (the wheels) holds, and without one a match slides
+(Censi 2008, "An ICP variant using a point-to-line metric"). The nearest points of all pairs are found by one
 search: each cloud lies in a layer of its own, far from all others.
 
 Frames: the pose of a pair is that of cloud j in the frame of cloud i, (x, y, theta); its information is that of
@@ -10,8 +10,6 @@ these three numbers, so in the frame of i.
 
 from __future__ import annotations
 
-from typing import Any
-
 import msgspec
 import numpy as np
 from msgspec.structs import astuple
@@ -19,23 +17,23 @@ from msgspec.structs import astuple
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
 
-from .clouds import Clouds
+from .clouds import Clouds, Columns
 
 LAYER_M = 1e4  # between two clouds in the search
 NOWHERE_M = 1e6
 RADII_M = (0.5, 0.4, 0.3, 0.2, 0.15, 0.15, 0.15)  # how far a point's partner may be, iteration by iteration
 SIGMA_M = 0.03  # of one point about its line
-DEPENDENT = 16.0  # neighbouring points are not independent: so many count as one
+DEPENDENT_POINTS = 16.0  # neighbouring points are not independent: so many count as one
 FLOOR_M, FLOOR_RAD = 0.01, np.radians(0.2)  # no pair is known better
 MIN_FACING = 0.7  # cosine between the normals of two points that are paired, at least: a wall has two sides
 INLIER_M = 0.1  # a point closer to its line fits
-MATCHED_POINTS = 120  # of one cloud: more cost time and, being neighbours, say little new
+MATCHED_POINTS = 120  # of one cloud: more cost time and, being neighbours, add little
 POINTS_AT_ONCE = 1_000_000
 SETTLED_M = 2e-4
 
 
-class Matches(msgspec.Struct, frozen=True):
-    """What p pairs of clouds say of their relative poses."""
+class Matches(Columns, frozen=True):
+    """Relative poses of p pairs of clouds."""
 
     pose: Array  # (p, 3)
     information: Array  # (p, 3, 3) by the points alone, without the prior
@@ -43,22 +41,10 @@ class Matches(msgspec.Struct, frozen=True):
     overlap: Array  # (p,) share of all points that have a partner
     rms: Array  # (p,) m, of those that fit
 
-    def take(self, at: Any) -> Matches:
-        """Return the pairs at these positions, or where a mask says so."""
-        return Matches(
-            *(column[at] for column in (self.pose, self.information, self.inliers, self.overlap, self.rms))
-        )
-
     def put(self, at: Ints, others: Matches) -> None:
         """Let the pairs at these positions be others."""
         for column, other in zip(astuple(self), astuple(others), strict=True):
             column[at] = other
-
-    @classmethod
-    def joined(cls, parts: list[Matches]) -> Matches:
-        """Return the pairs of several results as one."""
-        names = ("pose", "information", "inliers", "overlap", "rms")
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 class Targets:
@@ -105,7 +91,7 @@ def match(
         _match(targets, i[at], sources, j[at], guess[at], prior[at], reach)
         for at in np.split(np.arange(len(i)), cuts)
     ]
-    return Matches.joined(parts)
+    return Matches.joined(*parts)
 
 
 def overlap(targets: Targets, i: Ints, sources: Clouds, j: Ints, pose: Array, reach: float) -> Array:
@@ -179,7 +165,7 @@ class _Pairs(msgspec.Struct, frozen=True):
 
     def normal_equations(self) -> tuple[Array, Array]:
         """Return H (n, 3, 3) and g (n, 3) of the pairs: Cauchy weights, since people and doors are outliers."""
-        w = 1.0 / (1.0 + (self.e / (2.0 * SIGMA_M)) ** 2) / (DEPENDENT * SIGMA_M**2)
+        w = 1.0 / (1.0 + (self.e / (2.0 * SIGMA_M)) ** 2) / (DEPENDENT_POINTS * SIGMA_M**2)
         H, g = np.empty((self.n, 3, 3)), np.empty((self.n, 3))
         for a in range(3):
             wa = w * self.row[:, a]

@@ -17,7 +17,7 @@ from locfuse.fusion.data import Array, Drive, Ints, Motions
 
 # m^2, rad^2 per metre driven and per radian turned: slips, uneven floors. The wheels' own noise leaves directions
 # out, and a bridge that has to end where they cannot lead would swing wide.
-LEFT_OUT = np.array([2e-4, 2e-4, np.radians(0.5) ** 2])
+LEFT_OUT_VARIANCES = np.array([2e-4, 2e-4, np.radians(0.5) ** 2])
 
 
 class Odometry(msgspec.Struct, frozen=True):
@@ -38,8 +38,8 @@ class Odometry(msgspec.Struct, frozen=True):
     def loosened(self) -> Odometry:
         """Return the same way with what the wheels' own noise leaves out."""
         u = se2.between(self.pose[:-1], self.pose[1:])
-        more = np.cumsum(at_origin(self.pose[:-1], u, evenly(u, LEFT_OUT)), axis=0)
-        return replace(self, C=self.C + np.concatenate((np.zeros((1, 3, 3)), more)), left_out=LEFT_OUT)
+        more = np.cumsum(at_origin(self.pose[:-1], u, evenly(u, LEFT_OUT_VARIANCES)), axis=0)
+        return replace(self, C=self.C + np.concatenate((np.zeros((1, 3, 3)), more)), left_out=LEFT_OUT_VARIANCES)
 
     def scaled(self, share: float) -> Odometry:
         """Return the same odometry with its covariance multiplied by `share`."""

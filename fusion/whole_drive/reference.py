@@ -51,7 +51,7 @@ def possible(drive: Drive, robot: Robot) -> bool:
 def sets(drive: Drive) -> list[tuple[str, ...]]:
     """Return the sets of sensors to solve: all, then all but each one (and what needs it), without repeats.
 
-    A set in which nothing says where the robot is, is none: a wrong wheel radius would judge the sensors.
+    A set in which no sensor locates the robot, is none: a wrong wheel radius would judge the sensors.
     """
     present = _present(drive)
     found = [present, *(_without(s, present) for s in present)]
@@ -63,7 +63,7 @@ class References(msgspec.Struct, frozen=True):
 
     solved: Mapping[Subset, Reference]
     present: tuple[str, ...]
-    contradict: Sequence[tuple[str, str]] = ()  # sensors of which one must be wrong, and nobody knows which
+    contradict: Sequence[tuple[str, str]] = ()  # sensors of which one must be wrong, unknown which
 
     @classmethod
     def of(

@@ -1,4 +1,4 @@
-"""Smoothing: what the whole drive, its end included, says of every instant (Rauch, Tung, Striebel 1965).
+"""Smoothing: every instant estimated from the whole drive, its end included (Rauch, Tung, Striebel 1965).
 
 One smoother for the user, two ways of solving it. Where a laser came back to places that the filter's own map does
 not hold together, the graph of key poses (whole_drive.pose_graph) closes these loops. Else the backward pass below
@@ -38,7 +38,7 @@ from .pose_graph import Graph, room_for_loops, whole_drive
 
 NOT_OPTIMAL = ("first-scan", "consider")
 MAX_WALLS = 300  # of a given map: each is two states, and each instant costs the square of their number
-RANK = 1e-12  # relative eigenvalue below which the wheels' noise has no extent
+MIN_EIGENVALUE_SHARE = 1e-12  # relative eigenvalue below which the wheels' noise has no extent
 
 
 def check_smoothing(robot: Robot, sensors: Sequence[str]) -> None:
@@ -241,7 +241,7 @@ def between_instants(
 ) -> tuple[Array | None, Array | None]:
     """Return smoothed poses (q, 3) and covariances at the truth's stamps; NaN outside the drive.
 
-    A stamp lies on a bridge between two smoothed instants: what the wheels said on the way there, plus the share
+    A stamp lies on a bridge between two smoothed instants: the wheels' motion on the way there, plus the share
     of what they missed over the whole interval that their noise assigns to the part before the stamp. All in the
     local frame and about the filter's own poses, since across the wheels' direction the noise is micrometres and
     bending is not. Then the frame puts it into the map.
@@ -261,7 +261,7 @@ def between_instants(
     turn = se2.rotation(start[:, 2])
     Q = eq6_noise(turn, drive.truth_motions.Q)
     whole = eq6_noise(turn, drive.motions.Q[after])
-    share = Q @ on.transpose(0, 2, 1) @ np.linalg.pinv(whole, rcond=RANK, hermitian=True)
+    share = Q @ on.transpose(0, 2, 1) @ np.linalg.pinv(whole, rcond=MIN_EIGENVALUE_SHARE, hermitian=True)
     share[k == after] = 0.0
     near = to_at - share @ to_end
     out = at + _apply(near, back.local[k] - start) + _apply(share, back.arrived[after] - end)

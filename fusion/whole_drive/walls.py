@@ -90,7 +90,7 @@ class _Walls:
 
 
 def _mean(seen: list[tuple[float, float, Array]]) -> tuple[float, float, Array]:
-    """Return the sightings' mean (rho, beta) and its covariance: no better than their scatter says."""
+    """Return the sightings' mean (rho, beta) and its covariance: no better than their scatter."""
     values = np.array([(rho, beta) for rho, beta, _ in seen])
     weights = np.array([np.linalg.inv(R) for _, _, R in seen])
     total = np.linalg.inv(weights.sum(axis=0))

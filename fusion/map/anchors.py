@@ -20,7 +20,7 @@ MIN_EIGENVALUE = 1e-14  # of a correlation: below, the numbers themselves are no
 
 
 class Edge(NamedTuple):
-    """Anchor `to` seen from anchor `of`, or from the map where that is NOWHERE."""
+    """Anchor `to` relative to anchor `of`, or to the map if that is NOWHERE."""
 
     of: int
     to: int
@@ -41,29 +41,29 @@ class Anchors:
         return len(self.pose)
 
     def first(self, pose: Array, P: Array) -> int:
-        """Add an anchor that is known by itself, pose (3,) with covariance (3, 3); return its number."""
+        """Add an anchor with a known pose (3,) and covariance (3, 3); return its number."""
         self.pose = np.vstack((self.pose, pose))
         self.add(Edge(NOWHERE, len(self.pose) - 1, np.asarray(pose), inverted(P)))
         return len(self.pose) - 1
 
     def next(self, of: int, z: Array, P: Array) -> int:
-        """Add an anchor that is seen from another one at z (3,) with covariance (3, 3); return its number."""
+        """Add an anchor at z (3,) with covariance (3, 3) relative to another one; return its number."""
         self.pose = np.vstack((self.pose, se2.compose(self.pose[of], z)))
         self.add(Edge(of, len(self.pose) - 1, np.asarray(z), inverted(P)))
         return len(self.pose) - 1
 
     def add(self, edge: Edge) -> None:
-        """Add what is known of two anchors."""
+        """Add a relative pose of two anchors."""
         self.edges.append(edge)
         self._P = None
 
     def remove(self, edge: Edge) -> None:
-        """Take back an edge."""
+        """Remove an edge."""
         self.edges = [e for e in self.edges if e is not edge]
         self._P = None
 
     def loosen(self, of: int, to: int, factor: float) -> None:
-        """Multiply the covariances of all edges along the way between two anchors by the factor that it was worse.
+        """Multiply the covariances of all edges on the path between two anchors by the missing factor.
 
         That is the variance factor of what was observed, chi-square over degrees of freedom.
         """
@@ -88,7 +88,7 @@ class Anchors:
         return P
 
     def relative(self, of: int, to: int) -> tuple[Array, Array]:
-        """Return anchor `to` seen from anchor `of`, (3,), and its covariance (3, 3)."""
+        """Return anchor `to` relative to anchor `of`, (3,), and its covariance (3, 3)."""
         z, P = relative(self.pose, self._joint(), np.array([of]), np.array([to]))
         return z[0], P[0]
 

@@ -1,4 +1,4 @@
-"""How a laser's beams lie beside a map: the mixture that AMCL weighs its particles with, fitted to a drive.
+"""A laser's beams relative to a map: the mixture with which AMCL weighs its particles, fitted to a drive.
 
 Likelihood field (Thrun, Burgard and Fox 2005, Probabilistic Robotics, table 6.3): a beam that ends at the distance
 d from the nearest wall has the density z_hit N(d; 0, sigma_hit) + z_rand / z_max. The weights and sigma_hit are
@@ -25,7 +25,7 @@ MIN_BEAMS = 200
 
 
 class BeamModel(NamedTuple):
-    """Shares of the beams, and how far those that hit lie off their walls."""
+    """Shares of the beams by kind, and the distance of hits from their walls."""
 
     sigma: float  # m
     spread: float  # m, 1 sigma of it
@@ -40,7 +40,7 @@ class BeamModel(NamedTuple):
 def fit_beams(
     origins: Array, points: Array, lines: Sequence[MapLine], none: int, reach: float
 ) -> BeamModel | None:
-    """Fit the mixture to points (n, 2), seen from origins (n, 2), in the map [m]; None where they are too few.
+    """Fit the mixture to points (n, 2), seen from origins (n, 2), in the map [m]; None with too few points.
 
     `none` beams had no return; `reach` is the laser's [m].
     """
@@ -81,7 +81,7 @@ def _hits(d: Array, hit: float, sigma: float, reach: float) -> Array:
 
 
 def _beside_walls(origins: Array, points: Array, lines: Sequence[MapLine]) -> tuple[Array, Array]:
-    """Return how far each point (n, 2) lies from the nearest wall, and how far the first wall is in its direction.
+    """Return each point's (n, 2) distance from the nearest wall, and from the first wall in its direction.
 
     The second is measured from the point's origin (n, 2), and inf where no wall is there; all in m.
     """

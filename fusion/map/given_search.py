@@ -1,4 +1,4 @@
-"""Where in a given map did a drive begin? Every free place and heading is tried, and the drive decides.
+"""Where in a given map did a drive begin? Every free place and heading is tried against the first seconds.
 
 The first scan leaves many places: corridors and rooms look alike. Each is kept, moved on by the wheels, and held
 against the later scans; what agrees with all of them, and clearly better than every other place, is the answer
@@ -71,13 +71,13 @@ def find_start(grid: Grid, t: Array, points: Points, wheels: Wheels) -> Start:
 
 
 def at_start(found: Start, wheels: Wheels) -> Array:
-    """Return the pose (3,) at the first wheel reading of a robot that was found at its first scan."""
+    """Return the pose (3,) at the first wheel reading of a robot whose pose at its first scan was found."""
     back = wheels.relative(np.array([found.t]), wheels.t[:1])[0]
     return np.asarray(se2.compose(found.pose, back))
 
 
 class _Places:
-    """Where the robot may be, in the frame of the grid: places in cells, headings in radians."""
+    """Candidate poses of the robot in the grid's frame: places in cells, headings in radians."""
 
     def __init__(self, grid: Grid) -> None:
         self.seen = 0  # scans
@@ -91,7 +91,7 @@ class _Places:
         self._first = self._poses  # where each of them was at the first scan
 
     def look(self, scan: Array, step: Array | None) -> None:
-        """Hold every place against a scan (k, 2) [m], after a step (3,) by the wheels since the one before."""
+        """Compare every place with a scan (k, 2) [m], after a step (3,) by the wheels since the scan before."""
         cell = self._grid.cell
         if step is None:
             self._begin(_some(scan, FIRST_BEAMS) / cell)
@@ -105,13 +105,13 @@ class _Places:
         self._rank()
 
     def decided(self) -> bool:
-        """Return whether one place fits, and clearly better than every other."""
+        """Return whether one place fits clearly better than every other."""
         ahead = self.best - self.other
         clear = ahead >= MIN_LEAD_SHARE and ahead * self.seen >= MIN_LEAD_SCANS
         return clear and self.seen >= MIN_SCANS and self.best >= MIN_SHARE
 
     def pose(self) -> Array:
-        """Return where the best place (3,) was at the first scan, in the map."""
+        """Return the pose in the map, at the first scan, of the best place (3,)."""
         x, y, theta = self._first[int(np.argmax(self._sums))].tolist()
         place = self._grid.to_map(np.array([[x, y]]))[0]
         return np.array([*place, se2.wrap(theta + float(self._grid.origin[2]))])
@@ -138,7 +138,7 @@ class _Places:
         return np.asarray(found.mean(axis=1), np.float64)
 
     def _cells(self, poses: Array, dx: Array, dy: Array) -> tuple[Ints, Ints]:
-        """Return rows and columns (h, k) of what is (dx, dy) (h, k) cells from poses (h, 3); outside the first."""
+        """Return rows and columns (h, k) of points (dx, dy) (h, k) cells from poses (h, 3); outside: cell 0."""
         i = np.floor(poses[:, 0, None] + dx).astype(np.int64)
         j = np.floor(poses[:, 1, None] + dy).astype(np.int64)
         rows, columns = self._field.shape
@@ -147,7 +147,7 @@ class _Places:
         return j, i
 
     def _improve(self, beams: Array) -> Array:
-        """Move every place step by step to where it fits best; return the shares (h,) there."""
+        """Move every place step by step to its best fit; return the shares (h,) there."""
         share = self._share(self._poses, beams)
         for metres, turn in MOVES_M_RAD:
             for _ in range(ROUNDS_PER_SIZE):
@@ -164,7 +164,7 @@ class _Places:
         return share
 
     def _thin(self) -> None:
-        """Keep one place of those that are the same, and the better half of what is left."""
+        """Keep one of equal places, then the better half of the rest."""
         order = np.argsort(-self._sums, kind="stable")
         same = SAME_M / self._grid.cell
         turned = self._poses[order, 2] % math.tau
@@ -197,7 +197,7 @@ def _no_place(places: _Places, until: float) -> str:
 
 
 def _lattice(grid: Grid) -> Array:
-    """Return free places (n, 2) SPACING_M apart, in cells. Raises LocfuseError for too many to try them all."""
+    """Return free places (n, 2) SPACING_M apart, in cells. Raises LocfuseError if there are too many to try."""
     every = max(1, round(SPACING_M / grid.cell))
     half = every // 2
     free = grid.free[half::every, half::every]

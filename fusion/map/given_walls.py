@@ -26,7 +26,7 @@ Mask = NDArray[np.bool_]
 
 
 class Grid(msgspec.Struct, frozen=True):
-    """Cells (rows, columns), the first row and column at the origin; what is neither is unknown."""
+    """Cells (rows, columns), the first row and column at the origin; cells of no other kind are unknown."""
 
     occupied: Mask
     free: Mask
@@ -63,7 +63,7 @@ def contours(grid: Grid) -> list[Chain]:
 
 
 def _sides(grid: Grid) -> tuple[Ints, Ints, Array, Mask]:
-    """Return the corners (m, 2) from and to which every side leads, its middle (m, 2), and Chain.thin (m,)."""
+    """Return the corners (m, 2) at both ends of every side, its middle (m, 2), and Chain.thin (m,)."""
     starts, ends, points, thin, count = [], [], [], [], 0
     for (rows, columns), a, b in CELL_SIDES:
         border = grid.occupied & _shifted(grid.free, rows, columns)
@@ -82,7 +82,7 @@ def _sides(grid: Grid) -> tuple[Ints, Ints, Array, Mask]:
 
 
 def _shifted(cells: Mask, rows: int, columns: int) -> Mask:
-    """Return of every cell its neighbour's value; outside there is none."""
+    """Return every cell's neighbour; outside the grid there is none."""
     out = np.zeros_like(cells)
     n, m = cells.shape
     to = (slice(max(0, -rows), n - max(0, rows)), slice(max(0, -columns), m - max(0, columns)))
@@ -92,7 +92,7 @@ def _shifted(cells: Mask, rows: int, columns: int) -> Mask:
 
 
 def _chains(starts: Ints, ends: Ints) -> list[list[int]]:
-    """Return sides that lead from one to the next; where cells touch at a corner, a wall is followed round it."""
+    """Return sides in order; where cells touch at a corner, the chain follows the wall around it."""
     width = int(max(starts.max(initial=0), ends.max(initial=0))) + 2
     of_start, of_end = (corner[:, 1] * width + corner[:, 0] for corner in (starts, ends))
     leaving: dict[int, list[int]] = defaultdict(list)
@@ -125,7 +125,7 @@ OFFSET_FLOOR_M, ANGLE_FLOOR_RAD = 0.01, math.radians(0.1)  # no plan or wall is 
 
 
 def walls_of(grid: Grid) -> list[MapLine]:
-    """Return the walls that are long enough to be seen as lines, their normals away from the free side."""
+    """Return the walls that are long enough for lines, with normals that point away from the free side."""
     least = max(MIN_LENGTH_M / grid.cell, float(MIN_CELLS))
     found: list[MapLine] = []
     for chain in contours(grid):
@@ -145,7 +145,7 @@ def _straight(chain: Array) -> list[tuple[int, int]]:
 
 
 def _split(chain: Array, first: int, last: int) -> list[tuple[int, int]]:
-    """Split at the point furthest from the chord, as often as it takes (Ramer 1972; Douglas and Peucker 1973)."""
+    """Split at the point furthest from the chord, recursively (Ramer 1972; Douglas and Peucker 1973)."""
     todo, done = [(first, last)], []
     while todo:
         a, b = todo.pop()
@@ -165,7 +165,7 @@ def _split(chain: Array, first: int, last: int) -> list[tuple[int, int]]:
 
 
 def _fitted(number: int, grid: Grid, piece: Chain) -> MapLine:
-    """Return the line through a piece, its ends' cells left out: they belong to a corner."""
+    """Return the line through a piece, without the cells at its ends, which belong to corners."""
     points = piece.points
     inner = points[1:-1] if len(points) > 2 * MIN_CELLS else points
     middle = inner.mean(axis=0)
@@ -179,7 +179,7 @@ def _fitted(number: int, grid: Grid, piece: Chain) -> MapLine:
 
 
 def _line(number: int, ends: Array, cell: float, scatter: float) -> MapLine:
-    """Return the line between two ends (2, 2) [m], seen from its left, as uncertain as cells leave it."""
+    """Return the line between two ends (2, 2) [m], seen from its left, with the uncertainty of cells."""
     (dx, dy), length = ends[1] - ends[0], float(np.hypot(*(ends[1] - ends[0])))
     c, s = dy / length, -dx / length  # the normal lies to the right of the way: away from the free side
     lo, hi = (float(c * y - s * x) for x, y in ends)

@@ -73,7 +73,7 @@ class Guard:
     """Watches the agreement of scans and map over one run."""
 
     def __init__(self, jumps: list[Jump]) -> None:
-        """`jumps` is where it notes what moved the pose."""
+        """`jumps` is the list to which corrections of the pose are added."""
         self._since: float | None = None
         self._scans = 0
         self._lost_from: float | None = None
@@ -95,11 +95,11 @@ class Guard:
         self._adrift: float | None = None  # s: since then the robot is in a map whose place is not known
 
     def stood(self, pose: Pose) -> None:
-        """Take in where a scan has put the robot: from here on the wheels lead."""
+        """Note the pose after a scan; the wheels predict from there."""
         self._after = pose
 
     def fits(self, t: float, share: float, pose: Pose, scan: Scan, next_id: int) -> bool:
-        """Take in a scan of which this share matches; False: nothing is taken in, `watch` must see to it.
+        """Use the share of a scan that matches; False: it is not used, and `watch` must decide.
 
         `pose` is predicted, `next_id` the number of the next map line.
         """
@@ -171,7 +171,7 @@ class Guard:
         again: Again,
         slipped: Slipped,
     ) -> float | None:
-        """Hold a scan, of which a share is matched, against both headings; after some scans return the slip."""
+        """Compare a scan, of which a share is matched, with both headings; return the slip after some scans."""
         suspicion.look(kept, with_slip(belief, suspicion.turn, again).share())
         if not suspicion.decided:
             return None
@@ -192,7 +192,7 @@ class Guard:
     def _believed(
         self, before: Sequence[Seen], now: Seen, share: float, lines: LineMap, belief: JointBelief
     ) -> bool:
-        """Return whether a scan of which little is matched may correct pose and map; after several it is lost."""
+        """Return whether a scan with few matches may correct pose and map; after several, it is lost."""
         t, _, scan = now
         if _view(scan) < MIN_VIEW_RAD:  # a doorway, clutter: too little to contradict anything
             return not self._torn
@@ -225,34 +225,34 @@ class Guard:
             belief.remove(lines.drop(gone))
 
     def _rolled(self, here: Pose) -> Pose:
-        """Return where the wheels alone put the robot, on from where they did at the last scan."""
+        """Return the pose by the wheels alone, continued from the last scan."""
         self._wheels = se2.carried(self._wheels, self._after or here, here)
         self._after = here
         return self._wheels
 
     def enter_map(self) -> None:
-        """Go on in another map: scans in the frame of this one are dropped."""
+        """Continue in another map: scans in the frame of this one are dropped."""
         self._before.clear()
         self._since = self._after = self._suspicion = None
         self._last = (math.inf, math.inf, math.inf)
         self._torn = False
 
     def gives_up(self) -> bool:
-        """Return whether a lost robot has driven on for long and its place on the map was not found."""
+        """Return whether a lost robot has driven on for long without a place on the map."""
         return self._lost_from is not None and self._tried >= MAX_LOST_SCANS
 
     def leave(self) -> None:
-        """Leave the map, where the robot is in it is not known: it is adrift until the next one is recognised."""
+        """Leave the map with an unknown pose in it; the next map has no known place until it is recognised."""
         self._adrift, self._lost_from = self._since_lost(), None
 
     def recognised(self, t: float) -> None:
-        """Know again where the map lies that a lost robot began."""
+        """Mark the place of the map that a lost robot began as recognised."""
         if self._adrift is not None:
             self._intervals.append((self._adrift, t))
         self._adrift = None
 
     def begin_anew(self, t: float, belief: JointBelief) -> None:
-        """Begin with a map that begins now, where the robot is in it is exactly known."""
+        """Continue with a new map, in which the robot's pose is known exactly."""
         self._before.clear()
         self._since = self._place = self._suspicion = None
         self._last = (math.inf, math.inf, math.inf)
@@ -292,7 +292,7 @@ class Guard:
         return again(), True
 
     def _confirmed(self, pose: Pose, belief: JointBelief) -> bool:
-        """Return whether CONFIRMED scans in a row put the robot where the wheels took it from the last place.
+        """Return whether CONFIRMED scans in a row agree with the wheels' motion since the last place.
 
         One scan of a few walls fits somewhere by chance; several, from places a robot drove between, hardly do.
         """
@@ -313,7 +313,7 @@ class Guard:
         return math.hypot(belief.x - x, belief.y - y) > MIN_MOVED_M or abs(belief.theta - theta) > MIN_TURNED_RAD
 
     def intervals(self) -> list[tuple[float, float]]:
-        """Return when the robot was lost, (start, end) [s]; one that never ended is open (infinite)."""
+        """Return when the robot was lost, (start, end) [s]; an interval without end is open (infinite)."""
         since = self._since_lost()
         return [*self._intervals, *([] if since is None else [(since, math.inf)])]
 
@@ -321,7 +321,7 @@ class Guard:
         return min((t for t in (self._lost_from, self._adrift) if t is not None), default=None)
 
     def words(self) -> list[str]:
-        """Say what happened."""
+        """Return what happened, in words."""
         words = [f"lost from {a:.1f} s to {b:.1f} s after the start, then found again" for a, b in self._intervals]
         if (since := self._since_lost()) is not None:
             lost = f"lost from {since:.1f} s after the start until the end"
@@ -345,7 +345,7 @@ def jump(t: float, kind: str, before: Array, after: Array) -> Jump:
 
 
 def _jumped(before: Sequence[Seen], now: Seen) -> bool:
-    """Return whether the walls of this scan continue those of none of the scans before it, a slip allowed for.
+    """Return whether the walls of this scan continue those of no earlier scan, even if a slip is allowed for.
 
     A robot that explores sees new walls, but not only new ones, and not at once. In clutter lines come and go from
     scan to scan, but some scan of the last ones had them.
@@ -357,7 +357,7 @@ def _jumped(before: Sequence[Seen], now: Seen) -> bool:
 
 
 def _view(scan: Scan) -> float:
-    """Return the angle that the walls of a scan fill, as seen from the robot [rad]."""
+    """Return the angle over which the walls of a scan extend, seen from the robot [rad]."""
     r = np.abs(scan.z[:, :1])
     bearings = np.arctan2(scan.ends, np.maximum(r, 1e-6))
     return float((bearings[:, 1] - bearings[:, 0]).sum())
@@ -376,7 +376,7 @@ def _sees_through(scan: Scan, lines: LineMap, belief: JointBelief) -> bool:
 
 
 def _keep_open(belief: JointBelief, dt: float) -> None:
-    """Let what is known of a lost pose fade: its wheels may hang in the air; a compass keeps it up to date."""
+    """Add noise to a lost pose: its wheels may turn in the air; a compass keeps the heading."""
     theta = float(belief.matrix()[2, 2])
     fades = min(CARRY_RAD_PER_S**2 * dt, max(math.pi**2 / 3.0 - theta, 0.0))
     belief.shift(0.0, CARRY_M_PER_S**2 * dt, fades)

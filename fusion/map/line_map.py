@@ -76,7 +76,7 @@ class LineMap(msgspec.Struct):
         return columns
 
     def table(self) -> sight.Walls:
-        """Return the map for the kernel; it shares the columns, and is made anew where they are other arrays."""
+        """Return the map for the kernel; it shares the columns, and is rebuilt after these were replaced."""
         shown = self._shown
         if self._table is not None and shown[0] is self.column and shown[1] is self.hits and shown[2] is self.seen:
             return self._table
@@ -105,7 +105,7 @@ class LineMap(msgspec.Struct):
         return line
 
     def keep_floor(self, belief: JointBelief, floor: tuple[float, float]) -> None:
-        """Know no line better than its floor (2,) [m^2, rad^2], whatever was averaged: no wall is a plane."""
+        """Keep each line's covariance at its floor (2,) [m^2, rad^2] or above, since no wall is an exact plane."""
         if self._lacking is None or self._room < 2 * len(self.ids):
             self._room = 4 * len(self.ids)
             self._lacking = Loosening(np.empty(self._room, np.intp), np.empty(self._room))
@@ -113,7 +113,7 @@ class LineMap(msgspec.Struct):
         belief.loosen_all(self._lacking)
 
     def drop(self, gone: Ints) -> Ints:
-        """Remove lines by position; return the state columns that they held."""
+        """Remove lines by position; return their state columns."""
         keep = np.setdiff1d(np.arange(len(self)), gone)
         freed = self.column[gone]
         freed = np.sort(np.concatenate((freed[freed >= 0], freed[freed >= 0] + 1)))
@@ -127,7 +127,7 @@ class LineMap(msgspec.Struct):
         return (self.column[which][:, None] + np.arange(2)).reshape(-1)
 
     def lines(self, belief: JointBelief) -> list[MapLine]:
-        """Return the map about the map's origin: values in the paper's form, for people and files."""
+        """Return the map about its origin, with lines in the paper's form, for display and files."""
         frame = belief.frame_pose()
         return [
             self._line(j, v, P)
@@ -137,7 +137,7 @@ class LineMap(msgspec.Struct):
         ]
 
     def placed_at(self, frame: Array, P: Array) -> list[MapLine]:
-        """Return lines that are no states, of a local frame (3,) of covariance P (3, 3), in the map."""
+        """Return lines that are no states, in the map, for their local frame (3,) of covariance P (3, 3)."""
         x, y, theta = map(float, frame)
         joint = np.zeros((5, 5))
         joint[2:, 2:] = P
@@ -158,7 +158,7 @@ class LineMap(msgspec.Struct):
         return MapLine(int(self.ids[j]), rho + ax * c + ay * s, beta, ends, G @ P @ G.T, int(self.hits[j]))
 
     def _framed(self, j: int, placed: Placed, P: Array, joint: Array) -> MapLine:
-        """Return line j where the map frame puts it; its covariance with that frame held, and with it free."""
+        """Return line j in the map, and its covariance with the map frame fixed and with it free."""
         line = self._line(j, placed.value, P, placed.anchor)
         J = line_by_frame(line, placed.anchor, placed.frame)
         return replace(line, P_free=J @ joint @ J.T)
@@ -175,7 +175,7 @@ class LineMap(msgspec.Struct):
 
 
 class Placed(NamedTuple):
-    """A line where the map frame (X, Y, Th) puts it."""
+    """A line in the map, placed by the map frame (X, Y, Th)."""
 
     value: Array  # (2,) rho about the anchor, beta in the map
     anchor: Array  # (2,) m, map
@@ -212,7 +212,7 @@ RESERVE_FACTOR = 1.5  # times the room that is needed now
 
 
 class Association(sight.Sight, Reading):
-    """The lines of a scan against a map: of every line its pair, or why there is none.
+    """The lines of a scan against a map: for every line its pair, or why there is none.
 
     As a `Reading` of the filter it holds all accepted lines together, as rows of the state's table.
     """
@@ -226,7 +226,7 @@ class Association(sight.Sight, Reading):
         self._bent = Loosening(np.zeros(0, np.intp), np.zeros(0))
 
     def compare(self, belief: JointBelief, lines: LineMap, rows: Array, shared: Array = NO_SHARES) -> float:
-        """Associate measured lines (n, 7), in the base by the mount as configured; return the share that matches.
+        """Associate measured lines (n, 7), in the base by the configured mount; return the share that matches.
 
         `shared` (n, 2, s) is what the errors of the lines share (lines.sweep).
         """
@@ -253,16 +253,16 @@ class Association(sight.Sight, Reading):
         self.hold_states(self._bent)
 
     def in_base(self) -> Array:
-        """Return the measured lines in the base by the mount as it was estimated, a copy (n, 7)."""
+        """Return a copy (n, 7) of the measured lines in the base by the estimated mount."""
         return self._rows[: self.lines].copy()
 
     def moved(self) -> tuple[float, float, float]:
-        """Return what led from the lines in the base as configured to those: x, y [m], yaw [rad]."""
+        """Return the motion from the lines by the configured mount to those lines: x, y [m], yaw [rad]."""
         x, y, yaw = self._offset.tolist()
         return x, y, yaw
 
     def new(self) -> list[int]:
-        """Return the lines that match nothing and are near nothing that is known."""
+        """Return the lines that match nothing and are near no known line."""
         return [i for i in range(self.lines) if self.is_new(i)]
 
     def rows_used(self) -> list[int]:
@@ -270,7 +270,7 @@ class Association(sight.Sight, Reading):
         return [self.row + i for i in range(self.lines) if self.is_matched(i)]
 
     def bend(self, belief: JointBelief, uneven: tuple[float, float], most: tuple[float, float]) -> None:
-        """Loosen the walls that were seen within their unevenness [m^2, rad^2], `most` of it at a time."""
+        """Add variance to the walls that were seen, up to their unevenness [m^2, rad^2], `most` at a time."""
         self.bends(belief, *uneven, *most)
         belief.loosen_all(self._bent)
 
@@ -278,7 +278,7 @@ class Association(sight.Sight, Reading):
 def associate(
     rows: Array, lines: LineMap, belief: JointBelief, like: Association, shared: Array = NO_SHARES
 ) -> Association:
-    """Associate measured lines anew, with the belief as it is now, by the rules of another association."""
+    """Associate measured lines again, with the present belief and the rules of another association."""
     found = Association(like.rules, like.seat)
     found.compare(belief, lines, rows, shared)
     return found

@@ -124,7 +124,7 @@ def hypotheses(scan: Scan, lines: LineMap, values: Array, known: Ints, most: int
 
 
 def distinct(poses: Array) -> Array:
-    """Return one of the poses (h, 3) in every cell of half the size within which poses count as the same."""
+    """Return one of the poses (h, 3) in every cell of half the size within which poses are equal."""
     cells = np.floor(
         np.column_stack((poses[:, :2] / (0.5 * APART_M), se2.wrap_all(poses[:, 2]) / (0.5 * APART_RAD)))
     )
@@ -134,7 +134,7 @@ def distinct(poses: Array) -> Array:
 def explained(
     poses: Array, scan: Scan, lines: LineMap, values: Array, known: Ints, slack: float = 1.0
 ) -> tuple[Array, Array, Ints]:
-    """Return (h,) each: share of the seen length explained, the same were walls longer than known, and walls.
+    """Return (h,) each: share of the seen length explained, the same if walls were longer than known, and walls.
 
     What is known of a wall grows with what was seen of it: a rival may look at a part not seen yet. `slack`
     widens what counts as the same wall.
@@ -170,7 +170,7 @@ def behind_walls(
 
 
 def _walls(lines: LineMap, values: Array, known: Ints) -> Array:
-    """Return map lines as kernels.places wants them, (m, COLUMNS)."""
+    """Return map lines in the form of kernels.places, (m, COLUMNS)."""
     walls = np.empty((len(known), places.COLUMNS))
     walls[:, :2], walls[:, 2:4] = values[known], lines.anchor[known]
     walls[:, 4], walls[:, 5] = lines.lo[known], lines.hi[known]
@@ -179,7 +179,7 @@ def _walls(lines: LineMap, values: Array, known: Ints) -> Array:
 
 
 def find_pose(scan: Scan, lines: LineMap, belief: JointBelief, trail: Trail) -> tuple[float, float, float] | None:
-    """Return the only pose (x, y, theta) that explains the scan, None where there is none or several.
+    """Return the only pose (x, y, theta) that explains the scan; None if there is none or several.
 
     Another one counts as a rival unless scans of the trail contradict it.
     """
@@ -217,14 +217,14 @@ def find_pose(scan: Scan, lines: LineMap, belief: JointBelief, trail: Trail) -> 
 
 
 def _through_both(poses: Array, scan: Scan, lines: LineMap, values: Array) -> Array:
-    """Return the share of the scan that is seen through known walls, from whatever side, from poses (h, 3)."""
+    """Return the share of the scan that lies behind known walls, from either side, from poses (h, 3)."""
     return np.array([seen_through(scan, lines, values, x, y, theta, both=True) for x, y, theta in poses.tolist()])
 
 
 def _lasting(
     poses: Array, before: Iterable[tuple[Array, Scan]], lines: LineMap, values: Array, known: Ints
 ) -> Array:
-    """Return the poses (h, 3) that few earlier scans contradict; each was taken from (3,) as seen from here."""
+    """Return the poses (h, 3) that few earlier scans contradict; each is at (3,) relative to this scan."""
     against = np.zeros(len(poses), dtype=np.int64)
     for step, scan in before:
         if not len(poses):
@@ -238,7 +238,7 @@ def _lasting(
 
 
 class Closure(NamedTuple):
-    """Where the frame of one map lies in another's."""
+    """The pose of one map's frame in another's."""
 
     pose: Array  # (3,)
     P: Array  # (3, 3) large in directions that no wall constrains
@@ -247,7 +247,7 @@ class Closure(NamedTuple):
 
 
 class Here(NamedTuple):
-    """A map with its way, in its own frame."""
+    """A map with its path, in its own frame."""
 
     lines: LineMap
     values: Array  # (J, 2)
@@ -256,7 +256,7 @@ class Here(NamedTuple):
 
 
 def find_closure(there: Here, here: Here, expected: Array, P: Array) -> Closure | None:
-    """Return where map `here` lies in map `there`, None where it does not or where that is not clear.
+    """Return the pose of map `here` in map `there`; None if there is none or it is not clear.
 
     `expected` (3,) and P (3, 3) are what is known of it already.
     """
@@ -289,7 +289,7 @@ def find_closure(there: Here, here: Here, expected: Array, P: Array) -> Closure 
 
 
 def _enough(found: Closure, expected: Array, P: Array) -> bool:
-    """Return whether a place explains enough walls; the less it is expected, the more it must."""
+    """Return whether a place explains enough walls; an unexpected place must explain more."""
     asked: tuple[tuple[int, float], ...] = (MIN_WALLS_M,)
     if chi2_of(found.pose[None], expected, P + SLACK_P)[0] > MAX_CHI2:
         asked = (MIN_UNEXPECTED_WALLS_M,)
@@ -299,7 +299,7 @@ def _enough(found: Closure, expected: Array, P: Array) -> bool:
 
 
 def left_open(rivals: Array) -> Array:
-    """Return the covariance (3, 3) that rivals leave, other places (n, 3) from the best one, as good.
+    """Return the covariance (3, 3) of the best place given rivals: other places (n, 3) that fit as well.
 
     Along a corridor there are many; across it and in heading they agree.
     """
@@ -311,7 +311,7 @@ def left_open(rivals: Array) -> Array:
 
 
 def contradicted(there: Here, here: Here, pose: Array) -> bool:
-    """Return whether scans of either map see through walls of the other, more than through those of their own.
+    """Return whether scans of either map see through walls of the other, more than through walls of their own map.
 
     What is known of a wall reaches over its doors, so that a little is seen through any.
     """
@@ -321,7 +321,7 @@ def contradicted(there: Here, here: Here, pose: Array) -> bool:
 
 
 def _through(way: Way, frame: Array, other: Here) -> float:
-    """Return the mean share that scans see behind the walls of a map in which their frame lies at `frame`."""
+    """Return the mean share of scans that lies behind the walls of a map, for their frame at `frame`."""
     if not way.sights:
         return 0.0
     places = [se2.compose(frame, sight.pose).tolist() for sight in way.sights]
@@ -336,7 +336,7 @@ def _through(way: Way, frame: Array, other: Here) -> float:
 
 
 def _refined(pose: Array, scan: Scan, there: Here, known: Ints, expected: Array, P: Array) -> Closure | None:
-    """Lay the walls of the scan onto those of the map: Gauss-Newton over pairs that are the same wall."""
+    """Align the walls of the scan with those of the map: Gauss-Newton over pairs that are the same wall."""
     prior = np.linalg.inv(P + np.diag((1e-6, 1e-6, 1e-8)))
     x = pose.copy()
     x[2] = expected[2] + se2.wrap(float(x[2] - expected[2]))
@@ -391,17 +391,17 @@ def _same_walls(
 
 
 class Looks:
-    """What was found of the map at hand in each frozen map, one look after another."""
+    """Candidate poses of the present map in each frozen map, in order of time."""
 
     def __init__(self) -> None:
         self._found: dict[int, tuple[Closure, int]] = {}  # anchor -> the last look, how many agree with it
 
     def count(self, anchor: int) -> int:
-        """Return how many looks agree on where the map lies in that of an anchor."""
+        """Return how many candidates agree on the map's pose in that of an anchor."""
         return self._found[anchor][1] if anchor in self._found else 0
 
     def agree(self, anchor: int, found: Closure | None, unknown: bool, anchors: Anchors) -> bool:
-        """Take in a look at the map of an anchor, and return whether it may close a loop.
+        """Add a candidate in the map of an anchor, and return whether it may close a loop.
 
         Where the place of the map at hand is not known, more is asked: long walls, one more look, and that it
         is not seen in another map at another place.
@@ -416,7 +416,7 @@ class Looks:
         return self.count(anchor) >= UNKNOWN_LOOKS and not self._rivalled(anchor, anchors)
 
     def _rivalled(self, anchor: int, anchors: Anchors) -> bool:
-        """Return whether the map at hand may also lie elsewhere, by what was seen of it in other maps."""
+        """Return whether the present map may also lie elsewhere, by candidates in other maps."""
         places = {k: se2.compose(anchors.pose[k], found.pose) for k, (found, _) in self._found.items()}
         x, y, _ = places[anchor].tolist()
         return any(math.hypot(place[0] - x, place[1] - y) > ELSEWHERE_M for place in places.values())
@@ -428,5 +428,5 @@ def _same(one: Closure, other: Closure) -> bool:
 
 
 def is_open(P: Array) -> bool:
-    """Return whether a relative pose of covariance P (3, 3) is not known, as where a lost robot began a map."""
+    """Return whether a relative pose of covariance P (3, 3) is unknown, as after a lost robot began a map."""
     return float(P[0, 0] + P[1, 1]) > OPEN_SIGMA_M**2 or float(P[2, 2]) > OPEN_SIGMA_RAD**2

@@ -38,13 +38,13 @@ MAX_NUMBERS = 1 << 22  # numbers at a time: two scans of 2000 lines would need t
 
 
 class Trail:
-    """Scans along the way of the wheels."""
+    """Scans along the path by the wheels."""
 
     def __init__(self) -> None:
         self._seen: deque[tuple[Array, Scan]] = deque(maxlen=MAX_SCANS)  # pose by the wheels, scan
 
     def note(self, pose: Array, scan: Scan) -> bool:
-        """Keep a scan that shows something, from a pose (3,) by the wheels that is not the last one's, or do not.
+        """Keep a scan with lines, if its pose (3,) by the wheels differs from the last one's.
 
         Where the walls moved otherwise than the wheels, the robot is still carried: earlier scans are dropped.
         """
@@ -65,7 +65,7 @@ class Trail:
         self._seen.clear()
 
     def back_from(self, pose: Array) -> Iterator[tuple[Array, Scan]]:
-        """Yield the scans, the newest first, with the pose (3,) they were taken from as seen from `pose`."""
+        """Yield the scans, newest first, with their poses (3,) relative to `pose`."""
         for there, scan in reversed(self._seen):
             step = np.asarray(se2.between(pose, there))
             if abs(se2.wrap(float(step[2]))) > MAX_TURNED_RAD:
@@ -74,7 +74,7 @@ class Trail:
 
 
 def expected_share(scan: Scan, before: Scan, step: Array, slip: float = 0.0) -> float:
-    """Return the share of a scan's line length that is where an earlier scan and a step (3,) expect it.
+    """Return the share of a scan's line length that an earlier scan and a step (3,) predict.
 
     With the heading change of up to `slip` [rad] that suits it best: wheels slip.
     """
@@ -95,7 +95,7 @@ def expected_share(scan: Scan, before: Scan, step: Array, slip: float = 0.0) -> 
 
 
 def _few(slips: Array) -> Array:
-    """Return slips (n,) [rad], of very many evenly some: neighbours then lie much closer than SAME_ANGLE."""
+    """Return evenly spread ones of very many slips (n,) [rad]: neighbours are then much closer than SAME_ANGLE."""
     if len(slips) <= MAX_SLIPS:
         return slips
     some: Array = np.sort(slips)[np.linspace(0, len(slips) - 1, MAX_SLIPS).astype(np.intp)]
@@ -119,7 +119,7 @@ Seen = tuple[float, Pose, Scan]  # a scan: when [s], and where the wheels alone 
 
 
 class Series:
-    """Scans in a row that ask for a slip."""
+    """Scans in a row that suggest a slip."""
 
     def __init__(self) -> None:
         self.begun = 0.0  # s
@@ -127,11 +127,11 @@ class Series:
         self._before: Sequence[Seen] = ()  # scans from before the first one
 
     def ends(self) -> None:
-        """Let the next scan that asks be the first."""
+        """End the series: the next scan that suggests a slip is the first."""
         self._scans = 0
 
     def goes_on(self, now: Seen, before: Sequence[Seen]) -> bool:
-        """Take in a scan that asks for a slip, and return whether so many did that the robot is carried.
+        """Add a scan that suggests a slip, and return whether so many did that the robot is being carried.
 
         Where the walls from before them are where the wheels expect them, it is not carried.
         """
@@ -145,7 +145,7 @@ class Series:
 
 
 class Suspicion:
-    """A slip that a scan asks for, until the next scans have been held against both headings."""
+    """A slip suggested by a scan, until the next scans are compared with both headings."""
 
     def __init__(self, turn: float) -> None:
         """`turn` [rad] is the one by the map."""
@@ -154,22 +154,22 @@ class Suspicion:
         self._gain = 0.0  # shares of the seen length that match at the turned heading beyond those at the old one
 
     def look(self, kept: float, turned: float) -> None:
-        """Take in a scan of which these shares match at the old heading and at the turned one."""
+        """Add a scan with its matched shares at the old and at the turned heading."""
         self.looks += 1
         self._gain += turned - kept
 
     @staticmethod
     def waits(turn: float) -> bool:
-        """Return whether a turn [rad] is so large that it must wait for the next scans."""
+        """Return whether a turn [rad] is so large that the next scans must confirm it."""
         return abs(turn) >= SMALL_RAD
 
     @property
     def decided(self) -> bool:
-        """Whether enough scans have been seen."""
+        """Whether enough scans have been compared."""
         return self.looks >= DECIDING_SCANS
 
     def confirmed(self, gain: float, by_scans: bool) -> bool:
-        """Return whether the scans since ask for a slip, the last one by a `gain` in share.
+        """Return whether the scans since then support a slip, the last one by a `gain` in share.
 
         A little is enough where matched scans show the same turn (`by_scans`).
         """
@@ -185,14 +185,14 @@ def agree(by_scans: float | None, turn: float) -> bool:
 def continues(
     before: Sequence[Seen], now: Seen, share: float = CONTINUING_SHARE, slip: float = MAX_SLIP_RAD
 ) -> bool:
-    """Return whether this scan shows walls where one of these scans and the wheels expect them."""
+    """Return whether this scan shows walls where an earlier scan and the wheels predict them."""
     _, here, scan = now
     steps = ((old, se2.between(np.array(there), np.array(here))) for _, there, old in before if len(old.z))
     return any(expected_share(scan, old, step, slip) >= share for old, step in steps)
 
 
 def slip_turn(scan: Scan, lines: LineMap, belief: JointBelief, again: Callable[[], Association]) -> float | None:
-    """Return the heading change [rad] that makes most of the scan match; None without one.
+    """Return the heading change [rad] with which most of the scan matches; None without one.
 
     Every heading is tried on the belief itself and the whole map: what is accepted here is what will be matched.
     `again` associates the scan with the belief as it is now.
@@ -208,14 +208,14 @@ def slip_turn(scan: Scan, lines: LineMap, belief: JointBelief, again: Callable[[
 
 
 def with_slip(belief: JointBelief, turn: float, again: Callable[[], Association]) -> Association:
-    """Return the association of the scan at hand if the heading were turned by a slip [rad]."""
+    """Return the association of the present scan with the heading turned by a slip [rad]."""
     with tried(belief, turn, SLIP_SIGMA_M**2, SLIP_SIGMA_RAD**2):
         return again()
 
 
 @contextmanager
 def tried(belief: JointBelief, turn: float, xy: float, theta: float) -> Iterator[None]:
-    """Shift the belief for as long as the block lasts."""
+    """Shift the belief inside this context."""
     belief.shift(turn, xy, theta)
     try:
         yield
@@ -224,7 +224,7 @@ def tried(belief: JointBelief, turn: float, xy: float, theta: float) -> Iterator
 
 
 def _turns(scan: Scan, lines: LineMap, recent: Ints, belief: JointBelief) -> list[float]:
-    """Return the distinct heading changes that lay a seen line onto a recent one, the most supported first."""
+    """Return the distinct heading changes that align a seen line with a recent one, most supported first."""
     beta = lines.values(belief)[recent, 1]
     turns = se2.wrap_all(beta[None, :] - belief.theta - scan.z[:, 1, None])
     length = np.broadcast_to((scan.ends[:, 1] - scan.ends[:, 0])[:, None], turns.shape)

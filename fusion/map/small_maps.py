@@ -1,4 +1,4 @@
-"""Small maps: one that was left, its lines as they were known then; and the walls that lead over to the next.
+"""Small maps: the lines of one that was left, at that time; and the walls that connect it to the next.
 
 Seen from the robot, all walls share the error of its pose. It is kept in the covariance: how the walls lie to each
 other is known far better than how they lie to the robot, and the next map begins with just that.
@@ -23,7 +23,7 @@ MIN_VARIANCE, MIN_VARIANCE_SHARE = 1e-18, 1e-9
 
 
 class Bridge(NamedTuple):
-    """k walls as the robot should see them."""
+    """k walls in the robot's frame, as predicted."""
 
     r: Array  # (k,) m, from the robot
     psi: Array  # (k,) rad, base frame
@@ -33,7 +33,7 @@ class Bridge(NamedTuple):
 
 
 def seen_from_here(lines: LineMap, at: Ints, belief: JointBelief) -> Bridge:
-    """Return the walls `at` (k,) of a map, which are states, as they are seen from the pose."""
+    """Return the walls `at` (k,) of a map, which are states, relative to the pose."""
     rho, beta = lines.values(belief)[at].T
     c, s = np.cos(beta), np.sin(beta)
     dx, dy = (np.array([belief.x, belief.y]) - lines.anchor[at]).T
@@ -50,7 +50,7 @@ def seen_from_here(lines: LineMap, at: Ints, belief: JointBelief) -> Bridge:
 
 
 def heading_among(lines: LineMap, at: Ints, belief: JointBelief) -> float:
-    """Return how well the heading is known where the walls `at` (k,) are given, 1 sigma [rad].
+    """Return the sigma of the heading if the walls `at` (k,) are given [rad].
 
     That is the accuracy of the last scans, without what robot and walls have drifted together.
     """
@@ -62,7 +62,7 @@ def heading_among(lines: LineMap, at: Ints, belief: JointBelief) -> float:
 
 
 def cross(bridge: Bridge, lines: LineMap, belief: JointBelief, scan: int) -> None:
-    """Begin a map with the walls of a bridge; the pose is exactly 0. `scan` is the number of the last scan.
+    """Start a map with the walls of a bridge; the pose is exactly 0. `scan` is the number of the last scan.
 
     Each wall's anchor is the middle of what was seen of it, so rho about it is 0 and beta is psi.
     """
@@ -93,14 +93,14 @@ class FrozenMap(NamedTuple):
 
 
 def frozen(lines: LineMap, belief: JointBelief) -> LineMap:
-    """Return a copy of the lines whose values and covariances are their own."""
+    """Return a copy of the lines with their own values and covariances."""
     own = {name: getattr(lines, name).copy() for name in COLUMN_NAMES if name != "P"}
     own |= {"column": np.full(len(lines), -1, np.int64), "value": np.array(lines.values(belief))}
     return LineMap(**own, next_id=lines.next_id, P=np.array(lines.covariances(belief)))
 
 
 def thaw(kept: LineMap, lines: LineMap, first_column: int) -> None:
-    """Let `lines` be those that were kept, as states from a column on; its own ids go on."""
+    """Make the kept lines states again, from a column on; new ids continue after the old ones."""
     for name in ("ids", "anchor", "lo", "hi", "hits", "value", "P"):
         setattr(lines, name, getattr(kept, name).copy())
     lines.column = first_column + 2 * np.arange(len(kept))
@@ -114,7 +114,7 @@ def joint_covariance(lines: LineMap, belief: JointBelief) -> Array:
 
 
 def box_of(lines: LineMap, values: Array, way: Way) -> tuple[Array, Array]:
-    """Return the least and the greatest x, y of lines and way, (2,) each [m]."""
+    """Return the least and the greatest x, y of lines and path, (2,) each [m]."""
     points = np.vstack((ends_of(lines, values).reshape(-1, 2), *[sight.pose[None, :2] for sight in way.sights]))
     return points.min(axis=0), points.max(axis=0)
 

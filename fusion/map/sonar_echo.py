@@ -1,4 +1,4 @@
-"""Which wall of a line map answers a sonar, and how its distance depends on pose and wall."""
+"""The wall of a line map that returns a sonar's echo, and the derivatives of its distance by pose and wall."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Cone(NamedTuple):
 
 
 class Echo(NamedTuple):
-    """The wall that should answer."""
+    """The wall that is predicted to return the echo."""
 
     distance: float  # m, predicted
     line: int  # id in the map
@@ -40,7 +40,7 @@ class Echo(NamedTuple):
 
 
 def nearest_echo(lines: LineMap, belief: JointBelief, cone: Cone, sigma: float) -> Echo | None:
-    """Return the nearest wall that stands square to the cone, None where there is none or something is nearer."""
+    """Return the nearest wall perpendicular to a ray of the cone; None if there is none or something is nearer."""
     px, py, theta = belief.pose()
     if not math.isfinite(theta):
         return None
@@ -84,7 +84,7 @@ def _values(lines: LineMap, belief: JointBelief) -> tuple[Array, Array]:
 
 
 def _slanted(distance: float, foot: float, off: float, half: float, ends: tuple[float, float]) -> float:
-    """Return the distance [m] at which an edge of the cone meets a wall, or at which the wall ends in the cone.
+    """Return the distance [m] at which an edge of the cone meets a wall, or the wall ends inside the cone.
 
     The wall's nearest point is `distance` away and at `foot` on it, in a direction `off` [rad] the cone's axis.
     """

@@ -81,7 +81,7 @@ MIN_GAIN_SHARE = 1e-3  # share by which a variance must have fallen to count as 
 
 
 class LineTracker(Model):
-    """Association, extents and growth of the line map; `mode` is how the map enters the filter."""
+    """Association, extents and growth of the line map; `mode` is its use in the filter."""
 
     local = True
     leads = True
@@ -115,11 +115,11 @@ class LineTracker(Model):
         self._walls = ((0.0, 0.0),) * 3  # variances [m^2, rad^2]: uneven, floor, bend
 
     def blocks(self) -> list[Block]:
-        """Return what is uncertain of the laser's mount."""
+        """Return the uncertain parts of the laser's mount."""
         return self.mount.blocks() if self.mount is not None else []
 
     def begin(self, given: Sequence[MapLine], belief: Any) -> None:
-        """Enter a given map: its lines are considered, so their covariance counts and they stay as they are."""
+        """Load a given map: its lines are considered, so their covariance counts and their values stay."""
         if self.mode != "given":
             return
         if not given:
@@ -135,15 +135,15 @@ class LineTracker(Model):
         self._first_map = list(given)
 
     def begins_map(self, m: Measurements, i: int) -> bool:
-        """Return whether scan i is the first with lines, or the first after all of the map was lost."""
+        """Return whether scan i is the first with lines, or the first after the whole map was lost."""
         return self.maps and not self.map.ids.size and bool(m.first[i] < m.first[i + 1])
 
     def rolled(self, u: Sequence[float]) -> None:
-        """Take in the wheels' motion: scans at rest repeat each other."""
+        """Add the wheels' motion: scans at rest repeat each other."""
         self._standing.rolled(u)
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> Sequence[Innovation] | Association:
-        """Associate the lines of scan i (eq. 13, 17, 18): each is judged; those that match correct the pose."""
+        """Associate the lines of scan i (eq. 13, 17, 18): each gets a verdict; matching ones correct the pose."""
         first, last = self._bounds(m, i)
         if self._found is not None:  # of another scan at this instant, whose rows are still to be used
             self._sight = None
@@ -184,7 +184,7 @@ class LineTracker(Model):
         return found
 
     def _bounds(self, m: Measurements, i: int) -> tuple[int, int]:
-        """Return the first line of scan i and the end; begin with a log's numbers where it is another one."""
+        """Return the first line of scan i and the end; read the numbers again if the log is another one."""
         if m is not self._of:
             self._of, self._first, self._t = m, m.first.tolist(), m.t.tolist()
             uneven, floor = self.loosened(m)
@@ -192,19 +192,19 @@ class LineTracker(Model):
         return self._first[i], self._first[i + 1]
 
     def _shared(self, m: Measurements, first: int, last: int) -> Array:
-        """Return what the errors of rows first:last share (k, 2, s)."""
+        """Return the shared errors of rows first:last (k, 2, s)."""
         if not self.joint or "shared" not in m.extra:
             return NO_SHARES
         return np.ascontiguousarray(m.extra["shared"][first:last], np.float64)
 
     def _scan_in_base(self, belief: Any) -> Scan:
-        """Return the scan at hand, put into the base by the mount as the belief has it."""
+        """Return the present scan in the base by the estimated mount."""
         if self.mount is None:
             return Scan(self._rows)
         return _in_base(self._rows, moved_mount(self.mount, belief))
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Let matched extents grow, and add what is new: all of the first scan, later only in `grow`."""
+        """Extend matched lines, and add new ones: all of the first scan, later ones only in `grow`."""
         first, last = self._first[i], self._first[i + 1]
         if self.guard is not None and last > first:
             self.guard.stood(belief.pose())
@@ -227,7 +227,7 @@ class LineTracker(Model):
             self._revise(found, belief)
 
     def _revise(self, found: Association, belief: JointBelief) -> None:
-        """Loosen uneven walls, add new lines; now and then drop worthless lines and join doubles (`grow`)."""
+        """Add variance to uneven walls, add new lines; now and then drop rare lines and merge doubles (`grow`)."""
         uneven, floor, bent = self._walls
         if uneven[0] > 0.0 or uneven[1] > 0.0:
             found.bend(belief, uneven, bent)
@@ -261,20 +261,20 @@ class LineTracker(Model):
         return self._first_map, self.map.lines(belief)
 
     def jumps(self) -> list[Jump]:
-        """Return the slips, places and loops that moved the pose."""
+        """Return the slips, relocalisations and loops that moved the pose."""
         return self._jumps
 
     def lost_intervals(self) -> list[tuple[float, float]]:
-        """Return when the robot did not know where it was, (start, end) [s]."""
+        """Return when the robot was lost, (start, end) [s]."""
         return self.guard.intervals() if self.guard is not None else []
 
     def notes(self, belief: Any) -> list[str]:
-        """Say in words what the guard did and where the laser was found to sit."""
+        """Return notes: the actions of the guard, and the estimated mount of the laser."""
         words = self.guard.words() if self.guard is not None else []
         return words + (self.mount.words(belief) if self.mount is not None else [])
 
     def _add(self, scan: Scan, k: int, belief: JointBelief) -> None:
-        """New line from (r, psi), the inverse of LineMap.predict; its anchor is the middle of the segment."""
+        """Add a line from (r, psi), the inverse of LineMap.predict; its anchor is the middle of the segment."""
         r, psi = map(float, scan.z[k])
         beta = se2.wrap(psi + belief.theta)
         c, s = math.cos(beta), math.sin(beta)
@@ -302,7 +302,7 @@ class LineTracker(Model):
 
 
 class AtlasTracker(LineTracker):
-    """Line maps of stretches of the way, and where they lie."""
+    """Submaps along the path, and their poses."""
 
     def __init__(self, mode: str, gate: float, recover: bool = True, mount: Mount | None = None) -> None:
         super().__init__(mode, gate, recover, mount)
@@ -323,7 +323,7 @@ class AtlasTracker(LineTracker):
         self.closed: list[SeenAgain] = []
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Teach the map at hand, look for it in earlier ones, and leave it where its anchor is far."""
+        """Update the present submap, search for it in earlier ones, and leave it once its anchor is far away."""
         begins = not len(self.map.ids)
         super().learn(m, i, belief)
         self._now = m, i
@@ -337,7 +337,7 @@ class AtlasTracker(LineTracker):
         self._go_on(i, pose, belief)
 
     def _go_on(self, i: int, pose: Pose, belief: JointBelief) -> None:
-        """Follow the way, look for the map at hand in earlier ones, and note whether it is full."""
+        """Add to the path, search for the present map in earlier ones, and note whether it is full."""
         if self._way.goes(pose):
             self._way.keep(self._t[i], pose, self._seen)
         if self._way.length - self._asked_at >= (LOOK_AGAIN_M if self._asked_at else FIRST_LOOK_M):
@@ -372,13 +372,13 @@ class AtlasTracker(LineTracker):
         return True
 
     def _begin_next(self, bridge: Bridge, belief: JointBelief) -> None:
-        """Begin a map at the pose with walls as they are seen from there."""
+        """Begin a submap at the pose, with walls relative to it."""
         belief.begin_frame()
         self._enter(np.array(belief.pose()), belief)
         cross(bridge, self.map, belief, self._scan)
 
     def _leave(self, belief: JointBelief, bridges: bool) -> None:
-        """Freeze the map at hand; the pose is where the next one lies, if walls lead over to it."""
+        """Freeze the present submap; the pose becomes the next one's anchor if walls connect both."""
         self._take_in_absolutes(belief)
         lines = frozen(self.map, belief)
         box = box_of(lines, lines.value, self._way)
@@ -394,11 +394,11 @@ class AtlasTracker(LineTracker):
         belief.remove(self.map.drop(np.arange(len(self.map))))
 
     def _seen_last(self) -> Ints:
-        """Return the walls that were seen last."""
+        """Return the walls of the last scan."""
         return np.flatnonzero((self.map.seen >= self._scan - RECENT_SCANS) & (self.map.hits >= MIN_HITS))
 
     def _may_turn(self, leading: Ints, belief: JointBelief) -> bool:
-        """Return whether the heading is well known among the walls that lead over, or waiting must end."""
+        """Return whether the heading is well known among the connecting walls, or waiting must end."""
         x, y = (np.array(belief.pose()) - self._origin)[:2].tolist()
         return (
             math.hypot(x, y) > MAX_REACH_FACTOR * REACH_M
@@ -406,7 +406,7 @@ class AtlasTracker(LineTracker):
         )
 
     def _beside(self, belief: JointBelief) -> FrozenMap | None:
-        """Return the map beside the one at hand, by an edge of the graph, in which the robot is; None: in none."""
+        """Return the neighbouring submap in the graph that contains the robot; None if there is none."""
         if not belief.framed:
             return None
         beside, best, found = self._anchors.beside(self._at), BACK_REACH_SHARE * REACH_M, None
@@ -421,7 +421,7 @@ class AtlasTracker(LineTracker):
         return found
 
     def _return_to(self, old: FrozenMap, belief: JointBelief) -> None:
-        """Take up a map again: its lines are states again, and the pose is put into it by the graph.
+        """Load a map again: its lines become states again, and the pose in it is that of the graph.
 
         G o q stays what it is: G goes back by R, which leads from the old anchor to the last one, and q on by R.
         """
@@ -488,7 +488,7 @@ class AtlasTracker(LineTracker):
     # ---- loops ----
 
     def _look(self, t: float, belief: JointBelief) -> None:
-        """Look for the map at hand in those that were left."""
+        """Search for the present submap in frozen ones."""
         here = Here(self.map, self.map.values(belief), self.map.covariances(belief), self._way)
         at, beside = self._at, self._anchors.beside(self._at)
         known = {e.of if e.to == at else e.to for e in self._loops if at in (e.of, e.to)}
@@ -512,7 +512,7 @@ class AtlasTracker(LineTracker):
                 self._close(t, old, at, found, belief)
 
     def _close(self, t: float, seen: FrozenMap, at: int, found: Closure, belief: JointBelief) -> None:
-        """Add a closure to the graph, unless it contradicts the others, and let the pose follow."""
+        """Add a closure to the graph, unless it contradicts the others, and correct the pose."""
         if not belief.framed:
             return
         self._take_in_absolutes(belief)
@@ -554,7 +554,7 @@ class AtlasTracker(LineTracker):
         return self.closed
 
     def lines(self, belief: Any) -> tuple[list[MapLine], list[MapLine]]:
-        """Return the map after the first scan, and all maps as they lie now."""
+        """Return the map after the first scan, and all submaps at their present poses."""
         first, now = super().lines(belief)
         left = [line for old in self._frozen for line in old.lines.placed_at(*self._place(old))]
         return first, left + now
@@ -563,7 +563,7 @@ class AtlasTracker(LineTracker):
         return self._anchors.pose[old.anchor], self._anchors.covariance((old.anchor,))
 
     def notes(self, belief: Any) -> list[str]:
-        """Say how many maps there are, and how many loops were closed."""
+        """Return notes: how many submaps there are, and how many loops were closed."""
         words = super().notes(belief)
         if self._frozen:
             n, loops = len(self._frozen) + 1, len(self.closed)
@@ -579,5 +579,5 @@ def _pair(values: Array) -> tuple[float, float]:
 
 
 def _in_base(rows: Array, offset: tuple[float, float, float] | None) -> Scan:
-    """Return lines in the base as configured, moved by an offset x, y [m], yaw [rad] of the mount, if any."""
+    """Return lines in the base by the configured mount, moved by an offset x, y [m], yaw [rad] of it, if any."""
     return Scan(rows if offset is None else rows_in_base(rows, *offset))

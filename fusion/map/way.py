@@ -1,4 +1,4 @@
-"""The way through one map: scans along it, and the pose by matching them, where the map is left.
+"""The path through one submap: scans along it, and the pose by matching them when the submap is left.
 
 A small map and the pose in it drift together where few walls are long, or clutter is taken for walls. A chain
 of matched scans, in which all that was seen counts, gives the way better. It is taken in where the map is left:
@@ -43,7 +43,7 @@ DERIVATIVE_STEP = 1e-6  # m, rad: step of a numerical derivative
 
 
 class Sight(NamedTuple):
-    """A scan, when, and where in the map it was taken."""
+    """A scan with its time and its pose in the submap."""
 
     t: float  # s
     pose: Array  # (3,)
@@ -51,7 +51,7 @@ class Sight(NamedTuple):
 
 
 class Way:
-    """Scans along the way through a map: what one must be able to see from where."""
+    """Scans along the path through a submap: what is visible from where."""
 
     def __init__(self) -> None:
         self.sights: list[Sight] = []
@@ -60,11 +60,11 @@ class Way:
         self._kept: Pose = (0.0, 0.0, 0.0)  # where the last scan was kept
 
     def resume(self) -> None:
-        """Go on with a way that was left: what lies between is no way."""
+        """Continue a path that was left; the time between is not part of it."""
         self._last = None
 
     def goes(self, pose: Pose) -> bool:
-        """Take in the next pose, and return whether a scan from there is worth keeping."""
+        """Add the next pose, and return whether a scan from there should be kept."""
         x, y, theta = pose
         if self._last is not None:
             self.length += math.hypot(x - self._last[0], y - self._last[1])
@@ -87,18 +87,18 @@ class Way:
 
 
 class WayByScans:
-    """The way through one map, and where in it the filter had the robot at the readings since it began."""
+    """The path through one submap, and the filter's pose in it at the readings since it began."""
 
     def __init__(self, m: Measurements, reading: int, pose: Pose) -> None:
         self._m, self._readings, self._poses = m, array("q", (reading,)), array("d", pose)
 
     def went(self, reading: int, pose: Pose) -> None:
-        """Take in where the robot was in the map at the next reading."""
+        """Add the robot's pose in the submap at the next reading."""
         self._readings.append(reading)
         self._poses.extend(pose)
 
     def end(self, mount: Mount | None, belief: JointBelief) -> None:
-        """Correct the belief by the matches between the first and the last key scan in the map.
+        """Correct the belief by the matches between the first and the last key scan in the submap.
 
         What lies before the one and behind the other, half a metre at most, the filter knows well.
         """
@@ -130,7 +130,7 @@ def way_between(keys: KeyScans, first: int, last: int) -> tuple[Array, Edges]:
 
 
 def end_of_way(steps: Array, matches: Edges) -> tuple[Array, Array]:
-    """Return the last key of a way seen from the first, (3,), and its covariance (3, 3), by all matches.
+    """Return the last key of a path relative to the first, (3,), and its covariance (3, 3), by all matches.
 
     The steps (n, 3) hold the keys loosely. A match that contradicts the others loses its weight.
     """
@@ -147,14 +147,14 @@ def end_of_way(steps: Array, matches: Edges) -> tuple[Array, Array]:
 
 
 def _bent(x: Array) -> Array:
-    """Return where a way of poses x (n, 3) ends if all its headings drift by BEND from metre to metre."""
+    """Return the end of a path of poses x (n, 3) if all its headings drift by BEND per metre."""
     steps = se2.between(x[:-1], x[1:])
     steps[:, 2] += DRIFT_RAD_PER_M * np.hypot(steps[:, 0], steps[:, 1])
     return np.asarray(se2.compose(x[0], se2.chain(steps)[-1]))
 
 
 def compared(z: Array, R: Array, begin: Array, back: Array, mount: Mount | None, belief: JointBelief) -> Equation:
-    """Return what a way z (3,) by the scans, with covariance R, measures of pose and mount.
+    """Return the information of a path z (3,) by the scans, with covariance R, on pose and mount.
 
     It led from `begin` (3,) in the map to `back` (3,), which is seen from the pose. The scans are of a base on
     which the laser is mounted as configured; the belief may have another mount.

@@ -52,11 +52,11 @@ class Clouds(msgspec.Struct, frozen=True):
 
     @property
     def owner(self) -> Ints:
-        """Which cloud each point is of, (m,)."""
+        """The cloud of each point, (m,)."""
         return np.repeat(np.arange(len(self)), np.diff(self.first))
 
     def rows(self, clouds: Ints) -> tuple[Ints, Ints]:
-        """Return the rows of these clouds (p,), one after another, and the position in `clouds` of each."""
+        """Return the rows of these clouds (p,) in order, and the position in `clouds` of each."""
         counts = np.diff(self.first)[clouds]
         ends = np.cumsum(counts)
         position = np.repeat(np.arange(len(clouds)), counts)
@@ -133,7 +133,7 @@ def merged(clouds: Clouds, groups: list[Ints], poses: list[Array]) -> Clouds:
 
 
 def thinned(clouds: Clouds) -> Clouds:
-    """Return of every cloud one point on a surface in each square of CELL_M: overlapping scans repeat it."""
+    """Return for every cloud one point on a surface in each square of CELL_M: overlapping scans repeat it."""
     rows = np.flatnonzero(np.isfinite(clouds.normal[:, 0]))
     square = np.floor(clouds.xy[rows] / CELL_M).astype(np.int64) + (1 << 20)
     of = clouds.owner[rows]

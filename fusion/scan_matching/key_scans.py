@@ -1,4 +1,4 @@
-"""Key scans along a drive, and how each lies to those before it: matched once, however many runs ask.
+"""Key scans along a drive and their matches with earlier ones: matched once for all runs.
 
 A match knows its two scans and the wheels between them, nothing else: a filter that has come to key b may use all
 matches among the keys up to b.
@@ -48,7 +48,7 @@ def key_scans(m: Measurements) -> KeyScans:
 
 
 def spaced(way: Array, heading: Array, stride: float, turn: float) -> Ints:
-    """Return which of n poses come `stride` [m] of way or `turn` [rad] after the one before."""
+    """Return which of n poses lie `stride` [m] of path or `turn` [rad] after the one before."""
     chosen, last_way, last_heading = [], -np.inf, 0.0
     for k, (s, theta) in enumerate(zip(way.tolist(), heading.tolist(), strict=True)):
         if s - last_way >= stride or abs(theta - last_heading) >= turn:
@@ -77,7 +77,7 @@ def _made(m: Measurements, points: Points) -> KeyScans:
 def _next(
     m: Measurements, points: Points, readings: Ints, turns: NDArray[np.bool_], targets: Targets, sources: Clouds
 ) -> tuple[Ints, Matches, Array]:
-    """Match every key with the next one: those that matched, the matches, and all steps (n - 1, 3).
+    """Match every key with the next one: return the matched pairs, the matches, and all steps (n - 1, 3).
 
     Where the robot `turns` (n - 1,), and where two do not match at once, the scans between give the way.
     """

@@ -1,4 +1,4 @@
-"""Matches of scans with those that come next, from the wheels' motion; where wheels slipped, the slip is found.
+"""Matches of scans with the next ones, from the wheels' motion; where wheels slipped, the slip is searched.
 
 Where the robot turns, all scans between two are matched one with the next: shortly after one another they show the
 same surfaces. Half a metre or half a turn later something else may be taken for them.
@@ -27,7 +27,7 @@ SLIP_M, SLIP_RAD, SLIP_SHARE = 0.1, np.radians(2.0), 0.1
 
 
 def next_scans(targets: Targets, i: Ints, clouds: Clouds, j: Ints, wheels: Array, information: Array) -> Matches:
-    """Match scans j (p,) with scans i from the wheels' motions (p, 3); where that fits badly, look for a slip.
+    """Match scans j (p,) with scans i from the wheels' motions (p, 3); search for a slip if that fits badly.
 
     `information` (p, 3, 3) is that of the motions, in the frame of i.
     """
@@ -49,7 +49,7 @@ def next_scans(targets: Targets, i: Ints, clouds: Clouds, j: Ints, wheels: Array
 
 
 def further_scans(targets: Targets, clouds: Clouds, x: Array, n: int, apart: float) -> tuple[Ints, Matches]:
-    """Match every scan with the n-th before it, where that is nearer than `apart` [m]: the earlier ones, matches.
+    """Match every scan with the n-th before it, if nearer than `apart` [m]: return the earlier ones, matches.
 
     `x` (k, 3) are the poses that shorter steps led to. Only matches that are to be believed are returned.
     """
@@ -72,7 +72,7 @@ def by_wheels(moved: Array) -> Array:
 
 
 def good(found: Matches) -> NDArray[np.bool_]:
-    """Tell which matches are to be believed, (p,)."""
+    """Return which matches are reliable, (p,)."""
     fits = (found.inliers > MIN_INLIERS) & (found.overlap > MIN_OVERLAP) & (found.rms < MAX_RMS_M)
     return np.asarray(fits & (found.information[:, 2, 2] > MAX_SIGMA_RAD**-2))
 
@@ -81,7 +81,7 @@ SCANS_AT_ONCE = 1024  # whose points are held
 
 
 def scan_by_scan(m: Measurements, points: Points, begin: Ints, end: Ints) -> Array:
-    """Return readings `end` (n,) seen from readings `begin` before them, (n, 3).
+    """Return readings `end` (n,) relative to earlier readings `begin`, (n, 3).
 
     Where a match on the way is not good, the step is that of the wheels.
     """
@@ -94,7 +94,7 @@ def scan_by_scan(m: Measurements, points: Points, begin: Ints, end: Ints) -> Arr
 
 
 def _scan_after(m: Measurements, points: Points, scans: Ints) -> Array:
-    """Return the scan after each seen from it, (k, 3)."""
+    """Return the pose of the scan after each, relative to it, (k, 3)."""
     u = points.moved(m.t[scans], m.t[scans + 1])
     readings, at = np.unique(np.concatenate((scans, scans + 1)), return_inverse=True)
     clouds = clouds_of(m, readings)

@@ -195,7 +195,7 @@ class Beside(Protocol):
 
 
 def relative(x: Array, joint: Array, i: Ints, j: Ints) -> tuple[Array, Array]:
-    """Return poses j (c,) of x (n, 3) seen from poses i (c,), (c, 3), and their covariances (c, 3, 3).
+    """Return poses j (c,) of x (n, 3) relative to poses i (c,), (c, 3), and their covariances (c, 3, 3).
 
     `joint` (n, 3, n, 3) is the covariance of x.
     """

@@ -23,7 +23,7 @@ REST_P = np.diag([1e-9, 1e-9, 1e-9])  # m^2, rad^2: a robot at rest has no bridg
 
 
 class Spans(Columns, frozen=True):
-    """Stamps (n,) between keys: the key before each, and the wheels' way from there."""
+    """Stamps (n,) between keys: the key before each, and the wheels' motion from there."""
 
     a: Ints  # (n,) key before, or the last but one
     b: Ints  # (n,) key after
@@ -36,7 +36,7 @@ class Spans(Columns, frozen=True):
 
     @classmethod
     def of(cls, odometry: Odometry, stamps: Odometry, k: Ints, keys: Ints) -> Spans:
-        """Return those of stamps whose last instant is k (n,), between the instants `keys` (m,)."""
+        """Return the spans of stamps whose last instant is k (n,), between the instants `keys` (m,)."""
         a = np.clip(np.searchsorted(keys, k, side="right") - 1, 0, max(len(keys) - 2, 0))
         b = np.minimum(a + 1, len(keys) - 1)
         home = se2.inverse(odometry.pose[keys[a]])
@@ -53,7 +53,7 @@ class Spans(Columns, frozen=True):
 
 
 class Fixes(Columns, frozen=True):
-    """Instants at which the wheels' error since the key before is known: both keys of every span, scans between.
+    """Instants with a known wheel error since the key before: both keys of every span, and the scans between.
 
     Sorted by key, then by instant; of every span the first row is its key (no error yet), the last the next one.
     """
@@ -65,7 +65,7 @@ class Fixes(Columns, frozen=True):
 
     @classmethod
     def of_keys(cls, odometry: Odometry, keys: Ints, x: Array) -> Fixes:
-        """Return those of the keys alone: instants (m,), poses x (m, 3)."""
+        """Return the fixes of the keys alone: instants (m,), poses x (m, 3)."""
         a = np.arange(len(keys) - 1)
         whole = se2.between(odometry.pose[keys[:-1]], odometry.pose[keys[1:]])
         error = se2.compose(se2.between(x[:-1], x[1:]), se2.inverse(whole))
@@ -106,7 +106,7 @@ def bridged(
 
 
 def _spread(x: Array, P: Array, after: Array, spans: Spans, rest: Array, pose: Array) -> Array:
-    """Return covariances of the poses' numbers, by those of both keys and of what lies between."""
+    """Return covariances of the poses' numbers, by those of both keys and of the wheels between them."""
     a, b = spans.a, spans.b
     arm = x[b, :2] - x[a, :2]
     P_a = P[a]
@@ -146,7 +146,7 @@ KEY_INFORMATION = np.diag([1e10, 1e10, 1e12])  # 1/m^2, 1/rad^2: information of 
 def scans_between(
     odometry: Odometry, drive: Drive, sensor: str, readings: Ints, clouds: Clouds, x: Array
 ) -> Fixes:
-    """Return what the wheels miss at the scans between the keys `readings` (m,), whose poses are x (m, 3).
+    """Return the wheels' errors at the scans between the keys `readings` (m,), whose poses are x (m, 3).
 
     `clouds` are the keys'.
     """
@@ -175,7 +175,7 @@ def scans_between(
 
 
 def moving_scans(odometry: Odometry, t: Array, instants: Ints, readings: Ints) -> Ints:
-    """Return the readings between the first and the last key about which the robot moved: positions.
+    """Return the readings between the first and the last key with motion around them: positions.
 
     t (N,) are the stamps of all instants [s].
     """
@@ -193,7 +193,7 @@ def moving_scans(odometry: Odometry, t: Array, instants: Ints, readings: Ints) -
 
 
 def points_of(m: Measurements, chosen: Ints) -> Clouds:
-    """Return the points of these readings that are matched, read in parts so that few whole scans are held."""
+    """Return the points of these readings for matching, read in parts so that few whole scans are in memory."""
     cuts = np.arange(SCANS_AT_ONCE, len(chosen), SCANS_AT_ONCE)
     parts = [sources_of(clouds_of(m, part), MAX_POINTS) for part in np.split(chosen, cuts)]
     counts = np.concatenate([np.diff(part.first) for part in parts])

@@ -1,4 +1,4 @@
-"""The way from key to key: wheels and matches of neighbouring scans, without any loop yet."""
+"""The path from key to key by wheels and matches of neighbouring scans, without loops."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def sequential(
 
 
 def skipping(targets: Targets, clouds: Clouds, x: Array, way: Array, n: int) -> Edges:
-    """Match every key with the n-th after it, where that is near."""
+    """Match every key with the n-th after it, if that is near."""
     i, found = further_scans(targets, clouds, x, n, MAX_NEIGHBOUR_M)
     return edges_of(i, i + n, found, way)
 

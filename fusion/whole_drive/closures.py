@@ -1,4 +1,4 @@
-"""Loops: places that were seen before, in rounds from what is nearly certain to what needs a wide search.
+"""Loops: places that were seen before, in rounds from nearly certain ones to those of a wide search.
 
 Submaps, the keys of a stretch of a few metres as one cloud, are compared. Where the window is narrow they are
 matched at once; else one is laid on the other at every shift and turn, all shifts of one turn at once by the
@@ -54,7 +54,7 @@ def submaps_of(keys: Clouds, origin: Array, x: Array, way: Array) -> Submaps:
 
 
 class Peak(msgspec.Struct, frozen=True):
-    """Where one submap lies best on another one."""
+    """The best pose of one submap on another one."""
 
     pose: Array  # (3,)
     score: float  # share of its cells that meet a surface
@@ -68,7 +68,7 @@ class Peak(msgspec.Struct, frozen=True):
 
 
 def correlate(ours: Array, theirs: Array, guess: Array, sigma: Array) -> Peak:
-    """Return where the points `theirs` (k, 2) lie best on the points `ours` (m, 2), within 3 sigma."""
+    """Return the best pose of the points `theirs` (k, 2) on the points `ours` (m, 2), within 3 sigma."""
     from scipy.fft import irfft2, rfft2
 
     target = rfft2(_raster(ours, spread=True))
@@ -98,7 +98,7 @@ def correlate(ours: Array, theirs: Array, guess: Array, sigma: Array) -> Peak:
 
 
 def _raster(points: Array, spread: bool) -> NDArray[np.float32]:
-    """Return which cells points fall in, (SIZE, SIZE) about the origin; `spread` gives their neighbours a half."""
+    """Return which cells contain points, (SIZE, SIZE) about the origin; `spread` gives their neighbours a half."""
     cells = np.round(points[np.abs(points).max(axis=1) < REACH_M] / CELL_M).astype(np.int64) % GRID_CELLS
     grid = np.zeros((GRID_CELLS, GRID_CELLS), np.float32)
     grid[cells[:, 1], cells[:, 0]] = 1.0
@@ -131,7 +131,7 @@ KERNEL_WIDTH_FACTORS = (1e4, 1e3, 1e2, 10.0, 1.0)
 
 
 class Loops(msgspec.Struct):
-    """The closures of a drive as they are found, and what stayed undecided."""
+    """The closures of a drive as they are found, and the undecided candidates."""
 
     edges: Edges = field(default_factory=Edges.none)  # between middle keys
     pair: set[tuple[int, int]] = field(default_factory=set)  # submaps that are closed
@@ -184,7 +184,7 @@ def close(x: Array, edges: Edges, problem: Problem, maps: Submaps, hints: Edges)
 
 
 def candidates(x: Array, normal: Normal, maps: Submaps, loops: Loops) -> Candidates:
-    """Return the pairs of submaps that may overlap by what the graph knows, and are not closed yet."""
+    """Return the pairs of submaps that may overlap by the graph and are not closed yet."""
     middle, way = maps.middle, maps.way
     a, b = np.triu_indices(len(middle), 1)
     apart = np.hypot(*(x[middle[b], :2] - x[middle[a], :2]).T)
@@ -203,14 +203,14 @@ def candidates(x: Array, normal: Normal, maps: Submaps, loops: Loops) -> Candida
 
 
 def _nearest_visits(b: Ints, cost: Array) -> Ints:
-    """Return where the MAX_VISITS cheapest candidates of each submap are: a robot in one room has too many."""
+    """Return the positions of each submap's MAX_VISITS cheapest candidates: a robot in one room has too many."""
     order = np.lexsort((cost, b))
     first = np.searchsorted(b[order], b[order])
     return np.sort(order[np.arange(len(order)) - first < MAX_VISITS])
 
 
 def placed(found: Candidates, maps: Submaps, wide: float, loops: Loops) -> tuple[Candidates, Array]:
-    """Return the candidates whose place is known well enough to be matched, and that place, (c, 3)."""
+    """Return the candidates whose pose is known well enough for matching, and that pose, (c, 3)."""
     sigma = found.sigma
     reach = np.hypot(sigma[:, 0], sigma[:, 1])
     narrow = (reach < NARROW_M) & (sigma[:, 2] < NARROW_RAD)
@@ -238,7 +238,7 @@ def placed(found: Candidates, maps: Submaps, wide: float, loops: Loops) -> tuple
 
 
 def _moved(refused: Array | None, guess: Array) -> bool:
-    """Return whether a place is another one than that which was refused: only then it is worth asking again."""
+    """Return whether a pose differs from the rejected one: only then it is worth another test."""
     if refused is None:
         return True
     step = se2.between(refused, guess)
@@ -279,7 +279,7 @@ def judged(
 
 
 def through_walls(c: Candidates, pose: Array, maps: Submaps, x: Array) -> Array:
-    """Return the share of points that scans of one submap looked through, were the other at `pose` (c, 3)."""
+    """Return the share of points that scans of one submap look through, with the other at `pose` (c, 3)."""
     pair, i, j, relative_poses = [], [], [], []
     for k, (a, b) in enumerate(zip(c.a.tolist(), c.b.tolist(), strict=True)):
         ours, theirs = maps.members[a], maps.members[b]
@@ -301,7 +301,7 @@ def through_walls(c: Candidates, pose: Array, maps: Submaps, x: Array) -> Array:
 
 
 def support(c: Candidates, found: Matches, maps: Submaps, x: Array, loops: Loops) -> NDArray[np.bool_]:
-    """Tell which candidates agree with another one, or with a closure, at neighbouring submaps, (c,)."""
+    """Return which candidates agree with another one, or with a closure, at neighbouring submaps, (c,)."""
     way, i = maps.way, np.concatenate((maps.middle[c.a], loops.edges.i))
     j = np.concatenate((maps.middle[c.b], loops.edges.j))
     z = np.concatenate((found.pose, loops.edges.z))
@@ -340,7 +340,7 @@ def recognised(filtered: Estimates, odometry: Odometry, keys: Ints) -> Edges:
 
 
 def _nearest(keys: Ints, at: Ints) -> Ints:
-    """Return which of the rising keys (m,) is nearest to each instant (k, 2)."""
+    """Return which of the increasing keys (m,) is nearest to each instant (k, 2)."""
     after = np.clip(np.searchsorted(keys, at), 1, len(keys) - 1)
     nearest: Ints = np.where(at - keys[after - 1] <= keys[after] - at, after - 1, after)
     return nearest

@@ -27,7 +27,7 @@ REFUSED_VERDICT = VERDICTS.index("disturbed")
 
 
 class Seen(NamedTuple):
-    """One reading, seen from a key."""
+    """One reading, relative to a key."""
 
     sensor: str
     reading: int
@@ -66,7 +66,7 @@ class Others:
         self.values = self.values + step
 
     def rows(self, x: Array) -> list[Rows]:
-        """Return the readings' share of the normal equations at key poses x (n, 3)."""
+        """Return the readings' part of the normal equations at key poses x (n, 3)."""
         belief, n = self._belief, 3 * len(x) + len(SYSTEMATIC_SIGMAS)
         belief.state[3:] = self.values
         blocks: dict[int, list[tuple[Array, Array, Array]]] = {}
@@ -99,7 +99,7 @@ class Others:
 
 
 def _chosen(sensor: str, drive: Drive, odometry: Odometry, keys: Ints) -> list[Seen]:
-    """Return a few readings behind each key, evenly spread, each for its share of all."""
+    """Return a few readings after each key, evenly spread, each weighted for its share of all."""
     instants = drive.instant[sensor]
     key = np.searchsorted(keys, instants, side="right") - 1
     found = []

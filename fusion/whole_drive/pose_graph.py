@@ -1,4 +1,4 @@
-"""The whole drive at once: keys, their neighbours, loops, one last solve; then what lies between the keys.
+"""The whole drive at once: keys, their neighbours, loops, one last solve; then the poses between the keys.
 
 keys -> wheels and neighbouring scans -> loops, round by round -> every visit again -> key poses
 """
@@ -43,7 +43,7 @@ MIN_GAIN, MIN_GAIN_M = 1.5, 0.01  # by how much the graph must fit the loops bet
 
 
 class Graph(msgspec.Struct, frozen=True, dict=True):
-    """The key poses of a drive, and what was found on the way to them."""
+    """The key poses of a drive, with its edges and closures."""
 
     drive: Drive
     start: Start
@@ -63,7 +63,7 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
 
     @property
     def closures(self) -> Edges:
-        """What closed loops, between keys."""
+        """The closed loops, as pairs of keys."""
         return self.loops.edges
 
     def poses(self) -> tuple[Array, Array]:
@@ -86,7 +86,7 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def _from_start(self) -> tuple[Ints, Array, Array, Array, Fixes]:
-        """The keys and what is known of them, with the start before them if no scan was taken there."""
+        """The keys and their terms, with the start before them if no scan was taken there."""
         keys, x, (own, after), fixes = self.keys, self.x, self.spread, self.fixes
         if not keys[0]:
             return keys, x, own, after, fixes
@@ -102,7 +102,7 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
         return self.normal.chain(len(self.x))
 
     def seen_again(self) -> tuple[Array, Array]:
-        """Return when places were seen before and when they were recognised, (m, 2) [s], and how (m, 3).
+        """Return when places were first seen and recognised, (m, 2) [s], and the relative poses (m, 3).
 
         That is where the second pose lies as seen from the first, which is the earlier one.
         """
@@ -119,7 +119,7 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
         return _rms(self.closures.errors(pose[self.keys]))
 
     def needed(self, filtered: Estimates) -> bool:
-        """Return whether the filter's own map does not hold the closed loops together, or it was lost on the way.
+        """Return whether the filter's own map contradicts the closed loops, or it was lost on the way.
 
         Where it does, a backward pass through the filter is better than the graph: it weighs every line of every
         scan. Both are judged by the same closures: how far apart they leave what two visits of a place saw.
@@ -129,11 +129,11 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
         return bool(filtered.lost) or self.misfit(filtered.pose) > MIN_GAIN * self.misfit_of_keys() + MIN_GAIN_M
 
     def misfit_of_keys(self) -> float:
-        """Return the same of the graph's own poses, rms [m]."""
+        """Return the same for the graph's own poses, rms [m]."""
         return _rms(self.closures.errors(self.x))
 
     def notes(self, used: bool = True) -> tuple[str, ...]:
-        """Say which loops were closed and when, what stayed undecided, and whether the graph was needed."""
+        """Return notes: closed loops with times, undecided ones, and whether the graph was needed."""
         return tuple(f"smoothing: {words}" for words in self._words(used))
 
     def _words(self, used: bool) -> list[str]:
@@ -153,7 +153,7 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
         return said
 
     def _when(self) -> str:
-        """Return the spans of time in which places were seen again."""
+        """Return the time intervals in which places were seen again."""
         t = self.drive.t[self.keys]
         spans: list[list[float]] = []
         for at in sorted(t[self.closures.j].tolist()):
@@ -221,14 +221,14 @@ def whole_drive(
 
 
 def room_for_loops(drive: Drive, robot: Robot, sensors: Sequence[str]) -> bool:
-    """Return whether a drive's laser makes a map of its own, and cannot see all of it from the middle."""
+    """Return whether a drive's laser makes its own map, and cannot see all of it from the middle."""
     m = drive.measurements.get(LASER)
     known = m is not None and m.points is not None
     return LASER in sensors and known and robot.settings(LASER).map == "grow" and not in_one_view(drive)
 
 
 def wheels_share(odometry: Odometry, keys: Ints, x: Array) -> float:
-    """Return the true variance of the wheels' turns, as scans show it, divided by the one that they claim.
+    """Return the true variance of the wheels' turns, measured by scans, over the variance that they claim.
 
     Wheels whose track is assumed claim an error of 5 degrees a metre; the true one is below 1 degree. Between keys
     the scans correct it. Before the first key only the wheels are known, and their error turns the whole drive.
@@ -240,7 +240,7 @@ def wheels_share(odometry: Odometry, keys: Ints, x: Array) -> float:
 
 
 def in_one_view(drive: Drive) -> bool:
-    """Return whether all of a drive lies within sight of its middle: a filter's map then holds it together."""
+    """Return whether the whole drive lies within sight of its middle: then a filter's single map is enough."""
     m = drive.measurements[LASER]
     if m.points is None or not len(m.t):
         return False
@@ -252,7 +252,7 @@ def in_one_view(drive: Drive) -> bool:
 
 
 def clock_lag(drive: Drive) -> float:
-    """Return by how much later the wheels' stamps are than the laser's [s], 0 where that is not clear."""
+    """Return the delay of the wheels' stamps relative to the laser's [s], 0 if it is not clear."""
     lag = clock_lags({LASER: drive.measurements[LASER]}, drive.wheels).get(LASER)
     return lag.offset if lag is not None and worth_saying(lag) else 0.0
 
@@ -268,7 +268,7 @@ class Start(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, robot: Robot, odometry: Odometry, key: int) -> Start:
-        """Return it for a first key at instant `key`."""
+        """Return the start for a first key at instant `key`."""
         pose, P = np.array(robot.start.pose), np.diag(robot.start.variances) + START_FLOOR_P
         u, C = odometry.between(np.array([0]), np.array([key]))
         at_key = se2.compose(pose, u[0])
@@ -283,7 +283,7 @@ class Start(msgspec.Struct, frozen=True):
         return Edges.known(0, self.at_key, np.asarray(np.linalg.inv(self.P_at_key), np.float64))
 
     def smoothed(self, key: Array, P: Array) -> tuple[Array, Array, Array]:
-        """Return pose, covariance and that with the first key, once the whole drive gives `key` (3,), P (3, 3)."""
+        """Return pose, covariance and that with the first key, given the smoothed `key` (3,), P (3, 3)."""
         G = self.cross @ np.linalg.inv(self.P_at_key)
         step = key - self.at_key
         step[2] = se2.wrap(float(step[2]))

@@ -42,7 +42,7 @@ MIN_EIGENVALUE_SHARE = 1e-12  # relative eigenvalue below which the wheels' nois
 
 
 def check_smoothing(robot: Robot, sensors: Sequence[str]) -> None:
-    """Raise UsageError where these sensors' filter does not weigh optimally, or holds too many walls to smooth."""
+    """Raise UsageError if these sensors' filter is not optimal, or its map has too many walls to smooth."""
     why = why_not_smoothed(robot, sensors)
     if why is not None:
         raise why
@@ -97,7 +97,7 @@ def fuse_and_go_back(
 
 
 def by_graph(filtered: Estimates, graph: Graph) -> Estimates:
-    """Return the drive as the graph has it, its map straightened. States beside the pose stay the filter's."""
+    """Return the drive by the graph, with its straightened map. States beside the pose are the filter's."""
     pose, P = graph.poses()
     truth_pose, truth_P = graph.at_truth()
     loops, loop_poses = graph.seen_again()
@@ -118,7 +118,7 @@ def by_graph(filtered: Estimates, graph: Graph) -> Estimates:
 
 
 def smoothed(drive: Drive, filtered: Estimates, events: Events) -> Estimates:
-    """Return the smoothed estimates of a run that noted `events`. Map and audits stay the filter's."""
+    """Return the smoothed estimates of a run that recorded `events`. Map and audits are the filter's."""
     back = Backward(drive, filtered, events)
     back.run(events)
     wheels = back.blocks.get(WHEELS)
@@ -166,7 +166,7 @@ class Backward:
         return se2.compose(self.frame, self.local)
 
     def run(self, events: Events) -> None:
-        """Go through the events from the last; what lies before the first instant is left."""
+        """Process the events from the last; those before the first instant are left out."""
         k = len(self.local) - 1
         self._note(k)
         for event in reversed(events.list):
@@ -190,7 +190,7 @@ class Backward:
                 self._step(event.back)
 
     def _undo_motion(self, event: Moved, k: int) -> None:
-        """Go back over the motion to instant k, and keep what `between_instants` needs of it."""
+        """Smooth over the motion to instant k, and keep what `between_instants` needs."""
         self.arrived[k], self.arrived_P[k, :, :3] = self._x[:3], self._S[:3, :3]
         if self._frame is not None:
             self.arrived_P[k, :, 3:] = self._S[:3, self._of_frame] @ self._swung[3:, 3:].T

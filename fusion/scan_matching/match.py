@@ -94,6 +94,11 @@ def match(
     return Matches.joined(*parts)
 
 
+def overlap(targets: Targets, i: Ints, sources: Clouds, j: Ints, pose: Array, reach: float) -> Array:
+    """Return the share (p,) of the points of clouds j that have a partner in clouds i, seen from poses (p, 3)."""
+    return _Pairs.made(targets, i, sources, j, pose, reach).quality(np.diff(sources.first)[j])[1]
+
+
 def _match(
     targets: Targets, i: Ints, sources: Clouds, j: Ints, guess: Array, prior: Array, reach: float
 ) -> Matches:

@@ -42,7 +42,7 @@ fusion/kernels/line_fits: kernels/line_fits kernels/curves lines/lines
 fusion/kernels/places: map/places
 fusion/kernels/segments: kernels/segments lines/lines
 fusion/kernels/sight: kernels/sight map/prediction map/map_keeping sensors/lrf
-fusion/wheels/motion: wheels/motion wheels/wheel_states
+fusion/wheels/motion: wheels/motion wheels/intervals wheels/wheel_states
 fusion/wheels/repairs: wheels/rollover wheels/wheels
 fusion/sensors/compass: sensors/compass sensors/contract sensors/level
 fusion/sensors/gyro: sensors/gyro sensors/contract

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 def installed(distribution: str) -> str | None:
-    """Return the version of a distribution, None where there is none of that name."""
+    """Return the version of a distribution, None if it is not installed."""
     from importlib import metadata
 
     try:

@@ -1,4 +1,4 @@
-"""Results appear whole or not at all: written under a temporary name, synced, then renamed.
+"""Files that are written whole or not at all: under a temporary name, synced, then renamed.
 
 The .json comes last: where it stands, everything it speaks of stands too.
 """
@@ -34,7 +34,7 @@ Content = str | bytes | Callable[[Path], None]  # what is too big to be held wri
 
 
 def write_results(folder: Path, files: Mapping[str, Content], overwrite: bool = False) -> None:
-    """Write files into `folder`, replacing a locfuse result there; another non-empty folder is refused."""
+    """Write files into `folder`, replacing a locfuse result in it; another non-empty folder is refused."""
     for name in files:
         refuse_to_write(folder / name)
     created = _prepare(folder, overwrite)
@@ -50,7 +50,7 @@ def write_results(folder: Path, files: Mapping[str, Content], overwrite: bool = 
 
 
 def may_write(folder: Path, overwrite: bool = False, given: Iterable[Path | None] = ()) -> None:
-    """Raise LocfuseError where `write_results` would refuse the folder: to know it before the work is done.
+    """Raise LocfuseError if `write_results` would refuse the folder, before any work is done.
 
     Raises UsageError where it would replace one of the files `given` to the command, unless `overwrite`.
     """
@@ -64,7 +64,7 @@ def may_write(folder: Path, overwrite: bool = False, given: Iterable[Path | None
 
 
 def may_replace(file: Path | None, overwrite: bool, given: Iterable[str | Path] = ()) -> None:
-    """Raise UsageError where a file would be lost, or is one `given` as input: known before the work is done."""
+    """Raise UsageError if a file would be lost, or is one `given` as input, before any work is done."""
     if file is not None and is_among(file, map(Path, given)):
         raise UsageError(f"{file}: {DESTROYS}")
     if file is not None and file.exists() and not overwrite:
@@ -75,7 +75,7 @@ def may_replace(file: Path | None, overwrite: bool, given: Iterable[str | Path] 
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Give a temporary path beside `path` to write to; it takes the final name when the block ends well."""
+    """Give a temporary path beside `path` to write to; it gets the final name after the block without an error."""
     temporary = temporary_for(path)
     try:
         claim(temporary)
@@ -114,7 +114,7 @@ def _write_all(folder: Path, files: Mapping[str, Content]) -> None:
 
 
 def _encoded(name: str, text: str) -> bytes:
-    """Return a text as UTF-8; in what people read nothing acts on the screen."""
+    """Return a text as UTF-8; in readable formats control characters are escaped."""
     shown = visible_lines(text) if name.endswith((".md", ".html")) else text
     return shown.encode(errors="replace")
 
@@ -139,7 +139,7 @@ def _prepare(folder: Path, overwrite: bool) -> list[Path]:
 
 @contextmanager
 def sole_writer(folder: Path, name: str = LOCK, patience_s: float | None = None) -> Iterator[None]:
-    """Let one process at a time write into a folder. Raises LocfuseError that names the other one."""
+    """Lock a folder for writing by one process. Raises LocfuseError that names the other one."""
     path = folder / name
     handle = _locked(path, LOCK_TIMEOUT_S if patience_s is None else patience_s)
     try:
@@ -151,7 +151,7 @@ def sole_writer(folder: Path, name: str = LOCK, patience_s: float | None = None)
 
 
 def _locked(path: Path, patience_s: float) -> int | None:
-    """Take the lock, which the system lifts when its holder dies; None where there are no locks."""
+    """Take the lock, which the system releases when its holder ends; None on systems without locks."""
     end = time.monotonic() + patience_s
     while fcntl is not None:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -180,7 +180,7 @@ def _locked(path: Path, patience_s: float) -> int | None:
 
 
 def temporary_for(path: Path) -> Path:
-    """Return where to write what is to become `path`, and clear away what a killed process left of it.
+    """Return a temporary path for `path`, and remove what a killed process left there.
 
     Raises LocfuseError where `path` is being read.
     """
@@ -191,7 +191,7 @@ def temporary_for(path: Path) -> Path:
 
 
 def claim(temporary: Path) -> None:
-    """Make a temporary file that is ours: a link that lies under its name would be written through."""
+    """Create a new temporary file: an existing link of its name is not followed."""
     temporary.unlink(missing_ok=True)
     os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
 
@@ -201,7 +201,7 @@ def _temporary(path: Path) -> Path:
 
 
 def _remove_leftovers(paths: Iterable[Path]) -> None:
-    """Remove the temporary files of processes that live no more."""
+    """Remove the temporary files of processes that have ended."""
     for path in list(paths):
         pid = path.name.removesuffix(TEMPORARY).rpartition(".")[2]
         if path.name.endswith(TEMPORARY) and pid.isdecimal() and not alive(int(pid)):
@@ -209,7 +209,7 @@ def _remove_leftovers(paths: Iterable[Path]) -> None:
 
 
 def scratch_prefix() -> str:
-    """Return how names of temporary files and folders of this process begin; clear away those of killed ones."""
+    """Return the first part of this process's temporary names; remove files of killed processes."""
     import re
     import shutil
     import socket
@@ -255,7 +255,7 @@ def _remove_if_empty(folder: Path, created: list[Path]) -> None:
 
 
 def _sync(path: Path) -> None:
-    """Bring a file or a folder's entries to the disk."""
+    """Sync a file or a folder's entries to the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)

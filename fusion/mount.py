@@ -1,4 +1,4 @@
-"""Where a sensor sits on the base, and how it is turned: known exactly, or as states that the drive improves.
+"""A sensor's mount on the base: known exactly, or as states that the drive improves.
 
 A laser that is turned by a degree more than configured turns the whole map with it. No innovation shows that at
 once, and a filter that takes the mount for certain is confidently wrong. What is not known exactly is a state.
@@ -36,7 +36,7 @@ BARE_NUMBERS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")  # they say no u
 
 
 class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Keys of a sensor whose place on the base counts."""
+    """Keys of a sensor whose mount matters."""
 
     x: float = 0.0  # m, sensor on the base
     y: float = 0.0  # m, likewise, to the left
@@ -50,7 +50,7 @@ class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
 
     @property
     def mount(self) -> tuple[float, float, float]:
-        """Place on the base as told: x [m], y [m], yaw [rad]."""
+        """The configured place on the base: x [m], y [m], yaw [rad]."""
         return self.x, self.y, math.radians(self.yaw_deg)
 
     def __post_init__(self) -> None:
@@ -61,14 +61,14 @@ class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
                 raise ValueError(f"{key} = {getattr(self, key)} must be 0 (known exactly) or above")
 
     def sigmas(self, tells: bool) -> tuple[float, float, float]:
-        """Return the standard deviations of x, y [m] and yaw [rad]; `tells`: the drive can tell the mount."""
+        """Return the standard deviations of x, y [m] and yaw [rad]; `tells`: the drive shows the mount."""
         place, turn = (SIGMA_M, SIGMA_DEG) if tells else (0.0, 0.0)
         x, y = (place if sigma is None else sigma for sigma in (self.sigma_x, self.sigma_y))
         return x, y, math.radians(turn if self.sigma_yaw_deg is None else self.sigma_yaw_deg)
 
 
 def exact(settings: SensorSettings) -> SensorSettings:
-    """Return the settings with the mount, where there is one, known exactly."""
+    """Return the settings with the mount, if there is one, as exactly known."""
     if not isinstance(settings, MountedSettings):
         return settings
     return replace(settings, sigma_x=0.0, sigma_y=0.0, sigma_yaw_deg=0.0)
@@ -78,7 +78,7 @@ class Mount:
     """x [m], y [m], yaw [rad] of one sensor on the base; those that are uncertain are blocks of one state each."""
 
     def __init__(self, sensor: str, settings: MountedSettings, tells: bool = False) -> None:
-        """`tells`: the drive can tell the mount, so that it is a state unless configured as exact."""
+        """`tells`: the drive shows the mount, so it is a state unless configured as exact."""
         self.told = settings.mount
         sigmas = settings.sigmas(tells)
         self.free = tuple(i for i in range(3) if sigmas[i] > 0.0)  # which of x, y, yaw are states
@@ -86,14 +86,14 @@ class Mount:
         self._variances = {i: sigmas[i] ** 2 for i in self.free}
 
     def blocks(self) -> list[Block]:
-        """Return what is uncertain, at the value told."""
+        """Return the uncertain parts of the mount, with their configured values."""
         return [
             Block(name, np.array([self.told[i]]), np.array([[self._variances[i]]]), np.zeros(1))
             for i, name in self._names.items()
         ]
 
     def now(self, belief: Belief) -> tuple[float, float, float]:
-        """Return x, y, yaw as the belief has them."""
+        """Return x, y, yaw in the belief."""
         if not self.free:
             return self.told
         at = list(self.told)
@@ -102,11 +102,11 @@ class Mount:
         return at[0], at[1], at[2]
 
     def columns(self, belief: Belief) -> tuple[int, ...]:
-        """Return the state columns of what is uncertain."""
+        """Return the state columns of the uncertain parts."""
         return tuple(belief.column(name) for name in self._names.values())
 
     def words(self, belief: Any) -> list[str]:
-        """Say where the drive found the mount, if that is not where it is configured to be."""
+        """Return where the drive found the mount, if not at its configured values."""
         parts, far = [], False
         for i, name in self._names.items():
             column, value = belief.block(name)
@@ -125,7 +125,7 @@ class Mount:
         return [f"{OTHER_MOUNT}: {'; '.join(parts)}{doubt}"] if parts else []
 
     def rows(self, by_mount: tuple[Row, ...]) -> tuple[Row, ...]:
-        """Return the columns of a derivative by (x, y, yaw), (d, 3), that belong to states."""
+        """Return the columns of a derivative by (x, y, yaw), (d, 3), that are states."""
         return tuple(tuple(row[i] for i in self.free) for row in by_mount)
 
 
@@ -159,5 +159,5 @@ def rotated(q: Array, v: Array) -> Array:
 
 
 def to_a_tenth_of(sigma: float, value: float) -> float:
-    """Return a value without the digits that its standard deviation makes meaningless."""
+    """Return a value rounded to a tenth of its standard deviation."""
     return round(value, 1 - math.floor(math.log10(sigma))) + 0.0 if sigma > 0.0 else value

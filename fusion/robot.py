@@ -84,7 +84,7 @@ class StartSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
     @property
     def variances(self) -> tuple[float, float, float]:
-        """How well that is known: of x, y [m^2] and theta [rad^2]."""
+        """Variances of the start: x, y [m^2] and theta [rad^2]."""
         return self.sigma_xy**2, self.sigma_xy**2, math.radians(self.sigma_theta_deg) ** 2
 
 
@@ -104,7 +104,7 @@ class TruthSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
 
 class Robot(msgspec.Struct, frozen=True):
-    """Everything the filter is told about one robot."""
+    """The configured description of one robot."""
 
     wheels: WheelSettings = field(default_factory=WheelSettings)
     start: StartSettings = field(default_factory=StartSettings)

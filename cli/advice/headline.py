@@ -16,12 +16,12 @@ HELPS, HURTS = ("helps", "seems to help"), ("hurts", "seems to hurt")
 
 
 def headline(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:
-    """Return one sentence or two; `sets` are the sensors of every configuration that the report may name."""
+    """Return one or two sentences; `sets` are the sensors of every configuration that the report may name."""
     return " ".join(filter(None, (report.get("doubt"), _verdict(report, sets))))
 
 
 def _verdict(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:
-    """Return what to do with the sensors."""
+    """Return the advice on the sensors."""
     errors = {n: e for n in sets if (e := report["configurations"][n].get("position_rmse_m")) is not None}
     void = void_reasons(report)
     if void and not any(sets[name] for name in errors):
@@ -41,18 +41,19 @@ def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], err
     best = min(ties, key=lambda n: len(sets[n]))
     if not sets[best]:
         return f"No sensor improves on {best}: {length(errors[best])}.{_with_fixes(report, sets, least)}"
+    smoothed = _smoothed(report, best, errors[best])
     if any(not v["void"] for v in report.get("validity") or ()):
-        first = f"As configured the best is {_names(sets[best])}: {length(errors[best])}."
+        first = f"As configured the best is {_names(sets[best])}: {length(errors[best])}{smoothed}."
         first += (
             " Set the fixes first." if report.get("fixes") else " Something is wrong that no setting explains."
         )
         return f"{first}{_with_fixes(report, sets, least)}"
-    first = f"Keep {_names(sets[best])}: {length(errors[best])}{_smoothed(report, best, errors[best])}."
+    first = f"Keep {_names(sets[best])}: {length(errors[best])}{smoothed}."
     return f"{_as_configured(report, sets, errors, best, first)}{_with_fixes(report, sets, least)}"
 
 
 def _smoothed(report: Mapping[str, Any], best: str, error: float) -> str:
-    """Return what smoothing gives beside the error [m] while driving, "" where it gives no less."""
+    """Return the error with smoothing beside the error [m] while driving, "" if it is not smaller."""
     after = report["configurations"].get(result_name(best, smoothed=True), {}).get("position_rmse_m")
     return "" if after is None or after >= error else f", smoothed {length(after)}"
 
@@ -64,7 +65,7 @@ def _as_configured(
     best: str,
     first: str,
 ) -> str:
-    """Return what to keep with the settings as they are, and what the other sensors add."""
+    """Return which sensors to keep under the present settings, and the effect of the others."""
     every = max(sets, key=lambda n: len(sets[n]))
     ties = _ties(errors)
     others = [s for s in sets[every] if s not in sets[best]]
@@ -87,7 +88,7 @@ def _as_configured(
 
 
 def covariance(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:
-    """Return that the covariance of all sensors is too small where nothing that was found explains it, else ""."""
+    """Return that the covariance of all sensors is too small, if no finding explains it, else ""."""
     name = max(sets, key=lambda n: len(sets[n]), default="")
     anees = report["configurations"][name].get("anees") if name else None
     found = report.get("findings") or ()
@@ -115,7 +116,7 @@ def _ties(errors: Mapping[str, float]) -> list[str]:
 
 
 def _with_fixes(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], least: float) -> str:
-    """Return what a fix was found to give, where that is less than any error without it [m], else ""."""
+    """Return the effect of a fix, if its error is smaller than any without it [m], else ""."""
     tried = [f["tried"] for f in report.get("findings") or () if f["fixes"] and f["tried"]]
     after = {
         t["configuration"]: t["after"]["position_rmse_m"]
@@ -132,7 +133,7 @@ def _with_fixes(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], le
 
 
 def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str:
-    """Return what a reference tells of odometry and of sensors; it is no truth, so it keeps or drops none."""
+    """Return the order of odometry and sensors by a reference; it is no truth, so it keeps or drops none."""
     verdicts = report.get("verdicts", {})
     words = {which: [s for s, v in verdicts.items() if v["verdict"] in which] for which in (HELPS, HURTS)}
     parts = [f"{n} alone differs by {length(errors[n])}" for n in BASES if n in errors]
@@ -150,7 +151,7 @@ def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str
 
 
 def _without_truth(report: Mapping[str, Any]) -> str:
-    """Return what prediction tells of the sensors, which is no error in metres."""
+    """Return the order of the sensors by prediction, which is no error in metres."""
     verdicts = report.get("verdicts", {})
     good = [s for s, v in verdicts.items() if v["verdict"] in HELPS]
     bad = [s for s, v in verdicts.items() if v["verdict"] in HURTS]

@@ -1,4 +1,4 @@
-"""Several configurations over one measured log, judged: by truth, else by a reference and by prediction."""
+"""Several configurations on one measured log, judged by truth, else by a reference and by prediction."""
 
 from __future__ import annotations
 
@@ -58,12 +58,12 @@ class Compared(msgspec.Struct, frozen=True):
 
     @property
     def base(self) -> str:
-        """The configuration without a sensor: odometry, or the scans that are its motion."""
+        """The configuration without a sensor: odometry, or scan matching if there are no wheels."""
         return configuration_name((), self.loaded.drive)
 
 
 class Referenced(msgspec.Struct, frozen=True):
-    """The references that errors are measured against, where there is no truth."""
+    """The references of errors, without truth."""
 
     references: References
     judges: Mapping[str, Reference]  # result -> the one that judged it
@@ -71,7 +71,7 @@ class Referenced(msgspec.Struct, frozen=True):
 
 
 class JudgedRun(NamedTuple):
-    """One configuration's result, and the evidence of its audits about the sensors' noise."""
+    """One configuration's result, and its evidence on the sensors' noise."""
 
     estimates: Estimates
     evaluation: Evaluation
@@ -87,7 +87,7 @@ def compare_log(
     foreign: Sequence[Estimates] = (),
     heard: Sequence[Heard] = (),
 ) -> Compared:
-    """Run and judge every configuration; smoothed ones come after all others.
+    """Run and judge every configuration; smoothed ones come last.
 
     `foreign` are other people's estimates, judged beside ours. With `asked.reference` the whole drive is solved,
     and its solution takes the place of a truth that the log lacks; `watch` is given evaluations without it.
@@ -159,7 +159,7 @@ def _references(
 
 
 def quarrels(configurations: Sequence[Configuration], found: Sequence[Score]) -> list[tuple[str, str]]:
-    """Return pairs of sensors that contradict each other, as prediction shows."""
+    """Return pairs of sensors that contradict each other by prediction."""
     alone = {c.sensors[0]: c.name for c in configurations if len(c.sensors) == 1 and not c.rates}
     return contradictions(found, alone)
 
@@ -170,7 +170,7 @@ def _referenced(
     hows: Sequence[Align],
     filtered: Sequence[JudgedRun],
 ) -> tuple[Referenced, list[Evaluation]]:
-    """Return every result judged by its reference, aligned as in `hows`, and which reference judged which."""
+    """Return every result judged by its reference, aligned as in `hows`, and the name of that reference."""
     pairs = [references.judged(j.evaluation, j.estimates, how) for j, how in zip(every, hows, strict=True)]
     plain = {frozenset(j.estimates.sensors): j for j in filtered if not j.estimates.rates}
     found = {s: _effect(references, s, plain, hows[0]) for s in references.present}
@@ -182,7 +182,7 @@ def _referenced(
 def _effect(
     references: References, sensor: str, plain: Mapping[frozenset[str], JudgedRun], align: Align
 ) -> ByReference | None:
-    """Return the effect of a sensor on the error, by a reference without it; None where nothing was run."""
+    """Return the effect of a sensor on the error, by a reference without it; None if nothing was run."""
     reference, before = references.without(sensor), frozenset(needed(sensor))
     after = before | {sensor}
     if reference is None or before not in plain or after not in plain:
@@ -199,7 +199,7 @@ def _effect(
 def _judged(
     c: Configuration, loaded: Loaded, asked: Asked, solve: bool, watch: Sequence[Watch]
 ) -> list[JudgedRun]:
-    """Fuse and judge one configuration; smooth it where that is shown, or where a reference is to `solve` it."""
+    """Fuse and judge one configuration; smooth it for display, or to `solve` a reference."""
     drive, robot, judged = c.drive(loaded.drive), loaded.robot, []
     shown = c.is_smoothed(asked, robot)
     how = cast("Align", asked.align)
@@ -213,7 +213,7 @@ def _judged(
 
 
 def _other_frame(estimates: Estimates, drive: Drive) -> float | None:
-    """Return how far [m] a foreign estimate begins from the truth, where that means another frame; else None."""
+    """Return the distance [m] between the starts of a foreign estimate and the truth, if too large; or None."""
     if drive.truth is None or estimates.truth_pose is None:
         return None
     rows = np.flatnonzero(np.isfinite(estimates.truth_pose[:, 0]))
@@ -228,7 +228,7 @@ def _other_frame(estimates: Estimates, drive: Drive) -> float | None:
 
 
 def _in_frame_of(e: Estimates, drive: Drive, references: References | None, align: str) -> tuple[Estimates, Align]:
-    """Return an estimate that is not ours and how to judge it: one of another frame is moved at its first pose."""
+    """Return a foreign estimate and its alignment: one in another frame is moved at its first pose."""
     whole = None if references is None else references.whole
     seen, judge, what = (e, drive, "truth") if whole is None else (whole.seen(e), whole.drive, "reference")
     away = _other_frame(seen, judge) if align == "none" else None
@@ -239,7 +239,7 @@ def _in_frame_of(e: Estimates, drive: Drive, references: References | None, alig
 
 
 def refuse_smoothing(robot: Robot, configurations: Sequence[Configuration]) -> None:
-    """Raise UsageError before any work is done where a filter cannot be smoothed: its gain is not optimal."""
+    """Raise UsageError before any work if a filter cannot be smoothed: its gain is not optimal."""
     from locfuse.fusion.whole_drive.smooth import check_smoothing
 
     for c in configurations:
@@ -274,7 +274,7 @@ def predict(
 
 
 def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
-    """Return the report as plain values: report.json. With what was `asked` it has a key."""
+    """Return the report as plain values: report.json. With the options `asked` it has a key."""
     report = results.build(compared.loaded, compared.evaluations)
     tables = compared.loaded.given
     report["key"] = key(compared.loaded.log.identity, tables, asked) if asked and tables is not None else None
@@ -298,7 +298,7 @@ def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
 def add_own_scans(
     report: dict[str, Any], drive: Drive, estimates: Sequence[Estimates], smoothed: Mapping[str, Estimates]
 ) -> None:
-    """Add what the laser's scans say of each result where a path was smoothed, and whether it is doubted."""
+    """Add figures by the laser's scans to each result if a path was smoothed, and whether it is doubted."""
     report["doubt"] = None
     add_events(report, estimates)
     if not smoothed:
@@ -326,7 +326,7 @@ def add_own_scans(
 
 
 def add_events(report: dict[str, Any], estimates: Sequence[Estimates]) -> None:
-    """Add to each result the corrections of its pose that are no motion."""
+    """Add the corrections of each result's pose that are no motion."""
     for e in estimates:
         report["configurations"][e.name]["events"] = [
             {"t_s": jump.t, "kind": jump.kind, "dx_m": x, "dy_m": y, "dtheta_deg": math.degrees(theta)}
@@ -336,7 +336,7 @@ def add_events(report: dict[str, Any], estimates: Sequence[Estimates]) -> None:
 
 
 def add_reference(report: dict[str, Any], compared: Compared) -> None:
-    """Add `reference` to the report and to every result, and its verdicts on the sensors that it can judge."""
+    """Add `reference` to the report and to every result, with its verdicts on the sensors it can judge."""
     found = compared.reference
     report["reference"] = None
     if found is None:

@@ -60,14 +60,14 @@ class Gate(msgspec.Struct, frozen=True):
     limit: float
 
     def line(self, value: float | None, missing: str) -> str | None:
-        """Return a line where a figure violates the gate; `missing` is the reason why there is none."""
+        """Return a line if a figure violates the gate; `missing` is the reason if there is no figure."""
         if value is None:
             return f"{self.text}: {missing}"
         return f"{self.text}: it is {value:.6g}" if OPERATORS[self.op](value, self.limit) else None
 
 
 class Tolerance(msgspec.Struct, frozen=True):
-    """How much worse a figure may be: a share of the baseline's, or a length or an angle where that is more."""
+    """How much worse a figure may be: a share of the baseline's, or a length or an angle if that is more."""
 
     text: str
     share: float = 0.0
@@ -81,7 +81,7 @@ class Tolerance(msgspec.Struct, frozen=True):
 
 
 class Baseline(msgspec.Struct, frozen=True):
-    """Earlier results that these must not be worse than: a report of the same log, a summary of the same logs."""
+    """Earlier results as limits: a report of the same log, or a summary of the same logs."""
 
     path: Path
     values: Mapping[str, Any]
@@ -89,14 +89,14 @@ class Baseline(msgspec.Struct, frozen=True):
 
 
 class Gates(msgspec.Struct, frozen=True):
-    """Everything that the report of one log must hold."""
+    """Gates on the report of one log."""
 
     limits: Sequence[Gate]
     baseline: Baseline | None = None
 
     @classmethod
     def read(cls, typed: GateOptions) -> Gates:
-        """Return the gates of --fail-if, --baseline, --tolerance. Raises LocfuseError for what cannot be one."""
+        """Return the gates of --fail-if, --baseline, --tolerance. Raises LocfuseError for an invalid one."""
         limits = [known_figure(parse_gate(text)) for text in typed.fail_if]
         return cls(limits, read_baseline(typed.baseline, typed.tolerance) if typed.baseline else None)
 
@@ -107,7 +107,7 @@ class Gates(msgspec.Struct, frozen=True):
 
 
 class FleetGates(msgspec.Struct, frozen=True):
-    """Everything that a fleet must hold."""
+    """Gates on a fleet."""
 
     each: Gates  # for every log
     together: Sequence[Gate]  # for all logs
@@ -115,7 +115,7 @@ class FleetGates(msgspec.Struct, frozen=True):
 
     @classmethod
     def read(cls, typed: GateOptions) -> FleetGates:
-        """Return the gates of --fail-if, --baseline, --tolerance. Raises LocfuseError for what cannot be one."""
+        """Return the gates of --fail-if, --baseline, --tolerance. Raises LocfuseError for an invalid one."""
         limits = [parse_gate(text) for text in typed.fail_if]
         together = [gate for gate in limits if gate.figure.startswith(OF_FLEET)]
         earlier = read_baseline(typed.baseline, typed.tolerance, True) if typed.baseline else None
@@ -128,7 +128,7 @@ class FleetGates(msgspec.Struct, frozen=True):
 
 
 def parse_gate(text: str) -> Gate:
-    """Return the gate that `--fail-if` names. Raises UsageError with an example."""
+    """Return the gate of one `--fail-if`. Raises UsageError with an example."""
     found = GATE_PATTERN.fullmatch(text)
     limit = _number(found["limit"]) if found else None
     if found is None or limit is None or "." not in found["figure"]:
@@ -137,7 +137,7 @@ def parse_gate(text: str) -> Gate:
 
 
 def known_figure(gate: Gate) -> Gate:
-    """Return a gate as it is. Raises UsageError, before a log is opened, where no report has its figure."""
+    """Return a gate unchanged. Raises UsageError, before a log is opened, if no report has its figure."""
     from locfuse.formats.report.structure import Result
 
     configuration, *keys = gate.figure.removeprefix(OF_REFERENCE).split(".")
@@ -184,7 +184,7 @@ def read_baseline(path: Path, tolerance: str, of_fleet: bool = False) -> Baselin
 
 
 def refuse_another_log(baseline: Baseline | None, log: Log) -> None:
-    """Raise LocfuseError where the baseline is of another content: what got worse may be the drive."""
+    """Raise LocfuseError if the baseline is of another log: then a worse figure may be due to the drive."""
     if baseline is None or _is_of(then := baseline.values.get("input", {}), log):
         return
     name, other = log.name, then.get("name")
@@ -211,7 +211,7 @@ def _violated(report: Mapping[str, Any], gate: Gate) -> str | None:
 
 
 def _mixed(report: Mapping[str, Any], gate: Gate) -> str | None:
-    """Return why a gate cannot be applied: errors against truth and against a reference are different figures."""
+    """Return why a gate cannot be applied: errors against truth and against a reference differ in kind."""
     from locfuse.fusion.judge.evaluate import ERROR_KEYS
 
     asked = gate.figure.startswith(OF_REFERENCE) and gate.figure not in report["configurations"]
@@ -223,7 +223,7 @@ def _mixed(report: Mapping[str, Any], gate: Gate) -> str | None:
 
 
 def figure(configurations: Mapping[str, Any], path: str) -> tuple[str | None, float | None]:
-    """Return the configuration that a path names (it may hold dots) and its figure; None where there is none."""
+    """Return the configuration in a path (its name may hold dots) and its figure; None if there is none."""
     fitting = [name for name in configurations if path.startswith(f"{name}.")]
     if not fitting:
         return None, None
@@ -250,7 +250,7 @@ def _is_figure(value: Any) -> bool:
 
 
 def _worse(report: Mapping[str, Any], baseline: Baseline) -> list[str]:
-    """Return error figures that both reports have and that grew by more than the tolerance."""
+    """Return error figures of both reports that grew by more than the tolerance."""
     from locfuse.formats.report.changes import judged_by
     from locfuse.fusion.judge.evaluate import ERROR_KEYS
 
@@ -287,7 +287,7 @@ def _grown(
 
 
 def _judge(values: Mapping[str, Any]) -> Any:
-    """Return the sensors of the reference that judged a result; None where it was no reference."""
+    """Return the sensors of the reference that judged a result; None if it was no reference."""
     return (values.get("reference") or {}).get("sensors")
 
 
@@ -307,7 +307,7 @@ def _violated_together(summary: Mapping[str, Any], gate: Gate) -> str | None:
 
 
 def _worse_together(summary: Mapping[str, Any], baseline: Baseline) -> list[str]:
-    """Return statistics that both summaries have and that grew by more than the tolerance."""
+    """Return statistics of both summaries that grew by more than the tolerance."""
     from locfuse.fusion.judge.evaluate import ERROR_KEYS
 
     if other := _other_logs(summary, baseline):
@@ -324,7 +324,7 @@ def _worse_together(summary: Mapping[str, Any], baseline: Baseline) -> list[str]
 
 
 def _other_logs(summary: Mapping[str, Any], baseline: Baseline) -> str | None:
-    """Return a line where the two summaries are over different logs: the drives may then be the reason."""
+    """Return a line if the two summaries are of different logs: then the drives may be the reason."""
     before, now = _contents(baseline.values), _contents(summary)
     missing = [name for content, name in before.items() if content not in now]
     new = [name for content, name in now.items() if content not in before]
@@ -336,7 +336,7 @@ def _other_logs(summary: Mapping[str, Any], baseline: Baseline) -> str | None:
 
 
 def _contents(summary: Mapping[str, Any]) -> dict[str, str]:
-    """Return the name of each log with a result by its content."""
+    """Return the name of each log with a result, by the identity of its content."""
     logs = summary["logs"].items()
     return {str(v.get("identity") or v.get("sha256")): n for n, v in logs if v.get("state", "done") == "done"}
 

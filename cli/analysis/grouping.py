@@ -29,7 +29,7 @@ MAX_LIST_BYTES = 64 * 1024 * 1024  # of a list of logs: half a million paths
 
 
 def expanded(words: Sequence[str], each: Sequence[str] = ()) -> list[str]:
-    """Return one word per log or part of a log: @FILE names those in its lines, a pattern all files that fit it.
+    """Return one word per log or part of a log: @FILE stands for its lines, a pattern for all matching files.
 
     Of the folders in `each` every log below is named; a rosbag2 folder is one. Raises UsageError for a pattern
     that nothing fits and for a folder without logs, LocfuseError for a list that cannot be read.
@@ -57,7 +57,7 @@ def _expanded(word: str) -> list[str]:
 
 
 def _fitting(pattern: Url) -> list[str]:
-    """Return the objects that fit a pattern: ** is any number of folders, * and ? stay within one."""
+    """Return the objects that match a pattern: ** is any number of folders, * and ? stay within one."""
     from locfuse.formats.container.remote_objects import below
 
     fixed = re.split(r"[*?\[]", pattern.key)[0].rpartition("/")[0]
@@ -90,7 +90,7 @@ def _objects(folder: Url) -> Iterator[str]:
 
 
 def _lines(file: Path) -> list[str]:
-    """Return the lines of a list that name something; # begins a comment line."""
+    """Return the lines of a list without empty lines; # begins a comment line."""
     try:
         lines = read_small(file, MAX_LIST_BYTES).decode().splitlines()
     except UnicodeDecodeError:
@@ -104,7 +104,7 @@ def _lines(file: Path) -> list[str]:
 
 
 def _below(folder: Path) -> Iterator[str]:
-    """Yield every log below a folder in the order of paths; results of locfuse are none."""
+    """Yield every log below a folder in the order of paths, without results of locfuse."""
     for here, folders, names in os.walk(folder):
         folders.sort()
         if set(RESULTS) & set(names):  # what it exported lies there, and a folder for each log
@@ -120,7 +120,7 @@ def _below(folder: Path) -> Iterator[str]:
 
 
 def result_file(word: str) -> Path | None:
-    """Return the report of a finished result that a word names (its folder or the file itself), else None."""
+    """Return the report of a finished result at a path (its folder or the file itself), else None."""
     if is_url(word):
         return None
     path = Path(word)
@@ -130,7 +130,7 @@ def result_file(word: str) -> Path | None:
 
 
 def results_of(words: Sequence[str]) -> list[Path] | None:
-    """Return the reports where every word names a finished result, None where none does.
+    """Return the reports if every word is the path of a finished result, else None.
 
     A single word is never a comparison of results. Raises UsageError for logs and results mixed.
     """
@@ -145,7 +145,7 @@ def results_of(words: Sequence[str]) -> list[Path] | None:
 
 
 def logs_of(words: Sequence[str]) -> list[list[str]]:
-    """Return the logs that the words name, each as its parts: NAME_0.mcap, NAME_1.mcap of one folder are one log.
+    """Return the logs of the command line, each as its parts: NAME_0.mcap, NAME_1.mcap of one folder are one log.
 
     Parts follow each other in time; recordings that overlap are logs of their own, whatever their names. What is
     named twice counts once: two logs of one drive would be sure of everything.
@@ -159,7 +159,7 @@ def logs_of(words: Sequence[str]) -> list[list[str]]:
 
 
 def named(logs: Sequence[Sequence[str]]) -> dict[str, Sequence[str]]:
-    """Return the logs by a name for the folder of each; of equal names the later ones are numbered."""
+    """Return the logs by a name for the folder of each; repeated names are numbered."""
     found: dict[str, Sequence[str]] = {}
     numbers: dict[str, int] = {}
     for parts in logs:
@@ -184,7 +184,7 @@ def _folder(word: str) -> Place:
 
 
 def _once(words: Sequence[str]) -> list[str]:
-    """Leave out other paths to the same file, and a metadata.yaml beside files of its folder: `bag/*` names it."""
+    """Leave out repeated paths of a file, and a metadata.yaml beside files of its folder, as with `bag/*`."""
     first: dict[object, str] = {}
     for word in words:
         here = not is_url(word) and Path(word).exists()

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from locfuse.formats.caps import MAX_WALLS, names_its_cap
 from locfuse.fusion.data import LocfuseError, MapLine, Ragged, UsageError
-from locfuse.fusion.map.given_grid import Grid
+from locfuse.fusion.map.given_walls import Grid
 from locfuse.fusion.robot import Robot
 
 from .load import Loaded, start_notes
@@ -27,7 +27,7 @@ ORIGIN = tuple(f"info.origin.{part}" for part in ("position.x", "position.y", "o
 
 
 def give(loaded: Loaded, file: Path) -> Loaded:
-    """Return the log with a robot that localises in the map of a file: lines as JSON, or the .yaml of an image.
+    """Return the log with a robot that localises in a map file: lines as JSON, or the .yaml of an image.
 
     Raises LocfuseError for a bad file and where the map is of another building, UsageError for the printed filter:
     its map is the first scan's.
@@ -44,7 +44,7 @@ def give(loaded: Loaded, file: Path) -> Loaded:
 
 
 def give_topic(loaded: Loaded) -> Loaded:
-    """Return the log with a robot that localises in the map of `[lrf] map_topic`, where that is set.
+    """Return the log with a robot that localises in the map of `[lrf] map_topic`, if that is set.
 
     Raises LocfuseError where the topic is missing, holds no map, or one of another building.
     """
@@ -115,7 +115,7 @@ def _begun(loaded: Loaded, grid: Grid, name: str) -> Loaded:
 
 
 def _within(robot: Robot, lines: list[MapLine], name: str) -> Robot:
-    """Return the robot in a map. Raises LocfuseError where its walls are more than a filter can hold."""
+    """Return the robot with a map. Raises LocfuseError if it has too many walls for a filter."""
     if len(lines) > MAX_WALLS:
         many = names_its_cap(name, len(lines), MAX_WALLS, "walls")
         raise LocfuseError(f"{many}; keep only the part that the drive is in", role="map")

@@ -1,4 +1,4 @@
-"""Mounts: where /tf_static (or /tf) puts the sensors on the base, as tables of robot.toml, and how it tilts."""
+"""Mounts: sensors on the base by /tf_static (or /tf), as tables of robot.toml, with tilt."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ ROOM_FRAMES = ("map", "world", "earth", "utm")  # last word of frames that are f
 
 
 def transforms_of(log: Log, frames: Iterable[str]) -> StaticTransforms:
-    """Return the transforms of /tf_static, and where they do not place all frames those of /tf that never change.
+    """Return the transforms of /tf_static; if frames are missing, with those of /tf that never change.
 
     ROS 1 publishes mounts on /tf. Reading it takes time, so it is asked only where something is missing. It also
     says which frame is the body where that is not called like one: the frame that moves in a frame odom, else in a
@@ -52,28 +52,28 @@ def _bodies(log: Log) -> list[str]:
 
 
 def is_base(frame: str) -> bool:
-    """Return whether a frame is called like a robot's body, with or without the robot's name before it."""
+    """Return whether a frame has a body's name, with or without the robot's name before it."""
     return last_word(frame) in BASE_FRAMES
 
 
 def is_odometry(frame: str) -> bool:
-    """Return whether a frame is called like one in which an odometry gives its poses: odom, odom_combined."""
+    """Return whether a frame has the name of an odometry's frame: odom, odom_combined."""
     word = last_word(frame)
     return word.startswith(ODOMETRY_WORD) or word.endswith(ODOMETRY_WORD)
 
 
 def is_room(frame: str) -> bool:
-    """Return whether a frame is called like one that is fixed in the room."""
+    """Return whether a frame has the name of one that is fixed in the room."""
     return last_word(frame) in ROOM_FRAMES
 
 
 def last_word(frame: str) -> str:
-    """Return what a frame is called without its robot's name: "/robot1/base_link" is base_link."""
+    """Return a frame's name without its robot's name: "/robot1/base_link" is base_link."""
     return frame.rpartition("/")[2].lower()
 
 
 def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[Stream]]) -> dict[str, Any]:
-    """Return the mounts that /tf_static knows of sensors (name -> its topics' streams), for the keys they have."""
+    """Return the sensors' mounts by /tf_static (name -> its topics' streams), for the keys they have."""
     tables: dict[str, Any] = {}
     for sensor, parts in streams.items():
         keys = set(REGISTRY[sensor].Settings.__struct_fields__)
@@ -95,7 +95,7 @@ def _placed(mount: Mount, looks: Mapping[str, Any]) -> list[float]:
 
 
 def _looks(mount: Mount) -> dict[str, Any]:
-    """Return where an optical frame (REP 103: z ahead) looks; nothing of a frame whose z axis is up."""
+    """Return the view direction of an optical frame (REP 103: z ahead); none for a frame whose z axis is up."""
     ahead = rotation(*(math.degrees(angle) for angle in (mount.roll, mount.pitch, mount.yaw)))[:, 2]
     if abs(ahead[2]) > MAX_TILT:
         return {}
@@ -108,7 +108,7 @@ def _looks(mount: Mount) -> dict[str, Any]:
 def on_moving_parts(
     transforms: StaticTransforms, streams: Mapping[str, Sequence[Stream]], tables: Mapping[str, Any]
 ) -> dict[str, str]:
-    """Return the sensors whose place on the base changes, in words, except those whose place is set."""
+    """Return the sensors whose mount on the base changes, in words, except those with a configured mount."""
     found = {}
     for sensor, parts in streams.items():
         keys = {"x", "y", "yaw_deg"} & set(REGISTRY[sensor].Settings.__struct_fields__)
@@ -122,7 +122,7 @@ def on_moving_parts(
 
 
 def optics_tables(log: Log, streams: Mapping[str, Sequence[Stream]], tables: Mapping[str, Any]) -> dict[str, Any]:
-    """Return focal length and middle of the picture [px] by the log's CameraInfo, of sensors that ask for them.
+    """Return focal length and middle of the picture [px] by the log's CameraInfo, for sensors with these keys.
 
     The CameraInfo is the one of the sensor's frame, else the only one.
     """
@@ -152,7 +152,7 @@ def _optics(log: Log, infos: Sequence[str], frame: str) -> tuple[float, float]:
 
 
 def shared_turns(tables: Mapping[str, Any], streams: Mapping[str, Sequence[Stream]]) -> dict[str, Any]:
-    """Return roll and pitch that are given for one sensor and hold for another of the same topic or frame.
+    """Return roll and pitch that are configured for one sensor and apply to another of the same topic or frame.
 
     An IMU is compass and gyro: it is bolted to the robot once.
     """
@@ -169,12 +169,12 @@ def shared_turns(tables: Mapping[str, Any], streams: Mapping[str, Sequence[Strea
 
 
 def mount_of(transforms: StaticTransforms, frame: str) -> Mount | None:
-    """Return where a frame sits on the base, None where that is not known."""
+    """Return a frame's mount on the base, None if it is not known."""
     return planar_mount(transforms, _bases_in(transforms), frame) if frame else None
 
 
 def moved_by(transforms: StaticTransforms, frame: str) -> str:
-    """Return what moves between the body and a frame, such as "pan_link in base_link"; "" where nothing does."""
+    """Return the moving joint between body and frame, such as "pan_link in base_link"; "" without one."""
     if not frame or mount_of(transforms, frame) is not None:
         return ""
     parent = {edge.child: edge.parent for edge in (*transforms.edges, *transforms.moving)}
@@ -187,7 +187,7 @@ def moved_by(transforms: StaticTransforms, frame: str) -> str:
 
 
 def _bases_in(transforms: StaticTransforms) -> list[str]:
-    """Return the frames that may be the body: by its name, with a robot's name before it, by its motion."""
+    """Return the frames that may be the body: by name, with a robot's name before it, by motion."""
     frames = dict.fromkeys(name for edge in transforms.edges for name in (edge.parent, edge.child))
     named = [frame for base in BASE_FRAMES for frame in frames if last_word(frame) == base]
     return [*BASE_FRAMES, *named, *transforms.bases]
@@ -207,7 +207,7 @@ def _table(mount: Mount) -> dict[str, Any]:
 def level_compass(
     log: Log, streams: Mapping[str, Any], robot: Robot, transforms: StaticTransforms
 ) -> dict[str, Any]:
-    """Return the streams, a magnetometer's with the tilt of the robot where an IMU measured one.
+    """Return the streams, a magnetometer's with the robot's tilt if an IMU measured it.
 
     The IMU is the one of its frame, or the only one.
     """
@@ -220,7 +220,7 @@ def level_compass(
 
 
 def _imu(log: Log, robot: Robot, field: Stream) -> Stream | None:
-    """Return the IMU of the magnetometer's frame, else the only one; None where that is not clear."""
+    """Return the IMU in the magnetometer's frame, else the only one; None if that is ambiguous."""
     topics = [t for t in of_type(log, (IMU,)) if log.topics[t].count]
     try:
         found = [log.stream(t, robot.order) for t in topics]

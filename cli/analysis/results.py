@@ -43,7 +43,7 @@ def robot_file(robot: Robot) -> str:
 
 
 def changed_settings(loaded: Loaded) -> dict[str, dict[str, Any]]:
-    """Return the settings that are not as they are by default: "lrf.x" -> value, unit, and who set it.
+    """Return the settings that differ from their defaults: "lrf.x" -> value, unit, and source.
 
     Those of sensors that the log lacks are left out. Found in the log are mounts (/tf_static) and the like.
     """
@@ -58,7 +58,7 @@ def changed_settings(loaded: Loaded) -> dict[str, dict[str, Any]]:
 
 
 def repeat(loaded: Loaded, asked: Asked) -> str:
-    """Return the command that gives this result again, from the folder of results with the log beside it.
+    """Return the command that reproduces this result from the folder of results, with the log beside it.
 
     All settings are in the folder's robot.toml. It holds no date, no path and no -o: equal for equal results,
     whether they were asked for on the command line or in Python.
@@ -76,7 +76,7 @@ def repeat(loaded: Loaded, asked: Asked) -> str:
 
 
 def log_words(log: Log) -> list[str]:
-    """Return how a command names a log that lies in the folder where it is run; a sample log by its name."""
+    """Return the log's name in a command run in its folder; a sample log by its own name."""
     if log.name in sample_logs.names() and log.paths[0] == sample_logs.path(log.name):
         return [log.name]
     names = [path.name for path in log.paths]
@@ -92,7 +92,7 @@ def build(loaded: Loaded, evaluations: Sequence[Evaluation]) -> dict[str, Any]:
 
 
 def source(loaded: Loaded) -> dict[str, Any]:
-    """Return what the input was: names, hash, topics by role, counts, what was lost."""
+    """Return the description of the input: names, hash, topics by role, counts, losses."""
     log = loaded.log
     return {
         "name": log.name,
@@ -110,7 +110,7 @@ def source(loaded: Loaded) -> dict[str, Any]:
 
 
 def _refusals(loaded: Loaded) -> dict[str, dict[str, int]]:
-    """Return how many readings of each stream were refused, of how many; streams without any are left out."""
+    """Return how many readings of each stream were not used, of how many; streams without any are left out."""
     found = {
         stream: {
             "readings": _refused(reasons),
@@ -122,7 +122,7 @@ def _refusals(loaded: Loaded) -> dict[str, dict[str, int]]:
 
 
 def _date(epoch_ns: int) -> str | None:
-    """Return the time of the first wheel reading in UTC, by the log's own clock; None where it is no date."""
+    """Return the time of the first wheel reading in UTC, by the log's own clock; None if it is no valid date."""
     try:
         return datetime.fromtimestamp(epoch_ns // 1_000_000_000, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     except (ValueError, OverflowError, OSError):
@@ -130,17 +130,17 @@ def _date(epoch_ns: int) -> str | None:
 
 
 def default_folder(name: str) -> Path:
-    """Return the folder of results where no other is given."""
+    """Return the default folder of results."""
     return Path("locfuse-out") / name
 
 
 def loss_lines(loaded: Loaded, used: Sequence[str], strict: bool) -> list[str]:
-    """Return in words what was lost: bytes of the file, or too large a share of a used stream's readings."""
+    """Return losses in words: bytes of the file, or too large a share of a used stream's readings."""
     return [*loaded.log.losses.lines(), *_refused_lines(_refusals(loaded), loaded.drive.dropped, used, strict)]
 
 
 def lost_in(report: Mapping[str, Any], strict: bool) -> list[str]:
-    """Return in words what was lost by a finished report, as `loss_lines` does for a log."""
+    """Return losses of a finished report in words, as `loss_lines` for a log."""
     source = report["input"]
     bytes_lost = [f"{reason} ({lost['bytes']} bytes)" for reason, lost in source.get("losses", {}).items()]
     used = sorted({s for values in report["configurations"].values() for s in values["sensors"]})

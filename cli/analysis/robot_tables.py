@@ -1,4 +1,4 @@
-"""Settings: robot.toml as merged from the preset, the log's own, --robot and --set, and as typed values."""
+"""Settings: robot.toml merged from the preset, the log, --robot and --set, also as typed values."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def merged_tables(log: Log, how: LogOptions) -> dict[str, Any]:
 
 
 def given_layers(how: LogOptions, more: Sequence[str] = ()) -> dict[str, dict[str, Any]]:
-    """Return the tables of --robot and of --set, which win over the former; `more` are further words of --set.
+    """Return the tables of --robot and of --set, of which the latter win; `more` are further words of --set.
 
     Raises LocfuseError for settings that fit no log at all.
     """
@@ -49,7 +49,7 @@ def given_layers(how: LogOptions, more: Sequence[str] = ()) -> dict[str, dict[st
 
 
 def given_tables(how: LogOptions, more: Sequence[str] = ()) -> dict[str, Any]:
-    """Return what the user gives of the settings, without what the log carries: what a result's key depends on.
+    """Return the settings given by the user, without the log's own: a result's key depends on them.
 
     The content of files that they name is among them, as a hash.
     """
@@ -67,7 +67,7 @@ def _layers(log: Log, how: LogOptions) -> dict[str, dict[str, Any]]:
 
 
 def _of_log(log: Log, tables: dict[str, Any], above: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
-    """Return the log's own tables, the files that they name in the log's folder.
+    """Return the log's own tables, with file names relative to the log's folder.
 
     The log may be a stranger's: it names no other file of the reader. Raises LocfuseError where it does, unless
     a layer above sets the same key.
@@ -112,7 +112,7 @@ def flat(tables: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def set_tables(words: Sequence[str]) -> dict[str, Any]:
-    """Return the words of --set as tables. Raises UsageError for a key or value that fits nothing."""
+    """Return the words of --set as tables. Raises UsageError for an unknown key or an invalid value."""
     try:
         sets = robot_toml.apply_sets(words)
         make_robot(sets)
@@ -122,13 +122,13 @@ def set_tables(words: Sequence[str]) -> dict[str, Any]:
 
 
 def named_by_hand(sets: Sequence[str]) -> set[str]:
-    """Return the tables whose topic the command line names."""
+    """Return the tables whose topic is given on the command line."""
     tables = robot_toml.apply_sets(sets).items()
     return {table for table, keys in tables if isinstance(keys, dict) and ("topic" in keys or "topics" in keys)}
 
 
 def _checked(data: bytes, source: str) -> dict[str, Any]:
-    """Parse one robot.toml and check its keys while its name is known."""
+    """Parse one robot.toml and check its keys, so that errors have its name."""
     tables = robot_toml.parse(data, source)
     try:
         make_robot(tables)
@@ -143,7 +143,7 @@ def table_types() -> dict[str, type[msgspec.Struct]]:
 
 
 def make_robot(tables: Mapping[str, Any]) -> Robot:
-    """Turn tables into typed settings; an unknown key is an error that names the nearest."""
+    """Convert tables to typed settings; an unknown key is an error with the most similar name."""
     tables = dict(tables)
     order = tables.pop("order", "auto")
     if order not in ORDERS:
@@ -167,7 +167,7 @@ def make_robot(tables: Mapping[str, Any]) -> Robot:
 
 
 def with_point_maps(robot: Robot) -> Robot:
-    """Return the robot with the maps of points (landmarks, anchors) read from the files that the settings name."""
+    """Return the robot with the maps of points (landmarks, anchors) read from the settings' files."""
     read = {}
     for name, settings in robot.sensors.items():
         if not isinstance(settings, PointsSettings) or not isinstance(settings.map, str) or settings.grows:

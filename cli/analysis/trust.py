@@ -17,7 +17,7 @@ from locfuse.fusion.robot import Robot
 
 
 def evidence(drive: Drive, estimates: Estimates, robot: Robot) -> list[Run]:
-    """Return the evidence of a run about its sensors' noise; nothing where it is smoothed or has no noise to set.
+    """Return a run's evidence on its sensors' noise; empty if it is smoothed or has no noise setting.
 
     The noise of the paper's filter is fixed by the paper, whatever is set in robot.toml.
     """
@@ -39,7 +39,7 @@ def overconfident(by_truth: Mapping[str, Honesty | None]) -> set[str]:
 def add_consistency(
     report: dict[str, Any], runs: Sequence[Run], evaluations: Sequence[Evaluation], robot: Robot
 ) -> None:
-    """Add `consistency` to every sensor of every configuration, to those with truth, and for all of them."""
+    """Add `consistency` to every sensor of every configuration, to configurations with truth, and to the whole."""
     rows = report["configurations"]
     by_truth = {judged.name: honesty(judged) for judged in evaluations}
     for name, honest in by_truth.items():
@@ -59,7 +59,7 @@ def add_consistency(
 
 
 def unless_overconfident(sensor: str, found: Consistency, using: Sequence[Honesty | None]) -> Consistency:
-    """Take back the advice to trust a sensor more where by truth every run with it is overconfident.
+    """Withdraw the advice to trust a sensor more if by truth every run with it is overconfident.
 
     Its readings repeat well and are wrong together: a mount, a scale or a clock, which no noise figure fixes.
     """
@@ -84,13 +84,13 @@ TOO_SMALL = {"understated", "correlated"}  # verdicts on a sigma
 
 
 def noise_factors(runs: Sequence[Run], robot: Robot) -> dict[str, float]:
-    """Return by how much the sigma of each sensor is too small, as its residuals show: 1 where it is not."""
+    """Return the factor by which each sensor's sigma is too small by its residuals, at least 1."""
     found = {s: c for sensors in sensors_consistency(runs, robot, {}).values() for s, c in sensors.items()}
     return {s: max(1.0, c.scale) for s, c in found.items() if c.verdict in TOO_SMALL and c.scale is not None}
 
 
 def reference_values(whole: Reference, quarrels: Sequence[tuple[str, str]], base: str) -> dict[str, Any]:
-    """Return the reference of all sensors and the motion `base` as plain values, with what it is in words."""
+    """Return the reference of all sensors and of the motion `base` as plain values, with a name in words."""
     sensors = "".join(f", {s}" for s in whole.sensors[:-1]) + f" and {whole.sensors[-1]}"
     words = REFERENCE.format(base=base, sensors=sensors, sigma=length(whole.sigma))
     words += "".join(f" {s} contradicts all others and is left out." for s in whole.left_out)
@@ -105,7 +105,7 @@ def reference_values(whole: Reference, quarrels: Sequence[tuple[str, str]], base
 
 
 def judge_values(reference: Reference, whole: Reference, used: Collection[str]) -> dict[str, Any]:
-    """Return what judged a result that used these sensors; `shared` are those that are in both."""
+    """Return the reference that judged a result with these sensors; `shared` are the sensors in both."""
     return {
         "sensors": list(reference.sensors),
         "left_out": list(reference.left_out),

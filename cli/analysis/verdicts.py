@@ -1,4 +1,4 @@
-"""Verdicts in words, and the numbers behind them as plain values for report.json."""
+"""Verdicts in words, with their numbers as plain values for report.json."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MIN_HARM_RATIO = 1.25  # of position errors with and without a sensor: less is n
 
 
 class ByReference(NamedTuple):
-    """What a reference that a sensor has no part in says of it."""
+    """The verdict of a reference without the sensor."""
 
     before: float  # m, error without it
     after: float  # m, error with it
@@ -41,7 +41,7 @@ def verdicts(
     over: str = "drives",
     base: str = ODOMETRY,
 ) -> dict[str, dict[str, Any]]:
-    """Return for every sensor its verdict and why in words; the credit is `over` drives or robots.
+    """Return for every sensor its verdict and the reason in words; the credit is `over` drives or robots.
 
     `base` is the configuration without a sensor, with which they are compared.
     """
@@ -54,7 +54,7 @@ def verdicts(
 
 
 def credit_values(credit: Credit) -> dict[str, Any]:
-    """Return the credit as plain values; effects are factors by which the position error shrinks."""
+    """Return the credit as plain values; effects are factors on the position error."""
     return {
         "figure": "position_rmse_m",
         "complete": credit.complete,
@@ -112,7 +112,7 @@ def _credit_words(c: SensorCredit, credit: Credit, over: str, base: str) -> str:
 
 
 def _main_words(c: SensorCredit, main: Effect, several: bool, few: str, base: str) -> str:
-    """Return the effect in figures, its interval, and what would settle it."""
+    """Return the effect in numbers, its interval, and what would make it certain."""
     if c.credit is not None and several:
         how = "On average over all sensor combinations"
     elif c.beside:
@@ -132,12 +132,12 @@ def _main_words(c: SensorCredit, main: Effect, several: bool, few: str, base: st
 
 
 def _judged_by_last(c: SensorCredit, main: Effect) -> bool:
-    """Return whether a sensor is said to hurt because the others are better off without it."""
+    """Return whether a sensor counts as harmful because the others are better without it."""
     return c.verdict == "hurts" and main is not c.last and main.high >= 0.0
 
 
 def _few(samples: int, over: str) -> str:
-    """Return that an effect whose interval includes none is not proven, and what would settle it."""
+    """Return that an effect whose interval includes none is not proven, and what would make it certain."""
     by = "this drive" if samples == 1 else f"{samples} {over}"
     return f"Not proven by {by}. Record more."
 
@@ -152,7 +152,7 @@ def _last_words(last: Effect) -> str:
 
 
 def times(ln: float) -> str:
-    """Return by how much an error shrinks: "2.3x better"; or grows: "1.2x worse"."""
+    """Return a factor on an error in words: "2.3x better", or "1.2x worse"."""
     return f"{short(math.exp(abs(ln)))}x {'better' if ln >= 0 else 'worse'}"
 
 
@@ -169,12 +169,12 @@ def interval(effect: Effect) -> str:
 
 
 def short(value: float) -> str:
-    """Return a factor with as many digits as mean anything."""
+    """Return a factor with its significant digits."""
     return f"{value:.0f}" if value >= 10 else f"{value:.1f}" if value >= 1.5 else f"{value:.2f}"
 
 
 def prediction_values(found: Sequence[Score], names: Sequence[str], base: str = ODOMETRY) -> dict[str, Any]:
-    """Return ranking and scores as plain values, with how far to trust them."""
+    """Return ranking and scores as plain values, with their uncertainty."""
     ranked = ranking(found, names)
     stretches = any(r.stretches and r.gain is not None for r in ranked)
     return {
@@ -272,7 +272,7 @@ def by_reference(
     found: ByReference | None,
     quarrel: tuple[str, str] | None,
 ) -> dict[str, Any]:
-    """Return a sensor's verdict without truth: by a reference without it if that can judge, else its `own`."""
+    """Return a sensor's verdict without truth: by a reference without it if there is one, else its `own`."""
     own = own or {"verdict": "no verdict", "words": ""}
     if reference is None:
         words = "Without it nothing in this log says where the robot is, so no reference can judge it."
@@ -302,7 +302,7 @@ def _grade(mine: Sequence[Score], gain: float) -> str:
 
 
 def _by_itself(score: Score, base: str) -> dict[str, Any]:
-    """Judge the only sensor of a log by its own readings: that can show a fault, never that it is right."""
+    """Judge the only sensor of a log by its own readings: they can show a fault, but not that it is right."""
     if score.high < 0.0:
         words = (
             f"Self-check failed: it predicts its readings worse than {base} ({score.gain:+.2f}; 0.1 is much). "

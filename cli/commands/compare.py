@@ -145,7 +145,7 @@ def changes(files: Sequence[Path], outputs: Outputs) -> int:
 
 
 def _refuse_what_needs_a_log() -> None:
-    """Raise UsageError for an option that finished results cannot follow: a gate is never skipped silently."""
+    """Raise UsageError for an option that finished results do not support: a gate is never skipped silently."""
     from locfuse.fusion.data import UsageError
 
     context = click.get_current_context()

@@ -103,7 +103,7 @@ def many(words: Sequence[str], options: o.Options) -> int:
 
 
 def _every(options: o.Options, folder: Path) -> Job:
-    """Return the job of every log, without the log. Raises UsageError for what only one drive can give."""
+    """Return the job of every log, without the log. Raises UsageError for options that need a single drive."""
     from locfuse.cli.fleet.job import Job
     from locfuse.cli.session.summary import of_each
 
@@ -126,7 +126,7 @@ def _every(options: o.Options, folder: Path) -> Job:
 
 
 def _mark(folder: Path, todo: FleetPlan) -> None:
-    """Mark the folder as one of results, for a run that is killed before it has a summary."""
+    """Mark the folder as results, in case the run is killed before it has a summary."""
     from locfuse.formats.report import json_report
     from locfuse.formats.whole_files import UNFINISHED, write_results
 
@@ -167,7 +167,7 @@ def _say_failed(outcome: JobOutcome) -> None:
 
 
 def _refuse_misuse(found: FleetRows, ended: Ended, todo: FleetPlan) -> None:
-    """Raise UsageError where every log failed by what was asked for, as a single log would."""
+    """Raise UsageError if every log failed by the same wrong option, as a single log would."""
     outcomes = [*ended.outcomes.values(), *todo.refused.values()]
     if outcomes and len(outcomes) == len(found.entries) and all(o.misused for o in outcomes):
         raise UsageError(outcomes[0].reason)
@@ -196,14 +196,14 @@ def _print(summary: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> 
 
 
 def _say_recordings(ended: Ended, recording: Recording | None) -> None:
-    """Print what could not be recorded, and how to open all recordings."""
+    """Print which recordings failed, and how to open all recordings."""
     _say_some([line for outcome in ended.outcomes.values() for line in outcome.warnings], "warnings")
     if recording is not None and any(Path(recording.folder).glob("*.rrd")):
         show.say(f"all drives in one viewer: {catalog(Path(recording.folder))}")
 
 
 def _code(found: FleetRows, failed_gates: Sequence[str], ended: Ended) -> int:
-    """Print what is void, what was lost and which gates failed, and return the exit code."""
+    """Print void figures, losses and failed gates, and return the exit code."""
     from locfuse.cli.analysis.errors import EXIT_LOSS
     from locfuse.cli.analysis.gates import EXIT_GATE_FAILED
 

@@ -83,7 +83,7 @@ def info(log: tuple[str, ...], options: o.Options, check: bool, topics: bool, pr
 
 
 def _list_topics(words: tuple[str, ...], as_json: bool, quiet: bool) -> int:
-    """Print the topics that a log lists: of one that is elsewhere only the summary is read."""
+    """Print the topics in a log's summary: of a remote log only the summary is read."""
     from locfuse.cli.analysis.load import find_log
     from locfuse.cli.inspect import values
     from locfuse.cli.terminal import info_text, show
@@ -117,7 +117,7 @@ def _preview(overview: Overview, folder: Path) -> list[str]:
 
 
 def _topic_of_pictures(overview: Overview) -> str:
-    """Return the camera's topic: without a landmark it is not chosen, and its pictures help to find one."""
+    """Return the camera's topic: without a landmark it is not chosen, but its pictures help to find one."""
     from locfuse.cli.inspect.inspect_log import pictures_of
     from locfuse.fusion.data import LocfuseError
 

@@ -95,7 +95,7 @@ def init(log: tuple[str, ...], options: o.Options, update: Path | None, ekf: Pat
 
 
 def _translated(places: Sequence[Place], ekf: Path | None) -> tuple[dict[str, dict[str, Any]], tuple[str, ...]]:
-    """Return the tables that an ekf.yaml gives for a log, by the file's name, and what does not map."""
+    """Return the tables of an ekf.yaml for a log, by the file's name, and its parts without counterpart."""
     if ekf is None:
         return {}, ()
     from locfuse.formats.logs.log import open_log
@@ -106,7 +106,7 @@ def _translated(places: Sequence[Place], ekf: Path | None) -> tuple[dict[str, di
 
 
 def _asked(made: Draft) -> tuple[str, ...]:
-    """Return the missing values that the person at the terminal knows, as "table.key=value".
+    """Return the missing values that the user types at the terminal, as "table.key=value".
 
     Nothing is asked where stdin or stderr is a file or a pipe: scripts and CI run as before.
     """
@@ -140,14 +140,14 @@ def _answer(key: str, words: str) -> str:
 
 
 def _fresh(made: Draft, words: str, name: str) -> str:
-    """Return a whole robot.toml; its first line names the schema, where editors look for it."""
+    """Return a whole robot.toml; its first line is the schema for editors."""
     from locfuse.formats.robot.commented_toml import render
 
     return f"#:schema ./{SCHEMA}\n{render(_head(made, words, name), made.sections, _foot(made))}"
 
 
 def _updated(made: Draft, file: Path) -> str:
-    """Return the text of a robot.toml with the keys that the log shows and it lacks."""
+    """Return the text of a robot.toml with the keys added that it lacks and the log shows."""
     from locfuse.formats.robot import commented_toml, robot_toml
 
     text = commented_toml.text_of(file)
@@ -173,7 +173,7 @@ def _head(made: Draft, words: str, name: str) -> str:
 
 
 def _foot(made: Draft) -> str:
-    """Return which sensors the log lacks, and why where that is not plain."""
+    """Return which sensors the log lacks, with the reason if it is not obvious."""
     written = {section.name for section in made.sections if section.lines}
     absent = {name: why for name, why in made.overview.choice.absent.items() if name not in written - {"wheels"}}
     plain = [name for name in absent if name in made.overview.choice.foreign]

@@ -118,7 +118,7 @@ def _every(value: str | None) -> int | None:
 
 
 def _address(value: str | None) -> str | None:
-    """Return a viewer's address as it is. Raises click.BadParameter for what cannot be one."""
+    """Return a viewer's address unchanged. Raises click.BadParameter for an invalid one."""
     from locfuse.cli.rerun.viewer import ADDRESS, LOCAL_VIEWER
 
     if value is not None and ADDRESS.fullmatch(value) is None:
@@ -127,7 +127,7 @@ def _address(value: str | None) -> str | None:
 
 
 def ready(what: Sequence[str]) -> Path | None:
-    """Return the recording that was named, or that lies fresh in the results' folder; None where one must be made.
+    """Return the named recording, or an up-to-date one in the results' folder; None if one must be made.
 
     Raises LocfuseError for a recording that was cut short.
     """
@@ -150,7 +150,7 @@ def ready(what: Sequence[str]) -> Path | None:
 def _scene(
     what: Sequence[str], options: o.Options, images: int | None, full: bool, progress: Progress
 ) -> RerunScene:
-    """Return what is shown of a folder of results, or of a log that is measured and fused now."""
+    """Return the scene of a folder of results, or of a log that is measured and fused now."""
     from locfuse.cli.rerun.folder import report_of, scene_of
     from locfuse.cli.rerun.scene import scene_of_result
     from locfuse.cli.session.session import opened

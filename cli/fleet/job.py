@@ -1,4 +1,4 @@
-"""A job: one log, what is asked of it, and how it ended. Plain values, so that another machine can run it.
+"""A job: one log, its options, and its outcome. Plain values, so that another machine can run it.
 
 Results that a job would only repeat are left as they are. They are there when every report.json has the key that
 this run would give it, all its files lie beside it, and no file of the log was changed after it was written.
@@ -76,7 +76,7 @@ OF_KIND = {kind: f"report.{kind}" for kind in OF_COMPARISON if kind != "tum"}
 
 
 def is_finished(job: Job) -> bool:
-    """Return whether a job's results are there. Raises LocfuseError where its log or settings cannot be read."""
+    """Return whether a job's results are complete. Raises LocfuseError if its log or settings cannot be read."""
     if job.again or job.outputs.export or job.outputs.figures is not None:  # exports are not looked for
         return False
     if not all((job.place(cell) / REPORT).is_file() for cell in job.cells):
@@ -105,14 +105,14 @@ def _is_there(job: Job, cell: SweepCell, changed_ns: int, expected: str) -> bool
 
 
 def _is_recorded(job: Job, cell: SweepCell) -> bool:
-    """Return whether the recording of a result is there, and not older than the result."""
+    """Return whether a result's recording exists and is not older than the result."""
     assert job.recording is not None
     file, report = job.recording.file(job.recording_of(cell)), job.place(cell) / REPORT
     return file.is_file() and file.stat().st_mtime_ns >= report.stat().st_mtime_ns
 
 
 def is_replaceable(folder: Path) -> bool:
-    """Return whether a folder holds nothing but files of a result, or the cells of a sweep with theirs.
+    """Return whether a folder holds only files of a result, or only a sweep's cells with theirs.
 
     Such a folder has no report of its own where its writing was ended by force, or where a sweep wrote it.
     """
@@ -126,7 +126,7 @@ def is_replaceable(folder: Path) -> bool:
 
 
 def read_report(folder: Path) -> dict[str, Any] | None:
-    """Return the report of a folder, None where there is none or it is not a whole one."""
+    """Return the report of a folder, None if it is missing or incomplete."""
     try:
         report = json.loads(read_small(folder / REPORT, MAX_REPORT))
         return report if isinstance(report["configurations"], dict) and isinstance(report["input"], dict) else None

@@ -1,4 +1,4 @@
-"""From the words of a command line to the jobs of a fleet, and from the folders of jobs to rows."""
+"""From a command line to the jobs of a fleet, and from the jobs' folders to rows."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ REPORT_IS_GONE = "its report.json is gone or cannot be read; run it again with -
 
 
 class FleetPlan(msgspec.Struct, frozen=True):
-    """Jobs to run, and logs that cannot even be tried; together in the order in which they were named."""
+    """Jobs to run, and logs that cannot be opened; all in the order of the command line."""
 
     robots: dict[str, str | None]  # of each log
     jobs: dict[str, Job]
@@ -34,7 +34,7 @@ class FleetPlan(msgspec.Struct, frozen=True):
 
 
 def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Sequence[str]) -> FleetPlan:
-    """Return the jobs that words name, each as `every` job is, with a folder of its own below that one's.
+    """Return a job for each log in the words, with the options of `every` and a folder of its own.
 
     Raises UsageError for settings, a pattern or a sweep that fit no log at all.
     """
@@ -72,7 +72,7 @@ def _with_robots(job: Job, files: Sequence[Path]) -> Job:
 
 
 def _pattern(text: str | None, files: Sequence[Path]) -> re.Pattern[str] | None:
-    """Return the pattern of --robot-from. Raises UsageError for what is none, or where --robot needs one."""
+    """Return the pattern of --robot-from. Raises UsageError if it is invalid, or missing but needed by --robot."""
     if text is None:
         if unnamed := [file for file in files if ROBOT_PLACEHOLDER in str(file)]:
             raise UsageError(f"--robot {unnamed[0]}: say how a log's path names its robot with --robot-from REGEX")
@@ -89,7 +89,7 @@ def _pattern(text: str | None, files: Sequence[Path]) -> re.Pattern[str] | None:
 
 
 def robot_of(pattern: re.Pattern[str], log: Sequence[str]) -> str | None:
-    """Return the robot of a log by its path, as given or in full; None where the pattern is not in it."""
+    """Return a log's robot by its path, as given or in full; None if the pattern does not match."""
     for path in (log[0], Path(log[0]).resolve().as_posix()):
         if found := pattern.search(path):
             return found["robot"] if "robot" in pattern.groupindex else found[1]
@@ -97,7 +97,7 @@ def robot_of(pattern: re.Pattern[str], log: Sequence[str]) -> str | None:
 
 
 def _file_of(file: Path, robot: str | None) -> Path:
-    """Return a robot.toml with the robot's name in its path. Raises UsageError where there is none."""
+    """Return a robot.toml with the robot's name in its path. Raises UsageError if there is none."""
     if ROBOT_PLACEHOLDER not in str(file):
         return file
     if robot is None or "/" in robot or robot.startswith("."):
@@ -124,7 +124,7 @@ class FleetRows(msgspec.Struct, frozen=True):
 def gather(
     plan: FleetPlan, outcomes: Mapping[str, JobOutcome], stopped: str, gates: FleetGates, strict: bool
 ) -> FleetRows:
-    """Read the report of every job that is done; the reason of the others is what `stopped` them.
+    """Read the report of every finished job; the reason for the others is what `stopped` them.
 
     Results are read from the jobs' folders: the same whether they ran now or long ago.
     """
@@ -141,7 +141,7 @@ def gather(
 
 
 def _entry(job: Job, found: FleetRows, gates: FleetGates, strict: bool) -> Entry:
-    """Return what is kept of one log; its report is let go."""
+    """Return the short form of one log; its full report is freed."""
     reports = {cell.name: read_report(job.place(cell)) for cell in job.cells}
     whole = {cell: report for cell, report in reports.items() if report is not None}
     if len(whole) < len(reports):

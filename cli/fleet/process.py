@@ -1,4 +1,4 @@
-"""One job in a process of its own: whatever happens to it, the fleet gets a row.
+"""One job in its own process: even if it crashes, the fleet gets a row.
 
 The process is `python -m locfuse.cli.fleet.process`: it reads the job on stdin and answers on stdout. It ends when
 its stdin does, so that nothing goes on running for a command that was killed.
@@ -33,7 +33,7 @@ RUNNING: set[subprocess.Popen[bytes]] = set()
 
 
 def run(job: Job, folder: str, version: str) -> JobOutcome:
-    """Run a job in a process: in `folder`, which machines share, by the locfuse of this `version`."""
+    """Run a job in a process: in the shared `folder`, by the locfuse of this `version`."""
     machine = socket.gethostname()
     if (ours := own()) != version:
         return JobOutcome(job.name, "failed", f"worker on {machine}: it has locfuse {ours}, wanted was {version}")
@@ -75,7 +75,7 @@ def _in_a_process(job: Job, folder: str) -> JobOutcome:
 
 
 def _ended(code: int, words: bytes) -> str:
-    """Return in words how a process ended that left no answer."""
+    """Return in words how a process without an answer ended."""
     if code < 0:
         name = signal.Signals(-code).name if -code in set(signal.Signals) else "unknown"
         hint = ": often too little memory for so many --jobs" if -code == signal.SIGKILL else ""
@@ -85,7 +85,7 @@ def _ended(code: int, words: bytes) -> str:
 
 
 def stop() -> None:
-    """End the processes of all jobs that run; their temporary files go with them."""
+    """End the processes of all running jobs, and remove their temporary files."""
     for process in tuple(RUNNING):
         with suppress(OSError):
             process.terminate()
@@ -107,7 +107,7 @@ def _end_with_parent() -> None:
 
 
 def outcome(job: Job) -> JobOutcome:
-    """Run a job in this process and return how it ended, in one line where it failed."""
+    """Run a job in this process and return its outcome, with one line if it failed."""
     try:
         return JobOutcome(job.name, "done", warnings=compare(job))
     except Exception as problem:
@@ -119,7 +119,7 @@ def outcome(job: Job) -> JobOutcome:
 
 
 def compare(job: Job) -> tuple[str, ...]:
-    """Measure the log of a job once and write the results of every cell; return what did not work beside them."""
+    """Measure a job's log once and write the results of every cell; return warnings about the rest."""
     again = job.cells != (SweepCell(),) or job.recording is not None
     measured = load_to_fuse(find_log(job.log), job.how, silent, read_again=again)
     outputs, warnings = job.outputs, []

@@ -1,4 +1,4 @@
-"""The queue: jobs to an executor and their outcomes back, until all are done or something stops it."""
+"""The queue: sends jobs to an executor and collects outcomes, until all are done or it is stopped."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ REASONS_LOST = {  # by the name of the exception: why an executor gives no outco
 
 @dataclass
 class QueueState:
-    """How far the queue is."""
+    """The progress of the queue."""
 
     total: int
     done: int = 0
@@ -48,12 +48,12 @@ class QueueState:
 
     @property
     def seconds_left(self) -> float | None:
-        """How long the rest will take at the pace so far; None before any job was really run."""
+        """The expected time for the rest at the pace so far; None before any job has run."""
         ran = self.done + self.failed - self.resumed
         return (time.monotonic() - self.began) / ran * self.left if ran else None
 
     def words(self) -> str:
-        """Return it in a line."""
+        """Return the progress in one line."""
         line = f"{self.done} done, {self.failed} failed, {self.left} left"
         seconds = self.seconds_left
         return line if seconds is None or not self.left else f"{line}, about {duration(seconds)}"
@@ -71,7 +71,7 @@ Watch = Callable[[QueueState, JobOutcome | None], None]
 
 @dataclass(frozen=True)
 class Ended:
-    """The outcomes by the name of the log, and what stopped the queue before its end."""
+    """The outcomes by log name, and what stopped the queue before its end."""
 
     outcomes: Mapping[str, JobOutcome]
     stopped: str = ""  # in words; empty where every job has an outcome
@@ -80,7 +80,7 @@ class Ended:
 
 @contextmanager
 def executor(fleet: FleetOptions) -> Iterator[tuple[Executor, int]]:
-    """Yield what runs jobs, and how many at once: threads that each wait for a process, or workers elsewhere."""
+    """Yield an executor and its number of slots: threads that each wait for a process, or remote workers."""
     if fleet.cluster is None:
         with ThreadPoolExecutor(fleet.jobs) as threads:
             yield threads, fleet.jobs
@@ -90,7 +90,7 @@ def executor(fleet: FleetOptions) -> Iterator[tuple[Executor, int]]:
 
 
 def run_all(jobs: Sequence[Job], pool: Executor, slots: int, max_failures: int | None, watch: Watch) -> Ended:
-    """Run jobs on an executor with so many slots; those whose results are there are not sent to it."""
+    """Run jobs on an executor with so many slots; jobs with finished results are not sent."""
     found: dict[str, JobOutcome] = {}
     standing = QueueState(len(jobs))
     waiting = iter(jobs)
@@ -120,7 +120,7 @@ def run_all(jobs: Sequence[Job], pool: Executor, slots: int, max_failures: int |
 
 
 def _submitted(job: Job, pool: Executor) -> Future[JobOutcome]:
-    """Hand a job over, unless its results are there or its log cannot be opened."""
+    """Submit a job, unless it is finished or its log cannot be opened."""
     outcome = already(job)
     if outcome is None:
         return pool.submit(process.run, job, str(Path.cwd()), own())
@@ -130,7 +130,7 @@ def _submitted(job: Job, pool: Executor) -> Future[JobOutcome]:
 
 
 def already(job: Job) -> JobOutcome | None:
-    """Return the outcome of a job that need not run: its results are there, or its log cannot be opened."""
+    """Return the outcome of a job that need not run: it is finished, or its log cannot be opened."""
     try:
         return JobOutcome(job.name, "done", resumed=True) if is_finished(job) else None
     except LocfuseError as problem:
@@ -138,7 +138,7 @@ def already(job: Job) -> JobOutcome | None:
 
 
 def _outcome(future: Future[JobOutcome], job: Job) -> JobOutcome:
-    """Return how a job ended; where the executor itself failed, that is the reason."""
+    """Return a job's outcome; if the executor itself failed, its error is the reason."""
     try:
         return future.result()
     except Exception as problem:
@@ -148,7 +148,7 @@ def _outcome(future: Future[JobOutcome], job: Job) -> JobOutcome:
 
 
 def _cancel(running: Mapping[Future[JobOutcome], Job]) -> None:
-    """Take back what has not begun and end what runs."""
+    """Cancel jobs that have not begun and end those that run."""
     for future in running:
         future.cancel()
     while not all(future.done() for future in running):
@@ -166,7 +166,7 @@ MAX_RETRIES = 2  # of a job whose worker raised what no job raises
 
 @contextmanager
 def cluster(address: str) -> Iterator[tuple[Executor, int]]:
-    """Connect to a scheduler, such as "tcp://127.0.0.1:8786"; yield its executor and how many jobs run at once.
+    """Connect to a scheduler, such as "tcp://127.0.0.1:8786"; yield its executor and its number of slots.
 
     Raises LocfuseError where none answers, where it has no workers, or where a worker has another locfuse.
     """

@@ -1,4 +1,4 @@
-"""Everything `info` and `init` know of a log: topics, roles, mounts, what is missing, findings and their fixes.
+"""Inspection of a log for `info` and `init`: topics, roles, mounts, missing settings, findings and fixes.
 
 Whatever is wrong becomes a finding and the rest is looked at all the same: this is for logs that do not run yet.
 """
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 def inspect_log(
     paths: Sequence[Place], how: LogOptions, progress: Callable[[str], None] = lambda role: None
 ) -> Overview:
-    """Inspect a log. Raises LocfuseError only where it cannot be opened, or robot.toml cannot be read."""
+    """Inspect a log. Raises LocfuseError only if it cannot be opened, or robot.toml cannot be read."""
     progress("opening")
     log = open_log(paths)
     tables = merged_tables(log, how)
@@ -79,7 +79,7 @@ def inspect_log(
 
 
 def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) -> Choice:
-    """Choose every role by itself: what cannot be chosen becomes a finding."""
+    """Choose the topics of every role separately: a failure becomes a finding."""
     choice = Choice()
     offer_presented(log)
     try:
@@ -119,7 +119,7 @@ def _transforms(log: Log, choice: Choice, found: list[Finding]) -> StaticTransfo
 
 
 def _placed(log: Log, tables: dict[str, Any], choice: Choice, transforms: StaticTransforms) -> Robot:
-    """Return the robot with the mounts of /tf_static, which are known before anything can be measured."""
+    """Return the robot with the mounts of /tf_static, which are known before measuring."""
     streams = {}
     for name in REGISTRY:
         with suppress(LocfuseError):  # a topic that cannot be read has its own finding
@@ -130,7 +130,7 @@ def _placed(log: Log, tables: dict[str, Any], choice: Choice, transforms: Static
 
 
 def _of_files(log: Log) -> list[Finding]:
-    """Return what the files lost, and whether a loss could be seen at all."""
+    """Return the losses of the files, and whether a loss could be detected."""
     found = [Finding("file", "lost", line, severe=True) for line in log.losses.lines()]
     if log.unchecked:
         names = ", ".join(log.unchecked[:3]) + (" ..." if len(log.unchecked) > 3 else "")
@@ -139,7 +139,7 @@ def _of_files(log: Log) -> list[Finding]:
 
 
 def _measure(overview: Overview, progress: Callable[[str], None]) -> None:
-    """Measure what can be measured, and add the findings of the checks."""
+    """Measure all readable sensors, and add the findings of the checks."""
     if "wheels" not in overview.choice.topics:
         return
     try:
@@ -159,7 +159,7 @@ def _measure(overview: Overview, progress: Callable[[str], None]) -> None:
 
 
 def _not_measured(overview: Overview, error: LocfuseError) -> list[Finding]:
-    """Return why nothing could be measured, unless a finding has that already."""
+    """Return why nothing could be measured, unless a finding says so already."""
     role = error.role if error.role in {"wheels", "truth", *REGISTRY} else "log"
     known = any(f.role == role and f.severe for f in overview.findings)
     return [] if known else [of_error(error, role, "unusable")]
@@ -177,7 +177,7 @@ def _unusable(overview: Overview, loaded: Loaded) -> list[Finding]:
 
 
 def _maps(log: Log, robot: Robot, choice: Choice) -> list[Finding]:
-    """Offer the maps that a log holds to its laser; the user knows whether they were made of the same scans."""
+    """Report the log's maps as options for its laser; only the user knows whether its scans made them."""
     topics = [t for t in of_type(log, (GRID,)) if log.topics[t].count and "costmap" not in t.lower()]
     topics.sort(key=lambda t: t != "/map")
     if not topics or not choice.of("lrf") or robot.settings("lrf").map_topic is not None or robot.lines:
@@ -190,7 +190,7 @@ def _maps(log: Log, robot: Robot, choice: Choice) -> list[Finding]:
 
 
 def pictures_of(log: Log, choice: Choice) -> tuple[str, ...]:
-    """Return the topics of pictures: the camera's, else all."""
+    """Return the topics of pictures: the camera's, or all without one."""
     found = choice.of("camera") or tuple(of_type(log, REGISTRY["camera"].reads))
     return tuple(topic for topic in found if log.topics[topic].count)
 
@@ -198,7 +198,7 @@ def pictures_of(log: Log, choice: Choice) -> tuple[str, ...]:
 def _said(
     role: str, topics: Sequence[str], examine: Callable[[Any, Any], list[Finding]], log: Log, robot: Robot
 ) -> list[Finding]:
-    """Examine the raw messages of a role that has exactly one topic."""
+    """Return the findings on the raw messages of a role with exactly one topic."""
     if len(topics) != 1:
         return []
     try:

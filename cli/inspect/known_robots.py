@@ -1,4 +1,4 @@
-"""Robots that `init` recognises by their logs, and their figures that are in no log.
+"""Robots that `init` recognises by their logs, with figures that no log holds.
 
 A figure of a known robot is used only where neither the log nor the user gives it.
 """
@@ -49,7 +49,7 @@ class Recognised(NamedTuple):
 
 
 def recognise(overview: Overview) -> Recognised | None:
-    """Return the first known robot whose signs the log holds."""
+    """Return the first known robot whose topics or names are in the log."""
     packages = {topic.msgtype.partition("/")[0] for topic in overview.log.topics.values()}
     words = {word for topic in overview.log.topics for word in re.split(r"[/_]", topic.lower())}
     frames = {edge.child for edge in overview.transforms.edges}
@@ -66,7 +66,7 @@ def recognise(overview: Overview) -> Recognised | None:
 
 
 def open_figures(known: Recognised, overview: Overview, given: Collection[str]) -> dict[str, tuple[str, str]]:
-    """Return the figures of a known robot that this log needs and lacks: key -> ("key=value", words).
+    """Return the figures of a known robot that this log needs: key -> ("key=value", words).
 
     `given` are the keys that have a value already.
     """
@@ -90,7 +90,7 @@ def _needed(overview: Overview, table: str, name: str, value: object, given: Col
 
 
 def _wheels_kind(overview: Overview) -> str:
-    """Return the message type of the wheels' turns; "" where an odometry is read, or nothing turns."""
+    """Return the message type of the wheels' turns; "" if an odometry is read, or there are none."""
     topics = overview.choice.of("wheels")
     kind = overview.log.topics[topics[0]].msgtype if topics else SCANS
     if kind != SCANS:  # scans stand in for wheels of unknown size too
@@ -100,7 +100,7 @@ def _wheels_kind(overview: Overview) -> str:
 
 
 def _joints(log: Log) -> set[str]:
-    """Return the names on all topics of joints."""
+    """Return the joint names on all topics of joints."""
     names: set[str] = set()
     for topic in of_type(log, (JOINTS,)):
         with suppress(LocfuseError):  # a topic that cannot be read has its own finding

@@ -1,4 +1,4 @@
-"""Mounts: where the sensors of a log sit, by which source; mounts without a source, and contradictions."""
+"""Mounts of a log's sensors and their sources; sensors without a mount, and contradictions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MOUNT_KEYS = ("x", "y", "roll_deg", "pitch_deg", "yaw_deg", "flipped", "mounts")
 
 
 def extrinsics(overview: Overview) -> dict[str, dict[str, Any]]:
-    """Return where each sensor sits, and by which source."""
+    """Return each sensor's mount and its source."""
     found: dict[str, dict[str, Any]] = {}
     for name in overview.choice.topics:
         if name not in REGISTRY:
@@ -44,12 +44,12 @@ def _mount_by(overview: Overview, name: str, keys: Mapping[str, Any]) -> str:
 
 
 def placed_by(overview: Overview, frame: str) -> str:
-    """Return the source of a frame's place on the base: /tf_static, else transforms of /tf that never change."""
+    """Return the source of a frame's mount: /tf_static, else transforms of /tf that never change."""
     return "/tf_static" if mount_of(overview.log.static_transforms(), frame) is not None else "/tf"
 
 
 def unplaced(overview: Overview) -> list[Finding]:
-    """Return a finding per sensor that has no mount although its mount matters."""
+    """Return a finding per sensor without a mount that needs one."""
     found = []
     for name, mount in extrinsics(overview).items():
         frames = {f.topic: f.frame_id for f in overview.facts}
@@ -62,7 +62,7 @@ def unplaced(overview: Overview) -> list[Finding]:
 
 
 def conflicts(overview: Overview) -> list[Finding]:
-    """Return a finding per frame that has two mounts: those that matter one by one, the others together."""
+    """Return a finding per frame with two mounts: those in use one by one, the others together."""
     facts = {f.topic: f for f in overview.facts}
     frames = {
         facts[t].frame_id: role for role in overview.choice.topics for t in overview.choice.of(role) if t in facts

@@ -1,4 +1,4 @@
-"""Facts about the robot in its log: a robot description, an odometry of the same wheels, names of joints."""
+"""Facts about the robot in its log: a robot description, an odometry of the same wheels, joint names."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ MIN_MOVEMENT = 0.05  # of a joint's readings, in its unit: a joint that never mo
 
 
 class RobotFacts(msgspec.Struct, frozen=True):
-    """Facts about the robot that are in the log, beside robot.toml."""
+    """Facts about the robot from the log, beside robot.toml."""
 
     described: WheelGeometry | None = None  # by /robot_description
     fitted: Geometry | None = None  # by an odometry topic made from the same wheels
@@ -46,7 +46,7 @@ class RobotFacts(msgspec.Struct, frozen=True):
 
 
 class Overview(msgspec.Struct):
-    """A log as it is found: topics, roles, mounts, clocks, findings."""
+    """An inspected log: topics, roles, mounts, clocks, findings."""
 
     log: Log
     tables: dict[str, Any]  # robot.toml as merged, before mounts
@@ -60,12 +60,12 @@ class Overview(msgspec.Struct):
 
     @property
     def severe(self) -> bool:
-        """Whether an estimate would be wrong, or bytes are lost."""
+        """Whether the finding would make an estimate wrong, or bytes are lost."""
         return any(f.severe for f in self.findings)
 
 
 def find_robot_facts(log: Log, robot: Robot, choice: Choice, scans: WheelReading | None = None) -> RobotFacts:
-    """Look for wheel geometry beyond robot.toml; `scans` is the motion by scans, where that was used."""
+    """Search for wheel geometry beyond robot.toml; `scans` is the motion by scan matching, if it was used."""
     described = _described(log)
     counters = _counters(log, robot, choice)
     if not counters:
@@ -89,7 +89,7 @@ def find_robot_facts(log: Log, robot: Robot, choice: Choice, scans: WheelReading
 
 
 def of_robot(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list[Finding]:
-    """Return what is missing of the wheels, with the values that were found, and topics that may be the truth."""
+    """Return findings on missing wheel settings, with the values found, and on topics that may be the truth."""
     return [*_geometry(log, robot, choice, found), *_possible_truth(log, choice)]
 
 
@@ -118,14 +118,14 @@ def _geometry(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list
 
 
 def _senses(robot: Robot, found: RobotFacts) -> list[str]:
-    """Return the setting of the wheels' senses of counting, where the odometry contradicts it."""
+    """Return the setting of the wheels' counting directions, if the odometry contradicts it."""
     fitted = found.fitted
     differ = fitted is not None and fitted.mirrored != robot.wheels.mirrored
     return [f"wheels.mirrored={fitted.mirrored}"] if fitted is not None and differ else []
 
 
 def geometry(robot: Robot, found: RobotFacts) -> tuple[dict[str, float], str]:
-    """Return radius and track as far as they are known, and by which source."""
+    """Return radius and track, if known, and their source."""
     if found.described is not None and found.described.radius is not None:
         values = {"radius": found.described.radius, "track": found.described.track}
         return values, "/robot_description tells these"
@@ -144,14 +144,14 @@ def geometry(robot: Robot, found: RobotFacts) -> tuple[dict[str, float], str]:
 
 
 def _counters(log: Log, robot: Robot, choice: Choice) -> tuple[str, ...]:
-    """Return the topics of wheel turns: those that are read, else those that could be; () without any."""
+    """Return the topics of wheel turns: those in use, else all candidates; () without any."""
     topics = choice.of("wheels")
     turns = topics and log.topics[topics[0]].msgtype not in BODY_READS
     return topics if turns else _unused_counters(log, robot, choice)
 
 
 def _unused_counters(log: Log, robot: Robot, choice: Choice) -> tuple[str, ...]:
-    """Return topics of wheel turns that lost to an odometry for lack of geometry."""
+    """Return topics of wheel turns that are not used, since their geometry is unknown."""
     taken = {t for role in choice.topics for t in choice.of(role)}
     with suppress(LocfuseError):  # several that fit: said where one is chosen
         found, _ = counters_of(log, robot)
@@ -160,7 +160,7 @@ def _unused_counters(log: Log, robot: Robot, choice: Choice) -> tuple[str, ...]:
 
 
 def _joints(log: Log, topic: str, robot: Robot) -> tuple[str, str] | None:
-    """Return the wheel joints: by name, else the only two that turn on and on."""
+    """Return the wheel joints: by name, else the only two that keep turning."""
     columns = log.stream(topic).columns("name", "position")
     names = cast("list[tuple[str, ...]]", columns["name"])
     try:
@@ -176,7 +176,7 @@ def _joints(log: Log, topic: str, robot: Robot) -> tuple[str, str] | None:
 
 
 def _ways(names: list[tuple[str, ...]], positions: Ragged) -> dict[str, float]:
-    """Return how far every joint moved in all, in its unit."""
+    """Return the total movement of every joint, in its unit."""
     at: dict[str, list[float]] = {}
     for i, row in enumerate(names):
         values = positions[i]
@@ -190,7 +190,7 @@ def _ways(names: list[tuple[str, ...]], positions: Ragged) -> dict[str, float]:
 
 
 def _sorted_sides(a: str, b: str) -> tuple[str, str]:
-    """Return the left joint first: by an l or r among the names' words, else as they come."""
+    """Return the left joint first, by an l or r in the names; else in the given order."""
     words = {j: set(j.lower().replace("-", "_").split("_")) for j in (a, b)}
     return (b, a) if words[a] & {"r", "right", "rw"} or words[b] & {"l", "left", "lw"} else (a, b)
 
@@ -209,7 +209,7 @@ def _described(log: Log) -> WheelGeometry | None:
 
 
 def _possible_truth(log: Log, choice: Choice) -> list[Finding]:
-    """Return a finding per topic that may be the truth; the user decides: an estimate must not judge another."""
+    """Return a finding per topic that may be the truth; the user decides, since it may be an estimate."""
     if "truth" in choice.topics:
         return []
     kinds = [k for k in TRUTH_READS if k not in {ODOMETRY, FIX}]

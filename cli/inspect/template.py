@@ -1,4 +1,4 @@
-"""What `init` writes: everything `inspect_log` found in a log, as lines of a robot.toml with their words."""
+"""The robot.toml of `init`: the result of `inspect_log` as lines with comments."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ GUESSED_CODES = {"choice", "unusable", "truth?"}  # nothing was measured: the fi
 
 
 class Draft(NamedTuple):
-    """The tables of a robot.toml, and what is missing."""
+    """The tables of a robot.toml, and the missing settings."""
 
     overview: Overview  # with all active fixes
     sections: list[TomlSection]
@@ -49,7 +49,7 @@ def draft(
     progress: Callable[[str], None] = lambda step: None,
     said: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Draft:
-    """Inspect a log until no fix changes anything, and return the settings that were found.
+    """Inspect a log until no fix changes anything, and return the final settings.
 
     `said` are tables that another program's configuration gives, by the name of its file.
     """
@@ -81,12 +81,12 @@ def draft(
 def _with(
     fixes: Mapping[str, tuple[str, str]], paths: Sequence[Place], how: LogOptions, progress: Callable[[str], None]
 ) -> Overview:
-    """Look at the log again, under these settings."""
+    """Inspect the log again under these settings."""
     return inspect_log(paths, replace(how, sets=(*how.sets, *(fix for fix, _ in fixes.values()))), progress)
 
 
 def _given(overview: Overview, how: LogOptions, said: Mapping[str, Mapping[str, Any]]) -> Known:
-    """Return the settings that are given: the log's attachment, --robot, another program's file, --set."""
+    """Return the given settings: the log's attachment, --robot, another program's file, --set."""
     layers: list[tuple[str, Mapping[str, Any]]] = []
     if ATTACHMENT in overview.log.attachments:
         layers.append(
@@ -105,7 +105,7 @@ def _fixes(findings: Iterable[Finding]) -> dict[str, tuple[str, str]]:
 
 
 def _certain(f: Finding) -> bool:
-    """Whether the log itself shows that a fix is right, it was chosen already, or nothing runs without it."""
+    """Whether the log shows that a fix is right, it was chosen already, or it is required."""
     return f.code != OPEN_SCALE and (f.severe or f.code in MEASURED_CODES or f.code == "choice")
 
 
@@ -116,7 +116,7 @@ def _why(f: Finding) -> str:
 
 
 def _loads(fix: str) -> bool:
-    """Whether a fix can be written as it stands, with nothing left to be filled in."""
+    """Whether a fix is complete, without a placeholder."""
     try:
         make_robot(robot_toml.apply_sets([fix]))
     except LocfuseError:

@@ -1,4 +1,4 @@
-"""The tables of a robot.toml: known keys are active, the others have a comment on how to find them."""
+"""The tables of a robot.toml: known keys are active, the others have a comment on how to find the value."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ GUESSED_DEFAULTS = {
 
 
 class Facts(NamedTuple):
-    """What the lines are made of."""
+    """The inputs of the lines."""
 
     overview: Overview
     known: Known  # active lines
@@ -83,7 +83,7 @@ class Facts(NamedTuple):
 
 
 def found(overview: Overview) -> Known:
-    """Return what the log shows: topics, joints, mounts."""
+    """Return the settings shown by the log: topics, joints, mounts."""
     known: Known = {}
     for role in ("wheels", "truth", *REGISTRY):
         known |= _topics(overview, role)
@@ -123,7 +123,7 @@ def _topics(overview: Overview, role: str) -> Known:
 
 
 def _mounts(overview: Overview) -> Known:
-    """Return where /tf_static puts the sensors; turns about level axes only where there are any."""
+    """Return the sensors' mounts by /tf_static; roll and pitch only if not zero."""
     streams = {
         name: [overview.log.stream(t) for t in overview.choice.of(name)]
         for name in REGISTRY
@@ -143,7 +143,7 @@ def _mounts(overview: Overview) -> Known:
 
 
 def _placed(overview: Overview, frame: str) -> str:
-    """Return in words the source of a mount; a base frame is the base itself."""
+    """Return the source of a mount in words; a base frame is its own source."""
     if is_base(frame):
         return f"its frame {frame} is the base"
     return f"by {placed_by(overview, frame)}: where {frame} sits on the base"
@@ -158,7 +158,7 @@ def _rounded(value: Any) -> Any:
 
 
 def lines(facts: Facts, table: str, missing: list[str]) -> Iterator[TomlLine]:
-    """Yield the lines of one table, "" for keys above all tables; what is needed and unknown goes to `missing`."""
+    """Yield the lines of one table, "" for keys above all tables; missing required keys are added to `missing`."""
     if not table:
         yield from (TomlLine(key, *facts.known[key]) for key in TOP_KEYS if key in facts.known)
         return
@@ -190,7 +190,7 @@ def _unknown(table: str, key: str, default: Any, missing: list[str]) -> Iterator
 
 
 def _suggested(facts: Facts, table: str) -> Known:
-    """Return fixes that are inactive lines, and the topics of a sensor that could not choose between several."""
+    """Return fixes as inactive lines, and the candidate topics of a sensor with several."""
     here = {key: suggestion for key, suggestion in facts.suggested.items() if key.startswith(f"{table}.")}
     why = facts.overview.choice.absent.get(table, "")
     for fix in facts.overview.choice.fixes.get(table, ()):
@@ -201,7 +201,7 @@ def _suggested(facts: Facts, table: str) -> Known:
 
 
 def _concerns(facts: Facts, table: str, key: str) -> bool:
-    """Whether a key means anything to the kind of message that is read."""
+    """Whether a key applies to the message type that is read."""
     kind = facts.kind(table)
     if table == "wheels" and key in COUNTER_KEYS:
         return (
@@ -228,5 +228,5 @@ def _concerns(facts: Facts, table: str, key: str) -> bool:
 
 
 def _ask(table: str, key: str) -> Ask | None:
-    """Return how the robot's owner finds the value of a key, None where nothing need be asked."""
+    """Return how the robot's owner finds the value of a key, None if it need not be asked for."""
     return (REGISTRY[table].asks if table in REGISTRY else HOW_TO_MEASURE.get(table, {})).get(key)

@@ -26,12 +26,12 @@ COVARIANCE, SMOOTHED = "trajectory.csv", "smoothed.csv"
 
 
 def report_of(folder: Path) -> Path | None:
-    """Return the report that makes a folder a result, None where there is none."""
+    """Return the report of a folder of results, None without one."""
     return next((folder / name for name in REPORTS if (folder / name).is_file()), None)
 
 
 def scene_of(folder: Path) -> RerunScene:
-    """Return what the files of a results' folder show. Raises LocfuseError where they cannot be read."""
+    """Return the scene of a results' folder. Raises LocfuseError if its files cannot be read."""
     path = report_of(folder)
     if path is None:
         raise LocfuseError(f"{folder} holds no locfuse result: neither report.json nor run.json")
@@ -50,7 +50,7 @@ def scene_of(folder: Path) -> RerunScene:
 
 
 def _file(folder: Path, name: str, row: Mapping[str, Any], report: str) -> str:
-    """Return the trajectory of one result: `run` names it by what it is, `compare` by the result."""
+    """Return the trajectory of one result: `run` names the file by its kind, `compare` by the result."""
     if report == "run.json":
         return "smoothed.tum" if row["smoothed"] else "trajectory.tum"
     of_0_1 = f"{row['configuration']}{json_report.SMOOTHED_IN_0_1}.tum"
@@ -134,7 +134,7 @@ def seconds(t_ns: Ints, epoch_ns: int) -> Array:
 
 
 def _covariances(path: Path, n: int) -> Array:
-    """Return the triangles (n, 6) of P that a run wrote beside its trajectory, zeros where there are none."""
+    """Return the triangles (n, 6) of P that a run wrote beside its trajectory, zeros without them."""
     if not path.is_file():
         return np.zeros((n, 6))
     upper = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)[:, 4:10]

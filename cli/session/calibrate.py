@@ -1,4 +1,4 @@
-"""What `calibrate` found, as values, as rows for people, and as robot.toml."""
+"""The result of `calibrate`: values, rows of words, and robot.toml."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ LACKING = {
 
 
 class ByLaser(msgspec.Struct, frozen=True):
-    """What wheels and laser say of each other."""
+    """Calibration by wheels and laser."""
 
     fit: LaserCalibration
     was: LrfSettings
 
     def mount(self) -> dict[str, Figure]:
-        """Return the laser's mount and clock by the keys of [lrf], those that the drives can tell."""
+        """Return the laser's mount and clock by the keys of [lrf], if the drives show them."""
         unit = np.array([1.0, 1.0, math.degrees(1.0), 1.0])
         offset = np.array([0.0, 0.0, 0.0, self.was.time_offset])
         values = (self.fit.parameters[3:] * unit + offset).tolist()
@@ -69,7 +69,7 @@ class ByLaser(msgspec.Struct, frozen=True):
         return {key: Figure(v, v - h, v + h) for key, v, h in found if math.isfinite(h)}
 
     def notes(self, settings: WheelSettings) -> list[str]:
-        """Return what a reader must know: how much was seen, what it cannot tell, and whose metre counts."""
+        """Return notes: how much was seen, what it does not show, and which sensor defines the distance scale."""
         fit = self.fit
         notes = [
             f"laser: {fit.intervals} pieces of way by wheels and laser ({fit.way_m:.1f} m, "
@@ -96,7 +96,7 @@ class ByLaser(msgspec.Struct, frozen=True):
 
 
 class Calibration(Found, frozen=True, kw_only=True):
-    """Everything that the logs told."""
+    """The calibration of all logs."""
 
     settings: WheelSettings  # as they were
     wheels: WheelCalibration | None = None
@@ -109,7 +109,7 @@ class Calibration(Found, frozen=True, kw_only=True):
     titles: ClassVar[Row] = ("setting", "found", "95 % interval", "was")
 
     def relative(self) -> tuple[Array, Array] | None:
-        """Return mean scale, scale difference and track, 0: as set, and their sigmas, NaN: unknown; (3,) each."""
+        """Return mean scale, scale difference and track (0: as configured), and sigmas (NaN: unknown), (3,)."""
         found = self.wheels or (self.laser and self.laser.fit) or self.gyro
         if found is None:
             return None
@@ -122,7 +122,7 @@ class Calibration(Found, frozen=True, kw_only=True):
         return parameters, sigmas
 
     def geometry(self) -> dict[str, Figure]:
-        """Return radius, ratio and track with their intervals, those that the logs can tell."""
+        """Return radius, ratio and track with their intervals, if the logs show them."""
         old, found = self.settings, self.relative()
         if found is None or old.radius is None or old.track is None:
             return {}
@@ -143,7 +143,7 @@ class Calibration(Found, frozen=True, kw_only=True):
         }
 
     def tables(self) -> dict[str, dict[str, Any]]:
-        """Return what was found as robot.toml tables; geometry that may be as it was set is left out."""
+        """Return the results as robot.toml tables, without geometry that may be as configured."""
         noise = self.wheels or self.gyro
         of_wheels = {} if noise is None else {"noise": noise.k}
         found = {"wheels": of_wheels | _changed(self.geometry(), self.settings)}
@@ -162,7 +162,7 @@ class Calibration(Found, frozen=True, kw_only=True):
         return tables
 
     def values(self) -> dict[str, Any]:
-        """Return everything as plain values, as --json prints it: SI units, null for what could not be found."""
+        """Return all results as plain values for --json: SI units, null for unknown ones."""
         geometry = self.geometry()
         found: dict[str, Any] = dict.fromkeys(("wheels", "laser", "gyro", "compass", "tricycle"))
         if (wheels := self.wheels) is not None:
@@ -208,7 +208,7 @@ class Calibration(Found, frozen=True, kw_only=True):
         return {**found, "robot": self.tables(), "notes": list(self.notes)}
 
     def rows(self) -> list[Row]:
-        """Return (setting, value, interval, what it was) for people."""
+        """Return (setting, value, interval, previous value) in words."""
         rows: list[Row] = []
         if (noise := self.wheels or self.gyro) is not None:
             rows.append(_row("wheels.noise [m]", noise.k, self.settings.noise))
@@ -230,7 +230,7 @@ class Calibration(Found, frozen=True, kw_only=True):
 
 
 def calibrated(logs: Sequence[Sequence[str]], how: LogOptions, progress: Progress) -> Calibration:
-    """Read logs as a command line names them, and calibrate what they allow."""
+    """Read logs by command-line words, and calibrate what they allow."""
     loaded = [load(find_log(parts), how, progress, only=USED, aside=("lrf",)) for parts in logs]
     progress("calibrating")
     return calibrate_logs(loaded, progress, how)
@@ -274,7 +274,7 @@ def calibrate_logs(
 
 
 def fields(loaded: Sequence[Loaded]) -> Array:
-    """Return the raw field readings (n, 2) of all logs. Raises LocfuseError where no log has any."""
+    """Return the raw field readings (n, 2) of all logs. Raises LocfuseError if no log has any."""
     found = [np.zeros((0, 2))]
     for one in loaded:
         topic = one.choice.topics.get("compass")
@@ -346,7 +346,7 @@ def _tricycle(
 
 
 def _reference(one: Loaded, progress: Progress) -> Reference | None:
-    """Return what the encoders of a tricycle are compared with; None where the log has nothing."""
+    """Return the reference for the encoders of a tricycle; None if the log has none."""
     if one.drive.truth is not None:
         return of_truth(one.drive.truth)
     if has_both(one):
@@ -390,7 +390,7 @@ def _gyro_notes(found: GyroCalibration, settings: WheelSettings) -> list[str]:
 
 
 def _try(find: Any, notes: list[str]) -> Any:
-    """Return what `find` finds; where it cannot, note why."""
+    """Return the result of `find`, or note why it failed."""
     try:
         return find()
     except LocfuseError as problem:
@@ -447,12 +447,12 @@ def _row(name: str, figure: Figure, was: float | None) -> Row:
 
 
 def _changed(figures: Mapping[str, Figure], was: Any) -> dict[str, Figure]:
-    """Return the figures whose interval excludes what was set; the others are to be left as they were set."""
+    """Return the figures whose interval excludes the configured value; the others should stay as configured."""
     return {key: f for key, f in figures.items() if not f.low <= getattr(was, key) <= f.high}
 
 
 def _short(value: float) -> float:
-    """Six digits: more is noise."""
+    """Return a number with six digits, since more is noise."""
     return float(f"{value:.6g}")
 
 
@@ -466,7 +466,7 @@ def _sigma(fit: LaserCalibration, name: str) -> str:
 
 
 def by_laser(loaded: Sequence[Loaded], settings: WheelSettings, progress: Progress) -> ByLaser:
-    """Compare wheels and laser of all logs that have both. Raises LocfuseError where none has, or none tells."""
+    """Compare wheels and laser of all logs with both. Raises LocfuseError if none has both or shows enough."""
     both = [one for one in loaded if has_both(one)]
     if not both:
         names = ", ".join(one.log.name for one in loaded)
@@ -478,12 +478,12 @@ def by_laser(loaded: Sequence[Loaded], settings: WheelSettings, progress: Progre
 
 
 def has_both(one: Loaded) -> bool:
-    """Return whether a log has wheels and a laser beside them."""
+    """Return whether a log has wheels and a laser."""
     return "lrf" in one.choice.topics and one.drive.wheels.matched is None  # else the motion is the laser's own
 
 
 def motion_of_both(one: Loaded) -> Motion:
-    """Return how the wheels and the laser of one log moved; the laser in a frame of its own."""
+    """Return the motion of wheels and laser in one log, the laser's in its own frame."""
     lrf: Any = one.robot.settings("lrf")
     stream = one.log.stream(one.choice.topics["lrf"], one.robot.order)
     laser = laser_of(lrf)._replace(mount=np.zeros(3))

@@ -1,4 +1,4 @@
-"""Settings that logs gave: what `tune` and `calibrate` have in common, and the logs that they refuse."""
+"""Settings estimated from logs: the common part of `tune` and `calibrate`, and the logs that they refuse."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Row = tuple[str, str, str, str]
 
 
 class Found(msgspec.Struct, frozen=True, kw_only=True):
-    """Settings that logs gave, with intervals; `tables()` is taken by `with_settings` and by `sets=`."""
+    """Settings estimated from logs, with intervals; `with_settings` and `sets=` accept `tables()`."""
 
     loaded: Sequence[Loaded]  # the logs
     how: LogOptions = LogOptions()  # under which settings they were read
@@ -33,7 +33,7 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
     titles: ClassVar[Row]  # of the columns of `rows`
 
     def tables(self) -> dict[str, dict[str, Any]]:
-        """Return what was found as tables of robot.toml, {"wheels": {"noise": 0.0012}}, that may be used."""
+        """Return the estimates as tables of robot.toml, {"wheels": {"noise": 0.0012}}, without uncertain ones."""
         raise NotImplementedError
 
     def values(self) -> dict[str, Any]:
@@ -41,11 +41,11 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
         raise NotImplementedError
 
     def rows(self) -> list[Row]:
-        """Return the settings that were looked for as rows of words, for people."""
+        """Return the estimated settings as rows of words."""
         raise NotImplementedError
 
     def losses(self) -> list[str]:
-        """Return in words what was lost of the logs and of the readings that were used."""
+        """Return the losses of the logs and of the used readings, in words."""
         return [line for one in self.loaded for line in loss_lines(one, self.used(one), self.how.strict)]
 
     def used(self, one: Loaded) -> Sequence[str]:
@@ -53,16 +53,16 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
         return list(one.drive.measurements)
 
     def before(self) -> str:
-        """Return the text that robot.toml begins from where the user gave none."""
+        """Return the text of the first robot.toml if the user gave none."""
         return f"# found by locfuse {self.command}\n"
 
     def given(self) -> dict[str, Any]:
-        """Return the tables that the user gave beside the first robot.toml."""
+        """Return the user's tables beside the first robot.toml."""
         return robot_toml.merge(*(robot_toml.parse(file.read_bytes(), str(file)) for file in self.how.over))
 
     @speaks_python
     def write(self, file: PathLike, overwrite: bool = False) -> Path:
-        """Write robot.toml: what the user's own says, comments included, with what was found; return its path.
+        """Write robot.toml: the user's own text, comments included, with the estimates; return its path.
 
         Raises LocfuseError where the file exists, unless `overwrite`.
         """
@@ -74,7 +74,7 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
         return path
 
     def __repr__(self) -> str:
-        """Return the settings that were found."""
+        """Return the estimated settings."""
         found = (f"{table}.{key}={value}" for table, keys in self.tables().items() for key, value in keys.items())
         return f"<{type(self).__name__}: {', '.join(found) or 'nothing to set'}>"
 
@@ -86,7 +86,7 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def refuse_doubtful(one: Loaded, what: str, own: Collection[str] = ()) -> None:
-    """Raise LocfuseError where a setting is surely wrong that `what` would cover up; `own` are codes it finds.
+    """Raise LocfuseError for a certain fault of the settings that `what` would hide; `own` are codes it can find.
 
     `info --check` would exit with 3. Where the drive starts spoils neither noise nor wheels.
     """

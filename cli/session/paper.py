@@ -51,7 +51,7 @@ class Driven(NamedTuple):
 
 
 class Distance(NamedTuple):
-    """How far from its path a robot was."""
+    """The distance of a robot from its path."""
 
     figure: str  # "14 a"
     steered: str
@@ -76,7 +76,7 @@ def drive(scenario: str) -> Driven:
 
 
 def distances(driven: Driven) -> Array:
-    """Return the distance of every point driven to the nearest point of the path, (n,) m; it has one every cm."""
+    """Return the distance of every point driven from the path, which has a point every cm, (n,) m."""
     return np.array([np.hypot(*(driven.path - p).T).min() for p in driven.xy])
 
 
@@ -119,13 +119,13 @@ FIGURES = ("position_rmse_m", "heading_rmse_deg", "anees")
 
 
 class Repeated(msgspec.Struct, frozen=True):
-    """Everything that came out."""
+    """The results of the experiment."""
 
     compared: Mapping[str, Comparison]  # "ours", "print"
     driven: Mapping[str, Driven]  # the four drives of figure 14
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return a row per configuration: error figures of the print and of our filter side by side."""
+        """Return a row per configuration: error figures of the printed filter and of ours side by side."""
         reports = {which: c.report["configurations"] for which, c in self.compared.items()}
         return [
             {
@@ -136,7 +136,7 @@ class Repeated(msgspec.Struct, frozen=True):
         ]
 
     def distances(self) -> list[Distance]:
-        """Return how far from its path each robot of figure 14 was."""
+        """Return the distance of each robot of figure 14 from its path."""
         return list(path_distances(self.driven))
 
     def values(self) -> dict[str, Any]:
@@ -177,7 +177,7 @@ def repeat(progress: Progress, jobs: int) -> Repeated:
 
 
 def files(found: Repeated) -> dict[str, Content]:
-    """Return table, figures and page by their files' names."""
+    """Return table, figures and page by their file names."""
     from locfuse.formats.figures.for_paper import draw, draw_column
     from locfuse.formats.report import json_report, paper_page
 
@@ -203,7 +203,7 @@ def files(found: Repeated) -> dict[str, Content]:
 
 
 def colours_of(found: Repeated) -> dict[str, Any]:
-    """Return the colour of everything that is drawn."""
+    """Return the colour of everything in the figures."""
     from locfuse.formats.figures import palette
 
     traces = traces_of(found.compared["ours"].compared.estimates)

@@ -1,4 +1,4 @@
-"""What running or comparing configurations gives: estimates, judgements, a report, and its files."""
+"""The result of a run or a comparison: estimates, evaluations, a report, and its files."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ UNKNOWN_EXPORT = "--export: unknown format"
 
 
 class UnknownNameError(UsageError, KeyError):
-    """No value has this name: a KeyError, as of every mapping, with one readable line."""
+    """No value has this name: a KeyError, like that of every mapping, with one readable line."""
 
     __str__ = Exception.__str__
 
 
 class Named(Mapping[str, V]):
-    """A read-only mapping; `what` names its values in errors: "configuration"."""
+    """A read-only mapping; `what` is the kind of its values in errors: "configuration"."""
 
     def __init__(self, what: str, values: Mapping[str, V]) -> None:
         self._what, self._values = what, dict(values)
@@ -62,11 +62,11 @@ class Named(Mapping[str, V]):
         return iter(self._values)
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of values."""
         return len(self._values)
 
     def __repr__(self) -> str:
-        """Return the names: values are long columns."""
+        """Return the names only, since values are long columns."""
         return f"<{len(self)} by {self._what}: {', '.join(self)}>"
 
     def _ipython_key_completions_(self) -> list[str]:
@@ -100,14 +100,14 @@ class Result(msgspec.Struct, frozen=True, eq=False):
 
     @property
     def notes(self) -> list[str]:
-        """What a reader of the figures must know, of the log and of what the configurations found in it."""
+        """Notes on the figures, from the log and from the configurations."""
         from locfuse.formats.report.findings import notes_of
 
         return notes_of(self.report)
 
     @property
     def headline(self) -> str:
-        """The answer in one or two sentences: what to keep, at what error, and whether that is to be trusted."""
+        """The answer in one or two sentences: which sensors to keep, the error, and whether to trust it."""
         return str(self.report["headline"])
 
     @property
@@ -163,7 +163,7 @@ class Result(msgspec.Struct, frozen=True, eq=False):
             return Picture(panel, traces, colours())
 
     def _trajectories(self) -> tuple[Panel, Mapping[str, Trace]]:
-        """Return the figure of all paths, and how each of them is drawn."""
+        """Return the figure of all paths, and the style of each."""
         from locfuse.formats.figures.palette import traces_of
         from locfuse.formats.figures.where import trajectories
 
@@ -187,7 +187,7 @@ class Result(msgspec.Struct, frozen=True, eq=False):
         ]
 
     def losses(self, strict: bool = False) -> list[str]:
-        """Return in words what was lost: bytes of the file, or more than 1 % of a used sensor's readings.
+        """Return losses in words: bytes of the file, or more than 1 % of a used sensor's readings.
 
         Void figures are among them. The command exits with 3 where there is any. `strict` counts every single
         reading.
@@ -234,7 +234,7 @@ class Result(msgspec.Struct, frozen=True, eq=False):
         raise NotImplementedError
 
     def _by_file(self) -> Mapping[str, Estimates]:
-        """Return the estimates by the names of their files."""
+        """Return the estimates by their file names."""
         return self.estimates
 
     def _written(self, folder: PathLike | None, files: Mapping[str, Content], overwrite: bool) -> list[Path]:
@@ -246,7 +246,7 @@ class Result(msgspec.Struct, frozen=True, eq=False):
 
 
 class Run(Result, frozen=True, eq=False):
-    """One configuration over one log, filtered, and smoothed where that was asked for."""
+    """One configuration over one log, filtered, and smoothed if asked for."""
 
     @property
     def filtered(self) -> Estimates:
@@ -255,7 +255,7 @@ class Run(Result, frozen=True, eq=False):
 
     @property
     def smoothed(self) -> Estimates | None:
-        """The smoothed estimate, from the whole drive; None where it was not asked for."""
+        """The smoothed estimate, from the whole drive; None if it was not asked for."""
         return next((e for e in self.estimates.values() if e.smoothed), None)
 
     def _files(self, write: Kinds) -> dict[str, Content]:
@@ -300,7 +300,7 @@ class Run(Result, frozen=True, eq=False):
 
 
 class Comparison(Result, frozen=True, eq=False, dict=True):
-    """Several configurations over one log, and what each sensor is worth."""
+    """Several configurations over one log, and the effect of each sensor."""
 
     compared: Compared
     drawn: outputs.Drawn
@@ -315,7 +315,7 @@ class Comparison(Result, frozen=True, eq=False, dict=True):
 
     @property
     def credit(self) -> Credit | None:
-        """What each sensor does to the position error, with intervals; None without truth."""
+        """Each sensor's effect on the position error, with intervals; None without truth."""
         return self.compared.credit
 
     def _files(self, write: Kinds) -> dict[str, Content]:
@@ -328,7 +328,7 @@ class Comparison(Result, frozen=True, eq=False, dict=True):
 
 
 def _scalars(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a cell can hold; lists and tables of a configuration are in the report."""
+    """Return the values that a cell can hold; lists and tables are only in the report."""
     return {"configuration": "", **{k: v for k, v in values.items() if not isinstance(v, Mapping | list)}}
 
 

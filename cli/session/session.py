@@ -1,4 +1,4 @@
-"""A measured log: fused under any set of sensors as often as one likes, without being read again.
+"""A measured log, which can be fused with any set of sensors without being read again.
 
 The main line step by step, for those who want to go in between: open_log -> load -> fuse -> evaluate.
 """
@@ -92,7 +92,7 @@ def load(
 
 
 def opened(log: Sequence[str], how: LogOptions, progress: Progress, read_again: bool = False) -> Session:
-    """Return the session of a log as a command line names it; `read_again`: its columns are needed once more."""
+    """Return the session of a log by command-line words; `read_again`: its columns are needed once more."""
     session = Session(maps.give_topic(load_to_fuse(find_log(log), how, progress, read_again)), progress, how)
     return session if how.given_map is None else session.with_map(how.given_map)
 
@@ -125,7 +125,7 @@ def info(
 
 
 def inspected(log: Sequence[str], how: LogOptions, progress: Progress) -> dict[str, Any]:
-    """Return what `info` does, of a log as a command line names it."""
+    """Return the result of `info` for a log by command-line words."""
     from locfuse.cli.inspect import values
     from locfuse.cli.inspect.inspect_log import inspect_log
 
@@ -133,7 +133,7 @@ def inspected(log: Sequence[str], how: LogOptions, progress: Progress) -> dict[s
 
 
 def tried_by_fusing(log: Sequence[str], how: LogOptions, progress: Progress) -> dict[str, Any]:
-    """Return the `findings` of a log as a command line names it; {} where the log cannot be fused."""
+    """Return the `findings` of a log by command-line words; {} if the log cannot be fused."""
     try:
         return opened(log, how, progress).findings()
     except LocfuseError:
@@ -247,7 +247,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         return self.compared(Asked(configuration_words(sensors), **choices))
 
     def compared(self, asked: Asked) -> Comparison:
-        """Return the comparison that is asked for, as `compare` does."""
+        """Return the comparison with these options, as `compare` does."""
         check_runs(asked.jitter)
         asked = replace(asked, reference=self._refers(asked))
         wanted = for_comparison(asked.sensors, self.drive, asked.all_subsets)
@@ -275,7 +275,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         )
 
     def _refers(self, asked: Asked) -> bool:
-        """Return whether a reference takes truth's place. Raises UsageError where one is asked for in vain."""
+        """Return whether a reference is used instead of truth. Raises UsageError for an impossible one."""
         wanted = asked.reference
         if wanted and asked.jitter:
             raise UsageError(
@@ -350,12 +350,12 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         asked: Asked,
         estimates: Sequence[Estimates],
     ) -> None:
-        """Add the range of every figure over the jittered runs to a report, where any are asked for."""
+        """Add the range of every figure over the jittered runs to a report, if any were asked for."""
         plain = {e.name: e for e in estimates}
         add_jitter(report, list(jitter_runs(self.loaded, configurations, asked, plain, self.progress)))
 
     def _advice_on_run(self, c: Configuration, e: Estimates, judged: Evaluation, align: str) -> Advised:
-        """Evaluate the log if this one run of it gives reason to."""
+        """Evaluate the log if this one run gives a reason."""
         from locfuse.cli.advice.evaluator import looks_wrong
 
         runs = evidence(c.drive(self.drive), e, self.robot)
@@ -365,13 +365,13 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         return self._evaluator(align).advised()
 
     def _evaluator(self, align: str) -> Evaluator:
-        """Return the evaluation of this log, not begun yet."""
+        """Return the evaluator of this log, before its first step."""
         from locfuse.cli.advice.evaluator import Evaluator  # the doctor comes with it: 15 ms
 
         return Evaluator(self.loaded, self.progress, align)
 
     def configuration(self, sensors: Sensors) -> Configuration:
-        """Return the configuration that words name. Raises LocfuseError for a sensor that this log lacks."""
+        """Return the configuration of some words. Raises LocfuseError for a sensor that this log lacks."""
         return parse(sensors, self.drive)
 
     @speaks_python
@@ -415,7 +415,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         return replace(self, loaded=maps.give(self.loaded, path_of(file)))
 
     def __repr__(self) -> str:
-        """Return the log's name, its duration and what was measured."""
+        """Return the log's name, its duration and its measured sensors."""
         sensors = ", ".join(("wheels", *self.drive.measurements))
         truth = "no truth" if self.drive.truth is None else f"truth {self.drive.truth.topic}"
         return visible(

@@ -1,4 +1,4 @@
-"""Simulated drives: a scenario driven with a localisation of ours in its control loop, recorded as a log.
+"""Simulated drives: a scenario driven with our own localisation in its control loop, recorded as a log.
 
 In the loop a scan arrives after the compass reading that was taken in its middle. So the filter runs MAX_LATENCY_S
 behind the newest wheel reading, where the order of everything is known, and the wheels bridge from there to now.
@@ -81,14 +81,14 @@ def simulate(
 
 
 def drive(scenario: Scenario, seed: int, out: Path) -> Outcome:
-    """Drive a scenario into a log. Raises LocfuseError where the file cannot be written."""
+    """Drive a scenario into a log. Raises LocfuseError if the file cannot be written."""
     from locfuse.sample_logs.record import write_log
 
     return write_log(scenario, seed, localise(scenario.control.estimator), out)
 
 
 def facts(outcome: Outcome) -> dict[str, Any]:
-    """Return what the simulator knows of a drive: s, m, and how well the wheels kept their speed."""
+    """Return the simulator's figures of a drive: s, m, and the stability of wheel speeds."""
     from locfuse.sample_logs.stability import speed_stability
 
     stability = speed_stability(outcome)
@@ -102,7 +102,7 @@ def facts(outcome: Outcome) -> dict[str, Any]:
 
 
 def localise(word: str) -> Localise:
-    """Return what builds the robot's localisation: "truth", "odometry", "all", or sensors such as compass+lrf."""
+    """Return a function that makes the robot's localisation: "truth", "odometry", "all", or sensors."""
     from locfuse.sample_logs.record import on_truth
 
     def build(tables: dict[str, dict[str, Any]]) -> Estimator | None:
@@ -123,7 +123,7 @@ WHEEL_MEMORY_S = 4.0  # s of wheel readings that are kept
 
 
 class Localiser:
-    """The state between two calls: the filter, recent wheel readings, and readings whose turn has not come."""
+    """The state between two calls: the filter, recent wheel readings, and readings that wait."""
 
     def __init__(self, robot: Robot, sensors: Sequence[str]) -> None:
         self.robot = robot
@@ -141,7 +141,7 @@ class Localiser:
         self._pose = np.array(robot.start.pose)
 
     def __call__(self, messages: list[RawMessage]) -> tuple[float, float, float]:
-        """Take in what arrived and return the pose at the newest wheel reading."""
+        """Add new messages and return the pose at the newest wheel reading."""
         for message in messages:
             if message.topic == self.robot.wheels.topic:
                 self._roll(message)
@@ -157,7 +157,7 @@ class Localiser:
         return x, y, theta
 
     def _roll(self, message: RawMessage) -> None:
-        """Note the distances that the wheels had rolled by this message."""
+        """Add the distances rolled by the wheels until this message."""
         if not self._wheel_t:
             self._epoch_ns = message.stamp_ns
         t = (message.stamp_ns - self._epoch_ns) * 1e-9
@@ -177,7 +177,7 @@ class Localiser:
         )
 
     def _correct(self, wheels: Wheels) -> None:
-        """Advance the filter through every reading that is older than MAX_LATENCY_S, in time order."""
+        """Advance the filter through every reading older than MAX_LATENCY_S, in time order."""
         horizon = wheels.t[-1] - MAX_LATENCY_S
         measured = [(self._measure(s, message, wheels), s, message) for s, message in self._waiting]
         ready = [(m, s) for m, s, _ in measured if len(m.t) and self._at <= m.t[0] <= horizon]

@@ -62,7 +62,7 @@ class Summary:
 
     @property
     def headline(self) -> str:
-        """Which configuration is best, in one sentence."""
+        """The best configuration, in one sentence."""
         return over.headline(self.report)
 
     def table(self) -> list[dict[str, Any]]:
@@ -86,7 +86,7 @@ class Summary:
         return [place / name for name in sorted(files)]
 
     def __repr__(self) -> str:
-        """Return the logs and which configuration is best."""
+        """Return the logs and the best configuration."""
         return visible(f"<Summary of {', '.join(self.results)}: {self.headline}>")
 
     def _repr_html_(self) -> str:
@@ -161,7 +161,7 @@ def _each(logs: Sequence[PathLike | Sequence[PathLike]]) -> list[list[str]]:
 
 @contextmanager
 def naming(log: str) -> Iterator[None]:
-    """Let an error inside name the log, unless it does so already."""
+    """Add the log's name to errors inside, unless they have it."""
     try:
         yield
     except LocfuseError as problem:
@@ -169,7 +169,7 @@ def naming(log: str) -> Iterator[None]:
 
 
 def summarised(entries: Sequence[Entry]) -> dict[str, Any]:
-    """Return the summary over logs: figures, and what each sensor does over all of them."""
+    """Return the summary over logs: figures, and each sensor's effect over all of them."""
     reports = {e.name: e.report for e in entries if e.state == "done"}
     summary = {"locfuse": own(), **over.summarise(reports), "credit": None, "verdicts": {}}
     summary["logs"] = {e.name: {**summary["logs"].get(e.name, {}), **_standing(e)} for e in entries}
@@ -194,12 +194,12 @@ def _standing(entry: Entry) -> dict[str, Any]:
 
 
 def default_folder() -> Path:
-    """Return the folder of a summary where no other is given."""
+    """Return the default folder of a summary."""
     return results.default_folder(DEFAULT_FOLDER)
 
 
 def of_each(write: Kinds) -> set[str]:
-    """Return the kinds to write of every single log: those that were chosen, and the report always."""
+    """Return the kinds of output for every single log: the chosen ones, and always the report."""
     return chosen(write, OF_COMPARISON) | {"json"}
 
 
@@ -225,7 +225,7 @@ def mean_over(values: Sequence[float], fewest: int = MIN_REPLICATES) -> Mean:
 
 
 def by_robot(entries: Iterable[Entry]) -> dict[str, list[Entry]]:
-    """Return the entries of each replicate: of a robot, or of one log where it has none."""
+    """Return the entries of each replicate: a robot, or a log without one."""
     found: dict[str, list[Entry]] = {}
     for entry in entries:
         found.setdefault(entry.name if entry.robot is None else entry.robot, []).append(entry)
@@ -239,7 +239,7 @@ def replicate_means(entries: Sequence[Entry], values: Mapping[str, float]) -> li
 
 
 def add_intervals(summary: dict[str, Any], entries: Sequence[Entry]) -> None:
-    """Make the means of all figures those over replicates, with intervals, and note what the replicates are."""
+    """Replace the means of all figures by those over replicates, with intervals, and note the replicates."""
     done = [e for e in entries if e.state == "done"]
     robots = {e.robot for e in done if e.robot is not None}
     summary["replicates"] = {"of": "robots" if robots else "logs", "robots": len(robots), "logs": len(done)}
@@ -256,7 +256,7 @@ def _values(entries: Sequence[Entry], configuration: str, key: str) -> dict[str,
 
 
 def add_ties(summary: dict[str, Any], entries: Sequence[Entry]) -> None:
-    """Name the configurations that tie with the best one: ratios of errors per log, then per robot."""
+    """Add the configurations that tie with the best one: ratios of errors per log, then per robot."""
     best, ties = summary["best"], {}
     for name in summary["configurations"]:
         if best is not None and name != best:
@@ -274,7 +274,7 @@ def add_ties(summary: dict[str, Any], entries: Sequence[Entry]) -> None:
 
 
 def _ratio(entries: Sequence[Entry], name: str, best: str) -> Mean | None:
-    """Return the mean of ln(error of `name` / error of `best`) over replicates, where both were judged."""
+    """Return the mean of ln(error of `name` / error of `best`) over replicates that have both."""
     ours, theirs = _values(entries, name, RMSE), _values(entries, best, RMSE)
     logs = [log for log in ours if log in theirs and ours[log] > 0.0 < theirs[log]]
     if not logs:
@@ -290,7 +290,7 @@ def _is_tie(ratio: Mean) -> bool:
 
 
 def credit_over(entries: Sequence[Entry]) -> tuple[Credit, str] | None:
-    """Return what each sensor does to the error over all "robots" or, of one, over its "drives".
+    """Return each sensor's effect on the error over all "robots" or, for a single one, over its "drives".
 
     None for a single log.
     """

@@ -1,4 +1,4 @@
-"""What `tune` found, as values, as rows for people, and as robot.toml."""
+"""The result of `tune`: values, rows of words, and robot.toml."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ LIKELIHOOD = "ln likelihood per number, {part} ({numbers})"
 
 
 class Judged(msgspec.Struct, frozen=True):
-    """One log under the noise that was told and under the noise that was found."""
+    """One log under the configured and under the tuned noise."""
 
     name: str
     before: Evaluation
@@ -44,7 +44,7 @@ class Judged(msgspec.Struct, frozen=True):
 
 
 class Tuning(Found, frozen=True, kw_only=True):
-    """Everything that the logs told."""
+    """The tuning of all logs."""
 
     tuned: Tuned
     judged: Sequence[Judged]
@@ -54,15 +54,15 @@ class Tuning(Found, frozen=True, kw_only=True):
     titles: ClassVar[Row] = ("noise", "before", "after", "95 % interval")
 
     def used(self, one: Loaded) -> tuple[str, ...]:
-        """Return the sensors that were tuned by."""
+        """Return the sensors used for tuning."""
         return tuple(dict.fromkeys(s for j in self.judged for s in j.after.sensors))
 
     def tables(self) -> dict[str, dict[str, float]]:
-        """Return what was found as robot.toml tables; what the logs do not show, or spoils one, is left out."""
+        """Return the results as robot.toml tables, without figures that the logs do not show or that do harm."""
         return {} if self.refused else _tables(self.tuned)
 
     def values(self) -> dict[str, Any]:
-        """Return everything as plain values: SI units or the key's, null for what could not be judged."""
+        """Return all results as plain values: SI units or the key's, null for figures without a judgement."""
         tuned = self.tuned
         parts = zip(("training", "held_out"), (tuned.train, tuned.held_out), tuned.numbers, strict=True)
         return {
@@ -79,21 +79,21 @@ class Tuning(Found, frozen=True, kw_only=True):
         }
 
     def rows(self) -> list[Row]:
-        """Return (key, before, after, interval) for people."""
+        """Return (key, before, after, interval) in words."""
         unused = ("not used", "")
         return [(r.key, f"{r.before:.3g}", *(unused if self.refused else _found(r))) for r in self.tuned.rows]
 
     def before(self) -> str:
-        """Return the text that robot.toml begins from where the user gave none."""
+        """Return the text of the first robot.toml if the user gave none."""
         head = "# without the noise that locfuse tune found: a log gets worse by it\n"
         return head if self.refused else "# noise found by locfuse tune\n"
 
     def given(self) -> dict[str, Any]:
-        """Return the tables that the user gave beside the first robot.toml, single settings included."""
+        """Return the user's tables beside the first robot.toml, single settings included."""
         return robot_toml.merge(Found.given(self), robot_toml.apply_sets(self.how.sets))
 
     def judgements(self) -> list[tuple[str, str, str]]:
-        """Return (figure, before, after) for people."""
+        """Return (figure, before, after) in words."""
         tuned = self.tuned
         rows: list[tuple[str, str, str]] = []
         for part, pair, n in zip(
@@ -122,7 +122,7 @@ def _tables(tuned: Tuned) -> dict[str, dict[str, float]]:
 
 
 def sensor_names(words: str) -> tuple[str, ...]:
-    """Return the sensors that `--sensors` names. Raises UsageError for an unknown one."""
+    """Return the sensors of `--sensors`. Raises UsageError for an unknown one."""
     if words.strip() == "all":
         return tuple(REGISTRY)
     names = tuple(dict.fromkeys(w.strip() for w in words.split(",") if w.strip()))
@@ -183,7 +183,7 @@ def tune_logs(
 
 
 def _judged(loaded: Sequence[Loaded], tuned: Tuned, checks: Sequence[str]) -> list[Judged]:
-    """Evaluate every log as `run` would, before and after: what is measured depends on the noise too."""
+    """Evaluate every log as `run` would, before and after: measuring depends on the noise too."""
     sets = set_words(_tables(tuned))
     return [
         Judged(one.log.name, _evaluated(one), _evaluated(with_settings(one, sets)), check)
@@ -192,7 +192,7 @@ def _judged(loaded: Sequence[Loaded], tuned: Tuned, checks: Sequence[str]) -> li
 
 
 def _worse(tuned: Tuned, judged: Sequence[Judged]) -> list[str]:
-    """Say what the noise that was found spoils."""
+    """Return the configurations that get worse with the tuned noise."""
     worse = [line for j in judged if (line := spoiled(j)) is not None]
     if tuned.held_out is not None and tuned.held_out[1] < tuned.held_out[0] - MAX_LOSS_NATS:
         worse.append(f"{_less_likely(*tuned.held_out)}: the noise that was found is not used")
@@ -205,7 +205,7 @@ def _less_likely(before: float, after: float) -> str:
 
 
 def spoiled(j: Judged) -> str | None:
-    """Say that a log gets worse under the noise that was found: such noise is not written."""
+    """Return a note on a log that gets worse with the tuned noise: such noise is not written."""
     before, after = (Score(e.figures.get("position_rmse_m"), lost=e.lost_share) for e in (j.before, j.after))
     if not spoils(before, after):
         return None
@@ -218,7 +218,7 @@ def spoiled(j: Judged) -> str | None:
 
 
 def _evaluated(one: Loaded) -> Evaluation:
-    """Evaluate all sensors of a log; by the path's shape where its start is not known."""
+    """Evaluate all sensors of a log; by the path's shape if its start is unknown."""
     run = fuse(one.drive, one.robot, list(one.drive.measurements))
     elsewhere = (start_error(one.robot, one.drive) or 0.0) >= MAX_START_ERROR_M
     return evaluate(run, one.drive, "se2" if elsewhere else "none")
@@ -236,7 +236,7 @@ def _notes(tuned: Tuned) -> list[str]:
 
 
 def lasting_errors(trials: Sequence[Trial]) -> dict[tuple[str, str], str]:
-    """Return the words on sensors whose errors last, by log and sensor: no sigma describes such errors."""
+    """Return notes on sensors with slow errors, by log and sensor: no sigma describes such errors."""
     lasting: dict[tuple[str, str], str] = {}
     for trial in trials:
         sensors = list(trial.drive.measurements)
@@ -249,7 +249,7 @@ def lasting_errors(trials: Sequence[Trial]) -> dict[tuple[str, str], str]:
 
 
 def _found(row: TunedRow) -> tuple[str, str]:
-    """Return a figure and its interval, or that the logs do not tell."""
+    """Return a figure and its interval, or that the logs do not show it."""
     if not row.identifiable:
         return f"{row.after:.3g}", "at most this" if row.after < row.before else "not identifiable"
     low, high = row.after * math.exp(-SIGMAS_95 * row.error), row.after * math.exp(SIGMAS_95 * row.error)

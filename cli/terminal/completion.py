@@ -1,4 +1,4 @@
-"""What the shell offers at the press of Tab: sample logs, sensors, keys of robot.toml, topics of the log."""
+"""Completions of the shell: sample logs, sensors, keys of robot.toml, topics of the log."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def settings(context: click.Context, parameter: click.Parameter, begun: str) -> 
 
 
 def topics(context: click.Context) -> list[str]:
-    """Return the topics of the log on the command line; none where it cannot be opened."""
+    """Return the topics of the log on the command line; none if it cannot be opened."""
     from locfuse.cli.analysis.load import find_log
     from locfuse.formats.logs.log import open_log
     from locfuse.fusion.data import LocfuseError

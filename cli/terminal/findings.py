@@ -1,4 +1,4 @@
-"""What `calibrate` and `tune` share: figures that logs gave, as tables, as JSON and as a robot.toml."""
+"""The common output of `calibrate` and `tune`: estimated figures as tables, as JSON and as a robot.toml."""
 
 from __future__ import annotations
 

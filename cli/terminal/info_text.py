@@ -1,4 +1,4 @@
-"""What `locfuse info` prints for people: lines no wider than the terminal, whole sentences where there is none."""
+"""The text output of `locfuse info`: lines up to the terminal's width, unwrapped without a terminal."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ MAX_UNREADABLE_LISTED = 6  # unreadable topics, each with its reason
 def lines(
     overview: Overview, typed: Sequence[str], width: int | None, helped: Sequence[str] | None = None
 ) -> Iterator[str]:
-    """Yield everything about a log; `typed` is what the user gave `info`, `width` that of the screen or None.
+    """Yield the whole overview of a log; `typed` are the words after `info`, `width` that of the screen or None.
 
     `helped` are the fixes that were tried and help; None: none was tried.
     """
@@ -67,7 +67,7 @@ def listed(topics: Mapping[str, Mapping[str, Any]], width: int | None) -> Sequen
 
 
 def grouped(overview: Overview) -> dict[str, list[Finding]]:
-    """Return the findings under what they mean for an estimate."""
+    """Return the findings grouped by their effect on an estimate."""
     return {
         SPOILS: [f for f in overview.findings if f.severe],
         WORTH: [f for f in overview.findings if not f.severe],
@@ -93,7 +93,7 @@ def _headline(overview: Overview) -> str:
 
 
 def _topics(overview: Overview, width: int | None) -> Iterator[str]:
-    """Yield the table of the topics with messages, those that are read first; then the others."""
+    """Yield the table of the topics with messages, used ones first."""
     role: dict[str, list[str]] = {}
     for name in overview.choice.topics:
         for topic in overview.choice.of(name):
@@ -161,7 +161,7 @@ def _place(mount: dict[str, Any], frame: str) -> str:
 
 
 def _configurations(overview: Overview, width: int | None) -> Iterator[str]:
-    """Yield what can be estimated, what lacks a setting, and, without alarm, what the log does not carry."""
+    """Yield what can be estimated, what lacks a setting, and last what the log does not contain."""
     known, why = configurations(overview), absent(overview)
     base = wheels_missing(overview)
     ready = [name for name, what in known.items() if what is None]
@@ -178,7 +178,7 @@ def _configurations(overview: Overview, width: int | None) -> Iterator[str]:
 
 
 def _briefly(words: str, role: str, overview: Overview) -> str:
-    """Return a reason, or "see below" where a finding has the same words."""
+    """Return a reason, or "see below" if a finding has the same words."""
     below = any(f.role == role and (f.severe or f.sentence == words) for f in overview.findings)
     return "see below" if below else words
 
@@ -209,7 +209,7 @@ def _options(head: str, fixes: Sequence[str], width: int | None) -> list[str]:
 
 
 def _wrapped(head: str, words: str, width: int | None, indent: str | None = None) -> list[str]:
-    """Return a paragraph; later lines begin under its words, or with `indent`. Nothing is wrapped in a pipe."""
+    """Return a paragraph; later lines are indented as its words, or by `indent`. A pipe gets no line breaks."""
     if width is None:
         return [f"{head}{words}"]
     later = " " * len(head) if indent is None else indent
@@ -220,7 +220,7 @@ def _wrapped(head: str, words: str, width: int | None, indent: str | None = None
 
 
 def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None) -> list[str]:
-    """Return the commands to try next: once more with what fixes the worst, a robot.toml, or the comparison.
+    """Return the next commands to try: again with the fixes of the worst finding, a robot.toml, or the comparison.
 
     Where fixes were tried, with those that help.
     """

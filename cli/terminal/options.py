@@ -39,7 +39,7 @@ FIRST = {  # group of --help -> its parameters, in a user's order; all others ar
 
 
 class Options(msgspec.Struct, frozen=True):
-    """All that a command line asks. Parts that a command has no options for have their defaults."""
+    """All options of a command line. Parts without options in a command have their defaults."""
 
     how: LogOptions = field(default_factory=LogOptions)  # how logs are read
     asked: Asked = field(default_factory=Asked)  # what is computed of each
@@ -50,7 +50,7 @@ class Options(msgspec.Struct, frozen=True):
 
     @property
     def inputs(self) -> tuple[Path | None, ...]:
-        """Files beside the log that are read, and must not be written over."""
+        """Input files beside the log, which must not be overwritten."""
         return (*self.how.robot_files, self.gates.baseline, self.how.given_map)
 
 
@@ -73,7 +73,7 @@ def carried(*declared: Declared) -> Callable[[F], F]:
 
 
 def options_of(given: Mapping[str, Any]) -> Options:
-    """Return what click gives a command, in one carrier. Raises click.UsageError for what contradicts itself."""
+    """Return click's values in one carrier. Raises click.UsageError for contradictions."""
     fleet = _part(FleetOptions, given)
     if fleet.cluster is not None and fleet.jobs > 1:
         raise click.UsageError("--jobs is for this machine; --cluster runs a job per thread of its workers")
@@ -109,7 +109,7 @@ def _how(given: Mapping[str, Any]) -> LogOptions:
 
 
 class Grouped(click.Command):
-    """A command whose --help shows the options that users need first, in groups; --help-all shows all of them."""
+    """A command whose --help shows the most used options in groups; --help-all shows all of them."""
 
     def __init__(self, *args: Any, **given: Any) -> None:
         super().__init__(*args, **given)
@@ -125,7 +125,7 @@ class Grouped(click.Command):
         )
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the groups; what is in none of them only where everything was asked for."""
+        """Write the groups; other options only with --help-all."""
         records = {p.name: record for p in self.get_params(ctx) if (record := p.get_help_record(ctx))}
         own = self.get_help_option(ctx)
         help_itself = [records.pop(name) for name in (own and own.name, "help_all") if name in records]
@@ -148,7 +148,7 @@ def _help_all(ctx: click.Context, param: click.Parameter, wanted: bool) -> None:
 
 
 class RobotFile(click.Path):
-    """A robot.toml, or one for each robot of a fleet: those are looked for when the robots are known."""
+    """A robot.toml, or one for each robot of a fleet: these are found when the robots are known."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return the path."""
@@ -156,7 +156,7 @@ class RobotFile(click.Path):
 
 
 class Folder(click.Path):
-    """A folder on this machine, or one in a store: s3://bucket/day1/."""
+    """A local folder, or one in a store: s3://bucket/day1/."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Return it as a word."""
@@ -166,7 +166,7 @@ class Folder(click.Path):
 
 
 def known(what: str, kinds: Sequence[str], default: str | None) -> Callable[..., frozenset[str]]:
-    """Return a callback that takes kinds of output, comma-separated; it raises click.UsageError for others."""
+    """Return a callback for comma-separated kinds of output; it raises click.UsageError for others."""
 
     def chosen(context: click.Context, parameter: click.Parameter, value: str | None) -> frozenset[str]:
         from locfuse.fusion.data import UsageError
@@ -316,7 +316,7 @@ OVERWRITE = click.option("--overwrite", is_flag=True, help="Replace an existing 
 
 
 def found(what: str, tables: str) -> tuple[Declared, ...]:
-    """Return the options of a command that writes settings which logs gave, and prints JSON instead of tables."""
+    """Return the options of a command that writes estimated settings, or prints them as JSON."""
     return (
         click.option("-o", "--out", type=FILE, help=what),
         OVERWRITE,
@@ -380,7 +380,7 @@ RERUN = (
 
 # --- many logs
 def fleet(hidden: bool = False) -> tuple[Declared, ...]:
-    """Return the options of many logs; `hidden` from --help where another command is the place for them."""
+    """Return the options of many logs; `hidden` from --help if they belong to another command."""
     option = functools.partial(click.option, hidden=hidden)
     return (
         option(

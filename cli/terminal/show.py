@@ -1,4 +1,4 @@
-"""What the user sees: tables on stdout, notes and progress on stderr."""
+"""The output for the user: tables on stdout, notes and progress on stderr."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def say(line: str) -> None:
 
 @contextmanager
 def progress(quiet: bool) -> Iterator[Progress]:
-    """Show on a terminal what is being done and how far it is; nothing where stderr is a file or with --quiet."""
+    """Show the current step and its progress on a terminal; nothing if stderr is a file or with --quiet."""
     if quiet or not sys.stderr.isatty():
         yield lambda what: None
         return
@@ -81,7 +81,7 @@ def progress(quiet: bool) -> Iterator[Progress]:
 
 
 def width() -> int | None:
-    """Return how wide the screen is; None in a pipe or a file, where nothing need be wrapped or left out."""
+    """Return the width of the screen; None in a pipe or a file, where nothing is wrapped or left out."""
     console = screen()
     return console.width if console.is_terminal or "COLUMNS" in os.environ else None
 
@@ -96,7 +96,7 @@ def lines(text: Iterable[str], bold: Collection[str] = ()) -> None:
 
 
 def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]:
-    """Print a result and its notes, record it for Rerun where asked, and return in words what was lost.
+    """Print a result and its notes, record it for Rerun if asked, and return losses in words.
 
     `files` are those that it was written to, in one folder.
     """
@@ -124,12 +124,12 @@ def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]
 
 
 def page_of(files: Sequence[Path]) -> Path | None:
-    """Return the page among the files that were written."""
+    """Return the page among the written files."""
     return next((file for file in files if file.suffix == ".html"), None)
 
 
 def end(files: Sequence[Path], notes: int = 0) -> None:
-    """Print as the last line where the results lie, and how many notes were not printed."""
+    """Print the folder of the results in the last line, and how many notes were not printed."""
     page = page_of(files)
     where = f"{files[0].parent}: {', '.join(file.name for file in files)}" if page is None else f"report: {page}"
     count = f" ({notes} note{'' if notes == 1 else 's'}: -v)" if notes else ""
@@ -148,7 +148,7 @@ def open_page(files: Sequence[Path]) -> None:
 
 
 def result(report: Mapping[str, Any], folder: Path, verbose: bool) -> None:
-    """Print a report: the answer, what voids it, the figures, a line for each sensor, the fixes."""
+    """Print a report: the headline, reasons for void figures, the figures, a line for each sensor, the fixes."""
     headline(report)
     table(tables.brief(report, short=not verbose))
     if tables.has_figures(report) and verbose:
@@ -170,7 +170,7 @@ def table(shown: Table) -> None:
 
 
 def notes_in_words(report: Mapping[str, Any]) -> list[str]:
-    """Return what else a reader of the figures may want to know: absent sensors, notes, what was dropped."""
+    """Return further notes on the figures: absent sensors, notes, dropped readings."""
     found = [f"absent: {sensor}: {why}" for sensor, why in report["absent"].items()]
     found += [f"note: {note}" for note in notes_of(report)]
     for stream, reasons in report["input"]["dropped"].items():
@@ -188,19 +188,19 @@ def notes_in_words(report: Mapping[str, Any]) -> list[str]:
 
 
 def unusable(report: Mapping[str, Any]) -> list[str]:
-    """Return which sensors are absent though the log has a topic of theirs."""
+    """Return which sensors are absent although the log has a topic for them."""
     absent = report["absent"].items()
     return [f"absent: {sensor}: {why}" for sensor, why in absent if not why.startswith(NO_TOPIC)]
 
 
 def transfer(came: tuple[int, int] | None, quiet: bool) -> None:
-    """Print to stderr how much of a log that is elsewhere came over the network, of how many bytes."""
+    """Print to stderr how many bytes of a remote log were transferred, of how many."""
     if came is not None and not quiet:
         say(f"read {came[0] / 1e6:.1f} of {came[1] / 1e6:.1f} MB over the network")
 
 
 def verdicts(report: Mapping[str, Any]) -> None:
-    """Print what each sensor improved; sensors with equal words share a line, and no sentence repeats."""
+    """Print each sensor's effect; sensors with equal words share a line, and no sentence repeats."""
     from rich.text import Text
 
     equal: dict[tuple[str, str], list[str]] = {}
@@ -215,7 +215,7 @@ def verdicts(report: Mapping[str, Any]) -> None:
 
 
 def headline(report: Mapping[str, Any]) -> None:
-    """Print the answer first, then which figures are not to be trusted."""
+    """Print the headline first, then which figures are not reliable."""
     from rich.text import Text
 
     if report.get("headline"):
@@ -225,7 +225,7 @@ def headline(report: Mapping[str, Any]) -> None:
 
 
 def findings(report: Mapping[str, Any], folder: Path | None = None, verbose: bool = True) -> None:
-    """Print what is wrong or can be better, with the fix that was tried.
+    """Print what is wrong or can be improved, with the fix that was tried.
 
     Fixes of several findings are in a file of the results' `folder`; without one they are printed.
     """
@@ -237,10 +237,10 @@ def findings(report: Mapping[str, Any], folder: Path | None = None, verbose: boo
 
 
 def _idle(finding: Mapping[str, Any]) -> bool:
-    """Return whether nothing of a finding changes this drive: it counts as a note."""
+    """Return whether no part of a finding changes this drive: it counts as a note."""
     return not finding["fixes"] and bool(finding.get("harmless"))
 
 
 def paragraph(text: Text) -> None:
-    """Print a text, between words broken into lines where a person reads it on a screen."""
+    """Print a text, wrapped between words on a screen."""
     screen(soft_wrap=width() is None, highlight=False).print(text)

@@ -1,4 +1,4 @@
-"""A table on a terminal, fitted to its width: what is least needed goes first, and no number is ever cut."""
+"""A table on a terminal, fitted to its width: less important columns are left out, numbers are never cut."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Strip(msgspec.Struct, frozen=True):
 
 
 def lines(table: Table, width: int | None, gap: str = "  ") -> list[str]:
-    """Return the lines of a table of at most `width` characters, headings first; None: as wide as it likes.
+    """Return the lines of a table of at most `width` characters, headings first; None: no limit.
 
     A column whose cells are all empty is left out.
     """
@@ -74,7 +74,7 @@ def _width(strips: Sequence[Strip], gap: int) -> int:
 
 
 def _cut(cell: str, width: int) -> str:
-    """Take out the middle: both ends of a topic's name matter more."""
+    """Cut out the middle of a text: both ends of a topic's name matter more."""
     if len(cell) <= width:
         return cell
     head = (width - 1) // 2

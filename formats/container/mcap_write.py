@@ -91,12 +91,12 @@ class StandardMessages:
         return self._store.generate_msgdef(msgtype, ros_version=2)[0]
 
     def has_header(self, msgtype: str) -> bool:
-        """Say whether the type starts with a std_msgs/Header."""
+        """Return whether the type starts with a std_msgs/Header."""
         fields = self._store.fielddefs[msgtype][1]
         return bool(fields) and fields[0][1] == (Nodetype.NAME, "std_msgs/msg/Header")
 
     def cdr(self, msgtype: str, values: Mapping[str, Any]) -> bytes:
-        """Return the message as CDR bytes; what `values` (nested) leaves out is zero or empty."""
+        """Return the message as CDR bytes; fields missing in `values` (nested) are zero or empty."""
         return bytes(self._store.serialize_cdr(self._build(msgtype, values), msgtype))
 
     def _build(self, msgtype: str, values: Mapping[str, Any]) -> Any:
@@ -130,7 +130,7 @@ def _default(base: str) -> str | int | float:
 
 
 class LogWriter:
-    """A ROS 2 log that appears whole or not at all: written beside `path`, renamed onto it when closed.
+    """A ROS 2 log written whole or not at all: to a temporary file beside `path`, renamed on closing.
 
     As a context manager it closes on success and leaves nothing behind when an exception passes through.
     """
@@ -201,7 +201,7 @@ class LogWriter:
             raise LocfuseError(f"{self.path} cannot be written: {folder}: {error.strerror}") from error
 
     def close(self) -> None:
-        """Finish the file and give it its name; if that fails, nothing is left behind."""
+        """Finish the file and rename it; if that fails, it is removed."""
         try:
             self._writer.finish()
             self._file.flush()
@@ -213,7 +213,7 @@ class LogWriter:
             raise
 
     def abort(self) -> None:
-        """Throw away what was written; a file of that name, if there was one, stays as it is."""
+        """Remove the unfinished file; an existing file of that name stays unchanged."""
         with contextlib.suppress(OSError):  # closing flushes: on a full disk that fails once more
             self._file.close()
         self._part.unlink(missing_ok=True)

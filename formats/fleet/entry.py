@@ -1,4 +1,4 @@
-"""One log of a fleet: what is kept of its report, or why it has none. Ten thousand of them fit into memory."""
+"""One log of a fleet: a short form of its report, or why it has none. Ten thousand of them fit into memory."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def label(configuration: str, cell: str) -> str:
 
 
 def slim(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """Return what is kept of one log's reports by cell (one report under "" without a sweep).
+    """Return the short form of one log's reports by cell (one report under "" without a sweep).
 
     Verdicts and effects are those of the first cell.
     """
@@ -73,12 +73,12 @@ def _marks(report: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, An
 
 
 def _scalars(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a cell of a table can hold."""
+    """Return the values that a cell of a table can hold."""
     return {key: value for key, value in values.items() if not isinstance(value, Mapping | list)}
 
 
 def _effects(credit: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    """Return each sensor's effects without intervals: those over logs come from the logs."""
+    """Return each sensor's effects without intervals, since intervals over logs come from the logs."""
     if not credit:
         return None
     sensors = {

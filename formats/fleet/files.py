@@ -25,7 +25,7 @@ def summary_files(
     colours: Mapping[str, Colour],
     sweep: Sequence[str] = (),
 ) -> dict[str, Content]:
-    """Return the content of every file by its name: .json always, others as `asked`, all if none of them is.
+    """Return the content of every file by its name: .json always, others as `asked`, or all if none is.
 
     `colours` are those of all sensors known to the product.
     """
@@ -72,7 +72,7 @@ class Rows:
         )
 
     def __iter__(self) -> Iterator[dict[str, Any]]:
-        """Yield a row at a time; what a row does not have is missing in it."""
+        """Yield a row at a time, without its missing values."""
         for entry in self._entries:
             lead = {"log": entry.name, "robot": entry.robot, "state": entry.state, "reason": entry.reason or None}
             if entry.state == "done":
@@ -109,7 +109,7 @@ def _sensors(entry: Entry) -> list[Mapping[str, Any]]:
 
 
 def csv(rows: Rows) -> str:
-    """Return the rows as CSV, every number in full precision, nothing where there is no value."""
+    """Return the rows as CSV, every number in full precision, missing values empty."""
     return csv_text(rows.columns, ([row.get(column) for column in rows.columns] for row in rows))
 
 
@@ -129,7 +129,7 @@ def parquet(rows: Rows) -> bytes | None:
 
 
 def _column(pa: Any, values: list[Any], text: bool) -> Any:
-    """Return one column: text, whole numbers, yes and no, or numbers; what is missing is null."""
+    """Return one column: text, integers, booleans, or numbers; missing values are null."""
     known = [v for v in values if v is not None]
     if text or any(isinstance(v, str) for v in known):
         return pa.array([None if v is None else str(v) for v in values], pa.string())

@@ -1,4 +1,4 @@
-"""summary.html: one page over all logs of a fleet, which opens offline anywhere and links to each log's own page.
+"""summary.html: one page over all logs of a fleet, self-contained, with links to each log's own page.
 
 What grows with the fleet is summed up (distributions, days) or cut after the worst rows, with the number left out:
 ten thousand logs give a page below 3 MB.
@@ -75,7 +75,7 @@ def render(summary: Mapping[str, Any], entries: Sequence[Entry], sensors: Mappin
 
 
 def _traces(entries: Sequence[Entry]) -> dict[str, Trace]:
-    """Return how each configuration is drawn, by its name; those of a sweep's cells are dashed."""
+    """Return the style of each configuration, by its name; those of a sweep's cells are dashed."""
     found: dict[str, Trace] = {}
     for entry in entries:
         for name, values in entry.report.get("configurations", {}).items():
@@ -86,7 +86,7 @@ def _traces(entries: Sequence[Entry]) -> dict[str, Trace]:
 
 
 def _replicates(summary: Mapping[str, Any]) -> str:
-    """Say what the intervals rest on."""
+    """Return the basis of the intervals in words."""
     of = summary["replicates"]
     if of["of"] == "robots":
         return (
@@ -100,7 +100,7 @@ def _replicates(summary: Mapping[str, Any]) -> str:
 
 
 def _cut(table: Table) -> tuple[Table, int]:
-    """Return the first rows of a table and how many are left out."""
+    """Return the first rows of a table, and the number of rows left out."""
     return Table(table.columns, table.rows[:MAX_ROWS], table.label), max(len(table.rows) - MAX_ROWS, 0)
 
 
@@ -146,7 +146,7 @@ def _tint(error: float | None, least: float) -> str:
 
 
 def robots(summary: Mapping[str, Any], entries: Sequence[Entry]) -> Table:
-    """Return a row per robot, the worst first: its best configuration, and how the overall best does on it."""
+    """Return a row per robot, worst first: its best configuration, and the error of the overall best on it."""
     best = summary["best"]
     rows: list[dict[str, Any]] = []
     for robot in dict.fromkeys(e.robot for e in entries if e.robot is not None):
@@ -178,7 +178,7 @@ def robots(summary: Mapping[str, Any], entries: Sequence[Entry]) -> Table:
 
 
 def best_of(entries: Sequence[Entry]) -> str | None:
-    """Return the configuration with the smallest median error among those that every judged log has."""
+    """Return the configuration with the smallest median error among those in every judged log."""
     judged = [e for e in entries if any(_error(e, c) is not None for c in e.report.get("configurations", {}))]
     names = dict.fromkeys(c for e in judged for c in e.report["configurations"])
     errors = {c: [x for e in judged if (x := _error(e, c)) is not None] for c in names}
@@ -187,7 +187,7 @@ def best_of(entries: Sequence[Entry]) -> str | None:
 
 
 def matrix(entries: Sequence[Entry]) -> Table:
-    """Return robot x sensor: the verdicts of its logs, counted; robots on which a sensor hurts come first."""
+    """Return robot x sensor: counts of its logs' verdicts; robots on which a sensor hurts come first."""
     sensors = list(dict.fromkeys(s for e in entries for s in e.report.get("verdicts", {})))
     groups: dict[str, list[Entry]] = {}
     for e in entries:
@@ -278,7 +278,7 @@ def sections(summary: Mapping[str, Any], entries: Sequence[Entry]) -> list[Secti
 
 
 def _distribution(errors: Mapping[str, Array]) -> Section:
-    """Return the quantiles of the error: at 50 the median, at 90 what nine of ten logs stay below."""
+    """Return the quantiles of the error: at 50 the median, at 90 the limit for nine of ten logs."""
     share = np.linspace(0.0, 100.0, CURVE_POINTS)
     marks = tuple(Curve(name, share, np.percentile(v, share)) for name, v in errors.items())
     words = "; ".join(f"{name}: median {np.median(v):.4g} m, worst {v[-1]:.4g} m" for name, v in errors.items())
@@ -297,7 +297,7 @@ def _distribution(errors: Mapping[str, Array]) -> Section:
 
 
 def _trend(best: str | None, entries: Sequence[Entry]) -> list[Section]:
-    """Return the error of the best configuration by day, where the logs are of several days."""
+    """Return the error of the best configuration by day, if the logs are of several days."""
     days: dict[date, list[float]] = {}
     for entry in entries:
         value = _error(entry, best) if best else None

@@ -1,4 +1,4 @@
-"""Which files make up a log: one .mcap, several, or a rosbag2 directory."""
+"""The files of a log: one .mcap, several, or a rosbag2 directory."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def log_files(path: Place) -> list[Place]:
 
 
 def _objects(url: Url) -> list[Place]:
-    """Return the objects of the log at an address: itself, or of a folder those of the first ending there are."""
+    """Return the objects of the log at an address: itself, or for a folder those with the first ending found."""
     if not url.is_folder:
         return [url]
     from locfuse.formats.container.remote_objects import below
@@ -81,7 +81,7 @@ def _folder(folder: Path) -> list[Place]:
 
 
 def _by_ending(folder: Path) -> list[Path]:
-    """Return the files of the first ending there are any of: kinds are not mixed."""
+    """Return the files with the first ending found: kinds are not mixed."""
     return next(
         (files for ending in ENDINGS if (files := sorted(f for f in folder.glob(ending) if f.is_file()))),
         [],
@@ -102,7 +102,7 @@ def _listed(metadata: Path) -> list[str]:
 
 
 def log_name(paths: Sequence[Place]) -> str:
-    """Return what to call the log: the file without its ending, or the folder."""
+    """Return the name of the log: the file name without ending, or the folder."""
     first = paths[0].parent if paths[0].name == "metadata.yaml" else paths[0]
     folder = first.is_folder if isinstance(first, Url) else first.is_dir()
     whole = first.name if isinstance(first, Url) else first.resolve().name
@@ -111,7 +111,7 @@ def log_name(paths: Sequence[Place]) -> str:
 
 
 def open_bytes(file: Place, losses: Losses) -> FileBytes:
-    """Return the bytes of a file, here or elsewhere."""
+    """Return the bytes of a file, local or remote."""
     if isinstance(file, Path):
         return FileBytes(file, losses)
     from locfuse.formats.container.remote_objects import RemoteBytes
@@ -153,7 +153,7 @@ class Identity(NamedTuple):
 
 
 class SeenFile(NamedTuple):
-    """What one file is known by."""
+    """Data that identify one file."""
 
     kind: str  # of the content: "summary", "ends" or "etag"
     size: int  # bytes of the file
@@ -161,7 +161,7 @@ class SeenFile(NamedTuple):
 
 
 def files_of(paths: Sequence[Place]) -> list[Place]:
-    """Return the files of a log in their order: by name, wherever they lie."""
+    """Return the files of a log in the order of their names, in any folder."""
     return sorted({file for path in paths for file in log_files(path)}, key=lambda file: (file.name, str(file)))
 
 
@@ -171,7 +171,7 @@ def identity_of(files: Sequence[Place]) -> Identity:
 
 
 def identity(seen: Sequence[SeenFile]) -> Identity:
-    """Return the identity of a log by what was seen of each of its files."""
+    """Return the identity of a log by the data of each of its files."""
     state, total = hashlib.sha256(), 0
     for kind, size, content in seen:
         state.update(f"{kind} {size} {len(content)}\n".encode() + content)
@@ -180,7 +180,7 @@ def identity(seen: Sequence[SeenFile]) -> Identity:
 
 
 def seen_of(file: Place) -> SeenFile:
-    """Return what a file is known by."""
+    """Return the identifying data of a file."""
     if isinstance(file, Url):
         from locfuse.formats.container.remote_objects import Object
 
@@ -192,7 +192,7 @@ def seen_of(file: Place) -> SeenFile:
 
 
 def seen_of_object(size: int, tag: str) -> SeenFile:
-    """Return what is known of an object in a store: its ETag changes with its content."""
+    """Return the identifying data of an object in a store: its ETag changes with its content."""
     return SeenFile("etag", size, tag.encode())
 
 

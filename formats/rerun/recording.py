@@ -1,4 +1,4 @@
-"""A scene as a Rerun recording: map, curves, pictures, table, and a layout that opens tidy.
+"""A scene as a Rerun recording: map, curves, pictures, table, and a layout.
 
 Rerun takes half a second and 90 MB to import, so its first import is in the functions of this file.
 """
@@ -70,7 +70,7 @@ def _write(path: Path, scene: RerunScene, tab: str | None, identity: str | None)
 
 
 def application(scene: RerunScene) -> str:
-    """Return the name under which a viewer keeps the layout: recordings that show the same things share it."""
+    """Return the name under which a viewer keeps the layout: shared by recordings with the same views."""
     names = [e.name for e in scene.estimates]
     what = names[0] if len(names) == 1 else f"{len(names)} configurations"
     pictures = "" if scene.picture_rows is None else " with pictures"
@@ -78,13 +78,13 @@ def application(scene: RerunScene) -> str:
 
 
 def unfolded(table: str) -> str:
-    """Return Markdown without the HTML that folds parts of it away: the viewer shows tags as text."""
+    """Return Markdown without the HTML for folding, which the viewer shows as text."""
     table = re.sub(r"<summary>(.*?)</summary>", r"\n\n### \1\n", table)
     return re.sub(r"</?details>", "", table)
 
 
 def check(path: Path) -> None:
-    """Raise LocfuseError for a file that is no recording, was cut short, or has no layout."""
+    """Raise LocfuseError for a file that is no recording, is cut off, or has no layout."""
     quiet_rust()
     from rerun.chunk import RrdReader
 
@@ -104,13 +104,13 @@ def check(path: Path) -> None:
 
 
 def copy(source: Path, target: Path) -> None:
-    """Copy a recording, whole or not at all. Raises LocfuseError where it cannot be written."""
+    """Copy a recording, whole or not at all. Raises LocfuseError if it cannot be written."""
     with whole_file(target) as temporary:
         shutil.copyfile(source, temporary)
 
 
 def quiet_rust() -> None:
-    """Keep Rerun's own log off the terminal, and have it return memory at once. Before Rerun's import."""
+    """Keep Rerun's own log off the terminal, and make it free memory at once. Called before Rerun's import."""
     os.environ.setdefault("RUST_LOG", "off")
     os.environ.setdefault("MIMALLOC_PURGE_DELAY", "0")  # ms; with the pool below 20 MB less at the peak
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")

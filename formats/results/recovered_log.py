@@ -1,4 +1,4 @@
-"""The messages of a log, copied; and a log that can be read again: all that is readable in one clean MCAP.
+"""Copies of a log's messages; and a recovered log with all readable messages in one clean MCAP.
 
 The copy is chunked, indexed and checksummed, so that tools that trust a file's index read it too. What could not
 be read is said in its metadata.
@@ -25,7 +25,7 @@ END_OF_TIME = 2**63 - 1  # ns
 
 
 class Recovered(msgspec.Struct, frozen=True):
-    """What a recovered copy holds."""
+    """The content of a recovered copy."""
 
     path: Path
     messages: dict[str, int]  # by topic
@@ -33,7 +33,7 @@ class Recovered(msgspec.Struct, frozen=True):
 
 
 def recover(log: Log, path: Path) -> Recovered:
-    """Write everything readable of a log to `path`, whole or not at all. Raises LocfuseError where nothing is."""
+    """Write all readable messages of a log to `path`, whole or not at all. Raises LocfuseError for none."""
     encodings = {topic.encoding for topic in log.topics.values()}
     with whole_file(path) as temporary, temporary.open("wb") as file:
         writer = open_writer(file, "ros1" if encodings == {"ros1"} else "ros2")
@@ -59,7 +59,7 @@ def recover(log: Log, path: Path) -> Recovered:
 
 
 def copy_messages(writer: Any, log: Log) -> Counter[str]:
-    """Copy every message of a log, bytes, times and order as they are; return their number by topic."""
+    """Copy every message of a log with its bytes, times and order; return their number by topic."""
     schemas: dict[tuple[str, str, bytes], int] = {}
     channels: dict[tuple[str, str, int], int] = {}
     counts: Counter[str] = Counter()

@@ -1,4 +1,4 @@
-"""How a laser's beams lie beside a map: the mixture that AMCL weighs its particles with, fitted to a drive.
+"""A laser's beams relative to a map: the mixture with which AMCL weighs its particles, fitted to a drive.
 
 Likelihood field (Thrun, Burgard and Fox 2005, Probabilistic Robotics, table 6.3): a beam that ends at the distance
 d from the nearest wall has the density z_hit N(d; 0, sigma_hit) + z_rand / z_max. The weights and sigma_hit are
@@ -15,17 +15,17 @@ import numpy as np
 
 from locfuse.fusion.data import Array, MapLine
 
-STEPS = 200  # of expectation and maximization
-TOLERANCE = 1e-6  # m
+MAX_STEPS = 200  # of expectation and maximization
+MIN_STEP_M = 1e-6  # m
 BEGIN_SIGMA_M, BEGIN_HIT = 0.1, 0.8
 MIN_SIGMA_M, MIN_RANDOM = 1e-3, 0.01  # a share of 0 would let a single beam rule a particle out
 SHORT_SIGMAS = 3.0  # a beam that ends so far before its wall is a short one
-CHUNK = 4096  # points at once
+POINTS_AT_ONCE = 4096  # points at once
 MIN_BEAMS = 200
 
 
 class BeamModel(NamedTuple):
-    """Shares of the beams, and how far those that hit lie off their walls."""
+    """Shares of the beams by kind, and the distance of hits from their walls."""
 
     sigma: float  # m
     spread: float  # m, 1 sigma of it
@@ -40,7 +40,7 @@ class BeamModel(NamedTuple):
 def fit_beams(
     origins: Array, points: Array, lines: Sequence[MapLine], none: int, reach: float
 ) -> BeamModel | None:
-    """Fit the mixture to points (n, 2), seen from origins (n, 2), in the map [m]; None where they are too few.
+    """Fit the mixture to points (n, 2), seen from origins (n, 2), in the map [m]; None with too few points.
 
     `none` beams had no return; `reach` is the laser's [m].
     """
@@ -65,11 +65,11 @@ def fit_beams(
 def _mixture(d: Array, reach: float) -> tuple[float, float]:
     """Return z_hit and sigma_hit [m] of distances (n,) [m]."""
     hit, sigma = BEGIN_HIT, BEGIN_SIGMA_M
-    for _ in range(STEPS):
+    for _ in range(MAX_STEPS):
         share = _hits(d, hit, sigma, reach)
         before, hit = sigma, float(share.mean())
         sigma = max(float(np.sqrt((share * d**2).sum() / max(share.sum(), 1e-12))), MIN_SIGMA_M)
-        if abs(sigma - before) < TOLERANCE:
+        if abs(sigma - before) < MIN_STEP_M:
             break
     return hit, sigma
 
@@ -81,7 +81,7 @@ def _hits(d: Array, hit: float, sigma: float, reach: float) -> Array:
 
 
 def _beside_walls(origins: Array, points: Array, lines: Sequence[MapLine]) -> tuple[Array, Array]:
-    """Return how far each point (n, 2) lies from the nearest wall, and how far the first wall is in its direction.
+    """Return each point's (n, 2) distance from the nearest wall, and from the first wall in its direction.
 
     The second is measured from the point's origin (n, 2), and inf where no wall is there; all in m.
     """
@@ -89,8 +89,8 @@ def _beside_walls(origins: Array, points: Array, lines: Sequence[MapLine]) -> tu
     low, high = np.array([line.ends for line in lines]).T
     c, s = np.cos(beta), np.sin(beta)
     nearest, first = [], []
-    for begin in range(0, len(points), CHUNK):
-        (x, y), (x0, y0) = (xy[begin : begin + CHUNK].T[..., None] for xy in (points, origins))
+    for begin in range(0, len(points), POINTS_AT_ONCE):
+        (x, y), (x0, y0) = (xy[begin : begin + POINTS_AT_ONCE].T[..., None] for xy in (points, origins))
         off, along = x * c + y * s - rho, y * c - x * s
         nearest.append(np.hypot(off, np.maximum(np.maximum(low - along, along - high), 0.0)).min(axis=1))
         dx, dy = x - x0, y - y0

@@ -1,4 +1,4 @@
-"""Where in a given map did a drive begin? Every free place and heading is tried, and the drive decides.
+"""Where in a given map did a drive begin? Every free place and heading is tried against the first seconds.
 
 The first scan leaves many places: corridors and rooms look alike. Each is kept, moved on by the wheels, and held
 against the later scans; what agrees with all of them, and clearly better than every other place, is the answer
@@ -18,32 +18,34 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, LocfuseError, Points
 from locfuse.fusion.wheels.motion import Wheels
 
-from .given_grid import Grid
+from .given_walls import Grid
 
-SPACING_M, HEADINGS = 0.3, 72  # of the places and headings that are tried first
+SPACING_M, HEADING_COUNT = 0.3, 72  # of the places and headings that are tried first
 MAX_TRIED = 10_000_000  # places times headings: a free floor of 100 m x 100 m in cells of 5 cm has 8 million
-BEAMS, FEW_BEAMS = 60, 30  # of a scan, evenly taken; where every place is tried
+MAX_BEAMS, FIRST_BEAMS = 60, 30  # of a scan, evenly taken; where every place is tried
 NEAR_M, FAR_M = 0.15, 0.5  # a beam ends at a wall: within the first surely, beyond the second surely not
-KEPT, AT_LEAST = 2000, 200  # places after the first scan, and later: half of them go with every scan
+FIRST_PLACES, MIN_PLACES = 2000, 200  # places after the first scan, and later: half of them go with every scan
 STRIDE_M, TURN_RAD = 0.4, math.radians(20.0)  # between two scans that are used
 DRIVING_S = 30.0  # s of driving that decide
 CLEAR_AT = (0.35, 0.75)  # shares of a beam where it must be in a free cell
 MIN_SCANS = 5
-FITS = 0.85  # share of the beams that end at walls, on the mean of all scans: people and furniture take the rest
-CLEARLY, LEAST = 0.35, 0.02  # scans in all, and share on the mean, by which no other place comes near
+# share of the beams that end at walls, on the mean of all scans: people and furniture take the rest
+MIN_SHARE = 0.85
+# scans in all, and share on the mean, by which no other place comes near
+MIN_LEAD_SCANS, MIN_LEAD_SHARE = 0.35, 0.02
 APART_M, APART_RAD = 0.5, math.radians(20.0)  # places further apart are different
 SAME_M, SAME_RAD = 0.15, math.radians(4.0)  # places closer together are one
-SHIFTS = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))  # in which a place is moved to fit better
-FINER = ((0.1, math.radians(2.0)), (0.05, math.radians(1.0)))  # m, rad of such moves
-ROUNDS = 2  # of moves of one size
-REST = 1e-3  # m/s, rad/s
+MOVE_DIRECTIONS = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))  # in which a place is moved to fit better
+MOVES_M_RAD = ((0.1, math.radians(2.0)), (0.05, math.radians(1.0)))  # m, rad of such moves
+ROUNDS_PER_SIZE = 2  # of moves of one size
+MIN_SPEED = 1e-3  # m/s, rad/s
 SAY_START = "say where the drive begins: " + " ".join(
     f"--set start.{key}" for key in ("x=...", "y=...", "theta_deg=...", "sigma_xy=0.5")
 )
 
 
 class Start(NamedTuple):
-    """Where a robot was at its first scan, and how much of what it saw says so."""
+    """The pose of a robot at its first scan, and the share of beams that fit it."""
 
     pose: Array  # (3,) at time `t`, map frame
     t: float  # s: of the first scan
@@ -59,7 +61,7 @@ def find_start(grid: Grid, t: Array, points: Points, wheels: Wheels) -> Start:
     places, seen = _Places(grid), list[int]()
     rows = _rows(t, wheels)
     for row, scan in zip(rows.tolist(), points.read(rows), strict=True):
-        if len(scan) < FEW_BEAMS:
+        if len(scan) < FIRST_BEAMS:
             continue
         places.look(scan, wheels.relative(t[[seen[-1]]], t[[row]])[0] if seen else None)
         seen.append(row)
@@ -69,13 +71,13 @@ def find_start(grid: Grid, t: Array, points: Points, wheels: Wheels) -> Start:
 
 
 def at_start(found: Start, wheels: Wheels) -> Array:
-    """Return the pose (3,) at the first wheel reading of a robot that was found at its first scan."""
+    """Return the pose (3,) at the first wheel reading of a robot whose pose at its first scan was found."""
     back = wheels.relative(np.array([found.t]), wheels.t[:1])[0]
     return np.asarray(se2.compose(found.pose, back))
 
 
 class _Places:
-    """Where the robot may be, in the frame of the grid: places in cells, headings in radians."""
+    """Candidate poses of the robot in the grid's frame: places in cells, headings in radians."""
 
     def __init__(self, grid: Grid) -> None:
         self.seen = 0  # scans
@@ -89,13 +91,13 @@ class _Places:
         self._first = self._poses  # where each of them was at the first scan
 
     def look(self, scan: Array, step: Array | None) -> None:
-        """Hold every place against a scan (k, 2) [m], after a step (3,) by the wheels since the one before."""
+        """Compare every place with a scan (k, 2) [m], after a step (3,) by the wheels since the scan before."""
         cell = self._grid.cell
         if step is None:
-            self._begin(_some(scan, FEW_BEAMS) / cell)
+            self._begin(_some(scan, FIRST_BEAMS) / cell)
         else:
             self._poses = se2.compose(self._poses, np.broadcast_to(step / (cell, cell, 1.0), self._poses.shape))
-        share = self._improve(_some(scan, BEAMS) / cell)
+        share = self._improve(_some(scan, MAX_BEAMS) / cell)
         if step is None:
             self._first = self._poses
         self._sums, self.seen = self._sums + share, self.seen + 1
@@ -103,13 +105,13 @@ class _Places:
         self._rank()
 
     def decided(self) -> bool:
-        """Return whether one place fits, and clearly better than every other."""
+        """Return whether one place fits clearly better than every other."""
         ahead = self.best - self.other
-        clear = ahead >= LEAST and ahead * self.seen >= CLEARLY
-        return clear and self.seen >= MIN_SCANS and self.best >= FITS
+        clear = ahead >= MIN_LEAD_SHARE and ahead * self.seen >= MIN_LEAD_SCANS
+        return clear and self.seen >= MIN_SCANS and self.best >= MIN_SHARE
 
     def pose(self) -> Array:
-        """Return where the best place (3,) was at the first scan, in the map."""
+        """Return the pose in the map, at the first scan, of the best place (3,)."""
         x, y, theta = self._first[int(np.argmax(self._sums))].tolist()
         place = self._grid.to_map(np.array([[x, y]]))[0]
         return np.array([*place, se2.wrap(theta + float(self._grid.origin[2]))])
@@ -117,11 +119,11 @@ class _Places:
     def _begin(self, beams: Array) -> None:
         """Try all free places and headings, and keep the KEPT best."""
         places = self._lattice
-        headings = np.arange(HEADINGS) * (math.tau / HEADINGS)
+        headings = np.arange(HEADING_COUNT) * (math.tau / HEADING_COUNT)
         share = np.stack(
             [self._share(np.column_stack((places, np.full(len(places), a))), beams) for a in headings.tolist()]
         )
-        best = np.argsort(-share, axis=None, kind="stable")[:KEPT]
+        best = np.argsort(-share, axis=None, kind="stable")[:FIRST_PLACES]
         heading, place = np.unravel_index(best, share.shape)
         self._poses = np.column_stack((places[place], headings[heading]))
         self._sums = np.zeros(len(self._poses))
@@ -136,7 +138,7 @@ class _Places:
         return np.asarray(found.mean(axis=1), np.float64)
 
     def _cells(self, poses: Array, dx: Array, dy: Array) -> tuple[Ints, Ints]:
-        """Return rows and columns (h, k) of what is (dx, dy) (h, k) cells from poses (h, 3); outside the first."""
+        """Return rows and columns (h, k) of points (dx, dy) (h, k) cells from poses (h, 3); outside: cell 0."""
         i = np.floor(poses[:, 0, None] + dx).astype(np.int64)
         j = np.floor(poses[:, 1, None] + dy).astype(np.int64)
         rows, columns = self._field.shape
@@ -145,11 +147,15 @@ class _Places:
         return j, i
 
     def _improve(self, beams: Array) -> Array:
-        """Move every place step by step to where it fits best; return the shares (h,) there."""
+        """Move every place step by step to its best fit; return the shares (h,) there."""
         share = self._share(self._poses, beams)
-        for metres, turn in FINER:
-            for _ in range(ROUNDS):
-                tried = self._poses + SHIFTS[:, None] * (metres / self._grid.cell, metres / self._grid.cell, turn)
+        for metres, turn in MOVES_M_RAD:
+            for _ in range(ROUNDS_PER_SIZE):
+                tried = self._poses + MOVE_DIRECTIONS[:, None] * (
+                    metres / self._grid.cell,
+                    metres / self._grid.cell,
+                    turn,
+                )
                 shares = np.stack([self._share(one, beams) for one in tried])
                 best = shares.argmax(axis=0)
                 better = shares.max(axis=0) > share + 1e-9
@@ -158,13 +164,13 @@ class _Places:
         return share
 
     def _thin(self) -> None:
-        """Keep one place of those that are the same, and the better half of what is left."""
+        """Keep one of equal places, then the better half of the rest."""
         order = np.argsort(-self._sums, kind="stable")
         same = SAME_M / self._grid.cell
         turned = self._poses[order, 2] % math.tau
         cells = np.floor(np.column_stack((self._poses[order, :2] / same, turned / SAME_RAD)))
         first = np.sort(np.unique(cells, axis=0, return_index=True)[1])
-        kept = order[first][: max(AT_LEAST, len(first) // 2)]
+        kept = order[first][: max(MIN_PLACES, len(first) // 2)]
         self._poses, self._sums, self._first = self._poses[kept], self._sums[kept], self._first[kept]
 
     def _rank(self) -> None:
@@ -179,10 +185,10 @@ def _no_place(places: _Places, until: float) -> str:
     """Return why no place was found in the scans up to a time [s]."""
     if places.seen < MIN_SCANS:
         return f"too little is seen before {until:.0f} s to tell where in the map the drive began"
-    if places.best < FITS:
+    if places.best < MIN_SHARE:
         return (
             f"no place in the map fits the first {until:.0f} s: at the best {places.best:.0%} of the beams end "
-            f"at walls ({FITS:.0%} are the least). Is it a map of this building?"
+            f"at walls ({MIN_SHARE:.0%} are the least). Is it a map of this building?"
         )
     return (
         f"several places in the map fit the first {until:.0f} s ({places.best:.0%} and {places.other:.0%} of the "
@@ -191,15 +197,15 @@ def _no_place(places: _Places, until: float) -> str:
 
 
 def _lattice(grid: Grid) -> Array:
-    """Return free places (n, 2) SPACING_M apart, in cells. Raises LocfuseError for too many to try them all."""
+    """Return free places (n, 2) SPACING_M apart, in cells. Raises LocfuseError if there are too many to try."""
     every = max(1, round(SPACING_M / grid.cell))
     half = every // 2
     free = grid.free[half::every, half::every]
-    tried = int(np.count_nonzero(free)) * HEADINGS
+    tried = int(np.count_nonzero(free)) * HEADING_COUNT
     if tried > MAX_TRIED:
         raise LocfuseError(
-            f"the start cannot be looked for in all of the map: {tried // HEADINGS} free places x {HEADINGS} "
-            f"headings are {tried}, more than the cap of {MAX_TRIED}: {SAY_START}; or cut the map",
+            f"the start cannot be looked for in all of the map: {tried // HEADING_COUNT} free places x "
+            f"{HEADING_COUNT} headings are {tried}, more than the cap of {MAX_TRIED}: {SAY_START}; or cut the map",
             role="map",
         )
     j, i = np.nonzero(free)
@@ -218,7 +224,7 @@ def _field(grid: Grid) -> Array:
 
 def _rows(t: Array, wheels: Wheels) -> Ints:
     """Return the scans that are used: STRIDE_M apart, within DRIVING_S seconds of driving."""
-    moving = np.hypot(*wheels.twist[:, :2].T) + np.abs(wheels.twist[:, 2]) > REST * np.diff(wheels.t)
+    moving = np.hypot(*wheels.twist[:, :2].T) + np.abs(wheels.twist[:, 2]) > MIN_SPEED * np.diff(wheels.t)
     driven = np.concatenate(([0.0], np.cumsum(np.where(moving, np.diff(wheels.t), 0.0))))
     pose = wheels.at(t)[2]
     inside = np.flatnonzero(np.interp(t, wheels.t, driven) <= DRIVING_S)

@@ -1,4 +1,6 @@
-"""Walls of an occupancy grid as map lines: chains of cells are split where they bend, and each piece is fitted.
+"""Walls of an occupancy grid as map lines: contours of cells are split where they bend, and each piece is fitted.
+
+A contour is a chain of sides of occupied cells at free ones, the free side at its left.
 
 A face lies on the border of its cells where the wall is thick, as on a drawn plan. A wall of a single cell is what
 a mapping program leaves of a surface that scans hit: it lies in the middle of that cell.
@@ -10,21 +12,120 @@ along. That is the covariance of these lines: they are considered, and never bec
 from __future__ import annotations
 
 import math
+from collections import defaultdict
+from typing import NamedTuple
 
+import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
-from locfuse.fusion.data import Array, MapLine
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Ints, LocfuseError, MapLine
 
-from .given_contours import Chain, contours
-from .given_grid import Grid
+Mask = NDArray[np.bool_]
 
-BEND = 1.0  # cells: the staircase of a straight wall deviates by less
+
+class Grid(msgspec.Struct, frozen=True):
+    """Cells (rows, columns), the first row and column at the origin; cells of no other kind are unknown."""
+
+    occupied: Mask
+    free: Mask
+    cell: float  # m
+    origin: Array  # (3,) x, y [m], yaw [rad] of the lower left corner of the first cell, map frame
+
+    def to_map(self, places: Array) -> Array:
+        """Return places (n, 2), in cells from the lower left corner as x, y, in the map [m]."""
+        return np.asarray(se2.transform(self.origin, self.cell * places))
+
+
+# of each side of an occupied cell: the step to the free neighbour (rows, columns), then start and end of the side
+# (x, y) in cells, walked with the free neighbour at the left
+CELL_SIDES = (
+    ((0, 1), (1, 1), (1, 0)),
+    ((0, -1), (0, 0), (0, 1)),
+    ((1, 0), (0, 1), (1, 1)),
+    ((-1, 0), (1, 0), (0, 0)),
+)
+MAX_SIDES = 1_000_000  # of cells at free ones: 50 km in cells of 5 cm; each takes 10 us and 0.4 kB
+
+
+class Chain(NamedTuple):
+    """The sides of cells along a wall, one after another."""
+
+    points: Array  # (n, 2) their middles, in cells from the lower left corner
+    thin: Mask  # (n,) whether the wall is a single cell thick there
+
+
+def contours(grid: Grid) -> list[Chain]:
+    """Return the chains of all walls. Raises LocfuseError where they are too many."""
+    starts, ends, points, thin = _sides(grid)
+    return [Chain(points[chain], thin[chain]) for chain in _chains(starts, ends)]
+
+
+def _sides(grid: Grid) -> tuple[Ints, Ints, Array, Mask]:
+    """Return the corners (m, 2) at both ends of every side, its middle (m, 2), and Chain.thin (m,)."""
+    starts, ends, points, thin, count = [], [], [], [], 0
+    for (rows, columns), a, b in CELL_SIDES:
+        border = grid.occupied & _shifted(grid.free, rows, columns)
+        count += int(np.count_nonzero(border))
+        if count > MAX_SIDES:
+            raise LocfuseError(
+                f"walls have more than {MAX_SIDES} sides of cells next to free cells: no map but noise", role="map"
+            )
+        j, i = np.nonzero(border)
+        at = np.stack((i, j), axis=-1)
+        starts.append(at + np.array(a))
+        ends.append(at + np.array(b))
+        points.append(at + 0.5 + 0.5 * np.array([columns, rows]))
+        thin.append(~_shifted(grid.occupied, -rows, -columns)[j, i])
+    return np.concatenate(starts), np.concatenate(ends), np.concatenate(points), np.concatenate(thin)
+
+
+def _shifted(cells: Mask, rows: int, columns: int) -> Mask:
+    """Return every cell's neighbour; outside the grid there is none."""
+    out = np.zeros_like(cells)
+    n, m = cells.shape
+    to = (slice(max(0, -rows), n - max(0, rows)), slice(max(0, -columns), m - max(0, columns)))
+    of = (slice(max(0, rows), n + min(0, rows)), slice(max(0, columns), m + min(0, columns)))
+    out[to] = cells[of]
+    return out
+
+
+def _chains(starts: Ints, ends: Ints) -> list[list[int]]:
+    """Return sides in order; where cells touch at a corner, the chain follows the wall around it."""
+    width = int(max(starts.max(initial=0), ends.max(initial=0))) + 2
+    of_start, of_end = (corner[:, 1] * width + corner[:, 0] for corner in (starts, ends))
+    leaving: dict[int, list[int]] = defaultdict(list)
+    for side, corner in enumerate(of_start.tolist()):
+        leaving[corner].append(side)
+    arriving = set(of_end.tolist())
+    begins = [side for side, corner in enumerate(of_start.tolist()) if corner not in arriving]
+    direction, target = (ends - starts).tolist(), of_end.tolist()
+    used = np.zeros(len(starts), dtype=bool)
+    found = []
+    for first in (*begins, *range(len(starts))):
+        chain, side = [], first
+        while not used[side]:
+            used[side] = True
+            chain.append(side)
+            onward = [other for other in leaving[target[side]] if not used[other]]
+            if not onward:
+                break
+            dx, dy = direction[side]
+            # with the free side at the left, the sharpest turn to the right stays with this cell
+            side = min(onward, key=lambda o: dx * direction[o][1] - dy * direction[o][0])
+        if chain:
+            found.append(chain)
+    return found
+
+
+MAX_BEND_CELLS = 1.0  # cells: the staircase of a straight wall deviates by less
 MIN_LENGTH_M, MIN_CELLS = 0.3, 5
-OFFSET_FLOOR_M, ANGLE_FLOOR_RAD = 0.01, math.radians(0.1)  # nobody draws or builds better
+OFFSET_FLOOR_M, ANGLE_FLOOR_RAD = 0.01, math.radians(0.1)  # no plan or wall is more exact
 
 
 def walls_of(grid: Grid) -> list[MapLine]:
-    """Return the walls that are long enough to be seen as lines, their normals away from the free side."""
+    """Return the walls that are long enough for lines, with normals that point away from the free side."""
     least = max(MIN_LENGTH_M / grid.cell, float(MIN_CELLS))
     found: list[MapLine] = []
     for chain in contours(grid):
@@ -44,7 +145,7 @@ def _straight(chain: Array) -> list[tuple[int, int]]:
 
 
 def _split(chain: Array, first: int, last: int) -> list[tuple[int, int]]:
-    """Split at the point furthest from the chord, as often as it takes (Ramer 1972; Douglas and Peucker 1973)."""
+    """Split at the point furthest from the chord, recursively (Ramer 1972; Douglas and Peucker 1973)."""
     todo, done = [(first, last)], []
     while todo:
         a, b = todo.pop()
@@ -56,7 +157,7 @@ def _split(chain: Array, first: int, last: int) -> list[tuple[int, int]]:
         off = chain[a : b + 1] - chain[a]
         away = np.abs(off[:, 0] * chord[1] - off[:, 1] * chord[0]) / length if length > 0.0 else np.hypot(*off.T)
         k = int(np.argmax(away))
-        if away[k] <= BEND or k in {0, b - a}:
+        if away[k] <= MAX_BEND_CELLS or k in {0, b - a}:
             done.append((a, b))
         else:
             todo += [(a + k, b), (a, a + k)]
@@ -64,7 +165,7 @@ def _split(chain: Array, first: int, last: int) -> list[tuple[int, int]]:
 
 
 def _fitted(number: int, grid: Grid, piece: Chain) -> MapLine:
-    """Return the line through a piece, its ends' cells left out: they belong to a corner."""
+    """Return the line through a piece, without the cells at its ends, which belong to corners."""
     points = piece.points
     inner = points[1:-1] if len(points) > 2 * MIN_CELLS else points
     middle = inner.mean(axis=0)
@@ -78,7 +179,7 @@ def _fitted(number: int, grid: Grid, piece: Chain) -> MapLine:
 
 
 def _line(number: int, ends: Array, cell: float, scatter: float) -> MapLine:
-    """Return the line between two ends (2, 2) [m], seen from its left, as uncertain as cells leave it."""
+    """Return the line between two ends (2, 2) [m], seen from its left, with the uncertainty of cells."""
     (dx, dy), length = ends[1] - ends[0], float(np.hypot(*(ends[1] - ends[0])))
     c, s = dy / length, -dx / length  # the normal lies to the right of the way: away from the free side
     lo, hi = (float(c * y - s * x) for x, y in ends)

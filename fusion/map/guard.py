@@ -1,10 +1,10 @@
-"""When the scan and the map disagree: slips are found again, being carried away is noticed, and lost is said.
+"""Disagreement of scan and map: finds wheel slips and kidnapping, and reports when the robot is lost.
 
 The guard watches how much of what a scan shows is matched. New lines are no disagreement: a robot that explores
 sees new walls. Disagreement is seeing *through* walls that the map has, or walls that all jump from one scan to
 the next. A wheel that slipped is a wrong heading: a few near the old one are tried, and the next scans must
 confirm it before it turns the pose (`slips`). What stays is a robot that was carried off, or a map that was moved:
-nothing is corrected or learnt, the covariance says so, and the pose is looked for on the whole map until one
+no scan corrects pose or map, the covariance grows, and the pose is looked for on the whole map until one
 place fits all that was seen since. A growing map is left after some metres (`gives_up`): the robot is adrift in a
 new one until its place is recognised.
 """
@@ -23,30 +23,47 @@ from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import Pose
 
 from .line_map import Association, LineMap
-from .relocalise import behind_walls, find_pose
+from .place_search import behind_walls, find_pose
 from .scan import Scan
-from .scan_history import Trail
-from .slips import SLIP_THETA, SLIP_XY, Late, Seen, Series, Suspicion, agree, continues, made, slip_turn, with_slip
+from .slips import (
+    SLIP_SIGMA_M,
+    SLIP_SIGMA_RAD,
+    Seen,
+    Series,
+    Suspicion,
+    Trail,
+    agree,
+    continues,
+    slip_turn,
+    with_slip,
+)
 
 MIN_MATCHED_SHARE = 0.5  # share of the seen length that must match in an ordinary scan
-THROUGH = 0.3  # share of the seen length that lies behind known walls: more is disagreement
-WELL, LOOK_BACK = 0.9, 3.0  # share of the seen length in a scan that fits; s by which being lost is dated back
-SUSTAINED, SUSTAINED_SCANS = 0.5, 4  # s and scans of disagreement before the robot counts as lost
-MOVED, TURNED = 0.01, math.radians(0.5)  # since the last scan: at rest nothing slips
-GAP = 1.0  # s without a scan after which walls need not continue
-AGREES = 0.25  # share that still matches: doors stand open in walls that are known as one, and nobody is lost
-WALLS_BEHIND = 3  # seen walls that must lie behind known ones: fewer are seen through a door
-VIEW, SCANS = math.radians(90.0), 5  # that walls must fill to contradict a map; scans before a jump that count
-SLIP_VIEW = math.radians(45.0)  # that walls must fill to show a slip: a few short lines match at some heading
-HARDLY = 0.2  # a slip turns everything: where more than this share still matches, there was none
-LOST_XY = 5.0  # m: standard deviation of a robot that does not know where it is
-PLACED_XY, PLACED_THETA = 0.15, math.radians(3.0)  # m, rad: after it was found again
-CARRY, CARRY_TURN = 0.5, math.radians(30.0)  # m, rad within a second: somebody may carry a lost robot
-CONFIRMED, WITH_HEADING = 5, 3  # scans in a row, from different places, that must agree on where a lost robot is
-HEADING_KNOWN = math.radians(10.0)  # rad: standard deviation of a heading that other sensors tell
-SAME_XY, SAME_THETA = 0.12, math.radians(4.0)  # m, rad: within which they agree
+MIN_THROUGH_SHARE = 0.3  # share of the seen length that lies behind known walls: more is disagreement
+# share of the seen length in a scan that fits; s by which being lost is dated back
+WELL_SHARE, MAX_BACKDATE_S = 0.9, 3.0
+MIN_DISAGREEMENT_S, MIN_DISAGREEMENT_SCANS = 0.5, 4  # s and scans of disagreement before the robot counts as lost
+MIN_MOVED_M, MIN_TURNED_RAD = 0.01, math.radians(0.5)  # since the last scan: at rest nothing slips
+MAX_GAP_S = 1.0  # s without a scan after which walls need not continue
+# share that still matches: doors stand open in walls that are known as one
+AGREEING_SHARE = 0.25
+MIN_WALLS_BEHIND = 3  # seen walls that must lie behind known ones: fewer are seen through a door
+# that walls must fill to contradict a map; scans before a jump that count
+MIN_VIEW_RAD, SCANS_BEFORE_JUMP = math.radians(90.0), 5
+MIN_SLIP_VIEW_RAD = math.radians(
+    45.0
+)  # that walls must fill to show a slip: a few short lines match at some heading
+SLIP_MAX_SHARE = 0.2  # a slip turns everything: where more than this share still matches, there was none
+LOST_SIGMA_M = 5.0  # m: standard deviation of a robot that does not know where it is
+PLACED_SIGMA_M, PLACED_SIGMA_RAD = 0.15, math.radians(3.0)  # m, rad: after it was found again
+CARRY_M_PER_S, CARRY_RAD_PER_S = 0.5, math.radians(30.0)  # m, rad within a second: somebody may carry a lost robot
+# scans in a row, from different places, that must agree on where a lost robot is
+CONFIRMING_SCANS, CONFIRMING_SCANS_WITH_HEADING = 5, 3
+KNOWN_HEADING_SIGMA_RAD = math.radians(10.0)  # rad: standard deviation of a heading that other sensors measure
+SAME_PLACE_M, SAME_PLACE_RAD = 0.12, math.radians(4.0)  # m, rad: within which they agree
 
-PATIENCE = 60  # scans along 12 m of a lost robot's way that did not tell its place: then it begins a map anew
+# scans along 12 m of a lost robot's way without a place: then a new map begins
+MAX_LOST_SCANS = 60
 
 Again = Callable[[], Association]  # associates the scan at hand with the belief as it is now
 Slipped = Callable[[], float | None]  # rad by which the robot has turned more than its wheels say; None: not known
@@ -56,7 +73,7 @@ class Guard:
     """Watches the agreement of scans and map over one run."""
 
     def __init__(self, jumps: list[Jump]) -> None:
-        """`jumps` is where it notes what moved the pose."""
+        """`jumps` is the list to which corrections of the pose are added."""
         self._since: float | None = None
         self._scans = 0
         self._lost_from: float | None = None
@@ -67,8 +84,8 @@ class Guard:
         self._series = Series()
         self._trail = Trail()  # since it is lost
         self._well = (0.0, 0)  # when a scan last fitted well, and the number of the first line born after it
-        self._before: deque[Late] = deque(maxlen=SCANS)  # the last scans
-        self._before_torn: list[Seen] = []  # the last ones before the walls jumped
+        self._before: deque[Seen] = deque(maxlen=SCANS_BEFORE_JUMP)  # the last scans
+        self._before_torn: Sequence[Seen] = ()  # the last ones before the walls jumped
         self._torn = False  # the walls jumped, and little has matched since
         self._last = (math.inf, math.inf, math.inf)
         self._now = 0.0
@@ -78,11 +95,11 @@ class Guard:
         self._adrift: float | None = None  # s: since then the robot is in a map whose place is not known
 
     def stood(self, pose: Pose) -> None:
-        """Take in where a scan has put the robot: from here on the wheels lead."""
+        """Note the pose after a scan; the wheels predict from there."""
         self._after = pose
 
-    def fits(self, t: float, share: float, pose: Pose, scan: Callable[[], Scan], next_id: int) -> bool:
-        """Take in a scan of which this share matches; False: nothing is taken in, `watch` must see to it.
+    def fits(self, t: float, share: float, pose: Pose, scan: Scan, next_id: int) -> bool:
+        """Use the share of a scan that matches; False: it is not used, and `watch` must decide.
 
         `pose` is predicted, `next_id` the number of the next map line.
         """
@@ -90,7 +107,7 @@ class Guard:
             return False
         self._now, self._last = t, pose
         self._before.append((t, self._rolled(pose), scan))
-        if share >= WELL:
+        if share >= WELL_SHARE:
             self._well = (t, next_id)
         self._since, self._torn = None, False
         self._series.ends()
@@ -106,12 +123,12 @@ class Guard:
         again: Again,
         slipped: Slipped,
     ) -> tuple[Association, bool]:
-        """Return the association to use and whether the scan may correct the pose and teach the map."""
+        """Return the association to use and whether the scan may correct pose and map."""
         dt, self._now = t - self._now, t
         moved = self._moved(belief)
         now = (t, self._rolled(belief.pose()), scan)
         before = tuple(self._before)
-        self._before.append((t, now[1], lambda: scan))
+        self._before.append(now)
         if self._lost_from is not None:
             _keep_open(belief, dt)
             return self._search(t, scan, found, lines, belief, again)
@@ -121,21 +138,21 @@ class Guard:
         turn, asked = None, self._suspicion is not None
         if self._suspicion is not None:
             turn = self._weighed(self._suspicion, scan, share, lines, belief, again, slipped)
-        elif moved and share < HARDLY and _view(scan) >= SLIP_VIEW:
+        elif moved and share < SLIP_MAX_SHARE and _view(scan) >= MIN_SLIP_VIEW_RAD:
             turn = self._suspected(scan, lines, belief, again, slipped)
             asked = turn is not None or self._suspicion is not None
-        if asked and share < HARDLY and self._series.goes_on(now, before):
+        if asked and share < SLIP_MAX_SHARE and self._series.goes_on(now, before):
             self._lose(self._series.begun, lines, belief)
             return again(), False
         if turn is not None:
             return self._turned(turn, belief, again), True
-        teach = self._believed(made(before), now, share, lines, belief)
+        teach = self._believed(before, now, share, lines, belief)
         return again(), teach and self._suspicion is None
 
     def _suspected(
         self, scan: Scan, lines: LineMap, belief: JointBelief, again: Again, slipped: Slipped
     ) -> float | None:
-        """Return a small slip [rad] that map and matched scans tell; a large one waits for the next scans."""
+        """Return a small slip [rad] on which map and matched scans agree; a large one waits for the next scans."""
         turn = slip_turn(scan, lines, belief, again)
         if turn is None:
             return None
@@ -154,7 +171,7 @@ class Guard:
         again: Again,
         slipped: Slipped,
     ) -> float | None:
-        """Hold a scan, of which a share is matched, against both headings; after some scans return the slip."""
+        """Compare a scan, of which a share is matched, with both headings; return the slip after some scans."""
         suspicion.look(kept, with_slip(belief, suspicion.turn, again).share())
         if not suspicion.decided:
             return None
@@ -167,38 +184,40 @@ class Guard:
 
     def _turned(self, turn: float, belief: JointBelief, again: Again) -> Association:
         """Turn the pose by a slip [rad]."""
-        belief.shift(turn, SLIP_XY**2, SLIP_THETA**2)
+        belief.shift(turn, SLIP_SIGMA_M**2, SLIP_SIGMA_RAD**2)
         self._jumps.append(Jump(self._now, SLIP, (0.0, 0.0, turn)))
         self._since, self._torn = None, False
         return again()
 
-    def _believed(self, before: list[Seen], now: Seen, share: float, lines: LineMap, belief: JointBelief) -> bool:
-        """Return whether a scan of which little is matched may correct and teach; after several it is lost."""
+    def _believed(
+        self, before: Sequence[Seen], now: Seen, share: float, lines: LineMap, belief: JointBelief
+    ) -> bool:
+        """Return whether a scan with few matches may correct pose and map; after several, it is lost."""
         t, _, scan = now
-        if _view(scan) < VIEW:  # a doorway, clutter: too little to contradict anything
+        if _view(scan) < MIN_VIEW_RAD:  # a doorway, clutter: too little to contradict anything
             return not self._torn
         if self._torn:
             self._torn = not continues(self._before_torn, now)
-        elif share < HARDLY and _jumped(before, now):
+        elif share < SLIP_MAX_SHARE and _jumped(before, now):
             self._torn, self._before_torn = True, before
         if self._torn:
             return self._disagree(t, lines, belief)
-        if share >= AGREES or not _sees_through(scan, lines, belief):
+        if share >= AGREEING_SHARE or not _sees_through(scan, lines, belief):
             self._since = None
             return True
         return self._disagree(t, lines, belief)
 
     def _lose(self, since: float, lines: LineMap, belief: JointBelief) -> None:
-        """Mark the robot as lost from the last scan that fitted well; what was learnt after it is forgotten."""
+        """Mark the robot as lost from the last scan that fitted well; map lines born after it are dropped."""
         well, _ = self._well
-        self._lost_from = max(min(since, well), since - LOOK_BACK)
+        self._lost_from = max(min(since, well), since - MAX_BACKDATE_S)
         if self._intervals and self._lost_from <= self._intervals[-1][1]:  # what was found was no place
             self._lost_from = min(self._lost_from, self._intervals.pop()[0])
         belief.lost, self._suspicion = True, None
         self._forget_since_well(lines, belief)
         self._trail.forget()
         self._tried = 0
-        belief.place((belief.x, belief.y, belief.theta), LOST_XY**2, math.pi**2 / 3.0)
+        belief.place((belief.x, belief.y, belief.theta), LOST_SIGMA_M**2, math.pi**2 / 3.0)
 
     def _forget_since_well(self, lines: LineMap, belief: JointBelief) -> None:
         gone = np.flatnonzero(lines.ids >= self._well[1])
@@ -206,34 +225,34 @@ class Guard:
             belief.remove(lines.drop(gone))
 
     def _rolled(self, here: Pose) -> Pose:
-        """Return where the wheels alone put the robot, on from where they did at the last scan."""
+        """Return the pose by the wheels alone, continued from the last scan."""
         self._wheels = se2.carried(self._wheels, self._after or here, here)
         self._after = here
         return self._wheels
 
-    def turn_page(self) -> None:
-        """Go on in another map: what was seen before in this one's frame is void."""
+    def enter_map(self) -> None:
+        """Continue in another map: scans in the frame of this one are dropped."""
         self._before.clear()
         self._since = self._after = self._suspicion = None
         self._last = (math.inf, math.inf, math.inf)
         self._torn = False
 
     def gives_up(self) -> bool:
-        """Return whether a lost robot has driven on for long and its place on the map was not found."""
-        return self._lost_from is not None and self._tried >= PATIENCE
+        """Return whether a lost robot has driven on for long without a place on the map."""
+        return self._lost_from is not None and self._tried >= MAX_LOST_SCANS
 
     def leave(self) -> None:
-        """Leave the map, where the robot is in it is not known: it is adrift until the next one is recognised."""
+        """Leave the map with an unknown pose in it; the next map has no known place until it is recognised."""
         self._adrift, self._lost_from = self._since_lost(), None
 
     def recognised(self, t: float) -> None:
-        """Know again where the map lies that a lost robot began."""
+        """Mark the place of the map that a lost robot began as recognised."""
         if self._adrift is not None:
             self._intervals.append((self._adrift, t))
         self._adrift = None
 
     def begin_anew(self, t: float, belief: JointBelief) -> None:
-        """Begin with a map that begins now, where the robot is in it is exactly known."""
+        """Continue with a new map, in which the robot's pose is known exactly."""
         self._before.clear()
         self._since = self._place = self._suspicion = None
         self._last = (math.inf, math.inf, math.inf)
@@ -253,7 +272,7 @@ class Guard:
         if self._since is None:
             self._since, self._scans = t, 0
         self._scans += 1
-        if t - self._since >= SUSTAINED and self._scans >= SUSTAINED_SCANS:
+        if t - self._since >= MIN_DISAGREEMENT_S and self._scans >= MIN_DISAGREEMENT_SCANS:
             self._lose(self._since, lines, belief)
         return False
 
@@ -267,13 +286,13 @@ class Guard:
         if pose is None or self._lost_from is None or not self._confirmed(pose, belief):
             return found, False
         before = in_map(belief)
-        belief.place(pose, PLACED_XY**2, PLACED_THETA**2)
+        belief.place(pose, PLACED_SIGMA_M**2, PLACED_SIGMA_RAD**2)
         self._jumps.append(jump(t, RELOCALISED, before, in_map(belief)))
         self._found(t, belief)
         return again(), True
 
     def _confirmed(self, pose: Pose, belief: JointBelief) -> bool:
-        """Return whether CONFIRMED scans in a row put the robot where the wheels took it from the last place.
+        """Return whether CONFIRMED scans in a row agree with the wheels' motion since the last place.
 
         One scan of a few walls fits somewhere by chance; several, from places a robot drove between, hardly do.
         """
@@ -281,20 +300,20 @@ class Guard:
         if self._place is not None:
             there, place, times = self._place
             off = np.array(pose) - se2.compose(np.array(place), se2.between(there, here))
-            if math.hypot(off[0], off[1]) < SAME_XY and abs(se2.wrap(float(off[2]))) < SAME_THETA:
+            if math.hypot(off[0], off[1]) < SAME_PLACE_M and abs(se2.wrap(float(off[2]))) < SAME_PLACE_RAD:
                 self._place = (there, place, times + 1)
-                known = float(belief.matrix()[2, 2]) < HEADING_KNOWN**2
-                return times + 1 >= (WITH_HEADING if known else CONFIRMED)
+                known = float(belief.matrix()[2, 2]) < KNOWN_HEADING_SIGMA_RAD**2
+                return times + 1 >= (CONFIRMING_SCANS_WITH_HEADING if known else CONFIRMING_SCANS)
         self._place = (here, pose, 1)
         return False
 
     def _moved(self, belief: JointBelief) -> bool:
         x, y, theta = self._last
         self._last = (belief.x, belief.y, belief.theta)
-        return math.hypot(belief.x - x, belief.y - y) > MOVED or abs(belief.theta - theta) > TURNED
+        return math.hypot(belief.x - x, belief.y - y) > MIN_MOVED_M or abs(belief.theta - theta) > MIN_TURNED_RAD
 
     def intervals(self) -> list[tuple[float, float]]:
-        """Return when the robot was lost, (start, end) [s]; one that never ended is open (infinite)."""
+        """Return when the robot was lost, (start, end) [s]; an interval without end is open (infinite)."""
         since = self._since_lost()
         return [*self._intervals, *([] if since is None else [(since, math.inf)])]
 
@@ -302,7 +321,7 @@ class Guard:
         return min((t for t in (self._lost_from, self._adrift) if t is not None), default=None)
 
     def words(self) -> list[str]:
-        """Say what happened."""
+        """Return what happened, in words."""
         words = [f"lost from {a:.1f} s to {b:.1f} s after the start, then found again" for a, b in self._intervals]
         if (since := self._since_lost()) is not None:
             lost = f"lost from {since:.1f} s after the start until the end"
@@ -326,19 +345,19 @@ def jump(t: float, kind: str, before: Array, after: Array) -> Jump:
 
 
 def _jumped(before: Sequence[Seen], now: Seen) -> bool:
-    """Return whether the walls of this scan continue those of none of the scans before it, a slip allowed for.
+    """Return whether the walls of this scan continue those of no earlier scan, even if a slip is allowed for.
 
     A robot that explores sees new walls, but not only new ones, and not at once. In clutter lines come and go from
     scan to scan, but some scan of the last ones had them.
     """
-    recent = [one for one in before if now[0] - one[0] <= GAP]
-    if not recent or max(_view(one[2]) for one in recent) < VIEW:
+    recent = [one for one in before if now[0] - one[0] <= MAX_GAP_S]
+    if not recent or max(_view(one[2]) for one in recent) < MIN_VIEW_RAD:
         return False
-    return not continues(recent, now, HARDLY)
+    return not continues(recent, now, SLIP_MAX_SHARE)
 
 
 def _view(scan: Scan) -> float:
-    """Return the angle that the walls of a scan fill, as seen from the robot [rad]."""
+    """Return the angle over which the walls of a scan extend, seen from the robot [rad]."""
     r = np.abs(scan.z[:, :1])
     bearings = np.arctan2(scan.ends, np.maximum(r, 1e-6))
     return float((bearings[:, 1] - bearings[:, 0]).sum())
@@ -351,11 +370,13 @@ def _sees_through(scan: Scan, lines: LineMap, belief: JointBelief) -> bool:
     """
     behind = behind_walls(scan, lines, lines.values(belief), (belief.x, belief.y, belief.theta))
     length = scan.ends[:, 1] - scan.ends[:, 0]
-    return bool((behind * length).sum() >= THROUGH * length.sum() and (behind > 0.5).sum() >= WALLS_BEHIND)
+    return bool(
+        (behind * length).sum() >= MIN_THROUGH_SHARE * length.sum() and (behind > 0.5).sum() >= MIN_WALLS_BEHIND
+    )
 
 
 def _keep_open(belief: JointBelief, dt: float) -> None:
-    """Let what is known of a lost pose fade: its wheels may hang in the air; a compass keeps it up to date."""
+    """Add noise to a lost pose: its wheels may turn in the air; a compass keeps the heading."""
     theta = float(belief.matrix()[2, 2])
-    fades = min(CARRY_TURN**2 * dt, max(math.pi**2 / 3.0 - theta, 0.0))
-    belief.shift(0.0, CARRY**2 * dt, fades)
+    fades = min(CARRY_RAD_PER_S**2 * dt, max(math.pi**2 / 3.0 - theta, 0.0))
+    belief.shift(0.0, CARRY_M_PER_S**2 * dt, fades)

@@ -30,16 +30,7 @@ from locfuse.fusion.kernels import sight
 from locfuse.fusion.kernels.ekf import Loosening
 from locfuse.fusion.sensor import Reading
 
-
-class Prediction(NamedTuple):
-    """What the robot should see of k map lines, and how the prediction depends on the state."""
-
-    r: Array  # (k,) m, signed: paper eq. 17, 18 without the sign
-    psi: Array  # (k,) rad, base frame, not wrapped
-    cos: Array  # (k,) of beta
-    sin: Array  # (k,) of beta
-    u: Array  # (k,) dr/dbeta
-    spread: Array  # (k, 2, 2) H P H', and the map's covariance where the map is not a state
+COLUMN_NAMES = ("ids", "anchor", "lo", "hi", "hits", "column", "value", "P", "seen", "born")
 
 
 class LineMap(msgspec.Struct):
@@ -85,7 +76,7 @@ class LineMap(msgspec.Struct):
         return columns
 
     def table(self) -> sight.Walls:
-        """Return the map for the kernel; it shares the columns, and is made anew where they are other arrays."""
+        """Return the map for the kernel; it shares the columns, and is rebuilt after these were replaced."""
         shown = self._shown
         if self._table is not None and shown[0] is self.column and shown[1] is self.hits and shown[2] is self.seen:
             return self._table
@@ -114,7 +105,7 @@ class LineMap(msgspec.Struct):
         return line
 
     def keep_floor(self, belief: JointBelief, floor: tuple[float, float]) -> None:
-        """Know no line better than its floor (2,) [m^2, rad^2], whatever was averaged: no wall is a plane."""
+        """Keep each line's covariance at its floor (2,) [m^2, rad^2] or above, since no wall is an exact plane."""
         if self._lacking is None or self._room < 2 * len(self.ids):
             self._room = 4 * len(self.ids)
             self._lacking = Loosening(np.empty(self._room, np.intp), np.empty(self._room))
@@ -122,44 +113,21 @@ class LineMap(msgspec.Struct):
         belief.loosen_all(self._lacking)
 
     def drop(self, gone: Ints) -> Ints:
-        """Remove lines by position; return the state columns that they held."""
+        """Remove lines by position; return their state columns."""
         keep = np.setdiff1d(np.arange(len(self)), gone)
         freed = self.column[gone]
         freed = np.sort(np.concatenate((freed[freed >= 0], freed[freed >= 0] + 1)))
-        for name in ("ids", "anchor", "lo", "hi", "hits", "column", "value", "P", "seen", "born"):
+        for name in COLUMN_NAMES:
             setattr(self, name, getattr(self, name)[keep])
         self.column = self.column - np.searchsorted(freed, self.column)
         return freed
-
-    def predict(self, which: Ints, values: Array, belief: JointBelief) -> Prediction:
-        """Predict (r, psi) of lines `which` (k,) and their innovation covariance without R."""
-        beta = values[which, 1]
-        c, s = np.cos(beta), np.sin(beta)
-        dx, dy = belief.x - self.anchor[which, 0], belief.y - self.anchor[which, 1]
-        r = values[which, 0] - dx * c - dy * s
-        u = dx * s - dy * c
-        columns = self.column[which]
-        P = belief.matrix()
-        spread = _pose_spread(P, c, s)
-        if len(columns) == 0 or columns[0] < 0:
-            spread += line_spread(self.P[which], u)
-        else:
-            spread += line_spread(self.covariances_of(which, belief), u)
-            spread += _cross_spread(belief.covariance, columns, c, s, u)
-        return Prediction(r, beta - belief.theta, c, s, u, spread)
 
     def states(self, which: Ints | slice) -> Ints:
         """Return the state columns of lines `which` (k,), rho and beta line by line, (2k,)."""
         return (self.column[which][:, None] + np.arange(2)).reshape(-1)
 
-    def covariances_of(self, which: Ints, belief: JointBelief) -> Array:
-        """Return the state covariances of lines `which`, (k, 2, 2)."""
-        at = self.column[which, None] + np.arange(2)
-        P: Array = belief.covariance[at[:, :, None], at[:, None, :]]
-        return P
-
     def lines(self, belief: JointBelief) -> list[MapLine]:
-        """Return the map about the map's origin: values in the paper's form, for people and files."""
+        """Return the map about its origin, with lines in the paper's form, for display and files."""
         frame = belief.frame_pose()
         return [
             self._line(j, v, P)
@@ -169,7 +137,7 @@ class LineMap(msgspec.Struct):
         ]
 
     def placed_at(self, frame: Array, P: Array) -> list[MapLine]:
-        """Return lines that are no states, of a local frame (3,) of covariance P (3, 3), in the map."""
+        """Return lines that are no states, in the map, for their local frame (3,) of covariance P (3, 3)."""
         x, y, theta = map(float, frame)
         joint = np.zeros((5, 5))
         joint[2:, 2:] = P
@@ -190,7 +158,7 @@ class LineMap(msgspec.Struct):
         return MapLine(int(self.ids[j]), rho + ax * c + ay * s, beta, ends, G @ P @ G.T, int(self.hits[j]))
 
     def _framed(self, j: int, placed: Placed, P: Array, joint: Array) -> MapLine:
-        """Return line j where the map frame puts it; its covariance with that frame held, and with it free."""
+        """Return line j in the map, and its covariance with the map frame fixed and with it free."""
         line = self._line(j, placed.value, P, placed.anchor)
         J = line_by_frame(line, placed.anchor, placed.frame)
         return replace(line, P_free=J @ joint @ J.T)
@@ -207,7 +175,7 @@ class LineMap(msgspec.Struct):
 
 
 class Placed(NamedTuple):
-    """A line where the map frame (X, Y, Th) puts it."""
+    """A line in the map, placed by the map frame (X, Y, Th)."""
 
     value: Array  # (2,) rho about the anchor, beta in the map
     anchor: Array  # (2,) m, map
@@ -239,46 +207,14 @@ def about_middle(line: MapLine) -> tuple[Array, float, Array]:
     return np.array([line.rho * c - along * s, line.rho * s + along * c]), half, G @ line.P @ G.T
 
 
-def _pose_spread(P: Array, c: Array, s: Array) -> Array:
-    """H P H' for H = [[-c, -s, 0], [0, 0, -1]], (k, 2, 2)."""
-    out = np.empty((len(c), 2, 2))
-    out[:, 0, 0] = c * c * P[0, 0] + 2.0 * c * s * P[0, 1] + s * s * P[1, 1]
-    out[:, 0, 1] = out[:, 1, 0] = c * P[0, 2] + s * P[1, 2]
-    out[:, 1, 1] = P[2, 2]
-    return out
-
-
-def line_spread(M: Array, u: Array) -> Array:
-    """H M H' for H = [[1, u], [0, 1]], (k, 2, 2)."""
-    out = np.empty_like(M)
-    cross = M[:, 0, 1] + u * M[:, 1, 1]
-    out[:, 0, 0] = M[:, 0, 0] + u * (M[:, 0, 1] + cross)
-    out[:, 0, 1] = out[:, 1, 0] = cross
-    out[:, 1, 1] = M[:, 1, 1]
-    return out
-
-
-def _cross_spread(P: Array, columns: Ints, c: Array, s: Array, u: Array) -> Array:
-    """H_pose P_pose,line H_line' plus its transpose, (k, 2, 2)."""
-    rho, beta = P[:3, columns], P[:3, columns + 1]
-    r_rho = -c * rho[0] - s * rho[1]
-    r_beta = -c * beta[0] - s * beta[1]
-    psi_rho, psi_beta = -rho[2], -beta[2]
-    out = np.empty((len(c), 2, 2))
-    out[:, 0, 0] = 2.0 * (r_rho + u * r_beta)
-    out[:, 0, 1] = out[:, 1, 0] = r_beta + psi_rho + u * psi_beta
-    out[:, 1, 1] = 2.0 * psi_beta
-    return out
-
-
 NO_SHARES = np.zeros((0, 2, 0))
-RESERVE = 1.5  # times the room that is needed now
+RESERVE_FACTOR = 1.5  # times the room that is needed now
 
 
 class Association(sight.Sight, Reading):
-    """The lines of a scan against a map: of every line its pair, or why there is none.
+    """The lines of a scan against a map: for every line its pair, or why there is none.
 
-    As a `Reading` of the filter it says all accepted lines together, as rows of the state's table.
+    As a `Reading` of the filter it holds all accepted lines together, as rows of the state's table.
     """
 
     def __init__(self, rules: sight.Rules, seat: sight.Seat) -> None:
@@ -290,7 +226,7 @@ class Association(sight.Sight, Reading):
         self._bent = Loosening(np.zeros(0, np.intp), np.zeros(0))
 
     def compare(self, belief: JointBelief, lines: LineMap, rows: Array, shared: Array = NO_SHARES) -> float:
-        """Associate measured lines (n, 7), in the base by the mount as configured; return the share that matches.
+        """Associate measured lines (n, 7), in the base by the configured mount; return the share that matches.
 
         `shared` (n, 2, s) is what the errors of the lines share (lines.sweep).
         """
@@ -301,8 +237,8 @@ class Association(sight.Sight, Reading):
         return share
 
     def _make_room(self, n: int, places: int, parts: int) -> None:
-        n = self._lines = max(self._lines, int(RESERVE * n) + 1)
-        places = self._places = max(self._places, int(RESERVE * places) + 1)
+        n = self._lines = max(self._lines, int(RESERVE_FACTOR * n) + 1)
+        places = self._places = max(self._places, int(RESERVE_FACTOR * places) + 1)
         parts = self._parts = max(self._parts, parts)
         free, whole = self.seat.free, [np.zeros(n, np.intp) for _ in range(5)]
         self._rows = np.zeros((n, 7))
@@ -317,16 +253,16 @@ class Association(sight.Sight, Reading):
         self.hold_states(self._bent)
 
     def in_base(self) -> Array:
-        """Return the measured lines in the base by the mount as it was estimated, a copy (n, 7)."""
+        """Return a copy (n, 7) of the measured lines in the base by the estimated mount."""
         return self._rows[: self.lines].copy()
 
     def moved(self) -> tuple[float, float, float]:
-        """Return what led from the lines in the base as configured to those: x, y [m], yaw [rad]."""
+        """Return the motion from the lines by the configured mount to those lines: x, y [m], yaw [rad]."""
         x, y, yaw = self._offset.tolist()
         return x, y, yaw
 
     def new(self) -> list[int]:
-        """Return the lines that match nothing and are near nothing that is known."""
+        """Return the lines that match nothing and are near no known line."""
         return [i for i in range(self.lines) if self.is_new(i)]
 
     def rows_used(self) -> list[int]:
@@ -334,7 +270,7 @@ class Association(sight.Sight, Reading):
         return [self.row + i for i in range(self.lines) if self.is_matched(i)]
 
     def bend(self, belief: JointBelief, uneven: tuple[float, float], most: tuple[float, float]) -> None:
-        """Loosen the walls that were seen within their unevenness [m^2, rad^2], `most` of it at a time."""
+        """Add variance to the walls that were seen, up to their unevenness [m^2, rad^2], `most` at a time."""
         self.bends(belief, *uneven, *most)
         belief.loosen_all(self._bent)
 
@@ -342,7 +278,7 @@ class Association(sight.Sight, Reading):
 def associate(
     rows: Array, lines: LineMap, belief: JointBelief, like: Association, shared: Array = NO_SHARES
 ) -> Association:
-    """Associate measured lines anew, with the belief as it is now, by the rules of another association."""
+    """Associate measured lines again, with the present belief and the rules of another association."""
     found = Association(like.rules, like.seat)
     found.compare(belief, lines, rows, shared)
     return found

@@ -20,7 +20,7 @@ from locfuse.fusion.data import Array, Ints, Measurements
 from locfuse.fusion.lines.extract import LINE_COLUMNS, rows_of
 from locfuse.fusion.se2 import wrap_all
 
-BLOCK = 4096  # lines that become one table at a time: an hour of them need not be there at once
+LINES_AT_ONCE = 4096  # lines that become one table at a time: an hour of them need not be there at once
 
 
 class Scan:
@@ -55,7 +55,7 @@ class Scan:
 
 
 class Scans:
-    """Reads the laser's measurements scan by scan, in the order of time."""
+    """Collects the laser's measurements scan by scan, in the order of time."""
 
     def __init__(self) -> None:
         self._of: Measurements | None = None
@@ -65,7 +65,7 @@ class Scans:
     def read(self, m: Measurements, first: int, last: int) -> Array:
         """Return rows first:last as one table (k, 7)."""
         if m is not self._of or first < self._begin or last > self._end:
-            self._of, self._begin, self._end = m, first, max(last, min(first + BLOCK, len(m.z)))
+            self._of, self._begin, self._end = m, first, max(last, min(first + LINES_AT_ONCE, len(m.z)))
             at = slice(self._begin, self._end)
             self._rows = rows_of(m.z[at], m.covariances(at), m.extra["ends"][at])
         return self._rows[first - self._begin : last - self._begin]
@@ -78,7 +78,7 @@ SAME_SHARE = 0.5  # share of the seen length that must be the same: less, and so
 
 
 class Standing:
-    """The scans since the wheels stood still. A scan is a table (k, 7)."""
+    """The scans since the wheels stopped. A scan is a table (k, 7)."""
 
     def __init__(self) -> None:
         self._rolled = (0.0, 0.0, 0.0)  # x, y [m], theta [rad] by the wheels since the first scan
@@ -89,16 +89,16 @@ class Standing:
         self._counts: Ints = np.zeros(0, np.intp)
 
     def rolled(self, u: Sequence[float]) -> None:
-        """Take in wheel motion: x, y [m], theta [rad]. So small a motion may be summed component by component."""
+        """Add wheel motion: x, y [m], theta [rad]. Motion this small may be summed by component."""
         x, y, theta = self._rolled
         self._rolled = (x + u[0], y + u[1], theta + u[2])
 
     def forget(self) -> None:
-        """Let the next scan be the first."""
+        """Forget all scans."""
         self._first = None
 
     def take(self, rows: Array) -> Array | None:
-        """Return what a scan says: itself, or at rest the mean since the last use; None where it only repeats."""
+        """Return the scan, or at rest the mean since the last use; None if it only repeats."""
         x, y, theta = self._rolled
         drives = x * x + y * y > MAX_ROLLED_M**2 or not -MAX_TURNED_RAD < theta < MAX_TURNED_RAD
         if drives or self._first is None:
@@ -124,7 +124,7 @@ class Standing:
         self._sums, self._counts = np.zeros((len(rows), 2)), np.zeros(len(rows), np.intp)
 
     def _add(self, rows: Array, same: Ints) -> None:
-        """Take a scan into the sums; a line that repeats none begins one, which `same` (k,) names from here on."""
+        """Add a scan to the sums; a line that repeats none starts a new one, named by `same` (k,) from then on."""
         new = np.flatnonzero(same < 0)
         if len(new):
             same[new] = len(self._lines) + np.arange(len(new))
@@ -138,7 +138,7 @@ class Standing:
         self._scans += 1
 
     def _same(self, rows: Array) -> Ints:
-        """Return for each line of a scan (k,) the one that it repeats, -1 for none.
+        """Return for each line of a scan (k,) the earlier line that it repeats, -1 for none.
 
         Both are each other's nearest, within SAME_D2, and have a share of the longer in common.
         """

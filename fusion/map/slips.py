@@ -1,128 +1,204 @@
-"""Wheels that slip turn the robot: the map says by how much, the next scans and matched scans must say the same.
+"""Slips of the wheels, and the recent scans that confirm or contradict the motion by the wheels.
 
-A few headings near the old one are tried on the belief itself. In clutter a few short lines match at some heading,
-and while the robot turns a clock that is off looks like a slip. So a slip counts only where the next scans fit
-better with it, and where the scan at hand, matched with the last one that was used, has turned as much more than
-the wheels say. Until then no scan corrects the pose or teaches the map: the wheels lead on.
+A slip turns the robot. The map shows by how much: headings near the old one are tried on the belief itself.
+In clutter a few short lines match at some heading, and while the robot turns a clock that is off looks like a
+slip. So a slip counts only where the next scans fit better with it, and where the scan at hand, matched with the
+last one that was used, has turned as much more than the wheels report. Until then no scan corrects
+pose or map.
+
+A candidate place of a lost robot must explain all scans of its `Trail`. In a room whose halves look alike a
+single scan fits twice; as the robot drives on, one of the two places shows walls that are not there.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Ints
+from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import Pose
 
 from .line_map import Association, LineMap
 from .scan import Scan
-from .scan_history import expected_share
+
+STRIDE_M, TURN_RAD = 0.2, math.radians(15.0)  # m, rad between two scans that are kept
+# scans, rad: over 6 m, or around a corner, the wheels have drifted
+MAX_SCANS, MAX_TURNED_RAD = 30, math.radians(90.0)
+MIN_LINES = 2
+SAME_ANGLE_RAD, SAME_OFFSET_M = math.radians(4.0), 0.1  # a line is where the wheels expect it within these
+MIN_TRAIL_SHARE = 0.6  # share of the seen length that must be: less, and the robot is being carried
+MAX_SLIPS = 1000  # slips that are tried; two scans of 30 lines have fewer
+MAX_NUMBERS = 1 << 22  # numbers at a time: two scans of 2000 lines would need terabytes
+
+
+class Trail:
+    """Scans along the path by the wheels."""
+
+    def __init__(self) -> None:
+        self._seen: deque[tuple[Array, Scan]] = deque(maxlen=MAX_SCANS)  # pose by the wheels, scan
+
+    def note(self, pose: Array, scan: Scan) -> bool:
+        """Keep a scan with lines, if its pose (3,) by the wheels differs from the last one's.
+
+        Where the walls moved otherwise than the wheels, the robot is still carried: earlier scans are dropped.
+        """
+        if len(scan.z) < MIN_LINES:
+            return False
+        if self._seen:
+            there, before = self._seen[-1]
+            step = se2.between(there, pose)
+            if math.hypot(step[0], step[1]) < STRIDE_M and abs(se2.wrap(float(step[2]))) < TURN_RAD:
+                return False
+            if expected_share(scan, before, step) < MIN_TRAIL_SHARE:
+                self.forget()
+        self._seen.append((pose, scan))
+        return True
+
+    def forget(self) -> None:
+        """Forget all scans and start again."""
+        self._seen.clear()
+
+    def back_from(self, pose: Array) -> Iterator[tuple[Array, Scan]]:
+        """Yield the scans, newest first, with their poses (3,) relative to `pose`."""
+        for there, scan in reversed(self._seen):
+            step = np.asarray(se2.between(pose, there))
+            if abs(se2.wrap(float(step[2]))) > MAX_TURNED_RAD:
+                return
+            yield step, scan
+
+
+def expected_share(scan: Scan, before: Scan, step: Array, slip: float = 0.0) -> float:
+    """Return the share of a scan's line length that an earlier scan and a step (3,) predict.
+
+    With the heading change of up to `slip` [rad] that suits it best: wheels slip.
+    """
+    r, psi = before.z.T
+    near = np.abs(scan.z[:, 0, None] - (r - step[0] * np.cos(psi) - step[1] * np.sin(psi))) < SAME_OFFSET_M
+    turn = se2.wrap_all(scan.z[:, 1, None] - psi + step[2])  # (k, lines before)
+    slips = np.append(_few(turn[np.abs(turn) < slip]), 0.0)
+    i, j = np.nonzero(near)
+    lines, first = np.unique(i, return_index=True)
+    found = np.zeros((len(slips), len(scan.z)), np.bool_)
+    at_once = max(1, MAX_NUMBERS // max(len(i), 1))
+    for at in range(0, len(slips) if len(i) else 0, at_once):
+        some = slice(at, at + at_once)
+        suits = np.abs(turn[i, j] - slips[some, None]) < SAME_ANGLE_RAD  # (slips, pairs)
+        found[some, lines] = np.logical_or.reduceat(suits, first, axis=1)
+    length = scan.ends[:, 1] - scan.ends[:, 0]
+    return float((found @ length).max() / length.sum())
+
+
+def _few(slips: Array) -> Array:
+    """Return evenly spread ones of very many slips (n,) [rad]: neighbours are then much closer than SAME_ANGLE."""
+    if len(slips) <= MAX_SLIPS:
+        return slips
+    some: Array = np.sort(slips)[np.linspace(0, len(slips) - 1, MAX_SLIPS).astype(np.intp)]
+    return some
+
 
 MAX_SLIP_RAD = math.radians(30.0)
-SLIP_SHARE = 0.6  # of the seen length that a slipped heading must explain, with two lines
-SLIP_XY, SLIP_THETA = 0.03, math.radians(1.5)  # m, rad: what is left to correct after a slip's heading was found
-CANDIDATES = 8
-RECENT = 60  # scans
-LOOKS = 3  # scans until a slip is decided
-MIN_GAIN, SURE_GAIN = 0.2, 0.5  # how much more of them must match with it: matched scans say the same, or not
+MIN_SLIP_SHARE = 0.6  # of the seen length that a slipped heading must explain, with two lines
+# m, rad: what is left to correct after a slip's heading was found
+SLIP_SIGMA_M, SLIP_SIGMA_RAD = 0.03, math.radians(1.5)
+MAX_CANDIDATES = 8
+RECENT_SCANS = 60  # scans
+DECIDING_SCANS = 3  # scans until a slip is decided
+MIN_GAIN, SURE_GAIN = 0.2, 0.5  # how much more of them must match with it: matched scans agree, or not
 SMALL_RAD = math.radians(5.0)  # a heading may be off by so much without a slip: below, no further scans are asked
 AGREE_RAD = math.radians(3.0)  # between the turns of a slip by the map and by matched scans
-CARRIED = 6  # scans in a row that ask for a slip: the robot is carried
-CONTINUES = 0.4  # share of the seen length where scans from before a jump expect it: then there was none
+CARRIED_SCANS = 6  # scans in a row that ask for a slip: the robot is carried
+CONTINUING_SHARE = 0.4  # share of the seen length where scans from before a jump expect it: then there was none
 
 Seen = tuple[float, Pose, Scan]  # a scan: when [s], and where the wheels alone put the robot
-Late = tuple[float, Pose, Callable[[], Scan]]  # the same of a scan that is made when it is asked for
-
-
-def made(seen: Sequence[Late]) -> list[Seen]:
-    """Return scans as they are."""
-    return [(t, pose, scan()) for t, pose, scan in seen]
 
 
 class Series:
-    """Scans in a row that ask for a slip."""
+    """Scans in a row that suggest a slip."""
 
     def __init__(self) -> None:
         self.begun = 0.0  # s
         self._scans = 0
-        self._before: list[Seen] = []  # scans from before the first one
+        self._before: Sequence[Seen] = ()  # scans from before the first one
 
     def ends(self) -> None:
-        """Let the next scan that asks be the first."""
+        """End the series: the next scan that suggests a slip is the first."""
         self._scans = 0
 
-    def goes_on(self, now: Seen, before: Sequence[Late]) -> bool:
-        """Take in a scan that asks for a slip, and return whether so many did that the robot is carried.
+    def goes_on(self, now: Seen, before: Sequence[Seen]) -> bool:
+        """Add a scan that suggests a slip, and return whether so many did that the robot is being carried.
 
-        Where the walls from before them are where the wheels expect them, nobody carries it.
+        Where the walls from before them are where the wheels expect them, it is not carried.
         """
         if not self._scans:
-            self.begun, self._before = now[0], made(before)
+            self.begun, self._before = now[0], before
         self._scans += 1
-        if self._scans < CARRIED:
+        if self._scans < CARRIED_SCANS:
             return False
         self._scans = 0
         return not continues(self._before, now, slip=0.0)
 
 
 class Suspicion:
-    """A slip that a scan asks for, until the next scans have been held against both headings."""
+    """A slip suggested by a scan, until the next scans are compared with both headings."""
 
     def __init__(self, turn: float) -> None:
-        """`turn` [rad] is what the map says."""
+        """`turn` [rad] is the one by the map."""
         self.turn = turn
         self.looks = 0
         self._gain = 0.0  # shares of the seen length that match at the turned heading beyond those at the old one
 
     def look(self, kept: float, turned: float) -> None:
-        """Take in a scan of which these shares match at the old heading and at the turned one."""
+        """Add a scan with its matched shares at the old and at the turned heading."""
         self.looks += 1
         self._gain += turned - kept
 
     @staticmethod
     def waits(turn: float) -> bool:
-        """Return whether a turn [rad] is so large that it must wait for the next scans."""
+        """Return whether a turn [rad] is so large that the next scans must confirm it."""
         return abs(turn) >= SMALL_RAD
 
     @property
     def decided(self) -> bool:
-        """Whether enough scans have been seen."""
-        return self.looks >= LOOKS
+        """Whether enough scans have been compared."""
+        return self.looks >= DECIDING_SCANS
 
     def confirmed(self, gain: float, by_scans: bool) -> bool:
-        """Return whether the scans since ask for a slip, the last one by a `gain` in share.
+        """Return whether the scans since then support a slip, the last one by a `gain` in share.
 
-        A little is enough where matched scans tell the same turn (`by_scans`).
+        A little is enough where matched scans show the same turn (`by_scans`).
         """
         least = MIN_GAIN if by_scans else SURE_GAIN
         return self._gain >= least * self.looks and gain >= least
 
 
 def agree(by_scans: float | None, turn: float) -> bool:
-    """Return whether matched scans tell about the same turn [rad]; None: they do not tell."""
+    """Return whether matched scans show about the same turn [rad]; None: they do not match."""
     return by_scans is not None and abs(se2.wrap(by_scans - turn)) <= AGREE_RAD
 
 
-def continues(before: Sequence[Seen], now: Seen, share: float = CONTINUES, slip: float = MAX_SLIP_RAD) -> bool:
-    """Return whether this scan shows walls where one of these scans and the wheels expect them."""
+def continues(
+    before: Sequence[Seen], now: Seen, share: float = CONTINUING_SHARE, slip: float = MAX_SLIP_RAD
+) -> bool:
+    """Return whether this scan shows walls where an earlier scan and the wheels predict them."""
     _, here, scan = now
     steps = ((old, se2.between(np.array(there), np.array(here))) for _, there, old in before if len(old.z))
     return any(expected_share(scan, old, step, slip) >= share for old, step in steps)
 
 
 def slip_turn(scan: Scan, lines: LineMap, belief: JointBelief, again: Callable[[], Association]) -> float | None:
-    """Return the heading change [rad] that makes most of the scan match; None without one.
+    """Return the heading change [rad] with which most of the scan matches; None without one.
 
     Every heading is tried on the belief itself and the whole map: what is accepted here is what will be matched.
     `again` associates the scan with the belief as it is now.
     """
-    recent = np.flatnonzero(lines.seen.max(initial=0) - lines.seen <= RECENT)
-    least, found = SLIP_SHARE, None
+    recent = np.flatnonzero(lines.seen.max(initial=0) - lines.seen <= RECENT_SCANS)
+    least, found = MIN_SLIP_SHARE, None
     for turn in _turns(scan, lines, recent, belief):
         there = with_slip(belief, turn, again)
         share = there.share()
@@ -132,14 +208,14 @@ def slip_turn(scan: Scan, lines: LineMap, belief: JointBelief, again: Callable[[
 
 
 def with_slip(belief: JointBelief, turn: float, again: Callable[[], Association]) -> Association:
-    """Return the association of the scan at hand if the heading were turned by a slip [rad]."""
-    with tried(belief, turn, SLIP_XY**2, SLIP_THETA**2):
+    """Return the association of the present scan with the heading turned by a slip [rad]."""
+    with tried(belief, turn, SLIP_SIGMA_M**2, SLIP_SIGMA_RAD**2):
         return again()
 
 
 @contextmanager
 def tried(belief: JointBelief, turn: float, xy: float, theta: float) -> Iterator[None]:
-    """Shift the belief for as long as the block lasts."""
+    """Shift the belief inside this context."""
     belief.shift(turn, xy, theta)
     try:
         yield
@@ -148,7 +224,7 @@ def tried(belief: JointBelief, turn: float, xy: float, theta: float) -> Iterator
 
 
 def _turns(scan: Scan, lines: LineMap, recent: Ints, belief: JointBelief) -> list[float]:
-    """Return the distinct heading changes that lay a seen line onto a recent one, the most supported first."""
+    """Return the distinct heading changes that align a seen line with a recent one, most supported first."""
     beta = lines.values(belief)[recent, 1]
     turns = se2.wrap_all(beta[None, :] - belief.theta - scan.z[:, 1, None])
     length = np.broadcast_to((scan.ends[:, 1] - scan.ends[:, 0])[:, None], turns.shape)
@@ -157,5 +233,5 @@ def _turns(scan: Scan, lines: LineMap, recent: Ints, belief: JointBelief) -> lis
     support: dict[int, float] = {}
     for cell, weight in zip(cells.tolist(), length[near].tolist(), strict=True):
         support[cell] = support.get(cell, 0.0) + weight
-    ranked = sorted(support, key=lambda c: (-support[c], abs(c), c))[:CANDIDATES]
+    ranked = sorted(support, key=lambda c: (-support[c], abs(c), c))[:MAX_CANDIDATES]
     return [c * math.radians(2.0) for c in ranked if c != 0]

@@ -1,4 +1,4 @@
-"""Which wall of a line map answers a sonar, and how its distance depends on pose and wall."""
+"""The wall of a line map that returns a sonar's echo, and the derivatives of its distance by pose and wall."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MIN_SLOPE = 1e-6  # cosine from which an edge of the cone meets a wall at all
 
 
 class Cone(NamedTuple):
-    """Where a sonar sits on the base, and what it hears."""
+    """Mount of a sonar on the base, and its cone."""
 
     x: float  # m
     y: float
@@ -29,7 +29,7 @@ class Cone(NamedTuple):
 
 
 class Echo(NamedTuple):
-    """The wall that should answer."""
+    """The wall that is predicted to return the echo."""
 
     distance: float  # m, predicted
     line: int  # id in the map
@@ -40,13 +40,13 @@ class Echo(NamedTuple):
 
 
 def nearest_echo(lines: LineMap, belief: JointBelief, cone: Cone, sigma: float) -> Echo | None:
-    """Return the nearest wall that stands square to the cone, None where there is none or something is nearer."""
+    """Return the nearest wall perpendicular to a ray of the cone; None if there is none or something is nearer."""
     px, py, theta = belief.pose()
     if not math.isfinite(theta):
         return None
     c, s = math.cos(theta), math.sin(theta)
     lever_x, lever_y = c * cone.x - s * cone.y, s * cone.x + c * cone.y
-    half = max(min(cone.half, math.pi), 0.0)  # none is wider than all around, whatever a message says
+    half = max(min(cone.half, math.pi), 0.0)  # none is wider than all around, whatever a message holds
     axis, widest = theta + cone.yaw, half + cone.widen
     rho, beta = _values(lines, belief)
     with np.errstate(invalid="ignore"):  # of a direction that is infinite: NaN, which answers nothing
@@ -84,7 +84,7 @@ def _values(lines: LineMap, belief: JointBelief) -> tuple[Array, Array]:
 
 
 def _slanted(distance: float, foot: float, off: float, half: float, ends: tuple[float, float]) -> float:
-    """Return the distance [m] at which an edge of the cone meets a wall, or at which the wall ends in the cone.
+    """Return the distance [m] at which an edge of the cone meets a wall, or the wall ends inside the cone.
 
     The wall's nearest point is `distance` away and at `foot` on it, in a direction `off` [rad] the cone's axis.
     """

@@ -1,4 +1,4 @@
-"""Keeping a growing map small and single: lines that proved nothing leave, doubles become one.
+"""Tidying a growing map: lines that were seen too rarely are removed, doubles are merged.
 
 Joining two lines that are one wall is how loops close: the constraint "these are equal" is a measurement with a
 stated noise, and the filter carries it into every state that depends on either.
@@ -17,24 +17,25 @@ from locfuse.fusion.se2 import wrap
 
 from .line_map import LineMap
 
-TIDY_EVERY = 10  # scans
+TIDY_EVERY_SCANS = 10  # scans
 MIN_HITS = 4
 TRIAL_SCANS = 15  # scans after its birth in which a line must earn its hits
-DOUBLE_ANGLE, DOUBLE_OFFSET = math.radians(8.0), 0.25  # further apart is two walls, whatever the covariance says
-APART = 0.3  # m along the wall between two pieces that may still be one
-MAY_BE_ONE = sight.Doubles(MIN_HITS, TRIAL_SCANS, DOUBLE_ANGLE, DOUBLE_OFFSET, APART)
+# further apart is two walls, whatever the covariance
+DOUBLE_ANGLE_RAD, DOUBLE_OFFSET_M = math.radians(8.0), 0.25
+MAX_GAP_M = 0.3  # m along the wall between two pieces that may still be one
+MAY_BE_ONE = sight.Doubles(MIN_HITS, TRIAL_SCANS, DOUBLE_ANGLE_RAD, DOUBLE_OFFSET_M, MAX_GAP_M)
 DOUBLE_D2 = 9.2  # chi-square with 2 degrees of freedom at 99 %
-FLAT = np.array([0.005, math.radians(0.2)])  # m, rad: how well two pieces of one flat wall agree
+FLAT_SIGMAS = np.array([0.005, math.radians(0.2)])  # m, rad: how well two pieces of one flat wall agree
 
 
 def untidy(lines: LineMap, belief: JointBelief, scan: int) -> bool:
-    """Return whether `prune` or `merge_doubles` may have anything to do."""
+    """Return whether `prune` or `merge_doubles` may find anything."""
     n = len(lines)
     return sight.untidy(belief, lines.table(), MAY_BE_ONE, scan, np.empty((n, 4)), np.empty(n, np.intp))
 
 
 def prune(lines: LineMap, belief: JointBelief, scan: int) -> None:
-    """Drop lines that were born TRIAL_SCANS scans ago and hardly seen since: people, poles, bad fits."""
+    """Drop lines that are TRIAL_SCANS scans old and were hardly seen since: people, poles, bad fits."""
     walls = lines.table()
     gone = np.array([j for j in range(len(lines)) if sight.worthless(walls, j, scan, MAY_BE_ONE)], np.int64)
     if len(gone):
@@ -46,7 +47,7 @@ def merge_doubles(lines: LineMap, belief: JointBelief, scan: int, uneven: Array)
 
     `uneven` (2,) is the variance [m^2, rad^2] by which a piece of wall is off its line: two pieces differ by both.
     """
-    R = np.diag(np.maximum(FLAT**2, 2.0 * uneven))
+    R = np.diag(np.maximum(FLAT_SIGMAS**2, 2.0 * uneven))
     recent = np.flatnonzero(scan - lines.seen <= TRIAL_SCANS)[::-1]
     while len(recent):
         values = lines.values(belief)
@@ -61,7 +62,7 @@ def merge_doubles(lines: LineMap, belief: JointBelief, scan: int, uneven: Array)
 
 
 def _near(lines: LineMap, values: Array, j: int) -> Ints:
-    """Return which lines (k,) may be one wall with line j by where they lie."""
+    """Return which lines (k,) may be one wall with line j, by their positions."""
     rows, found = np.concatenate((values, lines.anchor), axis=1), np.empty(len(lines), np.intp)
     return found[: sight.neighbours(rows, lines.table(), j, MAY_BE_ONE, found)]
 
@@ -103,7 +104,7 @@ def _joint(lines: LineMap, belief: JointBelief, i: int, j: int) -> Array:
 
 
 def _join(lines: LineMap, belief: JointBelief, i: int, j: int, R: Array) -> None:
-    """Measure that lines i and j are equal, then keep i with the extent of both."""
+    """Correct by the equality of lines i and j, then keep i with the extent of both."""
     y, H, lo, hi = _difference(lines, lines.values(belief), i, j)
     belief.know(y.tolist(), R.tolist(), _columns(lines, i, j).tolist(), H.tolist())
     lines.lo[i], lines.hi[i] = min(lines.lo[i], lo), max(lines.hi[i], hi)

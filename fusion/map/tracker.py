@@ -1,9 +1,9 @@
-"""The line map inside one run: what a scan says of the pose, what it teaches the map, and the maps of a building.
+"""The line map inside one run: scans correct the pose and the map; and the small maps of a building.
 
 `LineTracker` keeps one map. `AtlasTracker` keeps small maps, one after another, held together by a graph of
 anchors: a map that the robot has left is frozen, and the next one begins at an anchor. The map frame moves on
 to the pose (fusion.ekf.map_frame), so that what one scan costs does not grow with the building. Where the map
-at hand is found to be a part of an earlier one, the loop is closed: the graph says where all anchors lie, and
+at hand is found to be a part of an earlier one, the loop is closed: all anchors are solved anew, and
 the pose jumps. Hierarchical SLAM (Estrada, Neira and Tardos, IEEE T-RO 2005) with the graph of Lu and Milios
 (1997).
 """
@@ -11,7 +11,7 @@ the pose jumps. Hierarchical SLAM (Estrada, Neira and Tardos, IEEE T-RO 2005) wi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -37,41 +37,51 @@ from locfuse.fusion.kernels.sight import Rules
 from locfuse.fusion.lines.extract import rows_in_base
 from locfuse.fusion.lines.flatness import bend
 from locfuse.fusion.mount import Mount
-from locfuse.fusion.scan_matching.scan_by_scan import turned_beyond_wheels
+from locfuse.fusion.scan_matching.neighbours import turned_beyond_wheels
+from locfuse.fusion.scan_matching.solve import NOWHERE
 from locfuse.fusion.sensor import Block, Model
 
-from .anchors import NOWHERE, Anchors, Edge, inverted
-from .bridge import Bridge, cross, heading_among, seen_from_here
-from .closing import Closure, Here, find_closure
-from .frozen import FrozenMap, box_of, frozen, joint_covariance, thaw
+from .anchors import Anchors, Edge, inverted
 from .guard import Guard, in_map, jump
 from .laser_mount import by_mount, moved_mount, seat_of
 from .line_map import NO_SHARES, Association, LineMap, about_middle, associate
-from .looks import INSISTING, Looks, is_open
+from .place_search import INSISTING_LOOKS, Closure, Here, Looks, find_closure, is_open
 from .scan import Scan, Scans, Standing
-from .tidy import MIN_HITS, TIDY_EVERY, merge_doubles, prune, untidy
+from .small_maps import (
+    Bridge,
+    FrozenMap,
+    box_of,
+    cross,
+    frozen,
+    heading_among,
+    joint_covariance,
+    seen_from_here,
+    thaw,
+)
+from .tidy import MIN_HITS, TIDY_EVERY_SCANS, merge_doubles, prune, untidy
 from .way import Way, WayByScans
 
 UNMATCHED, AMBIGUOUS, NEW, LOST, REPEATED = (
     VERDICTS.index(v) for v in ("unmatched", "ambiguous", "new", "lost", "repeated")
 )
-REACH, MANY = 12.0, 100  # m from the anchor, and lines, beyond which the next map begins
+REACH_M, MAX_LINES = 12.0, 100  # m from the anchor, and lines, beyond which the next map begins
 # rad: 1 sigma of the heading among the walls in view, with which a map may be left; times the reach, beyond which
 # it must be: the next map keeps for good what of its frame is wrong when it begins
-TOLD, WAIT = math.radians(0.5), 1.5
-FIRST_ASK, ASK_AGAIN = 3.0, 1.5  # m of way in a map before it is looked for in earlier ones, and between two looks
-BACK_WITHIN = 0.8  # share of the reach within which the robot returns to a map that it left
-BACK_XY, BACK_THETA = 0.3, math.radians(3.0)  # m, rad: standard deviations of where that is, at most
-WORSE = 30.0  # chi-square by which a closure may make all others worse
-RECENT = 3  # scans: what was seen in them leads over to the next map
+MAX_HEADING_SIGMA_RAD, MAX_REACH_FACTOR = math.radians(0.5), 1.5
+# m of way in a map before it is looked for in earlier ones, and between two looks
+FIRST_LOOK_M, LOOK_AGAIN_M = 3.0, 1.5
+BACK_REACH_SHARE = 0.8  # share of the reach within which the robot returns to a map that it left
+BACK_SIGMA_M, BACK_SIGMA_RAD = 0.3, math.radians(3.0)  # m, rad: standard deviations of where that is, at most
+MAX_WORSE_CHI2 = 30.0  # chi-square by which a closure may make all others worse
+RECENT_SCANS = 3  # scans: what was seen in them leads over to the next map
 # what adds to the variances of where a map ends: neighbouring beams and scans share errors that no filter counts,
 # and clutter is taken for walls. In one real building (aces) headings there were 2 degrees wrong at 0.4 claimed
-LESS_SURE, LEAST = 8.0, np.square((0.02, 0.02, math.radians(0.3)))
-KNOWN_BETTER = 1e-3  # share by which a variance must have fallen to count as told by another sensor
+ADDED_P_SHARE, MIN_ADDED_VARIANCES = 8.0, np.square((0.02, 0.02, math.radians(0.3)))
+MIN_GAIN_SHARE = 1e-3  # share by which a variance must have fallen to count as measured by another sensor
 
 
 class LineTracker(Model):
-    """Association, extents and growth of the line map; `mode` is how the map enters the filter."""
+    """Association, extents and growth of the line map; `mode` is its use in the filter."""
 
     local = True
     leads = True
@@ -82,7 +92,7 @@ class LineTracker(Model):
         self.map = LineMap()
         self.joint = mode != "first-scan"
         self.maps = mode != "given"
-        # only a map that holds what was seen since can say that something is wrong
+        # only a map that holds what was seen since can show that something is wrong
         self._jumps: list[Jump] = []
         self.guard = Guard(self._jumps) if recover and mode in ("grow", "given") else None
         self._first_map: list[MapLine] = []
@@ -94,7 +104,7 @@ class LineTracker(Model):
         self._standing = Standing()
         self._sight: Association | None = None  # the scan at hand, where it is seen as expected
         self._found: Association | None = None  # the scan at hand; None: the map begins with it
-        self._late: Callable[[], Scan]  # the same in the base, by the mount as it was predicted
+        self._seen: Scan  # the same in the base, by the mount as it was predicted
         self._rows = np.zeros((0, 7))  # its lines, in the base as configured: at rest the mean since the last use
         self._teach = True
         self._fitted = -1  # the reading that was used last
@@ -105,11 +115,11 @@ class LineTracker(Model):
         self._walls = ((0.0, 0.0),) * 3  # variances [m^2, rad^2]: uneven, floor, bend
 
     def blocks(self) -> list[Block]:
-        """Return what is uncertain of the laser's mount."""
+        """Return the uncertain parts of the laser's mount."""
         return self.mount.blocks() if self.mount is not None else []
 
     def begin(self, given: Sequence[MapLine], belief: Any) -> None:
-        """Enter a given map: its lines are considered, so their covariance counts and they stay as they are."""
+        """Load a given map: its lines are considered, so their covariance counts and their values stay."""
         if self.mode != "given":
             return
         if not given:
@@ -125,15 +135,15 @@ class LineTracker(Model):
         self._first_map = list(given)
 
     def begins_map(self, m: Measurements, i: int) -> bool:
-        """Return whether scan i is the first with lines, or the first after all of the map was lost."""
+        """Return whether scan i is the first with lines, or the first after the whole map was lost."""
         return self.maps and not self.map.ids.size and bool(m.first[i] < m.first[i + 1])
 
     def rolled(self, u: Sequence[float]) -> None:
-        """Take in the wheels' motion: a robot that stands still learns nothing new."""
+        """Add the wheels' motion: scans at rest repeat each other."""
         self._standing.rolled(u)
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> Sequence[Innovation] | Association:
-        """Associate the lines of scan i (eq. 13, 17, 18): each is judged; those that match correct the pose."""
+        """Associate the lines of scan i (eq. 13, 17, 18): each gets a verdict; matching ones correct the pose."""
         first, last = self._bounds(m, i)
         if self._found is not None:  # of another scan at this instant, whose rows are still to be used
             self._sight = None
@@ -149,20 +159,20 @@ class LineTracker(Model):
         self._rows = rows
         if len(self.map.ids) == 0:
             offset = None if self.mount is None else moved_mount(self.mount, belief)
-            self._late = partial(_in_base, rows, offset)
+            self._seen = _in_base(rows, offset)
             return [Innovation.unpredicted(row, NEW, 2, self.gate) for row in range(first, last)]
         if self._sight is None:
             self._sight = Association(self.rules, seat_of(self.mount, belief))
         shared = self._shared(m, first, last)
         found = self._sight
         share = found.compare(belief, self.map, rows, shared)
-        late = self._late = partial(_in_base, rows, None if self.mount is None else found.moved())
+        scan = self._seen = _in_base(rows, None if self.mount is None else found.moved())
         if self.guard is not None and not self.guard.fits(
-            self._t[i], share, belief.pose(), late, self.map.next_id
+            self._t[i], share, belief.pose(), scan, self.map.next_id
         ):
             again = partial(associate, rows, self.map, belief, found, shared)
             slipped = partial(turned_beyond_wheels, m, self._fitted, i)
-            found, self._teach = self.guard.watch(self._t[i], late(), found, self.map, belief, again, slipped)
+            found, self._teach = self.guard.watch(self._t[i], scan, found, self.map, belief, again, slipped)
         if not self._teach:
             self._standing.forget()
             return [Innovation.unpredicted(row, LOST, 2, self.gate) for row in range(first, last)]
@@ -174,7 +184,7 @@ class LineTracker(Model):
         return found
 
     def _bounds(self, m: Measurements, i: int) -> tuple[int, int]:
-        """Return the first line of scan i and the end; begin with a log's numbers where it is another one."""
+        """Return the first line of scan i and the end; read the numbers again if the log is another one."""
         if m is not self._of:
             self._of, self._first, self._t = m, m.first.tolist(), m.t.tolist()
             uneven, floor = self.loosened(m)
@@ -182,19 +192,19 @@ class LineTracker(Model):
         return self._first[i], self._first[i + 1]
 
     def _shared(self, m: Measurements, first: int, last: int) -> Array:
-        """Return what the errors of rows first:last share (k, 2, s)."""
+        """Return the shared errors of rows first:last (k, 2, s)."""
         if not self.joint or "shared" not in m.extra:
             return NO_SHARES
         return np.ascontiguousarray(m.extra["shared"][first:last], np.float64)
 
     def _scan_in_base(self, belief: Any) -> Scan:
-        """Return the scan at hand, put into the base by the mount as the belief has it."""
+        """Return the present scan in the base by the estimated mount."""
         if self.mount is None:
             return Scan(self._rows)
         return _in_base(self._rows, moved_mount(self.mount, belief))
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Let matched extents grow, and add what is new: all of the first scan, later only in `grow`."""
+        """Extend matched lines, and add new ones: all of the first scan, later ones only in `grow`."""
         first, last = self._first[i], self._first[i + 1]
         if self.guard is not None and last > first:
             self.guard.stood(belief.pose())
@@ -217,7 +227,7 @@ class LineTracker(Model):
             self._revise(found, belief)
 
     def _revise(self, found: Association, belief: JointBelief) -> None:
-        """Loosen uneven walls, add new lines; now and then drop worthless lines and join doubles (`grow`)."""
+        """Add variance to uneven walls, add new lines; now and then drop rare lines and merge doubles (`grow`)."""
         uneven, floor, bent = self._walls
         if uneven[0] > 0.0 or uneven[1] > 0.0:
             found.bend(belief, uneven, bent)
@@ -226,7 +236,7 @@ class LineTracker(Model):
                 scan = self._scan_in_base(belief)
                 for k in found.new():
                     self._add(scan, k, belief)
-            if self._scan % TIDY_EVERY == 0 and untidy(self.map, belief, self._scan):
+            if self._scan % TIDY_EVERY_SCANS == 0 and untidy(self.map, belief, self._scan):
                 prune(self.map, belief, self._scan)
                 merge_doubles(self.map, belief, self._scan, np.array(uneven))
         if floor[0] > 0.0 or floor[1] > 0.0:
@@ -251,20 +261,20 @@ class LineTracker(Model):
         return self._first_map, self.map.lines(belief)
 
     def jumps(self) -> list[Jump]:
-        """Return the slips, places and loops that moved the pose."""
+        """Return the slips, relocalisations and loops that moved the pose."""
         return self._jumps
 
     def lost_intervals(self) -> list[tuple[float, float]]:
-        """Return when the robot did not know where it was, (start, end) [s]."""
+        """Return when the robot was lost, (start, end) [s]."""
         return self.guard.intervals() if self.guard is not None else []
 
     def notes(self, belief: Any) -> list[str]:
-        """Say in words what the guard did and where the laser was found to sit."""
+        """Return notes: the actions of the guard, and the estimated mount of the laser."""
         words = self.guard.words() if self.guard is not None else []
         return words + (self.mount.words(belief) if self.mount is not None else [])
 
     def _add(self, scan: Scan, k: int, belief: JointBelief) -> None:
-        """New line from (r, psi), the inverse of LineMap.predict; its anchor is the middle of the segment."""
+        """Add a line from (r, psi), the inverse of LineMap.predict; its anchor is the middle of the segment."""
         r, psi = map(float, scan.z[k])
         beta = se2.wrap(psi + belief.theta)
         c, s = math.cos(beta), math.sin(beta)
@@ -292,7 +302,7 @@ class LineTracker(Model):
 
 
 class AtlasTracker(LineTracker):
-    """Line maps of stretches of the way, and where they lie."""
+    """Submaps along the path, and their poses."""
 
     def __init__(self, mode: str, gate: float, recover: bool = True, mount: Mount | None = None) -> None:
         super().__init__(mode, gate, recover, mount)
@@ -301,7 +311,6 @@ class AtlasTracker(LineTracker):
         self._way = Way()
         self._at = 0  # the anchor of the map at hand
         self._origin: Array = np.zeros(3)
-        self._origin_x = self._origin_y = 0.0
         self._now: tuple[Measurements, int] | None = None  # the reading at hand
         self._along: WayByScans | None = None  # from where this map began; None: it was taken up again
         self._left: tuple[Array, Array] | None = None  # where in the map before the next one began, and P
@@ -314,7 +323,7 @@ class AtlasTracker(LineTracker):
         self.closed: list[SeenAgain] = []
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Teach the map at hand, look for it in earlier ones, and leave it where its anchor is far."""
+        """Update the present submap, search for it in earlier ones, and leave it once its anchor is far away."""
         begins = not len(self.map.ids)
         super().learn(m, i, belief)
         self._now = m, i
@@ -328,21 +337,21 @@ class AtlasTracker(LineTracker):
         self._go_on(i, pose, belief)
 
     def _go_on(self, i: int, pose: Pose, belief: JointBelief) -> None:
-        """Follow the way, look for the map at hand in earlier ones, and tell whether it is full."""
+        """Add to the path, search for the present map in earlier ones, and note whether it is full."""
         if self._way.goes(pose):
-            self._way.keep(self._t[i], pose, self._late())
-        if self._way.length - self._asked_at >= (ASK_AGAIN if self._asked_at else FIRST_ASK):
+            self._way.keep(self._t[i], pose, self._seen)
+        if self._way.length - self._asked_at >= (LOOK_AGAIN_M if self._asked_at else FIRST_LOOK_M):
             self._asked_at = self._way.length
             self._look(self._t[i], belief)
-        away = math.hypot(pose[0] - self._origin_x, pose[1] - self._origin_y)
-        self._full = away > REACH or len(self.map.ids) > MANY
+        away = math.hypot(pose[0] - self._origin.item(0), pose[1] - self._origin.item(1))
+        self._full = away > REACH_M or len(self.map.ids) > MAX_LINES
 
     # ---- from one map to the next ----
 
     def turn_page(self, belief: JointBelief) -> bool:
-        """Leave a map that is full; the next one begins at once, where a scan has just told the pose."""
+        """Leave a map that is full; the next one begins at once, where a scan has just corrected the pose."""
         if self.guard is not None and self.guard.gives_up():
-            self._leave(belief, bridges=False)  # the next scan begins a map, whose place nothing tells
+            self._leave(belief, bridges=False)  # the next scan begins a map of unknown place
             self.guard.leave()
             self._full = False
             return False
@@ -356,60 +365,63 @@ class AtlasTracker(LineTracker):
             return True
         leading = self._seen_last()
         if not len(leading) or not self._may_turn(leading, belief):
-            return False  # no wall leads over yet, or this scan has not told the heading
+            return False  # no wall leads over yet, or this scan has not fixed the heading
         bridge = seen_from_here(self.map, leading, belief)
         self._leave(belief, bridges=True)
         self._begin_next(bridge, belief)
         return True
 
     def _begin_next(self, bridge: Bridge, belief: JointBelief) -> None:
-        """Begin a map at the pose with walls as they are seen from there."""
+        """Begin a submap at the pose, with walls relative to it."""
         belief.begin_frame()
         self._enter(np.array(belief.pose()), belief)
         cross(bridge, self.map, belief, self._scan)
 
     def _leave(self, belief: JointBelief, bridges: bool) -> None:
-        """Freeze the map at hand; the pose is where the next one lies, if walls lead over to it."""
+        """Freeze the present submap; the pose becomes the next one's anchor if walls connect both."""
         self._take_in_absolutes(belief)
         lines = frozen(self.map, belief)
         box = box_of(lines, lines.value, self._way)
         joint = joint_covariance(self.map, belief)
         self._frozen.append(FrozenMap(self._at, lines, self._way, box, self._origin, joint))
         if bridges:
-            belief.loosen(np.arange(3), LESS_SURE * np.diagonal(belief.matrix()) + LEAST)
+            belief.loosen(np.arange(3), ADDED_P_SHARE * np.diagonal(belief.matrix()) + MIN_ADDED_VARIANCES)
             if self._along is not None:
                 self._along.end(self.mount, belief)
             if self.guard is not None:
-                self.guard.turn_page()
+                self.guard.enter_map()
         self._left = np.array(belief.pose()), belief.matrix()
         belief.remove(self.map.drop(np.arange(len(self.map))))
 
     def _seen_last(self) -> Ints:
-        """Return the walls that were seen last."""
-        return np.flatnonzero((self.map.seen >= self._scan - RECENT) & (self.map.hits >= MIN_HITS))
+        """Return the walls of the last scan."""
+        return np.flatnonzero((self.map.seen >= self._scan - RECENT_SCANS) & (self.map.hits >= MIN_HITS))
 
     def _may_turn(self, leading: Ints, belief: JointBelief) -> bool:
-        """Return whether the heading is well known among the walls that lead over, or waiting must end."""
+        """Return whether the heading is well known among the connecting walls, or waiting must end."""
         x, y = (np.array(belief.pose()) - self._origin)[:2].tolist()
-        return math.hypot(x, y) > WAIT * REACH or heading_among(self.map, leading, belief) < TOLD
+        return (
+            math.hypot(x, y) > MAX_REACH_FACTOR * REACH_M
+            or heading_among(self.map, leading, belief) < MAX_HEADING_SIGMA_RAD
+        )
 
     def _beside(self, belief: JointBelief) -> FrozenMap | None:
-        """Return the map beside the one at hand, by an edge of the graph, in which the robot is; None: in none."""
+        """Return the neighbouring submap in the graph that contains the robot; None if there is none."""
         if not belief.framed:
             return None
-        beside, best, found = self._anchors.beside(self._at), BACK_WITHIN * REACH, None
+        beside, best, found = self._anchors.beside(self._at), BACK_REACH_SHARE * REACH_M, None
         for old in self._frozen:
-            if old.anchor not in beside or len(old.lines) > MANY:
+            if old.anchor not in beside or len(old.lines) > MAX_LINES:
                 continue
             R, P = self._anchors.relative(old.anchor, self._at)
             here = se2.compose(R, np.array(belief.pose()))
             away = math.hypot(*(here[:2] - old.origin[:2]))
-            if away < best and float(P[0, 0] + P[1, 1]) < BACK_XY**2 and float(P[2, 2]) < BACK_THETA**2:
+            if away < best and float(P[0, 0] + P[1, 1]) < BACK_SIGMA_M**2 and float(P[2, 2]) < BACK_SIGMA_RAD**2:
                 best, found = away, old
         return found
 
     def _return_to(self, old: FrozenMap, belief: JointBelief) -> None:
-        """Take up a map again: its lines are states again, and the pose is where the graph says it is in it.
+        """Load a map again: its lines become states again, and the pose in it is that of the graph.
 
         G o q stays what it is: G goes back by R, which leads from the old anchor to the last one, and q on by R.
         """
@@ -432,11 +444,10 @@ class AtlasTracker(LineTracker):
         self.map.seen, self.map.born = np.full(n, self._scan), np.zeros(n, np.int64)
         self._frozen = [one for one in self._frozen if one is not old]
         self._at, self._way, self._origin, self._along = old.anchor, old.way, old.origin, None
-        self._origin_x, self._origin_y, _ = self._origin.tolist()
         self._way.resume()
         self._asked_at, self._looks, self._ask_known_at = self._way.length, Looks(), {}
         if self.guard is not None:
-            self.guard.turn_page()
+            self.guard.enter_map()
 
     def _enter(self, pose: Array, belief: JointBelief) -> None:
         """Begin a map at an anchor, which is the map frame."""
@@ -451,24 +462,23 @@ class AtlasTracker(LineTracker):
             if frame is not None:
                 self._anchors.pose[-1] = frame
         self._way, self._origin, self._asked_at, self._looks = Way(), pose, 0.0, Looks()
-        self._origin_x, self._origin_y, _ = pose.tolist()
         if self._now is not None:
             m, i = self._now
             self._along = WayByScans(m, i, (pose[0], pose[1], pose[2]))
         self._ask_known_at = {}
 
     def _take_in_absolutes(self, belief: JointBelief) -> None:
-        """Tell the graph what other sensors have said of the map frame since it began: the information gained."""
+        """Add an edge to the graph: the information of other sensors on the map frame since it began."""
         frame = belief.frame_pose()
         if frame is None:
             return
         at = self._at
         before, now = self._anchors.covariance((at,)), belief.frame_covariance()
-        if (np.diagonal(now) > (1.0 - KNOWN_BETTER) * np.diagonal(before)).all():
+        if (np.diagonal(now) > (1.0 - MIN_GAIN_SHARE) * np.diagonal(before)).all():
             return
         L = inverted(now)
         gained, turned = np.linalg.eigh(L - inverted(before))
-        gained = np.where(gained > KNOWN_BETTER * np.diagonal(L).min(), gained, 0.0)
+        gained = np.where(gained > MIN_GAIN_SHARE * np.diagonal(L).min(), gained, 0.0)
         step = np.array(frame) - self._anchors.pose[at]
         back = np.divide(1.0, gained, out=np.zeros(3), where=gained > 0.0)
         z = self._anchors.pose[at] + turned @ (back * (turned.T @ (L @ step)))
@@ -478,7 +488,7 @@ class AtlasTracker(LineTracker):
     # ---- loops ----
 
     def _look(self, t: float, belief: JointBelief) -> None:
-        """Look for the map at hand in those that were left."""
+        """Search for the present submap in frozen ones."""
         here = Here(self.map, self.map.values(belief), self.map.covariances(belief), self._way)
         at, beside = self._at, self._anchors.beside(self._at)
         known = {e.of if e.to == at else e.to for e in self._loops if at in (e.of, e.to)}
@@ -502,7 +512,7 @@ class AtlasTracker(LineTracker):
                 self._close(t, old, at, found, belief)
 
     def _close(self, t: float, seen: FrozenMap, at: int, found: Closure, belief: JointBelief) -> None:
-        """Add a closure to the graph, unless it contradicts the others, and let the pose follow."""
+        """Add a closure to the graph, unless it contradicts the others, and correct the pose."""
         if not belief.framed:
             return
         self._take_in_absolutes(belief)
@@ -515,9 +525,9 @@ class AtlasTracker(LineTracker):
         self._anchors.add(edge)
         self._anchors.solve()
         worse = self._anchors.cost() - before
-        if worse > WORSE:
+        if worse > MAX_WORSE_CHI2:
             self._anchors.remove(edge)
-            if self._looks.count(of) < INSISTING:
+            if self._looks.count(of) < INSISTING_LOOKS:
                 for e in old:
                     self._anchors.add(e)
                 self._anchors.pose = poses
@@ -544,7 +554,7 @@ class AtlasTracker(LineTracker):
         return self.closed
 
     def lines(self, belief: Any) -> tuple[list[MapLine], list[MapLine]]:
-        """Return the map after the first scan, and all maps as they lie now."""
+        """Return the map after the first scan, and all submaps at their present poses."""
         first, now = super().lines(belief)
         left = [line for old in self._frozen for line in old.lines.placed_at(*self._place(old))]
         return first, left + now
@@ -553,7 +563,7 @@ class AtlasTracker(LineTracker):
         return self._anchors.pose[old.anchor], self._anchors.covariance((old.anchor,))
 
     def notes(self, belief: Any) -> list[str]:
-        """Say how many maps there are, and how many loops were closed."""
+        """Return notes: how many submaps there are, and how many loops were closed."""
         words = super().notes(belief)
         if self._frozen:
             n, loops = len(self._frozen) + 1, len(self.closed)
@@ -569,5 +579,5 @@ def _pair(values: Array) -> tuple[float, float]:
 
 
 def _in_base(rows: Array, offset: tuple[float, float, float] | None) -> Scan:
-    """Return lines in the base as configured, moved by an offset x, y [m], yaw [rad] of the mount, if any."""
+    """Return lines in the base by the configured mount, moved by an offset x, y [m], yaw [rad] of it, if any."""
     return Scan(rows if offset is None else rows_in_base(rows, *offset))

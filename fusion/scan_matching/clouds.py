@@ -5,18 +5,38 @@ A point's surface is the line through its neighbours among the beams, where they
 
 from __future__ import annotations
 
+from typing import Any, Self
+
 import msgspec
 import numpy as np
+from msgspec.structs import astuple
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, Measurements
 
-MAX_BEAMS = 360  # of a scan that are matched: more cost time and say nothing new
-NEIGHBOURS = 3  # beams to either side that make a surface
+MAX_BEAMS = 360  # of a scan that are matched: more cost time and add nothing
+NEIGHBOUR_BEAMS = 3  # beams to either side that make a surface
 MIN_NEIGHBOURS, MAX_SPREAD_M = 3, 0.03  # how many, and how far off their line at most
 MAX_GAP_M, GAP_SPACINGS = 0.25, 5.0  # neighbours further apart are of different surfaces
 MAX_RANGE_M = 30.0
 CELL_M = 0.05  # of a cloud of many scans one point in each such square is kept
+
+
+class Columns(msgspec.Struct, frozen=True):
+    """A table of arrays of one length."""
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(astuple(self)[0])
+
+    def take(self, at: Any) -> Self:
+        """Return the rows at these positions, or where a mask is true."""
+        return type(self)(*(column[at] for column in astuple(self)))
+
+    @classmethod
+    def joined(cls, *parts: Self) -> Self:
+        """Return several tables as one."""
+        return cls(*(np.concatenate(columns) for columns in zip(*map(astuple, parts), strict=True)))
 
 
 class Clouds(msgspec.Struct, frozen=True):
@@ -32,11 +52,11 @@ class Clouds(msgspec.Struct, frozen=True):
 
     @property
     def owner(self) -> Ints:
-        """Which cloud each point is of, (m,)."""
+        """The cloud of each point, (m,)."""
         return np.repeat(np.arange(len(self)), np.diff(self.first))
 
     def rows(self, clouds: Ints) -> tuple[Ints, Ints]:
-        """Return the rows of these clouds (p,), one after another, and the position in `clouds` of each."""
+        """Return the rows of these clouds (p,) in order, and the position in `clouds` of each."""
         counts = np.diff(self.first)[clouds]
         ends = np.cumsum(counts)
         position = np.repeat(np.arange(len(clouds)), counts)
@@ -73,7 +93,7 @@ def normals(xy: Array, owner: Ints, origin: Array) -> Array:
     piece = np.concatenate(([0], np.cumsum(~joined)))
     n, sums, squares = np.zeros(m), np.zeros((m, 2)), np.zeros((m, 3))
     at = np.arange(m)
-    for shift in range(-NEIGHBOURS, NEIGHBOURS + 1):
+    for shift in range(-NEIGHBOUR_BEAMS, NEIGHBOUR_BEAMS + 1):
         j = np.clip(at + shift, 0, m - 1)
         ours = (piece[j] == piece) & (j == at + shift)
         d = np.where(ours[:, None], xy[j] - xy, 0.0)
@@ -113,7 +133,7 @@ def merged(clouds: Clouds, groups: list[Ints], poses: list[Array]) -> Clouds:
 
 
 def thinned(clouds: Clouds) -> Clouds:
-    """Return of every cloud one point on a surface in each square of CELL_M: overlapping scans say the same."""
+    """Return for every cloud one point on a surface in each square of CELL_M: overlapping scans repeat it."""
     rows = np.flatnonzero(np.isfinite(clouds.normal[:, 0]))
     square = np.floor(clouds.xy[rows] / CELL_M).astype(np.int64) + (1 << 20)
     of = clouds.owner[rows]

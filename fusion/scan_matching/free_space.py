@@ -1,4 +1,4 @@
-"""Free space: a scan that looks through a wall which another one saw contradicts that the two are placed right."""
+"""Free space: if a scan looks through a wall that another scan saw, one of the two poses is wrong."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from locfuse.fusion.data import Array, Ints
 
 from .clouds import Clouds
 
-BINS = 360
+BIN_COUNT = 360
 MARGIN_M, MARGIN_SHARE = 0.3, 0.03  # a point must lie so much before what was seen behind it
 MIN_POINTS = 20  # in the field of view of the other scan: fewer decide nothing
 
 
 class Views(msgspec.Struct, frozen=True):
-    """How far every key looked into each direction."""
+    """The free range of every key scan in each direction."""
 
     origin: Array  # (2,) the laser on the base
     depth: Array  # (n, BINS) m; NaN where nothing returned
 
     @classmethod
     def of(cls, clouds: Clouds, origin: Array) -> Views:
-        """Return the views of scans; of the ranges in a direction and beside it the shortest counts."""
-        depth = np.full((len(clouds), BINS), np.inf)
+        """Return the views of scans; in each direction the shortest range there and beside it."""
+        depth = np.full((len(clouds), BIN_COUNT), np.inf)
         bins, ranges = _polar(clouds.xy - origin)
         np.minimum.at(depth, (clouds.owner, bins), ranges)
         nearest = np.minimum.reduce([np.roll(depth, s, axis=1) for s in (-1, 0, 1)])
         return cls(origin, np.where(np.isfinite(nearest), nearest, np.nan))
 
     def contradicted(self, clouds: Clouds, i: Ints, j: Ints, pose: Array) -> tuple[Any, Any]:
-        """Count for pairs of keys (p,) the points of j that i looked through, and those that i could judge."""
+        """Count for pairs of keys (p,) the points of j that i looked through, and those within the view of i."""
         rows, of = clouds.rows(j)
         at = se2.transform(pose[of], clouds.xy[rows]) - self.origin
         bins, ranges = _polar(at)
@@ -46,5 +46,8 @@ class Views(msgspec.Struct, frozen=True):
 
 
 def _polar(points: Array) -> tuple[Ints, Array]:
-    bins = np.floor((np.arctan2(points[:, 1], points[:, 0]) / (2.0 * np.pi) % 1.0) * BINS).astype(np.int64) % BINS
+    bins = (
+        np.floor((np.arctan2(points[:, 1], points[:, 0]) / (2.0 * np.pi) % 1.0) * BIN_COUNT).astype(np.int64)
+        % BIN_COUNT
+    )
     return bins, np.hypot(points[:, 0], points[:, 1])

@@ -1,4 +1,4 @@
-"""Key scans along a drive, and how each lies to those before it: matched once, however many runs ask.
+"""Key scans along a drive and their matches with earlier ones: matched once for all runs.
 
 A match knows its two scans and the wheels between them, nothing else: a filter that has come to key b may use all
 matches among the keys up to b.
@@ -17,10 +17,11 @@ from locfuse.fusion.data import Array, Ints, Measurements, Points
 
 from .clouds import Clouds, clouds_of
 from .match import Matches, Targets, match, sources_of
-from .neighbours import BY_STEPS, REACH_M, SLIP_INLIERS, by_wheels, further_scans, good
-from .scan_by_scan import scan_by_scan
+from .neighbours import REACH_M, SLIP_INLIERS, STEP_P, by_wheels, further_scans, good, scan_by_scan
+from .solve import Edges
 
 STRIDE_M, TURN_RAD = 0.5, np.radians(30.0)  # between two keys
+MATCH_WIDTH = 4.0  # sigmas beyond which a match loses its weight
 FURTHER_STEPS = (2, 4)  # keys further on that a key is matched with, beside the next one
 MAX_APART_M = 6.0
 MAX_TURN_RAD = np.radians(10.0)  # to and fro from key to key: beyond, all scans between them are matched
@@ -29,19 +30,12 @@ _matched: WeakKeyDictionary[Points, KeyScans] = WeakKeyDictionary()
 
 
 class KeyScans(msgspec.Struct, frozen=True):
-    """n keys and p matches among them."""
+    """n keys and the matches among them."""
 
     t: Array  # (all readings,) s, when they were taken
     readings: Ints  # (n,) which of them are keys, increasing
     steps: Array  # (n - 1, 3) from key to key, by the match, or the scans between, or else by the wheels
-    i: Ints  # (p,) the earlier key of a match
-    j: Ints  # (p,)
-    pose: Array  # (p, 3) key j seen from key i
-    information: Array  # (p, 3, 3) in the frame of key i
-
-    def among(self, first: int, last: int) -> Ints:
-        """Return which matches are among the keys from `first` to `last`."""
-        return np.flatnonzero((self.i >= first) & (self.j <= last))
+    matches: Edges  # among the keys
 
 
 def key_scans(m: Measurements) -> KeyScans:
@@ -54,7 +48,7 @@ def key_scans(m: Measurements) -> KeyScans:
 
 
 def spaced(way: Array, heading: Array, stride: float, turn: float) -> Ints:
-    """Return which of n poses come `stride` [m] of way or `turn` [rad] after the one before."""
+    """Return which of n poses lie `stride` [m] of path or `turn` [rad] after the one before."""
     chosen, last_way, last_heading = [], -np.inf, 0.0
     for k, (s, theta) in enumerate(zip(way.tolist(), heading.tolist(), strict=True)):
         if s - last_way >= stride or abs(theta - last_heading) >= turn:
@@ -76,16 +70,16 @@ def _made(m: Measurements, points: Points) -> KeyScans:
     found = [(i, matches), *(further_scans(targets, sources, x, n, MAX_APART_M) for n in FURTHER_STEPS)]
     i = np.concatenate([i for i, _ in found])
     j = i + np.repeat((1, *FURTHER_STEPS), [len(i) for i, _ in found])
-    all_of = Matches.joined([matches for _, matches in found])
-    return KeyScans(m.t, readings, steps, i, j, all_of.pose, all_of.information)
+    all_of = Matches.joined(*(matches for _, matches in found))
+    return KeyScans(m.t, readings, steps, Edges.of(i, j, all_of.pose, all_of.information, MATCH_WIDTH))
 
 
 def _next(
     m: Measurements, points: Points, readings: Ints, turns: NDArray[np.bool_], targets: Targets, sources: Clouds
 ) -> tuple[Ints, Matches, Array]:
-    """Match every key with the next one: those that matched, the matches, and all steps (n - 1, 3).
+    """Match every key with the next one: return the matched pairs, the matches, and all steps (n - 1, 3).
 
-    Where the robot `turns` (n - 1,), and where two do not match at once, the scans between tell the way.
+    Where the robot `turns` (n - 1,), and where two do not match at once, the scans between give the way.
     """
     steps = points.moved(m.t[readings[:-1]], m.t[readings[1:]])
     i = np.flatnonzero(np.hypot(*steps[:, :2].T) < MAX_APART_M)
@@ -94,7 +88,7 @@ def _next(
     if len(doubtful):
         k = i[doubtful]
         steps[k] = scan_by_scan(m, points, readings[k], readings[k + 1])
-        prior = np.broadcast_to(np.linalg.inv(BY_STEPS), (len(k), 3, 3))
+        prior = np.broadcast_to(np.linalg.inv(STEP_P), (len(k), 3, 3))
         again = match(targets, k, sources, k + 1, steps[k], prior, REACH_M)
         matches.put(doubtful, again)
     sure = good(matches)

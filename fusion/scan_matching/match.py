@@ -1,7 +1,7 @@
-"""Scan matching: many pairs of clouds at once, point to line, with a prior for what the walls do not say.
+"""Scan matching: many pairs of clouds at once, point to line, with a prior for directions that no wall constrains.
 
-A corridor says nothing along itself: there the prior (the wheels) holds, and without one a match slides (Censi
-2008, "An ICP variant using a point-to-line metric"). The nearest points of all pairs are found by one
+Nothing in a corridor fixes the place along it: there the prior (the wheels) holds, and without one a match slides
+(Censi 2008, "An ICP variant using a point-to-line metric"). The nearest points of all pairs are found by one
 search: each cloud lies in a layer of its own, far from all others.
 
 Frames: the pose of a pair is that of cloud j in the frame of cloud i, (x, y, theta); its information is that of
@@ -10,8 +10,6 @@ these three numbers, so in the frame of i.
 
 from __future__ import annotations
 
-from typing import Any
-
 import msgspec
 import numpy as np
 from msgspec.structs import astuple
@@ -19,23 +17,23 @@ from msgspec.structs import astuple
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
 
-from .clouds import Clouds
+from .clouds import Clouds, Columns
 
 LAYER_M = 1e4  # between two clouds in the search
 NOWHERE_M = 1e6
 RADII_M = (0.5, 0.4, 0.3, 0.2, 0.15, 0.15, 0.15)  # how far a point's partner may be, iteration by iteration
 SIGMA_M = 0.03  # of one point about its line
-DEPENDENT = 16.0  # neighbouring points are not independent: so many count as one
+DEPENDENT_POINTS = 16.0  # neighbouring points are not independent: so many count as one
 FLOOR_M, FLOOR_RAD = 0.01, np.radians(0.2)  # no pair is known better
 MIN_FACING = 0.7  # cosine between the normals of two points that are paired, at least: a wall has two sides
 INLIER_M = 0.1  # a point closer to its line fits
-MATCHED_POINTS = 120  # of one cloud: more cost time and, being neighbours, say little new
+MATCHED_POINTS = 120  # of one cloud: more cost time and, being neighbours, add little
 POINTS_AT_ONCE = 1_000_000
 SETTLED_M = 2e-4
 
 
-class Matches(msgspec.Struct, frozen=True):
-    """What p pairs of clouds say of their relative poses."""
+class Matches(Columns, frozen=True):
+    """Relative poses of p pairs of clouds."""
 
     pose: Array  # (p, 3)
     information: Array  # (p, 3, 3) by the points alone, without the prior
@@ -43,26 +41,14 @@ class Matches(msgspec.Struct, frozen=True):
     overlap: Array  # (p,) share of all points that have a partner
     rms: Array  # (p,) m, of those that fit
 
-    def take(self, at: Any) -> Matches:
-        """Return the pairs at these positions, or where a mask says so."""
-        return Matches(
-            *(column[at] for column in (self.pose, self.information, self.inliers, self.overlap, self.rms))
-        )
-
     def put(self, at: Ints, others: Matches) -> None:
-        """Let the pairs at these positions be others."""
+        """Replace the pairs at these positions."""
         for column, other in zip(astuple(self), astuple(others), strict=True):
             column[at] = other
 
-    @classmethod
-    def joined(cls, parts: list[Matches]) -> Matches:
-        """Return the pairs of several results as one."""
-        names = ("pose", "information", "inliers", "overlap", "rms")
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
-
 
 class Targets:
-    """Clouds that others are matched to: all their surfaces in one search tree."""
+    """Clouds to which others are matched: all their surfaces in one search tree."""
 
     def __init__(self, clouds: Clouds) -> None:
         from scipy.spatial import cKDTree
@@ -82,7 +68,7 @@ class Targets:
 
 
 def sources_of(clouds: Clouds, most: int = MATCHED_POINTS) -> Clouds:
-    """Return the points that are matched: those on a surface, evenly thinned to at most about `most` a cloud."""
+    """Return the points to match: those on a surface, evenly thinned to at most about `most` per cloud."""
     rows = np.flatnonzero(np.isfinite(clouds.normal[:, 0]))
     owner = clouds.owner[rows]
     counts = np.bincount(owner, minlength=len(clouds))
@@ -105,7 +91,12 @@ def match(
         _match(targets, i[at], sources, j[at], guess[at], prior[at], reach)
         for at in np.split(np.arange(len(i)), cuts)
     ]
-    return Matches.joined(parts)
+    return Matches.joined(*parts)
+
+
+def overlap(targets: Targets, i: Ints, sources: Clouds, j: Ints, pose: Array, reach: float) -> Array:
+    """Return the share (p,) of the points of clouds j that have a partner in clouds i, seen from poses (p, 3)."""
+    return _Pairs.made(targets, i, sources, j, pose, reach).quality(np.diff(sources.first)[j])[1]
 
 
 def _match(
@@ -146,7 +137,7 @@ def floored(information: Array) -> Array:
 
 
 class _Pairs(msgspec.Struct, frozen=True):
-    """Points of all pairs with their partners: only those that have one."""
+    """Points of all pairs with their partners; points without a partner are left out."""
 
     n: int  # number of pairs of clouds
     of: Ints  # (k,) which pair of clouds
@@ -174,7 +165,7 @@ class _Pairs(msgspec.Struct, frozen=True):
 
     def normal_equations(self) -> tuple[Array, Array]:
         """Return H (n, 3, 3) and g (n, 3) of the pairs: Cauchy weights, since people and doors are outliers."""
-        w = 1.0 / (1.0 + (self.e / (2.0 * SIGMA_M)) ** 2) / (DEPENDENT * SIGMA_M**2)
+        w = 1.0 / (1.0 + (self.e / (2.0 * SIGMA_M)) ** 2) / (DEPENDENT_POINTS * SIGMA_M**2)
         H, g = np.empty((self.n, 3, 3)), np.empty((self.n, 3))
         for a in range(3):
             wa = w * self.row[:, a]

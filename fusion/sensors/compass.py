@@ -115,7 +115,7 @@ class Compass(Sensor):
     }
 
     def carries(self, stream: Stream) -> bool:
-        """Return whether a topic says a heading at all: many IMUs leave their orientation empty."""
+        """Return whether a topic holds a heading: many IMUs leave their orientation empty."""
         if stream.msgtype != "sensor_msgs/msg/Imu":
             return True
         columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
@@ -166,7 +166,7 @@ class Compass(Sensor):
         return m.t, np.unwrap(m.z[:, 0])
 
     def reversal(self, settings: CompassSettings, msgtype: str) -> Reversal:
-        """Return the convention of the other sense; a magnetometer is upside-down instead."""
+        """Return the opposite convention; for a magnetometer, that it is upside-down."""
         if msgtype.endswith("MagneticField"):
             return super().reversal(settings, msgtype)
         frame, unit = settings.convention.split("_")
@@ -174,11 +174,11 @@ class Compass(Sensor):
         return Reversal("its headings grow clockwise", {"convention": f"{other}_{unit}"})
 
     def concerns(self, key: str, msgtype: str) -> bool:
-        """Return whether a key means anything to messages of this type: only bare numbers have a convention."""
+        """Return whether a key applies to messages of this type: only bare numbers have a convention."""
         return key != "convention" or msgtype.startswith("std_msgs/")
 
     def model(self, settings: CompassSettings) -> CompassModel:
-        """Return the compass' side of a new run."""
+        """Return the compass' model for a new run."""
         return CompassModel(settings)
 
 
@@ -193,7 +193,7 @@ class CompassModel(Model):
         self.threshold = chi_square(settings.gate, 1)
 
     def blocks(self) -> list[Block]:
-        """Return the offset as a state unless it is known exactly: where it is not given, uniform over a turn."""
+        """Return the offset as a state unless it is known exactly; if not given, it is uniform over a turn."""
         if self.given:
             return []
         drift = math.radians(self.settings.offset_drift_deg) ** 2
@@ -216,7 +216,7 @@ class CompassModel(Model):
 
 
 def _refuse_stuck(t: Array, heading: Array, wheels: WheelMotion, topic: str) -> None:
-    """Raise LocfuseError where the heading never changes while the robot turns."""
+    """Raise LocfuseError if the heading never changes while the robot turns."""
     if len(t) < STUCK_READINGS or np.ptp(heading) > 0.0:
         return
     turn = wheels.relative(np.full(len(t), t[0]), t)[:, 2]
@@ -235,14 +235,14 @@ def from_field(columns: dict[str, Array], settings: CompassSettings, topic: str)
 
 
 def from_level_field(columns: dict[str, Array], settings: CompassSettings, up: Array) -> tuple[Array, Array]:
-    """Return the same of a robot that tilts; `up` (n, 3) in the base's axes. Iron turns with the robot."""
+    """Return the same for a robot that tilts; `up` (n, 3) in the base's axes. Iron turns with the robot."""
     mx, my = _without_iron(columns, settings)
     mx, my = levelled(np.column_stack((mx, my, _along(columns, settings, 2))), up)
     return -np.arctan2(my, mx), np.hypot(mx, my)
 
 
 def _without_iron(columns: dict[str, Array], settings: CompassSettings) -> tuple[Array, Array]:
-    """Return the field along the base's x and y axes, (n,) each, without what the robot's iron adds."""
+    """Return the field along the base's x and y axes, (n,) each, corrected for the robot's iron."""
     mx, my = _along(columns, settings, 0), _along(columns, settings, 1)
     mx, my = mx - settings.hard_iron[0], my - settings.hard_iron[1]
     a, b, c, d = settings.soft_iron
@@ -260,7 +260,7 @@ def _along(columns: dict[str, Array], settings: CompassSettings, axis: int) -> A
 def from_imu(
     columns: dict[str, Array], settings: CompassSettings, topic: str, refuse: bool = True
 ) -> tuple[Array, Array]:
-    """Yaw of the base by an IMU's orientation; a first covariance element of -1 means that there is none."""
+    """Yaw of the base by an IMU's orientation; a first covariance element of -1 means no orientation."""
     q = np.column_stack([columns[f"orientation.{a}"] for a in "xyzw"])
     none = (columns["orientation_covariance"][:, 0] == -1.0) | ((q**2).sum(axis=1) < 0.25)
     if refuse and len(q) and none.all():
@@ -274,7 +274,7 @@ def from_imu(
 
 
 def from_number(columns: dict[str, Array], settings: CompassSettings, topic: str) -> tuple[Array, Array]:
-    """Heading from a bare number, by the convention the settings name."""
+    """Heading from a bare number, by the configured convention."""
     value = columns["data"].astype(np.float64)
     value[~np.isfinite(value)] = np.nan
     convention: str = settings.convention
@@ -301,7 +301,7 @@ _HEADING = {
 
 
 def _white(values: Array) -> float:
-    """Return the standard deviation of what is new in every value (n,), whatever the slow rest does."""
+    """Return the standard deviation of the white part of values (n,), without their slow part."""
     steps = np.abs(np.diff(values))
     return float(np.median(steps)) / (MAD * math.sqrt(2.0)) if len(steps) else 0.0
 

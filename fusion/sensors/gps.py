@@ -1,4 +1,4 @@
-"""GPS: positions on the earth, tied to the map by a place and a direction: states, where they are not given.
+"""GPS: positions on the earth, tied to the map by a place and a direction, which are states if not given.
 
 With R = [[cos e, sin e], [-sin e, cos e]], e the direction of east in the map, the fix of an antenna at p is
 
@@ -129,20 +129,20 @@ class Gps(Sensor):
         )
 
     def mount(self, settings: GpsSettings) -> tuple[float, float, float]:
-        """Return where the antenna sits on the base: x [m], y [m], and no yaw."""
+        """Return the antenna's mount on the base: x [m], y [m], and no yaw."""
         return settings.x, settings.y, 0.0
 
     def says_noise(self, m: Measurements) -> bool:
-        """Return whether the receiver says how good its fixes are: then `sigma` changes nothing."""
+        """Return whether the receiver gives the covariance of its fixes: then `sigma` changes nothing."""
         return bool((m.R_unit != np.eye(2)).any())
 
     def model(self, settings: GpsSettings) -> Model:
-        """Return the GPS' side of a new run."""
+        """Return the GPS' model for a new run."""
         return GpsModel(settings)
 
 
 def _usable(where: Array, status: Array | None, dropped: dict[str, int]) -> NDArray[np.bool_]:
-    """Return which fixes (n,) are fixes; count the others."""
+    """Return which messages (n,) hold a fix; count the others."""
     finite = plausible(where).all(axis=1)
     fixed = finite if status is None else finite & (np.asarray(status) >= 0)
     real: NDArray[np.bool_] = fixed & (np.abs(where[:, 0]) <= 90.0) & (where != 0.0).any(axis=1)
@@ -152,7 +152,7 @@ def _usable(where: Array, status: Array | None, dropped: dict[str, int]) -> NDAr
 
 
 def _covariance(columns: Mapping[str, Any], sigma: float) -> Array:
-    """Return the covariance of (east, north), (n, 2, 2): the receiver's where it says one, else sigma^2."""
+    """Return the covariance of (east, north), (n, 2, 2): the receiver's if it gives one, else sigma^2."""
     matrix = _nine(columns["position_covariance"])
     own = matrix[:, [0, 1, 3, 4]].reshape(-1, 2, 2)
     told = np.asarray(columns["position_covariance_type"]) > 0
@@ -162,7 +162,7 @@ def _covariance(columns: Mapping[str, Any], sigma: float) -> Array:
 
 
 def _nine(column: Array | Ragged) -> Array:
-    """Return covariances as (n, 9); one of another length, as JSON may hold, is none: zeros."""
+    """Return covariances as (n, 9); one of another length, possible in JSON, becomes zeros."""
     if isinstance(column, np.ndarray):
         return column.astype(np.float64).reshape(-1, 9)
     whole = column.lengths == 9
@@ -235,7 +235,7 @@ class GpsModel(Model):
         return [belief.compare(i, y, H, R, self.threshold, columns, H_block if columns else NO_BLOCK)]
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Let the direction of east become a state of its own once it is known well enough."""
+        """Make the direction of east a state of its own once it is known well enough."""
         if self.known:
             return
         first = belief.column(FRAME)
@@ -252,7 +252,7 @@ class GpsModel(Model):
         self.known = True
 
     def notes(self, belief: Any) -> list[str]:
-        """Say where east was found to lie."""
+        """Return the estimated direction of east, in words."""
         if self.fixed or self.settings.east_deg is not None:
             return []
         if not self.known:

@@ -91,7 +91,7 @@ class Gyro(Sensor):
     }
 
     def carries(self, stream: Stream) -> bool:
-        """Return whether a topic says an angular velocity at all."""
+        """Return whether a topic holds an angular velocity."""
         columns = cast("dict[str, Array]", stream.columns(*self.reads[stream.msgtype]))
         try:
             up_rate(columns, GyroSettings(), stream.topic)
@@ -134,12 +134,12 @@ class Gyro(Sensor):
         return m.t, m.z[:, 0]
 
     def model(self, settings: GyroSettings) -> Model:
-        """Return the gyro's side of a new run."""
+        """Return the gyro's model for a new run."""
         return GyroModel(settings)
 
 
 class Rest(NamedTuple):
-    """A stretch in which the wheels stood still: everything that the gyro turned is its bias."""
+    """An interval in which the wheels stood still: all that the gyro turned in it is its bias."""
 
     begin: float  # s
     end: float
@@ -159,7 +159,7 @@ class GyroModel(Model):
         self.rest: Rest | None = None  # that gave the bias
 
     def blocks(self) -> list[Block]:
-        """Return the kept heading, and the bias where it is not given."""
+        """Return the cloned heading, and the bias if it is not given."""
         before = Block(BEFORE, np.zeros(1), np.zeros((1, 1)), np.zeros(1))
         if self.given is not None:
             return [before]
@@ -168,7 +168,7 @@ class GyroModel(Model):
         return [before, Block(BIAS, np.zeros(1), np.array([[variance]]), np.array([drift]))]
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
-        """Compare the turn since the last reading with the belief; the first, and one after a gap, only begins."""
+        """Compare the turn since the last reading with the belief; the first one, or after a gap, initialises."""
         last, columns_of = self._last, m.plain
         if last is None or columns_of["piece"][i] != columns_of["piece"][last]:
             return []
@@ -189,7 +189,7 @@ class GyroModel(Model):
         return [belief.compare(i, (y,), H_TURN, ((r,),), self.threshold, columns, H_block)]
 
     def _begin(self, m: Measurements, i: int, belief: Any) -> None:
-        """Measure the bias at rest, with the first reading. It drifts between here and there."""
+        """Measure the bias at rest, with the first reading; until then it drifts."""
         self.rest = rest_in(m)
         if self.rest is None or self.given is not None:
             self.rest = None
@@ -202,7 +202,7 @@ class GyroModel(Model):
         belief.know((y,), ((r,),), (at,), ((1.0,),))
 
     def notes(self, belief: Any) -> list[str]:
-        """Say where the bias comes from."""
+        """Return the source of the bias, in words."""
         if self.rest is None:
             return []
         span = self.rest.end - self.rest.begin
@@ -210,7 +210,7 @@ class GyroModel(Model):
         return [f"bias at rest: {rate:.3f}°/s over {span:.1f} s, from {max(self.rest.begin, 0.0):.1f} s on"]
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Keep the heading as it is now."""
+        """Clone the present heading."""
         if self._last is None:
             self._begin(m, i, belief)
         belief.clone_heading(belief.column(BEFORE))
@@ -218,7 +218,7 @@ class GyroModel(Model):
 
 
 def up_rate(columns: dict[str, Array], settings: GyroSettings, topic: str) -> Array:
-    """Turning rate about the robot's vertical axis (n,) [rad/s]: the mount's row of up times the three rates."""
+    """Turning rate about the robot's vertical axis (n,) [rad/s]: the mount's row for up times the rates."""
     if "data" in columns:  # a bare number is the rate itself
         bare = np.asarray(columns["data"], dtype=np.float64)
         return np.radians(bare) if settings.unit == "deg" else bare
@@ -237,7 +237,7 @@ def up_rate(columns: dict[str, Array], settings: GyroSettings, topic: str) -> Ar
 
 
 def _summed(t: Array, rate: Array) -> tuple[Array, Ints]:
-    """Return the angle turned since the first reading (n,), by trapezoids, and how many gaps came before (n,)."""
+    """Return the angle turned since the first reading (n,), by trapezoids, and the number of gaps before (n,)."""
     dt = np.diff(t)
     if not len(dt):
         return np.zeros(len(t)), np.zeros(len(t), dtype=np.int64)
@@ -247,7 +247,7 @@ def _summed(t: Array, rate: Array) -> tuple[Array, Ints]:
 
 
 def _rest_of(t: Array, angle: Array, piece: Ints, wheels: WheelMotion, settings: GyroSettings) -> dict[str, Array]:
-    """Return columns (n,) that say when the robot rested, and how far the gyro turned; none without a rest.
+    """Return columns (n,) of rests and the gyro's turn in them; none without a rest.
 
     Of several rests the one that says most of the bias: sigma^2 / time, and what the bias drifts until there.
     """
@@ -268,7 +268,7 @@ def _rest_of(t: Array, angle: Array, piece: Ints, wheels: WheelMotion, settings:
 
 
 def rests(where: Array, piece: Ints) -> Iterator[tuple[int, int]]:
-    """Yield the first and last of the readings of every rest: poses (n, 3) by the wheels that stay as they are."""
+    """Yield first and last reading of every rest: poses (n, 3) by the wheels that do not change."""
     poses, a = where.tolist(), 0
     for i, (x, y, theta) in enumerate(poses):
         x0, y0, theta0 = poses[a]
@@ -282,7 +282,7 @@ def rests(where: Array, piece: Ints) -> Iterator[tuple[int, int]]:
 
 
 def rest_in(m: Measurements) -> Rest | None:
-    """Return the rest that measured the bias, None without one."""
+    """Return the rest that measured the bias; None without one."""
     if "rest_begin" not in m.extra or not len(m.t):
         return None
     return Rest(*(float(m.extra[f"rest_{name}"][0]) for name in Rest._fields))
@@ -291,7 +291,7 @@ def rest_in(m: Measurements) -> Rest | None:
 def _check_against(
     t: Array, angle: Array, piece: Ints, wheels: WheelMotion, topic: str, settings: GyroSettings
 ) -> None:
-    """Raise LocfuseError where both turn alike but in opposite senses, or by amounts that are other units."""
+    """Raise LocfuseError if gyro and wheels turn in opposite senses, or by a factor that shows another unit."""
     if len(t) < 20:
         return
     own = np.diff(angle)[np.diff(piece) == 0]

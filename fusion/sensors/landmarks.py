@@ -152,7 +152,7 @@ class Landmarks(Sensor):
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = READS
 
     def concerns(self, key: str, msgtype: str) -> bool:
-        """Return whether a key means anything to messages of this type."""
+        """Return whether a key applies to messages of this type."""
         return msgtype not in PIXELS or key not in {
             "sigma_range",
             "range_offset",
@@ -161,7 +161,7 @@ class Landmarks(Sensor):
         }
 
     def mount(self, settings: LandmarksSettings) -> tuple[float, float, float]:
-        """Return where the detector sits on the base: x [m], y [m], yaw [rad]."""
+        """Return the detector's mount on the base: x [m], y [m], yaw [rad]."""
         return settings.x, settings.y, math.radians(settings.yaw_deg)
 
     def measure(
@@ -222,17 +222,17 @@ class Landmarks(Sensor):
         return float(np.median(np.abs(off))) / MAD if len(off) >= MIN_FIT else None
 
     def model(self, settings: LandmarksSettings) -> Model:
-        """Return the landmarks' side of a new run."""
+        """Return the landmarks' model for a new run."""
         return GrowingModel(settings) if settings.grows else LandmarksModel(settings)
 
 
 def parts_of(stream: Stream) -> tuple[Stream, ...]:
-    """Return the streams of which one is made: of every camera one."""
+    """Return the streams that one stream is made of: one per camera."""
     return stream.parts if isinstance(stream, MergedStream) else (stream,)
 
 
 def _seen(stream: Stream, settings: LandmarksSettings) -> tuple[Sighted, Ints]:
-    """Return what all cameras detect in the order of time, and which of them (m,) each detection is of."""
+    """Return the detections of all cameras in the order of time, and which row of them (m,) each is."""
     found = []
     for part in parts_of(stream):
         _, _, _, *down = (*settings.mounts.get(part.topic, (0.0, 0.0, 0.0)), settings.pitch_deg)
@@ -251,7 +251,7 @@ def _seen(stream: Stream, settings: LandmarksSettings) -> tuple[Sighted, Ints]:
 
 
 def _levers(parts: Sequence[Stream], camera: Ints, settings: LandmarksSettings) -> dict[str, Array]:
-    """Return where the camera of every detection (m,) sits: x, y [m], yaw [rad]; {} where there is one only."""
+    """Return the camera mount of every detection (m,): x, y [m], yaw [rad]; {} if there is only one camera."""
     if len(parts) < 2:
         return {}
     usual = settings.x, settings.y, settings.yaw_deg
@@ -260,14 +260,14 @@ def _levers(parts: Sequence[Stream], camera: Ints, settings: LandmarksSettings) 
 
 
 def mounts_of(m: Measurements, usual: tuple[float, float, float]) -> Array:
-    """Return where the detector of every row sits on the base, (m, 3) x, y [m], yaw [rad]."""
+    """Return the detector's mount of every row, (m, 3) x, y [m], yaw [rad]."""
     if LEVER[0] not in m.extra:
         return np.tile(np.array(usual, np.float64), (len(m.z), 1))
     return np.stack([m.extra[name] for name in LEVER], axis=-1)
 
 
 class Ranging(NamedTuple):
-    """range = |d| (1 - k short) + offset with short = 1 - cos(bearing), as the belief has offset and k."""
+    """range = |d| (1 - k short) + offset with short = 1 - cos(bearing), by the belief's offset and k."""
 
     offset: float  # m
     depth: float  # k
@@ -275,7 +275,7 @@ class Ranging(NamedTuple):
     free: tuple[bool, bool]  # whether offset and k are states
 
     def share(self, short: float) -> float:
-        """Return the share of the distance that a range says."""
+        """Return the factor from distance to measured range."""
         return max(1.0 - self.depth * short, MIN_SHARE)
 
     def derivative(self, short: float, distance: float) -> tuple[float, ...]:
@@ -299,7 +299,7 @@ class LandmarksModel(PointsModel):
         self._seen_at: dict[int, list[tuple[float, float, float]]] = defaultdict(list)  # id -> x, y, sigma [m]
 
     def blocks(self) -> list[Block]:
-        """Return the ranges' offset, and whether they are depths, where that is not given."""
+        """Return the states of the ranges: their offset, and whether they are depths, if that is not given."""
         free = {OFFSET: self.prior} if self.given is None else {}
         free |= {DEPTH: SIGMA_DEPTH} if self.depth is None else {}
         return [Block(name, np.zeros(1), np.array([[s**2]]), np.zeros(1)) for name, s in free.items()]
@@ -318,7 +318,7 @@ class LandmarksModel(PointsModel):
     def compared(
         self, m: Measurements, row: int, landmark: int, place: Point, at: tuple[int, ...], belief: Belief
     ) -> Innovation | None:
-        """Compare one detection with a place, whose state columns are `at` where it is a state."""
+        """Compare one detection with a place, whose state columns are `at` if it is a state."""
         predicted, ranging = predict(belief.pose(), place, self._mount_of(m, row)), self._ranging(belief)
         if predicted is None:
             return None
@@ -348,7 +348,7 @@ class LandmarksModel(PointsModel):
         return seen
 
     def _ranging(self, belief: Belief) -> Ranging:
-        """Return how ranges follow from distances as the belief has it."""
+        """Return the relation of ranges to distances by the belief."""
         offset, depth, columns = self.given, self.depth, NO_COLUMNS
         if offset is None:
             column = belief.column(OFFSET)
@@ -359,7 +359,7 @@ class LandmarksModel(PointsModel):
         return Ranging(offset, depth, columns, (self.given is None, self.depth is None))
 
     def _mount_of(self, m: Measurements, row: int) -> Row:
-        """Return where the detector of a row sits on the base."""
+        """Return the detector's mount of a row."""
         if LEVER[0] not in m.extra:
             return self.mount
         x, y, yaw = (m.plain[name][row] for name in LEVER)
@@ -375,12 +375,12 @@ class LandmarksModel(PointsModel):
             self._seen_at[landmark].append(place)
 
     def notes(self, belief: Any) -> list[str]:
-        """Say which landmarks stand elsewhere than the map says, and which two stand in each other's place."""
+        """Return which landmarks are at other places than in the map, and which two are exchanged."""
         seen = {key: np.array(rows) for key, rows in self._seen_at.items()}
         return [*self._depth_notes(belief), *wrong_places(self.places, seen)]
 
     def _depth_notes(self, belief: Any) -> list[str]:
-        """Say that the ranges were found to be depths."""
+        """Return a note if the ranges were found to be depths."""
         if self.depth is not None:
             return []
         column, now = belief.block(DEPTH)
@@ -394,14 +394,14 @@ class LandmarksModel(PointsModel):
 
 
 class GrowingModel(GrowingPoints, LandmarksModel):
-    """The same with places that are states, in the local frame."""
+    """The same with landmarks as states, in the local frame."""
 
     def __init__(self, settings: LandmarksSettings) -> None:
         LandmarksModel.__init__(self, settings)
         GrowingPoints.__init__(self, settings.what, settings.table, self.thresholds[2])
 
     def append(self, m: Measurements, row: int, belief: Any) -> int:
-        """Append the place l = s + r (cos, sin)(theta + yaw + bearing), r the distance that the range says."""
+        """Append the place l = s + r (cos, sin)(theta + yaw + bearing), with r the distance by the range."""
         (angle, distance), mount = m.z[row].tolist(), self._mount_of(m, row)
         ranging, short = self._ranging(belief), 1.0 - math.cos(angle)
         x, y = detector_at(belief.pose(), mount)
@@ -418,7 +418,7 @@ class GrowingModel(GrowingPoints, LandmarksModel):
         return column
 
     def notes(self, belief: Any) -> list[str]:
-        """Say what the map holds, and that the ranges were found to be depths."""
+        """Return notes: how many landmarks the map has, and whether the ranges were found to be depths."""
         made, *moving = self.map_notes("are the ranges in m and the bearings in rad?")
         return [made, *self._depth_notes(belief), *moving]
 
@@ -429,7 +429,7 @@ def _sigma_of_place(belief: Belief) -> float:
 
 
 def wrong_places(places: Mapping[int, Point], seen_at: Mapping[int, Array]) -> list[str]:
-    """Return in words which landmarks stand elsewhere than in the map, by where detections (n, 3) place them.
+    """Return in words which landmarks are at other places than in the map, by detections (n, 3).
 
     A row is x, y and its standard deviation [m]. A landmark is wrong where the median lies further from its entry
     than WRONG_SIGMAS of one detection, and two such are swapped where each lies that near the other's entry.

@@ -1,4 +1,4 @@
-"""Laser range finder: scans become lines (r, psi) in the base frame, lines are matched with a line map.
+"""Laser range finder: scans become lines (r, psi) in the base frame, which are matched with a line map.
 
 The paper freezes the map of its first scan (eq. 14). Here that is one mode of four: `first-scan` (frozen),
 `consider` (its covariance counts, Schmidt-Kalman), `refine` (its lines are states), `grow` (new lines join).
@@ -29,7 +29,7 @@ MapMode = Literal["first-scan", "consider", "refine", "grow", "given"]
 
 
 class LrfSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """[lrf]: where the laser sits, how well it measures, how its map is treated."""
+    """[lrf]: the laser's mount, its noise, and the use of its map."""
 
     flipped: bool = False  # mounted upside-down: beams run clockwise seen from above
     sigma_range: float = 0.02  # m
@@ -109,7 +109,7 @@ class Lrf(Sensor):
     def _lines(
         self, stream: Stream, stamps: Array, laser: Laser, wheels: WheelMotion, longest: Longest
     ) -> tuple[Array, Gathered]:
-        """Return the instants of the scans (n,) [s] and their lines; `longest` sees all ranges."""
+        """Return the instants of the scans (n,) [s] and their lines; `longest` counts all ranges."""
         t, found = stamps.copy(), Gathered()
         for rows, columns in stream.blocks(*self.reads[stream.msgtype], rows=SCANS_PER_BLOCK):
             found.giants += too_many_beams(columns)
@@ -125,15 +125,15 @@ class Lrf(Sensor):
         return m.t, np.cumsum(turns(m.first, m.z, m.R[:, 1, 1]))
 
     def reversal(self, settings: LrfSettings, msgtype: str) -> Reversal:
-        """Return that the laser is mounted the other way up."""
+        """Return the finding that the laser is mounted upside-down."""
         return Reversal("the laser is mounted upside-down", {"flipped": not settings.flipped})
 
     def mount(self, settings: LrfSettings) -> tuple[float, float, float]:
-        """Return where it sits on the base: x [m], y [m], yaw [rad]."""
+        """Return its mount on the base: x [m], y [m], yaw [rad]."""
         return settings.mount
 
     def model(self, settings: LrfSettings) -> AtlasTracker:
-        """Return the laser's side of a new run."""
+        """Return the laser's model for a new run."""
         return AtlasTracker(
             settings.map,
             settings.gate,
@@ -143,7 +143,7 @@ class Lrf(Sensor):
 
 
 def _floor_notes(uneven: Array, settings: LrfSettings) -> Iterator[str]:
-    """Say that the noise of lines was raised to what the walls of the log show."""
+    """Return a note if the noise of lines was raised to the unevenness of the walls in the log."""
     floor, (offset, angle) = (settings.floor_range, math.radians(settings.floor_angle_deg)), np.sqrt(uneven)
     if offset > floor[0] or angle > floor[1]:
         yield (
@@ -154,7 +154,7 @@ def _floor_notes(uneven: Array, settings: LrfSettings) -> Iterator[str]:
 
 
 def _curve_notes(curved: int, straight: int) -> Iterator[str]:
-    """Say that walls are curved where that is more than a column now and then."""
+    """Return a note if walls are curved, unless it is only a few columns."""
     walls = curved + straight
     if curved > CURVED_SHARE * walls:
         yield (
@@ -166,7 +166,7 @@ def _curve_notes(curved: int, straight: int) -> Iterator[str]:
 def unevenness(
     settings: LrfSettings, t: Array, first: Ints, z: Array, R_unit: Array, sweep: Array, wheels: WheelMotion
 ) -> Array:
-    """Return the variances (2,) of r [m^2] and psi [rad^2] that walls owe to not being flat; 0 where they are."""
+    """Return the variances (2,) of r [m^2] and psi [rad^2] from uneven walls; 0 where walls are flat."""
     if settings.walls == "flat":
         return np.zeros(2)
     return np.square(wall_floor(t, first, z, settings.sigma_range**2 * R_unit[:, 1, 1], wheels, sweep))

@@ -1,4 +1,4 @@
-"""Points with ids (landmarks, radio anchors): how they are seen, their map, which readings can be used."""
+"""Points with ids (landmarks, radio anchors): their models, their map, and the usable readings."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MAX_LISTED = 20  # ids in a note
 
 
 class PointsSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Keys of a sensor that sees points with ids."""
+    """Keys of a sensor that measures to points with ids."""
 
     table: ClassVar[str]  # its table in robot.toml
     what: ClassVar[str]  # what the points are, as a plural
@@ -41,12 +41,12 @@ class PointsSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw
 
     @property
     def grows(self) -> bool:
-        """Whether the places of the points are unknown, and states of the filter."""
+        """Whether the places of the points are unknown states of the filter."""
         return self.map is None or self.map == GROW
 
     @property
     def places(self) -> dict[int, Point]:
-        """The map: id -> x, y [m]. Raises LocfuseError without one, or for an id that is no number."""
+        """The map: id -> x, y [m]. Raises LocfuseError without a map, or for an id that is no number."""
         if self.grows:
             return {}
         if not isinstance(self.map, dict):
@@ -68,7 +68,7 @@ def usable(
     settings: PointsSettings,
     dropped: dict[str, int],
 ) -> NDArray[np.bool_]:
-    """Return which readings (n,) are numbers (`valid`), in the map, and the only one of their id; count the rest.
+    """Return which readings (n,) are `valid`, in the map, and unique in their id; count the others.
 
     Two readings of one id by one detector at one instant are two points with one id, or a reflection: neither is
     used.
@@ -92,7 +92,7 @@ def usable(
 
 
 def nothing_usable(topic: str, ids: Ints, settings: PointsSettings) -> LocfuseError:
-    """Return the error of readings of which none can be used."""
+    """Return the error for readings of which none can be used."""
     seen = ", ".join(map(str, sorted(set(ids.tolist()))[:MAX_NAMED]))
     have = ", ".join(map(str, sorted(settings.places)[:MAX_NAMED])) or "none"
     of_map = "" if settings.grows else f" of the map's {settings.what}; the map has {have}"
@@ -102,7 +102,7 @@ def nothing_usable(topic: str, ids: Ints, settings: PointsSettings) -> LocfuseEr
 def often_seen(
     ids: Ints, keep: NDArray[np.bool_], topic: str, settings: PointsSettings, dropped: dict[str, int]
 ) -> tuple[NDArray[np.bool_], list[str]]:
-    """Return which readings (n,) are of points to be placed, and in words how many ids are left out.
+    """Return which readings (n,) are of points with enough readings, and in words how many ids are left out.
 
     Every point is two states. An id that is seen once or twice (a tracker that counts up, false detections) adds
     no information about the robot's pose, and of more ids than MAX_POINTS those seen most often are taken.
@@ -163,7 +163,7 @@ class PointsModel(Model):
     def compared(
         self, m: Measurements, row: int, point: int, place: Point, at: tuple[int, ...], belief: Any
     ) -> Innovation | None:
-        """Compare one reading with a place, whose state columns are `at` where it is a state."""
+        """Compare one reading with a place, whose state columns are `at` if it is a state."""
         raise NotImplementedError
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
@@ -178,7 +178,7 @@ class PointsModel(Model):
 
 
 class GrowingPoints(PointsModel):
-    """The same with places that are states in the local frame: no known place is seen, nor north."""
+    """The same with points as states in the local frame: neither a known place nor north is observed."""
 
     joint = True
     local = True
@@ -190,11 +190,11 @@ class GrowingPoints(PointsModel):
         self._refused: dict[int, int] = defaultdict(int)
 
     def begins_map(self, m: Measurements, i: int) -> bool:
-        """Return whether these are the first readings, with which a local frame can begin."""
+        """Return whether these are the first readings, at which a local frame can begin."""
         return not self._known and len(rows_of(m, i)) > 0
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
-        """Compare the readings of one instant with the belief; those of new points are none yet."""
+        """Compare the readings of one instant with the belief; new points are not compared yet."""
         ids, found = m.plain["id"], []
         for row in rows_of(m, i):
             point = int(ids[row])
@@ -210,7 +210,7 @@ class GrowingPoints(PointsModel):
         return found
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Append the points that were seen for the first time, where they were seen."""
+        """Append the points that were seen for the first time, at the places of these readings."""
         for row in rows_of(m, i):
             point = int(m.plain["id"][row])
             if point not in self._known:
@@ -222,7 +222,7 @@ class GrowingPoints(PointsModel):
         raise NotImplementedError
 
     def points(self, belief: Any) -> list[tuple[int, float, float]]:
-        """Return id and place [m, map frame] of every point, as the run ended."""
+        """Return id and place [m, map frame] of every point at the end of the run."""
         G = belief.frame_pose() or (0.0, 0.0, 0.0)
         c, s = math.cos(G[2]), math.sin(G[2])
         found = []
@@ -232,7 +232,7 @@ class GrowingPoints(PointsModel):
         return found
 
     def map_notes(self, units: str) -> list[str]:
-        """Say how many points the map has, which were seen too rarely to be in it for sure, and which move."""
+        """Return notes: how many points the map has, which were seen too rarely, and which move."""
         rare = [str(point) for point, n in sorted(self._known.items()) if n < MIN_SEEN]
         words = f"a map of {len(self._known)} {self._what} was made"
         more = f" and {len(rare) - MAX_LISTED} more" if len(rare) > MAX_LISTED else ""
@@ -256,5 +256,5 @@ def rows_of(m: Measurements, i: int) -> range:
 
 
 def state_of(point: int, table: str) -> str:
-    """Return the name of the two states that are a point's place."""
+    """Return the name of the two states for a point's place."""
     return f"_{table}_{point}"

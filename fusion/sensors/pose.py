@@ -1,4 +1,4 @@
-"""Poses that somebody else estimated (visual odometry, AMCL, UWB, scan matching) as measurements.
+"""Poses estimated by others (visual odometry, AMCL, UWB, scan matching), as measurements.
 
 Whose frame a pose is given in decides what it can say (`frame`):
 
@@ -78,7 +78,7 @@ class PoseSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_o
     yaw_deg: float = 0.0  # degrees, likewise
 
     def __post_init__(self) -> None:
-        """Refuse a source without noise, and points in a frame whose direction nobody knows."""
+        """Refuse a source without noise, and points in a frame of unknown direction."""
         super().__post_init__()
         if not self.heading and self.frame != "map":
             raise ValueError('heading = false needs frame = "map": points do not tell how another frame is turned')
@@ -88,7 +88,7 @@ class PoseSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 class PoseSensor(Sensor):
-    """Reads poses that are somebody's estimate."""
+    """Reads poses that another estimator published."""
 
     name = "pose"
     locates = True
@@ -111,11 +111,11 @@ class PoseSensor(Sensor):
     }
 
     def mount(self, settings: PoseSettings) -> Pose:
-        """Return where the body whose pose it is sits on the base: x [m], y [m], yaw [rad]."""
+        """Return the mount of the tracked body on the base: x [m], y [m], yaw [rad]."""
         return settings.x, settings.y, math.radians(settings.yaw_deg)
 
     def concerns(self, key: str, msgtype: str) -> bool:
-        """Return whether a key means anything to messages of this type."""
+        """Return whether a key applies to messages of this type."""
         return not key.startswith("sigma_drift") or msgtype in DRIFTING
 
     def measure(self, stream: Stream, settings: PoseSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
@@ -156,15 +156,15 @@ class PoseSensor(Sensor):
         return m.t, np.unwrap(m.z[:, 2])
 
     def reversal(self, settings: PoseSettings, msgtype: str) -> Reversal:
-        """Return why it turns the other way round: its z axis looks down, which no setting of ours turns."""
+        """Return why it turns the other way: its z axis points down, which no setting corrects."""
         return Reversal("its z axis looks down (NED): it has to be turned before it is recorded")
 
     def says_noise(self, m: Measurements) -> bool:
-        """Return whether the messages say how good their poses are: then `sigma` changes nothing."""
+        """Return whether the messages give the covariance of their poses: then `sigma` changes nothing."""
         return bool(m.extra["told"].any())
 
     def model(self, settings: PoseSettings) -> Model:
-        """Return the source's side of a new run."""
+        """Return the source's model for a new run."""
         return InMapModel(settings) if settings.frame == "map" else KeptPoseModel(settings)
 
 
@@ -176,13 +176,13 @@ def _frame(settings: PoseSettings, msgtype: str) -> str:
 
 
 def _own(settings: PoseSettings) -> Array:
-    """Return the variances (3,) of a pose that comes without any."""
+    """Return the variances (3,) of a pose without a covariance of its own."""
     turn = math.radians(settings.sigma_theta_deg) if settings.heading else MAX_SIGMA[1]
     return np.array([settings.sigma, settings.sigma, turn]) ** 2
 
 
 def _usable(values: Array, stream: Stream, settings: PoseSettings, dropped: dict[str, int]) -> Ints:
-    """Return the rows of messages that hold a pose at a time of its own; count the others."""
+    """Return the rows of messages with a pose and a new time; count the others."""
     finite = np.asarray(plausible(values[:, :2]).all(axis=1))
     turned = np.ones(len(values), dtype=bool)
     if settings.heading:
@@ -205,7 +205,7 @@ def _usable(values: Array, stream: Stream, settings: PoseSettings, dropped: dict
 def plane_covariance(
     column: Any, rows: Ints, which: str, own: Array, axes: Sequence[int] = PLANE
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Return covariances (n, d, d) of some rows: the messages' own where they say one (n,), else diag(own (n, d)).
+    """Return covariances (n, d, d) of some rows: the messages' own where given (n,), else diag(own (n, d)).
 
     `column` holds 6 x 6 matrices of x, y, z, roll, pitch, yaw, of which `axes` (d,) are wanted. A covariance of
     zeros, one that is not positive, and NaN say nothing. What is larger than MAX_SIGMA was not measured: it is cut
@@ -230,7 +230,7 @@ def plane_covariance(
 
 
 def _refuse_stuck(t: Array, z: Array, wheels: WheelMotion, topic: str) -> None:
-    """Raise LocfuseError where the pose never changes while the robot drives."""
+    """Raise LocfuseError if the pose never changes while the robot drives."""
     if len(t) < MIN_READINGS or np.ptp(z, axis=0).max() > 0.0:
         return
     way = np.hypot(*wheels.relative(np.full(len(t), t[0]), t)[:, :2].T).max()
@@ -241,7 +241,7 @@ def _refuse_stuck(t: Array, z: Array, wheels: WheelMotion, topic: str) -> None:
 
 
 def _in_a_row(t: Array, correlated: float) -> float:
-    """Return how many readings share one error: that many times the variance makes them count as one."""
+    """Return how many readings share one error: with that factor on their variance they count as one."""
     if len(t) < 2 or correlated <= 0.0:
         return 1.0
     return max(1.0, correlated / float(np.median(np.diff(t))))
@@ -264,7 +264,7 @@ class InMapModel(Model):
         return [seen]
 
     def notes(self, belief: Any) -> list[str]:
-        """Say where nearly all poses are far from the robot: their frame is not the map."""
+        """Return a note if nearly all poses are far from the robot: their frame is not the map."""
         if self._seen < MIN_READINGS or 2 * self._far < self._seen:
             return []
         words = (
@@ -274,7 +274,7 @@ class InMapModel(Model):
 
 
 class KeptPoseModel(Model):
-    """u = (-)B (+) p + noise, in the local frame: a source whose frame nobody knows never says where north is."""
+    """u = (-)B (+) p + noise, in the local frame: a source in an unknown frame gives no absolute heading."""
 
     local = True
     maps = True
@@ -285,15 +285,15 @@ class KeptPoseModel(Model):
         self._last: Pose | None = None  # the source's pose at B
 
     def blocks(self) -> list[Block]:
-        """Return the kept pose."""
+        """Return the cloned pose."""
         return [Block(CLONE, np.zeros(3), np.zeros((3, 3)), np.zeros(3))]
 
     def begins_map(self, m: Measurements, i: int) -> bool:
-        """Return whether this is the first pose, with which a local frame can begin."""
+        """Return whether this is the first pose, at which a local frame can begin."""
         return self._last is None
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
-        """Compare the motion since the kept pose with the belief; the first reading only begins."""
+        """Compare the motion since the cloned pose with the belief; the first reading only initialises."""
         if self._last is None:
             return []
         column = belief.column(CLONE)
@@ -305,13 +305,13 @@ class KeptPoseModel(Model):
         return [belief.compare(i, y, by_pose, R, self.threshold, columns, by_kept)]
 
     def _drifted(self, u: Pose, floor: Array) -> Matrix:
-        """Return the covariance of what a drifting source misses on its way u (3,)."""
+        """Return the covariance of the drift of a source over its motion u (3,)."""
         way = math.hypot(u[0], u[1]) + ARM_M * abs(wrap(u[2]))
         xy, theta = self.drift[0] * way + floor.item(0, 0), self.drift[1] * way + floor.item(2, 2)
         return ((xy, 0.0, 0.0), (0.0, xy, 0.0), (0.0, 0.0, theta))
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Keep the pose as it is now; in a frame that stands still carry on the one that is kept."""
+        """Clone the present pose; in a frame that does not drift keep the old clone."""
         column, last, drifts = belief.column(CLONE), self._last, m.plain["drifts"][i]
         self._last = now = _pose_of(m, i)
         if last is None or drifts:
@@ -341,7 +341,7 @@ def _covariance_of(m: Measurements, i: int) -> Matrix:
 
 
 def _turned(R: Matrix, angle: float) -> Matrix:
-    """Return the covariance R (3, 3) of a pose in a frame in which its own is turned by an angle [rad]."""
+    """Return the covariance R (3, 3) of a pose in a frame turned by an angle [rad]."""
     (xx, xy, xt), (_, yy, yt), (_, _, tt) = R
     c, s = se2.direction(angle)
     across = c * s * (xx - yy) + (c * c - s * s) * xy
@@ -352,7 +352,7 @@ def _turned(R: Matrix, angle: float) -> Matrix:
 
 
 def seen_from(a: Sequence[float], b: Sequence[float]) -> tuple[Pose, PoseRows, PoseRows]:
-    """Return pose b as it is seen from pose a, (-)a (+) b, and its derivatives (3, 3) by a and by b."""
+    """Return pose b relative to pose a, (-)a (+) b, and its derivatives (3, 3) by a and by b."""
     c, s = se2.direction(a[2])
     dx, dy = b[0] - a[0], b[1] - a[1]
     x, y = c * dx + s * dy, c * dy - s * dx

@@ -1,38 +1,152 @@
-"""The scans between two key poses: each is matched with both keys, and wheels and matches are smoothed together.
+"""Poses between two key poses: the wheels' path, corrected by both keys and by the scans on the way.
 
 The keys stay where the graph put them. Between two of them the wheels' error is a random walk of small rigid
-motions xi about the key before (see fusion.whole_drive.bridge), known at both ends; every scan says what it is on
-the way. Forward and backward over the scans, all spans at once (Rauch, Tung and Striebel 1965).
+motions xi about the key before, known at both ends (a Brownian bridge); turning both keys alike turns what lies
+between. Each scan on the way is matched with both keys. Forward and backward over the scans, all spans at once
+(Rauch, Tung and Striebel 1965).
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Ints, Measurements
-from locfuse.fusion.scan_matching.clouds import Clouds, clouds_of, merged
+from locfuse.fusion.scan_matching.clouds import Clouds, Columns, clouds_of, merged
 from locfuse.fusion.scan_matching.match import Matches, Targets, match, sources_of
 from locfuse.fusion.scan_matching.neighbours import good
 
-from .bridge import Fixes, Spans
-from .odometry import Odometry, moved
+from .odometry import Odometry, by_lever, moved
 
-GAP_S = 0.09  # between two scans that are matched: more often says little new
+REST_P = np.diag([1e-9, 1e-9, 1e-9])  # m^2, rad^2: a robot at rest has no bridge
+
+
+class Spans(Columns, frozen=True):
+    """Stamps (n,) between keys: the key before each, and the wheels' motion from there."""
+
+    a: Ints  # (n,) key before, or the last but one
+    b: Ints  # (n,) key after
+    inside: NDArray[np.bool_]  # (n, 1, 1) whether the stamp lies between the two
+    beyond: NDArray[np.bool_]  # (n, 1, 1) whether it lies behind the last key
+    home: Array  # (n, 3) the odometry's origin seen from its pose at key a
+    u: Array  # (n, 3) the stamp seen from key a, by the wheels
+    C: Array  # (n, 3, 3) covariance of xi since key a
+    C_ab: Array  # (n, 3, 3) that from key a to key b
+
+    @classmethod
+    def of(cls, odometry: Odometry, stamps: Odometry, k: Ints, keys: Ints) -> Spans:
+        """Return the spans of stamps whose last instant is k (n,), between the instants `keys` (m,)."""
+        a = np.clip(np.searchsorted(keys, k, side="right") - 1, 0, max(len(keys) - 2, 0))
+        b = np.minimum(a + 1, len(keys) - 1)
+        home = se2.inverse(odometry.pose[keys[a]])
+        u = se2.compose(home, stamps.pose)
+        C = moved(stamps.C - odometry.C[keys[a]], home)
+        C_ab = moved(odometry.C[keys[b]] - odometry.C[keys[a]], home) + REST_P
+        inside, beyond = (k >= keys[a]) & (k < keys[b]), k >= keys[b]
+        return cls(a, b, inside[:, None, None], beyond[:, None, None], home, u, C, C_ab)
+
+    @property
+    def share(self) -> Array:
+        """The share of key b in the error at each stamp, (n, 3, 3)."""
+        return np.where(self.inside, self.C @ np.linalg.inv(self.C_ab), np.where(self.beyond, np.eye(3), 0.0))
+
+
+class Fixes(Columns, frozen=True):
+    """Instants with a known wheel error since the key before: both keys of every span, and the scans between.
+
+    Sorted by key, then by instant; of every span the first row is its key (no error yet), the last the next one.
+    """
+
+    a: Ints  # (f,) key before
+    instant: Ints  # (f,)
+    xi: Array  # (f, 3) error of the wheels since the key, seen from it
+    rest: Array  # (f, 3, 3) its covariance, were both keys exact
+
+    @classmethod
+    def of_keys(cls, odometry: Odometry, keys: Ints, x: Array) -> Fixes:
+        """Return the fixes of the keys alone: instants (m,), poses x (m, 3)."""
+        a = np.arange(len(keys) - 1)
+        whole = se2.between(odometry.pose[keys[:-1]], odometry.pose[keys[1:]])
+        error = se2.compose(se2.between(x[:-1], x[1:]), se2.inverse(whole))
+        error[:, 2] = se2.wrap_all(error[:, 2])
+        both = np.stack((keys[:-1], keys[1:]), axis=1).ravel()
+        xi = np.stack((np.zeros_like(error), error), axis=1).reshape(-1, 3)
+        return cls(np.repeat(a, 2), both, xi, np.zeros((len(xi), 3, 3)))
+
+    def at(self, odometry: Odometry, k: Ints, spans: Spans) -> tuple[Array, Array]:
+        """Return the wheels' error at stamps after the instants k (n,): xi (n, 3), its covariance (n, 3, 3)."""
+        size = len(odometry.pose) + 1
+        last = len(self.a) - 1
+        f = np.searchsorted(self.a * size + self.instant, spans.a * size + k, side="right") - 1
+        f, g = np.clip(f, 0, last), np.clip(f + 1, 0, last)
+        origin = odometry.C[self.instant[np.searchsorted(self.a, spans.a)]]
+        C_f = moved(odometry.C[self.instant[f]] - origin, spans.home)
+        C_fg = moved(odometry.C[self.instant[g]] - origin, spans.home) - C_f + REST_P
+        since = spans.C - C_f
+        share = np.where(spans.inside, since @ np.linalg.inv(C_fg), 0.0)
+        xi = self.xi[f] + np.einsum("nij,nj->ni", share, self.xi[g] - self.xi[f])
+        nearer = np.clip(share[:, 2, 2], 0.0, 1.0)[:, None, None]  # errors of neighbouring scans are alike
+        rest = (1.0 - nearer) * self.rest[f] + nearer * self.rest[g] + since - share @ since
+        return xi, rest
+
+
+def bridged(
+    odometry: Odometry, stamps: Odometry, k: Ints, keys: Ints, x: Array, P: Array, after: Array, fixes: Fixes
+) -> tuple[Array, Array]:
+    """Return poses (n, 3) and covariances (n, 3, 3) at stamps whose last instant is k (n,).
+
+    `keys` (m,) are the instants of the key poses x (m, 3), with covariances P (m, 3, 3), and `after` (m - 1, 3, 3)
+    with the next one. The first is at or before all stamps; behind the last one the wheels lead on alone.
+    """
+    spans = Spans.of(odometry, stamps, k, keys)
+    xi, rest = fixes.at(odometry, k, spans)
+    pose = se2.compose(x[spans.a], se2.compose(xi, spans.u))
+    return pose, _spread(x, P, after, spans, rest, pose)
+
+
+def _spread(x: Array, P: Array, after: Array, spans: Spans, rest: Array, pose: Array) -> Array:
+    """Return covariances of the poses' numbers, by those of both keys and of the wheels between them."""
+    a, b = spans.a, spans.b
+    arm = x[b, :2] - x[a, :2]
+    P_a = P[a]
+    P_b = by_lever(P[b], arm[:, 1], -arm[:, 0])
+    cross = after[np.minimum(a, max(len(after) - 1, 0))] if len(after) else np.zeros_like(P_a)
+    L = np.broadcast_to(np.eye(3), cross.shape).copy()
+    L[:, 0, 2], L[:, 1, 2] = arm[:, 1], -arm[:, 0]
+    cross = cross @ L.transpose(0, 2, 1)
+    same = (a == b)[:, None, None]
+    cross = np.where(same, P_a, cross)
+    turn = se2.rotation(x[a, 2])
+    S = turn @ spans.share @ turn.transpose(0, 2, 1)
+    own = np.eye(3) - S
+    out = own @ P_a @ own.transpose(0, 2, 1) + S @ P_b @ S.transpose(0, 2, 1)
+    mixed = own @ cross @ S.transpose(0, 2, 1)
+    out += mixed + mixed.transpose(0, 2, 1) + turn @ rest @ turn.transpose(0, 2, 1)
+    lever = pose[:, :2] - x[a, :2]
+    out = by_lever(out, -lever[:, 1], lever[:, 0])
+    return 0.5 * (out + out.transpose(0, 2, 1))
+
+
+GAP_S = 0.09  # between two scans that are matched: more often adds little
 SCANS_AT_ONCE = 1024  # whose points are held before they are thinned
 REST_S = 1.0  # a robot at rest for so long before and after a scan is where it was: wheels' stamps may be late
-POINTS = 90  # of one scan that are matched
-PRIOR = np.diag([0.1**-2, 0.1**-2, np.radians(4.0) ** -2])  # holds a match where the walls say nothing
+MAX_POINTS = 90  # of one scan that are matched
+PRIOR_INFORMATION = np.diag(
+    [0.1**-2, 0.1**-2, np.radians(4.0) ** -2]
+)  # holds a match where the walls constrain nothing
 REACH_M = 0.4
-ROUNDS = 2  # a scan that fits badly is asked again from where its neighbours say that it is
-STEP = np.diag([0.002**2, 0.002**2, np.radians(0.1) ** 2])  # from scan to scan, even at rest: stamps are not exact
-EXACT = np.diag([1e10, 1e10, 1e12])  # 1/m^2, 1/rad^2: information of the next key
+ROUND_COUNT = 2  # a scan that fits badly is asked again from the place by its neighbours
+STEP_P = np.diag(
+    [0.002**2, 0.002**2, np.radians(0.1) ** 2]
+)  # from scan to scan, even at rest: stamps are not exact
+KEY_INFORMATION = np.diag([1e10, 1e10, 1e12])  # 1/m^2, 1/rad^2: information of the next key
 
 
 def scans_between(
     odometry: Odometry, drive: Drive, sensor: str, readings: Ints, clouds: Clouds, x: Array
 ) -> Fixes:
-    """Return what the wheels miss at the scans between the keys `readings` (m,), whose poses are x (m, 3).
+    """Return the wheels' errors at the scans between the keys `readings` (m,), whose poses are x (m, 3).
 
     `clouds` are the keys'.
     """
@@ -47,12 +161,12 @@ def scans_between(
     targets, sources = Targets(both_ends(clouds, x)), points_of(m, chosen)
     xi, information = np.zeros((len(k), 3)), np.zeros((len(k), 3, 3))
     fixes, asked = ends, np.arange(len(k))
-    for _ in range(ROUNDS):
+    for _ in range(ROUND_COUNT):
         guess = fixes.at(odometry, k[asked], spans.take(asked))[0]
         u = spans.u[asked]
-        prior = np.broadcast_to(PRIOR, (len(asked), 3, 3))
+        prior = np.broadcast_to(PRIOR_INFORMATION, (len(asked), 3, 3))
         found = match(targets, spans.a[asked], sources, asked, se2.compose(guess, u), prior, REACH_M)
-        xi[asked], information[asked] = said(found, u, guess)
+        xi[asked], information[asked] = as_errors(found, u, guess)
         fixes = smoothed(odometry, ends, spans.a, k, xi, information)
         asked = np.flatnonzero(information[:, 2, 2] == 0.0)
         if not len(asked):
@@ -61,7 +175,7 @@ def scans_between(
 
 
 def moving_scans(odometry: Odometry, t: Array, instants: Ints, readings: Ints) -> Ints:
-    """Return the readings between the first and the last key about which the robot moved: positions.
+    """Return the readings between the first and the last key with motion around them: positions.
 
     t (N,) are the stamps of all instants [s].
     """
@@ -79,9 +193,9 @@ def moving_scans(odometry: Odometry, t: Array, instants: Ints, readings: Ints) -
 
 
 def points_of(m: Measurements, chosen: Ints) -> Clouds:
-    """Return the points of these readings that are matched, read in parts so that few whole scans are held."""
+    """Return the points of these readings for matching, read in parts so that few whole scans are in memory."""
     cuts = np.arange(SCANS_AT_ONCE, len(chosen), SCANS_AT_ONCE)
-    parts = [sources_of(clouds_of(m, part), POINTS) for part in np.split(chosen, cuts)]
+    parts = [sources_of(clouds_of(m, part), MAX_POINTS) for part in np.split(chosen, cuts)]
     counts = np.concatenate([np.diff(part.first) for part in parts])
     first = np.concatenate(([0], np.cumsum(counts)))
     return Clouds(
@@ -98,7 +212,7 @@ def both_ends(clouds: Clouds, x: Array) -> Clouds:
     )
 
 
-def said(found: Matches, u: Array, guess: Array) -> tuple[Array, Array]:
+def as_errors(found: Matches, u: Array, guess: Array) -> tuple[Array, Array]:
     """Return the matches as errors xi (n, 3) of the wheels' ways u (n, 3), and their information (n, 3, 3)."""
     xi = se2.compose(found.pose, se2.inverse(u))
     xi[:, 2] = guess[:, 2] + se2.wrap_all(xi[:, 2] - guess[:, 2])
@@ -110,15 +224,15 @@ def said(found: Matches, u: Array, guess: Array) -> tuple[Array, Array]:
 def smoothed(odometry: Odometry, ends: Fixes, a: Ints, k: Ints, xi: Array, information: Array) -> Fixes:
     """Return smoothed poses of the keys and of the scans at instants k (n,), each between keys a (n,) and a + 1.
 
-    xi (n, 3) with `information` (n, 3, 3) is what each scan says.
+    xi (n, 3) with `information` (n, 3, 3) is the measurement of each scan.
     """
     order = np.lexsort((np.concatenate((ends.instant, k)), np.concatenate((ends.a, a))))
     a, k = np.concatenate((ends.a, a))[order], np.concatenate((ends.instant, k))[order]
     z = np.concatenate((ends.xi, xi))[order]
-    L = np.concatenate((np.broadcast_to(EXACT, (len(ends.a), 3, 3)), information))[order]
+    L = np.concatenate((np.broadcast_to(KEY_INFORMATION, (len(ends.a), 3, 3)), information))[order]
     starts = np.flatnonzero(np.diff(a, prepend=-1))
     home = se2.inverse(odometry.pose[k[starts]])[np.searchsorted(a[starts], a)]
-    Q = moved(np.diff(odometry.C[k], axis=0, prepend=odometry.C[k[:1]]), home) + STEP
+    Q = moved(np.diff(odometry.C[k], axis=0, prepend=odometry.C[k[:1]]), home) + STEP_P
     lengths = np.diff(np.append(starts, len(a)))
     mean, V = z.copy(), np.zeros((len(a), 3, 3))
     for step in range(1, int(lengths.max())):

@@ -1,4 +1,4 @@
-"""The way from key to key: wheels and matches of neighbouring scans, without any loop yet."""
+"""The path from key to key by wheels and matches of neighbouring scans, without loops."""
 
 from __future__ import annotations
 
@@ -9,35 +9,37 @@ from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.scan_matching.clouds import Clouds
 from locfuse.fusion.scan_matching.match import Matches, Targets, match
 from locfuse.fusion.scan_matching.neighbours import further_scans, good, next_scans
+from locfuse.fusion.scan_matching.solve import Edges, Problem
 
 from .odometry import Odometry, by_lever
-from .solve import Edges, Problem
 
-WHEEL_FLOOR = np.diag([0.005**2, 0.005**2, np.radians(0.3) ** 2])  # what wheels leave out: uneven floors
-SIDEWAYS = 0.04  # of the way: a laser whose mount is 2 degrees off sees the robot go sideways, and no wheel does
-WHEEL_WIDTH = 3.0  # sigmas: slips are no noise
-SCAN_WIDTH = 4.0
+WHEEL_FLOOR_P = np.diag([0.005**2, 0.005**2, np.radians(0.3) ** 2])  # what wheels leave out: uneven floors
+# of the way: a laser whose mount is 2 degrees off sees the robot go sideways, and no wheel does
+SIDEWAYS_SHARE = 0.04
+WHEEL_WIDTH_SIGMAS = 3.0  # sigmas: slips are no noise
+SCAN_WIDTH_SIGMAS = 4.0
 NEIGHBOUR_STEPS = (2, 3, 5, 8)  # keys further on that a key is matched with, beside the next one
 MAX_NEIGHBOUR_M = 5.0
-INFLATION = 0.5  # of the matches' information: errors that neighbouring scans share were counted as their own
-PLACES_AGAIN, MIN_WAY_M, MAX_AGAIN_M = 2, 5.0, 2.5  # earlier visits that a key is matched with again, how near
+# of the matches' information: errors that neighbouring scans share were counted as their own
+INFORMATION_SHARE = 0.5
+MAX_VISITS_AGAIN, MIN_WAY_M, MAX_AGAIN_M = 2, 5.0, 2.5  # earlier visits that a key is matched with again, how near
 
 
 def wheel_edges(odometry: Odometry, instants: Ints) -> Edges:
     """Return the wheels' motions from key to key at `instants` (n,)."""
     a = np.arange(len(instants) - 1)
     u, C = odometry.between(instants[:-1], instants[1:])
-    Q = by_lever(C, -u[:, 1], u[:, 0]) + WHEEL_FLOOR
-    aside = SIDEWAYS * np.hypot(u[:, 0], u[:, 1])
+    Q = by_lever(C, -u[:, 1], u[:, 0]) + WHEEL_FLOOR_P
+    aside = SIDEWAYS_SHARE * np.hypot(u[:, 0], u[:, 1])
     Q[:, [0, 1], [0, 1]] += np.square(aside)[:, None]
-    edges = Edges.of(a, a + 1, u, np.asarray(np.linalg.inv(Q), np.float64), WHEEL_WIDTH)
+    edges = Edges.of(a, a + 1, u, np.asarray(np.linalg.inv(Q), np.float64), WHEEL_WIDTH_SIGMAS)
     edges.by[:, 1, 1] = u[:, 0]
     return edges
 
 
 def edges_of(i: Ints, j: Ints, found: Matches, way: Array | None = None) -> Edges:
     """Return matches of clouds j in the frames of clouds i as edges; along the `way` (n,) headings may drift."""
-    edges = Edges.of(i, j, found.pose, INFLATION * found.information, SCAN_WIDTH)
+    edges = Edges.of(i, j, found.pose, INFORMATION_SHARE * found.information, SCAN_WIDTH_SIGMAS)
     if way is not None:
         edges.by[:, 2, 0] = way[j] - way[i]
     return edges
@@ -50,7 +52,7 @@ def sequential(
     found = next_scans(targets, wheels.i, clouds, wheels.j, wheels.z, wheels.information)
     sure = good(found)
     step = np.where(sure[:, None], found.pose, wheels.z)
-    x = se2.compose(problem.anchor.pose, se2.chain(step))
+    x = se2.compose(problem.start.z[0], se2.chain(step))
     scans = edges_of(wheels.i, wheels.j, found, way).take(sure)
     x, _ = problem.solve(x, Edges.joined(wheels, scans), (100.0, 1.0))
     further = [scans, *(skipping(targets, clouds, x, way, n) for n in NEIGHBOUR_STEPS)]
@@ -60,7 +62,7 @@ def sequential(
 
 
 def skipping(targets: Targets, clouds: Clouds, x: Array, way: Array, n: int) -> Edges:
-    """Match every key with the n-th after it, where that is near."""
+    """Match every key with the n-th after it, if that is near."""
     i, found = further_scans(targets, clouds, x, n, MAX_NEIGHBOUR_M)
     return edges_of(i, i + n, found, way)
 
@@ -76,7 +78,7 @@ def again(targets: Targets, clouds: Clouds, x: Array, way: Array) -> Edges:
         i = i[np.argsort(np.hypot(*(x[i, :2] - x[j, :2]).T), kind="stable")]
         visits: list[int] = []
         for k in i.tolist():
-            if len(visits) < PLACES_AGAIN and all(abs(way[k] - way[v]) > MIN_WAY_M for v in visits):
+            if len(visits) < MAX_VISITS_AGAIN and all(abs(way[k] - way[v]) > MIN_WAY_M for v in visits):
                 visits.append(k)
         pairs += [(k, j) for k in visits]
     if not pairs:

@@ -1,7 +1,11 @@
-"""Loops: which places were seen before, in rounds from what is nearly certain to what needs a wide search.
+"""Loops: places that were seen before, in rounds from nearly certain ones to those of a wide search.
 
-A candidate must fit (points on surfaces), must not look through walls, must agree with what the graph says within
-its covariance, and must agree with another candidate beside it: one look alone closes nothing. What is refused is
+Submaps, the keys of a stretch of a few metres as one cloud, are compared. Where the window is narrow they are
+matched at once; else one is laid on the other at every shift and turn, all shifts of one turn at once by the
+Fourier transform (what is compared: Olson 2009, "Real-time correlative scan matching").
+
+A candidate must fit (points on surfaces), must not look through walls, must agree with the graph within its
+covariance, and must agree with another candidate beside it: one look alone closes nothing. What is refused is
 asked again after each solve, since a loop that closes elsewhere narrows every window.
 """
 
@@ -13,36 +17,121 @@ from msgspec import field
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Ints
-from locfuse.fusion.scan_matching.clouds import Clouds, thinned
+from locfuse.fusion.data import Array, Estimates, Ints
+from locfuse.fusion.scan_matching.clouds import Clouds, Columns, merged, thinned
 from locfuse.fusion.scan_matching.free_space import MIN_POINTS, Views
 from locfuse.fusion.scan_matching.match import Matches, Targets, match, sources_of
+from locfuse.fusion.scan_matching.solve import Edges, Normal, Problem, chi2_of, relative
 
-from .solve import Edges, Normal, Problem
-from .submaps import Peak, Submaps, correlate
+from .odometry import Odometry
+
+SPACING_M, HALF_LENGTH_M = 3.0, 3.0  # between two submaps, and how far one reaches along the way to either side
+CELL_M, TURN_RAD = 0.25, np.radians(3.0)
+REACH_M = 12.0  # points further from the middle are left out
+GRID_CELLS = 256  # cells of the transform: submap and window fit in without wrapping
+MAX_SHIFT_M = 0.5 * GRID_CELLS * CELL_M - 2.0 - REACH_M
+APART_M = 1.5  # two peaks further apart are two places
+ALIKE_SHARE = 0.93  # a second peak of this share of the best leaves it undecided
+
+
+class Submaps(msgspec.Struct, frozen=True):
+    """One cloud for every middle key, in that key's frame."""
+
+    middle: Ints  # (s,) which key
+    members: list[Ints]  # keys of each
+    clouds: Clouds
+    keys: Clouds  # of the n keys themselves
+    views: Views  # of the keys
+    way: Array  # (n,) m, driven until each key
+
+
+def submaps_of(keys: Clouds, origin: Array, x: Array, way: Array) -> Submaps:
+    """Cut the keys at poses x (n, 3), `way` (n,) [m], into submaps that overlap by half."""
+    middle = np.flatnonzero(np.diff(np.floor(way / SPACING_M), prepend=-1.0) > 0)
+    members = [np.flatnonzero(np.abs(way - way[k]) <= HALF_LENGTH_M) for k in middle.tolist()]
+    poses = [se2.between(x[k], x[group]) for k, group in zip(middle.tolist(), members, strict=True)]
+    return Submaps(middle, members, merged(keys, members, poses), keys, Views.of(keys, origin), way)
+
+
+class Peak(msgspec.Struct, frozen=True):
+    """The best pose of one submap on another one."""
+
+    pose: Array  # (3,)
+    score: float  # share of its cells that meet a surface
+    second: float  # the best score elsewhere
+    edge: bool  # whether it lies at the edge of the window
+
+    @property
+    def decided(self) -> bool:
+        """Whether no other place fits about as well."""
+        return not self.edge and self.second < ALIKE_SHARE * self.score
+
+
+def correlate(ours: Array, theirs: Array, guess: Array, sigma: Array) -> Peak:
+    """Return the best pose of the points `theirs` (k, 2) on the points `ours` (m, 2), within 3 sigma."""
+    from scipy.fft import irfft2, rfft2
+
+    target = rfft2(_raster(ours, spread=True))
+    half = min(3.0 * float(sigma[2]), np.pi)
+    n = int(np.ceil(half / TURN_RAD))
+    turns = np.arange(-n, n + 1) * TURN_RAD
+    reach = np.minimum(3.0 * np.hypot(sigma[0], sigma[1]) + 2.0 * CELL_M, MAX_SHIFT_M)
+    cells = int(reach / CELL_M)
+    shift = np.round(guess[:2] / CELL_M).astype(np.int64)
+    window = np.arange(-cells, cells + 1)
+    rows, columns = (window + shift[1]) % GRID_CELLS, (window + shift[0]) % GRID_CELLS
+    scores = np.empty((len(turns), len(window), len(window)), np.float32)
+    for n, turn in enumerate(turns.tolist()):
+        other = _raster(se2.rotated(np.array(guess[2] + turn), theirs), spread=False)
+        total = max(float(other.sum()), 1.0)
+        scores[n] = (
+            irfft2(target * np.conj(rfft2(other)), s=(GRID_CELLS, GRID_CELLS))[np.ix_(rows, columns)] / total
+        )
+    k, r, c = (int(i) for i in np.unravel_index(int(scores.argmax()), scores.shape))
+    dy, dx = window[r] + shift[1], window[c] + shift[0]
+    away = (window[:, None] - window[r]) ** 2 + (window[None, :] - window[c]) ** 2 > (APART_M / CELL_M) ** 2
+    elsewhere = scores[:, away]
+    second = float(elsewhere.max()) if elsewhere.size else 0.0
+    edge = bool(min(r, c) == 0 or max(r, c) == len(window) - 1)
+    pose = np.array([dx * CELL_M, dy * CELL_M, guess[2] + turns[k]])
+    return Peak(pose, float(scores[k, r, c]), second, edge)
+
+
+def _raster(points: Array, spread: bool) -> NDArray[np.float32]:
+    """Return which cells contain points, (SIZE, SIZE) about the origin; `spread` gives their neighbours a half."""
+    cells = np.round(points[np.abs(points).max(axis=1) < REACH_M] / CELL_M).astype(np.int64) % GRID_CELLS
+    grid = np.zeros((GRID_CELLS, GRID_CELLS), np.float32)
+    grid[cells[:, 1], cells[:, 0]] = 1.0
+    if spread:
+        around = np.maximum.reduce([np.roll(grid, (dy, dx), (0, 1)) for dy in (-1, 0, 1) for dx in (-1, 0, 1)])
+        grid = np.maximum(grid, np.float32(0.5) * around)
+    return grid
+
 
 MIN_WAY_M = 15.0  # two places this far apart along the way are a loop
 MAX_APART_M = 5.0  # between the middles of two submaps that overlap
 NARROW_M, NARROW_RAD = 0.35, np.radians(4.0)  # 1 sigma: a match finds it without a search
-WIDE_M = (2.0, 4.0, 8.0, 16.0, 16.0, 16.0)  # 1 sigma of the widest search, round by round
+SEARCH_SIGMAS_M = (2.0, 4.0, 8.0, 16.0, 16.0, 16.0)  # 1 sigma of the widest search, round by round
 MAX_VISITS = 6  # candidates of one submap in a round
 MAX_SEARCHES = 100  # correlations in a round: those of the smallest windows
 MIN_INLIERS, MIN_OVERLAP, MAX_RMS_M = 0.65, 0.4, 0.05
 MAX_THROUGH = 0.05  # share of the points that look through walls
 MAX_CONDITION = 1e4
 MAX_CHI2 = 16.3  # of three numbers: 99.9 %
-DOUBT = 4.0  # the graph's covariance is taken for so much larger when a candidate is judged
+GRAPH_P_FACTOR = 4.0  # the graph's covariance is taken for so much larger when a candidate is judged
 MOVED_M, MOVED_RAD = 0.05, np.radians(0.5)  # what was refused is asked again once the graph moved it so far
-NARROWER = 0.7  # of the last window: only then a search may find something new
-CLOSURE_WIDTH = 4.0  # sigmas
-KEPT = 0.3  # weight below which a closure is given up after the solve
+NARROWER_SHARE = 0.7  # of the last window: only then a search may find something new
+CLOSURE_WIDTH_SIGMAS = 4.0  # sigmas
+MIN_KEPT_WEIGHT = 0.3  # weight below which a closure is given up after the solve
 SUPPORT_M, SUPPORT_RAD = 0.35, np.radians(2.5)  # two candidates beside each other must agree to this
 SUPPORT_WAY_M = 12.0
-GRADUATIONS = (1e4, 1e3, 1e2, 10.0, 1.0)
+# of a place that the filter recognised, half of what a match needs no search for: the keys lie beside it
+SIGMA_M, SIGMA_RAD = 0.5 * NARROW_M, 0.5 * NARROW_RAD
+KERNEL_WIDTH_FACTORS = (1e4, 1e3, 1e2, 10.0, 1.0)
 
 
 class Loops(msgspec.Struct):
-    """The closures of a drive as they are found, and what stayed undecided."""
+    """The closures of a drive as they are found, and the undecided candidates."""
 
     edges: Edges = field(default_factory=Edges.none)  # between middle keys
     pair: set[tuple[int, int]] = field(default_factory=set)  # submaps that are closed
@@ -52,7 +141,7 @@ class Loops(msgspec.Struct):
     searches: int = 0
 
 
-class Candidates(msgspec.Struct, frozen=True):
+class Candidates(Columns, frozen=True):
     """Pairs of submaps that may see the same place."""
 
     a: Ints  # (c,) submap that came first
@@ -60,96 +149,76 @@ class Candidates(msgspec.Struct, frozen=True):
     guess: Array  # (c, 3) middle key of b seen from that of a, by the graph
     P: Array  # (c, 3, 3) covariance of the guess, in the frame of a
 
-    def take(self, at: Ints) -> Candidates:
-        """Return those at these positions."""
-        return Candidates(self.a[at], self.b[at], self.guess[at], self.P[at])
-
     @property
     def sigma(self) -> Array:
         """Standard deviations (c, 3)."""
         return np.sqrt(np.maximum(np.diagonal(self.P, axis1=1, axis2=2), 0.0))
 
 
-def close(
-    x: Array,
-    edges: Edges,
-    problem: Problem,
-    maps: Submaps,
-    way: Array,
-    clouds: Clouds,
-    views: Views,
-    hints: Edges,
-) -> tuple[Array, Edges, Loops]:
+def close(x: Array, edges: Edges, problem: Problem, maps: Submaps, hints: Edges) -> tuple[Array, Edges, Loops]:
     """Return the key poses with all loops closed, all edges, and the loops.
 
     `hints` between keys steer the search and are none of the edges.
     """
     loops = Loops()
-    x, normal = problem.solve(x, Edges.joined(edges, hints), GRADUATIONS if len(hints) else (1.0,))
-    hints = hints.take(hints.weights(x) > KEPT)
+    x, normal = problem.solve(x, Edges.joined(edges, hints), KERNEL_WIDTH_FACTORS if len(hints) else (1.0,))
+    hints = hints.take(hints.weights(x) > MIN_KEPT_WEIGHT)
     targets, sources = Targets(thinned(maps.clouds)), sources_of(maps.clouds, 200)
-    for wide in WIDE_M:
+    for wide in SEARCH_SIGMAS_M:
         before = set(loops.pair)
-        found = candidates(x, normal, maps, way, loops)
+        found = candidates(x, normal, maps, loops)
         ready, start = placed(found, maps, wide, loops)
         if len(ready.a):
-            new = judged(ready, start, targets, sources, maps, clouds, views, x, way, loops)
+            new = judged(ready, start, targets, sources, maps, x, loops)
             trial = Edges.joined(edges, hints, loops.edges, new)
-            x, normal = problem.solve(x, trial, GRADUATIONS)
+            x, normal = problem.solve(x, trial, KERNEL_WIDTH_FACTORS)
             loops.edges = Edges.joined(loops.edges, new)
-            loops.edges = loops.edges.take(loops.edges.weights(x) > KEPT)
+            loops.edges = loops.edges.take(loops.edges.weights(x) > MIN_KEPT_WEIGHT)
             index = {int(k): s for s, k in enumerate(maps.middle.tolist())}
             loops.pair = {
                 (index[i], index[j]) for i, j in zip(loops.edges.i.tolist(), loops.edges.j.tolist(), strict=True)
             }
-        if loops.pair == before and wide == WIDE_M[-1]:
+        if loops.pair == before and wide == SEARCH_SIGMAS_M[-1]:
             break
     return x, Edges.joined(edges, loops.edges), loops
 
 
-def candidates(x: Array, normal: Normal, maps: Submaps, way: Array, loops: Loops) -> Candidates:
-    """Return the pairs of submaps that may overlap by what the graph knows, and are not closed yet."""
-    middle = maps.middle
+def candidates(x: Array, normal: Normal, maps: Submaps, loops: Loops) -> Candidates:
+    """Return the pairs of submaps that may overlap by the graph and are not closed yet."""
+    middle, way = maps.middle, maps.way
     a, b = np.triu_indices(len(middle), 1)
     apart = np.hypot(*(x[middle[b], :2] - x[middle[a], :2]).T)
-    far = way[middle[b]] - way[middle[a]] > MIN_WAY_M
-    a, b, apart = a[far], b[far], apart[far]
-    guess, P = relative(x, normal.joint(middle), middle, a, b)
+    closed = np.zeros((len(middle), len(middle)), bool)
+    for pair in loops.pair:
+        closed[pair] = True
+    asked = (way[middle[b]] - way[middle[a]] > MIN_WAY_M) & (apart < 2.0 * MAX_APART_M) & ~closed[a, b]
+    a, b, apart = a[asked], b[asked], apart[asked]
+    some, at = np.unique(np.concatenate((a, b)), return_inverse=True)
+    guess, P = relative(x[middle[some]], normal.joint(middle[some]), at[: len(a)], at[len(a) :])
     sigma = np.sqrt(np.maximum(P[:, 0, 0] + P[:, 1, 1], 0.0))
     likely = apart < MAX_APART_M + np.minimum(2.0 * sigma, MAX_APART_M)
-    closed = np.array([(i, j) in loops.pair for i, j in zip(a.tolist(), b.tolist(), strict=True)], dtype=bool)
-    at = np.flatnonzero(likely & ~closed)
+    at = np.flatnonzero(likely)
     at = at[_nearest_visits(b[at], (apart + sigma)[at])]
     return Candidates(a[at], b[at], guess[at], P[at])
 
 
 def _nearest_visits(b: Ints, cost: Array) -> Ints:
-    """Return where the MAX_VISITS cheapest candidates of each submap are: a robot in one room has too many."""
+    """Return the positions of each submap's MAX_VISITS cheapest candidates: a robot in one room has too many."""
     order = np.lexsort((cost, b))
     first = np.searchsorted(b[order], b[order])
     return np.sort(order[np.arange(len(order)) - first < MAX_VISITS])
 
 
-def relative(x: Array, joint: Array, keys: Ints, a: Ints, b: Ints) -> tuple[Array, Array]:
-    """Return poses of b seen from a (c, 3), and their covariances, from the joint one of `keys` (s, 3, s, 3)."""
-    i, j = keys[a], keys[b]
-    nothing = np.zeros((len(a), 3))
-    A, B = Edges.of(i, j, nothing, np.zeros((len(a), 3, 3)), np.inf).jacobians(x)
-    P_aa, P_bb, P_ab = joint[a, :, a, :], joint[b, :, b, :], joint[a, :, b, :]
-    At, Bt = A.transpose(0, 2, 1), B.transpose(0, 2, 1)
-    mixed = A @ P_ab @ Bt
-    P = A @ P_aa @ At + B @ P_bb @ Bt + mixed + mixed.transpose(0, 2, 1)
-    return se2.between(x[i], x[j]), P
-
-
 def placed(found: Candidates, maps: Submaps, wide: float, loops: Loops) -> tuple[Candidates, Array]:
-    """Return the candidates whose place is known well enough to be matched, and that place, (c, 3)."""
+    """Return the candidates whose pose is known well enough for matching, and that pose, (c, 3)."""
     sigma = found.sigma
     reach = np.hypot(sigma[:, 0], sigma[:, 1])
     narrow = (reach < NARROW_M) & (sigma[:, 2] < NARROW_RAD)
     start, ready = found.guess.copy(), narrow.copy()
     pairs = list(zip(found.a.tolist(), found.b.tolist(), strict=True))
-    news = np.array([r < NARROWER * loops.asked.get(p, np.inf) for p, r in zip(pairs, reach, strict=True)], bool)
+    news = np.array(
+        [r < NARROWER_SHARE * loops.asked.get(p, np.inf) for p, r in zip(pairs, reach, strict=True)], bool
+    )
     moved = np.array(
         [_moved(loops.refused.get(p), guess) for p, guess in zip(pairs, found.guess, strict=True)], bool
     )
@@ -169,7 +238,7 @@ def placed(found: Candidates, maps: Submaps, wide: float, loops: Loops) -> tuple
 
 
 def _moved(refused: Array | None, guess: Array) -> bool:
-    """Return whether a place is another one than that which was refused: only then it is worth asking again."""
+    """Return whether a pose differs from the rejected one: only then it is worth another test."""
     if refused is None:
         return True
     step = se2.between(refused, guess)
@@ -184,16 +253,7 @@ def _searched(found: Candidates, c: int, maps: Submaps) -> Peak:
 
 
 def judged(
-    c: Candidates,
-    start: Array,
-    targets: Targets,
-    sources: Clouds,
-    maps: Submaps,
-    clouds: Clouds,
-    views: Views,
-    x: Array,
-    way: Array,
-    loops: Loops,
+    c: Candidates, start: Array, targets: Targets, sources: Clouds, maps: Submaps, x: Array, loops: Loops
 ) -> Edges:
     """Return the candidates that pass every test, as edges between the middles of their submaps."""
     loose = np.diag([0.2**2, 0.2**2, np.radians(3.0) ** 2])
@@ -201,27 +261,25 @@ def judged(
     found = match(targets, c.a, sources, c.b, start, prior, 1.0)
     fits = (found.inliers > MIN_INLIERS) & (found.overlap > MIN_OVERLAP) & (found.rms < MAX_RMS_M)
     fits &= np.linalg.cond(found.information) < MAX_CONDITION
-    off = found.pose - c.guess
-    off[:, 2] = se2.wrap_all(off[:, 2])
-    S = DOUBT * c.P + np.linalg.inv(found.information + 1e-3 * np.eye(3))
-    fits &= np.einsum("ni,nij,nj->n", off, np.linalg.inv(S), off) < MAX_CHI2
+    S = GRAPH_P_FACTOR * c.P + np.linalg.inv(found.information + 1e-3 * np.eye(3))
+    fits &= chi2_of(found.pose, c.guess, S) < MAX_CHI2
     for k in np.flatnonzero(~fits).tolist():
         loops.refused[int(c.a[k]), int(c.b[k])] = c.guess[k]
     at = np.flatnonzero(fits)
-    at = at[through_walls(c.take(at), found.pose[at], maps, clouds, views, x) < MAX_THROUGH]
+    at = at[through_walls(c.take(at), found.pose[at], maps, x) < MAX_THROUGH]
     c, found = c.take(at), found.take(at)
-    supported = support(c, found, maps, x, way, loops)
+    supported = support(c, found, maps, x, loops)
     for k in np.flatnonzero(~supported).tolist():
         loops.undecided[int(c.a[k]), int(c.b[k])] = "one look alone"
     c, found = c.take(np.flatnonzero(supported)), found.take(supported)
     for pair in zip(c.a.tolist(), c.b.tolist(), strict=True):
         loops.undecided.pop(pair, None)
     i, j = maps.middle[c.a], maps.middle[c.b]
-    return Edges.of(i, j, found.pose, found.information, CLOSURE_WIDTH)
+    return Edges.of(i, j, found.pose, found.information, CLOSURE_WIDTH_SIGMAS)
 
 
-def through_walls(c: Candidates, pose: Array, maps: Submaps, clouds: Clouds, views: Views, x: Array) -> Array:
-    """Return the share of points that scans of one submap looked through, were the other at `pose` (c, 3)."""
+def through_walls(c: Candidates, pose: Array, maps: Submaps, x: Array) -> Array:
+    """Return the share of points that scans of one submap look through, with the other at `pose` (c, 3)."""
     pair, i, j, relative_poses = [], [], [], []
     for k, (a, b) in enumerate(zip(c.a.tolist(), c.b.tolist(), strict=True)):
         ours, theirs = maps.members[a], maps.members[b]
@@ -235,15 +293,16 @@ def through_walls(c: Candidates, pose: Array, maps: Submaps, clouds: Clouds, vie
     if not pair:
         return np.zeros(0)
     of = np.concatenate(pair)
-    bad, seen = views.contradicted(clouds, np.concatenate(i), np.concatenate(j), np.concatenate(relative_poses))
+    poses = np.concatenate(relative_poses)
+    bad, seen = maps.views.contradicted(maps.keys, np.concatenate(i), np.concatenate(j), poses)
     total = np.bincount(of, seen, len(c.a))
     share = np.bincount(of, bad, len(c.a)) / np.maximum(total, 1.0)
     return np.where(total < MIN_POINTS, 1.0, share)
 
 
-def support(c: Candidates, found: Matches, maps: Submaps, x: Array, way: Array, loops: Loops) -> NDArray[np.bool_]:
-    """Tell which candidates agree with another one, or with a closure, at neighbouring submaps, (c,)."""
-    i = np.concatenate((maps.middle[c.a], loops.edges.i))
+def support(c: Candidates, found: Matches, maps: Submaps, x: Array, loops: Loops) -> NDArray[np.bool_]:
+    """Return which candidates agree with another one, or with a closure, at neighbouring submaps, (c,)."""
+    way, i = maps.way, np.concatenate((maps.middle[c.a], loops.edges.i))
     j = np.concatenate((maps.middle[c.b], loops.edges.j))
     z = np.concatenate((found.pose, loops.edges.z))
     out = np.zeros(len(c.a), dtype=bool)
@@ -260,3 +319,28 @@ def support(c: Candidates, found: Matches, maps: Submaps, x: Array, way: Array, 
         agree = np.hypot(off[:, 0], off[:, 1]) < SUPPORT_M
         out[k] = bool((agree & (np.abs(se2.wrap_all(off[:, 2])) < SUPPORT_RAD)).any())
     return out
+
+
+def recognised(filtered: Estimates, odometry: Odometry, keys: Ints) -> Edges:
+    """Return the places that a run of the filter recognised, as edges between keys (m,), instants of the run.
+
+    They steer the search: after a long loop many places would fit. A kernel gives up what the rest contradicts,
+    every loop must pass all tests, and the last solve is without them.
+    """
+    at = np.searchsorted(filtered.t, filtered.loops)
+    at = np.minimum(at, len(filtered.t) - 1)
+    ends = _nearest(keys, at)
+    to_then, _ = odometry.between(keys[ends[:, 0]], at[:, 0])
+    from_now, _ = odometry.between(at[:, 1], keys[ends[:, 1]])
+    z = se2.compose(se2.compose(to_then, filtered.loop_poses), from_now)
+    information = np.diag(1.0 / np.square((SIGMA_M, SIGMA_M, SIGMA_RAD)))
+    apart = ends[:, 0] < ends[:, 1]
+    found = Edges.of(ends[:, 0], ends[:, 1], z, np.tile(information, (len(z), 1, 1)), CLOSURE_WIDTH_SIGMAS)
+    return found.take(np.flatnonzero(apart))
+
+
+def _nearest(keys: Ints, at: Ints) -> Ints:
+    """Return which of the increasing keys (m,) is nearest to each instant (k, 2)."""
+    after = np.clip(np.searchsorted(keys, at), 1, len(keys) - 1)
+    nearest: Ints = np.where(at - keys[after - 1] <= keys[after] - at, after - 1, after)
+    return nearest

@@ -17,11 +17,11 @@ from locfuse.fusion.data import Array, Drive, Ints, Motions
 
 # m^2, rad^2 per metre driven and per radian turned: slips, uneven floors. The wheels' own noise leaves directions
 # out, and a bridge that has to end where they cannot lead would swing wide.
-LEFT_OUT = np.array([2e-4, 2e-4, np.radians(0.5) ** 2])
+LEFT_OUT_VARIANCES = np.array([2e-4, 2e-4, np.radians(0.5) ** 2])
 
 
 class Odometry(msgspec.Struct, frozen=True):
-    """The wheels' way at n instants."""
+    """The wheels' motion at n instants."""
 
     pose: Array  # (n, 3) in the odometry's frame, theta not wrapped
     C: Array  # (n, 3, 3) covariance of xi since the first instant
@@ -32,14 +32,14 @@ class Odometry(msgspec.Struct, frozen=True):
         return np.append(0.0, np.cumsum(np.hypot(*np.diff(self.pose[:, :2], axis=0).T)))
 
     def at(self, k: Ints) -> Odometry:
-        """Return the way at some of the instants, k (m,)."""
+        """Return the odometry at some of the instants, k (m,)."""
         return Odometry(self.pose[k], self.C[k], self.left_out)
 
     def loosened(self) -> Odometry:
-        """Return the same way with what the wheels' own noise leaves out."""
+        """Return the same odometry with the errors that the wheels' own noise leaves out."""
         u = se2.between(self.pose[:-1], self.pose[1:])
-        more = np.cumsum(at_origin(self.pose[:-1], u, evenly(u, LEFT_OUT)), axis=0)
-        return replace(self, C=self.C + np.concatenate((np.zeros((1, 3, 3)), more)), left_out=LEFT_OUT)
+        more = np.cumsum(at_origin(self.pose[:-1], u, evenly(u, LEFT_OUT_VARIANCES)), axis=0)
+        return replace(self, C=self.C + np.concatenate((np.zeros((1, 3, 3)), more)), left_out=LEFT_OUT_VARIANCES)
 
     def scaled(self, share: float) -> Odometry:
         """Return the same odometry with its covariance multiplied by `share`."""
@@ -51,7 +51,7 @@ class Odometry(msgspec.Struct, frozen=True):
         return u, moved(self.C[b] - self.C[a], se2.inverse(self.pose[a]))
 
     def grown(self, k: Ints, motions: Motions, wheels: Array | None) -> Odometry:
-        """Return the way at stamps that lie a motion behind the instants k (m,)."""
+        """Return the odometry at stamps that lie a motion after the instants k (m,)."""
         u = motions.u if wheels is None else motions.u + motions.J @ wheels
         pose = se2.compose(self.pose[k], u)
         Q = motions.Q if self.left_out is None else motions.Q + evenly(u, self.left_out)
@@ -59,7 +59,7 @@ class Odometry(msgspec.Struct, frozen=True):
 
 
 def odometry_of(drive: Drive, lag: float = 0.0, wheels: Array | None = None) -> Odometry:
-    """Return the wheels' way at the drive's instants.
+    """Return the wheels' motion at the drive's instants.
 
     `lag` [s] is added to the instants before the wheels are asked. `wheels` (3,): corrections of scales and track.
     """
@@ -74,14 +74,14 @@ def odometry_of(drive: Drive, lag: float = 0.0, wheels: Array | None = None) -> 
 
 
 def dead_reckoned(u: Array) -> Array:
-    """Return the poses (n, 3) at the ends of motions u (n, 3), one after another from (0, 0, 0)."""
+    """Return the poses (n, 3) after motions u (n, 3), one after another from (0, 0, 0)."""
     theta = np.cumsum(u[:, 2])
     step = se2.rotated(np.append(0.0, theta[:-1]), u[:, :2])
     return np.column_stack((np.cumsum(step, axis=0), theta))
 
 
 def evenly(u: Array, variances: Array) -> Array:
-    """Return covariances (n, 3, 3) of motions u (n, 3) that grow with way and turning, by variances (3,)."""
+    """Return covariances (n, 3, 3) of motions u (n, 3) that grow with distance and turn, by variances (3,)."""
     far = np.hypot(u[:, 0], u[:, 1]) + np.abs(u[:, 2])
     return far[:, None, None] * np.diag(variances)
 

@@ -1,7 +1,7 @@
 """Every other sensor of a drive in the graph: its own model compares its readings with the key poses.
 
 A reading between two keys is seen from the key before, by the wheels. Nothing here knows what a sensor is: its
-model says y, H and R, as it does in the filter.
+model gives y, H and R, as it does in the filter.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import VERDICTS, Array, Drive, Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.scan_matching.solve import SYSTEMATIC_SIGMAS, Rows
 from locfuse.fusion.sensor import Model, Reading
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .odometry import Odometry, by_lever
-from .solve import SYSTEMATIC, Rows
 
 READINGS_PER_KEY = 4  # of one sensor; each stands for its share of all
-WIDTH = 3.0  # sigmas at which a reading loses weight (Cauchy)
-REFUSED = VERDICTS.index("disturbed")
+WIDTH_SIGMAS = 3.0  # sigmas at which a reading loses weight (Cauchy)
+REFUSED_VERDICT = VERDICTS.index("disturbed")
 
 
 class Seen(NamedTuple):
-    """One reading, seen from a key."""
+    """One reading, relative to a key."""
 
     sensor: str
     reading: int
@@ -58,7 +58,7 @@ class Others:
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """Those that say something."""
+        """Those that have readings."""
         return tuple(dict.fromkeys(seen.sensor for seen in self._seen))
 
     def move(self, step: Array) -> None:
@@ -66,8 +66,8 @@ class Others:
         self.values = self.values + step
 
     def rows(self, x: Array) -> list[Rows]:
-        """Return the readings' share of the normal equations at key poses x (n, 3)."""
-        belief, n = self._belief, 3 * len(x) + len(SYSTEMATIC)
+        """Return the readings' part of the normal equations at key poses x (n, 3)."""
+        belief, n = self._belief, 3 * len(x) + len(SYSTEMATIC_SIGMAS)
         belief.state[3:] = self.values
         blocks: dict[int, list[tuple[Array, Array, Array]]] = {}
         for seen in self._seen:
@@ -76,7 +76,7 @@ class Others:
             m = self._drive.measurements[seen.sensor]
             found = self._models[seen.sensor].innovations(m, seen.reading, belief)
             for one in () if isinstance(found, Reading) else found[:1]:
-                if one.verdict == REFUSED or not one.numbers:
+                if one.verdict == REFUSED_VERDICT or not one.numbers:
                     continue
                 y, states, by_state, R = belief.equation([one])
                 H = by_state[:, :3]
@@ -86,7 +86,7 @@ class Others:
                 J = np.hstack((moved, by_state[:, 3:]))
                 turned = se2.rotation(pose[2] - seen.u[2]) @ seen.C @ se2.rotation(pose[2] - seen.u[2]).T
                 W = np.linalg.inv(R + H @ turned @ H.T)
-                W *= seen.share / (1.0 + float(y @ W @ y) / (WIDTH**2 * len(y)))
+                W *= seen.share / (1.0 + float(y @ W @ y) / (WIDTH_SIGMAS**2 * len(y)))
                 columns: Any = np.concatenate((3 * seen.key + np.arange(3), n + states[3:] - 3))
                 blocks.setdefault(J.shape[1], []).append((columns, J.T @ W @ J, J.T @ W @ y))
         rows = [Rows(*(np.array(part) for part in zip(*block, strict=True))) for block in blocks.values()]
@@ -99,7 +99,7 @@ class Others:
 
 
 def _chosen(sensor: str, drive: Drive, odometry: Odometry, keys: Ints) -> list[Seen]:
-    """Return a few readings behind each key, evenly spread, each for its share of all."""
+    """Return a few readings after each key, evenly spread, each weighted for its share of all."""
     instants = drive.instant[sensor]
     key = np.searchsorted(keys, instants, side="right") - 1
     found = []

@@ -1,4 +1,4 @@
-"""The whole drive at once: keys, their neighbours, loops, one last solve; then what lies between the keys.
+"""The whole drive at once: keys, their neighbours, loops, one last solve; then the poses between the keys.
 
 keys -> wheels and neighbouring scans -> loops, round by round -> every visit again -> key poses
 """
@@ -10,7 +10,7 @@ from functools import cached_property
 
 import msgspec
 import numpy as np
-from msgspec.structs import astuple, replace
+from msgspec.structs import replace
 
 from locfuse.fusion import se2
 from locfuse.fusion.checks.clocks import clock_lags
@@ -18,35 +18,32 @@ from locfuse.fusion.checks.lag import worth_saying
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, MapLine
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.scan_matching.clouds import clouds_of
-from locfuse.fusion.scan_matching.free_space import Views
+from locfuse.fusion.scan_matching.key_scans import spaced
 from locfuse.fusion.scan_matching.match import Targets, sources_of
+from locfuse.fusion.scan_matching.solve import Edges, Normal, Problem
 from locfuse.fusion.wheels.states import WHEELS
 
-from .between import scans_between
-from .bridge import Fixes, bridged
+from .between import Fixes, bridged, scans_between
 from .chain import again, sequential, wheel_edges
-from .closures import GRADUATIONS, Loops, close
-from .keys import choose_keys
+from .closures import KERNEL_WIDTH_FACTORS, Loops, close, recognised, submaps_of
 from .odometry import Odometry, by_lever, odometry_of
 from .others import Others
-from .recognised import recognised
-from .solve import Anchor, Edges, Normal, Problem
-from .submaps import Submaps, submaps_of
 from .walls import straightened
 
 LASER = "lrf"
 MIN_KEYS = 10
-START_FLOOR = np.diag([1e-4**2, 1e-4**2, 1e-5**2])  # m^2, rad^2: a start that is known exactly
-SPAN_GAP_S = 30.0  # closures further apart in time are told apart
+KEY_WAY_M, KEY_TURN_RAD = 0.5, np.radians(20.0)  # between two keys
+START_FLOOR_P = np.diag([1e-4**2, 1e-4**2, 1e-5**2])  # m^2, rad^2: a start that is known exactly
+SPAN_GAP_S = 30.0  # closures further apart in time are listed apart
 MAX_EXTENT_VIEWS = 1.5  # extent of a drive over how far its scans reach, up to which there is no loop to close
 SAMPLE_SCANS = 20
 FAR_SHARE = 0.95  # of a scan's points that are nearer than how far it reaches
-TO_SIGMA = 1.4826  # of a Gaussian over its median distance from zero
+SIGMA_PER_MEDIAN = 1.4826  # of a Gaussian over its median distance from zero
 MIN_GAIN, MIN_GAIN_M = 1.5, 0.01  # by how much the graph must fit the loops better than the filter
 
 
 class Graph(msgspec.Struct, frozen=True, dict=True):
-    """The key poses of a drive, and what was found on the way to them."""
+    """The key poses of a drive, with its edges and closures."""
 
     drive: Drive
     start: Start
@@ -56,11 +53,8 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
     fixes: Fixes  # what the wheels miss between them
     normal: Normal  # the normal equations there
     loops: Loops
-    maps: Submaps
     lag: float  # s by which the wheels' clock was moved
-    systematic: Array  # (2,) rad/m by which headings of scans drift, rad by which the laser is turned
     wheels: Array | None
-    sensors: tuple[str, ...]
 
     @cached_property
     def keys(self) -> Ints:
@@ -69,7 +63,7 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
 
     @property
     def closures(self) -> Edges:
-        """What closed loops, between keys."""
+        """The closed loops, as pairs of keys."""
         return self.loops.edges
 
     def poses(self) -> tuple[Array, Array]:
@@ -92,15 +86,14 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def _from_start(self) -> tuple[Ints, Array, Array, Array, Fixes]:
-        """The keys and what is known of them, with the start before them if no scan was taken there."""
+        """The keys and their terms, with the start before them if no scan was taken there."""
         keys, x, (own, after), fixes = self.keys, self.x, self.spread, self.fixes
         if not keys[0]:
             return keys, x, own, after, fixes
         pose, P, cross = self.start.smoothed(x[0], own[0])
         keys, x = np.append(0, keys), np.vstack((pose, x))
         first = Fixes.of_keys(self.odometry, keys[:2], x[:2])
-        behind = zip(astuple(first), astuple(replace(fixes, a=fixes.a + 1)), strict=True)
-        joined = Fixes(*(np.concatenate(parts) for parts in behind))
+        joined = Fixes.joined(first, replace(fixes, a=fixes.a + 1))
         return keys, x, np.concatenate((P[None], own)), np.concatenate((cross[None], after)), joined
 
     @cached_property
@@ -109,7 +102,7 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
         return self.normal.chain(len(self.x))
 
     def seen_again(self) -> tuple[Array, Array]:
-        """Return when places were seen before and when they were recognised, (m, 2) [s], and how (m, 3).
+        """Return when places were first seen and recognised, (m, 2) [s], and the relative poses (m, 3).
 
         That is where the second pose lies as seen from the first, which is the earlier one.
         """
@@ -122,11 +115,11 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
         return straightened(self.drive.measurements[LASER], self.readings, self.x, self.spread[0])
 
     def misfit(self, pose: Array) -> float:
-        """Return how far poses (n, 3) of the drive are from what the closures say, rms [m]."""
+        """Return how far poses (n, 3) of the drive are from the closures, rms [m]."""
         return _rms(self.closures.errors(pose[self.keys]))
 
     def needed(self, filtered: Estimates) -> bool:
-        """Return whether the filter's own map does not hold the closed loops together, or it was lost on the way.
+        """Return whether the filter's own map contradicts the closed loops, or it was lost on the way.
 
         Where it does, a backward pass through the filter is better than the graph: it weighs every line of every
         scan. Both are judged by the same closures: how far apart they leave what two visits of a place saw.
@@ -136,11 +129,11 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
         return bool(filtered.lost) or self.misfit(filtered.pose) > MIN_GAIN * self.misfit_of_keys() + MIN_GAIN_M
 
     def misfit_of_keys(self) -> float:
-        """Return the same of the graph's own poses, rms [m]."""
+        """Return the same for the graph's own poses, rms [m]."""
         return _rms(self.closures.errors(self.x))
 
     def notes(self, used: bool = True) -> tuple[str, ...]:
-        """Say which loops were closed and when, what stayed undecided, and whether the graph was needed."""
+        """Return notes: closed loops with times, undecided ones, and whether the graph was needed."""
         return tuple(f"smoothing: {words}" for words in self._words(used))
 
     def _words(self, used: bool) -> list[str]:
@@ -160,7 +153,7 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
         return said
 
     def _when(self) -> str:
-        """Return the spans of time in which places were seen again."""
+        """Return the time intervals in which places were seen again."""
         t = self.drive.t[self.keys]
         spans: list[list[float]] = []
         for at in sorted(t[self.closures.j].tolist()):
@@ -189,7 +182,8 @@ def whole_drive(
     estimated = None if filtered is None else filtered.blocks.get(WHEELS)
     wheels = None if estimated is None else estimated[-1]
     odometry = odometry_of(drive, lag, wheels)
-    readings = choose_keys(odometry, drive.instant[LASER])
+    driven, headings = odometry.way()[drive.instant[LASER]], odometry.pose[drive.instant[LASER], 2]
+    readings = spaced(driven, headings, KEY_WAY_M, KEY_TURN_RAD)
     if len(readings) < MIN_KEYS:
         return None
     keys = drive.instant[LASER][readings]
@@ -199,18 +193,17 @@ def whole_drive(
     targets, sources = Targets(clouds), sources_of(clouds)
     others = Others(drive, robot, [s for s in sensors if s != LASER], odometry, keys)
     start = Start.of(robot, odometry, int(keys[0]))
-    problem = Problem(start.anchor, others if others.sensors else None)
-    way = odometry.way()[keys]
+    problem = Problem(start.at_first_key, others if others.sensors else None)
+    way = driven[readings]
     x, edges = sequential(targets, sources, wheel_edges(odometry, keys), way, problem)
     start = Start.of(robot, odometry.scaled(wheels_share(odometry, keys, x)), int(keys[0]))
-    problem.anchor = start.anchor
-    maps = submaps_of(clouds, x, way)
-    views = Views.of(clouds, np.array(m.points.origin))
+    problem.start = start.at_first_key
+    maps = submaps_of(clouds, np.array(m.points.origin), x, way)
     hints = Edges.none() if filtered is None else recognised(filtered, odometry, keys)
-    x, closed, loops = close(x, edges, problem, maps, way, clouds, views, hints)
+    x, closed, loops = close(x, edges, problem, maps, hints)
     if len(loops.edges):
         closed = Edges.joined(closed, again(targets, sources, x, way))
-    x, normal = problem.solve(x, closed, GRADUATIONS if len(loops.edges) else (1.0,))
+    x, normal = problem.solve(x, closed, KERNEL_WIDTH_FACTORS if len(loops.edges) else (1.0,))
     loosened = odometry.loosened()
     fixes = scans_between(loosened, drive, LASER, readings, clouds, x)
     return Graph(
@@ -222,23 +215,20 @@ def whole_drive(
         fixes=fixes,
         normal=normal,
         loops=loops,
-        maps=maps,
         lag=lag,
-        systematic=problem.systematic,
         wheels=wheels,
-        sensors=(LASER, *others.sensors),
     )
 
 
 def room_for_loops(drive: Drive, robot: Robot, sensors: Sequence[str]) -> bool:
-    """Return whether a drive's laser makes a map of its own, and cannot see all of it from the middle."""
+    """Return whether a drive's laser makes its own map, and cannot see all of it from the middle."""
     m = drive.measurements.get(LASER)
     known = m is not None and m.points is not None
     return LASER in sensors and known and robot.settings(LASER).map == "grow" and not in_one_view(drive)
 
 
 def wheels_share(odometry: Odometry, keys: Ints, x: Array) -> float:
-    """Return the true variance of the wheels' turns, as scans show it, divided by the one that they claim.
+    """Return the true variance of the wheels' turns, measured by scans, over the variance that they claim.
 
     Wheels whose track is assumed claim an error of 5 degrees a metre; the true one is below 1 degree. Between keys
     the scans correct it. Before the first key only the wheels are known, and their error turns the whole drive.
@@ -246,11 +236,11 @@ def wheels_share(odometry: Odometry, keys: Ints, x: Array) -> float:
     u, C = odometry.between(keys[:-1], keys[1:])
     off = se2.wrap_all((se2.between(x[:-1], x[1:]) - u)[:, 2])
     claimed = float(np.median(C[:, 2, 2]))
-    return (TO_SIGMA * float(np.median(np.abs(off)))) ** 2 / claimed if claimed > 0.0 else 1.0
+    return (SIGMA_PER_MEDIAN * float(np.median(np.abs(off)))) ** 2 / claimed if claimed > 0.0 else 1.0
 
 
 def in_one_view(drive: Drive) -> bool:
-    """Return whether all of a drive lies within sight of its middle: a filter's map then holds it together."""
+    """Return whether the whole drive lies within sight of its middle: then a filter's single map is enough."""
     m = drive.measurements[LASER]
     if m.points is None or not len(m.t):
         return False
@@ -262,7 +252,7 @@ def in_one_view(drive: Drive) -> bool:
 
 
 def clock_lag(drive: Drive) -> float:
-    """Return by how much later the wheels' stamps are than the laser's [s], 0 where that is not clear."""
+    """Return the delay of the wheels' stamps relative to the laser's [s], 0 if it is not clear."""
     lag = clock_lags({LASER: drive.measurements[LASER]}, drive.wheels).get(LASER)
     return lag.offset if lag is not None and worth_saying(lag) else 0.0
 
@@ -278,8 +268,8 @@ class Start(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, robot: Robot, odometry: Odometry, key: int) -> Start:
-        """Return it for a first key at instant `key`."""
-        pose, P = np.array(robot.start.pose), np.diag(robot.start.variances) + START_FLOOR
+        """Return the start for a first key at instant `key`."""
+        pose, P = np.array(robot.start.pose), np.diag(robot.start.variances) + START_FLOOR_P
         u, C = odometry.between(np.array([0]), np.array([key]))
         at_key = se2.compose(pose, u[0])
         turn, (x, y) = se2.rotation(pose[2]), at_key[:2] - pose[:2]
@@ -288,12 +278,12 @@ class Start(msgspec.Struct, frozen=True):
         return cls(pose, P, at_key, P_at_key, P @ F.T)
 
     @property
-    def anchor(self) -> Anchor:
+    def at_first_key(self) -> Edges:
         """The first key's pose by this start, as a term of the graph."""
-        return Anchor(0, self.at_key, np.asarray(np.linalg.inv(self.P_at_key), np.float64))
+        return Edges.known(0, self.at_key, np.asarray(np.linalg.inv(self.P_at_key), np.float64))
 
     def smoothed(self, key: Array, P: Array) -> tuple[Array, Array, Array]:
-        """Return pose, covariance and that with the first key, once the whole drive says `key` (3,), P (3, 3)."""
+        """Return pose, covariance and that with the first key, given the smoothed `key` (3,), P (3, 3)."""
         G = self.cross @ np.linalg.inv(self.P_at_key)
         step = key - self.at_key
         step[2] = se2.wrap(float(step[2]))

@@ -23,7 +23,7 @@ Subset = frozenset[str]
 
 
 def refuse(drive: Drive, robot: Robot) -> None:
-    """Raise UsageError where this log can have no reference."""
+    """Raise UsageError if this log can have no reference."""
     if drive.truth is not None:
         raise UsageError(
             f"--reference: this log has a truth, {drive.truth.topic}, and is judged by that.",
@@ -51,7 +51,7 @@ def possible(drive: Drive, robot: Robot) -> bool:
 def sets(drive: Drive) -> list[tuple[str, ...]]:
     """Return the sets of sensors to solve: all, then all but each one (and what needs it), without repeats.
 
-    A set in which nothing says where the robot is, is none: a wrong wheel radius would judge the sensors.
+    A set in which no sensor locates the robot, is none: a wrong wheel radius would judge the sensors.
     """
     present = _present(drive)
     found = [present, *(_without(s, present) for s in present)]
@@ -63,7 +63,7 @@ class References(msgspec.Struct, frozen=True):
 
     solved: Mapping[Subset, Reference]
     present: tuple[str, ...]
-    contradict: Sequence[tuple[str, str]] = ()  # sensors of which one must be wrong, and nobody knows which
+    contradict: Sequence[tuple[str, str]] = ()  # sensors of which one must be wrong, unknown which
 
     @classmethod
     def of(
@@ -74,7 +74,7 @@ class References(msgspec.Struct, frozen=True):
         noise: Mapping[str, float],
         contradict: Sequence[tuple[str, str]] = (),
     ) -> References | None:
-        """Return the references of a drive; None where its whole-drive solution is lost on the way.
+        """Return the references of a drive; None if its whole-drive solution is lost on the way.
 
         Nor is a solution a reference that lies further from the filter's than both claim: one of them is wrong.
         `known` are filtered and smoothed estimates that were made anyway, by their sensors. `noise`: by how much
@@ -95,13 +95,13 @@ class References(msgspec.Struct, frozen=True):
 
     @property
     def whole(self) -> Reference:
-        """The reference of all sensors but one that contradicts all others."""
+        """The reference of all sensors, without one that contradicts all others."""
         every = frozenset(self.present)
         return self.solved.get(every - {self.outlier}) or self.solved[every]
 
     @property
     def outlier(self) -> str | None:
-        """The one sensor that contradicts all others, none of which contradict each other; None for none."""
+        """The one sensor that contradicts all others, which agree with each other; None if there is none."""
         for sensor in self.present:
             others = {o for pair in self.contradict if sensor in pair for o in pair if o != sensor}
             if len(others) > 1 and others == {*self.present} - {sensor} and len(self.contradict) == len(others):
@@ -109,11 +109,11 @@ class References(msgspec.Struct, frozen=True):
         return None
 
     def without(self, sensor: str) -> Reference | None:
-        """Return the reference that a sensor has no part in; None where there is none."""
+        """Return a reference that does not use the sensor; None if there is none."""
         return self.solved.get(frozenset(_without(sensor, self.present)))
 
     def quarrel(self, reference: Reference, judged: Collection[str]) -> tuple[str, str] | None:
-        """Return two sensors that contradict each other where one judges, with the other or against it.
+        """Return two sensors that contradict each other, if one judges with or against the other.
 
         All others together may judge the one that contradicts them all.
         """
@@ -121,7 +121,7 @@ class References(msgspec.Struct, frozen=True):
         return next((pair for pair in self.contradict if set(pair) <= known), None)
 
     def judged(self, judged: Evaluation, e: Estimates, align: Align) -> tuple[Evaluation, Reference]:
-        """Return an evaluation against a reference, and which: one that shares no sensor if it is exact enough."""
+        """Return an evaluation against a reference, and which: one without shared sensors if exact enough."""
         others = [
             r
             for r in self.solved.values()
@@ -141,7 +141,7 @@ def _noisier(drive: Drive, factors: Mapping[str, float]) -> Drive:
 
 
 def _present(drive: Drive) -> tuple[str, ...]:
-    """Return the sensors that measured something: a dead one makes no reference."""
+    """Return the sensors that measured something: a dead one gives no reference."""
     return tuple(s for s in REGISTRY if s in drive.measurements and len(drive.measurements[s].z))
 
 

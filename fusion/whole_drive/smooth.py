@@ -1,4 +1,4 @@
-"""Smoothing: what the whole drive, its end included, says of every instant (Rauch, Tung, Striebel 1965).
+"""Smoothing: every instant estimated from the whole drive, its end included (Rauch, Tung, Striebel 1965).
 
 One smoother for the user, two ways of solving it. Where a laser came back to places that the filter's own map does
 not hold together, the graph of key poses (whole_drive.pose_graph) closes these loops. Else the backward pass below
@@ -38,11 +38,11 @@ from .pose_graph import Graph, room_for_loops, whole_drive
 
 NOT_OPTIMAL = ("first-scan", "consider")
 MAX_WALLS = 300  # of a given map: each is two states, and each instant costs the square of their number
-RANK = 1e-12  # relative eigenvalue below which the wheels' noise has no extent
+MIN_EIGENVALUE_SHARE = 1e-12  # relative eigenvalue below which the wheels' noise has no extent
 
 
 def check_smoothing(robot: Robot, sensors: Sequence[str]) -> None:
-    """Raise UsageError where these sensors' filter does not weigh optimally, or holds too many walls to smooth."""
+    """Raise UsageError if these sensors' filter is not optimal, or its map has too many walls to smooth."""
     why = why_not_smoothed(robot, sensors)
     if why is not None:
         raise why
@@ -97,7 +97,7 @@ def fuse_and_go_back(
 
 
 def by_graph(filtered: Estimates, graph: Graph) -> Estimates:
-    """Return the drive as the graph has it, its map straightened. States beside the pose stay the filter's."""
+    """Return the drive by the graph, with its straightened map. States beside the pose are the filter's."""
     pose, P = graph.poses()
     truth_pose, truth_P = graph.at_truth()
     loops, loop_poses = graph.seen_again()
@@ -118,7 +118,7 @@ def by_graph(filtered: Estimates, graph: Graph) -> Estimates:
 
 
 def smoothed(drive: Drive, filtered: Estimates, events: Events) -> Estimates:
-    """Return the smoothed estimates of a run that noted `events`. Map and audits stay the filter's."""
+    """Return the smoothed estimates of a run that recorded `events`. Map and audits are the filter's."""
     back = Backward(drive, filtered, events)
     back.run(events)
     wheels = back.blocks.get(WHEELS)
@@ -166,7 +166,7 @@ class Backward:
         return se2.compose(self.frame, self.local)
 
     def run(self, events: Events) -> None:
-        """Go through the events from the last; what lies before the first instant is left."""
+        """Process the events from the last; those before the first instant are left out."""
         k = len(self.local) - 1
         self._note(k)
         for event in reversed(events.list):
@@ -190,7 +190,7 @@ class Backward:
                 self._step(event.back)
 
     def _undo_motion(self, event: Moved, k: int) -> None:
-        """Go back over the motion to instant k, and keep what `between_instants` needs of it."""
+        """Smooth over the motion to instant k, and keep what `between_instants` needs."""
         self.arrived[k], self.arrived_P[k, :, :3] = self._x[:3], self._S[:3, :3]
         if self._frame is not None:
             self.arrived_P[k, :, 3:] = self._S[:3, self._of_frame] @ self._swung[3:, 3:].T
@@ -241,7 +241,7 @@ def between_instants(
 ) -> tuple[Array | None, Array | None]:
     """Return smoothed poses (q, 3) and covariances at the truth's stamps; NaN outside the drive.
 
-    A stamp lies on a bridge between two smoothed instants: what the wheels said on the way there, plus the share
+    A stamp lies on a bridge between two smoothed instants: the wheels' motion on the way there, plus the share
     of what they missed over the whole interval that their noise assigns to the part before the stamp. All in the
     local frame and about the filter's own poses, since across the wheels' direction the noise is micrometres and
     bending is not. Then the frame puts it into the map.
@@ -261,7 +261,7 @@ def between_instants(
     turn = se2.rotation(start[:, 2])
     Q = eq6_noise(turn, drive.truth_motions.Q)
     whole = eq6_noise(turn, drive.motions.Q[after])
-    share = Q @ on.transpose(0, 2, 1) @ np.linalg.pinv(whole, rcond=RANK, hermitian=True)
+    share = Q @ on.transpose(0, 2, 1) @ np.linalg.pinv(whole, rcond=MIN_EIGENVALUE_SHARE, hermitian=True)
     share[k == after] = 0.0
     near = to_at - share @ to_end
     out = at + _apply(near, back.local[k] - start) + _apply(share, back.arrived[after] - end)

@@ -1,4 +1,4 @@
-"""The straightened map: the walls that the key scans saw, put at the whole drive's key poses and joined.
+"""The straightened map: walls seen by the key scans, placed at the whole drive's key poses and merged.
 
 A filter that came back to a place before it knew so has its walls twice. Here they are one.
 """
@@ -25,7 +25,7 @@ def straightened(m: Measurements, readings: Ints, x: Array, P: Array) -> list[Ma
 
 
 class _Walls:
-    """Walls as they are joined: of each the mean direction and place, weighed by the sightings' information."""
+    """Merged walls: the mean direction and place of each, weighted by the sightings' information."""
 
     def __init__(self) -> None:
         self.middle = np.zeros((0, 2))
@@ -60,7 +60,7 @@ class _Walls:
         self.span[k] = min(self.span[k, 0], reach.min()), max(self.span[k, 1], reach.max())
 
     def _same(self, beta: float, points: Array) -> int | None:
-        """Return the wall that a sighting is of, or None."""
+        """Return the wall that a sighting belongs to, or None."""
         if not len(self.beta):
             return None
         turn = np.abs(se2.wrap_all(beta - self.beta))
@@ -90,7 +90,7 @@ class _Walls:
 
 
 def _mean(seen: list[tuple[float, float, Array]]) -> tuple[float, float, Array]:
-    """Return the sightings' mean (rho, beta) and its covariance: no better than their scatter says."""
+    """Return the sightings' mean (rho, beta) and its covariance, which is not below their scatter."""
     values = np.array([(rho, beta) for rho, beta, _ in seen])
     weights = np.array([np.linalg.inv(R) for _, _, R in seen])
     total = np.linalg.inv(weights.sum(axis=0))

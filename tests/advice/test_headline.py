@@ -81,6 +81,11 @@ def test_while_a_setting_is_surely_wrong_no_sensor_is_to_be_left_out() -> None:
     }
     sets = {"odometry": (), "compass": ("compass",), "lrf": ("lrf",), "all": ("compass", "lrf")}
     assert headline(report, sets) == "As configured the best is the compass: 33 mm. Set the fixes first."
+    report["configurations"]["compass-smoothed"] = {"position_rmse_m": 0.016}
+    assert (
+        headline(report, sets)
+        == "As configured the best is the compass: 33 mm, smoothed 16 mm. Set the fixes first."
+    )
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ from told import step
 
 from locfuse.fusion.data import Array
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.map.bridge import cross, heading_among, seen_from_here
 from locfuse.fusion.map.line_map import LineMap
+from locfuse.fusion.map.small_maps import cross, heading_among, seen_from_here
 
 POSE = (2.0, -1.0, 0.7)
 WALLS = np.array([(6.0, 0.0, 0.1), (2.0, 5.0, 1.6), (-4.0, 1.0, 3.0)])  # m, m, rad: anchor and direction of each

@@ -12,8 +12,8 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Estimates
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.map.closing import Here, find_closure, left_open
 from locfuse.fusion.map.line_map import LineMap
+from locfuse.fusion.map.place_search import Here, find_closure, left_open
 from locfuse.fusion.map.way import Way
 from locfuse.fusion.measure import measure
 

@@ -13,8 +13,8 @@ from ring_drive import Held, box
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import LocfuseError
-from locfuse.fusion.map.given_grid import Grid
 from locfuse.fusion.map.given_search import at_start, find_start
+from locfuse.fusion.map.given_walls import Grid
 from locfuse.fusion.wheels.motion import Wheels
 
 Array = NDArray[np.float64]

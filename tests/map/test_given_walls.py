@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import LocfuseError, MapLine
-from locfuse.fusion.map.given_grid import Grid
-from locfuse.fusion.map.given_walls import walls_of
+from locfuse.fusion.map.given_walls import Grid, walls_of
 
 Array = NDArray[np.float64]
 CELL = 0.05

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.map.line_map import LineMap
-from locfuse.fusion.map.tidy import FLAT, MIN_HITS, TRIAL_SCANS, merge_doubles, prune
+from locfuse.fusion.map.tidy import FLAT_SIGMAS, MIN_HITS, TRIAL_SCANS, merge_doubles, prune
 
 Array = NDArray[np.float64]
 EVEN = np.zeros(2)
@@ -37,7 +37,7 @@ def test_two_pieces_of_one_wall_become_their_weighted_mean() -> None:
     merge_doubles(lines, belief, 100, EVEN)
     assert len(lines) == 1
     assert belief.n == 5
-    a, b, flat = 0.02**2, 0.04**2, FLAT[0] ** 2
+    a, b, flat = 0.02**2, 0.04**2, FLAT_SIGMAS[0] ** 2
     assert belief.state[3] == pytest.approx(0.03 * a / (a + b + flat))
     assert belief.covariance[3, 3] == pytest.approx(a - a * a / (a + b + flat))
     assert lines.hits[0] == 20

@@ -18,9 +18,9 @@ from locfuse.fusion.kernels import places
 from locfuse.fusion.kernels.arrays import view
 from locfuse.fusion.lines import extract
 from locfuse.fusion.lines.extract import rows_in_base
-from locfuse.fusion.map import relocalise
+from locfuse.fusion.map import place_search
 from locfuse.fusion.map.line_map import LineMap
-from locfuse.fusion.map.relocalise import behind_walls, explained, hypotheses, seen_through
+from locfuse.fusion.map.place_search import behind_walls, explained, hypotheses, seen_through
 from locfuse.fusion.map.scan import Scan
 
 SEEDS = range(40)
@@ -179,7 +179,7 @@ def test_the_interpreted_kernel_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
 
         one = everything()
         with monkeypatch.context() as patch:
-            for user in (relocalise, extract):
+            for user in (place_search, extract):
                 patch.setattr(user, "places", interpreted("places"))
             for a, b in zip(everything(), one, strict=True):
                 np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9)

@@ -16,7 +16,7 @@ from locfuse.fusion.data import Estimates, Evaluation
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.map.scan import Scan
-from locfuse.fusion.map.scan_history import Trail, expected_share
+from locfuse.fusion.map.slips import Trail, expected_share
 from locfuse.fusion.measure import measure
 from locfuse.fusion.se2 import wrap
 
@@ -77,24 +77,6 @@ def test_being_carried_to_where_all_walls_are_nearer_is_noticed_in_a_bare_rectan
     assert found.lost
     assert AT - 0.15 <= found.lost[0][0] <= AT + 3.0
     assert outside(found, figures).max() < 0.1
-
-
-def test_walls_that_continue_are_expected_and_others_are_not() -> None:
-    """Seen from 0.5 m further and 20 degrees turned, by plain geometry."""
-    step = np.array([0.5, 0.1, math.radians(20.0)])
-    before = np.array([(2.0, 0.3), (1.5, -1.2), (3.0, 2.8)])
-    r = before[:, 0] - step[0] * np.cos(before[:, 1]) - step[1] * np.sin(before[:, 1])
-    after = np.stack((r, before[:, 1] - step[2]), axis=-1)
-    ends = np.array([(0.0, 2.0), (0.0, 1.0), (0.0, 1.0)])
-    R = np.tile(np.eye(2) * 1e-4, (3, 1, 1))
-    assert expected_share(Scan.of(after, R, ends), Scan.of(before, R, ends), step) == pytest.approx(1.0)
-    slipped = after - (0.0, math.radians(10.0))
-    assert expected_share(Scan.of(slipped, R, ends), Scan.of(before, R, ends), step) == 0.0
-    assert expected_share(
-        Scan.of(slipped, R, ends), Scan.of(before, R, ends), step, math.radians(30.0)
-    ) == pytest.approx(1.0)
-    moved = after + np.array([(0.4, 0.0), (0.0, 0.0), (0.0, 0.0)])
-    assert expected_share(Scan.of(moved, R, ends), Scan.of(before, R, ends), step) == pytest.approx(0.5)
 
 
 def share_by_loops(scan: Scan, before: Scan, step: NDArray[np.float64], slip: float) -> float:

@@ -13,7 +13,7 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.map.line_map import Association
 from locfuse.fusion.map.scan import Scan
-from locfuse.fusion.map.slips import LOOKS, MIN_GAIN, SURE_GAIN, Suspicion, agree, continues
+from locfuse.fusion.map.slips import DECIDING_SCANS, MIN_GAIN, SURE_GAIN, Suspicion, agree, continues
 from locfuse.fusion.map.tracker import LineTracker
 from locfuse.fusion.measure import measure
 
@@ -51,7 +51,7 @@ def test_a_slip_that_nothing_but_one_scan_asks_for_does_not_turn_the_pose(monkey
 
 def test_a_slip_waits_for_scans_and_needs_less_of_them_where_matched_scans_agree() -> None:
     suspicion = Suspicion(math.radians(10.0))
-    for _ in range(LOOKS):
+    for _ in range(DECIDING_SCANS):
         assert not suspicion.decided
         suspicion.look(0.1, 0.1 + 0.5 * (MIN_GAIN + SURE_GAIN))
     assert suspicion.decided

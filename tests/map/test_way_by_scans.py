@@ -7,71 +7,54 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, Measurements, Points
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.map import way as way_module
-from locfuse.fusion.map.way import BEND, FEWEST_KEYS, Matched, WayByScans, compared, told
+from locfuse.fusion.map.way import DRIFT_RAD_PER_M, MIN_KEYS, WayByScans, compared, end_of_way
 from locfuse.fusion.mount import Mount
-from locfuse.fusion.scan_matching.key_scans import key_scans
+from locfuse.fusion.scan_matching.key_scans import MATCH_WIDTH, key_scans
 from locfuse.fusion.scan_matching.neighbours import by_wheels
+from locfuse.fusion.scan_matching.solve import Edges
 from locfuse.fusion.sensors.lrf import LrfSettings
 
 MATCHED = np.diag([1.0 / 0.02**2, 1.0 / 0.02**2, 1.0 / math.radians(0.3) ** 2])
 ROOM = np.array([(-4.0, -3.0), (6.0, -3.0), (6.0, 5.0), (4.0, 5.0), (4.0, 7.0), (-4.0, 7.0)])  # corners, m
 
 
-def keys_along(way: Array, rng: np.random.Generator) -> Matched:
+def keys_along(way: Array, rng: np.random.Generator) -> tuple[Array, Edges]:
     """Return keys at poses (n, 3) whose matches with the next and the one after it have the noise they claim."""
     n = len(way)
     i = np.concatenate((np.arange(n - 1), np.arange(n - 2)))
     j = np.concatenate((np.arange(1, n), np.arange(2, n)))
     noise = rng.normal(size=(len(i), 3)) @ np.linalg.cholesky(np.linalg.inv(MATCHED)).T
     pose = se2.between(way[i], way[j]) + noise
-    return Matched(pose[: n - 1], i, j, pose, np.broadcast_to(MATCHED, (len(i), 3, 3)))
+    return pose[: n - 1], Edges.of(i, j, pose, np.tile(MATCHED, (len(i), 1, 1)), MATCH_WIDTH)
 
 
 def arc(n: int) -> Array:
     return se2.chain(np.tile((0.5, 0.0, 0.1), (n - 1, 1)))
 
 
-def test_a_chain_of_matches_is_solved_as_scipy_solves_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(way_module, "WIDTHS", (1e9,))  # no match is doubted
-    way = arc(8)
-    keys = keys_along(way, np.random.default_rng(1))
-    root = np.linalg.cholesky(MATCHED).T
-    loose = np.sqrt(np.diagonal(by_wheels(keys.steps), axis1=1, axis2=2))
-
-    def errors(flat: Array) -> Array:
-        x = np.vstack((np.zeros(3), flat.reshape(-1, 3)))
-        matched = (se2.between(x[keys.i], x[keys.j]) - keys.pose) @ root.T
-        return np.concatenate((matched, (se2.between(x[:-1], x[1:]) - keys.steps) * loose)).reshape(-1)
-
-    best = least_squares(errors, se2.chain(keys.steps)[1:].reshape(-1), xtol=1e-14, ftol=1e-14)
-    z, _ = told(keys)
-    np.testing.assert_allclose(z, best.x[-3:], atol=1e-6)
-
-
 def test_the_covariance_of_a_chain_covers_its_error_and_a_heading_that_drifts() -> None:
     way = arc(30)
     rng = np.random.default_rng(2)
-    drives = [told(keys_along(way, rng)) for _ in range(60)]
+    drives = [end_of_way(*keys_along(way, rng)) for _ in range(60)]
     errors = np.array([z for z, _ in drives]) - se2.between(way[0], way[29])
     claimed = drives[-1][1]
     nees = float(np.mean([e @ np.linalg.solve(claimed, e) for e in errors])) / 3.0
     assert 0.1 < nees < 1.0
-    assert claimed[2, 2] > errors[:, 2].var() + 0.9 * (BEND * 14.5) ** 2
+    assert claimed[2, 2] > errors[:, 2].var() + 0.9 * (DRIFT_RAD_PER_M * 14.5) ** 2
 
 
 def test_a_false_match_is_left_out_by_the_others() -> None:
     way = arc(20)
     keys = keys_along(way, np.random.default_rng(3))
-    honest, _ = told(keys)
+    honest, _ = end_of_way(*keys)
     wrong = 19 + 9  # the match of key 9 with key 11
-    keys.pose[wrong] += (0.3, -0.4, math.radians(15.0))
-    z, _ = told(keys)
+    keys[1].z[wrong] += (0.3, -0.4, math.radians(15.0))
+    z, _ = end_of_way(*keys)
     np.testing.assert_allclose(z, honest, atol=0.06)
 
 
@@ -171,8 +154,8 @@ def test_keys_are_matched_within_centimetres_and_a_slip_of_the_wheels_is_found()
     keys = key_scans(m)
     assert key_scans(m) is keys
     assert len(keys.readings) >= 15
-    assert len(keys.i) > 2 * len(keys.readings)
-    e = keys.pose - se2.between(way[keys.readings[keys.i]], way[keys.readings[keys.j]])
+    assert len(keys.matches) > 2 * len(keys.readings)
+    e = keys.matches.z - se2.between(way[keys.readings[keys.matches.i]], way[keys.readings[keys.matches.j]])
     assert np.abs(e[:, :2]).max() < 0.02
     assert np.degrees(np.abs(se2.wrap_all(e[:, 2]))).max() < 0.3
 
@@ -229,9 +212,9 @@ def test_a_way_of_too_many_or_few_keys_is_left_as_it_is(monkeypatch: pytest.Monk
     m = measured(InRoom(way, way))
     wrong = np.array((0.0, 0.0, 0.0))
     belief = at(wrong, 0.1, 6.0)
-    followed(m, way[: int(key_scans(m).readings[FEWEST_KEYS - 1]) + 1]).end(None, belief)
+    followed(m, way[: int(key_scans(m).readings[MIN_KEYS - 1]) + 1]).end(None, belief)
     WayByScans(m, 1, way[1]).end(None, belief)  # none
-    monkeypatch.setattr(way_module, "MOST_KEYS", 5)
+    monkeypatch.setattr(way_module, "MAX_KEYS", 5)
     followed(m, way).end(None, belief)
     assert belief.pose() == (0.0, 0.0, 0.0)
 
@@ -253,7 +236,7 @@ def test_scans_without_any_surface_tell_nothing_and_do_no_harm() -> None:
     way = tour()
     m = measured(Outside(way, way))
     keys = key_scans(m)
-    assert not len(keys.i)
+    assert not len(keys.matches)
     np.testing.assert_allclose(keys.steps, se2.between(way[keys.readings[:-1]], way[keys.readings[1:]]), atol=1e-9)
 
 

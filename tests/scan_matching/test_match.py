@@ -11,7 +11,7 @@ from locfuse.fusion.data import Array
 from locfuse.fusion.scan_matching.clouds import CELL_M, Clouds, normals, thinned
 from locfuse.fusion.scan_matching.free_space import Views
 from locfuse.fusion.scan_matching.match import Targets, match, sources_of
-from locfuse.fusion.whole_drive.submaps import correlate
+from locfuse.fusion.whole_drive.closures import correlate
 
 LOOSE = np.diag([1.0 / 0.3**2, 1.0 / 0.3**2, 1.0 / np.radians(10.0) ** 2])[None]
 

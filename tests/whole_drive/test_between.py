@@ -7,11 +7,20 @@ from ring_drive import ring_drive
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array
 from locfuse.fusion.scan_matching.clouds import clouds_of
+from locfuse.fusion.scan_matching.key_scans import spaced
 from locfuse.fusion.whole_drive import between
-from locfuse.fusion.whole_drive.between import STEP, moving_scans, points_of, scans_between, smoothed
-from locfuse.fusion.whole_drive.bridge import Fixes, Spans, bridged
-from locfuse.fusion.whole_drive.keys import choose_keys
+from locfuse.fusion.whole_drive.between import (
+    STEP_P,
+    Fixes,
+    Spans,
+    bridged,
+    moving_scans,
+    points_of,
+    scans_between,
+    smoothed,
+)
 from locfuse.fusion.whole_drive.odometry import Odometry, odometry_of
+from locfuse.fusion.whole_drive.pose_graph import KEY_TURN_RAD, KEY_WAY_M
 
 
 def straight(n: int, step: float) -> Odometry:
@@ -25,7 +34,8 @@ def straight(n: int, step: float) -> Odometry:
 def test_scans_between_exact_keys_take_out_a_slip_that_the_wheels_did_not_see() -> None:
     drive, truth = ring_drive(3)
     odometry = odometry_of(drive)
-    readings = choose_keys(odometry, drive.instant["lrf"])
+    scans = drive.instant["lrf"]
+    readings = spaced(odometry.way()[scans], odometry.pose[scans, 2], KEY_WAY_M, KEY_TURN_RAD)
     keys = drive.instant["lrf"][readings]
     slip = np.zeros_like(odometry.pose)
     for k in keys[20:60:4] + 2:  # 6 degrees at once, just behind ten of the keys
@@ -58,7 +68,7 @@ def test_one_scan_between_two_keys_weighs_as_least_squares_does() -> None:
     ends = Fixes.of_keys(odometry, keys, x)
     z, L = np.array([[0.004, 0.01, -0.02]]), np.diag([1e4, 2e4, 4e5])[None]
     fixes = smoothed(odometry, ends, np.array([0]), k, z, L)
-    Q1, Q2 = odometry.C[4] + STEP, odometry.C[10] - odometry.C[4] + STEP
+    Q1, Q2 = odometry.C[4] + STEP_P, odometry.C[10] - odometry.C[4] + STEP_P
     H = np.linalg.inv(Q1) + np.linalg.inv(Q2) + L[0]
     mean = np.linalg.solve(H, np.linalg.inv(Q2) @ ends.xi[1] + L[0] @ z[0])
     np.testing.assert_allclose(fixes.xi[1], mean, rtol=1e-3, atol=1e-6)

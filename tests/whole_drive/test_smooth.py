@@ -1,4 +1,4 @@
-"""Smoothing: against textbook RTS, a filter that carries all its past, batch least squares, and the truth."""
+"""Smoothing: against textbook RTS, a filter that carries all its past, and the truth."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import six_sensors
 import small_drive
 from lock_step import simulated
 from msgspec.structs import replace
-from scipy.optimize import least_squares
 from textbook import TextbookEkf, move, numeric_jacobian, wrap
 from told import Told, correct, step
 from worlds import World
@@ -222,71 +221,6 @@ def final_clones(belief: Remembering) -> tuple[Array, Array]:
 def _instants(n: int) -> Drive:
     motions = Motions(np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3, 0)))
     return Drive(0, 0.1 * np.arange(n, dtype=np.float64), motions, {}, {}, {})
-
-
-# --- batch least squares: all poses and walls at once
-
-
-def test_smoothing_agrees_with_batch_least_squares() -> None:
-    """Small noise, so that the problem is nearly linear; walls and poses are one big fit, without a filter."""
-    robot = small_drive.robot(compass={"offset_deg": 0.0, "sigma_deg": 1.0})
-    drive = small_drive.drive(5, robot, laps=0.03, scans=10.0, headings=2.0, truth=False)
-    filtered, found = fuse_and_smooth(drive, robot, ["compass", "lrf"])
-    assert (filtered.audits["lrf"].verdict != 0).sum() == 4, "only the first scan's lines are new"
-    problem = Batch(drive, filtered, np.array(small_drive.START))
-    fit = least_squares(problem.residuals, problem.start(), x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    pose = fit.x[: 3 * len(drive.t) - 3].reshape(-1, 3)
-    spread = np.linalg.inv(fit.jac.T @ fit.jac)
-    sigma = np.sqrt(np.diag(spread))[: pose.size].reshape(-1, 3)
-    assert np.abs((found.pose[1:] - pose) / sigma).max() < 0.05
-    mine = np.sqrt(np.diagonal(found.P[1:], axis1=1, axis2=2))
-    np.testing.assert_allclose(mine, sigma, rtol=0.1)  # across the way all is nearly zero: linearised elsewhere
-    assert np.abs((filtered.pose[1:] - pose) / sigma).max() > 0.5
-
-
-class Batch:
-    """Whitened residuals of every motion and measurement of a drive with a known start."""
-
-    def __init__(self, drive: Drive, filtered: Estimates, start: Array) -> None:
-        self.drive, self.filtered, self.x0 = drive, filtered, start
-        lrf, compass = filtered.audits["lrf"], filtered.audits["compass"]
-        new = np.cumsum(lrf.landmark < 0) - 1
-        self.lines = np.where(lrf.landmark < 0, new, lrf.landmark)
-        self.scans, self.headings = (lrf.instant, lrf.row), (compass.instant, compass.row)
-        self.steps = [np.linalg.cholesky(np.linalg.inv(Q + 1e-14 * np.eye(3))).T for Q in drive.motions.Q[1:]]
-        m = drive.measurements
-        self.white = [np.linalg.cholesky(np.linalg.inv(R)).T for R in m["lrf"].R[lrf.row]]
-        self.white_heading = 1.0 / np.sqrt(m["compass"].R[compass.row, 0, 0])
-
-    def start(self) -> Array:
-        walls = [(rho, beta) for rho, beta, _, _ in small_drive.ROOM]
-        z, pose = self.drive.measurements["lrf"].z, self.filtered.pose
-        order = []
-        for row in self.scans[1][: len(walls)]:  # the walls in the order in which the first scan lists them
-            beta = z[row, 1] + pose[self.scans[0][0], 2]
-            order.append(min(walls, key=lambda w: abs(wrap(w[1] - beta))))
-        return np.concatenate((pose[1:].ravel(), np.array(order).ravel()))
-
-    def residuals(self, v: Array) -> Array:
-        n = len(self.drive.t)
-        pose = np.vstack((self.x0, v[: 3 * n - 3].reshape(-1, 3)))
-        walls = v[3 * n - 3 :].reshape(-1, 2)
-        out = []
-        for k, W in enumerate(self.steps):
-            e = pose[k + 1] - move(pose[k], self.drive.motions.u[k + 1])
-            c, s = math.cos(pose[k, 2]), math.sin(pose[k, 2])
-            out.append(W @ (c * e[0] + s * e[1], c * e[1] - s * e[0], wrap(e[2])))
-        z = self.drive.measurements["lrf"].z
-        for (k, row), line, W in zip(zip(*self.scans, strict=True), self.lines, self.white, strict=True):
-            x, y, a = pose[k]
-            rho, beta = walls[line]
-            r, psi = rho - x * math.cos(beta) - y * math.sin(beta), beta - a
-            e = np.array([z[row, 0] - r, wrap(z[row, 1] - psi)])
-            out.append(W @ e)
-        at, rows = self.headings
-        headings = self.drive.measurements["compass"].z[rows, 0]
-        e = (headings - pose[at, 2] + math.pi) % (2 * math.pi) - math.pi
-        return np.concatenate((*out, e * self.white_heading))
 
 
 # --- the truth's stamps, consistency, what must not change

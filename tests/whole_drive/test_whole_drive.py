@@ -12,11 +12,10 @@ from ring_drive import WIDTH, ring_drive, robot
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Estimates
 from locfuse.fusion.whole_drive import closures
-from locfuse.fusion.whole_drive import recognised as hints
-from locfuse.fusion.whole_drive.bridge import Fixes, bridged
+from locfuse.fusion.whole_drive.between import Fixes, bridged
+from locfuse.fusion.whole_drive.closures import recognised
 from locfuse.fusion.whole_drive.odometry import Odometry, odometry_of
 from locfuse.fusion.whole_drive.pose_graph import Graph, wheels_share, whole_drive
-from locfuse.fusion.whole_drive.recognised import recognised
 
 
 @cache
@@ -113,7 +112,7 @@ def test_without_a_search_what_the_filter_recognised_is_closed(
     """After a long loop every window is too wide, as here, where a window is soon called wide."""
     monkeypatch.setattr(closures, "MAX_SEARCHES", 0)
     monkeypatch.setattr(closures, "NARROW_M", 0.05)
-    monkeypatch.setattr(hints, "SIGMA_M", 0.02)
+    monkeypatch.setattr(closures, "SIGMA_M", 0.02)
     drive, truth, _ = solved()
     lone = whole_drive(drive, robot(), ["lrf"])
     known = whole_drive(drive, robot(), ["lrf"], having_recognised(drive, truth, *returns(drive, truth)))

@@ -1,4 +1,4 @@
-"""What the robot should see of a line, and how sure: against numerical derivatives and the joint covariance."""
+"""Lines in the map: where their frame puts them, how sure, and what happens when one leaves."""
 
 from __future__ import annotations
 
@@ -6,63 +6,13 @@ import math
 
 import numpy as np
 import pytest
-from line_scene import covariance, scene
+from line_scene import covariance
 from textbook import move, numeric_jacobian
 from told import step
 
-from locfuse.fusion import se2
 from locfuse.fusion.data import Array, MapLine
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.map.line_map import LineMap, about_middle
-
-STEP = 1e-6
-
-
-def seen(pose: Array, value: Array, anchor: Array) -> Array:
-    """(r, psi) of a line from a pose, in the paper's words: distance to the line, and its normal's direction."""
-    n = np.array([math.cos(value[1]), math.sin(value[1])])
-    return np.array([value[0] - n @ (pose[:2] - anchor), value[1] - pose[2]])
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_a_predicted_line_and_its_covariance_are_those_of_pose_and_line_together(seed: int) -> None:
-    _, lines, belief = scene(seed, True)
-    which = np.arange(len(lines))
-    values, pose = lines.values(belief), np.array(belief.pose())
-    found = lines.predict(which, values, belief)
-    for j in which:
-        at = np.array([0, 1, 2, lines.column[j], lines.column[j] + 1])
-        both = np.concatenate((pose, values[j]))
-
-        def of(x: Array, anchor: Array = lines.anchor[j]) -> Array:
-            return seen(x[:3], x[3:], anchor)
-
-        H = np.stack([(of(both + d) - of(both - d)) / (2.0 * STEP) for d in STEP * np.eye(5)], axis=1)
-        r, psi = of(both)
-        assert found.r[j] == pytest.approx(r, abs=1e-9)
-        assert se2.wrap(float(found.psi[j]) - psi) == pytest.approx(0.0, abs=1e-9)
-        S = H @ belief.covariance[np.ix_(at, at)] @ H.T
-        np.testing.assert_allclose(found.spread[j], S, rtol=1e-5, atol=1e-7 * np.abs(S).max())
-
-
-@pytest.mark.parametrize("seed", range(10))
-def test_a_line_that_is_no_state_spreads_by_the_pose_and_by_what_is_known_of_it(seed: int) -> None:
-    _, lines, belief = scene(seed, False)
-    pose, which = np.array(belief.pose()), np.arange(len(lines))
-    found = lines.predict(which, lines.values(belief), belief)
-    for j in which:
-        anchor, value = lines.anchor[j], lines.value[j]
-
-        def of(x: Array, anchor: Array = anchor) -> Array:
-            return seen(x[:3], x[3:], anchor)
-
-        H = numeric_jacobian(of, np.concatenate((pose, value)))
-        by_pose, by_line = H[:, :3], H[:, 3:]
-        S = by_pose @ belief.matrix() @ by_pose.T + by_line @ lines.P[j] @ by_line.T
-        np.testing.assert_allclose(found.spread[j], S, rtol=1e-5, atol=1e-7 * np.abs(S).max())
-
-
-# --- lines in the map: about its origin, by the frame they hang in
 
 
 def in_the_map(v: Array, anchor: Array) -> Array:

@@ -1,12 +1,13 @@
-"""Sparse least squares over key poses: Gauss-Newton with a direct factorisation (Dellaert and Kaess 2006).
+"""Sparse least squares over poses: Gauss-Newton with a direct factorisation (Dellaert and Kaess 2006).
 
-Variables are poses (x, y, theta) in the map and the states of sensors behind them. An edge says where pose j lies
-as seen from pose i: e = between(x_i, x_j) - z, angle wrapped, information in the frame of pose i.
+Variables are poses (x, y, theta) in the map and the states of sensors behind them. An edge is the pose j seen
+from pose i: e = between(x_i, x_j) - z, angle wrapped, information in the frame of pose i. From NOWHERE it is the
+pose itself: e = x_j - z.
 """
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Protocol
 
 import msgspec
 import numpy as np
@@ -14,16 +15,19 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
 
+from .clouds import Columns
+
+NOWHERE = -1  # instead of a pose: the origin of the map
 MAX_STEPS, STEPS_BETWEEN = 10, 2  # at the last width of the kernels, and at those before
-SETTLED = 1e-4  # m, rad
+MIN_STEP = 1e-4  # m, rad: a step that changes less is the last
 COLUMNS_AT_ONCE = 384
 # systematic errors of a drive, and how large they may be (1 sigma): a heading that drifts with the way, and a
 # laser that is mounted a little turned, so that it sees the robot go sideways: left out, either bends the building
-SYSTEMATIC = (np.radians(0.1), np.radians(1.0))  # rad per metre; rad
-MAX_DENSE = 3600  # states: up to here the whole inverse is the quickest way to covariances
+SYSTEMATIC_SIGMAS = (np.radians(0.1), np.radians(1.0))  # rad per metre; rad
+MAX_DENSE_STATES = 3600  # states: up to here the whole inverse is the quickest way to covariances
 
 
-class Edges(msgspec.Struct, frozen=True):
+class Edges(Columns, frozen=True):
     """m relative poses; `width` is the residual in sigmas from which the robust kernel acts, inf for none."""
 
     i: Ints  # (m,)
@@ -32,14 +36,6 @@ class Edges(msgspec.Struct, frozen=True):
     information: Array  # (m, 3, 3) in the frame of i
     width: Array  # (m,)
     by: Array  # (m, 3, 2) what z owes to the systematic errors of a drive (SYSTEMATIC), per unit
-
-    def __len__(self) -> int:
-        """Return the number of edges."""
-        return len(self.i)
-
-    def take(self, at: Any) -> Edges:
-        """Return some of them."""
-        return Edges(self.i[at], self.j[at], self.z[at], self.information[at], self.width[at], self.by[at])
 
     @classmethod
     def none(cls) -> Edges:
@@ -50,17 +46,16 @@ class Edges(msgspec.Struct, frozen=True):
     @classmethod
     def of(cls, i: Ints, j: Ints, z: Array, information: Array, width: float) -> Edges:
         """Return edges with the same kernel width and without systematic errors."""
-        return cls(i, j, z, information, np.full(len(i), width), np.zeros((len(i), 3, len(SYSTEMATIC))))
+        return cls(i, j, z, information, np.full(len(i), width), np.zeros((len(i), 3, len(SYSTEMATIC_SIGMAS))))
 
     @classmethod
-    def joined(cls, *parts: Edges) -> Edges:
-        """Return several lists of edges as one."""
-        names = ("i", "j", "z", "information", "width", "by")
-        return cls(*(np.concatenate([getattr(p, n) for p in parts]) for n in names))
+    def known(cls, j: int, pose: Array, information: Array) -> Edges:
+        """Return a prior on one pose."""
+        return cls.of(np.array([NOWHERE]), np.array([j]), pose[None], information[None], np.inf)
 
     def errors(self, x: Array, systematic: Array | None = None) -> Array:
         """Return e (m, 3) at poses x (n, 3) and systematic errors (2,)."""
-        e = se2.between(x[self.i], x[self.j]) - self.z
+        e: Array = se2.between(self._from(x), x[self.j]) - self.z
         if systematic is not None:
             e += self.by @ systematic
         e[:, 2] = se2.wrap_all(e[:, 2])
@@ -81,7 +76,21 @@ class Edges(msgspec.Struct, frozen=True):
 
     def jacobians(self, x: Array) -> tuple[Array, Array]:
         """Return the derivatives of e by pose i and by pose j, (m, 3, 3) each."""
-        return se2.between_jacobians(x[self.i], x[self.j])
+        by_i, by_j = se2.between_jacobians(self._from(x), x[self.j])
+        by_i[self.i == NOWHERE] = 0.0
+        return by_i, by_j
+
+    def _from(self, x: Array) -> Array:
+        """Return the poses that the edges start from, (m, 3)."""
+        return np.where((self.i == NOWHERE)[:, None], 0.0, x[self.i])
+
+
+def chi2_of(poses: Array, expected: Array, P: Array) -> Array:
+    """Return the squared Mahalanobis distances (n,) of poses (n, 3) from `expected`, with covariance P of both."""
+    off = poses - expected
+    off[:, 2] = se2.wrap_all(off[:, 2])
+    found: Array = np.einsum("ni,nij,nj->n", off, np.broadcast_to(np.linalg.inv(P), (len(off), 3, 3)), off)
+    return found
 
 
 class Rows(msgspec.Struct, frozen=True):
@@ -92,39 +101,25 @@ class Rows(msgspec.Struct, frozen=True):
     g: Array  # (k, d) the right side: H dx = g
 
 
-class Anchor(msgspec.Struct, frozen=True):
-    """A prior on one pose: the start."""
-
-    at: int
-    pose: Array  # (3,)
-    information: Array  # (3, 3)
-
-
 class Normal:
     """The normal equations about poses x and systematic errors s: their factorisation gives steps, covariances.
 
     The state is the poses (3 n), the systematic errors (2), then the states of other sensors.
     """
 
-    def __init__(
-        self, x: Array, s: Array, edges: Edges, weights: Array, anchor: Anchor, rows: list[Rows], states: int
-    ) -> None:
+    def __init__(self, x: Array, s: Array, edges: Edges, weights: Array, rows: list[Rows], states: int) -> None:
         from scipy.sparse import coo_matrix
         from scipy.sparse.linalg import splu
 
         n = 3 * len(x) + len(s) + states
         e, Omega = edges.errors(x, s), edges.information * weights[:, None, None]
-        at = [3 * edges.i[:, None] + np.arange(3), 3 * edges.j[:, None] + np.arange(3)]
+        at = [3 * np.maximum(edges.i, 0)[:, None] + np.arange(3), 3 * edges.j[:, None] + np.arange(3)]
         at.append(np.broadcast_to(3 * len(x) + np.arange(len(s)), (len(edges), len(s))))
         J = np.concatenate((*edges.jacobians(x), edges.by), axis=2)
         JO = J.transpose(0, 2, 1) @ Omega
-        off = anchor.pose - x[anchor.at]
-        off[2] = se2.wrap(float(off[2]))
-        known = anchor.information
-        prior = np.diag(1.0 / np.square(SYSTEMATIC))
+        prior = np.diag(1.0 / np.square(SYSTEMATIC_SIGMAS))
         rows = [
             Rows(np.hstack(at), JO @ J, -np.einsum("nij,nj->ni", JO, e)),
-            Rows(3 * anchor.at + np.arange(3)[None], known[None], (known @ off)[None]),
             Rows(3 * len(x) + np.arange(len(s))[None], prior[None], -(prior @ s)[None]),
             *rows,
         ]
@@ -161,7 +156,7 @@ class Normal:
 
     def chain(self, n: int) -> tuple[Array, Array]:
         """Return each pose's covariance (n, 3, 3), and that with the pose after it, (n - 1, 3, 3)."""
-        if self.n <= MAX_DENSE:
+        if self.n <= MAX_DENSE_STATES:
             return self._dense(n)
         own, after = np.empty((n, 3, 3)), np.empty((max(n - 1, 0), 3, 3))
         for first in range(0, n, COLUMNS_AT_ONCE // 3):
@@ -199,14 +194,28 @@ class Beside(Protocol):
         """Add a step (states,) to their states."""
 
 
+def relative(x: Array, joint: Array, i: Ints, j: Ints) -> tuple[Array, Array]:
+    """Return poses j (c,) of x (n, 3) relative to poses i (c,), (c, 3), and their covariances (c, 3, 3).
+
+    `joint` (n, 3, n, 3) is the covariance of x.
+    """
+    A, B = se2.between_jacobians(x[i], x[j])
+    At, Bt = A.transpose(0, 2, 1), B.transpose(0, 2, 1)
+    mixed = A @ joint[i, :, j, :] @ Bt
+    P = A @ joint[i, :, i, :] @ At + B @ joint[j, :, j, :] @ Bt + mixed + mixed.transpose(0, 2, 1)
+    return se2.between(x[i], x[j]), P
+
+
 class Problem:
-    """The common part of every solve of a drive: the start, other sensors, and the systematic errors."""
+    """The common part of every solve: the start, other sensors, and the systematic errors."""
 
-    def __init__(self, anchor: Anchor, beside: Beside | None = None) -> None:
-        self.anchor, self.beside = anchor, beside
-        self.systematic = np.zeros(len(SYSTEMATIC))
+    def __init__(self, start: Edges | None = None, beside: Beside | None = None) -> None:
+        self.start, self.beside = Edges.none() if start is None else start, beside
+        self.systematic = np.zeros(len(SYSTEMATIC_SIGMAS))
 
-    def solve(self, x: Array, edges: Edges, graduations: tuple[float, ...] = (1.0,)) -> tuple[Array, Normal]:
+    def solve(
+        self, x: Array, edges: Edges, graduations: tuple[float, ...] = (1.0,), min_step: float = MIN_STEP
+    ) -> tuple[Array, Normal]:
         """Return the least-squares poses (n, 3) from poses x (n, 3), and the normal equations there.
 
         `graduations`: how wide the robust kernels are, one after another; the last is 1.
@@ -214,16 +223,18 @@ class Problem:
         x, n = x.copy(), 3 * len(x)
         for graduation in graduations:
             for _ in range(MAX_STEPS if graduation == graduations[-1] else STEPS_BETWEEN):
-                step = self._normal(x, edges, graduation).step()
+                step = self.normal(x, edges, graduation).step()
                 x += step[:n].reshape(-1, 3)
-                self.systematic = self.systematic + step[n : n + len(SYSTEMATIC)]
+                self.systematic = self.systematic + step[n : n + len(SYSTEMATIC_SIGMAS)]
                 if self.beside is not None:
-                    self.beside.move(step[n + len(SYSTEMATIC) :])
-                if np.abs(step[:n]).max() < SETTLED:
+                    self.beside.move(step[n + len(SYSTEMATIC_SIGMAS) :])
+                if np.abs(step[:n]).max() < min_step:
                     break
-        return x, self._normal(x, edges, graduations[-1])
+        return x, self.normal(x, edges, graduations[-1])
 
-    def _normal(self, x: Array, edges: Edges, graduation: float) -> Normal:
+    def normal(self, x: Array, edges: Edges, graduation: float = 1.0) -> Normal:
+        """Return the normal equations at poses x (n, 3)."""
         rows, states = ([], 0) if self.beside is None else (self.beside.rows(x), self.beside.states)
+        edges = Edges.joined(self.start, edges)
         weights = edges.weights(x, self.systematic, graduation)
-        return Normal(x, self.systematic, edges, weights, self.anchor, rows, states)
+        return Normal(x, self.systematic, edges, weights, rows, states)

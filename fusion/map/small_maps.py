@@ -1,0 +1,142 @@
+"""Small maps: the lines of one that was left, at that time; and the walls that connect it to the next.
+
+Seen from the robot, all walls share the error of its pose. It is kept in the covariance: how the walls lie to each
+other is known far better than how they lie to the robot, and the next map begins with just that.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from locfuse.fusion import se2
+from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+
+from .line_map import COLUMN_NAMES, LineMap
+from .scan import Scan
+from .way import Way
+
+# m^2, rad^2; of a variance: what is known exactly can be inverted beside the rest
+MIN_VARIANCE, MIN_VARIANCE_SHARE = 1e-18, 1e-9
+
+
+class Bridge(NamedTuple):
+    """k walls in the robot's frame, as predicted."""
+
+    r: Array  # (k,) m, from the robot
+    psi: Array  # (k,) rad, base frame
+    ends: Array  # (k, 2) m along the tangent (-sin psi, cos psi)
+    hits: Ints  # (k,) how often each was seen
+    P: Array  # (2k, 2k) covariance of r and psi of all of them, wall by wall
+
+
+def seen_from_here(lines: LineMap, at: Ints, belief: JointBelief) -> Bridge:
+    """Return the walls `at` (k,) of a map, which are states, relative to the pose."""
+    rho, beta = lines.values(belief)[at].T
+    c, s = np.cos(beta), np.sin(beta)
+    dx, dy = (np.array([belief.x, belief.y]) - lines.anchor[at]).T
+    r, along = rho - dx * c - dy * s, dy * c - dx * s
+    ends = np.stack((lines.lo[at] - along, lines.hi[at] - along), axis=-1)
+    k = np.arange(len(at))
+    by = np.zeros((len(at), 2, 3 + 2 * len(at)))  # the pose, then the walls, as in kernels.sight
+    by[:, 0, 0], by[:, 0, 1], by[:, 1, 2] = -c, -s, -1.0
+    by[k, 0, 3 + 2 * k], by[k, 0, 4 + 2 * k], by[k, 1, 4 + 2 * k] = 1.0, -along, 1.0
+    H = by.reshape(2 * len(at), -1)
+    states = np.concatenate((np.arange(3), lines.states(at)))
+    P = H @ belief.covariance[np.ix_(states, states)] @ H.T
+    return Bridge(r, beta - belief.theta, ends, lines.hits[at], 0.5 * (P + P.T))
+
+
+def heading_among(lines: LineMap, at: Ints, belief: JointBelief) -> float:
+    """Return the sigma of the heading if the walls `at` (k,) are given [rad].
+
+    That is the accuracy of the last scans, without what robot and walls have drifted together.
+    """
+    states = np.append(2, lines.states(at))
+    P = belief.covariance[np.ix_(states, states)]
+    size = np.sqrt(np.maximum(np.diagonal(P), MIN_VARIANCE))
+    unit = P / np.outer(size, size) + MIN_VARIANCE_SHARE * np.eye(len(P))
+    return float(size[0] / np.sqrt(np.linalg.inv(unit)[0, 0]))
+
+
+def cross(bridge: Bridge, lines: LineMap, belief: JointBelief, scan: int) -> None:
+    """Start a map with the walls of a bridge; the pose is exactly 0. `scan` is the number of the last scan.
+
+    Each wall's anchor is the middle of what was seen of it, so rho about it is 0 and beta is psi.
+    """
+    c, s = np.cos(bridge.psi), np.sin(bridge.psi)
+    middle, half = bridge.ends.mean(axis=1), 0.5 * np.diff(bridge.ends, axis=1)[:, 0]
+    anchors = np.stack((bridge.r * c - middle * s, bridge.r * s + middle * c), axis=-1)
+    values = np.stack((np.zeros(len(c)), bridge.psi), axis=-1)
+    T = np.eye(2 * len(c))
+    k = 2 * np.arange(len(c))
+    T[k, k + 1] = -middle
+    P = T @ bridge.P @ T.T
+    first = belief.augment(values.reshape(-1), np.zeros((2 * len(c), 3)), P)
+    for j, (anchor, value) in enumerate(zip(anchors, values, strict=True)):
+        own = slice(2 * j, 2 * j + 2)
+        lines.append(anchor, value, P[own, own], first + 2 * j, (-float(half[j]), float(half[j])), scan)
+    lines.hits[:] = bridge.hits
+
+
+class FrozenMap(NamedTuple):
+    """A map in the frame of its anchor."""
+
+    anchor: int  # in the graph
+    lines: LineMap  # none of them is a state
+    way: Way
+    box: tuple[Array, Array]  # (2,) m: what the lines and the way lie within
+    origin: Array  # (3,) where it began, the anchor's own place but for a first map that is the map frame's
+    joint: Array  # (2J, 2J) covariance of rho and beta of all lines, line by line
+
+
+def frozen(lines: LineMap, belief: JointBelief) -> LineMap:
+    """Return a copy of the lines with their own values and covariances."""
+    own = {name: getattr(lines, name).copy() for name in COLUMN_NAMES if name != "P"}
+    own |= {"column": np.full(len(lines), -1, np.int64), "value": np.array(lines.values(belief))}
+    return LineMap(**own, next_id=lines.next_id, P=np.array(lines.covariances(belief)))
+
+
+def thaw(kept: LineMap, lines: LineMap, first_column: int) -> None:
+    """Make the kept lines states again, from a column on; new ids continue after the old ones."""
+    for name in ("ids", "anchor", "lo", "hi", "hits", "value", "P"):
+        setattr(lines, name, getattr(kept, name).copy())
+    lines.column = first_column + 2 * np.arange(len(kept))
+
+
+def joint_covariance(lines: LineMap, belief: JointBelief) -> Array:
+    """Return the covariance (2J, 2J) of rho and beta of all lines."""
+    at = lines.states(np.s_[:])
+    P: Array = belief.covariance[np.ix_(at, at)]
+    return P
+
+
+def box_of(lines: LineMap, values: Array, way: Way) -> tuple[Array, Array]:
+    """Return the least and the greatest x, y of lines and path, (2,) each [m]."""
+    points = np.vstack((ends_of(lines, values).reshape(-1, 2), *[sight.pose[None, :2] for sight in way.sights]))
+    return points.min(axis=0), points.max(axis=0)
+
+
+def ends_of(lines: LineMap, values: Array) -> Array:
+    """Return both ends of every line, (J, 2, 2) [m]; values (J, 2) are rho and beta about the anchors."""
+    n = np.stack((np.cos(values[:, 1]), np.sin(values[:, 1])), axis=-1)
+    tangent = np.stack((-n[:, 1], n[:, 0]), axis=-1)
+    foot = lines.anchor + values[:, :1] * n
+    return np.stack((foot + lines.lo[:, None] * tangent, foot + lines.hi[:, None] * tangent), axis=1)
+
+
+def as_scan(lines: LineMap, values: Array, P: Array, least_hits: int) -> Scan:
+    """Return a map as one scan from the origin of its frame: (rho, beta) there, with the ends along each line."""
+    at = np.flatnonzero(lines.hits >= least_hits)
+    c, s = np.cos(values[at, 1]), np.sin(values[at, 1])
+    ax, ay = lines.anchor[at].T
+    along = ay * c - ax * s
+    z = np.stack((values[at, 0] + ax * c + ay * s, se2.wrap_all(values[at, 1])), axis=-1)
+    G = np.zeros((len(at), 2, 2))
+    G[:, 0, 0] = G[:, 1, 1] = 1.0
+    G[:, 0, 1] = along
+    R = G @ P[at] @ G.transpose(0, 2, 1)
+    ends = np.stack((lines.lo[at] + along, lines.hi[at] + along), axis=-1)
+    return Scan.of(z, R, ends)

@@ -33,7 +33,9 @@ TRICYCLE = (
 )
 LOGS: Mapping[str, tuple[str, ...]] = {
     **{f"strangers/{bag}": () for bag in (*BAGS, *VOID)},
-    "turtlebot4/tb4_mcap.mcap": (),
+    **dict.fromkeys(("turtlebot4/tb4_mcap.mcap", "turtlebot4/db3", "aces/aces.mcap", "fr079/fr079.mcap"), ()),
+    **dict.fromkeys(("halls/edmonton.mcap", "halls/freiburg-101.mcap", "brenner/brenner.mcap"), ()),
+    **dict.fromkeys(("mrclam/mrclam.mcap", "bags/evo/nav2_turtlebot.mcap"), ()),
     "tricycle/tricycle.mcap": TRICYCLE,
     "warthog/warthog.mcap": ("wheels.radius=0.3", "wheels.track=1.14"),
 }

@@ -1,4 +1,4 @@
-"""Several topics that are one thing: two wheels on two topics, a ring of sonars; and where a stream has gaps."""
+"""Several topics of one sensor: two wheels on two topics, a ring of sonars; and the gaps of a stream."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ GAP, GAP_PERIODS = 0.5, 5.0  # s, median periods
 
 
 def gap_limit(t: Array) -> float:
-    """Return the longest step [s] in stamps t (n,) that is no gap: 5 median periods, at least half a second."""
+    """Return the longest step [s] in stamps t (n,) that is not a gap: 5 median periods, at least half a second."""
     return max(GAP, GAP_PERIODS * float(np.median(np.diff(t)))) if len(t) > 1 else GAP
 
 
@@ -27,7 +27,7 @@ def count_dropped(dropped: dict[str, int], reason: str, n: int) -> None:
 
 
 class MergedStream(msgspec.Struct, frozen=True, dict=True):
-    """Streams of numbers as one Stream, in time order; `source` says which of the parts a row came from."""
+    """Streams of numbers as one Stream, in time order; `source` is the part that each row came from."""
 
     parts: tuple[Stream, ...]
 
@@ -48,7 +48,7 @@ class MergedStream(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def dropped(self) -> Mapping[str, int]:
-        """Messages of all parts that are not among the rows, by reason."""
+        """Messages of all parts that gave no row, by reason."""
         return dict(sum((Counter(part.dropped) for part in self.parts), Counter()))
 
     @cached_property
@@ -57,7 +57,7 @@ class MergedStream(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def t_ns(self) -> Ints:
-        """When the readings were taken, (n,), never decreasing."""
+        """The times of the readings, (n,) ns, never decreasing."""
         times: Ints = np.concatenate([part.t_ns for part in self.parts])[self._order]
         return times
 
@@ -73,12 +73,12 @@ class MergedStream(msgspec.Struct, frozen=True, dict=True):
         return {name: np.concatenate([columns[name] for columns in found])[self._order] for name in fields}
 
     def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
-        """Yield everything as one block: numbers are light."""
+        """Yield all rows as one block, since numbers need little memory."""
         yield np.arange(len(self.t_ns)), self.columns(*fields)
 
 
 def merged(streams: Sequence[Stream]) -> Stream | MergedStream:
-    """Return one stream; a single one stays what it is."""
+    """Return several streams as one; a single stream is returned unchanged."""
     return streams[0] if len(streams) == 1 else MergedStream(tuple(streams))
 
 

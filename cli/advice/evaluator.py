@@ -1,4 +1,4 @@
-"""The evaluator: one log -> findings, each with the fix that was tried and what it did.
+"""The evaluator: one log -> findings, each with the fix that was tried and its effect.
 
 `run`, `compare`, `info --check`, the report and Rerun all show what this finds, and nothing else. The loop is
 `fusion.checks.tried`; here a log is fused for it. Long drives are tried by their beginning; what helps there is
@@ -36,12 +36,12 @@ MAX_WHOLE = 2  # findings that change little on the beginning, and are tried on 
 
 
 def standard(loaded: Loaded) -> list[Configuration]:
-    """Return the configurations by which every command judges a log, whichever it shows."""
+    """Return the configurations by which every command judges a log, whichever it prints."""
     return for_comparison([], loaded.drive)
 
 
 class Evaluator:
-    """The evaluation of one log. Where a comparison of it is made anyway, it watches: see `takes` and `hears`."""
+    """The evaluation of one log. It reuses the runs of a comparison: see `takes` and `hears`."""
 
     def __init__(self, loaded: Loaded, progress: Progress, align: str = "none") -> None:
         self.trial = Trial(loaded, {c.name: c for c in standard(loaded)}, align, progress)
@@ -52,16 +52,16 @@ class Evaluator:
 
     @property
     def takes(self) -> list[Watch]:
-        """What a comparison's finished runs are to be given to."""
+        """The receiver of a comparison's finished runs."""
         return [self._take] if self._may_judge else []
 
     @property
     def hears(self) -> list[Heard]:
-        """What runs that other sensors listen to are to be given to."""
+        """The receiver of runs to which other sensors listen."""
         return [self._hear] if self._may_judge else []
 
     def _take(self, e: Estimates, judged: Evaluation) -> None:
-        """Take a run while it has its audits; of a drive of which only the beginning is tried, its score."""
+        """Receive a run while it has its audits; if only the beginning of a drive is tried, only its score."""
         trial, whole = self.trial, self.trial.whole
         if e.smoothed or e.rates or e.name not in trial.configurations:
             return
@@ -71,7 +71,7 @@ class Evaluator:
             trial.of_whole(e.name, score_of(judged, shape_error(e, whole.drive)))
 
     def _hear(self, e: Estimates) -> None:
-        """Take a run that others listened to while it has its audits; odometry's comes first."""
+        """Receive a run with listening sensors while it has its audits; odometry's comes first."""
         trial, drive = self.trial, self.trial.whole.drive
         if trial.loaded is trial.whole:
             self._odometry = self._odometry or e
@@ -81,7 +81,7 @@ class Evaluator:
             trial.of_whole(e.name, predicted(drive, e))
 
     def _first(self) -> Compared:
-        """Return the comparison under the settings as they are, as it was watched if that was all it needs."""
+        """Return the comparison under the present settings, from received runs if these are all it needs."""
         trial = self.trial
         if not set(trial.configurations) <= set(self._seen):
             return _compared((), trial.loaded, trial)
@@ -97,7 +97,7 @@ class Evaluator:
         )
 
     def advised(self) -> Advised:
-        """Return what is found, by what was watched; by a comparison of its own if that was not all it needs."""
+        """Return all findings, by the received runs; by a new comparison if these are not enough."""
         if not self._may_judge:
             return Advised()
         trial = self.trial
@@ -150,7 +150,7 @@ def on_the_whole_drive(found: Sequence[Advice], trial: Trial) -> tuple[list[Advi
 
 
 def _may_judge(loaded: Loaded) -> bool:
-    """Return whether a log can be evaluated: with a given map, and by the print's filter, nothing is tried."""
+    """Return whether a log can be evaluated: not with a given map or the paper's filter."""
     if loaded.robot.lines or loaded.robot.preset != "default":
         return False
     if not loaded.drive.measurements and loaded.drive.truth is None:
@@ -159,7 +159,7 @@ def _may_judge(loaded: Loaded) -> bool:
 
 
 def looks_wrong(loaded: Loaded, one: Compared) -> bool:
-    """Return whether a single configuration's run gives reason to evaluate the log."""
+    """Return whether a single configuration's run gives a reason to evaluate the log."""
     if loaded.robot.lines or loaded.robot.preset != "default":
         return False
     trial = Trial(loaded, {c.name: c for c in one.configurations}, "none", silent)
@@ -178,7 +178,7 @@ def _compared(fixes: Fixes, loaded: Loaded, trial: Trial) -> Compared:
 
 
 def changing(found: Sequence[Advice], kept: Fixes, robot: Robot) -> list[Advice]:
-    """Return advice without fixes that set, in the end, what is configured already.
+    """Return advice without fixes that end at the configured values.
 
     A clock that was moved because another sensor's distances were wrong is moved back once these are right.
     """
@@ -189,7 +189,7 @@ def changing(found: Sequence[Advice], kept: Fixes, robot: Robot) -> list[Advice]
 
 
 def number(robot: Robot, key: str) -> float | None:
-    """Return the number that a key of robot.toml has, None where it has none."""
+    """Return the number at a key of robot.toml, None without one."""
     table, _, name = key.partition(".")
     settings = getattr(robot, table, None) if table in REFERENCE else robot.settings(table)
     now = getattr(settings, name, None)
@@ -197,6 +197,6 @@ def number(robot: Robot, key: str) -> float | None:
 
 
 def _is_configured(key: str, value: str, robot: Robot) -> bool:
-    """Return whether a setting has this value, as near as it is written."""
+    """Return whether a setting has this value, to its written digits."""
     now = number(robot, key)
     return now is not None and math.isclose(float(value), now, abs_tol=5e-5)

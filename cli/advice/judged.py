@@ -26,7 +26,7 @@ FINE = {"consistent", "unclear"}  # verdicts on a sensor that are no complaint
 
 
 def as_fixes(cures: Mapping[str, float]) -> Fixes:
-    """Return settings as they are written."""
+    """Return settings as written in fixes."""
     return tuple(f"{key}={value:g}" for key, value in cures.items())
 
 
@@ -34,7 +34,7 @@ Offer = tuple[Finding, tuple[Fixes, ...]]  # no observation, only settings that 
 
 
 class Judged:
-    """One log compared under some settings: what speaks against its sensors, and who judges their fixes."""
+    """One log compared under some settings: complaints about its sensors, and the judges of their fixes."""
 
     def __init__(self, compared: Compared, trial: Trial, fixes: Fixes) -> None:
         self.compared, self.trial, self.fixes = compared, trial, fixes
@@ -44,12 +44,12 @@ class Judged:
 
     @property
     def loaded(self) -> Loaded:
-        """The log under the settings that were kept."""
+        """The log under the kept settings."""
         return self.compared.loaded
 
     @cached_property
     def doctor(self) -> list[Finding]:
-        """Return what the sensors say of each other (`fusion.checks`)."""
+        """Return the findings of the sensors' comparison (`fusion.checks`)."""
         loaded = self.trial.whole_under(self.fixes)
         if loaded is None or any(loaded.window) or loaded.robot.preset != "default":
             return []  # the doctor looks at whole drives
@@ -62,26 +62,26 @@ class Judged:
         return self._complained_itself(sensor) or self._doubtful(self._alone(sensor))
 
     def _complained_itself(self, sensor: str) -> bool:
-        """Return whether a sensor's own residuals are unusual, whatever truth says of its run."""
+        """Return whether a sensor's own residuals are unusual, whatever truth shows of its run."""
         return self._verdict(sensor) not in FINE
 
     def _verdict(self, sensor: str) -> str:
-        """Return the verdict on a sensor's residuals; that on what has none is "unclear"."""
+        """Return the verdict on a sensor's residuals; "unclear" without any."""
         verdict = self.consistency.get(sensor)
         return "unclear" if verdict is None else verdict.verdict
 
     def _doubtful(self, name: str) -> bool:
-        """Return whether a configuration is inconsistent by truth; without truth any may be, once one looks so."""
+        """Return whether a configuration is inconsistent by truth; without truth, whether any looks so."""
         honest = self.honesty.get(name)
         lost = any(e.lost for e in self.compared.estimates if e.name == name)
         return honest is None or lost or not honest.consistent
 
     def constant(self, verdict: Consistency) -> tuple[Fixes, ...]:
-        """Return the fix of a constant error, nothing where a verdict is about something else."""
+        """Return the fix of a constant error, empty if a verdict is about something else."""
         return (as_fixes(verdict.cures),) if verdict.verdict == "biased" and verdict.cures else ()
 
     def _was_set(self, role: str, key: str) -> bool:
-        """Return whether a fix that was kept sets this."""
+        """Return whether a kept fix sets this."""
         return any(fix.startswith(f"{role}.{key}=") for fix in self.fixes)
 
     def _candidate(self, finding: Finding, alternatives: tuple[Fixes, ...], offer: bool = False) -> Candidate:
@@ -92,7 +92,7 @@ class Judged:
         return Candidate(finding, alternatives, judges, minor, others, offer)
 
     def kept(self, role: str) -> set[str]:
-        """Return the configurations that somebody would keep who uses a role."""
+        """Return the configurations that a user of a sensor would keep."""
         return {self._all(), self._best(self._using(role))}
 
     def _using(self, role: str) -> list[str]:
@@ -141,7 +141,7 @@ class Judged:
         return max(names, key=lambda n: len(self.trial.configurations[n].sensors))
 
     def _reference(self, sensor: str) -> Estimates | None:
-        """Return the run of one other sensor, which nothing contradicts, that knows its heading best."""
+        """Return the run of one other sensor without complaints that knows its heading best."""
         fine = {s for s in self.loaded.drive.measurements if s != sensor and not self._complained_itself(s)}
         runs = [
             e

@@ -1,4 +1,4 @@
-"""A log fused again under other settings: what `advice` costs, and where that is bounded.
+"""A log fused again under other settings: the cost of advice, with its limits.
 
 Only sensors whose own settings change are measured again. A drive of more than MAX_INSTANTS is tried by its
 beginning; what was tried is said with the figures.
@@ -47,13 +47,13 @@ class Trial:
     _of_whole: dict[tuple[Fixes, str], Score] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Cut the log where all of it would take too long to fuse many times."""
+        """Cut the log if fusing all of it many times would take too long."""
         t = self.whole.drive.t
         self._end = None if len(t) <= MAX_INSTANTS else float(t[MAX_INSTANTS])
         self.loaded = self._shortened(self.whole)
 
     def __call__(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Score]:
-        """Return the scores of these configurations under more settings; {} where these cannot be applied."""
+        """Return the scores of these configurations under more settings; {} if these cannot be applied."""
         found = {}
         for name in names:
             if (fixes, name) not in self._scores:
@@ -83,11 +83,11 @@ class Trial:
         return {name: self._of_whole[fixes, name] for name in names}
 
     def of_whole(self, name: str, score: Score) -> None:
-        """Take the score of a configuration on the whole drive under the settings as they are."""
+        """Receive the score of a configuration on the whole drive under the present settings."""
         self._of_whole[(), name] = score
 
     def seed(self, fixes: Fixes, compared: Compared) -> None:
-        """Take scores from a comparison under these settings, which need not be fused again."""
+        """Receive scores of a comparison under these settings, which need not be fused again."""
         if compared.loaded.drive.truth is None:
             return  # those come by `heard`
         for e, judged in zip(compared.estimates, compared.evaluations, strict=True):
@@ -95,12 +95,12 @@ class Trial:
                 self._scores[fixes, judged.name] = score_of(judged, shape_error(e, compared.loaded.drive))
 
     def heard(self, fixes: Fixes, loaded: Loaded, e: Estimates) -> None:
-        """Take the score of a run that other sensors listened to, which need not be fused again."""
+        """Receive the score of a run with listening sensors, which need not be fused again."""
         if e.name in self.configurations:
             self._scores[fixes, e.name] = predicted(loaded.drive, e)
 
     def under(self, fixes: Fixes) -> Loaded | None:
-        """Return the log under more settings; None where they fit neither the log nor each other."""
+        """Return the log under more settings; None if they fit neither the log nor each other."""
         if not fixes:
             return self.loaded
         if fixes not in self._logs:
@@ -127,7 +127,7 @@ class Trial:
         return replace(loaded, drive=drive, robot=robot, window=(loaded.window[0], self._end))
 
     def fused(self, loaded: Loaded, name: str) -> Estimates | None:
-        """Return one configuration's run, None where the log lacks a sensor under these settings."""
+        """Return one configuration's run, None if the log lacks a sensor under these settings."""
         self.fusions += 1
         try:
             return lean(self.configurations[name].fuse, loaded.drive, loaded.robot, False)[0]
@@ -144,7 +144,7 @@ class Trial:
         return score_of(judged, shape_error(e, loaded.drive))
 
     def _predicted(self, loaded: Loaded, c: Configuration) -> Score | None:
-        """Score a configuration by what it predicts of the sensors that only listen."""
+        """Score a configuration by its predictions of the sensors that only listen."""
         self.fusions += 1
         drive = loaded.drive
         if any(s not in drive.measurements for s in c.sensors):
@@ -155,7 +155,7 @@ class Trial:
 
 
 def predicted(drive: Drive, e: Estimates) -> Score:
-    """Return what a run predicts of the sensors that only listened to it.
+    """Return a run's predictions of the sensors that only listened to it.
 
     That it is lost with half of its readings taken away says nothing of a drive that has them all.
     """

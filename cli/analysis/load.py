@@ -1,4 +1,4 @@
-"""From what the user typed to a measured drive: log, robot, topics, streams, Drive."""
+"""From the command line to a measured drive: log, robot, topics, streams, Drive."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ MAX_LISTED = 1000  # entries of a folder among which a mistyped name is looked f
 
 
 class Loaded(msgspec.Struct, frozen=True, dict=True):
-    """A measured log, and where its numbers come from: the log, the settings and their sources."""
+    """A measured log with its sources: the log, the settings and where they come from."""
 
     log: Log
     robot: Robot
@@ -83,7 +83,7 @@ class Loaded(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def labels(self) -> tuple[Event, ...]:
-        """Faults that the log labels itself, read when a figure asks for them."""
+        """Fault labels in the log, read when a figure needs them."""
         return tuple(labels(self.log, self.drive, self.robot.order))
 
     window: tuple[float | None, float | None] = (
@@ -93,7 +93,7 @@ class Loaded(msgspec.Struct, frozen=True, dict=True):
 
 
 def find_log(words: Sequence[str]) -> list[Place]:
-    """Return where the logs named on the command line are; a file beats a sample log's name."""
+    """Return the paths of the logs on the command line; a file takes precedence over a sample log's name."""
     return [_find(word) for word in words]
 
 
@@ -113,7 +113,7 @@ def _find(word: str) -> Place:
 
 
 def _beside(path: Path) -> list[str]:
-    """Return what lies in the folder of a path that does not exist, as the path would name it."""
+    """Return the content of the folder of a missing path, as paths of the same form."""
     try:
         return [str(path.parent / entry.name) for entry in itertools.islice(path.parent.iterdir(), MAX_LISTED)]
     except OSError:
@@ -127,7 +127,7 @@ def load(
     only: Collection[str] | None = None,
     aside: Collection[str] = (),
 ) -> Loaded:
-    """Open, describe, choose topics, and measure all sensors, or `only` some; those `aside` are chosen only.
+    """Open a log, read its settings, choose topics, and measure all sensors, or `only` some; skip those `aside`.
 
     Raises LocfuseError with one line on what is wrong.
     """
@@ -150,7 +150,7 @@ def _within(loaded: Loaded, window: tuple[float | None, float | None]) -> Loaded
 
 
 def load_to_fuse(paths: Sequence[Place], how: LogOptions, progress: Progress, read_again: bool = False) -> Loaded:
-    """Load a log whose columns are needed no more once it is measured, unless it is `read_again`."""
+    """Load a log whose columns can be freed after measuring, unless it is `read_again`."""
     loaded = load(paths, how, progress)
     if not read_again:
         loaded.log.forget()
@@ -168,7 +168,7 @@ def measured(
     known: Mapping[str, Measurements] | None = None,
     before: Loaded | None = None,
 ) -> Loaded:
-    """Measure the chosen topics of a log under the tables of robot.toml; those of roles in `aside` are not.
+    """Measure the chosen topics of a log under the tables of robot.toml, except those of roles in `aside`.
 
     Sensors that are `known` are not measured again: their settings, and those of the wheels, must be the same.
     What the same log showed `before`, under other settings, may spare a second look at its readings and scans.
@@ -222,7 +222,7 @@ def measured(
 
 
 def _matched_scans(stream: Stream, robot: Robot, progress: Progress, before: Loaded | None) -> MatchedScans:
-    """Return how the robot moved by its laser alone, where no wheels were recorded."""
+    """Return the robot's motion by its laser alone, if no wheels were recorded."""
     from locfuse.fusion.wheels.motion_by_scans import match_scans  # SciPy comes with it
 
     laser = laser_of(robot.settings("lrf"))
@@ -245,7 +245,7 @@ def _first_scan(streams: Mapping[str, Any], robot: Robot, drive: Drive) -> float
 
 
 def _refuse_other_clock(log: Log, drive: Drive) -> None:
-    """Raise LocfuseError where no row of a truth file lies within the drive: another clock, or another drive."""
+    """Raise LocfuseError if no row of a truth file lies within the drive: another clock, or another drive."""
     truth = drive.truth
     if truth is None or not log.is_file(truth.topic) or ((truth.t >= 0.0) & (truth.t <= drive.t[-1])).any():
         return
@@ -259,7 +259,7 @@ def _refuse_other_clock(log: Log, drive: Drive) -> None:
 
 
 def _refuse_lost_wheels(log: Log, choice: Choice, streams: Mapping[str, Any]) -> None:
-    """Raise LocfuseError where all messages of the wheels are lost: the file is damaged, not the settings."""
+    """Raise LocfuseError if all messages of the wheels are lost: the file is damaged, not the settings."""
     promised = sum(log.topics[topic].count for topic in choice.of("wheels"))
     if "wheels" not in streams or not promised or len(streams["wheels"].t_ns):
         return
@@ -270,7 +270,7 @@ def _refuse_lost_wheels(log: Log, choice: Choice, streams: Mapping[str, Any]) ->
 
 
 def _leave_out(choice: Choice, only: Collection[str] | None, preset: str) -> None:
-    """Drop sensors that are not asked for, and those that the preset's filter has no equation for."""
+    """Drop sensors that are not asked for, and those that the paper's filter lacks."""
     for sensor in REGISTRY:
         if only is not None and sensor not in only:
             choice.topics.pop(sensor, None)
@@ -279,7 +279,7 @@ def _leave_out(choice: Choice, only: Collection[str] | None, preset: str) -> Non
 
 
 def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = silent) -> Loaded:
-    """Return the same log under other settings: only sensors whose own tables change are measured again.
+    """Return the same log under other settings: only sensors whose tables change are measured again.
 
     Raises UsageError for settings that choose what is read, which needs a new `load`.
     """
@@ -322,7 +322,7 @@ def _refuse_other_reading(loaded: Loaded, sets: Mapping[str, Any]) -> None:
 
 
 def _streams(log: Log, choice: Choice, order: str) -> dict[str, Any]:
-    """Return the stream of every role, light columns read in one walk; what two roles share is read once."""
+    """Return the stream of every role, small columns read in one pass; shared topics are read once."""
     wants: dict[str, tuple[str, ...]] = {}
     for role in choice.topics:
         for topic in choice.of(role):
@@ -333,7 +333,7 @@ def _streams(log: Log, choice: Choice, order: str) -> dict[str, Any]:
 
 
 def _light(role: str, msgtype: str) -> tuple[str, ...]:
-    """Return the fields to read in the common walk: none of a sensor that reads in blocks."""
+    """Return the fields to read in the common pass: none for a sensor that reads in blocks."""
     from locfuse.fusion.truth import TRUTH_READS
     from locfuse.fusion.wheels.read import WHEEL_READS
 
@@ -344,7 +344,7 @@ def _light(role: str, msgtype: str) -> tuple[str, ...]:
 
 
 def _clock_notes(streams: Mapping[str, Any]) -> list[str]:
-    """Return a note per role whose clock is not simply the header's, and what is unusual about it."""
+    """Return a note per role whose times are not the plain header stamps, with what is unusual about them."""
     notes: dict[str, None] = {}  # as a set in order: several topics of one role may say the same
     for role, stream in streams.items():
         for part in parts(stream):
@@ -354,12 +354,12 @@ def _clock_notes(streams: Mapping[str, Any]) -> list[str]:
 
 
 def parts(stream: Any) -> tuple[Any, ...]:
-    """Return the streams of single topics that a role's stream is made of."""
+    """Return the single topics' streams that a role's stream consists of."""
     return stream.parts if isinstance(stream, MergedStream) else (stream,)
 
 
 def start_error(robot: Robot, drive: Drive) -> float | None:
-    """Return how far [m] the truth begins from where the wheels then are; None: no truth, or [start] is given.
+    """Return the distance [m] between truth and wheels at the truth's begin; None: no truth, or [start] is given.
 
     The wheels count from the configured start: a truth that begins metres later has not begun elsewhere.
     """
@@ -368,7 +368,7 @@ def start_error(robot: Robot, drive: Drive) -> float | None:
 
 
 def _first_places(robot: Robot, drive: Drive) -> tuple[Array, Array] | None:
-    """Return where the truth begins, and its body point by the wheels at that time, (2,) m each."""
+    """Return the first place of the truth, and its body point by the wheels at that time, (2,) m each."""
     truth = drive.truth
     if truth is None or robot.start_given or not len(truth.t):
         return None
@@ -377,7 +377,7 @@ def _first_places(robot: Robot, drive: Drive) -> tuple[Array, Array] | None:
 
 
 def start_notes(robot: Robot, drive: Drive) -> list[str]:
-    """Return a note where the truth begins elsewhere than the wheels are, and [start] is not set."""
+    """Return a note if the truth begins elsewhere than the wheels, and [start] is not set."""
     places = _first_places(robot, drive)
     if places is None or math.hypot(*(places[0] - places[1])) < 0.05:
         return []

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from locfuse.formats.geometry import segments
 from locfuse.formats.thin import evenly
 from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, Evaluation, MapLine
 
@@ -138,12 +139,7 @@ def _curve(name: str, xy: Array, most: int) -> Curve:
 
 def ends(lines: list[MapLine]) -> Array:
     """Return both ends of map lines, (k, 2, 2) m."""
-    beta = np.array([line.beta for line in lines])
-    foot = np.array([line.rho for line in lines])[:, None] * np.stack((np.cos(beta), np.sin(beta)), axis=-1)
-    tangent = np.stack((-np.sin(beta), np.cos(beta)), axis=-1)
-    along = np.array([line.ends for line in lines])
-    points: Array = foot[:, None, :] + along[:, :, None] * tangent[:, None, :]
-    return points
+    return segments(np.array([(line.rho, line.beta) for line in lines]), np.array([line.ends for line in lines]))
 
 
 # --- Paths in the colours of their error, or of what the filter claims without truth

@@ -119,6 +119,7 @@ JUMPS = (
     Column("dy_m", "in y", "m", "{:+.3f}"),
     Column("dtheta_deg", "turned", "°", "{:+.2f}"),
 )
+KINDS = {"slip": "wheel slip undone", "relocalised": "lost robot found again", "loop": "loop closed"}  # of jumps
 
 
 def has_figures(report: Report) -> bool:
@@ -192,7 +193,10 @@ def _crispness(values: Mapping[str, Any], fewest: int) -> str | None:
 def jumps(report: Report) -> Table:
     """Return corrections of the pose that are no motion: the largest jumps, in order of time."""
     found = [
-        ({**event, "configuration": name}, ("configurations", name, "events", i))
+        (
+            {**event, "kind": KINDS.get(event["kind"], event["kind"]), "configuration": name},
+            ("configurations", name, "events", i),
+        )
         for name, values in report["configurations"].items()
         for i, event in enumerate(values.get("events", ()))
     ]

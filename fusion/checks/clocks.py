@@ -44,7 +44,7 @@ Pair = tuple[str, str]  # two clocks
 
 
 class Clock(NamedTuple):
-    """A clock that the others say is off."""
+    """A clock that the clocks of other sensors contradict."""
 
     name: str
     offset: float  # s to add to its stamps
@@ -80,7 +80,7 @@ def clock_words(clock: Clock) -> str:
 
 
 def offset_of(clock: Clock, robot: Robot, digits: int = 3, sigmas: float = 0.0) -> str:
-    """Return the setting that sets a clock right, or one `sigmas` of its standard deviations beside that."""
+    """Return the setting that corrects a clock, or one that lies `sigmas` standard deviations beside it."""
     tables: dict[str, Any] = {"wheels": robot.wheels, "truth": robot.truth}
     now = float((tables.get(clock.name) or robot.settings(clock.name)).time_offset)
     return f"{clock.name}.time_offset={now + clock.offset + sigmas * clock.sigma:z.{digits}f}"
@@ -116,20 +116,20 @@ def differences(drive: Drive, robot: Robot, runs: Iterable[Estimates] = ()) -> d
 
 
 def _known(lag: Lag, pair: Pair) -> Lag:
-    """Return a lag with the sigma that two clocks' difference has; by speed alone only a clear one is a lag."""
+    """Return a lag with the sigma of two clocks' difference; a lag by speed alone counts only if it is clear."""
     if math.isfinite(lag.sigma):
         return lag._replace(sigma=math.hypot(lag.sigma, MODEL_SIGMA_S))
     return lag._replace(offset=lag.offset if off_by(lag) else 0.0, sigma=SPEED_SIGMA_S)
 
 
 def _of_a_run(lag: Lag, by_wheels: Lag | None) -> Lag:
-    """Return the lag of a run with the sigma that wheels which are late give it."""
+    """Return the lag of a run; its sigma includes that the wheels themselves may be late."""
     drawn = 0.0 if by_wheels is None else RUN_BY_WHEELS * by_wheels.offset
     return lag._replace(sigma=math.hypot(lag.sigma, drawn))
 
 
 def _between_two(one: tuple[Array, Array], other: tuple[Array, Array], wheels: Wheels) -> Lag | None:
-    """Return what to add to the stamps of one heading so that it turns with the other: the surer of both ways."""
+    """Return the time to add to one heading's stamps so that it turns with the other, by the more certain way."""
     spans = [(float(t[0]), float(t[-1])) for t, _ in (one, other)]
     there = find_lag(*one, Reference(partial(_interpolated, *other), spans[1], wheels.heading))
     back = find_lag(*other, Reference(partial(_interpolated, *one), spans[0], wheels.heading))
@@ -186,7 +186,7 @@ def _explained(
 
 
 def _on_truths_clock(drive: Drive, robot: Robot, lag: Lag | None) -> list[Pair]:
-    """Return the sensors, each with the truth, whose readings fit it as stamped clearly better than shifted.
+    """Return the sensors, each with the truth, whose readings fit it clearly better as stamped than shifted.
 
     They know places, not turning: landmarks. A robot that follows its commands late looks like a late truth.
     """
@@ -238,7 +238,7 @@ def lag_of_run(drive: Drive, truth: Truth | None, run: Estimates) -> Lag | None:
 
 
 def _by_headings(drive: Drive, truth: Truth | None) -> Reference | None:
-    """Return the truth's headings as what is held against; None where it has none."""
+    """Return the truth's headings as the reference for a lag; None if it has none."""
     if truth is None or truth.theta is None or len(truth.t) < MIN_READINGS:
         return None
     span = (float(truth.t[0]), float(truth.t[-1]))
@@ -248,13 +248,13 @@ def _by_headings(drive: Drive, truth: Truth | None) -> Reference | None:
 
 
 def off_by(lag: Lag) -> bool:
-    """Return whether the truth's lag is large and clear enough to be said."""
+    """Return whether the truth's lag is large and certain enough to be reported."""
     clearly = 1.0 - lag.correlation <= MAX_MISFIT_RATIO * (1.0 - lag.without)
     return abs(lag.offset) >= MIN_TRUTH_LAG_S and lag.correlation >= MIN_CORRELATION and clearly
 
 
 def truth_lag(drive: Drive) -> Lag | None:
-    """Return the lag of the truth by its headings, else by its speed; None where neither tells."""
+    """Return the lag of the truth by its headings, else by its speed; None if neither shows one."""
     truth, wheels = drive.truth, drive.wheels
     if truth is None or len(truth.t) < 5:
         return None

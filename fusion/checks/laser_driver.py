@@ -134,7 +134,7 @@ def _in_turn(column: dict[str, Array]) -> list[Finding]:
         f"angle_min changes in turn ({parts}): two publishers on one topic? Record each laser on a topic of its "
         "own. If one laser sends each turn in parts, nothing is wrong"
     )
-    return [Finding("lrf", "publishers", words)]
+    return [Finding("lrf", "scan angles", words)]
 
 
 def _turning(column: dict[str, Array], lengths: Array) -> list[Finding]:

@@ -1,4 +1,4 @@
-"""The loop that tries fixes: of the first class of evidence in which one helps, its best; then it looks again.
+"""The loop that tries fixes: take the best one of the first class of evidence that has one, then repeat.
 
 So no sensor is blamed for the fault of another: a late laser makes the compass look wrong, until the laser's clock
 is set. A fix is taken if no configuration gets worse by it and one gets better (`score`).
@@ -88,25 +88,25 @@ class Advice(msgspec.Struct, frozen=True):
 
 
 def together(one: Fixes, other: Fixes) -> Fixes:
-    """Return both, the other's value where both set a key."""
+    """Return two sets of settings merged; the second one's value wins."""
     keys = {fix.partition("=")[0]: fix for fix in (*one, *other)}
     return tuple(keys.values())
 
 
 class Case(Protocol):
-    """A log under some settings, as the loop needs it."""
+    """A log under some settings, as the loop uses it."""
 
     def suspicious(self) -> bool:
-        """Return whether anything looks wrong at all: else nothing is tried, and nothing costs time."""
+        """Return whether anything looks wrong; if not, no fix is tried."""
 
     def classes(self) -> Sequence[Sequence[Callable[[], Sequence[Candidate]]]]:
-        """Return what may be wrong, in groups, by class of evidence: an earlier one may look like a later one.
+        """Return possible faults by class of evidence: a fault of an earlier class may look like a later one.
 
         Where something severe of a group is open, those of later groups are not asked.
         """
 
     def kept(self, role: str) -> Collection[str]:
-        """Return the configurations that somebody would keep who uses a role."""
+        """Return the configurations that a user of a sensor would keep."""
 
 
 Now = Callable[[str], float | None]
@@ -114,7 +114,7 @@ Look = Callable[[Fixes], Case | None]  # measures and fuses a log under settings
 
 
 def tried(look: Look, trial: Try, now: Now = lambda key: None) -> tuple[list[Advice], Fixes]:
-    """Try what looks wrong, take the first class's best fix, measure again, and so on; what helps comes first.
+    """Try fixes, take the best one of the first class that has one, measure again, repeat; helpful ones first.
 
     `now` returns the number that a key has as configured. A value that moves on when it is measured again under
     itself is none: something else is wrong.
@@ -154,7 +154,7 @@ def _key(advice: Advice) -> tuple[str, str]:
 
 
 def _moves_on(advice: Advice, helped: Sequence[Advice], now: Now) -> bool:
-    """Return whether a fix moves a number on by more than half of what the same finding moved it before."""
+    """Return whether a fix changes a number by more than half of what an earlier fix of the same finding did."""
     before = dict(fix.partition("=")[::2] for a in helped if _key(a) == _key(advice) for fix in a.fixes)
     for key, _, value in (fix.partition("=") for fix in advice.fixes):
         first = now(key)
@@ -173,7 +173,7 @@ def _without_fix(advice: Advice) -> Advice:
 
 
 def _first_that_helps(case: Case, kept: Fixes, trial: Try, done: Collection[tuple[str, str]]) -> list[Advice]:
-    """Return the best fix of the first class of evidence in which one helps; else all that has no fix.
+    """Return the best fix of the first class of evidence that has one; else all findings, without fixes.
 
     A fix that only its own success speaks for, and that gains little, waits for the later classes: the best is
     taken.
@@ -204,7 +204,7 @@ def _first_that_helps(case: Case, kept: Fixes, trial: Try, done: Collection[tupl
 
 
 def _weight(advice: Advice) -> float:
-    """Return what a fix is worth beside a later class's, which explains the same in another way.
+    """Return the weight of a fix against that of a later class, which explains the same error in another way.
 
     A clock that is measured to be off and noise that would hide it: chance alone may make noise look better.
     """
@@ -214,7 +214,7 @@ def _weight(advice: Advice) -> float:
 def _beside_another(
     found: Sequence[Advice], kept: Fixes, look: Look, trial: Try, done: Collection[tuple[str, str]]
 ) -> list[Advice]:
-    """Return a severe finding's fix with what else is wrong once it is set, where only both together help.
+    """Return a severe finding's fix together with a second fix, where only both together help.
 
     Two faults may hide each other: a compass that is refused because it is late does not disturb a laser whose
     noise is set too high, and disturbs it as soon as it is used.
@@ -240,7 +240,7 @@ def _beside_another(
 
 
 def _any_spoiled(pairs: Mapping[str, tuple[Score, Score]], kept: Collection[str]) -> bool:
-    """Return whether a configuration gets worse; one that is not kept may lose as much as chance explains."""
+    """Return whether a configuration gets worse; one that no user would keep may get worse by chance."""
     return any((spoils if name in kept else spoils_alone)(*pair) for name, pair in pairs.items())
 
 
@@ -258,7 +258,7 @@ def worth(advice: Advice) -> float:
 
 
 def _rank(advice: Advice, rivals: Sequence[Advice]) -> float:
-    """Return what a fix is worth beside others.
+    """Return the rank of a fix among others.
 
     Without truth a sensor that is moved to where a wrong one is predicts that one better: two sensors that
     disagree accuse each other. So only configurations that judged all of them are counted, where there are any.
@@ -320,7 +320,7 @@ def _any_loses(pairs: Mapping[str, tuple[Score, Score]]) -> bool:
 def _pairs(
     candidate: Candidate, kept: Fixes, fixes: Fixes, trial: Try, shape: bool
 ) -> dict[str, tuple[Score, Score]]:
-    """Return every judge's score before and after; {} as soon as one gets worse, since each is a run."""
+    """Return every judge's score before and after; {} as soon as one gets worse, since each score costs a run."""
     pairs: dict[str, tuple[Score, Score]] = {}
     settled = False
     for name in candidate.judges:

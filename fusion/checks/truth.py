@@ -1,4 +1,4 @@
-"""Can the truth judge this drive? Its jumps and gaps, the point that it tracked, its metre against the wheels'."""
+"""Checks of the truth: its jumps and gaps, the tracked point, and its distance scale against the wheels'."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ MIN_WAY_ERROR, WAY_SIGMAS = 0.01, 3.0  # relative, standard errors: of the laser
 
 
 def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
-    """Check the ground truth: what it cannot judge, its noise, the point that was tracked, where it starts."""
+    """Check the ground truth: where it cannot be used, its noise, the tracked point, and the start."""
     truth = drive.truth
     if truth is None or len(truth.t) < MIN_READINGS:
         return []
@@ -55,7 +55,7 @@ def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
 
 
 def _by_wheels(truth: Truth, wheels: Wheels) -> Array | None:
-    """Return the axle's path at the truth's stamps (n, 2) [m, map frame]: as far as rolled, along its headings.
+    """Return the axle's path at the truth's stamps (n, 2) [m, map frame]: wheel distance along truth headings.
 
     The wheels' own turns, which slips spoil, have no part in it. None where the truth has no headings.
     """
@@ -76,7 +76,7 @@ def _inside(truth: Truth, wheels: Wheels) -> Mask:
 
 
 def _steps(truth: Truth, drive: Drive) -> list[Finding]:
-    """Return where the truth steps aside within one of its periods and goes on from there; the robot does not."""
+    """Return where the truth jumps sideways within one period and stays there, which a robot cannot do."""
     path = _by_wheels(truth, drive.wheels)
     if path is None or truth.theta is None:
         return []
@@ -109,7 +109,7 @@ def _gaps(truth: Truth) -> list[Finding]:
 
 
 def _noise(truth: Truth, drive: Drive) -> list[Finding]:
-    """The truth's scatter: unless it is set, ANEES takes it for an error. No estimate depends on it."""
+    """Report the truth's noise: if truth.sigma is not set, ANEES counts the noise as an error of the estimate."""
     rest, moving = truth_sigma(truth, drive.wheels), _scatter(truth, drive.wheels)
     place, turn = max(rest.xy, moving.xy), max(rest.theta, moving.theta)
     if truth.sigma or truth.sigma_theta:
@@ -126,7 +126,7 @@ def _noise(truth: Truth, drive: Drive) -> list[Finding]:
 
 
 def _scatter(truth: Truth, wheels: Wheels) -> Sigma:
-    """Return the noise of poses as neighbouring steps show it: what is off in one is taken back in the next.
+    """Return the noise of poses by neighbouring steps: an error in one step is reversed in the next.
 
     Only across the way: along it stamps that jitter do the same. Zero where nothing is sure.
     """
@@ -139,7 +139,7 @@ def _scatter(truth: Truth, wheels: Wheels) -> Sigma:
 
 
 def _taken_back(steps: Array) -> float:
-    """Return the sigma of white noise whose differences are these steps (n,), 0 where it is not sure."""
+    """Return the sigma of white noise whose differences are these steps (n,), 0 if it is not certain."""
     steps = np.clip(steps, *(np.array([-1.0, 1.0]) * CLIPPED_SIGMAS * float(np.median(np.abs(steps)))))
     products = -steps[1:] * steps[:-1]
     variance, sure = float(products.mean()), float(products.std()) / math.sqrt(len(products))
@@ -156,12 +156,12 @@ class Jumps(NamedTuple):
 
     @property
     def spoil(self) -> bool:
-        """Whether they are so many that the truth judges nothing."""
+        """Whether there are so many jumps that the truth cannot be used."""
         return self.number > MAX_JUMP_SHARE * self.steps
 
     @property
     def words(self) -> str:
-        """What is wrong with the truth."""
+        """The problem with the truth, in words."""
         words = f"it jumps {times(self.number)} by more than the wheels rolled"
         words += f"; {self.spikes} readings can be left out" if self.spikes else ""
         if self.staying > 0:
@@ -202,7 +202,7 @@ def _runs(mask: Mask) -> int:
 
 
 def wheels_metre(drive: Drive) -> tuple[float, float] | None:
-    """Return the factor that makes the wheels' metre the truth's, and its sigma; None without enough way.
+    """Return the factor from the wheels' distance scale to the truth's, and its sigma; None for a short path.
 
     Chords of a few windows' length are compared: the truth's noise adds to short ones, wrong turns to long ones.
     """
@@ -223,7 +223,7 @@ def wheels_metre(drive: Drive) -> tuple[float, float] | None:
 
 
 def metre(drive: Drive, robot: Robot, least: Least = WORTH_SAYING) -> tuple[float, list[Finding]]:
-    """Return the factor by which a fix scales the wheels' metre, and that fix, if it is off by `least` or more."""
+    """Return the factor by which a fix scales the wheels' distances, and the fix, if it is off by `least`."""
     found = wheels_metre(drive)
     if found is None or robot.wheels.radius is None:
         return 1.0, []
@@ -239,7 +239,7 @@ def metre(drive: Drive, robot: Robot, least: Least = WORTH_SAYING) -> tuple[floa
 
 
 class Swing(NamedTuple):
-    """How the truth moves beside the base's path."""
+    """How the truth moves relative to the path of the base."""
 
     x: Array  # (4,) the tracked point (x, y) [m], the path's scale, by how much it drives aside [m per m]
     sigma: Array  # (4,)
@@ -273,7 +273,7 @@ def swing(truth: Truth, drive: Drive, path: Array | None) -> Swing | None:
 
 
 def of_point(truth: Truth, found: Swing | None) -> list[Finding]:
-    """Return the body point that was tracked, where it is another one than configured."""
+    """Return the body point that was tracked, if it is not the configured one."""
     if found is None:
         return []
     (x, y), sigma, configured = found.x[:2].tolist(), float(np.hypot(*found.sigma[:2])), truth.point
@@ -288,7 +288,7 @@ def of_point(truth: Truth, found: Swing | None) -> list[Finding]:
 
 
 def of_creep(found: Swing | None) -> list[Finding]:
-    """Return that the robot drives beside where it points, by the truth."""
+    """Report that, by the truth, the robot drives sideways to its heading."""
     if found is None or abs(found.x[3]) < max(MIN_CREEP, CREEP_SIGMAS * found.sigma[3]):
         return []
     aside, sigma = (math.degrees(float(v)) for v in (found.x[3], found.sigma[3]))
@@ -300,7 +300,7 @@ def of_creep(found: Swing | None) -> list[Finding]:
 
 
 def of_ways(drive: Drive, run: Estimates) -> list[Finding]:
-    """Return by how much a laser's own `run` and the wheels differ in distance: either may be right."""
+    """Return the difference in distance between a laser's own `run` and the wheels; either may be right."""
     rows = np.unique(drive.instant[run.sensors[0]])
     by_laser = Truth("", run.t[rows], run.pose[rows, :2], np.unwrap(run.pose[rows, 2]))
     found = swing(by_laser, drive, _by_wheels(by_laser, drive.wheels))

@@ -42,13 +42,13 @@ class Matches(Columns, frozen=True):
     rms: Array  # (p,) m, of those that fit
 
     def put(self, at: Ints, others: Matches) -> None:
-        """Let the pairs at these positions be others."""
+        """Replace the pairs at these positions."""
         for column, other in zip(astuple(self), astuple(others), strict=True):
             column[at] = other
 
 
 class Targets:
-    """Clouds that others are matched to: all their surfaces in one search tree."""
+    """Clouds to which others are matched: all their surfaces in one search tree."""
 
     def __init__(self, clouds: Clouds) -> None:
         from scipy.spatial import cKDTree
@@ -68,7 +68,7 @@ class Targets:
 
 
 def sources_of(clouds: Clouds, most: int = MATCHED_POINTS) -> Clouds:
-    """Return the points that are matched: those on a surface, evenly thinned to at most about `most` a cloud."""
+    """Return the points to match: those on a surface, evenly thinned to at most about `most` per cloud."""
     rows = np.flatnonzero(np.isfinite(clouds.normal[:, 0]))
     owner = clouds.owner[rows]
     counts = np.bincount(owner, minlength=len(clouds))
@@ -92,6 +92,11 @@ def match(
         for at in np.split(np.arange(len(i)), cuts)
     ]
     return Matches.joined(*parts)
+
+
+def overlap(targets: Targets, i: Ints, sources: Clouds, j: Ints, pose: Array, reach: float) -> Array:
+    """Return the share (p,) of the points of clouds j that have a partner in clouds i, seen from poses (p, 3)."""
+    return _Pairs.made(targets, i, sources, j, pose, reach).quality(np.diff(sources.first)[j])[1]
 
 
 def _match(
@@ -132,7 +137,7 @@ def floored(information: Array) -> Array:
 
 
 class _Pairs(msgspec.Struct, frozen=True):
-    """Points of all pairs with their partners: only those that have one."""
+    """Points of all pairs with their partners; points without a partner are left out."""
 
     n: int  # number of pairs of clouds
     of: Ints  # (k,) which pair of clouds

@@ -29,15 +29,15 @@ from locfuse.fusion.data import Array, Ints, LocfuseError, Stream
 from locfuse.fusion.lines.scans import Laser
 from locfuse.fusion.robot import VIRTUAL_TRACK, WheelSettings
 from locfuse.fusion.scan_matching.clouds import Clouds
-from locfuse.fusion.scan_matching.match import Matches, Targets, match, se2_difference, sources_of
+from locfuse.fusion.scan_matching.match import Matches, Targets, match, overlap, se2_difference, sources_of
 
 from .motion import Wheels
 from .read import WheelReading
 from .scan_clouds import STANDING, Scans, read_scans
 
 SCANS_AT_ONCE = 400
-# a new key after as much: fewer keys add up less error, and a laser that sees half a turn must still see the key
-KEY_WAY_M, KEY_TURN_RAD, MAX_KEY_SCANS = 0.7, np.radians(35.0), 100
+# a key serves while a scan shares so much with it as the key's first scan does: fewer keys add up less error
+MIN_SHARED_RATIO, MAX_KEY_SCANS = 0.8, 100
 FIRST_PRIOR = np.diag([0.2**-2, 0.2**-2, np.radians(10.0) ** -2])  # of such a guess
 FLOOR = np.diag([1e-6, 1e-6, 1e-8])  # m^2, rad^2: two scans of one instant
 TURNS_RAD = np.radians([-40.0, -28.0, -18.0, -10.0, 10.0, 18.0, 28.0, 40.0])  # tried where a match fits badly
@@ -147,7 +147,7 @@ def _block(scans: Scans, rows: Ints, velocity: Velocity, way: _Way) -> tuple[Vel
     velocities, spread, fits = _followed(targets, sources, dt, velocity)
     steps = np.stack([v.v for v in velocities]) * dt[:, None]
     chain = se2.chain(se2.exp(steps))
-    key = _keys(chain)
+    key = _keys(targets, sources, chain)
     _to_keys(targets, sources, chain, key, spread, way, rows)
     way.blind[rows[1:]] = np.logical_not(fits)
     last = int(key[-1])
@@ -226,13 +226,15 @@ def seen(information: Array) -> Array:
     return np.asarray(np.where((values[:, 0] < MIN_SEEN * values[:, 1])[:, None, None], without, information))
 
 
-def _keys(chain: Array) -> Ints:
-    """Return the key of each scan (m,): an earlier one, near in place and heading; the first is its own key."""
-    key, at = np.zeros(len(chain), dtype=np.int64), 0
-    for k, (x, y, theta) in enumerate(chain.tolist()):
+def _keys(targets: Targets, sources: Clouds, chain: Array) -> Ints:
+    """Return the key of each scan (m,), an earlier one that still sees most of the same; the first is its own."""
+    key, at, most = np.zeros(len(chain), dtype=np.int64), 0, 0.0
+    for k in range(1, len(chain)):
         key[k] = at
-        far = np.hypot(x - chain[at, 0], y - chain[at, 1]) >= KEY_WAY_M
-        if far or abs(theta - chain[at, 2]) >= KEY_TURN_RAD or k - at >= MAX_KEY_SCANS:
+        pose = se2.between(chain[[at]], chain[[k]])
+        shared = overlap(targets, np.array([at]), sources, np.array([k]), pose, REACH_M / 2.0)[0]
+        most = shared if k == at + 1 else most
+        if shared < MIN_SHARED_RATIO * most or k - at >= MAX_KEY_SCANS:
             at = k
     return key
 

@@ -22,11 +22,11 @@ from mcap.writer import CompressionType
 from locfuse.formats.container.decompress import DamagedError, decompress
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
-from locfuse.formats.container.mcap_chunk import records, scan
-from locfuse.formats.container.mcap_ranged import WantedChunk, promised
+from locfuse.formats.container.mcap_chunk import scan
+from locfuse.formats.container.mcap_ranged import promised
 from locfuse.formats.container.mcap_records import message_index
 from locfuse.formats.container.mcap_source import McapSource
-from locfuse.formats.container.mcap_survey import ChunkRef, summary_section
+from locfuse.formats.container.mcap_survey import summary_section
 from locfuse.formats.logs.log import Log, open_log
 from locfuse.fusion.data import LocfuseError
 
@@ -63,34 +63,6 @@ def losses_of(path: Path) -> Losses:
     return log.losses
 
 
-@pytest.mark.parametrize("compression", list(CompressionType))
-def test_the_message_index_and_the_record_scan_find_the_same(tmp_path: Path, compression: CompressionType) -> None:
-    path = write(tmp_path / "x.mcap", drive(60), compression=compression, chunk_size=3000)
-    n_chunks = 0
-    with path.open("rb") as file:
-        index: dict[int, Any] = {}
-        data = np.empty(0, np.uint8)
-        record: Any
-        for record in StreamReader(file, emit_chunks=True).records:
-            kind = type(record).__name__
-            if kind == "Chunk":
-                n_chunks += 1
-                plain = decompress(record.data, record.compression, record.uncompressed_size)
-                data, index = np.frombuffer(plain, np.uint8), {}
-            if kind == "MessageIndex":
-                index[record.channel_id] = np.array(record.records, "<u8").reshape(-1, 2)
-                continue
-            if index and kind != "Chunk":
-                by_index, by_scan = records(data, index), scan(data)
-                assert by_index.end == by_scan.end == len(data)
-                assert by_index.definitions == by_scan.definitions
-                for ident, messages in by_scan.messages.items():
-                    for one, other in zip(by_index.messages[ident], messages, strict=True):
-                        np.testing.assert_array_equal(one, other)
-                index = {}
-    assert n_chunks > 3
-
-
 def test_chunks_that_stand_in_any_order_come_in_that_of_their_times(tmp_path: Path) -> None:
     said = drive(60)
     shuffled = [said[i] for i in np.random.default_rng(1).permutation(len(said))]
@@ -106,15 +78,6 @@ def test_the_order_of_the_file_is_kept_where_log_times_jitter(tmp_path: Path) ->
     found = [t for topic, t, _ in payloads(path) if topic == "/scan"]
     assert found == [m.log_time for m in said if m.topic == "/scan"]
     assert found != sorted(found)
-
-
-@pytest.mark.parametrize("offset", [2**63 - 1, 2**63, 2**64 - 1])
-def test_an_index_that_points_beyond_all_numbers_is_not_believed(tmp_path: Path, offset: int) -> None:
-    path = write(tmp_path / "x.mcap", drive(60))
-    source = McapSource(FileBytes(path, losses := Losses()), losses)
-    batch = next(iter(source.batches(source.channels.keys())))
-    found = records(batch.data, {1: np.array([[batch.messages[1].log_time[0], offset]], "<u8")})
-    assert sum(len(m.start) for m in found.messages.values()) == len(drive(60))
 
 
 @pytest.mark.parametrize("layout", [PLAIN, {"use_chunking": False}, {"chunk_size": 4000}])
@@ -300,16 +263,6 @@ def test_a_file_of_loose_messages_that_is_cut_in_its_end_keeps_every_message(tmp
         assert whole(said) == sorted(payloads(path)), end
 
 
-def test_a_damaged_attachment_is_lost_and_counted(tmp_path: Path) -> None:
-    path = write(tmp_path / "x.mcap", drive(5), attachments={"robot.toml": b"radius = 0.1", "note": b"hello"})
-    content = bytearray(path.read_bytes())
-    content[content.index(b"radius = 0.1") + 3] ^= 1
-    path.write_bytes(content)
-    log = open_log([path])
-    assert log.attachments == {"note": b"hello"}
-    assert "an attachment fails its checksum" in log.losses.lines()[0]
-
-
 BOMB = """
     import resource, sys
     from pathlib import Path
@@ -354,22 +307,6 @@ def test_a_lone_giant_message_is_refused_and_the_others_are_read(
     )
     path = write(tmp_path / "x.mcap", [*said[:10], giant, *said[10:]], use_chunking=False)
     assert len(payloads(path)) == len(said)
-
-
-@pytest.mark.parametrize("crcs", [True, False])
-def test_an_uncompressed_chunk_too_large_to_hold_is_walked_into(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, crcs: bool
-) -> None:
-    monkeypatch.setattr("locfuse.formats.container.mcap_survey.LARGE_CHUNK_BYTES", 5000)
-    monkeypatch.setattr("locfuse.formats.container.mcap_survey.RUN_BYTES", 2000)
-    said = drive(100)
-    path = write(tmp_path / "x.mcap", said, chunk_size=20_000, enable_crcs=crcs)
-    assert sorted(payloads(path)) == whole(said)
-    assert not losses_of(path)
-    content = bytearray(path.read_bytes())
-    content[content.index(said[10].data) + 30] ^= 1
-    path.write_bytes(content)
-    assert bool(losses_of(path)) is crcs
 
 
 def test_a_message_index_record_says_channel_times_and_offsets() -> None:
@@ -425,19 +362,3 @@ def test_a_summary_whose_chunks_overlap_is_not_believed(tmp_path: Path, shift: i
     path.write_bytes(data)
     assert seen > 2
     assert (promised(FileBytes(path, Losses())) is not None) == believed
-
-
-def test_a_message_that_is_longer_than_its_index_says_is_lost_alone(tmp_path: Path) -> None:
-    path = write(tmp_path / "x.mcap", drive(), chunk_size=4000, compression=CompressionType.NONE)
-    data = bytearray(path.read_bytes())
-    survey = promised(FileBytes(path, Losses()))
-    assert survey is not None
-    chunk = next(part for part in survey.parts if isinstance(part, ChunkRef))
-    channels = list(chunk.index)[:2]  # of three: messages are fetched one by one
-    last_but_one = WantedChunk(FileBytes(path, Losses()), chunk, channels).spans[-2][0]
-    struct.pack_into("<Q", data, last_but_one + 1, struct.unpack_from("<Q", data, last_but_one + 1)[0] + 1)
-    path.write_bytes(data)
-    _, found = WantedChunk(FileBytes(path, Losses()), chunk, channels).messages(losses := Losses())
-    assert chunk.counts is not None
-    assert sum(len(m.start) for m in found.values()) == sum(chunk.counts[ident] for ident in channels) - 1
-    assert [loss.messages for loss in losses.places.values()] == [1]

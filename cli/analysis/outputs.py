@@ -37,14 +37,14 @@ OTHER_CLOCK_S = 1.0  # s between stamps and recording: more is another clock, in
 
 
 class Drawn:
-    """What figures show of the audits, taken as each configuration is judged."""
+    """Parts of the audits for figures, kept as each configuration is judged."""
 
     def __init__(self) -> None:
         self.nis: dict[tuple[str, str], Running] = {}  # (configuration, sensor)
         self.best: Estimates | None = None  # with most sensors: its audit is drawn reading by reading
 
     def take(self, e: Estimates, _evaluation: Evaluation) -> None:
-        """Take what is drawn of one run."""
+        """Keep the parts of one run for figures."""
         self.nis |= {(e.name, s): running_nis(audit, e.t) for s, audit in e.audits.items()}
         if self.best is None or len(e.sensors) > len(self.best.sensors):
             self.best = e
@@ -53,7 +53,7 @@ class Drawn:
 def files(
     compared: Compared, drawn: Drawn, report: Mapping[str, Any], kinds: Collection[str]
 ) -> dict[str, Content]:
-    """Return the content of every file of these kinds by its name; `drawn` is what .html shows of the audits."""
+    """Return the content of every file of these kinds by its name; `drawn` holds the audits for .html."""
     from locfuse.formats.report import json_report, markdown, tables
     from locfuse.formats.results import trajectory as to
 
@@ -108,7 +108,7 @@ def figure_files(compared: Compared, drawn: Drawn) -> dict[str, bytes]:
 
 
 def scene(compared: Compared, drawn: Drawn) -> Scene:
-    """Return what the figures show: estimates, judgements, and consistency with its chi-square bounds."""
+    """Return the content of the figures: estimates, evaluations, and consistency with its chi-square bounds."""
     from locfuse.formats.figures.scene import Scene, Stretches
 
     drive = compared.loaded.drive
@@ -128,7 +128,7 @@ def scene(compared: Compared, drawn: Drawn) -> Scene:
 
 
 def _landmarks(compared: Compared) -> list[tuple[float, float]]:
-    """Return the places [m, map] that the log's sensors see: what bearings point at, anchors given or placed."""
+    """Return the places [m, map] that the log's sensors measure to: landmarks, anchors given or estimated."""
     robot, found = compared.loaded.robot, []
     for sensor in compared.loaded.drive.measurements:
         settings = robot.settings(sensor)
@@ -141,7 +141,7 @@ def _landmarks(compared: Compared) -> list[tuple[float, float]]:
 
 
 def events(loaded: Loaded, runs: Iterable[Estimates]) -> list[Event]:
-    """Return events with their times: the log's own labels, those of the drive, and of some runs with audits."""
+    """Return events with their times: the log's labels, those of the drive, and of some runs with audits."""
     found = [*loaded.labels, *events_of_drive(loaded.drive)]
     for e in runs:
         found += events_of_run(thinned(loaded.drive, e.rates) if e.rates else loaded.drive, e)
@@ -149,7 +149,7 @@ def events(loaded: Loaded, runs: Iterable[Estimates]) -> list[Event]:
 
 
 def exported_files(kinds: Collection[str], loaded: Loaded, found: Mapping[str, Estimates]) -> dict[str, Content]:
-    """Return the files in formats of other tools; `found` gives each trajectory the name of its files."""
+    """Return the files in formats of other tools; `found` gives each trajectory its file name."""
     from locfuse.formats.results import trajectory as to
 
     out: dict[str, Content] = {}
@@ -197,6 +197,6 @@ def _twist(drive: Drive) -> Array:
 
 
 def _other_clock(loaded: Loaded) -> int:
-    """Return by how much the recording's clock runs ahead of the stamps, 0 for one clock [ns]."""
+    """Return how far the recording's clock is ahead of the stamps, 0 for one clock [ns]."""
     delay = loaded.log.stream(loaded.choice.topics["wheels"], loaded.robot.order).delay_s or 0.0
     return round(delay * 1e9) if abs(delay) > OTHER_CLOCK_S else 0

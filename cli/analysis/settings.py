@@ -1,4 +1,4 @@
-"""What the user chose, on the command line or in Python: how to read a log, what to compute, what to write.
+"""Options from the command line or Python: how to read a log, what to compute, what to write.
 
 Every command imports this for its options, so NumPy is imported inside the functions that need what needs it.
 """
@@ -54,7 +54,7 @@ class LogOptions(msgspec.Struct, frozen=True):
 
     @property
     def robot_files(self) -> tuple[Path, ...]:
-        """Every robot.toml in the order in which they are merged."""
+        """Every robot.toml, in merging order."""
         return () if self.robot is None else (self.robot, *self.over)
 
     @property
@@ -78,7 +78,7 @@ class Choices(TypedDict, total=False):
 
 
 class Asked(msgspec.Struct, frozen=True):
-    """What is asked of a log: which configurations, how they are judged, and what is done beside that."""
+    """Options of a comparison: configurations, how they are judged, and extra outputs."""
 
     sensors: tuple[str, ...] = ()  # a configuration each, as --sensors names them; none: the default ones
     all_subsets: bool = False
@@ -91,7 +91,7 @@ class Asked(msgspec.Struct, frozen=True):
     audits: bool = True  # every measurement's verdict is kept
 
     def of_each(self) -> Asked:
-        """Return what is asked of each of many logs: they are compared, and a single log is advised on.
+        """Return the options for each of many logs: they are compared; advice is only for a single log.
 
         Raises UsageError for what only one drive can give.
         """
@@ -109,7 +109,7 @@ class Asked(msgspec.Struct, frozen=True):
 
 
 class GateOptions(msgspec.Struct, frozen=True):
-    """What results must hold, as typed."""
+    """Options of gates, as typed."""
 
     fail_if: tuple[str, ...] = ()
     baseline: Path | None = None
@@ -117,7 +117,7 @@ class GateOptions(msgspec.Struct, frozen=True):
 
 
 class FleetOptions(msgspec.Struct, frozen=True):
-    """What is asked of many logs beyond a single one."""
+    """Options for many logs, beyond those for a single one."""
 
     jobs: int = 1  # at once
     max_failures: int | None = None
@@ -129,12 +129,12 @@ class FleetOptions(msgspec.Struct, frozen=True):
 
     @property
     def asked(self) -> bool:
-        """Whether even a single log is treated as one of many."""
+        """Whether a single log is also treated as a fleet."""
         return bool(self.each or self.robot_from or self.sweep or self.again or self.cluster)
 
 
 class Outputs(msgspec.Struct, frozen=True):
-    """What is written, and where."""
+    """Options of output: what is written, and where."""
 
     out: Path | None = None  # folder; None: locfuse-out/<log name>
     overwrite: bool = False
@@ -149,7 +149,7 @@ class Outputs(msgspec.Struct, frozen=True):
 
 
 def log_options(robot: PathLike | None, sets: Sets | None, order: str | None, preset: str | None) -> LogOptions:
-    """Return the options of a log as Python gives them. Raises UsageError for what cannot be one."""
+    """Return the options of a log from Python values. Raises UsageError for invalid ones."""
     from locfuse.fusion.data import UsageError
 
     for what, word, known in (("order", order, ORDERS), ("preset", preset, PRESETS)):
@@ -185,7 +185,7 @@ def path_of(path: PathLike) -> Path:
 
 
 def words_of(log: PathLike | Sequence[PathLike]) -> list[str]:
-    """Return one log, or the parts of one, as the words of a command line. Raises UsageError for none."""
+    """Return one log, or the parts of one, as command-line words. Raises UsageError for none."""
     from locfuse.formats.container.url import is_url
     from locfuse.fusion.data import UsageError
 
@@ -196,7 +196,7 @@ def words_of(log: PathLike | Sequence[PathLike]) -> list[str]:
 
 
 def one_of(word: str, known: Sequence[str], what: str) -> str:
-    """Return a word as it is. Raises UsageError for one that is not known."""
+    """Return a word unchanged. Raises UsageError for an unknown one."""
     from locfuse.fusion.data import UsageError
 
     if word not in known:
@@ -205,7 +205,7 @@ def one_of(word: str, known: Sequence[str], what: str) -> str:
 
 
 def by_default(known: Sequence[str]) -> list[str]:
-    """Return the kinds of output that are written unasked; of a command without a page all of its few."""
+    """Return the kinds of output written by default; for a command without a page, all of its few."""
     return [kind for kind in known if kind in WRITTEN or "html" not in known]
 
 

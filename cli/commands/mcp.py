@@ -43,7 +43,7 @@ def mcp(folders: tuple[Path, ...], out: Path) -> None:
 
 
 def served(tools: Any) -> MCPServer:
-    """Return the server of these tools. Raises ModuleNotFoundError where the SDK is not installed."""
+    """Return the server of these tools. Raises ModuleNotFoundError if the SDK is not installed."""
     from functools import wraps
     from threading import Lock
 
@@ -58,7 +58,7 @@ def served(tools: Any) -> MCPServer:
     lock = Lock()
 
     def one_at_a_time(tool: Any) -> Any:
-        """Return a tool that answers one call at a time, and whose errors are one line."""
+        """Return a tool that handles one call at a time, with errors of one line."""
 
         @wraps(tool)
         def call(*args: Any, **keywords: Any) -> Any:

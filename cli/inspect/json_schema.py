@@ -1,4 +1,4 @@
-"""JSON Schemas of robot.toml, report.json and what --json prints, made from the types that describe them.
+"""JSON Schemas of robot.toml, report.json and --json output, made from their types.
 
 Draft 7 (json-schema.org): the newest that TOML editors understand (taplo, Even Better TOML), which take a tuple of
 draft 2020-12 for one that may hold nothing.
@@ -54,7 +54,7 @@ def robot_schema() -> Schema:
 
 
 def output_schema(title: str, *kinds: type[msgspec.Struct]) -> Schema:
-    """Return the schema of what a command writes, any of `kinds`: the keys to rely on; more may follow."""
+    """Return the schema of a command's output, any of `kinds`: keys that stay; more may be added."""
     refs, definitions = msgspec.json.schema_components(kinds, ref_template=REF_TEMPLATE)
     for kind in dict.fromkeys(inner for outer in kinds for inner in _structs(outer)):
         _describe(definitions[kind.__name__], field_words(kind))
@@ -63,7 +63,7 @@ def output_schema(title: str, *kinds: type[msgspec.Struct]) -> Schema:
 
 
 def _table_words(name: str, kind: type[msgspec.Struct]) -> dict[str, str]:
-    """Return what each key of a table means: its unit and words, and how `init` says to measure it."""
+    """Return the meaning of each key of a table: its unit and comment, and how `init` asks for it."""
     asks = REGISTRY[name].asks if name in REGISTRY else {}
     asked = {key: OF_MOUNT if ASK_MOUNT in ask.words else ask.words for key, ask in asks.items()}
     return {**asked, **field_words(kind)}
@@ -76,7 +76,7 @@ def _describe(definition: Schema, words: Mapping[str, str]) -> None:
 
 
 def _leave_out_null(definition: Schema) -> None:
-    """Take null out of a table's keys: TOML has no word for it, a key without a value is left out."""
+    """Remove null from a table's keys: TOML has no null, a key without a value is left out."""
     for schema in definition["properties"].values():
         kinds = [kind for kind in schema.pop("anyOf", []) if kind != {"type": "null"}]
         if len(kinds) == 1:
@@ -88,7 +88,7 @@ def _leave_out_null(definition: Schema) -> None:
 
 
 def _in_draft_7(schema: Any) -> Any:
-    """Return the same with tuples as draft 7 writes them."""
+    """Return the same schema with tuples in the form of draft 7."""
     if isinstance(schema, list):
         return [_in_draft_7(part) for part in schema]
     if not isinstance(schema, dict):
@@ -113,7 +113,7 @@ def _structs(kind: Any) -> Iterator[type[msgspec.Struct]]:
 
 
 def field_words(kind: type[Any]) -> dict[str, str]:
-    """Return the words beside each field of a class: the comment on its line, which says its unit and meaning.
+    """Return the comment beside each field of a class, with its unit and meaning.
 
     Those of the classes that it extends too; {} for a class without source.
     """

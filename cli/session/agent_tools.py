@@ -1,4 +1,4 @@
-"""The tools that `locfuse mcp` offers an agent: short answers on logs below some folders, files in one other.
+"""The tools of `locfuse mcp` for an agent: short answers on logs below some folders, files in one other.
 
 Nothing outside these folders is read: links are followed before a path is compared, and settings that name files
 are held to the same rule. Arrays and whole reports are not part of an answer, it names the files that hold them.
@@ -33,7 +33,7 @@ Settings = dict[str, Any]  # {"table.key": value} of robot.toml
 
 @dataclass
 class AgentFinding:
-    """Something that is missing, looks wrong or can be better."""
+    """A finding: something missing, wrong, or improvable."""
 
     role: str  # sensor, wheels, truth, start ...
     code: str  # stays the same from version to version
@@ -43,7 +43,7 @@ class AgentFinding:
 
 @dataclass
 class Answer:
-    """What a tool found."""
+    """The answer of a tool."""
 
     headline: str
     findings: list[AgentFinding] = field(default_factory=list)
@@ -173,7 +173,7 @@ class Tools:
         return found[0]
 
     def _how(self, settings: Settings | None) -> LogOptions:
-        """Return how to read a log under these settings. Raises UsageError where they name a file outside."""
+        """Return the options to read a log under these settings. Raises UsageError for a file outside."""
         words = list(set_words(settings or {}))
         tables = robot_toml.apply_sets(words)
         named = list(files_of(tables))
@@ -189,14 +189,14 @@ class Tools:
         return LogOptions(sets=tuple(words), quiet=True)
 
     def _write(self, name: str, values: Mapping[str, Any]) -> str:
-        """Write values beside the folder that `compare` keeps for itself; return the file."""
+        """Write values beside the folder of `compare`; return the file."""
         self._out.mkdir(parents=True, exist_ok=True)
         write_text(self._out / name, json_report.encode(values))
         return str(self._out / name)
 
 
 def _findings(found: Iterable[Mapping[str, Any]]) -> list[AgentFinding]:
-    """Return findings in short, each once: what was tried of a fix stands in the sentence."""
+    """Return findings in short form, each once: the trial of a fix is in its sentence."""
     unique = {
         (f["role"], f["code"], f["message"]): AgentFinding(
             f["role"], f["code"], sentence(f) if "tried" in f else str(f["message"]), list(f["fixes"])

@@ -1,4 +1,4 @@
-"""Messages in the words of Python: the options that a message names become keyword arguments.
+"""Messages in Python terms: command-line options become keyword arguments.
 
 "Set it first: --set wheels.track=0.3 --align se2" becomes 'Set it first: sets={"wheels.track": 0.3} align="se2"'.
 A LocfuseError keeps the words of the command line as `typed`, for the commands that call the same functions.
@@ -42,7 +42,7 @@ OPTION = re.compile(rf"--({'|'.join(sorted(OPTIONS, key=len, reverse=True))})(?!
 
 
 def in_python(words: str) -> str:
-    """Return a message of the command line as it reads in Python; other messages stay."""
+    """Return a message of the command line in Python terms; others are unchanged."""
     words = COMMAND.sub(lambda found: _call(found[1], shlex.split(found[2])), words)
     words = re.sub(r"--from (\S+) --to ([^\s:]+)", r"between=(\1, \2)", words)
     words = SETTINGS.sub(lambda found: _sets(shlex.split(found[0])), words)
@@ -62,7 +62,7 @@ def _tool_call(found: re.Match[str]) -> str:
 
 
 def speaks_python(function: Callable[P, R]) -> Callable[P, R]:
-    """Return a function whose LocfuseErrors speak Python."""
+    """Return a function whose LocfuseErrors are in Python terms."""
 
     @wraps(function)
     def call(*args: P.args, **keywords: P.kwargs) -> R:
@@ -77,7 +77,7 @@ def speaks_python(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _call(command: str, words: Sequence[str]) -> str:
-    """Return a command with its log and options as a call."""
+    """Return a command with its log and options as a Python call."""
     log, given, sets = "", list[str](), list[str]()
     rest = iter(words)
     for word in rest:
@@ -99,7 +99,7 @@ def _call(command: str, words: Sequence[str]) -> str:
 
 
 def _sets(words: Sequence[str]) -> str:
-    """Return `--set a.b=1 --set a.c=x` as a mapping; what is to be filled in stays as it is written."""
+    """Return `--set a.b=1 --set a.c=x` as a mapping; placeholders stay as they are."""
     pairs = (word.partition("=") for word in words if word != "--set")
     inside = ", ".join(f'"{key}": {_value(text)}' for key, _, text in pairs)
     return f"sets={{{inside}}}"

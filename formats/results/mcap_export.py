@@ -1,4 +1,4 @@
-"""Estimates as ROS 2 messages in one MCAP, for Foxglove, rosbag2 and whatever else reads topics.
+"""Estimates as ROS 2 messages in one MCAP, for Foxglove, rosbag2 and other readers of topics.
 
 Per configuration /locfuse/<name>/odometry (a row of the .tum each, with covariance), /locfuse/<name>/path, and its
 frame on /tf; the truth; optionally every message of the log itself, with its bytes and times as they were.
@@ -45,7 +45,7 @@ def stamp_columns(path: str, t_ns: Ints) -> dict[str, Ints]:
 
 
 class Template:
-    """A message whose texts and lengths are settled; some of its numbers are columns, all others are zero."""
+    """A message with fixed texts and lengths; some of its numbers are columns, all others are zero."""
 
     def __init__(self, msgtype: str, constant: Mapping[str, Any], columns: Collection[str]) -> None:
         one = MESSAGES.cdr(msgtype, nested(constant))
@@ -79,7 +79,7 @@ MAX_PATH_POSES = 2000  # of a path, which is to be looked at; every pose is on t
 
 
 class PoseSeries(msgspec.Struct, frozen=True, dict=True):
-    """Messages of one type, stamped t_ns (n,), made when they are asked for."""
+    """Messages of one type, stamped t_ns (n,), built on request."""
 
     msgtype: str
     t_ns: Ints
@@ -174,7 +174,7 @@ FIRST_STAMP, LAST_STAMP = -(2**31), 2**31 - 1  # s: a ROS stamp counts its secon
 
 
 class Export(msgspec.Struct, frozen=True):
-    """What goes into one file."""
+    """The content of one file."""
 
     drive: Drive
     estimates: Sequence[Estimates]
@@ -195,7 +195,7 @@ class Export(msgspec.Struct, frozen=True):
         return found if truth is None else {**found, TRUTH_POSE: POSE, TRUTH_PATH: PATH}
 
     def write(self, file: Path) -> None:
-        """Write the file. Raises LocfuseError where its times do not fit a ROS stamp."""
+        """Write the file. Raises LocfuseError if its times do not fit a ROS stamp."""
         self._check("the drive", self.drive.t)
         if self.drive.truth is not None:
             self._check("the truth", self.drive.truth.t)
@@ -214,7 +214,7 @@ class Export(msgspec.Struct, frozen=True):
             writer.finish()
 
     def _check(self, what: str, t: Array) -> None:
-        """Raise LocfuseError where times (n,) do not fit a ROS stamp."""
+        """Raise LocfuseError if times (n,) do not fit a ROS stamp."""
         for does, at in (("begins", t[:1]), ("ends", t[-1:])):
             for seconds in (self.drive.epoch_ns + (at * 1e9).astype(np.int64)) // 10**9:
                 if not FIRST_STAMP <= seconds <= LAST_STAMP:
@@ -235,7 +235,7 @@ class Export(msgspec.Struct, frozen=True):
             topics.add("/tf", transforms(t_ns, pose, BASE))
 
     def _base_is_free(self) -> bool:
-        """Whether the last configuration may say where the robot itself is: a frame has one parent."""
+        """Whether the last configuration may publish the robot's own frame: a frame has one parent."""
         topics = self.log.topics if self.log is not None else {}
         return not any(t.msgtype in TF_TYPES and not name.endswith("tf_static") for name, t in topics.items())
 
@@ -256,7 +256,7 @@ class _Part(NamedTuple):
 
 
 class _Topics:
-    """Channels by topic, and the series of messages that go there."""
+    """Channels by topic, with their series of messages."""
 
     def __init__(self, writer: Any, clock_ns: int) -> None:
         self._writer, self._clock_ns = writer, clock_ns
@@ -269,14 +269,14 @@ class _Topics:
         self._parts.append(_Part(self._channel(topic, series.msgtype), series))
 
     def once(self, topic: str, t_ns: Ints, pose: Array) -> None:
-        """Write a path at the beginning, latched."""
+        """Write a latched path at the beginning."""
         block = MessageBlock(
             self._channel(topic, PATH, LATCHED), self._recorded(t_ns[:1]), np.ones(1, np.int64), path(t_ns, pose)
         )
         block.write(self._writer)
 
     def _recorded(self, t_ns: Ints) -> Ints:
-        """Return recording times (n,) of stamps (n,): an MCAP has none before the recording clock's zero."""
+        """Return recording times (n,) of stamps (n,): an MCAP has none before zero."""
         return np.maximum(t_ns + self._clock_ns, 0)
 
     def _channel(self, topic: str, msgtype: str, profile: str = "") -> int:
@@ -290,7 +290,7 @@ class _Topics:
         return self._channels[topic]
 
     def write(self) -> None:
-        """Write all series in chunks that hold the same stretch of time of each."""
+        """Write all series in chunks, each of which holds one time interval of all series."""
         t = np.sort(np.concatenate([part.series.t_ns for part in self._parts]))
         size = sum(part.series.messages(slice(1)).size * len(part.series.t_ns) for part in self._parts)
         number = -(-size // CHUNK_BYTES)
@@ -307,5 +307,5 @@ class _Topics:
 
 
 def ros_name(configuration: str) -> str:
-    """Return a configuration's name with nothing but what ROS allows in a topic: compass+lrf -> compass_lrf."""
+    """Return a configuration's name with characters that ROS allows: compass+lrf -> compass_lrf."""
     return re.sub(r"[^A-Za-z0-9_]+", "_", configuration)

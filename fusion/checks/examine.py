@@ -43,7 +43,7 @@ REPAIRED = {"spike", "other_joints"}
 def examine(
     drive: Drive, robot: Robot, streams: Mapping[str, Stream], least: Least | None = None
 ) -> list[Finding]:
-    """Return everything odd about a measured drive; `streams` are the raw readings by role.
+    """Return all findings about a measured drive; `streams` are the raw readings by role.
 
     `least` is the smallest error of a scale or of the track that is named, for somebody who will try the fix;
     None: what is worth saying by itself.
@@ -73,7 +73,7 @@ def examine(
 
 
 def scales(drive: Drive, robot: Robot, least: Least) -> list[Finding]:
-    """Return what looks wrong about distances and the track: the part of `examine` that reads nothing again."""
+    """Return the findings about distances and the track: the part of `examine` that reads nothing again."""
     return _scales(drive, robot, turnings(drive), (), least)
 
 
@@ -84,7 +84,7 @@ def _scales(
     turning: Sequence[Finding],
     least: Least | None,
 ) -> list[Finding]:
-    """Return what is odd about metres and the track; each fix is told in the metre that the others will leave."""
+    """Return the findings about distance scales and the track; each fix assumes that the other fixes are set."""
     named = {} if least is None else {"least": least}
     motion, lrf = None, drive.measurements.get("lrf")
     if lrf is not None and len(lrf.t) > 20 and not any(o.role == "lrf" for o in turning):
@@ -107,7 +107,7 @@ def _scales(
 
 
 def _refused(drive: Drive) -> list[Finding]:
-    """Readings that are not used, by reason; what a repair counted is told with the repair."""
+    """Count the readings that are not used, by reason; readings that were repaired are counted with the repair."""
     found = []
     for stream, reasons in drive.dropped.items():
         words = [
@@ -119,7 +119,7 @@ def _refused(drive: Drive) -> list[Finding]:
 
 
 def _gaps(name: str, t: Array) -> list[Finding]:
-    """Silences are listed: without a sensor the filter keeps predicting, without wheels all motion is one arc."""
+    """List the gaps: without a sensor the filter only predicts, without wheels the whole motion is one arc."""
     found = gaps(t)
     if not found:
         return []
@@ -130,7 +130,7 @@ def _gaps(name: str, t: Array) -> list[Finding]:
 
 
 def gaps(t: Array) -> list[tuple[float, float]]:
-    """Return the silences (start, end) [s] in times (n,)."""
+    """Return the gaps (start, end) [s] in times (n,)."""
     dt = np.diff(t)
     if len(dt) < 2:
         return []
@@ -139,7 +139,7 @@ def gaps(t: Array) -> list[tuple[float, float]]:
 
 
 def blind(name: str, m: Measurements) -> list[Finding]:
-    """Say that a sensor saw next to nothing of what it should see, and what the measurement itself says."""
+    """Report that a sensor detected next to nothing, with the reason that its measurement gives."""
     n = len(m.t)
     if n >= MIN_READINGS and m.absent > MAX_EMPTY_SHARE * n:
         words = f"no {REGISTRY[name].sees} in {m.absent} of {n} readings: it is dead, or its settings do not fit"

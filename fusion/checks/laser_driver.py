@@ -1,4 +1,4 @@
-"""What a laser's raw ranges say: how nothing came back, which way it scans and when, and how they scatter."""
+"""Checks of a laser's raw ranges: values that mean no return, direction and time of the scan, and noise."""
 
 from __future__ import annotations
 
@@ -52,12 +52,12 @@ def of_scatter(stream: Stream, settings: LrfSettings) -> list[Finding]:
 
 
 def scatter_more(shown: float | None, sigma: float) -> bool:
-    """Return whether ranges, of which `ranges_sigma` is `shown` [m], surely scatter by more than `sigma` [m]."""
+    """Return whether ranges with the noise `shown` [m] (`ranges_sigma`) surely scatter more than `sigma` [m]."""
     return shown is not None and MAX_SCATTER * sigma < shown < MAX_NOISE_M
 
 
 def ranges_sigma(stream: Stream, settings: LrfSettings) -> float | None:
-    """Return the noise of one range [m] that neighbouring ranges on walls show, None where it is no noise."""
+    """Return the noise of one range [m] by neighbouring ranges on walls; None if they do not show noise."""
     found = [scatter(columns) for _, columns in _first(stream)]
     each = np.abs(np.concatenate(found)) if found else np.empty(0)
     if len(each) < MIN_TRIPLES:
@@ -68,7 +68,7 @@ def ranges_sigma(stream: Stream, settings: LrfSettings) -> float | None:
 
 
 def scatter(columns: dict[str, Any]) -> Array:
-    """Return what is left of three neighbouring ranges on a wall, scaled to the noise of one range [m].
+    """Return the residuals of three neighbouring ranges on a wall, scaled to the noise of one range [m].
 
     Beams that are `a` apart meet a straight wall where 1 / r0 + 1 / r2 = 2 cos(a) / r1, however it lies. Corners
     and clutter leave much more than noise does.
@@ -109,7 +109,7 @@ def _first(stream: Stream) -> list[tuple[Any, dict[str, Any]]]:
 
 
 def _nothing(values: Array, far: Array) -> list[Finding]:
-    """How many ranges are no walls, by how they say so."""
+    """Count the ranges without a return, by the value that marks them."""
     shares = {
         "inf": np.isinf(values).mean() if len(values) else 0.0,
         "NaN": np.isnan(values).mean() if len(values) else 0.0,
@@ -121,7 +121,7 @@ def _nothing(values: Array, far: Array) -> list[Finding]:
 
 
 def _in_turn(column: dict[str, Array]) -> list[Finding]:
-    """Say that scans begin at two angles in turn: of two lasers, or of one that sends a turn in parts."""
+    """Report that scans begin at two angles in turn: two lasers, or one that sends a revolution in parts."""
     angles, which, counts = np.unique(column["angle_min"].round(3), return_inverse=True, return_counts=True)
     if len(angles) < 2:
         return []

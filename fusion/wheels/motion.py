@@ -165,9 +165,8 @@ class Wheels(msgspec.Struct, frozen=True):
         if self.matched is None:
             noise = (by_wheels * (self.noise * np.abs(rolled))[:, None]) @ np.swapaxes(by_wheels, 1, 2)
             astray, rate = self.silence[k].T
-            if (
-                rate.any()
-            ):  # a whole silence leaves no doubt about the heading, the difference of the sums; a part does
+            if rate.any():
+                # after a whole silence the difference of the sums gives the heading; within it the heading is open
                 most = np.minimum(rate * share * (self.t[k + 1] - self.t[k]), np.pi)
                 noise[:, (0, 1), (0, 1)] += (share * astray)[:, None]
                 noise[:, 2, 2] += (1.0 - share) * most**2 / 3.0

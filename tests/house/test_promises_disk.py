@@ -16,7 +16,15 @@ from bags import drive, write
 from commands import locfuse
 
 ROBOT = {"robot.toml": b"[wheels]\nradius = 0.05\ntrack = 0.4\n"}
-FINAL = ("robot.toml", "trajectory.tum", "trajectory.csv", "estimates.mcap", "run.json")
+FINAL = (
+    "robot.toml",
+    "trajectory.tum",
+    "trajectory.csv",
+    "estimates.mcap",
+    "estimates.foxglove.json",
+    "estimates.plotjuggler.xml",
+    "run.json",
+)
 # the .mcap is the one file that is not made in memory
 EXPORT = ("--export", "mcap", "--write", "all", "--no-smooth")
 ONCE = "import sys; from locfuse.cli.main import main; print('ready', flush=True); main(sys.argv[1:])"

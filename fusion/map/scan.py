@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import msgspec
 import numpy as np
 
 from locfuse.fusion.data import Array, Ints, Measurements
@@ -23,14 +24,10 @@ from locfuse.fusion.se2 import wrap_all
 LINES_AT_ONCE = 4096  # lines that become one table at a time: an hour of them need not be there at once
 
 
-class Scan:
+class Scan(msgspec.Struct, frozen=True, eq=False):
     """Measured lines of one scan in the base frame, k of them."""
 
-    __slots__ = ("rows",)
-
-    def __init__(self, rows: Array) -> None:
-        """Rows (k, 7): r [m], psi [rad], R as 00, 01, 11, both ends [m] along the tangent (-sin psi, cos psi)."""
-        self.rows = rows
+    rows: Array  # (k, 7): r [m], psi [rad], R as 00, 01, 11, both ends [m] along the tangent (-sin psi, cos psi)
 
     @classmethod
     def of(cls, z: Array, R: Array, ends: Array) -> Scan:

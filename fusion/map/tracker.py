@@ -158,8 +158,7 @@ class LineTracker(Model):
             return [Innovation.unpredicted(row, REPEATED, 2, self.gate) for row in range(first, last)]
         self._rows = rows
         if len(self.map.ids) == 0:
-            offset = None if self.mount is None else moved_mount(self.mount, belief)
-            self._seen = _in_base(rows, offset)
+            self._seen = self._scan_in_base(belief)
             return [Innovation.unpredicted(row, NEW, 2, self.gate) for row in range(first, last)]
         if self._sight is None:
             self._sight = Association(self.rules, seat_of(self.mount, belief))
@@ -199,9 +198,7 @@ class LineTracker(Model):
 
     def _scan_in_base(self, belief: Any) -> Scan:
         """Return the present scan in the base by the estimated mount."""
-        if self.mount is None:
-            return Scan(self._rows)
-        return _in_base(self._rows, moved_mount(self.mount, belief))
+        return _in_base(self._rows, None if self.mount is None else moved_mount(self.mount, belief))
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Extend matched lines, and add new ones: all of the first scan, later ones only in `grow`."""

@@ -19,7 +19,6 @@ import msgspec
 from locfuse.cli.analysis.robot_tables import table_types
 from locfuse.cli.analysis.settings import ORDERS, PRESETS
 from locfuse.formats.report import structure
-from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.sensors.registry import REGISTRY
 
 DRAFT_7 = "http://json-schema.org/draft-07/schema#"
@@ -28,7 +27,6 @@ OF_ORDER = "Which times to trust: header stamps, recording order, or whichever f
 OF_PRESET = "The filter: locfuse's own (default), or the paper's equations as printed (paper)."
 FIELD_PATTERN = re.compile(r"\s+(\w+)\s*:")  # at the beginning of a line of a class
 Schema = dict[str, Any]
-OF_MOUNT = "from the middle between the wheels: forward, to the left, turned to the left"
 
 
 def robot_schema() -> Schema:
@@ -64,8 +62,7 @@ def output_schema(title: str, *kinds: type[msgspec.Struct]) -> Schema:
 
 def _table_words(name: str, kind: type[msgspec.Struct]) -> dict[str, str]:
     """Return the meaning of each key of a table: its unit and comment, and how `init` asks for it."""
-    asks = REGISTRY[name].asks if name in REGISTRY else {}
-    asked = {key: OF_MOUNT if ASK_MOUNT in ask.words else ask.words for key, ask in asks.items()}
+    asked = {key: ask.words for key, ask in REGISTRY[name].asks.items()} if name in REGISTRY else {}
     return {**asked, **field_words(kind)}
 
 

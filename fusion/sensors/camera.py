@@ -321,11 +321,9 @@ def choose(judged: list[Innovation]) -> list[Innovation]:
     best.verdict = 0 if best.nis <= gate else GATE
     if others and best.verdict == 0 and min(others, key=_misfit).nis <= min(gate, best.nis + MIN_CANDIDATE_MARGIN):
         best.verdict = AMBIGUOUS
-    for s in judged:
-        s.landmark = 0
+    best.landmark = 0
     for s in others:
         s.verdict = AMBIGUOUS if best.verdict == AMBIGUOUS and s.nis <= gate else UNMATCHED
-        s.landmark = -1
     return [best, *others]
 
 

@@ -35,7 +35,7 @@ class Edges(Columns, frozen=True):
     z: Array  # (m, 3) pose j seen from pose i
     information: Array  # (m, 3, 3) in the frame of i
     width: Array  # (m,)
-    by: Array  # (m, 3, 2) what z owes to the systematic errors of a drive (SYSTEMATIC), per unit
+    by: Array  # (m, 3, 2) what z owes to the systematic errors of a drive (SYSTEMATIC_SIGMAS), per unit
 
     @classmethod
     def none(cls) -> Edges:
@@ -220,21 +220,23 @@ class Problem:
 
         `graduations`: how wide the robust kernels are, one after another; the last is 1.
         """
-        x, n = x.copy(), 3 * len(x)
+        x, n, edges = x.copy(), 3 * len(x), Edges.joined(self.start, edges)
         for graduation in graduations:
             for _ in range(MAX_STEPS if graduation == graduations[-1] else STEPS_BETWEEN):
-                step = self.normal(x, edges, graduation).step()
+                step = self._normal(x, edges, graduation).step()
                 x += step[:n].reshape(-1, 3)
                 self.systematic = self.systematic + step[n : n + len(SYSTEMATIC_SIGMAS)]
                 if self.beside is not None:
                     self.beside.move(step[n + len(SYSTEMATIC_SIGMAS) :])
                 if np.abs(step[:n]).max() < min_step:
                     break
-        return x, self.normal(x, edges, graduations[-1])
+        return x, self._normal(x, edges, graduations[-1])
 
-    def normal(self, x: Array, edges: Edges, graduation: float = 1.0) -> Normal:
+    def normal(self, x: Array, edges: Edges) -> Normal:
         """Return the normal equations at poses x (n, 3)."""
+        return self._normal(x, Edges.joined(self.start, edges), 1.0)
+
+    def _normal(self, x: Array, edges: Edges, graduation: float) -> Normal:
         rows, states = ([], 0) if self.beside is None else (self.beside.rows(x), self.beside.states)
-        edges = Edges.joined(self.start, edges)
         weights = edges.weights(x, self.systematic, graduation)
         return Normal(x, self.systematic, edges, weights, rows, states)

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from locfuse.formats.report import json_report
 from locfuse.formats.report.findings import length
 from locfuse.fusion import se2
-from locfuse.fusion.data import Drive, Estimates, Evaluation, result_name
+from locfuse.fusion.data import Drive, Estimates, Evaluation, Jump, result_name
 from locfuse.fusion.fuse import configuration_name
 from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.consistency import Run
@@ -328,11 +328,12 @@ def add_own_scans(
 def add_events(report: dict[str, Any], estimates: Sequence[Estimates]) -> None:
     """Add the corrections of each result's pose that are no motion."""
     for e in estimates:
-        report["configurations"][e.name]["events"] = [
-            {"t_s": jump.t, "kind": jump.kind, "dx_m": x, "dy_m": y, "dtheta_deg": math.degrees(theta)}
-            for jump in e.jumps
-            for x, y, theta in (jump.step,)
-        ]
+        report["configurations"][e.name]["events"] = [_event(jump) for jump in e.jumps]
+
+
+def _event(jump: Jump) -> dict[str, Any]:
+    x, y, theta = jump.step
+    return {"t_s": jump.t, "kind": jump.kind, "dx_m": x, "dy_m": y, "dtheta_deg": math.degrees(theta)}
 
 
 def add_reference(report: dict[str, Any], compared: Compared) -> None:

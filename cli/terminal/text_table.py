@@ -54,10 +54,7 @@ def _fitted(strips: Sequence[Strip], width: int, gap: int) -> list[Strip]:
     """Use short words, then leave columns out, then cut the widest texts."""
     kept = list(strips)
     if _width(kept, gap) > width:
-        kept = [
-            replace(s, cells=(s.cells[0], *map(s.column.shorter, s.cells[1:]))) if s.column.shorter else s
-            for s in kept
-        ]
+        kept = [_shorter(s) for s in kept]
     while _width(kept, gap) > width and any(s.column.rank for s in kept):
         kept.remove(max(kept, key=lambda s: s.column.rank))
     while (over := _width(kept, gap) - width) > 0:
@@ -67,6 +64,12 @@ def _fitted(strips: Sequence[Strip], width: int, gap: int) -> list[Strip]:
         to = max(MIN_CELL_WIDTH, widest.width - over)
         kept[i] = replace(widest, cells=tuple(_cut(cell, to) for cell in widest.cells))
     return kept
+
+
+def _shorter(strip: Strip) -> Strip:
+    heading, *cells = strip.cells
+    shorter = strip.column.shorter
+    return strip if shorter is None else replace(strip, cells=(heading, *map(shorter, cells)))
 
 
 def _width(strips: Sequence[Strip], gap: int) -> int:

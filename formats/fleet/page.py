@@ -61,7 +61,7 @@ def render(summary: Mapping[str, Any], entries: Sequence[Entry], sensors: Mappin
         sections=[section_drawings(s, slugs, swatches.looks) for s in figures],
         legend=[(name, slugs[name]) for name in summary["configurations"] if name in shown],
         swatch=lambda name: Markup(swatches.of(name)),
-        logs=Markup(logs(summary, entries)),
+        logs=logs(summary, entries),
         findings=_cut(findings(entries)),
         robots=_cut(robots(summary, entries)),
         matrix=_cut(matrix(entries)),
@@ -109,9 +109,15 @@ def _error(entry: Entry, configuration: str) -> float | None:
     return None if value is None else float(value)
 
 
-def logs(summary: Mapping[str, Any], entries: Sequence[Entry]) -> str:
-    """Return logs x configurations as HTML, the worst log first: each links to its page, colours compare a row."""
-    best, names = summary["best"], list(summary["configurations"])[:MAX_CONFIGURATIONS]
+def logs(summary: Mapping[str, Any], entries: Sequence[Entry]) -> tuple[str, list[str]]:
+    """Return logs x configurations as HTML, the worst log first, and what was left out.
+
+    Each log links to its page, colours compare a row.
+    """
+    from markupsafe import Markup
+
+    best, every = summary["best"], list(summary["configurations"])
+    names = every[:MAX_CONFIGURATIONS]
     known = sorted(((e, error) for e in entries if best and (error := _error(e, best)) is not None), key=_of_error)
     rows = []
     for entry, _ in known[:MAX_ROWS]:
@@ -124,12 +130,14 @@ def logs(summary: Mapping[str, Any], entries: Sequence[Entry]) -> str:
             f'<tr><th scope=row>{link}</th><td class="left">{html_text(entry.robot or "–")}</td>{cells}</tr>'
         )
     if not rows:
-        return ""
+        return "", []
+    left = [(len(known) - len(rows), "logs"), (len(every) - len(names), "configurations")]
     heads = "".join(f"<th scope=col>{html_text(h)}</th>" for h in names)
     head = f'<tr><th scope=col>log</th><th scope=col class="left">robot</th>{heads}</tr>'
     label = 'tabindex="0" role="region" aria-label="Position error of every log"'
     body = "\n".join(rows)
-    return f'<div class="scroll" {label}><table><thead>{head}</thead><tbody>{body}</tbody></table></div>'
+    table = f'<div class="scroll" {label}><table><thead>{head}</thead><tbody>{body}</tbody></table></div>'
+    return Markup(table), [f"{n} more {what}" for n, what in left if n]
 
 
 def _of_error(pair: tuple[Entry, float]) -> float:

@@ -40,6 +40,7 @@ def entry(name: str, robot: str | None, figures: dict[str, float | None], **more
 def test_ten_thousand_rows_fit_a_small_page_and_lose_nothing() -> None:
     files = simulated_files(10_000)
     assert len(files["summary.html"]) < 3_000_000
+    assert "<p>1760 more logs are in summary.csv (--write csv).</p>" in files["summary.html"]
     table = pyarrow.parquet.read_table(io.BytesIO(files["fleet.parquet"]))
     lines = files["summary.csv"].splitlines()
     assert table.num_rows == len(lines) - 1 == 2000 * 5 - 40 * 4  # one row of each log that failed

@@ -50,9 +50,8 @@ AGREEING_SHARE = 0.25
 MIN_WALLS_BEHIND = 3  # seen walls that must lie behind known ones: fewer are seen through a door
 # that walls must fill to contradict a map; scans before a jump that count
 MIN_VIEW_RAD, SCANS_BEFORE_JUMP = math.radians(90.0), 5
-MIN_SLIP_VIEW_RAD = math.radians(
-    45.0
-)  # that walls must fill to show a slip: a few short lines match at some heading
+# that walls must fill to show a slip: a few short lines match at some heading
+MIN_SLIP_VIEW_RAD = math.radians(45.0)
 SLIP_MAX_SHARE = 0.2  # a slip turns everything: where more than this share still matches, there was none
 LOST_SIGMA_M = 5.0  # m: standard deviation of a robot that does not know where it is
 PLACED_SIGMA_M, PLACED_SIGMA_RAD = 0.15, math.radians(3.0)  # m, rad: after it was found again
@@ -292,7 +291,7 @@ class Guard:
         return again(), True
 
     def _confirmed(self, pose: Pose, belief: JointBelief) -> bool:
-        """Return whether CONFIRMED scans in a row agree with the wheels' motion since the last place.
+        """Return whether CONFIRMING_SCANS in a row agree with the wheels' motion since the last place.
 
         One scan of a few walls fits somewhere by chance; several, from places a robot drove between, hardly do.
         """

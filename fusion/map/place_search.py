@@ -44,7 +44,7 @@ APART_M = 0.5  # poses further apart are different
 HEADING_SIGMAS, HEADING_SLACK_RAD = 4.0, math.radians(10.0)
 MAX_THROUGH_SHARE = 0.15  # of the seen length behind known walls
 TRAIL_SLACK = 2.0  # along the trail: wheels drift
-# scans of the trail that make a pose none; share seen through by which one does
+# a scan of the trail contradicts a pose from which it sees this share through walls; so many rule the pose out
 MAX_AGAINST, AGAINST_SHARE = 3, 0.35
 # --- of a small map
 MAP_LONGEST_WALLS, MAP_MIN_WALLS = 10, 5  # from which pairs are made; that each of two maps must have

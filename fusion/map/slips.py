@@ -95,7 +95,7 @@ def expected_share(scan: Scan, before: Scan, step: Array, slip: float = 0.0) -> 
 
 
 def _few(slips: Array) -> Array:
-    """Return evenly spread ones of very many slips (n,) [rad]: neighbours are then much closer than SAME_ANGLE."""
+    """Return evenly spread ones of very many slips (n,) [rad]: much closer to each other than SAME_ANGLE_RAD."""
     if len(slips) <= MAX_SLIPS:
         return slips
     some: Array = np.sort(slips)[np.linspace(0, len(slips) - 1, MAX_SLIPS).astype(np.intp)]

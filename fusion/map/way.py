@@ -147,7 +147,7 @@ def end_of_way(steps: Array, matches: Edges) -> tuple[Array, Array]:
 
 
 def _bent(x: Array) -> Array:
-    """Return the end of a path of poses x (n, 3) if all its headings drift by BEND per metre."""
+    """Return the end of a path of poses x (n, 3) if all its headings drift by DRIFT_RAD_PER_M."""
     steps = se2.between(x[:-1], x[1:])
     steps[:, 2] += DRIFT_RAD_PER_M * np.hypot(steps[:, 0], steps[:, 1])
     return np.asarray(se2.compose(x[0], se2.chain(steps)[-1]))

@@ -132,14 +132,12 @@ GAP_S = 0.09  # between two scans that are matched: more often adds little
 SCANS_AT_ONCE = 1024  # whose points are held before they are thinned
 REST_S = 1.0  # a robot at rest for so long before and after a scan is where it was: wheels' stamps may be late
 MAX_POINTS = 90  # of one scan that are matched
-PRIOR_INFORMATION = np.diag(
-    [0.1**-2, 0.1**-2, np.radians(4.0) ** -2]
-)  # holds a match where the walls constrain nothing
+# holds a match where the walls constrain nothing
+PRIOR_INFORMATION = np.diag([0.1**-2, 0.1**-2, np.radians(4.0) ** -2])
 REACH_M = 0.4
 ROUND_COUNT = 2  # a scan that fits badly is asked again from the place by its neighbours
-STEP_P = np.diag(
-    [0.002**2, 0.002**2, np.radians(0.1) ** 2]
-)  # from scan to scan, even at rest: stamps are not exact
+# from scan to scan, even at rest: stamps are not exact
+STEP_P = np.diag([0.002**2, 0.002**2, np.radians(0.1) ** 2])
 KEY_INFORMATION = np.diag([1e10, 1e10, 1e12])  # 1/m^2, 1/rad^2: information of the next key
 
 

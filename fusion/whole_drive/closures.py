@@ -98,7 +98,7 @@ def correlate(ours: Array, theirs: Array, guess: Array, sigma: Array) -> Peak:
 
 
 def _raster(points: Array, spread: bool) -> NDArray[np.float32]:
-    """Return which cells contain points, (SIZE, SIZE) about the origin; `spread` gives their neighbours a half."""
+    """Return which cells (GRID_CELLS, GRID_CELLS) about the origin contain points; `spread`: neighbours a half."""
     cells = np.round(points[np.abs(points).max(axis=1) < REACH_M] / CELL_M).astype(np.int64) % GRID_CELLS
     grid = np.zeros((GRID_CELLS, GRID_CELLS), np.float32)
     grid[cells[:, 1], cells[:, 0]] = 1.0

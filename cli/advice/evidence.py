@@ -21,6 +21,7 @@ from locfuse.fusion.checks.iron import ROOM
 from locfuse.fusion.checks.laser import OPEN_SCALE
 from locfuse.fusion.checks.probes import MOUNT, beyond_prior, of_mount, of_offsets, of_probe, of_scale, probe_of
 from locfuse.fusion.checks.rims import RIMS
+from locfuse.fusion.checks.start import START
 from locfuse.fusion.checks.tried import Candidate, Fixes, together
 from locfuse.fusion.checks.truth import CREEP, POINT, STEP, WHEEL_SCALE, of_point, of_ways, swing
 from locfuse.fusion.data import BASES
@@ -36,7 +37,7 @@ from .noise import Noise
 SUSPICIOUS = Least(0.005, 2.5)  # what is reason enough to fuse again where nothing else looks wrong
 
 # codes of findings whose value the truth itself or the field shows beyond chance
-MEASURED = (WHEEL_SCALE, "start", POINT, "iron", ROOM, CREEP, RIMS)
+MEASURED = (WHEEL_SCALE, POINT, "iron", ROOM, CREEP, RIMS)
 Key = tuple[str, str]  # role and code of a finding
 SIGNS = {("wheels", "swapped"), ("wheels", "mirrored")}  # judged by the path's shape while the start is not known
 
@@ -71,7 +72,7 @@ class Evidence(Clocks, Noise):
         """Return possible faults by class of evidence: a later group waits while an earlier one is open."""
         return (
             (self.truth,),
-            (self.clocks, self.geometry),
+            (self.start, self.clocks, self.geometry),
             (self.offsets, self.slips, self.noise, self.unexplained),
         )
 
@@ -86,6 +87,11 @@ class Evidence(Clocks, Noise):
         """Return the finding that the truth jumps aside: errors after that cannot be used."""
         return [self._candidate(f, ()) for f in self.doctor if f.code == STEP]
 
+    def start(self) -> list[Candidate]:
+        """Return the finding on the start: while it is wrong, no error tells a good setting from a bad one."""
+        found = [f for f in self.doctor if f.code == START]
+        return self._candidates(found, (), [(f.role, f.code) for f in found], ())
+
     def geometry(self) -> list[Candidate]:
         """Return findings on mounts, scales and directions, by measuring and by a run with more states."""
         probed = [] if self._open_scale else [*self._probed(), *self._scaled()]
@@ -99,7 +105,7 @@ class Evidence(Clocks, Noise):
         by_truth = self.loaded.drive.truth is not None
         fine = {f.role for f in found if self._verdict(f.role) in {*FINE, "overstated"}}
         measured = {(f.role, f.code) for f in found if f.role in fine and (by_truth or f.code != MOUNT)}
-        seen = [f for f in self.doctor if f.code != CLOCK]
+        seen = [f for f in self.doctor if f.code not in {CLOCK, START}]
         known = self._candidates(seen, offers, [(f.role, f.code) for f in seen if f.code in MEASURED], measured)
         open_ = [f for f in found if not f.fixes] + ([] if self._open_scale else self._distances)
         return [*known, *(self._candidate(f, ()) for f in open_)]

@@ -63,7 +63,7 @@ def _on_robot(iron: Iron, settings: CompassSettings) -> list[Finding]:
 
 
 def _in_room(iron: Iron, field: Array, t: Array, drive: Drive, robot: Robot) -> list[Finding]:
-    """Return the place where the field's strength differs, which no calibration of the compass corrects."""
+    """Return where and when the field's strength differs, which no calibration of the compass corrects."""
     strength = np.linalg.norm((field - iron.hard) @ iron.soft.T, axis=1) / iron.strength
     off = np.abs(strength - 1.0) > max(MIN_DISTURBED, 5.0 * iron.scatter)
     if off.sum() < MIN_READINGS:
@@ -74,8 +74,9 @@ def _in_room(iron: Iron, field: Array, t: Array, drive: Drive, robot: Robot) -> 
         return []
     x, y = middle.tolist()
     most, count = np.abs(strength[off] - 1.0).max(), int(off.sum())
+    first, last = t[off][[0, -1]]
     words = (
         f"iron near ({x:.1f}, {y:.1f}) m: the field's strength is off by up to {most:.0%} there, in {count} of "
-        f"{len(off)} readings"
+        f"{len(off)} readings between {first:.1f} s and {last:.1f} s"
     )
     return [Finding("compass", ROOM, words, (f"compass.field_tolerance={TOLERANCE:g}",))]

@@ -13,6 +13,7 @@ from locfuse.fusion.robot import Robot
 
 from .finding import Finding
 
+START = "start"  # code of the finding
 SEVERE_START_ERROR_M, SEVERE_START_ERROR_RAD = 0.1, math.radians(5.0)
 MIN_START_ERROR_M, MIN_START_ERROR_RAD = (
     0.02,
@@ -52,7 +53,7 @@ def of_start(truth: Truth, drive: Drive, robot: Robot) -> list[Finding]:
     degrees = math.degrees(se2.wrap(theta))
     moments = (f"start.at={at:.2f}",) if fitted.t else ()
     fixes = (f"start.x={x:.3f}", f"start.y={y:.3f}", f"start.theta_deg={degrees:.1f}", *moments)
-    return [Finding("truth", "start", words, fixes, severe)]
+    return [Finding("truth", START, words, fixes, severe)]
 
 
 class Start(NamedTuple):

@@ -64,7 +64,7 @@ class GpsSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_on
     """[gps]."""
 
     origin: Geographic | None = None  # latitude, longitude [deg] of the map's origin; not set: estimated
-    east_deg: float | None = None  # where east lies in the map, counter-clockwise from its x axis; not set: estimated
+    east_deg: float | None = None  # where east lies in the map, ccw from its x axis; not set: estimated
     x: float = 0.0  # m, antenna on the base
     y: float = 0.0  # m, likewise
     sigma: float = 1.5  # m per axis, where the receiver does not say

@@ -104,7 +104,7 @@ class LandmarksSettings(PointsSettings, frozen=True, forbid_unknown_fields=True,
     sigma_bearing_deg: float = 1.5
     range_offset: float | None = None  # m that ranges are too long; not set: estimated
     sigma_range_offset: float = 0.05  # m: what an estimated offset may be at the start
-    range_depth: float | None = None  # 0: ranges are distances, 1: depths along the axis; not set: found, of a file
+    range_depth: float | None = None  # 0: ranges are distances, 1: depths along the axis; not set: found
 
     def __post_init__(self) -> None:
         """Refuse a detector without noise."""

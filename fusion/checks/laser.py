@@ -195,7 +195,8 @@ def of_laser(
     by_truth = by_truth or metre != 1.0
     whose = "truth" if by_truth else "wheels"
     words = (
-        f"its ranges are {1.0 / scale:.3f} times the distances of the {whose} (1 sigma {motion.scale_sigma:.3f})"
+        f"it measures {abs(1.0 / scale - 1.0):.1%} too {'short' if scale > 1.0 else 'long'} by the {whose} "
+        f"(± {motion.scale_sigma:.1%})"
     )
     fix = f"lrf.range_scale={settings.range_scale * scale:.4g}"
     words += "" if by_truth else _who_is_right(robot, scale, fix)

@@ -230,7 +230,10 @@ def metre(drive: Drive, robot: Robot, least: Least = WORTH_SAYING) -> tuple[floa
     factor, sigma = found
     if abs(factor - 1.0) < least.error + least.sigmas * sigma:
         return 1.0, []
-    words = f"they measure {1.0 / factor:.3f} times the distances of the truth (1 sigma {sigma:.3f})"
+    words = (
+        f"they measure {abs(1.0 / factor - 1.0):.1%} too {'short' if factor > 1.0 else 'long'} by the truth "
+        f"(± {sigma:.1%})"
+    )
     radius = robot.wheels.radius * factor
     fixes = [f"wheels.radius={radius:.4g}"]
     if robot.wheels.track is not None:  # what turns right must go on turning right

@@ -202,6 +202,8 @@ class Noise(Judged):
         factor = honest.anees**0.5
         if not 1.0 / MAX_NOISE_FACTOR <= factor <= MAX_NOISE_FACTOR:
             return []  # that is no noise
+        if sensor == LASER and factor > 1.0 and self._ranges_sigma is not None and not self._ranges_scatter:
+            return []  # its raw ranges scatter as configured: something else is wrong
         return [tuple(f"{sensor}.{k}={getattr(settings, k) * factor:.2g}" for k in keys)]
 
     def _by_truth(self, sensor: str) -> str:

@@ -16,7 +16,7 @@ from locfuse.cli.analysis.compare import PLAIN_FRAME, Compared
 from locfuse.cli.analysis.configurations import Configuration
 from locfuse.cli.analysis.load import Loaded, with_settings
 from locfuse.cli.analysis.memory import lean
-from locfuse.cli.analysis.settings import Progress
+from locfuse.cli.analysis.settings import Asked, Progress
 from locfuse.fusion.checks.score import Score
 from locfuse.fusion.checks.tried import Fixes
 from locfuse.fusion.data import Drive, Estimates, Evaluation, LocfuseError
@@ -45,6 +45,7 @@ class Trial:
     _logs: dict[Fixes, Loaded | None] = field(default_factory=dict)
     _scores: dict[tuple[Fixes, str], Score] = field(default_factory=dict)
     _of_whole: dict[tuple[Fixes, str], Score] = field(default_factory=dict)
+    _smoothed: dict[tuple[Fixes, str], Score] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Cut the log if fusing all of it many times would take too long."""
@@ -70,6 +71,8 @@ class Trial:
 
     def on_whole(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Score]:
         """Return the scores of these configurations on the whole drive, also where its beginning is tried."""
+        if self.loaded is self.whole:
+            return self(fixes, names)
         left = [name for name in names if (fixes, name) not in self._of_whole]
         loaded = self.whole_under(fixes) if left else None
         for name in left:
@@ -81,6 +84,31 @@ class Trial:
                 return {}
             self._of_whole[fixes, name] = score
         return {name: self._of_whole[fixes, name] for name in names}
+
+    def smoothed(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Score]:
+        """Return the scores of the smoothed paths that a comparison shows, of these configurations.
+
+        The position and heading by the truth on the whole drive: {} without truth.
+        """
+        if self.whole.drive.truth is None:
+            return {}
+        every = self.configurations
+        shown = [n for n in names if every[n].is_smoothed(Asked(), self.whole.robot)]
+        left = [name for name in shown if (fixes, name) not in self._smoothed]
+        loaded = self.whole_under(fixes) if left else None
+        for name in left:
+            if loaded is None:
+                break
+            self.progress(f"smoothing {name} with {' '.join(fixes) or 'the settings as they are'}")
+            e = lean(every[name].fuse, loaded.drive, loaded.robot, True)[-1]
+            if e.smoothed:
+                judged = evaluate(e, loaded.drive, cast("Align", self.align))
+                self.of_smoothed(fixes, name, judged, shape_error(e, loaded.drive))
+        return {name: self._smoothed[fixes, name] for name in shown if (fixes, name) in self._smoothed}
+
+    def of_smoothed(self, fixes: Fixes, name: str, judged: Evaluation, shape: float | None) -> None:
+        """Receive a smoothed path of a configuration on the whole drive, judged under these settings."""
+        self._smoothed[fixes, name] = score_of(judged, shape)._replace(anees=None, bounds=None)
 
     def of_whole(self, name: str, score: Score) -> None:
         """Receive the score of a configuration on the whole drive under the present settings."""

@@ -109,6 +109,7 @@ class Evaluator:
             loaded = trial.under(fixes)
             if loaded is None:
                 return None
+            trial.keep(fixes)
             compared = _compared(fixes, loaded, trial) if fixes else self._first()
             trial.seed(fixes, compared)
             return Evidence(compared, trial, fixes)

@@ -18,7 +18,7 @@ from locfuse.cli.analysis.load import Loaded, with_settings
 from locfuse.cli.analysis.memory import lean
 from locfuse.cli.analysis.settings import Asked, Progress
 from locfuse.fusion.checks.score import Score
-from locfuse.fusion.checks.tried import Fixes
+from locfuse.fusion.checks.tried import Fixes, keys
 from locfuse.fusion.data import Drive, Estimates, Evaluation, LocfuseError
 from locfuse.fusion.judge.covariance import honesty
 from locfuse.fusion.judge.evaluate import Align, evaluate, shape_error
@@ -27,6 +27,7 @@ from locfuse.fusion.measure import windowed
 from locfuse.fusion.paper.preset import fuser
 
 MAX_INSTANTS = 2400  # of the drive: four minutes of a 10 Hz laser
+SEEN_AFTERWARDS = {"truth.x", "truth.y", "truth.sigma", "truth.sigma_theta_deg"}  # keys that move no estimate
 MAX_FUSIONS = 60  # runs of the filter that one log's advice may cost
 
 
@@ -41,17 +42,29 @@ class Trial:
     fusions: int = 0
     loaded: Loaded = field(init=False)  # what is tried of the log: all of it, or its beginning
     _end: float | None = field(init=False)  # s, of what is tried; None: of the drive
+    _kept: tuple[Fixes, Loaded] = field(init=False)  # the fixes that were found, and the whole log under them
     _last: tuple[Fixes, Loaded | None] = ((), None)  # the whole log under the fixes that were asked for last
     _logs: dict[Fixes, Loaded | None] = field(default_factory=dict)
     _scores: dict[tuple[Fixes, str], Score] = field(default_factory=dict)
     _of_whole: dict[tuple[Fixes, str], Score] = field(default_factory=dict)
     _smoothed: dict[tuple[Fixes, str], Score] = field(default_factory=dict)
+    _runs: dict[tuple[Fixes, str], Estimates] = field(
+        default_factory=dict
+    )  # of the fixes that were found
 
     def __post_init__(self) -> None:
         """Cut the log if fusing all of it many times would take too long."""
         t = self.whole.drive.t
         self._end = None if len(t) <= MAX_INSTANTS else float(t[MAX_INSTANTS])
         self.loaded = self._shortened(self.whole)
+        self._kept = (), self.whole
+
+    def keep(self, fixes: Fixes) -> None:
+        """Take the log under these fixes as the one that others change: it is not measured again."""
+        loaded = self.whole_under(fixes)
+        if loaded is not None:
+            self._kept = fixes, loaded
+            self._runs = {}
 
     def __call__(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Score]:
         """Return the scores of these configurations under more settings; {} if these cannot be applied."""
@@ -62,7 +75,8 @@ class Trial:
                 if loaded is None or self.fusions >= MAX_FUSIONS:
                     return {}
                 self.progress(f"trying {' '.join(fixes) or 'the settings as they are'} with {name}")
-                score = self._score(loaded, self.configurations[name])
+                e = self._runs.get((tuple(fix for fix in fixes if not keys((fix,)) <= SEEN_AFTERWARDS), name))
+                score = self._score(loaded, self.configurations[name], e)
                 if score is None:
                     return {}
                 self._scores[fixes, name] = score
@@ -120,6 +134,7 @@ class Trial:
             return  # those come by `heard`
         for e, judged in zip(compared.estimates, compared.evaluations, strict=True):
             if judged.name in self.configurations:
+                self._runs[fixes, judged.name] = e
                 self._scores[fixes, judged.name] = score_of(judged, shape_error(e, compared.loaded.drive))
 
     def heard(self, fixes: Fixes, loaded: Loaded, e: Estimates) -> None:
@@ -142,8 +157,12 @@ class Trial:
             return self.whole
         if fixes != self._last[0]:
             self._last = (), None  # an hour under every setting that is tried would be hundreds of megabytes
+            kept, loaded = self._kept
+            if not keys(kept) <= keys(fixes):
+                kept, loaded = (), self.whole
+            more = tuple(fix for fix in fixes if fix not in kept)
             try:
-                self._last = fixes, with_settings(self.whole, fixes)
+                self._last = fixes, with_settings(loaded, more) if more else loaded
             except LocfuseError:
                 self._last = fixes, None
         return self._last[1]
@@ -162,10 +181,11 @@ class Trial:
         except LocfuseError:
             return None
 
-    def _score(self, loaded: Loaded, c: Configuration) -> Score | None:
+    def _score(self, loaded: Loaded, c: Configuration, e: Estimates | None = None) -> Score | None:
+        """Return the score of a configuration, by its run `e` if that is known."""
         if loaded.drive.truth is None:
             return self._predicted(loaded, c)
-        e = self.fused(loaded, c.name)
+        e = self.fused(loaded, c.name) if e is None else e
         if e is None:
             return None
         judged = evaluate(e, loaded.drive, cast("Align", self.align))

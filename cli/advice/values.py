@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.checks.score import Score
-from locfuse.fusion.checks.tried import Advice, together
+from locfuse.fusion.checks.tried import Advice, keys, together
 
 from .advised import Advised
 
@@ -51,7 +51,7 @@ def _joined(found: Sequence[Advice]) -> Advice:
         message = f"{before_it}; then {advice.finding.brief}"
         if advice.finding.code == first.finding.code and not _moved(first.fixes, advice.fixes):
             message = first.finding.brief  # the same once more, measured better
-        elif advice.finding.code != first.finding.code and _keys(first.fixes) <= _keys(advice.fixes):
+        elif advice.finding.code != first.finding.code and keys(first.fixes) <= keys(advice.fixes):
             message = advice.finding.brief  # the first one's fix is not what was set in the end
         before = {**(advice.before or {}), **(first.before or {})}
         after = {**(first.after or {}), **(advice.after or {})}
@@ -73,10 +73,6 @@ def _apart(one: str, other: str) -> bool:
     except ValueError:
         return one != other
     return abs(a - b) > MAX_REFINED_SHARE * max(abs(a), abs(b))
-
-
-def _keys(fixes: Iterable[str]) -> set[str]:
-    return {fix.partition("=")[0] for fix in fixes}
 
 
 def _finding(advice: Advice) -> dict[str, Any]:

@@ -7,7 +7,7 @@ is set. A fix is taken if no configuration gets worse by it and one gets better 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Protocol
 
 import msgspec
@@ -91,6 +91,11 @@ def together(one: Fixes, other: Fixes) -> Fixes:
     """Return two sets of settings merged; the second one's value wins."""
     keys = {fix.partition("=")[0]: fix for fix in (*one, *other)}
     return tuple(keys.values())
+
+
+def keys(fixes: Iterable[str]) -> set[str]:
+    """Return the keys that fixes set."""
+    return {fix.partition("=")[0] for fix in fixes}
 
 
 class Case(Protocol):
@@ -222,10 +227,10 @@ def _beside_another(
     for advice in found:
         for fixes in advice.tried if advice.finding.severe else ():
             beside = together(kept, fixes)
+            if not any(improves(*pair) for pair in scored(kept, beside, advice.judges, trial).values()):
+                continue
             case = look(beside)
-            if case is None or not any(
-                improves(*pair) for pair in scored(kept, beside, advice.judges, trial).values()
-            ):
+            if case is None:
                 continue
             now = {*done, (advice.finding.role, advice.finding.code)}
             others = [a for a in _first_that_helps(case, beside, trial, now) if a.helps]

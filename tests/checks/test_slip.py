@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import replace
 from small_drive import NOISE, drive, robot
 
-from locfuse.fusion.checks.slip import LONG_S, MAX_FACTOR, SHORT_S, slip
+from locfuse.fusion.checks.turning import LONG_S, MAX_FACTOR, SHORT_S, slip
 from locfuse.fusion.data import Drive
 
 

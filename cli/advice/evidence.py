@@ -31,6 +31,7 @@ from locfuse.fusion.checks.lag import SAID_SIGMAS
 from locfuse.fusion.checks.laser import OPEN_SCALE
 from locfuse.fusion.checks.pictures import RIMS
 from locfuse.fusion.checks.probes import MOUNT, beyond_prior, of_mount, of_offsets, of_probe, of_scale, probe_of
+from locfuse.fusion.checks.slip import of_spins
 from locfuse.fusion.checks.tried import Candidate, Fixes, together
 from locfuse.fusion.checks.truth import CREEP, POINT, START, STEP, WHEEL_SCALE, of_point, of_ways, swing
 from locfuse.fusion.data import BASES
@@ -38,6 +39,7 @@ from locfuse.fusion.judge.consistency import Evidence as Said
 from locfuse.fusion.judge.innovations import heard
 from locfuse.fusion.judge.noise_verdicts import NoiseVerdict, biased_against
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.truth import body_poses
 
 from .judged import FINE, LASER, Noise, Offer, as_fixes
 
@@ -51,6 +53,7 @@ SUSPICIOUS = Least(0.005, 2.5)  # what is reason enough to fuse again where noth
 
 # codes of findings whose value the truth itself or the field shows beyond chance
 MEASURED = (WHEEL_SCALE, POINT, "iron", ROOM, CREEP, RIMS)
+MAX_SCAN_PERIOD_S = 0.4  # s: between two scans the laser's path is the wheels'
 Key = tuple[str, str]  # role and code of a finding
 SIGNS = {("wheels", "swapped"), ("wheels", "mirrored")}  # judged by the path's shape while the start is not known
 
@@ -78,6 +81,7 @@ class Evidence(Noise):
             or bool(self._biases_again)
             or self._slips_unusually
             or self._ranges_scatter
+            or bool(self._spins)
             or bool(scales(self.loaded.drive, self.loaded.robot, SUSPICIOUS))
         )
 
@@ -330,11 +334,24 @@ class Evidence(Noise):
 
     def unexplained(self) -> list[Candidate]:
         """Return unusual residuals of a sensor for which no fixing setting is known."""
-        return [
-            self._candidate(Finding(sensor, verdict.verdict, verdict.words), ())
+        unusual = [
+            Finding(sensor, verdict.verdict, verdict.words)
             for sensor, verdict in self.consistency.items()
             if verdict.verdict not in FINE and not verdict.cures
         ]
+        return [self._candidate(finding, ()) for finding in (*self._spins, *unusual)]
+
+    @cached_property
+    def _spins(self) -> list[Finding]:
+        """Return when both wheels slipped, by the truth, else by the laser's own run."""
+        drive = self.loaded.drive
+        if drive.truth is not None and drive.truth.theta is not None:
+            return of_spins(drive, drive.truth.t, body_poses(drive.truth, drive.truth.t), "truth")
+        runs = (e for e in self.compared.estimates if e.sensors == (LASER,) and not e.smoothed and not e.lost)
+        scans = drive.measurements.get(LASER)
+        if scans is None or np.median(np.diff(scans.t, append=np.inf)) > MAX_SCAN_PERIOD_S:
+            return []
+        return [f for e in runs for f in of_spins(drive, e.t, e.pose, "laser's path", [j.t for j in e.jumps])]
 
 
 def _ways(finding: Finding) -> tuple[Fixes, ...]:

@@ -18,8 +18,8 @@ from locfuse.cli.analysis.trust import sensors_consistency
 from locfuse.fusion.checks.examine import examine
 from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.laser import ranges_sigma, scatter_more
+from locfuse.fusion.checks.slip import Slip, slip
 from locfuse.fusion.checks.tried import Candidate, Fixes
-from locfuse.fusion.checks.turning import Slip, slip
 from locfuse.fusion.data import BASES, Estimates
 from locfuse.fusion.judge.consistency import Consistency
 from locfuse.fusion.judge.covariance import honesty
@@ -344,6 +344,8 @@ class Noise(Judged):
         factor = honest.anees**0.5
         if not 1.0 / MAX_NOISE_FACTOR <= factor <= MAX_NOISE_FACTOR:
             return []  # that is no noise
+        if sensor == LASER and factor > 1.0 and self._ranges_sigma is not None and not self._ranges_scatter:
+            return []  # its raw ranges scatter as configured: something else is wrong
         return [tuple(f"{sensor}.{k}={getattr(settings, k) * factor:.2g}" for k in keys)]
 
     def _by_truth(self, sensor: str) -> str:

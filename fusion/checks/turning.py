@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple, cast
+from typing import cast
 
 import msgspec
 import numpy as np
@@ -319,98 +319,3 @@ def _by_the_wheels_alone(wheels: Wheels, robot: Robot) -> list[Finding]:
 def aligned(m: Measurements, turning: Turning | None) -> Array:
     """Return a sensor's times (n,) on the wheels' clock."""
     return m.t + (turning.offset if turning is not None else 0.0)
-
-
-SHORT_S, LONG_S = 0.5, 2.0  # s: windows over which turns are compared
-MAX_STRETCH = 1.5  # of a window: a pair of readings further apart lies across a gap
-MIN_WINDOWS = 15  # long ones side by side: their variance is then known to a third
-MIN_EXPECTED_RAD = math.radians(0.05)  # by which slips spread a long window: less, and the robot stood
-MAX_SLIP_READINGS = 3000
-MAX_FACTOR = 3.0  # on the variance, either way: what lies between is no finding
-
-
-class Slip(NamedTuple):
-    """What the wheels' turning shows of their noise."""
-
-    factor: float  # by which `wheels.noise` should be multiplied
-    seen: float  # rad, over LONG_S: 1 sigma of the turn that slips add
-    expected: float  # rad, what `wheels.noise` says
-    by: str  # the sensor whose turning it was held against; several that agree: "compass and lrf"
-    agreed: bool = False  # whether several sensors show about the same
-
-    @property
-    def unusual(self) -> bool:
-        """Whether the slip differs from the configured noise by more than chance on one drive."""
-        return not 1.0 / MAX_FACTOR <= self.factor <= MAX_FACTOR
-
-    @property
-    def words(self) -> str:
-        """The observed and the configured noise, in words."""
-        return (
-            f"slips turn the robot by {math.degrees(self.seen):.2g}° in {LONG_S:g} s (1 sigma, by the {self.by}); "
-            f"wheels.noise says {math.degrees(self.expected):.2g}°"
-        )
-
-
-class _Spread(NamedTuple):
-    """Variances of turns over one window, rad^2."""
-
-    seen: tuple[float, float]  # usually (by the median, which a turn that a scan missed does not move), and in all
-    expected: float  # that slips should add
-
-
-def slip(drive: Drive) -> Slip | None:
-    """Return how much the wheels slip, by the sensor that agrees with them best; None if no sensor shows it.
-
-    What a sensor's own turning wanders is taken for slip too, so that the smallest answer is the wheels'. Where
-    several find less than configured, the largest of them is taken: all of them vouch for that.
-    """
-    if drive.wheels.matched is not None or drive.wheels.noise <= 0.0:
-        return None
-    found = []
-    for name, m in drive.measurements.items():
-        heading = REGISTRY[name].heading(m.take(np.arange(min(len(m.t), MAX_SLIP_READINGS))))
-        one = None if heading is None else _by(name, *heading, drive.wheels)
-        found += [one] if one is not None else []
-    less = [s for s in found if s.factor < 1.0 / MAX_FACTOR]
-    if len(less) > 1 and len(less) == len(found):
-        names = " and ".join(s.by for s in less)
-        return max(less, key=lambda s: s.factor)._replace(by=names, agreed=True)
-    return min(found, key=lambda s: s.factor, default=None)
-
-
-def _by(name: str, t: Array, heading: Array, wheels: Wheels) -> Slip | None:
-    known = np.isfinite(heading)
-    short, long = (_differences(t[known], heading[known], window, wheels) for window in (SHORT_S, LONG_S))
-    if short is None or long is None:
-        return None
-    expected = long.expected
-    growth = expected - short.expected
-    if growth < MIN_EXPECTED_RAD**2 * (1.0 - SHORT_S / LONG_S):
-        return None
-    usual, whole = (max(b - a, 0.0) / growth for a, b in zip(short.seen, long.seen, strict=True))
-    # rare slips are slips: wheels are only called better than configured if all that was seen says so
-    factor = usual if usual > 1.0 else min(max(whole, usual), 1.0)
-    return Slip(factor, math.sqrt(factor * expected), math.sqrt(expected), name)
-
-
-def _differences(t: Array, heading: Array, window: float, wheels: Wheels) -> _Spread | None:
-    """Return the differences of a sensor's turns from the wheels', and the differences that slip should cause.
-
-    A wrong track, or a sensor whose scale is off, is no noise: the slope between the two turnings is taken out.
-    """
-    last = np.searchsorted(t, t + window)
-    first = np.flatnonzero(last < len(t))
-    start, end = t[first], t[last[first]]
-    whole = (end - start < MAX_STRETCH * window) & (start >= wheels.t[0]) & (end <= wheels.t[-1])
-    if not whole.any() or np.ptp(start[whole]) < MIN_WINDOWS * window:
-        return None
-    own = (heading[last[first]] - heading[first])[whole]
-    start, end = start[whole], end[whole]
-    by_wheels = wheels.heading(end) - wheels.heading(start)
-    A = np.stack((by_wheels, np.ones_like(by_wheels)), axis=-1)
-    x, *_ = np.linalg.lstsq(A, own, rcond=None)
-    by_slips = wheels.slips(np.stack((start, end), axis=-1))[:, 0].sum(axis=-1) / wheels.track**2
-    rest = own - A @ x
-    usual = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
-    return _Spread((usual**2, float(rest.var())), float(by_slips.mean()))

@@ -565,7 +565,7 @@ class AtlasTracker(LineTracker):
         if self._frozen:
             n, loops = len(self._frozen) + 1, len(self.closed)
             closed = f"{loops} revisited place{'s' if loops > 1 else ''}" if loops else "no revisited place"
-            words.append(f"map: {n} submaps, {closed}")
+            words.append(f"{n} submaps, {closed}")
         return words
 
 

@@ -56,7 +56,11 @@ Schema = dict[str, Any]
 
 def commands_page() -> str:
     """Return the page of all commands, as --help prints them; options of several commands stand there once."""
-    parts = ["# Commands", MADE, "```text", locfuse.get_help(_context(locfuse, "locfuse")), "```"]
+    parts = [
+        "# Commands",
+        MADE,
+        "`locfuse --help` lists the commands, `locfuse COMMAND --help` what you need first of one.",
+    ]
     with click.Context(locfuse) as root:
         commands = {name: locfuse.get_command(root, name) for name in COMMANDS}
     of = {

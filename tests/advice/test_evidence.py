@@ -119,7 +119,7 @@ def test_a_range_noise_that_is_set_too_high_is_also_tried_as_the_ranges_show_it(
         stream=lambda _: None,
     )
     vars(made)["compared"] = SimpleNamespace(loaded=loaded)
-    monkeypatch.setattr("locfuse.cli.advice.noise.ranges_sigma", lambda *_: ranges)
+    monkeypatch.setattr("locfuse.cli.advice.judged.ranges_sigma", lambda *_: ranges)
     assert made._as_ranges_scatter("lrf", Consistency("overstated", "", cures=cures)) == offered
     assert not made._as_ranges_scatter("lrf", Consistency("understated", "", cures=cures))
 

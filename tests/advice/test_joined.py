@@ -7,9 +7,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from locfuse.cli.advice.advised import Advised
-from locfuse.cli.advice.validity import add_validity
-from locfuse.cli.advice.values import add_findings
+from locfuse.cli.advice.report import Advised, add_findings, add_validity
 from locfuse.formats.report.findings import sentence
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.tried import Advice

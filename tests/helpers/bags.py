@@ -37,10 +37,11 @@ def data_folder() -> Path:
     return Path(folder)
 
 
-def real_logs() -> list[str]:
-    """The .mcap files of the real logs, relative to their folder; none where it is not set."""
+def real_logs(*ends: str) -> list[str]:
+    """The real logs, relative to their folder: .mcap files, or those that end so; none where it is not set."""
     folder = os.environ.get("LOCFUSE_DATA")
-    return sorted(str(p.relative_to(folder)) for p in Path(folder).rglob("*.mcap")) if folder else []
+    files = Path(folder).rglob("*") if folder else []
+    return sorted(str(p.relative_to(folder)) for p in files if folder and p.suffix in (ends or (".mcap",)))
 
 
 def real_log(name: str) -> Path:

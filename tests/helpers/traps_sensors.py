@@ -314,7 +314,7 @@ LASER_TRAPS = (
     Trap("a wrong publisher of /tf_static", wrong_publisher, "not of 90 deg as", True, "lrf", blur=0.02),
     Trap("a laser late by 0.4 s", late_laser, "stamps look 0.4", True, "lrf"),
     Trap("a laser on another clock", other_clock, "stamped 3600.0 s after the wheels", True, "lrf"),
-    Trap("a laser whose ranges are short", short_metre, "its ranges are 0.9", True, "lrf"),
+    Trap("a laser whose ranges are short", short_metre, "it measures 9.", True, "lrf"),
     Trap("two lasers", two_lasers, "2 topics that fit", False, "lrf"),
 )
 

@@ -26,6 +26,7 @@ from locfuse.fusion.checks.tried import (
     scored,
     spoils,
     spoils_alone,
+    spoils_smoothed,
     together,
     tried,
     turns_right,
@@ -142,7 +143,7 @@ def smoothed_worse(
     pairs = [(first[name], last[name]) for name in last]
     if any(score.aligned for advice in found for score in (advice.before or {}).values()):
         pairs = [(b.of_shape(), a.of_shape()) for b, a in pairs]
-    lost = ((b.position, a.position) for b, a in pairs if spoils(b, a))
+    lost = ((b.position, a.position) for b, a in pairs if spoils_smoothed(b, a))
     return next(((b, a) for b, a in lost if b is not None and a is not None), None)
 
 

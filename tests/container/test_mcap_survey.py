@@ -340,7 +340,7 @@ def test_messages_that_the_statistics_count_and_nobody_finds_are_lost(tmp_path: 
     for claimed, missing in ((9, 0), (14, 5), (8, 0)):
         struct.pack_into("<Q", content, at + 2, claimed)
         struct.pack_into("<I", content, len(content) - 12, 0)  # the summary is without a checksum
-        data, losses = laid(tmp_path, content)
+        data, losses = laid(tmp_path, bytes(content))
         McapSource(data, losses)
         assert [(loss.reason, loss.messages) for loss in losses.places.values()] == (
             [("messages the file's statistics promise are missing", missing)] if missing else []

@@ -19,18 +19,26 @@ from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import Asked, Progress, silent
 from locfuse.cli.analysis.trust import evidence
 from locfuse.formats.report.findings import change
-from locfuse.fusion.checks.score import improves, spoils, spoils_alone, turns_right
-from locfuse.fusion.checks.tried import Advice, Fixes, scored, together, tried
+from locfuse.fusion.checks.tried import (
+    Advice,
+    Fixes,
+    improves,
+    scored,
+    spoils,
+    spoils_alone,
+    together,
+    tried,
+    turns_right,
+)
 from locfuse.fusion.data import Estimates, Evaluation
 from locfuse.fusion.judge.consistency import Run
-from locfuse.fusion.judge.evaluate import shape_error
 from locfuse.fusion.judge.predictive import Score, scores_of
 from locfuse.fusion.robot import Robot
 
-from .advised import Advised
 from .evidence import Evidence
 from .judged import REFERENCE
-from .trial import Trial, predicted, score_of
+from .report import Advised
+from .trial import SMOOTHED, TRIED, WHOLE, Trial, marks_of, predicted
 
 MIN_DURATION_S = 5.0  # s: a shorter drive judges no setting
 MAX_WHOLE = 2  # findings that change little on the beginning, and are tried on the whole drive all the same
@@ -67,11 +75,11 @@ class Evaluator:
         if e.rates or e.configuration not in trial.configurations:
             return
         if e.smoothed:
-            trial.of_smoothed((), e.configuration, judged, shape_error(e, whole.drive))
+            trial.know(SMOOTHED, (), e, marks_of(e, judged, whole.drive))
         elif trial.loaded is whole:
             self._seen[e.name] = replace(e, audits={}), judged, evidence(whole.drive, e, whole.robot)
         elif whole.drive.truth is not None:
-            trial.of_whole(e.name, score_of(judged, shape_error(e, whole.drive)))
+            trial.know(WHOLE, (), e, marks_of(e, judged, whole.drive))
 
     def _hear(self, e: Estimates) -> None:
         """Receive a run with listening sensors while it has its audits; odometry's comes first."""
@@ -79,9 +87,9 @@ class Evaluator:
         if trial.loaded is trial.whole:
             self._odometry = self._odometry or e
             self._scores += scores_of(drive, e, self._odometry)
-            trial.heard((), trial.whole, e)
-        elif e.name in trial.configurations:
-            trial.of_whole(e.name, predicted(drive, e))
+            trial.know(TRIED, (), e, predicted(drive, e))
+        else:
+            trial.know(WHOLE, (), e, predicted(drive, e))
 
     def _first(self) -> Compared:
         """Return the comparison under the present settings, from received runs if these are all it needs."""
@@ -206,7 +214,7 @@ def _compared(fixes: Fixes, loaded: Loaded, trial: Trial) -> Compared:
     trial.fusions += len(configurations)
 
     def hear(e: Estimates) -> None:
-        trial.heard(fixes, loaded, e)
+        trial.know(TRIED, fixes, e, predicted(loaded.drive, e))
 
     asked = Asked(align=trial.align, smooth=False, audits=False)
     return compare_log(loaded, configurations, asked, trial.progress, heard=[hear])

@@ -19,11 +19,9 @@ from locfuse.fusion.streams import gap_limit
 from locfuse.fusion.wheels.repairs import gaps_of
 
 from .clocks import of_clocks
-from .compass import of_convention, tilted
+from .compass import of_convention, of_iron, tilted
 from .finding import Finding, Least
-from .iron import of_iron
-from .laser import laser_motion, of_laser, of_radius
-from .laser_driver import of_scatter
+from .laser import laser_motion, of_laser, of_radius, of_scatter
 from .truth import metre, of_truth, wheels_metre
 from .turning import Turning, aligned, of_track, of_turning, turnings
 

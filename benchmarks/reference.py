@@ -49,13 +49,18 @@ FIRST_KEYS = (  # of robot.toml: what users set first
     "compass.sigma_deg",
     "camera.landmark",
 )
+ON_THEIR_PAGE = {"camera": "camera.md#setting-one-up"}  # tables whose keys a page explains
 HEAD = ("| key | meaning |", "|---|---|")
 Schema = dict[str, Any]
 
 
 def commands_page() -> str:
     """Return the page of all commands, as --help prints them; options of several commands stand there once."""
-    parts = ["# Commands", MADE, "```text", locfuse.get_help(_context(locfuse, "locfuse")), "```"]
+    parts = [
+        "# Commands",
+        MADE,
+        "`locfuse --help` lists the commands, `locfuse COMMAND --help` what you need first of one.",
+    ]
     with click.Context(locfuse) as root:
         commands = {name: locfuse.get_command(root, name) for name in COMMANDS}
     of = {
@@ -117,6 +122,9 @@ def settings_page() -> str:
     shared = [row for row, n in counts.items() if n >= MIN_SHARED]
     parts += ["\n## Keys of several sensors\n", *HEAD, *shared]
     for name, rows in tables.items():
+        if name in ON_THEIR_PAGE:
+            parts += [f"\n## {name}\n", *_of_sensor(name), f"Its keys: [{name}.md]({ON_THEIR_PAGE[name]})."]
+            continue
         own = [row for row in rows if row not in shared]
         also = [row.split("`")[1].split(" = ")[0] for row in rows if row in shared]
         parts += [f"\n## {name}\n", *_of_sensor(name), *HEAD, *own]
@@ -125,12 +133,13 @@ def settings_page() -> str:
 
 
 def _first(schema: Schema) -> Iterator[str]:
-    """Yield the table of the keys that most robots need, in the order in which people need them."""
-    yield from HEAD
-    types = table_types()
+    """Yield the keys that most robots need, by table, in the order in which people need them."""
+    keys: dict[str, list[str]] = {}
     for path in FIRST_KEYS:
         table, key = path.split(".")
-        yield _setting(path, schema["$defs"][types[table].__name__]["properties"][key])
+        assert key in schema["$defs"][table_types()[table].__name__]["properties"], path
+        keys.setdefault(table, []).append(f"`{key}`")
+    yield from (f"- [{table}](#{table}): {', '.join(own)}" for table, own in keys.items())
 
 
 def _of_sensor(name: str) -> Iterator[str]:
@@ -161,11 +170,18 @@ def report_page() -> str:
 
 
 def _table(schema: Schema, definition: Schema) -> Iterator[str]:
+    """Yield a table of keys with their meaning, and a line of those whose name says it all."""
     yield from HEAD
+    plain = []
     for key, part in definition["properties"].items():
         kind = _type(part)
-        words = (kind if "](" in kind else "", _meaning(part))
-        yield f"| `{key}` | {'; '.join(filter(None, words))} |"
+        words = "; ".join(filter(None, (kind if "](" in kind else "", _meaning(part))))
+        if words:
+            yield f"| `{key}` | {words} |"
+        else:
+            plain.append(f"`{key}`")
+    if plain:
+        yield f"\nAnd {', '.join(plain)}."
 
 
 def _setting(key: str, part: Schema) -> str:

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet
 import pytest
+from many_logs import simulated_files, simulated_report
 from scipy import stats
 
-from benchmarks.fleet import simulated_files, simulated_report
 from locfuse.cli.analysis.gates import FleetGates
 from locfuse.cli.analysis.settings import GateOptions
 from locfuse.cli.session.summary import mean_over, summarised

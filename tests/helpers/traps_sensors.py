@@ -373,6 +373,6 @@ TRUTH_TRAPS = (
     Trap("gaps in the truth", blind_spots, "2 gaps, the longest 2.1 s: no errors are computed there"),
     Trap("a truth on a clock of its own", lambda d: late(d, TRUTH, 0.5), "stamps look 0.5", spoils=True),
     Trap("jumps of metres in the truth", jumps, "by more than the wheels rolled", spoils=True),
-    Trap("a start that nobody told", elsewhere, "m and 20.0 deg from where the drive starts", spoils=True),
-    Trap("a start told by points only", points_only, "from where the drive starts", spoils=True),
+    Trap("a start that is not set", elsewhere, "m and 20.0 deg from where the drive starts", spoils=True),
+    Trap("a start by points only", points_only, "from where the drive starts", spoils=True),
 )

@@ -101,6 +101,18 @@ def test_no_sentence_is_long(page: Path) -> None:
     assert [s for s in sentences(page) if len(s.split()) > MAX_WORDS] == []
 
 
+def slugs(page: Path) -> set[str]:
+    """Anchors of a page's headings, as GitHub makes them."""
+    found = re.findall(r"^#+ (.*)", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in found}
+
+
+@pytest.mark.parametrize("page", PROSE, ids=lambda p: f"{p.parent.name}-{p.name}")
+def test_every_link_to_a_heading_leads_to_one(page: Path) -> None:
+    links = re.findall(r"\]\(([\w./]*)#([\w-]+)\)", page.read_text(encoding="utf-8"))
+    assert [f"{to}#{at}" for to, at in links if at not in slugs(page.parent / to if to else page)] == []
+
+
 def test_every_page_is_in_the_index() -> None:
     index = (ROOT / "docs" / "README.md").read_text(encoding="utf-8")
     assert [

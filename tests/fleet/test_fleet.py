@@ -21,9 +21,9 @@ from typing import Any
 import pytest
 from commands import locfuse, ok
 from jobs_here import counted_jobs, jobs_here
+from many_logs import killed, tables, write_logs
 from msgspec.structs import replace
 
-from benchmarks.fleet import killed, tables, write_logs
 from locfuse.cli.analysis.grouping import _regex, expanded
 from locfuse.cli.analysis.robot_tables import given_tables
 from locfuse.cli.analysis.settings import Asked, LogOptions, Outputs

@@ -16,7 +16,7 @@ A fault costs something where an error is above 1.2 x + 1 mm of that with the ri
   `after` are the errors that `compare` prints (`after` at least the real one), and `right` is what they should be.
 
 `--clean 15` takes 15 drives without any fault, the compass offset given or estimated, with and without truth: each
-line that is printed there is needless. `--write` puts the table into docs/advice.md.
+line that is printed there is needless.
 """
 
 from __future__ import annotations
@@ -43,7 +43,6 @@ from locfuse.sample_logs.load import load as scenario_of
 from locfuse.sample_logs.record import on_truth, write_log
 from locfuse.sample_logs.simulate import EPOCH_NS
 
-PAGE = Path(__file__).parent.parent / "docs" / "advice.md"
 FIRST_SEED = 3000
 MAX_LOSS, MAX_LOSS_M, MAX_LOSS_DEG = 0.02, 2e-4, 0.02
 MIN_COST, MIN_COST_M = 0.2, 1e-3  # relative, m: a fault that costs less costs nothing
@@ -287,7 +286,6 @@ def _shown(raw: Row) -> str:
 @click.option("--truth", type=click.Choice(["both", "with", "without"]), default="both", show_default=True)
 @click.option("--jobs", default=1, show_default=True)
 @click.option("-o", "out", type=click.Path(path_type=Path), default=Path("advice.jsonl"), show_default=True)
-@click.option("--write", is_flag=True, help="Put the table into docs/advice.md.")
 def main(
     seeds: int,
     first: int,
@@ -296,7 +294,6 @@ def main(
     truth: str,
     jobs: int,
     out: Path,
-    write: bool,
 ) -> None:
     """Print a table; cases that stand in the file of -o are not run again."""
     names = CLEAN if clean else [n for n in CASES if not words or any(word in n for word in words)]
@@ -316,8 +313,6 @@ def main(
     lines = clean_table(found) if clean else [*goals(found), "", *table(found)]
     for line in (*lines, *experiment.failures(made)):
         click.echo(line)
-    if write:
-        experiment.put(PAGE, "clean" if clean else "drives", lines)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Does obeying the advice help on real logs? Every printed fix is set, and the whole log is compared again.
 
-    LOCFUSE_DATA=folder python -m benchmarks.advice_logs -o advice_logs.jsonl --write
+    LOCFUSE_DATA=folder python -m benchmarks.advice_logs -o advice_logs.jsonl
 
 Two tables. First every finding with its fix, the configuration by which it was judged and that one's figure
 before and after, as printed. Then what all fixes of a log together do when they are obeyed over the whole log:
@@ -11,7 +11,7 @@ verified by hand count as well. "Worse" is an error that grows by more than 2 % 
 column is the CPU time of `compare` over that of `compare --no-advice`; at most 2 + the number of printed fixes is
 wanted.
 
-`--write` puts both tables into docs/advice.md; `--log brenner` runs only some.
+`--log brenner` runs only some.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ import click
 import numpy as np
 
 from benchmarks import experiment
-from benchmarks.advice import MAX_LOSS, MAX_LOSS_DEG, MAX_LOSS_M, PAGE
+from benchmarks.advice import MAX_LOSS, MAX_LOSS_DEG, MAX_LOSS_M
 from benchmarks.building import EPOCH_S, FAR_S, relation_errors
 from benchmarks.experiment import Row
 from locfuse.cli.session.session import Session, load
@@ -203,8 +203,7 @@ def obeyed_table(rows: Sequence[Row]) -> list[str]:
 @click.option("--log", "words", multiple=True, help="Only logs whose name holds this word. Repeatable.")
 @click.option("--jobs", default=1, show_default=True)
 @click.option("-o", "out", type=click.Path(path_type=Path), default=Path("advice_logs.jsonl"), show_default=True)
-@click.option("--write", is_flag=True, help="Put the tables into docs/advice.md.")
-def main(words: tuple[str, ...], jobs: int, out: Path, write: bool) -> None:
+def main(words: tuple[str, ...], jobs: int, out: Path) -> None:
     """Print what is found in the real logs of LOCFUSE_DATA; logs in the file of -o are not run again."""
     data = os.environ.get("LOCFUSE_DATA")
     if not data:
@@ -215,8 +214,6 @@ def main(words: tuple[str, ...], jobs: int, out: Path, write: bool) -> None:
     lines = [*found_table(found), "", *obeyed_table(found)]
     for line in (*lines, *experiment.failures(made)):
         click.echo(line)
-    if write:
-        experiment.put(PAGE, "logs", lines)
 
 
 if __name__ == "__main__":

@@ -1,13 +1,11 @@
-"""What is taken as the motion of each real log, and why: the table of docs/motion.md.
+"""What is taken as the motion of each real log, and why.
 
-python -m benchmarks.motions           print the table (LOCFUSE_DATA names the folder with the logs)
-python -m benchmarks.motions --write   put it into the page
+LOCFUSE_DATA=folder python -m benchmarks.motions
 """
 
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -21,8 +19,6 @@ from locfuse.fusion.streams import merged
 from locfuse.fusion.wheels.odometry import SCANS
 from locfuse.fusion.wheels.read import read_wheels
 
-PAGE = Path(__file__).parent.parent / "docs" / "motion.md"
-HEAD = "| log | taken | why |\n|---|---|---|\n"
 BAGS = ("controller_twist.bag", "pimouse.bag", "odometry_in_tf.bag", "laser_only", "world_frame_twist.bag")
 VOID = ("standing_odometry", "setpoints.bag", "marker_in_camera.bag", "sideways.bag")
 TRICYCLE = (
@@ -61,17 +57,13 @@ def row(path: Path, sets: tuple[str, ...]) -> str:
     return f"| {path.name} | {taken} | {'; '.join(dict.fromkeys(words))} |"
 
 
-def main(write: bool) -> int:
-    """Print the table, or put it into the page."""
+def main() -> None:
+    """Print the table."""
     folder = Path(os.environ["LOCFUSE_DATA"])
-    table = HEAD + "".join(f"{row(folder / name, sets)}\n" for name, sets in LOGS.items())
-    if not write:
-        print(table)
-        return 0
-    before, after = PAGE.read_text(encoding="utf-8").split(HEAD)
-    PAGE.write_text(before + table + "\n" + after.partition("\n\n")[2], encoding="utf-8")
-    return 0
+    print("| log | taken | why |\n|---|---|---|")
+    for name, sets in LOGS.items():
+        print(row(folder / name, sets))
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:] == ["--write"]))
+    main()

@@ -49,12 +49,18 @@ FIRST_KEYS = (  # of robot.toml: what users set first
     "compass.sigma_deg",
     "camera.landmark",
 )
+ON_THEIR_PAGE = {"camera": "camera.md#setting-one-up"}  # tables whose keys a page explains
+HEAD = ("| key | meaning |", "|---|---|")
 Schema = dict[str, Any]
 
 
 def commands_page() -> str:
     """Return the page of all commands, as --help prints them; options of several commands stand there once."""
-    parts = ["# Commands", MADE, "```text", locfuse.get_help(_context(locfuse, "locfuse")), "```"]
+    parts = [
+        "# Commands",
+        MADE,
+        "`locfuse --help` lists the commands, `locfuse COMMAND --help` what you need first of one.",
+    ]
     with click.Context(locfuse) as root:
         commands = {name: locfuse.get_command(root, name) for name in COMMANDS}
     of = {
@@ -67,7 +73,7 @@ def commands_page() -> str:
         if command is not None and (context := _context(command, name))
     }
     counts = Counter(record for records in of.values() for record in records)
-    shared = [record for record, n in counts.items() if n > 1]
+    shared = [record for record, n in counts.items() if n > 1 and not record[0].startswith("--help")]
     shared.sort(key=lambda record: record[0].lstrip("-"))
     parts += ["\n## Options of several commands\n", "```text", _definitions(shared), "```"]
     for name, command in commands.items():
@@ -78,6 +84,7 @@ def commands_page() -> str:
         command.format_help_text(context, formatter)
         formatter.write("\n" + _definitions([record for record in of[name] if counts[record] == 1]))
         also = [re.findall(r"--[a-z-]+", option)[0] for option, words in of[name] if counts[option, words] > 1]
+        also = [option for option in also if option not in {"--help", "--help-all"}]
         if also:
             formatter.write_paragraph()
             formatter.write_text(f"And: {', '.join(also)}")
@@ -102,38 +109,44 @@ def settings_page() -> str:
     """Return the page of all sensors and all keys of robot.toml."""
     schema = robot_schema()
     head = (
-        "A key that is left out has its default. SI units; angles in degrees where a key ends in `_deg`. "
+        "SI units; degrees where a key ends in `_deg`. A key without a default is found, estimated or not used. "
+        "What each sensor reads: [bags.md](bags.md), `locfuse explain lrf`. "
         "An editor completes these keys after `locfuse schema robot > robot.schema.json`."
     )
     parts = ["# Sensors and settings", MADE, head, "\n## Set first\n", *_first(schema)]
-    tables = {name: list(_table(schema, schema["$defs"][kind.__name__])) for name, kind in table_types().items()}
-    counts = Counter(row for rows in tables.values() for row in rows[2:])
+    tables = {
+        name: [_setting(*item) for item in schema["$defs"][kind.__name__]["properties"].items()]
+        for name, kind in table_types().items()
+    }
+    counts = Counter(row for rows in tables.values() for row in rows)
     shared = [row for row, n in counts.items() if n >= MIN_SHARED]
-    parts += ["\n## Keys of several sensors\n", *tables["wheels"][:2], *shared]
+    parts += ["\n## Keys of several sensors\n", *HEAD, *shared]
     for name, rows in tables.items():
+        if name in ON_THEIR_PAGE:
+            parts += [f"\n## {name}\n", *_of_sensor(name), f"Its keys: [{name}.md]({ON_THEIR_PAGE[name]})."]
+            continue
         own = [row for row in rows if row not in shared]
-        also = [row.split("`")[1] for row in rows if row in shared]
-        parts += [f"\n## {name}\n", *_of_sensor(name), *own]
+        also = [row.split("`")[1].split(" = ")[0] for row in rows if row in shared]
+        parts += [f"\n## {name}\n", *_of_sensor(name), *HEAD, *own]
         parts += [f"\nAnd {', '.join(f'`{key}`' for key in also)}."] if also else []
     return "\n".join(parts) + "\n"
 
 
 def _first(schema: Schema) -> Iterator[str]:
-    """Yield the table of the keys that most robots need, in the order in which people need them."""
-    yield "| key | type | default | meaning |"
-    yield "|---|---|---|---|"
-    types = table_types()
+    """Yield the keys that most robots need, by table, in the order in which people need them."""
+    keys: dict[str, list[str]] = {}
     for path in FIRST_KEYS:
         table, key = path.split(".")
-        yield _row(path, schema["$defs"][types[table].__name__]["properties"][key])
+        assert key in schema["$defs"][table_types()[table].__name__]["properties"], path
+        keys.setdefault(table, []).append(f"`{key}`")
+    yield from (f"- [{table}](#{table}): {', '.join(own)}" for table, own in keys.items())
 
 
 def _of_sensor(name: str) -> Iterator[str]:
-    """Yield what a sensor reads and measures; nothing of the robot's own tables."""
+    """Yield what a sensor measures and needs; nothing of the robot's own tables."""
     if name not in REGISTRY:
         return
     sensor = REGISTRY[name]
-    yield f"Reads {', '.join(f'`{kind}`' for kind in sensor.reads)}."
     measured = ", ".join(f"{part.name} [{part.unit}]" for part in sensor.components)
     yield f"Measures {measured}."
     for other, why in sensor.needs.items():
@@ -146,7 +159,7 @@ def report_page() -> str:
     schema = SCHEMAS["report"]()
     head = (
         "`report.json` of `locfuse compare`, `run.json` of `locfuse run`. A report may hold more keys; "
-        "`schema_version` grows when one of these changes its meaning. As JSON Schema: `locfuse schema report`."
+        "`schema_version` grows when one of these changes its meaning. With all types: `locfuse schema report`."
     )
     parts = ["# Keys of report.json", MADE, head]
     first = schema["$ref"].rpartition("/")[2]
@@ -157,16 +170,29 @@ def report_page() -> str:
 
 
 def _table(schema: Schema, definition: Schema) -> Iterator[str]:
-    yield "| key | type | default | meaning |"
-    yield "|---|---|---|---|"
+    """Yield a table of keys with their meaning, and a line of those whose name says it all."""
+    yield from HEAD
+    plain = []
     for key, part in definition["properties"].items():
-        yield _row(key, part)
+        kind = _type(part)
+        words = "; ".join(filter(None, (kind if "](" in kind else "", _meaning(part))))
+        if words:
+            yield f"| `{key}` | {words} |"
+        else:
+            plain.append(f"`{key}`")
+    if plain:
+        yield f"\nAnd {', '.join(plain)}."
 
 
-def _row(key: str, part: Schema) -> str:
-    default = f"`{json.dumps(part['default'])}`" if "default" in part else ""
-    words = part.get("description", "").replace("|", "\\|")
-    return f"| `{key}` | {_type(part)} | {default} | {words} |"
+def _setting(key: str, part: Schema) -> str:
+    """Return the row of a setting with its default, as robot.toml has it; its choices stand with its meaning."""
+    default = f" = {json.dumps(part['default'])}" if part.get("default") is not None else ""
+    choices = _type(part) if "enum" in part else ""
+    return f"| `{key}{default}` | {'; '.join(filter(None, (choices, _meaning(part))))} |"
+
+
+def _meaning(part: Schema) -> str:
+    return str(part.get("description", "")).replace("|", "\\|")
 
 
 def _type(part: Schema) -> str:

@@ -24,7 +24,7 @@ ASK_MOUNT = (
 )
 SIGMA_M, SIGMA_DEG = 0.01, 0.5  # m, degrees: of a mount, wherever it comes from
 MAX_PRIOR_SIGMAS = 3.0  # of what is configured: a mount found further off may be another error that looks like one
-OTHER_MOUNT = "the drive shows another mount"  # how the note on it begins
+OTHER_MOUNT = "it seems to sit at"  # how the note on another mount begins
 SAID_SIGMAS = 4.0  # its own: a mount found further off than this, and than it is known to be, is reported
 
 # of a topic's name: an inertial sensor inside a camera or laser, or on an arm, which is not the robot's own
@@ -79,7 +79,7 @@ class Mount:
 
     def __init__(self, sensor: str, settings: MountedSettings, tells: bool = False) -> None:
         """`tells`: the drive shows the mount, so it is a state unless configured as exact."""
-        self.told = settings.mount
+        self.sensor, self.told = sensor, settings.mount
         sigmas = settings.sigmas(tells)
         self.free = tuple(i for i in range(3) if sigmas[i] > 0.0)  # which of x, y, yaw are states
         self._names = {i: f"{sensor}_{('x', 'y', 'yaw')[i]}" for i in self.free}
@@ -107,7 +107,7 @@ class Mount:
 
     def words(self, belief: Any) -> list[str]:
         """Return where the drive found the mount, if not at its configured values."""
-        parts, far = [], False
+        parts, sets, far = [], [], False
         for i, name in self._names.items():
             column, value = belief.block(name)
             found, sigma = float(value[0]), math.sqrt(max(float(belief.covariance[column, column]), 0.0))
@@ -115,14 +115,16 @@ class Mount:
                 continue
             far = far or abs(found - self.told[i]) > MAX_PRIOR_SIGMAS * math.sqrt(self._variances[i])
             key, unit, times = (("x", " m", 1.0), ("y", " m", 1.0), ("yaw_deg", "°", math.degrees(1.0)))[i]
+            shown = f"{to_a_tenth_of(times * sigma, times * found):g}"
+            sets.append(f"--set {self.sensor}.{key}={shown}")
             parts.append(
-                f"{key} {to_a_tenth_of(times * sigma, times * found):g}{unit} (1 sigma: {times * sigma:.2g}), "
+                f"{key} {shown}{unit} (± {times * sigma:.2g}), "
                 f"not {times * self.told[i]:.4g}{unit} as {'set' if any(self.told) else 'assumed'}"
             )
         doubt = ". Measure it: if the setting is right, something else is wrong" if far else ""
         if far and not any(self.told):
-            doubt = ". Measure it, and set it"
-        return [f"{OTHER_MOUNT}: {'; '.join(parts)}{doubt}"] if parts else []
+            doubt = f". Measure it, then: {' '.join(sets)}"
+        return [f"{OTHER_MOUNT} {'; '.join(parts)}{doubt}"] if parts else []
 
     def rows(self, by_mount: tuple[Row, ...]) -> tuple[Row, ...]:
         """Return the columns of a derivative by (x, y, yaw), (d, 3), that are states."""

@@ -32,7 +32,7 @@ VIRTUAL_TRACK = 0.3  # m: carries the noise of an odometry topic, which knows no
 class WheelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """[wheels]: geometry, encoder and noise of the drive."""
 
-    topic: str | None = None  # None: found
+    topic: str | None = None  # not set: found
     left_topic: str | None = None  # where either wheel has a topic of its own (std_msgs numbers)
     right_topic: str | None = None  # likewise
     left: str | None = None  # joint name
@@ -42,14 +42,14 @@ class WheelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     track: float | None = None  # m between the wheels' contact points
     wheelbase: float | None = None  # m between the axles: of a steering angle
     steering: Steering = "angle"  # what its field holds: that angle, a turning rate [rad/s], a heading
-    steering_topic: str | None = None  # of a car's motor: where its steering stands; None: found
+    steering_topic: str | None = None  # of a car's motor: where its steering stands; not set: found
     erpm_per_mps: float | None = None  # electrical revolutions per minute of its motor at 1 m/s
     servo_gain: float | None = None  # servo position = gain * angle [rad] + offset
     servo_offset: float = 0.0  # servo position of straight wheels
     ticks_per_revolution: float | None = None  # positions are ticks, not radians
     mirrored: Mirrored = "none"  # wheels whose count falls while the robot drives forward
-    rollover: float | None = None  # the counter's range, in its own unit; 0: it never rolls over; None: found
-    max_speed: float | None = None  # m/s of a wheel; readings that need more are faults; None: found
+    rollover: float | None = None  # the counter's range, in its own unit; 0: it never rolls over; not set: found
+    max_speed: float | None = None  # m/s of a wheel; readings that need more are faults; not set: found
     reverse_by_twist: bool = True  # an odometry's pose that goes ahead while its twist says backward is turned
     noise: PerMetre = 4e-4  # m: variance per metre that a wheel rolls (docs/paper.md, eq. 9: k)
     time_offset: float = 0.0  # s

@@ -36,7 +36,7 @@ PoseRows = tuple[tuple[float, float, float], ...]  # (d, 3) derivatives by x [m]
 class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Keys that every sensor's table has; SI units, angles in degrees where the key ends in `_deg`."""
 
-    topic: str | None = None  # None: the only topic of a type the sensor reads
+    topic: str | None = None  # not set: the only topic of a type the sensor reads
     time_offset: float = 0.0  # s, added to the stamps of this sensor
     gate: float = 0.9999  # confidence of the chi-square gate: one good reading in 10 000 is lost; 1 accepts all
     outliers: Literal["reject", "inflate"] = "reject"  # beyond the gate: refused, or R grown until they fit

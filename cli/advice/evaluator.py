@@ -18,18 +18,27 @@ from locfuse.cli.analysis.configurations import Configuration, for_comparison
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import Asked, Progress, silent
 from locfuse.cli.analysis.trust import evidence
-from locfuse.fusion.checks.score import improves, spoils, spoils_alone, turns_right
-from locfuse.fusion.checks.tried import Advice, Fixes, scored, together, tried
+from locfuse.formats.report.findings import change
+from locfuse.fusion.checks.tried import (
+    Advice,
+    Fixes,
+    improves,
+    scored,
+    spoils,
+    spoils_alone,
+    together,
+    tried,
+    turns_right,
+)
 from locfuse.fusion.data import Estimates, Evaluation
 from locfuse.fusion.judge.consistency import Run
-from locfuse.fusion.judge.evaluate import shape_error
 from locfuse.fusion.judge.predictive import Score, scores_of
 from locfuse.fusion.robot import Robot
 
-from .advised import Advised
 from .evidence import Evidence
 from .judged import REFERENCE
-from .trial import Trial, predicted, score_of
+from .report import Advised
+from .trial import SMOOTHED, TRIED, WHOLE, Trial, marks_of, predicted
 
 MIN_DURATION_S = 5.0  # s: a shorter drive judges no setting
 MAX_WHOLE = 2  # findings that change little on the beginning, and are tried on the whole drive all the same
@@ -63,12 +72,14 @@ class Evaluator:
     def _take(self, e: Estimates, judged: Evaluation) -> None:
         """Receive a run while it has its audits; if only the beginning of a drive is tried, only its score."""
         trial, whole = self.trial, self.trial.whole
-        if e.smoothed or e.rates or e.name not in trial.configurations:
+        if e.rates or e.configuration not in trial.configurations:
             return
-        if trial.loaded is whole:
+        if e.smoothed:
+            trial.know(SMOOTHED, (), e, marks_of(e, judged, whole.drive))
+        elif trial.loaded is whole:
             self._seen[e.name] = replace(e, audits={}), judged, evidence(whole.drive, e, whole.robot)
         elif whole.drive.truth is not None:
-            trial.of_whole(e.name, score_of(judged, shape_error(e, whole.drive)))
+            trial.know(WHOLE, (), e, marks_of(e, judged, whole.drive))
 
     def _hear(self, e: Estimates) -> None:
         """Receive a run with listening sensors while it has its audits; odometry's comes first."""
@@ -76,9 +87,9 @@ class Evaluator:
         if trial.loaded is trial.whole:
             self._odometry = self._odometry or e
             self._scores += scores_of(drive, e, self._odometry)
-            trial.heard((), trial.whole, e)
-        elif e.name in trial.configurations:
-            trial.of_whole(e.name, predicted(drive, e))
+            trial.know(TRIED, (), e, predicted(drive, e))
+        else:
+            trial.know(WHOLE, (), e, predicted(drive, e))
 
     def _first(self) -> Compared:
         """Return the comparison under the present settings, from received runs if these are all it needs."""
@@ -106,6 +117,7 @@ class Evaluator:
             loaded = trial.under(fixes)
             if loaded is None:
                 return None
+            trial.keep(fixes)
             compared = _compared(fixes, loaded, trial) if fixes else self._first()
             trial.seed(fixes, compared)
             return Evidence(compared, trial, fixes)
@@ -113,18 +125,39 @@ class Evaluator:
         found, kept = tried(look, trial, partial(number, trial.whole.robot))
         if trial.loaded is not trial.whole:
             found, kept = on_the_whole_drive(found, trial)
+        if kept and smoothed_worse(found, (), kept, list(trial.configurations), trial):
+            found, kept = on_the_whole_drive(found, trial, smoothed=True)
         return Advised(tuple(changing(found, kept, trial.whole.robot)), trial.fusions)
 
 
-def on_the_whole_drive(found: Sequence[Advice], trial: Trial) -> tuple[list[Advice], Fixes]:
+def smoothed_worse(
+    found: Sequence[Advice], before: Fixes, after: Fixes, names: Sequence[str], trial: Trial
+) -> tuple[float, float] | None:
+    """Return the errors [m] of the first smoothed path that other fixes make worse, None without one.
+
+    Where a fix of `found` was judged by the path's shape, the shape of the smoothed paths counts.
+    """
+    first = trial.smoothed(before, names)
+    last = trial.smoothed(after, [*first]) if first else {}
+    pairs = [(first[name], last[name]) for name in last]
+    if any(score.aligned for advice in found for score in (advice.before or {}).values()):
+        pairs = [(b.of_shape(), a.of_shape()) for b, a in pairs]
+    lost = ((b.position, a.position) for b, a in pairs if spoils(b, a))
+    return next(((b, a) for b, a in lost if b is not None and a is not None), None)
+
+
+def on_the_whole_drive(
+    found: Sequence[Advice], trial: Trial, smoothed: bool = False
+) -> tuple[list[Advice], Fixes]:
     """Return advice judged by the whole drive, in every configuration that uses the sensor, and its fixes.
 
-    A fix is none if one of them gets worse, or none of them better. What surely looks wrong and changes little on
-    the beginning is tried too: slow errors show later.
+    A fix is none if one of them gets worse, or none of them better; with `smoothed` also where a smoothed path,
+    which a user keeps, gets worse. What surely looks wrong and changes little on the beginning is tried too: slow
+    errors show later.
     """
     judged: list[Advice] = []
     kept: Fixes = ()
-    more = MAX_WHOLE
+    more = 0 if trial.loaded is trial.whole else MAX_WHOLE
     for advice in found:
         guess = () if advice.helps or not (advice.harmless and advice.finding.severe) else advice.tried[:1]
         if guess and more == 0:
@@ -143,10 +176,20 @@ def on_the_whole_drive(found: Sequence[Advice], trial: Trial) -> tuple[list[Advi
         if worse or not any(improves(*pair) for pair in pairs.values()):
             judged.append(replace(advice, fixes=(), before=None, after=None, tried=(fixes,), harmless=not worse))
             continue
+        lost = smoothed_worse([advice], kept, together(kept, fixes), names, trial) if smoothed else None
+        if lost is not None:
+            words = f"{advice.finding.brief}. A fix helps while driving, but makes the smoothed path worse"
+            finding = replace(advice.finding, message=f"{words} ({change(*lost)})", source="", hint="")
+            judged.append(replace(advice, finding=finding, fixes=(), before=None, after=None, tried=(fixes,)))
+            continue
         before, after = ({name: pair[i] for name, pair in pairs.items()} for i in (0, 1))
         judged.append(replace(advice, fixes=fixes, before=before, after=after))
         kept = together(kept, fixes)
-    return sorted(judged, key=lambda a: not a.helps), kept
+    first: dict[str, Advice] = {}  # one finding without a fix for each sensor, as in the loop
+    for advice in judged:
+        if not advice.helps:
+            first.setdefault(advice.finding.role, advice)
+    return [*(a for a in judged if a.helps), *first.values()], kept
 
 
 def _may_judge(loaded: Loaded) -> bool:
@@ -171,7 +214,7 @@ def _compared(fixes: Fixes, loaded: Loaded, trial: Trial) -> Compared:
     trial.fusions += len(configurations)
 
     def hear(e: Estimates) -> None:
-        trial.heard(fixes, loaded, e)
+        trial.know(TRIED, fixes, e, predicted(loaded.drive, e))
 
     asked = Asked(align=trial.align, smooth=False, audits=False)
     return compare_log(loaded, configurations, asked, trial.progress, heard=[hear])

@@ -1,7 +1,7 @@
 """Faults of a log under some settings, and settings that may correct them: candidates to try.
 
 The order of evidence: as long as a clock, a mount, a scale or a direction may be wrong, nothing is said of offsets
-and noise, since each of these looks like one. Clocks and noise have files of their own.
+and noise, since each of these looks like one.
 """
 
 from __future__ import annotations
@@ -14,34 +14,51 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.trust import overconfident
-from locfuse.fusion.checks.clocks import CLOCK
+from locfuse.fusion.checks.clocks import (
+    CLOCK,
+    MIN_LAG_S,
+    SEVERE_LAG_S,
+    Clock,
+    clock_words,
+    differences,
+    offset_of,
+    wrong_clocks,
+)
+from locfuse.fusion.checks.compass import ROOM
 from locfuse.fusion.checks.examine import scales
 from locfuse.fusion.checks.finding import Finding, Least
-from locfuse.fusion.checks.iron import ROOM
+from locfuse.fusion.checks.lag import SAID_SIGMAS
 from locfuse.fusion.checks.laser import OPEN_SCALE
+from locfuse.fusion.checks.pictures import RIMS
 from locfuse.fusion.checks.probes import MOUNT, beyond_prior, of_mount, of_offsets, of_probe, of_scale, probe_of
-from locfuse.fusion.checks.rims import RIMS
+from locfuse.fusion.checks.slip import of_spins
 from locfuse.fusion.checks.tried import Candidate, Fixes, together
-from locfuse.fusion.checks.truth import CREEP, POINT, STEP, WHEEL_SCALE, of_point, of_ways, swing
+from locfuse.fusion.checks.truth import CREEP, POINT, START, STEP, WHEEL_SCALE, of_point, of_ways, swing
 from locfuse.fusion.data import BASES
 from locfuse.fusion.judge.consistency import Evidence as Said
 from locfuse.fusion.judge.innovations import heard
 from locfuse.fusion.judge.noise_verdicts import NoiseVerdict, biased_against
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.truth import body_poses
 
-from .clocks import Clocks
-from .judged import FINE, LASER, Offer, as_fixes
-from .noise import Noise
+from .judged import FINE, LASER, Noise, Offer, as_fixes
+
+TRIED_SIGMAS = 2.5  # standard deviations: reason enough to fuse again
+MIN_AGAIN_S = 0.005  # s: from which size on a clock that was set is set again
+MIN_SPREAD_S = 0.003  # s: of a lag that is known better, and of one that explains less, no other value is tried
+CAMERA_LAGS_S = (-0.2, -0.1, 0.1, 0.2)  # s
+
 
 SUSPICIOUS = Least(0.005, 2.5)  # what is reason enough to fuse again where nothing else looks wrong
 
 # codes of findings whose value the truth itself or the field shows beyond chance
-MEASURED = (WHEEL_SCALE, "start", POINT, "iron", ROOM, CREEP, RIMS)
+MEASURED = (WHEEL_SCALE, POINT, "iron", ROOM, CREEP, RIMS)
+MAX_SCAN_PERIOD_S = 0.4  # s: between two scans the laser's path is the wheels'
 Key = tuple[str, str]  # role and code of a finding
 SIGNS = {("wheels", "swapped"), ("wheels", "mirrored")}  # judged by the path's shape while the start is not known
 
 
-class Evidence(Clocks, Noise):
+class Evidence(Noise):
     """One log compared under some settings, with its candidates for fixes."""
 
     def suspicious(self) -> bool:
@@ -64,6 +81,7 @@ class Evidence(Clocks, Noise):
             or bool(self._biases_again)
             or self._slips_unusually
             or self._ranges_scatter
+            or bool(self._spins)
             or bool(scales(self.loaded.drive, self.loaded.robot, SUSPICIOUS))
         )
 
@@ -71,7 +89,7 @@ class Evidence(Clocks, Noise):
         """Return possible faults by class of evidence: a later group waits while an earlier one is open."""
         return (
             (self.truth,),
-            (self.clocks, self.geometry),
+            (self.start, self.clocks, self.geometry),
             (self.offsets, self.slips, self.noise, self.unexplained),
         )
 
@@ -86,6 +104,49 @@ class Evidence(Clocks, Noise):
         """Return the finding that the truth jumps aside: errors after that cannot be used."""
         return [self._candidate(f, ()) for f in self.doctor if f.code == STEP]
 
+    def start(self) -> list[Candidate]:
+        """Return the finding on the start: while it is wrong, no error tells a good setting from a bad one."""
+        found = [f for f in self.doctor if f.code == START]
+        return self._candidates(found, (), [(f.role, f.code) for f in found], ())
+
+    @cached_property
+    def wrong(self) -> list[tuple[Clock, ...]]:
+        """Return which clocks look wrong, the best explanation first."""
+        found = differences(self.loaded.drive, self.loaded.robot, self.compared.estimates)
+        again = any(".time_offset=" in fix for fix in self.fixes)
+        return wrong_clocks(found, TRIED_SIGMAS, MIN_AGAIN_S if again else MIN_LAG_S)
+
+    def clocks(self) -> list[Candidate]:
+        """Return the clocks that look wrong: before they are fixed, other findings are not reliable."""
+        found: dict[str, Candidate] = {}
+        by_truth = self.loaded.drive.truth is not None
+        for clock in (clock for clocks in self.wrong for clock in clocks):
+            if clock.name in found or not self.judges(clock.name):
+                continue  # a sensor that no run can use as it is has no judge
+            sure = abs(clock.offset) > SAID_SIGMAS * clock.sigma
+            finding = Finding(clock.name, CLOCK, clock_words(clock), (), sure and abs(clock.offset) > SEVERE_LAG_S)
+            steps = (0.0, -1.0, 1.0) if clock.sigma > MIN_SPREAD_S and clock in self.wrong[0] else (0.0,)
+            ways: tuple[Fixes, ...] = tuple((offset_of(clock, self.loaded.robot, 3, n),) for n in steps)
+            one = self._candidate(finding, ways, not finding.severe)
+            found[clock.name] = replace(one, measured=sure or by_truth, by_shape=by_truth and clock.name == LASER)
+        return [*found.values(), *self._late_pictures()]
+
+    def _late_pictures(self) -> Iterator[Candidate]:
+        """Yield time offsets to try for an inconsistent camera, and a constant bearing error, which looks similar.
+
+        Bearings know no turning, so that these are guesses: not while measuring shows what is wrong.
+        """
+        verdict = self.consistency.get("camera")
+        if any(f.role == "camera" and f.severe and f.fixes for f in self.doctor) or verdict is None:
+            return
+        if verdict.verdict in {*FINE, "overstated"} or not self.judges("camera"):
+            return
+        now = float(self.loaded.robot.settings("camera").time_offset)
+        ways = tuple((f"camera.time_offset={now + step:z.3f}",) for step in CAMERA_LAGS_S)
+        yield self._candidate(Finding("camera", CLOCK, f"{verdict.words}; its clock explains that"), ways, True)
+        if constant := self.constant(verdict):
+            yield self._candidate(Finding("camera", verdict.verdict, verdict.words), constant, True)
+
     def geometry(self) -> list[Candidate]:
         """Return findings on mounts, scales and directions, by measuring and by a run with more states."""
         probed = [] if self._open_scale else [*self._probed(), *self._scaled()]
@@ -99,7 +160,7 @@ class Evidence(Clocks, Noise):
         by_truth = self.loaded.drive.truth is not None
         fine = {f.role for f in found if self._verdict(f.role) in {*FINE, "overstated"}}
         measured = {(f.role, f.code) for f in found if f.role in fine and (by_truth or f.code != MOUNT)}
-        seen = [f for f in self.doctor if f.code != CLOCK]
+        seen = [f for f in self.doctor if f.code not in {CLOCK, START}]
         known = self._candidates(seen, offers, [(f.role, f.code) for f in seen if f.code in MEASURED], measured)
         open_ = [f for f in found if not f.fixes] + ([] if self._open_scale else self._distances)
         return [*known, *(self._candidate(f, ()) for f in open_)]
@@ -273,11 +334,24 @@ class Evidence(Clocks, Noise):
 
     def unexplained(self) -> list[Candidate]:
         """Return unusual residuals of a sensor for which no fixing setting is known."""
-        return [
-            self._candidate(Finding(sensor, verdict.verdict, verdict.words), ())
+        unusual = [
+            Finding(sensor, verdict.verdict, verdict.words)
             for sensor, verdict in self.consistency.items()
             if verdict.verdict not in FINE and not verdict.cures
         ]
+        return [self._candidate(finding, ()) for finding in (*self._spins, *unusual)]
+
+    @cached_property
+    def _spins(self) -> list[Finding]:
+        """Return when both wheels slipped, by the truth, else by the laser's own run."""
+        drive = self.loaded.drive
+        if drive.truth is not None and drive.truth.theta is not None:
+            return of_spins(drive, drive.truth.t, body_poses(drive.truth, drive.truth.t), "truth")
+        runs = (e for e in self.compared.estimates if e.sensors == (LASER,) and not e.smoothed and not e.lost)
+        scans = drive.measurements.get(LASER)
+        if scans is None or np.median(np.diff(scans.t, append=np.inf)) > MAX_SCAN_PERIOD_S:
+            return []
+        return [f for e in runs for f in of_spins(drive, e.t, e.pose, "laser's path", [j.t for j in e.jumps])]
 
 
 def _ways(finding: Finding) -> tuple[Fixes, ...]:

@@ -1,21 +1,31 @@
-"""One log compared under some settings: the verdicts on its sensors, and the configurations that judge a fix."""
+"""One log compared under some settings: who judges a fix, and wrong noise.
+
+Noise of each sensor by residuals, ranges and truth; of the wheels by their slip.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 
 from locfuse.cli.analysis.compare import Compared
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.trust import sensors_consistency
 from locfuse.fusion.checks.examine import examine
 from locfuse.fusion.checks.finding import Finding, Least
+from locfuse.fusion.checks.laser import ranges_sigma, scatter_more
+from locfuse.fusion.checks.slip import Slip, slip
 from locfuse.fusion.checks.tried import Candidate, Fixes
 from locfuse.fusion.data import BASES, Estimates
 from locfuse.fusion.judge.consistency import Consistency
 from locfuse.fusion.judge.covariance import honesty
+from locfuse.fusion.judge.innovations import Own, own
+from locfuse.fusion.judge.noise_verdicts import MAX_SIGMA_FACTOR, many_refused
+from locfuse.fusion.sensors.registry import REGISTRY
 
 from .trial import Trial
 
@@ -149,3 +159,255 @@ class Judged:
             if len(e.sensors) == 1 and e.sensors[0] in fine and not e.smoothed and not e.lost
         ]
         return min(runs, key=lambda e: float(np.median(e.triangles[:, 5])), default=None)
+
+
+WHEEL_NOISE_FACTORS = (0.1, 0.3, 3.0, 10.0)
+TOO_LOW = 2.0  # a sigma that is set too low refuses the large residuals, so the observed one is a lower bound
+MAX_OFFERED_FACTOR = 8.0  # on a sigma: more means that the sensor is not to be used, and is not offered
+MAX_NOISE_FACTOR = 4.0  # on a sigma, by the errors of its own run
+FLOORS, FLOOR_FACTORS = ("floor_range", "floor_angle_deg"), (5.0, 10.0, 20.0)  # of a laser's lines
+NOISE = {"understated", "overstated", "correlated"}
+
+
+class Noise(Judged):
+    """Findings on noise of a compared log."""
+
+    def noise(self) -> list[Candidate]:
+        """Return findings on wrong noise, of each sensor and of the wheels."""
+        found = []
+        for sensor, verdict in self.consistency.items():
+            seen, more = [*_noise_options(verdict), *_above(verdict)], self._by_anees(sensor)
+            by_ranges, words = self._as_ranges_scatter(sensor, verdict), verdict.words
+            if by_ranges:
+                seen.append(by_ranges)
+                words += f" by its lines, {by_ranges[0].partition('=')[2]} m by its ranges"
+            if self._ranges_show_more(sensor, verdict) or self._too_sure(sensor, verdict):
+                seen = []
+            if seen and verdict.verdict == "overstated":
+                seen, words = self._beside_the_wheels(sensor, seen, words)
+            words = words if seen else self._errors_in_sigmas(sensor)
+            if verdict.verdict == "overstated" and seen and more:
+                # a sigma above the configured one is no fix of one that is too high: it has words of its own
+                found.append(self._candidate(Finding(sensor, verdict.verdict, words), tuple(seen)))
+                seen, words = [], self._errors_in_sigmas(sensor)
+            found += self._shared_by_lines(sensor, verdict)
+            options = tuple(dict.fromkeys((*seen, *more)))
+            if sensor != LASER:  # its raw ranges show its noise by themselves
+                settings = self.loaded.robot.settings(sensor)
+                options = tuple(fixes for fixes in options if useful(fixes, settings))
+            if options:
+                finding = Finding(sensor, verdict.verdict if seen else self._by_truth(sensor), words)
+                found.append(self._candidate(finding, options, not seen))
+            elif seen:
+                words += ": so much that something else is wrong with it"
+                found.append(self._candidate(Finding(sensor, verdict.verdict, words), ()))
+        as_configured = self._slip is not None and not self._slip.unusual  # as the turning itself shows
+        doubtful = self.loaded.drive.truth is not None and self._doubtful(self._best(self.trial.configurations))
+        if doubtful and not as_configured:
+            found.append(self._wheel_noise())
+        return found
+
+    def _shared_by_lines(self, sensor: str, verdict: Consistency) -> list[Candidate]:
+        """Return larger floors for a laser's lines if they scatter more than their beams and no sigma explains it.
+
+        A depth camera's neighbouring beams are wrong alike (calibration, steps of the disparity): what a line is
+        off does not become less with the number of its beams.
+        """
+        if sensor != LASER or verdict.verdict != "correlated" or verdict.cures:
+            return []
+        own_run = self._own(sensor, ())
+        if own_run is None or own_run.nis < MAX_SIGMA_FACTOR**2:
+            return []
+        settings = self.loaded.robot.settings(LASER)
+        words = (
+            f"lines scatter {own_run.nis**0.5:.2g} times as far as the noise of their beams says: beams of a line "
+            "share their error (a depth camera, walls that are not flat)"
+        )
+        options = tuple(
+            tuple(f"{LASER}.{key}={getattr(settings, key) * factor:.2g}" for key in FLOORS)
+            for factor in FLOOR_FACTORS
+        )
+        return [self._candidate(Finding(LASER, "floor", words), options, True)]
+
+    def slips(self) -> list[Candidate]:
+        """Return the wheels' noise if their turning shows it and every sensor's run is consistent."""
+        return [self._wheel_noise()] if self._slips_unusually else []
+
+    @cached_property
+    def _ranges_sigma(self) -> float | None:
+        """The noise of a range by the laser's raw ranges [m]; None if they show none."""
+        if LASER not in self.loaded.drive.measurements:
+            return None
+        return ranges_sigma(self.loaded.stream(LASER), self.loaded.robot.settings(LASER))
+
+    @property
+    def _ranges_scatter(self) -> bool:
+        """Whether the laser's raw ranges scatter by more than configured."""
+        return scatter_more(self._ranges_sigma, self.loaded.robot.settings(LASER).sigma_range)
+
+    def _as_ranges_scatter(self, sensor: str, verdict: Consistency) -> Fixes:
+        """Return the laser's noise by its raw ranges, if its lines show about the same.
+
+        A sigma that is far too high also joins walls that are two, and these lines fit worse than others.
+        """
+        cure, shown = _smaller_range_noise(sensor, verdict), self._ranges_sigma
+        if cure is None or shown is None or not cure / MAX_SIGMA_FACTOR <= shown < cure:
+            return ()
+        settings = self.loaded.robot.settings(LASER)
+        share = shown / settings.sigma_range
+        return tuple(f"{LASER}.{k}={getattr(settings, k) * share:.2g}" for k in REGISTRY[LASER].noise_keys)
+
+    def _ranges_show_more(self, sensor: str, verdict: Consistency) -> bool:
+        """Whether the laser's raw ranges scatter more than a smaller sigma allows: then it is not proposed.
+
+        The lines' residuals show the noise of ranges and angles together; the ranges show their own.
+        """
+        cure = _smaller_range_noise(sensor, verdict)
+        return cure is not None and scatter_more(self._ranges_sigma, cure)
+
+    @cached_property
+    def _slip(self) -> Slip | None:
+        return slip(self.loaded.drive)
+
+    @property
+    def _slips_unusually(self) -> bool:
+        """Whether the wheels slip more than configured, or clearly less.
+
+        Less is only believed where truth judges it or several sensors agree: wheels that hardly slip in most turns
+        may slip far in a few, and a laser's own turning is no evidence beside a run that goes by the same scans.
+        """
+        found, truth = self._slip, self.loaded.drive.truth
+        return found is not None and found.unusual and (found.factor > 1.0 or truth is not None or found.agreed)
+
+    def _too_sure(self, sensor: str, verdict: Consistency) -> bool:
+        """Whether truth shows that a filter that would trust a sensor more is overconfident already."""
+        honest = self.honesty.get(self._alone(sensor))
+        return verdict.verdict == "overstated" and honest is not None and honest.overconfident
+
+    def _beside_the_wheels(self, sensor: str, seen: list[Fixes], words: str) -> tuple[list[Fixes], str]:
+        """Return smaller noise with more wheel noise, if the smaller alone makes the gate reject too much.
+
+        Noise of a sensor that is set too high can hide noise of the wheels that is set too low: with the first
+        alone the filter trusts its prediction too much. Truth shows that by itself (`_too_sure`).
+        """
+        if self.loaded.drive.truth is not None:
+            return seen, words
+        usual, shares = [], []
+        for fixes in seen:
+            share = self._refused(sensor, fixes)
+            if share is None or not many_refused(sensor, share):
+                usual.append(fixes)
+            else:
+                shares.append(share)
+        if usual or not shares:
+            return usual, words
+        noise = self.loaded.robot.wheels.noise
+        more = [(*seen[0], f"wheels.noise={noise * f:.2g}") for f in WHEEL_NOISE_FACTORS if f > 1.0]
+        both = [fixes for fixes in more if not many_refused(sensor, self._refused(sensor, fixes) or 0.0)]
+        alone = f"with the first alone {min(shares):.0%} of its readings would be rejected"
+        return both, f"{words}; wheels.noise is set too low ({alone})"
+
+    def _refused(self, sensor: str, fixes: Fixes) -> float | None:
+        """Return the share of a sensor's readings that its own run rejects under more settings."""
+        found = self._own(sensor, fixes)
+        return None if found is None else found.refused
+
+    def _own(self, sensor: str, fixes: Fixes) -> Own | None:
+        """Return the innovation figures of a sensor's own run under more settings."""
+        tried = self.trial.under((*self.fixes, *fixes))
+        run = None if tried is None else self.trial.fused(tried, self._alone(sensor))
+        if tried is None or run is None:
+            return None
+        return own(run.audits[sensor], tried.drive.measurements[sensor])
+
+    @property
+    def _noise_factors(self) -> tuple[float, ...]:
+        """Factors on the wheels' noise, tried with truth: a smaller one cannot fix an overconfident filter."""
+        honest = self.honesty.get(self._best(self.trial.configurations))
+        if honest is None:
+            return ()
+        return tuple(factor for factor in WHEEL_NOISE_FACTORS if (factor > 1.0) == (honest.anees > 1.0))
+
+    def _by_anees(self, sensor: str) -> list[Fixes]:
+        """Return the sensor's noise scaled by the ANEES of the run that uses it alone.
+
+        Not against what its residuals show: only a map that is built from the readings takes their errors along.
+        """
+        if sensor != LASER and self._verdict(sensor) == "consistent":
+            return []
+        honest = self.honesty.get(self._alone(sensor))
+        if honest is None or honest.consistent or honest.anees <= 0.0:
+            return []
+        settings, keys = self.loaded.robot.settings(sensor), REGISTRY[sensor].noise_keys
+        if any(self._was_set(sensor, key) for key in keys):
+            return []  # once: what is still wrong then is something else
+        factor = honest.anees**0.5
+        if not 1.0 / MAX_NOISE_FACTOR <= factor <= MAX_NOISE_FACTOR:
+            return []  # that is no noise
+        if sensor == LASER and factor > 1.0 and self._ranges_sigma is not None and not self._ranges_scatter:
+            return []  # its raw ranges scatter as configured: something else is wrong
+        return [tuple(f"{sensor}.{k}={getattr(settings, k) * factor:.2g}" for k in keys)]
+
+    def _by_truth(self, sensor: str) -> str:
+        """Return the covariance figures by truth for the run that uses a sensor alone."""
+        honest = self.honesty.get(self._alone(sensor))
+        return "understated" if honest is None or honest.anees > 1.0 else "overstated"
+
+    def _errors_in_sigmas(self, sensor: str) -> str:
+        """Return the ratio of the errors of the sensor's own run to its claimed sigmas."""
+        honest = self.honesty.get(self._alone(sensor))
+        times = 1.0 if honest is None else honest.anees**0.5
+        return f"position errors with it are {times:.2g} times what the covariance claims"
+
+    def _wheel_noise(self) -> Candidate:
+        noise = self.loaded.robot.wheels.noise
+        words = f"wheels.noise = {noise:g} m does not fit this drive"
+        factors = self._noise_factors
+        measured = self._slips_unusually
+        if measured and self._slip is not None:
+            words = self._slip.words
+            factors = (self._slip.factor, *factors)
+        if any(e.slips for e in self.compared.estimates):  # less noise would hold them for impossible
+            factors = tuple(factor for factor in factors if factor > 1.0)
+        options = tuple((f"wheels.noise={noise * factor:.2g}",) for factor in factors)
+        found = self._candidate(Finding("wheels", "noise", words), options, True)
+        # odometry's one random walk tells no noise, and chance moves the others by as much
+        judges = tuple(n for n in found.judges if n not in found.minor and n not in BASES)
+        # wheels that hardly slipped where this could be seen may slip far elsewhere: less has to gain something
+        more = any(factor > 1.0 for factor in factors)
+        return replace(
+            found,
+            judges=judges,
+            guards=tuple(self.trial.configurations),
+            measured=measured and (more or self.loaded.drive.truth is not None),
+        )
+
+
+def _smaller_range_noise(sensor: str, verdict: Consistency) -> float | None:
+    """Return the smaller noise of a range [m] by the lines of a laser, None if they show none."""
+    return (
+        verdict.cures.get(f"{LASER}.sigma_range") if sensor == LASER and verdict.verdict == "overstated" else None
+    )
+
+
+def useful(fixes: Fixes, settings: Any) -> bool:
+    """Return whether a sigma is plausible: a much larger one would mean not to use the sensor."""
+    changed = (fix.partition("=") for fix in fixes)
+    pairs = ((float(value), getattr(settings, key.partition(".")[2], None)) for key, _, value in changed)
+    return all(not now or value <= MAX_OFFERED_FACTOR * now for value, now in pairs)
+
+
+def _noise_options(verdict: Consistency) -> list[Fixes]:
+    """Return the alternatives of one noise verdict: all keys of a sigma at once, else one key after another."""
+    if verdict.verdict not in NOISE or not verdict.cures:
+        return []
+    if verdict.verdict == "correlated":
+        return [(f"{key}={value:g}",) for key, value in verdict.cures.items()]
+    return [as_fixes(verdict.cures)]
+
+
+def _above(verdict: Consistency) -> list[Fixes]:
+    """Return a sigma above the observed one, if the configured one was too low."""
+    if verdict.verdict != "understated" or not verdict.cures:
+        return []
+    return [as_fixes({key: float(f"{TOO_LOW * value:.2g}") for key, value in verdict.cures.items()})]

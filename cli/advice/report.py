@@ -2,19 +2,396 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
+
+import msgspec
+from msgspec.structs import replace
 
 from locfuse.cli.analysis.refused_motion import STANDS
 from locfuse.formats.report import json_report
+from locfuse.formats.report.findings import MAX_ANEES, length, options, void_reasons
+from locfuse.formats.robot import robot_toml
 from locfuse.fusion.checks.probes import MOUNT
+from locfuse.fusion.checks.tried import Advice, Fixes, Marks, keys, together
 from locfuse.fusion.checks.truth import Jumps
+from locfuse.fusion.data import BASES, result_name
+from locfuse.fusion.judge.evaluate import ERROR_KEYS
 from locfuse.fusion.mount import OTHER_MOUNT
+from locfuse.fusion.sensors.registry import REGISTRY
 
-from .advised import Advised
-from .headline import covariance, headline
-from .validity import add_validity
-from .values import add_findings
+
+class Advised(msgspec.Struct, frozen=True):
+    """The result of a log's evaluation."""
+
+    advice: tuple[Advice, ...] = ()  # what helps first, in the order in which it was found to help
+    fusions: int = 0  # runs of the filter that it cost
+
+    @property
+    def fixes(self) -> Fixes:
+        """All helpful fixes together."""
+        kept: Fixes = ()
+        for advice in self.advice:
+            kept = together(kept, advice.fixes)
+        return kept
+
+
+FIXES_FILE = "fixes.toml"
+MAX_REFINED_SHARE = 0.2  # of a value: a larger change between two fixes is not the same measured better
+
+
+def add_findings(report: dict[str, Any], advised: Advised | None) -> None:
+    """Add `findings`, and `fixes`: all helpful ones together; null if the log was not evaluated."""
+    if advised is None:
+        report["findings"] = report["fixes"] = None
+        return
+    by_role: dict[tuple[str, bool], list[Advice]] = {}
+    for advice in advised.advice:
+        by_role.setdefault((advice.finding.role, advice.helps), []).append(advice)
+    report["findings"] = [_finding(_joined(found)) for found in by_role.values()]
+    report["fixes"] = list(advised.fixes)
+
+
+def fixes_file(report: Mapping[str, Any]) -> dict[str, str]:
+    """Return fixes.toml by its name, empty if no fix helps: --robot robot.toml --robot fixes.toml."""
+    fixes = report.get("fixes")
+    if not fixes:
+        return {}
+    head = (
+        "# fixes that locfuse tried and found to help; later files win:\n"
+        f"#   --robot robot.toml --robot {FIXES_FILE}\n"
+    )
+    return {FIXES_FILE: head + robot_toml.dump(robot_toml.apply_sets(fixes))}
+
+
+def _joined(found: Sequence[Advice]) -> Advice:
+    """Return the findings of one sensor, step by step, as one finding with one fix."""
+    first, *later = found
+    before_it = first.finding.brief  # what was found before this kind of fault was measured again
+    for advice in later:
+        if advice.finding.code != first.finding.code:
+            before_it = first.finding.brief
+        message = f"{before_it}; then {advice.finding.brief}"
+        if advice.finding.code == first.finding.code and not _moved(first.fixes, advice.fixes):
+            message = first.finding.brief  # the same once more, measured better
+        elif advice.finding.code != first.finding.code and keys(first.fixes) <= keys(advice.fixes):
+            message = advice.finding.brief  # the first one's fix is not what was set in the end
+        before = {**(advice.before or {}), **(first.before or {})}
+        after = {**(first.after or {}), **(advice.after or {})}
+        fixes = together(first.fixes, advice.fixes)
+        finding = replace(first.finding, message=message, hint="", source="")
+        first = replace(first, finding=finding, fixes=fixes, before=before, after=after)
+    return first
+
+
+def _moved(before: Iterable[str], after: Iterable[str]) -> bool:
+    """Return whether a value changed in the end, by more than measuring again changes it."""
+    first, last = (dict(fix.partition("=")[::2] for fix in fixes) for fixes in (before, after))
+    return any(_apart(value, last[key]) for key, value in first.items() if key in last)
+
+
+def _apart(one: str, other: str) -> bool:
+    try:
+        a, b = float(one), float(other)
+    except ValueError:
+        return one != other
+    return abs(a - b) > MAX_REFINED_SHARE * max(abs(a), abs(b))
+
+
+def _finding(advice: Advice) -> dict[str, Any]:
+    name, tried = advice.shown_by, None
+    if name is not None and advice.before is not None and advice.after is not None:
+        tried = {
+            "configuration": name,
+            "before": _score(advice.before[name]),
+            "after": _score(advice.after[name]),
+        }
+    return {
+        "role": advice.finding.role,
+        "code": advice.finding.code,
+        "message": advice.finding.brief,
+        "fixes": list(advice.fixes),
+        "tried": tried,
+        "alternatives": [list(fixes) for fixes in advice.tried],
+        "harmless": advice.harmless,
+    }
+
+
+def _score(score: Marks) -> dict[str, float | None]:
+    return {
+        "position_rmse_m": score.position,
+        "aligned": score.aligned,
+        "anees": score.anees,
+        "prediction_nats": score.prediction,
+        "lost_share": score.lost,
+        "heading_rmse_deg": score.heading,
+    }
+
+
+MAX_LOST_SHARE = 0.1  # of the drive for which a filter may be lost before its figures mean nothing
+MAX_START_ERROR_M = 0.5  # m between the first pose of the truth and the start, where nobody states a start
+EVERY = ("wheels", "truth")  # roles that every configuration depends on
+JUMP = "jump"  # code of the finding on a truth that jumps
+JUDGED = (*ERROR_KEYS, "anees")
+
+
+def add_validity(
+    report: dict[str, Any], advised: Advised | None, start_error_m: float | None, jumps: Jumps | None = None
+) -> None:
+    """Add `validity`; move void figures out of their configurations to `void`, where they stay readable."""
+    found = []
+    for name, values in report["configurations"].items():
+        reason = _lost(values) or _jumping(jumps) or _elsewhere(start_error_m, values)
+        if reason is None:
+            continue
+        code, message = reason
+        known = {key: values[key] for key in JUDGED if values.get(key) is not None}
+        values["void"] = {"reason": message, "figures": known}
+        values.update(dict.fromkeys(known))
+        found.append({"configuration": name, "code": code, "message": message, "since_s": _since(values, code)})
+    void = {entry["code"] for entry in found}  # what is void is not doubtful as well
+    doubts = [d for d in _doubts(report, advised) if d["code"] != JUMP or JUMP not in void]
+    report["validity"] = [*_once(found), *doubts]
+    if found and all("void" in values for values in report["configurations"].values()):
+        report["credit"] = None
+        _withdraw_verdicts(report, "All errors of this log are void.")
+    elif doubts:
+        report["credit"] = None  # a factor is a verdict too
+        _withdraw_verdicts(report, "Not judged while a warning is open.")
+
+
+def _withdraw_verdicts(report: dict[str, Any], words: str) -> None:
+    """Withdraw verdicts that rest on void or doubtful figures."""
+    for verdict in report.get("verdicts", {}).values():
+        verdict.update(verdict="no verdict", words=words)
+
+
+def _doubts(report: dict[str, Any], advised: Advised | None) -> list[dict[str, Any]]:
+    """Return certain faults of the settings; the effects of their fixes are in the findings.
+
+    Where the fix was tried and changes little, the figures do not depend on it.
+    """
+    doubts = []
+    for advice in advised.advice if advised is not None else ():
+        found = advice.finding
+        using = [n for n, v in report["configurations"].items() if found.role in {*EVERY, *v["sensors"]}]
+        if found.severe and using and found.code != "start" and not advice.harmless:
+            message = f"{found.role}: {_first_sentence(found.brief)}"
+            if advice.fixes:
+                message += f". All figures are without this fix: {options(advice.fixes)}"
+            entry = {"code": found.code, "message": message, "since_s": 0.0, "configurations": using}
+            doubts.append({**entry, "void": False})
+    return doubts
+
+
+def _first_sentence(words: str) -> str:
+    """Return the fault without how it was measured, which is in the finding."""
+    return re.sub(r" \(correlation [^()]*\)", "", words.partition(". ")[0])
+
+
+def _lost(values: dict[str, Any]) -> tuple[str, str] | None:
+    share = values.get("lost_share") or 0.0
+    if share <= MAX_LOST_SHARE:
+        return None
+    name = values["configuration"]  # of its smoothed result too: that is lost where its filter is
+    return "lost", f"{name}: lost for {share:.0%} of the drive, first at {values['lost'][0][0]:.1f} s"
+
+
+def _jumping(jumps: Jumps | None) -> tuple[str, str] | None:
+    if jumps is None or not jumps.spoil:
+        return None
+    return JUMP, f"truth: {jumps.words}. Set truth.max_speed, or truth.sigma if this is its noise"
+
+
+def _elsewhere(error_m: float | None, values: dict[str, Any]) -> tuple[str, str] | None:
+    if error_m is None or error_m < MAX_START_ERROR_M or values.get("align") != "none":
+        return None
+    return "start", (
+        f"the truth starts {error_m:.2f} m from where the drive starts; set [start], or judge the shape "
+        "with --align origin"
+    )
+
+
+def _since(values: dict[str, Any], code: str) -> float:
+    return float(values["lost"][0][0]) if code == "lost" else 0.0
+
+
+def _once(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return one entry for each message, with all configurations it applies to."""
+    by_message: dict[str, dict[str, Any]] = {}
+    for entry in found:
+        name = entry.pop("configuration")
+        by_message.setdefault(entry["message"], {**entry, "configurations": [], "void": True})[
+            "configurations"
+        ].append(name)
+    return list(by_message.values())
+
+
+NAMES = {"lrf": "laser", "gps": "GPS", "imu": "IMU"}
+TIE, TIE_M = 0.10, 5e-4  # relative, m: errors that differ by less are equal
+MAX_CONSISTENT_ANEES = 3.0  # above: the covariance is too small
+HELPS, HURTS = ("helps", "seems to help"), ("hurts", "seems to hurt")
+
+
+def headline(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:
+    """Return one or two sentences; `sets` are the sensors of every configuration that the report may name."""
+    return " ".join(filter(None, (report.get("doubt"), _verdict(report, sets))))
+
+
+def _verdict(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:
+    """Return the advice on the sensors."""
+    errors = {n: e for n in sets if (e := report["configurations"][n].get("position_rmse_m")) is not None}
+    void = void_reasons(report)
+    if void and not any(sets[name] for name in errors):
+        return f"No verdict on this log: {void[0]}."
+    if not errors:
+        return _without_truth(report)
+    known = _by_reference(report, errors) if report.get("reference") else _by_errors(report, sets, errors)
+    return " ".join((known, *(f"Not counted is {line}." for line in void)))
+
+
+def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], errors: Mapping[str, float]) -> str:
+    """Return which sensors to keep by the position errors of the configurations that have one."""
+    if len(errors) == 1:
+        ((name, error),) = errors.items()
+        return f"{_with(name, sets[name])}: position error {length(error)}.{_with_fixes(report, sets, error)}"
+    least, ties = min(errors.values()), _ties(errors)
+    best = min(ties, key=lambda n: len(sets[n]))
+    if not sets[best]:
+        return f"No sensor improves on {best}: {length(errors[best])}.{_with_fixes(report, sets, least)}"
+    smoothed = _smoothed(report, best, errors[best])
+    if any(not v["void"] for v in report.get("validity") or ()):
+        first = f"As configured the best is {_names(sets[best])}: {length(errors[best])}{smoothed}."
+        first += (
+            " Set the fixes first." if report.get("fixes") else " Something is wrong that no setting explains."
+        )
+        return f"{first}{_with_fixes(report, sets, least)}"
+    first = f"Keep {_names(sets[best])}: {length(errors[best])}{smoothed}."
+    return f"{_as_configured(report, sets, errors, best, first)}{_with_fixes(report, sets, least)}"
+
+
+def _smoothed(report: Mapping[str, Any], best: str, error: float) -> str:
+    """Return the error with smoothing beside the error [m] while driving, "" if it is not smaller."""
+    after = report["configurations"].get(result_name(best, smoothed=True), {}).get("position_rmse_m")
+    return "" if after is None or after >= error else f", smoothed {length(after)}"
+
+
+def _as_configured(
+    report: Mapping[str, Any],
+    sets: Mapping[str, Sequence[str]],
+    errors: Mapping[str, float],
+    best: str,
+    first: str,
+) -> str:
+    """Return which sensors to keep under the present settings, and the effect of the others."""
+    every = max(sets, key=lambda n: len(sets[n]))
+    ties = _ties(errors)
+    others = [s for s in sets[every] if s not in sets[best]]
+    if not others or every not in errors:
+        base = next((n for n in BASES if n in errors), None)
+        return first if base is None or others else f"{first} {_with(base, ())}: {length(errors[base])}."
+    beside = "it" if len(sets[best]) == 1 else "them"
+    if every in ties:
+        adds = "adds" if len(others) == 1 else "add"
+        return f"{first} {_names(others).capitalize()} {adds} nothing measurable beside {beside}."
+    if any(f["fixes"] for f in report.get("findings") or ()):
+        return f"{first} With all sensors it is {length(errors[every])} before the fixes."
+    bad = [s for s in others if report.get("verdicts", {}).get(s, {}).get("verdict") in HURTS]
+    all_of_them = f"{first} With all sensors it is {length(errors[every])}: "
+    if suspect := [s for s in others if any(f["role"] == s for f in report.get("findings") or ())]:
+        return f"{all_of_them}see the findings on {_names(suspect)}."
+    if not bad:  # one drive does not settle which
+        return f"{all_of_them}leave {_names(others)} out."
+    return f"{all_of_them}{'' if len(bad) == 1 else 'one of '}{_names(bad)} hurts."
+
+
+def covariance(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:
+    """Return that the covariance of all sensors is too small, if no finding explains it, else ""."""
+    name = max(sets, key=lambda n: len(sets[n]), default="")
+    anees = report["configurations"][name].get("anees") if name else None
+    found = report.get("findings") or ()
+    fixed = [f["tried"] for f in found if f["fixes"] and f["tried"]]
+    shown = [t["after"].get("anees") for t in fixed if t["configuration"] == name]
+    if fixed and not any(shown):
+        return ""  # what is left once the fixes are set is not known
+    anees = next((value for value in reversed(shown) if value), anees)
+    if anees is None or anees <= MAX_CONSISTENT_ANEES or any(not v["void"] for v in report.get("validity") or ()):
+        return ""
+    truth = report.get("settings", {}).get("truth", {})
+    open_ = [f["role"] for f in found if not f["fixes"] and not f["harmless"]]
+    if anees <= MAX_ANEES or truth.get("sigma") or truth.get("sigma_theta_deg"):
+        return f" The covariance ({name}) is {anees**0.5:.1f} times too small, and no setting explains it."
+    cause = (
+        f"most likely due to the finding on the {open_[0]}" if open_ else "set truth.sigma, the truth's own noise"
+    )
+    return f" ANEES ({name}) is over {MAX_ANEES:g}: {cause}{'' if open_ else ', to judge it'}."
+
+
+def _ties(errors: Mapping[str, float]) -> list[str]:
+    """Return the configurations whose errors are equal to the least."""
+    least = min(errors.values())
+    return [n for n, e in errors.items() if e <= least * (1.0 + TIE) + TIE_M]
+
+
+def _with_fixes(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], least: float) -> str:
+    """Return the effect of a fix, if its error is smaller than any without it [m], else ""."""
+    tried = [f["tried"] for f in report.get("findings") or () if f["fixes"] and f["tried"]]
+    after = {
+        t["configuration"]: t["after"]["position_rmse_m"]
+        for t in tried
+        if t["configuration"] in sets
+        and t["after"]["position_rmse_m"] is not None
+        and not t["after"].get("aligned")  # of the path's shape: another figure
+    }
+    name = min(after, key=lambda n: after[n], default=None)
+    if name is None or after[name] * (1.0 + TIE) + TIE_M >= least:
+        return ""
+    which = f"{_with(name, sets[name])} and" if len(sets) > 1 else "With"
+    return f" {which} the fixes found it is {length(after[name])}."
+
+
+def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str:
+    """Return the order of odometry and sensors by a reference; it is no truth, so it keeps or drops none."""
+    verdicts = report.get("verdicts", {})
+    words = {which: [s for s, v in verdicts.items() if v["verdict"] in which] for which in (HELPS, HURTS)}
+    parts = [f"{n} alone differs by {length(errors[n])}" for n in BASES if n in errors]
+    for which, one, several in ((HELPS, "helps", "help"), (HURTS, "hurts", "hurt")):
+        if words[which]:
+            parts.append(f"{_names(words[which])} {one if len(words[which]) == 1 else several}")
+    if verdicts and not any(words.values()):  # odometry alone has none
+        unjudged = len(verdicts) == 1 and all(v["verdict"] == "no verdict" for v in verdicts.values())
+        judge = f"{_names([*verdicts])} itself cannot be checked"
+        parts.append(judge if unjudged else "of the sensors nothing is sure")
+    rows = (report["configurations"][name].get("reference") or {} for name in errors)
+    shared = any(row.get("shared") for row in rows)  # its own sensors are in what judges it
+    agreement = " Figures with a * show agreement, not error." if shared else ""
+    return f"Measured against a reference, not truth: {'; '.join(parts)}.{agreement}"
+
+
+def _without_truth(report: Mapping[str, Any]) -> str:
+    """Return the order of the sensors by prediction, which is no error in metres."""
+    verdicts = report.get("verdicts", {})
+    good = [s for s, v in verdicts.items() if v["verdict"] in HELPS]
+    bad = [s for s, v in verdicts.items() if v["verdict"] in HURTS]
+    parts = []
+    if good:
+        parts.append(f"{_names(good)} {'helps' if len(good) == 1 else 'help'} to predict the other sensors")
+    if bad:
+        parts.append(f"{_names(bad)} {'contradicts' if len(bad) == 1 else 'contradict'} them")
+    if not parts:
+        return "No truth and nothing else to judge the sensors: errors cannot be measured. Try: --reference"
+    return f"No truth in this log, so no error is known: {', and '.join(parts)}."
+
+
+def _with(name: str, sensors: Sequence[str]) -> str:
+    return f"With {_names(sensors)}" if sensors else f"{name.capitalize()} alone"
+
+
+def _names(sensors: Sequence[str]) -> str:
+    """Return "the laser, the compass and the camera"."""
+    words = [f"the {NAMES.get(s, s)}" for s in REGISTRY if s in sensors]
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def complete(

@@ -16,9 +16,12 @@ from locfuse.cli.analysis.compare import PLAIN_FRAME, Compared
 from locfuse.cli.analysis.configurations import Configuration
 from locfuse.cli.analysis.load import Loaded, with_settings
 from locfuse.cli.analysis.memory import lean
-from locfuse.cli.analysis.settings import Progress
-from locfuse.fusion.checks.score import Score
-from locfuse.fusion.checks.tried import Fixes
+from locfuse.cli.analysis.settings import Asked, Progress
+from locfuse.fusion.checks.tried import (
+    Fixes,
+    Marks,
+    keys,
+)
 from locfuse.fusion.data import Drive, Estimates, Evaluation, LocfuseError
 from locfuse.fusion.judge.covariance import honesty
 from locfuse.fusion.judge.evaluate import Align, evaluate, shape_error
@@ -27,12 +30,14 @@ from locfuse.fusion.measure import windowed
 from locfuse.fusion.paper.preset import fuser
 
 MAX_INSTANTS = 2400  # of the drive: four minutes of a 10 Hz laser
+SEEN_AFTERWARDS = {"truth.x", "truth.y", "truth.sigma", "truth.sigma_theta_deg"}  # keys that move no estimate
+TRIED, WHOLE, SMOOTHED = "trying", "trying on the whole drive", "smoothing"  # kinds of figures
 MAX_FUSIONS = 60  # runs of the filter that one log's advice may cost
 
 
 @dataclass
 class Trial:
-    """Fuses one log under other settings as often as advice needs it, and remembers every score."""
+    """Fuses one log under other settings as often as advice needs it, and remembers what came of it."""
 
     whole: Loaded
     configurations: Mapping[str, Configuration]
@@ -41,63 +46,75 @@ class Trial:
     fusions: int = 0
     loaded: Loaded = field(init=False)  # what is tried of the log: all of it, or its beginning
     _end: float | None = field(init=False)  # s, of what is tried; None: of the drive
+    _kept: tuple[Fixes, Loaded] = field(init=False)  # the fixes that were found, and the whole log under them
     _last: tuple[Fixes, Loaded | None] = ((), None)  # the whole log under the fixes that were asked for last
     _logs: dict[Fixes, Loaded | None] = field(default_factory=dict)
-    _scores: dict[tuple[Fixes, str], Score] = field(default_factory=dict)
-    _of_whole: dict[tuple[Fixes, str], Score] = field(default_factory=dict)
+    _marks: dict[tuple[str, Fixes, str], Marks] = field(default_factory=dict)  # by TRIED, WHOLE or SMOOTHED
+    _runs: dict[tuple[Fixes, str], Estimates] = field(default_factory=dict)  # of the fixes that were found
 
     def __post_init__(self) -> None:
         """Cut the log if fusing all of it many times would take too long."""
         t = self.whole.drive.t
         self._end = None if len(t) <= MAX_INSTANTS else float(t[MAX_INSTANTS])
         self.loaded = self._shortened(self.whole)
+        self._kept = (), self.whole
 
-    def __call__(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Score]:
-        """Return the scores of these configurations under more settings; {} if these cannot be applied."""
-        found = {}
-        for name in names:
-            if (fixes, name) not in self._scores:
-                loaded = self.under(fixes)
-                if loaded is None or self.fusions >= MAX_FUSIONS:
-                    return {}
-                self.progress(f"trying {' '.join(fixes) or 'the settings as they are'} with {name}")
-                score = self._score(loaded, self.configurations[name])
-                if score is None:
-                    return {}
-                self._scores[fixes, name] = score
-            found[name] = self._scores[fixes, name]
-        return found
+    def keep(self, fixes: Fixes) -> None:
+        """Take the log under these fixes as the one that others change: it is not measured again."""
+        loaded = self.whole_under(fixes)
+        if loaded is not None:
+            self._kept = fixes, loaded
+            self._runs = {}
 
-    def on_whole(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Score]:
-        """Return the scores of these configurations on the whole drive, also where its beginning is tried."""
-        left = [name for name in names if (fixes, name) not in self._of_whole]
-        loaded = self.whole_under(fixes) if left else None
-        for name in left:
-            if loaded is None:
+    def __call__(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Marks]:
+        """Return the figures of these configurations under more settings; {} if these cannot be applied."""
+        return self._of(TRIED, fixes, names)
+
+    def on_whole(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Marks]:
+        """Return the figures of these configurations on the whole drive, also where its beginning is tried."""
+        return self._of(TRIED if self.loaded is self.whole else WHOLE, fixes, names)
+
+    def smoothed(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Marks]:
+        """Return position and heading of those smoothed paths that a comparison shows; {} without truth."""
+        if self.whole.drive.truth is None:
+            return {}
+        shown = [n for n in names if self.configurations[n].is_smoothed(Asked(), self.whole.robot)]
+        return self._of(SMOOTHED, fixes, shown)
+
+    def _of(self, kind: str, fixes: Fixes, names: Sequence[str]) -> dict[str, Marks]:
+        for name in (n for n in names if (kind, fixes, n) not in self._marks):
+            loaded = self.under(fixes) if kind == TRIED else self.whole_under(fixes)
+            if loaded is None or (kind == TRIED and self.fusions >= MAX_FUSIONS):
                 return {}
-            self.progress(f"trying {' '.join(fixes) or 'the settings as they are'} with {name} on the whole drive")
-            score = self._score(loaded, self.configurations[name])
-            if score is None:
+            self.progress(f"{kind} {' '.join(fixes) or 'the settings as they are'} with {name}")
+            marks = self._fused_marks(kind, fixes, name, loaded)
+            if marks is None:
                 return {}
-            self._of_whole[fixes, name] = score
-        return {name: self._of_whole[fixes, name] for name in names}
+            self._marks[kind, fixes, name] = marks
+        return {name: self._marks[kind, fixes, name] for name in names}
 
-    def of_whole(self, name: str, score: Score) -> None:
-        """Receive the score of a configuration on the whole drive under the present settings."""
-        self._of_whole[(), name] = score
+    def _fused_marks(self, kind: str, fixes: Fixes, name: str, loaded: Loaded) -> Marks | None:
+        if loaded.drive.truth is None:
+            return self._predicted(loaded, self.configurations[name])
+        moving = tuple(fix for fix in fixes if not keys((fix,)) <= SEEN_AFTERWARDS)
+        e = self._runs.get((moving, name)) if kind == TRIED else None
+        e = e or self.fused(loaded, name, smooth=kind == SMOOTHED)
+        if e is None or e.smoothed != (kind == SMOOTHED):
+            return None
+        return marks_of(e, evaluate(e, loaded.drive, cast("Align", self.align)), loaded.drive)
+
+    def know(self, kind: str, fixes: Fixes, e: Estimates, marks: Marks) -> None:
+        """Receive the figures of a run, which need not be fused again."""
+        if e.configuration in self.configurations:
+            self._marks[kind, fixes, e.configuration] = marks
 
     def seed(self, fixes: Fixes, compared: Compared) -> None:
-        """Receive scores of a comparison under these settings, which need not be fused again."""
+        """Receive the runs of a comparison under these settings; without truth they come one by one (`know`)."""
         if compared.loaded.drive.truth is None:
-            return  # those come by `heard`
+            return
         for e, judged in zip(compared.estimates, compared.evaluations, strict=True):
-            if judged.name in self.configurations:
-                self._scores[fixes, judged.name] = score_of(judged, shape_error(e, compared.loaded.drive))
-
-    def heard(self, fixes: Fixes, loaded: Loaded, e: Estimates) -> None:
-        """Receive the score of a run with listening sensors, which need not be fused again."""
-        if e.name in self.configurations:
-            self._scores[fixes, e.name] = predicted(loaded.drive, e)
+            self._runs[fixes, e.name] = e
+            self.know(TRIED, fixes, e, marks_of(e, judged, compared.loaded.drive))
 
     def under(self, fixes: Fixes) -> Loaded | None:
         """Return the log under more settings; None if they fit neither the log nor each other."""
@@ -114,8 +131,12 @@ class Trial:
             return self.whole
         if fixes != self._last[0]:
             self._last = (), None  # an hour under every setting that is tried would be hundreds of megabytes
+            kept, loaded = self._kept
+            if not keys(kept) <= keys(fixes):
+                kept, loaded = (), self.whole
+            more = tuple(fix for fix in fixes if fix not in kept)
             try:
-                self._last = fixes, with_settings(self.whole, fixes)
+                self._last = fixes, with_settings(loaded, more) if more else loaded
             except LocfuseError:
                 self._last = fixes, None
         return self._last[1]
@@ -126,24 +147,15 @@ class Trial:
         drive, robot = windowed(loaded.drive, loaded.robot, None, self._end)
         return replace(loaded, drive=drive, robot=robot, window=(loaded.window[0], self._end))
 
-    def fused(self, loaded: Loaded, name: str) -> Estimates | None:
+    def fused(self, loaded: Loaded, name: str, smooth: bool = False) -> Estimates | None:
         """Return one configuration's run, None if the log lacks a sensor under these settings."""
         self.fusions += 1
         try:
-            return lean(self.configurations[name].fuse, loaded.drive, loaded.robot, False)[0]
+            return lean(self.configurations[name].fuse, loaded.drive, loaded.robot, smooth)[-1]
         except LocfuseError:
             return None
 
-    def _score(self, loaded: Loaded, c: Configuration) -> Score | None:
-        if loaded.drive.truth is None:
-            return self._predicted(loaded, c)
-        e = self.fused(loaded, c.name)
-        if e is None:
-            return None
-        judged = evaluate(e, loaded.drive, cast("Align", self.align))
-        return score_of(judged, shape_error(e, loaded.drive))
-
-    def _predicted(self, loaded: Loaded, c: Configuration) -> Score | None:
+    def _predicted(self, loaded: Loaded, c: Configuration) -> Marks | None:
         """Score a configuration by its predictions of the sensors that only listen."""
         self.fusions += 1
         drive = loaded.drive
@@ -154,22 +166,23 @@ class Trial:
         return predicted(drive, e)
 
 
-def predicted(drive: Drive, e: Estimates) -> Score:
+def predicted(drive: Drive, e: Estimates) -> Marks:
     """Return a run's predictions of the sensors that only listened to it.
 
     That it is lost with half of its readings taken away says nothing of a drive that has them all.
     """
-    return Score(prediction=mean_density(drive, e, listeners(drive, e.sensors)))
+    return Marks(prediction=mean_density(drive, e, listeners(drive, e.sensors)))
 
 
-def score_of(judged: Evaluation, shape: float | None = None) -> Score:
-    """Return a configuration's figures against truth; `shape` is the error of its path's shape [m]."""
-    found = honesty(judged) if judged.align == PLAIN_FRAME else None
-    return Score(
+def marks_of(e: Estimates, judged: Evaluation, drive: Drive) -> Marks:
+    """Return a run's figures against truth; the covariance of smoothed paths is no fix's business."""
+    plain = judged.align == PLAIN_FRAME and not e.smoothed
+    found = honesty(judged) if plain else None
+    return Marks(
         judged.figures.get("position_rmse_m"),
-        judged.figures.get("anees"),
+        None if e.smoothed else judged.figures.get("anees"),
         None if found is None else found.bounds,
         lost=judged.lost_share,
-        shape=shape,
+        shape=shape_error(e, drive),
         heading=judged.figures.get("heading_rmse_deg"),
     )

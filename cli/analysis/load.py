@@ -34,6 +34,7 @@ from locfuse.fusion.wheels.read import WheelReading, read_wheels
 from .choose import choose
 from .key import with_files
 from .memory import give_back
+from .motion_evidence import path_of
 from .mounts import level_compass, mount_tables, on_moving_parts, optics_tables, shared_turns, transforms_of
 from .refused_motion import spoiling, standing_notes
 from .robot_tables import (
@@ -190,7 +191,7 @@ def measured(
         raise LocfuseError(moving["lrf"], role="lrf")
     wanted = {role: s for role, s in streams.items() if role not in aside and role not in moving}
     wanted = level_compass(log, wanted, robot, transforms)
-    matched = _matched_scans(streams["wheels"], robot, progress, before) if by_scans else None
+    matched = _matched_scans(log, choice.of("wheels")[0], robot, progress) if by_scans else None
     if matched is not None:
         motion = matched.reading(robot.wheels, robot.settings("lrf").time_offset)
     elif before is not None and before.reading is not None:
@@ -221,15 +222,10 @@ def measured(
     return Loaded(log, robot, choice, drive, tables, matched=matched, reading=motion, spoils=spoils)
 
 
-def _matched_scans(stream: Stream, robot: Robot, progress: Progress, before: Loaded | None) -> MatchedScans:
+def _matched_scans(log: Log, topic: str, robot: Robot, progress: Progress) -> MatchedScans:
     """Return the robot's motion by its laser alone, if no wheels were recorded."""
-    from locfuse.fusion.wheels.motion_by_scans import match_scans  # SciPy comes with it
-
-    laser = laser_of(robot.settings("lrf"))
-    if before is not None and before.matched is not None and before.matched.of(laser):
-        return before.matched
     progress("matching scans")
-    return match_scans(stream, laser)
+    return path_of(log, topic, robot.order, laser_of(robot.settings("lrf")))
 
 
 def _first_scan(streams: Mapping[str, Any], robot: Robot, drive: Drive) -> float | None:

@@ -11,11 +11,12 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
 
 from msgspec.structs import replace
 
 from locfuse.fusion.data import LocfuseError
-from locfuse.fusion.robot import Robot
+from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.streams import merged
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
@@ -25,6 +26,7 @@ from .mounts import mount_tables, transforms_of
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
     from locfuse.fusion.lines.scans import Laser
+    from locfuse.fusion.wheels.motion_by_scans import MatchedScans
     from locfuse.fusion.wheels.scan_agreement import ScanPairs
 
 MAX_SPEEDS = 2  # topics of commanded or measured speeds that are looked at beside scans
@@ -32,7 +34,8 @@ PLACE = ("x", "y", "yaw_deg", "flipped")  # of a laser on the base
 SURE_SHARE = 0.9  # s from which on no matching can be so much better
 WORSE_SHARE = 0.10  # s by which a motion may be worse than the matching of the scans
 BELOW_STILL_SHARE = 0.05  # s by which a motion may be worse than standing
-BETTER_SHARE = 0.015  # s by which matching must be better than wheels of known size, to be said
+BETTER_SHARE = 0.015  # s by which matching must be better than wheels of known size, to be said ...
+MAX_MISFIT_SIGMAS = 2.0  # and the turns of these wheels further from it than their noise explains
 TELLING_SHARE = 0.03  # s by which matching must be better than standing: else the scans tell nothing
 ALIKE_SHARE = 0.10  # s by which two motions of one kind must differ: else neither is chosen
 
@@ -49,6 +52,22 @@ def motion_of(log: Log, robot: Robot, topics: Sequence[str], read: Read) -> Whee
     return read.get(tuple(topics))
 
 
+_paths: WeakKeyDictionary[Log, dict[tuple[object, ...], MatchedScans]] = WeakKeyDictionary()
+
+
+def path_of(log: Log, topic: str, order: str, laser: Laser) -> MatchedScans:
+    """Return the motion by the scans of a log, matched once for each place and scale of the laser.
+
+    Raises LocfuseError if they cannot be matched.
+    """
+    from locfuse.fusion.wheels.motion_by_scans import match_scans  # SciPy comes with it
+
+    known, how = _paths.setdefault(log, {}), (topic, order, *laser.mount.tolist(), *laser[1:-1])
+    if how not in known:
+        known[how] = match_scans(log.stream(topic, order), laser)
+    return known[how]
+
+
 class Evidence:
     """Judges motions by the scans of one topic, which are read for the first motion."""
 
@@ -57,6 +76,7 @@ class Evidence:
     def __init__(self, log: Log, robot: Robot, laser: str, read: Read) -> None:
         self._log, self._robot, self._topic, self._read = log, robot, laser, read
         self._pairs: ScanPairs | None = None
+        self._by_scans = False  # whether no other motion agrees
         self._shares: dict[tuple[str, ...], float] = {}
         self._gone: dict[tuple[str, ...], str] = {}
 
@@ -80,6 +100,7 @@ class Evidence:
 
     def look_at(self, speeds: Sequence[str]) -> None:
         """Score topics of speeds, which never come before scans, for the record."""
+        self._by_scans = True
         for topic in speeds[:MAX_SPEEDS]:
             motion = motion_of(self._log, self._robot, [topic], self._read)
             if motion is None or motion.wheels.stands:
@@ -95,7 +116,8 @@ class Evidence:
         if self._pairs is None or not self._pairs.judge:
             return ""
         share = self._pairs.of(motion)
-        if self._matched < max(share + BETTER_SHARE, self._still + TELLING_SHARE):
+        better = self._matched >= max(share + BETTER_SHARE, self._still + TELLING_SHARE)
+        if not better or self._pairs.misfit(motion) < MAX_MISFIT_SIGMAS:
             return ""
         return (
             f"by {' and '.join(topics)} {share:.1%} of a scan's points lie within 10 cm of the scan a second "
@@ -134,8 +156,12 @@ class Evidence:
 
     @cached_property
     def _matched(self) -> float:
+        """The share s of the scans' own matching: of the path that a run takes where the motion is by scans."""
         assert self._pairs is not None
-        return self._pairs.matched()
+        if not self._by_scans:
+            return self._pairs.matched()
+        path = path_of(self._log, self._topic, self._robot.order, self._pairs.laser)
+        return self._pairs.of_path(path.reading(WheelSettings(), 0.0))
 
     @cached_property
     def _still(self) -> float:

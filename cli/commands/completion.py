@@ -16,7 +16,7 @@ COMPLETION_VARIABLE = "_LOCFUSE_COMPLETE"  # the variable by which the shell ask
 def completion(shell: str) -> None:
     """Print what makes SHELL complete locfuse's commands, options, sample logs, sensors, keys and topics.
 
-    \\b
+    \b
     eval "$(locfuse completion bash)"                                # in ~/.bashrc
     eval "$(locfuse completion zsh)"                                 # in ~/.zshrc
     locfuse completion fish > ~/.config/fish/completions/locfuse.fish

@@ -161,13 +161,14 @@ def _updated(made: Draft, file: Path) -> str:
 
 
 def _head(made: Draft, words: str, name: str) -> str:
+    tuned = " --robot tuned.toml" if _tunes(made) else ""
     return (
         f"robot.toml of {made.overview.log.name}, a starting point by locfuse init. "
         f"Lines starting with # are inactive.\n"
         f"\n"
         f"  locfuse info {words} --check --robot {name}\n"
-        f"  locfuse tune {words} --robot {name} -o tuned.toml\n"
-        f"  locfuse compare {words} --robot {name} --robot tuned.toml\n"
+        + (f"  locfuse tune {words} --robot {name} -o tuned.toml\n" if tuned else "")
+        + f"  locfuse compare {words} --robot {name}{tuned}\n"
         f"  locfuse schema robot > {SCHEMA}   (then an editor completes and checks this file)"
     )
 
@@ -194,5 +195,15 @@ def _say(made: Draft, words: str, name: str) -> None:
         show.say(f"this log cannot run: {nothing}")
     elif made.missing:
         show.say(f"to be filled in: {', '.join(made.missing)} (their lines say how to measure them)")
-    else:
+    elif spoils := made.overview.spoils:
+        show.say(f"no motion to use: {spoils[0].words}")
+    elif _tunes(made):
         show.say(f"next: locfuse tune {words} --robot {name} -o tuned.toml")
+    else:
+        show.say(f"next: locfuse compare {words} --robot {name}")
+
+
+def _tunes(made: Draft) -> bool:
+    """Return whether `tune` finds a sensor beside the wheels."""
+    loaded = made.overview.loaded
+    return loaded is not None and bool(loaded.drive.measurements) and not loaded.spoils

@@ -11,7 +11,7 @@ from msgspec import field
 
 from locfuse.cli.analysis.body_topics import of_camera
 from locfuse.cli.analysis.load import Loaded
-from locfuse.cli.analysis.topics import Choice, of_type
+from locfuse.cli.analysis.topics import Choice, Note, of_type
 from locfuse.cli.analysis.wheel_topics import are_wheels, counters_of, missing_of
 from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.formats.robot.urdf import WheelGeometry, wheel_geometry
@@ -57,6 +57,11 @@ class Overview(msgspec.Struct):
     loaded: Loaded | None = None
     robot_facts: RobotFacts = field(default_factory=RobotFacts)
     findings: list[Finding] = field(default_factory=list)
+
+    @property
+    def spoils(self) -> tuple[Note, ...]:
+        """Why the motion of this log is not the robot's; () without a reason."""
+        return () if self.loaded is None else self.loaded.spoils
 
     @property
     def severe(self) -> bool:

@@ -87,7 +87,9 @@ def found(overview: Overview) -> Known:
     known: Known = {}
     for role in ("wheels", "truth", *REGISTRY):
         known |= _topics(overview, role)
-    if overview.choice.unused_wheels:  # left open: with their size filled in, the wheels are used
+    # left open: with their size filled in, the wheels are used; a motion that is not the robot's is not named,
+    # since a named one counts as the robot's
+    if overview.choice.unused_wheels or overview.spoils:
         known.pop("wheels.topic", None)
     wheels = overview.choice.unused_wheels or overview.choice.of("wheels")
     if wheels and overview.log.topics[wheels[0]].msgtype == JOINTS and overview.robot_facts.joints is not None:

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import msgspec
 from msgspec.structs import replace
 
-from locfuse.cli.advice.values import FIXES_FILE
+from locfuse.cli.advice.report import FIXES_FILE
 from locfuse.cli.analysis.grouping import result_file
 from locfuse.cli.analysis.load import Loaded, with_settings
 from locfuse.cli.analysis.settings import LogOptions, Progress

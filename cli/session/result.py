@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.cli.advice.values import fixes_file
+from locfuse.cli.advice.report import fixes_file
 from locfuse.cli.analysis import outputs, results
 from locfuse.cli.analysis.compare import Compared
 from locfuse.cli.analysis.load import Loaded

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, Unpack, cast, get_args
 import msgspec
 from msgspec.structs import replace
 
-from locfuse.cli.advice.advised import Advised
-from locfuse.cli.advice.report import complete
+from locfuse.cli.advice.report import Advised, complete
 from locfuse.cli.analysis import maps
 from locfuse.cli.analysis.compare import Compared, compare_log, report_of, report_of_run
 from locfuse.cli.analysis.configurations import Configuration, Sensors, configuration_words, for_comparison, parse

@@ -10,13 +10,13 @@ from typing import Any, ClassVar
 import msgspec
 from msgspec.structs import replace
 
-from locfuse.cli.advice.validity import MAX_START_ERROR_M
+from locfuse.cli.advice.report import MAX_START_ERROR_M
 from locfuse.cli.analysis.configurations import refuse_beside_others, unknown_sensor
 from locfuse.cli.analysis.load import Loaded, load, start_error, with_settings
 from locfuse.cli.analysis.settings import LogOptions, set_words
 from locfuse.formats.container.url import Place
 from locfuse.formats.robot import robot_toml
-from locfuse.fusion.checks.score import MAX_LOSS_NATS, Score, spoils
+from locfuse.fusion.checks.tried import MAX_LOSS_NATS, Marks, spoils
 from locfuse.fusion.chi_square import SIGMAS_95
 from locfuse.fusion.data import Evaluation, Measurements
 from locfuse.fusion.fuse import fuse
@@ -206,7 +206,7 @@ def _less_likely(before: float, after: float) -> str:
 
 def spoiled(j: Judged) -> str | None:
     """Return a note on a log that gets worse with the tuned noise: such noise is not written."""
-    before, after = (Score(e.figures.get("position_rmse_m"), lost=e.lost_share) for e in (j.before, j.after))
+    before, after = (Marks(e.figures.get("position_rmse_m"), lost=e.lost_share) for e in (j.before, j.after))
     if not spoils(before, after):
         return None
     if after.lost > before.lost:

@@ -239,7 +239,7 @@ def _bins(errors: Array) -> Array:
 
 EFFECTS = {"alone": 0.28, "leave_one_out": 0.55, "credit": 0.82}  # effect -> its place in a sensor's lane
 WORDS = {
-    "alone": "alone, against odometry",
+    "alone": "alone, compared with odometry",
     "leave_one_out": "last, beside all others",
     "credit": "credit: mean over every order",
     "bounds": "no effect",

@@ -119,24 +119,24 @@ def logs(summary: Mapping[str, Any], entries: Sequence[Entry]) -> tuple[str, lis
     best, every = summary["best"], list(summary["configurations"])
     names = every[:MAX_CONFIGURATIONS]
     known = sorted(((e, error) for e in entries if best and (error := _error(e, best)) is not None), key=_of_error)
-    rows = []
+    rows, named = [], any(entry.robot for entry, _ in known)
     for entry, _ in known[:MAX_ROWS]:
         folder = PurePosixPath(entry.name, entry.report["configurations"][best]["cell"].replace(" ", ","))
         link = f'<a href="{quote(str(folder))}/report.html">{html_text(entry.name)}</a>'
         errors = [_error(entry, name) for name in names]
         least = min((e for e in errors if e), default=0.0)
         cells = "".join(f"<td{_tint(e, least)}>{'–' if e is None else RMSE.form.format(e)}</td>" for e in errors)
-        rows.append(
-            f'<tr><th scope=row>{link}</th><td class="left">{html_text(entry.robot or "–")}</td>{cells}</tr>'
-        )
+        robot = f'<td class="left">{html_text(entry.robot or "–")}</td>' if named else ""
+        rows.append(f"<tr><th scope=row>{link}</th>{robot}{cells}</tr>")
     if not rows:
         return "", []
     left = [(len(known) - len(rows), "logs"), (len(every) - len(names), "configurations")]
     heads = "".join(f"<th scope=col>{html_text(h)}</th>" for h in names)
-    head = f'<tr><th scope=col>log</th><th scope=col class="left">robot</th>{heads}</tr>'
+    robot = '<th scope=col class="left">robot</th>' if named else ""
+    head = f"<tr><th scope=col>log</th>{robot}{heads}</tr>"
     label = 'tabindex="0" role="region" aria-label="Position error of every log"'
     body = "\n".join(rows)
-    table = f'<div class="scroll" {label}><table><thead>{head}</thead><tbody>{body}</tbody></table></div>'
+    table = f'<div class="scroll tall" {label}><table><thead>{head}</thead><tbody>{body}</tbody></table></div>'
     return Markup(table), [f"{n} more {what}" for n, what in left if n]
 
 

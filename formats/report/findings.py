@@ -168,7 +168,7 @@ def _of_log(notes: Sequence[str]) -> list[str]:
 def _whose(own: Mapping[str, str]) -> str:
     """Put the names of configurations before their notes; notes that name a sensor already are unchanged.
 
-    Numbers that are not the first one's stand behind it: "19 (all: 5) places were recognised".
+    Numbers that are not the first one's stand behind it: "19 (all: 5) revisited places".
     """
     first, *others = own
     words = _with_others(own)

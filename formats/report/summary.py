@@ -188,8 +188,17 @@ def headline(summary: Mapping[str, Any]) -> str:
     others = "".join(f", {n} in {k}" for n, k in rivals.items())
     unjudged = _unjudged(summary)
     left = f" {_left_out(unjudged)}." if unjudged else ""
-    wins = f"the best in {found['best_in']} of {judged} logs{others}.{left}"
-    return f"Best is {best}: mean position rmse {mean:.4f} m; {wins}{_ties(summary)}{not_done(summary)}"
+    rest = f"{left}{_ties(summary)}{not_done(summary)}"
+    partly = any(summary["configurations"][n]["figures"][RMSE.key]["logs"] < judged for n in rivals)
+    if partly and not found["best_in"]:
+        first, *more = sorted(rivals, key=lambda n: -rivals[n])
+        wins = "".join(f", {n} in {rivals[n]}" for n in more)
+        return (
+            f"The logs differ in their sensors: {first} is the best in {rivals[first]} of {judged} logs{wins}. "
+            f"In all of them, {best}: mean position rmse {mean:.4f} m.{rest}"
+        )
+    wins = f"the best in {found['best_in']} of {judged} logs{others}."
+    return f"Best is {best}: mean position rmse {mean:.4f} m; {wins}{rest}"
 
 
 def _unjudged(summary: Mapping[str, Any]) -> list[Mapping[str, Any]]:

@@ -102,10 +102,10 @@ def of_words(columns: tuple[Column, ...], rows: Iterable[Sequence[str | None]]) 
 
 
 def of_values(columns: Sequence[Column], rows: Iterable[tuple[Mapping[str, Any], Path]], label: str = "") -> Table:
-    """Return a row of the columns' keys for every mapping, with its path in report.json."""
+    """Return a row of the columns' keys for every mapping, with its path in report.json; (): it has none there."""
     return Table(
         tuple(columns),
-        tuple(tuple(Cell(values.get(c.key), (*at, c.key)) for c in columns) for values, at in rows),
+        tuple(tuple(Cell(values.get(c.key), _below(at, c.key)) for c in columns) for values, at in rows),
         label,
     )
 

@@ -59,7 +59,7 @@ SENSORS = (
 )
 RANKING = (
     CONFIGURATION,
-    Column("gain_nats", "better than odometry, nats per number", form="{:+.3f}", missing="leaves nothing out"),
+    Column("gain_nats", "nats per number, compared with odometry", form="{:+.3f}", missing="leaves nothing out"),
     Column("sensors", "on", kind="text"),
 )
 SCORES = (
@@ -67,7 +67,7 @@ SCORES = (
     Column("sensor", "predicts", kind="text"),
     Column("numbers", "numbers"),
     Column("score_nats", "score, nats", form="{:.3f}"),
-    Column("gain_nats", "against odometry", form="{:+.3f}"),
+    Column("gain_nats", "compared with odometry", form="{:+.3f}"),
     Column("low", "95 % from", form="{:+.3f}"),
     Column("high", "to", form="{:+.3f}"),
     Column("by", "left out in", kind="text"),
@@ -297,7 +297,9 @@ def credit(report: Report) -> Table:
     """Return every sensor's effects on the position error."""
     rows = []
     for sensor, values in report["credit"]["sensors"].items():
-        beside = f"beside {' and '.join(values['beside'])}" if values["beside"] else "alone, against odometry"
+        beside = (
+            f"beside {' and '.join(values['beside'])}" if values["beside"] else "alone, compared with odometry"
+        )
         effects = {"credit": "credit", "alone": beside, "leave_one_out": "last, beside all others"}
         for kind, title in effects.items():
             if values[kind]:

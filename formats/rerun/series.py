@@ -39,11 +39,14 @@ ACCEPTED, NEW, REPEATED = (VERDICTS.index(v) for v in ("accepted", "new", "repea
 def draw_series(to: TimelineRecorder, scene: RerunScene) -> None:
     """Draw all curves, states and events."""
     limit = scene.detail.curve
+    causal = {e.configuration for e in scene.estimates if not e.smoothed}
     for e in scene.estimates:
         pen, name = Pen(to, e.name, scene.colour(e.name), limit), part(e.name)
         drive = scene.seen_by(e.name)
         if e.name in scene.evaluations:
             draw_deviation(pen, scene.evaluations[e.name])
+        if e.smoothed and e.configuration in causal:
+            continue  # its audits are the filter's
         for sensor, audit in e.audits.items():
             compared = np.flatnonzero(np.isfinite(audit.nis))
             pen.dots(f"nis/{sensor}/{name}", e.t[audit.instant[compared]], audit.nis[compared])

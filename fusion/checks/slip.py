@@ -1,4 +1,7 @@
-"""Do the wheels slip as much as `wheels.noise` says? Their turning is compared with that of other sensors.
+"""Do the wheels slip as much as `wheels.noise` says, and when do they spin?
+
+Slip turns the robot: the wheels' turning is compared with that of other sensors. Wheels that spin together turn
+nothing: the distance that they roll is compared with that of a path.
 
 What a wheel slips adds up: the variance of the difference of two turnings grows with the way that was rolled,
 while a sensor's own noise is the same however long one waits. So the growth from short windows to long ones is the
@@ -8,13 +11,17 @@ wheels' (Allan 1966 tells a clock's noises apart in the same way).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.motion import Wheels
+
+from .finding import Finding
 
 SHORT_S, LONG_S = 0.5, 2.0  # s: windows over which turns are compared
 MAX_STRETCH = 1.5  # of a window: a pair of readings further apart lies across a gap
@@ -109,3 +116,46 @@ def _differences(t: Array, heading: Array, window: float, wheels: Wheels) -> _Sp
     rest = own - A @ x
     usual = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
     return _Spread((usual**2, float(rest.var())), float(by_slips.mean()))
+
+
+WINDOW_S, STEP_S = 1.0, 0.25  # s over which distances are compared, and between two windows
+MIN_SPIN_M, MIN_SPIN_SHARE, SPIN_SIGMAS = 0.08, 0.15, 6.0  # m and share of what was rolled; robust sigmas
+MAX_SPINNING_SHARE = 0.1  # of the windows that drive: what lasts longer is another error
+SPIN = "spin"  # code of the finding
+
+
+def of_spins(drive: Drive, t: Array, pose: Array, name: str, jumps: Sequence[float] = ()) -> list[Finding]:
+    """Return when the wheels rolled on while a path, poses (n, 3) at times t (n,), did not move as far.
+
+    A path may jump at the times `jumps` [s] where it was corrected: these tell nothing of the wheels.
+
+    A scale error is the same at all times, and a late clock shows at every start and stop: the median takes the
+    one out, the spread of all windows covers the other.
+    """
+    wheels = drive.wheels
+    begin = np.arange(max(t[0], wheels.t[0]), min(t[-1], wheels.t[-1]) - WINDOW_S, STEP_S)
+    if wheels.matched is not None or len(begin) < MIN_WINDOWS:
+        return []
+    poses = [np.stack([np.interp(a, t, c) for c in pose.T], axis=-1) for a in (begin, begin + WINDOW_S)]
+    moved = se2.between(*poses)[:, 0]
+    rolled = wheels.relative(begin, begin + WINDOW_S)[:, 0]
+    drove = np.abs(rolled) > MIN_SPIN_M
+    for when in jumps:
+        drove &= (begin > when) | (begin + WINDOW_S < when)
+    if drove.sum() < MIN_WINDOWS:
+        return []
+    rest = rolled - moved * float(np.median(rolled[drove] / np.where(moved[drove] == 0.0, np.inf, moved[drove])))
+    spread = 1.4826 * float(np.median(np.abs(rest[drove] - np.median(rest[drove]))))
+    far = drove & (np.abs(rest) > np.maximum(SPIN_SIGMAS * spread, MIN_SPIN_SHARE * np.abs(rolled)))
+    if far.sum() > MAX_SPINNING_SHARE * drove.sum():
+        return []
+    found = []
+    for span in np.split(np.arange(len(far)), np.flatnonzero(np.diff(far.astype(np.int8))) + 1):
+        first, last = begin[span[0]], begin[span[-1]] + WINDOW_S
+        lost = float(rest[span].sum()) * STEP_S / WINDOW_S
+        if not far[span[0]] or abs(lost) < MIN_SPIN_M or last - first < 2.0 * WINDOW_S:
+            continue
+        side = "farther" if lost * rolled[span].sum() > 0.0 else "less far"
+        words = f"from {first:.1f} s to {last:.1f} s they rolled {abs(lost):.2f} m {side} than the {name} moved"
+        found.append(Finding("wheels", SPIN, f"{words}: both wheels slipped"))
+    return found

@@ -3,7 +3,7 @@
 The value of a set of sensors is -ln(position RMSE), so that effects are factors: +0.69 halves the error. A
 sensor's credit is its Shapley value (Shapley 1953): its effect averaged over every order in which the sensors
 could have been added; credits sum to what all sensors together bought. Beside it stand what it buys alone
-(against odometry) and last (leave one out: `all` against `all` without it).
+(compared with odometry) and last (leave one out: `all` against `all` without it).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class SensorCredit(msgspec.Struct, frozen=True):
 
     verdict: Verdict
     credit: Effect | None  # Shapley value; None unless every subset was run
-    alone: Effect | None  # against odometry, or `beside`
+    alone: Effect | None  # compared with odometry, or `beside`
     last: Effect | None  # leave one out
     share: float | None  # of the whole improvement
     anees: tuple[float, float] | None  # without and with it, where adding it made the filter most overconfident

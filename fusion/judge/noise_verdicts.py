@@ -204,7 +204,7 @@ def wanders(sensor: str, o: Own) -> NoiseVerdict:
     """Return the verdict for correlated innovations of normal size: the prediction drifts."""
     words = (
         f"successive residuals are similar ({o.whiteness[0]:.0%}). Usual causes, in this order: wheels.track, "
-        f"{sensor}.time_offset, the mount, the range scale, wheels.noise"
+        f"{sensor}.time_offset, the mount, the range scale, wheels.noise. Check with: locfuse info LOG --check"
     )
     return NoiseVerdict("correlated", words)
 

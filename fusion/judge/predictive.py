@@ -37,7 +37,7 @@ class Score(msgspec.Struct, frozen=True):
     sensor: str
     numbers: int  # scored
     score: float  # mean logarithm of the predicted density, nats per number
-    gain: float  # against odometry on the same readings
+    gain: float  # compared with odometry on the same readings
     low: float  # the gain's 95 % interval, by blocks
     high: float
     stretches: bool  # the sensor belongs to the configuration and listened in stretches only

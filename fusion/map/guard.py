@@ -170,16 +170,22 @@ class Guard:
         again: Again,
         slipped: Slipped,
     ) -> float | None:
-        """Compare a scan, of which a share is matched, with both headings; return the slip after some scans."""
+        """Compare a scan, of which a share is matched, with both headings; return the slip after some scans.
+
+        Matched scans measure the turn without the map: where they match, headings of the map must agree with them.
+        """
         suspicion.look(kept, with_slip(belief, suspicion.turn, again).share())
         if not suspicion.decided:
             return None
         self._suspicion, by_scans = None, slipped()
-        found = (suspicion.turn, slip_turn(scan, lines, belief, again), by_scans)
-        turns = [turn for turn in found if turn is not None]
+        if by_scans is not None and abs(by_scans) < SLIP_SIGMA_RAD:
+            return None
+        turns = [turn for turn in (suspicion.turn, slip_turn(scan, lines, belief, again)) if turn is not None]
+        if by_scans is not None:
+            turns = [by_scans, *(turn for turn in turns if agree(by_scans, turn))]
         shares = [with_slip(belief, turn, again).share() for turn in turns]
         best = int(np.argmax(shares))
-        return turns[best] if suspicion.confirmed(shares[best] - kept, agree(by_scans, turns[best])) else None
+        return turns[best] if suspicion.confirmed(shares[best] - kept, by_scans is not None) else None
 
     def _turned(self, turn: float, belief: JointBelief, again: Again) -> Association:
         """Turn the pose by a slip [rad]."""

@@ -2,9 +2,9 @@
 
 A slip turns the robot. The map shows by how much: headings near the old one are tried on the belief itself.
 In clutter a few short lines match at some heading, and while the robot turns a clock that is off looks like a
-slip. So a slip counts only where the next scans fit better with it, and where the scan at hand, matched with the
-last one that was used, has turned as much more than the wheels report. Until then no scan corrects
-pose or map.
+slip. So the next scans are awaited; then the scan at hand is matched with the last one that was used, and a slip
+counts where it has turned more than the wheels report and fits the map better so. Where the two do not match, all
+scans since must fit the map much better. Until then no scan corrects pose or map.
 
 A candidate place of a lost robot must explain all scans of its `Trail`. In a room whose halves look alike a
 single scan fits twice; as the robot drives on, one of the two places shows walls that are not there.
@@ -109,7 +109,8 @@ SLIP_SIGMA_M, SLIP_SIGMA_RAD = 0.03, math.radians(1.5)
 MAX_CANDIDATES = 8
 RECENT_SCANS = 60  # scans
 DECIDING_SCANS = 3  # scans until a slip is decided
-MIN_GAIN, SURE_GAIN = 0.2, 0.5  # how much more of them must match with it: matched scans agree, or not
+# shares that must match beyond the old heading's: of a turn that matched scans measure, and by the map alone
+MIN_GAIN, SURE_GAIN = 0.2, 0.5
 SMALL_RAD = math.radians(5.0)  # a heading may be off by so much without a slip: below, no further scans are asked
 AGREE_RAD = math.radians(3.0)  # between the turns of a slip by the map and by matched scans
 CARRIED_SCANS = 6  # scans in a row that ask for a slip: the robot is carried
@@ -169,12 +170,11 @@ class Suspicion:
         return self.looks >= DECIDING_SCANS
 
     def confirmed(self, gain: float, by_scans: bool) -> bool:
-        """Return whether the scans since then support a slip, the last one by a `gain` in share.
+        """Return whether a slip explains a `gain` in share of the last scan.
 
-        A little is enough where matched scans show the same turn (`by_scans`).
+        A little is enough where matched scans measured it (`by_scans`); else all scans since then must gain much.
         """
-        least = MIN_GAIN if by_scans else SURE_GAIN
-        return self._gain >= least * self.looks and gain >= least
+        return gain >= MIN_GAIN if by_scans else min(gain, self._gain / self.looks) >= SURE_GAIN
 
 
 def agree(by_scans: float | None, turn: float) -> bool:

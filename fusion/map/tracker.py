@@ -564,9 +564,8 @@ class AtlasTracker(LineTracker):
         words = super().notes(belief)
         if self._frozen:
             n, loops = len(self._frozen) + 1, len(self.closed)
-            told = f"{loops} places were recognised" if loops != 1 else "1 place was recognised"
-            closed = told if loops else "no place was recognised: no loop is closed"
-            words.append(f"the map is made of {n} pieces, and {closed}")
+            closed = f"{loops} revisited place{'s' if loops > 1 else ''}" if loops else "no revisited place"
+            words.append(f"{n} submaps, {closed}")
         return words
 
 

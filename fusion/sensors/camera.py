@@ -46,9 +46,9 @@ class CameraSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, k
     """[camera]: the landmark's place, the calibration of pictures, and the limits of red."""
 
     landmark: Point | None = None  # m, map frame; without it the camera cannot be used
-    centre: Point | None = None  # px, where the mirror's axis meets the picture; None: its middle
-    inner: float | None = None  # px, radius below which the robot sees itself; None: outer / 4
-    outer: float | None = None  # px, radius of the mirror's rim; None: to the picture's nearest edge
+    centre: Point | None = None  # px, where the mirror's axis meets the picture; not set: its middle
+    inner: float | None = None  # px, radius below which the robot sees itself; not set: outer / 4
+    outer: float | None = None  # px, radius of the mirror's rim; not set: to the picture's nearest edge
     width: int = 720  # columns of the panorama
     zero_deg: float = 0.0  # bearing that column 0 (straight down in the picture) looks at
     clockwise: bool = False  # columns turn clockwise in the world, seen from above

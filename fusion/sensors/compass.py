@@ -51,11 +51,11 @@ class CompassSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
     """[compass]."""
 
     sigma_deg: float = 3.0  # white noise of one reading
-    offset_deg: float | None = None  # measured heading minus theta; None: estimated from the drive
+    offset_deg: float | None = None  # measured heading minus theta; not set: estimated from the drive
     sigma_offset_deg: float = 0.0  # 1 sigma of a given offset_deg: above 0 it is estimated from there, 0 is exact
     offset_drift_deg: float = 0.0  # random walk of an estimated offset, degrees per sqrt(s)
     field: str | None = None  # of a message of any type: the number that is the heading, "status.yaw"
-    unit: Literal["rad", "deg"] | None = None  # of heading messages; None: as the convention says
+    unit: Literal["rad", "deg"] | None = None  # of heading messages; not set: as the convention says
     convention: Convention = "enu_rad"  # of headings: 0 = east, ccw; or 0 = north, clockwise (an IMU in NED)
     roll_deg: float = 0.0  # mount on the base, of a magnetometer or an IMU
     pitch_deg: float = 0.0  # degrees, likewise

@@ -63,8 +63,8 @@ Geographic = tuple[float, float]
 class GpsSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """[gps]."""
 
-    origin: Geographic | None = None  # latitude, longitude [deg] of the map's origin; None: estimated
-    east_deg: float | None = None  # where east lies in the map, counter-clockwise from its x axis; None: estimated
+    origin: Geographic | None = None  # latitude, longitude [deg] of the map's origin; not set: estimated
+    east_deg: float | None = None  # where east lies in the map, ccw from its x axis; not set: estimated
     x: float = 0.0  # m, antenna on the base
     y: float = 0.0  # m, likewise
     sigma: float = 1.5  # m per axis, where the receiver does not say

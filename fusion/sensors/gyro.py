@@ -55,7 +55,7 @@ class GyroSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_o
     period: float = 0.1  # s: readings are summed up to this, so that their rate costs nothing in the filter
     sigma_deg: float = 0.05  # angle random walk, degrees per sqrt(s)
     sigma_scale: float = 0.005  # relative error of the gyro's scale, taken as noise of every turn
-    bias_deg: float | None = None  # degrees per s; None: estimated from the drive
+    bias_deg: float | None = None  # degrees per s; not set: estimated from the drive
     sigma_bias_deg: float = 1.0  # what an estimated bias may be at the start
     bias_drift_deg: float = 0.002  # its random walk, degrees per s per sqrt(s)
 

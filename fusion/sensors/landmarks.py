@@ -98,13 +98,13 @@ class LandmarksSettings(PointsSettings, frozen=True, forbid_unknown_fields=True,
     optics: dict[str, tuple[float, float]] = msgspec.field(default_factory=dict)  # topic -> fx, cx [px]
     yaw_deg: float = 0.0  # degrees, of its mount
     pitch_deg: float = 0.0  # degrees that a camera looks down
-    fx: float | None = None  # px, focal length where tags come in pixels; None: of the log's CameraInfo
+    fx: float | None = None  # px, focal length where tags come in pixels; not set: of the log's CameraInfo
     cx: float | None = None  # px, middle of its picture
     sigma_range: float = 0.1  # m
     sigma_bearing_deg: float = 1.5
-    range_offset: float | None = None  # m that ranges are too long; None: estimated
+    range_offset: float | None = None  # m that ranges are too long; not set: estimated
     sigma_range_offset: float = 0.05  # m: what an estimated offset may be at the start
-    range_depth: float | None = None  # 0: ranges are distances, 1: depths along the axis; None: found, of a file
+    range_depth: float | None = None  # 0: ranges are distances, 1: depths along the axis; not set: found
 
     def __post_init__(self) -> None:
         """Refuse a detector without noise."""

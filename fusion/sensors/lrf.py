@@ -147,9 +147,8 @@ def _floor_notes(uneven: Array, settings: LrfSettings) -> Iterator[str]:
     floor, (offset, angle) = (settings.floor_range, math.radians(settings.floor_angle_deg)), np.sqrt(uneven)
     if offset > floor[0] or angle > floor[1]:
         yield (
-            f"the walls are not flat: the noise floor of a line was raised to {1e3 * offset:.1f} mm and "
-            f"{math.degrees(angle):.2f}° (to keep {1e3 * floor[0]:g} mm and {settings.floor_angle_deg:g}°: "
-            "--set lrf.walls=flat)"
+            f"walls are uneven: line noise is at least {1e3 * offset:.1f} mm and {math.degrees(angle):.2f}° "
+            f"(for {1e3 * floor[0]:g} mm and {settings.floor_angle_deg:g}°: --set lrf.walls=flat)"
         )
 
 
@@ -157,10 +156,7 @@ def _curve_notes(curved: int, straight: int) -> Iterator[str]:
     """Return a note if walls are curved, unless it is only a few columns."""
     walls = curved + straight
     if curved > CURVED_SHARE * walls:
-        yield (
-            f"{100 * curved / walls:.0f} % of the walls seen are pieces of curved walls. They are not used: "
-            "no straight line says where the robot is beside a curve"
-        )
+        yield f"curved walls ({100 * curved / walls:.0f} % of the walls seen) are not used"
 
 
 def unevenness(

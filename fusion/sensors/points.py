@@ -34,7 +34,7 @@ class PointsSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw
     what: ClassVar[str]  # what the points are, as a plural
 
     file: str | None = None  # .csv beside the log, whose first line names t, id and what is measured
-    map: str | dict[str, Point] | None = None  # .csv of id, x, y [m], or {"6" = [x, y]}; None, "grow": made
+    map: str | dict[str, Point] | None = None  # .csv of id, x, y [m], or {"6" = [x, y]}; not set, "grow": made
     ignore: tuple[int, ...] = ()  # ids that are not in the map, such as other robots
     x: float = 0.0  # m, detector on the base
     y: float = 0.0  # m, likewise

@@ -64,7 +64,7 @@ Pose = tuple[float, float, float]
 class PoseSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """[pose]."""
 
-    # None: "drift" of an Odometry and of /tf, else "own"
+    # not set: "drift" of an Odometry and of /tf, else "own"
     frame: Literal["map", "own", "drift"] | None = None
     covariance: Literal["message", "sigma"] = "message"  # "sigma": the keys below, whatever the messages claim
     sigma: float = 0.05  # m per axis, where the messages say nothing

@@ -81,7 +81,7 @@ class RangesSettings(PointsSettings, frozen=True, forbid_unknown_fields=True, kw
 
     fields: tuple[str, str] | None = None  # of the topic's messages: which hold id and range [m]
     sigma: float = 0.1  # m
-    offset: float | None = None  # m that ranges are too long; None: estimated
+    offset: float | None = None  # m that ranges are too long; not set: estimated
     sigma_offset: float = 0.2  # m: what an estimated offset may be at the start
 
     def __post_init__(self) -> None:

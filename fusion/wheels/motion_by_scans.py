@@ -67,15 +67,10 @@ class _Way(msgspec.Struct):
 class MatchedScans(msgspec.Struct, frozen=True):
     """The path of a laser by its scans alone, independent of the settings of wheels and clocks."""
 
-    laser: Laser  # that was matched so
     way: _Way
     epoch_ns: int  # the stream's first stamp
     dropped: dict[str, int]
     notes: tuple[str, ...]
-
-    def of(self, laser: Laser) -> bool:
-        """Return whether this is the path of a laser with these settings."""
-        return np.array_equal(self.laser.mount, laser.mount) and self.laser[1:] == laser[1:]
 
     def reading(self, settings: WheelSettings, time_offset: float) -> WheelReading:
         """Return the path as the motion of wheels.
@@ -100,7 +95,7 @@ def match_scans(stream: Stream, laser: Laser) -> MatchedScans:
         way = _matched(read_scans(stream, laser, _wheels(way, WheelSettings())))
     if way.blind[1:].all():
         raise LocfuseError(NO_RETURNS.format(topic=stream.topic), role="wheels")
-    return MatchedScans(laser, way, int(stream.t_ns[0]), dict(stream.dropped), _notes(stream, way))
+    return MatchedScans(way, int(stream.t_ns[0]), dict(stream.dropped), _notes(stream, way))
 
 
 def _notes(stream: Stream, way: _Way) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from locfuse.fusion.data import Array, Ints, Stream
 from locfuse.fusion.lines.points import ScanPoints
 from locfuse.fusion.lines.scans import Laser
 from locfuse.fusion.scan_matching.clouds import MAX_RANGE_M, Clouds, normals
-from locfuse.fusion.scan_matching.match import Targets, match, sources_of
+from locfuse.fusion.scan_matching.match import FLOOR_RAD, Targets, match, sources_of
 
 from .read import WheelReading
 from .scan_clouds import FIELDS, STANDING
@@ -32,6 +32,8 @@ PAIR_S, MAX_PAIR_S = 1.0, 3.0  # s from the earlier to the later scan of a pair;
 MOVES_M, MOVES_RAD = 0.05, np.radians(3.0)  # of a pair that moves
 NEAR_M = 0.1  # a point that lies so near to one of the earlier scan agrees
 POINTS, SURFACE_POINTS = 90, 360  # of the later and of the earlier scan
+MATCHED_POINTS = 40  # of a scan between
+SEARCH_STRIDE = 4  # while clock and mount are searched, every such point counts
 TURNS_RAD = np.radians([0.0, 90.0, 180.0, -90.0])  # of the laser beside its mount
 LAGS_S, FINER_S = np.linspace(-0.5, 0.5, 11), np.array([-0.05, 0.05])  # of the laser's clock
 AHEAD_M = np.array([-0.3, -0.2, -0.1, 0.1, 0.2, 0.3])  # of the laser on a base of which nothing says where it is
@@ -39,6 +41,7 @@ STEP_S = 0.2  # s from scan to scan while the scans between a pair are matched
 STEP_PRIOR = np.diag([0.2**-2, 0.2**-2, np.radians(12.0) ** -2])  # of a step of which nothing is known
 BETWEEN_PRIOR = np.diag([0.1**-2, 0.1**-2, np.radians(4.0) ** -2])  # of steps that were matched one by one
 STEP_REACH_M, REACH_M = 0.6, 0.3
+CHI_SQUARE_MEDIAN = 0.4549  # of one degree of freedom
 LANE_M = 1e4  # between two scans in the search tree
 
 
@@ -58,11 +61,12 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         """Whether any pair has points."""
         return any(len(p) for p in self.points) and any(len(p) for p in self.surface)
 
-    def share(self, moved: Array) -> float:
+    def share(self, moved: Array, stride: int = 1) -> float:
         """Return the share s for motions of the laser (p, 3): the later scan relative to the earlier one."""
-        counts = [len(p) for p in self.points]
+        points = [p[::stride] for p in self.points]
+        counts = [len(p) for p in points]
         lane = np.repeat(np.arange(len(counts)), counts)
-        at = se2.transform(moved[lane], np.concatenate(self.points))
+        at = se2.transform(moved[lane], np.concatenate(points))
         distance, _ = self._tree.query(
             np.column_stack((at, LANE_M * lane)), distance_upper_bound=NEAR_M, workers=1
         )
@@ -76,30 +80,50 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         return self.share(np.zeros((len(self.first), 3)))
 
     def of(self, motion: WheelReading) -> float:
-        """Return s of a motion of the wheels, with the best direction, clock and mount of the laser in turn."""
-        best = np.zeros(3)  # turn [rad], lag [s], ahead [m]
-        share = self.share(self._by(motion, best))
-        placed = self.laser.mount[:2].any()
+        """Return s of a motion of the wheels, with the best direction, clock and mount of the laser."""
+        return self.share(self._by(motion, self._fitted(motion)))
+
+    def misfit(self, motion: WheelReading) -> float:
+        """Return how far a motion turns from the matching of the scans, in sigmas: the median of all pairs."""
+        how = self._fitted(motion)
+        off = se2.wrap_all(self._by(motion, how)[:, 2] - self._poses[:, 2])
+        begin, end = self._within(motion, how[1])
+        variance = motion.wheels.between(begin, end).Q[:, 2, 2] + FLOOR_RAD**2
+        return float(np.sqrt(np.median(off**2 / variance) / CHI_SQUARE_MEDIAN))
+
+    def _fitted(self, motion: WheelReading) -> Array:
+        """Return turn [rad], lag [s] and way ahead [m] of the laser that suit a motion best, each in turn."""
+        best, placed = np.zeros(3), self.laser.mount[:2].any()
+        share = self.share(self._by(motion, best), SEARCH_STRIDE)
         for k, steps in enumerate((TURNS_RAD, LAGS_S, FINER_S, () if placed else AHEAD_M)):
             tries = [best + step * np.eye(3)[(0, 1, 1, 2)[k]] for step in steps if step]
-            shares = [self.share(self._by(motion, one)) for one in tries]
+            shares = [self.share(self._by(motion, one), SEARCH_STRIDE) for one in tries]
             if shares and max(shares) > share:
                 share, best = max(shares), tries[int(np.argmax(shares))]
-        return share
+        return best
+
+    def of_path(self, motion: WheelReading) -> float:
+        """Return s of a path of the laser by its own scans: clock and mount are right."""
+        return self.share(self._by(motion, np.zeros(3)))
 
     def matched(self) -> float:
-        """Return s of the scans' own matching: by steps of a fraction of a second, then from end to end."""
+        """Return s of the scans' own matching."""
+        return self.share(self._poses)
+
+    @cached_property
+    def _poses(self) -> Array:
+        """The laser's motion over each pair (p, 3) by its scans: by short steps, then at once."""
         chains = [self._rows_between(i, j) for i, j in zip(self.first.tolist(), self.later.tolist(), strict=True)]
         rows, at = np.unique(np.concatenate(chains), return_inverse=True)
         clouds = self._clouds(rows)
-        targets, sources = Targets(clouds), sources_of(clouds, POINTS)
+        targets, sources = Targets(clouds), sources_of(clouds, MATCHED_POINTS)
         ends = np.cumsum([len(chain) for chain in chains])
         step = np.setdiff1d(np.arange(len(at) - 1), ends - 1)
         found = _steps(targets, sources, at[step], at[step + 1])
         moved = np.stack([se2.chain(part)[-1] for part in np.split(found, ends[:-1] - np.arange(1, len(chains)))])
         i, j = at[ends - [len(chain) for chain in chains]], at[ends - 1]
         prior = np.broadcast_to(BETWEEN_PRIOR, (len(i), 3, 3))
-        return max(self.share(moved), self.share(match(targets, i, sources, j, moved, prior, REACH_M).pose))
+        return max(moved, match(targets, i, sources, j, moved, prior, REACH_M).pose, key=self.share)
 
     @cached_property
     def _tree(self) -> Any:
@@ -113,9 +137,13 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         """Return the laser's motion over each pair (p, 3) by a motion of the wheels; `how` as in `of`."""
         turn, lag, ahead = how.tolist()
         mount = self.laser.mount + np.array([ahead, 0.0, turn])
-        body = _moved(self.stream, motion, self.t[self.first] + lag, self.t[self.later] + lag)
+        body = motion.wheels.relative(*self._within(motion, lag))
         laser = np.broadcast_to(mount, body.shape)
         return se2.between(laser, se2.compose(body, laser))
+
+    def _within(self, motion: WheelReading, lag: float) -> tuple[Array, Array]:
+        """Return begin and end of each pair (p,) on the clock of a motion, within its range."""
+        return _times(self.stream, motion, self.t[self.first] + lag, self.t[self.later] + lag)
 
     def _rows_between(self, i: int, j: int) -> Ints:
         """Return the scans from i to j, STEP_S apart."""
@@ -142,7 +170,7 @@ def scan_pairs(stream: Stream, laser: Laser, motions: Sequence[WheelReading]) ->
         return None
     moves = np.zeros(len(first), dtype=bool)
     for motion in motions:
-        u = _moved(stream, motion, t[first], t[later])
+        u = motion.wheels.relative(*_times(stream, motion, t[first], t[later]))
         moves |= (np.hypot(u[:, 0], u[:, 1]) > MOVES_M) | (np.abs(u[:, 2]) > MOVES_RAD)
     of = np.flatnonzero(moves) if moves.sum() >= MIN_MOVING else np.arange(len(first))
     some = of[np.unique(np.linspace(0, len(of) - 1, min(PAIRS, len(of))).astype(np.int64))]
@@ -163,11 +191,11 @@ def _steps(targets: Targets, sources: Clouds, i: Ints, j: Ints) -> Array:
     return match(targets, i, sources, j, start, np.broadcast_to(STEP_PRIOR, (len(i), 3, 3)), STEP_REACH_M).pose
 
 
-def _moved(stream: Stream, motion: WheelReading, t_from: Array, t_to: Array) -> Array:
-    """Return the body's motion between times (p,) [s] since the first scan; outside its range it is at rest."""
+def _times(stream: Stream, motion: WheelReading, t_from: Array, t_to: Array) -> tuple[Array, Array]:
+    """Return times (p,) [s] since the first scan on the clock of a motion; outside its range it is at rest."""
     shift = (int(stream.t_ns[0]) - motion.epoch_ns) * 1e-9
-    a, b = (np.clip(t + shift, motion.wheels.t[0], motion.wheels.t[-1]) for t in (t_from, t_to))
-    return motion.wheels.relative(a, b)
+    begin, end = (np.clip(t + shift, motion.wheels.t[0], motion.wheels.t[-1]) for t in (t_from, t_to))
+    return begin, end
 
 
 def _points(stream: Stream, laser: Laser, rows: Ints, most: int) -> list[Array]:

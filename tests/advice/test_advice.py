@@ -54,6 +54,14 @@ def test_two_faults_are_named_with_their_values(faulty: Path) -> None:
             assert tried["after"]["position_rmse_m"] < 0.9 * tried["before"]["position_rmse_m"]
 
 
+def test_a_wrong_start_is_corrected_before_a_clock_is_judged_by_its_errors(log: Path) -> None:
+    found = load(log, sets=("start.x=4", "start.y=3", "compass.time_offset=0.3")).findings()["findings"]
+    first, second = (f for f in found if f["fixes"])
+    assert (first["role"], first["fixes"]) == ("truth", ["start.x=1.500", "start.y=1.500"])
+    assert (second["role"], second["code"]) == ("compass", "lag")
+    assert second["tried"]["before"]["position_rmse_m"] < 0.5  # no longer the metres of the start
+
+
 def test_obeying_helps_and_is_not_advised_again(log: Path, faulty: Path, tmp_path: Path) -> None:
     files = ("--robot", faulty / "robot.toml", "--robot", faulty / "fixes.toml")
     done = locfuse("compare", log, *files, "-o", tmp_path / "out", "--write", "json", "-q")

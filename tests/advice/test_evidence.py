@@ -55,6 +55,7 @@ def test_what_is_unusual_and_has_no_setting_is_told_all_the_same() -> None:
         "compass": Consistency("consistent", ""),
         "camera": Consistency("overstated", "", cures={"camera.sigma_deg": 0.1}),
     }
+    vars(made)["_spins"] = []
     (found,) = made.unexplained()
     assert (found.finding.role, found.finding.code) == ("lrf", "outliers")
     assert not found.alternatives
@@ -118,7 +119,7 @@ def test_a_range_noise_that_is_set_too_high_is_also_tried_as_the_ranges_show_it(
         stream=lambda _: None,
     )
     vars(made)["compared"] = SimpleNamespace(loaded=loaded)
-    monkeypatch.setattr("locfuse.cli.advice.noise.ranges_sigma", lambda *_: ranges)
+    monkeypatch.setattr("locfuse.cli.advice.judged.ranges_sigma", lambda *_: ranges)
     assert made._as_ranges_scatter("lrf", Consistency("overstated", "", cures=cures)) == offered
     assert not made._as_ranges_scatter("lrf", Consistency("understated", "", cures=cures))
 

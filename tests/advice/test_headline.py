@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from locfuse.cli.advice.headline import covariance, headline
+from locfuse.cli.advice.report import covariance, headline
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from locfuse.cli.advice.advised import Advised
-from locfuse.cli.advice.validity import add_validity
-from locfuse.cli.advice.values import add_findings
+from locfuse.cli.advice.report import Advised, add_findings, add_validity
 from locfuse.formats.report.findings import sentence
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.tried import Advice
@@ -107,7 +105,7 @@ def test_an_error_of_the_shape_alone_is_said_to_be_that() -> None:
     [
         (
             replace(LATE, finding=SURE),
-            "lrf: late. Every figure here is without the fix: --set lrf.time_offset=-0.1",
+            "lrf: late. All figures are without this fix: --set lrf.time_offset=-0.1",
         ),
         (Advice(SURE, tried=(("lrf.time_offset=-0.1",),)), "lrf: late"),
         (Advice(SURE, tried=(("lrf.time_offset=-0.1",),), harmless=True), None),

@@ -11,8 +11,7 @@ import pytest
 from locfuse.cli.advice import evaluator
 from locfuse.fusion.checks import tried
 from locfuse.fusion.checks.finding import Finding
-from locfuse.fusion.checks.score import Score
-from locfuse.fusion.checks.tried import Advice, Fixes
+from locfuse.fusion.checks.tried import Advice, Fixes, Marks
 
 CLOCK, NOISE = "compass.time_offset=0", "lrf.sigma_range=0.03"
 LATE = Advice(Finding("compass", "lag", "late", severe=True), tried=((CLOCK,),), judges=("compass", "all"))
@@ -25,8 +24,8 @@ class Trial:
     def __init__(self, both: float, compass: float = 0.033) -> None:
         self.errors = {(): (0.067, 0.0056), (CLOCK,): (compass, 0.0077), (CLOCK, NOISE): (compass, both)}
 
-    def __call__(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Score]:
-        return {name: Score(self.errors[fixes][name == "all"]) for name in names}
+    def __call__(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Marks]:
+        return {name: Marks(self.errors[fixes][name == "all"]) for name in names}
 
 
 def found(advice: Advice, trial: Trial, monkeypatch: pytest.MonkeyPatch) -> list[Advice]:

@@ -19,8 +19,7 @@ from locfuse.fusion.checks.compass import angles, by_gravity
 from locfuse.fusion.checks.examine import gaps
 from locfuse.fusion.checks.finding import Finding, Least, of_error
 from locfuse.fusion.checks.laser import laser_motion, of_laser, of_radius
-from locfuse.fusion.checks.start import start_pose
-from locfuse.fusion.checks.truth import jumps_of, metre, of_truth, wheels_metre
+from locfuse.fusion.checks.truth import jumps_of, metre, of_truth, start_pose, wheels_metre
 from locfuse.fusion.checks.turning import explain, of_track, turnings
 from locfuse.fusion.data import Drive, LocfuseError, Truth, UsageError
 from locfuse.fusion.mount import rotation

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from locfuse.cli.session.session import load
+from locfuse.fusion.checks.compass import of_iron
 from locfuse.fusion.checks.finding import Finding
-from locfuse.fusion.checks.iron import of_iron
 from locfuse.sample_logs.load import load as scenario_of
 from locfuse.sample_logs.record import on_truth, write_log
 

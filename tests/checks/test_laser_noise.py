@@ -9,8 +9,8 @@ import pytest
 from commands import locfuse
 from scan_streams import scan_stream
 
-from locfuse.fusion.checks import laser_driver
-from locfuse.fusion.checks.laser_driver import of_scatter, ranges_sigma, scatter_more
+from locfuse.fusion.checks import laser
+from locfuse.fusion.checks.laser import of_scatter, ranges_sigma, scatter_more
 from locfuse.fusion.data import Array, Ragged
 from locfuse.fusion.lines.scans import MAX_BEAMS
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings
@@ -87,7 +87,7 @@ def test_scans_of_more_beams_than_a_laser_has_are_not_looked_at() -> None:
         def blocks(self, *_: str, rows: int) -> Any:
             yield np.arange(40), columns
 
-    ((rows, kept),) = laser_driver._first(cast("Any", Stream()))
+    ((rows, kept),) = laser._first(cast("Any", Stream()))
     assert rows.tolist() == [3, 7]
     assert kept["ranges"].lengths.tolist() == [5, 5]
     assert {len(v) for k, v in kept.items() if k != "ranges"} == {2}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from locfuse.fusion.checks.rims import of_rims
+from locfuse.fusion.checks.pictures import of_rims
 from locfuse.fusion.sensors.camera import CameraSettings
 
 SIZE_PX = 320

@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import replace
 from small_drive import NOISE, drive, robot
 
-from locfuse.fusion.checks.slip import LONG_S, MAX_FACTOR, SHORT_S, slip
+from locfuse.fusion.checks.slip import LONG_S, MAX_FACTOR, SHORT_S, of_spins, slip
 from locfuse.fusion.data import Drive
 
 
@@ -101,3 +101,26 @@ def test_sensors_that_disagree_about_slip_vouch_for_nothing() -> None:
     assert found is not None
     assert found.by == "lrf"
     assert not found.agreed
+
+
+def test_wheels_that_spin_together_are_named_with_their_time_and_way() -> None:
+    """A path that stands still for a second, from 40 s on, while the wheels roll on at 0.3 m/s."""
+    one = drawn(3)
+    t = one.wheels.t
+    stood = np.clip(t - 40.0, 0.0, 1.0)
+    path = one.wheels.at(t - stood)[2]
+    (found,) = of_spins(one, t, path, "truth")
+    first, last, way = (float(word.strip("s,:")) for word in found.message.split() if word[0].isdigit())
+    assert (first, last) == (pytest.approx(40.0, abs=1.1), pytest.approx(41.0, abs=1.1))
+    assert way == pytest.approx(0.3, rel=0.15)
+    assert "farther than the truth moved" in found.message
+    assert not of_spins(one, t, path, "truth", jumps=[40.5])
+
+
+@pytest.mark.parametrize("scale", [0.9, 1.0, 1.1])
+@pytest.mark.parametrize("late_s", [0.0, 0.2])
+def test_a_wrong_radius_or_a_late_clock_is_no_spin(scale: float, late_s: float) -> None:
+    one = drawn(4)
+    t = one.wheels.t
+    path = one.wheels.at(np.maximum(t - late_s, 0.0))[2] * [scale, scale, 1.0]
+    assert not of_spins(one, t, path, "truth")

@@ -8,8 +8,19 @@ import pytest
 from msgspec.structs import replace
 
 from locfuse.fusion.checks.finding import Finding
-from locfuse.fusion.checks.score import Score, gain, improves, spoils
-from locfuse.fusion.checks.tried import Advice, Candidate, Fixes, Scores, Try, together, tried
+from locfuse.fusion.checks.tried import (
+    Advice,
+    Candidate,
+    Fixes,
+    Marks,
+    Scores,
+    Try,
+    gain,
+    improves,
+    spoils,
+    together,
+    tried,
+)
 
 LATE = Candidate(Finding("lrf", "lag", "late"), (("lrf.time_offset=-0.1",),), ("lrf", "all"))
 BIASED = Candidate(Finding("compass", "offset", "biased"), (("compass.offset_deg=5",),), ("compass", "all"))
@@ -27,7 +38,7 @@ class Trials:
     def __call__(self, fixes: Fixes, names: Sequence[str]) -> Scores:
         self.asked.append(fixes)
         error = self.errors.get(frozenset(fixes))
-        return {} if error is None else {name: Score(error) for name in names}
+        return {} if error is None else {name: Marks(error) for name in names}
 
 
 class Case:
@@ -117,7 +128,7 @@ def test_a_configuration_that_nobody_would_keep_may_predict_worse_by_what_chance
     scores = {("lrf", ()): 3.24, ("all", ()): 3.03, ("lrf", (LAG,)): 3.24 - lost, ("all", (LAG,)): 3.03 + gained}
 
     def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
-        return {name: Score(prediction=scores[name, fixes]) for name in names}
+        return {name: Marks(prediction=scores[name, fixes]) for name in names}
 
     candidate = Candidate(
         LATE.finding, LATE.alternatives, LATE.judges, minor=("lrf",) if minor else (), measured=True
@@ -150,7 +161,7 @@ def test_a_track_that_makes_odometry_better_may_not_ruin_the_camera(camera: floa
     scores |= {("camera", (track,)): camera, ("all", ()): 0.0035, ("all", (track,)): 0.0035}
 
     def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
-        return {name: Score(scores[name, fixes]) for name in names}
+        return {name: Marks(scores[name, fixes]) for name in names}
 
     judges = ("camera", "all", "odometry")
     finding = Finding("wheels", "track", "4 % off")
@@ -168,10 +179,10 @@ def test_an_error_that_was_small_by_chance_may_grow_where_another_falls_to_less_
     """A radius 6 % off: odometry's two errors cancel on this drive, and its covariance says that it is chance."""
     radius = "wheels.radius=0.05"
     scores = {
-        ("camera", ()): Score(0.540, 27.0, BOUNDS),
-        ("camera", (radius,)): Score(0.043, 0.95, BOUNDS),
-        ("odometry", ()): Score(0.277, anees, BOUNDS),
-        ("odometry", (radius,)): Score(0.391, 0.9, BOUNDS),
+        ("camera", ()): Marks(0.540, 27.0, BOUNDS),
+        ("camera", (radius,)): Marks(0.043, 0.95, BOUNDS),
+        ("odometry", ()): Marks(0.277, anees, BOUNDS),
+        ("odometry", (radius,)): Marks(0.391, 0.9, BOUNDS),
     }
 
     def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
@@ -185,10 +196,10 @@ def test_an_error_that_was_small_by_chance_may_grow_where_another_falls_to_less_
 def test_a_filter_that_only_becomes_underconfident_is_not_spoiled_beside_a_sensor_that_is_settled() -> None:
     """A compass 30 degrees off: 1.3 m -> 25 mm; of `all` the error shrinks below what was claimed anyway."""
     scores = {
-        ("compass", ()): Score(1.35, 380.0, BOUNDS),
-        ("compass", (OFFSET,)): Score(0.025, 0.7, BOUNDS),
-        ("all", ()): Score(0.00312, 0.48, BOUNDS),
-        ("all", (OFFSET,)): Score(0.00296, 0.38, BOUNDS),
+        ("compass", ()): Marks(1.35, 380.0, BOUNDS),
+        ("compass", (OFFSET,)): Marks(0.025, 0.7, BOUNDS),
+        ("all", ()): Marks(0.00312, 0.48, BOUNDS),
+        ("all", (OFFSET,)): Marks(0.00296, 0.38, BOUNDS),
     }
 
     def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
@@ -201,34 +212,49 @@ def test_a_filter_that_only_becomes_underconfident_is_not_spoiled_beside_a_senso
 @pytest.mark.parametrize(
     ("before", "after", "worse", "better"),
     [
-        (Score(0.100), Score(0.089), False, True),
-        (Score(0.100), Score(0.095), False, False),  # less than a tenth
-        (Score(0.100), Score(0.103), True, False),
-        (Score(0.0010), Score(0.00119), False, False),  # 0.2 mm are nothing
-        (Score(0.1, 40.0, BOUNDS), Score(0.1, 1.0, BOUNDS), False, True),
-        (Score(0.1, 0.8, BOUNDS), Score(0.1, 1.0, BOUNDS), False, False),  # chance, both
-        (Score(0.1, 1.0, BOUNDS), Score(0.1, 3.0, BOUNDS), True, False),
-        (Score(0.1, 5.4, BOUNDS), Score(0.12, 1.0, BOUNDS), True, True),  # no ANEES is worth a larger error
-        (Score(0.295, 220.0, BOUNDS), Score(0.328, 176.0, BOUNDS), True, False),  # nor is a little of it a gain
-        (Score(0.3, 220.0, BOUNDS), Score(0.303, 100.0, BOUNDS), False, True),
-        (Score(0.1, 1.0, BOUNDS), Score(0.05, 3.0, BOUNDS), False, True),  # half the error
-        (Score(0.1, 1.0, BOUNDS), Score(0.091, 3.0, BOUNDS), True, False),  # less than a tenth
-        (Score(0.26, heading=1.8), Score(0.21, heading=2.9), True, True),  # a heading is no less than a place
-        (Score(0.26, heading=1.8), Score(0.12, heading=2.9), False, True),  # less than half the error
-        (Score(0.69, heading=2.9), Score(0.68, heading=1.9), False, True),
-        (Score(0.1), Score(0.01, lost=0.2), True, True),  # lost is worse, whatever else
-        (Score(0.1), Score(), True, False),
-        (Score(prediction=1.0), Score(prediction=1.2), False, True),
-        (Score(prediction=1.0), Score(prediction=0.9), True, False),
+        (Marks(0.100), Marks(0.089), False, True),
+        (Marks(0.100), Marks(0.095), False, False),  # less than a tenth
+        (Marks(0.100), Marks(0.103), True, False),
+        (Marks(0.0010), Marks(0.00119), False, False),  # 0.2 mm are nothing
+        (Marks(0.1, 40.0, BOUNDS), Marks(0.1, 1.0, BOUNDS), False, True),
+        (Marks(0.1, 0.8, BOUNDS), Marks(0.1, 1.0, BOUNDS), False, False),  # chance, both
+        (Marks(0.1, 1.0, BOUNDS), Marks(0.1, 3.0, BOUNDS), True, False),
+        (
+            Marks(0.1, 5.4, BOUNDS),
+            Marks(0.12, 1.0, BOUNDS),
+            True,
+            True,
+        ),  # no ANEES is worth a larger error
+        (
+            Marks(0.295, 220.0, BOUNDS),
+            Marks(0.328, 176.0, BOUNDS),
+            True,
+            False,
+        ),  # nor is a little of it a gain
+        (Marks(0.3, 220.0, BOUNDS), Marks(0.303, 100.0, BOUNDS), False, True),
+        (Marks(0.1, 1.0, BOUNDS), Marks(0.05, 3.0, BOUNDS), False, True),  # half the error
+        (Marks(0.1, 1.0, BOUNDS), Marks(0.091, 3.0, BOUNDS), True, False),  # less than a tenth
+        (
+            Marks(0.26, heading=1.8),
+            Marks(0.21, heading=2.9),
+            True,
+            True,
+        ),  # a heading is no less than a place
+        (Marks(0.26, heading=1.8), Marks(0.12, heading=2.9), False, True),  # less than half the error
+        (Marks(0.69, heading=2.9), Marks(0.68, heading=1.9), False, True),
+        (Marks(0.1), Marks(0.01, lost=0.2), True, True),  # lost is worse, whatever else
+        (Marks(0.1), Marks(), True, False),
+        (Marks(prediction=1.0), Marks(prediction=1.2), False, True),
+        (Marks(prediction=1.0), Marks(prediction=0.9), True, False),
     ],
 )
-def test_what_counts_as_worse_and_as_better(before: Score, after: Score, worse: bool, better: bool) -> None:
+def test_what_counts_as_worse_and_as_better(before: Marks, after: Marks, worse: bool, better: bool) -> None:
     assert (spoils(before, after), improves(before, after)) == (worse, better)
 
 
 def test_half_the_error_is_worth_as_much_as_a_quarter_of_the_anees_outside_its_range() -> None:
-    less = gain(Score(0.2, 1.0, BOUNDS), Score(0.1, 1.0, BOUNDS))
-    surer = gain(Score(0.1, 32.0, BOUNDS), Score(0.1, 8.0, BOUNDS))
+    less = gain(Marks(0.2, 1.0, BOUNDS), Marks(0.1, 1.0, BOUNDS))
+    surer = gain(Marks(0.1, 32.0, BOUNDS), Marks(0.1, 8.0, BOUNDS))
     assert less == pytest.approx(surer)
 
 
@@ -238,7 +264,7 @@ class Accusers:
     def __call__(self, fixes: Fixes, names: Sequence[str]) -> Scores:
         gains = {frozenset({LAG}): {"lrf": 1.0, "all": 1.0}, frozenset({OFFSET}): {"compass": 3.0, "all": 0.2}}
         gained = gains.get(frozenset(fixes), {})
-        return {name: Score(prediction=1.0 + gained.get(name, 0.0 if len(fixes) < 2 else -1.0)) for name in names}
+        return {name: Marks(prediction=1.0 + gained.get(name, 0.0 if len(fixes) < 2 else -1.0)) for name in names}
 
 
 def test_of_two_sensors_that_accuse_each_other_that_one_is_moved_that_all_the_others_gain_by() -> None:
@@ -253,7 +279,7 @@ def test_without_truth_a_measured_value_need_not_gain_but_must_not_lose(
     gained: float, measured: bool, helps: bool
 ) -> None:
     def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
-        return {name: Score(prediction=1.0 + gained * bool(fixes)) for name in names}
+        return {name: Marks(prediction=1.0 + gained * bool(fixes)) for name in names}
 
     candidate = Candidate(LATE.finding, LATE.alternatives, LATE.judges, measured=measured)
     assert [a.helps for a in found_in([candidate], trial)] == [helps]
@@ -267,7 +293,7 @@ def test_what_takes_a_sensor_s_own_error_to_less_than_half_may_cost_the_rest_wha
 ) -> None:
     def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
         errors = {"lrf": alone, "all": 0.0055} if fixes else {"lrf": 0.1, "all": 0.005}
-        return {name: Score(errors[name]) for name in names}
+        return {name: Marks(errors[name]) for name in names}
 
     candidate = Candidate(LATE.finding, LATE.alternatives, LATE.judges, offer=offer)
     assert any(a.helps for a in found_in([candidate], trial)) == helps
@@ -282,7 +308,7 @@ class Uneven(Trials):
 
     def __call__(self, fixes: Fixes, names: Sequence[str]) -> Scores:
         errors = {"all": 0.006, "compass": 0.030} if not fixes else {"all": 0.004, "compass": 0.030 * self.loss}
-        return {name: Score(errors[name]) for name in names}
+        return {name: Marks(errors[name]) for name in names}
 
 
 @pytest.mark.parametrize(("loss", "minor", "helps"), [(1.1, True, True), (1.1, False, False), (1.3, True, False)])
@@ -309,7 +335,7 @@ def test_a_fix_that_moves_a_map_which_nothing_holds_in_the_world_is_judged_by_th
 
     def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
         return {
-            name: Score(0.02, 1.0, BOUNDS, shape=shape) if fixes else Score(0.015, 1.0, BOUNDS, shape=0.005)
+            name: Marks(0.02, 1.0, BOUNDS, shape=shape) if fixes else Marks(0.015, 1.0, BOUNDS, shape=0.005)
             for name in names
         }
 
@@ -318,17 +344,17 @@ def test_a_fix_that_moves_a_map_which_nothing_holds_in_the_world_is_judged_by_th
     assert found.helps == helps
     assert not any(a.helps for a in found_in([replace(candidate, by_shape=False)], trial))
     if helps and found.before is not None and found.after is not None:
-        assert found.after["lrf"] == Score(shape, shape=shape, aligned=True)
+        assert found.after["lrf"] == Marks(shape, shape=shape, aligned=True)
         assert found.before["lrf"].position == 0.005
 
 
 def test_where_the_position_itself_gains_the_shape_is_not_asked() -> None:
     def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
-        return {name: Score(0.01 if fixes else 0.02, shape=0.004) for name in names}
+        return {name: Marks(0.01 if fixes else 0.02, shape=0.004) for name in names}
 
     (found,) = found_in([replace(LATE, by_shape=True)], trial)
     assert found.helps
-    assert found.before == {name: Score(0.02, shape=0.004) for name in LATE.judges}
+    assert found.before == {name: Marks(0.02, shape=0.004) for name in LATE.judges}
 
 
 @pytest.mark.parametrize(("second", "taken"), [("-0.11", True), ("-0.17", False)])
@@ -340,3 +366,12 @@ def test_a_value_that_moves_on_when_it_is_measured_again_is_no_fix(second: str, 
     found, kept = tried(lambda fixes: Case([later if fixes else LATE]), trial, lambda key: 0.0)
     assert kept == ((again,) if taken else ())
     assert any("something else is wrong" in a.finding.message for a in found) != taken
+
+
+@pytest.mark.parametrize("again", [LAG, "lrf.time_offset=-0.12"])
+def test_a_fix_under_which_the_same_is_measured_off_again_says_that_more_is_wrong(again: str) -> None:
+    trial = Trials({keys(): 0.1, keys(LAG): 0.05, keys("lrf.time_offset=-0.12"): 0.06})
+    later = replace(LATE, alternatives=((again,),))
+    (found, *_), kept = tried(lambda fixes: Case([later if fixes else LATE]), trial, lambda key: 0.0)
+    assert kept == (LAG,)
+    assert ("something else is wrong too" in found.finding.message) == (again != LAG)

@@ -136,7 +136,7 @@ def test_clock_and_scale_are_findings_with_their_fix(real: Tools, question: str)
 
 def test_how_a_laser_is_yawed(real: Tools) -> None:
     answer = asked(real, "compare", log="strangers/pimouse.bag", sensors=["lrf"], smooth=False)
-    (words,) = (note for note in answer["values"]["notes"] if "another mount" in note)
+    (words,) = (note for note in answer["values"]["notes"] if "seems to sit" in note)
     assert float(re.findall(r"yaw_deg (-?[\d.]+)", words)[0]) == pytest.approx(-2.2, abs=0.2)
 
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 from commands import locfuse
+from many_logs import tables, write_logs
 
-from benchmarks.fleet import tables, write_logs
 from locfuse.cli.analysis.settings import Asked, LogOptions, Outputs
 from locfuse.cli.fleet import process
 from locfuse.cli.fleet import queue as clusters

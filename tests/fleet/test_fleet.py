@@ -22,9 +22,9 @@ import pytest
 from commands import locfuse
 from counted_jobs import counted_jobs
 from jobs_here import jobs_here
+from many_logs import killed, tables, write_logs
 from msgspec.structs import replace
 
-from benchmarks.fleet import killed, tables, write_logs
 from locfuse.cli.analysis.grouping import _regex, expanded
 from locfuse.cli.analysis.robot_tables import given_tables
 from locfuse.cli.analysis.settings import Asked, LogOptions, Outputs

@@ -13,6 +13,7 @@ from locfuse.cli.analysis.settings import LogOptions
 from locfuse.fusion import se2
 from locfuse.fusion.data import Drive
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.mount import OTHER_MOUNT
 from locfuse.fusion.scan_matching.clouds import clouds_of
 from locfuse.fusion.scan_matching.match import Targets, match, sources_of
 
@@ -64,4 +65,4 @@ def test_a_laser_is_found_turned_as_matched_scans_say(log: str, sets: tuple[str,
     by_scans = -math.degrees(direction_of_scans(loaded.drive))
     assert abs(by_scans) > 0.7  # neither mount is what the log says
     assert off == pytest.approx(by_scans, abs=0.35)
-    assert any("the drive shows another mount" in words for words in found.notes)
+    assert any(OTHER_MOUNT in words for words in found.notes)

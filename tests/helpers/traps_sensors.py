@@ -314,7 +314,7 @@ LASER_TRAPS = (
     Trap("a wrong publisher of /tf_static", wrong_publisher, "not of 90 deg as", True, "lrf", blur=0.02),
     Trap("a laser late by 0.4 s", late_laser, "stamps look 0.4", True, "lrf"),
     Trap("a laser on another clock", other_clock, "stamped 3600.0 s after the wheels", True, "lrf"),
-    Trap("a laser whose ranges are short", short_metre, "its ranges are 0.9", True, "lrf"),
+    Trap("a laser whose ranges are short", short_metre, "it measures 9.", True, "lrf"),
     Trap("two lasers", two_lasers, "2 topics that fit", False, "lrf"),
 )
 
@@ -373,6 +373,6 @@ TRUTH_TRAPS = (
     Trap("gaps in the truth", blind_spots, "2 gaps, the longest 2.1 s: no errors are computed there"),
     Trap("a truth on a clock of its own", lambda d: late(d, TRUTH, 0.5), "stamps look 0.5", spoils=True),
     Trap("jumps of metres in the truth", jumps, "by more than the wheels rolled", spoils=True),
-    Trap("a start that nobody told", elsewhere, "m and 20.0 deg from where the drive starts", spoils=True),
-    Trap("a start told by points only", points_only, "from where the drive starts", spoils=True),
+    Trap("a start that is not set", elsewhere, "m and 20.0 deg from where the drive starts", spoils=True),
+    Trap("a start by points only", points_only, "from where the drive starts", spoils=True),
 )

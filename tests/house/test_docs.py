@@ -82,7 +82,6 @@ def test_the_page_on_trust_lists_every_verdict() -> None:
     assert {v for v in (*get_args(Verdict), *VERDICTS) if f"`{v}`" not in rows} == set()
 
 
-TO_BE_SPLIT = {"maps.md"}  # shrinks
 PROSE = [ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md", ROOT / "sample_logs" / "README.md", *PAGES]
 MAX_WORDS = 30  # of a sentence
 
@@ -99,7 +98,19 @@ def sentences(page: Path) -> Iterator[str]:
 @pytest.mark.parametrize("page", PROSE, ids=lambda p: f"{p.parent.name}-{p.name}")
 def test_no_sentence_is_long(page: Path) -> None:
     """A part before a colon or a semicolon can be read by itself, so it counts by itself."""
-    assert [s for s in sentences(page) if len(s.split()) > MAX_WORDS and page.name not in TO_BE_SPLIT] == []
+    assert [s for s in sentences(page) if len(s.split()) > MAX_WORDS] == []
+
+
+def slugs(page: Path) -> set[str]:
+    """Anchors of a page's headings, as GitHub makes them."""
+    found = re.findall(r"^#+ (.*)", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in found}
+
+
+@pytest.mark.parametrize("page", PROSE, ids=lambda p: f"{p.parent.name}-{p.name}")
+def test_every_link_to_a_heading_leads_to_one(page: Path) -> None:
+    links = re.findall(r"\]\(([\w./]*)#([\w-]+)\)", page.read_text(encoding="utf-8"))
+    assert [f"{to}#{at}" for to, at in links if at not in slugs(page.parent / to if to else page)] == []
 
 
 def test_every_page_is_in_the_index() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 BANNED = re.compile(
     r"\b(as told|for news|bought|sure and wrong|(its|their) metre|in force|carried off|cures?|cured|oddit(y|ies)|"
-    r"witness(es)?|court|modest)\b",
+    r"witness(es)?|court|modest|luck|honest(ly|y)?|buys|untold|against odometry)\b",
     re.IGNORECASE,
 )
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]

@@ -122,7 +122,7 @@ def test_a_robot_carried_to_an_unknown_room_maps_it_and_does_not_claim_to_know_w
     assert errors.max() < 0.1
     assert sigma[len(sigma) // 5 :].min() > 2.0
     assert len(found.final_map) >= 10  # both rooms
-    assert any("2 pieces" in note for note in found.notes)
+    assert any("2 submaps" in note for note in found.notes)
 
 
 def test_a_robot_that_comes_back_from_an_unknown_room_is_found_again() -> None:

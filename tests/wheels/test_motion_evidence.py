@@ -161,6 +161,27 @@ def test_poses_that_are_not_the_robots_void_every_figure(
     assert info.exit_code == 3
     assert "truth.topic" not in info.stdout
     assert "locfuse compare" not in info.stdout
+    robot = tmp_path / "robot.toml"
+    asked = locfuse("init", log, "-o", robot)
+    assert words in asked.stderr
+    assert "next:" not in asked.stderr
+    again = locfuse("compare", log, "--robot", robot, "-o", tmp_path / "again")
+    assert again.exit_code == 3
+    assert words in again.stderr
+
+
+def test_where_no_sensor_is_beside_the_odometry_init_does_not_name_tune(tmp_path: Path) -> None:
+    robot = tmp_path / "robot.toml"
+    log = log_of(tmp_path / "x.mcap", odometry(T, TRUTH))
+    done = locfuse("init", log, "-o", robot)
+    assert f"next: locfuse compare {log} --robot {robot}" in done.stderr
+    assert "locfuse tune" not in robot.read_text()
+    assert locfuse("compare", log, "--robot", robot, "-o", tmp_path / "out").exit_code == 0
+
+
+def test_wheels_within_their_noise_do_not_lose_to_scan_matching(tmp_path: Path) -> None:
+    locfuse("compare", "rounded_rectangle", "--sensors", "odometry", "-o", tmp_path / "out", "--write", "json")
+    assert "by matching the scans" not in (tmp_path / "out/report.json").read_text()
 
 
 def test_poses_of_the_robot_are_taken_before_a_marker_and_a_setpoint(tmp_path: Path) -> None:

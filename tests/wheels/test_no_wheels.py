@@ -27,13 +27,13 @@ from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.motion_by_scans import (
     FORGOTTEN_S,
     USUAL,
-    MatchedScans,
     Velocity,
     match_scans,
     seen,
     standing,
 )
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
+from locfuse.fusion.wheels.scan_clouds import Scans, read_scans
 
 CORRIDOR = np.array([(-90.0, -1.0, 90.0, -1.0), (-90.0, 1.0, 90.0, 1.0)])
 
@@ -271,11 +271,11 @@ def test_scans_are_matched_again_only_where_the_laser_moves(
     anew = locfuse_api.load(log, sets=[words])
     matched: list[Laser] = []
 
-    def counted(stream: Stream, laser: Laser) -> MatchedScans:
+    def counted(stream: Stream, laser: Laser, wheels: Wheels) -> Scans:
         matched.append(laser)
-        return match_scans(stream, laser)
+        return read_scans(stream, laser, wheels)
 
-    monkeypatch.setattr("locfuse.fusion.wheels.motion_by_scans.match_scans", counted)
+    monkeypatch.setattr("locfuse.fusion.wheels.motion_by_scans.read_scans", counted)
     again = session.with_settings([words])
     assert len(matched) == (words == "lrf.x=0.2")
     np.testing.assert_array_equal(again.drive.motions.u, anew.drive.motions.u)

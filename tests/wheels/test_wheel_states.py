@@ -66,7 +66,7 @@ def test_what_several_configurations_say_is_said_once() -> None:
 
 
 def test_where_notes_differ_in_numbers_those_of_every_configuration_and_stream_are_shown() -> None:
-    places = "lrf: the map is made of {} pieces, and {} places were recognised"
+    places = "lrf: {} submaps, {} revisited places"
     runs = {
         "lrf": {"notes": [places.format(9, 19), "lrf: 29 slips", "lrf: 30 slips"]},
         "lrf@2Hz": {"notes": [places.format(9, 5), "lrf: 29 slips", "lrf: 4 slips"]},
@@ -76,7 +76,7 @@ def test_where_notes_differ_in_numbers_those_of_every_configuration_and_stream_a
     assert notes_of({"notes": log, "configurations": runs}) == [
         "lrf, compass: 0.05 (compass: 0.12) s late (3%)",
         "3 readings share a stamp",
-        "lrf: the map is made of 9 (all: 8) pieces, and 19 (lrf@2Hz, all: 5) places were recognised",
+        "lrf: 9 (all: 8) submaps, 19 (lrf@2Hz, all: 5) revisited places",
         "lrf: 29 slips (lrf@2Hz, all: alike)",
         "lrf: 30 (lrf@2Hz: 4) slips",
     ]

@@ -270,38 +270,30 @@ def test_smoothed_errors_are_smaller_and_as_large_as_the_smoother_says() -> None
 def test_states_that_are_copies_of_one_another_leave_every_variance_as_small_as_it_is(
     sensors: str,
 ) -> None:
-    """A gyro keeps a heading, a twist and a pose source a pose: at an instant of all, they are the pose.
-
-    Where a gain is the least solution of several, it is not the best one: a variance may be larger by a quarter.
-    """
+    """A gyro keeps a heading, a twist and a pose source a pose: at an instant of all, they are the pose."""
     filtered, found = fuse_and_smooth(*six_sensors.drive(), sensors.split(","))
     variances, most = (np.diagonal(run.P, axis1=1, axis2=2) for run in (found, filtered))
     assert variances.min() >= 0.0
-    assert (variances <= 1.25 * most + 1e-12).all()
+    assert (variances <= (1.0 + 1e-6) * most + 1e-12).all()
     assert np.sqrt(variances).max() < 0.02
     assert np.linalg.eigvalsh(found.P).min() > -1e-12
 
 
-def test_a_solver_that_rounding_fools_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_singular_covariance_is_solved_with_the_least_solution_whatever_rounding_makes_of_it() -> None:
     """Two states that follow from each other exactly (a frame that swings about a start known exactly).
 
-    LU finds a pivot of 1e-17 there instead of none, and a solution of 1e16 along the direction that is not there.
+    A solver finds a pivot of 1e-17 there instead of none, and a solution of 1e16 along that direction.
     """
     rng = np.random.default_rng(3)
     F, relation = rng.normal(size=(5, 5)), np.vstack((np.eye(5), 0.7 * np.eye(5)[4]))
     P = relation @ F @ F.T @ relation.T
-    nowhere = np.array([0.0, 0.0, 0.0, 0.0, 0.7, -1.0])[:, None]
     B = P[:, :3] @ np.array([[1.0, 0.0, 0.3], [0.0, 1.0, -0.2], [0.0, 0.0, 1.0]])
-    least = np.linalg.lstsq(P, B, rcond=1e-12)[0]
-
-    def fooled(unit: Array, right: Array) -> Array:
-        found: Array = np.linalg.lstsq(unit, right, rcond=1e-12)[0] + 1e16 * nowhere
-        return found
-
-    monkeypatch.setattr(np.linalg, "solve", fooled)
-    found = noted_events._solved(P, B)
-    assert P @ found == pytest.approx(B, abs=1e-9)
-    assert np.abs(found).max() < 10.0 * np.abs(least).max()
+    scale = np.sqrt(np.diagonal(P))
+    least = np.linalg.lstsq(P / np.outer(scale, scale), B / scale[:, None], rcond=1e-12)[0] / scale[:, None]
+    for _ in range(20):
+        rounded = P * (1.0 + 3e-16 * rng.normal(size=P.shape))
+        found = noted_events._solved(rounded, B)
+        assert np.abs(found - least).max() < 1e-2 * np.abs(least).max()
 
 
 def test_the_filter_is_the_same_whether_its_events_are_noted_or_not() -> None:

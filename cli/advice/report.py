@@ -158,8 +158,7 @@ def add_validity(
         _withdraw_verdicts(report, "All errors of this log are void.")
     elif doubts:
         report["credit"] = None  # a factor is a verdict too
-        what = doubts[0]["message"].partition(". ")[0]  # the fix stands in the warning
-        _withdraw_verdicts(report, f"No sensor is judged while this is open: {what}.")
+        _withdraw_verdicts(report, "Not judged while a warning is open.")
 
 
 def _withdraw_verdicts(report: dict[str, Any], words: str) -> None:
@@ -180,7 +179,7 @@ def _doubts(report: dict[str, Any], advised: Advised | None) -> list[dict[str, A
         if found.severe and using and found.code != "start" and not advice.harmless:
             message = f"{found.role}: {_first_sentence(found.brief)}"
             if advice.fixes:
-                message += f". Every figure here is without the fix: {options(advice.fixes)}"
+                message += f". All figures are without this fix: {options(advice.fixes)}"
             entry = {"code": found.code, "message": message, "since_s": 0.0, "configurations": using}
             doubts.append({**entry, "void": False})
     return doubts

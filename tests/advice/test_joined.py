@@ -105,7 +105,7 @@ def test_an_error_of_the_shape_alone_is_said_to_be_that() -> None:
     [
         (
             replace(LATE, finding=SURE),
-            "lrf: late. Every figure here is without the fix: --set lrf.time_offset=-0.1",
+            "lrf: late. All figures are without this fix: --set lrf.time_offset=-0.1",
         ),
         (Advice(SURE, tried=(("lrf.time_offset=-0.1",),)), "lrf: late"),
         (Advice(SURE, tried=(("lrf.time_offset=-0.1",),), harmless=True), None),

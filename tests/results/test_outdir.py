@@ -107,17 +107,6 @@ def test_a_read_only_folder_is_one_line(tmp_path: Path) -> None:
         write_results(tmp_path / "out", FILES)
 
 
-def test_a_folder_that_cannot_be_made_is_one_line() -> None:
-    with pytest.raises(LocfuseError, match="cannot write to /proc/nothing/out"):
-        write_results(Path("/proc/nothing/out"), FILES)
-
-
-def test_left_overs_of_a_killed_run_are_cleared_away_and_do_not_count(tmp_path: Path) -> None:
-    (tmp_path / f".run.json.{2**31 - 1}{whole_files.TEMPORARY}").write_text("half")  # no process has this number
-    write_results(tmp_path, FILES)
-    assert names(tmp_path) == sorted(FILES)
-
-
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc: processes are not shown as files")
 def test_what_a_process_left_is_cleared_away_before_its_parent_has_asked_for_its_end(tmp_path: Path) -> None:
     with subprocess.Popen([sys.executable, "-c", ""], stdout=subprocess.PIPE) as child:

@@ -164,18 +164,6 @@ def test_bad_input_gets_one_clear_line_and_nothing_is_written(
     assert not out.exists()
 
 
-def test_a_folder_with_something_else_is_not_touched_unless_told(tmp_path: Path) -> None:
-    out = tmp_path / "thesis"
-    out.mkdir()
-    (out / "chapter1.tex").write_text("precious")
-    done = locfuse("run", LOG, "--no-advice", "--sensors", "odometry", "-o", out)
-    assert done.exit_code in {1, 2}
-    assert [p.name for p in out.iterdir()] == ["chapter1.tex"]
-    done = locfuse("run", LOG, "--no-advice", "--sensors", "odometry", "-o", out, "--overwrite")
-    assert done.exit_code == 0, done.stderr
-    assert (out / "chapter1.tex").read_text() == "precious"
-
-
 def test_json_on_stdout_is_the_report(tmp_path: Path) -> None:
     done = locfuse("run", LOG, "--no-advice", "--sensors", "odometry", "--json", "-o", tmp_path / "out")
     assert json.loads(done.stdout) == json.loads((tmp_path / "out" / "run.json").read_text())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -127,18 +126,3 @@ def test_a_closed_stream_costs_no_result(tmp_path: Path, closed: int) -> None:
     )
     assert done.returncode == 0
     assert json.loads((tmp_path / "o" / "run.json").read_bytes())["configurations"]
-
-
-def test_an_interrupt_is_one_line(tmp_path: Path) -> None:
-    log = write(tmp_path / "f.mcap", seconds=60.0)
-    with subprocess.Popen(
-        [*ENTRY, "compare", str(log), "-o", str(tmp_path / "o")], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL
-    ) as process:
-        assert process.stderr is not None
-        try:
-            process.wait(1.0)
-        except subprocess.TimeoutExpired:
-            process.send_signal(signal.SIGINT)
-        words = process.stderr.read().decode()
-    assert process.returncode == 130
-    assert words == "locfuse: interrupted; nothing was left half-written\n"

@@ -290,13 +290,6 @@ def test_damaged_ros1_bags_never_raise_but_one_line(tmp_path: Path) -> None:
     assert not any("\n" in line for line in lines)
 
 
-def test_an_old_or_encrypted_ros1_bag_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "old.bag"
-    path.write_bytes(b"#ROSBAG V1.2\n" + bytes(100))
-    with pytest.raises(LocfuseError, match="a ROS 1 bag of an old version"):
-        open_log([path])
-
-
 # JSON
 
 

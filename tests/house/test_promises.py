@@ -133,24 +133,6 @@ def test_truncated_at_and_inside_each_chunk_is_done_with_loss(
             np.testing.assert_allclose(pose, [arc * np.sin(theta), arc * (1 - np.cos(theta)), theta], atol=1e-9)
 
 
-def test_bit_flipped_with_checksums_is_the_same_or_a_loss(tmp_path: Path) -> None:
-    content = log(tmp_path / "whole.mcap").read_bytes()
-    run(tmp_path / "whole.mcap")
-    healthy = (tmp_path / "out" / "trajectory.csv").read_bytes()
-    codes = set()
-    for at in range(100, len(content) - 100, len(content) // 12):
-        bad = bytearray(content)
-        bad[at] ^= 16
-        (tmp_path / "bad.mcap").write_bytes(bad)
-        done = run(tmp_path / "bad.mcap")
-        codes.add(done.exit_code)
-        if done.exit_code == 0:
-            assert (tmp_path / "out" / "trajectory.csv").read_bytes() == healthy
-        else:
-            assert done.exit_code in {1, 3}
-    assert 3 in codes
-
-
 def test_a_bit_flipped_without_checksums_stays_finite_and_info_says_that_it_cannot_be_seen(tmp_path: Path) -> None:
     content = log(tmp_path / "whole.mcap", enable_crcs=False).read_bytes()
     payloads = [content.index(m.data) for m in drive(100)[::20]]
@@ -186,15 +168,6 @@ def test_a_lost_chunk_leaves_seconds_without_wheels_and_no_estimate_that_is_sure
     for name, values in json.loads(written)["configurations"].items():
         assert values["anees"] < 3.0, name
         assert values["final_position_error_m"] < 0.01 or "lrf" not in values["sensors"]
-
-
-@pytest.mark.parametrize("content", [b"", b"\0" * 5000, b"hello", b"\x89MCAP0\r\n", b"PK\3\4" + b"x" * 100])
-def test_empty_or_not_mcap_is_one_line(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "x.mcap").write_bytes(content)
-    done = run(tmp_path / "x.mcap")
-    assert done.exit_code == 1
-    assert re.search(r"\bx\b", done.stderr)
-    assert not (tmp_path / "out").exists()
 
 
 LIMITED = """
@@ -267,20 +240,6 @@ def test_image_bomb_is_refused_by_its_header(tmp_path: Path) -> None:
     done = run_in_400_mb(log(tmp_path / "x.mcap", drive(100) + images))
     assert done.exit_code == 3, done.stderr
     assert "10 too large" in done.stderr
-
-
-def test_wrong_schema_names_topic_type_and_types_accepted(tmp_path: Path) -> None:
-    done = run(log(tmp_path / "x.mcap"), "--set", "lrf.topic=/heading")
-    assert done.exit_code == 1
-    for word in ("/heading", "std_msgs/msg/Float64", "sensor_msgs/LaserScan"):
-        assert word in done.stderr
-
-
-def test_unknown_encoding_names_topic_and_encoding(tmp_path: Path) -> None:
-    done = run(log(tmp_path / "x.mcap", encoding="flatbuffer"), "--set", "wheels.topic=/joint_states")
-    assert done.exit_code == 1
-    assert "/joint_states" in done.stderr
-    assert "flatbuffer" in done.stderr
 
 
 def test_missing_field_names_topic_and_field(tmp_path: Path) -> None:

@@ -86,11 +86,15 @@ def test_a_recording_beside_the_results_is_used_while_it_is_not_older(results: P
     (results / "recording.rrd").unlink()
 
 
+WITHOUT_TRACKS = '{"locfuse": "0.2.0", "schema_version": %d, "configurations": {"all": {}}}'
+
+
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
         ("report.json", "{", "not as locfuse writes them"),
-        ("report.json", '{"configurations": {"all": {}}}', "lacks all.tum"),
+        ("report.json", WITHOUT_TRACKS % 1, "lacks all.tum"),
+        ("report.json", WITHOUT_TRACKS % 2, "schema_version 2"),
         ("drive.rrd", "junk", "no whole recording"),
     ],
 )

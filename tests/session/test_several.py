@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 
@@ -65,21 +64,3 @@ def test_a_list_is_one_log_and_the_same_log_twice_is_one(drives: list[Path], tmp
     shutil.copy(drives[0], twin)
     both = locfuse.compare([drives[0]], [twin], sensors="odometry")
     assert list(both.results) == ["monday", "monday_2"]
-
-
-def test_a_finished_result_of_0_1_is_set_beside_one_of_today(drives: list[Path], tmp_path: Path) -> None:
-    locfuse.load(drives[0]).compare(["compass"], smooth=True).write(tmp_path / "new", write="json")
-    report = json.loads((tmp_path / "new" / "report.json").read_text())
-    rows = report["configurations"]
-    for row in rows.values():
-        del row["configuration"], row["rates_hz"]
-    old = {k: v for k, v in report.items() if k != "schema_version"}
-    old["configurations"] = {"compass": rows["compass"], "compass smoothed": rows["compass-smoothed"]}
-    (tmp_path / "old").mkdir()
-    (tmp_path / "old" / "report.json").write_text(json.dumps(old))
-    done = command("compare", tmp_path / "old", tmp_path / "new", "--json")
-    assert done.exit_code == 0, done.stderr
-    found = json.loads(done.stdout)["after"][str(tmp_path / "new")]
-    assert list(found["configurations"]) == ["compass", "compass-smoothed"]
-    assert found["only_before"] == found["only_after"] == []
-    assert found["configurations"]["compass-smoothed"]["position_rmse_m"]["change"] == 0.0

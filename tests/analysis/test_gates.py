@@ -12,7 +12,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from commands import locfuse
+from commands import locfuse, ok
 
 from locfuse.cli.analysis.gates import (
     Gates,
@@ -22,6 +22,7 @@ from locfuse.cli.analysis.gates import (
     read_baseline,
     refuse_another_log,
 )
+from locfuse.cli.analysis.verdicts import add_pairs
 from locfuse.formats.logs.files import Identity
 from locfuse.fusion.data import LocfuseError, UsageError
 
@@ -198,7 +199,7 @@ def test_a_baseline_that_is_no_report_is_one_line(tmp_path: Path, text: str) -> 
 def test_the_command_exits_with_4_and_one_line_per_gate_and_writes_its_results(tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = (*ODOMETRY, "-o", out, "-q")
-    assert locfuse(*words, "--fail-if", "odometry.position_rmse_m > 100").exit_code == 0
+    ok(*words, "--fail-if", "odometry.position_rmse_m > 100")
     done = locfuse(*words, "--fail-if", "odometry.position_rmse_m > 0", "--fail-if", "all.anees > 1")
     assert done.exit_code == 4
     assert len(done.stderr.splitlines()) == 2
@@ -223,7 +224,7 @@ def test_gates_hold_although_the_reader_has_left(tmp_path: Path, how: tuple[str,
 
 def test_a_baseline_of_another_log_is_refused_before_anything_is_fused(tmp_path: Path) -> None:
     words = ("--sensors", "odometry", "--write", "json", "-o")
-    assert locfuse("compare", "rounded_rectangle", "--no-advice", *words, tmp_path / "a").exit_code == 0
+    ok("compare", "rounded_rectangle", "--no-advice", *words, tmp_path / "a")
     baseline = ("--baseline", tmp_path / "a" / "report.json", "--tolerance", "900%")
     same = locfuse("compare", "rounded_rectangle", "--no-advice", *words, tmp_path / "b", *baseline)
     assert (same.exit_code, "baseline" in same.stderr) == (0, False)
@@ -248,27 +249,11 @@ def test_a_baseline_of_other_bytes_under_the_same_name_is_refused(tmp_path: Path
         refuse_another_log(before, known("drive", Identity(5, "b")))
 
 
-@pytest.mark.parametrize(
-    ("command", "words", "instead"),
-    [
-        ("run", "all,lrf", "--sensors all or --sensors lrf"),
-        ("compare", "lrf,odometry", "--sensors odometry or --sensors lrf"),
-        ("compare", "all,odometry", "--sensors all or --sensors odometry"),
-        ("tune", "all,lrf", "--sensors all or --sensors lrf"),
-    ],
-)
-def test_all_and_odometry_stand_alone(tmp_path: Path, command: str, words: str, instead: str) -> None:
-    done = locfuse(command, "rounded_rectangle", "--sensors", words, "-o", tmp_path / "out")
-    assert done.exit_code == 2
-    assert "stands alone" in done.stderr
-    assert instead in done.stderr
-
-
 def test_the_command_compares_with_a_baseline(tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = (*ODOMETRY, "-q", "-o")
-    assert locfuse(*words, out).exit_code == 0
-    assert locfuse(*words, tmp_path / "b", "--baseline", out / "report.json", "--tolerance", "0%").exit_code == 0
+    ok(*words, out)
+    ok(*words, tmp_path / "b", "--baseline", out / "report.json", "--tolerance", "0%")
     report = json.loads((out / "report.json").read_text())
     report["configurations"]["odometry"]["position_rmse_m"] *= 0.9
     worse = tmp_path / "worse.json"
@@ -278,26 +263,10 @@ def test_the_command_compares_with_a_baseline(tmp_path: Path) -> None:
     assert "odometry.position_rmse_m" in done.stderr
 
 
-@pytest.mark.parametrize(
-    ("words", "code"),
-    [
-        (("--fail-if", "nonsense"), 2),
-        (("--baseline", "no/such/file.json"), 2),
-        (("--sensors", "lrf@fast"), 2),
-        (("--sensors", "lrf@0Hz"), 2),
-        (("--sensors", "sonar@2Hz"), 1),
-    ],
-)
-def test_mistakes_are_found_before_anything_is_written(tmp_path: Path, words: tuple[str, ...], code: int) -> None:
-    done = locfuse("compare", "rounded_rectangle", "--no-advice", "-o", tmp_path / "out", *words)
-    assert done.exit_code == code
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_what_if_keeps_its_name(tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = ("--sensors", "compass,lrf@2Hz", "--sensors", "compass@1Hz", "--write", "json,tum")
-    assert locfuse("compare", "rounded_rectangle", "--no-advice", "-o", out, *words).exit_code == 0
+    ok("compare", "rounded_rectangle", "--no-advice", "-o", out, *words)
     report = json.loads((out / "report.json").read_text())
     assert list(report["configurations"]) == ["compass+lrf@2Hz", "compass@1Hz"]
     counts = report["configurations"]["compass@1Hz"]["sensors"]["compass"]
@@ -310,3 +279,32 @@ def test_a_baseline_of_another_version_is_refused_in_one_line_with_the_fix(tmp_p
     (tmp_path / "new.json").write_text(json.dumps({**REPORT, "schema_version": version, "locfuse": "9.9"}))
     with pytest.raises(LocfuseError, match=rf"schema_version {version}.*9\.9.*[Uu]pdate locfuse"):
         read_baseline(tmp_path / "new.json", "5%")
+
+
+# --- what pairs of configurations add to a verdict: a lower rate, and sensors beside which one harms
+
+
+SETS: dict[str, tuple[str, ...]] = {
+    "odometry": (),
+    "compass": ("compass",),
+    "camera": ("camera",),
+    "lrf": ("lrf",),
+    "compass+camera": ("compass", "camera"),
+    "all": ("compass", "camera", "lrf"),
+}
+ERRORS = {"odometry": 0.5, "compass": 0.3, "camera": 0.064, "lrf": 0.004, "compass+camera": 0.12, "lrf@2Hz": 0.008}
+
+
+def test_a_lower_rate_and_a_pair_in_which_one_harms_are_said_in_figures() -> None:
+    found = {s: {"verdict": "helps", "words": "Why."} for s in ("compass", "camera", "lrf")}
+    add_pairs(found, SETS, {"lrf@2Hz": ("lrf",)}, ERRORS, by_truth=True)
+    words = {s: v["words"].removeprefix("Why.").strip() for s, v in found.items()}
+    assert words["camera"] == ""
+    assert words["compass"] == "Beside camera: 64 mm -> 0.12 m (1.9x worse)."
+    assert words["lrf"] == "lrf@2Hz: 4 mm -> 8 mm (2.0x worse)."
+
+
+def test_without_errors_nothing_is_added() -> None:
+    found = {"lrf": {"verdict": "no verdict", "words": ""}}
+    add_pairs(found, SETS, {"lrf@2Hz": ("lrf",)}, dict.fromkeys(ERRORS), by_truth=True)
+    assert found == {"lrf": {"verdict": "no verdict", "words": ""}}

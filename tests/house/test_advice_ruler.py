@@ -105,22 +105,6 @@ def test_a_wrong_truth_costs_what_is_printed_and_a_withheld_figure_costs_nothing
     assert void["closed"] is None
 
 
-def test_needless_lines_of_clean_drives_are_counted_and_shown() -> None:
-    rows = [judged("none"), judged("none", ("lrf", "lrf.sigma_range=0.02")), judged("none, offset estimated")]
-    table = advice.clean_table(rows)
-    assert "| none, with truth | 2 | 1 of 2 | 1 of 2 | 0 of 2 |" in table
-    assert "| none, without | 0 | - | - | - |" in table
-    assert table[-1] == "seed 3000, none: lrf: words lrf.sigma_range=0.02"
-
-
-def test_the_table_of_cases_has_a_line_each_and_the_goals_of_all() -> None:
-    rows = [judged("compass + 5", ("compass", "compass.offset_deg=-65")), judged("laser bumped by 4 degrees")]
-    table = "\n".join([*advice.goals(rows), *advice.table(rows)])
-    assert "| right key, where the fault costs something | 1 of 1 | - |" in table
-    assert "| the sensor is named, where no key sets that right | 0 of 1 | - |" in table
-    assert "| compass + 5 | 1 of 1, - | 0 of 1, - | 0 of 1, - | 0 of 1, - | 75%, - | 4.0, 20.0, 8.0 |" in table
-
-
 def test_a_clean_drive_has_the_right_settings() -> None:
     assert CASES["none"].sets == CASES["none"].right == RIGHT
 

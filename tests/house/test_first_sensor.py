@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import locfuse
+from commands import locfuse, ok
 
 from locfuse.fusion.data import ArrayStream
 from locfuse.fusion.sensors.registry import REGISTRY, SOURCES, register_installed
@@ -43,8 +43,7 @@ def _has_a_verdict_and_its_noise(tmp_path: Path) -> None:
         exec(compile(MAKE_LOG, "make_log.py", "exec"), {})
     log, post = tmp_path / "cable.mcap", ("--set", "cable.post=[4, 2]")
     words = ("--sensors", "odometry", "--sensors", "cable", "--write", "json", "-o", tmp_path / "out")
-    done = locfuse("compare", log, *post, *words)
-    assert done.exit_code == 0, done.stderr
+    ok("compare", log, *post, *words)
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     rows = report["configurations"]
     assert rows["cable"]["position_rmse_m"] < 0.5 * rows["odometry"]["position_rmse_m"]

@@ -19,16 +19,13 @@ import cv2
 import numpy as np
 import pytest
 import zstandard
-from bags import T0, S, Said, cdr, drive, header, shuffled, write
+from bags import T0, S, Said, cdr, drive, header, write
 from commands import Done, locfuse
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType
 
 from locfuse import sample_logs
-from locfuse.formats.container.file_bytes import FileBytes
-from locfuse.formats.container.losses import Losses
-from locfuse.formats.container.mcap_source import McapSource
 
 ROBOT = {"robot.toml": b"[wheels]\nradius = 0.05\ntrack = 0.4\n[camera]\nlandmark = [1.0, 1.0]\n"}
 ROBOT["robot.toml"] += b"centre = [8.0, 8.0]\ninner = 2.0\nouter = 7.0\n"
@@ -85,31 +82,6 @@ def streamed(content: bytes) -> Counter[tuple[int, bytes]]:
     except Exception:  # the reader's ways to stumble are many
         return found
     return found
-
-
-def recovered(path: Path) -> Counter[tuple[int, bytes]]:
-    source = McapSource(FileBytes(path, losses := Losses()), losses)
-    found: Counter[tuple[int, bytes]] = Counter()
-    for batch in source.batches(source.channels.keys()):
-        for m in batch.messages.values():
-            for at, length, t in zip(m.start.tolist(), m.length.tolist(), m.log_time.tolist(), strict=True):
-                found[t, batch.data[at : at + length].tobytes()] += 1
-    return found
-
-
-def test_truncated_at_and_inside_every_chunk_a_sample_log_gives_all_that_lies_before(tmp_path: Path) -> None:
-    content = sample_logs.path("rounded_rectangle").read_bytes()
-    edges = chunks(content)
-    cuts = {edge + d for start, stop in edges for edge in (start, stop) for d in (-1, 0, 1, 12)}
-    cuts |= {start + (stop - start) // 2 for start, stop in edges}
-    everything = streamed(content)
-    path = tmp_path / "cut.mcap"
-    chosen = sorted(cuts)[:: max(1, len(cuts) // 24)]
-    assert len(chosen) >= 20
-    for cut in chosen:
-        path.write_bytes(content[:cut])
-        found, whole = recovered(path), streamed(content[:cut])
-        assert whole <= found <= everything, cut
 
 
 @pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
@@ -282,16 +254,6 @@ def test_odd_stamps_are_repaired_and_counted(tmp_path: Path, name: str) -> None:
     rows = trajectory(tmp_path / "x.mcap")
     assert (np.diff(rows[:, 0]) >= 0).all()
     np.testing.assert_allclose(rows[-1, :4], healthy[-1, :4], atol=1e-6)
-
-
-def test_duplicates_are_counted_and_positions_in_the_file_do_not_matter(tmp_path: Path) -> None:
-    run(log(tmp_path / "healthy.mcap"))
-    healthy = (tmp_path / "out" / "trajectory.csv").read_bytes()
-    said = drive(100)
-    done = run(log(tmp_path / "x.mcap", list(shuffled([*said, *said[20:50]]))))
-    assert done.exit_code == 0, done.stderr
-    assert "repeat" in done.stderr
-    assert (tmp_path / "out" / "trajectory.csv").read_bytes() == healthy
 
 
 def test_no_chunk_of_a_sample_log_is_without_checksum() -> None:

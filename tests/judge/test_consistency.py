@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 import small_drive
-from commands import locfuse
+from commands import ok
 from msgspec.structs import replace
 from scipy import stats
 from small_drive import Array
@@ -222,8 +222,7 @@ def test_only_errors_of_a_regular_claim_count() -> None:
 def report(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], str, Path]:
     out = tmp_path_factory.mktemp("out") / "out"
     words = ("--set", "compass.offset_deg=-60", "--write", "json,md", "-v")
-    done = locfuse("compare", "rounded_rectangle", *words, "-o", out)
-    assert done.exit_code == 0, done.stderr
+    done = ok("compare", "rounded_rectangle", *words, "-o", out)
     return json.loads((out / "report.json").read_text()), done.stdout, out
 
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 import pytest
 from msgspec.structs import asdict, replace
 from numpy.typing import NDArray
+from scipy.integrate import quad
 
 import locfuse
 from locfuse.fusion import se2
+from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import VERDICTS, Audit, Drive, Estimates, Measurements, Motions, Truth, upper_triangles
-from locfuse.fusion.judge.evaluate import Align, evaluate, shape_error
+from locfuse.fusion.judge.evaluate import Align, evaluate, nees, shape_error
 
 Array = NDArray[np.float64]
 N = 6000
@@ -291,3 +294,42 @@ def test_readings_are_counted_by_their_verdicts_and_the_mean_nis_is_of_those_acc
     assert figures.nis == pytest.approx(3.0 / 2.0)
     assert figures.joint_nis == pytest.approx(12.0 / 10.0)
     assert figures.verdicts == {"accepted": 3, "gate": 2, "new": 1, "repeated": 1, "ambiguous": 1}
+
+
+# --- nEES of many errors, against a solver of linear equations
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_it_is_the_error_in_units_of_what_was_claimed(d: int) -> None:
+    rng = np.random.default_rng(d)
+    root, e = rng.normal(size=(50, d, d)) * rng.uniform(1e-3, 10.0, (50, 1, 1)), rng.normal(size=(50, d))
+    S = root @ root.transpose(0, 2, 1)
+    expected = np.einsum("ni,ni->n", e, np.linalg.solve(S, e[:, :, None])[:, :, 0]) / d
+    np.testing.assert_allclose(nees(e, S), expected, rtol=1e-6)
+
+
+def test_a_singular_covariance_judges_nothing() -> None:
+    line = np.array([1.0, 2.0, -1.0])
+    singular = [np.zeros((3, 3)), np.outer(line, line), np.diag([1.0, 1.0, 1e-13]), np.diag([1.0, -1.0, 1.0])]
+    turned = np.array([[1e-13, 1.0, 0.0], [-1.0, 1e-13, 1.0], [0.0, 1.0, 1.0]])
+    singular.append(turned @ np.diag([1.0, 1e-13, 1.0]) @ turned.T)  # no single variance shows it
+    no_number = np.eye(3)
+    no_number[1, 1] = np.nan
+    S = np.array([*singular, no_number, np.diag([1.0, 1.0, 1e-11])])
+    assert np.isfinite(nees(np.ones((7, 3)), S)).tolist() == [False] * 6 + [True]
+
+
+# --- the quantiles of chi-square are those of the integral of its density
+
+
+@pytest.mark.parametrize("dof", [1, 2, 3, 4, 10, 61, 299])
+@pytest.mark.parametrize("confidence", [0.025, 0.5, 0.975, 0.9999, 0.99999])
+def test_a_quantile_leaves_its_confidence_below(confidence: float, dof: int) -> None:
+    def density(x: float) -> float:
+        return math.exp(
+            (0.5 * dof - 1.0) * math.log(x) - 0.5 * x - 0.5 * dof * math.log(2.0) - math.lgamma(0.5 * dof)
+        )
+
+    limit = chi_square(confidence, dof)
+    above = quad(density, limit, limit + 200.0 + 10.0 * dof, limit=400, points=[limit + 5.0, limit + 20.0])[0]
+    assert above == pytest.approx(1.0 - confidence, rel=1e-6)

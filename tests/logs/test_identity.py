@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from commands import locfuse
+from commands import ok
 from mcap.writer import CompressionType, Writer
 
 from locfuse import sample_logs
@@ -82,7 +82,7 @@ def test_a_copy_has_the_identity_of_the_log_and_another_log_has_another(raw: Pat
 def test_every_byte_is_hashed_where_all_were_read_or_the_user_asks(tmp_path: Path) -> None:
     words = ("--sensors", "odometry", "--write", "json", "--no-advice", "-q")
     log = sample_logs.path("rounded_rectangle")
-    assert locfuse("compare", "rounded_rectangle", *words, "-o", tmp_path / "a", "--hash").exit_code == 0
+    ok("compare", "rounded_rectangle", *words, "-o", tmp_path / "a", "--hash")
     source = json.loads((tmp_path / "a" / "report.json").read_text())["input"]
     assert source["sha256"] == hashlib.sha256(log.read_bytes()).hexdigest()
     assert source["identity"] == identity_of(files_of([log])).digest

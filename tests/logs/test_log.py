@@ -15,6 +15,7 @@ from bags import (
     S,
     Said,
     cdr,
+    contents,
     definition,
     drive,
     real_log,
@@ -26,20 +27,10 @@ from bags import (
 )
 from mcap.writer import CompressionType, Writer
 
-from locfuse.formats.logs.log import Log, open_log
+from locfuse.formats.logs.log import open_log
 from locfuse.fusion.data import LocfuseError, Ragged, UsageError
 
 JOINTS = "sensor_msgs/msg/JointState"
-
-
-def contents(log: Log) -> dict[str, Any]:
-    """Everything the light fields say, as plain values."""
-    found: dict[str, Any] = {}
-    for topic, stream in log.streams(LIGHT).items():
-        found[topic] = (stream.t_ns.tolist(), stream.frame_id)
-        for name, column in stream.columns(*LIGHT[topic]).items():
-            found[f"{topic}.{name}"] = [np.asarray(row).tolist() for row in rows(column)]
-    return found
 
 
 @pytest.fixture(scope="module")
@@ -48,8 +39,7 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
-@pytest.mark.parametrize("little", [True, False])
-@pytest.mark.parametrize("order", ["as recorded", "shuffled"])
+@pytest.mark.parametrize(("little", "order"), [(True, "as recorded"), (False, "shuffled")])
 @pytest.mark.parametrize(
     "layout",
     [
@@ -263,6 +253,7 @@ def test_an_unknown_order_is_a_usage_error(tmp_path: Path) -> None:
         (b"\xff\xd8\xff\xe0" + b"\x00" * 100, "JPEG"),
         (b"\x00" * 500, "zeros"),
         (b"hello, this is not a log\n", "text"),
+        (b"PK\3\4" + b"x" * 100, "not an MCAP file"),
     ],
 )
 def test_a_file_that_is_no_log_is_named_in_one_line(tmp_path: Path, content: bytes, says: str) -> None:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import random
+import signal
 import subprocess
 import sys
+import textwrap
 import time
 from pathlib import Path
 
@@ -33,6 +36,15 @@ def test_a_locfuse_result_is_replaced_file_by_file(tmp_path: Path) -> None:
     write_results(tmp_path, {"run.json": "[]"})
     assert (tmp_path / "run.json").read_text() == "[]"
     assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+def test_another_folder_is_refused_unless_told_to_overwrite(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("mine")
+    with pytest.raises(LocfuseError, match=r"not empty and holds no locfuse result.*--overwrite"):
+        write_results(tmp_path, FILES)
+    assert names(tmp_path) == ["thesis.tex"]
+    write_results(tmp_path, FILES, overwrite=True)
+    assert names(tmp_path) == sorted([*FILES, "thesis.tex"])
 
 
 def test_a_file_in_place_of_the_folder_is_refused(tmp_path: Path) -> None:
@@ -79,6 +91,22 @@ def test_a_failure_leaves_neither_half_files_nor_temporary_ones(
     assert not (tmp_path / "new").exists()
 
 
+def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """/dev/full takes no byte: as the temporary file it stands for a full disk."""
+    target = tmp_path / "x.tum"
+    monkeypatch.setattr(whole_files, "claim", lambda temporary: temporary.symlink_to("/dev/full"))
+    with pytest.raises(LocfuseError, match="No space left on device"), whole_file(target) as path:
+        path.write_text("data")
+    assert names(tmp_path) == []
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_a_read_only_folder_is_one_line(tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    with pytest.raises(LocfuseError, match="Permission denied"):
+        write_results(tmp_path / "out", FILES)
+
+
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc: processes are not shown as files")
 def test_what_a_process_left_is_cleared_away_before_its_parent_has_asked_for_its_end(tmp_path: Path) -> None:
     with subprocess.Popen([sys.executable, "-c", ""], stdout=subprocess.PIPE) as child:
@@ -104,3 +132,36 @@ def test_a_whole_file_keeps_the_old_one_when_the_block_fails(tmp_path: Path) -> 
     with whole_file(target) as path:
         path.write_text("new")
     assert (names(tmp_path), target.read_text()) == (["log.mcap"], "new")
+
+
+WRITER = """
+    import sys, time
+    from pathlib import Path
+    from locfuse.formats.whole_files import write_results
+    print("ready", flush=True)
+    while True:
+        write_results(Path(sys.argv[1]), {name: "x" * 1_000_000 for name in ("run.json", "a.tum", "b.csv")})
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
+def test_a_killed_writer_leaves_whole_files_only(tmp_path: Path, number: signal.Signals) -> None:
+    rng = random.Random(number)
+    for attempt in range(3):
+        folder = tmp_path / str(attempt)
+        writer = subprocess.Popen(
+            [sys.executable, "-c", textwrap.dedent(WRITER), str(folder)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+        )
+        with writer:
+            assert writer.stdout is not None
+            writer.stdout.readline()
+            time.sleep(rng.uniform(0.02, 0.25))
+            writer.send_signal(number)
+            writer.wait(10)
+        present = names(folder) if folder.exists() else []
+        finals = [name for name in present if not name.endswith(whole_files.TEMPORARY)]
+        assert all((folder / name).stat().st_size == 1_000_000 for name in finals)
+        write_results(folder, {"run.json": "{}"})
+        assert not [name for name in names(folder) if name.endswith(whole_files.TEMPORARY)]

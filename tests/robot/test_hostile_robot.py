@@ -62,6 +62,7 @@ def test_a_set_beyond_a_cap_is_refused_in_one_line(tmp_path: Path, text: str) ->
         ),
         ("compass.sigma_deg=1e-300", "no number of a robot but 0 is smaller than 1e-30"),
         ("wheels.noise=-1", "must be a number >= 0.0, in metres"),
+        ("start.sigma_theta_deg=1e17", "start.sigma_theta_deg = 1e+17: must be a number <= 3600.0, in degrees"),
         ("wheels.time_offset=9223372036854775807", "is wheels.time_offset right? It is in seconds"),
     ],
 )

@@ -57,12 +57,11 @@ fusion/map/laser_mount: kernels/sight fusion/mount
 fusion/map/scan: map/standing map/map_keeping sensors/lrf
 fusion/map/sonar_echo: sensors/sonar
 fusion/map/tidy: map/map_keeping
-fusion/judge/evaluate: judge/evaluate judge/way
-fusion/judge/way: judge/way judge/evaluate
+fusion/judge/evaluate fusion/judge/way: judge/evaluate
 fusion/judge/bootstrap fusion/judge/credit fusion/judge/verdict: judge/credit
-fusion/judge/consistency: judge/noise_verdicts judge/by_truth
+fusion/judge/consistency: judge/noise_verdicts judge/consistency
 fusion/judge/events: judge/events
-fusion/judge/noise_verdicts: judge/noise_verdicts judge/by_truth
+fusion/judge/noise_verdicts: judge/noise_verdicts judge/consistency
 fusion/judge/covariance: judge/consistency
 fusion/judge/innovations: judge/innovations judge/consistency
 fusion/judge/predictive: judge/predictive

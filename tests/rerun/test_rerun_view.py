@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 
@@ -73,23 +72,6 @@ def test_a_smoothed_run_is_drawn_from_its_own_file(tmp_path: Path) -> None:
         np.testing.assert_allclose(drawn(tmp_path / "drive.rrd", name), tum[:, 1:3], atol=1e-5)
 
 
-def test_a_folder_of_0_1_is_shown_though_smoothed_results_had_another_name(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    words = ("--sensors", "compass", "--smooth", "--write", "json,tum")
-    ok("compare", LOG, "--no-advice", *words, "-o", out)
-    report = json.loads((out / "report.json").read_text())
-    del report["schema_version"]
-    rows = report["configurations"]
-    for row in rows.values():
-        del row["configuration"], row["rates_hz"]
-    rows["compass smoothed"] = rows.pop("compass-smoothed")
-    (out / "report.json").write_text(json.dumps(report))
-    (out / "compass-smoothed.tum").rename(out / "compass smoothed.tum")
-    ok("view", out, "--save", tmp_path / "drive.rrd")
-    tum = np.loadtxt(out / "compass smoothed.tum")
-    np.testing.assert_allclose(drawn(tmp_path / "drive.rrd", "compass-smoothed"), tum[:, 1:3], atol=1e-5)
-
-
 def test_a_recording_beside_the_results_is_used_while_it_is_not_older(results: Path, tmp_path: Path) -> None:
     words = ("--sensors", "compass", "--images", "none", "--save", results / "recording.rrd")
     ok("view", LOG, *words)
@@ -101,11 +83,15 @@ def test_a_recording_beside_the_results_is_used_while_it_is_not_older(results: P
     (results / "recording.rrd").unlink()
 
 
+WITHOUT_TRACKS = '{"locfuse": "0.2.0", "schema_version": %d, "configurations": {"all": {}}}'
+
+
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
         ("report.json", "{", "not as locfuse writes them"),
-        ("report.json", '{"configurations": {"all": {}}}', "lacks all.tum"),
+        ("report.json", WITHOUT_TRACKS % 1, "lacks all.tum"),
+        ("report.json", WITHOUT_TRACKS % 2, "schema_version 2"),
         ("drive.rrd", "junk", "no whole recording"),
     ],
 )

@@ -225,22 +225,6 @@ def test_a_result_beside_itself_has_not_changed(summary: Path, drives: list[Path
     assert sum(line.split()[-1:] == ["="] for line in done.stdout.splitlines()) >= 2
 
 
-def test_a_result_of_0_1_is_set_beside_one_of_today(summary: Path, drives: list[Path], tmp_path: Path) -> None:
-    """It has no schema_version, and knows a smoothed result by its name alone."""
-    new = json.loads((summary / drives[0].stem / "report.json").read_text())
-    rows = new["configurations"]
-    rows["compass-smoothed"] = {**rows["compass"], "smoothed": True}
-    old = {k: v for k, v in new.items() if k != "schema_version"}
-    old["configurations"] = {"compass": rows["compass"], "compass smoothed": rows["compass-smoothed"]}
-    new["configurations"] = {name: rows[name] for name in ("compass", "compass-smoothed")}
-    for name, report in (("old", old), ("new", new)):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "report.json").write_text(json.dumps(report))
-    (found,) = json.loads(ok("compare", tmp_path / "old", tmp_path / "new", "--json").stdout)["after"].values()
-    assert found["only_before"] == found["only_after"] == []
-    assert found["configurations"]["compass-smoothed"]["position_rmse_m"]["change"] == 0.0
-
-
 @pytest.mark.parametrize(
     "option",
     [("--fail-if", "all.position_rmse_m > 0"), ("--set", "lrf.map=refine"), ("--strict",), ("--all-subsets",)],

@@ -52,11 +52,9 @@ fusion/sensors/pose: sensors/pose sensors/contract
 fusion/sensors/sonar: sensors/sonar sensors/contract
 fusion/sensors/twist: sensors/twist sensors/contract
 fusion/sensors/camera: camera/camera sensors/contract
-fusion/map/line_map: map/prediction map/map_keeping map/given_map kernels/sight sensors/lrf
-fusion/map/laser_mount: kernels/sight fusion/mount
+fusion/map/line_map: map/prediction map/map_keeping map/given_map kernels/sight sensors/lrf fusion/mount
 fusion/map/scan: map/standing map/map_keeping sensors/lrf
 fusion/map/sonar_echo: sensors/sonar
-fusion/map/tidy: map/map_keeping
 fusion/judge/evaluate fusion/judge/way: judge/evaluate
 fusion/judge/bootstrap fusion/judge/credit fusion/judge/verdict: judge/credit
 fusion/judge/consistency: judge/noise_verdicts judge/consistency

@@ -12,8 +12,7 @@ from scipy.optimize import isotonic_regression
 
 from locfuse.formats.logs import jitter
 from locfuse.formats.logs.clock import ON_STAMPS, Clock, common_clock, on_clock, settle
-from locfuse.formats.logs.jitter import in_order
-from locfuse.formats.logs.monotone import never_decreasing
+from locfuse.formats.logs.jitter import in_order, never_decreasing
 from locfuse.fusion.data import Ints
 
 S = 10**9

@@ -102,6 +102,17 @@ def test_a_failure_leaves_neither_half_files_nor_temporary_ones(
     assert not (tmp_path / "new").exists()
 
 
+def test_a_file_that_writes_itself_appears_whole_or_not_at_all(tmp_path: Path) -> None:
+    def fails(path: Path) -> None:
+        path.write_bytes(b"half")
+        raise OSError(28, "No space left on device")
+
+    write_results(tmp_path, {"run.json": "{}", "estimates.mcap": "before"})
+    with pytest.raises(LocfuseError, match="No space left"):
+        write_results(tmp_path, {"estimates.mcap": fails, "run.json": "new"})
+    assert {p.name: p.read_text() for p in tmp_path.iterdir()} == {"run.json": "{}", "estimates.mcap": "before"}
+
+
 def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """/dev/full takes no byte: as the temporary file it stands for a full disk."""
     target = tmp_path / "x.tum"

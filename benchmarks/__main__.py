@@ -8,23 +8,125 @@ ratios. Run it from the repository's root. With LOCFUSE_DATA set, a recorded bui
 from __future__ import annotations
 
 import compileall
-import json
 import os
 import statistics
 import subprocess
+import sys
 import tempfile
-from collections.abc import Iterable
+import time
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import click
-
-from benchmarks.figures import MINUTE, TEN, Command, Figure, Kernel, Logs, figures, kernels, module
-from benchmarks.process import Cost, cost
 
 ROOT = Path(__file__).parent.parent
 DATA = "LOCFUSE_DATA"  # where recorded logs are
 Row = tuple[str, ...]
 FAILED, UNKNOWN = ("failed", ""), ("", "", "no", "")
+Command = tuple[str, ...]
+
+
+class Cost(NamedTuple):
+    """One run of one command."""
+
+    cpu: float  # s, user and system, its children included
+    wall: float  # s
+    peak: float  # MB
+
+
+def cost(command: Sequence[str]) -> Cost:
+    """Run a command and return what it took. Raises RuntimeError with its last words where it fails."""
+    begin = time.perf_counter()
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
+        assert process.stderr is not None
+        words = process.stderr.read().decode(errors="replace").strip()
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode != 0:
+        raise RuntimeError(f"{' '.join(command)}: exit {process.returncode}: {words[-400:]}")
+    wall = time.perf_counter() - begin
+    return Cost(usage.ru_utime + usage.ru_stime, wall, usage.ru_maxrss / 1024)
+
+
+class Logs(NamedTuple):
+    """The logs that figures are taken on."""
+
+    minute: Path  # with pictures
+    ten: Path  # ten minutes of compass and laser
+    hour: Path
+    building: Path | None = None  # a recorded one (aces), where LOCFUSE_DATA has it
+
+
+class Figure(NamedTuple):
+    """Two whole processes, ours and the yardstick, and the ratio of their CPU times that is the goal."""
+
+    name: str
+    goal: float
+    ours: Command
+    theirs: Command
+    peak: float | None = None  # MB: our peak memory is a figure too
+
+
+MINUTE = ("--minutes", "1", "--image-hz", "10")
+TEN = ("--minutes", "10")
+FROZEN = ("--set", "lrf.map=first-scan")
+
+
+def module(name: str, *words: str | Path) -> Command:
+    """Return the command that runs a module of this folder."""
+    return (sys.executable, "-m", f"benchmarks.{name}", *map(str, words))
+
+
+def locfuse(*words: str | Path) -> Command:
+    """Return a command line of the product."""
+    return (sys.executable, "-m", "locfuse.cli", *map(str, words))
+
+
+def figures(logs: Logs, out: Path, length: str) -> list[Figure]:
+    """Return what is measured in whole processes; `length` is that of the long log, in words."""
+    advised = ("--write", "json", "--quiet", "--overwrite", "--no-smooth", "--out", out)
+    how = (*advised, "--no-advice")  # how often advice fuses again depends on what looks wrong with the log
+    stock, stock_minute = decoded(logs.hour), decoded(logs.minute)
+    ours = module("decode", "ours", logs.hour)
+    one = locfuse("run", logs.hour, *FROZEN, *how)
+    five = locfuse("compare", logs.hour, *FROZEN, *how)
+    recorded = (*five, "--rerun-save", f"{out}.rrd")
+    pictures = locfuse("compare", logs.minute, *how)
+    ten = locfuse("compare", logs.ten, *how)
+    buildings = [] if logs.building is None else [of_building(logs.building, how)]
+    return [
+        Figure("60 s, 600 pictures: five configurations / stock", 1.40, pictures, stock_minute),
+        Figure("60 s, 600 pictures: five configurations / one", 1.25, pictures, locfuse("run", logs.minute, *how)),
+        Figure(f"{length}: one configuration, frozen map / stock", 0.35, one, stock),
+        Figure(f"{length}: five configurations, frozen map / stock", 0.50, five, stock, peak=200.0),
+        Figure(f"{length}: five configurations with a Rerun recording / without", 1.5, recorded, five, peak=340.0),
+        Figure(
+            f"{length}: five configurations with advice / without",
+            3.0,
+            locfuse("compare", logs.hour, *FROZEN, *advised),
+            five,
+        ),
+        Figure(f"{length}: one configuration, `grow` / stock", 0.45, locfuse("run", logs.hour, *how), stock),
+        Figure(f"{length}: reading and decoding / stock", 0.10, ours, stock),
+        Figure(f"{length}: reading and decoding / rosbags", 0.35, ours, module("decode", "rosbags", logs.hour)),
+        Figure(f"{length}: five configurations / one", 1.50, five, one),
+        Figure("10 min, compass and laser: `compare`, `grow` / stock", 0.50, ten, decoded(logs.ten)),
+        *buildings,
+        Figure(
+            "`locfuse --help` / `import click`", 1.50, locfuse("--help"), (sys.executable, "-c", "import click")
+        ),
+    ]
+
+
+def of_building(log: Path, how: Sequence[str | Path]) -> Figure:
+    """Return what comparing a recorded building costs."""
+    return Figure(f"{log.stem}, a building: `compare` / stock", 15.0, locfuse("compare", log, *how), decoded(log))
+
+
+def decoded(log: Path) -> Command:
+    """Return the yardstick of a log."""
+    return module("decode", "stock", log)
 
 
 def logs(folder: Path, minutes: float) -> Logs:
@@ -75,19 +177,6 @@ def memory_row(name: str, goal: float, seen: list[Cost]) -> Row:
     return (name, f"{peak:.0f} MB", "", "", f"≤ {goal:g} MB", "yes" if peak <= goal else "no", "")
 
 
-def kernel_row(kernel: Kernel) -> Row:
-    """Measure one inner loop and return its line of the table."""
-    click.echo(kernel.name, err=True)
-    done = subprocess.run(kernel.command, check=False, capture_output=True, text=True)
-    if done.returncode != 0:
-        click.echo(done.stderr[-400:], err=True)
-        return (kernel.name, *FAILED, *UNKNOWN)
-    times = json.loads(done.stdout)
-    ratios = [a / b for a, b in zip(times["ours"], times["theirs"], strict=True)]
-    each = (f"{statistics.median(times[who]) * 1e6:.1f} us" for who in ("ours", "theirs"))
-    return (kernel.name, *each, *judged(ratios, kernel.goal), "")
-
-
 def judged(ratios: list[float], goal: float) -> Row:
     """Return median and spread of a ratio, the goal, and whether it is met."""
     middle = statistics.median(ratios)
@@ -116,11 +205,9 @@ def main(rounds: int, minutes: float, only: str, folder: Path | None) -> None:
         length = "1 h" if minutes == 60 else f"{minutes:g} min"
         every = figures(on, Path(temporary) / "out", length)
         wanted = [f for f in every if only in f.name]
-        inner = [k for k in kernels(on) if only in k.name]
         costs = in_turns([c for f in wanted for c in (f.ours, f.theirs)], rounds)
         rows = [process_row(f, costs) for f in wanted]
         rows += [memory_row(f"peak memory, {f.name}", f.peak, costs[f.ours]) for f in wanted if f.peak]
-        rows += [kernel_row(k) for k in inner]
         click.echo(table(rows))
         said = subprocess.run(module("decode", "ours", on.hour), check=True, capture_output=True, text=True).stdout
         click.echo(f"\nThe long log: {said.strip()}.")

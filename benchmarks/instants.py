@@ -23,7 +23,7 @@ import click
 
 import locfuse
 from benchmarks import golden_cases
-from benchmarks.figures import TEN, module
+from benchmarks.__main__ import TEN, module
 from benchmarks.mutants import first_on_path, laid_out
 from locfuse.fusion.fuse import Filter
 from locfuse.fusion.instants import due_readings, steps_of

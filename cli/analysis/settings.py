@@ -22,11 +22,11 @@ OF_COMPARISON = ("html", "md", "json", "tum", "csv", "tex")  # kinds of output
 OF_RUN = ("tum", "csv", "json")
 WRITTEN = ("html", "json", "tum")  # beside a page, unless others are asked for; robot.toml and fixes.toml always
 EXPORTS = {  # formats of other tools
-    "mcap": "estimates.mcap for rosbag2, with layouts for Foxglove and PlotJuggler: Odometry, Path, /tf, truth",
-    "log": "the same with every message of the log beside them",
-    "kitti": "12 numbers a line, stamps in a file beside it",
+    "mcap": "ROS 2 messages, with layouts for Foxglove and PlotJuggler",
+    "log": "these and every message of the log",
+    "kitti": "",
     "tum": "",
-    "tum-cov": "TUM and the upper triangle of the 6 x 6 covariance",
+    "tum-cov": "with covariance",
     "csv": "with covariance",
 }
 PRESETS = ("default", "paper")

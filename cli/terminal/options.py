@@ -189,8 +189,8 @@ READING = (
         "robots",
         multiple=True,
         type=RobotFile(path_type=Path, exists=True, dir_okay=False),
-        help="robot.toml that describes the robot; merged over the one in the log. Repeatable: later files win, "
-        "e.g. --robot robot.toml --robot fixes.toml. Of many logs (--robot-from): 'robots/{robot}.toml'.",
+        help="robot.toml, merged over the one in the log. Repeatable: later files win. Of many logs "
+        "(--robot-from): 'robots/{robot}.toml'.",
     ),
     click.option(
         "--set",
@@ -269,16 +269,16 @@ JITTER = click.option(
     type=int,
     default=0,
     metavar="N",
-    help="Also fuse N times with stamps moved by 1 µs and 1 % of the readings dropped: the range of every figure "
-    "is reported, and a verdict that changes becomes: no effect seen.",
+    help="Also fuse N times with stamps moved by 1 µs and 1 % of the readings dropped, and report the range of "
+    "every figure.",
 )
 CONFIGURATIONS = (
     click.option(
         "--sensors",
         shell_complete=completion.sensors,
         multiple=True,
-        help="A configuration to compare, e.g. --sensors odometry --sensors compass,lrf, or a what-if at a lower "
-        "rate, --sensors lrf@2Hz. Repeatable.  [default: odometry, each sensor alone, all]",
+        help="A configuration to compare, e.g. compass,lrf, or at a lower rate, lrf@2Hz. Repeatable.  [default: "
+        "odometry, each sensor alone, all]",
     ),
     click.option(
         "--all-subsets",
@@ -335,7 +335,7 @@ EXPORT = click.option(
     "--export",
     callback=known("--export: unknown format", list(EXPORTS), ""),
     metavar="KINDS",
-    help="Comma-separated formats of other tools to write as well: "
+    help="Comma-separated formats of other tools to write as well (docs/bags.md): "
     f"{'; '.join(f'{kind} ({what})' if what else kind for kind, what in EXPORTS.items())}.",
 )
 
@@ -369,8 +369,7 @@ RERUN_SHOW = click.option(
     "--rerun",
     "rerun_show",
     is_flag=True,
-    help="Show the drive in Rerun: in a running viewer, else a new one. Of several logs: record each, and print "
-    "the command that shows them all. More choices: locfuse view.",
+    help="Show the drive in Rerun. Of several logs: record each. More choices: locfuse view.",
 )
 RERUN = (
     RERUN_SHOW,

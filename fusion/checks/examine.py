@@ -24,6 +24,7 @@ from .finding import Finding, Least
 from .laser import laser_motion, of_laser, of_radius, of_scatter
 from .truth import metre, of_truth, wheels_metre
 from .turning import Turning, aligned, of_track, of_turning, turnings
+from .unseen import unseen
 
 MIN_READINGS = 10  # readings from which a sensor is judged
 MAX_EMPTY_SHARE = 0.9  # share of readings without any measurement: such a sensor is dead, or misunderstood
@@ -66,8 +67,10 @@ def examine(
 
         found += [*of_calibration(streams["camera"], robot.settings("camera")), *of_handedness(drive, robot)]
     scales = _scales(drive, robot, by_sensor, turning, least)
-    clocks = of_clocks(drive, robot) if least is None else []  # who tries fixes compares the clocks of runs too
-    return [*found, *scales, *clocks, *of_truth(drive, robot)]
+    if least is None:  # who tries fixes compares the clocks of runs too
+        scales += of_clocks(drive, robot)
+        scales += unseen(drive) if scales else []  # what looks wrong may be something that this drive cannot tell
+    return [*found, *scales, *of_truth(drive, robot)]
 
 
 def scales(drive: Drive, robot: Robot, least: Least) -> list[Finding]:

@@ -14,13 +14,15 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.camera.bearing import predict_bearing
-from locfuse.fusion.camera.images import Picture, decode, messages
 from locfuse.fusion.data import Array, Drive, Stream
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import wrap, wrap_all
 from locfuse.fusion.sensors.camera import CameraSettings, detector
 
 from .finding import Finding
+
+if TYPE_CHECKING:
+    from locfuse.fusion.camera.images import Picture
 
 SAMPLE_PICTURES = 24  # looked at
 MAX_BAD_SHARE = 0.5  # share of the pictures
@@ -58,6 +60,8 @@ def of_pictures(stream: Stream, settings: CameraSettings) -> list[Finding]:
 
 def _sampled(stream: Stream) -> list[Picture | str]:
     """Return some pictures of a stream, evenly spread, or why one cannot be used."""
+    from locfuse.fusion.camera.images import decode, messages  # OpenCV: for logs with a camera only
+
     wanted = set(range(0, len(stream.t_ns), max(1, len(stream.t_ns) // SAMPLE_PICTURES)))
     return [decode(message) for block in messages(stream) for row, message in block if row in wanted]
 
@@ -143,9 +147,6 @@ def _zero(drive: Drive, robot: Robot, t: Array, z: Array) -> float | None:
     middle = math.atan2(float(np.sin(lacks).mean()), float(np.cos(lacks).mean()))
     return middle + float(np.median(wrap_all(np.array(lacks) - middle)))
 
-
-if TYPE_CHECKING:
-    from locfuse.fusion.camera.images import Picture
 
 RIMS = "rims"  # code of the finding
 RAYS = 240

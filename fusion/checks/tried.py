@@ -301,14 +301,17 @@ def tried(look: Look, trial: Try, now: Now = lambda key: None) -> tuple[list[Adv
     helped: list[Advice] = []
     open_: dict[str, Advice] = {}
     kept: Fixes = ()
+    rests: set[tuple[str, str]] = set()  # what is measured off again under its own fix, and no value helps
     case = look(kept)
     while case is not None and len(helped) < MAX_FIXES:
+        rests = set()
         if not case.suspicious():
             open_ = {}  # what had no fix looked wrong only beside what now has one
             break
         done = {(a.finding.role, a.finding.code) for a in helped}
         found = _first_that_helps(case, kept, trial, done)
         open_ = {a.finding.role: a for a in found if not a.helps}
+        rests = {_key(a) for a in open_.values() if any(together(kept, fixes) != kept for fixes in a.tried)}
         new = [a for a in found if a.helps] or _beside_another(found, kept, look, trial, done)
         if not new:
             break
@@ -325,6 +328,7 @@ def tried(look: Look, trial: Try, now: Now = lambda key: None) -> tuple[list[Adv
             kept = together(kept, advice.fixes)
         case = look(kept)
     names = {a.finding.role for a in helped}
+    helped = [_with_rest(a) if _key(a) in rests else a for a in helped]
     return [*helped, *(a for role, a in open_.items() if a.finding.severe or role not in names)], kept
 
 
@@ -343,6 +347,11 @@ def _moves_on(advice: Advice, helped: Sequence[Advice], now: Now) -> bool:
         if again * moved > 0.0 and abs(again) > MAX_MOVED_SHARE * abs(moved):
             return True
     return False
+
+
+def _with_rest(advice: Advice) -> Advice:
+    words = f"{advice.finding.brief}; under the fix it is still measured off: something else is wrong too"
+    return replace(advice, finding=replace(advice.finding, message=words, source="", hint=""))
 
 
 def _without_fix(advice: Advice) -> Advice:

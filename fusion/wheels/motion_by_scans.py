@@ -36,7 +36,10 @@ from .read import WheelReading
 from .scan_clouds import STANDING, Scans, read_scans
 
 SCANS_AT_ONCE = 400
-# a key serves while a scan shares so much with it as the key's first scan does: fewer keys add up less error
+MIN_PAIR_S = 0.15  # between the two scans that tell the speed: in less the robot moves less than a match errs
+# of the prior's information while points are paired: it counts in full where the match is fused with it, once
+PAIRING_PRIOR_SHARE = 0.1
+# a key serves while a scan shares so much with it as its first scan does, both ways: fewer keys add up less error
 MIN_SHARED_RATIO, MAX_KEY_SCANS = 0.8, 100
 FIRST_PRIOR = np.diag([0.2**-2, 0.2**-2, np.radians(10.0) ** -2])  # of such a guess
 FLOOR = np.diag([1e-6, 1e-6, 1e-8])  # m^2, rad^2: two scans of one instant
@@ -138,15 +141,30 @@ def _block(scans: Scans, rows: Ints, velocity: Velocity, way: _Way) -> tuple[Vel
         found, keys = _expected(velocity, scans.t[rows], way, rows)
         return found, keys
     targets, sources = Targets(clouds), sources_of(clouds)
-    dt = np.diff(scans.t[rows])
-    velocities, spread, fits = _followed(targets, sources, dt, velocity)
-    steps = np.stack([v.v for v in velocities]) * dt[:, None]
-    chain = se2.chain(se2.exp(steps))
+    t = scans.t[rows]
+    ends = _apart(t)
+    dt = np.diff(t[ends])
+    velocities, spread, fits = _followed(targets, sources, ends, dt, velocity)
+    twists = np.stack([v.v for v in velocities])
+    pair = np.searchsorted(ends, np.arange(1, len(t))) - 1  # of each later scan, that which it lies in
+    begun = se2.chain(se2.exp(twists * dt[:, None]))[pair]
+    chain = se2.compose(begun, se2.exp(twists[pair] * (t[1:] - t[ends[pair]])[:, None]))
+    chain = np.concatenate((np.zeros((1, 3)), chain))
+    share = np.diff(t) / np.where(dt > 0.0, dt, 1.0)[pair]
     key = _keys(targets, sources, chain)
-    _to_keys(targets, sources, chain, key, spread, way, rows)
-    way.blind[rows[1:]] = np.logical_not(fits)
+    _to_keys(targets, sources, chain, key, share[:, None, None] * np.array(spread)[pair], way, rows)
+    way.blind[rows[1:]] = np.logical_not(fits)[pair]
     last = int(key[-1])
-    return (velocities[last - 1] if last else velocities[-1]), (last or len(rows) - 1)
+    return velocities[pair[last - 1]], (last or len(rows) - 1)
+
+
+def _apart(t: Array) -> Ints:
+    """Return the first of scans (m,), of the others those MIN_PAIR_S [s] after the one before, and the last."""
+    chosen = [0]
+    for k in range(1, len(t)):
+        if k == len(t) - 1 or t[k] - t[chosen[-1]] >= MIN_PAIR_S:
+            chosen.append(k)
+    return np.array(chosen)
 
 
 def _expected(velocity: Velocity, t: Array, way: _Way, rows: Ints) -> tuple[Velocity, int]:
@@ -159,9 +177,9 @@ def _expected(velocity: Velocity, t: Array, way: _Way, rows: Ints) -> tuple[Velo
 
 
 def _followed(
-    targets: Targets, sources: Clouds, dt: Array, known: Velocity
+    targets: Targets, sources: Clouds, ends: Ints, dt: Array, known: Velocity
 ) -> tuple[list[Velocity], Array, Array]:
-    """Match every scan with the one before, starting from the predicted motion.
+    """Match each of these scans (n + 1,) with the one before, starting from the predicted motion.
 
     Returns the n velocities found, the covariances (n, 3, 3) of the steps, and which pairs match (n,). One after
     the other: two scans of a corridor match nearly as well half a step too short, and only the velocity so far
@@ -170,7 +188,7 @@ def _followed(
     found, spread, fits = [], [], []
     for k, span in enumerate(dt.tolist()):
         before = known.after(span)
-        pair = _neighbours(targets, sources, np.array([k]), before, span)
+        pair = _neighbours(targets, sources, ends[[k]], ends[[k + 1]], before, span)
         fits.append(bool(_fits(pair)[0]))
         known = before.corrected(span, se2.log(pair.pose)[0], _believed(pair)[0])
         found.append(known)
@@ -178,17 +196,18 @@ def _followed(
     return found, np.array(spread), np.array(fits)
 
 
-def _neighbours(targets: Targets, sources: Clouds, k: Ints, known: Velocity, dt: float) -> Matches:
-    """Match scan k + 1 with scan k (1,); if that fits badly, try turned starts."""
+def _neighbours(targets: Targets, sources: Clouds, i: Ints, j: Ints, known: Velocity, dt: float) -> Matches:
+    """Match scan j (1,) with scan i, dt [s] before; if that fits badly, try turned starts."""
     guess = se2.exp(known.v * dt)[None]
     prior = inverse(known.P * dt * dt + FLOOR)[None]
-    found = match(targets, k, sources, k + 1, guess, prior, REACH_M)
+    found = match(targets, i, sources, j, guess, PAIRING_PRIOR_SHARE * prior, REACH_M)
     if found.inliers[0] > GOOD_INLIERS and found.overlap[0] > MIN_OVERLAP:
         return found
     n = len(TURNS_RAD)
     guesses = guess + np.outer(TURNS_RAD, (0.0, 0.0, 1.0))
-    again = np.repeat(k, n)
-    turned = match(targets, again, sources, again + 1, guesses, np.broadcast_to(FIRST_PRIOR, (n, 3, 3)), REACH_M)
+    turned = match(
+        targets, i.repeat(n), sources, j.repeat(n), guesses, np.broadcast_to(FIRST_PRIOR, (n, 3, 3)), REACH_M
+    )
     score = turned.inliers * np.sqrt(turned.overlap)
     better = score.max() > found.inliers[0] * np.sqrt(found.overlap[0]) + TURN_GAIN
     return turned.take(np.array([int(score.argmax())])) if better else found
@@ -226,12 +245,21 @@ def _keys(targets: Targets, sources: Clouds, chain: Array) -> Ints:
     key, at, most = np.zeros(len(chain), dtype=np.int64), 0, 0.0
     for k in range(1, len(chain)):
         key[k] = at
-        pose = se2.between(chain[[at]], chain[[k]])
-        shared = overlap(targets, np.array([at]), sources, np.array([k]), pose, REACH_M / 2.0)[0]
+        shared = _shared(targets, sources, chain, at, k)
         most = shared if k == at + 1 else most
         if shared < MIN_SHARED_RATIO * most or k - at >= MAX_KEY_SCANS:
             at = k
     return key
+
+
+def _shared(targets: Targets, sources: Clouds, chain: Array, a: int, b: int) -> float:
+    """Return the shares of two scans that the other one sees, multiplied.
+
+    A laser that looks ahead sees all of a later scan in an earlier one, and not the walls that it has passed.
+    """
+    i, j = np.array([a, b]), np.array([b, a])
+    pose = se2.between(chain[i], chain[j])
+    return float(overlap(targets, i, sources, j, pose, REACH_M / 2.0).prod())
 
 
 def _to_keys(
@@ -243,13 +271,13 @@ def _to_keys(
     guess = se2.between(chain[mine], chain[later])
     total = np.concatenate((np.zeros((1, 3, 3)), np.cumsum(_turned(spread, chain[:-1, 2]), axis=0)))
     P = _turned(total[later] - total[mine], -chain[mine, 2]) + FLOOR
-    found = match(targets, mine, sources, later, guess, inverse(P), REACH_M / 2.0)
+    found = match(targets, mine, sources, later, guess, PAIRING_PRIOR_SHARE * inverse(P), REACH_M / 2.0)
     pose, C = _updated(guess, inverse(P), found)
     of_key = np.concatenate((np.zeros((1, 3)), pose))  # of each scan, seen from its key
     same = key[:-1] == mine  # the scan before has the same key
     start = np.where((same & (later - 1 != mine))[:, None], of_key[:-1], 0.0)
     way.step[rows[1:]] = se2.between(start, pose)
-    way.P[rows[1:]] = _shared(C, mine, start)
+    way.P[rows[1:]] = _spread_evenly(C, mine, start)
 
 
 def _updated(guess: Array, prior: Array, found: Matches) -> tuple[Array, Array]:
@@ -260,7 +288,7 @@ def _updated(guess: Array, prior: Array, found: Matches) -> tuple[Array, Array]:
     return guess + step, inverse(prior + TRUST * full)
 
 
-def _shared(C: Array, key: Ints, start: Array) -> Array:
+def _spread_evenly(C: Array, key: Ints, start: Array) -> Array:
     """Return a covariance for each step: those of one key add up to that of the key's last match.
 
     The errors of the scans in between are not the steps': a scan is matched with its key, not with the one before.

@@ -366,3 +366,12 @@ def test_a_value_that_moves_on_when_it_is_measured_again_is_no_fix(second: str, 
     found, kept = tried(lambda fixes: Case([later if fixes else LATE]), trial, lambda key: 0.0)
     assert kept == ((again,) if taken else ())
     assert any("something else is wrong" in a.finding.message for a in found) != taken
+
+
+@pytest.mark.parametrize("again", [LAG, "lrf.time_offset=-0.12"])
+def test_a_fix_under_which_the_same_is_measured_off_again_says_that_more_is_wrong(again: str) -> None:
+    trial = Trials({keys(): 0.1, keys(LAG): 0.05, keys("lrf.time_offset=-0.12"): 0.06})
+    later = replace(LATE, alternatives=((again,),))
+    (found, *_), kept = tried(lambda fixes: Case([later if fixes else LATE]), trial, lambda key: 0.0)
+    assert kept == (LAG,)
+    assert ("something else is wrong too" in found.finding.message) == (again != LAG)

@@ -70,6 +70,16 @@ def test_a_circle_in_a_room_is_found_by_the_scans_alone() -> None:
     assert np.degrees(np.abs(pose - truth)[:, 2].max()) < 1.5
 
 
+@pytest.mark.parametrize("rate", [10.0, 40.0])
+def test_a_scanner_of_any_rate_follows_a_robot_that_speeds_up_and_brakes(rate: float) -> None:
+    """To and fro at up to 1.5 m/s and 3 m/s^2, turning: 40 scans a second move less than a match errs."""
+    t = np.arange(0.0, 5.0, 1.0 / rate)
+    truth = np.stack((0.75 * (1.0 - np.cos(2.0 * t)), 0.0 * t, 0.3 * np.sin(1.5 * t)), axis=-1)
+    pose = moved(t, truth, ROOM).wheels.pose
+    assert np.hypot(*(pose - truth)[:, :2].T).max() < 0.05  # m, of 5 m
+    assert np.degrees(np.abs(pose - truth)[:, 2].max()) < 1.0
+
+
 def test_its_covariance_covers_the_error() -> None:
     t, truth = circle()
     wheels = in_the_room().wheels

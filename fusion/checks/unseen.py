@@ -1,0 +1,59 @@
+"""What a drive cannot tell, whatever its sensors are, and the manoeuvre that would show it.
+
+A clock, a mount and the track all turn a robot that only turns one way by the same amount. Distances are told by
+straight ways, and an offset of a turning rate by standing.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from locfuse.fusion.data import Array, Drive
+
+from .finding import Finding
+
+UNSEEN = "unseen"  # code of the findings
+MIN_TURN_RAD = math.radians(90.0)  # in all, to the left and to the right
+MAX_BEND_RAD, MIN_STRAIGHT_M = math.radians(5.0), 1.0  # of a straight way
+MAX_SPEED_MPS, MAX_RATE_RADPS, MIN_STAND_S = 0.005, 0.005, 5.0  # of a robot that stands
+
+
+def unseen(drive: Drive) -> list[Finding]:
+    """Return what the motion of this drive leaves open, by its wheels alone."""
+    t, heading = drive.wheels.t, drive.wheels.heading(drive.wheels.t)
+    found = [_turning(heading), _straight(heading, drive.wheels.driven(t))]
+    if "gyro" in drive.measurements:
+        found.append(_standing(t, heading, drive.wheels.driven(t)))
+    return [Finding("wheels", UNSEEN, words) for words in found if words]
+
+
+def _turning(heading: Array) -> str:
+    """Return that a drive with headings (n,) [rad, unwrapped] hardly turns to one side, else ""."""
+    turns = np.diff(heading)
+    left, right = float(turns[turns > 0.0].sum()), float(-turns[turns < 0.0].sum())
+    if min(left, right) >= MIN_TURN_RAD:
+        return ""
+    told = f"it turns {math.degrees(left):.0f}° to the left and {math.degrees(right):.0f}° to the right"
+    return f"{told}: a late clock, a mount and the track look alike. Turn on the spot, once each way"
+
+
+def _straight(heading: Array, way: Array) -> str:
+    """Return that no metre of the way (n,) [m] is straight, else ""."""
+    begin = way[way + MIN_STRAIGHT_M <= way[-1]]
+    ahead = [np.interp(begin + part * MIN_STRAIGHT_M, way, heading) for part in (0.0, 0.25, 0.5, 0.75, 1.0)]
+    if (np.ptp(ahead, axis=0) <= MAX_BEND_RAD).any():
+        return ""
+    return "no metre of its way is straight, which tells no distance scale. Drive 3 m straight along a tape"
+
+
+def _standing(t: Array, heading: Array, way: Array) -> str:
+    """Return that the robot never stands long enough for a gyro's offset, else ""."""
+    period = np.diff(t)
+    still = (np.diff(way) <= MAX_SPEED_MPS * period) & (np.abs(np.diff(heading)) <= MAX_RATE_RADPS * period)
+    runs = np.split(np.arange(len(still)), np.flatnonzero(np.diff(still.astype(np.int8))) + 1)
+    longest = max((float(period[run].sum()) for run in runs if still[run[0]]), default=0.0)
+    if longest >= MIN_STAND_S:
+        return ""
+    return f"it stands for {longest:.1f} s at most, which tells no offset of the gyro. Stand for 5 s first"

@@ -175,12 +175,11 @@ def predicted(drive: Drive, e: Estimates) -> Marks:
 
 
 def marks_of(e: Estimates, judged: Evaluation, drive: Drive) -> Marks:
-    """Return a run's figures against truth; the covariance of smoothed paths is no fix's business."""
-    plain = judged.align == PLAIN_FRAME and not e.smoothed
-    found = honesty(judged) if plain else None
+    """Return a run's figures against truth."""
+    found = honesty(judged) if judged.align == PLAIN_FRAME else None
     return Marks(
         judged.figures.get("position_rmse_m"),
-        None if e.smoothed else judged.figures.get("anees"),
+        judged.figures.get("anees"),
         None if found is None else found.bounds,
         lost=judged.lost_share,
         shape=shape_error(e, drive),

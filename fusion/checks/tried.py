@@ -17,8 +17,8 @@ from .finding import Finding
 
 MAX_LOSS, MAX_LOSS_M = 0.02, 2e-4  # relative, m: by which no position error may grow
 MAX_CHANCE_LOSS = 0.15  # relative, of the position error of a configuration that nobody would keep
-MAX_CONSISTENT_LOSS = 0.3  # the same, where its ANEES is within its chance range before and after
-MAX_SMOOTHED_LOSS = 1.0  # of a smoothed path that is consistent before and after
+MAX_CONSISTENT_LOSS = 0.3  # the same, where its errors stay within what it claims
+MAX_SMOOTHED_LOSS = 1.0  # of a smoothed path whose errors stay within what it claims
 MAX_RUIN, MAX_RUIN_NATS = 1.0, 0.2  # relative, nats per number: more than chance does to any configuration
 MAX_LN_ANEES_LOSS = 0.1  # by which ln ANEES may leave its chance range further where the error stays the same
 MIN_GAIN = 0.1  # relative gain of the position error
@@ -86,22 +86,25 @@ def spoils_alone(before: Marks, after: Marks) -> bool:
     """Return whether a configuration that no user would keep gets notably worse.
 
     One drive's error moves by many percent with every other way of weighing the same readings, by chance: such a
-    configuration may not hinder what helps the better ones. More so where it is consistent before and after: then
-    both errors are as large as it claims.
+    configuration may not hinder what helps the better ones; least where both errors are no larger than it claims.
     """
-    allowed = MAX_CONSISTENT_LOSS if consistent(before, after) else MAX_CHANCE_LOSS
+    allowed = MAX_CONSISTENT_LOSS if within_claim(before, after) else MAX_CHANCE_LOSS
     return spoils(before, after, allowed, MAX_CHANCE_LOSS_NATS) and not _only_underconfident(before, after)
 
 
-def consistent(before: Marks, after: Marks) -> bool:
-    """Return whether both ANEES are known and within their chance ranges: both errors are as large as is claimed."""
-    return before.anees is not None and after.anees is not None and _off(before) == _off(after) == 0.0
+def within_claim(before: Marks, after: Marks) -> bool:
+    """Return whether both ANEES are known and not above their chance ranges: no error is larger than claimed."""
+    known = [(m.anees, m.bounds) for m in (before, after) if m.anees is not None and m.bounds is not None]
+    return len(known) == 2 and all(anees <= high for anees, (_, high) in known)
 
 
 def spoils_smoothed(before: Marks, after: Marks) -> bool:
-    """Return whether a smoothed path gets worse; one that stays consistent may lose what chance does."""
-    allowed = MAX_SMOOTHED_LOSS if consistent(before, after) else MAX_LOSS
-    return spoils(before, after, allowed)
+    """Return whether a smoothed path gets worse: its errors, since no fix is about its covariance.
+
+    One whose errors stay within what it claims may lose by chance.
+    """
+    allowed = MAX_SMOOTHED_LOSS if within_claim(before, after) else MAX_LOSS
+    return spoils(before._replace(anees=None), after._replace(anees=None), allowed)
 
 
 def _only_underconfident(before: Marks, after: Marks) -> bool:

@@ -19,7 +19,7 @@ from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.gps import Gps, GpsSettings
 from locfuse.fusion.wheels.motion import Wheels
-from locfuse.sample_logs.extras import radii
+from locfuse.sample_logs.sensors import radii
 
 Array = NDArray[np.float64]
 T0 = 1_700_000_000_000_000_000

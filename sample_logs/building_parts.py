@@ -23,6 +23,12 @@ from .table import Point, Segment
 
 GRID = 1e-6  # m: coordinates closer than this are the same
 Mask = NDArray[np.bool_]
+PIECE = 0.6  # m, longest segment of a bent face
+WAVES = np.geomspace(4.0, 40.0, 7)  # m, lengths of the waves that make up a deviation
+REACH = 100.0  # m: a deviation keeps within its bow up to here
+CORNERS = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
+
+Deviation = Callable[[Array], Array]
 
 
 def straight_walls(building: Building, size: Point) -> Array:
@@ -100,13 +106,6 @@ def _faces(solid: Mask, x: Array, y: Array) -> list[Array]:
     return found
 
 
-PIECE = 0.6  # m, longest segment of a bent face
-WAVES = np.geomspace(4.0, 40.0, 7)  # m, lengths of the waves that make up a deviation
-REACH = 100.0  # m: a deviation keeps within its bow up to here
-
-Deviation = Callable[[Array], Array]
-
-
 def bent(faces: Array, bow: float, streams: Streams) -> Array:
     """Return straight faces (m, 4), parallel to the axes, as chains of short segments (k, 4) m.
 
@@ -163,9 +162,6 @@ def _chain(face: Array, lines: _Lines) -> Array:
     for i, at in ((0, begin), (-1, end)):
         points[i, along] += lines.off(along, at, np.array([offset]))[0]
     return np.concatenate((points[:-1], points[1:]), axis=1)
-
-
-CORNERS = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
 
 
 def outlines(pieces: tuple[Furniture, ...], z: float) -> Array:

@@ -23,6 +23,9 @@ Floats = NDArray[np.float32]
 
 AMBIENT = 0.6  # light that comes from everywhere
 LAMP = 4.0  # m^2: brightness of one lamp, times cosine over squared distance
+NEAR = 0.01  # m: what is nearer is the camera itself
+NO_RINGS = np.zeros((0, 3))
+MARGIN = 1e-3  # rad, by which a slice is wider than the thing it holds
 
 
 class Surface(IntEnum):
@@ -127,12 +130,6 @@ def _planks(along: Floats, z: Floats) -> Floats:
     grain = np.float32(0.05) * np.sin(along * 90 + 3 * np.sin(z * 5 + plank))
     joint = np.where(along % np.float32(0.2) < 0.012, np.float32(-0.4), np.float32(0))
     return np.asarray(np.float32(1) + tone + grain + joint)
-
-
-Floats = NDArray[np.float32]
-NEAR = 0.01  # m: what is nearer is the camera itself
-NO_RINGS = np.zeros((0, 3))
-MARGIN = 1e-3  # rad, by which a slice is wider than the thing it holds
 
 
 class Standing(NamedTuple):

@@ -17,6 +17,11 @@ from .scenario import Compass, Gps, Lrf, Scenario, Sonar, Truth
 from .world import Scene
 
 JOINTS = ("left_wheel_joint", "right_wheel_joint")
+EARTH_RADIUS = 6_378_137.0  # m, WGS 84 semi-major axis
+FLATTENING = 1 / 298.257223563
+RAYS = 21  # cast within a sonar's cone
+ULTRASOUND = 0  # Range.radiation_type
+APPROXIMATED, FIX, GPS_SERVICE = 1, 0, 1  # NavSatFix: covariance type, status, service
 
 
 class Sensor(Protocol):
@@ -173,13 +178,6 @@ class GroundTruth:
             "pose.orientation.z": float(np.sin(theta / 2)),
             "pose.orientation.w": float(np.cos(theta / 2)),
         }
-
-
-EARTH_RADIUS = 6_378_137.0  # m, WGS 84 semi-major axis
-FLATTENING = 1 / 298.257223563
-RAYS = 21  # cast within a sonar's cone
-ULTRASOUND = 0  # Range.radiation_type
-APPROXIMATED, FIX, GPS_SERVICE = 1, 0, 1  # NavSatFix: covariance type, status, service
 
 
 class Ranger:

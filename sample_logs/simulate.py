@@ -24,6 +24,7 @@ from .world import Scene, clearance
 
 EPOCH_NS = 1_700_000_000_000_000_000  # when every simulated drive begins: logs must not depend on today
 OBSTACLE_HEIGHT = 0.25  # m: what stands at this height can be hit
+SLOWEST = 1.2  # rad/s (0.06 m/s): below, one count in a window is more than 2.5 %
 
 
 @dataclass(frozen=True)
@@ -201,9 +202,6 @@ def _outcome(robot: Robot, radius: float) -> Outcome:
         radius=radius,
         missed=sum(w.missed for w in robot.wheels),
     )
-
-
-SLOWEST = 1.2  # rad/s (0.06 m/s): below, one count in a window is more than 2.5 %
 
 
 class Stability(NamedTuple):

@@ -13,19 +13,40 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import click
 
-from benchmarks.process import Cost, cost
-
 ROOT = Path(__file__).parent.parent
 DATA = "LOCFUSE_DATA"  # where recorded logs are
 Row = tuple[str, ...]
 FAILED, UNKNOWN = ("failed", ""), ("", "", "no", "")
 Command = tuple[str, ...]
+
+
+class Cost(NamedTuple):
+    """One run of one command."""
+
+    cpu: float  # s, user and system, its children included
+    wall: float  # s
+    peak: float  # MB
+
+
+def cost(command: Sequence[str]) -> Cost:
+    """Run a command and return what it took. Raises RuntimeError with its last words where it fails."""
+    begin = time.perf_counter()
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
+        assert process.stderr is not None
+        words = process.stderr.read().decode(errors="replace").strip()
+        _, status, usage = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode != 0:
+        raise RuntimeError(f"{' '.join(command)}: exit {process.returncode}: {words[-400:]}")
+    wall = time.perf_counter() - begin
+    return Cost(usage.ru_utime + usage.ru_stime, wall, usage.ru_maxrss / 1024)
 
 
 class Logs(NamedTuple):

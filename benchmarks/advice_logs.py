@@ -16,7 +16,6 @@ wanted.
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -31,6 +30,8 @@ from benchmarks import experiment
 from benchmarks.advice import MAX_LOSS, MAX_LOSS_DEG, MAX_LOSS_M
 from benchmarks.building import EPOCH_S, FAR_S, relation_errors
 from benchmarks.experiment import Row
+from benchmarks.real_logs import FILES, KNOWN, folder
+from locfuse.cli.analysis.settings import set_words
 from locfuse.cli.session.session import Session, load
 from locfuse.formats.report.findings import length
 
@@ -39,37 +40,25 @@ from locfuse.formats.report.findings import length
 class RealLog:
     """A log, and what is known of its robot."""
 
-    path: str
+    name: str  # in FILES
     sets: tuple[str, ...] = ()
     align: str = "none"
 
 
-ARENA = (
-    "wheels.radius=0.0199962",
-    "wheels.track=0.155",
-    "start.x=1.87516",
-    "start.y=1.91334",
-    "start.theta_deg=213",
-    "truth.x=0.03",
-)
+ARENA = (*set_words(KNOWN["brenner"]), "wheels.track=0.155")
 DATA_SHEET = ("truth.topic=/icp_pose", "wheels.radius=0.30", "wheels.track=1.14")
 LOGS = {
-    "brenner, as measured": RealLog("brenner/brenner.mcap", ARENA),
-    "turtlebot4": RealLog("turtlebot4/tb4_mcap.mcap"),
-    "pimouse": RealLog("strangers/pimouse.bag"),
-    "mrclam": RealLog("mrclam/mrclam.mcap"),
-    "warthog": RealLog("warthog/warthog.mcap", DATA_SHEET, "origin"),
-    "freiburg-101": RealLog("halls/freiburg-101.mcap"),
-    "edmonton": RealLog("halls/edmonton.mcap"),
-    "fr079": RealLog("fr079/fr079.mcap"),
-    "aces": RealLog("aces/aces.mcap"),
+    "brenner, as measured": RealLog("brenner", ARENA),
+    **{name: RealLog(name) for name in ("turtlebot4", "pimouse", "mrclam")},
+    "warthog": RealLog("warthog", DATA_SHEET, "origin"),
+    **{name: RealLog(name) for name in ("freiburg-101", "edmonton", "fr079", "aces")},
 }
 
 
-def work(name: str, folder: Path) -> Row:
+def work(name: str, below: Path) -> Row:
     """Return what is found in one log, and its figures before and after everything that is advised is set."""
     one = LOGS[name]
-    path = folder / one.path
+    path = below / FILES[one.name]
     if not path.exists():
         raise FileNotFoundError(f"{path}: missing")
     session = load(path, sets=one.sets)
@@ -205,11 +194,8 @@ def obeyed_table(rows: Sequence[Row]) -> list[str]:
 @click.option("-o", "out", type=click.Path(path_type=Path), default=Path("advice_logs.jsonl"), show_default=True)
 def main(words: tuple[str, ...], jobs: int, out: Path) -> None:
     """Print what is found in the real logs of LOCFUSE_DATA; logs in the file of -o are not run again."""
-    data = os.environ.get("LOCFUSE_DATA")
-    if not data:
-        raise click.ClickException("LOCFUSE_DATA is not set: no real logs to try")
     names = [(name,) for name in LOGS if not words or any(word in name for word in words)]
-    made = experiment.rows(partial(work, folder=Path(data)), names, out, jobs, show=lambda row: row["task"][0])
+    made = experiment.rows(partial(work, below=folder()), names, out, jobs, show=lambda row: row["task"][0])
     found = experiment.well(made)
     lines = [*found_table(found), "", *obeyed_table(found)]
     for line in (*lines, *experiment.failures(made)):

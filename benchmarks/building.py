@@ -13,7 +13,6 @@ The relations are between scans, so the stamps are those of the scans: it is the
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,19 +23,18 @@ import click
 import numpy as np
 from msgspec.structs import replace
 
+from benchmarks.real_logs import KNOWN, folder
 from locfuse.cli.analysis.load import load
-from locfuse.cli.analysis.settings import LogOptions
+from locfuse.cli.analysis.settings import LogOptions, set_words
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Estimates, Ints, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.sensors import lrf
 from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 
-SETTINGS = ("lrf.x=-0.04", "wheels.time_offset=0.13")
-BUILDINGS: dict[str, tuple[str, ...]] = {"fr079": SETTINGS, "aces": ()}  # log -> its settings
+BUILDINGS = ("fr079", "aces")
 FAR_S = 60.0  # between two scans of a relation: beyond, no filter bridges them without closing a loop
 EXTRA_RANGE, DROPPED = 0.008, 0.02  # m of extra range noise, share of scans dropped
-DATA = "LOCFUSE_DATA"
 EPOCH_S = 1e9  # s: the stamps of a relation plus this are those of the logs in docs/maps.md
 
 
@@ -67,19 +65,19 @@ def without_some(m: Measurements, rng: np.random.Generator) -> Measurements:
 
 
 def one_run(
-    folder: Path, name: str, seed: int | None, sets: tuple[str, ...], smooth: bool
+    below: Path, name: str, seed: int | None, sets: tuple[str, ...], smooth: bool
 ) -> Iterator[dict[str, Any]]:
     """Measure, fuse and judge once, smoothed too if `smooth`; `seed` None is the log as it is."""
     rng = np.random.default_rng(seed)
     heading = () if seed is None else (f"start.theta_deg={rng.uniform(-180.0, 180.0):.3f}",)
-    how = LogOptions(None, (*BUILDINGS[name], *heading, *sets), None, False, True)
+    how = LogOptions(None, (*set_words(KNOWN.get(name)), *heading, *sets), None, False, True)
     with noisier(EXTRA_RANGE if seed is not None else 0.0, rng):
-        loaded = load([folder / name / f"{name}.mcap"], how)
+        loaded = load([below / name / f"{name}.mcap"], how)
     drive = loaded.drive
     if seed is not None:
         scans = without_some(drive.measurements["lrf"], rng)
         drive = replace(drive, measurements={**drive.measurements, "lrf": scans})
-    relations = np.loadtxt(folder / name / f"{name}.relations")
+    relations = np.loadtxt(below / name / f"{name}.relations")
     relations[:, :2] += EPOCH_S - drive.epoch_ns * 1e-9
     start = time.process_time()
     robot = loaded.robot
@@ -152,16 +150,14 @@ def summary(translation: Array, rotation: Array) -> dict[str, float]:
 
 
 @click.command()
-@click.option("--log", "name", type=click.Choice(list(BUILDINGS)), default="fr079", show_default=True)
+@click.option("--log", "name", type=click.Choice(BUILDINGS), default="fr079", show_default=True)
 @click.option("--runs", default=10, show_default=True, help="Perturbed runs after the one of the log as it is.")
 @click.option("--set", "sets", multiple=True, help="robot.toml key.")
 @click.option("--smooth", is_flag=True, help="Also judge the smoothed drive.")
 def main(name: str, runs: int, sets: tuple[str, ...], smooth: bool) -> None:
     """Judge the map of a building; one JSON line per run."""
-    if DATA not in os.environ:
-        raise click.UsageError(f"set {DATA} to the folder that holds {name}/")
     for seed in (None, *range(runs)):
-        for row in one_run(Path(os.environ[DATA]), name, seed, sets, smooth):
+        for row in one_run(folder(), name, seed, sets, smooth):
             click.echo(json.dumps(row))
 
 

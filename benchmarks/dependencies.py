@@ -15,7 +15,7 @@ from importlib import metadata
 from pathlib import Path
 
 from benchmarks import experiment
-from benchmarks.process import cost
+from benchmarks.__main__ import cost
 from locfuse.cli.analysis.errors import PACKAGES
 
 PAGE = Path(__file__).parent.parent / "docs" / "install.md"

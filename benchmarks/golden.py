@@ -36,7 +36,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import locfuse
-from benchmarks.golden_cases import DATA, HERE, LOGS, SIMULATED, Case, cases, simulate
+from benchmarks.golden_cases import HERE, LOGS, SIMULATED, Case, cases, simulate
+from benchmarks.real_logs import DATA
 from locfuse.cli.main import main as command_line
 from locfuse.fusion.data import VERDICTS, Estimates
 from locfuse.fusion.fuse import fuse

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,7 +11,8 @@ import tomli_w
 
 from benchmarks import floor_plan
 from benchmarks.advice_logs import ARENA
-from benchmarks.building import SETTINGS
+from benchmarks.real_logs import FILES, KNOWN, are_there
+from locfuse.cli.analysis.settings import set_words
 from locfuse.formats.container.mcap_write import LogWriter
 from locfuse.sample_logs import load
 from locfuse.sample_logs.messages import RawMessage
@@ -20,7 +20,6 @@ from locfuse.sample_logs.record import to_log
 from locfuse.sample_logs.simulate import EPOCH_NS, Simulation
 
 Words = tuple[str, ...]
-DATA = "LOCFUSE_DATA"
 LOGS, HERE = "{logs}", "{data}"  # in words: the folder of simulated logs, that of real ones
 
 
@@ -214,42 +213,34 @@ SENSORS: dict[str, Words] = {  # options of the logs every_*
     "sonar": ("sonar.sigma=0.1", "sonar.widen_deg=0"),
     "grid": ("lrf.map=given", "lrf.map_topic=/map"),
 }
-UWB = ("wheels.radius=1", "wheels.track=0.157")
 WARTHOG = ("wheels.radius=0.286", "wheels.track=1.78")
 BARCODES = (
     *("start.x=1.426", "start.y=-3.905", "start.theta_deg=134.8", "wheels.time_offset=0.19"),
     *(f"landmarks.file={HERE}/mrclam/detections.csv", f"landmarks.map={HERE}/mrclam/landmarks.csv"),
 )
-REAL: dict[str, tuple[str, Words]] = {  # name -> log, settings
-    "brenner": ("brenner/brenner.mcap", (*ARENA, "lrf.time_offset=-0.45", "lrf.range_scale=1.13")),
-    "turtlebot4": ("turtlebot4/tb4_mcap.mcap", ()),
-    "controller_twist": ("strangers/controller_twist.bag", ()),
-    "odometry_in_tf": ("strangers/odometry_in_tf.bag", ()),
-    "laser_only": ("strangers/laser_only", ()),
-    "freiburg-101": ("halls/freiburg-101.mcap", ()),
-    "edmonton": ("halls/edmonton.mcap", ()),
-    "uwb": ("uwb/labyrinth_uwb.mcap", UWB),
-    "warthog": ("warthog/warthog.mcap", WARTHOG),
-    "mrclam": ("mrclam/mrclam.mcap", BARCODES),
-    "mrclam, grown": ("mrclam/mrclam.mcap", (*BARCODES[:-1], "landmarks.map=grow")),
-    **{n: (f"strangers/{n}.bag", ()) for n in ("marker_in_camera", "setpoints", "sideways", "world_frame_twist")},
-    "standing_odometry": ("strangers/standing_odometry", ()),
-    "tricycle": ("tricycle/tricycle.mcap", ()),
-    "nav2_turtlebot": ("bags/evo/nav2_turtlebot.mcap", ()),
-}
 LASERS = ("brenner", "turtlebot4", "controller_twist", "odometry_in_tf", "laser_only")
 HALLS = ("freiburg-101", "edmonton")
-LONG: dict[str, tuple[str, Words, Words]] = {  # name -> log, settings, options
-    "pimouse": ("strangers/pimouse.bag", (), ("recover=false",)),
-    "aces": ("aces/aces.mcap", (), ("mounts",)),
-    "fr079": ("fr079/fr079.mcap", SETTINGS, ("wheels",)),
+REAL: dict[str, tuple[str, Words]] = {  # name -> log, settings
+    "brenner": ("brenner", (*ARENA, "lrf.time_offset=-0.45", "lrf.range_scale=1.13")),
+    **{n: (n, ()) for n in (*LASERS[1:], *HALLS)},
+    "uwb": ("uwb", set_words(KNOWN["uwb"])),
+    "warthog": ("warthog", WARTHOG),
+    "mrclam": ("mrclam", BARCODES),
+    "mrclam, grown": ("mrclam", (*BARCODES[:-1], "landmarks.map=grow")),
+    **{n: (n, ()) for n in ("marker_in_camera", "setpoints", "sideways", "world_frame_twist")},
+    **{n: (n, ()) for n in ("standing_odometry", "tricycle", "nav2_turtlebot")},
+}
+LONG: dict[str, tuple[Words, Words]] = {  # log -> settings, options
+    "pimouse": ((), ("recover=false",)),
+    "aces": ((), ("mounts",)),
+    "fr079": (set_words(KNOWN["fr079"]), ("wheels",)),
 }
 SAMPLES = ("disturbed", "rounded_rectangle", "rounded_triangle")
 
 
 def cases() -> list[Case]:
     """Return all cases; those of real logs only where their folder is."""
-    return [*_samples(), *_simulated(), *_commands(), *(_real() if os.environ.get(DATA) else ())]
+    return [*_samples(), *_simulated(), *_commands(), *(_real() if are_there() else ())]
 
 
 def _samples() -> Iterator[Case]:
@@ -300,8 +291,8 @@ TUNED = 1e4  # an optimiser stops at a tolerance
 
 
 def _real() -> Iterator[Case]:
-    for name, (path, sets) in REAL.items():
-        log = f"{HERE}/{path}"
+    for name, (file, sets) in REAL.items():
+        log = f"{HERE}/{FILES[file]}"
         yield Case(f"{name}: default", log, sets, quick=name == "brenner")
         yield Case(f"{name}: listen", log, sets, "listen")
         yield Case(f"{name}: smooth", log, sets, options=PLAIN | {"smooth": True})
@@ -311,8 +302,8 @@ def _real() -> Iterator[Case]:
             yield Case(f"{name}: {option}", log, (*sets, *others), options=PLAIN, quick=quick)
         if name in LASERS + HALLS:
             yield Case(f"{name}: given", log, sets, "given", PLAIN)
-    for name, (path, sets, options) in LONG.items():
-        log, short = f"{HERE}/{path}", {"between": (0.0, 350.0), **PLAIN}
+    for name, (sets, options) in LONG.items():
+        log, short = f"{HERE}/{FILES[name]}", {"between": (0.0, 350.0), **PLAIN}
         yield Case(f"{name}: short", log, sets, "run", short, quick=name == "fr079")
         yield Case(f"{name}: plain", log, sets, options=PLAIN)
         for option in options:

@@ -5,13 +5,14 @@ LOCFUSE_DATA=folder python -m benchmarks.motions
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
+from benchmarks.real_logs import FILES, KNOWN, folder
 from locfuse.cli.analysis.choose import choose
 from locfuse.cli.analysis.refused_motion import spoiling
 from locfuse.cli.analysis.robot_tables import make_robot
+from locfuse.cli.analysis.settings import set_words
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.robot.robot_toml import apply_sets
 from locfuse.fusion.data import LocfuseError
@@ -19,8 +20,6 @@ from locfuse.fusion.streams import merged
 from locfuse.fusion.wheels.odometry import SCANS
 from locfuse.fusion.wheels.read import read_wheels
 
-BAGS = ("controller_twist.bag", "pimouse.bag", "odometry_in_tf.bag", "laser_only", "world_frame_twist.bag")
-VOID = ("standing_odometry", "setpoints.bag", "marker_in_camera.bag", "sideways.bag")
 TRICYCLE = (
     "wheels.radius=0.0016893",
     "wheels.ticks_per_revolution=5000",
@@ -28,12 +27,10 @@ TRICYCLE = (
     "wheels.wheelbase=1.4",
 )
 LOGS: Mapping[str, tuple[str, ...]] = {
-    **{f"strangers/{bag}": () for bag in (*BAGS, *VOID)},
-    **dict.fromkeys(("turtlebot4/tb4_mcap.mcap", "turtlebot4/db3", "aces/aces.mcap", "fr079/fr079.mcap"), ()),
-    **dict.fromkeys(("halls/edmonton.mcap", "halls/freiburg-101.mcap", "brenner/brenner.mcap"), ()),
-    **dict.fromkeys(("mrclam/mrclam.mcap", "bags/evo/nav2_turtlebot.mcap"), ()),
-    "tricycle/tricycle.mcap": TRICYCLE,
-    "warthog/warthog.mcap": ("wheels.radius=0.3", "wheels.track=1.14"),
+    **dict.fromkeys(FILES, ()),
+    "uwb": set_words(KNOWN["uwb"]),
+    "tricycle": TRICYCLE,
+    "warthog": ("wheels.radius=0.3", "wheels.track=1.14"),
 }
 
 
@@ -59,10 +56,9 @@ def row(path: Path, sets: tuple[str, ...]) -> str:
 
 def main() -> None:
     """Print the table."""
-    folder = Path(os.environ["LOCFUSE_DATA"])
     print("| log | taken | why |\n|---|---|---|")
     for name, sets in LOGS.items():
-        print(row(folder / name, sets))
+        print(row(folder() / FILES[name], sets))
 
 
 if __name__ == "__main__":

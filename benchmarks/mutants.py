@@ -51,27 +51,22 @@ fusion/sensors/pose: sensors/pose sensors/contract
 fusion/sensors/sonar: sensors/sonar sensors/contract
 fusion/sensors/twist: sensors/twist sensors/contract
 fusion/sensors/camera: camera/camera sensors/contract
-fusion/map/line_map: map/prediction map/map_keeping map/given_map kernels/sight sensors/lrf
-fusion/map/laser_mount: kernels/sight fusion/mount
+fusion/map/line_map: map/prediction map/map_keeping map/given_map kernels/sight sensors/lrf fusion/mount
 fusion/map/scan: map/standing map/map_keeping sensors/lrf
 fusion/map/sonar_echo: sensors/sonar
-fusion/map/tidy: map/map_keeping
-fusion/judge/evaluate: judge/evaluate judge/nees judge/way
-fusion/judge/way: judge/way judge/evaluate
-fusion/judge/bootstrap: judge/bootstrap
-fusion/judge/credit fusion/judge/verdict: judge/credit
-fusion/judge/consistency: judge/evidence_of_runs judge/by_truth
+fusion/judge/evaluate fusion/judge/way: judge/evaluate
+fusion/judge/bootstrap fusion/judge/credit fusion/judge/verdict: judge/credit
+fusion/judge/consistency: judge/noise_verdicts judge/consistency
 fusion/judge/events: judge/events
-fusion/judge/noise_verdicts: judge/noise_verdicts judge/by_truth
+fusion/judge/noise_verdicts: judge/noise_verdicts judge/consistency
 fusion/judge/covariance: judge/consistency
 fusion/judge/innovations: judge/innovations judge/consistency
 fusion/judge/predictive: judge/predictive
 fusion/judge/against: judge/against
 fusion/whole_drive/smooth: whole_drive/smooth
-formats/results/mcap_export: container/mcap_columns
-formats/container/mcap_write: container/mcap_write container/mcap_columns
+formats/results/mcap_export formats/container/mcap_write: container/mcap_write
 formats/messages/cdr: messages/layout messages/cdr
-formats/messages/decode: messages/decode
+formats/messages/decode: messages/message_schema
 formats/messages/fields: messages/message_schema messages/cdr messages/kinds
 formats/messages/json_messages: messages/json_messages messages/protobuf_messages
 formats/messages/protobuf_messages: messages/protobuf_messages

@@ -12,26 +12,17 @@ the other hurts.
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import locfuse
 from benchmarks import experiment
 from benchmarks.experiment import Row
+from benchmarks.real_logs import FILES, KNOWN, are_there, folder
 
-DATA = "LOCFUSE_DATA"
 HIDDEN = {"truth.topic": "none"}
 SAMPLES = ("rounded_rectangle", "rounded_triangle", "disturbed")
-BRENNER = {
-    "wheels.radius": 0.0199962,
-    "start.x": 1.87516,
-    "start.y": 1.91334,
-    "start.theta_deg": 213,
-    "truth.x": 0.03,
-}
 WRONG: dict[str, dict[str, Any]] = {
     "compass 5° off, called exact": {"compass.offset_deg": -60, "compass.sigma_deg": 1},
     "compass 40° off, called exact": {"compass.offset_deg": -25, "compass.sigma_deg": 1},
@@ -57,12 +48,12 @@ def cases() -> Iterator[Case]:
     for log in SAMPLES[:2]:
         for name, sets in WRONG.items():
             yield Case(f"{log}, {name}", log, sets)
-    if DATA in os.environ:
-        brenner = str(Path(os.environ[DATA]) / "brenner" / "brenner.mcap")
+    if are_there():
+        brenner, known = str(folder() / FILES["brenner"]), KNOWN["brenner"]
         for track in (0.155, 0.173):
-            yield Case(f"brenner, track {track}", brenner, {**BRENNER, "wheels.track": track})
+            yield Case(f"brenner, track {track}", brenner, {**known, "wheels.track": track})
         right = {"wheels.track": 0.173, "lrf.time_offset": -0.45, "lrf.range_scale": 1.126}
-        yield Case("brenner, clock and scale right", brenner, {**BRENNER, **right})
+        yield Case("brenner, clock and scale right", brenner, {**known, **right})
 
 
 def work(name: str) -> Row:

@@ -10,21 +10,19 @@ the figures differ enough to say something (MIN_GAIN, MIN_RATIO), as in the repo
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import locfuse
 from benchmarks import experiment
 from benchmarks.experiment import Row
+from benchmarks.real_logs import FILES, KNOWN, are_there, folder
 
-DATA = "LOCFUSE_DATA"
-REAL = {  # log -> its settings
-    "fr079/fr079.mcap": {"lrf.x": -0.04, "wheels.time_offset": 0.13},
-    "halls/edmonton.mcap": {},
-    "halls/freiburg-101.mcap": {},
-    "brenner/brenner.mcap": {"wheels.radius": 0.0199962, "wheels.track": 0.173, "truth.x": 0.03},
+REAL: dict[str, dict[str, Any]] = {  # log -> its settings
+    "fr079": KNOWN["fr079"],
+    "edmonton": {},
+    "freiburg-101": {},
+    "brenner": {**KNOWN["brenner"], "wheels.track": 0.173},
 }
 SAMPLES = ("rounded_rectangle", "rounded_triangle", "disturbed")
 WAYS: dict[str, dict[str, Any]] = {  # how a log is fused, beside odometry: name -> its settings
@@ -40,7 +38,7 @@ MIN_GAIN, MIN_RATIO = 0.02, 1.2  # of agreement; of cells
 
 def work(name: str) -> Row:
     """Return error, agreement and cells of a log's paths, by how they were made."""
-    log = str(Path(os.environ[DATA]) / name) if name in REAL else name
+    log = folder() / FILES[name] if name in REAL else name
     found: dict[str, list[float | None]] = {}
     for way, sets in WAYS.items():
         session = locfuse.load(log, sets={**REAL.get(name, {}), **sets})
@@ -77,7 +75,7 @@ def table(rows: list[Row]) -> Iterator[str]:
         yield f"\n{name}: {right} of {asked} pairs of paths are ranked as their errors are."
 
 
-main = experiment.command(work, table, (*SAMPLES, *(REAL if DATA in os.environ else ())), drives=0)
+main = experiment.command(work, table, (*SAMPLES, *(REAL if are_there() else ())), drives=0)
 
 if __name__ == "__main__":
     main()

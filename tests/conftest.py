@@ -3,6 +3,8 @@
 import os
 import signal
 from collections.abc import Generator
+from pathlib import Path
+from typing import Any
 
 import hypothesis
 import pytest
@@ -19,6 +21,15 @@ hypothesis.settings.register_profile(
     "untimed", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
 )
 hypothesis.settings.load_profile("untimed")
+
+
+@pytest.fixture(scope="session")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
+    """The sample log, compared without any option: what was printed, and the folder of its results."""
+    from commands import ok
+
+    out = tmp_path_factory.mktemp("plain") / "out"
+    return ok("compare", "rounded_rectangle", "-o", out), out
 
 
 @pytest.hookimpl(wrapper=True)

@@ -99,6 +99,7 @@ class Body(NamedTuple):
     fixes: tuple[str, ...] = ()  # settings that choose the same
     beside: tuple[str, ...] = ()  # a car's steering, beside its motor
     spoils: bool = False  # it is not the robot's motion: the note says why
+    unjudged: bool = False  # another motion disagrees, and nothing judges them: the note says so
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -133,9 +134,8 @@ def _best_witnessed(log: Log, robot: Robot, choice: Choice, kinds: Sequence[Sequ
         if (body := _one_of(log, same, witnesses)) is not None:
             if words := witnesses.unjudged(body.topics):
                 words = f"{body.topic} is used: {words}"
-                body = body._replace(
-                    note=". ".join(filter(None, (body.note, words))), fixes=(f"wheels.topic={body.topic}",)
-                )
+                note = ". ".join(filter(None, (body.note, words)))
+                body = body._replace(note=note, fixes=(f"wheels.topic={body.topic}",), unjudged=True)
             return _judged(body, witnesses)
     return None
 

@@ -171,7 +171,7 @@ def read_baseline(path: Path, tolerance: str, of_fleet: bool = False) -> Baselin
             figures = (c["figures"] for c in values["configurations"].values())
             tables = [values["logs"], *values["logs"].values(), *figures]
         else:
-            values = json_report.current(values, f"--baseline {path}")
+            values = json_report.readable(values, f"--baseline {path}")
             tables = [values.get("input", {}), *values["configurations"].values()]
         if not all(isinstance(table, dict) for table in tables):
             raise TypeError
@@ -196,10 +196,8 @@ def refuse_another_log(baseline: Baseline | None, log: Log) -> None:
 
 
 def _is_of(then: Mapping[str, Any], log: Log) -> bool:
-    """Return whether a report is of this log: by its identity, in a report of 0.1 by the hash of all bytes."""
-    if then.get("identity") is not None:
-        return bool(then["identity"] == log.identity.digest)
-    return then.get("sha256") is None or then["sha256"] == log.sha256
+    """Return whether a report is of this log, by the identity of its content."""
+    return then.get("identity") in {None, log.identity.digest}
 
 
 def _violated(report: Mapping[str, Any], gate: Gate) -> str | None:
@@ -338,7 +336,7 @@ def _other_logs(summary: Mapping[str, Any], baseline: Baseline) -> str | None:
 def _contents(summary: Mapping[str, Any]) -> dict[str, str]:
     """Return the name of each log with a result, by the identity of its content."""
     logs = summary["logs"].items()
-    return {str(v.get("identity") or v.get("sha256")): n for n, v in logs if v.get("state", "done") == "done"}
+    return {str(v.get("identity")): n for n, v in logs if v.get("state", "done") == "done"}
 
 
 def _number(text: str) -> float | None:

@@ -14,6 +14,8 @@ from .refused_motion import void_all
 from .results import log_words
 from .wheel_topics import unused_words
 
+MIN_COVERED_SHARE = 0.8  # of the log's time: a motion that covers less is said to
+
 
 def say_motion(report: dict[str, Any], loaded: Loaded, judged: bool = False) -> None:
     """Add warnings on the motion to a report, to be read before any figure.
@@ -23,6 +25,9 @@ def say_motion(report: dict[str, Any], loaded: Loaded, judged: bool = False) -> 
     void_all(report, loaded.spoils)
     if judged and (words := _behind_scans(loaded)):
         report["notes"].append(f"wheels: {words}")
+    first = [note.words for note in loaded.choice.notes if note.first]
+    for words in filter(None, (*first, _part(loaded))):
+        report["headline"] = f"{words[0].upper()}{words[1:]}. {report['headline']}"
     if words := unused_words(loaded.choice):
         command = shlex.join(("locfuse", "init", *log_words(loaded.log), "-o", "robot.toml"))
         report["headline"] = f"{words}: `{command}` asks for them. {report['headline']}"
@@ -35,3 +40,15 @@ def _behind_scans(loaded: Loaded) -> str:
     if not encoders or len(lasers) != 1 or loaded.reading is None or not has_scipy():
         return ""
     return Evidence(loaded.log, loaded.robot, lasers[0], {}).behind(topics, loaded.reading)
+
+
+def _part(loaded: Loaded) -> str:
+    """Return that the motion covers a part of the log only; "" if it covers most."""
+    span, t = loaded.log.time_span_ns, loaded.drive.wheels.t
+    if span is None or loaded.window != (None, None):
+        return ""
+    covered, whole = float(t[-1] - t[0]), (span[1] - span[0]) * 1e-9
+    if covered >= MIN_COVERED_SHARE * whole:
+        return ""
+    topics = " and ".join(loaded.choice.of("wheels"))
+    return f"The motion by {topics} covers {covered:.1f} s of the {whole:.1f} s of this log"

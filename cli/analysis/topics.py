@@ -29,6 +29,7 @@ class Note(NamedTuple):
     words: str
     fixes: tuple[str, ...] = ()  # settings that say the same for good
     spoils: bool = False  # every figure of this log means nothing
+    first: bool = False  # to be read before any figure
 
 
 class Choice(msgspec.Struct):

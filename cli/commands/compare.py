@@ -166,7 +166,7 @@ def _read(file: Path) -> dict[str, Any]:
     from locfuse.fusion.data import LocfuseError
 
     try:
-        report = json_report.current(json.loads(read_small(file, MAX_REPORT)), str(file))
+        report = json_report.readable(json.loads(read_small(file, MAX_REPORT)), str(file))
         sides.changes(report, report)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise LocfuseError(f"{file}: not a report of locfuse; make one with: locfuse compare LOG -o DIR") from None

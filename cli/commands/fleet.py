@@ -12,7 +12,7 @@ import click
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.settings import OF_COMPARISON as KINDS
-from locfuse.cli.rerun.recordings import FOLDER, Recording, catalog
+from locfuse.cli.rerun.record import FOLDER, Recording, catalog
 from locfuse.cli.terminal import completion, show
 from locfuse.cli.terminal import options as o
 from locfuse.cli.terminal.screen import put, reader_may_leave

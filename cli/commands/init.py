@@ -183,6 +183,7 @@ def _foot(made: Draft) -> str:
 
 
 def _say(made: Draft, words: str, name: str) -> None:
+    from locfuse.cli.analysis.refused_motion import STANDS
     from locfuse.cli.terminal import show
 
     if made.robot:
@@ -197,6 +198,8 @@ def _say(made: Draft, words: str, name: str) -> None:
         show.say(f"to be filled in: {', '.join(made.missing)} (their lines say how to measure them)")
     elif spoils := made.overview.spoils:
         show.say(f"no motion to use: {spoils[0].words}")
+    elif made.overview.loaded is not None and made.overview.loaded.drive.wheels.stands:
+        show.say(STANDS)
     elif _tunes(made):
         show.say(f"next: locfuse tune {words} --robot {name} -o tuned.toml")
     else:

@@ -16,7 +16,7 @@ from locfuse.cli.analysis.key import key
 from locfuse.cli.analysis.load import find_log
 from locfuse.cli.analysis.robot_tables import given_tables
 from locfuse.cli.analysis.settings import OF_COMPARISON, Asked, LogOptions, Outputs
-from locfuse.cli.rerun.recordings import Recording
+from locfuse.cli.rerun.record import Recording
 from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.inputs import read_small
 from locfuse.formats.logs.files import files_of, identity_of

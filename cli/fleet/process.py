@@ -21,7 +21,7 @@ from locfuse.cli.analysis.errors import expected
 from locfuse.cli.analysis.load import find_log, load_to_fuse, with_settings
 from locfuse.cli.analysis.memory import settle_heap
 from locfuse.cli.analysis.settings import silent
-from locfuse.cli.rerun.recordings import write
+from locfuse.cli.rerun.record import record_drive
 from locfuse.cli.session.session import Session
 from locfuse.formats.versions import own
 
@@ -131,7 +131,7 @@ def compare(job: Job) -> tuple[str, ...]:
         found.write(folder, write=outputs.write, export=outputs.export, overwrite=overwrite)
         if outputs.figures is not None:
             found.write_figures(outputs.figures / cell.folder)
-        if job.recording is not None and (why := write(job.recording, job.recording_of(cell), found)):
+        if job.recording is not None and (why := record_drive(job.recording, job.recording_of(cell), found)):
             warnings.append(why)
     return tuple(warnings)
 

@@ -36,9 +36,9 @@ def scene_of(folder: Path) -> RerunScene:
     if path is None:
         raise LocfuseError(f"{folder} holds no locfuse result: neither report.json nor run.json")
     try:
-        report = json_report.current(msgspec.json.decode(read_small(path, MAX_REPORT)), str(path))
+        report = json_report.readable(msgspec.json.decode(read_small(path, MAX_REPORT)), str(path))
         rows = report["configurations"]
-        tracks = {name: _track(folder / _file(folder, name, rows[name], path.name)) for name in rows}
+        tracks = {name: _track(folder / _file(name, rows[name], path.name)) for name in rows}
         return _scene(folder, report, tracks)
     except FileNotFoundError as problem:
         missing = Path(str(problem.filename)).name
@@ -49,12 +49,11 @@ def scene_of(folder: Path) -> RerunScene:
         raise LocfuseError(f"{folder}: its files are not as locfuse writes them: {problem}") from None
 
 
-def _file(folder: Path, name: str, row: Mapping[str, Any], report: str) -> str:
+def _file(name: str, row: Mapping[str, Any], report: str) -> str:
     """Return the trajectory of one result: `run` names the file by its kind, `compare` by the result."""
     if report == "run.json":
         return "smoothed.tum" if row["smoothed"] else "trajectory.tum"
-    of_0_1 = f"{row['configuration']}{json_report.SMOOTHED_IN_0_1}.tum"
-    return of_0_1 if row["smoothed"] and (folder / of_0_1).is_file() else f"{name}.tum"
+    return f"{name}.tum"
 
 
 def _track(file: Path) -> tuple[Ints, Array]:

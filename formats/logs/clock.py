@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from locfuse.fusion.data import Array, Block, Column, Ints
 
 from . import jitter
-from .monotone import never_decreasing
 
 ORDERS = ("auto", "stamp", "recorded")
 NS_PER_MS = 10**6
@@ -192,7 +191,7 @@ def _out_of_order(log_time: Ints, stamp: Ints) -> tuple[Mask, Mask]:
     """Mark the stamps (n,) that run backwards, and those that are also off the regular period."""
     delay = log_time - stamp
     weights, _ = jitter.credibility(stamp)
-    backwards = ~never_decreasing(stamp, _credibility(delay) * weights)
+    backwards = ~jitter.never_decreasing(stamp, _credibility(delay) * weights)
     recorded, _ = jitter.credibility(log_time)
     steady = (weights < recorded) & ~_bunched(log_time)
     return backwards, steady & _off_the_delay(delay) & ~backwards

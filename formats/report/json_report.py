@@ -11,11 +11,10 @@ import msgspec
 
 from locfuse.formats.versions import installed
 from locfuse.formats.visible import escaped, writable
-from locfuse.fusion.data import Drive, Evaluation, LocfuseError, SensorFigures, result_name
+from locfuse.fusion.data import Drive, Evaluation, LocfuseError, SensorFigures
 from locfuse.fusion.kernels.built import how
 
 SCHEMA_VERSION = 1  # of report.json and run.json; locfuse 0.1 wrote none
-SMOOTHED_IN_0_1 = " smoothed"  # ended the name of a smoothed result in a report without schema_version
 
 # library -> the distributions that carry it
 LIBRARIES = {
@@ -75,30 +74,19 @@ def plain(report: Mapping[str, Any]) -> dict[str, Any]:
     return values
 
 
-def current(report: Mapping[str, Any], source: str) -> dict[str, Any]:
-    """Return a report of this or an earlier version under today's keys; `source` names it in errors.
+def readable(report: Mapping[str, Any], source: str) -> dict[str, Any]:
+    """Return a report as it is; `source` names it in errors.
 
-    Raises LocfuseError for a report of a later version. What is no report at all raises KeyError, TypeError or
-    AttributeError.
+    Raises LocfuseError for a report of another version of its keys. What is no report at all raises KeyError,
+    TypeError or AttributeError.
     """
-    version = report.get("schema_version", 0)
-    if version > SCHEMA_VERSION:
+    version, writer = report.get("schema_version", 0), report["locfuse"]
+    if version != SCHEMA_VERSION:
         raise LocfuseError(
-            f"{source}: schema_version {version}, written by locfuse {report.get('locfuse')}; this locfuse reads "
-            f"up to {SCHEMA_VERSION}. Update locfuse, or make the report again with: locfuse compare LOG -o DIR"
+            f"{source}: schema_version {version}, written by locfuse {writer}; this locfuse reads "
+            f"{SCHEMA_VERSION}. Update locfuse, or make the report again with: locfuse compare LOG -o DIR"
         )
-    if version == SCHEMA_VERSION:
-        return dict(report)
-    rows = [_row_of_0_1(name, values) for name, values in report["configurations"].items()]
-    named = {result_name(row["configuration"], row["smoothed"]): row for row in rows}
-    return {**report, "schema_version": SCHEMA_VERSION, "configurations": named}
-
-
-def _row_of_0_1(name: str, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of a configuration of version 0.1, where only its name gives the set of sensors."""
-    smoothed = bool(values.get("smoothed", False))
-    configuration = name.removesuffix(SMOOTHED_IN_0_1) if smoothed else name
-    return {"rates_hz": {}, **values, "configuration": configuration, "smoothed": smoothed}
+    return dict(report)
 
 
 def _configuration(evaluation: Evaluation) -> dict[str, Any]:

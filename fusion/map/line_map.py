@@ -10,6 +10,19 @@ A pair (measured line, map line) is a candidate when its Mahalanobis distance pa
 robot stands on the face that was seen before, and the segments overlap. Two candidates that explain a line
 about equally well are no evidence at all: the line is skipped and counted as ambiguous. The numbers are worked out
 by fusion.kernels.sight, with paper eq. 13, 17, 18.
+
+Tidying a growing map: lines that were seen too rarely are removed, doubles are merged. Joining two lines that are
+one wall is how loops close: the constraint "these are equal" is a measurement with a stated noise, and the filter
+carries it into every state that depends on either.
+
+A laser with an uncertain mount: a line (r, psi) in the base follows from the laser's own one and the mount
+(x, y, yaw) by psi = psi_L + yaw, r = r_L + x cos(psi) + y sin(psi). So what is predicted for the laser's reading
+depends on the mount by
+
+    d(r, psi)/d(x, y, yaw) = [[-cos(psi), -sin(psi), x sin(psi) - y cos(psi)], [0, 0, -1]]
+
+at the measured psi, in which this is exact. (At the predicted one the wheels' error in heading would enter, which
+goes with their error in distance: y came out wrong by k / (2 dtheta), 8 mm.) Derivatives by pose and line stay.
 """
 
 from __future__ import annotations
@@ -28,9 +41,21 @@ from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import Pose
 from locfuse.fusion.kernels import sight
 from locfuse.fusion.kernels.ekf import Loosening
+from locfuse.fusion.mount import Mount
 from locfuse.fusion.sensor import Reading
 
 COLUMN_NAMES = ("ids", "anchor", "lo", "hi", "hits", "column", "value", "P", "seen", "born")
+NO_SHARES = np.zeros((0, 2, 0))
+RESERVE_FACTOR = 1.5  # times the room that is needed now
+TIDY_EVERY_SCANS = 10  # scans
+MIN_HITS = 4
+TRIAL_SCANS = 15  # scans after its birth in which a line must earn its hits
+# further apart is two walls, whatever the covariance
+DOUBLE_ANGLE_RAD, DOUBLE_OFFSET_M = math.radians(8.0), 0.25
+MAX_GAP_M = 0.3  # m along the wall between two pieces that may still be one
+MAY_BE_ONE = sight.Doubles(MIN_HITS, TRIAL_SCANS, DOUBLE_ANGLE_RAD, DOUBLE_OFFSET_M, MAX_GAP_M)
+DOUBLE_D2 = 9.2  # chi-square with 2 degrees of freedom at 99 %
+FLAT_SIGMAS = np.array([0.005, math.radians(0.2)])  # m, rad: how well two pieces of one flat wall agree
 
 
 class LineMap(msgspec.Struct):
@@ -207,10 +232,6 @@ def about_middle(line: MapLine) -> tuple[Array, float, Array]:
     return np.array([line.rho * c - along * s, line.rho * s + along * c]), half, G @ line.P @ G.T
 
 
-NO_SHARES = np.zeros((0, 2, 0))
-RESERVE_FACTOR = 1.5  # times the room that is needed now
-
-
 class Association(sight.Sight, Reading):
     """The lines of a scan against a map: for every line its pair, or why there is none.
 
@@ -282,3 +303,118 @@ def associate(
     found = Association(like.rules, like.seat)
     found.compare(belief, lines, rows, shared)
     return found
+
+
+# ---- tidying ----
+
+
+def untidy(lines: LineMap, belief: JointBelief, scan: int) -> bool:
+    """Return whether `prune` or `merge_doubles` may find anything."""
+    n = len(lines)
+    return sight.untidy(belief, lines.table(), MAY_BE_ONE, scan, np.empty((n, 4)), np.empty(n, np.intp))
+
+
+def prune(lines: LineMap, belief: JointBelief, scan: int) -> None:
+    """Drop lines that are TRIAL_SCANS scans old and were hardly seen since: people, poles, bad fits."""
+    walls = lines.table()
+    gone = np.array([j for j in range(len(lines)) if sight.worthless(walls, j, scan, MAY_BE_ONE)], np.int64)
+    if len(gone):
+        belief.remove(lines.drop(gone))
+
+
+def merge_doubles(lines: LineMap, belief: JointBelief, scan: int, uneven: Array) -> None:
+    """Join recently seen lines with any line that is statistically the same wall, facing the same way.
+
+    `uneven` (2,) is the variance [m^2, rad^2] by which a piece of wall is off its line: two pieces differ by both.
+    """
+    R = np.diag(np.maximum(FLAT_SIGMAS**2, 2.0 * uneven))
+    recent = np.flatnonzero(scan - lines.seen <= TRIAL_SCANS)[::-1]
+    while len(recent):
+        values = lines.values(belief)
+        recent = recent[[len(_near(lines, values, j)) > 0 for j in recent.tolist()]]
+        pairs = ((j, i) for j in recent.tolist() if (i := _double_of(lines, belief, j, R)) is not None)
+        found = next(pairs, None)
+        if found is None:
+            return
+        j, i = found
+        _join(lines, belief, min(i, j), max(i, j), R)
+        recent = recent[recent < j]
+
+
+def _near(lines: LineMap, values: Array, j: int) -> Ints:
+    """Return which lines (k,) may be one wall with line j, by their positions."""
+    rows, found = np.concatenate((values, lines.anchor), axis=1), np.empty(len(lines), np.intp)
+    return found[: sight.neighbours(rows, lines.table(), j, MAY_BE_ONE, found)]
+
+
+def _double_of(lines: LineMap, belief: JointBelief, j: int, R: Array) -> int | None:
+    """Return the line that is most clearly the same wall as line j, None where there is none."""
+    values = lines.values(belief)
+    best, found = DOUBLE_D2, None
+    for i in _near(lines, values, j).tolist():
+        y, H, _, _ = _difference(lines, values, i, j)
+        S = H @ _joint(lines, belief, i, j) @ H.T + R
+        d2 = float(y @ np.linalg.solve(S, y))
+        if d2 < best:
+            best, found = d2, i
+    return found
+
+
+def _difference(lines: LineMap, values: Array, i: int, j: int) -> tuple[Array, Array, float, float]:
+    """Return y = line i - line j about i's anchor, dy/d(i, j) with the sign of H, and j's extent along i."""
+    rho, beta = values[j]
+    c, s = math.cos(beta), math.sin(beta)
+    ax, ay = lines.anchor[j] - lines.anchor[i]
+    turn = se2.wrap(float(values[i, 1] - beta))
+    y = np.array([values[i, 0] - (rho + ax * c + ay * s), turn])
+    H = np.array([[-1.0, 0.0, 1.0, ay * c - ax * s], [0.0, -1.0, 0.0, 1.0]])
+    along = ay * math.cos(values[i, 1]) - ax * math.sin(values[i, 1])
+    return y, H, float(lines.lo[j] + along), float(lines.hi[j] + along)
+
+
+def _columns(lines: LineMap, i: int, j: int) -> Ints:
+    a, b = int(lines.column[i]), int(lines.column[j])
+    return np.array([a, a + 1, b, b + 1])
+
+
+def _joint(lines: LineMap, belief: JointBelief, i: int, j: int) -> Array:
+    columns = _columns(lines, i, j)
+    P: Array = belief.covariance[np.ix_(columns, columns)]
+    return P
+
+
+def _join(lines: LineMap, belief: JointBelief, i: int, j: int, R: Array) -> None:
+    """Correct by the equality of lines i and j, then keep i with the extent of both."""
+    y, H, lo, hi = _difference(lines, lines.values(belief), i, j)
+    belief.know(y.tolist(), R.tolist(), _columns(lines, i, j).tolist(), H.tolist())
+    lines.lo[i], lines.hi[i] = min(lines.lo[i], lo), max(lines.hi[i], hi)
+    lines.hits[i] += lines.hits[j]
+    lines.seen[i] = max(lines.seen[i], lines.seen[j])
+    lines.born[i] = min(lines.born[i], lines.born[j])
+    belief.remove(lines.drop(np.array([j])))
+
+
+# ---- the mount of the laser ----
+
+
+def seat_of(mount: Mount | None, belief: JointBelief) -> sight.Seat:
+    """Return the laser's mount for the kernel: its configured values, and which of them are states."""
+    if mount is None:
+        return sight.Seat(np.zeros(3), np.zeros(0, np.intp), np.zeros(0, np.intp))
+    columns = np.array(mount.columns(belief), np.intp)
+    return sight.Seat(np.array(mount.told, np.float64), np.array(mount.free, np.intp), columns)
+
+
+def by_mount(mount: Mount, belief: JointBelief, psi: float) -> Array:
+    """Return the derivative of a predicted line at psi [rad, base frame] by the mount's states, (2, f)."""
+    x, y, _ = mount.now(belief)
+    c, s = math.cos(psi), math.sin(psi)
+    whole = np.array(((-c, -s, x * s - y * c), (0.0, 0.0, -1.0)))
+    chosen: Array = whole[:, list(mount.free)]
+    return chosen
+
+
+def moved_mount(mount: Mount, belief: JointBelief) -> Pose:
+    """Return the motion from the base by the configured mount to that by the estimated mount."""
+    x, y, yaw = se2.compose(np.array(mount.now(belief)), se2.inverse(np.array(mount.told))).tolist()
+    return x, y, yaw

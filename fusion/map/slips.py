@@ -35,6 +35,19 @@ SAME_ANGLE_RAD, SAME_OFFSET_M = math.radians(4.0), 0.1  # a line is where the wh
 MIN_TRAIL_SHARE = 0.6  # share of the seen length that must be: less, and the robot is being carried
 MAX_SLIPS = 1000  # slips that are tried; two scans of 30 lines have fewer
 MAX_NUMBERS = 1 << 22  # numbers at a time: two scans of 2000 lines would need terabytes
+MAX_SLIP_RAD = math.radians(30.0)
+MIN_SLIP_SHARE = 0.6  # of the seen length that a slipped heading must explain, with two lines
+# m, rad: what is left to correct after a slip's heading was found
+SLIP_SIGMA_M, SLIP_SIGMA_RAD = 0.03, math.radians(1.5)
+MAX_CANDIDATES = 8
+RECENT_SCANS = 60  # scans
+DECIDING_SCANS = 3  # scans until a slip is decided
+# shares that must match beyond the old heading's: of a turn that matched scans measure, and by the map alone
+MIN_GAIN, SURE_GAIN = 0.2, 0.5
+SMALL_RAD = math.radians(5.0)  # a heading may be off by so much without a slip: below, no further scans are asked
+AGREE_RAD = math.radians(3.0)  # between the turns of a slip by the map and by matched scans
+CARRIED_SCANS = 6  # scans in a row that ask for a slip: the robot is carried
+CONTINUING_SHARE = 0.4  # share of the seen length where scans from before a jump expect it: then there was none
 
 
 class Trail:
@@ -101,20 +114,6 @@ def _few(slips: Array) -> Array:
     some: Array = np.sort(slips)[np.linspace(0, len(slips) - 1, MAX_SLIPS).astype(np.intp)]
     return some
 
-
-MAX_SLIP_RAD = math.radians(30.0)
-MIN_SLIP_SHARE = 0.6  # of the seen length that a slipped heading must explain, with two lines
-# m, rad: what is left to correct after a slip's heading was found
-SLIP_SIGMA_M, SLIP_SIGMA_RAD = 0.03, math.radians(1.5)
-MAX_CANDIDATES = 8
-RECENT_SCANS = 60  # scans
-DECIDING_SCANS = 3  # scans until a slip is decided
-# shares that must match beyond the old heading's: of a turn that matched scans measure, and by the map alone
-MIN_GAIN, SURE_GAIN = 0.2, 0.5
-SMALL_RAD = math.radians(5.0)  # a heading may be off by so much without a slip: below, no further scans are asked
-AGREE_RAD = math.radians(3.0)  # between the turns of a slip by the map and by matched scans
-CARRIED_SCANS = 6  # scans in a row that ask for a slip: the robot is carried
-CONTINUING_SHARE = 0.4  # share of the seen length where scans from before a jump expect it: then there was none
 
 Seen = tuple[float, Pose, Scan]  # a scan: when [s], and where the wheels alone put the robot
 

@@ -43,8 +43,21 @@ from locfuse.fusion.sensor import Block, Model
 
 from .anchors import Anchors, Edge, inverted
 from .guard import Guard, in_map, jump
-from .laser_mount import by_mount, moved_mount, seat_of
-from .line_map import NO_SHARES, Association, LineMap, about_middle, associate
+from .line_map import (
+    MIN_HITS,
+    NO_SHARES,
+    TIDY_EVERY_SCANS,
+    Association,
+    LineMap,
+    about_middle,
+    associate,
+    by_mount,
+    merge_doubles,
+    moved_mount,
+    prune,
+    seat_of,
+    untidy,
+)
 from .place_search import INSISTING_LOOKS, Closure, Here, Looks, find_closure, is_open
 from .scan import Scan, Scans, Standing
 from .small_maps import (
@@ -58,7 +71,6 @@ from .small_maps import (
     seen_from_here,
     thaw,
 )
-from .tidy import MIN_HITS, TIDY_EVERY_SCANS, merge_doubles, prune, untidy
 from .way import Way, WayByScans
 
 UNMATCHED, AMBIGUOUS, NEW, LOST, REPEATED = (

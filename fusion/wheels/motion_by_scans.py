@@ -39,7 +39,7 @@ SCANS_AT_ONCE = 400
 MIN_PAIR_S = 0.15  # between the two scans that tell the speed: in less the robot moves less than a match errs
 # of the prior's information while points are paired: it counts in full where the match is fused with it, once
 PAIRING_PRIOR_SHARE = 0.1
-# a key serves while a scan shares so much with it as the key's first scan does: fewer keys add up less error
+# a key serves while a scan shares so much with it as its first scan does, both ways: fewer keys add up less error
 MIN_SHARED_RATIO, MAX_KEY_SCANS = 0.8, 100
 FIRST_PRIOR = np.diag([0.2**-2, 0.2**-2, np.radians(10.0) ** -2])  # of such a guess
 FLOOR = np.diag([1e-6, 1e-6, 1e-8])  # m^2, rad^2: two scans of one instant
@@ -245,12 +245,21 @@ def _keys(targets: Targets, sources: Clouds, chain: Array) -> Ints:
     key, at, most = np.zeros(len(chain), dtype=np.int64), 0, 0.0
     for k in range(1, len(chain)):
         key[k] = at
-        pose = se2.between(chain[[at]], chain[[k]])
-        shared = overlap(targets, np.array([at]), sources, np.array([k]), pose, REACH_M / 2.0)[0]
+        shared = _shared(targets, sources, chain, at, k)
         most = shared if k == at + 1 else most
         if shared < MIN_SHARED_RATIO * most or k - at >= MAX_KEY_SCANS:
             at = k
     return key
+
+
+def _shared(targets: Targets, sources: Clouds, chain: Array, a: int, b: int) -> float:
+    """Return the shares of two scans that the other one sees, multiplied.
+
+    A laser that looks ahead sees all of a later scan in an earlier one, and not the walls that it has passed.
+    """
+    i, j = np.array([a, b]), np.array([b, a])
+    pose = se2.between(chain[i], chain[j])
+    return float(overlap(targets, i, sources, j, pose, REACH_M / 2.0).prod())
 
 
 def _to_keys(
@@ -268,7 +277,7 @@ def _to_keys(
     same = key[:-1] == mine  # the scan before has the same key
     start = np.where((same & (later - 1 != mine))[:, None], of_key[:-1], 0.0)
     way.step[rows[1:]] = se2.between(start, pose)
-    way.P[rows[1:]] = _shared(C, mine, start)
+    way.P[rows[1:]] = _spread_evenly(C, mine, start)
 
 
 def _updated(guess: Array, prior: Array, found: Matches) -> tuple[Array, Array]:
@@ -279,7 +288,7 @@ def _updated(guess: Array, prior: Array, found: Matches) -> tuple[Array, Array]:
     return guess + step, inverse(prior + TRUST * full)
 
 
-def _shared(C: Array, key: Ints, start: Array) -> Array:
+def _spread_evenly(C: Array, key: Ints, start: Array) -> Array:
     """Return a covariance for each step: those of one key add up to that of the key's last match.
 
     The errors of the scans in between are not the steps': a scan is matched with its key, not with the one before.

@@ -20,6 +20,17 @@ from locfuse.fusion.scan_matching.neighbours import good
 from .odometry import Odometry, by_lever, moved
 
 REST_P = np.diag([1e-9, 1e-9, 1e-9])  # m^2, rad^2: a robot at rest has no bridge
+GAP_S = 0.09  # between two scans that are matched: more often adds little
+SCANS_AT_ONCE = 1024  # whose points are held before they are thinned
+REST_S = 1.0  # a robot at rest for so long before and after a scan is where it was: wheels' stamps may be late
+MAX_POINTS = 90  # of one scan that are matched
+# holds a match where the walls constrain nothing
+PRIOR_INFORMATION = np.diag([0.1**-2, 0.1**-2, np.radians(4.0) ** -2])
+REACH_M = 0.4
+ROUND_COUNT = 2  # a scan that fits badly is asked again from the place by its neighbours
+# from scan to scan, even at rest: stamps are not exact
+STEP_P = np.diag([0.002**2, 0.002**2, np.radians(0.1) ** 2])
+KEY_INFORMATION = np.diag([1e10, 1e10, 1e12])  # 1/m^2, 1/rad^2: information of the next key
 
 
 class Spans(Columns, frozen=True):
@@ -126,19 +137,6 @@ def _spread(x: Array, P: Array, after: Array, spans: Spans, rest: Array, pose: A
     lever = pose[:, :2] - x[a, :2]
     out = by_lever(out, -lever[:, 1], lever[:, 0])
     return 0.5 * (out + out.transpose(0, 2, 1))
-
-
-GAP_S = 0.09  # between two scans that are matched: more often adds little
-SCANS_AT_ONCE = 1024  # whose points are held before they are thinned
-REST_S = 1.0  # a robot at rest for so long before and after a scan is where it was: wheels' stamps may be late
-MAX_POINTS = 90  # of one scan that are matched
-# holds a match where the walls constrain nothing
-PRIOR_INFORMATION = np.diag([0.1**-2, 0.1**-2, np.radians(4.0) ** -2])
-REACH_M = 0.4
-ROUND_COUNT = 2  # a scan that fits badly is asked again from the place by its neighbours
-# from scan to scan, even at rest: stamps are not exact
-STEP_P = np.diag([0.002**2, 0.002**2, np.radians(0.1) ** 2])
-KEY_INFORMATION = np.diag([1e10, 1e10, 1e12])  # 1/m^2, 1/rad^2: information of the next key
 
 
 def scans_between(

@@ -32,6 +32,26 @@ GRID_CELLS = 256  # cells of the transform: submap and window fit in without wra
 MAX_SHIFT_M = 0.5 * GRID_CELLS * CELL_M - 2.0 - REACH_M
 APART_M = 1.5  # two peaks further apart are two places
 ALIKE_SHARE = 0.93  # a second peak of this share of the best leaves it undecided
+MIN_WAY_M = 15.0  # two places this far apart along the way are a loop
+MAX_APART_M = 5.0  # between the middles of two submaps that overlap
+NARROW_M, NARROW_RAD = 0.35, np.radians(4.0)  # 1 sigma: a match finds it without a search
+SEARCH_SIGMAS_M = (2.0, 4.0, 8.0, 16.0, 16.0, 16.0)  # 1 sigma of the widest search, round by round
+MAX_VISITS = 6  # candidates of one submap in a round
+MAX_SEARCHES = 100  # correlations in a round: those of the smallest windows
+MIN_INLIERS, MIN_OVERLAP, MAX_RMS_M = 0.65, 0.4, 0.05
+MAX_THROUGH = 0.05  # share of the points that look through walls
+MAX_CONDITION = 1e4
+MAX_CHI2 = 16.3  # of three numbers: 99.9 %
+GRAPH_P_FACTOR = 4.0  # the graph's covariance is taken for so much larger when a candidate is judged
+MOVED_M, MOVED_RAD = 0.05, np.radians(0.5)  # what was refused is asked again once the graph moved it so far
+NARROWER_SHARE = 0.7  # of the last window: only then a search may find something new
+CLOSURE_WIDTH_SIGMAS = 4.0  # sigmas
+MIN_KEPT_WEIGHT = 0.3  # weight below which a closure is given up after the solve
+SUPPORT_M, SUPPORT_RAD = 0.35, np.radians(2.5)  # two candidates beside each other must agree to this
+SUPPORT_WAY_M = 12.0
+# of a place that the filter recognised, half of what a match needs no search for: the keys lie beside it
+SIGMA_M, SIGMA_RAD = 0.5 * NARROW_M, 0.5 * NARROW_RAD
+KERNEL_WIDTH_FACTORS = (1e4, 1e3, 1e2, 10.0, 1.0)
 
 
 class Submaps(msgspec.Struct, frozen=True):
@@ -106,28 +126,6 @@ def _raster(points: Array, spread: bool) -> NDArray[np.float32]:
         around = np.maximum.reduce([np.roll(grid, (dy, dx), (0, 1)) for dy in (-1, 0, 1) for dx in (-1, 0, 1)])
         grid = np.maximum(grid, np.float32(0.5) * around)
     return grid
-
-
-MIN_WAY_M = 15.0  # two places this far apart along the way are a loop
-MAX_APART_M = 5.0  # between the middles of two submaps that overlap
-NARROW_M, NARROW_RAD = 0.35, np.radians(4.0)  # 1 sigma: a match finds it without a search
-SEARCH_SIGMAS_M = (2.0, 4.0, 8.0, 16.0, 16.0, 16.0)  # 1 sigma of the widest search, round by round
-MAX_VISITS = 6  # candidates of one submap in a round
-MAX_SEARCHES = 100  # correlations in a round: those of the smallest windows
-MIN_INLIERS, MIN_OVERLAP, MAX_RMS_M = 0.65, 0.4, 0.05
-MAX_THROUGH = 0.05  # share of the points that look through walls
-MAX_CONDITION = 1e4
-MAX_CHI2 = 16.3  # of three numbers: 99.9 %
-GRAPH_P_FACTOR = 4.0  # the graph's covariance is taken for so much larger when a candidate is judged
-MOVED_M, MOVED_RAD = 0.05, np.radians(0.5)  # what was refused is asked again once the graph moved it so far
-NARROWER_SHARE = 0.7  # of the last window: only then a search may find something new
-CLOSURE_WIDTH_SIGMAS = 4.0  # sigmas
-MIN_KEPT_WEIGHT = 0.3  # weight below which a closure is given up after the solve
-SUPPORT_M, SUPPORT_RAD = 0.35, np.radians(2.5)  # two candidates beside each other must agree to this
-SUPPORT_WAY_M = 12.0
-# of a place that the filter recognised, half of what a match needs no search for: the keys lie beside it
-SIGMA_M, SIGMA_RAD = 0.5 * NARROW_M, 0.5 * NARROW_RAD
-KERNEL_WIDTH_FACTORS = (1e4, 1e3, 1e2, 10.0, 1.0)
 
 
 class Loops(msgspec.Struct):

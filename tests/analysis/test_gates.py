@@ -12,7 +12,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from commands import locfuse
+from commands import locfuse, ok
 
 from locfuse.cli.analysis.gates import (
     Gates,
@@ -22,12 +22,15 @@ from locfuse.cli.analysis.gates import (
     read_baseline,
     refuse_another_log,
 )
+from locfuse.cli.analysis.verdicts import add_pairs
 from locfuse.formats.logs.files import Identity
 from locfuse.fusion.data import LocfuseError, UsageError
 
 # the cheapest comparison that has a figure for a gate
 ODOMETRY = ("compare", "rounded_rectangle", "--no-advice", "--sensors", "odometry", "--write", "json")
 REPORT: dict[str, Any] = {
+    "locfuse": "0.2.0",
+    "schema_version": 1,
     "truth": {"topic": "/gt"},
     "configurations": {
         "odometry": {"position_rmse_m": 0.5, "position_max_m": 0.9, "heading_rmse_deg": None, "sensors": {}},
@@ -168,7 +171,7 @@ def test_a_figure_only_one_report_has_is_not_compared(tmp_path: Path) -> None:
 
 def test_a_baseline_with_nothing_in_common_fails(tmp_path: Path) -> None:
     path = tmp_path / "old.json"
-    path.write_text(json.dumps({"configurations": {"else": {"position_rmse_m": 1.0}}}))
+    path.write_text(json.dumps({**REPORT, "configurations": {"else": {"position_rmse_m": 1.0}}}))
     (line,) = Gates([], read_baseline(path, "5%")).failures(REPORT)
     assert "no error figure in common" in line
 
@@ -196,7 +199,7 @@ def test_a_baseline_that_is_no_report_is_one_line(tmp_path: Path, text: str) -> 
 def test_the_command_exits_with_4_and_one_line_per_gate_and_writes_its_results(tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = (*ODOMETRY, "-o", out, "-q")
-    assert locfuse(*words, "--fail-if", "odometry.position_rmse_m > 100").exit_code == 0
+    ok(*words, "--fail-if", "odometry.position_rmse_m > 100")
     done = locfuse(*words, "--fail-if", "odometry.position_rmse_m > 0", "--fail-if", "all.anees > 1")
     assert done.exit_code == 4
     assert len(done.stderr.splitlines()) == 2
@@ -221,7 +224,7 @@ def test_gates_hold_although_the_reader_has_left(tmp_path: Path, how: tuple[str,
 
 def test_a_baseline_of_another_log_is_refused_before_anything_is_fused(tmp_path: Path) -> None:
     words = ("--sensors", "odometry", "--write", "json", "-o")
-    assert locfuse("compare", "rounded_rectangle", "--no-advice", *words, tmp_path / "a").exit_code == 0
+    ok("compare", "rounded_rectangle", "--no-advice", *words, tmp_path / "a")
     baseline = ("--baseline", tmp_path / "a" / "report.json", "--tolerance", "900%")
     same = locfuse("compare", "rounded_rectangle", "--no-advice", *words, tmp_path / "b", *baseline)
     assert (same.exit_code, "baseline" in same.stderr) == (0, False)
@@ -232,52 +235,25 @@ def test_a_baseline_of_another_log_is_refused_before_anything_is_fused(tmp_path:
     assert not (tmp_path / "c").exists()
 
 
-def known(name: str, identity: Identity, sha256: str) -> Any:
+def known(name: str, identity: Identity) -> Any:
     """What gates ask of a log."""
-    return SimpleNamespace(name=name, identity=identity, sha256=sha256)
+    return SimpleNamespace(name=name, identity=identity)
 
 
-@pytest.mark.parametrize(
-    ("then", "own", "other"),
-    [  # by its identity where it has one, else by the hash of all bytes
-        ({"sha256": "00"}, known("drive", Identity(5, "a"), "00"), known("drive", Identity(5, "a"), "11")),
-        ({"identity": "a"}, known("drive", Identity(5, "a"), "?"), known("drive", Identity(5, "b"), "?")),
-    ],
-)
-def test_a_baseline_of_other_bytes_under_the_same_name_is_refused(
-    tmp_path: Path, then: dict[str, str], own: Any, other: Any
-) -> None:
+def test_a_baseline_of_other_bytes_under_the_same_name_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "old.json"
-    path.write_text(json.dumps({**REPORT, "input": {"name": "drive", "sha256": None, **then}}))
+    path.write_text(json.dumps({**REPORT, "input": {"name": "drive", "identity": "a"}}))
     before = read_baseline(path, "5%")
-    refuse_another_log(before, own)
+    refuse_another_log(before, known("drive", Identity(5, "a")))
     with pytest.raises(LocfuseError, match="another log that is also called drive"):
-        refuse_another_log(before, other)
-    path.write_text(json.dumps(REPORT))  # an early report that does not say of which log it is
-    refuse_another_log(read_baseline(path, "5%"), other)
-
-
-@pytest.mark.parametrize(
-    ("command", "words", "instead"),
-    [
-        ("run", "all,lrf", "--sensors all or --sensors lrf"),
-        ("compare", "lrf,odometry", "--sensors odometry or --sensors lrf"),
-        ("compare", "all,odometry", "--sensors all or --sensors odometry"),
-        ("tune", "all,lrf", "--sensors all or --sensors lrf"),
-    ],
-)
-def test_all_and_odometry_stand_alone(tmp_path: Path, command: str, words: str, instead: str) -> None:
-    done = locfuse(command, "rounded_rectangle", "--sensors", words, "-o", tmp_path / "out")
-    assert done.exit_code == 2
-    assert "stands alone" in done.stderr
-    assert instead in done.stderr
+        refuse_another_log(before, known("drive", Identity(5, "b")))
 
 
 def test_the_command_compares_with_a_baseline(tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = (*ODOMETRY, "-q", "-o")
-    assert locfuse(*words, out).exit_code == 0
-    assert locfuse(*words, tmp_path / "b", "--baseline", out / "report.json", "--tolerance", "0%").exit_code == 0
+    ok(*words, out)
+    ok(*words, tmp_path / "b", "--baseline", out / "report.json", "--tolerance", "0%")
     report = json.loads((out / "report.json").read_text())
     report["configurations"]["odometry"]["position_rmse_m"] *= 0.9
     worse = tmp_path / "worse.json"
@@ -287,26 +263,10 @@ def test_the_command_compares_with_a_baseline(tmp_path: Path) -> None:
     assert "odometry.position_rmse_m" in done.stderr
 
 
-@pytest.mark.parametrize(
-    ("words", "code"),
-    [
-        (("--fail-if", "nonsense"), 2),
-        (("--baseline", "no/such/file.json"), 2),
-        (("--sensors", "lrf@fast"), 2),
-        (("--sensors", "lrf@0Hz"), 2),
-        (("--sensors", "sonar@2Hz"), 1),
-    ],
-)
-def test_mistakes_are_found_before_anything_is_written(tmp_path: Path, words: tuple[str, ...], code: int) -> None:
-    done = locfuse("compare", "rounded_rectangle", "--no-advice", "-o", tmp_path / "out", *words)
-    assert done.exit_code == code
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_what_if_keeps_its_name(tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = ("--sensors", "compass,lrf@2Hz", "--sensors", "compass@1Hz", "--write", "json,tum")
-    assert locfuse("compare", "rounded_rectangle", "--no-advice", "-o", out, *words).exit_code == 0
+    ok("compare", "rounded_rectangle", "--no-advice", "-o", out, *words)
     report = json.loads((out / "report.json").read_text())
     assert list(report["configurations"]) == ["compass+lrf@2Hz", "compass@1Hz"]
     counts = report["configurations"]["compass@1Hz"]["sensors"]["compass"]
@@ -314,28 +274,37 @@ def test_a_what_if_keeps_its_name(tmp_path: Path) -> None:
     assert (out / "compass+lrf@2Hz.tum").exists()
 
 
-OF_0_1: dict[str, Any] = {  # locfuse 0.1 wrote no schema_version, and smoothed results by name alone
-    "locfuse": "0.1.0",
-    "configurations": {
-        "all": {"position_rmse_m": 0.02, "smoothed": False},
-        "all smoothed": {"position_rmse_m": 0.01, "smoothed": True},
-    },
-}
-
-
-def test_a_baseline_of_0_1_is_compared_result_by_result_though_smoothed_ones_had_another_name(
-    tmp_path: Path,
-) -> None:
-    (tmp_path / "old.json").write_text(json.dumps(OF_0_1))
-    now = {
-        "truth": {},
-        "configurations": {"all": {"position_rmse_m": 0.02}, "all-smoothed": {"position_rmse_m": 1}},
-    }
-    (line,) = Gates([], read_baseline(tmp_path / "old.json", "5%")).failures(now)
-    assert line.startswith("all-smoothed.position_rmse_m: 1 is")
-
-
-def test_a_baseline_of_a_later_version_is_refused_in_one_line_with_the_fix(tmp_path: Path) -> None:
-    (tmp_path / "new.json").write_text(json.dumps({**OF_0_1, "schema_version": 2, "locfuse": "9.9"}))
-    with pytest.raises(LocfuseError, match=r"schema_version 2.*9\.9.*[Uu]pdate locfuse"):
+@pytest.mark.parametrize("version", [0, 2])
+def test_a_baseline_of_another_version_is_refused_in_one_line_with_the_fix(tmp_path: Path, version: int) -> None:
+    (tmp_path / "new.json").write_text(json.dumps({**REPORT, "schema_version": version, "locfuse": "9.9"}))
+    with pytest.raises(LocfuseError, match=rf"schema_version {version}.*9\.9.*[Uu]pdate locfuse"):
         read_baseline(tmp_path / "new.json", "5%")
+
+
+# --- what pairs of configurations add to a verdict: a lower rate, and sensors beside which one harms
+
+
+SETS: dict[str, tuple[str, ...]] = {
+    "odometry": (),
+    "compass": ("compass",),
+    "camera": ("camera",),
+    "lrf": ("lrf",),
+    "compass+camera": ("compass", "camera"),
+    "all": ("compass", "camera", "lrf"),
+}
+ERRORS = {"odometry": 0.5, "compass": 0.3, "camera": 0.064, "lrf": 0.004, "compass+camera": 0.12, "lrf@2Hz": 0.008}
+
+
+def test_a_lower_rate_and_a_pair_in_which_one_harms_are_said_in_figures() -> None:
+    found = {s: {"verdict": "helps", "words": "Why."} for s in ("compass", "camera", "lrf")}
+    add_pairs(found, SETS, {"lrf@2Hz": ("lrf",)}, ERRORS, by_truth=True)
+    words = {s: v["words"].removeprefix("Why.").strip() for s, v in found.items()}
+    assert words["camera"] == ""
+    assert words["compass"] == "Beside camera: 64 mm -> 0.12 m (1.9x worse)."
+    assert words["lrf"] == "lrf@2Hz: 4 mm -> 8 mm (2.0x worse)."
+
+
+def test_without_errors_nothing_is_added() -> None:
+    found = {"lrf": {"verdict": "no verdict", "words": ""}}
+    add_pairs(found, SETS, {"lrf@2Hz": ("lrf",)}, dict.fromkeys(ERRORS), by_truth=True)
+    assert found == {"lrf": {"verdict": "no verdict", "words": ""}}

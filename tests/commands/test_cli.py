@@ -4,27 +4,21 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from commands import locfuse
+from commands import Done, locfuse, ok
 from mcap.writer import Writer
 from rewrite_log import rewritten
-
-from locfuse import sample_logs
 
 LOG = "rounded_rectangle"
 
 
 @pytest.fixture(scope="module")
-def compared(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("compared") / "out"
-    done = locfuse("compare", LOG, "-o", out)
-    assert done.exit_code == 0, done.stderr
-    return out
+def compared(plain: tuple[Done, Path]) -> Path:
+    return plain[1]
 
 
 def report_of(folder: Path) -> dict[str, Any]:
@@ -53,8 +47,7 @@ def test_compare_says_what_each_sensor_bought(compared: Path) -> None:
 
 
 def test_the_same_input_twice_gives_the_same_bytes(compared: Path, tmp_path: Path) -> None:
-    done = locfuse("compare", LOG, "-o", tmp_path / "again")
-    assert done.exit_code == 0
+    ok("compare", LOG, "-o", tmp_path / "again")
     first = {p.name: p.read_bytes() for p in compared.iterdir() if p.name != "timing.json"}
     again = {p.name: p.read_bytes() for p in (tmp_path / "again").iterdir() if p.name != "timing.json"}
     assert first.keys() == again.keys()
@@ -64,8 +57,7 @@ def test_the_same_input_twice_gives_the_same_bytes(compared: Path, tmp_path: Pat
 
 @pytest.mark.parametrize("sensors", ["odometry", "compass", "lrf", "all"])
 def test_run_equals_compares_configuration(compared: Path, tmp_path: Path, sensors: str) -> None:
-    done = locfuse("run", LOG, "--sensors", sensors, "--no-advice", "--write", "all", "-o", tmp_path / "out")
-    assert done.exit_code == 0, done.stderr
+    ok("run", LOG, "--sensors", sensors, "--no-advice", "--write", "all", "-o", tmp_path / "out")
     a, b = np.loadtxt(tmp_path / "out" / "trajectory.tum"), np.loadtxt(compared / f"{sensors}.tum")
     np.testing.assert_allclose(a, b, atol=1e-9)
     one = json.loads((tmp_path / "out" / "run.json").read_text())["configurations"][sensors]
@@ -78,8 +70,7 @@ def test_run_equals_compares_configuration(compared: Path, tmp_path: Path, senso
 
 def test_messages_at_other_positions_in_the_file_give_identical_numbers(compared: Path, tmp_path: Path) -> None:
     log = rewritten(tmp_path / "shuffled.mcap", seed=3)
-    done = locfuse("compare", log, "--no-advice", "-o", tmp_path / "out")
-    assert done.exit_code == 0, done.stderr
+    ok("compare", log, "--no-advice", "-o", tmp_path / "out")
     assert report_of(tmp_path / "out")["configurations"] == report_of(compared)["configurations"]
     for name in ("odometry.tum", "all.tum", "truth.tum"):
         assert (tmp_path / "out" / name).read_bytes() == (compared / name).read_bytes()
@@ -88,8 +79,7 @@ def test_messages_at_other_positions_in_the_file_give_identical_numbers(compared
 def test_without_truth_the_other_rows_are_the_same_bytes(compared: Path, tmp_path: Path) -> None:
     topic = report_of(compared)["truth"]["topic"]
     log = rewritten(tmp_path / "untrue.mcap", seed=None, without=topic)
-    done = locfuse("compare", log, "--no-advice", "--no-reference", "-v", "-o", tmp_path / "out")
-    assert done.exit_code == 0, done.stderr
+    done = ok("compare", log, "--no-advice", "--no-reference", "-v", "-o", tmp_path / "out")
     assert "--set truth.topic=" in done.stderr
     ranking = report_of(tmp_path / "out")["prediction"]["ranking"]
     scores = {r["configuration"]: r["gain_nats"] for r in ranking if r["gain_nats"] is not None}
@@ -124,10 +114,51 @@ BAD = [
     (("run", LOG, "--robot", "{broken}"), 1, "broken.toml"),
     (("run", LOG, "--write", "pdf"), 2, "unknown output 'pdf'"),
     (("run", "{wheelless}"), 1, "has no topic /joint_states"),
+    (("run", LOG, "--set", "wheels.radius=big"), 2, "must be a number, in metres"),
+    (("run", LOG, "--set", "compass.sigma_deg=true"), 2, "must be a number, in degrees"),
+    (("run", LOG, "--set", "wheels.time_offset=[1]"), 2, "must be a number, in seconds"),
+    (("run", LOG, "--set", "start.sigma_xy=-1"), 2, "must be a number >= 0.0, in metres"),
+    (("run", LOG, "--set", "start.sigma_theta_deg=1e17"), 2, "must be a number <= 3600.0, in degrees"),
+    (("run", LOG, "--set", "lrf.min_points=2.5"), 2, "must be a whole number"),
+    (("run", LOG, "--sensors", "all,lrf"), 2, "write --sensors all or --sensors lrf"),
+    (("run", LOG, "--export", "mcap,rosbag"), 2, "'rosbag'; choose from mcap, log, kitti, tum, tum-cov, csv"),
+    (("run", LOG, "--smooth", "--set", "lrf.map=first-scan"), 2, "lrf.map = first-scan"),
+    (("run", LOG, "--smooth", "--preset", "paper"), 2, "--preset paper"),
+    (("compare", LOG, "--smooth", "--set", "lrf.map=consider"), 2, "lrf.map = consider"),
+    (("compare", LOG, "--sensors", "lrf,odometry"), 2, "write --sensors odometry or --sensors lrf"),
+    (("compare", LOG, "--sensors", "all,odometry"), 2, "write --sensors all or --sensors odometry"),
+    (("compare", LOG, "--sensors", "lrf@fast"), 2, "lrf@fast"),
+    (("compare", LOG, "--sensors", "lrf@0Hz"), 2, "lrf@0Hz"),
+    (("compare", LOG, "--sensors", "sonar@2Hz"), 1, "sonar"),
+    (("compare", LOG, "--fail-if", "nonsense"), 2, "nonsense"),
+    (("compare", LOG, "--baseline", "no/such/file.json"), 2, "no/such/file.json"),
+    (("compare", LOG, "--jitter", "-1"), 2, "--jitter -1: give a number of runs from 1 to 1000"),
+    (("compare", LOG, "disturbed", "--jitter", "2"), 2, "--jitter 2: several logs say by themselves"),
     (("compare", LOG, "--bogus"), 2, "see: locfuse compare --help"),
     (("compare", LOG, "--align", "left"), 2, "'left' is not one of"),
+    (("tune", LOG, "--sensors", "all,lrf"), 2, "write --sensors all or --sensors lrf"),
+    (("view", LOG, "--connect", "127.0.0.1:9876"), 2, "no viewer's address"),
+    (("view", LOG, "--connect", "http://127.0.0.1:9876/proxy"), 2, "no viewer's address"),
+    (("view", LOG, "--images", "every=0"), 2, "neither every=N"),
+    (("view", LOG, "--images", "some"), 2, "neither every=N"),
     (("run",), 2, "Missing argument 'LOG...'; see: locfuse run --help"),
     (("frobnicate",), 2, "no command 'frobnicate'; choose from run"),
+    # what was meant is named
+    (("view", "nosuch.rrd"), 2, "no such recording; make one with: locfuse view LOG --save nosuch.rrd"),
+    (("compare", LOG, "--set", "lrf.sigma=1"), 2, "sigma_range"),
+    (("compare", LOG, "--set", "sigma_range=1"), 2, "did you mean lrf.sigma_range"),
+    (("compare", LOG, "--sensors", "laser"), 2, "did you mean lrf?"),
+    (("compare", LOG, "--sensors", "imu"), 2, "did you mean gyro or compass?"),
+    (("compare", LOG, "--fail-if", "all.rmse > 1"), 2, "did you mean position_rmse_m"),
+    (("fleet", LOG, "disturbed", "--fail-if", "all.rmse > 1"), 2, "did you mean position_rmse_m"),
+    (("compare", LOG, "--fail-if", "all.nothing_alike > 1"), 2, "locfuse schema report"),
+    (("explain", "anes"), 2, "ANEES"),
+    (("comapre", LOG), 2, "no command 'comapre'; did you mean compare"),
+    (("compare", "rounded_rectangl"), 2, "did you mean rounded_rectangle?"),
+    (("compare", LOG, "--sensors", "compass,lfr"), 2, "did you mean lrf?"),
+    (("tune", LOG, "--sensors", "cmpass"), 2, "did you mean compass?"),
+    (("compare", LOG, "--set", "lrf.sigma_rnge=1"), 2, "did you mean sigma_range?"),
+    (("compare", LOG, "--set", "lrf.topic=/scn"), 1, "did you mean /scan?"),
 ]
 
 
@@ -164,60 +195,27 @@ def test_bad_input_gets_one_clear_line_and_nothing_is_written(
     assert not out.exists()
 
 
-def test_a_folder_with_something_else_is_not_touched_unless_told(tmp_path: Path) -> None:
-    out = tmp_path / "thesis"
-    out.mkdir()
-    (out / "chapter1.tex").write_text("precious")
-    done = locfuse("run", LOG, "--no-advice", "--sensors", "odometry", "-o", out)
-    assert done.exit_code in {1, 2}
-    assert [p.name for p in out.iterdir()] == ["chapter1.tex"]
-    done = locfuse("run", LOG, "--no-advice", "--sensors", "odometry", "-o", out, "--overwrite")
-    assert done.exit_code == 0, done.stderr
-    assert (out / "chapter1.tex").read_text() == "precious"
-
-
 def test_json_on_stdout_is_the_report(tmp_path: Path) -> None:
     done = locfuse("run", LOG, "--no-advice", "--sensors", "odometry", "--json", "-o", tmp_path / "out")
     assert json.loads(done.stdout) == json.loads((tmp_path / "out" / "run.json").read_text())
 
 
 def test_write_chooses_the_outputs(tmp_path: Path) -> None:
-    done = locfuse(
-        "compare", LOG, "--no-advice", "--sensors", "odometry", "--write", "json", "-o", tmp_path / "out"
-    )
-    assert done.exit_code == 0
+    ok("compare", LOG, "--no-advice", "--sensors", "odometry", "--write", "json", "-o", tmp_path / "out")
     written = {p.name for p in (tmp_path / "out").iterdir()}
     assert written - {"timing.json", "fixes.toml"} == {"report.json", "robot.toml"}
 
 
-def test_the_written_robot_reproduces_the_run(compared: Path, tmp_path: Path) -> None:
-    done = locfuse("compare", LOG, "--no-advice", "--robot", compared / "robot.toml", "-o", tmp_path / "out")
-    assert done.exit_code == 0, done.stderr
-    assert report_of(tmp_path / "out")["configurations"] == report_of(compared)["configurations"]
-
-
 def test_alignment_is_said_and_ends_consistency_figures(tmp_path: Path) -> None:
-    done = locfuse("run", LOG, "--no-advice", "--sensors", "odometry", "--align", "se2", "-o", tmp_path / "out")
-    assert done.exit_code == 0
+    ok("run", LOG, "--no-advice", "--sensors", "odometry", "--align", "se2", "-o", tmp_path / "out")
     figures = json.loads((tmp_path / "out" / "run.json").read_text())["configurations"]["odometry"]
     assert figures["align"] == "se2"
     assert figures["anees"] is None
 
 
-def test_a_log_can_be_a_split_recording(tmp_path: Path, compared: Path) -> None:
-    folder = tmp_path / "bag"
-    folder.mkdir()
-    shutil.copy(sample_logs.path(LOG), folder / "bag_0.mcap")
-    done = locfuse("run", folder, "--no-advice", "--sensors", "lrf", "-o", tmp_path / "out")
-    assert done.exit_code == 0, done.stderr
-    a, b = np.loadtxt(tmp_path / "out" / "trajectory.tum"), np.loadtxt(compared / "lrf.tum")
-    np.testing.assert_array_equal(a, b)
-
-
 def test_the_audit_accounts_for_every_measurement(tmp_path: Path) -> None:
     words = ("--sensors", "compass,lrf", "--audit", tmp_path / "audit.csv", "--no-advice")
-    done = locfuse("run", LOG, *words, "-o", tmp_path / "out")
-    assert done.exit_code == 0, done.stderr
+    ok("run", LOG, *words, "-o", tmp_path / "out")
     rows = [line.split(",") for line in (tmp_path / "audit.csv").read_text().splitlines()]
     head, rows = rows[0], rows[1:]
     assert head[:5] == ["t", "sensor", "measurement", "verdict", "landmark"]
@@ -228,17 +226,3 @@ def test_the_audit_accounts_for_every_measurement(tmp_path: Path) -> None:
     assert [float(r[0]) for r in rows] == sorted(float(r[0]) for r in rows)
     accepted = [r for r in rows if r[3] == "accepted"]
     assert all(float(r[5]) <= float(r[6]) for r in accepted)
-
-
-def test_ctrl_c_while_a_class_is_made_is_an_interruption_and_no_bug(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Pressed:
-        def __set_name__(self, owner: type, name: str) -> None:
-            raise KeyboardInterrupt
-
-    def importing(words: Any) -> None:
-        type("Choice", (), {"topics": Pressed()})
-
-    monkeypatch.setattr("locfuse.cli.session.session.find_log", importing)
-    done = locfuse("compare", LOG)
-    assert done.exit_code == 130
-    assert "interrupted" in done.stderr

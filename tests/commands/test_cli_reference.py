@@ -6,8 +6,9 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from commands import Done, locfuse
+from commands import Done, locfuse, ok
 
 from locfuse.cli.analysis.gates import Gates
 from locfuse.cli.analysis.settings import GateOptions
@@ -34,8 +35,7 @@ NO_TRUTH = ("--set", "truth.topic=none")
 @pytest.fixture(scope="module")
 def judged(tmp_path_factory: pytest.TempPathFactory) -> tuple[Done, Path]:
     out = tmp_path_factory.mktemp("reference") / "out"
-    done = locfuse(*WORDS, *NO_TRUTH, "--estimate", "tracker=/ground_truth/pose", "-o", out)
-    assert done.exit_code == 0, done.stderr
+    done = ok(*WORDS, *NO_TRUTH, "--estimate", "tracker=/ground_truth/pose", "-o", out)
     return done, out
 
 
@@ -107,8 +107,7 @@ def test_truth_and_reference_are_never_mixed_by_a_gate_or_a_baseline(
 
 def test_it_can_be_left_out_and_is_refused_where_there_is_truth(tmp_path: Path) -> None:
     words = ("compare", LOG, "-v", "--sensors", "odometry", "--no-advice", "--write", "json")
-    done = locfuse(*words, *NO_TRUTH, "--no-reference", "-o", tmp_path / "out")
-    assert done.exit_code == 0, done.stderr
+    done = ok(*words, *NO_TRUTH, "--no-reference", "-o", tmp_path / "out")
     found = report(tmp_path / "out")
     assert found["reference"] is None
     assert found["configurations"]["odometry"]["position_rmse_m"] is None
@@ -131,3 +130,60 @@ def test_results_by_truth_and_by_reference_side_by_side_say_so(judged: tuple[Don
     found = changes(by_truth, by_reference)
     (line,) = [r for r in remarks(found) if r.startswith("errors cannot be compared")]
     assert "before against truth, after against a reference of compass+lrf+camera" in line
+
+
+# --- --smooth as a user meets it: extra configurations and files, labelled; refused where it has no meaning
+
+
+SMOOTH_LOG = "rounded_rectangle"
+
+
+def test_compare_smooths_every_configuration_with_sensors(tmp_path: Path) -> None:
+    words = ("--sensors", "odometry", "--sensors", "lrf", "--smooth", "--no-advice")
+    done = ok("compare", SMOOTH_LOG, *words, "-o", tmp_path / "out")
+    found = json.loads((tmp_path / "out" / "report.json").read_text())["configurations"]
+    assert list(found) == ["odometry", "lrf", "lrf-smoothed"]
+    assert [c["smoothed"] for c in found.values()] == [False, False, True]
+    assert [c["configuration"] for c in found.values()] == ["odometry", "lrf", "lrf"]
+    assert found["lrf-smoothed"]["position_rmse_m"] < found["lrf"]["position_rmse_m"]
+    assert (tmp_path / "out" / "lrf-smoothed.tum").is_file()
+    assert "reference" not in done.stderr
+
+
+def test_run_writes_the_smoothed_drive_beside_the_filtered_one(tmp_path: Path) -> None:
+    words = ("run", SMOOTH_LOG, "--no-advice", "--sensors", "lrf", "--write", "all")
+    plain = locfuse(*words, "--no-smooth", "-o", tmp_path / "plain")
+    done = locfuse(*words, "-o", tmp_path / "out")
+    assert (plain.exit_code, done.exit_code) == (0, 0), done.stderr
+    for kind in ("tum", "csv"):
+        filtered = (tmp_path / "out" / f"trajectory.{kind}").read_bytes()
+        assert filtered == (tmp_path / "plain" / f"trajectory.{kind}").read_bytes()
+        assert filtered != (tmp_path / "out" / f"smoothed.{kind}").read_bytes()
+    rows = np.loadtxt(tmp_path / "out" / "smoothed.csv", delimiter=",", skiprows=1)
+    before = np.loadtxt(tmp_path / "out" / "trajectory.csv", delimiter=",", skiprows=1)
+    np.testing.assert_array_equal(rows[:, 0], before[:, 0])
+    assert (np.abs(rows[:, 3]) <= np.pi).all()
+    assert rows[:, [4, 7, 9]].mean() < before[:, [4, 7, 9]].mean()
+
+
+def rows(*words: object) -> list[str]:
+    done = ok("compare", SMOOTH_LOG, "--to", 15, "--no-advice", "--write", "json", "--json", *words)
+    return list(json.loads(done.stdout)["configurations"])
+
+
+def test_what_has_a_laser_is_smoothed_unasked(tmp_path: Path) -> None:
+    of = ("--sensors", "odometry", "--sensors", "compass", "--sensors", "lrf", "--sensors", "lrf@2Hz")
+    plain = ["odometry", "compass", "lrf", "lrf@2Hz"]
+    assert rows(*of, "-o", tmp_path / "a") == [*plain, "lrf-smoothed"]
+    assert rows(*of, "--no-smooth", "-o", tmp_path / "b") == plain
+    assert rows(*of, "--jitter", 1, "-o", tmp_path / "c") == plain
+    assert rows(*of, "--set", "lrf.map=consider", "-o", tmp_path / "d") == plain
+    repeated = json.loads((tmp_path / "b" / "report.json").read_text())["repeat"]
+    assert "--no-smooth" in repeated
+
+
+def test_a_fleet_and_a_sweep_are_not_smoothed_unasked(tmp_path: Path) -> None:
+    words = ("--to", 10, "--sensors", "lrf", "--write", "json")
+    ok("fleet", SMOOTH_LOG, *words, "--sweep", "lrf.sigma_range=0.02,0.03", "-o", tmp_path / "out")
+    found = [json.loads(p.read_text())["configurations"] for p in sorted((tmp_path / "out").rglob("report.json"))]
+    assert [list(configurations) for configurations in found] == [["lrf"], ["lrf"]]

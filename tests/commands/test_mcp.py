@@ -58,11 +58,6 @@ def test_the_logs_are_listed(tools: Tools) -> None:
     assert {Path(name).stem for name in listed} == set(sample_logs.names())
 
 
-def test_one_log_is_no_plural(tmp_path: Path) -> None:
-    shutil.copy(sample_logs.path("rounded_triangle"), tmp_path)
-    assert Tools([tmp_path], tmp_path / "out").info().headline == "1 log."
-
-
 def test_which_sensor_is_kept_and_which_adds_nothing(tools: Tools) -> None:
     answer = asked(tools, "compare", log="rounded_rectangle.mcap")
     assert answer["headline"].startswith("Keep the laser: 3.9 mm")
@@ -85,12 +80,6 @@ def test_tuning_and_calibrating_write_files_that_are_valid(tools: Tools) -> None
         jsonschema.Draft7Validator(SCHEMAS[name]()).validate(json.loads(values.read_text()))
         assert "[wheels]" in robot.read_text()
         assert answer["values"]["settings"]["wheels"]["noise"] > 0.0
-
-
-def test_what_a_log_holds_is_asked_before_it_is_compared(tools: Tools) -> None:
-    log = "rounded_triangle.mcap"
-    answers = tools.info(log), tools.compare(log, ["odometry"]), tools.compare(log, ["odometry", "compass"])
-    assert all(Path(file).is_file() for answer in answers for file in answer.files)
 
 
 def test_words_are_explained(tools: Tools) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from commands import locfuse
+from commands import locfuse, ok
 from hostile import crashed_recording, sample
 
 from locfuse.formats.container import rosbag2_sqlite
@@ -61,17 +61,21 @@ def count(path: Path) -> tuple[int, list[str]]:
 def test_the_journal_of_a_crash_is_read_whole_and_nothing_appears_beside_the_bag(recording: Path) -> None:
     assert count(recording) == (600, [])
     assert sorted(p.name for p in recording.parent.iterdir()) == ["bag.db3", "bag.db3-wal"]
-    assert locfuse("info", recording).exit_code == 0
+    ok("info", recording)
 
 
-def test_a_flipped_bit_in_the_journal_is_a_loss(recording: Path) -> None:
+@pytest.mark.parametrize("damage", [rosbag2_sqlite.JOURNAL_DAMAGED, rosbag2_sqlite.JOURNAL_UNFINISHED])
+def test_a_journal_with_a_flipped_bit_or_without_its_last_commit_is_a_loss(recording: Path, damage: str) -> None:
     wal = Path(f"{recording}-wal")
     data = bytearray(wal.read_bytes())
-    data[len(data) // 4] ^= 1
+    if damage == rosbag2_sqlite.JOURNAL_DAMAGED:
+        data[len(data) // 4] ^= 1
+    else:
+        del data[-FRAME:]  # the frame that commits
     wal.write_bytes(data)
     n, losses = count(recording)
     assert 0 < n < 600
-    assert any(rosbag2_sqlite.JOURNAL_DAMAGED in line for line in losses)
+    assert any(damage in line for line in losses)
     assert locfuse("info", recording).exit_code == 3
 
 
@@ -126,15 +130,6 @@ def test_the_end_that_is_used_is_the_one_that_sqlite_uses(recording: Path, share
     Path(f"{cut}-wal").write_bytes(data[: tail.offset])
     assert journal_of(Path(f"{cut}-wal")).tail is None
     assert 0 < messages_by_sqlite(recording) == messages_by_sqlite(cut) < 600
-
-
-def test_a_transaction_that_was_not_finished_is_told(recording: Path) -> None:
-    wal = Path(f"{recording}-wal")
-    data = wal.read_bytes()
-    wal.write_bytes(data[: len(data) - FRAME])  # the frame that commits is gone
-    n, losses = count(recording)
-    assert n < 600
-    assert any(rosbag2_sqlite.JOURNAL_UNFINISHED in line for line in losses)
 
 
 def test_frames_of_an_older_journal_are_no_loss(tmp_path: Path) -> None:
@@ -216,17 +211,17 @@ def copied(recording: Path, script: str) -> Path:
     return recording
 
 
-def test_a_recording_without_ids_is_read_by_its_rows(recording: Path) -> None:
-    copied(recording, "CREATE TABLE m AS SELECT topic_id, timestamp, data FROM messages; DROP TABLE messages;"
-                      "ALTER TABLE m RENAME TO messages")  # fmt: skip
-    log = open_log([recording])
-    assert len(log.stream("/joint_states").t_ns) == log.topics["/joint_states"].count > 0
-
-
-def test_ids_that_are_text_are_numbers(recording: Path) -> None:
-    copied(recording, "CREATE TABLE m(id TEXT, topic_id TEXT, timestamp TEXT, data BLOB);"
-                      "INSERT INTO m SELECT id, topic_id, timestamp, data FROM messages; DROP TABLE messages;"
-                      "ALTER TABLE m RENAME TO messages")  # fmt: skip
+@pytest.mark.parametrize(
+    "table",
+    [
+        "CREATE TABLE m AS SELECT topic_id, timestamp, data FROM messages;",  # without ids, read by its rows
+        "CREATE TABLE m(id TEXT, topic_id TEXT, timestamp TEXT, data BLOB);"
+        "INSERT INTO m SELECT id, topic_id, timestamp, data FROM messages;",
+    ],
+    ids=["without ids", "ids that are text"],
+)
+def test_tables_without_numbers_as_ids_are_read(recording: Path, table: str) -> None:
+    copied(recording, f"{table} DROP TABLE messages; ALTER TABLE m RENAME TO messages")
     log = open_log([recording])
     assert len(log.stream("/joint_states").t_ns) == log.topics["/joint_states"].count > 0
 

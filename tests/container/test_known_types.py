@@ -2,37 +2,19 @@
 
 from __future__ import annotations
 
-import sqlite3
 import struct
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from bags import T0 as NS
+from bags import database
 
 from locfuse.formats.logs.log import open_log
 from locfuse.fusion.data import Ragged
 
-NS = 1_700_000_000_000_000_000
 HEADER = struct.pack("<iiI5sxxx", NS // 10**9, 0, 5, b"base\0")  # 20 bytes after the encapsulation
-
-
-def database(path: Path, msgtype: str, body: bytes) -> Path:
-    """Two messages as rosbag2 stores them."""
-    with closing(sqlite3.connect(path)) as made:
-        made.execute(
-            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)"
-        )
-        made.execute(
-            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)"
-        )
-        made.execute("INSERT INTO topics VALUES(1, '/a', ?, 'cdr')", (msgtype,))
-        for i in range(2):
-            data = b"\0\1\0\0" + body
-            made.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES(1, ?, ?)", (NS + i, data))
-        made.commit()
-    return path
 
 
 TAG = (
@@ -164,54 +146,47 @@ LAID_OUT: dict[str, tuple[str, Cdr, dict[str, float]]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("which", LAID_OUT)
-def test_tags_bodies_and_vehicles_are_read_without_a_definition(which: str, tmp_path: Path) -> None:
-    """Of arrays the first value."""
-    msgtype, made, expected = LAID_OUT[which]
-    columns: Any = open_log([database(tmp_path / "x.db3", msgtype, made.body)]).stream("/a").columns(*expected)
+BY_STRUCT: dict[str, tuple[str, bytes, dict[str, float]]] = {
+    "velocity report": (
+        "autoware_vehicle_msgs/msg/VelocityReport",
+        HEADER + struct.pack("<3f", 1.5, 0.25, -0.5),
+        {"longitudinal_velocity": 1.5, "heading_rate": -0.5},
+    ),
+    "ackermann drive": (
+        "ackermann_msgs/msg/AckermannDrive",
+        struct.pack("<5f", 0.25, 0.0, 2.0, 0.0, 0.0),
+        {"speed": 2.0, "steering_angle": 0.25},
+    ),
+    "apriltags": (
+        "apriltag_msgs/msg/AprilTagDetectionArray", TAG, {"detections.id": 7, "detections.centre.x": 320.5},
+    ),
+    "aruco markers": (
+        "ros2_aruco_interfaces/msg/ArucoMarkers", ARUCO, {"marker_ids": 23, "poses.position.z": 1.5},
+    ),
+    "GPSFix": (
+        "gps_msgs/msg/GPSFix",
+        FIX,
+        {"status.status": 2, "latitude": 52.5, "longitude": 13.25, "position_covariance_type": 2},
+    ),
+}  # fmt: skip
+ALL = BY_STRUCT | {name: (kind, made.body, expected) for name, (kind, made, expected) in LAID_OUT.items()}
+
+
+@pytest.mark.parametrize("which", ALL)
+def test_messages_of_robots_are_read_without_a_definition(which: str, tmp_path: Path) -> None:
+    """Two messages each; of arrays the first value."""
+    msgtype, body, expected = ALL[which]
+    stream = open_log([database(tmp_path / "x.db3", "/a", msgtype, [b"\0\1\0\0" + body] * 2)]).stream("/a")
+    columns: Any = stream.columns(*expected)
     for name, value in expected.items():
         column = columns[name]
-        numbers = column.values if isinstance(column, Ragged) else np.asarray(column).reshape(2, -1)[:, 0]
-        assert np.asarray(numbers)[0] == pytest.approx(value), name
+        numbers = column.values if isinstance(column, Ragged) else np.asarray(column)
+        assert numbers.reshape(2, -1)[:, 0] == pytest.approx([value] * 2), name
+    assert dict(stream.dropped) == {}
 
 
 def test_a_message_of_another_release_is_not_read_as_what_it_is_not(tmp_path: Path) -> None:
     """VehicleOdometry of PX4 1.13 has covariances where that of 1.14 has variances."""
     made = Cdr().add("QQB", 5, 5, 1).add("f" * 32, *range(32)).add("B", 1).add("f" * 27, *range(27))
-    log = open_log([database(tmp_path / "x.db3", "px4_msgs/msg/VehicleOdometry", made.body)])
-    assert "not described" in str(log.topics["/a"].problem)
-
-
-@pytest.mark.parametrize(
-    ("msgtype", "body", "expected"),
-    [
-        (
-            "autoware_vehicle_msgs/msg/VelocityReport",
-            HEADER + struct.pack("<3f", 1.5, 0.25, -0.5),
-            {"longitudinal_velocity": 1.5, "heading_rate": -0.5},
-        ),
-        (
-            "ackermann_msgs/msg/AckermannDrive",
-            struct.pack("<5f", 0.25, 0.0, 2.0, 0.0, 0.0),
-            {"speed": 2.0, "steering_angle": 0.25},
-        ),
-        ("apriltag_msgs/msg/AprilTagDetectionArray", TAG, {"detections.id": 7, "detections.centre.x": 320.5}),
-        ("ros2_aruco_interfaces/msg/ArucoMarkers", ARUCO, {"marker_ids": 23, "poses.position.z": 1.5}),
-        (
-            "gps_msgs/msg/GPSFix",
-            FIX,
-            {"status.status": 2, "latitude": 52.5, "longitude": 13.25, "position_covariance_type": 2},
-        ),
-    ],
-    ids=["velocity report", "ackermann drive", "apriltags", "aruco markers", "GPSFix"],
-)
-def test_its_fields_are_read_without_a_definition_in_the_file(
-    msgtype: str, body: bytes, expected: dict[str, float], tmp_path: Path
-) -> None:
-    stream = open_log([database(tmp_path / "x.db3", msgtype, body)]).stream("/a")
-    columns: Any = stream.columns(*expected)
-    assert dict(stream.dropped) == {}
-    for name, value in expected.items():
-        column = columns[name]
-        found = column.values if isinstance(column, Ragged) else np.asarray(column)
-        assert found.tolist() == [value, value], name
+    path = database(tmp_path / "x.db3", "/a", "px4_msgs/msg/VehicleOdometry", [b"\0\1\0\0" + made.body])
+    assert "not described" in str(open_log([path]).topics["/a"].problem)

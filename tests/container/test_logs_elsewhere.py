@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import random
 import shutil
 import zlib
 from collections.abc import Iterator
@@ -12,8 +13,8 @@ import numpy as np
 import pytest
 import zstandard
 from bags import STORE, cdr, header
-from commands import locfuse
-from counted_jobs import counted_jobs
+from commands import locfuse, ok
+from jobs_here import counted_jobs
 from range_server import Shelf, serving
 from rosbags.rosbag2 import Writer
 
@@ -22,14 +23,13 @@ from locfuse.cli.analysis.grouping import expanded
 from locfuse.formats.container import remote_objects as objects
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.mcap_survey import read_summary
-from locfuse.formats.container.remote_objects import RemoteBytes
-from locfuse.formats.container.url import Url
+from locfuse.formats.container.remote_objects import Ranges, RemoteBytes, cut, joined
+from locfuse.formats.container.url import Url, is_url, place
 from locfuse.formats.logs.log import Log, open_log
 from locfuse.fusion.data import LocfuseError, UsageError
 
 pytest.importorskip("obstore")
 WHAT_DIFFERS = ("identity", "sha256", "etag")  # of the input
-TOPICS = ("/joint_states", "/magnetic_field", "/ground_truth")
 
 
 @pytest.fixture
@@ -68,8 +68,7 @@ def test_every_file_is_that_of_the_log_here_but_for_its_identity(
     url = shelf.put(f"{kind}.mcap", logs[kind].read_bytes())
     words = ("--sensors", "odometry", "--sensors", "compass", "--write", "json,tum,csv,md")
     for where, folder in ((logs[kind], "here"), (url, "there")):
-        done = locfuse("compare", where, "-o", tmp_path / folder, *words)
-        assert done.exit_code == 0, done.stderr
+        done = ok("compare", where, "-o", tmp_path / folder, *words)
     assert "MB over the network" in done.stderr
     for file in sorted((tmp_path / "here").iterdir()):
         other = tmp_path / "there" / file.name
@@ -116,8 +115,7 @@ def test_of_packed_chunks_those_that_hold_something_wanted_come(logs: dict[str, 
 def test_topics_are_listed_by_one_or_two_requests(logs: dict[str, Path], shelf: Shelf) -> None:
     url = shelf.put("listed.mcap", logs["none"].read_bytes())
     shelf.asked.clear()
-    done = locfuse("info", "--topics", url)
-    assert done.exit_code == 0, done.stderr
+    done = ok("info", "--topics", url)
     assert len(shelf.asked) <= 2
     assert done.stdout == locfuse("info", "--topics", logs["none"]).stdout
     assert "/front/image_raw" in done.stdout
@@ -307,8 +305,7 @@ def test_a_log_that_was_finished_is_not_run_again_until_its_tag_changes(
     words = (f"@{tmp_path / 'list.txt'}", "-o", tmp_path / "out", "--sensors", "odometry", "--write", "json", "-q")
     for expected in (["a"], []):
         ran.clear()
-        done = locfuse("compare", *words)
-        assert done.exit_code == 0, done.stderr
+        ok("compare", *words)
         assert ran == expected
     shelf.put("day/a.mcap", b"", tag="another")
     assert locfuse("compare", *words).exit_code == 1
@@ -322,3 +319,67 @@ def test_without_obstore_the_line_says_what_to_install(monkeypatch: pytest.Monke
     monkeypatch.setitem(sys.modules, "obstore.store", None)
     with pytest.raises(LocfuseError, match=r"pip install 'locfuse\[remote\]'"):
         objects.store("s3://bucket")
+
+
+# --- ranges of bytes: what is fetched together, what is kept, and what an address names
+
+
+def test_ranges_that_lie_close_are_fetched_together_and_others_are_not() -> None:
+    assert list(joined([(100, 110), (0, 10), (10, 20)], gap=10)) == [(0, 20), (100, 110)]
+    assert list(joined([(0, 10), (20, 30), (41, 50)], gap=10)) == [(0, 30), (41, 50)]
+    assert list(joined([(0, 100), (10, 20)])) == [(0, 100)]
+    assert list(joined([])) == []
+    assert list(cut([(0, 25)], size=10)) == [(0, 10), (10, 20), (20, 25)]
+
+
+def test_joined_ranges_hold_all_that_is_wanted_and_little_more() -> None:
+    rng = random.Random(4)
+    for _ in range(50):
+        spans = [(a, a + rng.randint(1, 50)) for a in rng.sample(range(5000), 40)]
+        found = list(joined(spans, gap=7))
+        wanted = {i for a, b in spans for i in range(a, b)}
+        held = [i for a, b in found for i in range(a, b)]
+        assert wanted <= set(held)
+        assert len(held) == len(set(held))
+        assert len(held) - len(wanted) <= 7 * len(spans)
+
+
+def test_what_is_kept_is_given_back_over_the_seams_and_the_oldest_goes_first() -> None:
+    data = bytes(range(100))
+    kept = Ranges(capacity=50)
+    kept.put(0, data[:20])
+    kept.put(20, data[20:40])
+    assert kept.get(15, 25) == data[15:25]
+    assert kept.get(35, 45) is None
+    assert kept.get(0, 5) == data[:5]  # used last
+    kept.put(60, data[60:80])
+    assert kept.get(20, 21) is None
+    assert kept.get(0, 20) == data[:20]
+    assert kept.get(61, 80) == data[61:80]
+
+
+def test_an_address_has_a_store_a_key_and_a_name() -> None:
+    url = Url("s3://bucket/day 1/drive.mcap")
+    assert (url.root, url.key, url.name) == ("s3://bucket", "day 1/drive.mcap", "drive.mcap")
+    assert str(url.parent) == "s3://bucket/day 1/"
+    assert url.parent.is_folder
+    assert Url("https://host:8080/a%20b.mcap").key == "a b.mcap"
+    assert place("s3://bucket/a.mcap") == Url("s3://bucket/a.mcap")
+    assert not is_url("C:/logs/a.mcap")
+    assert not is_url("logs/s3/a.mcap")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("ftp://host/a.mcap", "logs are read from s3"),
+        ("https://me:secret@host/a.mcap", "no passwords"),
+        ("https://host/a.mcap?X-Amz-Signature=secret", "with ? or #"),
+        ("s3:///a.mcap", "which bucket"),
+    ],
+)
+def test_an_address_that_cannot_be_read_is_refused_without_its_secrets(text: str, said: str) -> None:
+    with pytest.raises(UsageError, match=r".") as refused:
+        Url(text)
+    assert said in str(refused.value)
+    assert "secret" not in str(refused.value)

@@ -92,25 +92,36 @@ def summarised(data: bytes, chunks: list[Chunk], messages: int = 0) -> bytes:
     return data + content + footer + struct.pack("<I", zlib.crc32(content + footer)) + MAGIC
 
 
-def walked(folder: Path, content: bytes) -> tuple[Survey, list[tuple[str, int, int, int | None]]]:
-    """What the walk finds, and (reason, place, bytes, messages) of what it lost."""
-    path = folder / "f.mcap"
-    path.write_bytes(content)
-    losses = Losses()
-    found = survey(FileBytes(path, losses), losses)
-    return found, [(reason, at, one.bytes, one.messages) for (_, reason, at), one in losses.places.items()]
+Loss = tuple[str, int, int, int | None]  # reason, place, bytes, messages
+
+
+def laid(folder: Path, content: bytes) -> tuple[FileBytes, Losses]:
+    (folder / "f.mcap").write_bytes(content)
+    return FileBytes(folder / "f.mcap", losses := Losses()), losses
+
+
+def told(losses: Losses) -> list[Loss]:
+    return [(reason, at, one.bytes, one.messages) for (_, reason, at), one in losses.places.items()]
+
+
+def walked(folder: Path, content: bytes) -> tuple[Survey, list[Loss]]:
+    """What the walk finds, and what it lost."""
+    data, losses = laid(folder, content)
+    return survey(data, losses), told(losses)
+
+
+def lost_by(folder: Path, content: bytes, wanted: set[int]) -> tuple[list[int], list[Loss]]:
+    """The log times of some channels' messages in the order in which they come, and all losses."""
+    data, losses = laid(folder, content)
+    batches = McapSource(data, losses).batches(wanted)
+    found = [sorted(t for m in batch.messages.values() for t in m.log_time.tolist()) for batch in batches]
+    return [t for some in found for t in some], told(losses)
 
 
 def times(folder: Path, content: bytes) -> tuple[list[int], list[str]]:
-    """The log times of all messages in the order in which they come, and the reasons of losses."""
-    path = folder / "f.mcap"
-    path.write_bytes(content)
-    losses = Losses()
-    source = McapSource(FileBytes(path, losses), losses)
-    found = [
-        sorted(t for m in batch.messages.values() for t in m.log_time.tolist()) for batch in source.batches({1, 2})
-    ]
-    return [t for some in found for t in some], [reason for _, reason, _ in losses.places]
+    """The log times of all messages, and the reasons of losses."""
+    found, lost = lost_by(folder, content, {1, 2})
+    return found, [reason for reason, *_ in lost]
 
 
 def of(*chunks: Chunk) -> list[int]:
@@ -179,29 +190,118 @@ def test_bytes_that_are_no_record_cost_what_lies_up_to_the_next_chunk(tmp_path: 
     assert last[0][1:3] == (len(FRONT + A.all), len(GARBAGE) + len(END) * summary)
 
 
-@pytest.mark.parametrize("opcode", [0, FOOTER, 16, 127])
-def test_what_is_no_record_of_the_data_is_damage(tmp_path: Path, opcode: int) -> None:
-    bad = record(opcode, bytes(20))
-    content = FRONT + A.all + bad + B.all + END + NO_SUMMARY
-    assert walked(tmp_path, content)[1] == [("bytes that are no record", len(FRONT + A.all), len(bad), None)]
-    assert times(tmp_path, content)[0] == of(A, B)
+NO_RECORD = "bytes that are no record"
+CUT_OFF = "the file ends without an end mark: the recording was cut off"
+HERE = len(FRONT + A.all)
 
 
-@pytest.mark.parametrize("opcode", [HEADER, METADATA, SUMMARY_OFFSET, 128, 255])
-def test_other_records_are_passed_over(tmp_path: Path, opcode: int) -> None:
-    content = FRONT + A.all + record(opcode, b"anything") + B.all + END + NO_SUMMARY
-    assert walked(tmp_path, content)[1] == []
-    assert times(tmp_path, content)[0] == of(A, B)
+def amid(middle: bytes) -> bytes:
+    """A file with something between its two chunks."""
+    return FRONT + A.all + middle + B.all + END + NO_SUMMARY
 
 
-def test_an_end_mark_is_one_of_four_bytes_before_the_summary(tmp_path: Path) -> None:
-    """One elsewhere is a flipped bit: chunks behind it are still read."""
-    data = FRONT + A.all + END + B.all + END
-    found, reasons = times(tmp_path, summarised(data, [A, B]))
-    assert found == of(A, B)
-    assert reasons == ["bytes that are no record"]
-    longer = FRONT + A.all + record(DATA_END, bytes(5)) + B.all + END
-    assert times(tmp_path, longer + NO_SUMMARY) == (of(A, B), ["bytes that are no record"])
+def longer(more: int) -> bytes:
+    """A chunk whose two lengths, of the record and of its content, are too large."""
+    long = bytearray(B.record)
+    for at in (1, 9 + 32):
+        struct.pack_into("<Q", long, at, struct.unpack_from("<Q", long, at)[0] + more)
+    return bytes(long)
+
+
+def changed(data: bytes, at: int, by: int) -> bytes:
+    return data[:at] + bytes([data[at] + by]) + data[at + 1 :]
+
+
+BEHIND = C.all + END + NO_SUMMARY
+TWO = FRONT + A.all + B.all + END
+AFTER = TWO.index(A.indexes[1])
+INDEX_48, INDEX_40 = (struct.pack("<HI", 1, n) + bytes(size) for n, size in ((47, 48), (40, 40)))
+LAID: dict[str, tuple[bytes, list[Loss], list[int]]] = {
+    **{
+        f"record {code} is none of the data": (
+            amid(record(code, bytes(20))), [(NO_RECORD, HERE, 29, None)], of(A, B)
+        )
+        for code in (0, FOOTER, 16, 127)
+    },
+    **{
+        f"record {code} is passed over": (amid(record(code, b"anything")), [], of(A, B))
+        for code in (HEADER, METADATA, SUMMARY_OFFSET, 128, 255)
+    },
+    "an end mark amid chunks is a flipped bit": (
+        summarised(FRONT + A.all + END + B.all + END, [A, B]), [(NO_RECORD, HERE, len(END), None)], of(A, B)
+    ),
+    "an end mark has four bytes": (
+        amid(record(DATA_END, bytes(5))), [(NO_RECORD, HERE, len(END) + 1, None)], of(A, B)
+    ),
+    "a footer before the last magic is the end": (FRONT + A.all + NO_SUMMARY, [], of(A)),
+    "a record is longer than the file": (
+        amid(struct.pack("<BQ", METADATA, 1 << 40)),
+        [("a record reaches beyond the end of the file", HERE, 9, None)],
+        of(A, B),
+    ),
+    "a record ends with the file": (FRONT + A.all + record(METADATA, b"note"), [(CUT_OFF, 0, 0, None)], of(A)),
+    "a chunk is longer than the file, and another follows": (
+        FRONT + A.all + longer(10_000) + BEHIND,
+        [("a chunk reaches beyond the end of the file", HERE, len(B.record), None)],
+        of(A, C),
+    ),
+    "a chunk is longer than the file, and none follows": (
+        FRONT + A.all + longer(10_000) + END + NO_SUMMARY, [(CUT_OFF, 0, 0, None)], of(A, B)
+    ),
+    **{
+        f"byte {at} of a chunk contradicts the others": (
+            FRONT + A.all + changed(B.record, at, 1) + BEHIND,
+            [("a chunk header that contradicts itself", HERE, len(B.record), None)],
+            of(A, C),
+        )
+        for at in (1, 41)
+    },
+    **{
+        f"a message index of {len(index)} bytes contradicts itself": (
+            FRONT + A.record + record(MESSAGE_INDEX, index) + B.all + END + NO_SUMMARY,
+            [("a message index that contradicts itself", len(FRONT + A.record), 9 + len(index), None)],
+            of(A, B),
+        )
+        for index in (INDEX_48, INDEX_40)
+    },
+    "what the index calls a chunk is none": (
+        changed(summarised(WHOLE, [A, B, C]), HERE, METADATA - CHUNK),
+        [("no chunk where the index promises one", HERE, len(B.all), None)],
+        of(A, C),
+    ),
+    "behind a chunk stands no index": (
+        changed(summarised(TWO, [A, B]), AFTER, METADATA - MESSAGE_INDEX),
+        [
+            ("no message index where the chunk index promises one", AFTER, len(A.indexes[1]), None)
+        ],
+        of(A, B),
+    ),
+    **{
+        f"behind damage a chunk with another byte {at} is passed over": (
+            FRONT + A.all + GARBAGE + changed(B.record, at, 1) + BEHIND,
+            [(NO_RECORD, HERE, len(GARBAGE) + len(B.record), None)],
+            of(A, C),
+        )
+        for at in (1, 9 + 32, 8, 9 + 28)
+    },
+    "behind damage a chunk that reaches beyond the file is passed over": (
+        FRONT + A.all + GARBAGE + longer(len(BEHIND) + 1) + BEHIND,
+        [(NO_RECORD, HERE, len(GARBAGE) + len(B.record), None)],
+        of(A, C),
+    ),
+    "behind damage a chunk that ends with the file is what is left of it": (
+        FRONT + A.all + GARBAGE + longer(len(BEHIND)) + BEHIND,
+        [(NO_RECORD, HERE, len(GARBAGE), None), (CUT_OFF, 0, 0, None)],
+        of(A),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", LAID)
+def test_damage_ends_where_the_next_record_is_believed(tmp_path: Path, what: str) -> None:
+    content, losses, kept = LAID[what]
+    assert walked(tmp_path, content)[1] == losses
+    assert times(tmp_path, content)[0] == kept
 
 
 @pytest.mark.parametrize(("behind", "is_end"), [(b"", True), (b"\x00", False), (b"\x10", False), (b"\x0f", True)])
@@ -211,82 +311,6 @@ def test_without_a_summary_an_end_mark_is_one_that_a_record_or_nothing_follows(
     _, lost = walked(tmp_path, FRONT + A.all + END + behind)
     cut_off = any("without an end mark" in reason for reason, *_ in lost)
     assert cut_off is not is_end
-
-
-def test_a_footer_is_the_end_only_right_before_the_last_magic(tmp_path: Path) -> None:
-    assert walked(tmp_path, FRONT + A.all + NO_SUMMARY)[1] == []
-    inside = record(FOOTER, bytes(20)) + B.all
-    assert times(tmp_path, FRONT + A.all + inside + NO_SUMMARY) == (of(A, B), ["bytes that are no record"])
-
-
-def test_a_record_longer_than_the_file_is_damage_and_one_that_ends_with_it_is_not(tmp_path: Path) -> None:
-    bad = struct.pack("<BQ", METADATA, 1 << 40)
-    data = FRONT + A.all + bad + B.all + END
-    assert walked(tmp_path, data + NO_SUMMARY)[1] == [
-        ("a record reaches beyond the end of the file", len(FRONT + A.all), 9, None)
-    ]
-    fits = FRONT + A.all + record(METADATA, b"note")
-    assert [reason for reason, *_ in walked(tmp_path, fits)[1]] == [
-        "the file ends without an end mark: the recording was cut off"
-    ]
-
-
-def test_a_chunk_longer_than_the_file_is_damage_where_another_follows_and_cut_off_where_none_does(
-    tmp_path: Path,
-) -> None:
-    long = bytearray(B.record)
-    for at in (1, 9 + 32):  # the length of the record and that of its content
-        struct.pack_into("<Q", long, at, struct.unpack_from("<Q", long, at)[0] + 10_000)
-    found, reasons = times(tmp_path, FRONT + A.all + bytes(long) + C.all + END + NO_SUMMARY)
-    assert found == of(A, C)
-    assert reasons == ["a chunk reaches beyond the end of the file"]
-    found, reasons = times(tmp_path, FRONT + A.all + bytes(long) + END + NO_SUMMARY)
-    assert found == of(A, B)
-
-
-def test_a_chunk_whose_lengths_contradict_each_other_is_damage(tmp_path: Path) -> None:
-    for at, reason in (
-        (1, "a chunk header that contradicts itself"),
-        (41, "a chunk header that contradicts itself"),
-    ):
-        bad = bytearray(B.record)
-        bad[at] += 1
-        found, reasons = times(tmp_path, FRONT + A.all + bytes(bad) + C.all + END + NO_SUMMARY)
-        assert (found, reasons) == (of(A, C), [reason])
-
-
-@pytest.mark.parametrize("place", ["size", "whole entries"])
-def test_a_message_index_that_contradicts_itself_is_damage(tmp_path: Path, place: str) -> None:
-    content = struct.pack("<HI", 1, 48 - (place == "size")) + bytes(48)
-    if place == "whole entries":
-        content = struct.pack("<HI", 1, 40) + bytes(40)
-    bad = record(MESSAGE_INDEX, content)
-    data = FRONT + A.record + bad + B.all + END + NO_SUMMARY
-    assert walked(tmp_path, data)[1] == [
-        ("a message index that contradicts itself", len(FRONT + A.record), len(bad), None)
-    ]
-    assert times(tmp_path, data)[0] == of(A, B)
-
-
-def test_what_the_index_calls_a_chunk_must_be_one(tmp_path: Path) -> None:
-    data = FRONT + A.all + B.all + C.all + END
-    changed = bytearray(summarised(data, [A, B, C]))
-    at = data.index(B.record)
-    changed[at] = METADATA
-    _, lost = walked(tmp_path, bytes(changed))
-    assert lost[0] == ("no chunk where the index promises one", at, len(B.all), None)
-    assert times(tmp_path, bytes(changed))[0] == of(A, C)
-
-
-def test_between_a_chunk_and_the_end_of_its_indexes_stand_indexes_only(tmp_path: Path) -> None:
-    data = FRONT + A.all + B.all + END
-    changed = bytearray(summarised(data, [A, B]))
-    at = data.index(A.indexes[1])
-    changed[at] = METADATA
-    found, lost = walked(tmp_path, bytes(changed))
-    assert lost == [("no message index where the chunk index promises one", at, len(A.indexes[1]), None)]
-    assert found.parts[0].counts is None
-    assert times(tmp_path, bytes(changed))[0] == of(A, B)
 
 
 def test_a_summary_that_is_damaged_is_counted_and_one_that_was_never_written_is_not(tmp_path: Path) -> None:
@@ -316,10 +340,8 @@ def test_messages_that_the_statistics_count_and_nobody_finds_are_lost(tmp_path: 
     for claimed, missing in ((9, 0), (14, 5), (8, 0)):
         struct.pack_into("<Q", content, at + 2, claimed)
         struct.pack_into("<I", content, len(content) - 12, 0)  # the summary is without a checksum
-        path = tmp_path / "f.mcap"
-        path.write_bytes(content)
-        losses = Losses()
-        McapSource(FileBytes(path, losses), losses)
+        data, losses = laid(tmp_path, bytes(content))
+        McapSource(data, losses)
         assert [(loss.reason, loss.messages) for loss in losses.places.values()] == (
             [("messages the file's statistics promise are missing", missing)] if missing else []
         )
@@ -398,30 +420,6 @@ def test_places_are_found_in_every_window_of_a_long_hole(tmp_path: Path, monkeyp
         assert [n_bytes for _, _, n_bytes, _ in lost] == [3 * len(GARBAGE), len(GARBAGE)]
 
 
-def test_a_chunk_is_recognised_by_all_that_its_front_says(tmp_path: Path) -> None:
-    """After damage one that contradicts itself, or reaches too far, or is compressed otherwise, is passed over."""
-    for at, value in ((1, 1), (9 + 32, 1), (8, 1), (9 + 28, 1)):
-        bad = bytearray(B.record)
-        bad[at] += value
-        data = FRONT + A.all + GARBAGE + bytes(bad) + C.all + END + NO_SUMMARY
-        found, lost = walked(tmp_path, data)
-        assert [part.offset for part in found.parts] == [data.index(A.record), data.index(C.record)]
-        assert [n_bytes for _, _, n_bytes, _ in lost] == [len(GARBAGE) + len(bad)]
-
-
-def test_a_chunk_that_reaches_beyond_the_file_is_passed_over_with_the_damage_before_it(tmp_path: Path) -> None:
-    """Its two lengths agree; at the end of a file it is what is left of a chunk, and may end with the file."""
-    size = len(B.record)
-    long = bytearray(B.record)
-    behind = len(C.all + END + NO_SUMMARY)
-    for more, reaches in ((behind + 1, True), (behind, False)):
-        for at in (1, 9 + 32):
-            struct.pack_into("<Q", long, at, struct.unpack_from("<Q", B.record, at)[0] + more)
-        data = FRONT + A.all + GARBAGE + bytes(long) + C.all + END + NO_SUMMARY
-        _, lost = walked(tmp_path, data)
-        assert lost[0] == ("bytes that are no record", len(FRONT + A.all), len(GARBAGE) + size * reaches, None)
-
-
 def test_a_summary_section_may_be_as_short_as_nothing(tmp_path: Path) -> None:
     path = tmp_path / "f.mcap"
     for start, whole in ((len(WHOLE), True), (len(WHOLE) + 1, False), (8, False), (7, False)):
@@ -432,18 +430,6 @@ def test_a_summary_section_may_be_as_short_as_nothing(tmp_path: Path) -> None:
 
 
 # --- what a source gives of such files
-
-
-def lost_by(
-    folder: Path, content: bytes, wanted: set[int]
-) -> tuple[list[int], list[tuple[str, int, int, int | None]]]:
-    """The log times of some channels' messages, and (reason, place, bytes, messages) of all losses."""
-    path = folder / "f.mcap"
-    path.write_bytes(content)
-    losses = Losses()
-    source = McapSource(FileBytes(path, losses), losses)
-    found = [t for batch in source.batches(wanted) for m in batch.messages.values() for t in m.log_time.tolist()]
-    return sorted(found), [(reason, at, one.bytes, one.messages) for (_, reason, at), one in losses.places.items()]
 
 
 def other_channel(first: int) -> Chunk:
@@ -527,10 +513,8 @@ def test_messages_of_a_channel_that_nobody_defines_are_counted(tmp_path: Path) -
 def test_definitions_are_found_inside_chunks_too(tmp_path: Path) -> None:
     inside = SCHEMAS + CHANNELS + message(1, 100, b"a")
     content = START + chunk(100, plain=inside).record + END + NO_SUMMARY
-    path = tmp_path / "f.mcap"
-    path.write_bytes(content)
-    losses = Losses()
-    source = McapSource(FileBytes(path, losses), losses)
+    data, losses = laid(tmp_path, content)
+    source = McapSource(data, losses)
     assert not losses
     assert [(c.topic, c.msgtype, c.n) for c in source.channels.values()] == [
         ("/1", "pkg/A", 1),
@@ -547,12 +531,10 @@ def test_attachments_up_to_the_cap_are_read(
     front += struct.pack("<Q", length - len(front) - 8 - 4)
     content = front + bytes(length - len(front) - 4)
     for crc in (zlib.crc32(content), 0, 1):
-        path = tmp_path / "f.mcap"
         attached = record(ATTACHMENT, content + struct.pack("<I", crc))
         assert len(attached) == 9 + length
-        path.write_bytes(FRONT + attached + A.all + END + NO_SUMMARY)
-        losses = Losses()
-        source = McapSource(FileBytes(path, losses), losses)
+        data, losses = laid(tmp_path, FRONT + attached + A.all + END + NO_SUMMARY)
+        source = McapSource(data, losses)
         assert list(source.attachments) == (["a"] if found and crc != 1 else [])
         assert [(r, at, one.bytes) for (_, r, at), one in losses.places.items()] == (
             [("an attachment fails its checksum", len(FRONT) + 9, length)] if found and crc == 1 else []
@@ -560,11 +542,9 @@ def test_attachments_up_to_the_cap_are_read(
 
 
 def test_when_a_message_was_published_stands_before_its_payload(tmp_path: Path) -> None:
-    path = tmp_path / "f.mcap"
     one = record(MESSAGE, struct.pack("<HIQQ", 1, 0, 500, 77) + b"x")
-    path.write_bytes(FRONT + one + message(1, 501, b"") + END + NO_SUMMARY)
-    losses = Losses()
-    source = McapSource(FileBytes(path, losses), losses)
+    data, losses = laid(tmp_path, FRONT + one + message(1, 501, b"") + END + NO_SUMMARY)
+    source = McapSource(data, losses)
     (batch,) = source.batches({1})
     assert source.published(batch.data, batch.messages[1]).tolist() == [77, 501]
     assert source.time_span_ns == (500, 501)

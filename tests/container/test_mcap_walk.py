@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import resource
 import struct
 import subprocess
 import sys
@@ -19,18 +18,14 @@ from bags import LIGHT, T0, Said, cdr, drive, real_log, write
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType
 
-from locfuse.formats.container.decompress import DamagedError, decompress
+from locfuse.formats.container.decompress import decompress
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.mcap_chunk import scan
-from locfuse.formats.container.mcap_ranged import promised
-from locfuse.formats.container.mcap_records import message_index
 from locfuse.formats.container.mcap_source import McapSource
-from locfuse.formats.container.mcap_survey import summary_section
 from locfuse.formats.logs.log import Log, open_log
 from locfuse.fusion.data import LocfuseError
 
-TOPICS = ("/joint_states", "/scan", "/heading")
 PLAIN: dict[str, Any] = {"enable_crcs": False, "chunk_size": 4000}
 
 
@@ -136,7 +131,7 @@ def test_a_flipped_bit_is_noticed_or_without_effect_where_the_file_has_checksums
     rng = random.Random(0)
     path = tmp_path / "bad.mcap"
     n_lossy = 0
-    for _ in range(100):
+    for _ in range(60):
         bad = bytearray(content)
         bad[rng.randrange(len(bad))] ^= 1 << rng.randrange(8)
         path.write_bytes(bad)
@@ -147,7 +142,7 @@ def test_a_flipped_bit_is_noticed_or_without_effect_where_the_file_has_checksums
         assert found <= original
         assert found == original or log.losses
         n_lossy += bool(log.losses)
-    assert n_lossy > 20
+    assert n_lossy > 12
 
 
 def opened(path: Path) -> Log | None:
@@ -180,7 +175,7 @@ def test_flipped_bits_without_checksums_never_raise_and_never_lose_more_than_a_c
     content = write(tmp_path / "whole.mcap", said, **PLAIN).read_bytes()
     rng = random.Random(1)
     path = tmp_path / "bad.mcap"
-    for _ in range(100):
+    for _ in range(60):
         bad = bytearray(content)
         for _ in range(rng.choice([1, 1, 3])):
             bad[rng.randrange(8, len(bad))] ^= 1 << rng.randrange(8)
@@ -275,26 +270,21 @@ BOMB = """
 """
 
 
-@pytest.mark.parametrize("declared", ["the truth", "a lie"])
-def test_a_decompression_bomb_is_refused_within_the_memory_limit(tmp_path: Path, declared: str) -> None:
-    """A gigabyte of zeros in some kilobytes of zstd."""
-    assert resource.getrlimit(resource.RLIMIT_AS)
+def test_a_decompression_bomb_whose_size_is_a_lie_is_refused_within_the_memory_limit(tmp_path: Path) -> None:
+    """A gigabyte of zeros in some kilobytes of zstd; test_promises has one that says so."""
     path = write(tmp_path / "x.mcap", drive(20), compression=CompressionType.ZSTD)
     packer = zstandard.ZstdCompressor(level=1).compressobj()
     bomb = b"".join(packer.compress(bytes(1 << 20)) for _ in range(1024)) + packer.flush()
-    size = 1024 << 20 if declared == "the truth" else 50_000
     content = path.read_bytes()
     at = content.index(b"\x28\xb5\x2f\xfd")
     chunk_at = at - 9 - 3 * 8 - 4 - 4 - len("zstd") - 8
-    head = struct.pack("<QQQI", T0, T0, size, 0) + struct.pack("<I4sQ", 4, b"zstd", len(bomb))
+    head = struct.pack("<QQQI", T0, T0, 50_000, 0) + struct.pack("<I4sQ", 4, b"zstd", len(bomb))
     path.write_bytes(content[:chunk_at] + struct.pack("<BQ", 6, len(head) + len(bomb)) + head + bomb)
     done = subprocess.run(
         [sys.executable, "-c", textwrap.dedent(BOMB), str(path)], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr[-500:]
-    assert (
-        "claims more than 256 MiB" if declared == "the truth" else "size is not the declared one"
-    ) in done.stdout
+    assert "size is not the declared one" in done.stdout
 
 
 def test_a_lone_giant_message_is_refused_and_the_others_are_read(
@@ -309,26 +299,6 @@ def test_a_lone_giant_message_is_refused_and_the_others_are_read(
     assert len(payloads(path)) == len(said)
 
 
-def test_a_message_index_record_says_channel_times_and_offsets() -> None:
-    data = struct.pack("<HI4Q", 7, 32, 1, 2, 3, 4)
-    ident, entries = message_index(data)
-    assert (ident, entries.tolist()) == (7, [[1, 2], [3, 4]])
-    with pytest.raises(DamagedError):
-        message_index(data[:-1])
-
-
-def test_a_summary_whose_checksum_is_wrong_is_not_believed(tmp_path: Path) -> None:
-    path = write(tmp_path / "x.mcap", drive())
-    assert summary_section(FileBytes(path, Losses())) is not None
-    data = bytearray(path.read_bytes())
-    start = struct.unpack_from("<Q", data, len(data) - 8 - 20)[0]
-    for bit in range(0, 8 * (len(data) - 8 - 20 - start), 97):
-        damaged = bytearray(data)
-        damaged[start + bit // 8] ^= 1 << bit % 8
-        path.write_bytes(damaged)
-        assert summary_section(FileBytes(path, Losses())) is None
-
-
 def test_a_message_outside_chunks_has_no_checksum(tmp_path: Path) -> None:
     path = write(tmp_path / "x.mcap", drive(), enable_crcs=True)
     data = path.read_bytes()
@@ -340,25 +310,3 @@ def test_a_message_outside_chunks_has_no_checksum(tmp_path: Path) -> None:
         front + alone + struct.pack("<BQI", 15, 4, 0) + struct.pack("<BQQQI", 2, 20, 0, 0, 0) + data[-8:]
     )
     assert not McapSource(FileBytes(path, losses := Losses()), losses).checked
-
-
-@pytest.mark.parametrize(("shift", "believed"), [(0, True), (-2000, False)])
-def test_a_summary_whose_chunks_overlap_is_not_believed(tmp_path: Path, shift: int, believed: bool) -> None:
-    path = write(tmp_path / "x.mcap", drive(), chunk_size=4000)
-    data = bytearray(path.read_bytes())
-    start = struct.unpack_from("<Q", data, len(data) - 8 - 20)[0]
-    struct.pack_into("<I", data, len(data) - 12, 0)  # the summary is without a checksum
-    at, seen = start, 0
-    while data[at] != 2:
-        opcode, length = struct.unpack_from("<BQ", data, at)
-        body = at + 9
-        if opcode == 8:
-            seen += 1
-            if seen == 2:  # what it says of the second chunk begins in the first
-                size = struct.unpack_from("<I", data, body + 32)[0]
-                for place in (body + 16, *range(body + 36 + 2, body + 36 + size, 10)):
-                    struct.pack_into("<Q", data, place, struct.unpack_from("<Q", data, place)[0] + shift)
-        at = body + length
-    path.write_bytes(data)
-    assert seen > 2
-    assert (promised(FileBytes(path, Losses())) is not None) == believed

@@ -5,9 +5,7 @@ from __future__ import annotations
 import base64
 import gc
 import json
-import math
 import random
-import shutil
 import sqlite3
 import tempfile
 from pathlib import Path
@@ -16,29 +14,18 @@ from typing import Any
 import numpy as np
 import pytest
 import zstandard
-from bags import LIGHT, STORE, T0, S, Said, build, drive, real_log, rows, write
-from mcap.writer import Writer as McapWriter
+from bags import LIGHT, STORE, T0, S, Said, build, contents, drive, real_log, rows, write
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_typestore
 
-from locfuse.formats.logs.log import Log, open_log
+from locfuse.formats.logs.log import open_log
 from locfuse.formats.messages.decode import make_decoder
 from locfuse.formats.messages.fields import paths
 from locfuse.fusion.data import LocfuseError
 
 NOETIC = get_typestore(Stores.ROS1_NOETIC)
-
-
-def contents(log: Log, wants: dict[str, tuple[str, ...]] = LIGHT) -> dict[str, Any]:
-    """Everything the fields say, as plain values."""
-    found: dict[str, Any] = {}
-    for topic, stream in log.streams(wants).items():
-        found[topic] = (stream.msgtype, stream.t_ns.tolist(), stream.frame_id)
-        for name, column in stream.columns(*wants[topic]).items():
-            found[f"{topic}.{name}"] = [np.asarray(row).tolist() for row in rows(column)]
-    return found
 
 
 @pytest.fixture(scope="module")
@@ -140,21 +127,6 @@ def test_a_sqlite3_file_that_is_no_bag_is_one_line(tmp_path: Path) -> None:
     database.close()
     with pytest.raises(LocfuseError, match="not a readable rosbag2 database: no such table"):
         open_log([file])
-
-
-def test_a_journal_of_a_crashed_recording_is_read_too(tmp_path: Path, reference: dict[str, Any]) -> None:
-    file = next(rosbag2(tmp_path / "bag", StoragePlugin.SQLITE3).glob("*.db3"))
-    live = sqlite3.connect(file)
-    live.execute("PRAGMA journal_mode=WAL")
-    live.execute("DELETE FROM messages WHERE id > 100")
-    live.commit()
-    crashed = tmp_path / "crashed.db3"
-    shutil.copy(file, crashed)
-    shutil.copy(f"{file}-wal", f"{crashed}-wal")
-    live.close()
-    log = open_log([crashed])
-    assert sum(topic.count for topic in log.topics.values()) == 100
-    assert contents(log) != reference
 
 
 @pytest.mark.parametrize("cut", [0.3, 0.7, 0.95])
@@ -290,99 +262,7 @@ def test_damaged_ros1_bags_never_raise_but_one_line(tmp_path: Path) -> None:
     assert not any("\n" in line for line in lines)
 
 
-def test_an_old_or_encrypted_ros1_bag_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "old.bag"
-    path.write_bytes(b"#ROSBAG V1.2\n" + bytes(100))
-    with pytest.raises(LocfuseError, match="a ROS 1 bag of an old version"):
-        open_log([path])
-
-
 # JSON
-
-
-def json_schema(**properties: Any) -> bytes:
-    time = {
-        "type": "object",
-        "title": "time",
-        "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
-    }
-    return json.dumps(
-        {"type": "object", "properties": {"timestamp": time, "frame_id": {"type": "string"}, **properties}}
-    ).encode()
-
-
-NUMBER = {"type": "number"}
-POSE = {
-    "type": "object",
-    "properties": {k: {"type": "object", "properties": dict.fromkeys("xyz", NUMBER)} for k in ("position",)},
-}
-SCAN = json_schema(start_angle=NUMBER, end_angle=NUMBER, ranges={"type": "array", "items": NUMBER}, pose=POSE)
-IMAGE = json_schema(data={"type": "string", "contentEncoding": "base64"}, format={"type": "string"})
-
-
-def json_log(path: Path, name: str, schema: bytes, messages: list[bytes]) -> Path:
-    with path.open("wb") as file:
-        writer: Any = McapWriter(file)
-        writer.start()
-        channel = writer.register_channel("/topic", "json", writer.register_schema(name, "jsonschema", schema))
-        for i, message in enumerate(messages):
-            writer.add_message(channel, T0 + i * S // 10 + 1000, message, T0, i)
-        writer.finish()
-    return path
-
-
-def said_in_json(i: int, **values: Any) -> bytes:
-    t = T0 + i * S // 10
-    return json.dumps({"timestamp": {"sec": t // S, "nsec": t % S}, "frame_id": "laser", **values}).encode()
-
-
-def test_foxglove_json_scans_are_columns(tmp_path: Path) -> None:
-    messages = [
-        said_in_json(i, start_angle=-1, end_angle=1.5, ranges=[1, 2.5, i], pose={"position": {"x": i}})
-        for i in range(5)
-    ]
-    stream = open_log([json_log(tmp_path / "x.mcap", "foxglove.LaserScan", SCAN, messages)]).stream("/topic")
-    assert stream.msgtype == "foxglove.LaserScan"
-    assert stream.frame_id == "laser"
-    assert stream.t_ns.tolist() == [T0 + i * S // 10 for i in range(5)]
-    columns = stream.columns("start_angle", "ranges", "pose.position.x")
-    assert np.asarray(columns["start_angle"]).tolist() == [-1.0] * 5
-    assert [row.tolist() for row in rows(columns["ranges"])] == [[1, 2.5, i] for i in range(5)]
-    assert np.asarray(columns["pose.position.x"]).tolist() == list(range(5))
-
-
-def test_foxglove_json_images_are_bytes(tmp_path: Path) -> None:
-    picture = bytes(range(256))
-    message = said_in_json(0, data=base64.b64encode(picture).decode(), format="jpeg")
-    stream = open_log([json_log(tmp_path / "x.mcap", "foxglove.CompressedImage", IMAGE, [message])]).stream(
-        "/topic"
-    )
-    assert stream.columns("data", "format") == {"data": [picture], "format": ["jpeg"]}
-
-
-@pytest.mark.parametrize("value", [None, "x", {}, [None], "NaN"])
-def test_values_that_are_missing_or_of_another_type_are_nan_or_empty(tmp_path: Path, value: Any) -> None:
-    message = said_in_json(0, start_angle=value, ranges=value)
-    stream = open_log(
-        [json_log(tmp_path / "x.mcap", "foxglove.LaserScan", SCAN, [message, said_in_json(1)])]
-    ).stream("/topic")
-    columns = stream.columns("start_angle", "end_angle", "ranges")
-    assert np.isnan(np.asarray(columns["start_angle"])).all()
-    assert np.isnan(np.asarray(columns["end_angle"])).all()
-    assert all(math.isnan(x) for row in rows(columns["ranges"]) for x in row)
-
-
-def test_what_is_no_json_object_is_dropped_and_counted(tmp_path: Path) -> None:
-    log = open_log([json_log(tmp_path / "x.mcap", "foxglove.LaserScan", SCAN, [b"{", said_in_json(1)])])
-    stream = log.stream("/topic")
-    assert len(stream.t_ns) == 1
-    assert stream.dropped == {"not a JSON object": 1}
-
-
-def test_a_json_schema_that_cannot_be_used_says_so(tmp_path: Path) -> None:
-    log = open_log([json_log(tmp_path / "x.mcap", "foxglove.LaserScan", b"{}", [said_in_json(0)])])
-    with pytest.raises(LocfuseError, match="/topic cannot be read: its jsonschema definition"):
-        assert log.stream("/topic").t_ns is not None
 
 
 @pytest.mark.parametrize("name", ["custom-camera-model", "example", "example_logs"])

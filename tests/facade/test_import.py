@@ -64,10 +64,6 @@ def test_an_unknown_name_is_an_attribute_error() -> None:
         getattr(locfuse, "fusee")  # noqa: B009 - mypy would refuse the plain form
 
 
-def test_the_version_is_the_packages() -> None:
-    assert locfuse.__version__ == version("locfuse")
-
-
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_help_says_what_a_call_takes_gives_and_raises(name: str) -> None:
     function = getattr(locfuse, name)
@@ -89,8 +85,9 @@ def test_help_of_the_package_lists_the_functions() -> None:
     assert all(f"\n    {name}(" in text for name in FUNCTIONS)
 
 
-def test_the_package_runs_as_a_program() -> None:
+def test_the_package_runs_as_a_program_and_says_its_version() -> None:
     done = subprocess.run(
         [sys.executable, "-m", "locfuse", "--version"], capture_output=True, text=True, check=True
     )
+    assert locfuse.__version__ == version("locfuse")
     assert locfuse.__version__ in done.stdout

@@ -19,9 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from commands import locfuse
-from counted_jobs import counted_jobs
-from jobs_here import jobs_here
+from commands import locfuse, ok
+from jobs_here import counted_jobs, jobs_here
 from many_logs import killed, tables, write_logs
 from msgspec.structs import replace
 
@@ -103,8 +102,7 @@ def test_a_finished_log_is_not_run_again_until_something_changes(
 
     def names(*words: Any) -> list[str]:
         ran.clear()
-        done = locfuse("fleet", *own, "-o", out, *ONE, *words)
-        assert done.exit_code == 0, done.stderr
+        ok("fleet", *own, "-o", out, *ONE, *words)
         return sorted(ran)
 
     every = sorted(p.stem for p in own)
@@ -127,12 +125,10 @@ def test_a_setting_in_a_file_is_the_setting_on_the_command_line(
 ) -> None:
     jobs_here(monkeypatch)
     out = tmp_path / "out"
-    first = locfuse("fleet", *logs[:2], "-o", out, *ONE, "--set", "compass.sigma_deg=5")
-    assert first.exit_code == 0, first.stderr
+    ok("fleet", *logs[:2], "-o", out, *ONE, "--set", "compass.sigma_deg=5")
     (tmp_path / "robot.toml").write_text("# a comment\n[compass]\nsigma_deg = 5\n")
     monkeypatch.setattr(process, "_in_a_process", lambda job, folder: pytest.fail(f"{job.name} was run again"))
-    again = locfuse("fleet", *logs[:2], "-o", out, *ONE, "--robot", tmp_path / "robot.toml")
-    assert again.exit_code == 0, again.stderr
+    ok("fleet", *logs[:2], "-o", out, *ONE, "--robot", tmp_path / "robot.toml")
 
 
 @pytest.mark.parametrize("key", ["truth.topic", "landmarks.topic", "landmarks.map"])
@@ -158,8 +154,7 @@ def test_another_truth_file_is_run_again_and_the_window_is_that_of_every_log(
 
     def run(y: float) -> list[float]:
         truth.write_text("t,x,y\n" + "".join(f"{first + i * 100_000_000},0,{y}\n" for i in range(30)))
-        done = locfuse("fleet", f"@{listed}", *words)
-        assert done.exit_code == 0, done.stderr
+        ok("fleet", f"@{listed}", *words)
         return [float(r["position_rmse_m"]) for r in rows(tmp_path / "out")]
 
     listed = tmp_path / "logs.txt"
@@ -176,15 +171,15 @@ def test_a_run_that_is_killed_and_started_again_equals_one_that_is_left_alone(
     logs: list[Path], tmp_path: Path
 ) -> None:
     words = ("--write", "json,csv,html", "-q")
-    assert locfuse("fleet", *logs, "-o", tmp_path / "alone", *words).exit_code == 0
-    found, _ = killed(logs, tmp_path / "killed", times=3, seed=5)
+    ok("fleet", *logs, "-o", tmp_path / "alone", *words)
+    found, _ = killed(logs, tmp_path / "killed", times=2, seed=5)
     assert found == tables(tmp_path / "alone")
 
 
 def test_two_jobs_at_once_give_the_files_of_one(logs: list[Path], tmp_path: Path) -> None:
     for jobs in (1, 2):
         words = ("-o", tmp_path / str(jobs), "--jobs", jobs, *ONE)
-        assert locfuse("fleet", *logs, *words).exit_code == 0
+        ok("fleet", *logs, *words)
     assert tables(tmp_path / "1") == tables(tmp_path / "2")
 
 
@@ -308,13 +303,12 @@ def test_fleet_is_the_command_and_compare_of_several_logs_gives_the_same(
 ) -> None:
     jobs_here(monkeypatch)
     for command in ("fleet", "compare"):
-        done = locfuse(command, *logs[:2], "-o", tmp_path / command, "--sweep", "compass.sigma_deg=3,5", *ONE)
-        assert done.exit_code == 0, done.stderr
+        ok(command, *logs[:2], "-o", tmp_path / command, "--sweep", "compass.sigma_deg=3,5", *ONE)
     assert tables(tmp_path / "fleet") == tables(tmp_path / "compare")
-    assert locfuse("fleet", logs[0], "-o", tmp_path / "one", *ONE).exit_code == 0
+    ok("fleet", logs[0], "-o", tmp_path / "one", *ONE)
     assert [r["log"] for r in rows(tmp_path / "one")] == [logs[0].stem] * 2
     (tmp_path / "logs.txt").write_text(f"{logs[0]}\n")  # a list is of many logs, even where it names one
-    assert locfuse("compare", f"@{tmp_path / 'logs.txt'}", "-o", tmp_path / "list", *ONE).exit_code == 0
+    ok("compare", f"@{tmp_path / 'logs.txt'}", "-o", tmp_path / "list", *ONE)
     assert (tmp_path / "list" / logs[0].stem / "report.json").is_file()
     assert "Missing argument 'LOG...'; see: locfuse fleet --help" in locfuse("fleet").stderr
     assert "--jobs" in locfuse("fleet", "--help").stdout
@@ -326,14 +320,13 @@ def test_a_robot_has_its_own_settings(logs: list[Path], tmp_path: Path, monkeypa
     for robot, sigma in (("r0", 4.0), ("r1", 9.0)):
         (tmp_path / f"{robot}.toml").write_text(f"[compass]\nsigma_deg = {sigma}\n")
     words = ("--robot-from", r"/(?P<robot>r\d)/", "--robot", tmp_path / "{robot}.toml", "-o", tmp_path / "out")
-    done = locfuse("fleet", *logs, *words, *ONE)
-    assert done.exit_code == 0, done.stderr
+    ok("fleet", *logs, *words, *ONE)
     for log, sigma in zip(logs, (4.0, 4.0, 9.0, 9.0), strict=True):
         report = json.loads((tmp_path / "out" / log.stem / "report.json").read_text())
         assert report["settings"]["compass"]["sigma_deg"] == sigma
     assert {r["log"]: r["robot"] for r in rows(tmp_path / "out")} == {log.stem: log.parent.name for log in logs}
     (tmp_path / "fixes.toml").write_text("[compass]\nsigma_deg = 7\n")
-    assert locfuse("fleet", logs[0], *words, "--robot", tmp_path / "fixes.toml", *ONE).exit_code == 0
+    ok("fleet", logs[0], *words, "--robot", tmp_path / "fixes.toml", *ONE)
     report = json.loads((tmp_path / "out" / logs[0].stem / "report.json").read_text())
     assert report["settings"]["compass"]["sigma_deg"] == 7.0, "a later file goes over the robot's own"
     (tmp_path / "r1.toml").unlink()
@@ -370,15 +363,14 @@ def test_every_drive_of_a_fleet_is_recorded_and_one_command_serves_them_all(
     from rerun.chunk import RrdReader
 
     words = ("fleet", *logs[:2], "-o", tmp_path / "out", "--rerun", *ONE)
-    done = locfuse(*words)
-    assert done.exit_code == 0, done.stderr
+    done = ok(*words)
     names = [log.stem for log in logs[:2]]
     files = [tmp_path / "out" / "recordings" / f"{name}.rrd" for name in names]
     assert [RrdReader(file).recordings()[0].recording_id for file in files] == names
     assert f"rerun server --host 127.0.0.1 --port 51234 --dataset drives={files[0].parent}" in done.stderr
     made = [file.stat().st_mtime_ns for file in files]
     files[1].unlink()
-    assert locfuse(*words).exit_code == 0
+    ok(*words)
     assert files[0].stat().st_mtime_ns == made[0], "it was there"
     assert files[1].is_file()
 

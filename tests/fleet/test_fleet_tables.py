@@ -13,16 +13,20 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet
 import pytest
+from commands import locfuse as command
+from commands import ok
 from many_logs import simulated_files, simulated_report
 from scipy import stats
 
+import locfuse
 from locfuse.cli.analysis.gates import FleetGates
 from locfuse.cli.analysis.settings import GateOptions
 from locfuse.cli.session.summary import mean_over, summarised
+from locfuse.cli.session.sweep import cells, parse
 from locfuse.formats.fleet.entry import Entry, slim
 from locfuse.formats.fleet.files import KINDS, Rows, csv, summary_files
 from locfuse.formats.report import summary as over
-from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.data import LocfuseError, UsageError
 from locfuse.fusion.sensors.registry import colours
 
 RMSE = "position_rmse_m"
@@ -249,3 +253,62 @@ def test_without_pyarrow_the_csv_stands_alone(monkeypatch: pytest.MonkeyPatch) -
     files = summary_files(summarised(entries), entries, KINDS, colours())
     assert "fleet.parquet" not in files
     assert "summary.csv" in files
+
+
+# --- a sweep: the log is measured once, and a cell is what --set --no-advice would have given, bit for bit
+
+
+SETS = {"camera.enabled": False, "path.legs": [{"forward": 1.5}, {"turn_deg": 90}, {"forward": 1.0}]}
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("sweep") / "drive.mcap"
+    locfuse.simulate("straight_runs", path, seed=3, sets=SETS)
+    return path
+
+
+def test_words_and_combinations() -> None:
+    found = parse(["lrf.sigma_range=0.01,0.03", "lrf.map=grow", "truth.x=[1,2],{a=1,b=2}"])
+    assert found["lrf.sigma_range"] == ["lrf.sigma_range=0.01", "lrf.sigma_range=0.03"]
+    assert found["truth.x"] == ["truth.x=[1,2]", "truth.x={a=1,b=2}"]
+    assert list(cells({"a.b": ["a.b=1", "a.b=2"], "c": ["c=3"]})) == ["a.b=1 c=3", "a.b=2 c=3"]
+    with pytest.raises(UsageError, match="more than 1000"):
+        cells({str(i): [f"{i}={v}" for v in range(11)] for i in range(3)})
+    with pytest.raises(UsageError, match="cannot name a folder"):
+        cells({"a": ["a=../x"]})
+    with pytest.raises(UsageError, match="twice"):
+        parse(["a=1", "a=2"])
+
+
+def test_the_command_writes_a_folder_for_each_cell(log: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    words = ("--write", "json,csv", "--sweep", "lrf.sigma_range=0.01,0.05", "--sweep", "compass.sigma_deg=2")
+    ok("compare", log, *words, "-o", out)
+    folder = out / "drive" / "lrf.sigma_range=0.05,compass.sigma_deg=2"
+    sets = ("--set", "lrf.sigma_range=0.05", "--set", "compass.sigma_deg=2")
+    alone = ("--no-advice", "--no-smooth", "-o", tmp_path / "one", "--write", "json")
+    ok("compare", log, *sets, *alone)
+    assert (folder / "report.json").read_bytes() == (tmp_path / "one" / "report.json").read_bytes()
+    header, *lines = (out / "summary.csv").read_text().splitlines()
+    assert "lrf.sigma_range,compass.sigma_deg" in header
+    assert len(lines) == 2 * 4
+    # the same folder takes a comparison without a sweep, but none that holds files of somebody else
+    other = tmp_path / "other.mcap"
+    other.write_bytes(log.read_bytes())
+    plain = ("compare", log, other, "--sensors", "odometry", "--write", "json", "-o", out)
+    (out / "drive" / "notes.txt").write_text("mine")
+    refused = command(*plain)
+    assert "drive is not empty and holds no locfuse result" in refused.stderr
+    (out / "drive" / "notes.txt").unlink()
+    ok(*plain)
+    assert (out / "drive" / "report.json").is_file()
+
+
+def test_python_sweeps_too(log: Path) -> None:
+    found = locfuse.load(log).sweep({"lrf.sigma_range": [0.01, 0.05]}, ["lrf"])
+    assert list(found) == ["lrf.sigma_range=0.01", "lrf.sigma_range=0.05"]
+    errors = [r.evaluations["lrf"].figures["position_rmse_m"] for r in found.values()]
+    assert errors[0] != errors[1]
+    with pytest.raises(UsageError, match=r"lrf\.topic decides what is read"):
+        locfuse.load(log).with_settings({"lrf.topic": "/scan"})

@@ -16,8 +16,7 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.kernels.sight import Rules
 from locfuse.fusion.lines.extract import rows_of
-from locfuse.fusion.map.laser_mount import seat_of
-from locfuse.fusion.map.line_map import Association, LineMap
+from locfuse.fusion.map.line_map import Association, LineMap, seat_of
 from locfuse.fusion.map.scan import Scan
 from locfuse.fusion.map.tracker import LineTracker
 from locfuse.fusion.mount import Mount

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,6 +15,8 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
+
+from locfuse.formats.logs.log import Log
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 S = 10**9
@@ -172,3 +176,27 @@ def rows(column: Any) -> list[Any]:
 def shuffled(said: Sequence[Said], seed: int = 0) -> Iterator[Said]:
     for i in np.random.default_rng(seed).permutation(len(said)).tolist():
         yield said[i]
+
+
+def contents(log: Log) -> dict[str, Any]:
+    """Everything the light fields of a log say, as plain values."""
+    found: dict[str, Any] = {}
+    for topic, stream in log.streams(LIGHT).items():
+        found[topic] = (stream.msgtype, stream.t_ns.tolist(), stream.frame_id)
+        for name, column in stream.columns(*LIGHT[topic]).items():
+            found[f"{topic}.{name}"] = [np.asarray(row).tolist() for row in rows(column)]
+    return found
+
+
+def database(path: Path, topic: str, msgtype: str, messages: Sequence[bytes]) -> Path:
+    """A .db3 without definitions, as rosbag2 wrote it before ROS 2 Iron; a message each tenth of a second."""
+    with closing(sqlite3.connect(path)) as made:
+        made.executescript(
+            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT);"
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)"
+        )
+        made.execute("INSERT INTO topics VALUES(1, ?, ?, 'cdr')", (topic, msgtype))
+        stored = [(T0 + i * S // 10, data) for i, data in enumerate(messages)]
+        made.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES(1, ?, ?)", stored)
+        made.commit()
+    return path

@@ -30,3 +30,10 @@ def locfuse(*words: Any) -> Done:
     finally:
         signal.signal(signal.SIGTERM, handler)
     return Done(code, out.getvalue(), err.getvalue())
+
+
+def ok(*words: Any) -> Done:
+    """Run what must succeed."""
+    done = locfuse(*words)
+    assert done.exit_code == 0, done.stderr
+    return done

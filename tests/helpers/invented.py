@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from locfuse.formats.messages.cdr import Decoder
 from locfuse.formats.messages.schema import Decoded
+from locfuse.fusion.data import Ragged
 
 
-def decode(decoder: Decoder, messages: list[bytes], fields: list[str]) -> Decoded:
+def decode(decoder: Any, messages: Sequence[bytes], fields: Sequence[str]) -> Decoded:
     """Decode messages that lie one behind the other, at odd places."""
     data, start = b"\x00" * 7, []
     for message in messages:
@@ -19,7 +21,15 @@ def decode(decoder: Decoder, messages: list[bytes], fields: list[str]) -> Decode
         data += message + b"\xff"
     length = [len(message) for message in messages]
     buffer = np.frombuffer(data, np.uint8)
-    return decoder.decode(buffer, np.array(start, np.int64), np.array(length, np.int64), fields)
+    found: Decoded = decoder.decode(buffer, np.array(start, np.int64), np.array(length, np.int64), fields)
+    return found
+
+
+def plain(column: Any) -> list[Any]:
+    """A column as plain values, one or a list per row."""
+    if isinstance(column, Ragged):
+        return [column.values[a:b].tolist() for a, b in pairwise(column.first)]
+    return list(column.tolist()) if isinstance(column, np.ndarray) else list(column)
 
 
 def at_path(value: Any, path: str) -> Any:

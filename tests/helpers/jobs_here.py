@@ -1,4 +1,4 @@
-"""The jobs of a fleet run in this process, one after the other: for tests of anything but the processes."""
+"""The jobs of a fleet, run in this process one after the other, or counted."""
 
 from __future__ import annotations
 
@@ -20,3 +20,16 @@ def jobs_here(monkeypatch: pytest.MonkeyPatch) -> None:
             return process.outcome(pickle.loads(pickle.dumps(job)))
 
     monkeypatch.setattr(process, "_in_a_process", here)
+
+
+def counted_jobs(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Return a list that gets the name of every job that is run from now on."""
+    ran: list[str] = []
+    real = process._in_a_process
+
+    def counted(job: Job, folder: str) -> JobOutcome:
+        ran.append(job.name)
+        return real(job, folder)
+
+    monkeypatch.setattr(process, "_in_a_process", counted)
+    return ran

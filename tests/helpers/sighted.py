@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 from locfuse.fusion.data import Array
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.kernels.sight import Rules, Seat
-from locfuse.fusion.map.laser_mount import seat_of
-from locfuse.fusion.map.line_map import NO_SHARES, Association, LineMap
+from locfuse.fusion.map.line_map import NO_SHARES, Association, LineMap, seat_of
 from locfuse.fusion.sensor import Equation
 
 UNMATCHED, AMBIGUOUS, NEW = 3, 2, 4  # verdicts

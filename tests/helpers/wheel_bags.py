@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bags import T0, S, Said, cdr, header, write
+from bags import T0, S, Said, build, cdr, header, write
 from mcap.writer import Writer
 from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -31,16 +31,6 @@ bool torque
 int32 left_encoder
 int32 right_encoder
 float32 battery
-"""
-HEADER_TEXT = """
-================================================================================
-MSG: std_msgs/Header
-builtin_interfaces/Time stamp
-string frame_id
-================================================================================
-MSG: builtin_interfaces/Time
-int32 sec
-uint32 nanosec
 """
 
 
@@ -144,19 +134,16 @@ def custom(path: Path, topic: str, msgtype: str, text: str, t: Array, rows: list
     with path.open("wb") as file:
         writer: Any = Writer(file)
         writer.start()
-        schema = writer.register_schema(msgtype, "ros2msg", (text + HEADER_TEXT).encode())
+        schema = writer.register_schema(
+            msgtype, "ros2msg", store.generate_msgdef(msgtype, ros_version=2)[0].encode()
+        )
         channel = writer.register_channel(topic, "cdr", schema)
         for ns, row in zip(stamps(t), rows, strict=True):
-            message = _filled(store, msgtype, {**({"header": header(ns)} if "header" in text else {}), **row})
+            head = {"header": header(ns)} if "header" in text else {}
+            message = build(msgtype, store, **{**head, **row})
             writer.add_message(channel, ns, bytes(store.serialize_cdr(message, msgtype)), ns, 0)
         writer.finish()
     return path
-
-
-def _filled(store: Any, msgtype: str, values: dict[str, Any]) -> Any:
-    from bags import build
-
-    return build(msgtype, store, **values)
 
 
 def log_of(path: Path, *said: list[Said]) -> Path:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import locfuse
+from commands import locfuse, ok
 
 DATA = os.environ.get("LOCFUSE_DATA")
 pytestmark = pytest.mark.skipif(not DATA, reason="LOCFUSE_DATA is not set: no real logs to try")
@@ -45,8 +45,7 @@ def robot(tmp_path: Path) -> Path:
 def test_odometry_reproduces_the_known_error(tmp_path: Path, robot: Path, track: float, rmse: float) -> None:
     out = tmp_path / "out"
     words = ("--robot", robot, "--set", f"wheels.track={track}", "-o", out)
-    done = locfuse("run", LOG, "--no-advice", "--sensors", "odometry", *words)
-    assert done.exit_code == 0, done.stderr
+    ok("run", LOG, "--no-advice", "--sensors", "odometry", *words)
     report = json.loads((out / "run.json").read_text())
     assert report["configurations"]["odometry"]["position_rmse_m"] == pytest.approx(rmse, rel=0.02)
     assert report["input"]["dropped"]["wheels"] == {"repeat": 61}
@@ -57,10 +56,7 @@ def test_wall_lines_correct_the_drive_once_clock_and_metre_are_set(
     tmp_path: Path, robot: Path, track: float, most: float
 ) -> None:
     out = tmp_path / "out"
-    done = locfuse(
-        "compare", LOG, "--no-advice", "--robot", robot, *CURED, "--set", f"wheels.track={track}", "-o", out
-    )
-    assert done.exit_code == 0, done.stderr
+    ok("compare", LOG, "--no-advice", "--robot", robot, *CURED, "--set", f"wheels.track={track}", "-o", out)
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert set(report["configurations"]) == {"odometry", "lrf", "lrf-smoothed"}
     assert report["configurations"]["lrf"]["position_rmse_m"] <= most
@@ -83,10 +79,9 @@ EXACT = [word for key in ("x", "y", "yaw_deg") for word in ("--set", f"lrf.sigma
 def found_track(tmp_path: Path, robot: Path, start: float, sets: Sequence[str]) -> tuple[float, list[str]]:
     """The track that the filter finds from one that it is told, and all that is said of the wheels."""
     words = ("--robot", robot, *sets, *EXACT, "--set", f"wheels.track={start}", "--set", "wheels.estimate=true")
-    done = locfuse(
+    done = ok(
         "run", LOG, "--no-advice", "--sensors", "lrf", *words, "-v", "-o", tmp_path / f"{start}", "--overwrite"
     )
-    assert done.exit_code == 0, done.stderr
     notes = [line for line in done.stderr.splitlines() if "wheels:" in line]
     return float(re.findall(r"track ([0-9.]+) \(1 sigma", done.stderr)[0]), notes
 
@@ -118,10 +113,7 @@ def test_our_error_is_evos_error(tmp_path: Path, robot: Path) -> None:
     from evo.tools import file_interface
 
     # evo compares poses of one body: here the tracked point is the axle itself
-    done = locfuse(
-        "compare", LOG, "--no-advice", "--robot", robot, *CURED, "--set", "truth.x=0", "-o", tmp_path / "out"
-    )
-    assert done.exit_code == 0, done.stderr
+    ok("compare", LOG, "--no-advice", "--robot", robot, *CURED, "--set", "truth.x=0", "-o", tmp_path / "out")
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     for name in ("odometry", "lrf"):
         truth = file_interface.read_tum_trajectory_file(str(tmp_path / "out" / "truth.tum"))
@@ -137,8 +129,7 @@ def test_our_error_is_evos_error(tmp_path: Path, robot: Path) -> None:
 
 def test_other_real_logs_run_and_say_what_they_lack(tmp_path: Path) -> None:
     data = Path(DATA or "")
-    done = locfuse("compare", data / "turtlebot4", "-v", "-o", tmp_path / "tb4")
-    assert done.exit_code == 0, done.stderr
+    done = ok("compare", data / "turtlebot4", "-v", "-o", tmp_path / "tb4")
     assert "against a reference, not truth" in done.stdout
     report = json.loads((tmp_path / "tb4" / "report.json").read_text())
     assert report["settings"]["lrf"]["yaw_deg"] == pytest.approx(90.0, abs=0.1)  # only /tf_static says so
@@ -146,8 +137,7 @@ def test_other_real_logs_run_and_say_what_they_lack(tmp_path: Path) -> None:
     assert report["truth"] is None
     assert report["reference"]["sensors"] == ["lrf"]
     assert report["configurations"]["lrf"]["reference"]["shared"] == ["lrf"]
-    done = locfuse("compare", data / "bags" / "evo" / "nav2_turtlebot.mcap", "-o", tmp_path / "evo")
-    assert done.exit_code == 0, done.stderr
+    ok("compare", data / "bags" / "evo" / "nav2_turtlebot.mcap", "-o", tmp_path / "evo")
     report = json.loads((tmp_path / "evo" / "report.json").read_text())
     assert set(report["configurations"]) == {"odometry"}
     assert {"compass", "lrf"} <= set(report["absent"])

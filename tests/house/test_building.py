@@ -11,9 +11,10 @@ import pytest
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from benchmarks.building import SETTINGS, contained, relation_errors
+from benchmarks.building import contained, relation_errors
+from benchmarks.real_logs import KNOWN
 from locfuse.cli.analysis.load import load
-from locfuse.cli.analysis.settings import LogOptions
+from locfuse.cli.analysis.settings import LogOptions, set_words
 from locfuse.fusion import se2
 from locfuse.fusion.data import Drive, Motions
 from locfuse.fusion.fuse import fuse
@@ -75,7 +76,7 @@ def first(drive: Drive, seconds: float) -> Drive:
 @pytest.mark.skipif(DATA is None, reason="LOCFUSE_DATA is not set: no real building to map")
 def test_the_map_of_a_real_corridor_is_as_good_as_its_covariance_says() -> None:
     folder = Path(str(DATA)) / "fr079"
-    loaded = load([folder / "fr079.mcap"], LogOptions(None, SETTINGS, None, False, True))
+    loaded = load([folder / "fr079.mcap"], LogOptions(None, set_words(KNOWN["fr079"]), None, False, True))
     drive = first(loaded.drive, 60.0 * MINUTES)
     found = fuse(drive, loaded.robot, ["lrf"])
     table = np.loadtxt(folder / "fr079.relations")

@@ -7,8 +7,10 @@ numbers smaller: who mends one takes it off, and nothing new comes in.
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -60,16 +62,23 @@ FILES = {
 }
 
 
-def defined(text: str, *kinds: type[ast.AST]) -> Iterator[tuple[str, ast.AST]]:
-    """Yield (dotted name, definition) of every definition of these kinds, however deep it lies."""
+@cache
+def definitions(text: str) -> list[tuple[str, ast.AST]]:
+    """Return (dotted name, definition) of every function and class, however deep it lies."""
+    found: list[tuple[str, ast.AST]] = []
     waiting: list[tuple[str, ast.AST]] = [("", ast.parse(text))]
     while waiting:
         name, node = waiting.pop()
         for child in ast.iter_child_nodes(node):
             below = f"{name}.{child.name}".removeprefix(".") if isinstance(child, Named) else name
-            if isinstance(child, kinds):
-                yield below, child
+            if isinstance(child, Named):
+                found.append((below, child))
             waiting.append((below, child))
+    return found
+
+
+def defined(text: str, kind: Any) -> list[tuple[str, ast.AST]]:
+    return [(name, node) for name, node in definitions(text) if isinstance(node, kind)]
 
 
 def arguments(function: ast.AST) -> int:
@@ -120,8 +129,7 @@ def over(cap: int, counted: Mapping[str, int]) -> dict[str, int]:
 
 def functions(files: Mapping[str, str]) -> dict[str, int]:
     here = {f: text for f, text in files.items() if not f.startswith("cli/commands/")}
-    kinds = ast.FunctionDef, ast.AsyncFunctionDef
-    return {f"{f}:{name}": arguments(x) for f, text in here.items() for name, x in defined(text, *kinds)}
+    return {f"{f}:{name}": arguments(x) for f, text in here.items() for name, x in defined(text, Function)}
 
 
 def records(files: Mapping[str, str]) -> dict[str, int]:

@@ -12,13 +12,15 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.fuzz_parsers import TARGETS, Target, fuzz, wrong
+
 ROOT = Path(__file__).parents[2]
 
 
 @pytest.mark.parametrize(
     ("cases", "words"),
     [
-        (60, ()),
+        (30, ()),
         (20, ("--directed", "--deeds", "map_pictures,line_maps,detection_files,odd_numbers")),
     ],
 )
@@ -35,3 +37,23 @@ def test_no_random_damage_breaks_the_promise(tmp_path: Path, cases: int, words: 
     assert done.returncode == 0, done.stdout + done.stderr[-2000:]
     assert f"{cases} cases, 0 failed" in done.stdout
     assert all(f"{deed} " in done.stdout for word in words[2:] for deed in word.split(","))
+
+
+# --- a sample of the parsers' fuzzer: python -m benchmarks.fuzz_parsers --seconds 240 is the hour
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_a_parser_refuses_damaged_input_in_its_own_words(name: str) -> None:
+    n, problems = fuzz(name, seed=1, seconds=0.3, save=None)
+    assert problems == []
+    assert n > 50
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_every_input_that_the_fuzzer_starts_from_is_read(name: str) -> None:
+    assert [wrong(TARGETS[name], data) for data in TARGETS[name].corpus] == [None] * len(TARGETS[name].corpus)
+
+
+def test_the_fuzzer_sees_a_parser_that_breaks() -> None:
+    broken = Target(lambda data: data[10**9], (b"a",), (b"a",), ())
+    assert "IndexError" in str(wrong(broken, b"a"))

@@ -129,3 +129,22 @@ def test_without_truth_less_noise_of_the_landmarks_is_only_advised_with_more_of_
         for sets in ({}, values, {k: v for k, v in values.items() if k != "wheels.noise"})
     )
     assert after < before < sensor_only
+
+
+# --- a depth camera as a laser (LOCFUSE_DATA/strangers): what its lines need
+
+
+DEPTH_LOG = Path(DATA or "") / "strangers" / "odometry_in_tf.bag"
+
+
+def test_of_a_depth_camera_a_floor_of_its_lines_is_advised_and_takes_more_of_them() -> None:
+    """Its neighbouring beams are wrong alike, so that the mean of many is no better than one."""
+    log = locfuse.load(DEPTH_LOG)
+    fixes = dict(fix.partition("=")[::2] for fix in log.compare().report["fixes"])
+    assert fixes.keys() == {"lrf.floor_range", "lrf.floor_angle_deg"}
+    before, after = (
+        session.run("lrf", advice=False).report["configurations"]["lrf"]["sensors"]["lrf"]
+        for session in (log, log.with_settings({key: float(value) for key, value in fixes.items()}))
+    )
+    assert after["accepted"] > 1.25 * before["accepted"]
+    assert after["rejected"] < 0.7 * before["rejected"]

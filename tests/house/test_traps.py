@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
-from commands import locfuse
+from commands import locfuse, ok
 from trap_logs import Drive
 from traps_camera import CAMERA_TRAPS
 from traps_sensors import COMPASS_TRAPS, LASER_TRAPS, TRUTH_TRAPS
@@ -110,7 +110,6 @@ def test_info_names_the_trap_and_its_cure_makes_the_estimate_right(
         before = error(log, trap.sensors, void=True)
         assert before is None if trap.refused else before is not None and before > WORSE * after
     if cures:
-        again = locfuse("info", log, "--check", "--no-advice", *options)
-        assert again.exit_code == 0, again.stdout
+        again = ok("info", log, "--check", "--no-advice", *options)
         assert trap.says is not None
         assert trap.says not in again.stdout

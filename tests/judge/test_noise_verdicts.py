@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import pytest
+import small_drive
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
+from locfuse.fusion.data import Drive, Estimates, Measurements, Motions, Truth
+from locfuse.fusion.judge import consistency
+from locfuse.fusion.judge.consistency import Evidence, Run, judge
 from locfuse.fusion.judge.innovations import Heard, Own
 from locfuse.fusion.judge.noise_verdicts import (
     NoiseVerdict,
@@ -19,6 +26,7 @@ from locfuse.fusion.judge.noise_verdicts import (
     of_messages,
     wanders,
 )
+from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
 DEG = math.radians(1.0)
@@ -154,3 +162,173 @@ def test_sensors_that_contradict_each_other_are_named() -> None:
     words = contradicting("lrf", ["compass", "gps"]).words
     assert words.startswith("lrf and compass and gps contradict each other")
     assert replace(contradicting("a", ["b"]), words="").verdict == "contradicts"
+
+
+# --- who is to blame where runs disagree: what each run says of each sensor is laid by hand
+
+
+FINE = Heard(
+    readings=400, wild=0.0, bias=0.0, sure=0.01, white=1.0, slow=0.0, spread=1.0, memory=1.0, period=0.1,
+    reference=0.01, R=1.0,
+)  # fmt: skip
+OFF = FINE._replace(bias=2.0)
+OWN_RUN = Own(
+    compared=400, refused=0.0, nis=1.0, bounds=(0.9, 1.1), bias=(0.0,), middle=(0.0,), sure=(0.1,),
+    whiteness=(0.0,) * 5, raw=1.0, scale=1.0, white=0.9, share=0.9, R=(1.0,),
+)  # fmt: skip
+ROBOT: Robot = small_drive.robot()
+SENSORS = ("compass", "gyro", "lrf")
+N = 30
+T: NDArray[np.float64] = np.linspace(0.0, 2.9, N)
+
+
+def readings(n: int = N) -> Measurements:
+    return Measurements(T[:n], np.arange(n + 1), np.zeros((n, 1)), np.ones((n, 1, 1)), 1.0, np.zeros((1, 1)))
+
+
+def drive(truth: Truth | None = None) -> Drive:
+    motions = Motions(np.zeros((N, 3)), np.zeros((N, 3, 3)), np.zeros((N, 3, 0)))
+    return Drive(0, T[:N], motions, {s: readings() for s in SENSORS}, {}, {}, truth)
+
+
+def run(name: str, own: Mapping[str, Own | None] | None = None, truth: Truth | None = None) -> Run:
+    """The run of the sensors in its name: "compass+lrf"."""
+    sensors = tuple(s for s in name.split("+") if s != "odometry")
+    found = drive(truth)
+    e = Estimates(name, sensors, found.t, np.zeros((N, 3)), np.zeros((N, 6)), {})
+    return Run(found, e, dict.fromkeys(sensors, OWN_RUN) | dict(own or {}))
+
+
+class Told:
+    """What runs say of sensors: "run: sensor" -> Heard; nothing of the others."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.said: dict[str, Heard] = {}
+        monkeypatch.setattr(consistency, "heard", lambda _, __, e, sensor: self.said.get(f"{e.name}: {sensor}"))
+
+
+@pytest.fixture
+def told(monkeypatch: pytest.MonkeyPatch) -> Told:
+    return Told(monkeypatch)
+
+
+def names(evidence: Evidence, sensor: str) -> list[str]:
+    return [r.estimates.name for r, _ in evidence.reference_runs(sensor)]
+
+
+def test_a_reference_is_a_run_of_other_sensors_the_most_certain_first(told: Told) -> None:
+    told.said = {
+        "odometry: compass": FINE,
+        "compass: compass": FINE,
+        "compass+lrf: compass": FINE,
+        "gyro: compass": FINE._replace(reference=0.02),
+        "lrf: compass": FINE,
+        "gyro+lrf: compass": FINE._replace(reference=0.001),
+    }
+    runs = [run(n) for n in ("odometry", "compass", "gyro", "lrf", "compass+lrf", "gyro+lrf")]
+    assert names(Evidence(runs, ROBOT), "compass") == ["gyro+lrf", "lrf", "gyro"]
+    assert names(Evidence(runs, ROBOT, {"lrf"}), "compass") == ["gyro+lrf", "gyro"]
+
+
+@pytest.mark.parametrize(
+    ("own", "healthy"),
+    [
+        (OWN_RUN._replace(scale=2.24), True),
+        (OWN_RUN._replace(scale=2.25), False),  # sigma understated by one and a half
+        (OWN_RUN._replace(refused=0.24), True),
+        (OWN_RUN._replace(refused=0.25), False),
+        (None, False),
+    ],
+)
+def test_a_run_that_understates_noise_or_refuses_much_is_no_reference(
+    told: Told, own: Own | None, healthy: bool
+) -> None:
+    told.said = {"gyro+lrf: compass": FINE}
+    evidence = Evidence([run("compass"), run("gyro+lrf", {"lrf": own})], ROBOT)
+    assert names(evidence, "compass") == (["gyro+lrf"] if healthy else [])
+
+
+def flagged(told: Told, said: dict[str, Heard], *runs: str) -> tuple[set[str], set[str]]:
+    """The sensors whose mean is off, and those that contradict each other."""
+    told.said = said
+    evidence = Evidence([run(n) for n in ("odometry", *runs)], ROBOT)
+    return set(evidence.flagged), evidence.contradict
+
+
+def test_of_two_sensors_that_disagree_nobody_knows_which_is_wrong(told: Told) -> None:
+    for said in ({"compass: lrf": OFF, "lrf: compass": OFF}, {"compass: lrf": FINE, "lrf: compass": OFF}):
+        assert flagged(told, said, "compass", "lrf") == (set(), {"compass", "lrf"})
+    assert flagged(told, {"compass: lrf": FINE, "lrf: compass": FINE}, "compass", "lrf") == (set(), set())
+
+
+def test_of_three_sensors_the_one_with_which_two_disagree_is_off(told: Told) -> None:
+    said = {
+        "lrf: compass": OFF, "lrf: gyro": FINE, "gyro: compass": OFF, "gyro: lrf": FINE,
+        "compass: lrf": OFF._replace(reference=0.001), "compass: gyro": OFF._replace(reference=0.001),
+    }  # fmt: skip
+    assert flagged(told, said, *SENSORS) == ({"compass"}, set())
+
+
+def test_a_sensor_that_is_off_is_no_reference_any_more(told: Told) -> None:
+    """Once the compass is found out, its run accuses nobody."""
+    said = {"gyro+lrf: compass": OFF._replace(reference=0.001), "compass: lrf": OFF, "gyro: lrf": FINE}
+    told.said = said
+    runs = [run(n) for n in ("compass", "gyro", "lrf", "gyro+lrf")]
+    evidence = Evidence(runs, ROBOT)
+    assert (set(evidence.flagged), evidence.contradict) == ({"compass"}, set())
+    assert names(evidence, "lrf") == ["gyro"]
+
+
+def test_contradicting_sensors_name_each_other(told: Told) -> None:
+    told.said = {"compass: lrf": OFF, "lrf: compass": OFF}
+    found = judge([run("compass"), run("lrf")], ROBOT)
+    assert found["compass"]["compass"].words.startswith("compass and lrf contradict")
+    assert found["lrf"]["lrf"].words.startswith("lrf and compass contradict")
+
+
+def verdict_of(told: Told, sensor: str, *runs: Run) -> tuple[str, str]:
+    told.said = {}
+    found = Evidence(list(runs), ROBOT).finding(sensor)
+    return found.verdict, found.words
+
+
+@pytest.mark.parametrize(("compared", "verdict"), [(19, "unclear"), (20, "consistent")])
+def test_without_a_reference_its_own_run_judges_it_by_twenty_readings(
+    told: Told, compared: int, verdict: str
+) -> None:
+    mine = run("compass", {"compass": OWN_RUN._replace(compared=compared)})
+    found = verdict_of(told, "compass", mine)
+    assert found[0] == verdict
+    assert verdict == "consistent" or found[1] == "noise cannot be judged: too few measurements"
+    assert verdict_of(told, "compass", run("compass", {"compass": None}))[0] == "unclear"
+
+
+def test_its_own_run_is_the_one_with_the_fewest_others_that_are_healthy(told: Told) -> None:
+    """The understated laser spoils the pair, unless the sensor itself is the worst of it."""
+    low, high = OWN_RUN._replace(scale=4.0), OWN_RUN._replace(scale=9.0)
+    pair = run("compass+lrf", {"lrf": low})
+    assert verdict_of(told, "compass", pair) == (
+        "unclear", "noise cannot be judged: the noise of lrf must be set first",
+    )  # fmt: skip
+    assert verdict_of(told, "compass", run("compass+lrf", {"compass": high, "lrf": low}))[0] == "understated"
+    assert verdict_of(told, "lrf", pair)[0] == "understated"
+    alone = run("compass", {"compass": high})
+    assert verdict_of(told, "compass", run("compass+gyro"), alone)[0] == "understated"
+    assert verdict_of(told, "compass", alone, run("compass+gyro"))[0] == "understated"
+    three = run("compass+gyro+lrf", {"gyro": low, "lrf": high})
+    assert verdict_of(told, "compass", three)[1].endswith("the noise of gyro and lrf must be set first")
+
+
+@pytest.mark.parametrize(("scale", "blamed"), [(2.24, False), (2.26, True)])
+def test_only_noise_that_is_understated_must_be_set_first(told: Told, scale: float, blamed: bool) -> None:
+    own = {"compass": OWN_RUN._replace(compared=3), "gyro": OWN_RUN._replace(scale=scale), "lrf": None}
+    pair = run("compass+gyro+lrf", own)
+    assert ("the noise of gyro" in verdict_of(told, "compass", pair)[1]) is blamed
+
+
+# --- a truth as a run
+
+
+def truth(n: int = N, **changed: object) -> Truth:
+    found = Truth("/truth", T[:n], np.zeros((n, 2)), np.zeros(n), (0.0, 0.0), 0.02, 0.03)
+    return replace(found, **changed)

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.kernels.sight import Rules
 from locfuse.fusion.lines.flatness import LAG_SCANS, bend, wall_floor
-from locfuse.fusion.map.laser_mount import seat_of
-from locfuse.fusion.map.line_map import Association, LineMap
+from locfuse.fusion.map.line_map import Association, LineMap, seat_of
 from locfuse.fusion.map.scan import Scan
 from locfuse.fusion.se2 import wrap_all
 

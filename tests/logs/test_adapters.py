@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 from bags import T0, S, Said, cdr, header, write
-from commands import locfuse
+from commands import locfuse, ok
 from numpy.typing import NDArray
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from wheel_bags import GEOMETRY, angles, joint_states, log_of, pose_of
+from wheel_bags import GEOMETRY, angles, custom, joint_states, log_of, pose_of
 
 from locfuse.formats.logs.adapters import SLICE_BEAMS, level_slice
 from locfuse.formats.logs.log import open_log
@@ -80,8 +79,7 @@ def stamps(n: int) -> list[int]:
 
 
 def report_of(log: Path, out: Path, *words: str) -> Any:
-    done = locfuse("run", log, "-o", out, "--write", "json,tum", *words)
-    assert done.exit_code == 0, done.stderr
+    ok("run", log, "-o", out, "--write", "json,tum", *words)
     return json.loads((out / "run.json").read_text())
 
 
@@ -176,45 +174,26 @@ DYNAMIC_TEXT = (
 )
 
 
-def dynamic(t: Array, angle: Array) -> list[tuple[int, bytes, str]]:
+def dynamic(path: Path, t: Array, angle: Array) -> Path:
     """Messages of two wheels and a gripper whose interfaces differ in number and order."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    store.register(get_types_from_msg(DYNAMIC_TEXT, DYNAMIC))
-    value, kind = store.types["control_msgs/msg/InterfaceValue"], store.types[DYNAMIC]
-    stamp, head = store.types["builtin_interfaces/msg/Time"], store.types["std_msgs/msg/Header"]
-    out = []
-    for i, (s, (left, right)) in enumerate(zip(t.tolist(), angle.tolist(), strict=True)):
-        ns = T0 + round(s * S)
-        values = [
-            value(interface_names=["velocity", "position"], values=np.array([9.0, left])),
-            value(interface_names=["effort"] * (i % 2), values=np.array([1.0] * (i % 2))),
-            value(interface_names=["position"], values=np.array([right])),
-        ]
-        header = head(stamp=stamp(sec=ns // S, nanosec=ns % S), frame_id="")
-        names = ["left_wheel_joint", "gripper", "right_wheel_joint"]
-        message = kind(header=header, joint_names=names, interface_values=values)
-        out.append((ns, bytes(store.serialize_cdr(message, DYNAMIC)), DYNAMIC_TEXT))
-    return out
-
-
-def recorded(path: Path, said: list[tuple[int, bytes, str]]) -> Path:
-    from mcap.writer import Writer
-    from wheel_bags import HEADER_TEXT
-
-    with path.open("wb") as file:
-        writer: Any = Writer(file)
-        writer.start()
-        schema = writer.register_schema(DYNAMIC, "ros2msg", (said[0][2].rstrip() + HEADER_TEXT).encode())
-        channel = writer.register_channel("/dynamic_joint_states", "cdr", schema)
-        for ns, data, _ in said:
-            writer.add_message(channel, ns, data, ns, 0)
-        writer.finish()
-    return path
+    names = ["left_wheel_joint", "gripper", "right_wheel_joint"]
+    rows = [
+        {
+            "joint_names": names,
+            "interface_values": [
+                {"interface_names": ["velocity", "position"], "values": [9.0, left]},
+                {"interface_names": ["effort"] * (i % 2), "values": [1.0] * (i % 2)},
+                {"interface_names": ["position"], "values": [right]},
+            ],
+        }
+        for i, (left, right) in enumerate(angle.tolist())
+    ]
+    return custom(path, "/dynamic_joint_states", DYNAMIC, DYNAMIC_TEXT, t, rows)
 
 
 def test_joints_of_ros2_control_drive_as_joint_states_do(tmp_path: Path) -> None:
     t, angle = angles()
-    log = recorded(tmp_path / "x.mcap", dynamic(t, angle))
+    log = dynamic(tmp_path / "x.mcap", t, angle)
     report = report_of(log, tmp_path / "out", *GEOMETRY)
     rows = np.loadtxt(tmp_path / "out" / "trajectory.tum")
     assert rows[-1, 1:3] == pytest.approx(pose_of(angle)[:2], abs=1e-9)
@@ -229,5 +208,5 @@ def test_joints_of_ros2_control_drive_as_joint_states_do(tmp_path: Path) -> None
 def test_joint_states_are_taken_before_joints_of_ros2_control(tmp_path: Path) -> None:
     t, angle = angles()
     log = log_of(tmp_path / "x.mcap", joint_states(t, angle))
-    both = json.loads(locfuse("info", log, recorded(tmp_path / "y.mcap", dynamic(t, angle)), "--json").stdout)
+    both = json.loads(locfuse("info", log, dynamic(tmp_path / "y.mcap", t, angle), "--json").stdout)
     assert both["roles"]["wheels"]["topics"] == ["/joint_states"]

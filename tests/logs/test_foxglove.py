@@ -12,12 +12,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bags import build
 from mcap.writer import Writer
 from numpy.typing import NDArray
 from protobuf import Definition
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from wheel_bags import stamps, turned
+from wheel_bags import custom, stamps, turned
 
 from locfuse.cli.analysis.choose import choose
 from locfuse.cli.analysis.mounts import mount_of, transforms_of
@@ -258,18 +256,9 @@ def test_the_same_types_as_ros_messages(tmp_path: Path) -> None:
             "float64 end_angle\nfloat64[] ranges\nfloat64[] intensities\n"
         ),
     )
-    store = get_typestore(Stores.ROS2_JAZZY)
-    store.register(get_types_from_msg(text, kind))
     (ns, _, _, values) = scan(stamps(T)[0])
     row = {**values, "timestamp": {"sec": ns // 10**9, "nanosec": ns % 10**9}, "ranges": [2.0, 2.5, 3.0]}
-    definition = store.generate_msgdef(kind, ros_version=2)[0].encode()
-    with (tmp_path / "x.mcap").open("wb") as file:
-        writer: Any = Writer(file)
-        writer.start()
-        channel = writer.register_channel("/lidar", "cdr", writer.register_schema(kind, "ros2msg", definition))
-        writer.add_message(channel, ns, bytes(store.serialize_cdr(build(kind, store, **row), kind)), ns, 0)
-        writer.finish()
-    log = open_log([tmp_path / "x.mcap"])
+    log = open_log([custom(tmp_path / "x.mcap", "/lidar", kind, text, T[:1], [row])])
     choice = choose(log, make_robot({}))
     assert choice.of("lrf") == ("/lidar:scan",)
     stream = log.stream("/lidar:scan")

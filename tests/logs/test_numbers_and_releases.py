@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-import sqlite3
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from bags import Said, cdr, header
-from commands import locfuse
+from bags import T0, Said, build, cdr, database, header
+from commands import locfuse, ok
 from rosbags.typesys import Stores, get_typestore
 from wheel_bags import GEOMETRY, RADIUS, TRACK, angles, joint_states, log_of, stamps
 
@@ -52,8 +50,7 @@ def test_a_number_of_any_message_is_a_compass_or_a_gyro(tmp_path: Path) -> None:
     )
     gyro = ("gyro.topic=/ahrs", "gyro.field=vector.y", "gyro.unit=deg")
     sets = [word for key in (*compass, *gyro) for word in ("--set", key)]
-    done = locfuse("compare", log, *GEOMETRY, *sets, "-o", tmp_path / "out", "--json")
-    assert done.exit_code == 0, done.stderr
+    done = ok("compare", log, *GEOMETRY, *sets, "-o", tmp_path / "out", "--json")
     report: dict[str, Any] = json.loads(done.stdout)["configurations"]
     assert {"compass", "gyro", "all"} <= report.keys()
     for name in ("compass", "gyro"):
@@ -81,36 +78,17 @@ def test_a_field_that_is_no_number_is_refused_in_one_line(field: str, says: str,
     assert says in line
 
 
-def database(path: Path, release: Stores, msgtype: str, messages: list[dict[str, Any]]) -> Path:
-    """A .db3 without definitions, as rosbag2 wrote it before ROS 2 Iron, with messages of that release's types."""
-    store = get_typestore(release)
-    from bags import build
-
-    with closing(sqlite3.connect(path)) as made:
-        made.execute(
-            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)"
-        )
-        made.execute(
-            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)"
-        )
-        made.execute("INSERT INTO topics VALUES(1, '/sonar', ?, 'cdr')", (msgtype,))
-        for i, fields in enumerate(messages):
-            data = bytes(store.serialize_cdr(build(msgtype, store, **fields), msgtype))
-            ns = 10**18 + i * 10**8
-            made.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES(1, ?, ?)", (ns, data))
-        made.commit()
-    return path
-
-
 @pytest.mark.parametrize("release", [Stores.ROS2_FOXY, Stores.ROS2_HUMBLE, Stores.ROS2_JAZZY, Stores.LATEST])
 def test_ranges_of_every_ros_release_are_read_from_bags_without_definitions(
     release: Stores, tmp_path: Path
 ) -> None:
+    store = get_typestore(release)
     rows = [
-        {"header": header(10**18 + i * 10**8, "s" * (i % 3)), "max_range": 4.0, "range": 0.5 + 0.25 * i}
+        {"header": header(T0 + i * 10**8, "s" * (i % 3)), "max_range": 4.0, "range": 0.5 + 0.25 * i}
         for i in range(8)
     ]
-    stream = open_log([database(tmp_path / "x.db3", release, RANGE, rows)]).stream("/sonar")
+    messages = [bytes(store.serialize_cdr(build(RANGE, store, **row), RANGE)) for row in rows]
+    stream = open_log([database(tmp_path / "x.db3", "/sonar", RANGE, messages)]).stream("/sonar")
     values = stream.columns("range", "max_range")
     np.testing.assert_array_equal(values["range"], 0.5 + 0.25 * np.arange(8))
     np.testing.assert_array_equal(values["max_range"], np.full(8, 4.0))

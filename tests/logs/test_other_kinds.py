@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from bags import Said, cdr, header, write
+from commands import ok
 from numpy.typing import NDArray
-from wheel_bags import custom
+from wheel_bags import custom, odometry, stamps, turned
 
 from locfuse.cli.analysis.choose import choose
 from locfuse.cli.analysis.robot_tables import make_robot
-from locfuse.formats.logs.log import open_log
+from locfuse.formats.logs.log import Log, open_log
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.gps import Gps, GpsSettings
+from locfuse.fusion.sensors.gyro import GyroSettings, up_rate
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.read import read_wheels
 
@@ -113,3 +117,140 @@ def test_fixes_of_gpsd_are_fixes(tmp_path: Path) -> None:
     assert (len(m.z), m.dropped) == (len(T) - 1, {"no_fix": 1})
     assert m.z[-1, 1] == pytest.approx(1e-6 * (len(T) - 1) * 111267.0, rel=1e-4)  # a degree at 52 deg north
     assert m.R_unit[0].tolist() == [[0.04, 0.0], [0.0, 0.09]]
+
+
+# --- a nav_msgs/Path as poses over time: its last message, each pose at its own stamp
+
+
+PATH = "nav_msgs/msg/Path"
+PATH_T = np.arange(0.0, 10.01, 0.1)
+PATH_POSES = np.stack((2.0 * np.sin(0.2 * PATH_T), 2.0 * (1.0 - np.cos(0.2 * PATH_T)), 0.2 * PATH_T), axis=-1)
+
+
+def path(times: Array, poses: Array, at: int, planned: bool = False) -> Said:
+    """A message on /slam/path that holds poses (n, 3) [m, rad]; of a plan all have its own stamp."""
+    own = [at] * len(times) if planned else stamps(times)
+    held = [
+        {"header": header(ns, "map"), "pose": {"position": {"x": x, "y": y}, "orientation": turned(theta)}}
+        for ns, (x, y, theta) in zip(own, poses.tolist(), strict=True)
+    ]
+    return Said("/slam/path", PATH, cdr(PATH, header=header(at, "map"), poses=held), at)
+
+
+def growing() -> list[Said]:
+    """A way that is drawn again every second, wrong until the last message corrects it all."""
+    wrong = PATH_POSES + np.array([0.3, -0.1, 0.05])
+    at = stamps(PATH_T)
+    early = [path(PATH_T[:i:5], wrong[:i:5], at[i]) for i in range(10, 101, 10)]
+    return [*early, path(PATH_T[::5], PATH_POSES[::5], at[-1] + 1)]
+
+
+def test_the_last_message_says_the_whole_way_at_the_stamps_of_its_poses(tmp_path: Path) -> None:
+    log = open_log([write(tmp_path / "x.mcap", growing())])
+    stream = log.stream("/slam/path:poses")
+    assert stream.msgtype == "geometry_msgs/msg/PoseStamped"
+    assert stream.frame_id == "map"
+    assert stream.t_ns.tolist() == stamps(PATH_T[::5])
+    x, w = (np.asarray(c) for c in stream.columns("pose.position.x", "pose.orientation.w").values())
+    assert x == pytest.approx(PATH_POSES[::5, 0])
+    assert w == pytest.approx(np.cos(PATH_POSES[::5, 2] / 2))
+
+
+def test_a_path_is_judged_as_an_estimate_and_judges_as_truth(tmp_path: Path) -> None:
+    log = write(tmp_path / "x.mcap", sorted([*odometry(PATH_T, PATH_POSES), *growing()], key=lambda m: m.log_time))
+    out = tmp_path / "out"
+    named = ("--set", "truth.topic=/slam/path", "--estimate", "slam=/slam/path", "--no-advice", "--write", "json")
+    ok("compare", log, *named, "-o", out)
+    rows = json.loads((out / "report.json").read_text())["configurations"]
+    assert rows["slam"]["position_rmse_m"] == pytest.approx(0.0, abs=1e-9)
+    assert rows["odometry"]["position_rmse_m"] == pytest.approx(0.0, abs=1e-3)
+    assert rows["odometry"]["heading_rmse_deg"] == pytest.approx(0.0, abs=math.degrees(1e-3))
+
+
+@pytest.mark.parametrize("n", [0, 1, 20], ids=["empty", "one pose", "all of one time"])
+def test_a_plan_is_no_way_that_was_driven(n: int, tmp_path: Path) -> None:
+    at = stamps(PATH_T)
+    plans = [path(PATH_T[:n], PATH_POSES[:n], at[i], planned=True) for i in (0, 50)]
+    log = open_log([write(tmp_path / "x.mcap", plans)])
+    with pytest.raises(LocfuseError, match=f"/slam/path: the {n} poses of its last message have no times"):
+        log.stream("/slam/path:poses")
+
+
+# --- pX4's messages in north, east, down are read as those of ROS in east, north, up: a circle in closed form
+
+
+EAST, NORTH, YAW = 2.0 * np.sin(RATE * T), 2.0 * (1.0 - np.cos(RATE * T)), RATE * T  # from east, ENU
+HEADING = math.pi / 2 - YAW  # from north, clockwise
+VEHICLE = """uint64 timestamp
+uint8 pose_frame
+float32[3] position
+float32[4] q
+uint8 velocity_frame
+float32[3] velocity
+float32[3] angular_velocity
+"""
+LOCAL = "uint64 timestamp\nfloat32 x\nfloat32 y\nfloat32 vx\nfloat32 vy\nfloat32 heading\n"
+SENSOR = "uint64 timestamp\nfloat32[3] gyro_rad\nfloat32[3] accelerometer_m_s2\n"
+
+
+def log_with(folder: Path, kind: str, text: str, rows: list[dict[str, Any]], topic: str) -> Log:
+    return open_log([custom(folder / f"{kind}.mcap", topic, f"px4_msgs/msg/{kind}", text, T, rows)])
+
+
+@pytest.mark.parametrize("body", [False, True], ids=["speeds in the world", "speeds of the body"])
+def test_the_odometry_of_a_vehicle(body: bool, tmp_path: Path) -> None:
+    rows = [
+        {
+            "timestamp": round(1e6 * t),
+            "position": [n, e, 0.0],
+            "q": [math.cos(h / 2), 0.0, 0.0, math.sin(h / 2)],
+            "velocity_frame": 3 if body else 1,
+            "velocity": [SPEED, 0.0, 0.0] if body else [SPEED * math.cos(h), SPEED * math.sin(h), 0.0],
+            "angular_velocity": [0.0, 0.0, -RATE],
+        }
+        for t, n, e, h in zip(T.tolist(), NORTH.tolist(), EAST.tolist(), HEADING.tolist(), strict=True)
+    ]
+    log = log_with(tmp_path, "VehicleOdometry", VEHICLE, rows, "/fmu/out/vehicle_odometry")
+    choice = choose(log, make_robot({}))
+    assert choice.of("wheels") == ("/fmu/out/vehicle_odometry:odometry",)
+    stream = log.stream(choice.topics["wheels"])
+    end = read_wheels(stream, WheelSettings()).wheels.pose[-1]
+    assert end == pytest.approx([EAST[-1], NORTH[-1], YAW[-1]], abs=1e-5)
+    speed = stream.columns("twist.twist.linear.x", "twist.twist.angular.z")
+    np.testing.assert_allclose(np.asarray(speed["twist.twist.linear.x"]), SPEED, atol=1e-6)
+    np.testing.assert_allclose(np.asarray(speed["twist.twist.angular.z"]), RATE, atol=1e-6)
+
+
+def test_the_local_position_of_a_vehicle(tmp_path: Path) -> None:
+    rows = [
+        {"x": n, "y": e, "heading": h, "vx": SPEED * math.cos(h), "vy": SPEED * math.sin(h)}
+        for n, e, h in zip(NORTH.tolist(), EAST.tolist(), HEADING.tolist(), strict=True)
+    ]
+    log = log_with(tmp_path, "VehicleLocalPosition", LOCAL, rows, "/fmu/out/vehicle_local_position")
+    stream = log.stream(choose(log, make_robot({})).topics["wheels"])
+    end = read_wheels(stream, WheelSettings()).wheels.pose[-1]
+    assert end == pytest.approx([EAST[-1], NORTH[-1], YAW[-1]], abs=1e-5)
+    np.testing.assert_allclose(
+        np.asarray(stream.columns("twist.twist.linear.x")["twist.twist.linear.x"]), SPEED, atol=1e-6
+    )
+
+
+def test_its_sensors_turn_and_weigh_as_an_imu_does(tmp_path: Path) -> None:
+    rows = [{"gyro_rad": [0.01, 0.02, -RATE], "accelerometer_m_s2": [0.1, 0.2, -9.81]}] * len(T)
+    log = log_with(tmp_path, "SensorCombined", SENSOR, rows, "/fmu/out/sensor_combined")
+    assert log.find("/fmu/out/sensor_combined:imu") is not None
+    stream = log.stream("/fmu/out/sensor_combined:imu")
+    axes = [f"{part}.{axis}" for part in ("angular_velocity", "linear_acceleration") for axis in "xyz"]
+    columns: Any = stream.columns(*axes, "angular_velocity_covariance", "orientation_covariance")
+    found = [float(np.asarray(columns[name])[0]) for name in axes]
+    assert found == pytest.approx([0.01, -0.02, RATE, 0.1, -0.2, 9.81], abs=1e-5)
+    assert np.asarray(columns["orientation_covariance"])[0, 0] == -1.0  # it has none
+    rate = up_rate(columns, GyroSettings(), stream.topic)
+    np.testing.assert_allclose(rate, RATE, atol=1e-6)
+
+
+def test_a_definition_that_lies_is_refused_in_one_line(tmp_path: Path) -> None:
+    text = VEHICLE.replace("float32[3] position", "string position")
+    log = log_with(tmp_path, "VehicleOdometry", text, [{"position": "here"}] * len(T), "/odom")
+    with pytest.raises(LocfuseError, match="position is a text by its definition; accepted: 3 numbers"):
+        read_wheels(log.stream(choose(log, make_robot({})).topics["wheels"]), WheelSettings())

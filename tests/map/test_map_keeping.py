@@ -9,8 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.map.line_map import LineMap
-from locfuse.fusion.map.tidy import FLAT_SIGMAS, MIN_HITS, TRIAL_SCANS, merge_doubles, prune
+from locfuse.fusion.map.line_map import FLAT_SIGMAS, MIN_HITS, TRIAL_SCANS, LineMap, merge_doubles, prune
 
 Array = NDArray[np.float64]
 EVEN = np.zeros(2)

@@ -18,7 +18,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from locfuse.formats.caps import MAX_ITEMS
 from locfuse.formats.container.source import message_type
 from locfuse.formats.messages.cdr import Decoder
-from locfuse.formats.messages.fields import FieldError, paths, resolve, stamp_path
+from locfuse.formats.messages.fields import paths
 from locfuse.formats.messages.schema import SchemaError, parse
 from locfuse.fusion.data import Ragged
 
@@ -228,10 +228,6 @@ def test_a_message_of_a_million_strings_is_refused() -> None:
         assert decode(decoder, [message], fields).bad.total() == 1
 
 
-def test_xcdr2_and_parameter_lists_are_refused_by_name() -> None:
-    assert decode(scan_decoder(), [b"\x00\x07" + scan(0)[2:]], []).bad == {"not plain CDR": 1}
-
-
 def test_fields_inside_arrays_of_structures_are_ragged_columns() -> None:
     kind = "tf2_msgs/msg/TFMessage"
     decoder = Decoder(parse(kind, "ros2msg", STORE.generate_msgdef(kind, ros_version=2)[0]))
@@ -320,20 +316,6 @@ def test_an_idl_definition_reads_like_its_msg_twin() -> None:
 
 
 @pytest.mark.parametrize(
-    ("path", "says"),
-    [
-        ("rangez", "did you mean 'ranges'"),
-        ("header.stemp", "header has no field 'stemp'"),
-        ("header", "header is a structure: name a part of it"),
-        ("ranges.x", "ranges has no parts"),
-    ],
-)
-def test_a_wrong_field_path_names_the_nearest_field(path: str, says: str) -> None:
-    with pytest.raises(FieldError, match=says):
-        resolve(scan_decoder().message, path)
-
-
-@pytest.mark.parametrize(
     ("text", "says"),
     [
         ("float64 x\nnonsense !!", "cannot be parsed"),
@@ -347,14 +329,6 @@ def test_a_definition_that_cannot_be_used_says_why_in_one_line(text: str, says: 
         parse("t/Top", "ros2msg", text)
     assert "\n" not in str(raised.value)
     assert len(str(raised.value)) < 120
-
-
-def test_a_stamp_that_is_no_pair_of_numbers_dates_nothing() -> None:
-    rule = "=" * 80 + "\n"
-    header = f"std_msgs/Header header\n{rule}MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\n"
-    for seconds, path in (("int32", "header.stamp"), ("string", None)):
-        text = f"{header}{rule}MSG: builtin_interfaces/Time\n{seconds} sec\nuint32 nanosec\n"
-        assert stamp_path(parse("a/msg/B", "ros2msg", text)) == path
 
 
 @pytest.mark.parametrize("spelling", ["sensor_msgs/msg/Imu", "sensor_msgs/Imu", "sensor_msgs::msg::Imu"])

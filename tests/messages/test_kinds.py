@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 from bags import STORE, definition
-from commands import locfuse
+from commands import locfuse, ok
 from hostile import DIVIDER, FIX, Put, fix, lies, sample, write
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
+from invented import decode
 
 from locfuse.formats.caps import MAX_DEFINITION, MAX_DEFINITION_LINES, MAX_EXPRESSIONS
 from locfuse.formats.container.source import ChannelInfo
@@ -158,10 +159,7 @@ def test_any_definition_gives_columns_of_the_expected_kind_or_one_line(data: st.
         return
     assert kind_of(parts) in expected(msgtype, path)
     messages = data.draw(st.lists(st.binary(max_size=90).map(lambda b: b"\0\1\0\0" + b), max_size=4))
-    lengths = np.array([len(m) for m in messages], np.int64)
-    found = decoder.decode(
-        np.frombuffer(b"".join(messages), np.uint8), np.cumsum(lengths) - lengths, lengths, (path,)
-    )
+    found = decode(decoder, messages, (path,))
     assert is_of(kind_of(parts), found.columns[path], int(found.good.sum()))
 
 
@@ -176,12 +174,8 @@ VALUES = st.recursive(
 @given(st.lists(st.dictionaries(st.sampled_from(list(FIX["properties"])), VALUES), max_size=4))
 def test_any_json_gives_columns_of_the_kind_that_its_schema_promises(values: list[dict[str, Any]]) -> None:
     message = parse_jsonschema("foxglove.LocationFix", json.dumps(FIX))
-    texts = [json.dumps(value).encode() for value in values]
-    lengths = np.array([len(t) for t in texts], np.int64)
     paths = tuple(FIX["properties"])
-    found = JsonDecoder(message).decode(
-        np.frombuffer(b"".join(texts), np.uint8), np.cumsum(lengths) - lengths, lengths, paths
-    )
+    found = decode(JsonDecoder(message), [json.dumps(value).encode() for value in values], paths)
     for path in paths:
         assert is_of(kind_of(resolve(message, path)), found.columns[path], len(values)), path
 
@@ -209,7 +203,7 @@ def test_json_values_that_are_not_what_the_schema_says_are_no_traceback(
 
 def test_covariances_of_changing_length_are_none(tmp_path: Path) -> None:
     extra = [fix(i, position_covariance=[1.0] * i) for i in range(12)]
-    assert locfuse("run", write(tmp_path / "f.mcap", extra=extra), "-o", tmp_path / "o").exit_code == 0
+    ok("run", write(tmp_path / "f.mcap", extra=extra), "-o", tmp_path / "o")
 
 
 @pytest.mark.parametrize("kind", ["string", "object", "boolean", "array"])
@@ -243,8 +237,7 @@ def test_a_definition_beyond_a_cap_is_refused_on_a_topic_that_nobody_uses_too(
     with pytest.raises(SchemaError, match=words):
         parse("pkg/msg/Odd", "ros2msg", text.decode())
     odd = Put("pkg/msg/Odd", "ros2msg", text, "/odd", "cdr", sample()[0][0].log_time, b"\0\1\0\0" + bytes(8))
-    done = locfuse("info", write(tmp_path / "f.mcap", extra=[odd], seconds=0.5))
-    assert done.exit_code == 0
+    done = ok("info", write(tmp_path / "f.mcap", extra=[odd], seconds=0.5))
     assert words in done.stdout.replace("\n  ", " ")
 
 

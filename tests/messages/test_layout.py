@@ -13,7 +13,7 @@ from invented import assert_same, at_path, decode, invented_type, invented_value
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from locfuse.formats.messages import cdr
-from locfuse.formats.messages.cdr import CDR, ROS1, Decoder, fixed_size
+from locfuse.formats.messages.cdr import ROS1, Decoder, fixed_size
 from locfuse.formats.messages.fields import paths
 from locfuse.formats.messages.schema import Many, Node, Scalar, Structure, Text, parse
 from locfuse.fusion.data import Ragged
@@ -280,7 +280,3 @@ def test_lengths_of_arrays_in_no_message_are_rows_too() -> None:
     decoder = Decoder(parse("t/Top", "ros2msg", TYPES["arrays in structures"]))
     found = decode(decoder, [], ["b.x", "b.x.length"]).columns
     assert [len(rows(column)) for column in found.values()] == [0, 0]
-
-
-def test_padding_is_what_cdr_allows() -> None:
-    assert (CDR.header, CDR.spare, ROS1.header, ROS1.spare) == (4, 3, 0, 0)

@@ -5,19 +5,19 @@ from __future__ import annotations
 import struct
 from typing import Any
 
-import numpy as np
 import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 from hypothesis import given
 from hypothesis import strategies as st
+from invented import decode as decode_by
+from invented import plain
 
 from locfuse.formats.caps import MAX_DEFINITION
 from locfuse.formats.messages import protobuf_messages
 from locfuse.formats.messages.cdr import MalformedError
 from locfuse.formats.messages.fields import paths
-from locfuse.formats.messages.protobuf_messages import ProtobufDecoder, parse_descriptors, varint, walk
+from locfuse.formats.messages.protobuf_messages import ProtobufDecoder, parse_descriptors, varint
 from locfuse.formats.messages.schema import Decoded, SchemaError
-from locfuse.fusion.data import Ragged
 
 KINDS = descriptor_pb2.FieldDescriptorProto
 NUMBERS = (
@@ -75,16 +75,7 @@ FIELDS = tuple(paths(decoder().message))
 
 
 def decode(messages: list[bytes], fields: tuple[str, ...] = FIELDS) -> Decoded:
-    lengths = np.array([len(m) for m in messages], np.int64)
-    return decoder().decode(
-        np.frombuffer(b"".join(messages), np.uint8), np.cumsum(lengths) - lengths, lengths, fields
-    )
-
-
-def rows(column: Any) -> list[Any]:
-    if isinstance(column, Ragged):
-        return [column.values[a:b].tolist() for a, b in zip(column.first[:-1], column.first[1:], strict=True)]
-    return list(column.tolist()) if isinstance(column, np.ndarray) else list(column)
+    return decode_by(decoder(), messages, fields)
 
 
 def value_of(message: Any, path: str) -> Any:
@@ -140,13 +131,13 @@ def test_every_column_is_what_googles_library_reads(values: list[dict[str, Any]]
     found = decode([one.SerializeToString() for one in made])
     assert found.good.all()
     for path, column in found.columns.items():
-        assert rows(column) == [value_of(one, path) for one in made], path
+        assert plain(column) == [value_of(one, path) for one in made], path
 
 
 def test_arrays_inside_an_array_say_how_long_each_is() -> None:
     made = [All(parts=[{"row": [1, 2]}, {}, {"row": [3]}]), All()]
     found = decode([one.SerializeToString() for one in made], ("parts.row", "parts.row.length"))
-    assert [rows(column) for column in found.columns.values()] == [[[1.0, 2.0, 3.0], []], [[2, 0, 1], []]]
+    assert [plain(column) for column in found.columns.values()] == [[[1.0, 2.0, 3.0], []], [[2, 0, 1], []]]
 
 
 def test_a_type_that_holds_itself_ends_there() -> None:
@@ -160,13 +151,13 @@ def test_an_unknown_field_and_one_that_lies_otherwise_are_passed_over() -> None:
     known = All(text="a").SerializeToString()
     unknown = b"\xf8\xff\x01\x05" + b"\xfa\xff\x01\x02hi" + b"\x0d" + struct.pack("<f", 1.0)  # field 1 is a double
     found = decode([known + unknown], ("text", "double"))
-    assert (found.columns["text"], rows(found.columns["double"])) == (["a"], [0.0])
+    assert (found.columns["text"], plain(found.columns["double"])) == (["a"], [0.0])
 
 
 def test_of_a_value_that_comes_twice_the_last_one_counts() -> None:
     twice = All(double=1.0, text="a").SerializeToString() + All(double=2.0, text="b").SerializeToString()
     found = decode([twice], ("text", "double"))
-    assert (found.columns["text"], rows(found.columns["double"])) == (["b"], [2.0])
+    assert (found.columns["text"], plain(found.columns["double"])) == (["b"], [2.0])
 
 
 @given(MESSAGES, st.data())
@@ -262,7 +253,7 @@ def test_whole_numbers_are_right_at_both_ends_of_their_range(kind: str) -> None:
     values = [low, high, high - 1, low + 1, 0, 1, high // 2, 127, 128, 16383, 16384]
     for name in (f"{kind}s", f"{kind}s_apart"):
         message = All(**{name: values}).SerializeToString()
-        assert rows(decode([message], (name,)).columns[name]) == [[float(v) for v in values]]
+        assert plain(decode([message], (name,)).columns[name]) == [[float(v) for v in values]]
 
 
 def test_a_varint_of_ten_bytes_is_read_and_its_upper_bits_are_lost() -> None:
@@ -277,23 +268,9 @@ def test_a_varint_of_ten_bytes_is_read_and_its_upper_bits_are_lost() -> None:
         varint(b"\x80" * 11, 0, 11)
 
 
-def test_a_walk_says_where_each_field_lies() -> None:
-    data = All(double=1.5, float=2.5, int64=300, text="abc").SerializeToString()
-    found = list(walk(data, 0, len(data)))
-    assert [(wire, data[a:b]) for _, wire, a, b in found if wire == 2] == [(2, b"abc")]
-    assert [b - a for _, wire, a, b in found if wire in {1, 5}] == [8, 4]
-    numbers = {f.name: f.number for f in All.DESCRIPTOR.fields}
-    assert sorted(n for n, *_ in found) == sorted(numbers[name] for name in ("double", "float", "int64", "text"))
-    for n in (127, 128, 200):  # from 128 on the length takes two bytes
-        long = All(raw=bytes(n)).SerializeToString()
-        ((_, _, first, stop),) = walk(long, 0, len(long))
-        assert (stop - first, stop) == (n, len(long))
-    assert list(walk(b"\x80\x01\x07", 0, 3)) == [(16, 0, 2, 3)]  # so do fields from number 16 on
-
-
 def test_names_of_one_field_in_several_releases_are_all_read() -> None:
     found = decode([All(double=1.0, float=2.0).SerializeToString()], ("none|double", "float|double"))
-    assert [rows(column) for column in found.columns.values()] == [[1.0], [2.0]]
+    assert [plain(column) for column in found.columns.values()] == [[1.0], [2.0]]
 
 
 def test_a_definition_nests_and_counts_fields_up_to_its_caps(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from commands import locfuse
+from commands import ok
 
 import locfuse as api
 from locfuse import sample_logs
@@ -35,8 +35,7 @@ def report(log: Path) -> dict[str, Any]:
 
 
 def compared(log: Path | str, out: Path, *words: str) -> dict[str, Any]:
-    done = locfuse("compare", log, *words, "--no-advice", "-o", out, "--write", "json", "-q")
-    assert done.exit_code == 0, done.stderr
+    ok("compare", log, *words, "--no-advice", "-o", out, "--write", "json", "-q")
     found: dict[str, Any] = json.loads((out / "report.json").read_text())
     return found
 

@@ -11,10 +11,14 @@ from typing import Any
 
 import pytest
 import small_scene
+from commands import locfuse, ok
 
 from locfuse.cli.terminal import show, text_table
 from locfuse.formats.report import render, tables
+from locfuse.formats.report.findings import notes_of
+from locfuse.formats.report.glossary import GLOSSARY, explained
 from locfuse.formats.report.table import Cell, Column, Table, of_values, of_words, records, text, texts
+from locfuse.formats.report.tables import COUNTS, MAIN
 
 EVIL = "<b>&|*_`$\\"
 LENGTH = Column("length_m", "length", "m", "{:.2f}", brief="len", brief_form="{:.1f}")
@@ -197,3 +201,26 @@ def test_the_largest_jumps_are_shown_in_order_of_time(report: dict[str, Any]) ->
     late = range(tables.MAX_JUMPS, 2 * tables.MAX_JUMPS)
     assert [row["t_s"] for row in records(shown)] == [float(t) for t in late]
     assert str(len(events)) in shown.label
+
+
+# --- every word of a table has an explanation that a user can ask for
+
+
+@pytest.mark.parametrize("heading", [(c.brief or c.heading).split("/")[0].strip() for c in (*MAIN, *COUNTS)])
+def test_every_column_of_the_terminals_tables_is_explained(heading: str) -> None:
+    done = ok("explain", heading)
+    assert done.stdout.strip() == explained(heading)
+
+
+def test_without_a_term_all_are_listed() -> None:
+    assert all(f"{term}: " in locfuse("explain").stdout for term in GLOSSARY)
+
+
+def test_a_number_of_another_configuration_keeps_its_sign() -> None:
+    """-88.5 beside -88.8 is not -88.5 beside 88.8; of a span the second number has no sign."""
+    runs = {
+        name: {"notes": [f"gps: east lies {east} deg off, at 30-40 s"]}
+        for name, east in (("gps", -88.5), ("all", -88.8))
+    }
+    (note,) = notes_of({"notes": [], "configurations": runs})
+    assert note == "gps: east lies -88.5 (all: -88.8) deg off, at 30-40 s"

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from commands import locfuse
+from commands import locfuse, ok
 from recordings import read
 from small_drive import drive as small_drive
 from small_drive import robot as small_robot
@@ -87,8 +87,7 @@ def warnings_of(stderr: str) -> list[str]:
 
 
 def test_without_display_and_viewer_the_recording_lies_with_the_results(tmp_path: Path) -> None:
-    done = locfuse("run", LOG, "--no-advice", *LIGHT, "-o", tmp_path / "out", "--rerun")
-    assert done.exit_code == 0
+    done = ok("run", LOG, "--no-advice", *LIGHT, "-o", tmp_path / "out", "--rerun")
     (warning,) = warnings_of(done.stderr)
     assert "no display" in warning
     assert "locfuse view" in warning
@@ -101,7 +100,7 @@ def test_a_stranger_on_the_port_costs_a_warning_and_no_hang(
     tmp_path: Path, stranger: list[str], manner: str, monkeypatch: pytest.MonkeyPatch, recording: Path
 ) -> None:
     stranger[0] = manner
-    monkeypatch.setattr(viewer, "SEND_TIMEOUT_S", 2.0)
+    monkeypatch.setattr(viewer, "SEND_TIMEOUT_S", 0.5)
     with pytest.raises(LocfuseError, match="take"):
         viewer.show(recording)
 
@@ -155,17 +154,6 @@ def test_a_place_that_cannot_be_written_is_an_error_after_the_results(tmp_path: 
     assert (tmp_path / "out" / "run.json").is_file()
 
 
-def test_rerun_is_imported_only_when_asked_for(tmp_path: Path) -> None:
-    code = (
-        "import sys\nfrom locfuse.cli.main import main\n"
-        "try: main(sys.argv[1:])\nexcept SystemExit as e: assert not e.code\n"
-        "assert 'rerun' not in sys.modules and 'rerun_bindings' not in sys.modules"
-    )
-    words = ["compare", LOG, *LIGHT, "--no-advice", "-o", str(tmp_path / "out")]
-    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-
-
 def test_a_smoothed_configuration_at_a_lower_rate_is_recorded(tmp_path: Path) -> None:
     words = ("--sensors", "lrf@2Hz", "--smooth", "--set", "lrf.map=refine", "--write", "json")
     save = tmp_path / "drive.rrd"
@@ -182,23 +170,6 @@ def test_a_recording_cut_short_is_refused(recording: Path, tmp_path: Path, share
     cut.write_bytes(data[: int(share * len(data))])
     with pytest.raises(LocfuseError, match="no whole recording"):
         check(cut)
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("--connect", "127.0.0.1:9876"), "no viewer's address"),
-        (("--connect", "http://127.0.0.1:9876/proxy"), "no viewer's address"),
-        (("--images", "every=0"), "neither every=N"),
-        (("--images", "some"), "neither every=N"),
-    ],
-)
-def test_words_that_make_no_sense_are_refused_before_anything_is_computed(
-    words: tuple[str, str], said: str
-) -> None:
-    done = locfuse("view", LOG, *words)
-    assert done.exit_code == 2
-    assert said in done.stderr
 
 
 def test_everything_we_start_listens_on_loopback_only(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,20 +15,24 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 from bags import S, drive, real_log, write
-from commands import locfuse
+from commands import locfuse, ok
+from hostile import Put
+from hostile import write as sample_write
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_ros2.decoder import DecoderFactory
+from msgspec.structs import replace
 from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+import locfuse as api
 from locfuse import sample_logs
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.mcap_source import McapSource
-from locfuse.formats.results.mcap_export import ros_name
-from locfuse.formats.whole_files import write_results
-from locfuse.fusion.data import LocfuseError
+from locfuse.formats.results.mcap_export import Export, ros_name
+from locfuse.fusion.data import LocfuseError, Truth
+from locfuse.fusion.fuse import fuse
 
 LOG = "rounded_rectangle"
 ROBOT = {"robot.toml": b"[wheels]\nradius = 0.05\ntrack = 0.4\n"}
@@ -41,8 +45,7 @@ LAST_BIT = 3e-16  # NumPy's sine against that of the C library
 def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("run")
     words = ("--no-advice", "--no-smooth", "--write", "all", "--export", "mcap,log,kitti,tum-cov", "-q")
-    done = locfuse("run", LOG, *words, "-o", out)
-    assert done.exit_code == 0, done.stderr
+    ok("run", LOG, *words, "-o", out)
     return out
 
 
@@ -149,8 +152,7 @@ def test_the_logs_own_messages_are_copied_with_bytes_and_times(ran: Path) -> Non
 
 
 def test_a_copy_of_the_log_runs_to_the_same_trajectory(ran: Path, tmp_path: Path) -> None:
-    done = locfuse("run", ran / "estimates.mcap", "--no-advice", "-o", tmp_path, "--write", "tum")
-    assert done.exit_code == 0, done.stderr
+    ok("run", ran / "estimates.mcap", "--no-advice", "-o", tmp_path, "--write", "tum")
     assert (tmp_path / "trajectory.tum").read_bytes() == (ran / "trajectory.tum").read_bytes()
 
 
@@ -213,8 +215,7 @@ def test_tum_with_covariance_names_its_columns(ran: Path) -> None:
 def test_compare_exports_every_configuration_under_a_name_that_ros_allows(tmp_path: Path) -> None:
     sets = [w for s in ("odometry", "compass,lrf", "lrf@2Hz") for w in ("--sensors", s)]
     words = ("--write", "tum,json", "--export", "mcap,csv,kitti", "--no-advice", "-q")
-    done = locfuse("compare", LOG, *sets, *words, "-o", tmp_path)
-    assert done.exit_code == 0, done.stderr
+    ok("compare", LOG, *sets, *words, "-o", tmp_path)
     topics = decoded(tmp_path / "estimates.mcap")
     for name in json.loads((tmp_path / "report.json").read_text())["configurations"]:
         messages = [m for m, _ in topics[f"/locfuse/{ros_name(name)}/odometry"]]
@@ -255,10 +256,7 @@ def layouts_name_what_is_there(folder: Path, topics: Topics, results: int, truth
 
 def test_a_frame_has_one_parent_where_the_log_has_a_tf_of_its_own(tmp_path: Path) -> None:
     bag = real_log("turtlebot4")
-    assert (
-        locfuse("run", bag, "--no-advice", "-o", tmp_path, "--export", "log", "--write", "json", "-q").exit_code
-        == 0
-    )
+    ok("run", bag, "--no-advice", "-o", tmp_path, "--export", "log", "--write", "json", "-q")
     parents: dict[str, set[str]] = {}
     for topic, messages in decoded(tmp_path / "estimates.mcap").items():
         for m, _ in messages if topic == "/tf" else ():
@@ -270,10 +268,7 @@ def test_a_frame_has_one_parent_where_the_log_has_a_tf_of_its_own(tmp_path: Path
 
 def test_a_sqlite3_bag_is_copied_too(tmp_path: Path) -> None:
     bag = real_log("turtlebot4/db3")
-    assert (
-        locfuse("run", bag, "--no-advice", "-o", tmp_path, "--export", "log", "--write", "json", "-q").exit_code
-        == 0
-    )
+    ok("run", bag, "--no-advice", "-o", tmp_path, "--export", "log", "--write", "json", "-q")
     store = get_typestore(Stores.ROS2_HUMBLE)  # such bags hold no definitions, copies of them do
     with AnyReader([bag], default_typestore=store) as original, AnyReader([tmp_path / "estimates.mcap"]) as copy:
         wanted = Counter((c.topic, t, bytes(raw)) for c, t, raw in original.messages())
@@ -282,12 +277,7 @@ def test_a_sqlite3_bag_is_copied_too(tmp_path: Path) -> None:
 
 def test_messages_are_recorded_in_the_logs_clock_where_it_keeps_two(tmp_path: Path) -> None:
     bag = real_log("bags/evo/nav2_turtlebot.mcap")
-    assert (
-        locfuse(
-            "run", bag, "--no-advice", "-o", tmp_path, "--export", "mcap,log", "--write", "tum,json", "-q"
-        ).exit_code
-        == 0
-    )
+    ok("run", bag, "--no-advice", "-o", tmp_path, "--export", "mcap,log", "--write", "tum,json", "-q")
     topics = decoded(tmp_path / "estimates.mcap")
     ours, theirs = topics["/locfuse/odometry/odometry"], topics["/odom"]
     assert [stamp(m) for m, _ in ours] == stamps_of(tmp_path / "trajectory.tum")
@@ -298,28 +288,67 @@ def test_messages_are_recorded_in_the_logs_clock_where_it_keeps_two(tmp_path: Pa
 @pytest.mark.parametrize(("word", "estimates"), [("--no-smooth", 1), ("--smooth", 2)])
 def test_without_truth_or_with_a_smoothed_estimate(tmp_path: Path, word: str, estimates: int) -> None:
     log = write(tmp_path / "x.mcap", drive(100), attachments=ROBOT)
-    done = locfuse("run", log, "--no-advice", "-o", tmp_path / "out", "--export", "mcap,tum-cov", word)
-    assert done.exit_code == 0, done.stderr
+    ok("run", log, "--no-advice", "-o", tmp_path / "out", "--export", "mcap,tum-cov", word)
     topics = decoded(tmp_path / "out" / "estimates.mcap")
     assert len([t for t in topics if t.endswith("/odometry")]) == estimates
     assert not any("truth" in t for t in topics)
     layouts_name_what_is_there(tmp_path / "out", topics, estimates, 0)
 
 
-def test_an_unknown_format_is_refused_before_any_work(tmp_path: Path) -> None:
-    done = locfuse("run", LOG, "-o", tmp_path / "out", "--export", "mcap,rosbag")
-    assert done.exit_code == 2
-    assert "unknown format 'rosbag'; choose from mcap, log, kitti, tum, tum-cov, csv" in done.stderr
-    assert not (tmp_path / "out").exists()
+# --- exports of logs whose recording clock is none of ROS' times
 
 
-def test_a_file_that_writes_itself_appears_whole_or_not_at_all(tmp_path: Path) -> None:
-    def fails(path: Path) -> None:
-        path.write_bytes(b"half")
-        raise OSError(28, "No space left on device")
+def test_a_recording_clock_below_zero_is_written_as_zero(tmp_path: Path) -> None:
+    """A sixth of the messages were recorded at log time 2: the clock comes out below zero at the start."""
+    n = 0
 
-    (tmp_path / "run.json").write_text("{}")
-    (tmp_path / "estimates.mcap").write_bytes(b"before")
-    with pytest.raises(LocfuseError, match="No space left"):
-        write_results(tmp_path, {"estimates.mcap": fails, "run.json": "new"})
-    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == {"run.json": b"{}", "estimates.mcap": b"before"}
+    def some(put: Put) -> Put:
+        nonlocal n
+        n += 1
+        return put._replace(log_time=2) if n % 6 == 0 else put
+
+    log = sample_write(tmp_path / "f.mcap", some)
+    done = locfuse("run", log, "-o", tmp_path / "o", "--export", "mcap")
+    assert done.exit_code in {0, 3}, done.stderr
+    with (tmp_path / "o" / "estimates.mcap").open("rb") as file:
+        times = [m.log_time for _, _, m in make_reader(file, validate_crcs=True).iter_messages()]
+    assert times
+    assert min(times) >= 0
+
+
+def test_a_clock_that_starts_at_zero_a_second_after_the_stamps_is_exported(tmp_path: Path) -> None:
+    first: list[int] = []
+
+    def simulated(put: Put) -> Put:
+        first.append(put.log_time)
+        return put._replace(log_time=max(put.log_time - first[0] - 10**9, 0))
+
+    log = sample_write(tmp_path / "f.mcap", simulated)
+    done = locfuse("run", log, "-o", tmp_path / "o", "--export", "mcap")
+    assert done.exit_code in {0, 3}, done.stderr
+    assert (tmp_path / "o" / "estimates.mcap").exists()
+
+
+def test_times_that_no_ros_stamp_holds_are_refused_in_one_line(tmp_path: Path) -> None:
+    log = sample_write(tmp_path / "f.mcap", lambda put: put._replace(log_time=put.log_time + 10**18))
+    done = locfuse("run", log, "-o", tmp_path / "o", "--order", "recorded", "--export", "mcap")
+    assert done.exit_code == 1
+    assert "January 2038" in done.stderr.splitlines()[-1]
+    assert not (tmp_path / "o").exists()
+    assert locfuse("run", log, "-o", tmp_path / "o", "--order", "recorded").exit_code in {0, 3}
+
+
+@pytest.mark.parametrize(("shift_s", "does"), [(5e8, "ends"), (-5e9, "begins")])
+def test_so_are_those_of_a_truth(tmp_path: Path, shift_s: float, does: str) -> None:
+    session = api.load("rounded_rectangle", between=(0.0, 2.0))
+    drive = session.drive
+    t = drive.t.copy()
+    t[-1 if does == "ends" else 0] += shift_s
+    truth = Truth("/truth", t, np.zeros((len(drive.t), 2)), None)
+    moved = replace(drive, truth=truth, epoch_ns=1_700_000_000 * 10**9)
+    export = Export(moved, [fuse(drive, session.robot, [])], np.zeros((len(drive.t), 3)), b"")
+    with pytest.raises(
+        LocfuseError, match=f"the truth {does} .* after 1970, and a ROS stamp ends in January 2038"
+    ):
+        export.write(tmp_path / "out.mcap")
+    assert not (tmp_path / "out.mcap").exists()

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import time
 import tomllib
+from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
+import numpy as np
 import pytest
+from commands import locfuse
+from hostile import write
 from hypothesis import given
 from hypothesis import strategies as st
 
+from locfuse.formats.caps import MAX_DOTS, MAX_JOINTS, MAX_KEYS, MAX_ROBOT_TOML, MAX_TRANSFORMS
+from locfuse.formats.robot import line_map, robot_toml
+from locfuse.formats.robot.commented_toml import updated
 from locfuse.formats.robot.robot_toml import apply_sets, convert, dump, layered, merge, parse
-from locfuse.fusion.data import LocfuseError, UsageError
+from locfuse.formats.robot.transforms import FIELDS, StaticTransforms, Transform, planar_mount, static_transforms
+from locfuse.formats.robot.urdf import wheel_geometry
+from locfuse.fusion.data import LocfuseError, Ragged, UsageError
 
 
 class Wheels(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -158,3 +168,181 @@ def test_a_sigma_of_zero_is_said_of_the_mount_beside_it_and_of_no_other() -> Non
     assert layered(log, {"lrf": {"x": 0.23, "sigma_x": 0.0}})["lrf"]["sigma_x"] == 0.0
     assert layered({"lrf": {"sigma_x": 0.0}}, {"lrf": {"x": 0.1}})["lrf"] == {"x": 0.1}
     assert layered(log, {}, {"lrf": {"topic": "/scan"}})["lrf"] == {**log["lrf"], "topic": "/scan"}
+
+
+# --- new values in a robot.toml that people have written: what they wrote stays
+
+
+MINE = """# Anna's robot
+order = "stamp"
+
+[wheels]  # new tyres
+radius = 0.05  # by ruler, "worn" # twice
+# track = 0.6  # not yet measured
+left = 'a # b'
+
+# [compass]
+# sigma_deg = 3.0
+
+[lrf]
+topic = "/scan"
+"""
+
+
+def test_values_change_and_every_other_character_stays() -> None:
+    text = updated(MINE, {"wheels": {"radius": 0.0498}}, "x")
+    assert text == MINE.replace("0.05 ", "0.0498 ")
+
+
+def test_a_key_behind_a_hash_is_filled_in_where_it_stands() -> None:
+    text = updated(MINE, {"wheels": {"track": 0.61}}, "x")
+    assert "\ntrack = 0.61  # not yet measured\n" in text
+
+
+def test_a_table_behind_a_hash_comes_into_effect() -> None:
+    text = updated(MINE, {"compass": {"sigma_deg": 1.5}}, "x")
+    assert "\n[compass]\nsigma_deg = 1.5\n\n[lrf]" in text
+
+
+def test_new_keys_and_tables_are_added_and_say_who_did() -> None:
+    changes = {"wheels": {"noise": 1e-4}, "gps": {"origin": [48.1, 11.5]}, "preset": "paper", "order": "auto"}
+    text = updated(MINE, changes, "locfuse tune")
+    assert tomllib.loads(text) == robot_toml.merge(tomllib.loads(MINE), changes)
+    assert "noise = 0.0001  # locfuse tune\n" in text
+    assert text.index("left = ") < text.index("noise = ") < text.index("# [compass]")
+    assert text.rstrip().endswith("[gps]\norigin = [48.1, 11.5]  # locfuse tune")
+
+
+def test_a_value_that_holds_a_hash_is_replaced_whole() -> None:
+    assert tomllib.loads(updated(MINE, {"wheels": {"left": "c"}}, "x"))["wheels"]["left"] == "c"
+
+
+def test_an_empty_file_is_filled() -> None:
+    assert tomllib.loads(updated("", {"lrf": {"x": 0.2}}, "x")) == {"lrf": {"x": 0.2}}
+
+
+@pytest.mark.parametrize(
+    "text", ["wheels.radius = 0.05\n", "[wheels]\nradius = [\n 1,\n 2]\n", "wheels = {radius = 1}\n"]
+)
+def test_what_cannot_be_changed_line_by_line_is_refused_not_broken(text: str) -> None:
+    with pytest.raises(LocfuseError, match=r"line by line|not valid TOML"):
+        updated(text, {"wheels": {"radius": 0.04}}, "x")
+
+
+# --- descriptions of a robot built to take memory or minutes
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (".".join(["a"] * 400) + " = 1", "tables in tables: 17 deep, more than the cap of 16"),
+        (".".join(["a"] * (MAX_DOTS + 2)) + " = 1", "too many dots in a line: 501, more than the cap of 500"),
+        (".".join(["a"] * 60_000) + " = 1", "too many dots"),
+        ("#" * (MAX_ROBOT_TOML + 1), "more than the cap of 131 072"),
+        ("[wheels]\nradius = " + "9" * 5000, "not valid TOML"),
+        ("[wheels]\nradius = 0x" + "f" * 9000, "an integer of more than 4300 digits"),
+        ("a = [" + "1," * (MAX_KEYS + 1) + "]", "too many keys"),
+        ("a = " + "[" * 5000 + "]" * 5000, "nested too deeply"),
+    ],
+)
+def test_a_robot_toml_beyond_a_cap_is_refused_in_one_line(tmp_path: Path, text: str, words: str) -> None:
+    with pytest.raises(LocfuseError, match=words):
+        parse(text, "robot.toml")
+    done = locfuse("info", write(tmp_path / "f.mcap", robot=text.encode(), seconds=0.5))
+    assert done.exit_code == 1
+    assert words in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "text", ["wheels.radius=" + "9" * 5000, "a." * 2000 + "b=1", "wheels.radius=0x" + "f" * 9000]
+)
+def test_a_set_beyond_a_cap_is_refused_in_one_line(tmp_path: Path, text: str) -> None:
+    done = locfuse("info", write(tmp_path / "f.mcap", seconds=0.5), "--set", text)
+    assert done.exit_code == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert len(done.stderr) < 6000
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("wheels.noise=2000", "must be a number <= 1000.0, in metres"),
+        ("wheels.noise=9223372036854775807", "it is in metres, and may be 1e+08 at most"),
+        ("start.x=-1e9", "start.x = -1000000000.0: it is in metres, and may be 1e+08 at most"),
+        (
+            "sonar.mounts.front=[1e9, 0, 0]",
+            "sonar.mounts = 1000000000.0: it is in metres, and may be 1e+08 at most",
+        ),
+        ("compass.sigma_deg=1e-300", "no number of a robot but 0 is smaller than 1e-30"),
+        ("wheels.noise=-1", "must be a number >= 0.0, in metres"),
+        ("start.sigma_theta_deg=1e17", "start.sigma_theta_deg = 1e+17: must be a number <= 3600.0, in degrees"),
+        ("wheels.time_offset=9223372036854775807", "is wheels.time_offset right? It is in seconds"),
+    ],
+)
+def test_a_set_beyond_what_can_be_computed_with_is_refused_in_one_line(
+    tmp_path: Path, text: str, words: str
+) -> None:
+    done = locfuse("run", write(tmp_path / "f.mcap", seconds=0.5), "-o", tmp_path / "out", "--set", text)
+    assert done.exit_code in {1, 2}
+    assert words in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_ordinary_settings_pass() -> None:
+    assert apply_sets(["lrf.topic=/scan", "wheels.radius=0.03"]) == {
+        "lrf": {"topic": "/scan"},
+        "wheels": {"radius": 0.03},
+    }
+    with pytest.raises(UsageError):
+        apply_sets(["wheels.radius=1e30"])
+
+
+def chain(n: int) -> str:
+    joints = "".join(
+        f'<joint name="j{i}" type="fixed"><origin xyz="0 0 0.001"/><parent link="l{i}"/>'
+        f'<child link="l{i + 1}"/></joint>'
+        for i in range(n)
+    )
+    wheels = "".join(
+        f'<joint name="{side}_wheel" type="continuous"><origin xyz="0 {y} 0"/><parent link="l{n}"/>'
+        f'<child link="{side}"/></joint>'
+        for side, y in (("left", 0.1), ("right", -0.1))
+    )
+    return f"<robot>{joints}{wheels}</robot>"
+
+
+def test_a_description_of_thousands_of_joints_in_a_row_is_followed_to_its_end() -> None:
+    begin = time.process_time()
+    found = wheel_geometry(chain(MAX_JOINTS - 2))
+    assert found is not None
+    assert found.track == pytest.approx(0.2)
+    assert time.process_time() - begin < 20.0  # of CPU; a quarter as many took minutes
+
+
+def test_a_description_beyond_the_cap_of_joints_tells_nothing() -> None:
+    assert wheel_geometry(chain(MAX_JOINTS)) is None
+
+
+def test_a_chain_of_thousands_of_frames_is_followed() -> None:
+    T = np.eye(4)
+    T[0, 3] = 0.001
+    edges = tuple(Transform(f"f{i}", f"f{i + 1}", T) for i in range(5000))
+    mount = planar_mount(StaticTransforms(edges[::-1]), ("f0",), "f5000")
+    assert mount is not None
+    assert mount.x == pytest.approx(5.0)
+
+
+def test_more_frames_than_the_cap_are_refused() -> None:
+    n = MAX_TRANSFORMS + 1
+    first = np.array([0, n])
+    columns = {name: Ragged(np.ones(n), first) for name in FIELDS}
+    names = [tuple(f"f{i}" for i in range(n))]
+    with pytest.raises(LocfuseError, match="/tf_static: too many frames: 10 001, more than the cap of 10 000"):
+        static_transforms([{**columns, FIELDS[0]: [("base",) * n], FIELDS[1]: names}])
+
+
+def test_a_line_map_with_a_line_break_in_a_key_is_refused_in_one_line() -> None:
+    with pytest.raises(LocfuseError, match="is not a line map") as refused:
+        line_map.decode('{"format": "locfuse line map", "versi\\non": 1, "lines": []}', "walls.json")
+    assert "\n" not in str(refused.value)

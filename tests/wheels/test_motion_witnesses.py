@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bags import Said
+from commands import locfuse
 from wheel_bags import log_of, messages, odometry, turned, twists
 
 from locfuse.cli.analysis.choose import choose
@@ -120,6 +121,25 @@ def test_where_nothing_judges_two_motions_the_better_kind_is_taken_and_said_to_b
     assert choice.of("wheels") == ("/odom",)
     assert "of the motion by /base_speed; nothing shows which is right" in choice.notes[0].words
     assert chosen(tmp_path, odometry(T, TRUTH), speeds("/base_speed", TURN)).notes == []
+
+
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        ([odometry(T, OTHER), speeds("/speed", TURN)], "/odom is used: it explains 0% of the motion by /speed"),
+        ([odometry(T[:200], TRUTH[:200]), imu()], "The motion by /odom covers 19.9 s of the 39.9 s of this log. "),
+        ([odometry(T, 0.0 * TRUTH), speeds("/cmd_vel", TURN)], "The robot does not move in this log"),
+    ],
+    ids=["two disagree", "it ends half-way", "all that was measured stands"],
+)
+def test_what_makes_the_figures_doubtful_comes_before_them(
+    said: list[list[Said]], words: str, tmp_path: Path
+) -> None:
+    log = log_of(tmp_path / "x.mcap", *said)
+    done = locfuse("compare", log, "--no-advice", "-o", tmp_path / "out")
+    assert done.exit_code == 0
+    assert done.stdout.startswith(words)
+    assert ("next:" in locfuse("init", log).stderr) == ("not move" not in words)
 
 
 def test_a_command_is_taken_only_where_nothing_was_measured(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""MCAP files built to take memory or minutes: what they cost is bounded by their size on disk."""
+"""Logs built to take memory or minutes: what they cost is bounded by their size on disk."""
 
 from __future__ import annotations
 
@@ -13,11 +13,14 @@ import numpy as np
 import pytest
 from bags import drive, write
 from hostile import MAGIC, START, chunk
+from hostile import write as sample_write
 from mcap.writer import CompressionType
 
 from locfuse.formats.caps import FREE_RECORDS, MAX_TOPICS
 from locfuse.formats.container.decompress import DamagedError
-from locfuse.formats.container.mcap_chunk import most_records, scan
+from locfuse.formats.container.mcap_chunk import most_records
+from locfuse.formats.container.ros1_bag import scan_chunk
+from locfuse.formats.logs.files import log_files
 from locfuse.formats.logs.log import open_log
 from locfuse.fusion.data import LocfuseError
 
@@ -64,9 +67,6 @@ def test_the_cap_of_records_counts_what_the_file_holds(tmp_path: Path) -> None:
     assert found["messages of a channel nobody defines"]["messages"] == many
     packed = len(chunk(EMPTY_MESSAGE * many)) - 9 - 24 - 4 - 4 - len("zstd") - 8
     assert f"a chunk unpacks to more than {most_records(packed)} records, the cap for its size" in found
-    six = np.frombuffer(EMPTY_MESSAGE * 6, np.uint8)
-    with pytest.raises(DamagedError, match="more than 5 records"):
-        scan(six, 5)
 
 
 def holes(n: int) -> bytes:
@@ -107,3 +107,44 @@ def test_no_record_of_a_real_log_meets_a_cap(tmp_path: Path) -> None:
     log = open_log([path])
     assert len(log.stream("/heading").t_ns) == len(said)
     assert not log.losses
+
+
+# --- bags, folders and pipes built to take minutes
+
+
+@pytest.mark.parametrize("word", [b"compression=", b"\x0f\0\0\0compression=bz2", b"\x50\0\0\0" * 5])
+def test_a_bag_of_nothing_but_hints_costs_seconds_at_most(tmp_path: Path, word: bytes) -> None:
+    path = tmp_path / "f.bag"
+    path.write_bytes(b"#ROSBAG V2.0\n\xff\xff\xff\xff" + word * (1_000_000 // len(word)))
+    assert seconds(path) < 10.0  # of CPU; it was minutes
+
+
+def test_a_chunk_of_more_records_than_bytes_is_refused_by_its_cap() -> None:
+    header = b"\x04\0\0\0op=\x07" + b"\x09\0\0\0conn=\0\0\0\0"
+    connection = struct.pack("<I", len(header)) + header + bytes(4)
+    assert len(scan_chunk(np.frombuffer(connection * 3, np.uint8), 3).connections) == 1
+    many = np.frombuffer(connection * 4, np.uint8)
+    with pytest.raises(DamagedError, match="more than 3 records, the cap for its size"):
+        scan_chunk(many, 3)
+
+
+def test_blank_lines_in_a_metadata_file_cost_nothing(tmp_path: Path) -> None:
+    log = sample_write(tmp_path / "a.mcap")
+    (tmp_path / "metadata.yaml").write_text("\n" * 1_000_000 + "x")
+    begin = time.process_time()
+    assert log_files(tmp_path) == [log]
+    assert time.process_time() - begin < 2.0  # of CPU
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "rosbag2_bagfile_information:\n  relative_file_paths:\n    - b.mcap\n    - 'a.mcap'\n  duration: 1\n",
+        'relative_file_paths:\r\n- b.mcap\r\n- "a.mcap"\r\n',
+    ],
+)
+def test_a_metadata_file_names_its_files_in_order(tmp_path: Path, text: str) -> None:
+    for name in ("a.mcap", "b.mcap", "c.mcap"):
+        sample_write(tmp_path / name)
+    (tmp_path / "metadata.yaml").write_text(text)
+    assert [file.name for file in log_files(tmp_path)] == ["b.mcap", "a.mcap"]

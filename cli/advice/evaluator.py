@@ -178,9 +178,9 @@ def on_the_whole_drive(
             continue
         lost = smoothed_worse([advice], kept, together(kept, fixes), names, trial) if smoothed else None
         if lost is not None:
-            words = f"{advice.finding.brief}. A fix helps while driving, but makes the smoothed path worse"
-            finding = replace(advice.finding, message=f"{words} ({change(*lost)})", source="", hint="")
-            judged.append(replace(advice, finding=finding, fixes=(), before=None, after=None, tried=(fixes,)))
+            what = f"{' and '.join(fixes)} helps while driving and makes the smoothed path worse ({change(*lost)})"
+            finding = replace(advice.finding, message=f"{advice.finding.brief}. {what}", source="", hint="")
+            judged.append(replace(advice, finding=finding, fixes=(), before=None, after=None, tried=()))
             continue
         before, after = ({name: pair[i] for name, pair in pairs.items()} for i in (0, 1))
         judged.append(replace(advice, fixes=fixes, before=before, after=after))

@@ -45,7 +45,7 @@ from .judged import FINE, LASER, Noise, Offer, as_fixes
 
 TRIED_SIGMAS = 2.5  # standard deviations: reason enough to fuse again
 MIN_AGAIN_S = 0.005  # s: from which size on a clock that was set is set again
-MIN_SPREAD_S = 0.003  # s: of a lag that is known better, and of one that explains less, no other value is tried
+MIN_SPREAD_S = 0.003  # s: of a lag that is known better no other value is tried
 CAMERA_LAGS_S = (-0.2, -0.1, 0.1, 0.2)  # s
 
 
@@ -125,7 +125,7 @@ class Evidence(Noise):
                 continue  # a sensor that no run can use as it is has no judge
             sure = abs(clock.offset) > SAID_SIGMAS * clock.sigma
             finding = Finding(clock.name, CLOCK, clock_words(clock), (), sure and abs(clock.offset) > SEVERE_LAG_S)
-            steps = (0.0, -1.0, 1.0) if clock.sigma > MIN_SPREAD_S and clock in self.wrong[0] else (0.0,)
+            steps = (0.0, -1.0, 1.0) if clock.sigma > MIN_SPREAD_S else (0.0,)
             ways: tuple[Fixes, ...] = tuple((offset_of(clock, self.loaded.robot, 3, n),) for n in steps)
             one = self._candidate(finding, ways, not finding.severe)
             found[clock.name] = replace(one, measured=sure or by_truth, by_shape=by_truth and clock.name == LASER)

@@ -16,6 +16,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
+from locfuse.fusion.chi_square import MAD
 from locfuse.fusion.data import Array, Drive, Ints, Measurements, Ragged, Stream
 from locfuse.fusion.lines.scans import MAX_BEAMS
 from locfuse.fusion.robot import Robot
@@ -353,7 +354,7 @@ def fitted(walls: Walls) -> tuple[float, float] | None:
             return None
         x, *_ = np.linalg.lstsq(A[keep], walls.y[keep], rcond=None)
         rest = np.abs(walls.y - A @ x)
-        keep = rest <= 3.0 * 1.4826 * max(float(np.median(rest[keep])), 1e-4)
+        keep = rest <= 3.0 / MAD * max(float(np.median(rest[keep])), 1e-4)
     length = float(np.hypot(*x))
     return (1.0 / length, math.atan2(float(x[1]), float(x[0]))) if length > 0.2 else None
 
@@ -365,7 +366,7 @@ def turned(walls: Walls) -> float | None:
     c = _slope(walls, near)
     if c is None:
         return None
-    scatter = 1.4826 * float(np.median(rest[near])) + 1e-3
+    scatter = float(np.median(rest[near])) / MAD + 1e-3
     return _slope(walls, near & (np.abs(walls.turn - c * walls.by_wheels) < 3.0 * scatter))
 
 

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
+from locfuse.fusion.chi_square import MAD
 from locfuse.fusion.data import Array, Drive
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.motion import Wheels
@@ -114,7 +115,7 @@ def _differences(t: Array, heading: Array, window: float, wheels: Wheels) -> _Sp
     x, *_ = np.linalg.lstsq(A, own, rcond=None)
     by_slips = wheels.slips(np.stack((start, end), axis=-1))[:, 0].sum(axis=-1) / wheels.track**2
     rest = own - A @ x
-    usual = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
+    usual = float(np.median(np.abs(rest - np.median(rest)))) / MAD
     return _Spread((usual**2, float(rest.var())), float(by_slips.mean()))
 
 
@@ -145,7 +146,7 @@ def of_spins(drive: Drive, t: Array, pose: Array, name: str, jumps: Sequence[flo
     if drove.sum() < MIN_WINDOWS:
         return []
     rest = rolled - moved * float(np.median(rolled[drove] / np.where(moved[drove] == 0.0, np.inf, moved[drove])))
-    spread = 1.4826 * float(np.median(np.abs(rest[drove] - np.median(rest[drove]))))
+    spread = float(np.median(np.abs(rest[drove] - np.median(rest[drove])))) / MAD
     far = drove & (np.abs(rest) > np.maximum(SPIN_SIGMAS * spread, MIN_SPIN_SHARE * np.abs(rolled)))
     if far.sum() > MAX_SPINNING_SHARE * drove.sum():
         return []

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from locfuse.fusion.chi_square import MAD
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.sensor import WheelMotion
 
@@ -36,7 +37,7 @@ def wall_floor(
     `sweep` (m, k): what psi owes to wheels that slip within a scan, which its lines share (lines.sweep) [rad].
     """
     change, noise = _changes(t, first, z, variance, wheels, np.zeros((len(z), 0)) if sweep is None else sweep)
-    if len(change) < MIN_PAIRS or 1.4826 * float(np.median(np.abs(change) / np.sqrt(noise))) < MIN_MISFIT_RATIO:
+    if len(change) < MIN_PAIRS or float(np.median(np.abs(change) / np.sqrt(noise))) < MAD * MIN_MISFIT_RATIO:
         return 0.0, 0.0
     low, high = 0.0, math.radians(2.0)
     for _ in range(30):  # the floor under which the median of change^2 / variance is what it should be

@@ -83,3 +83,15 @@ def test_a_trial_beside_a_fix_that_is_kept_gives_what_it_gives_by_itself() -> No
     both = (*kept[:1], *more)
     assert one(both, [*several]) == other(both, [*several])
     assert one(kept, [*several]) != one(both, [*several])
+
+
+def test_the_noise_and_the_point_of_the_truth_are_judged_by_the_run_that_is_known() -> None:
+    """They move no estimate: nothing is fused again, and the figures are those of a new run."""
+    session = load("rounded_rectangle")
+    several = {c.name: c for c in standard(session.loaded) if c.name in {"odometry", "compass"}}
+    one, other = (Trial(session.loaded, several, "none", silent) for _ in range(2))
+    known = session.compare([*several], advice=False, smooth=False, audits=False).compared
+    one.seed((), known)
+    sets = ("truth.x=0.02", "truth.sigma=0.01")
+    assert one(sets, [*several]) == other(sets, [*several])
+    assert (one.fusions, other.fusions) == (0, 2)

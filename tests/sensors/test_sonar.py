@@ -96,6 +96,41 @@ def test_a_nearer_thing_in_the_cone_silences_the_wall_behind() -> None:
     assert nearest_echo(map_of(SQUARE + post), belief, cone, 0.02) is None
 
 
+@pytest.mark.parametrize("frozen", [True, False])
+def test_the_jacobian_agrees_with_finite_differences(frozen: bool) -> None:
+    lines = map_of(SQUARE)
+    start = (1.2, 1.1, 0.1)
+    cone = Cone(0.2, -0.15, 1.5, math.radians(15.0), math.radians(3.0))
+    belief: Any = belief_at(start)
+    if not frozen:
+        belief = JointBelief(start, (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6), [])
+        for j in range(len(lines)):
+            lines.column[j] = belief.augment(lines.value[j], np.zeros((2, 3)), np.eye(2) * 1e-6)
+
+    def distance(dx: Array) -> float:
+        if frozen:
+            moved: Any = belief_at((start[0] + dx[0], start[1] + dx[1], start[2] + dx[2]))
+        else:
+            moved = belief
+            moved.state[:] = np.concatenate((start, *lines.value)) + dx
+        echo = nearest_echo(lines, moved, cone, 0.02)
+        assert echo is not None
+        return echo.distance
+
+    n = 3 if frozen else 3 + 2 * len(lines)
+    echo = nearest_echo(lines, belief, cone, 0.02)
+    assert echo is not None
+    H = np.zeros(n)
+    H[:3] = echo.H[0]
+    if not frozen:
+        H[list(echo.columns)] = echo.H_block[0]
+        assert echo.map_variance == 0.0
+    for k in range(n):
+        step = np.zeros(n)
+        step[k] = 1e-6
+        assert (distance(step) - distance(-step)) / 2e-6 == pytest.approx(H[k], abs=1e-6)
+
+
 def walls(*of: tuple[float, float, float, float]) -> LineMap:
     """Lines through a point (x, 0) with a direction beta of their normal, from `low` to `high` along them."""
     lines = LineMap()

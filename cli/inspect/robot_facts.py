@@ -114,9 +114,12 @@ def _geometry(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list
     if found.joints is not None and not named and not are_wheels(log, topics[0], robot):
         words.append("which joints are the wheels'")
         fixes += [f"wheels.left={found.joints[0]}", f"wheels.right={found.joints[1]}"]
-    if not words:
+    other = choice.of("wheels") not in (
+        (),
+        topics,
+    )  # an odometry is read in their place: its choice says what lacks
+    if not words or (other and not fixes):
         return []
-    other = choice.of("wheels") not in ((), topics)  # an odometry is read in their place
     counts = "count" if len(topics) > 1 else "counts"
     message = f"{' and '.join(topics)} {counts} wheel turns, but nothing says {', '.join(words)}"
     return [Finding("wheels", "geometry", message, tuple(fixes), not other, source if fixes else "")]

@@ -5,6 +5,7 @@ A point's surface is the line through its neighbours among the beams, where they
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Self
 
 import msgspec
@@ -46,6 +47,18 @@ class Clouds(msgspec.Struct, frozen=True):
     xy: Array  # (m, 2) [m], each cloud in its own frame
     normal: Array  # (m, 2) unit vectors from the surface to the side that was seen; NaN where there is none
 
+    @classmethod
+    def of_scans(cls, scans: Sequence[Array], origin: Array) -> Clouds:
+        """Return scans (k, 2) [m], in the order of their beams, with surfaces; `origin` (2,) is the laser."""
+        first = np.concatenate(([0], np.cumsum([len(p) for p in scans]))).astype(np.int64)
+        xy = np.concatenate([np.zeros((0, 2)), *scans])
+        return cls(first, xy, normals(xy, np.repeat(np.arange(len(scans)), np.diff(first)), origin))
+
+    def kept(self, rows: Ints) -> Clouds:
+        """Return the same clouds with some of their points, at increasing rows (k,)."""
+        first = np.concatenate(([0], np.cumsum(np.bincount(self.owner[rows], minlength=len(self)))))
+        return Clouds(first, self.xy[rows], self.normal[rows])
+
     def __len__(self) -> int:
         """Return the number of clouds."""
         return len(self.first) - 1
@@ -66,16 +79,10 @@ class Clouds(msgspec.Struct, frozen=True):
 def clouds_of(m: Measurements, readings: Ints) -> Clouds:
     """Return the points and surfaces of these readings of a laser."""
     if m.points is None:
-        return Clouds(np.zeros(len(readings) + 1, np.int64), np.zeros((0, 2)), np.zeros((0, 2)))
+        return Clouds.of_scans([np.zeros((0, 2))] * len(readings), np.zeros(2))
     origin = np.array(m.points.origin)
-    found = []
-    for points in m.points.read(readings):
-        near = points[np.hypot(*(points - origin).T) < MAX_RANGE_M]
-        found.append(near[:: max(1, -(-len(near) // MAX_BEAMS))])
-    first = np.concatenate(([0], np.cumsum([len(p) for p in found])))
-    xy = np.concatenate([np.zeros((0, 2)), *found])
-    owner = np.repeat(np.arange(len(found)), np.diff(first))
-    return Clouds(first, xy, normals(xy, owner, origin))
+    near = (points[np.hypot(*(points - origin).T) < MAX_RANGE_M] for points in m.points.read(readings))
+    return Clouds.of_scans([p[:: max(1, -(-len(p) // MAX_BEAMS))] for p in near], origin)
 
 
 def normals(xy: Array, owner: Ints, origin: Array) -> Array:
@@ -139,5 +146,4 @@ def thinned(clouds: Clouds) -> Clouds:
     of = clouds.owner[rows]
     _, some = np.unique((of << 42) + (square[:, 0] << 21) + square[:, 1], return_index=True)
     keep = rows[np.sort(some)]
-    first = np.concatenate(([0], np.cumsum(np.bincount(clouds.owner[keep], minlength=len(clouds)))))
-    return Clouds(first, clouds.xy[keep], clouds.normal[keep])
+    return clouds.kept(keep)

@@ -21,7 +21,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, Stream
 from locfuse.fusion.lines.points import ScanPoints
 from locfuse.fusion.lines.scans import Laser
-from locfuse.fusion.scan_matching.clouds import MAX_RANGE_M, Clouds, normals
+from locfuse.fusion.scan_matching.clouds import MAX_RANGE_M, Clouds
 from locfuse.fusion.scan_matching.match import FLOOR_RAD, Targets, match, sources_of
 
 from .read import WheelReading
@@ -115,7 +115,7 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         """The laser's motion over each pair (p, 3) by its scans: by short steps, then at once."""
         chains = [self._rows_between(i, j) for i, j in zip(self.first.tolist(), self.later.tolist(), strict=True)]
         rows, at = np.unique(np.concatenate(chains), return_inverse=True)
-        clouds = self._clouds(rows)
+        clouds = Clouds.of_scans(_points(self.stream, self.laser, rows, POINTS * 2), np.zeros(2))
         targets, sources = Targets(clouds), sources_of(clouds, MATCHED_POINTS)
         ends = np.cumsum([len(chain) for chain in chains])
         step = np.setdiff1d(np.arange(len(at) - 1), ends - 1)
@@ -149,13 +149,6 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         """Return the scans from i to j, STEP_S apart."""
         wanted = np.arange(self.t[i], self.t[j] - 0.5 * STEP_S, STEP_S)
         return np.unique(np.append(np.clip(np.searchsorted(self.t, wanted), i, j - 1), j))
-
-    def _clouds(self, rows: Ints) -> Clouds:
-        """Return points and surfaces of scans, in the laser's frame."""
-        found = _points(self.stream, self.laser, rows, POINTS * 2)
-        first = np.concatenate(([0], np.cumsum([len(p) for p in found])))
-        xy = np.concatenate([np.zeros((0, 2)), *found])
-        return Clouds(first, xy, normals(xy, np.repeat(np.arange(len(found)), np.diff(first)), np.zeros(2)))
 
 
 def scan_pairs(stream: Stream, laser: Laser, motions: Sequence[WheelReading]) -> ScanPairs | None:

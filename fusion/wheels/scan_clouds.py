@@ -12,7 +12,7 @@ from locfuse.fusion.data import Array, Ints, Stream
 from locfuse.fusion.lines.no_return import Longest, left_out
 from locfuse.fusion.lines.points import SCANS_PER_BLOCK
 from locfuse.fusion.lines.scans import Laser, equal_scans, points_in_base
-from locfuse.fusion.scan_matching.clouds import MAX_RANGE_M, Clouds, normals
+from locfuse.fusion.scan_matching.clouds import MAX_RANGE_M, Clouds
 from locfuse.fusion.sensor import WheelMotion
 
 from .motion import Wheels
@@ -33,11 +33,7 @@ class Scans(msgspec.Struct, frozen=True):
 
     def clouds(self, rows: Ints) -> Clouds:
         """Return the points and surfaces of some scans."""
-        found = [self.points[row].astype(np.float64) for row in rows.tolist()]
-        first = np.concatenate(([0], np.cumsum([len(p) for p in found])))
-        xy = np.concatenate([np.zeros((0, 2)), *found])
-        owner = np.repeat(np.arange(len(found)), np.diff(first))
-        return Clouds(first, xy, normals(xy, owner, self.origin))
+        return Clouds.of_scans([self.points[row].astype(np.float64) for row in rows.tolist()], self.origin)
 
 
 def read_scans(stream: Stream, laser: Laser, wheels: WheelMotion) -> Scans:

@@ -9,11 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import tomli_w
 
+from benchmarks import floor_plan
 from benchmarks.advice_logs import ARENA
 from benchmarks.real_logs import FILES, KNOWN, are_there
 from locfuse.cli.analysis.settings import set_words
 from locfuse.formats.container.mcap_write import LogWriter
-from locfuse.sample_logs import floor_plan, load
+from locfuse.sample_logs import load
 from locfuse.sample_logs.messages import RawMessage
 from locfuse.sample_logs.record import to_log
 from locfuse.sample_logs.simulate import EPOCH_NS, Simulation

@@ -35,7 +35,6 @@ fusion/ekf/belief_arrays: ekf map/anchors fusion/fuse
 fusion/ekf/equations: ekf/equations fusion/fuse
 fusion/ekf/events: whole_drive/smooth tune/tune
 fusion/ekf/map_frame: ekf/map_frame
-fusion/ekf/robust: fusion/robust
 fusion/kernels/angles: kernels/line_fits kernels/sight
 fusion/kernels/ekf: kernels/state ekf fusion/fuse
 fusion/kernels/line_fits: kernels/line_fits kernels/curves lines/lines

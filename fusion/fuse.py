@@ -17,8 +17,7 @@ from locfuse.fusion.ekf.equations import predicted
 from locfuse.fusion.ekf.events import Before, Events
 from locfuse.fusion.ekf.map_frame import InMap, Pose, Triangle
 from locfuse.fusion.ekf.record import FIRST_CAPACITY, Record, Track
-from locfuse.fusion.ekf.robust import inflate
-from locfuse.fusion.kernels.ekf import Innovation, Steps
+from locfuse.fusion.kernels.ekf import Innovation, State, Steps
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 
@@ -26,7 +25,7 @@ from .data import BY_SCANS, ODOMETRY, Array, Drive, Estimates, Measurements, mat
 from .instants import BLOCK_INSTANTS, Due, due_readings, steps_of
 from .progress import say_done
 from .robot import Robot, StartSettings
-from .sensor import Model, Reading
+from .sensor import GATE, Model, Reading
 
 AT_ONCE = 4096  # stamps of the truth: what is needed on the way is many times larger than the result
 Passed = tuple[Sequence[Innovation | Reading], int]  # what passed its gate of one reading, and how many rows
@@ -283,3 +282,17 @@ def _at_truth(
     outside = drive.truth_instant < 0
     out[outside], spread[outside] = np.nan, np.nan
     return out, spread
+
+
+def inflate(seen: Innovation, state: State) -> None:
+    """Accept a rejected innovation of one number with the R that puts it on its gate; leave others unchanged.
+
+    A reading beyond the gate is refused by default. Where a sensor's errors have heavy tails, refusing loses the
+    information that the heading did jump; inflating R until the reading lies on the gate keeps what it still says
+    (the weight of Huber's estimator at that point).
+    """
+    if seen.verdict != GATE or seen.numbers != 1 or not math.isfinite(seen.nis) or seen.threshold <= 0.0:
+        return
+    needed = seen.y[0] ** 2 / seen.threshold
+    state.loosen_row(seen.first, needed - seen.sigma[0] ** 2)
+    seen.verdict, seen.nis, seen.sigma = 0, seen.threshold, (math.sqrt(needed),)

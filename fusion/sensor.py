@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol
@@ -43,9 +44,12 @@ class SensorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
     only_fused: ClassVar[frozenset[str]] = frozenset({"gate", "outliers"})  # keys that no measurement depends on
 
+    # keys that must be above 0, of those that a sensor has
+    positive: ClassVar[tuple[str, ...]] = ("sigma", "sigma_deg", "sigma_range")
+
     def __post_init__(self) -> None:
         """Refuse a sensor without noise: P would become singular, or worse by rounding."""
-        for key in ("sigma", "sigma_deg", "sigma_range"):
+        for key in self.positive:
             if getattr(self, key, 1.0) <= 0.0:
                 raise ValueError(f"{key} = {getattr(self, key)}: no sensor is exact, it must be positive")
 
@@ -390,8 +394,10 @@ class Sensor(ABC):
     """`locfuse info` warns where nothing tells where it sits on the base."""
 
     def mount(self, settings: Any) -> tuple[float, float, float]:
-        """Return its mount on the base: x [m], y [m], yaw [rad]."""
-        return 0.0, 0.0, 0.0
+        """Return its mount on the base: x [m], y [m], yaw [rad]; 0 where it has no keys x, y, yaw_deg."""
+        if not hasattr(settings, "x") or not hasattr(settings, "y"):
+            return 0.0, 0.0, 0.0
+        return settings.x, settings.y, math.radians(getattr(settings, "yaw_deg", 0.0))
 
     # ---- what `locfuse init` and `locfuse info` say of it ----
 

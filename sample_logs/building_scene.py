@@ -9,10 +9,8 @@ import numpy as np
 
 from locfuse.fusion.data import Array
 
-from . import doors, furniture, glass, walkers
-from .bent_walls import bent
+from . import building_parts, walkers
 from .building import Building
-from .masonry import straight_walls
 from .messages import streams
 from .nearby import cast_near
 from .scenario import Scenario
@@ -46,7 +44,8 @@ class BuildingScene(Scene):
         self.seed = seed if building.seed is None else building.seed
         chance = streams(self.seed)
         self.walls = NO_SEGMENTS  # of the room: `plan` returns what is not the building's
-        self.faces = bent(straight_walls(building, self.room.size), building.bow, chance)  # (m, 4) m
+        straight = building_parts.straight_walls(building, self.room.size)
+        self.faces = building_parts.bent(straight, building.bow, chance)  # (m, 4) m
         self.walks = [walkers.Walk(w, chance(f"walker {i}")) for i, w in enumerate(building.people)]
         self._solid: dict[float, Solid] = {}
 
@@ -81,7 +80,7 @@ class BuildingScene(Scene):
         distance = hit_segments(panes, origin, direction)
         name = zlib.crc32(b"glass"), round(t * 1e9)
         chance = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=name)).random(distance.shape)
-        echoes = glass.returned(distance, panes, direction, self.building.glass, chance)
+        echoes = building_parts.returned(distance, panes, direction, self.building.glass, chance)
         return np.asarray(echoes.min(axis=1, initial=np.inf))
 
     def _cut(self, z: float) -> Solid:
@@ -89,9 +88,10 @@ class BuildingScene(Scene):
         screens = np.array(self.building.screens if z < SCREEN else (), float).reshape(-1, 4)
         still = (
             self.faces,
-            glass.posts(self.building),
-            doors.leaves(self.building),
+            building_parts.posts(self.building),
+            building_parts.leaves(self.building),
             screens,
-            furniture.outlines(pieces, z),
+            building_parts.outlines(pieces, z),
         )
-        return Solid(Plan(np.concatenate(still), furniture.legs(pieces, z)), glass.panes(self.building))
+        opaque = Plan(np.concatenate(still), building_parts.legs(pieces, z))
+        return Solid(opaque, building_parts.panes(self.building))

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 from locfuse.fusion.data import Array
 
 from .mirror import rays
-from .render import Standing, View
+from .render import Hits, Standing, Surface, View, shade
 from .robot import Robot
 from .scenario import Camera
-from .surface import Hits, Surface, shade
 from .world import Scene
 
 DECK = (38.0, 38.0, 40.0)  # the robot itself, in the middle of the mirror

@@ -10,11 +10,10 @@ import numpy as np
 from locfuse.fusion.data import Array
 
 from .camera import OmniCamera
-from .extras import Ranger, SatelliteReceiver
 from .messages import Pose, RawMessage, Streams
 from .robot import Robot
 from .scenario import Lrf, Scenario
-from .sensors import JOINTS, Encoders, GroundTruth, Laser, Magnetometer, Sensor
+from .sensors import JOINTS, Encoders, GroundTruth, Laser, Magnetometer, Ranger, SatelliteReceiver, Sensor
 from .world import Scene
 
 EXACT_MOUNT = ("sigma_x", "sigma_y", "sigma_yaw_deg")  # a simulated laser sits exactly where robot.toml says

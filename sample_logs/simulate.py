@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from .world import Scene, clearance
 
 EPOCH_NS = 1_700_000_000_000_000_000  # when every simulated drive begins: logs must not depend on today
 OBSTACLE_HEIGHT = 0.25  # m: what stands at this height can be hit
+SLOWEST = 1.2  # rad/s (0.06 m/s): below, one count in a window is more than 2.5 %
 
 
 @dataclass(frozen=True)
@@ -200,4 +201,28 @@ def _outcome(robot: Robot, radius: float) -> Outcome:
         rad_per_count=robot.wheels[0].rad_per_count,
         radius=radius,
         missed=sum(w.missed for w in robot.wheels),
+    )
+
+
+class Stability(NamedTuple):
+    """Deviation of the mean wheel speed from its mean set point over windows of one sampling time."""
+
+    worst: float  # relative, of all windows
+    rms: float
+    within_5_percent: float  # share of windows
+
+
+def speed_stability(outcome: Outcome, window: float = 0.1) -> Stability:
+    """Return the stability of both wheels over windows of `window` [s], without standstill."""
+    per = max(1, round(window / (outcome.ticks_t[1] - outcome.ticks_t[0])))
+    n = (len(outcome.ticks_t) - 1) // per
+    turned = np.diff(outcome.counts[: n * per + 1 : per], axis=0) * outcome.rad_per_count
+    asked = outcome.set_points[1 : n * per + 1].reshape(n, per, 2).mean(axis=1)
+    seconds = outcome.ticks_t[per] - outcome.ticks_t[0]
+    moving = np.abs(asked) > SLOWEST
+    deviation = np.abs(turned[moving] / seconds / asked[moving] - 1)
+    if len(deviation) == 0:
+        return Stability(0.0, 0.0, 1.0)
+    return Stability(
+        float(deviation.max()), float(np.sqrt((deviation**2).mean())), float((deviation <= 0.05).mean())
     )

@@ -89,7 +89,7 @@ def drive(scenario: Scenario, seed: int, out: Path) -> Outcome:
 
 def facts(outcome: Outcome) -> dict[str, Any]:
     """Return the simulator's figures of a drive: s, m, and the stability of wheel speeds."""
-    from locfuse.sample_logs.stability import speed_stability
+    from locfuse.sample_logs.simulate import speed_stability
 
     stability = speed_stability(outcome)
     return {

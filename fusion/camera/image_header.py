@@ -27,12 +27,8 @@ def coarse_size(data: memoryview) -> tuple[int, int] | None:
     return _jpeg_size(data, at) if _is_coarse(data, at) else None
 
 
-def has_coarse_colour(data: memoryview) -> bool:
-    """Return whether a JPEG keeps its colour at half the brightness' resolution or less (4:2:0, 4:2:2)."""
-    return _is_coarse(data, _frame(data))
-
-
 def _is_coarse(data: memoryview, at: int | None) -> bool:
+    """Return whether a JPEG with this frame keeps its colour at half the brightness' resolution (4:2:0, 4:2:2)."""
     if at is None or len(data) < at + 10 + 3 * COLOURS or data[at + 9] != COLOURS:
         return False
     sampling = [data[at + 11 + 3 * k] for k in range(COLOURS)]  # horizontal in the high half of the byte

@@ -1,7 +1,7 @@
 """From ranges to walls: cut at gaps, split into straight pieces, merge those of one line, leave corners out.
 
 V. Nguyen, A. Martinelli, N. Tomatis, R. Siegwart: "A comparison of line extraction algorithms using 2D laser
-rangefinder for indoor mobile robotics", IROS 2005. What counts as a wall: `lines.settings.LineSettings`.
+rangefinder for indoor mobile robotics", IROS 2005. What counts as a wall: `lines.extract.LineSettings`.
 """
 
 from __future__ import annotations

@@ -54,6 +54,11 @@ class Clouds(msgspec.Struct, frozen=True):
         xy = np.concatenate([np.zeros((0, 2)), *scans])
         return cls(first, xy, normals(xy, np.repeat(np.arange(len(scans)), np.diff(first)), origin))
 
+    def kept(self, rows: Ints) -> Clouds:
+        """Return the same clouds with some of their points, at increasing rows (k,)."""
+        first = np.concatenate(([0], np.cumsum(np.bincount(self.owner[rows], minlength=len(self)))))
+        return Clouds(first, self.xy[rows], self.normal[rows])
+
     def __len__(self) -> int:
         """Return the number of clouds."""
         return len(self.first) - 1
@@ -141,5 +146,4 @@ def thinned(clouds: Clouds) -> Clouds:
     of = clouds.owner[rows]
     _, some = np.unique((of << 42) + (square[:, 0] << 21) + square[:, 1], return_index=True)
     keep = rows[np.sort(some)]
-    first = np.concatenate(([0], np.cumsum(np.bincount(clouds.owner[keep], minlength=len(clouds)))))
-    return Clouds(first, clouds.xy[keep], clouds.normal[keep])
+    return clouds.kept(keep)

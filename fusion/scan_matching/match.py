@@ -73,9 +73,7 @@ def sources_of(clouds: Clouds, most: int = MATCHED_POINTS) -> Clouds:
     owner = clouds.owner[rows]
     counts = np.bincount(owner, minlength=len(clouds))
     nth = np.arange(len(rows)) - (np.cumsum(counts) - counts)[owner]
-    keep = rows[nth % np.maximum(counts // most, 1)[owner] == 0]
-    first = np.concatenate(([0], np.cumsum(np.bincount(clouds.owner[keep], minlength=len(clouds)))))
-    return Clouds(first, clouds.xy[keep], clouds.normal[keep])
+    return clouds.kept(rows[nth % np.maximum(counts // most, 1)[owner] == 0])
 
 
 def match(

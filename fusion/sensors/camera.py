@@ -130,10 +130,6 @@ class Camera(Sensor):
             "then --set camera.landmark=[X,Y]"
         )
 
-    def mount(self, settings: CameraSettings) -> tuple[float, float, float]:
-        """Return its mount on the base: x [m], y [m], yaw [rad]."""
-        return settings.mount
-
     def landmark(self, settings: CameraSettings) -> Point | None:
         """Return where the landmark stands, (x, y) [m, map frame]."""
         return settings.landmark

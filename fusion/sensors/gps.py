@@ -128,10 +128,6 @@ class Gps(Sensor):
             dropped=dropped,
         )
 
-    def mount(self, settings: GpsSettings) -> tuple[float, float, float]:
-        """Return the antenna's mount on the base: x [m], y [m], and no yaw."""
-        return settings.x, settings.y, 0.0
-
     def says_noise(self, m: Measurements) -> bool:
         """Return whether the receiver gives the covariance of its fixes: then `sigma` changes nothing."""
         return bool((m.R_unit != np.eye(2)).any())

@@ -106,12 +106,7 @@ class LandmarksSettings(PointsSettings, frozen=True, forbid_unknown_fields=True,
     sigma_range_offset: float = 0.05  # m: what an estimated offset may be at the start
     range_depth: float | None = None  # 0: ranges are distances, 1: depths along the axis; not set: found
 
-    def __post_init__(self) -> None:
-        """Refuse a detector without noise."""
-        super().__post_init__()
-        for key in ("sigma_bearing_deg", "sigma_range_offset"):
-            if getattr(self, key) <= 0.0:
-                raise ValueError(f"{key} = {getattr(self, key)}: no sensor is exact, it must be positive")
+    positive: ClassVar[tuple[str, ...]] = (*PointsSettings.positive, "sigma_bearing_deg", "sigma_range_offset")
 
 
 NO_MAP_NOTE = (
@@ -159,10 +154,6 @@ class Landmarks(Sensor):
             "sigma_range_offset",
             "range_depth",
         }
-
-    def mount(self, settings: LandmarksSettings) -> tuple[float, float, float]:
-        """Return the detector's mount on the base: x [m], y [m], yaw [rad]."""
-        return settings.x, settings.y, math.radians(settings.yaw_deg)
 
     def measure(
         self, stream: Stream, settings: LandmarksSettings, wheels: WheelMotion, epoch_ns: int

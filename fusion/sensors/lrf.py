@@ -128,10 +128,6 @@ class Lrf(Sensor):
         """Return the finding that the laser is mounted upside-down."""
         return Reversal("the laser is mounted upside-down", {"flipped": not settings.flipped})
 
-    def mount(self, settings: LrfSettings) -> tuple[float, float, float]:
-        """Return its mount on the base: x [m], y [m], yaw [rad]."""
-        return settings.mount
-
     def model(self, settings: LrfSettings) -> AtlasTracker:
         """Return the laser's model for a new run."""
         return AtlasTracker(

@@ -58,6 +58,7 @@ MIN_READINGS = 20  # before a source is called stuck, or far from the start
 WITH_COVARIANCE = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped")
 PLANE = (0, 1, 5)  # where x, y and yaw stand in a covariance of ROS
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+DRIFT_SIGMAS = ("sigma_drift", "sigma_drift_deg")
 Pose = tuple[float, float, float]
 
 
@@ -77,14 +78,13 @@ class PoseSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_o
     y: float = 0.0  # m, likewise
     yaw_deg: float = 0.0  # degrees, likewise
 
+    positive: ClassVar[tuple[str, ...]] = (*SensorSettings.positive, "sigma_theta_deg", *DRIFT_SIGMAS)
+
     def __post_init__(self) -> None:
         """Refuse a source without noise, and points in a frame of unknown direction."""
         super().__post_init__()
         if not self.heading and self.frame != "map":
             raise ValueError('heading = false needs frame = "map": points do not tell how another frame is turned')
-        for key in ("sigma_theta_deg", "sigma_drift", "sigma_drift_deg"):
-            if getattr(self, key) <= 0.0:
-                raise ValueError(f"{key} = {getattr(self, key)}: no sensor is exact, it must be positive")
 
 
 class PoseSensor(Sensor):
@@ -109,10 +109,6 @@ class PoseSensor(Sensor):
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
         kind: (*fields, "pose.covariance") if kind in WITH_COVARIANCE else fields for kind, fields in POSE.items()
     }
-
-    def mount(self, settings: PoseSettings) -> Pose:
-        """Return the mount of the tracked body on the base: x [m], y [m], yaw [rad]."""
-        return settings.x, settings.y, math.radians(settings.yaw_deg)
 
     def concerns(self, key: str, msgtype: str) -> bool:
         """Return whether a key applies to messages of this type."""

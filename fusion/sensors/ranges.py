@@ -84,11 +84,7 @@ class RangesSettings(PointsSettings, frozen=True, forbid_unknown_fields=True, kw
     offset: float | None = None  # m that ranges are too long; not set: estimated
     sigma_offset: float = 0.2  # m: what an estimated offset may be at the start
 
-    def __post_init__(self) -> None:
-        """Refuse an estimated offset whose sigma is 0."""
-        super().__post_init__()
-        if self.sigma_offset <= 0.0:
-            raise ValueError(f"sigma_offset = {self.sigma_offset}: it must be positive")
+    positive: ClassVar[tuple[str, ...]] = (*PointsSettings.positive, "sigma_offset")
 
     @property
     def searched_sigmas(self) -> tuple[float, float]:
@@ -119,10 +115,6 @@ class Ranges(Sensor):
         "sigma": Ask("m: noise of one range"),
     }
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {RANGES: ("id", "range")}
-
-    def mount(self, settings: RangesSettings) -> tuple[float, float, float]:
-        """Return the antenna's mount on the base: x [m], y [m], and no yaw."""
-        return settings.x, settings.y, 0.0
 
     def measure(
         self, stream: Stream, settings: RangesSettings, wheels: WheelMotion, epoch_ns: int

@@ -43,11 +43,7 @@ class TwistSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_
     sigma_scale: float = 0.02  # relative error of its scale, taken as noise of every way and turn
     period: float = 0.1  # s: readings are summed up to this, so that their rate costs nothing in the filter
 
-    def __post_init__(self) -> None:
-        """Refuse a source without noise."""
-        super().__post_init__()
-        if self.sigma_turn_deg <= 0.0:
-            raise ValueError(f"sigma_turn_deg = {self.sigma_turn_deg}: no sensor is exact, it must be positive")
+    positive: ClassVar[tuple[str, ...]] = (*SensorSettings.positive, "sigma_turn_deg")
 
 
 class Twist(Sensor):

@@ -11,7 +11,6 @@ import pytest
 from lock_step import simulated
 from textbook import numeric_jacobian
 
-from locfuse.fusion.camera.bearing import predict_bearing
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
@@ -21,7 +20,6 @@ from locfuse.fusion.map.line_map import Association, LineMap, seat_of
 from locfuse.fusion.map.scan import Scan
 from locfuse.fusion.map.tracker import LineTracker
 from locfuse.fusion.mount import Mount
-from locfuse.fusion.se2 import sight
 from locfuse.fusion.sensors.camera import BearingModel, CameraSettings
 from locfuse.fusion.sensors.lrf import LrfSettings
 
@@ -91,19 +89,6 @@ def test_a_new_line_goes_with_the_mount_that_it_was_seen_by(
     full = np.block([[before, np.zeros((6, 2))], [np.zeros((2, 6)), C]])
     np.testing.assert_allclose(belief.covariance[6:, 6:], G @ full @ G.T, atol=1e-8)
     np.testing.assert_allclose(belief.covariance[6:, :6], G[:, :6] @ before, atol=1e-8)
-
-
-def test_a_bearing_depends_on_the_cameras_mount_as_finite_differences_say() -> None:
-    pose, landmark, mount = (1.0, 2.0, 0.7), (3.0, -1.0), np.array([0.3, -0.2, 0.1])
-
-    def h(v: np.ndarray) -> np.ndarray:
-        predicted = predict_bearing(pose, landmark, (v[0], v[1]), v[2])
-        assert predicted is not None
-        return np.array([predicted[0]])
-
-    seen = sight(pose, landmark, (mount[0], mount[1], mount[2]), 0.05)
-    assert seen is not None
-    np.testing.assert_allclose([seen[3]], numeric_jacobian(h, mount), atol=1e-8)
 
 
 def test_only_what_is_uncertain_is_a_state() -> None:

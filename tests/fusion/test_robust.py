@@ -11,8 +11,7 @@ from worlds import World
 
 from locfuse.fusion.data import VERDICTS, ArrayStream
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.robust import inflate
-from locfuse.fusion.fuse import fuse
+from locfuse.fusion.fuse import fuse, inflate
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 

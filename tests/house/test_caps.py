@@ -31,7 +31,7 @@ RECORD_FIELDS: dict[str, int] = {
     "fusion/data.py:Estimates": 20,
     "fusion/data.py:Evaluation": 17,
     "fusion/judge/innovations.py:Own": 13,
-    "fusion/lines/settings.py:LineSettings": 19,
+    "fusion/lines/extract.py:LineSettings": 19,
     "fusion/map/line_map.py:LineMap": 15,
     "fusion/robot.py:WheelSettings": 24,
 }

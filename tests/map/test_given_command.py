@@ -17,11 +17,11 @@ from commands import locfuse
 from ring_drive import box, scan
 from wheel_bags import GEOMETRY, joint_states
 
+from benchmarks.floor_plan import FREE, OCCUPIED, FloorPlan, floor_plan
+from benchmarks.floor_plan import write as write_plan
 from locfuse.fusion import se2
 from locfuse.sample_logs import load
 from locfuse.sample_logs.building_scene import scene_of
-from locfuse.sample_logs.floor_plan import FREE, OCCUPIED, FloorPlan, floor_plan
-from locfuse.sample_logs.floor_plan import write as write_plan
 
 LOG = "rounded_rectangle"
 UNKNOWN_START = ("--set", "start.sigma_xy=5")

@@ -11,9 +11,9 @@ import msgspec
 import numpy as np
 import pytest
 
+from benchmarks.floor_plan import FREE, OCCUPIED, UNKNOWN, floor_plan, write
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.sample_logs import load
-from locfuse.sample_logs.bent_walls import PIECE, bent
 from locfuse.sample_logs.building import (
     Box,
     Building,
@@ -25,9 +25,8 @@ from locfuse.sample_logs.building import (
     SwivelChair,
     Walker,
 )
+from locfuse.sample_logs.building_parts import PIECE, bent, straight_walls
 from locfuse.sample_logs.building_scene import BuildingScene, scene_of
-from locfuse.sample_logs.floor_plan import FREE, OCCUPIED, UNKNOWN, floor_plan, write
-from locfuse.sample_logs.masonry import straight_walls
 from locfuse.sample_logs.messages import streams
 from locfuse.sample_logs.nearby import cast_near
 from locfuse.sample_logs.paths import waypoints

@@ -11,8 +11,8 @@ import pytest
 from locfuse.fusion.data import Array
 from locfuse.sample_logs.camera import Painter, expose
 from locfuse.sample_logs.mirror import rays, slope
+from locfuse.sample_logs.render import Surface
 from locfuse.sample_logs.scenario import Camera, Landmark, Room, Scenario
-from locfuse.sample_logs.surface import Surface
 from locfuse.sample_logs.table import Pillar
 from locfuse.sample_logs.world import Plan, Scene, cast, clearance
 

@@ -10,11 +10,10 @@ import pytest
 from scipy.stats import binom, chi2
 
 from locfuse.fusion.data import Array
-from locfuse.sample_logs.extras import Ranger, SatelliteReceiver
 from locfuse.sample_logs.messages import streams
 from locfuse.sample_logs.robot import Robot
 from locfuse.sample_logs.scenario import Compass, Gps, Landmark, Lrf, Motor, Room, Scenario, Sonar, Wheels
-from locfuse.sample_logs.sensors import Encoders, GroundTruth, Laser, Magnetometer
+from locfuse.sample_logs.sensors import Encoders, GroundTruth, Laser, Magnetometer, Ranger, SatelliteReceiver
 from locfuse.sample_logs.world import Scene
 
 HIGH = Landmark(bottom=1.0)  # a landmark above the laser's plane

@@ -11,15 +11,13 @@ from reckoning import dead_reckoning
 
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.sample_logs import load
-from locfuse.sample_logs.encoder import decode, phases
 from locfuse.sample_logs.follow import LegFollower, PathFollower
 from locfuse.sample_logs.messages import Pose, RawMessage, streams
 from locfuse.sample_logs.paths import polygon, tour
 from locfuse.sample_logs.record import in_memory
-from locfuse.sample_logs.robot import Robot, Trail
+from locfuse.sample_logs.robot import Robot, Trail, decode, phases
 from locfuse.sample_logs.scenario import Leg, Motor, Polygon, Room, Scenario, Tour, Wheels
-from locfuse.sample_logs.simulate import EPOCH_NS, OBSTACLE_HEIGHT, Simulation
-from locfuse.sample_logs.stability import speed_stability
+from locfuse.sample_logs.simulate import EPOCH_NS, OBSTACLE_HEIGHT, Simulation, speed_stability
 from locfuse.sample_logs.world import Scene, clearance
 
 BLIND = ("camera.enabled=false", "lrf.enabled=false", "compass.enabled=false")

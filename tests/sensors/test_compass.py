@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from said import Said, said
 from scipy.spatial.transform import Rotation
 from worlds import World, stream
 
@@ -15,7 +14,6 @@ from locfuse.fusion.data import VERDICTS, ArrayStream, LocfuseError, Measurement
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
-from locfuse.fusion.sensor import Block
 from locfuse.fusion.sensors.compass import Compass, CompassModel, CompassSettings
 from locfuse.fusion.wheels.motion import Wheels
 
@@ -166,21 +164,3 @@ def test_a_heading_that_never_changes_is_refused_where_the_robot_turned(turn_deg
             measure_it()
     else:
         assert len(measure_it().z) == 12
-
-
-def test_its_derivatives_by_heading_and_offset_are_finite_differences() -> None:
-    m = measured(stream("/heading", "std_msgs/msg/Float64", T, {"data": np.full(5, 0.5)}))
-    model = CompassModel(CompassSettings())
-
-    def seen(theta: float, offset: float) -> tuple[float, Said]:
-        block = Block("compass_offset", np.array([offset]), np.eye(1), np.zeros(1))
-        belief = JointBelief((0.0, 0.0, theta), (0, 0, 0, 0, 0, 0.01), [block])
-        (one,) = model.innovations(m, 0, belief)
-        return one.y[0], said(one, belief)
-
-    (y, at), h = seen(0.2, 0.1), 1e-6
-    assert y == pytest.approx(0.2)
-    by_heading = (seen(0.2 - h, 0.1)[0] - seen(0.2 + h, 0.1)[0]) / (2 * h)
-    by_offset = (seen(0.2, 0.1 - h)[0] - seen(0.2, 0.1 + h)[0]) / (2 * h)
-    assert at.columns == (3,)
-    np.testing.assert_allclose(at.H, [[0.0, 0.0, by_heading, by_offset]], atol=1e-9)

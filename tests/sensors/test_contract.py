@@ -247,13 +247,14 @@ def damaged_row(column: Any, i: int) -> Any:
 
 # ---- Jacobians ----
 
-CERTAIN_GPS = {"east_deg": 20.0}
+ANTENNA = {"x": 0.3, "y": 0.1}
+CERTAIN_GPS = {"east_deg": 20.0, **ANTENNA}
 VARIANTS: dict[str, list[dict[str, dict[str, Any]]]] = {
     "compass": [{}, {"compass": {"offset_deg": 10.0}}],
     "lrf": [{}, {"lrf": {"map": "first-scan"}}, {"lrf": {"sigma_x": 0.02, "sigma_y": 0.02, "sigma_yaw_deg": 1.0}}],
     "camera": [{}, {"camera": {"sigma_x": 0.02, "sigma_y": 0.02, "sigma_yaw_deg": 1.0}}],
-    "sonar": [{}],
-    "gps": [{}, {"gps": CERTAIN_GPS}, {"gps": {**CERTAIN_GPS, "origin": (48.0, 11.0), "x": 0.3, "y": 0.1}}],
+    "sonar": [{}, {"lrf": {"map": "first-scan"}}],
+    "gps": [{"gps": ANTENNA}, {"gps": CERTAIN_GPS}, {"gps": {**CERTAIN_GPS, "origin": (48.0, 11.0)}}],
     "gyro": [{}, {"gyro": {"bias_deg": 0.5}}],
     "landmarks": [
         {},

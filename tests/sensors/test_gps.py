@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from said import said
 
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion.data import ArrayStream, Column, Drive, Estimates, Measurements
@@ -19,7 +18,7 @@ from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.gps import Gps, GpsSettings
 from locfuse.fusion.wheels.motion import Wheels
-from locfuse.sample_logs.extras import radii
+from locfuse.sample_logs.sensors import radii
 
 Array = NDArray[np.float64]
 T0 = 1_700_000_000_000_000_000
@@ -191,29 +190,6 @@ def test_the_antenna_may_sit_anywhere_on_the_robot() -> None:
     wrong = errors(drive, fuse(drive, blind, ("gps",)), truth)[20:].mean()
     assert right < 0.5
     assert wrong > 1.5
-
-
-def test_innovations_agree_with_finite_differences_in_every_phase() -> None:
-    settings: list[dict[str, Any]] = [{}, {"east_deg": 70.0}, {"origin": list(ORIGIN), "east_deg": 70.0}]
-    for known in settings:
-        drive, described, _ = drive_of(7, known, antenna=(0.4, 0.2), length=60.0)
-        run = Filter(described, ("gps",))
-        model, belief, m = run.models["gps"], run.belief, drive.measurements["gps"]
-        model.innovations(m, 0, belief)
-        x = np.array([14.0, -5.0, 1.1])
-        own = np.array([0.4, -0.7, 2.0, -3.0])
-
-        def seen(values: Array, model: Any = model, belief: Any = belief, m: Any = m) -> Any:
-            belief.state[: len(values)] = values
-            return model.innovations(m, 5, belief)[0]
-
-        at = np.concatenate((x, own)) if belief.n > 3 else x
-        H = said(seen(at), belief).over(belief.n)
-        for k in range(len(at)):
-            step = np.zeros(len(at))
-            step[k] = 1e-6
-            up, down = np.array(seen(at + step).y), np.array(seen(at - step).y)
-            np.testing.assert_allclose(-(up - down) / 2e-6, H[:, k], atol=1e-6)
 
 
 def test_no_fix_nan_and_zero_are_left_out_and_counted() -> None:

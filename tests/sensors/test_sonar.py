@@ -97,9 +97,10 @@ def test_a_nearer_thing_in_the_cone_silences_the_wall_behind() -> None:
 
 
 @pytest.mark.parametrize("frozen", [True, False])
-def test_the_jacobian_agrees_with_finite_differences(frozen: bool) -> None:
+@pytest.mark.parametrize("heading", [0.1, 0.1 - math.pi / 2.0])  # towards the wall along x, and along y
+def test_the_jacobian_agrees_with_finite_differences(frozen: bool, heading: float) -> None:
     lines = map_of(SQUARE)
-    start = (1.2, 1.1, 0.1)
+    start = (1.2, 1.1, heading)
     cone = Cone(0.2, -0.15, 1.5, math.radians(15.0), math.radians(3.0))
     belief: Any = belief_at(start)
     if not frozen:

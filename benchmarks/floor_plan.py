@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array
-
-from .table import Point
-from .world import Plan
+from locfuse.sample_logs.table import Point
+from locfuse.sample_logs.world import Plan
 
 OCCUPIED, UNKNOWN, FREE = 0, 205, 254  # grey levels that map_server writes itself
 MARGIN = 0.5  # m around everything

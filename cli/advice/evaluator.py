@@ -174,7 +174,7 @@ def on_the_whole_drive(
         worse = any(
             (spoils_alone if advice.measured and turns_right(*pair) else spoils)(*pair) for pair in pairs.values()
         )
-        if worse or not any(improves(*pair) for pair in pairs.values()):
+        if worse or not (advice.proven or any(improves(*pair) for pair in pairs.values())):
             judged.append(replace(advice, fixes=(), before=None, after=None, tried=(fixes,), harmless=not worse))
             continue
         lost = smoothed_worse([advice], kept, together(kept, fixes), names, trial) if smoothed else None

@@ -128,7 +128,9 @@ class Evidence(Noise):
             steps = (0.0, -1.0, 1.0) if clock.sigma > MIN_SPREAD_S else (0.0,)
             ways: tuple[Fixes, ...] = tuple((offset_of(clock, self.loaded.robot, 3, n),) for n in steps)
             one = self._candidate(finding, ways, not finding.severe)
-            found[clock.name] = replace(one, measured=sure or by_truth, by_shape=by_truth and clock.name == LASER)
+            proven = finding.severe and len(clock.against) > 1
+            shape = by_truth and clock.name == LASER
+            found[clock.name] = replace(one, measured=sure or by_truth, proven=proven, by_shape=shape)
         return [*found.values(), *self._late_pictures()]
 
     def _late_pictures(self) -> Iterator[Candidate]:

@@ -229,6 +229,7 @@ class Candidate(msgspec.Struct, frozen=True):
     others: tuple[str, ...] = ()  # of these, which no fix may ruin: what moves the wheels moves them too
     offer: bool = False  # no observation, only a setting that may help: silent where it does not
     measured: bool = False  # the drive shows the value: without truth and by shape it is taken if nothing is lost
+    proven: bool = False  # several others agree on the value: it is taken if nothing is lost, with truth too
     guards: tuple[str, ...] = ()  # configurations whose ANEES may not leave its chance range: of noise
     by_shape: bool = False  # may be judged by the path's shape: nobody observes where its map lies, that is chance
 
@@ -247,6 +248,7 @@ class Advice(msgspec.Struct, frozen=True):
     after: Mapping[str, Marks] | None = None
     tried: tuple[Fixes, ...] = ()  # every alternative that was tried
     measured: bool = False  # as the candidate's
+    proven: bool = False  # as the candidate's
     judges: tuple[str, ...] = ()  # as the candidate's
     harmless: bool = False  # one of what was tried changes little; else all of it makes something worse
 
@@ -475,7 +477,11 @@ def best_of(candidate: Candidate, kept: Fixes, trial: Try) -> Advice:
 
 def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advice:
     unfixed = Advice(
-        candidate.finding, tried=candidate.alternatives, measured=candidate.measured, judges=candidate.judges
+        candidate.finding,
+        tried=candidate.alternatives,
+        measured=candidate.measured,
+        proven=candidate.proven,
+        judges=candidate.judges,
     )
     options: list[Advice] = []
     harmless = False
@@ -487,7 +493,8 @@ def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advi
         pairs = _pairs(candidate, kept, fixes, trial, shape)
         harmless = harmless or bool(pairs)
         # by the drive itself: not to lose is enough, but then in every configuration, also those that nobody keeps
-        shown = candidate.measured and bool(pairs) and (shape or (_by_prediction(pairs) and not _any_loses(pairs)))
+        sure = (candidate.proven or _by_prediction(pairs)) and not _any_loses(pairs)
+        shown = candidate.measured and bool(pairs) and (shape or sure)
         if shown or any(improves(*pair) for pair in pairs.values()):
             before = {name: pair[0] for name, pair in pairs.items()}
             after = {name: pair[1] for name, pair in pairs.items()}

@@ -111,7 +111,8 @@ def test_wheels_that_spin_together_are_named_with_their_time_and_way() -> None:
     path = one.wheels.at(t - stood)[2]
     (found,) = of_spins(one, t, path, "truth")
     first, last, way = (float(word.strip("s,:")) for word in found.message.split() if word[0].isdigit())
-    assert (first, last) == (pytest.approx(40.0, abs=1.1), pytest.approx(41.0, abs=1.1))
+    assert first == pytest.approx(40.0, abs=1.1)
+    assert last == pytest.approx(41.0, abs=1.1)
     assert way == pytest.approx(0.3, rel=0.15)
     assert "farther than the truth moved" in found.message
     assert not of_spins(one, t, path, "truth", jumps=[40.5])

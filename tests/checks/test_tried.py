@@ -18,6 +18,8 @@ from locfuse.fusion.checks.tried import (
     gain,
     improves,
     spoils,
+    spoils_alone,
+    spoils_smoothed,
     together,
     tried,
 )
@@ -283,6 +285,30 @@ def test_without_truth_a_measured_value_need_not_gain_but_must_not_lose(
 
     candidate = Candidate(LATE.finding, LATE.alternatives, LATE.judges, measured=measured)
     assert [a.helps for a in found_in([candidate], trial)] == [helps]
+
+
+@pytest.mark.parametrize(
+    ("proven", "after", "taken"), [(True, 0.298, True), (False, 0.298, False), (True, 0.31, False)]
+)
+def test_a_clock_that_two_others_agree_on_need_not_gain_but_must_not_lose(
+    proven: bool, after: float, taken: bool
+) -> None:
+    late = replace(LATE, measured=True, proven=proven)
+    found = found_in([late], Trials({keys(): 0.3, keys(LAG): after}))
+    assert helpful(found) == ([(LAG,)] if taken else [])
+
+
+def test_errors_within_what_is_claimed_may_move_by_chance() -> None:
+    """A compass alone that was lucky, with ANEES in its range before and after; not one that claims too little."""
+    claim = (0.5, 1.7)
+    lucky, usual = Marks(0.033, anees=1.4, bounds=claim), Marks(0.038, anees=1.0, bounds=claim)
+    assert not spoils_alone(lucky, usual)
+    assert spoils_alone(lucky, usual._replace(position=0.045))
+    assert spoils_alone(lucky._replace(anees=2.5), usual._replace(anees=2.5, position=0.039))
+    path, other = Marks(0.0029, anees=0.5, bounds=claim), Marks(0.0052, anees=0.7, bounds=claim)
+    assert not spoils_smoothed(path, other)
+    assert spoils_smoothed(path, other._replace(anees=3.0))
+    assert spoils_smoothed(path, other._replace(position=0.0063))
 
 
 @pytest.mark.parametrize(

@@ -335,7 +335,7 @@ def _ties(errors: Mapping[str, float]) -> list[str]:
 
 
 def _with_fixes(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], least: float) -> str:
-    """Return the effect of a fix, if its error is smaller than any without it [m], else ""."""
+    """Return " With ... and the fixes found it is ..." if no error without the fixes [m] is as small, else ""."""
     tried = [f["tried"] for f in report.get("findings") or () if f["fixes"] and f["tried"]]
     after = {
         t["configuration"]: t["after"]["position_rmse_m"]

@@ -75,7 +75,7 @@ class Tolerance(msgspec.Struct, frozen=True):
     degrees: float = 0.0
 
     def limit(self, key: str, old: float) -> float:
-        """Return the largest value that passes; the unit is at the end of the key."""
+        """Return the largest value with which a gate passes; the gate's key ends with the unit."""
         floor = self.metres if key.endswith("_m") else self.degrees if key.endswith("_deg") else 0.0
         return old + max(self.share * old, floor)
 

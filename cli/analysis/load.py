@@ -275,7 +275,7 @@ def _leave_out(choice: Choice, only: Collection[str] | None, preset: str) -> Non
 
 
 def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = silent) -> Loaded:
-    """Return the same log under other settings: only sensors whose tables change are measured again.
+    """Return the same log under other settings: a sensor is processed again only if a setting of it changed.
 
     Raises UsageError for settings that choose what is read, which needs a new `load`.
     """

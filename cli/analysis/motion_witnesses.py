@@ -1,4 +1,4 @@
-"""The agreement of several motions with the gyro, the fixes or the compass, in a log without a laser."""
+"""Without a laser: which of several odometries agrees best with the gyro, the GPS fixes or the compass?"""
 
 from __future__ import annotations
 

@@ -105,7 +105,7 @@ def reference_values(whole: Reference, quarrels: Sequence[tuple[str, str]], base
 
 
 def judge_values(reference: Reference, whole: Reference, used: Collection[str]) -> dict[str, Any]:
-    """Return the reference that judged a result with these sensors; `shared` are the sensors in both."""
+    """Return the record of the reference that judged a result; `shared` are the sensors that both of them use."""
     return {
         "sensors": list(reference.sensors),
         "left_out": list(reference.left_out),

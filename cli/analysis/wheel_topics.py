@@ -68,7 +68,7 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
 
 
 def _say_unused(log: Log, choice: Choice, counters: Sequence[str], lacks: str) -> None:
-    """Note why counters are not used: the unknown figures of the wheels, or "" if no joint has a wheel's name."""
+    """Note why wheel ticks are not used; `lacks` names unknown figures, "" if no joint is named like a wheel."""
     used = choice.topics["wheels"]
     if not lacks:
         words = f"{used} is used, since no joint of {counters[0]} is named like a wheel"

@@ -53,7 +53,7 @@ class Scene(msgspec.Struct, frozen=True):
         return any(len(e.t) for e in self.evaluations)
 
     def shown(self) -> list[tuple[Estimates, Evaluation]]:
-        """Return the configurations that are drawn: all, or with many only odometry, single sensors, and all."""
+        """Return the configurations to draw: of many only odometry, single sensors and all sensors."""
         pairs = list(zip(self.estimates, self.evaluations, strict=True))
         if len(pairs) <= MAX_CONFIGURATIONS:
             return pairs

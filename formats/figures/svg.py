@@ -37,7 +37,7 @@ def curve_path(x: Array, y: Array, pixels: int) -> str:
 
 
 def free_path(x: Array, y: Array) -> str:
-    """Return the path of a curve (n,) in px in any direction: a trajectory, one point per small cell."""
+    """Return the SVG path of a trajectory (n,) [px], which may turn back on itself: one point per small cell."""
     cells = np.floor(np.stack((x, y), axis=-1) / CELL_PX)
     stays = (cells[1:-1] == cells[:-2]).all(axis=1) & np.isfinite(x[2:]) if len(x) > 2 else np.zeros(0, dtype=bool)
     kept = np.concatenate(([True], ~stays, [True]))[: len(x)]

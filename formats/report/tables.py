@@ -172,7 +172,7 @@ def _configurations(report: Report, key: str | None = None) -> Rows:
 
 
 def _by_own_scans(report: Report) -> list[Column]:
-    """Return the columns of figures by the path's own scans, if there are any."""
+    """Return the columns on map quality, which the scans laid along the path give; [] without any."""
     runs = report["configurations"].values()
     found = [AGREEMENT] if any(v.get(AGREEMENT.key) is not None for v in runs) else []
     return found + ([CRISPNESS] if any(_crispness(v, 1) for v in runs) else [])

@@ -50,7 +50,7 @@ def _left(scene: RerunScene) -> Any:
 
 
 def _right(scene: RerunScene, tab: str | None) -> Any | None:
-    """Return the robot's view above the plots of the estimate."""
+    """Return the right column: what the robot sees, in its own frame, above the plots of the estimate."""
     looks = [_scan_view(scene)] if scene.scans is not None and len(scene.scans.t) else []
     if scene.picture_rows is not None:
         looks.append(_view_2d("Omni image", f"/{images.OMNI}"))

@@ -100,7 +100,7 @@ class RosFile(NamedTuple):
 
 
 def render(head: str, nodes: Sequence[tuple[str, str, Sequence[Setting]]]) -> str:
-    """Return a parameter file of nodes (name, words, settings); every line has its comment."""
+    """Return a parameter file of nodes, each (name, comment, settings); every line ends with a comment."""
     lines = [f"# {printable(line)}".rstrip() for line in head.splitlines()]
     for name, words, settings in nodes:
         lines += ["", f"{name}:  # {printable(words)}", f"  {PARAMETERS}:  # as a ROS 2 node reads them"]

@@ -116,7 +116,7 @@ def differences(drive: Drive, robot: Robot, runs: Iterable[Estimates] = ()) -> d
 
 
 def _known(lag: Lag, pair: Pair) -> Lag:
-    """Return a lag with the sigma of two clocks' difference; a lag by speed alone counts only if it is clear."""
+    """Return a lag with the sigma of two clocks' difference; one found by speed is 0 unless significant."""
     if math.isfinite(lag.sigma):
         return lag._replace(sigma=math.hypot(lag.sigma, MODEL_SIGMA_S))
     return lag._replace(offset=lag.offset if off_by(lag) else 0.0, sigma=SPEED_SIGMA_S)

@@ -94,7 +94,7 @@ def _red(pictures: list[Picture], settings: CameraSettings) -> list[Finding]:
 
 
 def of_handedness(drive: Drive, robot: Robot) -> list[Finding]:
-    """Report if the columns turn the other way: then the landmark turns with the robot.
+    """Report a mirrored picture: its landmark seems to turn with the robot.
 
     It must go against them, but for what the robot drives in the meantime. A known start gives the zero too.
     """

@@ -164,7 +164,7 @@ def settles(before: Marks, after: Marks) -> bool:
 
 
 def gain(before: Marks, after: Marks) -> float:
-    """Return how much a fix is worth: ln of the factor on the position error, and half of that on ANEES."""
+    """Return the worth of a fix: ln(error before / after), plus half of the same of heading and of ANEES."""
     if before.position is not None and after.position is not None:
         turned = WEIGHT_OF_HEADING * _turned(before, after)
         return (

@@ -213,7 +213,7 @@ def _lattice(grid: Grid) -> Array:
 
 
 def _field(grid: Grid) -> Array:
-    """Return for every cell how well a beam ends there, 1 near a wall to 0 far from any; 0 in the first one."""
+    """Return the likelihood field: 1 near a wall, 0 far from all and in cell (0, 0), which is outside."""
     from scipy.ndimage import distance_transform_edt
 
     away: Array = distance_transform_edt(~grid.occupied) * grid.cell

@@ -406,7 +406,7 @@ def seat_of(mount: Mount | None, belief: JointBelief) -> sight.Seat:
 
 
 def by_mount(mount: Mount, belief: JointBelief, psi: float) -> Array:
-    """Return the derivative of a predicted line at psi [rad, base frame] by the mount's states, (2, f)."""
+    """Return the Jacobian (2, f) of a line with normal angle psi [rad, base frame] by the mount states."""
     x, y, _ = mount.now(belief)
     c, s = math.cos(psi), math.sin(psi)
     whole = np.array(((-c, -s, x * s - y * c), (0.0, 0.0, -1.0)))

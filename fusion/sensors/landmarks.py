@@ -270,7 +270,7 @@ class Ranging(NamedTuple):
         return max(1.0 - self.depth * short, MIN_SHARE)
 
     def derivative(self, short: float, distance: float) -> tuple[float, ...]:
-        """Return the derivative of a range by these states."""
+        """Return the derivative of a measured range by the landmarks' own states (range offset and scale)."""
         of_offset = (1.0,) if self.free[0] else ()
         return (*of_offset, -short * distance) if self.free[1] else of_offset
 

@@ -223,7 +223,7 @@ def _body(truth: Truth) -> Array:
 
 
 def _truth_noise(seen: Array, sigma: Sigma) -> Array:
-    """Covariance (n, 3, 3) of the truth's relative poses (n, 3): both ends err, the first in heading too."""
+    """Covariance (n, 3, 3) of the truth's relative poses (n, 3), by the noise of both poses."""
     T = np.zeros((len(seen), 3, 3))
     lever = np.stack((seen[:, 1], -seen[:, 0], -np.ones(len(seen))), axis=-1)
     T += sigma.theta**2 * lever[:, :, None] * lever[:, None, :]

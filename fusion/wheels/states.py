@@ -93,7 +93,7 @@ def _metres(settings: WheelSettings, found: Array, prior: float, metric: Mapping
 
 
 def _told(settings: WheelSettings, found: Array, sigma: Array) -> str:
-    """Return radius, ratio and track for robot.toml; their relative change if it has none."""
+    """Return the found radius, ratio and track for robot.toml; relative changes if it has no radius or track."""
     parts = []
     for key, change, s in zip(("radius", "ratio", "track"), found.tolist(), sigma.tolist(), strict=True):
         value = getattr(settings, key)

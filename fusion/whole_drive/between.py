@@ -171,7 +171,7 @@ def scans_between(
 
 
 def moving_scans(odometry: Odometry, t: Array, instants: Ints, readings: Ints) -> Ints:
-    """Return the readings between the first and the last key with motion around them: positions.
+    """Return the indices of scans between the first and the last key scan that have wheel motion before and after.
 
     t (N,) are the stamps of all instants [s].
     """

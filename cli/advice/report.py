@@ -321,7 +321,8 @@ def covariance(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> 
     truth = report.get("settings", {}).get("truth", {})
     open_ = [f["role"] for f in found if not f["fixes"] and not f["harmless"]]
     if anees <= MAX_ANEES or truth.get("sigma") or truth.get("sigma_theta_deg"):
-        return f" The covariance ({name}) is {anees**0.5:.1f} times too small, and no setting explains it."
+        times = f"{'still ' if any(shown) else ''}{anees**0.5:.1f} times too small"
+        return f" The covariance ({name}) is {times}, and no setting explains it."
     cause = (
         f"most likely due to the finding on the {open_[0]}" if open_ else "set truth.sigma, the truth's own noise"
     )

@@ -94,6 +94,7 @@ def test_while_a_setting_is_surely_wrong_no_sensor_is_to_be_left_out() -> None:
         (2.9, None, 0.0, ""),
         (9.0, None, 0.0, " The covariance (all) is 3.0 times too small, and no setting explains it."),
         (9.0, 1.1, 0.0, ""),
+        (9.0, 4.0, 0.0, " The covariance (all) is still 2.0 times too small, and no setting explains it."),
         (4235.0, None, 0.0, " ANEES (all) is over 50: set truth.sigma, the truth's own noise, to judge it."),
         (400.0, None, 0.01, " The covariance (all) is 20.0 times too small, and no setting explains it."),
     ],

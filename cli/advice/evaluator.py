@@ -42,6 +42,7 @@ from .report import Advised
 from .trial import SMOOTHED, TRIED, WHOLE, Trial, marks_of, predicted
 
 MIN_DURATION_S = 5.0  # s: a shorter drive judges no setting
+MAX_AGREEMENT_LOSS = 0.1  # of the revisit agreement: it differs by less between two equally good paths
 MAX_WHOLE = 2  # findings that change little on the beginning, and are tried on the whole drive all the same
 
 
@@ -126,9 +127,25 @@ class Evaluator:
         found, kept = tried(look, trial, partial(number, trial.whole.robot))
         if trial.loaded is not trial.whole:
             found, kept = on_the_whole_drive(found, trial)
-        if kept and smoothed_worse(found, (), kept, list(trial.configurations), trial):
-            found, kept = on_the_whole_drive(found, trial, smoothed=True)
+        if kept and _worse_afterwards(found, (), kept, list(trial.configurations), trial):
+            found, kept = on_the_whole_drive(found, trial, afterwards=True)
         return Advised(tuple(changing(found, kept, trial.whole.robot)), trial.fusions)
+
+
+def _worse_afterwards(
+    found: Sequence[Advice], before: Fixes, after: Fixes, names: Sequence[str], trial: Trial
+) -> str:
+    """Return what a path loses by other fixes that its filter does not show, "" for nothing.
+
+    With truth the error of its smoothed path; without, how well places seen twice fit: a fix by which the laser
+    predicts other sensors better may still break its map.
+    """
+    if lost := smoothed_worse(found, before, after, names, trial):
+        return f"makes the smoothed path worse ({change(*lost)})"
+    first, last = trial.agreement(before), trial.agreement(after)
+    if first is None or last is None or last > first - MAX_AGREEMENT_LOSS:
+        return ""
+    return f"lets places seen twice fit worse ({first:.0%} -> {last:.0%})"
 
 
 def smoothed_worse(
@@ -148,12 +165,12 @@ def smoothed_worse(
 
 
 def on_the_whole_drive(
-    found: Sequence[Advice], trial: Trial, smoothed: bool = False
+    found: Sequence[Advice], trial: Trial, afterwards: bool = False
 ) -> tuple[list[Advice], Fixes]:
     """Return advice judged by the whole drive, in every configuration that uses the sensor, and its fixes.
 
-    A fix is none if one of them gets worse, or none of them better; with `smoothed` also where a smoothed path,
-    which a user keeps, gets worse. What surely looks wrong and changes little on the beginning is tried too: slow
+    A fix is none if one of them gets worse, or none of them better; with `afterwards` also where a path loses what
+    its filter does not show. What surely looks wrong and changes little on the beginning is tried too: slow
     errors show later.
     """
     judged: list[Advice] = []
@@ -177,9 +194,9 @@ def on_the_whole_drive(
         if worse or not (advice.proven or any(improves(*pair) for pair in pairs.values())):
             judged.append(replace(advice, fixes=(), before=None, after=None, tried=(fixes,), harmless=not worse))
             continue
-        lost = smoothed_worse([advice], kept, together(kept, fixes), names, trial) if smoothed else None
-        if lost is not None:
-            what = f"{' and '.join(fixes)} helps while driving and makes the smoothed path worse ({change(*lost)})"
+        lost = _worse_afterwards([advice], kept, together(kept, fixes), names, trial) if afterwards else ""
+        if lost:
+            what = f"{' and '.join(fixes)} helps while driving and {lost}"
             finding = replace(advice.finding, message=f"{advice.finding.brief}. {what}", source="", hint="")
             judged.append(replace(advice, finding=finding, fixes=(), before=None, after=None, tried=()))
             continue

@@ -20,8 +20,11 @@ EARLY = Advice(Finding("wheels", "lag", "stamps look early", severe=True), (CLOC
 SLIPS = Advice(Finding("wheels", "noise", "they slip more"), (NOISE,))
 
 
-def trial(smoothed: dict[Fixes, float]) -> Any:
-    """Each fix makes the error while driving smaller; `smoothed` are those of the smoothed path [m]."""
+def trial(smoothed: dict[Fixes, float], agreement: dict[Fixes, float] | None = None) -> Any:
+    """Each fix makes the error while driving smaller; `smoothed` are those of the smoothed path [m].
+
+    `agreement` is that of places seen twice, which is asked of logs without a truth.
+    """
     causal = {(): 1.38, (CLOCK,): 0.60, (NOISE,): 1.2, (CLOCK, NOISE): 0.52}
     configurations = {"odometry": SimpleNamespace(sensors=()), "lrf": SimpleNamespace(sensors=("lrf",))}
 
@@ -33,7 +36,8 @@ def trial(smoothed: dict[Fixes, float]) -> Any:
         loaded=1,
         configurations=configurations,
         on_whole=lambda fixes, names: score(causal, fixes, names),
-        smoothed=lambda fixes, names: score(smoothed, fixes, [n for n in names if n == "lrf"]),
+        smoothed=lambda fixes, names: score(smoothed, fixes, [n for n in names if n == "lrf" and smoothed]),
+        agreement=lambda fixes: agreement and agreement[fixes],
     )
 
 
@@ -47,11 +51,18 @@ def trial(smoothed: dict[Fixes, float]) -> Any:
 )
 def test_a_fix_that_makes_the_smoothed_path_worse_is_none(errors: tuple[float, ...], left: list[Fixes]) -> None:
     smoothed = dict(zip(((), (CLOCK,), (NOISE,), (CLOCK, NOISE)), errors, strict=True))
-    found, kept = on_the_whole_drive([EARLY, SLIPS], trial(smoothed), smoothed=True)
+    found, kept = on_the_whole_drive([EARLY, SLIPS], trial(smoothed), afterwards=True)
     assert [a.fixes for a in found] == left
     assert kept == tuple(fix for fixes in left for fix in fixes)
     words = [a.finding.brief for a in found if not a.helps]
     assert all("makes the smoothed path worse (16" in text or "(150 -> 560 mm)" in text for text in words)
+
+
+@pytest.mark.parametrize(("after", "taken"), [(0.46, False), (0.58, True), (0.7, True)])
+def test_a_fix_under_which_places_seen_twice_fit_worse_is_none(after: float, taken: bool) -> None:
+    (found,), kept = on_the_whole_drive([EARLY], trial({}, {(): 0.66, (CLOCK,): after}), afterwards=True)
+    assert kept == ((CLOCK,) if taken else ())
+    assert ("lets places seen twice fit worse (66% -> 46%)" in found.finding.brief) is not taken
 
 
 def test_two_percent_and_a_fifth_of_a_millimetre_are_no_loss() -> None:

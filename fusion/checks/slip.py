@@ -134,7 +134,8 @@ def of_spins(drive: Drive, t: Array, pose: Array, name: str, jumps: Sequence[flo
     one out, the spread of all windows covers the other.
     """
     wheels = drive.wheels
-    begin = np.arange(max(t[0], wheels.t[0]), min(t[-1], wheels.t[-1]) - WINDOW_S, STEP_S)
+    begin = t[np.diff(np.floor(t / STEP_S), prepend=-np.inf) > 0]
+    begin = begin[(begin >= wheels.t[0]) & (begin + WINDOW_S <= min(t[-1], wheels.t[-1]))]
     if wheels.matched is not None or len(begin) < MIN_WINDOWS:
         return []
     poses = [np.stack([np.interp(a, t, c) for c in pose.T], axis=-1) for a in (begin, begin + WINDOW_S)]

@@ -145,3 +145,10 @@ def test_tables_have_header_cells_and_drawings_a_name(name: str, pages: dict[str
     assert found.scopes["col"] > found.tags["table"]
     assert found.scopes["row"] > found.tags["table"]
     assert found.without_name == []
+
+
+@pytest.mark.parametrize("name", ["fleet", "report"])
+def test_a_list_of_definitions_holds_terms_and_definitions_only(name: str, pages: dict[str, str]) -> None:
+    lists = re.findall(r"<dl.*?</dl>", pages[name], re.DOTALL)
+    assert lists or name == "fleet"
+    assert [tag for part in lists for tag in re.findall(r"<(p|h[1-6]|div|span)\b", part)] == []

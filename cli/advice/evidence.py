@@ -89,7 +89,7 @@ class Evidence(Noise):
         """Return possible faults by class of evidence: a later group waits while an earlier one is open."""
         return (
             (self.truth,),
-            (self.start, self.clocks, self.geometry),
+            (self.start, self.clocks, self.other_clocks, self.geometry),
             (self.offsets, self.slips, self.noise, self.unexplained),
         )
 
@@ -118,9 +118,17 @@ class Evidence(Noise):
 
     def clocks(self) -> list[Candidate]:
         """Return the clocks that look wrong: before they are fixed, other findings are not reliable."""
+        return [*self._late(self.wrong[:1]), *self._late_pictures()]
+
+    def other_clocks(self) -> list[Candidate]:
+        """Return the clocks that explain the same lags: where only two can be compared, either may be off."""
+        first = {clock.name for clocks in self.wrong[:1] for clock in clocks}
+        return [one for one in self._late(self.wrong[1:]) if one.finding.role not in first]
+
+    def _late(self, explanations: Sequence[Sequence[Clock]]) -> list[Candidate]:
         found: dict[str, Candidate] = {}
         by_truth = self.loaded.drive.truth is not None
-        for clock in (clock for clocks in self.wrong for clock in clocks):
+        for clock in (clock for clocks in explanations for clock in clocks):
             if clock.name in found or not self.judges(clock.name):
                 continue  # a sensor that no run can use as it is has no judge
             sure = abs(clock.offset) > SAID_SIGMAS * clock.sigma
@@ -131,7 +139,7 @@ class Evidence(Noise):
             proven = finding.severe and len(clock.against) > 1
             shape = by_truth and clock.name == LASER
             found[clock.name] = replace(one, measured=sure or by_truth, proven=proven, by_shape=shape)
-        return [*found.values(), *self._late_pictures()]
+        return [*found.values()]
 
     def _late_pictures(self) -> Iterator[Candidate]:
         """Yield time offsets to try for an inconsistent camera, and a constant bearing error, which looks similar.

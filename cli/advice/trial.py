@@ -51,7 +51,6 @@ class Trial:
     _last: tuple[Fixes, Loaded | None] = ((), None)  # the whole log under the fixes that were asked for last
     _logs: dict[Fixes, Loaded | None] = field(default_factory=dict)
     _marks: dict[tuple[str, Fixes, str], Marks] = field(default_factory=dict)  # by TRIED, WHOLE or SMOOTHED
-    _agreement: dict[Fixes, float | None] = field(default_factory=dict)
     _runs: dict[tuple[Fixes, str], Estimates] = field(default_factory=dict)  # of the fixes that were found
 
     def __post_init__(self) -> None:
@@ -88,12 +87,10 @@ class Trial:
         name = next((n for n, c in self.configurations.items() if c.sensors == (LASER,)), None)
         if self.whole.drive.truth is not None or name is None:
             return None
-        if fixes not in self._agreement:
-            loaded = self.whole_under(fixes)
-            run = None if loaded is None else self.fused(loaded, name)
-            scans = None if loaded is None or run is None else OwnScans.of(loaded.drive)
-            self._agreement[fixes] = None if scans is None or run is None else scans.judge(run)[0]
-        return self._agreement[fixes]
+        loaded = self.whole_under(fixes)
+        run = None if loaded is None else self.fused(loaded, name)
+        scans = None if loaded is None or run is None else OwnScans.of(loaded.drive)
+        return None if scans is None or run is None else scans.judge(run)[0]
 
     def _of(self, kind: str, fixes: Fixes, names: Sequence[str]) -> dict[str, Marks]:
         for name in (n for n in names if (kind, fixes, n) not in self._marks):

@@ -246,7 +246,7 @@ def _verdict(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> st
     if void and not any(sets[name] for name in errors):
         return f"No verdict on this log: {void[0]}."
     if not errors:
-        return _without_truth(report)
+        return _without_truth(report, _by_places(report))
     known = _by_reference(report, errors) if report.get("reference") else _by_errors(report, sets, errors)
     return " ".join((known, *(f"Not counted is {line}." for line in void)))
 
@@ -370,8 +370,8 @@ def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str
     return f"Measured against a reference, not truth: {'; '.join(parts)}.{agreement}"
 
 
-def _without_truth(report: Mapping[str, Any]) -> str:
-    """Return the order of the sensors by prediction, which is no error in metres."""
+def _without_truth(report: Mapping[str, Any], places: str) -> str:
+    """Return the order of the sensors by prediction, which is no error in metres, and what places seen twice show."""
     verdicts = report.get("verdicts", {})
     good = [s for s, v in verdicts.items() if v["verdict"] in HELPS]
     bad = [s for s, v in verdicts.items() if v["verdict"] in HURTS]
@@ -381,8 +381,20 @@ def _without_truth(report: Mapping[str, Any]) -> str:
     if bad:
         parts.append(f"{_names(bad)} {'contradicts' if len(bad) == 1 else 'contradict'} them")
     if not parts:
-        return "No truth and nothing else to judge the sensors: errors cannot be measured. Try: --reference"
-    return f"No truth in this log, so no error is known: {', and '.join(parts)}."
+        why = "No truth and nothing else to judge the sensors: errors cannot be measured."
+        return f"{why}{places} Try: --reference"
+    return f"No truth in this log, so no error is known: {', and '.join(parts)}.{places}"
+
+
+def _by_places(report: Mapping[str, Any]) -> str:
+    """Return how many points agree at places seen twice, while driving and smoothed; "" where one is not known."""
+    rows = report["configurations"]
+    for name, values in rows.items():
+        one = values.get("revisit_agreement")
+        other = rows.get(result_name(name, smoothed=True), {}).get("revisit_agreement")
+        if one is not None and other is not None:
+            return f" At places seen twice {one:.0%} of the points agree, {other:.0%} in the smoothed path."
+    return ""
 
 
 def _with(name: str, sensors: Sequence[str]) -> str:

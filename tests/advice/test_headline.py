@@ -109,3 +109,19 @@ def test_a_covariance_that_is_too_small_and_that_nothing_explains_is_said(
         "settings": {"truth": {"sigma": sigma}},
     }
     assert covariance(report, {"lrf": ("lrf",), "all": ("compass", "lrf")}) == words
+
+
+@pytest.mark.parametrize(
+    ("smoothed", "end"),
+    [
+        (0.64, " At places seen twice 47% of the points agree, 64% in the smoothed path. Try: --reference"),
+        (None, "errors cannot be measured. Try: --reference"),  # no place was seen twice
+    ],
+)
+def test_without_truth_the_places_seen_twice_judge_the_smoothed_path(smoothed: float | None, end: str) -> None:
+    rows = {"odometry": None, "lrf": 0.47, "lrf-smoothed": smoothed}
+    report = {
+        "configurations": {name: {"revisit_agreement": share} for name, share in rows.items()},
+        "verdicts": {"lrf": {"verdict": "no verdict"}},
+    }
+    assert headline(report, {"odometry": (), "lrf": ("lrf",)}).endswith(end)

@@ -371,7 +371,7 @@ def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str
 
 
 def _without_truth(report: Mapping[str, Any], places: str) -> str:
-    """Return the order of the sensors by prediction, which is no error in metres, and what places seen twice show."""
+    """Return the order of the sensors by prediction, no error in metres, and what places seen twice show."""
     verdicts = report.get("verdicts", {})
     good = [s for s, v in verdicts.items() if v["verdict"] in HELPS]
     bad = [s for s, v in verdicts.items() if v["verdict"] in HURTS]

@@ -18,6 +18,7 @@ from locfuse.fusion.checks.tried import Advice, Fixes, Marks, keys, together
 from locfuse.fusion.checks.truth import Jumps
 from locfuse.fusion.data import BASES, result_name
 from locfuse.fusion.judge.evaluate import ERROR_KEYS
+from locfuse.fusion.judge.own_scans import is_better
 from locfuse.fusion.mount import OTHER_MOUNT
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -229,6 +230,7 @@ def _once(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 NAMES = {"lrf": "laser", "gps": "GPS", "imu": "IMU"}
+MIN_HINT = 0.1  # more of the points that agree: a hint, and no proof (`is_better`)
 TIE, TIE_M = 0.10, 5e-4  # relative, m: errors that differ by less are equal
 MAX_CONSISTENT_ANEES = 3.0  # above: the covariance is too small
 HELPS, HURTS = ("helps", "seems to help"), ("hurts", "seems to hurt")
@@ -390,10 +392,13 @@ def _by_places(report: Mapping[str, Any]) -> str:
     """Return how many points agree at places seen twice, while driving and smoothed; "" where one is not known."""
     rows = report["configurations"]
     for name, values in rows.items():
-        one = values.get("revisit_agreement")
-        other = rows.get(result_name(name, smoothed=True), {}).get("revisit_agreement")
-        if one is not None and other is not None:
-            return f" At places seen twice {one:.0%} of the points agree, {other:.0%} in the smoothed path."
+        row = result_name(name, smoothed=True)
+        one, other = values.get("revisit_agreement"), rows.get(row, {}).get("revisit_agreement")
+        if one is None or other is None:
+            continue
+        better = "shows" if is_better(one, other) else "hints" if other >= one + MIN_HINT else ""
+        end = f", which {better} that it is better" if better else ""
+        return f" At places seen twice {one:.0%} of the points agree, in {row} {other:.0%}{end}."
     return ""
 
 

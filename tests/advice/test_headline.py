@@ -114,7 +114,9 @@ def test_a_covariance_that_is_too_small_and_that_nothing_explains_is_said(
 @pytest.mark.parametrize(
     ("smoothed", "end"),
     [
-        (0.64, " At places seen twice 47% of the points agree, 64% in the smoothed path. Try: --reference"),
+        (0.64, "agree, in lrf-smoothed 64%, which hints that it is better. Try: --reference"),
+        (0.68, "agree, in lrf-smoothed 68%, which shows that it is better. Try: --reference"),
+        (0.50, " At places seen twice 47% of the points agree, in lrf-smoothed 50%. Try: --reference"),
         (None, "errors cannot be measured. Try: --reference"),  # no place was seen twice
     ],
 )

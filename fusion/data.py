@@ -437,6 +437,12 @@ ODOMETRY, BY_SCANS = "odometry", "scan matching"  # configurations without a sen
 BASES = (ODOMETRY, BY_SCANS)
 
 
+def stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return (first, last) index of every run of true values in flags (n,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], np.asarray(flags, np.int8), [0]))))
+    return [(a, b - 1) for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]
+
+
 def result_name(configuration: str, smoothed: bool) -> str:
     """Return the name of a result in reports and of its files: "all", or "all-smoothed"."""
     return f"{configuration}-smoothed" if smoothed else configuration

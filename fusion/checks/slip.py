@@ -18,7 +18,7 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import MAD
-from locfuse.fusion.data import Array, Drive
+from locfuse.fusion.data import Array, Drive, stretches
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.motion import Wheels
 
@@ -30,6 +30,11 @@ MIN_WINDOWS = 15  # long ones side by side: their variance is then known to a th
 MIN_EXPECTED_RAD = math.radians(0.05)  # by which slips spread a long window: less, and the robot stood
 MAX_READINGS = 3000
 MAX_FACTOR = 3.0  # on the variance, either way: what lies between is no finding
+# --- of wheels that slip together
+WINDOW_S, STEP_S = 1.0, 0.25  # s over which distances are compared, and between two windows
+MIN_SPIN_M, MIN_SPIN_SHARE, SPIN_SIGMAS = 0.08, 0.15, 6.0  # m and share of what was rolled; robust sigmas
+MAX_SPINNING_SHARE = 0.1  # of the windows that drive: what lasts longer is another error
+SPIN = "spin"  # code of the finding
 
 
 class Slip(NamedTuple):
@@ -115,14 +120,12 @@ def _differences(t: Array, heading: Array, window: float, wheels: Wheels) -> _Sp
     x, *_ = np.linalg.lstsq(A, own, rcond=None)
     by_slips = wheels.slips(np.stack((start, end), axis=-1))[:, 0].sum(axis=-1) / wheels.track**2
     rest = own - A @ x
-    usual = float(np.median(np.abs(rest - np.median(rest)))) / MAD
-    return _Spread((usual**2, float(rest.var())), float(by_slips.mean()))
+    return _Spread((_robust_sigma(rest) ** 2, float(rest.var())), float(by_slips.mean()))
 
 
-WINDOW_S, STEP_S = 1.0, 0.25  # s over which distances are compared, and between two windows
-MIN_SPIN_M, MIN_SPIN_SHARE, SPIN_SIGMAS = 0.08, 0.15, 6.0  # m and share of what was rolled; robust sigmas
-MAX_SPINNING_SHARE = 0.1  # of the windows that drive: what lasts longer is another error
-SPIN = "spin"  # code of the finding
+def _robust_sigma(rest: Array) -> float:
+    """Return the standard deviation of errors (n,) by their median distance from the median."""
+    return float(np.median(np.abs(rest - np.median(rest)))) / MAD
 
 
 def of_spins(drive: Drive, t: Array, pose: Array, name: str, jumps: Sequence[float] = ()) -> list[Finding]:
@@ -147,17 +150,17 @@ def of_spins(drive: Drive, t: Array, pose: Array, name: str, jumps: Sequence[flo
     if drove.sum() < MIN_WINDOWS:
         return []
     rest = rolled - moved * float(np.median(rolled[drove] / np.where(moved[drove] == 0.0, np.inf, moved[drove])))
-    spread = float(np.median(np.abs(rest[drove] - np.median(rest[drove])))) / MAD
-    far = drove & (np.abs(rest) > np.maximum(SPIN_SIGMAS * spread, MIN_SPIN_SHARE * np.abs(rolled)))
+    least = SPIN_SIGMAS * _robust_sigma(rest[drove])
+    far = drove & (np.abs(rest) > np.maximum(least, MIN_SPIN_SHARE * np.abs(rolled)))
     if far.sum() > MAX_SPINNING_SHARE * drove.sum():
         return []
     found = []
-    for span in np.split(np.arange(len(far)), np.flatnonzero(np.diff(far.astype(np.int8))) + 1):
-        first, last = begin[span[0]], begin[span[-1]] + WINDOW_S
-        lost = float(rest[span].sum()) * STEP_S / WINDOW_S
-        if not far[span[0]] or abs(lost) < MIN_SPIN_M or last - first < 2.0 * WINDOW_S:
+    for a, b in stretches(far):
+        first, last = begin[a], begin[b] + WINDOW_S
+        lost = float(rest[a : b + 1].sum()) * STEP_S / WINDOW_S
+        if abs(lost) < MIN_SPIN_M or last - first < 2.0 * WINDOW_S:
             continue
-        side = "farther" if lost * rolled[span].sum() > 0.0 else "less far"
+        side = "farther" if lost * rolled[a : b + 1].sum() > 0.0 else "less far"
         words = f"from {first:.1f} s to {last:.1f} s they rolled {abs(lost):.2f} m {side} than the {name} moved"
         found.append(Finding("wheels", SPIN, f"{words}: both wheels slipped"))
     return found

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Estimates, Truth
+from locfuse.fusion.data import Array, Drive, Estimates, Truth, stretches
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.streams import gap_limit
 from locfuse.fusion.wheels.calibrate import Sigma, truth_sigma
@@ -178,7 +178,7 @@ def jumps_of(drive: Drive) -> Jumps | None:
     if not number:
         return None
     away = spikes(truth.t, truth.xy, limit)
-    return Jumps(number, int(away.sum()), number - 2 * _runs(away), len(limit))
+    return Jumps(number, int(away.sum()), number - 2 * len(stretches(away)), len(limit))
 
 
 def _jumps(drive: Drive) -> list[Finding]:
@@ -194,10 +194,6 @@ def step_limits(truth: Truth, drive: Drive) -> Array:
     """How far the truth may step (n-1,) [m], given what the wheels rolled meanwhile."""
     limit: Array = JUMP_FACTOR * np.diff(drive.wheels.driven(truth.t)) + MIN_JUMP_M + 6.0 * truth.sigma
     return limit
-
-
-def _runs(mask: Mask) -> int:
-    return int((np.diff(mask.astype(int), prepend=0) > 0).sum())
 
 
 def wheels_metre(drive: Drive) -> tuple[float, float] | None:

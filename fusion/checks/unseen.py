@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from locfuse.fusion.data import Array, Drive
+from locfuse.fusion.data import Array, Drive, stretches
 
 from .finding import Finding
 
@@ -52,8 +52,7 @@ def _standing(t: Array, heading: Array, way: Array) -> str:
     """Return that the robot never stands long enough for a gyro's offset, else ""."""
     period = np.diff(t)
     still = (np.diff(way) <= MAX_SPEED_MPS * period) & (np.abs(np.diff(heading)) <= MAX_RATE_RADPS * period)
-    runs = np.split(np.arange(len(still)), np.flatnonzero(np.diff(still.astype(np.int8))) + 1)
-    longest = max((float(period[run].sum()) for run in runs if still[run[0]]), default=0.0)
+    longest = max((float(t[last + 1] - t[first]) for first, last in stretches(still)), default=0.0)
     if longest >= MIN_STAND_S:
         return ""
     return f"it stands for {longest:.1f} s at most, which tells no offset of the gyro. Stand for 5 s first"

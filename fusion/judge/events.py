@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from locfuse.fusion.data import (
     JUMP,
@@ -25,6 +24,7 @@ from locfuse.fusion.data import (
     Event,
     Jump,
     Measurements,
+    stretches,
 )
 
 MIN_REST_S = 2.0
@@ -83,12 +83,6 @@ def rests(drive: Drive) -> Iterator[tuple[float, float]]:
         start, end = float(drive.t[first - 1]), float(drive.t[last])
         if end - start >= MIN_REST_S:
             yield start, end
-
-
-def stretches(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return (first, last) index of every run of true values in flags (n,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], np.asarray(flags, np.int8), [0]))))
-    return [(a, b - 1) for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]
 
 
 def _refusals(sensor: str, m: Measurements, t: Array, audit: Audit, name: str) -> Iterator[Event]:

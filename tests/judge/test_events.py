@@ -27,9 +27,10 @@ from locfuse.fusion.data import (
     Jump,
     Measurements,
     Motions,
+    stretches,
 )
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.judge.events import events_of_drive, events_of_run, stretches
+from locfuse.fusion.judge.events import events_of_drive, events_of_run
 
 
 def resting(drive: Drive, first: int, last: int) -> Drive:

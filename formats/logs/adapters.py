@@ -96,7 +96,7 @@ def _places(joints: int, interfaces: tuple[str, ...], lengths: Ints, field: str)
 
 
 # --- Odometry and IMU. PX4 gives the world in north, east, down and the body in forward, right, down; ROS in
-# east, north, up and forward, left, up (REP 103). Headings then turn the other way, from east: yaw = pi / 2 - yaw of PX4.
+# east, north, up and forward, left, up (REP 103). Headings turn the other way, from east: pi / 2 - yaw of PX4.
 
 ODOMETRY, IMU = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
 FOXGLOVE_ODOMETRY = ("foxglove.Odometry", "foxglove_msgs/msg/Odometry")

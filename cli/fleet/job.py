@@ -12,9 +12,8 @@ from typing import Any, Literal
 
 import msgspec
 
-from locfuse.cli.analysis.key import key
 from locfuse.cli.analysis.load import find_log
-from locfuse.cli.analysis.robot_tables import given_tables
+from locfuse.cli.analysis.robot_tables import given_tables, key
 from locfuse.cli.analysis.settings import OF_COMPARISON, Asked, LogOptions, Outputs
 from locfuse.cli.rerun.record import file_in
 from locfuse.formats.caps import MAX_REPORT

@@ -7,6 +7,7 @@ import contextlib
 import json
 import math
 import shutil
+import sqlite3
 import struct
 import tempfile
 import time
@@ -155,6 +156,16 @@ def metadata(data: bytes) -> None:
     assert all(found.parent == file.parent for found in log_files(file.parent))
 
 
+def journal(data: bytes) -> None:
+    """A journal beside a database."""
+    database = scratch() / "a.db3"
+    if not database.exists():
+        with contextlib.closing(sqlite3.connect(database)) as made:
+            made.execute("CREATE TABLE messages(data)")
+    written("a.db3-wal", data)
+    journal_of(database)
+
+
 FIELDS = {
     file_stream.RANGES: ("id", "range"),
     file_stream.POSE: ("pose.pose.position.x", "pose.pose.orientation.w", "pose.covariance"),
@@ -190,7 +201,7 @@ PARSERS: dict[str, Callable[[bytes], object]] = {  # by the name of their corpus
     "mcap": lambda data: log_of(".mcap", data),
     "bag record": lambda data: ros1_bag.scan_chunk(np.frombuffer(data, np.uint8), 5000),
     "bag": lambda data: log_of(".bag", data),
-    "journal": lambda data: journal_of(written("journal", data)),
+    "journal": journal,
     "tum": lambda data: beside(".tum", data),
     "csv": lambda data: beside(".csv", data),
     "landmarks": lambda data: landmark_map.read(written("landmarks.csv", data)),

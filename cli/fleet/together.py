@@ -25,7 +25,7 @@ def robots(
             of.setdefault(e.robot, {})[e.name] = e.report["measured"]
 
     def look(names: Sequence[str], sets: Sequence[Fixes]) -> dict[str, Mapping[Fixes, Look]]:
-        ended = run([replace(jobs[name], tries=tuple(sets), recording=None) for name in names])
+        ended = run([replace(jobs[name], tries=tuple(sets)) for name in names])
         return {name: ended[name].looks for name in names if name in ended}
 
     return [{"robot": robot, **ask(logs, look)} for robot, logs in of.items() if len(logs) > 1]

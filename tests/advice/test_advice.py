@@ -11,7 +11,7 @@ import pytest
 from commands import locfuse
 from rewrite_log import rewritten
 
-from benchmarks.consistency_cases import LATE_CLOCK, MOVING, OFFSET, SCENARIO
+from benchmarks.consistency import LATE_CLOCK, MOVING, OFFSET, SCENARIO
 from locfuse.cli.session.session import load
 from locfuse.sample_logs.load import load as scenario_of
 from locfuse.sample_logs.record import on_truth, write_log

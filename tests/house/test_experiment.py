@@ -69,15 +69,6 @@ def test_tasks_of_one_unit_run_in_one_process(tmp_path: Path) -> None:
         assert a["process"] == b["process"]
 
 
-def test_a_table_is_put_between_its_marks(tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    page.write_text("above\n<!-- drives -->\nold\n<!-- end -->\nbelow\n")
-    lines = experiment.table(("what", "mm"), [("a", 1), ("b", 2)], right="1")
-    experiment.put(page, "drives", lines)
-    table = "| what | mm |\n|---|--:|\n| a | 1 |\n| b | 2 |"
-    assert page.read_text() == f"above\n<!-- drives -->\n{table}\n<!-- end -->\nbelow\n"
-
-
 # --- the ruler of the advice: what counts as named, as plaster, as worse, and as a gap that is closed
 
 

@@ -103,7 +103,7 @@ class Sources:
 
 sys.meta_path.insert(0, Sources())
 sys.path.insert(0, sys.argv[2])
-from test_interpreted import fused
+from test_compiled import fused
 fused(sys.argv[3], Path(sys.argv[4]))
 import locfuse.fusion.kernels.ekf
 assert locfuse.fusion.kernels.ekf.__file__.endswith(".py")

@@ -22,9 +22,18 @@ from locfuse.fusion.judge.bootstrap import (
     by_chance,
     effective_samples,
 )
-from locfuse.fusion.judge.credit import Credit, _Book, credit, credit_over_logs, shapley_steps, subsets
+from locfuse.fusion.judge.credit import (
+    Credit,
+    Effect,
+    _Book,
+    credit,
+    credit_over_logs,
+    overconfident,
+    shapley_steps,
+    subsets,
+    verdict,
+)
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.judge.verdict import Effect, overconfident, verdict
 
 Array = NDArray[np.float64]
 SENSORS = ("compass", "lrf")
@@ -120,16 +129,8 @@ def test_without_every_subset_only_the_effect_alone_is_known() -> None:
 @pytest.mark.parametrize(
     ("sets", "beside", "words"),
     [
-        (
-            (("lrf",), ("compass", "lrf")),
-            {"compass": ("lrf",), "lrf": None},
-            "Beside lrf: ",
-        ),
-        (
-            ((), ("compass",), ("compass", "lrf")),
-            {"compass": (), "lrf": ("compass",)},
-            "Alone: ",
-        ),
+        ((("lrf",), ("compass", "lrf")), {"compass": ("lrf",), "lrf": None}, "Beside lrf: "),
+        (((), ("compass",), ("compass", "lrf")), {"compass": (), "lrf": ("compass",)}, "Alone: "),
         (((), ("compass", "lrf")), {"compass": None, "lrf": None}, "No two configurations differ by it alone"),
         (((), ("compass",)), {"compass": ()}, "Alone: "),
     ],

@@ -9,23 +9,23 @@ from typing import Any
 import numpy as np
 import pytest
 import small_drive
-from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.fusion.data import Drive, Estimates, Measurements, Motions, Truth
 from locfuse.fusion.judge import consistency
-from locfuse.fusion.judge.consistency import Evidence, Run, judge
-from locfuse.fusion.judge.innovations import Heard, Own
-from locfuse.fusion.judge.noise_verdicts import (
+from locfuse.fusion.judge.consistency import (
+    Evidence,
     NoiseVerdict,
+    Run,
     biased_against,
     by_itself,
     by_memory,
     by_reference_run,
-    contradicting,
+    judge,
     of_messages,
     wanders,
 )
+from locfuse.fusion.judge.innovations import Heard, Own
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -156,12 +156,6 @@ def test_an_offset_comes_with_its_sigma_where_another_error_is_in_it(sure: float
     assert found.cures["compass.offset_deg"] == pytest.approx(175.0)
     assert ("compass.sigma_offset_deg" in found.cures) is given
     assert ("(1 sigma 0.31)" in found.words) is given
-
-
-def test_sensors_that_contradict_each_other_are_named() -> None:
-    words = contradicting("lrf", ["compass", "gps"]).words
-    assert words.startswith("lrf and compass and gps contradict each other")
-    assert replace(contradicting("a", ["b"]), words="").verdict == "contradicts"
 
 
 # --- who is to blame where runs disagree: what each run says of each sensor is laid by hand
@@ -327,8 +321,3 @@ def test_only_noise_that_is_understated_must_be_set_first(told: Told, scale: flo
 
 
 # --- a truth as a run
-
-
-def truth(n: int = N, **changed: object) -> Truth:
-    found = Truth("/truth", T[:n], np.zeros((n, 2)), np.zeros(n), (0.0, 0.0), 0.02, 0.03)
-    return replace(found, **changed)

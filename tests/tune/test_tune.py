@@ -17,7 +17,7 @@ from commands import locfuse
 from msgspec.structs import replace
 from scipy.stats import norm
 from trap_logs import Drive as LogDrive
-from traps_sensors import elsewhere
+from traps import elsewhere
 
 from locfuse.cli.analysis.load import find_log, load
 from locfuse.cli.analysis.settings import LogOptions
@@ -25,8 +25,7 @@ from locfuse.cli.session.tune import lasting_errors, tune_logs
 from locfuse.fusion.data import Drive
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.tune.record import record
-from locfuse.fusion.tune.replay import Noise, play
+from locfuse.fusion.tune.tape import Noise, play, record
 from locfuse.fusion.tune.tune import Trial, Tuned, tune
 
 

@@ -92,7 +92,7 @@ def measure(
         notes=(*(f"wheels: {note}" for note in repairs), *of_sensors),
         repairs=repairs,
         fixes=fixes,
-        **_cut(wheels, robot, measurements, truth),
+        **cut(wheels, robot, measurements, truth),
     )
 
 
@@ -154,7 +154,7 @@ def led_back(robot: Robot, drive: Drive, first_scan: float | None) -> tuple[Robo
     return found, replace(drive, notes=(*drive.notes, words))
 
 
-def _cut(
+def cut(
     wheels: Wheels, robot: Robot, measurements: Mapping[str, Measurements], truth: Truth | None
 ) -> dict[str, Any]:
     """Return the wheels' motion cut at all instants, and beside it at the truth's stamps: fields of a drive."""
@@ -235,7 +235,7 @@ def windowed(drive: Drive, robot: Robot, begin: float | None, end: float | None)
     start, words = _start_at(float(wheels.t[0]), drive, robot)
     note = f"only {wheels.t[0]:.1f} to {wheels.t[-1]:.1f} s of the drive are used{words}"
     parts = {"wheels": wheels, "measurements": within, "truth": truth, "notes": (*drive.notes, note)}
-    return replace(drive, **parts, **_cut(wheels, robot, within, truth)), replace(robot, start=start)
+    return replace(drive, **parts, **cut(wheels, robot, within, truth)), replace(robot, start=start)
 
 
 def _start_at(t: float, drive: Drive, robot: Robot) -> tuple[StartSettings, str]:
@@ -277,7 +277,7 @@ def jittered(drive: Drive, robot: Robot, seed: int) -> Drive:
         name: _jittered(m, first, last, np.random.default_rng([seed, k]))
         for k, (name, m) in enumerate(drive.measurements.items())
     }
-    return replace(drive, measurements=found, **_cut(drive.wheels, robot, found, drive.truth))
+    return replace(drive, measurements=found, **cut(drive.wheels, robot, found, drive.truth))
 
 
 def _jittered(m: Measurements, first: float, last: float, rng: np.random.Generator) -> Measurements:

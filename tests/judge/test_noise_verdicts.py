@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from locfuse.fusion.data import Drive, Estimates, Measurements, Motions, Truth
 from locfuse.fusion.judge import consistency
 from locfuse.fusion.judge.consistency import (
+    Consistency,
     Evidence,
-    NoiseVerdict,
     Run,
     biased_against,
     by_itself,
@@ -47,11 +47,11 @@ def settings(sensor: str, **values: Any) -> Any:
     return REGISTRY[sensor].Settings(**values)
 
 
-def by_run(**changed: Any) -> NoiseVerdict | None:
+def by_run(**changed: Any) -> Consistency | None:
     return by_reference_run("compass", settings("compass", sigma_deg=3.0), HEARD._replace(**changed))
 
 
-def alone(**changed: Any) -> NoiseVerdict:
+def alone(**changed: Any) -> Consistency:
     return by_itself("compass", settings("compass", sigma_deg=3.0), OWN._replace(**changed), [0.0], 0.1)
 
 
@@ -144,7 +144,7 @@ def test_by_itself_a_sigma_is_too_large_only_where_residuals_show_it(
     ],
 )
 def test_of_noise_that_messages_bring_no_setting_is_the_fix(verdict: Any, scale: float | None, words: str) -> None:
-    found = of_messages("compass", NoiseVerdict(verdict, "as it was", scale, {"compass.sigma_deg": 2.0}))
+    found = of_messages("compass", Consistency(verdict, "as it was", scale, {"compass.sigma_deg": 2.0}))
     assert (found.verdict, found.scale, found.words) == (verdict, scale, words)
     assert bool(found.cures) is (words == "as it was")
 

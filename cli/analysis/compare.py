@@ -176,10 +176,7 @@ def quarrels(configurations: Sequence[Configuration], found: Sequence[Score]) ->
 
 
 def _referenced(
-    references: References,
-    every: Sequence[JudgedRun],
-    hows: Sequence[Align],
-    filtered: Sequence[JudgedRun],
+    references: References, every: Sequence[JudgedRun], hows: Sequence[Align], filtered: Sequence[JudgedRun]
 ) -> tuple[Referenced, list[Evaluation]]:
     """Return every result judged by its reference, aligned as in `hows`, and the name of that reference."""
     pairs = [references.judged(j.evaluation, j.estimates, how) for j, how in zip(every, hows, strict=True)]

@@ -27,7 +27,7 @@ from locfuse.fusion.paper import preset as filters
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.streams import MergedStream, merged
+from locfuse.fusion.streams import merged, parts_of
 from locfuse.fusion.wheels.odometry import SCANS
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
@@ -178,9 +178,11 @@ def measured(
     progress("reading")
     streams = _streams(log, choice, str(tables.get("order", "auto")))
     _refuse_lost_wheels(log, choice, streams)
-    sensed = {s: parts(streams[s]) for s in REGISTRY if s in streams}
+    sensed = {s: parts_of(streams[s]) for s in REGISTRY if s in streams}
     if by_scans := "wheels" in streams and streams["wheels"].msgtype == SCANS:
-        sensed.setdefault("lrf", parts(streams["wheels"]))  # where it sits matters, whether or not it is a sensor
+        sensed.setdefault(
+            "lrf", parts_of(streams["wheels"])
+        )  # where it sits matters, whether or not it is a sensor
     frames = [part.frame_id for s in sensed for part in sensed[s]]
     transforms = transforms_of(log, frames)
     placed = EXACT_LASER if by_scans else {}
@@ -343,15 +345,10 @@ def _clock_notes(streams: Mapping[str, Any]) -> list[str]:
     """Return a note per role whose times are not the plain header stamps, with what is unusual about them."""
     notes: dict[str, None] = {}  # as a set in order: several topics of one role may say the same
     for role, stream in streams.items():
-        for part in parts(stream):
+        for part in parts_of(stream):
             words = [] if part.as_stamped else [part.clock]
             notes |= dict.fromkeys(f"{role}: {word}" for word in (*words, *part.notes))
     return list(notes)
-
-
-def parts(stream: Any) -> tuple[Any, ...]:
-    """Return the single topics' streams that a role's stream consists of."""
-    return stream.parts if isinstance(stream, MergedStream) else (stream,)
 
 
 def start_error(robot: Robot, drive: Drive) -> float | None:

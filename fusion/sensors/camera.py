@@ -13,29 +13,13 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from locfuse.fusion.camera.bearing import (
-    H_ORIENTATION,
-    MIN_DISTANCE_M,
-    Point,
-    paper_orientation,
-)
+from locfuse.fusion.camera.bearing import H_ORIENTATION, MIN_DISTANCE_M, Point, paper_orientation
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, LocfuseError, Measurements, Stream
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT, Mount, MountedSettings, mount_states
 from locfuse.fusion.se2 import sight, wrap
-from locfuse.fusion.sensor import (
-    GATE,
-    NO_BLOCK,
-    NO_COLUMNS,
-    Ask,
-    Belief,
-    Bias,
-    Block,
-    Model,
-    Sensor,
-    WheelMotion,
-)
+from locfuse.fusion.sensor import GATE, NO_BLOCK, NO_COLUMNS, Ask, Belief, Bias, Block, Model, Sensor, WheelMotion
 
 AMBIGUOUS, UNMATCHED = (VERDICTS.index(v) for v in ("ambiguous", "unmatched"))
 MAX_PANORAMA_COLUMNS, MAX_PANORAMA_ROWS = 3600, 8192  # of a panorama: its maps stay below 250 MB

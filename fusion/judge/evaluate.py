@@ -265,9 +265,8 @@ def nees(e: Array, S: Array) -> Array:
     with np.errstate(divide="ignore", over="ignore"):
         wide = MIN_EIGENVALUE_RATIO * np.maximum(sizes.sum(axis=1), MIN_EIGENVALUE_RATIO)
         regular = finite[(sizes > 0.0).all(axis=1) & (wide * (1.0 / sizes).sum(axis=1) < 1.0)]
-    found[regular] = (e[regular] * np.linalg.solve(S[regular], e[regular, :, None])[..., 0]).sum(axis=1) / e.shape[
-        1
-    ]
+    L = np.linalg.cholesky(S[regular])
+    found[regular] = np.square(np.linalg.solve(L, e[regular, :, None])).sum(axis=(1, 2)) / e.shape[1]
     return found
 
 

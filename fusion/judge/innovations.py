@@ -157,8 +157,8 @@ def _whiteness(v: Array, mark: Counts) -> Array:
     for lag in range(1, min(MAX_LAG_READINGS, len(v) - 1) + 1):
         same = mark[lag:] == mark[:-lag]
         if same.any():
-            products = np.compress(same, v[lag:] * v[:-lag], axis=0)  # ten times faster than [same]
-            out[lag - 1] = float((products.mean(axis=0) / variance).mean())
+            means = np.compress(same, v[lag:] * v[:-lag], axis=0).mean(axis=0)  # ten times faster than [same]
+            out[lag - 1] = float((means / variance).mean())
     return out
 
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Stream
 
-from . import FIELDS
 from .decoder_words import listened, tells_of_damage
 from .opencv import MAX_PIXELS, cv2
+from .optics import FIELDS
 
 PNG = b"\x89PNG\r\n\x1a\n"
 JPEG, EOI = b"\xff\xd8", b"\xff\xd9"

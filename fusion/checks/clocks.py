@@ -151,7 +151,7 @@ def wrong_clocks(pairs: Mapping[Pair, Lag], sigmas: float, least: float = MIN_LA
     found: list[tuple[float, tuple[Clock, ...]]] = []
     for count in range(min(len(names), MAX_WRONG + 1)):
         for off in combinations(names, count):
-            chi, clocks = _explained(pairs, sizes, off)
+            chi, clocks = explained(pairs, sizes, off)
             cost = chi + sigmas**2 * count + sum(RELUCTANCE.get(name, 0.0) for name in off)
             found.append((cost, clocks))
     found.sort(key=lambda one: one[0])
@@ -162,7 +162,7 @@ def wrong_clocks(pairs: Mapping[Pair, Lag], sigmas: float, least: float = MIN_LA
     return [clocks for clocks in named if clocks]
 
 
-def _explained(
+def explained(
     pairs: Mapping[Pair, Lag], sizes: Mapping[Pair, float], off: Sequence[str]
 ) -> tuple[float, tuple[Clock, ...]]:
     """Return chi-square of the differences if these clocks are off, and by how much (least squares)."""

@@ -46,14 +46,14 @@ def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
     if truth is None or len(truth.t) < MIN_READINGS:
         return []
     jumps = _jumps(drive) or _steps(truth, drive)
-    swings = swing(truth, drive, _by_wheels(truth, drive.wheels))
+    swings = swing(truth, drive, axle_path(truth, drive.wheels))
     point = of_point(truth, swings)
     # where a jump or another point is told, what it tells of the start is not the start
     start = [] if jumps or point else of_start(truth, drive, robot)
     return [*jumps, *_gaps(truth), *_noise(truth, drive), *point, *start, *of_creep(swings)]
 
 
-def _by_wheels(truth: Truth, wheels: Wheels) -> Array | None:
+def axle_path(truth: Truth, wheels: Wheels) -> Array | None:
     """Return the axle's path at the truth's stamps (n, 2) [m, map frame]: wheel distance along truth headings.
 
     The wheels' own turns, which slips spoil, have no part in it. None where the truth has no headings.
@@ -76,7 +76,7 @@ def _inside(truth: Truth, wheels: Wheels) -> Mask:
 
 def _steps(truth: Truth, drive: Drive) -> list[Finding]:
     """Return where the truth jumps sideways within one period and stays there, which a robot cannot do."""
-    path = _by_wheels(truth, drive.wheels)
+    path = axle_path(truth, drive.wheels)
     if path is None or truth.theta is None:
         return []
     body = truth.xy - se2.rotated(truth.theta, np.tile(truth.point, (len(truth.t), 1))) - path
@@ -129,7 +129,7 @@ def _scatter(truth: Truth, wheels: Wheels) -> Sigma:
 
     Only across the way: along it stamps that jitter do the same. Zero where nothing is sure.
     """
-    path, inside = _by_wheels(truth, wheels), _inside(truth, wheels)
+    path, inside = axle_path(truth, wheels), _inside(truth, wheels)
     if path is None or truth.theta is None or inside.sum() < MIN_STEPS:
         return Sigma(0.0, 0.0)
     step = se2.rotated(-truth.theta[:-1], np.diff(truth.xy - path, axis=0))[:, 1]
@@ -301,7 +301,7 @@ def of_ways(drive: Drive, run: Estimates) -> list[Finding]:
     """Return the difference in distance between a laser's own `run` and the wheels; either may be right."""
     rows = np.unique(drive.instant[run.sensors[0]])
     by_laser = Truth("", run.t[rows], run.pose[rows, :2], np.unwrap(run.pose[rows, 2]))
-    found = swing(by_laser, drive, _by_wheels(by_laser, drive.wheels))
+    found = swing(by_laser, drive, axle_path(by_laser, drive.wheels))
     way = float(drive.wheels.driven(drive.wheels.t[-1]))
     if found is None or way <= 0.0:
         return []

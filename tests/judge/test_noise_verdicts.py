@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 import small_drive
-from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.fusion.data import Drive, Estimates, Measurements, Motions, Truth
@@ -318,8 +317,3 @@ def test_only_noise_that_is_understated_must_be_set_first(told: Told, scale: flo
 
 
 # --- a truth as a run
-
-
-def truth(n: int = N, **changed: object) -> Truth:
-    found = Truth("/truth", T[:n], np.zeros((n, 2)), np.zeros(n), (0.0, 0.0), 0.02, 0.03)
-    return replace(found, **changed)

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from bags import Said, real_log
 from commands import locfuse
-from laser_room import ROOM, circle, ranges_of, scans_of
-from scan_streams import scan_stream
+from laser_room import ROOM, circle, ranges_of, scan_stream, scans_of
 from wheel_bags import joint_states, log_of, odometry, poses_in, stamps, twists
 
 from locfuse.cli.analysis.choose import choose

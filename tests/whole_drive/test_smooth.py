@@ -12,8 +12,8 @@ import six_sensors
 import small_drive
 from lock_step import simulated
 from msgspec.structs import replace
+from rows import Told, correct, step
 from textbook import TextbookEkf, move, numeric_jacobian, wrap
-from told import Told, correct, step
 from worlds import World
 
 import locfuse

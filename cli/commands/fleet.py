@@ -12,7 +12,7 @@ import click
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.settings import OF_COMPARISON as KINDS
-from locfuse.cli.rerun.record import FOLDER, Recording, catalog
+from locfuse.cli.rerun.record import FOLDER, catalog
 from locfuse.cli.terminal import completion, show
 from locfuse.cli.terminal import options as o
 from locfuse.cli.terminal.screen import put, reader_may_leave
@@ -34,6 +34,7 @@ MAX_LINES_PRINTED = 20  # about losses and gates on stderr; all of them are in t
     *o.CONFIGURATIONS,
     o.ALIGN,
     o.SMOOTH,
+    o.ADVICE,
     o.FIGURES,
     *o.GATES,
     o.OPEN,
@@ -48,7 +49,7 @@ def fleet(log: tuple[str, ...], options: o.Options) -> int:
     """Compare each of many LOGS, and write tables and a page over all of them (docs/fleet.md).
 
     LOGS are logs as `locfuse compare` takes them, also as @list.txt or "pattern*.mcap". Logs whose results are
-    there already are not run again.
+    there already are not run again. A setting that helps all logs of a robot is tried on each, and is one fix.
 
     \b
     locfuse fleet rounded_rectangle rounded_triangle disturbed --jobs 2
@@ -65,6 +66,7 @@ def fleet(log: tuple[str, ...], options: o.Options) -> int:
 
 def many(words: Sequence[str], options: o.Options) -> int:
     """Compare every log, write and print the summary; return the exit code."""
+    from locfuse.cli.advice.together import fixes_files
     from locfuse.cli.analysis.gates import FleetGates
     from locfuse.cli.fleet.jobs import gather, plan
     from locfuse.cli.fleet.queue import NOT_RUN
@@ -87,8 +89,12 @@ def many(words: Sequence[str], options: o.Options) -> int:
         _refuse_misuse(found, ended, todo)
         if ended.by is not None and not any(e.state == "done" for e in found.entries):
             raise ended.by
-        summary = summarised(found.entries)
+        summary = {
+            **summarised(found.entries),
+            "robots": _robots(todo, found, options) if ended.by is None else [],
+        }
         files = summary_files(summary, found.entries, outputs.write, colours(), tuple(sweep.parse(fleet.sweep)))
+        files |= fixes_files(summary["robots"])
         write_results(folder, files, overwrite=True)
         (folder / UNFINISHED).unlink(missing_ok=True)
     if ended.by is not None:
@@ -96,7 +102,7 @@ def many(words: Sequence[str], options: o.Options) -> int:
         raise ended.by
     written = [folder / name for name in files]
     _print(summary, written, outputs.as_json)
-    _say_recordings(ended, every.recording)
+    _say_recordings(ended, every.recordings)
     if outputs.open:
         show.open_page(written)
     return _code(found, gates.failures(summary), ended)
@@ -112,15 +118,15 @@ def _every(options: o.Options, folder: Path) -> Job:
         raise UsageError(f"--map {how.given_map}: it is of one drive: compare one log at a time")
     if rerun.save:
         raise UsageError("--rerun-save: one log at a time; of several logs --rerun records each")
-    recording = Recording(str((folder / FOLDER).absolute())) if rerun.show else None
+    recordings = (folder / FOLDER).absolute() if rerun.show else None
     return Job(
         name="",
         log=(),
         folder=folder,
         how=replace(how, quiet=True),
-        asked=replace(options.asked.of_each(), audits=recording is not None),
+        asked=replace(options.asked.of_each(), audits=recordings is not None),
         outputs=replace(options.outputs, write=frozenset(of_each(options.outputs.write))),
-        recording=recording,
+        recordings=recordings,
         again=options.fleet.again,
     )
 
@@ -144,6 +150,22 @@ def _run(todo: FleetPlan, options: o.Options) -> Ended:
             _say_failed(outcome)
         jobs = list(todo.jobs.values())
         return run_all(jobs, pool, slots, options.fleet.max_failures, _watch(progress, quiet))
+
+
+def _robots(todo: FleetPlan, found: FleetRows, options: o.Options) -> list[dict[str, Any]]:
+    """Ask the logs of each robot together: what all of them show is tried on each."""
+    from locfuse.cli.fleet.queue import executor, run_all
+    from locfuse.cli.fleet.together import robots
+
+    def run(jobs: Sequence[Job]) -> Mapping[str, JobOutcome]:
+        quiet = options.how.quiet
+        with show.progress(quiet) as progress, executor(options.fleet) as (pool, slots):
+            ended = run_all(jobs, pool, slots, None, _watch(progress, quiet))
+        if ended.by is not None:
+            raise ended.by
+        return ended.outcomes
+
+    return [] if options.fleet.sweep or not options.asked.advice else robots(found.entries, todo.jobs, run)
 
 
 def _watch(progress: show.Progress, quiet: bool) -> Watch:
@@ -192,14 +214,15 @@ def _print(summary: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> 
         if over.columns_of(summary):
             show.table(over.brief(summary))
         show.verdicts(summary)
+        show.lines(" ".join(line).strip() for line in over.robots(summary))
         show.end(files)
 
 
-def _say_recordings(ended: Ended, recording: Recording | None) -> None:
+def _say_recordings(ended: Ended, recordings: Path | None) -> None:
     """Print which recordings failed, and how to open all recordings."""
     _say_some([line for outcome in ended.outcomes.values() for line in outcome.warnings], "warnings")
-    if recording is not None and any(Path(recording.folder).glob("*.rrd")):
-        show.say(f"all drives in one viewer: {catalog(Path(recording.folder))}")
+    if recordings is not None and any(recordings.glob("*.rrd")):
+        show.say(f"all drives in one viewer: {catalog(recordings)}")
 
 
 def _code(found: FleetRows, failed_gates: Sequence[str], ended: Ended) -> int:

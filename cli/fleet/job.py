@@ -7,6 +7,7 @@ this run would give it, all its files lie beside it, and no file of the log was 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,11 +16,13 @@ import msgspec
 from locfuse.cli.analysis.load import find_log
 from locfuse.cli.analysis.robot_tables import given_tables, key
 from locfuse.cli.analysis.settings import OF_COMPARISON, Asked, LogOptions, Outputs
-from locfuse.cli.rerun.record import Recording
+from locfuse.cli.rerun.record import file_in
 from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.inputs import read_small
 from locfuse.formats.logs.files import files_of, identity_of
 from locfuse.formats.whole_files import TEMPORARY
+from locfuse.fusion.checks.together import Look
+from locfuse.fusion.checks.tried import Fixes
 from locfuse.fusion.data import LocfuseError
 
 
@@ -46,8 +49,9 @@ class Job(msgspec.Struct, frozen=True):
     outputs: Outputs
     robot: str | None = None  # the one that the log is of
     cells: tuple[SweepCell, ...] = (SweepCell(),)
-    recording: Recording | None = None
+    recordings: Path | None = None  # folder of the drives' recordings
     again: bool = False  # run it even where its results are there
+    tries: tuple[Fixes, ...] = ()  # settings to fuse it under, instead of being compared
 
     def recording_of(self, cell: SweepCell) -> str:
         """Return the name of a cell's recording."""
@@ -67,6 +71,7 @@ class JobOutcome(msgspec.Struct, frozen=True):
     misused: bool = False  # it failed by what was asked for, not by the log
     resumed: bool = False  # its results were there already
     warnings: tuple[str, ...] = ()  # what did not work beside its results
+    looks: Mapping[Fixes, Look] = msgspec.field(default_factory=dict)  # what it shows under each of what it tries
 
 
 REPORT = "report.json"
@@ -76,11 +81,13 @@ OF_KIND = {kind: f"report.{kind}" for kind in OF_COMPARISON if kind != "tum"}
 
 def is_finished(job: Job) -> bool:
     """Return whether a job's results are complete. Raises LocfuseError if its log or settings cannot be read."""
-    if job.again or job.outputs.export or job.outputs.figures is not None:  # exports are not looked for
+    if (
+        job.again or job.tries or job.outputs.export or job.outputs.figures is not None
+    ):  # exports are not looked for
         return False
     if not all((job.place(cell) / REPORT).is_file() for cell in job.cells):
         return False
-    if job.recording is not None and not all(_is_recorded(job, cell) for cell in job.cells):
+    if job.recordings is not None and not all(_is_recorded(job, cell) for cell in job.cells):
         return False
     files = files_of(find_log(job.log))
     content = identity_of(files)
@@ -105,8 +112,8 @@ def _is_there(job: Job, cell: SweepCell, changed_ns: int, expected: str) -> bool
 
 def _is_recorded(job: Job, cell: SweepCell) -> bool:
     """Return whether a result's recording exists and is not older than the result."""
-    assert job.recording is not None
-    file, report = job.recording.file(job.recording_of(cell)), job.place(cell) / REPORT
+    assert job.recordings is not None
+    file, report = file_in(job.recordings, job.recording_of(cell)), job.place(cell) / REPORT
     return file.is_file() and file.stat().st_mtime_ns >= report.stat().st_mtime_ns
 
 

@@ -16,6 +16,7 @@ import tempfile
 import threading
 from contextlib import suppress
 
+from locfuse.cli.advice.together import looks, numbers_of
 from locfuse.cli.analysis import maps
 from locfuse.cli.analysis.errors import expected
 from locfuse.cli.analysis.load import find_log, load_to_fuse, with_settings
@@ -109,6 +110,9 @@ def _end_with_parent() -> None:
 def outcome(job: Job) -> JobOutcome:
     """Run a job in this process and return its outcome, with one line if it failed."""
     try:
+        if job.tries:
+            loaded = load_to_fuse(find_log(job.log), job.how, silent, read_again=True)
+            return JobOutcome(job.name, "done", looks=looks(loaded, job.tries, job.asked.align, silent))
         return JobOutcome(job.name, "done", warnings=compare(job))
     except Exception as problem:
         known = expected(problem)
@@ -120,18 +124,20 @@ def outcome(job: Job) -> JobOutcome:
 
 def compare(job: Job) -> tuple[str, ...]:
     """Measure a job's log once and write the results of every cell; return warnings about the rest."""
-    again = job.cells != (SweepCell(),) or job.recording is not None
+    again = job.cells != (SweepCell(),) or job.recordings is not None
     measured = load_to_fuse(find_log(job.log), job.how, silent, read_again=again)
     outputs, warnings = job.outputs, []
     for cell in job.cells:
         loaded = with_settings(measured, cell.sets) if cell.sets else measured
         found = Session(maps.give_topic(loaded), silent).compared(job.asked)
+        if job.cells == (SweepCell(),):
+            found.report["measured"] = numbers_of(found.loaded, tuple(found.estimates.values()))
         folder = job.place(cell)
         overwrite = outputs.overwrite or is_replaceable(folder)
         found.write(folder, write=outputs.write, export=outputs.export, overwrite=overwrite)
         if outputs.figures is not None:
             found.write_figures(outputs.figures / cell.folder)
-        if job.recording is not None and (why := record_drive(job.recording, job.recording_of(cell), found)):
+        if job.recordings is not None and (why := record_drive(job.recordings, job.recording_of(cell), found)):
             warnings.append(why)
     return tuple(warnings)
 

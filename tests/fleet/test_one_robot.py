@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from commands import locfuse, ok
-from jobs_here import counted_jobs, jobs_here
+from commands import counted_jobs, jobs_here, locfuse, ok
 
 import locfuse as api
 from benchmarks.advice_cases import OFFSET, SCENARIO

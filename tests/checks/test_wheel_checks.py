@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
 from small_drive import NOISE, drive, robot
 
+from locfuse.cli.session.session import load
+from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.slip import LONG_S, MAX_FACTOR, SHORT_S, of_spins, slip
+from locfuse.fusion.checks.turning import of_turning
+from locfuse.fusion.checks.unseen import unseen
 from locfuse.fusion.data import Drive
+from locfuse.sample_logs.load import load as scenario_of
+from locfuse.sample_logs.record import on_truth, write_log
 
 
 def drawn(seed: int = 0, laps: float = 2.0, compass_noise_deg: float = 1.0) -> Drive:
@@ -125,3 +135,81 @@ def test_a_wrong_radius_or_a_late_clock_is_no_spin(scale: float, late_s: float) 
     t = one.wheels.t
     path = one.wheels.at(np.maximum(t - late_s, 0.0))[2] * [scale, scale, 1.0]
     assert not of_spins(one, t, path, "truth")
+
+
+# --- left and right exchanged, on a robot without a sensor that turns: a truth of points shows it
+
+WHEELS_ALONE = ("compass.enabled=false", "camera.enabled=false", "lrf.enabled=false")
+
+
+def found(log: Path, *sets: str, headings: bool) -> list[Finding]:
+    loaded = load(log, sets=sets).loaded
+    truth = loaded.drive.truth
+    assert truth is not None
+    drive = loaded.drive if headings else replace(loaded.drive, truth=replace(truth, theta=None))
+    return of_turning(drive, loaded.robot, {}, {"wheels": loaded.stream("wheels")})
+
+
+@pytest.mark.parametrize("headings", [False, True])
+def test_exchanged_wheels_are_named_by_their_joints_and_right_ones_are_not(tmp_path: Path, headings: bool) -> None:
+    log = tmp_path / "wheels.mcap"
+    write_log(scenario_of("rounded_rectangle", WHEELS_ALONE), 3000, on_truth, log)
+    assert found(log, headings=headings) == []
+    joints = load(log).loaded.stream("wheels").columns("name")["name"][0]
+    left, right = (next(j for j in joints if side in j) for side in ("left", "right"))
+    exchanged = (f"wheels.left={right}", f"wheels.right={left}")
+    (one,) = found(log, *exchanged, headings=headings)
+    assert (one.code, one.severe) == ("swapped", True)
+    assert set(one.fixes) == {f"wheels.left={left}", f"wheels.right={right}"}
+
+
+# --- what a drive cannot tell is named, with the manoeuvre that would; a drive that has them all is told nothing
+
+PERIOD_S = 0.05
+
+
+def drive_of(*parts: tuple[float, float, float], sensors: tuple[str, ...] = ("gyro",)) -> Any:
+    """A drive of parts: seconds, speed [m/s], turning rate [rad/s]."""
+    speed, rate = (np.concatenate([np.full(round(p[0] / PERIOD_S), p[i]) for p in parts]) for i in (1, 2))
+    t = np.arange(len(speed) + 1) * PERIOD_S
+    way, turned = (np.append(0.0, np.cumsum(v) * PERIOD_S) for v in (speed, rate))
+    wheels = SimpleNamespace(
+        t=t, heading=lambda at: np.interp(at, t, turned), driven=lambda at: np.interp(at, t, way)
+    )
+    return SimpleNamespace(wheels=wheels, measurements=dict.fromkeys(sensors))
+
+
+STAND, AHEAD, LEFT, RIGHT, ARC = (
+    (6.0, 0.0, 0.0),
+    (8.0, 0.3, 0.0),
+    (4.0, 0.0, 0.8),
+    (4.0, 0.0, -0.8),
+    (30.0, 0.3, 0.3),
+)
+
+
+@pytest.mark.parametrize(
+    ("parts", "manoeuvres"),
+    [
+        ((STAND, AHEAD, LEFT, RIGHT), ()),
+        ((AHEAD, LEFT, RIGHT), ("Stand for 5 s",)),
+        ((STAND, AHEAD, LEFT), ("once each way",)),
+        ((STAND, ARC, RIGHT), ("Drive 3 m straight",)),
+        ((AHEAD,), ("once each way", "Stand for 5 s")),
+    ],
+)
+def test_the_manoeuvre_that_is_missing_is_named(parts: Any, manoeuvres: tuple[str, ...]) -> None:
+    found = unseen(drive_of(*parts))
+    assert len(found) == len(manoeuvres)
+    assert all(any(word in f.message for f in found) for word in manoeuvres)
+    assert not any(f.fixes or f.severe for f in found)
+
+
+def test_without_a_gyro_nobody_needs_to_stand() -> None:
+    assert not unseen(drive_of(AHEAD, LEFT, RIGHT, sensors=("compass",)))
+
+
+def test_a_drive_that_never_moves_a_metre_is_no_error() -> None:
+    (first, second) = unseen(drive_of(STAND))
+    assert "0° to the left" in first.message
+    assert "no metre" in second.message

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from locfuse.cli.advice import evaluator
 from locfuse.cli.advice.evaluator import on_the_whole_drive, smoothed_worse, standard
 from locfuse.cli.advice.trial import Trial
 from locfuse.cli.analysis.settings import silent
@@ -106,3 +107,24 @@ def test_the_noise_and_the_point_of_the_truth_are_judged_by_the_run_that_is_know
     sets = ("truth.x=0.02", "truth.sigma=0.01")
     assert one(sets, [*several]) == other(sets, [*several])
     assert (one.fusions, other.fusions) == (0, 2)
+
+
+# --- two faults that hide each other: a fix that helps only beside another one. Scores are written by hand
+
+
+@pytest.mark.parametrize(
+    ("last", "left"),
+    [
+        ("0.000", [("lrf", ("lrf.range_scale=0.95",))]),
+        ("-0.050", [("camera", ("camera.time_offset=-0.050",)), ("lrf", ("lrf.range_scale=0.95",))]),
+    ],
+)
+def test_a_clock_that_is_moved_and_moved_back_is_no_advice(last: str, left: list[tuple[str, Fixes]]) -> None:
+    """It only looked wrong beside a laser whose ranges were."""
+    moved = Advice(Finding("camera", "lag", "late"), (f"camera.time_offset={last}",))
+    scaled = Advice(Finding("lrf", "range scale", "too long"), ("lrf.range_scale=0.95",))
+    open_one = Advice(Finding("compass", "outliers", "a third does not fit"))
+    kept = (f"camera.time_offset={last}", "lrf.range_scale=0.95")
+    robot = SimpleNamespace(settings=lambda _: SimpleNamespace(time_offset=0.0, range_scale=1.0))
+    found = evaluator.changing([moved, scaled, open_one], kept, robot)  # type: ignore[arg-type]
+    assert [(a.finding.role, a.fixes) for a in found] == [*left, ("compass", ())]

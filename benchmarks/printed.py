@@ -19,7 +19,6 @@ import numpy as np
 from benchmarks import experiment
 from benchmarks.accuracy import LOCK_STEP, figures
 from benchmarks.experiment import Row
-from locfuse.fusion.camera.bearing import predict_bearing
 from locfuse.fusion.data import Array, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
@@ -27,7 +26,8 @@ from locfuse.fusion.paper import equations
 from locfuse.fusion.paper import rows as paper_rows
 from locfuse.fusion.paper.filter import fuse_as_printed
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.se2 import wrap
+from locfuse.fusion.se2 import sight, wrap
+from locfuse.fusion.sensors.camera import MIN_DISTANCE_M
 
 PRINTED_W = equations.eq8_W
 SETS: tuple[tuple[str, ...], ...] = ((), ("compass",), ("lrf",), ("camera",), ("compass", "lrf", "camera"))
@@ -58,11 +58,12 @@ class BearingRow(paper_rows.CameraRow):
     def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[paper_rows.Row]:
         """Compare the bearing of the largest candidate of picture i."""
         row = int(m.first[i])
-        predicted = predict_bearing((float(x[0]), float(x[1]), float(x[2])), self.landmark, self.lever, self.yaw)
+        pose, mount = (float(x[0]), float(x[1]), float(x[2])), (*self.lever, self.yaw)
+        predicted = sight(pose, self.landmark, mount, MIN_DISTANCE_M)
         if row == int(m.first[i + 1]) or predicted is None:
             return []
         y = wrap(float(m.z[row, 0]) - predicted[0])
-        return [paper_rows.innovation(row, 0, np.array([y]), np.array([predicted[1]]), self.R, P)]
+        return [paper_rows.innovation(row, 0, np.array([y]), np.array([predicted[2]]), self.R, P)]
 
 
 REPAIRS: dict[str, Any] = {  # what replaces an equation while the printed filter runs

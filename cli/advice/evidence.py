@@ -35,8 +35,8 @@ from locfuse.fusion.checks.slip import of_spins
 from locfuse.fusion.checks.tried import Candidate, Fixes, together
 from locfuse.fusion.checks.truth import CREEP, POINT, START, STEP, WHEEL_SCALE, of_point, of_ways, swing
 from locfuse.fusion.data import BASES
+from locfuse.fusion.judge.consistency import Consistency, biased_against
 from locfuse.fusion.judge.consistency import Evidence as Said
-from locfuse.fusion.judge.consistency import NoiseVerdict, biased_against
 from locfuse.fusion.judge.innovations import heard
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.truth import body_poses
@@ -330,7 +330,7 @@ class Evidence(Noise):
         return [self._candidate(Finding("start", "heading", words), (fixes,), True)]
 
     @cached_property
-    def _biases_again(self) -> dict[str, NoiseVerdict]:
+    def _biases_again(self) -> dict[str, Consistency]:
         """Offsets that were fixed before another fix: measured again, since that fix moved them."""
         keys = [fix.partition("=")[0] for fix in self.fixes]
         fixed = [

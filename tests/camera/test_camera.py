@@ -24,13 +24,12 @@ from rows import one_by_one, said
 
 from locfuse.formats.results.preview import write_pictures
 from locfuse.fusion.camera import images
-from locfuse.fusion.camera.bearing import paper_orientation, predict_bearing
 from locfuse.fusion.camera.decoder_words import listened, tells_of_damage
-from locfuse.fusion.camera.images import FIELDS, image_size
+from locfuse.fusion.camera.images import image_size
 from locfuse.fusion.checks.preview import preview
 from locfuse.fusion.data import VERDICTS, ArrayStream, LocfuseError, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.se2 import wrap, wrap_all
+from locfuse.fusion.se2 import sight, wrap, wrap_all
 from locfuse.fusion.sensors.camera import Camera, CameraSettings
 
 LENS = Lens()
@@ -218,7 +217,6 @@ def test_a_raw_pictures_header_is_not_believed(width: int, height: int, step: in
 
 def test_every_type_the_camera_reads_can_be_decoded() -> None:
     data = coded(picture(LENS, Pole(30.0)))
-    assert dict(Camera.reads) == FIELDS
     stream: Any = compressed(data)
     m = measured(ArrayStream("/omni", "foxglove.CompressedImage", stream.t_ns, stream.data))
     np.testing.assert_allclose(errors_deg(m, 30.0), 0.0, atol=0.15)
@@ -277,7 +275,7 @@ def test_the_bearing_is_the_landmark_seen_from_the_cameras_frame(lever: tuple[fl
         turn = theta + yaw
         to_camera = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
         seen = to_camera @ (np.array([4.0, 1.0]) - eye)
-        predicted = predict_bearing((x, y, theta), (4.0, 1.0), lever, yaw)
+        predicted = sight((x, y, theta), (4.0, 1.0), (*lever, yaw), 0.05)
         assert predicted is not None
         assert wrap(predicted[0] - math.atan2(seen[1], seen[0])) == pytest.approx(0.0, abs=1e-12)
 
@@ -355,7 +353,6 @@ def test_the_papers_orientation_is_the_landmarks_first_direction_minus_its_beari
     assert second.y[0] == pytest.approx(gamma[1] - 0.6)
     assert said(first, there).H.tolist() == said(second, here).H.tolist() == [[0.0, 0.0, 1.0]]  # eq. 13
     assert model.innovations(m, 2, belief(0.0, 0.0, 0.5)) == []
-    assert paper_orientation(1.0, 0.3) == pytest.approx(0.7)
 
 
 def test_a_preview_shows_pictures_evenly_spread_with_what_was_found(tmp_path: Path) -> None:

@@ -150,7 +150,8 @@ def with_camera(drive: Drive, robot: Robot, seed: int = 5) -> tuple[Drive, Robot
         floor=np.zeros((1, 1)),
     )
     measurements = {**drive.measurements, "camera": camera}
-    more = cut(drive.wheels, drive.epoch_ns, measurements, robot, {}, None, {})
+    parts = cut(drive.wheels, robot, measurements, None)
+    more = replace(drive, measurements=measurements, truth=None, **parts)
     sensors = {**robot.sensors, "camera": CameraSettings(landmark=LANDMARK)}
     return more, replace(robot, sensors=sensors)
 

@@ -350,7 +350,7 @@ def test_every_way_to_change_a_belief_is_noted_or_needs_no_note() -> None:
         "keeps",
     }  # the equation, not the state
     of_the_kernel = {"move", "correct_queued", "turn_frame", "copy_pose", "replace", "loosen_states"}
-    of_the_kernel |= {"hold", "hold_rows", "hold_room", "drift"}
+    of_the_kernel |= {"hold", "hold_rows", "drift"}
     reading = {"x", "y", "theta", "pose", "triangle", "state", "covariance", "matrix", "block", "variances"}
     reading |= {"spread", "variance", "frame_pose", "frame_covariance", "located", "fit", "fit_of"}
     reading |= {"equation", "framed"}

@@ -141,7 +141,6 @@ def mcap_record(data: bytes) -> object:
     for read in (
         mcap_records.schema, mcap_records.channel, mcap_records.chunk_header, mcap_records.chunk_index,
         mcap_records.message_index, mcap_records.attachment, mcap_records.statistics,
-        mcap_records.attachment_index,
     ):  # fmt: skip
         try:
             read(data)
@@ -173,8 +172,9 @@ def bag_record(data: bytes) -> object:
 
 
 def journal(data: bytes) -> object:
-    file = scratch() / "journal"
+    file = scratch() / "log.db3"
     file.write_bytes(data)
+    Path(f"{file}-wal").write_bytes(data)
     return journal_of(file)
 
 

@@ -116,51 +116,41 @@ class Survey(msgspec.Struct):
 # --- The summary section at the end, believed only when footer, checksum and records are whole
 
 
-class FileSummary(msgspec.Struct):
+class FileSummary(Survey):
     """The writer's summary of the whole file."""
 
-    start: int  # file offset of the section
-    schemas: dict[int, rec.Schema] = field(default_factory=dict)
-    channels: dict[int, rec.Channel] = field(default_factory=dict)
+    start: int = 0  # file offset of the section
     chunks: dict[int, rec.ChunkIndex] = field(default_factory=dict)  # by file offset
-    attachments: list[rec.AttachmentIndex] = field(default_factory=list)
     statistics: rec.Statistics | None = None
-
-    @property
-    def counts(self) -> dict[int, int] | None:
-        """Channel -> messages; None if the writer did not count them."""
-        return None if self.statistics is None else self.statistics.counts
 
 
 TAIL_BYTES = rec.RECORD.size + rec.FOOTER_LENGTH + len(rec.MAGIC)  # bytes of footer and magic
 
 
+def _footer(data: FileBytes) -> tuple[int, int, bytes] | None:
+    """Return the summary's place and checksum, and the footer's bytes under that; None without a whole footer."""
+    foot = data.read(max(data.size - TAIL_BYTES, 0), TAIL_BYTES)
+    if len(foot) < TAIL_BYTES or foot[-len(rec.MAGIC) :] != rec.MAGIC or foot[0] != rec.FOOTER:
+        return None
+    start, _, crc, at = rec.values(foot, "QQI", rec.RECORD.size)
+    return start, crc, foot[: at - 4]
+
+
 def lost_summary(data: FileBytes) -> bool:
     """Return whether a file without a valid summary should have one: its footer is damaged or points at it."""
     foot = _footer(data)
-    return not foot or rec.Cursor(foot, rec.RECORD.size).integers("QQI")[0] != 0
-
-
-def _footer(data: FileBytes) -> bytes:
-    """Return the footer's record and the magic after it, empty if either is missing."""
-    foot = data.read(max(data.size - TAIL_BYTES, 0), TAIL_BYTES)
-    whole = len(foot) == TAIL_BYTES and foot[-len(rec.MAGIC) :] == rec.MAGIC and foot[0] == rec.FOOTER
-    return foot if whole else b""
+    return foot is None or foot[0] != 0
 
 
 def summary_section(data: FileBytes) -> bytes | None:
     """Return the bytes of the summary section, None if it is missing or its checksum is wrong."""
     foot = _footer(data)
-    if not foot:
-        return None
-    start, _, crc = rec.Cursor(foot, rec.RECORD.size).integers("QQI")
     end = data.size - TAIL_BYTES
-    if not len(rec.MAGIC) <= start <= end or end - start > MAX_CHUNK:
+    if foot is None or not len(rec.MAGIC) <= foot[0] <= end or end - foot[0] > MAX_CHUNK:
         return None
+    start, crc, footer = foot
     section = data.read(start, end - start)
-    if crc and zlib.crc32(section + foot[: rec.RECORD.size + rec.FOOTER_LENGTH - 4]) != crc:
-        return None
-    return section
+    return None if crc and zlib.crc32(section + footer) != crc else section
 
 
 def read_summary(data: FileBytes) -> FileSummary | None:
@@ -168,33 +158,27 @@ def read_summary(data: FileBytes) -> FileSummary | None:
     section = summary_section(data)
     if section is None:
         return None
+    summary = FileSummary(start=data.size - TAIL_BYTES - len(section))
+    at = 0
     try:
-        return _parse(section, data.size - TAIL_BYTES - len(section))
+        while at < len(section):
+            opcode, length, start = rec.values(section, "BQ", at)
+            at = start + length
+            content = section[start:at]
+            if at > len(section):
+                return None
+            summary.define(opcode, content)
+            if opcode == rec.CHUNK_INDEX:
+                chunk = rec.chunk_index(content)
+                summary.chunks[chunk.offset] = chunk
+            elif opcode == rec.STATISTICS:
+                summary.statistics = rec.statistics(content)
+                summary.expected = summary.statistics.counts
+            elif opcode == rec.ATTACHMENT_INDEX:
+                offset, length, _ = rec.values(content, "QQ")
+                summary.attachments.append((offset + rec.RECORD.size, length - rec.RECORD.size))
     except DamagedError:
         return None
-
-
-def _parse(section: bytes, start: int) -> FileSummary:
-    summary = FileSummary(start)
-    at = 0
-    while at < len(section):
-        cursor = rec.Cursor(section, at)
-        opcode, length = cursor.integers("BQ")
-        content = cursor.take(length)
-        at = cursor.at
-        if opcode == rec.SCHEMA:
-            schema = rec.schema(content)
-            summary.schemas[schema.id] = schema
-        elif opcode == rec.CHANNEL:
-            channel = rec.channel(content)
-            summary.channels[channel.id] = channel
-        elif opcode == rec.CHUNK_INDEX:
-            chunk = rec.chunk_index(content)
-            summary.chunks[chunk.offset] = chunk
-        elif opcode == rec.STATISTICS:
-            summary.statistics = rec.statistics(content)
-        elif opcode == rec.ATTACHMENT_INDEX:
-            summary.attachments.append(rec.attachment_index(content))
     return summary
 
 
@@ -232,13 +216,14 @@ def promised(data: FileBytes) -> Survey | None:
         and total.keys() <= summary.channels.keys()
         and all(summary.channels[ident].schema_id in {0, *summary.schemas} for ident in total)
         and end <= summary.start
-        and all(a.length > rec.RECORD.size for a in summary.attachments)
+        and all(length > 0 for _, length in summary.attachments)
     )
     if not agrees:
         return None
     put_in_order(parts)
-    attachments = [(a.offset + rec.RECORD.size, a.length - rec.RECORD.size) for a in sorted(summary.attachments)]
-    return Survey(parts, summary.schemas, summary.channels, attachments, statistics.counts)
+    summary.parts = parts
+    summary.attachments.sort()
+    return summary
 
 
 def _promised_chunk(entry: rec.ChunkIndex) -> ChunkRef | None:
@@ -295,9 +280,6 @@ class Resync:
         if self.starts:
             i = bisect_left(self.starts, at)
             return self.starts[i] if i < len(self.starts) else None
-        return self._search(at, chunked, channels)
-
-    def _search(self, at: int, chunked: bool, channels: Collection[int]) -> int | None:
         while at + rec.RECORD.size <= self.end:
             if at not in self._window or chunked != self._chunked:
                 self._search_window(at, chunked)
@@ -338,7 +320,7 @@ class Resync:
             if len(head) < rec.RECORD.size + 2:
                 return False
             opcode, length = rec.opcode_and_length(head)
-            if opcode == rec.MESSAGE and rec.Cursor(head, rec.RECORD.size).integer("H") not in channels:
+            if opcode == rec.MESSAGE and int.from_bytes(head[rec.RECORD.size :], "little") not in channels:
                 return False
             if not 0 < opcode <= rec.DATA_END or at + rec.RECORD.size + length > self.data.size:
                 return False
@@ -410,7 +392,7 @@ class _SurveyWalk:
         self.losses = losses
         self.found = Survey()
         if summary is not None:
-            self.found = Survey(schemas=summary.schemas, channels=summary.channels, expected=summary.counts)
+            self.found = Survey([], summary.schemas, summary.channels, [], summary.expected)
         self.resync = Resync(data, summary)
         self.chunked = False
         self.index_end = 0  # where the message indexes of the last chunk end, by the summary
@@ -425,18 +407,12 @@ class _SurveyWalk:
         elif self.summary is None and lost_summary(self.data):
             self.losses.add(self.name, NO_SUMMARY, here, self.data.size - here)
         self._distrust_unconfirmed()
-        self._put_in_order()
-        return self.found
-
-    def _put_in_order(self) -> None:
-        """Put chunks in the order of their times.
-
-        Times in a chunk's header are covered by no checksum, so they count only where the summary has the same.
-        """
-        spans = [part.span for part in self.found.parts]
+        # times in a chunk's header are covered by no checksum: they count only where the summary has the same
         promised = self.summary.chunks.values() if self.summary else ()
-        if sorted(spans) == sorted((entry.first, entry.last) for entry in promised):
+        times = sorted((entry.first, entry.last) for entry in promised)
+        if sorted(part.span for part in self.found.parts) == times:
             put_in_order(self.found.parts)
+        return self.found
 
     def _step(self, at: int) -> int | None:
         """Handle the record at `at`; return the next one's offset, or None at the end of the data section."""
@@ -499,16 +475,12 @@ class _SurveyWalk:
             chunk.index.clear()
             chunk.counts = None
 
-    def _content(self, at: int, length: int) -> bytes:
+    def _define(self, at: int, length: int) -> None:
+        """Take a Schema or Channel record."""
         if length > MAX_CHUNK:
             raise DamagedError(f"a record claims more than {MAX_CHUNK >> 20} MiB")
-        return self.data.read(at + rec.RECORD.size, length)
-
-    def _schema(self, at: int, length: int) -> None:
-        self.found.define(rec.SCHEMA, self._content(at, length))
-
-    def _channel(self, at: int, length: int) -> None:
-        self.found.define(rec.CHANNEL, self._content(at, length))
+        content = self.data.read(at, rec.RECORD.size + length)
+        self.found.define(content[0], content[rec.RECORD.size :])
 
     def _loose(self, at: int, length: int) -> int:
         """Collect consecutive messages outside any chunk; return where they end."""
@@ -554,7 +526,7 @@ class _SurveyWalk:
     def _message_index(self, at: int, length: int) -> None:
         chunk = self.found.parts[-1] if self.found.parts else None
         if isinstance(chunk, ChunkRef):
-            ident, n_bytes = rec.Cursor(self.data.read(at + rec.RECORD.size, 6)).integers("HI")
+            ident, n_bytes, _ = rec.values(self.data.read(at + rec.RECORD.size, 6), "HI")
             if n_bytes != length - 6 or n_bytes % 16:
                 raise DamagedError("a message index that contradicts itself")
             chunk.index[ident] = (at + rec.RECORD.size, length)
@@ -565,8 +537,8 @@ class _SurveyWalk:
         self.found.attachments.append((at + rec.RECORD.size, length))
 
     HANDLERS = {  # noqa: RUF012
-        rec.SCHEMA: _schema,
-        rec.CHANNEL: _channel,
+        rec.SCHEMA: _define,
+        rec.CHANNEL: _define,
         rec.MESSAGE: _loose,
         rec.CHUNK: _chunk,
         rec.MESSAGE_INDEX: _message_index,

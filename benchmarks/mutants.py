@@ -54,11 +54,10 @@ fusion/sensors/camera: camera/camera sensors/contract
 fusion/map/line_map: map/prediction map/map_keeping map/given_map kernels/sight sensors/lrf fusion/mount
 fusion/map/scan: map/standing map/map_keeping sensors/lrf
 fusion/map/sonar_echo: sensors/sonar
-fusion/judge/evaluate fusion/judge/way: judge/evaluate
-fusion/judge/bootstrap fusion/judge/credit fusion/judge/verdict: judge/credit
+fusion/judge/evaluate: judge/evaluate
+fusion/judge/bootstrap fusion/judge/credit: judge/credit
 fusion/judge/consistency: judge/noise_verdicts judge/consistency
 fusion/judge/events: judge/events
-fusion/judge/noise_verdicts: judge/noise_verdicts judge/consistency
 fusion/judge/covariance: judge/consistency
 fusion/judge/innovations: judge/innovations judge/consistency
 fusion/judge/predictive: judge/predictive

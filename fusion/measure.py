@@ -25,7 +25,28 @@ from .robot import Robot, StartSettings
 from .sensor import FoundStart
 from .truth import body_poses, read_truth
 
+MOVED_S = 1e-6  # s: times are moved by at most this, evenly distributed
+DROPPED_SHARE = 0.01  # of every sensor's readings
 MAX_SILENCE_S = 0.2  # s: where no sensor speaks for this long, a wheel reading becomes an instant
+
+
+def jittered(drive: Drive, robot: Robot, seed: int) -> Drive:
+    """Return the drive with other times and fewer readings; equal for equal seeds."""
+    first, last = float(drive.wheels.t[0]), float(drive.wheels.t[-1])
+    found = {
+        name: _jittered(m, first, last, np.random.default_rng([seed, k]))
+        for k, (name, m) in enumerate(drive.measurements.items())
+    }
+    return recut(drive, robot, found)
+
+
+def _jittered(m: Measurements, first: float, last: float, rng: np.random.Generator) -> Measurements:
+    """Return the readings that are kept at random, in the order of their moved times within first and last [s]."""
+    n = len(m.t)
+    t: Array = np.clip(m.t + MOVED_S * rng.uniform(-1.0, 1.0, n), first, last)
+    stays = np.flatnonzero(rng.random(n) >= DROPPED_SHARE)
+    stays = stays[np.argsort(t[stays], kind="stable")]
+    return replace(m.take(stays), t=t[stays])
 
 
 def measure(

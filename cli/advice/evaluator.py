@@ -17,7 +17,7 @@ from locfuse.cli.analysis.compare import Compared, Heard, Watch, compare_log
 from locfuse.cli.analysis.configurations import Configuration, for_comparison
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import Asked, Progress, silent
-from locfuse.cli.analysis.trust import evidence
+from locfuse.cli.analysis.verdicts import evidence
 from locfuse.formats.report.findings import change
 from locfuse.fusion.checks.tried import (
     Advice,

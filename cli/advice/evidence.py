@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from msgspec.structs import replace
 
-from locfuse.cli.analysis.trust import overconfident
+from locfuse.cli.analysis.verdicts import overconfident_by_truth
 from locfuse.fusion.checks.clocks import (
     CLOCK,
     MIN_LAG_S,
@@ -36,8 +36,8 @@ from locfuse.fusion.checks.tried import Candidate, Fixes, together
 from locfuse.fusion.checks.truth import CREEP, POINT, START, STEP, WHEEL_SCALE, of_point, of_ways, swing
 from locfuse.fusion.data import BASES
 from locfuse.fusion.judge.consistency import Evidence as Said
+from locfuse.fusion.judge.consistency import NoiseVerdict, biased_against
 from locfuse.fusion.judge.innovations import heard
-from locfuse.fusion.judge.noise_verdicts import NoiseVerdict, biased_against
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.truth import body_poses
 
@@ -64,7 +64,7 @@ class Evidence(Noise):
     def suspicious(self) -> bool:
         """Return whether anything looks wrong; if not, no fix is tried."""
         noise = any(f.verdict not in FINE for f in self.consistency.values())
-        claims_too_much = bool(overconfident(self.honesty))
+        claims_too_much = bool(overconfident_by_truth(self.honesty))
         lost = any(e.lost for e in self.compared.estimates)
         seen = (
             noise
@@ -338,7 +338,7 @@ class Evidence(Noise):
         ]
         if not fixed:
             return {}
-        said = Said(self.compared.runs, self.loaded.robot, overconfident(self.honesty))
+        said = Said(self.compared.runs, self.loaded.robot, overconfident_by_truth(self.honesty))
         found = {s: said.bias(s) for s in fixed if self._verdict(s) != "biased"}
         return {s: verdict for s, verdict in found.items() if verdict is not None}
 

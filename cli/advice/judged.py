@@ -14,17 +14,16 @@ from msgspec.structs import replace
 
 from locfuse.cli.analysis.compare import Compared
 from locfuse.cli.analysis.load import Loaded
-from locfuse.cli.analysis.trust import sensors_consistency
+from locfuse.cli.analysis.verdicts import sensors_consistency
 from locfuse.fusion.checks.examine import examine
 from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.laser import ranges_sigma, scatter_more
 from locfuse.fusion.checks.slip import Slip, slip
 from locfuse.fusion.checks.tried import Candidate, Fixes
 from locfuse.fusion.data import BASES, Estimates
-from locfuse.fusion.judge.consistency import Consistency
+from locfuse.fusion.judge.consistency import MAX_SIGMA_FACTOR, Consistency, many_refused
 from locfuse.fusion.judge.covariance import honesty
 from locfuse.fusion.judge.innovations import Own, own
-from locfuse.fusion.judge.noise_verdicts import MAX_SIGMA_FACTOR, many_refused
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .trial import Trial

@@ -18,10 +18,10 @@ from locfuse.fusion.wheels.odometry import ODOMETRY, PLANAR, POSE, SCANS, SPEED,
 from locfuse.fusion.wheels.read import WHEEL_READS
 from locfuse.fusion.wheels.steered import GAIN_HINT, MOTOR, SERVO
 
+from .adapted_topics import not_read
 from .motion_evidence import Evidence
 from .motion_witnesses import Witnesses
 from .mounts import is_base, is_odometry, is_room
-from .not_read import not_read
 from .topics import ONLY, Choice, checked, of_sensor, of_type, one
 
 if TYPE_CHECKING:

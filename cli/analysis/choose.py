@@ -16,9 +16,8 @@ from locfuse.fusion.sensors.registry import REGISTRY, unmet
 from locfuse.fusion.truth import KNOWN_TRUTH, TRUTH_READS, looks_like_truth
 from locfuse.fusion.wheels.odometry import SCANS, commanded
 
-from .adapted_topics import offer_presented, offer_tags
+from .adapted_topics import not_read, offer_presented, offer_tags
 from .body_topics import by_fixes
-from .not_read import not_read
 from .topics import NAMED, ONLY, Choice, Note, checked, likeliest, of_type, one, several_fit, types
 from .wheel_topics import choose_wheels
 

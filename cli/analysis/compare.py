@@ -27,12 +27,23 @@ from locfuse.fusion.sensors.registry import REGISTRY, needed
 
 from . import results
 from .configurations import Configuration
-from .key import key
 from .load import Loaded
 from .memory import lean
+from .robot_tables import key
 from .settings import Asked, Progress, one_of
-from .trust import add_consistency, evidence, judge_values, noise_factors, reference_values
-from .verdicts import ByReference, add_pairs, by_reference, credit_values, prediction_values, verdicts
+from .verdicts import (
+    ByReference,
+    add_consistency,
+    add_pairs,
+    by_reference,
+    credit_values,
+    evidence,
+    judge_values,
+    noise_factors,
+    prediction_values,
+    reference_values,
+    verdicts,
+)
 
 if TYPE_CHECKING:
     from locfuse.fusion.whole_drive.reference import References

@@ -32,7 +32,6 @@ from locfuse.fusion.wheels.odometry import SCANS
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
 from .choose import choose
-from .key import with_files
 from .memory import give_back
 from .motion_evidence import path_of
 from .mounts import level_compass, mount_tables, on_moving_parts, optics_tables, shared_turns, transforms_of
@@ -46,6 +45,7 @@ from .robot_tables import (
     set_tables,
     sources_of,
     table_types,
+    with_files,
     with_point_maps,
 )
 from .settings import LogOptions, Progress, silent

@@ -14,15 +14,15 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Estimates, Evaluation, Event
+from locfuse.fusion.judge.covariance import Running, running_nis
 from locfuse.fusion.judge.events import events_of_drive, events_of_run
-from locfuse.fusion.judge.nis_over_time import Running, running_nis
 from locfuse.fusion.measure import thinned
 from locfuse.fusion.sensors.registry import REGISTRY, colours, of_points
 from locfuse.fusion.wheels.states import WHEEL_STATES
 
 from . import results
 from .compare import Compared
-from .key import files_of
+from .robot_tables import files_of
 from .verdicts import credit_values
 
 if TYPE_CHECKING:

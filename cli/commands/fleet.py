@@ -12,7 +12,7 @@ import click
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.settings import OF_COMPARISON as KINDS
-from locfuse.cli.rerun.record import FOLDER, Recording, catalog
+from locfuse.cli.rerun.record import FOLDER, catalog
 from locfuse.cli.terminal import completion, show
 from locfuse.cli.terminal import options as o
 from locfuse.cli.terminal.screen import put, reader_may_leave
@@ -96,7 +96,7 @@ def many(words: Sequence[str], options: o.Options) -> int:
         raise ended.by
     written = [folder / name for name in files]
     _print(summary, written, outputs.as_json)
-    _say_recordings(ended, every.recording)
+    _say_recordings(ended, every.recordings)
     if outputs.open:
         show.open_page(written)
     return _code(found, gates.failures(summary), ended)
@@ -112,15 +112,15 @@ def _every(options: o.Options, folder: Path) -> Job:
         raise UsageError(f"--map {how.given_map}: it is of one drive: compare one log at a time")
     if rerun.save:
         raise UsageError("--rerun-save: one log at a time; of several logs --rerun records each")
-    recording = Recording(str((folder / FOLDER).absolute())) if rerun.show else None
+    recordings = (folder / FOLDER).absolute() if rerun.show else None
     return Job(
         name="",
         log=(),
         folder=folder,
         how=replace(how, quiet=True),
-        asked=replace(options.asked.of_each(), audits=recording is not None),
+        asked=replace(options.asked.of_each(), audits=recordings is not None),
         outputs=replace(options.outputs, write=frozenset(of_each(options.outputs.write))),
-        recording=recording,
+        recordings=recordings,
         again=options.fleet.again,
     )
 
@@ -195,11 +195,11 @@ def _print(summary: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> 
         show.end(files)
 
 
-def _say_recordings(ended: Ended, recording: Recording | None) -> None:
+def _say_recordings(ended: Ended, recordings: Path | None) -> None:
     """Print which recordings failed, and how to open all recordings."""
     _say_some([line for outcome in ended.outcomes.values() for line in outcome.warnings], "warnings")
-    if recording is not None and any(Path(recording.folder).glob("*.rrd")):
-        show.say(f"all drives in one viewer: {catalog(Path(recording.folder))}")
+    if recordings is not None and any(recordings.glob("*.rrd")):
+        show.say(f"all drives in one viewer: {catalog(recordings)}")
 
 
 def _code(found: FleetRows, failed_gates: Sequence[str], ended: Ended) -> int:

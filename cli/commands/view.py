@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -78,8 +79,8 @@ def view(
     """
     from locfuse.cli.rerun import viewer
     from locfuse.cli.terminal import show
-    from locfuse.formats.rerun.recording import copy, save_recording
-    from locfuse.formats.whole_files import may_replace, scratch_prefix
+    from locfuse.formats.rerun.recording import save_recording
+    from locfuse.formats.whole_files import may_replace, scratch_prefix, whole_file
     from locfuse.fusion.data import UsageError
 
     may_replace(save, options.outputs.overwrite, log)
@@ -96,7 +97,8 @@ def view(
                 progress("recording")
                 save_recording(path, _scene(log, options, images, full, progress), tab)
             elif save is not None:
-                copy(path, save)
+                with whole_file(save) as temporary:
+                    shutil.copyfile(path, temporary)
         if save is not None:
             say(f"{save}: Rerun recording")
         elif connect is not None:
@@ -152,13 +154,13 @@ def _scene(
 ) -> RerunScene:
     """Return the scene of a folder of results, or of a log that is measured and fused now."""
     from locfuse.cli.rerun.folder import report_of, scene_of
-    from locfuse.cli.rerun.scene import scene_of_result
+    from locfuse.cli.rerun.scene import make_scene
     from locfuse.cli.session.session import opened
 
-    if len(what) == 1 and report_of(Path(what[0])) is not None:
-        return scene_of(Path(what[0]))
+    if len(what) == 1 and (report := report_of(Path(what[0]))) is not None:
+        return scene_of(report)
     result = opened(what, options.how, progress, read_again=True).compare(
         options.asked.sensors or None, reference=False
     )
     progress("recording")
-    return scene_of_result(result, images, full)
+    return make_scene(result.loaded, result.estimates, result.evaluations, result.report, images, full)

@@ -12,11 +12,10 @@ from typing import Any, Literal
 
 import msgspec
 
-from locfuse.cli.analysis.key import key
 from locfuse.cli.analysis.load import find_log
-from locfuse.cli.analysis.robot_tables import given_tables
+from locfuse.cli.analysis.robot_tables import given_tables, key
 from locfuse.cli.analysis.settings import OF_COMPARISON, Asked, LogOptions, Outputs
-from locfuse.cli.rerun.record import Recording
+from locfuse.cli.rerun.record import file_in
 from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.inputs import read_small
 from locfuse.formats.logs.files import files_of, identity_of
@@ -47,7 +46,7 @@ class Job(msgspec.Struct, frozen=True):
     outputs: Outputs
     robot: str | None = None  # the one that the log is of
     cells: tuple[SweepCell, ...] = (SweepCell(),)
-    recording: Recording | None = None
+    recordings: Path | None = None  # folder of the drives' recordings
     again: bool = False  # run it even where its results are there
 
     def recording_of(self, cell: SweepCell) -> str:
@@ -81,7 +80,7 @@ def is_finished(job: Job) -> bool:
         return False
     if not all((job.place(cell) / REPORT).is_file() for cell in job.cells):
         return False
-    if job.recording is not None and not all(_is_recorded(job, cell) for cell in job.cells):
+    if job.recordings is not None and not all(_is_recorded(job, cell) for cell in job.cells):
         return False
     files = files_of(find_log(job.log))
     content = identity_of(files)
@@ -106,8 +105,8 @@ def _is_there(job: Job, cell: SweepCell, changed_ns: int, expected: str) -> bool
 
 def _is_recorded(job: Job, cell: SweepCell) -> bool:
     """Return whether a result's recording exists and is not older than the result."""
-    assert job.recording is not None
-    file, report = job.recording.file(job.recording_of(cell)), job.place(cell) / REPORT
+    assert job.recordings is not None
+    file, report = file_in(job.recordings, job.recording_of(cell)), job.place(cell) / REPORT
     return file.is_file() and file.stat().st_mtime_ns >= report.stat().st_mtime_ns
 
 

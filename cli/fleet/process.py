@@ -120,7 +120,7 @@ def outcome(job: Job) -> JobOutcome:
 
 def compare(job: Job) -> tuple[str, ...]:
     """Measure a job's log once and write the results of every cell; return warnings about the rest."""
-    again = job.cells != (SweepCell(),) or job.recording is not None
+    again = job.cells != (SweepCell(),) or job.recordings is not None
     measured = load_to_fuse(find_log(job.log), job.how, silent, read_again=again)
     outputs, warnings = job.outputs, []
     for cell in job.cells:
@@ -131,7 +131,7 @@ def compare(job: Job) -> tuple[str, ...]:
         found.write(folder, write=outputs.write, export=outputs.export, overwrite=overwrite)
         if outputs.figures is not None:
             found.write_figures(outputs.figures / cell.folder)
-        if job.recording is not None and (why := record_drive(job.recording, job.recording_of(cell), found)):
+        if job.recordings is not None and (why := record_drive(job.recordings, job.recording_of(cell), found)):
             warnings.append(why)
     return tuple(warnings)
 

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 Say = Callable[[str], None]  # prints a line on stderr
 RECORDING = "recording.rrd"  # in the results' folder, unless --rerun-save names another
+FOLDER = "recordings"  # in a fleet's results; the catalog reads no folders below it
+CATALOG_PORT = 51234  # Rerun's own default for a catalog
 
 
 class RerunOptions(msgspec.Struct, frozen=True):
@@ -50,14 +52,14 @@ def record(options: RerunOptions, result: Result, folder: Path, say: Say) -> Non
     if problem and options.save is not None:
         raise LocfuseError(f"--rerun-save {path}: {problem}. The other results are written")
     if problem:
-        say(warning(problem))
+        say(_warning(problem))
         return
     say(f"{path}: Rerun recording")
     try:
         if options.show:
             show(path)
     except LocfuseError as unseen:
-        say(warning(f"{unseen}. The recording is whole; open it with: locfuse view {path}"))
+        say(_warning(f"{unseen}. The recording is whole; open it with: locfuse view {path}"))
 
 
 def saved(path: Path, result: Result, identity: str | None = None) -> str:
@@ -71,9 +73,9 @@ def saved(path: Path, result: Result, identity: str | None = None) -> str:
         from locfuse.cli.analysis.memory import give_back
         from locfuse.formats.rerun.recording import save_recording
 
-        from .scene import scene_of_result
+        from .scene import make_scene
 
-        scene = scene_of_result(result)
+        scene = make_scene(result.loaded, result.estimates, result.evaluations, result.report)
         give_back()  # before Rerun is imported, which takes 90 MB
         save_recording(path, scene, identity=identity)
     except LocfuseError as problem:
@@ -85,32 +87,23 @@ def saved(path: Path, result: Result, identity: str | None = None) -> str:
     return ""
 
 
-def warning(text: str) -> str:
-    """Return a failure in one line."""
+def _warning(text: str) -> str:
     return f"warning: rerun: {' '.join(text.split())}"
 
 
 # --- Of a fleet: one recording for every drive, side by side in one folder that Rerun's catalog serves
 
-FOLDER = "recordings"  # in the fleet's results; the catalog reads no folders below it
-CATALOG_PORT = 51234  # Rerun's own default for a catalog
+
+def file_in(folder: Path, drive: str) -> Path:
+    """Return the file of a drive's recording, or of a sweep's cell "drive,lrf.sigma_range=0.03"."""
+    return folder / f"{writable(drive)}.rrd"
 
 
-class Recording(msgspec.Struct, frozen=True):
-    """What a job records of its drive, and the folder."""
-
-    folder: str
-
-    def file(self, name: str) -> Path:
-        """Return the file of a drive, or of a sweep's cell "drive,lrf.sigma_range=0.03"."""
-        return Path(self.folder) / f"{writable(name)}.rrd"
-
-
-def record_drive(wanted: Recording, name: str, result: Result) -> str:
+def record_drive(folder: Path, drive: str, result: Result) -> str:
     """Write the recording of a result with its audits; return the reason in one line if it fails, else ""."""
-    path = wanted.file(name)
+    path = file_in(folder, drive)
     problem = saved(path, result, identity=path.stem)  # by which the catalog lists it
-    return f"{name}: {warning(problem)}" if problem else ""
+    return f"{drive}: {_warning(problem)}" if problem else ""
 
 
 def catalog(folder: Path) -> str:

@@ -4,27 +4,35 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, cast
+from collections.abc import Iterator, Mapping
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.outputs import events
-from locfuse.cli.session.result import Result
 from locfuse.formats.figures.palette import Trace, colours, traces_of
 from locfuse.formats.report import markdown
-from locfuse.formats.rerun.scene import Detail, DrawnScans, Floats, Picture, RawTopic, RerunScene, Rgb, SensorLook
+from locfuse.formats.rerun.scene import (
+    GROUP_OF,
+    DrawnScans,
+    Floats,
+    Picture,
+    RawTopic,
+    RerunScene,
+    Rgb,
+    SensorLook,
+)
 from locfuse.formats.thin import evenly
 from locfuse.formats.visible import visible
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array, Column, Drive, Estimates, Evaluation, Ints, Ragged, Stream
 from locfuse.fusion.lines.points import ScanPoints
-from locfuse.fusion.lines.scans import Laser, points_in_base
+from locfuse.fusion.lines.scans import points_in_base
 from locfuse.fusion.measure import thinned
 from locfuse.fusion.robot import VIRTUAL_TRACK
-from locfuse.fusion.sensor import Sensor
-from locfuse.fusion.sensors.lrf import LrfSettings, laser_of
+from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.sensors.registry import colours as sensor_colours
 from locfuse.fusion.truth import TRUTH_READS
@@ -36,12 +44,47 @@ MAX_ARRAY_COLUMNS = 8  # of a numeric array that is drawn as curves: a scan's ra
 SMOOTHED_LIGHT_SHARE = 0.65  # of the light of a colour, for the smoothed result
 SCAN_FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "range_max", "ranges")
 NIS_LOW, NIS_HIGH = 0.025, 0.975  # between them lie 95 % of consistent NIS
+JPEG_QUALITY = 80  # of what has to be encoded: panoramas, and raw Image messages
+MEDIA = {b"\xff\xd8": "image/jpeg", b"\x89P": "image/png"}
+NONE: Ints = np.zeros(0, np.int64)
 
 
-def scene_of_result(result: Result, images: int | None = None, full: bool = False) -> RerunScene:
-    """Return the scene of a result with its report's tables; `images`, `full` as in `make_scene`."""
-    estimates, evaluations = tuple(result.estimates.values()), tuple(result.evaluations.values())
-    return make_scene(result.loaded, estimates, evaluations, table_of(result.report), images, full)
+def make_scene(
+    loaded: Loaded,
+    estimates: Mapping[str, Estimates],
+    evaluations: Mapping[str, Evaluation],
+    report: Mapping[str, Any],
+    images: int | None = None,
+    full: bool = False,
+) -> RerunScene:
+    """Return the scene of these configurations, by their names, with the tables of their report.
+
+    `images` = n keeps every n-th picture, 0 none, None as many as stay light. `full` leaves nothing out.
+    """
+    runs, drive, settings = tuple(estimates.values()), loaded.drive, loaded.robot.settings
+    scene = RerunScene(
+        name=loaded.log.name,
+        drive=drive,
+        estimates=runs,
+        evaluations=evaluations,
+        sights={s: _sight(s, settings(s)) for s in drive.measurements},
+        track=loaded.robot.wheels.track or VIRTUAL_TRACK,
+        table=table_of(report),
+        raw=_raw_topics(loaded),
+        full=full,
+        palette=palette(traces_of(runs)),
+        events=events(loaded, runs),
+        thinned={e.name: thinned(drive, e.rates) for e in runs if e.rates},
+    )
+    found: dict[str, Any] = {}
+    if "lrf" in drive.measurements:
+        found["scans"] = _scans(_stream(loaded, "lrf"), settings("lrf"), scene)
+    if "camera" in drive.measurements and images != 0:
+        stream = _stream(loaded, "camera")
+        every = images or max(1, math.ceil(len(stream.t_ns) / MAX_PICTURES))
+        found["pictures"] = _pictures(stream, settings("camera"), scene, every)
+        found["picture_rows"] = _panorama_rows(stream, settings("camera"))
+    return msgspec.structs.replace(scene, **found)
 
 
 def table_of(report: Mapping[str, Any]) -> str:
@@ -52,160 +95,72 @@ def table_of(report: Mapping[str, Any]) -> str:
     return f"{markdown.render(report)}\n\nNext: `locfuse {what} {log}` says {why}.\n"
 
 
-def make_scene(
-    loaded: Loaded,
-    estimates: Sequence[Estimates],
-    evaluations: Sequence[Evaluation],
-    table: str,
-    images: int | None = None,
-    full: bool = False,
-) -> RerunScene:
-    """Return the scene of these configurations.
-
-    `images` = n keeps every n-th picture, 0 none, None as many as stay light.
-    """
-    detail = Detail.everything() if full else Detail()
-    best = max(estimates, key=lambda e: len(e.sensors))
-    shown, rows = _pictures(loaded, best, images)
-    return RerunScene(
-        name=loaded.log.name,
-        drive=loaded.drive,
-        estimates=estimates,
-        evaluations={e.name: e for e in evaluations},
-        sights=sights(loaded),
-        track=loaded.robot.wheels.track or VIRTUAL_TRACK,
-        table=table,
-        scans=_scans(loaded, detail, full),
-        pictures=shown,
-        picture_rows=rows,
-        raw=raw_topics(loaded),
-        events=events(loaded, estimates),
-        detail=detail,
-        palette=palette(traces_of(estimates)),
-        thinned={e.name: thinned(loaded.drive, e.rates) for e in estimates if e.rates},
-    )
-
-
 def palette(traces: Mapping[str, Trace]) -> dict[str, Rgb]:
     """Return the colours of results in the report, for a dark page.
 
     The report dashes what is smoothed. The viewer has no dashes: there it is the same colour, darker.
     """
-    found = colours(traces, sensor_colours())
-    return {
-        name: _rgb(found[name].dark, SMOOTHED_LIGHT_SHARE if trace.smoothed else 1.0)
-        for name, trace in traces.items()
-    }
+    found, shades = colours(traces, sensor_colours()), dict[str, Rgb]()
+    for name, trace in traces.items():
+        light = SMOOTHED_LIGHT_SHARE if trace.smoothed else 1.0
+        red, green, blue = (round(light * c) for c in bytes.fromhex(found[name].dark.removeprefix("#")))
+        shades[name] = red, green, blue
+    return shades
 
 
-def _rgb(web: str, light: float) -> Rgb:
-    """Return a colour with this share of its light."""
-    red, green, blue = (round(light * c) for c in bytes.fromhex(web.removeprefix("#")))
-    return red, green, blue
-
-
-def sights(loaded: Loaded) -> dict[str, SensorLook]:
-    """Return the drawing style of each measured sensor."""
-    return {s: _sight(REGISTRY[s], loaded.robot.settings(s)) for s in loaded.drive.measurements}
-
-
-def _sight(sensor: Sensor, settings: Any) -> SensorLook:
-    width = len(sensor.components)
+def _sight(name: str, settings: Any) -> SensorLook:
+    sensor = REGISTRY[name]
+    low, high = (chi_square(share, len(sensor.components)) for share in (NIS_LOW, NIS_HIGH))
     return SensorLook(
-        components=sensor.components,
-        bounds=(chi_square(NIS_LOW, width), chi_square(NIS_HIGH, width)),
-        kind=sensor.drawn,
-        mount=sensor.mount(settings),
-        landmark=sensor.landmark(settings),
+        sensor.components, (low, high), sensor.drawn, sensor.mount(settings), sensor.landmark(settings)
     )
 
 
-def _stream(loaded: Loaded, role: str) -> Any:
-    """Return a fusion.data.Stream of the log."""
+def _stream(loaded: Loaded, role: str) -> Stream:
     return loaded.log.stream(loaded.choice.topics[role], order=loaded.robot.order)
 
 
-def _scans(loaded: Loaded, detail: Detail, full: bool) -> DrawnScans | None:
-    if "lrf" not in loaded.drive.measurements:
-        return None
-    beams = 2**62 if full else MAX_BEAMS
-    return scan_points(_stream(loaded, "lrf"), loaded.robot.settings("lrf"), loaded.drive, detail.scans, beams)
-
-
-def scan_points(stream: Stream, settings: LrfSettings, drive: Drive, scans: int, beams: int) -> DrawnScans:
-    """Return at most `scans` scans of at most `beams` points, evenly over the log, corrected as for lines."""
+def _scans(stream: Stream, settings: Any, scene: RerunScene) -> DrawnScans:
+    """Return some scans, evenly over the log, each corrected to its middle instant as for lines."""
+    drive, beams = scene.drive, 2**62 if scene.full else MAX_BEAMS
     measured = drive.measurements["lrf"].points
     laser = measured.laser if isinstance(measured, ScanPoints) else laser_of(settings)
-    wanted = evenly(len(stream.t_ns), scans)
-    t = np.zeros(len(wanted))
-    points: list[Floats] = [np.zeros((0, 2), np.float32)] * len(wanted)
+    wanted = set(evenly(len(stream.t_ns), scene.max_scans).tolist())
+    found: list[tuple[float, Floats]] = []
     for rows, columns in stream.blocks(*SCAN_FIELDS, rows=128):
-        for at, scan in _chosen(rows, columns, wanted):
-            stamp = (stream.t_ns[wanted[at]] - drive.epoch_ns) * 1e-9 + settings.time_offset
-            t[at], points[at] = _points(scan, float(stamp), laser, drive, beams)
-    keep = np.flatnonzero((t >= drive.t[0]) & (t <= drive.t[-1]))
-    keep = keep[np.argsort(t[keep], kind="stable")]
-    chosen = [points[i] for i in keep.tolist()]
-    counts = np.array([len(p) for p in chosen], dtype=np.int64)
-    return DrawnScans(t[keep], counts, np.concatenate([*chosen, np.zeros((0, 2), np.float32)]))
+        for i, row in enumerate(rows.tolist()):
+            if row not in wanted:
+                continue
+            scan: dict[str, Any] = {
+                name: np.atleast_1d(np.asarray(column[i], np.float64)) for name, column in columns.items()
+            }
+            scan["ranges"] = scan["ranges"][None]
+            stamp = (stream.t_ns[row] - drive.epoch_ns) * 1e-9 + settings.time_offset
+            points, middle = points_in_base(scan, np.array([stamp]), laser, drive.wheels)
+            drawn = points[0, evenly(points.shape[1], beams)]
+            found.append((float(middle[0]), drawn[np.isfinite(drawn[:, 0])].astype(np.float32)))
+    kept = sorted((f for f in found if drive.t[0] <= f[0] <= drive.t[-1]), key=lambda f: f[0])
+    counts = np.array([len(points) for _, points in kept], dtype=np.int64)
+    xy = np.concatenate([*(points for _, points in kept), np.zeros((0, 2), np.float32)])
+    return DrawnScans(np.array([t for t, _ in kept]), counts, xy)
 
 
-def _chosen(rows: Ints, columns: dict[str, Any], wanted: Ints) -> Iterator[tuple[int, dict[str, Any]]]:
-    """Yield (position among the wanted, its fields) for the wanted rows of a block."""
-    at = np.searchsorted(wanted, rows)
-    hit = np.flatnonzero(wanted[np.minimum(at, len(wanted) - 1)] == rows)
-    ranges = cast("Ragged", columns["ranges"])
-    for i in hit.tolist():
-        scalars = {k: float(v[i]) for k, v in columns.items() if k != "ranges"}
-        yield int(at[i]), {**scalars, "ranges": ranges[i]}
-
-
-def _points(scan: dict[str, Any], stamp: float, laser: Laser, drive: Drive, beams: int) -> tuple[float, Floats]:
-    """Return one scan's middle instant and its returns (k, 2) [m, base frame at that instant]."""
-    one = {
-        name: np.atleast_1d(value)[None] if name == "ranges" else np.array([value]) for name, value in scan.items()
-    }
-    points, middle = points_in_base(one, np.array([stamp]), laser, drive.wheels)
-    drawn = points[0, evenly(points.shape[1], beams)]
-    return float(middle[0]), drawn[np.isfinite(drawn[:, 0])].astype(np.float32)
-
-
-def _pictures(loaded: Loaded, best: Estimates, images: int | None) -> tuple[Any, int | None]:
-    """Return an iterator over the pictures and the height of their panoramas."""
-    nothing: tuple[Picture, ...] = ()
-    if "camera" not in loaded.drive.measurements or images == 0:
-        return nothing, None
-    from .pictures import panorama_rows, pictures
-
-    stream, settings = _stream(loaded, "camera"), loaded.robot.settings("camera")
-    every = images or max(1, math.ceil(len(stream.t_ns) / MAX_PICTURES))
-    return pictures(stream, settings, loaded.drive, best, every), panorama_rows(stream, settings)
-
-
-def raw_topics(loaded: Loaded) -> list[RawTopic]:
-    """Return the numbers of every used topic, as in the log."""
+def _raw_topics(loaded: Loaded) -> list[RawTopic]:
+    """Return the numbers of every used topic, as in the log; none of scans or pictures."""
     found = []
     for role in loaded.choice.topics:
-        stream = _stream(loaded, role)
-        fields = _fields(role, stream.msgtype)
-        columns = stream.columns(*fields) if fields else {}
+        stream, sensor = _stream(loaded, role), REGISTRY.get(role)
+        reads = {"wheels": WHEEL_READS, "truth": TRUTH_READS}.get(role) or (sensor.reads if sensor else {})
+        fields = () if sensor is not None and sensor.in_blocks else tuple(reads.get(stream.msgtype, ()))
         t: Array = (stream.t_ns - loaded.drive.epoch_ns) * np.float64(1e-9)
-        found.append(RawTopic(stream.topic, t, _curves(columns)))
+        found.append(RawTopic(stream.topic, t, _curves(stream.columns(*fields) if fields else {})))
     return found
-
-
-def _fields(role: str, msgtype: str) -> tuple[str, ...]:
-    """Return the fields of a topic that are numbers; none for scans or pictures."""
-    sensor = REGISTRY.get(role)
-    if sensor is not None and sensor.in_blocks:
-        return ()
-    reads = {"wheels": WHEEL_READS, "truth": TRUTH_READS}.get(role) or (sensor.reads if sensor else {})
-    return tuple(reads.get(msgtype, ()))
 
 
 def _curves(columns: Mapping[str, Column]) -> dict[str, Array]:
     """Return the curves (n,) of a topic: numbers, and arrays of a few numbers per row."""
-    names = columns.get("name")
+    names: Any = columns.get("name")  # of a JointState's joints
+    first = names[0] if isinstance(names, list) and names and isinstance(names[0], tuple) else ()
     curves: dict[str, Array] = {}
     for field, column in columns.items():
         values = column.matrix() if isinstance(column, Ragged) else column
@@ -214,11 +169,61 @@ def _curves(columns: Mapping[str, Column]) -> dict[str, Array]:
         if values.ndim == 1:
             curves[field] = np.asarray(values, np.float64)
         elif values.shape[1] <= MAX_ARRAY_COLUMNS:
-            curves |= {_named(field, i, names): np.asarray(v, np.float64) for i, v in enumerate(values.T)}
+            for i, curve in enumerate(values.T):
+                curves[f"{field}.{first[i] if i < len(first) else i}"] = np.asarray(curve, np.float64)
     return curves
 
 
-def _named(field: str, i: int, names: Column | None) -> str:
-    """Return the name of one number of an array: from the message if it has names (JointState)."""
-    first = names[0] if isinstance(names, list) and names else ()
-    return f"{field}.{first[i]}" if isinstance(first, tuple) and i < len(first) else f"{field}.{i}"
+def _pictures(stream: Stream, settings: Any, scene: RerunScene, every: int) -> Iterator[Picture]:
+    """Yield every n-th picture of the camera that can be read, with its detections, few in memory at a time."""
+    from locfuse.fusion.camera.images import decode, messages
+    from locfuse.fusion.sensors.camera import detector
+
+    drive: Drive = scene.drive
+    m, finder = drive.measurements["camera"], detector(settings)
+    verdicts = np.full(len(m.z), "new", dtype="<U8")  # of every candidate in the best configuration
+    audit = scene.best.audits.get("camera")
+    if audit is not None:
+        verdicts[audit.row] = np.array(GROUP_OF)[audit.verdict]
+    for block in messages(stream):
+        for row, message in block:
+            picture = decode(message) if row % every == 0 else ""
+            if isinstance(picture, str):
+                continue
+            t = float((stream.t_ns[row] - drive.epoch_ns) * 1e-9 + settings.time_offset)
+            i = int(np.searchsorted(m.t, t - 1e-9))
+            found = np.arange(m.first[i], m.first[i + 1]) if i < len(m.t) and abs(m.t[i] - t) < 1e-6 else NONE
+            yield _picture(t, message, picture, finder.optics(picture.shape), (m.z[found, 0], verdicts[found]))
+
+
+def _panorama_rows(stream: Stream, settings: Any) -> int | None:
+    """Return the height of the panoramas [px], None if no picture can be read."""
+    from locfuse.fusion.camera.images import decode, messages
+    from locfuse.fusion.sensors.camera import detector
+
+    pictures = (decode(message) for block in messages(stream) for _, message in block)
+    first = next((picture for picture in pictures if not isinstance(picture, str)), None)
+    return None if first is None else int(detector(settings).optics(first.shape).rows)
+
+
+def _picture(t: float, message: Any, picture: Any, optics: Any, found: tuple[Array, Any]) -> Picture:
+    """Return a picture with its panorama; of a JPEG or PNG its own bytes. `found`: bearings and verdicts (k,)."""
+    from locfuse.fusion.camera.optics import angle_of_bearing, column
+    from locfuse.fusion.camera.panorama import unwrap
+
+    theta = angle_of_bearing(found[0], optics)
+    ray = np.stack((np.sin(theta), np.cos(theta)), axis=-1)
+    rays = np.array([optics.x_c, optics.y_c]) + np.array([optics.inner, optics.outer])[:, None] * ray[:, None]
+    data = bytes(message[0]) if len(message) == 2 else b""
+    kind = MEDIA.get(data[:2])
+    omni, kind = (_jpeg(picture), "image/jpeg") if kind is None else (data, kind)
+    # panorama row 0 is the inner radius, the floor: shown at the bottom
+    panorama = _jpeg(unwrap(picture, optics)[::-1])
+    return Picture(t, omni, kind, panorama, rays, column(theta, optics.width), tuple(found[1].tolist()))
+
+
+def _jpeg(picture: Any) -> bytes:
+    from locfuse.fusion.camera.opencv import cv2
+
+    done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    return data.tobytes() if done else b""

@@ -1,8 +1,8 @@
 """Rerun's viewer: find a running one, start one, and send it a recording without ever hanging.
 
 The viewer is started as its own process on the loopback interface (Rerun's own `spawn` listens on all), and a
-recording is sent to a running one by a child process that is given up after a while: the library's own
-connection waits for minutes where a port is open and nothing answers.
+recording is sent to a running one by a child process, this file, that is given up after a while: Rerun's own
+connection cannot be made to (a port that accepts and never answers holds `flush(timeout_sec=10)` for 59 s).
 """
 
 from __future__ import annotations
@@ -31,10 +31,7 @@ START_TIMEOUT_S = 2.0  # s in which a viewer that cannot start has ended
 
 
 def show(path: Path) -> subprocess.Popen[bytes] | None:
-    """Show a recording in a running viewer, else in a new one, which is returned.
-
-    Raises LocfuseError where there is neither.
-    """
+    """Show a recording in a running viewer, else in a new one, which is returned. Raises LocfuseError without."""
     if listening(HOST, PORT):
         try:
             send(path, LOCAL_VIEWER)
@@ -65,24 +62,16 @@ def listening(host: str, port: int) -> bool:
 
 
 def send(path: Path, url: str) -> None:
-    """Send a recording to the viewer at `url`.
-
-    Raises LocfuseError where no viewer takes it in time.
-    """
+    """Send a recording to the viewer at `url`. Raises LocfuseError where no viewer takes it in time."""
     match = ADDRESS.fullmatch(url)
     assert match is not None, url
     host, port = match["host"].strip("[]"), int(match["port"] or PORT)
     if not listening(host, port):
         raise LocfuseError(f"no viewer answers at {host}:{port}")
-    command = [sys.executable, "-m", "locfuse.cli.rerun.send", str(path), url]
+    command = [sys.executable, "-m", "locfuse.cli.rerun.viewer", str(path), url]
+    limit_s = SEND_TIMEOUT_S + path.stat().st_size / SEND_RATE_BPS
     try:
-        done = subprocess.run(
-            command,
-            timeout=SEND_TIMEOUT_S + path.stat().st_size / SEND_RATE_BPS,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
+        done = subprocess.run(command, timeout=limit_s, capture_output=True, text=True, check=False)
     except subprocess.TimeoutExpired:
         raise LocfuseError(f"what listens at {host}:{port} does not take a recording") from None
     if done.returncode != 0:
@@ -114,11 +103,8 @@ def show_and_wait(path: Path) -> None:
 
 
 def start(path: Path) -> subprocess.Popen[bytes]:
-    """Start a viewer on the loopback interface and leave it running.
-
-    Raises LocfuseError where it ends at once (no graphics driver, no such program).
-    """
-    viewer = _popen([program(), "--bind", HOST, "--port", str(free_port(PORT)), str(path)])
+    """Start a viewer on the loopback interface and leave it running. Raises LocfuseError where it ends at once."""
+    viewer = _popen(["--port", str(free_port(PORT)), str(path)])
     deadline = time.monotonic() + START_TIMEOUT_S
     while time.monotonic() < deadline:
         if viewer.poll() is not None and viewer.returncode != 0:
@@ -133,8 +119,7 @@ def serve(path: Path, wanted: int, say: Callable[[str], None]) -> None:
     Raises LocfuseError where that fails.
     """
     port, data = free_port(wanted), free_port(PORT)
-    command = [program(), "--bind", HOST, "--port", str(data), "--serve-web", "--web-viewer-port", str(port)]
-    server = _popen([*command, str(path)])
+    server = _popen(["--port", str(data), "--serve-web", "--web-viewer-port", str(port), str(path)])
     try:
         address = f"http://{HOST}:{port}/?url=" + quote(f"rerun+http://{HOST}:{data}/proxy", safe="")
         say(address)
@@ -149,8 +134,16 @@ def serve(path: Path, wanted: int, say: Callable[[str], None]) -> None:
     raise LocfuseError(f"the web viewer ended with code {code}")
 
 
-def _popen(command: list[str]) -> subprocess.Popen[bytes]:
-    """Start Rerun's program: quiet, not affected by the terminal's Ctrl-C, without its first-start questions."""
+def _popen(words: list[str]) -> subprocess.Popen[bytes]:
+    """Start Rerun on the loopback interface: quiet, without questions, not affected by the terminal's Ctrl-C.
+
+    It is Rerun's own binary: its console script forks, so that ending it would leave the viewer behind.
+    """
+    package = importlib.util.find_spec("rerun_cli")
+    if package is None or package.origin is None:
+        raise LocfuseError("the viewer is not installed; try: pip install rerun-sdk")
+    program = Path(package.origin).parent / ("rerun.exe" if sys.platform == "win32" else "rerun")
+    command = [str(program), "--bind", HOST, *words]
     environment = {**os.environ, "RERUN_APP_ONLY": "true", "RUST_LOG": os.environ.get("RUST_LOG", "off")}
     nowhere = subprocess.DEVNULL
     try:
@@ -173,9 +166,24 @@ def free_port(wanted: int) -> int:
     raise LocfuseError(f"no free port on {HOST}")
 
 
-def program() -> str:
-    """Return Rerun's own binary: its console script forks, so that ending it would leave the viewer behind."""
-    found = importlib.util.find_spec("rerun_cli")
-    if found is None or found.origin is None:
-        raise LocfuseError("the viewer is not installed; try: pip install rerun-sdk")
-    return str(Path(found.origin).parent / ("rerun.exe" if sys.platform == "win32" else "rerun"))
+def _hand_over(path: str, url: str) -> None:
+    """Send the recording and its blueprint under their own names."""
+    from locfuse.formats.rerun.recording import quiet_rust
+
+    quiet_rust()
+    import rerun as rr
+    from rerun.chunk import RrdReader
+
+    (first, *_) = RrdReader(path).recordings()
+    stream = rr.RecordingStream(first.application_id, recording_id=first.recording_id, send_properties=False)
+    stream.connect_grpc(url)
+    stream.log_file_from_path(path)
+    stream.flush()
+    stream.disconnect()
+
+
+if __name__ == "__main__":  # FILE URL
+    try:
+        _hand_over(*sys.argv[1:3])
+    except (RuntimeError, ValueError, OSError) as reason:
+        sys.exit(str(reason).strip().splitlines()[0])

@@ -179,14 +179,10 @@ def _sets(tables: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 def _calibrated(found: Calibration) -> dict[str, str]:
     """Return the result of calibrate in words, with its standard deviation."""
-    figures = {f"wheels.{key}": figure for key, figure in found.geometry().items()}
-    if (noise := found.wheels or found.gyro) is not None:
-        figures["wheels.noise"] = noise.k
-    if found.laser is not None:
-        figures |= {f"lrf.{key}": figure for key, figure in found.laser.mount().items()}
     words = {
-        key: f"{key} {f.value:.4g} ± {(f.high - f.low) / (2 * SIGMAS_95):.2g}, locfuse calibrate"
-        for key, f in figures.items()
+        f.key: f"{f.key} {f.figure.value:.4g} ± {(f.figure.high - f.figure.low) / (2 * SIGMAS_95):.2g}, "
+        "locfuse calibrate"
+        for f in found.fitted()
     }
     iron = {} if found.iron is None else dict.fromkeys(("hard_iron", "soft_iron"), "locfuse calibrate")
     return words | {f"compass.{key}": f"{key}, {by}" for key, by in iron.items()}

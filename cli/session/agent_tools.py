@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from locfuse.cli.analysis.key import files_of, texts_of
+from locfuse.cli.analysis.robot_tables import files_of, texts_of
 from locfuse.cli.analysis.settings import Asked, LogOptions, set_words, silent
 from locfuse.formats.logs.files import ENDINGS, log_files
 from locfuse.formats.report import json_report

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
-import msgspec
 import numpy as np
+from msgspec.structs import asdict, astuple, replace
 
 from locfuse.cli.analysis.load import Loaded, find_log, load
 from locfuse.cli.analysis.settings import LogOptions, Progress, silent
@@ -15,7 +15,7 @@ from locfuse.fusion.chi_square import SIGMAS_95
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.iron import Iron, fit_iron
-from locfuse.fusion.sensors.lrf import LrfSettings, laser_of
+from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream
 from locfuse.fusion.wheels import calibrate_by_scans
@@ -29,20 +29,17 @@ from locfuse.fusion.wheels.steered import is_tricycle, read_encoders
 
 from .found import Found, Row, refuse_doubtful
 
+T = TypeVar("T")
 USED = ("compass", "gyro", "lrf")  # sensors
 FIELD = "sensor_msgs/msg/MagneticField"
 ODOMETRY = "nav_msgs/msg/Odometry"
 CALIBRATED = ("wheel scale", "radius", "track", "iron", "yaw")  # findings that calibrating sets right
+GEOMETRY = ("radius", "ratio", "track")
 MIN_LN_RATIO = 3.0  # ln of a likelihood ratio that is worth saying (20 to 1)
-IRON_COLUMNS = {
-    "hard_iron": "hard",
-    "hard_iron_sigma": "hard_sigma",
-    "soft_iron": "soft",
-    "soft_iron_sigma": "soft_sigma",
-}
-DEFAULT = LogOptions()
-KEYS = {"x": " [m]", "y": " [m]", "yaw_deg": " [deg]", "time_offset": " [s]"}
-LACKING = {
+IRON_COLUMNS = {f"{kind}_iron{of}": f"{kind}{of}" for kind in ("hard", "soft") for of in ("", "_sigma")}
+MOUNT_UNITS = {"x": " [m]", "y": " [m]", "yaw_deg": " [deg]", "time_offset": " [s]"}
+LACKING_BY_TRUTH = {"radius": "straight runs", "ratio": "a truth with heading", "track": "turns on the spot"}
+LACKING_BY_LASER = {
     "scale": ("wheels: radius", "way"),
     "difference": ("wheels: ratio", "straight runs beside turns"),
     "track": ("wheels: track", "turns"),
@@ -53,46 +50,14 @@ LACKING = {
 }
 
 
-class ByLaser(msgspec.Struct, frozen=True):
-    """Calibration by wheels and laser."""
+class Fitted(NamedTuple):
+    """One setting that the logs show."""
 
-    fit: LaserCalibration
-    was: LrfSettings
-
-    def mount(self) -> dict[str, Figure]:
-        """Return the laser's mount and clock by the keys of [lrf], if the drives show them."""
-        unit = np.array([1.0, 1.0, math.degrees(1.0), 1.0])
-        offset = np.array([0.0, 0.0, 0.0, self.was.time_offset])
-        values = (self.fit.parameters[3:] * unit + offset).tolist()
-        half = (SIGMAS_95 * self.fit.sigmas[3:] * unit).tolist()
-        found = zip(KEYS, values, half, strict=True)
-        return {key: Figure(v, v - h, v + h) for key, v, h in found if math.isfinite(h)}
-
-    def notes(self, settings: WheelSettings) -> list[str]:
-        """Return notes: how much was seen, what it does not show, and which sensor defines the distance scale."""
-        fit = self.fit
-        notes = [
-            f"laser: {fit.intervals} pieces of way by wheels and laser ({fit.way_m:.1f} m, "
-            f"{math.degrees(fit.turned_rad):.0f} degrees); the laser's metre is taken for the right one "
-            "(lrf.range_scale)"
-        ]
-        if fit.outliers:
-            notes.append(f"laser: {fit.outliers} pieces do not fit the others (slip, or a wrong match): not used")
-        untold = set(fit.untold())
-        odometry = settings.radius is None or settings.track is None
-        untold -= {"scale", "difference", "track"} if odometry else set()
-        notes += [
-            f"{what} cannot be told without {needs}; it is left as it is"
-            for name, (what, needs) in LACKING.items()
-            if name in untold
-        ]
-        if odometry:
-            scale, _, track = (1.0 + fit.parameters[:3]).tolist()
-            notes.append(
-                f"wheels: the odometry measures {1.0 / scale:.3f} of the laser's distances (1 sigma "
-                f"{_sigma(fit, 'scale')}) and {track / scale:.3f} of its turns ({_sigma(fit, 'track')})"
-            )
-        return notes
+    key: str  # "wheels.radius"
+    figure: Figure
+    was: float | None = None  # as configured
+    unit: str = ""
+    stays: bool = False  # its interval holds the configured value, so nothing speaks against that
 
 
 class Calibration(Found, frozen=True, kw_only=True):
@@ -100,7 +65,7 @@ class Calibration(Found, frozen=True, kw_only=True):
 
     settings: WheelSettings  # as they were
     wheels: WheelCalibration | None = None
-    laser: ByLaser | None = None  # where no truth tells of the wheels
+    laser: LaserCalibration | None = None  # where no truth tells of the wheels
     gyro: GyroCalibration | None = None  # tells the track and the ratio where nothing else does as well
     iron: Iron | None = None
     tricycle: TricycleCalibration | None = None  # where two encoders are the wheels
@@ -110,7 +75,7 @@ class Calibration(Found, frozen=True, kw_only=True):
 
     def relative(self) -> tuple[Array, Array] | None:
         """Return mean scale, scale difference and track (0: as configured), and sigmas (NaN: unknown), (3,)."""
-        found = self.wheels or (self.laser and self.laser.fit) or self.gyro
+        found = self.wheels or self.laser or self.gyro
         if found is None:
             return None
         parameters, sigmas = found.parameters[:3].copy(), found.sigmas[:3].copy()
@@ -126,38 +91,49 @@ class Calibration(Found, frozen=True, kw_only=True):
         old, found = self.settings, self.relative()
         if found is None or old.radius is None or old.track is None:
             return {}
-        parameters, sigmas = found
-        mean, difference, track = parameters.tolist()
-        left, right = mean - 0.5 * difference, mean + 0.5 * difference
-        share_left, share_right = (s * (1.0 + p) for s, p in zip(old.shares, (left, right), strict=True))
-        values = {
-            "radius": old.radius * 0.5 * (share_left + share_right),
-            "ratio": share_right / share_left,
-            "track": old.track * (1.0 + track),
-        }
-        spread = dict(zip(values, (SIGMAS_95 * sigmas * np.array(list(values.values()))).tolist(), strict=True))
-        return {
-            key: Figure(value, value - spread[key], value + spread[key])
-            for key, value in values.items()
-            if math.isfinite(spread[key])
-        }
+        mean, difference, track = found[0].tolist()
+        left, right = (
+            share * (1.0 + mean + side * difference) for share, side in zip(old.shares, (-0.5, 0.5), strict=True)
+        )
+        values = np.array([old.radius * 0.5 * (left + right), right / left, old.track * (1.0 + track)])
+        return _figures(GEOMETRY, values, found[1] * values)
+
+    def mount(self) -> dict[str, Figure]:
+        """Return the laser's mount and clock by the keys of [lrf], if the logs show them."""
+        if self.laser is None:
+            return {}
+        unit = np.array([1.0, 1.0, math.degrees(1.0), 1.0])
+        offset = np.array([0.0, 0.0, 0.0, self._lrf().time_offset])
+        return _figures(MOUNT_UNITS, self.laser.parameters[3:] * unit + offset, self.laser.sigmas[3:] * unit)
+
+    def _lrf(self) -> Any:
+        return next(one for one in self.loaded if has_both(one)).robot.settings("lrf")
+
+    def fitted(self) -> list[Fitted]:
+        """Return all settings of wheels and laser that the logs show."""
+        rows: list[Fitted] = []
+        if (noise := self.wheels or self.gyro) is not None:
+            rows.append(Fitted("wheels.noise", noise.k, self.settings.noise, " [m]"))
+        units = {"radius": " [m]", "track": " [m]"}
+        rows += _with_old("wheels", self.geometry(), self.settings, units)
+        if self.laser is not None:
+            rows += _with_old("lrf", self.mount(), self._lrf(), MOUNT_UNITS)
+        if (tricycle := self.tricycle) is not None:
+            rows += [Fitted(f"wheels.{k}", f, getattr(self.settings, k)) for k, f in tricycle.wheels.items()]
+            rows += [Fitted(f"{tricycle.by}.{k}", f) for k, f in tricycle.mount.items()]
+        return rows
 
     def tables(self) -> dict[str, dict[str, Any]]:
-        """Return the results as robot.toml tables, without geometry that may be as configured."""
-        noise = self.wheels or self.gyro
-        of_wheels = {} if noise is None else {"noise": noise.k}
-        found = {"wheels": of_wheels | _changed(self.geometry(), self.settings)}
-        if self.laser is not None:
-            found["lrf"] = _changed(self.laser.mount(), self.laser.was)
-        if self.tricycle is not None:
-            found |= {"wheels": self.tricycle.wheels, self.tricycle.by: self.tricycle.mount}
-        tables: dict[str, dict[str, Any]] = {
-            n: {key: _short(f.value) for key, f in figures.items()} for n, figures in found.items() if figures
-        }
+        """Return the results as robot.toml tables, without settings that may be as configured."""
+        tables: dict[str, dict[str, Any]] = {}
+        for table, _, key, value in (
+            (*f.key.partition("."), f.figure.value) for f in self.fitted() if not f.stays
+        ):
+            tables.setdefault(table, {})[key] = _short(value)
         if self.iron is not None:
+            shape = {"hard_iron": self.iron.hard, "soft_iron": self.iron.soft}
             tables["compass"] = {
-                "hard_iron": [_short(v) for v in self.iron.hard.tolist()],
-                "soft_iron": [_short(v) for v in self.iron.soft.ravel().tolist()],
+                key: [_short(v) for v in values.ravel().tolist()] for key, values in shape.items()
             }
         return tables
 
@@ -178,11 +154,11 @@ class Calibration(Found, frozen=True, kw_only=True):
             }
         if (laser := self.laser) is not None:
             found["laser"] = {
-                **_plain({**geometry, **laser.mount()}),
-                "pieces": laser.fit.intervals,
-                "way_m": laser.fit.way_m,
-                "turned_deg": math.degrees(laser.fit.turned_rad),
-                "outliers": laser.fit.outliers,
+                **_plain({**geometry, **self.mount()}),
+                "pieces": laser.intervals,
+                "way_m": laser.way_m,
+                "turned_deg": math.degrees(laser.turned_rad),
+                "outliers": laser.outliers,
             }
         if (gyro := self.gyro) is not None:
             found["gyro"] = {
@@ -194,7 +170,7 @@ class Calibration(Found, frozen=True, kw_only=True):
             }
         if (iron := self.iron) is not None:
             found["compass"] = {
-                **{key: getattr(iron, which).ravel().tolist() for key, which in IRON_COLUMNS.items()},
+                **{key: getattr(iron, column).ravel().tolist() for key, column in IRON_COLUMNS.items()},
                 "strength": iron.strength,
                 "scatter_deg": math.degrees(iron.scatter),
                 "error_before_deg": iron.error_before_deg,
@@ -209,24 +185,37 @@ class Calibration(Found, frozen=True, kw_only=True):
 
     def rows(self) -> list[Row]:
         """Return (setting, value, interval, previous value) in words."""
-        rows: list[Row] = []
-        if (noise := self.wheels or self.gyro) is not None:
-            rows.append(_row("wheels.noise [m]", noise.k, self.settings.noise))
-        for key, figure in self.geometry().items():
-            unit = "" if key == "ratio" else " [m]"
-            rows.append(_row(f"wheels.{key}{unit}", figure, getattr(self.settings, key)))
-        if self.laser is not None:
-            of_laser, was = self.laser.mount().items(), self.laser.was
-            rows += [_row(f"lrf.{key}{KEYS[key]}", figure, getattr(was, key)) for key, figure in of_laser]
+        shown = self.fitted()
         if self.wheels is not None:
-            rows.append(_row(f"paper's delta ({PAPER_PERIOD_S:g} s)", self.wheels.delta, None))
-        if self.tricycle is not None:
-            of_wheels = self.tricycle.wheels.items()
-            rows += [_row(f"wheels.{key}", f, getattr(self.settings, key)) for key, f in of_wheels]
-            rows += [_row(f"{self.tricycle.by}.{key}", f, None) for key, f in self.tricycle.mount.items()]
-        if self.iron is not None:
-            rows += _iron_rows(self.iron)
-        return rows
+            shown.append(Fitted(f"paper's delta ({PAPER_PERIOD_S:g} s)", self.wheels.delta))
+        if (iron := self.iron) is not None:
+            for name, axes in (("hard", ("x", "y")), ("soft", ("xx", "xy", "yx", "yy"))):
+                values, sigmas = (getattr(iron, column).ravel() for column in (name, f"{name}_sigma"))
+                shown += [Fitted(f"compass.{name}_iron {k}", f) for k, f in _figures(axes, values, sigmas).items()]
+        return [
+            (f"{key}{unit}", f"{f.value:.4g}", f"{f.low:.4g} .. {f.high:.4g}", "" if was is None else f"{was:.4g}")
+            for key, f, was, unit, _ in shown
+        ]
+
+
+def _figures(keys: Mapping[str, str] | Sequence[str], values: Array, sigmas: Array) -> dict[str, Figure]:
+    """Return values with 95 % intervals by their keys, those with a sigma."""
+    found = zip(keys, values.tolist(), (SIGMAS_95 * sigmas).tolist(), strict=True)
+    return {key: Figure(value, value - half, value + half) for key, value, half in found if math.isfinite(half)}
+
+
+def _with_old(table: str, figures: Mapping[str, Figure], was: Any, units: Mapping[str, str]) -> list[Fitted]:
+    old = ((key, f, getattr(was, key)) for key, f in figures.items())
+    return [Fitted(f"{table}.{key}", f, v, units.get(key, ""), f.low <= v <= f.high) for key, f, v in old]
+
+
+def _short(value: float) -> float:
+    """Return a number with six digits, since more is noise."""
+    return float(f"{value:.6g}")
+
+
+def _plain(figures: Mapping[str, Figure]) -> dict[str, dict[str, float]]:
+    return {name: asdict(figure) for name, figure in figures.items()}
 
 
 def calibrated(logs: Sequence[Sequence[str]], how: LogOptions, progress: Progress) -> Calibration:
@@ -237,27 +226,32 @@ def calibrated(logs: Sequence[Sequence[str]], how: LogOptions, progress: Progres
 
 
 def calibrate_logs(
-    loaded: Sequence[Loaded], progress: Progress = silent, how: LogOptions = DEFAULT
+    loaded: Sequence[Loaded], progress: Progress = silent, how: LogOptions | None = None
 ) -> Calibration:
     """Calibrate what the logs of one robot allow. Raises LocfuseError where they allow nothing."""
-    settings = _one_robot(loaded)
+    how, settings = how or LogOptions(), _one_robot(loaded)
     if is_tricycle(loaded[0].stream("wheels")):
         return _tricycle(loaded, settings, progress, how)
     for one in loaded:
         refuse_doubtful(one, "what is calibrated now", CALIBRATED)
     notes: list[str] = []
-    wheels = _try(lambda: _wheels(loaded), notes)
-    laser = None if wheels is not None else _try(lambda: by_laser(loaded, settings, progress), notes)
-    gyro = None if laser is not None else _try(lambda: _gyro(loaded, settings), notes)
-    iron = _try(lambda: fit_iron(fields(loaded)), notes)
+
+    def attempt(find: Callable[[], T]) -> T | None:
+        try:
+            return find()
+        except LocfuseError as problem:
+            notes.append(str(problem))
+            return None
+
+    wheels = attempt(lambda: _wheels(loaded))
+    laser = None if wheels is not None else attempt(lambda: _by_laser(loaded, progress))
+    gyro = None if laser is not None else attempt(lambda: _gyro(loaded, settings))
+    iron = attempt(lambda: fit_iron(_fields(loaded)))
     if wheels is None and laser is None and gyro is None and iron is None:
         raise LocfuseError("; ".join(notes))
-    if wheels is not None:
-        notes += _wheel_notes(wheels, settings, gyro)
-    if gyro is not None:
-        notes += _gyro_notes(gyro, settings)
-    if laser is not None:
-        notes += laser.notes(settings)
+    notes += [] if wheels is None else _wheel_notes(wheels, settings, by_gyro=gyro is not None)
+    notes += [] if gyro is None else _gyro_notes(gyro, settings)
+    notes += [] if laser is None else _laser_notes(laser, settings)
     if iron is not None:
         notes.append(
             f"compass: iron bends the raw headings by {iron.error_before_deg:.1f} degrees (rms over a turn); the "
@@ -266,22 +260,21 @@ def calibrate_logs(
     found = Calibration(
         loaded=loaded, how=how, settings=settings, wheels=wheels, laser=laser, gyro=gyro, iron=iron
     )
-    geometry = found.geometry()
-    changed = _changed(geometry, settings)
-    if kept := [key for key in geometry if key not in changed]:
-        notes.append(f"wheels: {', '.join(kept)} left as set: inside the interval, so nothing speaks against it")
-    return msgspec.structs.replace(found, notes=tuple(notes))
+    stays = [f.key.removeprefix("wheels.") for f in found.fitted() if f.stays and f.key.startswith("wheels.")]
+    if stays:
+        notes.append(f"wheels: {', '.join(stays)} left as set: inside the interval, so nothing speaks against it")
+    return replace(found, notes=tuple(notes))
 
 
-def fields(loaded: Sequence[Loaded]) -> Array:
+def _fields(loaded: Sequence[Loaded]) -> Array:
     """Return the raw field readings (n, 2) of all logs. Raises LocfuseError if no log has any."""
-    found = [np.zeros((0, 2))]
+    found = []
     for one in loaded:
         topic = one.choice.topics.get("compass")
         if topic is not None and one.log.topics[topic].msgtype == FIELD:
             columns = one.log.stream(topic, one.robot.order).columns("magnetic_field.x", "magnetic_field.y")
             found.append(np.stack([np.asarray(c, np.float64) for c in columns.values()], axis=-1))
-    if len(found) == 1:
+    if not found:
         raise LocfuseError("no log has a magnetometer (sensor_msgs/MagneticField)", role="compass")
     return np.concatenate(found)
 
@@ -290,9 +283,9 @@ def _one_robot(loaded: Sequence[Loaded]) -> WheelSettings:
     """Return the wheel settings; logs of robots with different wheels cannot be calibrated together."""
     first = loaded[0].robot.wheels
     if any(one.log.topics[one.choice.topics["wheels"]].msgtype == ODOMETRY for one in loaded):
-        return msgspec.structs.replace(first, radius=None)  # an odometry has no wheels to correct
+        return replace(first, radius=None)  # an odometry has no wheels to correct
     for one in loaded[1:]:
-        for key in ("radius", "ratio", "track"):
+        for key in GEOMETRY:
             a, b = getattr(first, key), getattr(one.robot.wheels, key)
             if a != b:
                 raise LocfuseError(
@@ -308,12 +301,36 @@ def _wheels(loaded: Sequence[Loaded]) -> WheelCalibration:
     drives = [one.drive for one in loaded if one.drive.truth is not None]
     if not drives:
         names = ", ".join(one.log.name for one in loaded)
-        raise LocfuseError(
-            f"no truth in {names} to compare the wheels with",
-            role="wheels",
-            hint="(--set truth.topic=/TOPIC names it)",
-        )
+        hint = "(--set truth.topic=/TOPIC names it)"
+        raise LocfuseError(f"no truth in {names} to compare the wheels with", role="wheels", hint=hint)
     return calibrate_wheels(drives)
+
+
+def _wheel_notes(found: WheelCalibration, settings: WheelSettings, by_gyro: bool) -> list[str]:
+    pieces = {
+        "straight": f"straight runs ({found.straight_m:.1f} m)",
+        "turn": f"turns on the spot ({math.degrees(found.turned_rad):.0f} degrees)",
+    }
+    used = (f"{n} pieces of {what}" for kind, what in pieces.items() if (n := found.pieces[kind]))
+    notes = [f"wheels: {', '.join(used)}"]
+    if found.outliers:
+        words = "pieces do not fit the others (slip, or a jump of the truth): not used"
+        notes.append(f"wheels: {found.outliers} {words}")
+    if settings.radius is not None:
+        known = dict(zip(GEOMETRY, np.isfinite(found.sigmas).tolist(), strict=True))
+        known |= {"ratio": True, "track": True} if by_gyro else {}
+        notes += [
+            f"wheels: {name} cannot be told without {lacking}; it is taken as given"
+            for name, lacking in LACKING_BY_TRUTH.items()
+            if not known[name]
+        ]
+    if abs(found.prefers_k) > MIN_LN_RATIO:
+        better, worse = ("noise per metre", "the paper's delta")[:: 1 if found.prefers_k > 0 else -1]
+        notes.append(
+            f"wheels: {better} explains these drives better than {worse} "
+            f"(ln of the likelihoods' ratio: {abs(found.prefers_k):.1f})"
+        )
+    return notes
 
 
 def _tricycle(
@@ -333,8 +350,9 @@ def _tricycle(
     found = calibrate_tricycle(encoders, settings, reference, shift)
     if found.by == "lrf":  # what is not surely another mount or clock is left as it was set
         was = one.robot.settings("lrf")
-        late = Figure(*(v + was.time_offset for v in msgspec.structs.astuple(found.mount["time_offset"])))
-        found = msgspec.structs.replace(found, mount=_changed({**found.mount, "time_offset": late}, was))
+        late = Figure(*(v + was.time_offset for v in astuple(found.mount["time_offset"])))
+        mount = {**found.mount, "time_offset": late}
+        found = replace(found, mount={k: f for k, f in mount.items() if not f.low <= getattr(was, k) <= f.high})
     left = {
         "truth": f"fitted to the whole path, they leave {found.rms:.3f} m (rms)",
         "lrf": f"fitted to the laser's way over a second, they leave {found.rms:.3f} m (rms)",
@@ -353,24 +371,23 @@ def _reference(one: Loaded, progress: Progress) -> Reference | None:
         progress("matching scans")
         motion = motion_of_both(one)
         return Reference("lrf", motion.laser.t + motion.delay, motion.laser.pose)
+    turned = _turned_by_gyro(one)
+    return turned and Reference("gyro", turned[0], np.column_stack((np.zeros((len(turned[0]), 2)), turned[1])))
+
+
+def _turned_by_gyro(one: Loaded) -> tuple[Array, Array] | None:
+    """Return times (n,) [s] and headings (n,) [rad] of a log's gyro, None without one."""
     m = one.drive.measurements.get("gyro")
-    if m is None or len(m.t) < 2:
-        return None
-    t, heading = REGISTRY["gyro"].heading(m) or (np.zeros(0), np.zeros(0))
-    return Reference("gyro", t, np.column_stack((np.zeros((len(t), 2)), heading)))
+    return None if m is None or len(m.t) < 2 else REGISTRY["gyro"].heading(m)
 
 
 def _gyro(loaded: Sequence[Loaded], settings: WheelSettings) -> GyroCalibration:
-    sensor, drives = REGISTRY["gyro"], []
-    for one in loaded:
-        m = one.drive.measurements.get("gyro")
-        heading = None if m is None or len(m.t) < 2 else sensor.heading(m)
-        if heading is not None:
-            drives.append((one.drive.wheels, *heading))
+    turned = ((one.drive.wheels, _turned_by_gyro(one)) for one in loaded)
+    drives = [(wheels, *heading) for wheels, heading in turned if heading is not None]
     if not drives or settings.radius is None:
         raise LocfuseError("no log has a gyro beside wheels whose radius and track are set", role="gyro")
-    told = loaded[0].robot.settings("gyro")
-    return calibrate_by_gyro(drives, told.sigma_scale, math.radians(told.sigma_deg))
+    gyro = loaded[0].robot.settings("gyro")
+    return calibrate_by_gyro(drives, gyro.sigma_scale, math.radians(gyro.sigma_deg))
 
 
 def _gyro_notes(found: GyroCalibration, settings: WheelSettings) -> list[str]:
@@ -389,92 +406,41 @@ def _gyro_notes(found: GyroCalibration, settings: WheelSettings) -> list[str]:
     ]
 
 
-def _try(find: Any, notes: list[str]) -> Any:
-    """Return the result of `find`, or note why it failed."""
-    try:
-        return find()
-    except LocfuseError as problem:
-        notes.append(str(problem))
-        return None
-
-
-def _wheel_notes(
-    found: WheelCalibration, settings: WheelSettings, gyro: GyroCalibration | None = None
-) -> list[str]:
-    pieces = ", ".join(
-        f"{n} pieces of {what}"
-        for n, what in (
-            (found.pieces["straight"], f"straight runs ({found.straight_m:.1f} m)"),
-            (found.pieces["turn"], f"turns on the spot ({math.degrees(found.turned_rad):.0f} degrees)"),
-        )
-        if n
-    )
-    notes = [f"wheels: {pieces}"]
-    if found.outliers:
-        notes.append(
-            f"wheels: {found.outliers} pieces do not fit the others (slip, or a jump of the truth): not used"
-        )
-    if settings.radius is not None:
-        by_gyro = () if gyro is None else ("ratio", "track")
-        sigmas = zip(("radius", "ratio", "track"), found.sigmas.tolist(), strict=True)
-        untold = [n for n, s in sigmas if math.isnan(s) and n not in by_gyro]
-        lacking = {"radius": "straight runs", "ratio": "a truth with heading", "track": "turns on the spot"}
-        notes += [
-            f"wheels: {name} cannot be told without {lacking[name]}; it is taken as given" for name in untold
-        ]
-    if abs(found.prefers_k) > MIN_LN_RATIO:
-        better, worse = ("noise per metre", "the paper's delta")[:: 1 if found.prefers_k > 0 else -1]
-        notes.append(
-            f"wheels: {better} explains these drives better than {worse} "
-            f"(ln of the likelihoods' ratio: {abs(found.prefers_k):.1f})"
-        )
-    return notes
-
-
-def _iron_rows(iron: Iron) -> list[Row]:
-    rows = []
-    for name, values, sigmas in (("hard", iron.hard, iron.hard_sigma), ("soft", iron.soft, iron.soft_sigma)):
-        where = ("x", "y") if name == "hard" else ("xx", "xy", "yx", "yy")
-        for axis, value, sigma in zip(where, values.ravel().tolist(), sigmas.ravel().tolist(), strict=True):
-            figure = Figure(value, value - SIGMAS_95 * sigma, value + SIGMAS_95 * sigma)
-            rows.append(_row(f"compass.{name}_iron {axis}", figure, None))
-    return rows
-
-
-def _row(name: str, figure: Figure, was: float | None) -> Row:
-    interval = f"{figure.low:.4g} .. {figure.high:.4g}"
-    return name, f"{figure.value:.4g}", interval, "" if was is None else f"{was:.4g}"
-
-
-def _changed(figures: Mapping[str, Figure], was: Any) -> dict[str, Figure]:
-    """Return the figures whose interval excludes the configured value; the others should stay as configured."""
-    return {key: f for key, f in figures.items() if not f.low <= getattr(was, key) <= f.high}
-
-
-def _short(value: float) -> float:
-    """Return a number with six digits, since more is noise."""
-    return float(f"{value:.6g}")
-
-
-def _plain(figures: Mapping[str, Figure]) -> dict[str, dict[str, float]]:
-    return {name: msgspec.structs.asdict(figure) for name, figure in figures.items()}
-
-
-def _sigma(fit: LaserCalibration, name: str) -> str:
-    sigma = float(fit.sigmas[calibrate_by_scans.NAMES.index(name)])
-    return f"{sigma:.3f}" if math.isfinite(sigma) else "not told"
-
-
-def by_laser(loaded: Sequence[Loaded], settings: WheelSettings, progress: Progress) -> ByLaser:
+def _by_laser(loaded: Sequence[Loaded], progress: Progress) -> LaserCalibration:
     """Compare wheels and laser of all logs with both. Raises LocfuseError if none has both or shows enough."""
     both = [one for one in loaded if has_both(one)]
     if not both:
         names = ", ".join(one.log.name for one in loaded)
         raise LocfuseError(f"no wheels and laser together in {names}", role="laser")
     progress("matching scans")
-    return ByLaser(
-        calibrate_by_scans.calibrate([motion_of_both(one) for one in both]), both[0].robot.settings("lrf")
-    )
+    return calibrate_by_scans.calibrate([motion_of_both(one) for one in both])
+
+
+def _laser_notes(fit: LaserCalibration, settings: WheelSettings) -> list[str]:
+    """Return notes: how much was seen, what it does not show, and which sensor defines the distance scale."""
+    notes = [
+        f"laser: {fit.intervals} pieces of way by wheels and laser ({fit.way_m:.1f} m, "
+        f"{math.degrees(fit.turned_rad):.0f} degrees); the laser's metre is taken for the right one "
+        "(lrf.range_scale)"
+    ]
+    if fit.outliers:
+        notes.append(f"laser: {fit.outliers} pieces do not fit the others (slip, or a wrong match): not used")
+    untold = set(fit.untold())
+    odometry = settings.radius is None or settings.track is None
+    untold -= {"scale", "difference", "track"} if odometry else set()
+    notes += [
+        f"{what} cannot be told without {needs}; it is left as it is"
+        for name, (what, needs) in LACKING_BY_LASER.items()
+        if name in untold
+    ]
+    if odometry:
+        scale, _, track = (1.0 + fit.parameters[:3]).tolist()
+        of_scale, _, of_track = (f"{s:.3f}" if math.isfinite(s) else "not told" for s in fit.sigmas[:3].tolist())
+        notes.append(
+            f"wheels: the odometry measures {1.0 / scale:.3f} of the laser's distances (1 sigma {of_scale}) and "
+            f"{track / scale:.3f} of its turns ({of_track})"
+        )
+    return notes
 
 
 def has_both(one: Loaded) -> bool:
@@ -485,7 +451,7 @@ def has_both(one: Loaded) -> bool:
 def motion_of_both(one: Loaded) -> Motion:
     """Return the motion of wheels and laser in one log, the laser's in its own frame."""
     lrf: Any = one.robot.settings("lrf")
-    stream = one.log.stream(one.choice.topics["lrf"], one.robot.order)
     laser = laser_of(lrf)._replace(mount=np.zeros(3))
+    stream = one.log.stream(one.choice.topics["lrf"], one.robot.order)
     found = match_scans(stream, laser).reading(WheelSettings(), lrf.time_offset)
     return Motion(one.drive.wheels, found.wheels, (found.epoch_ns - one.drive.epoch_ns) * 1e-9)

@@ -21,7 +21,7 @@ from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import Asked, Progress, silent
 from locfuse.cli.analysis.verdicts import verdicts
 from locfuse.fusion.data import Estimates, UsageError
-from locfuse.fusion.judge.jitter import DROPPED_SHARE, MOVED_S, jittered
+from locfuse.fusion.measure import DROPPED_SHARE, MOVED_S, jittered
 
 MAX_RUNS = 1000
 DIRECTIONS = {"helps": 1, "seems to help": 1, "hurts": -1, "seems to hurt": -1}

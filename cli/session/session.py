@@ -34,7 +34,7 @@ from locfuse.cli.analysis.settings import (
     silent,
     words_of,
 )
-from locfuse.cli.analysis.trust import evidence
+from locfuse.cli.analysis.verdicts import evidence
 from locfuse.formats.logs import log as logs
 from locfuse.formats.logs.log import Log
 from locfuse.formats.robot.robot_toml import as_set

@@ -38,8 +38,7 @@ from locfuse.formats.visible import visible
 from locfuse.formats.whole_files import may_write, write_results
 from locfuse.fusion.data import LocfuseError, UsageError
 from locfuse.fusion.judge.bootstrap import CONFIDENCE, MIN_REPLICATES, student_t
-from locfuse.fusion.judge.credit import Credit, SensorCredit, credit_over_logs
-from locfuse.fusion.judge.verdict import MIN_EFFECT, Effect
+from locfuse.fusion.judge.credit import MIN_EFFECT, Credit, Effect, SensorCredit, credit_over_logs
 from locfuse.fusion.sensors.registry import colours
 
 from .python_words import speaks_python

@@ -336,8 +336,8 @@ class _Reader:
             return numbers if packed else numbers[0]
         found = []
         while first < stop:
-            value, first = varint(self.data, first, stop)
-            found.append(_number(value, field.dtype))
+            bits, first = varint(self.data, first, stop)
+            found.append(_number(bits, field.dtype))
         return found if packed else found[0]
 
 

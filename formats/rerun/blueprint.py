@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,9 +9,9 @@ import rerun.blueprint as rrb
 
 from locfuse.fusion.data import Evaluation
 
-from . import images, series, style
+from . import drawing, series
+from .drawing import DRIVE, STEP, TIME, part
 from .map_view import ROOT
-from .recorder import DRIVE, STEP, TIME, part
 from .scene import RerunScene
 
 BACKGROUND = (20, 21, 26)
@@ -20,7 +19,6 @@ MARGIN_SHARE = 0.06  # of the map's size, around it
 SCAN_RANGE_M = (1.5, 15.0)  # m shown around the robot at first: the least and the most
 MAX_RAW_VIEWS = 12  # topics with a view of their own: a viewer with hundreds is of no use
 Range = tuple[float, float]
-Overrides = Mapping[Any, Any]
 
 
 def blueprint(scene: RerunScene, tab: str | None = None) -> rrb.Blueprint:
@@ -39,34 +37,28 @@ def blueprint(scene: RerunScene, tab: str | None = None) -> rrb.Blueprint:
 def _left(scene: RerunScene) -> Any:
     """Return the map with its legend, and the panorama below if there are pictures."""
     rows = [(_map_view(scene), 0.66)]
-    if len(list(style.legend_entries(scene))) > 1:
-        (x0, y0), (x1, y1) = style.legend_bounds(scene)
-        rows.append((_view_2d("Legend", f"/{style.LEGEND}", (x0, x1), (y0, y1)), 0.1))
+    if len(drawing.legend_of(scene)) > 1:
+        rows.append((_view_2d("Legend", f"/{drawing.LEGEND}", *drawing.legend_ranges(scene)), 0.1))
     if scene.picture_rows is not None:
-        rows.append((_view_2d("Panorama", f"/{images.PANORAMA}"), 0.24))
-    if len(rows) == 1:
-        return rows[0][0]
-    return rrb.Vertical(contents=[view for view, _ in rows], row_shares=[share for _, share in rows])
+        rows.append((_view_2d("Panorama", f"/{drawing.PANORAMA}"), 0.24))
+    views, shares = zip(*rows, strict=True)
+    return rrb.Vertical(contents=views, row_shares=shares) if len(rows) > 1 else views[0]
 
 
 def _right(scene: RerunScene, tab: str | None) -> Any | None:
     """Return the right column: what the robot sees, in its own frame, above the plots of the estimate."""
     looks = [_scan_view(scene)] if scene.scans is not None and len(scene.scans.t) else []
-    if scene.picture_rows is not None:
-        looks.append(_view_2d("Omni image", f"/{images.OMNI}"))
+    looks += [] if scene.picture_rows is None else [_view_2d("Omni image", f"/{drawing.OMNI}")]
     parts: list[Any] = [rrb.Horizontal(contents=looks)] if looks else []
-    reasons = _reasons(scene)
-    if reasons:
-        front = list(reasons).index(tab) if tab in reasons else 0
-        parts.append(rrb.Tabs(contents=list(reasons.values()), active_tab=front))
-    if len(parts) < 2:
-        return parts[0] if parts else None
-    return rrb.Vertical(contents=parts, row_shares=[0.34, 0.66])
+    if tabs := _tabs(scene):
+        front = list(tabs).index(tab) if tab in tabs else 0
+        parts.append(rrb.Tabs(contents=list(tabs.values()), active_tab=front))
+    return rrb.Vertical(contents=parts, row_shares=[0.34, 0.66]) if len(parts) > 1 else next(iter(parts), None)
 
 
 def _view_2d(name: str, origin: str, x: Range | None = None, y: Range | None = None, **more: Any) -> Any:
     """Return a view of the plane; x and y are its first ranges, y down."""
-    bounds = None if x is None or y is None else rrb.VisualBounds2D(x_range=x, y_range=y)
+    bounds = rrb.VisualBounds2D(x_range=x, y_range=y) if x and y else None
     return rrb.Spatial2DView(name=name, origin=origin, background=BACKGROUND, visual_bounds=bounds, **more)
 
 
@@ -75,25 +67,24 @@ def _map_view(scene: RerunScene) -> Any:
     low, high = scene.extent
     margin = MARGIN_SHARE * max(float((high - low).max()), 1.0)
     (x0, y0), (x1, y1) = (low - margin).tolist(), (high + margin).tolist()
-    hidden = rrb.EntityBehavior(visible=False)
-    overrides: dict[Any, Any] = {f"{ROOT}/truth/path": [_until_now()]}
+    growing = [f"{ROOT}/truth/path"]
+    overrides: dict[Any, Any] = {}
     for e in scene.estimates:
         root = f"{ROOT}/{part(e.name)}"
-        growing = ("path", "loops", "walls/refined", "walls/three_sigma")
-        overrides |= {f"{root}/{name}": [_until_now()] for name in growing}
+        growing += [f"{root}/{name}" for name in ("path", "loops", "walls/refined", "walls/three_sigma")]
         if e is not scene.best:
-            overrides |= {f"{root}/{name}": [hidden] for name in ("walls", "seen")}
+            overrides |= {f"{root}/{name}": [rrb.EntityBehavior(visible=False)] for name in ("walls", "seen")}
+    overrides |= {path: [_until_now()] for path in growing}
     return _view_2d("Map", "/", (x0, x1), (-y1, -y0), contents=[f"/{ROOT}/**"], overrides=overrides)
 
 
 def _scan_view(scene: RerunScene) -> Any:
     """Return the view from the robot: x ahead to the right, y to the left upwards; it shows 4 of 5 returns."""
-    root, (least, most) = f"{ROOT}/{part(scene.best.name)}", SCAN_RANGE_M
-    reach = least
+    root, reach = f"{ROOT}/{part(scene.best.name)}", SCAN_RANGE_M[0]
     if scene.scans is not None and len(scene.scans.xy):
-        reach = float(np.clip(1.1 * np.quantile(np.hypot(*scene.scans.xy.T), 0.8), least, most))
-    contents = [f"+ /{root}/**", f"+ /{ROOT}/landmark/**"]
-    contents += [f"- /{root}/{path}/**" for path in ("path", "sigma", "loops")]
+        reach = float(np.clip(1.1 * np.quantile(np.hypot(*scene.scans.xy.T), 0.8), *SCAN_RANGE_M))
+    hidden = (f"- /{root}/{path}/**" for path in ("path", "sigma", "loops"))
+    contents = [f"+ /{root}/**", f"+ /{ROOT}/landmark/**", *hidden]
     overrides = {f"{root}/walls/{name}": [_until_now()] for name in ("refined", "three_sigma")}
     square = (-reach, reach)
     return _view_2d("Scan", f"/{root}/scan/screen", square, square, contents=contents, overrides=overrides)
@@ -106,36 +97,34 @@ def _until_now() -> Any:
     return rrb.VisibleTimeRanges([rrb.VisibleTimeRange(t, start=start, end=end) for t in (DRIVE, TIME, STEP)])
 
 
-def _reasons(scene: RerunScene) -> dict[str, Any]:
+def _tabs(scene: RerunScene) -> dict[str, Any]:
     """Return the tabs with plots of the estimate, by name, without empty ones."""
     used = {s for e in scene.estimates for s, audit in e.audits.items() if len(audit.instant)}
     sensors = [s for s in scene.drive.measurements if s in used]
     raw = [t for t in scene.raw[:MAX_RAW_VIEWS] if t.fields]
-    plots = {
-        "NIS": [_nis(scene, s) for s in sensors],
-        "Innovation": [view for s in sensors for view in _innovations(scene, s)],
-        "Raw topics": [_plot(t.topic, f"/{series.raw_path(t.topic)}") for t in raw],
-    }
     judged = [e for e in scene.evaluations.values() if len(e.t)]
-    views = {
+
+    def stacked(name: str, views: list[Any]) -> Any:
+        return rrb.Vertical(contents=views, name=name) if views else None
+
+    tabs = {
         "Deviation": _deviations(scene, judged, "Deviation", None) if judged else None,
         "Close-up": _deviations(scene, judged, "Close-up", _close_spans(judged)) if len(judged) > 1 else None,
-        "NIS": None,
-        "Innovation": None,
+        "NIS": stacked("NIS", [_nis(scene, s) for s in sensors]),
+        "Innovation": stacked("Innovation", [view for s in sensors for view in _innovations(scene, s)]),
         "Gates": rrb.StateTimelineView(name="Gates", origin="/gate") if sensors else None,
         "Events": rrb.TextLogView(name="Events", origin=f"/{series.EVENTS}") if scene.events else None,
         "Result": rrb.TextDocumentView(name="Result", origin="/result") if scene.table else None,
-        "Raw topics": None,
+        "Raw topics": stacked("Raw topics", [_plot(t.topic, f"/{series.raw_path(t.topic)}") for t in raw]),
     }
-    views |= {name: rrb.Vertical(contents=some, name=name) for name, some in plots.items() if some}
-    return {name: view for name, view in views.items() if view is not None}
+    return {name: view for name, view in tabs.items() if view is not None}
 
 
 def _deviations(scene: RerunScene, judged: list[Evaluation], name: str, close: list[float] | None) -> Any:
     """Return the plots of estimate - truth; `close` (one per component) limits them."""
     count = 2 if judged[0].heading is None else 3
     views = []
-    for i, component in enumerate(series.DEVIATIONS[:count]):
+    for i, component in enumerate(list(series.DEVIATIONS)[:count]):
         origin = f"/deviation/{series.entity(component)}"
         bands = {
             f"{origin}/{part(e.name)}/three_sigma": [rrb.EntityBehavior(visible=e.name == scene.best.name)]
@@ -151,15 +140,15 @@ def _close_spans(judged: list[Evaluation]) -> list[float]:
     """Return the span of x, y [m] and heading [deg] of the better half of the configurations."""
     by_error = sorted(judged, key=lambda e: e.figures["position_rmse_m"] or 0.0)
     good = by_error[: (len(by_error) + 1) // 2]
-    xy = max(float(np.abs(e.deviation).max()) for e in good)
+    xy = 1.2 * max(float(np.abs(e.deviation).max()) for e in good)
     heading = max(float(np.abs(e.heading).max()) if e.heading is not None else 0.0 for e in good)
-    return [1.2 * xy, 1.2 * xy, float(np.degrees(1.2 * heading))]
+    return [xy, xy, float(np.degrees(1.2 * heading))]
 
 
 def _nis(scene: RerunScene, sensor: str) -> Any:
     """Return NIS limits just above the gate: outliers of 10^4 would flatten the rest."""
-    gates = [float(e.audits[sensor].threshold[0]) for e in scene.estimates if sensor in e.audits]
-    top = 1.6 * gates[0] if gates and np.isfinite(gates[0]) else None
+    gate = next(float(e.audits[sensor].threshold[0]) for e in scene.estimates if sensor in e.audits)
+    top = 1.6 * gate if np.isfinite(gate) else None
     return _plot(f"NIS {sensor}", f"/nis/{sensor}", top, low=None if top is None else -0.04 * top)
 
 
@@ -178,13 +167,7 @@ def _innovations(scene: RerunScene, sensor: str) -> list[Any]:
 
 
 def _plot(
-    name: str,
-    origin: str,
-    span: float | None = None,
-    *,
-    low: float | None = None,
-    legend: bool = True,
-    overrides: Overrides | None = None,
+    name: str, origin: str, span: float | None = None, low: float | None = None, legend: bool = True, **more: Any
 ) -> Any:
     """Return a time series view; `span` limits it to +-span, or to low..span."""
     edge = rrb.TimeRangeBoundary.infinite()
@@ -196,5 +179,5 @@ def _plot(
         axis_y=rrb.ScalarAxis(range=limits) if limits else None,
         plot_legend=rrb.PlotLegend(visible=legend, corner="RightTop"),
         background=rrb.archetypes.PlotBackground(color=BACKGROUND),
-        overrides=overrides,
+        **more,
     )

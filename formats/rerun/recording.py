@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import warnings
 from pathlib import Path
 
@@ -16,7 +15,11 @@ from locfuse.fusion.data import LocfuseError
 
 from .scene import RerunScene
 
-APPLICATION = "locfuse"
+QUIET = {  # keeps Rerun's own log off the terminal, and makes it free memory at once: set before its import
+    "RUST_LOG": "off",
+    "MIMALLOC_PURGE_DELAY": "0",  # ms; with the pool below 20 MB less at the peak
+    "ARROW_DEFAULT_MEMORY_POOL": "system",
+}
 
 
 def save_recording(path: Path, scene: RerunScene, tab: str | None = None, identity: str | None = None) -> None:
@@ -42,14 +45,12 @@ def _write(path: Path, scene: RerunScene, tab: str | None, identity: str | None)
     import rerun as rr
 
     from .blueprint import blueprint
-    from .images import draw_pictures
+    from .drawing import TimelineRecorder, draw_legend, draw_pictures
     from .map_view import draw_map
-    from .recorder import TimelineRecorder
     from .series import draw_series
-    from .style import draw_legend
 
     rr.set_strict_mode(True)  # raise where it would warn: a recording with a hole in it is not written
-    stream = rr.RecordingStream(application(scene), recording_id=identity)
+    stream = rr.RecordingStream(_application(scene), recording_id=identity)
     stream.set_log_time_enabled(False)
     stream.set_log_tick_enabled(False)
     to = TimelineRecorder(stream, scene.drive)
@@ -63,18 +64,17 @@ def _write(path: Path, scene: RerunScene, tab: str | None, identity: str | None)
         if scene.table:
             to.static("result", rr.TextDocument(unfolded(scene.table), media_type=rr.MediaType.MARKDOWN))
         if scene.picture_rows is not None:
-            draw_pictures(to, scene.pictures, scene.picture_rows)
+            draw_pictures(to, scene)
         stream.flush()
     finally:
         stream.disconnect()
 
 
-def application(scene: RerunScene) -> str:
+def _application(scene: RerunScene) -> str:
     """Return the name under which a viewer keeps the layout: shared by recordings with the same views."""
     names = [e.name for e in scene.estimates]
     what = names[0] if len(names) == 1 else f"{len(names)} configurations"
-    pictures = "" if scene.picture_rows is None else " with pictures"
-    return f"{APPLICATION} {scene.name} - {what}{pictures}"
+    return f"locfuse {scene.name} - {what}{'' if scene.picture_rows is None else ' with pictures'}"
 
 
 def unfolded(table: str) -> str:
@@ -103,18 +103,11 @@ def check(path: Path) -> None:
         raise LocfuseError(f"{path.name} was not made by locfuse: it holds no drive or no layout")
 
 
-def copy(source: Path, target: Path) -> None:
-    """Copy a recording, whole or not at all. Raises LocfuseError if it cannot be written."""
-    with whole_file(target) as temporary:
-        shutil.copyfile(source, temporary)
-
-
 def quiet_rust() -> None:
-    """Keep Rerun's own log off the terminal, and make it free memory at once. Called before Rerun's import."""
-    os.environ.setdefault("RUST_LOG", "off")
-    os.environ.setdefault("MIMALLOC_PURGE_DELAY", "0")  # ms; with the pool below 20 MB less at the peak
-    os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
+    """Set what Rerun reads when it is imported."""
+    for name, value in QUIET.items():
+        os.environ.setdefault(name, value)
 
 
 def _first_line(problem: BaseException) -> str:
-    return str(problem).strip().splitlines()[0][:200] if str(problem).strip() else type(problem).__name__
+    return (str(problem).strip().splitlines() or [type(problem).__name__])[0][:200]

@@ -16,10 +16,12 @@ from locfuse.formats.thin import MAX_CURVE_POINTS, MAX_SCANS
 from locfuse.fusion.data import VERDICTS, Array, Component, Drive, Estimates, Evaluation, Event, Ints
 
 Rgb = tuple[int, int, int]
+Floats = NDArray[np.float32]  # of what is only drawn
 GREY: Rgb = (148, 151, 156)
 MATCHED, REJECTED, NEW = "matched", "rejected", "new"  # groups of verdicts that share a colour
 GROUP = {"accepted": MATCHED, "repeated": MATCHED, "new": NEW}  # verdict -> group, REJECTED for the others
 GROUP_OF = tuple(GROUP.get(v, REJECTED) for v in VERDICTS)
+NO_LIMIT = 2**62
 
 
 class SensorLook(msgspec.Struct, frozen=True):
@@ -30,9 +32,6 @@ class SensorLook(msgspec.Struct, frozen=True):
     kind: Literal["segments", "bearing", "heading", ""] = ""  # what it looks like on the map
     mount: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, m, rad on the base
     landmark: tuple[float, float] | None = None  # m, map: what a bearing points at
-
-
-Floats = NDArray[np.float32]  # of what is only drawn
 
 
 class DrawnScans(NamedTuple):
@@ -49,7 +48,7 @@ class Picture(NamedTuple):
     t: float  # s since Drive.epoch_ns
     omni: bytes  # JPEG or PNG
     omni_type: str  # its media type
-    panorama: bytes | None  # JPEG, the floor at the bottom
+    panorama: bytes  # JPEG, the floor at the bottom
     rays: Array  # (k, 2, 2) px in `omni`: inner and outer end of the ray through each thing found
     columns: Array  # (k,) px in the panorama
     verdicts: tuple[str, ...]  # (k,) group of each: matched, rejected, new
@@ -61,18 +60,6 @@ class RawTopic(NamedTuple):
     topic: str
     t: Array  # (n,) s since Drive.epoch_ns
     fields: Mapping[str, Array]  # name -> (n,)
-
-
-class Detail(msgspec.Struct, frozen=True):
-    """Limits for drawing a long log."""
-
-    curve: int = MAX_CURVE_POINTS
-    scans: int = MAX_SCANS
-
-    @classmethod
-    def everything(cls) -> Detail:
-        """Return limits that leave nothing out."""
-        return cls(2**62, 2**62)
 
 
 class RerunScene(msgspec.Struct, frozen=True, dict=True):
@@ -89,18 +76,20 @@ class RerunScene(msgspec.Struct, frozen=True, dict=True):
     pictures: Iterable[Picture] = ()
     picture_rows: int | None = None  # px, height of the panoramas; None without pictures
     raw: Sequence[RawTopic] = ()
-    detail: Detail = field(default_factory=Detail)
+    full: bool = False  # nothing is left out of a long log
     palette: Mapping[str, Rgb] = field(default_factory=dict)  # by configuration
     events: Sequence[Event] = ()  # what happened when, in order of time
     thinned: Mapping[str, Drive] = field(default_factory=dict)  # configurations that saw fewer readings
 
-    def colour(self, configuration: str) -> Rgb:
-        """Return the colour of a configuration."""
-        return self.palette.get(configuration, GREY)
+    @property
+    def max_points(self) -> int:
+        """The most points of a curve that are drawn."""
+        return NO_LIMIT if self.full else MAX_CURVE_POINTS
 
-    def seen_by(self, configuration: str) -> Drive:
-        """Return the drive of a configuration, whose readings its audit counts."""
-        return self.thinned.get(configuration, self.drive)
+    @property
+    def max_scans(self) -> int:
+        """The most scans, or readings of another sensor on the map, that are drawn."""
+        return NO_LIMIT if self.full else MAX_SCANS
 
     @property
     def best(self) -> Estimates:
@@ -117,3 +106,11 @@ class RerunScene(msgspec.Struct, frozen=True, dict=True):
         parts += [np.array([s.landmark]) for s in self.sights.values() if s.landmark is not None]
         points = np.concatenate(parts)
         return points.min(axis=0), points.max(axis=0)
+
+    def colour(self, configuration: str) -> Rgb:
+        """Return the colour of a configuration."""
+        return self.palette.get(configuration, GREY)
+
+    def seen_by(self, configuration: str) -> Drive:
+        """Return the drive of a configuration, whose readings its audit counts."""
+        return self.thinned.get(configuration, self.drive)

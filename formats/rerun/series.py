@@ -2,64 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import rerun as rr
 
 from locfuse.formats.thin import extremes
-from locfuse.fusion.data import (
-    FAULT,
-    LOST,
-    REFUSED,
-    VERDICTS,
-    Array,
-    Audit,
-    Component,
-    Estimates,
-    Evaluation,
-    Event,
-    Ints,
-    Measurements,
-)
+from locfuse.fusion import data
+from locfuse.fusion.data import VERDICTS, Array, Audit, Component, Estimates, Evaluation, Event, Ints, Measurements
 
-from . import style
-from .recorder import TimelineRecorder, part
+from . import drawing as ink
+from .drawing import TimelineRecorder, part
 from .scene import RerunScene, Rgb, SensorLook
 
-DEVIATIONS = ("x [m]", "y [m]", "heading [deg]")
+DEVIATIONS = {"x [m]": 1.0, "y [m]": 1.0, "heading [deg]": float(np.degrees(1.0))}  # in the plot's unit
 DEVIATION_BAND_SIGMAS = 3.0  # sigmas of a deviation
 INNOVATION_BAND_SIGMAS = 2.0  # sigmas of an innovation
 EVENTS = "events"
-LEVELS = {LOST: "ERROR", FAULT: "WARN", REFUSED: "WARN"}  # what asks for attention first; the rest is INFO
+LEVELS = {
+    data.LOST: "ERROR",
+    data.FAULT: "WARN",
+    data.REFUSED: "WARN",
+}  # what asks for attention first; the rest is INFO
 ACCEPTED, NEW, REPEATED = (VERDICTS.index(v) for v in ("accepted", "new", "repeated"))
-
-
-def draw_series(to: TimelineRecorder, scene: RerunScene) -> None:
-    """Draw all curves, states and events."""
-    limit = scene.detail.curve
-    causal = {e.configuration for e in scene.estimates if not e.smoothed}
-    for e in scene.estimates:
-        pen, name = Pen(to, e.name, scene.colour(e.name), limit), part(e.name)
-        drive = scene.seen_by(e.name)
-        if e.name in scene.evaluations:
-            draw_deviation(pen, scene.evaluations[e.name])
-        if e.smoothed and e.configuration in causal:
-            continue  # its audits are the filter's
-        for sensor, audit in e.audits.items():
-            compared = np.flatnonzero(np.isfinite(audit.nis))
-            pen.dots(f"nis/{sensor}/{name}", e.t[audit.instant[compared]], audit.nis[compared])
-            draw_innovation(pen, f"innovation/{sensor}", e, audit, scene.sights.get(sensor))
-            m, instant = drive.measurements[sensor], drive.instant[sensor]
-            draw_gate(to, f"gate/{sensor}/{name}", drive.t[instant], m, audit, limit)
-    for sensor, sight in scene.sights.items():
-        draw_limits(to, scene, sensor, sight)
-    for topic in scene.raw:
-        for i, (name, values) in enumerate(topic.fields.items()):
-            colour = style.FIELDS[i % len(style.FIELDS)]
-            Pen(to, name, colour, limit).curve(raw_path(topic.topic, name), topic.t, values)
-    draw_events(to, scene.events)
 
 
 class Pen(NamedTuple):
@@ -72,8 +37,7 @@ class Pen(NamedTuple):
 
     def curve(self, path: str, t: Array, values: Array) -> None:
         """Draw one line."""
-        look = rr.SeriesLines(colors=[self.colour], names=[self.name], widths=[1.5])
-        self._draw(path, t, values, look)
+        self._draw(path, t, values, rr.SeriesLines(colors=[self.colour], names=[self.name], widths=[1.5]))
 
     def dots(self, path: str, t: Array, values: Array) -> None:
         """Draw one cloud of dots."""
@@ -82,8 +46,7 @@ class Pen(NamedTuple):
 
     def band(self, path: str, t: Array, bound: Array) -> None:
         """Draw two lines at +-bound (n,); under the curve's own name the legend switches both."""
-        faint = style.faded(self.colour, 200)
-        look = rr.SeriesLines(colors=[faint, faint], names=[self.name, self.name], widths=[0.75, 0.75])
+        look = rr.SeriesLines(colors=[(*self.colour, 200)] * 2, names=[self.name] * 2, widths=[0.75] * 2)
         self._draw(path, t, np.column_stack((bound, -bound)), look)
 
     def _draw(self, path: str, t: Array, values: Array, look: Any) -> None:
@@ -91,6 +54,35 @@ class Pen(NamedTuple):
             picks = extremes(values if values.ndim == 1 else values[:, 0], self.limit)
             self.to.static(path, look)
             self.to.send(path, t[picks], rr.Scalars.columns(scalars=values[picks]))
+
+
+def draw_series(to: TimelineRecorder, scene: RerunScene) -> None:
+    """Draw all curves, states and events."""
+    limit = scene.max_points
+    causal = {e.configuration for e in scene.estimates if not e.smoothed}
+    for e in scene.estimates:
+        pen, name, drive = Pen(to, e.name, scene.colour(e.name), limit), part(e.name), scene.seen_by(e.name)
+        if e.name in scene.evaluations:
+            _draw_deviation(pen, scene.evaluations[e.name])
+        if e.smoothed and e.configuration in causal:
+            continue  # its audits are the filter's
+        for sensor, audit in e.audits.items():
+            compared = np.flatnonzero(np.isfinite(audit.nis))
+            pen.dots(f"nis/{sensor}/{name}", e.t[audit.instant[compared]], audit.nis[compared])
+            _draw_innovation(pen, f"innovation/{sensor}", e, audit, scene.sights.get(sensor))
+            t = drive.t[drive.instant[sensor]]
+            _draw_gate(pen, f"gate/{sensor}/{name}", t, reading_states(drive.measurements[sensor], audit))
+    for sensor, sight in scene.sights.items():
+        _draw_limits(to, scene, sensor, sight)
+    for topic in scene.raw:
+        for i, (name, values) in enumerate(topic.fields.items()):
+            colour = ink.FIELDS[i % len(ink.FIELDS)]
+            Pen(to, name, colour, limit).curve(raw_path(topic.topic, name), topic.t, values)
+    for kind in dict.fromkeys(e.kind for e in scene.events):
+        some = sorted(line for e in scene.events if e.kind == kind for line in _lines(e))
+        texts = [text for _, text in some]
+        columns = rr.TextLog.columns(text=texts, level=[LEVELS.get(kind, "INFO")] * len(some))
+        to.send(f"{EVENTS}/{part(kind)}", np.array([t for t, _ in some]), columns)
 
 
 def entity(name: str) -> str:
@@ -108,21 +100,17 @@ def raw_path(topic: str, name: str = "") -> str:
     return "/".join(("raw", *(part(p) for p in (*topic.split("/"), name) if p)))
 
 
-def draw_deviation(pen: Pen, judged: Evaluation) -> None:
+def _draw_deviation(pen: Pen, judged: Evaluation) -> None:
     """Draw estimate - truth in x, y, heading, and the filter's 3 sigma around zero."""
-    columns = [judged.deviation[:, 0], judged.deviation[:, 1]]
-    if judged.heading is not None:
-        columns.append(np.degrees(judged.heading))
-    to_unit = (1.0, 1.0, 180.0 / np.pi)
-    for i, values in enumerate(columns):
-        path = f"deviation/{entity(DEVIATIONS[i])}/{part(judged.name)}"
-        pen.curve(path, judged.t, values)
-        bound = DEVIATION_BAND_SIGMAS * to_unit[i] * judged.sigma[:, i]
-        if bound.any():
-            pen.band(f"{path}/three_sigma", judged.t, bound)
+    columns = [*judged.deviation.T, *([] if judged.heading is None else [judged.heading])]
+    for (name, unit), values, sigma in zip(DEVIATIONS.items(), columns, judged.sigma.T, strict=False):
+        path = f"deviation/{entity(name)}/{part(judged.name)}"
+        pen.curve(path, judged.t, unit * values)
+        if sigma.any():
+            pen.band(f"{path}/three_sigma", judged.t, DEVIATION_BAND_SIGMAS * unit * sigma)
 
 
-def draw_innovation(pen: Pen, root: str, e: Estimates, audit: Audit, sight: SensorLook | None) -> None:
+def _draw_innovation(pen: Pen, root: str, e: Estimates, audit: Audit, sight: SensorLook | None) -> None:
     """Draw every component of the innovation as dots, and its predicted 2 sigma around zero."""
     some = np.flatnonzero(np.isfinite(audit.y).all(axis=1))
     t = e.t[audit.instant[some]]
@@ -133,74 +121,60 @@ def draw_innovation(pen: Pen, root: str, e: Estimates, audit: Audit, sight: Sens
         pen.band(f"{path}/two_sigma", t, INNOVATION_BAND_SIGMAS * scale * audit.sigma[some, i])
 
 
-def draw_limits(to: TimelineRecorder, scene: RerunScene, sensor: str, sight: SensorLook) -> None:
+def _draw_limits(to: TimelineRecorder, scene: RerunScene, sensor: str, sight: SensorLook) -> None:
     """Draw a sensor's gate and the 95 % bounds of a consistent NIS, as level lines."""
-    audits = [e.audits[sensor] for e in scene.estimates if sensor in e.audits]
-    gates = [float(a.threshold[0]) for a in audits if len(a.threshold)]
-    if not gates:
+    audits = (e.audits[sensor] for e in scene.estimates if sensor in e.audits)
+    gate = next((float(a.threshold[0]) for a in audits if len(a.threshold)), None)
+    if gate is None:
         return
     low, high = sight.bounds
-    levels = [("low", low, "95 %", style.LEVEL), ("high", high, "95 %", style.LEVEL)]
-    if np.isfinite(gates[0]):
-        levels.append(("gate", gates[0], "gate", style.LIMIT))
-    for entity_name, value, name, colour in levels:
-        path = f"nis/{sensor}/limits/{entity_name}"
-        Pen(to, name, colour, 2).curve(path, scene.drive.t[[0, -1]], np.full(2, value))
+    levels = {
+        "low": (low, "95 %", ink.LEVEL),
+        "high": (high, "95 %", ink.LEVEL),
+        "gate": (gate, "gate", ink.LIMIT),
+    }
+    for level, (value, name, colour) in levels.items():
+        if np.isfinite(value):
+            pen = Pen(to, name, colour, 2)
+            pen.curve(f"nis/{sensor}/limits/{level}", scene.drive.t[[0, -1]], np.full(2, value))
 
 
-def draw_gate(to: TimelineRecorder, path: str, t: Array, m: Measurements, audit: Audit, limit: int) -> None:
+def _draw_gate(pen: Pen, path: str, t: Array, codes: Ints) -> None:
     """Draw the state of each reading where it changes."""
-    names = list(style.STATES)
-    states = thinned_states(reading_states(m, audit), limit)
-    changes = np.flatnonzero(np.diff(states.code, prepend=-1))
-    rgb = [style.STATES[name] for name in names]
-    to.static(path, rr.StateConfiguration(values=names, labels=names, colors=rgb))
-    words = [names[code] for code in states.code[changes].tolist()]
-    to.send(path, t[states.reading[changes]], rr.StateChange.columns(state=words))
-
-
-class States(NamedTuple):
-    """The states of some readings."""
-
-    reading: Ints  # (k,)
-    code: Ints  # (k,) position in style.STATES: the higher the worse
+    names = list(ink.STATES)
+    reading, code = thinned_states(codes, pen.limit)
+    changes = np.flatnonzero(np.diff(code, prepend=-1))
+    pen.to.static(path, rr.StateConfiguration(values=names, labels=names, colors=list(ink.STATES.values())))
+    words = [names[state] for state in code[changes].tolist()]
+    pen.to.send(path, t[reading[changes]], rr.StateChange.columns(state=words))
 
 
 def reading_states(m: Measurements, audit: Audit) -> Ints:
-    """Return the state of every reading (n,): a scan with five walls is one reading."""
-    n = len(m.t)
+    """Return the state of every reading (n,), a position in STATES: a scan with five walls is one reading."""
     owner = np.searchsorted(m.first, audit.row, side="right") - 1
-    accepted = np.bincount(owner[np.isin(audit.verdict, (ACCEPTED, REPEATED))], minlength=n) > 0
-    new = np.bincount(owner[audit.verdict == NEW], minlength=n) > 0
-    fine = np.isin(audit.verdict, (ACCEPTED, NEW, REPEATED))
-    refused = np.bincount(owner[~fine], minlength=n) > 0
-    order = list(style.STATES)
+
+    def any_of(rows: Any) -> Any:
+        return np.bincount(owner[rows], minlength=len(m.t)) > 0
+
+    accepted, new = any_of(np.isin(audit.verdict, (ACCEPTED, REPEATED))), any_of(audit.verdict == NEW)
+    refused = any_of(~np.isin(audit.verdict, (ACCEPTED, NEW, REPEATED)))
     cases = {"rejected": refused & ~accepted, "partly": refused, "accepted": accepted, "new": new}
-    codes = [order.index(name) for name in cases]
-    return np.select(list(cases.values()), codes, order.index("absent"))
+    order = list(ink.STATES)
+    return np.select(list(cases.values()), [order.index(name) for name in cases], order.index("absent"))
 
 
-def thinned_states(code: Ints, limit: int) -> States:
-    """Return the states of all readings, or of `limit` intervals of them by the worst in each."""
+def thinned_states(code: Ints, limit: int) -> tuple[Ints, Ints]:
+    """Return readings (k,) and their states (k,): all, or of `limit` intervals of them the worst in each."""
     n = len(code)
     if np.count_nonzero(np.diff(code)) < limit:
-        return States(np.arange(n), code)
+        return np.arange(n), code
     first = np.unique(np.linspace(0, n, limit, endpoint=False).astype(np.int64))
-    return States(first, np.maximum.reduceat(code, first))
-
-
-def draw_events(to: TimelineRecorder, events: Sequence[Event]) -> None:
-    """Draw each event as a text at its begin, and at its end if it lasted; one entity for each kind."""
-    for kind in dict.fromkeys(e.kind for e in events):
-        some = sorted(line for e in events if e.kind == kind for line in _lines(e))
-        texts = [text for _, text in some]
-        columns = rr.TextLog.columns(text=texts, level=[LEVELS.get(kind, "INFO")] * len(some))
-        to.send(f"{EVENTS}/{part(kind)}", np.array([t for t, _ in some]), columns)
+    return first, np.maximum.reduceat(code, first)
 
 
 def _lines(event: Event) -> list[tuple[float, str]]:
+    """Return times and texts of an event: at its begin, and at its end if it lasted."""
     who = f"{event.configuration}: " if event.configuration else ""
     begin = (event.start, f"{event.kind}: {who}{event.words}")
-    if event.end <= event.start:
-        return [begin]
-    return [begin, (event.end, f"{event.kind} ends: {who}{event.words}")]
+    end = (event.end, f"{event.kind} ends: {who}{event.words}")
+    return [begin, end] if event.end > event.start else [begin]

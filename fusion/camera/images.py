@@ -10,13 +10,17 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Stream
 
-from . import image_header
 from .decoder_words import listened, tells_of_damage
-from .image_header import image_size
 from .opencv import MAX_PIXELS, cv2
 
+PNG = b"\x89PNG\r\n\x1a\n"
+JPEG, EOI = b"\xff\xd8", b"\xff\xd9"
+MIN_TAIL_BYTES = 8  # bytes: shorter than what follows a frame header
+FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}  # SOF markers: the frame's size follows
+BARE = frozenset({0x01, *range(0xD0, 0xD8)})  # markers without a length
+END = frozenset({0xD9, 0xDA})  # end of image, start of scan: the size should have come before
+COLOURS = 3  # components of a colour picture: Y, Cb, Cr
 Picture = NDArray[np.uint8]
-
 # message type -> the fields a picture is made of
 FIELDS: dict[str, tuple[str, ...]] = {
     "sensor_msgs/msg/CompressedImage": ("data", "format"),
@@ -35,7 +39,6 @@ TOO_LARGE = "too_large"  # more than MAX_PIXELS
 TOO_SHORT = "too_short"  # less data than height x step
 UNKNOWN_ENCODING = "unknown_encoding"
 GREY = ("mono", "8UC1", "16UC1", "32FC1")
-
 # encoding -> (channels, conversion to BGR)
 _ENCODINGS: dict[str, tuple[int, int | None]] = {
     "bgr8": (3, None),
@@ -44,6 +47,54 @@ _ENCODINGS: dict[str, tuple[int, int | None]] = {
     "bgra8": (4, cv2.COLOR_BGRA2BGR),
     "rgba8": (4, cv2.COLOR_RGBA2BGR),
 }
+
+
+def image_size(data: memoryview) -> tuple[int, int] | None:
+    """Return (width, height) [px] from a picture's header; None if it is no JPEG or PNG, or is cut off."""
+    if bytes(data[:8]) == PNG and bytes(data[12:16]) == b"IHDR" and b"IEND" in bytes(data[24:]):
+        return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
+    return _jpeg_size(data, _frame(data)) if bytes(data[:2]) == JPEG else None
+
+
+def _coarse_size(data: memoryview) -> tuple[int, int] | None:
+    """Return (width, height) [px] of a JPEG that keeps its colour at half the resolution; None of all else."""
+    at = _frame(data) if bytes(data[:2]) == JPEG else None
+    return _jpeg_size(data, at) if _is_coarse(data, at) else None
+
+
+def _is_coarse(data: memoryview, at: int | None) -> bool:
+    """Return whether a JPEG with this frame keeps its colour at half the brightness' resolution (4:2:0, 4:2:2)."""
+    if at is None or len(data) < at + 10 + 3 * COLOURS or data[at + 9] != COLOURS:
+        return False
+    sampling = [data[at + 11 + 3 * k] for k in range(COLOURS)]  # horizontal in the high half of the byte
+    return all(sampling[0] >> 4 >= 2 * (other >> 4) > 0 for other in sampling[1:])
+
+
+def _jpeg_size(data: memoryview, at: int | None) -> tuple[int, int] | None:
+    if at is None:
+        return None
+    # inside a scan 0xFF is always followed by 0; the end is nearly always the end
+    whole = EOI in bytes(data[-MIN_TAIL_BYTES:]) or EOI in bytes(data[at + 9 :])
+    height, width = (int.from_bytes(data[at + k : at + k + 2], "big") for k in (5, 7))
+    return (width, height) if whole else None
+
+
+def _frame(data: memoryview) -> int | None:
+    """Return where a JPEG's frame header begins: walk its segments (ITU-T T.81, B.2.2)."""
+    at = 2
+    while at + 9 <= len(data) and data[at] == 0xFF:
+        marker = data[at + 1]
+        if marker in FRAMES:
+            return at
+        if marker in END:
+            return None
+        if marker == 0xFF:  # fill byte
+            at += 1
+        elif marker in BARE:
+            at += 2
+        else:
+            at += 2 + max(2, int.from_bytes(data[at + 2 : at + 4], "big"))
+    return None
 
 
 def compressed(data: Any, layout: str, coarse: tuple[int, int] | None = None) -> Picture | str:
@@ -78,7 +129,7 @@ def coarse_size(message: tuple[Any, ...]) -> tuple[int, int] | None:
     """Return (height, width) [px] of a message's picture if it is a JPEG with colour at half resolution."""
     if len(message) != 2:
         return None
-    size = image_header.coarse_size(memoryview(message[0]).cast("B"))
+    size = _coarse_size(memoryview(message[0]).cast("B"))
     return None if size is None else (size[1], size[0])
 
 

@@ -351,11 +351,8 @@ class JointBelief(ekf.State):
         if self.events is None:
             self._P[columns, columns] += variance
             return
-        before, columns, variance = (
-            self._before(),
-            columns.copy(),
-            variance.copy(),
-        )  # the caller may use them again
+        before = self._before()
+        columns, variance = columns.copy(), variance.copy()  # the caller may use them again
         self._P[columns, columns] += variance
         back = None
         if self.events.backward:

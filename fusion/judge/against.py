@@ -15,8 +15,8 @@ from msgspec.structs import replace
 from locfuse.fusion.data import Array, Drive, Estimates, Evaluation, Truth, matrices
 from locfuse.fusion.streams import gap_limit
 
+from .credit import Effect
 from .evaluate import Align, evaluate
-from .verdict import Effect
 
 TOPIC = "reference"
 MAX_SIGMA_SHARE = 1.0 / 3.0  # of the error that a reference judges: it then changes that error by 6 % at most

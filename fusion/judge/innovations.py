@@ -25,10 +25,7 @@ ACCEPTED, GATE, UNMATCHED, DISTURBED, LOST = (
 CONFIDENCE = 0.95
 MAX_LAG_READINGS = 5
 MIN_AUTOCORRELATION = 0.05  # autocorrelation below which errors have forgotten
-MAX_LISTENED_READINGS, STRETCH_READINGS = (
-    1500,
-    150,
-)  # readings that are heard, in stretches so that neighbours stay neighbours
+MAX_LISTENED_READINGS, STRETCH_READINGS = 1500, 150  # that are compared, in stretches of neighbours
 OUTLIER_SIGMAS = 6.0  # sigmas (by the median deviation) beyond which a reading is an outlier
 
 

@@ -21,8 +21,63 @@ import numpy as np
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.kernels import line_fits, places, segments
 from locfuse.fusion.kernels.arrays import view
+from locfuse.fusion.sensor import WheelMotion
 
-from .sweep import Motion, shares
+SWEEP_PIECES = 6  # of a sweep, in each of which either wheel slips once: three before its middle and three after
+PIECE_EDGES = np.linspace(-0.5, 0.5, SWEEP_PIECES + 1)  # of the pieces, in sweeps from its middle
+__all__ = ["LineSettings", "Lines", "extract_lines", "to_base"]
+MAX_RANGE_M = 1e6  # no laser sees farther: what a driver means by more is "nothing"
+_BATCH = 256  # scans worked on at once,
+_BEAMS = 100_000  # unless they have more beams than this in all: working memory is some 300 bytes a beam
+_OF_R = np.array((2, 3, 3, 4))
+LINE_COLUMNS = 7  # columns of a line in a table, by kernels.places and kernels.sight
+
+
+class Motion(NamedTuple):
+    """Motion of a scan's beams with the base: numbers of the laser's mount."""
+
+    lever: tuple[float, float]  # m, from the base to the laser, in the laser's axes
+    ahead: tuple[float, float]  # the base's forward direction in the laser's axes
+
+
+def motion_of(mount: Array) -> Motion:
+    """Return how the beams of a laser mounted at x [m], y [m], yaw [rad] move when the base does."""
+    x, y, yaw = mount.tolist()
+    c, s = np.cos(yaw), np.sin(yaw)
+    return Motion((c * x + s * y, c * y - s * x), (c, -s))
+
+
+def shares(beams: int) -> Array:
+    """Return the share of each piece's wheel slip in each beam, (pieces, beams), from the middle on."""
+    at = np.linspace(-0.5, 0.5, beams)
+    low, high = PIECE_EDGES[:-1, None], PIECE_EDGES[1:, None]
+    after = np.clip((at - low) * SWEEP_PIECES, 0.0, 1.0)
+    before = np.clip((high - at) * SWEEP_PIECES, 0.0, 1.0)
+    return np.where(low >= 0.0, after, before)
+
+
+def noise_of(per_unit: Array, scan: Ints, middle: Array, duration: Array, wheels: WheelMotion) -> Array:
+    """Return the loadings G (m, 2, 2 pieces) of lines on the slips of both wheels in every piece of the sweep.
+
+    `per_unit` (m, 2, 2, pieces) by `kernels.line_fits.loadings`; scan (m,) says whose the lines are;
+    middle, duration (n,) [s].
+    """
+    slip = np.sqrt(wheels.slips(middle[:, None] + duration[:, None] * PIECE_EDGES))[scan]  # (m, pieces, 2) m
+    turn, move = per_unit[:, :, 0] / wheels.track, 0.5 * per_unit[:, :, 1]  # (m, 2, pieces)
+    left, right = (move - turn) * slip[:, None, :, 0], (move + turn) * slip[:, None, :, 1]
+    G: Array = np.concatenate((left, right), axis=2).astype(np.float32)
+    return G
+
+
+def in_base(loads: Array, z: Array, mount: Array) -> Array:
+    """Return loadings (m, 2, ...) of the laser's lines z (m, 2) in the base frame, by `kernels.places`."""
+    out = np.empty(loads.shape)
+    if loads.size:
+        parts = (len(z), 2, -1)
+        given, into = view(loads.reshape(parts)), view(out.reshape(parts))
+        x, y, yaw = mount.tolist()
+        places.shares_into_base(view(z), len(z), x, y, yaw, given, 0, into)
+    return out
 
 
 class LineSettings(msgspec.Struct, frozen=True):
@@ -49,14 +104,7 @@ class LineSettings(msgspec.Struct, frozen=True):
     max_bend: float = 12.0  # ... if the bow is not noise: chi2 that a parabola explains (99.95 % of 1 degree)
 
 
-__all__ = ["LineSettings", "Lines", "extract_lines", "to_base"]
-
 PAPER_LASER = LineSettings()
-MAX_RANGE_M = 1e6  # no laser sees farther: what a driver means by more is "nothing"
-_BATCH = 256  # scans worked on at once,
-_BEAMS = 100_000  # unless they have more beams than this in all: working memory is some 300 bytes a beam
-_OF_R = np.array((2, 3, 3, 4))
-LINE_COLUMNS = 7  # columns of a line in a table, by kernels.places and kernels.sight
 
 
 class Lines(msgspec.Struct, frozen=True):

@@ -14,14 +14,11 @@ from locfuse.fusion.chi_square import MAD
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.sensor import WheelMotion
 
-from .pairs import blocks, misfit, nearest, turn_of
+from .scans import blocks, misfit, nearest, turn_of
 
 LAG_SCANS = 20  # scans: far enough that another part of a wall is seen, near enough that it is the same wall
 MAX_SIGMA_RAD = math.radians(0.6)  # standard deviation of a line's angle above which it says nothing about floors
-MAX_SAME_TURN_RAD, MAX_SAME_OFFSET_M = (
-    0.3,
-    0.3,
-)  # rad, m: a line this near to where the wheels expect it is the same wall
+MAX_SAME_TURN_RAD, MAX_SAME_OFFSET_M = 0.3, 0.3  # a line this near to where the wheels expect it: the same wall
 MIN_PAIRS = 150  # pairs of walls
 MIN_MISFIT_RATIO = 1.2  # median change over its noise from which walls are not flat; below it is chance
 CHI_SQUARE_MEDIAN = 0.455  # of chi-square with one degree of freedom
@@ -34,7 +31,7 @@ def wall_floor(
     """Return the floors of r [m] and psi [rad] that the walls need, (0, 0) if they are flat or too few.
 
     z (m, 2) lines of scans at t (n,), owned by first (n + 1,); variance (m,) of psi by the fit [rad^2].
-    `sweep` (m, k): what psi owes to wheels that slip within a scan, which its lines share (lines.sweep) [rad].
+    `sweep` (m, k): what psi owes to wheels that slip within a scan, which its lines share (lines.extract) [rad].
     """
     change, noise = _changes(t, first, z, variance, wheels, np.zeros((len(z), 0)) if sweep is None else sweep)
     if len(change) < MIN_PAIRS or float(np.median(np.abs(change) / np.sqrt(noise))) < MAD * MIN_MISFIT_RATIO:

@@ -22,22 +22,26 @@ from locfuse.fusion.judge.innovations import Own, own
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .likelihood import MAX_SIGMA_LOG, Problem, at_most, best, identify
-from .noise import DRIFT, WHEELS, Figures, drift_key, drifting
-from .record import record
+from .likelihood import (
+    DRIFT,
+    MAX_SIGMA_LOG,
+    WHEELS,
+    Figures,
+    Problem,
+    at_most,
+    best,
+    drift_key,
+    drifting,
+    identify,
+)
+from .tape import record
 
-MAX_ROUNDS, MIN_LOG_CHANGE = (
-    6,
-    0.03,
-)  # rounds; a smaller change of a logarithm ends them
+MAX_ROUNDS, MIN_LOG_CHANGE = 6, 0.03  # a smaller change of a logarithm ends the rounds
 START_LOG_FACTORS = (0.0, math.log(6.0), -math.log(6.0))
 PREVIEW_S = 30.0  # s of driving that tell the starts apart
 MAX_TRIES = 8  # to bring noise near enough for measurements to be accepted for what they are
-MAX_REFUSED_SHARE, MAX_NIS_RATIO, MIN_NIS_RATIO = (
-    0.3,
-    2.25,
-    0.2,
-)  # share; squared ratio of innovations to what was told: near lies between
+MAX_REFUSED_SHARE = 0.3
+MAX_NIS_RATIO, MIN_NIS_RATIO = 2.25, 0.2  # squared ratio of innovations to the configured: near lies between
 MIN_OWN_SHARE = 0.3  # of the innovations' variance: less is not the sensor's to shrink
 WIDENING_FACTOR = 3.0  # factor on the sigma of a sensor that is mostly refused
 REMEASURE_FACTOR = 1.1  # factor on a sigma from which lines that were cut by it are measured again

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array, Ints, Stream
-from locfuse.fusion.lines.no_return import Longest, left_out
-from locfuse.fusion.lines.points import SCANS_PER_BLOCK
+from locfuse.fusion.lines.points import SCANS_PER_BLOCK, Longest, left_out
 from locfuse.fusion.lines.scans import Laser, equal_scans, points_in_base
 from locfuse.fusion.scan_matching.clouds import MAX_RANGE_M, Clouds
 from locfuse.fusion.sensor import WheelMotion

@@ -11,9 +11,8 @@ from msgspec.structs import replace
 from locfuse.cli.advice.evidence import Evidence
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.data import Measurements
-from locfuse.fusion.judge.consistency import Consistency
+from locfuse.fusion.judge.consistency import Consistency, Verdict
 from locfuse.fusion.judge.covariance import Honesty
-from locfuse.fusion.judge.noise_verdicts import Verdict
 from locfuse.fusion.sensors.lrf import LrfSettings
 
 

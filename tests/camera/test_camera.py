@@ -19,8 +19,7 @@ from said import one_by_one, said
 
 from locfuse.formats.results.preview import write_pictures
 from locfuse.fusion.camera.bearing import paper_orientation, predict_bearing
-from locfuse.fusion.camera.image_header import image_size
-from locfuse.fusion.camera.images import FIELDS
+from locfuse.fusion.camera.images import FIELDS, image_size
 from locfuse.fusion.checks.preview import preview
 from locfuse.fusion.data import VERDICTS, ArrayStream, LocfuseError, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from omni_scene import Lens, Pole, picture, wrapped_deg
 
 from locfuse.fusion.camera.detect import MIN_HALF_RADIUS_PX, Detection, Detector, detect
-from locfuse.fusion.camera.image_header import image_size
-from locfuse.fusion.camera.images import coarse_size, decode
+from locfuse.fusion.camera.images import coarse_size, decode, image_size
 
 LENS = Lens()
 BEARINGS_DEG = np.arange(-175.0, 180.0, 22.3)

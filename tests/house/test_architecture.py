@@ -21,7 +21,7 @@ FOLDERS = ("fusion", "formats", "sample_logs", "robots", "cli")
 STANDARD = set(sys.stdlib_module_names)
 LAZY = {"rerun", "matplotlib", "scipy", "jinja2"}  # only inside the function that needs them
 DRAWS_IN_RERUN = {  # imported by formats/rerun/recording.py, inside its functions
-    f"formats/rerun/{name}.py" for name in ("blueprint", "images", "map_view", "recorder", "series", "style")
+    f"formats/rerun/{name}.py" for name in ("blueprint", "drawing", "map_view", "series")
 }
 
 # Floors, lowest first. A name is a room, or a file at the root of a top folder.

@@ -75,7 +75,7 @@ def test_the_page_on_trust_lists_every_verdict() -> None:
     from typing import get_args
 
     from locfuse.fusion.data import VERDICTS
-    from locfuse.fusion.judge.noise_verdicts import Verdict
+    from locfuse.fusion.judge.consistency import Verdict
 
     page = (ROOT / "docs" / "trust.md").read_text(encoding="utf-8")
     rows = "\n".join(line.split("|")[1] for line in page.splitlines() if line.startswith("|"))

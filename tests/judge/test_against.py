@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Estimates, Motions, upper_triangles
 from locfuse.fusion.judge.against import Reference, interpolated
+from locfuse.fusion.judge.credit import Effect
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.judge.own_scans import Distance, Own, OwnScans, is_better
-from locfuse.fusion.judge.verdict import Effect
 
 N = 400
 SIGMA = 0.02  # m, of each axis of the solved drive

@@ -16,14 +16,13 @@ from scipy import stats
 from small_drive import Array
 
 import locfuse
-from locfuse.cli.analysis.trust import unless_overconfident
+from locfuse.cli.analysis.verdicts import unless_overconfident
 from locfuse.fusion.data import Audit, Drive, Evaluation, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.judge.consistency import Consistency, Evidence, Run, as_run, judge
+from locfuse.fusion.judge.consistency import Consistency, Evidence, Run, as_run, biased_against, judge
 from locfuse.fusion.judge.covariance import Honesty, honesty
 from locfuse.fusion.judge.innovations import heard, own
-from locfuse.fusion.judge.noise_verdicts import biased_against
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensor import Block
 from locfuse.fusion.sensors.registry import REGISTRY

@@ -22,9 +22,18 @@ from locfuse.fusion.judge.bootstrap import (
     by_chance,
     effective_samples,
 )
-from locfuse.fusion.judge.credit import Credit, _Book, credit, credit_over_logs, shapley_steps, subsets
+from locfuse.fusion.judge.credit import (
+    Credit,
+    Effect,
+    _Book,
+    credit,
+    credit_over_logs,
+    overconfident,
+    shapley_steps,
+    subsets,
+    verdict,
+)
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.judge.verdict import Effect, overconfident, verdict
 
 Array = NDArray[np.float64]
 SENSORS = ("compass", "lrf")

@@ -27,8 +27,7 @@ from locfuse.fusion.data import (
     Truth,
     upper_triangles,
 )
-from locfuse.fusion.judge.evaluate import Align, evaluate, nees, shape_error
-from locfuse.fusion.judge.way import noise_of, steps_of
+from locfuse.fusion.judge.evaluate import Align, evaluate, nees, noise_of, shape_error, steps_of
 
 Array = NDArray[np.float64]
 N = 6000

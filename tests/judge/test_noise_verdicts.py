@@ -14,18 +14,20 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Drive, Estimates, Measurements, Motions, Truth
 from locfuse.fusion.judge import consistency
-from locfuse.fusion.judge.consistency import Evidence, Run, judge
-from locfuse.fusion.judge.innovations import Heard, Own
-from locfuse.fusion.judge.noise_verdicts import (
+from locfuse.fusion.judge.consistency import (
+    Evidence,
     NoiseVerdict,
+    Run,
     biased_against,
     by_itself,
     by_memory,
     by_reference_run,
     contradicting,
+    judge,
     of_messages,
     wanders,
 )
+from locfuse.fusion.judge.innovations import Heard, Own
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 

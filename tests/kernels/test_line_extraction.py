@@ -15,8 +15,7 @@ from rooms import ARENA, poses, scan
 
 from locfuse.fusion.data import Array
 from locfuse.fusion.lines import extract
-from locfuse.fusion.lines.extract import LineSettings, Scans
-from locfuse.fusion.lines.sweep import motion_of
+from locfuse.fusion.lines.extract import LineSettings, Scans, motion_of
 
 MOUNT = motion_of(np.array([0.2, -0.1, 0.4]))
 NUMBERS = st.one_of(

@@ -11,7 +11,7 @@ from ring_drive import box, scan
 from scan_streams import scan_stream
 
 from locfuse.fusion.data import Array, ArrayStream, Measurements
-from locfuse.fusion.lines.no_return import Longest
+from locfuse.fusion.lines.points import Longest
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings, laser_of
 from locfuse.fusion.wheels.motion_by_scans import match_scans

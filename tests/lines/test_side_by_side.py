@@ -9,7 +9,6 @@ import pytest
 from numpy.typing import NDArray
 from textbook import wrap
 
-from locfuse.fusion.lines import pairs as side_by_side
 from locfuse.fusion.lines import scans
 
 Array = NDArray[np.float64]
@@ -42,7 +41,7 @@ def one_turn(before: Array, after: Array) -> float:
 
 @pytest.mark.parametrize("cells", [1 << 18, 200])
 def test_turns_of_all_scans_equal_those_found_one_by_one(cells: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(side_by_side, "CELLS_AT_ONCE", cells)
+    monkeypatch.setattr(scans, "CELLS_AT_ONCE", cells)
     rng = np.random.default_rng(3)
     first, z = lines(rng, 80)
     variance = rng.uniform(1e-6, 1e-4, len(z))

@@ -19,11 +19,11 @@ from locfuse.cli.rerun.scene import palette as shades
 from locfuse.formats.figures import palette
 from locfuse.formats.figures.palette import Trace
 from locfuse.formats.geometry import ellipses, mounted, segments, to_map, wall, wall_band
-from locfuse.formats.rerun import style
+from locfuse.formats.rerun import drawing as style
+from locfuse.formats.rerun.drawing import STATES
 from locfuse.formats.rerun.recording import save_recording, unfolded
-from locfuse.formats.rerun.scene import REJECTED, Detail, RawTopic, RerunScene, SensorLook
+from locfuse.formats.rerun.scene import REJECTED, RawTopic, RerunScene, SensorLook
 from locfuse.formats.rerun.series import reading_states, thinned_states
-from locfuse.formats.rerun.style import STATES
 from locfuse.formats.thin import evenly, extremes
 from locfuse.fusion import se2
 from locfuse.fusion.data import (
@@ -76,7 +76,7 @@ def test_a_long_drive_is_thinned_and_full_keeps_everything(tmp_path: Path) -> No
     assert rows["world/compass/pose"] == 4000
     assert rows["world/compass/seen/compass/matched"] == 2000
     assert rows["nis/compass/compass"] > 3500
-    save_recording(tmp_path / "full.rrd", replace(scene, detail=Detail.everything()))
+    save_recording(tmp_path / "full.rrd", replace(scene, full=True))
     full = read(tmp_path / "full.rrd")
     for path in ("world/compass/pose", "nis/compass/compass", "raw/imu/heading/data"):
         assert len(full[path].ns) == N
@@ -154,13 +154,12 @@ def test_a_stretch_of_states_that_is_drawn_as_one_shows_its_worst() -> None:
     names = list(STATES)
     code = np.tile([names.index("accepted"), names.index("new")], 5000)
     code[7321] = names.index("rejected")
-    thin = thinned_states(code, 100)
-    assert len(thin.code) == 100
-    assert [names[c] for c in thin.code].count("rejected") == 1
-    at = int(np.flatnonzero(thin.code == names.index("rejected"))[0])
-    assert thin.reading[at] <= 7321 < thin.reading[at + 1]
-    few = np.zeros(10_000, int)
-    assert len(thinned_states(few, 100).code) == 10_000  # no change, nothing to thin
+    reading, codes = thinned_states(code, 100)
+    assert len(codes) == 100
+    assert [names[c] for c in codes].count("rejected") == 1
+    at = int(np.flatnonzero(codes == names.index("rejected"))[0])
+    assert reading[at] <= 7321 < reading[at + 1]
+    assert len(thinned_states(np.zeros(10_000, int), 100)[1]) == 10_000  # no change, nothing to thin
 
 
 @pytest.mark.parametrize("tag", ["<details>", "</details>", "<summary>"])

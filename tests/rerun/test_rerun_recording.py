@@ -18,7 +18,6 @@ from locfuse.cli.analysis.configurations import for_comparison
 from locfuse.cli.analysis.load import Loaded, load
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.rerun.scene import make_scene
-from locfuse.formats.report import markdown
 from locfuse.formats.rerun.recording import save_recording
 from locfuse.fusion.data import VERDICTS, Estimates, Evaluation
 from locfuse.fusion.judge.evaluate import evaluate
@@ -42,13 +41,11 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     loaded = load([sample_logs.path(LOG)], how)
     words = ["odometry", "compass", "lrf", "camera", "all", "lrf@2Hz"]
     configurations = for_comparison(words, loaded.drive)
-    estimates = [c.fuse(loaded.drive, loaded.robot)[0] for c in configurations]
-    judged = [evaluate(e, c.drive(loaded.drive)) for e, c in zip(estimates, configurations, strict=True)]
-    table = markdown.render(results.build(loaded, judged))
-    save_recording(path, make_scene(loaded, estimates, judged, table, images=EVERY))
-    return Made(
-        loaded, {e.name: e for e in estimates}, {e.name: e for e in judged}, read(path), read_blueprint(path)
-    )
+    estimates = {c.name: c.fuse(loaded.drive, loaded.robot)[0] for c in configurations}
+    judged = {c.name: evaluate(estimates[c.name], c.drive(loaded.drive)) for c in configurations}
+    report = results.build(loaded, list(judged.values()))
+    save_recording(path, make_scene(loaded, estimates, judged, report, images=EVERY))
+    return Made(loaded, estimates, judged, read(path), read_blueprint(path))
 
 
 def name_of(configuration: str) -> str:

@@ -184,11 +184,11 @@ def test_everything_we_start_listens_on_loopback_only(recording: Path, monkeypat
         def wait(self) -> int:
             return 0
 
-    def popen(command: list[str]) -> Process:
+    def popen(command: list[str], **_options: object) -> Process:
         commands.append(command)
         return Process()
 
-    monkeypatch.setattr(viewer, "_popen", popen)
+    monkeypatch.setattr(viewer.subprocess, "Popen", popen)
     monkeypatch.setattr(viewer, "START_TIMEOUT_S", 0.0)
     viewer.start(recording)
     with pytest.raises(LocfuseError, match="ended"):

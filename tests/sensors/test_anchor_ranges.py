@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from wheel_bags import GEOMETRY, angles, custom, joint_states, log_of
 
 import locfuse as package
-from locfuse.fusion.sensors.trilateration import anchor_beside, start_among
+from locfuse.fusion.sensors.ranges import anchor_beside, start_among
 
 Array = NDArray[np.float64]
 ANCHORS = {1: (3.5, 3.0), 2: (-2.0, 3.2), 3: (-1.5, -2.5), 4: (3.0, -2.0)}

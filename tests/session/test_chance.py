@@ -13,7 +13,7 @@ from commands import ok
 
 from locfuse import sample_logs
 from locfuse.cli.session.jitter import Jittered, add_jitter
-from locfuse.fusion.judge.jitter import DROPPED_SHARE, MOVED_S, jittered
+from locfuse.fusion.measure import DROPPED_SHARE, MOVED_S, jittered
 
 
 def test_readings_move_by_a_microsecond_and_a_hundredth_is_missing() -> None:

@@ -25,8 +25,7 @@ from locfuse.cli.session.tune import lasting_errors, tune_logs
 from locfuse.fusion.data import Drive
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.tune.record import record
-from locfuse.fusion.tune.replay import Noise, play
+from locfuse.fusion.tune.tape import Noise, play, record
 from locfuse.fusion.tune.tune import Trial, Tuned, tune
 
 

@@ -1,0 +1,153 @@
+"""Drawing into a Rerun stream on the log's clock: columns, styles on a dark page, the legend, and pictures.
+
+One colour means one thing: what was refused is red and nothing else is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import islice
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from locfuse.fusion.data import Array, Drive, Ints
+
+from .scene import MATCHED, NEW, REJECTED, Picture, RerunScene, Rgb
+
+DRIVE, TIME, STEP = "drive", "log time", "step"  # s since the start, the log's own clock, update time
+MIN_DATE_NS = 10**17  # 1973: a smaller clock counts from the robot's start and is shown as a duration
+OMNI, PANORAMA, LEGEND = "camera/omni", "camera/panorama", "legend"
+LEGEND_COLUMNS, LEGEND_CELL = 7, 4.0  # words in a row, and their distance in heights of a row
+FOUND_ORDER = 10.0  # draw order of what was found, over the picture
+PICTURES_AT_ONCE = 16  # in memory at a time
+
+TRUTH: Rgb = (244, 245, 247)
+FIELDS: tuple[Rgb, ...] = ((240, 165, 40), (80, 165, 235), (215, 110, 190), (150, 120, 240), (60, 190, 190))
+LANDMARK: Rgb = (255, 60, 230)
+FIRST_WALL: Rgb = (120, 80, 40)
+WALL: Rgb = (225, 205, 150)
+SCAN: Rgb = (110, 165, 200)
+LIMIT: Rgb = (255, 235, 60)
+LEVEL: Rgb = (205, 205, 210)
+LOOP: Rgb = (235, 210, 255)
+GROUPS: dict[str, Rgb] = {MATCHED: (40, 185, 50), REJECTED: (240, 60, 50), NEW: (0, 225, 235)}
+STATES: dict[str, Rgb] = {  # of one reading on the gate timeline, the worst last
+    "accepted": (60, 150, 85),
+    "new": (70, 125, 205),
+    "absent": (95, 95, 100),
+    "partly": (200, 165, 60),
+    "rejected": (205, 70, 60),
+}
+
+
+class TimelineRecorder:
+    """Writes columns on all timelines: seconds since the start, log time, update time."""
+
+    def __init__(self, stream: rr.RecordingStream, drive: Drive) -> None:
+        self._stream, self._epoch_ns, self._updates = stream, drive.epoch_ns, drive.t
+
+    def send(self, path: str, t: Array, *columns: Any, lengths: Sequence[int] | Ints | None = None) -> None:
+        """Write component columns with one row at each t (n,) s; `lengths` (n,) splits them into ragged rows."""
+        if len(t) == 0:
+            return
+        parts = [part for group in columns for part in (group if lengths is None else group.partition(lengths))]
+        since_ns = np.rint(t * 1e9).astype(np.int64)
+        ns = self._epoch_ns + since_ns
+        dated = self._epoch_ns >= MIN_DATE_NS
+        when = {"timestamp": ns.astype("datetime64[ns]")} if dated else {"duration": ns.astype("timedelta64[ns]")}
+        step = np.maximum(np.searchsorted(self._updates, t, side="right") - 1, 0)
+        times = [
+            rr.TimeColumn(DRIVE, duration=since_ns.astype("timedelta64[ns]")),
+            rr.TimeColumn(TIME, **when),
+            rr.TimeColumn(STEP, sequence=step),
+        ]
+        self._stream.send_columns(path, times, parts, strict=True)
+
+    def static(self, path: str, *archetypes: Any) -> None:
+        """Write static data, such as colours."""
+        self._stream.log(path, *archetypes, static=True, strict=True)
+
+
+def part(name: str) -> str:
+    """Return a name as one part of an entity path, escaped for Rerun's grammar."""
+    return "".join(c if c.isalnum() or c in "_-." else f"\\{c}" for c in name)
+
+
+def on_screen(points: float) -> Any:
+    """Return a half width in points of the screen, the same at every zoom."""
+    return rr.Radius.ui_points(points)
+
+
+def lines(colour: Rgb, width: float, order: float | None = None, alpha: int = 255) -> rr.LineStrips2D:
+    """Return the style of line strips of this opacity (0..255), with labels on hover."""
+    return rr.LineStrips2D.from_fields(
+        colors=[(*colour, alpha)], radii=[on_screen(width)], draw_order=order, show_labels=False
+    )
+
+
+def points(colour: Rgb, width: float, alpha: int = 255) -> rr.Points2D:
+    """Return the style of points of this opacity (0..255)."""
+    return rr.Points2D.from_fields(colors=[(*colour, alpha)], radii=[on_screen(width)])
+
+
+def legend_of(scene: RerunScene) -> list[tuple[str, Rgb]]:
+    """Return (words, colour) of everything on the map, configurations first."""
+    runs = scene.estimates
+    groups = {"matched": GROUPS[MATCHED], "refused": GROUPS[REJECTED], "new": GROUPS[NEW]}
+    shown: list[tuple[bool, dict[str, Rgb]]] = [
+        (scene.drive.truth is not None, {"truth": TRUTH}),
+        (any(e.audits for e in runs), groups),
+        (any(e.final_map for e in runs), {"wall": WALL, "wall at first sight": FIRST_WALL}),
+        (any(len(e.loops) for e in runs), {"loop closed": LOOP}),
+        (scene.scans is not None, {"scan": SCAN}),
+        (any(sight.landmark is not None for sight in scene.sights.values()), {"landmark": LANDMARK}),
+    ]
+    rest = [entry for there, entries in shown if there for entry in entries.items()]
+    return [*((e.name, scene.colour(e.name)) for e in runs), *rest]
+
+
+def legend_ranges(scene: RerunScene) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the ranges of x and y of the legend."""
+    rows = -(-len(legend_of(scene)) // LEGEND_COLUMNS)
+    return (-0.5 * LEGEND_CELL, (LEGEND_COLUMNS - 0.5) * LEGEND_CELL), (-0.2, rows - 0.1)
+
+
+def draw_legend(to: TimelineRecorder, scene: RerunScene) -> None:
+    """Send the text of each entry in its colour."""
+    for i, (words, colour) in enumerate(legend_of(scene)):
+        row, column = divmod(i, LEGEND_COLUMNS)
+        place = rr.Points2D([[column * LEGEND_CELL, float(row)]], labels=[words], show_labels=True)
+        to.static(f"{LEGEND}/{part(words)}", place, points(colour, 3.0))
+
+
+def draw_pictures(to: TimelineRecorder, scene: RerunScene) -> None:
+    """Draw the omni pictures, their panoramas, and a ray or a column through every detection."""
+    rows = float(scene.picture_rows or 0)
+    for root in (OMNI, PANORAMA):
+        for name, colour in GROUPS.items():
+            to.static(f"{root}/found/{name}", lines(colour, 1.0, order=FOUND_ORDER))
+    rest = iter(scene.pictures)
+    while batch := list(islice(rest, PICTURES_AT_ONCE)):
+        t = np.array([picture.t for picture in batch])
+        _send_encoded(to, OMNI, t, [p.omni for p in batch], [p.omni_type for p in batch])
+        _send_encoded(to, PANORAMA, t, [p.panorama for p in batch], ["image/jpeg"] * len(batch))
+        for name in GROUPS:
+            _send_found(to, name, t, batch, rows)
+
+
+def _send_encoded(to: TimelineRecorder, path: str, t: Array, data: Sequence[bytes], kinds: Sequence[str]) -> None:
+    blobs = [np.frombuffer(d, np.uint8) for d in data]
+    to.send(path, t, rr.EncodedImage.columns(blob=blobs, media_type=list(kinds)))
+
+
+def _send_found(to: TimelineRecorder, group: str, t: Array, batch: Sequence[Picture], rows: float) -> None:
+    """Draw the detections of one group; a picture without any clears the group."""
+    found = [(p, i) for p in batch for i, verdict in enumerate(p.verdicts) if verdict == group]
+    lengths = [p.verdicts.count(group) for p in batch]
+    rays = [p.rays[i] for p, i in found]
+    columns = [[(p.columns[i], 0.0), (p.columns[i], rows)] for p, i in found]
+    for root, strips in ((OMNI, rays), (PANORAMA, columns)):
+        shape = np.array(strips, np.float32).reshape(-1, 2, 2)
+        to.send(f"{root}/found/{group}", t, rr.LineStrips2D.columns(strips=shape), lengths=lengths)

@@ -15,70 +15,38 @@ from collections.abc import Collection
 import msgspec
 import numpy as np
 from msgspec import field
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_CHUNK
 from locfuse.fusion.data import LocfuseError
 
 from . import mcap_records as rec
+from .chunked import Part
 from .decompress import CODECS, DamagedError
 from .file_bytes import FileBytes
 from .losses import Losses
 from .mcap_chunk import scan
 
 
-class ChunkRef(msgspec.Struct):
+class ChunkRef(Part):
     """One chunk of the file."""
 
-    offset: int  # of its record
-    header: rec.ChunkHeader
+    crc: int = 0  # of the unpacked bytes; 0 = not checked by the writer
     index: dict[int, tuple[int, int]] = field(default_factory=dict)  # channel -> (file offset, content length)
-    available: int = 0  # compressed bytes present: less than header.length where the file is cut off
-    counts: dict[int, int] | None = None  # channel -> messages, once known
     promised: bool = False  # whether all this is from the summary alone: its checksum is then not known yet
-
-    @property
-    def start(self) -> int:
-        """File offset of the compressed bytes."""
-        return self.offset + rec.RECORD.size + self.header.start
-
-    @property
-    def span(self) -> tuple[int, int]:
-        """Log times of its first and last message, ns."""
-        return self.header.first, self.header.last
 
     @property
     def place(self) -> tuple[int, int]:
         """Where it begins in the file, and where its message indexes end."""
         return self.offset, max(at + length for at, length in self.index.values())
 
-    @property
-    def size(self) -> int:
-        """Bytes to read: fewer than in the header where the file is cut off."""
-        return self.available
 
-    @property
-    def cut_off(self) -> bool:
-        """Whether the file ends inside this chunk."""
-        return self.available < self.header.length
-
-
-class LooseRun(msgspec.Struct):
-    """Consecutive messages outside any chunk."""
-
-    offset: int
-    size: int
-    counts: dict[int, int] | None = field(default_factory=dict)
-    span: tuple[int, int] = (0, 0)  # log times, ns
-    cut_off: bool = False
-
-    @property
-    def start(self) -> int:
-        """File offset of the bytes."""
-        return self.offset
-
-
-Part = ChunkRef | LooseRun
+def chunk_at(offset: int, header: rec.ChunkHeader, available: int) -> ChunkRef:
+    """Return the chunk with a header, of whose compressed bytes so many are in the file."""
+    start, times = offset + rec.RECORD.size + header.start, (header.first, header.last)
+    cut_off, plain = available < header.length, header.uncompressed_size
+    return ChunkRef(offset, start, available, header.compression, plain, cut_off, None, times, header.crc)
 
 
 def put_in_order(parts: list[Part]) -> None:
@@ -245,17 +213,20 @@ def _promised_chunk(entry: rec.ChunkIndex) -> ChunkRef | None:
             return None
         indexes[ident], counts[ident] = (at + rec.RECORD.size, length), (length - INDEX_FRONT) // ENTRY_BYTES
     header = rec.ChunkHeader(entry.plain, 0, entry.compression, front, entry.packed, entry.first, entry.last)
-    return ChunkRef(entry.offset, header, indexes, available=entry.packed, counts=counts, promised=True)
+    chunk = chunk_at(entry.offset, header, entry.packed)
+    chunk.index, chunk.counts, chunk.promised = indexes, counts, True
+    return chunk
 
 
 def confirm(data: FileBytes, chunk: ChunkRef) -> None:
     """Read the own header of a chunk that is known by the summary. Raises DamagedError if it differs."""
     if chunk.promised:
         head = data.read(chunk.offset, CHUNK_HEAD)
-        header = rec.chunk_header(head[rec.RECORD.size :])
-        if head[0] != rec.CHUNK or header._replace(crc=0) != chunk.header._replace(crc=0):
+        own = chunk_at(chunk.offset, rec.chunk_header(head[rec.RECORD.size :]), chunk.size)
+        own.index, own.counts = chunk.index, chunk.counts
+        if head[0] != rec.CHUNK or own != replace(chunk, crc=own.crc, promised=False):
             raise DamagedError("a chunk is not what the summary says")
-        chunk.header, chunk.promised = header, False
+        chunk.crc, chunk.promised = own.crc, False
 
 
 # --- Where records go on behind damage
@@ -455,8 +426,8 @@ class _SurveyWalk:
         """Check the bytes outside chunk checksums, if the writer gave a checksum of the whole."""
         value = self.data.read(at + rec.RECORD.size, 4)
         whole = opcode == rec.DATA_END and len(value) == 4  # a file may be cut within the checksum itself
-        if whole and any(isinstance(part, LooseRun) for part in self.found.parts):
-            crc = rec.Cursor(value).integer("I")
+        if whole and any(not isinstance(part, ChunkRef) for part in self.found.parts):
+            crc = int.from_bytes(value, "little")
             if crc and self.data.crc32(0, at) != crc:
                 self.losses.add(self.name, "the file fails its checksum: values may be wrong", 0, 0)
 
@@ -496,7 +467,8 @@ class _SurveyWalk:
             self.found.define(opcode, data[start : start + size].tobytes())
         counts = {ident: len(messages.start) for ident, messages in found.messages.items()}
         times = np.concatenate([messages.log_time for messages in found.messages.values()])
-        self.found.parts.append(LooseRun(at, found.end, counts, (int(times.min()), int(times.max()))))
+        span = int(times.min()), int(times.max())
+        self.found.parts.append(Part(at, at, found.end, counts=counts, span=span))
         return at + found.end
 
     def _chunk(self, at: int, length: int) -> int | None:
@@ -512,7 +484,7 @@ class _SurveyWalk:
         self.chunked = True
         if self.summary and at in self.summary.chunks:
             self.index_end = at + rec.RECORD.size + length + self.summary.chunks[at].index_length
-        self.found.parts.append(ChunkRef(at, header, available=available))
+        self.found.parts.append(chunk_at(at, header, available))
         return None
 
     def _opened(self, header: rec.ChunkHeader, start: int, available: int) -> int:

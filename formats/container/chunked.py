@@ -92,11 +92,7 @@ class ChunkedSource(ABC):
             data, found = np.empty(0, np.uint8), Records({}, [], 0)
         else:
             if found.end < len(data) or part.cut_off:
-                where = (
-                    "the file is cut off inside a chunk"
-                    if part.cut_off
-                    else "a chunk holds bytes that are no record"
-                )
+                reason = CUT_OFF if part.cut_off else NO_RECORD
                 n = sum(len(m.start) for m in found.messages.values())
                 missing = None if known is None else max(known - n, 0)
                 self.losses.add(str(self.path), reason, part.offset, len(data) - found.end, missing)

@@ -99,7 +99,7 @@ def scan_chunk(data: Bytes, most: int) -> Records:
     Raises DamagedError at more than `most` records.
     """
     buffer = data.data
-    connections: list[Connection] = []
+    connections: dict[int, Connection] = {}
     rows: list[tuple[int, int, int, int]] = []
     at = count = 0
     while at < len(buffer):
@@ -111,8 +111,8 @@ def scan_chunk(data: Bytes, most: int) -> Records:
             if entry.op == MESSAGE:
                 rows.append((entry.number(b"conn"), entry.time_ns(b"time"), entry.start, entry.length))
             elif entry.op == CONNECTION:
-                content = bytes(buffer[entry.start : entry.end])
-                connections.append((entry.number(b"conn"), entry.fields, content))
+                ident, content = entry.number(b"conn"), bytes(buffer[entry.start : entry.end])
+                connections[ident] = ident, entry.fields, content
             else:
                 break
         except (struct.error, DamagedError):
@@ -120,7 +120,7 @@ def scan_chunk(data: Bytes, most: int) -> Records:
         at = entry.end
     connection, time_ns, start, length = np.array(rows, np.int64).reshape(-1, 4).T
     everything = Messages(start, length, time_ns, np.zeros(len(start), np.int64))
-    return Records(by_channel(connection, everything), connections, at)
+    return Records(by_channel(connection, everything), list(connections.values()), at)
 
 
 def _entry(buffer: memoryview, at: int) -> BagRecord:

@@ -23,6 +23,7 @@ from pathlib import Path
 import click
 import numpy as np
 
+from benchmarks.field_paths import paths
 from benchmarks.fuzz_damage import damaged
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.container import mcap_records, ros1_bag
@@ -35,7 +36,6 @@ from locfuse.formats.logs.file_stream import read_file
 from locfuse.formats.logs.files import log_files
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.messages.decode import make_decoder
-from locfuse.formats.messages.fields import paths
 from locfuse.formats.messages.schema import SchemaError, parse, signature
 from locfuse.formats.robot import landmark_map, line_map, robot_toml
 from locfuse.formats.robot.urdf import wheel_geometry
@@ -66,7 +66,7 @@ def definition(language: str) -> Callable[[bytes], object]:
 
     def run(data: bytes) -> object:
         tree = parse("a/msg/A", language, data.decode("utf-8", "replace"), filler=language != "ros1msg")
-        return paths(tree), signature(tree)
+        return signature(tree)
 
     return run
 

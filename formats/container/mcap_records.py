@@ -97,7 +97,7 @@ LENGTH = {
 def values(data: bytes, layout: str, at: int = 0) -> list[Any]:
     """Return values from `at` on, and last the place behind them. Raises DamagedError if one does not fit.
 
-    Letters of the layout: H, I, Q little-endian integers, s a text, b and B bytes, m a map from 2-byte keys to Q.
+    Letters of the layout: B, H, I, Q integers, s a text, b and d bytes, m a map from 2-byte keys to 8-byte values.
     """
     found: list[Any] = []
     try:
@@ -150,7 +150,7 @@ def message_index(data: bytes) -> tuple[int, NDArray[Any]]:
 
 def attachment(data: bytes) -> tuple[str, bytes, int]:
     """Read an Attachment record's content: (name, bytes, crc of everything before the crc; 0 = none)."""
-    _, _, name, _, content, crc, _ = values(data, "QQssBI")
+    _, _, name, _, content, crc, _ = values(data, "QQssdI")
     return name, content, crc
 
 

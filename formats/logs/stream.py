@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import NamedTuple, Protocol, cast
 
 import numpy as np
 from msgspec.structs import replace
@@ -27,9 +27,6 @@ from . import clock as clocks
 from . import jitter
 from .adapters import OF_PATH, POSE, PRESENTED
 from .file_stream import RANGES, FileStream
-
-if TYPE_CHECKING:
-    from .log import Log
 
 
 class Raw(NamedTuple):
@@ -253,10 +250,27 @@ NUMBER = "std_msgs/msg/Float64"  # what a number of any message is presented as
 BLOCK_BYTES = 32 * 1024 * 1024
 
 
+class Reader(Protocol):
+    """The part of a log that a stream uses (formats.logs.log.Log)."""
+
+    def read(self, wants: Mapping[str, Sequence[str]]) -> dict[str, TopicTable]:
+        """Load the fields of the topics."""
+
+    def raw(self, topic: str, fields: Sequence[str]) -> Iterator[Raw]:
+        """Yield the messages of one topic, for the given `fields`, batch by batch."""
+
+    def left_out(self, topic: str) -> Mapping[str, int]:
+        """Count the messages on a topic that are of another type than the rest of it."""
+
+    @property
+    def stamps_clock(self) -> tuple[Ints, Ints] | None:
+        """Log times and stamps of the other topics, if these are not of the recording's clock."""
+
+
 class LogStream(clocks.Dated):
     """One topic with chosen times and fields as columns on request (fusion.data.Stream)."""
 
-    def __init__(self, log: Log, topic: str, msgtype: str, order: str) -> None:
+    def __init__(self, log: Reader, topic: str, msgtype: str, order: str) -> None:
         self.topic = topic
         self.msgtype = msgtype
         self.order = order

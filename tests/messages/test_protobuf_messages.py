@@ -10,8 +10,9 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, ti
 from hypothesis import given
 from hypothesis import strategies as st
 from invented import decode as decode_by
-from invented import paths, plain
+from invented import plain
 
+from benchmarks.field_paths import paths
 from locfuse.formats.caps import MAX_DEFINITION
 from locfuse.formats.messages import protobuf_messages
 from locfuse.formats.messages import schema as message_schema

@@ -76,7 +76,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     f"{file}.py": tuple(f"tests/{test.replace('/', '/test_')}{'.py' * ('/' in test)}" for test in tests.split())
     for files, _, tests in (line.partition(":") for line in TABLE.split("\n") if line)
     for file in files.split()
-} | {f"formats/container/mcap_{name}.py": MCAP for name in ("chunk", "ranged", "records", "source", "survey")}
+} | {f"formats/container/mcap_{name}.py": MCAP for name in ("chunk", "records", "source", "survey")}
 BOTH_FORMS = "interpreted or compiled or either"  # words in names of tests that compare two forms of a kernel
 SPELLED: dict[type[ast.AST], str] = {
     ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.FloorDiv: "//", ast.Mod: "%", ast.And: "and",

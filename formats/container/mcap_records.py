@@ -86,12 +86,8 @@ def opcode_and_length(head: bytes) -> tuple[int, int]:
     return int(opcode), int(length)
 
 
-LENGTH = {
-    "s": "I",
-    "b": "I",
-    "B": "Q",
-    "m": "I",
-}  # struct letter of the length in front of text, bytes, bytes, map
+# struct letter of the length in front of text, bytes, bytes, map
+LENGTH = {"s": "I", "b": "I", "d": "Q", "m": "I"}
 
 
 def values(data: bytes, layout: str, at: int = 0) -> list[Any]:

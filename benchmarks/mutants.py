@@ -48,17 +48,16 @@ fusion/sensors/gyro: sensors/gyro sensors/contract
 fusion/sensors/gps: sensors/gps sensors/contract
 fusion/sensors/landmarks: sensors/landmarks sensors/contract
 fusion/sensors/pose: sensors/pose sensors/contract
-fusion/sensors/sonar: sensors/sonar sensors/contract
+fusion/sensors/sonar: sensors/lrf sensors/contract
 fusion/sensors/twist: sensors/pose sensors/contract
 fusion/sensors/camera: camera/camera sensors/contract
 fusion/map/line_map: map/line_map map/given_map kernels/sight sensors/lrf fusion/mount
 fusion/map/scan: map/standing map/line_map sensors/lrf
-fusion/map/sonar_echo: sensors/sonar
+fusion/map/sonar_echo: sensors/lrf
 fusion/judge/evaluate: judge/evaluate
 fusion/judge/bootstrap fusion/judge/credit: judge/credit
 fusion/judge/consistency: judge/noise_verdicts judge/consistency
 fusion/judge/events: judge/against
-fusion/judge/noise_verdicts: judge/noise_verdicts judge/consistency
 fusion/judge/covariance: judge/consistency
 fusion/judge/innovations: judge/consistency
 fusion/judge/predictive: judge/against

@@ -215,9 +215,7 @@ def nats(before: float, after: float) -> Pair:
         (replace(BIASED, minor=("compass",)), {"all": error(0.006, 0.004), "compass": error(0.03, 0.039)}, False),
     ],
 )  # fmt: skip
-def test_a_fix_is_offered_where_what_it_gains_is_worth_what_it_costs(
-    candidate: Candidate, scores: dict[str, Pair], taken: bool
-) -> None:
+def test_a_fix_must_be_worth_what_it_costs(candidate: Candidate, scores: dict[str, Pair], taken: bool) -> None:
     def trial(fixes: Fixes, names: Sequence[str]) -> Scores:
         return {name: scores[name][bool(fixes)] for name in names}
 
@@ -260,9 +258,7 @@ def test_errors_within_what_is_claimed_may_move_by_chance() -> None:
     ("shape", "measured", "helps"),
     [(0.0049, True, True), (0.0049, False, False), (0.0040, False, True), (0.006, True, False)],
 )
-def test_a_fix_that_moves_a_map_which_nothing_holds_in_the_world_is_judged_by_the_path_s_shape(
-    shape: float, measured: bool, helps: bool
-) -> None:
+def test_a_fix_that_moves_a_free_map_is_judged_by_shape(shape: float, measured: bool, helps: bool) -> None:
     """The map's direction is drawn anew: the position gets worse by chance, whatever becomes of the shape."""
 
     def trial(fixes: Fixes, names: Sequence[str]) -> Scores:

@@ -205,9 +205,7 @@ def test_only_errors_of_a_regular_claim_count() -> None:
 
 
 @pytest.mark.parametrize(("anees", "kept"), [((9.0, 4.0), False), ((9.0, 1.0), True), ((), True)])
-def test_a_sensor_is_not_to_be_trusted_more_where_every_run_with_it_is_sure_and_wrong(
-    anees: tuple[float, ...], kept: bool
-) -> None:
+def test_an_overconfident_sensor_is_not_to_be_trusted_more(anees: tuple[float, ...], kept: bool) -> None:
     found = Consistency("overstated", "lrf noise is overstated", scale=0.1, cures={"lrf.sigma_range": 0.002})
     judged = unless_overconfident("lrf", found, [Honesty(a, (0.5, 1.5)) for a in anees])
     assert (judged == found) == kept
@@ -261,9 +259,7 @@ def runs(drive: Drive, robot: Robot, turned_deg: float) -> list[Run]:
     return [Run.of(drive, e) for e in found]
 
 
-def test_a_sure_run_that_is_wrong_does_not_accuse_a_sensor_that_truth_finds_right(
-    right: tuple[Drive, Robot],
-) -> None:
+def test_a_wrong_run_accuses_no_sensor_that_truth_finds_right(right: tuple[Drive, Robot]) -> None:
     drive, robot = right
     assert judge(runs(drive, robot, 3.0), robot)["compass"]["compass"].verdict == "consistent"
     blind = replace(drive, truth=None)
@@ -271,9 +267,7 @@ def test_a_sure_run_that_is_wrong_does_not_accuse_a_sensor_that_truth_finds_righ
 
 
 @pytest.mark.parametrize("off_deg", [-4.0, 2.0])
-def test_an_offset_is_measured_against_the_truth_and_not_against_a_run(
-    right: tuple[Drive, Robot], off_deg: float
-) -> None:
+def test_an_offset_is_measured_against_the_truth(right: tuple[Drive, Robot], off_deg: float) -> None:
     drive, robot = right
     m = drive.measurements["compass"]
     off = replace(drive, measurements={**drive.measurements, "compass": replace(m, z=m.z + math.radians(off_deg))})

@@ -12,6 +12,7 @@ import click
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.settings import OF_COMPARISON as KINDS
+from locfuse.cli.analysis.settings import Progress
 from locfuse.cli.rerun.record import FOLDER, catalog
 from locfuse.cli.terminal import completion, show
 from locfuse.cli.terminal import options as o
@@ -146,7 +147,7 @@ def _run(todo: FleetPlan, options: o.Options) -> Ended:
         return run_all(jobs, pool, slots, options.fleet.max_failures, _watch(progress, quiet))
 
 
-def _watch(progress: show.Progress, quiet: bool) -> Watch:
+def _watch(progress: Progress, quiet: bool) -> Watch:
     printed = time.monotonic()
 
     def watch(standing: QueueState, outcome: JobOutcome | None) -> None:

@@ -175,9 +175,9 @@ MIN_CAP_BYTES = 1 << 30  # any file may unpack to a gigabyte,
 MAX_UNPACK_RATIO = 200  # a larger one to so many times its size (real bags: 2 to 20)
 
 
-def unpack_file(data: FileBytes, losses: Losses) -> FileBytes:
-    """Return the unpacked bytes; of a cut-off or damaged file, keep what can be read and count the rest."""
-    return data.unpacked(lambda packed: _unpacked(packed, data.path, losses))
+def unpack_file(data: FileBytes, losses: Losses) -> None:
+    """Unpack the bytes; of a cut-off or damaged file, keep what can be read and count the rest."""
+    data.unpack(lambda packed: _unpacked(packed, data.path, losses))
 
 
 def _unpacked(packed: Path, name: Place, losses: Losses) -> Path:

@@ -27,22 +27,23 @@ class FileBytes:
     had to be unpacked, the bytes are those of a temporary file that goes when this object goes.
     """
 
-    def __init__(self, path: Path, losses: Losses, unpacked: Path | None = None) -> None:
+    def __init__(self, path: Path, losses: Losses) -> None:
         self.path: Place = path  # what to call it
-        self.where = unpacked or path  # where the bytes are
         self.losses = losses
         self.far = False  # whether every read is a request over the network
         self._file = path
         self._given = inputs.identity(path)
-        self._read = inputs.identity(self.where)
+        self._spans: set[tuple[int, int]] = set()  # what was read, (start, stop)
+        inputs.hold(self, self._given)
+        self._read_from(path)
+
+    def _read_from(self, where: Path) -> None:
+        self.where = where  # where the bytes are
+        self._read = inputs.identity(where)
         self.size = self._read.size
         self._start = 0
         self._window = b""
         self._ahead = MIN_WINDOW_BYTES
-        self._spans: set[tuple[int, int]] = set()  # what was read, (start, stop)
-        inputs.hold(self, self._given)
-        if unpacked is not None:
-            weakref.finalize(self, unpacked.unlink, missing_ok=True)
 
     def read(self, at: int, n: int) -> bytes:
         """Return up to n bytes from `at` on (fewer at the end of the file)."""
@@ -72,9 +73,11 @@ class FileBytes:
     def copy_here(self) -> None:
         """Copy all bytes to this machine, unless they are here."""
 
-    def unpacked(self, unpack: Callable[[Path], Path]) -> FileBytes:
-        """Return the bytes of the temporary file that `unpack` makes of this one, under the same name."""
-        return FileBytes(self._file, self.losses, unpack(self._file))
+    def unpack(self, unpack: Callable[[Path], Path]) -> None:
+        """Read from now on the temporary file that `unpack` makes of this one, under the same name."""
+        self.copy_here()
+        self._read_from(unpack(self._file))
+        weakref.finalize(self, self.where.unlink, missing_ok=True)
 
     @property
     def read_bytes(self) -> int:
@@ -99,6 +102,7 @@ class FileBytes:
 
     def feed(self, take: Callable[[bytes], None]) -> None:
         """Pass all bytes of the file, as the user has it (perhaps packed), piece by piece."""
+        self.copy_here()
         try:
             with self._file.open("rb") as file:
                 self._compare(inputs.identity_of_open(file.fileno()), self._given)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 from functools import cached_property
 
@@ -20,8 +20,7 @@ from .decompress import DamagedError, decompress, decompress_prefix
 from .file_bytes import FileBytes
 from .losses import Losses
 from .mcap_chunk import Index, Records, counted, records
-from .mcap_ranged import WantedChunk, fetched, own_header, promised, wanted_of
-from .mcap_survey import ChunkRef, LooseRun, Part, Survey, survey
+from .mcap_survey import ChunkRef, LooseRun, Part, confirm, promised, survey
 from .source import Batch, ChannelInfo, Messages
 
 MAX_SHARE = 0.5  # of a file that is elsewhere: where more is wanted all of it is copied at once
@@ -36,18 +35,14 @@ class McapSource:
         self.path = data.path
         self.losses = losses
         self.data = data
-        self._survey = self._surveyed()
+        found = promised(data) if data.far else None
+        if found is None:
+            data.copy_here()
+            found = survey(data, losses)
+        self._survey = found
         self._discover()
         self.channels = self._channels()
         self._compare_with_statistics()
-
-    def _surveyed(self) -> Survey:
-        """Read the outermost records; for a remote file use a reliable summary, else copy the file."""
-        if self.data.far:
-            if (found := promised(self.data)) is not None:
-                return found
-            self.data.copy_here()
-        return survey(self.data, self.losses)
 
     @cached_property
     def attachments(self) -> dict[str, bytes]:
@@ -68,19 +63,17 @@ class McapSource:
 
     @property
     def checked(self) -> bool:
-        """Whether a changed value would be noticed: every chunk has a checksum, and no message is outside."""
-        parts = self._survey.parts
-        chunks = [part for part in parts if isinstance(part, ChunkRef)]
-        self.data.fetch((chunk.offset, chunk.start) for chunk in chunks if chunk.promised)
-        with suppress(DamagedError):
-            return len(chunks) == len(parts) and all(self._confirmed(chunk) for chunk in chunks)
-        return False
+        """Whether a changed value would be noticed: every chunk has a checksum, and no message is outside.
 
-    def _confirmed(self, chunk: ChunkRef) -> bool:
-        """Read the header of a chunk that is known only by the summary; return whether it has a checksum."""
-        if chunk.promised:
-            chunk.header, chunk.promised = own_header(self.data, chunk), False
-        return bool(chunk.header.crc)
+        Of a file that is elsewhere, the first chunk speaks for those that were not read.
+        """
+        chunks = [part for part in self._survey.parts if isinstance(part, ChunkRef)]
+        with suppress(DamagedError):
+            for chunk in chunks[:1]:
+                confirm(self.data, chunk)
+            same = len(chunks) == len(self._survey.parts)
+            return same and all(chunk.header.crc for chunk in chunks if not chunk.promised)
+        return False
 
     @property
     def time_span_ns(self) -> tuple[int, int] | None:
@@ -94,36 +87,26 @@ class McapSource:
 
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
         """Yield the messages of the wanted channels in file order."""
-        if self.data.far and (ranged := self._ranged(wanted)) is not None:
-            yield from ranged
-            return
+        if self.data.far:
+            self._fetch(wanted)
         for part in self._survey.parts:
             if part.counts is not None and not part.counts.keys() & wanted:
                 continue
-            if (batch := self._batch(part, wanted)).messages:
-                yield batch
+            data, found = self._load(part)
+            if messages := {ident: m for ident, m in found.messages.items() if ident in wanted}:
+                yield Batch(data, messages)
 
-    def _batch(self, part: Part, wanted: Collection[int]) -> Batch:
-        data, found = self._load(part)
-        return Batch(data, {ident: m for ident, m in found.messages.items() if ident in wanted})
-
-    def _ranged(self, wanted: Collection[int]) -> Iterator[Batch] | None:
-        """Return the batches by byte ranges of a remote file; copy the file if they are most of it."""
-        chunks = [p for p in self._survey.parts if isinstance(p, ChunkRef) and (p.counts or {}).keys() & wanted]
-        parts = wanted_of(self.data, chunks, wanted)
-        if sum(part.n_bytes for part in parts) <= MAX_SHARE * self.data.size:
-            return self._by_ranges(parts, wanted)
+    def _fetch(self, wanted: Collection[int]) -> None:
+        """Load the chunks with wanted messages; where they are most of the file, copy all of it and walk it."""
+        chunks = [part for part in self._survey.parts if isinstance(part, ChunkRef)]
+        spans = [chunk.place for chunk in chunks if (chunk.counts or {}).keys() & wanted]
+        if sum(stop - start for start, stop in spans) <= MAX_SHARE * self.data.size:
+            self.data.fetch(spans)
+            return
         self.data.copy_here()
         self._survey = survey(self.data, self.losses)
         self._discover()
         self._compare_with_statistics()
-        return None
-
-    def _by_ranges(self, parts: Sequence[WantedChunk], wanted: Collection[int]) -> Iterator[Batch]:
-        for part in fetched(self.data, parts):
-            batch = self._batch(part.chunk, wanted) if part.whole else Batch(*part.messages(self.losses))
-            if batch.messages:
-                yield batch
 
     def _load(self, part: Part) -> tuple[Bytes, Records]:
         """Read one part; damage is counted and left out."""
@@ -142,7 +125,7 @@ class McapSource:
         if part.size > MAX_CHUNK:
             raise DamagedError(f"a chunk is larger than {MAX_CHUNK >> 20} MiB")
         if isinstance(part, ChunkRef):
-            self._confirmed(part)
+            confirm(self.data, part)
         packed = self.data.read(part.start, part.size)
         if isinstance(part, LooseRun):
             return np.frombuffer(packed, np.uint8)

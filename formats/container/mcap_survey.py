@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import zlib
 from bisect import bisect_left
+from collections import Counter
 from collections.abc import Collection
 
 import msgspec
@@ -45,6 +46,11 @@ class ChunkRef(msgspec.Struct):
     def span(self) -> tuple[int, int]:
         """Log times of its first and last message, ns."""
         return self.header.first, self.header.last
+
+    @property
+    def place(self) -> tuple[int, int]:
+        """Where it begins in the file, and where its message indexes end."""
+        return self.offset, max(at + length for at, length in self.index.values())
 
     @property
     def size(self) -> int:
@@ -190,6 +196,81 @@ def _parse(section: bytes, start: int) -> FileSummary:
         elif opcode == rec.ATTACHMENT_INDEX:
             summary.attachments.append(rec.attachment_index(content))
     return summary
+
+
+# --- The summary alone, for a file that is elsewhere
+
+CHUNK_FRONT = 8 + 8 + 8 + 4 + 4 + 8  # bytes before a chunk's content, but for the name of the compression
+INDEX_FRONT = 2 + 4  # bytes of a message index before its entries
+ENTRY_BYTES = 16  # bytes
+
+
+def promised(data: FileBytes) -> Survey | None:
+    """Return the survey by a file's summary alone.
+
+    None unless chunks, counts and definitions agree: then no needed record lies between the chunks.
+    """
+    summary = read_summary(data)
+    if summary is None or summary.statistics is None:
+        return None
+    parts: list[Part] = []
+    total: Counter[int] = Counter()
+    end = 0
+    for _, entry in sorted(summary.chunks.items()):
+        chunk = _promised_chunk(entry)
+        if chunk is None or chunk.offset < end:
+            return None
+        end = chunk.start + chunk.size
+        parts.append(chunk)
+        total.update(chunk.counts or {})
+    statistics = summary.statistics
+    agrees = (
+        total == Counter(statistics.counts)
+        and total.total() == statistics.messages
+        and len(parts) == statistics.chunks
+        and len(summary.attachments) == statistics.attachments
+        and total.keys() <= summary.channels.keys()
+        and all(summary.channels[ident].schema_id in {0, *summary.schemas} for ident in total)
+        and end <= summary.start
+        and all(a.length > rec.RECORD.size for a in summary.attachments)
+    )
+    if not agrees:
+        return None
+    put_in_order(parts)
+    attachments = [(a.offset + rec.RECORD.size, a.length - rec.RECORD.size) for a in sorted(summary.attachments)]
+    return Survey(parts, summary.schemas, summary.channels, attachments, statistics.counts)
+
+
+def _promised_chunk(entry: rec.ChunkIndex) -> ChunkRef | None:
+    """Return a chunk with its message indexes, which follow it without a gap.
+
+    None if its entry contradicts itself, or if it is too large to be read at once.
+    """
+    front = CHUNK_FRONT + len(entry.compression.encode())
+    begin = entry.offset + entry.length
+    order = sorted((at, ident) for ident, at in entry.indexes.items())
+    if entry.length != rec.RECORD.size + front + entry.packed or not order or order[0][0] != begin:
+        return None
+    if not entry.compression and entry.packed > LARGE_CHUNK_BYTES:
+        return None
+    indexes, counts = {}, {}
+    for (at, ident), end in zip(order, [*(at for at, _ in order[1:]), begin + entry.index_length], strict=True):
+        length = end - at - rec.RECORD.size
+        if length < INDEX_FRONT or (length - INDEX_FRONT) % ENTRY_BYTES:
+            return None
+        indexes[ident], counts[ident] = (at + rec.RECORD.size, length), (length - INDEX_FRONT) // ENTRY_BYTES
+    header = rec.ChunkHeader(entry.plain, 0, entry.compression, front, entry.packed, entry.first, entry.last)
+    return ChunkRef(entry.offset, header, indexes, available=entry.packed, counts=counts, promised=True)
+
+
+def confirm(data: FileBytes, chunk: ChunkRef) -> None:
+    """Read the own header of a chunk that is known by the summary. Raises DamagedError if it differs."""
+    if chunk.promised:
+        head = data.read(chunk.offset, CHUNK_HEAD)
+        header = rec.chunk_header(head[rec.RECORD.size :])
+        if head[0] != rec.CHUNK or header._replace(crc=0) != chunk.header._replace(crc=0):
+            raise DamagedError("a chunk is not what the summary says")
+        chunk.header, chunk.promised = header, False
 
 
 # --- Where records go on behind damage

@@ -6,19 +6,21 @@ computed columns, values of bounded size, a deadline for every step (https://sql
 
 from __future__ import annotations
 
+import os
+import shutil
 import sqlite3
-import struct
+import tempfile
 import time
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import closing, contextmanager
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_CHUNK, MAX_DATABASE_SECONDS, MAX_MESSAGE
+from locfuse.formats.whole_files import scratch_prefix
 from locfuse.fusion.data import Ints, LocfuseError
 
 from .file_bytes import FileBytes
@@ -90,7 +92,17 @@ class SqliteSource:
         self.data = data
         self._leash = Leash(self.path, data.size)
         self._readable = 2**63 - 1  # rowid up to which a walk has come that met damage
-        self._journal_is_used = self._count_unused_journal()
+        where = data.where.resolve()
+        self._journal = Path(f"{where}-wal")
+        self._journal_is_used = False
+        if self._has_journal:
+            try:
+                used, lost = journal_of(where)
+            except OSError:
+                used, lost = 1, 0  # then sqlite cannot read it either, and that is counted
+            if lost:
+                losses.add(str(self.path), JOURNAL_LOST, used, lost)
+            self._journal_is_used = used > 0
         try:
             with closing(self._connect()) as database, self._leash.step():
                 self._refuse_programs(database)
@@ -99,22 +111,9 @@ class SqliteSource:
         except ERRORS as problem:
             raise LocfuseError(f"{self.path}: not a readable rosbag2 database: {problem}") from None
 
-    def _count_unused_journal(self) -> bool:
-        """Count the part of a crashed recording's journal that sqlite ignores; return whether it uses any."""
-        journal = self._journal
-        try:
-            if not journal.exists() or not journal.stat().st_size:
-                return False
-            used, tail = journal_of(journal)
-        except OSError:
-            return True  # then sqlite cannot read it either, and that is counted
-        if tail is not None:
-            self.losses.add(str(self.path), tail.reason, tail.offset, tail.bytes)
-        return used
-
     @property
-    def _journal(self) -> Path:
-        return Path(f"{self.data.where.resolve()}-wal")
+    def _has_journal(self) -> bool:
+        return self._journal.exists() and self._journal.stat().st_size > 0
 
     def _refuse_programs(self, database: sqlite3.Connection) -> None:
         """Refuse tables with computed rows, which may have no end."""
@@ -142,8 +141,7 @@ class SqliteSource:
         """Open read-only; with the journal of a crashed recording if it can be read."""
         self.data.still_the_same()
         where = self.data.where.resolve()
-        journal = self._journal
-        if journal.exists() and journal.stat().st_size:
+        if self._has_journal:
             # where no recorder has the file open, without locks: nothing is then written beside the user's bag
             alone = not Path(f"{where}-shm").exists()
             if alone and not self._journal_is_used:  # sqlite would delete it, read-only or not: to it, it is empty
@@ -157,7 +155,7 @@ class SqliteSource:
                 except ERRORS:
                     continue
                 return database
-            self.losses.add(str(self.path), "its journal (-wal) cannot be read", 0, journal.stat().st_size)
+            self.losses.add(str(self.path), "its journal (-wal) cannot be read", 0, self._journal.stat().st_size)
         return self._open(where, "&immutable=1")
 
     def _open(self, where: Path, options: str) -> sqlite3.Connection:
@@ -286,69 +284,36 @@ def _batch(rows: list[Row]) -> Batch:
 # journal's header, which those of an older journal do not have.
 # Format: https://sqlite.org/fileformat2.html#walformat
 
-HEADER = struct.Struct(">8I")  # magic, version, page size, sequence, two salts, two checksums
-FRAME = struct.Struct(">6I")  # page number, database size after a commit (0: none), two salts, two checksums
-BYTE_ORDER = {0x377F0682: "<", 0x377F0683: ">"}  # of the words that are summed, by the magic number
-UINT32_MASK = 0xFFFFFFFF
-JOURNAL_DAMAGED = "its journal (-wal) is damaged: what was committed behind that place is lost"
-JOURNAL_UNFINISHED = "its journal (-wal) ends in a transaction that was not finished"
+HEADER_BYTES, FRAME_HEADER_BYTES = 32, 24
+MAX_PAGE_BYTES = 65536
+JOURNAL_LOST = "the end of its journal (-wal) is damaged or was not finished: it is lost"
 
 
-class JournalTail(NamedTuple):
-    """The end of a journal that sqlite does not use."""
+def journal_of(database: Path) -> tuple[int, int]:
+    """Return the bytes of a database's journal that sqlite reads, and those that it leaves out.
 
-    reason: str
-    offset: int  # where it begins
-    bytes: int
-
-
-class Journal(NamedTuple):
-    """sqlite's use of a journal."""
-
-    used: bool  # whether it holds a commit that sqlite reads
-    tail: JournalTail | None  # what sqlite leaves out although it was written
-
-
-def journal_of(path: Path) -> Journal:
-    """Return whether sqlite uses a journal, and the part that it ignores."""
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        head = file.read(HEADER.size)
-        if not _is_header(head):
-            return Journal(used=False, tail=JournalTail(JOURNAL_DAMAGED, 0, size))
-        magic, _, page, _, *_ = HEADER.unpack(head)
-        salts, summed = head[16:24], _summed(head[:24], BYTE_ORDER[magic])
-        at = used = last = HEADER.size
-        whole = True
-        while (frame := file.read(FRAME.size + page))[8:16] == salts or len(frame) == FRAME.size + page:
-            cut = len(frame) < FRAME.size + page
-            at += len(frame)
-            if frame[8:16] != salts:  # of an older journal
-                whole = False
-                continue
-            if whole and not cut:
-                summed = _summed(frame[:8] + frame[FRAME.size :], BYTE_ORDER[magic], summed)
-            whole = whole and not cut and FRAME.unpack_from(frame)[4:] == summed
-            last = size if cut else at
-            if whole and FRAME.unpack_from(frame)[1]:  # it commits
-                used = at
-    reason = JOURNAL_UNFINISHED if whole else JOURNAL_DAMAGED
-    return Journal(used > HEADER.size, JournalTail(reason, used, last - used) if last > used else None)
-
-
-def _is_header(head: bytes) -> bool:
-    if len(head) < HEADER.size:
-        return False
-    magic, _, page, *_, first, second = HEADER.unpack(head)
-    is_power = 512 <= page <= 65536 and not page & (page - 1)
-    return magic in BYTE_ORDER and is_power and _summed(head[:24], BYTE_ORDER[magic]) == (first, second)
-
-
-def _summed(data: bytes, order: str, before: tuple[int, int] = (0, 0)) -> tuple[int, int]:
-    """Return the running checksum after some words."""
-    a, b = before
-    words = np.frombuffer(data, f"{order}u4").tolist()
-    for x, y in zip(words[::2], words[1::2], strict=True):
-        a = (a + b + x) & UINT32_MASK
-        b = (a + b + y) & UINT32_MASK
-    return a, b
+    sqlite is asked on a copy of the journal: to count its frames it must write.
+    """
+    journal = Path(f"{database}-wal")
+    size = journal.stat().st_size
+    with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as folder, database.open("rb") as file:
+        copy = Path(folder) / "copy.db3"
+        copy.write_bytes(file.read(MAX_PAGE_BYTES))  # its first page and its size are enough
+        os.truncate(copy, database.stat().st_size)
+        shutil.copyfile(journal, f"{copy}-wal")
+        try:
+            with closing(sqlite3.connect(copy)) as asked:
+                frames = max(asked.execute("PRAGMA wal_checkpoint").fetchone()[1], 0)
+        except sqlite3.Error:
+            frames = 0
+    if not frames:
+        return 0, size
+    with journal.open("rb") as file:
+        head = file.read(HEADER_BYTES)
+        frame = FRAME_HEADER_BYTES + int.from_bytes(head[8:12], "big")
+        end = last = HEADER_BYTES + frames * frame
+        for at in range(end, size, frame):
+            file.seek(at + 8)
+            if file.read(8) == head[16:24]:  # not of an older journal
+                last = min(at + frame, size)
+    return end, last - end

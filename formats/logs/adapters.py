@@ -1,4 +1,8 @@
-"""Adapters: message types that are read as another type, with the fields they need."""
+"""Adapters: message types that are read as another type, with the fields they need.
+
+Each adapter takes the columns (of k messages) that its entry in PRESENTED names, the fields that are wanted of
+the other type, and the frame of the messages. It returns at least the wanted columns.
+"""
 
 from __future__ import annotations
 
@@ -10,55 +14,72 @@ import numpy as np
 from locfuse.formats.geometry import headings, quaternions
 from locfuse.fusion.data import Array, Column, Ints, Ragged
 
+Columns = Mapping[str, Column]
+Adapter = Callable[[Columns, tuple[str, ...], str], dict[str, Column]]
+
+
+def _numbers(column: Column) -> Array:
+    return np.asarray(cast("Array", column), np.float64)
+
+
+def _ragged(columns: Columns, name: str) -> Ragged:
+    return cast("Ragged", columns[name])
+
+
+def _stacked(columns: Columns, names: tuple[str, ...]) -> Array:
+    return np.stack([_numbers(columns[name]) for name in names], axis=-1)
+
+
+def _axes(before: str, axes: str) -> tuple[str, ...]:
+    return tuple(f"{before}.{axis}" for axis in axes)
+
+
+# --- Joints
+
 JOINTS = "sensor_msgs/msg/JointState"
 DYNAMIC = "control_msgs/msg/DynamicJointState"
 INTERFACES, VALUES = "interface_values.interface_names", "interface_values.values"
 OF_DYNAMIC = ("joint_names", INTERFACES, VALUES, f"{VALUES}.length")
-JOINT_NUMBERS = ("position", "velocity", "effort")  # interfaces that a JointState has too
 FOXGLOVE_JOINTS = ("foxglove.JointStates", "foxglove_msgs/msg/JointStates")
-OF_FOXGLOVE_JOINTS = ("joints.name", *(f"joints.{name}" for name in JOINT_NUMBERS))
+OF_FOXGLOVE_JOINTS = ("joints.name", "joints.position", "joints.velocity", "joints.effort")
 # The Jackal's two motors: left before right, angle [rad] and rate [rad/s] of the wheel.
 FEEDBACK = ("jackal_msgs/msg/Feedback", "clearpath_platform_msgs/msg/Feedback")
 OF_FEEDBACK = ("drivers.measured_travel", "drivers.measured_velocity")
 DRIVERS = ("left_wheel", "right_wheel")
 
 
-def as_joints(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return JointState fields of k messages; `columns` are OF_DYNAMIC. Missing values are NaN."""
+def as_joints(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
+    """Return JointState fields of DynamicJointStates. Missing values are NaN."""
     names = cast("list[tuple[str, ...]]", columns["joint_names"])
-    made: dict[str, Column] = {"name": names}
     first = np.concatenate(([0], np.cumsum([len(row) for row in names], dtype=np.int64)))
-    for field in (f for f in fields if f != "name"):
-        made[field] = Ragged(_interface(columns, names, field), first)
-    return {name: made[name] for name in fields}
+    made = {field: Ragged(_interface(columns, names, field), first) for field in fields if field != "name"}
+    return {"name": names, **made}
 
 
-def joints_of_foxglove(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return JointState fields of k of Foxglove's messages; `columns` are OF_FOXGLOVE_JOINTS."""
+def joints_of_foxglove(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
+    """Return JointState fields of Foxglove's messages."""
     return {name: columns[f"joints.{name}"] for name in fields}
 
 
-def joints_of_feedback(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return JointState fields of k Feedbacks of two motors; `columns` are OF_FEEDBACK."""
-    travel, rate = (cast("Ragged", columns[name]) for name in OF_FEEDBACK)
-    made: dict[str, Column] = {"position": travel, "velocity": rate}
-    made["name"] = [DRIVERS if n == len(DRIVERS) else ("",) * n for n in travel.lengths.tolist()]
-    return {name: made[name] for name in fields}
+def joints_of_feedback(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
+    """Return JointState fields of Feedbacks of two motors."""
+    travel, rate = (_ragged(columns, name) for name in OF_FEEDBACK)
+    names = [DRIVERS if n == len(DRIVERS) else ("",) * n for n in travel.lengths.tolist()]
+    return {"position": travel, "velocity": rate, "name": names}
 
 
-def _interface(columns: Mapping[str, Column], names: list[tuple[str, ...]], field: str) -> Array:
+def _interface(columns: Columns, names: list[tuple[str, ...]], field: str) -> Array:
     """Return one interface of every joint of every message, end to end; equal messages share the search."""
     interfaces = cast("list[tuple[str, ...]]", columns[INTERFACES])
-    values, lengths = cast("Ragged", columns[VALUES]), cast("Ragged", columns[f"{VALUES}.length"])
+    values, lengths = _ragged(columns, VALUES), _ragged(columns, f"{VALUES}.length")
     places: dict[tuple[object, ...], Ints] = {}
-    out = []
+    out = [np.empty(0)]
     for i, row in enumerate(names):
         key = (row, interfaces[i], lengths[i].tobytes())
         if key not in places:
             places[key] = _places(len(row), interfaces[i], lengths[i], field)
-        at, known = places[key], np.append(values[i].astype(np.float64), np.nan)
-        out.append(known[at])
-    return np.concatenate([np.empty(0), *out])
+        out.append(np.append(values[i].astype(np.float64), np.nan)[places[key]])
+    return np.concatenate(out)
 
 
 def _places(joints: int, interfaces: tuple[str, ...], lengths: Ints, field: str) -> Ints:
@@ -74,45 +95,53 @@ def _places(joints: int, interfaces: tuple[str, ...], lengths: Ints, field: str)
     return at
 
 
-# --- Odometry: Foxglove's, and the state that Unitree's legged robots publish
+# --- Odometry and IMU. PX4 gives the world in north, east, down and the body in forward, right, down; ROS in
+# east, north, up and forward, left, up (REP 103). Headings turn the other way, from east: pi / 2 - yaw of PX4.
 
+ODOMETRY, IMU = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
 FOXGLOVE_ODOMETRY = ("foxglove.Odometry", "foxglove_msgs/msg/Odometry")
-SPORT_STATE = "unitree_go/msg/SportModeState"
-PLANE_POSE = tuple(
-    f"pose.{part}.{axis}" for part, axes in (("position", "xy"), ("orientation", "xyzw")) for axis in axes
-)
+SPORT_STATE = "unitree_go/msg/SportModeState"  # of Unitree's legged robots
+PLANE_POSE = (*_axes("pose.position", "xy"), *_axes("pose.orientation", "xyzw"))
 SPEEDS = ("linear_velocity.x", "angular_velocity.z")  # of the body, in its own axes
 COVARIANCES = ("pose_covariance", "velocity_covariance")
 OF_FOXGLOVE_ODOMETRY = (*PLANE_POSE, *SPEEDS, *COVARIANCES)
 OF_SPORT_STATE = ("position", "imu_state.quaternion")
+VEHICLE_ODOMETRY = "px4_msgs/msg/VehicleOdometry"
+LOCAL_POSITION = "px4_msgs/msg/VehicleLocalPosition"
+SENSOR_COMBINED = "px4_msgs/msg/SensorCombined"
+OF_ODOMETRY = ("position", "q", "velocity_frame", "velocity", "angular_velocity")
+OF_POSITION = ("x", "y", "heading", "vx", "vy")
+OF_SENSOR = ("gyro_rad", "accelerometer_m_s2")
+BODY_FRAME = 3  # of velocity_frame: forward, right, down
 
 
-def odometry_of_foxglove(
-    columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str
-) -> dict[str, Column]:
-    """Return Odometry fields of k of Foxglove's messages, which may leave velocities out."""
-    made: dict[str, Column] = {f"pose.{name}": columns[name] for name in PLANE_POSE}
-    for name, speed in zip(("linear.x", "angular.z"), SPEEDS, strict=True):
-        made[f"twist.twist.{name}"] = np.nan_to_num(_numbers(columns[speed]), nan=0.0)
-    for name, of in zip(("pose", "twist"), COVARIANCES, strict=True):
-        made[f"{name}.covariance"] = _six_by_six(columns[of])
-    return {name: made[name] for name in fields}
+def _odometry(x: Array, y: Array, q: Array, ahead: Array, rate: Array) -> dict[str, Column]:
+    """Return Odometry columns without covariances of a pose x, y, q (k, 4) and of speeds (k,)."""
+    return {
+        "pose.pose.position.x": x,
+        "pose.pose.position.y": y,
+        **dict(zip(_axes("pose.pose.orientation", "xyzw"), q.T, strict=True)),
+        "twist.twist.linear.x": ahead,
+        "twist.twist.angular.z": rate,
+        **{f"{part}.covariance": np.zeros((len(x), 36)) for part in ("pose", "twist")},
+    }
 
 
-def odometry_of_sport_state(
-    columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str
-) -> dict[str, Column]:
-    """Return Odometry fields by the poses of k SportModeStates; `columns` are OF_SPORT_STATE."""
-    place, (w, x, y, z) = _numbers(columns["position"]), _numbers(columns["imu_state.quaternion"]).T
-    made: dict[str, Column] = {"pose.pose.position.x": place[:, 0], "pose.pose.position.y": place[:, 1]}
-    made |= {f"pose.pose.orientation.{axis}": value for axis, value in zip("xyzw", (x, y, z, w), strict=True)}
-    made |= {f"twist.twist.{name}": np.zeros(len(place)) for name in ("linear.x", "angular.z")}
-    made |= {f"{name}.covariance": np.zeros((len(place), 36)) for name in ("pose", "twist")}
-    return {name: made[name] for name in fields}
+def odometry_of_foxglove(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
+    """Return Odometry fields of Foxglove's messages, which may leave velocities out."""
+    x, y, *q = (_numbers(columns[name]) for name in PLANE_POSE)
+    speeds = (np.nan_to_num(_numbers(columns[name]), nan=0.0) for name in SPEEDS)
+    made = _odometry(x, y, np.stack(q, axis=-1), *speeds)
+    for part, name in zip(("pose", "twist"), COVARIANCES, strict=True):
+        made[f"{part}.covariance"] = _six_by_six(columns[name])
+    return made
 
 
-def _numbers(column: Column) -> Array:
-    return np.asarray(cast("Array", column), np.float64)
+def odometry_of_sport_state(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
+    """Return Odometry fields by the poses of SportModeStates."""
+    place, wxyz = (_numbers(columns[name]) for name in OF_SPORT_STATE)
+    still = np.zeros(len(place))
+    return _odometry(place[:, 0], place[:, 1], np.roll(wxyz, -1, axis=1), still, still)
 
 
 def _six_by_six(column: Column) -> Array:
@@ -125,66 +154,35 @@ def _six_by_six(column: Column) -> Array:
     return matrix
 
 
-# --- PX4: it gives the world in north, east, down and the body in forward, right, down; ROS in east, north, up and
-# forward, left, up (REP 103). Headings then turn the other way, from east: yaw = pi / 2 - yaw of PX4.
-
-ODOMETRY, IMU = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
-VEHICLE_ODOMETRY = "px4_msgs/msg/VehicleOdometry"
-LOCAL_POSITION = "px4_msgs/msg/VehicleLocalPosition"
-SENSOR_COMBINED = "px4_msgs/msg/SensorCombined"
-OF_ODOMETRY = ("position", "q", "velocity_frame", "velocity", "angular_velocity")
-OF_POSITION = ("x", "y", "heading", "vx", "vy")
-OF_SENSOR = ("gyro_rad", "accelerometer_m_s2")
-BODY_FRAME = 3  # of velocity_frame: forward, right, down
-
-
-def odometry_of_vehicle(
-    columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str
-) -> dict[str, Column]:
-    """Return Odometry fields of k VehicleOdometry messages; `columns` are OF_ODOMETRY."""
+def odometry_of_vehicle(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
+    """Return Odometry fields of VehicleOdometry messages."""
     place, q, velocity, rates = (_numbers(columns[k]) for k in ("position", "q", "velocity", "angular_velocity"))
     w, x, y, z = q.T
     yaw = headings(x, y, z, w)
     along = velocity[:, 0] * np.cos(yaw) + velocity[:, 1] * np.sin(yaw)
     ahead = np.where(_numbers(columns["velocity_frame"]) == BODY_FRAME, velocity[:, 0], along)
-    return _odometry(place[:, 0], place[:, 1], yaw, ahead, -rates[:, 2], fields)
+    return _odometry(place[:, 1], place[:, 0], quaternions(0.5 * np.pi - yaw), ahead, -rates[:, 2])
 
 
-def odometry_of_position(
-    columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str
-) -> dict[str, Column]:
-    """Return Odometry fields of k VehicleLocalPosition messages; `columns` are OF_POSITION."""
+def odometry_of_position(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
+    """Return Odometry fields of VehicleLocalPosition messages."""
     north, east, yaw, vx, vy = (_numbers(columns[name]) for name in OF_POSITION)
-    return _odometry(north, east, yaw, vx * np.cos(yaw) + vy * np.sin(yaw), np.zeros(len(yaw)), fields)
+    ahead = vx * np.cos(yaw) + vy * np.sin(yaw)
+    return _odometry(east, north, quaternions(0.5 * np.pi - yaw), ahead, np.zeros(len(yaw)))
 
 
-def imu_of_sensor(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return Imu fields without orientation of k SensorCombined messages; `columns` are OF_SENSOR."""
-    rates, accelerations = (_numbers(columns[name]) for name in OF_SENSOR)
-    n = len(rates)
-    turned = np.array([1.0, -1.0, -1.0])
-    none = np.zeros((n, 9))
-    made: dict[str, Column] = {"angular_velocity_covariance": none, "linear_acceleration_covariance": none}
-    made["orientation_covariance"] = np.where(np.arange(9) == 0, -1.0, none)
-    for name, values in (("angular_velocity", rates * turned), ("linear_acceleration", accelerations * turned)):
-        made |= {f"{name}.{axis}": values[:, k] for k, axis in enumerate("xyz")}
-    made |= {f"orientation.{axis}": np.zeros(n) for axis in "xyzw"}
-    return {name: made[name] for name in fields}
-
-
-def _odometry(
-    north: Array, east: Array, yaw: Array, ahead: Array, rate: Array, fields: tuple[str, ...]
-) -> dict[str, Column]:
-    turned = quaternions(0.5 * np.pi - yaw)
-    made: dict[str, Column] = {
-        "pose.pose.position.x": east,
-        "pose.pose.position.y": north,
-        **{f"pose.pose.orientation.{axis}": turned[:, k] for k, axis in enumerate("xyzw")},
-        "twist.twist.linear.x": ahead,
-        "twist.twist.angular.z": rate,
-        **{f"{part}.covariance": np.zeros((len(yaw), 36)) for part in ("pose", "twist")},
+def imu_of_sensor(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
+    """Return Imu fields without orientation of SensorCombined messages."""
+    rates, accelerations = (_numbers(columns[name]) * (1.0, -1.0, -1.0) for name in OF_SENSOR)
+    none = np.zeros((len(rates), 9))
+    return {
+        "angular_velocity_covariance": none,
+        "linear_acceleration_covariance": none,
+        "orientation_covariance": np.where(np.arange(9) == 0, -1.0, none),
+        **dict(zip(_axes("angular_velocity", "xyz"), rates.T, strict=True)),
+        **dict(zip(_axes("linear_acceleration", "xyz"), accelerations.T, strict=True)),
+        **dict.fromkeys(_axes("orientation", "xyzw"), np.zeros(len(rates))),
     }
-    return {name: made[name] for name in fields}
 
 
 # --- A laser's scans: a level slice of a point cloud, the first echoes of a MultiEchoLaserScan.
@@ -198,21 +196,13 @@ ECHOES = "sensor_msgs/msg/MultiEchoLaserScan"
 FOXGLOVE = ("foxglove.LaserScan", "foxglove_msgs/msg/LaserScan")
 FOXGLOVE_CLOUD = ("foxglove.PointCloud", "foxglove_msgs/msg/PointCloud")
 OF_CLOUD = (
-    *(f"fields.{name}" for name in ("name", "offset", "datatype")),
+    *("fields.name", "fields.offset", "fields.datatype"),
     *("height", "width", "point_step", "row_step", "is_bigendian", "data"),
 )
 LIKE_A_SCAN = ("angle_min", "angle_increment", "time_increment", "range_min", "range_max")
-FIRST_ECHOES = ("ranges.echoes", "ranges.echoes.length")
-OF_ECHOES = (*LIKE_A_SCAN, *FIRST_ECHOES)
-TURN = tuple(f"pose.orientation.{axis}" for axis in "xyzw")
-PLACE = tuple(f"pose.position.{axis}" for axis in "xyz")
-OF_FOXGLOVE_CLOUD = (
-    "point_stride",
-    *(f"fields.{part}" for part in ("name", "offset", "type")),
-    "data",
-    *PLACE,
-    *TURN,
-)
+OF_ECHOES = (*LIKE_A_SCAN, "ranges.echoes", "ranges.echoes.length")
+TURN, PLACE = _axes("pose.orientation", "xyzw"), _axes("pose.position", "xyz")
+OF_FOXGLOVE_CLOUD = ("point_stride", "fields.name", "fields.offset", "fields.type", "data", *PLACE, *TURN)
 OF_FOXGLOVE = ("start_angle", "end_angle", "ranges", *TURN)
 SLICE_BEAMS = 720
 LOW_RAD, HIGH_RAD = np.radians((-0.2, 2.2))  # of a point above the sensor's level
@@ -227,13 +217,18 @@ def level_frame(frame_id: str) -> str:
     return frame_id.replace(OPTICAL, "")
 
 
-def echoes_as_scans(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return LaserScan fields of k MultiEchoLaserScans; `columns` are OF_ECHOES."""
-    return {name: _first_echoes(columns) if name == "ranges" else columns[name] for name in fields}
+def echoes_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
+    """Return LaserScan fields of MultiEchoLaserScans: the first echo of each beam, Inf without one."""
+    echoes, lengths = _ragged(columns, "ranges.echoes"), _ragged(columns, "ranges.echoes.length")
+    counts = lengths.values.astype(np.int64)
+    first = np.cumsum(counts) - counts
+    values = np.full(len(counts), np.inf, np.float32)
+    values[counts > 0] = echoes.values[first[counts > 0]]
+    return {**columns, "ranges": Ragged(values, lengths.first)}
 
 
-def cloud_as_scans(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return LaserScan fields of k clouds in the frame `frame_id`; `columns` are OF_CLOUD."""
+def cloud_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
+    """Return LaserScan fields of clouds in the frame `frame_id`."""
     n = len(cast("Array", columns["width"]))
     return _as_scans(n, lambda i: points(columns, i), fields, frame_id)
 
@@ -241,32 +236,31 @@ def cloud_as_scans(columns: Mapping[str, Column], fields: tuple[str, ...], frame
 def _as_scans(n: int, cloud: Callable[[int], Array], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
     """Return LaserScan fields of n clouds; `cloud` gives the points (m, 3) [m] of one of them."""
     step = 2.0 * np.pi / SLICE_BEAMS
-    fixed = {"angle_min": -np.pi + 0.5 * step, "angle_increment": step, "time_increment": 0.0}
-    fixed |= {"range_min": NEAR_M, "range_max": FAR_M}
-    made: dict[str, Column] = {name: np.full(n, value) for name, value in fixed.items()}
+    fixed = zip(LIKE_A_SCAN, (-np.pi + 0.5 * step, step, 0.0, NEAR_M, FAR_M), strict=True)
+    made: dict[str, Column] = {name: np.full(n, value) for name, value in fixed}
     if "ranges" in fields:
         ranges = [level_slice(cloud(i), OPTICAL in frame_id) for i in range(n)]
         values = np.concatenate([np.empty(0), *ranges]).astype(np.float32)
         made["ranges"] = Ragged(values, np.arange(n + 1) * SLICE_BEAMS)
-    return {name: made[name] for name in fields}
+    return made
 
 
-def foxglove_clouds_as_scans(
-    columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str
-) -> dict[str, Column]:
-    """Return LaserScan fields of k of Foxglove's clouds, placed by their pose; OF_FOXGLOVE_CLOUD."""
-    step = np.asarray(columns["point_stride"], np.float64)
-    data = cast("list[bytes]", columns["data"])
-    bytes_of = np.array([len(one) for one in data], np.float64)
-    kinds = cast("Ragged", columns["fields.type"])
+def foxglove_clouds_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
+    """Return LaserScan fields of Foxglove's clouds, placed by their pose."""
+    step, kinds = _numbers(columns["point_stride"]), _ragged(columns, "fields.type")
+    bytes_of = np.array([len(one) for one in cast("list[bytes]", columns["data"])], np.float64)
     known = (kinds.values >= 0) & (kinds.values < len(PACKED))
     packed = PACKED[np.where(known, kinds.values, 0).astype(np.int64)]
-    flat = {"height": np.ones(len(step)), "width": bytes_of // np.maximum(step, 1.0), "row_step": bytes_of}
-    cloud: dict[str, Column] = {**columns, **flat, "is_bigendian": np.zeros(len(step), bool), "point_step": step}
-    cloud["fields.datatype"] = Ragged(packed, kinds.first)
-    place, turn = (
-        np.stack([np.asarray(columns[name], np.float64) for name in names], axis=-1) for names in (PLACE, TURN)
-    )
+    cloud: dict[str, Column] = {
+        **columns,
+        "height": np.ones(len(step)),
+        "width": bytes_of // np.maximum(step, 1.0),
+        "row_step": bytes_of,
+        "is_bigendian": np.zeros(len(step), bool),
+        "point_step": step,
+        "fields.datatype": Ragged(packed, kinds.first),
+    }
+    place, turn = _stacked(columns, PLACE), _stacked(columns, TURN)
     return _as_scans(len(step), lambda i: _moved(points(cloud, i), place[i], turn[i]), fields, frame_id)
 
 
@@ -281,33 +275,20 @@ def _moved(xyz: Array, place: Array, quaternion: Array) -> Array:
     return turned + np.nan_to_num(place)
 
 
-def foxglove_as_scans(columns: Mapping[str, Column], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return LaserScan fields of k of Foxglove's scans, evenly spaced from start to end, turned by their pose.
+def foxglove_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
+    """Return LaserScan fields of Foxglove's scans, evenly spaced from start to end, turned by their pose.
 
     They say neither how long a scan takes nor which ranges are none: what is no number or not above zero.
     """
-    start, end = (np.asarray(columns[name], np.float64) for name in ("start_angle", "end_angle"))
-    ranges = cast("Ragged", columns["ranges"])
-    beams = np.maximum(ranges.lengths - 1, 1)
-    turn = headings(*(np.asarray(columns[name], np.float64) for name in TURN))
-    made: dict[str, Column] = {
+    start, end = _numbers(columns["start_angle"]), _numbers(columns["end_angle"])
+    ranges, turn = _ragged(columns, "ranges"), headings(*_stacked(columns, TURN).T)
+    return {
         "angle_min": start + np.where(np.isfinite(turn), turn, 0.0),
-        "angle_increment": (end - start) / beams,
-        **{name: np.zeros(len(start)) for name in ("time_increment", "range_min")},
+        "angle_increment": (end - start) / np.maximum(ranges.lengths - 1, 1),
+        **dict.fromkeys(("time_increment", "range_min"), np.zeros(len(start))),
         "range_max": np.full(len(start), FAR_M),
         "ranges": Ragged(ranges.values.astype(np.float32), ranges.first),
     }
-    return {name: made[name] for name in fields}
-
-
-def _first_echoes(columns: Mapping[str, Column]) -> Ragged:
-    """Return the first echo of each beam, Inf without one."""
-    echoes, lengths = cast("Ragged", columns["ranges.echoes"]), cast("Ragged", columns["ranges.echoes.length"])
-    counts = lengths.values.astype(np.int64)
-    first = np.cumsum(counts) - counts
-    values = np.full(len(counts), np.inf, np.float32)
-    values[counts > 0] = echoes.values[first[counts > 0]]
-    return Ragged(values, lengths.first)
 
 
 def points(columns: Mapping[str, Any], i: int) -> Array:
@@ -360,8 +341,8 @@ def level_slice(xyz: Array, optical: bool = False) -> Array:
 PATH, POSE = "nav_msgs/msg/Path", "geometry_msgs/msg/PoseStamped"
 OF_PATH = (
     "poses.header.stamp",
-    *(f"poses.pose.position.{axis}" for axis in "xy"),
-    *(f"poses.pose.orientation.{axis}" for axis in "xyzw"),
+    *_axes("poses.pose.position", "xy"),
+    *_axes("poses.pose.orientation", "xyzw"),
 )
 
 
@@ -371,8 +352,7 @@ class Presented(NamedTuple):
     msgtype: str  # what they become
     suffix: str  # the topic is called "/source:suffix"
     fields: tuple[str, ...]  # of the source
-    # columns, fields, frame id -> columns; None where the last message holds all rows (log.stream.PathStream)
-    make: Callable[[Mapping[str, Column], tuple[str, ...], str], dict[str, Column]] | None
+    make: Adapter | None  # None where the last message holds all rows (log.stream.PathStream)
     frame: Callable[[str], str] = str
 
 

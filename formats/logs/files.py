@@ -123,10 +123,10 @@ def open_source(file: Place, losses: Losses) -> Source:
     """Open one file of a log by its first bytes."""
     try:
         data = open_bytes(file, losses)
-        if data.far and data.read(data.size - len(MAGIC), len(MAGIC)) != MAGIC:
+        if data.far and data.read(max(data.size - len(MAGIC), 0), len(MAGIC)) != MAGIC:
             data.copy_here()  # no whole MCAP: its content has no index
         if not data.far and data.read(0, len(ZSTD_MAGIC)) == ZSTD_MAGIC:
-            data = unpack_file(data, losses)
+            unpack_file(data, losses)
         head = b"" if data.far else data.read(0, 64)
         for magic, source in SOURCES.items():
             if head.startswith(magic):
@@ -182,9 +182,9 @@ def identity(seen: Sequence[SeenFile]) -> Identity:
 def seen_of(file: Place) -> SeenFile:
     """Return the identifying data of a file."""
     if isinstance(file, Url):
-        from locfuse.formats.container.remote_objects import Object
+        from locfuse.formats.container.remote_objects import state_of
 
-        return seen_of_object(*Object(file).state)
+        return seen_of_object(*state_of(file))
     data = FileBytes(file, Losses())
     section = summary_section(data)
     kind, content = ("ends", _ends(data)) if section is None else ("summary", section)

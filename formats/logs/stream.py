@@ -493,7 +493,8 @@ class PresentedStream(DerivedStream):
 
     def _made(self, columns: Mapping[str, Column], fields: tuple[str, ...]) -> dict[str, Column]:
         assert self._how.make is not None
-        return self._how.make(columns, fields, self._source.frame_id)
+        made = self._how.make(columns, fields, self._source.frame_id)
+        return {name: made[name] for name in fields}
 
 
 class PathStream(FileStream):

@@ -89,13 +89,13 @@ def whole(data: bytes, number: int) -> int:
 
 NAME = re.compile(rb"[A-Za-z0-9_.]*")
 LABEL_REPEATED = 3  # FieldDescriptorProto.Label
-TEXT_KIND, MESSAGE_KIND, BYTES_KIND, BOOL_KIND = 9, 11, 12, 8  # FieldDescriptorProto.Type
+TEXT_KIND, MESSAGE_KIND, BYTES_KIND = 9, 11, 12  # FieldDescriptorProto.Type
 TIME_TYPES = ("google.protobuf.Timestamp", "google.protobuf.Duration")
 TIME_PARTS = {1: "sec", 2: "nanosec"}
 # FieldDescriptorProto.Type -> how a number lies on the wire, and as what it is read
 NUMBERS: dict[int, tuple[int, str]] = {
     1: (FIXED_64, "<f8"), 2: (FIXED_32, "<f4"), 3: (VARINT, "i8"), 4: (VARINT, "u8"), 5: (VARINT, "i4"),
-    6: (FIXED_64, "<u8"), 7: (FIXED_32, "<u4"), BOOL_KIND: (VARINT, "?"), 13: (VARINT, "u4"), 14: (VARINT, "i4"),
+    6: (FIXED_64, "<u8"), 7: (FIXED_32, "<u4"), 8: (VARINT, "?"), 13: (VARINT, "u4"), 14: (VARINT, "i4"),
     15: (FIXED_32, "<i4"), 16: (FIXED_64, "<i8"), 17: (VARINT, "z4"), 18: (VARINT, "z8"),
 }  # fmt: skip
 
@@ -129,11 +129,13 @@ def parse_descriptors(name: str, data: bytes) -> tuple[Message, Structure]:
         raise SchemaError(
             names_its_cap(f"its protobuf definition of {name} is too long", len(data), MAX_DEFINITION, "bytes")
         )
+    described: dict[str, bytes] = {}
     try:
-        described = dict(_described(data))
+        for file in contents(data, 1):
+            described.update(_types(_name(file, 2), contents(file, 4), 0))
         if name not in described:
             raise SchemaError(f"its protobuf definition does not define {name}")
-        message = _message(name, described, {})
+        message = _message(name, described)
     except MalformedError:
         raise SchemaError(f"its protobuf definition of {name} cannot be parsed") from None
     tree = _ProtobufTrees().record(message, 0)
@@ -144,43 +146,36 @@ def parse_descriptors(name: str, data: bytes) -> tuple[Message, Structure]:
     return message, tree
 
 
-def _described(data: bytes) -> Iterator[tuple[str, bytes]]:
-    """Yield the full name of every message type in a FileDescriptorSet, and its DescriptorProto."""
-    for file in contents(data, 1):
-        package = _name(file, 2)
-        for one in contents(file, 4):
-            yield from _nested(package, one, 0)
-
-
-def _nested(scope: str, data: bytes, depth: int) -> Iterator[tuple[str, bytes]]:
-    if depth > MAX_DEPTH:
+def _types(scope: str, types: Sequence[bytes], depth: int) -> Iterator[tuple[str, bytes]]:
+    """Yield the full name of every message type, with those defined inside it, and its DescriptorProto."""
+    if depth > MAX_DEPTH and types:
         raise MalformedError("too deep")
-    name = _name(data, 1)
-    full = f"{scope}.{name}" if scope else name
-    yield full, data
-    for one in contents(data, 3):
-        yield from _nested(full, one, depth + 1)
+    for data in types:
+        full = f"{scope}.{_name(data, 1)}".removeprefix(".")
+        yield full, data
+        yield from _types(full, contents(data, 3), depth + 1)
 
 
-def _message(name: str, described: dict[str, bytes], made: dict[str, Message]) -> Message:
-    """Return a message type with the types in it; each is built once."""
+def _message(name: str, described: Mapping[str, bytes]) -> Message:
+    """Return a message type with the types in it, each built once; groups (deprecated since 2008) are left out."""
+    made = {name: Message(name)}
     waiting = [name]
-    made[name] = Message(name)
     while waiting:
         message = made[waiting.pop()]
         for data in contents(described[message.name], 2):
             number, kind, label = (whole(data, at) for at in (3, 5, 4))
-            held = _name(data, 6).removeprefix(".")
-            if kind == MESSAGE_KIND and held not in described:
-                raise SchemaError(f"its definition names {held} and does not define it")
-            if kind == MESSAGE_KIND and held not in made:
-                made[held] = Message(held)
-                waiting.append(held)
-            one = _field(
-                _name(data, 1), kind, label == LABEL_REPEATED, made.get(held) if kind == MESSAGE_KIND else None
-            )
-            if one is not None:
-                message.fields[number] = one
+            wire, dtype = NUMBERS.get(kind, (BYTES, ""))
+            held, inside = _name(data, 6).removeprefix("."), None
+            if kind == MESSAGE_KIND:
+                if held not in described:
+                    raise SchemaError(f"its definition names {held} and does not define it")
+                if held not in made:
+                    made[held] = Message(held)
+                    waiting.append(held)
+                inside = made[held]
+            if dtype or kind in (TEXT_KIND, BYTES_KIND, MESSAGE_KIND):
+                repeated = label == LABEL_REPEATED
+                message.fields[number] = Field(_name(data, 1), wire, repeated, dtype, kind == TEXT_KIND, inside)
     return made[name]
 
 
@@ -190,16 +185,6 @@ def _name(data: bytes, number: int) -> str:
     if NAME.fullmatch(name) is None:
         raise MalformedError("a name of other letters")
     return name.decode("ascii")
-
-
-def _field(name: str, kind: int, repeated: bool, inside: Message | None) -> Field | None:
-    """Return a field, None for a group (deprecated since 2008)."""
-    if kind in NUMBERS:
-        wire, dtype = NUMBERS[kind]
-        return Field(name, wire, repeated, dtype)
-    if kind in (TEXT_KIND, BYTES_KIND, MESSAGE_KIND):
-        return Field(name, BYTES, repeated, text=kind == TEXT_KIND, inside=inside)
-    return None
 
 
 class _ProtobufTrees:
@@ -259,7 +244,7 @@ class ProtobufDecoder:
         objects: list[dict[str, Value]] = []
         for i, (at, n) in enumerate(zip(start.tolist(), length.tolist(), strict=True)):
             try:
-                objects.append(_Reader(data[at : at + n].tobytes()).message(self._type, wanted))
+                objects.append(_Reader(data[at : at + n].tobytes()).parts(self._type, wanted, 0, n, 0))
             except MalformedError as problem:
                 good[i] = False
                 bad[str(problem)] += 1
@@ -286,96 +271,80 @@ class _Reader:
         self.data = data
         self.items = 0
 
-    def message(self, kind: Message, wanted: Wanted) -> dict[str, Value]:
-        """Return the wanted parts of the message."""
-        return self._parts(kind, wanted, 0, len(self.data), 0)
-
-    def _parts(self, kind: Message, wanted: Wanted, at: int, end: int, depth: int) -> dict[str, Value]:
+    def parts(self, kind: Message, wanted: Wanted, at: int, end: int, depth: int) -> dict[str, Value]:
+        """Return the wanted parts of a message at data[at:end]."""
         if depth > MAX_DEPTH:
             raise MalformedError(f"more than {MAX_DEPTH} structures in structures")
         found = _defaults(kind, wanted)
         for number, wire, first, stop in walk(self.data, at, end):
             field = kind.fields.get(number)
-            if field is not None and field.inside is not None and wire == BYTES:
-                self._inside(found, field, field.inside, wanted.get(field.name), (first, stop, depth))
-            elif field is not None:
-                self._value(found, field, wire, first, stop)
+            if field is None:
+                continue
+            packed = bool(field.dtype) and wire == BYTES and field.repeated
+            if wire != field.wire and not packed:
+                continue
+            self._check(field, packed, first, stop)
+            inner = wanted.get(field.name)
+            value = self._value(field, packed, inner, first, stop, depth)
+            if inner is not None and packed:
+                found[field.name].extend(value)
+            elif inner is not None and field.repeated:
+                found[field.name].append(value)
+            elif inner is not None:
+                found[field.name] = value
         return found
 
-    def _inside(
-        self,
-        found: dict[str, Value],
-        field: Field,
-        kind: Message,
-        wanted: Wanted | None,
-        where: tuple[int, int, int],
-    ) -> None:
-        """Read a nested message."""
-        self._count()
-        first, stop, depth = where
-        if kind.is_time:
-            value = self._time(first, stop)
-        else:
-            value = self._parts(kind, NOTHING if wanted is None else wanted, first, stop, depth + 1)
-        if wanted is None:
-            return
-        if field.repeated:
-            found[field.name].append(value)
-        else:
-            found[field.name] = value
-
-    def _time(self, first: int, stop: int) -> dict[str, int]:
-        """Return seconds and nanoseconds."""
-        parts = dict.fromkeys(TIME_PARTS.values(), 0)
-        for number, wire, at, end in walk(self.data, first, stop):
-            if number in TIME_PARTS and wire == 0:
-                parts[TIME_PARTS[number]] = _signed(varint(self.data, at, end)[0])
-        return parts
-
-    def _value(self, found: dict[str, Value], field: Field, wire: int, first: int, stop: int) -> None:
-        """Read a number, an array of numbers, a text or bytes."""
-        packed = bool(field.dtype) and wire == BYTES and field.repeated
-        if not packed and wire != field.wire:
-            return
-        if packed:
-            self._check_packed(field, first, stop)
-        elif field.repeated:
-            self._count()
+    def _check(self, field: Field, packed: bool, first: int, stop: int) -> None:
+        """Refuse values that do not fit, and messages that would take minutes to read."""
         if field.text and stop - first > MAX_TEXT:
             raise MalformedError(f"a text longer than {MAX_TEXT >> 20} MiB")
-        if field.name not in found:
-            return
-        if packed:
-            found[field.name].extend(_packed(self.data[first:stop], field))
-        elif field.repeated:
-            found[field.name].append(_single(self.data, first, stop, field))
-        else:
-            found[field.name] = _single(self.data, first, stop, field)
-
-    def _check_packed(self, field: Field, first: int, stop: int) -> None:
-        size = FIXED_SIZE.get(field.wire)
-        if size is not None:
-            whole = (stop - first) % size == 0
-        else:
+        if packed and field.wire in FIXED_SIZE:
+            fits = (stop - first) % FIXED_SIZE[field.wire] == 0
+        elif packed:
             ends = np.flatnonzero(np.frombuffer(self.data, np.uint8, stop - first, first) < 0x80)
             longest = np.diff(ends, prepend=-1).max(initial=0)
-            whole = stop == first or (bool(len(ends)) and ends[-1] == stop - first - 1 and longest <= MAX_VARINT)
-        if not whole:
+            fits = stop == first or (bool(len(ends)) and ends[-1] == stop - first - 1 and longest <= MAX_VARINT)
+        else:
+            fits = True
+            self.items += field.repeated or field.inside is not None
+        if not fits:
             raise MalformedError("an array that ends within a number")
-
-    def _count(self) -> None:
-        """Refuse messages that would take minutes to read."""
-        self.items += 1
         if self.items > MAX_ITEMS:
             raise MalformedError(f"more than {MAX_ITEMS} strings and structures of their own length")
+
+    def _time(self, first: int, stop: int) -> dict[str, float]:
+        """Return seconds and nanoseconds."""
+        parts: dict[str, float] = dict.fromkeys(TIME_PARTS.values(), 0)
+        for number, wire, at, end in walk(self.data, first, stop):
+            if number in TIME_PARTS and wire == VARINT:
+                parts[TIME_PARTS[number]] = _number(varint(self.data, at, end)[0], "i8")
+        return parts
+
+    def _value(self, field: Field, packed: bool, inner: Wanted | None, first: int, stop: int, depth: int) -> Value:
+        """Return a number, the list of a packed array, a text, bytes, or the wanted parts of a message."""
+        if field.inside is not None and field.inside.is_time:
+            return self._time(first, stop)
+        if field.inside is not None:
+            return self.parts(field.inside, inner or NOTHING, first, stop, depth + 1)
+        if inner is None:
+            return None
+        if not field.dtype:
+            value = self.data[first:stop]
+            return value.decode("utf-8", "replace") if field.text else value
+        if field.wire in FIXED_SIZE:
+            numbers = np.frombuffer(self.data[first:stop], field.dtype).tolist()
+            return numbers if packed else numbers[0]
+        found = []
+        while first < stop:
+            bits, first = varint(self.data, first, stop)
+            found.append(_number(bits, field.dtype))
+        return found if packed else found[0]
 
 
 def _defaults(kind: Message, wanted: Wanted) -> dict[str, Value]:
     """Return the default values of the wanted fields."""
-    if not wanted:
-        return {}
     found: dict[str, Value] = {}
-    for field in kind.fields.values():
+    for field in kind.fields.values() if wanted else ():
         if field.name not in wanted:
             continue
         if field.repeated:
@@ -387,37 +356,12 @@ def _defaults(kind: Message, wanted: Wanted) -> dict[str, Value]:
     return found
 
 
-def _single(data: bytes, first: int, stop: int, field: Field) -> Value:
-    if not field.dtype:
-        value = data[first:stop]
-        return value.decode("utf-8", "replace") if field.text else value
-    if field.wire in FIXED_SIZE:
-        return np.frombuffer(data, field.dtype, 1, first)[0].item()
-    return _number(varint(data, first, stop)[0], field.dtype)
-
-
-def _packed(data: bytes, field: Field) -> list[Any]:
-    if field.wire in FIXED_SIZE:
-        return list(np.frombuffer(data, field.dtype).tolist())
-    found, at = [], 0
-    while at < len(data):
-        value, at = varint(data, at, len(data))
-        found.append(_number(value, field.dtype))
-    return found
-
-
 def _number(value: int, dtype: str) -> float:
-    """Return the number of a 64-bit varint."""
-    if dtype[0] == "z":
-        value &= 0xFFFFFFFF if dtype == "z4" else 0xFFFFFFFFFFFFFFFF
-        return (value >> 1) ^ -(value & 1)
+    """Return the number of a 64-bit varint; of 32 bits the lower half counts."""
     if dtype == "?":
         return bool(value)
-    if dtype[1] == "4":  # of 32 bits the lower half counts
-        value &= 0xFFFFFFFF
-        return value - (1 << 32) if dtype[0] == "i" and value >= 1 << 31 else value
-    return _signed(value) if dtype[0] == "i" else value
-
-
-def _signed(value: int) -> int:
-    return value - (1 << 64) if value >= 1 << 63 else value
+    bits = 32 if dtype[1] == "4" else 64
+    value &= (1 << bits) - 1
+    if dtype[0] == "z":
+        return (value >> 1) ^ -(value & 1)
+    return value - (1 << bits) if dtype[0] == "i" and value >> (bits - 1) else value

@@ -120,7 +120,7 @@ def test_a_message_that_does_not_unpack_or_is_too_long_comes_out_empty(monkeypat
 def test_of_a_cut_off_file_what_is_missing_is_counted(tmp_path: Path) -> None:
     file, losses = tmp_path / "a.mcap.zstd", Losses()
     file.write_bytes(zstandard.compress(NOISE)[:200_000])
-    found = unpack_file(FileBytes(file, losses), losses)
+    unpack_file(found := FileBytes(file, losses), losses)
     beginning = found.where.read_bytes()
     assert NOISE.startswith(beginning)
     assert beginning
@@ -128,7 +128,7 @@ def test_of_a_cut_off_file_what_is_missing_is_counted(tmp_path: Path) -> None:
 
 
 def plain(file: Path, losses: Losses) -> bytes:
-    unpacked_file = unpack_file(FileBytes(file, losses), losses)  # its bytes go with it
+    unpack_file(unpacked_file := FileBytes(file, losses), losses)  # its bytes go with it
     return unpacked_file.where.read_bytes()
 
 

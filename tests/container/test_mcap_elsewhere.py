@@ -4,59 +4,43 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from bags import Said, drive, write
 from mcap.writer import CompressionType
+from range_server import Shelf, serving
 
-from locfuse.formats.container import mcap_ranged as ranged
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
-from locfuse.formats.container.mcap_ranged import promised
 from locfuse.formats.container.mcap_source import McapSource
 from locfuse.formats.container.mcap_survey import (
     ChunkRef,
     LooseRun,
     Part,
+    promised,
     put_in_order,
     read_summary,
     summary_section,
 )
+from locfuse.formats.container.remote_objects import RemoteBytes
+from locfuse.formats.container.url import Url
 
 NONE, ZSTD = CompressionType.NONE, CompressionType.ZSTD
 SCHEMA, CHANNEL, CHUNK_INDEX, ATTACHMENT_INDEX, STATISTICS = 3, 4, 8, 10, 11  # https://mcap.dev/spec
 Record = tuple[int, bytearray]
 
 
-class Far(FileBytes):
-    """A file whose every read is counted like a request over the network."""
-
-    def __init__(self, path: Path, losses: Losses) -> None:
-        super().__init__(path, losses)
-        self.far = True
-        self.fetched: list[tuple[int, int]] = []
-        self.asked = 0
-        self.wanted: list[tuple[int, int]] = []
-
-    def read(self, at: int, n: int) -> bytes:
-        if self.far:
-            self.asked += n
-        return self._pread(n, at)
-
-    def fetch(self, spans: Iterable[tuple[int, int]]) -> None:
-        self.fetched += (group := list(spans))
-        self.wanted = group or self.wanted
-
-    def copy_here(self) -> None:
-        self.far = False
+@pytest.fixture
+def shelf() -> Iterator[Shelf]:
+    with serving() as found:
+        yield found
 
 
-def opened(path: Path) -> tuple[McapSource, Far, Losses]:
-    losses = Losses()
-    data = Far(path, losses)
+def opened(shelf: Shelf, path: Path) -> tuple[McapSource, RemoteBytes, Losses]:
+    data = RemoteBytes(Url(shelf.put(path.name, path.read_bytes())), losses := Losses())
     return McapSource(data, losses), data, losses
 
 
@@ -84,52 +68,32 @@ def stored(path: Path, said: list[Said], **options: Any) -> Path:
     return write(path, said, chunk_size=4000, **options)
 
 
+def by_topic(n: int) -> list[Said]:
+    """A drive's messages topic after topic, so that few chunks hold two of them."""
+    return sorted(drive(n), key=lambda said: said.topic)
+
+
 @pytest.mark.parametrize("compression", [NONE, ZSTD])
 @pytest.mark.parametrize("topics", [("/heading",), ("/heading", "/scan"), ("/joint_states", "/heading", "/scan")])
 def test_the_messages_are_those_that_were_written(
-    tmp_path: Path, compression: CompressionType, topics: tuple[str, ...]
+    tmp_path: Path, shelf: Shelf, compression: CompressionType, topics: tuple[str, ...]
 ) -> None:
-    said = drive(100)
-    source, data, losses = opened(stored(tmp_path / "x.mcap", said, compression=compression))
-    assert data.asked < data.size / 2  # opened by its summary
+    said = by_topic(4000)
+    source, data, losses = opened(shelf, stored(tmp_path / "x.mcap", said, compression=compression))
+    assert data.fetched < data.size / 4  # opened by its summary
     assert payloads(source, *topics) == said_of(said, *topics)
-    assert data.far == (compression == NONE and "/joint_states" not in topics)  # else they are most of the file
+    assert data.far == (topics == ("/heading",))  # else they are most of the file
+    assert (data.fetched < data.size / 2) == data.far
+    payloads(source, *topics)
+    assert shelf.sent == data.fetched  # a second walk finds all of it at hand
     assert not losses
-    assert [c.n for c in source.channels.values()] == [100, 50, 25]
+    assert [c.n for c in source.channels.values()] == [2000, 4000, 1000]
 
 
-def test_of_a_stored_chunk_only_indexes_and_wanted_messages_are_fetched(tmp_path: Path) -> None:
-    said = drive(100)
-    source, data, _ = opened(stored(tmp_path / "x.mcap", said, compression=NONE))
-    before = data.asked
-    found = payloads(source, "/heading")
-    ranges = sum(31 + len(payload) for *_, payload in found)
-    indexes = sum(9 + 6 + 16 * n for n in (100, 50, 25))
-    assert ranges <= data.asked - before <= ranges + 3 * indexes
-    assert sum(stop - start for start, stop in data.fetched) <= ranges + 3 * indexes
-
-
-def test_chunks_are_fetched_in_groups_of_a_bounded_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ranged, "GROUP_BYTES", 500)
-    said = drive(200)
-    path = stored(tmp_path / "x.mcap", said, compression=NONE)
-    groups: list[int] = []
-
-    class Grouped(Far):
-        def fetch(self, spans: Iterable[tuple[int, int]]) -> None:
-            groups.append(sum(b - a for a, b in spans))
-
-    source = McapSource(Grouped(path, losses := Losses()), losses)
-    assert payloads(source, "/heading") == said_of(said, "/heading")
-    each = groups[1:]  # the first ones are the message indexes
-    assert len(each) > 3
-    assert all(500 <= n < 1000 for n in each[:-1])
-
-
-def test_where_the_checksums_are_is_asked_of_the_chunks_themselves(tmp_path: Path) -> None:
+def test_where_the_checksums_are_is_asked_of_the_first_chunk(tmp_path: Path, shelf: Shelf) -> None:
     for crcs in (True, False):
         path = stored(tmp_path / f"{crcs}.mcap", drive(60), enable_crcs=crcs)
-        assert opened(path)[0].checked is crcs
+        assert opened(shelf, path)[0].checked is crcs
 
 
 def records(section: bytes) -> list[Record]:
@@ -254,7 +218,7 @@ def test_the_indexes_of_a_chunk_take_the_bytes_behind_it_to_the_last(tmp_path: P
     assert survey.expected == {1: 60, 2: 30, 3: 15}
 
 
-def test_a_stored_chunk_as_large_as_can_be_held_is_read_by_ranges_and_a_larger_one_is_not(
+def test_a_stored_chunk_as_large_as_can_be_held_is_read_by_the_summary_and_a_larger_one_is_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     said = drive(60)
@@ -264,7 +228,7 @@ def test_a_stored_chunk_as_large_as_can_be_held_is_read_by_ranges_and_a_larger_o
         assert summary is not None
         largest = max(chunk.packed for chunk in summary.chunks.values())
         for cap, believed in ((largest, True), (largest - 1, compression == ZSTD)):
-            monkeypatch.setattr("locfuse.formats.container.mcap_ranged.LARGE_CHUNK_BYTES", cap)
+            monkeypatch.setattr("locfuse.formats.container.mcap_survey.LARGE_CHUNK_BYTES", cap)
             assert (promised(FileBytes(path, Losses())) is not None) == believed
 
 
@@ -277,77 +241,38 @@ def damaged(path: Path, at: int, value: bytes) -> None:
 def first_chunk(path: Path) -> ChunkRef:
     survey = promised(FileBytes(path, Losses()))
     assert survey is not None
-    chunk = survey.parts[0]
-    assert isinstance(chunk, ChunkRef)
-    return chunk
+    return min((part for part in survey.parts if isinstance(part, ChunkRef)), key=lambda chunk: chunk.offset)
 
 
-@pytest.mark.parametrize("field", ["opcode", "first", "last", "plain"])
-def test_a_chunk_whose_own_front_says_otherwise_is_lost_where_all_of_it_is_wanted(
-    tmp_path: Path, field: str, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("field", ["opcode", "first", "last", "plain", "content"])
+def test_a_chunk_that_is_not_what_the_summary_or_its_checksum_says_is_lost_and_the_others_are_read(
+    tmp_path: Path, shelf: Shelf, field: str
 ) -> None:
-    monkeypatch.setattr("locfuse.formats.container.mcap_source.MAX_SHARE", 2.0)
-    said = drive(60)
+    said = by_topic(400)
     path = stored(tmp_path / "x.mcap", said, compression=NONE)
-    chunk = first_chunk(path)
-    at = chunk.offset + {"opcode": 0, "first": 9, "last": 17, "plain": 25}[field]
+    chunk = first_chunk(path)  # of /heading
+    at = chunk.offset + {"opcode": 0, "first": 9, "last": 17, "plain": 25, "content": 100}[field]
     damaged(path, at, bytes([path.read_bytes()[at] ^ 1]))
-    source, data, losses = opened(path)
-    topics = "/joint_states", "/heading", "/scan"
-    found = payloads(source, *topics)
-    assert data.far
-    assert chunk.counts is not None
-    assert set(found) < set(said_of(said, *topics))
-    assert len(found) == len(said) - sum(chunk.counts.values())
-    assert [one[:2] for one in lost(losses)] == [
-        ("a chunk is not what the summary says", sum(chunk.counts.values()))
-    ]
-    assert not source.checked
-
-
-def lost(losses: Losses) -> list[tuple[str, int | None, int]]:
-    """(reason, messages, bytes) of what is lost."""
-    return [(reason, found["messages"], found["bytes"]) for reason, found in losses.by_reason().items()]
-
-
-@pytest.mark.parametrize("what", ["channel", "size", "offset", "late offset"])
-def test_an_index_that_contradicts_itself_loses_the_wanted_messages_of_its_chunk(
-    tmp_path: Path, what: str
-) -> None:
-    said = drive(100)
-    path = stored(tmp_path / "x.mcap", said, compression=NONE)
-    chunk = first_chunk(path)
-    ident = 2  # /heading
-    at, length = chunk.index[ident]
-    place, value = {
-        "channel": (at, struct.pack("<H", 1)),
-        "size": (at + 2, struct.pack("<I", length - 6 - 1)),
-        "offset": (at + 6 + 8, struct.pack("<Q", 2**63)),  # the first message begins beyond all numbers
-        "late offset": (at + 6 + 8, struct.pack("<Q", chunk.header.uncompressed_size - 30)),  # too short for one
-    }[what]
-    damaged(path, place, value)
-    source, data, losses = opened(path)
+    source, data, losses = opened(shelf, path)
     found = payloads(source, "/heading")
     assert data.far
     assert chunk.counts is not None
-    assert len(found) == 50 - chunk.counts[ident]
+    lost = sum(chunk.counts.values())
     assert set(found) < set(said_of(said, "/heading"))
-    assert [messages for _, messages, _ in lost(losses)] == [chunk.counts[ident]]
+    assert len(found) == 200 - lost
+    reason = "a chunk fails its checksum" if field == "content" else "a chunk is not what the summary says"
+    assert [(reason, rows["messages"]) for reason, rows in losses.by_reason().items()] == [(reason, lost)]
 
 
-def test_a_message_that_fills_its_place_to_the_last_byte_is_good_and_one_byte_more_is_not(tmp_path: Path) -> None:
-    said = drive(100)
+def test_a_damaged_index_loses_no_message(tmp_path: Path, shelf: Shelf) -> None:
+    said = by_topic(400)
     path = stored(tmp_path / "x.mcap", said, compression=NONE)
-    chunk = first_chunk(path)
-    content = path.read_bytes()
-    at = content.index([m.data for m in said if m.topic == "/heading"][3]) - 31  # a message follows it
-    (length,) = struct.unpack_from("<Q", content, at + 1)
-    for more, kept in ((1, 49), (-1, 50)):
-        damaged(path, at + 1, struct.pack("<Q", length + more))
-        source, _, losses = opened(path)
-        assert len(payloads(source, "/heading")) == kept
-        assert lost(losses) == ([("messages are not where the index says", 1, 31 + 12)] if kept == 49 else [])
-    assert chunk.counts is not None
+    ((at, _),) = first_chunk(path).index.values()
+    damaged(path, at + 6 + 8, struct.pack("<Q", 2**63))  # the first message begins beyond all numbers
+    source, data, losses = opened(shelf, path)
+    assert payloads(source, "/heading") == said_of(said, "/heading")
+    assert data.far
+    assert not losses
 
 
 def span(first: int, last: int) -> Part:

@@ -1,10 +1,10 @@
-"""How accurate and how honest is the filter? Many simulated drives, every configuration, every map mode.
+"""How accurate and how consistent is the filter? Many simulated drives, every configuration, every map mode.
 
     python -m benchmarks.accuracy --drives 50
     python -m benchmarks.accuracy --drives 50 --modes refine,grow --smooth
 
 The drives are the paper's robot in lock-step (paper, section IV): every sensor and the truth once per 0.1 s,
-compass and camera as exact as maths allows. `--set` changes the scenario, `--robot-set` what the filter is told.
+compass and camera as exact as maths allows. `--set` changes the scenario, `--robot-set` the filter's settings.
 """
 
 from __future__ import annotations
@@ -17,32 +17,21 @@ import numpy as np
 
 from benchmarks import experiment
 from benchmarks.experiment import Row
-from locfuse.fusion.data import Drive, Evaluation
+from locfuse.fusion.data import Evaluation
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 
 MODES = "first-scan,consider,refine,grow"
-WITHOUT_CAMERA = ("camera.enabled=false",)
 SMOOTHED = ("refine", "grow")  # smoothing assumes optimal weights
 # Every sensor at each step of 0.1 s and truth just after: the set-up of the paper. The compass is the sketch's,
-# white and calibrated; its rate and the camera's are those of the laser. The filter is told the noise as it is: of
-# the camera what `locfuse tune` finds.
+# white and calibrated; its rate and the camera's are those of the laser. Noise is configured as it is: that of the
+# camera as `locfuse tune` finds it.
 LOCK_STEP = (
-    "compass.rate=10",
-    "compass.phase=0.05",
-    "compass.noise_deg=0.1",
-    "compass.sigma_deg=0.1",
-    "compass.hard_iron=[0, 0]",
-    "compass.soft_iron=[1, 1, 0]",
-    "lrf.phase=0.05",
-    "lrf.duration=1e-6",
-    "camera.rate=10",
-    "camera.phase=0.05",
-    "camera.sigma_deg=0.15",
-    "truth.rate=10",
-    "truth.phase=0.050001",
+    *("compass.rate=10", "compass.phase=0.05", "compass.noise_deg=0.1", "compass.sigma_deg=0.1"),
+    *("compass.hard_iron=[0, 0]", "compass.soft_iron=[1, 1, 0]", "lrf.phase=0.05", "lrf.duration=1e-6"),
+    *("camera.rate=10", "camera.phase=0.05", "camera.sigma_deg=0.15", "truth.rate=10", "truth.phase=0.050001"),
 )
 
 
@@ -57,17 +46,16 @@ def work(
     smooth: bool = False,
 ) -> Row:
     """Simulate one drive and judge it: "<mode> <configuration>" -> figures."""
-    base = () if as_shipped else LOCK_STEP
-    run = experiment.simulated(scenario, (*base, *(WITHOUT_CAMERA if no_camera else ()), *sets), seed)
+    more = ("camera.enabled=false",) if no_camera else ()
+    run = experiment.simulated(scenario, (*(() if as_shipped else LOCK_STEP), *more, *sets), seed)
     sensors = ("compass", "lrf", "camera")[: 2 if no_camera else 3]
+    robots = {mode: run.robot((f"lrf.map={mode}", *robot_sets)) for mode in modes.split(",")}
+    measured = measure(run.streams, next(iter(robots.values())))
     found: dict[str, dict[str, Any]] = {}
-    measured: Drive | None = None
-    for mode in modes.split(","):
-        robot = run.robot((f"lrf.map={mode}", *robot_sets))
-        measured = measured or measure(run.streams, robot)
+    for mode, robot in robots.items():
         for used in ((), *((s,) for s in sensors), sensors):
             if set(used) <= set(measured.measurements):
-                both = smooth and bool(used) and mode in SMOOTHED
+                both = smooth and used and mode in SMOOTHED
                 for run_of in fuse_and_smooth(measured, robot, used) if both else (fuse(measured, robot, used),):
                     judged = evaluate(run_of, measured)
                     found[f"{mode} {judged.name}"] = figures(judged)
@@ -86,12 +74,12 @@ def figures(judged: Evaluation) -> dict[str, Any]:
 
 def over_drives(results: Sequence[dict[str, dict[str, Any]]]) -> dict[str, dict[str, float]]:
     """Return for every mode and configuration the mean, median and spread over drives."""
-    table = {}
+    found = {}
     for name in results[0]:
         rows = [r[name] for r in results if name in r]
         mm = 1000 * np.array([r["position_rmse_m"] for r in rows])
         x, y, theta = np.mean([r["nees"] for r in rows], axis=0).tolist()
-        table[name] = {
+        found[name] = {
             "position_rmse_mm": float(np.sqrt((mm**2).mean())),
             "mean_mm": float(mm.mean()),
             "median_mm": float(np.median(mm)),
@@ -102,34 +90,32 @@ def over_drives(results: Sequence[dict[str, dict[str, Any]]]) -> dict[str, dict[
             "nees_y": y,
             "nees_theta": theta,
         }
-    return table
-
-
-HEAD = "map, configuration,rmse of all,mean of drives,median,worst,heading,ANEES,x,y,theta"
-FORMS = ("{:.2f} mm", "{:.2f}", "{:.2f}", "{:.2f}", "{:.4f}°", *["{:.2f}"] * 4)
-
-
-def markdown(table: dict[str, dict[str, float]]) -> str:
-    """Return the table for people."""
-    first, *head = HEAD.rsplit(",", 9)
-    lines = [
-        (name, *(form.format(v) for form, v in zip(FORMS, row.values(), strict=True)))
-        for name, row in table.items()
-    ]
-    return "\n".join(experiment.table((first, *head), lines, "123456789"))
+    return found
 
 
 def table(rows: list[Row]) -> Iterator[str]:
     """Yield the table of all drives."""
-    yield markdown(over_drives([row["found"] for row in rows]))
+    head = (
+        "map, configuration",
+        "rmse of all",
+        "mean of drives",
+        "median",
+        "worst",
+        "heading",
+        "ANEES",
+        *"xy",
+        "theta",
+    )
+    forms = ("{:.2f} mm", "{:.2f}", "{:.2f}", "{:.2f}", "{:.4f}°", *["{:.2f}"] * 4)
+    found = over_drives([row["found"] for row in rows]).items()
+    lines = [(name, *(form.format(v) for form, v in zip(forms, row.values(), strict=True))) for name, row in found]
+    yield from experiment.table(head, lines, "123456789")
 
 
 OPTIONS = (
     experiment.option("--scenario", default="rounded_rectangle"),
     experiment.option("--set", "sets", multiple=True, help="Scenario key, after lock-step."),
-    experiment.option(
-        "--robot-set", "robot_sets", multiple=True, help="robot.toml key: how the filter is configured."
-    ),
+    experiment.option("--robot-set", "robot_sets", multiple=True, help="robot.toml key."),
     experiment.option("--modes", default=MODES),
     experiment.option("--as-shipped", is_flag=True, help="Sensors asynchronous, as in the shipped scenario."),
     experiment.option("--no-camera", is_flag=True, help="Leave out the camera: rendering takes most of the time."),

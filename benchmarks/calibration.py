@@ -23,37 +23,32 @@ def work(seed: int, sets: tuple[str, ...]) -> Row:
     """Run both experiments of one seed, wheels and truth only, and calibrate on both."""
     runs = [experiment.simulated(name, (*LIGHT, *sets), seed) for name in ("straight_runs", "turns_on_the_spot")]
     found = calibrate_wheels([run.measured()[0] for run in runs])
-    k = found.k
     return {
         "true": load("straight_runs", sets).wheels.noise,
-        "k": [k.value, k.low, k.high],
+        "k": [found.k.value, found.k.low, found.k.high],
         "delta": found.delta.value,
         "prefers_k": found.prefers_k > 0,
-        "parameters": found.parameters.tolist(),
-        "sigmas": found.sigmas.tolist(),
+        "geometry": [found.parameters.tolist(), found.sigmas.tolist()],
     }
 
 
 def table(rows: list[Row]) -> Iterator[str]:
     """Yield a line for each seed, and how often the noise that the simulator draws from lies in the interval."""
-    lines = []
-    inside = [low <= row["true"] <= high for row in rows for _, low, high in [row["k"]]]
+    lines, true = [], rows[0]["true"]
+    inside = [row["k"][1] <= true <= row["k"][2] for row in rows]
     for row, holds in zip(rows, inside, strict=True):
         value, low, high = row["k"]
-        geometry = (
-            f"{100 * p:+.2f} ± {100 * s:.2f} %" for p, s in zip(row["parameters"], row["sigmas"], strict=True)
-        )
-        words = "yes" if holds else "**no**"
-        delta = f"{row['delta']:.4f}"
-        lines.append((row["task"][0], f"{value:.3g}", f"{low:.3g} .. {high:.3g}", words, delta, *geometry))
+        geometry = (f"{100 * p:+.2f} ± {100 * s:.2f} %" for p, s in zip(*row["geometry"], strict=True))
+        words = (f"{value:.3g}", f"{low:.3g} .. {high:.3g}", "yes" if holds else "**no**", f"{row['delta']:.4f}")
+        lines.append((row["task"][0], *words, *geometry))
     head = ("seed", "k [m]", "95 % interval", "holds it", "delta", "radius", "ratio", "track")
     yield from experiment.table(head, lines, "014567")
-    z = np.array([row["parameters"] for row in rows]) / np.array([row["sigmas"] for row in rows])
+    parameters, sigmas = np.array([row["geometry"] for row in rows]).swapaxes(0, 1)
     mean = float(np.mean([row["k"][0] for row in rows]))
-    true = rows[0]["true"]
+    off = np.round(np.sqrt(((parameters / sigmas) ** 2).mean(axis=0)), 2).tolist()
     yield f"\nk = {true:g} m lies in {sum(inside)} of {len(rows)} intervals; their mean is {mean:.3g} m."
     yield f"Noise per metre is likelier than delta in {sum(row['prefers_k'] for row in rows)} of {len(rows)}."
-    yield f"Radius, ratio, track: error over its sigma {np.round(np.sqrt((z**2).mean(axis=0)), 2).tolist()} rms."
+    yield f"Radius, ratio, track: error over its sigma {off} rms."
 
 
 SETS = experiment.option("--set", "sets", multiple=True, help="Scenario key, e.g. --set wheels.noise=2e-4.")

@@ -16,11 +16,11 @@ from __future__ import annotations
 
 import itertools
 import json
-import re
+import multiprocessing
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from functools import lru_cache, partial
+from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -37,9 +37,9 @@ from locfuse.sample_logs.record import in_memory
 from locfuse.sample_logs.simulate import Outcome
 
 FIRST_SEED = 1000  # the shipped logs use small seeds: nothing here has been looked at before
-Part = str | int | bool
-Task = tuple[Part, ...]
+Task = tuple[str | int | bool, ...]
 Row = dict[str, Any]
+Work = Callable[..., Mapping[str, Any]]
 FAILED = "failed"
 
 
@@ -64,17 +64,45 @@ class Simulated(NamedTuple):
 def simulated(scenario: str, sets: tuple[str, ...], seed: int) -> Simulated:
     """Return a drive of a scenario under more settings of it; tasks in a row often share their drives."""
     topics, tables, outcome = in_memory(load(scenario, sets), seed)
-    return Simulated(streams_by_role(topics, tables), tables, outcome)
-
-
-def streams_by_role(topics: Mapping[str, ArrayStream], tables: Mapping[str, Any]) -> dict[str, ArrayStream]:
-    """Return the streams that the robot's tables name."""
     roles = ("wheels", "truth", *REGISTRY)
-    return {r: topics[tables[r]["topic"]] for r in roles if r in tables and tables[r].get("topic") in topics}
+    streams = {r: topics[tables[r]["topic"]] for r in roles if r in tables and tables[r].get("topic") in topics}
+    return Simulated(streams, tables, outcome)
+
+
+def in_processes(work: Callable[[Any], Any], units: Iterable[Any], jobs: int) -> Iterator[tuple[Any, Any]]:
+    """Yield each unit with what `work` made of it, in the order in which they end.
+
+    Each runs in a forked process of its own. One that dies takes no other along: its answer is a RuntimeError.
+    """
+    fork, left = multiprocessing.get_context("fork"), iter(units)
+    running: dict[Any, Any] = {}  # the end where its answer comes -> process, unit
+    while True:
+        for unit in itertools.islice(left, jobs - len(running)):
+            end, its_end = fork.Pipe(duplex=False)
+            process = fork.Process(target=_answer, args=(its_end, work, unit))
+            process.start()
+            its_end.close()
+            running[end] = process, unit
+        if not running:
+            return
+        ready: list[Any] = wait(list(running))
+        for ended in ready:
+            process, unit = running.pop(ended)
+            try:
+                found = ended.recv()
+            except EOFError:
+                process.join()
+                found = RuntimeError(f"exit code {process.exitcode}")
+            process.join()
+            yield unit, found
+
+
+def _answer(pipe: Any, work: Callable[[Any], Any], unit: Any) -> None:
+    pipe.send(work(unit))
 
 
 def rows(
-    work: Callable[..., Mapping[str, Any]],
+    work: Work,
     tasks: Iterable[Task],
     out: Path | None = None,
     jobs: int = 1,
@@ -85,7 +113,7 @@ def rows(
     """Return the rows of all tasks, in their order: {"task": [...], ...} and what `work` returned.
 
     Args:
-        work: makes one row; with several jobs it must be a function of a module.
+        work: makes one row.
         tasks: what it is called with.
         out: a file of rows, one JSON object per line; None: nothing is kept.
         jobs: processes; 1 works in this one.
@@ -94,11 +122,11 @@ def rows(
         about: options under which the rows are made; a row of other options is not taken from the file.
     """
     wanted, options = list(tasks), json.loads(json.dumps(about or {}))
-    done = {task: row for task, row in _kept(out) if FAILED not in row and row.get("about", {}) == options}
+    done = {tuple(row["task"]): row for row in _kept(out) if FAILED not in row and row.get("about", {}) == options}
     left = [list(group) for _, group in itertools.groupby((t for t in wanted if t not in done), unit)]
     for made in _made(work, left, jobs):
         row = {**made, "about": options} if options else made
-        done[_key(row["task"])] = row
+        done[tuple(row["task"])] = row
         click.echo(f"{row['task']} FAILED: {row[FAILED]}" if FAILED in row else show(row), err=True)
         if out is not None:
             with out.open("a", encoding="utf-8") as file:
@@ -106,48 +134,27 @@ def rows(
     return [done[task] for task in wanted]
 
 
-def _kept(out: Path | None) -> Iterator[tuple[Task, Row]]:
-    """Yield the rows of a file; a last line that was cut off while it was written is left out."""
+def _kept(out: Path | None) -> list[Row]:
+    """Return the rows of a file, and cut off a last line that was not written to its end."""
     if out is None or not out.exists():
-        return
-    lines = out.read_text(encoding="utf-8").splitlines()
-    for i, line in enumerate(lines):
-        try:
-            row = json.loads(line)
-        except json.JSONDecodeError:
-            if i + 1 < len(lines):
-                raise
-            out.write_text("".join(f"{whole}\n" for whole in lines[:i]), encoding="utf-8")
-            return
-        yield _key(row["task"]), row
+        return []
+    lines = out.read_text(encoding="utf-8").splitlines(keepends=True)
+    if lines and not lines[-1].endswith("\n"):
+        out.write_text("".join(lines[:-1]), encoding="utf-8")
+    return [json.loads(line) for line in lines if line.endswith("\n")]
 
 
-def _key(parts: Sequence[Part]) -> Task:
-    return tuple(parts)
-
-
-def _made(work: Callable[..., Mapping[str, Any]], units: list[list[Task]], jobs: int) -> Iterator[Row]:
+def _made(work: Work, units: list[list[Task]], jobs: int) -> Iterator[Row]:
     """Yield the rows of all units of work, as they come."""
     if jobs == 1:
-        for task in itertools.chain.from_iterable(units):
-            yield _row(work, task)
+        yield from (_row(work, task) for task in itertools.chain.from_iterable(units))
         return
-    with ProcessPoolExecutor(jobs) as pool:
-        waiting = {pool.submit(_rows, work, unit): unit for unit in units}
-        for future in as_completed(waiting):
-            error = future.exception()  # the process died: nobody could make rows of it
-            yield from (
-                future.result()
-                if error is None
-                else ({"task": list(task), FAILED: f"{type(error).__name__}: {error}"} for task in waiting[future])
-            )
+    for unit, found in in_processes(lambda unit: [_row(work, task) for task in unit], units, jobs):
+        died = isinstance(found, RuntimeError)
+        yield from ({"task": list(task), FAILED: f"the process died: {found}"} for task in unit) if died else found
 
 
-def _rows(work: Callable[..., Mapping[str, Any]], unit: Sequence[Task]) -> list[Row]:
-    return [_row(work, task) for task in unit]
-
-
-def _row(work: Callable[..., Mapping[str, Any]], task: Task) -> Row:
+def _row(work: Work, task: Task) -> Row:
     try:
         return {"task": list(task), **work(*task)}
     except Exception as error:  # whatever it is, the other tasks go on
@@ -165,28 +172,23 @@ def failures(found: Iterable[Row]) -> list[str]:
     return [f"failed: {' '.join(map(str, row['task']))}: {row[FAILED]}" for row in found if FAILED in row]
 
 
+def by_case(found: Iterable[Row]) -> dict[str, list[Row]]:
+    """Return the rows of each case, the first part of a task."""
+    cases: dict[str, list[Row]] = {}
+    for row in found:
+        cases.setdefault(row["task"][0], []).append(row)
+    return cases
+
+
 def table(head: Sequence[str], lines: Iterable[Sequence[Any]], right: str = "") -> list[str]:
     """Return a Markdown table; the columns whose index stands in `right`, such as "123", are aligned right."""
     rule = ("--:" if str(i) in right else "---" for i in range(len(head)))
-    return [_line(head), f"|{'|'.join(rule)}|", *map(_line, lines)]
-
-
-def _line(cells: Sequence[Any]) -> str:
-    return f"| {' | '.join(map(str, cells))} |"
-
-
-def put(page: Path, name: str, lines: Sequence[str]) -> None:
-    """Put lines into a page, between <!-- name --> and <!-- end -->."""
-    block = re.compile(rf"<!-- {name} -->\n.*?<!-- end -->", re.DOTALL)
-    text = page.read_text(encoding="utf-8")
-    if not block.search(text):
-        raise click.ClickException(f"{page} has no place for {name}")
-    whole = "\n".join((f"<!-- {name} -->", *lines, "<!-- end -->"))
-    page.write_text(block.sub(lambda _: whole, text), encoding="utf-8")
+    words = [" | ".join(map(str, cells)) for cells in (head, *lines)]
+    return [f"| {words[0]} |", f"|{'|'.join(rule)}|", *(f"| {line} |" for line in words[1:])]
 
 
 def command(
-    work: Callable[..., Mapping[str, Any]],
+    work: Work,
     table: Callable[[list[Row]], Iterable[str]],
     cases: Iterable[str] = (),
     *,
@@ -216,18 +218,14 @@ def command(
             click.echo(line)
 
     of_seeds = [
-        click.Option(("--drives", "--seeds", "drives"), default=drives, show_default=True),
-        click.Option(("--first",), default=first, show_default=True, help="The first seed."),
+        option("--drives", "--seeds", "drives", default=drives),
+        option("--first", default=first, help="The first seed."),
     ]
     usual = [
         *(of_seeds if drives else ()),
-        click.Option(
-            ("--case", "--log", "words"), multiple=True, help="Only cases whose name holds this word. Repeatable."
-        ),
-        click.Option(("--jobs",), default=2, show_default=True),
-        click.Option(
-            ("-o", "out"), type=click.Path(path_type=Path), help="File of rows: goes on where it stopped."
-        ),
+        option("--case", "--log", "words", multiple=True, help="Only cases whose name holds this. Repeatable."),
+        option("--jobs", default=2),
+        option("-o", "out", type=click.Path(path_type=Path), help="File of rows: goes on where it stopped."),
     ]
     return click.Command(None, callback=main, params=[*usual, *options], help="Print a table over drives.")
 

@@ -11,14 +11,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from benchmarks import experiment
 from benchmarks.experiment import Row, Simulated
 from locfuse.fusion.checks.clocks import clock_lags
-from locfuse.fusion.data import Array, Drive, Evaluation
+from locfuse.fusion.data import Drive, Evaluation
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.robot import Robot
@@ -29,8 +29,7 @@ CLOCK = "clock offset of lrf"
 ALL = ("compass", "lrf", "camera")
 
 
-@dataclass(frozen=True)
-class Case:
+class Case(NamedTuple):
     """One fault, the sensor it hits, and how much worse `all` may become than its yardstick."""
 
     fault: str  # inline TOML
@@ -38,23 +37,23 @@ class Case:
     factor: float
 
 
-def _interval(kind: str, more: str) -> str:
-    return f'{{kind="{kind}", start={START}, end={END}, {more}}}'
+def _hits(sensor: str, kind: str, more: str) -> Case:
+    return Case(f'{{kind="{kind}", start={START}, end={END}, {more}}}', sensor, 2.0)
 
 
 CASES = {
-    **{f"dropout of {s}": Case(_interval("dropout", f'sensor="{s}"'), s, 2.0) for s in ALL},
-    "magnet": Case(_interval("magnetic", "x=6.9, y=2.2, strength=8e-6, axis_deg=20.0"), "compass", 2.0),
-    "people": Case(_interval("people", "path=[[7.4, 1.0], [5.5, 2.6], [7.2, 5.0]]"), "lrf", 2.0),
-    "hidden landmark": Case(_interval("hidden_landmark", "colour=[120, 120, 118]"), "camera", 2.0),
-    "wrong red object": Case(_interval("red_object", "x=1.1, y=5.6, radius=0.08"), "camera", 2.0),
+    **{f"dropout of {s}": _hits(s, "dropout", f'sensor="{s}"') for s in ALL},
+    "magnet": _hits("compass", "magnetic", "x=6.9, y=2.2, strength=8e-6, axis_deg=20.0"),
+    "people": _hits("lrf", "people", "path=[[7.4, 1.0], [5.5, 2.6], [7.2, 5.0]]"),
+    "hidden landmark": _hits("camera", "hidden_landmark", "colour=[120, 120, 118]"),
+    "wrong red object": _hits("camera", "red_object", "x=1.1, y=5.6, radius=0.08"),
     "slip": Case(f'{{kind="slip", start={START}, end={START + 1.5}, wheel="left", ratio=0.35}}', "", 3.0),
 }
 
 
-def judged(drive: Drive, robot: Robot, sensors: tuple[str, ...]) -> Evaluation:
-    """Return one configuration's evaluation."""
-    return evaluate(fuse(drive, robot, [s for s in sensors if s in drive.measurements]), drive)
+def judged(drive: Drive, robot: Robot, without: str = "") -> Evaluation:
+    """Return the evaluation of `all`, or of `all` without a sensor."""
+    return evaluate(fuse(drive, robot, [s for s in ALL if s in drive.measurements and s != without]), drive)
 
 
 def rmse(e: Evaluation) -> float:
@@ -64,23 +63,8 @@ def rmse(e: Evaluation) -> float:
 
 def anees_outside(e: Evaluation) -> float:
     """Return the mean NEES per degree of freedom outside the fault and the time to recover from it."""
-    outside = (e.t < START) | (e.t > END + RECOVERY)
-    nees = e.nees[outside]
+    nees = e.nees[(e.t < START) | (e.t > END + RECOVERY)]
     return float(nees[np.isfinite(nees)].mean())
-
-
-def work(name: str, seed: int) -> Row:
-    """Return the error [m] with the fault and that of the yardstick, and the ANEES outside the fault."""
-    if name == CLOCK:
-        return clock(seed)
-    case = CASES[name]
-    drive, robot = driven(case.fault, seed).measured()
-    e = judged(drive, robot, ALL)
-    if case.sensor:
-        yard = judged(drive, robot, tuple(s for s in ALL if s != case.sensor))
-    else:
-        yard = judged(*driven("", seed).measured(), ALL)
-    return {"error": rmse(e), "yard": rmse(yard), "anees": anees_outside(e)}
 
 
 def driven(fault: str, seed: int) -> Simulated:
@@ -88,41 +72,38 @@ def driven(fault: str, seed: int) -> Simulated:
     return experiment.simulated("rounded_rectangle", (f"faults=[{fault}]",) if fault else (), seed)
 
 
-def clock(seed: int) -> Row:
-    """Return what is found of the laser's clock in one drive: how far off [s], also without the compass."""
-    run = driven(f'{{kind="clock_offset", sensor="lrf", seconds={OFFSET}}}', seed)
-    drive, _ = run.measured()
-    lag = clock_lags(drive.measurements, drive.wheels)["lrf"]
-    alone = clock_lags({"lrf": drive.measurements["lrf"]}, drive.wheels)["lrf"]
-    fixed = judged(*run.measured((f"lrf.time_offset={lag.offset}",)), ALL)
-    clean = judged(*driven("", seed).measured(), ALL)
-    return {"off": lag.offset + OFFSET, "alone": alone.offset + OFFSET, "ratio": rmse(fixed) / rmse(clean)}
-
-
-def in_ms(errors: Array) -> str:
-    """Return what errors (n,) [s] amount to."""
-    ms = 1000 * errors
-    inside = int((np.abs(ms) <= 20).sum())
-    rms = math.sqrt(float((ms**2).mean()))
-    return (
-        f"{rms:.1f} ms rms, mean {ms.mean():+.1f}, worst {np.abs(ms).max():.0f}, {inside} of {len(ms)} within 20"
-    )
+def work(name: str, seed: int) -> Row:
+    """Return the error [m] with the fault and that of the yardstick, and the ANEES outside; or a clock's cost."""
+    if name == CLOCK:
+        run = driven(f'{{kind="clock_offset", sensor="lrf", seconds={OFFSET}}}', seed)
+        drive, _ = run.measured()
+        lag = clock_lags(drive.measurements, drive.wheels)["lrf"].offset
+        alone = clock_lags({"lrf": drive.measurements["lrf"]}, drive.wheels)["lrf"].offset
+        fixed, clean = judged(*run.measured((f"lrf.time_offset={lag}",))), judged(*driven("", seed).measured())
+        return {"off": lag + OFFSET, "alone": alone + OFFSET, "ratio": rmse(fixed) / rmse(clean)}
+    case = CASES[name]
+    drive, robot = driven(case.fault, seed).measured()
+    e = judged(drive, robot)
+    yard = judged(drive, robot, case.sensor) if case.sensor else judged(*driven("", seed).measured())
+    return {"error": rmse(e), "yard": rmse(yard), "anees": anees_outside(e)}
 
 
 def table(rows: list[Row]) -> Iterator[str]:
     """Yield what each fault costs."""
     lines: list[tuple[str, ...]] = []
     after = []
-    for name in dict.fromkeys(row["task"][0] for row in rows):
-        mine = [row for row in rows if row["task"][0] == name]
+    for name, mine in experiment.by_case(rows).items():
+        of = {key: np.array([row[key] for row in mine]) for key in mine[0] if key != "task"}
         if name == CLOCK:
-            ratios = np.array([row["ratio"] for row in mine])
-            words = f"{ratios.mean():.2f}, at most {ratios.max():.2f}"
+            words = f"{of['ratio'].mean():.2f}, at most {of['ratio'].max():.2f}"
             lines.append((f"{CLOCK}, once set as reported", "", words, "2", ""))
-            after.append(f"\nreported: {in_ms(np.array([row['off'] for row in mine]))}")
-            after.append(f"without the compass: {in_ms(np.array([row['alone'] for row in mine]))}")
+            for which, key in (("\nreported", "off"), ("without the compass", "alone")):
+                ms = 1000 * of[key]
+                spread = f"{math.sqrt((ms**2).mean()):.1f} ms rms, mean {ms.mean():+.1f}"
+                near = f"{(np.abs(ms) <= 20).sum()} of {len(ms)} within 20"
+                after.append(f"{which}: {spread}, worst {np.abs(ms).max():.0f}, {near}")
             continue
-        error, yard, anees = (float(np.mean([row[key] for row in mine])) for key in ("error", "yard", "anees"))
+        error, yard, anees = (of[key].mean() for key in ("error", "yard", "anees"))
         lines.append(
             (name, f"{1000 * error:.1f} mm", f"{error / yard:.2f}", f"{CASES[name].factor:g}", f"{anees:.2f}")
         )

@@ -1,174 +1,225 @@
-"""Damage logs and robots at random and see that nothing breaks: python -m benchmarks.fuzz --cases 10000.
+"""Damaged and lying input held to the promise: python -m benchmarks.fuzz --cases 10000.
 
-Each case is a seed (benchmarks/fuzz_cases.py), run by a forked process under limits of memory and CPU time, which
-a busy machine does not stretch. A case that fails is saved: its log, its robot.toml, what went wrong; `--only
-SEED` runs one again. Exit 1 if any failed.
+    python -m benchmarks.fuzz --parsers 240              every parser by itself, seconds of CPU each
+    python -m benchmarks.fuzz --cases 10000              random damage to whole logs, through the command line
+    python -m benchmarks.fuzz --cases 10000 --directed   logs, maps and tables that are wrong on purpose (DEEDS)
+
+A parser refuses in its own words and in one line, within SLOW seconds. A command never ends in a traceback, in two
+lines, or without a result; every number of a result is finite and every covariance positive; damage that checksums
+show is counted or changes nothing; no control character of a log acts on a terminal or in a file; every input
+stays as it was. Each case is a seed and runs in a process of its own, under limits of memory and CPU time. What
+fails is saved in --keep; `--only SEED` runs it again. Exit 1 if anything failed.
 """
 
 from __future__ import annotations
 
 import contextlib
+import io
+import json
 import math
-import os
 import resource
 import signal
 import tempfile
 import time
+import traceback
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
+from functools import cache, partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import click
+import numpy as np
 
-from benchmarks.fuzz_cases import Workshop
-from benchmarks.fuzz_directed import DirectedShop
+from benchmarks.experiment import in_processes
+from benchmarks.fuzz_cases import Case, bases, contents, damaged_case, directed_case, short_drive
+from benchmarks.fuzz_parsers import PARSERS, fuzz_parser, scratch
 from locfuse.cli.analysis.errors import silence_overflows
+from locfuse.cli.main import main as command_line
+from locfuse.formats.visible import UNSEEN
+from locfuse.formats.whole_files import TEMPORARY
 
 MAX_WALL_RATIO = 20  # wall time of a case over its limit of CPU time: one that waits uses no CPU
-SLOW_SHARE = 1 / 3  # of the CPU time a case may take: what takes longer is named
+MIN_VARIANCE = 1e-18  # that of a nanometre: below, it is what rounding leaves of an exact start
 GIB = 1 << 30
 
 
-class Limits(NamedTuple):
-    """What a case may take."""
-
-    memory: int  # bytes of address space on top
-    seconds: float  # of CPU
-
-
-class Answer(NamedTuple):
-    """The outcome of a case."""
-
-    seed: int
-    title: str
-    seconds: float  # of CPU
-    wrong: str  # "" for nothing
+def locfuse(*words: str) -> tuple[int, str, str]:
+    """Run the command line in this process; return exit code, stdout and stderr."""
+    out, err, code = io.StringIO(), io.StringIO(), 0
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            command_line(list(words))
+        except SystemExit as e:
+            code = int(e.code or 0)
+        except Exception:
+            traceback.print_exc()
+            code = -1
+    return code, out.getvalue(), err.getvalue()
 
 
-def started(shop: Workshop, seed: int, folder: Path, limits: Limits) -> int:
-    """Fork a process that judges one case and writes title and verdict beside its folder; return its number."""
-    if process := os.fork():
-        return process
-    os.setpgrp()  # what it starts ends with it
-    pages = int(Path("/proc/self/statm").read_text().split()[0])
-    memory, cpu = pages * resource.getpagesize() + limits.memory, math.ceil(limits.seconds)
+@cache
+def trajectory(name: str) -> bytes:
+    """Return what the product makes of a healthy log; b"" where it makes nothing."""
+    base = next(base for base in bases() if base.name == name)
+    folder = scratch() / f"healthy {name}"
+    locfuse(*Case("", base.data, base.suffix, words=base.words).write(folder))
+    csv = folder / "out" / "trajectory.csv"
+    return csv.read_bytes() if csv.exists() else b""
+
+
+def problems(case: Case, folder: Path) -> Iterator[str]:
+    """Yield what is wrong with what a command makes of a case."""
+    line = case.write(folder)
+    before = {path: path.read_bytes() for path in folder.iterdir()}
+    code, out, err = locfuse(*line)
+    yield from of_messages(code, out, err, "--check" in line)
+    texts = {"stdout": out, "stderr": err}
+    for path in folder.rglob("*"):
+        if path.suffix in {".md", ".html", ".json", ".toml", ".csv", ".tex", ".svg", ".tum", ".txt"} - {*before}:
+            texts[path.name] = path.read_text("utf-8", "surrogateescape")
+    for name, text in texts.items():
+        if name not in case.beside and (found := UNSEEN.search(text.replace("\n", ""))):
+            yield f"{found[0]!r} acts in {name}"
+        if name.endswith((".html", ".svg")) and "<script>&" in text:
+            yield f"text of the log is no text in {name}"
+    yield from (
+        f"the input {p.name} was changed" for p, c in before.items() if not p.exists() or p.read_bytes() != c
+    )
+    yield from (
+        f"left behind: {p.name}" for p in folder.rglob("*") if p.name.endswith((TEMPORARY, "-shm", "-journal"))
+    )
+    if line[0] == "run" and code in {0, 3}:
+        yield from of_results(folder / "out", lost=code == 3 and "--strict" not in line)
+        if (
+            code == 0
+            and case.healthy
+            and (folder / "out" / "trajectory.csv").read_bytes() != trajectory(case.healthy)
+        ):
+            yield "damage that checksums show changed the trajectory, without a word"
+    if line[0] == "recover" and code in {0, 3}:
+        contents((folder / "fixed.mcap").read_bytes())  # by the public reader
+    if again := {0: "info", 1: "init"}.get(len(case.log) % 8):
+        yield from of_messages(*locfuse(again, line[1]))
+
+
+def of_messages(code: int, out: str, err: str, is_list: bool = False) -> Iterator[str]:
+    """Yield what is wrong with an exit code and messages: a refusal is one line, a loss has numbers."""
+    if "Traceback" in err or "Warning:" in err or "out of memory" in err or code not in {0, 1, 2, 3}:
+        yield f"exit {code}: {err[-3000:]}"
+    if not is_list and code in {1, 2} and (err.count("\n") != 1 or not err.startswith("locfuse: ")):
+        yield f"exit {code} is not one line: {err[-500:]}"
+    lines = (
+        [f["message"] for f in json.loads(out).get("findings") or []] if out.startswith("{") else out.splitlines()
+    )
+    losses = [
+        word
+        for word in (*err.splitlines(), *lines)
+        if any(w in word for w in ("lost", "void", "file:", "not used"))
+    ]
+    if not is_list and code == 3 and not any(c.isdigit() for c in "".join(losses)):
+        yield f"exit 3 without numbers: {err[-500:]}"
+
+
+def of_results(out: Path, lost: bool) -> Iterator[str]:
+    """Yield what is wrong with results: finite everywhere, P positive, a loss counted where there must be one."""
+    if not (out / "run.json").exists():
+        yield "an exit code of success without a result"
+        return
+    odd: list[str] = []
+    report = json.loads((out / "run.json").read_text(), parse_constant=odd.append)
+    yield from (f"{word} in a report" for word in odd)
+    void = any("void" in one for one in report["configurations"].values())
+    if lost and not (report["input"]["losses"] or report["input"]["dropped"] or void):
+        yield "exit 3, but nothing is counted as lost"
+    for path in out.glob("*.tum"):
+        if not np.isfinite(np.loadtxt(path, ndmin=2)).all():
+            yield f"{path.name} is not finite"
+    if (out / "trajectory.csv").exists():
+        rows = np.loadtxt(
+            out / "trajectory.csv", delimiter=",", skiprows=1, ndmin=2
+        )  # t, x, y, theta, P's triangle
+        P = rows[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
+        scale = np.sqrt(np.maximum(np.einsum("nii->ni", P), MIN_VARIANCE))
+        if (
+            not np.isfinite(rows).all()
+            or np.linalg.eigvalsh(P / (scale[:, :, None] * scale[:, None, :])).min() < -1e-9
+        ):
+            yield "the trajectory is not finite, or a covariance not positive"
+
+
+# --- many cases
+
+
+def judged(make: Callable[[int], Case], gigabytes: float, seconds: float, seed: int) -> tuple[str, float, str]:
+    """Return the title of a case, the CPU time it took [s], and what is wrong, in a process that this ends."""
+    pages, cpu = int(Path("/proc/self/statm").read_text().split()[0]), math.ceil(seconds)
+    memory = pages * resource.getpagesize() + int(gigabytes * GIB)
     resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
     resource.setrlimit(resource.RLIMIT_CPU, (cpu, cpu + 1))
     signal.alarm(MAX_WALL_RATIO * cpu)
     silence_overflows()  # as the program does
-    case = shop.case(seed)
-    try:
-        wrong = shop.judge(case, folder)
-    except Exception as e:
-        wrong = f"the oracle: {type(e).__name__}: {e}"
-    folder.with_suffix(".txt").write_text(f"{case.title}\n{wrong}", errors="surrogateescape")
-    os._exit(0)
-
-
-def answers(
-    shop: Workshop, seeds: Sequence[int], scratch: Path, jobs: int, limits: Limits, end: float
-) -> Iterator[Answer]:
-    """Yield the outcome of every case, `jobs` at a time, begun before `end` [s of the monotonic clock]."""
-    waiting, running = list(seeds)[::-1], dict[int, tuple[int, Path]]()
-    free = [scratch / str(i) for i in range(jobs)]
-    try:
-        while running or (waiting and time.monotonic() < end):
-            while free and waiting and time.monotonic() < end:
-                seed, folder = waiting.pop(), free.pop()
-                running[started(shop, seed, folder, limits)] = seed, folder
-            process, status, usage = os.wait4(-1, 0)
-            seed, folder = running.pop(process)
-            free.append(folder)
-            end_group(process)
-            words = folder.with_suffix(".txt")
-            title, _, wrong = (
-                words.read_text(errors="surrogateescape").partition("\n") if not status else ("", "", "")
-            )
-            words.unlink(missing_ok=True)
-            if status:
-                title, wrong = shop.case(seed).title, died(os.waitstatus_to_exitcode(status), limits)
-            yield Answer(seed, title, usage.ru_utime + usage.ru_stime, wrong)
-    finally:
-        for process in running:
-            end_group(process)
-
-
-def end_group(process: int) -> None:
-    """End a process and all that it started."""
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(process, signal.SIGKILL)
-
-
-def died(code: int, limits: Limits) -> str:
-    """Return in words why a process ended without an answer."""
-    slow = {signal.SIGXCPU: "of CPU", signal.SIGALRM: f"x {MAX_WALL_RATIO} by the clock"}
-    for number, clock in slow.items():
-        if code == -number:
-            return f"no answer within {limits.seconds:g} s {clock}"
-    return f"the process died (exit code {code})"
-
-
-def keep(shop: Workshop, answer: Answer, folder: Path) -> None:
-    """Save a case that failed, and print it at once: a long run may be stopped at any time."""
-    shop.case(answer.seed).save(folder / str(answer.seed))
-    (folder / str(answer.seed) / "wrong.txt").write_text(answer.wrong)
-    click.echo(f"seed {answer.seed}: {answer.title}: {answer.wrong.strip().splitlines()[-1][:300]}")
+    case, begin = make(seed), time.process_time()
+    with tempfile.TemporaryDirectory(dir=scratch()) as folder:
+        try:
+            wrong = next(problems(case, Path(folder) / "case"), "")
+        except Exception as e:
+            wrong = f"the oracle: {type(e).__name__}: {e}"
+    return case.title, time.process_time() - begin, wrong
 
 
 @click.command()
 @click.option("--cases", default=300, show_default=True)
 @click.option("--first", default=0, show_default=True, help="The first seed.")
-@click.option("--minutes", default=math.inf, help="Stop after so long by the clock.  [default: never]")
 @click.option("--only", type=int, help="Run the case of one seed.")
-@click.option("--directed", is_flag=True, help="Build logs that are wrong on purpose (fuzz_directed.py).")
-@click.option("--deeds", default="", help="Of --directed: do one of these first, such as odd_scans,line_maps.")
+@click.option("--directed", is_flag=True, help="Build logs and files that are wrong on purpose.")
+@click.option("--deeds", default="", help="Of --directed: do one of these first, such as odd_values,line_maps.")
+@click.option("--parsers", type=float, help="Give every parser damaged input for so many seconds of CPU.")
 @click.option("--jobs", default=2, show_default=True)
 @click.option("--memory", default=1.0, show_default=True, help="GiB of address space a case may take on top.")
 @click.option("--seconds", default=60.0, show_default=True, help="CPU time a case may take.")
-@click.option(
-    "--keep",
-    "kept",
-    type=click.Path(file_okay=False, path_type=Path),
-    default=Path("fuzz-failures"),
-    show_default=True,
-    help="Where failing cases are saved.",
-)
-def main(
-    cases: int,
-    first: int,
-    minutes: float,
-    only: int | None,
-    directed: bool,
-    deeds: str,
-    jobs: int,
-    memory: float,
-    seconds: float,
-    kept: Path,
-) -> None:
+@click.option("--keep", type=click.Path(path_type=Path), default=Path("fuzz-failures"), show_default=True)
+def main(parsers: float | None, jobs: int, keep: Path, **how: Any) -> None:
     """Run random cases and print what failed."""
-    seeds = list(range(first, first + cases)) if only is None else [only]
-    limits = Limits(int(memory * GIB), seconds)
-    kinds, wrong, judged = Counter[str](), Counter[str](), 0
-    memory_first = Path("/dev/shm")  # results are synced to the disk, thousands of times
-    with tempfile.TemporaryDirectory(dir=memory_first if memory_first.is_dir() else None) as temporary:
-        shop: Workshop = DirectedShop([], first=tuple(filter(None, deeds.split(",")))) if directed else Workshop()
-        shop.learn(Path(temporary) / "healthy")
-        began = time.monotonic()
-        for answer in answers(shop, seeds, Path(temporary), jobs, limits, began + 60.0 * minutes):
-            what = answer.title.partition(": ")[2]
-            kinds.update(what.split(", "))
-            judged += 1
-            if answer.wrong:
-                wrong[what] += 1
-                keep(shop, answer, kept)
-            elif answer.seconds > SLOW_SHARE * seconds:
-                click.echo(f"seed {answer.seed}: {answer.title}: {answer.seconds:.0f} s of CPU")
-        for kind, count in wrong.most_common():
-            click.echo(f"{count} failed: {kind}")
+    if parsers is not None:
+        raise SystemExit(all_parsers(parsers, how["first"], keep))
+    make = partial(directed_case, tuple(how["deeds"].split(","))) if how["directed"] else damaged_case
+    seeds = range(how["first"], how["first"] + how["cases"]) if how["only"] is None else [how["only"]]
+    kinds, failed = Counter[str](), Counter[str]()
+    for base in [] if how["directed"] else bases():
+        trajectory(base.name)
+    for command in ("run", "compare", "view"):  # loads every library before memory is limited
+        healthy = Case("healthy", short_drive()[0], command=(command,))
+        assert not [*problems(healthy, scratch() / command)]
+    for seed, answer in in_processes(partial(judged, make, how["memory"], how["seconds"]), seeds, jobs):
+        died = isinstance(answer, RuntimeError)
+        title, took, wrong = (make(seed).title, 0.0, f"the process died: {answer}") if died else answer
+        what = title.partition(": ")[2]
+        kinds.update(what.split(", "))
+        if wrong:
+            failed[what] += 1
+            make(seed).write(keep / f"{seed}")
+            (keep / f"{seed}" / "wrong.txt").write_text(f"{title}\n{wrong}", errors="surrogateescape")
+            click.echo(f"seed {seed}: {title}: {wrong.strip().splitlines()[-1][:300]}")
+        elif took > how["seconds"] / 3:
+            click.echo(f"seed {seed}: {title}: {took:.0f} s of CPU")
     click.echo(", ".join(f"{kind} {count}" for kind, count in kinds.most_common()))
-    click.echo(f"{judged} cases, {wrong.total()} failed, {time.monotonic() - began:.0f} s")
-    raise SystemExit(1 if wrong else 0)
+    click.echo(f"{len(seeds)} cases, {failed.total()} failed")
+    raise SystemExit(bool(failed))
+
+
+def all_parsers(seconds: float, seed: int, keep: Path) -> int:
+    """Give every parser damaged input, print what was wrong, and return 1 if anything was."""
+    bad = 0
+    for name in PARSERS:
+        n, found = fuzz_parser(name, seed, seconds)
+        click.echo(f"{name:16} {n:8} inputs, {len(found)} findings")
+        for problem, data in found.items():
+            keep.mkdir(parents=True, exist_ok=True)
+            (keep / f"{name.replace(' ', '_')}-{seed}-{bad}").write_bytes(data)
+            click.echo(problem)
+            bad += 1
+    return min(bad, 1)
 
 
 if __name__ == "__main__":

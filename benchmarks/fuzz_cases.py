@@ -1,263 +1,444 @@
-"""One fuzz case: a seed decides what is damaged and how, the command line is run, an oracle judges what it did.
-
-What must hold: a log with checksums gives the trajectory of its healthy twin, or exit 3 with the loss counted, or
-exit 1 with one line. Where the damage cannot be seen (no checksums, other messages, another robot.toml) values may
-change too, but every number is finite and every covariance is positive. There is never a traceback, no control
-character of the log reaches a terminal or a file, every input stays as it was, and nothing is left half written.
-"""
+"""Cases of benchmarks.fuzz: a seed decides what is damaged in a whole log, or made wrong on purpose."""
 
 from __future__ import annotations
 
-import contextlib
 import io
 import json
-import random
-import shutil
-import traceback
-from dataclasses import dataclass, field
+import math
+import os
+import re
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from random import Random
 from typing import Any, NamedTuple
 
-import click
+import cv2
 import numpy as np
+from mcap.reader import make_reader
+from mcap.records import Channel, Message, Schema
+from mcap.writer import CompressionType, Writer
+from rosbags.typesys import Stores, get_typestore
 
-from benchmarks.fuzz_damage import damaged, odd_toml, record_starts
-from benchmarks.fuzz_logs import Base, bases, contents
-from locfuse.cli.main import main
-from locfuse.formats.visible import UNSEEN
-from locfuse.formats.whole_files import TEMPORARY
+from benchmarks.fuzz_parsers import ACTING, FLOATS, INTEGERS, VALUES, WORDS, damaged, mutated, scratch
+from benchmarks.make_log import main as make_log
+from benchmarks.make_log import pose_of, walls
+from locfuse import sample_logs
+from locfuse.cli.analysis.robot_tables import table_types
 
-REAL_ROBOT = ("--set", "wheels.radius=0.033", "--set", "wheels.track=0.16")  # for logs that do not say
-COLUMNS = 10  # of trajectory.csv: t, x, y, theta and the upper triangle of P
-MIN_VARIANCE = 1e-18  # that of a nanometre: below, it is what rounding leaves of an exact start
-TEXTS = {".md", ".html", ".json", ".toml", ".csv", ".tex", ".svg", ".tum", ".txt"}
+LARGEST = 2_000_000  # bytes of a real log: a case must stay fast
+
+
+class Spoken(NamedTuple):
+    """One message with what it takes to write it again."""
+
+    schema: Schema
+    channel: Channel
+    message: Message
+
+
+class Base(NamedTuple):
+    """A healthy log."""
+
+    name: str
+    suffix: str
+    data: bytes
+    weight: float
+    is_checked: bool = False  # all its messages lie in chunks with a checksum
+    words: tuple[str, ...] = ()  # of the command line
+
+
+def contents(data: bytes) -> list[Spoken]:
+    """Return the messages of an .mcap in file order, by the public reader."""
+    return [Spoken(*one) for one in make_reader(io.BytesIO(data)).iter_messages(log_time_order=False)]  # type: ignore[arg-type]
+
+
+def recorded(spoken: list[Spoken], robot: bytes, **options: Any) -> bytes:
+    """Write messages as they are given, by the public writer; channels and schemas by their content."""
+    file, known = io.BytesIO(), dict[Any, int]()
+    writer: Any = Writer(file, **options)
+    writer.start(profile="ros2", library="locfuse fuzz")
+    writer.add_attachment(0, 0, "robot.toml", "application/toml", robot)
+    for schema, channel, message in spoken:
+        key = schema.name, schema.encoding, schema.data
+        if key not in known:
+            known[key] = writer.register_schema(*key)
+        topic = channel.topic, channel.message_encoding, known[key]
+        if topic not in known:
+            known[topic] = writer.register_channel(*topic)
+        writer.add_message(known[topic], message.log_time, message.data, message.publish_time, message.sequence)
+    writer.finish()
+    return file.getvalue()
+
+
+SHORT = "--minutes 0.04 --encoder-hz 25 --compass-hz 10 --scan-hz 5 --beams 61 --chunk-size 4000"
+
+
+@cache
+def short_drive() -> tuple[bytes, list[Spoken], bytes]:
+    """Return a drive of 2.4 s in chunks with checksums: the log, its messages, its robot.toml."""
+    path = scratch() / "short.mcap"
+    make_log([str(path), *SHORT.split()], standalone_mode=False)
+    data = path.read_bytes()
+    return data, contents(data), next(iter(make_reader(io.BytesIO(data)).iter_attachments())).data
+
+
+@cache
+def bases() -> list[Base]:
+    """Return everything there is to damage; small real logs where LOCFUSE_DATA names their folder."""
+    zstd, spoken, robot = short_drive()
+    stored: dict[str, Any] = {"compression": CompressionType.NONE, "chunk_size": 4000}
+    made = [
+        Base("zstd", ".mcap", zstd, 10, is_checked=True),
+        Base(
+            "lz4",
+            ".mcap",
+            recorded(spoken, robot, **stored | {"compression": CompressionType.LZ4}),
+            5,
+            is_checked=True,
+        ),
+        Base("stored", ".mcap", recorded(spoken, robot, **stored), 10, is_checked=True),
+        Base("rosbag2", ".mcap", recorded(spoken, robot, **stored, enable_crcs=False), 10),
+        Base("loose", ".mcap", recorded(spoken, robot, **stored, use_chunking=False), 5),
+    ]
+    made += [Base(n, ".mcap", sample_logs.path(n).read_bytes(), 0.3, is_checked=True) for n in sample_logs.names()]
+    folder, wheels = os.environ.get("LOCFUSE_DATA"), ("--set", "wheels.radius=0.033", "--set", "wheels.track=0.16")
+    real = sorted(p for p in Path(folder).rglob("*") if p.suffix in {".mcap", ".db3", ".bag"}) if folder else []
+    small = (p for p in real if 0 < p.stat().st_size <= LARGEST)
+    return made + [Base(path.name, path.suffix, path.read_bytes(), 0.4, words=wheels) for path in small]
+
+
+# --- cases
 
 
 @dataclass(frozen=True)
 class Case:
     """A log, the files beside it, and what is asked of them; `{here}` in a word stands for the folder."""
 
-    title: str
-    log: bytes
+    title: str = ""
+    log: bytes = b""
     suffix: str = ".mcap"
     healthy: str = ""  # the log whose trajectory must come out if the damage is not noticed
-    beside: dict[str, bytes] = field(default_factory=dict)  # name -> content
+    beside: Mapping[str, bytes] = field(default_factory=dict)  # name -> content
     words: tuple[str, ...] = ()
     command: tuple[str, ...] = ("run",)
     name: str = "log"  # of the log file, without its ending
+    spoken: list[Spoken] = field(default_factory=list)  # what a directed case writes as its log
+    robot: bytes = b""
 
-    def write(self, folder: Path) -> Path:
-        """Write everything into an empty folder and return the log."""
-        shutil.rmtree(folder, ignore_errors=True)
+    def more(self, words: tuple[str, ...], files: Mapping[str, bytes] = {}) -> Case:
+        """Return the case with more words of the command line, and more files beside the log."""
+        return replace(self, words=(*self.words, *words), beside={**self.beside, **files})
+
+    def each(self, topic: str, change: Callable[[Spoken], Spoken]) -> Case:
+        """Return the case with the messages of a topic changed."""
+        return replace(self, spoken=[change(one) if one.channel.topic == topic else one for one in self.spoken])
+
+    def write(self, folder: Path) -> list[str]:
+        """Write everything into a new folder, and return the command line."""
         folder.mkdir(parents=True)
-        for name, content in self.beside.items():
-            (folder / name).write_bytes(content)
         log = folder / f"{self.name}{self.suffix}"
-        log.write_bytes(self.log)
-        return log
-
-    def save(self, folder: Path) -> None:
-        """Keep the case to be looked at."""
-        self.write(folder)
-        (folder / "case.json").write_text(json.dumps({"words": [*self.command, *self.words], "title": self.title}))
-
-    def line(self, log: Path) -> list[str]:
-        """Return the command line."""
-        command, *options = self.command
-        words = [word.replace("{here}", str(log.parent)) for word in self.words]
-        results = ["-o", str(log.parent / "out")]
-        out = {
-            "run": [*results, "--write", "all"],  # what is judged stands in trajectory.csv
-            "compare": results,
-            "recover": ["-o", str(log.parent / "fixed.mcap")],
-            "view": ["--save", str(log.parent / "drive.rrd")],
+        for path, content in {log: self.log, **{folder / n: c for n, c in self.beside.items()}}.items():
+            path.write_bytes(content)
+        results = {
+            "run": ["-o", f"{folder}/out", "--write", "all"],  # what is judged stands in trajectory.csv
+            "compare": ["-o", f"{folder}/out"],
+            "recover": ["-o", f"{folder}/fixed.mcap"],
+            "view": ["--save", f"{folder}/drive.rrd"],
         }
-        return [command, str(log), *options, *out.get(command, []), *words]
+        command, *options = self.command
+        words = [word.replace("{here}", str(folder)) for word in self.words]
+        return [command, str(log), *options, *results.get(command, []), *words]
 
 
-class Done(NamedTuple):
-    """What a command did."""
-
-    code: int
-    out: str
-    err: str
-
-
-@dataclass
-class Workshop:
-    """Healthy logs, and what the product made of them."""
-
-    bases: list[Base] = field(default_factory=bases)
-    trajectories: dict[str, bytes] = field(default_factory=dict)  # base -> trajectory.csv
-    robots: dict[str, str] = field(default_factory=dict)  # base -> its effective robot.toml
-
-    def learn(self, folder: Path) -> None:
-        """Run every healthy log once."""
-        for base in self.bases:
-            healthy = Case(base.name, base.data, base.suffix, words=_words(base))
-            locfuse(*healthy.line(healthy.write(folder)))
-            csv, toml = folder / "out" / "trajectory.csv", folder / "out" / "robot.toml"
-            if csv.exists():
-                self.trajectories[base.name] = csv.read_bytes()
-                self.robots[base.name] = toml.read_text()
-
-    def case(self, seed: int) -> Case:
-        """Return the case that belongs to a seed."""
-        rng = random.Random(seed)
-        base = rng.choices(self.bases, [b.weight for b in self.bases])[0]
-        command = ("compare",) if rng.random() < 0.05 else ("run",)
-        if base.name in self.robots and rng.random() < 0.25:
-            toml, words = odd_toml(rng, self.robots[base.name]), (*_words(base), "--robot", "{here}/robot.toml")
-            beside = {"robot.toml": toml}
-            return Case(f"{base.name}: robot.toml", base.data, base.suffix, "", beside, words, command)
-        log, names = _damaged(rng, base)
-        healthy = base.name if base.checked else ""
-        title = f"{base.name}: {', '.join(names)}"
-        return Case(title, log, base.suffix, healthy, words=_words(base), command=command)
-
-    def judge(self, case: Case, folder: Path) -> str:
-        """Run a case and return what is wrong with the outcome, "" for nothing."""
-        return judge(case, folder, self.trajectories.get(case.healthy))
-
-
-def _words(base: Base) -> tuple[str, ...]:
-    return REAL_ROBOT if base.real else ()
-
-
-def _damaged(rng: Random, base: Base) -> tuple[bytes, list[str]]:
-    data, names, starts = base.data, [], []
-    with contextlib.suppress(Exception):  # a real log that is damaged already
-        starts = list(record_starts(data)) if base.suffix == ".mcap" else []
+def damaged_case(seed: int) -> Case:
+    """Return a log with one or two random changes."""
+    rng = Random(seed)
+    base = rng.choices(bases(), [b.weight for b in bases()])[0]
+    data, names, starts, at = base.data, [], [], 8  # of the records of an .mcap, behind its magic
+    while base.suffix == ".mcap" and at + 17 < len(data):
+        starts.append(at)
+        at += 9 + int(struct.unpack_from("<Q", data, at + 1)[0])
     for _ in range(rng.choice((1, 1, 1, 2))):
-        if data:
-            data, name = damaged(rng, data, starts=starts)
-            names.append(name)
-    return data, names
+        data, name = damaged(rng, data, near=starts)
+        names.append(name)
+    healthy, command = base.name if base.is_checked else "", ("compare",) if rng.random() < 0.05 else ("run",)
+    return Case(f"{base.name}: {', '.join(names)}", data, base.suffix, healthy, words=base.words, command=command)
 
 
-def locfuse(*words: str) -> Done:
-    """Run the command line in this process."""
-    out, err = io.StringIO(), io.StringIO()
-    code = 0
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        try:
-            main(list(words))
-        except SystemExit as e:
-            code = int(e.code or 0)
-        except Exception:
-            traceback.print_exc()
-            code = -1
-    return Done(code, out.getvalue(), err.getvalue())
+# --- cases that are wrong on purpose: each deed changes one thing
+
+STORE: Any = get_typestore(Stores.ROS2_JAZZY)
+KINDS = (
+    "string", "float64", "float64[]", "string[]", "float64[3]", "bool", "uint8[]", "int64", "uint64", "int8",
+    "byte", "std_msgs/Header", "builtin_interfaces/Time", "std_msgs/Header[]", "wstring", "float32[<=2]",
+)  # fmt: skip
+FOREIGN = (
+    "sensor_msgs/msg/Imu", "sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Range", "sensor_msgs/msg/LaserScan",
+    "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/JointState",
+    "sensor_msgs/msg/MagneticField", "geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/PointStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped", "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage",
+    "std_msgs/msg/String",
+)  # fmt: skip
+TOPICS = ("/extra", "/tf", "/tf_static", "/odom", "/robot_description", "/imu/data", "/scan")
+COMMANDS = (
+    "info", "info", "info --json", "info --check", "init", "run", "run", "run --smooth",
+    "run --export mcap,log,kitti,tum,tum-cov,csv", "compare", "compare --json", "compare --smooth",
+    "compare --all-subsets", "recover", "recover --json", "view", "calibrate",
+)  # fmt: skip
+OPTIONS = (
+    "--order recorded", "--order stamp", "--strict", "--hash", "-q", "--preset paper", "--from 1", "--to 1",
+    "--from nan", "--to -1e300", "--from 1e18", "--align se2", "--align origin",
+)  # fmt: skip
+KNOWN_OPTIONS = {"recover": 0, "info": 5, "init": 5, "view": 5, "calibrate": 5}  # how many of OPTIONS it takes
 
 
-def judge(case: Case, folder: Path, healthy: bytes | None = None) -> str:
-    """Run a case and return what is wrong with the outcome, "" for nothing."""
-    log = case.write(folder)
-    before = {path: path.read_bytes() for path in folder.iterdir()}
-    done = locfuse(*case.line(log))
-    short = "--check" not in case.command  # its lines name settings
-    wrong = words_are_wrong(done, short) or _acts(done, folder, before) or _changed(folder, before)
-    if not wrong and done.code in {0, 3}:
-        if case.command[0] == "run":
-            wrong = files_are_wrong(folder, lost=done.code == 3 and "--strict" not in case.words)
-        elif case.command[0] == "recover":
-            wrong = _unreadable(folder / "fixed.mcap")
-    if not wrong and done.code == 0 and case.command == ("run",) and healthy is not None:
-        same = (folder / "out" / "trajectory.csv").read_bytes() == healthy
-        wrong = "" if same else "damage that checksums show changed the trajectory, without a word"
-    if not wrong and (command := {0: "info", 1: "init"}.get(len(case.log) % 8)):
-        wrong = words_are_wrong(locfuse(command, str(log)))
-    return wrong
+def directed_case(first: tuple[str, ...], seed: int) -> Case:
+    """Return the short drive changed in one to three ways, the first of them one of `first` if that names some."""
+    rng = Random(f"directed {seed}")
+    _, spoken, robot = short_drive()
+    case = Case(command=tuple(rng.choice(COMMANDS).split()), spoken=spoken, robot=robot)
+    deeds = rng.sample(DEEDS, rng.choice((1, 1, 2, 3)))
+    deeds[0] = rng.choice([deed for deed in DEEDS if deed.__name__ in first] or [deeds[0]])
+    for deed in deeds:
+        case = deed(rng, case)
+    known = OPTIONS[: KNOWN_OPTIONS.get(case.command[0])]
+    if rng.random() < 0.3 and known:
+        case = case.more(tuple(rng.choice(known).split()))
+    title = f"{' '.join(case.command)}: {', '.join(deed.__name__ for deed in deeds)}"
+    log = recorded(case.spoken, case.robot, chunk_size=4000, compression=rng.choice(list(CompressionType)))
+    return replace(case, title=title, log=log, words=() if case.command[0] == "recover" else case.words)
 
 
-def words_are_wrong(done: Done, short: bool = True) -> str:
-    """Hold exit code and stderr against the contract; `short`: a refusal is one line, a loss has numbers."""
-    text = done.err
-    if "Traceback" in text:
-        return text[text.index("Traceback") :][-3000:]
-    if "Warning:" in text:
-        return f"a warning of the runtime reaches the user: {text[-500:]}"
-    if done.code not in {0, 1, 2, 3}:
-        return f"exit {done.code}: {text[-500:]}"
-    if "out of memory" in text:
-        return "more memory than a case may take"
-    if not short:
-        return ""
-    if done.code in {1, 2} and (text.count("\n") != 1 or not text.startswith("locfuse: ")):
-        return f"exit {done.code} is not one line: {text[-500:]}"
-    losses = (text + _lost_by_info(done.out)).splitlines()
-    lines = [line for line in losses if "lost" in line or "void:" in line]
-    if done.code == 3 and not any(c.isdigit() for line in lines for c in line):
-        return f"exit 3 without numbers: {text[-500:]}"
-    return ""
+def a_topic(rng: Random, case: Case) -> tuple[str, Schema]:
+    one = rng.choice(case.spoken)
+    return one.channel.topic, one.schema
 
 
-def _lost_by_info(out: str) -> str:
-    """Return what `info` prints as lost or refused: it stands among its results, as text or as JSON."""
-    if out.startswith("{"):
-        found = json.loads(out).get("findings") or []
-        lines = [f["message"] for f in found if f["code"] in {"lost", "refused"}]
+def another_definition(rng: Random, case: Case) -> Case:
+    """Let a field of a definition be of another kind than in the messages, or the whole be nonsense."""
+    topic, schema = a_topic(rng, case)
+    lines = schema.data.decode("utf-8", "replace").split("\n")  # an earlier deed may have damaged it
+    own = [i for i, line in enumerate(lines) if len(line.split()) == 2 and "=" not in line and "MSG" not in line]
+    if own and rng.random() < 0.7:
+        i = rng.choice(own)
+        lines[i] = f"{rng.choice(KINDS)} {lines[i].split()[1]}"
+        new = replace(schema, data="\n".join(lines).encode())
     else:
-        lines = [line for line in out.splitlines() if "  file: " in line or "not used: " in line]
-    return "".join(f"\nlost: {line}" for line in lines)
+        language = rng.choice(("ros2msg", "ros2msg", "ros2idl"))
+        new = replace(schema, data=mutated(language, rng), encoding=language)
+    return case.each(topic, lambda one: one._replace(schema=new))
 
 
-def files_are_wrong(folder: Path, lost: bool) -> str:
-    """Hold the results against: finite everywhere, P positive, a loss counted where there must be one."""
-    report = folder / "out" / "run.json"
-    if not report.exists():
-        return "an exit code of success without a result"
-    found = json.loads(report.read_text(), parse_constant=_refuse)
-    void = any("void" in one for one in found["configurations"].values())
-    if lost and not (found["input"]["losses"] or found["input"]["dropped"] or void):
-        return "exit 3, but nothing is counted as lost"
-    for path in (folder / "out").glob("*.tum"):
-        if not np.isfinite(np.loadtxt(path, ndmin=2)).all():
-            return f"{path.name} is not finite"
-    csv = folder / "out" / "trajectory.csv"
-    return _of_trajectory(np.loadtxt(csv, delimiter=",", skiprows=1, ndmin=2)) if csv.exists() else ""
+def acting_names(rng: Random, case: Case) -> Case:
+    """Let a name of the log act on what shows it: topic, type, language, encoding, the log's own."""
+    (topic, schema), odd = a_topic(rng, case), rng.choice(ACTING)
+    where = rng.choice(("log", "topic", "message_encoding", "name", "encoding"))
+    if where == "log":
+        return replace(case, name=f"l{odd}g".replace("/", "").replace("\0", ""))
+    new: Any = {where: f"{schema.name if where == 'name' else topic}{odd}"}
+    if where in {"name", "encoding"}:
+        return case.each(topic, lambda one: one._replace(schema=replace(schema, **new)))
+    return case.each(topic, lambda one: one._replace(channel=replace(one.channel, **new)))
 
 
-def _refuse(word: str) -> None:
-    raise click.ClickException(f"{word} in a report")
+def odd_values(rng: Random, case: Case) -> Case:
+    """Let numbers in messages be NaN, infinite, huge or absurd, texts act, arrays have other lengths."""
+    (topic, schema), share, seed = a_topic(rng, case), rng.choice((1.0, 0.1)), rng.random()
+
+    def change(one: Spoken) -> Spoken:
+        if Random(f"{seed} {one.message.log_time}").random() > share:
+            return one
+        try:
+            message = STORE.deserialize_cdr(one.message.data, schema.name)
+            make_odd(Random(seed), message)
+            data = bytes(STORE.serialize_cdr(message, schema.name))
+        except Exception:  # another deed has changed the definition, or a field cannot hold the value
+            return one
+        return one._replace(message=replace(one.message, data=data))
+
+    return case.each(topic, change)
 
 
-def _of_trajectory(rows: np.ndarray[Any, np.dtype[np.float64]]) -> str:
-    if rows.shape[1] != COLUMNS or not np.isfinite(rows).all():
-        return "the trajectory is not finite"
-    P = rows[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
-    scale = np.sqrt(np.maximum(np.einsum("nii->ni", P), MIN_VARIANCE))
-    least = np.linalg.eigvalsh(P / (scale[:, :, None] * scale[:, None, :])).min()
-    return "" if least > -1e-9 else f"P is not positive: {least:g} after scaling its diagonal to 1"
+def make_odd(rng: Random, message: Any) -> None:
+    """Change up to two fields of a message, and of the messages in it."""
+    for key in rng.sample(names := [key for key in vars(message) if key[0] != "_"], min(2, len(names))):
+        value, odd = getattr(message, key), rng.choice([x for x in FLOATS if not 1e38 < abs(x) < math.inf])
+        if hasattr(value, "__dataclass_fields__"):
+            make_odd(rng, value)
+        elif isinstance(value, np.ndarray) and value.size:
+            array = np.resize(value, rng.choice((0, 1, 2, 62, 1000, 100_000, value.size, value.size)))
+            array[rng.randrange(value.size) :] = odd if value.dtype.kind == "f" else rng.choice(INTEGERS[:5])
+            setattr(message, key, array)
+        elif isinstance(value, list) and value:
+            value[rng.randrange(len(value))] = rng.choice(ACTING)
+        else:
+            other = {str: rng.choice(ACTING), float: odd, int: rng.choice((0, -1, 2**31 - 1, 2**32 - 1))}
+            setattr(message, key, other.get(type(value), value))
 
 
-def _acts(done: Done, folder: Path, before: dict[Path, bytes]) -> str:
-    """Return where a control character of the log reaches a terminal or a file."""
-    texts = {"stdout": done.out, "stderr": done.err}
-    for path in folder.rglob("*"):
-        if path.suffix in TEXTS and path not in before and path.is_file():
-            texts[path.name] = path.read_text(encoding="utf-8", errors="surrogateescape")
-    for name, text in texts.items():
-        line = text.replace("\n", "")
-        if found := UNSEEN.search(line):
-            return f"{found[0]!r} acts in {name}: {line[max(found.start() - 60, 0) :][:120]!r}"
-        if name.endswith((".html", ".svg")) and "<script>&" in text:
-            return f"text of the log is no text in {name}"
-    return ""
+def odd_bytes(rng: Random, case: Case) -> Case:
+    """Let whole numbers of a message, its stamp or lengths of its arrays, be absurd."""
+    topic, words, value = a_topic(rng, case)[0], rng.sample(range(18), 2), rng.choice((*INTEGERS, 2**20, 70_000))
+
+    def change(one: Spoken) -> Spoken:
+        data = bytearray(one.message.data)
+        for word in (w for w in words if 8 + 4 * w <= len(data)):
+            struct.pack_into("<I", data, 4 + 4 * word, value % 2**32)
+        return one._replace(message=replace(one.message, data=bytes(data)))
+
+    return case.each(topic, change)
 
 
-def _changed(folder: Path, before: dict[Path, bytes]) -> str:
-    for path, content in before.items():
-        if not path.exists() or path.read_bytes() != content:
-            return f"the input {path.name} was changed"
-    left = [path.name for path in folder.rglob("*") if path.name.endswith((TEMPORARY, "-shm", "-journal"))]
-    return f"left behind: {left}" if left else ""
+def odd_times(rng: Random, case: Case) -> Case:
+    """Let recording times be absurd, equal, backwards or coarse; or drop, repeat, reverse or shuffle messages."""
+    first, value, topic = case.spoken[0].message.log_time, rng.choice(INTEGERS), a_topic(rng, case)[0]
+    when: Callable[[int], int] = rng.choice(
+        (lambda t: value, lambda t: first, lambda t: 2 * first + 10**10 - t, lambda t: t // 10**8 * 10**8)
+    )
+    if rng.random() < 0.5:
+        return case.each(
+            topic, lambda o: o._replace(message=replace(o.message, log_time=when(o.message.log_time)))
+        )
+    at = rng.randrange(len(case.spoken))
+    piece = case.spoken[at : at + 1 + int(len(case.spoken) ** rng.random())]
+    new = rng.choice(([], piece * 2, piece[::-1], rng.sample(piece, len(piece))))
+    return replace(case, spoken=[*case.spoken[:at], *new, *case.spoken[at + len(piece) :]] or case.spoken)
 
 
-def _unreadable(path: Path) -> str:
-    try:
-        contents(path.read_bytes())
-    except Exception as e:
-        return f"the recovered copy cannot be read by others: {type(e).__name__}: {e}"
-    return ""
+def foreign_topics(rng: Random, case: Case) -> Case:
+    """Add a topic of a type that the product reads, full of odd values."""
+    name, topic = rng.choice(FOREIGN), rng.choice(TOPICS)
+    schema = Schema(0, STORE.generate_msgdef(name, ros_version=2)[0].encode(), "ros2msg", name)
+    data = bytes(STORE.serialize_cdr(filled(rng, STORE, name), name))
+    if name == "std_msgs/msg/String":
+        text = mutated("urdf", rng).decode("utf-8", "replace")
+        data = bytes(STORE.serialize_cdr(STORE.types[name](data=text), name))
+    some = [o.message for o in case.spoken[:: rng.choice((1, 5, 40))]]
+    extra = [replace(m, data=data[:4] + m.data[4:12] + data[12:]) for m in some]
+    more = [Spoken(schema, Channel(0, topic, "cdr", {}, 0), message) for message in extra]
+    mixed = replace(case, spoken=more)
+    for _ in range(rng.randrange(4)):
+        mixed = odd_values(rng, mixed)
+    return replace(case, spoken=[*case.spoken, *mixed.spoken])
+
+
+def filled(rng: Random, store: Any, name: str) -> Any:
+    """Return a message with usual values."""
+
+    def value(kind: Any) -> Any:
+        what, detail = kind[0].name, kind[1]
+        if what == "NAME":
+            return filled(rng, store, detail)
+        if what == "BASE":
+            number = rng.gauss(0.0, 2.0) if detail[0].startswith("float") else rng.randrange(2)
+            return rng.choice(("base_link", "odom", "laser")) if "string" in detail[0] else number
+        element, size = detail
+        values = [value(element) for _ in range(size if what == "ARRAY" else rng.choice((0, 1, 2, 9, 61)))]
+        dtype = {"byte": "uint8", "octet": "uint8", "char": "uint8"}.get(element[1][0], element[1][0])
+        return values if element[0].name == "NAME" or "string" in dtype else np.array(values, dtype)
+
+    return store.types[name](**{key: value(kind) for key, kind in store.get_msgdef(name).fields})
+
+
+def odd_robot(rng: Random, case: Case) -> Case:
+    """Give a robot.toml of nonsense, in the log or beside it, or set one key to an odd value."""
+    if rng.random() < 0.5:
+        table, kind = rng.choice(sorted(table_types().items()))
+        return case.more(("--set", f"{table}.{rng.choice(kind.__struct_fields__)}={rng.choice(VALUES)}"))
+    data = mutated("robot.toml", rng)
+    if rng.random() < 0.5:
+        return replace(case, robot=data)
+    return case.more(("--robot", "{here}/robot.toml"), {"robot.toml": data})
+
+
+def files_beside(rng: Random, case: Case) -> Case:
+    """Give text files of nonsense: truth, landmarks, detections, a map, a baseline, an estimate."""
+    csv, tum, places = (mutated(name, rng) for name in ("csv", "tum", "landmarks"))
+    ways: list[tuple[str, dict[str, bytes]]] = [
+        ("--truth {here}/t.csv", {"t.csv": csv}),
+        ("--truth {here}/t.tum", {"t.tum": tum}),
+        ("--set landmarks.file={here}/d.csv --set landmarks.map={here}/m.csv", {"d.csv": csv, "m.csv": places}),
+    ]
+    if case.command[0] == "run":
+        ways.append(("--map {here}/map.json", {"map.json": mutated("line_map", rng)}))
+    if case.command[0] == "compare":
+        report = rng.choice((b"[" * 9999, b"{}", b"null", b'{"configurations": {"all": []}, "input": []}', csv))
+        ways += [
+            ("--baseline {here}/b.json", {"b.json": report}),
+            ("--estimate mine={here}/t.csv", {"t.csv": csv}),
+        ]
+    words, files = rng.choice(ways)
+    return case.more(tuple(words.split()), files)
+
+
+def sprinkled(rng: Random, text: str) -> bytes:
+    """Return a text some of whose numbers are odd; at times it is damaged as well."""
+    share = rng.choice((0.0, 0.0, 0.01, 0.5))
+    odd = re.sub(r"[-+.\d]+", lambda m: rng.choice(VALUES) if rng.random() < share else m[0], text)
+    data = odd.encode("utf-8", "replace")
+    return damaged(rng, data, WORDS)[0] if rng.random() < 0.15 else data
+
+
+def with_map(rng: Random, case: Case, text: str, suffix: str, files: Mapping[str, bytes] = {}) -> Case:
+    """Return the case with a map, by a command that takes one."""
+    command = case.command if case.command[0] in {"run", "compare"} else ("run",)
+    words = ("--map", f"{{here}}/map{suffix}", *rng.choice(((), ("--set", "start.sigma_xy=5"))))
+    return replace(case, command=command).more(words, {**files, f"map{suffix}": sprinkled(rng, text)})
+
+
+def map_pictures(rng: Random, case: Case) -> Case:
+    """Give a map as a picture: of the room, of noise, up to the caps, of other depths, damaged."""
+    noise, side = np.random.default_rng(rng.randrange(2**32)), rng.choice((1, 2, 33, 200, 200, 200, 2000, 8200))
+    grey = np.full((side, min(side, 2**26 // side)), 254, np.uint8)
+    for x0, y0, x1, y1 in ((walls(12) + 0.5) / 0.05).round().astype(int).tolist():
+        cv2.line(grey, (x0, side - 1 - y0), (x1, side - 1 - y1), 0)
+    if side <= 2000:
+        grey[noise.random(grey.shape) < rng.choice((0.0, 0.0, 1e-4, 0.1, 1.0))] = rng.choice((0, 127, 205, 255))
+    picture = rng.choice((grey, grey.astype(np.uint16) * 257, np.dstack([grey] * 3) if side <= 200 else grey))
+    content = cv2.imencode(".png", picture)[1].tobytes()
+    if rng.random() < 0.5:
+        content = b"P5\n%d %d\n%d\n" % (*grey.shape[::-1], rng.choice((255, 255, 1, 0))) + grey.tobytes()
+    content = damaged(rng, content)[0] if rng.random() < 0.2 else content
+    keys = "image: m.png\nresolution: 0.05\norigin: [-0.5, -0.5, 0]\nnegate: 0\noccupied_thresh: 0.65\n"
+    extra = rng.choice(
+        ("", "", "free_thresh: 0.196\n", "a: &a [*a]\n", "b: !!python/name:os.system\n", "[" * 3000)
+    )
+    return with_map(rng, case, keys.replace("m.png", rng.choice(IMAGES)) + extra, ".yaml", {"m.png": content})
+
+
+IMAGES = (*["m.png"] * 12, "/dev/zero", "map.yaml", ".", "../x", "nothing.png")
+
+
+def line_maps(rng: Random, case: Case) -> Case:
+    """Give a line map of few or very many walls, some of which are odd."""
+    count = rng.choice((1, 12, 12, 64, 1000, 10_000))
+    ends = walls(12).tolist() if count == 12 else [[rng.uniform(-20, 20) for _ in range(4)] for _ in range(count)]
+    rest = {"hits": 5, "covariance": [[1e-4, 0.0], [0.0, 1e-5]]}
+    lines = [{"id": i, "from": four[:2], "to": four[2:], **rest} for i, four in enumerate(ends)]
+    return with_map(rng, case, json.dumps({"format": "locfuse line map", "version": 1, "lines": lines}), ".json")
+
+
+def detection_files(rng: Random, case: Case) -> Case:
+    """Give detections.csv: many lines and ids, some of which are odd; with a map of landmarks, or none."""
+    noise, count = np.random.default_rng(rng.randrange(2**32)), rng.choice((10, 100, 1000, 5000, 20_000))
+    known = max(rng.choice((1, 5, count // 200, count // 20, count)), 1)
+    places, which = noise.uniform((-1.0, -1.0), (9.0, 7.0), (known, 2)), noise.integers(0, known, count)
+    t = np.sort(noise.uniform(0.0, 2.4, count)).round(rng.choice((1, 9)))
+    x, y, theta = pose_of(t).T
+    dx, dy = places[which].T - (x, y)
+    stamps = case.spoken[0].message.log_time * 1e-9 + t
+    table = np.column_stack((stamps, which, np.hypot(dx, dy), np.arctan2(dy, dx) - theta)).tolist()
+    text = "t,id,range,bearing\n" + "".join(f"{t:.9f},{i:g},{r:.6f},{b:.6f}\n" for t, i, r, b in table)
+    near = "id,x,y\n" + "".join(f"{i},{a},{b}\n" for i, (a, b) in enumerate(places.tolist()))
+    given = case.more(("--set", "landmarks.file={here}/d.csv"), {"d.csv": sprinkled(rng, text)})
+    with_places = given.more(("--set", "landmarks.map={here}/m.csv"), {"m.csv": sprinkled(rng, near)})
+    return rng.choice((given, with_places))
+
+
+DEEDS: list[Callable[[Random, Case], Case]] = [
+    another_definition, acting_names, odd_values, odd_values, odd_bytes, odd_times, foreign_topics, foreign_topics,
+    odd_robot, files_beside, map_pictures, line_maps, detection_files,
+]  # fmt: skip

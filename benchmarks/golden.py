@@ -19,15 +19,13 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-import multiprocessing
 import os
 import re
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Mapping
-from multiprocessing.connection import wait
-from multiprocessing.process import BaseProcess
+from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,6 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import locfuse
+from benchmarks.experiment import in_processes
 from benchmarks.golden_cases import HERE, LOGS, SIMULATED, Case, cases, simulate
 from benchmarks.real_logs import DATA
 from locfuse.cli.main import main as command_line
@@ -47,6 +46,7 @@ MOST = 500  # rows that are kept of what has one per instant or measurement; ins
 LISTED = 10  # differences of a report
 WITHIN, WIDER, LOOPS = 1e-9, 100.0, 10.0
 FLOOR = 1e-12
+FIRST = ("pose", "covariance", "verdict", "state")  # of what differs, the most important
 VALUES = ""  # the name of what is no column of a run
 NOT_COMPARED = ("made_with", "locfuse", "key", "cpu_s")  # of a report
 Columns = dict[str, NDArray[Any]]
@@ -58,6 +58,11 @@ class Found(NamedTuple):
 
     columns: Columns  # "run/what" -> array
     values: Values  # numbers and words, by their path in reports
+
+    @property
+    def runs(self) -> set[str]:
+        """The names of its runs."""
+        return {name.partition("/")[0] for name in self.columns}
 
 
 def evenly(n: int) -> NDArray[np.intp]:
@@ -161,7 +166,7 @@ def file_of(case: Case) -> str:
     return f"{re.sub(r'[^a-z0-9=.-]+', '_', case.name.lower())}.npz"
 
 
-def run(case: Case, logs: Path, file: Path) -> None:
+def run(logs: Path, into: Path, case: Case) -> None:
     """Run a case in this process and keep what came of it."""
     began = time.process_time()
     try:
@@ -171,10 +176,8 @@ def run(case: Case, logs: Path, file: Path) -> None:
         found = Found({}, {"error": f"{type(e).__name__}: {e}"})
     values = {**found.values, "cpu_s": time.process_time() - began}
     arrays: dict[str, Any] = {**found.columns, VALUES: np.frombuffer(json.dumps(values).encode(), np.uint8)}
-    part = file.with_suffix(".part")
-    with part.open("wb") as f:
-        np.savez_compressed(f, **arrays)
-    part.replace(file)
+    with (into / file_of(case)).open("wb") as file:
+        np.savez_compressed(file, **arrays)
 
 
 def read(file: Path) -> Found:
@@ -190,12 +193,13 @@ def differences(before: Found, now: Found, slack: float) -> tuple[list[str], set
     """Return how two results of a case differ, in words, and in which runs."""
     if ("error" in before.values) != ("error" in now.values):
         errors = [found.values.get("error", "a result") for found in (before, now)]
-        return [f"{errors[0]} before, {errors[1]} now"], runs_of(before) | runs_of(now)
-    slack *= LOOPS if _loops(before) or _loops(now) else 1.0
-    other = runs_of(before) ^ runs_of(now)
-    words = [f"{run}: this run is {'new' if run in runs_of(now) else 'missing'}" for run in sorted(other)]
+        return [f"{errors[0]} before, {errors[1]} now"], before.runs | now.runs
+    names = before.columns | now.columns
+    slack *= LOOPS if any(len(column) for name, column in names.items() if name.endswith("/loops")) else 1.0
+    other = before.runs ^ now.runs
+    words = [f"{run}: this run is {'new' if run in now.runs else 'missing'}" for run in sorted(other)]
     columns: dict[str, list[tuple[float, str, str]]] = {}  # what -> size, words and run of each difference
-    for name in sorted(before.columns.keys() | now.columns.keys()):
+    for name in sorted(names):
         run, _, what = name.partition("/")
         differs = _differs(what, before.columns.get(name), now.columns.get(name), slack)
         if differs is not None and run not in other:
@@ -203,25 +207,14 @@ def differences(before: Found, now: Found, slack: float) -> tuple[list[str], set
     for what in sorted(columns, key=lambda what: ([word not in what.split() for word in FIRST], what))[:LISTED]:
         _, how, run = max(columns[what])
         words.append(f"{what}: {how} ({run}, one of {len(columns[what])} runs)")
-    values = {k: (before.values.get(k, NOTHING), now.values.get(k, NOTHING)) for k in before.values | now.values}
+    values = {
+        k: (before.values.get(k, "nothing"), now.values.get(k, "nothing")) for k in before.values | now.values
+    }
     report = {k: ab for k, ab in values.items() if k not in NOT_COMPARED and not _equal(*ab, slack)}
     words += [f"{k}: {a} before, {b} now" for k, (a, b) in list(report.items())[:LISTED]]
     more = max(len(columns) - LISTED, 0), max(len(report) - LISTED, 0)
     words += [f"and {more[0]} more columns, {more[1]} more values of the report"] * any(more)
     return words, other | {run for found in columns.values() for _, _, run in found}
-
-
-NOTHING = "nothing"
-FIRST = ("pose", "covariance", "verdict", "state")  # of what differs, the most important
-
-
-def runs_of(found: Found) -> set[str]:
-    """Return the names of the runs of a case."""
-    return {name.partition("/")[0] for name in found.columns}
-
-
-def _loops(found: Found) -> bool:
-    return any(len(column) for name, column in found.columns.items() if name.endswith("/loops"))
 
 
 def _equal(a: Any, b: Any, slack: float) -> bool:
@@ -259,44 +252,6 @@ def _differs(what: str, a: NDArray[Any] | None, b: NDArray[Any] | None, slack: f
     return (size, words) if size > limit * slack else None
 
 
-class Running(NamedTuple):
-    """A case in a process of its own: one that breaks off takes no other along, and leaves nothing behind."""
-
-    process: BaseProcess
-    case: Case
-    file: Path
-
-
-def results(chosen: Iterable[Case], logs: Path, into: Path, jobs: int) -> Iterator[tuple[Case, Path]]:
-    """Run every case, and yield it with its file as soon as it is done."""
-    fork = multiprocessing.get_context("fork")
-    running: list[Running] = []
-    for case in chosen:
-        for name in case.simulated():
-            made = fork.Process(target=simulate, args=(name, logs))  # cv2's threads would not outlive a fork
-            made.start()
-            made.join()
-            if made.exitcode != 0:
-                raise click.ClickException(f"the log {name} could not be simulated")
-        file = into / file_of(case)
-        file.unlink(missing_ok=True)
-        process = fork.Process(target=run, args=(case, logs, file))
-        process.start()
-        running.append(Running(process, case, file))
-        while len(running) >= jobs:
-            yield from _done(running)
-    while running:
-        yield from _done(running)
-
-
-def _done(running: list[Running]) -> Iterator[tuple[Case, Path]]:
-    ended = wait([one.process.sentinel for one in running])
-    for one in [one for one in running if one.process.sentinel in ended]:
-        running.remove(one)
-        one.process.join()
-        yield one.case, one.file
-
-
 @click.command()
 @click.option("--write", "record", type=click.Path(file_okay=False, path_type=Path), help="Keep results there.")
 @click.option("--check", type=click.Path(file_okay=False, exists=True, path_type=Path), help="Compare with these.")
@@ -315,23 +270,25 @@ def main(record: Path | None, check: Path | None, only: str, quick: bool, jobs: 
     logs = ((record or check or Path()) / "logs").absolute()
     logs.mkdir(parents=True, exist_ok=True)
     if check is not None:
-        unknown = [c.name for c in chosen if not (check / file_of(c)).exists()]
-        chosen = [c for c in chosen if c.name not in unknown]
-        click.echo("\n".join(f"{name}: not recorded" for name in unknown), nl=bool(unknown))
+        for case in [c for c in chosen if not (check / file_of(c)).exists()]:
+            click.echo(f"{case.name}: not recorded")
+            chosen.remove(case)
+    needed = dict.fromkeys(name for case in chosen for name in case.simulated())
+    for name, failed in in_processes(partial(simulate, logs), needed, 1):  # cv2's threads would not outlive a fork
+        if failed:
+            raise click.ClickException(f"the log {name} could not be simulated: {failed}")
     cpu, equal, same, runs = 0.0, 0, 0, 0
     with tempfile.TemporaryDirectory() as spare:
-        for case, file in results(chosen, logs, record or Path(spare), jobs):
-            now = read(file)
-            before = now if check is None else read(check / file.name)
-            of_case, cpu = len(runs_of(before) or runs_of(now)) or 1, cpu + now.values.get("cpu_s", 0.0)
-            runs += of_case
-            if check is None:
-                said = [now.values["error"]] if "error" in now.values else []
-                click.echo(f"{case.name}: {of_case} runs, {now.values.get('cpu_s', 0.0):.1f} s {' '.join(said)}")
-                continue
-            said, others = differences(before, now, case.slack)
+        into = record or Path(spare)
+        for case, _ in in_processes(partial(run, logs, into), chosen, jobs):
+            now, before = read(into / file_of(case)), None if check is None else read(check / file_of(case))
+            of_case, took = len((before or now).runs or now.runs) or 1, now.values.get("cpu_s", 0.0)
+            said, others = ([], set[str]()) if before is None else differences(before, now, case.slack)
+            cpu, runs = cpu + took, runs + of_case
             equal, same = equal + (not said), same + of_case - min(of_case, len(others) or len(said))
-            click.echo("\n  ".join([f"{case.name}: {'differs' if said else 'ok'}", *said]))
+            words = f"{of_case} runs, {took:.1f} s {now.values.get('error', '')}"
+            verdict = words if before is None else "differs" if said else "ok"
+            click.echo("\n  ".join([f"{case.name}: {verdict}", *said]))
     if check is None:
         click.echo(f"{runs} runs of {len(chosen)} cases kept in {cpu:.0f} s of CPU time")
         return

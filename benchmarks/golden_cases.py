@@ -128,7 +128,7 @@ def grid(plan: floor_plan.FloorPlan) -> RawMessage:
 NO_HEADING = np.array([-1.0] + [0.0] * 8)
 
 
-def simulate(name: str, logs: Path) -> None:
+def simulate(logs: Path, name: str) -> None:
     """Write a simulated log, and beside it what its robot has as files; one that is there stays as it is."""
     if (path := logs / f"{name}.mcap").exists():
         return

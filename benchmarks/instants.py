@@ -108,7 +108,7 @@ def main(folder: Path | None, count: bool) -> None:
         where, package = folder or Path(temporary), laid_out(Path(temporary))
         if not (where / "ten.mcap").exists():
             subprocess.run(module("make_log", where / "ten.mcap", *TEN), check=True)
-        golden_cases.simulate(EVERY, where)
+        golden_cases.simulate(where, EVERY)
         command = module("instants", "--count", "--folder", where)
         done = subprocess.run(command, env=first_on_path(package), stdout=subprocess.PIPE, check=True)
         click.echo("| instant | us | files | calls of Python | calls of C | goal |\n|---|--:|--:|--:|--:|---|")

@@ -31,36 +31,37 @@ MCAP = tuple(f"tests/container/test_mcap_{name}.py" for name in ("chunk", "surve
 # files: the tests that must know what is right there, the sharpest and fastest first
 TABLE = """
 fusion/se2: fusion/se2
-fusion/ekf/belief_arrays: ekf map/anchors fusion/fuse
-fusion/ekf/equations: ekf/equations fusion/fuse
+fusion/ekf/belief_arrays: ekf map/small_maps fusion/fuse
+fusion/ekf/equations: ekf/ekf fusion/fuse
 fusion/ekf/events: whole_drive/smooth tune/tune
 fusion/ekf/map_frame: ekf/map_frame
 fusion/kernels/angles: kernels/line_fits kernels/sight
-fusion/kernels/ekf: kernels/state ekf fusion/fuse
-fusion/kernels/line_fits: kernels/line_fits kernels/curves lines/lines
+fusion/kernels/ekf: ekf fusion/fuse
+fusion/kernels/line_fits: kernels/line_fits lines/lines
 fusion/kernels/places: map/places
 fusion/kernels/segments: kernels/segments lines/lines
-fusion/kernels/sight: kernels/sight map/prediction map/map_keeping sensors/lrf
+fusion/kernels/sight: kernels/sight map/line_map sensors/lrf
 fusion/wheels/motion: wheels/motion wheels/intervals wheels/wheel_states
 fusion/wheels/repairs: wheels/rollover wheels/wheels
-fusion/sensors/compass: sensors/compass sensors/contract sensors/level
+fusion/sensors/compass: sensors/compass sensors/contract
 fusion/sensors/gyro: sensors/gyro sensors/contract
 fusion/sensors/gps: sensors/gps sensors/contract
 fusion/sensors/landmarks: sensors/landmarks sensors/contract
 fusion/sensors/pose: sensors/pose sensors/contract
 fusion/sensors/sonar: sensors/sonar sensors/contract
-fusion/sensors/twist: sensors/twist sensors/contract
+fusion/sensors/twist: sensors/pose sensors/contract
 fusion/sensors/camera: camera/camera sensors/contract
-fusion/map/line_map: map/prediction map/map_keeping map/given_map kernels/sight sensors/lrf fusion/mount
-fusion/map/scan: map/standing map/map_keeping sensors/lrf
+fusion/map/line_map: map/line_map map/given_map kernels/sight sensors/lrf fusion/mount
+fusion/map/scan: map/standing map/line_map sensors/lrf
 fusion/map/sonar_echo: sensors/sonar
 fusion/judge/evaluate: judge/evaluate
 fusion/judge/bootstrap fusion/judge/credit: judge/credit
 fusion/judge/consistency: judge/noise_verdicts judge/consistency
-fusion/judge/events: judge/events
+fusion/judge/events: judge/against
+fusion/judge/noise_verdicts: judge/noise_verdicts judge/consistency
 fusion/judge/covariance: judge/consistency
-fusion/judge/innovations: judge/innovations judge/consistency
-fusion/judge/predictive: judge/predictive
+fusion/judge/innovations: judge/consistency
+fusion/judge/predictive: judge/against
 fusion/judge/against: judge/against
 fusion/whole_drive/smooth: whole_drive/smooth
 formats/results/mcap_export formats/container/mcap_write: container/mcap_write

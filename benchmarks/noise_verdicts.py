@@ -1,4 +1,4 @@
-"""Do the verdicts on noise name the right sensor and the right cure? Wrong settings by the dozen, without truth.
+"""Do the verdicts on noise name the right sensor and the right fix? Wrong settings by the dozen, without truth.
 
     python -m benchmarks.noise_verdicts --seeds 20
 
@@ -12,13 +12,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
 
 from benchmarks import experiment
-from benchmarks.experiment import Row, Simulated
+from benchmarks.experiment import Row
 from locfuse.fusion.data import Array, Drive
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import Consistency, Run, judge
@@ -26,14 +26,11 @@ from locfuse.fusion.se2 import wrap_all
 
 SCENARIO = ("compass.hard_iron=[0, 0]", "compass.soft_iron=[1, 1, 0]", "compass.sigma_deg=0.5")
 CAMERA_NOISE = math.radians(0.5)
-NORTH_DEG = -65.0  # what compass.offset_deg should be: the scenario's magnetic north
 SLOW, SLOW_TIME = math.radians(1.0), 2.0  # rad, s: correlated compass noise
 SENSORS = ("compass", "lrf", "camera")
-CONFIGURATIONS: tuple[tuple[str, ...], ...] = ((), *((s,) for s in SENSORS), SENSORS)
 
 
-@dataclass(frozen=True)
-class Case:
+class Case(NamedTuple):
     """One wrong setting and what should be said of it."""
 
     sets: tuple[str, ...] = ()
@@ -41,40 +38,32 @@ class Case:
     verdict: str = ""
     key: str = ""
     right: tuple[float, float] = (-math.inf, math.inf)  # between which the value of the key is right
-    slow_compass: bool = False
+
+
+def off_by(sensor: str, factor: float, right: tuple[float, float], **sigmas: float) -> Case:
+    """Return the case of a sensor whose sigmas are wrong by a factor."""
+    verdict, (key, *_) = "understated" if factor < 1 else "overstated", sigmas
+    sets = tuple(f"{sensor}.{name}={value * factor:.4g}" for name, value in sigmas.items())
+    return Case(sets, sensor, verdict, f"{sensor}.{key}", right)
 
 
 DEGREES, METRES = (0.3, 0.8), (0.015, 0.06)  # around the noise that was drawn
-LINES = ("lrf.sigma_range", "lrf.sigma_angle_deg")
-OFF = f"compass.offset_deg={NORTH_DEG + 5.0}"
-NEAR_NORTH = (NORTH_DEG - 1.0, NORTH_DEG + 1.0)
-SMALL, LARGE = "understated", "overstated"
+SLOW_CASE = "compass noise of 2 s"
 CASES = {
     "clean": Case(),
-    "compass sigma / 3": Case(("compass.sigma_deg=0.1667",), "compass", SMALL, "compass.sigma_deg", DEGREES),
-    "compass sigma * 3": Case(("compass.sigma_deg=1.5",), "compass", LARGE, "compass.sigma_deg", DEGREES),
-    "lrf sigma / 3": Case((f"{LINES[0]}=0.01", f"{LINES[1]}=0.0833"), "lrf", SMALL, LINES[0], METRES),
-    "lrf sigma * 3": Case((f"{LINES[0]}=0.09", f"{LINES[1]}=0.75"), "lrf", LARGE, LINES[0], METRES),
-    "camera sigma / 3": Case(("camera.sigma_deg=0.1667",), "camera", SMALL, "camera.sigma_deg", DEGREES),
-    "camera sigma * 3": Case(("camera.sigma_deg=1.5",), "camera", LARGE, "camera.sigma_deg", DEGREES),
-    "compass offset + 5 deg": Case((OFF,), "compass", "biased", "compass.offset_deg", NEAR_NORTH),
-    "camera zero + 3 deg": Case(("camera.zero_deg=3.0",), "camera", "biased", "camera.zero_deg", (-1.0, 1.0)),
-    "compass noise of 2 s": Case(
-        ("compass.sigma_deg=1.0",), "compass", "correlated", "compass.sigma_deg", (3.0, math.inf), True
+    "compass sigma / 3": off_by("compass", 1 / 3, DEGREES, sigma_deg=0.5),
+    "compass sigma * 3": off_by("compass", 3.0, DEGREES, sigma_deg=0.5),
+    "lrf sigma / 3": off_by("lrf", 1 / 3, METRES, sigma_range=0.03, sigma_angle_deg=0.25),
+    "lrf sigma * 3": off_by("lrf", 3.0, METRES, sigma_range=0.03, sigma_angle_deg=0.25),
+    "camera sigma / 3": off_by("camera", 1 / 3, DEGREES, sigma_deg=0.5),
+    "camera sigma * 3": off_by("camera", 3.0, DEGREES, sigma_deg=0.5),
+    # the scenario's magnetic north is at -65 degrees
+    "compass offset + 5 deg": Case(
+        ("compass.offset_deg=-60.0",), "compass", "biased", "compass.offset_deg", (-66.0, -64.0)
     ),
+    "camera zero + 3 deg": Case(("camera.zero_deg=3.0",), "camera", "biased", "camera.zero_deg", (-1.0, 1.0)),
+    SLOW_CASE: Case(("compass.sigma_deg=1.0",), "compass", "correlated", "compass.sigma_deg", (3.0, math.inf)),
 }
-
-
-def found(run: Simulated, case: Case, seed: int) -> dict[str, Consistency]:
-    """Measure and judge one drive under one case: the verdict on every sensor."""
-    drive, robot = run.measured(case.sets)
-    rng = np.random.default_rng(seed)
-    drive = noisy(drive, "camera", CAMERA_NOISE * rng.normal(size=drive.measurements["camera"].z.shape))
-    if case.slow_compass:
-        m = drive.measurements["compass"]
-        drive = noisy(drive, "compass", slow_noise(m.t, rng)[:, None])
-    runs = [Run.of(drive, fuse(drive, robot, sensors)) for sensors in CONFIGURATIONS]
-    return judge(runs, robot)["all"]
 
 
 def noisy(drive: Drive, sensor: str, noise: Array) -> Drive:
@@ -87,8 +76,7 @@ def slow_noise(t: Array, rng: np.random.Generator) -> Array:
     """Draw a Gauss-Markov process at times t (n,)."""
     keep = np.exp(-np.diff(t, prepend=t[0]) / SLOW_TIME)
     fresh = np.sqrt(1.0 - keep**2) * rng.normal(size=len(t))
-    out = np.empty(len(t))
-    value = float(rng.normal())
+    out, value = np.empty(len(t)), float(rng.normal())
     for i, (k, f) in enumerate(zip(keep.tolist(), fresh.tolist(), strict=True)):
         value = k * value + f
         out[i] = value
@@ -107,22 +95,25 @@ def is_right(case: Case, found: dict[str, Consistency]) -> bool:
 
 def work(name: str, seed: int) -> Row:
     """Return whether the verdicts of one case were right, and what was said."""
-    verdicts = found(experiment.simulated("rounded_rectangle", SCENARIO, seed), CASES[name], seed)
-    words = [c.words for c in verdicts.values() if c.verdict not in {"consistent", "unclear"}]
-    return {"right": is_right(CASES[name], verdicts), "words": "; ".join(words) or "nothing"}
+    case, rng = CASES[name], np.random.default_rng(seed)
+    drive, robot = experiment.simulated("rounded_rectangle", SCENARIO, seed).measured(case.sets)
+    drive = noisy(drive, "camera", CAMERA_NOISE * rng.normal(size=drive.measurements["camera"].z.shape))
+    if name == SLOW_CASE:
+        drive = noisy(drive, "compass", slow_noise(drive.measurements["compass"].t, rng)[:, None])
+    configurations = ((), *((s,) for s in SENSORS), SENSORS)
+    found = judge([Run.of(drive, fuse(drive, robot, sensors)) for sensors in configurations], robot)["all"]
+    words = [c.words for c in found.values() if c.verdict not in {"consistent", "unclear"}]
+    return {"right": is_right(case, found), "words": "; ".join(words) or "nothing"}
 
 
 def table(rows: list[Row]) -> Iterator[str]:
     """Yield how often the verdicts were right, then what was said where they were not."""
-    lines = []
-    for name in dict.fromkeys(row["task"][0] for row in rows):
-        mine = [row for row in rows if row["task"][0] == name]
-        lines.append((name, f"{sum(row['right'] for row in mine)} of {len(mine)}", mine[0]["words"]))
+    lines = [
+        (name, f"{sum(row['right'] for row in mine)} of {len(mine)}", mine[0]["words"])
+        for name, mine in experiment.by_case(rows).items()
+    ]
     yield from experiment.table(("case", "right", "said first"), lines, "1")
-    for row in rows:
-        if not row["right"]:
-            name, seed = row["task"]
-            yield f"seed {seed}, {name}: {row['words']}"
+    yield from (f"seed {row['task'][1]}, {row['task'][0]}: {row['words']}" for row in rows if not row["right"])
 
 
 main = experiment.command(work, table, CASES, first=2000)

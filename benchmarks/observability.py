@@ -13,13 +13,12 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 
+from benchmarks.consistency import MOVING, SCENARIO
+from benchmarks.experiment import simulated
 from locfuse.fusion.data import Array, Drive, Measurements
 from locfuse.fusion.fuse import Filter
 from locfuse.fusion.instants import Due, due_readings, steps_of
 from locfuse.fusion.robot import Robot
-
-from .consistency_cases import MOVING, SCENARIO
-from .experiment import simulated
 
 SEED = 1000
 PICTURE = Path(__file__).parents[1] / "docs" / "images" / "observability.svg"

@@ -9,7 +9,7 @@ Both filters get the same measurements of the same simulated drives, and the sam
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack
 from typing import Any
 from unittest.mock import patch
@@ -19,15 +19,15 @@ import numpy as np
 from benchmarks import experiment
 from benchmarks.accuracy import LOCK_STEP, figures
 from benchmarks.experiment import Row
-from locfuse.fusion.camera.bearing import predict_bearing
-from locfuse.fusion.data import Array, Drive, Estimates, Measurements
+from locfuse.fusion.data import Array, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.paper import equations
 from locfuse.fusion.paper import rows as paper_rows
 from locfuse.fusion.paper.filter import fuse_as_printed
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.se2 import wrap
+from locfuse.fusion.se2 import sight, wrap
+from locfuse.fusion.sensors.camera import MIN_DISTANCE_M
 
 PRINTED_W = equations.eq8_W
 SETS: tuple[tuple[str, ...], ...] = ((), ("compass",), ("lrf",), ("camera",), ("compass", "lrf", "camera"))
@@ -58,75 +58,60 @@ class BearingRow(paper_rows.CameraRow):
     def rows(self, m: Measurements, i: int, x: Array, P: Array) -> list[paper_rows.Row]:
         """Compare the bearing of the largest candidate of picture i."""
         row = int(m.first[i])
-        predicted = predict_bearing((float(x[0]), float(x[1]), float(x[2])), self.landmark, self.lever, self.yaw)
+        pose, mount = (float(x[0]), float(x[1]), float(x[2])), (*self.lever, self.yaw)
+        predicted = sight(pose, self.landmark, mount, MIN_DISTANCE_M)
         if row == int(m.first[i + 1]) or predicted is None:
             return []
         y = wrap(float(m.z[row, 0]) - predicted[0])
-        return [paper_rows.innovation(row, 0, np.array([y]), np.array([predicted[1]]), self.R, P)]
+        return [paper_rows.innovation(row, 0, np.array([y]), np.array([predicted[2]]), self.R, P)]
 
 
-def repairs() -> Mapping[str, Any]:
-    """Return what replaces an equation while the printed filter runs."""
-    return {
-        "(8)": patch.object(equations, "eq8_W", right_W),
-        "(13)": patch.object(equations, "eq13_H_line", right_H),
-        "camera": patch.dict(paper_rows.PARTS, {"camera": BearingRow}),
-    }
-
-
-ROWS: Mapping[str, tuple[str, ...]] = {
-    "as printed": (),
-    "(8) repaired": ("(8)",),
-    "(13) repaired": ("(13)",),
-    "camera repaired": ("camera",),
-    "all three repaired": ("(8)", "(13)", "camera"),
+REPAIRS: dict[str, Any] = {  # what replaces an equation while the printed filter runs
+    "(8)": lambda: patch.object(equations, "eq8_W", right_W),
+    "(13)": lambda: patch.object(equations, "eq13_H_line", right_H),
+    "camera": lambda: patch.dict(paper_rows.PARTS, {"camera": BearingRow}),
 }
-
-
-def repaired(names: tuple[str, ...]) -> Callable[..., Estimates]:
-    """Return the printed filter with some repairs."""
-
-    def run(drive: Drive, robot: Robot, sensors: tuple[str, ...]) -> Estimates:
-        with ExitStack() as stack:
-            for name in names:
-                stack.enter_context(repairs()[name])
-            return fuse_as_printed(drive, robot, sensors)
-
-    return run
+ROWS = {
+    "as printed": (),
+    **{f"{name} repaired": (name,) for name in REPAIRS},
+    "all three repaired": tuple(REPAIRS),
+}
 
 
 def work(seed: int, scenario: str, sets: tuple[str, ...], lock_step: bool) -> Row:
     """Simulate one drive and judge both filters on it: filter -> configuration -> figures."""
     run = experiment.simulated(scenario, (*(LOCK_STEP if lock_step else ()), *sets), seed)
     measured, robot = run.measured(("camera.chain=paper",))
-    filters: dict[str, Callable[..., Estimates]] = {name: repaired(put_right) for name, put_right in ROWS.items()}
     found: dict[str, dict[str, Any]] = {}
-    for name, fused in {**filters, "default": fuse}.items():
-        judged = (evaluate(fused(measured, robot, sensors), measured) for sensors in SETS)
+    for name in (*ROWS, "default"):
+        filter_of = fuse if name == "default" else fuse_as_printed
+        with ExitStack() as stack:
+            for repair in ROWS.get(name, ()):
+                stack.enter_context(REPAIRS[repair]())
+            judged = [evaluate(filter_of(measured, robot, sensors), measured) for sensors in SETS]
         found[name] = {e.name: figures(e) for e in judged}
     return {"found": found}
 
 
 def table(rows: list[Row]) -> Iterator[str]:
-    """Yield the printed filter, its repairs, and the product's over all drives."""
-    found = [row["found"] for row in rows]
-    names = list(found[0]["default"])
-    lines = [(row, *(cell([f[row][name] for f in found]) for name in names)) for row in (*ROWS, "default")]
-    yield from experiment.table(("filter", *names), lines, "12345")
-
-
-def cell(rows: list[dict[str, Any]]) -> str:
-    """Return the mean position rmse over drives [mm], and the median ANEES."""
-    position = 1000 * float(np.mean([r["position_rmse_m"] for r in rows]))
-    anees = float(np.median([r["anees"] for r in rows]))
-    return f"{position:.1f} mm ({float(f'{anees:.2g}'):g})" if anees < 1000 else f"{position:.1f} mm (> 1000)"
+    """Yield mean position rmse [mm] and median ANEES of the printed filter, its repairs, and the product's."""
+    lines = []
+    for name in (*ROWS, "default"):
+        cells = []
+        for configuration in rows[0]["found"]["default"]:
+            found = [row["found"][name][configuration] for row in rows]
+            anees = float(np.median([r["anees"] for r in found]))
+            words = f"{float(f'{anees:.2g}'):g}" if anees < 1000 else "> 1000"
+            cells.append(f"{1000 * float(np.mean([r['position_rmse_m'] for r in found])):.1f} mm ({words})")
+        lines.append((name, *cells))
+    yield from experiment.table(("filter", *rows[0]["found"]["default"]), lines, "12345")
 
 
 OPTIONS = (
     experiment.option("--scenario", default="rounded_rectangle"),
     experiment.option("--set", "sets", multiple=True, help="Scenario key."),
     experiment.option(
-        "--lock-step", is_flag=True, help="Every sensor once per 0.1 s, at one instant, as in the paper."
+        "--lock-step", is_flag=True, help="Every sensor once per 0.1 s, at one instant (the paper)."
     ),
 )
 main = experiment.command(work, table, options=OPTIONS)

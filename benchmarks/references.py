@@ -14,14 +14,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import locfuse
 from benchmarks import experiment
 from benchmarks.experiment import Row
 from benchmarks.real_logs import FILES, KNOWN, are_there, folder
 
-HIDDEN = {"truth.topic": "none"}
 SAMPLES = ("rounded_rectangle", "rounded_triangle", "disturbed")
 WRONG: dict[str, dict[str, Any]] = {
     "compass 5° off, called exact": {"compass.offset_deg": -60, "compass.sigma_deg": 1},
@@ -30,38 +29,26 @@ WRONG: dict[str, dict[str, Any]] = {
     "camera mirrored": {"camera.clockwise": True},
     "wheels 5 % too large": {"wheels.radius": 0.0525},
 }
+BRENNER: dict[str, dict[str, Any]] = {
+    "brenner, track 0.155": {"wheels.track": 0.155},
+    "brenner, track 0.173": {"wheels.track": 0.173},
+    "brenner, clock and scale right": {"wheels.track": 0.173, "lrf.time_offset": -0.45, "lrf.range_scale": 1.126},
+}
+CASES: dict[str, dict[str, Any]] = {  # "log" or "log, what is wrong" -> settings
+    **{log: {} for log in SAMPLES},
+    **{f"{log}, {name}": sets for log in SAMPLES[:2] for name, sets in WRONG.items()},
+    **({name: {**KNOWN["brenner"], **sets} for name, sets in BRENNER.items()} if are_there() else {}),
+}
 GRADES = {"helps": 1, "seems to help": 1, "hurts": -1, "seems to hurt": -1, "no effect seen": 0}
-
-
-class Case(NamedTuple):
-    """A log with truth under some settings."""
-
-    name: str
-    log: str
-    sets: dict[str, Any]
-
-
-def cases() -> Iterator[Case]:
-    """Yield the sample logs, as they are and with wrong settings, and real logs with a truth if they are there."""
-    for log in SAMPLES:
-        yield Case(log, log, {})
-    for log in SAMPLES[:2]:
-        for name, sets in WRONG.items():
-            yield Case(f"{log}, {name}", log, sets)
-    if are_there():
-        brenner, known = str(folder() / FILES["brenner"]), KNOWN["brenner"]
-        for track in (0.155, 0.173):
-            yield Case(f"brenner, track {track}", brenner, {**known, "wheels.track": track})
-        right = {"wheels.track": 0.173, "lrf.time_offset": -0.45, "lrf.range_scale": 1.126}
-        yield Case("brenner, clock and scale right", brenner, {**known, **right})
 
 
 def work(name: str) -> Row:
     """Return every sensor's verdicts and errors with the truth and without it."""
-    case = next(case for case in cases() if case.name == name)
+    log = name.partition(", ")[0]
+    path = log if log in SAMPLES else folder() / FILES[log]
     by_truth, hidden = (
-        locfuse.load(case.log, sets={**case.sets, **more}).compare(advice=False, audits=False, smooth=False).report
-        for more in ({}, HIDDEN)
+        locfuse.load(path, sets={**CASES[name], **more}).compare(advice=False, audits=False, smooth=False).report
+        for more in ({}, {"truth.topic": "none"})
     )
     return {"sensors": [judged(sensor, by_truth, hidden) for sensor in by_truth["verdicts"]]}
 
@@ -69,23 +56,21 @@ def work(name: str) -> Row:
 def judged(sensor: str, by_truth: dict[str, Any], hidden: dict[str, Any]) -> Row:
     """Return one sensor, judged both ways; `error` [m] is that of the sensor alone, by truth and by reference."""
     name = next(n for n, v in hidden["configurations"].items() if list(v["sensors"]) == [sensor])
-    alone = hidden["configurations"][name]
+    shared = (hidden["configurations"][name]["reference"] or {"shared": [sensor]})["shared"]
     return {
         "sensor": sensor,
         "by_truth": by_truth["verdicts"][sensor]["verdict"],
         "by_reference": hidden["verdicts"].get(sensor, {"verdict": "no verdict"})["verdict"],
         "error": [one["configurations"][name]["position_rmse_m"] for one in (by_truth, hidden)],
-        "independent": not (alone["reference"] or {"shared": [sensor]})["shared"],  # no part of the reference
+        "independent": not shared,  # no part of the reference
     }
 
 
 def outcome(row: Row) -> str:
     """Return whether both verdicts agree."""
     truth, other = GRADES.get(row["by_truth"]), GRADES.get(row["by_reference"])
-    if other is None:
-        return "no verdict without truth"
-    if truth is None:
-        return "no verdict by truth"
+    if truth is None or other is None:
+        return "no verdict without truth" if other is None else "no verdict by truth"
     return "agree" if truth == other else "contradict" if truth * other < 0 else "one sees no effect"
 
 
@@ -95,9 +80,8 @@ def table(rows: list[Row]) -> Iterator[str]:
     lines = []
     for row in found:
         truth, reference = ("-" if e is None else f"{e:.3f} m" for e in row["error"])
-        star = "" if row["independent"] else " *"
         verdicts = (row["log"], row["sensor"], row["by_truth"], row["by_reference"])
-        lines.append((*verdicts, truth, f"{reference}{star}"))
+        lines.append((*verdicts, truth, reference if row["independent"] else f"{reference} *"))
     head = ("log", "sensor", "by truth", "without truth", "alone, by truth", "by reference")
     yield from experiment.table(head, lines, "45")
     counts = Counter(outcome(row) for row in found)
@@ -107,7 +91,7 @@ def table(rows: list[Row]) -> Iterator[str]:
     yield f"Judged by a reference without it: {len(ratios)} errors, {near} of them within 10 % of the truth's."
 
 
-main = experiment.command(work, table, [case.name for case in cases()], drives=0)
+main = experiment.command(work, table, CASES, drives=0)
 
 if __name__ == "__main__":
     main()

@@ -15,13 +15,12 @@ from collections.abc import Iterator
 from typing import Any
 
 from benchmarks import experiment
-from benchmarks.experiment import Row, Simulated
+from benchmarks.experiment import Row
 from locfuse.fusion.measure import measure
-from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.tune.tune import Trial, tune
 
-SETS = (
+WHITE = (
     "compass.hard_iron=[0, 0]",
     "compass.soft_iron=[1, 1, 0]",
     "compass.sigma_deg=0.5",
@@ -29,31 +28,22 @@ SETS = (
 )
 
 
-def wrong(run: Simulated, factor: float) -> list[str]:
-    """Return settings with every standard deviation `factor` times too large."""
-    robot = run.robot()
-    found = [f"wheels.noise={robot.wheels.noise * factor**2!r}"]
-    for sensor in (s for s in REGISTRY if s in run.tables):
-        settings = robot.settings(sensor)
-        found += [f"{sensor}.{key}={getattr(settings, key) * factor!r}" for key in REGISTRY[sensor].noise_keys]
-    return found
-
-
 def work(seed: int, scenario: str, sets: tuple[str, ...]) -> Row:
     """Return what tuning makes of one simulated drive, and its CPU time [s]."""
-    run = experiment.simulated(scenario, (*SETS, *sets), seed)
-    found = {}
+    run = experiment.simulated(scenario, (*WHITE, *sets), seed)
+    true, found = run.robot(), {}
+    keys = [(sensor, key) for sensor in REGISTRY if sensor in run.tables for key in REGISTRY[sensor].noise_keys]
     for factor in (10.0, 0.1):
         start = time.process_time()
-        drive, robot = run.measured(wrong(run, factor))
-
-        def again(_: int, sensor: str, now: Robot) -> Any:
-            return measure(run.streams, now).measurements[sensor]
-
-        tuned = tune([Trial(scenario, drive, robot)], list(drive.measurements), remeasure=again)
-        ratios = [
-            [r.key, r.after / r.before * (factor**2 if r.key == "wheels.noise" else factor)] for r in tuned.rows
-        ]
+        wrong = [f"{sensor}.{key}={getattr(true.settings(sensor), key) * factor!r}" for sensor, key in keys]
+        drive, robot = run.measured([f"wheels.noise={true.wheels.noise * factor**2!r}", *wrong])
+        tuned = tune(
+            [Trial(scenario, drive, robot)],
+            list(drive.measurements),
+            remeasure=lambda _, sensor, now: measure(run.streams, now).measurements[sensor],
+        )
+        scale = {"wheels.noise": factor**2}
+        ratios = [[r.key, r.after / r.before * scale.get(r.key, factor)] for r in tuned.rows]
         found[f"{factor:g}"] = {"ratios": ratios, "flags": list(tuned.flags), "s": time.process_time() - start}
     return {"found": found}
 
@@ -63,9 +53,9 @@ def table(rows: list[Row]) -> Iterator[str]:
     lines: list[tuple[Any, ...]] = []
     for row in rows:
         for factor, found in row["found"].items():
-            seed, seconds = row["task"][0], f"{found['s']:.0f} s"
-            lines += [(seed, factor, key, f"{ratio:.3f}", seconds) for key, ratio in found["ratios"]]
-            lines += [(seed, factor, flag, "", "") for flag in found["flags"]]
+            first, seconds = (row["task"][0], factor), f"{found['s']:.0f} s"
+            lines += [(*first, key, f"{ratio:.3f}", seconds) for key, ratio in found["ratios"]]
+            lines += [(*first, flag, "", "") for flag in found["flags"]]
     yield from experiment.table(("seed", "configured", "key", "found / true", "CPU"), lines, "0134")
 
 

@@ -458,6 +458,9 @@ def upper_triangles(P: Array) -> Array:
     return P[..., [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
 
 
+NONE, NO_POINTS, NO_POSES = np.zeros(0), np.zeros((0, 2)), np.zeros((0, 3))
+
+
 class SensorFigures(msgspec.Struct, frozen=True):
     """Counts and figures of one sensor's measurements in one configuration."""
 
@@ -478,14 +481,14 @@ class Evaluation(msgspec.Struct, frozen=True):
     configuration: str  # as of the estimates
     sensors: dict[str, SensorFigures]
     figures: dict[str, float | None]  # flat, SI units with the unit in the key
-    t: Array  # (q,) s since Drive.epoch_ns
-    deviation: Array  # (q, 2) estimate - truth of the tracked point, map frame [m]
-    heading: Array | None  # (q,) estimate - truth [rad], wrapped
-    along_cross: Array  # (q, 2) deviation along and left of the truth's direction [m]
-    sigma: Array  # (q, 3) predicted standard deviation of x, y [m], theta [rad]
-    nees: Array  # (q,) NaN where P is singular or after alignment
-    distance: Array  # (q,) m travelled by the truth
-    estimate_xy: Array  # (q, 2) tracked point of the estimate, aligned as asked
+    t: Array = NONE  # (q,) s since Drive.epoch_ns
+    deviation: Array = NO_POINTS  # (q, 2) estimate - truth of the tracked point, map frame [m]
+    heading: Array | None = None  # (q,) estimate - truth [rad], wrapped
+    along_cross: Array = NO_POINTS  # (q, 2) deviation along and left of the truth's direction [m]
+    sigma: Array = NO_POSES  # (q, 3) predicted standard deviation of x, y [m], theta [rad]
+    nees: Array = NONE  # (q,) NaN where P is singular or after alignment
+    distance: Array = NONE  # (q,) m travelled by the truth
+    estimate_xy: Array = NO_POINTS  # (q, 2) tracked point of the estimate, aligned as asked
     align: str = "none"
     smoothed: bool = False
     lost: tuple[tuple[float, float], ...] = ()  # s: when the filter said that it was lost; all figures include it

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -20,33 +21,13 @@ from locfuse.fusion.wheels.read import WheelReading, read_wheels
 from locfuse.fusion.wheels.repairs import gaps_of
 
 from . import se2
-from .data import END_OF_TIME, Array, Drive, Ints, LocfuseError, Measurements, Motions, Stream, Truth
+from .data import END_OF_TIME, Array, Drive, LocfuseError, Measurements, Stream, Truth
 from .robot import Robot, StartSettings
 from .sensor import FoundStart
 from .truth import body_poses, read_truth
 
-MOVED_S = 1e-6  # s: times are moved by at most this, evenly distributed
-DROPPED_SHARE = 0.01  # of every sensor's readings
+MOVED_S, DROPPED_SHARE = 1e-6, 0.01  # of jittered drives: by at most how much times are moved, readings left out
 MAX_SILENCE_S = 0.2  # s: where no sensor speaks for this long, a wheel reading becomes an instant
-
-
-def jittered(drive: Drive, robot: Robot, seed: int) -> Drive:
-    """Return the drive with other times and fewer readings; equal for equal seeds."""
-    first, last = float(drive.wheels.t[0]), float(drive.wheels.t[-1])
-    found = {
-        name: _jittered(m, first, last, np.random.default_rng([seed, k]))
-        for k, (name, m) in enumerate(drive.measurements.items())
-    }
-    return recut(drive, robot, found)
-
-
-def _jittered(m: Measurements, first: float, last: float, rng: np.random.Generator) -> Measurements:
-    """Return the readings that are kept at random, in the order of their moved times within first and last [s]."""
-    n = len(m.t)
-    t: Array = np.clip(m.t + MOVED_S * rng.uniform(-1.0, 1.0, n), first, last)
-    stays = np.flatnonzero(rng.random(n) >= DROPPED_SHARE)
-    stays = stays[np.argsort(t[stays], kind="stable")]
-    return replace(m.take(stays), t=t[stays])
 
 
 def measure(
@@ -93,12 +74,26 @@ def measure(
                 continue
             measurements[name] = _within(found, wheels)
             drops[name] = dict(measurements[name].dropped)
-    _drop_dependent(measurements, missing)
-    drive = cut(wheels, epoch_ns, measurements, robot, missing, streams.get("truth"), drops)
+    for name, why in unmet(measurements).items():
+        del measurements[name]
+        missing[name] = why
+    truth = None
+    if "truth" in streams:
+        truth, drops["truth"] = read_truth(streams["truth"], robot.truth, epoch_ns)
     repairs = (*notes, *_gap_notes(wheels))
-    of_sensors = (f"{name}: {note}" for name, m in drive.measurements.items() for note in m.notes)
-    words = (*(f"wheels: {note}" for note in repairs), *of_sensors)
-    return replace(drive, notes=words, repairs=repairs, fixes=fixes)
+    of_sensors = (f"{name}: {note}" for name, m in measurements.items() for note in m.notes)
+    return Drive(
+        epoch_ns=epoch_ns,
+        measurements=measurements,
+        absent=missing,
+        truth=truth,
+        dropped=drops,
+        wheels=wheels,
+        notes=(*(f"wheels: {note}" for note in repairs), *of_sensors),
+        repairs=repairs,
+        fixes=fixes,
+        **cut(wheels, robot, measurements, truth),
+    )
 
 
 def begun(robot: Robot, drive: Drive) -> tuple[Robot, Drive]:
@@ -159,65 +154,25 @@ def led_back(robot: Robot, drive: Drive, first_scan: float | None) -> tuple[Robo
     return found, replace(drive, notes=(*drive.notes, words))
 
 
-def _drop_dependent(measurements: dict[str, Measurements], missing: dict[str, str]) -> None:
-    """Leave out sensors that need the map of another sensor, if that one is missing."""
-    for name, why in unmet(measurements).items():
-        del measurements[name]
-        missing[name] = why
-
-
 def cut(
-    wheels: Wheels,
-    epoch_ns: int,
-    measurements: dict[str, Measurements],
-    robot: Robot,
-    absent: dict[str, str],
-    truth_stream: Stream | None,
-    dropped: dict[str, dict[str, int]],
-) -> Drive:
-    """Cut wheel motion at the union of all instants, and at the truth's stamps beside it."""
-    truth = None
-    if truth_stream is not None:
-        truth, dropped["truth"] = read_truth(truth_stream, robot.truth, epoch_ns)
-    return _cut(wheels, epoch_ns, measurements, robot, absent, truth, dropped)
-
-
-def _cut(
-    wheels: Wheels,
-    epoch_ns: int,
-    measurements: dict[str, Measurements],
-    robot: Robot,
-    absent: dict[str, str],
-    truth: Truth | None,
-    dropped: dict[str, dict[str, int]],
-) -> Drive:
-    t = instants(wheels.t, [m.t for m in measurements.values()])
-    before = np.concatenate((t[:1], t[:-1]))
-    estimate = robot.wheels.estimate
+    wheels: Wheels, robot: Robot, measurements: Mapping[str, Measurements], truth: Truth | None
+) -> dict[str, Any]:
+    """Return the wheels' motion cut at all instants, and beside it at the truth's stamps: fields of a drive."""
+    t, estimate = instants(wheels.t, [m.t for m in measurements.values()]), robot.wheels.estimate
     truth_motions = truth_instant = None
     if truth is not None:
-        truth_instant, truth_motions = _to_truth(wheels, t, truth.t, estimate)
-    return Drive(
-        epoch_ns=epoch_ns,
-        t=t,
-        motions=wheels.between(before, t, estimate),
-        measurements=measurements,
-        instant={name: np.searchsorted(t, m.t) for name, m in measurements.items()},
-        absent=absent,
-        truth=truth,
-        truth_motions=truth_motions,
-        truth_instant=truth_instant,
-        dropped=dropped,
-        wheels=wheels,
-    )
-
-
-def recut(drive: Drive, robot: Robot, measurements: dict[str, Measurements]) -> Drive:
-    """Return the drive with other measurements of the same sensors, cut at their instants."""
-    found = _cut(
-        drive.wheels, drive.epoch_ns, measurements, robot, dict(drive.absent), drive.truth, dict(drive.dropped)
-    )
-    return replace(found, notes=drive.notes, repairs=drive.repairs, fixes=drive.fixes)
+        inside = (truth.t >= t[0]) & (truth.t <= t[-1])
+        truth_instant = np.where(inside, np.searchsorted(t, truth.t, side="right") - 1, -1)
+        start = t[np.maximum(truth_instant, 0)]
+        # one call per stamp: neighbouring stamps may share their starting instant
+        truth_motions = wheels.between(start, np.where(inside, truth.t, start), estimate)
+    return {
+        "t": t,
+        "motions": wheels.between(np.concatenate((t[:1], t[:-1])), t, estimate),
+        "instant": {name: np.searchsorted(t, m.t) for name, m in measurements.items()},
+        "truth_motions": truth_motions,
+        "truth_instant": truth_instant,
+    }
 
 
 def _gap_notes(wheels: Wheels) -> list[str]:
@@ -238,16 +193,6 @@ def instants(wheel_t: Array, sensor_t: list[Array]) -> Array:
     empty = ~np.isin(cells, np.floor(t / MAX_SILENCE_S))
     first_in_cell = np.diff(cells, prepend=-1) > 0
     return np.union1d(t, wheel_t[empty & first_in_cell])
-
-
-def _to_truth(wheels: Wheels, t: Array, stamps: Array, estimate: bool) -> tuple[Ints, Motions]:
-    """Motion from the instant before each truth stamp to that stamp; -1 and no motion outside the drive."""
-    inside = (stamps >= t[0]) & (stamps <= t[-1])
-    instant = np.where(inside, np.searchsorted(t, stamps, side="right") - 1, -1)
-    start = t[np.maximum(instant, 0)]
-    end = np.where(inside, stamps, start)
-    # one call per stamp: neighbouring stamps may share their starting instant
-    return instant, wheels.between(start, end, estimate)
 
 
 def _within(m: Measurements, wheels: Wheels) -> Measurements:
@@ -278,29 +223,19 @@ def windowed(drive: Drive, robot: Robot, begin: float | None, end: float | None)
         raise LocfuseError(
             f"--from {a:g} --to {b:g}: the drive lasts from 0 to {last:.1f} s, and nothing moves there"
         )
-    measurements = {name: _inside(m, wheels) for name, m in drive.measurements.items()}
-    truth = _truth_between(drive.truth, wheels)
+    within = {
+        name: m.take(np.flatnonzero((m.t >= wheels.t[0]) & (m.t <= wheels.t[-1])))
+        for name, m in drive.measurements.items()
+    }
+    truth = drive.truth
+    if truth is not None:
+        rows = np.flatnonzero((truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1]))
+        theta = None if truth.theta is None else truth.theta[rows]
+        truth = replace(truth, t=truth.t[rows], xy=truth.xy[rows], theta=theta) if len(rows) else None
     start, words = _start_at(float(wheels.t[0]), drive, robot)
-    cut_out = replace(
-        _cut(wheels, drive.epoch_ns, measurements, robot, drive.absent, truth, drive.dropped),
-        repairs=drive.repairs,
-        fixes=drive.fixes,
-        notes=(*drive.notes, f"only {wheels.t[0]:.1f} to {wheels.t[-1]:.1f} s of the drive are used{words}"),
-    )
-    return cut_out, replace(robot, start=start)
-
-
-def _inside(m: Measurements, wheels: Wheels) -> Measurements:
-    return m.take(np.flatnonzero((m.t >= wheels.t[0]) & (m.t <= wheels.t[-1])))
-
-
-def _truth_between(truth: Truth | None, wheels: Wheels) -> Truth | None:
-    """Return the truth within the wheels' time; None if none of it is inside."""
-    if truth is None:
-        return None
-    rows = np.flatnonzero((truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1]))
-    theta = None if truth.theta is None else truth.theta[rows]
-    return replace(truth, t=truth.t[rows], xy=truth.xy[rows], theta=theta) if len(rows) else None
+    note = f"only {wheels.t[0]:.1f} to {wheels.t[-1]:.1f} s of the drive are used{words}"
+    parts = {"wheels": wheels, "measurements": within, "truth": truth, "notes": (*drive.notes, note)}
+    return replace(drive, **parts, **cut(wheels, robot, within, truth)), replace(robot, start=start)
 
 
 def _start_at(t: float, drive: Drive, robot: Robot) -> tuple[StartSettings, str]:
@@ -329,3 +264,26 @@ def thinned(drive: Drive, rates: Mapping[str, float]) -> Drive:
         keep = np.flatnonzero(np.diff(np.floor(m.t * rate), prepend=-1.0) > 0)
         measurements[sensor], instant[sensor] = m.take(keep), instant[sensor][keep]
     return replace(drive, measurements=measurements, instant=instant)
+
+
+def jittered(drive: Drive, robot: Robot, seed: int) -> Drive:
+    """Return the drive with times moved by a microsecond and a few readings missing; equal for equal seeds.
+
+    Gates, association and map building decide by thresholds, and a reading close to one falls on the other side
+    after the smallest change. What differs between such drives is chance. Wheels and truth stay as they are.
+    """
+    first, last = float(drive.wheels.t[0]), float(drive.wheels.t[-1])
+    found = {
+        name: _jittered(m, first, last, np.random.default_rng([seed, k]))
+        for k, (name, m) in enumerate(drive.measurements.items())
+    }
+    return replace(drive, measurements=found, **cut(drive.wheels, robot, found, drive.truth))
+
+
+def _jittered(m: Measurements, first: float, last: float, rng: np.random.Generator) -> Measurements:
+    """Return the readings that are kept at random, in the order of their moved times within first and last [s]."""
+    n = len(m.t)
+    t: Array = np.clip(m.t + MOVED_S * rng.uniform(-1.0, 1.0, n), first, last)
+    stays = np.flatnonzero(rng.random(n) >= DROPPED_SHARE)
+    stays = stays[np.argsort(t[stays], kind="stable")]
+    return replace(m.take(stays), t=t[stays])

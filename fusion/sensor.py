@@ -385,8 +385,11 @@ class Sensor(ABC):
     """The setting by which what it measures in metres is multiplied."""
 
     def says_noise(self, m: Measurements) -> bool:
-        """Return whether readings come with their own covariance: then no sigma is tuned."""
-        return False
+        """Return whether readings come with their own covariance: then no sigma is tuned.
+
+        By default where a column "told" of their extra ones marks such rows.
+        """
+        return "told" in m.extra and bool(m.extra["told"].any())
 
     # ---- where it sits ----
 

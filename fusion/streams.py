@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import cast
+from typing import Any, cast
 
 import msgspec
 import numpy as np
@@ -20,10 +20,14 @@ def gap_limit(t: Array) -> float:
     return max(GAP, GAP_PERIODS * float(np.median(np.diff(t)))) if len(t) > 1 else GAP
 
 
-def count_dropped(dropped: dict[str, int], reason: str, n: int) -> None:
-    """Count n readings that are not used; a reason that never occurs is not listed."""
-    if n:
-        dropped[reason] = dropped.get(reason, 0) + n
+def count_dropped(dropped: dict[str, int], **unused: Any) -> None:
+    """Count the readings that are not used, by reason: their number, or a flag for each of n.
+
+    A reason that never occurs is not listed.
+    """
+    for reason, which in unused.items():
+        if n := int(np.sum(which)):
+            dropped[reason] = dropped.get(reason, 0) + n
 
 
 class MergedStream(msgspec.Struct, frozen=True, dict=True):
@@ -75,6 +79,11 @@ class MergedStream(msgspec.Struct, frozen=True, dict=True):
     def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
         """Yield all rows as one block, since numbers need little memory."""
         yield np.arange(len(self.t_ns)), self.columns(*fields)
+
+
+def parts_of(stream: Any) -> tuple[Any, ...]:
+    """Return the single topics' streams that a stream is made of."""
+    return stream.parts if isinstance(stream, MergedStream) else (stream,)
 
 
 def merged(streams: Sequence[Stream]) -> Stream | MergedStream:

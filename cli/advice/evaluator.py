@@ -59,17 +59,17 @@ class Evaluator:
         self._seen: dict[str, tuple[Estimates, Evaluation, list[Run]]] = {}
         self._scores: list[Score] = []
         self._odometry: Estimates | None = None
-        self._may_judge = _may_judge(loaded)
+        self.may_judge = may_judge(loaded)
 
     @property
     def takes(self) -> list[Watch]:
         """The receiver of a comparison's finished runs."""
-        return [self._take] if self._may_judge else []
+        return [self._take] if self.may_judge else []
 
     @property
     def hears(self) -> list[Heard]:
         """The receiver of runs to which other sensors listen."""
-        return [self._hear] if self._may_judge else []
+        return [self._hear] if self.may_judge else []
 
     def _take(self, e: Estimates, judged: Evaluation) -> None:
         """Receive a run while it has its audits; if only the beginning of a drive is tried, only its score."""
@@ -111,7 +111,7 @@ class Evaluator:
 
     def advised(self) -> Advised:
         """Return all findings, by the received runs; by a new comparison if these are not enough."""
-        if not self._may_judge:
+        if not self.may_judge:
             return Advised()
         trial = self.trial
 
@@ -210,7 +210,7 @@ def on_the_whole_drive(
     return [*(a for a in judged if a.helps), *first.values()], kept
 
 
-def _may_judge(loaded: Loaded) -> bool:
+def may_judge(loaded: Loaded) -> bool:
     """Return whether a log can be evaluated: not with a given map or the paper's filter."""
     if loaded.robot.lines or loaded.robot.preset != "default":
         return False

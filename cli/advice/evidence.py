@@ -17,6 +17,7 @@ from locfuse.cli.analysis.verdicts import overconfident_by_truth
 from locfuse.fusion.checks.clocks import (
     CLOCK,
     MIN_LAG_S,
+    OPEN_CLOCK,
     SEVERE_LAG_S,
     Clock,
     clock_words,
@@ -35,8 +36,8 @@ from locfuse.fusion.checks.slip import of_spins
 from locfuse.fusion.checks.tried import Candidate, Fixes, together
 from locfuse.fusion.checks.truth import CREEP, POINT, START, STEP, WHEEL_SCALE, of_point, of_ways, swing
 from locfuse.fusion.data import BASES
+from locfuse.fusion.judge.consistency import Consistency, biased_against
 from locfuse.fusion.judge.consistency import Evidence as Said
-from locfuse.fusion.judge.consistency import NoiseVerdict, biased_against
 from locfuse.fusion.judge.innovations import heard
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.truth import body_poses
@@ -170,7 +171,7 @@ class Evidence(Noise):
         by_truth = self.loaded.drive.truth is not None
         fine = {f.role for f in found if self._verdict(f.role) in {*FINE, "overstated"}}
         measured = {(f.role, f.code) for f in found if f.role in fine and (by_truth or f.code != MOUNT)}
-        seen = [f for f in self.doctor if f.code not in {CLOCK, START}]
+        seen = [f for f in self.doctor if f.code not in {CLOCK, OPEN_CLOCK, START}]
         known = self._candidates(seen, offers, [(f.role, f.code) for f in seen if f.code in MEASURED], measured)
         open_ = [f for f in found if not f.fixes] + ([] if self._open_scale else self._distances)
         return [*known, *(self._candidate(f, ()) for f in open_)]
@@ -330,7 +331,7 @@ class Evidence(Noise):
         return [self._candidate(Finding("start", "heading", words), (fixes,), True)]
 
     @cached_property
-    def _biases_again(self) -> dict[str, NoiseVerdict]:
+    def _biases_again(self) -> dict[str, Consistency]:
         """Offsets that were fixed before another fix: measured again, since that fix moved them."""
         keys = [fix.partition("=")[0] for fix in self.fixes]
         fixed = [

@@ -54,16 +54,15 @@ def add_findings(report: dict[str, Any], advised: Advised | None) -> None:
     report["fixes"] = list(advised.fixes)
 
 
-def fixes_file(report: Mapping[str, Any]) -> dict[str, str]:
+def fixes_file(report: Mapping[str, Any], name: str = FIXES_FILE) -> dict[str, str]:
     """Return fixes.toml by its name, empty if no fix helps: --robot robot.toml --robot fixes.toml."""
     fixes = report.get("fixes")
     if not fixes:
         return {}
     head = (
-        "# fixes that locfuse tried and found to help; later files win:\n"
-        f"#   --robot robot.toml --robot {FIXES_FILE}\n"
+        f"# fixes that locfuse tried and found to help; later files win:\n#   --robot robot.toml --robot {name}\n"
     )
-    return {FIXES_FILE: head + robot_toml.dump(robot_toml.apply_sets(fixes))}
+    return {name: head + robot_toml.dump(robot_toml.apply_sets(fixes))}
 
 
 def _joined(found: Sequence[Advice]) -> Advice:
@@ -105,8 +104,8 @@ def _finding(advice: Advice) -> dict[str, Any]:
     if name is not None and advice.before is not None and advice.after is not None:
         tried = {
             "configuration": name,
-            "before": _score(advice.before[name]),
-            "after": _score(advice.after[name]),
+            "before": score(advice.before[name]),
+            "after": score(advice.after[name]),
         }
     return {
         "role": advice.finding.role,
@@ -119,7 +118,8 @@ def _finding(advice: Advice) -> dict[str, Any]:
     }
 
 
-def _score(score: Marks) -> dict[str, float | None]:
+def score(score: Marks) -> dict[str, float | None]:
+    """Return the figures of a configuration for a report."""
     return {
         "position_rmse_m": score.position,
         "aligned": score.aligned,

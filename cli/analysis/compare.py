@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from locfuse.formats.report import json_report
 from locfuse.formats.report.findings import length
 from locfuse.fusion import se2
-from locfuse.fusion.data import Drive, Estimates, Evaluation, Jump, result_name
+from locfuse.fusion.data import Drive, Estimates, Evaluation, result_name
 from locfuse.fusion.fuse import configuration_name
 from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.consistency import Run
@@ -108,8 +108,11 @@ def compare_log(
     """
     align = cast("Align", one_of(asked.align, get_args(Align), "align"))
     drive, robot, reference = loaded.drive, loaded.robot, bool(asked.reference)
-    if asked.smooth:
-        refuse_smoothing(robot, configurations)
+    if asked.smooth:  # refused before any work: a filter whose gain is not optimal
+        from locfuse.fusion.whole_drive.smooth import check_smoothing
+
+        for c in configurations:
+            check_smoothing(robot, c.sensors)
     filtered, smoothed = [], []
     solved: dict[frozenset[str], tuple[Estimates, Estimates]] = {}  # filtered and smoothed
     wholes: dict[str, Estimates] = {}  # smoothed estimates by the name of what they smooth
@@ -176,10 +179,7 @@ def quarrels(configurations: Sequence[Configuration], found: Sequence[Score]) ->
 
 
 def _referenced(
-    references: References,
-    every: Sequence[JudgedRun],
-    hows: Sequence[Align],
-    filtered: Sequence[JudgedRun],
+    references: References, every: Sequence[JudgedRun], hows: Sequence[Align], filtered: Sequence[JudgedRun]
 ) -> tuple[Referenced, list[Evaluation]]:
     """Return every result judged by its reference, aligned as in `hows`, and the name of that reference."""
     pairs = [references.judged(j.evaluation, j.estimates, how) for j, how in zip(every, hows, strict=True)]
@@ -249,14 +249,6 @@ def _in_frame_of(e: Estimates, drive: Drive, references: References | None, alig
     return replace(e, notes=(*e.notes, words)), "origin"
 
 
-def refuse_smoothing(robot: Robot, configurations: Sequence[Configuration]) -> None:
-    """Raise UsageError before any work if a filter cannot be smoothed: its gain is not optimal."""
-    from locfuse.fusion.whole_drive.smooth import check_smoothing
-
-    for c in configurations:
-        check_smoothing(robot, c.sensors)
-
-
 def predict(
     drive: Drive,
     robot: Robot,
@@ -311,7 +303,11 @@ def add_own_scans(
 ) -> None:
     """Add figures by the laser's scans to each result if a path was smoothed, and whether it is doubted."""
     report["doubt"] = None
-    add_events(report, estimates)
+    for e in estimates:  # corrections of the pose that are no motion
+        report["configurations"][e.name]["events"] = [
+            {"t_s": t, "kind": kind, "dx_m": x, "dy_m": y, "dtheta_deg": math.degrees(turn)}
+            for t, kind, (x, y, turn) in e.jumps
+        ]
     if not smoothed:
         return
     for values in report["configurations"].values():
@@ -334,17 +330,6 @@ def add_own_scans(
             use = f"Use {row}" if row in report["configurations"] else "Use the smoothed one: --smooth"
             proven = use if own.smoothed_is_better else "Neither is proven right"
             report["doubt"] = f"Doubtful: the smoothed path of {name} {away}. {proven}."
-
-
-def add_events(report: dict[str, Any], estimates: Sequence[Estimates]) -> None:
-    """Add the corrections of each result's pose that are no motion."""
-    for e in estimates:
-        report["configurations"][e.name]["events"] = [_event(jump) for jump in e.jumps]
-
-
-def _event(jump: Jump) -> dict[str, Any]:
-    x, y, theta = jump.step
-    return {"t_s": jump.t, "kind": jump.kind, "dx_m": x, "dy_m": y, "dtheta_deg": math.degrees(theta)}
 
 
 def add_reference(report: dict[str, Any], compared: Compared) -> None:

@@ -102,8 +102,13 @@ class Gates(msgspec.Struct, frozen=True):
 
     def failures(self, report: Mapping[str, Any]) -> list[str]:
         """Return one line per gate that failed or whose figure does not exist."""
-        lines = [line for gate in self.limits if (line := _violated(report, gate))]
-        return lines + (_worse(report, self.baseline) if self.baseline else [])
+        lines = []
+        for gate in self.limits:
+            path = gate.figure.removeprefix(OF_REFERENCE)
+            name, value = figure(report["configurations"], path)
+            mixed = _mixed(report, gate)
+            lines.append(gate.line(None if mixed else value, mixed or _missing(report, path, name)))
+        return [line for line in lines if line] + (_worse(report, self.baseline) if self.baseline else [])
 
 
 class FleetGates(msgspec.Struct, frozen=True):
@@ -185,7 +190,8 @@ def read_baseline(path: Path, tolerance: str, of_fleet: bool = False) -> Baselin
 
 def refuse_another_log(baseline: Baseline | None, log: Log) -> None:
     """Raise LocfuseError if the baseline is of another log: then a worse figure may be due to the drive."""
-    if baseline is None or _is_of(then := baseline.values.get("input", {}), log):
+    then = {} if baseline is None else baseline.values.get("input", {})
+    if baseline is None or then.get("identity") in {None, log.identity.digest}:
         return
     name, other = log.name, then.get("name")
     which = f"{other}, and this is {name}" if other != name else f"another log that is also called {name}"
@@ -193,19 +199,6 @@ def refuse_another_log(baseline: Baseline | None, log: Log) -> None:
         f"--baseline {baseline.path} is of {which}: the error figures of two drives cannot be compared. Make a "
         f"baseline of this log: locfuse compare {name} -o DIR"
     )
-
-
-def _is_of(then: Mapping[str, Any], log: Log) -> bool:
-    """Return whether a report is of this log, by the identity of its content."""
-    return then.get("identity") in {None, log.identity.digest}
-
-
-def _violated(report: Mapping[str, Any], gate: Gate) -> str | None:
-    if mixed := _mixed(report, gate):
-        return f"{gate.text}: {mixed}"
-    path = gate.figure.removeprefix(OF_REFERENCE)
-    name, value = figure(report["configurations"], path)
-    return gate.line(value, _missing(report, path, name) if value is None else "")
 
 
 def _mixed(report: Mapping[str, Any], gate: Gate) -> str | None:
@@ -229,8 +222,7 @@ def figure(configurations: Mapping[str, Any], path: str) -> tuple[str | None, fl
     value: Any = configurations[name]
     for key in path[len(name) + 1 :].split("."):
         value = value.get(key) if isinstance(value, Mapping) else None
-    number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    return name, float(value) if number else None
+    return name, float(value) if _is_number(value) and math.isfinite(value) else None
 
 
 def _missing(report: Mapping[str, Any], path: str, name: str | None) -> str:
@@ -240,11 +232,12 @@ def _missing(report: Mapping[str, Any], path: str, name: str | None) -> str:
     if path[len(name) + 1 :] in configurations[name]:
         why = "without truth" if report.get("truth") is None else "here"
         return f"the figure does not exist {why}"
-    return f"no such figure; there are {', '.join(k for k, v in configurations[name].items() if _is_figure(v))}"
+    known = (key for key, value in configurations[name].items() if value is None or _is_number(value))
+    return f"no such figure; there are {', '.join(known)}"
 
 
-def _is_figure(value: Any) -> bool:
-    return value is None or (isinstance(value, int | float) and not isinstance(value, bool))
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _worse(report: Mapping[str, Any], baseline: Baseline) -> list[str]:
@@ -255,16 +248,11 @@ def _worse(report: Mapping[str, Any], baseline: Baseline) -> list[str]:
     then, now = judged_by(baseline.values), judged_by(report)
     if then != now and None not in (then, now):
         return [f"--baseline {baseline.path}: its errors are against {then}, these against {now}: no comparison"]
-    both = {
-        name: (old, report["configurations"][name])
-        for name, old in baseline.values["configurations"].items()
-        if name in report["configurations"] and _judge(old) == _judge(report["configurations"][name])
-    }
     pairs = [
-        (path, key, figure({name: old}, path)[1], figure({name: new}, path)[1])
-        for name, (old, new) in both.items()
+        (f"{name}.{key}", key, figure({name: old}, f"{name}.{key}")[1], figure({name: new}, f"{name}.{key}")[1])
+        for name, old in baseline.values["configurations"].items()
+        if (new := report["configurations"].get(name)) and _reference_of(old) == _reference_of(new)
         for key in ERROR_KEYS
-        for path in (f"{name}.{key}",)
     ]
     return _grown(baseline, pairs, "error figure in common with this report")
 
@@ -284,7 +272,7 @@ def _grown(
     ]
 
 
-def _judge(values: Mapping[str, Any]) -> Any:
+def _reference_of(values: Mapping[str, Any]) -> Any:
     """Return the sensors of the reference that judged a result; None if it was no reference."""
     return (values.get("reference") or {}).get("sensors")
 
@@ -326,11 +314,9 @@ def _other_logs(summary: Mapping[str, Any], baseline: Baseline) -> str | None:
     before, now = _contents(baseline.values), _contents(summary)
     missing = [name for content, name in before.items() if content not in now]
     new = [name for content, name in now.items() if content not in before]
-    if not missing and not new:
-        return None
     parts = [f"{len(missing)} of its logs have no result now ({missing[0]})"] if missing else []
     parts += [f"{len(new)} logs are not in it ({new[0]})"] if new else []
-    return f"--baseline {baseline.path}: it is over other logs: {'; '.join(parts)}"
+    return f"--baseline {baseline.path}: it is over other logs: {'; '.join(parts)}" if parts else None
 
 
 def _contents(summary: Mapping[str, Any]) -> dict[str, str]:

@@ -27,7 +27,7 @@ from locfuse.fusion.paper import preset as filters
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.streams import MergedStream, merged
+from locfuse.fusion.streams import merged, parts_of
 from locfuse.fusion.wheels.odometry import SCANS
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
@@ -174,13 +174,20 @@ def measured(
     Sensors that are `known` are not measured again: their settings, and those of the wheels, must be the same.
     What the same log showed `before`, under other settings, may spare a second look at its readings and scans.
     """
-    _leave_out(choice, only, tables["preset"])
+    for sensor in REGISTRY:  # not asked for, or lacking in the paper's filter
+        if only is not None and sensor not in only:
+            choice.topics.pop(sensor, None)
+        is_lacking = tables["preset"] == "paper" and sensor not in filters.PAPER_SENSORS
+        if is_lacking and choice.topics.pop(sensor, ""):
+            choice.absent[sensor] = "the paper has no equation for it (--preset paper)"
     progress("reading")
     streams = _streams(log, choice, str(tables.get("order", "auto")))
     _refuse_lost_wheels(log, choice, streams)
-    sensed = {s: parts(streams[s]) for s in REGISTRY if s in streams}
+    sensed = {s: parts_of(streams[s]) for s in REGISTRY if s in streams}
     if by_scans := "wheels" in streams and streams["wheels"].msgtype == SCANS:
-        sensed.setdefault("lrf", parts(streams["wheels"]))  # where it sits matters, whether or not it is a sensor
+        sensed.setdefault(
+            "lrf", parts_of(streams["wheels"])
+        )  # where it sits matters, whether or not it is a sensor
     frames = [part.frame_id for s in sensed for part in sensed[s]]
     transforms = transforms_of(log, frames)
     placed = EXACT_LASER if by_scans else {}
@@ -191,8 +198,10 @@ def measured(
         raise LocfuseError(moving["lrf"], role="lrf")
     wanted = {role: s for role, s in streams.items() if role not in aside and role not in moving}
     wanted = level_compass(log, wanted, robot, transforms)
-    matched = _matched_scans(log, choice.of("wheels")[0], robot, progress) if by_scans else None
-    if matched is not None:
+    matched = None
+    if by_scans:  # the robot's motion by its laser alone, if no wheels were recorded
+        progress("matching scans")
+        matched = path_of(log, choice.of("wheels")[0], robot.order, laser_of(robot.settings("lrf")))
         motion = matched.reading(robot.wheels, robot.settings("lrf").time_offset)
     elif before is not None and before.reading is not None:
         motion = before.reading.with_noise(robot.wheels.noise)
@@ -220,12 +229,6 @@ def measured(
     drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})
     spoils = spoiling(log, robot, choice, motion)
     return Loaded(log, robot, choice, drive, tables, matched=matched, reading=motion, spoils=spoils)
-
-
-def _matched_scans(log: Log, topic: str, robot: Robot, progress: Progress) -> MatchedScans:
-    """Return the robot's motion by its laser alone, if no wheels were recorded."""
-    progress("matching scans")
-    return path_of(log, topic, robot.order, laser_of(robot.settings("lrf")))
 
 
 def _first_scan(streams: Mapping[str, Any], robot: Robot, drive: Drive) -> float | None:
@@ -265,22 +268,17 @@ def _refuse_lost_wheels(log: Log, choice: Choice, streams: Mapping[str, Any]) ->
         raise LocfuseError(f"wheels: none of {promised} messages on {topics} can be read: {why[0]}")
 
 
-def _leave_out(choice: Choice, only: Collection[str] | None, preset: str) -> None:
-    """Drop sensors that are not asked for, and those that the paper's filter lacks."""
-    for sensor in REGISTRY:
-        if only is not None and sensor not in only:
-            choice.topics.pop(sensor, None)
-        if preset == "paper" and sensor not in filters.PAPER_SENSORS and choice.topics.pop(sensor, ""):
-            choice.absent[sensor] = "the paper has no equation for it (--preset paper)"
-
-
 def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = silent) -> Loaded:
     """Return the same log under other settings: a sensor is processed again only if a setting of it changed.
 
     Raises UsageError for settings that choose what is read, which needs a new `load`.
     """
     sets = set_tables(words)
-    _refuse_other_reading(loaded, sets)
+    reading = [key for key in flat(sets) if key in {"order", "preset"} or key.endswith((".topic", ".topics"))]
+    if reading:
+        raise UsageError(f"{reading[0]} decides what is read of the log: give it when the log is loaded (--set)")
+    if loaded.robot.lines:
+        raise UsageError("this session was given a map: change the settings first, then with_map(FILE)")
     tables = robot_toml.layered(loaded.tables, sets)
     same = {table for table in tables if _measured_by(tables, table) == _measured_by(loaded.tables, table)}
     by_scans = loaded.drive.wheels.matched is not None
@@ -306,15 +304,6 @@ def _measured_by(tables: Mapping[str, Any], table: str) -> Any:
         return keys
     only_fused = getattr(table_types().get(table), "only_fused", ())
     return {key: value for key, value in keys.items() if key not in only_fused}
-
-
-def _refuse_other_reading(loaded: Loaded, sets: Mapping[str, Any]) -> None:
-    keys = {f"{table}.{key}" for table, values in sets.items() if isinstance(values, Mapping) for key in values}
-    reading = [k for k in (*sets, *keys) if k in {"order", "preset"} or k.endswith((".topic", ".topics"))]
-    if reading:
-        raise UsageError(f"{reading[0]} decides what is read of the log: give it when the log is loaded (--set)")
-    if loaded.robot.lines:
-        raise UsageError("this session was given a map: change the settings first, then with_map(FILE)")
 
 
 def _streams(log: Log, choice: Choice, order: str) -> dict[str, Any]:
@@ -343,15 +332,10 @@ def _clock_notes(streams: Mapping[str, Any]) -> list[str]:
     """Return a note per role whose times are not the plain header stamps, with what is unusual about them."""
     notes: dict[str, None] = {}  # as a set in order: several topics of one role may say the same
     for role, stream in streams.items():
-        for part in parts(stream):
+        for part in parts_of(stream):
             words = [] if part.as_stamped else [part.clock]
             notes |= dict.fromkeys(f"{role}: {word}" for word in (*words, *part.notes))
     return list(notes)
-
-
-def parts(stream: Any) -> tuple[Any, ...]:
-    """Return the single topics' streams that a role's stream consists of."""
-    return stream.parts if isinstance(stream, MergedStream) else (stream,)
 
 
 def start_error(robot: Robot, drive: Drive) -> float | None:

@@ -35,6 +35,7 @@ MAX_LINES_PRINTED = 20  # about losses and gates on stderr; all of them are in t
     *o.CONFIGURATIONS,
     o.ALIGN,
     o.SMOOTH,
+    o.ADVICE,
     o.FIGURES,
     *o.GATES,
     o.OPEN,
@@ -49,7 +50,7 @@ def fleet(log: tuple[str, ...], options: o.Options) -> int:
     """Compare each of many LOGS, and write tables and a page over all of them (docs/fleet.md).
 
     LOGS are logs as `locfuse compare` takes them, also as @list.txt or "pattern*.mcap". Logs whose results are
-    there already are not run again.
+    there already are not run again. A setting that helps all logs of a robot is tried on each, and is one fix.
 
     \b
     locfuse fleet rounded_rectangle rounded_triangle disturbed --jobs 2
@@ -66,6 +67,7 @@ def fleet(log: tuple[str, ...], options: o.Options) -> int:
 
 def many(words: Sequence[str], options: o.Options) -> int:
     """Compare every log, write and print the summary; return the exit code."""
+    from locfuse.cli.advice.together import fixes_files
     from locfuse.cli.analysis.gates import FleetGates
     from locfuse.cli.fleet.jobs import gather, plan
     from locfuse.cli.fleet.queue import NOT_RUN
@@ -88,8 +90,12 @@ def many(words: Sequence[str], options: o.Options) -> int:
         _refuse_misuse(found, ended, todo)
         if ended.by is not None and not any(e.state == "done" for e in found.entries):
             raise ended.by
-        summary = summarised(found.entries)
+        summary = {
+            **summarised(found.entries),
+            "robots": _robots(todo, found, options) if ended.by is None else [],
+        }
         files = summary_files(summary, found.entries, outputs.write, colours(), tuple(sweep.parse(fleet.sweep)))
+        files |= fixes_files(summary["robots"])
         write_results(folder, files, overwrite=True)
         (folder / UNFINISHED).unlink(missing_ok=True)
     if ended.by is not None:
@@ -147,6 +153,22 @@ def _run(todo: FleetPlan, options: o.Options) -> Ended:
         return run_all(jobs, pool, slots, options.fleet.max_failures, _watch(progress, quiet))
 
 
+def _robots(todo: FleetPlan, found: FleetRows, options: o.Options) -> list[dict[str, Any]]:
+    """Ask the logs of each robot together: what all of them show is tried on each."""
+    from locfuse.cli.fleet.queue import executor, run_all
+    from locfuse.cli.fleet.together import robots
+
+    def run(jobs: Sequence[Job]) -> Mapping[str, JobOutcome]:
+        quiet = options.how.quiet
+        with show.progress(quiet) as progress, executor(options.fleet) as (pool, slots):
+            ended = run_all(jobs, pool, slots, None, _watch(progress, quiet))
+        if ended.by is not None:
+            raise ended.by
+        return ended.outcomes
+
+    return [] if options.fleet.sweep or not options.asked.advice else robots(found.entries, todo.jobs, run)
+
+
 def _watch(progress: Progress, quiet: bool) -> Watch:
     printed = time.monotonic()
 
@@ -193,6 +215,7 @@ def _print(summary: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> 
         if over.columns_of(summary):
             show.table(over.brief(summary))
         show.verdicts(summary)
+        show.lines(" ".join(line).strip() for line in over.robots(summary))
         show.end(files)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,17 +38,24 @@ TRIED = "tried by fusing"
 def info(log: tuple[str, ...], options: o.Options, check: bool, topics: bool, preview: Path | None) -> int:
     """Say what is in LOG, which sensor reads which topic and why, what is missing, and what looks wrong.
 
-    A finding that a setting fixes is printed with that setting. --check tries them by fusing.
+    A finding that a setting fixes is printed with that setting. --check tries them by fusing. Several logs of one
+    robot are asked together: one lag, one track, one mount, with the spread over the logs.
 
     \b
     locfuse info bag/
     locfuse info bag/ --check --set wheels.radius=0.033 --set wheels.track=0.16
     locfuse info bag/ --preview pictures --set camera.outer=230
+    locfuse info monday.mcap tuesday.mcap friday.mcap --check
     locfuse info --topics s3://bucket/drive.mcap
     """
     how, as_json = options.how, options.outputs.as_json
     if topics:
         return _list_topics(log, as_json, how.quiet)
+    from locfuse.cli.analysis.grouping import expanded, logs_of, named
+
+    logs = logs_of(expanded(log))
+    if len(logs) > 1:
+        return _several(named(logs), options, check, preview)
     from locfuse.cli.analysis.load import find_log
     from locfuse.cli.inspect import values
     from locfuse.cli.inspect.inspect_log import inspect_log
@@ -78,6 +86,35 @@ def info(log: tuple[str, ...], options: o.Options, check: bool, topics: bool, pr
     losses = {"lost", "refused"} if how.strict else {"lost"}
     lost = any(o.code in losses for o in overview.findings)
     return EXIT_LOSS if lost or (check and (overview.severe or void_reasons(tried))) else 0
+
+
+def _several(logs: Mapping[str, Sequence[str]], options: o.Options, check: bool, preview: Path | None) -> int:
+    """Print what several logs of one robot show together, and the findings that they share, each once."""
+    from locfuse.cli.advice.together import ask, here, numbers_of
+    from locfuse.cli.analysis.load import find_log, load_to_fuse
+    from locfuse.cli.inspect import values
+    from locfuse.cli.inspect.inspect_log import inspect_log
+    from locfuse.cli.terminal import info_text, show
+    from locfuse.formats.report import json_report, summary
+    from locfuse.fusion.data import UsageError
+
+    if preview is not None:
+        raise UsageError(f"--preview {preview}: of one log at a time")
+    how, asked = options.how, options.asked
+    with show.progress(how.quiet) as progress:
+        overviews = {name: inspect_log(find_log(parts), how, progress) for name, parts in logs.items()}
+        shown = {n: found for n, o in overviews.items() if o.loaded and (found := numbers_of(o.loaded))}
+        trying = {n: load_to_fuse(find_log(logs[n]), how, progress, True) for n in shown if check and asked.advice}
+        look = here(trying, asked.align, progress) if trying else lambda names, sets: {}
+        together = {"robot": None, **ask(shown, look)}
+    with reader_may_leave():
+        if options.outputs.as_json:
+            each = {name: values.values(overview) for name, overview in overviews.items()}
+            put(json_report.encode({"logs": each, "together": together}))
+        else:
+            show.lines(info_text.together(overviews, together), (*info_text.TITLES, info_text.TOGETHER))
+            show.lines(" ".join(line).strip() for line in summary.fix_of(together))
+    return EXIT_LOSS if check and any(overview.severe for overview in overviews.values()) else 0
 
 
 def _list_topics(words: tuple[str, ...], as_json: bool, quiet: bool) -> int:

@@ -7,6 +7,7 @@ this run would give it, all its files lie beside it, and no file of the log was 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,6 +21,8 @@ from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.inputs import read_small
 from locfuse.formats.logs.files import files_of, identity_of
 from locfuse.formats.whole_files import TEMPORARY
+from locfuse.fusion.checks.together import Look
+from locfuse.fusion.checks.tried import Fixes
 from locfuse.fusion.data import LocfuseError
 
 
@@ -48,6 +51,7 @@ class Job(msgspec.Struct, frozen=True):
     cells: tuple[SweepCell, ...] = (SweepCell(),)
     recordings: Path | None = None  # folder of the drives' recordings
     again: bool = False  # run it even where its results are there
+    tries: tuple[Fixes, ...] = ()  # settings to fuse it under, instead of being compared
 
     def recording_of(self, cell: SweepCell) -> str:
         """Return the name of a cell's recording."""
@@ -67,6 +71,7 @@ class JobOutcome(msgspec.Struct, frozen=True):
     misused: bool = False  # it failed by what was asked for, not by the log
     resumed: bool = False  # its results were there already
     warnings: tuple[str, ...] = ()  # what did not work beside its results
+    looks: Mapping[Fixes, Look] = msgspec.field(default_factory=dict)  # what it shows under each of what it tries
 
 
 REPORT = "report.json"
@@ -76,7 +81,9 @@ OF_KIND = {kind: f"report.{kind}" for kind in OF_COMPARISON if kind != "tum"}
 
 def is_finished(job: Job) -> bool:
     """Return whether a job's results are complete. Raises LocfuseError if its log or settings cannot be read."""
-    if job.again or job.outputs.export or job.outputs.figures is not None:  # exports are not looked for
+    if (
+        job.again or job.tries or job.outputs.export or job.outputs.figures is not None
+    ):  # exports are not looked for
         return False
     if not all((job.place(cell) / REPORT).is_file() for cell in job.cells):
         return False

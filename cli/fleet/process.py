@@ -16,6 +16,7 @@ import tempfile
 import threading
 from contextlib import suppress
 
+from locfuse.cli.advice.together import looks, numbers_of
 from locfuse.cli.analysis import maps
 from locfuse.cli.analysis.errors import expected
 from locfuse.cli.analysis.load import find_log, load_to_fuse, with_settings
@@ -109,6 +110,9 @@ def _end_with_parent() -> None:
 def outcome(job: Job) -> JobOutcome:
     """Run a job in this process and return its outcome, with one line if it failed."""
     try:
+        if job.tries:
+            loaded = load_to_fuse(find_log(job.log), job.how, silent, read_again=True)
+            return JobOutcome(job.name, "done", looks=looks(loaded, job.tries, job.asked.align, silent))
         return JobOutcome(job.name, "done", warnings=compare(job))
     except Exception as problem:
         known = expected(problem)
@@ -126,6 +130,8 @@ def compare(job: Job) -> tuple[str, ...]:
     for cell in job.cells:
         loaded = with_settings(measured, cell.sets) if cell.sets else measured
         found = Session(maps.give_topic(loaded), silent).compared(job.asked)
+        if job.cells == (SweepCell(),):
+            found.report["measured"] = numbers_of(found.loaded, tuple(found.estimates.values()))
         folder = job.place(cell)
         overwrite = outputs.overwrite or is_replaceable(folder)
         found.write(folder, write=outputs.write, export=outputs.export, overwrite=overwrite)

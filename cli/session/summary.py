@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, Unpack, overload
 
 from msgspec.structs import replace
 
+from locfuse.cli.advice.together import ask, fixes_files, here, numbers_of
 from locfuse.cli.analysis import results
 from locfuse.cli.analysis.configurations import Sensors, configuration_words
 from locfuse.cli.analysis.grouping import logs_of, named
@@ -55,10 +56,10 @@ class Summary:
     `results["monday"]` is the comparison of one log, `report` what summary.json holds.
     """
 
-    def __init__(self, found: Mapping[str, Comparison]) -> None:
+    def __init__(self, found: Mapping[str, Comparison], robots: Sequence[Mapping[str, Any]] = ()) -> None:
         self.results = Named("log", found)
         self._entries = [Entry(name, report=slim({"": r.report})) for name, r in found.items()]
-        self.report = summarised(self._entries)
+        self.report = {**summarised(self._entries), "robots": list(robots)}
 
     @property
     def headline(self) -> str:
@@ -82,6 +83,7 @@ class Summary:
         for name, result in self.results.items():
             result.write(place / name, write=of_each(write), overwrite=overwrite)
         files = summary_files(self.report, self._entries, chosen(write, OF_COMPARISON), colours())
+        files |= fixes_files(self.report["robots"])
         write_results(place, files, overwrite=True)
         return [place / name for name in sorted(files)]
 
@@ -147,8 +149,16 @@ def compare(
     found = {}
     for name, parts in named(_each(logs)).items():
         with naming(name):
-            found[name] = opened(parts, how, progress).compared(asked.of_each())
-    return Summary(found)
+            found[name] = result = opened(parts, how, progress).compared(asked.of_each())
+            result.report["measured"] = numbers_of(result.loaded, tuple(result.estimates.values()))
+    return Summary(found, _together(found, asked.align, progress) if asked.advice else ())
+
+
+def _together(found: Mapping[str, Comparison], align: str, progress: Progress) -> list[dict[str, Any]]:
+    """Return what the logs, all of one robot, have in common."""
+    known = {name: r.report["measured"] for name, r in found.items() if r.report["measured"] is not None}
+    look = here({name: r.loaded for name, r in found.items()}, align, progress)
+    return [{"robot": None, **ask(known, look)}] if len(known) > 1 else []
 
 
 def _each(logs: Sequence[PathLike | Sequence[PathLike]]) -> list[list[str]]:

@@ -7,17 +7,21 @@ import textwrap
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
+from msgspec.structs import replace
+
 from locfuse.cli.inspect.mounts import extrinsics
 from locfuse.cli.inspect.robot_facts import Overview
 from locfuse.cli.inspect.topics import TopicFacts, clock_word
 from locfuse.cli.inspect.values import absent, configurations, wheels_missing
 from locfuse.formats.report.table import Cell, Column, Table
+from locfuse.fusion.checks.clocks import OPEN_CLOCK
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser import OPEN_SCALE
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from . import text_table
 
+TOGETHER = "all logs together"
 READS, CONFIGURATIONS, SPOILS, WORTH, NEXT = TITLES = (
     "what reads what",
     "configurations",
@@ -55,6 +59,26 @@ def lines(
     for title, findings in grouped(overview).items():
         yield from _section(title, [line for f in findings for line in _finding(f, width, helped)])
     yield from _section(NEXT, [f"  {command}" for command in _next(overview, typed, helped)])
+
+
+def together(overviews: Mapping[str, Overview], shown: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what several logs of one robot show together; a finding of several logs once, by its first log."""
+    yield from map(_headline, overviews.values())
+    yield from _section(TOGETHER, [f"  {value['words']}" for value in shown["values"]])
+    common = {value["key"] for value in shown["values"]}
+    found: dict[tuple[str, str], dict[str, Finding]] = {}
+    for name, overview in overviews.items():
+        for f in (f for f in overview.findings if not (f.fixes and _keys(f.fixes) <= common)):
+            found.setdefault((f.role, f.code), {})[name] = f
+    for title, severe in ((SPOILS, True), (WORTH, False)):
+        chosen = [of for of in found.values() if any(f.severe for f in of.values()) == severe]
+        yield from _section(title, [line for of in chosen for line in _shared(of, len(overviews))])
+
+
+def _shared(of: Mapping[str, Finding], logs: int) -> list[str]:
+    name, first = next(iter(of.items()))
+    where = f"in all {logs} logs, {name}" if len(of) == logs else f"in {len(of)} of {logs} logs, {name}"
+    return _finding(replace(first, role=f"{first.role} ({where})"), None, None)
 
 
 def listed(topics: Mapping[str, Mapping[str, Any]], width: int | None) -> Sequence[str]:
@@ -226,7 +250,9 @@ def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None
     """
     if overview.choice.unused_wheels:  # wheels first: with their size much of the rest looks different
         return [shlex.join(("locfuse", "init", *typed, "-o", "robot.toml"))]
-    worst = [f for f in overview.findings if f.severe and f.code != OPEN_SCALE]  # there the reader has to choose
+    worst = [
+        f for f in overview.findings if f.severe and f.code not in {OPEN_SCALE, OPEN_CLOCK}
+    ]  # there the reader has to choose
     fixes = dict(fix.partition("=")[::2] for f in worst for fix in f.fixes)
     if fixes and helped is not None:
         fixes = dict(fix.partition("=")[::2] for fix in helped)

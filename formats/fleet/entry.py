@@ -65,6 +65,7 @@ def slim(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         "findings": [(f["role"], f["code"], f["message"], bool(f["fixes"])) for f in first.get("findings") or ()],
         "verdicts": {sensor: v["verdict"] for sensor, v in (first.get("verdicts") or {}).items()},
         "credit": _effects(first.get("credit")),
+        "measured": first.get("measured"),
     }
 
 

@@ -50,7 +50,7 @@ def in_parts(finding: Mapping[str, Any], brief: bool = False) -> tuple[str, str]
     tried = finding["tried"]
     which = "Fix for the covariance only" if _worse(tried) else "Fix"
     with_what = "" if brief else f" with {tried['configuration']}"
-    return f"{head} {which} (tried{with_what}: {_effect(tried, brief)}):", options(finding["fixes"])
+    return f"{head} {which} (tried{with_what}: {effect_of(tried, brief)}):", options(finding["fixes"])
 
 
 def _worse(tried: Mapping[str, Any]) -> bool:
@@ -80,7 +80,8 @@ def together(report: Mapping[str, Any]) -> str | None:
     return f"All of these together: {options(report['fixes'])}" if len(fixed) > 1 else None
 
 
-def _effect(tried: Mapping[str, Any], brief: bool) -> str:
+def effect_of(tried: Mapping[str, Any], brief: bool) -> str:
+    """Return what a fix does to the figures `before` and `after` it: "error 31 -> 3.9 mm, ANEES 29 -> 0.67"."""
     before, after = tried["before"], tried["after"]
     parts = []
     if before["lost_share"] != after["lost_share"]:

@@ -254,6 +254,7 @@ class Report(_Common):
     repeat: str | None = None  # the command that makes this report again
     jitter: Jitter | None = None  # null: not asked for
     key: str | None = None  # equal for equal input, settings, configurations and version
+    measured: dict[str, Any] | None = None  # of one of several logs: the settings and lags that its drive shows
 
 
 # --- locfuse info --json

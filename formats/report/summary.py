@@ -8,6 +8,7 @@ from typing import Any
 
 from msgspec.structs import replace
 
+from .findings import effect_of, options
 from .render import escape, markdown
 from .table import Column, Table, of_values
 from .tables import CONFIGURATION, DURATION, MAIN, RMSE
@@ -21,6 +22,7 @@ BRIEF = (
 OF = Column("of", "of", kind="text")
 BEST_IN = Column("best_in", "best in")
 SOME_TIES = 3  # configurations named in one sentence
+MAX_LISTED = 6  # logs whose figures are in one sentence
 NOT_ERRORS = ("duration_s", "distance_m", "truth_coverage")
 Reports = Mapping[str, Mapping[str, Any]]  # name of the log -> its report.json
 
@@ -170,6 +172,7 @@ def render(summary: Mapping[str, Any]) -> str:
         "\n\n".join(
             f"**{escape(s)} {v['verdict']}.** {v['words']}" for s, v in summary.get("verdicts", {}).items()
         ),
+        "\n".join(f"- {escape(words)}{f' `{typed}`' if typed else ''}" for words, typed in robots(summary)),
         f"locfuse {summary['locfuse']}. Deviation = estimate - truth.",
     ]
     return "\n\n".join(p for p in parts if p) + "\n"
@@ -231,6 +234,36 @@ def _ties(summary: Mapping[str, Any]) -> str:
     names = list(ties)[:SOME_TIES]
     more = [f"{len(ties) - len(names)} more"] if len(ties) > len(names) else []
     return f" A tie with {' and '.join([*names, *more])}: {one} {what} cannot tell them apart."
+
+
+Line = tuple[str, str]  # words, and options to type, "" for none
+
+
+def robots(summary: Mapping[str, Any]) -> list[Line]:
+    """Return what the logs of each robot have in common and is not as configured, and the setting that helps."""
+    return [line for robot in summary.get("robots") or () for line in _of_robot(robot)]
+
+
+def _of_robot(robot: Mapping[str, Any]) -> list[Line]:
+    name = f"{robot['robot']}: " if robot["robot"] else ""
+    values = [(f"{v['words']}.", "") for v in robot["values"] if v["off"] or v["value"] is None]
+    return [(f"{name}{words}", typed) for words, typed in (*values, *fix_of(robot))]
+
+
+def fix_of(robot: Mapping[str, Any]) -> list[Line]:
+    """Return the setting that helps in all logs of a robot, with its effect in each, or what was tried."""
+    helped = [tried for tried in robot["tried"] if tried["helps"]]
+    for tried in helped[:1]:
+        each = [f"{log} {effect_of(pair, True)}" for log, pair in tried["logs"].items()]
+        more = f"; and {len(each) - MAX_LISTED} more" if len(each) > MAX_LISTED else ""
+        what = f"Fix for all of them (tried on {len(each)} logs with {tried['configuration']}"
+        return [(f"{what}: {'; '.join(each[:MAX_LISTED])}{more}):", options(robot["fixes"]))]
+    tries = "; ".join(f"{' '.join(t['fixes'])}{_worse(t['worse'])}" for t in robot["tried"])
+    return [(f"No common setting helps in all of them (tried {tries}).", "")] if tries else []
+
+
+def _worse(logs: Sequence[str]) -> str:
+    return f", worse in {' and '.join(logs)}" if logs else ", changes little"
 
 
 def not_done(summary: Mapping[str, Any]) -> str:

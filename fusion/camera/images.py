@@ -12,6 +12,7 @@ from locfuse.fusion.data import Stream
 
 from .decoder_words import listened, tells_of_damage
 from .opencv import MAX_PIXELS, cv2
+from .optics import FIELDS
 
 PNG = b"\x89PNG\r\n\x1a\n"
 JPEG, EOI = b"\xff\xd8", b"\xff\xd9"
@@ -21,15 +22,6 @@ BARE = frozenset({0x01, *range(0xD0, 0xD8)})  # markers without a length
 END = frozenset({0xD9, 0xDA})  # end of image, start of scan: the size should have come before
 COLOURS = 3  # components of a colour picture: Y, Cb, Cr
 Picture = NDArray[np.uint8]
-# message type -> the fields a picture is made of
-FIELDS: dict[str, tuple[str, ...]] = {
-    "sensor_msgs/msg/CompressedImage": ("data", "format"),
-    "sensor_msgs/msg/Image": ("data", "width", "height", "encoding", "step"),
-    **dict.fromkeys(("foxglove.CompressedImage", "foxglove_msgs/msg/CompressedImage"), ("data", "format")),
-    **dict.fromkeys(
-        ("foxglove.RawImage", "foxglove_msgs/msg/RawImage"), ("data", "width", "height", "encoding", "step")
-    ),
-}
 PICTURES_AT_ONCE = 16  # pictures held undecoded at a time
 # why a message gives no picture
 NO_COLOUR = "no_colour"  # grey (mono8): red needs colour

@@ -13,6 +13,15 @@ import numpy as np
 from locfuse.fusion.data import Array
 from locfuse.fusion.se2 import TAU, wrap_all
 
+COMPRESSED, RAW = ("data", "format"), ("data", "width", "height", "encoding", "step")
+# message type -> the fields a picture is made of
+FIELDS: dict[str, tuple[str, ...]] = {
+    "sensor_msgs/msg/CompressedImage": COMPRESSED,
+    "sensor_msgs/msg/Image": RAW,
+    **dict.fromkeys(("foxglove.CompressedImage", "foxglove_msgs/msg/CompressedImage"), COMPRESSED),
+    **dict.fromkeys(("foxglove.RawImage", "foxglove_msgs/msg/RawImage"), RAW),
+}
+
 
 class Optics(NamedTuple):
     """Calibration of an omni picture."""

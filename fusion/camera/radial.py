@@ -1,7 +1,7 @@
 """The fast landmark detection: a vertical line is a radial line in the raw picture, so nothing is unwrapped.
 
 Red pixels inside the mirror are few, and only they get an angle and a radius. The bearing is that of `panorama`
-(tests/camera/test_panorama.py holds the two together).
+(tests/camera/test_bearings.py holds the two together).
 """
 
 from __future__ import annotations

@@ -36,6 +36,7 @@ MODEL_SIGMA_S = 0.002  # s, 1 sigma of what two clocks differ by beside what the
 RELUCTANCE = {"truth": 0.1, "wheels": 0.2}  # of chi-square: who is accused last where it could be any of them
 NEAR = 4.0  # of chi-square: explanations that differ by less are as good as each other
 CLOCK = "lag"  # code of the finding on one
+OPEN_CLOCK = "clocks"  # of a truth and one other clock that differ: either may be off, so the user decides
 LASER = "lrf"
 MAX_WRONG = 3  # clocks of one log
 RUN_BY_WHEELS = 0.1  # of the wheels' lag, by which a laser's run may be late too
@@ -66,7 +67,8 @@ def of_clocks(drive: Drive, robot: Robot) -> list[Finding]:
             words += f"; no third clock says which of the two is off: {offset_of(rival, robot, 2)} is equal"
         severe = abs(clock.offset) > SEVERE_LAG_S
         digits = 2 if clock.sigma > MIN_LAG_S else 3
-        found.append(Finding(clock.name, CLOCK, words, (offset_of(clock, robot, digits),), severe))
+        code = CLOCK if rival is None or "truth" not in {clock.name, rival.name} else OPEN_CLOCK
+        found.append(Finding(clock.name, code, words, (offset_of(clock, robot, digits),), severe))
     return found
 
 
@@ -151,7 +153,7 @@ def wrong_clocks(pairs: Mapping[Pair, Lag], sigmas: float, least: float = MIN_LA
     found: list[tuple[float, tuple[Clock, ...]]] = []
     for count in range(min(len(names), MAX_WRONG + 1)):
         for off in combinations(names, count):
-            chi, clocks = _explained(pairs, sizes, off)
+            chi, clocks = explained(pairs, sizes, off)
             cost = chi + sigmas**2 * count + sum(RELUCTANCE.get(name, 0.0) for name in off)
             found.append((cost, clocks))
     found.sort(key=lambda one: one[0])
@@ -162,7 +164,7 @@ def wrong_clocks(pairs: Mapping[Pair, Lag], sigmas: float, least: float = MIN_LA
     return [clocks for clocks in named if clocks]
 
 
-def _explained(
+def explained(
     pairs: Mapping[Pair, Lag], sizes: Mapping[Pair, float], off: Sequence[str]
 ) -> tuple[float, tuple[Clock, ...]]:
     """Return chi-square of the differences if these clocks are off, and by how much (least squares)."""

@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.camera.bearing import predict_bearing
 from locfuse.fusion.data import Array, Drive, Stream
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import wrap, wrap_all
-from locfuse.fusion.sensors.camera import CameraSettings, detector
+from locfuse.fusion.sensors.camera import MIN_DISTANCE_M, CameraSettings, detector
 
 from .finding import Finding
 
@@ -138,10 +137,9 @@ def _zero(drive: Drive, robot: Robot, t: Array, z: Array) -> float | None:
     early = t[near]
     if not robot.start_given or len(early) < MIN_BEARINGS:
         return None
-    x, y, yaw = settings.mount
     poses = se2.compose(np.array(start.pose), drive.wheels.at(early)[2])
-    seen = [predict_bearing(tuple(p), settings.landmark, (x, y), yaw) for p in poses.tolist()]
-    lacks = [s[0] - b for s, b in zip(seen, z[near].tolist(), strict=True) if s is not None]
+    seen = [se2.sight(tuple(p), settings.landmark, settings.mount, MIN_DISTANCE_M) for p in poses.tolist()]
+    lacks = [se2.wrap(s[0]) - b for s, b in zip(seen, z[near].tolist(), strict=True) if s is not None]
     if len(lacks) < MIN_BEARINGS:
         return None
     middle = math.atan2(float(np.sin(lacks).mean()), float(np.cos(lacks).mean()))

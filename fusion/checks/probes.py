@@ -124,24 +124,29 @@ def _track(robot: Robot, e: Estimates) -> Iterator[Finding]:
 
 
 def of_scale(robot: Robot, e: Estimates, drive: Drive) -> Iterator[Finding]:
-    """Yield the laser's range scale: the size of the path by the laser over the size of the true path.
+    """Yield the laser's range scale by the size of its own run, where it is wrong."""
+    scale = path_scale(e, drive)
+    if scale is None or abs(scale - 1.0) < MIN_SCALE:
+        return
+    words = f"its trajectory is {1.0 / scale:.4f} times as large as the truth's"
+    value = float(robot.settings("lrf").range_scale) * scale
+    yield Finding("lrf", "way", words, (f"lrf.range_scale={value:.4g}",))
+
+
+def path_scale(e: Estimates, drive: Drive) -> float | None:
+    """Return the size of the true path over that of a laser's run; None without truth.
 
     The least squares of a similarity (Umeyama, PAMI 1991), in complex numbers: walls fix the size of what the
     laser drives along, so that its metre is the map's.
     """
     if drive.truth is None or e.truth_pose is None:
-        return
+        return None
     found = np.isfinite(e.truth_pose[:, 0]) & np.isfinite(drive.truth.xy[:, 0])
     if found.sum() < MIN_TRUTH:
-        return
+        return None
     own, truth = (xy[found] @ np.array([1.0, 1.0j]) for xy in (e.truth_pose[:, :2], drive.truth.xy))
     own, truth = own - own.mean(), truth - truth.mean()
-    scale = abs(np.vdot(own, truth)) / float(np.vdot(own, own).real)
-    if abs(scale - 1.0) < MIN_SCALE:
-        return
-    words = f"its trajectory is {1.0 / scale:.4f} times as large as the truth's"
-    value = float(robot.settings("lrf").range_scale) * scale
-    yield Finding("lrf", "way", words, (f"lrf.range_scale={value:.4g}",))
+    return float(abs(np.vdot(own, truth))) / float(np.vdot(own, own).real)
 
 
 def of_offsets(robot: Robot, e: Estimates) -> Iterator[Finding]:

@@ -207,7 +207,7 @@ def of_track(
     than `least` is not named; slips, which turn the robot by chance, are part of its sigma.
     """
     configured = settings.track
-    found = _observed_track(configured or 0.0, drive, by_sensor, motion)
+    found = observed_track(configured or 0.0, drive, by_sensor, motion)
     if configured is None or found is None:
         return []
     track, own, by = metre * found[0], metre * found[1], found[2]
@@ -224,7 +224,7 @@ def of_track(
     return [Finding("wheels", "track", words, (f"wheels.track={track:.4g}",), abs(off) > SEVERE_TRACK_ERROR)]
 
 
-def _observed_track(
+def observed_track(
     configured: float, drive: Drive, by_sensor: Mapping[str, Turning], motion: Motion | None
 ) -> tuple[float, float, str] | None:
     """Return an estimate of the track, its sigma, and its source."""

@@ -160,7 +160,9 @@ class JointBelief(ekf.State):
             return
         before, start = self._before(), self.pose()
         self.move(steps, k)
-        noise, coupling = self._noise_of(steps, k, start[2])
+        Q, J = (np.array(part) for part in steps.noise_of(k))
+        noise = in_map(Q.reshape(3, 3), start[2])  # of the motion, in the map's axes
+        coupling = se2.rotation(np.array(start[2])) @ J.reshape(3, -1) if self.wheels >= 0 else None
         back = None
         if self.events.backward:
             rows = np.concatenate((POSE, *(columns for columns, _ in self._drift))).astype(np.int64)
@@ -174,12 +176,6 @@ class JointBelief(ekf.State):
                 by_wheels[:, self.wheels : self.wheels + coupling.shape[1]] = coupling
             back = undone(before, self._before(), rows, spread, by_wheels)
         self.events.add(Moved(start, self.pose(), noise, coupling, back))
-
-    def _noise_of(self, steps: Steps, k: int, theta: float) -> tuple[Array, Array | None]:
-        """Return a motion's covariance in the map's axes, and how the wheel parameters enter it (3, p)."""
-        Q, J = (np.array(part) for part in steps.noise_of(k))
-        coupling = se2.rotation(np.array(theta)) @ J.reshape(3, -1) if self.wheels >= 0 else None
-        return in_map(Q.reshape(3, 3), theta), coupling
 
     def queue(self, seen: Innovation | Reading, sensor: str = "") -> None:
         """Queue accepted rows, which correct the state at this instant."""
@@ -451,17 +447,19 @@ class JointBelief(ekf.State):
         first = self.frame < 0
         if first and not self._P[:3, :3].any():
             return
-        if first:
-            self._clone_frame()
+        if first:  # the map frame is a copy of the pose
+            self.frame = self.augment(self._x[:3].copy(), np.eye(3), np.zeros((3, 3)))
+            if self.events is not None:
+                self.events.list[-1] = Added(self.frame, 3, frame=True)
         else:
             self._move_frame()
         for column in sorted(self._clones):  # kept headings become local; a transform, not a new clone: the noise
             turned = np.array([[1.0, 0.0], [-1.0, 1.0]])  # between a kept heading and now stays
             self.transform(np.array([2, column]), np.array([self.theta, self._x[column] - self.theta]), turned)
         for column in sorted(self._kept):
-            self._keep_in_frame(column)
+            self._into_frame(column, 3)
         for name in sorted(self._points):
-            self._point_in_frame(self._slices[name].start)
+            self._into_frame(self._slices[name].start, 2)
         self._forget_pose(first)
         self._mark_kept()
 
@@ -482,12 +480,6 @@ class JointBelief(ekf.State):
         self._P[:n, :n] += K @ (P - own) @ K.T
         self._P[np.ix_(at, at)] = 0.5 * (P + P.T)
 
-    def _clone_frame(self) -> None:
-        """Append a copy of the pose: the map frame."""
-        self.frame = self.augment(self._x[:3].copy(), np.eye(3), np.zeros((3, 3)))
-        if self.events is not None:
-            self.events.list[-1] = Added(self.frame, 3, frame=True)
-
     def _move_frame(self) -> None:
         """Replace G by G o q."""
         if self.events is not None:
@@ -498,22 +490,14 @@ class JointBelief(ekf.State):
         J[3:] = np.hstack((se2.rotation(G[2]), by_frame(G[None], q[None])[0]))
         self.transform(at, np.concatenate((q, se2.compose(G, q))), J)
 
-    def _keep_in_frame(self, column: int) -> None:
-        """Express a kept pose in the robot's present frame."""
-        pose, at = self._x[:3].copy(), np.arange(column, column + 3)
-        kept = self._x[at].copy()
-        J = np.eye(6)
-        J[3:, :3], J[3:, 3:] = se2.between_jacobians(pose, kept)
-        self.transform(np.concatenate((POSE, at)), np.concatenate((pose, se2.between(pose, kept))), J)
-
-    def _point_in_frame(self, column: int) -> None:
-        """Express a point in the robot's present frame."""
-        pose, at = self._x[:3].copy(), np.arange(column, column + 2)
-        placed = np.append(self._x[at], 0.0)
+    def _into_frame(self, column: int, size: int) -> None:
+        """Express a kept pose (three states) or a point (two) in the robot's present frame."""
+        pose, at, placed = self._x[:3].copy(), np.arange(column, column + size), np.zeros(3)
+        placed[:size] = self._x[at]
         by_pose, by_placed = se2.between_jacobians(pose, placed)
-        J = np.eye(5)
-        J[3:, :3], J[3:, 3:] = by_pose[:2], by_placed[:2, :2]
-        self.transform(np.concatenate((POSE, at)), np.append(pose, se2.between(pose, placed)[:2]), J)
+        J = np.eye(3 + size)
+        J[3:, :3], J[3:, 3:] = by_pose[:size], by_placed[:size, :size]
+        self.transform(np.concatenate((POSE, at)), np.append(pose, se2.between(pose, placed)[:size]), J)
 
     def _forget_pose(self, first: bool) -> None:
         """Set the pose to exactly 0: the map frame has taken its value."""
@@ -596,14 +580,11 @@ class JointBelief(ekf.State):
         queue = np.zeros(m, np.intp)
         if old:
             k = min(m, len(old[3]))
-            for to, of in zip(new, old, strict=True):
+            for to, of in zip((*new, queue), (*old, self._queue), strict=True):
                 part = (slice(0, k),) * (2 if to.shape == (m, m) else 1)
                 to[part] = of[part]
-            queue[:k] = self._queue[:k]
         self._rows, self._queue = new, queue
-        self.hold_rows(*new)
-        room = np.zeros((m + 4, len(self._x))), np.zeros((m, m)), np.zeros(m)
-        self.hold_room(*room, queue, np.zeros((16, 16)))
+        self.hold_rows(*new, queue)
 
     def _mark_kept(self, columns: Ints | None = None) -> None:
         """Mark the states that count but are not corrected; while lost, the map frame is one of them."""

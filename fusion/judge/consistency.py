@@ -45,13 +45,17 @@ MIN_READINGS = 20  # readings
 MAX_START_M, MAX_START_RAD = 0.5, math.radians(20.0)  # a truth that starts further from a run: another frame
 
 
-class NoiseVerdict(msgspec.Struct, frozen=True):
-    """A verdict, its words, and the settings that fix it."""
+class Consistency(msgspec.Struct, frozen=True):
+    """The verdict of all runs on a sensor's noise, the settings that fix it, and the innovations of one run."""
 
     verdict: Verdict
     words: str
     scale: float | None = None  # by which the sensor's sigma should be multiplied
-    cures: Mapping[str, float] = field(default_factory=dict)  # table.key -> value
+    cures: Mapping[str, float] = field(default_factory=dict)  # robot.toml key -> value
+    nis_bounds: tuple[float, float] | None = None  # 95 % bounds of the mean NIS per degree of freedom
+    bias_sigma: tuple[float, ...] = ()  # mean innovation in predicted standard deviations
+    whiteness: tuple[float, ...] = ()  # autocorrelation of the innovations at lags 1, 2, ...
+    refused: float | None = None  # share of what was compared
 
 
 def disagrees(h: Heard) -> bool:
@@ -64,21 +68,18 @@ def notable(h: Heard) -> bool:
     return h.bias is not None and abs(h.bias) > MIN_BIAS_SIGMAS * math.sqrt(h.white)
 
 
-def by_reference_run(sensor: str, settings: Any, h: Heard) -> NoiseVerdict | None:
+def by_reference_run(sensor: str, settings: Any, h: Heard) -> Consistency | None:
     """Judge a sensor by a run that does not use it; None where that run is too vague."""
     noise = min(h.white, max(h.spread - h.reference, 0.5 * h.white))
-    if (
-        h.slow > MIN_SLOW_VARIANCE_RATIO * h.reference
-        and h.slow > 0.1 * h.white
-        and not _drifts(sensor, settings, h)
-    ):
+    is_slow = h.slow > max(MIN_SLOW_VARIANCE_RATIO * h.reference, 0.1 * h.white)
+    if is_slow and not _drifts(sensor, settings, h):
         return by_memory(sensor, settings, h.spread, h.memory, h.period, h.R)
     if h.reference > MAX_REFERENCE_VARIANCE_RATIO * noise:
         return None
     return by_share(sensor, h.wild, by_scale(sensor, settings, math.sqrt(noise / h.R)))
 
 
-def by_itself(sensor: str, settings: Any, o: Own, floor: Sequence[float], period: float) -> NoiseVerdict:
+def by_itself(sensor: str, settings: Any, o: Own, floor: Sequence[float], period: float) -> Consistency:
     """Judge a sensor by the innovations of a run that uses it."""
     several = len(o.R) > 1  # numbers of one reading
     if not several and abs(o.middle[0]) > max(MIN_SIGMAS * o.sure[0], math.sqrt(o.R[0])):
@@ -88,11 +89,15 @@ def by_itself(sensor: str, settings: Any, o: Own, floor: Sequence[float], period
         # the state has followed the slow errors, so that the innovations show a part of them
         return by_memory(sensor, settings, o.R[0] * o.nis, repeats, period, o.R[0] / MIN_MEAN_VARIANCE_RATIO)
     if o.raw > MIN_SIGMA_FACTOR and o.whiteness[0] > MIN_WANDER_CORRELATION:
-        return wanders(sensor, o)
+        words = (
+            f"successive residuals are similar ({o.whiteness[0]:.0%}). Usual causes, in this order: wheels.track, "
+            f"{sensor}.time_offset, the mount, the range scale, wheels.noise. Check with: locfuse info LOG --check"
+        )
+        return Consistency("correlated", words)
     factor = _on_sigma(o, floor)
     if factor < MIN_SIGMA_FACTOR and o.share < MIN_NOISE_SHARE:
         # S = H P H' + R: that all of it is too large says nothing of so small a part
-        return NoiseVerdict("unclear", "noise cannot be judged: its residuals show the error of the prediction")
+        return Consistency("unclear", "noise cannot be judged: its residuals show the error of the prediction")
     if factor < MIN_SIGMA_FACTOR < max(o.raw, o.nis):
         # residuals as large as configured, in the middle or on average (a few large ones make that: people, walls
         # that are not flat), do not show that the noise is set too high, however similar neighbouring ones are
@@ -109,9 +114,7 @@ def _drifts(sensor: str, settings: Any, h: Heard) -> bool:
     return float(getattr(settings, key)) > 0.5 * needed
 
 
-def by_memory(
-    sensor: str, settings: Any, variance: float, repeats: float, period: float, R: float
-) -> NoiseVerdict:
+def by_memory(sensor: str, settings: Any, variance: float, repeats: float, period: float, R: float) -> Consistency:
     """Judge slow errors: the variance of a mean of n readings is variance * repeats / n."""
     if variance * repeats > MIN_MEAN_VARIANCE_RATIO * R:
         return correlated(sensor, settings, math.sqrt(variance), repeats, period)
@@ -124,10 +127,10 @@ def _on_sigma(o: Own, floor: Sequence[float]) -> float:
     return max(math.sqrt(sum(parts) / len(parts)) if parts else math.sqrt(o.scale), 0.1)
 
 
-def by_scale(sensor: str, settings: Any, factor: float) -> NoiseVerdict:
+def by_scale(sensor: str, settings: Any, factor: float) -> Consistency:
     """Report a sigma that is off by more than MAX_SIGMA_FACTOR."""
     if MIN_SIGMA_FACTOR <= factor <= MAX_SIGMA_FACTOR:
-        return NoiseVerdict("consistent", f"{sensor} noise matches the configured noise", factor)
+        return Consistency("consistent", f"{sensor} noise matches the configured noise", factor)
     keys = REGISTRY[sensor].noise_keys
     cures = {f"{sensor}.{k}": rounded(getattr(settings, k) * factor) for k in keys}
     verdict: Verdict = "understated" if factor > 1.0 else "overstated"
@@ -137,10 +140,10 @@ def by_scale(sensor: str, settings: Any, factor: float) -> NoiseVerdict:
         f"noise is set too {'low' if factor > 1.0 else 'high'}: {getattr(settings, first):g}{unit} configured, "
         f"{cures[f'{sensor}.{first}']:g}{unit} observed"
     )
-    return NoiseVerdict(verdict, words, factor, cures)
+    return Consistency(verdict, words, factor, cures)
 
 
-def of_messages(sensor: str, found: NoiseVerdict) -> NoiseVerdict:
+def of_messages(sensor: str, found: Consistency) -> Consistency:
     """Return a verdict on readings that bring their own covariance, which no sigma of robot.toml changes."""
     if found.scale is None or found.verdict not in {"understated", "overstated", "correlated"}:
         return found
@@ -151,15 +154,15 @@ def of_messages(sensor: str, found: NoiseVerdict) -> NoiseVerdict:
         words = f"{sensor}: its messages claim errors about {times} smaller than they are"
     else:
         words = f"{sensor}: its messages claim errors about {times} larger than they are"
-    return NoiseVerdict(found.verdict, words, found.scale)
+    return Consistency(found.verdict, words, found.scale)
 
 
-def biased_against(sensor: str, settings: Any, h: Heard) -> NoiseVerdict:
+def biased_against(sensor: str, settings: Any, h: Heard) -> Consistency:
     """Report a mean that differs from a run that does not use the sensor."""
     return biased(sensor, settings, h.bias or 0.0, h.sure, math.sqrt(h.white / h.readings))
 
 
-def biased(sensor: str, settings: Any, bias: float, sure: float, drawn: float) -> NoiseVerdict:
+def biased(sensor: str, settings: Any, bias: float, sure: float, drawn: float) -> Consistency:
     """Report a mean that is off; `bias` is measured minus predicted [rad or m], `sure` its sigma.
 
     A mean that is known less exactly than the readings' own noise would allow (`drawn`) has another's error in it,
@@ -171,13 +174,13 @@ def biased(sensor: str, settings: Any, bias: float, sure: float, drawn: float) -
     words = f"differs from the other sensors by {amount:+.2g} {unit} on average"
     fix = REGISTRY[sensor].bias
     if fix is None:
-        return NoiseVerdict("biased", words)
+        return Consistency("biased", words)
     value = (getattr(settings, fix.key) or 0.0) + fix.sign * amount
     cures = {f"{sensor}.{fix.key}": _turned(value) if unit == "deg" else rounded(value)}
     if fix.sigma is not None and sure > MAX_DRAWN_RATIO * drawn and _accepts(settings, fix.sigma, sigma):
         cures[f"{sensor}.{fix.sigma}"] = sigma
         words += f" (1 sigma {sigma:g})"
-    return NoiseVerdict("biased", words, None, cures)
+    return Consistency("biased", words, None, cures)
 
 
 def _accepts(settings: Any, key: str, value: float) -> bool:
@@ -189,13 +192,7 @@ def _accepts(settings: Any, key: str, value: float) -> bool:
     return True
 
 
-def contradicting(sensor: str, others: Sequence[str]) -> NoiseVerdict:
-    """Report sensors that contradict each other where the wrong one is unknown."""
-    words = f"{sensor} and {' and '.join(others)} contradict each other; no other sensor can tell which is wrong"
-    return NoiseVerdict("contradicts", words)
-
-
-def correlated(sensor: str, settings: Any, sigma: float, repeats: float, period: float) -> NoiseVerdict:
+def correlated(sensor: str, settings: Any, sigma: float, repeats: float, period: float) -> Consistency:
     """Report slow errors: `sigma` [rad or m], correlated over so many readings."""
     memory = repeats * period
     amount, unit = _human(sigma, sensor)
@@ -209,16 +206,7 @@ def correlated(sensor: str, settings: Any, sigma: float, repeats: float, period:
         f"errors of {rounded(amount):g}{_sign(unit.replace('deg', '°'))} last about {rounded(memory):g} s, but "
         "the filter assumes independent readings"
     )
-    return NoiseVerdict("correlated", words, math.sqrt(repeats), cures)
-
-
-def wanders(sensor: str, o: Own) -> NoiseVerdict:
-    """Return the verdict for correlated innovations of normal size: the prediction drifts."""
-    words = (
-        f"successive residuals are similar ({o.whiteness[0]:.0%}). Usual causes, in this order: wheels.track, "
-        f"{sensor}.time_offset, the mount, the range scale, wheels.noise. Check with: locfuse info LOG --check"
-    )
-    return NoiseVerdict("correlated", words)
+    return Consistency("correlated", words, math.sqrt(repeats), cures)
 
 
 def many_refused(sensor: str, share: float) -> bool:
@@ -230,7 +218,7 @@ def _sees_lines(sensor: str) -> bool:
     return REGISTRY[sensor].sees == "line"
 
 
-def by_share(sensor: str, share: float, rest: NoiseVerdict) -> NoiseVerdict:
+def by_share(sensor: str, share: float, rest: Consistency) -> Consistency:
     """Report that many readings are rejected, unless their noise is understated anyway."""
     if not many_refused(sensor, share) or rest.verdict == "understated":
         return rest
@@ -240,7 +228,7 @@ def by_share(sensor: str, share: float, rest: NoiseVerdict) -> NoiseVerdict:
         )
     else:
         words = f"{share:.0%} of the readings are rejected as outliers; the others match the configured noise"
-    return NoiseVerdict("outliers", words)
+    return Consistency("outliers", words)
 
 
 def _sign(unit: str) -> str:
@@ -261,19 +249,6 @@ def rounded(value: float) -> float:
 
 def _turned(degrees: float) -> float:
     return round((degrees + 180.0) % 360.0 - 180.0, 2)
-
-
-class Consistency(msgspec.Struct, frozen=True):
-    """Figures of one sensor's innovations in one run, and the verdict of all runs together."""
-
-    verdict: Verdict
-    words: str
-    nis_bounds: tuple[float, float] | None = None  # 95 % bounds of the mean NIS per degree of freedom
-    bias_sigma: tuple[float, ...] = ()  # mean innovation in predicted standard deviations
-    whiteness: tuple[float, ...] = ()  # autocorrelation of the innovations at lags 1, 2, ...
-    scale: float | None = None  # by which the sensor's sigma should be multiplied
-    refused: float | None = None  # share of what was compared
-    cures: Mapping[str, float] = field(default_factory=dict)  # robot.toml key -> value
 
 
 class Run(NamedTuple):
@@ -299,10 +274,14 @@ def judge(
     """
     evidence = Evidence([r for r in runs if not r.estimates.smoothed], robot, overconfident)
     findings = {s: evidence.finding(s) for s in evidence.sensors}
-    return {
-        r.estimates.name: {s: evidence.in_run(r, s, findings[s]) for s in r.estimates.sensors}
-        for r in evidence.runs
-    }
+    return {r.estimates.name: {s: _of_run(o, findings[s]) for s, o in r.own.items()} for r in evidence.runs}
+
+
+def _of_run(o: Own | None, found: Consistency) -> Consistency:
+    """Return the verdict of all runs with the figures of one."""
+    if o is None:
+        return found
+    return replace(found, nis_bounds=o.bounds, bias_sigma=o.bias, whiteness=o.whiteness, refused=o.refused)
 
 
 class Evidence:
@@ -320,27 +299,20 @@ class Evidence:
         self.contradict: set[str] = set()
         self._flag()
 
-    def in_run(self, run: Run, sensor: str, found: NoiseVerdict) -> Consistency:
-        """Return the run's own figures with the verdict of all runs."""
-        o = self.own[run.estimates.name, sensor]
-        if o is None:
-            return Consistency(found.verdict, found.words, scale=found.scale, cures=found.cures)
-        return Consistency(
-            found.verdict, found.words, o.bounds, o.bias, o.whiteness, found.scale, o.refused, found.cures
-        )
-
-    def finding(self, sensor: str) -> NoiseVerdict:
+    def finding(self, sensor: str) -> Consistency:
         """Return the verdict on a sensor and its words."""
         found = self._finding(sensor)
         m = next(r.drive.measurements[sensor] for r in self.runs if sensor in r.estimates.sensors)
         return of_messages(sensor, found) if REGISTRY[sensor].says_noise(m) else found
 
-    def _finding(self, sensor: str) -> NoiseVerdict:
+    def _finding(self, sensor: str) -> Consistency:
         settings = self.robot.settings(sensor)
         if sensor in self.flagged:
             return biased_against(sensor, settings, self.flagged[sensor])
         if sensor in self.contradict:
-            return contradicting(sensor, sorted(self.contradict - {sensor}))
+            others = " and ".join(sorted(self.contradict - {sensor}))
+            words = f"{sensor} and {others} contradict each other; no other sensor can tell which is wrong"
+            return Consistency("contradicts", words)
         for _, evidence in self.reference_runs(sensor)[:1]:
             found = by_reference_run(sensor, settings, evidence)
             if found is not None:
@@ -350,25 +322,14 @@ class Evidence:
         if run is None or mine is None or mine.compared < MIN_READINGS:
             return self._unclear(sensor)
         m = run.drive.measurements[sensor]
-        period = usual_period(m.t)
-        if period is None:
+        if (period := usual_period(m.t)) is None:
             return self._unclear(sensor)
         return by_itself(sensor, settings, mine, np.diagonal(m.floor).tolist(), period)
 
-    def _unclear(self, sensor: str) -> NoiseVerdict:
-        inconsistent = sorted(
-            {
-                s
-                for (_, s), o in self.own.items()
-                if s != sensor and o is not None and o.scale > MAX_REFERENCE_NIS_RATIO
-            }
-        )
-        why = (
-            f"the noise of {' and '.join(inconsistent)} must be set first"
-            if inconsistent
-            else "too few measurements"
-        )
-        return NoiseVerdict("unclear", f"noise cannot be judged: {why}")
+    def _unclear(self, sensor: str) -> Consistency:
+        found = {s for (_, s), o in self.own.items() if s != sensor and o and o.scale > MAX_REFERENCE_NIS_RATIO}
+        why = f"the noise of {' and '.join(sorted(found))} must be set first" if found else "too few measurements"
+        return Consistency("unclear", f"noise cannot be judged: {why}")
 
     def reference_runs(self, sensor: str) -> list[tuple[Run, Heard]]:
         """Return consistent runs that use neither the sensor nor a flagged one, the most certain first."""
@@ -383,7 +344,7 @@ class Evidence:
                     found.append((run, evidence))
         return sorted(found, key=lambda w: w[1].reference)
 
-    def bias(self, sensor: str) -> NoiseVerdict | None:
+    def bias(self, sensor: str) -> Consistency | None:
         """Return a sensor's mean innovation if it is notable, certain or not; None if no run shows it."""
         found = self._hear_by_truth(sensor) or next((h for _, h in self.reference_runs(sensor)), None)
         if found is None or not notable(found):

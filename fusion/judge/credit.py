@@ -120,7 +120,9 @@ def credit(judged: Mapping[Subset, Evaluation], sensors: Sequence[str]) -> Credi
     if not judged or not sensors or any(len(e.t) == 0 for e in judged.values()):
         return None
     errors = Errors.of(np.stack([e.deviation for e in judged.values()]))
-    book = _Book(list(judged), errors, _expected(judged.values()), [_anees(e) for e in judged.values()])
+    book = _Book(
+        list(judged), errors, _expected(judged.values()), [e.figures.get("anees") for e in judged.values()]
+    )
     found = {s: book.sensor(s, sensors) for s in sensors if any(s in run for run in judged)}
     t = next(iter(judged.values())).t
     return Credit(
@@ -257,10 +259,6 @@ def _expected(judged: Iterable[Evaluation]) -> Array | None:
     """Return ln of the position deviation that each filter predicts for itself, (k,)."""
     mean = np.array([float((e.sigma[:, :2] ** 2).sum(axis=1).mean()) for e in judged])
     return 0.5 * np.log(mean) if (mean > 0.0).all() else None
-
-
-def _anees(evaluation: Evaluation) -> float | None:
-    return evaluation.figures.get("anees")
 
 
 def _over_logs(found: Sequence[SensorCredit]) -> SensorCredit:

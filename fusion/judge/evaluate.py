@@ -14,11 +14,13 @@ import math
 from typing import Literal, NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import MAD
 from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Evaluation, Ints, SensorFigures, Truth
+from locfuse.fusion.ekf.map_frame import by_frame
 from locfuse.fusion.streams import gap_limit
 
 CHORD_SIGMAS = 10.0  # sigmas of the truth's noise, per axis: two readings of one place do not lie so far apart
@@ -140,47 +142,54 @@ def evaluate(estimates: Estimates, drive: Drive, align: Align = "none") -> Evalu
     own = {"duration_s": float(drive.t[-1] - drive.t[0]), "distance_m": _length(estimates.pose[:, :2])}
     truth = drive.truth
     pairs = _pairs(estimates, truth) if truth is not None else None
+    found = Evaluation(
+        estimates.configuration,
+        sensors,
+        {**dict.fromkeys((*ERROR_KEYS, "anees", "truth_coverage")), **own},
+        smoothed=estimates.smoothed,
+        lost=estimates.lost,
+        notes=estimates.notes,
+        rates=estimates.rates,
+    )
     if truth is None or pairs is None or len(pairs.t) == 0:
-        none: dict[str, float | None] = dict.fromkeys((*ERROR_KEYS, "anees", "truth_coverage"))
-        return _without_truth(estimates, sensors, {**none, **own})
+        return found
     if align != "none":
         pairs = aligned(pairs, truth.point, align)
-    point = np.broadcast_to(np.array(truth.point), pairs.xy.shape)
-    estimate_xy = se2.transform(pairs.pose, point)
+    estimate_xy = se2.transform(pairs.pose, np.broadcast_to(np.array(truth.point), pairs.xy.shape))
     deviation = estimate_xy - pairs.xy
     heading = None if pairs.theta is None else se2.wrap_all(pairs.pose[:, 2] - pairs.theta)
     sigma, nees = _expected(pairs, deviation, heading, truth)
     if align != "none":
         nees[:] = np.nan
-    segments = _segments(pairs.t)
+    segments: Ints = np.cumsum(
+        np.diff(pairs.t, prepend=pairs.t[0]) > gap_limit(pairs.t)
+    )  # pieces between gaps, (q,)
     ahead = directions(pairs.t, pairs.xy, segments) if pairs.theta is None else pairs.theta
     along_cross = se2.rotated(-ahead, deviation)
     distance = np.cumsum(np.hypot(*steps_of(pairs.t, pairs.xy, segments).T))
+    steps, duration = np.diff(pairs.t), own["duration_s"]
+    covered = float(steps[steps <= gap_limit(pairs.t)].sum()) / duration if duration > 0 else 0.0
     figures = {
         **_position_figures(deviation, along_cross),
-        **_heading_figures(heading),
+        "heading_rmse_deg": None if heading is None else math.degrees(_rms(heading)),
+        "heading_max_deg": None if heading is None else math.degrees(float(np.abs(heading).max())),
         **_drift_figures(pairs, deviation, distance, segments),
         "anees": _mean(nees),
-        "truth_coverage": _coverage(pairs.t, drive),
+        "truth_coverage": min(1.0, covered),
         **own,
     }
-    return Evaluation(
-        estimates.configuration,
-        sensors,
-        figures,
-        pairs.t,
-        deviation,
-        heading,
-        along_cross,
-        sigma,
-        nees,
-        distance,
-        estimate_xy,
-        align,
-        estimates.smoothed,
-        estimates.lost,
-        estimates.notes,
-        estimates.rates,
+    return replace(
+        found,
+        figures=figures,
+        t=pairs.t,
+        deviation=deviation,
+        heading=heading,
+        along_cross=along_cross,
+        sigma=sigma,
+        nees=nees,
+        distance=distance,
+        estimate_xy=estimate_xy,
+        align=align,
     )
 
 
@@ -192,29 +201,6 @@ def shape_error(estimates: Estimates, drive: Drive) -> float | None:
     pairs = aligned(pairs, drive.truth.point, "se2")
     point = np.broadcast_to(np.array(drive.truth.point), pairs.xy.shape)
     return float(np.sqrt(np.square(se2.transform(pairs.pose, point) - pairs.xy).sum(axis=1).mean()))
-
-
-def _without_truth(
-    estimates: Estimates, sensors: dict[str, SensorFigures], figures: dict[str, float | None]
-) -> Evaluation:
-    none, none2 = np.zeros(0), np.zeros((0, 2))
-    return Evaluation(
-        estimates.configuration,
-        sensors,
-        figures,
-        none,
-        none2,
-        None,
-        none2,
-        np.zeros((0, 3)),
-        none,
-        none,
-        none2,
-        smoothed=estimates.smoothed,
-        lost=estimates.lost,
-        notes=estimates.notes,
-        rates=estimates.rates,
-    )
 
 
 def _pairs(estimates: Estimates, truth: Truth) -> _Pairs:
@@ -250,82 +236,38 @@ def aligned(pairs: _Pairs, point: tuple[float, float], align: Align) -> _Pairs:
 
 
 def _expected(pairs: _Pairs, deviation: Array, heading: Array | None, truth: Truth) -> tuple[Array, Array]:
-    """Return the claimed standard deviations (q, 3) of the tracked point and theta, and NEES (q,)."""
-    sigma, nees = np.empty((len(pairs.t), 3)), np.empty(len(pairs.t))
-    for at in (slice(a, a + ERRORS_AT_ONCE) for a in range(0, len(pairs.t), ERRORS_AT_ONCE)):
-        P = _at_point(pairs.P[at], pairs.pose[at], truth.point)
-        sigma[at] = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0.0))
-        nees[at] = _nees(deviation[at], None if heading is None else heading[at], P, truth)
-    return sigma, nees
+    """Return the claimed standard deviations (q, 3) of the tracked point and theta, and NEES (q,).
 
-
-def _at_point(P: Array, pose: Array, point: tuple[float, float]) -> Array:
-    """Covariance of (tracked point, theta): the point's lever arm turns heading error into position error."""
-    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
-    G = np.zeros_like(P)
-    G[:] = np.eye(3)
-    G[:, 0, 2] = -s * point[0] - c * point[1]
-    G[:, 1, 2] = c * point[0] - s * point[1]
-    return G @ P @ G.transpose(0, 2, 1)
-
-
-def _nees(deviation: Array, heading: Array | None, P: Array, truth: Truth) -> Array:
-    """Normalised estimation error squared per degree of freedom (Bar-Shalom 2001, 5.4.2); NaN where singular.
-
-    The truth's own noise counts: of its position, and of its heading where it has one.
+    The point's lever arm turns heading error into position error. NEES is per degree of freedom (Bar-Shalom 2001,
+    5.4.2), and the truth's own noise counts: of its position, and of its heading where it has one.
     """
-    dof = 2 if heading is None else 3
     e = deviation if heading is None else np.column_stack((deviation, heading))
-    S = P[:, :dof, :dof].copy()
-    own = np.square((truth.sigma, truth.sigma, truth.sigma_theta))
-    S[:, np.arange(dof), np.arange(dof)] += own[:dof]
-    return nees(e, S)
+    dof, own = e.shape[1], np.diag(np.square((truth.sigma, truth.sigma, truth.sigma_theta)))
+    lever = np.broadcast_to(np.append(truth.point, 0.0), pairs.pose.shape)
+    sigma, found = np.empty((len(pairs.t), 3)), np.empty(len(pairs.t))
+    for at in (slice(a, a + ERRORS_AT_ONCE) for a in range(0, len(pairs.t), ERRORS_AT_ONCE)):
+        G = by_frame(pairs.pose[at], lever[at])
+        P = G @ pairs.P[at] @ G.transpose(0, 2, 1)
+        sigma[at] = np.sqrt(np.maximum(np.diagonal(P, axis1=1, axis2=2), 0.0))
+        found[at] = nees(e[at], (P + own)[:, :dof, :dof])
+    return sigma, found
 
 
 def nees(e: Array, S: Array) -> Array:
-    """Return e' S^-1 e / d of errors e (n, d) whose covariances are S (n, d, d), NaN where one is singular.
+    """Return e' S^-1 e / d of errors e (n, d) of covariances S (n, d, d), NaN where one is singular.
 
     One is singular where 1 / tr S^-1 is not above MIN_EIGENVALUE_RATIO of tr S, or of that ratio itself: up to the
-    factor d these are its smallest and its largest eigenvalue, however the numbers are ordered. S = L L' number by
-    number, each of all errors at once: solvers of many small systems take ten times as long.
+    factor d these are its smallest and its largest eigenvalue, however the numbers are ordered.
     """
-    d = e.shape[1]
-    L = S.transpose(1, 2, 0).copy()
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        for k in range(d):
-            for j in range(k):
-                for i in range(j):
-                    L[k, j] -= L[k, i] * L[j, i]
-                L[k, j] /= L[j, j]
-                L[k, k] -= L[k, j] * L[k, j]
-            L[k, k] = np.sqrt(L[k, k])
-        inverse = sum(_squared(L, column, k) for k, column in enumerate(np.eye(d)[:, :, None]))
-        sizes = np.maximum(np.trace(S, axis1=1, axis2=2), MIN_EIGENVALUE_RATIO)
-        regular = MIN_EIGENVALUE_RATIO * sizes * inverse < 1.0
-        return np.where(regular, _squared(L, e.T, 0) / d, np.nan)
-
-
-def _squared(L: Array, w: Array, first: int) -> Array:
-    """Return |L^-1 w|^2 (n,) of L (d, d, n) and w (d, n), whose numbers before `first` are 0."""
-    solved, total = list(w), np.zeros(L.shape[2])
-    for i in range(first, len(solved)):
-        for j in range(first, i):
-            solved[i] = solved[i] - L[i, j] * solved[j]
-        solved[i] = solved[i] / L[i, i]
-        total += solved[i] * solved[i]
-    return total
-
-
-def _segments(t: Array) -> NDArray[np.int64]:
-    """Number the pieces of truth between gaps, (q,)."""
-    return np.cumsum(np.diff(t, prepend=t[0]) > gap_limit(t))
-
-
-def _coverage(t: Array, drive: Drive) -> float:
-    """Share of the drive's time that the truth covers."""
-    steps = np.diff(t)
-    duration = float(drive.t[-1] - drive.t[0])
-    return min(1.0, float(steps[steps <= gap_limit(t)].sum()) / duration) if duration > 0 else 0.0
+    found = np.full(len(e), np.nan)
+    finite = np.flatnonzero(np.isfinite(S).all(axis=(1, 2)))
+    sizes = np.linalg.eigvalsh(S[finite])
+    with np.errstate(divide="ignore", over="ignore"):
+        wide = MIN_EIGENVALUE_RATIO * np.maximum(sizes.sum(axis=1), MIN_EIGENVALUE_RATIO)
+        regular = finite[(sizes > 0.0).all(axis=1) & (wide * (1.0 / sizes).sum(axis=1) < 1.0)]
+    L = np.linalg.cholesky(S[regular])
+    found[regular] = np.square(np.linalg.solve(L, e[regular, :, None])).sum(axis=(1, 2)) / e.shape[1]
+    return found
 
 
 def _position_figures(deviation: Array, along_cross: Array) -> dict[str, float | None]:
@@ -340,15 +282,6 @@ def _position_figures(deviation: Array, along_cross: Array) -> dict[str, float |
         "y_rmse_m": _rms(deviation[:, 1]),
         "along_rmse_m": _rms(along_cross[:, 0]),
         "cross_rmse_m": _rms(along_cross[:, 1]),
-    }
-
-
-def _heading_figures(heading: Array | None) -> dict[str, float | None]:
-    if heading is None:
-        return {"heading_rmse_deg": None, "heading_max_deg": None}
-    return {
-        "heading_rmse_deg": math.degrees(_rms(heading)),
-        "heading_max_deg": math.degrees(float(np.abs(heading).max())),
     }
 
 

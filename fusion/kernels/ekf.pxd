@@ -55,7 +55,6 @@ cdef class State:
     cdef double covariance_of(self, Py_ssize_t a, Py_ssize_t b)
     @cython.locals(total=double, nis=double, greatest=double, share=double, v=double, a=Py_ssize_t, b=Py_ssize_t, i=Py_ssize_t, j=Py_ssize_t, k=Py_ssize_t)
     cdef double judge(self, Py_ssize_t first, Py_ssize_t d) except? -1.0
-    cdef double sigma_of(self, Py_ssize_t a)
     cpdef double variance(self, object H, object columns=*, object H_block=*, bint in_map=*) except? -1.0
     cpdef void begin(self)
     cpdef void queue_rows(self, Py_ssize_t first, Py_ssize_t rows)

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from .arrays import memory
+from .arrays import floats, memory
 
 try:
     import cython
@@ -119,15 +119,16 @@ class State:
         """Use mean (size,) and P (size, size); kept (size,) marks states that count but are never corrected."""
         self.mean, self.P, self.kept = memory(mean), memory(P), memory(kept)
 
-    def hold_rows(self, at: Any, H: Any, count: Any, y: Any, R: Any) -> None:
-        """Use these arrays for m rows: at and H (m, states of a row), count and y (m,), R (m, m)."""
-        self.row_at, self.row_H, self.row_count = memory(at), memory(H), memory(count)
-        self.row_y, self.row_R = memory(y), memory(R)
+    def hold_rows(self, at: Any, H: Any, count: Any, y: Any, R: Any, queue: Any) -> None:
+        """Use these arrays for m rows: at and H (m, states of a row); count, y and queue (m,), R (m, m).
 
-    def hold_room(self, V: Any, S: Any, e: Any, queue: Any, small: Any) -> None:
-        """Use these arrays as scratch: V (m + 4, size), S (m, m), e (m,), queue (m,), small (16, 16)."""
-        self.V, self.S, self.e = memory(V), memory(S), memory(e)
-        self.queued_rows, self.small = memory(queue), memory(small)
+        Scratch is V (m + 4, size), S (m, m), e (m,), small (16, 16).
+        """
+        self.row_at, self.row_H, self.row_count = memory(at), memory(H), memory(count)
+        self.row_y, self.row_R, self.queued_rows = memory(y), memory(R), memory(queue)
+        m = len(y)
+        self.V, self.S, self.e = floats(m + 4, self.mean.shape[0]), floats(m, m), floats(m)
+        self.small = floats(16, 16)
 
     def drift(self, columns: Any, variances: Any) -> None:
         """Set the states `columns` (k,) that gain these variances (k,) each second."""
@@ -220,7 +221,7 @@ class State:
         found.row, found.landmark, found.threshold, found.y = row, -1, threshold, y
         found.first, found.numbers = first, d
         found.nis = self.judge(first, d)
-        found.sigma = tuple([self.sigma_of(a) for a in range(d)])
+        found.sigma = tuple([sqrt(max(self.small[MAX_NUMBERS, a], 0.0)) for a in range(d)])
         found.verdict = ACCEPTED if found.nis <= threshold else GATE
         return found
 
@@ -310,11 +311,6 @@ class State:
                 for k in range(i + 1, j + 1):
                     self.small[j, k] -= share * self.small[k, i]
         return nis
-
-    def sigma_of(self, a: int) -> float:
-        """Return the standard deviation of number a of the measurement compared last."""
-        variance = self.small[MAX_NUMBERS, a]
-        return sqrt(variance) if variance > 0.0 else variance
 
     def variance(self, H: Any, columns: Any = (), H_block: Any = (), in_map: bool = False) -> float:
         """Return H P H' for one derivative H (3,) by the pose and H_block (c,) by the states `columns` (c,)."""

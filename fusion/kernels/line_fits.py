@@ -110,14 +110,20 @@ def fit_wall(returns: Returns, limits: Limits, segments: Segments, wall: int, fi
     """Fit a line to the returns of a wall and write it; return whether it is valid.
 
     Two Gauss-Newton steps. What lies outside the wall's own feet, or is seen too flat, leaves before the first,
-    strays before the second.
+    strays before the second. What stays is decided by the predicted point, never by the measured one: choosing by
+    the noise would bias the line.
     """
     least = max(limits.min_points, 3.0)
     stray = limits.stray_sigmas * limits.stray_sigmas * limits.sigma_range * limits.sigma_range
     fit.r, fit.psi = segments.r[wall], segments.psi[wall]
     flat = fit.r * limits.grazing
     residuals(returns, limits, fit)
-    keep_clear(fit, max(segments.low[wall], -flat), min(segments.high[wall], flat))
+    low, high, kept = max(segments.low[wall], -flat), min(segments.high[wall], flat), 0
+    for k in range(fit.count):
+        if low <= fit.foot[k] <= high:
+            keep(fit, k, kept)
+            kept += 1
+    fit.count = kept
     normal_equations(fit)
     if fit.count < least or singular(fit):
         return False
@@ -132,7 +138,12 @@ def fit_wall(returns: Returns, limits: Limits, segments: Segments, wall: int, fi
 
 
 def finish(returns: Returns, limits: Limits, fit: Fit, found: Found) -> bool:
-    """Take the last step, and write the line if its wall is straight and its covariance small enough."""
+    """Take the last step, and write the line if its wall is straight and its covariance small enough.
+
+    A wall is bent where a parabola, as high as that share of its chord, explains much of the misfit. A line is too
+    vague to be linear where turning about its middle by sigma(psi) moves its foot by more than a share of sigma(r)
+    where psi is known, or where that sigma(psi) itself is too large.
+    """
     if singular(fit):
         return False
     line, det = found.count, determinant(fit)
@@ -142,7 +153,12 @@ def finish(returns: Returns, limits: Limits, fit: Fit, found: Found) -> bool:
         return False
     first, last = fit.row[0], fit.row[fit.count - 1]
     begin, end = foot_of(returns, first, fit.r, fit.psi), foot_of(returns, last, fit.r, fit.psi)
-    if is_bent(fit, end - begin, limits) or is_vague(fit, limits):
+    bow = abs(curvature(fit) * (end - begin)) / 4.0  # height / chord
+    if bend(fit) > limits.max_bend * limits.variance and bow > limits.max_bow:
+        return False
+    spread = fit.sum_w / det * limits.variance  # of psi [rad^2]
+    most = limits.max_swing * sqrt(limits.variance / fit.sum_w)
+    if spread > limits.max_sigma_psi * limits.max_sigma_psi or 0.5 * fit.r * spread > most:
         return False
     found.z[line, 0], found.z[line, 1] = fit.r, wrapped(fit.psi)
     found.R[line, 0], found.R[line, 1], found.R[line, 2] = fit.sum_wqq / det, fit.sum_wq / det, fit.sum_w / det
@@ -215,25 +231,8 @@ def residuals(returns: Returns, limits: Limits, fit: Fit) -> None:
 
 def keep(fit: Fit, k: int, kept: int) -> None:
     """Move return k of the fit to the kept ones."""
-    fit.row[kept], fit.error[kept], fit.foot[kept], fit.weight[kept] = (
-        fit.row[k],
-        fit.error[k],
-        fit.foot[k],
-        fit.weight[k],
-    )
-
-
-def keep_clear(fit: Fit, low: float, high: float) -> None:
-    """Keep the returns with feet in [low, high].
-
-    What stays is decided by the predicted point, never by the measured one: choosing by the noise would bias it.
-    """
-    kept = 0
-    for k in range(fit.count):
-        if low <= fit.foot[k] <= high:
-            keep(fit, k, kept)
-            kept += 1
-    fit.count = kept
+    fit.row[kept], fit.error[kept] = fit.row[k], fit.error[k]
+    fit.foot[kept], fit.weight[kept] = fit.foot[k], fit.weight[k]
 
 
 def leave_strays(fit: Fit, limit: float, least: float) -> None:
@@ -341,27 +340,6 @@ def bend(fit: Fit) -> float:
     return stiffness(fit) * coefficient * coefficient
 
 
-def is_bent(fit: Fit, extent: float, limits: Limits) -> bool:
-    """Return whether the wall is not straight: a parabola is high and explains much of the misfit.
-
-    The highest bow is a share of the chord `extent` [m]: k q^2 is k extent^2 / 4 high over it.
-    """
-    bow = abs(curvature(fit) * extent) / 4.0  # height / chord
-    return bend(fit) > limits.max_bend * limits.variance and bow > limits.max_bow
-
-
-def is_vague(fit: Fit, limits: Limits) -> bool:
-    """Return whether the line is too short for its noise, so that linearisation no longer holds.
-
-    Turning about its middle by sigma(psi) moves the line's foot by `swing` [m]; of r, where psi is known, the
-    variance is s_d^2 / sum of w.
-    """
-    spread = fit.sum_w / determinant(fit) * limits.variance  # of psi [rad^2]
-    swing = 0.5 * fit.r * spread
-    most = limits.max_swing * sqrt(limits.variance / fit.sum_w)
-    return spread > limits.max_sigma_psi * limits.max_sigma_psi or swing > most
-
-
 # ---- curves ----
 
 
@@ -392,13 +370,6 @@ def find_curves(returns: Returns, limits: Limits, segments: Segments, fit: Fit, 
                 curves.curved[i] = 1
 
 
-def following(walls: int, closed: bool, i: int) -> int:
-    """Return the wall after wall i in the order of the beams, -1 if there is none."""
-    if i + 1 < walls:
-        return i + 1
-    return 0 if closed and walls > 1 else -1
-
-
 def joints(returns: Returns, segments: Segments, curves: Curves) -> int:
     """Write the curvature [1/m] at which each wall joins the next, 0 where it does not; return how many do.
 
@@ -407,9 +378,9 @@ def joints(returns: Returns, segments: Segments, curves: Curves) -> int:
     found, psi = 0, segments.psi
     for i in range(segments.walls):
         curves.joint[i] = 0.0
-        j = following(segments.walls, returns.closed, i)
-        if j < 0:
+        if i + 1 == segments.walls and not (returns.closed and i > 0):
             continue
+        j = i + 1 if i + 1 < segments.walls else 0  # the next wall in the order of the beams
         begin, tail = head_of(segments, i), tail_of(segments, i)
         head, end = head_of(segments, j), tail_of(segments, j)
         shadow = distance(returns, tail, head)

@@ -120,7 +120,6 @@ def find_walls(scans: Scans, scan: int, limits: Limits, returns: Returns, segmen
     weigh(returns, limits, segments)
     segments.groups = merge(segments, segments.pieces, limits.merge_chi2)
     long_enough(returns, limits, segments)
-    link_parts(returns, limits, segments)
     segments.walls = merge(segments, segments.parts, limits.merge_chi2)
     if returns.closed:
         close_ring(returns, limits, segments)
@@ -284,14 +283,8 @@ def misfit(w: float, sx: float, sy: float, sxx: float, sxy: float, syy: float) -
 def joint_misfit(segments: Segments, i: int, j: int) -> float:
     """Return the misfit of i and j as one line."""
     m = segments.moments
-    return misfit(
-        m[i, 0] + m[j, 0],
-        m[i, 1] + m[j, 1],
-        m[i, 2] + m[j, 2],
-        m[i, 3] + m[j, 3],
-        m[i, 4] + m[j, 4],
-        m[i, 5] + m[j, 5],
-    )
+    w, sx, sy = m[i, 0] + m[j, 0], m[i, 1] + m[j, 1], m[i, 2] + m[j, 2]
+    return misfit(w, sx, sy, m[i, 3] + m[j, 3], m[i, 4] + m[j, 4], m[i, 5] + m[j, 5])
 
 
 def own_misfit(segments: Segments, i: int) -> float:
@@ -394,16 +387,19 @@ def tail_of(segments: Segments, wall: int) -> int:
 
 
 def long_enough(returns: Returns, limits: Limits, segments: Segments) -> None:
-    """Keep the parts with enough points and length for a wall."""
-    parts = 0
+    """Keep the parts with enough points and length for a wall; link those that may be one behind an object."""
+    parts, start, stop = 0, segments.start, segments.stop
     for g in range(segments.groups):
         begin, end = segments.first[segments.bounds[g]], segments.first[segments.bounds[g + 1]]
         if end - begin >= limits.min_points and distance(returns, begin, end - 1) >= limits.min_length:
-            segments.start[parts], segments.stop[parts] = begin, end
+            start[parts], stop[parts] = begin, end
             for q in range(6):
                 segments.moments[parts, q] = segments.moments[g, q]
             parts += 1
     segments.parts = parts
+    for i in range(parts - 1):
+        between = start[i + 1] - stop[i]
+        segments.linked[i] = near(returns, limits, start[i], stop[i] - 1, start[i + 1], stop[i + 1] - 1, between)
 
 
 def near(
@@ -416,14 +412,6 @@ def near(
     open_way = distance(returns, tail, next_head)
     shorter = min(distance(returns, head, tail), distance(returns, next_head, next_tail))
     return open_way <= min(shorter, limits.bridge) or (between <= MAX_STRAY_BEAMS and open_way <= limits.max_gap)
-
-
-def link_parts(returns: Returns, limits: Limits, segments: Segments) -> None:
-    """Write which neighbouring parts may be one wall on both sides of an object before it."""
-    start, stop = segments.start, segments.stop
-    for i in range(segments.parts - 1):
-        between = start[i + 1] - stop[i]
-        segments.linked[i] = near(returns, limits, start[i], stop[i] - 1, start[i + 1], stop[i + 1] - 1, between)
 
 
 def close_ring(returns: Returns, limits: Limits, segments: Segments) -> None:
@@ -497,30 +485,24 @@ def corner_limits(returns: Returns, limits: Limits, segments: Segments) -> None:
         across = limits.sigma_angle * returns.ranges[tail]
         sigma = sqrt(across * across + limits.sigma_range * limits.sigma_range)
         margin = limits.corner_sigmas * sigma / abs(sine)
-        limit_end(returns, segments, i, (r[j] - r[i] * cosine) / sine, margin)
-        limit_begin(returns, segments, j, (r[j] * cosine - r[i]) / sine, margin)
+        corner, own = (r[j] - r[i] * cosine) / sine, (r[j] * cosine - r[i]) / sine  # on either wall
+        limit_by_corner(returns, segments, i, tail, head_of(segments, i), corner, margin)
+        limit_by_corner(returns, segments, j, head, tail_of(segments, j), own, margin)
 
 
-def limit_end(returns: Returns, segments: Segments, wall: int, corner: float, margin: float) -> None:
-    """Leave out the end of a wall near a corner at the foot `corner` [m], but only a limited share of it."""
-    begin = along(returns, head_of(segments, wall), segments.psi[wall])
-    end = along(returns, tail_of(segments, wall), segments.psi[wall])
-    share = MAX_CORNER_SHARE * abs(end - begin)
-    if end >= begin:
-        segments.high[wall] = max(corner - margin, end - share)
+def limit_by_corner(
+    returns: Returns, segments: Segments, wall: int, end: int, other: int, corner: float, margin: float
+) -> None:
+    """Leave out a wall's end near a corner at the foot `corner` [m], but only a limited share of the wall.
+
+    By the wall's last returns at this `end` and at the `other`.
+    """
+    here, there = along(returns, end, segments.psi[wall]), along(returns, other, segments.psi[wall])
+    share = MAX_CORNER_SHARE * abs(there - here)
+    if here > there:
+        segments.high[wall] = max(corner - margin, here - share)
     else:
-        segments.low[wall] = -max(-corner - margin, -end - share)
-
-
-def limit_begin(returns: Returns, segments: Segments, wall: int, corner: float, margin: float) -> None:
-    """Leave out the beginning of a wall near a corner at the foot `corner` [m], but only a limited share of it."""
-    begin = along(returns, head_of(segments, wall), segments.psi[wall])
-    end = along(returns, tail_of(segments, wall), segments.psi[wall])
-    share = MAX_CORNER_SHARE * abs(end - begin)
-    if end >= begin:
-        segments.low[wall] = min(corner + margin, begin + share)
-    else:
-        segments.high[wall] = -min(-corner + margin, -begin + share)
+        segments.low[wall] = min(corner + margin, here + share)
 
 
 def along(returns: Returns, i: int, psi: float) -> float:

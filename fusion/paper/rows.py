@@ -8,7 +8,6 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.camera.bearing import paper_orientation
 from locfuse.fusion.data import VERDICTS, Array, LocfuseError, MapLine, Measurements
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.robot import Robot
@@ -124,7 +123,7 @@ class CameraRow:
         row = int(m.first[i])
         if row == int(m.first[i + 1]):
             return []
-        gamma = paper_orientation(self.direction, float(m.z[row, 0]) + self.yaw)
+        gamma = self.direction - (float(m.z[row, 0]) + self.yaw)
         y = se2.wrap(gamma - float(x[2]))
         return [innovation(row, 0, np.array([y]), equations.eq13_H_heading(), self.R, P)]
 

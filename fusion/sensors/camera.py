@@ -13,30 +13,17 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from locfuse.fusion.camera.bearing import (
-    H_ORIENTATION,
-    MIN_DISTANCE_M,
-    Point,
-    paper_orientation,
-)
+from locfuse.fusion.camera.optics import FIELDS
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, LocfuseError, Measurements, Stream
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT, Mount, MountedSettings, mount_states
 from locfuse.fusion.se2 import sight, wrap
-from locfuse.fusion.sensor import (
-    GATE,
-    NO_BLOCK,
-    NO_COLUMNS,
-    Ask,
-    Belief,
-    Bias,
-    Block,
-    Model,
-    Sensor,
-    WheelMotion,
-)
+from locfuse.fusion.sensor import GATE, NO_BLOCK, NO_COLUMNS, Ask, Belief, Bias, Block, Model, Sensor, WheelMotion
 
+Point = tuple[float, float]
+MIN_DISTANCE_M = 0.05  # m: nearer than this the camera is inside the landmark
+H_ORIENTATION = ((0.0, 0.0, 1.0),)  # the camera's row of eq. 13, as printed
 AMBIGUOUS, UNMATCHED = (VERDICTS.index(v) for v in ("ambiguous", "unmatched"))
 MAX_PANORAMA_COLUMNS, MAX_PANORAMA_ROWS = 3600, 8192  # of a panorama: its maps stay below 250 MB
 MIN_CANDIDATE_MARGIN = 9.0  # squared sigmas by which the second-best candidate must fit worse: odds of 90 to 1
@@ -112,14 +99,7 @@ class Camera(Sensor):
         "zero_deg": "guess: bearing at which column 0 (straight down in the picture) looks",
         "clockwise": "guess: columns turn counter-clockwise in the world, seen from above",
     }
-    reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        "sensor_msgs/msg/CompressedImage": ("data", "format"),
-        "sensor_msgs/msg/Image": ("data", "width", "height", "encoding", "step"),
-        **dict.fromkeys(("foxglove.CompressedImage", "foxglove_msgs/msg/CompressedImage"), ("data", "format")),
-        **dict.fromkeys(
-            ("foxglove.RawImage", "foxglove_msgs/msg/RawImage"), ("data", "width", "height", "encoding", "step")
-        ),
-    }
+    reads: ClassVar[Mapping[str, tuple[str, ...]]] = FIELDS
 
     def missing(self, settings: CameraSettings) -> str | None:
         """Return why the camera cannot be used with these settings, or None."""
@@ -303,8 +283,8 @@ class OrientationModel(Model):
         if row == m.plain["first"][i + 1]:
             return []
         z, variances = m.scalars
-        y = wrap(paper_orientation(self.direction, z[row] + self.yaw) - belief.theta)
-        return choose([belief.compare(row, (y,), (H_ORIENTATION,), ((variances[row],),), self.threshold)])
+        y = wrap(self.direction - (z[row] + self.yaw) - belief.theta)  # gamma_k of eq. 16 less theta
+        return choose([belief.compare(row, (y,), H_ORIENTATION, ((variances[row],),), self.threshold)])
 
 
 def choose(judged: list[Innovation]) -> list[Innovation]:

@@ -99,20 +99,10 @@ class Compass(Sensor):
     }
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
         "sensor_msgs/msg/MagneticField": ("magnetic_field.x", "magnetic_field.y", "magnetic_field.z"),
-        "sensor_msgs/msg/Imu": (
-            "orientation.x",
-            "orientation.y",
-            "orientation.z",
-            "orientation.w",
-            "orientation_covariance",
-        ),
-        "std_msgs/msg/Float64": ("data",),
-        "std_msgs/msg/Float32": ("data",),
+        "sensor_msgs/msg/Imu": (*(f"orientation.{axis}" for axis in "xyzw"), "orientation_covariance"),
+        **dict.fromkeys(BARE_NUMBERS, ("data",)),
     }
-    named: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        "std_msgs/msg/Float64": SAYS_SO,
-        "std_msgs/msg/Float32": SAYS_SO,
-    }
+    named: ClassVar[Mapping[str, tuple[str, ...]]] = dict.fromkeys(BARE_NUMBERS, SAYS_SO)
 
     def carries(self, stream: Stream) -> bool:
         """Return whether a topic holds a heading: many IMUs leave their orientation empty."""
@@ -128,26 +118,27 @@ class Compass(Sensor):
         """Turn readings into headings z (n, 1) [rad] in the field's frame."""
         fields = self.reads[stream.msgtype]
         up = stream.up if isinstance(stream, LevelledField) else None
-        if (
-            stream.msgtype.endswith("MagneticField")
-            and not settings.roll_deg
-            and not settings.pitch_deg
-            and up is None
-        ):
+        is_field = stream.msgtype.endswith("MagneticField")
+        if is_field and not settings.roll_deg and not settings.pitch_deg and up is None:
             fields = fields[:2]  # a level sensor's third axis says nothing
         columns = cast("dict[str, Array]", stream.columns(*fields))
-        if up is None:
-            heading, strength = _HEADING[stream.msgtype](columns, settings, stream.topic)
+        if is_field:
+            heading, strength = from_field(columns, settings, up)
         else:
-            heading, strength = from_level_field(columns, settings, up)
-        t = (stream.t_ns - epoch_ns) * 1e-9 + settings.time_offset
+            read = from_imu if stream.msgtype.endswith("Imu") else from_number
+            heading, strength = read(columns, settings, stream.topic)
+        t: Array = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
         good = np.isfinite(heading)
         _refuse_stuck(t[good], heading[good], wheels, stream.topic)
         dropped = dict(stream.dropped)
-        count_dropped(dropped, "not_finite", int((~good).sum()))
+        count_dropped(dropped, not_finite=~good)
         n, sigma = int(good.sum()), math.radians(settings.sigma_deg)
-        strength = _relative(strength[good])
-        explained = FIELD_SIGMAS * max(sigma, _white(strength))
+        strength = strength[good]
+        usual = float(np.median(strength)) if n else 0.0  # steel and motors change it, the earth does not
+        strength = strength / usual if usual > 0 else np.ones_like(strength)
+        steps = np.abs(np.diff(strength))
+        white = float(np.median(steps)) / (MAD * math.sqrt(2.0)) if len(steps) else 0.0  # without the slow part
+        explained = FIELD_SIGMAS * max(sigma, white)
         rest = np.square(np.maximum(np.abs(strength - 1.0) - explained, 0.0))
         return Measurements(
             t=t[good],
@@ -228,33 +219,19 @@ def _refuse_stuck(t: Array, heading: Array, wheels: WheelMotion, topic: str) -> 
         )
 
 
-def from_field(columns: dict[str, Array], settings: CompassSettings, topic: str) -> tuple[Array, Array]:
-    """Heading from two field axes in the base frame: theta = phi_B - atan2(m_y, m_x); and the strength."""
-    mx, my = _without_iron(columns, settings)
-    return -np.arctan2(my, mx), np.hypot(mx, my)
+def from_field(
+    columns: dict[str, Array], settings: CompassSettings, up: Array | None = None
+) -> tuple[Array, Array]:
+    """Return headings by a field in the base's axes, theta = phi_B - atan2(m_y, m_x), and its strength, (n,) each.
 
-
-def from_level_field(columns: dict[str, Array], settings: CompassSettings, up: Array) -> tuple[Array, Array]:
-    """Return the same for a robot that tilts; `up` (n, 3) in the base's axes. Iron turns with the robot."""
-    mx, my = _without_iron(columns, settings)
-    mx, my = levelled(np.column_stack((mx, my, _along(columns, settings, 2))), up)
-    return -np.arctan2(my, mx), np.hypot(mx, my)
-
-
-def _without_iron(columns: dict[str, Array], settings: CompassSettings) -> tuple[Array, Array]:
-    """Return the field along the base's x and y axes, (n,) each, corrected for the robot's iron."""
-    mx, my = _along(columns, settings, 0), _along(columns, settings, 1)
-    mx, my = mx - settings.hard_iron[0], my - settings.hard_iron[1]
-    a, b, c, d = settings.soft_iron
-    return a * mx + b * my, c * mx + d * my
-
-
-def _along(columns: dict[str, Array], settings: CompassSettings, axis: int) -> Array:
-    """Return the field along an axis of the base, (n,)."""
+    The robot's iron, which turns with it, is taken out. `up` (n, 3), in the base's axes, levels the field.
+    """
     x, y = columns["magnetic_field.x"], columns["magnetic_field.y"]
-    R = rotation(settings.roll_deg, settings.pitch_deg, settings.yaw_deg)
-    z = columns.get("magnetic_field.z", np.zeros_like(x))
-    return np.asarray(R[axis, 0] * x + R[axis, 1] * y + R[axis, 2] * z)
+    m = np.column_stack((x, y, columns.get("magnetic_field.z", np.zeros_like(x))))
+    m = m @ rotation(settings.roll_deg, settings.pitch_deg, settings.yaw_deg).T
+    m[:, :2] = (m[:, :2] - settings.hard_iron) @ np.reshape(settings.soft_iron, (2, 2)).T
+    ahead, left = m[:, :2].T if up is None else levelled(m, up)
+    return -np.arctan2(left, ahead), np.hypot(ahead, left)
 
 
 def from_imu(
@@ -290,23 +267,3 @@ def from_number(columns: dict[str, Array], settings: CompassSettings, topic: str
         )
     angle = np.radians(value) if convention.endswith("deg") else value
     return wrap_all(math.pi / 2 - angle if convention.startswith("compass") else angle), np.ones_like(value)
-
-
-_HEADING = {
-    "sensor_msgs/msg/MagneticField": from_field,
-    "sensor_msgs/msg/Imu": from_imu,
-    "std_msgs/msg/Float64": from_number,
-    "std_msgs/msg/Float32": from_number,
-}
-
-
-def _white(values: Array) -> float:
-    """Return the standard deviation of the white part of values (n,), without their slow part."""
-    steps = np.abs(np.diff(values))
-    return float(np.median(steps)) / (MAD * math.sqrt(2.0)) if len(steps) else 0.0
-
-
-def _relative(strength: Array) -> Array:
-    """Field strength relative to the drive's median: steel and motors change it, the earth does not."""
-    median = float(np.median(strength)) if len(strength) else 0.0
-    return strength / median if median > 0 else np.ones_like(strength)

@@ -20,16 +20,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import (
-    Array,
-    Colour,
-    Component,
-    LocfuseError,
-    Measurements,
-    Ragged,
-    Stream,
-    plausible,
-)
+from locfuse.fusion.data import Array, Colour, Component, LocfuseError, Measurements, Ragged, Stream, plausible
 from locfuse.fusion.geodesy import east_north
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT
@@ -89,13 +80,7 @@ class Gps(Sensor):
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
         **dict.fromkeys(
             ("sensor_msgs/msg/NavSatFix", *OF_GPSD),
-            (
-                "status.status",
-                "latitude",
-                "longitude",
-                "position_covariance",
-                "position_covariance_type",
-            ),
+            ("status.status", "latitude", "longitude", "position_covariance", "position_covariance_type"),
         ),
         **dict.fromkeys(
             ("foxglove.LocationFix", "foxglove_msgs/msg/LocationFix"),
@@ -142,8 +127,7 @@ def _usable(where: Array, status: Array | None, dropped: dict[str, int]) -> NDAr
     finite = plausible(where).all(axis=1)
     fixed = finite if status is None else finite & (np.asarray(status) >= 0)
     real: NDArray[np.bool_] = fixed & (np.abs(where[:, 0]) <= 90.0) & (where != 0.0).any(axis=1)
-    for reason, n in (("not_finite", ~finite), ("no_fix", finite & ~fixed), ("nowhere", fixed & ~real)):
-        count_dropped(dropped, reason, int(n.sum()))
+    count_dropped(dropped, not_finite=~finite, no_fix=finite & ~fixed, nowhere=fixed & ~real)
     return real
 
 

@@ -76,19 +76,10 @@ class Gyro(Sensor):
     extra = True  # most bags have an IMU: one that is of no use must not stop the others
     guesses: ClassVar[Mapping[str, str]] = {"unit": "guess: radians per second, as REP 103 wants"}
     reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        "sensor_msgs/msg/Imu": (
-            "angular_velocity.x",
-            "angular_velocity.y",
-            "angular_velocity.z",
-            "angular_velocity_covariance",
-        ),
-        "std_msgs/msg/Float64": ("data",),
-        "std_msgs/msg/Float32": ("data",),
+        "sensor_msgs/msg/Imu": (*(f"angular_velocity.{axis}" for axis in "xyz"), "angular_velocity_covariance"),
+        **dict.fromkeys(BARE_NUMBERS, ("data",)),
     }
-    named: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        "std_msgs/msg/Float64": SAYS_SO,
-        "std_msgs/msg/Float32": SAYS_SO,
-    }
+    named: ClassVar[Mapping[str, tuple[str, ...]]] = dict.fromkeys(BARE_NUMBERS, SAYS_SO)
 
     def carries(self, stream: Stream) -> bool:
         """Return whether a topic holds an angular velocity."""
@@ -109,7 +100,7 @@ class Gyro(Sensor):
         t: Array = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
         good = np.isfinite(rate)
         dropped = dict(stream.dropped)
-        count_dropped(dropped, "not_finite", int((~good).sum()))
+        count_dropped(dropped, not_finite=~good)
         t, rate = t[good], rate[good]
         angle, piece = _summed(t, rate)
         keep = last_of_periods(t, settings.period)

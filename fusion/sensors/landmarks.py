@@ -30,31 +30,12 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion.chi_square import MAD, chi_square
-from locfuse.fusion.data import (
-    Array,
-    Colour,
-    Component,
-    Ints,
-    LocfuseError,
-    Measurements,
-    Stream,
-    plausible,
-)
+from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, Stream, plausible
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.se2 import direction, wrap, wrap_all
-from locfuse.fusion.sensor import (
-    NO_BLOCK,
-    NO_COLUMNS,
-    Ask,
-    Belief,
-    Bias,
-    Block,
-    Model,
-    Sensor,
-    WheelMotion,
-)
-from locfuse.fusion.streams import MergedStream
+from locfuse.fusion.sensor import NO_BLOCK, NO_COLUMNS, Ask, Belief, Bias, Block, Model, Sensor, WheelMotion
+from locfuse.fusion.streams import parts_of
 
 from .landmark_messages import PIXELS, READS, Looks, Sighted, sighted
 from .points import (
@@ -215,11 +196,6 @@ class Landmarks(Sensor):
     def model(self, settings: LandmarksSettings) -> Model:
         """Return the landmarks' model for a new run."""
         return GrowingModel(settings) if settings.grows else LandmarksModel(settings)
-
-
-def parts_of(stream: Stream) -> tuple[Stream, ...]:
-    """Return the streams that one stream is made of: one per camera."""
-    return stream.parts if isinstance(stream, MergedStream) else (stream,)
 
 
 def _seen(stream: Stream, settings: LandmarksSettings) -> tuple[Sighted, Ints]:

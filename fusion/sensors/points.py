@@ -79,14 +79,8 @@ def usable(
     triples = np.stack((t_ns, ids, detector), axis=-1)
     _, place, counts = np.unique(triples, axis=0, return_inverse=True, return_counts=True)
     twice = counts[place.reshape(-1)] > 1 if len(ids) else np.zeros(0, dtype=bool)
-    for reason, out in (
-        ("not_finite", ~valid),
-        ("no_id", valid & (ids < 0)),
-        ("ignored", valid & unwanted),
-        ("not_in_map", valid & numbered & ~known),
-        ("same_id", valid & known & twice),
-    ):
-        count_dropped(dropped, reason, int(out.sum()))
+    count_dropped(dropped, not_finite=~valid, no_id=valid & (ids < 0), ignored=valid & unwanted)
+    count_dropped(dropped, not_in_map=valid & numbered & ~known, same_id=valid & known & twice)
     keep: NDArray[np.bool_] = valid & known & ~twice
     return keep
 
@@ -122,7 +116,7 @@ def often_seen(
         ("seen_rarely", ~often, f"seen less than {MIN_SEEN} times"),
         ("too_many_ids", often & ~most, f"beyond the {MAX_POINTS} seen most often, the cap of a map"),
     ):
-        count_dropped(dropped, reason, int(counts[out].sum()))
+        count_dropped(dropped, **{reason: counts[out]})
         if out.any():
             words.append(f"{out.sum()} of {len(names)} ids are not placed in the map: {why}")
     return taken, words

@@ -58,6 +58,7 @@ MIN_READINGS = 20  # before a source is called stuck, or far from the start
 WITH_COVARIANCE = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped")
 PLANE = (0, 1, 5)  # where x, y and yaw stand in a covariance of ROS
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+DRIFTING = (ODOMETRY, "geometry_msgs/msg/TransformStamped")  # types of frames that drift
 DRIFT_SIGMAS = ("sigma_drift", "sigma_drift_deg")
 Pose = tuple[float, float, float]
 
@@ -125,23 +126,26 @@ class PoseSensor(Sensor):
         dropped = dict(stream.dropped)
         keep = _usable(values, stream, settings, dropped)
         values, t = values[keep], (stream.t_ns[keep] - epoch_ns) * np.float64(1e-9) + settings.time_offset
+        # readings that share one error: with this factor on their variance they count as one
+        shared = max(1.0, settings.correlated / float(np.median(np.diff(t)))) if len(t) > 1 else 1.0
         theta = se2.yaw(*values[:, 2:].T) if settings.heading else np.zeros(len(values))
         z = np.column_stack((values[:, :2], theta))
         _refuse_stuck(t, z, wheels, stream.topic)
-        own = np.broadcast_to(_own(settings), (len(z), 3))
+        turn = math.radians(settings.sigma_theta_deg) if settings.heading else MAX_SIGMA[1]
+        own = np.broadcast_to(np.square((settings.sigma, settings.sigma, turn)), (len(z), 3))
         R, told = plane_covariance(columns.get("pose.covariance"), keep, settings.covariance, own)
         off = se2.inverse(np.array(self.mount(settings)))
         J = by_frame(z, np.broadcast_to(off, z.shape))
-        n = len(z)
+        n, frame = len(z), settings.frame or ("drift" if stream.msgtype in DRIFTING else "own")
         return Measurements(
             t=t,
             first=np.arange(n + 1),
             z=se2.compose(z, off),
-            R_unit=J @ R @ J.transpose(0, 2, 1) * _in_a_row(t, settings.correlated) / settings.sigma**2,
+            R_unit=J @ R @ J.transpose(0, 2, 1) * shared / settings.sigma**2,
             scale=settings.sigma,
             floor=np.diag([MIN_SIGMAS[0] ** 2, MIN_SIGMAS[0] ** 2, MIN_SIGMAS[1] ** 2]),
             extra={
-                "drifts": np.full(n, float(_frame(settings, stream.msgtype) == "drift")),
+                "drifts": np.full(n, float(frame == "drift")),
                 "told": told.astype(np.float64),
             },
             dropped=dropped,
@@ -155,26 +159,9 @@ class PoseSensor(Sensor):
         """Return why it turns the other way: its z axis points down, which no setting corrects."""
         return Reversal("its z axis looks down (NED): it has to be turned before it is recorded")
 
-    def says_noise(self, m: Measurements) -> bool:
-        """Return whether the messages give the covariance of their poses: then `sigma` changes nothing."""
-        return bool(m.extra["told"].any())
-
     def model(self, settings: PoseSettings) -> Model:
         """Return the source's model for a new run."""
         return InMapModel(settings) if settings.frame == "map" else KeptPoseModel(settings)
-
-
-DRIFTING = (ODOMETRY, "geometry_msgs/msg/TransformStamped")
-
-
-def _frame(settings: PoseSettings, msgtype: str) -> str:
-    return settings.frame or ("drift" if msgtype in DRIFTING else "own")
-
-
-def _own(settings: PoseSettings) -> Array:
-    """Return the variances (3,) of a pose without a covariance of its own."""
-    turn = math.radians(settings.sigma_theta_deg) if settings.heading else MAX_SIGMA[1]
-    return np.array([settings.sigma, settings.sigma, turn]) ** 2
 
 
 def _usable(values: Array, stream: Stream, settings: PoseSettings, dropped: dict[str, int]) -> Ints:
@@ -186,12 +173,7 @@ def _usable(values: Array, stream: Stream, settings: PoseSettings, dropped: dict
         turned = np.square(np.where(finite[:, None], values[:, 2:], 0.0)).sum(axis=1) > MIN_QUATERNION_SQUARE
     later = np.diff(stream.t_ns, append=np.iinfo(np.int64).max) > 0
     good: NDArray[np.bool_] = finite & turned & later
-    for reason, out in (
-        ("not_finite", ~finite),
-        ("no_orientation", finite & ~turned),
-        ("repeat", finite & turned & ~later),
-    ):
-        count_dropped(dropped, reason, int(out.sum()))
+    count_dropped(dropped, not_finite=~finite, no_orientation=finite & ~turned, repeat=finite & turned & ~later)
     if not good.any():
         why = ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in dropped.items()) or "no messages"
         raise LocfuseError(f"{stream.topic} has no usable pose in {len(values)} messages ({why})", role="pose")
@@ -234,13 +216,6 @@ def _refuse_stuck(t: Array, z: Array, wheels: WheelMotion, topic: str) -> None:
         raise LocfuseError(
             f"{topic} says the same pose in all {len(t)} messages while the wheels drove {way:.1f} m", role="pose"
         )
-
-
-def _in_a_row(t: Array, correlated: float) -> float:
-    """Return how many readings share one error: with that factor on their variance they count as one."""
-    if len(t) < 2 or correlated <= 0.0:
-        return 1.0
-    return max(1.0, correlated / float(np.median(np.diff(t))))
 
 
 class InMapModel(Model):

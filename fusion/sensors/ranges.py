@@ -23,28 +23,10 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import MAD, chi_square
-from locfuse.fusion.data import (
-    Array,
-    Colour,
-    Component,
-    Ints,
-    LocfuseError,
-    Measurements,
-    Stream,
-    plausible,
-)
+from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Measurements, Stream, plausible
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import ASK_MOUNT
-from locfuse.fusion.sensor import (
-    NO_BLOCK,
-    Ask,
-    Bias,
-    Block,
-    FoundStart,
-    Model,
-    Sensor,
-    WheelMotion,
-)
+from locfuse.fusion.sensor import NO_BLOCK, Ask, Bias, Block, FoundStart, Model, Sensor, WheelMotion
 from locfuse.fusion.streams import count_dropped
 
 from .points import (
@@ -282,7 +264,7 @@ class Ranges(Sensor):
             keep, notes = often_seen(ids, keep, stream.topic, settings, dropped)
             t = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
             guesses, unclear = _places_of(t, ids, z, keep, settings, wheels)
-            count_dropped(dropped, "place_unknown", int((keep & np.isnan(guesses[:, 0])).sum()))
+            count_dropped(dropped, place_unknown=keep & np.isnan(guesses[:, 0]))
             keep &= ~np.isnan(guesses[:, 0])
             if not keep.any():
                 raise LocfuseError(

@@ -25,21 +25,8 @@ from .ranges import Ranges
 from .sonar import Sonar
 from .twist import Twist
 
-REGISTRY: dict[str, Sensor] = {
-    sensor.name: sensor
-    for sensor in (
-        Compass(),
-        Lrf(),
-        Camera(),
-        Sonar(),
-        Gps(),
-        Gyro(),
-        Landmarks(),
-        PoseSensor(),
-        Twist(),
-        Ranges(),
-    )
-}
+KINDS = (Compass, Lrf, Camera, Sonar, Gps, Gyro, Landmarks, PoseSensor, Twist, Ranges)  # in the order of reports
+REGISTRY: dict[str, Sensor] = {kind.name: kind() for kind in KINDS}
 GROUP = "locfuse.sensors"
 SOURCES: dict[str, str] = {}
 """Sensor that is not ours -> the package that brings it, with its version."""

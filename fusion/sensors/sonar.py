@@ -18,12 +18,12 @@ import msgspec
 import numpy as np
 
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, Measurements, Stream
+from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Measurements, Stream
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.map.sonar_echo import Cone, nearest_echo
 from locfuse.fusion.mount import ASK_MOUNT
 from locfuse.fusion.sensor import GATE, Ask, Model, Sensor, SensorSettings, WheelMotion
-from locfuse.fusion.streams import MergedStream, count_dropped
+from locfuse.fusion.streams import MergedStream, count_dropped, parts_of
 
 UNMATCHED = VERDICTS.index("unmatched")
 CLUTTER_SHARE = 0.25  # of the echoes: they come from what the map lacks, anywhere before the wall
@@ -67,11 +67,12 @@ class Sonar(Sensor):
         t: Array = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
         known = ~np.isnan(distance)
         dropped = dict(stream.dropped)
-        count_dropped(dropped, "not_finite", int((~known).sum()))
+        count_dropped(dropped, not_finite=~known)
         # at either end of the range nothing was measured (REP 117 says inf, old drivers say max_range)
         echo = (distance > columns["min_range"]) & (distance < columns["max_range"]) & np.isfinite(distance)
         rows = np.flatnonzero(known & echo)
-        mounts = _mounts(stream, settings)[rows]
+        places = np.array([settings.mounts.get(part.topic, (0.0, 0.0, 0.0)) for part in parts_of(stream)])
+        mounts = places[stream.source[rows] if isinstance(stream, MergedStream) else np.zeros_like(rows)]
         return Measurements(
             t=t[known],
             first=np.concatenate(([0], np.cumsum(echo[known], dtype=np.int64))),
@@ -91,17 +92,6 @@ class Sonar(Sensor):
     def model(self, settings: SonarSettings) -> Model:
         """Return the sonars' model for a new run."""
         return SonarModel(settings)
-
-
-def _mounts(stream: Stream, settings: SonarSettings) -> Array:
-    """Return the mount of every row's sonar, (n, 3) m, m, degrees; the base's origin if it is not known."""
-    parts = stream.parts if isinstance(stream, MergedStream) else (stream,)
-    source: Ints = (
-        stream.source if isinstance(stream, MergedStream) else np.zeros(len(stream.t_ns), dtype=np.int64)
-    )
-    table = np.array([settings.mounts.get(part.topic, (0.0, 0.0, 0.0)) for part in parts])
-    places: Array = table[source]
-    return places
 
 
 class SonarModel(Model):

@@ -104,10 +104,6 @@ class Twist(Sensor):
         """Return times (n,) and headings (n,) [rad, up to a constant and a drift] by its turning rates."""
         return m.t, m.z[:, 1]
 
-    def says_noise(self, m: Measurements) -> bool:
-        """Return whether the messages give the covariance of their speeds: then `sigma` changes nothing."""
-        return bool(m.extra["told"].any())
-
     def model(self, settings: TwistSettings) -> Model:
         """Return the source's model for a new run."""
         return TwistModel(settings)
@@ -117,8 +113,7 @@ def _usable(speeds: Array, stream: Stream, dropped: dict[str, int]) -> Ints:
     """Return the rows (k,) with speeds and a new time; count the others."""
     finite = plausible(speeds).all(axis=1)
     later = np.diff(stream.t_ns, append=np.iinfo(np.int64).max) > 0
-    for reason, out in (("not_finite", ~finite), ("repeat", finite & ~later)):
-        count_dropped(dropped, reason, int(out.sum()))
+    count_dropped(dropped, not_finite=~finite, repeat=finite & ~later)
     keep = np.flatnonzero(finite & later)
     if not len(keep):
         raise LocfuseError(f"{stream.topic} has no usable speed in {len(speeds)} messages", role="twist")

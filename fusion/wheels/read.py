@@ -98,7 +98,7 @@ def _from_tricycle(stream: MergedStream, settings: WheelSettings) -> WheelReadin
     wheels = Wheels.from_twists(found.t - found.t[0], twist, settings.track or VIRTUAL_TRACK, settings.noise)
     epoch_ns = found.zero_ns + round((float(found.t[0]) + settings.time_offset) * 1e9)
     dropped = dict(stream.dropped)
-    count_dropped(dropped, "spike", found.spikes)
+    count_dropped(dropped, spike=found.spikes)
     return WheelReading(wheels, epoch_ns, dropped, found.notes)
 
 
@@ -174,13 +174,13 @@ def _from_body(stream: Stream, values: Array, settings: WheelSettings, posed: bo
     t = (stream.t_ns[keep] - stream.t_ns[keep[0]]) * 1e-9
     if asked:
         can = odometry.possible(values[keep, 3:], settings.max_speed)
-        count_dropped(dropped, "spike", int((~can).sum()))
+        count_dropped(dropped, spike=~can)
         t, twist = odometry.obeyed(t[can], values[keep[can], 3:])
         notes: tuple[str, ...] = ()
         doubt = ""
     else:
         way = odometry.travelled(t, values[keep], settings.reverse_by_twist, settings.max_speed, posed)
-        count_dropped(dropped, "spike", way.spikes)
+        count_dropped(dropped, spike=way.spikes)
         t, twist, notes, doubt = t[way.keep], way.twist, way.notes, way.doubt
     require_two(stream.topic, len(t), len(stream.t_ns))
     wheels = Wheels.from_twists(t - t[0], twist, settings.track or VIRTUAL_TRACK, settings.noise)

@@ -152,15 +152,14 @@ class _Found(NamedTuple):
 def usable(t_ns: Ints, values: Array, dropped: dict[str, int]) -> Ints:
     """Return the rows that are finite and later than the row before; count the others in `dropped`."""
     finite = np.isfinite(values).all(axis=1)
-    count_dropped(dropped, "not_finite", int((~finite).sum()))
+    count_dropped(dropped, not_finite=~finite)
     rows = np.flatnonzero(finite)
     if len(rows) == 0:
         return rows
     # of several readings with one stamp the last one counts: a repeat carries the newest value
     last = np.append(t_ns[rows[1:]] > t_ns[rows[:-1]], True)
     same = (values[rows[1:]] == values[rows[:-1]]).all(axis=1) & ~last[:-1]
-    count_dropped(dropped, "repeat", int(same.sum()))
-    count_dropped(dropped, "same_stamp", int((~last[:-1] & ~same).sum()))
+    count_dropped(dropped, repeat=same, same_stamp=~last[:-1] & ~same)
     kept: Ints = rows[last]
     return kept
 
@@ -186,7 +185,7 @@ def _pair(stream: MergedStream, settings: WheelSettings) -> Counters:
         keep = usable(part.t_ns, values[:, None], own)
         require_two(part.topic, len(keep), len(part.t_ns))
         for reason, n in own.items():
-            count_dropped(dropped, reason, n)
+            count_dropped(dropped, **{reason: n})
         bits = NUMBERS[part.msgtype]
         likely = (2.0**bits, *_revolution(settings)) if bits else _revolution(settings)
         sides.append(Side(name, (part.t_ns[keep] - zero_ns) * np.float64(1e-9), values[keep], likely))

@@ -7,12 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import locfuse
-from jobs_here import jobs_here
+from commands import jobs_here, locfuse
 from lock_step import simulated
 from msgspec.structs import replace
 from trap_logs import TRUTH, Drive, seconds
-from traps_sensors import elsewhere, pitched_imu, short_metre, upside_down
+from traps import elsewhere, pitched_imu, short_metre, upside_down
 
 from locfuse.cli.analysis.load import start_error
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+import os
 import struct
 import subprocess
 import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -13,19 +16,20 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
+from commands import locfuse
+from hostile import Put, write
 from numpy.typing import NDArray
 from omni_scene import Lens, Picture, Pole, picture, wrapped_deg
-from said import one_by_one, said
+from rows import one_by_one, said
 
 from locfuse.formats.results.preview import write_pictures
-from locfuse.fusion.camera.bearing import paper_orientation, predict_bearing
-from locfuse.fusion.camera.images import FIELDS, image_size
+from locfuse.fusion.camera import images
+from locfuse.fusion.camera.decoder_words import listened, tells_of_damage
+from locfuse.fusion.camera.images import image_size
 from locfuse.fusion.checks.preview import preview
 from locfuse.fusion.data import VERDICTS, ArrayStream, LocfuseError, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.kernels.ekf import Innovation
-from locfuse.fusion.se2 import wrap, wrap_all
-from locfuse.fusion.sensors import camera
+from locfuse.fusion.se2 import sight, wrap, wrap_all
 from locfuse.fusion.sensors.camera import Camera, CameraSettings
 
 LENS = Lens()
@@ -88,9 +92,6 @@ def measured(stream: Any, settings: CameraSettings = SETTINGS) -> Measurements:
 
 def errors_deg(m: Measurements, *bearings: float) -> list[float]:
     return [wrapped_deg(math.degrees(z) - b) for z, b in zip(m.z[:, 0], bearings, strict=True)]
-
-
-# --- pictures to bearings ---
 
 
 def test_every_picture_is_a_reading_with_one_row_per_candidate() -> None:
@@ -216,7 +217,6 @@ def test_a_raw_pictures_header_is_not_believed(width: int, height: int, step: in
 
 def test_every_type_the_camera_reads_can_be_decoded() -> None:
     data = coded(picture(LENS, Pole(30.0)))
-    assert dict(Camera.reads) == FIELDS
     stream: Any = compressed(data)
     m = measured(ArrayStream("/omni", "foxglove.CompressedImage", stream.t_ns, stream.data))
     np.testing.assert_allclose(errors_deg(m, 30.0), 0.0, atol=0.15)
@@ -229,20 +229,6 @@ def test_pictures_of_another_size_have_another_calibration_and_are_not_used() ->
     assert m.dropped == {"other_size": 2}
     np.testing.assert_allclose(m.t, (0.1, 0.2, 0.4), atol=1e-9)
     np.testing.assert_allclose(errors_deg(m, 30.0, 30.0, 30.0), 0.0, atol=0.15)
-
-
-def test_a_long_stream_is_read_a_few_pictures_at_a_time() -> None:
-    asked: list[int] = []
-
-    class Long(ArrayStream, frozen=True):
-        def blocks(self, *fields: str, rows: int = 256) -> Any:
-            asked.append(rows)
-            yield from super().blocks(*fields, rows=rows)
-
-    stream = compressed(coded(picture(LENS, Pole(1.0))))
-    measured(Long("/omni", stream.msgtype, stream.t_ns, stream.data))
-    assert asked == [16]
-    assert Camera.in_blocks
 
 
 def test_without_a_landmark_the_error_names_the_key_and_the_command() -> None:
@@ -281,9 +267,6 @@ def test_the_camera_page_explains_every_key_with_its_default() -> None:
             assert row.split("|")[2].strip(" `") == shown, field.name
 
 
-# --- the model ---
-
-
 @pytest.mark.parametrize(("lever", "yaw"), MOUNTS)
 def test_the_bearing_is_the_landmark_seen_from_the_cameras_frame(lever: tuple[float, float], yaw: float) -> None:
     for x, y, theta in POSES:
@@ -292,7 +275,7 @@ def test_the_bearing_is_the_landmark_seen_from_the_cameras_frame(lever: tuple[fl
         turn = theta + yaw
         to_camera = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
         seen = to_camera @ (np.array([4.0, 1.0]) - eye)
-        predicted = predict_bearing((x, y, theta), (4.0, 1.0), lever, yaw)
+        predicted = sight((x, y, theta), (4.0, 1.0), (*lever, yaw), 0.05)
         assert predicted is not None
         assert wrap(predicted[0] - math.atan2(seen[1], seen[0])) == pytest.approx(0.0, abs=1e-12)
 
@@ -315,22 +298,19 @@ def verdicts(*bearings: float, **kwargs: Any) -> dict[float, str]:
     return {bearings[s.row]: VERDICTS[s.verdict] for s in seen}
 
 
-def test_the_gate_tells_the_landmark_from_a_wrong_red_thing() -> None:
-    assert verdicts(0.9, 0.01) == {0.01: "accepted", 0.9: "unmatched"}
-    assert verdicts(0.01) == {0.01: "accepted"}
-
-
-def test_a_wrong_red_thing_alone_is_gated() -> None:
-    assert verdicts(0.9) == {0.9: "gate"}
-    assert verdicts(0.9, -1.2) == {0.9: "gate", -1.2: "unmatched"}
-
-
-def test_two_that_fit_are_ambiguous_and_neither_is_used() -> None:
-    assert verdicts(0.02, -0.015, 2.0) == {0.02: "ambiguous", -0.015: "ambiguous", 2.0: "unmatched"}
-
-
-def test_no_candidate_is_no_innovation() -> None:
-    assert verdicts() == {}
+@pytest.mark.parametrize(
+    "expected",
+    [
+        {0.9: "unmatched", 0.01: "accepted"},  # the landmark, and a wrong red thing
+        {0.01: "accepted"},
+        {0.9: "gate"},  # a wrong red thing alone
+        {0.9: "gate", -1.2: "unmatched"},
+        {0.02: "ambiguous", -0.015: "ambiguous", 2.0: "unmatched"},  # two that fit: neither is used
+        {},
+    ],
+)
+def test_the_gate_tells_the_landmark_from_wrong_red_things(expected: dict[float, str]) -> None:
+    assert verdicts(*expected) == expected
 
 
 def test_the_innovation_is_wrapped() -> None:
@@ -361,15 +341,6 @@ def test_near_the_landmark_the_innovation_is_as_large_as_predicted(distance: flo
         assert np.mean(nis) > 0.95
 
 
-def candidates(*nis: float, threshold: float = 20.0) -> list[str]:
-    """What becomes of candidates that fit so well: their verdicts, best first."""
-    judged = [Innovation(i, 0, 0, d2, threshold, (0.0,), (1.0,)) for i, d2 in enumerate(nis)]
-    chosen = camera.choose(judged)
-    assert [seen.nis for seen in chosen] == sorted(nis)
-    assert [seen.landmark for seen in chosen] == [0] + [-1] * (len(nis) - 1)
-    return [VERDICTS[seen.verdict] for seen in chosen]
-
-
 def test_the_papers_orientation_is_the_landmarks_first_direction_minus_its_bearing() -> None:
     settings = CameraSettings(landmark=(3.0, 4.0), bearing="absolute", yaw_deg=10.0, gate=1.0)
     model = Camera().model(settings)
@@ -382,10 +353,6 @@ def test_the_papers_orientation_is_the_landmarks_first_direction_minus_its_beari
     assert second.y[0] == pytest.approx(gamma[1] - 0.6)
     assert said(first, there).H.tolist() == said(second, here).H.tolist() == [[0.0, 0.0, 1.0]]  # eq. 13
     assert model.innovations(m, 2, belief(0.0, 0.0, 0.5)) == []
-    assert paper_orientation(1.0, 0.3) == pytest.approx(0.7)
-
-
-# --- previews ---
 
 
 def test_a_preview_shows_pictures_evenly_spread_with_what_was_found(tmp_path: Path) -> None:
@@ -415,9 +382,6 @@ def test_pictures_that_cannot_be_written_are_one_line(tmp_path: Path) -> None:
         write_pictures(tmp_path / "taken", {"a": picture(LENS)})
 
 
-# --- OpenCV ---
-
-
 def in_fresh_python(code: str) -> str:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return done.stdout.strip()
@@ -438,8 +402,6 @@ def test_opencvs_pixel_cap_is_set_before_its_import() -> None:
     )
     assert in_fresh_python(code) == "True 1"
 
-
-# --- the shipped logs ---
 
 SAMPLES = Path(__file__).parents[2] / "sample_logs"
 
@@ -481,3 +443,80 @@ def sample_errors_deg(name: str, chain: str) -> NDArray[np.float64]:
     direction = np.arctan2(settings.landmark[1] - eye_y, settings.landmark[0] - eye_x)
     off = m.z[:, 0] - (direction - pose[2] - math.radians(settings.yaw_deg))
     return np.asarray(np.degrees(wrap_all(off)), float)
+
+
+# --- what libjpeg says of damage reaches us and not the terminal
+
+GREEN = np.full((200, 300, 3), (40, 160, 60), np.uint8)
+
+
+def jpeg(seed: int = 0) -> bytes:
+    noise = np.random.default_rng(seed).integers(0, 40, GREEN.shape, np.uint8)
+    return bytes(cv2.imencode(".jpg", GREEN + noise)[1])
+
+
+def dented(data: bytes) -> bytes:
+    middle = len(data) // 2
+    return data[:middle] + data[middle + 40 :]
+
+
+def cut(data: bytes) -> bytes:
+    return data[: len(data) // 2] + b"\xff\xd9"
+
+
+@pytest.mark.parametrize("damage", [dented, cut])
+def test_a_damaged_picture_is_not_whole_and_the_terminal_stays_quiet(
+    damage: Callable[[bytes], bytes], capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert images.compressed(damage(jpeg()), "jpeg") == images.NOT_WHOLE
+    assert capfd.readouterr().err == ""
+
+
+def test_bytes_behind_the_picture_are_no_damage(capfd: pytest.CaptureFixture[str]) -> None:
+    """Some cameras pad the data in front of the end mark."""
+    whole = jpeg()
+    padded = whole[:-2] + b"\x00\x01\x02" + whole[-2:]
+    found = images.compressed(padded, "jpeg")
+    assert not isinstance(found, str)
+    np.testing.assert_array_equal(found, images.compressed(whole, "jpeg"))
+    assert capfd.readouterr().err == ""
+
+
+def test_in_many_threads_the_damaged_one_is_found_and_no_other() -> None:
+    """Cut in two, so that libjpeg hears of each; some dents it steps over in silence."""
+    pictures = [cut(jpeg(i)) if i % 7 == 3 else jpeg(i) for i in range(60)]
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda data: images.compressed(data, "jpeg"), pictures))
+    bad = [i for i, one in enumerate(found) if isinstance(one, str)]
+    assert bad == [i for i in range(60) if i % 7 == 3]
+
+
+def test_stderr_is_where_it_was_after_an_error(capfd: pytest.CaptureFixture[str]) -> None:
+    def fails() -> None:
+        os.write(2, b"a library's words\n")
+        raise ValueError("no picture")
+
+    with pytest.raises(ValueError, match="no picture"):
+        listened(fails)
+    os.write(2, b"ours\n")
+    assert capfd.readouterr().err == "ours\n"
+
+
+def test_only_words_about_the_picture_count() -> None:
+    assert tells_of_damage(b"Corrupt JPEG data: premature end of data segment\n")
+    assert not tells_of_damage(b"Corrupt JPEG data: 3 extraneous bytes before marker 0xd9\n")
+    assert tells_of_damage(b"Corrupt JPEG data: 900 extraneous bytes before marker 0xd9\n")
+    assert not tells_of_damage(b"some other thread's words\n")
+
+
+def test_a_log_with_damaged_pictures_counts_them(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    def dent(put: Put) -> Put:
+        if "image" not in put.topic:
+            return put
+        return put._replace(data=put.data[:-900] + bytes(20) + put.data[-880:])
+
+    log = write(tmp_path / "f.mcap", dent, seconds=4.0)
+    done = locfuse("run", log, "-o", tmp_path / "o")
+    assert done.exit_code == 3
+    assert "not whole" in done.stderr
+    assert "JPEG" not in capfd.readouterr().err

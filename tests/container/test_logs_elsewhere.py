@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 import zstandard
 from bags import STORE, cdr, header
-from commands import locfuse, ok
-from jobs_here import counted_jobs
+from commands import counted_jobs, locfuse, ok
 from range_server import Shelf, serving
 from rosbags.rosbag2 import Writer
 

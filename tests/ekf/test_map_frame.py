@@ -9,8 +9,8 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from rows import Told, correct, step
 from textbook import move, numeric_jacobian
-from told import Told, correct, step
 
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.events import Before, Events
@@ -179,18 +179,6 @@ def test_a_kept_pose_and_a_point_are_seen_from_where_the_frame_begins() -> None:
     belief.begin_frame()
     np.testing.assert_allclose(belief.state, begun(x), atol=1e-14)
     np.testing.assert_allclose(belief.covariance, T @ P @ T.T, atol=1e-9)
-
-
-def test_a_point_is_found_by_its_name_whichever_states_go_before_and_behind_it() -> None:
-    belief, point = with_kept_pose_and_point()
-    assert belief.block("point")[1].tolist() == [2.0, 1.0]
-    belief.augment(np.array([9.0, 9.0]), np.zeros((2, 3)), np.eye(2))
-    for gone in ([3], [8, 9], [3]):  # two before it, one behind it, and again one before it
-        belief.remove(np.array(gone))
-    first, values = belief.block("point")
-    assert first == point - 2
-    np.testing.assert_array_equal(values, [2.0, 1.0])
-    assert len(belief.variances("point")) == 2
 
 
 def test_a_slip_turns_the_pose_and_leaves_the_way_from_what_is_kept_as_it_was() -> None:

@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from commands import locfuse, ok
-from jobs_here import counted_jobs, jobs_here
+from commands import counted_jobs, jobs_here, locfuse, ok
 from many_logs import killed, tables, write_logs
 from msgspec.structs import replace
 

@@ -3,17 +3,29 @@
 from __future__ import annotations
 
 import math
+import sys
+import tracemalloc
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from rows import Told
 from textbook import TextbookEkf, move, numeric_jacobian, wrap
 from worlds import World
 
-from locfuse.fusion.data import VERDICTS, Drive, Estimates, MapLine
-from locfuse.fusion.fuse import fuse
+from locfuse import sample_logs
+from locfuse.cli.analysis.compare import Compared, compare_log
+from locfuse.cli.analysis.configurations import for_comparison
+from locfuse.cli.analysis.load import load
+from locfuse.cli.analysis.settings import Asked, LogOptions
+from locfuse.fusion.data import VERDICTS, ArrayStream, Audit, Drive, Estimates, MapLine, Measurements
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.fuse import Filter, fuse, inflate
+from locfuse.fusion.instants import due_readings, steps_of
 from locfuse.fusion.judge.evaluate import evaluate
+from locfuse.fusion.judge.innovations import own
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 
@@ -150,16 +162,6 @@ def test_truth_changes_no_estimate() -> None:
     np.testing.assert_array_equal(with_truth.P, without.P)
 
 
-def test_a_sensor_that_is_present_but_unused_changes_nothing_for_another() -> None:
-    """Instants are cut at every sensor in the log, whatever is used: configurations share their clock."""
-    drive, robot = drive_of(World())
-    alone = fuse(drive, robot, ["lrf"])
-    assert alone.t is drive.t
-    assert fuse(drive, robot, []).t is drive.t
-    again = fuse(drive, robot, ["lrf"])
-    np.testing.assert_array_equal(alone.pose, again.pose)
-
-
 def test_readings_outside_the_wheels_are_counted_and_not_used() -> None:
     world = World()
     streams = world.streams()
@@ -172,36 +174,172 @@ def test_readings_outside_the_wheels_are_counted_and_not_used() -> None:
     assert drive.t[-1] == pytest.approx(world.seconds)
 
 
-def test_a_gap_in_a_sensor_equals_a_run_with_that_sensor_masked_there() -> None:
-    world = World()
-    streams, robot = world.streams(), world.robot()
-    scans = streams["lrf"]
-    t = (scans.t_ns - scans.t_ns[0]) * 1e-9
-    keep = np.flatnonzero((t < 6) | (t > 10))
-    columns: Any = scans.data
-    ranges = columns["ranges"].matrix()
-    from locfuse.fusion.data import Ragged
-
-    data = {k: v[keep] for k, v in columns.items() if k != "ranges"}
-    data["ranges"] = Ragged(ranges[keep].ravel(), np.arange(len(keep) + 1) * ranges.shape[1])
-    gap = replace(scans, t_ns=scans.t_ns[keep], data=data)
-    with_gap = measure({**streams, "lrf": gap}, robot)
-    whole = measure(streams, robot)
-    masked = replace(
-        whole,
-        measurements={**whole.measurements, "lrf": whole.measurements["lrf"].take(keep)},
-        instant={**whole.instant, "lrf": whole.instant["lrf"][keep]},
-    )
-    a, b = fuse(with_gap, robot, ["lrf"]), fuse(masked, robot, ["lrf"])
-    common = np.isin(b.t, a.t)
-    np.testing.assert_allclose(a.pose[np.isin(a.t, b.t)], b.pose[common], atol=1e-9)
-    in_gap = (b.t > scans.t_ns[0] * 0 + 6.1) & (b.t < 9.9)
-    assert (np.diff(b.P[in_gap, 2, 2]) > 0).all()
-
-
 def test_verdicts_are_complete() -> None:
     drive, robot = drive_of(World())
     found = fuse(drive, robot, ["compass", "lrf"])
     for sensor, audit in found.audits.items():
         assert len(audit.row) == len(drive.measurements[sensor].z)
         assert set(np.unique(audit.verdict)) <= set(range(len(VERDICTS)))
+
+
+# --- outliers kept with a larger R instead of being refused
+
+GATE = VERDICTS.index("gate")
+HEADING = ((0.0, 0.0, 1.0),)
+
+
+@pytest.mark.parametrize("before", [0, 2])  # numbers of another reading, which stand above it in the equation
+def test_an_outlier_is_put_exactly_on_its_gate_and_keeps_its_prediction(before: int) -> None:
+    belief, other = JointBelief((0.0,) * 3, (0.0, 0.0, 0.0, 0.0, 0.0, 0.01)), np.ones((before, 3))
+    if before:
+        belief.compare(0, (0.0,) * before, other, np.eye(before), 9.0)
+    seen = Told((1.0,), HEADING, ((0.01,),)).judged(belief, 9.0)
+    assert seen.verdict == GATE
+    inflate(seen, belief)
+    assert seen.verdict == 0
+    assert belief.equation([seen]).R[0, 0] == pytest.approx(1.0 / 9.0 - 0.01)  # y^2 / (H P H' + R) = 9
+    assert (seen.nis, seen.y) == (9.0, (1.0,))
+    assert seen.sigma[0] == pytest.approx(1.0 / 3.0)
+
+
+def test_a_reading_within_its_gate_stays_as_it_is() -> None:
+    belief = JointBelief((0.0,) * 3, (0.0, 0.0, 0.0, 0.0, 0.0, 0.01))
+    seen = Told((0.1,), HEADING, ((0.01,),)).judged(belief, 9.0)
+    before = seen.verdict, seen.nis, seen.sigma
+    inflate(seen, belief)
+    assert (seen.verdict, seen.nis, seen.sigma) == before
+    assert belief.equation([seen]).R[0, 0] == 0.01
+
+
+def test_heavy_tails_hurt_less_when_outliers_are_inflated() -> None:
+    """A compass that is wrong by up to 40 degrees in a fifth of its readings, told that it is good to one."""
+    errors = {}
+    for outliers in ("reject", "inflate"):
+        world = World(
+            settings={"compass": {"outliers": outliers, "offset_deg": math.degrees(0.7)}}, wheel_noise=4e-3, seed=5
+        )
+        streams, robot = world.streams(), world.robot()
+        rng = np.random.default_rng(3)
+        data = dict(streams["compass"].data)
+        turn = np.where(rng.random(len(data["magnetic_field.x"])) < 0.2, np.radians(rng.uniform(-40, 40)), 0.0)
+        x, y = data["magnetic_field.x"], data["magnetic_field.y"]
+        data["magnetic_field.x"] = np.cos(turn) * x - np.sin(turn) * y
+        data["magnetic_field.y"] = np.sin(turn) * x + np.cos(turn) * y
+        stream = ArrayStream("/compass", "sensor_msgs/msg/MagneticField", streams["compass"].t_ns, data)
+        drive = measure({**streams, "compass": stream}, robot)
+        found = evaluate(fuse(drive, robot, ["compass"]), drive)
+        odometry = evaluate(fuse(drive, robot, []), drive)
+        errors[outliers] = found.figures["heading_rmse_deg"]
+        assert (errors[outliers] or math.inf) < 0.5 * (odometry.figures["heading_rmse_deg"] or 0.0)
+        assert (found.sensors["compass"].rejected == 0) == (outliers == "inflate")
+
+
+# --- what the filter's loop costs, in calls of Python functions, not seconds: the same on every machine
+
+
+def calls(world: World, sensors: list[str], due: list[str]) -> float:
+    """Calls of an instant at which these sensors have a reading each: the median of half a drive."""
+    robot = world.robot()
+    drive = measure(world.streams(), robot)
+    run, steps = Filter(robot, sensors, instants=len(drive.t)), steps_of(drive)
+    found: list[int] = []
+    count = 0
+
+    def tally(_frame: Any, event: str, _what: Any) -> None:
+        nonlocal count
+        count += event == "call"
+
+    for k, readings in enumerate(due_readings(drive, sensors)):
+        count = 0
+        sys.setprofile(tally)
+        try:
+            run.advance(k, steps, readings, drive.measurements)
+        finally:
+            sys.setprofile(None)
+        if [sensor for sensor, _ in readings] == due and 2 * k > len(drive.t):
+            found.append(count)
+    assert len(found) > 50
+    return float(np.median(found))
+
+
+def test_a_motion_costs_three_calls() -> None:
+    """The loop, the belief and the record; all equations are compiled."""
+    assert calls(World(), [], []) <= 3
+
+
+def test_a_heading_costs_fewer_than_twenty_calls() -> None:
+    assert calls(World(), ["compass"], ["compass"]) <= 17
+
+
+@pytest.mark.parametrize(("mode", "most"), [("first-scan", 28), ("refine", 32), ("grow", 43)])
+def test_a_scan_costs_at_most_so_many_calls_however_many_lines_it_has(mode: str, most: float) -> None:
+    assert calls(World(settings={"lrf": {"map": mode}}), ["compass", "lrf"], ["lrf"]) <= most
+
+
+# --- what an hour of log must not cost, in bytes that are counted, not measured: the same on every machine
+
+LINES = 100_000
+
+
+def peak(work: Callable[[], Any]) -> int:
+    """Bytes held at most while some work is done, beyond what was held before."""
+    work()  # what is imported or computed once is there
+    tracemalloc.start()
+    try:
+        work()
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+def size(table: Any) -> int:
+    """Bytes of the arrays of a table."""
+    columns = [getattr(table, name) for name in table.__struct_fields__]
+    columns += [one for column in columns if isinstance(column, dict) for one in column.values()]
+    return sum(column.nbytes for column in columns if isinstance(column, np.ndarray))
+
+
+def lines() -> tuple[Audit, Measurements]:
+    """Innovations of many lines."""
+    rng = np.random.default_rng(1)
+    k = np.arange(LINES, dtype=np.int32)
+    y = rng.normal(size=(LINES, 2))
+    verdict, nis, gate = np.zeros(LINES, np.int8), (y**2).sum(axis=1), np.full(LINES, 18.4)
+    audit = Audit(k // 8, k, verdict, k % 8, nis, gate, y, np.full((LINES, 2), 1.0))
+    R_unit = np.broadcast_to(np.eye(2), (LINES, 2, 2)).copy()
+    first = np.arange(0, LINES + 1, 8)
+    return audit, Measurements(np.arange(len(first) - 1.0), first, y, R_unit, 0.5, 0.1 * np.eye(2))
+
+
+@pytest.fixture(scope="module")
+def compared() -> tuple[Compared, list[Estimates]]:
+    seen: list[Estimates] = []
+    loaded = load([sample_logs.path("rounded_rectangle")], LogOptions(None, (), None, strict=False, quiet=True))
+    wanted = for_comparison((), loaded.drive)
+    asked = Asked(audits=False)
+    return compare_log(loaded, wanted, asked, lambda _: None, watch=[lambda e, _: seen.append(e)]), seen
+
+
+def test_audits_are_shown_to_who_draws_them_and_end_with_the_judgement(
+    compared: tuple[Compared, list[Estimates]],
+) -> None:
+    found, seen = compared
+    assert sorted(e.name for e in seen) == sorted(e.name for e in found.estimates)
+    assert all(set(e.audits) == set(e.sensors) for e in seen)
+    assert not any(e.audits for e in (*found.estimates, *(run.estimates for run in found.runs)))
+
+
+def test_what_remains_of_a_configuration_is_a_few_numbers_an_instant(
+    compared: tuple[Compared, list[Estimates]],
+) -> None:
+    found, _ = compared
+    truth = found.loaded.drive.truth
+    assert truth is not None
+    for e, judged in zip(found.estimates, found.evaluations, strict=True):
+        assert size(e) <= 8 * (12 * len(e.t) + 12 * len(truth.t))
+        assert size(judged) <= 8 * 13 * len(truth.t)
+
+
+def test_judging_a_sensors_noise_takes_little_more_than_its_audit() -> None:
+    audit, m = lines()
+    assert peak(lambda: own(audit, m)) < 1.5 * size(audit)

@@ -110,30 +110,6 @@ def shape(run: Estimates) -> Array:
     return between(np.broadcast_to(run.pose[-1], run.pose.shape), run.pose)
 
 
-def test_a_wall_in_the_map_has_the_covariance_of_finite_differences() -> None:
-    drive, robot = drive_of(KNOWN, 4.0)
-    run = run_of(drive, begun(robot, 5.0, 10.0), ["compass", "lrf"])
-    lines, belief = run.models["lrf"].map, run.belief  # type: ignore[attr-defined]
-    assert belief.framed
-    frame = list(range(belief.frame, belief.frame + 3))
-
-    def in_map(x: Array) -> Array:
-        """(rho, beta) about the map's origin of a line (rho about its anchor, beta) in a frame."""
-        beta = x[1] + x[4]
-        c, s = math.cos(x[4]), math.sin(x[4])
-        ax, ay = x[2] + c * anchor[0] - s * anchor[1], x[3] + s * anchor[0] + c * anchor[1]
-        return np.array([x[0] + ax * math.cos(beta) + ay * math.sin(beta), beta])
-
-    for j, line in enumerate(lines.lines(belief)):
-        anchor = lines.anchor[j]
-        at = [int(lines.column[j]), int(lines.column[j]) + 1, *frame]
-        x, h = belief.state[at], 1e-6
-        J = np.stack([(in_map(x + d) - in_map(x - d)) / (2 * h) for d in h * np.eye(5)], axis=1)
-        np.testing.assert_allclose(in_map(x)[0], line.rho, atol=1e-12)
-        P = belief.covariance[np.ix_(at, at)]
-        np.testing.assert_allclose(line.P_map, J @ P @ J.T, atol=1e-9)
-
-
 def test_a_frame_begins_only_with_a_map_of_ones_own() -> None:
     """Neither wheels nor compass alone, nor a laser that only listens, have one."""
     drive, robot = drive_of(KNOWN, 3.0)

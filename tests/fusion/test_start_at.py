@@ -10,12 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 from commands import locfuse
-from mcap.reader import make_reader
-from mcap.writer import Writer
+from msgspec.structs import replace
+from rewrite_log import rewritten
+from worlds import World
 
 import locfuse as api
-from locfuse import sample_logs
-from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.data import VERDICTS, Array, Drive, LocfuseError
+from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.fuse import Filter
+from locfuse.fusion.instants import due_readings, steps_of
+from locfuse.fusion.judge.evaluate import evaluate
+from locfuse.fusion.measure import measure
+from locfuse.fusion.robot import Robot, StartSettings
+from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 
 SAMPLE = "rounded_rectangle"
 POSE = {"start.x": 3.0, "start.y": -2.0, "start.theta_deg": 50.0}
@@ -23,27 +30,11 @@ POSE = {"start.x": 3.0, "start.y": -2.0, "start.theta_deg": 50.0}
 
 def late(target: Path, topic: str, seconds: float) -> Path:
     """The sample log without its own robot's start and without a topic's first seconds."""
-    with sample_logs.path(SAMPLE).open("rb") as source, target.open("wb") as sink:
-        reader = make_reader(source)
-        writer: Any = Writer(sink)
-        writer.start()
-        channels: dict[int, int] = {}
-        begin = None
-        for schema, channel, message in reader.iter_messages():
-            assert schema is not None
-            begin = begin or message.log_time
-            if channel.id not in channels:
-                ident = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, ident)
-            if channel.topic != topic or message.log_time - begin > seconds * 1e9:
-                writer.add_message(
-                    channels[channel.id], message.log_time, message.data, message.publish_time, message.sequence
-                )
-        for attachment in reader.iter_attachments():
-            text = attachment.data.decode().replace("[start]", "[start]\nsigma_xy = 0.0")
-            writer.add_attachment(0, 0, attachment.name, attachment.media_type, text.encode())
-        writer.finish()
-    return target
+    return rewritten(
+        target,
+        keep=lambda name, t: name != topic or t > seconds,
+        robot=lambda text: text.replace("[start]", "[start]\nsigma_xy = 0.0"),
+    )
 
 
 def odometry(at: float | str, **more: float) -> Any:
@@ -113,3 +104,157 @@ def test_a_log_without_scans_has_no_first_one(tmp_path: Path) -> None:
     log = late(tmp_path / "blind.mcap", "/scan", 1e9)
     with pytest.raises(LocfuseError, match=r'start\.at = "scan": no scan lies within the drive'):
         api.load(log, sets={"start.at": "scan"})
+
+
+# --- a part of a drive: the same measurements, the same motion, a start that is known there
+
+
+def test_a_window_holds_what_lies_in_it_and_its_motion_is_that_of_the_whole_drive() -> None:
+    whole, window = api.load(SAMPLE).drive, api.load(SAMPLE, between=(10.0, 25.0)).drive
+    assert window.t[0] >= 10.0
+    assert window.t[-1] <= 25.0
+    for name, m in window.measurements.items():
+        t = whole.measurements[name].t
+        inside = (t >= window.t[0]) & (t <= window.t[-1])
+        np.testing.assert_array_equal(m.t, t[inside])
+    shared = window.t[2:-1]  # the first and the last reading of the wheels in the window are instants of its own
+    ours, theirs = np.isin(window.t, shared), np.isin(whole.t, shared)
+    assert ours.sum() == theirs.sum() > 400
+    np.testing.assert_allclose(window.motions.u[ours], whole.motions.u[theirs], atol=1e-12)
+    np.testing.assert_allclose(window.motions.Q[ours], whole.motions.Q[theirs], atol=1e-15)
+    assert window.truth is not None
+    assert window.truth.t[0] >= 10.0
+
+
+def test_it_starts_at_the_truths_pose_and_says_so() -> None:
+    session = api.load(SAMPLE, between=(10.0, 25.0))
+    truth = api.load(SAMPLE).drive.truth
+    assert truth is not None
+    start = session.robot.start
+    assert start.x == pytest.approx(np.interp(session.drive.t[0], truth.t, truth.xy[:, 0]), abs=1e-9)
+    figures = session.run("odometry", advice=False).evaluations["odometry"].figures
+    assert figures["duration_s"] == pytest.approx(15.0, abs=0.1)
+    assert figures["position_rmse_m"] is not None
+    assert figures["position_rmse_m"] < 0.3
+    assert any("starts there at the truth's pose" in note for note in session.notes)
+
+
+def test_without_a_truth_it_starts_where_the_wheels_lead(tmp_path: Path) -> None:
+    """Odometry alone in the window is then the piece of odometry over the whole drive."""
+    robot = tmp_path / "robot.toml"
+    robot.write_text('[truth]\ntopic = "/none"\n')
+    whole = api.load(SAMPLE, robot=robot).run("odometry", advice=False).estimates["odometry"]
+    session = api.load(SAMPLE, robot=robot, between=(10.0, 25.0))
+    part = session.run("odometry", advice=False).estimates["odometry"]
+    common = np.isin(whole.t, part.t)
+    np.testing.assert_allclose(part.pose[np.isin(part.t, whole.t)], whole.pose[common], atol=1e-9)
+    assert any("--align origin" in note for note in session.notes)
+
+
+def test_the_commands_take_it_and_refuse_what_holds_nothing(tmp_path: Path) -> None:
+    words = (
+        "compare",
+        SAMPLE,
+        "--no-advice",
+        "--sensors",
+        "odometry",
+        "-o",
+        tmp_path / "o",
+        "--write",
+        "json",
+        "--overwrite",
+    )
+    done = locfuse(*words, "--from", 10, "--to", 25)
+    assert done.exit_code == 0
+    report = json.loads((tmp_path / "o" / "report.json").read_text())
+    assert report["configurations"]["odometry"]["duration_s"] == pytest.approx(15.0, abs=0.1)
+    done = locfuse(*words, "--from", 1000)
+    assert done.exit_code == 1
+    assert "the drive lasts from 0 to" in done.stderr
+    done = locfuse(*words, "--from", 25, "--to", 10)
+    assert done.exit_code == 2
+    with pytest.raises(LocfuseError, match="nothing moves there"):
+        api.load(SAMPLE, between=(1000.0, None))
+
+
+# --- extreme settings: a start that is exact, nearly exact or unknown, no floors, a robot that never moves
+
+SIGMAS = [  # degrees, m
+    (0.0, 0.0),
+    (1e-9, 0.0),
+    (0.0, 1e-9),
+    (1e-9, 1e-9),
+    (1e-9, 1000.0),
+    (0.0, 1000.0),
+    (5.0, 1000.0),
+    (180.0, 0.3),
+    (180.0, 1000.0),
+]
+ROUNDING = 1e-12
+
+
+def correlation(P: Array) -> Array:
+    """Scale a covariance to a unit diagonal: its smallest eigenvalue is then free of units."""
+    assert (np.diagonal(P) >= 0.0).all()
+    scale = np.sqrt(np.diagonal(P))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    return np.asarray(P / np.outer(scale, scale))
+
+
+def positive_throughout(drive: Drive, robot: Robot, sensors: list[str]) -> Filter:
+    """Run the filter; its state and the pose in the map have a positive covariance at every instant."""
+    run = Filter(robot, sensors)
+    steps = steps_of(drive)
+    for k, due in enumerate(due_readings(drive, sensors)):
+        run.advance(k, steps, due, drive.measurements)
+        belief = run.belief
+        for P in (belief.covariance, run._in_map.matrix()):
+            assert np.isfinite(P).all()
+            assert np.linalg.eigvalsh(correlation(P))[0] > -ROUNDING
+    return run
+
+
+@pytest.fixture(scope="module")
+def driven() -> tuple[Drive, Robot]:
+    world = World(seconds=3.0, settings={"compass": {"offset_deg": math.degrees(0.7)}})
+    robot = world.robot()
+    return measure(world.streams(), robot), robot
+
+
+@pytest.mark.parametrize("sensors", [["lrf"], ["compass", "lrf"]], ids="+".join)
+@pytest.mark.parametrize(("degrees", "metres"), SIGMAS)
+def test_any_start_gives_a_positive_covariance_and_the_same_shape(
+    driven: tuple[Drive, Robot], degrees: float, metres: float, sensors: list[str]
+) -> None:
+    drive, robot = driven
+    start = StartSettings(x=1.5, y=1.5, sigma_theta_deg=degrees, sigma_xy=metres)
+    robot = replace(robot, start=start)
+    positive_throughout(drive, robot, sensors)
+    for run in fuse_and_smooth(drive, robot, sensors):
+        shape = evaluate(run, drive, align="se2").figures["position_rmse_m"]
+        assert shape is not None
+        assert shape < 0.004
+        assert (run.triangles[:, [0, 3, 5]] >= 0.0).all()
+        assert run.triangles[-1, 0] >= 0.9 * metres**2
+
+
+@pytest.mark.parametrize("seconds", [2.0, 30.0])
+@pytest.mark.parametrize("mode", ["first-scan", "consider", "refine", "grow"])
+def test_walls_without_floors_and_wheels_that_never_turn_keep_the_covariance_positive(
+    mode: str, seconds: float
+) -> None:
+    """Nothing then stops a wall from being known exactly but the number of scans that count."""
+    settings = {"floor_range": 0.0, "floor_angle_deg": 0.0, "walls": "flat", "map": mode}
+    world = World(seconds=seconds, speed=0.0, turning=0.0, settings={"lrf": settings})
+    robot = replace(world.robot(), start=StartSettings(x=1.5, y=1.5, sigma_theta_deg=2.0, sigma_xy=0.1))
+    drive = measure(world.streams(), robot)
+    run = positive_throughout(drive, robot, ["lrf"])
+    np.testing.assert_allclose(run.pose(), (1.5, 1.5, 0.0), atol=1e-3)
+    assert run._in_map.matrix()[2, 2] > 0.999 * np.radians(2.0) ** 2
+
+
+def test_a_covariance_beyond_the_square_of_a_float_refuses_the_reading() -> None:
+    """Its products are infinite and its NIS is no number: the gate refuses, and nothing is raised."""
+    belief = JointBelief((0.0, 0.0, 0.0), (1e200, 1e200, 0.0, 1e200, 0.0, 1.0))
+    H, R = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)), ((1.0, 0.0), (0.0, 1.0))
+    assert VERDICTS[belief.compare(0, (1.0, 1.0), H, R, 9.0).verdict] == "gate"

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from bags import Said, cdr, header
 from ring_drive import box, scan
-from scan_streams import SCAN
 from wheel_bags import stamps
 
-from locfuse.fusion.data import Array
+from locfuse.fusion.data import Array, ArrayStream, Column, Ragged
 
+SCAN = "sensor_msgs/msg/LaserScan"
 BEAMS, PERIOD = 120, 0.2  # of ring_drive's laser; s
 ROOM = np.array(box(-4.0, -3.0, 4.5, 3.5) + box(1.0, 2.6, 2.2, 3.5) + box(-4.0, -3.0, -3.2, -1.0))
 
@@ -47,3 +49,20 @@ def scans_of(t: Array, poses: Array, segments: Array = ROOM) -> list[Said]:
         )
         said.append(Said("/scan", SCAN, message, ns))
     return said
+
+
+# --- a stream of laser scans, each of one turn, as a log holds them
+
+
+def scan_stream(t_ns: Sequence[int], ranges: Array) -> ArrayStream:
+    """Return scans of `ranges` (k, beams) [m] that begin behind the laser and turn to the left."""
+    n, beams = ranges.shape
+    data: dict[str, Column] = {
+        "angle_min": np.full(n, -np.pi),
+        "angle_increment": np.full(n, 2.0 * np.pi / beams),
+        "time_increment": np.zeros(n),
+        "range_min": np.full(n, 0.05),
+        "range_max": np.full(n, 12.0),
+        "ranges": Ragged(ranges.ravel(), np.arange(n + 1) * beams),
+    }
+    return ArrayStream("/scan", SCAN, np.array(t_ns), data)

@@ -59,11 +59,7 @@ def simulated_report(rng: np.random.Generator, log: int, robot: int) -> dict[str
         },
         "configurations": rows,
         "verdicts": {s: {"verdict": str(rng.choice(["helps", "hurts"]))} for s in sensors},
-        "credit": {
-            "complete": False,
-            "total_factor": 3.0,
-            "sensors": dict.fromkeys(sensors, of_sensor),
-        },
+        "credit": {"complete": False, "total_factor": 3.0, "sensors": dict.fromkeys(sensors, of_sensor)},
         "key": hashlib.sha256(f"key {log}".encode()).hexdigest(),
     }
 

@@ -110,7 +110,10 @@ def ring_drive(seed: int, laps: float = 2.25, alike: bool = False, drift: float 
         {},
         Held(scans),
     )
-    drive = cut(Wheels.from_twists(t, twist, 0.3, 4e-4), 0, {"lrf": m}, Robot(), {}, None, {})
+    wheels, measured = Wheels.from_twists(t, twist, 0.3, 4e-4), {"lrf": m}
+    drive = Drive(
+        epoch_ns=0, measurements=measured, absent={}, wheels=wheels, **cut(wheels, Robot(), measured, None)
+    )
     k = np.searchsorted(t, drive.t - 1e-9)
     return drive, truth[k]
 

@@ -19,6 +19,7 @@ from locfuse.fusion.measure import cut
 from locfuse.fusion.robot import Robot, StartSettings, WheelSettings
 from locfuse.fusion.sensors.compass import CompassSettings
 from locfuse.fusion.sensors.lrf import LrfSettings
+from locfuse.fusion.truth import read_truth
 from locfuse.fusion.wheels.motion import Wheels
 
 Array = NDArray[np.float64]
@@ -84,8 +85,18 @@ def drive(
         at = np.arange(0.031, t[-1], 1.0 / scans)
         measurements["lrf"] = _walls(at, _at(at, t, pose), robot.settings("lrf"), rng)
     absent = {s: "no topic of its type" for s in ("compass", "lrf") if s not in measurements}
-    stream = cast("Stream", _truth(t, pose)) if truth else None
-    return cut(wheels, 1_700_000_000_000_000_000, measurements, robot, absent, stream, {"wheels": {}})
+    epoch_ns, read, dropped = 1_700_000_000_000_000_000, None, {"wheels": dict[str, int]()}
+    if truth:
+        read, dropped["truth"] = read_truth(cast("Stream", _truth(t, pose)), robot.truth, epoch_ns)
+    return Drive(
+        epoch_ns=epoch_ns,
+        measurements=measurements,
+        absent=absent,
+        truth=read,
+        dropped=dropped,
+        wheels=wheels,
+        **cut(wheels, robot, measurements, read),
+    )
 
 
 def _at(at: Array, t: Array, pose: Array) -> Array:

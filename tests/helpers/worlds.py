@@ -104,10 +104,7 @@ class World(msgspec.Struct):
             "/compass",
             "sensor_msgs/msg/MagneticField",
             t,
-            {
-                "magnetic_field.x": 2e-5 * np.cos(heading),
-                "magnetic_field.y": -2e-5 * np.sin(heading),
-            },
+            {"magnetic_field.x": 2e-5 * np.cos(heading), "magnetic_field.y": -2e-5 * np.sin(heading)},
         )
 
     def _scans(self, rng: np.random.Generator) -> ArrayStream:

@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 import ast
+import contextlib
+import json
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import click
 import msgspec
+import numpy as np
 import pytest
+from commands import locfuse, ok
 
+from benchmarks import readme
+from locfuse.cli import main as cli
 from locfuse.cli.analysis.robot_tables import table_types
-from locfuse.cli.main import COMMANDS, locfuse
+from locfuse.cli.main import COMMANDS
+from locfuse.fusion.data import ArrayStream
+from locfuse.fusion.sensors.registry import REGISTRY, SOURCES, register_installed
 from locfuse.sample_logs.scenario import Scenario
 
 ROOT = Path(__file__).parents[2]
@@ -36,13 +47,13 @@ def options(command: click.Command) -> set[str]:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_every_command_and_its_options_exist(page: Path) -> None:
-    with click.Context(locfuse) as context:
+    with click.Context(cli.locfuse) as context:
         for line in typed(page, "locfuse"):
             name = line.split()[1]
             if not name.isalpha() or name.isupper():
                 continue  # locfuse --help
             assert name in COMMANDS, line
-            command = locfuse.get_command(context, name)
+            command = cli.locfuse.get_command(context, name)
             assert command is not None
             assert set(OPTION.findall(line)) <= options(command), line
 
@@ -134,3 +145,187 @@ def test_every_printed_line_that_is_explained_is_printed_by_some_code() -> None:
         if isinstance(node, ast.JoinedStr | ast.Constant)
     )
     assert [line for line in shown if line not in source] == []
+
+
+# --- docs are tests: every command the README shows runs, and prints what the page says
+
+PAGE = (ROOT / "README.md").read_text()
+
+
+@pytest.mark.parametrize("name", readme.PAGES)
+def test_every_command_on_a_page_prints_what_it_shows(name: str, tmp_path: Path) -> None:
+    page = (ROOT / name).read_text(encoding="utf-8")
+    assert len(readme.commands("\n".join(readme.BLOCK.findall(page)))) >= 2
+    assert readme.replayed(page, tmp_path) == page
+
+
+@pytest.mark.parametrize("name", readme.PYTHON_PAGES)
+def test_the_python_on_a_page_runs_in_order_and_prints_what_it_shows(name: str, tmp_path: Path) -> None:
+    page = (ROOT / name).read_text(encoding="utf-8")
+    assert len(readme.PYTHON.findall(page)) >= 2
+    assert readme.replayed_python(page, tmp_path) == page
+
+
+def test_the_two_set_up_commands_are_the_ones_ci_uses() -> None:
+    assert "python3 -m venv .venv && .venv/bin/pip install -e . && .venv/bin/locfuse compare" in PAGE
+    # a fresh environment may hold a pip that knows no groups (before 25.1)
+    groups = ".venv/bin/python -m pip install -U pip && .venv/bin/pip install --group test"
+    assert f"{groups} && .venv/bin/python -m pytest" in PAGE
+
+
+@pytest.mark.parametrize("link", sorted(set(re.findall(r"\]\(((?!http)[^)#]+)", PAGE))))
+def test_every_link_of_the_readme_leads_somewhere(link: str) -> None:
+    assert (ROOT / link).exists(), link
+
+
+REFERENCE = ("commands.md", "settings.md", "report_keys.md")
+
+
+def test_the_reference_pages_are_what_their_command_writes() -> None:
+    """In a process of its own: another test may have registered a sensor."""
+    command = [sys.executable, "-m", "benchmarks.reference"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, ""), done.stderr
+
+
+def test_every_command_and_every_sensor_has_its_heading() -> None:
+    lines = {
+        line for name in REFERENCE for line in (ROOT / "docs" / name).read_text(encoding="utf-8").splitlines()
+    }
+    sensors = {name for name, sensor in REGISTRY.items() if type(sensor).__module__.startswith("locfuse.")}
+    assert {f"## {name}" for name in (*COMMANDS, *sensors)} <= lines
+
+
+FIRST_PAGE = (Path(__file__).parents[2] / "docs" / "first_sensor.md").read_text(encoding="utf-8")
+(PYPROJECT,) = re.findall(r"```toml\n(.*?)```", FIRST_PAGE, re.DOTALL)
+MAKE_LOG, SENSOR, READINGS = re.findall(r"```python\n(.*?)```", FIRST_PAGE, re.DOTALL)
+
+
+def test_its_log_and_its_sensor_give_a_verdict_and_its_noise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "pyproject.toml").write_text(PYPROJECT)
+    (tmp_path / "locfuse_cable.py").write_text(SENSOR)
+    words = ("install", "-q", "--no-deps", "--no-build-isolation", "--target", tmp_path / "installed", tmp_path)
+    subprocess.run([sys.executable, "-m", "pip", *map(str, words)], check=True)
+    monkeypatch.syspath_prepend(tmp_path / "installed")
+    register_installed()
+    try:
+        _has_a_verdict_and_its_noise(tmp_path)
+        assert SOURCES["cable"] == "package locfuse-cable 0.1 (locfuse_cable:Cable)"
+    finally:
+        del REGISTRY["cable"], SOURCES["cable"]
+
+
+def _has_a_verdict_and_its_noise(tmp_path: Path) -> None:
+    with contextlib.chdir(tmp_path):
+        exec(compile(MAKE_LOG, "make_log.py", "exec"), {})
+    log, post = tmp_path / "cable.mcap", ("--set", "cable.post=[4, 2]")
+    words = ("--sensors", "odometry", "--sensors", "cable", "--write", "json", "-o", tmp_path / "out")
+    ok("compare", log, *post, *words)
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    rows = report["configurations"]
+    assert rows["cable"]["position_rmse_m"] < 0.5 * rows["odometry"]["position_rmse_m"]
+    assert report["settings"]["cable"]["sigma"] == 0.05
+    assert 0.5 < rows["cable"]["sensors"]["cable"]["consistency"]["scale"] < 0.7  # 3 cm are true, 5 are set
+    assert "cable.post is not set" in locfuse("info", log).stdout
+
+
+def test_its_readings_for_the_contract_are_lengths() -> None:
+    typed: dict[str, Any] = {"np": np, "ArrayStream": ArrayStream}
+    exec(compile(READINGS, "six_sensors.py", "exec"), typed)
+    fields = {"pose.position.x": np.array([4.0, 7.0]), "pose.position.y": np.array([2.0, 6.0])}
+    stream = typed["cable"](ArrayStream("/truth", "geometry_msgs/msg/PoseStamped", np.array([0, 1]), fields))
+    assert stream.columns("data")["data"].tolist() == [0.0, 5.0]
+
+
+# --- plain words: texts that users read hold none of the riddles of 0.1 (docs, README, help, messages)
+
+BANNED = re.compile(
+    r"\b(as told|for news|bought|sure and wrong|(its|their) metre|in force|carried off|cures?|cured|oddit(y|ies)|"
+    r"witness(es)?|court|modest|luck|honest(ly|y)?|buys|untold|against odometry)\b",
+    re.IGNORECASE,
+)
+PLAIN_PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+CODE = [p for top in ("cli", "formats", "fusion", "sample_logs") for p in sorted((ROOT / top).rglob("*.py"))]
+
+
+def strings(source: str) -> list[tuple[int, str]]:
+    """Return every text of a module that a user may read: no docstrings, but those of commands, which are help."""
+    tree = ast.parse(source)
+    hidden = {
+        id(node.body[0].value)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+        and not any("command" in ast.dump(d) for d in getattr(node, "decorator_list", ()))
+        and node.body
+        and isinstance(node.body[0], ast.Expr)
+    }
+    return [
+        (node.lineno, node.value)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in hidden
+    ]
+
+
+def test_pages_use_plain_words() -> None:
+    lines = [(page.name, line) for page in PLAIN_PAGES for line in page.read_text(encoding="utf-8").splitlines()]
+    assert [line for line in lines if BANNED.search(line[1])] == []
+
+
+def test_messages_and_help_use_plain_words() -> None:
+    found = [
+        f"{path.relative_to(ROOT)}:{line}: {text}"
+        for path in CODE
+        for line, text in strings(path.read_text(encoding="utf-8"))
+        if BANNED.search(text) and not text.isidentifier()  # a key is no text
+    ]
+    assert found == []
+
+
+RAISING = [path for folder in ("cli", "fusion", "formats") for path in sorted((ROOT / folder).rglob("*.py"))]
+ERRORS = {"LocfuseError", "UsageError", "NoWheelsError", "UnreadableTopicError"}
+
+
+def raised(source: str) -> Iterator[ast.Call]:
+    """Yield the calls that make one of our errors."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ERRORS:
+            yield node
+
+
+def text(node: ast.expr | None) -> str:
+    """Return a string or f-string as it is written, {} where a value stands."""
+    if isinstance(node, ast.JoinedStr):
+        return "".join(str(v.value) if isinstance(v, ast.Constant) else "{}" for v in node.values)
+    if isinstance(node, ast.BinOp):
+        return text(node.left) + text(node.right)
+    return str(node.value) if isinstance(node, ast.Constant) else "{}"
+
+
+def wrong(call: ast.Call) -> str | None:
+    """Say what is wrong with an error: a setting that its reader would have to look for in the words."""
+    values = {k.arg: k.value for k in call.keywords}
+    message, hint = text(call.args[0]) if call.args else "", text(values.get("hint"))
+    if "--set " in message.removeprefix("--set "):  # which may be what it is about
+        return f"the message tells a setting, which belongs into the hint: {message}"
+    if "--set {}" in hint and "fixes" not in values:
+        return f"what the hint sets is not among the fixes: {hint}"
+    return None
+
+
+def test_no_setting_has_to_be_read_out_of_an_error() -> None:
+    found = {path: [words for call in raised(path.read_text()) if (words := wrong(call))] for path in RAISING}
+    assert {path: words for path, words in found.items() if words} == {}
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        'raise LocfuseError(f"2 topics fit. Choose one with --set lrf.topic={topic}")',
+        'raise UsageError("2 topics fit.", hint=f"Choose one with --set {fix}")',
+    ],
+)
+def test_an_error_that_hides_its_setting_is_found(source: str) -> None:
+    (call,) = raised(source)
+    assert wrong(call)

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import functools
 import json
+import random
 import re
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from bags import T0, Said, cdr, header, write
+from bags import T0, Said, cdr, drive, header, write
 from commands import Done, locfuse, ok
-from mcap.reader import make_reader
 from msgspec.structs import replace
 from numpy.typing import NDArray
+from rewrite_log import rewritten
 from wheel_bags import GEOMETRY, angles, joint_states, log_of
 from worlds import World
 
@@ -55,21 +60,6 @@ def run(path: Path, *words: str) -> tuple[Done, Array, dict[str, Any]]:
     return done, rows, json.loads((out / "run.json").read_text())
 
 
-def without(path: Path, copy: Path, topic: str, start: float, end: float) -> Path:
-    """The log without the messages of a topic in an interval [s]."""
-    with path.open("rb") as file:
-        reader = make_reader(file)
-        every = [(s, c, m) for s, c, m in reader.iter_messages() if s is not None]
-        attachments = {a.name: a.data for a in reader.iter_attachments()}
-    begin = every[0][2].log_time
-    said = [
-        Said(c.topic, s.name, m.data, m.log_time, m.sequence)
-        for s, c, m in every
-        if c.topic != topic or not start <= (m.log_time - begin) * 1e-9 < end
-    ]
-    return write(copy, said, attachments=attachments)
-
-
 @pytest.mark.parametrize(
     ("name", "start", "end"), [("drops out", 15.0, 25.0), ("starts late", -1.0, 8.0), ("ends early", 40.0, 99.0)]
 )
@@ -77,7 +67,9 @@ def test_a_sensor_that_drops_out_starts_late_or_ends_early_is_as_if_masked_there
     folder: Path, name: str, start: float, end: float
 ) -> None:
     clean = simulated(folder)
-    cut = without(clean, folder / f"{name}.mcap", "/scan", start, end)
+    cut = rewritten(
+        folder / f"{name}.mcap", source=clean, keep=lambda topic, t: topic != "/scan" or not start <= t < end
+    )
     whole, gap = load([clean], PLAIN), load([cut], PLAIN)
     scans = whole.drive.measurements["lrf"]
     keep = np.flatnonzero(np.isin(scans.t.round(6), gap.drive.measurements["lrf"].t.round(6)))
@@ -185,15 +177,147 @@ def test_one_corridor_corrects_only_the_observable_directions() -> None:
 
 
 def test_a_driver_that_stamps_whole_seconds_gives_many_readings_one_instant_and_no_traceback(folder: Path) -> None:
-    with simulated(folder).open("rb") as file:
-        reader = make_reader(file)
-        every = [(s, c, m) for s, c, m in reader.iter_messages() if s is not None]
-        attachments = {a.name: a.data for a in reader.iter_attachments()}
-    whole = [
-        Said(c.topic, s.name, m.data[:8] + bytes(4) + m.data[12:] if c.topic == "/compass" else m.data, m.log_time)
-        for s, c, m in every
-    ]
+    log = rewritten(
+        folder / "seconds.mcap",
+        source=simulated(folder),
+        data=lambda topic, old: old[:8] + bytes(4) + old[12:] if topic == "/compass" else old,
+    )
     for sensors in ("compass", "all"):
-        run(write(folder / "seconds.mcap", whole, attachments=attachments), "--sensors", sensors)
-    done = locfuse("compare", folder / "seconds.mcap", "--no-advice", "--write", "json", "-o", folder / "seconds")
+        run(log, "--sensors", sensors)
+    done = locfuse("compare", log, "--no-advice", "--write", "json", "-o", folder / "seconds")
     assert done.exit_code in {0, 3}, done.stderr
+
+
+# --- the promise about bad disks and signals: one line, and never half a file under a final name
+
+ROBOT = {"robot.toml": b"[wheels]\nradius = 0.05\ntrack = 0.4\n"}
+FINAL = (
+    "robot.toml",
+    "trajectory.tum",
+    "trajectory.csv",
+    "estimates.mcap",
+    "estimates.foxglove.json",
+    "estimates.plotjuggler.xml",
+    "run.json",
+)
+# the .mcap is the one file that is not made in memory
+EXPORT = ("--export", "mcap", "--write", "all", "--no-smooth")
+ONCE = "import sys; from locfuse.cli.main import main; print('ready', flush=True); main(sys.argv[1:])"
+# RLIMIT_FSIZE stands for a full disk: no file may grow beyond 2000 bytes
+FULL = """
+import resource, signal
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
+"""
+FULL += ONCE
+# stops where it is told, says so, and waits for the signal: no clock decides where the program is hit
+HELD = """
+import importlib, sys, time
+module, name = sys.argv.pop(1).split(':')
+def held(*_, **__):
+    print('held', flush=True)
+    time.sleep(60)
+setattr(importlib.import_module(module), name, held)
+from locfuse.cli.main import main
+main(sys.argv[1:])
+"""
+FOREVER = """
+import contextlib, sys
+from locfuse.cli.main import main
+while True:
+    with contextlib.suppress(SystemExit):
+        main(sys.argv[1:])
+    print('ready', flush=True)
+"""
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("log") / "x.mcap", drive(100), attachments=ROBOT)
+
+
+def start(program: str, *words: object) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", program, *(str(w) for w in words)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def one_line(stderr: str) -> bool:
+    return stderr.startswith("locfuse: ") and stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["run", "compare"])
+@pytest.mark.parametrize("out", ["/proc/nothing/out", "{file}/out", "/dev/full"])
+def test_output_directory_that_cannot_be_written_is_one_line(
+    log: Path, tmp_path: Path, command: str, out: str
+) -> None:
+    """Root may write to a read-only folder; nobody may in /proc or below a file."""
+    (tmp_path / "file").write_text("mine")
+    done = locfuse(command, log, "-o", out.format(file=tmp_path / "file"))
+    assert done.exit_code == 1
+    assert one_line(done.stderr), done.stderr
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_disk_full_is_one_line_and_leaves_nothing(log: Path, tmp_path: Path) -> None:
+    with start(FULL, "run", log, "-o", tmp_path / "out") as process:
+        _, stderr = process.communicate(timeout=300)
+    assert process.returncode == 1
+    assert one_line(stderr), stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_disk_full_keeps_the_result_that_was_there(log: Path, tmp_path: Path) -> None:
+    ok("run", log, "-o", tmp_path)
+    before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+
+    with start(FULL, "run", log, "-o", tmp_path) as process:
+        assert one_line(process.communicate(timeout=300)[1])
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
+
+
+def test_output_exists_and_is_not_ours_is_refused_and_untouched(log: Path, tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("mine")
+    done = locfuse("run", log, "-o", tmp_path)
+    assert done.exit_code == 1
+    assert one_line(done.stderr)
+    assert "--overwrite" in done.stderr
+    assert [p.name for p in tmp_path.iterdir()] == ["thesis.tex"]
+    ok("run", log, "-o", tmp_path, "--overwrite")
+    assert (tmp_path / "thesis.tex").read_text() == "mine"
+
+
+@pytest.mark.parametrize("where", ["locfuse.fusion.fuse:fuse", "os:fsync"], ids=["fusing", "writing"])
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_ctrl_c_and_sigterm_end_with_their_code_one_line_and_no_half_file(
+    log: Path, tmp_path: Path, number: signal.Signals, code: int, where: str
+) -> None:
+    with start(HELD, where, "run", log, "-o", tmp_path / "out") as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "held\n"
+        process.send_signal(number)
+        _, stderr = process.communicate(timeout=300)
+    assert process.returncode == code
+    assert [line for line in stderr.splitlines() if line] == stderr.splitlines()[-1:], stderr
+    assert "nothing was left half-written" in stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_kill_9_at_random_times_leaves_no_half_file_under_a_final_name(log: Path, tmp_path: Path) -> None:
+    """A program that writes its result again and again is killed somewhere on the way, six times."""
+    ok("run", log, "-o", tmp_path / "whole", *EXPORT)
+    whole = {name: (tmp_path / "whole" / name).read_bytes() for name in FINAL}
+    rng = random.Random(9)
+    folders = [tmp_path / str(i) for i in range(6)]
+    running = [start(FOREVER, "run", log, "-o", folder, "-q", *EXPORT) for folder in folders]
+    for process in running:
+        assert process.stdout is not None
+        assert any("ready" in line for line in iter(process.stdout.readline, ""))
+    for process in running:
+        time.sleep(rng.uniform(0.0, 0.15))
+        process.kill()
+        process.communicate()
+    for folder in folders:
+        there = {p.name: p.read_bytes() for p in folder.iterdir() if not p.name.startswith(".")}
+        assert there == whole
+        assert np.isfinite(np.loadtxt(folder / "trajectory.tum")).all()
+        assert json.loads(there["run.json"])

@@ -10,9 +10,7 @@ from pathlib import Path
 import pytest
 from commands import locfuse, ok
 from trap_logs import Drive
-from traps_camera import CAMERA_TRAPS
-from traps_sensors import COMPASS_TRAPS, LASER_TRAPS, TRUTH_TRAPS
-from traps_wheels import CLOCK_TRAPS, WHEEL_TRAPS
+from traps import CAMERA_TRAPS, CLOCK_TRAPS, COMPASS_TRAPS, LASER_TRAPS, TRUTH_TRAPS, WHEEL_TRAPS
 
 TABLES = (WHEEL_TRAPS, CLOCK_TRAPS, COMPASS_TRAPS, LASER_TRAPS, CAMERA_TRAPS, TRUTH_TRAPS)
 TRAPS = {trap.name: trap for table in TABLES for trap in table}

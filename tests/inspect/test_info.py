@@ -8,16 +8,17 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
-from bags import T0, S, Said, cdr, drive, header, real_log, write
+from bags import T0, S, Said, cdr, definition, drive, header, real_log, write
 from commands import Done, locfuse
+from laser_room import circle, scans_of
 from mcap.reader import make_reader
-from trap_logs import PICTURES, WHEELS, Drive
-from traps_camera import decoded, raw
-from traps_sensors import short_metre
+from mcap.writer import Writer
+from trap_logs import COMPASS, PICTURES, WHEELS, Drive
+from traps import ROLLED, decoded, imu, raw, short_metre
 
+import locfuse as api
 from locfuse import sample_logs
 from locfuse.cli.terminal import text_table
 from locfuse.formats.report.findings import void_reasons
@@ -253,18 +254,6 @@ def test_a_room_without_red_is_named(tmp_path: Path) -> None:
     assert "nothing red and upright in 22 of 22 pictures" in done.stdout
 
 
-def test_only_a_few_pictures_are_decoded(monkeypatch: pytest.MonkeyPatch) -> None:
-    plain, decodings = cv2.imdecode, []
-
-    def counted(*arguments: Any) -> Any:
-        decodings.append(arguments)
-        return plain(*arguments)
-
-    monkeypatch.setattr(cv2, "imdecode", counted)
-    assert locfuse("info", "rounded_rectangle").exit_code == 0
-    assert 20 <= len(decodings) <= 30  # of 110
-
-
 def test_a_sensor_on_a_sleeping_topic_and_a_type_nobody_reads(tmp_path: Path) -> None:
     said = [*drive(100), Said("/odd", "std_msgs/msg/Empty", b"", T0 + S)]
     done = locfuse("info", write(tmp_path / "x.mcap", said), *GEOMETRY)
@@ -284,14 +273,6 @@ def test_strict_takes_a_refused_reading_for_a_loss(tmp_path: Path) -> None:
     path = write(tmp_path / "x.mcap", [*said, said[0]._replace(log_time=said[0].log_time + 1)])
     assert locfuse("info", path, *GEOMETRY).exit_code == 0
     assert locfuse("info", path, *GEOMETRY, "--strict").exit_code == 3
-
-
-def test_a_file_without_checksums_says_that_it_cannot_know(tmp_path: Path) -> None:
-    words = "no checksums: a corrupted value would go unnoticed"
-    unchecked = write(tmp_path / "x.mcap", drive(100), enable_crcs=False)
-    assert words in locfuse("info", unchecked, *GEOMETRY).stdout
-    assert not as_json(unchecked, *GEOMETRY)["checksums"]
-    assert words not in locfuse("info", write(tmp_path / "y.mcap", drive(100)), *GEOMETRY).stdout
 
 
 def test_a_log_without_wheels_says_what_is_missing(tmp_path: Path) -> None:
@@ -345,9 +326,6 @@ def test_short_logs_are_not_judged(tmp_path: Path) -> None:
     assert section(locfuse("info", tour.record(tmp_path / "x.mcap")), "would spoil an estimate") == []
 
 
-# real logs
-
-
 def test_of_a_real_arena_the_next_command_sets_what_helps() -> None:
     """Track, both metres, laser's clock, start: all wrong by default, found in one round.
 
@@ -389,3 +367,97 @@ def test_a_real_turtlebot_as_ros2_records_it() -> None:
     assert any(w.startswith("21 frames are said to be in two places") for w in words)
     assert any(w.startswith("of its ranges 23% inf") for w in words)
     assert [o["code"] for o in found["findings"] if o["severe"]] == ["lag"]
+
+
+# --- two publishers on one topic are named, with the numbers: by their channels, or by the angles of their scans
+
+ODOMETRY = "nav_msgs/msg/Odometry"
+
+
+def odometry(i: int, x: float) -> bytes:
+    pose = {"position": {"x": x, "y": 0.0, "z": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+    return cdr(ODOMETRY, header=header(T0 + i * S // 20, "odom"), pose={"pose": pose})
+
+
+def log(path: Path, writes: list[tuple[int, int, float]]) -> Path:
+    """Messages of /odom as (channel, number, x), at 20 Hz."""
+    with path.open("wb") as file:
+        writer: Any = Writer(file)
+        writer.start()
+        schema = writer.register_schema(ODOMETRY, "ros2msg", definition(ODOMETRY))
+        idents = [writer.register_channel("/odom", "cdr", schema, {"node": name}) for name in ("a", "b")]
+        for channel, i, x in writes:
+            writer.add_message(idents[channel], T0 + i * S // 20, odometry(i, x), T0 + i * S // 20, i)
+        writer.finish()
+    return path
+
+
+def found(path: Path) -> list[dict[str, Any]]:
+    report = json.loads(locfuse("info", path, "--json").stdout)
+    return [f for f in report["findings"] if f["code"] in {"publishers", "scan angles"}]
+
+
+def test_two_odometries_in_turn_on_one_topic_would_spoil_an_estimate(tmp_path: Path) -> None:
+    writes = [(i % 2, i, 0.05 * i + 3.0 * (i % 2)) for i in range(100)]
+    (finding,) = found(log(tmp_path / "two.mcap", writes))
+    assert (finding["role"], finding["severe"]) == ("wheels", True)
+    assert "/odom mixes two publishers (50 and 50 messages in turn)" in finding["message"]
+    assert "record each on a topic of its own" in finding["message"]
+
+
+@pytest.mark.parametrize("kind", ["started again", "recorded twice", "one"])
+def test_a_publisher_that_starts_again_or_is_recorded_twice_is_one(tmp_path: Path, kind: str) -> None:
+    writes = {
+        "started again": [(int(i >= 50), i, 0.05 * i) for i in range(100)],
+        "recorded twice": [(c, i, 0.05 * i) for i in range(100) for c in (0, 1)],
+        "one": [(0, i, 0.05 * i) for i in range(100)],
+    }[kind]
+    assert found(log(tmp_path / "one.mcap", writes)) == []
+
+
+def test_scans_that_begin_at_two_angles_in_turn_are_named(tmp_path: Path) -> None:
+    from bags import write
+    from laser_room import BEAMS
+
+    t, poses = circle()
+    said = scans_of(t, poses)
+    assert found(write(tmp_path / "one.mcap", said)) == []
+    other = np.float32(-np.pi).tobytes()
+    changed = [
+        m
+        if i % 2
+        else m._replace(data=m.data.replace(other, np.float32(-np.pi + 4.0 * np.pi / BEAMS).tobytes(), 1))
+        for i, m in enumerate(said)
+    ]
+    (finding,) = found(write(tmp_path / "two.mcap", changed))
+    assert finding["role"] == "lrf"
+    assert "30 scans at -180°" in finding["message"]
+    assert "30 scans at -174°" in finding["message"]
+
+
+# --- an IMU is bolted to the robot once: what turns its gyro turns its compass
+
+
+def written(folder: Path) -> Path:
+    drive = Drive()
+    imu(drive, ROLLED, orientation=True)
+    drive.drop(COMPASS)
+    del drive.tables["compass"]
+    return drive.record(folder / "imu.mcap")
+
+
+def test_roll_and_pitch_given_for_one_hold_for_the_other(tmp_path: Path) -> None:
+    log = written(tmp_path)
+    for given, other in (("gyro", "compass"), ("compass", "gyro")):
+        robot = api.load(log, sets={f"{given}.roll_deg": 90.0}).robot
+        assert robot.settings(other).roll_deg == 90.0
+    robot = api.load(log, sets={"gyro.roll_deg": 90.0, "compass.roll_deg": 5.0}).robot
+    assert (robot.settings("gyro").roll_deg, robot.settings("compass").roll_deg) == (90.0, 5.0)
+
+
+def test_sensors_of_other_frames_keep_their_own(tmp_path: Path) -> None:
+    drive = Drive()
+    imu(drive, ROLLED, orientation=False)
+    log = drive.record(tmp_path / "apart.mcap")
+    robot = api.load(log, sets={"gyro.roll_deg": 90.0}).robot
+    assert robot.settings("compass").roll_deg == 0.0

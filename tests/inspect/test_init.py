@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 from bags import T0, Said, cdr, header, real_log, real_logs, write
 from commands import Done, locfuse
-from mcap.reader import make_reader
+from rewrite_log import rewritten
 from trap_logs import Drive
-from traps_sensors import short_metre
+from traps import short_metre
 from wheel_bags import GEOMETRY, RADIUS, TRACK, angles, joint_states, log_of, pose_of
 
 from locfuse import sample_logs
@@ -150,7 +150,7 @@ def test_where_several_topics_fit_the_first_is_a_guess_and_the_others_are_named(
 
 
 def test_a_camera_lacks_its_landmark_and_runs_once_it_has_it(tmp_path: Path) -> None:
-    log = without_attachments(sample_logs.path("rounded_rectangle"), tmp_path / "x.mcap")
+    log = rewritten(tmp_path / "x.mcap", robot="")
     words = ("--set", "wheels.radius=0.05", "--set", "wheels.track=0.6")
     done = init(log, tmp_path / "robot.toml", *words)
     assert "to be filled in: camera.landmark" in done.stderr
@@ -168,7 +168,7 @@ def test_a_camera_lacks_its_landmark_and_runs_once_it_has_it(tmp_path: Path) -> 
 
 
 def test_what_a_user_said_stays_and_what_the_log_shows_beside_it_is_behind_a_hash(tmp_path: Path) -> None:
-    log = without_attachments(sample_logs.path("rounded_rectangle"), tmp_path / "x.mcap")
+    log = rewritten(tmp_path / "x.mcap", robot="")
     sets = ("wheels.radius=0.05", "wheels.track=0.6", "start.x=7.25")
     done = init(log, tmp_path / "robot.toml", *(word for s in sets for word in ("--set", s)))
     assert tomllib.loads(done.stdout)["start"]["x"] == 7.25
@@ -257,14 +257,3 @@ def rmse(report: dict[str, Any]) -> float:
     configuration = next(iter(report["configurations"].values()))
     found = configuration["void"]["figures"] if configuration.get("void") else configuration
     return float(found["position_rmse_m"])
-
-
-def without_attachments(log: Path, path: Path) -> Path:
-    """The same messages in a log that does not know its robot."""
-    with log.open("rb") as file:
-        said = [
-            Said(channel.topic, schema.name, message.data, message.log_time, message.sequence)
-            for schema, channel, message in make_reader(file).iter_messages(log_time_order=False)
-            if schema is not None
-        ]
-    return write(path, said)

@@ -3,18 +3,48 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+import small_drive
+from msgspec.structs import replace
 from numpy.typing import NDArray
+from scipy import stats
 
+from locfuse import sample_logs
+from locfuse.cli.analysis.load import load
+from locfuse.cli.analysis.settings import LogOptions
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Estimates, Motions, upper_triangles
+from locfuse.fusion.data import (
+    FAULT,
+    JUMP,
+    LOOP,
+    LOOP_TAKEN,
+    LOST,
+    REFUSED,
+    REST,
+    SLIP,
+    VERDICTS,
+    Array,
+    Audit,
+    Drive,
+    Estimates,
+    Jump,
+    Measurements,
+    Motions,
+    stretches,
+    upper_triangles,
+)
+from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.against import Reference, interpolated
 from locfuse.fusion.judge.credit import Effect
 from locfuse.fusion.judge.evaluate import evaluate
+from locfuse.fusion.judge.events import events_of_drive, events_of_run
 from locfuse.fusion.judge.own_scans import Distance, Own, OwnScans, is_better
+from locfuse.fusion.judge.predictive import OUTLIER_SHARE, contradictions, listeners, log_density, ranking, scores
+from locfuse.fusion.robot import Robot
 
 N = 400
 SIGMA = 0.02  # m, of each axis of the solved drive
@@ -48,20 +78,6 @@ def test_errors_are_distances_to_the_reference_and_no_claim_is_made_of_consisten
     assert found.figures["anees"] is None
     assert found.figures["truth_coverage"] is None
     assert np.isnan(found.nees).all()
-
-
-def test_an_estimate_at_other_times_is_read_between_its_rows_and_not_across_gaps() -> None:
-    whole = of_poses(path(), "amcl")
-    kept = np.ones(N, bool)
-    kept[100:200] = False
-    kept[1:90:3] = False
-    rare = Estimates("amcl", (), whole.t[kept], whole.pose[kept], whole.triangles[kept], {})
-    pose, P = interpolated(whole.t, rare.t, rare.pose, rare.triangles)
-    known = np.isfinite(pose[:, 0])
-    assert not known[101:199].any()
-    assert known[:90].all()
-    np.testing.assert_allclose(pose[known], whole.pose[known], atol=1e-3)
-    assert np.isfinite(P[known]).all()
 
 
 def test_an_estimate_is_read_at_its_own_stamps_between_them_and_nowhere_else() -> None:
@@ -112,9 +128,6 @@ def test_the_widened_interval_has_the_true_ratio_whether_or_not_errors_are_share
     chance = 0.02  # where errors are shared the bound is what is expected, and so many draws miss it by this
     assert found.low - chance < true < found.high + chance
     assert found.high - found.low < 0.3
-
-
-# --- a path judged by its own scans: agreement where a place is seen twice, cells that the points fall in
 
 
 WALL = np.column_stack((np.linspace(-3.0, 3.0, 301), np.full(301, 2.0)))
@@ -189,3 +202,215 @@ def test_a_covariance_is_too_small_where_the_smoothed_path_is_further_away_than_
     assert not Own(0.5, None, apart, claimed_m=0.15).is_overconfident
     assert not Own(0.5, None, Distance(0.04, 0.1, 10.0), claimed_m=0.01).is_overconfident  # it could be chance
     assert not Own(0.5, None, claimed_m=0.0).is_overconfident
+
+
+# --- listening, scoring and ranking without truth, and thinning a sensor
+
+SETS: tuple[tuple[str, ...], ...] = ((), ("compass",), ("lrf",), ("compass", "lrf"))
+
+
+def tried(drive: Drive, robot: Robot) -> list[Estimates]:
+    sets = [s for s in SETS if set(s) <= set(drive.measurements)]
+    return [fuse(drive, robot, s, listen=listeners(drive, s)) for s in sets]
+
+
+@pytest.mark.parametrize("mode", ["consider", "refine", "grow"])
+@pytest.mark.parametrize("sensors", [(), ("compass",), ("lrf",)])
+def test_a_sensor_that_listens_never_moves_the_pose(mode: str, sensors: tuple[str, ...]) -> None:
+    robot = small_drive.robot(lrf={"map": mode})
+    drive = small_drive.drive(1, robot, laps=0.4)
+    alone, heard = fuse(drive, robot, sensors), fuse(drive, robot, sensors, listen=listeners(drive, sensors))
+    np.testing.assert_allclose(heard.pose, alone.pose, atol=1e-12)
+    np.testing.assert_allclose(heard.P, alone.P, atol=1e-12)
+    assert heard.sensors == sensors
+    assert set(heard.audits) == {"compass", "lrf"}
+
+
+def test_a_listening_sensor_of_an_honest_filter_is_predicted_as_well_as_claimed() -> None:
+    means = []
+    for seed in range(4):
+        robot = small_drive.robot()
+        drive = small_drive.drive(seed, robot, laps=0.6)
+        audit = fuse(drive, robot, ("lrf",), listen=listeners(drive, ("lrf",))).audits["compass"]
+        means.append(np.nanmean(audit.nis))
+    assert 0.8 < np.mean(means) < 1.3
+
+
+def test_the_score_is_the_mixture_of_the_predicted_normal_and_anything() -> None:
+    y, sigma = np.array([[0.5], [math.nan]]), np.array([[2.0], [math.nan]])
+    audit = Audit(
+        np.array([0, 1]),
+        np.array([0, 2]),
+        np.zeros(2, dtype=np.int8),
+        np.full(2, -1),
+        np.zeros(2),
+        np.zeros(2),
+        y,
+        sigma,
+    )
+    z = np.array([[0.0], [4.0], [10.0]])
+    found = log_density(audit, z)
+    density = (1 - OUTLIER_SHARE) * stats.norm.pdf(0.5, scale=2.0) + OUTLIER_SHARE / 10.0
+    assert found[0] == pytest.approx(math.log(density), rel=1e-12)
+    assert math.isnan(found[1])  # never compared
+    assert found[2] == pytest.approx(math.log(OUTLIER_SHARE / 10.0))  # compared, and nothing was predicted
+
+
+READINGS = 40
+
+
+def laid(matched: object = None) -> Drive:
+    """Forty readings of two sensors, one each half second, with values from -5 to 5."""
+    n, t = READINGS, np.linspace(0.0, 19.5, READINGS)
+    m = Measurements(
+        t, np.arange(n + 1), np.linspace(-5.0, 5.0, n)[:, None], np.ones((n, 1, 1)), 1.0, np.zeros((1, 1))
+    )
+    motions = Motions(np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3, 0)))
+    at = {sensor: np.arange(n) for sensor in ("compass", "lrf")}
+    return Drive(0, t, motions, dict.fromkeys(at, m), at, {}, wheels=SimpleNamespace(matched=matched))
+
+
+def test_sensors_take_turns_of_five_seconds_where_none_is_left_out() -> None:
+    drive = laid()
+    turns = listeners(drive, ("compass", "lrf"))
+    assert turns["compass"].tolist() == [5.0 <= t < 10.0 for t in drive.t]
+    assert turns["lrf"].tolist() == [10.0 <= t < 15.0 for t in drive.t]
+    assert {s: flags.all() for s, flags in listeners(drive, ("lrf",)).items()} == {"compass": True}
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_good_sensors_predict_each_other_better_than_odometry_does(seed: int) -> None:
+    robot = small_drive.robot()
+    drive = small_drive.drive(seed, robot, laps=0.6, truth=False)
+    found = scores(drive, tried(drive, robot))
+    ranked = ranking(found, ["odometry", "compass", "lrf", "all"])
+    assert ranked[-2].configuration == "odometry"
+    assert ranked[-1].configuration == "all"
+    assert ranked[-1].gain is None  # it leaves nothing out
+    assert all(s.low > 0.0 for s in found if s.configuration in {"compass", "lrf"})
+    assert contradictions(found, {"compass": "compass", "lrf": "lrf"}) == []
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_biased_compass_and_a_laser_contradict_each_other(seed: int) -> None:
+    robot = small_drive.robot(compass={"offset_deg": 0.0})
+    drive = small_drive.drive(seed, robot, laps=0.6, compass_noise_deg=0.5, compass_bias_deg=5.0, truth=False)
+    found = scores(drive, tried(drive, robot))
+    assert contradictions(found, {"compass": "compass", "lrf": "lrf"}) == [("compass", "lrf")]
+    assert ranking(found, ["odometry", "compass", "lrf"])[0].configuration == "odometry"
+
+
+# --- what happened when: rest, refusals in a row, being lost, labelled faults
+
+
+def resting(drive: Drive, first: int, last: int) -> Drive:
+    """The drive with wheels that stand in the intervals first..last."""
+    u = drive.motions.u.copy()
+    u[first : last + 1] = 0.0
+    return replace(drive, motions=replace(drive.motions, u=u))
+
+
+def test_a_rest_is_as_long_as_the_wheels_stand() -> None:
+    drive = small_drive.drive(1, small_drive.robot(), laps=0.5)
+    first = 40
+    last = first + int(np.searchsorted(drive.t[first:] - drive.t[first - 1], 3.0))
+    (event,) = events_of_drive(resting(drive, first, last))
+    assert event.kind == REST
+    assert (event.start, event.end) == (drive.t[first - 1], drive.t[last])
+
+
+@pytest.mark.parametrize(("refused", "told"), [(4, 0), (5, 1), (9, 1)])
+def test_readings_refused_in_a_row_are_told(refused: int, told: int) -> None:
+    robot = small_drive.robot()
+    drive = small_drive.drive(1, robot, laps=0.5)
+    run = fuse(drive, robot, ["compass"])
+    audit = run.audits["compass"]
+    verdict = np.full_like(audit.verdict, VERDICTS.index("accepted"))
+    verdict[10 : 10 + refused] = VERDICTS.index("gate")
+    changed = replace(run, audits={"compass": replace(audit, verdict=verdict)})
+    events = [e for e in events_of_run(drive, changed) if e.kind == REFUSED]
+    assert len(events) == told
+    for event in events:
+        times = drive.t[drive.instant["compass"]]
+        assert (event.start, event.end) == (times[10], times[9 + refused])
+        assert f"{refused} readings in a row" in event.words
+
+
+def rolled(steps: list[tuple[float, float, float]], period: float = 0.5) -> Drive:
+    """A drive of these steps of the wheels (forward, left [m], turn [rad]), one every half second."""
+    u = np.array(steps)
+    n = len(u)
+    return Drive(
+        0, np.linspace(0.0, period * (n - 1), n), Motions(u, np.zeros((n, 3, 3)), np.zeros((n, 3, 0))), {}, {}, {}
+    )
+
+
+MOVED, STOOD = (0.1, 0.0, 0.0), (0.0, 0.0, 0.0)
+
+
+def test_stretches_are_runs_of_true_values() -> None:
+    assert stretches(np.array([], bool)) == []
+    assert stretches(np.array([True, True, False, True, False, False, True])) == [(0, 1), (3, 3), (6, 6)]
+
+
+def test_a_reading_counts_as_taken_by_any_of_its_lines_and_an_empty_scan_does_not_count() -> None:
+    """Scans of two lines: of the third one is taken; then one that saw nothing amid five that were refused."""
+    first = np.array([0, 2, 4, 6, 8, 10, 10, 12, 14, 16])
+    m = Measurements(np.arange(9.0), first, np.zeros((16, 2)), np.ones((16, 2, 2)), 1.0, np.zeros((2, 2)))
+    for taken, told in (("accepted", 1), ("new", 1), ("repeated", 1), ("unmatched", 0)):
+        verdict = np.full(16, VERDICTS.index("gate"), np.int8)
+        verdict[[5, 15]] = VERDICTS.index(taken)
+        nothing = np.zeros((16, 2))
+        audit = Audit(
+            first[:-1].repeat(np.diff(first)),
+            np.arange(16),
+            verdict,
+            np.full(16, -1),
+            nothing[:, 0],
+            nothing[:, 0],
+            nothing,
+            nothing,
+        )
+        drive = rolled([MOVED] * 9)
+        drive = replace(drive, measurements={"lrf": m}, instant={"lrf": np.arange(9)})
+        run = Estimates("lrf", ("lrf",), drive.t, np.zeros((9, 3)), np.zeros((9, 6)), {"lrf": audit})
+        found = [(e.start, e.end) for e in events_of_run(drive, run)]
+        if told:
+            assert found == []  # two before, and four behind it
+        else:
+            assert found == [(0.0, 4.0)]
+
+
+def test_being_lost_is_told_with_its_times() -> None:
+    robot = small_drive.robot()
+    drive = small_drive.drive(1, robot, laps=0.1)
+    run = replace(fuse(drive, robot, []), lost=((1.0, 2.5),))
+    (event,) = events_of_run(drive, run)
+    assert (event.start, event.end, event.kind, event.configuration) == (1.0, 2.5, LOST, "odometry")
+
+
+def test_jumps_of_the_pose_are_told_with_what_they_did() -> None:
+    drive = small_drive.drive(1, small_drive.robot(), laps=0.1)
+    jumps = (Jump(1.5, SLIP, (0.0, 0.0, np.radians(-8.0))), Jump(2.0, LOOP_TAKEN, (0.3, 0.4, 0.0)))
+    first, second = events_of_run(drive, replace(fuse(drive, small_drive.robot(), []), jumps=jumps))
+    assert (first.start, first.end, first.kind) == (1.5, 1.5, JUMP)
+    assert first.words == "wheel slip undone: moved 0.00 m, turned -8.0°"
+    assert second.words == "loop closed: moved 0.50 m, turned +0.0°"
+
+
+def test_loops_that_follow_close_upon_each_other_are_told_as_one() -> None:
+    drive = small_drive.drive(1, small_drive.robot(), laps=0.5)
+    loops = np.array([(1.0, 40.0), (3.5, 42.0), (2.0, 60.0)])
+    run = replace(fuse(drive, small_drive.robot(), []), loops=loops)
+    first, second = events_of_run(drive, run)
+    assert (first.start, first.end, first.kind) == (40.0, 42.0, LOOP)
+    assert first.words == "places of 1 to 4 s recognised"
+    assert (second.start, second.end, second.words) == (60.0, 60.0, "the place of 2 s recognised")
+
+
+def test_the_faults_that_a_log_labels_are_events_with_their_times() -> None:
+    loaded = load([sample_logs.path("disturbed")], LogOptions(None, (), None, strict=False, quiet=True))
+    kinds = {event.words.split(" ")[0]: event for event in loaded.labels}
+    assert all(event.kind == FAULT for event in loaded.labels)
+    assert {"people", "magnetic", "slip", "hidden_landmark", "red_object"} <= set(kinds)
+    assert kinds["magnetic"].end - kinds["magnetic"].start == pytest.approx(13.0, abs=2.0)

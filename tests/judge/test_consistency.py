@@ -2,33 +2,35 @@
 
 from __future__ import annotations
 
-import json
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import small_drive
-from commands import ok
 from msgspec.structs import replace
+from numpy.typing import NDArray
 from scipy import stats
 from small_drive import Array
 
 import locfuse
 from locfuse.cli.analysis.verdicts import unless_overconfident
-from locfuse.fusion.data import Audit, Drive, Evaluation, Measurements
-from locfuse.fusion.ekf.belief_arrays import JointBelief
+from locfuse.fusion.data import VERDICTS, Audit, Drive, Evaluation, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import Consistency, Evidence, Run, as_run, biased_against, judge
 from locfuse.fusion.judge.covariance import Honesty, honesty
-from locfuse.fusion.judge.innovations import heard, own
+from locfuse.fusion.judge.innovations import (
+    MAX_LISTENED_READINGS,
+    STRETCH_READINGS,
+    Heard,
+    _agreement,
+    _some,
+    heard,
+    own,
+)
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.sensor import Block
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.truth import body_poses
-
-# --- one number that wanders, measured with noise: a scalar Kalman filter from the book
 
 
 def scalar_filter(
@@ -82,9 +84,6 @@ def test_right_noise_lies_within_its_bounds_and_is_white() -> None:
     assert inside >= 34, f"{inside} of 40 within bounds that should hold 95 %"
 
 
-# --- whole drives with one wrong setting
-
-
 def court(seed: int, robot: Robot, drive: Drive) -> dict[str, Consistency]:
     runs = [Run.of(drive, fuse(drive, robot, s)) for s in ((), ("compass",), ("lrf",), ("compass", "lrf"))]
     found = judge(runs, robot)
@@ -130,16 +129,6 @@ def test_a_sigma_wrong_by_three_is_named_with_its_key(seed: int, sensor: str, fa
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_given_offset_that_is_wrong_is_named_with_the_right_one(seed: int) -> None:
-    robot = small_drive.robot(compass={"offset_deg": 0.0})
-    found = court(seed, robot, small_drive.drive(seed, robot, compass_bias_deg=5.0))
-    assert found["compass"].verdict == "biased"
-    assert found["compass"].cures["compass.offset_deg"] == pytest.approx(5.0, abs=1.0)
-    assert "deg on average" in found["compass"].words
-    assert found["lrf"].verdict in {"consistent", "unclear"}
-
-
-@pytest.mark.parametrize("seed", SEEDS)
 def test_noise_that_lasts_is_not_called_white(seed: int) -> None:
     robot = small_drive.robot(compass={"sigma_deg": 2.0})
     drive = small_drive.drive(seed, robot, compass_noise_deg=0.3)
@@ -159,9 +148,6 @@ def markov(t: Array, sigma: float, time: float, seed: int) -> Array:
     for _ in t[1:]:
         out.append(keep * out[-1] + math.sqrt(1.0 - keep**2) * rng.normal())
     return sigma * np.array(out)
-
-
-# --- where there is truth
 
 
 def judged_with(errors: Array, sigma: float) -> Evaluation:
@@ -218,36 +204,6 @@ def test_only_errors_of_a_regular_claim_count() -> None:
         assert (honesty(judged_with(errors[:n], 1.0)) is not None) is known
 
 
-# --- as a user meets it
-
-
-@pytest.fixture(scope="module")
-def report(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], str, Path]:
-    out = tmp_path_factory.mktemp("out") / "out"
-    words = ("--set", "compass.offset_deg=-60", "--write", "json,md", "-v")
-    done = ok("compare", "rounded_rectangle", *words, "-o", out)
-    return json.loads((out / "report.json").read_text()), done.stdout, out
-
-
-def test_the_report_carries_verdicts_figures_and_words(report: tuple[dict[str, Any], str, Path]) -> None:
-    found, stdout, out = report
-    mine = found["configurations"]["all"]["sensors"]["compass"]["consistency"]
-    assert {"verdict", "words", "nis_bounds", "bias_sigma", "whiteness", "scale"} <= set(mine)
-    assert mine["verdict"] == "biased"
-    assert "cures" not in mine  # what nobody tried is no advice
-    (advice,) = [f for f in found["findings"] if f["role"] == "compass"]
-    fixes = dict(fix.split("=") for fix in advice["fixes"])
-    assert float(fixes["compass.offset_deg"]) == pytest.approx(-65.0, abs=1.0)
-    assert found["consistency"]["compass"]["words"] == mine["words"]
-    whole = " ".join(stdout.split())
-    assert f"compass: {advice['message']}. Fix (tried with" in whole
-    assert "differs from the other sensors by" in (out / "report.md").read_text()
-    assert (out / "fixes.toml").read_text().count("\noffset_deg = ") == 1
-    honest = found["configurations"]["all"]["consistency"]
-    assert set(honest["states"]) == {"x", "y", "theta"}
-    assert honest["bounds"][0] < 1.0 < honest["bounds"][1]
-
-
 @pytest.mark.parametrize(("anees", "kept"), [((9.0, 4.0), False), ((9.0, 1.0), True), ((), True)])
 def test_a_sensor_is_not_to_be_trusted_more_where_every_run_with_it_is_sure_and_wrong(
     anees: tuple[float, ...], kept: bool
@@ -279,19 +235,6 @@ def test_a_heading_in_a_disturbed_field_is_no_evidence() -> None:
     assert alone.readings + round(alone.wild * alone.readings) == pytest.approx(len(m.t), abs=2)
     assert spoiled.readings == pytest.approx(int((~disturbed).sum()), abs=2)
     assert spoiled.spread == pytest.approx(alone.spread, rel=0.2)
-
-
-def test_a_belief_that_stands_still_has_a_place_of_its_own_for_every_block() -> None:
-    names = (("a", 2), ("b", 1), ("c", 3))
-    blocks = [Block(name, np.full(n, float(n)), np.eye(n), np.zeros(n)) for name, n in names]
-    belief = JointBelief.still(blocks)
-    assert [belief.block(name)[0] for name, _ in names] == [3, 5, 6]
-    assert [belief.block(name)[1].tolist() for name, _ in names] == [[2.0, 2.0], [1.0], [3.0, 3.0, 3.0]]
-    with pytest.raises(KeyError):
-        belief.block("d")
-
-
-# --- a truth with headings says first whose mean is off: held to a compass that is right and a run that is not
 
 
 NOISE_RAD = math.radians(0.5)
@@ -394,14 +337,161 @@ def test_a_truth_is_no_reference_where_it_has_a_gap_or_another_frame(right: tupl
     assert as_run(replace(drive, truth=replace(truth, theta=None)), e) is None
 
 
-def test_readings_in_a_gap_of_the_truth_are_not_compared(right: tuple[Drive, Robot]) -> None:
-    """There the compass is wild: nobody may hear of it."""
-    drive, robot = right
-    truth, m = drive.truth, drive.measurements["compass"]
-    assert truth is not None
-    assert truth.theta is not None
-    kept = (truth.t < 5.0) | (truth.t > 12.0)
-    gap = replace(truth, t=truth.t[kept], xy=truth.xy[kept], theta=truth.theta[kept])
-    wild = replace(m, z=m.z + 0.2 * ((m.t > 5.2) & (m.t < 11.8))[:, None])
-    off = replace(drive, truth=gap, measurements={**drive.measurements, "compass": wild})
-    assert judge(runs(off, robot, 0.0), robot)["compass"]["compass"].verdict != "biased"
+# --- the figures of innovations, held to the same figures written out with NumPy and SciPy
+
+ACCEPTED, GATE, UNMATCHED, DISTURBED, LOST = (
+    VERDICTS.index(v) for v in ("accepted", "gate", "unmatched", "disturbed", "lost")
+)
+LAGS = 5
+
+
+def colored(rng: np.random.Generator, n: int, keep: float, d: int = 1) -> Array:
+    """Series of unit variance (n, d) whose neighbours correlate by `keep`."""
+    out = rng.normal(size=(n, d))
+    for k in range(1, n):
+        out[k] = keep * out[k - 1] + math.sqrt(1.0 - keep**2) * out[k]
+    return out
+
+
+def audited(
+    y: Array, sigma: Array, verdict: NDArray[np.int8], landmark: NDArray[np.int64], gate: float, scale: float = 1.5
+) -> tuple[Audit, Measurements]:
+    """An audit of innovations y (n, d); R of row i is scale^2 (1 + i / n) + 0.1."""
+    n, d = y.shape
+    nis = ((y / sigma) ** 2).sum(axis=1)
+    row = np.arange(n)[::-1].copy()
+    audit = Audit(np.arange(n), row, verdict, landmark, nis, np.full(n, gate), y, sigma)
+    unit = (1.0 + np.arange(n) / n)[:, None, None] * np.eye(d)
+    return audit, Measurements(np.linspace(0.0, 1.0, n), np.arange(n + 1), y, unit, scale, 0.1 * np.eye(d))
+
+
+def autocorrelation(series: list[Array], lags: int) -> Array:
+    """At lags 1.. of several series (k, d) of one variance, pairs within each."""
+    every = np.concatenate(series)
+    return np.array(
+        [
+            (np.concatenate([s[lag:] * s[:-lag] for s in series]).mean(axis=0) / (every**2).mean(axis=0)).mean()
+            for lag in range(1, lags + 1)
+        ]
+    )
+
+
+def memory(correlation: Array) -> float:
+    total = 1.0
+    for value in correlation:
+        if value < 0.05:
+            break
+        total += 2.0 * value
+    return float(total)
+
+
+@pytest.mark.parametrize("d", [1, 2])
+@pytest.mark.parametrize("keep", [0.0, 0.7])
+def test_the_figures_of_a_run_are_those_written_out(d: int, keep: float) -> None:
+    """Two landmarks take turns; some readings are refused, lost, or of a disturbed field."""
+    n, gate = 900, 12.0
+    rng = np.random.default_rng(10 * d)
+    landmark = np.arange(n) % 2 + 7
+    y = np.empty((n, d))
+    for mark in (7, 8):
+        y[landmark == mark] = 2.0 * colored(rng, n // 2, keep, d) + 0.4
+    sigma = np.full((n, d), 2.2) + 0.3 * rng.random((n, d))
+    verdict = np.zeros(n, np.int8)
+    verdict[5::40], verdict[7::40], verdict[9::40], verdict[11::40] = GATE, UNMATCHED, DISTURBED, LOST
+    verdict[13::80], verdict[15::80] = GATE, UNMATCHED
+    for refused in (
+        GATE,
+        UNMATCHED,
+    ):  # every other one lies beyond the gate; the rest is refused for other reasons
+        y[np.flatnonzero(verdict == refused)[::2]] += 12.0
+    audit, m = audited(y, sigma, verdict, landmark, gate)
+    found = own(audit, m)
+    assert found is not None
+
+    beyond = audit.nis > gate
+    accepted = verdict == ACCEPTED
+    compared = accepted | ((verdict == GATE) & beyond)
+    refused = np.isin(verdict, (GATE, UNMATCHED, LOST)).sum()
+    assert found.compared == compared.sum()
+    assert found.refused == refused / (accepted.sum() + refused)
+    nis = audit.nis[accepted]
+    assert found.nis == pytest.approx(nis.mean() / d)
+    far = int((np.isin(verdict, (GATE, UNMATCHED)) & beyond).sum())
+    middle = np.sort(np.append(nis, np.full(far, np.inf)))[(len(nis) + far) // 2]
+    assert found.raw == pytest.approx(middle / stats.chi2.ppf(0.5, d), rel=1e-6)
+    of_nis = [nis[landmark[accepted] == mark][:, None] - nis.mean() for mark in (7, 8)]
+    freedom = max(1, round(d * max(1.0, len(nis) / memory(autocorrelation(of_nis, LAGS)))))
+    assert found.bounds == pytest.approx(stats.chi2.ppf((0.025, 0.975), freedom) / freedom, rel=1e-3)
+
+    some, unit = y[compared], y[compared] / sigma[compared]
+    np.testing.assert_allclose(found.bias, unit.mean(axis=0))
+    np.testing.assert_allclose(found.middle, np.median(some, axis=0))
+    centred = unit - np.median(unit, axis=0)
+    white = autocorrelation([centred[landmark[compared] == mark] for mark in (7, 8)], LAGS)
+    np.testing.assert_allclose(found.whiteness, white)
+    spread = stats.median_abs_deviation(some, axis=0, scale="normal")
+    np.testing.assert_allclose(found.sure, spread * math.sqrt(memory(white) / compared.sum()), rtol=1e-4)
+
+    R = 1.5**2 * (1.0 + audit.row[compared] / n) + 0.1
+    np.testing.assert_allclose(found.R, np.full(d, R.mean()))
+    ratio = np.median(sigma[compared] ** 2 / R[:, None])
+    assert found.share == pytest.approx(1.0 / ratio)
+    assert found.white == pytest.approx(max(1.0 / ratio - white[0], 0.0))
+    assert found.scale == pytest.approx(found.raw * np.clip(1.0 - white[0] * ratio, 0.3, 2.0))
+
+
+def agreed(t: NDArray[Any], y: Array, h: Array, R: Array, unknown: bool = False, angular: bool = False) -> Heard:
+    found = _agreement(np.column_stack((t, y, h, R)), unknown, angular)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("angular", [False, True])
+@pytest.mark.parametrize("keep", [0.0, 0.9])
+def test_what_a_run_that_does_not_use_a_sensor_says_of_it(keep: float, angular: bool) -> None:
+    rng = np.random.default_rng(5)
+    n = 500
+    t = 0.2 * np.arange(n)
+    y = 0.05 * colored(rng, n, keep)[:, 0] + 3.1  # as an angle next to where they wrap
+    wild = np.zeros(n, bool)
+    wild[::50] = True
+    y[wild] += 2.0
+    seen = np.angle(np.exp(1j * y)) if angular else y
+    h, R = 0.01 + 0.001 * rng.random(n), 0.002 + 0.001 * rng.random(n)
+    found = agreed(t, seen, h, R, angular=angular)
+    tame = ~wild
+    some = y[tame]
+    assert found.readings == tame.sum()
+    assert found.wild == pytest.approx(10 / n)
+    assert found.bias == pytest.approx(some.mean() if not angular else math.remainder(some.mean(), 2 * math.pi))
+    variance = some.var()
+    assert found.spread == pytest.approx(variance)
+    near = np.diff(t[tame]) < 0.3
+    new = 0.5 * (np.diff(some)[near] ** 2).mean()
+    assert found.white == pytest.approx(new)
+    assert found.slow == pytest.approx(variance - new)
+    centred, times = some - some.mean(), t[tame]
+    correlation = []
+    for lag in range(1, STRETCH_READINGS):
+        close = times[lag:] - times[:-lag] < (lag + 0.5) * 0.2
+        if not close.any():
+            break
+        correlation.append((centred[lag:] * centred[:-lag])[close].mean() / variance)
+    assert found.memory == pytest.approx(memory(np.array(correlation)))
+    assert found.sure == pytest.approx(math.sqrt(variance * found.memory / tame.sum() + h[tame].mean()))
+    assert found.period == pytest.approx(0.2)
+    assert found.reference == pytest.approx(h[tame].mean())
+    assert pytest.approx(R[tame].mean()) == found.R
+
+
+def test_of_many_readings_some_stretches_of_neighbours_are_heard() -> None:
+    np.testing.assert_array_equal(_some(MAX_LISTENED_READINGS), np.arange(MAX_LISTENED_READINGS))
+    found = _some(MAX_LISTENED_READINGS + 1)
+    assert found[0] == 0
+    assert found[-1] == MAX_LISTENED_READINGS
+    stretches = _some(100_000).reshape(-1, STRETCH_READINGS)
+    assert len(stretches) == MAX_LISTENED_READINGS // STRETCH_READINGS
+    assert (np.diff(stretches, axis=1) == 1).all()
+    assert stretches[-1, -1] == 99_999
+    starts = np.diff(stretches[:, 0])
+    assert starts.max() - starts.min() <= 1

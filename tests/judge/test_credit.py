@@ -129,16 +129,8 @@ def test_without_every_subset_only_the_effect_alone_is_known() -> None:
 @pytest.mark.parametrize(
     ("sets", "beside", "words"),
     [
-        (
-            (("lrf",), ("compass", "lrf")),
-            {"compass": ("lrf",), "lrf": None},
-            "Beside lrf: ",
-        ),
-        (
-            ((), ("compass",), ("compass", "lrf")),
-            {"compass": (), "lrf": ("compass",)},
-            "Alone: ",
-        ),
+        ((("lrf",), ("compass", "lrf")), {"compass": ("lrf",), "lrf": None}, "Beside lrf: "),
+        (((), ("compass",), ("compass", "lrf")), {"compass": (), "lrf": ("compass",)}, "Alone: "),
         (((), ("compass", "lrf")), {"compass": None, "lrf": None}, "No two configurations differ by it alone"),
         (((), ("compass",)), {"compass": ()}, "Alone: "),
     ],

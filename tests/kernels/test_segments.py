@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-import textbook_lines
+import textbook
 from interpreted import interpreted
 from rooms import ARENA, poses, scan
 
@@ -51,7 +51,7 @@ def test_splitting_depth_by_depth_equals_the_recursion(seed: int) -> None:
     rng = np.random.default_rng(seed)
     points, tolerance = end_points(rng), rng.uniform(0.03, 0.12, 361)
     first, linked = split(points, tolerance, [0, 361])
-    assert first == [*textbook_lines.split(points, tolerance), 361]
+    assert first == [*textbook.split(points, tolerance), 361]
     assert linked == [1] * (len(first) - 2) + [0]
 
 
@@ -70,17 +70,17 @@ def test_merging_all_good_pairs_of_a_round_at_a_time_is_nearly_always_merging_th
 def as_best_pair_first(seed: int) -> bool:
     rng = np.random.default_rng(seed)
     points, w = end_points(rng), rng.uniform(500.0, 1500.0, 361)
-    starts = np.array(textbook_lines.split(points, np.full(361, 0.08)))
+    starts = np.array(textbook.split(points, np.full(361, 0.08)))
     x, y = points.T
     moments = np.add.reduceat(w * np.stack((1 + 0 * x, x, y, x * x, x * y, y * y)), starts, axis=1)
     n = len(starts)
     pieces = pieces_of(moments.T, [1] * n)
     groups = segments.merge(pieces, n, 20.0)
     bounds = list(pieces.bounds[:groups])
-    expected = textbook_lines.merge(points, w, starts.tolist(), 20.0)
+    expected = textbook.merge(points, w, starts.tolist(), 20.0)
     joined = np.add.reduceat(moments, bounds, axis=1)
     np.testing.assert_allclose(pieces.moments[:groups].T, joined, rtol=1e-12)
-    alone = textbook_lines.misfit(points[: expected[1]], w[: expected[1]])
+    alone = textbook.misfit(points[: expected[1]], w[: expected[1]])
     assert segments.own_misfit(pieces, 0) == pytest.approx(alone, abs=1e-6)
     return bool(starts[bounds].tolist() == expected)
 

@@ -8,9 +8,22 @@ from typing import Any
 
 import numpy as np
 import pytest
-from line_scene import MOUNT, MOVED, UPPER, scene, seated
-from said import over_states, written
-from sighted import AMBIGUOUS, NEW, UNMATCHED, Pair, Sighted, equation_of, side_of, sighted
+from line_scene import (
+    AMBIGUOUS,
+    MOUNT,
+    MOVED,
+    NEW,
+    UNMATCHED,
+    UPPER,
+    Pair,
+    Sighted,
+    equation_of,
+    scene,
+    seated,
+    side_of,
+    sighted,
+)
+from rows import over_states, written
 from textbook import numeric_jacobian
 
 from locfuse.fusion import se2
@@ -310,36 +323,6 @@ def test_errors_that_lines_share_stand_between_them_in_R_and_nowhere_else(states
         several, flipped = several + (len(matched) > 1), flipped + int((sides[:, 0] < 0.0).sum())
     assert several > 3
     assert flipped > 3
-
-
-@FREE
-def test_what_lines_share_moves_into_the_base_with_them(free: tuple[int, ...]) -> None:
-    """The unit errors of two lines, seen through the mount as it is: by differences of where the lines go."""
-    checked = 0
-    for seed in range(40):
-        found, _, belief, shared = setting(seed, True, free, parts=2)
-        rows, scan = found.in_base(), scene(seed, True)[0]
-        matched, G = found.matched(), []
-        for pair in matched:
-            d, z = 1e-6 * shared[pair.line], scan.rows[pair.line]
-
-            def moved(z: Array, at: tuple[float, float, float] = found.moved()) -> Array:
-                psi = z[1] + at[2]
-                return np.array([z[0] + at[0] * math.cos(psi) + at[1] * math.sin(psi), psi])
-
-            side = side_of(pair, np.array([0.0, moved(z[:2])[1]]))
-            for row, sign in ((0, side), (1, 1.0)):
-                G.append([sign * (moved(z[:2] + e) - moved(z[:2] - e))[row] / 2e-6 for e in d.T])
-        assert len(rows) == len(scan.rows)
-        R = equation_of(found, belief).R
-        for a in range(len(matched)):
-            for b in range(a):
-                block = R[2 * a : 2 * a + 2, 2 * b : 2 * b + 2]
-                np.testing.assert_allclose(
-                    block, np.array(G)[2 * a : 2 * a + 2] @ np.array(G)[2 * b : 2 * b + 2].T, atol=1e-9
-                )
-                checked += 1
-    assert checked > 3
 
 
 def test_a_scan_that_slipped_as_a_whole_is_likelier_than_its_lines_one_by_one() -> None:

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from invented import Definition
 from mcap.writer import Writer
 from numpy.typing import NDArray
-from protobuf import Definition
 from wheel_bags import custom, stamps, turned
 
 from locfuse.cli.analysis.choose import choose

@@ -4,19 +4,35 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import tracemalloc
+from functools import cache
+from pathlib import Path
+from typing import Any
 
+import cv2
 import msgspec
 import numpy as np
 import pytest
+from bags import T0, S, Said, cdr, header, write
+from commands import locfuse
 from msgspec.structs import replace
+from numpy.typing import NDArray
+from ring_drive import box, scan
+from wheel_bags import GEOMETRY, joint_states
 from worlds import World
 
+from benchmarks.floor_plan import FloorPlan, floor_plan
+from benchmarks.floor_plan import write as write_plan
 from locfuse.formats.robot import line_map
+from locfuse.fusion import se2
 from locfuse.fusion.data import LocfuseError, MapLine
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import StartSettings
+from locfuse.sample_logs import load
+from locfuse.sample_logs.building_scene import scene_of
 
 P = np.array([[1e-4, -3e-5], [-3e-5, 2e-5]])
 LINES = [MapLine(3, 2.0, 0.4, (-1.0, 2.5), P, 17), MapLine(8, -1.5, -3.0, (4.0, 4.5), P, 4)]
@@ -91,3 +107,266 @@ def test_localising_in_no_map_says_what_is_missing() -> None:
     robot = world.robot()
     with pytest.raises(LocfuseError, match="--map FILE"):
         fuse(measure(world.streams(), robot), robot, ["lrf"])
+
+
+# --- `--map map.yaml` and `lrf.map_topic`: a log is localised in a floor plan, from a start that nobody says
+
+LOG = "rounded_rectangle"
+UNKNOWN_START = ("--set", "start.sigma_xy=5")
+
+
+@cache
+def plan() -> FloorPlan:
+    return floor_plan(scene_of(load.load(LOG), 0).obstacles(0.25), (2.0, 2.0), 0.043)
+
+
+@pytest.fixture
+def given(tmp_path: Path) -> Path:
+    write_plan(plan(), tmp_path / "arena")
+    return tmp_path / "arena.yaml"
+
+
+def judged(given: Path, *words: Any) -> tuple[dict[str, Any], str]:
+    out = given.parent / "out"
+    done = locfuse(
+        "compare",
+        LOG,
+        "--map",
+        given,
+        "--sensors",
+        "lrf",
+        *words,
+        "--no-advice",
+        "-v",
+        "-o",
+        out,
+        "--write",
+        "json",
+    )
+    assert done.exit_code == 0, done.stderr
+    report: dict[str, Any] = json.loads((out / "report.json").read_text())
+    return report, done.stderr
+
+
+def test_a_log_is_localised_in_a_floor_plan_from_anywhere(given: Path) -> None:
+    report, stderr = judged(given, *UNKNOWN_START)
+    figures = report["configurations"]["lrf"]
+    assert figures["position_rmse_m"] < 0.05
+    assert figures["heading_rmse_deg"] < 1.0
+    assert figures["anees"] < 2.0
+    assert "looked for in all of the map" in " ".join(stderr.split())
+    assert "truth starts at" not in stderr
+    assert (report["repeat"], report["key"]) == (None, None)  # robot.toml does not hold the map
+
+
+def test_a_start_that_is_known_is_not_looked_for(given: Path) -> None:
+    report, stderr = judged(given)
+    assert report["configurations"]["lrf"]["position_rmse_m"] < 0.05
+    assert "looked for" not in stderr
+
+
+def test_a_floor_too_large_to_be_looked_through_is_one_line(given: Path) -> None:
+    """A picture of 200 m x 200 m is some kB; 32 million places and headings took 5 GiB and minutes."""
+    pixels = np.full((4000, 4000), 254, np.uint8)
+    for x0, y0, x1, y1 in box(10, 10, 3990, 3990):
+        pixels[min(y0, y1) : max(y0, y1) + 1, min(x0, x1) : max(x0, x1) + 1] = 0
+    given.with_name("large.png").write_bytes(cv2.imencode(".png", pixels)[1].tobytes())
+    large = given.with_name("large.yaml")
+    large.write_text(
+        "image: large.png\nresolution: 0.05\norigin: [-100, -100, 0]\n"
+        "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    )
+    words = ("run", LOG, "--map", large, "--sensors", "lrf", "--no-advice", "-o", given.parent / "out")
+    tracemalloc.start()
+    try:
+        done = locfuse(*words, *UNKNOWN_START)
+        assert tracemalloc.get_traced_memory()[1] < 1 << 30
+    finally:
+        tracemalloc.stop()
+    assert done.exit_code == 1
+    found = re.search(r"(\d+) free places x (\d+) headings are (\d+), more than the cap of (\d+)", done.stderr)
+    assert found is not None, done.stderr
+    places, headings, tried, cap = map(int, found.groups())
+    assert (tried, places * headings > cap) == (places * headings, True)
+    assert 600**2 < places < 667**2  # of a lattice of 0.3 m
+    assert cap > places / 4 * headings  # 100 m x 100 m are looked through
+    assert "--set start.x=" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_map_of_very_many_walls_is_refused_before_the_filter_holds_them(given: Path) -> None:
+    """Two states each: 8 000 plates in a picture of 40 kB took 10 GiB, 10 000 walls in a line map 3 GiB."""
+    pixels = np.full((1800, 1800), 254, np.uint8)
+    pixels[5::20] = np.arange(1800) % 40 // 36 * 254  # 90 x 45 plates of 1.8 m, each with two sides
+    given.with_name("plates.png").write_bytes(cv2.imencode(".png", pixels)[1].tobytes())
+    picture, walls = given.with_name("plates.yaml"), given.with_name("walls.json")
+    picture.write_text("image: plates.png\nresolution: 0.05\norigin: [-1, -1, 0]\n")
+    lines = [{"id": i, "from": [0, i], "to": [1, i]} for i in range(3001)]
+    walls.write_text(json.dumps({"format": "locfuse line map", "version": 1, "lines": lines}))
+    for file, found in ((picture, 90 * 45 * 2), (walls, 3001)):
+        done = locfuse("run", LOG, "--map", file, "--sensors", "lrf", "-o", given.parent / "out")
+        assert done.exit_code == 1
+        said = re.search(r"([\d ]+) walls, more than the cap of 3 000", done.stderr)
+        assert said is not None, done.stderr
+        assert int(said[1].replace(" ", "")) == found
+        assert len(done.stderr.splitlines()) == 1
+
+
+def test_the_image_itself_is_refused_with_what_to_name(given: Path) -> None:
+    done = locfuse("run", LOG, "--map", given.with_suffix(".pgm"))
+    assert done.exit_code == 2
+    assert "name the .yaml beside the image" in done.stderr
+
+
+def test_several_logs_have_no_map_in_common(given: Path) -> None:
+    done = locfuse("compare", LOG, "disturbed", "--map", given)
+    assert done.exit_code == 2
+    assert "compare one log at a time" in done.stderr
+
+
+ROOM = np.array(box(-2.0, -2.5, 4.5, 3.5) + box(1.0, 2.6, 2.2, 3.5) + box(-2.0, -2.5, -1.2, -1.0))
+MAP = "nav_msgs/msg/OccupancyGrid"
+PERIOD, BEAMS = 0.2, 120
+
+
+def drive() -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    """Times, wheel angles (n, 2) and true poses (n, 3): a curve through the room."""
+    t = np.arange(0.0, 20.0, PERIOD)
+    speed = np.stack((4.0 + 0.8 * np.sin(t / 3.0), 5.6 + 0.0 * t), axis=-1)
+    angle = np.concatenate((np.zeros((1, 2)), np.cumsum(speed[:-1] * PERIOD, axis=0)))
+    sides = np.diff(angle, axis=0) * 0.05
+    twist = np.stack((sides.mean(axis=1), 0.0 * sides[:, 0], (sides[:, 1] - sides[:, 0]) / 0.3), axis=-1)
+    pose = [np.zeros(3)]
+    for one in se2.exp(twist):
+        pose.append(se2.compose(pose[-1], one))
+    return t, angle, np.array(pose)
+
+
+def with_map(folder: Path, cells: int | None = None) -> Path:
+    """A log whose map is turned and moved against the odometry: begins at (3.0, 1.0) m, 30 degrees in it."""
+    t, angle, pose = drive()
+    rng = np.random.default_rng(0)
+    said = list(joint_states(t, angle))
+    for s, at in zip(t.tolist(), pose, strict=True):
+        points = scan(at, ROOM, rng)
+        ranges = np.full(BEAMS, np.inf)
+        beam = np.round((np.arctan2(points[:, 1], points[:, 0]) + np.pi) * BEAMS / (2.0 * np.pi)).astype(int)
+        ranges[beam % BEAMS] = np.hypot(*points.T)
+        ns = T0 + round(s * S)
+        body = cdr(
+            "sensor_msgs/msg/LaserScan",
+            header=header(ns, "base_link"),
+            angle_min=-np.pi,
+            angle_increment=2.0 * np.pi / BEAMS,
+            range_min=0.05,
+            range_max=12.0,
+            ranges=ranges.astype(np.float32),
+        )
+        said.append(Said("/scan", "sensor_msgs/msg/LaserScan", body, ns + 1_000_000))
+    grid = np.zeros((140, 150), np.int8)
+    low = np.array([-2.5, -3.0])
+    for x0, y0, x1, y1 in ROOM.tolist():
+        i, j = np.floor((np.linspace((x0, y0), (x1, y1), 400) - low) / 0.05).astype(int).T
+        grid[j, i] = 100
+    origin = se2.compose(np.array([3.0, 1.0, np.radians(30.0)]), np.array([*low, 0.0]))
+    info = {
+        "resolution": 0.05,
+        "width": 150,
+        "height": 140 if cells is None else cells,
+        "origin": {
+            "position": {"x": float(origin[0]), "y": float(origin[1])},
+            "orientation": {"z": float(np.sin(origin[2] / 2)), "w": float(np.cos(origin[2] / 2))},
+        },
+    }
+    body = cdr(MAP, header=header(T0, "map"), info=info, data=grid.ravel())
+    said.append(Said("/map", MAP, body, T0))
+    return write(folder / "x.mcap", said)
+
+
+def test_the_map_may_be_a_topic_of_the_log(tmp_path: Path) -> None:
+    log = with_map(tmp_path)
+    done = locfuse(
+        "run", log, "-v", *GEOMETRY, "--set", "lrf.map_topic=/map", "-o", tmp_path / "out", "--write", "tum"
+    )
+    assert done.exit_code == 0, done.stderr
+    assert "the drive begins in /map at x" in done.stderr
+    path = np.loadtxt(tmp_path / "out/trajectory.tum")
+    _, _, pose = drive()
+    true = se2.compose(np.array([3.0, 1.0, np.radians(30.0)]), pose[-1])
+    assert np.hypot(*(path[-1, 1:3] - true[:2])) < 0.05
+
+
+def test_info_and_init_offer_a_map_of_the_log_and_leave_it_to_the_user(tmp_path: Path) -> None:
+    log = with_map(tmp_path)
+    findings = json.loads(locfuse("info", log, *GEOMETRY, "--json").stdout)["findings"]
+    (found,) = (f for f in findings if f["code"] == "map")
+    assert (found["fixes"], found["severe"]) == (["lrf.map_topic=/map"], False)
+    assert "# map_topic = " in locfuse("init", log, *GEOMETRY).stdout
+    findings = json.loads(locfuse("info", log, *GEOMETRY, "--set", "lrf.map_topic=/map", "--json").stdout)[
+        "findings"
+    ]
+    assert not any(f["code"] == "map" for f in findings)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("lrf.map_topic=/scan",), "lrf.map_topic: /scan is sensor_msgs/msg/LaserScan; it takes"),
+        (("lrf.map_topic=/gone",), "lrf.map_topic: /gone is not there"),
+    ],
+)
+def test_a_topic_that_is_no_map_is_one_line(tmp_path: Path, words: tuple[str, ...], said: str) -> None:
+    sets = [word for one in words for word in ("--set", one)]
+    done = locfuse("run", with_map(tmp_path), *GEOMETRY, *sets)
+    assert done.exit_code == 1
+    assert said in " ".join(done.stderr.split())
+
+
+def test_a_grid_whose_cells_are_not_all_there_is_one_line(tmp_path: Path) -> None:
+    done = locfuse("run", with_map(tmp_path, cells=7), *GEOMETRY, "--set", "lrf.map_topic=/map")
+    assert done.exit_code == 1
+    assert "are no map of 150 x 7" in " ".join(done.stderr.split())
+
+
+# --- a picture of the room, drawn cell by cell here, lies where map_server says: nothing is shifted by half a cell
+
+SIZE = (8.0, 6.0)  # m: its walls stand at 0 and there
+CELL = 0.2
+
+
+def solid(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Walls as an architect draws them: black where a cell's middle is outside the room."""
+    return (x < 0.0) | (x > SIZE[0]) | (y < 0.0) | (y > SIZE[1])
+
+
+def hit(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Walls as a mapping program leaves them: black where a wall passes within half a cell of the middle."""
+    near = [np.abs(x), np.abs(x - SIZE[0]), np.abs(y), np.abs(y - SIZE[1])]
+    return np.asarray(np.min(near, axis=0) < 0.5 * CELL - 1e-9)
+
+
+def draw(path: Path, walls: NDArray[np.bool_], x: NDArray[np.float64], y: NDArray[np.float64]) -> Path:
+    """Write the room as P5 and YAML; x and y are those of the cells' middles, the first row the southernmost."""
+    inside = (x > 0.0) & (x < SIZE[0]) & (y > 0.0) & (y < SIZE[1])
+    grey = np.where(walls, 0, np.where(inside, 254, 205)).astype(np.uint8)
+    rows, columns = grey.shape
+    path.with_suffix(".pgm").write_bytes(b"P5 %d %d 255\n" % (columns, rows) + grey[::-1].tobytes())
+    origin = [float(x[0, 0]) - 0.5 * CELL, float(y[0, 0]) - 0.5 * CELL, 0.0]
+    path.write_text(f"image: {path.stem}.pgm\nresolution: {CELL}\norigin: {origin}\nnegate: 0\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("wall", "begin"),
+    [(solid, (-1.0 + 0.5 * CELL, -2.0 + 0.5 * CELL)), (hit, (-1.0, -2.0))],  # of the lower left cell: its middle
+)
+def test_a_picture_lies_where_its_origin_says(wall: object, begin: tuple[float, float], tmp_path: Path) -> None:
+    """Both draw these walls without any rounding, so that what is left is the laser's own error."""
+    x, y = np.meshgrid(begin[0] + CELL * np.arange(60), begin[1] + CELL * np.arange(55))
+    assert callable(wall)
+    given = draw(tmp_path / "room.yaml", wall(x, y), x, y)
+    words = ("--no-advice", "--sensors", "lrf", "-o", tmp_path / "out", "--write", "json,csv")
+    done = locfuse("compare", LOG, "--map", given, *words)
+    assert done.exit_code == 0, done.stderr
+    found = json.loads((tmp_path / "out/report.json").read_text())["configurations"]["lrf"]
+    assert found["position_rmse_m"] < 0.1 * CELL

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import math
+import struct
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import locfuse
+from hostile import Put, write
 from worlds import World
 
 from locfuse.fusion.data import VERDICTS, Array, Drive
@@ -15,7 +20,6 @@ from locfuse.fusion.instants import due_readings, steps_of
 from locfuse.fusion.map.scan import SAME_D2, SAME_LENGTH, Scan, Standing
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 
 R = np.diag([1e-4, 4e-4])
 WALLS = np.array([[2.0, 0.1], [1.5, 1.7], [3.0, -2.0]])
@@ -154,8 +158,27 @@ def test_no_wall_is_ever_known_below_its_floor_while_driving(mode: str) -> None:
         assert (spread >= (1.0 - 1e-9) * floor).all()
 
 
-def test_a_robot_at_rest_is_held_where_it_is_and_smoothing_agrees() -> None:
-    drive, robot = rested(20.0, 0.02)
-    filtered, smoothed = fuse_and_smooth(drive, robot, ["compass", "lrf"])
-    np.testing.assert_allclose(filtered.pose, np.broadcast_to(filtered.pose[0], filtered.pose.shape), atol=0.01)
-    np.testing.assert_allclose(smoothed.pose, np.broadcast_to(smoothed.pose[0], smoothed.pose.shape), atol=0.01)
+# --- two scans at one instant, as coarse stamps give: no traceback, and no line by another scan's verdict
+
+COARSE_NS = 200_000_000  # twice the laser's period
+
+
+def coarsely_stamped(put: Put) -> Put:
+    if put.topic != "/scan":
+        return put
+    data = bytearray(put.data)
+    seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
+    struct.pack_into("<iI", data, 4, seconds, nanoseconds // COARSE_NS * COARSE_NS)
+    return put._replace(data=bytes(data))
+
+
+def test_pairs_of_scans_are_fused_and_the_error_stays_that_of_single_ones(tmp_path: Path) -> None:
+    rmse = {}
+    for name, change in (("single", lambda put: put), ("pairs", coarsely_stamped)):
+        log = write(tmp_path / f"{name}.mcap", change, seconds=40.0)
+        done = locfuse("run", log, "-o", tmp_path / name, "--sensors", "lrf", "--no-smooth", "--write", "json")
+        assert done.exit_code == 0, done.stderr
+        report = json.loads((tmp_path / name / "run.json").read_bytes())
+        (found,) = report["configurations"].values()
+        rmse[name] = found["position_rmse_m"]
+    assert rmse["pairs"] < 3.0 * rmse["single"] + 0.02

@@ -11,8 +11,7 @@ from typing import Any
 
 import pytest
 from bags import S, drive, write
-from commands import locfuse, ok
-from jobs_here import jobs_here
+from commands import jobs_here, locfuse, ok
 
 from locfuse.cli.analysis.grouping import logs_of, results_of
 from locfuse.cli.session.summary import summarised

@@ -188,7 +188,7 @@ def test_everything_we_start_listens_on_loopback_only(recording: Path, monkeypat
         commands.append(command)
         return Process()
 
-    monkeypatch.setattr(viewer.subprocess, "Popen", popen)
+    monkeypatch.setattr("locfuse.cli.rerun.viewer.subprocess.Popen", popen)
     monkeypatch.setattr(viewer, "START_TIMEOUT_S", 0.0)
     viewer.start(recording)
     with pytest.raises(LocfuseError, match="ended"):

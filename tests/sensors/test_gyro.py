@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from said import one_by_one, said
-from told import step
+from rows import one_by_one, said, step
 
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion.data import ArrayStream, Column, Drive, LocfuseError, Measurements, Ragged
@@ -167,17 +166,6 @@ def test_the_bias_is_found_while_standing_and_the_heading_beats_the_wheels() -> 
     assert nees[standing + 50 :].mean() < 6.0
 
 
-def test_a_wheel_that_slips_is_noticed_by_the_gyro_alone() -> None:
-    rng = np.random.default_rng(5)
-    t, theta, speed = way()
-    slip = np.where((t[1:] > 14.0) & (t[1:] < 15.0), 0.004, 0.0)  # the left wheel spins 0.2 m away
-    described = robot()
-    drive = measure({"wheels": wheels(t, theta, speed, rng, slip), "gyro": imu(t, theta, rng)}, described)
-    final = {s: fuse(drive, described, s).pose[-1, 2] - theta[-1] for s in ((), ("gyro",))}
-    assert abs(final[()]) > math.radians(25.0)
-    assert abs(final["gyro",]) < math.radians(2.0)
-
-
 def test_readings_are_summed_so_that_their_rate_costs_nothing() -> None:
     rng = np.random.default_rng(6)
     t, theta, speed = way(20.0, rate=200.0)
@@ -200,23 +188,6 @@ def test_an_imu_mounted_at_any_angle_measures_the_same_turn(turned: tuple[float,
     np.testing.assert_allclose(
         m.z[:, 0] - m.z[0, 0], np.interp(m.t, t, theta) - np.interp(m.t[0], t, theta), atol=5e-3
     )
-
-
-@pytest.mark.parametrize(
-    ("rate", "cure"), [(180.0 / math.pi, "--set gyro.unit=deg"), (-1.0, "--set gyro.roll_deg=180")]
-)
-def test_degrees_and_an_upside_down_imu_are_refused_with_the_cure(rate: float, cure: str) -> None:
-    rng = np.random.default_rng(10)
-    t, theta, speed = way()
-    wrong = imu(t, rate * theta, rng)
-    streams = {"wheels": wheels(t, theta, speed, rng), "gyro": wrong}
-    drive = measure(streams, robot())
-    assert cure in drive.absent["gyro"]
-    key, _, value = cure.removeprefix("--set gyro.").partition("=")
-    cured = measure(streams, robot({key: value if key == "unit" else float(value)}))
-    assert not cured.absent
-    e = fuse(cured, robot({key: value if key == "unit" else float(value)}), ("gyro",))
-    assert abs(e.pose[-1, 2] - theta[-1]) < math.radians(2.0)
 
 
 def test_an_imu_without_angular_velocity_is_no_gyro() -> None:

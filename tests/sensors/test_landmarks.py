@@ -2,50 +2,46 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
 
+import landmark_drive
 import numpy as np
 import pytest
-from bags import T0
+from bags import T0, S
 from commands import locfuse
-from landmark_drive import MAP, path_of
-from mcap.reader import make_reader
-from mcap.writer import Writer
-from said import said
+from landmark_drive import MAP, map_file, path_of, sets, slipping, truth_file
+from numpy.typing import NDArray
+from rewrite_log import rewritten
+from rows import said
 from textbook import numeric_jacobian, wrap
-from wheel_bags import GEOMETRY, angles, joint_states, log_of
+from wheel_bags import GEOMETRY, angles, custom, joint_states, log_of
 
+import locfuse as package
 from locfuse.formats.robot import landmark_map
+from locfuse.fusion import se2
 from locfuse.fusion.data import LocfuseError, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.sensors import points
 from locfuse.fusion.sensors.landmarks import LandmarksModel, LandmarksSettings
 from locfuse.fusion.sensors.points import predict
+from locfuse.fusion.sensors.ranges import anchor_beside, start_among
 
+Array = NDArray[np.float64]
 SIGMA_RANGE, SIGMA_BEARING, OFFSET = 0.05, math.radians(1.0), 0.08
 
 
 def written(
-    folder: Path,
-    drift: float = 0.0,
-    more: str = "",
-    seed: int = 1,
-    depth: bool = False,
-    late: float = 0.0,
-    seconds: float = 60.0,
-    **changed: Any,
-) -> tuple[Path, ...]:
-    """Write a log whose wheels slip by `drift` of every turn, detections of the true path, truth and a map.
+    folder: Path, share: float = 0.0, more: str = "", seed: int = 1, depth: bool = False, late: float = 0.0,
+    seconds: float = 60.0, places: Any = MAP,
+) -> tuple[Path, Path]:  # fmt: skip
+    """Write a log whose wheels slip by a share of every turn, detections of the true path, a map and the truth.
 
     `depth`: a camera that sees 60 degrees to either side and says depths; `late`: s by which the robot follows.
     """
-    t, angle = angles(seconds)
-    true = path_of(t, angle)
-    slipping = angle + drift * np.stack((-(angle[:, 1] - angle[:, 0]), angle[:, 1] - angle[:, 0]), axis=-1) / 2
-    log = log_of(folder / "x.mcap", joint_states(t - late, slipping))
+    t, counted, true = slipping(share, seconds)
+    log = log_of(folder / "x.mcap", joint_states(t - late, counted))
     rng = np.random.default_rng(seed)
     lines = ["t,id,range,bearing"]
     for i in range(5, len(t), 10):
@@ -56,33 +52,24 @@ def written(
                 continue
             r = np.hypot(*d) * (math.cos(b) if depth else 1.0) + OFFSET + SIGMA_RANGE * rng.standard_normal()
             b = wrap(b + SIGMA_BEARING * rng.standard_normal())
-            lines.append(f"{T0 // 10**9 + t[i]:.9f},{key},{float(r)!r},{float(b)!r}")
+            lines.append(f"{T0 // S + t[i]:.9f},{key},{float(r)!r},{float(b)!r}")
     (folder / "detections.csv").write_text("\n".join(lines) + "\n" + more)
-    given = {**MAP, **{int(k[1:]): v for k, v in changed.items()}}
-    rows = "".join(f"{key},{x},{y}\n" for key, (x, y) in given.items())
-    (folder / "landmarks.csv").write_text(f"id,x,y\n{rows}")
-    truth = "".join(
-        f"{T0 // 10**9 + s:.9f},{x!r},{y!r},{th!r}\n" for s, (x, y, th) in zip(t, true.tolist(), strict=True)
-    )
-    (folder / "truth.csv").write_text(f"t,x,y,theta\n{truth}")
-    return log, folder / "detections.csv", folder / "landmarks.csv", folder / "truth.csv"
+    map_file(folder, places)
+    return log, truth_file(folder, t, true)
 
 
-def compared(files: tuple[Path, ...], *words: Any) -> tuple[dict[str, Any], str]:
-    log, detections, given, truth = files
-    sets = [f"landmarks.file={detections}", f"landmarks.map={given}", f"landmarks.sigma_range={SIGMA_RANGE}",
-            f"landmarks.sigma_bearing_deg={math.degrees(SIGMA_BEARING)}"]  # fmt: skip
-    typed = [word for key in sets for word in ("--set", key)]
-    out = log.parent / "out"
-    done = locfuse("compare", log, *GEOMETRY, *typed, "--truth", truth, "-v", "-o", out, "--overwrite", *words)
-    assert done.exit_code == 0, done.stderr
-    found: dict[str, Any] = json.loads((out / "report.json").read_text())
-    return found, done.stderr
+def files_of(folder: Path) -> tuple[str, ...]:
+    return sets(f"landmarks.file={folder / 'detections.csv'}", f"landmarks.map={folder / 'landmarks.csv'}")
+
+
+def compared(files: tuple[Path, Path], *words: Any) -> tuple[dict[str, Any], str]:
+    noise = (f"landmarks.sigma_range={SIGMA_RANGE}", f"landmarks.sigma_bearing_deg={math.degrees(SIGMA_BEARING)}")
+    return landmark_drive.compared(*files, *files_of(files[0].parent), *sets(*noise), *words)
 
 
 def test_landmarks_hold_a_robot_whose_wheels_drift_and_find_the_offset_of_the_ranges(tmp_path: Path) -> None:
-    report, stderr = compared(written(tmp_path, drift=0.05))
-    wheels, landmarks = (report["configurations"][name] for name in ("odometry", "landmarks"))
+    rows, stderr = compared(written(tmp_path, 0.05))
+    wheels, landmarks = (rows[name] for name in ("odometry", "landmarks"))
     assert wheels["position_rmse_m"] > 0.25
     assert landmarks["position_rmse_m"] < 0.06
     assert landmarks["heading_rmse_deg"] < 2.0
@@ -93,12 +80,12 @@ def test_landmarks_hold_a_robot_whose_wheels_drift_and_find_the_offset_of_the_ra
 
 def test_anees_over_many_drives_is_one(tmp_path: Path) -> None:
     """Wheels that are exact but for the noise that is configured as small: only the landmarks' noise is drawn."""
+    vague = sets("wheels.noise=1e-9", "start.sigma_xy=0.2", "start.sigma_theta_deg=5")
     found = [
-        compared(written(tmp_path, seed=seed), "--sensors", "landmarks", "--set", "wheels.noise=1e-9",
-                 "--set", "start.sigma_xy=0.2", "--set", "start.sigma_theta_deg=5", "--write", "json")[0]
+        compared(written(tmp_path, seed=seed), *vague, "--sensors", "landmarks", "--write", "json")[0]
         for seed in range(4)
-    ]  # fmt: skip
-    nis = np.mean([r["configurations"]["landmarks"]["sensors"]["landmarks"]["nis"] for r in found])
+    ]
+    nis = np.mean([rows["landmarks"]["sensors"]["landmarks"]["nis"] for rows in found])
     assert nis == pytest.approx(1.0, abs=0.12)  # 4 x 600 detections of two numbers
 
 
@@ -107,7 +94,7 @@ def test_depths_of_a_camera_are_told_from_distances_by_the_drive(tmp_path: Path)
     files = written(tmp_path, depth=True)
     found, stderr = compared(files)
     fixed, _ = compared(files, "--set", "landmarks.range_depth=0")
-    good, bad = (r["configurations"]["landmarks"] for r in (found, fixed))
+    good, bad = (rows["landmarks"] for rows in (found, fixed))
     assert "its ranges are depths along its axis, not distances" in stderr
     share = float(stderr.split("not distances: ")[1].split(" ")[0])
     assert share == pytest.approx(1.0, abs=0.1)
@@ -120,40 +107,32 @@ def test_depths_of_a_camera_are_told_from_distances_by_the_drive(tmp_path: Path)
 
 def test_landmarks_that_agree_with_the_truths_clock_say_that_the_wheels_are_early(tmp_path: Path) -> None:
     """A robot follows its commands late: it is not the truth that is late, as it would look beside the wheels."""
-    log, detections, given, truth = written(tmp_path, late=0.25)
-    words = (
-        "--set",
-        f"landmarks.file={detections}",
-        "--set",
-        f"landmarks.map={given}",
-        "--set",
-        f"truth.topic={truth}",
-    )
-    done = locfuse("info", log, *GEOMETRY, *words)
+    log, truth = written(tmp_path, late=0.25)
+    done = locfuse("info", log, *GEOMETRY, *files_of(tmp_path), *sets(f"truth.topic={truth}"))
     assert "wheels: stamps look 0.25 s early" in done.stdout
     assert "wheels.time_offset=0.25" in done.stdout
     assert "truth.time_offset" not in done.stdout
-    done = locfuse("info", log, *GEOMETRY, "--set", f"truth.topic={truth}")  # nobody is there to say it
+    done = locfuse("info", log, *GEOMETRY, *sets(f"truth.topic={truth}"))  # nobody is there to say it
     assert "truth.time_offset=-0.25" in done.stdout
 
 
 def test_two_swapped_landmarks_and_a_wrong_one_are_named(tmp_path: Path) -> None:
-    swapped: dict[str, Any] = {"_6": MAP[7], "_7": MAP[6]}
-    report, stderr = compared(written(tmp_path, **swapped))
+    swapped = {**MAP, 6: MAP[7], 7: MAP[6]}
+    rows, stderr = compared(written(tmp_path, places=swapped))
     assert "ids 6 and 7 look swapped in the map" in stderr
-    assert report["configurations"]["landmarks"]["position_rmse_m"] < 0.06
-    _, stderr = compared(written(tmp_path, _9=(3.6, -1.0)))
+    assert rows["landmarks"]["position_rmse_m"] < 0.06
+    _, stderr = compared(written(tmp_path, places={**MAP, 9: (3.6, -1.0)}))
     assert "id 9 is seen at (3.0" in stderr
     assert "0.6" in stderr.split("id 9 is seen at")[1].split("from its place")[0]
     assert "swapped" not in stderr
 
 
 def test_ids_without_an_entry_and_two_tags_of_one_id_are_counted_and_the_rest_is_used(tmp_path: Path) -> None:
-    twice = "".join(f"{T0 // 10**9 + 3.001:.9f},8,{r},0.1\n" for r in (1.0, 2.0))
-    report, stderr = compared(written(tmp_path, more=f"{twice}{T0 // 10**9 + 4}.0,3,1.0,0.0\n"))
+    twice = "".join(f"{T0 // S + 3.001:.9f},8,{r},0.1\n" for r in (1.0, 2.0))
+    rows, stderr = compared(written(tmp_path, more=f"{twice}{T0 // S + 4}.0,3,1.0,0.0\n"))
     assert "2 same id" in stderr
     assert "1 not in map" in stderr
-    assert report["configurations"]["landmarks"]["position_rmse_m"] < 0.06
+    assert rows["landmarks"]["position_rmse_m"] < 0.06
 
 
 @pytest.mark.parametrize(
@@ -178,7 +157,7 @@ def test_a_map_that_is_none_is_refused_in_one_line(text: str, says: str, tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("sets", "says"),
+    ("keys", "says"),
     [
         (("landmarks.file=nowhere.csv", "landmarks.map=landmarks.csv"), "no such file: nowhere.csv"),
         (("landmarks.file=detections.csv", "landmarks.map=nowhere.csv"), "no such file: nowhere.csv"),
@@ -186,12 +165,11 @@ def test_a_map_that_is_none_is_refused_in_one_line(text: str, says: str, tmp_pat
     ],
 )
 def test_what_is_missing_is_said_in_one_line(
-    sets: tuple[str, ...], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    keys: tuple[str, ...], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     log, *_ = written(tmp_path)
     monkeypatch.chdir(tmp_path)
-    words = [word for key in sets for word in ("--set", key)]
-    done = locfuse("run", log, *GEOMETRY, "--sensors", "landmarks", *words, "-o", tmp_path / "out")
+    done = locfuse("run", log, *GEOMETRY, "--sensors", "landmarks", *sets(*keys), "-o", tmp_path / "out")
     assert done.exit_code == 1
     assert says in done.stderr
     assert len(done.stderr.splitlines()) == 1
@@ -200,7 +178,7 @@ def test_what_is_missing_is_said_in_one_line(
 def test_info_finds_the_file_and_init_writes_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log, *_ = written(tmp_path)
     monkeypatch.chdir(tmp_path)
-    words = (*GEOMETRY, "--set", "landmarks.file=detections.csv", "--set", "landmarks.map=landmarks.csv")
+    words = (*GEOMETRY, *sets("landmarks.file=detections.csv", "landmarks.map=landmarks.csv"))
     said = locfuse("info", log, *words).stdout
     assert "detections.csv, named in the settings" in said
     assert "ready    odometry, landmarks" in said
@@ -219,15 +197,8 @@ PLACE, MOUNT = (2.0, 1.5), (0.2, -0.1, 0.3)
 
 def detected(bearing: float, distance: float) -> Measurements:
     R = np.array([[[4e-4, 1e-4], [1e-4, 1e-2]]])
-    return Measurements(
-        np.zeros(1),
-        np.arange(2),
-        np.array([[bearing, distance]]),
-        R,
-        1.0,
-        np.zeros((2, 2)),
-        {"id": np.array([7.0])},
-    )
+    z, ids = np.array([[bearing, distance]]), {"id": np.array([7.0])}
+    return Measurements(np.zeros(1), np.arange(2), z, R, 1.0, np.zeros((2, 2)), ids)
 
 
 def model_at(pose: tuple[float, float, float], sigma: float) -> tuple[LandmarksModel, JointBelief]:
@@ -264,11 +235,10 @@ def grown(tmp_path: Path, detections: list[tuple[float, int]], *words: str, jump
     """Run a drive of 10 s with detections (s, id) of unmapped landmarks; `jump`: rad in odd seconds."""
     log = written(tmp_path, seconds=10.0)[0]
     rows = "".join(
-        f"{T0 // 10**9 + t:.6f},{key},{2 + key % 5},{key % 20 / 10 - 1 + int(t) % 2 * jump}\n"
-        for t, key in detections
+        f"{T0 // S + t:.6f},{key},{2 + key % 5},{key % 20 / 10 - 1 + int(t) % 2 * jump}\n" for t, key in detections
     )
     (tmp_path / "many.csv").write_text(f"t,id,range,bearing\n{rows}")
-    file = ("--set", f"landmarks.file={tmp_path / 'many.csv'}")
+    file = sets(f"landmarks.file={tmp_path / 'many.csv'}")
     return locfuse("run", log, *GEOMETRY, *file, "--sensors", "landmarks", "-v", "-o", tmp_path / "o", *words)
 
 
@@ -289,22 +259,10 @@ def test_a_tracker_that_counts_up_is_refused_in_one_line(tmp_path: Path) -> None
     assert len(done.stderr.splitlines()) == 1
 
 
-def with_robot(files: tuple[Path, ...], folder: Path, lines: str) -> Path:
-    """A copy of the log of `files` in a folder of its own that says a robot.toml of its own."""
+def with_robot(log: Path, folder: Path, lines: str) -> Path:
+    """A copy of a log in a folder of its own that says a robot.toml of its own."""
     folder.mkdir()
-    with files[0].open("rb") as source, (folder / "log.mcap").open("wb") as sink:
-        writer: Any = Writer(sink)
-        writer.start()
-        channels: dict[int, int] = {}
-        for schema, channel, message in make_reader(source).iter_messages():
-            assert schema is not None
-            if channel.id not in channels:
-                kind = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, kind)
-            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
-        writer.add_attachment(0, 0, "robot.toml", "application/toml", lines.encode())
-        writer.finish()
-    return folder / "log.mcap"
+    return rewritten(folder / "log.mcap", source=log, robot=lines)
 
 
 @pytest.mark.parametrize(
@@ -320,7 +278,7 @@ def with_robot(files: tuple[Path, ...], folder: Path, lines: str) -> Path:
     ],
 )
 def test_a_log_names_no_file_outside_its_own_folder(tmp_path: Path, lines: str, key: str, file: str) -> None:
-    log = with_robot(written(tmp_path), tmp_path / "sent", lines.replace("{}", str(tmp_path)))
+    log = with_robot(written(tmp_path, seconds=10.0)[0], tmp_path / "sent", lines.replace("{}", str(tmp_path)))
     (tmp_path / "sent" / "link").symlink_to(tmp_path, target_is_directory=True)
     words = ("run", log, *GEOMETRY, "--sensors", "odometry", "--no-advice", "-o", tmp_path / "out")
     done = locfuse(*words)
@@ -328,20 +286,174 @@ def test_a_log_names_no_file_outside_its_own_folder(tmp_path: Path, lines: str, 
     assert f"attachment robot.toml: {key} names the file" in done.stderr
     assert f"give {key} in a file of your own: --robot FILE" in done.stderr
     assert len(done.stderr.splitlines()) == 1
-    done = locfuse(*words, "--set", f"{key}={tmp_path / file}")
+    done = locfuse(*words, *sets(f"{key}={tmp_path / file}"))
     assert done.exit_code == 0, done.stderr
 
 
 def test_a_log_names_files_in_its_own_folder_wherever_the_reader_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    files = written(tmp_path)
-    log = with_robot(files, tmp_path / "sent", "[landmarks]\nfile = 'seen/d.csv'\nmap = 'm.csv'\n")
+    log = with_robot(
+        written(tmp_path, seconds=10.0)[0], tmp_path / "sent", "[landmarks]\nfile = 'seen/d.csv'\nmap = 'm.csv'\n"
+    )
     (tmp_path / "sent" / "seen").mkdir()
-    (tmp_path / "sent" / "seen" / "d.csv").write_bytes(files[1].read_bytes())
-    (tmp_path / "sent" / "m.csv").write_bytes(files[2].read_bytes())
+    (tmp_path / "sent" / "seen" / "d.csv").write_bytes((tmp_path / "detections.csv").read_bytes())
+    (tmp_path / "sent" / "m.csv").write_bytes((tmp_path / "landmarks.csv").read_bytes())
     for folder, place in ((tmp_path, log), (log.parent, log.name)):
         monkeypatch.chdir(folder)
         out = tmp_path / f"of_{folder.name}"
         done = locfuse("run", place, *GEOMETRY, "--sensors", "landmarks", "--no-advice", "-o", out)
         assert done.exit_code == 0, done.stderr
+
+
+# --- ranges to anchors with ids: a map that is given or made, a start that nobody gave, and what is refused
+
+ANCHORS = {1: (3.5, 3.0), 2: (-2.0, 3.2), 3: (-1.5, -2.5), 4: (3.0, -2.0)}
+SIGMA, TOO_LONG = 0.05, 0.09
+START = (0.7, -0.4, math.radians(130.0))
+
+
+def moved(poses: Array) -> Array:
+    """The path (n, 3) of a robot that begins at START instead of at 0."""
+    return np.asarray(se2.compose(np.broadcast_to(np.array(START), poses.shape), poses))
+
+
+def by_ranges(
+    folder: Path, *words: str, seed: int = 1, anchors: Any = ANCHORS, far: float = 0.0, turns: bool = True,
+    code: int = 0,
+) -> tuple[dict[str, Any], str]:  # fmt: skip
+    """Compare a log with its truth, ranges to one anchor every 0.1 s and a map.
+
+    `far`: share of ranges that come 1.5 m too long, by way of a wall.
+    """
+    t, angle = angles(60.0)
+    if not turns:
+        angle = np.repeat(angle[:, :1], 2, axis=1)
+    true, rng = moved(path_of(t, angle)), np.random.default_rng(seed)
+    lines = ["t,id,range"]
+    for n, i in enumerate(range(5, len(t), 5)):
+        key = sorted(anchors)[n % len(anchors)]
+        r = float(np.hypot(*(true[i, :2] - anchors[key]))) + TOO_LONG + SIGMA * rng.standard_normal()
+        lines.append(f"{T0 // S + t[i]:.9f},{key},{r + 1.5 * (rng.random() < far)!r}")
+    (folder / "ranges.csv").write_text("\n".join(lines) + "\n")
+    log, given = log_of(folder / "x.mcap", joint_states(t, angle)), map_file(folder, anchors)
+    own = sets(f"ranges.file={folder / 'ranges.csv'}", f"ranges.map={given}", f"ranges.sigma={SIGMA}")
+    return landmark_drive.compared(log, truth_file(folder, t, true), *own, *words, code=code)
+
+
+def test_ranges_tell_where_a_drive_begins_and_hold_it_there(tmp_path: Path) -> None:
+    rows, stderr = by_ranges(tmp_path)
+    assert "the drive begins at x 0.7" in stderr
+    assert "found by its map" in stderr
+    assert rows["ranges"]["position_rmse_m"] < 0.03
+    assert rows["ranges"]["heading_rmse_deg"] < 5.0  # nobody gave the first
+    assert 0.85 < rows["ranges"]["sensors"]["ranges"]["nis"] < 1.15
+
+
+def test_over_many_drives_the_error_is_as_large_as_the_covariance_says(tmp_path: Path) -> None:
+    words = (*sets("wheels.noise=1e-6"), "--sensors", "ranges")
+    anees = [by_ranges(tmp_path, *words, seed=seed)[0]["ranges"]["anees"] for seed in range(6)]
+    assert 0.5 < np.mean(anees) < 1.6
+
+
+def test_ranges_by_way_of_a_wall_are_refused(tmp_path: Path) -> None:
+    rows, _ = by_ranges(tmp_path, far=0.15)
+    assert rows["ranges"]["position_rmse_m"] < 0.05
+    assert 0.1 < rows["ranges"]["sensors"]["ranges"]["rejected"] / 600 < 0.2
+
+
+def test_a_given_start_is_kept(tmp_path: Path) -> None:
+    x, y, theta = START
+    start = sets(f"start.x={x}", f"start.y={y}", f"start.theta_deg={math.degrees(theta)}")
+    _, stderr = by_ranges(tmp_path, *start)
+    assert "found by its map" not in stderr
+
+
+@pytest.mark.parametrize(
+    ("anchors", "turns"), [({1: (3.5, 3.0), 2: (3.5, 0.5)}, False), ({1: (3.5, 3.0)}, True)], ids=["mirror", "one"]
+)
+def test_a_start_that_the_ranges_do_not_tell_is_not_invented(tmp_path: Path, anchors: Any, turns: bool) -> None:
+    rows, stderr = by_ranges(tmp_path, anchors=anchors, turns=turns, code=3)
+    assert "ranges" not in rows
+    assert "the ranges do not tell where the drive begins" in stderr
+    assert "Set [start] x, y, theta_deg" in stderr
+
+
+def test_without_a_map_the_anchors_are_found_beside_the_drive(tmp_path: Path) -> None:
+    by_ranges(tmp_path, "--sensors", "odometry")
+    own = sets(f"ranges.file={tmp_path / 'ranges.csv'}", "ranges.map=grow", f"ranges.sigma={SIGMA}")
+    words = ("--sensors", "ranges", "--save-map", tmp_path / "found.csv", "-o", tmp_path / "run")
+    done = locfuse("run", tmp_path / "x.mcap", *GEOMETRY, *own, *words)
+    assert done.exit_code == 0, done.stderr
+    found = landmark_map.read(tmp_path / "found.csv")
+    for key, place in ANCHORS.items():  # in the frame of the start
+        expected = se2.transform(se2.inverse(np.array(START)), np.array(place))
+        assert np.hypot(*(np.array(found[str(key)]) - expected)) < 0.25
+
+
+def test_where_an_anchor_stands_a_straight_drive_does_not_tell(tmp_path: Path) -> None:
+    _, stderr = by_ranges(tmp_path, *sets("ranges.map=grow"), turns=False, code=3)
+    assert "this drive does not tell where its anchors stand" in stderr
+    assert "--set ranges.map=anchors.csv" in stderr
+
+
+LIST = "std_msgs/Header header\nuint16[] id\nfloat32[] dis"
+ONE = "std_msgs/Header header\nuint16 id\nfloat32 dis"
+
+
+@pytest.mark.parametrize(("text", "many"), [(ONE, False), (LIST, True)])
+def test_any_message_with_an_id_and_a_range_can_be_read(tmp_path: Path, text: str, many: bool) -> None:
+    t = np.arange(5.0)
+    one: list[dict[str, Any]] = [{"id": i, "dis": i + 0.5} for i in range(5)]
+    lists: list[dict[str, Any]] = [{"id": [i, 7], "dis": [i + 0.5, 2.0]} for i in range(5)]
+    log = package.open_log(custom(tmp_path / "c.mcap", "/uwb", "my_msgs/msg/Uwb", text, t, lists if many else one))
+    assert log.find("/uwb:id,dis") is not None
+    stream = log.stream("/uwb:id,dis")
+    columns = stream.columns("id", "range")
+    assert stream.msgtype == "locfuse/msg/Ranges"
+    assert len(stream.t_ns) == (10 if many else 5)
+    assert np.asarray(columns["id"]).tolist() == ([0, 7, 1, 7, 2, 7, 3, 7, 4, 7] if many else [0, 1, 2, 3, 4])
+    assert np.asarray(columns["range"])[0] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [("id,nothing", "nothing"), ("id,header.frame_id", "header.frame_id is a text, not a number"),
+     ("id,dis,id", "one field, or those of id and range")],
+)  # fmt: skip
+def test_fields_that_are_no_ids_and_ranges_are_refused_in_one_line(
+    tmp_path: Path, fields: str, words: str
+) -> None:
+    rows: list[dict[str, Any]] = [{"id": 1, "dis": 1.0}]
+    log = package.open_log(custom(tmp_path / "c.mcap", "/uwb", "my_msgs/msg/Uwb", ONE, np.zeros(1), rows))
+    with pytest.raises(package.LocfuseError) as error:
+        log.find(f"/uwb:{fields}")
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_the_labyrinth_is_driven_from_an_unknown_start() -> None:
+    """Real ranges of ultra-wideband radio, 7 to 15 cm too long; truth to about 1 cm."""
+    table = {row["configuration"]: row for row in package.load("labyrinth").compare().table()}
+    assert table["ranges"]["position_rmse_m"] < 0.10
+    assert 0.7 < table["ranges"]["anees"] < 1.5
+
+
+def test_the_start_is_exact_where_the_ranges_are() -> None:
+    t, angle = angles(20.0)
+    rel = path_of(t, angle)[::10]
+    true, ids = moved(rel), np.arange(len(rel)) % 4 + 1
+    at = np.array([ANCHORS[int(i)] for i in ids])
+    ranges = np.hypot(*(true[:, :2] - at).T) + TOO_LONG
+    found = start_among(at, rel[:, :2], t[::10], ranges, (0.05, 0.2))
+    assert found is not None
+    assert found.values == pytest.approx([*START, TOO_LONG], abs=2e-3)
+
+
+def test_an_anchor_is_exact_where_the_ranges_are() -> None:
+    t, angle = angles(20.0)
+    rel = path_of(t, angle)[::10]
+    ranges = np.hypot(*(rel[:, :2] - ANCHORS[1]).T)
+    found = anchor_beside(rel[:, :2], t[::10], ranges, (0.05, 0.2))
+    assert found is not None
+    assert found.values == pytest.approx([*ANCHORS[1], 0.0], abs=1e-3)

@@ -16,8 +16,6 @@ from locfuse.fusion.data import MapLine
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.lines.extract import Lines
-from locfuse.fusion.lines.scans import Gathered
 from locfuse.fusion.map.line_map import LineMap
 from locfuse.fusion.measure import measure
 
@@ -98,38 +96,6 @@ def test_the_mount_moves_lines_into_the_base_frame() -> None:
         z = lrf.z[lrf.first[5] : lrf.first[6]]
         poses.append({(round(float(r), 1), round(float(p), 1)) for r, p in z})
     assert len(poses[0] & poses[1]) >= 3
-
-
-def test_lines_of_scans_that_lie_in_the_file_in_any_order_come_in_the_order_of_the_scans() -> None:
-    counts = np.array([2, 0, 3, 1])
-    first = np.concatenate(([0], np.cumsum(counts)))
-    line = np.arange(6.0)
-    z, R_unit = np.stack((line, -line), axis=-1), line[:, None, None] * np.eye(2)
-    shuffled, straight = Gathered(), Gathered()
-    for gathered, blocks in ((shuffled, ([2, 0], [3, 1])), (straight, ([0, 1, 2], [3]))):
-        for at in blocks:
-            rows = np.concatenate([np.arange(first[i], first[i + 1]) for i in at])
-            begin = np.concatenate(([0], np.cumsum(counts[at])))
-            span = np.zeros((len(rows), 2), int)
-            sweep = np.zeros((len(rows), 2, 12), np.float32) + rows[:, None, None]
-            curved = np.ones(len(at), int)
-            whole = Lines(begin, z[rows], R_unit[rows], z[rows] + 1.0, rows, line[rows], span, sweep, curved)
-            gathered.add(np.array(at), whole)
-    for found in (shuffled.in_order(4), straight.in_order(4)):
-        for column, expected in zip(found[:4], (first, z, R_unit, z + 1.0), strict=True):
-            np.testing.assert_array_equal(column, expected)
-
-
-def test_scans_that_were_not_deskewed_share_nothing_beside_those_that_were() -> None:
-    gathered, one = Gathered(), np.ones(1, int)
-    for i, parts in enumerate((0, 12, 0)):
-        z, shared = np.full((1, 2), float(i)), np.full((1, 2, parts), 0.5)
-        span = np.zeros((1, 2), int)
-        lines = Lines(np.array([0, 1]), z, np.eye(2)[None], z, one, np.ones(1), span, shared, one)
-        gathered.add(np.array([i]), lines)
-    np.testing.assert_array_equal(
-        gathered.in_order(3)[-1], np.array([0.0, 0.5, 0.0])[:, None, None] * np.ones((3, 2, 12))
-    )
 
 
 def test_a_round_room_leaves_the_pose_to_the_wheels_and_says_why() -> None:

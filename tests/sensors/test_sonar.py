@@ -180,11 +180,7 @@ def test_no_echo_is_no_measurement_in_every_drivers_way_of_saying_it() -> None:
     assert m.dropped == {"not_finite": 1}
 
 
-SONARS = (
-    "camera.enabled=false",
-    "compass.enabled=false",
-    "gps.enabled=false",
-)
+SONARS = ("camera.enabled=false", "compass.enabled=false", "gps.enabled=false")
 
 
 @pytest.fixture(scope="module")

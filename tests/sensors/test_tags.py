@@ -2,323 +2,187 @@
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from bags import STORE, T0, S, Said, cdr, header
+from bags import STORE, T0, S, Said, build, cdr, header
 from commands import locfuse
-from landmark_drive import MAP, path_of
+from landmark_drive import MAP, TF, TO_OPTICAL, compared, map_file, optical, seen_by, sets, slipping, truth_file
+from mcap.writer import Writer
 from numpy.typing import NDArray
-from rosbags.typesys import get_types_from_msg
-from wheel_bags import GEOMETRY, angles, joint_states, log_of
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from wheel_bags import GEOMETRY, angles, joint_states, log_of, messages
 
+from locfuse.formats.logs.log import open_log
+from locfuse.formats.messages.fields import resolve
+from locfuse.formats.messages.schema import Scalar, Structure
 from locfuse.formats.robot import landmark_map
-from locfuse.fusion import se2
-from locfuse.fusion.data import ArrayStream, Ragged
-from locfuse.fusion.sensors.landmark_messages import Looks, sighted
+from locfuse.formats.robot.tag_frames import named_as_tag, number_of
+from locfuse.fusion.data import ArrayStream, LocfuseError, Ragged
+from locfuse.fusion.sensors.landmark_messages import NO_ID, Looks, Sighted, sighted
 
 Array = NDArray[np.float64]
-CAMERA = np.array([0.1, -0.05, math.radians(30.0)])  # on the base; turned, so that a forgotten mount shows
+Make = Callable[[str, list[tuple[int, Array]]], dict[str, Any]]
+ONE = {"camera": np.array([0.1, -0.05, math.radians(30.0)])}  # turned, so that a forgotten mount shows
+TWO = {"front": np.array([0.2, 0.0, 0.0]), "rear": np.array([-0.3, 0.0, math.pi])}
 FX, CX = 400.0, 320.0
-FRAME = "camera_optical"
+ZOOM = {"camera": 1.0, "front": 1.0, "rear": 2.0}
 METRE, BEARING = 0.03, math.radians(0.25)  # noise of places, and of what is seen in pixels
+BEARINGS = f"landmarks.sigma_bearing_deg={math.degrees(BEARING)}"
 ARUCO, APRIL = "ros2_aruco_interfaces/msg/ArucoMarkers", "apriltag_msgs/msg/AprilTagDetectionArray"
 ISAAC, VISION = "isaac_ros_apriltag_interfaces/msg/AprilTagDetectionArray", "vision_msgs/msg/Detection3DArray"
 BUNDLED = "apriltag_ros/msg/AprilTagDetectionArray"
 ARUCO_ROS, ARUCO_OPENCV = "aruco_msgs/msg/MarkerArray", "aruco_opencv_msgs/msg/ArucoDetection"
-VISION_2D = "vision_msgs/msg/Detection2DArray"
-POINT2 = "float64 x\nfloat64 y\n"
+HEAD = "std_msgs/Header header\n"
 TEXTS = {
-    ARUCO: "std_msgs/Header header\nint64[] marker_ids\ngeometry_msgs/Pose[] poses\n",
-    "apriltag_msgs/msg/Point": POINT2,
+    ARUCO: f"{HEAD}int64[] marker_ids\ngeometry_msgs/Pose[] poses\n",
+    "apriltag_msgs/msg/Point": "float64 x\nfloat64 y\n",
     "apriltag_msgs/msg/AprilTagDetection": "string family\nint32 id\nint32 hamming\nfloat32 goodness\n"
     "float32 decision_margin\nPoint centre\nPoint[4] corners\nfloat64[9] homography\n",
-    APRIL: "std_msgs/Header header\nAprilTagDetection[] detections\n",
+    APRIL: f"{HEAD}AprilTagDetection[] detections\n",
     "isaac_ros_apriltag_interfaces/msg/AprilTagDetection": "string family\nint32 id\n"
     "geometry_msgs/PoseWithCovarianceStamped pose\n",
-    ISAAC: "std_msgs/Header header\nAprilTagDetection[] detections\n",
+    ISAAC: f"{HEAD}AprilTagDetection[] detections\n",
     "apriltag_ros/msg/AprilTagDetection": "int32[] id\nfloat64[] size\n"
     "geometry_msgs/PoseWithCovarianceStamped pose\n",
-    BUNDLED: "std_msgs/Header header\nAprilTagDetection[] detections\n",
+    BUNDLED: f"{HEAD}AprilTagDetection[] detections\n",
     "vision_msgs/msg/BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size\n",
-    "vision_msgs/msg/Detection3D": "std_msgs/Header header\nBoundingBox3D bbox\nstring id\n",
-    VISION: "std_msgs/Header header\nDetection3D[] detections\n",
-    "aruco_msgs/msg/Marker": "std_msgs/Header header\nuint32 id\ngeometry_msgs/PoseWithCovariance pose\n"
-    "float64 confidence\n",
-    ARUCO_ROS: "std_msgs/Header header\nMarker[] markers\n",
+    "vision_msgs/msg/Detection3D": f"{HEAD}BoundingBox3D bbox\nstring id\n",
+    VISION: f"{HEAD}Detection3D[] detections\n",
+    "aruco_msgs/msg/Marker": f"{HEAD}uint32 id\ngeometry_msgs/PoseWithCovariance pose\nfloat64 confidence\n",
+    ARUCO_ROS: f"{HEAD}Marker[] markers\n",
     "aruco_opencv_msgs/msg/MarkerPose": "int32 marker_id\ngeometry_msgs/Pose pose\n",
-    ARUCO_OPENCV: "std_msgs/Header header\nMarkerPose[] markers\n",
-    "vision_msgs/msg/Point2D": POINT2,
-    "vision_msgs/msg/Pose2D": "Point2D position\nfloat64 theta\n",
-    "vision_msgs/msg/BoundingBox2D": "Pose2D center\nfloat64 size_x\nfloat64 size_y\n",
-    "vision_msgs/msg/Detection2D": "std_msgs/Header header\nBoundingBox2D bbox\nstring id\n",
-    VISION_2D: "std_msgs/Header header\nDetection2D[] detections\n",
+    ARUCO_OPENCV: f"{HEAD}MarkerPose[] markers\n",
 }
 for _name, _text in TEXTS.items():
     if _name not in STORE.types:
         STORE.register(get_types_from_msg(_text, _name))
 
 
-def aruco(stamp: dict[str, Any], seen: list[tuple[int, Array]]) -> bytes:
-    return cdr(
-        ARUCO, header=stamp, marker_ids=[k for k, _ in seen], poses=[{"position": _xyz(p)} for _, p in seen]
-    )
+def at(p: Array) -> dict[str, Any]:
+    """A place ahead, left and up (3,) in the axes of an optical frame."""
+    return {"position": {"x": -p[1], "y": -p[2], "z": p[0]}}
 
 
-def april(stamp: dict[str, Any], seen: list[tuple[int, Array]]) -> bytes:
-    """The centre in the picture: x grows to the right. The noise is that of a bearing, the same all over it."""
-    rng = np.random.default_rng([int(stamp["stamp"]["sec"]), int(stamp["stamp"]["nanosec"])])
-    bearings = np.array([math.atan2(p[0], p[2]) for _, p in seen]) + BEARING * rng.normal(size=len(seen))
-    tags = [
-        {"id": k, "centre": {"x": CX + FX * math.tan(b), "y": 240.0}}
-        for (k, _), b in zip(seen, bearings.tolist(), strict=True)
-    ]
-    return cdr(APRIL, header=stamp, detections=tags)
-
-
-def isaac(stamp: dict[str, Any], seen: list[tuple[int, Array]]) -> bytes:
-    tags = [{"id": k, "pose": {"pose": {"pose": {"position": _xyz(p)}}}} for k, p in seen]
-    return cdr(ISAAC, header=stamp, detections=tags)
-
-
-def bundled(stamp: dict[str, Any], seen: list[tuple[int, Array]]) -> bytes:
+def bundled(_: str, seen: list[tuple[int, Array]]) -> dict[str, Any]:
     """Lists of ids; a bundle of two tags stands where neither does."""
-    tags = [([k], p) for k, p in seen]
-    decoy = [(list(MAP)[:2], np.array([3.0, 0.0, 1.0]))]
-    return cdr(
-        BUNDLED,
-        header=stamp,
-        detections=[
-            {"id": ids, "size": [0.1] * len(ids), "pose": {"pose": {"pose": {"position": _xyz(p)}}}}
-            for ids, p in (*decoy, *tags)
-        ],
-    )
-
-
-def vision(stamp: dict[str, Any], seen: list[tuple[int, Array]]) -> bytes:
-    tags = [{"id": f"tag36h11:{k}", "bbox": {"center": {"position": _xyz(p)}}} for k, p in seen]
-    return cdr(VISION, header=stamp, detections=tags)
-
-
-def aruco_ros(stamp: dict[str, Any], seen: list[tuple[int, Array]]) -> bytes:
-    markers = [{"id": k, "pose": {"pose": {"position": _xyz(p)}}} for k, p in seen]
-    return cdr(ARUCO_ROS, header=stamp, markers=markers)
-
-
-def aruco_opencv(stamp: dict[str, Any], seen: list[tuple[int, Array]]) -> bytes:
-    return cdr(
-        ARUCO_OPENCV, header=stamp, markers=[{"marker_id": k, "pose": {"position": _xyz(p)}} for k, p in seen]
-    )
-
-
-def _xyz(p: Array) -> dict[str, float]:
-    return dict(zip("xyz", p.tolist(), strict=True))
-
-
-def mount() -> Said:
-    """/tf_static: the optical frame on the base, z ahead along CAMERA's yaw."""
-    half = 0.5 * CAMERA[2]
-    turn = np.array([0.0, 0.0, math.sin(half), math.cos(half)])
-    q = _times(turn, np.array([-0.5, 0.5, -0.5, 0.5]))
-    transform = {
-        "header": header(T0, "base_link"),
-        "child_frame_id": FRAME,
-        "transform": {
-            "translation": {"x": CAMERA[0], "y": CAMERA[1], "z": 0.3},
-            "rotation": dict(zip("xyzw", q.tolist(), strict=True)),
-        },
+    tags = [(list(MAP)[:2], np.array([1.0, -3.0, 0.0])), *(([k], p) for k, p in seen)]
+    return {
+        "detections": [{"id": ids, "size": [0.1] * len(ids), "pose": {"pose": {"pose": at(p)}}} for ids, p in tags]
     }
-    kind = "tf2_msgs/msg/TFMessage"
-    return Said("/tf_static", kind, cdr(kind, transforms=[transform]), T0)
 
 
-def _times(a: Array, b: Array) -> Array:
-    v, w = np.cross(a[:3], b[:3]) + a[3] * b[:3] + b[3] * a[:3], a[3] * b[3] - a[:3] @ b[:3]
-    return np.append(v, w)
+POSES: dict[str, Make] = {
+    ARUCO: lambda _, seen: {"marker_ids": [k for k, _ in seen], "poses": [at(p) for _, p in seen]},
+    ISAAC: lambda _, seen: {"detections": [{"id": k, "pose": {"pose": {"pose": at(p)}}} for k, p in seen]},
+    VISION: lambda _, seen: {"detections": [{"id": f"tag36h11:{k}", "bbox": {"center": at(p)}} for k, p in seen]},
+    BUNDLED: bundled,
+    ARUCO_ROS: lambda _, seen: {"markers": [{"id": k, "pose": {"pose": at(p)}} for k, p in seen]},
+    ARUCO_OPENCV: lambda _, seen: {"markers": [{"marker_id": k, "pose": at(p)} for k, p in seen]},
+}
 
 
-def camera_info() -> Said:
-    kind = "sensor_msgs/msg/CameraInfo"
-    k = [FX, 0.0, CX, 0.0, FX, 240.0, 0.0, 0.0, 1.0]
-    return Said("/camera_info", kind, cdr(kind, header=header(T0, FRAME), k=k), T0)
+def april(rng: np.random.Generator) -> Make:
+    """The centre in the picture: x grows to the right. The noise is that of a bearing, the same all over it."""
+
+    def made(name: str, seen: list[tuple[int, Array]]) -> dict[str, Any]:
+        bearings = [math.atan2(-p[1], p[0]) + BEARING * rng.normal() for _, p in seen]
+        x = [CX + ZOOM[name] * FX * math.tan(b) for b in bearings]
+        return {
+            "detections": [{"id": k, "centre": {"x": u, "y": 240.0}} for (k, _), u in zip(seen, x, strict=True)]
+        }
+
+    return made
+
+
+def camera_info(name: str) -> list[Said]:
+    f = ZOOM[name] * FX
+    row = {"k": [f, 0.0, CX, 0.0, f, 240.0, 0.0, 0.0, 1.0]}
+    return messages(f"/{name}/info", "sensor_msgs/msg/CameraInfo", np.zeros(1), [row], f"{name}_optical")
 
 
 def written(
-    folder: Path, kind: str, make: Callable[..., bytes], *more: Said, slips: float = 0.05, noise: float = METRE
-) -> tuple[Path, Path, Path]:
-    """A drive whose wheels slip by a share of every turn, past tags; the log, the map and the truth."""
-    t, angle = angles(60.0)
-    true = path_of(t, angle)
-    slip = slips * (angle[:, 1] - angle[:, 0]) / 2
-    said = [mount(), *more, *joint_states(t, angle + np.stack((-slip, slip), axis=-1))]
-    rng = np.random.default_rng(1)
-    for i in range(5, len(t), 10):
-        eye = se2.compose(true[i], CAMERA)
-        seen = []
-        for key, place in MAP.items():
-            x, y, _ = se2.between(eye, np.array([*place, 0.0]))
-            if x > 0.3 and abs(y) < 1.2 * x:
-                seen.append((key, np.array([-y, -0.2, x]) + noise * rng.standard_normal(3)))
-        ns = T0 + round(t[i] * S)
-        said.append(Said("/tags", kind, make(header(ns, FRAME), seen), ns + 2_000_000))
-    log = log_of(folder / "x.mcap", said)
-    (folder / "map.csv").write_text(landmark_map.encode((k, x, y) for k, (x, y) in MAP.items()))
-    rows = zip(t, true.tolist(), strict=True)
-    truth = "".join(f"{T0 // S + s:.9f},{x!r},{y!r},{th!r}\n" for s, (x, y, th) in rows)
-    (folder / "truth.csv").write_text(f"t,x,y,theta\n{truth}")
-    return log, folder / "map.csv", folder / "truth.csv"
+    folder: Path,
+    kind: str,
+    make: Make,
+    cameras: Mapping[str, Array] = ONE,
+    noise: float = METRE,
+    with_info: bool = True,
+) -> tuple[Path, Path]:
+    """A drive whose wheels slip past tags that cameras see; the log and the truth."""
+    t, counted, true = slipping()
+    said, rng = joint_states(t, counted), np.random.default_rng(1)
+    for name, mount in cameras.items():
+        said += optical(f"{name}_optical", mount)
+        said += camera_info(name) if kind == APRIL and with_info else []
+        for i, seen in seen_by(true, mount, rng, noise):
+            ns = T0 + round(t[i] * S)
+            data = cdr(kind, header=header(ns, f"{name}_optical"), **make(name, seen))
+            said.append(Said(f"/{name}/tags", kind, data, ns + 2_000_000))
+    return log_of(folder / "x.mcap", said), truth_file(folder, t, true)
 
 
-def compared(files: tuple[Path, Path, Path], *words: Any) -> tuple[dict[str, Any], str]:
-    log, given, truth = files
-    known = () if any("grow" in str(word) for word in words) else ("--set", f"landmarks.map={given}")
-    out = log.parent / "out"
-    done = locfuse(
-        "compare",
-        log,
-        "--no-advice",
-        "-v",
-        *GEOMETRY,
-        *known,
-        "--truth",
-        truth,
-        "-o",
-        out,
-        "--overwrite",
-        "--write",
-        "json,html",
-        *words,
-    )
-    assert done.exit_code == 0, done.stderr
-    return json.loads((out / "report.json").read_text())["configurations"], done.stderr
-
-
-@pytest.mark.parametrize(
-    ("kind", "make"),
-    [
-        (ARUCO, aruco),
-        (ISAAC, isaac),
-        (VISION, vision),
-        (BUNDLED, bundled),
-        (ARUCO_ROS, aruco_ros),
-        (ARUCO_OPENCV, aruco_opencv),
-    ],
-)
-def test_poses_of_tags_hold_the_robot(kind: str, make: Callable[..., bytes], tmp_path: Path) -> None:
-    """By type alone, the camera's place by /tf_static: only the map is told."""
-    found, _ = compared(written(tmp_path, kind, make))
+@pytest.mark.parametrize("kind", POSES)
+def test_poses_of_tags_hold_the_robot(kind: str, tmp_path: Path) -> None:
+    """By type alone, the camera's place by /tf_static: only the map is given."""
+    found, _ = compared(*written(tmp_path, kind, POSES[kind]), *sets(f"landmarks.map={map_file(tmp_path)}"))
     assert found["odometry"]["position_rmse_m"] > 0.25
     assert found["landmarks"]["position_rmse_m"] < 0.06
     assert found["landmarks"]["heading_rmse_deg"] < 0.5 * found["odometry"]["heading_rmse_deg"]
 
 
-def test_pixels_of_tags_are_bearings_by_the_camera_info(tmp_path: Path) -> None:
-    files = written(tmp_path, APRIL, april, camera_info(), noise=0.0)
-    found, _ = compared(files, "--set", f"landmarks.sigma_bearing_deg={math.degrees(BEARING)}")
-    assert found["landmarks"]["position_rmse_m"] < 0.3 * found["odometry"]["position_rmse_m"]
+@pytest.mark.parametrize(("cameras", "left"), [(ONE, 0.3), (TWO, 0.12)])
+def test_pixels_of_tags_are_bearings_by_the_info_of_their_own_camera(
+    cameras: dict[str, Array], left: float, tmp_path: Path
+) -> None:
+    files = written(tmp_path, APRIL, april(np.random.default_rng(4)), cameras, 0.0)
+    found, _ = compared(*files, *sets(BEARINGS, f"landmarks.map={map_file(tmp_path)}"))
+    assert found["landmarks"]["position_rmse_m"] < left * found["odometry"]["position_rmse_m"]
     assert "innovation of bearing" in (tmp_path / "out/report.html").read_text()
 
 
 def test_pixels_without_a_camera_info_are_one_line_with_the_keys(tmp_path: Path) -> None:
-    files = written(tmp_path, APRIL, april)
-    done = locfuse(
-        "run", files[0], "-v", *GEOMETRY, "--set", f"landmarks.map={files[1]}", "--sensors", "landmarks"
-    )
+    log, _ = written(tmp_path, APRIL, april(np.random.default_rng(4)), with_info=False)
+    words = ("-v", *GEOMETRY, *sets(f"landmarks.map={map_file(tmp_path)}"), "--sensors", "landmarks")
+    done = locfuse("run", log, *words)
     assert done.exit_code == 1
     assert "--set landmarks.fx=<px> --set landmarks.cx=<px>" in " ".join(done.stderr.split())
 
 
-def looking(frame: str, x: float, yaw: float) -> Said:
-    """/tf_static: an optical frame at x on the base whose z axis looks along yaw."""
-    turn = np.array([0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)])
-    q = dict(zip("xyzw", _times(turn, np.array([-0.5, 0.5, -0.5, 0.5])).tolist(), strict=True))
-    transform = {"translation": {"x": x, "y": 0.0, "z": 0.3}, "rotation": q}
-    kind = "tf2_msgs/msg/TFMessage"
-    edge = {"header": header(T0, "base_link"), "child_frame_id": frame, "transform": transform}
-    return Said("/tf_static", kind, cdr(kind, transforms=[edge]), T0)
-
-
-def both_ways(folder: Path) -> tuple[Path, Path, Path]:
-    """A drive past tags that are seen ahead and behind, by two cameras at the same instants."""
-    _, given, truth = written(folder, ARUCO, aruco)
-    t, angle = angles(60.0)
-    true, rng = path_of(t, angle), np.random.default_rng(2)
-    slip = 0.05 * (angle[:, 1] - angle[:, 0]) / 2
-    said = list(joint_states(t, angle + np.stack((-slip, slip), axis=-1)))
-    for name, x, yaw in (("front", 0.2, 0.0), ("rear", -0.3, math.pi)):
-        said.append(looking(f"{name}_optical", x, yaw))
-        for i in range(5, len(t), 10):
-            eye, seen = se2.compose(true[i], np.array([x, 0.0, yaw])), []
-            for key, place in MAP.items():
-                ahead, left, _ = se2.between(eye, np.array([*place, 0.0]))
-                if ahead > 0.3 and abs(left) < 1.2 * ahead:
-                    seen.append((key, np.array([-left, -0.2, ahead]) + METRE * rng.standard_normal(3)))
-            ns = T0 + round(t[i] * S)
-            said.append(Said(f"/{name}/tags", ARUCO, aruco(header(ns, f"{name}_optical"), seen), ns + 2_000_000))
-    return log_of(folder / "both.mcap", said), given, truth
-
-
 def test_two_cameras_are_one_sensor_each_where_its_frame_sits(tmp_path: Path) -> None:
-    files = both_ways(tmp_path)
-    found, _ = compared(files)
-    assert found["landmarks"]["position_rmse_m"] < 0.04
-    seen = found["landmarks"]["sensors"]["landmarks"]["accepted"]
-    alone, _ = compared(files, "--set", "landmarks.topic=/rear/tags")
-    other, _ = compared(files, "--set", "landmarks.topic=/front/tags")
-    parts = [run["landmarks"]["sensors"]["landmarks"]["accepted"] for run in (alone, other)]
+    files = written(tmp_path, ARUCO, POSES[ARUCO], TWO)
+    known = f"landmarks.map={map_file(tmp_path)}"
+    wrong = "landmarks.mounts={'/front/tags'=[0.2,0,0], '/rear/tags'=[-0.3,0,0]}"
+    both, rear, front, turned = (
+        compared(*files, *sets(known, *more))[0]["landmarks"]
+        for more in ((), ("landmarks.topic=/rear/tags",), ("landmarks.topic=/front/tags",), (wrong,))
+    )
+    assert both["position_rmse_m"] < 0.04
+    seen, *parts = (run["sensors"]["landmarks"]["accepted"] for run in (both, rear, front))
     assert min(parts) > 50
     assert seen == pytest.approx(sum(parts), rel=0.02)
-    wrong = "landmarks.mounts={'/front/tags'=[0.2,0,0], '/rear/tags'=[-0.3,0,0]}"
-    turned, _ = compared(files, "--set", wrong)
-    assert turned["landmarks"]["position_rmse_m"] > 3.0 * found["landmarks"]["position_rmse_m"]
-
-
-def test_pictures_of_two_cameras_have_the_optics_of_their_own(tmp_path: Path) -> None:
-    """Pixels are bearings by the CameraInfo of the frame; two cameras of different lenses."""
-    t, angle = angles(60.0)
-    true, said = path_of(t, angle), []
-    slip = 0.05 * (angle[:, 1] - angle[:, 0]) / 2
-    said += joint_states(t, angle + np.stack((-slip, slip), axis=-1))
-    info = "sensor_msgs/msg/CameraInfo"
-    for name, x, yaw, zoom in (("front", 0.2, 0.0, 1.0), ("rear", -0.3, math.pi, 2.0)):
-        k = [zoom * FX, 0.0, CX, 0.0, zoom * FX, 240.0, 0.0, 0.0, 1.0]
-        stamp = header(T0, f"{name}_optical")
-        said += [looking(f"{name}_optical", x, yaw), Said(f"/{name}/info", info, cdr(info, header=stamp, k=k), T0)]
-        for i in range(5, len(t), 10):
-            eye, seen = se2.compose(true[i], np.array([x, 0.0, yaw])), []
-            for key, place in MAP.items():
-                ahead, left, _ = se2.between(eye, np.array([*place, 0.0]))
-                if ahead > 0.3 and abs(left) < 1.2 * ahead:
-                    seen.append({"id": key, "centre": {"x": CX - zoom * FX * left / ahead, "y": 240.0}})
-            ns = T0 + round(t[i] * S)
-            body = cdr(APRIL, header=header(ns, f"{name}_optical"), detections=seen)
-            said.append(Said(f"/{name}/tags", APRIL, body, ns + 2_000_000))
-    _, given, truth = written(tmp_path, ARUCO, aruco)
-    files = log_of(tmp_path / "both.mcap", said), given, truth
-    found, _ = compared(files, "--set", f"landmarks.sigma_bearing_deg={math.degrees(BEARING)}")
-    assert found["landmarks"]["position_rmse_m"] < 0.03
+    assert turned["position_rmse_m"] > 3.0 * both["position_rmse_m"]
 
 
 def test_info_finds_tags_and_init_asks_for_their_map(tmp_path: Path) -> None:
-    files = written(tmp_path, ARUCO, aruco)
-    said = " ".join(locfuse("info", files[0], *GEOMETRY).stdout.split())
+    log, _ = written(tmp_path, ARUCO, POSES[ARUCO])
+    said = " ".join(locfuse("info", log, *GEOMETRY).stdout.split())
     assert "ready odometry, landmarks" in said
     assert "no landmarks.map is set: where the landmarks stand is estimated (grow)" in said
-    table = locfuse("init", files[0], *GEOMETRY).stdout.partition("[landmarks]")[2].partition("\n[")[0]
-    assert 'topic = "/tags"' in table
+    table = locfuse("init", log, *GEOMETRY).stdout.partition("[landmarks]")[2].partition("\n[")[0]
+    assert 'topic = "/camera/tags"' in table
     assert "# map =" in table
 
 
 def test_an_unknown_map_is_made_saved_and_used(tmp_path: Path) -> None:
     """Places are states: the robot is held by what it has seen itself, and the map that is left is true."""
-    files = written(tmp_path, ARUCO, aruco)
-    grow = ("--set", "landmarks.map=grow", "--set", "landmarks.range_offset=0")
-    found, _ = compared(files, *grow)
+    files = written(tmp_path, ARUCO, POSES[ARUCO])
+    grow = sets("landmarks.map=grow", "landmarks.range_offset=0")
+    found, _ = compared(*files, *grow)
     assert found["landmarks"]["position_rmse_m"] < 0.1
     assert found["landmarks"]["anees"] < 2.0
     made = tmp_path / "made.csv"
@@ -329,16 +193,13 @@ def test_an_unknown_map_is_made_saved_and_used(tmp_path: Path) -> None:
     assert {int(k) for k in places} == set(MAP)
     for key, place in places.items():
         assert np.hypot(*(np.array(place) - MAP[int(key)])) < 0.15
-    again, _ = compared((files[0], made, files[2]))
+    again, _ = compared(*files, *sets(f"landmarks.map={made}"))
     assert again["landmarks"]["position_rmse_m"] < 0.15
 
 
 def test_bearings_alone_make_no_map_and_stop_no_other_sensor(tmp_path: Path) -> None:
-    log, *_ = written(tmp_path, APRIL, april, camera_info())
-    done = locfuse("compare", log, *GEOMETRY, "-v", "--no-advice", "--write", "json", "-o", tmp_path / "out")
-    assert done.exit_code == 0, done.stderr
-    said = " ".join(done.stderr.split())
-    assert "absent: landmarks: /tags says bearings only, and a map is made of ranges" in said
+    _, said = compared(*written(tmp_path, APRIL, april(np.random.default_rng(4))))
+    assert "absent: landmarks: /camera/tags says bearings only, and a map is made of ranges" in said
     assert "--set landmarks.map=landmarks.csv" in said
 
 
@@ -346,14 +207,247 @@ def test_a_camera_that_looks_down_sees_further_than_the_floor() -> None:
     """A point 2 m ahead and 1 m below a camera that looks down by 20 degrees."""
     down = math.radians(20.0)
     z, y = 2.0 * math.cos(down) + 1.0 * math.sin(down), -2.0 * math.sin(down) + 1.0 * math.cos(down)
-    one = np.array([0, 1])
-    data: dict[str, Any] = {
-        "marker_ids": Ragged(np.array([7]), one),
-        "poses.position.x": Ragged(np.array([-0.5]), one),
-        "poses.position.y": Ragged(np.array([y]), one),
-        "poses.position.z": Ragged(np.array([z]), one),
-    }
+    values = {"marker_ids": 7, "poses.position.x": -0.5, "poses.position.y": y, "poses.position.z": z}
+    data: dict[str, Any] = {name: Ragged(np.array([value]), np.array([0, 1])) for name, value in values.items()}
     found = sighted(ArrayStream("/tags", ARUCO, np.array([T0]), data), Looks(None, None, down))
     assert found.ranges is not None
     assert found.ranges[0] == pytest.approx(math.hypot(2.0, 0.5))
     assert found.bearings[0] == pytest.approx(math.atan2(0.5, 2.0))
+
+
+# --- tags as frames of /tf: a camera's numbered children, seen at every detection, beside frames that are none
+
+CAMERA = np.array([0.1, -0.05, math.radians(30.0)])  # on the base; turned, so that a forgotten mount shows
+OPTICAL, BODY = "camera_color_optical_frame", "camera_link"
+
+
+def frame(t_ns: int, parent: str, child: str, p: Iterable[float], q: Iterable[float] = (0, 0, 0, 1)) -> Any:
+    place, turn = (dict(zip("xyzw", map(float, values), strict=False)) for values in (p, q))
+    found = {"header": header(t_ns, parent), "child_frame_id": child}
+    return {**found, "transform": {"translation": place, "rotation": turn}}
+
+
+def tf(t_ns: int, *frames: Any, topic: str = "/tf") -> Said:
+    return Said(topic, TF, cdr(TF, transforms=frames), t_ns + 2_000_000)
+
+
+def mount(topic: str = "/tf_static") -> list[Said]:
+    """base_link -> camera_link (turned left) -> its optical frame."""
+    half = 0.5 * CAMERA[2]
+    link = frame(T0, "base_link", BODY, (CAMERA[0], CAMERA[1], 0.3), (0, 0, math.sin(half), math.cos(half)))
+    optical = frame(T0, BODY, OPTICAL, (0, 0, 0), TO_OPTICAL)
+    return [tf(T0 + i * S, link, optical, topic=topic) for i in range(1 if topic == "/tf_static" else 2)]
+
+
+def drive(folder: Path, names: str = "tag_{}", camera: str = OPTICAL, *more: Said) -> tuple[Path, Path]:
+    """A drive whose wheels slip in turns, past five tags; the log and the truth."""
+    t, counted, true = slipping()
+    said = [*(more or mount()), *joint_states(t, counted)]
+    for i, seen in seen_by(true, CAMERA, np.random.default_rng(1), 0.03):
+        ns = T0 + round(t[i] * S)
+        axes = [(key, (-p[1], -p[2], p[0]) if "optical" in camera else p) for key, p in seen]
+        frames = [frame(ns, camera, names.format(key), p, (0.5, 0.5, 0.5, 0.5)) for key, p in axes]
+        said += [tf(ns, *frames)] if frames else []
+        if i % 50 == 5:  # a link of the robot that has a number, and one that moves
+            arm = frame(ns, "base_link", "arm_2", (0.1, 0, 0.01 * i))
+            said.append(tf(ns, arm, frame(ns, camera, "imager_1", (0.01, 0, 0))))
+    return log_of(folder / "x.mcap", said), truth_file(folder, t, true)
+
+
+@pytest.mark.parametrize("names", ["tag_{}", "tag36h11:{}", "marker_{}", "robot1/aruco_{}"])
+def test_tags_as_frames_hold_the_robot(names: str, tmp_path: Path) -> None:
+    """By their names alone, the camera's place by /tf_static: only the map is told."""
+    found, _ = compared(*drive(tmp_path, names), *sets(f"landmarks.map={map_file(tmp_path)}"))
+    assert found["odometry"]["position_rmse_m"] > 0.25
+    assert found["landmarks"]["position_rmse_m"] < 0.06
+    assert found["landmarks"]["heading_rmse_deg"] < 0.5 * found["odometry"]["heading_rmse_deg"]
+
+
+def test_a_camera_frame_whose_z_axis_is_up_and_that_only_tf_places(tmp_path: Path) -> None:
+    """As ROS 1 writes it: x ahead, the mount on /tf."""
+    files = drive(tmp_path, "tag_{}", BODY, *mount("/tf"))
+    found, _ = compared(*files, *sets(f"landmarks.map={map_file(tmp_path)}"))
+    assert found["landmarks"]["position_rmse_m"] < 0.06
+
+
+def test_info_finds_the_tags_and_init_writes_them_with_their_camera(tmp_path: Path) -> None:
+    log, _ = drive(tmp_path)
+    said = " ".join(locfuse("info", log, *GEOMETRY).stdout.split())
+    assert f"/tf:{OPTICAL}:tags" in said
+    assert "no landmarks.map is set: where the landmarks stand is estimated (grow)" in said
+    table = locfuse("init", log, *GEOMETRY).stdout.partition("[landmarks]")[2].partition("\n[")[0]
+    assert f'topic = "/tf:{OPTICAL}:tags"' in table
+    assert "# map =" in table
+    again = locfuse("init", log, *GEOMETRY, "--set", "landmarks.map=grow").stdout
+    table = again.partition("[landmarks]")[2].partition("\n[")[0]
+    assert "\nyaw_deg = 30.0\n" in table
+    assert "\nx = 0.1\n" in table
+
+
+def test_a_map_of_the_tags_is_made_where_nobody_knows_it(tmp_path: Path) -> None:
+    found, _ = compared(*drive(tmp_path), *sets("landmarks.map=grow", "landmarks.range_offset=0"))
+    assert found["landmarks"]["position_rmse_m"] < 0.1
+
+
+def test_a_frame_that_is_published_again_was_not_seen_again(tmp_path: Path) -> None:
+    frames = [frame(T0 + i * S, OPTICAL, "tag_3", (0.0, 0.0, 1.0 + i // 3)) for i in range(9)]
+    log = log_of(tmp_path / "x.mcap", [tf(T0 + i * S, one) for i, one in enumerate(frames)])
+    stream = open_log([log]).stream(f"/tf:{OPTICAL}:tags")
+    assert stream.columns("id", "z")["z"] == pytest.approx([1.0, 2.0, 3.0])
+    assert dict(stream.dropped) == {"repeat": 6}
+    assert (stream.t_ns - T0).tolist() == [0, 3 * S, 6 * S]
+
+
+@pytest.mark.parametrize(
+    ("parent", "children", "speed"),
+    [
+        ("base_link", ("tag_1", "tag_2"), 0.1),  # no camera
+        (OPTICAL, ("imager_1", "imager_2"), 0.1),  # links
+        (OPTICAL, ("tag_1",), 0.1),  # a single one may be anything
+        (OPTICAL, ("tag", "marker"), 0.1),  # no number
+        ("ceiling_camera", ("tag_1", "tag_2"), 0.1),  # a camera in the room, by /tf_static
+        (OPTICAL, ("tag_1", "tag_2"), 0.0),  # calibration targets on the robot never move in the camera
+    ],
+)
+def test_other_frames_are_no_tags(parent: str, children: tuple[str, ...], speed: float, tmp_path: Path) -> None:
+    seen = [
+        tf(ns, *(frame(ns, parent, c, (speed * i, k, 1)) for k, c in enumerate(children)))
+        for i, ns in enumerate(range(T0, T0 + 5 * S, S // 10))
+    ]
+    room = tf(T0, frame(T0, "world", "ceiling_camera", (0, 0, 3)), topic="/tf_static")
+    log = log_of(tmp_path / "x.mcap", [room, *mount(), *joint_states(*angles(10.0)), *seen])
+    assert ":tags" not in locfuse("info", log, *GEOMETRY).stdout
+    words = (*sets("landmarks.map=grow"), "--sensors", "landmarks", "-o", tmp_path / "o")
+    assert locfuse("run", log, *GEOMETRY, *words).exit_code == 1
+
+
+def test_numbers_of_frames() -> None:
+    names = ("tag_3", "tag36h11:5", "ar_marker_12", "camera", "tag_3_link")
+    assert [number_of(name) for name in names] == [3, 5, 12, None, None]
+    assert not any(map(named_as_tag, ("stage/camera_2", "stage_2", "tag", "arm_2")))
+    assert all(map(named_as_tag, ("apriltag3", "36h11:5", "robot/tags_2", "AR_marker_1")))
+
+
+# --- detections of vision_msgs, whose releases call one thing by several names, and of two detectors at once
+
+LOOKS = Looks(FX, CX, 0.0)
+NUMBERED = "int64 id\nfloat64 score\n"  # ROS 1
+NAMED = "string id\nfloat64 score\n"  # ROS 2, to Foxy
+NESTED = "vision_msgs/ObjectHypothesis hypothesis\n"  # since Galactic
+HYPOTHESIS = "string class_id\nfloat64 score\n"
+PLANE, POINTED = "geometry_msgs/Pose2D center\n", "vision_msgs/Pose2D center\n"  # to Galactic, since Humble
+TAGS = {3: (-1.0, 2.0), 12: (0.5, 4.0)}  # id -> to the right and ahead of the camera, m
+
+
+def release(results: str, centre: str, tracked: bool) -> Any:
+    """The types of one release, in a store of their own."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    own = "string id\n" if tracked else ""
+    types = {
+        "ObjectHypothesis": HYPOTHESIS,
+        "ObjectHypothesisWithPose": results,
+        "Point2D": "float64 x\nfloat64 y\n",
+        "Pose2D": "vision_msgs/Point2D position\nfloat64 theta\n",
+        "BoundingBox2D": f"{centre}float64 size_x\nfloat64 size_y\n",
+        "BoundingBox3D": "geometry_msgs/Pose center\ngeometry_msgs/Vector3 size\n",
+        **{
+            f"Detection{d}D": "std_msgs/Header header\nvision_msgs/ObjectHypothesisWithPose[] results\n"
+            f"vision_msgs/BoundingBox{d}D bbox\n{own}"
+            for d in (2, 3)
+        },
+        **{
+            f"Detection{d}DArray": f"std_msgs/Header header\nvision_msgs/Detection{d}D[] detections\n"
+            for d in (2, 3)
+        },
+    }
+    for name in types:
+        store.types.pop(f"vision_msgs/msg/{name}", None)
+        store.fielddefs.pop(f"vision_msgs/msg/{name}", None)
+    for name, text in types.items():
+        store.register(get_types_from_msg(text, f"vision_msgs/msg/{name}"))
+    return store
+
+
+def hypothesis(results: str, tag: int) -> dict[str, Any]:
+    if results == NESTED:
+        return {"hypothesis": {"class_id": f"tag36h11:{tag}"}}
+    return {"id": tag if results == NUMBERED else str(tag)}
+
+
+def seen(tmp_path: Path, d: int, store: Any, detections: list[list[dict[str, Any]]]) -> Sighted:
+    """What is read of messages with these detections, one message a second."""
+    kind = f"vision_msgs/msg/Detection{d}DArray"
+    with (tmp_path / "x.mcap").open("wb") as file:
+        writer: Any = Writer(file)
+        writer.start()
+        text = store.generate_msgdef(kind, ros_version=2)[0].encode()
+        channel = writer.register_channel("/tags", "cdr", writer.register_schema(kind, "ros2msg", text))
+        for i, found in enumerate(detections):
+            at = T0 + i * S
+            message = build(kind, store, header=header(at, "camera"), detections=found)
+            writer.add_message(channel, at, bytes(store.serialize_cdr(message, kind)), at)
+        writer.finish()
+    return sighted(open_log([tmp_path / "x.mcap"]).stream("/tags"), LOOKS)
+
+
+RELEASES = pytest.mark.parametrize(
+    ("results", "centre", "tracked"),
+    [(NUMBERED, PLANE, False), (NAMED, PLANE, False), (NESTED, PLANE, False), (NESTED, POINTED, True)],
+    ids=["ROS 1", "Foxy", "Galactic", "Humble"],
+)
+
+
+@RELEASES
+def test_tags_in_the_picture_are_read_from_every_release(
+    results: str, centre: str, tracked: bool, tmp_path: Path
+) -> None:
+    """A point to the right of the middle of the picture has a negative bearing: -atan2(right, ahead)."""
+    boxes = []
+    for tag, (right, ahead) in TAGS.items():
+        u = CX + FX * right / ahead
+        middle = {"position": {"x": u}} if centre == POINTED else {"x": u}
+        boxes.append({"results": [hypothesis(results, tag)], "bbox": {"center": middle}})
+    found = seen(tmp_path, 2, release(results, centre, tracked), [boxes, boxes[1:], []])
+    assert found.ids.tolist() == [3, 12, 12]
+    assert ((found.t_ns - T0) // S).tolist() == [0, 0, 1]
+    bearings = [-math.atan2(*TAGS[tag]) for tag in (3, 12, 12)]
+    np.testing.assert_allclose(found.bearings, bearings, atol=1e-12)
+    assert found.ranges is None
+
+
+@RELEASES
+def test_tags_with_their_places_are_read_from_every_release(
+    results: str, centre: str, tracked: bool, tmp_path: Path
+) -> None:
+    tags = [
+        {"results": [hypothesis(results, tag)], "bbox": {"center": {"position": {"x": right, "z": ahead}}}}
+        for tag, (right, ahead) in TAGS.items()
+    ]
+    found = seen(tmp_path, 3, release(results, centre, tracked), [tags, tags])
+    assert found.ids.tolist() == [3, 12] * 2
+    assert found.ranges is not None
+    np.testing.assert_allclose(found.ranges, [math.hypot(*place) for place in TAGS.values()] * 2, atol=1e-12)
+
+
+def test_an_id_of_a_tracker_comes_before_the_class(tmp_path: Path) -> None:
+    tag = {"id": "7", "results": [hypothesis(NESTED, 3)], "bbox": {"center": {"position": {"z": 2.0}}}}
+    assert seen(tmp_path, 3, release(NESTED, POINTED, True), [[tag]]).ids.tolist() == [7]
+
+
+def test_objects_whose_classes_are_words_are_no_landmarks(tmp_path: Path) -> None:
+    chair = {"results": [{"hypothesis": {"class_id": "chair"}}], "bbox": {"center": {"position": {"z": 2.0}}}}
+    assert seen(tmp_path, 3, release(NESTED, POINTED, True), [[chair]]).ids.tolist() == [NO_ID]
+
+
+def test_a_field_whose_own_name_holds_the_bar_between_names_is_still_found() -> None:
+    message = Structure("odd", {"a|b": Scalar("f8", 8), "b": Scalar("i4", 4), "c|": Scalar("u1", 1)})
+    assert [resolve(message, path)[0].path for path in ("a|b", "c|", "x|b")] == ["a|b", "c|", "b"]
+
+
+def test_a_detector_in_doubt_is_refused(tmp_path: Path) -> None:
+    """Two hypotheses of one detection and none of the next: as many ids as places, and none is anybody's."""
+    doubt = {"results": [hypothesis(NAMED, 1), hypothesis(NAMED, 2)], "bbox": {"center": {"x": 300.0}}}
+    found = {"results": [hypothesis(NAMED, 1)], "bbox": {"center": {"x": 300.0}}}
+    nothing: dict[str, Any] = {"results": [], "bbox": {"center": {"x": 310.0}}}
+    with pytest.raises(LocfuseError, match="3 ids and 3 places: no way to tell which is whose"):
+        seen(tmp_path, 2, release(NAMED, PLANE, False), [[doubt], [found, nothing]])

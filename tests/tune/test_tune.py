@@ -17,7 +17,7 @@ from commands import locfuse
 from msgspec.structs import replace
 from scipy.stats import norm
 from trap_logs import Drive as LogDrive
-from traps_sensors import elsewhere
+from traps import elsewhere
 
 from locfuse.cli.analysis.load import find_log, load
 from locfuse.cli.analysis.settings import LogOptions

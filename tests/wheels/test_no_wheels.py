@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from bags import real_log, write
 from commands import locfuse
-from laser_room import PERIOD, ROOM, circle, ranges_of, scans_of
+from laser_room import PERIOD, ROOM, circle, ranges_of, scan_stream, scans_of
 from msgspec.structs import replace
 from ring_drive import box
-from scan_streams import scan_stream
 from wheel_bags import stamps
 
 import locfuse as locfuse_api

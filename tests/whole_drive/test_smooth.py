@@ -12,8 +12,8 @@ import six_sensors
 import small_drive
 from lock_step import simulated
 from msgspec.structs import replace
+from rows import Told, correct, step
 from textbook import TextbookEkf, move, numeric_jacobian, wrap
-from told import Told, correct, step
 from worlds import World
 
 import locfuse
@@ -350,7 +350,7 @@ def test_every_way_to_change_a_belief_is_noted_or_needs_no_note() -> None:
         "keeps",
     }  # the equation, not the state
     of_the_kernel = {"move", "correct_queued", "turn_frame", "copy_pose", "replace", "loosen_states"}
-    of_the_kernel |= {"hold", "hold_rows", "hold_room", "drift"}
+    of_the_kernel |= {"hold", "hold_rows", "drift"}
     reading = {"x", "y", "theta", "pose", "triangle", "state", "covariance", "matrix", "block", "variances"}
     reading |= {"spread", "variance", "frame_pose", "frame_covariance", "located", "fit", "fit_of"}
     reading |= {"equation", "framed"}

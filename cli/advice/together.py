@@ -1,0 +1,101 @@
+"""Several logs of one robot: what each shows, its figures under common settings, and the result for a report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, cast
+
+import msgspec
+
+from locfuse.cli.analysis.load import Loaded
+from locfuse.cli.analysis.settings import Progress
+from locfuse.formats.visible import writable
+from locfuse.fusion.checks.together import Common, Look, Shown, Step, asked, shown
+from locfuse.fusion.checks.tried import Fixes
+from locfuse.fusion.data import Estimates
+from locfuse.fusion.judge.evaluate import Align, evaluate
+
+from .evaluator import may_judge, standard
+from .report import FIXES_FILE, fixes_file, score
+from .trial import Trial, marks_of
+
+MAX_TRIED_LOGS = 12  # of one robot, spread evenly over its logs
+# names of logs, settings -> by log, then by settings
+LooksOf = Callable[[Sequence[str], Sequence[Fixes]], Mapping[str, Mapping[Fixes, Look]]]
+
+
+def looks(loaded: Loaded, sets: Sequence[Fixes], align: str, progress: Progress) -> dict[Fixes, Look]:
+    """Return what a log shows under each of several settings that fit it, fused over the whole drive."""
+    if not may_judge(loaded):
+        return {}
+    trial = Trial(loaded, {c.name: c for c in standard(loaded)}, align, progress)
+    sensors = {name: tuple(c.sensors) for name, c in trial.configurations.items()}
+    found = {}
+    for fixes in sets:
+        progress(f"trying {' '.join(fixes) or 'the settings as they are'}")
+        whole = trial.whole_under(fixes)
+        if whole is None:
+            continue
+        runs = [e for name in sensors if (e := trial.fused(whole, name)) is not None]
+        if whole.drive.truth is None:
+            marks = trial.on_whole(fixes, [e.name for e in runs])
+        else:
+            judged = [evaluate(e, whole.drive, cast("Align", align)) for e in runs]
+            marks = {e.name: marks_of(e, j, whole.drive) for e, j in zip(runs, judged, strict=True)}
+        found[fixes] = Look(shown(whole.drive, whole.robot, runs), sensors, marks)
+    return found
+
+
+def numbers_of(loaded: Loaded, runs: Sequence[Estimates] = ()) -> dict[str, Any] | None:
+    """Return what a log shows of its robot for its report; None where it cannot be judged."""
+    if loaded.spoils or loaded.drive.wheels.stands or not may_judge(loaded):
+        return None
+    found: dict[str, Any] = msgspec.to_builtins(shown(loaded.drive, loaded.robot, runs))
+    return found
+
+
+def ask(logs: Mapping[str, Mapping[str, Any]], look: LooksOf) -> dict[str, Any]:
+    """Return the common numbers and settings of logs of one robot, by their `numbers_of`, for a summary.
+
+    Settings are tried on at most MAX_TRIED_LOGS logs.
+    """
+    step = max(1.0, len(logs) / MAX_TRIED_LOGS)
+    chosen = [list(logs)[int(i * step)] for i in range(min(len(logs), MAX_TRIED_LOGS))]
+    found = asked({log: msgspec.convert(values, Shown) for log, values in logs.items()}, partial(look, chosen))
+    return {
+        "logs": list(logs),
+        "values": [_value(one) for one in found.common],
+        "fixes": [] if found.fix is None else list(found.fix.fixes),
+        "tried": [_tried(step) for step in (*filter(None, (found.fix,)), *found.refused)],
+    }
+
+
+def fixes_files(robots: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Return fixes.toml, or fixes-ROBOT.toml of each named robot, none where nothing helps."""
+    return {
+        name: text
+        for robot in robots
+        for name, text in fixes_file(
+            robot, f"fixes-{writable(robot['robot'])}.toml" if robot["robot"] else FIXES_FILE
+        ).items()
+    }
+
+
+def here(logs: Mapping[str, Loaded], align: str, progress: Progress) -> LooksOf:
+    """Return how to look at logs in this process."""
+    return lambda names, sets: {name: looks(logs[name], sets, align, progress) for name in names}
+
+
+def _value(one: Common) -> dict[str, Any]:
+    return {**msgspec.to_builtins(one), "off": one.off, "words": one.words}
+
+
+def _tried(step: Step) -> dict[str, Any]:
+    return {
+        "fixes": list(step.fixes),
+        "helps": step.helps,
+        "configuration": step.configuration,
+        "logs": {log: {"before": score(one), "after": score(other)} for log, (one, other) in step.pairs.items()},
+        "worse": list(step.losers),
+    }

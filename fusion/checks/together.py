@@ -1,0 +1,378 @@
+"""Several logs of one robot asked together: one lag, one track, one mount, with the spread over the logs.
+
+Each log shows numbers with their standard deviations (`shown`), also where they are as configured. A number is
+common where the logs agree on it, but for a few that are named; its standard deviation holds what the logs scatter
+beyond their own (random effects: DerSimonian & Laird, Controlled Clinical Trials 1986). Of clocks the differences
+are pooled, so that all logs accuse the same one. A common setting is a fix if no log loses by it and most gain.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from statistics import fmean
+
+import msgspec
+from msgspec import field
+
+from locfuse.fusion.data import BASES, Drive, Estimates
+from locfuse.fusion.robot import Robot
+
+from .clocks import MIN_LAG_S, Pair, differences, explained, wrong_clocks
+from .lag import SAID_SIGMAS, Lag
+from .laser import laser_motion
+from .probes import MIN_SCALE, MOUNT_KEYS, path_scale
+from .tried import MIN_GAIN, MIN_GAIN_NATS, Fixes, Marks, gain, improves, keys, ruins, spoils, together
+from .truth import axle_path, swing, wheels_metre
+from .turning import aligned, observed_track, turnings, turns_by_truth
+
+LASER, CLOCK = "lrf", "time_offset"
+EVERY = {"wheels", "truth"}  # roles whose settings move every configuration
+SIGMAS = 4.0  # of their difference: two logs that are further apart disagree
+MAX_APART_SHARE = 0.25  # of the logs; of three one: with more that disagree there is no common value
+# by the end of a key: digits, unit, difference of two logs that agree whatever their sigmas, error that is none
+SCALES = {
+    CLOCK: ("z.3f", " s", 0.03, MIN_LAG_S),
+    "x": ("z.3f", " m", 0.01, 0.004),
+    "y": ("z.3f", " m", 0.01, 0.004),
+    "yaw_deg": ("z.2f", "°", 0.5, 0.2),
+}
+RELATIVE = {  # the same, the last two of the configured value
+    "track": (".4g", " m", 0.03, 0.01),
+    "radius": (".4g", " m", 0.02, 0.01),
+    "range_scale": (".4g", "", 0.01, 0.005),
+}
+CLASSES = ("radius range_scale", "track", "x y yaw_deg")  # ends of keys; an earlier one looks like a later one
+MAX_ANEES = 50.0  # above, it only says that the noise is wrong
+MAX_STEPS = 6  # fixes of one robot
+
+
+class Number(msgspec.Struct, frozen=True):
+    """A number of robot.toml as one log shows it, in the unit of its key."""
+
+    value: float
+    sigma: float
+    now: float = 0.0  # as configured
+
+
+class Shown(msgspec.Struct, frozen=True):
+    """What one log shows of its robot."""
+
+    settings: dict[str, Number] = field(default_factory=dict)  # "wheels.track" -> its value
+    lags: dict[str, Number] = field(default_factory=dict)  # "gyro wheels" -> s to add to the stamps of the first
+    clocks: dict[str, float] = field(default_factory=dict)  # "gyro" -> its time_offset as configured [s]
+
+
+class Common(msgspec.Struct, frozen=True):
+    """A number over several logs; `value` is None where they differ."""
+
+    key: str
+    now: float  # as configured
+    each: dict[str, float]  # log -> its own value
+    value: float | None = None
+    sigma: float = 0.0
+    apart: dict[str, float] = field(default_factory=dict)  # log that disagrees -> by how many sigmas
+
+    @property
+    def off(self) -> bool:
+        """Whether the logs surely show another value than the configured one."""
+        return self.value is not None and abs(self.value - self.now) > max(
+            SIGMAS * self.sigma, _scale(self.key, self.now)[3]
+        )
+
+    @property
+    def setting(self) -> str:
+        """The value as a setting."""
+        return f"{self.key}={format(self.value or 0.0, _scale(self.key, self.now)[0])}"
+
+    @property
+    def words(self) -> str:
+        """The value, its spread, and who disagrees: "lrf.time_offset = 0.17 s in 6 logs (0.16 to 0.19)"."""
+        digits, unit, *_ = _scale(self.key, self.now)
+        each = {log: f"{format(value, digits)}{unit}" for log, value in self.each.items()}
+        if self.value is None:
+            listed = ", ".join(f"{log} {value}" for log, value in each.items())
+            first, _, second = self.key.partition(f".{CLOCK}")[0].partition(" ")
+            what = f"the time between {first} and {second}" if second else self.key
+            return f"{what} differs between the logs, so there is no common value: {listed}"
+        agreeing = [value for log, value in self.each.items() if log not in self.apart]
+        low, high, common = (format(value, digits) for value in (min(agreeing), max(agreeing), self.value))
+        words = f"{self.key} = {common}{unit} in {len(agreeing)} logs ({low} to {high}; 1 sigma {self.sigma:.1g})"
+        words += "".join(f"; {log} disagrees: {each[log]} ({n:.0f} sigma)" for log, n in self.apart.items())
+        return f"{words}; configured {self.now:g}{unit}" if self.off else words
+
+
+class Look(msgspec.Struct, frozen=True):
+    """One log under some settings: what it shows, and the figures of its configurations."""
+
+    shown: Shown
+    sensors: dict[str, tuple[str, ...]] = field(default_factory=dict)  # of every configuration
+    marks: dict[str, Marks] = field(default_factory=dict)  # of those that could be fused
+
+
+class Step(msgspec.Struct, frozen=True):
+    """A common setting that was tried on every log."""
+
+    fixes: Fixes
+    configuration: str = ""  # the one that gains most
+    pairs: dict[str, tuple[Marks, Marks]] = field(default_factory=dict)  # log -> its figures before and after
+    losers: tuple[str, ...] = ()  # logs in which something gets worse
+    helps: bool = False
+    worth: float = 0.0
+
+
+class Together(msgspec.Struct, frozen=True):
+    """The numbers of several logs of one robot, and the settings that were tried on all of them."""
+
+    common: tuple[Common, ...] = ()
+    fix: Step | None = None  # all settings that help, together
+    refused: tuple[Step, ...] = ()
+
+
+Looks = Callable[[Sequence[Fixes]], Mapping[str, Mapping[Fixes, Look]]]  # settings -> by log, then by settings
+
+
+def shown(drive: Drive, robot: Robot, runs: Sequence[Estimates] = ()) -> Shown:
+    """Return the numbers that a drive shows; those of states by the `runs` of the filter."""
+    wheels, found = robot.wheels, dict[str, Number]()
+    by_sensor, lrf = turnings(drive), drive.measurements.get(LASER)
+    motion = None
+    if lrf is not None and len(lrf.t) > 20 and drive.wheels.matched is None and turns_by_truth(drive) is None:
+        motion = laser_motion(lrf, aligned(lrf, by_sensor.get(LASER)), drive, robot)
+    track = observed_track(wheels.track or 0.0, drive, by_sensor, motion)
+    if track is not None and wheels.track and wheels.radius:
+        slips = 0.0 if motion is None else track[0] * motion.by_slips
+        found["wheels.track"] = Number(track[0], max(track[1], slips), wheels.track)
+    scale = wheels_metre(drive)
+    if scale is not None and wheels.radius:
+        found["wheels.radius"] = Number(wheels.radius * scale[0], wheels.radius * scale[1], wheels.radius)
+    swings = None if drive.truth is None else swing(drive.truth, drive, axle_path(drive.truth, drive.wheels))
+    if swings is not None and drive.truth is not None:
+        for i, key in enumerate(("truth.x", "truth.y")):
+            found[key] = Number(float(swings.x[i]), float(swings.sigma[i]), drive.truth.point[i])
+    for e in (e for e in runs if len(e.sensors) == 1 and not e.smoothed and not e.lost):
+        found |= _mount(e, robot)
+        ratio = path_scale(e, drive) if e.sensors == (LASER,) else None
+        if ratio is not None:
+            now = float(robot.settings(LASER).range_scale)
+            found["lrf.range_scale"] = Number(now * ratio, now * MIN_SCALE, now)
+    lags = {
+        " ".join(pair): Number(float(lag.offset), float(lag.sigma))
+        for pair, lag in differences(drive, robot, runs).items()
+    }
+    tables = {name: getattr(robot, name) if name in EVERY else robot.settings(name) for name in _names(lags)}
+    known = {k: Number(*map(float, (n.value, n.sigma, n.now))) for k, n in found.items() if math.isfinite(n.sigma)}
+    return Shown(known, lags, {name: float(table.time_offset) for name, table in tables.items()})
+
+
+def _names(pairs: Iterable[str]) -> list[str]:
+    return sorted({name for pair in pairs for name in pair.split()})
+
+
+def _mount(e: Estimates, robot: Robot) -> dict[str, Number]:
+    """Return the mount of a run's only sensor, where it is a state."""
+    (sensor,), found = e.sensors, {}
+    for part, (key, scale) in MOUNT_KEYS.items():
+        if (name := f"{sensor}_{part}") in e.blocks:
+            value, sigma = (scale * float(block[name][-1, 0]) for block in (e.blocks, e.block_sigmas))
+            found[f"{sensor}.{key}"] = Number(value, sigma, float(getattr(robot.settings(sensor), key)))
+    return found
+
+
+def _scale(key: str, now: float) -> tuple[str, str, float, float]:
+    """Return a key's digits and unit, by how much logs may differ, and the smallest error that is named."""
+    end = key.rpartition(".")[2]
+    if end in SCALES:
+        return SCALES[end]
+    digits, unit, close, least = RELATIVE[end]
+    return digits, unit, close * abs(now), least * abs(now)
+
+
+def common(key: str, numbers: Mapping[str, Number]) -> Common:
+    """Return the value on which most logs agree, one at least of every four may not; else one without a value."""
+    logs, each = list(numbers), {log: n.value for log, n in numbers.items()}
+    now = numbers[logs[0]].now
+    if any(not math.isclose(n.now, now, abs_tol=1e-9) for n in numbers.values()):
+        return Common(key, now, each)  # configured differently: not one robot
+    close = _scale(key, now)[2]
+
+    def near(one: Number, other: Number) -> bool:
+        return abs(one.value - other.value) <= max(close, SIGMAS * math.hypot(one.sigma, other.sigma))
+
+    sets = [[log for log in logs if near(numbers[log], numbers[middle])] for middle in logs]
+    agreeing = max(sets, key=len)
+    if len(logs) - len(agreeing) > (max(1, int(MAX_APART_SHARE * len(logs))) if len(logs) > 2 else 0):
+        return Common(key, now, each)
+    value, sigma, scatter = _pooled([numbers[log] for log in agreeing])
+    apart = {
+        log: abs(n.value - value) / math.hypot(n.sigma, sigma, scatter)
+        for log, n in numbers.items()
+        if log not in agreeing
+    }
+    return Common(key, now, each, value, sigma, apart)
+
+
+def _pooled(numbers: Sequence[Number]) -> tuple[float, float, float]:
+    """Return the weighted mean, its sigma, and the standard deviation of the logs beyond their own sigmas."""
+    variances = [max(n.sigma, 1e-6) ** 2 for n in numbers]
+    scatter = 0.0
+    for _ in range(2):
+        w = [1.0 / (v + scatter) for v in variances]
+        mean = sum(a * n.value for a, n in zip(w, numbers, strict=True)) / sum(w)
+        if scatter > 0.0 or len(numbers) < 2:
+            break
+        excess = sum(a * (n.value - mean) ** 2 for a, n in zip(w, numbers, strict=True)) - (len(numbers) - 1)
+        scatter = max(0.0, excess / (sum(w) - sum(a * a for a in w) / sum(w)))
+    return mean, sum(w) ** -0.5, math.sqrt(scatter)
+
+
+def settings_of(logs: Mapping[str, Shown]) -> list[Common]:
+    """Return the settings that at least two logs show, without the clocks."""
+    found = dict.fromkeys(key for one in logs.values() for key in one.settings)
+    by_key = {key: {log: s.settings[key] for log, s in logs.items() if key in s.settings} for key in found}
+    return [common(key, numbers) for key, numbers in by_key.items() if len(numbers) > 1]
+
+
+def lags_of(logs: Mapping[str, Shown]) -> list[Common]:
+    """Return the differences of two clocks that at least two logs show."""
+    names = dict.fromkeys(pair for one in logs.values() for pair in one.lags)
+    by_pair = {name: {log: s.lags[name] for log, s in logs.items() if name in s.lags} for name in names}
+    return [common(f"{name}.{CLOCK}", numbers) for name, numbers in by_pair.items() if len(numbers) > 1]
+
+
+def clocks_of(logs: Mapping[str, Shown]) -> list[tuple[Common, ...]]:
+    """Return which clocks are off by all logs together, the best explanation first; [] for none.
+
+    Differences on which the logs do not agree are left out: a truth may be late by another time in every log.
+    """
+    pairs: dict[Pair, Lag] = {}
+    for found in lags_of(logs):
+        if found.value is not None:
+            first, second = found.key.partition(".")[0].split()
+            pairs[first, second] = Lag(found.value, 1.0, 1.0, found.sigma)
+    explanations = [tuple(c.name for c in clocks) for clocks in wrong_clocks(pairs, SAID_SIGMAS)]
+    return [tuple(common(*one) for one in _offsets(off, pairs, logs)) for off in explanations]
+
+
+def _offsets(
+    off: Sequence[str], pairs: Mapping[Pair, Lag], logs: Mapping[str, Shown]
+) -> list[tuple[str, dict[str, Number]]]:
+    """Return the settings of clocks that are off, by each log."""
+    found: dict[str, dict[str, Number]] = {name: {} for name in off}
+    for log, one in logs.items():
+        own = {p: n for p in pairs if (n := one.lags.get(" ".join(p))) is not None}
+        lags = {p: Lag(n.value, 1.0, 1.0, n.sigma) for p, n in own.items()}
+        for clock in explained(lags, {p: n.sigma for p, n in own.items()}, off)[1] if own else ():
+            now = one.clocks[clock.name]
+            found[clock.name][log] = Number(now + clock.offset, clock.sigma, now)
+    return [(f"{name}.{CLOCK}", numbers) for name, numbers in found.items() if numbers]
+
+
+def asked(first: Mapping[str, Shown], look: Looks) -> Together:
+    """Return the common numbers of logs of one robot, and the settings that help all of them.
+
+    The best setting of the first class that has one is kept; then all logs are measured again.
+    """
+    clocks = [c for explanation in clocks_of(first)[:1] for c in explanation]
+    every = (*clocks, *(lag for lag in lags_of(first) if lag.value is None), *settings_of(first))
+    kept: Fixes = ()
+    logs, seen, apart = first, dict[str, dict[Fixes, Look]](), set[str]()
+    for _ in range(MAX_STEPS):
+        offers = [{f: of for f, of in group.items() if together(kept, f) != kept} for group in _offers(logs)]
+        sets = [kept, *(together(kept, fixes) for group in offers for fixes in group)]
+        refused: list[Step] = []
+        if len(sets) == 1:
+            break
+        for log, looks in look(list(dict.fromkeys(sets))).items():
+            seen.setdefault(log, {}).update(looks)
+        best: Step | None = None
+        for group in offers:
+            steps = [judged(fixes, kept, seen, of) for fixes, of in group.items()]
+            refused += (step for step in steps if not keys(step.fixes) <= keys(kept))
+            best = max((step for step in steps if step.helps), key=lambda step: step.worth, default=None)
+            if best is not None:
+                break
+        if best is None:
+            break
+        apart |= next(group[best.fixes] for group in offers if best.fixes in group)
+        kept = together(kept, best.fixes)
+        logs = {log: looks[kept].shown for log, looks in seen.items() if kept in looks}
+    whole = judged(kept, (), seen, apart)
+    return Together(tuple(every), whole if whole.helps else None, tuple(step for step in refused if step.pairs))
+
+
+def _offers(logs: Mapping[str, Shown]) -> list[dict[Fixes, set[str]]]:
+    """Return by class the settings that are surely off, with the logs that disagree about them.
+
+    Last come all of them together: several faults may hide what each of their fixes does.
+    """
+    off = [c for c in settings_of(logs) if c.off]
+    classes = [[clocks for clocks in clocks_of(logs) if all(c.off for c in clocks)]]
+    for ends in CLASSES:
+        of_class = [c for c in off if c.key.rpartition(".")[2] in ends.split()]
+        roles = dict.fromkeys(c.key.partition(".")[0] for c in of_class)
+        groups = [tuple(c for c in of_class if c.key.partition(".")[0] == role) for role in roles]
+        classes.append([*groups, *((c,) for group in groups if len(group) > 1 for c in group)])
+    every = (*(c for clocks in classes[0][:1] for c in clocks), *off)
+    classes += [] if any(every in group for group in classes) else [[every]]
+    return [
+        {_with_track(tuple(c.setting for c in one), logs): {log for c in one for log in c.apart} for one in group}
+        for group in classes
+    ]
+
+
+def _with_track(fixes: Fixes, logs: Mapping[str, Shown]) -> Fixes:
+    """Return a wheel radius with the track that goes on turning the robot as far as it does."""
+    given = dict(fix.partition("=")[::2] for fix in fixes)
+    of = next(iter(logs.values())).settings
+    if "wheels.radius" not in given or "wheels.track" not in of:
+        return fixes
+    factor = float(given["wheels.radius"]) / of["wheels.radius"].now
+    track = float(given.get("wheels.track", of["wheels.track"].now)) * factor
+    return together(fixes, (f"wheels.track={track:.4g}",))
+
+
+def judged(fixes: Fixes, kept: Fixes, found: Mapping[str, Mapping[Fixes, Look]], apart: Iterable[str]) -> Step:
+    """Return whether settings help over all logs and make none worse; those `apart` do not count."""
+    of: dict[str, dict[str, tuple[Marks, Marks]]] = {}  # log -> configuration -> before and after
+    losers, gained = list[str](), 0
+    roles = {key.partition(".")[0] for key in keys(fixes)}
+    for log, looks in found.items():
+        one, other = looks.get(kept), looks.get(together(kept, fixes))
+        if one is None or other is None:
+            continue
+        using = [n for n in one.marks if n in other.marks and (roles & EVERY or roles & set(one.sensors[n]))]
+        if not using:
+            continue
+        pairs = of[log] = {name: _fair(one.marks[name], other.marks[name]) for name in using}
+        if log in apart:
+            continue
+        kept_by_user = {max(using, key=lambda n: len(one.sensors[n])), _best(using, one.marks)}
+        # what wheels alone do is one random walk for each log: only its mean over the logs tells
+        if any(spoils(*pairs[n]) if n in kept_by_user else n not in BASES and ruins(*pairs[n]) for n in using):
+            losers.append(log)
+        gained += any(improves(*pair) for pair in pairs.values())
+    judges = [log for log in of if log not in apart]
+    everywhere = [n for n in of[judges[0]] if all(n in of[log] for log in judges)] if judges else []
+    if not everywhere:
+        return Step(fixes)
+    gains = {name: fmean(gain(*of[log][name]) for log in judges) for name in everywhere}
+    most = max(everywhere, key=lambda name: gains[name])
+    least = MIN_GAIN if of[judges[0]][most][0].position is not None else MIN_GAIN_NATS
+    helps = not losers and 2 * gained >= len(judges) > 1 and gains[most] > least > -min(gains.values())
+    shown_by = {log: pairs[most] for log, pairs in of.items() if most in pairs}
+    return Step(fixes, most, shown_by, tuple(losers), helps, gains[most])
+
+
+def _fair(before: Marks, after: Marks) -> tuple[Marks, Marks]:
+    """Return figures to compare; an ANEES of thousands tells nothing of a setting but that the noise is wrong."""
+    if min(before.anees or 0.0, after.anees or 0.0) > MAX_ANEES:
+        return before._replace(anees=None), after._replace(anees=None)
+    return before, after
+
+
+def _best(names: Sequence[str], marks: Mapping[str, Marks]) -> str:
+    """Return the configuration with the smallest error, of those with sensors if any; without truth the first."""
+    names = [n for n in names if n not in BASES] or names
+    known = {n: p for n in names if (p := marks[n].position) is not None}
+    return min(known, key=lambda n: known[n]) if known else names[0]

@@ -1,0 +1,249 @@
+"""The first line: what a reference may say of sensors, and what a fix that was found would give."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from msgspec.structs import replace
+
+from locfuse.cli.advice.report import Advised, add_findings, add_validity, covariance, headline
+from locfuse.formats.report.findings import sentence
+from locfuse.fusion.checks.finding import Finding
+from locfuse.fusion.checks.tried import Advice
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "end"),
+    [
+        ({"lrf": "no verdict"}, "the laser itself cannot be checked."),
+        ({"lrf": "no verdict", "compass": "no verdict"}, "of the sensors nothing is sure."),
+        ({"lrf": "no effect seen"}, "of the sensors nothing is sure."),
+        ({"lrf": "helps", "compass": "no verdict"}, "the laser helps."),
+        ({"lrf": "helps", "compass": "hurts"}, "the laser helps; the compass hurts."),
+    ],
+)
+def test_a_reference_says_which_sensors_help_and_what_nobody_judges(verdicts: dict[str, str], end: str) -> None:
+    report: dict[str, Any] = {
+        "configurations": {"odometry": {"position_rmse_m": 0.052, "sensors": []}},
+        "verdicts": {sensor: {"verdict": verdict} for sensor, verdict in verdicts.items()},
+        "reference": {"sensors": ["lrf"]},
+    }
+    found = headline(report, {"odometry": ()})
+    assert found == f"Measured against a reference, not truth: odometry alone differs by 52 mm; {end}"
+
+
+@pytest.mark.parametrize(
+    ("after", "aligned", "end"),
+    [
+        (0.0035, False, "With the laser and the fixes found it is 3.5 mm."),
+        (0.0320, False, "before the fixes."),  # as good as the best without it
+        (0.0035, True, "before the fixes."),  # of the path's shape: another figure
+    ],
+)
+def test_a_sensor_that_is_good_once_its_fix_is_set_is_named(after: float, aligned: bool, end: str) -> None:
+    """A laser 0.2 s late: without its fix one would keep the compass and sell the laser."""
+    errors = {"odometry": 0.25, "compass": 0.033, "lrf": 0.058, "all": 0.055}
+    score = {"position_rmse_m": after, "aligned": aligned}
+    tried = {"configuration": "lrf", "before": {"position_rmse_m": 0.058}, "after": score}
+    report: dict[str, Any] = {
+        "configurations": {name: {"position_rmse_m": e} for name, e in errors.items()},
+        "verdicts": {"lrf": {"verdict": "hurts"}},
+        "findings": [{"fixes": ["lrf.time_offset=0"], "tried": tried}, {"fixes": [], "tried": None}],
+    }
+    sets = {"odometry": (), "compass": ("compass",), "lrf": ("lrf",), "all": ("compass", "lrf")}
+    found = headline(report, sets)
+    assert found.startswith("Keep the compass: 33 mm. With all sensors it is 55 mm before the fixes.")
+    assert found.endswith(end)
+
+
+@pytest.mark.parametrize(
+    ("compass", "camera", "end"),
+    [
+        ("hurts", "no effect seen", "the compass hurts."),
+        ("seems to hurt", "hurts", "one of the compass and the camera hurts."),
+        ("seems to help", "no effect seen", "leave the compass and the camera out."),
+    ],
+)
+def test_hurts_is_said_only_of_a_sensor_whose_verdict_says_so(compass: str, camera: str, end: str) -> None:
+    errors = {"odometry": 3.0, "lrf": 0.75, "all": 4.2}
+    report: dict[str, Any] = {
+        "configurations": {name: {"position_rmse_m": error} for name, error in errors.items()},
+        "verdicts": {"lrf": {"verdict": "helps"}, "compass": {"verdict": compass}, "camera": {"verdict": camera}},
+    }
+    found = headline(report, {"odometry": (), "lrf": ("lrf",), "all": ("lrf", "compass", "camera")})
+    assert found == f"Keep the laser: 0.75 m. With all sensors it is 4.20 m: {end}"
+
+
+def test_while_a_setting_is_surely_wrong_no_sensor_is_to_be_left_out() -> None:
+    errors = {"odometry": 0.25, "compass": 0.033, "lrf": 0.058, "all": 0.055}
+    report: dict[str, Any] = {
+        "configurations": {name: {"position_rmse_m": e} for name, e in errors.items()},
+        "verdicts": {"lrf": {"verdict": "no verdict"}},
+        "validity": [{"void": False, "message": "lrf: stamps look 0.2 s late"}],
+        "fixes": ["lrf.time_offset=-0.2"],
+    }
+    sets = {"odometry": (), "compass": ("compass",), "lrf": ("lrf",), "all": ("compass", "lrf")}
+    assert headline(report, sets) == "As configured the best is the compass: 33 mm. Set the fixes first."
+    report["configurations"]["compass-smoothed"] = {"position_rmse_m": 0.016}
+    assert (
+        headline(report, sets)
+        == "As configured the best is the compass: 33 mm, smoothed 16 mm. Set the fixes first."
+    )
+
+
+@pytest.mark.parametrize(
+    ("anees", "fixed", "sigma", "words"),
+    [
+        (2.9, None, 0.0, ""),
+        (9.0, None, 0.0, " The covariance (all) is 3.0 times too small, and no setting explains it."),
+        (9.0, 1.1, 0.0, ""),
+        (9.0, 4.0, 0.0, " The covariance (all) is still 2.0 times too small, and no setting explains it."),
+        (4235.0, None, 0.0, " ANEES (all) is over 50: set truth.sigma, the truth's own noise, to judge it."),
+        (400.0, None, 0.01, " The covariance (all) is 20.0 times too small, and no setting explains it."),
+    ],
+)
+def test_a_covariance_that_is_too_small_and_that_nothing_explains_is_said(
+    anees: float, fixed: float | None, sigma: float, words: str
+) -> None:
+    tried = {"configuration": "all", "after": {"anees": fixed}}
+    report: dict[str, Any] = {
+        "configurations": {"lrf": {"anees": 100.0}, "all": {"anees": anees}},
+        "findings": [{"fixes": ["lrf.yaw_deg=1"], "tried": tried}] if fixed else [],
+        "settings": {"truth": {"sigma": sigma}},
+    }
+    assert covariance(report, {"lrf": ("lrf",), "all": ("compass", "lrf")}) == words
+
+
+@pytest.mark.parametrize(
+    ("smoothed", "end"),
+    [
+        (0.64, "agree, in lrf-smoothed 64%, which hints that it is better. Try: --reference"),
+        (0.68, "agree, in lrf-smoothed 68%, which shows that it is better. Try: --reference"),
+        (0.50, " At places seen twice 47% of the points agree, in lrf-smoothed 50%. Try: --reference"),
+        (None, "errors cannot be measured. Try: --reference"),  # no place was seen twice
+    ],
+)
+def test_without_truth_the_places_seen_twice_judge_the_smoothed_path(smoothed: float | None, end: str) -> None:
+    rows = {"odometry": None, "lrf": 0.47, "lrf-smoothed": smoothed}
+    report = {
+        "configurations": {name: {"revisit_agreement": share} for name, share in rows.items()},
+        "verdicts": {"lrf": {"verdict": "no verdict"}},
+    }
+    assert headline(report, {"odometry": (), "lrf": ("lrf",)}).endswith(end)
+
+
+# --- what several steps of advice for one sensor become: one finding, whose words are those of what is set
+
+SURE = Finding("lrf", "lag", "late (correlation 0.9 as stamped, 0.99 shifted). It is the laser's", severe=True)
+LATE = Advice(Finding("lrf", "lag", "stamps look 0.1 s late"), ("lrf.time_offset=-0.1",))
+HIGH = Advice(Finding("lrf", "too high", "noise is set too high"), ("lrf.sigma_range=0.01",))
+LOW = Advice(Finding("lrf", "anees", "errors are 2 times what is claimed"), ("lrf.sigma_range=0.04",))
+
+
+def finding(*advice: Advice) -> Any:
+    report: dict[str, Any] = {}
+    add_findings(report, Advised(advice))
+    (found,) = report["findings"]
+    return found
+
+
+def test_steps_that_set_different_things_are_told_one_after_the_other() -> None:
+    found = finding(LATE, HIGH)
+    assert found["message"] == "stamps look 0.1 s late; then noise is set too high"
+    assert found["fixes"] == ["lrf.time_offset=-0.1", "lrf.sigma_range=0.01"]
+
+
+def test_a_step_that_is_set_otherwise_by_a_later_one_is_not_told() -> None:
+    found = finding(HIGH, LOW)
+    assert found["message"] == "errors are 2 times what is claimed"
+    assert found["fixes"] == ["lrf.sigma_range=0.04"]
+
+
+def test_a_value_that_was_measured_again_is_told_once_with_its_last_value() -> None:
+    again = Advice(Finding("lrf", "lag", "stamps look 0.01 s early"), ("lrf.time_offset=-0.09",))
+    found = finding(LATE, again)
+    assert found["message"] == "stamps look 0.1 s late"
+    assert found["fixes"] == ["lrf.time_offset=-0.09"]
+
+
+def test_a_value_that_ends_far_from_the_first_is_told_with_what_was_found_last() -> None:
+    """Words of 0.15 m beside a fix of 0.003 m would contradict each other."""
+    steps = [
+        Advice(
+            Finding("gps", "overstated", f"noise is set too high: {a} m configured, {b} m observed"),
+            (f"gps.sigma={b}",),
+        )
+        for a, b in (("1.5", "0.15"), ("0.15", "0.015"), ("0.015", "0.003"))
+    ]
+    first, last = (step.finding.message for step in (steps[0], steps[-1]))
+    found = finding(*steps)
+    assert found["message"] == f"{first}; then {last}"
+    assert found["fixes"] == ["gps.sigma=0.003"]
+
+
+def test_what_has_no_fix_stands_beside_what_has_one() -> None:
+    """Else the fix of one would seem to be that of both."""
+    report: dict[str, Any] = {}
+    open_scale = Advice(Finding("lrf", "distances", "ranges differ from the wheels'", severe=True))
+    add_findings(report, Advised((LATE, open_scale)))
+    assert [(f["code"], f["fixes"]) for f in report["findings"]] == [
+        ("lag", ["lrf.time_offset=-0.1"]),
+        ("distances", []),
+    ]
+
+
+@pytest.mark.parametrize(("harmless", "said"), [(True, "little changes"), (False, "No setting found that helps")])
+def test_what_was_tried_in_vain_says_why_it_is_not_offered(harmless: bool, said: str) -> None:
+    words = sentence(finding(Advice(HIGH.finding, tried=(HIGH.fixes,), harmless=harmless)))
+    assert words.startswith("lrf: noise is set too high. ")
+    assert "lrf.sigma_range=0.01" in words
+    assert said in words
+    assert sentence(finding(Advice(HIGH.finding))) == "lrf: noise is set too high."
+
+
+@pytest.mark.parametrize(
+    ("anees", "said"), [(0.921, "0.92"), (47.3, "47"), (50.2, "over 50"), (6.6e10, "over 50")]
+)
+def test_a_ratio_is_said_in_two_digits_and_not_where_it_says_nothing_more(anees: float, said: str) -> None:
+    score = {"lost_share": 0.0, "position_rmse_m": None, "prediction_nats": None, "anees": anees}
+    tried = {"configuration": "lrf", "before": score, "after": {**score, "anees": 1.0}}
+    words = sentence({"role": "lrf", "message": "noise", "fixes": ["lrf.sigma_range=1"], "tried": tried})
+    assert f"ANEES {said} -> 1)" in words
+
+
+def test_an_error_of_the_shape_alone_is_said_to_be_that() -> None:
+    score = {"lost_share": 0.0, "position_rmse_m": 0.0052, "aligned": True, "prediction_nats": None, "anees": None}
+    tried = {"configuration": "lrf", "before": score, "after": {**score, "position_rmse_m": 0.0036}}
+    words = sentence({"role": "lrf", "message": "late", "fixes": ["lrf.time_offset=-0.02"], "tried": tried})
+    assert "(tried with lrf: error of the path's shape 5.2 -> 3.6 mm)" in words
+
+
+@pytest.mark.parametrize(
+    ("advice", "doubt"),
+    [
+        (replace(LATE, finding=SURE), "lrf: late. All figures are without this fix: --set lrf.time_offset=-0.1"),
+        (Advice(SURE, tried=(("lrf.time_offset=-0.1",),)), "lrf: late"),
+        (Advice(SURE, tried=(("lrf.time_offset=-0.1",),), harmless=True), None),
+        (LATE, None),
+    ],
+)
+def test_figures_are_doubtful_while_something_is_surely_wrong_that_changes_them(
+    advice: Advice, doubt: str | None
+) -> None:
+    """How it was measured stands with the finding."""
+    report: dict[str, Any] = {
+        "configurations": {"lrf": {"configuration": "lrf", "sensors": {"lrf": {}}, "lost_share": 0.0}}
+    }
+    add_validity(report, Advised((advice,)), None)
+    assert [v["message"] for v in report["validity"]] == ([] if doubt is None else [doubt])
+
+
+def test_a_smoothed_run_is_void_by_the_words_of_its_filter() -> None:
+    lost = {"configuration": "all", "sensors": {}, "lost_share": 0.14, "lost": [[3.0, 10.0]], "anees": 2.0}
+    report: dict[str, Any] = {"configurations": {"all": lost, "all-smoothed": {**lost, "smoothed": True}}}
+    add_validity(report, None, None)
+    (entry,) = report["validity"]
+    assert entry["message"] == "all: lost for 14% of the drive, first at 3.0 s"
+    assert entry["configurations"] == ["all", "all-smoothed"]
+    assert all(values["anees"] is None for values in report["configurations"].values())

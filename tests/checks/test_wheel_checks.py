@@ -1,0 +1,215 @@
+"""The wheels' noise by how their turning leaves that of other sensors: held to drives whose noise is known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+from small_drive import NOISE, drive, robot
+
+from locfuse.cli.session.session import load
+from locfuse.fusion.checks.finding import Finding
+from locfuse.fusion.checks.slip import LONG_S, MAX_FACTOR, SHORT_S, of_spins, slip
+from locfuse.fusion.checks.turning import of_turning
+from locfuse.fusion.checks.unseen import unseen
+from locfuse.fusion.data import Drive
+from locfuse.sample_logs.load import load as scenario_of
+from locfuse.sample_logs.record import on_truth, write_log
+
+
+def drawn(seed: int = 0, laps: float = 2.0, compass_noise_deg: float = 1.0) -> Drive:
+    return drive(seed, robot(), ("compass",), laps=laps, compass_noise_deg=compass_noise_deg, truth=False)
+
+
+def configured(drawn: Drive, factor: float) -> Drive:
+    """The same drive under another wheels.noise."""
+    return replace(drawn, wheels=replace(drawn.wheels, noise=factor * NOISE))
+
+
+@pytest.mark.parametrize("noise_deg", [0.3, 1.0])
+@pytest.mark.parametrize("factor", [1 / 9, 1.0, 9.0])
+def test_the_noise_that_was_drawn_is_found_whatever_is_configured(factor: float, noise_deg: float) -> None:
+    """Five drives' geometric mean: one drive of 105 s knows it to a third."""
+    found = [slip(configured(drawn(seed, compass_noise_deg=noise_deg), factor)) for seed in range(5)]
+    factors = np.array([one.factor for one in found if one is not None])
+    assert len(factors) == 5
+    assert np.exp(np.log(factors).mean()) == pytest.approx(1.0 / factor, rel=0.35)
+    if factor != 1.0:
+        assert all(one.unusual for one in found if one is not None)
+
+
+def test_what_is_seen_and_expected_are_turns_over_the_long_window() -> None:
+    """On a straight 2 sqrt(v T k) / track: each wheel rolls v T."""
+    found = slip(drawn())
+    assert found is not None
+    assert found.expected == pytest.approx(np.sqrt(2.0 * 0.3 * LONG_S * NOISE) / 0.6, rel=0.1)
+    assert found.seen == pytest.approx(found.expected * np.sqrt(found.factor))
+    assert "wheels.noise says" in found.words
+
+
+def test_rare_slips_do_not_make_wheels_look_better_than_they_are() -> None:
+    """Wheels that are exact but for a slip of 5 degrees every 10 s: as much variance, and hardly ever seen."""
+    one = drawn(1, compass_noise_deg=0.05)
+    m = one.measurements["compass"]
+    jumps = np.random.default_rng(1).choice([-1.0, 1.0], 12) * np.radians(5.0)
+    turned = np.cumsum(jumps)[np.minimum((m.t // 10.0).astype(int), 11)]
+    z = (one.wheels.heading(m.t) + turned)[:, None]
+    found = slip(replace(one, measurements={"compass": replace(m, z=z)}))
+    assert found is not None
+    assert 1.0 / MAX_FACTOR <= found.factor <= 1.0
+
+
+def test_a_wrong_track_is_no_noise() -> None:
+    one = drawn(2)
+    wide = replace(one.wheels, pose=one.wheels.pose * [1.0, 1.0, 0.9])
+    right, wrong = slip(one), slip(replace(one, wheels=wide))
+    assert right is not None
+    assert wrong is not None
+    assert wrong.factor == pytest.approx(right.factor, rel=0.01)
+
+
+def test_a_short_drive_and_one_without_a_sensor_that_turns_tell_nothing() -> None:
+    short = drawn(3, laps=0.3)
+    assert short.wheels.t[-1] < 15 * LONG_S
+    assert slip(short) is None
+    assert slip(replace(drawn(3), measurements={})) is None
+
+
+def test_readings_across_a_gap_are_not_compared() -> None:
+    """Every other 3 s are missing: what lies further apart than the window is left out."""
+    one = drawn(4)
+    m = one.measurements["compass"]
+    kept = np.flatnonzero(m.t % 6.0 < 3.0)
+    found = slip(replace(one, measurements={"compass": m.take(kept)}))
+    assert found is not None
+    assert SHORT_S < LONG_S < 3.0
+    assert found.factor == pytest.approx(1.0, abs=0.6)
+
+
+def test_two_sensors_that_see_less_slip_vouch_for_the_larger_of_their_answers() -> None:
+    one = configured(drive(5, robot(), ("compass", "lrf"), laps=2.0, truth=False), 9.0)
+    alone = [slip(replace(one, measurements={name: one.measurements[name]})) for name in ("compass", "lrf")]
+    both = slip(one)
+    assert both is not None
+    assert both.agreed
+    assert both.by == "compass and lrf"
+    assert both.factor == max(found.factor for found in alone if found is not None)
+    assert all(found is not None and not found.agreed for found in alone)
+
+
+def test_sensors_that_disagree_about_slip_vouch_for_nothing() -> None:
+    """The compass' own errors wander: what it sees beyond the laser is not the wheels'."""
+    one = configured(drive(6, robot(), ("compass", "lrf"), laps=2.0, truth=False), 9.0)
+    m = one.measurements["compass"]
+    walk = np.cumsum(np.random.default_rng(6).normal(size=len(m.t))) * np.radians(1.0)
+    wandering = {**one.measurements, "compass": replace(m, z=m.z + walk[:, None])}
+    found = slip(replace(one, measurements=wandering))
+    assert found is not None
+    assert found.by == "lrf"
+    assert not found.agreed
+
+
+def test_wheels_that_spin_together_are_named_with_their_time_and_way() -> None:
+    """A path that stands still for a second, from 40 s on, while the wheels roll on at 0.3 m/s."""
+    one = drawn(3)
+    t = one.wheels.t
+    stood = np.clip(t - 40.0, 0.0, 1.0)
+    path = one.wheels.at(t - stood)[2]
+    (found,) = of_spins(one, t, path, "truth")
+    first, last, way = (float(word.strip("s,:")) for word in found.message.split() if word[0].isdigit())
+    assert first == pytest.approx(40.0, abs=1.1)
+    assert last == pytest.approx(41.0, abs=1.1)
+    assert way == pytest.approx(0.3, rel=0.15)
+    assert "farther than the truth moved" in found.message
+    assert not of_spins(one, t, path, "truth", jumps=[40.5])
+
+
+@pytest.mark.parametrize("scale", [0.9, 1.0, 1.1])
+@pytest.mark.parametrize("late_s", [0.0, 0.2])
+def test_a_wrong_radius_or_a_late_clock_is_no_spin(scale: float, late_s: float) -> None:
+    one = drawn(4)
+    t = one.wheels.t
+    path = one.wheels.at(np.maximum(t - late_s, 0.0))[2] * [scale, scale, 1.0]
+    assert not of_spins(one, t, path, "truth")
+
+
+# --- left and right exchanged, on a robot without a sensor that turns: a truth of points shows it
+
+WHEELS_ALONE = ("compass.enabled=false", "camera.enabled=false", "lrf.enabled=false")
+
+
+def found(log: Path, *sets: str, headings: bool) -> list[Finding]:
+    loaded = load(log, sets=sets).loaded
+    truth = loaded.drive.truth
+    assert truth is not None
+    drive = loaded.drive if headings else replace(loaded.drive, truth=replace(truth, theta=None))
+    return of_turning(drive, loaded.robot, {}, {"wheels": loaded.stream("wheels")})
+
+
+@pytest.mark.parametrize("headings", [False, True])
+def test_exchanged_wheels_are_named_by_their_joints_and_right_ones_are_not(tmp_path: Path, headings: bool) -> None:
+    log = tmp_path / "wheels.mcap"
+    write_log(scenario_of("rounded_rectangle", WHEELS_ALONE), 3000, on_truth, log)
+    assert found(log, headings=headings) == []
+    joints = load(log).loaded.stream("wheels").columns("name")["name"][0]
+    left, right = (next(j for j in joints if side in j) for side in ("left", "right"))
+    exchanged = (f"wheels.left={right}", f"wheels.right={left}")
+    (one,) = found(log, *exchanged, headings=headings)
+    assert (one.code, one.severe) == ("swapped", True)
+    assert set(one.fixes) == {f"wheels.left={left}", f"wheels.right={right}"}
+
+
+# --- what a drive cannot tell is named, with the manoeuvre that would; a drive that has them all is told nothing
+
+PERIOD_S = 0.05
+
+
+def drive_of(*parts: tuple[float, float, float], sensors: tuple[str, ...] = ("gyro",)) -> Any:
+    """A drive of parts: seconds, speed [m/s], turning rate [rad/s]."""
+    speed, rate = (np.concatenate([np.full(round(p[0] / PERIOD_S), p[i]) for p in parts]) for i in (1, 2))
+    t = np.arange(len(speed) + 1) * PERIOD_S
+    way, turned = (np.append(0.0, np.cumsum(v) * PERIOD_S) for v in (speed, rate))
+    wheels = SimpleNamespace(
+        t=t, heading=lambda at: np.interp(at, t, turned), driven=lambda at: np.interp(at, t, way)
+    )
+    return SimpleNamespace(wheels=wheels, measurements=dict.fromkeys(sensors))
+
+
+STAND, AHEAD, LEFT, RIGHT, ARC = (
+    (6.0, 0.0, 0.0),
+    (8.0, 0.3, 0.0),
+    (4.0, 0.0, 0.8),
+    (4.0, 0.0, -0.8),
+    (30.0, 0.3, 0.3),
+)
+
+
+@pytest.mark.parametrize(
+    ("parts", "manoeuvres"),
+    [
+        ((STAND, AHEAD, LEFT, RIGHT), ()),
+        ((AHEAD, LEFT, RIGHT), ("Stand for 5 s",)),
+        ((STAND, AHEAD, LEFT), ("once each way",)),
+        ((STAND, ARC, RIGHT), ("Drive 3 m straight",)),
+        ((AHEAD,), ("once each way", "Stand for 5 s")),
+    ],
+)
+def test_the_manoeuvre_that_is_missing_is_named(parts: Any, manoeuvres: tuple[str, ...]) -> None:
+    found = unseen(drive_of(*parts))
+    assert len(found) == len(manoeuvres)
+    assert all(any(word in f.message for f in found) for word in manoeuvres)
+    assert not any(f.fixes or f.severe for f in found)
+
+
+def test_without_a_gyro_nobody_needs_to_stand() -> None:
+    assert not unseen(drive_of(AHEAD, LEFT, RIGHT, sensors=("compass",)))
+
+
+def test_a_drive_that_never_moves_a_metre_is_no_error() -> None:
+    (first, second) = unseen(drive_of(STAND))
+    assert "0° to the left" in first.message
+    assert "no metre" in second.message

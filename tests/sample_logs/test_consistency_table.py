@@ -1,0 +1,160 @@
+"""The table of `python -m benchmarks.consistency`: cases that exist, figures as named, a bound that holds."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from benchmarks import consistency
+from benchmarks.consistency import (
+    CASES,
+    LASER,
+    LATE_CLOCK,
+    LATE_S,
+    MOVING,
+    SCENARIO,
+    Case,
+    Goals,
+    Roll,
+    bound,
+    drive_once,
+    inside,
+    moved,
+    up_to,
+    without,
+)
+from locfuse.cli.analysis.robot_tables import make_robot
+from locfuse.formats.robot import robot_toml
+from locfuse.fusion.data import Drive, Estimates
+from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.evaluate import evaluate
+from locfuse.sample_logs.load import load
+from locfuse.sample_logs.record import in_memory
+from locfuse.sample_logs.simulate import Simulation
+
+STRAIGHT = (*MOVING, "path.laps=0.1")  # 1.7 m, before its first corner
+SHORT = Case("short", LASER, {}, STRAIGHT)
+NOISE, TRACK, SPEED = 4e-4, 0.6, 0.3  # m, m, m/s: the simulated robot's
+
+
+@pytest.fixture(scope="module")
+def short() -> tuple[Drive, Estimates]:
+    drive, robot = consistency.drive_of(SHORT, 1)
+    return drive, fuse(drive, robot, LASER)
+
+
+def test_every_case_has_a_name_of_its_own() -> None:
+    assert len({case.name for case in CASES}) == len(CASES)
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_a_case_names_settings_that_exist(case: Case) -> None:
+    tables = Simulation(load(case.scenario, case.sets), 1).robot_tables
+    robot = make_robot(robot_toml.layered(tables, robot_toml.apply_sets(case.given)))
+    assert all(robot.settings(sensor).topic for sensor in case.sensors)
+    others = {of for of, _ in case.goals.values() if isinstance(of, str)}
+    assert others <= {"bound", *(c.name for c in CASES)}
+
+
+def test_inside_counts_x_y_and_heading_and_leaves_out_what_is_exact(short: tuple[Drive, Estimates]) -> None:
+    drive, run = short
+    judged = evaluate(run, drive)
+    n = len(judged.t)
+    zero = replace(judged, deviation=np.zeros((n, 2)), heading=np.zeros(n), sigma=np.ones((n, 3)))
+    far = np.where(np.arange(n) == 0, 3.1, 0.0)
+    assert inside(zero) == 1.0
+    assert inside(replace(zero, heading=far)) == pytest.approx(1 - 1 / (3 * n))
+    assert inside(replace(zero, heading=far, sigma=np.where(np.arange(3 * n).reshape(n, 3) < 3, 0.0, 1.0))) == 1.0
+
+
+def test_a_span_left_out_is_not_judged(short: tuple[Drive, Estimates]) -> None:
+    drive, run = short
+    judged = evaluate(without(run, drive, ((1.0, 2.0), (3.0, 3.5))), drive)
+    whole = evaluate(run, drive).t
+    hidden = ((whole >= 1.0) & (whole < 2.0)) | ((whole >= 3.0) & (whole < 3.5))
+    assert hidden.any()
+    assert np.array_equal(judged.t, whole[~hidden])
+
+
+def test_a_drive_gives_finite_figures_and_a_line_of_the_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(consistency.NAMED, SHORT.name, replace(SHORT, goals=up_to(1.4, 0.8, walls=0.95)))
+    found = consistency.judged(SHORT, 1)
+    assert np.isfinite(found).all()
+    head, _, line = consistency.table([{"task": [SHORT.name, 1], "figures": list(found), "bound": None}])
+    assert line.count("|") == head.count("|")
+    assert "anees ≥ 0.8 ≤ 1.4; inside ≥ 0.99; walls ≥ 0.95 |" in line
+
+
+def test_a_goal_is_missed_outside_its_bounds_or_beyond_the_other_case(monkeypatch: pytest.MonkeyPatch) -> None:
+    cases: dict[str, Goals] = {
+        "a": {"anees": (0.8, 1.4)},
+        "b": {"aligned": ("a", 1.1)},
+        "c": {"aligned": ("bound", 1.1)},
+    }
+    for name, goals in cases.items():
+        monkeypatch.setitem(consistency.NAMED, name, replace(SHORT, name=name, goals=goals))
+    good, bad = [1.0, 1.0, 2.0, 1.0, 1.0], [0.7, 1.0, 2.3, 1.0, 1.0]
+    for figures, missed in ((good, ["", "", ""]), (bad, ["anees ≥ 0.8 ≤ 1.4", "", "aligned ≤ 2.2"])):
+        rows = [{"task": [name, 1], "figures": figures, "bound": (0.002, 0.001)} for name in "abc"]
+        lines = list(consistency.table(rows))[2:5]
+        assert [line.split("|")[-2].strip() for line in lines] == missed
+
+
+def test_a_laser_whose_clock_is_off_is_judged_as_the_drive_tells_it() -> None:
+    case = next(c for c in CASES if LATE_CLOCK in c.sets)
+    _, robot = consistency.drive_of(case, 1001)
+    assert robot.settings("lrf").time_offset == pytest.approx(-LATE_S, abs=0.005)
+
+
+# --- the bound: held to closed forms of the wheels' noise and to the filter
+
+
+def test_on_a_straight_way_the_wheels_noise_grows_as_its_closed_form() -> None:
+    """var(along) = k D / 2, var(yaw) = 2 k D / L^2, var(across) = 2 k D^3 / (3 L^2): random walks, summed."""
+    roll, _ = drive_once(load(SCENARIO, STRAIGHT), 1)
+    t = np.linspace(2.0, 4.0, 201)
+    P = np.zeros((3, 3))
+    for begin, end in zip(t[:-1].tolist(), t[1:].tolist(), strict=True):
+        P = moved(P, roll, (begin, end), NOISE, TRACK)
+    (first, last), ways = roll.at(t[[0, -1]])
+    D = float((ways[1] - ways[0]).mean())
+    assert np.hypot(*(last - first)[:2]) == pytest.approx(D, rel=0.05)
+    variances = sorted(np.linalg.eigvalsh(P[:2, :2]))
+    assert sum(variances) == pytest.approx(NOISE * D / 2 + 2 * NOISE * D**3 / (3 * TRACK**2), rel=0.05)
+    assert P[2, 2] == pytest.approx(2 * NOISE * D / TRACK**2, rel=1e-6)
+
+
+def test_a_perfect_laser_leaves_what_the_wheels_slip_until_the_truth_s_next_stamp() -> None:
+    """The truth is stamped 0.1 s less 25 ms of sweep and 7 ms after the sweep's beginning: 0.082 s of slip."""
+    perfect = ("lrf.sigma_range=1e-5", "lrf.sigma_angle_deg=1e-4", "lrf.lost=0")
+    found = bound(load(SCENARIO, (*STRAIGHT, *perfect)), *drive_once(load(SCENARIO, STRAIGHT), 1))
+    way = SPEED * (0.1 - 0.025 + 0.007)
+    assert found[1] < 5e-4
+    assert found[0] == pytest.approx(math.sqrt(NOISE * way / 2), rel=0.15)
+
+
+def test_less_noise_and_more_scans_lower_the_bound() -> None:
+    of = [
+        bound(load(SCENARIO, (*STRAIGHT, *sets)), *drive_once(load(SCENARIO, STRAIGHT), 1))
+        for sets in ((), ("lrf.sigma_range=0.01",), ("lrf.rate=20",))
+    ]
+    assert of[1][0] < of[0][0]
+    assert of[2][0] < of[0][0]
+    assert all(after < at for at, after in of)
+
+
+def test_the_filter_is_near_the_bound_and_not_below_it() -> None:
+    """A filter that learns the walls cannot beat one that knows them; one drive varies by 5 %."""
+    row = consistency.work("laser alone", 1000)
+    ratio = row["figures"][2] / (1000.0 * row["bound"][0])
+    assert 0.95 < ratio < 1.15
+
+
+def test_the_roll_is_the_way_of_the_wheels_that_the_simulator_counted() -> None:
+    _, _, outcome = in_memory(load(SCENARIO, STRAIGHT), 1)
+    roll = Roll.of(outcome)
+    assert float(roll.rolled[-1].mean()) == pytest.approx(outcome.way, rel=1e-6)
+    assert (np.diff(roll.rolled, axis=0) >= 0.0).all()

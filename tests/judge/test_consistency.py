@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -142,6 +143,26 @@ def test_noise_that_lasts_is_not_called_white(seed: int) -> None:
     assert found.verdict == "correlated"
     assert found.cures["compass.sigma_deg"] > 4.0
     assert found.cures["compass.offset_drift_deg"] == pytest.approx(2.0 * math.sqrt(2.0 / 3.0), rel=0.6)
+
+
+@pytest.mark.parametrize("exact", [True, False])
+@pytest.mark.parametrize("step", [True, False])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_an_offset_that_steps_or_drifts_is_named_with_when_and_how_far(seed: int, step: bool, exact: bool) -> None:
+    robot = small_drive.robot(compass={"offset_deg": 0.0} if exact else {})
+    drive = small_drive.drive(seed, robot)
+    m = drive.measurements["compass"]
+    middle, share = float(m.t[len(m.t) // 2]), np.linspace(0.0, 1.0, len(m.t))
+    extra = np.where(m.t < middle, 0.0, math.radians(-12.0)) if step else math.radians(-12.0) * share
+    drive = replace(drive, measurements={**drive.measurements, "compass": replace(m, z=m.z + extra[:, None])})
+    found = court(seed, robot, drive)["compass"]
+    assert found.verdict == "correlated", found.words
+    kind, amount, when = re.findall(r"(steps|drifts) by (-\d+)° (?:at|in) ([\d.]+) s", found.words)[0]
+    assert kind == ("steps" if step else "drifts")
+    assert float(amount) == pytest.approx(-12.0, abs=1.5)
+    assert float(when) == pytest.approx(middle if step else np.ptp(m.t), rel=0.1)
+    assert found.cures["compass.offset_drift_deg"] == pytest.approx(12.0 / math.sqrt(np.ptp(m.t)), rel=0.2)
+    assert ("compass.sigma_offset_deg" in found.cures) == exact
 
 
 def markov(t: Array, sigma: float, time: float, seed: int) -> Array:

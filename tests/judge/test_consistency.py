@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import small_drive
+from commands import ok
 from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy import stats
@@ -223,6 +226,33 @@ def test_only_errors_of_a_regular_claim_count() -> None:
     assert found == whole
     for n, known in ((1, False), (2, True)):
         assert (honesty(judged_with(errors[:n], 1.0)) is not None) is known
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], str, Path]:
+    out = tmp_path_factory.mktemp("out") / "out"
+    words = ("--set", "compass.offset_deg=-60", "--write", "json,md", "-v")
+    done = ok("compare", "rounded_rectangle", *words, "-o", out)
+    return json.loads((out / "report.json").read_text()), done.stdout, out
+
+
+def test_the_report_carries_verdicts_figures_and_words(report: tuple[dict[str, Any], str, Path]) -> None:
+    found, stdout, out = report
+    mine = found["configurations"]["all"]["sensors"]["compass"]["consistency"]
+    assert {"verdict", "words", "nis_bounds", "bias_sigma", "whiteness", "scale"} <= set(mine)
+    assert mine["verdict"] == "biased"
+    assert "cures" not in mine  # what nobody tried is no advice
+    (advice,) = [f for f in found["findings"] if f["role"] == "compass"]
+    fixes = dict(fix.split("=") for fix in advice["fixes"])
+    assert float(fixes["compass.offset_deg"]) == pytest.approx(-65.0, abs=1.0)
+    assert found["consistency"]["compass"]["words"] == mine["words"]
+    whole = " ".join(stdout.split())
+    assert f"compass: {advice['message']}. Fix (tried with" in whole
+    assert "differs from the other sensors by" in (out / "report.md").read_text()
+    assert (out / "fixes.toml").read_text().count("\noffset_deg = ") == 1
+    honest = found["configurations"]["all"]["consistency"]
+    assert set(honest["states"]) == {"x", "y", "theta"}
+    assert honest["bounds"][0] < 1.0 < honest["bounds"][1]
 
 
 @pytest.mark.parametrize(("anees", "kept"), [((9.0, 4.0), False), ((9.0, 1.0), True), ((), True)])

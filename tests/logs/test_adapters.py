@@ -206,7 +206,9 @@ def test_joints_of_ros2_control_drive_as_joint_states_do(tmp_path: Path) -> None
 
 
 def test_joint_states_are_taken_before_joints_of_ros2_control(tmp_path: Path) -> None:
+    """Of two files of one folder, recorded at the same time."""
     t, angle = angles()
-    log = log_of(tmp_path / "x.mcap", joint_states(t, angle))
-    both = json.loads(locfuse("info", log, dynamic(tmp_path / "y.mcap", t, angle), "--json").stdout)
+    log_of(tmp_path / "bag_0.mcap", joint_states(t, angle))
+    dynamic(tmp_path / "bag_1.mcap", t, angle)
+    both = json.loads(locfuse("info", tmp_path, "--json").stdout)
     assert both["roles"]["wheels"]["topics"] == ["/joint_states"]

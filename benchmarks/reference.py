@@ -27,28 +27,14 @@ DOCS = ROOT / "docs"
 MADE = "Made by `python -m benchmarks.reference --write`; do not edit.\n"
 WIDTH = 100
 MIN_SHARED = 3  # tables that hold a key with the same words: it stands once on the page
-FIRST_KEYS = (  # of robot.toml: what users set first
-    "wheels.topic",
-    "wheels.radius",
-    "wheels.track",
-    "wheels.ticks_per_revolution",
-    "wheels.noise",
-    "wheels.time_offset",
-    "start.x",
-    "start.y",
-    "start.theta_deg",
-    "truth.topic",
-    "truth.sigma",
-    "lrf.topic",
-    "lrf.x",
-    "lrf.y",
-    "lrf.yaw_deg",
-    "lrf.time_offset",
-    "lrf.sigma_range",
-    "lrf.map",
-    "compass.sigma_deg",
-    "camera.landmark",
-)
+FIRST_KEYS = {  # of robot.toml: what users set first
+    "wheels": "topic radius track ticks_per_revolution noise time_offset",
+    "start": "x y theta_deg",
+    "truth": "topic sigma",
+    "lrf": "topic x y yaw_deg time_offset sigma_range map",
+    "compass": "sigma_deg",
+    "camera": "landmark",
+}
 ON_THEIR_PAGE = {"camera": "camera.md#setting-one-up"}  # tables whose keys a page explains
 HEAD = ("| key | meaning |", "|---|---|")
 Schema = dict[str, Any]
@@ -134,12 +120,9 @@ def settings_page() -> str:
 
 def _first(schema: Schema) -> Iterator[str]:
     """Yield the keys that most robots need, by table, in the order in which people need them."""
-    keys: dict[str, list[str]] = {}
-    for path in FIRST_KEYS:
-        table, key = path.split(".")
-        assert key in schema["$defs"][table_types()[table].__name__]["properties"], path
-        keys.setdefault(table, []).append(f"`{key}`")
-    yield from (f"- [{table}](#{table}): {', '.join(own)}" for table, own in keys.items())
+    for table, keys in FIRST_KEYS.items():
+        assert set(keys.split()) <= schema["$defs"][table_types()[table].__name__]["properties"].keys(), table
+        yield f"- [{table}](#{table}): {', '.join(f'`{key}`' for key in keys.split())}"
 
 
 def _of_sensor(name: str) -> Iterator[str]:

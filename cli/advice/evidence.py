@@ -17,6 +17,7 @@ from locfuse.cli.analysis.verdicts import overconfident_by_truth
 from locfuse.fusion.checks.clocks import (
     CLOCK,
     MIN_LAG_S,
+    OPEN_CLOCK,
     SEVERE_LAG_S,
     Clock,
     clock_words,
@@ -170,7 +171,7 @@ class Evidence(Noise):
         by_truth = self.loaded.drive.truth is not None
         fine = {f.role for f in found if self._verdict(f.role) in {*FINE, "overstated"}}
         measured = {(f.role, f.code) for f in found if f.role in fine and (by_truth or f.code != MOUNT)}
-        seen = [f for f in self.doctor if f.code not in {CLOCK, START}]
+        seen = [f for f in self.doctor if f.code not in {CLOCK, OPEN_CLOCK, START}]
         known = self._candidates(seen, offers, [(f.role, f.code) for f in seen if f.code in MEASURED], measured)
         open_ = [f for f in found if not f.fixes] + ([] if self._open_scale else self._distances)
         return [*known, *(self._candidate(f, ()) for f in open_)]

@@ -29,7 +29,7 @@ def say_motion(report: dict[str, Any], loaded: Loaded, judged: bool = False) -> 
     for words in filter(None, (*first, _part(loaded))):
         report["headline"] = f"{words[0].upper()}{words[1:]}. {report['headline']}"
     if words := unused_words(loaded.choice):
-        command = shlex.join(("locfuse", "init", *log_words(loaded.log), "-o", "robot.toml"))
+        command = shlex.join(("locfuse", "init", *log_words(loaded.log, as_given=True), "-o", "robot.toml"))
         report["headline"] = f"{words}: `{command}` asks for them. {report['headline']}"
 
 

@@ -75,10 +75,12 @@ def repeat(loaded: Loaded, asked: Asked) -> str:
     return shlex.join(words)
 
 
-def log_words(log: Log) -> list[str]:
-    """Return the log's name in a command run in its folder; a sample log by its own name."""
+def log_words(log: Log, as_given: bool = False) -> list[str]:
+    """Return the log as named in its folder, or as the user named it; a sample log by its own name."""
     if log.name in sample_logs.names() and log.paths[0] == sample_logs.path(log.name):
         return [log.name]
+    if as_given:
+        return [str(place) for place in log.given]
     names = [path.name for path in log.paths]
     in_folder = len({p.parent for p in log.paths}) == 1 and log.paths[0].parent.name == log.name
     return [f"{log.name}/"] if in_folder and log.name not in names else names

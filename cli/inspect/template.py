@@ -12,6 +12,7 @@ from locfuse.cli.analysis.settings import LogOptions, set_words
 from locfuse.formats.container.url import Place
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.commented_toml import TomlSection
+from locfuse.fusion.checks.clocks import OPEN_CLOCK
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser import OPEN_SCALE
 from locfuse.fusion.data import LocfuseError
@@ -106,7 +107,7 @@ def _fixes(findings: Iterable[Finding]) -> dict[str, tuple[str, str]]:
 
 def _certain(f: Finding) -> bool:
     """Whether the log shows that a fix is right, it was chosen already, or it is required."""
-    return f.code != OPEN_SCALE and (f.severe or f.code in MEASURED_CODES or f.code == "choice")
+    return f.code not in {OPEN_SCALE, OPEN_CLOCK} and (f.severe or f.code in {*MEASURED_CODES, "choice"})
 
 
 def _why(f: Finding) -> str:

@@ -14,6 +14,7 @@ from locfuse.cli.inspect.robot_facts import Overview
 from locfuse.cli.inspect.topics import TopicFacts, clock_word
 from locfuse.cli.inspect.values import absent, configurations, wheels_missing
 from locfuse.formats.report.table import Cell, Column, Table
+from locfuse.fusion.checks.clocks import OPEN_CLOCK
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser import OPEN_SCALE
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -249,7 +250,9 @@ def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None
     """
     if overview.choice.unused_wheels:  # wheels first: with their size much of the rest looks different
         return [shlex.join(("locfuse", "init", *typed, "-o", "robot.toml"))]
-    worst = [f for f in overview.findings if f.severe and f.code != OPEN_SCALE]  # there the reader has to choose
+    worst = [
+        f for f in overview.findings if f.severe and f.code not in {OPEN_SCALE, OPEN_CLOCK}
+    ]  # there the reader has to choose
     fixes = dict(fix.partition("=")[::2] for f in worst for fix in f.fixes)
     if fixes and helped is not None:
         fixes = dict(fix.partition("=")[::2] for fix in helped)

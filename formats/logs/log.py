@@ -166,14 +166,22 @@ def open_log(paths: Sequence[Place]) -> Log:
     """Open one log made of the given files and folders; messages are merged by topic over all files."""
     files = files_of(paths)
     losses = Losses()
-    return Log(files, [open_source(file, losses) for file in files], log_name(paths), losses)
+    return Log(files, [open_source(file, losses) for file in files], log_name(paths), losses, paths)
 
 
 class Log:
     """A log of one or more files. Streams with light columns are read together, in one walk over the files."""
 
-    def __init__(self, paths: Sequence[Place], sources: Sequence[Source], name: str, losses: Losses) -> None:
+    def __init__(
+        self,
+        paths: Sequence[Place],
+        sources: Sequence[Source],
+        name: str,
+        losses: Losses,
+        given: Sequence[Place] = (),
+    ) -> None:
         self.paths = tuple(paths)
+        self.given = tuple(given or paths)  # files and folders as the user named them
         self.name = name
         self._sources = tuple(sources)
         self.losses = losses

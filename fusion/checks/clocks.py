@@ -36,6 +36,7 @@ MODEL_SIGMA_S = 0.002  # s, 1 sigma of what two clocks differ by beside what the
 RELUCTANCE = {"truth": 0.1, "wheels": 0.2}  # of chi-square: who is accused last where it could be any of them
 NEAR = 4.0  # of chi-square: explanations that differ by less are as good as each other
 CLOCK = "lag"  # code of the finding on one
+OPEN_CLOCK = "clocks"  # of a truth and one other clock that differ: either may be off, so the user decides
 LASER = "lrf"
 MAX_WRONG = 3  # clocks of one log
 RUN_BY_WHEELS = 0.1  # of the wheels' lag, by which a laser's run may be late too
@@ -66,7 +67,8 @@ def of_clocks(drive: Drive, robot: Robot) -> list[Finding]:
             words += f"; no third clock says which of the two is off: {offset_of(rival, robot, 2)} is equal"
         severe = abs(clock.offset) > SEVERE_LAG_S
         digits = 2 if clock.sigma > MIN_LAG_S else 3
-        found.append(Finding(clock.name, CLOCK, words, (offset_of(clock, robot, digits),), severe))
+        code = CLOCK if rival is None or "truth" not in {clock.name, rival.name} else OPEN_CLOCK
+        found.append(Finding(clock.name, code, words, (offset_of(clock, robot, digits),), severe))
     return found
 
 

@@ -113,6 +113,8 @@ def find_lag(t: Array, heading: Array, reference: Reference) -> Lag | None:
     if not reference.wanders:
         fits.append(_by_residuals(found, t, heading, reference))
     best = min((f for f in fits if f is not None), key=lambda f: f.sigma, default=None)
+    if best is None and turns.overlap <= 1.0:
+        return None  # of readings further apart than the window correlations hardly change with the lag
     offset = found if best is None else best.lag
     at, zero = turns.scores(reference.heading, np.array([offset, 0.0])).tolist()
     return Lag(offset, at, zero, math.inf if best is None else best.sigma)

@@ -18,11 +18,11 @@ from msgspec import field
 from locfuse.fusion.data import BASES, Drive, Estimates
 from locfuse.fusion.robot import Robot
 
-from .clocks import MIN_LAG_S, Pair, differences, explained, wrong_clocks
+from .clocks import MIN_LAG_S, SPEED_SIGMA_S, Pair, differences, explained, wrong_clocks
 from .lag import SAID_SIGMAS, Lag
 from .laser import laser_motion
 from .probes import MIN_SCALE, MOUNT_KEYS, path_scale
-from .tried import MIN_GAIN, MIN_GAIN_NATS, Fixes, Marks, gain, improves, keys, ruins, spoils, together
+from .tried import MIN_GAIN, MIN_GAIN_NATS, Fixes, Marks, gain, improves, keys, ruins, spoils_alone, together
 from .truth import axle_path, swing, wheels_metre
 from .turning import aligned, observed_track, turnings, turns_by_truth
 
@@ -43,7 +43,9 @@ RELATIVE = {  # the same, the last two of the configured value
     "range_scale": (".4g", "", 0.01, 0.005),
 }
 CLASSES = ("radius range_scale", "track", "x y yaw_deg")  # ends of keys; an earlier one looks like a later one
+MAX_PRIOR_SHARE = 0.7  # of the prior's sigma: a state that is known no better tells of the prior
 MAX_ANEES = 50.0  # above, it only says that the noise is wrong
+MAX_MEAN_LOSS = 0.02  # ln, of the mean over the logs of any configuration with sensors
 MAX_STEPS = 6  # fixes of one robot
 
 
@@ -59,7 +61,7 @@ class Shown(msgspec.Struct, frozen=True):
     """What one log shows of its robot."""
 
     settings: dict[str, Number] = field(default_factory=dict)  # "wheels.track" -> its value
-    lags: dict[str, Number] = field(default_factory=dict)  # "gyro wheels" -> s to add to the stamps of the first
+    lags: dict[str, Number] = field(default_factory=dict)  # "gyro wheels.time_offset" -> s to add to the first's
     clocks: dict[str, float] = field(default_factory=dict)  # "gyro" -> its time_offset as configured [s]
 
 
@@ -92,8 +94,7 @@ class Common(msgspec.Struct, frozen=True):
         each = {log: f"{format(value, digits)}{unit}" for log, value in self.each.items()}
         if self.value is None:
             listed = ", ".join(f"{log} {value}" for log, value in each.items())
-            first, _, second = self.key.partition(f".{CLOCK}")[0].partition(" ")
-            what = f"the time between {first} and {second}" if second else self.key
+            what = "the time between {} and {}".format(*pair_of(self.key)) if " " in self.key else self.key
             return f"{what} differs between the logs, so there is no common value: {listed}"
         agreeing = [value for log, value in self.each.items() if log not in self.apart]
         low, high, common = (format(value, digits) for value in (min(agreeing), max(agreeing), self.value))
@@ -156,26 +157,37 @@ def shown(drive: Drive, robot: Robot, runs: Sequence[Estimates] = ()) -> Shown:
         if ratio is not None:
             now = float(robot.settings(LASER).range_scale)
             found["lrf.range_scale"] = Number(now * ratio, now * MIN_SCALE, now)
-    lags = {
-        " ".join(pair): Number(float(lag.offset), float(lag.sigma))
-        for pair, lag in differences(drive, robot, runs).items()
+    pairs = differences(drive, robot, runs)
+    clocks = {
+        name: float((getattr(robot, name) if name in EVERY else robot.settings(name)).time_offset)
+        for name in sorted({name for pair in pairs for name in pair})
     }
-    tables = {name: getattr(robot, name) if name in EVERY else robot.settings(name) for name in _names(lags)}
+    lags = {
+        f"{a} {b}.{CLOCK}": Number(float(lag.offset), float(lag.sigma), clocks[a] - clocks[b])
+        for (a, b), lag in pairs.items()
+        if lag.offset or lag.sigma < SPEED_SIGMA_S  # 0 by speed: no lag is seen, where none can be
+    }
     known = {k: Number(*map(float, (n.value, n.sigma, n.now))) for k, n in found.items() if math.isfinite(n.sigma)}
-    return Shown(known, lags, {name: float(table.time_offset) for name, table in tables.items()})
-
-
-def _names(pairs: Iterable[str]) -> list[str]:
-    return sorted({name for pair in pairs for name in pair.split()})
+    return Shown(known, lags, clocks)
 
 
 def _mount(e: Estimates, robot: Robot) -> dict[str, Number]:
-    """Return the mount of a run's only sensor, where it is a state."""
+    """Return the mount of a run's only sensor where it is a state, by the drive alone: without its prior.
+
+    The state's information is that of the drive and of the prior, at its configured value, added up.
+    """
     (sensor,), found = e.sensors, {}
     for part, (key, scale) in MOUNT_KEYS.items():
-        if (name := f"{sensor}_{part}") in e.blocks:
-            value, sigma = (scale * float(block[name][-1, 0]) for block in (e.blocks, e.block_sigmas))
-            found[f"{sensor}.{key}"] = Number(value, sigma, float(getattr(robot.settings(sensor), key)))
+        if (name := f"{sensor}_{part}") not in e.blocks:
+            continue
+        now = float(getattr(robot.settings(sensor), key))
+        value, sigma, prior = (
+            scale * float(block[i, 0])
+            for block, i in ((e.blocks[name], -1), (e.block_sigmas[name], -1), (e.block_sigmas[name], 0))
+        )
+        if sigma < MAX_PRIOR_SHARE * prior:
+            share = 1.0 - (sigma / prior) ** 2  # of the information that is the drive's
+            found[f"{sensor}.{key}"] = Number(now + (value - now) / share, sigma / math.sqrt(share), now)
     return found
 
 
@@ -188,12 +200,21 @@ def _scale(key: str, now: float) -> tuple[str, str, float, float]:
     return digits, unit, close * abs(now), least * abs(now)
 
 
+def commons(logs: Mapping[str, Mapping[str, Number]]) -> list[Common]:
+    """Return every number that at least two logs show; logs configured differently are not of one robot."""
+    found = dict.fromkeys(key for numbers in logs.values() for key in numbers)
+    by_key = {key: {log: numbers[key] for log, numbers in logs.items() if key in numbers} for key in found}
+    alike = {
+        key: len({round(n.now, 9) for n in numbers.values()}) == 1 < len(numbers)
+        for key, numbers in by_key.items()
+    }
+    return [common(key, numbers) for key, numbers in by_key.items() if alike[key]]
+
+
 def common(key: str, numbers: Mapping[str, Number]) -> Common:
     """Return the value on which most logs agree, one at least of every four may not; else one without a value."""
     logs, each = list(numbers), {log: n.value for log, n in numbers.items()}
     now = numbers[logs[0]].now
-    if any(not math.isclose(n.now, now, abs_tol=1e-9) for n in numbers.values()):
-        return Common(key, now, each)  # configured differently: not one robot
     close = _scale(key, now)[2]
 
     def near(one: Number, other: Number) -> bool:
@@ -226,46 +247,41 @@ def _pooled(numbers: Sequence[Number]) -> tuple[float, float, float]:
     return mean, sum(w) ** -0.5, math.sqrt(scatter)
 
 
-def settings_of(logs: Mapping[str, Shown]) -> list[Common]:
-    """Return the settings that at least two logs show, without the clocks."""
-    found = dict.fromkeys(key for one in logs.values() for key in one.settings)
-    by_key = {key: {log: s.settings[key] for log, s in logs.items() if key in s.settings} for key in found}
-    return [common(key, numbers) for key, numbers in by_key.items() if len(numbers) > 1]
-
-
-def lags_of(logs: Mapping[str, Shown]) -> list[Common]:
-    """Return the differences of two clocks that at least two logs show."""
-    names = dict.fromkeys(pair for one in logs.values() for pair in one.lags)
-    by_pair = {name: {log: s.lags[name] for log, s in logs.items() if name in s.lags} for name in names}
-    return [common(f"{name}.{CLOCK}", numbers) for name, numbers in by_pair.items() if len(numbers) > 1]
-
-
-def clocks_of(logs: Mapping[str, Shown]) -> list[tuple[Common, ...]]:
+def clocks_of(logs: Mapping[str, Shown]) -> list[list[Common]]:
     """Return which clocks are off by all logs together, the best explanation first; [] for none.
 
     Differences on which the logs do not agree are left out: a truth may be late by another time in every log.
     """
-    pairs: dict[Pair, Lag] = {}
-    for found in lags_of(logs):
-        if found.value is not None:
-            first, second = found.key.partition(".")[0].split()
-            pairs[first, second] = Lag(found.value, 1.0, 1.0, found.sigma)
-    explanations = [tuple(c.name for c in clocks) for clocks in wrong_clocks(pairs, SAID_SIGMAS)]
-    return [tuple(common(*one) for one in _offsets(off, pairs, logs)) for off in explanations]
+    lags = {pair_of(c.key): Lag(c.value, 1.0, 1.0, c.sigma) for c in lags_of(logs) if c.value is not None}
+    found = []
+    for off in ([clock.name for clock in clocks] for clocks in wrong_clocks(lags, SAID_SIGMAS)):
+        each: dict[str, dict[str, Number]] = {}
+        for log, one in logs.items():
+            own = {p: n for key, n in one.lags.items() if (p := pair_of(key)) in lags}
+            alone = {p: Lag(n.value, 1.0, 1.0, n.sigma) for p, n in own.items()}
+            clocks = explained(alone, {p: n.sigma for p, n in own.items()}, off)[1] if own else ()
+            each[log] = {
+                f"{c.name}.{CLOCK}": Number(one.clocks[c.name] + c.offset, c.sigma, one.clocks[c.name])
+                for c in clocks
+            }
+        found.append(commons(each))
+    return found
 
 
-def _offsets(
-    off: Sequence[str], pairs: Mapping[Pair, Lag], logs: Mapping[str, Shown]
-) -> list[tuple[str, dict[str, Number]]]:
-    """Return the settings of clocks that are off, by each log."""
-    found: dict[str, dict[str, Number]] = {name: {} for name in off}
-    for log, one in logs.items():
-        own = {p: n for p in pairs if (n := one.lags.get(" ".join(p))) is not None}
-        lags = {p: Lag(n.value, 1.0, 1.0, n.sigma) for p, n in own.items()}
-        for clock in explained(lags, {p: n.sigma for p, n in own.items()}, off)[1] if own else ():
-            now = one.clocks[clock.name]
-            found[clock.name][log] = Number(now + clock.offset, clock.sigma, now)
-    return [(f"{name}.{CLOCK}", numbers) for name, numbers in found.items() if numbers]
+def lags_of(logs: Mapping[str, Shown]) -> list[Common]:
+    """Return the differences of clocks, two each."""
+    return commons({log: one.lags for log, one in logs.items()})
+
+
+def pair_of(key: str) -> Pair:
+    """Return the two clocks of a difference: of "gyro wheels.time_offset" gyro and wheels."""
+    first, second = key.removesuffix(f".{CLOCK}").split()
+    return first, second
+
+
+def settings_of(logs: Mapping[str, Shown]) -> list[Common]:
+    """Return the settings but for the clocks."""
+    return commons({log: one.settings for log, one in logs.items()})
 
 
 def asked(first: Mapping[str, Shown], look: Looks) -> Together:
@@ -273,8 +289,6 @@ def asked(first: Mapping[str, Shown], look: Looks) -> Together:
 
     The best setting of the first class that has one is kept; then all logs are measured again.
     """
-    clocks = [c for explanation in clocks_of(first)[:1] for c in explanation]
-    every = (*clocks, *(lag for lag in lags_of(first) if lag.value is None), *settings_of(first))
     kept: Fixes = ()
     logs, seen, apart = first, dict[str, dict[Fixes, Look]](), set[str]()
     for _ in range(MAX_STEPS):
@@ -298,7 +312,11 @@ def asked(first: Mapping[str, Shown], look: Looks) -> Together:
         kept = together(kept, best.fixes)
         logs = {log: looks[kept].shown for log, looks in seen.items() if kept in looks}
     whole = judged(kept, (), seen, apart)
-    return Together(tuple(every), whole if whole.helps else None, tuple(step for step in refused if step.pairs))
+    fix = whole if whole.helps else None
+    explanations = clocks_of(first)
+    clocks = [e for e in explanations if fix is not None and {c.key for c in e} <= keys(fix.fixes)] or explanations
+    every = (*(clocks[0] if clocks else ()), *(c for c in lags_of(first) if c.value is None), *settings_of(first))
+    return Together(every, fix, tuple(step for step in refused if step.pairs))
 
 
 def _offers(logs: Mapping[str, Shown]) -> list[dict[Fixes, set[str]]]:
@@ -307,7 +325,7 @@ def _offers(logs: Mapping[str, Shown]) -> list[dict[Fixes, set[str]]]:
     Last come all of them together: several faults may hide what each of their fixes does.
     """
     off = [c for c in settings_of(logs) if c.off]
-    classes = [[clocks for clocks in clocks_of(logs) if all(c.off for c in clocks)]]
+    classes = [[tuple(clocks) for clocks in clocks_of(logs) if all(c.off for c in clocks)]]
     for ends in CLASSES:
         of_class = [c for c in off if c.key.rpartition(".")[2] in ends.split()]
         roles = dict.fromkeys(c.key.partition(".")[0] for c in of_class)
@@ -316,20 +334,23 @@ def _offers(logs: Mapping[str, Shown]) -> list[dict[Fixes, set[str]]]:
     every = (*(c for clocks in classes[0][:1] for c in clocks), *off)
     classes += [] if any(every in group for group in classes) else [[every]]
     return [
-        {_with_track(tuple(c.setting for c in one), logs): {log for c in one for log in c.apart} for one in group}
+        {fixes: {log for c in one for log in c.apart} for one in group for fixes in _with_track(one, logs)}
         for group in classes
     ]
 
 
-def _with_track(fixes: Fixes, logs: Mapping[str, Shown]) -> Fixes:
-    """Return a wheel radius with the track that goes on turning the robot as far as it does."""
-    given = dict(fix.partition("=")[::2] for fix in fixes)
-    of = next(iter(logs.values())).settings
-    if "wheels.radius" not in given or "wheels.track" not in of:
-        return fixes
-    factor = float(given["wheels.radius"]) / of["wheels.radius"].now
-    track = float(given.get("wheels.track", of["wheels.track"].now)) * factor
-    return together(fixes, (f"wheels.track={track:.4g}",))
+def _with_track(one: Sequence[Common], logs: Mapping[str, Shown]) -> list[Fixes]:
+    """Return settings; beside a wheel radius also the track that goes on turning the robot as far as it does."""
+    fixes, given = tuple(c.setting for c in one), {c.key: c for c in one}
+    track = next((n for s in logs.values() if (n := s.settings.get("wheels.track")) is not None), None)
+    radius = given.get("wheels.radius")
+    if radius is None or radius.value is None or track is None:
+        return [fixes]
+    now = (
+        given["wheels.track"].value if "wheels.track" in given else track.now
+    )  # measured with the configured radius
+    scaled = together(fixes, (f"wheels.track={(now or track.now) * radius.value / radius.now:.4g}",))
+    return [scaled] if "wheels.track" in given else [scaled, fixes]
 
 
 def judged(fixes: Fixes, kept: Fixes, found: Mapping[str, Mapping[Fixes, Look]], apart: Iterable[str]) -> Step:
@@ -348,8 +369,10 @@ def judged(fixes: Fixes, kept: Fixes, found: Mapping[str, Mapping[Fixes, Look]],
         if log in apart:
             continue
         kept_by_user = {max(using, key=lambda n: len(one.sensors[n])), _best(using, one.marks)}
-        # what wheels alone do is one random walk for each log: only its mean over the logs tells
-        if any(spoils(*pairs[n]) if n in kept_by_user else n not in BASES and ruins(*pairs[n]) for n in using):
+        # one log loses by chance, and wheels alone are one random walk: only the mean over the logs tells of these
+        if any(
+            spoils_alone(*pairs[n]) if n in kept_by_user else n not in BASES and ruins(*pairs[n]) for n in using
+        ):
             losers.append(log)
         gained += any(improves(*pair) for pair in pairs.values())
     judges = [log for log in of if log not in apart]
@@ -359,7 +382,9 @@ def judged(fixes: Fixes, kept: Fixes, found: Mapping[str, Mapping[Fixes, Look]],
     gains = {name: fmean(gain(*of[log][name]) for log in judges) for name in everywhere}
     most = max(everywhere, key=lambda name: gains[name])
     least = MIN_GAIN if of[judges[0]][most][0].position is not None else MIN_GAIN_NATS
+    kept_gains = [gains[n] for n in everywhere if n not in BASES] or [gains[most]]
     helps = not losers and 2 * gained >= len(judges) > 1 and gains[most] > least > -min(gains.values())
+    helps = helps and min(kept_gains) > -MAX_MEAN_LOSS
     shown_by = {log: pairs[most] for log, pairs in of.items() if most in pairs}
     return Step(fixes, most, shown_by, tuple(losers), helps, gains[most])
 

@@ -49,8 +49,10 @@ def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
     swings = swing(truth, drive, axle_path(truth, drive.wheels))
     point = of_point(truth, swings)
     # where a jump or another point is told, what it tells of the start is not the start
-    start = [] if jumps or point else of_start(truth, drive, robot)
-    return [*jumps, *_gaps(truth), *_noise(truth, drive), *point, *start, *of_creep(swings)]
+    creep = of_creep(swings)
+    aside = abs(float(swings.x[3])) if swings is not None and creep else 0.0
+    start = [] if jumps or point else of_start(truth, drive, robot, aside)
+    return [*jumps, *_gaps(truth), *_noise(truth, drive), *point, *start, *creep]
 
 
 def axle_path(truth: Truth, wheels: Wheels) -> Array | None:
@@ -338,9 +340,12 @@ SHAPE_WAY_M, POSE_WAY_M = 3.0, 0.1  # m of the drive from which the start pose i
 MIN_SHAPE_EXTENT_M = 0.3  # m, extent of the points
 
 
-def of_start(truth: Truth, drive: Drive, robot: Robot) -> list[Finding]:
-    """Compare the start pose with the one that lays the wheels' first way over the truth's."""
-    fitted = start_pose(truth, drive)
+def of_start(truth: Truth, drive: Drive, robot: Robot, aside: float = 0.0) -> list[Finding]:
+    """Compare the start pose with the one that lays the wheels' first way over the truth's.
+
+    Where the robot drives `aside` [rad] of the truth's headings, the shape of the way tells the start's heading.
+    """
+    fitted = start_pose(truth, drive, by_shape=aside > 0.0)
     if fitted is None:
         return []
     moment = fitted.t or robot.start.at
@@ -352,7 +357,7 @@ def of_start(truth: Truth, drive: Drive, robot: Robot) -> list[Finding]:
     away, turn = math.hypot(x - configured[0], y - configured[1]), abs(se2.wrap(theta - configured[2]))
     severe = away > SEVERE_START_ERROR_M or turn > SEVERE_START_ERROR_RAD
     least = (MIN_START_ERROR_M, MIN_START_ERROR_RAD)
-    if truth.theta is None:
+    if truth.theta is None or aside:
         least = (SEVERE_START_ERROR_M, SEVERE_START_ERROR_RAD)
     # the way is laid on the truth about its middle: half of it swings with the turn
     spread = robot.start.sigma_xy, 0.5 * fitted.way * blur, fitted.spread, truth.sigma
@@ -366,7 +371,8 @@ def of_start(truth: Truth, drive: Drive, robot: Robot) -> list[Finding]:
     )
     degrees = math.degrees(se2.wrap(theta))
     moments = (f"start.at={at:.2f}",) if fitted.t else ()
-    fixes = (f"start.x={x:.3f}", f"start.y={y:.3f}", f"start.theta_deg={degrees:.1f}", *moments)
+    unsure = (f"start.sigma_theta_deg={math.degrees(aside):.1f}",) if aside else ()
+    fixes = (f"start.x={x:.3f}", f"start.y={y:.3f}", f"start.theta_deg={degrees:.1f}", *unsure, *moments)
     return [Finding("truth", START, words, fixes, severe)]
 
 
@@ -380,14 +386,14 @@ class Start(NamedTuple):
     t: float  # s at which the truth begins, where the robot has moved by then; else at the first reading
 
 
-def start_pose(truth: Truth, drive: Drive) -> Start | None:
+def start_pose(truth: Truth, drive: Drive, by_shape: bool = False) -> Start | None:
     """Return where the drive started; None if its first metres do not show it.
 
     A truth with headings tells at once, points only by the shape of the first metres of the truth.
     """
-    wheels = drive.wheels
+    wheels, headings = drive.wheels, None if by_shape else truth.theta
     inside = (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
-    way, fewest = (SHAPE_WAY_M, 5) if truth.theta is None else (POSE_WAY_M, 1)
+    way, fewest = (SHAPE_WAY_M, 5) if headings is None else (POSE_WAY_M, 1)
     if not inside.any():
         return None
     first = float(truth.t[inside].min())
@@ -398,8 +404,8 @@ def start_pose(truth: Truth, drive: Drive) -> Start | None:
     own = wheels.relative(np.full(int(inside.sum()), wheels.t[0]), truth.t[inside])
     points = own[:, :2] + se2.rotated(own[:, 2], np.tile(truth.point, (len(own), 1)))
     tracked = truth.xy[inside]
-    if truth.theta is not None:
-        turns = se2.wrap_all(truth.theta[inside] - own[:, 2])
+    if headings is not None:
+        turns = se2.wrap_all(headings[inside] - own[:, 2])
         turn, metre = float(turns[0] + np.median(se2.wrap_all(turns - turns[0]))), 1.0
     elif float(np.ptp(points, axis=0).max()) < MIN_SHAPE_EXTENT_M:
         return None
@@ -407,7 +413,7 @@ def start_pose(truth: Truth, drive: Drive) -> Start | None:
         turn, metre = se2.laid_on(points, tracked)
     places = tracked - metre * se2.rotated(np.full(len(points), turn), points)
     place = np.median(places, axis=0)
-    if truth.theta is None:
+    if headings is None:
         blur = math.sqrt(2.0 * wheels.noise * way) / wheels.track
     else:
         blur = float(np.std(se2.wrap_all(turns - turn))) / math.sqrt(len(points))

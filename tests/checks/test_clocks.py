@@ -223,6 +223,12 @@ def test_a_robot_that_hardly_turns_says_nothing_of_clocks() -> None:
     assert find_lag(t, np.interp(t, STAMPS, 0.001 * TURNED), by_wheels(wheels())) is None
 
 
+def test_readings_seconds_apart_that_turn_otherwise_do_not_vouch_for_a_clock() -> None:
+    t = np.arange(3.0, 117.0, 2.5)
+    heading = np.interp(t, STAMPS, TURNED) + np.random.default_rng(0).normal(0.0, 0.3, len(t))
+    assert find_lag(t, heading, by_wheels(wheels())) is None
+
+
 def steered(seed: int, gain: float) -> tuple[Array, Array]:
     """Headings by the wheels and in truth of a robot with corners every 7 s, which turns its slips back."""
     rng = np.random.default_rng(seed)

@@ -14,7 +14,7 @@ from small_drive import NOISE, START, TRACK, drive, path, robot
 import locfuse
 from locfuse.formats.robot.urdf import wheel_geometry
 from locfuse.fusion import se2
-from locfuse.fusion.checks.clocks import of_clocks
+from locfuse.fusion.checks.clocks import OPEN_CLOCK, of_clocks
 from locfuse.fusion.checks.compass import angles, by_gravity
 from locfuse.fusion.checks.examine import gaps
 from locfuse.fusion.checks.finding import Finding, Least, of_error
@@ -162,7 +162,7 @@ def late(drive: Drive, **by: float) -> Drive:
 def test_of_two_clocks_alone_nobody_knows_which_is_off() -> None:
     moved = late(drive(6, robot()), truth=0.3)
     (found,) = of_clocks(replace(moved, measurements={}), robot())
-    assert found.role == "truth"
+    assert (found.role, found.code) == ("truth", OPEN_CLOCK)  # init leaves it to the user
     assert "no third clock says which of the two is off: wheels.time_offset=0.3" in found.message
     (found,) = of_clocks(moved, robot())
     assert found.role == "truth"
@@ -205,6 +205,18 @@ def test_where_the_drive_started_by_poses_and_by_points_only(headings: bool) -> 
     assert start is not None
     assert start.pose[:2] == pytest.approx(START[:2], abs=0.01 if headings else 0.1)
     assert abs(se2.wrap(start.pose[2] - START[2])) < math.radians(1.0 if headings else 8.0)
+
+
+def test_headings_that_the_robot_does_not_drive_along_do_not_tell_where_it_started_to() -> None:
+    healthy = drive(16, robot(), laps=1.5)
+    truth = truth_of(healthy)
+    assert truth.theta is not None
+    turned = replace(truth, theta=truth.theta + math.radians(8.0))
+    elsewhere = replace(robot(), start=replace(robot().start, theta_deg=math.degrees(START[2]) + 20.0))
+    found = of_truth(replace(healthy, truth=turned), elsewhere)
+    fixes = told([f for f in found if f.code == "start"])
+    assert fixes["start.theta_deg"] == pytest.approx(math.degrees(START[2]), abs=4.0)
+    assert fixes["start.sigma_theta_deg"] == pytest.approx(8.0, abs=0.5)
 
 
 def test_a_start_by_points_does_not_depend_on_the_wheels_metre() -> None:

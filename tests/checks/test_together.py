@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from locfuse.fusion.checks.together import Look, Number, Shown, asked, clocks_of, common, judged
+from locfuse.fusion.checks.together import Look, Number, Shown, asked, clocks_of, common, commons, judged
 from locfuse.fusion.checks.tried import Fixes, Marks
 
 LOGS = ("a", "b", "c", "d", "e", "f")
@@ -56,13 +56,12 @@ def test_logs_between_which_a_mount_moved_have_no_common_value(values: list[floa
 
 
 def test_logs_that_are_configured_differently_are_not_of_one_robot() -> None:
-    found = common("wheels.track", {"a": Number(0.3, 0.001, 0.3), "b": Number(0.3, 0.001, 0.287)})
-    assert found.value is None
+    assert not commons({log: {"wheels.track": Number(0.3, 0.001, now)} for log, now in (("a", 0.3), ("b", 0.287))})
 
 
 def test_a_small_lag_that_no_log_shows_alone_is_shown_by_nine_together() -> None:
     logs = {
-        str(i): Shown(lags={"lrf wheels": Number(0.03, 0.01)}, clocks={"lrf": 0.0, "wheels": 0.0})
+        str(i): Shown(lags={"lrf wheels.time_offset": Number(0.03, 0.01)}, clocks={"lrf": 0.0, "wheels": 0.0})
         for i in range(9)
     }
     assert not clocks_of({"0": logs["0"], "1": Shown()})
@@ -77,9 +76,9 @@ def test_a_truth_that_is_late_by_another_time_in_each_log_does_not_hide_the_lag_
     logs = {}
     for log, truth in zip(LOGS, (0.30, 0.42, 0.51, 0.60, 0.37, 0.33), strict=True):
         lags = {
-            "gyro wheels": Number(0.18, 0.01),
-            "gyro truth": Number(truth, 0.01),
-            "truth wheels": Number(0.18 - truth, 0.01),
+            "gyro wheels.time_offset": Number(0.18, 0.01),
+            "gyro truth.time_offset": Number(truth, 0.01),
+            "truth wheels.time_offset": Number(0.18 - truth, 0.01),
         }
         logs[log] = Shown(lags=lags, clocks=dict.fromkeys(("gyro", "wheels", "truth"), 0.0))
     (first, second) = clocks_of(logs)

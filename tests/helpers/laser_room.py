@@ -32,14 +32,14 @@ def ranges_of(pose: Array, segments: Array, rng: np.random.Generator) -> Array:
     return out
 
 
-def scans_of(t: Array, poses: Array, segments: Array = ROOM) -> list[Said]:
+def scans_of(t: Array, poses: Array, segments: Array = ROOM, frame: str = "laser") -> list[Said]:
     """What the laser sees from poses (n, 3) at times t (n,)."""
     rng = np.random.default_rng(3)
     said = []
     for ns, pose in zip(stamps(t), poses, strict=True):
         message = cdr(
             SCAN,
-            header=header(ns, "laser"),
+            header=header(ns, frame),
             angle_min=-np.pi,
             angle_max=np.pi,
             angle_increment=2.0 * np.pi / BEAMS,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import rooms
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Ints, Measurements
@@ -57,14 +58,7 @@ def path(laps: float) -> tuple[Array, Array]:
 def scan(pose: Array, segments: Array, rng: np.random.Generator) -> Array:
     """What the laser sees from a pose, (k, 2) in its own frame."""
     angle = np.linspace(-np.pi, np.pi, BEAMS, endpoint=False)
-    d = np.stack((np.cos(angle + pose[2]), np.sin(angle + pose[2])), axis=-1)[:, None]
-    a, e = segments[:, :2] - pose[:2], segments[:, 2:] - segments[:, :2]
-    cross = d[..., 0] * e[:, 1] - d[..., 1] * e[:, 0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        along = (a[:, 0] * e[:, 1] - a[:, 1] * e[:, 0]) / cross
-        share = (a[:, 0] * d[..., 1] - a[:, 1] * d[..., 0]) / cross
-    along[~((along > 0.0) & (share >= 0.0) & (share <= 1.0))] = np.inf
-    ranges = along.min(axis=1) + NOISE_M * rng.normal(size=BEAMS)
+    ranges = rooms.scan(segments, pose, angle) + NOISE_M * rng.normal(size=BEAMS)
     seen = ranges < RANGE_M
     r, angle = ranges[seen], angle[seen]
     return np.stack((r * np.cos(angle), r * np.sin(angle)), axis=-1)

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 from msgspec import field
 from numpy.typing import NDArray
+from rooms import scan
 
 from locfuse.fusion.data import ArrayStream, Ragged
 from locfuse.fusion.robot import Robot, StartSettings, WheelSettings
@@ -18,20 +19,6 @@ Array = NDArray[np.float64]
 ROOM = ((0, 0, 8, 0), (8, 0, 8, 6), (8, 6, 0, 6), (0, 6, 0, 0))
 PLATES = ((3, 0, 3, 1), (5, 6, 5, 4.8), (8, 3, 7, 3), (0, 4, 0.8, 4))
 EPOCH = 1_700_000_000_000_000_000
-
-
-def cast(origin: Array, angles: Array, walls: Array) -> Array:
-    """Distance along each ray from `origin` (2,) to the nearest wall (k, 4), Inf for none."""
-    d = np.stack((np.cos(angles), np.sin(angles)), axis=-1)[:, None, :]
-    a, e = walls[None, :, :2], walls[None, :, 2:] - walls[None, :, :2]
-    w = a - origin
-    cross = d[..., 0] * e[..., 1] - d[..., 1] * e[..., 0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = (w[..., 0] * e[..., 1] - w[..., 1] * e[..., 0]) / cross
-        s = (w[..., 0] * d[..., 1] - w[..., 1] * d[..., 0]) / cross
-    hit = (t > 1e-6) & (s >= 0) & (s <= 1) & (np.abs(cross) > 1e-12)
-    nearest: Array = np.where(hit, t, np.inf).min(axis=1)
-    return nearest
 
 
 class World(msgspec.Struct):
@@ -115,8 +102,8 @@ class World(msgspec.Struct):
         ranges = []
         for x, y, a in self.pose(t):
             c, s = math.cos(a), math.sin(a)
-            origin = np.array([x + c * lx - s * ly, y + s * lx + c * ly])
-            ranges.append(cast(origin, a + yaw + angles, walls) + self.sigma_range * rng.normal(size=self.beams))
+            eye = np.array([x + c * lx - s * ly, y + s * lx + c * ly, a + yaw])
+            ranges.append(scan(walls, eye, angles) + self.sigma_range * rng.normal(size=self.beams))
         n = len(t)
         return stream(
             "/scan",

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pytest
-from commands import locfuse, ok
+from commands import ok
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
@@ -74,16 +74,6 @@ def test_wall_lines_correct_the_drive_once_clock_and_metre_are_set(
     assert report["configurations"]["lrf"]["position_rmse_m"] <= most
 
 
-def test_the_lag_of_the_scans_is_reported_and_its_cure_silences_it(tmp_path: Path, robot: Path) -> None:
-    done = locfuse("run", LOG, "--robot", robot, "-o", tmp_path / "a")
-    words = [line for line in done.stdout.splitlines() if line.startswith("lrf: stamps look 0.4")]
-    assert len(words) == 1, done.stdout
-    offset = float(words[0].split("lrf.time_offset=")[1].split()[0])
-    assert offset == pytest.approx(-0.45, abs=0.08)
-    done = locfuse("run", LOG, "--robot", robot, "--set", f"lrf.time_offset={offset}", "-o", tmp_path / "b")
-    assert "lrf.time_offset=" not in done.stdout
-
-
 # where the wheels are states too, the mount must be known: on a small floor it takes part of their error
 EXACT = [word for key in ("x", "y", "yaw_deg") for word in ("--set", f"lrf.sigma_{key}=0")]
 
@@ -137,25 +127,6 @@ def test_our_error_is_evos_error(tmp_path: Path, robot: Path) -> None:
         assert ape.get_statistic(metrics.StatisticsType.rmse) == pytest.approx(ours["position_rmse_m"], abs=1e-6)
         assert ape.get_statistic(metrics.StatisticsType.max) == pytest.approx(ours["position_max_m"], abs=1e-6)
         assert len(pair[0].timestamps) == report["truth"]["used"]
-
-
-def test_other_real_logs_run_and_say_what_they_lack(tmp_path: Path) -> None:
-    data = Path(DATA or "")
-    done = ok("compare", data / "turtlebot4", "-v", "-o", tmp_path / "tb4")
-    assert "against a reference, not truth" in done.stdout
-    report = json.loads((tmp_path / "tb4" / "report.json").read_text())
-    assert report["settings"]["lrf"]["yaw_deg"] == pytest.approx(90.0, abs=0.1)  # only /tf_static says so
-    assert report["configurations"]["lrf"]["sensors"]["lrf"]["accepted"] > 1000
-    assert report["truth"] is None
-    assert report["reference"]["sensors"] == ["lrf"]
-    assert report["configurations"]["lrf"]["reference"]["shared"] == ["lrf"]
-    ok("compare", data / "bags" / "evo" / "nav2_turtlebot.mcap", "-o", tmp_path / "evo")
-    report = json.loads((tmp_path / "evo" / "report.json").read_text())
-    assert set(report["configurations"]) == {"odometry"}
-    assert {"compass", "lrf"} <= set(report["absent"])
-    tum = np.loadtxt(tmp_path / "evo" / "odometry.tum")
-    assert np.isfinite(tum).all()
-    assert (np.diff(tum[:, 0]) > 0).all()
 
 
 # --- a building: relation errors as they are defined, and the growing map on the first minutes of a real one

@@ -104,20 +104,6 @@ def test_where_sensors_sit_and_who_says_so(tmp_path: Path) -> None:
     assert as_json(tour.record(tmp_path / "none.mcap"))["extrinsics"]["lrf"]["by"] == "nobody"
 
 
-def test_a_mount_of_tf_static_is_told_before_the_wheels_are_known(tmp_path: Path) -> None:
-    tour = Drive()
-    for key in ("x", "y", "yaw_deg"):
-        del tour.tables["lrf"][key]
-    for key in ("radius", "track"):
-        tour.tables["wheels"].pop(key)
-    log = tour.record(tmp_path / "x.mcap")
-    found = as_json(log)
-    assert found["configurations"]["odometry"] is not None  # nothing can be measured yet
-    assert found["extrinsics"]["lrf"]["by"] == "/tf_static"
-    assert found["extrinsics"]["lrf"]["x"] == pytest.approx(0.2)
-    assert any("at x 0.2 m, y 0 m by /tf_static" in line for line in locfuse("info", log).stdout.splitlines())
-
-
 def test_why_a_topic_was_chosen(tmp_path: Path) -> None:
     roles = as_json(write(tmp_path / "x.mcap", drive(100)), *GEOMETRY, "--set", "lrf.topic=/scan")["roles"]
     assert roles["wheels"] == {"topics": ["/joint_states"], "why": "the only topic of its type"}
@@ -212,21 +198,6 @@ def test_a_run_that_is_lost_is_said_by_info_as_by_compare() -> None:
     assert void_reasons(tried)
     assert "the best is the camera" in tried["headline"]
     assert "lost for" in tried["headline"]
-
-
-def test_what_was_tried_has_the_last_word() -> None:
-    """The command to try next sets what helps, not what measuring alone would set."""
-    typed = ["brenner.mcap", "--set", "wheels.radius=0.0199962", "--set", "wheels.track=0.155"]
-    typed += ["--set", "start.x=1.87516", "--set", "start.y=1.91334", "--set", "start.theta_deg=213"]
-    typed[0] = str(real_log("brenner/brenner.mcap"))
-    measured, tried = locfuse("info", *typed), locfuse("info", *typed, "--check")
-    fixes = as_json(*typed, "--check")["tried"]["fixes"]
-    assert fixes
-    (line,) = section(tried, "next")
-    assert shlex.split(line)[:2] == ["locfuse", "info"]
-    assert shlex.split(line)[-2 * len(fixes) :] == [word for fix in fixes for word in ("--set", fix)]
-    assert any(fix.startswith("wheels.radius=") for fix in fixes)  # it helps once clock and scale are right
-    assert "wheels.radius=0.021" in section(measured, "next")[0]
 
 
 def test_a_dead_encoder_is_named_though_nothing_cures_it(tmp_path: Path) -> None:

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from laser_room import SCAN, scan_stream
+from laser_room import SCAN, ranges_of, scan_stream
 from numpy.typing import NDArray
-from ring_drive import box, scan
+from ring_drive import box
 from textbook import wrap
 
 from locfuse.formats.columns import take
@@ -42,10 +42,7 @@ def yard(word: float, step: float = 0.0) -> ArrayStream:
     rng, rows = np.random.default_rng(5), []
     for i in range(SCANS):
         turn = 0.07 * i
-        points = scan(np.array([np.sin(turn), 1.0 - np.cos(turn), turn]), YARD, rng)
-        beam = np.round((np.arctan2(points[:, 1], points[:, 0]) + np.pi) * BEAMS / (2.0 * np.pi)).astype(int)
-        row = np.full(BEAMS, np.inf)
-        row[beam % BEAMS] = np.hypot(*points.T)
+        row = ranges_of(np.array([np.sin(turn), 1.0 - np.cos(turn), turn]), YARD, rng)
         row = np.round(row / step) * step if step else row
         rows.append(np.where(np.isinf(row), word, row))
     return scan_stream(STAMPS, np.stack(rows))

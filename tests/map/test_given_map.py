@@ -14,12 +14,13 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
-from bags import T0, S, Said, cdr, header, write
+from bags import T0, Said, cdr, header, write
 from commands import locfuse
+from laser_room import scans_of
 from msgspec.structs import replace
 from numpy.typing import NDArray
-from ring_drive import box, scan
-from wheel_bags import GEOMETRY, joint_states
+from ring_drive import box
+from wheel_bags import GEOMETRY, joint_states, turned
 from worlds import World
 
 from benchmarks.floor_plan import FloorPlan, floor_plan
@@ -226,7 +227,7 @@ def test_several_logs_have_no_map_in_common(given: Path) -> None:
 
 ROOM = np.array(box(-2.0, -2.5, 4.5, 3.5) + box(1.0, 2.6, 2.2, 3.5) + box(-2.0, -2.5, -1.2, -1.0))
 MAP = "nav_msgs/msg/OccupancyGrid"
-PERIOD, BEAMS = 0.2, 120
+PERIOD = 0.2  # s, of the scans
 
 
 def drive() -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], np.ndarray[Any, Any]]:
@@ -236,48 +237,22 @@ def drive() -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any], np.ndarray[Any,
     angle = np.concatenate((np.zeros((1, 2)), np.cumsum(speed[:-1] * PERIOD, axis=0)))
     sides = np.diff(angle, axis=0) * 0.05
     twist = np.stack((sides.mean(axis=1), 0.0 * sides[:, 0], (sides[:, 1] - sides[:, 0]) / 0.3), axis=-1)
-    pose = [np.zeros(3)]
-    for one in se2.exp(twist):
-        pose.append(se2.compose(pose[-1], one))
-    return t, angle, np.array(pose)
+    return t, angle, se2.chain(se2.exp(twist))
 
 
 def with_map(folder: Path, cells: int | None = None) -> Path:
     """A log whose map is turned and moved against the odometry: begins at (3.0, 1.0) m, 30 degrees in it."""
     t, angle, pose = drive()
-    rng = np.random.default_rng(0)
-    said = list(joint_states(t, angle))
-    for s, at in zip(t.tolist(), pose, strict=True):
-        points = scan(at, ROOM, rng)
-        ranges = np.full(BEAMS, np.inf)
-        beam = np.round((np.arctan2(points[:, 1], points[:, 0]) + np.pi) * BEAMS / (2.0 * np.pi)).astype(int)
-        ranges[beam % BEAMS] = np.hypot(*points.T)
-        ns = T0 + round(s * S)
-        body = cdr(
-            "sensor_msgs/msg/LaserScan",
-            header=header(ns, "base_link"),
-            angle_min=-np.pi,
-            angle_increment=2.0 * np.pi / BEAMS,
-            range_min=0.05,
-            range_max=12.0,
-            ranges=ranges.astype(np.float32),
-        )
-        said.append(Said("/scan", "sensor_msgs/msg/LaserScan", body, ns + 1_000_000))
+    said = [*joint_states(t, angle), *scans_of(t, pose, ROOM, "base_link")]
     grid = np.zeros((140, 150), np.int8)
     low = np.array([-2.5, -3.0])
     for x0, y0, x1, y1 in ROOM.tolist():
         i, j = np.floor((np.linspace((x0, y0), (x1, y1), 400) - low) / 0.05).astype(int).T
         grid[j, i] = 100
     origin = se2.compose(np.array([3.0, 1.0, np.radians(30.0)]), np.array([*low, 0.0]))
-    info = {
-        "resolution": 0.05,
-        "width": 150,
-        "height": 140 if cells is None else cells,
-        "origin": {
-            "position": {"x": float(origin[0]), "y": float(origin[1])},
-            "orientation": {"z": float(np.sin(origin[2] / 2)), "w": float(np.cos(origin[2] / 2))},
-        },
-    }
+    place, turn = {"x": float(origin[0]), "y": float(origin[1])}, turned(float(origin[2]))
+    info: dict[str, Any] = {"resolution": 0.05, "width": 150, "height": 140 if cells is None else cells}
+    info |= {"origin": {"position": place, "orientation": turn}}
     body = cdr(MAP, header=header(T0, "map"), info=info, data=grid.ravel())
     said.append(Said("/map", MAP, body, T0))
     return write(folder / "x.mcap", said)

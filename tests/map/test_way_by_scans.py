@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+import rooms
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, Measurements, Points
@@ -20,7 +21,8 @@ from locfuse.fusion.scan_matching.solve import Edges
 from locfuse.fusion.sensors.lrf import LrfSettings
 
 MATCHED = np.diag([1.0 / 0.02**2, 1.0 / 0.02**2, 1.0 / math.radians(0.3) ** 2])
-ROOM = np.array([(-4.0, -3.0), (6.0, -3.0), (6.0, 5.0), (4.0, 5.0), (4.0, 7.0), (-4.0, 7.0)])  # corners, m
+CORNERS = np.array([(-4.0, -3.0), (6.0, -3.0), (6.0, 5.0), (4.0, 5.0), (4.0, 7.0), (-4.0, 7.0)])  # m
+ROOM = np.hstack((CORNERS, np.roll(CORNERS, -1, axis=0)))
 
 
 def keys_along(way: Array, rng: np.random.Generator) -> tuple[Array, Edges]:
@@ -111,32 +113,14 @@ class Outside(InRoom):
 
 def seen_in_room(pose: Array, rng: np.random.Generator) -> Array:
     bearing = np.linspace(-math.pi, math.pi, 360, endpoint=False)
-    ray = np.stack((np.cos(bearing + pose[2]), np.sin(bearing + pose[2])), axis=-1)
-    nearest = np.full(len(ray), np.inf)
-    for a, b in zip(ROOM, np.roll(ROOM, -1, axis=0), strict=True):
-        wall, to = b - a, a - pose[:2]
-        cross = ray[:, 0] * wall[1] - ray[:, 1] * wall[0]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            r = (to[0] * wall[1] - to[1] * wall[0]) / cross
-            s = (to[0] * ray[:, 1] - to[1] * ray[:, 0]) / cross
-        nearest = np.where((r > 0.0) & (s >= 0.0) & (s <= 1.0) & (r < nearest), r, nearest)
-    r = nearest + rng.normal(0.0, 0.01, len(nearest))
-    points: Array = r[:, None] * np.stack((np.cos(bearing), np.sin(bearing)), axis=-1)
-    return points
+    r = rooms.scan(ROOM, pose, bearing) + rng.normal(0.0, 0.01, 360)
+    return np.asarray(r[:, None] * np.stack((np.cos(bearing), np.sin(bearing)), axis=-1))
 
 
 def measured(points: InRoom) -> Measurements:
-    n = len(points.way)
-    nothing = np.zeros((0, 2))
-    return Measurements(
-        np.arange(n, dtype=np.float64),
-        np.zeros(n + 1, np.int64),
-        nothing,
-        np.zeros((0, 2, 2)),
-        0.01,
-        np.zeros((2, 2)),
-        points=points,
-    )
+    n, none = len(points.way), np.zeros((0, 2, 2))
+    t, first = np.arange(n, dtype=np.float64), np.zeros(n + 1, np.int64)
+    return Measurements(t, first, none[:, 0], none, 0.01, np.zeros((2, 2)), points=points)
 
 
 def tour() -> Array:

@@ -113,29 +113,6 @@ def test_a_sensor_needs_registered_others_and_says_why(sensor: Sensor) -> None:
         assert unmet(everybody - {other})[sensor.name] == f"it is {why}, and that is absent"
 
 
-class _Needy(Sensor):
-    """Needs the sonar, which needs the laser."""
-
-    name = "needy"
-    needs = {"sonar": "heard by the sonar"}  # noqa: RUF012
-
-    def measure(self, *_: Any) -> Measurements:
-        raise NotImplementedError
-
-    def model(self, settings: Any) -> Model:
-        raise NotImplementedError
-
-
-def test_who_needs_a_sensor_that_needs_another_goes_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever the order of the registry."""
-    for registry in (REGISTRY, dict(reversed(REGISTRY.items()))):
-        with monkeypatch.context() as patch:
-            patch.setattr("locfuse.fusion.sensors.registry.REGISTRY", {"needy": _Needy(), **registry})
-            assert needed("needy") == ("lrf", "sonar")
-            assert set(unmet({"needy", "sonar", "gps"})) == {"needy", "sonar"}
-            assert unmet({"needy", "sonar", "lrf"}) == {}
-
-
 # ---- measuring ----
 
 

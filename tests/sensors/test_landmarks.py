@@ -25,7 +25,7 @@ from locfuse.fusion.data import LocfuseError, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.sensors import points
 from locfuse.fusion.sensors.landmarks import LandmarksModel, LandmarksSettings
-from locfuse.fusion.sensors.points import predict
+from locfuse.fusion.sensors.points import detector_at, predict
 from locfuse.fusion.sensors.ranges import anchor_beside, start_among
 
 Array = NDArray[np.float64]
@@ -188,8 +188,11 @@ def test_info_finds_the_file_and_init_writes_it(tmp_path: Path, monkeypatch: pyt
     assert "landmarks" in done.stdout
 
 
-def test_a_landmark_at_the_detector_has_no_bearing() -> None:
-    assert predict((1.4, 0.8, 0.0), (1.4, 0.8), (0.0, 0.0, 0.0)) is None
+def test_the_detector_is_at_its_mount_and_a_landmark_there_has_no_bearing() -> None:
+    pose, mount = (1.4, 0.8, 0.7), (0.2, -0.1, 0.3)
+    at = detector_at(pose, mount)
+    assert at == pytest.approx(se2.transform(np.array(pose), np.array(mount[:2])))
+    assert predict(pose, at, mount) is None
 
 
 PLACE, MOUNT = (2.0, 1.5), (0.2, -0.1, 0.3)

@@ -7,12 +7,10 @@ import math
 from pathlib import Path
 from typing import Any
 
-import loop_drive
 import numpy as np
 import pytest
 import trap_logs
 from commands import locfuse
-from loop_drive import ns, quaternion
 from numpy.typing import NDArray
 from rows import one_by_one, said
 from textbook import move, numeric_jacobian, wrap
@@ -31,6 +29,69 @@ from locfuse.fusion.sensors.twist import Twist, TwistModel, TwistSettings, strai
 from locfuse.sample_logs.messages import RawMessage
 
 Array = NDArray[np.float64]
+# --- a robot that drives round in a wide loop by noisy wheels, with its true poses: for sensors that see no walls
+
+T0 = 1_700_000_000_000_000_000
+TRACK, NOISE = 0.5, 4e-4  # m, m
+PERIOD = 0.1  # s
+START = (2.0, -1.0, 0.4)
+TABLES: dict[str, Any] = {
+    "wheels": {"track": TRACK, "noise": NOISE},
+    "start": {"x": START[0], "y": START[1], "theta_deg": math.degrees(START[2])},
+}
+
+
+def path(seconds: float = 80.0, speed: float = 0.5) -> tuple[Array, Array]:
+    """Times (n,) and true poses (n, 3): forward all the time, turning left more than right."""
+    t = np.arange(0.0, seconds, PERIOD)
+    turn = (0.10 + 0.25 * np.sin(t / 7.0)) * PERIOD
+    theta = START[2] + np.concatenate(([0.0], np.cumsum(turn[:-1])))
+    middle = theta[:-1] + 0.5 * turn[:-1]
+    chord = speed * PERIOD * np.sinc(0.5 * turn[:-1] / np.pi)
+    x, y = (np.concatenate(([0.0], np.cumsum(chord * f(middle)))) for f in (np.cos, np.sin))
+    return t, np.column_stack((START[0] + x, START[1] + y, theta))
+
+
+def ns(t: Array) -> NDArray[np.int64]:
+    """Stamps (n,) of times t (n,) [s]."""
+    return T0 + np.rint(t * 1e9).astype(np.int64)
+
+
+def quaternion(prefix: str, theta: Array) -> dict[str, Column]:
+    """Columns of a turn by theta (n,) about the vertical axis."""
+    zero = np.zeros(len(theta))
+    parts = {"x": zero, "y": zero, "z": np.sin(0.5 * theta), "w": np.cos(0.5 * theta)}
+    return {f"{prefix}.{axis}": column for axis, column in parts.items()}
+
+
+def wheels(t: Array, pose: Array, rng: np.random.Generator) -> ArrayStream:
+    """Odometry whose wheels roll with the noise that TABLES tell, from (0, 0, 0)."""
+    turn = np.diff(pose[:, 2])
+    ds = np.hypot(*np.diff(pose[:, :2], axis=0).T) / np.sinc(0.5 * turn / np.pi)
+    sides = np.stack((ds - 0.5 * TRACK * turn, ds + 0.5 * TRACK * turn), axis=-1)
+    sides += np.sqrt(NOISE * np.abs(sides)) * rng.normal(size=sides.shape)
+    ds, turn = sides.mean(axis=1), np.diff(sides, axis=1)[:, 0] / TRACK
+    theta = np.concatenate(([0.0], np.cumsum(turn)))
+    middle, chord = theta[:-1] + 0.5 * turn, ds * np.sinc(0.5 * turn / np.pi)
+    x, y = (np.concatenate(([0.0], np.cumsum(chord * f(middle)))) for f in (np.cos, np.sin))
+    zero = np.zeros(len(t))
+    data: dict[str, Column] = {
+        "pose.pose.position.x": x,
+        "pose.pose.position.y": y,
+        **quaternion("pose.pose.orientation", theta),
+        "twist.twist.linear.x": zero,
+        "twist.twist.angular.z": zero,
+    }
+    return ArrayStream("/odom", "nav_msgs/msg/Odometry", ns(t), data)
+
+
+def truth(t: Array, pose: Array) -> ArrayStream:
+    """The true poses as a reference topic."""
+    data: dict[str, Column] = {"pose.position.x": pose[:, 0], "pose.position.y": pose[:, 1]}
+    data |= quaternion("pose.orientation", pose[:, 2])
+    return ArrayStream("/ground_truth", "geometry_msgs/msg/PoseStamped", ns(t), data)
+
+
 SIGMA, SIGMA_THETA = 0.04, math.radians(1.5)
 FRAME = np.array([4.0, -3.0, 2.0])  # where a frame of its own lies in the map
 WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -72,10 +133,10 @@ def drifting(t: Array, pose: Array, rng: np.random.Generator) -> ArrayStream:
 def measured(seed: int, kind: str, tables: dict[str, Any] | None = None) -> tuple[Drive, Robot]:
     """A drive of two minutes with one more source: five times a second."""
     rng = np.random.default_rng(seed)
-    t, pose = loop_drive.path()
+    t, pose = path()
     some = slice(3, None, 2)
     inside = se2.between(np.broadcast_to(FRAME, pose.shape), pose)
-    streams = {"wheels": loop_drive.wheels(t, pose, rng), "truth": loop_drive.truth(t[::5], pose[::5])}
+    streams = {"wheels": wheels(t, pose, rng), "truth": truth(t[::5], pose[::5])}
     if kind == "map":
         streams["pose"] = posed(t[some], pose[some], rng)
     elif kind == "own":
@@ -85,7 +146,7 @@ def measured(seed: int, kind: str, tables: dict[str, Any] | None = None) -> tupl
     else:
         streams["twist"] = speeds(t, pose, rng)
     table = {} if kind in {"drift", "twist"} else {"frame": kind}
-    robot = make_robot({**loop_drive.TABLES, "pose": table, **(tables or {})})
+    robot = make_robot({**TABLES, "pose": table, **(tables or {})})
     return measure(streams, robot), robot
 
 
@@ -276,17 +337,15 @@ def test_what_cannot_be_is_one_line(log: Path, words: tuple[str, ...], said: str
 
 
 def test_a_source_that_never_changes_is_refused() -> None:
-    t, pose = loop_drive.path(20.0)
+    t, pose = path(20.0)
     rng = np.random.default_rng(0)
-    robot = make_robot(loop_drive.TABLES)
+    robot = make_robot(TABLES)
     stuck = posed(t, np.zeros_like(pose), rng)
     still = {name: np.zeros_like(np.asarray(c)) for name, c in stuck.data.items()}
     still["pose.pose.orientation.w"] = np.ones(len(t))
-    streams = {"wheels": loop_drive.wheels(t, pose, rng), "pose": ArrayStream(SLAM, WITH_COVARIANCE, ns(t), still)}
+    streams = {"wheels": wheels(t, pose, rng), "pose": ArrayStream(SLAM, WITH_COVARIANCE, ns(t), still)}
     assert "says the same pose in all 200 messages" in measure(streams, robot).absent["pose"]
 
-
-# --- speeds of another source: the chord of an arc, against the textbook's motion
 
 KEPT = np.array([0.4, -0.3, 0.8])
 SETTINGS = TwistSettings(sigma_scale=0.1)

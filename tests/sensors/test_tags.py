@@ -168,16 +168,6 @@ def test_two_cameras_are_one_sensor_each_where_its_frame_sits(tmp_path: Path) ->
     assert turned["position_rmse_m"] > 3.0 * both["position_rmse_m"]
 
 
-def test_info_finds_tags_and_init_asks_for_their_map(tmp_path: Path) -> None:
-    log, _ = written(tmp_path, ARUCO, POSES[ARUCO])
-    said = " ".join(locfuse("info", log, *GEOMETRY).stdout.split())
-    assert "ready odometry, landmarks" in said
-    assert "no landmarks.map is set: where the landmarks stand is estimated (grow)" in said
-    table = locfuse("init", log, *GEOMETRY).stdout.partition("[landmarks]")[2].partition("\n[")[0]
-    assert 'topic = "/camera/tags"' in table
-    assert "# map =" in table
-
-
 def test_an_unknown_map_is_made_saved_and_used(tmp_path: Path) -> None:
     """Places are states: the robot is held by what it has seen itself, and the map that is left is true."""
     files = written(tmp_path, ARUCO, POSES[ARUCO])

@@ -275,7 +275,7 @@ def test_wheels_whose_size_nobody_says_come_first_in_headline_and_next(tmp_path:
     report = json.loads((tmp_path / "out/report.json").read_text())
     assert report["headline"].startswith(
         "Wheel angles are in /joint_states but radius and track are unknown: "
-        "`locfuse init x.mcap -o robot.toml` asks for them."
+        f"`locfuse init {log} -o robot.toml` asks for them."
     )
     assert "scan matching" in report["configurations"]
     assert "odometry" not in report["configurations"]

@@ -7,15 +7,35 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from ring_drive import WIDTH, ring_drive, robot
 
+import locfuse
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Estimates
-from locfuse.fusion.whole_drive import closures
-from locfuse.fusion.whole_drive.between import Fixes, bridged
+from locfuse.fusion.data import Array, Drive, Estimates, Measurements, UsageError
+from locfuse.fusion.fuse import fuse
+from locfuse.fusion.judge.evaluate import evaluate
+from locfuse.fusion.robot import Robot
+from locfuse.fusion.scan_matching.clouds import clouds_of
+from locfuse.fusion.scan_matching.key_scans import spaced
+from locfuse.fusion.sensors.compass import CompassSettings
+from locfuse.fusion.sensors.gps import GpsSettings
+from locfuse.fusion.whole_drive import between, closures
+from locfuse.fusion.whole_drive.between import (
+    STEP_P,
+    Fixes,
+    Spans,
+    bridged,
+    moving_scans,
+    points_of,
+    scans_between,
+    smoothed,
+)
 from locfuse.fusion.whole_drive.closures import recognised
 from locfuse.fusion.whole_drive.odometry import Odometry, odometry_of
-from locfuse.fusion.whole_drive.pose_graph import Graph, wheels_share, whole_drive
+from locfuse.fusion.whole_drive.others import Others
+from locfuse.fusion.whole_drive.pose_graph import KEY_TURN_RAD, KEY_WAY_M, Graph, wheels_share, whole_drive
+from locfuse.fusion.whole_drive.reference import References, refuse, sets
 
 
 @cache
@@ -185,3 +205,331 @@ def test_scans_tell_how_much_of_their_noise_the_wheels_have() -> None:
     share = wheels_share(way, np.arange(n + 1), seen)
     assert share == pytest.approx((real / claimed) ** 2, rel=0.2)
     np.testing.assert_allclose(way.scaled(share).C[-1], share * way.C[-1])
+
+
+# --- between two key poses the scans correct the wheels
+
+
+def straight(n: int, step: float) -> Odometry:
+    """Return a way of n steps along x, whose noise grows evenly."""
+    pose = np.zeros((n + 1, 3))
+    pose[:, 0] = step * np.arange(n + 1)
+    one = np.diag([1e-6, 4e-6, 2.5e-5])
+    return Odometry(pose, np.arange(n + 1.0)[:, None, None] * one)
+
+
+def test_scans_between_exact_keys_take_out_a_slip_that_the_wheels_did_not_see() -> None:
+    drive, truth = ring_drive(3)
+    odometry = odometry_of(drive)
+    scans = drive.instant["lrf"]
+    readings = spaced(odometry.way()[scans], odometry.pose[scans, 2], KEY_WAY_M, KEY_TURN_RAD)
+    keys = drive.instant["lrf"][readings]
+    slip = np.zeros_like(odometry.pose)
+    for k in keys[20:60:4] + 2:  # 6 degrees at once, just behind ten of the keys
+        slip[k:, 2] += np.radians(6.0)
+    u = se2.between(odometry.pose[:-1], odometry.pose[1:])
+    u[:, 2] += np.diff(slip[:, 2])
+    pose = np.vstack((odometry.pose[:1], np.zeros_like(u)))
+    for k, motion in enumerate(u):
+        pose[k + 1] = se2.compose(pose[k], motion)
+    slipped = Odometry(pose, odometry.C).loosened()
+    clouds = clouds_of(drive.measurements["lrf"], readings)
+    P = np.tile(np.diag([1e-6, 1e-6, 1e-8]), (len(keys), 1, 1))
+    span = slice(int(keys[20]), int(keys[61]))
+
+    def heading(fixes: Fixes) -> float:
+        at, _ = bridged(slipped, slipped, np.arange(len(drive.t)), keys, truth[keys], P, P[1:], fixes)
+        return float(np.degrees(np.sqrt((se2.wrap_all(at[span, 2] - truth[span, 2]) ** 2).mean())))
+
+    by_wheels = heading(Fixes.of_keys(slipped, keys, truth[keys]))
+    by_scans = heading(scans_between(slipped, drive, "lrf", readings, clouds, truth[keys]))
+    assert by_wheels > 2.0, "the slip does not show: the test shows nothing"
+    assert by_scans < 0.5 * by_wheels
+
+
+def test_one_scan_between_two_keys_weighs_as_least_squares_does() -> None:
+    """The oracle is the dense joint Gaussian of the error at the scan, known at both keys."""
+    odometry = straight(10, 0.05)
+    x = np.array([[0.0, 0.0, 0.0], [0.5, 0.02, 0.03]])
+    keys, k = np.array([0, 10]), np.array([4])
+    ends = Fixes.of_keys(odometry, keys, x)
+    z, L = np.array([[0.004, 0.01, -0.02]]), np.diag([1e4, 2e4, 4e5])[None]
+    fixes = smoothed(odometry, ends, np.array([0]), k, z, L)
+    Q1, Q2 = odometry.C[4] + STEP_P, odometry.C[10] - odometry.C[4] + STEP_P
+    H = np.linalg.inv(Q1) + np.linalg.inv(Q2) + L[0]
+    mean = np.linalg.solve(H, np.linalg.inv(Q2) @ ends.xi[1] + L[0] @ z[0])
+    np.testing.assert_allclose(fixes.xi[1], mean, rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(fixes.rest[1], np.linalg.inv(H), rtol=1e-3, atol=1e-9)
+    np.testing.assert_allclose(fixes.xi[2], ends.xi[1], atol=1e-5)
+
+
+def test_a_scan_that_says_nothing_leaves_the_bridge_of_the_wheels() -> None:
+    odometry = straight(10, 0.05)
+    x = np.array([[0.0, 0.0, 0.0], [0.5, 0.02, 0.03]])
+    keys, k = np.array([0, 10]), np.arange(11)
+    ends = Fixes.of_keys(odometry, keys, x)
+    P = np.tile(1e-6 * np.eye(3), (2, 1, 1))
+    silent = smoothed(odometry, ends, np.array([0]), np.array([5]), np.ones((1, 3)), np.zeros((1, 3, 3)))
+    plain, _ = bridged(odometry, odometry, k, keys, x, P, P[1:], ends)
+    found, _ = bridged(odometry, odometry, k, keys, x, P, P[1:], silent)
+    np.testing.assert_allclose(found, plain, atol=1e-4)
+
+
+def test_what_is_known_at_a_fix_is_what_the_bridge_says_there() -> None:
+    odometry = straight(10, 0.05)
+    keys = np.array([0, 10])
+    rest = np.zeros((3, 3, 3))
+    rest[1] = np.diag([1e-4, 2e-4, 3e-4])
+    xi = np.array([[0.0, 0.0, 0.0], [0.01, 0.02, 0.03], [0.0, 0.0, 0.0]])
+    fixes = Fixes(np.zeros(3, np.int64), np.array([0, 5, 10]), xi, rest)
+    k = np.array([0, 5, 7])
+    at, P = fixes.at(odometry, k, Spans.of(odometry, odometry.at(k), k, keys))
+    np.testing.assert_allclose(at[1], xi[1], atol=1e-9)
+    np.testing.assert_allclose(P[1], rest[1], atol=1e-9)
+    np.testing.assert_allclose(at[2], 0.6 * xi[1], atol=1e-4)
+
+
+def test_scans_of_a_robot_that_stands_still_are_left_out() -> None:
+    n = 100
+    pose: Array = np.zeros((n, 3))
+    pose[60:, 0] = 0.1 * np.arange(40)
+    odometry = Odometry(pose, np.zeros((n, 3, 3)))
+    t, instants = np.linspace(0.0, 19.8, n), np.arange(n)
+    chosen = moving_scans(odometry, t, instants, np.array([0, 65, 99]))
+    assert chosen.min() == 56, "one second before the robot sets out"
+    assert 65 not in chosen
+    assert 99 not in chosen
+
+
+def test_scans_read_in_parts_are_the_same_scans(monkeypatch: pytest.MonkeyPatch) -> None:
+    """But for a point here and there: what is a surface is judged by the usual spacing of all that is read."""
+    drive, _ = ring_drive(3)
+    m, chosen = drive.measurements["lrf"], np.arange(5, 60, 3)
+    whole = points_of(m, chosen)
+    monkeypatch.setattr(between, "SCANS_AT_ONCE", 4)
+    parts = points_of(m, chosen)
+    assert len(parts) == len(whole) == len(chosen)
+    for k in range(len(chosen)):
+        one, other = (c.xy[c.first[k] : c.first[k + 1]] for c in (whole, parts))
+        common = {tuple(p) for p in one.tolist()} & {tuple(p) for p in other.tolist()}
+        assert len(common) >= 0.95 * max(len(one), len(other))
+
+
+def test_of_a_fast_laser_ten_scans_a_second_are_enough() -> None:
+    n = 401
+    pose: Array = np.zeros((n, 3))
+    pose[:, 0] = 0.01 * np.arange(n)
+    t = np.linspace(0.0, 10.0, n)  # 40 Hz
+    chosen = moving_scans(Odometry(pose, np.zeros((n, 3, 3))), t, np.arange(n), np.array([0, n - 1]))
+    assert np.diff(t[chosen]).min() >= 0.09
+    assert len(chosen) > 95
+
+
+# --- sensors beside the laser in the graph: a GPS and a compass hold a drive that closes no loop
+
+OFFSET_RAD, GPS_M, COMPASS_RAD = 0.4, 0.05, np.radians(1.0)
+
+
+def described() -> Robot:
+    """A robot whose GPS knows where the map lies, and whose compass does not know its offset."""
+    sensors = {
+        **robot().sensors,
+        "gps": GpsSettings(sigma=GPS_M, origin=(50.0, 8.0), east_deg=0.0),
+        "compass": CompassSettings(sigma_deg=float(np.degrees(COMPASS_RAD))),
+    }
+    return replace(robot(), sensors=sensors)
+
+
+def readings(t: Array, z: Array, sigma: float) -> Measurements:
+    n, d = z.shape
+    R_unit = np.broadcast_to(np.eye(d), (n, d, d)).copy()
+    more = {"strength": np.ones(n), "rest": np.zeros(n)} if d == 1 else {}
+    return Measurements(t, np.arange(n + 1), z, R_unit, sigma, np.zeros((d, d)), more)
+
+
+@cache
+def drive() -> tuple[Drive, Array]:
+    """Three quarters of the ring: no place is seen twice."""
+    plain, truth = ring_drive(4, laps=0.75)
+    rng = np.random.default_rng(1)
+    at = np.arange(0, len(plain.t), 20)
+    gps = truth[at, :2] + GPS_M * rng.normal(size=(len(at), 2))
+    compass = se2.wrap_all(truth[at, 2:] + OFFSET_RAD + COMPASS_RAD * rng.normal(size=(len(at), 1)))
+    more = {"gps": readings(plain.t[at], gps, GPS_M), "compass": readings(plain.t[at], compass, COMPASS_RAD)}
+    instants = {**plain.instant, "gps": at, "compass": at}
+    return replace(plain, measurements={**plain.measurements, **more}, instant=instants), truth
+
+
+@cache
+def solved_others(*sensors: str) -> Graph:
+    graph = whole_drive(drive()[0], described(), sensors)
+    assert graph is not None
+    return graph
+
+
+def error(graph: Graph) -> Array:
+    e = graph.poses()[0] - drive()[1]
+    e[:, 2] = se2.wrap_all(e[:, 2])
+    return e
+
+
+def rmse(graph: Graph) -> float:
+    return float(np.sqrt((error(graph)[:, :2] ** 2).sum(axis=1).mean()))
+
+
+def test_a_gps_holds_a_drive_without_loops() -> None:
+    alone, held = solved_others("lrf"), solved_others("lrf", "gps")
+    assert not len(held.closures)
+    assert rmse(held) < 0.06
+    assert rmse(held) < rmse(alone)
+    end = -1
+    assert held.poses()[1][end, 0, 0] < 0.25 * alone.poses()[1][end, 0, 0], "a GPS must narrow what is claimed"
+
+
+def test_a_compass_tells_headings_and_its_own_offset() -> None:
+    alone, held = solved_others("lrf"), solved_others("lrf", "compass")
+    assert np.degrees(np.sqrt((error(held)[:, 2] ** 2).mean())) < 0.6
+    assert held.poses()[1][-1, 2, 2] < alone.poses()[1][-1, 2, 2]
+
+
+def test_what_a_sensor_adds_pulls_the_poses_towards_its_readings() -> None:
+    """A step along the right side of its normal equations lessens the weighed squares, written out anew here."""
+    log, truth = drive()
+    odometry = odometry_of(log)
+    keys = log.instant["lrf"][::8]
+    x = truth[keys] + np.random.default_rng(2).normal(size=(len(keys), 3)) * (0.02, 0.02, 0.005)
+
+    def cost(at: Array) -> float:
+        gps, R = log.measurements["gps"], GPS_M**2
+        total = 0.0
+        for i, instant in enumerate(log.instant["gps"].tolist()):
+            key = int(np.searchsorted(keys, instant, side="right")) - 1
+            u, _ = odometry.between(keys[[key]], np.array([instant]))
+            pose = se2.compose(at[key], u[0])
+            total += float(((gps.z[i] - pose[:2]) ** 2).sum()) / R
+        return total
+
+    rows = Others(log, described(), ["gps"], odometry, keys).rows(x)
+    H, g = np.zeros((3 * len(x), 3 * len(x))), np.zeros(3 * len(x))
+    for block in rows:
+        for columns, h, right in zip(block.at, block.H, block.g, strict=True):
+            H[np.ix_(columns, columns)] += h
+            g[columns] += right
+    step = np.zeros(3 * len(x))
+    step[3 * 5 : 3 * 5 + 3] = np.linalg.solve(H[15:18, 15:18] + 1e-3 * np.eye(3), g[15:18])
+    assert cost(x + 0.5 * step.reshape(-1, 3)) < cost(x)
+    assert (np.linalg.eigvalsh(H) > -1e-6 * np.abs(H).max()).all()
+
+
+# --- references of a drive without truth: which sets of sensors are solved, and which of them judges what
+
+NO_TRUTH = {"truth.topic": "none"}
+
+
+@cache
+def session() -> locfuse.Session:
+    return locfuse.load("rounded_triangle", sets=NO_TRUTH)
+
+
+@cache
+def references() -> References:
+    found = References.of(session().drive, session().robot, {}, {"compass": 10.0})
+    assert found is not None
+    return found
+
+
+def only(*sensors: str) -> Drive:
+    drive = session().drive
+    return replace(drive, measurements={s: m for s, m in drive.measurements.items() if s in sensors})
+
+
+def test_all_sensors_are_solved_and_all_but_each_that_leave_one_which_locates() -> None:
+    assert sets(session().drive) == [
+        ("compass", "lrf", "camera"),
+        ("lrf", "camera"),
+        ("compass", "camera"),
+        ("compass", "lrf"),
+    ]
+    assert sets(only("compass", "lrf")) == [("compass", "lrf"), ("lrf",)]
+    assert sets(only("compass")) == []
+
+
+def test_where_no_sensor_says_where_the_robot_is_there_is_no_reference() -> None:
+    with pytest.raises(UsageError, match="no sensor of this log says where"):
+        refuse(only("compass"), session().robot)
+
+
+def test_a_sensor_that_measured_nothing_makes_no_reference() -> None:
+    """A dead laser: its whole-drive solution would be the odometry, and judge it as perfect."""
+    both = only("compass", "lrf")
+    lrf = both.measurements["lrf"]
+    none = replace(lrf, t=lrf.t[:0], first=lrf.first[:1], z=lrf.z[:0], R_unit=lrf.R_unit[:0])
+    dead = replace(both, measurements={**both.measurements, "lrf": none})
+    assert sets(dead) == []
+    with pytest.raises(UsageError, match="no sensor of this log says where"):
+        refuse(dead, session().robot)
+
+
+def test_a_log_with_truth_needs_no_reference() -> None:
+    log = locfuse.load("rounded_triangle")
+    with pytest.raises(UsageError, match="has a truth, /ground_truth/pose"):
+        refuse(log.drive, log.robot)
+
+
+def test_a_sensor_is_judged_by_the_others_and_all_of_them_by_all() -> None:
+    found = references()
+    for sensors, judge in [
+        ((), ("compass", "lrf", "camera")),
+        (("compass",), ("lrf", "camera")),
+        (("camera",), ("compass", "lrf")),
+        (("compass", "lrf", "camera"), ("compass", "lrf", "camera")),
+    ]:
+        e = fuse(session().drive, session().robot, sensors)
+        _, reference = found.judged(evaluate(e, session().drive), e, "none")
+        assert reference.sensors == judge
+
+
+def test_errors_by_reference_are_those_by_truth_where_the_reference_is_exact_enough() -> None:
+    """Held against the sample log's truth, which the reference has not seen."""
+    with_truth = locfuse.load("rounded_triangle")
+    for sensors in [(), ("compass",), ("camera",)]:
+        e = fuse(session().drive, session().robot, sensors)
+        judged, _ = references().judged(evaluate(e, session().drive), e, "none")
+        true = evaluate(fuse(with_truth.drive, with_truth.robot, sensors), with_truth.drive)
+        assert judged.figures["position_rmse_m"] == pytest.approx(true.figures["position_rmse_m"], rel=0.05)
+
+
+def test_a_laser_better_than_the_reference_without_it_is_judged_by_all_which_it_shares() -> None:
+    e = fuse(session().drive, session().robot, ("lrf",))
+    judged, reference = references().judged(evaluate(e, session().drive), e, "none")
+    assert reference.left_out == ()
+    error = judged.figures["position_rmse_m"]
+    assert error is not None
+    assert error < references().solved[frozenset({"compass", "camera"})].sigma
+
+
+def test_sensors_that_contradict_each_other_do_not_judge_each_other() -> None:
+    found = replace(references(), contradict=[("compass", "lrf")])
+    e = fuse(session().drive, session().robot, ("compass",))
+    _, reference = found.judged(evaluate(e, session().drive), e, "none")
+    assert reference.left_out == ()
+
+
+def test_the_one_that_contradicts_all_others_is_judged_by_them_and_judges_nobody() -> None:
+    found = replace(references(), contradict=[("camera", "compass"), ("compass", "lrf")])
+    assert found.outlier == "compass"
+    assert found.whole.left_out == ("compass",)
+    for sensor, judge in [("compass", ("lrf", "camera")), ("camera", ("lrf", "camera"))]:
+        e = fuse(session().drive, session().robot, (sensor,))
+        _, reference = found.judged(evaluate(e, session().drive), e, "none")
+        assert reference.sensors == judge
+
+
+def test_a_reference_is_solved_with_the_noise_that_residuals_show() -> None:
+    robot: Robot = session().robot
+    drive = only("compass", "camera")
+    sure, honest = (References.of(drive, robot, {}, {"compass": k}) for k in (1.0, 10.0))
+    assert sure is not None
+    assert honest is not None
+    assert honest.whole.sigma > 1.1 * sure.whole.sigma
+    assert np.isfinite(honest.whole.sigma)

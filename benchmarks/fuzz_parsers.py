@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.field_paths import paths
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.container import mcap_records, ros1_bag
 from locfuse.formats.container.decompress import DamagedError
@@ -30,7 +31,6 @@ from locfuse.formats.logs import file_stream
 from locfuse.formats.logs.files import log_files
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.messages.decode import make_decoder
-from locfuse.formats.messages.fields import paths
 from locfuse.formats.messages.schema import SchemaError, parse, signature
 from locfuse.formats.robot import landmark_map, line_map, robot_toml
 from locfuse.formats.robot.urdf import wheel_geometry
@@ -134,7 +134,7 @@ def decoded(encoding: str, language: str, definition: bytes, *messages: bytes) -
 def mcap_record(data: bytes) -> None:
     """The content of every kind of record."""
     read = mcap_records
-    indexes = (read.chunk_index, read.message_index, read.attachment_index)
+    indexes = (read.chunk_index, read.message_index)
     for kind in (read.schema, read.channel, read.chunk_header, read.attachment, read.statistics, *indexes):
         with contextlib.suppress(DamagedError):
             kind(data)

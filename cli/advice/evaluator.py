@@ -21,15 +21,13 @@ from locfuse.cli.analysis.verdicts import evidence
 from locfuse.formats.report.findings import change
 from locfuse.fusion.checks.tried import (
     Advice,
+    Candidate,
     Fixes,
     improves,
-    scored,
-    spoils,
-    spoils_alone,
+    judged_pairs,
     spoils_smoothed,
     together,
     tried,
-    turns_right,
 )
 from locfuse.fusion.data import Estimates, Evaluation
 from locfuse.fusion.judge.consistency import Run
@@ -187,10 +185,8 @@ def on_the_whole_drive(
             continue
         role = advice.finding.role
         names = [n for n, c in trial.configurations.items() if role in REFERENCE or role in c.sensors]
-        pairs = scored(kept, together(kept, fixes), names, trial.on_whole)
-        worse = any(
-            (spoils_alone if advice.measured and turns_right(*pair) else spoils)(*pair) for pair in pairs.values()
-        )
+        pairs = judged_pairs(_everywhere(advice, names), kept, fixes, trial.on_whole)
+        worse = not pairs
         if worse or not (advice.proven or any(improves(*pair) for pair in pairs.values())):
             judged.append(replace(advice, fixes=(), before=None, after=None, tried=(fixes,), harmless=not worse))
             continue
@@ -208,6 +204,14 @@ def on_the_whole_drive(
         if not advice.helps:
             first.setdefault(advice.finding.role, advice)
     return [*(a for a in judged if a.helps), *first.values()], kept
+
+
+def _everywhere(advice: Advice, names: Sequence[str]) -> Candidate:
+    """Return a candidate that all these configurations judge; those that nobody would keep come first."""
+    one = advice.candidate or Candidate(advice.finding, (advice.fixes,), tuple(names))
+    kept = [n for n in one.judges if n not in one.minor]
+    minor = tuple(n for n in names if n not in kept)
+    return replace(one, judges=(*minor, *kept), minor=minor, others=())
 
 
 def may_judge(loaded: Loaded) -> bool:

@@ -29,7 +29,7 @@ from locfuse.fusion.checks.compass import ROOM
 from locfuse.fusion.checks.examine import scales
 from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.lag import SAID_SIGMAS
-from locfuse.fusion.checks.laser import OPEN_SCALE
+from locfuse.fusion.checks.laser import BUMP, OPEN_SCALE
 from locfuse.fusion.checks.pictures import RIMS
 from locfuse.fusion.checks.probes import MOUNT, beyond_prior, of_mount, of_offsets, of_probe, of_scale, probe_of
 from locfuse.fusion.checks.slip import of_spins
@@ -197,7 +197,7 @@ class Evidence(Noise):
         """
         seen = [self._decided(f) for f in seen]
         known = {(f.role, f.code) for f in seen}
-        judged = [f for f in seen if (f.fixes or f.code in {OPEN_SCALE, CREEP}) and self.judges(f.role)]
+        judged = [f for f in seen if (f.fixes or f.code in {OPEN_SCALE, CREEP, BUMP}) and self.judges(f.role)]
         coarse = [
             self._candidate(f, (*_ways(f), *self._aimed(f)), not (f.severe or f.code in MEASURED)) for f in judged
         ]
@@ -305,9 +305,10 @@ class Evidence(Noise):
             replace(self._candidate(Finding(s, "biased", v.words), (as_fixes(v.cures),), True), measured=True)
             for s, v in self._biases_again.items()
         ]
-        found += self._start_heading()
+        start = self._start_heading()
+        found += start
         for sensor, verdict in self.consistency.items():
-            options = list(self.constant(verdict))
+            options = [] if sensor == "compass" and start else list(self.constant(verdict))
             if sensor == "camera" and verdict.verdict in {"biased", "outliers", "contradicts", "understated"}:
                 options.append(
                     (f"camera.clockwise={str(not self.loaded.robot.settings('camera').clockwise).lower()}",)
@@ -318,7 +319,10 @@ class Evidence(Noise):
         return found
 
     def _start_heading(self) -> list[Candidate]:
-        """Return the start heading by a compass with a configured offset, if it differs."""
+        """Return that the start and a compass with a configured offset differ.
+
+        A sensor that locates the robot in the map tells which is wrong; without one the two look the same.
+        """
         verdict, robot = self.consistency.get("compass"), self.loaded.robot
         offset = robot.settings("compass").offset_deg
         if verdict is None or offset is None or self.loaded.drive.truth is not None or not robot.start_given:
@@ -328,7 +332,13 @@ class Evidence(Noise):
         off = math.remainder(verdict.cures["compass.offset_deg"] - offset, 360.0)
         words = f"the compass, whose offset is configured, shows another heading at the start: {off:+.1f}°"
         fixes = (f"start.theta_deg={robot.start.theta_deg + off:.1f}",)
-        return [self._candidate(Finding("start", "heading", words), (fixes,), True)]
+        models = {s: REGISTRY[s].model(robot.settings(s)) for s in self.loaded.drive.measurements}
+        if any(REGISTRY[s].locates and not model.local for s, model in models.items()):
+            return [self._candidate(Finding("start", "heading", words), (fixes,), True)]
+        either = f"compass.offset_deg={verdict.cures['compass.offset_deg']:g} or {fixes[0]}"
+        return [
+            self._candidate(Finding("start", "heading", f"{words}. Nothing in this log says which: {either}"), ())
+        ]
 
     @cached_property
     def _biases_again(self) -> dict[str, Consistency]:

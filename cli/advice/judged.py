@@ -175,7 +175,7 @@ class Noise(Judged):
         """Return findings on wrong noise, of each sensor and of the wheels."""
         found = []
         for sensor, verdict in self.consistency.items():
-            seen, more = [*_noise_options(verdict), *_above(verdict)], self._by_anees(sensor)
+            seen, more = [*_noise_options(sensor, verdict), *_above(verdict)], self._by_anees(sensor)
             by_ranges, words = self._as_ranges_scatter(sensor, verdict), verdict.words
             if by_ranges:
                 seen.append(by_ranges)
@@ -396,12 +396,14 @@ def useful(fixes: Fixes, settings: Any) -> bool:
     return all(not now or value <= MAX_OFFERED_FACTOR * now for value, now in pairs)
 
 
-def _noise_options(verdict: Consistency) -> list[Fixes]:
+def _noise_options(sensor: str, verdict: Consistency) -> list[Fixes]:
     """Return the alternatives of one noise verdict: all keys of a sigma at once, else one key after another."""
     if verdict.verdict not in NOISE or not verdict.cures:
         return []
-    if verdict.verdict == "correlated":
-        return [(f"{key}={value:g}",) for key, value in verdict.cures.items()]
+    if verdict.verdict == "correlated":  # a larger sigma, or an offset that walks
+        noise = {k: v for k, v in verdict.cures.items() if k.partition(".")[2] in REGISTRY[sensor].noise_keys}
+        walks = {k: v for k, v in verdict.cures.items() if k not in noise}
+        return [as_fixes(cures) for cures in (noise, walks) if cures]
     return [as_fixes(verdict.cures)]
 
 

@@ -12,7 +12,8 @@ from .load import Loaded
 from .motion_evidence import Evidence
 from .refused_motion import void_all
 from .results import log_words
-from .wheel_topics import unused_words
+from .robot_tables import flat
+from .wheel_topics import steers, unused_words
 
 MIN_COVERED_SHARE = 0.8  # of the log's time: a motion that covers less is said to
 
@@ -29,8 +30,12 @@ def say_motion(report: dict[str, Any], loaded: Loaded, judged: bool = False) -> 
     for words in filter(None, (*first, _part(loaded))):
         report["headline"] = f"{words[0].upper()}{words[1:]}. {report['headline']}"
     if words := unused_words(loaded.choice):
-        command = shlex.join(("locfuse", "init", *log_words(loaded.log, as_given=True), "-o", "robot.toml"))
-        report["headline"] = f"{words}: `{command}` asks for them. {report['headline']}"
+        typed = (f"{key}={flat(loaded.tables)[key]}" for key, who in loaded.sources.items() if who == "--set")
+        sets = (word for setting in typed for word in ("--set", setting))
+        log = log_words(loaded.log, as_given=True)
+        command = shlex.join(("locfuse", "init", *log, *sets, "-o", "robot.toml"))
+        does = "finds them by the truth" if steers(loaded.choice.unused_wheels) else "asks for them"
+        report["headline"] = f"{words}: `{command}` {does}. {report['headline']}"
 
 
 def _behind_scans(loaded: Loaded) -> str:

@@ -73,8 +73,8 @@ def _say_unused(log: Log, choice: Choice, counters: Sequence[str], lacks: str) -
     if not lacks:
         words = f"{used} is used, since no joint of {counters[0]} is named like a wheel"
         words = f"{words}; wheels.left and wheels.right name them"
-    elif log.topics[used].msgtype == SCANS:
-        choice.unused_wheels, choice.lacks = tuple(counters), lacks
+    elif log.topics[used].msgtype == SCANS or (steers(counters) and choice.of("truth")):
+        choice.unused_wheels, choice.lacks = tuple(counters), lacks  # scans or a truth tell their size
         words = f"{unused_words(choice)}. {used} is used"
     else:
         words = f"{used} is used, since {_of_wheels(counters, lacks)}"
@@ -139,8 +139,7 @@ def _size_is_near(log: Log, robot: Robot) -> bool:
 
 def missing_of(log: Log, robot: Robot, counters: Sequence[str]) -> list[str]:
     """Return the keys of [wheels] that are missing to convert these counters to metres."""
-    steered = len(counters) > 1 and STEERING_WORD in counters[1].lower()
-    needed = ["radius", *(("servo_gain", "wheelbase") if steered else ("track",))]
+    needed = ["radius", *(("servo_gain", "wheelbase") if steers(counters) else ("track",))]
     if counters and counts_ticks(log.topics[counters[0]].msgtype):
         needed.append("ticks_per_revolution")
     return [key for key in needed if getattr(robot.wheels, key) is None]
@@ -159,6 +158,11 @@ def _named_pair(log: Log, robot: Robot) -> list[str]:
             )
         pair.append(checked(log, "wheels", topic, NUMBERS))
     return pair
+
+
+def steers(counters: Sequence[str]) -> bool:
+    """Return whether the second of two counters is that of a tricycle's steering."""
+    return len(counters) > 1 and STEERING_WORD in counters[1].lower()
 
 
 def counters_of(log: Log, robot: Robot) -> tuple[list[str], str]:

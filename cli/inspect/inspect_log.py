@@ -29,6 +29,7 @@ from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.fusion.checks.examine import examine
 from locfuse.fusion.checks.finding import Finding, of_error
 from locfuse.fusion.checks.laser import driver
+from locfuse.fusion.checks.truth import POINT, START
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -70,10 +71,11 @@ def inspect_log(
         *_maps(log, robot, choice),
     ]
     _measure(overview, progress)
-    if choice.unused_wheels and (loaded := overview.loaded) is not None and loaded.matched is not None:
-        overview.robot_facts = find_robot_facts(log, robot, choice, loaded.reading)  # by the motion of the scans
+    if choice.unused_wheels and overview.loaded is not None:
+        overview.robot_facts = find_robot_facts(log, robot, choice, overview.loaded)
         sized = [f for f in of_robot(log, robot, choice, overview.robot_facts) if f.code == "geometry"]
-        overview.findings = [*(f for f in overview.findings if f.code != "geometry"), *sized]
+        gone = {"geometry", *((POINT, START) if overview.robot_facts.steered else ())}  # by another motion
+        overview.findings = [*(f for f in overview.findings if f.code not in gone), *sized]
     overview.findings += [*unplaced(overview), *conflicts(overview)]
     return overview
 

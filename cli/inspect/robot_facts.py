@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import msgspec
 import numpy as np
@@ -16,23 +16,31 @@ from locfuse.cli.analysis.wheel_topics import are_wheels, counters_of, missing_o
 from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.formats.robot.urdf import WheelGeometry, wheel_geometry
 from locfuse.fusion.checks.finding import Finding
-from locfuse.fusion.data import BY_SCANS, Array, LocfuseError, Ragged
-from locfuse.fusion.robot import Robot
-from locfuse.fusion.streams import merged
+from locfuse.fusion.data import BY_SCANS, Array, LocfuseError, Ragged, Stream
+from locfuse.fusion.robot import Robot, WheelSettings
+from locfuse.fusion.streams import MergedStream, merged
 from locfuse.fusion.truth import FIX, TRUTH_READS, looks_like_truth
 from locfuse.fusion.wheels.geometry import Geometry, by_motion, by_odometry
 from locfuse.fusion.wheels.odometry import BODY_READS, ODOMETRY, commanded
-from locfuse.fusion.wheels.read import WheelReading
 from locfuse.fusion.wheels.sources import JOINTS, USUAL_TICKS, joint_names
-from locfuse.fusion.wheels.steered import is_tricycle
+from locfuse.fusion.wheels.steered import is_tricycle, read_encoders
 
 from .topics import TopicFacts
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
+    from locfuse.fusion.wheels.calibrate_tricycle import TricycleCalibration
 
 ESTIMATE_WORDS = ("odom", "amcl", "slam", "ekf", "filter", "goal", "initial", "estimate", "fused", "map")
+MAX_STEERED_MISFIT = 0.02  # m per m of the way: a tricycle that leaves more is not understood
 MIN_MOVEMENT = 0.05  # of a joint's readings, in its unit: a joint that never moves is no wheel
+
+
+class Steered(NamedTuple):
+    """The size and the steering of a tricycle, as its truth shows them."""
+
+    found: TricycleCalibration
+    known: WheelSettings  # as configured, else as assumed for the fit
 
 
 class RobotFacts(msgspec.Struct, frozen=True):
@@ -43,6 +51,7 @@ class RobotFacts(msgspec.Struct, frozen=True):
     odometry: str = ""  # that topic
     ticks: float | None = None  # usual ticks per revolution of the message's type
     joints: tuple[str, str] | None = None  # wheel joints, by name or because only they turn
+    steered: Steered | None = None  # a tricycle, by its truth
 
 
 class Overview(msgspec.Struct):
@@ -69,8 +78,8 @@ class Overview(msgspec.Struct):
         return any(f.severe for f in self.findings)
 
 
-def find_robot_facts(log: Log, robot: Robot, choice: Choice, scans: WheelReading | None = None) -> RobotFacts:
-    """Search for wheel geometry beyond robot.toml; `scans` is the motion by scan matching, if it was used."""
+def find_robot_facts(log: Log, robot: Robot, choice: Choice, loaded: Loaded | None = None) -> RobotFacts:
+    """Search for wheel geometry beyond robot.toml; by a truth or by matched scans, if the log was `loaded`."""
     described = _described(log)
     counters = _counters(log, robot, choice)
     if not counters:
@@ -81,9 +90,11 @@ def find_robot_facts(log: Log, robot: Robot, choice: Choice, scans: WheelReading
     settings = robot.wheels
     if joints is not None:
         settings = msgspec.structs.replace(settings, left=joints[0], right=joints[1])
+    scans = None if loaded is None or loaded.matched is None else loaded.reading
     fitted, both = None, merged([log.stream(t) for t in counters])
     if is_tricycle(both):
-        return RobotFacts(described, ticks=USUAL_TICKS.get(kind))
+        steered = None if loaded is None or not choice.unused_wheels else _steered(both, loaded)
+        return RobotFacts(described, ticks=USUAL_TICKS.get(kind), steered=steered)
     if odometry:
         fitted = by_odometry(both, log.stream(odometry[0]), settings)
     elif scans is not None:
@@ -91,6 +102,25 @@ def find_robot_facts(log: Log, robot: Robot, choice: Choice, scans: WheelReading
             fitted = by_motion(both, scans, settings)
         return RobotFacts(described, fitted, BY_SCANS, USUAL_TICKS.get(kind), joints)
     return RobotFacts(described, fitted, odometry[0] if odometry else "", USUAL_TICKS.get(kind), joints)
+
+
+def _steered(both: Stream, loaded: Loaded) -> Steered | None:
+    """Return what the truth shows of a tricycle; None where it shows too little."""
+    from locfuse.fusion.wheels.calibrate_tricycle import (
+        calibrate_tricycle,
+        nominal,
+        of_truth,
+    )  # SciPy comes with it
+
+    if (truth := loaded.drive.truth) is None or not isinstance(both, MergedStream):
+        return None
+    with suppress(LocfuseError):  # said where the encoders are used
+        shift = (int(both.parts[0].t_ns[0]) - loaded.drive.epoch_ns) * 1e-9 + loaded.robot.wheels.time_offset
+        known = nominal(both, loaded.robot.wheels, of_truth(truth), shift)
+        found = calibrate_tricycle(read_encoders(both, known), known, of_truth(truth), shift)
+        if found.rms < MAX_STEERED_MISFIT * float(loaded.drive.wheels.driven(loaded.drive.wheels.t[-1])):
+            return Steered(found, known)
+    return None
 
 
 def of_robot(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list[Finding]:
@@ -109,6 +139,9 @@ def _geometry(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list
         known["ticks_per_revolution"] = f"{found.ticks:g}"
     words = [key.replace("_", " ") for key in missing]
     fixes = [f"wheels.{key}={known[key]}" for key in missing if key in known]
+    if (steered := found.steered) is not None:
+        fixes += [f"wheels.{key}={known[key]}" for key in ("servo_offset", "max_speed")]
+        fixes += [f"truth.{key}={figure.value:.3f}" for key, figure in steered.found.mount.items()]
     fixes += _senses(robot, found) if fixes else []
     named = robot.wheels.left is not None and robot.wheels.right is not None
     if found.joints is not None and not named and not are_wheels(log, topics[0], robot):
@@ -122,7 +155,8 @@ def _geometry(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list
         return []
     counts = "count" if len(topics) > 1 else "counts"
     message = f"{' and '.join(topics)} {counts} wheel turns, but nothing says {', '.join(words)}"
-    return [Finding("wheels", "geometry", message, tuple(fixes), not other, source if fixes else "")]
+    severe = not other or found.steered is not None
+    return [Finding("wheels", "geometry", message, tuple(fixes), severe, source if fixes else "")]
 
 
 def _senses(robot: Robot, found: RobotFacts) -> list[str]:
@@ -137,6 +171,10 @@ def geometry(robot: Robot, found: RobotFacts) -> tuple[dict[str, float], str]:
     if found.described is not None and found.described.radius is not None:
         values = {"radius": found.described.radius, "track": found.described.track}
         return values, "/robot_description tells these"
+    if (steered := found.steered) is not None:
+        values = {key: figure.value for key, figure in steered.found.wheels.items()}
+        values |= {key: getattr(steered.known, key) for key in ("ticks_per_revolution", "max_speed")}
+        return values, f"fitted to the truth, these leave {steered.found.rms:.2f} m (rms) of its path"
     if found.fitted is None:
         return {}, ""
     ticks = robot.wheels.ticks_per_revolution or found.ticks

@@ -12,6 +12,7 @@ from locfuse.cli.analysis.choose import best_of
 from locfuse.cli.analysis.mounts import is_base, mount_tables
 from locfuse.cli.analysis.robot_tables import table_types
 from locfuse.cli.analysis.topics import of_type
+from locfuse.cli.analysis.wheel_topics import steers
 from locfuse.formats.robot.commented_toml import TomlLine
 from locfuse.fusion.sensor import Ask
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -26,6 +27,7 @@ from .robot_facts import Overview
 Known = dict[str, tuple[Any, str]]  # "table.key" -> its value, and its source
 TOP_KEYS = ("order", "preset")
 COUNTER_KEYS = ("radius", "track", "ticks_per_revolution", "mirrored")  # an odometry needs none of them
+STEERED_KEYS = ("radius", "ticks_per_revolution", "servo_gain", "wheelbase", "noise")  # of a tricycle's encoders
 MOUNT_KEYS = ("x", "y", "yaw_deg")  # written even where zero: that is worth knowing
 MOUNT_DECIMALS = 6  # decimals of a mount: micrometres
 
@@ -43,7 +45,11 @@ HOW_TO_MEASURE = {
         "erpm_per_mps": Ask(
             "electrical revolutions per minute of the motor at 1 m/s: speed_to_erpm_gain of vesc.yaml", blank=True
         ),
-        "servo_gain": Ask("of the servo's position: steering_angle_to_servo_gain of vesc.yaml", needed=True),
+        "servo_gain": Ask(
+            "of a servo's position: steering_angle_to_servo_gain of vesc.yaml; of a tricycle: ticks of the "
+            "steering per radian",
+            needed=True,
+        ),
         "ticks_per_revolution": Ask("not in this log. Turn a wheel ten times by hand: ticks / 10", needed=True),
         "noise": Ask("m: variance per metre that a wheel rolls; `locfuse calibrate` finds it"),
     },
@@ -205,6 +211,9 @@ def _suggested(facts: Facts, table: str) -> Known:
 def _concerns(facts: Facts, table: str, key: str) -> bool:
     """Whether a key applies to the message type that is read."""
     kind = facts.kind(table)
+    choice = facts.overview.choice
+    if table == "wheels" and steers(choice.unused_wheels or choice.of("wheels")):
+        return key in STEERED_KEYS
     if table == "wheels" and key in COUNTER_KEYS:
         return (
             kind not in (*BODY_READS, *MOTOR)

@@ -6,16 +6,15 @@ channel and log time, and what lies between the messages are whole Schema and Ch
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from typing import NamedTuple
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.formats.caps import FREE_RECORDS
 from locfuse.formats.columns import view
 from locfuse.fusion.data import Ints
 
+from .chunked import Records, by_channel, most_records
 from .decompress import DamagedError
 from .mcap_records import CHANNEL, DATA_END, MESSAGE, MESSAGE_HEADER, PRIVATE, RECORD, SCHEMA
 from .source import Messages
@@ -23,14 +22,6 @@ from .source import Messages
 Index = dict[int, NDArray[np.uint64]]  # channel -> (k, 2) log time, offset of the record in the chunk
 
 PAYLOAD_OFFSET_BYTES = RECORD.size + MESSAGE_HEADER  # bytes from a Message record's start to its payload
-
-
-class Records(NamedTuple):
-    """What a chunk holds."""
-
-    messages: dict[int, Messages]
-    definitions: list[tuple[int, int, int]]  # Schema and Channel records: (opcode, content start, length)
-    end: int  # where the records stop making sense; the chunk's size when all is well
 
 
 def records(data: NDArray[np.uint8], index: Index | None, packed: int | None = None) -> Records:
@@ -45,11 +36,6 @@ def records(data: NDArray[np.uint8], index: Index | None, packed: int | None = N
     if not index or scanned.end == len(data):
         return scanned
     return _salvage(data, scanned, index)
-
-
-def most_records(packed: int) -> int:
-    """Return how many records this many bytes of a file may unpack to: every real one takes at least one byte."""
-    return FREE_RECORDS + packed
 
 
 def scan(data: NDArray[np.uint8], most: int | None = None) -> Records:
@@ -106,7 +92,7 @@ def _gather(data: NDArray[np.uint8], offsets: Ints) -> dict[int, Messages]:
         view(data, "<u8", offsets + RECORD.size + 6).astype(np.int64),
         view(data, "<u4", offsets + RECORD.size + 2).astype(np.int64),
     )
-    return {int(ident): everything.take(channel == ident) for ident in np.unique(channel)}
+    return by_channel(channel, everything)
 
 
 def credible(
@@ -149,13 +135,11 @@ def _by_index(data: NDArray[np.uint8], index: Index, most: int) -> Records | Non
     for at, stop in _gaps(offsets, ends, len(data)):
         if at > stop or _walk(buffer, (at, stop), missed, definitions, most) != stop or missed:
             return None
-    rows = {ident: channel == ident for ident in index}
     start = offsets + PAYLOAD_OFFSET_BYTES
     everything = Messages(
         start, ends - start, log_time.astype(np.int64), view(data, "<u4", offsets + 11).astype(np.int64)
     )
-    messages = {ident: everything.take(mask) for ident, mask in rows.items() if mask.any()}
-    return Records(messages, definitions, len(data))
+    return Records(by_channel(channel, everything), definitions, len(data))
 
 
 def _gaps(offsets: Ints, ends: Ints, size: int) -> Iterator[tuple[int, int]]:
@@ -192,8 +176,3 @@ def _disjoint(data: NDArray[np.uint8], offsets: Ints) -> Ints:
             kept.append(offset)
             end = offset + RECORD.size + RECORD.unpack_from(data.data, offset)[1]
     return np.array(kept, np.int64)
-
-
-def counted(messages: Iterable[Messages]) -> int:
-    """Return how many messages these are."""
-    return sum(len(m.start) for m in messages)

@@ -18,6 +18,7 @@ PRIVATE = 0x80  # opcodes from here on are private to an application and skipped
 
 RECORD = struct.Struct("<BQ")  # opcode, content length
 FOOTER_LENGTH = 20
+TOO_SHORT = "a record is shorter than its content"
 MESSAGE_HEADER = 22  # channel, sequence, log time, publish time
 
 
@@ -70,112 +71,6 @@ class ChunkIndex(NamedTuple):
         return frozenset(self.indexes)
 
 
-class AttachmentIndex(NamedTuple):
-    """An attachment's place by the summary."""
-
-    offset: int
-    length: int
-
-
-def opcode_and_length(head: bytes) -> tuple[int, int]:
-    """Read the opcode and length of any record."""
-    opcode, length = RECORD.unpack_from(head)
-    return int(opcode), int(length)
-
-
-class Cursor:
-    """Reads values from the front of a record; raises DamagedError if a value does not fit."""
-
-    def __init__(self, data: bytes, at: int = 0) -> None:
-        self.data = data
-        self.at = at
-
-    def take(self, n: int) -> bytes:
-        """Return the next n bytes."""
-        end = self.at + n
-        if end > len(self.data):
-            raise DamagedError("a record is shorter than its content")
-        piece = self.data[self.at : end]
-        self.at = end
-        return piece
-
-    def integers(self, layout: str) -> tuple[int, ...]:
-        """Return little-endian integers by struct letters."""
-        return struct.unpack("<" + layout, self.take(struct.calcsize("<" + layout)))
-
-    def integer(self, letter: str) -> int:
-        """Return one little-endian integer by its struct letter."""
-        return self.integers(letter)[0]
-
-    def text(self) -> str:
-        """Return a string with a 4-byte length."""
-        return self.take(self.integer("I")).decode("utf-8", "replace")
-
-    def map(self, value: str) -> dict[int, int]:
-        """Return a map from 2-byte keys to integers of struct letter `value`."""
-        entry = struct.Struct("<H" + value)
-        data = self.take(self.integer("I"))
-        if len(data) % entry.size:
-            raise DamagedError("a record is shorter than its content")
-        return dict(entry.iter_unpack(data))
-
-
-def schema(data: bytes) -> Schema:
-    """Read a Schema record's content."""
-    c = Cursor(data)
-    return Schema(c.integer("H"), c.text(), c.text(), c.take(c.integer("I")))
-
-
-def channel(data: bytes) -> Channel:
-    """Read a Channel record's content."""
-    c = Cursor(data)
-    ident, schema_id = c.integers("HH")
-    return Channel(ident, schema_id, c.text(), c.text())
-
-
-def chunk_header(data: bytes) -> ChunkHeader:
-    """Read the header in a Chunk record's content."""
-    c = Cursor(data)
-    first, last, size, crc = c.integers("QQQI")
-    compression = c.text()
-    length = c.integer("Q")
-    return ChunkHeader(size, crc, compression, c.at, length, first, last)
-
-
-def chunk_index(data: bytes) -> ChunkIndex:
-    """Read a ChunkIndex record's content."""
-    c = Cursor(data)
-    first, last, offset, length = c.integers("QQQQ")
-    indexes = c.map("Q")
-    index_length, compression = c.integer("Q"), c.text()
-    packed, plain = c.integers("QQ")
-    return ChunkIndex(offset, length, index_length, indexes, compression, packed, plain, first, last)
-
-
-def attachment_index(data: bytes) -> AttachmentIndex:
-    """Read the header in an AttachmentIndex record's content."""
-    return AttachmentIndex(*Cursor(data).integers("QQ"))
-
-
-def message_index(data: bytes) -> tuple[int, NDArray[Any]]:
-    """Read a MessageIndex record's content: (channel, (k, 2) uint64 log time and offset in the chunk)."""
-    c = Cursor(data)
-    ident, n_bytes = c.integers("HI")
-    entries = c.take(n_bytes)
-    if n_bytes % 16:
-        raise DamagedError("a record is shorter than its content")
-    return ident, np.frombuffer(entries, "<u8").reshape(-1, 2)
-
-
-def attachment(data: bytes) -> tuple[str, bytes, int]:
-    """Read an Attachment record's content: (name, bytes, crc of everything before the crc; 0 = none)."""
-    c = Cursor(data)
-    c.integers("QQ")
-    name = c.text()
-    c.text()
-    return name, c.take(c.integer("Q")), c.integer("I")
-
-
 class Statistics(NamedTuple):
     """The counts of a file."""
 
@@ -185,8 +80,77 @@ class Statistics(NamedTuple):
     counts: dict[int, int]  # channel -> messages
 
 
+def opcode_and_length(head: bytes) -> tuple[int, int]:
+    """Read the opcode and length of any record."""
+    opcode, length = RECORD.unpack_from(head)
+    return int(opcode), int(length)
+
+
+# struct letter of the length in front of text, bytes, bytes, map
+LENGTH = {"s": "I", "b": "I", "d": "Q", "m": "I"}
+
+
+def values(data: bytes, layout: str, at: int = 0) -> list[Any]:
+    """Return values from `at` on, and last the place behind them. Raises DamagedError if one does not fit.
+
+    Letters of the layout: B, H, I, Q integers, s a text, b and d bytes, m a map from 2-byte keys to 8-byte values.
+    """
+    found: list[Any] = []
+    try:
+        for letter in layout:
+            (value,) = struct.unpack_from("<" + LENGTH.get(letter, letter), data, at)
+            at += struct.calcsize("<" + LENGTH.get(letter, letter))
+            if letter in LENGTH:
+                piece = data[at : at + value]
+                if len(piece) < value or (letter == "m" and value % 10):
+                    raise DamagedError(TOO_SHORT)
+                at += value
+                value = piece.decode("utf-8", "replace") if letter == "s" else piece
+                if letter == "m":
+                    value = dict(struct.iter_unpack("<HQ", piece))
+            found.append(value)
+    except struct.error:
+        raise DamagedError(TOO_SHORT) from None
+    return [*found, at]
+
+
+def schema(data: bytes) -> Schema:
+    """Read a Schema record's content."""
+    return Schema(*values(data, "Hssb")[:-1])
+
+
+def channel(data: bytes) -> Channel:
+    """Read a Channel record's content."""
+    return Channel(*values(data, "HHss")[:-1])
+
+
+def chunk_header(data: bytes) -> ChunkHeader:
+    """Read the header in a Chunk record's content."""
+    first, last, size, crc, compression, length, start = values(data, "QQQIsQ")
+    return ChunkHeader(size, crc, compression, start, length, first, last)
+
+
+def chunk_index(data: bytes) -> ChunkIndex:
+    """Read a ChunkIndex record's content."""
+    first, last, offset, length, indexes, index_length, compression, packed, plain, _ = values(data, "QQQQmQsQQ")
+    return ChunkIndex(offset, length, index_length, indexes, compression, packed, plain, first, last)
+
+
+def message_index(data: bytes) -> tuple[int, NDArray[Any]]:
+    """Read a MessageIndex record's content: (channel, (k, 2) uint64 log time and offset in the chunk)."""
+    ident, entries, _ = values(data, "Hb")
+    if len(entries) % 16:
+        raise DamagedError(TOO_SHORT)
+    return ident, np.frombuffer(entries, "<u8").reshape(-1, 2)
+
+
+def attachment(data: bytes) -> tuple[str, bytes, int]:
+    """Read an Attachment record's content: (name, bytes, crc of everything before the crc; 0 = none)."""
+    _, _, name, _, content, crc, _ = values(data, "QQssdI")
+    return name, content, crc
+
+
 def statistics(data: bytes) -> Statistics:
     """Read a Statistics record's content."""
-    c = Cursor(data)
-    messages, _, _, attachments, _, chunks, _, _ = c.integers("QHIIIIQQ")
-    return Statistics(messages, attachments, chunks, c.map("Q"))
+    messages, _, _, attachments, _, chunks, _, _, counts, _ = values(data, "QHIIIIQQm")
+    return Statistics(messages, attachments, chunks, counts)

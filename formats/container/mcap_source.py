@@ -4,37 +4,34 @@ from __future__ import annotations
 
 import zlib
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.formats.caps import MAX_ATTACHMENT, MAX_CHUNK
+from locfuse.formats.caps import MAX_ATTACHMENT
 from locfuse.formats.columns import view
 from locfuse.fusion.data import Ints
 
 from . import mcap_records as rec
-from .decompress import DamagedError, decompress, decompress_prefix
+from .chunked import Bytes, ChunkedSource, Part, Records
+from .decompress import DamagedError
 from .file_bytes import FileBytes
 from .losses import Losses
-from .mcap_chunk import Index, Records, counted, records
-from .mcap_survey import ChunkRef, LooseRun, Part, confirm, promised, survey
+from .mcap_chunk import Index, records
+from .mcap_survey import ChunkRef, confirm, promised, survey
 from .source import Batch, ChannelInfo, Messages
 
 MAX_SHARE = 0.5  # of a file that is elsewhere: where more is wanted all of it is copied at once
 
-Bytes = NDArray[np.uint8]
 
-
-class McapSource:
+class McapSource(ChunkedSource):
     """One .mcap file. Opening it walks the outermost records only; messages are read by `batches`."""
 
     def __init__(self, data: FileBytes, losses: Losses) -> None:
-        self.path = data.path
-        self.losses = losses
-        self.data = data
+        super().__init__(data, losses)
         found = promised(data) if data.far else None
         if found is None:
             data.copy_here()
@@ -72,7 +69,7 @@ class McapSource:
             for chunk in chunks[:1]:
                 confirm(self.data, chunk)
             same = len(chunks) == len(self._survey.parts)
-            return same and all(chunk.header.crc for chunk in chunks if not chunk.promised)
+            return same and all(chunk.crc for chunk in chunks if not chunk.promised)
         return False
 
     @property
@@ -89,12 +86,7 @@ class McapSource:
         """Yield the messages of the wanted channels in file order."""
         if self.data.far:
             self._fetch(wanted)
-        for part in self._survey.parts:
-            if part.counts is not None and not part.counts.keys() & wanted:
-                continue
-            data, found = self._load(part)
-            if messages := {ident: m for ident, m in found.messages.items() if ident in wanted}:
-                yield Batch(data, messages)
+        yield from super().batches(wanted)
 
     def _fetch(self, wanted: Collection[int]) -> None:
         """Load the chunks with wanted messages; where they are most of the file, copy all of it and walk it."""
@@ -108,50 +100,27 @@ class McapSource:
         self._discover()
         self._compare_with_statistics()
 
-    def _load(self, part: Part) -> tuple[Bytes, Records]:
-        """Read one part; damage is counted and left out."""
-        try:
-            data = self._bytes(part)
-            found = records(data, self._index(part) if isinstance(part, ChunkRef) else None, part.size)
-        except DamagedError as problem:
-            known = None if part.counts is None else sum(part.counts.values())
-            self.losses.add(str(self.path), str(problem), part.offset, part.size, known)
-            return np.empty(0, np.uint8), Records({}, [], 0)
-        if found.end < len(data) or part.cut_off:
-            self._count_gap(part, len(data), found)
-        return data, found
+    @property
+    def parts(self) -> Sequence[Part]:
+        """The parts in the order in which they are read."""
+        return self._survey.parts
 
-    def _bytes(self, part: Part) -> Bytes:
-        if part.size > MAX_CHUNK:
-            raise DamagedError(f"a chunk is larger than {MAX_CHUNK >> 20} MiB")
+    def search(self, part: Part, data: Bytes) -> Records:
+        """Find the records in a part's bytes: by the message indexes after a chunk, if they are whole."""
+        index: Index = {}
+        if isinstance(part, ChunkRef) and not part.cut_off:
+            with suppress(DamagedError):
+                index = dict(rec.message_index(self.data.read(at, length)) for at, length in part.index.values())
+        return records(data, index or None, part.size)
+
+    def unpacked(self, part: Part) -> bytes:
+        """Return the bytes of a part. Raises DamagedError, also where they fail their checksum."""
         if isinstance(part, ChunkRef):
             confirm(self.data, part)
-        packed = self.data.read(part.start, part.size)
-        if isinstance(part, LooseRun):
-            return np.frombuffer(packed, np.uint8)
-        header = part.header
-        if part.cut_off:
-            plain = decompress_prefix(packed, header.compression, header.uncompressed_size)
-        else:
-            plain = decompress(packed, header.compression, header.uncompressed_size)
-            if header.crc and zlib.crc32(plain) != header.crc:
-                raise DamagedError("a chunk fails its checksum")
-        return np.frombuffer(plain, np.uint8)
-
-    def _index(self, chunk: ChunkRef) -> Index | None:
-        """Return the message indexes after a chunk, None without any."""
-        try:
-            found = [rec.message_index(self.data.read(at, length)) for at, length in chunk.index.values()]
-        except DamagedError:
-            return None
-        return dict(found) if found and not chunk.cut_off else None
-
-    def _count_gap(self, part: Part, size: int, found: Records) -> None:
-        reason = "the file is cut off inside a chunk" if part.cut_off else "a chunk holds bytes that are no record"
-        missing = None
-        if part.counts is not None:
-            missing = max(sum(part.counts.values()) - counted(found.messages.values()), 0)
-        self.losses.add(str(self.path), reason, part.offset, size - found.end, missing)
+        plain = super().unpacked(part)
+        if isinstance(part, ChunkRef) and part.crc and not part.cut_off and zlib.crc32(plain) != part.crc:
+            raise DamagedError("a chunk fails its checksum")
+        return plain
 
     def _discover(self) -> None:
         """Read the parts whose channels and message counts are only known from their content."""
@@ -160,22 +129,14 @@ class McapSource:
             complete = part.counts is not None and part.counts.keys() <= known.channels.keys()
             if complete and all(known.channels[i].schema_id in {0, *known.schemas} for i in part.counts or ()):
                 continue
-            data, found = self._load(part)
-            if part.counts is None:
-                part.counts = {ident: len(m.start) for ident, m in found.messages.items()}
+            data, found = self.load(part)
             for opcode, start, length in found.definitions:
                 with suppress(DamagedError):  # then the channel has no definition
                     known.define(opcode, data[start : start + length].tobytes())
 
-    def _counts(self) -> Counter[int]:
-        total: Counter[int] = Counter()
-        for part in self._survey.parts:
-            total.update(part.counts or {})
-        return total
-
     def _channels(self) -> dict[int, ChannelInfo]:
         nothing = rec.Schema(0, "", "", b"")
-        counts = self._counts()
+        counts = self.counted()
         found: dict[int, ChannelInfo] = {}
         for ident, c in self._survey.channels.items():
             schema = self._survey.schemas.get(c.schema_id, nothing)
@@ -187,7 +148,7 @@ class McapSource:
         return found
 
     def _compare_with_statistics(self) -> None:
-        missing = Counter(self._survey.expected or {}) - self._counts()
+        missing = Counter(self._survey.expected or {}) - self.counted()
         if missing:
             reason = "messages the file's statistics promise are missing"
             self.losses.add(str(self.path), reason, 0, 0, missing.total())

@@ -15,70 +15,38 @@ from collections.abc import Collection
 import msgspec
 import numpy as np
 from msgspec import field
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_CHUNK
 from locfuse.fusion.data import LocfuseError
 
 from . import mcap_records as rec
+from .chunked import Part
 from .decompress import CODECS, DamagedError
 from .file_bytes import FileBytes
 from .losses import Losses
 from .mcap_chunk import scan
 
 
-class ChunkRef(msgspec.Struct):
+class ChunkRef(Part):
     """One chunk of the file."""
 
-    offset: int  # of its record
-    header: rec.ChunkHeader
+    crc: int = 0  # of the unpacked bytes; 0 = not checked by the writer
     index: dict[int, tuple[int, int]] = field(default_factory=dict)  # channel -> (file offset, content length)
-    available: int = 0  # compressed bytes present: less than header.length where the file is cut off
-    counts: dict[int, int] | None = None  # channel -> messages, once known
     promised: bool = False  # whether all this is from the summary alone: its checksum is then not known yet
-
-    @property
-    def start(self) -> int:
-        """File offset of the compressed bytes."""
-        return self.offset + rec.RECORD.size + self.header.start
-
-    @property
-    def span(self) -> tuple[int, int]:
-        """Log times of its first and last message, ns."""
-        return self.header.first, self.header.last
 
     @property
     def place(self) -> tuple[int, int]:
         """Where it begins in the file, and where its message indexes end."""
         return self.offset, max(at + length for at, length in self.index.values())
 
-    @property
-    def size(self) -> int:
-        """Bytes to read: fewer than in the header where the file is cut off."""
-        return self.available
 
-    @property
-    def cut_off(self) -> bool:
-        """Whether the file ends inside this chunk."""
-        return self.available < self.header.length
-
-
-class LooseRun(msgspec.Struct):
-    """Consecutive messages outside any chunk."""
-
-    offset: int
-    size: int
-    counts: dict[int, int] | None = field(default_factory=dict)
-    span: tuple[int, int] = (0, 0)  # log times, ns
-    cut_off: bool = False
-
-    @property
-    def start(self) -> int:
-        """File offset of the bytes."""
-        return self.offset
-
-
-Part = ChunkRef | LooseRun
+def chunk_at(offset: int, header: rec.ChunkHeader, available: int) -> ChunkRef:
+    """Return the chunk with a header, of whose compressed bytes so many are in the file."""
+    start, times = offset + rec.RECORD.size + header.start, (header.first, header.last)
+    cut_off, plain = available < header.length, header.uncompressed_size
+    return ChunkRef(offset, start, available, header.compression, plain, cut_off, None, times, header.crc)
 
 
 def put_in_order(parts: list[Part]) -> None:
@@ -116,51 +84,41 @@ class Survey(msgspec.Struct):
 # --- The summary section at the end, believed only when footer, checksum and records are whole
 
 
-class FileSummary(msgspec.Struct):
+class FileSummary(Survey):
     """The writer's summary of the whole file."""
 
-    start: int  # file offset of the section
-    schemas: dict[int, rec.Schema] = field(default_factory=dict)
-    channels: dict[int, rec.Channel] = field(default_factory=dict)
+    start: int = 0  # file offset of the section
     chunks: dict[int, rec.ChunkIndex] = field(default_factory=dict)  # by file offset
-    attachments: list[rec.AttachmentIndex] = field(default_factory=list)
     statistics: rec.Statistics | None = None
-
-    @property
-    def counts(self) -> dict[int, int] | None:
-        """Channel -> messages; None if the writer did not count them."""
-        return None if self.statistics is None else self.statistics.counts
 
 
 TAIL_BYTES = rec.RECORD.size + rec.FOOTER_LENGTH + len(rec.MAGIC)  # bytes of footer and magic
 
 
+def _footer(data: FileBytes) -> tuple[int, int, bytes] | None:
+    """Return the summary's place and checksum, and the footer's bytes under that; None without a whole footer."""
+    foot = data.read(max(data.size - TAIL_BYTES, 0), TAIL_BYTES)
+    if len(foot) < TAIL_BYTES or foot[-len(rec.MAGIC) :] != rec.MAGIC or foot[0] != rec.FOOTER:
+        return None
+    start, _, crc, at = rec.values(foot, "QQI", rec.RECORD.size)
+    return start, crc, foot[: at - 4]
+
+
 def lost_summary(data: FileBytes) -> bool:
     """Return whether a file without a valid summary should have one: its footer is damaged or points at it."""
     foot = _footer(data)
-    return not foot or rec.Cursor(foot, rec.RECORD.size).integers("QQI")[0] != 0
-
-
-def _footer(data: FileBytes) -> bytes:
-    """Return the footer's record and the magic after it, empty if either is missing."""
-    foot = data.read(max(data.size - TAIL_BYTES, 0), TAIL_BYTES)
-    whole = len(foot) == TAIL_BYTES and foot[-len(rec.MAGIC) :] == rec.MAGIC and foot[0] == rec.FOOTER
-    return foot if whole else b""
+    return foot is None or foot[0] != 0
 
 
 def summary_section(data: FileBytes) -> bytes | None:
     """Return the bytes of the summary section, None if it is missing or its checksum is wrong."""
     foot = _footer(data)
-    if not foot:
-        return None
-    start, _, crc = rec.Cursor(foot, rec.RECORD.size).integers("QQI")
     end = data.size - TAIL_BYTES
-    if not len(rec.MAGIC) <= start <= end or end - start > MAX_CHUNK:
+    if foot is None or not len(rec.MAGIC) <= foot[0] <= end or end - foot[0] > MAX_CHUNK:
         return None
+    start, crc, footer = foot
     section = data.read(start, end - start)
-    if crc and zlib.crc32(section + foot[: rec.RECORD.size + rec.FOOTER_LENGTH - 4]) != crc:
-        return None
-    return section
+    return None if crc and zlib.crc32(section + footer) != crc else section
 
 
 def read_summary(data: FileBytes) -> FileSummary | None:
@@ -168,33 +126,27 @@ def read_summary(data: FileBytes) -> FileSummary | None:
     section = summary_section(data)
     if section is None:
         return None
+    summary = FileSummary(start=data.size - TAIL_BYTES - len(section))
+    at = 0
     try:
-        return _parse(section, data.size - TAIL_BYTES - len(section))
+        while at < len(section):
+            opcode, length, start = rec.values(section, "BQ", at)
+            at = start + length
+            content = section[start:at]
+            if at > len(section):
+                return None
+            summary.define(opcode, content)
+            if opcode == rec.CHUNK_INDEX:
+                chunk = rec.chunk_index(content)
+                summary.chunks[chunk.offset] = chunk
+            elif opcode == rec.STATISTICS:
+                summary.statistics = rec.statistics(content)
+                summary.expected = summary.statistics.counts
+            elif opcode == rec.ATTACHMENT_INDEX:
+                offset, length, _ = rec.values(content, "QQ")
+                summary.attachments.append((offset + rec.RECORD.size, length - rec.RECORD.size))
     except DamagedError:
         return None
-
-
-def _parse(section: bytes, start: int) -> FileSummary:
-    summary = FileSummary(start)
-    at = 0
-    while at < len(section):
-        cursor = rec.Cursor(section, at)
-        opcode, length = cursor.integers("BQ")
-        content = cursor.take(length)
-        at = cursor.at
-        if opcode == rec.SCHEMA:
-            schema = rec.schema(content)
-            summary.schemas[schema.id] = schema
-        elif opcode == rec.CHANNEL:
-            channel = rec.channel(content)
-            summary.channels[channel.id] = channel
-        elif opcode == rec.CHUNK_INDEX:
-            chunk = rec.chunk_index(content)
-            summary.chunks[chunk.offset] = chunk
-        elif opcode == rec.STATISTICS:
-            summary.statistics = rec.statistics(content)
-        elif opcode == rec.ATTACHMENT_INDEX:
-            summary.attachments.append(rec.attachment_index(content))
     return summary
 
 
@@ -232,13 +184,14 @@ def promised(data: FileBytes) -> Survey | None:
         and total.keys() <= summary.channels.keys()
         and all(summary.channels[ident].schema_id in {0, *summary.schemas} for ident in total)
         and end <= summary.start
-        and all(a.length > rec.RECORD.size for a in summary.attachments)
+        and all(length > 0 for _, length in summary.attachments)
     )
     if not agrees:
         return None
     put_in_order(parts)
-    attachments = [(a.offset + rec.RECORD.size, a.length - rec.RECORD.size) for a in sorted(summary.attachments)]
-    return Survey(parts, summary.schemas, summary.channels, attachments, statistics.counts)
+    summary.parts = parts
+    summary.attachments.sort()
+    return summary
 
 
 def _promised_chunk(entry: rec.ChunkIndex) -> ChunkRef | None:
@@ -260,17 +213,20 @@ def _promised_chunk(entry: rec.ChunkIndex) -> ChunkRef | None:
             return None
         indexes[ident], counts[ident] = (at + rec.RECORD.size, length), (length - INDEX_FRONT) // ENTRY_BYTES
     header = rec.ChunkHeader(entry.plain, 0, entry.compression, front, entry.packed, entry.first, entry.last)
-    return ChunkRef(entry.offset, header, indexes, available=entry.packed, counts=counts, promised=True)
+    chunk = chunk_at(entry.offset, header, entry.packed)
+    chunk.index, chunk.counts, chunk.promised = indexes, counts, True
+    return chunk
 
 
 def confirm(data: FileBytes, chunk: ChunkRef) -> None:
     """Read the own header of a chunk that is known by the summary. Raises DamagedError if it differs."""
     if chunk.promised:
         head = data.read(chunk.offset, CHUNK_HEAD)
-        header = rec.chunk_header(head[rec.RECORD.size :])
-        if head[0] != rec.CHUNK or header._replace(crc=0) != chunk.header._replace(crc=0):
+        own = chunk_at(chunk.offset, rec.chunk_header(head[rec.RECORD.size :]), chunk.size)
+        own.index, own.counts = chunk.index, chunk.counts
+        if head[0] != rec.CHUNK or own != replace(chunk, crc=own.crc, promised=False):
             raise DamagedError("a chunk is not what the summary says")
-        chunk.header, chunk.promised = header, False
+        chunk.crc, chunk.promised = own.crc, False
 
 
 # --- Where records go on behind damage
@@ -295,9 +251,6 @@ class Resync:
         if self.starts:
             i = bisect_left(self.starts, at)
             return self.starts[i] if i < len(self.starts) else None
-        return self._search(at, chunked, channels)
-
-    def _search(self, at: int, chunked: bool, channels: Collection[int]) -> int | None:
         while at + rec.RECORD.size <= self.end:
             if at not in self._window or chunked != self._chunked:
                 self._search_window(at, chunked)
@@ -338,7 +291,7 @@ class Resync:
             if len(head) < rec.RECORD.size + 2:
                 return False
             opcode, length = rec.opcode_and_length(head)
-            if opcode == rec.MESSAGE and rec.Cursor(head, rec.RECORD.size).integer("H") not in channels:
+            if opcode == rec.MESSAGE and int.from_bytes(head[rec.RECORD.size :], "little") not in channels:
                 return False
             if not 0 < opcode <= rec.DATA_END or at + rec.RECORD.size + length > self.data.size:
                 return False
@@ -410,7 +363,7 @@ class _SurveyWalk:
         self.losses = losses
         self.found = Survey()
         if summary is not None:
-            self.found = Survey(schemas=summary.schemas, channels=summary.channels, expected=summary.counts)
+            self.found = Survey([], summary.schemas, summary.channels, [], summary.expected)
         self.resync = Resync(data, summary)
         self.chunked = False
         self.index_end = 0  # where the message indexes of the last chunk end, by the summary
@@ -425,18 +378,12 @@ class _SurveyWalk:
         elif self.summary is None and lost_summary(self.data):
             self.losses.add(self.name, NO_SUMMARY, here, self.data.size - here)
         self._distrust_unconfirmed()
-        self._put_in_order()
-        return self.found
-
-    def _put_in_order(self) -> None:
-        """Put chunks in the order of their times.
-
-        Times in a chunk's header are covered by no checksum, so they count only where the summary has the same.
-        """
-        spans = [part.span for part in self.found.parts]
+        # times in a chunk's header are covered by no checksum: they count only where the summary has the same
         promised = self.summary.chunks.values() if self.summary else ()
-        if sorted(spans) == sorted((entry.first, entry.last) for entry in promised):
+        times = sorted((entry.first, entry.last) for entry in promised)
+        if sorted(part.span for part in self.found.parts) == times:
             put_in_order(self.found.parts)
+        return self.found
 
     def _step(self, at: int) -> int | None:
         """Handle the record at `at`; return the next one's offset, or None at the end of the data section."""
@@ -479,8 +426,8 @@ class _SurveyWalk:
         """Check the bytes outside chunk checksums, if the writer gave a checksum of the whole."""
         value = self.data.read(at + rec.RECORD.size, 4)
         whole = opcode == rec.DATA_END and len(value) == 4  # a file may be cut within the checksum itself
-        if whole and any(isinstance(part, LooseRun) for part in self.found.parts):
-            crc = rec.Cursor(value).integer("I")
+        if whole and any(not isinstance(part, ChunkRef) for part in self.found.parts):
+            crc = int.from_bytes(value, "little")
             if crc and self.data.crc32(0, at) != crc:
                 self.losses.add(self.name, "the file fails its checksum: values may be wrong", 0, 0)
 
@@ -499,16 +446,12 @@ class _SurveyWalk:
             chunk.index.clear()
             chunk.counts = None
 
-    def _content(self, at: int, length: int) -> bytes:
+    def _define(self, at: int, length: int) -> None:
+        """Take a Schema or Channel record."""
         if length > MAX_CHUNK:
             raise DamagedError(f"a record claims more than {MAX_CHUNK >> 20} MiB")
-        return self.data.read(at + rec.RECORD.size, length)
-
-    def _schema(self, at: int, length: int) -> None:
-        self.found.define(rec.SCHEMA, self._content(at, length))
-
-    def _channel(self, at: int, length: int) -> None:
-        self.found.define(rec.CHANNEL, self._content(at, length))
+        content = self.data.read(at, rec.RECORD.size + length)
+        self.found.define(content[0], content[rec.RECORD.size :])
 
     def _loose(self, at: int, length: int) -> int:
         """Collect consecutive messages outside any chunk; return where they end."""
@@ -524,7 +467,8 @@ class _SurveyWalk:
             self.found.define(opcode, data[start : start + size].tobytes())
         counts = {ident: len(messages.start) for ident, messages in found.messages.items()}
         times = np.concatenate([messages.log_time for messages in found.messages.values()])
-        self.found.parts.append(LooseRun(at, found.end, counts, (int(times.min()), int(times.max()))))
+        span = int(times.min()), int(times.max())
+        self.found.parts.append(Part(at, at, found.end, counts=counts, span=span))
         return at + found.end
 
     def _chunk(self, at: int, length: int) -> int | None:
@@ -540,7 +484,7 @@ class _SurveyWalk:
         self.chunked = True
         if self.summary and at in self.summary.chunks:
             self.index_end = at + rec.RECORD.size + length + self.summary.chunks[at].index_length
-        self.found.parts.append(ChunkRef(at, header, available=available))
+        self.found.parts.append(chunk_at(at, header, available))
         return None
 
     def _opened(self, header: rec.ChunkHeader, start: int, available: int) -> int:
@@ -554,7 +498,7 @@ class _SurveyWalk:
     def _message_index(self, at: int, length: int) -> None:
         chunk = self.found.parts[-1] if self.found.parts else None
         if isinstance(chunk, ChunkRef):
-            ident, n_bytes = rec.Cursor(self.data.read(at + rec.RECORD.size, 6)).integers("HI")
+            ident, n_bytes, _ = rec.values(self.data.read(at + rec.RECORD.size, 6), "HI")
             if n_bytes != length - 6 or n_bytes % 16:
                 raise DamagedError("a message index that contradicts itself")
             chunk.index[ident] = (at + rec.RECORD.size, length)
@@ -565,8 +509,8 @@ class _SurveyWalk:
         self.found.attachments.append((at + rec.RECORD.size, length))
 
     HANDLERS = {  # noqa: RUF012
-        rec.SCHEMA: _schema,
-        rec.CHANNEL: _channel,
+        rec.SCHEMA: _define,
+        rec.CHANNEL: _define,
         rec.MESSAGE: _loose,
         rec.CHUNK: _chunk,
         rec.MESSAGE_INDEX: _message_index,

@@ -7,21 +7,19 @@ from __future__ import annotations
 
 import re
 import struct
-from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.formats.caps import FREE_RECORDS, MAX_CHUNK
 from locfuse.fusion.data import Ints, LocfuseError
 
-from .decompress import CODECS, DamagedError, decompress, decompress_prefix
+from .chunked import Bytes, ChunkedSource, Part, Records, by_channel, most_records
+from .decompress import DamagedError
 from .file_bytes import FileBytes
 from .losses import Losses
-from .source import Batch, ChannelInfo, Messages
+from .source import ChannelInfo, Messages
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
@@ -92,21 +90,16 @@ def fields_of(header: bytes) -> Fields:
     return found
 
 
-class Scanned(NamedTuple):
-    """The records inside a chunk."""
-
-    connections: dict[int, tuple[Fields, bytes]]  # id -> (fields, data)
-    connection: Ints  # (k,) of every message
-    time_ns: Ints  # (k,)
-    start: Ints  # (k,) payload in the chunk
-    length: Ints  # (k,)
-    end: int  # where the records stop making sense
+Connection = tuple[int, Fields, bytes]  # id, fields, data
 
 
-def scan_chunk(data: NDArray[np.uint8], most: int) -> Scanned:
-    """Read a chunk's decompressed bytes record by record. Raises DamagedError at more than `most` records."""
+def scan_chunk(data: Bytes, most: int) -> Records:
+    """Read a chunk's bytes record by record; its definitions are Connections.
+
+    Raises DamagedError at more than `most` records.
+    """
     buffer = data.data
-    connections: dict[int, tuple[Fields, bytes]] = {}
+    connections: dict[int, Connection] = {}
     rows: list[tuple[int, int, int, int]] = []
     at = count = 0
     while at < len(buffer):
@@ -115,12 +108,19 @@ def scan_chunk(data: NDArray[np.uint8], most: int) -> Scanned:
             raise DamagedError(f"a chunk unpacks to more than {most} records, the cap for its size")
         try:
             entry = _entry(buffer, at)
-            _take(entry, buffer, rows, connections)
+            if entry.op == MESSAGE:
+                rows.append((entry.number(b"conn"), entry.time_ns(b"time"), entry.start, entry.length))
+            elif entry.op == CONNECTION:
+                ident, content = entry.number(b"conn"), bytes(buffer[entry.start : entry.end])
+                connections[ident] = ident, entry.fields, content
+            else:
+                break
         except (struct.error, DamagedError):
             break
         at = entry.end
     connection, time_ns, start, length = np.array(rows, np.int64).reshape(-1, 4).T
-    return Scanned(connections, connection, time_ns, start, length, at)
+    everything = Messages(start, length, time_ns, np.zeros(len(start), np.int64))
+    return Records(by_channel(connection, everything), list(connections.values()), at)
 
 
 def _entry(buffer: memoryview, at: int) -> BagRecord:
@@ -133,20 +133,6 @@ def _entry(buffer: memoryview, at: int) -> BagRecord:
     return BagRecord(at, (found.get(b"op") or b"\x00")[0], found, start, length)
 
 
-def _take(
-    entry: BagRecord,
-    buffer: memoryview,
-    rows: list[tuple[int, int, int, int]],
-    connections: dict[int, tuple[Fields, bytes]],
-) -> None:
-    if entry.op == MESSAGE:
-        rows.append((entry.number(b"conn"), entry.time_ns(b"time"), entry.start, entry.length))
-    elif entry.op == CONNECTION:
-        connections[entry.number(b"conn")] = entry.fields, bytes(buffer[entry.start : entry.end])
-    else:
-        raise DamagedError("bytes that are no record")
-
-
 # --- Bags as sources of message batches, finished or cut off
 
 CUT_OFF = "the bag was not closed: the recording was cut off"
@@ -155,33 +141,28 @@ HINT = re.compile(rb"[\x0f\x10]\0\0\0compression=(?:none|bz2|lz4)")  # a field o
 BEFORE = range(4, 64)  # so many bytes behind the record's start
 
 
-class BagPart(msgspec.Struct):
-    """A chunk, or messages outside any chunk after a crash."""
-
-    at: int
-    start: int
-    length: int
-    compression: str = ""
-    size: int = 0  # unpacked
-    cut_off: bool = False
-    counts: dict[int, int] | None = None  # connection -> messages, by the index behind the chunk
-
-
-class BagSource:
+class BagSource(ChunkedSource):
     """One .bag file."""
 
     attachments: Mapping[str, bytes] = {}
 
     def __init__(self, data: FileBytes, losses: Losses) -> None:
-        self.path = data.path
-        self.losses = losses
-        self.data = data
-        self._parts: list[BagPart] = []
+        super().__init__(data, losses)
+        self._parts: list[Part] = []
         self._connections: dict[int, tuple[Fields, bytes]] = {}
         self._span: tuple[int, int] | None = None
         self._survey()
         self._discover()
         self.channels = self._channels()
+
+    @property
+    def parts(self) -> Sequence[Part]:
+        """The parts in the order of the file."""
+        return self._parts
+
+    def search(self, part: Part, data: Bytes) -> Records:
+        """Find the records in a part's bytes."""
+        return scan_chunk(data, most_records(part.size))
 
     @property
     def time_span_ns(self) -> tuple[int, int] | None:
@@ -191,20 +172,6 @@ class BagSource:
     def published(self, data: NDArray[np.uint8], messages: Messages) -> Ints:
         """Return the log times: the file keeps no others."""
         return messages.log_time
-
-    def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
-        """Yield the messages of the wanted connections in file order."""
-        for part in self._parts:
-            if part.counts is not None and not part.counts.keys() & wanted:
-                continue
-            data, found = self._load(part)
-            messages = {
-                ident: _messages(found).take(found.connection == ident)
-                for ident in np.unique(found.connection).tolist()
-                if ident in wanted
-            }
-            if messages:
-                yield Batch(data, messages)
 
     def _survey(self) -> None:
         """Read the outermost records: chunks and their indexes, connections, and the time span."""
@@ -246,23 +213,20 @@ class BagSource:
     def _take_chunk(self, entry: BagRecord) -> None:
         name = entry.fields.get(b"compression", b"").decode("utf-8", "replace")
         available = min(entry.length, self.data.size - entry.start)
-        part = BagPart(entry.at, entry.start, available, "" if name == "none" else name, entry.number(b"size"))
+        plain = entry.number(b"size") or None  # 0 where the recorder never completed it
+        part = Part(entry.at, entry.start, available, "" if name == "none" else name, plain)
         part.cut_off = available < entry.length
-        if part.length:
+        if part.size:
             self._parts.append(part)
 
     def _take_loose(self, entry: BagRecord) -> None:
         """Collect messages outside a chunk whose header was never completed, after a crash."""
         before = self._parts[-1] if self._parts else None
-        if (
-            before
-            and not before.size
-            and before.start + before.length == entry.at
-            and before.length < WINDOW_BYTES
-        ):
-            before.length = entry.end - before.start
+        follows = before is not None and before.plain is None and before.start + before.size == entry.at
+        if before is not None and follows and before.size < WINDOW_BYTES:
+            before.size = entry.end - before.start
         else:
-            self._parts.append(BagPart(entry.at, entry.at, entry.end - entry.at))
+            self._parts.append(Part(entry.at, entry.at, entry.end - entry.at))
 
     def _widen(self, first: int, last: int) -> None:
         if self._span is not None:
@@ -295,49 +259,20 @@ class BagSource:
             return False
         return entry.op == CHUNK and entry.end <= self.data.size
 
-    def _load(self, part: BagPart) -> tuple[NDArray[np.uint8], Scanned]:
-        """Read one part; damage is counted and left out."""
-        try:
-            data = np.frombuffer(self._bytes(part), np.uint8)
-            found = scan_chunk(data, FREE_RECORDS + part.length)
-        except DamagedError as problem:
-            known = None if part.counts is None else sum(part.counts.values())
-            self.losses.add(str(self.path), str(problem), part.at, part.length, known)
-            data = np.empty(0, np.uint8)
-            found = scan_chunk(data, 0)
-        if found.end < len(data):
-            reason = (
-                "the file is cut off inside a chunk" if part.cut_off else "a chunk holds bytes that are no record"
-            )
-            self.losses.add(str(self.path), reason, part.at, len(data) - found.end)
-        return data, found
-
-    def _bytes(self, part: BagPart) -> bytes:
-        if part.length > MAX_CHUNK:
-            raise DamagedError(f"a chunk is larger than {MAX_CHUNK >> 20} MiB")
-        if part.compression not in CODECS:
-            raise DamagedError(f"unknown compression {part.compression[:16]!r}")
-        packed = self.data.read(part.start, part.length)
-        if part.size == 0:
-            return packed
-        unpack = decompress_prefix if part.cut_off else decompress
-        return unpack(packed, part.compression, part.size)
-
     def _discover(self) -> None:
         """Read the parts whose connections and message counts are only known from their content."""
         for part in self._parts:
             if part.counts is not None and part.counts.keys() <= self._connections.keys() and self._span:
                 continue
-            _, found = self._load(part)
-            part.counts = dict(Counter(found.connection.tolist()))
-            self._connections = {**found.connections, **self._connections}
-            if len(found.time_ns):
-                self._widen(int(found.time_ns.min()), int(found.time_ns.max()))
+            part.counts = None
+            _, found = self.load(part)
+            inside = {ident: (head, data) for ident, head, data in found.definitions}
+            self._connections = {**inside, **self._connections}
+            for messages in found.messages.values():
+                self._widen(int(messages.log_time.min()), int(messages.log_time.max()))
 
     def _channels(self) -> dict[int, ChannelInfo]:
-        counts: Counter[int] = Counter()
-        for part in self._parts:
-            counts.update(part.counts or {})
+        counts = self.counted()
         found = {}
         for ident, (head, data) in self._connections.items():
             try:
@@ -355,7 +290,3 @@ def _heads(window: bytes, start: int, end: int) -> bool:
     """Return whether the header of a record here reaches `end` and is as short as a chunk's."""
     length = int(WORD.unpack_from(window, start)[0])
     return end <= start + WORD.size + length <= start + 2 * BEFORE.stop
-
-
-def _messages(found: Scanned) -> Messages:
-    return Messages(found.start, found.length, found.time_ns, np.zeros(len(found.start), np.int64))

@@ -7,7 +7,7 @@ page needs no second copy, and a phone can set the words larger (benchmarks: "re
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 
 import msgspec
@@ -259,9 +259,7 @@ def _frame(panel: Panel, x: Axis, y: Axis) -> str:
 
 
 def _mark(mark: Mark, x: Axis, y: Axis, slugs: dict[str, str], looks: Mapping[str, str]) -> str:
-    pixels = max(16, round(x.end - x.start))
-    draw: Callable[..., tuple[str, str]] = _DRAW[type(mark)]
-    kind, d = draw(mark, x, y, pixels)
+    kind, d = _drawn(mark, x, y)
     if not d:
         return ""
     look = "truth" if mark.of == "truth" else looks.get(mark.of, "") if isinstance(mark, Curve) else ""
@@ -287,39 +285,23 @@ def _shade(event: Event, x: Axis, y: Axis, slugs: dict[str, str]) -> str:
     return f'<rect class="shade {slugs[EVENTS[event.kind]]}" {box}><title>{escape(event.words)}</title></rect>'
 
 
-def _curve(mark: Curve, x: Axis, y: Axis, pixels: int) -> tuple[str, str]:
-    px, py = x.px(mark.x), y.px(mark.y)
+def _drawn(mark: Mark, x: Axis, y: Axis) -> tuple[str, str]:
+    """Return the CSS classes of a mark, and its path."""
+    pixels = max(16, round(x.end - x.start))
+    if isinstance(mark, Strokes):
+        return "stroke", strokes_path(np.stack((x.px(mark.ends[:, :, 0]), y.px(mark.ends[:, :, 1])), axis=-1))
+    px = x.px(mark.x)
+    if isinstance(mark, Band):
+        return "solid" if mark.solid else "band", band_path(px, y.px(mark.low), y.px(mark.high), pixels)
+    py = y.px(mark.y)
+    if isinstance(mark, Dots):
+        return "dots", dots_path(px, py)
+    if isinstance(mark, Spots):
+        shape = SHAPES[mark.of]
+        return f"spot {shape}", spots_path(px, py, crossed=shape == "cross")
     grows = len(px) < 2 or bool((np.diff(px) >= 0).all())
     kind = "faint" if mark.faint else "curve wide" if mark.wide else "curve"
     return kind, curve_path(px, py, pixels) if grows else free_path(px, py)
-
-
-def _band(mark: Band, x: Axis, y: Axis, pixels: int) -> tuple[str, str]:
-    low, high = y.px(mark.low), y.px(mark.high)
-    return "solid" if mark.solid else "band", band_path(x.px(mark.x), low, high, pixels)
-
-
-def _dots(mark: Dots, x: Axis, y: Axis, pixels: int) -> tuple[str, str]:
-    return "dots", dots_path(x.px(mark.x), y.px(mark.y))
-
-
-def _strokes(mark: Strokes, x: Axis, y: Axis, pixels: int) -> tuple[str, str]:
-    ends = np.stack((x.px(mark.ends[:, :, 0]), y.px(mark.ends[:, :, 1])), axis=-1)
-    return "stroke", strokes_path(ends)
-
-
-def _spots(mark: Spots, x: Axis, y: Axis, pixels: int) -> tuple[str, str]:
-    shape = SHAPES[mark.of]
-    return f"spot {shape}", spots_path(x.px(mark.x), y.px(mark.y), crossed=shape == "cross")
-
-
-_DRAW: dict[type, Callable[..., tuple[str, str]]] = {
-    Curve: _curve,
-    Band: _band,
-    Dots: _dots,
-    Strokes: _strokes,
-    Spots: _spots,
-}
 
 
 def slugs_of(names: Sequence[str]) -> dict[str, str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property
 from typing import NamedTuple, Self
@@ -30,10 +30,9 @@ from locfuse.fusion.progress import say_done
 
 from . import clock as clocks
 from .adapters import PRESENTED, presented_name
-from .file_stream import RANGES, FileStream, is_file_topic, read_file
+from .file_stream import FileStream, is_file_topic, read_file
 from .files import Identity, files_of, identity, identity_of, log_name, open_source, seen_of, seen_of_object
 from .stream import (
-    NUMBER,
     LogStream,
     NumberStream,
     PathStream,
@@ -191,7 +190,8 @@ class Log:
         self.topics = {topic: channels.topic for topic, channels in self._channels.items()}
         self._tables: dict[str, TopicTable] = {}
         self._streams: dict[tuple[str, str], AnyStream] = {}
-        self._files: dict[str, FileStream] = {}
+        self._derived: dict[str, Callable[[str], AnyStream]] = {}  # by topic: what makes its stream in an order
+        self._files: set[str] = set()
         self._edges: dict[tuple[str, str], dict[tuple[str, str], FrameEdge]] = {}
 
     @cached_property
@@ -262,24 +262,10 @@ class Log:
 
     def _made(self, topic: str, order: str) -> AnyStream:
         self.find(topic)
-        if topic in self._files:
-            return self._files[topic]
-        number, pair = field_of(topic), pair_of(topic)
-        if (source := self._presents(topic)) is not None:
-            made = LogStream(self, source, self.topics[source].msgtype, order)
-            whole = PRESENTED[made.msgtype].make is None
-            return PathStream(topic, made) if whole else PresentedStream(topic, made)
-        if topic not in self._channels and topic in self.topics and number is not None:
-            messages = LogStream(self, number[0], self.topics[number[0]].msgtype, order)
-            made_of = RangeStream if "," in number[1] else NumberStream
-            return made_of(topic, messages, number[1])
-        if topic in self._channels or topic not in self.topics or pair is None:
-            self._check(topic)
-            return LogStream(self, topic, self.topics[topic].msgtype, order)
-        edges = self.frames(pair[0], order)
-        if self.topics[topic].msgtype == TAGS:
-            return TagStream(topic, order, tags_of(edges, pair[1]), self.all_mounts())
-        return TransformStream(topic, order, tuple(edges.values()), self.static_transforms())
+        if topic in self._derived:
+            return self._derived[topic](order)
+        self._check(topic)
+        return self._stream_of(topic, order)
 
     def streams(self, wants: Mapping[str, Sequence[str]], order: str = "auto") -> dict[str, AnyStream]:
         """Return the streams of several topics, their named fields read in one walk over the log."""
@@ -289,37 +275,52 @@ class Log:
 
     def find(self, name: str) -> Topic | None:
         """Return a topic by its name, two frames of /tf ("/tf:odom:base_link"), a number, a file; else None."""
-        pair = pair_of(name)
-        frames = pair is not None and name not in self.topics and self._is_tf(pair[0])
-        if pair is not None and frames and (made := self._of_frames(pair)) is not None:
-            self.topics[name] = made
-        if name not in self.topics and (shown := self._presents(name)) is not None:
-            self._check(shown)
-            self.topics[name] = replace(self.topics[shown], msgtype=PRESENTED[self.topics[shown].msgtype].msgtype)
-        number = field_of(name)
-        if name not in self.topics and number is not None and number[0] in self._channels:
-            fields = number[1].split(",")
-            self._check_numbers(number[0], fields)
-            self.topics[name] = replace(self.topics[number[0]], msgtype=NUMBER if len(fields) == 1 else RANGES)
-        if name not in self.topics and is_file_topic(name):
-            file = self._files[name] = read_file(name)
-            self.topics[name] = Topic(file.msgtype, len(file.t_ns), "", "")
+        if name not in self.topics and (made := self._derive(name)) is not None:
+            self.topics[name], self._derived[name] = made
         return self.topics.get(name)
 
-    def _of_frames(self, pair: tuple[str, str, str]) -> Topic | None:
-        """Return two frames of /tf, or the tags seen in a frame, as a topic; None without any tag."""
-        source, edges = self.topics[pair[0]], self.frames(pair[0])
-        if pair[2] == OF_CAMERA:
-            seen = sum(len(edge.stamp) for edge in tags_of(edges, pair[1]))
-            return Topic(TAGS, seen, source.encoding, source.schema_encoding) if seen else None
-        count = len(edges[pair[1:]].stamp) if pair[1:] in edges else source.count
-        return Topic(TRANSFORM, count, source.encoding, source.schema_encoding)
+    def _derive(self, name: str) -> tuple[Topic, Callable[[str], AnyStream]] | None:
+        """Return a topic that is made of another one or of a file, and what makes its stream in an order."""
+        pair, number, source = pair_of(name), field_of(name), name.rpartition(":")[0]
+        if pair is not None and self._is_tf(pair[0]):
+            return self._of_frames(name, pair)
+        if source in self._channels and presented_name(source, self.topics[source].msgtype) == name:
+            self._check(source)
+            how = PRESENTED[self.topics[source].msgtype]
+            shown: type[PathStream | PresentedStream] = PathStream if how.make is None else PresentedStream
+            return replace(self.topics[source], msgtype=how.msgtype), lambda o: shown(
+                name, self._stream_of(source, o)
+            )
+        if number is not None and number[0] in self._channels:
+            topic, field = number
+            self._check_numbers(topic, field.split(","))
+            made_of: type[RangeStream | NumberStream] = RangeStream if "," in field else NumberStream
+            made = replace(self.topics[topic], msgtype=made_of.msgtype)
+            return made, lambda order: made_of(name, self._stream_of(topic, order), field)
+        if is_file_topic(name):
+            file = read_file(name)
+            self._files.add(name)
+            return Topic(file.msgtype, len(file.t_ns), "", ""), lambda _: file
+        return None
 
-    def _presents(self, name: str) -> str | None:
-        """Return the topic with this adapted name, None for any other name."""
-        source = name.rpartition(":")[0]
-        known = source in self._channels and name not in self._channels
-        return source if known and presented_name(source, self.topics[source].msgtype) == name else None
+    def _stream_of(self, topic: str, order: str) -> LogStream:
+        return LogStream(self, topic, self.topics[topic].msgtype, order)
+
+    def _of_frames(self, name: str, pair: tuple[str, str, str]) -> tuple[Topic, Callable[[str], AnyStream]] | None:
+        """Return two frames of /tf, or the tags seen in a frame, as a topic; None without any tag."""
+        tf, parent, child = pair
+        source, edges = self.topics[tf], self.frames(tf)
+        if child != OF_CAMERA:
+            count = len(edges[parent, child].stamp) if (parent, child) in edges else source.count
+            made = Topic(TRANSFORM, count, source.encoding, source.schema_encoding)
+            return made, lambda o: TransformStream(
+                name, o, tuple(self.frames(tf, o).values()), self.static_transforms()
+            )
+        seen = sum(len(edge.stamp) for edge in tags_of(edges, parent))
+        made = Topic(TAGS, seen, source.encoding, source.schema_encoding)
+        if not seen:
+            return None
+        return made, lambda o: TagStream(name, o, tags_of(self.frames(tf, o), parent), self.all_mounts())
 
     def _check_numbers(self, topic: str, fields: Sequence[str]) -> None:
         """Raise LocfuseError if a field is missing or is no number; id and range may be two lists of numbers."""
@@ -437,18 +438,13 @@ class Log:
         for topic, raw in self._walk(reading) if reading else ():
             reading[topic].feed(raw)
         new = {topic: table for topic, table in reading.items() if not table.known}
-        tied = {topic: table for topic, table in reading.items() if table.end()}
-        digests = self._digests(tied)
-        for topic, table in new.items():
-            table.sort(digests.get(topic))
-        return tables
-
-    def _digests(self, tied: Mapping[str, TopicTable]) -> dict[str, Ints]:
-        found: dict[str, list[Ints]] = {topic: [] for topic in tied}
-        times = {topic: table.tied() for topic, table in tied.items()}
+        tied = {topic: table.tied() for topic, table in reading.items() if table.end()}
+        digests: dict[str, list[Ints]] = {topic: [] for topic in tied}
         for topic, raw in self._walk(tied) if tied else ():
-            found[topic].append(digest(raw, times[topic]))
-        return {topic: np.concatenate(parts) for topic, parts in found.items()}
+            digests[topic].append(digest(raw, tied[topic]))
+        for topic, table in new.items():
+            table.sort(np.concatenate(digests[topic]) if topic in tied else None)
+        return tables
 
     def _table(self, topic: str) -> TopicTable:
         if topic not in self._tables:

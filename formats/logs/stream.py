@@ -251,7 +251,7 @@ BLOCK_BYTES = 32 * 1024 * 1024
 
 
 class Reader(Protocol):
-    """The part of a log that a stream uses."""
+    """The part of a log that a stream uses (formats.logs.log.Log)."""
 
     def read(self, wants: Mapping[str, Sequence[str]]) -> dict[str, TopicTable]:
         """Load the fields of the topics."""

@@ -10,7 +10,6 @@ Tags that a detector publishes as frames of its camera are a topic too, "/tf:cam
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import NamedTuple, cast
@@ -25,6 +24,8 @@ from locfuse.formats.robot.transforms import (
     as_lists,
     inverse_of,
     matrices_of,
+    neighbours,
+    path_between,
     quaternions_of,
 )
 from locfuse.fusion.data import Array, Column, Ints, LocfuseError, Ragged
@@ -104,14 +105,24 @@ class TransformStream(clocks.Dated):
         self._static = static
 
     @cached_property
-    def _steps(self) -> list[EdgeStep]:
-        """The path from the parent to the child, edge by edge. Raises LocfuseError if there is none."""
-        return _way(self._parent, self._child, self._edges, self._static, self.source)
+    def _steps(self) -> list[tuple[FrameEdge | Array, bool]]:
+        """The path from the parent to the child: edges (an array where it never moves), and if they lead back.
+
+        Raises LocfuseError if there is none.
+        """
+        moving: list[tuple[str, str, FrameEdge | Array]] = [(e.parent, e.child, e) for e in self._edges]
+        at = neighbours([*moving, *((e.parent, e.child, e.T_parent_child) for e in self._static.edges)])
+        if missing := [frame for frame in (self._parent, self._child) if frame not in at]:
+            have = ", ".join(sorted(at)[:12]) or "no frames"
+            raise LocfuseError(f"{self.source} has no frame {missing[0]}; it has {have}")
+        if (path := path_between(at, self._parent, self._child)) is None:
+            raise LocfuseError(f"{self.source}: nothing connects the frames {self._parent} and {self._child}")
+        return path
 
     @cached_property
     def _main(self) -> FrameEdge:
         """The transform that gives the times of the stream: the most frequent one on the path."""
-        moving = [step.edge for step in self._steps if isinstance(step.edge, FrameEdge)]
+        moving = [edge for edge, _ in self._steps if isinstance(edge, FrameEdge)]
         if not moving:
             words = f"{self.source}: {self._child} never moves in {self._parent}: both are on one rigid body"
             raise LocfuseError(words)
@@ -126,9 +137,9 @@ class TransformStream(clocks.Dated):
         """Which times of the main transform lie within those of all others."""
         t = self._main.clock.t_ns
         keep = np.ones(len(t), dtype=bool)
-        for step in self._steps:
-            if isinstance(step.edge, FrameEdge) and step.edge is not self._main and step.edge.moves:
-                keep &= (t >= step.edge.clock.t_ns[0]) & (t <= step.edge.clock.t_ns[-1])
+        for edge, _ in self._steps:
+            if isinstance(edge, FrameEdge) and edge is not self._main and edge.moves:
+                keep &= (t >= edge.clock.t_ns[0]) & (t <= edge.clock.t_ns[-1])
         return keep
 
     @property
@@ -156,9 +167,9 @@ class TransformStream(clocks.Dated):
     def _values(self) -> Array:
         """Positions and quaternions (n, 7) of the child in the parent."""
         T = np.broadcast_to(np.eye(4), (len(self.t_ns), 4, 4))
-        for step in self._steps:
-            one = step.edge if not isinstance(step.edge, FrameEdge) else _at(step.edge, self.t_ns)
-            T = T @ (inverse_of(one) if step.backward else one)
+        for edge, backward in self._steps:
+            one = _at(edge, self.t_ns) if isinstance(edge, FrameEdge) else edge
+            T = T @ (inverse_of(one) if backward else one)
         return np.concatenate((T[:, :3, 3], quaternions_of(T[:, :3, :3])), axis=1)
 
     def columns(self, *fields: str) -> dict[str, Column]:
@@ -220,13 +231,6 @@ def _again(edge: FrameEdge) -> NDArray[np.bool_]:
     return same
 
 
-class EdgeStep(NamedTuple):
-    """One edge on the path from one frame to another."""
-
-    edge: FrameEdge | Array  # an array (4, 4) where it never moves
-    backward: bool
-
-
 def _at(edge: FrameEdge, t_ns: Ints) -> Array:
     """Return the transforms (n, 4, 4) at times within those of the edge, interpolated."""
     rows = edge.clock.rows
@@ -238,33 +242,6 @@ def _at(edge: FrameEdge, t_ns: Ints) -> Array:
     zero = at[0]
     grid, times = (at - zero) * 1e-9, (t_ns - zero) * 1e-9
     return matrices_of(np.stack([np.interp(times, grid, column) for column in values.T], axis=-1))
-
-
-def _way(
-    start: str, goal: str, edges: Sequence[FrameEdge], static: StaticTransforms, source: str
-) -> list[EdgeStep]:
-    """Return the shortest path between two frames over edges in either direction."""
-    at: dict[str, list[tuple[str, EdgeStep]]] = {}
-    every = [(e.parent, e.child, cast("FrameEdge | Array", e)) for e in edges]
-    every += [(e.parent, e.child, e.T_parent_child) for e in static.edges]
-    for parent, child, edge in every:
-        at.setdefault(parent, []).append((child, EdgeStep(edge, backward=False)))
-        at.setdefault(child, []).append((parent, EdgeStep(edge, backward=True)))
-    missing = [frame for frame in (start, goal) if frame not in at]
-    if missing:
-        have = ", ".join(sorted(at)[:12]) or "no frames"
-        raise LocfuseError(f"{source} has no frame {missing[0]}; it has {have}")
-    ways: dict[str, list[EdgeStep]] = {start: []}
-    waiting = deque([start])
-    while waiting and goal not in ways:
-        here = waiting.popleft()
-        for there, step in at[here]:
-            if there not in ways:
-                ways[there] = [*ways[here], step]
-                waiting.append(there)
-    if goal not in ways:
-        raise LocfuseError(f"{source}: nothing connects the frames {start} and {goal}")
-    return ways[goal]
 
 
 def loop_in(edges: Sequence[FrameEdge]) -> tuple[str, ...]:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
-from .schema import FILLER, LengthCounts, Many, Node, Scalar, Structure, Text
+from .schema import LengthCounts, Many, Node, Scalar, Structure, Text
 
 STAMPS = ("header.stamp", "timestamp")  # the time of measurement: ROS, Foxglove
 FRAMES = ("header.frame_id", "frame_id")
@@ -72,25 +72,6 @@ def _no_field(node: Structure, walked: list[str], name: str) -> str:
     near = difflib.get_close_matches(name, node.fields, 1)
     hint = f"did you mean {near[0]!r}?" if near else f"it has {', '.join(node.fields)}"
     return f"{'.'.join(walked) or node.name} has no field {name!r}; {hint}"
-
-
-def paths(message: Structure) -> list[str]:
-    """Return the path of every field of a message type that can be a column."""
-    return list(_paths(message, "", inside=False))
-
-
-def _paths(node: Node, path: str, *, inside: bool) -> Iterator[str]:
-    if isinstance(node, Structure) and not node.is_time:
-        for name, part in node.fields.items():
-            if name != FILLER:
-                yield from _paths(part, f"{path}.{name}" if path else name, inside=inside)
-    elif not isinstance(node, Many):
-        yield path
-    elif not inside:
-        if isinstance(node.element, Structure):
-            yield from _paths(node.element, path, inside=True)
-        elif not isinstance(node.element, Many):
-            yield path
 
 
 def stamp_path(message: Structure) -> str | None:

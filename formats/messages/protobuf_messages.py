@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from locfuse.formats.caps import (
     MAX_DEFINITION,
     MAX_DEPTH,
-    MAX_FIELDS,
     MAX_ITEMS,
     MAX_MESSAGE,
     MAX_TEXT,
@@ -29,7 +28,7 @@ from locfuse.fusion.data import Ints
 from .cdr import MalformedError
 from .fields import LENGTH, OR, resolve
 from .json_messages import NUMBER, TIME, column
-from .schema import Decoded, Many, Node, Scalar, SchemaError, Structure, Text, count_fields
+from .schema import Decoded, Many, Node, Scalar, SchemaError, Structure, Text, refuse_many_fields
 
 VARINT, FIXED_64, BYTES, FIXED_32 = 0, 1, 2, 5  # how a value lies
 FIXED_SIZE = {FIXED_64: 8, FIXED_32: 4}
@@ -139,10 +138,7 @@ def parse_descriptors(name: str, data: bytes) -> tuple[Message, Structure]:
     except MalformedError:
         raise SchemaError(f"its protobuf definition of {name} cannot be parsed") from None
     tree = _ProtobufTrees().record(message, 0)
-    if (fields := count_fields(tree)) > MAX_FIELDS:
-        raise SchemaError(
-            names_its_cap(f"its definition of {name} unfolds to too many fields", fields, MAX_FIELDS)
-        )
+    refuse_many_fields(tree)
     return message, tree
 
 

@@ -66,9 +66,8 @@ class Structure(msgspec.Struct, frozen=True, eq=False):
     @property
     def is_time(self) -> bool:
         """Whether this is a stamp or a duration, read as one number of nanoseconds."""
-        parts = tuple(self.fields.values())
-        whole = all(isinstance(part, Scalar) and part.dtype[0] in "iu" for part in parts)
-        return self.name in TIMES and len(parts) == 2 and whole
+        whole = [isinstance(part, Scalar) and part.dtype[0] in "iu" for part in self.fields.values()]
+        return self.name in TIMES and whole == [True, True]
 
 
 class LengthCounts(msgspec.Struct, frozen=True, eq=False):
@@ -91,13 +90,28 @@ def parse(name: str, encoding: str, text: str, filler: bool = True) -> Structure
         types = _types(msgtype, encoding, text.replace("\r\n", "\n"))
     except (TypesysError, RecursionError, ValueError, KeyError, AssertionError, TypeError):
         raise SchemaError(f"its {encoding} definition of {msgtype} cannot be parsed") from None
-    tree = _Trees(types).record(msgtype, 0)
-    fields = count_fields(tree)
-    if fields > MAX_FIELDS:
+    tree = _Trees(types, filler).record(msgtype, 0)
+    refuse_many_fields(tree)
+    return tree
+
+
+def refuse_many_fields(tree: Structure) -> None:
+    """Raise SchemaError for a message with more fields than any; those of a nested type count at every use."""
+    if (fields := count_fields(tree, {})) > MAX_FIELDS:
         raise SchemaError(
-            names_its_cap(f"its definition of {msgtype} unfolds to too many fields", fields, MAX_FIELDS)
+            names_its_cap(f"its definition of {tree.name} unfolds to too many fields", fields, MAX_FIELDS)
         )
-    return tree if filler else _without_filler(tree)
+
+
+def count_fields(node: Node, known: dict[int, int]) -> int:
+    """Count the fields of a message; `known` holds the counts of types by their identity."""
+    if isinstance(node, Many):
+        return count_fields(node.element, known)
+    if not isinstance(node, Structure):
+        return 1
+    if id(node) not in known:
+        known[id(node)] = 1 + sum(count_fields(part, known) for part in node.fields.values())
+    return known[id(node)]
 
 
 def refuse_large(name: str, encoding: str, text: str) -> None:
@@ -131,8 +145,9 @@ def _types(msgtype: str, encoding: str, text: str) -> Typesdict:
 class _Trees:
     """Builds each type of a definition once: a type that is used often is one shared tree."""
 
-    def __init__(self, types: Typesdict) -> None:
+    def __init__(self, types: Typesdict, filler: bool) -> None:
         self._types = types
+        self._filler = {FILLER: Scalar("u1", 1)} if filler else {}
         self._made: dict[str, Structure] = {}
         self._height: dict[str, int] = {}  # of each tree: structures in structures
 
@@ -153,50 +168,19 @@ class _Trees:
                 return Structure(name, {"sec": Scalar("i4", 4), "nanosec": Scalar("u4", 4)})
             raise SchemaError(f"its definition names {name} and does not define it")
         fields = {field: self._node(desc, depth + 1) for field, desc in self._types[name][1]}
-        return Structure(name, fields or {FILLER: Scalar("u1", 1)})
+        return Structure(name, fields or dict(self._filler))
 
     def _node(self, desc: FieldDesc, depth: int) -> Node:
         kind, detail = desc[0].name, desc[1]
         if kind == "NAME":
             return self.record(str(detail), depth)
         if kind == "BASE":
-            return _base(str(detail[0]))
+            base = str(detail[0])
+            if base != "string" and base not in DTYPES:
+                raise SchemaError(f"its definition uses {base}, which is not supported")
+            return Text() if base == "string" else Scalar(DTYPES[base], int(DTYPES[base][1:] or 1))
         element, size = cast("tuple[FieldDesc, int]", detail)
         return Many(self._node(element, depth), size if kind == "ARRAY" else None)
-
-
-def count_fields(tree: Structure) -> int:
-    """Count the fields of a message; those of a nested type count at every use."""
-    return _fields(tree, {})
-
-
-def _fields(node: Node, known: dict[int, int]) -> int:
-    if isinstance(node, Many):
-        return _fields(node.element, known)
-    if not isinstance(node, Structure):
-        return 1
-    if id(node) not in known:
-        known[id(node)] = 1 + sum(_fields(part, known) for part in node.fields.values())
-    return known[id(node)]
-
-
-def _without_filler(record: Structure) -> Structure:
-    """Return the same tree with empty structures that have no bytes."""
-    return Structure(record.name, {name: _bare(part) for name, part in record.fields.items() if name != FILLER})
-
-
-def _bare(node: Node) -> Node:
-    if isinstance(node, Structure):
-        return _without_filler(node)
-    return Many(_bare(node.element), node.count) if isinstance(node, Many) else node
-
-
-def _base(name: str) -> Node:
-    if name == "string":
-        return Text()
-    if name not in DTYPES:
-        raise SchemaError(f"its definition uses {name}, which is not supported")
-    return Scalar(DTYPES[name], int(DTYPES[name][1:] or 1))
 
 
 def signature(node: Node) -> object:

@@ -21,6 +21,7 @@ def render(report: Mapping[str, Any]) -> str:
         _listing("Dropped", {k: counts(v) for k, v in source["dropped"].items()}),
         _listing("Lost", {k: counts(v) for k, v in source["losses"].items()}),
     ]
+    prediction, jitter = report.get("prediction"), report.get("jitter")
     parts = [
         f"# locfuse: {escape(title_of(report))}",
         escape(report.get("headline", "")),
@@ -28,8 +29,8 @@ def render(report: Mapping[str, Any]) -> str:
         _verdicts(report),
         markdown(tables.configurations(report)),
         _truth_line(report),
-        _prediction(report),
-        _jitter(report),
+        f"{escape(prediction['trust'])}\n\n{markdown(tables.ranking(report))}" if prediction else "",
+        f"{escape(jitter['words'])}\n\n{markdown(tables.jitter(report))}" if jitter else "",
         _findings(report),
         _listing("Notes", dict.fromkeys(notes_of(report), "")),
         _folded("All figures, sensors, and what was dropped", details),
@@ -65,18 +66,6 @@ def _truth_line(report: Mapping[str, Any]) -> str:
     how = f" Estimates were aligned to the truth ({', '.join(sorted(aligned))})." if aligned else ""
     heading = "" if truth["heading"] else " It has no heading."
     return f"Truth: {code(truth['topic'])}, {truth['used']} of {truth['stamps']} stamps used.{heading}{how}"
-
-
-def _prediction(report: Mapping[str, Any]) -> str:
-    prediction = report.get("prediction")
-    if not prediction:
-        return ""
-    return f"{escape(prediction['trust'])}\n\n{markdown(tables.ranking(report))}"
-
-
-def _jitter(report: Mapping[str, Any]) -> str:
-    found = report.get("jitter")
-    return f"{escape(found['words'])}\n\n{markdown(tables.jitter(report))}" if found else ""
 
 
 def _folded(title: str, parts: Sequence[str]) -> str:

@@ -18,6 +18,8 @@ from locfuse.formats.inputs import read_small
 from locfuse.formats.visible import visible
 from locfuse.fusion.data import MAX_MAGNITUDE, Array, LocfuseError
 
+from .ros_yaml import by_yaml
+
 SUFFIXES = (".yaml", ".yml")
 PICTURES = (".pgm", ".png")
 OCCUPIED, FREE = 0.65, 0.25  # thresholds of map_server where the file gives none
@@ -76,19 +78,13 @@ def checked(found: MapImage, name: str) -> MapImage:
 
 
 def _keys(path: Path) -> dict[str, Any]:
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
+    # 400 bytes of aliases stand for 10^9 values, and a map needs none
     from ruamel.yaml.events import AliasEvent
 
-    yaml, text = YAML(typ="safe", pure=True), read_small(path, MAX_ROBOT_TOML)
-    try:
-        # 400 bytes of aliases stand for 10^9 values, and a map needs none
-        if any(isinstance(event, AliasEvent) for event in yaml.parse(text.decode())):
-            raise LocfuseError(f"{path}: YAML aliases (*name) are not read: write the value itself")
-        keys = yaml.load(text.decode())
-    except (YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as problem:
-        said = visible(" ".join(str(problem).split()))
-        raise LocfuseError(f"{path} is no YAML of a map: {said[:120]}") from None
+    text = read_small(path, MAX_ROBOT_TOML)
+    if any(isinstance(event, AliasEvent) for event in by_yaml(path, "parse", text)):
+        raise LocfuseError(f"{path}: YAML aliases (*name) are not read: write the value itself")
+    keys = by_yaml(path, "load", text)
     if not isinstance(keys, dict):
         raise LocfuseError(f"{path} is no YAML of a map: it must say image, resolution and origin")
     return keys

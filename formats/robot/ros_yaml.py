@@ -157,14 +157,15 @@ def parsed(path: Path, text: str) -> RosFile:
     return RosFile(path, text, tuple(_sections(_composed(path, text), path)))
 
 
-def by_yaml(path: Path, method: Literal["load", "compose"], text: str | bytes) -> Any:
+def by_yaml(path: Path, method: Literal["load", "compose", "parse"], text: str | bytes) -> Any:
     """Return the result of a method of the YAML parser for a text. Raises LocfuseError if it is no YAML."""
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
     try:
-        return getattr(YAML(typ="safe", pure=True), method)(text)
-    except (YAMLError, ValueError, RecursionError) as problem:
+        found = getattr(YAML(typ="safe", pure=True), method)(text)
+        return list(found) if method == "parse" else found
+    except (YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as problem:
         raise LocfuseError(f"{path} is no YAML: {visible(' '.join(str(problem).split())[:160])}") from None
 
 

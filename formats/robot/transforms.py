@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -28,6 +28,7 @@ FIELDS = (
 MAX_FLIPPED_COSINE = -0.5  # cosine of the angle between a sensor's z axis and up
 SAME_M = 1e-6  # differences below are rounding, not a conflict
 SAME_RAD = 1e-6
+MIN_QUATERNION = 1e-6  # length: a shorter one is no rotation
 
 
 class Transform(msgspec.Struct, frozen=True):
@@ -79,11 +80,11 @@ def static_transforms(columns: Iterable[Mapping[str, Column]]) -> StaticTransfor
     conflicts: dict[Conflict, None] = {}  # as a set in order: many publishers may say the same
     for topic in columns:
         for parent, child, numbers in _entries(as_lists(topic)):
-            T = _matrix(numbers)
-            if T is None:
+            values = np.array([numbers])
+            if not (np.isfinite(values).all() and np.linalg.norm(values[0, 3:]) > MIN_QUATERNION):
                 conflicts[Conflict(child, "a transform without a usable rotation is ignored")] = None
                 continue
-            said = Transform(parent, child, T)
+            said = Transform(parent, child, matrices_of(values)[0])
             if child in edges and _conflict(edges[child], said):
                 places = f"{_place(edges[child])} and {_place(said)} contradict; the last one counts"
                 conflicts[Conflict(child, places)] = None
@@ -129,23 +130,6 @@ def _entries(topic: Mapping[str, Column]) -> Iterable[tuple[str, str, list[float
         values = np.stack([column[row] for column in numbers], axis=1).tolist() if names else []
         for parent, child, value in zip(names, kids, values, strict=True):
             yield parent.lstrip("/"), child.lstrip("/"), value
-
-
-def _matrix(numbers: Sequence[float]) -> Array | None:
-    """Return the (4, 4) matrix of x, y, z and a quaternion x, y, z, w; None if that is no rotation."""
-    tx, ty, tz, x, y, z, w = numbers
-    norm = math.sqrt(x * x + y * y + z * z + w * w)
-    if not (math.isfinite(tx + ty + tz) and math.isfinite(norm) and norm > 1e-6):
-        return None
-    x, y, z, w = x / norm, y / norm, z / norm, w / norm
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w), tx],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w), ty],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y), tz],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )
 
 
 def matrices_of(values: Array) -> Array:
@@ -198,33 +182,42 @@ def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
 def planar_mount(transforms: StaticTransforms, base_frames: Sequence[str], frame: str) -> Mount | None:
     """Return the mount of `frame` on the first of the base frames connected with it, None if there is none."""
     wanted = frame.lstrip("/")
+    at = neighbours((edge.parent, edge.child, edge.T_parent_child) for edge in transforms.edges)
     for base in base_frames:
-        T = _chain(transforms, base, wanted)
-        if T is not None:
+        if (path := path_between(at, base, wanted)) is not None:
+            T = np.eye(4)
+            for edge, backward in path:
+                T = T @ (inverse_of(edge) if backward else edge)
             roll, pitch, yaw = roll_pitch_yaw(T[:3, :3])
             x, y, z = (float(value) for value in T[:3, 3])
             return Mount(base, wanted, x, y, z, yaw, roll, pitch, flipped=bool(T[2, 2] < MAX_FLIPPED_COSINE))
     return None
 
 
-def _chain(transforms: StaticTransforms, start: str, goal: str) -> Array | None:
-    """Return T_start_goal over the edges in either direction, None without a path."""
-    reached = {start: np.eye(4)}
+Edge = TypeVar("Edge")
+Neighbours = Mapping[str, Sequence[tuple[str, Edge, bool]]]  # frame -> (frame, edge, whether backward)
+
+
+def neighbours(edges: Iterable[tuple[str, str, Edge]]) -> Neighbours[Edge]:
+    """Return the edges (parent, child, edge) at each frame."""
+    at: dict[str, list[tuple[str, Edge, bool]]] = {}
+    for parent, child, edge in edges:
+        at.setdefault(parent, []).append((child, edge, False))
+        at.setdefault(child, []).append((parent, edge, True))
+    return at
+
+
+def path_between(at: Neighbours[Edge], start: str, goal: str) -> list[tuple[Edge, bool]] | None:
+    """Return the shortest path between two frames over edges in either direction, None without one."""
+    paths: dict[str, list[tuple[Edge, bool]]] = {start: []}
     waiting = deque([start])
-    at: dict[str, list[Transform]] = {}  # frame -> the edges that it is an end of
-    for edge in transforms.edges:
-        at.setdefault(edge.parent, []).append(edge)
-        at.setdefault(edge.child, []).append(edge)
-    while waiting and goal not in reached:
+    while waiting and goal not in paths:
         here = waiting.popleft()
-        for edge in at.get(here, ()):
-            if edge.parent == here and edge.child not in reached:
-                reached[edge.child] = reached[here] @ edge.T_parent_child
-                waiting.append(edge.child)
-            if edge.child == here and edge.parent not in reached:
-                reached[edge.parent] = reached[here] @ inverse_of(edge.T_parent_child)
-                waiting.append(edge.parent)
-    return reached.get(goal)
+        for there, edge, backward in at.get(here, ()):
+            if there not in paths:
+                paths[there] = [*paths[here], (edge, backward)]
+                waiting.append(there)
+    return paths.get(goal)
 
 
 def inverse_of(T: Array) -> Array:

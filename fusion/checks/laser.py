@@ -183,6 +183,9 @@ MIN_SCALE_ERROR, MIN_YAW_ERROR_RAD, MIN_SIGMAS = 0.03, math.radians(4.0), 3.0
 WORTH_SAYING = Least(MIN_SCALE_ERROR, MIN_SIGMAS)
 SEVERE_SCALE_ERROR, SEVERE_YAW_ERROR_RAD = 0.05, math.radians(8.0)
 OPEN_SCALE = "distances"  # laser or wheels: what a fix assumes, nothing in the log shows
+BUMP = "bumped"  # code of the finding that its direction on the robot changes
+MIN_BUMP_RAD, BUMP_SIGMAS = math.radians(1.5), 8.0  # rad; standard errors of walls that know nothing of each other
+MIN_BUMP_SHARE = 0.1  # of the walls, before it and after it
 MAX_RADIUS_MISFIT = 0.5  # of the smaller error: two errors that differ by more have two causes
 MIN_CORRELATION = 0.9  # correlation of both turns: less, and what the wheels tell is noise
 MIN_TURN_SQUARES_RAD2 = 0.5  # rad^2, all turns squared and added: what wobbles along a straight tells no track
@@ -196,6 +199,7 @@ class Walls(NamedTuple):
     d: Array  # (k, 2) how far the laser moved, same frame [m]
     turn: Array  # (k,) by how much the wall's direction says that the robot turned [rad]
     by_wheels: Array  # (k,) by how much the wheels do
+    t: Array  # (k,) when it was seen from the second place [s]
 
 
 class Motion(NamedTuple):
@@ -209,6 +213,7 @@ class Motion(NamedTuple):
     turns_sigma: float  # of what this drive shows
     walls: int
     by_slips: float = 0.0  # 1 sigma of the same: by how much slips make the turns of two drives differ
+    bump: tuple[float, float] | None = None  # s, rad: when its direction on the robot changes, and by how much
 
     @property
     def turns_anywhere(self) -> float:
@@ -233,7 +238,37 @@ def laser_motion(m: Measurements, t: Array, drive: Drive, robot: Robot) -> Motio
     turns = turned(walls)
     turns_sigma = _spread(lambda part: None if (c := turned(part)) is None else (c,), walls, 1)[0]
     by_slips = slip_sigma(drive.wheels, t)
-    return Motion(scale, scale_sigma, yaw, yaw_sigma, turns, turns_sigma, len(walls.y), by_slips)
+    bump = bumped(walls, scale)
+    return Motion(scale, scale_sigma, yaw, yaw_sigma, turns, turns_sigma, len(walls.y), by_slips, bump)
+
+
+def bumped(walls: Walls, scale: float) -> tuple[float, float] | None:
+    """Return when the laser's direction on the robot changes [s] and by how much [rad]; None where it stays.
+
+    The direction before and after a time by least squares; the time is that which leaves least.
+    """
+    n, edge = len(walls.y), math.ceil(MIN_BUMP_SHARE * len(walls.y))
+    if edge < MIN_WALLS:
+        return None
+    along, across = _along_across(walls)
+    rest = walls.y - along / scale
+    limit = 3.0 / MAD * max(float(np.median(np.abs(rest))), 1e-4)
+    rest, across = np.clip(rest, -limit, limit), across / scale
+    seen, weight = np.cumsum(across * rest)[:-1], np.cumsum(np.square(across))[:-1]
+    total, whole = float(across @ rest), float(across @ across)
+    gained = seen**2 / weight + (total - seen) ** 2 / (whole - weight)
+    at = int(np.argmax(gained[edge : n - edge])) + edge
+    before, after = seen[at] / weight[at], (total - seen[at]) / (whole - weight[at])
+    left = rest - across * np.where(np.arange(n) <= at, before, after)
+    sigma = float(left.std()) * math.sqrt(1.0 / weight[at] + 1.0 / (whole - weight[at]))
+    change = float(before - after)  # of the true yaw: these are assumed less true
+    return (float(walls.t[at]), change) if abs(change) > max(MIN_BUMP_RAD, BUMP_SIGMAS * sigma) else None
+
+
+def _along_across(walls: Walls) -> tuple[Array, Array]:
+    """Return how far the laser moved along each wall's normal, and across it, to the left (k,) [m]."""
+    n, d = walls.n, walls.d
+    return (n * d).sum(axis=1), n[:, 1] * d[:, 0] - n[:, 0] * d[:, 1]
 
 
 class Looking(NamedTuple):
@@ -254,7 +289,7 @@ def _looking(m: Measurements, t: Array, drive: Drive, mount: Array, yaw: float) 
         scale, yaw = fit[0], yaw + fit[1]
         if abs(fit[1]) < MIN_YAW_ERROR_RAD:
             break
-    along = (walls.n * walls.d).sum(axis=1)
+    along, _ = _along_across(walls)
     rest = float(np.median(np.abs(walls.y - along / scale)))
     return Looking(walls, scale, yaw, rest / max(float(np.median(np.abs(along))), MIN_APPROACH_M))
 
@@ -314,6 +349,12 @@ def of_laser(
     if motion is None:
         return []
     settings = robot.settings("lrf")
+    if motion.bump is not None:
+        t, change = motion.bump
+        words = (
+            f"its direction on the robot turns by {math.degrees(change):+.1f}° at about {t:.0f} s: it was bumped"
+        )
+        return [Finding("lrf", BUMP, words, severe=True)]
     if abs(motion.yaw) > MIN_YAW_ERROR_RAD + MIN_SIGMAS * motion.yaw_sigma:
         yaw = se2.wrap(math.radians(settings.yaw_deg) - motion.yaw)
         words = (
@@ -346,8 +387,7 @@ def of_laser(
 
 def fitted(walls: Walls) -> tuple[float, float] | None:
     """Return the factor from the laser's distance scale to the wheels', and its yaw error [rad]."""
-    along = (walls.n * walls.d).sum(axis=1)
-    across = walls.n[:, 1] * walls.d[:, 0] - walls.n[:, 0] * walls.d[:, 1]
+    along, across = _along_across(walls)
     A, keep = np.stack((along, across), axis=-1), np.ones(len(along), dtype=bool)
     for _ in range(4):
         if keep.sum() < MIN_WALLS:
@@ -410,9 +450,9 @@ def seen_twice(m: Measurements, t: Array, drive: Drive, mount: Array) -> Walls:
     for k, (i, j) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
         a, b = m.z[m.first[i] : m.first[i + 1]], m.z[m.first[j] : m.first[j + 1]]
         if len(a) and len(b):
-            rows.append(_paired(a, b, moved[k], moved[k, :2] + swing[k], mount))
+            rows.append(_paired(a, b, moved[k], moved[k, :2] + swing[k], mount, float(t[j])))
     if not rows:
-        return Walls(np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+        return Walls(*(np.zeros((0, 2) if name in "nd" else 0) for name in Walls._fields))
     return Walls(*(np.concatenate(column) for column in zip(*rows, strict=True)))
 
 
@@ -429,7 +469,7 @@ def _places(t: Array, drive: Drive) -> tuple[Ints, Ints]:
     return first[::every], second[first[::every]]
 
 
-def _paired(a: Array, b: Array, moved: Array, d: Array, mount: Array) -> Walls:
+def _paired(a: Array, b: Array, moved: Array, d: Array, mount: Array, t: float) -> Walls:
     """Pair lines a (k, 2) and b (l, 2) of two scans where they must be the same wall."""
     n = np.stack((np.cos(a[:, 1]), np.sin(a[:, 1])), axis=-1)
     r, psi = a[:, 0] - n @ moved[:2], a[:, 1] - moved[2]
@@ -449,7 +489,7 @@ def _paired(a: Array, b: Array, moved: Array, d: Array, mount: Array) -> Walls:
     y = (a[good, 0] - n[good] @ mount) - (b_near[:, 0] - n_b @ mount)
     k = int(good.sum())
     own = moved[2] + se2.wrap_all(a[good, 1] - b_near[:, 1] - moved[2])
-    return Walls(y, n[good], np.tile(d, (k, 1)), own, np.full(k, moved[2]))
+    return Walls(y, n[good], np.tile(d, (k, 1)), own, np.full(k, moved[2]), np.full(k, t))
 
 
 def _who_is_right(robot: Robot, scale: float, fix: str) -> str:

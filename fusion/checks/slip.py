@@ -30,6 +30,7 @@ MIN_WINDOWS = 15  # long ones side by side: their variance is then known to a th
 MIN_EXPECTED_RAD = math.radians(0.05)  # by which slips spread a long window: less, and the robot stood
 MAX_READINGS = 3000
 MAX_FACTOR = 3.0  # on the variance, either way: what lies between is no finding
+DOUBT_SIGMAS = 2.0  # by which the factor must lie outside that
 # --- of wheels that slip together
 WINDOW_S, STEP_S = 1.0, 0.25  # s over which distances are compared, and between two windows
 MIN_SPIN_M, MIN_SPIN_SHARE, SPIN_SIGMAS = 0.08, 0.15, 6.0  # m and share of what was rolled; robust sigmas
@@ -45,11 +46,13 @@ class Slip(NamedTuple):
     expected: float  # rad, what `wheels.noise` says
     by: str  # the sensor whose turning it was held against; several that agree: "compass and lrf"
     agreed: bool = False  # whether several sensors show about the same
+    sigma: float = 0.0  # of the factor, by the sensor's own noise
 
     @property
     def unusual(self) -> bool:
         """Whether the slip differs from the configured noise by more than chance on one drive."""
-        return not 1.0 / MAX_FACTOR <= self.factor <= MAX_FACTOR
+        doubt = DOUBT_SIGMAS * self.sigma
+        return self.factor + doubt < 1.0 / MAX_FACTOR or self.factor - doubt > MAX_FACTOR
 
     @property
     def words(self) -> str:
@@ -65,6 +68,7 @@ class _Spread(NamedTuple):
 
     seen: tuple[float, float]  # usually (by the median, which a turn that a scan missed does not move), and in all
     expected: float  # that slips should add
+    number: int  # of windows, one for each reading
 
 
 def slip(drive: Drive) -> Slip | None:
@@ -99,7 +103,9 @@ def _by(name: str, t: Array, heading: Array, wheels: Wheels) -> Slip | None:
     usual, whole = (max(b - a, 0.0) / growth for a, b in zip(short.seen, long.seen, strict=True))
     # rare slips are slips: wheels are only called better than configured if all that was seen says so
     factor = usual if usual > 1.0 else min(max(whole, usual), 1.0)
-    return Slip(factor, math.sqrt(factor * expected), math.sqrt(expected), name)
+    # of white noise, the variance of a variance of n values is 2 / n of its square
+    sigma = math.sqrt(sum(2.0 * s.seen[1] ** 2 / s.number for s in (short, long))) / growth
+    return Slip(factor, math.sqrt(factor * expected), math.sqrt(expected), name, sigma=sigma)
 
 
 def _differences(t: Array, heading: Array, window: float, wheels: Wheels) -> _Spread | None:
@@ -120,7 +126,7 @@ def _differences(t: Array, heading: Array, window: float, wheels: Wheels) -> _Sp
     x, *_ = np.linalg.lstsq(A, own, rcond=None)
     by_slips = wheels.slips(np.stack((start, end), axis=-1))[:, 0].sum(axis=-1) / wheels.track**2
     rest = own - A @ x
-    return _Spread((_robust_sigma(rest) ** 2, float(rest.var())), float(by_slips.mean()))
+    return _Spread((_robust_sigma(rest) ** 2, float(rest.var())), float(by_slips.mean()), len(rest))
 
 
 def _robust_sigma(rest: Array) -> float:

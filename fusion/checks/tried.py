@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 import msgspec
+import numpy as np
 from msgspec.structs import replace
 
 from .finding import Finding
@@ -86,9 +87,10 @@ def spoils_alone(before: Marks, after: Marks) -> bool:
     """Return whether a configuration that no user would keep gets notably worse.
 
     One drive's error moves by many percent with every other way of weighing the same readings, by chance: such a
-    configuration may not hinder what helps the better ones; least where both errors are no larger than it claims.
+    configuration may not hinder what helps the better ones; least where both errors are no larger than it claims,
+    or where only the new ones are.
     """
-    allowed = MAX_CONSISTENT_LOSS if within_claim(before, after) else MAX_CHANCE_LOSS
+    allowed = MAX_CONSISTENT_LOSS if within_claim(before, after) or was_chance(before, after) else MAX_CHANCE_LOSS
     return spoils(before, after, allowed, MAX_CHANCE_LOSS_NATS) and not _only_underconfident(before, after)
 
 
@@ -206,7 +208,8 @@ def _off(score: Marks) -> float:
 
 
 MAX_FIXES = 6  # of one log
-MAX_MOVED_SHARE = 0.5  # of the first change of a value, by which measuring it again may move it on
+MAX_MOVES = 2  # of a value by one finding; a third one must be smaller than MAX_MOVED_SHARE
+MAX_MOVED_SHARE = 0.5  # of the largest change of a value, by which measuring it again may move it on
 # findings that are measured again, better, once others are fixed
 REFINED = ("lag", "mount", "way", "biased", "understated", "overstated")
 # findings whose first value is the one that was measured: others beside it are tried only where it does not help
@@ -247,10 +250,19 @@ class Advice(msgspec.Struct, frozen=True):
     before: Mapping[str, Marks] | None = None
     after: Mapping[str, Marks] | None = None
     tried: tuple[Fixes, ...] = ()  # every alternative that was tried
-    measured: bool = False  # as the candidate's
-    proven: bool = False  # as the candidate's
     judges: tuple[str, ...] = ()  # as the candidate's
     harmless: bool = False  # one of what was tried changes little; else all of it makes something worse
+    candidate: Candidate | None = None  # what it came from
+
+    @property
+    def measured(self) -> bool:
+        """Whether the drive shows the value, as the candidate's."""
+        return self.candidate is not None and self.candidate.measured
+
+    @property
+    def proven(self) -> bool:
+        """Whether several others agree on the value, as the candidate's."""
+        return self.candidate is not None and self.candidate.proven
 
     @property
     def helps(self) -> bool:
@@ -342,14 +354,19 @@ def _key(advice: Advice) -> tuple[str, str]:
 
 
 def _moves_on(advice: Advice, helped: Sequence[Advice], now: Now) -> bool:
-    """Return whether a fix changes a number by more than half of what an earlier fix of the same finding did."""
-    before = dict(fix.partition("=")[::2] for a in helped if _key(a) == _key(advice) for fix in a.fixes)
+    """Return whether a number that is set for the third time moves on by more than half of its largest move.
+
+    A second move may be large: under a late clock half of the scans were refused, and the rest told too little.
+    """
     for key, _, value in (fix.partition("=") for fix in advice.fixes):
+        before = [
+            dict(fix.partition("=")[::2] for fix in a.fixes).get(key) for a in helped if _key(a) == _key(advice)
+        ]
         first = now(key)
-        if first is None or key not in before:
-            continue
-        moved, again = float(before[key]) - first, float(value) - float(before[key])
-        if again * moved > 0.0 and abs(again) > MAX_MOVED_SHARE * abs(moved):
+        values = [first, *(float(v) for v in (*before, value) if v is not None)] if first is not None else []
+        *moves, last = np.diff(values).tolist() or [0.0]
+        largest = max(moves, key=abs, default=0.0)
+        if len(moves) >= MAX_MOVES and last * largest > 0.0 and abs(last) > MAX_MOVED_SHARE * abs(largest):
             return True
     return False
 
@@ -476,13 +493,7 @@ def best_of(candidate: Candidate, kept: Fixes, trial: Try) -> Advice:
 
 
 def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advice:
-    unfixed = Advice(
-        candidate.finding,
-        tried=candidate.alternatives,
-        measured=candidate.measured,
-        proven=candidate.proven,
-        judges=candidate.judges,
-    )
+    unfixed = Advice(candidate.finding, tried=candidate.alternatives, judges=candidate.judges, candidate=candidate)
     options: list[Advice] = []
     harmless = False
     for fixes in candidate.alternatives:
@@ -490,7 +501,7 @@ def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advi
             continue  # set already
         if options and candidate.measured and candidate.finding.code in FIRST_VALUE:
             break
-        pairs = _pairs(candidate, kept, fixes, trial, shape)
+        pairs = judged_pairs(candidate, kept, fixes, trial, shape)
         harmless = harmless or bool(pairs)
         # by the drive itself: not to lose is enough, but then in every configuration, also those that nobody keeps
         sure = (candidate.proven or _by_prediction(pairs)) and not _any_loses(pairs)
@@ -515,8 +526,8 @@ def _any_loses(pairs: Mapping[str, tuple[Marks, Marks]]) -> bool:
     return any(spoils(*pair) for pair in pairs.values())
 
 
-def _pairs(
-    candidate: Candidate, kept: Fixes, fixes: Fixes, trial: Try, shape: bool
+def judged_pairs(
+    candidate: Candidate, kept: Fixes, fixes: Fixes, trial: Try, shape: bool = False
 ) -> dict[str, tuple[Marks, Marks]]:
     """Return every judge's score before and after; {} as soon as one gets worse, since each score costs a run."""
     pairs: dict[str, tuple[Marks, Marks]] = {}

@@ -210,7 +210,9 @@ def wheels_metre(drive: Drive) -> tuple[float, float] | None:
     if len(start) < 20:
         return None
     step = np.stack([np.interp(start + WINDOW_S, truth.t, c) - np.interp(start, truth.t, c) for c in truth.xy.T])
-    seen, own = np.hypot(*step), np.hypot(*wheels.relative(start, start + WINDOW_S)[:, :2].T)
+    moved = wheels.relative(start, start + WINDOW_S)
+    point = np.tile(truth.point, (len(start), 1))
+    seen, own = np.hypot(*step), np.hypot(*(moved[:, :2] + se2.rotated(moved[:, 2], point) - point).T)
     moving = (own > MIN_WAY_M) & (seen > MIN_SEEN_M)
     ratio = seen[moving] / own[moving]
     if moving.sum() < 20:

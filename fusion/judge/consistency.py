@@ -73,7 +73,8 @@ def by_reference_run(sensor: str, settings: Any, h: Heard) -> Consistency | None
     noise = min(h.white, max(h.spread - h.reference, 0.5 * h.white))
     is_slow = h.slow > max(MIN_SLOW_VARIANCE_RATIO * h.reference, 0.1 * h.white)
     if is_slow and not _drifts(sensor, settings, h):
-        return by_memory(sensor, settings, h.spread, h.memory, h.period, h.R)
+        found = by_memory(sensor, settings, h.spread, h.memory, h.period, h.R)
+        return (changing(sensor, settings, h) if found.verdict == "correlated" else None) or found
     if h.reference > MAX_REFERENCE_VARIANCE_RATIO * noise:
         return None
     return by_share(sensor, h.wild, by_scale(sensor, settings, math.sqrt(noise / h.R)))
@@ -198,15 +199,37 @@ def correlated(sensor: str, settings: Any, sigma: float, repeats: float, period:
     amount, unit = _human(sigma, sensor)
     key = REGISTRY[sensor].noise_keys[0]
     value = rounded(amount * math.sqrt(repeats))
-    cures = {f"{sensor}.{key}": value}
-    drift, offset = REGISTRY[sensor].drift_key, REGISTRY[sensor].bias
-    if drift is not None and offset is not None:
-        cures[f"{sensor}.{drift}"] = rounded(amount * math.sqrt(4.0 / memory))
+    cures = {f"{sensor}.{key}": value, **drift_cures(sensor, settings, 2.0 * amount, memory)}
     words = (
         f"errors of {rounded(amount):g}{_sign(unit.replace('deg', '°'))} last about {rounded(memory):g} s, but "
         "the filter assumes independent readings"
     )
     return Consistency("correlated", words, math.sqrt(repeats), cures)
+
+
+def changing(sensor: str, settings: Any, h: Heard) -> Consistency | None:
+    """Report a mean that steps or drifts by more than half of the noise of one reading; None where it stays."""
+    if h.change is None or abs(h.change.amount) < max(MIN_BIAS_SIGMAS * math.sqrt(h.white), MIN_SIGMAS * h.sure):
+        return None
+    amount, unit = _human(h.change.amount, sensor)
+    sign = _sign(unit.replace("deg", "°"))
+    if h.change.step_s is None:
+        words = f"drifts by {amount:+.2g}{sign} in {h.change.span:.0f} s"
+    else:
+        words = f"steps by {amount:+.2g}{sign} at {h.change.step_s:.1f} s"
+    return Consistency("correlated", words, None, drift_cures(sensor, settings, abs(amount), h.change.span))
+
+
+def drift_cures(sensor: str, settings: Any, amount: float, span: float) -> dict[str, float]:
+    """Return the keys of an offset that walks by `amount` [unit] in `span` [s]; {} of a sensor without one."""
+    drift, offset = REGISTRY[sensor].drift_key, REGISTRY[sensor].bias
+    if drift is None or offset is None:
+        return {}
+    cures = {f"{sensor}.{drift}": rounded(amount / math.sqrt(span))}
+    exact = getattr(settings, offset.key) is not None and offset.sigma and not getattr(settings, offset.sigma)
+    if exact and _accepts(settings, str(offset.sigma), amount):
+        cures[f"{sensor}.{offset.sigma}"] = rounded(amount)  # an exact offset does not walk
+    return cures
 
 
 def many_refused(sensor: str, share: float) -> bool:
@@ -308,7 +331,8 @@ class Evidence:
     def _finding(self, sensor: str) -> Consistency:
         settings = self.robot.settings(sensor)
         if sensor in self.flagged:
-            return biased_against(sensor, settings, self.flagged[sensor])
+            flagged = self.flagged[sensor]
+            return changing(sensor, settings, flagged) or biased_against(sensor, settings, flagged)
         if sensor in self.contradict:
             others = " and ".join(sorted(self.contradict - {sensor}))
             words = f"{sensor} and {others} contradict each other; no other sensor can tell which is wrong"

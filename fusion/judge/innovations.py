@@ -26,6 +26,8 @@ CONFIDENCE = 0.95
 MAX_LAG_READINGS = 5
 MIN_AUTOCORRELATION = 0.05  # autocorrelation below which errors have forgotten
 MAX_LISTENED_READINGS, STRETCH_READINGS = 1500, 150  # that are compared, in stretches of neighbours
+MIN_CHANGE_SHARE = 0.85  # of the variance that is not white: a step or a drift that explains less is neither
+MIN_SIDE_SHARE = 0.1  # of the readings, before a step and after it
 OUTLIER_SIGMAS = 6.0  # sigmas (by the median deviation) beyond which a reading is an outlier
 
 
@@ -47,6 +49,14 @@ class Own(NamedTuple):
     R: tuple[float, ...]  # mean variance told
 
 
+class Change(NamedTuple):
+    """A mean that does not stay: it steps once, or drifts."""
+
+    step_s: float | None  # s: when it steps; None: it drifts
+    amount: float  # rad or m, over the drive
+    span: float  # s, of the readings
+
+
 class Heard(NamedTuple):
     """One sensor's readings compared with a run that did not use it."""
 
@@ -61,6 +71,7 @@ class Heard(NamedTuple):
     period: float  # s between readings
     reference: float  # variance of the reference, as it says itself
     R: float  # variance told
+    change: Change | None = None  # of the mean, where one step or a steady drift is most of what is slow
 
 
 def own(audit: Audit, m: Measurements) -> Own | None:
@@ -242,7 +253,30 @@ def _agreement(rows: Array, unknown: bool, angular: bool) -> Heard | None:
         period,
         float(h.mean()),
         float(R.mean()),
+        _change(t, centred, white),
     )
+
+
+def _change(t: Array, y: Array, white: float) -> Change | None:
+    """Return a step or a steady drift of errors y (k,), mean 0, at t [s], if most of what is not white is that."""
+    n, span = len(y), float(t[-1] - t[0])
+    slow = float((y**2).mean()) - white
+    edge = max(2, round(MIN_SIDE_SHARE * n))
+    if slow <= 0.0 or 2 * edge >= n:
+        return None
+    counts = np.arange(1, n)
+    before = np.cumsum(y)[:-1]
+    explained = (before**2 / counts + before**2 / (n - counts))[edge : n - edge] / n  # by a step there
+    at = int(np.argmax(explained)) + edge
+    middle = t - t.mean()
+    slope = float(middle @ y) / float(middle @ middle)
+    drift = slope * slope * float((middle**2).mean())
+    if max(drift, float(explained.max())) < MIN_CHANGE_SHARE * slow:
+        return None
+    if drift > explained.max():
+        return Change(None, slope * span, span)
+    step = float(y[at + 1 :].mean() - y[: at + 1].mean())
+    return Change(0.5 * float(t[at] + t[at + 1]), step, span)
 
 
 def _autocorrelation(y: Array, t: Array, period: float) -> Array:

@@ -18,10 +18,11 @@ from locfuse.fusion import se2
 from locfuse.fusion.chi_square import SIGMAS_95
 from locfuse.fusion.data import Array, LocfuseError, Truth
 from locfuse.fusion.robot import WheelSettings
+from locfuse.fusion.streams import MergedStream
 
 from .likelihood import Figure
 from .motion import dead_reckoning
-from .steered import Encoders, rolled_by
+from .steered import Encoders, read_encoders, rolled_by
 
 By = Literal["truth", "lrf", "gyro"]
 # of all parameters: scale of the radius, gain [rad per tick], zero [rad], wheelbase [m]; place and heading of what
@@ -37,6 +38,9 @@ GAIN_FACTORS = (1.0, 0.3, 3.0, 8.0, -1.0)  # of the steering gain that was set
 OUTLIER_M = 0.05  # m, rad: residuals beyond count less: a tracker jumps, a match goes wrong
 MIN_ROWS, MAX_ROWS = 50, 3000  # readings of the reference; more windows say no more
 MIN_TURN_RAD = math.radians(180.0)  # in all, of a gyro
+ASSUMED_TICKS = 1000.0  # per turn of a wheel of unknown size: only its radius by these can be seen
+ASSUMED_RADIUS_M = 0.05  # m
+MAX_SPEED_RATIO = 3.0  # of a wheel and of what is tracked
 
 
 class Reference(NamedTuple):
@@ -125,6 +129,35 @@ def calibrate_tricycle(
     places = rest[:, : 1 if by == "gyro" else 2]
     return TricycleCalibration(
         _wheels(best, sigmas, settings), by, _mount(by, best, sigmas), float(np.sqrt((places**2).sum(1).mean()))
+    )
+
+
+def nominal(stream: MergedStream, settings: WheelSettings, reference: Reference, shift: float) -> WheelSettings:
+    """Return settings from which `calibrate_tricycle` converges; what is set stays.
+
+    The way of the reference gives the radius, and the middle and the range of the steering its zero and, taken as
+    one radian, its gain. `shift` [s] moves the encoders' times to the reference's clock.
+    """
+    rows = np.unique(np.searchsorted(reference.t, np.arange(reference.t[0], reference.t[-1], WINDOW_S)))
+    ways = np.hypot(*np.diff(reference.pose[rows, :2], axis=0).T)
+    fastest = math.ceil(MAX_SPEED_RATIO * float((ways / np.diff(reference.t[rows])).max()))
+    assumed = msgspec.structs.replace(
+        settings,
+        ticks_per_revolution=settings.ticks_per_revolution or ASSUMED_TICKS,
+        radius=ASSUMED_RADIUS_M,
+        max_speed=math.inf,  # of a wheel of unknown size
+    )
+    found = read_encoders(stream, assumed)
+    counted = np.append(0.0, np.cumsum(np.abs(np.diff(found.rolled))))
+    rolled = np.ptp(np.interp(reference.t, found.t + shift, counted))
+    low, middle, high = np.percentile(found.steering, (5.0, 50.0, 95.0)).tolist()
+    return msgspec.structs.replace(
+        assumed,
+        radius=settings.radius or ASSUMED_RADIUS_M * float(ways.sum() / rolled),
+        max_speed=settings.max_speed or float(fastest),
+        servo_gain=settings.servo_gain or high - low,
+        servo_offset=settings.servo_offset or middle,
+        wheelbase=settings.wheelbase or 1.0,
     )
 
 

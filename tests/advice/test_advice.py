@@ -106,9 +106,7 @@ def test_a_mount_that_the_filter_estimates_is_offered_with_the_value_that_it_fin
 
 
 @pytest.mark.parametrize("late", [0.0, 0.02])
-def test_a_laser_20_ms_late_is_named_with_its_sigma_where_the_truth_tells_and_a_right_one_is_not(
-    tmp_path: Path, late: float
-) -> None:
+def test_a_laser_20_ms_late_is_named_with_its_sigma_and_a_right_one_is_not(tmp_path: Path, late: float) -> None:
     """The direction of its map, drawn at the first scan, hides what the clock does: the path's shape tells it."""
     log = tmp_path / "log.mcap"
     write_log(scenario_of(SCENARIO, (*MOVING, LATE_CLOCK) if late else MOVING), 1001, on_truth, log)
@@ -123,9 +121,7 @@ def test_a_laser_20_ms_late_is_named_with_its_sigma_where_the_truth_tells_and_a_
         assert after["position_rmse_m"] < before["position_rmse_m"]
 
 
-def test_laser_and_wheels_that_differ_in_distance_are_both_named_where_nothing_tells_who_is_right(
-    log: Path,
-) -> None:
+def test_laser_and_wheels_that_differ_in_distance_are_both_named(log: Path) -> None:
     """The laser's own readings are predicted better by the wheels' distances, even if the wheels are wrong."""
     for wrong in (("lrf.range_scale=1.08",), ("wheels.radius=0.046", "wheels.track=0.552")):
         found = load(log, sets=("truth.topic=none", *wrong)).findings()

@@ -80,9 +80,7 @@ def test_a_truth_that_begins_metres_later_has_begun_where_the_robot_is_by_then()
 
 
 @pytest.mark.parametrize("command", [("run",), ("compare",), ("info", "--check")])
-def test_a_truth_that_jumps_all_the_time_judges_nothing_whatever_the_command(
-    command: tuple[str, ...], tmp_path: Path
-) -> None:
+def test_a_truth_that_jumps_all_the_time_judges_nothing(command: tuple[str, ...], tmp_path: Path) -> None:
     """A tracker that takes one of two bodies for the robot, in turn, ten times a second."""
     drive = Drive()
     drive.each(
@@ -104,9 +102,7 @@ def test_a_truth_that_jumps_all_the_time_judges_nothing_whatever_the_command(
         assert all(v["void"]["figures"]["position_rmse_m"] > 0.5 for v in report["configurations"].values())
 
 
-def test_several_logs_of_which_one_is_void_exit_with_3_and_say_why(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_several_logs_of_which_one_is_void_exit_with_3(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     jobs_here(monkeypatch)
     void = Drive()
     elsewhere(void)

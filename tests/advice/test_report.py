@@ -103,9 +103,7 @@ def test_while_a_setting_is_surely_wrong_no_sensor_is_to_be_left_out() -> None:
         (400.0, None, 0.01, " The covariance (all) is 20.0 times too small, and no setting explains it."),
     ],
 )
-def test_a_covariance_that_is_too_small_and_that_nothing_explains_is_said(
-    anees: float, fixed: float | None, sigma: float, words: str
-) -> None:
+def test_an_unexplained_covariance_is_named(anees: float, fixed: float | None, sigma: float, words: str) -> None:
     tried = {"configuration": "all", "after": {"anees": fixed}}
     report: dict[str, Any] = {
         "configurations": {"lrf": {"anees": 100.0}, "all": {"anees": anees}},
@@ -228,9 +226,7 @@ def test_an_error_of_the_shape_alone_is_said_to_be_that() -> None:
         (LATE, None),
     ],
 )
-def test_figures_are_doubtful_while_something_is_surely_wrong_that_changes_them(
-    advice: Advice, doubt: str | None
-) -> None:
+def test_figures_are_doubtful_while_something_is_wrong(advice: Advice, doubt: str | None) -> None:
     """How it was measured stands with the finding."""
     report: dict[str, Any] = {
         "configurations": {"lrf": {"configuration": "lrf", "sensors": {"lrf": {}}, "lost_share": 0.0}}

@@ -126,9 +126,7 @@ def test_lines_come_in_one_shape_from_opencv_4_and_5() -> None:
 
 @both_chains
 @pytest.mark.parametrize(("zero_deg", "clockwise"), [(0.0, False), (90.0, True), (-37.0, False), (180.0, True)])
-def test_the_bearing_is_that_of_the_pole_whatever_the_mounting(
-    chain: Chain, zero_deg: float, clockwise: bool
-) -> None:
+def test_the_bearing_is_right_whatever_the_mounting(chain: Chain, zero_deg: float, clockwise: bool) -> None:
     lens = Lens(zero_deg=zero_deg, clockwise=clockwise)
     errors = []
     for k in range(9):

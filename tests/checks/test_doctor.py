@@ -177,9 +177,7 @@ def test_of_two_clocks_alone_nobody_knows_which_is_off() -> None:
         ({"compass": 0.2, "lrf": 0.2}, {"compass.time_offset": -0.2, "lrf.time_offset": -0.2}),  # two of three
     ],
 )
-def test_the_clock_that_the_others_outvote_is_set_on_top_of_what_is_set(
-    by: dict[str, float], fixes: dict[str, float]
-) -> None:
+def test_an_outvoted_clock_is_set_on_top_of_what_is_set(by: dict[str, float], fixes: dict[str, float]) -> None:
     found = of_clocks(late(drive(6, robot()), **by), robot())
     assert told(found) == pytest.approx(fixes, abs=0.03)
     assert found[0].severe

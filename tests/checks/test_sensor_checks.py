@@ -80,9 +80,7 @@ def test_a_known_start_gives_the_zero_of_a_mirrored_camera(healthy: tuple[Drive,
     assert blind.fixes == ("camera.clockwise=true",)
 
 
-def test_only_the_first_metres_give_the_zero_where_the_robot_keeps_near_its_start(
-    healthy: tuple[Drive, Robot],
-) -> None:
+def test_only_the_first_metres_give_the_zero_near_the_start(healthy: tuple[Drive, Robot]) -> None:
     """Fifty small circles by wheels that turn 0.5 percent too far: in the end their heading is 90 degrees off."""
     drive, robot = healthy
     t = np.arange(0.0, 785.0, 0.1)

@@ -137,6 +137,13 @@ def test_a_wrong_radius_or_a_late_clock_is_no_spin(scale: float, late_s: float) 
     assert not of_spins(one, t, path, "truth")
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_compass_that_is_too_noisy_to_see_slips_calls_none_unusual(seed: int) -> None:
+    """Of 6 degrees a reading, the difference of two turns tells nothing of slips of half a degree."""
+    found = slip(drawn(seed, compass_noise_deg=6.0))
+    assert found is None or not found.unusual
+
+
 # --- left and right exchanged, on a robot without a sensor that turns: a truth of points shows it
 
 WHEELS_ALONE = ("compass.enabled=false", "camera.enabled=false", "lrf.enabled=false")

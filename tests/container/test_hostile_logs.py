@@ -17,8 +17,8 @@ from hostile import write as sample_write
 from mcap.writer import CompressionType
 
 from locfuse.formats.caps import FREE_RECORDS, MAX_TOPICS
+from locfuse.formats.container.chunked import most_records
 from locfuse.formats.container.decompress import DamagedError
-from locfuse.formats.container.mcap_chunk import most_records
 from locfuse.formats.container.ros1_bag import scan_chunk
 from locfuse.formats.logs.files import log_files
 from locfuse.formats.logs.log import open_log
@@ -122,7 +122,7 @@ def test_a_bag_of_nothing_but_hints_costs_seconds_at_most(tmp_path: Path, word: 
 def test_a_chunk_of_more_records_than_bytes_is_refused_by_its_cap() -> None:
     header = b"\x04\0\0\0op=\x07" + b"\x09\0\0\0conn=\0\0\0\0"
     connection = struct.pack("<I", len(header)) + header + bytes(4)
-    assert len(scan_chunk(np.frombuffer(connection * 3, np.uint8), 3).connections) == 1
+    assert len(scan_chunk(np.frombuffer(connection * 3, np.uint8), 3).definitions) == 1
     many = np.frombuffer(connection * 4, np.uint8)
     with pytest.raises(DamagedError, match="more than 3 records, the cap for its size"):
         scan_chunk(many, 3)

@@ -13,13 +13,12 @@ from bags import Said, drive, write
 from mcap.writer import CompressionType
 from range_server import Shelf, serving
 
+from locfuse.formats.container.chunked import Part
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.mcap_source import McapSource
 from locfuse.formats.container.mcap_survey import (
     ChunkRef,
-    LooseRun,
-    Part,
     promised,
     put_in_order,
     read_summary,
@@ -276,7 +275,7 @@ def test_a_damaged_index_loses_no_message(tmp_path: Path, shelf: Shelf) -> None:
 
 
 def span(first: int, last: int) -> Part:
-    return LooseRun(0, 0, {}, (first, last))
+    return Part(0, 0, 0, span=(first, last))
 
 
 @pytest.mark.parametrize(

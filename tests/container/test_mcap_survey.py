@@ -141,7 +141,7 @@ def test_a_whole_file_is_walked_without_loss(tmp_path: Path) -> None:
         parts = [part for part in found.parts if isinstance(part, ChunkRef)]
         assert len(parts) == len(found.parts)
         assert [part.offset for part in parts] == [data.index(A.record), data.index(B.record)]
-        assert [(part.size, part.available, part.cut_off) for part in parts] == 2 * [(4 * 71, 4 * 71, False)]
+        assert [(part.size, part.cut_off) for part in parts] == 2 * [(4 * 71, False)]
         assert found.attachments == [(data.index(notes) + 9, 60)]
         assert list(found.channels) == [1, 2]
         assert times(tmp_path, content) == (of(A, B), [])
@@ -554,7 +554,7 @@ def test_when_a_message_was_published_stands_before_its_payload(tmp_path: Path) 
 def test_a_chunk_as_large_as_the_cap_is_read(
     tmp_path: Path, cap: int, whole: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("locfuse.formats.container.mcap_source.MAX_CHUNK", cap)
+    monkeypatch.setattr("locfuse.formats.container.chunked.MAX_CHUNK", cap)
     found, lost = lost_by(tmp_path, FRONT + A.all + END + NO_SUMMARY, {1, 2})
     assert found == (of(A) if whole else [])
     assert [reason for reason, *_ in lost] == ([] if whole else ["a chunk is larger than 0 MiB"])

@@ -290,7 +290,7 @@ def test_a_decompression_bomb_whose_size_is_a_lie_is_refused_within_the_memory_l
 def test_a_lone_giant_message_is_refused_and_the_others_are_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("locfuse.formats.container.mcap_source.MAX_CHUNK", 1_200_000)
+    monkeypatch.setattr("locfuse.formats.container.chunked.MAX_CHUNK", 1_200_000)
     said = drive(20)
     giant = Said(
         "/scan", "sensor_msgs/msg/LaserScan", cdr("sensor_msgs/msg/LaserScan", ranges=[1.0] * 400_000), T0

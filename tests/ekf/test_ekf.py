@@ -43,9 +43,7 @@ def line(rng: np.random.Generator, beta: float) -> Told:
     ],
 )
 @pytest.mark.parametrize("start", [UPPER, (0.0,) * 6, (25.0, 0.0, 0.0, 25.0, 0.0, 3.0)])
-def test_walls_that_leave_the_pose_open_or_not_say_what_the_textbook_says(
-    beta: list[float], start: tuple[float, ...]
-) -> None:
+def test_walls_say_what_the_textbook_says(beta: list[float], start: tuple[float, ...]) -> None:
     """Also from an exact start and from being lost, and beside a heading and a position with a lever arm."""
     rng = np.random.default_rng(5)
     xx, xy, xt, yy, yt, tt = start
@@ -214,9 +212,7 @@ def test_a_prediction_is_that_of_the_textbook(states: int, wheels: bool) -> None
 @pytest.mark.parametrize("states", [0, 1, 5, 30])
 @pytest.mark.parametrize("count", [1, 2, 3, 7])
 @pytest.mark.parametrize("considered", [(), (0, 3)])
-def test_a_correction_is_that_of_the_textbook_and_of_schmidt(
-    states: int, count: int, considered: tuple[int, ...]
-) -> None:
+def test_a_correction_is_the_textbook_s(states: int, count: int, considered: tuple[int, ...]) -> None:
     belief, told = random_belief(states, 1), lines(count, states, count)
     kept, book = [c for c in considered if c < belief.n], book_of(belief)
     belief.consider(np.array(kept, np.int64))

@@ -320,18 +320,14 @@ def compared() -> tuple[Compared, list[Estimates]]:
     return compare_log(loaded, wanted, asked, lambda _: None, watch=[lambda e, _: seen.append(e)]), seen
 
 
-def test_audits_are_shown_to_who_draws_them_and_end_with_the_judgement(
-    compared: tuple[Compared, list[Estimates]],
-) -> None:
+def test_audits_end_with_the_judgement(compared: tuple[Compared, list[Estimates]]) -> None:
     found, seen = compared
     assert sorted(e.name for e in seen) == sorted(e.name for e in found.estimates)
     assert all(set(e.audits) == set(e.sensors) for e in seen)
     assert not any(e.audits for e in (*found.estimates, *(run.estimates for run in found.runs)))
 
 
-def test_what_remains_of_a_configuration_is_a_few_numbers_an_instant(
-    compared: tuple[Compared, list[Estimates]],
-) -> None:
+def test_of_a_run_a_few_numbers_an_instant_remain(compared: tuple[Compared, list[Estimates]]) -> None:
     found, _ = compared
     truth = found.loaded.drive.truth
     assert truth is not None

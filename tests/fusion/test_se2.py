@@ -88,9 +88,7 @@ def test_the_yaw_of_a_quaternion_of_any_length_is_the_first_of_its_euler_angles(
 
 @pytest.mark.parametrize("a", POSES)
 @pytest.mark.parametrize("b", POSES[1::2])
-def test_the_derivatives_of_what_lies_between_two_poses_are_finite_differences(
-    a: np.ndarray, b: np.ndarray
-) -> None:
+def test_derivatives_of_between_are_finite_differences(a: np.ndarray, b: np.ndarray) -> None:
     by_a, by_b = se2.between_jacobians(a, b)
     np.testing.assert_allclose(by_a, numeric_jacobian(lambda p: se2.between(p, b), a), atol=1e-8)
     np.testing.assert_allclose(by_b, numeric_jacobian(lambda p: se2.between(a, p), b), atol=1e-8)

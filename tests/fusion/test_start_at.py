@@ -240,9 +240,7 @@ def test_any_start_gives_a_positive_covariance_and_the_same_shape(
 
 @pytest.mark.parametrize("seconds", [2.0, 30.0])
 @pytest.mark.parametrize("mode", ["first-scan", "consider", "refine", "grow"])
-def test_walls_without_floors_and_wheels_that_never_turn_keep_the_covariance_positive(
-    mode: str, seconds: float
-) -> None:
+def test_a_robot_at_rest_without_floors_keeps_a_positive_covariance(mode: str, seconds: float) -> None:
     """Nothing then stops a wall from being known exactly but the number of scans that count."""
     settings = {"floor_range": 0.0, "floor_angle_deg": 0.0, "walls": "flat", "map": mode}
     world = World(seconds=seconds, speed=0.0, turning=0.0, settings={"lrf": settings})

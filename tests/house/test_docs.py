@@ -201,9 +201,7 @@ FIRST_PAGE = (Path(__file__).parents[2] / "docs" / "first_sensor.md").read_text(
 MAKE_LOG, SENSOR, READINGS = re.findall(r"```python\n(.*?)```", FIRST_PAGE, re.DOTALL)
 
 
-def test_its_log_and_its_sensor_give_a_verdict_and_its_noise(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_its_sensor_gets_a_verdict_and_its_noise(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "pyproject.toml").write_text(PYPROJECT)
     (tmp_path / "locfuse_cable.py").write_text(SENSOR)
     words = ("install", "-q", "--no-deps", "--no-build-isolation", "--target", tmp_path / "installed", tmp_path)

@@ -85,9 +85,7 @@ def streamed(content: bytes) -> Counter[tuple[int, bytes]]:
 
 
 @pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
-def test_truncated_at_and_inside_each_chunk_is_done_with_loss(
-    tmp_path: Path, compression: CompressionType
-) -> None:
+def test_truncated_at_or_in_a_chunk_is_done_with_loss(tmp_path: Path, compression: CompressionType) -> None:
     content = log(tmp_path / "whole.mcap", compression=compression).read_bytes()
     wheels = {m.data for m in drive(100) if m.topic == "/joint_states"}
     for start, stop in chunks(content)[1:]:

@@ -63,9 +63,7 @@ def run(path: Path, *words: str) -> tuple[Done, Array, dict[str, Any]]:
 @pytest.mark.parametrize(
     ("name", "start", "end"), [("drops out", 15.0, 25.0), ("starts late", -1.0, 8.0), ("ends early", 40.0, 99.0)]
 )
-def test_a_sensor_that_drops_out_starts_late_or_ends_early_is_as_if_masked_there(
-    folder: Path, name: str, start: float, end: float
-) -> None:
+def test_a_gap_of_a_sensor_is_as_if_masked_there(folder: Path, name: str, start: float, end: float) -> None:
     clean = simulated(folder)
     cut = rewritten(
         folder / f"{name}.mcap", source=clean, keep=lambda topic, t: topic != "/scan" or not start <= t < end
@@ -151,9 +149,7 @@ def test_a_magnetic_disturbance_makes_the_compass_at_most_a_tenth_worse_than_odo
     assert found["all"]["sensors"]["compass"]["rejected"] > 50
 
 
-def test_wheel_slip_people_a_wrong_red_object_and_a_hidden_landmark_are_gated_counted_and_shown(
-    disturbed: Path,
-) -> None:
+def test_slip_people_a_wrong_red_object_and_a_hidden_landmark_are_gated_and_shown(disturbed: Path) -> None:
     found = json.loads((disturbed / "report.json").read_text())["configurations"]
     assert found["all"]["position_rmse_m"] < 0.02
     assert found["lrf"]["sensors"]["lrf"]["rejected"] > 0  # people
@@ -247,9 +243,7 @@ def one_line(stderr: str) -> bool:
 
 @pytest.mark.parametrize("command", ["run", "compare"])
 @pytest.mark.parametrize("out", ["/proc/nothing/out", "{file}/out", "/dev/full"])
-def test_output_directory_that_cannot_be_written_is_one_line(
-    log: Path, tmp_path: Path, command: str, out: str
-) -> None:
+def test_an_unwritable_output_folder_is_one_line(log: Path, tmp_path: Path, command: str, out: str) -> None:
     """Root may write to a read-only folder; nobody may in /proc or below a file."""
     (tmp_path / "file").write_text("mine")
     done = locfuse(command, log, "-o", out.format(file=tmp_path / "file"))

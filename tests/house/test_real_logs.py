@@ -64,9 +64,7 @@ def test_odometry_reproduces_the_known_error(tmp_path: Path, robot: Path, track:
 
 
 @pytest.mark.parametrize(("track", "most"), [(0.155, 0.08), (0.173, 0.09)])
-def test_wall_lines_correct_the_drive_once_clock_and_metre_are_set(
-    tmp_path: Path, robot: Path, track: float, most: float
-) -> None:
+def test_wall_lines_correct_the_drive(tmp_path: Path, robot: Path, track: float, most: float) -> None:
     out = tmp_path / "out"
     ok("compare", LOG, "--no-advice", "--robot", robot, *CURED, "--set", f"wheels.track={track}", "-o", out)
     report = json.loads((tmp_path / "out" / "report.json").read_text())
@@ -96,9 +94,7 @@ def test_the_track_is_found_whatever_it_was_told(tmp_path: Path, robot: Path) ->
     assert tracks == pytest.approx([0.1779] * 4, rel=0.05)
 
 
-def test_without_the_laser_s_metre_track_and_scale_are_said_not_to_be_identifiable(
-    tmp_path: Path, robot: Path
-) -> None:
+def test_without_the_laser_s_scale_the_track_is_not_identifiable(tmp_path: Path, robot: Path) -> None:
     for start in (0.155, 0.173):
         _, notes = found_track(tmp_path, robot, start, CURED[:2])
         (words,) = [note for note in notes if "not identifiable" in note]

@@ -76,9 +76,7 @@ def keys(cures: str) -> list[str]:
 
 
 @pytest.mark.parametrize("name", TRAPS)
-def test_info_names_the_trap_and_its_cure_makes_the_estimate_right(
-    name: str, tmp_path: Path, folder: Path
-) -> None:
+def test_info_names_the_trap_and_its_fix_is_right(name: str, tmp_path: Path, folder: Path) -> None:
     trap = TRAPS[name]
     right = 1.3 * healthy_error("odometry" if trap.sensors == "gyro" else trap.sensors, folder) + trap.blur
     drive = Drive(trap.sensors == "camera")

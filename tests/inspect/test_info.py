@@ -111,9 +111,7 @@ def test_why_a_topic_was_chosen(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("width", [80, 120])
-def test_no_line_is_wider_than_the_screen_and_no_cell_is_folded(
-    width: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_line_is_wider_than_the_screen(width: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Long topics, long types, every column in use, long findings."""
     monkeypatch.setenv("COLUMNS", str(width))
     long = "/robot_one/front_left/laser/scan_filtered"

@@ -105,9 +105,7 @@ BIASED = {"noise_deg": 0.5, "bias_deg": 5.0, "sigma_deg": 1.0, "offset_deg": 0.0
     [({}, HELP), (NOTHING, {"no effect seen"}), (BIASED, {"hurts"})],
     ids=["good", "empty", "biased"],
 )
-def test_a_sensor_gets_the_verdict_that_it_deserves(
-    compass: dict[str, float], verdicts: set[str], seed: int
-) -> None:
+def test_a_sensor_gets_its_verdict(compass: dict[str, float], verdicts: set[str], seed: int) -> None:
     found = credit_of(seed, **compass)
     assert found.sensors["compass"].verdict in verdicts
     assert found.sensors["lrf"].verdict in HELP
@@ -222,9 +220,7 @@ def test_where_nothing_was_compared_there_is_no_verdict() -> None:
     ("anees", "over"),
     [((1.0, 10.1), True), ((1.0, 9.9), False), ((3.0, 15.1), True), ((3.0, 14.9), False), (None, False)],
 )
-def test_a_filter_is_overconfident_above_ten_and_five_times_what_it_was(
-    anees: tuple[float, float] | None, over: bool
-) -> None:
+def test_overconfident_is_above_ten_and_five_times_more(anees: tuple[float, float] | None, over: bool) -> None:
     assert overconfident(anees) is over
 
 
@@ -360,9 +356,7 @@ def test_the_interval_is_that_of_the_bootstrap_where_it_is_wider() -> None:
 
 @pytest.mark.parametrize("samples", [(4.0, 4.0), (3.0, 50.0)])
 @pytest.mark.parametrize("r", [0.0, 0.7])
-def test_the_interval_is_never_narrower_than_that_of_so_many_gaussian_pairs(
-    samples: tuple[float, float], r: float
-) -> None:
+def test_no_interval_is_narrower_than_of_gaussian_pairs(samples: tuple[float, float], r: float) -> None:
     """Var ln(rms) = 1 / 2n each, less what they share; Student's quantile by Welch and Satterthwaite, less one."""
     n = 2.0 * np.array(samples)
     variance = 0.5 * (1 / n[0] + 1 / n[1] - 2.0 * r**2 / math.sqrt(n[0] * n[1]))

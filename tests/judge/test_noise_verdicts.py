@@ -65,9 +65,7 @@ def alone(**changed: Any) -> Consistency:
         ({"white": 1.0, "spread": 1.0, "reference": 1.9, "R": 0.5}, "consistent", 1.0),
     ],
 )
-def test_a_run_without_the_sensor_measures_its_noise(
-    changed: dict[str, float], verdict: str, scale: float
-) -> None:
+def test_another_run_measures_the_noise(changed: dict[str, float], verdict: str, scale: float) -> None:
     found = by_run(**changed)
     assert found is not None
     assert found.verdict == verdict
@@ -75,9 +73,7 @@ def test_a_run_without_the_sensor_measures_its_noise(
 
 
 @pytest.mark.parametrize(("repeats", "verdict"), [(3.9, "consistent"), (4.1, "correlated")])
-def test_errors_that_last_matter_where_a_mean_of_many_is_off_by_twice_what_is_claimed(
-    repeats: float, verdict: str
-) -> None:
+def test_errors_that_last_matter_where_they_double_a_mean_s_error(repeats: float, verdict: str) -> None:
     given = settings("compass", sigma_deg=3.0)
     found = by_memory("compass", given, (3 * DEG) ** 2, repeats, 0.5, (3 * DEG) ** 2)
     assert found.verdict == verdict
@@ -96,9 +92,7 @@ def test_errors_that_last_matter_where_a_mean_of_many_is_off_by_twice_what_is_cl
 @pytest.mark.parametrize(
     ("raw", "correlation", "wandering"), [(0.68, 0.26, True), (0.65, 0.26, False), (0.68, 0.24, False)]
 )
-def test_residuals_as_large_as_configured_that_are_similar_point_to_the_prediction(
-    raw: float, correlation: float, wandering: bool
-) -> None:
+def test_similar_residuals_point_to_the_prediction(raw: float, correlation: float, wandering: bool) -> None:
     found = alone(raw=raw, whiteness=(correlation, 0, 0, 0, 0))
     assert found.words.startswith("successive residuals are similar (26%)") is wandering
     assert (found.verdict == "correlated") is wandering
@@ -117,9 +111,7 @@ def test_residuals_as_large_as_configured_that_are_similar_point_to_the_predicti
         ({"scale": 2.3, "raw": 2.3, "nis": 2.3, "share": 0.01}, "understated"),
     ],
 )
-def test_by_itself_a_sigma_is_too_large_only_where_residuals_show_it(
-    changed: dict[str, float], verdict: str
-) -> None:
+def test_a_sigma_is_too_large_only_where_residuals_show_it(changed: dict[str, float], verdict: str) -> None:
     assert alone(**changed).verdict == verdict
 
 
@@ -230,9 +222,7 @@ def test_a_reference_is_a_run_of_other_sensors_the_most_certain_first(told: Told
         (None, False),
     ],
 )
-def test_a_run_that_understates_noise_or_refuses_much_is_no_reference(
-    told: Told, own: Own | None, healthy: bool
-) -> None:
+def test_a_run_that_understates_noise_is_no_reference(told: Told, own: Own | None, healthy: bool) -> None:
     told.said = {"gyro+lrf: compass": FINE}
     evidence = Evidence([run("compass"), run("gyro+lrf", {"lrf": own})], ROBOT)
     assert names(evidence, "compass") == (["gyro+lrf"] if healthy else [])
@@ -283,9 +273,7 @@ def verdict_of(told: Told, sensor: str, *runs: Run) -> tuple[str, str]:
 
 
 @pytest.mark.parametrize(("compared", "verdict"), [(19, "unclear"), (20, "consistent")])
-def test_without_a_reference_its_own_run_judges_it_by_twenty_readings(
-    told: Told, compared: int, verdict: str
-) -> None:
+def test_without_a_reference_twenty_readings_judge(told: Told, compared: int, verdict: str) -> None:
     mine = run("compass", {"compass": OWN_RUN._replace(compared=compared)})
     found = verdict_of(told, "compass", mine)
     assert found[0] == verdict

@@ -177,9 +177,7 @@ def test_scans_of_a_room_have_the_same_lines_interpreted(beams: int, moving: boo
 
 @settings(deadline=None, max_examples=150)
 @given(st.data(), st.integers(0, 60), st.integers(0, 3), st.booleans(), st.booleans())
-def test_no_scan_makes_either_fail_or_differ(
-    data: st.DataObject, beams: int, n: int, ring: bool, moving: bool
-) -> None:
+def test_no_scan_makes_either_differ(data: st.DataObject, beams: int, n: int, ring: bool, moving: bool) -> None:
     numbers = data.draw(st.lists(NUMBERS, min_size=n * beams, max_size=n * beams))
     step = data.draw(st.sampled_from([0.0, 1e-9, math.radians(0.5), 0.1]))
     angles: Array = np.arange(beams, dtype=np.float64) * (2.0 * math.pi / max(beams, 1) if ring else step)

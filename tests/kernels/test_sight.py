@@ -268,9 +268,7 @@ def measured_less_predicted(z: Array, sits: Array, value: Array, away: Array, x:
 
 @FREE
 @pytest.mark.parametrize("states", [False, True])
-def test_the_derivatives_of_a_scan_are_finite_differences_by_pose_lines_and_mount(
-    states: bool, free: tuple[int, ...]
-) -> None:
+def test_derivatives_of_a_scan_are_finite_differences(states: bool, free: tuple[int, ...]) -> None:
     """What is measured moves with the laser's mount, what is predicted with the pose and the lines."""
     sides = []
     sits = MOUNT + np.where(np.isin(range(3), free), MOVED, 0.0)

@@ -96,9 +96,7 @@ def test_lines_of_a_growing_map_know_what_they_have_to_do_with_their_frame(seed:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_middle_of_a_line_lies_between_its_ends_and_is_where_its_place_is_known_without_its_angle(
-    seed: int,
-) -> None:
+def test_the_middle_of_a_line_is_where_its_place_and_angle_are_independent(seed: int) -> None:
     (line, *_) = three_lines(None, np.random.default_rng(seed)).placed_at(np.array([1.0, 2.0, 0.3]), np.eye(3))
     middle, half, P = about_middle(line)
     n = np.array([math.cos(line.beta), math.sin(line.beta)])

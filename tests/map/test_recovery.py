@@ -68,9 +68,7 @@ def outside(estimates: Estimates, judged: Evaluation) -> Array:
 
 @pytest.mark.parametrize("jump", [(0.7, 0.5, 40.0), (1.5, 1.0, 130.0), (-0.5, -1.0, -90.0)])
 @pytest.mark.parametrize("sensors", [["lrf"], ["compass", "lrf"]])
-def test_a_robot_that_was_carried_off_says_so_and_is_never_confidently_wrong(
-    jump: tuple[float, float, float], sensors: list[str]
-) -> None:
+def test_a_kidnapped_robot_is_never_overconfident(jump: tuple[float, float, float], sensors: list[str]) -> None:
     world = Carried(jump=(jump[0], jump[1], math.radians(jump[2])), walls=(*ROOM, *PLATES))
     found, figures = judged(world, sensors)
     assert found.lost
@@ -80,9 +78,7 @@ def test_a_robot_that_was_carried_off_says_so_and_is_never_confidently_wrong(
 
 
 @pytest.mark.parametrize("jump", [(2.5, 0.5, 40.0), (1.5, 0.5, -60.0), (-1.0, 0.8, 100.0)])
-def test_being_carried_to_where_all_walls_are_nearer_is_noticed_in_a_bare_rectangle(
-    jump: tuple[float, float, float],
-) -> None:
+def test_being_carried_nearer_to_all_walls_is_noticed(jump: tuple[float, float, float]) -> None:
     """Nothing is seen through there: to the map these are new walls before the old ones. But they all jump."""
     world = Carried(jump=(jump[0], jump[1], math.radians(jump[2])), walls=ROOM, seconds=16.0)
     found, figures = judged(world, ["lrf"])

@@ -49,9 +49,7 @@ def test_of_many_scans_at_rest_few_count_and_each_is_the_mean_since_the_one_befo
 
 
 @pytest.mark.parametrize(("motion", "counts"), [((0.01, 0.0, 0.0), True), ((4e-4, 0.0, 1e-3), False)])
-def test_a_robot_that_drives_learns_from_every_scan_and_a_tick_of_an_encoder_is_no_drive(
-    motion: Sequence[float], counts: bool
-) -> None:
+def test_every_scan_of_a_drive_counts_and_a_tick_is_no_drive(motion: Sequence[float], counts: bool) -> None:
     standing, rng = Standing(), np.random.default_rng(2)
     taken = []
     for k in range(40):

@@ -15,10 +15,10 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.serde.errors import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from benchmarks.field_paths import paths
 from locfuse.formats.caps import MAX_ITEMS
 from locfuse.formats.container.source import message_type
 from locfuse.formats.messages.cdr import Decoder
-from locfuse.formats.messages.fields import paths
 from locfuse.formats.messages.schema import SchemaError, parse
 from locfuse.fusion.data import Ragged
 

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from invented import decode, plain
 
+from benchmarks.field_paths import paths
 from locfuse.formats.messages import json_messages
-from locfuse.formats.messages.fields import paths
 from locfuse.formats.messages.json_messages import JsonDecoder, parse_jsonschema
 from locfuse.formats.messages.schema import Many, Scalar, SchemaError, Structure, Text
 

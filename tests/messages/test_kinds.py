@@ -15,11 +15,12 @@ from hypothesis import event, given, settings
 from hypothesis import strategies as st
 from invented import decode
 
+from benchmarks.field_paths import paths
 from locfuse.formats.caps import MAX_DEFINITION, MAX_DEFINITION_LINES, MAX_EXPRESSIONS
 from locfuse.formats.container.source import ChannelInfo
 from locfuse.formats.messages import fields as kinds
 from locfuse.formats.messages.decode import make_decoder
-from locfuse.formats.messages.fields import FieldError, check_kind, expected, kind_of, paths, resolve
+from locfuse.formats.messages.fields import FieldError, check_kind, expected, kind_of, resolve
 from locfuse.formats.messages.json_messages import JsonDecoder, parse_jsonschema
 from locfuse.formats.messages.schema import SchemaError, parse
 from locfuse.formats.robot.transforms import FIELDS as TF_FIELDS

@@ -12,9 +12,9 @@ from bags import build, rows
 from invented import assert_same, at_path, decode, invented_type, invented_value
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from benchmarks.field_paths import paths
 from locfuse.formats.messages import cdr
 from locfuse.formats.messages.cdr import ROS1, Decoder, fixed_size
-from locfuse.formats.messages.fields import paths
 from locfuse.formats.messages.schema import Many, Node, Scalar, Structure, Text, parse
 from locfuse.fusion.data import Ragged
 

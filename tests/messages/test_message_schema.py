@@ -8,6 +8,7 @@ import pytest
 from google.protobuf import descriptor_pb2, timestamp_pb2
 from hostile import DIVIDER
 
+from benchmarks.field_paths import paths
 from locfuse.formats.container.source import ChannelInfo
 from locfuse.formats.messages import schema
 from locfuse.formats.messages.cdr import CDR, ROS1, Decoder
@@ -18,7 +19,6 @@ from locfuse.formats.messages.fields import (
     expected,
     frame_path,
     kind_of,
-    paths,
     resolve,
     stamp_path,
 )
@@ -221,7 +221,7 @@ def counted(node: Node) -> int:
 
 def test_fields_are_counted_at_every_mention_up_to_the_cap(monkeypatch: pytest.MonkeyPatch) -> None:
     message = parse("a/msg/All", "ros2msg", ALL)
-    assert count_fields(message) == counted(message) == 53
+    assert count_fields(message, {}) == counted(message) == 53
     monkeypatch.setattr(schema, "MAX_FIELDS", 53)
     parse("a/msg/All", "ros2msg", ALL)
     monkeypatch.setattr(schema, "MAX_FIELDS", 52)

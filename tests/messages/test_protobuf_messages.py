@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 from invented import decode as decode_by
 from invented import plain
 
+from benchmarks.field_paths import paths
 from locfuse.formats.caps import MAX_DEFINITION
 from locfuse.formats.messages import protobuf_messages
+from locfuse.formats.messages import schema as message_schema
 from locfuse.formats.messages.cdr import MalformedError
-from locfuse.formats.messages.fields import paths
 from locfuse.formats.messages.protobuf_messages import ProtobufDecoder, parse_descriptors, varint
 from locfuse.formats.messages.schema import Decoded, SchemaError
 
@@ -289,11 +290,11 @@ def test_a_definition_nests_and_counts_fields_up_to_its_caps(monkeypatch: pytest
     with pytest.raises(SchemaError, match="nests more than 4 structures"):
         parse_descriptors("c.T0", chain(5))
     monkeypatch.setattr(
-        protobuf_messages, "MAX_FIELDS", 9
+        message_schema, "MAX_FIELDS", 9
     )  # five structures of which four are fields, and five numbers
     with pytest.raises(SchemaError, match="unfolds to too many fields: 10, more than the cap of 9"):
         parse_descriptors("c.T0", chain(4))
-    monkeypatch.setattr(protobuf_messages, "MAX_FIELDS", 10)
+    monkeypatch.setattr(message_schema, "MAX_FIELDS", 10)
     parse_descriptors("c.T0", chain(4))
     length = len(chain(2))
     for cap in (length, length - 1):

@@ -379,9 +379,7 @@ def test_the_table_sets_the_print_beside_our_filter(found: paper.Repeated, folde
     assert [float(v) for v in shown] == [pytest.approx(rows["all"]["ours_position_rmse_m"], abs=5e-4)]
 
 
-def test_the_conclusion_names_the_configuration_with_the_smallest_error(
-    found: paper.Repeated, folder: Path
-) -> None:
+def test_the_conclusion_names_the_smallest_error(found: paper.Repeated, folder: Path) -> None:
     said = paper_page.conclusion(found.values())
     assert re.search(r"with our filter lrf \(3\.9 mm, all 4\.1 mm\)", said)  # a laser alone is as good
     assert re.search(r"as printed lrf \(52 mm, all 75 mm\)", said)  # the printed camera spoils the rest

@@ -83,14 +83,14 @@ def test_an_occupancy_grid_lies_from_the_lower_left() -> None:
 @pytest.mark.parametrize(
     ("text", "data", "said"),
     [
-        ("image: [", None, "is no YAML of a map"),
+        ("image: [", None, "is no YAML"),
         ("- 1\n- 2\n", None, "must say image, resolution and origin"),
         ("resolution: 0.1\norigin: [0, 0, 0]\n", None, "says no image"),
         (YAML.replace("0.1", "soon"), None, "resolution is 'soon', not a number"),
         (YAML.replace("0.1", "-1"), None, "resolution -1 m"),
         (YAML.replace("[-1.0, 2.0, 0.5]", "[1]"), None, "origin is of type list, not"),
         (YAML.replace("0.1", "0x" + "f" * 400), None, "resolution is of type int, not a number below"),
-        (YAML.replace("0.1", "!!float ''"), None, "is no YAML of a map"),
+        (YAML.replace("0.1", "!!float ''"), None, "is no YAML"),
         (YAML.replace("map.pgm", "gone.pgm"), None, "gone.pgm"),
         (YAML, b"GIF89a", "is no PGM or PNG"),
         (YAML, b"P5\n4 3\n255\n", "cannot be decoded"),

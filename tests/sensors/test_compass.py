@@ -141,9 +141,7 @@ def test_a_field_that_is_a_little_too_strong_is_a_heading_that_may_be_off_by_as_
 
 @pytest.mark.parametrize("convention", ["enu_rad", "compass_rad"])
 @pytest.mark.parametrize("theta", [0.3, 2.0, -1.5])
-def test_an_orientation_is_the_yaw_of_a_world_of_east_north_up_or_north_east_down(
-    convention: str, theta: float
-) -> None:
+def test_an_orientation_is_the_yaw_of_an_enu_or_a_ned_world(convention: str, theta: float) -> None:
     turns = {"enu_rad": np.eye(3), "compass_rad": np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])}
     q = Rotation.from_matrix(turns[convention] @ Rotation.from_euler("z", theta).as_matrix()).as_quat()
     data = {f"orientation.{a}": np.full(5, v) for a, v in zip("xyzw", q.tolist(), strict=True)}

@@ -129,9 +129,7 @@ def errors(drive: Drive, e: Estimates, truth: Array) -> Array:
         ((60.0, 179.5), (60.0, -179.5), 55_800.0),
     ],
 )
-def test_one_degree_is_as_long_as_the_tables_say(
-    here: tuple[float, float], there: tuple[float, float], metres: float
-) -> None:
+def test_a_degree_has_its_length(here: tuple[float, float], there: tuple[float, float], metres: float) -> None:
     found = east_north(np.array([there[0]]), np.array([there[1]]), here)[0]
     assert np.hypot(*found) == pytest.approx(metres, rel=2e-4)
 

@@ -254,9 +254,7 @@ def with_bias(bias: float, variance: float) -> JointBelief:
 
 
 @pytest.mark.parametrize("given", [None, 2.0])
-def test_a_turn_is_compared_with_that_of_the_belief_and_its_noise_is_of_time_and_scale(
-    given: float | None,
-) -> None:
+def test_a_turn_is_compared_with_the_belief_by_noise_of_time_and_scale(given: float | None) -> None:
     settings = GyroSettings(sigma_deg=0.4, sigma_scale=0.03, bias_deg=given)
     m, model, belief = turned_twice(settings), Gyro().model(settings), with_bias(0.03, 0.01)
     assert model.innovations(m, 0, belief) == []
@@ -301,9 +299,7 @@ def rates(t: Array, rate: Array) -> ArrayStream:
      (150.0, "check wheels"), (25.0, "check wheels"), (100.0, "in degrees"), (35.0, "in degrees"),
      (-1.0, "upside-down"), (-0.3, "upside-down"), (0.0, "never turns")],
 )  # fmt: skip
-def test_a_gyro_that_turns_by_another_factor_than_the_wheels_is_refused_with_what_it_may_be(
-    factor: float, says: str | None
-) -> None:
+def test_a_gyro_that_turns_by_another_factor_is_refused_with_a_reason(factor: float, says: str | None) -> None:
     t = np.arange(0.0, 20.0, 0.1)
     turning = 0.4 * np.sin(1.3 * t)
     wheels, stream = drive_at(np.zeros_like(t), turning, t), rates(t, factor * turning)

@@ -245,9 +245,7 @@ def grown(tmp_path: Path, detections: list[tuple[float, int]], *words: str, jump
     return locfuse("run", log, *GEOMETRY, *file, "--sensors", "landmarks", "-v", "-o", tmp_path / "o", *words)
 
 
-def test_of_more_ids_than_the_cap_those_seen_most_often_are_placed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_too_many_ids_the_most_frequent_are_placed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(points, "MAX_POINTS", 3)
     done = grown(tmp_path, sorted((0.5 + k, key) for key in range(6) for k in range(3 + (key >= 3))))
     told = " ".join(done.stderr.split())
@@ -293,9 +291,7 @@ def test_a_log_names_no_file_outside_its_own_folder(tmp_path: Path, lines: str, 
     assert done.exit_code == 0, done.stderr
 
 
-def test_a_log_names_files_in_its_own_folder_wherever_the_reader_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_log_names_files_in_its_own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = with_robot(
         written(tmp_path, seconds=10.0)[0], tmp_path / "sent", "[landmarks]\nfile = 'seen/d.csv'\nmap = 'm.csv'\n"
     )
@@ -424,9 +420,7 @@ def test_any_message_with_an_id_and_a_range_can_be_read(tmp_path: Path, text: st
     [("id,nothing", "nothing"), ("id,header.frame_id", "header.frame_id is a text, not a number"),
      ("id,dis,id", "one field, or those of id and range")],
 )  # fmt: skip
-def test_fields_that_are_no_ids_and_ranges_are_refused_in_one_line(
-    tmp_path: Path, fields: str, words: str
-) -> None:
+def test_fields_that_are_no_ids_and_ranges_are_one_line(tmp_path: Path, fields: str, words: str) -> None:
     rows: list[dict[str, Any]] = [{"id": 1, "dis": 1.0}]
     log = package.open_log(custom(tmp_path / "c.mcap", "/uwb", "my_msgs/msg/Uwb", ONE, np.zeros(1), rows))
     with pytest.raises(package.LocfuseError) as error:

@@ -190,9 +190,7 @@ def seen_by(a: Array, b: Array) -> Array:
 
 
 @pytest.mark.parametrize("drifts", [0.0, 1.0])
-def test_the_motion_of_a_source_is_compared_with_that_from_the_kept_pose_which_then_moves_on(
-    drifts: float,
-) -> None:
+def test_a_source_s_motion_is_compared_with_that_from_the_kept_pose(drifts: float) -> None:
     z = np.array([[2.0, 1.0, -0.7], [2.5, 1.4, -0.2]])
     floor, settings = np.diag([1e-3, 1e-3, 2e-3]), PoseSettings(frame="own", sigma_drift=0.2, sigma_drift_deg=15.0)
     extra = {"drifts": np.full(2, drifts)}

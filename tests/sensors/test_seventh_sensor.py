@@ -179,7 +179,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("code", BROKEN, ids=list(BROKEN.values()))
-def test_a_broken_package_is_one_line_with_its_name_and_the_fix(
+def test_a_broken_package_is_one_line_with_a_fix(
     code: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = package(tmp_path, "broken_beacon:Beacon", "locfuse-broken", code)
@@ -206,9 +206,7 @@ def test_a_process_with_a_broken_package_stops_in_one_line_but_helps(tmp_path: P
     assert in_a_process("--help", path=tmp_path).returncode == 0
 
 
-def test_two_packages_with_a_sensor_of_one_name_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_two_packages_with_one_sensor_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(package(tmp_path, "beacon_too:Beacon", "other-beacon"))
     with pytest.raises(LocfuseError, match=r"package locfuse-beacon 0\.3 .* has a sensor beacon too"):
         registry.register_installed()

@@ -136,9 +136,7 @@ def test_poses_of_tags_hold_the_robot(kind: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("cameras", "left"), [(ONE, 0.3), (TWO, 0.12)])
-def test_pixels_of_tags_are_bearings_by_the_info_of_their_own_camera(
-    cameras: dict[str, Array], left: float, tmp_path: Path
-) -> None:
+def test_pixels_are_bearings_by_their_own_camera(cameras: dict[str, Array], left: float, tmp_path: Path) -> None:
     files = written(tmp_path, APRIL, april(np.random.default_rng(4)), cameras, 0.0)
     found, _ = compared(*files, *sets(BEARINGS, f"landmarks.map={map_file(tmp_path)}"))
     assert found["landmarks"]["position_rmse_m"] < left * found["odometry"]["position_rmse_m"]
@@ -388,9 +386,7 @@ RELEASES = pytest.mark.parametrize(
 
 
 @RELEASES
-def test_tags_in_the_picture_are_read_from_every_release(
-    results: str, centre: str, tracked: bool, tmp_path: Path
-) -> None:
+def test_tags_in_pictures_of_every_release(results: str, centre: str, tracked: bool, tmp_path: Path) -> None:
     """A point to the right of the middle of the picture has a negative bearing: -atan2(right, ahead)."""
     boxes = []
     for tag, (right, ahead) in TAGS.items():
@@ -406,9 +402,7 @@ def test_tags_in_the_picture_are_read_from_every_release(
 
 
 @RELEASES
-def test_tags_with_their_places_are_read_from_every_release(
-    results: str, centre: str, tracked: bool, tmp_path: Path
-) -> None:
+def test_tags_with_places_of_every_release(results: str, centre: str, tracked: bool, tmp_path: Path) -> None:
     tags = [
         {"results": [hypothesis(results, tag)], "bbox": {"center": {"position": {"x": right, "z": ahead}}}}
         for tag, (right, ahead) in TAGS.items()

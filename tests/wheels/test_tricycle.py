@@ -17,7 +17,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, ArrayStream, LocfuseError, Truth
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import MergedStream
-from locfuse.fusion.wheels.calibrate_tricycle import Reference, calibrate_tricycle, of_truth
+from locfuse.fusion.wheels.calibrate_tricycle import Reference, calibrate_tricycle, nominal, of_truth
 from locfuse.fusion.wheels.read import read_wheels
 from locfuse.fusion.wheels.steered import read_encoders
 
@@ -84,6 +84,19 @@ def test_size_steering_and_the_tracked_point_are_found_from_nominal_values_far_o
     assert found.wheels["servo_offset"].value == pytest.approx(ZERO, abs=15.0)
     assert found.wheels["wheelbase"].value == pytest.approx(BASE, rel=0.01)
     assert [found.mount[key].value for key in "xy"] == pytest.approx(point[:2].tolist(), abs=0.03)
+
+
+def test_a_truth_tells_a_tricycle_of_which_nothing_is_known() -> None:
+    path = se2.compose(true_path(), np.broadcast_to([0.9, 0.1, 0.0], (len(T), 3)))[::5]
+    truth = of_truth(Truth("/tracker", T[::5], path[:, :2], path[:, 2], (0.0, 0.0)))
+    start = nominal(encoders(), WheelSettings(), truth, 0.0)
+    found = calibrate_tricycle(read_encoders(encoders(), start), start, truth, 0.0)
+    assert found.rms < 0.02
+    assert start.ticks_per_revolution is not None
+    radius = found.wheels["radius"].value * TICKS / start.ticks_per_revolution
+    assert radius == pytest.approx(RADIUS, rel=0.01)  # only the way per tick can be seen
+    assert found.wheels["servo_gain"].value == pytest.approx(GAIN, rel=0.01)
+    assert found.wheels["wheelbase"].value == pytest.approx(BASE, rel=0.01)
 
 
 def test_a_laser_that_drifts_and_is_late_tells_the_same_and_where_it_sits() -> None:
@@ -162,3 +175,17 @@ def test_a_real_tricycle_calibrated_by_its_tracker_is_near_it_by_odometry(tmp_pa
     assert done.exit_code == 0, done.stderr
     report = json.loads((tmp_path / "out/run.json").read_text())
     assert report["configurations"]["odometry"]["position_rmse_m"] < 0.15
+
+
+def test_what_init_writes_of_a_real_tricycle_leads_from_16_m_to_its_tracker(tmp_path: Path) -> None:
+    log, named = real_log("tricycle/tricycle.mcap"), ("--set", "truth.topic=/tracker")
+    first = locfuse("compare", log, *named, "--no-advice", "-o", tmp_path / "first", "--write", "json")
+    headline = json.loads((tmp_path / "first/report.json").read_text())["headline"]
+    assert f"`locfuse init {log} --set truth.topic=/tracker -o robot.toml` finds them by the truth" in headline
+    assert first.exit_code == 0, first.stderr
+    assert locfuse("init", log, *named, "-o", tmp_path / "robot.toml").exit_code == 0
+    done = locfuse("compare", log, "--robot", tmp_path / "robot.toml", "--no-advice", "-o", tmp_path / "out")
+    assert done.exit_code == 0, done.stderr
+    odometry = json.loads((tmp_path / "out/report.json").read_text())["configurations"]["odometry"]
+    assert odometry["position_rmse_m"] < 0.15
+    assert 0.4 < odometry["anees"] < 2.0

@@ -1,0 +1,118 @@
+"""Files of chunks, an MCAP or a ROS 1 bag, as sources of message batches: part by part, with bounded memory."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Collection, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from locfuse.formats.caps import FREE_RECORDS, MAX_CHUNK
+from locfuse.fusion.data import Ints
+
+from .decompress import DamagedError, decompress, decompress_prefix
+from .file_bytes import FileBytes
+from .losses import Losses
+from .source import Batch, Messages
+
+Bytes = NDArray[np.uint8]
+CUT_OFF = "the file is cut off inside a chunk"
+NO_RECORD = "a chunk holds bytes that are no record"
+
+
+class Part(msgspec.Struct):
+    """One chunk of a file, or consecutive messages outside any chunk."""
+
+    offset: int  # of its record
+    start: int  # of its bytes
+    size: int  # bytes to read: fewer than were written where the file is cut off
+    compression: str = ""
+    plain: int | None = None  # bytes, unpacked; None outside chunks
+    cut_off: bool = False  # whether the file ends inside it
+    counts: dict[int, int] | None = None  # channel -> messages, once known
+    span: tuple[int, int] = (0, 0)  # log times of its first and last message, ns
+
+
+class Records(NamedTuple):
+    """The content of a part."""
+
+    messages: dict[int, Messages]
+    definitions: list[Any]  # of channels, as the kind of file has them
+    end: int  # where the records stop making sense; the number of bytes when all is well
+
+
+def by_channel(channel: Ints, everything: Messages) -> dict[int, Messages]:
+    """Group messages by their channels (k,)."""
+    return {int(ident): everything.take(channel == ident) for ident in np.unique(channel)}
+
+
+def most_records(packed: int) -> int:
+    """Return how many records this many bytes of a file may unpack to: every real one takes at least one byte."""
+    return FREE_RECORDS + packed
+
+
+class ChunkedSource(ABC):
+    """The parts of a file, read and searched one after the other; damage is counted and left out."""
+
+    def __init__(self, data: FileBytes, losses: Losses) -> None:
+        self.path = data.path
+        self.losses = losses
+        self.data = data
+
+    @property
+    @abstractmethod
+    def parts(self) -> Sequence[Part]:
+        """The parts in the order in which they are read."""
+
+    @abstractmethod
+    def search(self, part: Part, data: Bytes) -> Records:
+        """Find the records in a part's bytes. Raises DamagedError."""
+
+    def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
+        """Yield the messages of the wanted channels in file order."""
+        for part in self.parts:
+            if part.counts is not None and not part.counts.keys() & wanted:
+                continue
+            data, found = self.load(part)
+            if messages := {ident: m for ident, m in found.messages.items() if ident in wanted}:
+                yield Batch(data, messages)
+
+    def load(self, part: Part) -> tuple[Bytes, Records]:
+        """Read one part and find its records; learn how many messages it has."""
+        known = None if part.counts is None else sum(part.counts.values())
+        try:
+            data = np.frombuffer(self.unpacked(part), np.uint8)
+            found = self.search(part, data)
+        except DamagedError as problem:
+            self.losses.add(str(self.path), str(problem), part.offset, part.size, known)
+            data, found = np.empty(0, np.uint8), Records({}, [], 0)
+        else:
+            if found.end < len(data) or part.cut_off:
+                reason = CUT_OFF if part.cut_off else NO_RECORD
+                n = sum(len(m.start) for m in found.messages.values())
+                missing = None if known is None else max(known - n, 0)
+                self.losses.add(str(self.path), reason, part.offset, len(data) - found.end, missing)
+        if part.counts is None:
+            part.counts = {ident: len(m.start) for ident, m in found.messages.items()}
+        return data, found
+
+    def unpacked(self, part: Part) -> bytes:
+        """Return the bytes of a part. Raises DamagedError."""
+        if part.size > MAX_CHUNK:
+            raise DamagedError(f"a chunk is larger than {MAX_CHUNK >> 20} MiB")
+        packed = self.data.read(part.start, part.size)
+        if part.plain is None:
+            return packed
+        unpack = decompress_prefix if part.cut_off else decompress
+        return unpack(packed, part.compression, part.plain)
+
+    def counted(self) -> Counter[int]:
+        """Return channel -> messages in all parts."""
+        total: Counter[int] = Counter()
+        for part in self.parts:
+            total.update(part.counts or {})
+        return total

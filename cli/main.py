@@ -39,11 +39,15 @@ COMMANDS = {
     "mcp": "Serve an agent: tools on the logs below some folders (Model Context Protocol).",
     "schema": "Print the JSON Schema of robot.toml, report.json or --json, for editors and programs.",
 }
+MODULES = {  # of commands that share a file of cli/commands; the others have one of their name
+    **dict.fromkeys(("calibrate", "tune"), "estimate"),
+    **dict.fromkeys(("explain", "completion", "schema"), "words"),
+}
 INTERRUPTED, TERMINATED = 130, 143
 
 
 class LazyGroup(click.Group):
-    """A group whose commands live in modules of the same name, imported on use."""
+    """A group whose commands live in modules that are imported on use."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the commands in the order a user meets them."""
@@ -53,7 +57,7 @@ class LazyGroup(click.Group):
         """Import and return one command."""
         if cmd_name not in COMMANDS:
             return None
-        module = importlib.import_module(f"locfuse.cli.commands.{cmd_name}")
+        module = importlib.import_module(f"locfuse.cli.commands.{MODULES.get(cmd_name, cmd_name)}")
         command: click.Command = getattr(module, cmd_name)
         return command
 
@@ -86,15 +90,11 @@ def _say_version(ctx: click.Context, _option: click.Parameter, asked: bool) -> N
     ctx.exit()
 
 
+VERSION: dict[str, Any] = {"is_flag": True, "expose_value": False, "is_eager": True, "callback": _say_version}
+
+
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
-@click.option(
-    "--version",
-    is_flag=True,
-    expose_value=False,
-    is_eager=True,
-    callback=_say_version,
-    help="Show the version and exit.",
-)
+@click.option("--version", help="Show the version and exit.", **VERSION)
 def locfuse() -> None:
     """Say what each sensor adds to a robot: EKF localization from MCAP logs, compared.
 
@@ -107,28 +107,19 @@ def locfuse() -> None:
 def main(arguments: list[str] | None = None) -> NoReturn:
     """Run the command line and exit with one of the documented codes (0, 1, 2, 3, 4, 130, 143)."""
     settle_streams()
-    signal.signal(signal.SIGTERM, _terminate)
+    signal.signal(signal.SIGTERM, _stop)
     on_interrupt = signal.getsignal(signal.SIGINT)
     if on_interrupt is signal.default_int_handler:  # not where `nohup` or `&` has it ignored
-        signal.signal(signal.SIGINT, _interrupt)  # click would print an empty line first
+        signal.signal(signal.SIGINT, _stop)  # click would print an empty line first
     settle_heap()
     if arguments is None and not sys.warnoptions:
         silence_overflows()
-    code = 0
+    code: Any = 0
     try:
         with reader_may_leave():
             code = locfuse.main(args=arguments, prog_name="locfuse", standalone_mode=False)
-    except click.exceptions.Exit as e:
-        code = e.exit_code
-    except click.ClickException as e:
-        code = _misused(e)
-    except (KeyboardInterrupt, click.Abort, _Interrupted, _Terminated) as e:
-        code = _stopped(e)
-    except Exception as e:
-        # Python 3.11 makes a RuntimeError of a signal that arrives while a class is made, as in an import
-        cause = e.__cause__
-        signalled = (KeyboardInterrupt, _Interrupted, _Terminated)
-        code = _stopped(cause) if isinstance(cause, signalled) else _expected(e)
+    except BaseException as problem:
+        code = _exit_code(problem)
     finally:
         signal.signal(signal.SIGINT, on_interrupt)
     if arguments is None:
@@ -136,28 +127,26 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     sys.exit(code if isinstance(code, int) else 0)
 
 
-def _stopped(by: BaseException) -> int:
-    """Print that a signal ended the command."""
-    if isinstance(by, _Terminated):
-        return _say("terminated; nothing was left half-written", TERMINATED)
-    return _say("interrupted; nothing was left half-written", INTERRUPTED)
-
-
-def _misused(e: click.ClickException) -> int:
-    """Print in one line the error of the command line and where to read more; without arguments, the help."""
-    if isinstance(e, getattr(click.exceptions, "NoArgsIsHelpError", ())):  # click 8.1 shows it by itself
-        e.show()
-        return 2
-    context = getattr(e, "ctx", None)
-    command = "locfuse" if context is None else context.command_path
-    return _say(f"{e.format_message().rstrip('.')}; see: {command} --help", 2)
-
-
-def _expected(e: Exception) -> int:
-    """Print our own errors and the operating system's in one line; bugs keep their traceback."""
-    known = expected(e)
+def _exit_code(problem: BaseException) -> int:
+    """Print in one line why a command ended, and return its exit code; bugs keep their traceback."""
+    # Python 3.11 makes a RuntimeError of a signal that arrives while a class is made, as in an import
+    for stopped in (problem, problem.__cause__):
+        if isinstance(stopped, _Stopped) and stopped.number == signal.SIGTERM:
+            return _say("terminated; nothing was left half-written", TERMINATED)
+        if isinstance(stopped, KeyboardInterrupt | click.Abort | _Stopped):
+            return _say("interrupted; nothing was left half-written", INTERRUPTED)
+    if isinstance(problem, click.exceptions.Exit):
+        return problem.exit_code
+    if isinstance(problem, click.ClickException):
+        if isinstance(problem, getattr(click.exceptions, "NoArgsIsHelpError", ())):  # click 8.1 shows it by itself
+            problem.show()
+            return 2
+        context = getattr(problem, "ctx", None)
+        command = "locfuse" if context is None else context.command_path
+        return _say(f"{problem.format_message().rstrip('.')}; see: {command} --help", 2)
+    known = expected(problem) if isinstance(problem, Exception) else None
     if known is None:
-        raise e
+        raise problem
     return _say(*known)
 
 
@@ -166,19 +155,15 @@ def _say(text: str, code: int) -> int:
     return code
 
 
-class _Interrupted(BaseException):
-    """SIGINT was received."""
+class _Stopped(BaseException):
+    """SIGINT or SIGTERM was received."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
 
 
-class _Terminated(BaseException):
-    """SIGTERM was received."""
-
-
-def _terminate(number: int, frame: FrameType | None) -> Any:
-    raise _Terminated
-
-
-def _interrupt(number: int, frame: FrameType | None) -> Any:
-    if sys.stderr.isatty():
+def _stop(number: int, frame: FrameType | None) -> Any:
+    if number == signal.SIGINT and sys.stderr.isatty():
         say("", err=True)  # ends the line on which the terminal shows ^C
-    raise _Interrupted
+    raise _Stopped(number)

@@ -23,14 +23,12 @@ ALLOWED_OPTIONS = ("log", "out", "overwrite", "as_json", "quiet")  # options tha
 @click.argument("log", nargs=-1, shell_complete=completion.logs)
 @o.carried(
     *o.CONFIGURATIONS,
-    click.option(
-        "--estimate",
-        "estimates",
-        multiple=True,
+    o.each(
+        "--estimate estimates",
+        "Another estimate as a row: a topic of poses, two frames of /tf, a .tum or .csv file, "
+        "e.g. --estimate amcl=/amcl_pose. Repeatable.",
         callback=lambda context, parameter, value: _named(value),
         metavar="NAME=SOURCE",
-        help="Another estimate as a row: a topic of poses, two frames of /tf, a .tum or .csv file, "
-        "e.g. --estimate amcl=/amcl_pose. Repeatable.",
     ),
     o.ALIGN,
     o.SMOOTH,
@@ -77,12 +75,6 @@ def compare(log: tuple[str, ...], options: o.Options) -> int:
     from .fleet import many
 
     return many(words, options)
-
-
-def _named(words: Sequence[str]) -> dict[str, str]:
-    from locfuse.cli.session.foreign import named_sources
-
-    return named_sources(words) if words else {}
 
 
 def one(log: Sequence[str], options: o.Options) -> int:
@@ -142,6 +134,12 @@ def changes(files: Sequence[Path], outputs: Outputs) -> int:
     if written:
         say(f"{outputs.out}: {', '.join(written)}")
     return 0
+
+
+def _named(words: Sequence[str]) -> dict[str, str]:
+    from locfuse.cli.session.foreign import named_sources
+
+    return named_sources(words) if words else {}
 
 
 def _refuse_what_needs_a_log() -> None:

@@ -6,36 +6,30 @@ from pathlib import Path
 
 import click
 
-from locfuse.cli.terminal import completion
 from locfuse.cli.terminal import options as o
-from locfuse.cli.terminal.findings import end
 
 TARGETS = ("diff_drive", "ekf", "amcl", "fusioncore")  # cli/ros/export.py: its own needs NumPy
 
 
 @click.command()
 @click.argument("kind", type=click.Choice(["ros"]))
-@click.argument("log", nargs=-1, required=True, shell_complete=completion.logs)
-@click.option(
-    "--to",
-    "targets",
+@o.LOGS
+@o.each(
+    "--to targets",
+    "The node to write for: diff_drive_controller, robot_localization, nav2's AMCL, FusionCore. Repeatable.",
     type=click.Choice([*TARGETS, "all"]),
-    multiple=True,
     required=True,
-    help="The node to write for: diff_drive_controller, robot_localization, nav2's AMCL, FusionCore. Repeatable.",
 )
-@click.option(
+@o.option(
     "--into",
+    "Change the values in this YAML file of yours, keep your comments, and show a diff.",
     type=o.FILE,
     metavar="FILE",
-    help="Change the values in this YAML file of yours, keep your comments, and show a diff.",
 )
-@click.option(
-    "--node", metavar="NAME", help="Name of the node in the --into file, if it has several of this kind."
-)
-@click.option("-o", "--out", type=o.FILE, help="Write to this file.  [default: print it, or change --into]")
+@o.option("--node", "Name of the node in the --into file, if it has several of this kind.", metavar="NAME")
+@o.option("-o --out", "Write to this file.  [default: print it, or change --into]", type=o.FILE)
 @o.OVERWRITE
-@click.option("--as-set", is_flag=True, help="Take the settings as they are: calibrate and tune nothing.")
+@o.flag("--as-set", "Take the settings as they are: calibrate and tune nothing.")
 @o.carried(o.GIVEN_MAP, *o.READING)
 def export(
     log: tuple[str, ...],
@@ -92,4 +86,4 @@ def export(
         if place is not None:
             say(f"{place}: {'written' if changed else 'nothing to change'}")
     lost = loss_lines(found.loaded, list(found.loaded.drive.measurements), how.strict)
-    return end(found.notes, lost, how.quiet)
+    return show.ended(found.notes, lost, how.quiet)

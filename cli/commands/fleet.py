@@ -12,6 +12,7 @@ import click
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.settings import OF_COMPARISON as KINDS
+from locfuse.cli.analysis.settings import Progress
 from locfuse.cli.rerun.record import FOLDER, catalog
 from locfuse.cli.terminal import completion, show
 from locfuse.cli.terminal import options as o
@@ -168,7 +169,7 @@ def _robots(todo: FleetPlan, found: FleetRows, options: o.Options) -> list[dict[
     return [] if options.fleet.sweep or not options.asked.advice else robots(found.entries, todo.jobs, run)
 
 
-def _watch(progress: show.Progress, quiet: bool) -> Watch:
+def _watch(progress: Progress, quiet: bool) -> Watch:
     printed = time.monotonic()
 
     def watch(standing: QueueState, outcome: JobOutcome | None) -> None:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from locfuse.cli.analysis.errors import EXIT_LOSS
-from locfuse.cli.terminal import completion
 from locfuse.cli.terminal import options as o
 from locfuse.cli.terminal.screen import put, reader_may_leave
 
@@ -21,20 +20,19 @@ TRIED = "tried by fusing"
 
 
 @click.command()
-@click.argument("log", nargs=-1, required=True, shell_complete=completion.logs)
-@click.option(
+@o.LOGS
+@o.flag(
     "--check",
-    is_flag=True,
-    help="Also try the fixes by fusing again. Exit with 3 if something would spoil an estimate, or a run is lost.",
+    "Also try the fixes by fusing again. Exit with 3 if something would spoil an estimate, or a run is lost.",
 )
 @o.ADVICE
-@click.option("--topics", is_flag=True, help="List the topics and nothing else: no message is read.")
-@click.option("--json", "as_json", is_flag=True, help="Print everything as JSON.")
-@click.option(
+@o.flag("--topics", "List the topics and nothing else: no message is read.")
+@o.flag("--json as_json", "Print everything as JSON.")
+@o.option(
     "--preview",
-    type=click.Path(path_type=Path, file_okay=False),
+    "Write a few of the camera's pictures there, with what counts as red and what was found.",
+    type=o.DIRECTORY,
     metavar="DIR",
-    help="Write a few of the camera's pictures there, with what counts as red and what was found.",
 )
 @o.carried(*o.READING)
 def info(log: tuple[str, ...], options: o.Options, check: bool, topics: bool, preview: Path | None) -> int:

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Any
 import click
 from msgspec.structs import replace
 
-from locfuse.cli.analysis.errors import EXIT_LOSS
-from locfuse.cli.terminal import completion
 from locfuse.cli.terminal import options as o
 from locfuse.cli.terminal.screen import put, reader_may_leave, say
 
@@ -26,20 +24,20 @@ LONGEST_UNIT = 24  # characters, as in "[latitude, longitude]"
 
 
 @click.command()
-@click.argument("log", nargs=-1, required=True, shell_complete=completion.logs)
-@click.option("-o", "--out", type=o.FILE, help="Write it to this file.  [default: print it]")
+@o.LOGS
+@o.option("-o --out", "Write it to this file.  [default: print it]", type=o.FILE)
 @o.OVERWRITE
-@click.option(
+@o.option(
     "--update",
+    "Add to this file what the log shows and the file does not say; its comments and values stay.",
     type=o.EXISTING,
     metavar="ROBOT.TOML",
-    help="Add to this file what the log shows and the file does not say; its comments and values stay.",
 )
-@click.option(
+@o.option(
     "--ekf",
+    "Take topics and frames from this configuration of robot_localization; what does not map is said.",
     type=o.EXISTING,
     metavar="EKF.YAML",
-    help="Take topics and frames from this configuration of robot_localization; what does not map is said.",
 )
 @o.carried(*o.READING)
 def init(log: tuple[str, ...], options: o.Options, update: Path | None, ekf: Path | None) -> int:
@@ -59,7 +57,7 @@ def init(log: tuple[str, ...], options: o.Options, update: Path | None, ekf: Pat
     from locfuse.cli.analysis.load import find_log
     from locfuse.cli.inspect.template import draft
     from locfuse.cli.terminal import show
-    from locfuse.formats.robot.commented_toml import printable
+    from locfuse.formats.robot.commented_toml import printable, render
     from locfuse.formats.whole_files import may_replace, write_text
 
     how, out = options.how, options.outputs.out
@@ -70,34 +68,31 @@ def init(log: tuple[str, ...], options: o.Options, update: Path | None, ekf: Pat
     may_replace(out, options.outputs.overwrite, log)
     place = update or out
     with show.progress(how.quiet) as progress:
-        foreign, notes = _translated(find_log(log), ekf)
+        foreign, notes = ({}, ()) if ekf is None else _translated(find_log(log), ekf)
         made = draft(find_log(log), how, progress, foreign)
     if place is not None and made.missing and not how.quiet and (typed := _asked(made)):
         with show.progress(how.quiet) as progress:
             made = draft(find_log(log), replace(how, sets=(*how.sets, *typed)), progress, foreign)
     words = printable(shlex.join(log))
     name = printable(shlex.quote(str(place or "robot.toml")))
-    text = _fresh(made, words, name) if update is None else _updated(made, update)
+    fresh = f"#:schema ./{SCHEMA}\n{render(_head(made, words, name), made.sections, _foot(made))}"
+    text = fresh if update is None else _updated(made, update)
     if place is not None:
         write_text(place, text)
         say(f"{place}: use it with --robot {name}")
     else:
         with reader_may_leave():
             put(text)
-    lost = made.overview.log.losses.lines()
-    for line in lost:
-        show.say(f"lost: {line}")  # the reason of exit code 3: printed with --quiet too
+    code = show.ended((), made.overview.log.losses.lines(), how.quiet)
     for note in notes:
         say(f"{ekf}: {note}")
-    if not how.quiet:
-        _say(made, words, name)
-    return EXIT_LOSS if lost else 0
+    for line in () if how.quiet else _notes(made, words, name):
+        show.say(line)
+    return code
 
 
-def _translated(places: Sequence[Place], ekf: Path | None) -> tuple[dict[str, dict[str, Any]], tuple[str, ...]]:
+def _translated(places: Sequence[Place], ekf: Path) -> tuple[dict[str, dict[str, Any]], tuple[str, ...]]:
     """Return the tables of an ekf.yaml for a log, by the file's name, and its parts without counterpart."""
-    if ekf is None:
-        return {}, ()
     from locfuse.formats.logs.log import open_log
     from locfuse.formats.robot import robot_localization
 
@@ -113,8 +108,7 @@ def _asked(made: Draft) -> tuple[str, ...]:
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         return ()
     words = {f"{section.name}.{line.key}": line.words for section in made.sections for line in section.lines}
-    if made.missing:
-        say("No log can tell these values. Enter leaves one blank.", err=True)
+    say("No log can tell these values. Enter leaves one blank.", err=True)
     answers = ((key, _answer(key, words.get(key, ""))) for key in made.missing)
     return tuple(f"{key}={answer}" for key, answer in answers if answer)
 
@@ -137,13 +131,6 @@ def _answer(key: str, words: str) -> str:
             say(f"  {problem}", err=True)
         else:
             return answer
-
-
-def _fresh(made: Draft, words: str, name: str) -> str:
-    """Return a whole robot.toml; its first line is the schema for editors."""
-    from locfuse.formats.robot.commented_toml import render
-
-    return f"#:schema ./{SCHEMA}\n{render(_head(made, words, name), made.sections, _foot(made))}"
 
 
 def _updated(made: Draft, file: Path) -> str:
@@ -182,28 +169,24 @@ def _foot(made: Draft) -> str:
     return "\n".join(([f"Not in this log: {', '.join(plain)}."] if plain else []) + others)
 
 
-def _say(made: Draft, words: str, name: str) -> None:
+def _notes(made: Draft, words: str, name: str) -> list[str]:
+    """Return what was guessed, and what to do next."""
     from locfuse.cli.analysis.refused_motion import STANDS
-    from locfuse.cli.terminal import show
 
-    if made.robot:
-        show.say(
-            f"guessed: {made.robot}: its figures that the log does not tell are taken from locfuse's own files"
-        )
-    for guess in made.guesses:
-        show.say(f"guessed: {guess}")
+    loaded = made.overview.loaded
     if (nothing := made.overview.choice.absent.get("wheels")) is not None:
-        show.say(f"this log cannot run: {nothing}")
+        last = f"this log cannot run: {nothing}"
     elif made.missing:
-        show.say(f"to be filled in: {', '.join(made.missing)} (their lines say how to measure them)")
+        last = f"to be filled in: {', '.join(made.missing)} (their lines say how to measure them)"
     elif spoils := made.overview.spoils:
-        show.say(f"no motion to use: {spoils[0].words}")
-    elif made.overview.loaded is not None and made.overview.loaded.drive.wheels.stands:
-        show.say(STANDS)
-    elif _tunes(made):
-        show.say(f"next: locfuse tune {words} --robot {name} -o tuned.toml")
+        last = f"no motion to use: {spoils[0].words}"
+    elif loaded is not None and loaded.drive.wheels.stands:
+        last = STANDS
     else:
-        show.say(f"next: locfuse compare {words} --robot {name}")
+        tune, compare = f"tune {words} --robot {name} -o tuned.toml", f"compare {words} --robot {name}"
+        last = f"next: locfuse {tune if _tunes(made) else compare}"
+    of_robot = f"{made.robot}: its figures that the log does not tell are taken from locfuse's own files"
+    return [*(f"guessed: {guess}" for guess in (*([of_robot] if made.robot else []), *made.guesses)), last]
 
 
 def _tunes(made: Draft) -> bool:

@@ -6,23 +6,23 @@ from pathlib import Path
 
 import click
 
+from locfuse.cli.terminal import options as o
 from locfuse.cli.terminal.screen import put, reader_may_leave
 
 
 @click.command()
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
+@o.option(
+    "-o --out",
+    "Folder for the table, the figures and the page.",
+    type=o.DIRECTORY,
     default=Path("locfuse-out/paper"),
     show_default=True,
-    help="Folder for the table, the figures and the page.",
 )
-@click.option("--overwrite", is_flag=True, help="Replace files in a folder that holds something else.")
-@click.option("-j", "--jobs", type=click.IntRange(min=1), default=2, show_default=True, help="Drives at once.")
-@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON instead of a table.")
-@click.option("--open", "shown", is_flag=True, help="Open the page in the browser when it is written.")
-@click.option("-q", "--quiet", is_flag=True, help="Print no progress.")
+@o.flag("--overwrite", "Replace files in a folder that holds something else.")
+@o.option("-j --jobs", "Drives at once.", type=click.IntRange(min=1), default=2, show_default=True)
+@o.flag("--json as_json", "Print the figures as JSON instead of a table.")
+@o.flag("--open shown", "Open the page in the browser when it is written.")
+@o.flag("-q --quiet", "Print no progress.")
 def paper(out: Path, overwrite: bool, jobs: int, as_json: bool, shown: bool, quiet: bool) -> None:
     """Repeat the paper's experiment: its table, figures 12, 13 and 14, in one folder and on one page.
 

@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from locfuse.cli.analysis.errors import EXIT_LOSS
-from locfuse.cli.terminal import completion
+from locfuse.cli.terminal import options as o
 from locfuse.cli.terminal.screen import put, reader_may_leave, say
-
-if TYPE_CHECKING:
-    from locfuse.formats.results.recovered_log import Recovered
 
 
 @click.command()
-@click.argument("log", nargs=-1, required=True, shell_complete=completion.logs)
-@click.option(
-    "-o", "--out", required=True, type=click.Path(path_type=Path, dir_okay=False), help="MCAP file to write."
-)
-@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
-@click.option("--json", "as_json", is_flag=True, help="Print what was copied and what is lost as JSON.")
-@click.option("-q", "--quiet", is_flag=True, help="Print no progress and no notes.")
+@o.LOGS
+@o.option("-o --out", "MCAP file to write.", required=True, type=o.FILE)
+@o.OVERWRITE
+@o.flag("--json as_json", "Print what was copied and what is lost as JSON.")
+@o.QUIET
 def recover(log: tuple[str, ...], out: Path, overwrite: bool, as_json: bool, quiet: bool) -> int:
     """Copy what can be read of LOG into one MCAP that is whole, indexed and checksummed.
 
@@ -36,6 +30,7 @@ def recover(log: tuple[str, ...], out: Path, overwrite: bool, as_json: bool, qui
     from locfuse.cli.analysis.load import find_log
     from locfuse.cli.terminal import show
     from locfuse.formats.logs.log import open_log
+    from locfuse.formats.report import json_report
     from locfuse.formats.results.recovered_log import recover as copy
     from locfuse.formats.whole_files import may_replace
 
@@ -46,18 +41,10 @@ def recover(log: tuple[str, ...], out: Path, overwrite: bool, as_json: bool, qui
         progress("copying")
         found = copy(opened, out)
     with reader_may_leave():
-        _print(found, as_json)
-    if not quiet:
-        for line in found.lost:
-            say(f"lost: {line}", err=True)
+        if as_json:
+            values = {"file": str(found.path), "messages": found.messages, "lost": list(found.lost)}
+            put(json_report.encode(values))
+        else:
+            say(f"{found.path}: {sum(found.messages.values())} messages on {len(found.messages)} topics")
+    show.ended((), [] if quiet else found.lost, quiet)
     return EXIT_LOSS if found.lost else 0
-
-
-def _print(found: Recovered, as_json: bool) -> None:
-    from locfuse.formats.report import json_report
-
-    if as_json:
-        put(json_report.encode({"file": str(found.path), "messages": found.messages, "lost": list(found.lost)}))
-    else:
-        total = sum(found.messages.values())
-        say(f"{found.path}: {total} messages on {len(found.messages)} topics")

@@ -5,29 +5,19 @@ from __future__ import annotations
 import click
 
 from locfuse.cli.analysis.settings import OF_RUN as KINDS
-from locfuse.cli.terminal import completion
 from locfuse.cli.terminal import options as o
 
 
 @click.command(cls=o.Grouped)
-@click.argument("log", nargs=-1, required=True, shell_complete=completion.logs)
+@o.LOGS
 @o.carried(
-    click.option(
-        "--sensors",
-        shell_complete=completion.sensors,
-        default="all",
-        show_default=True,
-        callback=lambda context, parameter, value: (value,),
-        help="Comma-separated sensors, or: all, odometry.",
-    ),
+    o.sensors("Comma-separated sensors, or: all, odometry."),
     o.ALIGN,
     o.SMOOTH,
     o.ADVICE,
     o.JITTER,
-    click.option(
-        "--audit",
-        type=o.FILE,
-        help="Write every measurement with its distance, threshold and verdict to this CSV.",
+    o.option(
+        "--audit", "Write every measurement with its distance, threshold and verdict to this CSV.", type=o.FILE
     ),
     *o.READING,
     o.PRESET,
@@ -35,7 +25,7 @@ from locfuse.cli.terminal import options as o
     *o.written(KINDS),
     o.EXPORT,
     o.GIVEN_MAP,
-    click.option("--save-map", type=o.FILE, help="Write the line map of this run as JSON, its landmarks as .csv."),
+    o.option("--save-map", "Write the line map of this run as JSON, its landmarks as .csv.", type=o.FILE),
     *o.RERUN,
 )
 def run(log: tuple[str, ...], options: o.Options) -> int:
@@ -78,8 +68,7 @@ def _refuse_maps_without_laser(options: o.Options, sensors: tuple[str, ...]) -> 
     from locfuse.fusion.sensors.registry import of_points
 
     save = options.outputs.save_map
-    landmarks = save is not None and save.suffix == ".csv" and not of_points().isdisjoint(sensors)
-    saved = save is not None and not landmarks
-    option = "--map" if options.how.given_map is not None else "--save-map" if saved else None
+    saves_lines = save is not None and (save.suffix != ".csv" or of_points().isdisjoint(sensors))
+    option = "--map" if options.how.given_map is not None else "--save-map" if saves_lines else None
     if option and "lrf" not in sensors:
         raise UsageError(f"{option}: only the laser has a map; add lrf to --sensors")

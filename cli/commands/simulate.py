@@ -6,24 +6,23 @@ from pathlib import Path
 
 import click
 
+from locfuse.cli.terminal import options as o
 from locfuse.cli.terminal.screen import put, say
 
 
 @click.command()
 @click.argument("scenario", required=False)
-@click.option("-o", "--out", type=click.Path(path_type=Path, dir_okay=False), help="Log to write (.mcap).")
-@click.option("--seed", type=click.IntRange(0), help="Seed of all chance.  [default: the scenario's]")
-@click.option(
-    "--set",
-    "sets",
-    multiple=True,
+@o.option("-o --out", "Log to write (.mcap).", type=o.FILE)
+@o.option("--seed", "Seed of all chance.  [default: the scenario's]", type=click.IntRange(0))
+@o.each(
+    "--set sets",
+    "Set one key of the scenario, e.g. --set compass.noise_deg=0.1. Repeatable.",
     metavar="TABLE.KEY=VALUE",
-    help="Set one key of the scenario, e.g. --set compass.noise_deg=0.1. Repeatable.",
 )
-@click.option("--list", "listing", is_flag=True, help="List the shipped scenarios.")
-@click.option("--show", is_flag=True, help="Print the scenario with all its keys as TOML: a start for your own.")
-@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
-@click.option("--json", "as_json", is_flag=True, help="Print what the simulator knows of the drive as JSON.")
+@o.flag("--list listing", "List the shipped scenarios.")
+@o.flag("--show", "Print the scenario with all its keys as TOML: a start for your own.")
+@o.OVERWRITE
+@o.flag("--json as_json", "Print what the simulator knows of the drive as JSON.")
 def simulate(
     scenario: str | None,
     out: Path | None,

@@ -16,7 +16,7 @@ from locfuse.cli.terminal import options as o
 from locfuse.cli.terminal.screen import say
 
 if TYPE_CHECKING:
-    from locfuse.cli.terminal.show import Progress
+    from locfuse.cli.analysis.settings import Progress
     from locfuse.formats.rerun.scene import RerunScene
 
 TABS = ("Deviation", "Close-up", "NIS", "Innovation", "Gates", "Result", "Raw topics")
@@ -24,37 +24,29 @@ TABS = ("Deviation", "Close-up", "NIS", "Innovation", "Gates", "Result", "Raw to
 
 @click.command(cls=o.Grouped)
 @click.argument("log", nargs=-1, required=True, metavar="LOG|OUT|FILE.rrd", shell_complete=completion.logs)
-@click.option(
+@o.each(
     "--sensors",
-    multiple=True,
+    "A configuration to show. Repeatable.  [default: those of compare]",
     shell_complete=completion.sensors,
-    help="A configuration to show. Repeatable.  [default: those of compare]",
 )
-@click.option(
-    "--save",
-    type=o.FILE,
-    metavar="FILE.rrd",
-    help="Write the recording to this file and open nothing.",
-)
-@click.option("--overwrite", is_flag=True, help="Let --save replace an existing file.")
-@click.option(
+@o.option("--save", "Write the recording to this file and open nothing.", type=o.FILE, metavar="FILE.rrd")
+@o.flag("--overwrite", "Let --save replace an existing file.")
+@o.option(
     "--connect",
+    "Send it to the viewer at this address.",
     callback=lambda context, parameter, value: _address(value),
     metavar="URL",
-    help="Send it to the viewer at this address.",
 )
-@click.option("--web", is_flag=True, help="Serve it to a browser on this machine, on 127.0.0.1 only.")
-@click.option("--web-port", type=click.IntRange(1, 65535), default=9090, show_default=True)
-@click.option("--tab", type=click.Choice(TABS, case_sensitive=False), help="Which curves lie in front.")
-@click.option(
+@o.flag("--web", "Serve it to a browser on this machine, on 127.0.0.1 only.")
+@o.option("--web-port", "", type=click.IntRange(1, 65535), default=9090, show_default=True)
+@o.option("--tab", "Which curves lie in front.", type=click.Choice(TABS, case_sensitive=False))
+@o.option(
     "--images",
+    "Which pictures go into the recording.  [default: evenly, at most 600]",
     callback=lambda context, parameter, value: _every(value),
     metavar="every=N|none",
-    help="Which pictures go into the recording.  [default: evenly, at most 600]",
 )
-@click.option(
-    "--full", is_flag=True, help="Record everything: no thinning of curves (4000 points) and scans (2000)."
-)
+@o.flag("--full", "Record everything: no thinning of curves (4000 points) and scans (2000).")
 @o.carried(*o.READING)
 def view(
     log: tuple[str, ...],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -40,6 +40,9 @@ INKS = {
 }
 LOOKS = {WITHOUT: "dash", WITH: "over"}  # the path is seen in the gaps of the way on the EKF
 SEED = 1
+LOG = "rounded_rectangle"
+PRESETS = {"ours": "default", "print": "paper"}  # column -> preset
+FIGURES = ("position_rmse_m", "heading_rmse_deg", "anees")
 
 
 class Driven(NamedTuple):
@@ -48,15 +51,6 @@ class Driven(NamedTuple):
     scenario: str
     xy: Array  # (n, 2) m, where the robot really was
     path: Array  # (m, 2) m, where it should have been
-
-
-class Distance(NamedTuple):
-    """The distance of a robot from its path."""
-
-    figure: str  # "14 a"
-    steered: str
-    rms: float  # m
-    largest: float  # m
 
 
 def drives(jobs: int) -> dict[str, Driven]:
@@ -78,14 +72,6 @@ def drive(scenario: str) -> Driven:
 def distances(driven: Driven) -> Array:
     """Return the distance of every point driven from the path, which has a point every cm, (n,) m."""
     return np.array([np.hypot(*(driven.path - p).T).min() for p in driven.xy])
-
-
-def path_distances(driven: Mapping[str, Driven]) -> Iterator[Distance]:
-    """Yield a row per drive."""
-    for letter, path in PATHS.items():
-        for name, steered in ((path, WITHOUT), (f"{path}_ekf", WITH)):
-            d = distances(driven[name])
-            yield Distance(f"14 {letter}", steered, float(np.sqrt((d**2).mean())), float(d.max()))
 
 
 def path_panels(driven: Mapping[str, Driven]) -> list[Panel]:
@@ -113,11 +99,6 @@ def _panel(letter: str, without: Driven, with_ekf: Driven) -> Panel:
     )
 
 
-LOG = "rounded_rectangle"
-PRESETS = {"ours": "default", "print": "paper"}  # column -> preset
-FIGURES = ("position_rmse_m", "heading_rmse_deg", "anees")
-
-
 class Repeated(msgspec.Struct, frozen=True):
     """The results of the experiment."""
 
@@ -135,9 +116,15 @@ class Repeated(msgspec.Struct, frozen=True):
             for name in reports["ours"]
         ]
 
-    def distances(self) -> list[Distance]:
-        """Return the distance of each robot of figure 14 from its path."""
-        return list(path_distances(self.driven))
+    def distances(self) -> list[dict[str, Any]]:
+        """Return the distance of each robot of figure 14 from its path: rms and largest [m]."""
+        rows = []
+        for letter, path in PATHS.items():
+            for name, steered in ((path, WITHOUT), (f"{path}_ekf", WITH)):
+                d = distances(self.driven[name])
+                rms = float(np.sqrt((d**2).mean()))
+                rows.append({"figure": f"14 {letter}", "steered": steered, "rms": rms, "largest": float(d.max())})
+        return rows
 
     def values(self) -> dict[str, Any]:
         """Return everything as plain values: paper.json."""
@@ -148,7 +135,7 @@ class Repeated(msgspec.Struct, frozen=True):
             "log": LOG,
             "seed": SEED,
             "table": self.rows(),
-            "figure_14": [d._asdict() for d in self.distances()],
+            "figure_14": self.distances(),
         }
 
     def panels(self, which: str) -> dict[str, list[Panel]]:
@@ -178,12 +165,15 @@ def repeat(progress: Progress, jobs: int) -> Repeated:
 
 def files(found: Repeated) -> dict[str, Content]:
     """Return table, figures and page by their file names."""
+    from locfuse.formats.figures import palette
     from locfuse.formats.figures.for_paper import draw, draw_column
     from locfuse.formats.report import json_report, paper_page
 
     out: dict[str, Content] = {}
     shown: dict[str, list[Panel]] = {}
-    inks, looks = colours_of(found), dict(LOOKS)
+    traces = traces_of(found.compared["ours"].compared.estimates)
+    inks = {**palette.ROLES, **palette.colours(traces, colours()), **INKS}
+    looks = dict(LOOKS)
     light = {name: colour.light for name, colour in inks.items()}
     for which in PRESETS:
         looks |= looks_of(traces_of(found.compared[which].compared.estimates))
@@ -202,14 +192,6 @@ def files(found: Repeated) -> dict[str, Content]:
     return out
 
 
-def colours_of(found: Repeated) -> dict[str, Any]:
-    """Return the colour of everything in the figures."""
-    from locfuse.formats.figures import palette
-
-    traces = traces_of(found.compared["ours"].compared.estimates)
-    return {**palette.ROLES, **palette.colours(traces, colours()), **INKS}
-
-
 def lines(found: Repeated) -> Sequence[str]:
     """Return a line per drive of figure 14."""
-    return [f"fig. {d.figure}, {d.steered}: {d.rms:.3f} m rms from the path" for d in found.distances()]
+    return [f"fig. {d['figure']}, {d['steered']}: {d['rms']:.3f} m rms from the path" for d in found.distances()]

@@ -47,6 +47,7 @@ from .result import Comparison, Kinds, Named
 from .session import opened
 
 DEFAULT_FOLDER = "summary"
+RMSE = "position_rmse_m"
 
 
 class Summary:
@@ -179,27 +180,29 @@ def naming(log: str) -> Iterator[None]:
 
 def summarised(entries: Sequence[Entry]) -> dict[str, Any]:
     """Return the summary over logs: figures, and each sensor's effect over all of them."""
-    reports = {e.name: e.report for e in entries if e.state == "done"}
-    summary = {"locfuse": own(), **over.summarise(reports), "credit": None, "verdicts": {}}
-    summary["logs"] = {e.name: {**summary["logs"].get(e.name, {}), **_standing(e)} for e in entries}
-    add_intervals(summary, entries)
-    add_ties(summary, entries)
+    done = [e for e in entries if e.state == "done"]
+    summary = {
+        "locfuse": own(),
+        **over.summarise({e.name: e.report for e in done}),
+        "credit": None,
+        "verdicts": {},
+    }
+    keys = ("robot", "state", "reason", "void", "losses")
+    standing = {e.name: {**{key: getattr(e, key) for key in keys}, "reason": e.reason or None} for e in entries}
+    summary["logs"] = {name: {**summary["logs"].get(name, {}), **found} for name, found in standing.items()}
+    robots = {e.robot for e in done if e.robot is not None}
+    summary["replicates"] = {"of": "robots" if robots else "logs", "robots": len(robots), "logs": len(done)}
+    for name, configuration in summary["configurations"].items():
+        for key, figure in configuration["figures"].items():
+            mean = mean_over(_replicate_means(done, _values(done, name, key)))
+            figure |= {"mean": mean.value, "low": mean.low, "high": mean.high, "replicates": mean.replicates}
+    summary["ties"] = _ties(summary, entries)
     together = credit_over(entries)
     if together is not None:
         credit, of = together
         summary["credit"] = credit_values(credit)
         summary["verdicts"] = verdicts(credit, [], {}, of)
     return json_report.plain(summary)
-
-
-def _standing(entry: Entry) -> dict[str, Any]:
-    return {
-        "robot": entry.robot,
-        "state": entry.state,
-        "reason": entry.reason or None,
-        "void": entry.void,
-        "losses": entry.losses,
-    }
 
 
 def default_folder() -> Path:
@@ -210,9 +213,6 @@ def default_folder() -> Path:
 def of_each(write: Kinds) -> set[str]:
     """Return the kinds of output for every single log: the chosen ones, and always the report."""
     return chosen(write, OF_COMPARISON) | {"json"}
-
-
-RMSE = "position_rmse_m"
 
 
 class Mean(NamedTuple):
@@ -241,22 +241,10 @@ def by_robot(entries: Iterable[Entry]) -> dict[str, list[Entry]]:
     return found
 
 
-def replicate_means(entries: Sequence[Entry], values: Mapping[str, float]) -> list[float]:
+def _replicate_means(entries: Sequence[Entry], values: Mapping[str, float]) -> list[float]:
     """Return the mean of each replicate's values; `values` are by the name of the log."""
     groups = by_robot(e for e in entries if e.name in values)
     return [fmean(values[e.name] for e in group) for group in groups.values()]
-
-
-def add_intervals(summary: dict[str, Any], entries: Sequence[Entry]) -> None:
-    """Replace the means of all figures by those over replicates, with intervals, and note the replicates."""
-    done = [e for e in entries if e.state == "done"]
-    robots = {e.robot for e in done if e.robot is not None}
-    summary["replicates"] = {"of": "robots" if robots else "logs", "robots": len(robots), "logs": len(done)}
-    for name, found in summary["configurations"].items():
-        for key, figure in found["figures"].items():
-            known = _values(done, name, key)
-            mean = mean_over(replicate_means(done, known))
-            figure |= {"mean": mean.value, "low": mean.low, "high": mean.high, "replicates": mean.replicates}
 
 
 def _values(entries: Sequence[Entry], configuration: str, key: str) -> dict[str, float]:
@@ -264,38 +252,28 @@ def _values(entries: Sequence[Entry], configuration: str, key: str) -> dict[str,
     return {name: float(value) for name, value in found.items() if value is not None}
 
 
-def add_ties(summary: dict[str, Any], entries: Sequence[Entry]) -> None:
-    """Add the configurations that tie with the best one: ratios of errors per log, then per robot."""
+def _ties(summary: Mapping[str, Any], entries: Sequence[Entry]) -> dict[str, Any]:
+    """Return the configurations whose errors equal the best one's within 2 %, or within the 95 % interval.
+
+    Ratios of errors are taken per log, then per robot.
+    """
     best, ties = summary["best"], {}
-    for name in summary["configurations"]:
-        if best is not None and name != best:
-            ratio = _ratio(entries, name, best)
-            if ratio is not None and _is_tie(ratio):
-                few = ratio.replicates < MIN_REPLICATES
-                low, high = (None, None) if few else (ratio.low, ratio.high)
-                ties[name] = {
-                    "factor": math.exp(ratio.value),
-                    "low": None if low is None else math.exp(low),
-                    "high": None if high is None else math.exp(high),
-                    "replicates": ratio.replicates,
-                }
-    summary["ties"] = ties
-
-
-def _ratio(entries: Sequence[Entry], name: str, best: str) -> Mean | None:
-    """Return the mean of ln(error of `name` / error of `best`) over replicates that have both."""
-    ours, theirs = _values(entries, name, RMSE), _values(entries, best, RMSE)
-    logs = [log for log in ours if log in theirs and ours[log] > 0.0 < theirs[log]]
-    if not logs:
-        return None
-    return mean_over(replicate_means(entries, {log: math.log(ours[log] / theirs[log]) for log in logs}), fewest=2)
-
-
-def _is_tie(ratio: Mean) -> bool:
-    """Return whether two errors are equal: within 2 %, or within the 95 % interval."""
-    if abs(ratio.value) < MIN_EFFECT:
-        return True
-    return ratio.low is not None and ratio.high is not None and ratio.low <= 0.0 <= ratio.high
+    for name in summary["configurations"] if best is not None else ():
+        ours, theirs = _values(entries, name, RMSE), _values(entries, best, RMSE)
+        ln = {x: math.log(ours[x] / theirs[x]) for x in ours if x in theirs and ours[x] > 0.0 < theirs[x]}
+        if name == best or not ln:
+            continue
+        ratio = mean_over(_replicate_means(entries, ln), fewest=2)
+        low, high = ratio.low, ratio.high
+        if abs(ratio.value) < MIN_EFFECT or (low is not None and high is not None and low <= 0.0 <= high):
+            low, high = (None, None) if ratio.replicates < MIN_REPLICATES else (low, high)
+            ties[name] = {
+                "factor": math.exp(ratio.value),
+                "low": None if low is None else math.exp(low),
+                "high": None if high is None else math.exp(high),
+                "replicates": ratio.replicates,
+            }
+    return ties
 
 
 def credit_over(entries: Sequence[Entry]) -> tuple[Credit, str] | None:
@@ -318,8 +296,17 @@ def _of_robot(found: Sequence[Mapping[str, Any]]) -> Credit:
     """Return the mean effects of one replicate's logs, without intervals."""
     names = [s for s in found[0]["sensors"] if all(s in credit["sensors"] for credit in found)]
     totals = [credit["total_factor"] for credit in found]
+    sensors = {}
+    for s in names:
+        of = [credit["sensors"][s] for credit in found]
+        alone, last, credit = (_mean([f[name] for f in of]) for name in ("alone", "leave_one_out", "credit"))
+        pairs = [(f["anees_without"], f["anees_with"]) for f in of if f["anees_with"] is not None]
+        anees = (fmean(p[0] for p in pairs), fmean(p[1] for p in pairs)) if pairs else None
+        shares = [f["share"] for f in of]
+        share = None if None in shares else fmean(shares)
+        sensors[s] = SensorCredit("no verdict", credit, alone, last, share, anees, tuple(of[0]["beside"]))
     return Credit(
-        sensors={s: _of_sensor([credit["sensors"][s] for credit in found]) for s in names},
+        sensors=sensors,
         total=None if None in totals else fmean(math.log(total) for total in totals),
         complete=all(credit["complete"] for credit in found),
         method="mean over the logs of one robot",
@@ -327,15 +314,6 @@ def _of_robot(found: Sequence[Mapping[str, Any]]) -> Credit:
         block_s=None,
         logs=len(found),
     )
-
-
-def _of_sensor(found: Sequence[Mapping[str, Any]]) -> SensorCredit:
-    alone, last, credit = (_mean([f[name] for f in found]) for name in ("alone", "leave_one_out", "credit"))
-    shares = [f["share"] for f in found]
-    pairs = [(f["anees_without"], f["anees_with"]) for f in found if f["anees_with"] is not None]
-    anees = (fmean(p[0] for p in pairs), fmean(p[1] for p in pairs)) if pairs else None
-    share = None if None in shares else fmean(shares)
-    return SensorCredit("no verdict", credit, alone, last, share, anees, tuple(found[0]["beside"]))
 
 
 def _mean(effects: Sequence[Mapping[str, Any] | None]) -> Effect | None:

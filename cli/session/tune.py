@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ClassVar
 
 import msgspec
@@ -31,7 +31,6 @@ from locfuse.fusion.tune.tune import Trial, Tuned, tune
 from .found import Found, Row, refuse_doubtful
 
 HELD_OUT_SHARE = 0.2  # share of every log, its end, where no log is held out
-LIKELIHOOD = "ln likelihood per number, {part} ({numbers})"
 
 
 class Judged(msgspec.Struct, frozen=True):
@@ -63,25 +62,45 @@ class Tuning(Found, frozen=True, kw_only=True):
 
     def values(self) -> dict[str, Any]:
         """Return all results as plain values: SI units or the key's, null for figures without a judgement."""
-        tuned = self.tuned
-        parts = zip(("training", "held_out"), (tuned.train, tuned.held_out), tuned.numbers, strict=True)
+        noise: dict[str, Any] = {}
+        for row in self.tuned.rows:
+            low, high = _interval(row) or (None, None)
+            noise[row.key] = {"before": row.before, "after": row.after, "low": low, "high": high}
+            noise[row.key]["identifiable"] = row.identifiable
+        likelihood = {
+            name: None if pair is None else {"before": pair[0], "after": pair[1], "numbers": numbers}
+            for name, pair, numbers in self._likelihoods("training", "held_out")
+        }
+        logs = []
+        for j in self.judged:
+            found: dict[str, Any] = {"name": j.name}
+            for when, e in (("before", j.before), ("after", j.after)):
+                nis = {s: figures.nis for s, figures in e.sensors.items()}
+                found[when] = {"position_rmse_m": e.figures.get("position_rmse_m"), "nis": nis}
+            logs.append(found)
         return {
-            "noise": {row.key: _row_values(row) for row in tuned.rows},
-            "ln_likelihood_per_number": {
-                name: None if pair is None else {"before": pair[0], "after": pair[1], "numbers": numbers}
-                for name, pair, numbers in parts
-            },
-            "logs": [_log_values(j) for j in self.judged],
-            "measured_again": list(tuned.measured_again),
+            "noise": noise,
+            "ln_likelihood_per_number": likelihood,
+            "logs": logs,
+            "measured_again": list(self.tuned.measured_again),
             "refused": self.refused,
             "robot": self.tables(),
             "notes": list(self.notes),
         }
 
+    def _likelihoods(self, *parts: str) -> Iterator[tuple[str, tuple[float, ...] | None, int]]:
+        """Return what was tuned on and what was held out: the ln likelihood before and after, and its numbers."""
+        return zip(parts, (self.tuned.train, self.tuned.held_out), self.tuned.numbers, strict=True)
+
     def rows(self) -> list[Row]:
         """Return (key, before, after, interval) in words."""
-        unused = ("not used", "")
-        return [(r.key, f"{r.before:.3g}", *(unused if self.refused else _found(r))) for r in self.tuned.rows]
+        rows: list[Row] = []
+        for r in self.tuned.rows:
+            interval = _interval(r)
+            unknown = "at most this" if r.after < r.before else "not identifiable"
+            found = f"{r.after:.3g}", unknown if interval is None else f"{interval[0]:.3g} .. {interval[1]:.3g}"
+            rows.append((r.key, f"{r.before:.3g}", *(("not used", "") if self.refused else found)))
+        return rows
 
     def before(self) -> str:
         """Return the text of the first robot.toml if the user gave none."""
@@ -94,22 +113,27 @@ class Tuning(Found, frozen=True, kw_only=True):
 
     def judgements(self) -> list[tuple[str, str, str]]:
         """Return (figure, before, after) in words."""
-        tuned = self.tuned
         rows: list[tuple[str, str, str]] = []
-        for part, pair, n in zip(
-            ("tuned on", "held out"), (tuned.train, tuned.held_out), tuned.numbers, strict=True
-        ):
+        for part, pair, n in self._likelihoods("tuned on", "held out"):
             if pair is not None:
-                rows.append((LIKELIHOOD.format(part=part, numbers=n), f"{pair[0]:.2f}", f"{pair[1]:.2f}"))
+                rows.append((f"ln likelihood per number, {part} ({n})", f"{pair[0]:.2f}", f"{pair[1]:.2f}"))
         for j in self.judged:
+            both = (j.before, j.after)
             for s in j.after.sensors:
-                before, after = (_cell(e.sensors[s].nis, "{:.2f}") for e in (j.before, j.after))
+                before, after = ("" if (nis := e.sensors[s].nis) is None else f"{nis:.2f}" for e in both)
                 rows.append((f"mean NIS of {s}, {j.name}", before, after))
-            before, after = (_cell(e.figures.get("position_rmse_m"), "{:.4f} m") for e in (j.before, j.after))
-            if after:
+            errors = [e.figures.get("position_rmse_m") for e in both]
+            if errors[1] is not None:
                 shape = "" if j.after.align == "none" else " of the path's shape"
+                before, after = ("" if error is None else f"{error:.4f} m" for error in errors)
                 rows.append((f"position error{shape}, {j.name}", before, after))
         return rows
+
+
+def _interval(row: TunedRow) -> tuple[float, float] | None:
+    """Return the 95 % interval of a figure; None if the logs do not show it."""
+    factor = math.exp(SIGMAS_95 * row.error)
+    return (row.after / factor, row.after * factor) if row.identifiable else None
 
 
 def _tables(tuned: Tuned) -> dict[str, dict[str, float]]:
@@ -167,7 +191,12 @@ def tune_logs(
     def tuned_by(names: Sequence[str]) -> tuple[Tuned, list[Judged], list[str]]:
         tuned = tune(trials, names, drift, remeasure, progress)
         progress("judging the logs")
-        return tuned, (judged := _judged(loaded, tuned, checks)), _worse(tuned, judged)
+        sets = set_words(_tables(tuned))  # as `run` would: measuring depends on the noise too
+        judged = [
+            Judged(one.log.name, _evaluated(one), _evaluated(with_settings(one, sets)), check)
+            for one, check in zip(loaded, checks, strict=True)
+        ]
+        return tuned, judged, _worse(tuned, judged)
 
     tuned, judged, worse = tuned_by(sensors)
     lasting = lasting_errors(tuned.trials)
@@ -178,17 +207,15 @@ def tune_logs(
         progress(f"again, with the sigma of {' and '.join(sorted(left))} left as it was")
         tuned, judged, worse = tuned_by(others)
         notes = [f"{note}. It is left out, and its sigma left as it was" for note in notes]
-    notes = [*worse, *_notes(tuned), *notes]
-    return Tuning(loaded=loaded, how=how, notes=tuple(notes), tuned=tuned, judged=judged, refused=bool(worse))
-
-
-def _judged(loaded: Sequence[Loaded], tuned: Tuned, checks: Sequence[str]) -> list[Judged]:
-    """Evaluate every log as `run` would, before and after: measuring depends on the noise too."""
-    sets = set_words(_tables(tuned))
-    return [
-        Judged(one.log.name, _evaluated(one), _evaluated(with_settings(one, sets)), check)
-        for one, check in zip(loaded, checks, strict=True)
+    again = [
+        f"{s} was measured again: where one of its lines ends and the next begins is judged by its noise"
+        for s in tuned.measured_again
     ]
+    found = tuned.held_out
+    if found is not None and found[0] - MAX_LOSS_NATS <= found[1] < found[0]:
+        again.append(f"{_less_likely(*found)}, by no more than chance: a longer log would settle it")
+    notes = [*worse, *tuned.flags, *again, *notes]
+    return Tuning(loaded=loaded, how=how, notes=tuple(notes), tuned=tuned, judged=judged, refused=bool(worse))
 
 
 def _worse(tuned: Tuned, judged: Sequence[Judged]) -> list[str]:
@@ -224,17 +251,6 @@ def _evaluated(one: Loaded) -> Evaluation:
     return evaluate(run, one.drive, "se2" if elsewhere else "none")
 
 
-def _notes(tuned: Tuned) -> list[str]:
-    again = [
-        f"{s} was measured again: where one of its lines ends and the next begins is judged by its noise"
-        for s in tuned.measured_again
-    ]
-    found = tuned.held_out
-    if found is not None and found[0] - MAX_LOSS_NATS <= found[1] < found[0]:
-        again.append(f"{_less_likely(*found)}, by no more than chance: a longer log would settle it")
-    return [*tuned.flags, *again]
-
-
 def lasting_errors(trials: Sequence[Trial]) -> dict[tuple[str, str], str]:
     """Return notes on sensors with slow errors, by log and sensor: no sigma describes such errors."""
     lasting: dict[tuple[str, str], str] = {}
@@ -246,37 +262,3 @@ def lasting_errors(trials: Sequence[Trial]) -> dict[tuple[str, str], str]:
         worded = {s: verdict for verdicts in found.values() for s, verdict in verdicts.items()}
         lasting |= {(trial.name, s): v.words for s, v in worded.items() if v.verdict == "correlated"}
     return lasting
-
-
-def _found(row: TunedRow) -> tuple[str, str]:
-    """Return a figure and its interval, or that the logs do not show it."""
-    if not row.identifiable:
-        return f"{row.after:.3g}", "at most this" if row.after < row.before else "not identifiable"
-    low, high = row.after * math.exp(-SIGMAS_95 * row.error), row.after * math.exp(SIGMAS_95 * row.error)
-    return f"{row.after:.3g}", f"{low:.3g} .. {high:.3g}"
-
-
-def _row_values(row: TunedRow) -> dict[str, Any]:
-    factor = math.exp(SIGMAS_95 * row.error) if row.identifiable else None
-    return {
-        "before": row.before,
-        "after": row.after,
-        "low": None if factor is None else row.after / factor,
-        "high": None if factor is None else row.after * factor,
-        "identifiable": row.identifiable,
-    }
-
-
-def _log_values(j: Judged) -> dict[str, Any]:
-    found = {
-        when: {
-            "position_rmse_m": e.figures.get("position_rmse_m"),
-            "nis": {s: figures.nis for s, figures in e.sensors.items()},
-        }
-        for when, e in (("before", j.before), ("after", j.after))
-    }
-    return {"name": j.name, **found}
-
-
-def _cell(value: float | None, form: str) -> str:
-    return "" if value is None else form.format(value)

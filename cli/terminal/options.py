@@ -61,7 +61,7 @@ def carried(*declared: Declared) -> Callable[[F], F]:
         @functools.wraps(command)
         def wrapped(log: tuple[str, ...], **given: Any) -> Any:
             own = {n: v for n, v in given.items() if n not in CARRIED and not n.startswith(RERUN_PREFIX)}
-            return command(log, options=options_of(given), **own)
+            return command(log, options=_options(given), **own)
 
         decorated: Any = wrapped
         for option in reversed(declared):
@@ -72,7 +72,7 @@ def carried(*declared: Declared) -> Callable[[F], F]:
     return decorate
 
 
-def options_of(given: Mapping[str, Any]) -> Options:
+def _options(given: Mapping[str, Any]) -> Options:
     """Return click's values in one carrier. Raises click.UsageError for contradictions."""
     fleet = _part(FleetOptions, given)
     if fleet.cluster is not None and fleet.jobs > 1:
@@ -113,31 +113,25 @@ class Grouped(click.Command):
 
     def __init__(self, *args: Any, **given: Any) -> None:
         super().__init__(*args, **given)
-        self.params.append(
-            click.Option(
-                ["--help-all"],
-                is_flag=True,
-                is_eager=True,
-                expose_value=False,
-                callback=_help_all,
-                help="Show all options.",
-            )
-        )
+        help_all: dict[str, Any] = {
+            "is_flag": True,
+            "is_eager": True,
+            "expose_value": False,
+            "callback": _help_all,
+        }
+        self.params.append(click.Option(["--help-all"], help="Show all options.", **help_all))
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the groups; other options only with --help-all."""
         records = {p.name: record for p in self.get_params(ctx) if (record := p.get_help_record(ctx))}
         own = self.get_help_option(ctx)
         help_itself = [records.pop(name) for name in (own and own.name, "help_all") if name in records]
-        for title, names in FIRST.items():
-            if rows := [records.pop(name) for name in names if name in records]:
+        groups = {title: [records.pop(n) for n in names if n in records] for title, names in FIRST.items()}
+        groups |= {"More": list(records.values()) if ctx.meta.get(HELP_ALL) else [], "Help": help_itself}
+        for title, rows in groups.items():
+            if rows:
                 with formatter.section(title):
                     formatter.write_dl(rows)
-        if records and ctx.meta.get(HELP_ALL):
-            with formatter.section("More"):
-                formatter.write_dl(list(records.values()))
-        with formatter.section("Help"):
-            formatter.write_dl(help_itself)
 
 
 def _help_all(ctx: click.Context, param: click.Parameter, wanted: bool) -> None:
@@ -165,14 +159,14 @@ class Folder(click.Path):
         return value if is_url(str(value)) else str(super().convert(value, param, ctx))
 
 
-def known(what: str, kinds: Sequence[str], default: str | None) -> Callable[..., frozenset[str]]:
+def kinds_of(known: Sequence[str], what: str, default: str | None) -> Callable[..., frozenset[str]]:
     """Return a callback for comma-separated kinds of output; it raises click.UsageError for others."""
 
     def chosen(context: click.Context, parameter: click.Parameter, value: str | None) -> frozenset[str]:
         from locfuse.fusion.data import UsageError
 
         try:
-            return frozenset(settings.chosen(default if value is None else value, kinds, what))
+            return frozenset(settings.chosen(default if value is None else value, known, what))
         except UsageError as problem:
             raise click.UsageError(str(problem)) from None
 
@@ -181,244 +175,241 @@ def known(what: str, kinds: Sequence[str], default: str | None) -> Callable[...,
 
 FILE = click.Path(path_type=Path, dir_okay=False)
 EXISTING = click.Path(path_type=Path, dir_okay=False, exists=True)
+DIRECTORY = click.Path(path_type=Path, file_okay=False)
+
+
+def option(names: str, words: str, **more: Any) -> Declared:
+    """Return an option: its names, and the words of --help."""
+    return click.option(*names.split(), help=words, **more)
+
+
+def flag(names: str, words: str, **more: Any) -> Declared:
+    """Return an option without a value."""
+    return option(names, words, is_flag=True, **more)
+
+
+def each(names: str, words: str, **more: Any) -> Declared:
+    """Return an option that may be repeated."""
+    return option(names, words, multiple=True, **more)
+
+
+LOGS = click.argument("log", nargs=-1, required=True, shell_complete=completion.logs)
+OVERWRITE = flag("--overwrite", "Replace an existing file.")
+QUIET = flag("-q --quiet", "Print no progress and no notes.")
 
 # --- how a log is read
 READING = (
-    click.option(
-        "--robot",
-        "robots",
-        multiple=True,
-        type=RobotFile(path_type=Path, exists=True, dir_okay=False),
-        help="robot.toml, merged over the one in the log. Repeatable: later files win. Of many logs "
+    each(
+        "--robot robots",
+        "robot.toml, merged over the one in the log. Repeatable: later files win. Of many logs "
         "(--robot-from): 'robots/{robot}.toml'.",
+        type=RobotFile(path_type=Path, exists=True, dir_okay=False),
     ),
-    click.option(
-        "--set",
-        "sets",
-        multiple=True,
+    each(
+        "--set sets",
+        "Set one key of robot.toml, e.g. --set lrf.sigma_range=0.03. Repeatable.",
         metavar="TABLE.KEY=VALUE",
         shell_complete=completion.settings,
-        help="Set one key of robot.toml, e.g. --set lrf.sigma_range=0.03. Repeatable.",
     ),
-    click.option(
+    option(
         "--order",
+        "Which clock wins where stamps run backwards.  [default: auto]",
         type=click.Choice(settings.ORDERS),
-        help="Which clock wins where stamps run backwards.  [default: auto]",
     ),
-    click.option(
+    option(
         "--truth",
+        "Reference poses beside the log: a .tum, or a .csv with columns t, x, y (theta).",
         type=EXISTING,
         metavar="FILE",
-        help="Reference poses beside the log: a .tum, or a .csv with columns t, x, y (theta).",
     ),
-    click.option("--strict", is_flag=True, help="Exit with 3 on any loss of data."),
-    click.option(
-        "--hash",
-        "hash_all",
-        is_flag=True,
-        help="Read and hash every byte of the log for the report.  [default: only if all bytes are read]",
+    flag("--strict", "Exit with 3 on any loss of data."),
+    flag(
+        "--hash hash_all",
+        "Read and hash every byte of the log for the report.  [default: only if all bytes are read]",
     ),
-    click.option("-q", "--quiet", is_flag=True, help="Print no progress and no notes."),
+    QUIET,
 )
-PRESET = click.option(
+PRESET = option(
     "--preset",
+    "The filter: our own, or the paper's equations as printed (docs/paper.md).  [default: default]",
     type=click.Choice(settings.PRESETS),
-    help="The filter: our own, or the paper's equations as printed (docs/paper.md).  [default: default]",
 )
 WINDOW = (
-    click.option("--from", "begin", type=float, metavar="S", help=f"Use only what comes after: {SECONDS}."),
-    click.option("--to", "end", type=float, metavar="S", help=f"Use only what comes before: {SECONDS}."),
+    option("--from begin", f"Use only what comes after: {SECONDS}.", type=float, metavar="S"),
+    option("--to end", f"Use only what comes before: {SECONDS}.", type=float, metavar="S"),
 )
-GIVEN_MAP = click.option(
-    "--map",
-    "given_map",
-    type=EXISTING,
-    help="Localise in this map: the JSON of --save-map, or the .yaml of an image (map_server), in which the start "
+GIVEN_MAP = option(
+    "--map given_map",
+    "Localise in this map: the JSON of --save-map, or the .yaml of an image (map_server), in which the start "
     "is looked for. It is not changed.",
+    type=EXISTING,
 )
 
 # --- what is computed
-ALIGN = click.option(
+ALIGN = option(
     "--align",
+    "Move the estimate onto the truth before judging it.",
     type=click.Choice(["none", "origin", "se2"]),
     default="none",
     show_default=True,
-    help="Move the estimate onto the truth before judging it.",
 )
-SMOOTH = click.option(
+SMOOTH = option(
     "--smooth/--no-smooth",
+    "Also compute the smoothed estimate (uses the whole log).  [default: with a laser, of a single log]",
     default=None,
-    help="Also compute the smoothed estimate (uses the whole log).  [default: with a laser, of a single log]",
 )
-REFERENCE = click.option(
+REFERENCE = option(
     "--reference/--no-reference",
-    default=None,
-    help="Without truth: measure errors against the solution of the whole drive by all sensors, and judge each "
+    "Without truth: measure errors against the solution of the whole drive by all sensors, and judge each "
     "sensor by one without it.  [default: with --smooth, and for drives of up to "
     f"{settings.MAX_REFERENCE_INSTANTS} update times]",
+    default=None,
 )
-ADVICE = click.option(
-    "--no-advice",
-    "advice",
+ADVICE = option(
+    "--no-advice advice",
+    "Try no fixes: report what the settings give as they are, without fusing again.",
     flag_value=False,
     default=True,
-    help="Try no fixes: report what the settings give as they are, without fusing again.",
 )
-JITTER = click.option(
+JITTER = option(
     "--jitter",
+    "Also fuse N times with stamps moved by 1 µs and 1 % of the readings dropped, and report the range of "
+    "every figure.",
     type=int,
     default=0,
     metavar="N",
-    help="Also fuse N times with stamps moved by 1 µs and 1 % of the readings dropped, and report the range of "
-    "every figure.",
 )
 CONFIGURATIONS = (
-    click.option(
+    each(
         "--sensors",
-        shell_complete=completion.sensors,
-        multiple=True,
-        help="A configuration to compare, e.g. compass,lrf, or at a lower rate, lrf@2Hz. Repeatable.  [default: "
+        "A configuration to compare, e.g. compass,lrf, or at a lower rate, lrf@2Hz. Repeatable.  [default: "
         "odometry, each sensor alone, all]",
+        shell_complete=completion.sensors,
     ),
-    click.option(
-        "--all-subsets",
-        is_flag=True,
-        help="Run every subset of the sensors: each one's credit, not only its effect alone.",
-    ),
+    flag("--all-subsets", "Run every subset of the sensors: each one's credit, not only its effect alone."),
 )
+
+
+def sensors(words: str) -> Declared:
+    """Return the option of a command that takes one configuration."""
+    return option(
+        "--sensors",
+        words,
+        shell_complete=completion.sensors,
+        default="all",
+        show_default=True,
+        callback=lambda context, parameter, value: (value,),
+    )
+
 
 # --- what must hold
 GATES = (
-    click.option(
+    each(
         "--fail-if",
-        multiple=True,
-        metavar="GATE",
-        help='Exit with 4 if it holds, e.g. "all.position_rmse_m > 0.02"; of several logs also '
+        'Exit with 4 if it holds, e.g. "all.position_rmse_m > 0.02"; of several logs also '
         '"fleet.all.position_rmse_m.p90 > 0.05". Repeatable.',
+        metavar="GATE",
     ),
-    click.option(
+    option(
         "--baseline",
+        "Exit with 4 if an error figure is worse than in this earlier report of the same log (of several "
+        "logs: their summary.json).",
         type=EXISTING,
         metavar="REPORT.JSON",
-        help="Exit with 4 if an error figure is worse than in this earlier report of the same log (of several "
-        "logs: their summary.json).",
     ),
-    click.option(
+    option(
         "--tolerance",
+        "How much worse than the baseline is allowed: a share, a floor (1mm, 0.1deg), or both: 5%,1mm.",
         default="5%",
         show_default=True,
-        help="How much worse than the baseline is allowed: a share, a floor (1mm, 0.1deg), or both: 5%,1mm.",
     ),
 )
 
 # --- what is written
-OVERWRITE = click.option("--overwrite", is_flag=True, help="Replace an existing file.")
-
-
-def found(what: str, tables: str) -> tuple[Declared, ...]:
-    """Return the options of a command that writes estimated settings, or prints them as JSON."""
-    return (
-        click.option("-o", "--out", type=FILE, help=what),
-        OVERWRITE,
-        click.option("--json", "as_json", is_flag=True, help=f"Print the result as JSON instead of {tables}."),
-    )
-
-
-FIGURES = click.option(
-    "--figures",
-    type=click.Path(path_type=Path, file_okay=False),
-    metavar="DIR",
-    help="Also write every figure there as SVG and PDF, for a paper.",
+FIGURES = option(
+    "--figures", "Also write every figure there as SVG and PDF, for a paper.", type=DIRECTORY, metavar="DIR"
 )
-OPEN = click.option("--open", is_flag=True, help="Open the report in the browser when it is written.")
-EXPORT = click.option(
+OPEN = flag("--open", "Open the report in the browser when it is written.")
+EXPORT = option(
     "--export",
-    callback=known("--export: unknown format", list(EXPORTS), ""),
-    metavar="KINDS",
-    help="Comma-separated formats of other tools to write as well (docs/bags.md): "
+    "Comma-separated formats of other tools to write as well (docs/bags.md): "
     f"{'; '.join(f'{kind} ({what})' if what else kind for kind, what in EXPORTS.items())}.",
+    callback=kinds_of(list(EXPORTS), "--export: unknown format", ""),
+    metavar="KINDS",
 )
 
 
 def written(kinds: Sequence[str]) -> tuple[Declared, ...]:
     """Return the options of a command that writes a folder of these kinds of output."""
+    usual = ",".join(settings.by_default(kinds))
     return (
-        click.option(
-            "-o",
-            "--out",
-            type=click.Path(path_type=Path, file_okay=False),
-            help="Folder for the results.  [default: locfuse-out/<log name>]",
-        ),
-        click.option(
-            "--overwrite", is_flag=True, help="Replace files, and write into a folder that holds something else."
-        ),
-        click.option(
+        option("-o --out", "Folder for the results.  [default: locfuse-out/<log name>]", type=DIRECTORY),
+        flag("--overwrite", "Replace files, and write into a folder that holds something else."),
+        option(
             "--write",
-            callback=known("--write: unknown output", kinds, None),
+            f"Comma-separated outputs to write: {', '.join(kinds)}, or all.  [default: {usual}]",
+            callback=kinds_of(kinds, "--write: unknown output", None),
             metavar="KINDS",
-            help=f"Comma-separated outputs to write: {', '.join(kinds)}, or all.  "
-            f"[default: {','.join(settings.by_default(kinds))}]",
         ),
-        click.option("--json", "as_json", is_flag=True, help="Print the report as JSON instead of a table."),
-        click.option("-v", "--verbose", is_flag=True, help="Print also the notes and the table of sensors."),
+        flag("--json as_json", "Print the report as JSON instead of a table."),
+        flag("-v --verbose", "Print also the notes and the table of sensors."),
     )
 
 
 # --- Rerun
-RERUN_SHOW = click.option(
-    "--rerun",
-    "rerun_show",
-    is_flag=True,
-    help="Show the drive in Rerun. Of several logs: record each. More choices: locfuse view.",
+RERUN_SHOW = flag(
+    "--rerun rerun_show", "Show the drive in Rerun. Of several logs: record each. More choices: locfuse view."
 )
 RERUN = (
     RERUN_SHOW,
-    click.option("--rerun-save", type=FILE, metavar="FILE.rrd", help="Write the Rerun recording to this file."),
+    option("--rerun-save", "Write the Rerun recording to this file.", type=FILE, metavar="FILE.rrd"),
 )
 
 
 # --- many logs
 def fleet(hidden: bool = False) -> tuple[Declared, ...]:
     """Return the options of many logs; `hidden` from --help if they belong to another command."""
-    option = functools.partial(click.option, hidden=hidden)
     return (
         option(
-            "-j",
-            "--jobs",
+            "-j --jobs",
+            "How many logs to compare at once, each in a process of its own.",
             type=click.IntRange(min=1),
             default=1,
             show_default=True,
-            help="How many logs to compare at once, each in a process of its own.",
+            hidden=hidden,
         ),
         option(
             "--cluster",
+            "Compare them on the workers of a Dask scheduler, such as tcp://127.0.0.1:8786 (docs/fleet.md).",
             metavar="ADDRESS",
-            help="Compare them on the workers of a Dask scheduler, such as tcp://127.0.0.1:8786 (docs/fleet.md).",
+            hidden=hidden,
         ),
-        option(
+        each(
             "--each",
+            "Compare every log below this folder. Repeatable.",
             type=Folder(exists=True, file_okay=False),
-            multiple=True,
             metavar="DIR",
-            help="Compare every log below this folder. Repeatable.",
+            hidden=hidden,
         ),
-        option("--again", is_flag=True, help="Compare also logs whose results are there already."),
+        flag("--again", "Compare also logs whose results are there already.", hidden=hidden),
         option(
             "--max-failures",
+            "Stop when more than N logs have failed.  [default: go on]",
             type=click.IntRange(min=0),
             metavar="N",
-            help="Stop when more than N logs have failed.  [default: go on]",
+            hidden=hidden,
         ),
         option(
             "--robot-from",
+            "Which robot a log is of: a pattern of its path with a group, such as 'fleet/(?P<robot>[^/]+)/'.",
             metavar="REGEX",
-            help="Which robot a log is of: a pattern of its path with a group, such as 'fleet/(?P<robot>[^/]+)/'.",
+            hidden=hidden,
         ),
-        option(
+        each(
             "--sweep",
-            multiple=True,
-            metavar="KEY=V1,V2",
-            help="Compare under each of these values of a key, e.g. lrf.sigma_range=0.01,0.03. A log is read "
+            "Compare under each of these values of a key, e.g. lrf.sigma_range=0.01,0.03. A log is read "
             "once. Repeatable.",
+            metavar="KEY=V1,V2",
+            hidden=hidden,
         ),
     )

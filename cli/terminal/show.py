@@ -8,8 +8,10 @@ import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
+from locfuse.cli.analysis.errors import EXIT_LOSS
+from locfuse.cli.analysis.settings import Progress
 from locfuse.cli.rerun.record import record
 from locfuse.formats.report import json_report, tables
 from locfuse.formats.report.findings import banner_of, notes_of, sentence, together, void_reasons
@@ -43,13 +45,6 @@ SENTENCE_END = re.compile(r"(?<=[.?]) (?=[A-Z])")
 VERDICT_COLOURS = {"helps": "green", "hurts": "red"}  # of verdicts; the others need none
 NO_TRUTH = "no truth in this log: the error figures do not exist; if a topic holds it: --set truth.topic=/TOPIC"
 OR_REFERENCE = ", or measure against the solution of the whole drive: --reference"
-
-
-class Progress(Protocol):
-    """Shows the current step."""
-
-    def __call__(self, what: str) -> None:
-        """Name the current step."""
 
 
 def say(line: str) -> None:
@@ -102,6 +97,7 @@ def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]
     """
     how, outputs, lost = options.how, options.outputs, found.losses(options.how.strict)
     said = notes_in_words(found.report)
+    unusable = [f"absent: {s}: {why}" for s, why in found.report["absent"].items() if not why.startswith(NO_TOPIC)]
     with reader_may_leave():
         if outputs.as_json:
             put(json_report.encode(found.report))
@@ -111,7 +107,7 @@ def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]
     for line in lost:  # the reasons of exit code 3: printed with --quiet too; void is what a screen has shown
         if line not in void or outputs.as_json or not screen().is_terminal:
             say(f"{'void' if line in void else 'lost'}: {line}")
-    for line in () if how.quiet else said if outputs.verbose else unusable(found.report):
+    for line in () if how.quiet else said if outputs.verbose else unusable:
         say(line)
     transfer(found.loaded.log.transfer, how.quiet)
     record(options.rerun, found, files[0].parent, say)
@@ -123,14 +119,20 @@ def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]
     return lost
 
 
-def page_of(files: Sequence[Path]) -> Path | None:
-    """Return the page among the written files."""
+def ended(notes: Iterable[str], lost: Sequence[str], quiet: bool) -> int:
+    """Print notes and losses on stderr; return the exit code."""
+    for line in (*(() if quiet else (f"note: {n}" for n in notes)), *(f"lost: {n}" for n in lost)):
+        say(line)  # the reason of exit code 3 is printed with --quiet too
+    return EXIT_LOSS if lost else 0
+
+
+def _page(files: Sequence[Path]) -> Path | None:
     return next((file for file in files if file.suffix == ".html"), None)
 
 
 def end(files: Sequence[Path], notes: int = 0) -> None:
     """Print the folder of the results in the last line, and how many notes were not printed."""
-    page = page_of(files)
+    page = _page(files)
     where = f"{files[0].parent}: {', '.join(file.name for file in files)}" if page is None else f"report: {page}"
     count = f" ({notes} note{'' if notes == 1 else 's'}: -v)" if notes else ""
     with reader_may_leave():
@@ -141,7 +143,7 @@ def open_page(files: Sequence[Path]) -> None:
     """Show the page among files in the user's browser; print a line where there is none."""
     import webbrowser
 
-    if (page := page_of(files)) is None:
+    if (page := _page(files)) is None:
         say("--open: no page was written; add html to --write")
     elif not webbrowser.open(page.resolve().as_uri()):
         say(f"--open: no browser was found; open {page} yourself")
@@ -185,12 +187,6 @@ def notes_in_words(report: Mapping[str, Any]) -> list[str]:
     if report.get("prediction"):
         found.append(f"note: {report['prediction']['trust']}")
     return found
-
-
-def unusable(report: Mapping[str, Any]) -> list[str]:
-    """Return which sensors are absent although the log has a topic for them."""
-    absent = report["absent"].items()
-    return [f"absent: {sensor}: {why}" for sensor, why in absent if not why.startswith(NO_TOPIC)]
 
 
 def transfer(came: tuple[int, int] | None, quiet: bool) -> None:

@@ -57,10 +57,10 @@ def caused(by: BaseException) -> RuntimeError:
         (click.BadParameter("not a number."), 2, "Invalid value: not a number; see: locfuse --help"),
         (click.Abort(), 130, "interrupted; nothing was left half-written"),
         (KeyboardInterrupt(), 130, "interrupted; nothing was left half-written"),
-        (border._Interrupted(), 130, "interrupted; nothing was left half-written"),
-        (border._Terminated(), 143, "terminated; nothing was left half-written"),
-        (caused(border._Interrupted()), 130, "interrupted; nothing was left half-written"),
-        (caused(border._Terminated()), 143, "terminated; nothing was left half-written"),
+        (border._Stopped(signal.SIGINT), 130, "interrupted; nothing was left half-written"),
+        (border._Stopped(signal.SIGTERM), 143, "terminated; nothing was left half-written"),
+        (caused(border._Stopped(signal.SIGINT)), 130, "interrupted; nothing was left half-written"),
+        (caused(border._Stopped(signal.SIGTERM)), 143, "terminated; nothing was left half-written"),
     ],
     ids=repr,
 )
@@ -115,7 +115,7 @@ def test_a_signal_ends_the_work_with_its_line(monkeypatch: pytest.MonkeyPatch, n
 def test_on_a_terminal_the_line_begins_behind_that_of_the_key(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(**_: object) -> int:
         monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-        border._interrupt(signal.SIGINT, None)
+        border._stop(signal.SIGINT, None)
         return 0
 
     monkeypatch.setattr(border.locfuse, "main", interrupted)

@@ -16,9 +16,8 @@ import pytest
 from commands import locfuse
 
 from locfuse import sample_logs
-from locfuse.cli.commands.mcp import served
+from locfuse.cli.commands.mcp import Tools, served
 from locfuse.cli.inspect.json_schema import SCHEMAS
-from locfuse.cli.session.agent_tools import Tools
 from locfuse.fusion.data import LocfuseError
 
 jsonschema = pytest.importorskip("jsonschema")
@@ -204,5 +203,5 @@ def test_without_the_sdk_the_command_is_one_line_and_nothing_else_imports_it(
     assert done.exit_code == 1
     assert "python -m pip install locfuse[mcp]" in done.stderr
     assert len(done.stderr.splitlines()) == 1
-    code = "import sys; from locfuse.cli.session import agent_tools; assert 'mcp' not in sys.modules"
+    code = "import sys; from locfuse.cli.commands import mcp; assert 'mcp' not in sys.modules"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

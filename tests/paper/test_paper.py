@@ -395,8 +395,8 @@ def test_the_conclusion_names_the_smallest_error(found: paper.Repeated, folder: 
 
 def test_the_distance_from_the_path_is_that_to_its_nearest_point(found: paper.Repeated) -> None:
     for row in found.distances():
-        assert row.rms == pytest.approx(0.2, abs=1e-3)
-        assert row.largest == pytest.approx(0.2, abs=1e-3)
+        assert row["rms"] == pytest.approx(0.2, abs=1e-3)
+        assert row["largest"] == pytest.approx(0.2, abs=1e-3)
 
 
 def test_figure_13_has_y_below_x_on_one_time_axis(folder: Path) -> None:

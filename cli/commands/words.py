@@ -1,0 +1,79 @@
+"""`locfuse explain`, `schema` and `completion`: words for people, for programs, and for a shell."""
+
+from __future__ import annotations
+
+import click
+from click.shell_completion import get_completion_class
+
+from locfuse.cli.terminal.screen import put, reader_may_leave
+
+COMPLETION_VARIABLE = "_LOCFUSE_COMPLETE"  # the variable by which the shell asks
+
+
+@click.command()
+@click.argument("term", required=False)
+def explain(term: str | None) -> int:
+    """Say what TERM of a report or what a sensor is; without TERM, list the terms.
+
+    \b
+    locfuse explain ANEES
+    locfuse explain drift
+    """
+    from locfuse.formats.report.glossary import GLOSSARY
+
+    lines = [f"{name}: {text}" for name, text in GLOSSARY.items()] if term is None else [meaning(term)]
+    with reader_may_leave():
+        put("".join(f"{line}\n" for line in lines))
+    return 0
+
+
+def meaning(term: str) -> str:
+    """Return the meaning of a term or sensor in any case. Raises UsageError for any other word."""
+    from locfuse.formats.report.glossary import explained, similar
+    from locfuse.fusion.data import UsageError
+    from locfuse.fusion.sensors.registry import REGISTRY
+
+    if words := explained(term):
+        return words
+    sensor = REGISTRY.get(term.strip().lower())
+    if sensor is None:
+        raise UsageError(f"no such term: {term}. Known: {', '.join(similar(term))}")
+    measured = ", ".join(f"{part.name} [{part.unit}]" for part in sensor.components)
+    return f"Sensor. Reads {', '.join(sensor.reads)}; measures {measured}. Its settings: docs/settings.md"
+
+
+@click.command()
+@click.argument("what", type=click.Choice(["robot", "report", "info", "tune", "calibrate"]))
+def schema(what: str) -> int:
+    """Print the JSON Schema of robot.toml, of report.json, or of what a command prints with --json.
+
+    With the schema beside a robot.toml, an editor completes keys, shows their units, and marks what is wrong:
+    the first line that `init` writes names that file. report.json and run.json share one schema.
+
+    \b
+    locfuse schema robot > robot.schema.json
+    locfuse schema report > report.schema.json
+    locfuse schema info > info.schema.json
+    """
+    import json
+
+    from locfuse.cli.inspect.json_schema import SCHEMAS
+
+    with reader_may_leave():
+        put(json.dumps(SCHEMAS[what](), indent=2) + "\n")
+    return 0
+
+
+@click.command()
+@click.argument("shell", type=click.Choice(["bash", "zsh", "fish"]))
+def completion(shell: str) -> None:
+    """Print what makes SHELL complete locfuse's commands, options, sample logs, sensors, keys and topics.
+
+    \b
+    eval "$(locfuse completion bash)"                                # in ~/.bashrc
+    eval "$(locfuse completion zsh)"                                 # in ~/.zshrc
+    locfuse completion fish > ~/.config/fish/completions/locfuse.fish
+    """
+    kind = get_completion_class(shell)
+    assert kind is not None  # click has all of them
+    put(kind(click.get_current_context().find_root().command, {}, "locfuse", COMPLETION_VARIABLE).source())

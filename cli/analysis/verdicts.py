@@ -207,7 +207,8 @@ def _credit_words(c: SensorCredit, credit: Credit, over: str, base: str) -> str:
     main = c.credit or c.alone or c.last
     if main is None:
         return "No two configurations differ by it alone. Run all subsets: --all-subsets"
-    several, by_last = len(credit.sensors) > 1, _judged_by_last(c, main)
+    several = len(credit.sensors) > 1
+    by_last = c.verdict == "hurts" and main is not c.last and main.high >= 0.0  # the others are better without it
     # what hurts beside the others may help on average: only what the grade rests on is said
     parts = [] if by_last else [_main_words(c, main, several, _few(credit.logs, over), base)]
     if c.last is not None and several and (by_last or c.credit is not None):
@@ -238,11 +239,6 @@ def _main_words(c: SensorCredit, main: Effect, several: bool, few: str, base: st
             return f"{what} {few}"
         return f"{what} The filter gives it almost no weight, so this change is probably chance." if sure else what
     return what if sure else f"{what} {few}"
-
-
-def _judged_by_last(c: SensorCredit, main: Effect) -> bool:
-    """Return whether a sensor counts as harmful because the others are better without it."""
-    return c.verdict == "hurts" and main is not c.last and main.high >= 0.0
 
 
 def _few(samples: int, over: str) -> str:

@@ -274,7 +274,10 @@ class LandmarksModel(PointsModel):
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
         """Compare the detections of one instant with the belief, and keep where they place their landmarks."""
         found = super().innovations(m, i, belief)
-        if found and m.z.shape[1] > 1 and (sigma := _sigma_of_place(belief)) <= MAX_SIGMA_M:
+        if not found or m.z.shape[1] == 1:
+            return found
+        sigma = math.sqrt(max(belief.variance((1.0, 0.0, 0.0)), belief.variance((0.0, 1.0, 0.0))))  # of its place
+        if sigma <= MAX_SIGMA_M:
             pose, ranging, z = belief.pose(), self._ranging(belief), m.plain["z"]
             for seen in found:
                 angle, distance = z[seen.row, 0], z[seen.row, 1]
@@ -388,11 +391,6 @@ class GrowingModel(GrowingPoints, LandmarksModel):
         """Return notes: how many landmarks the map has, and whether the ranges were found to be depths."""
         made, *moving = self.map_notes("are the ranges in m and the bearings in rad?")
         return [made, *self._depth_notes(belief), *moving]
-
-
-def _sigma_of_place(belief: Belief) -> float:
-    """Return the greater standard deviation of the robot's x and y [m]."""
-    return math.sqrt(max(belief.variance((1.0, 0.0, 0.0)), belief.variance((0.0, 1.0, 0.0))))
 
 
 def wrong_places(places: Mapping[int, Point], seen_at: Mapping[int, Array]) -> list[str]:

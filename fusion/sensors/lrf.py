@@ -8,7 +8,7 @@ A fifth, `given`, localises in the map of an earlier run, whose covariance count
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -100,9 +100,16 @@ class Lrf(Sensor):
         too_large = {"too_many_beams": found.giants, "too_many_lines": found.crowded}
         dropped = {**stream.dropped, **{reason: n for reason, n in too_large.items() if n}}
         points = ScanPoints(stream, self.reads[stream.msgtype], stamps, laser, wheels, np.arange(len(t)))
-        notes = (*unseen, *_floor_notes(uneven, settings), *_curve_notes(found.curved, found.straight))
+        notes, (offset, angle), walls = [*unseen], np.sqrt(uneven), found.curved + found.straight
+        if offset > settings.floor_range or angle > math.radians(settings.floor_angle_deg):
+            notes.append(
+                f"walls are uneven: line noise is at least {1e3 * offset:.1f} mm and {math.degrees(angle):.2f}° "
+                f"(for {1e3 * settings.floor_range:g} mm and {settings.floor_angle_deg:g}°: --set lrf.walls=flat)"
+            )
+        if found.curved > CURVED_SHARE * walls:
+            notes.append(f"curved walls ({100 * found.curved / walls:.0f} % of the walls seen) are not used")
         return Measurements(
-            t, first, z, R_unit, settings.sigma_range, np.diag(floor), extra, dropped, points, notes
+            t, first, z, R_unit, settings.sigma_range, np.diag(floor), extra, dropped, points, tuple(notes)
         )
 
     def _lines(
@@ -135,23 +142,6 @@ class Lrf(Sensor):
             settings.recover,
             Mount(self.name, settings, tells=settings.map in TELL_MOUNT),
         )
-
-
-def _floor_notes(uneven: Array, settings: LrfSettings) -> Iterator[str]:
-    """Return a note if the noise of lines was raised to the unevenness of the walls in the log."""
-    floor, (offset, angle) = (settings.floor_range, math.radians(settings.floor_angle_deg)), np.sqrt(uneven)
-    if offset > floor[0] or angle > floor[1]:
-        yield (
-            f"walls are uneven: line noise is at least {1e3 * offset:.1f} mm and {math.degrees(angle):.2f}° "
-            f"(for {1e3 * floor[0]:g} mm and {settings.floor_angle_deg:g}°: --set lrf.walls=flat)"
-        )
-
-
-def _curve_notes(curved: int, straight: int) -> Iterator[str]:
-    """Return a note if walls are curved, unless it is only a few columns."""
-    walls = curved + straight
-    if curved > CURVED_SHARE * walls:
-        yield f"curved walls ({100 * curved / walls:.0f} % of the walls seen) are not used"
 
 
 def unevenness(

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
@@ -86,18 +87,7 @@ def start_among(
     turns = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
     guesses = np.stack([g.ravel() for g in np.meshgrid(x, y, turns, [0.0], indexing="ij")], axis=-1)
 
-    def predict(n: int) -> Predict:
-        def ranges_of(v: Array) -> tuple[Array, Array]:
-            c, s = np.cos(v[:, 2:3]), np.sin(v[:, 2:3])
-            ahead, left = c * seen[:n, 0] - s * seen[:n, 1], s * seen[:n, 0] + c * seen[:n, 1]
-            dx, dy = v[:, 0:1] + ahead - anchors[:n, 0], v[:, 1:2] + left - anchors[:n, 1]
-            h = np.maximum(np.hypot(dx, dy), 1e-6)
-            J = np.stack((dx / h, dy / h, (dy * ahead - dx * left) / h, np.ones_like(h)), axis=-1)
-            return h + v[:, 3:4], J
-
-        return ranges_of
-
-    return _shortest(predict, guesses, t, ranges, sigmas)
+    return _shortest(anchors, seen, guesses, t, ranges, sigmas)
 
 
 def anchor_beside(seen: Array, t: Array, ranges: Array, sigmas: tuple[float, float]) -> Answer | None:
@@ -106,19 +96,22 @@ def anchor_beside(seen: Array, t: Array, ranges: Array, sigmas: tuple[float, flo
     around = seen[0] + ranges[0] * np.stack((np.cos(turns), np.sin(turns)), axis=-1)
     guesses = np.column_stack((around, np.zeros(DIRECTIONS)))
 
-    def predict(n: int) -> Predict:
-        def ranges_of(v: Array) -> tuple[Array, Array]:
-            dx, dy = v[:, 0:1] - seen[:n, 0], v[:, 1:2] - seen[:n, 1]
-            h = np.maximum(np.hypot(dx, dy), 1e-6)
-            return h + v[:, 2:3], np.stack((dx / h, dy / h, np.ones_like(h)), axis=-1)
+    return _shortest(np.zeros_like(seen), -seen, guesses, t, ranges, sigmas)
 
-        return ranges_of
 
-    return _shortest(predict, guesses, t, ranges, sigmas)
+def _predicted(v: Array, anchors: Array, seen: Array) -> tuple[Array, Array]:
+    """Return ranges (s, n) and derivatives (s, n, k) of guesses v (s, k): place, perhaps heading, and offset."""
+    turns = v.shape[1] == 4
+    c, s = (np.cos(v[:, 2:3]), np.sin(v[:, 2:3])) if turns else (np.ones((1, 1)), np.zeros((1, 1)))
+    ahead, left = c * seen[:, 0] - s * seen[:, 1], s * seen[:, 0] + c * seen[:, 1]
+    dx, dy = v[:, 0:1] + ahead - anchors[:, 0], v[:, 1:2] + left - anchors[:, 1]
+    h = np.maximum(np.hypot(dx, dy), 1e-6)
+    by_turn = ((dy * ahead - dx * left) / h,) if turns else ()
+    return h + v[:, -1:], np.stack((dx / h, dy / h, *by_turn, np.ones_like(h)), axis=-1)
 
 
 def _shortest(
-    predict: Callable[[int], Predict], guesses: Array, t: Array, ranges: Array, sigmas: tuple[float, float]
+    anchors: Array, seen: Array, guesses: Array, t: Array, ranges: Array, sigmas: tuple[float, float]
 ) -> Answer | None:
     """Return the fit of the shortest part of the drive with a clear one."""
     tried = 0
@@ -127,7 +120,8 @@ def _shortest(
         if n < MIN_ROWS or n == tried:
             continue
         tried = n
-        answer = _clear(predict(n), guesses, ranges[:n], sigmas)
+        predict = partial(_predicted, anchors=anchors[:n], seen=seen[:n])
+        answer = _clear(predict, guesses, ranges[:n], sigmas)
         if answer is not None:
             return answer
     return None

@@ -89,20 +89,16 @@ def see(event: Corrected, drive: Drive, names: Sequence[str]) -> See:
 
 
 def _of_sigma(R: Array, m: Measurements, row: int) -> Array:
-    """Return the part (d, d) of an innovation's R that grows with the sensor's sigma^2."""
-    part = of_sigma(m, row)
+    """Return the part (d, d) of an innovation's R that grows with the sensor's sigma^2: all but floor and rest."""
+    part: Array = m.scale**2 * m.R_unit[row]
+    rest = m.extra.get("rest")
+    if rest is not None:
+        part = part - rest[row] * np.eye(len(part))
     if not (np.diagonal(R) >= 0.999 * np.diagonal(part)).all():
         return R  # a model that weighs by less than R: all of it is its sigma's
     if len(R) == 2 and R[0, 1] * m.covariances(slice(row, row + 1))[0, 0, 1] < 0.0:
         part = part * np.array(((1.0, -1.0), (-1.0, 1.0)))  # the line was read as (-r, psi + pi)
     return part
-
-
-def of_sigma(m: Measurements, row: int) -> Array:
-    """Return the part (d, d) of a measurement's R that grows with the sensor's sigma^2: all but floor and rest."""
-    R: Array = m.scale**2 * m.R_unit[row]
-    rest = m.extra.get("rest")
-    return R if rest is None else R - rest[row] * np.eye(len(R))
 
 
 class Noise(NamedTuple):

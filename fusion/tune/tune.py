@@ -183,7 +183,10 @@ class Bench:
                 for i, trial in enumerate(self.trials):
                     if s in trial.drive.measurements:
                         m = self._remeasure(i, s, self.figures.robot(trial.robot))
-                        self.trials[i] = trial._replace(drive=with_measurements(trial.drive, s, m))
+                        d = trial.drive
+                        instant = {**d.instant, s: np.searchsorted(d.t, m.t)}
+                        d = replace(d, measurements={**d.measurements, s: m}, instant=instant)
+                        self.trials[i] = trial._replace(drive=d)
                 self._measured_at[s] = now
                 self._again.append(s)
 
@@ -211,12 +214,10 @@ class Bench:
             for name in (figures.name_of(key),)
         ]
         again = list(dict.fromkeys(self._again))
-        return Tuned(rows, train, held_out, numbers, flags, again, self.as_used())
-
-    def as_used(self) -> list[Trial]:
-        """Return the logs with the tuned figures and all other settings as given, as other commands use them."""
+        # with the tuned figures and all other settings as given, as other commands use them
         given = zip(self.now(), self._given, strict=True)
-        return [t._replace(robot=self.figures.robot(robot)) for t, robot in given]
+        as_used = [t._replace(robot=figures.robot(robot)) for t, robot in given]
+        return Tuned(rows, train, held_out, numbers, flags, again, as_used)
 
     def _leave(self, problem: Problem, name: str) -> str:
         """Reset figures that the likelihood does not identify, as far as it allows, and report it."""
@@ -280,12 +281,6 @@ def rescaled(m: Measurements, factor: float) -> Measurements:
         return replace(m, scale=m.scale * factor)
     own = (rest / m.scale**2)[:, None, None] * np.eye(m.z.shape[1])
     return replace(m, scale=m.scale * factor, R_unit=m.R_unit - own + own / factor**2)
-
-
-def with_measurements(drive: Drive, sensor: str, m: Measurements) -> Drive:
-    """Return the drive with a sensor measured again at the same instants."""
-    instant = {**drive.instant, sensor: np.searchsorted(drive.t, m.t)}
-    return replace(drive, measurements={**drive.measurements, sensor: m}, instant=instant)
 
 
 def _louder(motions: Motions, factor: float) -> Motions:

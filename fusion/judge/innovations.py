@@ -192,7 +192,7 @@ def heard(drive: Drive, robot: Robot, run: Estimates, sensor: str) -> Heard | No
         if seen and seen[0].verdict != DISTURBED:
             best = seen[0]
             R = float(belief.equation(seen[:1]).R[0, 0])
-            rows.append((float(m.t[i]), best.y[0], best.sigma[0] ** 2 - R, R))
+            rows.append((float(m.t[i]), best.y[0], best.sigma[0] ** 2 - R, R, pose[2]))
     return _agreement(np.array(rows), bool(blocks), angular) if len(rows) >= 2 * MAX_LAG_READINGS else None
 
 
@@ -212,7 +212,7 @@ def usual_period(t: Array) -> float | None:
 
 
 def _agreement(rows: Array, unknown: bool, angular: bool) -> Heard | None:
-    """Return the figures of readings (k, 4): t, y, variance of the reference, R. `unknown`: y has an offset.
+    """Return the figures of readings (k, 5): t, y, variance of the reference, R, heading. `unknown`: y has offset.
 
     Innovations y [rad where `angular`, else m]: the mean of angles is that of their directions.
 
@@ -230,7 +230,7 @@ def _agreement(rows: Array, unknown: bool, angular: bool) -> Heard | None:
     middle = float(np.median(y))
     deviation = float(np.median(np.abs(y - middle))) / MAD
     tame = np.abs(y - middle) <= OUTLIER_SIGMAS * max(deviation, 1e-12)
-    t, _, h, R = rows[tame].T
+    t, _, h, R, theta = rows[tame].T
     y = y[tame]
     centred = y - y.mean()
     variance = float((centred**2).mean())
@@ -253,12 +253,15 @@ def _agreement(rows: Array, unknown: bool, angular: bool) -> Heard | None:
         period,
         float(h.mean()),
         float(R.mean()),
-        _change(t, centred, white),
+        _change(t, centred, white, theta),
     )
 
 
-def _change(t: Array, y: Array, white: float) -> Change | None:
-    """Return a step or a steady drift of errors y (k,), mean 0, at t [s], if most of what is not white is that."""
+def _change(t: Array, y: Array, white: float, theta: Array) -> Change | None:
+    """Return a step or a steady drift of errors y (k,), mean 0, at t [s], if most of what is not white is that.
+
+    None where the robot's heading `theta` [rad] explains more: iron on the robot, in a drive of few turns.
+    """
     n, span = len(y), float(t[-1] - t[0])
     slow = float((y**2).mean()) - white
     edge = max(2, round(MIN_SIDE_SHARE * n))
@@ -271,7 +274,10 @@ def _change(t: Array, y: Array, white: float) -> Change | None:
     middle = t - t.mean()
     slope = float(middle @ y) / float(middle @ middle)
     drift = slope * slope * float((middle**2).mean())
-    if max(drift, float(explained.max())) < MIN_CHANGE_SHARE * slow:
+    most = max(drift, float(explained.max()))
+    A = np.stack((np.cos(theta), np.sin(theta), np.ones(n)), axis=-1)
+    by_heading = float(np.square(A @ np.linalg.lstsq(A, y, rcond=None)[0]).mean())
+    if most < max(MIN_CHANGE_SHARE * slow, by_heading):
         return None
     if drift > explained.max():
         return Change(None, slope * span, span)

@@ -486,7 +486,7 @@ def test_the_figures_of_a_run_are_those_written_out(d: int, keep: float) -> None
 
 
 def agreed(t: NDArray[Any], y: Array, h: Array, R: Array, unknown: bool = False, angular: bool = False) -> Heard:
-    found = _agreement(np.column_stack((t, y, h, R)), unknown, angular)
+    found = _agreement(np.column_stack((t, y, h, R, 0.1 * t)), unknown, angular)
     assert found is not None
     return found
 

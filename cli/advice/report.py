@@ -73,8 +73,9 @@ def _joined(found: Sequence[Advice]) -> Advice:
         if advice.finding.code != first.finding.code:
             before_it = first.finding.brief
         message = f"{before_it}; then {advice.finding.brief}"
-        if advice.finding.code == first.finding.code and not _moved(first.fixes, advice.fixes):
-            message = first.finding.brief  # the same once more, measured better
+        if advice.finding.code == first.finding.code:
+            moved = _moved(first.fixes, advice.fixes)  # else the same once more, measured better
+            message = f"{before_it}, then {advice.finding.brief}" if moved else first.finding.brief
         elif advice.finding.code != first.finding.code and keys(first.fixes) <= keys(advice.fixes):
             message = advice.finding.brief  # the first one's fix is not what was set in the end
         before = {**(advice.before or {}), **(first.before or {})}

@@ -176,7 +176,7 @@ def test_a_value_that_ends_far_from_the_first_is_told_with_what_was_found_last()
     ]
     first, last = (step.finding.message for step in (steps[0], steps[-1]))
     found = finding(*steps)
-    assert found["message"] == f"{first}; then {last}"
+    assert found["message"] == f"{first}, then {last}"
     assert found["fixes"] == ["gps.sigma=0.003"]
 
 

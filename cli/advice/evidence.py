@@ -308,7 +308,8 @@ class Evidence(Noise):
         start = self._start_heading()
         found += start
         for sensor, verdict in self.consistency.items():
-            options = [] if sensor == "compass" and start else list(self.constant(verdict))
+            either = sensor == "compass" and any(not c.alternatives for c in start)  # it, or the start
+            options = [] if either else list(self.constant(verdict))
             if sensor == "camera" and verdict.verdict in {"biased", "outliers", "contradicts", "understated"}:
                 options.append(
                     (f"camera.clockwise={str(not self.loaded.robot.settings('camera').clockwise).lower()}",)

@@ -98,6 +98,23 @@ def test_a_track_too_little_off_to_be_reported_untried_is_found_without_truth(lo
     assert float(value) == pytest.approx(0.6, abs=0.01)
 
 
+@pytest.mark.parametrize(("camera", "left_open"), [(False, True), (True, False)])
+def test_a_compass_that_contradicts_the_start_is_left_open_where_nothing_locates(
+    log: Path, camera: bool, left_open: bool
+) -> None:
+    """A camera that sees a known landmark knows where the robot is; lines of a map that is grown do not."""
+    sets = ("truth.topic=none", "start.x=0", "start.y=0", "start.theta_deg=0", "compass.offset_deg=-57")
+    found = load("rounded_rectangle" if camera else log, sets=sets).findings()
+    open_ = [
+        f for f in found["findings"] if f["role"] == "start" and "Nothing in this log says which" in f["message"]
+    ]
+    assert len(open_) == left_open
+    assert not any(fix.startswith("start.") for fix in found["fixes"])
+    if left_open:
+        assert "compass.offset_deg=-6" in open_[0]["message"]
+        assert not any("compass.offset_deg" in fix for fix in found["fixes"])
+
+
 def test_a_mount_that_the_filter_estimates_is_offered_with_the_value_that_it_finds(log: Path) -> None:
     """Three centimetres aside, where one was thought likely: it is found, but only in the course of the drive."""
     found = load(log, sets=("lrf.y=0.03",)).findings()

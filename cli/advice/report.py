@@ -39,6 +39,7 @@ class Advised(msgspec.Struct, frozen=True):
 
 
 FIXES_FILE = "fixes.toml"
+FIXES_HEAD = "# fixes that locfuse tried and found to help"
 MAX_REFINED_SHARE = 0.2  # of a value: a larger change between two fixes is not the same measured better
 
 
@@ -59,9 +60,7 @@ def fixes_file(report: Mapping[str, Any], name: str = FIXES_FILE) -> dict[str, s
     fixes = report.get("fixes")
     if not fixes:
         return {}
-    head = (
-        f"# fixes that locfuse tried and found to help; later files win:\n#   --robot robot.toml --robot {name}\n"
-    )
+    head = f"{FIXES_HEAD}; later files win:\n#   --robot robot.toml --robot {name}\n"
     return {name: head + robot_toml.dump(robot_toml.apply_sets(fixes))}
 
 

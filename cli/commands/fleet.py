@@ -67,7 +67,7 @@ def fleet(log: tuple[str, ...], options: o.Options) -> int:
 
 def many(words: Sequence[str], options: o.Options) -> int:
     """Compare every log, write and print the summary; return the exit code."""
-    from locfuse.cli.advice.together import fixes_files
+    from locfuse.cli.advice.together import fixes_files, forget_fixes
     from locfuse.cli.analysis.gates import FleetGates
     from locfuse.cli.fleet.jobs import gather, plan
     from locfuse.cli.fleet.queue import NOT_RUN
@@ -97,6 +97,7 @@ def many(words: Sequence[str], options: o.Options) -> int:
         files = summary_files(summary, found.entries, outputs.write, colours(), tuple(sweep.parse(fleet.sweep)))
         files |= fixes_files(summary["robots"])
         write_results(folder, files, overwrite=True)
+        forget_fixes(folder, files)
         (folder / UNFINISHED).unlink(missing_ok=True)
     if ended.by is not None:
         show.say(f"{folder}: {_standing(found)}; the same command goes on with the rest")

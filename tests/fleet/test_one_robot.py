@@ -55,6 +55,9 @@ def test_one_clock_that_is_late_in_all_logs_gets_one_fix_which_helps_where_it_is
     obeyed = summary(tmp_path / "obeyed")
     assert obeyed["configurations"]["compass"]["figures"]["position_rmse_m"]["worst"] < 0.8 * before
     assert obeyed["robots"][0]["fixes"] == []
+    (out / "fixes-mine.toml").write_text("# somebody else's\n")
+    ok("compare", *logs, *RIGHT, "--write", "json", "-o", out)
+    assert [path.name for path in out.glob("fixes*")] == ["fixes-mine.toml"]
 
 
 def test_a_right_robot_costs_no_second_run(

@@ -16,6 +16,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
+from locfuse.fusion.change import best_split
 from locfuse.fusion.chi_square import MAD
 from locfuse.fusion.data import Array, Drive, Ints, Measurements, Ragged, Stream
 from locfuse.fusion.lines.scans import MAX_BEAMS
@@ -254,15 +255,11 @@ def bumped(walls: Walls, scale: float) -> tuple[float, float] | None:
     rest = walls.y - along / scale
     limit = 3.0 / MAD * max(float(np.median(np.abs(rest))), 1e-4)
     rest, across = np.clip(rest, -limit, limit), across / scale
-    seen, weight = np.cumsum(across * rest)[:-1], np.cumsum(np.square(across))[:-1]
-    total, whole = float(across @ rest), float(across @ across)
-    gained = seen**2 / weight + (total - seen) ** 2 / (whole - weight)
-    at = int(np.argmax(gained[edge : n - edge])) + edge
-    before, after = seen[at] / weight[at], (total - seen[at]) / (whole - weight[at])
-    left = rest - across * np.where(np.arange(n) <= at, before, after)
-    sigma = float(left.std()) * math.sqrt(1.0 / weight[at] + 1.0 / (whole - weight[at]))
-    change = float(before - after)  # of the true yaw: these are assumed less true
-    return (float(walls.t[at]), change) if abs(change) > max(MIN_BUMP_RAD, BUMP_SIGMAS * sigma) else None
+    split = best_split(across, rest, edge)
+    left = rest - across * np.where(np.arange(n) <= split.at, split.before, split.after)
+    sigma = float(left.std()) * math.hypot(*split.sigmas)
+    change = split.before - split.after  # of the true yaw: these are assumed less true
+    return (float(walls.t[split.at]), change) if abs(change) > max(MIN_BUMP_RAD, BUMP_SIGMAS * sigma) else None
 
 
 def _along_across(walls: Walls) -> tuple[Array, Array]:

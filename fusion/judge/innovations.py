@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from locfuse.fusion.change import best_split
 from locfuse.fusion.chi_square import MAD, chi_square, mean_bounds
 from locfuse.fusion.data import VERDICTS, Array, Audit, Counts, Drive, Estimates, Ints, Measurements, matrices
 from locfuse.fusion.ekf.belief_arrays import JointBelief
@@ -267,22 +268,18 @@ def _change(t: Array, y: Array, white: float, theta: Array) -> Change | None:
     edge = max(2, round(MIN_SIDE_SHARE * n))
     if slow <= 0.0 or 2 * edge >= n:
         return None
-    counts = np.arange(1, n)
-    before = np.cumsum(y)[:-1]
-    explained = (before**2 / counts + before**2 / (n - counts))[edge : n - edge] / n  # by a step there
-    at = int(np.argmax(explained)) + edge
+    split = best_split(np.ones(n), y, edge)
+    by_step = split.explained / n
     middle = t - t.mean()
     slope = float(middle @ y) / float(middle @ middle)
     drift = slope * slope * float((middle**2).mean())
-    most = max(drift, float(explained.max()))
     A = np.stack((np.cos(theta), np.sin(theta), np.ones(n)), axis=-1)
     by_heading = float(np.square(A @ np.linalg.lstsq(A, y, rcond=None)[0]).mean())
-    if most < max(MIN_CHANGE_SHARE * slow, by_heading):
+    if max(drift, by_step) < max(MIN_CHANGE_SHARE * slow, by_heading):
         return None
-    if drift > explained.max():
+    if drift > by_step:
         return Change(None, slope * span, span)
-    step = float(y[at + 1 :].mean() - y[: at + 1].mean())
-    return Change(0.5 * float(t[at] + t[at + 1]), step, span)
+    return Change(0.5 * float(t[split.at] + t[split.at + 1]), split.after - split.before, span)
 
 
 def _autocorrelation(y: Array, t: Array, period: float) -> Array:

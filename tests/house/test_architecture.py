@@ -30,7 +30,7 @@ DRAWS_IN_RERUN = {  # imported by formats/rerun/recording.py, inside its functio
 FLOORS: dict[str, tuple[str, ...]] = {
     "fusion": (
         "chi_square data progress se2",
-        "geodesy kernels scan_matching streams",
+        "change geodesy kernels scan_matching streams",
         "camera sensor",
         "ekf lines mount robot",
         "wheels",

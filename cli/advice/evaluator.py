@@ -23,8 +23,10 @@ from locfuse.fusion.checks.tried import (
     Advice,
     Candidate,
     Fixes,
+    by_key,
     improves,
     judged_pairs,
+    keys,
     spoils_smoothed,
     together,
     tried,
@@ -247,9 +249,8 @@ def changing(found: Sequence[Advice], kept: Fixes, robot: Robot) -> list[Advice]
 
     A clock that was moved because another sensor's distances were wrong is moved back once these are right.
     """
-    last = dict(fix.partition("=")[::2] for fix in kept)
-    same = {key for key, value in last.items() if _is_configured(key, value, robot)}
-    kept_fixes = [tuple(fix for fix in a.fixes if fix.partition("=")[0] not in same) for a in found]
+    same = {key for key, value in by_key(kept).items() if _is_configured(key, value, robot)}
+    kept_fixes = [tuple(fix for fix in a.fixes if not keys((fix,)) & same) for a in found]
     return [replace(a, fixes=fixes) for a, fixes in zip(found, kept_fixes, strict=True) if fixes or not a.helps]
 
 

@@ -14,7 +14,7 @@ from locfuse.formats.report import json_report
 from locfuse.formats.report.findings import MAX_ANEES, length, options, void_reasons
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.checks.probes import MOUNT
-from locfuse.fusion.checks.tried import Advice, Fixes, Marks, keys, together
+from locfuse.fusion.checks.tried import Advice, Fixes, Marks, by_key, keys, together
 from locfuse.fusion.checks.truth import Jumps
 from locfuse.fusion.data import BASES, result_name
 from locfuse.fusion.judge.evaluate import ERROR_KEYS
@@ -87,7 +87,7 @@ def _joined(found: Sequence[Advice]) -> Advice:
 
 def _moved(before: Iterable[str], after: Iterable[str]) -> bool:
     """Return whether a value changed in the end, by more than measuring again changes it."""
-    first, last = (dict(fix.partition("=")[::2] for fix in fixes) for fixes in (before, after))
+    first, last = by_key(before), by_key(after)
     return any(_apart(value, last[key]) for key, value in first.items() if key in last)
 
 

@@ -17,6 +17,7 @@ from locfuse.formats.report.table import Cell, Column, Table
 from locfuse.fusion.checks.clocks import OPEN_CLOCK
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser import OPEN_SCALE
+from locfuse.fusion.checks.tried import by_key
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from . import text_table
@@ -253,9 +254,9 @@ def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None
     worst = [
         f for f in overview.findings if f.severe and f.code not in {OPEN_SCALE, OPEN_CLOCK}
     ]  # there the reader has to choose
-    fixes = dict(fix.partition("=")[::2] for f in worst for fix in f.fixes)
+    fixes = by_key(fix for f in worst for fix in f.fixes)
     if fixes and helped is not None:
-        fixes = dict(fix.partition("=")[::2] for fix in helped)
+        fixes = by_key(helped)
     if fixes:
         kept = _without(typed, fixes)
         options = [word for key, value in fixes.items() for word in ("--set", f"{key}={value}")]

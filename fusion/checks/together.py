@@ -346,9 +346,8 @@ def _with_track(one: Sequence[Common], logs: Mapping[str, Shown]) -> list[Fixes]
     radius = given.get("wheels.radius")
     if radius is None or radius.value is None or track is None:
         return [fixes]
-    now = (
-        given["wheels.track"].value if "wheels.track" in given else track.now
-    )  # measured with the configured radius
+    # measured with the configured radius
+    now = given["wheels.track"].value if "wheels.track" in given else track.now
     scaled = together(fixes, (f"wheels.track={(now or track.now) * radius.value / radius.now:.4g}",))
     return [scaled] if "wheels.track" in given else [scaled, fixes]
 

@@ -250,9 +250,13 @@ class Advice(msgspec.Struct, frozen=True):
     before: Mapping[str, Marks] | None = None
     after: Mapping[str, Marks] | None = None
     tried: tuple[Fixes, ...] = ()  # every alternative that was tried
-    judges: tuple[str, ...] = ()  # as the candidate's
     harmless: bool = False  # one of what was tried changes little; else all of it makes something worse
     candidate: Candidate | None = None  # what it came from
+
+    @property
+    def judges(self) -> tuple[str, ...]:
+        """The configurations by which it is judged, as the candidate's."""
+        return () if self.candidate is None else self.candidate.judges
 
     @property
     def measured(self) -> bool:
@@ -280,13 +284,17 @@ class Advice(msgspec.Struct, frozen=True):
 
 def together(one: Fixes, other: Fixes) -> Fixes:
     """Return two sets of settings merged; the second one's value wins."""
-    keys = {fix.partition("=")[0]: fix for fix in (*one, *other)}
-    return tuple(keys.values())
+    return tuple(f"{key}={value}" for key, value in by_key((*one, *other)).items())
 
 
 def keys(fixes: Iterable[str]) -> set[str]:
     """Return the keys that fixes set."""
-    return {fix.partition("=")[0] for fix in fixes}
+    return set(by_key(fixes))
+
+
+def by_key(fixes: Iterable[str]) -> dict[str, str]:
+    """Return what fixes set, by key; the last one of a key wins."""
+    return dict(fix.partition("=")[::2] for fix in fixes)
 
 
 class Case(Protocol):
@@ -358,13 +366,12 @@ def _moves_on(advice: Advice, helped: Sequence[Advice], now: Now) -> bool:
 
     A second move may be large: under a late clock half of the scans were refused, and the rest told too little.
     """
-    for key, _, value in (fix.partition("=") for fix in advice.fixes):
-        before = [
-            dict(fix.partition("=")[::2] for fix in a.fixes).get(key) for a in helped if _key(a) == _key(advice)
-        ]
+    same = [by_key(a.fixes) for a in (*helped, advice) if _key(a) == _key(advice)]
+    for key in by_key(advice.fixes):
         first = now(key)
-        values = [first, *(float(v) for v in (*before, value) if v is not None)] if first is not None else []
-        *moves, last = np.diff(values).tolist() or [0.0]
+        if first is None:
+            continue
+        *moves, last = np.diff([first, *(float(fixes[key]) for fixes in same if key in fixes)]).tolist()
         largest = max(moves, key=abs, default=0.0)
         if len(moves) >= MAX_MOVES and last * largest > 0.0 and abs(last) > MAX_MOVED_SHARE * abs(largest):
             return True
@@ -493,7 +500,7 @@ def best_of(candidate: Candidate, kept: Fixes, trial: Try) -> Advice:
 
 
 def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advice:
-    unfixed = Advice(candidate.finding, tried=candidate.alternatives, judges=candidate.judges, candidate=candidate)
+    unfixed = Advice(candidate.finding, tried=candidate.alternatives, candidate=candidate)
     options: list[Advice] = []
     harmless = False
     for fixes in candidate.alternatives:

@@ -29,7 +29,13 @@ LOCK = f".lock{TEMPORARY}"  # in a folder that is being written: who writes
 RUN_LOCK = f".run-lock{TEMPORARY}"  # in the folder of a run over many logs: who runs
 SCRATCH = "locfuse-"  # beginning of temporary names outside the results: locfuse-HOST-PID-...
 LOCK_TIMEOUT_S = 20.0  # s to wait for another run to finish writing
-REPLACED = ("robot.toml", *RESULTS, "estimates.mcap", "recording.rrd")  # names that a user might give as input
+REPLACED = (
+    "robot.toml",
+    "fixes.toml",
+    *RESULTS,
+    "estimates.mcap",
+    "recording.rrd",
+)  # names that a user might give as input
 Content = str | bytes | Callable[[Path], None]  # what is too big to be held writes itself to a path
 
 

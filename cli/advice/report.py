@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -62,6 +63,14 @@ def fixes_file(report: Mapping[str, Any], name: str = FIXES_FILE) -> dict[str, s
         return {}
     head = f"{FIXES_HEAD}; later files win:\n#   --robot robot.toml --robot {name}\n"
     return {name: head + robot_toml.dump(robot_toml.apply_sets(fixes))}
+
+
+def forget_fixes(written: Collection[Path]) -> None:
+    """Remove the fixes that an earlier result left beside the files that were `written` now."""
+    for folder in {path.parent for path in written}:
+        for path in folder.glob("fixes*.toml"):
+            if path not in written and path.read_text(errors="replace").startswith(FIXES_HEAD):
+                path.unlink()
 
 
 def _joined(found: Sequence[Advice]) -> Advice:

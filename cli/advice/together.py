@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any, cast
 
 import msgspec
@@ -18,7 +17,7 @@ from locfuse.fusion.data import Estimates
 from locfuse.fusion.judge.evaluate import Align, evaluate
 
 from .evaluator import may_judge, standard
-from .report import FIXES_FILE, FIXES_HEAD, fixes_file, score
+from .report import FIXES_FILE, fixes_file, score
 from .trial import Trial, marks_of
 
 MAX_TRIED_LOGS = 12  # of one robot, spread evenly over its logs
@@ -81,13 +80,6 @@ def fixes_files(robots: Sequence[Mapping[str, Any]]) -> dict[str, str]:
             robot, f"fixes-{writable(robot['robot'])}.toml" if robot["robot"] else FIXES_FILE
         ).items()
     }
-
-
-def forget_fixes(folder: Path, written: Collection[str]) -> None:
-    """Remove the fixes that an earlier run left in a folder and that are not `written` again."""
-    for path in folder.glob("fixes*.toml"):
-        if path.name not in written and path.read_text(errors="replace").startswith(FIXES_HEAD):
-            path.unlink()
 
 
 def here(logs: Mapping[str, Loaded], align: str, progress: Progress) -> LooksOf:

@@ -67,7 +67,8 @@ def fleet(log: tuple[str, ...], options: o.Options) -> int:
 
 def many(words: Sequence[str], options: o.Options) -> int:
     """Compare every log, write and print the summary; return the exit code."""
-    from locfuse.cli.advice.together import fixes_files, forget_fixes
+    from locfuse.cli.advice.report import forget_fixes
+    from locfuse.cli.advice.together import fixes_files
     from locfuse.cli.analysis.gates import FleetGates
     from locfuse.cli.fleet.jobs import gather, plan
     from locfuse.cli.fleet.queue import NOT_RUN
@@ -97,12 +98,12 @@ def many(words: Sequence[str], options: o.Options) -> int:
         files = summary_files(summary, found.entries, outputs.write, colours(), tuple(sweep.parse(fleet.sweep)))
         files |= fixes_files(summary["robots"])
         write_results(folder, files, overwrite=True)
-        forget_fixes(folder, files)
+        written = [folder / name for name in files]
+        forget_fixes(written)
         (folder / UNFINISHED).unlink(missing_ok=True)
     if ended.by is not None:
         show.say(f"{folder}: {_standing(found)}; the same command goes on with the rest")
         raise ended.by
-    written = [folder / name for name in files]
     _print(summary, written, outputs.as_json)
     _say_recordings(ended, every.recordings)
     if outputs.open:

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.cli.advice.report import fixes_file
+from locfuse.cli.advice.report import fixes_file, forget_fixes
 from locfuse.cli.analysis import outputs, results
 from locfuse.cli.analysis.compare import Compared
 from locfuse.cli.analysis.load import Loaded
@@ -228,7 +228,9 @@ class Result(msgspec.Struct, frozen=True, eq=False):
         files |= fixes_file(self.report)
         formats = chosen(export, list(EXPORTS), UNKNOWN_EXPORT)
         files |= outputs.exported_files(formats, self.loaded, self._by_file())
-        return self._written(folder, files, overwrite)
+        written = self._written(folder, files, overwrite)
+        forget_fixes(written)
+        return written
 
     def _files(self, write: Kinds) -> dict[str, Content]:
         raise NotImplementedError

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple, Unpack, overload
 
 from msgspec.structs import replace
 
-from locfuse.cli.advice.together import ask, fixes_files, forget_fixes, here, numbers_of
+from locfuse.cli.advice.report import forget_fixes
+from locfuse.cli.advice.together import ask, fixes_files, here, numbers_of
 from locfuse.cli.analysis import results
 from locfuse.cli.analysis.configurations import Sensors, configuration_words
 from locfuse.cli.analysis.grouping import logs_of, named
@@ -85,8 +86,9 @@ class Summary:
         files = summary_files(self.report, self._entries, chosen(write, OF_COMPARISON), colours())
         files |= fixes_files(self.report["robots"])
         write_results(place, files, overwrite=True)
-        forget_fixes(place, files)
-        return [place / name for name in sorted(files)]
+        written = [place / name for name in sorted(files)]
+        forget_fixes(written)
+        return written
 
     def __repr__(self) -> str:
         """Return the logs and the best configuration."""

@@ -83,6 +83,20 @@ def test_run_gives_the_same_findings_as_compare(log: Path, faulty: Path, tmp_pat
     assert report(tmp_path / "out", "run.json")["findings"] == report(faulty)["findings"]
 
 
+def test_fixes_of_an_earlier_result_go_and_fixes_that_are_given_stay(log: Path, faulty: Path) -> None:
+    given = locfuse("compare", log, "--robot", faulty / "fixes.toml", "-o", faulty, "-q")
+    assert given.exit_code == 2
+    assert "fixes.toml is an input and would be replaced" in given.stderr
+    out = faulty.parent / "again"
+    out.mkdir()
+    for name in ("fixes.toml", "report.json"):
+        (out / name).write_bytes((faulty / name).read_bytes())
+    (out / "fixes-mine.toml").write_text("# somebody else's\n")
+    done = locfuse("compare", log, "--no-advice", "-o", out, "--write", "json", "-q")
+    assert done.exit_code == 0, done.stderr
+    assert [path.name for path in out.glob("fixes*")] == ["fixes-mine.toml"]
+
+
 def test_the_report_begins_with_the_answer(faulty: Path) -> None:
     headline = report(faulty)["headline"]
     assert headline.startswith("As configured the best is the ")

@@ -154,6 +154,20 @@ def test_a_place_that_was_recognised_wrongly_bends_nothing(wrong: tuple[float, f
     assert len(found.closures) >= 0.5 * len(graph.closures)
 
 
+def test_a_laser_that_the_filter_found_elsewhere_is_taken_to_be_there() -> None:
+    drive, truth = ring_drive(3, mount=np.array([0.0, 0.25, 0.0]))
+    known = having_recognised(drive, truth)
+    n = len(truth)
+    known = replace(known, blocks={"lrf_y": np.linspace(0.0, 0.25, n)[:, None]})
+    apart = []
+    for run in (None, known):
+        graph = whole_drive(drive, robot(), ["lrf"], run)
+        assert graph is not None
+        apart.append(worst(graph.poses()[0], truth))
+    assert apart[0] > 0.2
+    assert apart[1] < 0.12
+
+
 def test_a_drive_without_a_loop_closes_none_and_says_so() -> None:
     drive, _ = ring_drive(4, laps=0.75)
     graph = whole_drive(drive, robot(), ["lrf"])

@@ -134,8 +134,16 @@ class Mount:
 
 def found_mount(sensor: str, told: Array, blocks: Mapping[str, Array]) -> Array:
     """Return x [m], y [m], yaw [rad] as a run's states found them in the end; `told` (3,) where they are none."""
-    names = (f"{sensor}_{part}" for part in ("x", "y", "yaw"))
-    return np.array([blocks[n][-1, 0] if n in blocks else t for n, t in zip(names, told.tolist(), strict=True)])
+    return np.array([blocks[n][-1, 0] if n in blocks else t for n, t in _by_name(sensor, told)])
+
+
+def mount_blocks(sensor: str, mount: Array, blocks: Mapping[str, Array]) -> dict[str, Array]:
+    """Return those of `blocks` (n, 1) that are the sensor's mount, all with the values of `mount` (3,)."""
+    return {name: np.full_like(blocks[name], value) for name, value in _by_name(sensor, mount) if name in blocks}
+
+
+def _by_name(sensor: str, mount: Array) -> list[tuple[str, float]]:
+    return [(f"{sensor}_{part}", value) for part, value in zip(("x", "y", "yaw"), mount.tolist(), strict=True)]
 
 
 def mount_states(sensor: str) -> dict[str, tuple[Component, ...]]:

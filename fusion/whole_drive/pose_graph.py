@@ -47,7 +47,8 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
     """The key poses of a drive, with its edges and closures."""
 
     drive: Drive
-    mount: Array  # (3,) from the base by the configured mount of the laser to that by the found one
+    told: Array  # (3,) mount of the laser as configured
+    mount: Array  # (3,) as it was used
     start: Start
     odometry: Odometry  # with what the wheels' own noise leaves out
     readings: Ints  # (m,) of the laser: the keys
@@ -114,7 +115,7 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
 
     def walls(self) -> list[MapLine]:
         """Return the straightened map."""
-        seen_from = se2.compose(self.x, self.mount)
+        seen_from = se2.compose(self.x, se2.compose(self.mount, se2.inverse(self.told)))
         return straightened(self.drive.measurements[LASER], self.readings, seen_from, self.spread[0])
 
     def misfit(self, pose: Array) -> float:
@@ -182,11 +183,11 @@ def whole_drive(
     m = drive.measurements.get(LASER)
     if m is None or m.points is None or not room_for_loops(drive, robot, sensors):
         return None
-    told = m.points.mount
-    mount = told if filtered is None else found_mount(LASER, told, filtered.blocks)
+    lag, told = clock_lag(drive), m.points.mount
+    # a filter that knows of no late clock takes it for a mount further ahead: v times the lag
+    mount = told if filtered is None or lag else found_mount(LASER, told, filtered.blocks)
     m = replace(m, points=m.points.mounted(mount))
     drive = replace(drive, measurements={**drive.measurements, LASER: m})
-    lag = clock_lag(drive)
     estimated = None if filtered is None else filtered.blocks.get(WHEELS)
     wheels = None if estimated is None else estimated[-1]
     odometry = odometry_of(drive, lag, wheels)
@@ -216,7 +217,8 @@ def whole_drive(
     fixes = scans_between(loosened, drive, LASER, readings, clouds, x)
     return Graph(
         drive=drive,
-        mount=se2.compose(mount, se2.inverse(told)),
+        told=told,
+        mount=mount,
         start=start,
         odometry=loosened,
         readings=readings,

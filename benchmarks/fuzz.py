@@ -31,9 +31,9 @@ from typing import Any
 import click
 import numpy as np
 
-from benchmarks.experiment import in_processes
-from benchmarks.fuzz_cases import Case, bases, contents, damaged_case, directed_case, short_drive
-from benchmarks.fuzz_parsers import PARSERS, fuzz_parser, scratch
+from benchmarks.experiment import in_processes, scratch
+from benchmarks.fuzz_cases import Case, bases, contents, damaged_case, directed_case
+from benchmarks.fuzz_parsers import PARSERS, fuzz_parser
 from locfuse.cli.analysis.errors import silence_overflows
 from locfuse.cli.main import main as command_line
 from locfuse.formats.visible import UNSEEN
@@ -189,7 +189,7 @@ def main(parsers: float | None, jobs: int, keep: Path, **how: Any) -> None:
     for base in [] if how["directed"] else bases():
         trajectory(base.name)
     for command in ("run", "compare", "view"):  # loads every library before memory is limited
-        healthy = Case("healthy", short_drive()[0], command=(command,))
+        healthy = Case("healthy", bases()[0].data, command=(command,))
         assert not [*problems(healthy, scratch() / command)]
     for seed, answer in in_processes(partial(judged, make, how["memory"], how["seconds"]), seeds, jobs):
         died = isinstance(answer, RuntimeError)

@@ -15,10 +15,13 @@ when the code changes: all rows of a table are of one state of it.
 from __future__ import annotations
 
 import atexit
+import contextlib
+import io
 import itertools
 import json
 import multiprocessing
 import shutil
+import signal
 import tempfile
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -30,6 +33,7 @@ from typing import Any, NamedTuple
 import click
 
 from locfuse.cli.analysis.robot_tables import make_robot
+from locfuse.cli.main import main as command_line
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import ArrayStream, Drive
 from locfuse.fusion.measure import measure
@@ -78,6 +82,30 @@ def scratch() -> Path:
     folder = tempfile.mkdtemp(prefix="locfuse-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None)
     atexit.register(shutil.rmtree, folder)
     return Path(folder)
+
+
+class Said(NamedTuple):
+    """What a command left: its exit code, stdout and stderr."""
+
+    code: int
+    out: str
+    err: str
+
+
+def locfuse(*words: str) -> Said:
+    """Run the command line in this process, as the program does; an error that it does not catch is code -1."""
+    out, err, code = io.StringIO(), io.StringIO(), 0
+    handler = signal.getsignal(signal.SIGTERM)
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            command_line(list(words))
+        except SystemExit as e:
+            code = int(e.code or 0)
+        except Exception:
+            traceback.print_exc()
+            code = -1
+    signal.signal(signal.SIGTERM, handler)
+    return Said(code, out.getvalue(), err.getvalue())
 
 
 def in_processes(work: Callable[[Any], Any], units: Iterable[Any], jobs: int) -> Iterator[tuple[Any, Any]]:

@@ -168,7 +168,7 @@ def _comparisons(node: ast.Compare, swapped: Swaps) -> Iterator[tuple[str, Any]]
             yield "ops", [*node.ops[:i], other(), *node.ops[i + 1 :]]
 
 
-def laid_out(folder: Path, interpreted: bool = True) -> Path:
+def laid_out(folder: Path, interpreted: bool) -> Path:
     """Lay the package out as it is installed, with its own fusion/ and formats/."""
     package = folder / "locfuse"
     package.mkdir()
@@ -185,14 +185,10 @@ def laid_out(folder: Path, interpreted: bool = True) -> Path:
     return package
 
 
-def first_on_path(package: Path) -> dict[str, str]:
-    """Return the environment of a process that imports this package, and not the installed one."""
-    return {**os.environ, "PYTHONPATH": str(package.parent)}
-
-
 def passes(package: Path, tests: tuple[str, ...]) -> bool:
     """Return whether tests pass with this package in front of the installed one."""
-    env = {**first_on_path(package), "PYTHONDONTWRITEBYTECODE": "1", "NO_COLOR": "1"}
+    first = {"PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1", "NO_COLOR": "1"}
+    env = {**os.environ, **first}
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "--no-header"]
     command += ["-k", f"not ({BOTH_FORMS})", *tests]
     try:

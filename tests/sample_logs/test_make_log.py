@@ -78,16 +78,6 @@ def test_scans_show_the_room_from_where_the_truth_says(messages: dict[str, list[
         assert np.std(residual) == pytest.approx(0.03, abs=0.012)
 
 
-def test_wheels_and_compass_turn_as_the_robot_does(messages: dict[str, list[Any]]) -> None:
-    left, right = (np.array([m.position[i] for m in messages["/joint_states"]]) * 0.05 for i in (0, 1))
-    ways = np.hypot(*np.diff([pose(m)[:2] for m in messages["/ground_truth"]], axis=0).T).sum()
-    assert (left[-5] + right[-5]) / 2 == pytest.approx(ways, abs=0.1)
-    headings = np.unwrap([pose(m)[2] for m in messages["/ground_truth"]])
-    assert np.interp(4.9, np.arange(250) / 50, (right - left) / 0.6) == pytest.approx(headings[-1], abs=0.2)
-    field = [math.atan2(m.magnetic_field.y, m.magnetic_field.x) for m in messages["/magnetic_field"]]
-    np.testing.assert_allclose(0.4 - np.unwrap(field)[:100:2], headings, atol=0.08)
-
-
 def test_the_landmark_is_a_red_bar_at_its_bearing(messages: dict[str, list[Any]], log: Path) -> None:
     with log.open("rb") as file:
         robot = tomllib.loads(next(make_reader(file).iter_attachments()).data.decode())

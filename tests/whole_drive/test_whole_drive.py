@@ -168,13 +168,6 @@ def test_a_laser_that_the_filter_found_elsewhere_is_taken_to_be_there() -> None:
     assert apart[1] < 0.12
 
 
-def test_a_drive_without_a_loop_closes_none_and_says_so() -> None:
-    drive, _ = ring_drive(4, laps=0.75)
-    graph = whole_drive(drive, robot(), ["lrf"])
-    assert graph is not None
-    assert not len(graph.closures)
-
-
 def test_without_a_laser_or_with_a_given_map_there_is_no_graph() -> None:
     drive, _, _ = solved()
     assert whole_drive(drive, robot(), []) is None

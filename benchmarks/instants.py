@@ -25,8 +25,7 @@ import locfuse
 from benchmarks import golden_cases
 from benchmarks.__main__ import TEN, module
 from benchmarks.mutants import first_on_path, laid_out
-from locfuse.fusion.fuse import Filter
-from locfuse.fusion.instants import due_readings, steps_of
+from locfuse.fusion.fuse import Filter, due_readings, steps_of
 from locfuse.fusion.kernels import uncompiled
 
 COUNTED_S = 60.0  # of a drive: interpreted kernels take their time

@@ -54,11 +54,10 @@ fusion/sensors/camera: camera/camera sensors/contract
 fusion/map/line_map: map/line_map map/given_map kernels/sight sensors/lrf fusion/mount
 fusion/map/scan: map/standing map/line_map sensors/lrf
 fusion/map/sonar_echo: sensors/lrf
-fusion/judge/evaluate: judge/evaluate
+fusion/judge/evaluate: judge/evaluate judge/consistency
 fusion/judge/bootstrap fusion/judge/credit: judge/credit
 fusion/judge/consistency: judge/noise_verdicts judge/consistency
 fusion/judge/events: judge/against
-fusion/judge/covariance: judge/consistency
 fusion/judge/innovations: judge/consistency
 fusion/judge/predictive: judge/against
 fusion/judge/against: judge/against

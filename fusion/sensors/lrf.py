@@ -15,9 +15,16 @@ import numpy as np
 
 from locfuse.fusion.data import Array, Colour, Component, Ints, Measurements, Stream
 from locfuse.fusion.lines.extract import LineSettings
-from locfuse.fusion.lines.flatness import wall_floor
 from locfuse.fusion.lines.points import SCANS_PER_BLOCK, Longest, ScanPoints, left_out
-from locfuse.fusion.lines.scans import Gathered, Laser, equal_scans, lines_in_base, too_many_beams, turns
+from locfuse.fusion.lines.scans import (
+    Gathered,
+    Laser,
+    equal_scans,
+    lines_in_base,
+    too_many_beams,
+    turns,
+    wall_floor,
+)
 from locfuse.fusion.map.tracker import AtlasTracker
 from locfuse.fusion.mount import ASK_MOUNT, Mount, MountedSettings, mount_states
 from locfuse.fusion.sensor import Ask, Reversal, Sensor, WheelMotion

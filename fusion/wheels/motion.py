@@ -12,8 +12,8 @@ from msgspec.structs import replace
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, Motions
+from locfuse.fusion.streams import gap_limit
 
-MIN_GAP_S, MIN_GAP_PERIODS = 0.5, 5.0  # s, median periods: over a longer one the way is not known, only the sums
 INTERVALS_PER_BLOCK = 2048  # so that the pieces of an hour take a few MB
 
 
@@ -205,7 +205,7 @@ def silences(t: Array, rolled: Array, turn: Array) -> Array:
     by that much of the way; at most it lies anywhere in a disc about the start.
     """
     span, way = np.diff(t), 0.5 * np.abs(rolled).sum(axis=1)
-    silent = span > max(MIN_GAP_S, MIN_GAP_PERIODS * float(np.median(span)))
+    silent = span > gap_limit(t)
     if not silent.any():
         return np.broadcast_to(np.float64(0.0), (len(span), 2))  # holds nothing
     fastest = float(np.percentile(np.abs(turn[~silent]) / span[~silent], 99))

@@ -119,7 +119,9 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         targets, sources = Targets(clouds), sources_of(clouds, MATCHED_POINTS)
         ends = np.cumsum([len(chain) for chain in chains])
         step = np.setdiff1d(np.arange(len(at) - 1), ends - 1)
-        found = _steps(targets, sources, at[step], at[step + 1])
+        i, j, start = at[step], at[step + 1], np.zeros((len(step), 3))
+        prior = np.broadcast_to(STEP_PRIOR, (len(step), 3, 3))
+        found = match(targets, i, sources, j, start, prior, STEP_REACH_M).pose
         moved = np.stack([se2.chain(part)[-1] for part in np.split(found, ends[:-1] - np.arange(1, len(chains)))])
         i, j = at[ends - [len(chain) for chain in chains]], at[ends - 1]
         prior = np.broadcast_to(BETWEEN_PRIOR, (len(i), 3, 3))
@@ -176,12 +178,6 @@ def scan_pairs(stream: Stream, laser: Laser, motions: Sequence[WheelReading]) ->
         return None
     points = [p[:: max(1, len(p) // POINTS)] for p in points]
     return ScanPairs(stream, laser, t, first, later, surface, points)
-
-
-def _steps(targets: Targets, sources: Clouds, i: Ints, j: Ints) -> Array:
-    """Return the laser's motion from scan i to scan j (k,) each, matched without a prior, (k, 3)."""
-    start = np.zeros((len(i), 3))
-    return match(targets, i, sources, j, start, np.broadcast_to(STEP_PRIOR, (len(i), 3, 3)), STEP_REACH_M).pose
 
 
 def _times(stream: Stream, motion: WheelReading, t_from: Array, t_to: Array) -> tuple[Array, Array]:

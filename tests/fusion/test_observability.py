@@ -13,8 +13,7 @@ from worlds import World
 
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements
 from locfuse.fusion.ekf.map_frame import InMap
-from locfuse.fusion.fuse import Filter, fuse
-from locfuse.fusion.instants import due_readings, steps_of
+from locfuse.fusion.fuse import Filter, due_readings, fuse, steps_of
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot, StartSettings

@@ -17,8 +17,7 @@ from worlds import World
 import locfuse as api
 from locfuse.fusion.data import VERDICTS, Array, Drive, LocfuseError
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.fuse import Filter
-from locfuse.fusion.instants import due_readings, steps_of
+from locfuse.fusion.fuse import Filter, due_readings, steps_of
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot, StartSettings

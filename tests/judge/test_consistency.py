@@ -22,7 +22,7 @@ from locfuse.cli.analysis.verdicts import unless_overconfident
 from locfuse.fusion.data import VERDICTS, Audit, Drive, Evaluation, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import Consistency, Evidence, Run, as_run, biased_against, judge
-from locfuse.fusion.judge.covariance import Honesty, honesty
+from locfuse.fusion.judge.evaluate import Honesty, honesty
 from locfuse.fusion.judge.innovations import (
     MAX_LISTENED_READINGS,
     STRETCH_READINGS,

@@ -20,9 +20,8 @@ from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.kernels.sight import Rules
 from locfuse.fusion.lines import scans
 from locfuse.fusion.lines.extract import Lines, LineSettings
-from locfuse.fusion.lines.flatness import LAG_SCANS, bend, wall_floor
 from locfuse.fusion.lines.points import Longest, ScanPoints
-from locfuse.fusion.lines.scans import Laser, lines_in_base, sweep_time
+from locfuse.fusion.lines.scans import LAG_SCANS, Laser, bend, lines_in_base, sweep_time, wall_floor
 from locfuse.fusion.map.line_map import Association, LineMap, seat_of
 from locfuse.fusion.map.scan import Scan
 from locfuse.fusion.robot import WheelSettings

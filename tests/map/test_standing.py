@@ -15,8 +15,7 @@ from hostile import Put, write
 from worlds import World
 
 from locfuse.fusion.data import VERDICTS, Array, Drive
-from locfuse.fusion.fuse import Filter, fuse
-from locfuse.fusion.instants import due_readings, steps_of
+from locfuse.fusion.fuse import Filter, due_readings, fuse, steps_of
 from locfuse.fusion.map.scan import SAME_D2, SAME_LENGTH, Scan, Standing
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from worlds import EPOCH, odometry, reckoned, stream
 
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion.data import ArrayStream, Column, Drive, Estimates, Measurements
@@ -21,7 +22,6 @@ from locfuse.fusion.wheels.motion import Wheels
 from locfuse.sample_logs.sensors import radii
 
 Array = NDArray[np.float64]
-T0 = 1_700_000_000_000_000_000
 ORIGIN = (52.38, 9.72)
 SIGMA = 0.8
 
@@ -55,33 +55,8 @@ def drive_of(
             "gps": {"x": antenna[0], "y": antenna[1], **(gps or {})},
         }
     )
-    drive = measure({"wheels": odometry(t, pose, rng, noise), "gps": fixes}, described)
+    drive = measure({"wheels": odometry(t, reckoned(pose, 0.5, noise, rng)), "gps": fixes}, described)
     return drive, described, pose[at]
-
-
-def odometry(t: Array, pose: Array, rng: np.random.Generator, k: float) -> ArrayStream:
-    """Dead reckoning with the noise that robot.toml says, from (0, 0, 0)."""
-    track = 0.5
-    ds = np.full(len(t) - 1, 0.1)
-    turn = np.diff(pose[:, 2])
-    sides = np.stack((ds - 0.5 * track * turn, ds + 0.5 * track * turn), axis=-1)
-    sides += np.sqrt(k * np.abs(sides)) * rng.normal(size=sides.shape)
-    ds, turn = sides.mean(axis=1), np.diff(sides, axis=1)[:, 0] / track
-    theta = np.concatenate(([0.0], np.cumsum(turn)))
-    middle = theta[:-1] + 0.5 * turn
-    x, y = (np.concatenate(([0.0], np.cumsum(ds * f(middle)))) for f in (np.cos, np.sin))
-    zero = np.zeros(len(t))
-    data: dict[str, Column] = {
-        "pose.pose.position.x": x,
-        "pose.pose.position.y": y,
-        "pose.pose.orientation.x": zero,
-        "pose.pose.orientation.y": zero,
-        "pose.pose.orientation.z": np.sin(0.5 * theta),
-        "pose.pose.orientation.w": np.cos(0.5 * theta),
-        "twist.twist.linear.x": zero,
-        "twist.twist.angular.z": zero,
-    }
-    return ArrayStream("/odom", "nav_msgs/msg/Odometry", T0 + np.rint(t * 1e9).astype(np.int64), data)
 
 
 def fixes_of(
@@ -106,9 +81,7 @@ def fixes_of(
         "position_covariance": np.tile(np.diag([SIGMA**2, SIGMA**2, 4.0]).ravel(), (n, 1)),
         "position_covariance_type": np.full(n, 2, np.uint8),
     }
-    return ArrayStream(
-        "/fix", "sensor_msgs/msg/NavSatFix", T0 + np.rint(t * 1e9).astype(np.int64), {**data, **columns}
-    )
+    return stream("/fix", "sensor_msgs/msg/NavSatFix", t, {**data, **columns})
 
 
 def errors(drive: Drive, e: Estimates, truth: Array) -> Array:
@@ -226,8 +199,8 @@ def measured(columns: dict[str, Any], n: int = 4, **settings: Any) -> Measuremen
         "position_covariance_type": np.full(n, 2, np.uint8),
         **columns,
     }
-    stream = ArrayStream("/fix", "sensor_msgs/msg/NavSatFix", T0 + np.arange(n) * 10**9, given)
-    return Gps().measure(stream, GpsSettings(**settings), STILL, T0)
+    fixes = stream("/fix", "sensor_msgs/msg/NavSatFix", np.arange(float(n)), given)
+    return Gps().measure(fixes, GpsSettings(**settings), STILL, EPOCH)
 
 
 def test_the_covariance_of_a_fix_is_the_receivers_where_it_is_one() -> None:

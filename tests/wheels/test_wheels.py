@@ -27,10 +27,11 @@ from wheel_bags import (
     numbers,
     pose_of,
 )
+from worlds import joints, odometry, stream
 
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion import se2
-from locfuse.fusion.data import ArrayStream, Column, LocfuseError, Ragged
+from locfuse.fusion.data import Column, LocfuseError, Ragged
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
@@ -39,21 +40,11 @@ from locfuse.sample_logs.record import in_memory
 
 Array = NDArray[np.float64]
 RNG = np.random.default_rng(7)
-ODOMETRY = "nav_msgs/msg/Odometry"
 QUIET = tuple(f"{sensor}.enabled=false" for sensor in ("camera", "lrf", "compass"))
 
 
 def settings(**keys: Any) -> WheelSettings:
     return WheelSettings(**{"radius": RADIUS, "track": TRACK, **keys})
-
-
-def joints(t: Array, angle: Array) -> ArrayStream:
-    n = len(t)
-    data: dict[str, Column] = {
-        "name": [("left_wheel", "right_wheel")] * n,
-        "position": Ragged(angle.ravel(), np.arange(0, 2 * n + 1, 2)),
-    }
-    return ArrayStream("/joint_states", "sensor_msgs/msg/JointState", np.rint(t * 1e9).astype(np.int64), data)
 
 
 def read(t: Array, angle: Array, **keys: Any) -> WheelReading:
@@ -210,8 +201,7 @@ def test_an_arm_on_the_same_topic_is_set_aside(truth: tuple[Array, Array]) -> No
     values = np.concatenate([[*row, 0.1, 0.2, 0.3] for row in angle.tolist()])
     first = np.concatenate(([0], np.cumsum([2, 3] * n)))
     data: dict[str, Column] = {"name": names, "position": Ragged(values, first)}
-    stream = ArrayStream("/joint_states", "sensor_msgs/msg/JointState", np.rint(both * 1e9).astype(np.int64), data)
-    reading = read_wheels(stream, settings())
+    reading = read_wheels(stream("/joint_states", "sensor_msgs/msg/JointState", both, data), settings())
     np.testing.assert_allclose(final(reading), pose_of(angle), atol=1e-9)
     assert reading.dropped == {"other_joints": n}
 
@@ -223,8 +213,8 @@ def test_names_decide_and_not_positions(truth: tuple[Array, Array]) -> None:
     spot = {"rear": None, "left_wheel": 0, "right_wheel": 1}
     values = [9.9 if spot[j] is None else angle[i, int(spot[j] or 0)] for i, row in enumerate(rows) for j in row]
     data: dict[str, Column] = {"name": rows, "position": Ragged(np.array(values), np.arange(0, 3 * n + 1, 3))}
-    stream = ArrayStream("/joint_states", "sensor_msgs/msg/JointState", np.rint(t * 1e9).astype(np.int64), data)
-    np.testing.assert_allclose(final(read_wheels(stream, settings())), pose_of(angle), atol=1e-9)
+    reading = read_wheels(stream("/joint_states", "sensor_msgs/msg/JointState", t, data), settings())
+    np.testing.assert_allclose(final(reading), pose_of(angle), atol=1e-9)
 
 
 # --- other messages, as logs
@@ -336,22 +326,6 @@ def test_ticks_beat_the_joints_of_an_arm(tmp_path: Path, truth: tuple[Array, Arr
 
 
 # --- other odometries
-
-
-def odometry(t: Array, pose: Array, speed: Array, turn: Array) -> ArrayStream:
-    half = 0.5 * pose[:, 2]
-    zero = np.zeros(len(t))
-    data = {
-        "pose.pose.position.x": pose[:, 0],
-        "pose.pose.position.y": pose[:, 1],
-        "pose.pose.orientation.x": zero,
-        "pose.pose.orientation.y": zero,
-        "pose.pose.orientation.z": np.sin(half),
-        "pose.pose.orientation.w": np.cos(half),
-        "twist.twist.linear.x": speed,
-        "twist.twist.angular.z": turn,
-    }
-    return ArrayStream("/odom", ODOMETRY, np.rint(t * 1e9).astype(np.int64), data)
 
 
 def driven(speed: Array, turn: Array, dt: float) -> Array:

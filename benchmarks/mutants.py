@@ -41,8 +41,8 @@ fusion/kernels/line_fits: kernels/line_fits lines/lines
 fusion/kernels/places: map/places
 fusion/kernels/segments: kernels/segments lines/lines
 fusion/kernels/sight: kernels/sight map/line_map sensors/lrf
-fusion/wheels/motion: wheels/motion wheels/intervals wheels/wheel_states
-fusion/wheels/repairs: wheels/rollover wheels/wheels
+fusion/wheels/motion: wheels/motion wheels/wheel_states
+fusion/wheels/repairs: wheels/wheels
 fusion/sensors/compass: sensors/compass sensors/contract
 fusion/sensors/gyro: sensors/gyro sensors/contract
 fusion/sensors/gps: sensors/gps sensors/contract

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.equations import predicted
 from locfuse.fusion.ekf.events import Before, Events
-from locfuse.fusion.ekf.map_frame import InMap, Pose, Triangle
+from locfuse.fusion.ekf.map_frame import InMap, Pose
 from locfuse.fusion.ekf.record import FIRST_CAPACITY, Record, Track
 from locfuse.fusion.kernels.arrays import view
 from locfuse.fusion.kernels.ekf import Innovation, State, Steps
@@ -25,7 +25,7 @@ from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 
 from .data import BY_SCANS, ODOMETRY, Array, Drive, Estimates, Ints, Measurements, Motions, matrices
 from .progress import say_done
-from .robot import Robot, StartSettings
+from .robot import Robot
 from .sensor import GATE, Model, Reading
 
 BLOCK_INSTANTS = 256
@@ -256,16 +256,13 @@ class Filter:
 def _begin(robot: Robot, models: Sequence[Model]) -> JointBelief:
     """Return the belief at the start."""
     blocks = [block for model in models for block in model.blocks()]
+    xx, yy, tt = robot.start.variances
+    start = robot.start.pose, (xx, 0.0, 0.0, yy, 0.0, tt)
     if not robot.wheels.estimate:
-        return JointBelief(*_start(robot.start), blocks)
-    belief = JointBelief(*_start(robot.start), [*blocks, wheel_block(robot.wheels)])
+        return JointBelief(*start, blocks)
+    belief = JointBelief(*start, [*blocks, wheel_block(robot.wheels)])
     belief.drive_with(WHEELS)
     return belief
-
-
-def _start(start: StartSettings) -> tuple[tuple[float, float, float], Triangle]:
-    xx, yy, tt = start.variances
-    return start.pose, (xx, 0.0, 0.0, yy, 0.0, tt)
 
 
 def _at_truth(

@@ -144,7 +144,8 @@ class _Pairs(NamedTuple):
 def evaluate(estimates: Estimates, drive: Drive, align: Align = "none") -> Evaluation:
     """Return deviations and figures of one configuration."""
     sensors = {s: _sensor_figures(a, drive.measurements[s].absent) for s, a in estimates.audits.items()}
-    own = {"duration_s": float(drive.t[-1] - drive.t[0]), "distance_m": _length(estimates.pose[:, :2])}
+    way = float(np.hypot(*np.diff(estimates.pose[:, :2], axis=0).T).sum())
+    own = {"duration_s": float(drive.t[-1] - drive.t[0]), "distance_m": way}
     truth = drive.truth
     pairs = _pairs(estimates, truth) if truth is not None else None
     found = Evaluation(
@@ -324,10 +325,6 @@ def _sensor_figures(audit: Audit, absent: int) -> SensorFigures:
     nis = _mean(audit.nis[audit.verdict == 0] / audit.y.shape[1])
     joint, dof = audit.joint.sum(axis=0).tolist()
     return SensorFigures(accepted, refused, absent, nis, verdicts, joint / dof if dof else None)
-
-
-def _length(xy: Array) -> float:
-    return float(np.hypot(*np.diff(xy, axis=0).T).sum())
 
 
 def _rms(values: Array) -> float:

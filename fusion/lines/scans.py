@@ -18,6 +18,8 @@ from locfuse.fusion.sensor import WheelMotion
 
 from .extract import Lines, LineSettings, extract_lines, in_base, motion_of, noise_of, to_base
 
+# of a LaserScan
+SCAN_FIELDS = ("angle_min", "angle_increment", "time_increment", "range_min", "range_max", "ranges")
 CELLS_AT_ONCE = 1 << 18  # pairs of lines that are compared at a time: memory is bounded
 # m: a return's range is one of these, so neither 0 nor Inf
 LEAST, MOST = np.nextafter(0.0, 1.0), np.finfo(np.float64).max

@@ -20,12 +20,12 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, Stream
 from locfuse.fusion.lines.points import ScanPoints
-from locfuse.fusion.lines.scans import Laser
+from locfuse.fusion.lines.scans import SCAN_FIELDS, Laser
 from locfuse.fusion.scan_matching.clouds import MAX_RANGE_M, Clouds
 from locfuse.fusion.scan_matching.match import FLOOR_RAD, Targets, match, sources_of
 
+from .motion_by_scans import STANDING
 from .read import WheelReading
-from .scan_clouds import FIELDS, STANDING
 
 PAIRS, MIN_MOVING = 60, 20  # pairs that are looked at; so many that move: standing ones are not needed
 PAIR_S, MAX_PAIR_S = 1.0, 3.0  # s from the earlier to the later scan of a pair; scans further apart make none
@@ -190,6 +190,6 @@ def _times(stream: Stream, motion: WheelReading, t_from: Array, t_to: Array) -> 
 def _points(stream: Stream, laser: Laser, rows: Ints, most: int) -> list[Array]:
     """Return the points of some scans in the laser's frame, about `most` each, in the order of beams."""
     plain = laser._replace(mount=np.zeros(3), deskew=False)
-    scans = ScanPoints(stream, FIELDS, np.zeros(len(stream.t_ns)), plain, STANDING, rows)
+    scans = ScanPoints(stream, SCAN_FIELDS, np.zeros(len(stream.t_ns)), plain, STANDING, rows)
     near = (p[np.hypot(*p.T) < MAX_RANGE_M] for p in scans.read(np.arange(len(rows))))
     return [p[:: max(1, -(-len(p) // most))] for p in near]

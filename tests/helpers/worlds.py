@@ -112,7 +112,7 @@ class World(msgspec.Struct):
 
     def _truth(self) -> ArrayStream:
         t = np.arange(0.0, self.seconds - 0.05, 0.04) + self.truth_shift
-        return posed("/ground_truth", "geometry_msgs/msg/PoseStamped", t, self.pose(t), "pose")
+        return posed("/ground_truth", "geometry_msgs/msg/PoseStamped", t, self.pose(t), prefix="pose")
 
     def robot(self) -> Robot:
         lx, ly, yaw = self.mount
@@ -151,20 +151,22 @@ def joints(t: Array, angle: Array) -> ArrayStream:
     return stream("/joint_states", "sensor_msgs/msg/JointState", t, data)
 
 
-def posed(topic: str, msgtype: str, t: Array, pose: Array, prefix: str = "pose.pose", **more: Any) -> ArrayStream:
+def posed(
+    topic: str, msgtype: str, t: Array, pose: Array, more: Any = (), prefix: str = "pose.pose"
+) -> ArrayStream:
     """Poses (n, 3) in the fields of a message, and more columns."""
     zero, half = np.zeros(len(t)), 0.5 * pose[:, 2]
     fields = ("position.x", "position.y", *(f"orientation.{axis}" for axis in "xyzw"))
     columns = (pose[:, 0], pose[:, 1], zero, zero, np.sin(half), np.cos(half))
     data = {f"{prefix}.{name}": column for name, column in zip(fields, columns, strict=True)}
-    return stream(topic, msgtype, t, data | more)
+    return stream(topic, msgtype, t, data | dict(more))
 
 
 def odometry(t: Array, pose: Array, speed: Any = 0.0, turn: Any = 0.0, topic: str = "/odom") -> ArrayStream:
     """Poses (n, 3) of another program with speeds [m/s] and turning rates [rad/s] beside them."""
     twist = {"twist.twist.linear.x": speed, "twist.twist.angular.z": turn}
     more = {name: np.broadcast_to(np.float64(value), t.shape) for name, value in twist.items()}
-    return posed(topic, "nav_msgs/msg/Odometry", t, pose, **more)
+    return posed(topic, "nav_msgs/msg/Odometry", t, pose, more)
 
 
 def reckoned(pose: Array, track: float, noise: float, rng: np.random.Generator) -> Array:

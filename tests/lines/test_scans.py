@@ -28,8 +28,7 @@ from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.se2 import wrap_all
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings, laser_of
 from locfuse.fusion.wheels.motion import Wheels
-from locfuse.fusion.wheels.motion_by_scans import match_scans
-from locfuse.fusion.wheels.scan_clouds import STANDING
+from locfuse.fusion.wheels.motion_by_scans import STANDING, match_scans
 
 BEAMS, SCANS, WORD = 120, 60, 8.0  # m; range_max of the scans is 12 m
 YARD = np.array(box(-4.0, -3.0, 4.5, 3.5)[:3] + box(1.0, 2.6, 2.2, 3.4))  # a room without its fourth wall

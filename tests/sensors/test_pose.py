@@ -54,7 +54,7 @@ def path(seconds: float = 80.0, speed: float = 0.5) -> tuple[Array, Array]:
 
 def truth(t: Array, pose: Array) -> ArrayStream:
     """The true poses as a reference topic."""
-    return posed("/ground_truth", "geometry_msgs/msg/PoseStamped", t, pose, "pose")
+    return posed("/ground_truth", "geometry_msgs/msg/PoseStamped", t, pose, prefix="pose")
 
 
 SIGMA, SIGMA_THETA = 0.04, math.radians(1.5)
@@ -67,7 +67,7 @@ def estimated(t: Array, pose: Array, rng: np.random.Generator) -> ArrayStream:
     noisy = pose + rng.normal(size=pose.shape) * (SIGMA, SIGMA, SIGMA_THETA)
     P = np.diag([SIGMA**2, SIGMA**2, 0.0, 0.0, 0.0, SIGMA_THETA**2])
     more = {"pose.covariance": np.tile(P.reshape(36), (len(t), 1))}
-    return posed("/slam/pose", WITH_COVARIANCE, t, noisy, **more)
+    return posed("/slam/pose", WITH_COVARIANCE, t, noisy, more)
 
 
 def drifting(t: Array, pose: Array, rng: np.random.Generator) -> ArrayStream:
@@ -79,7 +79,7 @@ def drifting(t: Array, pose: Array, rng: np.random.Generator) -> ArrayStream:
     for one in u:
         at.append(se2.compose(at[-1], one))
     more = {"pose.covariance": np.zeros((len(t), 36))}
-    return posed("/vo/odom", "nav_msgs/msg/Odometry", t, np.array(at), **more)
+    return posed("/vo/odom", "nav_msgs/msg/Odometry", t, np.array(at), more)
 
 
 def measured(seed: int, kind: str, tables: dict[str, Any] | None = None) -> tuple[Drive, Robot]:
@@ -272,7 +272,7 @@ def test_a_source_that_never_changes_is_refused() -> None:
     t, pose = path(20.0)
     rng = np.random.default_rng(0)
     robot = make_robot(TABLES)
-    still = posed(SLAM, WITH_COVARIANCE, t, np.zeros_like(pose), **{"pose.covariance": np.zeros((len(t), 36))})
+    still = posed(SLAM, WITH_COVARIANCE, t, np.zeros_like(pose), {"pose.covariance": np.zeros((len(t), 36))})
     streams = {"wheels": odometry(t, reckoned(pose, TRACK, NOISE, rng)), "pose": still}
     assert "says the same pose in all 200 messages" in measure(streams, robot).absent["pose"]
 

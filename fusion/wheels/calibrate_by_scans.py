@@ -9,7 +9,7 @@ Where the wheels' scales and track and the mount l are unknown, intervals of dif
 (Censi, Franchi, Marchionni and Oriolo, IEEE T-RO 2013). Their closed form gives the first mount: turns tell how
 far the wheels roll apart, and then (b, l_x, l_y, cos, sin) is linear up to cos^2 + sin^2 = 1. From there all
 parameters, the laser's delay among them, are fitted by weighted least squares: wheel noise by the way, matches by
-their covariance, the scale of either by restricted likelihood (fusion.wheels.likelihood). The laser's metre is
+their covariance, the scale of either by restricted likelihood (fusion.wheels.calibrate). The laser's metre is
 taken for the right one.
 """
 

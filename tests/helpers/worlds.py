@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 from msgspec import field
 from numpy.typing import NDArray
+from pose_streams import pose_stream
 from rooms import scan
 
 from locfuse.fusion.data import ArrayStream, Drive, Ragged, Stream
@@ -115,7 +116,7 @@ class World(msgspec.Struct):
 
     def _truth(self) -> ArrayStream:
         t = np.arange(0.0, self.seconds - 0.05, 0.04) + self.truth_shift
-        return posed("/ground_truth", "geometry_msgs/msg/PoseStamped", t, self.pose(t), prefix="pose")
+        return pose_stream("/ground_truth", stamps(t), self.pose(t))
 
     def robot(self) -> Robot:
         lx, ly, yaw = self.mount
@@ -154,8 +155,12 @@ def instants(run: Filter, drive: Drive, *sensors: str) -> Iterator[int]:
         yield k
 
 
+def stamps(t: Array) -> NDArray[np.int64]:
+    return EPOCH + np.rint(t * 1e9).astype(np.int64)
+
+
 def stream(topic: str, msgtype: str, t: Array, data: dict[str, Any]) -> ArrayStream:
-    return ArrayStream(topic, msgtype, EPOCH + np.rint(t * 1e9).astype(np.int64), data)
+    return ArrayStream(topic, msgtype, stamps(t), data)
 
 
 def joints(t: Array, angle: Array) -> ArrayStream:
@@ -165,34 +170,3 @@ def joints(t: Array, angle: Array) -> ArrayStream:
         "position": Ragged(angle.ravel(), np.arange(len(t) + 1) * 2),
     }
     return stream("/joint_states", "sensor_msgs/msg/JointState", t, data)
-
-
-def posed(
-    topic: str, msgtype: str, t: Array, pose: Array, more: Any = (), prefix: str = "pose.pose"
-) -> ArrayStream:
-    """Poses (n, 3) in the fields of a message, and more columns."""
-    zero, half = np.zeros(len(t)), 0.5 * pose[:, 2]
-    fields = ("position.x", "position.y", *(f"orientation.{axis}" for axis in "xyzw"))
-    columns = (pose[:, 0], pose[:, 1], zero, zero, np.sin(half), np.cos(half))
-    data = {f"{prefix}.{name}": column for name, column in zip(fields, columns, strict=True)}
-    return stream(topic, msgtype, t, data | dict(more))
-
-
-def odometry(t: Array, pose: Array, speed: Any = 0.0, turn: Any = 0.0, topic: str = "/odom") -> ArrayStream:
-    """Poses (n, 3) of another program with speeds [m/s] and turning rates [rad/s] beside them."""
-    twist = {"twist.twist.linear.x": speed, "twist.twist.angular.z": turn}
-    more = {name: np.broadcast_to(np.float64(value), t.shape) for name, value in twist.items()}
-    return posed(topic, "nav_msgs/msg/Odometry", t, pose, more)
-
-
-def reckoned(pose: Array, track: float, noise: float, rng: np.random.Generator) -> Array:
-    """Dead reckoning (n, 3) from (0, 0, 0) of a way along poses (n, 3) by wheels with noise per metre."""
-    turn = np.diff(pose[:, 2])
-    ds = np.hypot(*np.diff(pose[:, :2], axis=0).T) / np.sinc(0.5 * turn / np.pi)
-    sides = np.stack((ds - 0.5 * track * turn, ds + 0.5 * track * turn), axis=-1)
-    sides += np.sqrt(noise * np.abs(sides)) * rng.normal(size=sides.shape)
-    ds, turn = sides.mean(axis=1), np.diff(sides, axis=1)[:, 0] / track
-    theta = np.concatenate(([0.0], np.cumsum(turn)))
-    middle, chord = theta[:-1] + 0.5 * turn, ds * np.sinc(0.5 * turn / np.pi)
-    x, y = (np.concatenate(([0.0], np.cumsum(chord * f(middle)))) for f in (np.cos, np.sin))
-    return np.column_stack((x, y, theta))

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from worlds import EPOCH, odometry, reckoned, stream
+from pose_streams import odometry_stream, reckoned, slipping
 
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion.data import ArrayStream, Column, Drive, Estimates, Measurements
@@ -22,6 +22,7 @@ from locfuse.fusion.wheels.motion import Wheels
 from locfuse.sample_logs.sensors import radii
 
 Array = NDArray[np.float64]
+T0 = 1_700_000_000_000_000_000
 ORIGIN = (52.38, 9.72)
 SIGMA = 0.8
 
@@ -40,12 +41,8 @@ def drive_of(
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, length / 1.0, 0.1)
     turning = 0.06 * np.sin(t / 17.0) + 0.025
-    pose = np.zeros((len(t), 3))
-    pose[0] = start
-    for i in range(1, len(t)):
-        x, y, theta = pose[i - 1]
-        middle = theta + 0.05 * turning[i]
-        pose[i] = x + 0.1 * math.cos(middle), y + 0.1 * math.sin(middle), theta + 0.1 * turning[i]
+    steps = np.column_stack((np.full(len(t) - 1, 0.1), 0.1 * turning[1:]))
+    pose = reckoned(steps, start)
     at = np.arange(3, len(t), 10)
     fixes = fixes_of(t[at], pose[at], east_deg, antenna, rng, columns or {})
     described = make_robot(
@@ -55,7 +52,9 @@ def drive_of(
             "gps": {"x": antenna[0], "y": antenna[1], **(gps or {})},
         }
     )
-    drive = measure({"wheels": odometry(t, reckoned(pose, 0.5, noise, rng)), "gps": fixes}, described)
+    stamps = T0 + np.rint(t * 1e9).astype(np.int64)
+    wheels = odometry_stream(stamps, reckoned(slipping(steps, 0.5, noise, rng)))  # as robot.toml says
+    drive = measure({"wheels": wheels, "gps": fixes}, described)
     return drive, described, pose[at]
 
 
@@ -81,7 +80,9 @@ def fixes_of(
         "position_covariance": np.tile(np.diag([SIGMA**2, SIGMA**2, 4.0]).ravel(), (n, 1)),
         "position_covariance_type": np.full(n, 2, np.uint8),
     }
-    return stream("/fix", "sensor_msgs/msg/NavSatFix", t, {**data, **columns})
+    return ArrayStream(
+        "/fix", "sensor_msgs/msg/NavSatFix", T0 + np.rint(t * 1e9).astype(np.int64), {**data, **columns}
+    )
 
 
 def errors(drive: Drive, e: Estimates, truth: Array) -> Array:
@@ -199,8 +200,8 @@ def measured(columns: dict[str, Any], n: int = 4, **settings: Any) -> Measuremen
         "position_covariance_type": np.full(n, 2, np.uint8),
         **columns,
     }
-    fixes = stream("/fix", "sensor_msgs/msg/NavSatFix", np.arange(float(n)), given)
-    return Gps().measure(fixes, GpsSettings(**settings), STILL, EPOCH)
+    stream = ArrayStream("/fix", "sensor_msgs/msg/NavSatFix", T0 + np.arange(n) * 10**9, given)
+    return Gps().measure(stream, GpsSettings(**settings), STILL, T0)
 
 
 def test_the_covariance_of_a_fix_is_the_receivers_where_it_is_one() -> None:

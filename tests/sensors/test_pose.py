@@ -10,15 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 import trap_logs
-from commands import locfuse
+from commands import locfuse, ok
+from msgspec.structs import replace
 from numpy.typing import NDArray
+from pose_streams import odometry_stream, pose_columns, pose_stream, reckoned, slipping
 from rows import one_by_one, said
 from textbook import move, numeric_jacobian, wrap
-from worlds import odometry, posed, reckoned, stream
 
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion import se2
-from locfuse.fusion.data import ArrayStream, Drive, Measurements
+from locfuse.fusion.data import ArrayStream, Column, Drive, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
@@ -32,6 +33,7 @@ from locfuse.sample_logs.messages import RawMessage
 Array = NDArray[np.float64]
 # --- a robot that drives round in a wide loop by noisy wheels, with its true poses: for sensors that see no walls
 
+T0 = 1_700_000_000_000_000_000
 TRACK, NOISE = 0.5, 4e-4  # m, m
 PERIOD = 0.1  # s
 START = (2.0, -1.0, 0.4)
@@ -44,17 +46,26 @@ TABLES: dict[str, Any] = {
 def path(seconds: float = 80.0, speed: float = 0.5) -> tuple[Array, Array]:
     """Times (n,) and true poses (n, 3): forward all the time, turning left more than right."""
     t = np.arange(0.0, seconds, PERIOD)
-    turn = (0.10 + 0.25 * np.sin(t / 7.0)) * PERIOD
-    theta = START[2] + np.concatenate(([0.0], np.cumsum(turn[:-1])))
-    middle = theta[:-1] + 0.5 * turn[:-1]
-    chord = speed * PERIOD * np.sinc(0.5 * turn[:-1] / np.pi)
-    x, y = (np.concatenate(([0.0], np.cumsum(chord * f(middle)))) for f in (np.cos, np.sin))
-    return t, np.column_stack((START[0] + x, START[1] + y, theta))
+    turn = (0.10 + 0.25 * np.sin(t[:-1] / 7.0)) * PERIOD
+    return t, reckoned(np.column_stack((speed * PERIOD * np.sinc(0.5 * turn / np.pi), turn)), START)
+
+
+def ns(t: Array) -> NDArray[np.int64]:
+    """Stamps (n,) of times t (n,) [s]."""
+    return T0 + np.rint(t * 1e9).astype(np.int64)
+
+
+def wheels(t: Array, pose: Array, rng: np.random.Generator) -> ArrayStream:
+    """Odometry whose wheels roll with the noise that TABLES tell, from (0, 0, 0)."""
+    turn = np.diff(pose[:, 2])
+    way = np.hypot(*np.diff(pose[:, :2], axis=0).T) / np.sinc(0.5 * turn / np.pi)
+    way, turn = slipping(np.column_stack((way, turn)), TRACK, NOISE, rng).T
+    return odometry_stream(ns(t), reckoned(np.column_stack((way * np.sinc(0.5 * turn / np.pi), turn))))
 
 
 def truth(t: Array, pose: Array) -> ArrayStream:
     """The true poses as a reference topic."""
-    return posed("/ground_truth", "geometry_msgs/msg/PoseStamped", t, pose, prefix="pose")
+    return pose_stream("/ground_truth", ns(t), pose)
 
 
 SIGMA, SIGMA_THETA = 0.04, math.radians(1.5)
@@ -62,12 +73,12 @@ FRAME = np.array([4.0, -3.0, 2.0])  # where a frame of its own lies in the map
 WITH_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 
-def estimated(t: Array, pose: Array, rng: np.random.Generator) -> ArrayStream:
-    """Poses (n, 3) with white noise, and the covariance of that noise."""
+def posed(t: Array, pose: Array, rng: np.random.Generator, told: bool = True) -> ArrayStream:
+    """Poses (n, 3) with white noise, and the covariance of that noise; zeros where nothing is told."""
     noisy = pose + rng.normal(size=pose.shape) * (SIGMA, SIGMA, SIGMA_THETA)
-    P = np.diag([SIGMA**2, SIGMA**2, 0.0, 0.0, 0.0, SIGMA_THETA**2])
-    more = {"pose.covariance": np.tile(P.reshape(36), (len(t), 1))}
-    return posed("/slam/pose", WITH_COVARIANCE, t, noisy, more)
+    P = np.diag([SIGMA**2, SIGMA**2, 0.0, 0.0, 0.0, SIGMA_THETA**2]) * told
+    data = pose_columns(noisy, "pose.pose") | {"pose.covariance": np.tile(P.reshape(36), (len(t), 1))}
+    return ArrayStream("/slam/pose", WITH_COVARIANCE, ns(t), data)
 
 
 def drifting(t: Array, pose: Array, rng: np.random.Generator) -> ArrayStream:
@@ -78,8 +89,8 @@ def drifting(t: Array, pose: Array, rng: np.random.Generator) -> ArrayStream:
     at = [np.zeros(3)]
     for one in u:
         at.append(se2.compose(at[-1], one))
-    more = {"pose.covariance": np.zeros((len(t), 36))}
-    return posed("/vo/odom", "nav_msgs/msg/Odometry", t, np.array(at), more)
+    found = odometry_stream(ns(t), np.array(at))
+    return replace(found, topic="/vo/odom", data={**found.data, "pose.covariance": np.zeros((len(t), 36))})
 
 
 def measured(seed: int, kind: str, tables: dict[str, Any] | None = None) -> tuple[Drive, Robot]:
@@ -88,12 +99,11 @@ def measured(seed: int, kind: str, tables: dict[str, Any] | None = None) -> tupl
     t, pose = path()
     some = slice(3, None, 2)
     inside = se2.between(np.broadcast_to(FRAME, pose.shape), pose)
-    wheels = odometry(t, reckoned(pose, TRACK, NOISE, rng))
-    streams = {"wheels": wheels, "truth": truth(t[::5], pose[::5])}
+    streams = {"wheels": wheels(t, pose, rng), "truth": truth(t[::5], pose[::5])}
     if kind == "map":
-        streams["pose"] = estimated(t[some], pose[some], rng)
+        streams["pose"] = posed(t[some], pose[some], rng)
     elif kind == "own":
-        streams["pose"] = estimated(t[some], inside[some], rng)
+        streams["pose"] = posed(t[some], inside[some], rng)
     elif kind == "drift":
         streams["pose"] = drifting(t[some], pose[some], rng)
     else:
@@ -107,8 +117,8 @@ def speeds(t: Array, pose: Array, rng: np.random.Generator) -> ArrayStream:
     """True speeds with the noise that [twist] tells by default, less its scale's."""
     forward = np.hypot(*np.gradient(pose[:, :2], t, axis=0).T) + 0.05 * rng.normal(size=len(t))
     turning = np.gradient(pose[:, 2], t) + math.radians(2.0) * rng.normal(size=len(t))
-    data = {"twist.linear.x": forward, "twist.angular.z": turning}
-    return stream("/flow/twist", "geometry_msgs/msg/TwistStamped", t, data)
+    data: dict[str, Column] = {"twist.linear.x": forward, "twist.angular.z": turning}
+    return ArrayStream("/flow/twist", "geometry_msgs/msg/TwistStamped", ns(t), data)
 
 
 def figures(drive: Drive, robot: Robot, sensors: tuple[str, ...]) -> dict[str, Any]:
@@ -218,9 +228,15 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
         z, w = m.fields["pose.orientation.z"], m.fields["pose.orientation.w"]
         at = np.array([m.fields["pose.position.x"], m.fields["pose.position.y"], 2.0 * math.atan2(z, w)])
         x, y, theta = se2.between(FRAME, at) + rng.normal(size=3) * (0.01, 0.01, 0.005)
-        turn = {"pose.pose.orientation.z": math.sin(0.5 * theta), "pose.pose.orientation.w": math.cos(0.5 * theta)}
-        covariance = column((1e-4, 1e-4, 2.5e-5))[0]
-        fields = {"pose.pose.position.x": x, "pose.pose.position.y": y, "pose.covariance": covariance, **turn}
+        fields = {
+            "pose.pose.position.x": x,
+            "pose.pose.position.y": y,
+            "pose.covariance": column((1e-4, 1e-4, 2.5e-5))[0],
+        }
+        fields |= {
+            "pose.pose.orientation.z": math.sin(0.5 * theta),
+            "pose.pose.orientation.w": math.cos(0.5 * theta),
+        }
         poses.append(RawMessage(SLAM, WITH_COVARIANCE, m.log_ns, m.stamp_ns, "slam_map", fields))
     drive.add(poses)
     return drive.record(tmp_path_factory.mktemp("pose") / "slam.mcap")
@@ -232,17 +248,19 @@ def test_wishes_and_commands_are_no_estimates(tmp_path: Path) -> None:
     at = drive.on(trap_logs.TRUTH)[0]
     pose = {"pose.position.x": 1.0, "pose.position.y": 1.0, "pose.orientation.w": 1.0}
     speed = {"twist.linear.x": 0.1, "twist.angular.z": 0.0}
-    goal = RawMessage("/goal_pose", "geometry_msgs/msg/PoseStamped", at.log_ns, at.stamp_ns, "map", pose)
-    wish = RawMessage("/cmd_vel", "geometry_msgs/msg/TwistStamped", at.log_ns, at.stamp_ns, "base_link", speed)
-    drive.add([goal, wish])
+    drive.add(
+        [
+            RawMessage("/goal_pose", "geometry_msgs/msg/PoseStamped", at.log_ns, at.stamp_ns, "map", pose),
+            RawMessage("/cmd_vel", "geometry_msgs/msg/TwistStamped", at.log_ns, at.stamp_ns, "base_link", speed),
+        ]
+    )
     told = locfuse("info", drive.record(tmp_path / "wishes.mcap")).stdout
     assert "may be one" not in told
 
 
 def test_compare_uses_it_where_it_is_named(log: Path, tmp_path: Path) -> None:
-    sets, words = ("--set", f"pose.topic={SLAM}"), ("--sensors", "pose", "--sensors", "odometry")
-    done = locfuse("compare", log, *sets, *words, "-o", tmp_path / "out")
-    assert done.exit_code == 0, done.stderr
+    words = ("--set", f"pose.topic={SLAM}", "--sensors", "pose", "--sensors", "odometry")
+    ok("compare", log, *words, "-o", tmp_path / "out")
     report = json.loads((tmp_path / "out/report.json").read_text())["configurations"]
     assert report["pose"]["sensors"]["pose"]["rejected"] == 0
     assert report["pose"]["position_rmse_m"] < report["odometry"]["position_rmse_m"]
@@ -272,8 +290,10 @@ def test_a_source_that_never_changes_is_refused() -> None:
     t, pose = path(20.0)
     rng = np.random.default_rng(0)
     robot = make_robot(TABLES)
-    still = posed(SLAM, WITH_COVARIANCE, t, np.zeros_like(pose), {"pose.covariance": np.zeros((len(t), 36))})
-    streams = {"wheels": odometry(t, reckoned(pose, TRACK, NOISE, rng)), "pose": still}
+    stuck = posed(t, np.zeros_like(pose), rng)
+    still = {name: np.zeros_like(np.asarray(c)) for name, c in stuck.data.items()}
+    still["pose.pose.orientation.w"] = np.ones(len(t))
+    streams = {"wheels": wheels(t, pose, rng), "pose": ArrayStream(SLAM, WITH_COVARIANCE, ns(t), still)}
     assert "says the same pose in all 200 messages" in measure(streams, robot).absent["pose"]
 
 

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import locfuse
+from commands import locfuse, ok
 from numpy.typing import NDArray
+from pose_streams import odometry_stream, reckoned
 from wheel_bags import (
     CREATE,
     CREATE_TEXT,
@@ -28,11 +29,11 @@ from wheel_bags import (
     numbers,
     pose_of,
 )
-from worlds import joints, odometry, stream
+from worlds import joints, stream
 
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion import se2
-from locfuse.fusion.data import Column, LocfuseError, Ragged
+from locfuse.fusion.data import ArrayStream, Column, LocfuseError, Ragged
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
@@ -294,8 +295,7 @@ def test_steps_are_of_ticks_where_they_miss_whole_numbers_by_a_fiftieth_at_most(
 
 
 def run(tmp_path: Path, log: Path, *words: str) -> tuple[dict[str, Any], Array, str]:
-    done = locfuse("run", log, "-v", "--sensors", "odometry", "-o", tmp_path / "out", "--overwrite", *words)
-    assert done.exit_code == 0, done.stderr
+    done = ok("run", log, "-v", "--sensors", "odometry", "-o", tmp_path / "out", "--overwrite", *words)
     tum = np.loadtxt(tmp_path / "out" / "trajectory.tum")
     theta = 2 * np.arctan2(tum[-1, 6], tum[-1, 7])
     return json.loads((tmp_path / "out" / "run.json").read_text()), np.array([*tum[-1, 1:3], theta]), done.stderr
@@ -401,16 +401,12 @@ def test_ticks_beat_the_joints_of_an_arm(tmp_path: Path, truth: tuple[Array, Arr
 # --- other odometries
 
 
+def odometry(t: Array, pose: Array, speed: Array, turn: Array) -> ArrayStream:
+    return odometry_stream(np.rint(t * 1e9).astype(np.int64), pose, speed, turn)
+
+
 def driven(speed: Array, turn: Array, dt: float) -> Array:
-    pose = np.zeros((len(speed) + 1, 3))
-    for i, (v, w) in enumerate(zip(speed.tolist(), turn.tolist(), strict=True)):
-        x, y, theta = pose[i]
-        pose[i + 1] = (
-            x + v * dt * np.cos(theta + w * dt / 2),
-            y + v * dt * np.sin(theta + w * dt / 2),
-            theta + w * dt,
-        )
-    return pose
+    return reckoned(np.column_stack((speed, turn)) * dt)
 
 
 def way() -> tuple[Array, Array, Array]:

@@ -110,7 +110,7 @@ def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]
     for line in () if how.quiet else said if outputs.verbose else unusable:
         say(line)
     transfer(found.loaded.log.transfer, how.quiet)
-    record(options.rerun, found, files[0].parent, say)
+    record(outputs, found, files[0].parent, say)
     unprinted = [*said, *filter(_idle, found.report.get("findings") or ())]
     if not outputs.as_json:
         end(files, 0 if how.quiet or outputs.verbose else len(unprinted))

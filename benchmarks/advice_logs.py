@@ -87,7 +87,7 @@ def compared(session: Session, one: RealLog, advice: bool = True) -> tuple[dict[
 
 
 def finding(found: Mapping[str, Any]) -> Row:
-    """Return one finding: its fixes, or what became of those that were tried, and its figure before and after."""
+    """Return one finding: its fixes, or the result of those that were tried, and its figure before and after."""
     tried = found["tried"]
     row = {"what": f"{found['role']}: {found['code']}", "fixes": found["fixes"], "judged": None, "words": ""}
     if not found["fixes"] or tried is None:

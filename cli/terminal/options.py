@@ -1,4 +1,4 @@
-"""The options of commands that read logs, each declared once, and the one carrier that takes them to a command.
+"""The options of commands that read logs, each declared once, and the record that takes them to a command.
 
 The parameter of an option has the name of the field that it fills, in one of the parts of `Options`.
 """
@@ -148,7 +148,7 @@ class Folder(click.Path):
     """A local folder, or one in a store: s3://bucket/day1/."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return it as a word."""
+        """Return the folder or address as text."""
         from locfuse.formats.container.url import is_url
 
         return value if is_url(str(value)) else str(super().convert(value, param, ctx))

@@ -45,7 +45,7 @@ class BagRecord(NamedTuple):
         return self.start + self.length
 
     def number(self, name: bytes) -> int:
-        """Return a 4-byte field."""
+        """Return a 4-byte field as a whole number."""
         value = self.fields.get(name, b"")
         if len(value) != WORD.size:
             raise DamagedError("a record without its fields")

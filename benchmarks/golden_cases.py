@@ -10,7 +10,6 @@ import numpy as np
 import tomli_w
 
 from benchmarks import floor_plan
-from benchmarks.advice_logs import ARENA
 from benchmarks.real_logs import FILES, KNOWN, are_there
 from locfuse.cli.analysis.settings import set_words
 from locfuse.formats.container.mcap_write import LogWriter
@@ -213,6 +212,7 @@ SENSORS: dict[str, Words] = {  # options of the logs every_*
     "sonar": ("sonar.sigma=0.1", "sonar.widen_deg=0"),
     "grid": ("lrf.map=given", "lrf.map_topic=/map"),
 }
+ARENA = (*set_words(KNOWN["brenner"]), "wheels.track=0.155")
 WARTHOG = ("wheels.radius=0.286", "wheels.track=1.78")
 BARCODES = (
     *("start.x=1.426", "start.y=-3.905", "start.theta_deg=134.8", "wheels.time_offset=0.19"),

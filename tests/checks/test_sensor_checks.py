@@ -13,6 +13,7 @@ from laser_room import scan_stream
 from lock_step import simulated
 from msgspec.structs import replace
 from numpy.typing import NDArray
+from rows import readings
 
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.cli.session.session import load
@@ -23,7 +24,7 @@ from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser import of_scatter, ranges_sigma, scatter_more
 from locfuse.fusion.checks.pictures import of_handedness, of_rims
 from locfuse.fusion.checks.probes import beyond_prior, of_probe
-from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Ragged, Truth
+from locfuse.fusion.data import Array, Drive, Estimates, Ragged, Truth
 from locfuse.fusion.lines.scans import MAX_BEAMS
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import wrap_all
@@ -46,9 +47,7 @@ def healthy() -> tuple[Drive, Robot]:
     t, xy, theta = truth.t[::5], truth.xy[::5], truth.theta[::5]
     z = np.arctan2(LANDMARK[1] - xy[:, 1], LANDMARK[0] - xy[:, 0]) - theta
     z = wrap_all(z + np.radians(0.5) * np.random.default_rng(1).normal(size=len(z)))
-    n = len(z)
-    seen = Measurements(t, np.arange(n + 1), z[:, None], np.ones((n, 1, 1)), math.radians(0.5), np.zeros((1, 1)))
-    return replace(drive, measurements={"camera": seen}), robot
+    return replace(drive, measurements={"camera": readings(t, z[:, None], math.radians(0.5))}), robot
 
 
 def mirrored(drive: Drive, zero_deg: float) -> Drive:
@@ -90,10 +89,7 @@ def test_only_the_first_metres_give_the_zero_near_the_start(healthy: tuple[Drive
         np.array(robot.start.pose), np.stack([radius * np.sin(turn), radius * (1.0 - np.cos(turn)), turn], axis=-1)
     )[::5]
     z = np.arctan2(LANDMARK[1] - pose[:, 1], LANDMARK[0] - pose[:, 0]) - pose[:, 2]
-    n = len(z)
-    seen = Measurements(
-        t[::5], np.arange(n + 1), wrap_all(z)[:, None], np.ones((n, 1, 1)), math.radians(0.5), np.zeros((1, 1))
-    )
+    seen = readings(t[::5], wrap_all(z)[:, None], math.radians(0.5))
     circles = replace(drive, wheels=wheels, measurements={"camera": seen})
     (found,) = of_handedness(mirrored(circles, 25.0), robot)
     assert float(found.fixes[1].partition("=")[2]) == pytest.approx(25.0, abs=3.0)

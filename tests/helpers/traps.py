@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from pose_streams import reckoned
 from scipy.spatial.transform import Rotation
 from trap_logs import (
     COMPASS,
@@ -149,12 +150,8 @@ def only_odometry(drive: Drive, poses: Array | None = None) -> None:
 
 def blind_to_reverse(drive: Drive) -> None:
     """The driver puts wheel turns without their sign into the pose; its twist knows better."""
-    poses = dead_reckoning(drive)
-    step, turn = np.hypot(*np.diff(poses[:, :2], axis=0).T), np.diff(poses[:, 2])
-    middle = poses[:-1, 2] + turn / 2
-    for axis, f in enumerate((np.cos, np.sin)):
-        poses[1:, axis] = np.cumsum(step * f(middle))
-    only_odometry(drive, poses)
+    step = np.diff(dead_reckoning(drive), axis=0)
+    only_odometry(drive, reckoned(np.column_stack((np.hypot(step[:, 0], step[:, 1]), step[:, 2]))))
 
 
 def relocalised(drive: Drive) -> None:

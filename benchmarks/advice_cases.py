@@ -97,6 +97,7 @@ FAULTS: dict[str, Fault] = {
     "laser 10 degrees": _mount("lrf.yaw_deg=10"),
     "laser upside-down": _one("lrf.flipped=true"),
     "range scale 1.05": _one("lrf.range_scale=1.05"),
+    "range offset 5 cm": _one("lrf.range_offset=0.05"),
     "track + 3 %": _one("wheels.track=0.618"),
     "track - 10 %": _one("wheels.track=0.54"),
     "radius + 6 %": _one("wheels.radius=0.053", "wheels.track"),

@@ -239,7 +239,7 @@ def _once(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 NAMES = {"lrf": "laser", "gps": "GPS", "imu": "IMU"}
-MIN_HINT = 0.1  # more of the points that agree: a hint, and no proof (`is_better`)
+MIN_HINT = 0.1  # more of the points that agree; less is no difference worth a word
 TIE, TIE_M = 0.10, 5e-4  # relative, m: errors that differ by less are equal
 MAX_CONSISTENT_ANEES = 3.0  # above: the covariance is too small
 HELPS, HURTS = ("helps", "seems to help"), ("hurts", "seems to hurt")
@@ -405,7 +405,7 @@ def _by_places(report: Mapping[str, Any]) -> str:
         one, other = values.get("revisit_agreement"), rows.get(row, {}).get("revisit_agreement")
         if one is None or other is None:
             continue
-        better = "shows" if is_better(one, other) else "hints" if other >= one + MIN_HINT else ""
+        better = "" if other < one + MIN_HINT else "shows" if is_better(one, other) else "hints"
         end = f", which {better} that it is better" if better else ""
         return f" At places seen twice {one:.0%} of the points agree, in {row} {other:.0%}{end}."
     return ""

@@ -28,7 +28,7 @@ from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.fusion.checks.examine import examine
 from locfuse.fusion.checks.finding import Finding, of_error
-from locfuse.fusion.checks.laser import driver
+from locfuse.fusion.checks.laser_ranges import driver
 from locfuse.fusion.checks.truth import POINT, START
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot

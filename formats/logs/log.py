@@ -31,7 +31,7 @@ from locfuse.fusion.progress import say_done
 from . import clock as clocks
 from .adapters import PRESENTED, presented_name
 from .file_stream import FileStream, is_file_topic, read_file
-from .files import Identity, files_of, identity, identity_of, log_name, open_source, seen_of, seen_of_object
+from .files import Identity, files_of, identity_of, log_name, open_source
 from .stream import (
     LogStream,
     NumberStream,
@@ -210,10 +210,7 @@ class Log:
     @cached_property
     def identity(self) -> Identity:
         """The identity of the content, without reading all of it."""
-        seen = [source.data.state for source in self._sources]
-        if all(state is None for state in seen):
-            return identity_of(self.paths)
-        return identity([seen_of_object(*s) if s else seen_of(p) for s, p in zip(seen, self.paths, strict=True)])
+        return identity_of(self.paths, [source.data.state for source in self._sources])
 
     @property
     def etags(self) -> list[str]:
@@ -223,7 +220,8 @@ class Log:
     @property
     def transfer(self) -> tuple[int, int] | None:
         """Bytes transferred over the network so far, and the size of remote files; None if all are local."""
-        found = [source.data.transfer for source in self._sources if source.data.transfer is not None]
+        files = [source.data for source in self._sources]
+        found = [(file.fetched, file.state[0]) for file in files if file.state is not None]
         return (sum(came for came, _ in found), sum(size for _, size in found)) if found else None
 
     @cached_property

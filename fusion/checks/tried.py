@@ -538,7 +538,7 @@ def judged_pairs(
 ) -> dict[str, tuple[Marks, Marks]]:
     """Return every judge's score before and after; {} as soon as one gets worse, since each score costs a run."""
     pairs: dict[str, tuple[Marks, Marks]] = {}
-    settled = False
+    settled = chance_alone = False
     for name in candidate.judges:
         before, after = trial(kept, (name,)), trial(together(kept, fixes), (name,))
         if name not in before or name not in after:
@@ -549,10 +549,11 @@ def judged_pairs(
         right = candidate.measured and turns_right(before[name], after[name])
         chance = name in candidate.minor or settled or right
         worse = ruins if name in candidate.others else spoils_alone if chance else spoils
-        lucky = settled and name in candidate.minor and was_chance(before[name], after[name])
-        if worse(before[name], after[name]) and not lucky:
-            return {}
+        if worse(before[name], after[name]):
+            if name not in candidate.minor or not was_chance(before[name], after[name]):
+                return {}
+            chance_alone = True  # which excuses nothing unless the fix is right
         pairs[name] = before[name], after[name]
         observed = candidate.measured or not candidate.offer
         settled = settled or (observed and settles(before[name], after[name]))
-    return pairs
+    return {} if chance_alone and not settled else pairs

@@ -94,7 +94,7 @@ def merged(streams: Sequence[Stream]) -> Stream | MergedStream:
 def summed(t: Array, rates: Array) -> tuple[Array, Ints]:
     """Return the integrals (n, ...) of rates (n, ...) since the first reading, by trapezoids, and the gaps so far.
 
-    Over a gap nobody knows how far it came: nothing is added there.
+    Over a gap the way is unknown: nothing is added there.
     """
     gap = np.diff(t) > gap_limit(t)
     held = np.where(gap, 0.0, np.diff(t)).reshape(-1, *[1] * (rates.ndim - 1))

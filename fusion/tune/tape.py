@@ -2,7 +2,7 @@
 
 Played with other noise, the events of the run are a linear Kalman filter on the deviations from it, and its
 innovations have a likelihood (Schweppe 1965). New map lines start without knowledge, so that what they were made
-from does not have to be told apart from what is measured later. Many sets of noise are played at once along a
+from needs no other treatment than what is measured later. Many sets of noise are played at once along a
 leading axis: NumPy's call overhead is most of the cost (27 filters take three times as long as one).
 """
 
@@ -155,7 +155,7 @@ class Head:
     def __init__(self, tape: Tape, noise: Noise, bend: float) -> None:
         B = len(noise.wheels)
         self.tape, self.noise, self.bend = tape, noise, bend
-        self.scale = np.concatenate((np.sqrt(noise.sensors), np.ones((B, 1))), axis=1)  # the last is nobody's (-1)
+        self.scale = np.concatenate((np.sqrt(noise.sensors), np.ones((B, 1))), axis=1)  # the last: no sensor
         self.P = np.tile(tape.P0, (B, 1, 1))
         self.m = np.zeros((B, len(tape.P0)))
 
@@ -251,7 +251,7 @@ NO_STRAIGHTS = (
 
 
 class Figures(msgspec.Struct):
-    """The present noise figures: `factors` are ln(now / told), of the variance for the wheels, else of sigmas."""
+    """The present noise figures: `factors`: ln(present / configured), of a variance for wheels, else of sigmas."""
 
     told: Robot
     sensors: tuple[str, ...]
@@ -264,7 +264,7 @@ class Figures(msgspec.Struct):
         return [WHEELS, *self.sensors, *([self.drift + DRIFT] if self.drift else [])]
 
     def factor(self, name: str) -> float:
-        """Return now / told."""
+        """Return the present figure over the configured one."""
         return math.exp(self.factors.get(name, 0.0))
 
     def values(self) -> dict[str, float]:
@@ -401,7 +401,7 @@ def identify(problem: Problem) -> tuple[Array, list[str]]:
 def at_most(problem: Problem, which: int, told: float) -> float:
     """Return the largest value of one logarithm, up to `told`, that is hardly less likely than 0, the peak.
 
-    Where the likelihood is flat towards small noise, its shoulder is what can be said.
+    Where the likelihood is flat towards small noise, the end of the flat part is returned.
     """
     grid = np.linspace(0.0, max(told, PROFILE_REACH_LOG), PROFILE_POINTS)
     theta = np.zeros((PROFILE_POINTS, len(problem.names)))

@@ -200,7 +200,7 @@ def points_of(m: Measurements, chosen: Ints) -> Clouds:
 
 
 def both_ends(clouds: Clouds, x: Array) -> Clouds:
-    """Return for every key but the last its points and those of the next one, in its frame."""
+    """Return a cloud for every key but the last, in the key's frame: its points and those of the next key."""
     a = np.arange(len(x) - 1)
     steps = se2.between(x[:-1], x[1:])
     return merged(

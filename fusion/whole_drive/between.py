@@ -213,7 +213,7 @@ def matched(clouds: Clouds, x: Array, a: Ints, sources: Clouds, j: Ints, guess: 
 
 
 def both_ends(clouds: Clouds, x: Array, keys: Ints) -> Clouds:
-    """Return for each of these keys its points and those of the next one, in its frame."""
+    """Return a cloud for each of these keys, in the key's frame: its points and those of the next key."""
     steps = se2.between(x[keys], x[keys + 1])
     return merged(
         clouds, [np.array([k, k + 1]) for k in keys.tolist()], [np.vstack((np.zeros(3), step)) for step in steps]

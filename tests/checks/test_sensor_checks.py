@@ -18,10 +18,16 @@ from rows import readings
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.cli.session.session import load
 from locfuse.fusion import se2
-from locfuse.fusion.checks import laser
 from locfuse.fusion.checks.compass import of_iron
 from locfuse.fusion.checks.finding import Finding
-from locfuse.fusion.checks.laser import of_scatter, ranges_sigma, scatter_more
+from locfuse.fusion.checks.laser_ranges import (
+    _first,
+    of_offset,
+    of_scatter,
+    ranges_offset,
+    ranges_sigma,
+    scatter_more,
+)
 from locfuse.fusion.checks.pictures import of_handedness, of_rims
 from locfuse.fusion.checks.probes import beyond_prior, of_probe
 from locfuse.fusion.data import Array, Drive, Estimates, Ragged, Truth
@@ -199,6 +205,29 @@ def test_rounded_ranges_and_clutter_tell_no_noise() -> None:
     assert said(room() + noise(0.005) - some * leaves, sigma_range=0.001) is None
 
 
+@pytest.mark.parametrize(("error", "scale"), [(0.05, 1.0), (-0.03, 1.0), (0.0, 1.0), (0.0, 1.05), (0.04, 0.97)])
+def test_walls_tell_a_constant_error_of_the_ranges_whatever_their_scale(error: float, scale: float) -> None:
+    found = ranges_offset(scan_stream(range(SCANS), scale * room() + error + noise(0.01)), LrfSettings())
+    assert found is not None
+    add, sigma = found
+    assert add == pytest.approx(-error, abs=0.004)
+    assert sigma < 0.004
+
+
+def test_a_constant_error_is_named_with_what_to_add_to_the_configured_offset() -> None:
+    stream = scan_stream(range(SCANS), room() + 0.05 + noise(0.01))
+    (one,) = of_offset(stream, LrfSettings(range_offset=0.02))
+    key, _, value = one.fixes[0].partition("=")
+    assert (key, one.severe) == ("lrf.range_offset", True)
+    assert float(value) == pytest.approx(-0.05, abs=0.004)
+    assert of_offset(stream, LrfSettings(range_offset=-0.05)) == []
+
+
+def test_round_walls_tell_no_constant_error() -> None:
+    """A room of 3 m radius about the laser: every range the same."""
+    assert of_offset(scan_stream(range(SCANS), np.full((SCANS, BEAMS), 3.0) + noise(0.01)), LrfSettings()) == []
+
+
 def test_info_names_the_noise_of_a_recorded_laser() -> None:
     """The sample's is 0.03 m."""
     told = locfuse("info", "rounded_triangle", "--set", "lrf.sigma_range=0.01")
@@ -220,7 +249,7 @@ def test_scans_of_more_beams_than_a_laser_has_are_not_looked_at() -> None:
         def blocks(self, *_: str, rows: int) -> Any:
             yield np.arange(40), columns
 
-    ((rows, kept),) = laser._first(cast("Any", Stream()))
+    ((rows, kept),) = _first(cast("Any", Stream()))
     assert rows.tolist() == [3, 7]
     assert kept["ranges"].lengths.tolist() == [5, 5]
     assert {len(v) for k, v in kept.items() if k != "ranges"} == {2}

@@ -438,6 +438,7 @@ def two_lasers(drive: Drive) -> None:
 
 
 QUARTER = math.pi / 2
+LONG_RANGES = field(SCAN, ranges=lambda r: r + np.float32(0.08))
 # a short-sighted laser: what is further than 5 m comes back as 5 m
 SATURATED = field(SCAN, ranges=lambda r: np.minimum(r, np.float32(5.0)), range_max=5.0)
 LASER_TRAPS = (
@@ -461,6 +462,7 @@ LASER_TRAPS = (
     Trap("a laser late by 0.4 s", late(SCAN, 0.4), "stamps look 0.4", True, "lrf"),
     Trap("a laser on another clock", late(SCAN, 3600.0), "stamped 3600.0 s after the wheels", True, "lrf"),
     Trap("a laser whose ranges are short", short_metre, "it measures 9.", True, "lrf"),
+    Trap("a laser whose ranges are all 8 cm long", LONG_RANGES, "as if every range were", True, "lrf"),
     Trap("two lasers", two_lasers, "2 topics that fit", False, "lrf"),
 )  # fmt: skip
 

@@ -146,6 +146,20 @@ def test_a_place_that_was_recognised_wrongly_bends_nothing(wrong: tuple[float, f
     assert len(found.closures) >= 0.5 * len(graph.closures)
 
 
+def test_a_laser_that_the_filter_found_elsewhere_is_taken_to_be_there() -> None:
+    drive, truth = ring_drive(3, mount=np.array([0.0, 0.25, 0.0]))
+    known = having_recognised(drive, truth)
+    n = len(truth)
+    known = replace(known, blocks={"lrf_y": np.linspace(0.0, 0.25, n)[:, None]})
+    apart = []
+    for run in (None, known):
+        graph = whole_drive(drive, robot(), ["lrf"], run)
+        assert graph is not None
+        apart.append(worst(graph.poses()[0], truth))
+    assert apart[0] > 0.2
+    assert apart[1] < 0.12
+
+
 def test_without_a_laser_or_with_a_given_map_there_is_no_graph() -> None:
     drive, _, _ = solved()
     assert whole_drive(drive, robot(), []) is None

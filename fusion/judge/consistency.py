@@ -1,8 +1,8 @@
 """Can the covariance be trusted? A verdict on every sensor's noise, without truth, with the fix.
 
 A sensor is best judged by a run that does not use it and is healthy itself; else by its own innovations. Where two
-sensors disagree, the one that others disagree with too is to blame. A run that uses a sensor whose noise is
-understated judges nobody else. Whose mean is off, a truth with headings says first: no run is as exact.
+sensors disagree, the one that others disagree with too is flagged. A run that uses a sensor whose noise is
+understated judges no other sensor. A truth with headings shows first whose mean is off: no run is as exact.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ MAX_SIGMA_FACTOR, MIN_SIGMA_FACTOR = 1.5, 1.0 / 1.5  # a factor on sigma between
 MIN_SIGMAS = 3.0  # standard errors
 MIN_BIAS_SIGMAS = 0.5  # of its noise: a smaller bias is no complaint
 MIN_SLOW_VARIANCE_RATIO = 3.0  # times the reference's own variance: slower errors must be the sensor's
-MIN_MEAN_VARIANCE_RATIO = 4.0  # times the told variance: what a mean of many readings may be off
+MIN_MEAN_VARIANCE_RATIO = 4.0  # times the claimed variance: what a mean of many readings may be off
 MAX_REFERENCE_VARIANCE_RATIO = 4.0  # times the sensor's variance: a reference with more is no judge
 MIN_NOISE_SHARE = 0.1  # of R in the innovations' variance S: with less, a small S is no sign of a small R
 MIN_WHITE_SHARE = 0.3  # share of the innovations' variance: less is not white noise
@@ -136,7 +136,7 @@ def by_scale(sensor: str, settings: Any, factor: float) -> Consistency:
     cures = {f"{sensor}.{k}": rounded(getattr(settings, k) * factor) for k in keys}
     verdict: Verdict = "understated" if factor > 1.0 else "overstated"
     first = keys[0]
-    unit = _sign(REGISTRY[sensor].components[0].sign)
+    unit = _sign(sensor)
     words = (
         f"noise is set too {'low' if factor > 1.0 else 'high'}: {getattr(settings, first):g}{unit} configured, "
         f"{cures[f'{sensor}.{first}']:g}{unit} observed"
@@ -196,13 +196,13 @@ def _accepts(settings: Any, key: str, value: float) -> bool:
 def correlated(sensor: str, settings: Any, sigma: float, repeats: float, period: float) -> Consistency:
     """Report slow errors: `sigma` [rad or m], correlated over so many readings."""
     memory = repeats * period
-    amount, unit = _human(sigma, sensor)
+    amount, _ = _human(sigma, sensor)
     key = REGISTRY[sensor].noise_keys[0]
     value = rounded(amount * math.sqrt(repeats))
     cures = {f"{sensor}.{key}": value, **drift_cures(sensor, settings, 2.0 * amount, memory)}
     words = (
-        f"errors of {rounded(amount):g}{_sign(unit.replace('deg', '°'))} last about {rounded(memory):g} s, but "
-        "the filter assumes independent readings"
+        f"errors of {rounded(amount):g}{_sign(sensor)} last about {rounded(memory):g} s, but the filter assumes "
+        "independent readings"
     )
     return Consistency("correlated", words, math.sqrt(repeats), cures)
 
@@ -211,8 +211,7 @@ def changing(sensor: str, settings: Any, h: Heard) -> Consistency | None:
     """Report a mean that steps or drifts by more than half of the noise of one reading; None where it stays."""
     if h.change is None or abs(h.change.amount) < max(MIN_BIAS_SIGMAS * math.sqrt(h.white), MIN_SIGMAS * h.sure):
         return None
-    amount, unit = _human(h.change.amount, sensor)
-    sign = _sign(unit.replace("deg", "°"))
+    amount, sign = _human(h.change.amount, sensor)[0], _sign(sensor)
     if h.change.step_s is None:
         words = f"drifts by {amount:+.2g}{sign} in {h.change.span:.0f} s"
     else:
@@ -254,9 +253,10 @@ def by_share(sensor: str, share: float, rest: Consistency) -> Consistency:
     return Consistency("outliers", words)
 
 
-def _sign(unit: str) -> str:
-    """Return a unit as it follows a number: "°", " m"."""
-    return unit if unit.startswith("°") else f" {unit}"
+def _sign(sensor: str) -> str:
+    """Return the unit of the sensor's first component as it follows a number: "°", " m"."""
+    sign = REGISTRY[sensor].components[0].sign
+    return sign if sign.startswith("°") else f" {sign}"
 
 
 def _human(value: float, sensor: str) -> tuple[float, str]:

@@ -70,7 +70,7 @@ def noise_of(per_unit: Array, scan: Ints, middle: Array, duration: Array, wheels
 
 
 def in_base(loads: Array, z: Array, mount: Array) -> Array:
-    """Return loadings (m, 2, ...) of the laser's lines z (m, 2) in the base frame, by `kernels.places`."""
+    """Return the loadings (m, 2, ...) of lines z (m, 2) in the laser's frame turned into the base frame."""
     out = np.empty(loads.shape)
     if loads.size:
         parts = (len(z), 2, -1)
@@ -98,7 +98,7 @@ class LineSettings(msgspec.Struct, frozen=True):
     stray_sigmas: float = 3.3  # a beam farther from its line than this is not of the wall
     corner_sigmas: float = 2.5  # a beam closer to the neighbouring wall than this could belong to either
     max_sigma_psi: float = math.radians(3.0)  # rad; a line known worse is too short for its noise
-    max_swing: float = 0.5  # in sigmas: beyond it (r, psi) is not Gaussian, and no covariance is honest
+    max_swing: float = 0.5  # in sigmas: beyond it (r, psi) is not Gaussian, and no covariance is right
     max_chi2: float = 4.0  # residual chi2 per degree of freedom; more is not a straight wall
     max_bow: float = 0.03  # height of the bow over its chord: more is a column, or two walls ...
     max_bend: float = 12.0  # ... if the bow is not noise: chi2 that a parabola explains (99.95 % of 1 degree)
@@ -124,11 +124,9 @@ class Lines(msgspec.Struct, frozen=True):
 class Scans(NamedTuple):
     """Scans of one laser as it delivers them."""
 
-    ranges: Array  # (n, b) m; NaN, Inf and what lies outside [range_min, range_max) is no return
+    ranges: Array  # (n, b) m; NaN, Inf and 0 are no return
     angles: Array  # (b,) or (n, b) rad, steadily growing or falling along the beams
     offsets: Array | None  # (n, b, 3) each beam's laser pose in the scan's frame; None: all at its origin
-    range_min: float
-    range_max: float
 
     def take(self, rows: slice) -> Scans:
         """Return some of the scans."""
@@ -160,18 +158,16 @@ def extract_lines(
     angles: Array,
     settings: LineSettings = PAPER_LASER,
     offsets: Array | None = None,
-    range_min: float = 0.0,
-    range_max: float = math.inf,
     motion: Motion | None = None,
 ) -> Lines:
     """Return the straight walls in `ranges` (n, b) [m], seen along `angles` (b,) or (n, b) [rad].
 
     `offsets` (n, b, 3) is each beam's laser pose (x [m], y [m], theta [rad]) in the frame of its scan: deskewing.
     `motion`, where the beams' errors of deskewing are wanted, is how they move with the base (sweep).
-    NaN, Inf, and ranges outside [range_min, range_max) are no returns. Angles grow or fall steadily; scans of the
+    NaN, Inf and 0 are no returns. Angles grow or fall steadily; scans of the
     whole circle may have walls across beam 0. The result of a scan does not depend on the scans beside it.
     """
-    scans = Scans(ranges, angles, offsets, range_min, range_max)
+    scans = Scans(ranges, angles, offsets)
     batch = min(_BATCH, max(_BEAMS // max(ranges.shape[1], 1), 1))
     parts = [
         lines_of(scans.take(slice(i, i + batch)), settings, motion) for i in range(0, max(len(ranges), 1), batch)
@@ -210,7 +206,7 @@ def to_base(z: Array, R_unit: Array, ends: Array, x: float, y: float, yaw: float
 def lines_of(scans: Scans, settings: LineSettings, motion: Motion | None) -> Lines:
     """Return the lines of one batch."""
     spacing, beams = scans.spacing(), scans.ranges.shape[1]
-    limits = max(scans.range_min, float(np.finfo(float).tiny)), min(scans.range_max, MAX_RANGE_M)
+    limits = float(np.finfo(float).tiny), MAX_RANGE_M
     ring = spacing * (beams + 0.5) > 2.0 * math.pi
     given = segments.Scans(scans.ranges, scans.rays(), settings.gap_spacings * spacing, ring, limits)
     share = np.zeros((0, beams)) if motion is None else shares(beams)

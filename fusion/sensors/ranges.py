@@ -86,7 +86,6 @@ def start_among(
     x, y = (np.linspace(a - margin, b + margin, GRID) for a, b in zip(low, high, strict=True))
     turns = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
     guesses = np.stack([g.ravel() for g in np.meshgrid(x, y, turns, [0.0], indexing="ij")], axis=-1)
-
     return _shortest(anchors, seen, guesses, t, ranges, sigmas)
 
 
@@ -95,7 +94,6 @@ def anchor_beside(seen: Array, t: Array, ranges: Array, sigmas: tuple[float, flo
     turns = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
     around = seen[0] + ranges[0] * np.stack((np.cos(turns), np.sin(turns)), axis=-1)
     guesses = np.column_stack((around, np.zeros(DIRECTIONS)))
-
     return _shortest(np.zeros_like(seen), -seen, guesses, t, ranges, sigmas)
 
 
@@ -331,7 +329,7 @@ def _places_of(
 
 
 class RangesModel(PointsModel):
-    """Range as above; |s - a| from the antenna to the anchor, in the map."""
+    """Range from the antenna to an anchor at a known place in the map: |s - a| + offset."""
 
     def __init__(self, settings: RangesSettings) -> None:
         self.places = settings.places
@@ -371,7 +369,7 @@ class RangesModel(PointsModel):
 
 
 class GrowingRanges(GrowingPoints, RangesModel):
-    """The same with anchors as states, in the local frame."""
+    """Ranges to anchors whose places are states, in the local frame."""
 
     def __init__(self, settings: RangesSettings) -> None:
         RangesModel.__init__(self, settings)

@@ -22,7 +22,7 @@ from locfuse.fusion.judge.innovations import Own, own
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .likelihood import (
+from .tape import (
     DRIFT,
     MAX_SIGMA_LOG,
     WHEELS,
@@ -33,8 +33,8 @@ from .likelihood import (
     drift_key,
     drifting,
     identify,
+    record,
 )
-from .tape import record
 
 MAX_ROUNDS, MIN_LOG_CHANGE = 6, 0.03  # a smaller change of a logarithm ends the rounds
 START_LOG_FACTORS = (0.0, math.log(6.0), -math.log(6.0))
@@ -92,7 +92,7 @@ def tune(
     """Return the noise that makes the innovations of these logs most likely.
 
     `remeasure` is asked for sensors whose lines were cut by a sigma that proved wrong; nothing else is measured
-    twice. Raises LocfuseError where there is nothing to tune by, or the logs were told of different noise.
+    twice. Raises LocfuseError where there is nothing to tune by, or the logs are configured with different noise.
     """
     bench = Bench(trials, sensors, drift, remeasure)
     bench.bring_near(progress)

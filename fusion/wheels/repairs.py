@@ -15,7 +15,7 @@ WINDOW_STEPS = 11  # steps whose median speed is the speed of the moment
 JUMP_FACTOR = 8.0  # times the speed of the moment ...
 JUMP_SLACK_MPS = 0.5  # ... plus this much [m/s] ...
 MIN_JUMP_M = 0.02  # ... plus this much [m]: less is no jump
-MAX_SPEED_MPS = 1e6  # m/s: not even a counter in a unit that nobody told goes faster
+MAX_SPEED_MPS = 1e6  # m/s: faster than any counter, in whatever unit
 MAX_SPIKE_READINGS, MAX_SPIKE_S = 10, 0.5  # what returns later than this did not spike
 COUNTER_BITS = (8, 10, 12, 13, 14, 15, 16, 18, 20, 24, 32)  # widths of counters seen in the wild
 MAX_FRACTION_QUANTA = 0.02  # quanta by which a step of a counter may miss a whole number
@@ -47,7 +47,8 @@ def repaired(side: Side, metres: float, modulus: float | None, max_speed: float 
     `modulus` and `max_speed` are wheels.rollover and wheels.max_speed.
     """
     count = unrolled(side.value, modulus, side.likely)
-    bad = _spikes(side.t, count.values * metres, max_speed)
+    rolled = count.values * metres
+    bad = spikes(side.t, rolled[:, None], limits(side.t, np.diff(rolled), max_speed))
     if bad.any():  # a spike may have hidden the modulus, or looked like a rollover
         count = unrolled(side.value[~bad], modulus, side.likely)
     keep = np.flatnonzero(~bad)
@@ -57,10 +58,6 @@ def repaired(side: Side, metres: float, modulus: float | None, max_speed: float 
     way = np.concatenate(([0.0], np.cumsum(restarted(t, steps[:, None], start_anew))))
     jumps = steps[start_anew] / metres
     return Repaired(keep, way, int(bad.sum()), tuple(_words(side.name, count, int(bad.sum()), jumps.tolist())))
-
-
-def _spikes(t: Array, rolled: Array, max_speed: float | None) -> Mask:
-    return spikes(t, rolled[:, None], limits(t, np.diff(rolled), max_speed))
 
 
 def _words(name: str, count: Unrolled, spiked: int, jumps: Sequence[float]) -> list[str]:

@@ -13,7 +13,7 @@ from rows import readings
 
 import locfuse
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Estimates, UsageError
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, UsageError
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.robot import Robot

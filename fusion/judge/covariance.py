@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import msgspec
 import numpy as np
 from msgspec import field
 
 from locfuse.fusion.chi_square import mean_bounds
-from locfuse.fusion.data import Array, Audit, Evaluation
+from locfuse.fusion.data import Array, Audit, Evaluation, RunningNis
 
 from .bootstrap import effective_samples
 
@@ -24,16 +23,7 @@ CONFIDENCE = 0.95
 STATES = ("x", "y", "theta")
 
 
-class Running(NamedTuple):
-    """Mean NIS per degree of freedom of intervals of a drive; NaN for an interval without values."""
-
-    t: Array  # (n,) s, middle of each stretch
-    mean: Array  # (n,)
-    low: Array  # (n,) bounds at CONFIDENCE for innovations that are white and as large as they should be
-    high: Array  # (n,)
-
-
-def running_nis(audit: Audit, t: Array, stretches: int = STRETCHES) -> Running:
+def running_nis(audit: Audit, t: Array, stretches: int = STRETCHES) -> RunningNis:
     """Return the running NIS of one run's accepted innovations; `t` (n,) are the drive's instants [s]."""
     accepted = audit.verdict == 0
     stretches = int(np.clip(int(accepted.sum()) // MIN_MEASUREMENTS, 1, stretches))
@@ -45,7 +35,7 @@ def running_nis(audit: Audit, t: Array, stretches: int = STRETCHES) -> Running:
     sums = np.bincount(place, weights=nis, minlength=stretches)
     mean = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
     bounds = np.array([mean_bounds(CONFIDENCE, dof, int(c)) if c else (np.nan, np.nan) for c in counts])
-    return Running(0.5 * (edges[1:] + edges[:-1]), mean, bounds[:, 0], bounds[:, 1])
+    return RunningNis(0.5 * (edges[1:] + edges[:-1]), mean, bounds[:, 0], bounds[:, 1])
 
 
 class Honesty(msgspec.Struct, frozen=True):

@@ -320,7 +320,7 @@ def _sensor_figures(audit: Audit, absent: int) -> SensorFigures:
     refused = sum(verdicts.values()) - accepted - verdicts.get("new", 0) - verdicts.get("repeated", 0)
     nis = _mean(audit.nis[audit.verdict == 0] / audit.y.shape[1])
     joint, dof = audit.joint.sum(axis=0).tolist()
-    return SensorFigures(accepted, refused, absent, nis, verdicts, joint / dof if dof else None)
+    return SensorFigures(accepted, refused, absent, nis, joint / dof if dof else None, verdicts)
 
 
 def _length(xy: Array) -> float:

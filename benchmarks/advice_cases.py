@@ -26,7 +26,7 @@ MIDDLE_S = 30.0  # of the lap, when what happens in its middle happens
 class Fault:
     """What is wrong, who should be named, and what sets it right."""
 
-    roles: tuple[str, ...]  # who may be named: nobody else
+    roles: tuple[str, ...]  # who may be named: no other
     keys: tuple[str, ...] = ()  # one of which a right fix sets; () = no key can, the finding alone is right
     sets: tuple[str, ...] = ()  # settings that are wrong
     scenario: tuple[str, ...] = ()  # what is wrong with the robot, as --set of `locfuse simulate`

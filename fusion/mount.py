@@ -2,8 +2,8 @@
 
 A laser that is turned by a degree more than configured turns the whole map with it. No innovation shows that at
 once, and a filter that takes the mount for certain is confidently wrong. What is not known exactly is a state.
-Nobody measures a mount better than to 1 cm and half a degree, so this counts unless something else is configured,
-where the drive can tell the mount: a laser by the lines of its own map.
+A mount is hardly measured better than to 1 cm and half a degree: these sigmas count unless others are configured,
+where the drive can show the mount, as for a laser by the lines of its own map.
 """
 
 from __future__ import annotations

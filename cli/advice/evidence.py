@@ -212,9 +212,9 @@ class Evidence(Noise):
         ]
 
     def _aimed(self, finding: Finding) -> tuple[Fixes, ...]:
-        """Return the fix of mirrored pictures, or of their circles, with the zero by a run of other sensors.
+        """Return the fix of a mirrored picture or of its circles, with the camera's zero direction set too.
 
-        Measuring has it by the wheels alone, which a wrong track turns too far.
+        The zero direction comes from a run of other sensors: the wheels alone turn too far if the track is wrong.
         """
         run = self._reference("camera") if finding.code in {"mirrored", RIMS} else None
         loaded = None if run is None else self.trial.under(together(self.fixes, finding.fixes))
@@ -232,7 +232,7 @@ class Evidence(Noise):
         return any(f.severe and not self._decided(f).fixes for f in self.doctor if f.code == OPEN_SCALE)
 
     def _decided(self, finding: Finding) -> Finding:
-        """Return a finding; without its fix if it is open whose distances are right, laser's or wheels'.
+        """Return a finding, without its fix where laser and wheels differ in distance and either may be right.
 
         The laser's own readings are predicted better if its distances are the wheels', whoever is wrong.
         """

@@ -1,4 +1,4 @@
-"""One log compared under some settings: who judges a fix, and wrong noise.
+"""One log compared under some settings: the runs that judge a fix, and findings on noise.
 
 Noise of each sensor by residuals, ranges and truth; of the wheels by their slip.
 """

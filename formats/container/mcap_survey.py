@@ -336,7 +336,7 @@ def describe(head: bytes) -> str:
 RUN_BYTES = 1 << 20  # loose messages are read in runs of at most this size, if they are not larger themselves
 LARGE_CHUNK_BYTES = 32 * 1024 * 1024
 CUT_OFF = "the file ends without an end mark: the recording was cut off"
-NO_SUMMARY = "the summary is damaged: messages may be missing that nobody counts"
+NO_SUMMARY = "the summary is damaged: messages may be missing, their number is unknown"
 
 
 def survey(data: FileBytes, losses: Losses) -> Survey:

@@ -44,7 +44,7 @@ class BagRecord(NamedTuple):
         return self.start + self.length
 
     def number(self, name: bytes) -> int:
-        """Return a 4-byte field."""
+        """Return a 4-byte field as a whole number."""
         return int(self._values(name, WORD)[0])
 
     def time_ns(self, name: bytes) -> int:

@@ -64,7 +64,7 @@ class UnreadableTopicError(LocfuseError):
 
     @classmethod
     def of(cls, log: str, topic: str, problem: str) -> Self:
-        """Return the error for raising."""
+        """Return the error of a topic of a log whose messages cannot be read, because of the `problem`."""
         error = cls(f"{log}: {topic} cannot be read: {problem}")
         error.problem = problem
         return error
@@ -476,7 +476,7 @@ class Log:
                         _say_read(messages, span)
                         for data, unpacked in unpack(batch.data, messages):
                             yield topic, dated(Raw(data, unpacked, decoder))
-        finally:  # also where nobody asks for the rest
+        finally:  # also where the caller stops early
             say_done(None)
 
     def messages(self) -> Iterator[list[Recorded]]:

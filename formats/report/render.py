@@ -56,7 +56,7 @@ class Swatches(msgspec.Struct, frozen=True, dict=True):
         return slugs_of(list(self.inks))
 
     def of(self, name: str) -> str:
-        """Return the spot of a name as HTML."""
+        """Return the coloured spot of a configuration, sensor or role as HTML."""
         classes = " ".join(c for c in ("swatch", self.looks.get(name, ""), self.slugs.get(name, "")) if c)
         return f'<span class="{classes}"></span>'
 

@@ -1,4 +1,4 @@
-"""The log doctor: what the sensors of a drive say of each other, before any filter believes them.
+"""The log doctor: the sensors of a drive compared with each other, before any filter runs.
 
 Nothing here needs a pose. Turning is compared over windows, motion between scans with the wheels', the truth with
 both; every complaint names the setting that fixes it.

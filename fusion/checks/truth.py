@@ -49,7 +49,7 @@ def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
     jumps = _jumps(drive) or _steps(truth, drive)
     swings = swing(truth, drive, axle_path(truth, drive.wheels))
     point = of_point(truth, swings)
-    # where a jump or another point is told, what it tells of the start is not the start
+    # a truth that jumps, or is of another point, does not show the start
     creep = of_creep(swings)
     aside = abs(float(swings.x[3])) if swings is not None and creep else 0.0
     start = [] if jumps or point else of_start(truth, drive, robot, aside)
@@ -336,8 +336,8 @@ MIN_START_ERROR_M, MIN_START_ERROR_RAD = (
     0.02,
     math.radians(1.0),
 )  # by poses; the shape of points tells it less exactly
-SIGMAS = 3.0  # standard deviations of the start, as it is configured and as it is told
-SHAPE_WAY_M, POSE_WAY_M = 3.0, 0.1  # m of the drive from which the start pose is told: by points, by poses
+SIGMAS = 3.0  # standard deviations of the start, as it is configured and as the truth shows it
+SHAPE_WAY_M, POSE_WAY_M = 3.0, 0.1  # m of the drive from which the start pose is found: by points, by poses
 MIN_SHAPE_EXTENT_M = 0.3  # m, extent of the points
 
 
@@ -381,7 +381,7 @@ class Start(NamedTuple):
     """Where the truth says that the drive started."""
 
     pose: Array  # (3,) of the base at the first wheel reading, as the wheels lead back to it
-    way: float  # m of the drive from which it is told
+    way: float  # m of the drive from which it is found
     sigma: float  # rad by which the wheels may have turned wrongly meanwhile, or the truth's headings scatter
     spread: float  # m by which the truth's places scatter
     t: float  # s at which the truth begins, where the robot has moved by then; else at the first reading

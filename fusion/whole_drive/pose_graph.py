@@ -74,7 +74,7 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
         return self._between(self.odometry, np.arange(len(self.drive.t)))
 
     def at_truth(self) -> tuple[Array | None, Array | None]:
-        """Return the same at the truth's stamps; NaN outside the drive."""
+        """Return pose (q, 3) and covariance (q, 3, 3) at the truth's stamps; NaN outside the drive."""
         drive = self.drive
         if drive.truth_motions is None or drive.truth_instant is None:
             return None, None
@@ -133,7 +133,7 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
         return bool(filtered.lost) or self.misfit(filtered.pose) > MIN_GAIN * self.misfit_of_keys() + MIN_GAIN_M
 
     def misfit_of_keys(self) -> float:
-        """Return the same for the graph's own poses, rms [m]."""
+        """Return how far the graph's own poses are from the closures, rms [m]."""
         return _rms(self.closures.errors(self.x))
 
     def notes(self, used: bool = True) -> tuple[str, ...]:

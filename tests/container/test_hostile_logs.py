@@ -78,7 +78,7 @@ def test_the_cap_of_records_counts_what_the_file_holds(tmp_path: Path) -> None:
     path = tmp_path / "f.mcap"
     path.write_bytes(START + chunk(EMPTY_MESSAGE * many) + chunk(EMPTY_MESSAGE * many, ""))
     found = open_log([path]).losses.by_reason()
-    assert found["messages of a channel nobody defines"]["messages"] == many
+    assert found["messages of an undefined channel"]["messages"] == many
     packed = len(chunk(EMPTY_MESSAGE * many)) - 9 - 24 - 4 - 4 - len("zstd") - 8
     assert f"a chunk unpacks to more than {most_records(packed)} records, the cap for its size" in found
 

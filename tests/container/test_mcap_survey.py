@@ -321,7 +321,7 @@ def test_a_summary_that_is_damaged_is_counted_and_one_that_was_never_written_is_
     found, lost = walked(tmp_path, bytes(content))
     assert lost == [
         (
-            "the summary is damaged: messages may be missing that nobody counts",
+            "the summary is damaged: messages may be missing, their number is unknown",
             len(WHOLE) - len(END),
             len(content) - len(WHOLE) + len(END),
             None,
@@ -486,7 +486,7 @@ def test_messages_of_a_channel_that_nobody_defines_are_counted(tmp_path: Path) -
     alone = CHANNELS[: len(CHANNELS) // 2]
     found, lost = lost_by(tmp_path, START + SCHEMAS + alone + A.all + B.all + END + NO_SUMMARY, {1})
     assert found == [t for t in of(A, B) if t % 100 < 3]
-    assert lost == [("messages of a channel nobody defines", 2, 0, 2)]
+    assert lost == [("messages of an undefined channel", 2, 0, 2)]
 
 
 def test_definitions_are_found_inside_chunks_too(tmp_path: Path) -> None:

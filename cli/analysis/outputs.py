@@ -14,7 +14,7 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Estimates, Evaluation, Event, RunningNis
-from locfuse.fusion.judge.covariance import running_nis
+from locfuse.fusion.judge.evaluate import running_nis
 from locfuse.fusion.judge.events import events_of_drive, events_of_run
 from locfuse.fusion.measure import thinned
 from locfuse.fusion.sensors.registry import REGISTRY, colours, of_points

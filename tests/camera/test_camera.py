@@ -25,8 +25,8 @@ from rows import one_by_one, said
 import locfuse as api
 from locfuse.formats.whole_files import write_results
 from locfuse.fusion.camera import images
-from locfuse.fusion.camera.decoder_words import listened, tells_of_damage
 from locfuse.fusion.camera.images import image_size
+from locfuse.fusion.camera.opencv import listened, tells_of_damage
 from locfuse.fusion.checks.preview import preview
 from locfuse.fusion.data import VERDICTS, ArrayStream, LocfuseError, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief

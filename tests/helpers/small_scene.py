@@ -25,8 +25,7 @@ from locfuse.fusion.data import (
     upper_triangles,
 )
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.judge.covariance import running_nis
-from locfuse.fusion.judge.evaluate import evaluate
+from locfuse.fusion.judge.evaluate import evaluate, running_nis
 from locfuse.fusion.judge.predictive import listeners, scores
 
 Array = NDArray[np.float64]

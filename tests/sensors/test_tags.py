@@ -23,7 +23,7 @@ from locfuse.formats.messages.schema import Scalar, Structure
 from locfuse.formats.robot import landmark_map
 from locfuse.formats.robot.tag_frames import named_as_tag, number_of
 from locfuse.fusion.data import ArrayStream, LocfuseError, Ragged
-from locfuse.fusion.sensors.landmark_messages import NO_ID, Looks, Sighted, sighted
+from locfuse.fusion.sensors.landmarks import NO_ID, Looks, Sighted, sighted
 
 Array = NDArray[np.float64]
 Make = Callable[[str, list[tuple[int, Array]]], dict[str, Any]]

@@ -200,9 +200,10 @@ def correlated(sensor: str, settings: Any, sigma: float, repeats: float, period:
     key = REGISTRY[sensor].noise_keys[0]
     value = rounded(amount * math.sqrt(repeats))
     cures = {f"{sensor}.{key}": value, **drift_cures(sensor, settings, 2.0 * amount, memory)}
+    sign = _sign(sensor)
     words = (
-        f"errors of {rounded(amount):g}{_sign(sensor)} last about {rounded(memory):g} s, but the filter assumes "
-        "independent readings"
+        f"errors of {rounded(amount):g}{sign} last about {rounded(memory):g} s, so {rounded(repeats):g} readings "
+        f"count as one (a sigma of up to {value:g}{sign}), but the filter assumes independent readings"
     )
     return Consistency("correlated", words, math.sqrt(repeats), cures)
 

@@ -22,7 +22,18 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import MAD, mean_bounds
-from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Evaluation, Ints, SensorFigures, Truth
+from locfuse.fusion.data import (
+    VERDICTS,
+    Array,
+    Audit,
+    Drive,
+    Estimates,
+    Evaluation,
+    Ints,
+    RunningNis,
+    SensorFigures,
+    Truth,
+)
 from locfuse.fusion.ekf.map_frame import by_frame
 from locfuse.fusion.streams import gap_limit
 
@@ -324,7 +335,7 @@ def _sensor_figures(audit: Audit, absent: int) -> SensorFigures:
     refused = sum(verdicts.values()) - accepted - verdicts.get("new", 0) - verdicts.get("repeated", 0)
     nis = _mean(audit.nis[audit.verdict == 0] / audit.y.shape[1])
     joint, dof = audit.joint.sum(axis=0).tolist()
-    return SensorFigures(accepted, refused, absent, nis, verdicts, joint / dof if dof else None)
+    return SensorFigures(accepted, refused, absent, nis, joint / dof if dof else None, verdicts)
 
 
 def _rms(values: Array) -> float:
@@ -347,16 +358,7 @@ CONFIDENCE = 0.95
 STATES = ("x", "y", "theta")
 
 
-class Running(NamedTuple):
-    """Mean NIS per degree of freedom of intervals of a drive; NaN for an interval without values."""
-
-    t: Array  # (n,) s, middle of each stretch
-    mean: Array  # (n,)
-    low: Array  # (n,) bounds at CONFIDENCE for innovations that are white and as large as they should be
-    high: Array  # (n,)
-
-
-def running_nis(audit: Audit, t: Array) -> Running:
+def running_nis(audit: Audit, t: Array) -> RunningNis:
     """Return the running NIS of one run's accepted innovations; `t` (n,) are the drive's instants [s]."""
     accepted = audit.verdict == 0
     stretches = int(np.clip(int(accepted.sum()) // MIN_MEASUREMENTS, 1, STRETCHES))
@@ -368,7 +370,7 @@ def running_nis(audit: Audit, t: Array) -> Running:
     sums = np.bincount(place, weights=nis, minlength=stretches)
     mean = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
     bounds = np.array([mean_bounds(CONFIDENCE, dof, int(c)) if c else (np.nan, np.nan) for c in counts])
-    return Running(0.5 * (edges[1:] + edges[:-1]), mean, bounds[:, 0], bounds[:, 1])
+    return RunningNis(0.5 * (edges[1:] + edges[:-1]), mean, bounds[:, 0], bounds[:, 1])
 
 
 class Honesty(msgspec.Struct, frozen=True):

@@ -85,7 +85,7 @@ TERMINAL = {  # only here: click, rich, print
     "cli/terminal",
     "cli/main.py",
 }
-CV2 = {"fusion/camera", "formats/results/preview.py", "formats/robot/map_image.py", "fusion/checks/preview.py"}
+CV2 = {"fusion/camera", "formats/robot/map_image.py", "fusion/checks/preview.py"}
 
 
 def files(folder: str) -> list[Path]:

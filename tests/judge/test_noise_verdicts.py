@@ -84,7 +84,7 @@ def test_errors_that_last_matter_where_they_double_a_mean_s_error(repeats: float
             "compass.sigma_deg": float(f"{3.0 * math.sqrt(repeats):.2g}"),
             "compass.offset_drift_deg": float(f"{3.0 * math.sqrt(4.0 / memory):.2g}"),
         }
-        assert found.words.startswith("errors of 3° last about 2 s, but")
+        assert found.words.startswith("errors of 3° last about 2 s, so ")
     assert by_memory("compass", given, 0.5, 0.5, 0.1, 1.0).scale == pytest.approx(0.5)
     assert by_memory("compass", given, 2.0, 1.5, 0.1, 1.0).scale == 1.0
 

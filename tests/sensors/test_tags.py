@@ -186,7 +186,7 @@ def test_an_unknown_map_is_made_saved_and_used(tmp_path: Path) -> None:
 
 def test_bearings_alone_make_no_map_and_stop_no_other_sensor(tmp_path: Path) -> None:
     _, said = compared(*written(tmp_path, APRIL, april(np.random.default_rng(4))))
-    assert "absent: landmarks: /camera/tags says bearings only, and a map is made of ranges" in said
+    assert "not used: landmarks: /camera/tags says bearings only, and a map is made of ranges" in said
     assert "--set landmarks.map=landmarks.csv" in said
 
 

@@ -6,13 +6,13 @@ model gives y, H and R, as it does in the filter.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import VERDICTS, Array, Drive, Ints
+from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Ints
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.scan_matching.solve import SYSTEMATIC_SIGMAS, Rows
@@ -39,7 +39,16 @@ class Seen(NamedTuple):
 class Others:
     """The readings of sensors other than the laser, and their states (a compass's offset)."""
 
-    def __init__(self, drive: Drive, robot: Robot, sensors: Sequence[str], odometry: Odometry, keys: Ints) -> None:
+    def __init__(
+        self,
+        drive: Drive,
+        robot: Robot,
+        sensors: Sequence[str],
+        odometry: Odometry,
+        keys: Ints,
+        audits: Mapping[str, Audit] | None = None,
+    ) -> None:
+        """`audits` are those of a run of the filter: what it refused is no evidence here either."""
         self._drive = drive
         self._models: dict[str, Model] = {}
         for s in sensors:
@@ -53,7 +62,8 @@ class Others:
         self._prior = np.concatenate([np.zeros(0), *(1.0 / np.maximum(np.diagonal(b.P), 1e-12) for b in blocks)])
         self.values = self.start.copy()
         self.states = len(self.values)
-        self._seen = [seen for s in self._models for seen in _chosen(s, drive, odometry, keys)]
+        used = {s: _used(drive.instant[s], (audits or {}).get(s)) for s in self._models}
+        self._seen = [seen for s, rows in used.items() for seen in _chosen(s, drive, odometry, keys, rows)]
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -97,13 +107,24 @@ class Others:
         return rows
 
 
-def _chosen(sensor: str, drive: Drive, odometry: Odometry, keys: Ints) -> list[Seen]:
-    """Return a few readings after each key, evenly spread."""
+def _used(instants: Ints, audit: Audit | None) -> Ints:
+    """Return the readings (k,), of those at `instants` (n,), that a run did not refuse; none if it refused most."""
+    if audit is None:
+        return np.arange(len(instants))
+    refused, accepted = (audit.instant[audit.verdict == VERDICTS.index(v)] for v in ("gate", "accepted"))
+    kept = np.flatnonzero(~np.isin(instants, np.setdiff1d(refused, accepted)))
+    return (
+        kept if 2 * len(kept) > len(instants) else kept[:0]
+    )  # the few that it took of a wrong sensor are wrong too
+
+
+def _chosen(sensor: str, drive: Drive, odometry: Odometry, keys: Ints, used: Ints) -> list[Seen]:
+    """Return a few of the `used` readings after each key, evenly spread."""
     instants = drive.instant[sensor]
-    key = np.searchsorted(keys, instants, side="right") - 1
+    key = np.searchsorted(keys, instants[used], side="right") - 1
     found = []
     for k in np.unique(key[key >= 0]).tolist():
-        rows = np.flatnonzero(key == k)
+        rows = used[key == k]
         some = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), READINGS_PER_KEY)).round().astype(int))]
         at = instants[some]
         u, C = odometry.between(np.full(len(at), keys[k]), at)

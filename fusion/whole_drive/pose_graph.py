@@ -200,7 +200,9 @@ def whole_drive(
     if not np.isfinite(clouds.normal[:, 0]).any():
         return None
     targets, sources = Targets(clouds), sources_of(clouds)
-    others = Others(drive, robot, [s for s in sensors if s != LASER], odometry, keys)
+    # a filter that was lost refuses what is right
+    audits = None if filtered is None or filtered.lost else filtered.audits
+    others = Others(drive, robot, [s for s in sensors if s != LASER], odometry, keys, audits)
     start = Start.of(robot, odometry, int(keys[0]))
     problem = Problem(start.at_first_key, others if others.sensors else None)
     way = driven[readings]

@@ -13,7 +13,7 @@ from rows import readings
 
 import locfuse
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Estimates, Ints, UsageError
+from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Ints, UsageError
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.robot import Robot
@@ -436,6 +436,25 @@ def test_readings_that_are_left_out_of_a_fast_sensor_make_the_others_no_surer() 
 
     every = np.arange(len(keys[:-1]) * 10)
     assert known(every) == pytest.approx(known(every[np.isin(every % 10, (0, 3, 6, 9))]))
+
+
+@pytest.mark.parametrize(("refused", "left"), [(0, 20), (7, 13), (12, 0)])
+def test_what_the_filter_refused_is_left_out_and_with_most_of_a_sensor_all_of_it(refused: int, left: int) -> None:
+    log, _ = drive()
+    keys = log.instant["lrf"][::8]
+    at = log.instant["gps"][:20]
+    log = replace(
+        log,
+        instant={**log.instant, "gps": at},
+        measurements={**log.measurements, "gps": log.measurements["gps"].take(np.arange(20))},
+    )
+    nothing = np.zeros(20)
+    verdict = np.where(np.arange(20) < refused, VERDICTS.index("gate"), VERDICTS.index("accepted")).astype(np.int8)
+    empty = np.zeros((20, 2))
+    audit = Audit(at, np.arange(20), verdict, np.full(20, -1), nothing, nothing, empty, empty)
+    others = Others(log, described(), ["gps"], odometry_of(log), keys, {"gps": audit})
+    assert len(others._seen) == left
+    assert not {seen.reading for seen in others._seen} & set(range(refused))
 
 
 # --- references of a drive without truth: which sets of sensors are solved, and which of them judges what

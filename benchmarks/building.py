@@ -70,7 +70,7 @@ def one_run(
     """Measure, fuse and judge once, smoothed too if `smooth`; `seed` None is the log as it is."""
     rng = np.random.default_rng(seed)
     heading = () if seed is None else (f"start.theta_deg={rng.uniform(-180.0, 180.0):.3f}",)
-    how = LogOptions(None, (*set_words(KNOWN.get(name)), *heading, *sets), None, False, True)
+    how = LogOptions(sets=(*set_words(KNOWN.get(name)), *heading, *sets), quiet=True)
     with noisier(EXTRA_RANGE if seed is not None else 0.0, rng):
         loaded = load([below / name / f"{name}.mcap"], how)
     drive = loaded.drive

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 from locfuse.formats.logs.adapters import (
@@ -69,11 +70,11 @@ NOT_READ: dict[str, dict[str, str]] = {
         "unitree_legged_msgs/msg/HighState": LEGS,
     },
 }
-LASERS = ("velodyne", "lidar", "ouster", "hesai", "rslidar", "laser", "points_raw", "livox", "scan")
+LASERS = re.compile("velodyne|lidar|ouster|hesai|rslidar|laser|points_raw|livox|scan")  # in names of topics
 STILL_FRAMES = ("map", "odom", "world", "earth", "camera_init")  # clouds in them are maps, or were moved there
 MIN_CLOUDS = 5  # of a topic: fewer are maps
 MIN_TAGS = 2  # frames of tags: one may be anything
-CAMERA_WORDS = ("camera", "cam_", "_cam", "optical", "webcam", "realsense", "kinect", "oak", "zed", "rgb")
+CAMERAS = re.compile("camera|cam_|_cam|optical|webcam|realsense|kinect|oak|zed|rgb")  # in names of frames
 ROOM_FRAMES = ("map", "world", "earth", "odom")  # a camera that hangs there is not on the robot
 
 
@@ -126,7 +127,7 @@ def _clouds(log: Log) -> list[str]:
     """Return topics of clouds that a sensor sees, those of lasers first, then the busiest."""
     clouds = [t for t in _filled(log, CLOUD, *FOXGLOVE_CLOUD) if log.topics[t].count >= MIN_CLOUDS]
     clouds = [t for t in clouds if log.stream(t).frame_id.rpartition("/")[2] not in STILL_FRAMES]
-    return sorted(clouds, key=lambda t: (not any(w in t.lower() for w in LASERS), -log.topics[t].count, t))
+    return sorted(clouds, key=lambda t: (not LASERS.search(t.lower()), -log.topics[t].count, t))
 
 
 def offer_tags(log: Log, robot: Robot) -> None:
@@ -164,7 +165,7 @@ def _on_robot(frame: str, transforms: StaticTransforms) -> bool:
 
 def _is_camera(log: Log, frame: str) -> bool:
     """Return whether a frame has a camera's name, or is the frame of pictures."""
-    if any(word in frame.lower() for word in CAMERA_WORDS):
+    if CAMERAS.search(frame.lower()):
         return True
     pictures = [t for t in of_type(log, (*REGISTRY["camera"].reads, CAMERA_INFO)) if log.topics[t].count]
     return any(log.stream(t).frame_id.lstrip("/") == frame for t in pictures)

@@ -47,7 +47,7 @@ def transforms_of(log: Log, frames: Iterable[str]) -> StaticTransforms:
 def _bodies(log: Log) -> list[str]:
     """Return the frames of /tf that move in the frame of an odometry, else in that of a room."""
     edges = [edge for topic in log.transform_topics for edge in log.frames(topic).values() if edge.moves]
-    bodies = [e for e in edges if not (is_odometry(e.child) or is_room(e.child))]
+    bodies = [e for e in edges if not is_fixed(e.child)]
     return [e.child for e in bodies if is_odometry(e.parent)] or [e.child for e in bodies if is_room(e.parent)]
 
 
@@ -65,6 +65,11 @@ def is_odometry(frame: str) -> bool:
 def is_room(frame: str) -> bool:
     """Return whether a frame has the name of one that is fixed in the room."""
     return last_word(frame) in ROOM_FRAMES
+
+
+def is_fixed(frame: str) -> bool:
+    """Return whether a frame has the name of one in which the robot moves."""
+    return is_odometry(frame) or is_room(frame)
 
 
 def last_word(frame: str) -> str:

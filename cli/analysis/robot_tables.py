@@ -105,7 +105,7 @@ def given_layers(how: LogOptions, more: Sequence[str] = ()) -> dict[str, dict[st
 
     Raises LocfuseError for settings that fit no log at all.
     """
-    files = [_checked(read_small(file, MAX_ROBOT_TOML), str(file)) for file in how.robot_files]
+    files = [_checked(read_small(file, MAX_ROBOT_TOML), str(file)) for file in how.robots]
     sets = set_tables((*how.sets, *more))
     sets |= {key: word for key, word in (("order", how.order), ("preset", how.preset)) if word}
     return {**({"--robot": robot_toml.merge(*files)} if files else {}), "--set": sets}

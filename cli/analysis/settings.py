@@ -40,7 +40,7 @@ def silent(step: str) -> None:
 class LogOptions(msgspec.Struct, frozen=True):
     """How to read a log."""
 
-    robot: Path | None = None
+    robots: tuple[Path, ...] = ()  # robot.toml files, later ones over earlier ones
     sets: tuple[str, ...] = ()
     order: str | None = None
     strict: bool = False
@@ -49,18 +49,12 @@ class LogOptions(msgspec.Struct, frozen=True):
     begin: float | None = None  # s since the first wheel reading: only what comes later is used
     end: float | None = None  # s: only what comes earlier
     hash_all: bool = False  # hash every byte of the log for the report
-    over: tuple[Path, ...] = ()  # more robot.toml files, merged over `robot`, later ones over earlier ones
     given_map: Path | None = None  # the laser localises in it
-
-    @property
-    def robot_files(self) -> tuple[Path, ...]:
-        """Every robot.toml, in merging order."""
-        return () if self.robot is None else (self.robot, *self.over)
 
     @property
     def words(self) -> list[str]:
         """The options that describe the robot, as they were typed."""
-        robot = [word for file in self.robot_files for word in ("--robot", str(file))]
+        robot = [word for file in self.robots for word in ("--robot", str(file))]
         return [*robot, *(word for setting in self.sets for word in ("--set", setting))]
 
 
@@ -158,7 +152,7 @@ def log_options(robot: PathLike | None, sets: Sets | None, order: str | None, pr
     file = None if robot is None else path_of(robot)
     if file is not None and not file.is_file():
         raise UsageError(f"robot: {file} is no file; make one with: locfuse init LOG > robot.toml")
-    return LogOptions(file, set_words(sets), order, quiet=True, preset=preset)
+    return LogOptions(() if file is None else (file,), set_words(sets), order, quiet=True, preset=preset)
 
 
 def set_words(sets: Sets | None) -> tuple[str, ...]:

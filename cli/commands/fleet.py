@@ -69,7 +69,7 @@ def many(words: Sequence[str], options: o.Options) -> int:
     """Compare every log, write and print the summary; return the exit code."""
     from locfuse.cli.advice.report import forget_fixes
     from locfuse.cli.advice.together import fixes_files
-    from locfuse.cli.analysis.gates import FleetGates
+    from locfuse.cli.analysis.gates import Gates
     from locfuse.cli.fleet.jobs import gather, plan
     from locfuse.cli.fleet.queue import NOT_RUN
     from locfuse.cli.session import sweep
@@ -81,7 +81,7 @@ def many(words: Sequence[str], options: o.Options) -> int:
     how, outputs, fleet = options.how, options.outputs, options.fleet
     folder = outputs.out or default_folder()
     every = _every(options, folder)
-    gates = FleetGates.read(options.gates)
+    gates = Gates.read(options.gates, of_fleet=True)
     may_write(folder, outputs.overwrite, options.inputs)
     todo = plan(words, every, fleet.robot_from, fleet.sweep)
     with sole_writer(folder, RUN_LOCK, patience_s=0.0):
@@ -108,7 +108,7 @@ def many(words: Sequence[str], options: o.Options) -> int:
     _say_recordings(ended, every.recordings)
     if outputs.open:
         show.open_page(written)
-    return _code(found, gates.failures(summary), ended)
+    return _code(found, gates.failures_together(summary), ended)
 
 
 def _every(options: o.Options, folder: Path) -> Job:

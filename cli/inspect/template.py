@@ -93,7 +93,7 @@ def _given(overview: Overview, how: LogOptions, said: Mapping[str, Mapping[str, 
         layers.append(
             ("the log's own robot.toml", robot_toml.parse(overview.log.attachments[ATTACHMENT], ATTACHMENT))
         )
-    layers += [(file.name, robot_toml.parse(file.read_bytes(), file.name)) for file in how.robot_files]
+    layers += [(file.name, robot_toml.parse(file.read_bytes(), file.name)) for file in how.robots]
     layers += said.items()
     layers.append(("--set", robot_toml.apply_sets(how.sets)))
     merged = flat(overview.tables)

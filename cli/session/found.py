@@ -58,7 +58,7 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
 
     def given(self) -> dict[str, Any]:
         """Return the user's tables beside the first robot.toml."""
-        return robot_toml.merge(*(robot_toml.parse(file.read_bytes(), str(file)) for file in self.how.over))
+        return robot_toml.merge(*(robot_toml.parse(file.read_bytes(), str(file)) for file in self.how.robots[1:]))
 
     @speaks_python
     def write(self, file: PathLike, overwrite: bool = False) -> Path:
@@ -68,7 +68,7 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
         """
         path = path_of(file)
         may_replace(path, overwrite)
-        text = commented_toml.text_of(self.how.robot) or self.before()
+        text = commented_toml.text_of(next(iter(self.how.robots), None)) or self.before()
         changes = robot_toml.merge(self.given(), self.tables())
         write_text(path, commented_toml.updated(text, changes, f"locfuse {self.command}"))
         return path

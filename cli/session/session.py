@@ -13,10 +13,9 @@ from msgspec.structs import replace
 
 from locfuse.cli.advice.report import Advised, complete
 from locfuse.cli.analysis import maps
-from locfuse.cli.analysis.compare import Compared, compare_log, report_of, report_of_run
+from locfuse.cli.analysis.compare import Compared, compare_log, report_of, report_of_run, run_log
 from locfuse.cli.analysis.configurations import Configuration, Sensors, configuration_words, for_comparison, parse
 from locfuse.cli.analysis.load import Loaded, find_log, load_to_fuse, start_error, with_settings
-from locfuse.cli.analysis.memory import lean
 from locfuse.cli.analysis.motion_words import say_motion
 from locfuse.cli.analysis.outputs import Drawn
 from locfuse.cli.analysis.settings import (
@@ -34,7 +33,6 @@ from locfuse.cli.analysis.settings import (
     silent,
     words_of,
 )
-from locfuse.cli.analysis.verdicts import evidence
 from locfuse.formats.logs import log as logs
 from locfuse.formats.logs.log import Log
 from locfuse.formats.robot.robot_toml import as_set
@@ -47,7 +45,7 @@ from locfuse.fusion.measure import thinned
 from locfuse.fusion.robot import Robot
 
 from .foreign import foreign_estimates, named_sources
-from .jitter import add_jitter, check_runs, jitter_runs
+from .jitter import add_jitter, check_runs
 from .python_words import speaks_python
 from .result import Comparison, Named, Run
 from .sweep import cells
@@ -196,25 +194,9 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         asked = Asked(align=align, smooth=smooth, jitter=check_runs(jitter))
         used = sensors if isinstance(sensors, Configuration) else self.configuration(sensors)
         self.progress("fusing")
-        estimates = lean(used.fuse, self.drive, self.robot, used.is_smoothed(asked, self.robot))
-        evaluations = [judge.evaluate(e, used.drive(self.drive), cast("Align", align)) for e in estimates]
-        report = report_of_run(self.loaded, used, estimates, evaluations)
-        self._add_jitter(report, [used], asked, estimates)
-        complete(
-            report,
-            self._advice_on_run(used, estimates[0], evaluations[0], align) if advice else None,
-            start_error(self.robot, self.drive),
-            stands=self.drive.wheels.stands,
-            jumps=jumps_of(self.drive),
-        )
-        say_motion(report, self.loaded)
-        self.progress("writing")
-        return Run(
-            self.loaded,
-            Named("configuration", {e.name: e for e in estimates}),
-            Named("configuration", {e.name: e for e in evaluations}),
-            report,
-        )
+        compared = run_log(self.loaded, used, asked)
+        advised = self._advice_on_run(compared, align) if advice else None
+        return Run(compared, self._reported(report_of_run(compared), compared, asked, advised))
 
     @speaks_python
     def compare(
@@ -258,20 +240,10 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         watch = [drawn.take, *takes]
         compared = compare_log(self.loaded, wanted, asked, self.progress, watch, foreign, hears)
         report = report_of(compared, None if foreign or self.loaded.given is None else asked)
-        self._add_jitter(report, wanted, asked, compared.estimates)
         advised = None if evaluator is None else evaluator.advised()
-        stands, jumps = self.drive.wheels.stands, jumps_of(self.drive)
-        complete(report, advised, start_error(self.robot, self.drive), [e.name for e in foreign], stands, jumps)
-        say_motion(report, self.loaded, asked.advice and moves)
-        self.progress("writing")
-        return Comparison(
-            self.loaded,
-            Named("configuration", {e.name: e for e in compared.estimates}),
-            Named("configuration", {e.name: e for e in compared.evaluations}),
-            report,
-            compared,
-            drawn,
-        )
+        others = [e.name for e in foreign]
+        report = self._reported(report, compared, asked, advised, evaluator is not None, others)
+        return Comparison(compared, report, drawn)
 
     def _refers(self, asked: Asked) -> bool:
         """Return whether a reference is used instead of truth. Raises UsageError for an impossible one."""
@@ -342,24 +314,29 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         report = self.compare(audits=False, smooth=False).report
         return {key: report[key] for key in ADVICE_KEYS}
 
-    def _add_jitter(
+    def _reported(
         self,
         report: dict[str, Any],
-        configurations: Sequence[Configuration],
+        compared: Compared,
         asked: Asked,
-        estimates: Sequence[Estimates],
-    ) -> None:
-        """Add the range of every figure over the jittered runs to a report, if any were asked for."""
-        plain = {e.name: e for e in estimates}
-        add_jitter(report, list(jitter_runs(self.loaded, configurations, asked, plain, self.progress)))
+        advised: Advised | None,
+        judged: bool = False,
+        foreign: Sequence[str] = (),
+    ) -> dict[str, Any]:
+        """Return a report with the ranges under jitter, the advice, and what the motion makes void."""
+        add_jitter(report, compared, asked, self.progress)
+        stands, jumps = self.drive.wheels.stands, jumps_of(self.drive)
+        complete(report, advised, start_error(self.robot, self.drive), foreign, stands, jumps)
+        say_motion(report, self.loaded, judged)
+        self.progress("writing")
+        return report
 
-    def _advice_on_run(self, c: Configuration, e: Estimates, judged: Evaluation, align: str) -> Advised:
+    def _advice_on_run(self, compared: Compared, align: str) -> Advised:
         """Evaluate the log if this one run gives a reason."""
         from locfuse.cli.advice.evaluator import looks_wrong
 
-        runs = evidence(c.drive(self.drive), e, self.robot)
-        one = Compared(self.loaded, [c], [e], [judged], runs, credit=None, scores=[])
-        if self.drive.wheels.stands or self.loaded.spoils or not looks_wrong(self.loaded, one):
+        filtered = replace(compared, estimates=compared.estimates[:1], evaluations=compared.evaluations[:1])
+        if self.drive.wheels.stands or self.loaded.spoils or not looks_wrong(self.loaded, filtered):
             return Advised()
         return self._evaluator(align).advised()
 

@@ -30,7 +30,7 @@ from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 
 Array = NDArray[np.float64]
-PLAIN = LogOptions(None, (), None, strict=False, quiet=True)
+PLAIN = LogOptions(quiet=True)
 
 
 @pytest.fixture(scope="module")

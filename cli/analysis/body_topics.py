@@ -20,8 +20,7 @@ from locfuse.fusion.wheels.read import WHEEL_READS
 from locfuse.fusion.wheels.steered import GAIN_HINT, MOTOR, SERVO
 
 from .adapted_topics import not_read
-from .motion_evidence import Evidence
-from .motion_witnesses import Witnesses
+from .motion_evidence import Evidence, Witnesses
 from .mounts import is_base, is_fixed, is_odometry, is_room
 from .topics import ONLY, Choice, checked, of_sensor, of_type, one
 

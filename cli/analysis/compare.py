@@ -28,7 +28,6 @@ from locfuse.fusion.sensors.registry import REGISTRY, needed
 from . import results
 from .configurations import Configuration
 from .load import Loaded
-from .memory import lean
 from .robot_tables import key
 from .settings import Asked, Progress, one_of
 from .verdicts import (
@@ -132,7 +131,7 @@ def compare_log(
     for c in configurations:
         progress(f"fusing {c.name}")
         solve = frozenset(c.sensors) in solves and not c.rates
-        first, *after = lean(_judged, c, loaded, asked, solve, watch)
+        first, *after = _judged(c, loaded, asked, solve, watch)
         filtered.append(first)
         smoothed += after if c.is_smoothed(asked, robot) else []
         if after:
@@ -152,7 +151,7 @@ def compare_log(
 
         alone = {c.sensors[0]: c.name for c in configurations if len(c.sensors) == 1 and not c.rates}
         quarrels = contradictions(predicted, alone)
-        references = lean(References.of, drive, robot, solved, noise_factors(runs, robot), quarrels)
+        references = References.of(drive, robot, solved, noise_factors(runs, robot), quarrels)
     others = [_in_frame_of(e, drive, references, align) for e in foreign]
     every = [*filtered, *smoothed, *(JudgedRun(e, evaluate(e, drive, how), []) for e, how in others)]
     hows = [*([align] * (len(every) - len(others))), *(how for _, how in others)]
@@ -208,8 +207,8 @@ def _judged(
     drive, robot, judged = c.drive(loaded.drive), loaded.robot, []
     shown = c.is_smoothed(asked, robot)
     how = cast("Align", asked.align)
-    for e in lean(c.fuse, loaded.drive, robot, shown or solve):
-        evaluation = lean(evaluate, e, drive, how)
+    for e in c.fuse(loaded.drive, robot, shown or solve):
+        evaluation = evaluate(e, drive, how)
         for look in watch if shown or not e.smoothed else ():
             look(e, evaluation)
         kept = e if asked.audits else replace(e, audits={})
@@ -261,7 +260,7 @@ def predict(
     def tried() -> Iterator[Estimates]:
         for sensors, name in sets:
             progress(f"trying how {name} predicts the rest")
-            e = lean(fuser(robot.preset), drive, robot, sensors, name, listeners(drive, sensors))
+            e = fuser(robot.preset)(drive, robot, sensors, name, listeners(drive, sensors))
             for take in heard:
                 take(e)
             yield e

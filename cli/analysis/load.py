@@ -32,7 +32,6 @@ from locfuse.fusion.wheels.odometry import SCANS
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
 from .choose import choose
-from .memory import give_back
 from .motion_evidence import path_of
 from .mounts import level_compass, mount_tables, on_moving_parts, optics_tables, shared_turns, transforms_of
 from .refused_motion import spoiling, standing_notes
@@ -155,7 +154,6 @@ def load_to_fuse(paths: Sequence[Place], how: LogOptions, progress: Progress, re
     loaded = load(paths, how, progress)
     if not read_again:
         loaded.log.forget()
-    give_back()
     return loaded
 
 

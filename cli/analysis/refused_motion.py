@@ -20,7 +20,7 @@ from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.odometry import SPEED, commanded
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
-from .motion_witnesses import FIX, seen
+from .motion_evidence import FIX, seen
 from .topics import Choice, Note, of_type
 
 if TYPE_CHECKING:

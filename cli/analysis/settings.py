@@ -6,7 +6,10 @@ Every command imports this for its options, so NumPy is imported inside the func
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import product
+from math import prod
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -31,6 +34,9 @@ EXPORTS = {  # formats of other tools
 }
 PRESETS = ("default", "paper")
 ORDERS = ("auto", "stamp", "recorded")
+MAX_CELLS = 1000  # of a sweep
+BETWEEN_VALUES = re.compile(r",(?![^\[{]*[\]}])")  # a comma that is not inside a list or a table
+UNFIT_FOR_FOLDER = re.compile(r"[\s/\\]")  # cannot stand in the name of a folder
 
 
 def silent(step: str) -> None:
@@ -220,3 +226,35 @@ def chosen(
     if unknown := sorted(names - set(known)):
         raise UsageError(f"{what} {unknown[0]!r}; choose from {', '.join(known)}")
     return names
+
+
+def swept(words: Sequence[str]) -> dict[str, list[str]]:
+    """Return the words of --sweep by key: "lrf.x=0.1,0.2" is {"lrf.x": ["lrf.x=0.1", "lrf.x=0.2"]}."""
+    from locfuse.fusion.data import UsageError
+
+    found: dict[str, list[str]] = {}
+    for word in words:
+        key, equals, values = word.partition("=")
+        if not equals or not key.strip() or not values.strip():
+            raise UsageError(f'--sweep {word!r}: write it like "lrf.sigma_range=0.01,0.03,0.1"')
+        if key.strip() in found:
+            raise UsageError(f"--sweep {key.strip()} is given twice: name all its values in one")
+        parts = [value.strip() for value in BETWEEN_VALUES.split(values)]
+        found[key.strip()] = [f"{key.strip()}={value}" for value in parts if value]
+    return found
+
+
+def cells(sets: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
+    """Return the --set words of every combination, by its name: the words joined.
+
+    Raises UsageError for more than MAX_CELLS, and for a value that cannot be part of a folder's name.
+    """
+    from locfuse.fusion.data import UsageError
+
+    for word in (word for words in sets.values() for word in words):
+        if UNFIT_FOR_FOLDER.search(word):
+            raise UsageError(f"--sweep {word!r}: a value with blanks or slashes cannot name a folder")
+    count = prod(len(words) for words in sets.values())
+    if count > MAX_CELLS:
+        raise UsageError(f"--sweep: {count} combinations, more than {MAX_CELLS}; sweep fewer values")
+    return {" ".join(combination): combination for combination in product(*sets.values())}

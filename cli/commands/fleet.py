@@ -67,16 +67,12 @@ def fleet(log: tuple[str, ...], options: o.Options) -> int:
 
 def many(words: Sequence[str], options: o.Options) -> int:
     """Compare every log, write and print the summary; return the exit code."""
-    from locfuse.cli.advice.report import forget_fixes
-    from locfuse.cli.advice.together import fixes_files
     from locfuse.cli.analysis.gates import Gates
+    from locfuse.cli.analysis.settings import swept
     from locfuse.cli.fleet.jobs import gather, plan
     from locfuse.cli.fleet.queue import NOT_RUN
-    from locfuse.cli.session import sweep
-    from locfuse.cli.session.summary import default_folder, summarised
-    from locfuse.formats.fleet.files import summary_files
-    from locfuse.formats.whole_files import RUN_LOCK, UNFINISHED, may_write, sole_writer, write_results
-    from locfuse.fusion.sensors.registry import colours
+    from locfuse.cli.session.summary import default_folder, summarised, write_summary
+    from locfuse.formats.whole_files import RUN_LOCK, UNFINISHED, may_write, sole_writer
 
     how, outputs, fleet = options.how, options.outputs, options.fleet
     folder = outputs.out or default_folder()
@@ -86,7 +82,9 @@ def many(words: Sequence[str], options: o.Options) -> int:
     todo = plan(words, every, fleet.robot_from, fleet.sweep)
     with sole_writer(folder, RUN_LOCK, patience_s=0.0):
         _mark(folder, todo)
-        ended = _run(todo, options)
+        for outcome in todo.refused.values():
+            _say_failed(outcome)
+        ended = _run(list(todo.jobs.values()), options, fleet.max_failures)
         found = gather(todo, ended.outcomes, ended.stopped or NOT_RUN, gates, how.strict)
         _refuse_misuse(found, ended, todo)
         if ended.by is not None and not any(e.state == "done" for e in found.entries):
@@ -95,11 +93,8 @@ def many(words: Sequence[str], options: o.Options) -> int:
             **summarised(found.entries),
             "robots": _robots(todo, found, options) if ended.by is None else [],
         }
-        files = summary_files(summary, found.entries, outputs.write, colours(), tuple(sweep.parse(fleet.sweep)))
-        files |= fixes_files(summary["robots"])
-        write_results(folder, files, overwrite=True)
-        written = [folder / name for name in files]
-        forget_fixes(written)
+        keys = tuple(swept(fleet.sweep))
+        written = write_summary(folder, summary, found.entries, outputs.write, keys)
         (folder / UNFINISHED).unlink(missing_ok=True)
     if ended.by is not None:
         show.say(f"{folder}: {_standing(found)}; the same command goes on with the rest")
@@ -143,27 +138,21 @@ def _mark(folder: Path, todo: FleetPlan) -> None:
         write_results(folder, {UNFINISHED: json_report.encode({"logs": list(todo.robots)})}, overwrite=True)
 
 
-def _run(todo: FleetPlan, options: o.Options) -> Ended:
-    """Run the jobs on this machine, or on a cluster."""
+def _run(jobs: Sequence[Job], options: o.Options, max_failures: int | None) -> Ended:
+    """Run jobs on this machine, or on a cluster."""
     from locfuse.cli.fleet.queue import executor, run_all
 
     quiet = options.how.quiet
     with show.progress(quiet) as progress, executor(options.fleet) as (pool, slots):
-        for outcome in todo.refused.values():
-            _say_failed(outcome)
-        jobs = list(todo.jobs.values())
-        return run_all(jobs, pool, slots, options.fleet.max_failures, _watch(progress, quiet))
+        return run_all(jobs, pool, slots, max_failures, _watch(progress, quiet))
 
 
 def _robots(todo: FleetPlan, found: FleetRows, options: o.Options) -> list[dict[str, Any]]:
     """Ask the logs of each robot together: what all of them show is tried on each."""
-    from locfuse.cli.fleet.queue import executor, run_all
     from locfuse.cli.fleet.together import robots
 
     def run(jobs: Sequence[Job]) -> Mapping[str, JobOutcome]:
-        quiet = options.how.quiet
-        with show.progress(quiet) as progress, executor(options.fleet) as (pool, slots):
-            ended = run_all(jobs, pool, slots, None, _watch(progress, quiet))
+        ended = _run(jobs, options, None)
         if ended.by is not None:
             raise ended.by
         return ended.outcomes

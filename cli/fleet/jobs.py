@@ -15,7 +15,7 @@ from locfuse.cli.analysis.grouping import logs_of, named
 from locfuse.cli.analysis.load import find_log
 from locfuse.cli.analysis.results import lost_in
 from locfuse.cli.analysis.robot_tables import given_layers
-from locfuse.cli.session import sweep
+from locfuse.cli.analysis.settings import cells, swept
 from locfuse.formats.fleet.entry import Entry, slim
 from locfuse.fusion.data import UsageError
 
@@ -41,10 +41,8 @@ def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Seque
     pattern = _pattern(robot_from, every.how.robots)
     fixed = tuple(file for file in every.how.robots if ROBOT_PLACEHOLDER not in str(file))
     given_layers(_with_robots(every, fixed).how)
-    cells = (
-        tuple(SweepCell(*found) for found in sweep.cells(sweep.parse(sweeps)).items()) if sweeps else every.cells
-    )
-    for cell in cells:
+    of_sweep = tuple(SweepCell(*found) for found in cells(swept(sweeps)).items()) if sweeps else every.cells
+    for cell in of_sweep:
         given_layers(replace(every.how, robots=(), sets=(*every.how.sets, *cell.sets)))
     figures = every.outputs.figures
     robots: dict[str, str | None] = {}
@@ -60,7 +58,7 @@ def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Seque
                 folder=every.folder / name,
                 outputs=replace(every.outputs, figures=figures and figures / name),
                 robot=robot,
-                cells=cells,
+                cells=of_sweep,
             )
         except UsageError as problem:
             refused[name] = JobOutcome(name, "failed", str(problem), misused=True)

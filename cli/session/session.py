@@ -26,6 +26,7 @@ from locfuse.cli.analysis.settings import (
     PathLike,
     Progress,
     Sets,
+    cells,
     log_options,
     one_of,
     path_of,
@@ -48,7 +49,6 @@ from .foreign import foreign_estimates, named_sources
 from .jitter import add_jitter, check_runs
 from .python_words import speaks_python
 from .result import Comparison, Named, Run
-from .sweep import cells
 
 if TYPE_CHECKING:
     from locfuse.cli.advice.evaluator import Evaluator

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import fmean, stdev
@@ -83,12 +83,7 @@ class Summary:
         may_write(place, overwrite)
         for name, result in self.results.items():
             result.write(place / name, write=of_each(write), overwrite=overwrite)
-        files = summary_files(self.report, self._entries, chosen(write, OF_COMPARISON), colours())
-        files |= fixes_files(self.report["robots"])
-        write_results(place, files, overwrite=True)
-        written = [place / name for name in sorted(files)]
-        forget_fixes(written)
-        return written
+        return sorted(write_summary(place, self.report, self._entries, chosen(write, OF_COMPARISON)))
 
     def __repr__(self) -> str:
         """Return the logs and the best configuration."""
@@ -179,6 +174,21 @@ def naming(log: str) -> Iterator[None]:
         yield
     except LocfuseError as problem:
         raise type(problem)(str(problem) if log in str(problem) else f"{log}: {problem}") from None
+
+
+def write_summary(
+    folder: Path,
+    summary: Mapping[str, Any],
+    entries: Sequence[Entry],
+    kinds: Collection[str],
+    keys: Sequence[str] = (),
+) -> list[Path]:
+    """Write a summary and the fixes of its robots, and return the files; `keys` are those of a sweep."""
+    files = summary_files(summary, entries, kinds, colours(), tuple(keys)) | fixes_files(summary["robots"])
+    write_results(folder, files, overwrite=True)
+    written = [folder / name for name in files]
+    forget_fixes(written)
+    return written
 
 
 def summarised(entries: Sequence[Entry]) -> dict[str, Any]:

@@ -167,8 +167,8 @@ def compare_log(
     )
     if references is None:
         return compared
-    reference, evaluations = _referenced(references, every, hows, filtered)
-    return replace(compared, reference=reference, evaluations=evaluations)
+    referenced, evaluations = _referenced(references, every, hows, filtered)
+    return replace(compared, reference=referenced, evaluations=evaluations)
 
 
 def _referenced(

@@ -264,9 +264,11 @@ def _error_figures(configurations: Mapping[str, Any], of_fleet: bool) -> dict[tu
     for name, values in configurations.items():
         reference = (values.get("reference") or {}).get("sensors") or ()
         for key in ERROR_KEYS:
-            of_logs = (values["figures"].get(key) or {}) if of_fleet else {}
-            figures = {f"{OF_FLEET}{name}.{key}.{which}": of_logs.get(which) for which in OVER_LOGS}
-            for path, value in (figures if of_fleet else {f"{name}.{key}": values.get(key)}).items():
+            figures: dict[str, Any] = {f"{name}.{key}": values.get(key)}
+            if of_fleet:
+                of_logs = values["figures"].get(key) or {}
+                figures = {f"{OF_FLEET}{name}.{key}.{which}": of_logs.get(which) for which in OVER_LOGS}
+            for path, value in figures.items():
                 if _is_number(value) and math.isfinite(value):
                     found[path, key, *reference] = float(value)
     return found

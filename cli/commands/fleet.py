@@ -68,14 +68,15 @@ def fleet(log: tuple[str, ...], options: o.Options) -> int:
 def many(words: Sequence[str], options: o.Options) -> int:
     """Compare every log, write and print the summary; return the exit code."""
     from locfuse.cli.analysis.gates import Gates
+    from locfuse.cli.analysis.results import default_folder
     from locfuse.cli.analysis.settings import swept
     from locfuse.cli.fleet.jobs import gather, plan
     from locfuse.cli.fleet.queue import NOT_RUN
-    from locfuse.cli.session.summary import default_folder, summarised, write_summary
+    from locfuse.cli.session.summary import SUMMARY, summarised, write_summary
     from locfuse.formats.whole_files import RUN_LOCK, UNFINISHED, may_write, sole_writer
 
     how, outputs, fleet = options.how, options.outputs, options.fleet
-    folder = outputs.out or default_folder()
+    folder = outputs.out or default_folder(SUMMARY)
     every = _every(options, folder)
     gates = Gates.read(options.gates, of_fleet=True)
     may_write(folder, outputs.overwrite, options.inputs)
@@ -100,7 +101,9 @@ def many(words: Sequence[str], options: o.Options) -> int:
         show.say(f"{folder}: {_standing(found)}; the same command goes on with the rest")
         raise ended.by
     _print(summary, written, outputs.as_json)
-    _say_recordings(ended, every.recordings)
+    _say_some([line for outcome in ended.outcomes.values() for line in outcome.warnings], "warnings")
+    if every.recordings is not None and any(every.recordings.glob("*.rrd")):
+        show.say(f"all drives in one viewer: {catalog(every.recordings)}")
     if outputs.open:
         show.open_page(written)
     return _code(found, gates.failures_together(summary), ended)
@@ -208,13 +211,6 @@ def _print(summary: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> 
         show.verdicts(summary)
         show.lines(" ".join(line).strip() for line in over.robots(summary))
         show.end(files)
-
-
-def _say_recordings(ended: Ended, recordings: Path | None) -> None:
-    """Print which recordings failed, and how to open all recordings."""
-    _say_some([line for outcome in ended.outcomes.values() for line in outcome.warnings], "warnings")
-    if recordings is not None and any(recordings.glob("*.rrd")):
-        show.say(f"all drives in one viewer: {catalog(recordings)}")
 
 
 def _code(found: FleetRows, failed_gates: Sequence[str], ended: Ended) -> int:

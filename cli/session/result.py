@@ -178,11 +178,11 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
         "configuration" is the result's name; figures are in SI units with the unit in the key, None where a
         figure does not exist; `<sensor>_accepted`, `_rejected`, `_absent`, `_nis` count its measurements.
         """
-        sensors = list(dict.fromkeys(s for v in self.report["configurations"].values() for s in v["sensors"]))
-        return [
-            {**_scalars(values), "configuration": name, **_counts(values["sensors"], sensors)}
-            for name, values in self.report["configurations"].items()
-        ]
+        from locfuse.formats.report.tables import everything
+
+        table = everything(self.report)
+        keys = [column.key for column in table.columns]
+        return [dict(zip(keys, (cell.value for cell in row), strict=True)) for row in table.rows]
 
     def losses(self, strict: bool = False) -> list[str]:
         """Return losses in words: bytes of the file, or more than 1 % of a used sensor's readings.
@@ -319,13 +319,3 @@ class Comparison(Result, frozen=True, eq=False):
     def write_figures(self, folder: PathLike) -> list[Path]:
         """Write every figure as SVG and PDF, for a paper, and return the files."""
         return self._written(folder, outputs.figure_files(self.compared, self.drawn), overwrite=True)
-
-
-def _scalars(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values that a cell can hold; lists and tables are only in the report."""
-    return {"configuration": "", **{k: v for k, v in values.items() if not isinstance(v, Mapping | list)}}
-
-
-def _counts(found: Mapping[str, Mapping[str, Any]], sensors: Iterable[str]) -> dict[str, Any]:
-    counts = ("accepted", "rejected", "absent", "nis")
-    return {f"{s}_{count}": found.get(s, {}).get(count) for s in sensors for count in counts}

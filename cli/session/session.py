@@ -51,8 +51,6 @@ from .python_words import speaks_python
 from .result import Comparison, Named, Run
 
 if TYPE_CHECKING:
-    from locfuse.cli.advice.evaluator import Evaluator
-
     from .calibrate import Calibration
     from .tune import Tuning
 
@@ -235,7 +233,11 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         foreign = foreign_estimates(self.loaded, named_sources(asked.estimates), [c.name for c in wanted])
         drawn = Drawn()
         moves = not (self.drive.wheels.stands or self.loaded.spoils)
-        evaluator = self._evaluator(asked.align) if asked.advice and moves else None
+        evaluator = None
+        if asked.advice and moves:
+            from locfuse.cli.advice.evaluator import Evaluator  # the checks come with it
+
+            evaluator = Evaluator(self.loaded, self.progress, asked.align)
         takes, hears = ([], []) if evaluator is None else (evaluator.takes, evaluator.hears)
         watch = [drawn.take, *takes]
         compared = compare_log(self.loaded, wanted, asked, self.progress, watch, foreign, hears)
@@ -333,18 +335,12 @@ class Session(msgspec.Struct, frozen=True, eq=False):
 
     def _advice_on_run(self, compared: Compared, align: str) -> Advised:
         """Evaluate the log if this one run gives a reason."""
-        from locfuse.cli.advice.evaluator import looks_wrong
+        from locfuse.cli.advice.evaluator import Evaluator, looks_wrong
 
         filtered = replace(compared, estimates=compared.estimates[:1], evaluations=compared.evaluations[:1])
         if self.drive.wheels.stands or self.loaded.spoils or not looks_wrong(self.loaded, filtered):
             return Advised()
-        return self._evaluator(align).advised()
-
-    def _evaluator(self, align: str) -> Evaluator:
-        """Return the evaluator of this log, before its first step."""
-        from locfuse.cli.advice.evaluator import Evaluator  # the doctor comes with it: 15 ms
-
-        return Evaluator(self.loaded, self.progress, align)
+        return Evaluator(self.loaded, self.progress, align).advised()
 
     def configuration(self, sensors: Sensors) -> Configuration:
         """Return the configuration of some words. Raises LocfuseError for a sensor that this log lacks."""

@@ -155,7 +155,7 @@ class Trial:
         if self._end is None:
             return loaded
         drive, robot = windowed(loaded.drive, loaded.robot, None, self._end)
-        return replace(loaded, drive=drive, robot=robot, window=(loaded.window[0], self._end))
+        return replace(loaded, drive=drive, robot=robot, how=replace(loaded.how, end=self._end))
 
     def fused(self, loaded: Loaded, name: str, smooth: bool = False) -> Estimates | None:
         """Return one configuration's run, None if the log lacks a sensor under these settings."""

@@ -26,7 +26,6 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
     """Settings estimated from logs, with intervals; `with_settings` and `sets=` accept `tables()`."""
 
     loaded: Sequence[Loaded]  # the logs
-    how: LogOptions = LogOptions()  # under which settings they were read
     notes: tuple[str, ...] = ()
 
     command: ClassVar[str]
@@ -43,6 +42,11 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
     def rows(self) -> list[Row]:
         """Return the estimated settings as rows of words."""
         raise NotImplementedError
+
+    @property
+    def how(self) -> LogOptions:
+        """The options under which the logs were read."""
+        return self.loaded[0].how
 
     def losses(self) -> list[str]:
         """Return the losses of the logs and of the used readings, in words."""

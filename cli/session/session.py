@@ -88,7 +88,7 @@ def load(
 
 def opened(log: Sequence[str], how: LogOptions, progress: Progress, read_again: bool = False) -> Session:
     """Return the session of a log by command-line words; `read_again`: its columns are needed once more."""
-    session = Session(maps.give_topic(load_to_fuse(find_log(log), how, progress, read_again)), progress, how)
+    session = Session(maps.give_topic(load_to_fuse(find_log(log), how, progress, read_again)), progress)
     return session if how.given_map is None else session.with_map(how.given_map)
 
 
@@ -143,7 +143,6 @@ class Session(msgspec.Struct, frozen=True, eq=False):
 
     loaded: Loaded
     progress: Progress = silent
-    how: LogOptions = LogOptions(quiet=True)  # the options under which the log was read
 
     @property
     def log(self) -> Log:
@@ -266,7 +265,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
     @speaks_python
     def info(self) -> dict[str, Any]:
         """Return what is in the log and what looks wrong, as `locfuse.info` does, under the session's settings."""
-        return inspected(self._words, self.how, self.progress)
+        return inspected(self._words, self.loaded.how, self.progress)
 
     @speaks_python
     def tune(
@@ -291,7 +290,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
 
         paths = [self.log.paths, *(find_log(words_of(log)) for log in more)]
         held = [find_log(words_of(log)) for log in hold_out]
-        return tune.tune_logs(paths, held, tune.sensor_names(sensors), drift, self.how, self.progress)
+        return tune.tune_logs(paths, held, tune.sensor_names(sensors), drift, self.loaded.how, self.progress)
 
     @speaks_python
     def calibrate(self, *more: PathLike | Sequence[PathLike]) -> Calibration:
@@ -301,7 +300,9 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         """
         from . import calibrate
 
-        return calibrate.calibrated([self._words, *(words_of(log) for log in more)], self.how, self.progress)
+        return calibrate.calibrated(
+            [self._words, *(words_of(log) for log in more)], self.loaded.how, self.progress
+        )
 
     @property
     def _words(self) -> list[str]:
@@ -353,9 +354,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         The result equals that of `load` with these `sets`, bit for bit. Raises UsageError for an unknown key, and
         for a topic, `order` or `preset`: these decide what is read.
         """
-        words = set_words(sets)
-        how = replace(self.how, sets=(*self.how.sets, *words))
-        return replace(self, loaded=with_settings(self.loaded, words, self.progress), how=how)
+        return replace(self, loaded=with_settings(self.loaded, set_words(sets), self.progress))
 
     @speaks_python
     def sweep(

@@ -32,7 +32,7 @@ from locfuse.fusion.sensors.landmark_messages import POSES
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .mounts import BASE_FRAMES, CAMERA_INFO, last_word
-from .topics import of_type
+from .topics import filled
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
@@ -94,22 +94,22 @@ def offer_presented(log: Log) -> None:
 
     Of a laser's scans of Foxglove's kind and of its echoes all are offered, of clouds the likeliest one.
     """
-    if not _filled(log, SCAN):
-        for topic in _filled(log, *FOXGLOVE) or _filled(log, ECHOES) or _clouds(log)[:1]:
+    if not filled(log, SCAN):
+        for topic in filled(log, *FOXGLOVE) or filled(log, ECHOES) or _clouds(log)[:1]:
             _present(log, topic)
-    if not _filled(log, JOINTS):
-        for topic in _filled(log, DYNAMIC) or _filled(log, *FOXGLOVE_JOINTS) or _filled(log, *FEEDBACK):
+    if not filled(log, JOINTS):
+        for topic in filled(log, DYNAMIC) or filled(log, *FOXGLOVE_JOINTS) or filled(log, *FEEDBACK):
             _present(log, topic)
-    if not _filled(log, ODOMETRY):
+    if not filled(log, ODOMETRY):
         for topic in (
-            _filled(log, *FOXGLOVE_ODOMETRY)
-            or _filled(log, VEHICLE_ODOMETRY)[:1]
-            or _filled(log, LOCAL_POSITION)[:1]
-            or _filled(log, SPORT_STATE)[:1]
+            filled(log, *FOXGLOVE_ODOMETRY)
+            or filled(log, VEHICLE_ODOMETRY)[:1]
+            or filled(log, LOCAL_POSITION)[:1]
+            or filled(log, SPORT_STATE)[:1]
         ):
             _present(log, topic)
-    if not _filled(log, IMU):
-        for topic in _filled(log, SENSOR_COMBINED)[:1]:
+    if not filled(log, IMU):
+        for topic in filled(log, SENSOR_COMBINED)[:1]:
             _present(log, topic)
 
 
@@ -119,13 +119,9 @@ def _present(log: Log, topic: str) -> None:
         log.find(name)
 
 
-def _filled(log: Log, *msgtypes: str) -> list[str]:
-    return [t for t in of_type(log, msgtypes) if log.topics[t].count]
-
-
 def _clouds(log: Log) -> list[str]:
     """Return topics of clouds that a sensor sees, those of lasers first, then the busiest."""
-    clouds = [t for t in _filled(log, CLOUD, *FOXGLOVE_CLOUD) if log.topics[t].count >= MIN_CLOUDS]
+    clouds = [t for t in filled(log, CLOUD, *FOXGLOVE_CLOUD) if log.topics[t].count >= MIN_CLOUDS]
     clouds = [t for t in clouds if log.stream(t).frame_id.rpartition("/")[2] not in STILL_FRAMES]
     return sorted(clouds, key=lambda t: (not LASERS.search(t.lower()), -log.topics[t].count, t))
 
@@ -139,7 +135,7 @@ def offer_tags(log: Log, robot: Robot) -> None:
     Reading /tf takes time: for callers who need landmarks. Raises LocfuseError where its frames form a loop.
     """
     settings = robot.settings("landmarks")
-    if settings.topic or settings.file or any(log.topics[t].count for t in of_type(log, POSES)):
+    if settings.topic or settings.file or filled(log, *POSES):
         return
     for topic in log.transform_topics:
         for camera in _cameras(log, topic):
@@ -167,5 +163,5 @@ def _is_camera(log: Log, frame: str) -> bool:
     """Return whether a frame has a camera's name, or is the frame of pictures."""
     if CAMERAS.search(frame.lower()):
         return True
-    pictures = [t for t in of_type(log, (*REGISTRY["camera"].reads, CAMERA_INFO)) if log.topics[t].count]
+    pictures = filled(log, *REGISTRY["camera"].reads, CAMERA_INFO)
     return any(log.stream(t).frame_id.lstrip("/") == frame for t in pictures)

@@ -22,7 +22,7 @@ from locfuse.fusion.wheels.steered import GAIN_HINT, MOTOR, SERVO
 from .adapted_topics import not_read
 from .motion_evidence import Evidence, Witnesses
 from .mounts import is_base, is_fixed, is_odometry, is_room
-from .topics import ONLY, Choice, checked, of_sensor, of_type, one
+from .topics import ONLY, Choice, checked, filled, of_sensor, one
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
@@ -223,9 +223,8 @@ def _filled(log: Log, robot: Robot, choice: Choice, kinds: Sequence[str]) -> lis
     taken = {topic for role in choice.topics for topic in choice.of(role)}
     found = [
         t
-        for t in of_type(log, kinds)
-        if log.topics[t].count
-        and t not in taken
+        for t in filled(log, *kinds)
+        if t not in taken
         and (":" not in t or t.endswith(ADAPTED_SUFFIX))  # not frames of /tf, nor a field
         and not looks_like_truth(t)
     ]
@@ -294,7 +293,7 @@ def nothing_moves(log: Log) -> NoWheelsError:
         "poses and no speeds"
     )
     others = [other for role in ("wheels", "lrf") if (other := not_read(log, role))]
-    beside = [t for t in of_type(log, ONLY_CORRECT) if log.topics[t].count]
+    beside = filled(log, *ONLY_CORRECT)
     corrects = f"; {' and '.join(beside)} can only correct a motion (a fix has no heading, an IMU no speed)"
     return NoWheelsError(
         ". ".join([f"{words}{corrects if beside else ''}", *others]) + ".",
@@ -306,18 +305,13 @@ def nothing_moves(log: Log) -> NoWheelsError:
 # ---- a car's motor controller: its topic, that of the steering, and what they lack ----
 
 
-def motors(log: Log) -> list[str]:
-    """Return topics with the speed of a car's motor."""
-    return [t for t in of_type(log, MOTOR) if log.topics[t].count]
-
-
 def steering_of(log: Log, robot: Robot) -> str | None:
     """Return the topic of a car's steering: as configured, else an Ackermann command, else a servo."""
     named = robot.wheels.steering_topic
     if named is not None:
         return checked(log, "wheels", named, (*STEERED, SERVO))
-    commands = [t for t in of_type(log, STEERED) if log.topics[t].count]
-    servos = [t for t in of_type(log, (SERVO,)) if log.topics[t].count and "servo" in t.lower()]
+    commands = filled(log, *STEERED)
+    servos = [t for t in filled(log, SERVO) if "servo" in t.lower()]
     if robot.wheels.servo_gain and servos:
         return servos[0]
     obeyed = [t for t in commands if t.rpartition("/")[2] == "ackermann_cmd"]
@@ -339,14 +333,14 @@ def with_steering(log: Log, robot: Robot, motor: str) -> list[str]:
 
 def motor_of(log: Log, robot: Robot) -> Sequence[str]:
     """Return the topics of a motor and of its steering, if the settings convert them to metres; else none."""
-    found, settings = motors(log), robot.wheels
+    found, settings = filled(log, *MOTOR), robot.wheels
     known = settings.erpm_per_mps and settings.wheelbase and steering_of(log, robot) is not None
     return with_steering(log, robot, found[0]) if len(found) == 1 and known else ()
 
 
 def motor_words(log: Log, robot: Robot) -> str:
     """Return the settings needed to use a motor controller's data as motion; "" without a controller."""
-    found = motors(log)
+    found = filled(log, *MOTOR)
     if not found or motor_of(log, robot):
         return ""
     if steering_of(log, robot) is None:

@@ -18,7 +18,7 @@ from locfuse.fusion.wheels.odometry import SCANS, commanded
 
 from .adapted_topics import not_read, offer_presented, offer_tags
 from .body_topics import by_fixes
-from .topics import NAMED, ONLY, Choice, Note, checked, likeliest, of_type, one, several_fit, types
+from .topics import NAMED, ONLY, Choice, Note, checked, filled, likeliest, of_type, one, several_fit, types
 from .wheel_topics import choose_wheels
 
 NO_TRUTH = "none"  # truth.topic: the log's truth is left out
@@ -141,7 +141,7 @@ def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None
     """Choose the only candidate, or all, or the likeliest; if a related sensor has a topic, the same."""
     sensor = REGISTRY[name]
     if len(candidates) == 1:
-        same = [t for t in of_type(log, [log.topics[candidates[0]].msgtype]) if log.topics[t].count]
+        same = filled(log, log.topics[candidates[0]].msgtype)
         choice.take(name, candidates, ONLY if len(same) < 2 else "the only one of its type that fits")
     elif sensor.extra and (shared := [t for t in candidates if t in choice.topics.values()]):
         choice.take(name, shared[:1], "another sensor reads it too")

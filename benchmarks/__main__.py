@@ -12,18 +12,20 @@ import os
 import statistics
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import click
 
+from benchmarks import experiment
+from benchmarks.real_logs import FILES, are_there
+from benchmarks.real_logs import folder as real_folder
+
 ROOT = Path(__file__).parent.parent
-DATA = "LOCFUSE_DATA"  # where recorded logs are
 Row = tuple[str, ...]
-FAILED, UNKNOWN = ("failed", ""), ("", "", "no", "")
+FAILED = ("failed", "", "", "", "no", "")
 Command = tuple[str, ...]
 
 
@@ -49,15 +51,6 @@ def cost(command: Sequence[str]) -> Cost:
     return Cost(usage.ru_utime + usage.ru_stime, wall, usage.ru_maxrss / 1024)
 
 
-class Logs(NamedTuple):
-    """The logs that figures are taken on."""
-
-    minute: Path  # with pictures
-    ten: Path  # ten minutes of compass and laser
-    hour: Path
-    building: Path | None = None  # a recorded one (aces), where LOCFUSE_DATA has it
-
-
 class Figure(NamedTuple):
     """Two whole processes, ours and the yardstick, and the ratio of their CPU times that is the goal."""
 
@@ -68,7 +61,6 @@ class Figure(NamedTuple):
     peak: float | None = None  # MB: our peak memory is a figure too
 
 
-MINUTE = ("--minutes", "1", "--image-hz", "10")
 TEN = ("--minutes", "10")
 FROZEN = ("--set", "lrf.map=first-scan")
 
@@ -83,61 +75,57 @@ def locfuse(*words: str | Path) -> Command:
     return (sys.executable, "-m", "locfuse.cli", *map(str, words))
 
 
-def figures(logs: Logs, out: Path, length: str) -> list[Figure]:
-    """Return what is measured in whole processes; `length` is that of the long log, in words."""
+def figures(logs: Sequence[Path], out: Path, minutes: float) -> list[Figure]:
+    """Return what is measured in whole processes, on a log with pictures, one of ten minutes and a long one."""
+    minute, ten, hour = logs
+    length = "1 h" if minutes == 60 else f"{minutes:g} min"
     advised = ("--write", "json", "--quiet", "--overwrite", "--no-smooth", "--out", out)
     how = (*advised, "--no-advice")  # how often advice fuses again depends on what looks wrong with the log
-    stock, stock_minute = decoded(logs.hour), decoded(logs.minute)
-    ours = module("decode", "ours", logs.hour)
-    one = locfuse("run", logs.hour, *FROZEN, *how)
-    five = locfuse("compare", logs.hour, *FROZEN, *how)
-    recorded = (*five, "--rerun-save", f"{out}.rrd")
-    pictures = locfuse("compare", logs.minute, *how)
-    ten = locfuse("compare", logs.ten, *how)
-    buildings = [] if logs.building is None else [of_building(logs.building, how)]
-    return [
+    stock, stock_minute, ours = (
+        module("decode", *of) for of in (("stock", hour), ("stock", minute), ("ours", hour))
+    )
+    one, five = (locfuse(command, hour, *FROZEN, *how) for command in ("run", "compare"))
+    with_advice, grow = locfuse("compare", hour, *FROZEN, *advised), locfuse("run", hour, *how)
+    pictures, pictures_one = (locfuse(command, minute, *how) for command in ("compare", "run"))
+    found = [
         Figure("60 s, 600 pictures: five configurations / stock", 1.40, pictures, stock_minute),
-        Figure("60 s, 600 pictures: five configurations / one", 1.25, pictures, locfuse("run", logs.minute, *how)),
+        Figure("60 s, 600 pictures: five configurations / one", 1.25, pictures, pictures_one),
         Figure(f"{length}: one configuration, frozen map / stock", 0.35, one, stock),
         Figure(f"{length}: five configurations, frozen map / stock", 0.50, five, stock, peak=200.0),
-        Figure(f"{length}: five configurations with a Rerun recording / without", 1.5, recorded, five, peak=340.0),
         Figure(
-            f"{length}: five configurations with advice / without",
-            3.0,
-            locfuse("compare", logs.hour, *FROZEN, *advised),
+            f"{length}: five configurations with a Rerun recording / without",
+            1.5,
+            (*five, "--rerun-save", f"{out}.rrd"),
             five,
+            peak=340.0,
         ),
-        Figure(f"{length}: one configuration, `grow` / stock", 0.45, locfuse("run", logs.hour, *how), stock),
+        Figure(f"{length}: five configurations with advice / without", 3.0, with_advice, five),
+        Figure(f"{length}: one configuration, `grow` / stock", 0.45, grow, stock),
         Figure(f"{length}: reading and decoding / stock", 0.10, ours, stock),
-        Figure(f"{length}: reading and decoding / rosbags", 0.35, ours, module("decode", "rosbags", logs.hour)),
+        Figure(f"{length}: reading and decoding / rosbags", 0.35, ours, module("decode", "rosbags", hour)),
         Figure(f"{length}: five configurations / one", 1.50, five, one),
-        Figure("10 min, compass and laser: `compare`, `grow` / stock", 0.50, ten, decoded(logs.ten)),
-        *buildings,
-        Figure(
-            "`locfuse --help` / `import click`", 1.50, locfuse("--help"), (sys.executable, "-c", "import click")
-        ),
     ]
+    more = [("10 min, compass and laser: `compare`, `grow` / stock", 0.50, ten)]
+    if are_there():
+        more.append(("aces, a building: `compare` / stock", 15.0, real_folder() / FILES["aces"]))
+    found += [
+        Figure(n, goal, locfuse("compare", log, *how), module("decode", "stock", log)) for n, goal, log in more
+    ]
+    least = (sys.executable, "-c", "import click")
+    return [*found, Figure("`locfuse --help` / `import click`", 1.50, locfuse("--help"), least)]
 
 
-def of_building(log: Path, how: Sequence[str | Path]) -> Figure:
-    """Return what comparing a recorded building costs."""
-    return Figure(f"{log.stem}, a building: `compare` / stock", 15.0, locfuse("compare", log, *how), decoded(log))
-
-
-def decoded(log: Path) -> Command:
-    """Return the yardstick of a log."""
-    return module("decode", "stock", log)
-
-
-def logs(folder: Path, minutes: float) -> Logs:
-    """Generate the logs where they are not there yet."""
-    aces = Path(os.environ.get(DATA, "")) / "aces" / "aces.mcap"
-    long = folder / f"{minutes:g}_minutes.mcap"
-    found = Logs(folder / "minute.mcap", folder / "10_minutes.mcap", long, aces if aces.is_file() else None)
-    for path, options in ((found.minute, MINUTE), (found.ten, TEN), (long, ("--minutes", str(minutes)))):
+def make_logs(folder: Path, minutes: float) -> Iterator[Path]:
+    """Simulate the logs where they are not there yet, and yield them."""
+    for name, options in (
+        ("minute", ("--minutes", "1", "--image-hz", "10")),
+        ("ten", TEN),
+        (f"{minutes:g}_minutes", ("--minutes", str(minutes))),
+    ):
+        path = folder / f"{name}.mcap"
         if not path.exists():
             subprocess.run(module("make_log", path, *options), check=True)
-    return found
+        yield path
 
 
 def in_turns(commands: Iterable[Command], rounds: int) -> dict[Command, list[Cost]]:
@@ -158,36 +146,25 @@ def in_turns(commands: Iterable[Command], rounds: int) -> dict[Command, list[Cos
     return {command: [] if command in failed else seen for command, seen in costs.items()}
 
 
-def process_row(figure: Figure, costs: dict[Command, list[Cost]]) -> Row:
-    """Return one line of the table."""
+def ratio_row(figure: Figure, costs: dict[Command, list[Cost]]) -> Row:
+    """Return the line of the table with CPU times, their ratio and its spread, and whether the goal is met."""
     ours, theirs = costs[figure.ours], costs[figure.theirs]
     if not ours or not theirs:
-        return (figure.name, *FAILED, *UNKNOWN)
+        return (figure.name, *FAILED)
     ratios = [a.cpu / b.cpu for a, b in zip(ours, theirs, strict=True)]
+    ratio = statistics.median(ratios)
     wall = " / ".join(f"{statistics.median(c.wall for c in seen):.2f}" for seen in (ours, theirs))
     cpu = (f"{statistics.median(c.cpu for c in seen):.2f} s" for seen in (ours, theirs))
-    return (figure.name, *cpu, *judged(ratios, figure.goal), f"{wall} s")
+    spread = f"{ratio:.3g} ({min(ratios):.3g}-{max(ratios):.3g})"
+    return (figure.name, *cpu, spread, f"≤ {figure.goal:g}", "yes" if ratio <= figure.goal else "no", f"{wall} s")
 
 
 def memory_row(name: str, goal: float, seen: list[Cost]) -> Row:
     """Return the line of the table that says how much memory a command held at most, MB."""
     if not seen:
-        return (name, *FAILED, *UNKNOWN)
+        return (name, *FAILED)
     peak = statistics.median(c.peak for c in seen)
     return (name, f"{peak:.0f} MB", "", "", f"≤ {goal:g} MB", "yes" if peak <= goal else "no", "")
-
-
-def judged(ratios: list[float], goal: float) -> Row:
-    """Return median and spread of a ratio, the goal, and whether it is met."""
-    middle = statistics.median(ratios)
-    return f"{middle:.3g} ({min(ratios):.3g}-{max(ratios):.3g})", f"≤ {goal:g}", "yes" if middle <= goal else "no"
-
-
-def table(rows: list[Row]) -> str:
-    """Return the rows as markdown."""
-    head = ("figure", "ours", "yardstick", "ratio (min-max)", "goal", "met", "wall")
-    lines = [head, tuple("---" for _ in head), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 @click.command()
@@ -198,19 +175,18 @@ def table(rows: list[Row]) -> str:
 def main(rounds: int, minutes: float, only: str, folder: Path | None) -> None:
     """Measure the product's speed against public packages and print a markdown table."""
     compileall.compile_dir(ROOT, quiet=2)  # as pip does when it installs: no process compiles
-    with tempfile.TemporaryDirectory() as temporary:
-        place = folder or Path(temporary)
-        place.mkdir(parents=True, exist_ok=True)
-        on = logs(place, minutes)
-        length = "1 h" if minutes == 60 else f"{minutes:g} min"
-        every = figures(on, Path(temporary) / "out", length)
-        wanted = [f for f in every if only in f.name]
-        costs = in_turns([c for f in wanted for c in (f.ours, f.theirs)], rounds)
-        rows = [process_row(f, costs) for f in wanted]
-        rows += [memory_row(f"peak memory, {f.name}", f.peak, costs[f.ours]) for f in wanted if f.peak]
-        click.echo(table(rows))
-        said = subprocess.run(module("decode", "ours", on.hour), check=True, capture_output=True, text=True).stdout
-        click.echo(f"\nThe long log: {said.strip()}.")
+    place = folder or experiment.scratch()
+    place.mkdir(parents=True, exist_ok=True)
+    logs = list(make_logs(place, minutes))
+    wanted = [f for f in figures(logs, experiment.scratch() / "out", minutes) if only in f.name]
+    costs = in_turns([c for f in wanted for c in (f.ours, f.theirs)], rounds)
+    rows = [ratio_row(f, costs) for f in wanted]
+    rows += [memory_row(f"peak memory, {f.name}", f.peak, costs[f.ours]) for f in wanted if f.peak]
+    head = ("figure", "ours", "yardstick", "ratio (min-max)", "goal", "met", "wall")
+    click.echo("\n".join(experiment.table(head, rows)))
+    decoded = module("decode", "ours", logs[-1])
+    said = subprocess.run(decoded, check=True, capture_output=True, text=True).stdout
+    click.echo(f"\nThe long log: {said.strip()}.")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Does obeying the advice help? Faults of settings and robots, alone and in pairs: who is named, what a fix does.
 
     python -m benchmarks.advice --seeds 8 --jobs 2 -o advice.jsonl
-    python -m benchmarks.advice --clean 15 -o clean.jsonl
+    python -m benchmarks.advice --case none --seeds 15 -o clean.jsonl
 
 Each seed is one lap of the paper's robot with one or two faults (benchmarks/advice_cases.py). `compare` is asked
 what is wrong, with and without truth in the log; all its fixes are set, and the errors are compared with those
@@ -15,23 +15,20 @@ A fault costs something where an error is above 1.2 x + 1 mm of that with the ri
 - gap closed: (before - after) / (before - right), the median. Where the truth itself is wrong, `before` and
   `after` are the errors that `compare` prints (`after` at least the real one), and `right` is what they should be.
 
-`--clean 15` takes 15 drives without any fault, the compass offset given or estimated, with and without truth: each
-line that is printed there is needless.
+The cases "none" have no fault, the compass offset given or estimated: each line that is printed there is needless.
 """
 
 from __future__ import annotations
 
 import math
-import os
 import re
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from statistics import median
 from typing import Any
 
-import click
 import numpy as np
 
 from benchmarks import experiment
@@ -43,7 +40,7 @@ from locfuse.sample_logs.load import load as scenario_of
 from locfuse.sample_logs.record import on_truth, write_log
 from locfuse.sample_logs.simulate import EPOCH_NS
 
-FIRST_SEED = 3000
+SIDES = {"with truth": True, "without": False}
 MAX_LOSS, MAX_LOSS_M, MAX_LOSS_DEG = 0.02, 2e-4, 0.02
 MIN_COST, MIN_COST_M = 0.2, 1e-3  # relative, m: a fault that costs less costs nothing
 LOADED = (CAMERA,)  # set when a log is opened: with another camera noise its pictures are searched again
@@ -59,8 +56,8 @@ Errors = dict[str, tuple[float, float]]  # configuration -> position error [m], 
 class Lap:
     """One simulated lap: its log, the simulator's truth, and what was already found out."""
 
-    def __init__(self, seed: int, scenario: tuple[str, ...], folder: Path) -> None:
-        path = folder / f"{seed}-{os.getpid()}-{len(list(folder.iterdir()))}.mcap"
+    def __init__(self, seed: int, scenario: tuple[str, ...]) -> None:
+        path = Path(tempfile.mkdtemp(dir=experiment.scratch())) / "lap.mcap"
         outcome = write_log(scenario_of("rounded_rectangle", scenario), seed, on_truth, path)
         self.t, self.truth = outcome.truth_t, outcome.truth
         self.sessions = {True: load(path, sets=LOADED), False: load(path, sets=(*LOADED, "truth.topic=none"))}
@@ -87,30 +84,30 @@ class Lap:
         return math.sqrt(float((away**2).mean())), math.sqrt(float((turn**2).mean()))
 
 
-@lru_cache(maxsize=3)
-def lap(seed: int, scenario: tuple[str, ...], folder: Path) -> Lap:
-    """Return a lap; the last ones are kept, since many cases share one."""
-    return Lap(seed, scenario, folder)
+lap = lru_cache(maxsize=3)(Lap)  # many cases share one
 
 
-def work(name: str, seed: int, truth: bool, folder: Path) -> Row:
-    """Return what is found in one case, and the errors before and after everything that is advised is set."""
+def work(name: str, seed: int) -> Row:
+    """Return what is found in one case with truth and without, and the errors before and after all fixes."""
     case = CASES[name]
-    clean = lap(seed, CASES["none"].scenario, folder)
-    drive = lap(seed, case.scenario, folder)
-    report = drive.report(case.sets, truth)
-    obeyed = (*case.sets, *report["fixes"])
-    row = {
-        "fixes": report["fixes"],
-        "headline": report["headline"],
-        "findings": [[f["role"], f["fixes"], f["message"]] for f in report["findings"]],
-        "right": drive.errors(case.right) if case.has_key else clean.errors(case.right),
-        "before": drive.errors(case.sets),
-        "after": drive.errors(obeyed),
-    }
-    if case.of_truth:
-        row["printed"] = printed(report), printed(drive.report(obeyed, truth=True, advice=False))
-    return row
+    clean, drive = lap(seed, CASES["none"].scenario), lap(seed, case.scenario)
+    found: Row = {}
+    for side, truth in SIDES.items():
+        if case.of_truth and not truth:  # nothing is wrong without it
+            continue
+        report = drive.report(case.sets, truth)
+        obeyed = (*case.sets, *report["fixes"])
+        found[side] = {
+            "fixes": report["fixes"],
+            "headline": report["headline"],
+            "findings": [[f["role"], f["fixes"], f["message"]] for f in report["findings"]],
+            "right": drive.errors(case.right) if case.has_key else clean.errors(case.right),
+            "before": drive.errors(case.sets),
+            "after": drive.errors(obeyed),
+        }
+        if case.of_truth:
+            found[side]["printed"] = printed(report), printed(drive.report(obeyed, truth=True, advice=False))
+    return found
 
 
 def printed(report: Mapping[str, Any]) -> dict[str, float | None]:
@@ -118,12 +115,12 @@ def printed(report: Mapping[str, Any]) -> dict[str, float | None]:
     return {name: values["position_rmse_m"] for name, values in report["configurations"].items()}
 
 
-def judged(row: Row) -> Row:
-    """Return a row with what there is to say of it: named, others, plaster, worse, closed, errors_m."""
-    case = CASES[row["task"][0]]
+def judged(name: str, row: Row) -> Row:
+    """Return one side of a case with what is to say of it: named, others, plaster, worse, closed, errors_m."""
     return {
         **row,
-        **named(case, row),
+        "case": name,
+        **named(CASES[name], row),
         "worse": worse(row["right"], row["before"], row["after"]),
         **gap(*_positions(row)),
     }
@@ -188,13 +185,6 @@ def gap(right: Mapping[str, float], before: Mapping[str, float], after: Mapping[
     }
 
 
-def sides(found: Iterable[Row], names: Iterable[str]) -> list[list[Row]]:
-    """Return the rows of some cases with truth, and those without."""
-    wanted = set(names)
-    rows = [row for row in found if row["task"][0] in wanted]
-    return [[row for row in rows if row["task"][2] is truth] for truth in (True, False)]
-
-
 def costly(rows: Iterable[Row]) -> list[Row]:
     """Return the rows whose fault costs something."""
     return [row for row in rows if row["errors_m"] is not None]
@@ -207,113 +197,49 @@ def share(rows: Sequence[Row], key: str) -> str:
 
 def closed(rows: Iterable[Row]) -> str:
     """Return the median share of the gap that is closed; more than all of it counts as all."""
-    values = [min(row["closed"], 1.0) for row in rows if CASES[row["task"][0]].closes]
+    values = [min(row["closed"], 1.0) for row in rows if CASES[row["case"]].closes]
     return f"{median(values):.0%}" if values else "-"
 
 
-def goals(found: Sequence[Row]) -> list[str]:
-    """Return what all cases come to, with truth and without."""
-    faulty = sides(found, (name for name in CASES if name not in CLEAN))
-    both = sides(found, CASES)
-    keyed = [[r for r in costly(side) if CASES[r["task"][0]].has_key] for side in faulty]
-    keyless = [[r for r in costly(side) if not CASES[r["task"][0]].has_key] for side in faulty]
-    lines = [
+def table(rows: Sequence[Row]) -> Iterator[str]:
+    """Yield what all cases come to, then a line for each: with truth, then without; then what is needless."""
+    sides = [[judged(row["task"][0], row[side]) for row in rows if side in row] for side in SIDES]
+    faulty = [[row for row in side if row["case"] not in CLEAN] for side in sides]
+    keyed = [[row for row in costly(side) if CASES[row["case"]].has_key] for side in faulty]
+    keyless = [[row for row in costly(side) if not CASES[row["case"]].has_key] for side in faulty]
+    every = [
         ("right key, where the fault costs something", *(share(side, "named") for side in keyed)),
         ("the sensor is named, where no key sets that right", *(share(side, "named") for side in keyless)),
         ("somebody else gets a fix", *(share(side, "others") for side in faulty)),
         ("plaster", *(share(side, "plaster") for side in faulty)),
-        ("an error grows", *(share(side, "worse") for side in both)),
+        ("an error grows", *(share(side, "worse") for side in sides)),
         ("gap closed, median", *(closed(costly(side)) for side in faulty)),
+        *((f"{name}: a needless line", *(share(_of(name, side), "findings") for side in sides)) for name in CLEAN),
     ]
-    return experiment.table(("all cases", "with truth", "without"), lines, "12")
-
-
-def table(found: Sequence[Row]) -> list[str]:
-    """Return one line for each case: with truth, then without."""
+    yield from (*experiment.table(("all cases", *SIDES), every, "12"), "")
     lines = []
-    for name in dict.fromkeys(row["task"][0] for row in found):
-        both = sides(found, (name,))
+    for name in dict.fromkeys(row["task"][0] for row in rows):
+        both = [_of(name, side) for side in sides]
         cells = (
             [share(costly(side), "named") for side in both],
             *([share(side, key) for side in both] for key in ("others", "plaster", "worse")),
             [closed(costly(side)) for side in both],
         )
-        lines.append((name, *(", ".join(cell) for cell in cells), _means([costly(side) for side in both])))
+        means = [np.mean([row["errors_m"] for row in costly(side)], axis=0) for side in both if costly(side)]
+        metres = [*means[0][:2], *(mean[2] for mean in means)] if means else []
+        lines.append((name, *map(", ".join, cells), ", ".join(f"{1000 * mean:.1f}" for mean in metres)))
     head = ("fault", "right key", "others", "plaster", "worse", "gap closed", "mm: right, before, after")
-    return experiment.table(head, lines)
+    yield from (*experiment.table(head, lines), "")
+    for side, found in zip(SIDES, sides, strict=True):
+        for row in (row for row in found if row["case"] in CLEAN):
+            yield from (f"{row['case']}, {side}: {words} {' '.join(fixes)}" for _, fixes, words in row["findings"])
 
 
-def _means(both: Sequence[Sequence[Row]]) -> str:
-    """Return the mean errors with right and wrong settings, and after advice with truth and without."""
-    first = next((side for side in both if side), None)
-    if first is None:
-        return ""
-    means = [sum(r["errors_m"][i] for r in first) / len(first) for i in (0, 1)]
-    means += [sum(r["errors_m"][2] for r in side) / len(side) for side in both if side]
-    return ", ".join(f"{1000 * mean:.1f}" for mean in means)
+def _of(name: str, rows: Iterable[Row]) -> list[Row]:
+    return [row for row in rows if row["case"] == name]
 
 
-def clean_table(found: Sequence[Row]) -> list[str]:
-    """Return how many drives without any fault get a needless line, and these lines."""
-    lines = []
-    for name in CLEAN:
-        for side, words in zip(sides(found, (name,)), ("with truth", "without"), strict=True):
-            cells = (share(side, key) for key in ("findings", "fixes", "worse"))
-            lines.append((f"{name}, {words}", len(side), *cells))
-    needless = [
-        f"seed {row['task'][1]}, {row['task'][0]}: {role}: {words} {' '.join(fixes)}"
-        for row in found
-        for role, fixes, words in row["findings"]
-    ]
-    head = ("drives", "runs", "with a line", "with a fix", "worse")
-    return [*experiment.table(head, lines, "1234"), "", *needless]
-
-
-def _shown(raw: Row) -> str:
-    row = judged(raw)
-    name, seed, truth = row["task"]
-    part = "" if row["closed"] is None else f" {row['closed']:.0%} closed"
-    what = " ".join(row["fixes"]) or f"no fix; named: {', '.join(f[0] for f in row['findings']) or '-'}"
-    bad = "".join(f" {key.upper()} {row[key]}" for key in ("others", "plaster", "worse") if row[key])
-    return f"{seed} {name}, {'truth' if truth else 'no truth'}: {what}{part}{bad}"
-
-
-@click.command()
-@click.option("--seeds", default=8, show_default=True)
-@click.option("--first", default=FIRST_SEED, show_default=True, help="The first seed: others are fresh drives.")
-@click.option("--case", "words", multiple=True, help="Only cases whose name holds this word. Repeatable.")
-@click.option("--clean", type=int, help="Only drives without a fault, so many: what is printed is needless.")
-@click.option("--truth", type=click.Choice(["both", "with", "without"]), default="both", show_default=True)
-@click.option("--jobs", default=1, show_default=True)
-@click.option("-o", "out", type=click.Path(path_type=Path), default=Path("advice.jsonl"), show_default=True)
-def main(
-    seeds: int,
-    first: int,
-    words: tuple[str, ...],
-    clean: int | None,
-    truth: str,
-    jobs: int,
-    out: Path,
-) -> None:
-    """Print a table; cases that stand in the file of -o are not run again."""
-    names = CLEAN if clean else [n for n in CASES if not words or any(word in n for word in words)]
-    truths = {"both": (True, False), "with": (True,), "without": (False,)}[truth]
-    tasks = [
-        (name, seed, with_truth)
-        for seed in range(first, first + (clean or seeds))
-        for name in names
-        for with_truth in truths
-        if with_truth or not CASES[name].of_truth
-    ]
-    with tempfile.TemporaryDirectory() as folder:
-        made = experiment.rows(
-            partial(work, folder=Path(folder)), tasks, out, jobs, unit=lambda task: task[:2], show=_shown
-        )
-    found = [judged(row) for row in experiment.well(made)]
-    lines = clean_table(found) if clean else [*goals(found), "", *table(found)]
-    for line in (*lines, *experiment.failures(made)):
-        click.echo(line)
-
+main = experiment.command(work, table, CASES, drives=8, first=3000)
 
 if __name__ == "__main__":
     main()

@@ -62,6 +62,12 @@ def _happens(roles: str, kind: str, values: str, *keys: str, right: tuple[str, .
     return Fault(tuple(roles.split()), keys, faults=(entry,), right=right)
 
 
+def _robot(roles: str, *scenario: str, right: str = "") -> Fault:
+    """Return what is wrong with the robot itself, by settings of the simulator, and the one that sets it right."""
+    keys, rights = ((right.partition("=")[0],), (right,)) if right else ((), ())
+    return Fault(tuple(roles.split()), keys, scenario=scenario, right=rights)
+
+
 def _of_truth(fault: Fault) -> Fault:
     return replace(fault, printed=True)
 
@@ -69,6 +75,7 @@ def _of_truth(fault: Fault) -> Fault:
 LASER_NOISE = {"sigma_range": 0.03, "sigma_angle_deg": 0.25}
 MOUNT = ("lrf.x", "lrf.y", "lrf.yaw_deg")
 FIELD_T = 20e-6  # of the earth, in the plane
+HARD_IRON = f"compass.hard_iron=[{0.14 * FIELD_T}, 0]"
 OPTICS = ("camera.centre=[241.5, 238.2]", "camera.inner=62", "camera.outer=232")
 FAULTS: dict[str, Fault] = {
     "none": Fault(()),
@@ -109,30 +116,17 @@ FAULTS: dict[str, Fault] = {
     "truth 6, 3 cm off the axle": _of_truth(
         _happens("truth", "displaced", 'sensor="truth", x=0.06, y=0.03', "truth.x", "truth.y")
     ),
-    "truth with 8 mm of noise": _of_truth(
-        Fault(
-            ("truth",),
-            ("truth.sigma", "truth.sigma_theta_deg"),
-            scenario=("truth.noise=0.008", "truth.noise_deg=0.5"),
-            closes=False,
-        )
+    "truth with 8 mm of noise": replace(
+        _of_truth(_robot("truth", "truth.noise=0.008", "truth.noise_deg=0.5")),
+        keys=("truth.sigma", "truth.sigma_theta_deg"),
+        closes=False,
     ),
     # the start
-    "start 4 degrees wrong": Fault(
-        ("start", "truth"), ("start.theta_deg",), scenario=("start.error=[0, 0, 4]",), right=("start.theta_deg=0",)
-    ),
+    "start 4 degrees wrong": _robot("start truth", "start.error=[0, 0, 4]", right="start.theta_deg=0"),
     # iron, and a compass that moves
-    "hard iron 14 %": Fault(
-        ("compass",),
-        ("compass.hard_iron",),
-        scenario=(f"compass.hard_iron=[{0.14 * FIELD_T}, 0]",),
-        right=(f"compass.hard_iron=[{0.14 * FIELD_T}, 0]",),
-    ),
-    "soft iron 10 %": Fault(
-        ("compass",),
-        ("compass.soft_iron",),
-        scenario=("compass.soft_iron=[1.1, 0.9, 0]",),
-        right=(f"compass.soft_iron=[{1 / 1.1}, 0, 0, {1 / 0.9}]",),
+    "hard iron 14 %": _robot("compass", HARD_IRON, right=HARD_IRON),
+    "soft iron 10 %": _robot(
+        "compass", "compass.soft_iron=[1.1, 0.9, 0]", right=f"compass.soft_iron=[{1 / 1.1}, 0, 0, {1 / 0.9}]"
     ),
     "a steel cabinet": _happens("compass", "magnetic", "x=4.0, y=5.4, strength=4e-6, axis_deg=20"),
     "compass jumps 10 degrees": _happens(
@@ -150,9 +144,7 @@ FAULTS: dict[str, Fault] = {
     "laser jitter 40 ms": _happens("lrf", "clock_offset", 'sensor="lrf", jitter=0.04'),
     "laser clock 0.1 % fast": _happens("lrf", "clock_offset", 'sensor="lrf", drift_ppm=1000'),
     # the laser and the ground
-    "range scale 0.98": Fault(
-        ("lrf",), ("lrf.range_scale",), scenario=("lrf.scale=0.98",), right=(f"lrf.range_scale={1 / 0.98}",)
-    ),
+    "range scale 0.98": _robot("lrf", "lrf.scale=0.98", right=f"lrf.range_scale={1 / 0.98}"),
     "laser bumped by 4 degrees": _happens(
         "lrf", "displaced", f'sensor="lrf", start={MIDDLE_S}, x=0.02, yaw_deg=4'
     ),
@@ -161,10 +153,8 @@ FAULTS: dict[str, Fault] = {
         "wheels", "slip", f'wheel="both", ratio=0.3, start={MIDDLE_S}, end={MIDDLE_S + 3}'
     ),
     # the camera
-    "camera zero 25, uncalibrated": Fault(
-        ("camera",),
-        ("camera.zero_deg",),
-        scenario=("camera.zero_deg=25", "camera.calibrated=false"),
+    "camera zero 25, uncalibrated": replace(
+        _robot("camera", "camera.zero_deg=25", "camera.calibrated=false", right="camera.zero_deg=25"),
         right=(*OPTICS, "camera.zero_deg=25"),
     ),
 }

@@ -14,12 +14,18 @@ when the code changes: all rows of a table are of one state of it.
 
 from __future__ import annotations
 
+import atexit
+import contextlib
+import io
 import itertools
 import json
 import multiprocessing
+import shutil
+import signal
+import tempfile
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,6 +33,7 @@ from typing import Any, NamedTuple
 import click
 
 from locfuse.cli.analysis.robot_tables import make_robot
+from locfuse.cli.main import main as command_line
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import ArrayStream, Drive
 from locfuse.fusion.measure import measure
@@ -69,6 +76,38 @@ def simulated(scenario: str, sets: tuple[str, ...], seed: int) -> Simulated:
     return Simulated(streams, tables, outcome)
 
 
+@cache
+def scratch() -> Path:
+    """Return a folder that this process removes, in memory where it can be: the fuzzer writes many files."""
+    folder = tempfile.mkdtemp(prefix="locfuse-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None)
+    atexit.register(shutil.rmtree, folder)
+    return Path(folder)
+
+
+class Said(NamedTuple):
+    """What a command left: its exit code, stdout and stderr."""
+
+    code: int
+    out: str
+    err: str
+
+
+def locfuse(*words: str) -> Said:
+    """Run the command line in this process, as the program does; an error that it does not catch is code -1."""
+    out, err, code = io.StringIO(), io.StringIO(), 0
+    handler = signal.getsignal(signal.SIGTERM)
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            command_line(list(words))
+        except SystemExit as e:
+            code = int(e.code or 0)
+        except Exception:
+            traceback.print_exc()
+            code = -1
+    signal.signal(signal.SIGTERM, handler)
+    return Said(code, out.getvalue(), err.getvalue())
+
+
 def in_processes(work: Callable[[Any], Any], units: Iterable[Any], jobs: int) -> Iterator[tuple[Any, Any]]:
     """Yield each unit with what `work` made of it, in the order in which they end.
 
@@ -106,8 +145,6 @@ def rows(
     tasks: Iterable[Task],
     out: Path | None = None,
     jobs: int = 1,
-    unit: Callable[[Task], Any] = lambda task: task,
-    show: Callable[[Row], str] = lambda row: f"{row['task']}",
     about: Mapping[str, Any] | None = None,
 ) -> list[Row]:
     """Return the rows of all tasks, in their order: {"task": [...], ...} and what `work` returned.
@@ -117,17 +154,16 @@ def rows(
         tasks: what it is called with.
         out: a file of rows, one JSON object per line; None: nothing is kept.
         jobs: processes; 1 works in this one.
-        unit: neighbouring tasks with the same unit run in the same process, one after the other.
-        show: words for stderr when a row is there.
         about: options under which the rows are made; a row of other options is not taken from the file.
     """
     wanted, options = list(tasks), json.loads(json.dumps(about or {}))
     done = {tuple(row["task"]): row for row in _kept(out) if FAILED not in row and row.get("about", {}) == options}
-    left = [list(group) for _, group in itertools.groupby((t for t in wanted if t not in done), unit)]
-    for made in _made(work, left, jobs):
+    left = [task for task in wanted if task not in done]
+    scratch()  # of this process, which removes it, and not of another one
+    for made in map(partial(_row, work), left) if jobs == 1 else _in_turn(work, left, jobs):
         row = {**made, "about": options} if options else made
         done[tuple(row["task"])] = row
-        click.echo(f"{row['task']} FAILED: {row[FAILED]}" if FAILED in row else show(row), err=True)
+        click.echo(f"{row['task']}{' FAILED: ' + row[FAILED] if FAILED in row else ''}", err=True)
         if out is not None:
             with out.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(row) + "\n")
@@ -144,14 +180,11 @@ def _kept(out: Path | None) -> list[Row]:
     return [json.loads(line) for line in lines if line.endswith("\n")]
 
 
-def _made(work: Work, units: list[list[Task]], jobs: int) -> Iterator[Row]:
-    """Yield the rows of all units of work, as they come."""
-    if jobs == 1:
-        yield from (_row(work, task) for task in itertools.chain.from_iterable(units))
-        return
-    for unit, found in in_processes(lambda unit: [_row(work, task) for task in unit], units, jobs):
+def _in_turn(work: Work, tasks: Iterable[Task], jobs: int) -> Iterator[Row]:
+    """Yield the rows of tasks that run in processes of their own, as they come."""
+    for task, found in in_processes(partial(_row, work), tasks, jobs):
         died = isinstance(found, RuntimeError)
-        yield from ({"task": list(task), FAILED: f"the process died: {found}"} for task in unit) if died else found
+        yield {"task": list(task), FAILED: f"the process died: {found}"} if died else found
 
 
 def _row(work: Work, task: Task) -> Row:

@@ -15,6 +15,7 @@ from locfuse.sample_logs.world import Plan
 
 OCCUPIED, UNKNOWN, FREE = 0, 205, 254  # grey levels that map_server writes itself
 MARGIN = 0.5  # m around everything
+SHIFT = 8  # bits of a pixel's fraction: lines are drawn between places, not between cells
 
 
 class FloorPlan(NamedTuple):
@@ -33,12 +34,20 @@ def floor_plan(plan: Plan, inside: Point, cell_m: float = 0.05) -> FloorPlan:
         inside: m, map frame: a free place.
         cell_m: m.
     """
-    points = np.concatenate((_on_segments(plan.segments, cell_m), _on_circles(plan.circles, cell_m)))
+    ends, radius = plan.segments.reshape(-1, 2), plan.circles[:, 2:]
+    points = np.concatenate((ends, plan.circles[:, :2] - radius, plan.circles[:, :2] + radius))
     low = np.floor((points.min(axis=0) - MARGIN) / cell_m) * cell_m
     columns, rows = (np.ceil((points.max(axis=0) + MARGIN - low) / cell_m)).astype(int).tolist()
     grid = np.full((rows, columns), UNKNOWN, np.uint8)  # the first row is the southernmost
-    i, j = np.floor((points - low) / cell_m).astype(int).T
-    grid[j, i] = OCCUPIED
+
+    def pixels(at: Array) -> list[list[int]]:
+        found: list[list[int]] = np.round(((at - low) / cell_m - 0.5) * 2**SHIFT).astype(int).tolist()
+        return found
+
+    for a, b in zip(pixels(ends[::2]), pixels(ends[1::2]), strict=True):
+        cv2.line(grid, a, b, OCCUPIED, shift=SHIFT)
+    for centre, (r,) in zip(pixels(plan.circles[:, :2]), radius.tolist(), strict=True):
+        cv2.circle(grid, centre, round(r / cell_m * 2**SHIFT), OCCUPIED, shift=SHIFT)
     x, y = np.floor((np.array(inside) - low) / cell_m).astype(int).tolist()
     cv2.floodFill(grid, None, (x, y), FREE)
     return FloorPlan(grid[::-1].copy(), cell_m, (float(low[0]), float(low[1])))
@@ -59,21 +68,3 @@ def write(plan: FloorPlan, path: Path) -> None:
         "occupied_thresh: 0.65\n"
         "free_thresh: 0.25\n"
     )
-
-
-def _on_segments(segments: Array, cell: float) -> Array:
-    """Return points on segments, dense enough that a flood fill cannot pass between them."""
-    found = [np.zeros((0, 2))]
-    for x1, y1, x2, y2 in segments:
-        n = int(np.ceil(max(abs(x2 - x1), abs(y2 - y1)) / (cell / 4))) + 1
-        found.append(np.linspace((x1, y1), (x2, y2), n))
-    return np.concatenate(found)
-
-
-def _on_circles(circles: Array, cell: float) -> Array:
-    """Return points on circles."""
-    found = [np.zeros((0, 2))]
-    for x, y, radius in circles:
-        angle = np.linspace(0, 2 * np.pi, max(8, int(np.ceil(2 * np.pi * radius / (cell / 4)))))
-        found.append(np.stack((x + radius * np.cos(angle), y + radius * np.sin(angle)), axis=-1))
-    return np.concatenate(found)

@@ -8,22 +8,19 @@ A parser refuses in its own words and in one line, within SLOW seconds. A comman
 lines, or without a result; every number of a result is finite and every covariance positive; damage that checksums
 show is counted or changes nothing; no control character of a log acts on a terminal or in a file; every input
 stays as it was. Each case is a seed and runs in a process of its own, under limits of memory and CPU time. What
-fails is saved in --keep; `--only SEED` runs it again. Exit 1 if anything failed.
+fails is saved in --keep; `--first SEED --cases 1` runs it again. Exit 1 if anything failed.
 """
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
-import math
 import resource
 import signal
 import tempfile
 import time
-import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -31,39 +28,25 @@ from typing import Any
 import click
 import numpy as np
 
-from benchmarks.experiment import in_processes
-from benchmarks.fuzz_cases import Case, bases, contents, damaged_case, directed_case, short_drive
-from benchmarks.fuzz_parsers import PARSERS, fuzz_parser, scratch
+from benchmarks.experiment import in_processes, locfuse, scratch
+from benchmarks.fuzz_cases import Case, bases, contents, damaged_case, directed_case
+from benchmarks.fuzz_parsers import PARSERS, fuzz_parser
 from locfuse.cli.analysis.errors import silence_overflows
-from locfuse.cli.main import main as command_line
 from locfuse.formats.visible import UNSEEN
 from locfuse.formats.whole_files import TEMPORARY
 
 MAX_WALL_RATIO = 20  # wall time of a case over its limit of CPU time: one that waits uses no CPU
 MIN_VARIANCE = 1e-18  # that of a nanometre: below, it is what rounding leaves of an exact start
-GIB = 1 << 30
-
-
-def locfuse(*words: str) -> tuple[int, str, str]:
-    """Run the command line in this process; return exit code, stdout and stderr."""
-    out, err, code = io.StringIO(), io.StringIO(), 0
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        try:
-            command_line(list(words))
-        except SystemExit as e:
-            code = int(e.code or 0)
-        except Exception:
-            traceback.print_exc()
-            code = -1
-    return code, out.getvalue(), err.getvalue()
+MAX_BYTES, MAX_CPU_S = 1 << 30, 60  # of address space on top, and CPU time, that a case may take
+TEXTS = {".md", ".html", ".json", ".toml", ".csv", ".tex", ".svg", ".tum", ".txt"}  # files that people read
+LOSSES = ("lost", "void", "file:", "not used")  # words of a message that counts what is lost
 
 
 @cache
 def trajectory(name: str) -> bytes:
     """Return what the product makes of a healthy log; b"" where it makes nothing."""
-    base = next(base for base in bases() if base.name == name)
     folder = scratch() / f"healthy {name}"
-    locfuse(*Case("", base.data, base.suffix, words=base.words).write(folder))
+    locfuse(*bases()[name][0].write(folder))
     csv = folder / "out" / "trajectory.csv"
     return csv.read_bytes() if csv.exists() else b""
 
@@ -74,33 +57,32 @@ def problems(case: Case, folder: Path) -> Iterator[str]:
     before = {path: path.read_bytes() for path in folder.iterdir()}
     code, out, err = locfuse(*line)
     yield from of_messages(code, out, err, "--check" in line)
-    texts = {"stdout": out, "stderr": err}
-    for path in folder.rglob("*"):
-        if path.suffix in {".md", ".html", ".json", ".toml", ".csv", ".tex", ".svg", ".tum", ".txt"} - {*before}:
-            texts[path.name] = path.read_text("utf-8", "surrogateescape")
-    for name, text in texts.items():
-        if name not in case.beside and (found := UNSEEN.search(text.replace("\n", ""))):
-            yield f"{found[0]!r} acts in {name}"
-        if name.endswith((".html", ".svg")) and "<script>&" in text:
-            yield f"text of the log is no text in {name}"
-    yield from (
-        f"the input {p.name} was changed" for p, c in before.items() if not p.exists() or p.read_bytes() != c
-    )
-    yield from (
-        f"left behind: {p.name}" for p in folder.rglob("*") if p.name.endswith((TEMPORARY, "-shm", "-journal"))
-    )
+    yield from of_files(case, folder, {"stdout": out, "stderr": err})
+    for path, content in before.items():
+        if not path.exists() or path.read_bytes() != content:
+            yield f"the input {path.name} was changed"
     if line[0] == "run" and code in {0, 3}:
         yield from of_results(folder / "out", lost=code == 3 and "--strict" not in line)
-        if (
-            code == 0
-            and case.healthy
-            and (folder / "out" / "trajectory.csv").read_bytes() != trajectory(case.healthy)
-        ):
+        kept = folder / "out" / "trajectory.csv"
+        if code == 0 and case.healthy and kept.read_bytes() != trajectory(case.healthy):
             yield "damage that checksums show changed the trajectory, without a word"
     if line[0] == "recover" and code in {0, 3}:
         contents((folder / "fixed.mcap").read_bytes())  # by the public reader
     if again := {0: "info", 1: "init"}.get(len(case.log) % 8):
         yield from of_messages(*locfuse(again, line[1]))
+
+
+def of_files(case: Case, folder: Path, texts: dict[str, str]) -> Iterator[str]:
+    """Yield what is wrong with texts that people read, and which files are left behind."""
+    texts |= {p.name: p.read_text("utf-8", "surrogateescape") for p in folder.rglob("*") if p.suffix in TEXTS}
+    for name, text in texts.items():
+        if name not in case.beside and (found := UNSEEN.search(text.replace("\n", ""))):
+            yield f"{found[0]!r} acts in {name}"
+        if name.endswith((".html", ".svg")) and "<script>&" in text:
+            yield f"text of the log is no text in {name}"
+    for path in folder.rglob("*"):
+        if path.name.endswith((TEMPORARY, "-shm", "-journal")):
+            yield f"left behind: {path.name}"
 
 
 def of_messages(code: int, out: str, err: str, is_list: bool = False) -> Iterator[str]:
@@ -109,14 +91,10 @@ def of_messages(code: int, out: str, err: str, is_list: bool = False) -> Iterato
         yield f"exit {code}: {err[-3000:]}"
     if not is_list and code in {1, 2} and (err.count("\n") != 1 or not err.startswith("locfuse: ")):
         yield f"exit {code} is not one line: {err[-500:]}"
-    lines = (
-        [f["message"] for f in json.loads(out).get("findings") or []] if out.startswith("{") else out.splitlines()
-    )
-    losses = [
-        word
-        for word in (*err.splitlines(), *lines)
-        if any(w in word for w in ("lost", "void", "file:", "not used"))
-    ]
+    lines = out.splitlines()
+    if out.startswith("{"):
+        lines = [finding["message"] for finding in json.loads(out).get("findings") or []]
+    losses = [one for one in (*err.splitlines(), *lines) if any(word in one for word in LOSSES)]
     if not is_list and code == 3 and not any(c.isdigit() for c in "".join(losses)):
         yield f"exit 3 without numbers: {err[-500:]}"
 
@@ -136,28 +114,24 @@ def of_results(out: Path, lost: bool) -> Iterator[str]:
         if not np.isfinite(np.loadtxt(path, ndmin=2)).all():
             yield f"{path.name} is not finite"
     if (out / "trajectory.csv").exists():
-        rows = np.loadtxt(
-            out / "trajectory.csv", delimiter=",", skiprows=1, ndmin=2
-        )  # t, x, y, theta, P's triangle
-        P = rows[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
+        rows = np.loadtxt(out / "trajectory.csv", delimiter=",", skiprows=1, ndmin=2)
+        P = rows[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)  # behind t, x, y, theta: its triangle
         scale = np.sqrt(np.maximum(np.einsum("nii->ni", P), MIN_VARIANCE))
-        if (
-            not np.isfinite(rows).all()
-            or np.linalg.eigvalsh(P / (scale[:, :, None] * scale[:, None, :])).min() < -1e-9
-        ):
+        least = np.linalg.eigvalsh(P / (scale[:, :, None] * scale[:, None, :])).min()
+        if not np.isfinite(rows).all() or least < -1e-9:
             yield "the trajectory is not finite, or a covariance not positive"
 
 
 # --- many cases
 
 
-def judged(make: Callable[[int], Case], gigabytes: float, seconds: float, seed: int) -> tuple[str, float, str]:
+def judged(make: Callable[[int], Case], seed: int) -> tuple[str, float, str]:
     """Return the title of a case, the CPU time it took [s], and what is wrong, in a process that this ends."""
-    pages, cpu = int(Path("/proc/self/statm").read_text().split()[0]), math.ceil(seconds)
-    memory = pages * resource.getpagesize() + int(gigabytes * GIB)
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    memory = pages * resource.getpagesize() + MAX_BYTES
     resource.setrlimit(resource.RLIMIT_AS, (memory, memory))
-    resource.setrlimit(resource.RLIMIT_CPU, (cpu, cpu + 1))
-    signal.alarm(MAX_WALL_RATIO * cpu)
+    resource.setrlimit(resource.RLIMIT_CPU, (MAX_CPU_S, MAX_CPU_S + 1))
+    signal.alarm(MAX_WALL_RATIO * MAX_CPU_S)
     silence_overflows()  # as the program does
     case, begin = make(seed), time.process_time()
     with tempfile.TemporaryDirectory(dir=scratch()) as folder:
@@ -171,27 +145,24 @@ def judged(make: Callable[[int], Case], gigabytes: float, seconds: float, seed: 
 @click.command()
 @click.option("--cases", default=300, show_default=True)
 @click.option("--first", default=0, show_default=True, help="The first seed.")
-@click.option("--only", type=int, help="Run the case of one seed.")
 @click.option("--directed", is_flag=True, help="Build logs and files that are wrong on purpose.")
 @click.option("--deeds", default="", help="Of --directed: do one of these first, such as odd_values,line_maps.")
 @click.option("--parsers", type=float, help="Give every parser damaged input for so many seconds of CPU.")
 @click.option("--jobs", default=2, show_default=True)
-@click.option("--memory", default=1.0, show_default=True, help="GiB of address space a case may take on top.")
-@click.option("--seconds", default=60.0, show_default=True, help="CPU time a case may take.")
 @click.option("--keep", type=click.Path(path_type=Path), default=Path("fuzz-failures"), show_default=True)
 def main(parsers: float | None, jobs: int, keep: Path, **how: Any) -> None:
     """Run random cases and print what failed."""
     if parsers is not None:
         raise SystemExit(all_parsers(parsers, how["first"], keep))
     make = partial(directed_case, tuple(how["deeds"].split(","))) if how["directed"] else damaged_case
-    seeds = range(how["first"], how["first"] + how["cases"]) if how["only"] is None else [how["only"]]
+    seeds = range(how["first"], how["first"] + how["cases"])
     kinds, failed = Counter[str](), Counter[str]()
-    for base in [] if how["directed"] else bases():
-        trajectory(base.name)
+    for name in [] if how["directed"] else bases():
+        trajectory(name)
     for command in ("run", "compare", "view"):  # loads every library before memory is limited
-        healthy = Case("healthy", short_drive()[0], command=(command,))
+        healthy = replace(bases()["zstd"][0], healthy="", command=(command,))
         assert not [*problems(healthy, scratch() / command)]
-    for seed, answer in in_processes(partial(judged, make, how["memory"], how["seconds"]), seeds, jobs):
+    for seed, answer in in_processes(partial(judged, make), seeds, jobs):
         died = isinstance(answer, RuntimeError)
         title, took, wrong = (make(seed).title, 0.0, f"the process died: {answer}") if died else answer
         what = title.partition(": ")[2]
@@ -201,7 +172,7 @@ def main(parsers: float | None, jobs: int, keep: Path, **how: Any) -> None:
             make(seed).write(keep / f"{seed}")
             (keep / f"{seed}" / "wrong.txt").write_text(f"{title}\n{wrong}", errors="surrogateescape")
             click.echo(f"seed {seed}: {title}: {wrong.strip().splitlines()[-1][:300]}")
-        elif took > how["seconds"] / 3:
+        elif took > MAX_CPU_S / 3:
             click.echo(f"seed {seed}: {title}: {took:.0f} s of CPU")
     click.echo(", ".join(f"{kind} {count}" for kind, count in kinds.most_common()))
     click.echo(f"{len(seeds)} cases, {failed.total()} failed")

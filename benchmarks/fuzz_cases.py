@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import math
-import os
 import re
 import struct
 from collections.abc import Callable, Mapping
@@ -22,11 +21,15 @@ from mcap.records import Channel, Message, Schema
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from benchmarks.fuzz_parsers import ACTING, FLOATS, INTEGERS, VALUES, WORDS, damaged, mutated, scratch
-from benchmarks.make_log import main as make_log
-from benchmarks.make_log import pose_of, walls
+from benchmarks import experiment
+from benchmarks.fuzz_parsers import ACTING, FLOATS, INTEGERS, VALUES, WORDS, damaged, mutated
+from benchmarks.real_logs import are_there, folder
 from locfuse import sample_logs
 from locfuse.cli.analysis.robot_tables import table_types
+from locfuse.fusion.data import Array
+from locfuse.sample_logs.load import load
+from locfuse.sample_logs.record import on_truth, write_log
+from locfuse.sample_logs.simulate import EPOCH_NS, Outcome, Simulation
 
 LARGEST = 2_000_000  # bytes of a real log: a case must stay fast
 
@@ -37,80 +40,6 @@ class Spoken(NamedTuple):
     schema: Schema
     channel: Channel
     message: Message
-
-
-class Base(NamedTuple):
-    """A healthy log."""
-
-    name: str
-    suffix: str
-    data: bytes
-    weight: float
-    is_checked: bool = False  # all its messages lie in chunks with a checksum
-    words: tuple[str, ...] = ()  # of the command line
-
-
-def contents(data: bytes) -> list[Spoken]:
-    """Return the messages of an .mcap in file order, by the public reader."""
-    return [Spoken(*one) for one in make_reader(io.BytesIO(data)).iter_messages(log_time_order=False)]  # type: ignore[arg-type]
-
-
-def recorded(spoken: list[Spoken], robot: bytes, **options: Any) -> bytes:
-    """Write messages as they are given, by the public writer; channels and schemas by their content."""
-    file, known = io.BytesIO(), dict[Any, int]()
-    writer: Any = Writer(file, **options)
-    writer.start(profile="ros2", library="locfuse fuzz")
-    writer.add_attachment(0, 0, "robot.toml", "application/toml", robot)
-    for schema, channel, message in spoken:
-        key = schema.name, schema.encoding, schema.data
-        if key not in known:
-            known[key] = writer.register_schema(*key)
-        topic = channel.topic, channel.message_encoding, known[key]
-        if topic not in known:
-            known[topic] = writer.register_channel(*topic)
-        writer.add_message(known[topic], message.log_time, message.data, message.publish_time, message.sequence)
-    writer.finish()
-    return file.getvalue()
-
-
-SHORT = "--minutes 0.04 --encoder-hz 25 --compass-hz 10 --scan-hz 5 --beams 61 --chunk-size 4000"
-
-
-@cache
-def short_drive() -> tuple[bytes, list[Spoken], bytes]:
-    """Return a drive of 2.4 s in chunks with checksums: the log, its messages, its robot.toml."""
-    path = scratch() / "short.mcap"
-    make_log([str(path), *SHORT.split()], standalone_mode=False)
-    data = path.read_bytes()
-    return data, contents(data), next(iter(make_reader(io.BytesIO(data)).iter_attachments())).data
-
-
-@cache
-def bases() -> list[Base]:
-    """Return everything there is to damage; small real logs where LOCFUSE_DATA names their folder."""
-    zstd, spoken, robot = short_drive()
-    stored: dict[str, Any] = {"compression": CompressionType.NONE, "chunk_size": 4000}
-    made = [
-        Base("zstd", ".mcap", zstd, 10, is_checked=True),
-        Base(
-            "lz4",
-            ".mcap",
-            recorded(spoken, robot, **stored | {"compression": CompressionType.LZ4}),
-            5,
-            is_checked=True,
-        ),
-        Base("stored", ".mcap", recorded(spoken, robot, **stored), 10, is_checked=True),
-        Base("rosbag2", ".mcap", recorded(spoken, robot, **stored, enable_crcs=False), 10),
-        Base("loose", ".mcap", recorded(spoken, robot, **stored, use_chunking=False), 5),
-    ]
-    made += [Base(n, ".mcap", sample_logs.path(n).read_bytes(), 0.3, is_checked=True) for n in sample_logs.names()]
-    folder, wheels = os.environ.get("LOCFUSE_DATA"), ("--set", "wheels.radius=0.033", "--set", "wheels.track=0.16")
-    real = sorted(p for p in Path(folder).rglob("*") if p.suffix in {".mcap", ".db3", ".bag"}) if folder else []
-    small = (p for p in real if 0 < p.stat().st_size <= LARGEST)
-    return made + [Base(path.name, path.suffix, path.read_bytes(), 0.4, words=wheels) for path in small]
-
-
-# --- cases
 
 
 @dataclass(frozen=True)
@@ -153,19 +82,95 @@ class Case:
         return [command, str(log), *options, *results.get(command, []), *words]
 
 
+def contents(data: bytes) -> list[Spoken]:
+    """Return the messages of an .mcap in file order, by the public reader."""
+    return [Spoken(*one) for one in make_reader(io.BytesIO(data)).iter_messages(log_time_order=False)]  # type: ignore[arg-type]
+
+
+def recorded(spoken: list[Spoken], robot: bytes, **options: Any) -> bytes:
+    """Write messages as they are given, by the public writer; channels and schemas by their content."""
+    file, known = io.BytesIO(), dict[Any, int]()
+    writer: Any = Writer(file, **options)
+    writer.start(profile="ros2", library="locfuse fuzz")
+    writer.add_attachment(0, 0, "robot.toml", "application/toml", robot)
+    for schema, channel, message in spoken:
+        key = schema.name, schema.encoding, schema.data
+        if key not in known:
+            known[key] = writer.register_schema(*key)
+        topic = channel.topic, channel.message_encoding, known[key]
+        if topic not in known:
+            known[topic] = writer.register_channel(*topic)
+        writer.add_message(known[topic], message.log_time, message.data, message.publish_time, message.sequence)
+    writer.finish()
+    return file.getvalue()
+
+
+SHORT = (
+    *("control.estimator=truth", "control.wait=0", "path.laps=0.045", "camera.enabled=false"),
+    *("wheels.rate=25", "compass.rate=10", "lrf.rate=5", "lrf.beams=61", "truth.rate=10"),
+)
+
+
+class Short(NamedTuple):
+    """A simulated drive of 2.4 s."""
+
+    spoken: list[Spoken]
+    robot: bytes  # robot.toml
+    outcome: Outcome
+    walls: Array  # (n, 4) x0, y0, x1, y1 [m]
+
+
+@cache
+def short_drive() -> Short:
+    """Return the drive that cases change."""
+    path, scenario = experiment.scratch() / "short.mcap", load("rounded_rectangle", SHORT)
+    outcome = write_log(scenario, 1, on_truth, path)
+    data = path.read_bytes()
+    robot = next(iter(make_reader(io.BytesIO(data)).iter_attachments())).data
+    return Short(contents(data), robot, outcome, Simulation(scenario, 1).obstacles.segments)
+
+
+@cache
+def bases() -> dict[str, tuple[Case, float]]:
+    """Return everything there is to damage, by name, with its weight; small real logs where there is a folder."""
+    short, usual = short_drive(), {"compression": CompressionType.NONE, "chunk_size": 4000}
+    kinds: tuple[tuple[str, float, dict[str, Any]], ...] = (
+        ("zstd", 10, {"compression": CompressionType.ZSTD}),
+        ("lz4", 5, {"compression": CompressionType.LZ4}),
+        ("stored", 10, {}),
+        ("rosbag2", 10, {"enable_crcs": False}),
+        ("loose", 5, {"use_chunking": False}),
+    )
+    found = {}
+    for name, weight, how in kinds:
+        checked = name if not how.keys() & UNCHECKED else ""
+        found[name] = Case(name, recorded(short.spoken, short.robot, **usual | how), healthy=checked), weight
+    for name in sample_logs.names():
+        found[name] = Case(name, sample_logs.path(name).read_bytes(), healthy=name), 0.3
+    for path in sorted(folder().rglob("*")) if are_there() else []:
+        if path.suffix in {".mcap", ".db3", ".bag"} and 0 < path.stat().st_size <= LARGEST:
+            found[path.name] = Case(path.name, path.read_bytes(), path.suffix, words=WHEELS), 0.4
+    return found
+
+
+UNCHECKED = {"enable_crcs", "use_chunking"}  # what leaves messages without a checksum
+WHEELS = ("--set", "wheels.radius=0.033", "--set", "wheels.track=0.16")  # of a log that does not know them
+
+
 def damaged_case(seed: int) -> Case:
     """Return a log with one or two random changes."""
     rng = Random(seed)
-    base = rng.choices(bases(), [b.weight for b in bases()])[0]
-    data, names, starts, at = base.data, [], [], 8  # of the records of an .mcap, behind its magic
+    cases, weights = zip(*bases().values(), strict=True)
+    base: Case = rng.choices(cases, weights)[0]
+    data, names, starts, at = base.log, [], [], 8  # of the records of an .mcap, behind its magic
     while base.suffix == ".mcap" and at + 17 < len(data):
         starts.append(at)
         at += 9 + int(struct.unpack_from("<Q", data, at + 1)[0])
     for _ in range(rng.choice((1, 1, 1, 2))):
         data, name = damaged(rng, data, near=starts)
         names.append(name)
-    healthy, command = base.name if base.is_checked else "", ("compare",) if rng.random() < 0.05 else ("run",)
-    return Case(f"{base.name}: {', '.join(names)}", data, base.suffix, healthy, words=base.words, command=command)
+    command = ("compare",) if rng.random() < 0.05 else ("run",)
+    return replace(base, title=f"{base.title}: {', '.join(names)}", log=data, command=command)
 
 
 # --- cases that are wrong on purpose: each deed changes one thing
@@ -198,8 +203,8 @@ KNOWN_OPTIONS = {"recover": 0, "info": 5, "init": 5, "view": 5, "calibrate": 5} 
 def directed_case(first: tuple[str, ...], seed: int) -> Case:
     """Return the short drive changed in one to three ways, the first of them one of `first` if that names some."""
     rng = Random(f"directed {seed}")
-    _, spoken, robot = short_drive()
-    case = Case(command=tuple(rng.choice(COMMANDS).split()), spoken=spoken, robot=robot)
+    short = short_drive()
+    case = Case(command=tuple(rng.choice(COMMANDS).split()), spoken=short.spoken, robot=short.robot)
     deeds = rng.sample(DEEDS, rng.choice((1, 1, 2, 3)))
     deeds[0] = rng.choice([deed for deed in DEEDS if deed.__name__ in first] or [deeds[0]])
     for deed in deeds:
@@ -393,7 +398,7 @@ def map_pictures(rng: Random, case: Case) -> Case:
     """Give a map as a picture: of the room, of noise, up to the caps, of other depths, damaged."""
     noise, side = np.random.default_rng(rng.randrange(2**32)), rng.choice((1, 2, 33, 200, 200, 200, 2000, 8200))
     grey = np.full((side, min(side, 2**26 // side)), 254, np.uint8)
-    for x0, y0, x1, y1 in ((walls(12) + 0.5) / 0.05).round().astype(int).tolist():
+    for x0, y0, x1, y1 in ((short_drive().walls + 0.5) / 0.05).round().astype(int).tolist():
         cv2.line(grey, (x0, side - 1 - y0), (x1, side - 1 - y1), 0)
     if side <= 2000:
         grey[noise.random(grey.shape) < rng.choice((0.0, 0.0, 1e-4, 0.1, 1.0))] = rng.choice((0, 127, 205, 255))
@@ -414,8 +419,12 @@ IMAGES = (*["m.png"] * 12, "/dev/zero", "map.yaml", ".", "../x", "nothing.png")
 
 def line_maps(rng: Random, case: Case) -> Case:
     """Give a line map of few or very many walls, some of which are odd."""
-    count = rng.choice((1, 12, 12, 64, 1000, 10_000))
-    ends = walls(12).tolist() if count == 12 else [[rng.uniform(-20, 20) for _ in range(4)] for _ in range(count)]
+    count = rng.choice((1, 0, 0, 64, 1000, 10_000))
+    ends = (
+        short_drive().walls.tolist()
+        if not count
+        else [[rng.uniform(-20, 20) for _ in range(4)] for _ in range(count)]
+    )
     rest = {"hits": 5, "covariance": [[1e-4, 0.0], [0.0, 1e-5]]}
     lines = [{"id": i, "from": four[:2], "to": four[2:], **rest} for i, four in enumerate(ends)]
     return with_map(rng, case, json.dumps({"format": "locfuse line map", "version": 1, "lines": lines}), ".json")
@@ -427,9 +436,10 @@ def detection_files(rng: Random, case: Case) -> Case:
     known = max(rng.choice((1, 5, count // 200, count // 20, count)), 1)
     places, which = noise.uniform((-1.0, -1.0), (9.0, 7.0), (known, 2)), noise.integers(0, known, count)
     t = np.sort(noise.uniform(0.0, 2.4, count)).round(rng.choice((1, 9)))
-    x, y, theta = pose_of(t).T
+    outcome = short_drive().outcome
+    x, y, theta = (np.interp(t, outcome.truth_t, column) for column in outcome.truth.T)
     dx, dy = places[which].T - (x, y)
-    stamps = case.spoken[0].message.log_time * 1e-9 + t
+    stamps = EPOCH_NS * 1e-9 + t
     table = np.column_stack((stamps, which, np.hypot(dx, dy), np.arctan2(dy, dx) - theta)).tolist()
     text = "t,id,range,bearing\n" + "".join(f"{t:.9f},{i:g},{r:.6f},{b:.6f}\n" for t, i, r, b in table)
     near = "id,x,y\n" + "".join(f"{i},{a},{b}\n" for i, (a, b) in enumerate(places.tolist()))

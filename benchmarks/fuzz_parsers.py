@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import atexit
 import contextlib
 import json
 import math
-import shutil
 import sqlite3
 import struct
-import tempfile
 import time
 import traceback
 from collections.abc import Callable
@@ -20,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.experiment import scratch
 from benchmarks.field_paths import paths
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.container import mcap_records, ros1_bag
@@ -94,14 +92,6 @@ def damaged(
 @cache
 def corpus(name: str) -> tuple[bytes, ...]:
     return tuple(path.read_bytes() for path in sorted((CORPUS / name).iterdir()))
-
-
-@cache
-def scratch() -> Path:
-    """A folder in memory where it can be: a file for every input would cost more than reading it."""
-    folder = tempfile.mkdtemp(prefix="locfuse-fuzz-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None)
-    atexit.register(shutil.rmtree, folder)
-    return Path(folder)
 
 
 def written(name: str, data: bytes) -> Path:

@@ -16,8 +16,6 @@ an atlas closes loops, all this is ten times wider, as the solver of its graph s
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
 import os
 import re
@@ -35,9 +33,9 @@ from numpy.typing import NDArray
 
 import locfuse
 from benchmarks.experiment import in_processes
+from benchmarks.experiment import locfuse as run_command
 from benchmarks.golden_cases import HERE, LOGS, SIMULATED, Case, cases, simulate
 from benchmarks.real_logs import DATA
-from locfuse.cli.main import main as command_line
 from locfuse.fusion.data import VERDICTS, Estimates
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.predictive import listeners
@@ -149,16 +147,11 @@ def heard(session: locfuse.Session) -> Found:
 
 def printed(words: list[str]) -> Any:
     """Return what a command prints, as values where it is JSON, and its exit code."""
-    out, code = io.StringIO(), 0
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(io.StringIO()):
-        try:
-            command_line(words)
-        except SystemExit as e:
-            code = int(e.code or 0)
+    code, out, _ = run_command(*words)
     try:
-        return {"exit": code, "printed": json.loads(out.getvalue())}
+        return {"exit": code, "printed": json.loads(out)}
     except json.JSONDecodeError:
-        return {"exit": code, "printed": out.getvalue().splitlines()}
+        return {"exit": code, "printed": out.splitlines()}
 
 
 def file_of(case: Case) -> str:

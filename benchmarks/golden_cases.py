@@ -10,10 +10,9 @@ import numpy as np
 import tomli_w
 
 from benchmarks import floor_plan
-from benchmarks.advice_logs import ARENA
 from benchmarks.real_logs import FILES, KNOWN, are_there
 from locfuse.cli.analysis.settings import set_words
-from locfuse.formats.container.mcap_write import LogWriter
+from locfuse.formats.container.mcap_write import log_writer
 from locfuse.sample_logs import load
 from locfuse.sample_logs.messages import RawMessage
 from locfuse.sample_logs.record import to_log
@@ -139,7 +138,7 @@ def simulate(logs: Path, name: str) -> None:
     if name.startswith(PLANNED):
         plan = floor_plan.floor_plan(simulation.scene.obstacles(0.25), simulation.start[:2])
         floor_plan.write(plan, logs / name)
-    with LogWriter(path) as log:
+    with log_writer(path) as log:
         log.attach("robot.toml", tomli_w.dumps(simulation.robot_tables).encode())
         emit = to_log(log)
         if plan is not None and name.startswith("every"):
@@ -213,6 +212,7 @@ SENSORS: dict[str, Words] = {  # options of the logs every_*
     "sonar": ("sonar.sigma=0.1", "sonar.widen_deg=0"),
     "grid": ("lrf.map=given", "lrf.map_topic=/map"),
 }
+ARENA = (*set_words(KNOWN["brenner"]), "wheels.track=0.155")
 WARTHOG = ("wheels.radius=0.286", "wheels.track=1.78")
 BARCODES = (
     *("start.x=1.426", "start.y=-3.905", "start.theta_deg=134.8", "wheels.time_offset=0.19"),

@@ -19,7 +19,7 @@ from locfuse.fusion.judge.evaluate import evaluate
 PRIOR = {"sigma_x": 0.01, "sigma_y": 0.01, "sigma_yaw_deg": 0.5}
 
 
-def work(seed: int, modes: str) -> Row:
+def work(seed: int) -> Row:
     """Simulate one drive and judge it under every map and every configured mount."""
     run = experiment.simulated("rounded_rectangle", (*LOCK_STEP, "camera.enabled=false"), seed)
     off = np.random.default_rng(seed).normal(size=3) * np.array(list(PRIOR.values()))
@@ -29,7 +29,7 @@ def work(seed: int, modes: str) -> Row:
     for how, keys in {"stated": PRIOR | wrong, "certain": certain | wrong, "exact": certain}.items():
         sets = [f"lrf.{key}={value!r}" for key, value in keys.items()]
         drive, _ = run.measured(["lrf.map=grow", *sets])
-        for mode in modes.split(","):
+        for mode in ("grow", "refine", "consider"):
             robot = run.robot([f"lrf.map={mode}", *sets])
             for sensors in (["lrf"], ["compass", "lrf"]):
                 judged = evaluate(fuse(drive, robot, sensors), drive)
@@ -37,8 +37,7 @@ def work(seed: int, modes: str) -> Row:
     return {"found": found}
 
 
-MODES = experiment.option("--modes", default="grow,refine,consider")
-main = experiment.command(work, table, options=[MODES])
+main = experiment.command(work, table)
 
 if __name__ == "__main__":
     main()

@@ -3,7 +3,7 @@
 Only tests of the thing itself count (TESTS names them by file). Pages whose printed figures change tell that
 something changed and not that it is wrong, so they are not run. Kernels that are changed run interpreted, and
 tests that hold the interpreted form to the compiled one are left out: they would notice every change.
-A mutant that survives is printed as a change of one line.
+Every mutant is printed: its line, and the expression before and after.
 """
 
 from __future__ import annotations
@@ -19,10 +19,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from itertools import pairwise
 from pathlib import Path
 from py_compile import PycInvalidationMode
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import click
 
@@ -77,19 +76,20 @@ TESTS: dict[str, tuple[str, ...]] = {
     for file in files.split()
 } | {f"formats/container/mcap_{name}.py": MCAP for name in ("chunk", "records", "source", "survey")}
 BOTH_FORMS = "interpreted or compiled or either"  # words in names of tests that compare two forms of a kernel
-SPELLED: dict[type[ast.AST], str] = {
-    ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.FloorDiv: "//", ast.Mod: "%", ast.And: "and",
-    ast.BitAnd: "&", ast.BitOr: "|", ast.LShift: "<<", ast.RShift: ">>", ast.Or: "or", ast.Is: "is",
-    ast.Lt: "<", ast.LtE: "<=", ast.Gt: ">", ast.GtE: ">=", ast.Eq: "==", ast.NotEq: "!=", ast.IsNot: "is not",
-    ast.In: "in", ast.NotIn: "not in",
+Swaps = dict[type[ast.AST], type[ast.AST]]
+SWAPPED: Swaps = {
+    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult,
+    ast.Mod: ast.Mult, ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd, ast.LShift: ast.RShift,
+    ast.RShift: ast.LShift, ast.And: ast.Or, ast.Or: ast.And, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
+    ast.In: ast.NotIn, ast.NotIn: ast.In, ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.USub: ast.UAdd,
 }  # fmt: skip
-SWAPPED = {
-    "+": "-", "-": "+", "*": "/", "/": "*", "//": "*", "%": "*", "&": "|", "|": "&", "<<": ">>", ">>": "<<",
-    "and": "or", "or": "and", "==": "!=", "!=": "==", "in": "not in", "not in": "in",
-    "is": "is not", "is not": "is",
-}  # fmt: skip
-OPPOSITE = {"<": ">=", "<=": ">", ">": "<=", ">=": "<"}  # of floats: the bound itself never occurs
-BOUND = {"<": "<=", "<=": "<", ">": ">=", ">=": ">"}  # of whole numbers, which readers compare
+OPPOSITE = {ast.Lt: ast.GtE, ast.LtE: ast.Gt, ast.Gt: ast.LtE, ast.GtE: ast.Lt}  # of floats: never at the bound
+BOUND = {
+    ast.Lt: ast.LtE,
+    ast.LtE: ast.Lt,
+    ast.Gt: ast.GtE,
+    ast.GtE: ast.Gt,
+}  # of whole numbers, as readers compare
 SIZES = re.compile(r"MAX_|\w+_(BYTES|AT_ONCE)\b")  # whole numbers with such names cap or divide work
 LEAVES = ast.Raise | ast.Return | ast.Continue | ast.Break  # a guard is an `if` of one such statement
 NAMES = {"cos": "sin", "sin": "cos", "min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum"}
@@ -100,25 +100,34 @@ PATIENCE = 1800  # s for the tests of one mutant: one that hangs is noticed
 
 
 class Mutant(NamedTuple):
-    """One change of one line."""
+    """One change of one line: another value of a field of a node."""
 
     file: str
-    line: int
-    before: str
-    after: str
-    source: str  # the whole changed file
+    tree: ast.Module
+    node: ast.expr | ast.stmt
+    field: str
+    new: Any
+
+    def sources(self) -> tuple[str, str, str]:
+        """Return the changed file, and the node before and after, as Python."""
+        old, before = getattr(self.node, self.field), _words(self.node)
+        setattr(self.node, self.field, self.new)
+        found = ast.unparse(self.tree), before, _words(self.node)
+        setattr(self.node, self.field, old)
+        return found
+
+
+def _words(node: ast.AST) -> str:
+    return ast.unparse(node).partition("\n")[0]
 
 
 def mutants(file: str) -> Iterator[Mutant]:
     """Yield every change that the rules know of one file."""
-    source = (ROOT / file).read_text(encoding="utf-8")
-    bounds = BOUND if file.startswith("formats/") else OPPOSITE
-    for node in _looked_at(ast.parse(source)):
-        for start, end, text in _changes(node, source, bounds):
-            changed = source[:start] + text + source[end:]
-            line = source.count("\n", 0, start)
-            lines = source.splitlines()[line].strip(), changed.splitlines()[line].strip()
-            yield Mutant(file, line + 1, *lines, changed)
+    tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
+    swapped = SWAPPED | (BOUND if file.startswith("formats/") else OPPOSITE)
+    for node in _looked_at(tree):
+        if isinstance(node, ast.expr | ast.stmt):
+            yield from (Mutant(file, tree, node, field, new) for field, new in _changes(node, swapped))
 
 
 def _looked_at(node: ast.AST) -> Iterator[ast.AST]:
@@ -132,53 +141,34 @@ def _looked_at(node: ast.AST) -> Iterator[ast.AST]:
                     yield from _looked_at(part)
 
 
-def _changes(node: ast.AST, source: str, bounds: dict[str, str]) -> Iterator[tuple[int, int, str]]:
-    """Yield (start, end, text) of what may stand in place of a node's own characters."""
-    for left, operator, right in _operations(node):
-        old, before, behind = SPELLED.get(type(operator), ""), _end(left, source), _start(right, source)
-        at = source.find(old, before, behind)
-        if old and at >= 0 and not (old in BOUND and bounds is BOUND and SIZES.match(ast.unparse(right))):
-            yield at, at + len(old), (SWAPPED | bounds)[old]
+def _changes(node: ast.AST, swapped: Swaps) -> Iterator[tuple[str, Any]]:
+    """Yield (field, value) of what may stand in place of a node's own."""
     match node:
-        case ast.If(test, [statement], []) if isinstance(statement, LEAVES):
-            yield _start(test, source), _end(test, source), "False"
-        case ast.UnaryOp(ast.USub() | ast.Not() as operator):
-            start = _start(node, source)
-            yield start, start + (1 if isinstance(operator, ast.USub) else len("not ")), ""
+        case ast.BinOp(op=operator) | ast.AugAssign(op=operator) | ast.BoolOp(operator) | ast.UnaryOp(operator):
+            if type(operator) in swapped:
+                yield "op", swapped[type(operator)]()
+            elif isinstance(node, ast.UnaryOp) and isinstance(operator, ast.Not):
+                yield "operand", ast.UnaryOp(operator, node.operand)
+        case ast.Compare():
+            yield from _comparisons(node, swapped)
+        case ast.If(_, [statement], []) if isinstance(statement, LEAVES):
+            yield "test", ast.Constant(value=False)
         case ast.Constant(float(value)) if TOLERANCE < value < INFINITE:
-            yield _start(node, source), _end(node, source), repr(value * 2.0)
+            yield "value", value * 2.0
         case ast.Constant(int(value)) if type(value) is int and value < MANY:
-            yield _start(node, source), _end(node, source), repr(value + 1)
+            yield "value", value + 1
         case ast.Attribute(ast.Name(), name) if name in NAMES:
-            yield _end(node, source) - len(name), _end(node, source), NAMES[name]
+            yield "attr", NAMES[name]
 
 
-def _operations(node: ast.AST) -> Iterator[tuple[ast.expr, ast.AST, ast.expr]]:
-    """Yield (left, operator, right) of each operator that a node has."""
-    match node:
-        case ast.BinOp(left, operator, right) | ast.AugAssign(left, operator, right):
-            yield left, operator, right
-        case ast.BoolOp(operator, values):
-            yield from ((left, operator, right) for left, right in pairwise(values))
-        case ast.Compare(first, operators, others):
-            yield from zip([first, *others], operators, others, strict=False)
+def _comparisons(node: ast.Compare, swapped: Swaps) -> Iterator[tuple[str, Any]]:
+    for i, (operator, right) in enumerate(zip(node.ops, node.comparators, strict=True)):
+        other = swapped[type(operator)]
+        if BOUND.get(type(operator)) is not other or not SIZES.match(ast.unparse(right)):
+            yield "ops", [*node.ops[:i], other(), *node.ops[i + 1 :]]
 
 
-def _place(source: str, line: int, column: int) -> int:
-    """Return the position of an AST place, whose column counts bytes."""
-    lines = source.splitlines(keepends=True)
-    return sum(map(len, lines[: line - 1])) + len(lines[line - 1].encode()[:column].decode())
-
-
-def _start(node: ast.expr, source: str) -> int:
-    return _place(source, node.lineno, node.col_offset)
-
-
-def _end(node: ast.expr, source: str) -> int:
-    return _place(source, node.end_lineno or 0, node.end_col_offset or 0)
-
-
-def laid_out(folder: Path, interpreted: bool = True) -> Path:
+def laid_out(folder: Path, interpreted: bool) -> Path:
     """Lay the package out as it is installed, with its own fusion/ and formats/."""
     package = folder / "locfuse"
     package.mkdir()
@@ -195,14 +185,10 @@ def laid_out(folder: Path, interpreted: bool = True) -> Path:
     return package
 
 
-def first_on_path(package: Path) -> dict[str, str]:
-    """Return the environment of a process that imports this package, and not the installed one."""
-    return {**os.environ, "PYTHONPATH": str(package.parent)}
-
-
 def passes(package: Path, tests: tuple[str, ...]) -> bool:
     """Return whether tests pass with this package in front of the installed one."""
-    env = {**first_on_path(package), "PYTHONDONTWRITEBYTECODE": "1", "NO_COLOR": "1"}
+    first = {"PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1", "NO_COLOR": "1"}
+    env = {**os.environ, **first}
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "--no-header"]
     command += ["-k", f"not ({BOTH_FORMS})", *tests]
     try:
@@ -230,17 +216,14 @@ def main(count: int, seed: int, only: str | None, least: float) -> None:
             if not passes(package, tests):
                 raise click.ClickException(f"tests fail without any change: {' '.join(tests)}")
         for mutant in drawn:
-            begin = time.monotonic()
-            target = package / mutant.file
-            before = target.read_bytes()
-            target.write_text(mutant.source, encoding="utf-8")
+            begin, target = time.monotonic(), package / mutant.file
+            original, (changed, before, after) = target.read_bytes(), mutant.sources()
+            target.write_text(changed, encoding="utf-8")
             noticed = not passes(package, TESTS[mutant.file])
-            target.write_bytes(before)
+            target.write_bytes(original)
             survivors += not noticed
-            word = "killed" if noticed else "SURVIVED"
-            click.echo(f"{word:8} {time.monotonic() - begin:4.0f} s  {mutant.file}:{mutant.line}: {mutant.after}")
-            if not noticed:
-                click.echo(f"{'':16}was: {mutant.before}")
+            word, seconds = "killed" if noticed else "SURVIVED", time.monotonic() - begin
+            click.echo(f"{word:8} {seconds:4.0f} s  {mutant.file}:{mutant.node.lineno}: {before} -> {after}")
     share = 1.0 - survivors / max(len(drawn), 1)
     click.echo(f"{len(drawn) - survivors} of {len(drawn)} killed ({share:.0%})")
     raise SystemExit(share < least)

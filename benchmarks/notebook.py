@@ -14,10 +14,12 @@ import base64
 import contextlib
 import io
 import json
-import sys
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+
+from benchmarks.readme import kept
 
 ROOT = Path(__file__).parent.parent
 EXAMPLES = ROOT / "examples"
@@ -87,22 +89,15 @@ def without_figures(notebook: dict[str, Any]) -> list[Any]:
     return cells
 
 
-def main(write: bool) -> int:
-    """Check or rewrite all notebooks."""
-    wrong = 0
+def today() -> Iterator[tuple[Path, str]]:
+    """Yield every notebook with today's outputs; as it is where only figures differ."""
     for path in sorted(EXAMPLES.glob("*.ipynb")):
-        notebook = json.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
         with tempfile.TemporaryDirectory() as folder:
-            now = executed(notebook, Path(folder))
-        if without_figures(now) == without_figures(notebook):
-            continue
-        if write:
-            path.write_text(json.dumps(now, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-        else:
-            wrong += 1
-            print(f"{path.relative_to(ROOT)} differs from what its cells print today")
-    return 1 if wrong else 0
+            now = executed(json.loads(text), Path(folder))
+        same = without_figures(now) == without_figures(json.loads(text))
+        yield path, text if same else json.dumps(now, indent=1, ensure_ascii=False) + "\n"
 
 
 if __name__ == "__main__":
-    sys.exit(main("--write" in sys.argv))
+    kept(today())

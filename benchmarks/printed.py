@@ -17,7 +17,7 @@ from unittest.mock import patch
 import numpy as np
 
 from benchmarks import experiment
-from benchmarks.accuracy import LOCK_STEP, figures
+from benchmarks.accuracy import figures
 from benchmarks.experiment import Row
 from locfuse.fusion.data import Array, Measurements
 from locfuse.fusion.fuse import fuse
@@ -78,10 +78,9 @@ ROWS = {
 }
 
 
-def work(seed: int, scenario: str, sets: tuple[str, ...], lock_step: bool) -> Row:
+def work(seed: int) -> Row:
     """Simulate one drive and judge both filters on it: filter -> configuration -> figures."""
-    run = experiment.simulated(scenario, (*(LOCK_STEP if lock_step else ()), *sets), seed)
-    measured, robot = run.measured(("camera.chain=paper",))
+    measured, robot = experiment.simulated("rounded_rectangle", (), seed).measured(("camera.chain=paper",))
     found: dict[str, dict[str, Any]] = {}
     for name in (*ROWS, "default"):
         filter_of = fuse if name == "default" else fuse_as_printed
@@ -107,14 +106,7 @@ def table(rows: list[Row]) -> Iterator[str]:
     yield from experiment.table(("filter", *rows[0]["found"]["default"]), lines, "12345")
 
 
-OPTIONS = (
-    experiment.option("--scenario", default="rounded_rectangle"),
-    experiment.option("--set", "sets", multiple=True, help="Scenario key."),
-    experiment.option(
-        "--lock-step", is_flag=True, help="Every sensor once per 0.1 s, at one instant (the paper)."
-    ),
-)
-main = experiment.command(work, table, options=OPTIONS)
+main = experiment.command(work, table)
 
 if __name__ == "__main__":
     main()

@@ -16,13 +16,13 @@ import io
 import os
 import re
 import shlex
-import signal
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from unittest.mock import patch
 
-from locfuse.cli.main import main as main_of_locfuse
+from benchmarks.experiment import locfuse
 
 ROOT = Path(__file__).parent.parent
 PAGES = ("README.md", "docs/bags.md", "docs/export.md", "docs/paper.md", "docs/trust.md")
@@ -43,36 +43,14 @@ def output(command: str, folder: Path) -> str:
     words = shlex.split(command.removesuffix(NOTHING))
     if words[0] != "locfuse":
         raise ValueError(f"only locfuse commands are run: {command}")
-    printed, said = io.StringIO(), io.StringIO()
-    with contextlib.chdir(folder), typed(), contextlib.redirect_stdout(printed), contextlib.redirect_stderr(said):
-        code = exit_code(words[1:])
-    if code != 0:
-        raise RuntimeError(f"{command}: exit {code}\n{said.getvalue()}")
+    terminal = {"COLUMNS": WIDTH, "NO_COLOR": "1", "TERM": "dumb"}  # plain, of the pages' width
+    with contextlib.chdir(folder), patch.dict(os.environ, terminal):
+        said = locfuse(*words[1:])
+    if said.code != 0:
+        raise RuntimeError(f"{command}: exit {said.code}\n{said.err}")
     if command.endswith(NOTHING):
         return ""
-    return "\n".join(line.rstrip() for line in printed.getvalue().splitlines() if line.strip())
-
-
-@contextlib.contextmanager
-def typed() -> Iterator[None]:
-    """Let this process look like a plain terminal of the pages' width, and leave it as it was."""
-    before, handler = dict(os.environ), signal.getsignal(signal.SIGTERM)
-    os.environ |= {"COLUMNS": WIDTH, "NO_COLOR": "1", "TERM": "dumb"}
-    try:
-        yield
-    finally:
-        os.environ.clear()
-        os.environ |= before
-        signal.signal(signal.SIGTERM, handler)
-
-
-def exit_code(words: list[str]) -> int:
-    """Run the command line in this process, which has imported what it needs, and return its exit code."""
-    try:
-        main_of_locfuse(words)
-    except SystemExit as e:
-        return int(e.code or 0)
-    return 0
+    return "\n".join(line.rstrip() for line in said.out.splitlines() if line.strip())
 
 
 def replayed(page: str, folder: Path) -> str:
@@ -99,21 +77,26 @@ def replayed_python(page: str, folder: Path) -> str:
     return PYTHON.sub(replay, page)
 
 
-def main(write: bool) -> int:
-    """Check or rewrite all pages."""
-    wrong = 0
+def today() -> Iterator[tuple[Path, str]]:
+    """Yield every page with today's output."""
     for name in (*PAGES, *PYTHON_PAGES):
-        path = ROOT / name
-        page = path.read_text(encoding="utf-8")
         with tempfile.TemporaryDirectory() as folder:
-            now = (replayed_python if name in PYTHON_PAGES else replayed)(page, Path(folder))
-        if write:
+            page, replay = (ROOT / name).read_text(), replayed_python if name in PYTHON_PAGES else replayed
+            yield ROOT / name, replay(page, Path(folder))
+
+
+def kept(pages: Iterable[tuple[Path, str]]) -> None:
+    """Write pages if asked to; else print how the files differ from them, and exit with 1 where one does."""
+    differ = False
+    for path, now in pages:
+        before = path.read_text(encoding="utf-8") if path.exists() else ""
+        if "--write" in sys.argv:
             path.write_text(now, encoding="utf-8")
-        elif now != page:
-            wrong += 1
-            sys.stdout.writelines(difflib.unified_diff(page.splitlines(True), now.splitlines(True), name, "today"))
-    return 1 if wrong else 0
+        elif now != before:
+            differ, lines = True, (before.splitlines(True), now.splitlines(True))
+            sys.stdout.writelines(difflib.unified_diff(*lines, path.name, "today"))
+    sys.exit(differ)
 
 
 if __name__ == "__main__":
-    sys.exit(main("--write" in sys.argv))
+    kept(today())

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 
 import click
 
+from benchmarks.readme import kept
 from locfuse.cli.analysis.robot_tables import table_types
 from locfuse.cli.inspect.json_schema import SCHEMAS, robot_schema
 from locfuse.cli.main import COMMANDS, locfuse
@@ -238,18 +238,5 @@ PAGES = {
 }
 
 
-def main(write: bool) -> int:
-    """Check or write all pages."""
-    wrong = 0
-    for name, page in PAGES.items():
-        path, now = ROOT / name, page()
-        if write:
-            path.write_text(now, encoding="utf-8")
-        elif not path.exists() or path.read_text(encoding="utf-8") != now:
-            wrong += 1
-            print(f"{name} is not what the code and the pages say today: python -m benchmarks.reference --write")
-    return 1 if wrong else 0
-
-
 if __name__ == "__main__":
-    sys.exit(main("--write" in sys.argv))
+    kept((ROOT / name, page()) for name, page in PAGES.items())

@@ -80,12 +80,6 @@ class Statistics(NamedTuple):
     counts: dict[int, int]  # channel -> messages
 
 
-def opcode_and_length(head: bytes) -> tuple[int, int]:
-    """Read the opcode and length of any record."""
-    opcode, length = RECORD.unpack_from(head)
-    return int(opcode), int(length)
-
-
 # struct letter of the length in front of text, bytes, bytes, map
 LENGTH = {"s": "I", "b": "I", "d": "Q", "m": "I"}
 

@@ -104,12 +104,6 @@ def _footer(data: FileBytes) -> tuple[int, int, bytes] | None:
     return start, crc, foot[: at - 4]
 
 
-def lost_summary(data: FileBytes) -> bool:
-    """Return whether a file without a valid summary should have one: its footer is damaged or points at it."""
-    foot = _footer(data)
-    return foot is None or foot[0] != 0
-
-
 def summary_section(data: FileBytes) -> bytes | None:
     """Return the bytes of the summary section, None if it is missing or its checksum is wrong."""
     foot = _footer(data)
@@ -276,7 +270,7 @@ class Resync:
         head = self.data.read(at, CHUNK_HEAD)
         if len(head) < rec.RECORD.size or head[0] != rec.CHUNK:
             return False
-        length = rec.opcode_and_length(head)[1]
+        length = rec.RECORD.unpack_from(head)[1]
         try:
             header = rec.chunk_header(head[rec.RECORD.size :])
         except DamagedError:
@@ -290,7 +284,7 @@ class Resync:
             head = self.data.read(at, rec.RECORD.size + 2)
             if len(head) < rec.RECORD.size + 2:
                 return False
-            opcode, length = rec.opcode_and_length(head)
+            opcode, length = rec.RECORD.unpack_from(head)
             if opcode == rec.MESSAGE and int.from_bytes(head[rec.RECORD.size :], "little") not in channels:
                 return False
             if not 0 < opcode <= rec.DATA_END or at + rec.RECORD.size + length > self.data.size:
@@ -375,7 +369,7 @@ class _SurveyWalk:
             here, at = at, self._step(at)
         if at is not None:
             self.losses.add(self.name, CUT_OFF, 0, 0)
-        elif self.summary is None and lost_summary(self.data):
+        elif self.summary is None and ((foot := _footer(self.data)) is None or foot[0] != 0):
             self.losses.add(self.name, NO_SUMMARY, here, self.data.size - here)
         self._distrust_unconfirmed()
         # times in a chunk's header are covered by no checksum: they count only where the summary has the same
@@ -390,11 +384,11 @@ class _SurveyWalk:
         head = self.data.read(at, rec.RECORD.size)
         if len(head) < rec.RECORD.size:
             return self._lost(at, "the file is cut off inside a record")
-        opcode, length = rec.opcode_and_length(head)
+        opcode, length = rec.RECORD.unpack_from(head)
         if self._is_end(at, opcode, length):
             self._check_data_crc(at, opcode)
             return None
-        end = at + rec.RECORD.size + length
+        end: int = at + rec.RECORD.size + length
         try:
             if not (0 < opcode < rec.DATA_END or opcode >= rec.PRIVATE) or opcode == rec.FOOTER:
                 raise DamagedError("bytes that are no record")

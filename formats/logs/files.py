@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from fnmatch import fnmatch
 from itertools import takewhile
 from pathlib import Path
@@ -16,29 +16,15 @@ from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.mcap_records import MAGIC
 from locfuse.formats.container.mcap_source import McapSource
 from locfuse.formats.container.mcap_survey import summary_section
+from locfuse.formats.container.ros1_bag import BagSource
+from locfuse.formats.container.rosbag2_sqlite import SqliteSource
 from locfuse.formats.container.source import Source
 from locfuse.formats.container.url import Place, Url
 from locfuse.formats.inputs import read_small
 from locfuse.formats.visible import writable
 from locfuse.fusion.data import LocfuseError, UsageError
 
-
-def _sqlite(data: FileBytes, losses: Losses) -> Source:
-    from locfuse.formats.container.rosbag2_sqlite import SqliteSource
-
-    return SqliteSource(data, losses)
-
-
-def _bag(data: FileBytes, losses: Losses) -> Source:
-    from locfuse.formats.container.ros1_bag import BagSource
-
-    return BagSource(data, losses)
-
-
-SOURCES: dict[bytes, Callable[[FileBytes, Losses], Source]] = {
-    b"SQLite format 3\x00": _sqlite,
-    b"#ROSBAG V2.0\n": _bag,
-}
+SOURCES: dict[bytes, type[Source]] = {b"SQLite format 3\x00": SqliteSource, b"#ROSBAG V2.0\n": BagSource}
 ENDINGS = ("*.mcap", "*.mcap.zstd", "*.db3", "*.db3.zstd", "*.bag")  # of the files in a folder without metadata
 REPORTS = ("report.json", "run.json")  # one of them makes a folder a result
 UNNAMED = "log"  # what to call "...mcap": its stem ".." would lead results out of their folder

@@ -14,6 +14,7 @@ from .clouds import Clouds
 
 BIN_COUNT = 360
 MARGIN_M, MARGIN_SHARE = 0.3, 0.03  # a point must lie so much before what was seen behind it
+PAIRS_AT_ONCE = 2000  # of keys: the points of more take hundreds of MB
 MIN_POINTS = 20  # in the field of view of the other scan: fewer decide nothing
 
 
@@ -34,6 +35,12 @@ class Views(msgspec.Struct, frozen=True):
 
     def contradicted(self, clouds: Clouds, i: Ints, j: Ints, pose: Array) -> tuple[Any, Any]:
         """Count for pairs of keys (p,) the points of j that i looked through, and those within the view of i."""
+        pieces = np.array_split(np.arange(len(i)), len(i) // PAIRS_AT_ONCE + 1)
+        counts = [self._counted(clouds, i[some], j[some], pose[some]) for some in pieces]
+        bad, judged = (np.concatenate(each) for each in zip(*counts, strict=True))
+        return bad, judged
+
+    def _counted(self, clouds: Clouds, i: Ints, j: Ints, pose: Array) -> tuple[Any, Any]:
         rows, of = clouds.rows(j)
         at = se2.transform(pose[of], clouds.xy[rows]) - self.origin
         bins, ranges = _polar(at)
@@ -41,8 +48,7 @@ class Views(msgspec.Struct, frozen=True):
         judged = np.isfinite(seen)
         with np.errstate(invalid="ignore"):
             through = ranges < seen * (1.0 - MARGIN_SHARE) - MARGIN_M
-        bad, all_judged = np.bincount(of, through, len(i)), np.bincount(of, judged, len(i))
-        return bad, all_judged
+        return np.bincount(of, through, len(i)), np.bincount(of, judged, len(i))
 
 
 def _polar(points: Array) -> tuple[Ints, Array]:

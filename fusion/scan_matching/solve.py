@@ -151,8 +151,10 @@ class Normal:
     def joint(self, poses: Ints) -> Array:
         """Return the joint covariance of these poses (k,), (k, 3, k, 3)."""
         at = (3 * poses[:, None] + np.arange(3)).ravel()
-        found: Array = self.columns(poses)[at].reshape(len(poses), 3, len(poses), 3)
-        return found
+        found, few = np.empty((len(at), len(at))), COLUMNS_AT_ONCE // 3
+        for first in range(0, len(poses), few):  # all columns of all states together take hundreds of MB
+            found[:, 3 * first : 3 * (first + few)] = self.columns(poses[first : first + few])[at]
+        return found.reshape(len(poses), 3, len(poses), 3)
 
     def chain(self, n: int) -> tuple[Array, Array]:
         """Return each pose's covariance (n, 3, 3), and that with the pose after it, (n - 1, 3, 3)."""

@@ -8,12 +8,15 @@ import shutil
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import zstandard
-from bags import STORE, cdr, header
+from bags import STORE, T0, S, Said, cdr, header, write
 from commands import counted_jobs, locfuse, ok
+from mcap.reader import make_reader
+from mcap.writer import CompressionType
 from range_server import Shelf, serving
 from rosbags.rosbag2 import Writer
 
@@ -41,17 +44,27 @@ def shelf() -> Iterator[Shelf]:
 def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Six seconds with raw pictures that nothing reads, by compression."""
     folder = tmp_path_factory.mktemp("logs")
-    words = ["--minutes", "0.1", "--raw-image-hz", "5", "--image-size", "320x240", "--chunk-size", "400000"]
-    for kind in ("none", "zstd"):
-        make_log([str(folder / f"{kind}.mcap"), *words, "--compression", kind], standalone_mode=False)
-    return {kind: folder / f"{kind}.mcap" for kind in ("none", "zstd")}
+    make_log([str(folder / "drive.mcap"), "--minutes", "0.1"], standalone_mode=False)
+    with (folder / "drive.mcap").open("rb") as file:
+        reader = make_reader(file)
+        robot = next(reader.iter_attachments()).data
+        said = [Said(c.topic, s.name, m.data, m.log_time) for s, c, m in reader.iter_messages() if s is not None]
+    picture, kind = random.Random(1).randbytes(320 * 240 * 3), "sensor_msgs/msg/Image"
+    data = cdr(kind, header=header(T0), data=np.frombuffer(picture, np.uint8))
+    said += [Said("/front/image_raw", kind, data, said[0].log_time + i * S // 5) for i in range(30)]
+    said.sort(key=lambda m: m.log_time)
+    how: dict[str, Any] = {"chunk_size": 400_000, "attachments": {"robot.toml": robot}}
+    return {
+        name: write(folder / f"{name}.mcap", said, compression=CompressionType[name.upper()], **how)
+        for name in ("none", "zstd")
+    }
 
 
 def columns(log: Log) -> dict[str, dict[str, np.ndarray]]:
     fields = {
         "/joint_states": ("position",),
-        "/magnetic_field": ("magnetic_field.x",),
-        "/ground_truth": ("pose.position.x",),
+        "/compass": ("magnetic_field.x",),
+        "/ground_truth/pose": ("pose.position.x",),
     }
     streams = log.streams(fields)
     return {

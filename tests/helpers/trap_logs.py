@@ -11,7 +11,7 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
-from locfuse.formats.container.mcap_write import LogWriter
+from locfuse.formats.container.mcap_write import log_writer
 from locfuse.sample_logs import load
 from locfuse.sample_logs.messages import RawMessage
 from locfuse.sample_logs.simulate import EPOCH_NS, Simulation
@@ -83,7 +83,7 @@ class Drive:
 
     def record(self, path: Path) -> Path:
         """Write it as a log."""
-        with LogWriter(path) as log:
+        with log_writer(path) as log:
             log.attach("robot.toml", tomli_w.dumps(self.tables).encode())
             for m in self.messages:
                 log.write(m.topic, m.msgtype, m.fields, m.log_ns, stamp_ns=m.stamp_ns, frame_id=m.frame_id)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, cast
 
 import msgspec
 import numpy as np
@@ -11,7 +12,10 @@ from msgspec import field
 from numpy.typing import NDArray
 from rooms import scan
 
-from locfuse.fusion.data import ArrayStream, Ragged
+from locfuse.fusion.data import ArrayStream, Drive, Ragged, Stream
+from locfuse.fusion.fuse import Filter
+from locfuse.fusion.instants import due_readings, steps_of
+from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot, StartSettings, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -159,6 +163,19 @@ class World(msgspec.Struct):
             **{"radius": self.radius, "track": self.track, "noise": max(self.wheel_noise, 1e-7), **self.wheels}
         )
         return Robot(wheels=wheels, start=StartSettings(x=x, y=y, theta_deg=math.degrees(a)), sensors=sensors)
+
+    def measured(self) -> tuple[Drive, Robot]:
+        """The drive as it is measured, and its robot."""
+        robot = self.robot()
+        return measure(cast("dict[str, Stream]", self.streams()), robot), robot
+
+
+def instants(run: Filter, drive: Drive, *sensors: str) -> Iterator[int]:
+    """Let a filter run through a drive; yield every instant once it is done."""
+    steps = steps_of(drive)
+    for k, due in enumerate(due_readings(drive, sensors)):
+        run.advance(k, steps, due, drive.measurements)
+        yield k
 
 
 def stream(topic: str, msgtype: str, t: Array, data: dict[str, Any]) -> ArrayStream:

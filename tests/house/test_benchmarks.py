@@ -74,25 +74,18 @@ def test_a_row_that_was_cut_off_is_made_again(tmp_path: Path) -> None:
     assert [json.loads(line)["value"] for line in out.read_text().splitlines()] == ["a1", "b1"]
 
 
-def test_tasks_of_one_unit_run_in_one_process(tmp_path: Path) -> None:
-    tasks = [(name, seed) for seed in range(4) for name in ("a", "b")]
-    found = experiment.rows(partial(work, folder=tmp_path), tasks, jobs=2, unit=lambda task: task[1])
-    for a, b in zip(found[::2], found[1::2], strict=True):
-        assert a["process"] == b["process"]
-
-
 def judged(case: str, *findings: tuple[str, str], **more: Any) -> dict[str, Any]:
     """Judge a case in which these (role, fix) were printed; errors are 4, 20 and 8 mm unless `more` says more."""
     errors = {"right": {"all": (0.004, 0.2)}, "before": {"all": (0.02, 0.2)}, "after": {"all": (0.008, 0.2)}}
     return advice.judged(
+        case,
         {
-            "task": [case, 3000, True],
             "fixes": [fix for _, fix in findings if fix],
             "headline": "Keep the laser: 4 mm.",
             "findings": [[role, [fix] if fix else [], "words"] for role, fix in findings],
             **errors,
             **more,
-        }
+        },
     )
 
 
@@ -165,31 +158,20 @@ def test_a_clean_drive_has_the_right_settings() -> None:
     assert CASES["none"].sets == CASES["none"].right == RIGHT
 
 
-def real_row(after: tuple[float, float]) -> dict[str, Any]:
-    """Return the row of a real log whose `all` had 0.4 m and 4 degrees, and has `after` now."""
-
-    def figures(*errors: float) -> dict[str, Any]:
-        return {"all": {"errors": [*errors, 7.0], "void": False}}
-
-    return {
-        "task": ["fr079"],
-        "fixes": ["wheels.time_offset=0.13"],
-        "again": [],
-        "findings": [{"what": "wheels: lag", "fixes": ["wheels.time_offset=0.13"], "judged": None, "words": ""}],
-        "before": figures(0.4, 4.0),
-        "after": figures(*after),
-        "cpu": [10.0, 25.0],
-        "relations": None,
-    }
-
-
 @pytest.mark.parametrize(
     ("after", "bad"), [((0.3, 2.0), "no"), ((0.41, 2.0), "**yes**"), ((0.3, 4.2), "**yes**"), ((0.4, 4.05), "no")]
 )
 def test_a_real_log_got_worse_where_position_or_heading_did(after: tuple[float, float], bad: str) -> None:
-    (line,) = advice_logs.obeyed_table([real_row(after)])[2:]
-    log, name, position, heading, anees, worse, again, cpu = (cell.strip() for cell in line.split("|")[1:-1])
-    assert (log, name, anees, again, cpu) == ("fr079", "all", "7 -> 7", "nothing", "2.5 x, 1 fixes")
+    """`all` had 0.4 m and 4 degrees."""
+    fixes, figures = (
+        ["wheels.time_offset=0.13"],
+        {"before": {"all": [0.4, 4.0, 7.0]}, "after": {"all": [*after, 7.0]}},
+    )
+    row = {"task": ["fr079"], "fixes": fixes, "again": [], "cpu": 2.5, **figures}
+    (line,) = list(advice_logs.table([row]))[2:]
+    log, fix, name, position, heading, anees, worse, again, cpu = (cell.strip() for cell in line.split("|")[1:-1])
+    assert (log, fix, name, anees) == ("fr079", "`wheels.time_offset=0.13`", "all", "7 -> 7")
+    assert (again, cpu) == ("nothing", "2.5 x")
     assert position.startswith("0.40 m -> 0.")
     assert heading == f"4.00° -> {after[1]:.2f}°"
     assert worse == bad
@@ -237,7 +219,7 @@ def test_the_fuzzer_sees_a_parser_that_breaks() -> None:
 
 # --- a small sample of `python -m benchmarks.accuracy`: four of its drives, without the camera (it takes long)
 
-MODES = accuracy.MODES.split(",")
+MODES = accuracy.MODES
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import msgspec
 import numpy as np
 import pytest
 from bags import T0, Said, cdr, header, write
@@ -30,8 +29,6 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import LocfuseError, MapLine
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.measure import measure
-from locfuse.fusion.robot import StartSettings
 from locfuse.sample_logs import load
 from locfuse.sample_logs.building_scene import scene_of
 
@@ -83,13 +80,11 @@ def test_what_is_no_map_is_refused_in_one_line(text: str, says: str) -> None:
 
 
 def test_a_robot_localises_in_the_map_of_another_drive_and_leaves_it_as_it_is() -> None:
-    first = World(seed=1)
-    robot = first.robot()
-    lines = fuse(measure(first.streams(), robot), robot, ["lrf"]).final_map
+    lines = fuse(*World(seed=1).measured(), ["lrf"]).final_map
     second = World(seed=2, start=(2.0, 2.0, 0.5), settings={"lrf": {"map": "given"}})
-    robot = second.robot()
-    robot = replace(robot, lines=tuple(lines), start=replace_start(robot.start))
-    drive = measure(second.streams(), robot)
+    drive, robot = second.measured()
+    start = replace(robot.start, sigma_xy=0.05, sigma_theta_deg=1.0)
+    robot = replace(robot, lines=tuple(lines), start=start)
     found = fuse(drive, robot, ["lrf"])
     figures = evaluate(found, drive).figures
     assert figures["position_rmse_m"] is not None
@@ -99,15 +94,10 @@ def test_a_robot_localises_in_the_map_of_another_drive_and_leaves_it_as_it_is() 
     assert [line.rho for line in found.final_map] == pytest.approx([line.rho for line in lines], abs=1e-9)
 
 
-def replace_start(start: StartSettings) -> StartSettings:
-    return msgspec.structs.replace(start, sigma_xy=0.05, sigma_theta_deg=1.0)
-
-
 def test_localising_in_no_map_says_what_is_missing() -> None:
-    world = World(seconds=2.0, settings={"lrf": {"map": "given"}})
-    robot = world.robot()
+    drive, robot = World(seconds=2.0, settings={"lrf": {"map": "given"}}).measured()
     with pytest.raises(LocfuseError, match="--map FILE"):
-        fuse(measure(world.streams(), robot), robot, ["lrf"])
+        fuse(drive, robot, ["lrf"])
 
 
 # --- `--map map.yaml` and `lrf.map_topic`: a log is localised in a floor plan, from a start that nobody says

@@ -22,7 +22,7 @@ from locfuse.fusion.sensors.lrf import LrfSettings
 
 MATCHED = np.diag([1.0 / 0.02**2, 1.0 / 0.02**2, 1.0 / math.radians(0.3) ** 2])
 CORNERS = np.array([(-4.0, -3.0), (6.0, -3.0), (6.0, 5.0), (4.0, 5.0), (4.0, 7.0), (-4.0, 7.0)])  # m
-ROOM = np.hstack((CORNERS, np.roll(CORNERS, -1, axis=0)))
+ROOM = rooms.ring(CORNERS)
 
 
 def keys_along(way: Array, rng: np.random.Generator) -> tuple[Array, Edges]:

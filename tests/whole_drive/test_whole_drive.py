@@ -154,13 +154,6 @@ def test_a_place_that_was_recognised_wrongly_bends_nothing(wrong: tuple[float, f
     assert len(found.closures) >= 0.5 * len(graph.closures)
 
 
-def test_a_drive_without_a_loop_closes_none_and_says_so() -> None:
-    drive, _ = ring_drive(4, laps=0.75)
-    graph = whole_drive(drive, robot(), ["lrf"])
-    assert graph is not None
-    assert not len(graph.closures)
-
-
 def test_without_a_laser_or_with_a_given_map_there_is_no_graph() -> None:
     drive, _, _ = solved()
     assert whole_drive(drive, robot(), []) is None

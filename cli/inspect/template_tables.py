@@ -7,11 +7,10 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from locfuse.cli.analysis.body_topics import motors
 from locfuse.cli.analysis.choose import best_of
 from locfuse.cli.analysis.mounts import is_base, mount_tables
 from locfuse.cli.analysis.robot_tables import table_types
-from locfuse.cli.analysis.topics import of_type
+from locfuse.cli.analysis.topics import filled
 from locfuse.cli.analysis.wheel_topics import steers
 from locfuse.formats.robot.commented_toml import TomlLine
 from locfuse.fusion.sensor import Ask
@@ -110,7 +109,7 @@ def found(overview: Overview) -> Known:
 def _topics(overview: Overview, role: str) -> Known:
     topics, why = overview.choice.of(role), overview.choice.why.get(role, "")
     if not topics and role in REGISTRY:  # a sensor that lacks a setting may have its topic all the same
-        fit = [t for t in of_type(overview.log, REGISTRY[role].reads) if overview.log.topics[t].count]
+        fit = filled(overview.log, *REGISTRY[role].reads)
         fit = best_of(overview.log, REGISTRY[role], fit)
         settings = overview.robot.settings(role)
         unset = role in overview.choice.absent and len(fit) == 1 and REGISTRY[role].missing(settings) is not None
@@ -223,7 +222,7 @@ def _concerns(facts: Facts, table: str, key: str) -> bool:
     if table == "wheels" and key == "wheelbase":
         return kind in MOTOR or (kind in STEERED and facts.overview.robot.wheels.steering == "angle")
     if table == "wheels" and key == "erpm_per_mps":
-        return bool(motors(facts.overview.log))
+        return bool(filled(facts.overview.log, *MOTOR))
     if table == "wheels" and key == "servo_gain":
         return (
             len(topics := facts.overview.choice.of("wheels")) > 1

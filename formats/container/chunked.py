@@ -66,7 +66,7 @@ class ChunkedSource(Source):
                 yield Batch(data, messages)
 
     def load(self, part: Part) -> tuple[Bytes, Records]:
-        """Read one part and find its records; learn how many messages it has."""
+        """Read one part and find its records, and count its messages."""
         known = None if part.counts is None else sum(part.counts.values())
         try:
             data = np.frombuffer(self.unpacked(part), np.uint8)

@@ -138,5 +138,5 @@ class McapSource(ChunkedSource):
                 c.topic, schema.name, c.message_encoding, schema.encoding, schema.data, counts[ident]
             )
         for ident in counts.keys() - found.keys():
-            self.losses.add(str(self.path), "messages of a channel nobody defines", ident, 0, counts[ident])
+            self.losses.add(str(self.path), "messages of an undefined channel", ident, 0, counts[ident])
         return found

@@ -44,19 +44,19 @@ class BagRecord(NamedTuple):
         return self.start + self.length
 
     def number(self, name: bytes) -> int:
-        """Return a 4-byte field."""
-        value = self.fields.get(name, b"")
-        if len(value) != WORD.size:
-            raise DamagedError("a record without its fields")
-        return int(WORD.unpack(value)[0])
+        """Return a 4-byte field as a whole number."""
+        return int(self._values(name, WORD)[0])
 
     def time_ns(self, name: bytes) -> int:
         """Return a time field in nanoseconds."""
-        value = self.fields.get(name, b"")
-        if len(value) != TIME.size:
-            raise DamagedError("a record without its fields")
-        seconds, nanoseconds = TIME.unpack(value)
+        seconds, nanoseconds = self._values(name, TIME)
         return int(seconds) * 10**9 + int(nanoseconds)
+
+    def _values(self, name: bytes, layout: struct.Struct) -> tuple[int, ...]:
+        value = self.fields.get(name, b"")
+        if len(value) != layout.size:
+            raise DamagedError("a record without its fields")
+        return layout.unpack(value)
 
 
 def read_entry(read: Callable[[int, int], bytes], at: int) -> BagRecord:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from locfuse.fusion.data import Array, Ints
 
 MAX_BACK_NS = 2 * 10**9  # a time that runs back by more is no jitter: another clock, or files in another order
-MAX_SHARE = 0.25  # of the times may contradict the order; with more of them nobody can tell what is right
+MAX_SHARE = 0.25  # of the times may contradict the order; with more of them it is unclear which are right
 
 WINDOW_READINGS = 7  # neighbours on either side by which the beat of a stream is known
 OFF_BEAT, OFF_PERIODS = 8.0, 0.25  # robust deviations and periods off the beat: a time like that is wrong

@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 from msgspec import field
 from numpy.typing import NDArray
+from pose_streams import pose_stream
 from rooms import scan
 
 from locfuse.fusion.data import ArrayStream, Drive, Ragged, Stream
@@ -125,21 +126,7 @@ class World(msgspec.Struct):
 
     def _truth(self) -> ArrayStream:
         t = np.arange(0.0, self.seconds - 0.05, 0.04) + self.truth_shift
-        x, y, theta = self.pose(t).T
-        zero = np.zeros(len(t))
-        return stream(
-            "/ground_truth",
-            "geometry_msgs/msg/PoseStamped",
-            t,
-            {
-                "pose.position.x": x,
-                "pose.position.y": y,
-                "pose.orientation.x": zero,
-                "pose.orientation.y": zero,
-                "pose.orientation.z": np.sin(theta / 2),
-                "pose.orientation.w": np.cos(theta / 2),
-            },
-        )
+        return pose_stream("/ground_truth", stamps(t), self.pose(t))
 
     def robot(self) -> Robot:
         lx, ly, yaw = self.mount
@@ -178,5 +165,9 @@ def instants(run: Filter, drive: Drive, *sensors: str) -> Iterator[int]:
         yield k
 
 
+def stamps(t: Array) -> NDArray[np.int64]:
+    return EPOCH + np.rint(t * 1e9).astype(np.int64)
+
+
 def stream(topic: str, msgtype: str, t: Array, data: dict[str, Any]) -> ArrayStream:
-    return ArrayStream(topic, msgtype, EPOCH + np.rint(t * 1e9).astype(np.int64), data)
+    return ArrayStream(topic, msgtype, stamps(t), data)

@@ -24,7 +24,6 @@ from worlds import World
 from locfuse.cli.analysis.load import load
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.judge.evaluate import evaluate
 
 Array = NDArray[np.float64]
 PLAIN = LogOptions(quiet=True)
@@ -113,24 +112,6 @@ def test_nan_or_inf_anywhere_is_skipped_and_counted(folder: Path, value: float) 
 def joint(ns: int, position: Array) -> bytes:
     names = ["left_wheel", "right_wheel"]
     return cdr("sensor_msgs/msg/JointState", header=header(ns), name=names, position=position)
-
-
-def test_kidnapping_is_marked_and_never_confident_and_wrong(folder: Path) -> None:
-    path = simulated(folder, scenario="kidnapped")  # lifted at 20 s, put down at 22 s
-    loaded = load([path], PLAIN)
-    found = fuse(loaded.drive, loaded.robot, ["compass", "lrf"])
-    ((start, end),) = found.lost
-    assert 19.5 <= start <= 22.5  # dated back to the last scan that fitted
-    judged = evaluate(found, loaded.drive)
-    error = np.hypot(*judged.deviation.T)
-    known = (judged.t < start) | (judged.t > end)
-    assert error[known].max() < 0.05
-    away = (judged.t > 22.0) & (judged.t < end)
-    sigma = np.sqrt(judged.sigma[away, 0] ** 2 + judged.sigma[away, 1] ** 2)
-    assert (error[away] < 3.0 * sigma).all()
-    done, _, report = run(path)
-    assert "lost from" in done.stderr
-    assert report["configurations"]["all"]["lost"] == [[start, end]]
 
 
 @pytest.fixture(scope="module")

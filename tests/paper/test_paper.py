@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import small_drive
-from commands import locfuse
+from commands import locfuse, ok
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
@@ -225,14 +225,12 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("paper") / "drive.mcap"
     legs = "path.legs=[{forward=2.0}, {turn_deg=90}, {forward=1.0}]"
     sets = ("camera.enabled=false", legs, 'sonar=[{name="front", x=0.2}]')
-    done = locfuse("simulate", "straight_runs", "-o", path, *(w for s in sets for w in ("--set", s)))
-    assert done.exit_code == 0, done.stderr
+    ok("simulate", "straight_runs", "-o", path, *(w for s in sets for w in ("--set", s)))
     return path
 
 
 def test_the_preset_is_said_and_recorded_and_reproduces(log: Path, tmp_path: Path) -> None:
-    done = locfuse("compare", log, "-v", "--preset", "paper", "--write", "json", "-o", tmp_path / "paper")
-    assert done.exit_code == 0, done.stderr
+    done = ok("compare", log, "-v", "--preset", "paper", "--write", "json", "-o", tmp_path / "paper")
     assert "note: preset paper" in done.stderr
     report = json.loads((tmp_path / "paper" / "report.json").read_text())
     assert report["settings"]["preset"] == "paper"
@@ -240,14 +238,10 @@ def test_the_preset_is_said_and_recorded_and_reproduces(log: Path, tmp_path: Pat
     assert "no equation" in report["absent"]["sonar"]
     assert list(report["configurations"]) == ["odometry", "compass", "lrf", "all"]
     robot = tmp_path / "paper" / "robot.toml"
-    again = locfuse("compare", log, "--robot", robot, "--write", "json", "-o", tmp_path / "again")
-    assert again.exit_code == 0, again.stderr
+    ok("compare", log, "--robot", robot, "--write", "json", "-o", tmp_path / "again")
     same = json.loads((tmp_path / "again" / "report.json").read_text())
     assert same["configurations"] == report["configurations"]
-    ours = locfuse(
-        "run", log, "--robot", robot, "--preset", "default", "--sensors", "lrf", "-o", tmp_path / "ours"
-    )
-    assert ours.exit_code == 0, ours.stderr
+    ok("run", log, "--robot", robot, "--preset", "default", "--sensors", "lrf", "-o", tmp_path / "ours")
     figures = json.loads((tmp_path / "ours" / "run.json").read_text())["configurations"]["lrf"]
     assert figures["position_rmse_m"] != report["configurations"]["lrf"]["position_rmse_m"]
 

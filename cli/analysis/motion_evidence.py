@@ -20,7 +20,7 @@ from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import merged
-from locfuse.fusion.wheels.motion_agreement import turns_explained, ways_explained
+from locfuse.fusion.wheels.motion import turns_explained, ways_explained
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
 from .mounts import mount_tables, transforms_of

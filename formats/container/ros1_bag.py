@@ -59,14 +59,14 @@ class BagRecord(NamedTuple):
         return layout.unpack(value)
 
 
-def read_entry(read: Callable[[int, int], bytes], at: int) -> BagRecord:
+def read_entry(read: Callable[[int, int], bytes | memoryview], at: int) -> BagRecord:
     """Read the record at an offset by `read` (offset, bytes). Raises DamagedError if there is none."""
     word = read(at, WORD.size)
     n = WORD.unpack(word)[0] if len(word) == WORD.size else HEAD_BYTES
     header = read(at + WORD.size, min(n, HEAD_BYTES) + WORD.size)
     if n > HEAD_BYTES - WORD.size or len(header) < n + WORD.size:
         raise DamagedError("bytes that are no record")
-    found = fields_of(header[:n])
+    found = fields_of(bytes(header[:n]))
     op = found.get(b"op", b"")
     if len(op) != 1:
         raise DamagedError("bytes that are no record")
@@ -106,7 +106,7 @@ def scan_chunk(data: Bytes, most: int) -> Records:
         if count > most:
             raise DamagedError(f"a chunk unpacks to more than {most} records, the cap for its size")
         try:
-            entry = read_entry(lambda start, n: bytes(buffer[start : start + n]), at)
+            entry = read_entry(lambda start, n: buffer[start : start + n], at)
             if entry.end > len(buffer):
                 break
             if entry.op == MESSAGE:

@@ -320,7 +320,7 @@ def asked(first: Mapping[str, Shown], look: Looks) -> Together:
 
 
 def _offers(logs: Mapping[str, Shown]) -> list[dict[Fixes, set[str]]]:
-    """Return by class the settings that are surely off, with the logs that disagree about them.
+    """Return settings that are surely off, by class of evidence, and the logs that disagree about each.
 
     Last come all of them together: several faults may hide what each of their fixes does.
     """

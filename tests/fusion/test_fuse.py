@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-import tracemalloc
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -20,12 +18,10 @@ from locfuse.cli.analysis.compare import Compared, compare_log
 from locfuse.cli.analysis.configurations import for_comparison
 from locfuse.cli.analysis.load import load
 from locfuse.cli.analysis.settings import Asked, LogOptions
-from locfuse.fusion.data import VERDICTS, ArrayStream, Audit, Drive, Estimates, MapLine, Measurements
+from locfuse.fusion.data import VERDICTS, ArrayStream, Drive, Estimates, MapLine
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.fuse import Filter, fuse, inflate
-from locfuse.fusion.instants import due_readings, steps_of
+from locfuse.fusion.fuse import Filter, due_readings, fuse, inflate, steps_of
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.judge.innovations import own
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 
@@ -253,37 +249,12 @@ def test_a_scan_costs_at_most_so_many_calls_however_many_lines_it_has(mode: str,
 
 # --- what an hour of log must not cost, in bytes that are counted, not measured: the same on every machine
 
-LINES = 100_000
-
-
-def peak(work: Callable[[], Any]) -> int:
-    """Bytes held at most while some work is done, beyond what was held before."""
-    work()  # what is imported or computed once is there
-    tracemalloc.start()
-    try:
-        work()
-        return tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-
 
 def size(table: Any) -> int:
     """Bytes of the arrays of a table."""
     columns = [getattr(table, name) for name in table.__struct_fields__]
     columns += [one for column in columns if isinstance(column, dict) for one in column.values()]
     return sum(column.nbytes for column in columns if isinstance(column, np.ndarray))
-
-
-def lines() -> tuple[Audit, Measurements]:
-    """Innovations of many lines."""
-    rng = np.random.default_rng(1)
-    k = np.arange(LINES, dtype=np.int32)
-    y = rng.normal(size=(LINES, 2))
-    verdict, nis, gate = np.zeros(LINES, np.int8), (y**2).sum(axis=1), np.full(LINES, 18.4)
-    audit = Audit(k // 8, k, verdict, k % 8, nis, gate, y, np.full((LINES, 2), 1.0))
-    R_unit = np.broadcast_to(np.eye(2), (LINES, 2, 2)).copy()
-    first = np.arange(0, LINES + 1, 8)
-    return audit, Measurements(np.arange(len(first) - 1.0), first, y, R_unit, 0.5, 0.1 * np.eye(2))
 
 
 @pytest.fixture(scope="module")
@@ -309,8 +280,3 @@ def test_of_a_run_a_few_numbers_an_instant_remain(compared: tuple[Compared, list
     for e, judged in zip(found.estimates, found.evaluations, strict=True):
         assert size(e) <= 8 * (12 * len(e.t) + 12 * len(truth.t))
         assert size(judged) <= 8 * 13 * len(truth.t)
-
-
-def test_judging_a_sensors_noise_takes_little_more_than_its_audit() -> None:
-    audit, m = lines()
-    assert peak(lambda: own(audit, m)) < 1.5 * size(audit)

@@ -270,11 +270,6 @@ def test_people_step_aside_for_the_robot() -> None:
     np.testing.assert_allclose(found[2], (0.0, AWAY))
 
 
-def test_a_walk_without_a_way_is_refused() -> None:
-    with pytest.raises(msgspec.ValidationError, match="at least two points"):
-        msgspec.convert({"path": [[1, 2]]}, Walker)
-
-
 # --- ray casting -----------------------------------------------------------------------------------------
 
 
@@ -386,16 +381,6 @@ def test_the_robot_slows_down_for_its_corners() -> None:
     calm = np.convolve(turning, np.ones(5) / 5, "same")
     assert calm.max() < 1.5
     assert np.median(speed[calm > 0.6]) < 0.5
-
-
-def test_the_camera_cannot_draw_a_building_and_says_so() -> None:
-    with pytest.raises(LocfuseError, match=r"set camera\.enabled = false"):
-        load.load("office", ("camera.enabled=true",))
-
-
-def test_an_unknown_key_of_a_space_is_named_with_the_nearest() -> None:
-    with pytest.raises(LocfuseError, match="did you mean area"):
-        load.load("hall", ('building.spaces=[{name = "a", aera = [0, 0, 1, 1]}]',))
 
 
 def test_a_path_needs_two_points() -> None:

@@ -71,6 +71,16 @@ def test_sources_of_chance_are_independent_of_each_other() -> None:
         ("[lrf]\nrate = 'fast'", "expected `float`, got `str` - at `lrf.rate`"),
         ("[lrf\n", "is not TOML"),
         ("base = 'rounded_rectangel'", "did you mean rounded_rectangle?"),
+        ("base = 'hall'\n[building]\nspaces = [{name = 'a', aera = [0, 0, 1, 1]}]", "did you mean area?"),
+        ("base = 'hall'\n[building]\npeople = [{path = [[1, 2]]}]", "at least two points"),
+        ("base = 'office'\n[camera]\nenabled = true", "set camera.enabled = false"),
+        (
+            "[[faults]]\nkind = 'magnetic'\nx = 1\ny = 1\nstrength = 1\nstart = 5\nend = 4",
+            "end = 4 must come after",
+        ),
+        ("[[faults]]\nkind = 'people'\npath = [[1, 1], [2, 2]]", "a walk needs an `end`"),
+        ("[[faults]]\nkind = 'kidnap'\nx = 1\ny = 1", "a kidnapping needs an `end`"),
+        ("[[faults]]\nkind = 'slip'\nwheel = 'left'\nratio = 1.5", "`float` <= 1.0 - at `faults[0].ratio`"),
     ],
 )
 def test_a_scenario_that_does_not_fit_is_refused_by_its_key(text: str, message: str, tmp_path: Path) -> None:

@@ -273,7 +273,7 @@ def judged(
     for pair in zip(c.a.tolist(), c.b.tolist(), strict=True):
         loops.undecided.pop(pair, None)
     i, j = maps.middle[c.a], maps.middle[c.b]
-    return Edges.of(i, j, found.pose, found.information, CLOSURE_WIDTH_SIGMAS)
+    return Edges.of(i, j, found.alone, found.information, CLOSURE_WIDTH_SIGMAS)
 
 
 def through_walls(c: Candidates, pose: Array, maps: Submaps, x: Array) -> Array:

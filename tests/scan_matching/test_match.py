@@ -10,10 +10,9 @@ from scipy.optimize import least_squares
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array
 from locfuse.fusion.scan_matching.clouds import CELL_M, Clouds, normals, thinned
-from locfuse.fusion.scan_matching.free_space import Views
 from locfuse.fusion.scan_matching.match import Targets, match, sources_of
 from locfuse.fusion.scan_matching.solve import Edges, Normal, Problem
-from locfuse.fusion.whole_drive.closures import correlate
+from locfuse.fusion.whole_drive.closures import Views, correlate
 
 LOOSE = np.diag([1.0 / 0.3**2, 1.0 / 0.3**2, 1.0 / np.radians(10.0) ** 2])[None]
 

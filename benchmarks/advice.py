@@ -129,7 +129,7 @@ def judged(name: str, row: Row) -> Row:
 def _positions(row: Row) -> Iterator[dict[str, float]]:
     """Yield position errors [m] with the right settings, before and after; those printed where the truth is wrong.
 
-    A printed error that is withheld misleads nobody, as the right one. Who bends the filter until it agrees with a
+    A withheld error does not mislead, as the right one. Who bends the filter until it agrees with a
     wrong truth has closed nothing: afterwards the larger counts, of what is printed and what is so.
     """
     right, before, after = ({n: e for n, (e, _) in row[key].items()} for key in ("right", "before", "after"))

@@ -26,7 +26,7 @@ MIDDLE_S = 30.0  # of the lap, when what happens in its middle happens
 class Fault:
     """What is wrong, who should be named, and what sets it right."""
 
-    roles: tuple[str, ...]  # who may be named: nobody else
+    roles: tuple[str, ...]  # who may be named: no other
     keys: tuple[str, ...] = ()  # one of which a right fix sets; () = no key can, the finding alone is right
     sets: tuple[str, ...] = ()  # settings that are wrong
     scenario: tuple[str, ...] = ()  # what is wrong with the robot, as --set of `locfuse simulate`
@@ -97,6 +97,7 @@ FAULTS: dict[str, Fault] = {
     "laser 10 degrees": _mount("lrf.yaw_deg=10"),
     "laser upside-down": _one("lrf.flipped=true"),
     "range scale 1.05": _one("lrf.range_scale=1.05"),
+    "range offset 5 cm": _one("lrf.range_offset=0.05"),
     "track + 3 %": _one("wheels.track=0.618"),
     "track - 10 %": _one("wheels.track=0.54"),
     "radius + 6 %": _one("wheels.radius=0.053", "wheels.track"),

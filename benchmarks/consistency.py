@@ -17,7 +17,7 @@ off is judged with its clock set to what the drive and its truth show.
 Below the table stands what no filter can beat: the posterior Cramer-Rao bound (Tichavsky, Muravchik and Nehorai
 1998) of a filter that knows the true walls, from the first scan on. It uses every beam with its own noise, and the
 wheels with theirs. A scan is used from its end on: the truth's stamps of the cases fall into the first half of a
-sweep, where the product too has only the scan before. A filter that must learn the walls knows less.
+sweep, where the product too has only the scan before. A filter that must estimate the walls knows less.
 """
 
 from __future__ import annotations

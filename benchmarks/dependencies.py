@@ -8,6 +8,7 @@ an empty one, the least of five. `locfuse --help` imports click only.
 
 from __future__ import annotations
 
+import contextlib
 import re
 import sys
 from importlib import metadata
@@ -38,13 +39,12 @@ USES = {
 RUNS = 5
 
 
-def needed(package: str) -> list[str]:
+def needed(package: str) -> set[str]:
     """Return the packages that a package names itself, extras left out; none of one that is not installed."""
-    try:
-        lines = metadata.requires(package) or []
-    except metadata.PackageNotFoundError:
-        return []
-    return [re.split(r"[<>=!~\[;( ]", line)[0] for line in lines if "extra ==" not in line]
+    with contextlib.suppress(metadata.PackageNotFoundError):
+        lines = [line for line in metadata.requires(package) or [] if "extra ==" not in line]
+        return {plain(re.split(r"[<>=!~\[;( ]", line)[0]) for line in lines}
+    return set()
 
 
 def plain(name: str) -> str:
@@ -52,14 +52,12 @@ def plain(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
-def with_their_own(package: str) -> set[str]:
-    """Return a package and everything that it needs in turn."""
-    found, waiting = set[str](), [package]
-    while waiting:
-        name = plain(waiting.pop())
-        if name not in found:
-            found.add(name)
-            waiting += needed(name)
+def with_their_own(packages: set[str]) -> set[str]:
+    """Return packages and everything that they need in turn."""
+    found = set[str]()
+    while packages:
+        found |= packages
+        packages = {name for package in packages for name in needed(package)} - found
     return found
 
 
@@ -79,14 +77,15 @@ def seconds(code: str) -> float:
 
 def main() -> None:
     """Print the table, the largest package first."""
-    rows, empty = [], seconds("pass")
-    for package in needed("locfuse"):
-        took = max(seconds(f"import {MODULES.get(package, package)}") - empty, 0.0)
-        rows.append((megabytes({plain(package)}), megabytes(with_their_own(package)), package, took))
+    packages, rows, empty = needed("locfuse"), [], seconds("pass")
+    assert packages == {plain(name) for name in USES}
+    for name in USES:
+        took, own = max(seconds(f"import {MODULES.get(name, name)}") - empty, 0.0), {plain(name)}
+        rows.append((megabytes(own), megabytes(with_their_own(own)), name, took))
     lines = [
         (name, f"{own:.1f}", f"{all_:.1f}", f"{took:.2f}", USES[name]) for own, all_, name, took in sorted(rows)
     ]
-    everything = {name for package in needed("locfuse") for name in with_their_own(package)}
+    everything = with_their_own(packages)
     last = ("**all of them**", "", f"**{megabytes(everything):.0f}**", "", "")
     head = ("package", "MB", "MB with what it needs", "import [s]", "used for")
     print("\n".join(table(head, [*reversed(lines), last], "123")))

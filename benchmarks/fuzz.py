@@ -20,6 +20,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -44,9 +45,8 @@ LOSSES = ("lost", "void", "file:", "not used")  # words of a message that counts
 @cache
 def trajectory(name: str) -> bytes:
     """Return what the product makes of a healthy log; b"" where it makes nothing."""
-    base = next(base for base in bases() if base.name == name)
     folder = scratch() / f"healthy {name}"
-    locfuse(*Case("", base.data, base.suffix, words=base.words).write(folder))
+    locfuse(*bases()[name][0].write(folder))
     csv = folder / "out" / "trajectory.csv"
     return csv.read_bytes() if csv.exists() else b""
 
@@ -157,10 +157,10 @@ def main(parsers: float | None, jobs: int, keep: Path, **how: Any) -> None:
     make = partial(directed_case, tuple(how["deeds"].split(","))) if how["directed"] else damaged_case
     seeds = range(how["first"], how["first"] + how["cases"])
     kinds, failed = Counter[str](), Counter[str]()
-    for base in [] if how["directed"] else bases():
-        trajectory(base.name)
+    for name in [] if how["directed"] else bases():
+        trajectory(name)
     for command in ("run", "compare", "view"):  # loads every library before memory is limited
-        healthy = Case("healthy", bases()[0].data, command=(command,))
+        healthy = replace(bases()["zstd"][0], healthy="", command=(command,))
         assert not [*problems(healthy, scratch() / command)]
     for seed, answer in in_processes(partial(judged, make), seeds, jobs):
         died = isinstance(answer, RuntimeError)

@@ -42,15 +42,44 @@ class Spoken(NamedTuple):
     message: Message
 
 
-class Base(NamedTuple):
-    """A healthy log."""
+@dataclass(frozen=True)
+class Case:
+    """A log, the files beside it, and what is asked of them; `{here}` in a word stands for the folder."""
 
-    name: str
-    suffix: str
-    data: bytes
-    weight: float
-    is_checked: bool = False  # all its messages lie in chunks with a checksum
-    words: tuple[str, ...] = ()  # of the command line
+    title: str = ""
+    log: bytes = b""
+    suffix: str = ".mcap"
+    healthy: str = ""  # the log whose trajectory must come out if the damage is not noticed
+    beside: Mapping[str, bytes] = field(default_factory=dict)  # name -> content
+    words: tuple[str, ...] = ()
+    command: tuple[str, ...] = ("run",)
+    name: str = "log"  # of the log file, without its ending
+    spoken: list[Spoken] = field(default_factory=list)  # what a directed case writes as its log
+    robot: bytes = b""
+
+    def more(self, words: tuple[str, ...], files: Mapping[str, bytes] = {}) -> Case:
+        """Return the case with more words of the command line, and more files beside the log."""
+        return replace(self, words=(*self.words, *words), beside={**self.beside, **files})
+
+    def each(self, topic: str, change: Callable[[Spoken], Spoken]) -> Case:
+        """Return the case with the messages of a topic changed."""
+        return replace(self, spoken=[change(one) if one.channel.topic == topic else one for one in self.spoken])
+
+    def write(self, folder: Path) -> list[str]:
+        """Write everything into a new folder, and return the command line."""
+        folder.mkdir(parents=True)
+        log = folder / f"{self.name}{self.suffix}"
+        for path, content in {log: self.log, **{folder / n: c for n, c in self.beside.items()}}.items():
+            path.write_bytes(content)
+        results = {
+            "run": ["-o", f"{folder}/out", "--write", "all"],  # what is judged stands in trajectory.csv
+            "compare": ["-o", f"{folder}/out"],
+            "recover": ["-o", f"{folder}/fixed.mcap"],
+            "view": ["--save", f"{folder}/drive.rrd"],
+        }
+        command, *options = self.command
+        words = [word.replace("{here}", str(folder)) for word in self.words]
+        return [command, str(log), *options, *results.get(command, []), *words]
 
 
 def contents(data: bytes) -> list[Spoken]:
@@ -102,8 +131,9 @@ def short_drive() -> Short:
 
 
 @cache
-def bases() -> list[Base]:
-    """Return everything there is to damage; small real logs where LOCFUSE_DATA names their folder."""
+def bases() -> dict[str, tuple[Case, float]]:
+    """Return everything there is to damage, by name, with its weight; small real logs where there is a folder."""
+    short, usual = short_drive(), {"compression": CompressionType.NONE, "chunk_size": 4000}
     kinds: tuple[tuple[str, float, dict[str, Any]], ...] = (
         ("zstd", 10, {"compression": CompressionType.ZSTD}),
         ("lz4", 5, {"compression": CompressionType.LZ4}),
@@ -111,77 +141,36 @@ def bases() -> list[Base]:
         ("rosbag2", 10, {"enable_crcs": False}),
         ("loose", 5, {"use_chunking": False}),
     )
-    short, usual = short_drive(), {"compression": CompressionType.NONE, "chunk_size": 4000}
-    made = [
-        Base(name, ".mcap", recorded(short.spoken, short.robot, **usual | how), weight, not how.keys() & UNCHECKED)
-        for name, weight, how in kinds
-    ]
-    made += [Base(n, ".mcap", sample_logs.path(n).read_bytes(), 0.3, is_checked=True) for n in sample_logs.names()]
-    real = sorted(p for p in folder().rglob("*") if p.suffix in {".mcap", ".db3", ".bag"}) if are_there() else []
-    small, wheels = (p for p in real if 0 < p.stat().st_size <= LARGEST), WHEELS
-    return made + [Base(path.name, path.suffix, path.read_bytes(), 0.4, words=wheels) for path in small]
+    found = {}
+    for name, weight, how in kinds:
+        checked = name if not how.keys() & UNCHECKED else ""
+        found[name] = Case(name, recorded(short.spoken, short.robot, **usual | how), healthy=checked), weight
+    for name in sample_logs.names():
+        found[name] = Case(name, sample_logs.path(name).read_bytes(), healthy=name), 0.3
+    for path in sorted(folder().rglob("*")) if are_there() else []:
+        if path.suffix in {".mcap", ".db3", ".bag"} and 0 < path.stat().st_size <= LARGEST:
+            found[path.name] = Case(path.name, path.read_bytes(), path.suffix, words=WHEELS), 0.4
+    return found
 
 
 UNCHECKED = {"enable_crcs", "use_chunking"}  # what leaves messages without a checksum
 WHEELS = ("--set", "wheels.radius=0.033", "--set", "wheels.track=0.16")  # of a log that does not know them
 
 
-# --- cases
-
-
-@dataclass(frozen=True)
-class Case:
-    """A log, the files beside it, and what is asked of them; `{here}` in a word stands for the folder."""
-
-    title: str = ""
-    log: bytes = b""
-    suffix: str = ".mcap"
-    healthy: str = ""  # the log whose trajectory must come out if the damage is not noticed
-    beside: Mapping[str, bytes] = field(default_factory=dict)  # name -> content
-    words: tuple[str, ...] = ()
-    command: tuple[str, ...] = ("run",)
-    name: str = "log"  # of the log file, without its ending
-    spoken: list[Spoken] = field(default_factory=list)  # what a directed case writes as its log
-    robot: bytes = b""
-
-    def more(self, words: tuple[str, ...], files: Mapping[str, bytes] = {}) -> Case:
-        """Return the case with more words of the command line, and more files beside the log."""
-        return replace(self, words=(*self.words, *words), beside={**self.beside, **files})
-
-    def each(self, topic: str, change: Callable[[Spoken], Spoken]) -> Case:
-        """Return the case with the messages of a topic changed."""
-        return replace(self, spoken=[change(one) if one.channel.topic == topic else one for one in self.spoken])
-
-    def write(self, folder: Path) -> list[str]:
-        """Write everything into a new folder, and return the command line."""
-        folder.mkdir(parents=True)
-        log = folder / f"{self.name}{self.suffix}"
-        for path, content in {log: self.log, **{folder / n: c for n, c in self.beside.items()}}.items():
-            path.write_bytes(content)
-        results = {
-            "run": ["-o", f"{folder}/out", "--write", "all"],  # what is judged stands in trajectory.csv
-            "compare": ["-o", f"{folder}/out"],
-            "recover": ["-o", f"{folder}/fixed.mcap"],
-            "view": ["--save", f"{folder}/drive.rrd"],
-        }
-        command, *options = self.command
-        words = [word.replace("{here}", str(folder)) for word in self.words]
-        return [command, str(log), *options, *results.get(command, []), *words]
-
-
 def damaged_case(seed: int) -> Case:
     """Return a log with one or two random changes."""
     rng = Random(seed)
-    base = rng.choices(bases(), [b.weight for b in bases()])[0]
-    data, names, starts, at = base.data, [], [], 8  # of the records of an .mcap, behind its magic
+    cases, weights = zip(*bases().values(), strict=True)
+    base: Case = rng.choices(cases, weights)[0]
+    data, names, starts, at = base.log, [], [], 8  # of the records of an .mcap, behind its magic
     while base.suffix == ".mcap" and at + 17 < len(data):
         starts.append(at)
         at += 9 + int(struct.unpack_from("<Q", data, at + 1)[0])
     for _ in range(rng.choice((1, 1, 1, 2))):
         data, name = damaged(rng, data, near=starts)
         names.append(name)
-    healthy, command = base.name if base.is_checked else "", ("compare",) if rng.random() < 0.05 else ("run",)
-    return Case(f"{base.name}: {', '.join(names)}", data, base.suffix, healthy, words=base.words, command=command)
+    command = ("compare",) if rng.random() < 0.05 else ("run",)
+    return replace(base, title=f"{base.title}: {', '.join(names)}", log=data, command=command)
 
 
 # --- cases that are wrong on purpose: each deed changes one thing

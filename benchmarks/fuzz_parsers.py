@@ -125,7 +125,7 @@ def mcap_record(data: bytes) -> None:
     """The content of every kind of record."""
     read = mcap_records
     indexes = (read.chunk_index, read.message_index)
-    for kind in (read.schema, read.channel, read.chunk_header, read.attachment, read.statistics, *indexes):
+    for kind in (read.schema, read.channel, read.attachment, read.statistics, *indexes):
         with contextlib.suppress(DamagedError):
             kind(data)
     scan(np.frombuffer(data, np.uint8), 5000)

@@ -12,7 +12,7 @@ import tomli_w
 from benchmarks import floor_plan
 from benchmarks.real_logs import FILES, KNOWN, are_there
 from locfuse.cli.analysis.settings import set_words
-from locfuse.formats.container.mcap_write import LogWriter
+from locfuse.formats.container.mcap_write import log_writer
 from locfuse.sample_logs import load
 from locfuse.sample_logs.messages import RawMessage
 from locfuse.sample_logs.record import to_log
@@ -138,7 +138,7 @@ def simulate(logs: Path, name: str) -> None:
     if name.startswith(PLANNED):
         plan = floor_plan.floor_plan(simulation.scene.obstacles(0.25), simulation.start[:2])
         floor_plan.write(plan, logs / name)
-    with LogWriter(path) as log:
+    with log_writer(path) as log:
         log.attach("robot.toml", tomli_w.dumps(simulation.robot_tables).encode())
         emit = to_log(log)
         if plan is not None and name.startswith("every"):

@@ -1,4 +1,4 @@
-"""Is a robot that is carried off noticed, and never confident and wrong? Simulated drives, random places.
+"""Is a kidnapped robot noticed, and never confident and wrong? Simulated drives, random places.
 
     python -m benchmarks.kidnapping --drives 20
     python -m benchmarks.kidnapping --drives 20 --seconds 0.1
@@ -24,13 +24,13 @@ from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.robot import Robot
 
 AT = 20.0  # s
-SETTLES = 0.15  # s: between two scans nobody can know
+SETTLES = 0.15  # s: between two scans it cannot be known
 ROOMS = {"with plates": (), "bare rectangle": ("room.plates=[]",)}
 SENSORS = (("lrf",), ("compass", "lrf"))
 
 
 def work(room: str, seed: int, seconds: float) -> Row:
-    """Return what the runs of one drive say of being carried off; nothing where that would end in a wall."""
+    """Return what the runs of one drive say of being kidnapped; nothing where that would end in a wall."""
     rng = np.random.default_rng(seed)
     x, y, turn = rng.uniform(-2.5, -0.3), rng.uniform(0.2, 2.0), rng.uniform(-150.0, 150.0)
     fault = f'{{kind="kidnap", start={AT}, end={AT + seconds}, x={x:.3f}, y={y:.3f}, theta_deg={turn:.2f}}}'
@@ -57,7 +57,7 @@ def judged(drive: Drive, robot: Robot, sensors: tuple[str, ...]) -> dict[str, An
 
 
 def table(rows: list[Row]) -> Iterator[str]:
-    """Yield what became of robots that were carried off."""
+    """Yield the results of kidnapped robots."""
     lines = []
     for room in dict.fromkeys(row["task"][0] for row in rows):
         for sensors in ("+".join(s) for s in SENSORS):

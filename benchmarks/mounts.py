@@ -1,4 +1,4 @@
-"""Is the covariance consistent when nobody knows exactly where the laser sits? The mount is drawn anew per drive.
+"""Is the covariance consistent when the laser's place is not known exactly? The mount is drawn anew per drive.
 
     python -m benchmarks.mounts --drives 20
 

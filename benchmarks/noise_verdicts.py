@@ -34,7 +34,7 @@ class Case(NamedTuple):
     """One wrong setting and what should be said of it."""
 
     sets: tuple[str, ...] = ()
-    sensor: str = ""  # none: nobody
+    sensor: str = ""  # "": none
     verdict: str = ""
     key: str = ""
     right: tuple[float, float] = (-math.inf, math.inf)  # between which the value of the key is right
@@ -84,7 +84,7 @@ def slow_noise(t: Array, rng: np.random.Generator) -> Array:
 
 
 def is_right(case: Case, found: dict[str, Consistency]) -> bool:
-    """Whether the expected sensor is named, with its fault and a right value of its key, and nobody else."""
+    """Whether the expected sensor is named, with its fault and a right value of its key, and no other."""
     accused = {s for s, c in found.items() if c.verdict not in {"consistent", "unclear"}}
     if not case.sensor:
         return not accused

@@ -14,6 +14,7 @@ import base64
 import contextlib
 import io
 import json
+import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -100,4 +101,4 @@ def today() -> Iterator[tuple[Path, str]]:
 
 
 if __name__ == "__main__":
-    kept(today())
+    kept(today(), "--write" in sys.argv)

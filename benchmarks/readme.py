@@ -85,12 +85,12 @@ def today() -> Iterator[tuple[Path, str]]:
             yield ROOT / name, replay(page, Path(folder))
 
 
-def kept(pages: Iterable[tuple[Path, str]]) -> None:
+def kept(pages: Iterable[tuple[Path, str]], write: bool) -> None:
     """Write pages if asked to; else print how the files differ from them, and exit with 1 where one does."""
     differ = False
     for path, now in pages:
         before = path.read_text(encoding="utf-8") if path.exists() else ""
-        if "--write" in sys.argv:
+        if write:
             path.write_text(now, encoding="utf-8")
         elif now != before:
             differ, lines = True, (before.splitlines(True), now.splitlines(True))
@@ -99,4 +99,4 @@ def kept(pages: Iterable[tuple[Path, str]]) -> None:
 
 
 if __name__ == "__main__":
-    kept(today())
+    kept(today(), "--write" in sys.argv)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -239,4 +240,4 @@ PAGES = {
 
 
 if __name__ == "__main__":
-    kept((ROOT / name, page()) for name, page in PAGES.items())
+    kept(((ROOT / name, page()) for name, page in PAGES.items()), "--write" in sys.argv)

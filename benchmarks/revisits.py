@@ -32,7 +32,7 @@ WAYS: dict[str, dict[str, Any]] = {  # how a log is fused, beside odometry: name
     "without recovery": {"lrf.recover": False},
 }
 FORMS = (".3f", ".0%", ".0f")  # of a path's figures: error, agreement, cells
-MIN_DIFFERENCE = 1.2  # of two errors that are told apart
+MIN_DIFFERENCE = 1.2  # of two errors that count as different
 MIN_GAIN, MIN_RATIO = 0.02, 1.2  # of agreement; of cells
 
 

@@ -68,8 +68,8 @@ class Growing:
 
     def __init__(self, rows: int) -> None:
         self._expected = rows
-        self._values = _Array(rows)
-        self._lengths = _Array(rows)
+        self._values = GrowingArray(rows)
+        self._lengths = GrowingArray(rows)
         self._list: list[Any] = []
         self._kind: type | None = None
 
@@ -79,7 +79,7 @@ class Growing:
         if isinstance(piece, Ragged):
             if self._values.used == 0 and len(piece):
                 mean = (piece.first[-1] - piece.first[0]) / len(piece)
-                self._values = _Array(max(round(mean * self._expected), 1))
+                self._values = GrowingArray(max(round(mean * self._expected), 1))
             self._lengths.add(piece.lengths)
             self._values.add(piece.values[piece.first[0] : piece.first[-1]])
         elif isinstance(piece, list):
@@ -101,8 +101,8 @@ class Growing:
         return Ragged(self._values.array(), first)
 
 
-class _Array:
-    """An array with spare rows."""
+class GrowingArray:
+    """An array that is added to piece by piece; it has spare rows."""
 
     def __init__(self, capacity: int) -> None:
         self.used = 0
@@ -110,6 +110,7 @@ class _Array:
         self._data: NDArray[Any] | None = None
 
     def add(self, piece: NDArray[Any]) -> None:
+        """Append rows."""
         end = self.used + len(piece)
         if self._data is None:
             self._data = np.empty((max(self._capacity, end), *piece.shape[1:]), piece.dtype)
@@ -121,4 +122,5 @@ class _Array:
         self.used = end
 
     def array(self) -> NDArray[Any]:
+        """Return all rows."""
         return np.empty(0, np.int64) if self._data is None else self._data[: self.used]

@@ -145,11 +145,14 @@ class Points(Protocol):
     """The points of a laser, read from the log again on request: an hour of points is too big for memory."""
 
     @property
-    def origin(self) -> tuple[float, float]:
-        """Where the laser sits on the base, x, y [m]."""
+    def mount(self) -> Array:
+        """Where the laser sits on the base, (3,): x, y [m], yaw [rad]."""
 
     def take(self, readings: Ints) -> Points:
         """Return the points of the readings at these positions."""
+
+    def mounted(self, mount: Array) -> Points:
+        """Return the points as seen by a laser that sits elsewhere, (3,)."""
 
     def moved(self, t_from: Array, t_to: Array) -> Array:
         """Return the poses (n, 3) at t_to relative to those at t_from, (n,) s each, by the wheels."""

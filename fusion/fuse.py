@@ -1,7 +1,7 @@
 """The filter of the paper: one configuration over one drive, instant by instant; nothing looks ahead.
 
 `Filter.advance` is the whole of it: predict by the wheels, compare every reading that is due with the same prior,
-gate, correct once, learn, note.
+gate, correct once, update the models, record.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def fuse(
     """Run the filter with these sensors. Raises LocfuseError where the drive lacks one of them.
 
     Readings that `listen` marks (sensor -> one flag per reading) are compared with the belief and audited, and
-    teach their sensor what is its own (a map, an offset), but never move the pose: how well they are predicted
+    update what belongs to their sensor (a map, an offset), but never move the pose: how well they are predicted
     is a judgement without truth. What happens to the state is noted in `events` (fusion.ekf.events).
     """
     listen = listen or {}
@@ -129,7 +129,7 @@ class Filter:
             fits = self._queue(due, passed)
             belief.correct()  # eq. 10-12, once
             self._note_fits(fits)
-            self._learn(due, measurements)  # what readings teach beyond the pose: map lines, clones
+            self._learn(due, measurements)  # what readings update beside the pose: map lines, clones
         self._track.note(belief)
 
     def _compare(self, k: int, sensor: str, i: int, m: Measurements) -> Passed:

@@ -2,13 +2,14 @@
 
 A laser that is turned by a degree more than configured turns the whole map with it. No innovation shows that at
 once, and a filter that takes the mount for certain is confidently wrong. What is not known exactly is a state.
-Nobody measures a mount better than to 1 cm and half a degree, so this counts unless something else is configured,
-where the drive can tell the mount: a laser by the lines of its own map.
+A mount is hardly measured better than to 1 cm and half a degree: these sigmas count unless others are configured,
+where the drive can show the mount, as for a laser by the lines of its own map.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -129,6 +130,20 @@ class Mount:
     def rows(self, by_mount: tuple[Row, ...]) -> tuple[Row, ...]:
         """Return the columns of a derivative by (x, y, yaw), (d, 3), that are states."""
         return tuple(tuple(row[i] for i in self.free) for row in by_mount)
+
+
+def found_mount(sensor: str, told: Array, blocks: Mapping[str, Array]) -> Array:
+    """Return x [m], y [m], yaw [rad] as a run's states found them in the end; `told` (3,) where they are none."""
+    return np.array([blocks[n][-1, 0] if n in blocks else t for n, t in _by_name(sensor, told)])
+
+
+def mount_blocks(sensor: str, mount: Array, blocks: Mapping[str, Array]) -> dict[str, Array]:
+    """Return those of `blocks` (n, 1) that are the sensor's mount, all with the values of `mount` (3,)."""
+    return {name: np.full_like(blocks[name], value) for name, value in _by_name(sensor, mount) if name in blocks}
+
+
+def _by_name(sensor: str, mount: Array) -> list[tuple[str, float]]:
+    return [(f"{sensor}_{part}", value) for part, value in zip(("x", "y", "yaw"), mount.tolist(), strict=True)]
 
 
 def mount_states(sensor: str) -> dict[str, tuple[Component, ...]]:

@@ -1,7 +1,7 @@
 """Progress of the present work, for whatever displays it.
 
-Long loops say it once per block, and one listener hears it: the terminal. It travels beside the values, as a log
-line would, so that no function on the way passes it on. Nobody listens in a library or in a worker process.
+Long loops report it once per block to one listener: the terminal. It travels beside the values, as a log
+line would, so that no function on the way passes it on. A library or a worker process has no listener.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ Order = Literal["auto", "stamp", "recorded"]
 Preset = Literal["default", "paper"]
 Mirrored = Literal["none", "left", "right", "both"]
 Steering = Literal["angle", "rate", "heading"]
-# nobody knows less of a start; a variance of 1e38 beside one of 1e-6 leaves nothing of either in double precision
+# no start is known less; a variance of 1e38 beside one of 1e-6 leaves nothing of either in double precision
 MAX_START_SIGMA_M = 1e5
 MAX_START_SIGMA_DEG = 3600.0
 MAX_NOISE_M = 1e3  # variance per metre: wheels that say nothing, and still far from what rounding eats

@@ -98,7 +98,7 @@ def chain(steps: Array) -> Array:
 
 
 def carried(at: Plain, a: Plain, b: Plain) -> Plain:
-    """Return at ⊕ (⊖a ⊕ b) of plain floats: `chained` for one step, a tenth of its time."""
+    """Return a pose moved on as from a to b, at ⊕ (⊖a ⊕ b), in plain floats: ten times faster than `chained`."""
     c, s = direction(a[2])
     x = -c * a[0] - s * a[1] + c * b[0] + s * b[1]
     y = s * a[0] - c * a[1] - s * b[0] + c * b[1]

@@ -99,11 +99,11 @@ class Reading:
 
 
 def positive(greatest: float) -> None:
-    """Raise LocfuseError if the innovation covariance with this greatest variance is not positive definite."""
+    """Raise LocfuseError if an innovation covariance is not positive definite: then `greatest` is not above 0."""
     if not greatest > 0.0:
         raise LocfuseError(
-            "the filter's variances span too many powers of ten to be computed with (innovations of up to "
-            f"{-greatest:.0e}): are the sigmas and floors of robot.toml meant so?"
+            f"an innovation covariance became singular (variances of up to {-greatest:.0e}): check the values of "
+            "sigma and floor in robot.toml"
         )
 
 
@@ -171,7 +171,7 @@ class Model:
     local: bool = False  # whether it observes the pose in the run's local frame, as lines of its own map do
     maps: bool = False  # whether it may make a map of its own, with which a local frame begins
     leads: bool = False  # whether its maps begin one after another: where it is used, no other begins a frame
-    teaches: bool = True  # whether states that it names are its own: what only listens teaches nobody else
+    teaches: bool = True  # whether the states that it names are its own: then readings that listen correct them
 
     def blocks(self) -> list[Block]:
         """Return the state blocks this sensor adds at the start."""
@@ -265,7 +265,7 @@ class Sensor(ABC):
     """A sensor: one file in `fusion/sensors` and one line in the registry there, with all its code.
 
     It gives `name`, `Settings`, `reads`, `noise_keys`, `components`, `colour`, `measure` and `model`. What else it
-    may say has a default. An instance holds nothing: what a run learns lies in its `Model`.
+    may say has a default. An instance holds nothing: what a run estimates lies in its `Model`.
     """
 
     # ---- what it is, and what it reads ----
@@ -304,7 +304,7 @@ class Sensor(ABC):
     """Words of topics that come last where several fit and one is taken unasked; None: several are an error."""
 
     extra: ClassVar[bool] = False
-    """It lies beside the paper's sensors: where topics cannot be told apart it is absent, and the others run."""
+    """It lies beside the paper's sensors: where its topic is unclear it is absent, and the others run."""
 
     needs: ClassVar[Mapping[str, str]] = {}
     """Sensor without which this one says nothing -> why: "held against the map of lrf"."""
@@ -359,7 +359,7 @@ class Sensor(ABC):
         return None
 
     heading_holds: ClassVar[bool] = False
-    """Where its heading stays the same to the bit, nothing told the turn (a scan that matches no line)."""
+    """Whether an unchanged heading means that the turn is unknown (a scan that matches no line)."""
 
     def reversal(self, settings: Any, msgtype: str) -> Reversal:
         """Return why its heading turns opposite to the wheels, and the settings that fix it."""

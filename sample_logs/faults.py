@@ -137,7 +137,7 @@ class GroundFault(Interval, frozen=True, kw_only=True):
     """A fault between the wheels and the ground."""
 
     def moved(self, ways: Array, heading: float) -> Array:
-        """Return the motion of both wheels and of the robot's side, (3, k) m: left, right, and to the left.
+        """Return the distances of the left wheel, the right wheel, and of the robot to its left, (3, k) m.
 
         Args:
             ways: (3, k) m, the same without this fault.
@@ -165,7 +165,7 @@ class Creep(GroundFault, frozen=True, kw_only=True, tag="creep"):
     downhill_deg: float | None = None  # a slope: where it falls to, map frame, and m per metre driven
 
     def moved(self, ways: Array, heading: float) -> Array:
-        """Return the distances with a sideways one; a slope also lengthens or shortens those of the wheels."""
+        """Return the distances with the creep to the left added; a slope also changes those of the wheels."""
         forward = (ways[0] + ways[1]) / 2
         if self.downhill_deg is None:
             return np.asarray(ways + self.ratio * forward * np.array([[0.0], [0.0], [1.0]]))

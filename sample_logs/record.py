@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import tomli_w
 
-from locfuse.formats.container.mcap_write import LogWriter
+from locfuse.formats.container.mcap_write import LogWriter, log_writer
 from locfuse.fusion.data import ArrayStream, Column, Ints, Ragged
 
 from .load import dumps
@@ -30,7 +30,7 @@ def write_log(scenario: Scenario, seed: int, localise: Localise, path: Path) -> 
     """Drive the scenario into an MCAP log, with robot.toml and the scenario itself as attachments."""
     simulation = Simulation(scenario, seed)
     tables = simulation.robot_tables
-    with LogWriter(path) as log:
+    with log_writer(path) as log:
         log.attach("robot.toml", tomli_w.dumps(tables).encode())
         log.attach("scenario.toml", dumps(msgspec.structs.replace(scenario, seed=seed)).encode())
         return simulation.run(localise(tables), to_log(log))

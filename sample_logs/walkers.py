@@ -14,7 +14,7 @@ STRIDE = 0.7  # m, of one step
 HIP = 0.8  # m: below they are two legs, above a body
 LEG, BODY, TOP = 0.07, 0.2, 1.7  # m: radii, and the height of the head
 APART = 0.1  # m, of a leg from the middle
-AWAY = 0.75  # m: nobody comes closer to the robot's laser than this
+AWAY = 0.75  # m: no person comes closer to the robot's laser than this
 
 
 class Walk:

@@ -52,7 +52,7 @@ def standard(loaded: Loaded) -> list[Configuration]:
 
 
 class Evaluator:
-    """The evaluation of one log. It reuses the runs of a comparison: see `takes` and `hears`."""
+    """The evaluation of one log. It reuses the runs of a comparison (`takes`, `hears`)."""
 
     def __init__(self, loaded: Loaded, progress: Progress, align: str = "none") -> None:
         self.trial = Trial(loaded, {c.name: c for c in standard(loaded)}, align, progress)
@@ -68,7 +68,7 @@ class Evaluator:
 
     @property
     def hears(self) -> list[Heard]:
-        """The receiver of runs to which other sensors listen."""
+        """Functions that receive each run with sensors that only listen; none if the log cannot be judged."""
         return [self._hear] if self.may_judge else []
 
     def _take(self, e: Estimates, judged: Evaluation) -> None:
@@ -84,7 +84,7 @@ class Evaluator:
             trial.know(WHOLE, (), e, marks_of(e, judged, whole.drive))
 
     def _hear(self, e: Estimates) -> None:
-        """Receive a run with listening sensors while it has its audits; odometry's comes first."""
+        """Receive a run with sensors that only listen, while it has its audits; odometry's run comes first."""
         trial, drive = self.trial, self.trial.whole.drive
         if trial.loaded is trial.whole:
             self._odometry = self._odometry or e
@@ -135,7 +135,7 @@ class Evaluator:
 def _worse_afterwards(
     found: Sequence[Advice], before: Fixes, after: Fixes, names: Sequence[str], trial: Trial
 ) -> str:
-    """Return what a path loses by other fixes that its filter does not show, "" for nothing.
+    """Return in words what gets worse in a finished path though not while driving, "" if nothing does.
 
     With truth the error of its smoothed path; without, how well places seen twice fit: a fix by which the laser
     predicts other sensors better may still break its map.
@@ -209,7 +209,7 @@ def on_the_whole_drive(
 
 
 def _everywhere(advice: Advice, names: Sequence[str]) -> Candidate:
-    """Return a candidate that all these configurations judge; those that nobody would keep come first."""
+    """Return a candidate that all these configurations judge; the first are `minor`: no user would keep them."""
     one = advice.candidate or Candidate(advice.finding, (advice.fixes,), tuple(names))
     kept = [n for n in one.judges if n not in one.minor]
     minor = tuple(n for n in names if n not in kept)
@@ -245,7 +245,7 @@ def _compared(fixes: Fixes, loaded: Loaded, trial: Trial) -> Compared:
 
 
 def changing(found: Sequence[Advice], kept: Fixes, robot: Robot) -> list[Advice]:
-    """Return advice without fixes that end at the configured values.
+    """Return advice without fixes whose values are configured already.
 
     A clock that was moved because another sensor's distances were wrong is moved back once these are right.
     """

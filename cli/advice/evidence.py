@@ -30,6 +30,7 @@ from locfuse.fusion.checks.examine import scales
 from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.lag import SAID_SIGMAS
 from locfuse.fusion.checks.laser import BUMP, OPEN_SCALE
+from locfuse.fusion.checks.laser_ranges import OFFSET
 from locfuse.fusion.checks.pictures import RIMS
 from locfuse.fusion.checks.probes import MOUNT, beyond_prior, of_mount, of_offsets, of_probe, of_scale, probe_of
 from locfuse.fusion.checks.slip import of_spins
@@ -53,7 +54,7 @@ CAMERA_LAGS_S = (-0.2, -0.1, 0.1, 0.2)  # s
 SUSPICIOUS = Least(0.005, 2.5)  # what is reason enough to fuse again where nothing else looks wrong
 
 # codes of findings whose value the truth itself or the field shows beyond chance
-MEASURED = (WHEEL_SCALE, POINT, "iron", ROOM, CREEP, RIMS)
+MEASURED = (OFFSET, WHEEL_SCALE, POINT, "iron", ROOM, CREEP, RIMS)
 MAX_SCAN_PERIOD_S = 0.4  # s: between two scans the laser's path is the wheels'
 Key = tuple[str, str]  # role and code of a finding
 SIGNS = {("wheels", "swapped"), ("wheels", "mirrored")}  # judged by the path's shape while the start is not known
@@ -211,9 +212,9 @@ class Evidence(Noise):
         ]
 
     def _aimed(self, finding: Finding) -> tuple[Fixes, ...]:
-        """Return the fix of mirrored pictures, or of their circles, with the zero by a run of other sensors.
+        """Return the fix of a mirrored picture or of its circles, with the camera's zero direction set too.
 
-        Measuring has it by the wheels alone, which a wrong track turns too far.
+        The zero direction comes from a run of other sensors: the wheels alone turn too far if the track is wrong.
         """
         run = self._reference("camera") if finding.code in {"mirrored", RIMS} else None
         loaded = None if run is None else self.trial.under(together(self.fixes, finding.fixes))
@@ -231,7 +232,7 @@ class Evidence(Noise):
         return any(f.severe and not self._decided(f).fixes for f in self.doctor if f.code == OPEN_SCALE)
 
     def _decided(self, finding: Finding) -> Finding:
-        """Return a finding; without its fix if it is open whose distances are right, laser's or wheels'.
+        """Return a finding, without its fix where laser and wheels differ in distance and either may be right.
 
         The laser's own readings are predicted better if its distances are the wheels', whoever is wrong.
         """

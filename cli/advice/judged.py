@@ -1,4 +1,4 @@
-"""One log compared under some settings: who judges a fix, and wrong noise.
+"""One log compared under some settings: the runs that judge a fix, and findings on noise.
 
 Noise of each sensor by residuals, ranges and truth; of the wheels by their slip.
 """
@@ -17,7 +17,7 @@ from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.verdicts import sensors_consistency
 from locfuse.fusion.checks.examine import examine
 from locfuse.fusion.checks.finding import Finding, Least
-from locfuse.fusion.checks.laser import ranges_sigma, scatter_more
+from locfuse.fusion.checks.laser_ranges import ranges_sigma, scatter_more
 from locfuse.fusion.checks.slip import Slip, slip
 from locfuse.fusion.checks.tried import Candidate, Fixes
 from locfuse.fusion.data import BASES, Estimates

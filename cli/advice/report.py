@@ -140,7 +140,7 @@ def score(score: Marks) -> dict[str, float | None]:
 
 
 MAX_LOST_SHARE = 0.1  # of the drive for which a filter may be lost before its figures mean nothing
-MAX_START_ERROR_M = 0.5  # m between the first pose of the truth and the start, where nobody states a start
+MAX_START_ERROR_M = 0.5  # m between the first pose of the truth and the start, where no start is configured
 EVERY = ("wheels", "truth")  # roles that every configuration depends on
 JUMP = "jump"  # code of the finding on a truth that jumps
 JUDGED = (*ERROR_KEYS, "anees")
@@ -196,7 +196,7 @@ def _doubts(report: dict[str, Any], advised: Advised | None) -> list[dict[str, A
 
 
 def _first_sentence(words: str) -> str:
-    """Return the fault without how it was measured, which is in the finding."""
+    """Return the first sentence of a finding: the fault, without how it was measured."""
     return re.sub(r" \(correlation [^()]*\)", "", words.partition(". ")[0])
 
 
@@ -239,7 +239,7 @@ def _once(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 NAMES = {"lrf": "laser", "gps": "GPS", "imu": "IMU"}
-MIN_HINT = 0.1  # more of the points that agree: a hint, and no proof (`is_better`)
+MIN_HINT = 0.1  # more of the points that agree; less is no difference worth a word
 TIE, TIE_M = 0.10, 5e-4  # relative, m: errors that differ by less are equal
 MAX_CONSISTENT_ANEES = 3.0  # above: the covariance is too small
 HELPS, HURTS = ("helps", "seems to help"), ("hurts", "seems to hurt")
@@ -283,7 +283,7 @@ def _by_errors(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], err
 
 
 def _smoothed(report: Mapping[str, Any], best: str, error: float) -> str:
-    """Return the error with smoothing beside the error [m] while driving, "" if it is not smaller."""
+    """Return ", smoothed 4 mm" if smoothing makes the error [m] smaller, else ""."""
     after = report["configurations"].get(result_name(best, smoothed=True), {}).get("position_rmse_m")
     return "" if after is None or after >= error else f", smoothed {length(after)}"
 
@@ -364,7 +364,7 @@ def _with_fixes(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], le
 
 
 def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str:
-    """Return the order of odometry and sensors by a reference; it is no truth, so it keeps or drops none."""
+    """Return odometry and sensors in the order of their errors against a reference, which is no truth."""
     verdicts = report.get("verdicts", {})
     words = {which: [s for s, v in verdicts.items() if v["verdict"] in which] for which in (HELPS, HURTS)}
     parts = [f"{n} alone differs by {length(errors[n])}" for n in BASES if n in errors]
@@ -398,14 +398,14 @@ def _without_truth(report: Mapping[str, Any], places: str) -> str:
 
 
 def _by_places(report: Mapping[str, Any]) -> str:
-    """Return how many points agree at places seen twice, while driving and smoothed; "" where one is not known."""
+    """Return a sentence on how well points agree at places seen twice, driving and smoothed; "" if unknown."""
     rows = report["configurations"]
     for name, values in rows.items():
         row = result_name(name, smoothed=True)
         one, other = values.get("revisit_agreement"), rows.get(row, {}).get("revisit_agreement")
         if one is None or other is None:
             continue
-        better = "shows" if is_better(one, other) else "hints" if other >= one + MIN_HINT else ""
+        better = "" if other < one + MIN_HINT else "shows" if is_better(one, other) else "hints"
         end = f", which {better} that it is better" if better else ""
         return f" At places seen twice {one:.0%} of the points agree, in {row} {other:.0%}{end}."
     return ""

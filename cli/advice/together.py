@@ -83,7 +83,7 @@ def fixes_files(robots: Sequence[Mapping[str, Any]]) -> dict[str, str]:
 
 
 def here(logs: Mapping[str, Loaded], align: str, progress: Progress) -> LooksOf:
-    """Return how to look at logs in this process."""
+    """Return the function that fuses these logs in this process, under settings that it is given."""
     return lambda names, sets: {name: looks(logs[name], sets, align, progress) for name in names}
 
 

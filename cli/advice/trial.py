@@ -38,7 +38,7 @@ MAX_FUSIONS = 60  # runs of the filter that one log's advice may cost
 
 @dataclass
 class Trial:
-    """Fuses one log under other settings as often as advice needs it, and remembers what came of it."""
+    """Fuses one log under other settings as often as advice needs it, and keeps the results."""
 
     whole: Loaded
     configurations: Mapping[str, Configuration]
@@ -61,7 +61,7 @@ class Trial:
         self._kept = (), self.whole
 
     def keep(self, fixes: Fixes) -> None:
-        """Take the log under these fixes as the one that others change: it is not measured again."""
+        """Make the log under these fixes the base of further fixes, so that it is not measured again."""
         loaded = self.whole_under(fixes)
         if loaded is not None:
             self._kept = fixes, loaded
@@ -115,7 +115,7 @@ class Trial:
         return marks_of(e, evaluate(e, loaded.drive, cast("Align", self.align)), loaded.drive)
 
     def know(self, kind: str, fixes: Fixes, e: Estimates, marks: Marks) -> None:
-        """Receive the figures of a run, which need not be fused again."""
+        """Store the figures of a finished run, so that it is not fused again."""
         if e.configuration in self.configurations:
             self._marks[kind, fixes, e.configuration] = marks
 

@@ -74,7 +74,7 @@ ESTIMATED = (
 )
 ONLY_COMMANDED = (
     "{topic} holds commanded speeds, and nothing in this log measured how the robot moved. Use them only if it "
-    "did as it was told (a command lasts until the next one, a second at most; wheels.noise=0.004 is usual)"
+    "did what was commanded (a command lasts until the next one, a second at most; wheels.noise=0.004 is usual)"
 )
 HOLDS_MORE = (
     "{topic} already holds other sensors (IMU, GPS), by its name: beside it they count twice. Record the odometry "
@@ -186,7 +186,7 @@ def _measured(log: Log, robot: Robot, choice: Choice, speeds: bool) -> Iterator[
 
 
 def _beside(topic: str, why: str, others: Sequence[str]) -> Body:
-    """Return an odometry that is preferred to others, which are named; one that uses other sensors is marked."""
+    """Return the preferred odometry, with a note on the others, or on other sensors that it uses."""
     if not others:
         return Body(topic, why, HOLDS_MORE.format(topic=topic) if _of_filter(topic) else "")
     looks = "looks" if len(others) == 1 else "look"
@@ -264,7 +264,7 @@ def _of_filter(topic: str) -> bool:
 
 
 def _made(topic: str) -> int:
-    """Return 0 if an odometry's name shows that it is raw, 2: of more than wheels, 3: of fixes; else 1."""
+    """Return an odometry's rank by its name: 0 raw, 1 unknown, 2 of more than wheels, 3 of satellite fixes."""
     name = topic.lower()
     if any(word in name for word in RAW):
         return 0

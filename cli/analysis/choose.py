@@ -72,9 +72,9 @@ def choose_sensor(log: Log, robot: Robot, name: str, insisted: bool, choice: Cho
         other = not_read(log, name)
         if other:
             choice.absent[name] = other
-        elif not sensor.extra:  # nobody expects what lies beside the paper's sensors
+        elif not sensor.extra:  # sensors beyond the paper's are not expected
             choice.absent[name] = f"no topic of type {types(sensor.reads)} in {log.name}"
-        if not other and not hasattr(settings, "file"):  # a file that nobody named is not missed
+        if not other and not hasattr(settings, "file"):  # a file that is not configured is not missed
             choice.foreign.add(name)
         return
     else:

@@ -99,7 +99,7 @@ class Evidence:
         return [tuple(topics) not in known or tuple(topics) in left for topics in candidates]
 
     def look_at(self, speeds: Sequence[str]) -> None:
-        """Score topics of speeds, which never come before scans, for the record."""
+        """Score topics of speeds for the notes only: scan matching is preferred to them."""
         self._by_scans = True
         for topic in speeds[:MAX_SPEEDS]:
             motion = motion_of(self._log, self._robot, [topic], self._read)

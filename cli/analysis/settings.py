@@ -146,6 +146,13 @@ class Outputs(msgspec.Struct, frozen=True):
     as_json: bool = False  # the report on stdout
     open: bool = False  # the page in the browser
     verbose: bool = False  # notes and the table of sensors are printed
+    rerun: bool = False  # the drive is shown in Rerun
+    rerun_save: Path | None = None  # .rrd
+
+    @property
+    def recorded(self) -> bool:
+        """Whether the drive is recorded for Rerun; if not, Rerun is not imported."""
+        return self.rerun or self.rerun_save is not None
 
 
 def log_options(robot: PathLike | None, sets: Sets | None, order: str | None, preset: str | None) -> LogOptions:

@@ -42,7 +42,7 @@ class Choice(msgspec.Struct):
     fixes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # absent role -> settings that may bring it in
     foreign: set[str] = field(default_factory=set)  # sensors for which the log has no topic at all
     notes: list[Note] = field(default_factory=list)
-    unused_wheels: tuple[str, ...] = ()  # topics of wheels that turn, and nobody says how big they are
+    unused_wheels: tuple[str, ...] = ()  # topics of wheels that turn and whose size is unknown
     lacks: str = ""  # what is not known of them, in words
     read: dict[tuple[str, ...], WheelReading] = field(default_factory=dict)  # motions that choosing looked at
 
@@ -78,7 +78,7 @@ def one(log: Log, role: str, named: str | None, candidates: list[str], reads: It
 
 
 def likeliest(topics: Sequence[str], unlikely: Iterable[str], beside: str = "") -> str:
-    """Return the first of several topics: of the same robot as `beside`, then one without these words."""
+    """Return the likeliest topic: one of the same robot as `beside`, then one whose name has none of the words."""
     words, robot = tuple(unlikely), _robot(beside)
     return min(topics, key=lambda t: (_robot(t) != robot, any(word in t.lower() for word in words)))
 

@@ -39,7 +39,7 @@ TRUST_SENSORS = (
 TRUST_STRETCHES = (
     "Self-check: the only sensor was switched off every other five seconds, and its readings there were predicted."
 )
-MIN_HARM_RATIO = 1.25  # of position errors with and without a sensor: less is no news
+MIN_HARM_RATIO = 1.25  # of position errors with and without a sensor: less is not reported
 
 
 def evidence(drive: Drive, estimates: Estimates, robot: Robot) -> list[Run]:
@@ -79,7 +79,7 @@ def add_consistency(
             using = [by_truth.get(n) for n, used in judged.items() if sensor in used]
             found = unless_overconfident(sensor, consistency, using)
             values = rows[name]["sensors"][sensor]["consistency"] = asdict(found)
-            del values["cures"]  # what nobody tried is no advice: `findings` has what was
+            del values["cures"]  # a fix that was not tried is no advice; `findings` has the tried ones
             verdicts[sensor] = {key: values[key] for key in ("verdict", "words")}
     report["consistency"] = verdicts
 
@@ -135,7 +135,7 @@ def judge_values(reference: Reference, whole: Reference, used: Collection[str]) 
 
 
 class ByReference(NamedTuple):
-    """The verdict of a reference without the sensor."""
+    """The verdict on a sensor by a reference that does not use it."""
 
     before: float  # m, error without it
     after: float  # m, error with it
@@ -242,7 +242,7 @@ def _main_words(c: SensorCredit, main: Effect, several: bool, few: str, base: st
 
 
 def _few(samples: int, over: str) -> str:
-    """Return that an effect whose interval includes none is not proven, and what would make it certain."""
+    """Return the sentence on an effect that is not proven: its interval includes no effect."""
     by = "this drive" if samples == 1 else f"{samples} {over}"
     return f"Not proven by {by}. Record more."
 
@@ -377,7 +377,7 @@ def by_reference(
     found: ByReference | None,
     quarrel: tuple[str, str] | None,
 ) -> dict[str, Any]:
-    """Return a sensor's verdict without truth: by a reference without it if there is one, else its `own`."""
+    """Return a sensor's verdict without truth: by a reference that does not use it, else by `own` readings."""
     own = own or {"verdict": "no verdict", "words": ""}
     if reference is None:
         words = "Without it nothing in this log says where the robot is, so no reference can judge it."

@@ -86,14 +86,14 @@ def one(log: Sequence[str], options: o.Options) -> int:
     from locfuse.cli.terminal import show
     from locfuse.formats.whole_files import may_replace, may_write
 
-    how, outputs, rerun = options.how, options.outputs, options.rerun
+    how, outputs = options.how, options.outputs
     gates = Gates.read(options.gates)
-    may_replace(rerun.save, outputs.overwrite, log)
+    may_replace(outputs.rerun_save, outputs.overwrite, log)
     with show.progress(how.quiet) as progress:
-        session = opened(log, how, progress, read_again=rerun.wanted)
+        session = opened(log, how, progress, read_again=outputs.recorded)
         refuse_another_log(gates.baseline, session.log)
         may_write(outputs.out or default_folder(session.log.name), outputs.overwrite, options.inputs)
-        result = session.compared(replace(options.asked, audits=rerun.wanted))
+        result = session.compared(replace(options.asked, audits=outputs.recorded))
         files = result.write(outputs.out, write=outputs.write, export=outputs.export, overwrite=outputs.overwrite)
         if outputs.figures is not None:
             progress("drawing figures")

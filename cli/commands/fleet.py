@@ -20,8 +20,7 @@ from locfuse.cli.terminal.screen import put, reader_may_leave
 from locfuse.fusion.data import LocfuseError, UsageError
 
 if TYPE_CHECKING:
-    from locfuse.cli.fleet.job import Job, JobOutcome
-    from locfuse.cli.fleet.jobs import FleetPlan, FleetRows
+    from locfuse.cli.fleet.jobs import FleetPlan, FleetRows, Job, JobOutcome
     from locfuse.cli.fleet.queue import Ended, QueueState, Watch
 
 LINE_INTERVAL_S = 60.0  # s between lines of progress where stderr is no terminal
@@ -86,7 +85,9 @@ def many(words: Sequence[str], options: o.Options) -> int:
     todo = plan(words, every, fleet.robot_from, fleet.sweep)
     with sole_writer(folder, RUN_LOCK, patience_s=0.0):
         _mark(folder, todo)
-        ended = _run(todo, options)
+        for outcome in todo.refused.values():
+            _say_failed(outcome)
+        ended = _run(list(todo.jobs.values()), options, fleet.max_failures)
         found = gather(todo, ended.outcomes, ended.stopped or NOT_RUN, gates, how.strict)
         _refuse_misuse(found, ended, todo)
         if ended.by is not None and not any(e.state == "done" for e in found.entries):
@@ -113,22 +114,22 @@ def many(words: Sequence[str], options: o.Options) -> int:
 
 def _every(options: o.Options, folder: Path) -> Job:
     """Return the job of every log, without the log. Raises UsageError for options that need a single drive."""
-    from locfuse.cli.fleet.job import Job
+    from locfuse.cli.fleet.jobs import Job
     from locfuse.cli.session.summary import of_each
 
-    how, rerun = options.how, options.rerun
+    how, outputs = options.how, options.outputs
     if how.given_map is not None:
         raise UsageError(f"--map {how.given_map}: it is of one drive: compare one log at a time")
-    if rerun.save:
+    if outputs.rerun_save is not None:
         raise UsageError("--rerun-save: one log at a time; of several logs --rerun records each")
-    recordings = (folder / FOLDER).absolute() if rerun.show else None
+    recordings = (folder / FOLDER).absolute() if outputs.rerun else None
     return Job(
         name="",
         log=(),
         folder=folder,
         how=replace(how, quiet=True),
         asked=replace(options.asked.of_each(), audits=recordings is not None),
-        outputs=replace(options.outputs, write=frozenset(of_each(options.outputs.write))),
+        outputs=replace(outputs, write=frozenset(of_each(outputs.write))),
         recordings=recordings,
         again=options.fleet.again,
     )
@@ -143,27 +144,21 @@ def _mark(folder: Path, todo: FleetPlan) -> None:
         write_results(folder, {UNFINISHED: json_report.encode({"logs": list(todo.robots)})}, overwrite=True)
 
 
-def _run(todo: FleetPlan, options: o.Options) -> Ended:
+def _run(jobs: Sequence[Job], options: o.Options, max_failures: int | None) -> Ended:
     """Run the jobs on this machine, or on a cluster."""
     from locfuse.cli.fleet.queue import executor, run_all
 
     quiet = options.how.quiet
-    with show.progress(quiet) as progress, executor(options.fleet) as (pool, slots):
-        for outcome in todo.refused.values():
-            _say_failed(outcome)
-        jobs = list(todo.jobs.values())
-        return run_all(jobs, pool, slots, options.fleet.max_failures, _watch(progress, quiet))
+    with show.progress(quiet) as progress, executor(options.fleet) as pool:
+        return run_all(jobs, pool, max_failures, _watch(progress, quiet))
 
 
 def _robots(todo: FleetPlan, found: FleetRows, options: o.Options) -> list[dict[str, Any]]:
     """Ask the logs of each robot together: what all of them show is tried on each."""
-    from locfuse.cli.fleet.queue import executor, run_all
-    from locfuse.cli.fleet.together import robots
+    from locfuse.cli.fleet.jobs import robots
 
     def run(jobs: Sequence[Job]) -> Mapping[str, JobOutcome]:
-        quiet = options.how.quiet
-        with show.progress(quiet) as progress, executor(options.fleet) as (pool, slots):
-            ended = run_all(jobs, pool, slots, None, _watch(progress, quiet))
+        ended = _run(jobs, options, None)
         if ended.by is not None:
             raise ended.by
         return ended.outcomes

@@ -43,11 +43,11 @@ def run(log: tuple[str, ...], options: o.Options) -> int:
     from locfuse.cli.terminal import show
     from locfuse.formats.whole_files import may_replace, may_write
 
-    how, asked, outputs, rerun = options.how, options.asked, options.outputs, options.rerun
-    for file in (outputs.audit, outputs.save_map, rerun.save):
+    how, asked, outputs = options.how, options.asked, options.outputs
+    for file in (outputs.audit, outputs.save_map, outputs.rerun_save):
         may_replace(file, outputs.overwrite, log)
     with show.progress(how.quiet) as progress:
-        session = opened(log, how, progress, read_again=rerun.wanted)
+        session = opened(log, how, progress, read_again=outputs.recorded)
         configuration = session.configuration(asked.sensors[0])
         _refuse_maps_without_laser(options, configuration.sensors)
         may_write(outputs.out or default_folder(session.log.name), outputs.overwrite, options.inputs)

@@ -125,17 +125,18 @@ def ready(what: Sequence[str]) -> Path | None:
 
     Raises LocfuseError for a recording that was cut short.
     """
-    from locfuse.cli.rerun.folder import report_of
+    from locfuse.cli.analysis.grouping import result_file
     from locfuse.formats.rerun.recording import check
 
     path = Path(what[0])
     if len(what) == 1 and path.is_file() and path.suffix == ".rrd":
         check(path)
         return path
-    report, recording = report_of(path), path / RECORDING
-    if len(what) > 1 or report is None or not recording.is_file():
+    report = result_file(what[0]) if len(what) == 1 else None
+    if report is None:
         return None
-    if recording.stat().st_mtime < report.stat().st_mtime:
+    recording = report.with_name(RECORDING)
+    if not recording.is_file() or recording.stat().st_mtime < report.stat().st_mtime:
         return None  # a recording older than the report may be of other settings
     check(recording)
     return recording
@@ -145,11 +146,12 @@ def _scene(
     what: Sequence[str], options: o.Options, images: int | None, full: bool, progress: Progress
 ) -> RerunScene:
     """Return the scene of a folder of results, or of a log that is measured and fused now."""
-    from locfuse.cli.rerun.folder import report_of, scene_of
+    from locfuse.cli.analysis.grouping import result_file
+    from locfuse.cli.rerun.folder import scene_of
     from locfuse.cli.rerun.scene import make_scene
     from locfuse.cli.session.session import opened
 
-    if len(what) == 1 and (report := report_of(Path(what[0]))) is not None:
+    if len(what) == 1 and (report := result_file(what[0])) is not None:
         return scene_of(report)
     result = opened(what, options.how, progress, read_again=True).compare(
         options.asked.sensors or None, reference=False

@@ -1,28 +1,145 @@
-"""From a command line to the jobs of a fleet, and from the jobs' folders to rows."""
+"""A fleet's jobs: from a command line to jobs, and from the jobs' folders to rows.
+
+A job is one log, its options, and its outcome: plain values, so that another machine can run it. Results that a
+job would only repeat are left as they are. They are there when every report.json has the key that this run would
+give it, all its files lie beside it, and no file of the log was changed after it was written.
+"""
 
 from __future__ import annotations
 
+import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any, Literal
 
 import msgspec
 from msgspec import field
 from msgspec.structs import replace
 
+from locfuse.cli.advice.together import ask
 from locfuse.cli.analysis.gates import FleetGates
 from locfuse.cli.analysis.grouping import logs_of, named
 from locfuse.cli.analysis.load import find_log
 from locfuse.cli.analysis.results import lost_in
-from locfuse.cli.analysis.robot_tables import given_layers
+from locfuse.cli.analysis.robot_tables import given_layers, given_tables, key
+from locfuse.cli.analysis.settings import OF_COMPARISON, Asked, LogOptions, Outputs
+from locfuse.cli.rerun.record import file_in
 from locfuse.cli.session import sweep
+from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.fleet.entry import Entry, slim
-from locfuse.fusion.data import UsageError
-
-from .job import Job, JobOutcome, SweepCell, read_report
+from locfuse.formats.inputs import read_small
+from locfuse.formats.logs.files import files_of, identity_of
+from locfuse.formats.whole_files import TEMPORARY
+from locfuse.fusion.checks.together import Look
+from locfuse.fusion.checks.tried import Fixes
+from locfuse.fusion.data import LocfuseError, UsageError
 
 ROBOT_PLACEHOLDER = "{robot}"  # in --robot: where the name of the robot goes
 REPORT_IS_GONE = "its report.json is gone or cannot be read; run it again with --again"
+REPORT = "report.json"
+OTHER_FILES = ("robot.toml", "estimates.mcap")  # files of a result beside the kinds of output
+OF_KIND = {kind: f"report.{kind}" for kind in OF_COMPARISON if kind != "tum"}
+
+
+class SweepCell(msgspec.Struct, frozen=True):
+    """One cell of a sweep: settings on top of the job's own. Without a sweep there is one without a name."""
+
+    name: str = ""  # "lrf.sigma_range=0.03 compass.sigma_deg=2"
+    sets: tuple[str, ...] = ()
+
+    @property
+    def folder(self) -> str:
+        """The name of its folder."""
+        return self.name.replace(" ", ",")
+
+
+class Job(msgspec.Struct, frozen=True):
+    """One log to be compared into a folder of its own."""
+
+    name: str
+    log: tuple[str, ...]  # its parts
+    folder: Path  # of its results; a sweep's cells have folders in it
+    how: LogOptions
+    asked: Asked
+    outputs: Outputs
+    robot: str | None = None  # the one that the log is of
+    cells: tuple[SweepCell, ...] = (SweepCell(),)
+    recordings: Path | None = None  # folder of the drives' recordings
+    again: bool = False  # run it even where its results are there
+    tries: tuple[Fixes, ...] = ()  # settings to fuse it under, instead of being compared
+
+    def recording_of(self, cell: SweepCell) -> str:
+        """Return the name of a cell's recording."""
+        return f"{self.name},{cell.folder}" if cell.name else self.name
+
+    def place(self, cell: SweepCell) -> Path:
+        """Return the folder of a cell's results."""
+        return self.folder / cell.folder
+
+
+class JobOutcome(msgspec.Struct, frozen=True):
+    """How a job ended. Its results are in its folder."""
+
+    name: str
+    state: Literal["done", "failed"]
+    reason: str = ""  # why it failed, in one line
+    misused: bool = False  # it failed by what was asked for, not by the log
+    resumed: bool = False  # its results were there already
+    warnings: tuple[str, ...] = ()  # what did not work beside its results
+    looks: Mapping[Fixes, Look] = field(default_factory=dict)  # what it shows under each of what it tries
+
+
+def is_finished(job: Job) -> bool:
+    """Return whether a job's results are complete. Raises LocfuseError if its log or settings cannot be read."""
+    if job.again or job.tries or job.outputs.export or job.outputs.figures is not None:
+        return False  # exports and figures are not looked for
+    reports = {cell: report for cell in job.cells if (report := read_report(job.place(cell))) is not None}
+    if len(reports) < len(job.cells):
+        return False
+    files = files_of(find_log(job.log))
+    content = identity_of(files)
+    changed_ns = max((file.stat().st_mtime_ns for file in files if isinstance(file, Path)), default=0)
+    return all(
+        report.get("key") == key(content, given_tables(job.how, cell.sets), job.asked)
+        and _is_there(job, cell, report, changed_ns)
+        for cell, report in reports.items()
+    )
+
+
+def _is_there(job: Job, cell: SweepCell, report: Mapping[str, Any], changed_ns: int) -> bool:
+    """Return whether all files of a result exist: none older than its log, no recording older than the report."""
+    folder = job.place(cell)
+    written_ns = (folder / REPORT).stat().st_mtime_ns
+    names = [OF_KIND[kind] for kind in job.outputs.write if kind in OF_KIND]
+    names += [f"{name}.tum" for name in report["configurations"]] if "tum" in job.outputs.write else []
+    if written_ns < changed_ns or not all((folder / name).is_file() for name in names):
+        return False
+    recording = None if job.recordings is None else file_in(job.recordings, job.recording_of(cell))
+    return recording is None or (recording.is_file() and recording.stat().st_mtime_ns >= written_ns)
+
+
+def is_replaceable(folder: Path) -> bool:
+    """Return whether a folder holds only files of a result, or only a sweep's cells with theirs.
+
+    Such a folder has no report of its own where its writing was ended by force, or where a sweep wrote it.
+    """
+    known = {*OF_KIND.values(), *OTHER_FILES}
+    return not folder.is_dir() or all(
+        path.name in known
+        or path.name.endswith((".tum", TEMPORARY))
+        or (path.is_dir() and ((path / REPORT).is_file() or is_replaceable(path)))
+        for path in folder.iterdir()
+    )
+
+
+def read_report(folder: Path) -> dict[str, Any] | None:
+    """Return the report of a folder, None if it is missing or incomplete."""
+    try:
+        report = json.loads(read_small(folder / REPORT, MAX_REPORT))
+        return report if isinstance(report["configurations"], dict) and isinstance(report["input"], dict) else None
+    except (LocfuseError, ValueError, KeyError, TypeError, RecursionError):
+        return None
 
 
 class FleetPlan(msgspec.Struct, frozen=True):
@@ -153,3 +270,19 @@ def _entry(job: Job, found: FleetRows, gates: FleetGates, strict: bool) -> Entry
         lost = lost_in(report, strict) or lost
     found.lost.extend(f"{job.name}: {line}" for line in lost)
     return Entry(job.name, job.robot, report=slim(whole), cells=tuple(whole))
+
+
+def robots(
+    entries: Sequence[Entry], jobs: Mapping[str, Job], run: Callable[[Sequence[Job]], Mapping[str, JobOutcome]]
+) -> list[dict[str, Any]]:
+    """Return for each robot with several logs what they have in common; logs of unnamed robots count as of one."""
+    of: dict[str | None, dict[str, Mapping[str, Any]]] = {}
+    for e in entries:
+        if e.report.get("measured"):
+            of.setdefault(e.robot, {})[e.name] = e.report["measured"]
+
+    def look(names: Sequence[str], sets: Sequence[Fixes]) -> dict[str, Mapping[Fixes, Look]]:
+        ended = run([replace(jobs[name], tries=tuple(sets)) for name in names])
+        return {name: ended[name].looks for name in names if name in ended}
+
+    return [{"robot": robot, **ask(logs, look)} for robot, logs in of.items() if len(logs) > 1]

@@ -26,7 +26,7 @@ from locfuse.cli.rerun.record import record_drive
 from locfuse.cli.session.session import Session
 from locfuse.formats.versions import own
 
-from .job import Job, JobOutcome, SweepCell, is_replaceable
+from .jobs import Job, JobOutcome, SweepCell, is_replaceable
 
 COMMAND = (sys.executable, "-m", "locfuse.cli.fleet.process")
 EXIT_ORPHANED = 1  # exit code where the command that started it is gone

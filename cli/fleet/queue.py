@@ -18,9 +18,8 @@ from locfuse.formats.versions import own
 from locfuse.fusion.data import LocfuseError, UsageError
 
 from . import process
-from .job import Job, JobOutcome, is_finished
+from .jobs import Job, JobOutcome, is_finished
 
-MAX_WAITING_PER_SLOT = 4  # jobs that wait at the executor for each that runs
 NOT_RUN = "stopped before it was run"
 POLL_S = 0.5  # s between looks at the clock while jobs run
 STOP_S = 0.1  # s between attempts to end the processes that run
@@ -40,6 +39,12 @@ class QueueState:
     failed: int = 0
     resumed: int = 0
     began: float = field(default_factory=time.monotonic)
+
+    def count(self, outcome: JobOutcome) -> None:
+        """Add the outcome of a job."""
+        self.done += outcome.state == "done"
+        self.failed += outcome.state == "failed"
+        self.resumed += outcome.resumed
 
     @property
     def left(self) -> int:
@@ -79,37 +84,25 @@ class Ended:
 
 
 @contextmanager
-def executor(fleet: FleetOptions) -> Iterator[tuple[Executor, int]]:
-    """Yield an executor and its number of slots: threads that each wait for a process, or remote workers."""
-    if fleet.cluster is None:
-        with ThreadPoolExecutor(fleet.jobs) as threads:
-            yield threads, fleet.jobs
-        return
-    with cluster(fleet.cluster) as workers:
-        yield workers
+def executor(fleet: FleetOptions) -> Iterator[Executor]:
+    """Yield what runs the jobs: threads that each wait for a process, or the workers of a cluster."""
+    with ThreadPoolExecutor(fleet.jobs) if fleet.cluster is None else cluster(fleet.cluster) as pool:
+        yield pool
 
 
-def run_all(jobs: Sequence[Job], pool: Executor, slots: int, max_failures: int | None, watch: Watch) -> Ended:
-    """Run jobs on an executor with so many slots; jobs with finished results are not sent."""
+def run_all(jobs: Sequence[Job], pool: Executor, max_failures: int | None, watch: Watch) -> Ended:
+    """Run jobs on an executor; jobs with finished results are not sent."""
     found: dict[str, JobOutcome] = {}
     standing = QueueState(len(jobs))
-    waiting = iter(jobs)
     running: dict[Future[JobOutcome], Job] = {}
     try:
-        while standing.left:
-            if max_failures is not None and standing.failed > max_failures:
-                return Ended(found, f"more than {max_failures} logs failed (--max-failures)")
-            while len(running) < MAX_WAITING_PER_SLOT * slots and (job := next(waiting, None)) is not None:
-                running[_submitted(job, pool)] = job
-            finished, _ = wait(running, POLL_S, FIRST_COMPLETED)
-            for future in finished:
-                outcome = _outcome(future, running.pop(future))
+        for outcome in _outcomes(jobs, pool, running):
+            if outcome is not None:
                 found[outcome.name] = outcome
-                standing.done += outcome.state == "done"
-                standing.failed += outcome.state == "failed"
-                standing.resumed += outcome.resumed
-                watch(standing, outcome)
-            watch(standing, None)
+                standing.count(outcome)
+            watch(standing, outcome)
+            if max_failures is not None and standing.failed > max_failures and standing.left:
+                return Ended(found, f"more than {max_failures} logs failed (--max-failures)")
     except Exception:
         raise
     except BaseException as stopped:  # Ctrl-C, SIGTERM: what is done stays done
@@ -119,14 +112,19 @@ def run_all(jobs: Sequence[Job], pool: Executor, slots: int, max_failures: int |
     return Ended(found)
 
 
-def _submitted(job: Job, pool: Executor) -> Future[JobOutcome]:
-    """Submit a job, unless it is finished or its log cannot be opened."""
-    outcome = already(job)
-    if outcome is None:
-        return pool.submit(process.run, job, str(Path.cwd()), own())
-    future: Future[JobOutcome] = Future()
-    future.set_result(outcome)
-    return future
+def _outcomes(
+    jobs: Sequence[Job], pool: Executor, running: dict[Future[JobOutcome], Job]
+) -> Iterator[JobOutcome | None]:
+    """Yield the outcome of each job when it is known, and None at every look at the clock."""
+    for job in jobs:
+        if (outcome := already(job)) is not None:
+            yield outcome
+        else:
+            running[pool.submit(process.run, job, str(Path.cwd()), own())] = job
+    while running:
+        finished, _ = wait(running, POLL_S, FIRST_COMPLETED)
+        yield from (_outcome(future, running.pop(future)) for future in finished)
+        yield None
 
 
 def already(job: Job) -> JobOutcome | None:
@@ -142,7 +140,7 @@ def _outcome(future: Future[JobOutcome], job: Job) -> JobOutcome:
     try:
         return future.result()
     except Exception as problem:
-        kind, words = type(problem).__name__, " ".join(str(problem).split())[:200]
+        kind, words = type(problem).__name__, _line(problem)
         why = REASONS_LOST.get(kind, f"the cluster failed it: {kind}: {{problem}}")
         return JobOutcome(job.name, "failed", why.format(problem=words))
 
@@ -165,18 +163,11 @@ MAX_RETRIES = 2  # of a job whose worker raised what no job raises
 
 
 @contextmanager
-def cluster(address: str) -> Iterator[tuple[Executor, int]]:
-    """Connect to a scheduler, such as "tcp://127.0.0.1:8786"; yield its executor and its number of slots.
+def cluster(address: str) -> Iterator[Executor]:
+    """Connect to a scheduler, such as "tcp://127.0.0.1:8786", and yield its executor.
 
     Raises LocfuseError where none answers, where it has no workers, or where a worker has another locfuse.
     """
-    with _connected(address) as client:
-        _check_workers(address, client)
-        yield client.get_executor(retries=MAX_RETRIES, pure=False), sum(client.nthreads().values())
-
-
-@contextmanager
-def _connected(address: str) -> Iterator[Any]:
     try:
         import distributed
     except ImportError:
@@ -193,7 +184,8 @@ def _connected(address: str) -> Iterator[Any]:
                 "dask scheduler --host 127.0.0.1 --dashboard-address 127.0.0.1:0"
             ) from None
         with client:
-            yield client
+            _check_workers(address, client)
+            yield client.get_executor(retries=MAX_RETRIES, pure=False)
 
 
 def _check_workers(address: str, client: Any) -> None:

@@ -28,7 +28,7 @@ from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.fusion.checks.examine import examine
 from locfuse.fusion.checks.finding import Finding, of_error
-from locfuse.fusion.checks.laser import driver
+from locfuse.fusion.checks.laser_ranges import driver
 from locfuse.fusion.checks.truth import POINT, START
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
@@ -55,8 +55,7 @@ def inspect_log(
     found: list[Finding] = []
     choice = _choose(log, robot, named_by_hand(how.sets), found)
     facts += derived_facts(log, robot.order)
-    transforms = _transforms(log, choice, found)
-    overview = Overview(log, tables, choice, facts, transforms, _placed(log, tables, choice, transforms))
+    overview = Overview(log, tables, choice, facts, *_placed(log, tables, choice, found))
     overview.robot_facts = find_robot_facts(log, robot, choice)
     overview.findings = [
         *_of_files(log),
@@ -107,28 +106,22 @@ def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) ->
     return choice
 
 
-def _transforms(log: Log, choice: Choice, found: list[Finding]) -> StaticTransforms:
-    frames = []
-    for topic in (t for name in REGISTRY for t in choice.of(name)):
-        with suppress(LocfuseError):  # a topic that cannot be read has its own finding
-            frames.append(log.stream(topic).frame_id)
-    try:
-        transforms = transforms_of(log, frames)
-    except LocfuseError as e:
-        found.append(Finding("/tf_static", "tf_static", str(e)))
-        return StaticTransforms()
-    return transforms
-
-
-def _placed(log: Log, tables: dict[str, Any], choice: Choice, transforms: StaticTransforms) -> Robot:
-    """Return the robot with the mounts of /tf_static, which are known before measuring."""
+def _placed(
+    log: Log, tables: dict[str, Any], choice: Choice, found: list[Finding]
+) -> tuple[StaticTransforms, Robot]:
+    """Return /tf_static, and the robot with its mounts, which are known before measuring."""
     streams = {}
     for name in REGISTRY:
         with suppress(LocfuseError):  # a topic that cannot be read has its own finding
             if topics := choice.of(name):
                 streams[name] = [log.stream(topic) for topic in topics]
-    turns = shared_turns(tables, streams)
-    return make_robot(robot_toml.merge(mount_tables(transforms, streams), turns, tables))
+    transforms = StaticTransforms()
+    try:
+        transforms = transforms_of(log, [part.frame_id for parts in streams.values() for part in parts])
+    except LocfuseError as e:
+        found.append(Finding("/tf_static", "tf_static", str(e)))
+    mounts, turns = mount_tables(transforms, streams), shared_turns(tables, streams)
+    return transforms, make_robot(robot_toml.merge(mounts, turns, tables))
 
 
 def _of_files(log: Log) -> list[Finding]:

@@ -34,7 +34,9 @@ def robot_schema() -> Schema:
     types = table_types()
     refs, definitions = msgspec.json.schema_components(list(types.values()), ref_template=REF_TEMPLATE)
     for name, kind in types.items():
-        _describe(definitions[kind.__name__], _table_words(name, kind))
+        asks = REGISTRY[name].asks if name in REGISTRY else {}
+        words = {**{key: ask.words for key, ask in asks.items()}, **field_words(kind)}
+        _describe(definitions[kind.__name__], words)
         _leave_out_null(definitions[kind.__name__])
     top = {
         "order": {"enum": list(ORDERS), "default": "auto", "description": OF_ORDER},
@@ -58,12 +60,6 @@ def output_schema(title: str, *kinds: type[msgspec.Struct]) -> Schema:
         _describe(definitions[kind.__name__], field_words(kind))
     top = refs[0] if len(refs) == 1 else {"anyOf": list(refs)}
     return {"$schema": DRAFT_7, "title": title, **top, "$defs": _in_draft_7(definitions)}
-
-
-def _table_words(name: str, kind: type[msgspec.Struct]) -> dict[str, str]:
-    """Return the meaning of each key of a table: its unit and comment, and how `init` asks for it."""
-    asked = {key: ask.words for key, ask in REGISTRY[name].asks.items()} if name in REGISTRY else {}
-    return {**asked, **field_words(kind)}
 
 
 def _describe(definition: Schema, words: Mapping[str, str]) -> None:

@@ -35,8 +35,7 @@ def _mount_by(overview: Overview, name: str, keys: Mapping[str, Any]) -> str:
     """Return the source of a sensor's mount: the settings, its frame, /tf_static, or "nobody"."""
     if any(key in overview.tables.get(name, {}) for key in keys):
         return "settings"
-    facts = {f.topic: f for f in overview.facts}
-    frames = [facts[t].frame_id for t in overview.choice.of(name) if t in facts]
+    frames = overview.frames_of(name)
     if frames and all(is_base(frame) for frame in frames):
         return f"its frame {frames[0]}"
     known = [frame for frame in frames if mount_of(overview.transforms, frame) is not None]
@@ -52,8 +51,7 @@ def unplaced(overview: Overview) -> list[Finding]:
     """Return a finding per sensor without a mount that needs one."""
     found = []
     for name, mount in extrinsics(overview).items():
-        frames = {f.topic: f.frame_id for f in overview.facts}
-        moves = any(moved_by(overview.transforms, frames.get(t, "")) for t in overview.choice.of(name))
+        moves = any(moved_by(overview.transforms, frame) for frame in overview.frames_of(name))
         if mount["by"] == "nobody" and REGISTRY[name].placed and not moves:
             keys = f"{name}.mounts" if "mounts" in mount else f"{name}.x, {name}.y, {name}.yaw_deg"
             words = f"nothing says where it sits on the robot: the base's origin is assumed (set {keys})"
@@ -63,21 +61,15 @@ def unplaced(overview: Overview) -> list[Finding]:
 
 def conflicts(overview: Overview) -> list[Finding]:
     """Return a finding per frame with two mounts: those in use one by one, the others together."""
-    facts = {f.topic: f for f in overview.facts}
-    frames = {
-        facts[t].frame_id: role for role in overview.choice.topics for t in overview.choice.of(role) if t in facts
-    }
+    roles = {frame: role for role in overview.choice.topics for frame in overview.frames_of(role)}
+    mounts = extrinsics(overview)
     found, others = [], []
     for conflict in overview.transforms.conflicts:
-        frame = conflict.frame
-        role = frames.get(frame, "")
-        mount = extrinsics(overview).get(role, {})
+        role = roles.get(conflict.frame, "")
+        mount = mounts.get(role, {})
         if not role:
-            others.append(frame)
-        elif mount.get("by") in {
-            "/tf_static",
-            "/tf",
-        }:  # fusion.checks.laser tests it by the walls
+            others.append(conflict.frame)
+        elif mount.get("by") in {"/tf_static", "/tf"}:  # fusion.checks.laser tests it by the walls
             keys = [k for k in ("x", "y", "yaw_deg") if isinstance(mount.get(k), float)]
             wrong = any(o.role == role and o.code == "yaw" for o in overview.findings)
             fixes = () if wrong else tuple(f"{role}.{k}={mount[k]:.4g}" for k in keys)

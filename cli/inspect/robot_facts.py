@@ -67,6 +67,11 @@ class Overview(msgspec.Struct):
     robot_facts: RobotFacts = field(default_factory=RobotFacts)
     findings: list[Finding] = field(default_factory=list)
 
+    def frames_of(self, role: str) -> list[str]:
+        """Return the frames of a role's topics, "" where one has none."""
+        known = {f.topic: f.frame_id for f in self.facts}
+        return [known[topic] for topic in self.choice.of(role) if topic in known]
+
     @property
     def spoils(self) -> tuple[Note, ...]:
         """Why the motion of this log is not the robot's; () without a reason."""
@@ -84,33 +89,30 @@ def find_robot_facts(log: Log, robot: Robot, choice: Choice, loaded: Loaded | No
     counters = _counters(log, robot, choice)
     if not counters:
         return RobotFacts(described)
-    kind = log.topics[counters[0]].msgtype
-    odometry = [t for t in of_type(log, (ODOMETRY,)) if not looks_like_truth(t) and log.topics[t].count]
-    joints = _joints(log, counters[0], robot) if kind == JOINTS else None
-    settings = robot.wheels
-    if joints is not None:
-        settings = msgspec.structs.replace(settings, left=joints[0], right=joints[1])
-    scans = None if loaded is None or loaded.matched is None else loaded.reading
-    fitted, both = None, merged([log.stream(t) for t in counters])
+    kind, both = log.topics[counters[0]].msgtype, merged([log.stream(t) for t in counters])
+    ticks = USUAL_TICKS.get(kind)
     if is_tricycle(both):
         steered = None if loaded is None or not choice.unused_wheels else _steered(both, loaded)
-        return RobotFacts(described, ticks=USUAL_TICKS.get(kind), steered=steered)
+        return RobotFacts(described, ticks=ticks, steered=steered)
+    joints, settings = _joints(log, counters[0], robot) if kind == JOINTS else None, robot.wheels
+    if joints is not None:
+        settings = msgspec.structs.replace(settings, left=joints[0], right=joints[1])
+    fitted, source = None, ""
+    odometry = [t for t in of_type(log, (ODOMETRY,)) if not looks_like_truth(t) and log.topics[t].count]
     if odometry:
-        fitted = by_odometry(both, log.stream(odometry[0]), settings)
-    elif scans is not None:
+        source = odometry[0]
+        fitted = by_odometry(both, log.stream(source), settings)
+    elif loaded is not None and loaded.matched is not None and loaded.reading is not None:
+        source = BY_SCANS
         with suppress(LocfuseError):  # said where the counters are used
-            fitted = by_motion(both, scans, settings)
-        return RobotFacts(described, fitted, BY_SCANS, USUAL_TICKS.get(kind), joints)
-    return RobotFacts(described, fitted, odometry[0] if odometry else "", USUAL_TICKS.get(kind), joints)
+            fitted = by_motion(both, loaded.reading, settings)
+    return RobotFacts(described, fitted, source, ticks, joints)
 
 
 def _steered(both: Stream, loaded: Loaded) -> Steered | None:
     """Return what the truth shows of a tricycle; None where it shows too little."""
-    from locfuse.fusion.wheels.calibrate_tricycle import (
-        calibrate_tricycle,
-        nominal,
-        of_truth,
-    )  # SciPy comes with it
+    # SciPy comes with it
+    from locfuse.fusion.wheels.calibrate_tricycle import calibrate_tricycle, nominal, of_truth
 
     if (truth := loaded.drive.truth) is None or not isinstance(both, MergedStream):
         return None
@@ -142,28 +144,19 @@ def _geometry(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list
     if (steered := found.steered) is not None:
         fixes += [f"wheels.{key}={known[key]}" for key in ("servo_offset", "max_speed")]
         fixes += [f"truth.{key}={figure.value:.3f}" for key, figure in steered.found.mount.items()]
-    fixes += _senses(robot, found) if fixes else []
+    if fixes and found.fitted is not None and found.fitted.mirrored != robot.wheels.mirrored:
+        fixes.append(f"wheels.mirrored={found.fitted.mirrored}")
     named = robot.wheels.left is not None and robot.wheels.right is not None
     if found.joints is not None and not named and not are_wheels(log, topics[0], robot):
         words.append("which joints are the wheels'")
         fixes += [f"wheels.left={found.joints[0]}", f"wheels.right={found.joints[1]}"]
-    other = choice.of("wheels") not in (
-        (),
-        topics,
-    )  # an odometry is read in their place: its choice says what lacks
+    other = choice.of("wheels") not in ((), topics)  # what is read in their place says what they lack
     if not words or (other and not fixes):
         return []
     counts = "count" if len(topics) > 1 else "counts"
     message = f"{' and '.join(topics)} {counts} wheel turns, but nothing says {', '.join(words)}"
     severe = not other or found.steered is not None
     return [Finding("wheels", "geometry", message, tuple(fixes), severe, source if fixes else "")]
-
-
-def _senses(robot: Robot, found: RobotFacts) -> list[str]:
-    """Return the setting of the wheels' counting directions, if the odometry contradicts it."""
-    fitted = found.fitted
-    differ = fitted is not None and fitted.mirrored != robot.wheels.mirrored
-    return [f"wheels.mirrored={fitted.mirrored}"] if fitted is not None and differ else []
 
 
 def geometry(robot: Robot, found: RobotFacts) -> tuple[dict[str, float], str]:
@@ -190,14 +183,10 @@ def geometry(robot: Robot, found: RobotFacts) -> tuple[dict[str, float], str]:
 
 
 def _counters(log: Log, robot: Robot, choice: Choice) -> tuple[str, ...]:
-    """Return the topics of wheel turns: those in use, else all candidates; () without any."""
+    """Return the topics of wheel turns: those in use, else those whose geometry is unknown; () without any."""
     topics = choice.of("wheels")
-    turns = topics and log.topics[topics[0]].msgtype not in BODY_READS
-    return topics if turns else _unused_counters(log, robot, choice)
-
-
-def _unused_counters(log: Log, robot: Robot, choice: Choice) -> tuple[str, ...]:
-    """Return topics of wheel turns that are not used, since their geometry is unknown."""
+    if topics and log.topics[topics[0]].msgtype not in BODY_READS:
+        return topics
     taken = {t for role in choice.topics for t in choice.of(role)}
     with suppress(LocfuseError):  # several that fit: said where one is chosen
         found, _ = counters_of(log, robot)
@@ -209,10 +198,8 @@ def _joints(log: Log, topic: str, robot: Robot) -> tuple[str, str] | None:
     """Return the wheel joints: by name, else the only two that keep turning."""
     columns = log.stream(topic).columns("name", "position")
     names = cast("list[tuple[str, ...]]", columns["name"])
-    try:
+    with suppress(LocfuseError):
         return joint_names(names, topic, robot.wheels)
-    except LocfuseError:
-        pass
     way = _ways(names, cast("Ragged", columns["position"]))
     turning = [j for j, w in way.items() if w > MIN_MOVEMENT]
     fixed = {robot.wheels.left, robot.wheels.right}
@@ -259,9 +246,8 @@ def _possible_truth(log: Log, choice: Choice) -> list[Finding]:
     if "truth" in choice.topics:
         return []
     kinds = [k for k in TRUTH_READS if k not in {ODOMETRY, FIX}]
-    poses = [
-        t for t in of_type(log, kinds) if log.topics[t].count and not any(w in t.lower() for w in ESTIMATE_WORDS)
-    ]
+    filled = [t for t in of_type(log, kinds) if log.topics[t].count]
+    poses = [t for t in filled if not any(word in t.lower() for word in ESTIMATE_WORDS)]
     poses = [t for t in poses if not (commanded(t, log.topics[t].msgtype) or of_camera(log, t))]
     if not poses:
         return []

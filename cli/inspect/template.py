@@ -1,35 +1,92 @@
-"""The robot.toml of `init`: the result of `inspect_log` as lines with comments."""
+"""The robot.toml of `init`: what `inspect_log` found, as lines with comments.
+
+Known keys are active; the others have a comment on how to find the value.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import msgspec
 from msgspec.structs import replace
 
+from locfuse.cli.analysis.body_topics import motors
+from locfuse.cli.analysis.choose import best_of
+from locfuse.cli.analysis.mounts import is_base, mount_tables
 from locfuse.cli.analysis.robot_tables import ATTACHMENT, flat, make_robot, table_types
 from locfuse.cli.analysis.settings import LogOptions, set_words
+from locfuse.cli.analysis.topics import of_type
+from locfuse.cli.analysis.wheel_topics import steers
 from locfuse.formats.container.url import Place
 from locfuse.formats.robot import robot_toml
-from locfuse.formats.robot.commented_toml import TomlSection
+from locfuse.formats.robot.commented_toml import TomlLine, TomlSection
 from locfuse.fusion.checks.clocks import OPEN_CLOCK
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser import OPEN_SCALE
 from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.sensor import Ask
+from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.wheels.odometry import BODY_READS, STEERED
+from locfuse.fusion.wheels.read import counts_ticks
+from locfuse.fusion.wheels.sources import JOINTS
+from locfuse.fusion.wheels.steered import MOTOR, SERVO
 
 from .inspect_log import inspect_log
 from .known_robots import open_figures, recognise
+from .mounts import placed_by
 from .robot_facts import Overview
-from .template_tables import Facts, Known, found, lines
 
+Known = dict[str, tuple[Any, str]]  # "table.key" -> its value, and its source
+TOP_KEYS = ("order", "preset")
+STEERED_KEYS = ("radius", "ticks_per_revolution", "servo_gain", "wheelbase", "noise")  # of a tricycle's encoders
+MOUNT_KEYS = ("x", "y", "yaw_deg")  # written even where zero: that is worth knowing
+MOUNT_DECIMALS = 6  # decimals of a mount: micrometres
+
+# how to measure what is in no log; a sensor has the words of its own keys (Sensor.asks)
+HOW_TO_MEASURE = {
+    "wheels": {
+        "radius": Ask(
+            "m: not in this log. Roll ten turns of a wheel along a ruler: way / (10 * 2 pi)", needed=True
+        ),
+        "track": Ask(
+            "m: not in this log. Between the middles of both tyres; `locfuse calibrate` refines it",
+            needed=True,
+        ),
+        "wheelbase": Ask("m: not in this log. Between the front and the rear axle", needed=True),
+        "erpm_per_mps": Ask(
+            "electrical revolutions per minute of the motor at 1 m/s: speed_to_erpm_gain of vesc.yaml", blank=True
+        ),
+        "servo_gain": Ask(
+            "of a servo's position: steering_angle_to_servo_gain of vesc.yaml; of a tricycle: ticks of the "
+            "steering per radian",
+            needed=True,
+        ),
+        "ticks_per_revolution": Ask("not in this log. Turn a wheel ten times by hand: ticks / 10", needed=True),
+        "noise": Ask("m: variance per metre that a wheel rolls; `locfuse calibrate` finds it"),
+    },
+    "start": dict.fromkeys(
+        ("x", "y", "theta_deg"),
+        Ask("m, degrees: pose at the first wheel reading, or when `at` says; left out: 0, 0, 0"),
+    ),
+    "truth": {
+        **dict.fromkeys(
+            ("x", "y"), Ask("m: the point of the robot that was tracked, forward and left of the axle's middle")
+        ),
+        "sigma": Ask("m: how exact the truth is itself"),
+        "sigma_theta_deg": Ask("degrees: how exact its heading is"),
+    },
+}
+# Conventions that hold unless the user sets others; no log states them.
+GUESSED_DEFAULTS = {
+    "wheels": {
+        "mirrored": "guess: both counters rise while the robot drives forward",
+        "steering": "guess: radians of the front wheels (rate: rad/s of the body, heading: rad)",
+    }
+}
 MAX_ROUNDS = 4  # a fix may bring out what could not be seen before
-MEASURED_CODES = {
-    "lag",
-    "noise",
-    "range scale",
-    "track",
-    "yaw",
-}  # findings whose fix is right even where they change little
+# findings whose fix is right even where they change little
+MEASURED_CODES = {"lag", "noise", "range scale", "track", "yaw"}
 GUESS = "guess: "
 GUESSED_CODES = {"choice", "unusable", "truth?"}  # nothing was measured: the first that fits
 
@@ -127,3 +184,158 @@ def _loads(fix: str) -> bool:
 
 def _read(fixes: Mapping[str, tuple[str, str]]) -> Known:
     return {key: (flat(robot_toml.apply_sets([fix]))[key], why) for key, (fix, why) in fixes.items()}
+
+
+class Facts(NamedTuple):
+    """The inputs of the lines."""
+
+    overview: Overview
+    known: Known  # active lines
+    suggested: Known  # fixes that only the robot's owner can judge
+
+
+def found(overview: Overview) -> Known:
+    """Return the settings shown by the log: topics, joints, mounts."""
+    known: Known = {}
+    for role in ("wheels", "truth", *REGISTRY):
+        known |= _topics(overview, role)
+    # left open: with their size filled in, the wheels are used; a motion that is not the robot's is not named,
+    # since a named one counts as the robot's
+    if overview.choice.unused_wheels or overview.spoils:
+        known.pop("wheels.topic", None)
+    wheels = overview.choice.unused_wheels or overview.choice.of("wheels")
+    if wheels and overview.log.topics[wheels[0]].msgtype == JOINTS and overview.robot_facts.joints is not None:
+        why = "guess: the wheels' joints, by their names or because only they turn"
+        known |= {
+            f"wheels.{side}": (joint, why)
+            for side, joint in zip(("left", "right"), overview.robot_facts.joints, strict=True)
+        }
+    return known | _mounts(overview)
+
+
+def _topics(overview: Overview, role: str) -> Known:
+    topics, why = overview.choice.of(role), overview.choice.why.get(role, "")
+    if not topics and role in REGISTRY:  # a sensor that lacks a setting may have its topic all the same
+        fit = [t for t in of_type(overview.log, REGISTRY[role].reads) if overview.log.topics[t].count]
+        fit = best_of(overview.log, REGISTRY[role], fit)
+        settings = overview.robot.settings(role)
+        unset = role in overview.choice.absent and len(fit) == 1 and REGISTRY[role].missing(settings) is not None
+        topics, why = (tuple(fit), "the only topic of its type") if unset else ((), "")
+    if not topics:
+        return {}
+    words = f"{overview.log.topics[topics[0]].msgtype.replace('/msg/', '/')}: {why}"
+    if len(topics) == 1:
+        return {f"{role}.topic": (topics[0], words)}
+    if role == "wheels" and overview.log.topics[topics[0]].msgtype in MOTOR:
+        return {
+            "wheels.topic": (topics[0], words),
+            "wheels.steering_topic": (topics[1], "how the car was steered"),
+        }
+    if role == "wheels":
+        return {"wheels.left_topic": (topics[0], words), "wheels.right_topic": (topics[1], words)}
+    return {f"{role}.topics": (list(topics), words)}
+
+
+def _mounts(overview: Overview) -> Known:
+    """Return the sensors' mounts by /tf_static; roll and pitch only if not zero."""
+    streams = {
+        name: [overview.log.stream(t) for t in overview.choice.of(name)]
+        for name in REGISTRY
+        if overview.choice.of(name)
+    }
+    known: Known = {}
+    for name, table in mount_tables(overview.transforms, streams).items():
+        frame = streams[name][0].frame_id
+        by = f"by {placed_by(overview, frame)}: where {{}} on the base"
+        words = f"its frame {frame} is the base" if is_base(frame) else by.format(f"{frame} sits")
+        for key, raw in table.items():
+            value = _rounded(raw)
+            if value or key in MOUNT_KEYS:
+                known[f"{name}.{key}"] = value, by.format("each of them sits") if key == "mounts" else words
+    return known
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, float):
+        return round(value, MOUNT_DECIMALS) + 0.0
+    if isinstance(value, dict):
+        return {key: _rounded(v) for key, v in value.items()}
+    return [_rounded(v) for v in value] if isinstance(value, list) else value
+
+
+def lines(facts: Facts, table: str, missing: list[str]) -> Iterator[TomlLine]:
+    """Yield the lines of one table, "" for keys above all tables; missing required keys are added to `missing`."""
+    if not table:
+        yield from (TomlLine(key, *facts.known[key]) for key in TOP_KEYS if key in facts.known)
+        return
+    unsure = _suggested(facts, table)
+    shown = table in {"wheels", "start"} or any(key.startswith(f"{table}.") for key in facts.known)
+    defaults = {f.name: f.default for f in msgspec.structs.fields(table_types()[table])}
+    for key, default in defaults.items():
+        path = f"{table}.{key}"
+        if path in facts.known:
+            yield TomlLine(key, *facts.known[path])
+        elif shown and path not in unsure and _concerns(facts, table, key):
+            yield from _unknown(table, key, default, missing)
+        if path in unsure:
+            asked = _ask(table, key)
+            missing += [path] if facts.overview.choice.unused_wheels and asked and asked.needed else []
+            yield TomlLine(key, *unsure[path], holds=False)
+
+
+def _unknown(table: str, key: str, default: Any, missing: list[str]) -> Iterator[TomlLine]:
+    guessed = (REGISTRY[table].guesses if table in REGISTRY else GUESSED_DEFAULTS.get(table, {})).get(key)
+    asked = _ask(table, key)
+    if guessed is not None:
+        yield TomlLine(key, default, guessed)
+    elif asked is not None:
+        blank = asked.blank or asked.needed or default in (None, msgspec.NODEFAULT)
+        yield TomlLine(key, None if blank else default, asked.words, holds=False)
+        if asked.needed:
+            missing.append(f"{table}.{key}")
+
+
+def _suggested(facts: Facts, table: str) -> Known:
+    """Return fixes as inactive lines, and the candidate topics of a sensor with several."""
+    here = {key: suggestion for key, suggestion in facts.suggested.items() if key.startswith(f"{table}.")}
+    why = facts.overview.choice.absent.get(table, "")
+    for fix in facts.overview.choice.fixes.get(table, ()):
+        key, _, value = fix.partition("=")
+        if key == f"{table}.topic":
+            here[key] = value, why
+    return here
+
+
+def _concerns(facts: Facts, table: str, key: str) -> bool:
+    """Whether a key applies to the message type that is read."""
+    overview = facts.overview
+    if table == "wheels":
+        return _concerns_wheels(overview, key)
+    if table not in REGISTRY:
+        return True
+    if key in MOUNT_KEYS:
+        return not any(f"{table}.{k}" in facts.known for k in (*MOUNT_KEYS, "mounts"))
+    topics = overview.choice.of(table)
+    return REGISTRY[table].concerns(key, overview.log.topics[topics[0]].msgtype if topics else "")
+
+
+def _concerns_wheels(overview: Overview, key: str) -> bool:
+    wheels = overview.choice.unused_wheels or overview.choice.of("wheels")
+    if steers(wheels):
+        return key in STEERED_KEYS
+    kind, *others = (overview.log.topics[topic].msgtype for topic in wheels) if wheels else ("",)
+    counts = bool(kind) and kind not in (*BODY_READS, *MOTOR)  # an odometry needs no size of a wheel
+    applies = {
+        **dict.fromkeys(("radius", "track", "mirrored"), counts),
+        "ticks_per_revolution": counts and counts_ticks(kind),
+        "wheelbase": kind in MOTOR or (kind in STEERED and overview.robot.wheels.steering == "angle"),
+        "erpm_per_mps": bool(motors(overview.log)),
+        "servo_gain": others[:1] == [SERVO],
+        "steering": kind in STEERED,
+    }
+    return applies.get(key, True)
+
+
+def _ask(table: str, key: str) -> Ask | None:
+    """Return how the robot's owner finds the value of a key, None if it need not be asked for."""
+    return (REGISTRY[table].asks if table in REGISTRY else HOW_TO_MEASURE.get(table, {})).get(key)

@@ -12,7 +12,6 @@ import numpy as np
 from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.figures.palette import traces_in
 from locfuse.formats.inputs import read_small
-from locfuse.formats.logs.files import REPORTS
 from locfuse.formats.report import json_report
 from locfuse.formats.rerun.scene import RerunScene
 from locfuse.formats.results.trajectory import read_tum
@@ -20,11 +19,6 @@ from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, Mot
 from locfuse.fusion.judge.evaluate import evaluate
 
 from .scene import palette, table_of
-
-
-def report_of(folder: Path) -> Path | None:
-    """Return the report of a folder of results, None without one."""
-    return next((folder / name for name in REPORTS if (folder / name).is_file()), None)
 
 
 def scene_of(report_file: Path) -> RerunScene:

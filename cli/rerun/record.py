@@ -10,8 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import msgspec
-
+from locfuse.cli.analysis.settings import Outputs
 from locfuse.formats.visible import writable
 
 if TYPE_CHECKING:
@@ -23,40 +22,28 @@ FOLDER = "recordings"  # in a fleet's results; the catalog reads no folders belo
 CATALOG_PORT = 51234  # Rerun's own default for a catalog
 
 
-class RerunOptions(msgspec.Struct, frozen=True):
-    """What to record of a run, and where to show it."""
-
-    show: bool = False
-    save: Path | None = None
-
-    @property
-    def wanted(self) -> bool:
-        """Whether any Rerun option was given; if not, Rerun is not imported."""
-        return self.show or self.save is not None
-
-
-def record(options: RerunOptions, result: Result, folder: Path, say: Say) -> None:
+def record(outputs: Outputs, result: Result, folder: Path, say: Say) -> None:
     """Write a result's recording and show it by the options; a failure is only a warning.
 
     Without --rerun-save the recording lies beside the results, where `locfuse view FOLDER` finds it. With it, the
     file was asked for by name: LocfuseError where it cannot be written.
     """
-    if not options.wanted:
+    if not outputs.recorded:
         return
     from locfuse.fusion.data import LocfuseError
 
     from .viewer import show
 
-    path = options.save or folder / RECORDING
+    path = outputs.rerun_save or folder / RECORDING
     problem = saved(path, result)
-    if problem and options.save is not None:
+    if problem and outputs.rerun_save is not None:
         raise LocfuseError(f"--rerun-save {path}: {problem}. The other results are written")
     if problem:
         say(_warning(problem))
         return
     say(f"{path}: Rerun recording")
     try:
-        if options.show:
+        if outputs.rerun:
             show(path)
     except LocfuseError as unseen:
         say(_warning(f"{unseen}. The recording is whole; open it with: locfuse view {path}"))

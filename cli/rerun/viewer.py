@@ -13,7 +13,6 @@ import re
 import socket
 import subprocess
 import sys
-import time
 import webbrowser
 from collections.abc import Callable
 from pathlib import Path
@@ -105,11 +104,12 @@ def show_and_wait(path: Path) -> None:
 def start(path: Path) -> subprocess.Popen[bytes]:
     """Start a viewer on the loopback interface and leave it running. Raises LocfuseError where it ends at once."""
     viewer = _popen(["--port", str(free_port(PORT)), str(path)])
-    deadline = time.monotonic() + START_TIMEOUT_S
-    while time.monotonic() < deadline:
-        if viewer.poll() is not None and viewer.returncode != 0:
-            raise LocfuseError(f"the viewer ended at once with code {viewer.returncode}")
-        time.sleep(0.1)
+    try:
+        code = viewer.wait(START_TIMEOUT_S)
+    except subprocess.TimeoutExpired:
+        return viewer
+    if code != 0:
+        raise LocfuseError(f"the viewer ended at once with code {code}")
     return viewer
 
 

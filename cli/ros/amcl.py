@@ -25,6 +25,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.lines.points import ScanPoints
 from locfuse.fusion.map.beam_model import BeamModel, fit_beams
+from locfuse.fusion.mount import found_mount
 
 from .found import Found, positive
 
@@ -106,15 +107,16 @@ def beams_in_map(found: Found) -> tuple[Array, Array, int, float]:
     some = np.unique(np.linspace(0, len(m.t) - 1, MAX_SCANS).astype(np.int64))
     poses = found.estimates.pose[drive.instant["lrf"][some]]
     ends, origins, none = [], [], 0
-    beams, farthest = _sizes(m.points, m.points.rows[some])
+    points = m.points.mounted(found_mount("lrf", m.points.mount, found.estimates.blocks))
+    beams, farthest = _sizes(points, points.rows[some])
     reach = 0.0
-    for pose, seen, count in zip(poses, m.points.read(some), beams, strict=True):
+    for pose, seen, count in zip(poses, points.read(some), beams, strict=True):
         step = max(1, count // MAX_BEAMS)
         none += max(0, count - len(seen)) // step
         few = seen[::step]
         ends.append(np.asarray(se2.transform(pose, few)))
-        origins.append(np.repeat(np.asarray(se2.transform(pose, np.array([m.points.origin]))), len(few), axis=0))
-        reach = max(reach, float(np.hypot(*(few - m.points.origin).T).max(initial=0.0)))
+        origins.append(np.repeat(np.asarray(se2.transform(pose, points.mount[None, :2])), len(few), axis=0))
+        reach = max(reach, float(np.hypot(*(few - points.mount[:2]).T).max(initial=0.0)))
     return np.concatenate(ends), np.concatenate(origins), none, farthest if 0.0 < farthest < NO_RANGE_M else reach
 
 

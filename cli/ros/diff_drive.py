@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
-from locfuse.formats.robot.ros_yaml import FOUND, KEPT, Origin, Setting
+from locfuse.formats.robot.ros_yaml import FOUND, KEPT, Setting
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.wheels.odometry import ODOMETRY
 
@@ -21,15 +21,11 @@ UNMEASURED = 1e6  # variance of what a planar drive does not measure
 SIDEWAYS = 1e-6  # (m/s)^2: these wheels do not slip sideways in the model
 WAY_M, TURN_RAD = 1.0, 1.0  # after which the pose's covariance holds: it grows, and the controller's is constant
 X, Y, YAW = 0, 1, 5
-MULTIPLIERS = ("wheel_separation_multiplier", "left_wheel_radius_multiplier", "right_wheel_radius_multiplier")
-
-
-class Factor(NamedTuple):
-    """A length over its value in the file or in robot.toml."""
-
-    value: float
-    words: str
-    origin: Origin
+SEPARATION, *RADII = MULTIPLIERS = (
+    "wheel_separation_multiplier",
+    "left_wheel_radius_multiplier",
+    "right_wheel_radius_multiplier",
+)
 
 
 def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
@@ -42,13 +38,11 @@ def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
     nominal = (("wheel_separation", found.nominal.track), ("wheel_radius", found.nominal.radius))
     made = [Setting(key, value, f"{key} as it was set [m]", KEPT) for key, value in nominal if value is not None]
     odometry = found.nominal.radius is None or found.topic("wheels")[1] == ODOMETRY
-    factors = _of_odometry(found, there) if odometry else _of_wheels(found, there)
-    for key, factor in zip(MULTIPLIERS, factors, strict=True):
-        made.append(Setting(key, factor.value, factor.words, factor.origin))
-    return [*made, *_covariances(found)]
+    multipliers = _of_odometry(found, there) if odometry else _of_wheels(found, there)
+    return [*made, *multipliers, *_covariances(found)]
 
 
-def _of_wheels(found: Found, there: Mapping[str, Any]) -> list[Factor]:
+def _of_wheels(found: Found, there: Mapping[str, Any]) -> list[Setting]:
     """Return the multipliers of separation, left and right radius: estimated values over those of the file."""
     was, now = found.nominal, found.robot.wheels
     assert was.radius is not None
@@ -58,34 +52,38 @@ def _of_wheels(found: Found, there: Mapping[str, Any]) -> list[Factor]:
     radius, track = positive(there, "wheel_radius") or was.radius, positive(there, "wheel_separation") or was.track
     why, origin = found.why("wheels.radius"), found.origin("wheels.radius")
     if origin == FOUND:
-        radii = [now.radius * share for share in now.shares]
-        sides = [Factor(own / radius, f"{own:.4g} m over {radius:.4g} m; {why}", origin) for own in radii]
+        radii = {key: now.radius * share for key, share in zip(RADII, now.shares, strict=True)}
+        sides = [
+            Setting(key, own / radius, f"{own:.4g} m over {radius:.4g} m; {why}", origin)
+            for key, own in radii.items()
+        ]
         scale = 1.0
     else:  # the radius stays: turns show only its ratio to the track
-        old = [positive(there, key) or 1.0 for key in MULTIPLIERS[1:]]
-        sides = [Factor(value, f"the radius was not measured; {why}", KEPT) for value in old]
-        scale = 0.5 * sum(old) * radius / now.radius
+        old = {key: positive(there, key) or 1.0 for key in RADII}
+        sides = [Setting(key, value, f"the radius was not measured; {why}", KEPT) for key, value in old.items()]
+        scale = 0.5 * sum(old.values()) * radius / now.radius
     words = f"{now.track:.4g} m over {track:.4g} m; {found.why('wheels.track')}"
-    return [Factor(scale * now.track / track, words, found.origin("wheels.track")), *sides]
+    return [Setting(SEPARATION, scale * now.track / track, words, found.origin("wheels.track")), *sides]
 
 
-def _of_odometry(found: Found, there: Mapping[str, Any]) -> list[Factor]:
+def _of_odometry(found: Found, there: Mapping[str, Any]) -> list[Setting]:
     """Return the multipliers, relative to those of the log's odometry: the file's, else 1."""
-    old = [positive(there, key) or 1.0 for key in MULTIPLIERS]
+    old = {key: positive(there, key) or 1.0 for key in MULTIPLIERS}
     relative = None if found.calibration is None else found.calibration.relative()
     if relative is None:
-        return [Factor(value, "no truth, laser or gyro measured the odometry", KEPT) for value in old]
+        words = "no truth, laser or gyro measured the odometry"
+        return [Setting(key, value, words, KEPT) for key, value in old.items()]
     (mean, difference, track), sigmas = relative[0].tolist(), relative[1].tolist()
     changes = ((track, sigmas[2]), (mean - 0.5 * difference, sigmas[0]), (mean + 0.5 * difference, sigmas[0]))
     made = []
-    for before, (change, sigma) in zip(old, changes, strict=True):
+    for (key, before), (change, sigma) in zip(old.items(), changes, strict=True):
         if not math.isfinite(sigma):
-            made.append(Factor(before, "this drive does not show it", KEPT))
+            made.append(Setting(key, before, "this drive does not show it", KEPT))
             continue
         words = (
             f"{1.0 + change:.4f} ± {sigma:.2g} times {before:g}, which made the log's odometry; locfuse calibrate"
         )
-        made.append(Factor(before * (1.0 + change), words, FOUND))
+        made.append(Setting(key, before * (1.0 + change), words, FOUND))
     return made
 
 

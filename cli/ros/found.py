@@ -117,7 +117,8 @@ def gather(log: Sequence[str], given: LogOptions, known: bool, wheels_only: bool
         raise LocfuseError(
             f"{loaded.log.name}: {loaded.spoils[0].words}: nothing is exported from it", role="wheels"
         )
-    sources = {**({} if by_result else _by_settings(loaded)), **by_result, **_by_files(given)}
+    by_settings = {key: f"{key} by {source}" for key, source in loaded.sources.items()}
+    sources = {**(by_result or by_settings), **_by_files(given)}
     nominal = loaded.robot.wheels
     if known or by_result:
         return Found(loaded, nominal, None, sources, ())
@@ -196,11 +197,6 @@ def _tuned(found: Tuning) -> dict[str, str]:
         for row in rows
         if row.identifiable
     }
-
-
-def _by_settings(loaded: Loaded) -> dict[str, str]:
-    """Return the source of each key in words."""
-    return {key: f"{key} by {source}" for key, source in loaded.sources.items()}
 
 
 def _by_files(how: LogOptions) -> dict[str, str]:

@@ -320,7 +320,7 @@ def _wheel_notes(found: WheelCalibration, settings: WheelSettings, by_gyro: bool
         known = dict(zip(GEOMETRY, np.isfinite(found.sigmas).tolist(), strict=True))
         known |= {"ratio": True, "track": True} if by_gyro else {}
         notes += [
-            f"wheels: {name} cannot be told without {lacking}; it is taken as given"
+            f"wheels: {name} cannot be estimated without {lacking}; it is taken as given"
             for name, lacking in LACKING_BY_TRUTH.items()
             if not known[name]
         ]
@@ -429,13 +429,13 @@ def _laser_notes(fit: LaserCalibration, settings: WheelSettings) -> list[str]:
     odometry = settings.radius is None or settings.track is None
     untold -= {"scale", "difference", "track"} if odometry else set()
     notes += [
-        f"{what} cannot be told without {needs}; it is left as it is"
+        f"{what} cannot be estimated without {needs}; it is left as it is"
         for name, (what, needs) in LACKING_BY_LASER.items()
         if name in untold
     ]
     if odometry:
         scale, _, track = (1.0 + fit.parameters[:3]).tolist()
-        of_scale, _, of_track = (f"{s:.3f}" if math.isfinite(s) else "not told" for s in fit.sigmas[:3].tolist())
+        of_scale, _, of_track = (f"{s:.3f}" if math.isfinite(s) else "unknown" for s in fit.sigmas[:3].tolist())
         notes.append(
             f"wheels: the odometry measures {1.0 / scale:.3f} of the laser's distances (1 sigma {of_scale}) and "
             f"{track / scale:.3f} of its turns ({of_track})"

@@ -29,7 +29,7 @@ def parse(words: Sequence[str]) -> dict[str, list[str]]:
 
 
 def cells(sets: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
-    """Return the --set words of every combination, by its name: the words joined.
+    """Return the --set words of every combination by its name, which is these words joined by a blank.
 
     Raises UsageError for more than MAX_CELLS, and for a value that cannot be part of a folder's name.
     """

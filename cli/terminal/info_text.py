@@ -11,9 +11,9 @@ from msgspec.structs import replace
 
 from locfuse.cli.inspect.mounts import extrinsics
 from locfuse.cli.inspect.robot_facts import Overview
-from locfuse.cli.inspect.topics import TopicFacts, clock_word
+from locfuse.cli.inspect.topics import clock_word
 from locfuse.cli.inspect.values import absent, configurations, wheels_missing
-from locfuse.formats.report.table import Cell, Column, Table
+from locfuse.formats.report.table import Column, of_values
 from locfuse.fusion.checks.clocks import OPEN_CLOCK
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser import OPEN_SCALE
@@ -30,6 +30,7 @@ READS, CONFIGURATIONS, SPOILS, WORTH, NEXT = TITLES = (
     "worth knowing",
     "next",
 )
+BY_EFFECT = ((SPOILS, True), (WORTH, False))  # titles of findings, and whether these are severe
 TOPIC_COLUMNS = (
     Column("topic", "topic", kind="text"),
     Column("type", "type", kind="text", shorter=lambda kind: kind.rpartition("/")[2]),
@@ -37,7 +38,7 @@ TOPIC_COLUMNS = (
     Column("rate_hz", "Hz", form="{:.1f}", missing=""),
     Column("longest_gap_s", "gap", "s", "{:.1f}", missing="", rank=1),
     Column("clock", "clock", kind="text", rank=2),
-    Column("frame", "frame", kind="text", rank=3),
+    Column("frame", "frame", kind="text", missing="", rank=3),
     Column("roles", "read by", kind="text"),
 )
 TOPICS_NOTE = "clock: how long after its stamp a message was recorded."
@@ -57,8 +58,9 @@ def lines(
     yield from _topics(overview, width)
     yield from _roles(overview, width)
     yield from _configurations(overview, width)
-    for title, findings in grouped(overview).items():
-        yield from _section(title, [line for f in findings for line in _finding(f, width, helped)])
+    for title, severe in BY_EFFECT:
+        found = (f for f in overview.findings if f.severe == severe)
+        yield from _section(title, [line for f in found for line in _finding(f, width, helped)])
     yield from _section(NEXT, [f"  {command}" for command in _next(overview, typed, helped)])
 
 
@@ -71,7 +73,7 @@ def together(overviews: Mapping[str, Overview], shown: Mapping[str, Any]) -> Ite
     for name, overview in overviews.items():
         for f in (f for f in overview.findings if not (f.fixes and _keys(f.fixes) <= common)):
             found.setdefault((f.role, f.code), {})[name] = f
-    for title, severe in ((SPOILS, True), (WORTH, False)):
+    for title, severe in BY_EFFECT:
         chosen = [of for of in found.values() if any(f.severe for f in of.values()) == severe]
         yield from _section(title, [line for of in chosen for line in _shared(of, len(overviews))])
 
@@ -84,19 +86,14 @@ def _shared(of: Mapping[str, Finding], logs: int) -> list[str]:
 
 def listed(topics: Mapping[str, Mapping[str, Any]], width: int | None) -> Sequence[str]:
     """Return the table of the topics as a log lists them itself (values.listed)."""
-    rows = (
-        (name, found["type"].replace("/msg/", "/"), found["messages"], found["rate_hz"])
-        for name, found in topics.items()
-    )
-    return text_table.lines(Table(TOPIC_COLUMNS[:4], tuple(tuple(map(Cell, row)) for row in rows)), width)
+    return _table([{**found, "topic": name} for name, found in topics.items()], width, TOPIC_COLUMNS[:4])
 
 
-def grouped(overview: Overview) -> dict[str, list[Finding]]:
-    """Return the findings grouped by their effect on an estimate."""
-    return {
-        SPOILS: [f for f in overview.findings if f.severe],
-        WORTH: [f for f in overview.findings if not f.severe],
-    }
+def _table(
+    rows: Sequence[Mapping[str, Any]], width: int | None, columns: Sequence[Column] = TOPIC_COLUMNS
+) -> list[str]:
+    brief = ({**row, "type": row["type"].replace("/msg/", "/")} for row in rows)
+    return [line.rstrip() for line in text_table.lines(of_values(columns, ((row, ()) for row in brief)), width)]
 
 
 def _section(title: str, body: Sequence[str]) -> Iterator[str]:
@@ -125,9 +122,13 @@ def _topics(overview: Overview, width: int | None) -> Iterator[str]:
             role.setdefault(topic, []).append(name)
     full = [f for f in overview.facts if f.count and f.problem is None]
     full.sort(key=lambda f: f.topic not in role)
-    yield from (line.rstrip() for line in text_table.lines(_table(full, role), width))
-    if full:
-        gap = GAP_NOTE if any(_silence(f) is not None for f in full) else ""
+    rows = [
+        {**f.values(), "topic": f.topic, "clock": clock_word(f), "roles": ", ".join(role.get(f.topic, ()))}
+        for f in full
+    ]
+    yield from _table(rows, width)
+    if rows:
+        gap = GAP_NOTE if any(row["longest_gap_s"] is not None for row in rows) else ""
         yield from _wrapped("", f"{TOPICS_NOTE}{gap}", width, "")
     if empty := [f.topic for f in overview.facts if not f.count]:
         yield from _wrapped("empty: ", ", ".join(empty), width, "  ")
@@ -138,36 +139,14 @@ def _topics(overview: Overview, width: int | None) -> Iterator[str]:
         yield f"not readable: {len(unreadable) - MAX_UNREADABLE_LISTED} more"
 
 
-def _table(facts: Sequence[TopicFacts], role: Mapping[str, Sequence[str]]) -> Table:
-    rows = (
-        (
-            f.topic,
-            f.msgtype.replace("/msg/", "/"),
-            f.count,
-            f.rate_hz,
-            _silence(f),
-            clock_word(f),
-            f.frame_id,
-            ", ".join(role.get(f.topic, ())),
-        )
-        for f in facts
-    )
-    return Table(TOPIC_COLUMNS, tuple(tuple(map(Cell, row)) for row in rows))
-
-
-def _silence(f: TopicFacts) -> float | None:
-    return max(b - a for a, b in f.gaps) if f.gaps else None
-
-
 def _roles(overview: Overview, width: int | None) -> Iterator[str]:
-    frames = {f.topic: f.frame_id for f in overview.facts}
     mounts = extrinsics(overview)
     body: list[str] = []
     for role in overview.choice.topics:
         topics = overview.choice.of(role)
         words = f"{' and '.join(topics)}, {overview.choice.why.get(role, '')}"
         if role in mounts:
-            words += f"; {_place(mounts[role], frames[topics[0]])}"
+            words += f"; {_place(mounts[role], overview.frames_of(role)[0])}"
         body += _wrapped(f"  {role:<8} ", words, width)
     yield from _section(READS, body)
 

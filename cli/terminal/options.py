@@ -1,4 +1,4 @@
-"""The options of commands that read logs, each declared once, and the one carrier that takes them to a command.
+"""The options of commands that read logs, each declared once, and the record that takes them to a command.
 
 The parameter of an option has the name of the field that it fills, in one of the parts of `Options`.
 """
@@ -16,7 +16,6 @@ from msgspec import field
 
 from locfuse.cli.analysis import settings
 from locfuse.cli.analysis.settings import EXPORTS, Asked, FleetOptions, GateOptions, LogOptions, Outputs
-from locfuse.cli.rerun.record import RerunOptions
 
 from . import completion
 
@@ -24,7 +23,6 @@ F = TypeVar("F", bound=Callable[..., Any])
 Declared = Callable[[Any], Any]  # what click.option returns
 P = TypeVar("P", bound=msgspec.Struct)
 SECONDS = "s since the first wheel reading"
-RERUN_PREFIX = "rerun_"  # of the parameters that fill RerunOptions
 CARRIED = {  # parameters that fill the parts of Options
     *("robots", "truth"),
     *(name for part in (LogOptions, Asked, Outputs, GateOptions, FleetOptions) for name in part.__struct_fields__),
@@ -33,7 +31,7 @@ HELP_ALL = "locfuse.help_all"  # in a context's meta: every option is shown
 FIRST = {  # group of --help -> its parameters, in a user's order; all others are shown by --help-all
     "Input": ("sensors", "robots", "sets", "truth", "given_map", "smooth"),
     "Many logs": ("jobs", "cluster", "each", "again", "robot_from", "sweep"),
-    "Output": ("out", "write", "save", "connect", "web", "tab", "rerun_show", "open", "verbose"),
+    "Output": ("out", "write", "save", "connect", "web", "tab", "rerun", "open", "verbose"),
     "Checks": ("fail_if",),
 }
 
@@ -45,7 +43,6 @@ class Options(msgspec.Struct, frozen=True):
     asked: Asked = field(default_factory=Asked)  # what is computed of each
     outputs: Outputs = field(default_factory=Outputs)  # what is written, and where
     gates: GateOptions = field(default_factory=GateOptions)
-    rerun: RerunOptions = field(default_factory=RerunOptions)
     fleet: FleetOptions = field(default_factory=FleetOptions)
 
     @property
@@ -60,7 +57,7 @@ def carried(*declared: Declared) -> Callable[[F], F]:
     def decorate(command: F) -> F:
         @functools.wraps(command)
         def wrapped(log: tuple[str, ...], **given: Any) -> Any:
-            own = {n: v for n, v in given.items() if n not in CARRIED and not n.startswith(RERUN_PREFIX)}
+            own = {n: v for n, v in given.items() if n not in CARRIED}
             return command(log, options=_options(given), **own)
 
         decorated: Any = wrapped
@@ -77,13 +74,11 @@ def _options(given: Mapping[str, Any]) -> Options:
     fleet = _part(FleetOptions, given)
     if fleet.cluster is not None and fleet.jobs > 1:
         raise click.UsageError("--jobs is for this machine; --cluster runs a job per thread of its workers")
-    of_rerun = {name.removeprefix(RERUN_PREFIX): given[name] for name in given if name.startswith(RERUN_PREFIX)}
     return Options(
         how=_how(given),
         asked=_part(Asked, given),
         outputs=_part(Outputs, given),
         gates=_part(GateOptions, given),
-        rerun=_part(RerunOptions, of_rerun),
         fleet=fleet,
     )
 
@@ -153,7 +148,7 @@ class Folder(click.Path):
     """A local folder, or one in a store: s3://bucket/day1/."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return it as a word."""
+        """Return the folder or address as text."""
         from locfuse.formats.container.url import is_url
 
         return value if is_url(str(value)) else str(super().convert(value, param, ctx))
@@ -357,9 +352,7 @@ def written(kinds: Sequence[str]) -> tuple[Declared, ...]:
 
 
 # --- Rerun
-RERUN_SHOW = flag(
-    "--rerun rerun_show", "Show the drive in Rerun. Of several logs: record each. More choices: locfuse view."
-)
+RERUN_SHOW = flag("--rerun", "Show the drive in Rerun. Of several logs: record each. More choices: locfuse view.")
 RERUN = (
     RERUN_SHOW,
     option("--rerun-save", "Write the Rerun recording to this file.", type=FILE, metavar="FILE.rrd"),

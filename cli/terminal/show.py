@@ -40,7 +40,7 @@ SENSORS_NOTE = (
     "NIS: 1 is right. Above 1: noise set too low, or clock, mount or scale wrong. "
     "absent: nothing usable in the reading"
 )
-NO_TOPIC = "no topic"  # begins why most sensors are absent, which is no news
+NO_TOPIC = "no topic"  # begins why most sensors are absent, which is expected
 SENTENCE_END = re.compile(r"(?<=[.?]) (?=[A-Z])")
 VERDICT_COLOURS = {"helps": "green", "hurts": "red"}  # of verdicts; the others need none
 NO_TRUTH = "no truth in this log: the error figures do not exist; if a topic holds it: --set truth.topic=/TOPIC"
@@ -110,7 +110,7 @@ def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]
     for line in () if how.quiet else said if outputs.verbose else unusable:
         say(line)
     transfer(found.loaded.log.transfer, how.quiet)
-    record(options.rerun, found, files[0].parent, say)
+    record(outputs, found, files[0].parent, say)
     unprinted = [*said, *filter(_idle, found.report.get("findings") or ())]
     if not outputs.as_json:
         end(files, 0 if how.quiet or outputs.verbose else len(unprinted))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from typing import Any, NamedTuple
@@ -12,12 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from locfuse.formats.caps import FREE_RECORDS, MAX_CHUNK
-from locfuse.fusion.data import Ints
 
 from .decompress import DamagedError, decompress, decompress_prefix
-from .file_bytes import FileBytes
-from .losses import Losses
-from .source import Batch, Messages
+from .source import Batch, Messages, Source
 
 Bytes = NDArray[np.uint8]
 CUT_OFF = "the file is cut off inside a chunk"
@@ -45,28 +42,15 @@ class Records(NamedTuple):
     end: int  # where the records stop making sense; the number of bytes when all is well
 
 
-def by_channel(channel: Ints, everything: Messages) -> dict[int, Messages]:
-    """Group messages by their channels (k,)."""
-    return {int(ident): everything.take(channel == ident) for ident in np.unique(channel)}
-
-
 def most_records(packed: int) -> int:
     """Return how many records this many bytes of a file may unpack to: every real one takes at least one byte."""
     return FREE_RECORDS + packed
 
 
-class ChunkedSource(ABC):
-    """The parts of a file, read and searched one after the other; damage is counted and left out."""
+class ChunkedSource(Source):
+    """The parts of a file, read and searched one after the other."""
 
-    def __init__(self, data: FileBytes, losses: Losses) -> None:
-        self.path = data.path
-        self.losses = losses
-        self.data = data
-
-    @property
-    @abstractmethod
-    def parts(self) -> Sequence[Part]:
-        """The parts in the order in which they are read."""
+    parts: Sequence[Part]  # in the order in which they are read
 
     @abstractmethod
     def search(self, part: Part, data: Bytes) -> Records:
@@ -82,7 +66,7 @@ class ChunkedSource(ABC):
                 yield Batch(data, messages)
 
     def load(self, part: Part) -> tuple[Bytes, Records]:
-        """Read one part and find its records; learn how many messages it has."""
+        """Read one part and find its records, and count its messages."""
         known = None if part.counts is None else sum(part.counts.values())
         try:
             data = np.frombuffer(self.unpacked(part), np.uint8)
@@ -107,8 +91,7 @@ class ChunkedSource(ABC):
         packed = self.data.read(part.start, part.size)
         if part.plain is None:
             return packed
-        unpack = decompress_prefix if part.cut_off else decompress
-        return unpack(packed, part.compression, part.plain)
+        return (decompress_prefix if part.cut_off else decompress)(packed, part.compression, part.plain)
 
     def counted(self) -> Counter[int]:
         """Return channel -> messages in all parts."""

@@ -7,11 +7,12 @@ the declared and the actual size are held against the cap before and while bytes
 from __future__ import annotations
 
 import bz2
+import io
 import os
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import lz4.frame
 import numpy as np
@@ -28,7 +29,29 @@ from .losses import Losses
 from .source import Messages
 from .url import Place
 
-Codec = Callable[[bytes, int], bytes]  # (data, at most so many bytes) -> bytes
+MAX_PIECE_BYTES = 1 << 16  # of a stream that may end anywhere, unpacked at once
+
+
+class Unpacked:
+    """The stream that a decompressor of bz2 or lz4 makes of `data`."""
+
+    def __init__(self, decompressor: Any, data: bytes) -> None:
+        self._decompressor = decompressor
+        self._data = data
+
+    def read(self, n: int) -> bytes:
+        """Return at most n more bytes, b"" at the end."""
+        given, self._data = self._data, b""
+        return b"" if self._decompressor.eof else self._decompressor.decompress(given, max_length=n)
+
+
+CODECS: dict[str, Callable[[bytes], Any]] = {  # compression -> the stream of unpacked bytes
+    "": io.BytesIO,
+    "zstd": lambda data: zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True),
+    "lz4": lambda data: Unpacked(lz4.frame.LZ4FrameDecompressor(), data),
+    "bz2": lambda data: Unpacked(bz2.BZ2Decompressor(), data),
+}
+ERRORS = (zstandard.ZstdError, RuntimeError, EOFError, OSError)  # of these streams
 
 
 class DamagedError(ValueError):
@@ -41,7 +64,10 @@ def decompress(data: bytes, compression: str, size: int) -> bytes:
         return b""
     if size > MAX_CHUNK:
         raise DamagedError(f"a chunk claims more than {MAX_CHUNK >> 20} MiB")
-    out = _codec(compression)(data, size + 1)
+    try:
+        out: bytes = _stream(data, compression).read(size + 1)
+    except ERRORS:
+        raise DamagedError(f"a chunk does not decompress ({compression})") from None
     if len(out) != size:
         raise DamagedError("a chunk's size is not the declared one")
     return out
@@ -49,73 +75,21 @@ def decompress(data: bytes, compression: str, size: int) -> bytes:
 
 def decompress_prefix(data: bytes, compression: str, size: int) -> bytes:
     """Return the part of a cut-off stream that can be read: at most `size` bytes."""
-    limit = min(size, MAX_CHUNK)
-    if compression == "zstd":
-        return _zstd_prefix(data, limit)
-    if compression == "lz4":
-        return _lz4_prefix(data, limit)
-    return _codec(compression)(data, limit)
-
-
-def _codec(compression: str) -> Codec:
-    try:
-        return CODECS[compression]
-    except KeyError:
-        raise DamagedError(f"unknown compression {compression[:16]!r}") from None
-
-
-def _stored(data: bytes, limit: int) -> bytes:
-    return data[:limit]
-
-
-def _zstd(data: bytes, limit: int) -> bytes:
-    try:
-        declared = zstandard.frame_content_size(data)
-        if declared == limit - 1:  # the ordinary case: one frame that declares its size, the one expected
-            return zstandard.ZstdDecompressor().decompress(data)
-        return zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True).read(limit)
-    except zstandard.ZstdError:
-        raise DamagedError("a chunk does not decompress (zstd)") from None
-
-
-def _lz4(data: bytes, limit: int) -> bytes:
-    try:
-        plain: bytes = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=limit)
-        return plain
-    except (RuntimeError, EOFError):
-        raise DamagedError("a chunk does not decompress (lz4)") from None
-
-
-def _bz2(data: bytes, limit: int) -> bytes:
-    try:
-        return bz2.BZ2Decompressor().decompress(data, max_length=limit)
-    except (OSError, EOFError):
-        raise DamagedError("a chunk does not decompress (bz2)") from None
-
-
-def _zstd_prefix(data: bytes, limit: int) -> bytes:
-    return _until_damage(zstandard.ZstdDecompressor().stream_reader(data, read_across_frames=True).read, limit)
-
-
-def _lz4_prefix(data: bytes, limit: int) -> bytes:
-    decoder, given = lz4.frame.LZ4FrameDecompressor(), iter([data])
-    return _until_damage(
-        lambda n: b"" if decoder.eof else decoder.decompress(next(given, b""), max_length=n), limit
-    )
-
-
-def _until_damage(read: Callable[[int], bytes], limit: int) -> bytes:
-    """Return the part that can be read, at most `limit` bytes."""
+    stream = _stream(data, compression)
     parts: list[bytes] = []
-    room = limit
-    with suppress(zstandard.ZstdError, RuntimeError, EOFError):
-        while room > 0 and (part := read(min(room, 1 << 16))):
+    room = min(size, MAX_CHUNK)
+    with suppress(*ERRORS):
+        while room > 0 and (part := stream.read(min(room, MAX_PIECE_BYTES))):
             parts.append(part)
             room -= len(part)
     return b"".join(parts)
 
 
-CODECS: dict[str, Codec] = {"": _stored, "zstd": _zstd, "lz4": _lz4, "bz2": _bz2}
+def _stream(data: bytes, compression: str) -> Any:
+    try:
+        return CODECS[compression](data)
+    except KeyError:
+        raise DamagedError(f"unknown compression {compression[:16]!r}") from None
 
 
 # --- Messages that were compressed one by one (rosbag2 "message mode"), found by their first bytes: no serialised

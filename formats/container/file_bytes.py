@@ -31,6 +31,8 @@ class FileBytes:
         self.path: Place = path  # what to call it
         self.losses = losses
         self.far = False  # whether every read is a request over the network
+        self.state: tuple[int, str] | None = None  # of an object in a store: size [bytes] and ETag
+        self.fetched = 0  # bytes that came over the network
         self._file = path
         self._given = inputs.identity(path)
         self._spans: set[tuple[int, int]] = set()  # what was read, (start, stop)
@@ -60,16 +62,6 @@ class FileBytes:
     def fetch(self, spans: Iterable[tuple[int, int]]) -> None:
         """Load ranges (start, stop) for the next reads; nothing to do for a file on this machine."""
 
-    @property
-    def state(self) -> tuple[int, str] | None:
-        """Size [bytes] and ETag of an object in a store; None for a file on this machine."""
-        return None
-
-    @property
-    def transfer(self) -> tuple[int, int] | None:
-        """Bytes transferred over the network, and the file's size; None for a file on this machine."""
-        return None
-
     def copy_here(self) -> None:
         """Copy all bytes to this machine, unless they are here."""
 
@@ -90,8 +82,9 @@ class FileBytes:
 
     @property
     def all_read(self) -> bool:
-        """Whether every byte was read."""
-        return self.where != self._file or self.read_bytes >= self.size  # to unpack it all of it was read
+        """Whether every byte was read; an object in a store is identified by its tag."""
+        whole = self.where != self._file or self.read_bytes >= self.size  # to unpack it all of it was read
+        return whole and self.state is None
 
     def crc32(self, start: int, stop: int) -> int:
         """Return the checksum of the bytes from `start` up to `stop`."""

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from locfuse.formats.columns import view
 from locfuse.fusion.data import Ints
 
-from .chunked import Records, by_channel, most_records
+from .chunked import Records, most_records
 from .decompress import DamagedError
 from .mcap_records import CHANNEL, DATA_END, MESSAGE, MESSAGE_HEADER, PRIVATE, RECORD, SCHEMA
-from .source import Messages
+from .source import Messages, by_channel
 
 Index = dict[int, NDArray[np.uint64]]  # channel -> (k, 2) log time, offset of the record in the chunk
+Definition = tuple[int, int, int]  # opcode, place and length of the content
 
 PAYLOAD_OFFSET_BYTES = RECORD.size + MESSAGE_HEADER  # bytes from a Message record's start to its payload
 
@@ -43,22 +44,16 @@ def scan(data: NDArray[np.uint8], most: int | None = None) -> Records:
 
     Raises DamagedError at more than `most` records.
     """
-    offsets: list[int] = []
-    definitions: list[tuple[int, int, int]] = []
-    end = _walk(data.data, (0, len(data)), offsets, definitions, len(data) if most is None else most)
+    offsets, definitions, end = _walk(data.data, 0, len(data), len(data) if most is None else most)
     if offsets and not len(_followed(data, np.array(offsets[-1:], np.int64))):
         end = offsets.pop()
     return Records(_gather(data, np.array(offsets, np.int64)), definitions, end)
 
 
-def _walk(
-    data: memoryview,
-    within: tuple[int, int],
-    offsets: list[int],
-    definitions: list[tuple[int, int, int]],
-    most: int,
-) -> int:
-    at, stop = within
+def _walk(data: memoryview, at: int, stop: int, most: int) -> tuple[list[int], list[Definition], int]:
+    """Return the offsets of the messages from `at` to `stop`, the definitions, and where the records end."""
+    offsets: list[int] = []
+    definitions: list[Definition] = []
     for _ in range(most):
         if at + RECORD.size > stop:
             break
@@ -74,7 +69,7 @@ def _walk(
     else:
         if at + RECORD.size <= stop:
             raise DamagedError(f"a chunk unpacks to more than {most} records, the cap for its size")
-    return at
+    return offsets, definitions, at
 
 
 def _allowed(opcode: int, length: int) -> bool:
@@ -129,12 +124,14 @@ def _by_index(data: NDArray[np.uint8], index: Index, most: int) -> Records | Non
     if not credible(data, channel, log_time, offsets).all():
         return None
     ends = offsets + RECORD.size + view(data, "<u8", offsets + 1).astype(np.int64)
-    missed: list[int] = []
-    definitions: list[tuple[int, int, int]] = []
-    buffer = data.data
+    definitions: list[Definition] = []
     for at, stop in _gaps(offsets, ends, len(data)):
-        if at > stop or _walk(buffer, (at, stop), missed, definitions, most) != stop or missed:
+        if at > stop:
             return None
+        missed, between, end = _walk(data.data, at, stop, most)
+        if missed or end != stop:
+            return None
+        definitions += between
     start = offsets + PAYLOAD_OFFSET_BYTES
     everything = Messages(
         start, ends - start, log_time.astype(np.int64), view(data, "<u4", offsets + 11).astype(np.int64)

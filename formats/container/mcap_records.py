@@ -40,18 +40,6 @@ class Channel(NamedTuple):
     message_encoding: str
 
 
-class ChunkHeader(NamedTuple):
-    """The header in front of a chunk's bytes."""
-
-    uncompressed_size: int
-    crc: int  # 0 = not checked by the writer
-    compression: str
-    start: int  # of the compressed bytes, from the content's start
-    length: int  # of the compressed bytes
-    first: int  # log time of the first message, ns
-    last: int
-
-
 class ChunkIndex(NamedTuple):
     """A chunk's place by the summary, and the bytes of message indexes after it."""
 
@@ -78,12 +66,6 @@ class Statistics(NamedTuple):
     attachments: int
     chunks: int
     counts: dict[int, int]  # channel -> messages
-
-
-def opcode_and_length(head: bytes) -> tuple[int, int]:
-    """Read the opcode and length of any record."""
-    opcode, length = RECORD.unpack_from(head)
-    return int(opcode), int(length)
 
 
 # struct letter of the length in front of text, bytes, bytes, map
@@ -122,12 +104,6 @@ def schema(data: bytes) -> Schema:
 def channel(data: bytes) -> Channel:
     """Read a Channel record's content."""
     return Channel(*values(data, "HHss")[:-1])
-
-
-def chunk_header(data: bytes) -> ChunkHeader:
-    """Read the header in a Chunk record's content."""
-    first, last, size, crc, compression, length, start = values(data, "QQQIsQ")
-    return ChunkHeader(size, crc, compression, start, length, first, last)
 
 
 def chunk_index(data: bytes) -> ChunkIndex:

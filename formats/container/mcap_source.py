@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 from functools import cached_property
 
@@ -21,7 +21,7 @@ from .decompress import DamagedError
 from .file_bytes import FileBytes
 from .losses import Losses
 from .mcap_chunk import Index, records
-from .mcap_survey import ChunkRef, confirm, promised, survey
+from .mcap_survey import ChunkRef, Survey, confirm, promised, survey
 from .source import Batch, ChannelInfo, Messages
 
 MAX_SHARE = 0.5  # of a file that is elsewhere: where more is wanted all of it is copied at once
@@ -36,10 +36,23 @@ class McapSource(ChunkedSource):
         if found is None:
             data.copy_here()
             found = survey(data, losses)
-        self._survey = found
-        self._discover()
+        self._take(found)
         self.channels = self._channels()
-        self._compare_with_statistics()
+
+    def _take(self, found: Survey) -> None:
+        """Read the parts whose channels and message counts are only known from their content."""
+        self._survey, self.parts = found, found.parts
+        for part in found.parts:
+            complete = part.counts is not None and part.counts.keys() <= found.channels.keys()
+            if complete and all(found.channels[i].schema_id in {0, *found.schemas} for i in part.counts or ()):
+                continue
+            data, inside = self.load(part)
+            for opcode, start, length in inside.definitions:
+                with suppress(DamagedError):  # then the channel has no definition
+                    found.define(opcode, data[start : start + length].tobytes())
+        if missing := Counter(found.expected or {}) - self.counted():
+            reason = "messages the file's statistics promise are missing"
+            self.losses.add(str(self.path), reason, 0, 0, missing.total())
 
     @cached_property
     def attachments(self) -> dict[str, bytes]:
@@ -96,14 +109,7 @@ class McapSource(ChunkedSource):
             self.data.fetch(spans)
             return
         self.data.copy_here()
-        self._survey = survey(self.data, self.losses)
-        self._discover()
-        self._compare_with_statistics()
-
-    @property
-    def parts(self) -> Sequence[Part]:
-        """The parts in the order in which they are read."""
-        return self._survey.parts
+        self._take(survey(self.data, self.losses))
 
     def search(self, part: Part, data: Bytes) -> Records:
         """Find the records in a part's bytes: by the message indexes after a chunk, if they are whole."""
@@ -122,18 +128,6 @@ class McapSource(ChunkedSource):
             raise DamagedError("a chunk fails its checksum")
         return plain
 
-    def _discover(self) -> None:
-        """Read the parts whose channels and message counts are only known from their content."""
-        known = self._survey
-        for part in known.parts:
-            complete = part.counts is not None and part.counts.keys() <= known.channels.keys()
-            if complete and all(known.channels[i].schema_id in {0, *known.schemas} for i in part.counts or ()):
-                continue
-            data, found = self.load(part)
-            for opcode, start, length in found.definitions:
-                with suppress(DamagedError):  # then the channel has no definition
-                    known.define(opcode, data[start : start + length].tobytes())
-
     def _channels(self) -> dict[int, ChannelInfo]:
         nothing = rec.Schema(0, "", "", b"")
         counts = self.counted()
@@ -144,11 +138,5 @@ class McapSource(ChunkedSource):
                 c.topic, schema.name, c.message_encoding, schema.encoding, schema.data, counts[ident]
             )
         for ident in counts.keys() - found.keys():
-            self.losses.add(str(self.path), "messages of a channel nobody defines", ident, 0, counts[ident])
+            self.losses.add(str(self.path), "messages of an undefined channel", ident, 0, counts[ident])
         return found
-
-    def _compare_with_statistics(self) -> None:
-        missing = Counter(self._survey.expected or {}) - self.counted()
-        if missing:
-            reason = "messages the file's statistics promise are missing"
-            self.losses.add(str(self.path), reason, 0, 0, missing.total())

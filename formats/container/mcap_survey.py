@@ -11,6 +11,7 @@ import zlib
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Collection
+from contextlib import suppress
 
 import msgspec
 import numpy as np
@@ -42,11 +43,14 @@ class ChunkRef(Part):
         return self.offset, max(at + length for at, length in self.index.values())
 
 
-def chunk_at(offset: int, header: rec.ChunkHeader, available: int) -> ChunkRef:
-    """Return the chunk with a header, of whose compressed bytes so many are in the file."""
-    start, times = offset + rec.RECORD.size + header.start, (header.first, header.last)
-    cut_off, plain = available < header.length, header.uncompressed_size
-    return ChunkRef(offset, start, available, header.compression, plain, cut_off, None, times, header.crc)
+def chunk_at(offset: int, data: FileBytes) -> ChunkRef:
+    """Read the header of the chunk whose record begins at an offset. Raises DamagedError if there is none."""
+    head = data.read(offset, CHUNK_HEAD)
+    opcode, length, *_ = rec.values(head, "BQ")
+    first, last, plain, crc, compression, size, front = rec.values(head, "QQQIsQ", rec.RECORD.size)
+    if opcode != rec.CHUNK or front + size != rec.RECORD.size + length:
+        raise DamagedError("a chunk header that contradicts itself")
+    return ChunkRef(offset, offset + front, size, compression, plain, span=(first, last), crc=crc)
 
 
 def put_in_order(parts: list[Part]) -> None:
@@ -102,12 +106,6 @@ def _footer(data: FileBytes) -> tuple[int, int, bytes] | None:
         return None
     start, _, crc, at = rec.values(foot, "QQI", rec.RECORD.size)
     return start, crc, foot[: at - 4]
-
-
-def lost_summary(data: FileBytes) -> bool:
-    """Return whether a file without a valid summary should have one: its footer is damaged or points at it."""
-    foot = _footer(data)
-    return foot is None or foot[0] != 0
 
 
 def summary_section(data: FileBytes) -> bytes | None:
@@ -212,19 +210,19 @@ def _promised_chunk(entry: rec.ChunkIndex) -> ChunkRef | None:
         if length < INDEX_FRONT or (length - INDEX_FRONT) % ENTRY_BYTES:
             return None
         indexes[ident], counts[ident] = (at + rec.RECORD.size, length), (length - INDEX_FRONT) // ENTRY_BYTES
-    header = rec.ChunkHeader(entry.plain, 0, entry.compression, front, entry.packed, entry.first, entry.last)
-    chunk = chunk_at(entry.offset, header, entry.packed)
-    chunk.index, chunk.counts, chunk.promised = indexes, counts, True
+    start, span = begin - entry.packed, (entry.first, entry.last)
+    chunk = ChunkRef(entry.offset, start, entry.packed, entry.compression, entry.plain, counts=counts, span=span)
+    chunk.index, chunk.promised = indexes, True
     return chunk
 
 
 def confirm(data: FileBytes, chunk: ChunkRef) -> None:
     """Read the own header of a chunk that is known by the summary. Raises DamagedError if it differs."""
     if chunk.promised:
-        head = data.read(chunk.offset, CHUNK_HEAD)
-        own = chunk_at(chunk.offset, rec.chunk_header(head[rec.RECORD.size :]), chunk.size)
-        own.index, own.counts = chunk.index, chunk.counts
-        if head[0] != rec.CHUNK or own != replace(chunk, crc=own.crc, promised=False):
+        own = None
+        with suppress(DamagedError):
+            own = chunk_at(chunk.offset, data)
+        if own is None or replace(own, index=chunk.index, counts=chunk.counts, crc=0, promised=True) != chunk:
             raise DamagedError("a chunk is not what the summary says")
         chunk.crc, chunk.promised = own.crc, False
 
@@ -273,16 +271,11 @@ class Resync:
         self._places = np.flatnonzero(wanted) + at
 
     def _is_chunk(self, at: int) -> bool:
-        head = self.data.read(at, CHUNK_HEAD)
-        if len(head) < rec.RECORD.size or head[0] != rec.CHUNK:
-            return False
-        length = rec.opcode_and_length(head)[1]
         try:
-            header = rec.chunk_header(head[rec.RECORD.size :])
+            chunk = chunk_at(at, self.data)
         except DamagedError:
             return False
-        fits = at + rec.RECORD.size + length <= self.data.size
-        return fits and header.compression in CODECS and header.start + header.length == length
+        return chunk.start + chunk.size <= self.data.size and chunk.compression in CODECS
 
     def _are_records(self, at: int, channels: Collection[int]) -> bool:
         """Return whether three plausible records in a row begin here, with messages of known channels only."""
@@ -290,7 +283,7 @@ class Resync:
             head = self.data.read(at, rec.RECORD.size + 2)
             if len(head) < rec.RECORD.size + 2:
                 return False
-            opcode, length = rec.opcode_and_length(head)
+            opcode, length = rec.RECORD.unpack_from(head)
             if opcode == rec.MESSAGE and int.from_bytes(head[rec.RECORD.size :], "little") not in channels:
                 return False
             if not 0 < opcode <= rec.DATA_END or at + rec.RECORD.size + length > self.data.size:
@@ -343,7 +336,7 @@ def describe(head: bytes) -> str:
 RUN_BYTES = 1 << 20  # loose messages are read in runs of at most this size, if they are not larger themselves
 LARGE_CHUNK_BYTES = 32 * 1024 * 1024
 CUT_OFF = "the file ends without an end mark: the recording was cut off"
-NO_SUMMARY = "the summary is damaged: messages may be missing that nobody counts"
+NO_SUMMARY = "the summary is damaged: messages may be missing, their number is unknown"
 
 
 def survey(data: FileBytes, losses: Losses) -> Survey:
@@ -375,7 +368,7 @@ class _SurveyWalk:
             here, at = at, self._step(at)
         if at is not None:
             self.losses.add(self.name, CUT_OFF, 0, 0)
-        elif self.summary is None and lost_summary(self.data):
+        elif self.summary is None and ((foot := _footer(self.data)) is None or foot[0] != 0):
             self.losses.add(self.name, NO_SUMMARY, here, self.data.size - here)
         self._distrust_unconfirmed()
         # times in a chunk's header are covered by no checksum: they count only where the summary has the same
@@ -390,11 +383,11 @@ class _SurveyWalk:
         head = self.data.read(at, rec.RECORD.size)
         if len(head) < rec.RECORD.size:
             return self._lost(at, "the file is cut off inside a record")
-        opcode, length = rec.opcode_and_length(head)
+        opcode, length = rec.RECORD.unpack_from(head)
         if self._is_end(at, opcode, length):
             self._check_data_crc(at, opcode)
             return None
-        end = at + rec.RECORD.size + length
+        end: int = at + rec.RECORD.size + length
         try:
             if not (0 < opcode < rec.DATA_END or opcode >= rec.PRIVATE) or opcode == rec.FOOTER:
                 raise DamagedError("bytes that are no record")
@@ -472,28 +465,26 @@ class _SurveyWalk:
         return at + found.end
 
     def _chunk(self, at: int, length: int) -> int | None:
-        header = rec.chunk_header(self.data.read(at, CHUNK_HEAD)[rec.RECORD.size :])
-        if header.start + header.length != length:
-            raise DamagedError("a chunk header that contradicts itself")
-        start = at + rec.RECORD.size + header.start
-        available = min(header.length, max(self.data.size - start, 0))
-        if available < header.length and self._onward(at + 1) is not None:
+        chunk = chunk_at(at, self.data)
+        declared, chunk.size = chunk.size, min(chunk.size, max(self.data.size - chunk.start, 0))
+        chunk.cut_off = chunk.size < declared
+        if chunk.cut_off and self._onward(at + 1) is not None:
             raise DamagedError("a chunk reaches beyond the end of the file")
-        if not header.compression and header.length > LARGE_CHUNK_BYTES:
-            return self._opened(header, start, available)
+        if not chunk.compression and declared > LARGE_CHUNK_BYTES:
+            return self._opened(chunk)
         self.chunked = True
         if self.summary and at in self.summary.chunks:
             self.index_end = at + rec.RECORD.size + length + self.summary.chunks[at].index_length
-        self.found.parts.append(chunk_at(at, header, available))
+        self.found.parts.append(chunk)
         return None
 
-    def _opened(self, header: rec.ChunkHeader, start: int, available: int) -> int:
+    def _opened(self, chunk: ChunkRef) -> int:
         """Read inside an uncompressed chunk too large for memory: its messages are treated as loose ones."""
-        whole = available == header.length
-        if whole and header.crc and self.data.crc32(start, start + available) != header.crc:
-            self.losses.add(self.name, "a chunk fails its checksum", start, available)
-            return start + available
-        return start
+        end = chunk.start + chunk.size
+        if not chunk.cut_off and chunk.crc and self.data.crc32(chunk.start, end) != chunk.crc:
+            self.losses.add(self.name, "a chunk fails its checksum", chunk.start, chunk.size)
+            return end
+        return chunk.start
 
     def _message_index(self, at: int, length: int) -> None:
         chunk = self.found.parts[-1] if self.found.parts else None

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import IO, Any, NamedTuple, Self
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -15,7 +13,7 @@ from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
-from locfuse.formats.whole_files import claim, temporary_for
+from locfuse.formats.whole_files import whole_file
 from locfuse.fusion.data import Ints, LocfuseError
 
 CHUNK_BYTES = 512 * 1024  # bytes before compression: a reader of one topic skips little
@@ -129,21 +127,24 @@ def _default(base: str) -> str | int | float:
     return 0.0 if base.startswith("float") else 0
 
 
+@contextmanager
+def log_writer(path: str | Path) -> Iterator[LogWriter]:
+    """Give the writer of a ROS 2 log, which appears at `path` after the block without an error, or not at all."""
+    with whole_file(Path(path)) as temporary, temporary.open("wb") as file:
+        log = LogWriter(file)
+        yield log
+        log.finish()
+
+
 class LogWriter:
-    """A ROS 2 log written whole or not at all: to a temporary file beside `path`, renamed on closing.
+    """A ROS 2 log that is being written to an open file."""
 
-    As a context manager it closes on success and leaves nothing behind when an exception passes through.
-    """
-
-    def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
-        self._part = temporary_for(self.path)
+    def __init__(self, file: IO[bytes]) -> None:
         self._messages = StandardMessages()
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, tuple[int, str]] = {}  # topic -> channel id, message type
         self._sequence: dict[str, int] = {}
-        self._file = self._open()
-        self._writer = open_writer(self._file)
+        self._writer = open_writer(file)
 
     def attach(self, name: str, data: bytes, media_type: str = "application/toml", log_ns: int = 0) -> None:
         """Add an attachment, such as robot.toml."""
@@ -192,39 +193,6 @@ class LogWriter:
         self._sequence[topic] = 0
         return channel
 
-    def _open(self) -> IO[bytes]:
-        try:
-            claim(self._part)
-            return self._part.open("wb")
-        except OSError as error:
-            folder = self.path.parent
-            raise LocfuseError(f"{self.path} cannot be written: {folder}: {error.strerror}") from error
-
-    def close(self) -> None:
-        """Finish the file and rename it; if that fails, it is removed."""
-        try:
-            self._writer.finish()
-            self._file.flush()
-            os.fsync(self._file.fileno())
-            self._file.close()
-            self._part.replace(self.path)
-        except BaseException:
-            self.abort()
-            raise
-
-    def abort(self) -> None:
-        """Remove the unfinished file; an existing file of that name stays unchanged."""
-        with contextlib.suppress(OSError):  # closing flushes: on a full disk that fails once more
-            self._file.close()
-        self._part.unlink(missing_ok=True)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if kind is None:
-            self.close()
-        else:
-            self.abort()
+    def finish(self) -> None:
+        """Write the summary at the end of the file."""
+        self._writer.finish()

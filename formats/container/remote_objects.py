@@ -147,33 +147,17 @@ class RemoteBytes(FileBytes):
 
     def __init__(self, url: Url, losses: Losses) -> None:
         self._url = url
-        self._version = state_of(url)
-        if not self._version.size:
+        state = state_of(url)
+        if not state.size:
             raise LocfuseError(f"{url}: empty (0 bytes)")
         handle, name = tempfile.mkstemp(prefix=scratch_prefix())
         weakref.finalize(self, Path(name).unlink, missing_ok=True)
-        os.truncate(handle, self._version.size)  # it takes no room before its blocks come
+        os.truncate(handle, state.size)  # it takes no room before its blocks come
         os.close(handle)
         super().__init__(Path(name), losses)
-        self.path, self.far = url, True
+        self.path, self.far, self.state = url, True, state
         self._here = np.zeros(-(-self.size // BLOCK_BYTES), bool)
-        self.fetched = 0  # bytes that came over the network
         self.fetch([(self.size - TAIL_BYTES, self.size)])
-
-    @property
-    def state(self) -> ObjectState:
-        """Size and tag of the object."""
-        return self._version
-
-    @property
-    def transfer(self) -> tuple[int, int]:
-        """Bytes that came over the network, and the size of the object."""
-        return self.fetched, self._version.size
-
-    @property
-    def all_read(self) -> bool:
-        """Whether every byte was read: always False for an object, which is identified by its tag."""
-        return False
 
     def read(self, at: int, n: int) -> bytes:
         """Return up to n bytes from `at` on (fewer at the end)."""
@@ -209,7 +193,7 @@ class RemoteBytes(FileBytes):
 
             options: Any = {"range": span}
             found = obstore.get(at, self._url.key, options=options)
-            if _version(found.meta) != self._version:
+            if _version(found.meta) != self.state:
                 raise LocfuseError(f"{self._url}: it was replaced while it was read; start again")
             data = bytes(found.bytes())
         if len(data) != stop - start:

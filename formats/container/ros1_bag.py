@@ -7,19 +7,18 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from locfuse.fusion.data import Ints, LocfuseError
+from locfuse.fusion.data import LocfuseError
 
-from .chunked import Bytes, ChunkedSource, Part, Records, by_channel, most_records
+from .chunked import Bytes, ChunkedSource, Part, Records, most_records
 from .decompress import DamagedError
 from .file_bytes import FileBytes
 from .losses import Losses
-from .source import ChannelInfo, Messages
+from .source import ChannelInfo, Messages, by_channel
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
@@ -45,29 +44,29 @@ class BagRecord(NamedTuple):
         return self.start + self.length
 
     def number(self, name: bytes) -> int:
-        """Return a 4-byte field."""
-        value = self.fields.get(name, b"")
-        if len(value) != WORD.size:
-            raise DamagedError("a record without its fields")
-        return int(WORD.unpack(value)[0])
+        """Return a 4-byte field as a whole number."""
+        return int(self._values(name, WORD)[0])
 
     def time_ns(self, name: bytes) -> int:
         """Return a time field in nanoseconds."""
-        value = self.fields.get(name, b"")
-        if len(value) != TIME.size:
-            raise DamagedError("a record without its fields")
-        seconds, nanoseconds = TIME.unpack(value)
+        seconds, nanoseconds = self._values(name, TIME)
         return int(seconds) * 10**9 + int(nanoseconds)
 
+    def _values(self, name: bytes, layout: struct.Struct) -> tuple[int, ...]:
+        value = self.fields.get(name, b"")
+        if len(value) != layout.size:
+            raise DamagedError("a record without its fields")
+        return layout.unpack(value)
 
-def read_entry(data: FileBytes, at: int) -> BagRecord:
-    """Read the record at a file offset. Raises DamagedError if there is none."""
-    word = data.read(at, WORD.size)
+
+def read_entry(read: Callable[[int, int], bytes | memoryview], at: int) -> BagRecord:
+    """Read the record at an offset by `read` (offset, bytes). Raises DamagedError if there is none."""
+    word = read(at, WORD.size)
     n = WORD.unpack(word)[0] if len(word) == WORD.size else HEAD_BYTES
-    header = data.read(at + WORD.size, min(n, HEAD_BYTES) + WORD.size)
+    header = read(at + WORD.size, min(n, HEAD_BYTES) + WORD.size)
     if n > HEAD_BYTES - WORD.size or len(header) < n + WORD.size:
         raise DamagedError("bytes that are no record")
-    found = fields_of(header[:n])
+    found = fields_of(bytes(header[:n]))
     op = found.get(b"op", b"")
     if len(op) != 1:
         raise DamagedError("bytes that are no record")
@@ -107,7 +106,9 @@ def scan_chunk(data: Bytes, most: int) -> Records:
         if count > most:
             raise DamagedError(f"a chunk unpacks to more than {most} records, the cap for its size")
         try:
-            entry = _entry(buffer, at)
+            entry = read_entry(lambda start, n: buffer[start : start + n], at)
+            if entry.end > len(buffer):
+                break
             if entry.op == MESSAGE:
                 rows.append((entry.number(b"conn"), entry.time_ns(b"time"), entry.start, entry.length))
             elif entry.op == CONNECTION:
@@ -115,22 +116,12 @@ def scan_chunk(data: Bytes, most: int) -> Records:
                 connections[ident] = ident, entry.fields, content
             else:
                 break
-        except (struct.error, DamagedError):
+        except DamagedError:
             break
         at = entry.end
     connection, time_ns, start, length = np.array(rows, np.int64).reshape(-1, 4).T
     everything = Messages(start, length, time_ns, np.zeros(len(start), np.int64))
     return Records(by_channel(connection, everything), list(connections.values()), at)
-
-
-def _entry(buffer: memoryview, at: int) -> BagRecord:
-    (n,) = WORD.unpack_from(buffer, at)
-    (length,) = WORD.unpack_from(buffer, at + WORD.size + n)
-    start = at + 2 * WORD.size + n
-    if start + length > len(buffer):
-        raise DamagedError("a record reaches beyond its chunk")
-    found = fields_of(bytes(buffer[at + WORD.size : start - WORD.size]))
-    return BagRecord(at, (found.get(b"op") or b"\x00")[0], found, start, length)
 
 
 # --- Bags as sources of message batches, finished or cut off
@@ -144,34 +135,19 @@ BEFORE = range(4, 64)  # so many bytes behind the record's start
 class BagSource(ChunkedSource):
     """One .bag file."""
 
-    attachments: Mapping[str, bytes] = {}
+    time_span_ns: tuple[int, int] | None = None
 
     def __init__(self, data: FileBytes, losses: Losses) -> None:
         super().__init__(data, losses)
-        self._parts: list[Part] = []
+        self.parts: list[Part] = []
         self._connections: dict[int, tuple[Fields, bytes]] = {}
-        self._span: tuple[int, int] | None = None
         self._survey()
         self._discover()
         self.channels = self._channels()
 
-    @property
-    def parts(self) -> Sequence[Part]:
-        """The parts in the order of the file."""
-        return self._parts
-
     def search(self, part: Part, data: Bytes) -> Records:
         """Find the records in a part's bytes."""
         return scan_chunk(data, most_records(part.size))
-
-    @property
-    def time_span_ns(self) -> tuple[int, int] | None:
-        """First and last time, None without messages."""
-        return self._span
-
-    def published(self, data: NDArray[np.uint8], messages: Messages) -> Ints:
-        """Return the log times: the file keeps no others."""
-        return messages.log_time
 
     def _survey(self) -> None:
         """Read the outermost records: chunks and their indexes, connections, and the time span."""
@@ -179,7 +155,7 @@ class BagSource(ChunkedSource):
         closed = False
         while at < self.data.size:
             try:
-                entry = read_entry(self.data, at)
+                entry = read_entry(self.data.read, at)
                 if entry.end > self.data.size and entry.op != CHUNK:
                     raise DamagedError("a record reaches beyond the end of the file")
                 closed = self._take(entry) or closed
@@ -197,8 +173,8 @@ class BagSource(ChunkedSource):
                 raise LocfuseError(f"{self.path}: the bag is encrypted")
         elif entry.op == CHUNK:
             self._take_chunk(entry)
-        elif entry.op == INDEX and self._parts:
-            chunk = self._parts[-1]
+        elif entry.op == INDEX and self.parts:
+            chunk = self.parts[-1]
             chunk.counts = (chunk.counts or {}) | {entry.number(b"conn"): entry.number(b"count")}
         elif entry.op == CONNECTION:
             data = self.data.read(entry.start, entry.length)
@@ -217,28 +193,28 @@ class BagSource(ChunkedSource):
         part = Part(entry.at, entry.start, available, "" if name == "none" else name, plain)
         part.cut_off = available < entry.length
         if part.size:
-            self._parts.append(part)
+            self.parts.append(part)
 
     def _take_loose(self, entry: BagRecord) -> None:
         """Collect messages outside a chunk whose header was never completed, after a crash."""
-        before = self._parts[-1] if self._parts else None
+        before = self.parts[-1] if self.parts else None
         follows = before is not None and before.plain is None and before.start + before.size == entry.at
         if before is not None and follows and before.size < WINDOW_BYTES:
             before.size = entry.end - before.start
         else:
-            self._parts.append(Part(entry.at, entry.at, entry.end - entry.at))
+            self.parts.append(Part(entry.at, entry.at, entry.end - entry.at))
 
     def _widen(self, first: int, last: int) -> None:
-        if self._span is not None:
-            first, last = min(first, self._span[0]), max(last, self._span[1])
-        self._span = first, last
+        if self.time_span_ns is not None:
+            first, last = min(first, self.time_span_ns[0]), max(last, self.time_span_ns[1])
+        self.time_span_ns = first, last
 
     def _lost(self, at: int, reason: str) -> int:
         """Count the bytes up to the next chunk (or the end) as lost and continue there."""
         onward = self._next_chunk(at + 1)
         self.losses.add(str(self.path), reason, at, onward - at)
-        if self._parts:
-            self._parts[-1].counts = None  # the damage may have taken a part of its index
+        if self.parts:
+            self.parts[-1].counts = None  # the damage may have taken a part of its index
         return onward
 
     def _next_chunk(self, at: int) -> int:
@@ -254,15 +230,15 @@ class BagSource(ChunkedSource):
 
     def _is_chunk(self, at: int) -> bool:
         try:
-            entry = read_entry(self.data, at)
+            entry = read_entry(self.data.read, at)
         except DamagedError:
             return False
         return entry.op == CHUNK and entry.end <= self.data.size
 
     def _discover(self) -> None:
         """Read the parts whose connections and message counts are only known from their content."""
-        for part in self._parts:
-            if part.counts is not None and part.counts.keys() <= self._connections.keys() and self._span:
+        for part in self.parts:
+            if part.counts is not None and part.counts.keys() <= self._connections.keys() and self.time_span_ns:
                 continue
             part.counts = None
             _, found = self.load(part)

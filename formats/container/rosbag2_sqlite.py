@@ -11,22 +11,22 @@ import shutil
 import sqlite3
 import tempfile
 import time
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator
 from contextlib import closing, contextmanager
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_CHUNK, MAX_DATABASE_SECONDS, MAX_MESSAGE
 from locfuse.formats.whole_files import scratch_prefix
-from locfuse.fusion.data import Ints, LocfuseError
+from locfuse.fusion.data import LocfuseError
 
 from .file_bytes import FileBytes
 from .known_types import MAX_SAMPLE, definition
 from .losses import Losses
-from .source import Batch, ChannelInfo, Messages, message_type
+from .source import Batch, ChannelInfo, Messages, Source, by_channel, message_type
 from .url import Place
 
 ERRORS = (sqlite3.Error, UnicodeDecodeError, ValueError, MemoryError)  # of a damaged database
@@ -80,16 +80,20 @@ class Leash:
             words = f"the database keeps sqlite busy for more than the cap of {self._allowed_s:.0f} s"
             raise LocfuseError(f"{self._path}: {words}") from None
 
+    def rows(self, database: sqlite3.Connection, query: str, *values: int) -> list[Any]:
+        """Return all rows of a query; none where the database is damaged, or has no such table."""
+        try:
+            with self.step():
+                return database.execute(query, values).fetchall()
+        except ERRORS:
+            return []
 
-class SqliteSource:
+
+class SqliteSource(Source):
     """One .db3 file."""
 
-    attachments: Mapping[str, bytes] = {}
-
     def __init__(self, data: FileBytes, losses: Losses) -> None:
-        self.path = data.path
-        self.losses = losses
-        self.data = data
+        super().__init__(data, losses)
         self._leash = Leash(self.path, data.size)
         self._readable = 2**63 - 1  # rowid up to which a walk has come that met damage
         where = data.where.resolve()
@@ -170,17 +174,11 @@ class SqliteSource:
     def time_span_ns(self) -> tuple[int, int] | None:
         """First and last time, None without messages."""
         with closing(self._connect()) as database:
-            try:
-                with self._leash.step():
-                    found = database.execute("SELECT min(timestamp), max(timestamp) FROM messages").fetchone()
-                first, last = found
-                return None if first is None else (int(first), int(last))
-            except ERRORS:
-                return None
-
-    def published(self, data: NDArray[np.uint8], messages: Messages) -> Ints:
-        """Return the log times: the file keeps no others."""
-        return messages.log_time
+            found = self._leash.rows(database, "SELECT min(timestamp), max(timestamp) FROM messages")
+        try:
+            return next(((int(first), int(last)) for first, last in found if first is not None), None)
+        except ValueError:
+            return None
 
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
         """Yield the messages of the wanted topics in file order, about a megabyte at a time."""
@@ -219,13 +217,18 @@ class SqliteSource:
 
 def _channels(database: sqlite3.Connection, leash: Leash) -> tuple[dict[int, ChannelInfo], dict[int, int]]:
     database.text_factory = lambda text: text.decode("utf-8", "replace")
-    texts = _definitions(database, leash)
-    try:
-        with leash.step():
-            counts = dict(database.execute(f"SELECT {TOPIC}, count(*) FROM messages GROUP BY 1"))
-    except ERRORS:
-        counts = {}
-    samples = _samples(database, leash)
+    defined = (
+        "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"  # since ROS 2 Iron
+    )
+    texts = {
+        str(name): (str(language), str(text)) for name, language, text in leash.rows(database, defined) if text
+    }
+    counts = dict(leash.rows(database, f"SELECT {TOPIC}, count(*) FROM messages GROUP BY 1"))
+    first_messages = (
+        f"SELECT {TOPIC}, CAST(data AS BLOB) FROM messages WHERE rowid IN "
+        f"(SELECT min(rowid) FROM messages GROUP BY {TOPIC}) AND length(data) <= ?"
+    )
+    samples = {ident: data or b"" for ident, data in leash.rows(database, first_messages, MAX_SAMPLE)}
     found = {}
     for ident, *texts_of_topic in database.execute(
         "SELECT CAST(id AS INTEGER), name, type, serialization_format FROM topics ORDER BY 1"
@@ -240,30 +243,6 @@ def _channels(database: sqlite3.Connection, leash: Leash) -> tuple[dict[int, Cha
     return found, counts
 
 
-def _samples(database: sqlite3.Connection, leash: Leash) -> dict[int, bytes]:
-    """Return the first message of every topic, without messages that are too long."""
-    query = (
-        f"SELECT {TOPIC}, CAST(data AS BLOB) FROM messages WHERE rowid IN "
-        f"(SELECT min(rowid) FROM messages GROUP BY {TOPIC}) AND length(data) <= ?"
-    )
-    try:
-        with leash.step():
-            return {int(ident): bytes(data) for ident, data in database.execute(query, (MAX_SAMPLE,)) if data}
-    except ERRORS:
-        return {}
-
-
-def _definitions(database: sqlite3.Connection, leash: Leash) -> dict[str, tuple[str, str]]:
-    """Return type -> (language, text) by the bag's own table, since ROS 2 Iron."""
-    columns = "topic_type, encoding, encoded_message_definition"
-    try:
-        with leash.step():
-            rows = database.execute(f"SELECT {columns} FROM message_definitions").fetchall()
-    except ERRORS:
-        return {}
-    return {str(name): (str(language), str(text)) for name, language, text in rows if text}
-
-
 def _batch(rows: list[Row]) -> Batch:
     """Join the messages in one buffer; one that is too large becomes empty."""
     topic = np.array([row[0] for row in rows], np.int64)
@@ -275,7 +254,7 @@ def _batch(rows: list[Row]) -> Batch:
         np.zeros(len(rows), np.int64),
     )
     data = np.frombuffer(b"".join(row[2] or b"" for row in rows), np.uint8)
-    return Batch(data, {int(ident): everything.take(topic == ident) for ident in np.unique(topic)})
+    return Batch(data, by_channel(topic, everything))
 
 
 # --- The journal (-wal): what sqlite uses of it, and what it ignores silently

@@ -6,8 +6,9 @@ decoding can gather a field of all messages at once.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Mapping
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from locfuse.fusion.data import Ints
 
 from .file_bytes import FileBytes
+from .losses import Losses
 
 
 class ChannelInfo(NamedTuple):
@@ -41,6 +43,11 @@ class Messages(NamedTuple):
         return Messages(*(column[rows] for column in self))
 
 
+def by_channel(channel: Ints, everything: Messages) -> dict[int, Messages]:
+    """Group messages by their channels (k,)."""
+    return {int(ident): everything.take(channel == ident) for ident in np.unique(channel)}
+
+
 class Batch(NamedTuple):
     """Messages that were read and decompressed together."""
 
@@ -48,28 +55,36 @@ class Batch(NamedTuple):
     messages: dict[int, Messages]  # by channel id
 
 
-class Source(Protocol):
-    """One file of a log."""
+class Source(ABC):
+    """One file of a log; damage is counted and left out."""
 
-    @property
-    def data(self) -> FileBytes:
-        """Its bytes."""
+    channels: Mapping[int, ChannelInfo]  # by id
 
-    @property
-    def channels(self) -> Mapping[int, ChannelInfo]:
-        """Channels by id."""
+    def __init__(self, data: FileBytes, losses: Losses) -> None:
+        self.path = data.path
+        self.losses = losses
+        self.data = data
 
     @property
     def attachments(self) -> Mapping[str, bytes]:
         """Attachments by name."""
+        return {}
 
     @property
+    def checked(self) -> bool:
+        """Whether a changed value would be noticed, by checksums."""
+        return False
+
+    @property
+    @abstractmethod
     def time_span_ns(self) -> tuple[int, int] | None:
         """First and last log time, None without messages."""
 
     def published(self, data: NDArray[np.uint8], messages: Messages) -> Ints:
         """Return the publish times of a batch, ns; the log times if the file has no others."""
+        return messages.log_time
 
+    @abstractmethod
     def batches(self, wanted: Collection[int]) -> Iterator[Batch]:
         """Yield the messages of the wanted channels in file order, the same at every call."""
 

@@ -19,7 +19,7 @@ from msgspec import field
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from locfuse.fusion.data import Array, Block, Column, Ints
+from locfuse.fusion.data import Block, Column, Ints
 
 from . import jitter
 
@@ -145,26 +145,13 @@ def _repaired(log_time: Ints, stamp: Ints, trusted: Mask, bad: dict[str, Mask]) 
     counts = {why: int(m.sum()) for why, m in bad.items() if m.any()}
     why = ", ".join(f"{n} {reason}" for reason, n in counts.items())
     n_bad, notes = int((~trusted).sum()), _differ(log_time[trusted], stamp[trusted])
-    times, how = _fill(log_time, stamp, trusted), "dated by recording time instead"
+    times = np.maximum.accumulate(jitter.filled(stamp, trusted, log_time, 1))
+    how = "dated by recording time instead"
     if (np.diff(times)[np.diff(stamp) != 0] == 0).any():  # recorded together: only their order tells
         ordered = trusted | bad["backwards"] | bad["off the beat"]
-        times, how = jitter.in_order(_fill(log_time, stamp, ordered, in_order=False)), "moved into their order"
+        times, how = jitter.in_order(jitter.filled(stamp, ordered, log_time, 1)), "moved into their order"
     words = f"header stamps; {n_bad} of {len(stamp)} {how} ({why})"
     return Clock(times, None, words, True, repaired=counts, notes=notes)
-
-
-def _fill(log_time: Ints, stamp: Ints, trusted: Mask, in_order: bool = True) -> Ints:
-    """Replace untrusted stamps: interpolated in recording time, outside the range with the nearest delay."""
-    known = np.flatnonzero(trusted)
-    first, last = known[0], known[-1]
-    t = stamp.copy()
-    inside = np.flatnonzero(~trusted[first:last]) + first
-    r0, s0 = log_time[first], stamp[first]
-    between = np.interp(log_time[inside] - r0, log_time[known] - r0, stamp[known] - s0)
-    t[inside] = s0 + np.rint(between).astype(np.int64)
-    t[:first] = log_time[:first] - (r0 - s0)
-    t[last + 1 :] = log_time[last + 1 :] - (log_time[last] - stamp[last])
-    return np.maximum.accumulate(t) if in_order else t
 
 
 def _untrusted(log_time: Ints, stamp: Ints) -> dict[str, Mask]:
@@ -188,29 +175,18 @@ def _untrusted(log_time: Ints, stamp: Ints) -> dict[str, Mask]:
 
 
 def _out_of_order(log_time: Ints, stamp: Ints) -> tuple[Mask, Mask]:
-    """Mark the stamps (n,) that run backwards, and those that are also off the regular period."""
+    """Mark the stamps (n,) that run backwards, and those that are also off the regular period.
+
+    Of stamp and recording time, the less regular one is wrong, where the delay is unusual.
+    """
     delay = log_time - stamp
+    off = np.abs(delay - np.median(delay))
+    deviations = off / max(float(np.median(off)), NS_PER_MS)
     weights, _ = jitter.credibility(stamp)
-    backwards = ~jitter.never_decreasing(stamp, _credibility(delay) * weights)
+    backwards = ~jitter.never_decreasing(stamp, jitter.cauchy(deviations) * weights)
     recorded, _ = jitter.credibility(log_time)
     steady = (weights < recorded) & ~_bunched(log_time)
-    return backwards, steady & _off_the_delay(delay) & ~backwards
-
-
-def _off_the_delay(delay: Ints) -> Mask:
-    """Mark stamps (n,) whose delay is unusual: of stamp and recording time, the less regular one is wrong."""
-    unusual = np.abs(delay - np.median(delay))
-    return unusual > jitter.OFF_BEAT * max(float(np.median(unusual)), NS_PER_MS)
-
-
-def _credibility(delay: Ints) -> Array:
-    """Weight stamps by how usual their delay (n,) is, with the long tail of a Cauchy distribution."""
-    if not len(delay):
-        return np.empty(0)
-    unusual = np.abs(delay - np.median(delay))
-    scale = max(float(np.median(unusual)), NS_PER_MS)
-    weights: Array = 1 / (1 + (unusual / scale) ** 2) + 1e-6  # all else equal, the more stamps the better
-    return weights
+    return backwards, steady & (deviations > jitter.OFF_BEAT) & ~backwards
 
 
 def _bunched(log_time: Ints) -> Mask:

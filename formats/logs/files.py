@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from fnmatch import fnmatch
-from itertools import takewhile
+from itertools import takewhile, zip_longest
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,29 +16,15 @@ from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.mcap_records import MAGIC
 from locfuse.formats.container.mcap_source import McapSource
 from locfuse.formats.container.mcap_survey import summary_section
+from locfuse.formats.container.ros1_bag import BagSource
+from locfuse.formats.container.rosbag2_sqlite import SqliteSource
 from locfuse.formats.container.source import Source
 from locfuse.formats.container.url import Place, Url
 from locfuse.formats.inputs import read_small
 from locfuse.formats.visible import writable
 from locfuse.fusion.data import LocfuseError, UsageError
 
-
-def _sqlite(data: FileBytes, losses: Losses) -> Source:
-    from locfuse.formats.container.rosbag2_sqlite import SqliteSource
-
-    return SqliteSource(data, losses)
-
-
-def _bag(data: FileBytes, losses: Losses) -> Source:
-    from locfuse.formats.container.ros1_bag import BagSource
-
-    return BagSource(data, losses)
-
-
-SOURCES: dict[bytes, Callable[[FileBytes, Losses], Source]] = {
-    b"SQLite format 3\x00": _sqlite,
-    b"#ROSBAG V2.0\n": _bag,
-}
+SOURCES: dict[bytes, type[Source]] = {b"SQLite format 3\x00": SqliteSource, b"#ROSBAG V2.0\n": BagSource}
 ENDINGS = ("*.mcap", "*.mcap.zstd", "*.db3", "*.db3.zstd", "*.bag")  # of the files in a folder without metadata
 REPORTS = ("report.json", "run.json")  # one of them makes a folder a result
 UNNAMED = "log"  # what to call "...mcap": its stem ".." would lead results out of their folder
@@ -152,48 +138,34 @@ class Identity(NamedTuple):
     digest: str  # hexadecimal
 
 
-class SeenFile(NamedTuple):
-    """Data that identify one file."""
-
-    kind: str  # of the content: "summary", "ends" or "etag"
-    size: int  # bytes of the file
-    content: bytes
-
-
 def files_of(paths: Sequence[Place]) -> list[Place]:
     """Return the files of a log in the order of their names, in any folder."""
     return sorted({file for path in paths for file in log_files(path)}, key=lambda file: (file.name, str(file)))
 
 
-def identity_of(files: Sequence[Place]) -> Identity:
-    """Return the identity of a log of these files. Raises LocfuseError where one cannot be read."""
-    return identity([seen_of(file) for file in files])
+def identity_of(files: Sequence[Place], states: Sequence[tuple[int, str] | None] = ()) -> Identity:
+    """Return the identity of a log of these files. Raises LocfuseError where one cannot be read.
 
-
-def identity(seen: Sequence[SeenFile]) -> Identity:
-    """Return the identity of a log by the data of each of its files."""
-    state, total = hashlib.sha256(), 0
-    for kind, size, content in seen:
-        state.update(f"{kind} {size} {len(content)}\n".encode() + content)
+    The `states` of objects in a store, size and ETag, are asked for if they are not given.
+    """
+    digest, total = hashlib.sha256(), 0
+    for file, state in zip_longest(files, states):
+        kind, size, content = _seen(file, state)
+        digest.update(f"{kind} {size} {len(content)}\n".encode() + content)
         total += size
-    return Identity(total, state.hexdigest())
+    return Identity(total, digest.hexdigest())
 
 
-def seen_of(file: Place) -> SeenFile:
-    """Return the identifying data of a file."""
+def _seen(file: Place, state: tuple[int, str] | None) -> tuple[str, int, bytes]:
+    """Return the kind ("summary", "ends" or "etag") of the content that identifies a file, its size, and that."""
     if isinstance(file, Url):
         from locfuse.formats.container.remote_objects import state_of
 
-        return seen_of_object(*state_of(file))
+        size, tag = state or state_of(file)
+        return "etag", size, tag.encode()
     data = FileBytes(file, Losses())
     section = summary_section(data)
-    kind, content = ("ends", _ends(data)) if section is None else ("summary", section)
-    return SeenFile(kind, data.size, content)
-
-
-def seen_of_object(size: int, tag: str) -> SeenFile:
-    """Return the identifying data of an object in a store: its ETag changes with its content."""
-    return SeenFile("etag", size, tag.encode())
+    return ("ends", data.size, _ends(data)) if section is None else ("summary", data.size, section)
 
 
 def _ends(data: FileBytes) -> bytes:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from locfuse.fusion.data import Array, Ints
 
 MAX_BACK_NS = 2 * 10**9  # a time that runs back by more is no jitter: another clock, or files in another order
-MAX_SHARE = 0.25  # of the times may contradict the order; with more of them nobody can tell what is right
+MAX_SHARE = 0.25  # of the times may contradict the order; with more of them it is unclear which are right
 
 WINDOW_READINGS = 7  # neighbours on either side by which the beat of a stream is known
 OFF_BEAT, OFF_PERIODS = 8.0, 0.25  # robust deviations and periods off the beat: a time like that is wrong
@@ -25,7 +25,7 @@ def credibility(times: Ints) -> tuple[Array, NDArray[np.bool_]]:
 
     The beat at i is the median of t_j + (i - j) T over the neighbours j, T their median step. Most streams keep
     it, and then it tells which of two times in the wrong order is the wrong one, and which one is wrong without
-    contradicting the order. The weights have the long tail of a Cauchy distribution.
+    contradicting the order.
     """
     n = len(times)
     if n <= 2 * WINDOW_READINGS:
@@ -39,8 +39,12 @@ def credibility(times: Ints) -> tuple[Array, NDArray[np.bool_]]:
     beat[inner] = np.median(t[inner[:, None] + places] - places * period[inner, None], axis=1)
     off = np.abs(t - beat)
     scale = max(float(np.median(off[inner])), 1e6)
-    weights = 1.0 / (1.0 + (off / scale) ** 2) + 1e-6  # all else equal, the more times the better
-    return weights, (off > OFF_BEAT * scale) & (off > OFF_PERIODS * period)
+    return cauchy(off / scale), (off > OFF_BEAT * scale) & (off > OFF_PERIODS * period)
+
+
+def cauchy(deviations: Array) -> Array:
+    """Weight times by their deviations (n,) [robust sigmas], with the long tail of a Cauchy distribution."""
+    return 1.0 / (1.0 + deviations**2) + 1e-6  # all else equal, the more times the better
 
 
 def pooled(times: Ints) -> tuple[Ints, int] | None:
@@ -62,10 +66,10 @@ def pooled(times: Ints) -> tuple[Ints, int] | None:
     wrong = np.flatnonzero(~keep)
     if len(wrong) > MAX_SHARE * len(times):
         return None
-    filled = _filled(times, keep)
-    if np.abs(filled - times)[wrong].max() > MAX_BACK_NS:
+    even = _evenly_filled(times, keep)
+    if np.abs(even - times)[wrong].max() > MAX_BACK_NS:
         return None
-    return filled, len(wrong)
+    return even, len(wrong)
 
 
 def in_order(times: Ints) -> Ints:
@@ -74,38 +78,36 @@ def in_order(times: Ints) -> Ints:
     A time that is off the beat of its neighbours is replaced first. Times that had to be moved lie half a usual
     step apart at least.
     """
+    from scipy.optimize import isotonic_regression
+
     weights, off = credibility(times)
-    t = _filled(times, ~off) if not off.all() else times
+    t = _evenly_filled(times, ~off) if not off.all() else times
     steps = np.diff(t)
     half = 0.5 * float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     apart = np.where((steps > 0) | (np.diff(times) == 0), np.minimum(half, np.maximum(steps, 0)), half)
     room = np.concatenate(([0.0], np.cumsum(apart)))
-    values: list[float] = []
-    blocks: list[tuple[float, int]] = []  # weight and length of each value
-    for value, weight in zip((t - t[0] - room).tolist(), weights.tolist(), strict=True):
-        mean, total, n = value, weight, 1
-        while values and values[-1] > mean:
-            before, (w, k) = values.pop(), blocks.pop()
-            mean, total, n = (before * w + mean * total) / (w + total), w + total, n + k
-        values.append(mean)
-        blocks.append((total, n))
-    level = np.repeat(values, [n for _, n in blocks])
+    level = isotonic_regression(t - t[0] - room, weights=weights).x
     out: Ints = t[0] + np.rint(level + room).astype(np.int64)
     return out
 
 
-def _filled(times: Ints, keep: NDArray[np.bool_]) -> Ints:
-    """Replace times that are not kept: evenly between neighbours, after the last one by the usual period."""
+def filled(times: Ints, keep: NDArray[np.bool_], at: Ints, pace: int) -> Ints:
+    """Replace the times (n,) that are not kept: between neighbours in proportion to `at`, outside at a `pace`."""
     known = np.flatnonzero(keep)
-    first = int(times[known[0]])
-    at = np.arange(len(times))
+    first, last = known[0], known[-1]
+    x, lost = at - at[first], np.flatnonzero(~keep)
     out: Ints = times.copy()
-    out[~keep] = first + np.rint(np.interp(at[~keep], known, times[known] - first)).astype(np.int64)
-    period = int(np.median(np.diff(times[known]))) if len(known) > 1 else 0
-    before, after = at < known[0], at > known[-1]
-    out[before] = first - period * (known[0] - at[before])
-    out[after] = times[known[-1]] + period * (at[after] - known[-1])
+    between = np.interp(x[lost], x[known], times[known] - times[first])
+    out[lost] = times[first] + np.rint(between).astype(np.int64)
+    out[:first] = times[first] + pace * (at[:first] - at[first])
+    out[last + 1 :] = times[last] + pace * (at[last + 1 :] - at[last])
     return out
+
+
+def _evenly_filled(times: Ints, keep: NDArray[np.bool_]) -> Ints:
+    """Replace times that are not kept: evenly between neighbours, after the last one by the usual period."""
+    period = int(np.median(np.diff(times[keep]))) if keep.sum() > 1 else 0
+    return filled(times, keep, np.arange(len(times)), period)
 
 
 def _room_in_file(times: Ints, keep: NDArray[np.bool_], wrong: Ints) -> bool:

@@ -31,7 +31,7 @@ from locfuse.fusion.progress import say_done
 from . import clock as clocks
 from .adapters import PRESENTED, presented_name
 from .file_stream import FileStream, is_file_topic, read_file
-from .files import Identity, files_of, identity, identity_of, log_name, open_source, seen_of, seen_of_object
+from .files import Identity, files_of, identity_of, log_name, open_source
 from .stream import (
     LogStream,
     NumberStream,
@@ -64,7 +64,7 @@ class UnreadableTopicError(LocfuseError):
 
     @classmethod
     def of(cls, log: str, topic: str, problem: str) -> Self:
-        """Return the error for raising."""
+        """Return the error of a topic of a log whose messages cannot be read, because of the `problem`."""
         error = cls(f"{log}: {topic} cannot be read: {problem}")
         error.problem = problem
         return error
@@ -210,10 +210,7 @@ class Log:
     @cached_property
     def identity(self) -> Identity:
         """The identity of the content, without reading all of it."""
-        seen = [source.data.state for source in self._sources]
-        if all(state is None for state in seen):
-            return identity_of(self.paths)
-        return identity([seen_of_object(*s) if s else seen_of(p) for s, p in zip(seen, self.paths, strict=True)])
+        return identity_of(self.paths, [source.data.state for source in self._sources])
 
     @property
     def etags(self) -> list[str]:
@@ -223,7 +220,8 @@ class Log:
     @property
     def transfer(self) -> tuple[int, int] | None:
         """Bytes transferred over the network so far, and the size of remote files; None if all are local."""
-        found = [source.data.transfer for source in self._sources if source.data.transfer is not None]
+        files = [source.data for source in self._sources]
+        found = [(file.fetched, file.state[0]) for file in files if file.state is not None]
         return (sum(came for came, _ in found), sum(size for _, size in found)) if found else None
 
     @cached_property
@@ -234,7 +232,7 @@ class Log:
     @property
     def unchecked(self) -> list[str]:
         """Names of the files without checksums, in which a changed value cannot be detected."""
-        return [p.name for p, s in zip(self.paths, self._sources, strict=True) if not getattr(s, "checked", False)]
+        return [p.name for p, s in zip(self.paths, self._sources, strict=True) if not s.checked]
 
     @property
     def decoded_fast(self) -> int:
@@ -478,7 +476,7 @@ class Log:
                         _say_read(messages, span)
                         for data, unpacked in unpack(batch.data, messages):
                             yield topic, dated(Raw(data, unpacked, decoder))
-        finally:  # also where nobody asks for the rest
+        finally:  # also where the caller stops early
             say_done(None)
 
     def messages(self) -> Iterator[list[Recorded]]:

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.formats.caps import MAX_LONG
-from locfuse.formats.columns import Growing, concat, n_bytes, take
+from locfuse.formats.columns import Growing, GrowingArray, concat, n_bytes, take
 from locfuse.formats.container.source import Messages
 from locfuse.formats.messages.fields import frame_path, stamp_path
 from locfuse.formats.messages.schema import Decoded, MessageDecoder
@@ -58,8 +58,8 @@ class Pass:
     def __init__(self, fields: Sequence[str], rows: int) -> None:
         self.fields = tuple(fields)
         self.columns = {name: Growing(rows) for name in self.fields}
-        self.log_time = Growing(rows)
-        self.sequence = Growing(rows)
+        self.log_time = GrowingArray(rows)
+        self.sequence = GrowingArray(rows)
         self.long = 0  # bytes of the messages that are longer than LONG_BYTES
 
 
@@ -142,7 +142,7 @@ class TopicTable:
         """End the pass; return whether messages share a log time, so that their bytes must decide the order."""
         collected, self._pass = self._pass, Pass((), 0)
         columns = {name: self._finished(name, column) for name, column in collected.columns.items()}
-        log_time, sequence = _integers(collected.log_time), _integers(collected.sequence)
+        log_time, sequence = collected.log_time.array(), collected.sequence.array()
         if self.known:
             self._add(columns, len(log_time))
             return False
@@ -217,11 +217,6 @@ class TopicTable:
             keep[repeats] = False
             order = order[keep[order]]
         return order
-
-
-def _integers(growing: Growing) -> Ints:
-    column = growing.column()
-    return NO_TIMES[0] if column is None else np.asarray(column)
 
 
 def dated(raw: Raw) -> Raw:

@@ -106,7 +106,7 @@ class TransformStream(clocks.Dated):
 
     @cached_property
     def _steps(self) -> list[tuple[FrameEdge | Array, bool]]:
-        """The path from the parent to the child: edges (an array where it never moves), and if they lead back.
+        """The path from parent to child: each edge (a matrix (4, 4) if it never moves), and if it leads back.
 
         Raises LocfuseError if there is none.
         """

@@ -25,7 +25,7 @@ from locfuse.formats.columns import concat, take, view
 from locfuse.fusion.data import Column, Ints, Ragged
 
 from .fields import Part, resolve
-from .schema import Decoded, LengthCounts, Many, Node, Scalar, Structure, Text
+from .schema import Decoded, LengthCounts, Many, MessageDecoder, Node, Scalar, Structure, Text
 
 WORD = struct.Struct("<I")
 
@@ -269,6 +269,10 @@ class Group(NamedTuple):
     tails: Ints  # (rows,) elements of the array at the end; all 0 where the layout has none
 
 
+NOTHING: Ints = np.empty(0, np.int64)
+NO_MESSAGES = Group(NOTHING, Layout(0, True, NOTHING, NOTHING.astype(np.uint32), {}, None), NOTHING)
+
+
 class Request(msgspec.Struct):
     """A set of fields of one message type, resolved."""
 
@@ -277,14 +281,12 @@ class Request(msgspec.Struct):
     layouts: list[Layout] = field(default_factory=list)  # the one met last comes first
 
 
-class Decoder:
+class Decoder(MessageDecoder):
     """Decodes the messages of one type into columns."""
 
     def __init__(self, message: Structure, rules: LayoutRules = CDR) -> None:
-        self.message = message
+        super().__init__(message)
         self.rules = rules
-        self.fast = 0  # messages gathered by a layout that another message gave
-        self.general = 0  # messages walked by themselves
         self._requests: dict[tuple[str, ...], Request] = {}
 
     def decode(self, data: Bytes, start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:
@@ -387,9 +389,7 @@ def _gather(data: Bytes, start: Ints, groups: list[Group], parts: tuple[Part, ..
     """Return one field of all groups, in the order of the messages."""
     if len(parts) == 2:
         return _nanoseconds(*(_gather(data, start, groups, (part,)) for part in parts))
-    pieces = [_leaf(data, start[group.rows], group, parts[0]) for group in groups]
-    if not pieces:
-        return _empty(parts[0])
+    pieces = [_leaf(data, start[group.rows], group, parts[0]) for group in groups or (NO_MESSAGES,)]
     column = concat(pieces)
     if len(pieces) == 1:
         return column
@@ -405,7 +405,7 @@ def _nanoseconds(seconds: Column, nanoseconds: Column) -> Column:
 
 def _leaf(data: Bytes, start: Ints, group: Group, part: Part) -> Column:
     """Gather one field of messages that share a layout."""
-    leaf = group.layout.leaves.get(part.path, Leaf())
+    leaf = group.layout.leaves.get(part.path, Leaf() if len(start) else Leaf([0], [0]))
     node = part.node
     if isinstance(node, Scalar):
         offsets = np.array(leaf.offsets, np.int64)
@@ -441,8 +441,9 @@ def _array(data: Bytes, start: Ints, group: Group, leaf: Leaf, part: Part) -> Co
         at, counts = start + tail.start, group.tails
     if node.count is None and element.dtype == "u1":
         return [data[i : i + n].tobytes() for i, n in zip(at.tolist(), counts.tolist(), strict=True)]
-    if (counts == counts[0]).all():
-        values = _matrix(data, at, int(counts[0]), element, little)
+    n = int(counts.max(initial=0)) if node.count is None else node.count
+    if (counts == n).all():
+        values = _matrix(data, at, n, element, little)
         return _rows(values) if node.count is None else values
     first = np.concatenate(([0], np.cumsum(counts)))
     inside = np.arange(first[-1]) - np.repeat(first[:-1], counts)
@@ -453,7 +454,7 @@ def _matrix(data: Bytes, at: Ints, count: int, element: Scalar, little: bool) ->
     """Read `count` numbers from each offset (k,) on, (k, count)."""
     if not count:
         return np.empty((len(at), 0), element.dtype)
-    rows = view(data, f"V{count * element.size}", at).view(np.uint8).reshape(len(at), -1)
+    rows = view(data, f"V{count * element.size}", at).view(np.uint8).reshape(len(at), count * element.size)
     return _native(rows.view(_stored(element.dtype, little)), element.dtype)
 
 
@@ -494,22 +495,3 @@ def _text(data: Bytes, at: Ints, n: int) -> list[str]:
     if (rows == rows[0]).all():
         return [rows[0].tobytes().decode("utf-8", "replace")]
     return [row.tobytes().decode("utf-8", "replace") for row in rows]
-
-
-def _empty(part: Part) -> Column:
-    """Return the column for zero messages."""
-    node = part.node
-    if isinstance(node, Text):
-        return []
-    if isinstance(node, LengthCounts):
-        return Ragged(np.empty(0, np.int64), np.zeros(1, np.int64))
-    element = node.element if isinstance(node, Many) else node
-    if not isinstance(element, Scalar):
-        return []
-    ragged = part.inside or (isinstance(node, Many) and node.count is None)
-    if ragged and element.dtype == "u1" and not part.inside:
-        return []
-    if ragged:
-        return Ragged(np.empty(0, element.dtype), np.zeros(1, np.int64))
-    shape = (0, node.count) if isinstance(node, Many) and node.count is not None else (0,)
-    return np.empty(shape, element.dtype)

@@ -112,49 +112,20 @@ def words(text: str, before: str = "") -> list[str]:
     return [f"{before}{word}" for word in text.split()]
 
 
-# message types that something reads; the fields of every other type may be what their definition says
-READ_TYPES = frozenset(
-    (
-        *words(
-            """
-            ackermann_msgs/msg/AckermannDrive ackermann_msgs/msg/AckermannDriveStamped
-            apriltag_msgs/msg/AprilTagDetectionArray apriltag_ros/msg/AprilTagDetectionArray
-            apriltags2_ros/msg/AprilTagDetectionArray apriltags_ros/msg/AprilTagDetectionArray
-            aruco_msgs/msg/MarkerArray aruco_opencv_msgs/msg/ArucoDetection
-            ros2_aruco_interfaces/msg/ArucoMarkers isaac_ros_apriltag_interfaces/msg/AprilTagDetectionArray
-            autoware_auto_vehicle_msgs/msg/VelocityReport autoware_vehicle_msgs/msg/VelocityReport
-            control_msgs/msg/DynamicJointState clearpath_platform_msgs/msg/Feedback jackal_msgs/msg/Feedback
-            duckietown_msgs/msg/Twist2DStamped duckietown_msgs/msg/WheelEncoderStamped gps_common/msg/GPSFix
-            gps_msgs/msg/GPSFix unitree_go/msg/SportModeState gazebo_msgs/msg/ModelStates
-            gazebo_msgs/msg/LinkStates irobot_create_msgs/msg/WheelTicks irobot_create_msgs/msg/WheelVels
-            kobuki_msgs/msg/SensorState locfuse/msg/Detections locfuse/msg/Ranges locfuse/msg/TagFrames
-            mocap4r2_msgs/msg/RigidBodies nav_msgs/msg/Odometry nav_msgs/msg/Path tf/msg/tfMessage
-            tf2_msgs/msg/TFMessage px4_msgs/msg/SensorCombined px4_msgs/msg/VehicleLocalPosition
-            px4_msgs/msg/VehicleOdometry turtlebot3_msgs/msg/SensorState turtlesim/msg/Pose
-            vesc_msgs/msg/VescState vesc_msgs/msg/VescStateStamped vision_msgs/msg/Detection2DArray
-            vision_msgs/msg/Detection3DArray
-            """
-        ),
-        *words("Pose PointStamped Pose2D PoseStamped PoseWithCovarianceStamped", "geometry_msgs/msg/"),
-        *words("TransformStamped Twist TwistStamped TwistWithCovarianceStamped", "geometry_msgs/msg/"),
-        *words("CameraInfo CompressedImage Image Imu JointState LaserScan MagneticField", "sensor_msgs/msg/"),
-        *words("MultiEchoLaserScan NavSatFix PointCloud2 Range", "sensor_msgs/msg/"),
-        *words("Float32 Float64 Int16 Int32 Int64 String UInt16 UInt32", "std_msgs/msg/"),
-        *(f"std_msgs/msg/{name}MultiArray" for name in (*WHOLE_NUMBERS, "Float32", "Float64")),
-        *(
-            name
-            for package in FOXGLOVE
-            for name in words(
-                """
-                CompressedImage FrameTransform FrameTransforms JointStates LaserScan LocationFix Odometry
-                PointCloud PoseInFrame RawImage
-                """,
-                package,
-            )
-        ),
+# packages with types that something reads; the fields of every other type may be what their definition says
+PACKAGES = frozenset(
+    words(
+        """
+        ackermann_msgs apriltag_msgs apriltag_ros apriltags2_ros apriltags_ros aruco_msgs aruco_opencv_msgs
+        autoware_auto_vehicle_msgs autoware_vehicle_msgs clearpath_platform_msgs control_msgs duckietown_msgs
+        foxglove foxglove_msgs gazebo_msgs geometry_msgs gps_common gps_msgs irobot_create_msgs
+        isaac_ros_apriltag_interfaces jackal_msgs kobuki_msgs locfuse mocap4r2_msgs nav_msgs px4_msgs
+        ros2_aruco_interfaces sensor_msgs std_msgs tf tf2_msgs turtlebot3_msgs turtlesim unitree_go vesc_msgs
+        vision_msgs
+        """
     )
 )
-# dotted paths in these types that are read as one number
+# dotted paths in these packages that are read as one number
 ONE_NUMBER = (
     *(f"{vector}.{axis}" for vector in ("magnetic_field", "angular_velocity") for axis in XYZ),
     *(f"{at}orientation.{axis}" for at in ("", "pose.", "pose.pose.") for axis in XYZW),
@@ -183,7 +154,7 @@ POSITIONS = """
     detections.pose.pose.pose.position detections.pose.pose.position detections.bbox.center.position
     detections.centre
     """
-# paths in these types that are read as an array of numbers
+# paths in these packages that are read as an array of numbers
 ARRAYS = (
     *(f"rigidbodies.pose.position.{axis}" for axis in XY),
     *(f"{at}.pose.orientation.{axis}" for at in ("rigidbodies", "poses") for axis in XYZW),
@@ -191,22 +162,21 @@ ARRAYS = (
     CENTRE_2D,
     *words(
         """
-        ranges marker_ids markers.id markers.marker_id detections.id.length position velocity
+        ranges marker_ids markers.id markers.marker_id detections.id.length
         interface_values.values interface_values.values.length ranges.echoes ranges.echoes.length
         fields.offset fields.datatype fields.type joints.position joints.velocity joints.effort
         drivers.measured_travel drivers.measured_velocity
         """
     ),
 )
-# dotted path in these types -> the kinds that its readers take
+# dotted path in these packages -> the kinds that its readers take
 EXPECTED: Mapping[str, tuple[str, ...]] = {
     **dict.fromkeys(ONE_NUMBER, (NUMBER,)),
     **dict.fromkeys(ARRAYS, (NUMBERS,)),
     **dict.fromkeys(
         words(
             """
-            name rigidbodies.rigid_body_name joint_names interface_values.interface_names fields.name
-            joints.name
+            rigidbodies.rigid_body_name joint_names interface_values.interface_names fields.name joints.name
             """
         ),
         (TEXTS,),
@@ -224,6 +194,8 @@ OF_TYPES: tuple[tuple[str, str, str], ...] = (
     *((f"std_msgs/msg/{name}", "data", NUMBER) for name in (*WHOLE_NUMBERS, "Float32", "Float64")),
     *((f"std_msgs/msg/{name}MultiArray", "data", NUMBERS) for name in (*WHOLE_NUMBERS, "Float32", "Float64")),
     ("std_msgs/msg/String", "data", TEXT),
+    ("sensor_msgs/msg/JointState", "name", TEXTS),
+    ("sensor_msgs/msg/JointState", "position velocity", NUMBERS),
     ("duckietown_msgs/msg/WheelEncoderStamped", "data", NUMBER),
     ("locfuse/msg/Detections", "id range bearing", NUMBER),
     ("locfuse/msg/Ranges", "id range", NUMBER),
@@ -238,6 +210,7 @@ OF_TYPES: tuple[tuple[str, str, str], ...] = (
     ("px4_msgs/msg/VehicleLocalPosition", "x y heading vx vy", NUMBER),
     ("px4_msgs/msg/SensorCombined", "gyro_rad accelerometer_m_s2", "3 numbers"),
     ("unitree_go/msg/SportModeState", "position", "3 numbers"),
+    *((f"gazebo_msgs/msg/{name}", "name", TEXTS) for name in GAZEBO),
     *((f"gazebo_msgs/msg/{name}", f"pose.position.{axis}", NUMBERS) for name in GAZEBO for axis in XY),
     *((f"gazebo_msgs/msg/{name}", f"pose.orientation.{axis}", NUMBERS) for name in GAZEBO for axis in XYZW),
 )
@@ -271,7 +244,7 @@ def expected(msgtype: str, path: str) -> tuple[str, ...]:
     """Return the kinds of column that the readers of this field of this type take; none without readers."""
     if path in STAMPS:
         return (TIME,)
-    if msgtype not in READ_TYPES:
+    if msgtype.replace(".", "/").partition("/")[0] not in PACKAGES:
         return ()
     if path.startswith(("transforms.header.stamp", "poses.header.stamp")):
         return (TIMES, TIME)

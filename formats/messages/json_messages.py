@@ -21,7 +21,19 @@ from locfuse.formats.visible import writable
 from locfuse.fusion.data import Column, Ints, Ragged
 
 from .fields import Part, resolve
-from .schema import TIMES, Decoded, LengthCounts, Many, Node, Scalar, SchemaError, Structure, Text, refuse_large
+from .schema import (
+    TIMES,
+    Decoded,
+    LengthCounts,
+    Many,
+    MessageDecoder,
+    Node,
+    Scalar,
+    SchemaError,
+    Structure,
+    Text,
+    refuse_large,
+)
 
 NUMBER = Scalar("f8", 8)
 WHOLE = Scalar("i8", 8)
@@ -178,13 +190,8 @@ def _node(name: str, schema: Any, depth: int) -> Node | None:
     return Structure(name, {key: node for key, node in parts.items() if node is not None})
 
 
-class JsonDecoder:
+class JsonDecoder(MessageDecoder):
     """Columns out of JSON messages."""
-
-    def __init__(self, message: Structure) -> None:
-        self.message = message
-        self.fast = 0
-        self.general = 0
 
     def decode(self, data: NDArray[np.uint8], start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:
         """Return the fields of the messages that lie at data[start[i] : start[i] + length[i]]."""
@@ -195,8 +202,7 @@ class JsonDecoder:
         self.general += len(found)
         good = np.array([one is not None for one in objects], bool)
         columns = {path: column(found, path, resolve(self.message, path)) for path in fields}
-        bad = Counter({"not a JSON object": len(objects) - len(found)}) if len(found) < len(objects) else Counter()
-        return Decoded(good, columns, Counter(bad))
+        return Decoded(good, columns, +Counter({"not a JSON object": len(objects) - len(found)}))
 
 
 def _object(text: bytes) -> dict[str, Any] | None:

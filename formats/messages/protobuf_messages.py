@@ -28,7 +28,7 @@ from locfuse.fusion.data import Ints
 from .cdr import MalformedError
 from .fields import LENGTH, OR, resolve
 from .json_messages import NUMBER, TIME, column
-from .schema import Decoded, Many, Node, Scalar, SchemaError, Structure, Text, refuse_many_fields
+from .schema import Decoded, Many, MessageDecoder, Node, Scalar, SchemaError, Structure, Text, refuse_many_fields
 
 VARINT, FIXED_64, BYTES, FIXED_32 = 0, 1, 2, 5  # how a value lies
 FIXED_SIZE = {FIXED_64: 8, FIXED_32: 4}
@@ -137,7 +137,7 @@ def parse_descriptors(name: str, data: bytes) -> tuple[Message, Structure]:
         message = _message(name, described)
     except MalformedError:
         raise SchemaError(f"its protobuf definition of {name} cannot be parsed") from None
-    tree = _ProtobufTrees().record(message, 0)
+    tree = _tree(message, (), {})
     refuse_many_fields(tree)
     return message, tree
 
@@ -183,36 +183,28 @@ def _name(data: bytes, number: int) -> str:
     return name.decode("ascii")
 
 
-class _ProtobufTrees:
-    """Builds the tree of each type once; where a type holds itself, the tree ends."""
+def _tree(message: Message, above: tuple[str, ...], made: dict[str, Structure]) -> Structure:
+    """Return the tree of a type, built once; where a type holds itself or one of those above it, the tree ends."""
+    if len(above) > MAX_DEPTH:
+        raise SchemaError(f"its definition nests more than {MAX_DEPTH} structures")
+    if message.name not in made:
+        nodes = {one.name: _node(one, (*above, message.name), made) for one in message.fields.values()}
+        fields = {name: node for name, node in nodes.items() if node is not None and name and "." not in name}
+        made[message.name] = Structure(message.name, fields)
+    return made[message.name]
 
-    def __init__(self) -> None:
-        self._made: dict[str, Structure] = {}
-        self._open: set[str] = set()
 
-    def record(self, message: Message, depth: int) -> Structure:
-        """Return the tree of a type, `depth` structures deep in the message."""
-        if depth > MAX_DEPTH:
-            raise SchemaError(f"its definition nests more than {MAX_DEPTH} structures")
-        if message.name not in self._made:
-            self._open.add(message.name)
-            nodes = {one.name: self._node(one, depth + 1) for one in message.fields.values()}
-            fields = {name: node for name, node in nodes.items() if node is not None and name and "." not in name}
-            self._made[message.name] = Structure(message.name, fields)
-            self._open.discard(message.name)
-        return self._made[message.name]
-
-    def _node(self, one: Field, depth: int) -> Node | None:
-        node: Node | None
-        if one.inside is not None:
-            node = TIME if one.inside.is_time else None
-            if node is None and one.inside.name not in self._open:
-                node = self.record(one.inside, depth)
-        elif one.dtype:
-            node = Scalar("?", 1) if one.dtype == "?" else NUMBER
-        else:
-            node = Text() if one.text else Many(Scalar("u1", 1), None)
-        return Many(node, None) if one.repeated and node is not None else node
+def _node(one: Field, above: tuple[str, ...], made: dict[str, Structure]) -> Node | None:
+    node: Node | None
+    if one.inside is not None:
+        node = TIME if one.inside.is_time else None
+        if node is None and one.inside.name not in above:
+            node = _tree(one.inside, above, made)
+    elif one.dtype:
+        node = Scalar("?", 1) if one.dtype == "?" else NUMBER
+    else:
+        node = Text() if one.text else Many(Scalar("u1", 1), None)
+    return Many(node, None) if one.repeated and node is not None else node
 
 
 # --- Messages
@@ -223,13 +215,11 @@ Value = Any
 NOTHING: Wanted = {}
 
 
-class ProtobufDecoder:
+class ProtobufDecoder(MessageDecoder):
     """Columns out of Protobuf messages."""
 
     def __init__(self, message: Message, tree: Structure) -> None:
-        self.message = tree
-        self.fast = 0
-        self.general = 0
+        super().__init__(tree)
         self._type = message
 
     def decode(self, data: NDArray[np.uint8], start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple, Protocol, cast
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import msgspec
 import numpy as np
@@ -203,12 +204,15 @@ class Decoded(NamedTuple):
     bad: Counter[str]  # reason -> messages that are not
 
 
-class MessageDecoder(Protocol):
+class MessageDecoder(ABC):
     """Decodes the messages of one type into columns. Which messages are valid must not depend on the fields."""
 
-    message: Structure
-    fast: int  # messages decoded together with others
-    general: int  # messages decoded by themselves
+    fast = 0  # messages decoded together with others
+    general = 0  # messages decoded by themselves
 
+    def __init__(self, message: Structure) -> None:
+        self.message = message
+
+    @abstractmethod
     def decode(self, data: NDArray[np.uint8], start: Ints, length: Ints, fields: Sequence[str]) -> Decoded:
         """Return the fields of the messages that lie at data[start[i] : start[i] + length[i]]."""

@@ -180,7 +180,7 @@ def _whose(own: Mapping[str, str]) -> str:
 
 
 def _with_others(own: Mapping[str, str]) -> str:
-    """Return the first configuration's words; after each number, the configurations with another one."""
+    """Return the first configuration's words, with differing numbers of the others: "0.4 m (lrf: 0.5)"."""
     first, *others = own
     numbers = {name: iter(NUMBER.findall(words)) for name, words in own.items()}
 

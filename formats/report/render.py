@@ -47,7 +47,7 @@ class Swatches(NamedTuple):
     looks: Mapping[str, str] = {}  # name -> how its spot is drawn: "dash", "over", or the shape of a spot
 
     def of(self, name: str) -> str:
-        """Return the spot of a name as HTML."""
+        """Return the coloured spot of a configuration, sensor or role as HTML."""
         classes = " ".join(c for c in ("swatch", self.looks.get(name, ""), self.slugs.get(name, "")) if c)
         return f'<span class="{classes}"></span>'
 

@@ -80,7 +80,7 @@ def _figures(name: str, reports: Reports) -> dict[str, dict[str, Any]]:
     found = {}
     for key in keys:
         values = {log: float(row[key]) for log, row in rows.items() if row.get(key) is not None}
-        # the ANEES of an honest filter is 1: worst is what is furthest from it
+        # the ANEES of a consistent filter is 1: worst is what is furthest from it
         far = {log: max(v, 1.0 / v if v > 0 else v) if key == "anees" else v for log, v in values.items()}
         worst = max(far, key=lambda log: far[log])
         found[key] = {

@@ -102,7 +102,7 @@ def of_words(columns: tuple[Column, ...], rows: Iterable[Sequence[str | None]]) 
 
 
 def of_values(columns: Sequence[Column], rows: Iterable[tuple[Mapping[str, Any], Path]], label: str = "") -> Table:
-    """Return a row of the columns' keys for every mapping, with its path in report.json; (): it has none there."""
+    """Return a table with a row for every (values by key, their path in report.json, () if they are not in it)."""
     return Table(
         tuple(columns),
         tuple(tuple(Cell(values.get(c.key), _below(at, c.key)) for c in columns) for values, at in rows),

@@ -259,7 +259,7 @@ def sensors(report: Report) -> Table:
             refused = {k: v for k, v in found["verdicts"].items() if k != "accepted"}
             own = {**found, "configuration": name, "sensor": sensor, "verdicts": refused}
             rows.append((own, ("configurations", name, "sensors", sensor)))
-    return of_values(SENSORS, rows, "What became of each sensor's measurements")
+    return of_values(SENSORS, rows, "Each sensor's measurements by verdict")
 
 
 def ranking(report: Report) -> Table:

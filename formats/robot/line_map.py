@@ -78,7 +78,7 @@ def _wall(line: MapLine) -> Wall:
 
 
 def _about_middle(line: MapLine) -> Array:
-    """d(offset at the middle, beta)/d(rho, beta): rho - (middle of the wall).n with the middle held."""
+    """Return d(offset at the wall's middle, beta) / d(rho, beta), (2, 2), with the middle held fixed."""
     return np.array([[1.0, -0.5 * (line.ends[0] + line.ends[1])], [0.0, 1.0]])
 
 

@@ -39,7 +39,7 @@ class _Listener:
             while alone and self._decoding:
                 self._change.wait()
             file = self._enter()
-            if alone:  # nobody else enters as long as the lock is held
+            if alone:  # no other thread enters while the lock is held
                 try:
                     yield file
                 finally:

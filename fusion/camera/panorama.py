@@ -136,7 +136,7 @@ def vertical_lines(panorama: Picture, red: Red) -> NDArray[np.int64]:
 
 
 def _lines(found: Any) -> NDArray[np.int64]:
-    """HoughLinesP gives (n, 1, 4) in OpenCV 4, (n, 4) in 5, None when there is no line."""
+    """Return the lines (n, 4) of HoughLinesP: (n, 1, 4) in OpenCV 4, (n, 4) in OpenCV 5, None for no line."""
     return np.empty((0, 4), np.int64) if found is None else np.asarray(found, np.int64).reshape(-1, 4)
 
 

@@ -143,7 +143,7 @@ def wrong_clocks(pairs: Mapping[Pair, Lag], sigmas: float, least: float = MIN_LA
     """Return the fewest clocks that explain the differences if they are off, best explanation first; [] for none.
 
     A clock that is off costs the square of `sigmas`; others that explain as much are returned too. With three
-    clocks the one that two others contradict is off; of two clocks alone nobody knows. Lags against wheels that
+    clocks the one that two others contradict is off; of two clocks alone either may be. Lags against wheels that
     slip have one cause of error, so that several are no surer than one. Lags below `least` [s] are not named.
     """
     names = sorted({name for pair in pairs for name in pair})

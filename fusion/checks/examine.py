@@ -1,4 +1,4 @@
-"""The log doctor: what the sensors of a drive say of each other, before any filter believes them.
+"""The log doctor: the sensors of a drive compared with each other, before any filter runs.
 
 Nothing here needs a pose. Turning is compared over windows, motion between scans with the wheels', the truth with
 both; every complaint names the setting that fixes it.
@@ -21,7 +21,8 @@ from locfuse.fusion.wheels.repairs import gaps_of
 from .clocks import of_clocks
 from .compass import of_convention, of_iron, tilted
 from .finding import Finding, Least
-from .laser import laser_motion, of_laser, of_radius, of_scatter
+from .laser import laser_motion, of_laser, of_radius
+from .laser_ranges import of_offset, of_scatter
 from .truth import metre, of_truth, wheels_metre
 from .turning import Turning, aligned, of_track, of_turning, turnings
 from .unseen import unseen
@@ -52,7 +53,8 @@ def examine(
     found += _gaps("wheels", drive.wheels.t)
     found += [o for name, m in drive.measurements.items() for o in (*_gaps(name, m.t), *blind(name, m))]
     if "lrf" in drive.measurements:
-        found += of_scatter(streams["lrf"], robot.settings("lrf"))
+        lrf = streams["lrf"], robot.settings("lrf")
+        found += [*of_scatter(*lrf), *of_offset(*lrf)]
     by_sensor = turnings(drive)
     turning = of_turning(drive, robot, by_sensor, streams)
     wrong_wheels = any(o.role == "wheels" and o.severe for o in turning)

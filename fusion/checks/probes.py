@@ -137,7 +137,7 @@ def path_scale(e: Estimates, drive: Drive) -> float | None:
     """Return the size of the true path over that of a laser's run; None without truth.
 
     The least squares of a similarity (Umeyama, PAMI 1991), in complex numbers: walls fix the size of what the
-    laser drives along, so that its metre is the map's.
+    laser drives along, so that its distance scale is the map's.
     """
     if drive.truth is None or e.truth_pose is None:
         return None

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 from .finding import Finding
 
 MAX_LOSS, MAX_LOSS_M = 0.02, 2e-4  # relative, m: by which no position error may grow
-MAX_CHANCE_LOSS = 0.15  # relative, of the position error of a configuration that nobody would keep
+MAX_CHANCE_LOSS = 0.15  # relative, of the position error of a configuration that no user would keep
 MAX_CONSISTENT_LOSS = 0.3  # the same, where its errors stay within what it claims
 MAX_SMOOTHED_LOSS = 1.0  # of a smoothed path whose errors stay within what it claims
 MAX_RUIN, MAX_RUIN_NATS = 1.0, 0.2  # relative, nats per number: more than chance does to any configuration
@@ -29,7 +29,7 @@ MAX_SETTLED_SHARE = 0.5  # of the error before: a fix that leaves less is right,
 MAX_TURNED_SHARE = 1.0 / 3.0  # of the heading error: a fix that takes more away is right
 MIN_GAIN_M = 2e-4  # m: smaller gains of the position error are none, however large their share
 MAX_LOSS_NATS, MIN_GAIN_NATS = 0.02, 0.05  # nats per number; a sigma 10 % off costs about 0.01, 50 % about 0.1
-MAX_CHANCE_LOSS_NATS = MIN_GAIN_NATS  # nats per number, of a configuration that nobody would keep
+MAX_CHANCE_LOSS_NATS = MIN_GAIN_NATS  # nats per number, of a configuration that no user would keep
 MAX_LOST_SHARE = 0.005  # of the drive: by which being lost may grow
 WEIGHT_OF_HEADING = 0.5  # of a factor on the heading error, against one on the position error
 WEIGHT_OF_ANEES = 0.5  # of a factor on ANEES, against one on the position error
@@ -234,7 +234,7 @@ class Candidate(msgspec.Struct, frozen=True):
     measured: bool = False  # the drive shows the value: without truth and by shape it is taken if nothing is lost
     proven: bool = False  # several others agree on the value: it is taken if nothing is lost, with truth too
     guards: tuple[str, ...] = ()  # configurations whose ANEES may not leave its chance range: of noise
-    by_shape: bool = False  # may be judged by the path's shape: nobody observes where its map lies, that is chance
+    by_shape: bool = False  # may be judged by the path's shape: where its map lies is not observed
 
     @property
     def key(self) -> tuple[str, str]:
@@ -364,7 +364,7 @@ def _key(advice: Advice) -> tuple[str, str]:
 def _moves_on(advice: Advice, helped: Sequence[Advice], now: Now) -> bool:
     """Return whether a number that is set for the third time moves on by more than half of its largest move.
 
-    A second move may be large: under a late clock half of the scans were refused, and the rest told too little.
+    A second move may be large: under a late clock half of the scans were refused, and the rest showed too little.
     """
     same = [by_key(a.fixes) for a in (*helped, advice) if _key(a) == _key(advice)]
     for key in by_key(advice.fixes):
@@ -510,7 +510,7 @@ def _best_by(candidate: Candidate, kept: Fixes, trial: Try, shape: bool) -> Advi
             break
         pairs = judged_pairs(candidate, kept, fixes, trial, shape)
         harmless = harmless or bool(pairs)
-        # by the drive itself: not to lose is enough, but then in every configuration, also those that nobody keeps
+        # by the drive itself: not to lose is enough, but then in every configuration, kept or not
         sure = (candidate.proven or _by_prediction(pairs)) and not _any_loses(pairs)
         shown = candidate.measured and bool(pairs) and (shape or sure)
         if shown or any(improves(*pair) for pair in pairs.values()):
@@ -538,7 +538,7 @@ def judged_pairs(
 ) -> dict[str, tuple[Marks, Marks]]:
     """Return every judge's score before and after; {} as soon as one gets worse, since each score costs a run."""
     pairs: dict[str, tuple[Marks, Marks]] = {}
-    settled = False
+    settled = chance_alone = False
     for name in candidate.judges:
         before, after = trial(kept, (name,)), trial(together(kept, fixes), (name,))
         if name not in before or name not in after:
@@ -549,10 +549,11 @@ def judged_pairs(
         right = candidate.measured and turns_right(before[name], after[name])
         chance = name in candidate.minor or settled or right
         worse = ruins if name in candidate.others else spoils_alone if chance else spoils
-        lucky = settled and name in candidate.minor and was_chance(before[name], after[name])
-        if worse(before[name], after[name]) and not lucky:
-            return {}
+        if worse(before[name], after[name]):
+            if name not in candidate.minor or not was_chance(before[name], after[name]):
+                return {}
+            chance_alone = True  # which excuses nothing unless the fix is right
         pairs[name] = before[name], after[name]
         observed = candidate.measured or not candidate.offer
         settled = settled or (observed and settles(before[name], after[name]))
-    return pairs
+    return {} if chance_alone and not settled else pairs

@@ -35,6 +35,7 @@ MIN_POINT_ERROR_M, SEVERE_POINT_ERROR_M, POINT_SIGMAS = 0.01, 0.05, 4.0  # m; st
 MIN_STEP_M, STEP_SIGMAS, MAX_STEPS = 0.03, 12.0, 5  # m; times the usual difference from the wheels; steps in all
 MIN_STEPS, AROUND = 100, 5  # steps of a truth by which its noise is judged; readings before and after one
 CLIPPED_SIGMAS, NOISE_SIGMAS = 6.0, 5.0  # larger steps count as that; standard errors of a noise that is sure
+MIN_NOISE_FACTOR = 2.0  # times what is configured: more is named
 MIN_NOISE_M, MIN_NOISE_RAD = 0.001, math.radians(0.1)  # of a truth's poses; what is smaller changes no figure
 MIN_TURN_RAD = math.radians(60.0)
 MIN_WAY_ERROR, WAY_SIGMAS = 0.01, 3.0  # relative, standard errors: of the laser's ways beside the wheels'
@@ -48,7 +49,7 @@ def of_truth(drive: Drive, robot: Robot) -> list[Finding]:
     jumps = _jumps(drive) or _steps(truth, drive)
     swings = swing(truth, drive, axle_path(truth, drive.wheels))
     point = of_point(truth, swings)
-    # where a jump or another point is told, what it tells of the start is not the start
+    # a truth that jumps, or is of another point, does not show the start
     creep = of_creep(swings)
     aside = abs(float(swings.x[3])) if swings is not None and creep else 0.0
     start = [] if jumps or point else of_start(truth, drive, robot, aside)
@@ -110,15 +111,13 @@ def _gaps(truth: Truth) -> list[Finding]:
 
 
 def _noise(truth: Truth, drive: Drive) -> list[Finding]:
-    """Report the truth's noise: if truth.sigma is not set, ANEES counts the noise as an error of the estimate."""
+    """Report more noise of the truth than truth.sigma says: ANEES counts it as an error of the estimate."""
     rest, moving = truth_sigma(truth, drive.wheels), _scatter(truth, drive.wheels)
     place, turn = max(rest.xy, moving.xy), max(rest.theta, moving.theta)
-    if truth.sigma or truth.sigma_theta:
-        return []
     parts: list[tuple[str, str]] = []
-    if place >= MIN_NOISE_M:
+    if place >= max(MIN_NOISE_M, MIN_NOISE_FACTOR * truth.sigma):
         parts.append((f"{1e3 * place:.1f} mm", f"truth.sigma={place:.2g}"))
-    if truth.theta is not None and turn >= MIN_NOISE_RAD:
+    if truth.theta is not None and turn >= max(MIN_NOISE_RAD, MIN_NOISE_FACTOR * truth.sigma_theta):
         parts.append((f"{math.degrees(turn):.2f}°", f"truth.sigma_theta_deg={math.degrees(turn):.2g}"))
     if not parts:
         return []
@@ -337,8 +336,8 @@ MIN_START_ERROR_M, MIN_START_ERROR_RAD = (
     0.02,
     math.radians(1.0),
 )  # by poses; the shape of points tells it less exactly
-SIGMAS = 3.0  # standard deviations of the start, as it is configured and as it is told
-SHAPE_WAY_M, POSE_WAY_M = 3.0, 0.1  # m of the drive from which the start pose is told: by points, by poses
+SIGMAS = 3.0  # standard deviations of the start, as it is configured and as the truth shows it
+SHAPE_WAY_M, POSE_WAY_M = 3.0, 0.1  # m of the drive from which the start pose is found: by points, by poses
 MIN_SHAPE_EXTENT_M = 0.3  # m, extent of the points
 
 
@@ -382,7 +381,7 @@ class Start(NamedTuple):
     """Where the truth says that the drive started."""
 
     pose: Array  # (3,) of the base at the first wheel reading, as the wheels lead back to it
-    way: float  # m of the drive from which it is told
+    way: float  # m of the drive from which it is found
     sigma: float  # rad by which the wheels may have turned wrongly meanwhile, or the truth's headings scatter
     spread: float  # m by which the truth's places scatter
     t: float  # s at which the truth begins, where the robot has moved by then; else at the first reading

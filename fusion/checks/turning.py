@@ -29,7 +29,7 @@ WINDOW_S = 1.0  # s
 MAX_LAG_S, LAG_STEP_S = 1.2, 0.05  # s: clocks may differ
 MIN_RMS_TURN_RAD = math.radians(5.0)  # rms turn of a window
 MIN_EXPLAINED_SHARE = 0.8  # share of a sensor's turning that the wheels must explain, in whatever sense
-MAX_WHEEL_CORRELATION = 0.98  # correlation of both wheels from which they cannot be told apart
+MAX_WHEEL_CORRELATION = 0.98  # correlation of both wheels above which their effects cannot be separated
 MIN_TRACK_ERROR, MIN_SIGMAS = 0.04, 4.0  # relative error of the track worth saying; standard errors
 SEVERE_TRACK_ERROR = 0.06
 WORTH_SAYING = Least(MIN_TRACK_ERROR, MIN_SIGMAS)
@@ -248,7 +248,7 @@ def turns_by_truth(drive: Drive) -> tuple[float, float] | None:
 
 
 def _slope_by_truth(drive: Drive, fewest: int) -> tuple[float, float] | None:
-    """Return the same if the wheels may turn against the truth; None with less than the `fewest` pieces.
+    """Return the robot's turn per turn of the wheels, with its sign, and sigma; None without `fewest` pieces.
 
     A truth of points tells the direction of travel. Turns are summed over pieces of the way: each slips by itself.
     """

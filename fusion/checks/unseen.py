@@ -1,7 +1,7 @@
 """What a drive cannot tell, whatever its sensors are, and the manoeuvre that would show it.
 
-A clock, a mount and the track all turn a robot that only turns one way by the same amount. Distances are told by
-straight ways, and an offset of a turning rate by standing.
+A clock, a mount and the track all turn a robot that only turns one way by the same amount. Straight ways
+show distances, and standing shows the offset of a turning rate.
 """
 
 from __future__ import annotations

@@ -105,7 +105,7 @@ class Track:
     """States in columns with spare rows: an hour of Python tuples would take hundreds of megabytes."""
 
     def __init__(self, belief: JointBelief, blocks: Sequence[str], instants: int) -> None:
-        """`blocks` are recorded too: their states keep their columns. `instants`: how many come, if known."""
+        """`blocks`: named states to record beside the pose. `instants`: how many will come, if known."""
         parts = [(name, *belief.block(name)) for name in blocks]
         self._states: Ints = np.array([c + i for _, c, x in parts for i in range(len(x))], np.intp)
         self._names = [(name, len(x)) for name, _, x in parts]

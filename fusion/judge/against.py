@@ -98,7 +98,7 @@ class Reference(msgspec.Struct, frozen=True):
 def interpolated(stamps: Array, t: Array, pose: Array, triangles: Array) -> tuple[Array, Array]:
     """Return poses (q, 3) and covariances (q, 3, 3) at stamps (q,), from rows at t (n,); NaN outside and in gaps.
 
-    A covariance is that of the row before: between two rows nobody says how it grows.
+    A covariance is that of the row before: how it grows between two rows is unknown.
     """
     before = np.maximum(np.searchsorted(t, stamps, side="right") - 1, 0)
     after = np.minimum(before + 1, len(t) - 1)

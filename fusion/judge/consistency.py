@@ -1,8 +1,8 @@
 """Can the covariance be trusted? A verdict on every sensor's noise, without truth, with the fix.
 
 A sensor is best judged by a run that does not use it and is healthy itself; else by its own innovations. Where two
-sensors disagree, the one that others disagree with too is to blame. A run that uses a sensor whose noise is
-understated judges nobody else. Whose mean is off, a truth with headings says first: no run is as exact.
+sensors disagree, the one that others disagree with too is flagged. A run that uses a sensor whose noise is
+understated judges no other sensor. A truth with headings shows first whose mean is off: no run is as exact.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ MAX_SIGMA_FACTOR, MIN_SIGMA_FACTOR = 1.5, 1.0 / 1.5  # a factor on sigma between
 MIN_SIGMAS = 3.0  # standard errors
 MIN_BIAS_SIGMAS = 0.5  # of its noise: a smaller bias is no complaint
 MIN_SLOW_VARIANCE_RATIO = 3.0  # times the reference's own variance: slower errors must be the sensor's
-MIN_MEAN_VARIANCE_RATIO = 4.0  # times the told variance: what a mean of many readings may be off
+MIN_MEAN_VARIANCE_RATIO = 4.0  # times the claimed variance: what a mean of many readings may be off
 MAX_REFERENCE_VARIANCE_RATIO = 4.0  # times the sensor's variance: a reference with more is no judge
 MIN_NOISE_SHARE = 0.1  # of R in the innovations' variance S: with less, a small S is no sign of a small R
 MIN_WHITE_SHARE = 0.3  # share of the innovations' variance: less is not white noise

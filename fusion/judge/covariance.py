@@ -52,7 +52,7 @@ class Honesty(msgspec.Struct, frozen=True):
     """Mean squared error over predicted variance: 1 is right, more is overconfident."""
 
     anees: float
-    bounds: tuple[float, float]  # of an honest filter's ANEES at CONFIDENCE, for one drive's worth of errors
+    bounds: tuple[float, float]  # of a consistent filter's ANEES at CONFIDENCE, for one drive's worth of errors
     states: Mapping[str, float] = field(default_factory=dict)  # of x, y and theta, each on its own
     state_bounds: tuple[float, float] = (0.0, math.inf)
     independent: float = math.nan  # how many independent errors the drive is worth

@@ -2,7 +2,7 @@
 
 The value of a set of sensors is -ln(position RMSE), so that effects are factors: +0.69 halves the error. A
 sensor's credit is its Shapley value (Shapley 1953): its effect averaged over every order in which the sensors
-could have been added; credits sum to what all sensors together bought. Beside it stand what it buys alone
+could have been added; credits sum to the effect of all sensors together. Beside it stand its effect alone
 (compared with odometry) and last (leave one out: `all` against `all` without it).
 """
 
@@ -236,7 +236,7 @@ class _Book(msgspec.Struct, frozen=True):
 
     def _beside(self, sensor: str, sensors: Sequence[str]) -> tuple[str, ...]:
         """Return the sensors beside it: those it needs, else the smallest set that was run with and without it."""
-        usual = needed(sensor)  # what it buys "alone" is what it adds to them
+        usual = needed(sensor)  # its effect "alone" is what it adds to them
         run = [s for s in self.sets if sensor not in s and s | {sensor} in self.sets]
         if not run or frozenset(usual) in run:
             return usual

@@ -29,14 +29,14 @@ from locfuse.fusion.data import (
 
 MIN_REST_S = 2.0
 REST_STEP_M, REST_STEP_RAD = 1e-4, 1e-4  # of one interval of the wheels: below, nothing turned
-SAME_LOOP_S = 5.0  # closer together, loops are told as one
+SAME_LOOP_S = 5.0  # closer together, loops are reported as one
 MIN_REFUSED = 5  # readings in a row; fewer are outliers, and the gates show them
 JUMPS = {SLIP: "wheel slip undone", RELOCALISED: "lost robot found", LOOP_TAKEN: "loop closed"}
 USED_VERDICTS = tuple(VERDICTS.index(v) for v in ("accepted", "new", "repeated"))
 
 
 def events_of_drive(drive: Drive) -> list[Event]:
-    """Return the stretches at rest."""
+    """Return the intervals in which the robot stood still, as events."""
     return [Event(a, b, REST, f"at rest for {b - a:.1f} s") for a, b in rests(drive)]
 
 

@@ -47,7 +47,7 @@ class Own(NamedTuple):
     scale: float  # factor on the covariance R
     white: float  # share of the innovations' variance that is white
     share: float  # of R in the innovations' predicted variance
-    R: tuple[float, ...]  # mean variance told
+    R: tuple[float, ...]  # mean claimed variance
 
 
 class Change(NamedTuple):
@@ -71,7 +71,7 @@ class Heard(NamedTuple):
     memory: float  # readings over which the errors repeat: 1 is white
     period: float  # s between readings
     reference: float  # variance of the reference, as it says itself
-    R: float  # variance told
+    R: float  # claimed variance
     change: Change | None = None  # of the mean, where one step or a steady drift is most of what is slow
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Estimates, Ints
+from locfuse.fusion.mount import found_mount
 
 LASER = "lrf"
 STRIDE_M, MAX_SCANS = 0.7, 2000  # way between two scans that are looked at, and how many at most
@@ -58,6 +59,7 @@ class OwnScans(msgspec.Struct, frozen=True):
     t: Array  # (k,) s
     instants: Ints  # (k,) of the drive
     points: list[Array]  # each (p, 2) m, in the base frame, deskewed
+    mount: Array  # (3,) of the laser on the base, as configured: x, y [m], yaw [rad]
 
     @classmethod
     def of(cls, drive: Drive) -> OwnScans | None:
@@ -69,11 +71,15 @@ class OwnScans(msgspec.Struct, frozen=True):
         way = np.cumsum(np.hypot(*drive.motions.u[:, :2].T))[instants]
         stride = max(STRIDE_M, float(way[-1] - way[0]) / MAX_SCANS)
         chosen = np.flatnonzero(np.diff(np.floor(way / stride), prepend=-1.0) > 0)
-        return cls(drive.t[instants[chosen]], instants[chosen], list(m.points.read(chosen)))
+        return cls(drive.t[instants[chosen]], instants[chosen], list(m.points.read(chosen)), m.points.mount)
 
     def judge(self, e: Estimates) -> tuple[float | None, int, float]:
-        """Return revisit agreement (0 to 1; None without revisits), cells, and how often scans overlap."""
-        pose = e.pose[self.instants]
+        """Return revisit agreement (0 to 1; None without revisits), cells, and how often scans overlap.
+
+        Where a run estimates the laser's mount, its scans are placed by the mount that it found.
+        """
+        moved = se2.compose(found_mount(LASER, self.mount, e.blocks), se2.inverse(self.mount))
+        pose = se2.compose(e.pose[self.instants], moved)
         placed = [
             se2.transform(np.broadcast_to(x, (len(p), 3)), p) for x, p in zip(pose, self.points, strict=True)
         ]

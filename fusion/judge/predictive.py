@@ -2,7 +2,7 @@
 
 A configuration runs while the other sensors listen (`fuse(..., listen=...)`): each reading is compared with what
 the pose, its covariance and that sensor's own map or offset predict, and scored by the logarithm of the
-predicted density (Good 1952; "innovation score"). The score is proper: to be vague costs, to be sure and wrong
+predicted density (Good 1952; "innovation score"). The score is proper: to be vague costs, to be overconfident
 costs more. Configurations are compared reading by reading, only on sensors that both leave out.
 
 A configuration that leaves nothing out is tried in stretches of the drive: each sensor in turn only listens. That

@@ -70,7 +70,7 @@ def noise_of(per_unit: Array, scan: Ints, middle: Array, duration: Array, wheels
 
 
 def in_base(loads: Array, z: Array, mount: Array) -> Array:
-    """Return loadings (m, 2, ...) of the laser's lines z (m, 2) in the base frame, by `kernels.places`."""
+    """Return the loadings (m, 2, ...) of lines z (m, 2) in the laser's frame turned into the base frame."""
     out = np.empty(loads.shape)
     if loads.size:
         parts = (len(z), 2, -1)
@@ -98,7 +98,7 @@ class LineSettings(msgspec.Struct, frozen=True):
     stray_sigmas: float = 3.3  # a beam farther from its line than this is not of the wall
     corner_sigmas: float = 2.5  # a beam closer to the neighbouring wall than this could belong to either
     max_sigma_psi: float = math.radians(3.0)  # rad; a line known worse is too short for its noise
-    max_swing: float = 0.5  # in sigmas: beyond it (r, psi) is not Gaussian, and no covariance is honest
+    max_swing: float = 0.5  # in sigmas: beyond it (r, psi) is not Gaussian, and no covariance is right
     max_chi2: float = 4.0  # residual chi2 per degree of freedom; more is not a straight wall
     max_bow: float = 0.03  # height of the bow over its chord: more is a column, or two walls ...
     max_bend: float = 12.0  # ... if the bow is not noise: chi2 that a parabola explains (99.95 % of 1 degree)

@@ -91,13 +91,17 @@ class ScanPoints(msgspec.Struct, frozen=True, eq=False, weakref=True):
     _last: list[Block] = msgspec.field(default_factory=list)  # the last block that was used, one at most
 
     @property
-    def origin(self) -> tuple[float, float]:
-        """Where the laser sits on the base, x, y [m]."""
-        return float(self.laser.mount[0]), float(self.laser.mount[1])
+    def mount(self) -> Array:
+        """Where the laser sits on the base, (3,): x, y [m], yaw [rad]."""
+        return self.laser.mount
 
     def take(self, readings: Ints) -> ScanPoints:
         """Return the points of the readings at these positions."""
         return replace(self, rows=self.rows[readings])
+
+    def mounted(self, mount: Array) -> ScanPoints:
+        """Return the points as seen by a laser that sits elsewhere, (3,)."""
+        return replace(self, laser=self.laser._replace(mount=mount))
 
     def moved(self, t_from: Array, t_to: Array) -> Array:
         """Return the poses (n, 3) at t_to relative to those at t_from, (n,) s each, by the wheels."""

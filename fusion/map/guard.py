@@ -3,7 +3,7 @@
 The guard watches how much of what a scan shows is matched. New lines are no disagreement: a robot that explores
 sees new walls. Disagreement is seeing *through* walls that the map has, or walls that all jump from one scan to
 the next. A wheel that slipped is a wrong heading: a few near the old one are tried, and the next scans must
-confirm it before it turns the pose (`slips`). What stays is a robot that was carried off, or a map that was moved:
+confirm it before it turns the pose (`slips`). What remains is a kidnapped robot, or a map that was moved:
 no scan corrects pose or map, the covariance grows, and the pose is looked for on the whole map until one
 place fits all that was seen since. A growing map is left after some metres (`gives_up`): the robot is adrift in a
 new one until its place is recognised.

@@ -75,7 +75,7 @@ class LineMap(msgspec.Struct):
     _table: sight.Walls | None = None  # for the kernel, of the columns that are `_shown`
     _shown: tuple[Any, ...] = ()
     _room: int = 0  # states in `_lacking`
-    _lacking: Loosening | None = None  # that a floor loosened last
+    _lacking: Loosening | None = None  # the states that the floor changed last
 
     def __len__(self) -> int:
         """Return the number of lines."""

@@ -2,7 +2,7 @@
 
 What repeats in every scan is not independent, and counts only a few times. A line's error has a part that is
 new in every scan and a part that stays while the robot stays: a wall is no plane, and the range error of a beam
-depends on its angle, the surface and the temperature. The second never averages out, and no data sheet says how
+depends on its angle, the surface and the temperature. The second never averages out, and no data sheet gives how
 large it is. So of n scans at rest only the 1st, 2nd, 4th, 8th ... enter the filter: ten of a minute at 10 Hz,
 sixteen of an hour. Each is the mean of the scans since the one before, with the covariance of one, so that what
 does average out does. They also hold the robot where it is: encoders tremble at rest, and their noise alone
@@ -36,18 +36,18 @@ class Scan(msgspec.Struct, frozen=True, eq=False):
 
     @property
     def z(self) -> Array:
-        """(k, 2) r, psi."""
+        """The lines (k, 2): r [m], psi [rad]."""
         return self.rows[:, :2]
 
     @property
     def R(self) -> Array:
-        """(k, 2, 2)."""
+        """Covariances of (r, psi), (k, 2, 2) [m^2, rad^2]."""
         R: Array = self.rows[:, (2, 3, 3, 4)].reshape(-1, 2, 2)
         return R
 
     @property
     def ends(self) -> Array:
-        """(k, 2) m along the tangent."""
+        """Both ends of each line, (k, 2) [m along its tangent]."""
         return self.rows[:, 5:]
 
 
@@ -121,7 +121,7 @@ class Standing:
         self._sums, self._counts = np.zeros((len(rows), 2)), np.zeros(len(rows), np.intp)
 
     def _add(self, rows: Array, same: Ints) -> None:
-        """Add a scan to the sums; a line that repeats none starts a new one, named by `same` (k,) from then on."""
+        """Add a scan's lines to the sums of the lines that they repeat, `same` (k,); -1 begins a new sum."""
         new = np.flatnonzero(same < 0)
         if len(new):
             same[new] = len(self._lines) + np.arange(len(new))

@@ -80,7 +80,7 @@ def clouds_of(m: Measurements, readings: Ints) -> Clouds:
     """Return the points and surfaces of these readings of a laser."""
     if m.points is None:
         return Clouds.of_scans([np.zeros((0, 2))] * len(readings), np.zeros(2))
-    origin = np.array(m.points.origin)
+    origin = m.points.mount[:2]
     near = (points[np.hypot(*(points - origin).T) < MAX_RANGE_M] for points in m.points.read(readings))
     return Clouds.of_scans([p[:: max(1, -(-len(p) // MAX_BEAMS))] for p in near], origin)
 

@@ -190,10 +190,10 @@ class Beside(Protocol):
     states: int
 
     def rows(self, x: Array) -> list[Rows]:
-        """Return their part of the normal equations at poses x (n, 3) and their present states."""
+        """Return the terms' part of the normal equations at poses x (n, 3) and the terms' present states."""
 
     def move(self, step: Array) -> None:
-        """Add a step (states,) to their states."""
+        """Add a step (states,) to the terms' states."""
 
 
 def relative(x: Array, joint: Array, i: Ints, j: Ints) -> tuple[Array, Array]:

@@ -4,9 +4,9 @@ With R = [[cos e, sin e], [-sin e, cos e]], e the direction of east in the map, 
 
     (east, north) = R (p - p_ref) + (c, d) + noise
 
-Nobody knows e at the start, and a filter must not be linearised about a direction that may be anything. So while e
-is unknown the state holds a = cos e and b = sin e, in which the fix is linear: any direction is found without a
-guess. Once e is known to ten degrees it takes their place, and a^2 + b^2 = 1 is said once.
+The direction e is unknown at the start, and a filter must not be linearised about a direction that may be
+anything. So while e is unknown the state holds a = cos e and b = sin e, in which the fix is linear: any direction
+is found without a guess. Once e is known to ten degrees it takes their place, and a^2 + b^2 = 1 is used once.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ readings var(theta - theta_before) is what the wheels' turn may be wrong by. Wit
 gain K = Q_theta / (Q_theta + r) on the difference of both turns.
 
 The bias is taken at rest: the longest stretch in which the wheels stand still says bias = turn / time with the
-variance sigma^2 / time, and the filter begins with that. Were it learnt only when the robot first stands still,
+variance sigma^2 / time, and the filter begins with that. Were it estimated only when the robot first stands still,
 the heading of the whole drive before would be corrected in one step: by tens of degrees after a minute with a
 bias of 1 deg/s, where no derivative holds, and the place with it by metres. That stretch's readings are used up.
 """

@@ -5,8 +5,8 @@ With the detector at s = p + R(theta) m on the robot and the landmark l, d = l -
     range = |d| + offset + noise,    bearing = atan2(d_y, d_x) - theta - yaw + noise
 
 (Thrun, Burgard and Fox 2005, 6.6.2). A detector's range is often off by a constant (the tag's face, the lens): the
-offset is a state unless it is given. What a camera tells by a tag's size is no distance but the depth along its
-axis, |d| cos(b) with b the bearing from that axis. What a file holds nobody says, so that a share k is a state:
+offset is a state unless it is given. By a tag's size a camera measures no distance but the depth along its
+axis, |d| cos(b) with b the bearing from that axis. Which of both a file holds is unknown: a share k is a state,
 
     range = |d| (1 - k (1 - cos b)) + offset + noise,    k = 0 of a distance, 1 of a depth
 
@@ -252,7 +252,7 @@ class Ranging(NamedTuple):
 
 
 class LandmarksModel(PointsModel):
-    """Range and bearing as above; d from the detector to the landmark, in the map."""
+    """Range and bearing from the detector to a landmark at a known place in the map."""
 
     def __init__(self, settings: LandmarksSettings) -> None:
         self.places = settings.places
@@ -364,7 +364,7 @@ class LandmarksModel(PointsModel):
 
 
 class GrowingModel(GrowingPoints, LandmarksModel):
-    """The same with landmarks as states, in the local frame."""
+    """Range and bearing to landmarks whose places are states, in the local frame."""
 
     def __init__(self, settings: LandmarksSettings) -> None:
         LandmarksModel.__init__(self, settings)

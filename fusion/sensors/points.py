@@ -172,7 +172,7 @@ class PointsModel(Model):
 
 
 class GrowingPoints(PointsModel):
-    """The same with points as states in the local frame: neither a known place nor north is observed."""
+    """Points whose places are states, in the local frame: neither the map's origin nor north is observed."""
 
     joint = True
     local = True

@@ -331,7 +331,7 @@ def _places_of(
 
 
 class RangesModel(PointsModel):
-    """Range as above; |s - a| from the antenna to the anchor, in the map."""
+    """Range from the antenna to an anchor at a known place in the map: |s - a| + offset."""
 
     def __init__(self, settings: RangesSettings) -> None:
         self.places = settings.places
@@ -371,7 +371,7 @@ class RangesModel(PointsModel):
 
 
 class GrowingRanges(GrowingPoints, RangesModel):
-    """The same with anchors as states, in the local frame."""
+    """Ranges to anchors whose places are states, in the local frame."""
 
     def __init__(self, settings: RangesSettings) -> None:
         RangesModel.__init__(self, settings)

@@ -86,7 +86,7 @@ def _unfit(sensor: Any) -> str | None:
 def register_installed() -> None:
     """Add the sensors of installed packages, once. Raises LocfuseError for one that cannot be used.
 
-    A package that is broken stops every command: without its sensor, results would differ and nobody would notice.
+    A package that is broken stops every command: without its sensor, results would differ unnoticed.
     """
     for point in sorted(metadata.entry_points(group=GROUP), key=lambda point: (point.name, point.value)):
         package, version = ("?", "") if point.dist is None else (point.dist.name, point.dist.version)

@@ -55,7 +55,7 @@ class Twist(Sensor):
     colour = Colour("#5d6b1e", "#b8f07a")
     noise_keys = ("sigma", "sigma_turn_deg")
     extra = True
-    asked_only = "speeds may be those of the same wheels, or commands that nobody measured"
+    asked_only = "speeds may be those of the same wheels, or commands that were not measured"
     sees = "speed"
     asks: ClassVar[Mapping[str, Ask]] = {
         "sigma": Ask("m/s: where the messages say nothing"),
@@ -119,7 +119,7 @@ def _usable(speeds: Array, stream: Stream, dropped: dict[str, int]) -> Ints:
         raise LocfuseError(f"{stream.topic} has no usable speed in {len(speeds)} messages", role="twist")
     if len(keep) > 2 and not speeds[keep].any():
         raise LocfuseError(
-            f"{stream.topic} says 0 in all {len(keep)} messages: nobody measures there", role="twist"
+            f"{stream.topic} says 0 in all {len(keep)} messages: no sensor measures it", role="twist"
         )
     return keep
 
@@ -130,7 +130,7 @@ def _summed(t: Array, speeds: Array, variances: Array) -> tuple[Array, Array, Ar
     By trapezoids; the errors of two readings are independent.
     """
     dt = np.diff(t)
-    gap = dt > gap_limit(t)  # over a longer silence nobody knows how far it came
+    gap = dt > gap_limit(t)  # over a longer gap the distance is unknown
     held = np.where(gap, 0.0, dt)[:, None]
     steps, spread = 0.5 * (speeds[1:] + speeds[:-1]) * held, 0.5 * (variances[1:] + variances[:-1]) * held**2
     zero = np.zeros((1, 2))

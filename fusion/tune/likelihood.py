@@ -37,7 +37,7 @@ NO_STRAIGHTS = (
 
 
 class Figures(msgspec.Struct):
-    """The present noise figures: `factors` are ln(now / told), of the variance for the wheels, else of sigmas."""
+    """The present noise figures: `factors`: ln(present / configured), of a variance for wheels, else of sigmas."""
 
     told: Robot
     sensors: tuple[str, ...]
@@ -50,7 +50,7 @@ class Figures(msgspec.Struct):
         return [WHEELS, *self.sensors, *([self.drift + DRIFT] if self.drift else [])]
 
     def factor(self, name: str) -> float:
-        """Return now / told."""
+        """Return the present figure over the configured one."""
         return math.exp(self.factors.get(name, 0.0))
 
     def values(self) -> dict[str, float]:
@@ -187,7 +187,7 @@ def identify(problem: Problem) -> tuple[Array, list[str]]:
 def at_most(problem: Problem, which: int, told: float) -> float:
     """Return the largest value of one logarithm, up to `told`, that is hardly less likely than 0, the peak.
 
-    Where the likelihood is flat towards small noise, its shoulder is what can be said.
+    Where the likelihood is flat towards small noise, the end of the flat part is returned.
     """
     grid = np.linspace(0.0, max(told, PROFILE_REACH_LOG), PROFILE_POINTS)
     theta = np.zeros((PROFILE_POINTS, len(problem.names)))

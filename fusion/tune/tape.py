@@ -2,7 +2,7 @@
 
 Played with other noise, the events of the run are a linear Kalman filter on the deviations from it, and its
 innovations have a likelihood (Schweppe 1965). New map lines start without knowledge, so that what they were made
-from does not have to be told apart from what is measured later. Many sets of noise are played at once along a
+from needs no other treatment than what is measured later. Many sets of noise are played at once along a
 leading axis: NumPy's call overhead is most of the cost (27 filters take three times as long as one).
 """
 
@@ -155,7 +155,7 @@ class Head:
     def __init__(self, tape: Tape, noise: Noise, bend: float) -> None:
         B = len(noise.wheels)
         self.tape, self.noise, self.bend = tape, noise, bend
-        self.scale = np.concatenate((np.sqrt(noise.sensors), np.ones((B, 1))), axis=1)  # the last is nobody's (-1)
+        self.scale = np.concatenate((np.sqrt(noise.sensors), np.ones((B, 1))), axis=1)  # the last: no sensor
         self.P = np.tile(tape.P0, (B, 1, 1))
         self.m = np.zeros((B, len(tape.P0)))
 

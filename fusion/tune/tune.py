@@ -92,7 +92,7 @@ def tune(
     """Return the noise that makes the innovations of these logs most likely.
 
     `remeasure` is asked for sensors whose lines were cut by a sigma that proved wrong; nothing else is measured
-    twice. Raises LocfuseError where there is nothing to tune by, or the logs were told of different noise.
+    twice. Raises LocfuseError where there is nothing to tune by, or the logs are configured with different noise.
     """
     bench = Bench(trials, sensors, drift, remeasure)
     bench.bring_near(progress)

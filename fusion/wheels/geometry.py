@@ -19,7 +19,7 @@ WINDOW_S = 0.5  # s over which both are compared
 ASSUMED_RADIUS_M = 0.05  # m: radius under which jumps of the counters are looked for
 MIN_WINDOWS, MIN_CORRELATION = 40, 0.95  # windows; correlation
 AS_GOOD = 1e-3  # of a correlation: on a circle every sense of counting fits up to rounding
-MIN_TURN_RAD = 0.5  # rad, rms sum of turns, before the track is told
+MIN_TURN_RAD = 0.5  # rad, rms sum of turns, from which the track is estimated
 
 
 class Geometry(NamedTuple):

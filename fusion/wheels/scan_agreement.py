@@ -80,7 +80,7 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         return self.share(np.zeros((len(self.first), 3)))
 
     def of(self, motion: WheelReading) -> float:
-        """Return s of a motion of the wheels, with the best direction, clock and mount of the laser."""
+        """Return the share s of a motion of the wheels, with the best direction, clock and mount of the laser."""
         return self.share(self._by(motion, self._fitted(motion)))
 
     def misfit(self, motion: WheelReading) -> float:
@@ -103,11 +103,11 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         return best
 
     def of_path(self, motion: WheelReading) -> float:
-        """Return s of a path of the laser by its own scans: clock and mount are right."""
+        """Return the share s of a path of the laser by its own scans: clock and mount are right."""
         return self.share(self._by(motion, np.zeros(3)))
 
     def matched(self) -> float:
-        """Return s of the scans' own matching."""
+        """Return the share s of the motion by matching the scans of each pair."""
         return self.share(self._poses)
 
     @cached_property

@@ -1,8 +1,8 @@
 """Wheels as states (`wheels.estimate`): what the filter estimates of radius, ratio and track.
 
-The states a, b, q are corrections in which the motion is linear: the wheels roll (1 + a) and (1 + b) times what is
-told, and a difference of distances turns the robot by (1 + s - q) / track, with s the mean of a and b. People are
-told radius, ratio and track: where robot.toml has the track 15 % too small, q is 13 %.
+The states a, b, q are corrections in which the motion is linear: the wheels roll (1 + a) and (1 + b) times what
+is configured, and a difference of distances turns the robot by (1 + s - q) / track, with s the mean of a and b.
+Reported are radius, ratio and track: where robot.toml has the track 15 % too small, q is 13 %.
 """
 
 from __future__ import annotations
@@ -79,8 +79,8 @@ def _metres(settings: WheelSettings, found: Array, prior: float, metric: Mapping
         return []
     scale, _, track = found.tolist()
     words = (
-        f"by the metre of {' and '.join(metric)} the wheels are {100.0 * abs(scale):.1f} % "
-        f"{'larger' if scale > 0 else 'smaller'} than told, and {100.0 * prior:.1f} % was expected. "
+        f"by the distance scale of {' and '.join(metric)} the wheels are {100.0 * abs(scale):.1f} % "
+        f"{'larger' if scale > 0 else 'smaller'} than configured, and {100.0 * prior:.1f} % was expected. "
     )
     keys = [f"{sensor}.{key}" for sensor, key in metric.items() if key]
     if len(metric) > 1 or not keys:

@@ -49,7 +49,7 @@ def motor_speeds(stream: MergedStream, settings: WheelSettings) -> Array:
             hint=f"Set them with --set wheels.erpm_per_mps=<erpm> ({GAIN_HINT})",
         )
     if not len(steering.t_ns):
-        raise LocfuseError(f"{steering.topic} holds no messages, so nobody knows where to", role="wheels")
+        raise LocfuseError(f"{steering.topic} holds no messages: the steering is unknown", role="wheels")
     erpm = cast("dict[str, Array]", motor.columns(MOTOR[motor.msgtype]))[MOTOR[motor.msgtype]]
     newest = np.searchsorted(steering.t_ns, motor.t_ns, side="right") - 1
     angle = _angles(steering, settings)[np.maximum(newest, 0)]

@@ -22,6 +22,7 @@ from .odometry import Odometry, by_lever, moved
 REST_P = np.diag([1e-9, 1e-9, 1e-9])  # m^2, rad^2: a robot at rest has no bridge
 GAP_S = 0.09  # between two scans that are matched: more often adds little
 SCANS_AT_ONCE = 1024  # whose points are held before they are thinned
+KEYS_AT_ONCE = 500  # whose points stand in one search tree
 REST_S = 1.0  # a robot at rest for so long before and after a scan is where it was: wheels' stamps may be late
 MAX_POINTS = 90  # of one scan that are matched
 # holds a match where the walls constrain nothing
@@ -154,14 +155,13 @@ def scans_between(
         return ends
     k = instants[chosen]
     spans = Spans.of(odometry, odometry.at(k), k, keys)
-    targets, sources = Targets(both_ends(clouds, x)), points_of(m, chosen)
+    sources = points_of(m, chosen)
     xi, information = np.zeros((len(k), 3)), np.zeros((len(k), 3, 3))
     fixes, asked = ends, np.arange(len(k))
     for _ in range(ROUND_COUNT):
         guess = fixes.at(odometry, k[asked], spans.take(asked))[0]
         u = spans.u[asked]
-        prior = np.broadcast_to(PRIOR_INFORMATION, (len(asked), 3, 3))
-        found = match(targets, spans.a[asked], sources, asked, se2.compose(guess, u), prior, REACH_M)
+        found = matched(clouds, x, spans.a[asked], sources, asked, se2.compose(guess, u))
         xi[asked], information[asked] = as_errors(found, u, guess)
         fixes = smoothed(odometry, ends, spans.a, k, xi, information)
         asked = np.flatnonzero(information[:, 2, 2] == 0.0)
@@ -199,12 +199,24 @@ def points_of(m: Measurements, chosen: Ints) -> Clouds:
     )
 
 
-def both_ends(clouds: Clouds, x: Array) -> Clouds:
-    """Return for every key but the last its points and those of the next one, in its frame."""
-    a = np.arange(len(x) - 1)
-    steps = se2.between(x[:-1], x[1:])
+def matched(clouds: Clouds, x: Array, a: Ints, sources: Clouds, j: Ints, guess: Array) -> Matches:
+    """Match scans j (n,) of `sources` with the keys a (n,) and a + 1 around them, from poses `guess` (n, 3).
+
+    a rises; the search tree of all keys would take hundreds of MB.
+    """
+    prior, parts = np.broadcast_to(PRIOR_INFORMATION, (len(a), 3, 3)), []
+    for at in np.split(np.arange(len(a)), np.flatnonzero(np.diff(a // KEYS_AT_ONCE)) + 1):
+        first, last = int(a[at[0]]), int(a[at[-1]])
+        targets = Targets(both_ends(clouds, x, np.arange(first, last + 1)))
+        parts.append(match(targets, a[at] - first, sources, j[at], guess[at], prior[at], REACH_M))
+    return Matches.joined(*parts)
+
+
+def both_ends(clouds: Clouds, x: Array, keys: Ints) -> Clouds:
+    """Return a cloud for each of these keys, in the key's frame: its points and those of the next key."""
+    steps = se2.between(x[keys], x[keys + 1])
     return merged(
-        clouds, [np.array([k, k + 1]) for k in a.tolist()], [np.vstack((np.zeros(3), step)) for step in steps]
+        clouds, [np.array([k, k + 1]) for k in keys.tolist()], [np.vstack((np.zeros(3), step)) for step in steps]
     )
 
 

@@ -198,7 +198,7 @@ class Candidates(Columns, frozen=True):
 
     @property
     def sigma(self) -> Array:
-        """Standard deviations (c, 3)."""
+        """Standard deviations of the guesses (c, 3) [m, m, rad]."""
         return np.sqrt(np.maximum(np.diagonal(self.P, axis1=1, axis2=2), 0.0))
 
 

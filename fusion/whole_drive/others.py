@@ -58,7 +58,7 @@ class Others:
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """Those that have readings."""
+        """The sensors that have readings."""
         return tuple(dict.fromkeys(seen.sensor for seen in self._seen))
 
     def move(self, step: Array) -> None:

@@ -16,6 +16,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.checks.clocks import clock_lags
 from locfuse.fusion.checks.lag import worth_saying
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, MapLine
+from locfuse.fusion.mount import found_mount
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.scan_matching.clouds import clouds_of
 from locfuse.fusion.scan_matching.key_scans import spaced
@@ -46,6 +47,8 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
     """The key poses of a drive, with its edges and closures."""
 
     drive: Drive
+    told: Array  # (3,) mount of the laser as configured
+    mount: Array  # (3,) as it was used
     start: Start
     odometry: Odometry  # with what the wheels' own noise leaves out
     readings: Ints  # (m,) of the laser: the keys
@@ -71,7 +74,7 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
         return self._between(self.odometry, np.arange(len(self.drive.t)))
 
     def at_truth(self) -> tuple[Array | None, Array | None]:
-        """Return the same at the truth's stamps; NaN outside the drive."""
+        """Return pose (q, 3) and covariance (q, 3, 3) at the truth's stamps; NaN outside the drive."""
         drive = self.drive
         if drive.truth_motions is None or drive.truth_instant is None:
             return None, None
@@ -112,7 +115,8 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
 
     def walls(self) -> list[MapLine]:
         """Return the straightened map."""
-        return straightened(self.drive.measurements[LASER], self.readings, self.x, self.spread[0])
+        seen_from = se2.compose(self.x, se2.compose(self.mount, se2.inverse(self.told)))
+        return straightened(self.drive.measurements[LASER], self.readings, seen_from, self.spread[0])
 
     def misfit(self, pose: Array) -> float:
         """Return how far poses (n, 3) of the drive are from the closures, rms [m]."""
@@ -129,7 +133,7 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
         return bool(filtered.lost) or self.misfit(filtered.pose) > MIN_GAIN * self.misfit_of_keys() + MIN_GAIN_M
 
     def misfit_of_keys(self) -> float:
-        """Return the same for the graph's own poses, rms [m]."""
+        """Return how far the graph's own poses are from the closures, rms [m]."""
         return _rms(self.closures.errors(self.x))
 
     def notes(self, used: bool = True) -> tuple[str, ...]:
@@ -173,12 +177,17 @@ def whole_drive(
 ) -> Graph | None:
     """Return the graph of a drive with a laser; None where no loop can be found.
 
-    Of the filter's run it takes over the places that were recognised, and the wheels where they were estimated.
+    Of the filter's run it takes over the places that were recognised, and the wheels and the laser's mount where
+    they were estimated.
     """
     m = drive.measurements.get(LASER)
     if m is None or m.points is None or not room_for_loops(drive, robot, sensors):
         return None
-    lag = clock_lag(drive)
+    lag, told = clock_lag(drive), m.points.mount
+    # a filter that knows of no late clock takes it for a mount further ahead: v times the lag
+    mount = told if filtered is None or lag else found_mount(LASER, told, filtered.blocks)
+    m = replace(m, points=m.points.mounted(mount))
+    drive = replace(drive, measurements={**drive.measurements, LASER: m})
     estimated = None if filtered is None else filtered.blocks.get(WHEELS)
     wheels = None if estimated is None else estimated[-1]
     odometry = odometry_of(drive, lag, wheels)
@@ -198,7 +207,7 @@ def whole_drive(
     x, edges = sequential(targets, sources, wheel_edges(odometry, keys), way, problem)
     start = Start.of(robot, odometry.scaled(wheels_share(odometry, keys, x)), int(keys[0]))
     problem.start = start.at_first_key
-    maps = submaps_of(clouds, np.array(m.points.origin), x, way)
+    maps = submaps_of(clouds, mount[:2], x, way)
     hints = Edges.none() if filtered is None else recognised(filtered, odometry, keys)
     x, closed, loops = close(x, edges, problem, maps, hints)
     if len(loops.edges):
@@ -208,6 +217,8 @@ def whole_drive(
     fixes = scans_between(loosened, drive, LASER, readings, clouds, x)
     return Graph(
         drive=drive,
+        told=told,
+        mount=mount,
         start=start,
         odometry=loosened,
         readings=readings,
@@ -247,7 +258,7 @@ def in_one_view(drive: Drive) -> bool:
     t = np.linspace(drive.t[0], drive.t[-1], 10 * SAMPLE_SCANS)
     extent = np.hypot(*np.ptp(drive.wheels.relative(np.full(len(t), t[0]), t)[:, :2], axis=0))
     some = np.unique(np.linspace(0, len(m.t) - 1, SAMPLE_SCANS).round().astype(int))
-    seen = [np.hypot(*(p - np.array(m.points.origin)).T) for p in m.points.read(some) if len(p)]
+    seen = [np.hypot(*(p - m.points.mount[:2]).T) for p in m.points.read(some) if len(p)]
     return bool(seen) and bool(extent <= MAX_EXTENT_VIEWS * np.median([np.quantile(r, FAR_SHARE) for r in seen]))
 
 

@@ -35,7 +35,7 @@ def refuse(drive: Drive, robot: Robot) -> None:
     check_smoothing(robot, _present(drive))
     if not _locates(_present(drive)):
         raise UsageError(
-            "--reference: no sensor of this log says where the robot is, so its whole-drive solution judges nobody"
+            "--reference: no sensor of this log shows where the robot is, so its whole-drive solution judges none"
         )
 
 

@@ -31,10 +31,11 @@ from locfuse.fusion.ekf.events import (
 )
 from locfuse.fusion.ekf.map_frame import in_map_P
 from locfuse.fusion.fuse import fuse
+from locfuse.fusion.mount import mount_blocks
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.wheels.states import WHEELS
 
-from .pose_graph import Graph, room_for_loops, whole_drive
+from .pose_graph import LASER, Graph, room_for_loops, whole_drive
 
 NOT_OPTIMAL = ("first-scan", "consider")
 MAX_WALLS = 300  # of a given map: each is two states, and each instant costs the square of their number
@@ -97,7 +98,7 @@ def fuse_and_go_back(
 
 
 def by_graph(filtered: Estimates, graph: Graph) -> Estimates:
-    """Return the drive by the graph, with its straightened map. States beside the pose are the filter's."""
+    """Return the drive by the graph, with its map and its laser's mount. Other states are the filter's."""
     pose, P = graph.poses()
     truth_pose, truth_P = graph.at_truth()
     loops, loop_poses = graph.seen_again()
@@ -108,6 +109,7 @@ def by_graph(filtered: Estimates, graph: Graph) -> Estimates:
         truth_pose=truth_pose,
         truth_P=truth_P,
         final_map=graph.walls(),
+        blocks={**filtered.blocks, **mount_blocks(LASER, graph.mount, filtered.blocks)},
         lost=(),
         jumps=(),
         loops=loops,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bags import Said, cdr, header
-from commands import locfuse
+from commands import locfuse, ok
 from rewrite_log import rewritten
 from rooms import ARENA, scan
 from wheel_bags import log_of, odometry, stamps
@@ -39,8 +39,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def faulty(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("faulty") / "out"
-    done = locfuse("compare", log, *options(*FAULTS), "-o", out, "--write", "json,md", "-q")
-    assert done.exit_code == 0, done.stderr
+    ok("compare", log, *options(*FAULTS), "-o", out, "--write", "json,md", "-q")
     return out
 
 
@@ -70,16 +69,14 @@ def test_a_wrong_start_is_corrected_before_a_clock_is_judged_by_its_errors(log: 
 
 def test_obeying_helps_and_is_not_advised_again(log: Path, faulty: Path, tmp_path: Path) -> None:
     files = ("--robot", faulty / "robot.toml", "--robot", faulty / "fixes.toml")
-    done = locfuse("compare", log, *files, "-o", tmp_path / "out", "--write", "json", "-q")
-    assert done.exit_code == 0, done.stderr
+    ok("compare", log, *files, "-o", tmp_path / "out", "--write", "json", "-q")
     before, after = (report(f)["configurations"]["all"]["position_rmse_m"] for f in (faulty, tmp_path / "out"))
     assert after < 0.5 * before
     assert not report(tmp_path / "out")["fixes"]
 
 
 def test_run_gives_the_same_findings_as_compare(log: Path, faulty: Path, tmp_path: Path) -> None:
-    done = locfuse("run", log, *options(*FAULTS), "-o", tmp_path / "out", "--write", "json", "-q")
-    assert done.exit_code == 0, done.stderr
+    ok("run", log, *options(*FAULTS), "-o", tmp_path / "out", "--write", "json", "-q")
     assert report(tmp_path / "out", "run.json")["findings"] == report(faulty)["findings"]
 
 
@@ -92,8 +89,7 @@ def test_fixes_of_an_earlier_result_go_and_fixes_that_are_given_stay(log: Path, 
     for name in ("fixes.toml", "report.json"):
         (out / name).write_bytes((faulty / name).read_bytes())
     (out / "fixes-mine.toml").write_text("# somebody else's\n")
-    done = locfuse("compare", log, "--no-advice", "-o", out, "--write", "json", "-q")
-    assert done.exit_code == 0, done.stderr
+    ok("compare", log, "--no-advice", "-o", out, "--write", "json", "-q")
     assert [path.name for path in out.glob("fixes*")] == ["fixes-mine.toml"]
 
 
@@ -197,8 +193,7 @@ def standing(path: Path) -> Path:
 
 def test_compare_and_info_say_that_it_does_not_move_and_offer_no_fix(tmp_path: Path) -> None:
     log = standing(tmp_path / "x.mcap")
-    done = locfuse("compare", log, "-o", tmp_path / "out", "--write", "json")
-    assert done.exit_code == 0, done.stderr
+    ok("compare", log, "-o", tmp_path / "out", "--write", "json")
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["headline"] == f"T{SAID[1:]}."
     assert not report["findings"]

@@ -114,16 +114,19 @@ def test_an_unexplained_covariance_is_named(anees: float, fixed: float | None, s
 
 
 @pytest.mark.parametrize(
-    ("smoothed", "end"),
+    ("own", "smoothed", "end"),
     [
-        (0.64, "agree, in lrf-smoothed 64%, which hints that it is better. Try: --reference"),
-        (0.68, "agree, in lrf-smoothed 68%, which shows that it is better. Try: --reference"),
-        (0.50, " At places seen twice 47% of the points agree, in lrf-smoothed 50%. Try: --reference"),
-        (None, "errors cannot be measured. Try: --reference"),  # no place was seen twice
+        (0.47, 0.64, "agree, in lrf-smoothed 64%, which hints that it is better. Try: --reference"),
+        (0.47, 0.68, "agree, in lrf-smoothed 68%, which shows that it is better. Try: --reference"),
+        (0.47, 0.50, " At places seen twice 47% of the points agree, in lrf-smoothed 50%. Try: --reference"),
+        (0.91, 0.91, " At places seen twice 91% of the points agree, in lrf-smoothed 91%. Try: --reference"),
+        (0.47, None, "errors cannot be measured. Try: --reference"),  # no place was seen twice
     ],
 )
-def test_without_truth_the_places_seen_twice_judge_the_smoothed_path(smoothed: float | None, end: str) -> None:
-    rows = {"odometry": None, "lrf": 0.47, "lrf-smoothed": smoothed}
+def test_without_truth_the_places_seen_twice_judge_the_smoothed_path(
+    own: float, smoothed: float | None, end: str
+) -> None:
+    rows = {"odometry": None, "lrf": own, "lrf-smoothed": smoothed}
     report = {
         "configurations": {name: {"revisit_agreement": share} for name, share in rows.items()},
         "verdicts": {"lrf": {"verdict": "no verdict"}},

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from omni_scene import Lens, Picture, Pole, picture, wrapped_deg
 from rows import one_by_one, said
 
+import locfuse as api
 from locfuse.formats.results.preview import write_pictures
 from locfuse.fusion.camera import images
 from locfuse.fusion.camera.decoder_words import listened, tells_of_damage
@@ -44,22 +45,8 @@ POSES = [
     (4.2, 1.1, -3.0),
     (3.7, 1.0, 40.0),
 ]
+NO_WHEELS: Any = None  # the camera asks nothing of them
 MOUNTS = [((0.0, 0.0), 0.0), ((0.1, -0.05), 0.4), ((-0.3, 0.2), 3.1)]
-
-
-class NoWheels:
-    """The camera asks nothing of the wheels."""
-
-    def relative(self, t_from: NDArray[np.float64], t_to: NDArray[np.float64]) -> NDArray[np.float64]:
-        raise AssertionError
-
-    track = 1.0
-
-    def slips(self, t: NDArray[np.float64]) -> NDArray[np.float64]:
-        raise AssertionError
-
-    def heading(self, t: NDArray[np.float64]) -> NDArray[np.float64]:
-        raise AssertionError
 
 
 def coded(shot: NDArray[Any], ending: str = ".jpg") -> bytes:
@@ -87,7 +74,7 @@ def raw(shot: Picture, encoding: str, pad: int = 0, short: int = 0) -> Any:
 
 
 def measured(stream: Any, settings: CameraSettings = SETTINGS) -> Measurements:
-    return Camera().measure(stream, settings, NoWheels(), 10**18)
+    return Camera().measure(stream, settings, NO_WHEELS, 10**18)
 
 
 def errors_deg(m: Measurements, *bearings: float) -> list[float]:
@@ -403,9 +390,6 @@ def test_opencvs_pixel_cap_is_set_before_its_import() -> None:
     assert in_fresh_python(code) == "True 1"
 
 
-SAMPLES = Path(__file__).parents[2] / "sample_logs"
-
-
 @pytest.mark.parametrize("name", ["rounded_rectangle", "rounded_triangle"])
 def test_bearings_of_the_clean_sample_logs_are_within_a_fifth_of_a_degree_of_the_truth(name: str) -> None:
     fast, paper = (sample_errors_deg(name, chain) for chain in ("fast", "paper"))
@@ -416,33 +400,15 @@ def test_bearings_of_the_clean_sample_logs_are_within_a_fifth_of_a_degree_of_the
 
 def sample_errors_deg(name: str, chain: str) -> NDArray[np.float64]:
     """Error of the bearing in every picture of a shipped log, by the simulator's truth, [deg]."""
-    import tomllib
-
-    from locfuse.formats.logs.log import open_log
-    from locfuse.fusion.truth import TRUTH_READS
-
-    log: Any = open_log([SAMPLES / f"{name}.mcap"])
-    table = tomllib.loads(log.attachments["robot.toml"].decode())["camera"]
-    settings = msgspec.convert({**table, "chain": chain}, CameraSettings)
-    assert settings.topic is not None
-    assert settings.landmark is not None
-    reads = TRUTH_READS["geometry_msgs/msg/PoseStamped"]
-    streams = log.streams({settings.topic: (), "/ground_truth/pose": reads}, order="auto")
-    truth = streams["/ground_truth/pose"]
-    at = truth.columns(*reads)
-    x, y, z, w = (
-        np.asarray(at[f"pose.{k}"]) for k in ("position.x", "position.y", "orientation.z", "orientation.w")
-    )
-    m = Camera().measure(streams[settings.topic], settings, NoWheels(), int(truth.t_ns[0]))
+    drive = api.load(name, sets={"camera.chain": chain}).drive
+    m, truth = drive.measurements["camera"], drive.truth
+    assert truth is not None
+    assert truth.theta is not None
     assert (np.diff(m.first) == 1).all()
-    t = (truth.t_ns - truth.t_ns[0]) * 1e-9
-    pose = [np.interp(m.t, t, column) for column in (x, y, np.unwrap(2 * np.arctan2(z, w)))]
-    mount = np.hypot(settings.x, settings.y), math.atan2(settings.y, settings.x)
-    eye_x = pose[0] + mount[0] * np.cos(pose[2] + mount[1])
-    eye_y = pose[1] + mount[0] * np.sin(pose[2] + mount[1])
-    direction = np.arctan2(settings.landmark[1] - eye_y, settings.landmark[0] - eye_x)
-    off = m.z[:, 0] - (direction - pose[2] - math.radians(settings.yaw_deg))
-    return np.asarray(np.degrees(wrap_all(off)), float)
+    x, y, theta = (np.interp(m.t, truth.t, c) for c in (*truth.xy.T, np.unwrap(truth.theta)))
+    eye_x, eye_y = x + 0.1 * np.cos(theta), y + 0.1 * np.sin(theta)  # as the scenarios have it
+    direction = np.arctan2(5.5 - eye_y, 7.9 - eye_x)
+    return np.asarray(np.degrees(wrap_all(m.z[:, 0] - (direction - theta))), float)
 
 
 # --- what libjpeg says of damage reaches us and not the terminal

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from numpy.typing import NDArray
+from rows import readings
 
 from locfuse.fusion import se2
 from locfuse.fusion.checks.clocks import (
@@ -42,8 +43,7 @@ def headings(true: Array, seed: int, rate: float, sigma_deg: float, late: float 
     t = np.arange(1.0, 89.0, 1.0 / rate)
     sigma = np.radians(sigma_deg)
     z = np.interp(t, T, true) + np.random.default_rng(900 + seed).normal(0.0, sigma, len(t))
-    n = len(t)
-    return Measurements(t + late, np.arange(n + 1), z[:, None], np.ones((n, 1, 1)), sigma, np.zeros((1, 1)))
+    return readings(t + late, z[:, None], sigma)
 
 
 def drive_of(wheels: Wheels, **seen: Measurements) -> Drive:

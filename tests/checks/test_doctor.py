@@ -12,16 +12,15 @@ from numpy.typing import NDArray
 from small_drive import NOISE, START, TRACK, drive, path, robot
 
 import locfuse
-from locfuse.formats.robot.urdf import wheel_geometry
 from locfuse.fusion import se2
 from locfuse.fusion.checks.clocks import OPEN_CLOCK, of_clocks
 from locfuse.fusion.checks.compass import angles, by_gravity
 from locfuse.fusion.checks.examine import gaps
 from locfuse.fusion.checks.finding import Finding, Least, of_error
-from locfuse.fusion.checks.laser import laser_motion, of_laser, of_radius
+from locfuse.fusion.checks.laser import Motion, Walls, bumped, laser_motion, of_laser, of_radius
 from locfuse.fusion.checks.truth import jumps_of, metre, of_truth, start_pose, wheels_metre
 from locfuse.fusion.checks.turning import explain, of_track, turnings
-from locfuse.fusion.data import Drive, LocfuseError, Truth, UsageError
+from locfuse.fusion.data import Drive, LocfuseError, Measurements, Truth, UsageError
 from locfuse.fusion.mount import rotation
 from locfuse.fusion.robot import StartSettings
 from locfuse.fusion.wheels.motion import Wheels
@@ -40,6 +39,18 @@ def truth_of(drive: Drive) -> Truth:
     return drive.truth
 
 
+def rolled(drive: Drive, ways: Array, track: float = TRACK) -> Drive:
+    """The drive of wheels that rolled (n, 2) m from reading to reading and are said to stand `track` apart."""
+    left, right = np.vstack(([0.0, 0.0], np.cumsum(ways, axis=0))).T
+    return replace(drive, wheels=Wheels.from_wheels(drive.wheels.t, left, right, track, NOISE))
+
+
+def seen(drive: Drive, m: Measurements | None = None) -> Motion | None:
+    """What the laser's walls say of a drive, or readings `m` instead of its own."""
+    m = m or drive.measurements["lrf"]
+    return laser_motion(m, m.t, drive, robot())
+
+
 # the laser's walls
 
 
@@ -47,8 +58,7 @@ def truth_of(drive: Drive) -> Truth:
 def test_the_laser_s_metre_is_measured_by_walls_seen_twice(scale: float) -> None:
     healthy = drive(1, robot())
     m = healthy.measurements["lrf"]
-    shrunk = replace(m, z=m.z * [1.0 / scale, 1.0])
-    motion = laser_motion(shrunk, m.t, healthy, robot())
+    motion = seen(healthy, replace(m, z=m.z * [1.0 / scale, 1.0]))
     assert motion is not None
     assert motion.scale == pytest.approx(scale, rel=0.02)
     found = of_laser(motion, robot())
@@ -64,8 +74,7 @@ def test_the_laser_s_yaw_is_measured_by_how_walls_come_nearer(yaw_deg: float) ->
     """The lines of a laser that looks elsewhere than its settings say."""
     healthy = drive(2, robot())
     m = healthy.measurements["lrf"]
-    turned = replace(m, z=np.stack((m.z[:, 0], m.z[:, 1] - math.radians(yaw_deg)), axis=-1))
-    motion = laser_motion(turned, m.t, healthy, robot())
+    motion = seen(healthy, replace(m, z=m.z - [0.0, math.radians(yaw_deg)]))
     assert motion is not None
     off = (math.degrees(se2.wrap(-motion.yaw)) - yaw_deg + 180) % 360 - 180
     assert abs(off) < 2.0
@@ -76,58 +85,39 @@ def test_the_laser_s_yaw_is_measured_by_how_walls_come_nearer(yaw_deg: float) ->
 
 def test_nothing_is_said_of_a_laser_that_sees_too_few_walls() -> None:
     healthy = drive(3, robot(), laps=0.1)
-    m = healthy.measurements["lrf"].take(np.arange(12))
-    assert laser_motion(m, m.t, healthy, robot()) is None
+    assert seen(healthy, healthy.measurements["lrf"].take(np.arange(12))) is None
 
 
 def test_the_track_is_measured_by_the_turning_of_the_walls() -> None:
-    right = drive(4, robot())
-    wheels = right.wheels
-    left, other = (np.concatenate(([0.0], np.cumsum(c))) for c in wheels.rolled.T)
-    wrong = replace(right, wheels=Wheels.from_wheels(wheels.t, left, other, 0.8 * TRACK, wheels.noise))
-    settings = robot().wheels
-    m = right.measurements["lrf"]
-    motion = laser_motion(m, m.t, wrong, robot())
-    narrow = type(settings)(radius=0.05, track=0.8 * TRACK)
-    assert told(of_track(replace(wrong, truth=None), narrow, turnings(wrong), motion))[
-        "wheels.track"
-    ] == pytest.approx(TRACK, rel=0.03)
-    assert of_track(right, settings, turnings(right), laser_motion(m, m.t, right, robot())) == []
+    right, settings = drive(4, robot()), robot().wheels
+    wrong = replace(rolled(right, right.wheels.rolled, 0.8 * TRACK), truth=None)
+    found = of_track(wrong, replace(settings, track=0.8 * TRACK), turnings(wrong), seen(wrong))
+    assert told(found)["wheels.track"] == pytest.approx(TRACK, rel=0.03)
+    assert of_track(right, settings, turnings(right), seen(right)) == []
 
 
 @pytest.mark.parametrize("factor", [0.9, 1.06])
 def test_ways_and_turns_that_are_too_long_alike_are_a_wrong_radius(factor: float) -> None:
     """What the encoders count is multiplied by a radius that is off."""
     right = drive(4, robot())
-    rolled = np.concatenate((np.zeros((1, 2)), np.cumsum(factor * right.wheels.rolled, axis=0)))
-    wrong = replace(right, wheels=Wheels.from_wheels(right.wheels.t, rolled[:, 0], rolled[:, 1], TRACK, NOISE))
-    m = right.measurements["lrf"]
-    found = of_radius(laser_motion(m, m.t, wrong, robot()), robot(), least=Least(0.005, 2.0))
+    found = of_radius(seen(rolled(right, factor * right.wheels.rolled)), robot(), least=Least(0.005, 2.0))
     assert told(found)["wheels.radius"] == pytest.approx(0.05 / factor, rel=0.02)
 
 
 def test_a_wrong_track_or_range_scale_alone_is_no_wrong_radius() -> None:
     right = drive(4, robot())
     m = right.measurements["lrf"]
-    rolled = np.concatenate((np.zeros((1, 2)), np.cumsum(right.wheels.rolled, axis=0)))
-    narrow = replace(
-        right, wheels=Wheels.from_wheels(right.wheels.t, rolled[:, 0], rolled[:, 1], 0.8 * TRACK, NOISE)
-    )
+    narrow = rolled(right, right.wheels.rolled, 0.8 * TRACK)
     shrunk = replace(m, z=m.z * [0.9, 1.0])
-    least = Least(0.005, 2.0)
-    for readings, motion in ((m, right), (m, narrow), (shrunk, right)):
-        assert of_radius(laser_motion(readings, m.t, motion, robot()), robot(), least=least) == []
+    for motion in (seen(right), seen(narrow), seen(right, shrunk)):
+        assert of_radius(motion, robot(), least=Least(0.005, 2.0)) == []
 
 
 def test_a_straight_run_tells_no_track() -> None:
     """What the wheels tell of turning there is their noise."""
     rng = np.random.default_rng(0)
     healthy = drive(5, robot())
-    n = len(healthy.wheels.t)
-    left, right = np.cumsum(0.006 + 0.001 * rng.normal(size=(2, n)), axis=1)
-    straight = replace(healthy, wheels=Wheels.from_wheels(healthy.wheels.t, left, right, TRACK, 4e-4))
-    m = healthy.measurements["lrf"]
-    motion = laser_motion(m, m.t, straight, robot())
+    motion = seen(rolled(healthy, 0.006 + 0.001 * rng.normal(size=(len(healthy.wheels.t) - 1, 2))))
     assert motion is None or motion.turns is None
 
 
@@ -220,9 +210,7 @@ def test_headings_that_the_robot_does_not_drive_along_do_not_tell_where_it_start
 def test_a_start_by_points_does_not_depend_on_the_wheels_metre() -> None:
     healthy = drive(17, robot())
     truth = replace(truth_of(healthy), theta=None)
-    w = healthy.wheels
-    left, right = (1.2 * np.concatenate(([0.0], np.cumsum(c))) for c in w.rolled.T)
-    larger = replace(healthy, wheels=Wheels.from_wheels(w.t, left, right, 1.2 * TRACK, w.noise))
+    larger = rolled(healthy, 1.2 * healthy.wheels.rolled, 1.2 * TRACK)
     one, other = start_pose(truth, healthy), start_pose(truth, larger)
     assert one is not None
     assert other is not None
@@ -236,10 +224,7 @@ def test_wheels_whose_turns_are_noisy_make_no_body_point(x: float, y: float, see
     healthy = drive(18, robot(), laps=1.5)
     truth, w, rng = truth_of(healthy), healthy.wheels, np.random.default_rng(seed)
     turn = rng.normal(0.0, math.radians(5.0), len(w.t) - 1) * np.sqrt(np.diff(w.t))  # 5 degrees in a second
-    left, right = (
-        np.concatenate(([0.0], np.cumsum(r))) for r in (w.rolled + np.outer(turn, (-0.5, 0.5)) * TRACK).T
-    )
-    noisy = replace(healthy, wheels=Wheels.from_wheels(w.t, left, right, TRACK, w.noise))
+    noisy = rolled(healthy, w.rolled + np.outer(turn, (-0.5, 0.5)) * TRACK)
     assert truth.theta is not None
     c, s = np.cos(truth.theta), np.sin(truth.theta)
     point = np.stack((x * c - y * s, x * s + y * c), axis=-1)
@@ -409,33 +394,47 @@ def test_an_error_survives_the_way_between_processes() -> None:
     )  # fmt: skip
 
 
-JOINT = """<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>
-<origin xyz="{xyz}" rpy="{rpy}"/></joint>"""
-WHEEL = """<link name="{0}"><collision>
-<geometry><cylinder radius="0.033" length="0.02"/></geometry></collision></link>"""
-NO_ROBOTS = ("", "<robot", "<!DOCTYPE x [<!ENTITY a 'b'>]><robot/>", "<robot name='x'/>")
+# --- a laser that is bumped while driving, by walls whose distances are those of a turned laser
+
+WALLS, BUMP_S = 600, 41.0
 
 
-def wheel(name: str, link: str, x: float) -> str:
-    return JOINT.format(name=name, kind="continuous", parent="axle", child=link, xyz=f"{x} 0 0", rpy="0 0 0")
+def walls(degrees: float, seed: int, scale: float = 1.0, noise: float = 0.01) -> Walls:
+    """Return walls of a drive of 100 s whose laser turns by so much on the robot at BUMP_S."""
+    rng = np.random.default_rng(seed)
+    t, normal = np.linspace(0.0, 100.0, WALLS), rng.uniform(-math.pi, math.pi, WALLS)
+    heading = rng.uniform(-0.2, 0.2, WALLS)  # in which the robot moves, in its own frame
+    yaw = math.radians(2.0) + np.where(t < BUMP_S, 0.0, math.radians(degrees))
+    # a wall whose normal is thought to lie at `normal` lies further to the left by the laser's real yaw
+    nearer = 0.3 * np.cos(normal + yaw - heading) / scale + rng.normal(0.0, noise, WALLS)
+    n, d = (np.stack((np.cos(a), np.sin(a)), axis=-1) for a in (normal, heading))
+    return Walls(nearer, n, 0.3 * d, np.zeros(WALLS), np.zeros(WALLS), t)
 
 
-def urdf(*joints: str) -> str:
-    links = "".join(WHEEL.format(n) for n in ("wl", "wr")) + '<link name="base"/><link name="axle"/>'
-    return f'<robot name="r">{links}{"".join(joints)}</robot>'
-
-
-def test_a_robot_description_tells_radius_and_track_through_its_fixed_joints() -> None:
-    """The axle is turned by 90 degrees, so that the wheels' x is the robot's y."""
-    axle = JOINT.format(name="a", kind="fixed", parent="base", child="axle", xyz="0 0 0.03", rpy="0 0 1.5708")
-    text = urdf(axle, wheel("wheel_left_joint", "wl", 0.08), wheel("wheel_right_joint", "wr", -0.08))
-    found = wheel_geometry(text)
+@pytest.mark.parametrize("scale", [1.0, 1.1])
+@pytest.mark.parametrize("degrees", [-8.0, 3.0, 6.0])
+def test_a_bump_is_found_with_its_time_and_angle(degrees: float, scale: float) -> None:
+    found = bumped(walls(degrees, 1, scale), scale)
     assert found is not None
-    assert (found.left, found.right) == ("wheel_left_joint", "wheel_right_joint")
-    assert found.radius == pytest.approx(0.033)
-    assert found.track == pytest.approx(0.16, abs=1e-4)
+    assert found[0] == pytest.approx(BUMP_S, abs=3.0)
+    assert math.degrees(found[1]) == pytest.approx(degrees, abs=0.7)
 
 
-@pytest.mark.parametrize("text", [*NO_ROBOTS, urdf()])
-def test_a_description_without_two_wheels_tells_nothing(text: str) -> None:
-    assert wheel_geometry(text) is None
+@pytest.mark.parametrize("seed", range(20))
+def test_a_laser_that_stays_where_it_is_was_not_bumped(seed: int) -> None:
+    assert bumped(walls(0.0, seed, noise=0.03), 1.0) is None
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_wheels_that_slip_for_seconds_at_a_time_are_no_bump(seed: int) -> None:
+    """The direction in which they say that the robot moved is off by 1.5 degrees, by another angle every 5 s."""
+    slips = np.repeat(np.random.default_rng(100 + seed).normal(0.0, math.radians(1.5), 20), WALLS // 20)
+    still = walls(0.0, seed)
+    c, s = np.cos(slips), np.sin(slips)
+    d = np.stack((c * still.d[:, 0] - s * still.d[:, 1], s * still.d[:, 0] + c * still.d[:, 1]), axis=-1)
+    assert bumped(still._replace(d=d), 1.0) is None
+
+
+def test_few_walls_tell_nothing() -> None:
+    few = Walls(*(column[::20] for column in walls(8.0, 1)))
+    assert bumped(few, 1.0) is None

@@ -13,17 +13,24 @@ from laser_room import scan_stream
 from lock_step import simulated
 from msgspec.structs import replace
 from numpy.typing import NDArray
+from rows import readings
 
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.cli.session.session import load
 from locfuse.fusion import se2
-from locfuse.fusion.checks import laser
 from locfuse.fusion.checks.compass import of_iron
 from locfuse.fusion.checks.finding import Finding
-from locfuse.fusion.checks.laser import of_scatter, ranges_sigma, scatter_more
+from locfuse.fusion.checks.laser_ranges import (
+    _first,
+    of_offset,
+    of_scatter,
+    ranges_offset,
+    ranges_sigma,
+    scatter_more,
+)
 from locfuse.fusion.checks.pictures import of_handedness, of_rims
 from locfuse.fusion.checks.probes import beyond_prior, of_probe
-from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Ragged, Truth
+from locfuse.fusion.data import Array, Drive, Estimates, Ragged, Truth
 from locfuse.fusion.lines.scans import MAX_BEAMS
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import wrap_all
@@ -46,9 +53,7 @@ def healthy() -> tuple[Drive, Robot]:
     t, xy, theta = truth.t[::5], truth.xy[::5], truth.theta[::5]
     z = np.arctan2(LANDMARK[1] - xy[:, 1], LANDMARK[0] - xy[:, 0]) - theta
     z = wrap_all(z + np.radians(0.5) * np.random.default_rng(1).normal(size=len(z)))
-    n = len(z)
-    seen = Measurements(t, np.arange(n + 1), z[:, None], np.ones((n, 1, 1)), math.radians(0.5), np.zeros((1, 1)))
-    return replace(drive, measurements={"camera": seen}), robot
+    return replace(drive, measurements={"camera": readings(t, z[:, None], math.radians(0.5))}), robot
 
 
 def mirrored(drive: Drive, zero_deg: float) -> Drive:
@@ -90,10 +95,7 @@ def test_only_the_first_metres_give_the_zero_near_the_start(healthy: tuple[Drive
         np.array(robot.start.pose), np.stack([radius * np.sin(turn), radius * (1.0 - np.cos(turn)), turn], axis=-1)
     )[::5]
     z = np.arctan2(LANDMARK[1] - pose[:, 1], LANDMARK[0] - pose[:, 0]) - pose[:, 2]
-    n = len(z)
-    seen = Measurements(
-        t[::5], np.arange(n + 1), wrap_all(z)[:, None], np.ones((n, 1, 1)), math.radians(0.5), np.zeros((1, 1))
-    )
+    seen = readings(t[::5], wrap_all(z)[:, None], math.radians(0.5))
     circles = replace(drive, wheels=wheels, measurements={"camera": seen})
     (found,) = of_handedness(mirrored(circles, 25.0), robot)
     assert float(found.fixes[1].partition("=")[2]) == pytest.approx(25.0, abs=3.0)
@@ -203,6 +205,29 @@ def test_rounded_ranges_and_clutter_tell_no_noise() -> None:
     assert said(room() + noise(0.005) - some * leaves, sigma_range=0.001) is None
 
 
+@pytest.mark.parametrize(("error", "scale"), [(0.05, 1.0), (-0.03, 1.0), (0.0, 1.0), (0.0, 1.05), (0.04, 0.97)])
+def test_walls_tell_a_constant_error_of_the_ranges_whatever_their_scale(error: float, scale: float) -> None:
+    found = ranges_offset(scan_stream(range(SCANS), scale * room() + error + noise(0.01)), LrfSettings())
+    assert found is not None
+    add, sigma = found
+    assert add == pytest.approx(-error, abs=0.004)
+    assert sigma < 0.004
+
+
+def test_a_constant_error_is_named_with_what_to_add_to_the_configured_offset() -> None:
+    stream = scan_stream(range(SCANS), room() + 0.05 + noise(0.01))
+    (one,) = of_offset(stream, LrfSettings(range_offset=0.02))
+    key, _, value = one.fixes[0].partition("=")
+    assert (key, one.severe) == ("lrf.range_offset", True)
+    assert float(value) == pytest.approx(-0.05, abs=0.004)
+    assert of_offset(stream, LrfSettings(range_offset=-0.05)) == []
+
+
+def test_round_walls_tell_no_constant_error() -> None:
+    """A room of 3 m radius about the laser: every range the same."""
+    assert of_offset(scan_stream(range(SCANS), np.full((SCANS, BEAMS), 3.0) + noise(0.01)), LrfSettings()) == []
+
+
 def test_info_names_the_noise_of_a_recorded_laser() -> None:
     """The sample's is 0.03 m."""
     told = locfuse("info", "rounded_triangle", "--set", "lrf.sigma_range=0.01")
@@ -224,7 +249,7 @@ def test_scans_of_more_beams_than_a_laser_has_are_not_looked_at() -> None:
         def blocks(self, *_: str, rows: int) -> Any:
             yield np.arange(40), columns
 
-    ((rows, kept),) = laser._first(cast("Any", Stream()))
+    ((rows, kept),) = _first(cast("Any", Stream()))
     assert rows.tolist() == [3, 7]
     assert kept["ranges"].lengths.tolist() == [5, 5]
     assert {len(v) for k, v in kept.items() if k != "ranges"} == {2}

@@ -17,6 +17,7 @@ from locfuse.fusion.checks.tried import (
     Try,
     gain,
     improves,
+    judged_pairs,
     spoils,
     spoils_alone,
     spoils_smoothed,
@@ -307,3 +308,21 @@ def test_a_fix_under_which_the_same_is_measured_off_again_says_that_more_is_wron
     (found, *_), kept = tried(lambda fixes: Case([later if fixes else LATE]), trial, lambda key: 0.0)
     assert kept == (LAG,)
     assert ("something else is wrong too" in found.finding.message) == (again != LAG)
+
+
+@pytest.mark.parametrize("judges", [("odometry", "all"), ("all", "odometry")])
+def test_odometry_that_was_lucky_under_a_wrong_start_hinders_no_fix_whoever_is_asked_first(
+    judges: tuple[str, ...],
+) -> None:
+    """Its error grows, and falls from 20 times what it claims to what it claims; that of all sensors is cured."""
+    start = Candidate(Finding("truth", "start", "4 deg off"), (("start.theta_deg=4",),), judges, ("odometry",))
+    before = {"odometry": Marks(0.257, 19.9, (0.9, 1.1)), "all": Marks(0.307, 3695.0, (0.1, 2.8))}
+    after = {"odometry": Marks(0.458, 1.0, (0.3, 2.1)), "all": Marks(0.002, 0.65, (0.8, 1.2))}
+
+    def trial(cured: Mapping[str, Marks]) -> Try:
+        return lambda fixes, names: {n: (cured if fixes else before)[n] for n in names}
+
+    fixes = start.alternatives[0]
+    assert set(judged_pairs(start, (), fixes, trial(after))) == set(judges)
+    not_cured = {**after, "all": Marks(0.29, 3600.0, (0.8, 1.2))}
+    assert judged_pairs(start, (), fixes, trial(not_cured)) == {}

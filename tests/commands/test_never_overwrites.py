@@ -18,7 +18,7 @@ from hostile import write
 from locfuse.formats import inputs, whole_files
 from locfuse.formats.container.file_bytes import WRITTEN_TO, FileBytes
 from locfuse.formats.container.losses import Losses
-from locfuse.formats.container.mcap_write import LogWriter
+from locfuse.formats.container.mcap_write import log_writer
 from locfuse.formats.logs.files import log_name
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.whole_files import temporary_for, whole_file, write_results
@@ -178,7 +178,7 @@ def test_a_link_under_a_temporary_name_is_not_written_through(tmp_path: Path) ->
     write_results(out, {"run.json": "{}"})
     with whole_file(out / "map.json") as path:
         path.write_text("[]")
-    with LogWriter(out / "x.mcap"):
+    with log_writer(out / "x.mcap"):
         pass
     assert victim.read_text() == "mine"
     assert not any(path.is_symlink() for path in out.iterdir())

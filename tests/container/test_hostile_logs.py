@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bags import drive, write
+import zstandard
+from bags import T0, drive, write
 from hostile import MAGIC, START, chunk
 from hostile import write as sample_write
 from mcap.writer import CompressionType
@@ -58,13 +59,26 @@ def test_a_chunk_of_millions_of_empty_records_is_refused_by_its_cap(tmp_path: Pa
     assert "3 places" in words
 
 
+def test_a_decompression_bomb_whose_size_is_a_lie_is_refused_within_the_memory_limit(tmp_path: Path) -> None:
+    """A gigabyte of zeros in some kilobytes of zstd; test_promises has one that says so."""
+    path = write(tmp_path / "x.mcap", drive(20), compression=CompressionType.ZSTD)
+    packer = zstandard.ZstdCompressor(level=1).compressobj()
+    bomb = b"".join(packer.compress(bytes(1 << 20)) for _ in range(1024)) + packer.flush()
+    content = path.read_bytes()
+    at = content.index(b"\x28\xb5\x2f\xfd")
+    chunk_at = at - 9 - 3 * 8 - 4 - 4 - len("zstd") - 8
+    head = struct.pack("<QQQI", T0, T0, 50_000, 0) + struct.pack("<I4sQ", 4, b"zstd", len(bomb))
+    path.write_bytes(content[:chunk_at] + struct.pack("<BQ", 6, len(head) + len(bomb)) + head + bomb)
+    assert "size is not the declared one" in limited(path)
+
+
 def test_the_cap_of_records_counts_what_the_file_holds(tmp_path: Path) -> None:
     """As many records are refused that were compressed to nothing, and read where each took its bytes."""
     many = 2 * FREE_RECORDS
     path = tmp_path / "f.mcap"
     path.write_bytes(START + chunk(EMPTY_MESSAGE * many) + chunk(EMPTY_MESSAGE * many, ""))
     found = open_log([path]).losses.by_reason()
-    assert found["messages of a channel nobody defines"]["messages"] == many
+    assert found["messages of an undefined channel"]["messages"] == many
     packed = len(chunk(EMPTY_MESSAGE * many)) - 9 - 24 - 4 - 4 - len("zstd") - 8
     assert f"a chunk unpacks to more than {most_records(packed)} records, the cap for its size" in found
 

@@ -44,11 +44,12 @@ GARBAGE = b"\x00" + bytes(range(200, 231)) + b"\x00"
 
 
 class Chunk(NamedTuple):
-    """A stored chunk of three messages of channel 1 and one of channel 2, with its indexes."""
+    """A stored chunk, of three messages of channel 1 and one of channel 2, with its indexes."""
 
     record: bytes
-    indexes: tuple[bytes, bytes]
+    indexes: tuple[bytes, ...]
     first: int
+    channels: tuple[int, ...] = (1, 2)  # of the indexes
 
     @property
     def all(self) -> bytes:
@@ -66,25 +67,26 @@ def chunk(first: int, crc: bool = True, plain: bytes | None = None) -> Chunk:
         record(MESSAGE_INDEX, struct.pack("<HI", i, 16 * len(some)) + b"".join(some))
         for i, some in ((1, entries[:3]), (2, entries[3:]))
     )
-    return Chunk(record(CHUNK, head + data), (indexes[0], indexes[1]), first)
+    return Chunk(record(CHUNK, head + data), indexes, first)
 
 
 A, B, C = chunk(100), chunk(200), chunk(300)
 
 
-def summarised(data: bytes, chunks: list[Chunk], messages: int = 0) -> bytes:
+def summarised(data: bytes, chunks: list[Chunk], counted: bool = True) -> bytes:
     """Add a summary of these chunks, as they lie in the data, with definitions and counts."""
     content = SCHEMAS + CHANNELS
     n = len(chunks)
-    counts = struct.pack("<IHQHQ", 20, 1, 3 * n, 2, n)
-    content += record(STATISTICS, struct.pack("<QHIIIIQQ", 4 * n + messages, 1, 2, 0, 0, n, 0, 0) + counts)
+    if counted:
+        counts = struct.pack("<IHQHQ", 20, 1, 3 * n, 2, n)
+        content += record(STATISTICS, struct.pack("<QHIIIIQQ", 4 * n, 1, 2, 0, 0, n, 0, 0) + counts)
     for one in chunks:
         at = data.index(one.record)
-        first = at + len(one.record)
-        places = struct.pack("<IHQHQ", 20, 1, first, 2, first + len(one.indexes[0]))
-        size = len(one.record) - 9 - 40
-        length = sum(map(len, one.indexes))
-        front = struct.pack("<QQQQ", one.first, one.first + 3, at, len(one.record))
+        places, end = b"", at + len(one.record)
+        for channel, index in zip(one.channels, one.indexes, strict=True):
+            places, end = places + struct.pack("<HQ", channel, end), end + len(index)
+        size, length = len(one.record) - 9 - 40, sum(map(len, one.indexes))
+        front = struct.pack("<QQQQI", one.first, one.first + 3, at, len(one.record), len(places))
         content += record(
             CHUNK_INDEX, front + places + struct.pack("<Q", length) + text("") + struct.pack("<QQ", size, size)
         )
@@ -319,7 +321,7 @@ def test_a_summary_that_is_damaged_is_counted_and_one_that_was_never_written_is_
     found, lost = walked(tmp_path, bytes(content))
     assert lost == [
         (
-            "the summary is damaged: messages may be missing that nobody counts",
+            "the summary is damaged: messages may be missing, their number is unknown",
             len(WHOLE) - len(END),
             len(content) - len(WHOLE) + len(END),
             None,
@@ -432,14 +434,15 @@ def test_a_summary_section_may_be_as_short_as_nothing(tmp_path: Path) -> None:
 # --- what a source gives of such files
 
 
-def other_channel(first: int) -> Chunk:
-    """A chunk of two messages of channel 2, with its index."""
+def other_channel(first: int, indexed: bool) -> Chunk:
+    """A chunk of two messages of channel 2, perhaps with its index."""
     inside = [message(2, first + i, b"x") for i in range(2)]
     data = b"".join(inside)
     head = struct.pack("<QQQI", first, first + 1, len(data), zlib.crc32(data)) + text("")
     entries = struct.pack("<4Q", first, 0, first + 1, len(inside[0]))
     index = record(MESSAGE_INDEX, struct.pack("<HI", 2, 32) + entries)
-    return Chunk(record(CHUNK, head + struct.pack("<Q", len(data)) + data), (index, b""), first)
+    indexes, channels = ((index,), (2,)) if indexed else ((), ())
+    return Chunk(record(CHUNK, head + struct.pack("<Q", len(data)) + data), indexes, first, channels)
 
 
 @pytest.mark.parametrize("summary", [True, False])
@@ -469,45 +472,21 @@ def test_of_a_chunk_without_checksum_what_lies_outside_the_damage_is_read(tmp_pa
 
 def test_a_chunk_that_holds_nothing_wanted_is_not_opened(tmp_path: Path) -> None:
     """So that damage to it is nobody's loss; where nothing says what it holds it is opened."""
-    other = other_channel(200)
     for indexed in (True, False):
-        data = FRONT + A.all + (other.all if indexed else other.record) + END
-        content = bytearray(summarised_with(data, A, other, indexed))
+        other = other_channel(200, indexed)
+        data = FRONT + A.all + other.all + END
+        content = bytearray(summarised(data, [A, other], counted=False))
         content[data.index(other.record) + 60] ^= 1
         found, lost = lost_by(tmp_path, bytes(content), {1})
         assert found == of(A)[:3]
         assert [reason for reason, *_ in lost] == ([] if indexed else ["a chunk fails its checksum"])
 
 
-def summarised_with(data: bytes, first: Chunk, other: Chunk, indexed: bool) -> bytes:
-    """A summary of a chunk with two channels and one with channel 2 alone, whose index may be left out."""
-    content = SCHEMAS + CHANNELS
-    for one, channels in ((first, (1, 2)), (other, (2,) if indexed else ())):
-        at = data.index(one.record)
-        places, end = b"", at + len(one.record)
-        for channel, index in zip(channels, one.indexes, strict=False):
-            places, end = places + struct.pack("<HQ", channel, end), end + len(index)
-        size = len(one.record) - 9 - 40
-        front = struct.pack("<QQQQ", one.first, one.first + 3, at, len(one.record))
-        index_length = struct.pack("<Q", end - at - len(one.record))
-        content += record(
-            CHUNK_INDEX,
-            front
-            + struct.pack("<I", len(places))
-            + places
-            + index_length
-            + text("")
-            + struct.pack("<QQ", size, size),
-        )
-    footer = struct.pack("<BQQQ", FOOTER, 20, len(data), 0)
-    return data + content + footer + struct.pack("<I", zlib.crc32(content + footer)) + MAGIC
-
-
 def test_messages_of_a_channel_that_nobody_defines_are_counted(tmp_path: Path) -> None:
     alone = CHANNELS[: len(CHANNELS) // 2]
     found, lost = lost_by(tmp_path, START + SCHEMAS + alone + A.all + B.all + END + NO_SUMMARY, {1})
     assert found == [t for t in of(A, B) if t % 100 < 3]
-    assert lost == [("messages of a channel nobody defines", 2, 0, 2)]
+    assert lost == [("messages of an undefined channel", 2, 0, 2)]
 
 
 def test_definitions_are_found_inside_chunks_too(tmp_path: Path) -> None:

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import random
 import struct
-import subprocess
-import sys
-import textwrap
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import zstandard
 from bags import LIGHT, T0, Said, cdr, drive, real_log, write
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType
@@ -209,21 +205,6 @@ def test_a_hole_loses_what_lies_in_it_and_nothing_behind(
     assert losses_of(path)
 
 
-def test_losses_are_counted_in_messages_where_the_statistics_know(tmp_path: Path) -> None:
-    said = drive(60)
-    content = bytearray(write(tmp_path / "whole.mcap", said, chunk_size=4000).read_bytes())
-    at = content.index(said[30].data)
-    content[at + 20] ^= 1
-    path = tmp_path / "bad.mcap"
-    path.write_bytes(content)
-    log = open_log([path])
-    n_found = len(read_everything(log))
-    assert log.losses.messages == len(said) - n_found > 0
-    assert log.losses.lines() == [
-        f"{path}: a chunk fails its checksum ({log.losses.bytes} bytes, {log.losses.messages} messages)"
-    ]
-
-
 def test_a_loss_met_by_two_walks_counts_once(tmp_path: Path) -> None:
     content = bytearray(write(tmp_path / "whole.mcap", drive(60), chunk_size=4000).read_bytes())
     content[len(content) // 2] ^= 1
@@ -232,9 +213,12 @@ def test_a_loss_met_by_two_walks_counts_once(tmp_path: Path) -> None:
     log = open_log([path])
     streams = log.streams(LIGHT)
     before = log.losses.lines()
+    assert before == [
+        f"{path}: a chunk fails its checksum ({log.losses.bytes} bytes, {log.losses.messages} messages)"
+    ]
     for stream in streams.values():
         list(stream.blocks())
-    assert log.losses.lines() == before != []
+    assert log.losses.lines() == before
 
 
 def test_a_file_of_loose_messages_fails_its_data_checksum(tmp_path: Path) -> None:
@@ -256,35 +240,6 @@ def test_a_file_of_loose_messages_that_is_cut_in_its_end_keeps_every_message(tmp
     for end in range(behind, min(behind + 40, len(content))):
         path.write_bytes(content[:end])
         assert whole(said) == sorted(payloads(path)), end
-
-
-BOMB = """
-    import resource, sys
-    from pathlib import Path
-    from locfuse.formats.logs.log import open_log
-    resource.setrlimit(resource.RLIMIT_AS, (1 << 30, 1 << 30))
-    log = open_log([Path(sys.argv[1])])
-    for name in log.topics:
-        print(name, len(log.stream(name).t_ns))
-    print(log.losses.lines())
-"""
-
-
-def test_a_decompression_bomb_whose_size_is_a_lie_is_refused_within_the_memory_limit(tmp_path: Path) -> None:
-    """A gigabyte of zeros in some kilobytes of zstd; test_promises has one that says so."""
-    path = write(tmp_path / "x.mcap", drive(20), compression=CompressionType.ZSTD)
-    packer = zstandard.ZstdCompressor(level=1).compressobj()
-    bomb = b"".join(packer.compress(bytes(1 << 20)) for _ in range(1024)) + packer.flush()
-    content = path.read_bytes()
-    at = content.index(b"\x28\xb5\x2f\xfd")
-    chunk_at = at - 9 - 3 * 8 - 4 - 4 - len("zstd") - 8
-    head = struct.pack("<QQQI", T0, T0, 50_000, 0) + struct.pack("<I4sQ", 4, b"zstd", len(bomb))
-    path.write_bytes(content[:chunk_at] + struct.pack("<BQ", 6, len(head) + len(bomb)) + head + bomb)
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(BOMB), str(path)], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr[-500:]
-    assert "size is not the declared one" in done.stdout
 
 
 def test_a_lone_giant_message_is_refused_and_the_others_are_read(

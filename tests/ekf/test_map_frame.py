@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,11 +12,9 @@ from rows import Told, correct, step
 from textbook import move, numeric_jacobian
 
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.ekf.events import Before, Events
 from locfuse.fusion.ekf.map_frame import InMap, Triangle, in_map_P
 from locfuse.fusion.kernels.ekf import bent
 from locfuse.fusion.sensor import Block
-from locfuse.fusion.whole_drive.smooth import Backward
 
 Array = np.ndarray
 START = (1.0, -2.0, 0.4)
@@ -233,96 +230,6 @@ def test_listening_teaches_the_frame_nothing() -> None:
     belief.listen([row(COMPASS, 0.4, 1e-4, (3,), ((1.0,),)).judged(InMap(belief))])
     np.testing.assert_array_equal(belief.state[frame], G[frame])
     assert belief.state[3] != G[3]
-
-
-class Batch:
-    """Least squares over the places p_0 .. p_5 (x, y each) and a wall's rho, all at once."""
-
-    def __init__(self) -> None:
-        self.A: list[Array] = []
-        self.b: list[float] = []
-
-    def known(self, row: Array, value: float, sigma: float = 1.0) -> None:
-        self.A.append(row / sigma)
-        self.b.append(value / sigma)
-
-    def joined(self, k: int, u: Array, W: Array) -> None:
-        """Place k lies at u from the place before, of covariance W."""
-        for h in np.linalg.inv(np.linalg.cholesky(W + 1e-9 * np.eye(2))):
-            self.known(of_place(k, h) - (of_place(k - 1, h) if k else 0.0), float(h @ u))
-
-    def solved(self) -> tuple[Array, Array]:
-        A = np.array(self.A)
-        spread = np.linalg.inv(A.T @ A)
-        return spread @ A.T @ np.array(self.b), spread
-
-
-def of_place(k: int, h: Array) -> Array:
-    out = np.zeros(13)
-    out[2 * k : 2 * k + 2] = h
-    return out
-
-
-HEADING, WALL = 0.5, np.array([0.6, 0.8])  # rad; normal in the map
-TURN = np.array([[math.cos(HEADING), -math.sin(HEADING)], [math.sin(HEADING), math.cos(HEADING)]])
-OF_START = np.array([[0.3, 0.1], [0.1, 0.2]])
-OF_MOTION = np.array([[0.02, 0.003], [0.003, 0.01]])
-
-
-def see_wall(k: int, belief: JointBelief, batch: Batch, rho: int | None) -> int:
-    """Measure the distance of a wall: the first time it enters the state, in the local frame."""
-    seen, local = 2.0 - 0.05 * k, TURN.T @ WALL
-    batch.known(np.append(np.zeros(12), 1.0) - of_place(k, WALL), seen, 0.01)
-    if rho is None:
-        return belief.augment(np.array([seen]), np.array([[*local, 0.0]]), np.array([[1e-4]]))
-    y = seen - float(belief.state[rho] - local @ belief.state[:2])
-    H = ((-float(local[0]), -float(local[1]), 0.0),)
-    correct(belief, row(H, y, 1e-4, (rho,), ((1.0,),)))
-    return rho
-
-
-def see_x(k: int, belief: JointBelief, batch: Batch) -> None:
-    """Measure x in the map."""
-    correct_all(belief, [], [row(((1.0, 0.0, 0.0),), 0.1 * k - InMap(belief).pose()[0], 0.0025)])
-    batch.known(of_place(k, np.array([1.0, 0.0])), 0.1 * k, 0.05)
-
-
-@pytest.mark.parametrize("rest", [False, True])
-def test_smoothing_through_the_beginning_of_a_frame_is_batch_least_squares(rest: bool) -> None:
-    """A linear case, since the heading is known. Also where the robot stands still once the frame has begun."""
-    events, batch = Events(backward=True), Batch()
-    belief = JointBelief((0.0, 0.0, HEADING), triangle_of(OF_START), [])
-    belief.note_events(events)
-    rho: int | None = None
-    batch.joined(0, np.zeros(2), OF_START)
-    belief.predict(step((0.0, 0.0, 0.0), (0.0,) * 6), 0)
-    for k in range(1, 6):
-        moves = 0.0 if rest and k > 3 else 1.0
-        belief.predict(step((0.3 * moves, 0.0, 0.0), triangle_of(moves * OF_MOTION)), 0)
-        batch.joined(k, moves * TURN @ (0.3, 0.0), moves * TURN @ OF_MOTION @ TURN.T)
-        if k == 3:
-            belief.begin_frame()
-        if k >= 3:
-            rho = see_wall(k, belief, batch, rho)
-        if k in (1, 4, 5):
-            see_x(k, belief, batch)
-    events.final = Before(belief.state, belief.covariance)
-    back = Backward(
-        cast("Any", SimpleNamespace(t=np.zeros(6))),
-        cast("Any", SimpleNamespace(blocks={}, block_sigmas={})),
-        events,
-    )
-    back.run(events)
-    x, spread = batch.solved()
-    P = in_map_P(back.frame, back.local, back.P)
-    for k in range(6):
-        at = slice(2 * k, 2 * k + 2)
-        np.testing.assert_allclose(back.pose[k, :2], x[at], atol=5e-6)
-        np.testing.assert_allclose(P[k, :2, :2], spread[at, at], atol=1e-6)
-
-
-def triangle_of(xy: Array) -> Triangle:
-    return float(xy[0, 0]), float(xy[0, 1]), 0.0, float(xy[1, 1]), 0.0, 0.0
 
 
 @pytest.mark.parametrize("column", [0, 1])

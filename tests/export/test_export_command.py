@@ -9,22 +9,88 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from bags import data_folder, real_log, real_logs
-from commands import locfuse
+from bags import T0, S, Said, cdr, data_folder, header, real_log, real_logs, write
+from commands import locfuse, ok
 from numpy.typing import NDArray
-from ros_drive import SIGMA_POSE, SIGMA_YAW, drive, parameters
+from pose_streams import reckoned
+from ruamel.yaml import YAML
 from scipy.ndimage import distance_transform_edt
+from wheel_bags import placed, turned
 
 from locfuse import load
 
+Array = NDArray[np.float64]
 SAMPLE = "rounded_rectangle"
 BAD: dict[str, tuple[bytes, str]] = {
     "anchor": (b"amcl:\n  ros__parameters:\n    sigma_hit: &a 0.2\n    z_hit: *a\n", "sigma_hit has an anchor"),
-    "tab": (b"amcl:\n\tros__parameters: {}\n", "line 2 begins with a tab"),
-    "unknown": (b"amcl:\n  ros__parameters:\n    alpha1: 0.2\n    sigma_hitt: 1\n", "amcl has no key sigma_hitt"),
     "binary": (b"\x89PNG\r\n\x1a\n\x00\xff", "not a YAML text"),
-    "another": (b"ekf:\n  ros__parameters:\n    odom0: odom\n", "has no section of amcl"),
 }
+
+
+# --- a drive as a ROS 2 robot records it: odometry, an IMU, a localiser's pose, and the truth; all noise is white
+
+RATE_HZ = 20
+NOISE_M, TRACK_M = 4e-4, 0.3  # variance of a wheel per metre; an odometry's track in locfuse
+SIGMA_YAW, SIGMA_RATE, SIGMA_POSE = 0.02, 0.004, 0.03  # rad, rad/s, m
+ODOMETRY, IMU = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
+POSE, STAMPED = "geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/PoseStamped"
+
+
+def parameters(text: str, node: str) -> dict[str, Any]:
+    """The parameters of one node of an exported file."""
+    yaml = YAML(typ="safe", pure=True)
+    yaml.version = (1, 1)  # as libyaml reads it for ROS
+    found: dict[str, Any] = yaml.load(text)[node]["ros__parameters"]
+    return found
+
+
+def speeds(t: Array) -> Array:
+    """Forward speed and turning rate (n, 2): at rest for two seconds, then a winding path."""
+    begun = np.clip(t - 2.0, 0.0, 1.0)[:, None]
+    return begun * np.column_stack((0.4 + 0.1 * np.sin(0.3 * t), 0.5 * np.sin(0.25 * (t - 2.0))))
+
+
+def drive(path: Path, seconds: float = 60.0, seed: int = 3) -> Path:
+    """Write the drive to an .mcap file."""
+    rng = np.random.default_rng(seed)
+    dt, n = 1.0 / RATE_HZ, int(seconds * RATE_HZ)
+    t: Array = np.arange(n, dtype=np.float64) * np.float64(dt)
+    true = speeds(t + np.float64(0.5 * dt))  # over each period
+    grown = (
+        NOISE_M * 2.0 * np.abs(true[:, 0]) * dt
+    )  # both wheels; rolled by half the track more or less they are alike
+    noise = np.column_stack((np.sqrt(0.25 * grown), np.sqrt(grown) / TRACK_M)) / dt
+    told = true + noise * rng.standard_normal((n, 2))
+    poses, odometry = reckoned(true * dt), placed(reckoned(told * dt))
+    true_poses = placed(poses)
+    said: list[Said] = []
+    for i in range(n):
+        stamp = T0 + i * S // RATE_HZ + S // RATE_HZ
+        v, w = told[i]
+        body = {"pose": odometry[i + 1], "covariance": np.zeros(36)}
+        twist = {"twist": {"linear": {"x": v}, "angular": {"z": w}}, "covariance": np.zeros(36)}
+        message = cdr(ODOMETRY, header=header(stamp, "odom"), child_frame_id="base_link", pose=body, twist=twist)
+        said.append(Said("/odom", ODOMETRY, message, stamp, i))
+        yaw = poses[i + 1, 2] + SIGMA_YAW * rng.standard_normal()
+        rate = speeds(t[i : i + 1] + np.float64(dt))[0, 1] + SIGMA_RATE * rng.standard_normal()
+        imu = cdr(
+            IMU,
+            header=header(stamp, "base_link"),
+            orientation=turned(yaw),
+            orientation_covariance=np.diag([1e-4, 1e-4, SIGMA_YAW**2]).ravel(),
+            angular_velocity={"z": rate},
+            angular_velocity_covariance=np.diag([1e-5, 1e-5, SIGMA_RATE**2]).ravel(),
+            linear_acceleration={"z": 9.81},
+        )
+        said.append(Said("/imu", IMU, imu, stamp, i))
+        truth = cdr(STAMPED, header=header(stamp, "map"), pose=true_poses[i + 1])
+        said.append(Said("/ground_truth/pose", STAMPED, truth, stamp, i))
+        if i % 10 == 0:
+            x, y, theta = poses[i + 1] + rng.standard_normal(3) * (SIGMA_POSE, SIGMA_POSE, SIGMA_YAW)
+            covariance = np.diag([SIGMA_POSE**2, SIGMA_POSE**2, 0, 0, 0, SIGMA_YAW**2]).ravel()
+            given = {"pose": placed(np.array([[x, y, theta]]))[0], "covariance": covariance}
+            said.append(Said("/amcl_pose", POSE, cdr(POSE, header=header(stamp, "map"), pose=given), stamp, i))
+    return write(path, said)
 
 
 @pytest.mark.parametrize("kind", BAD)
@@ -57,23 +123,22 @@ def test_a_read_only_file_a_folder_and_a_missing_one_are_refused(tmp_path: Path)
 
 
 def test_a_file_that_is_its_own_output_stays_the_link_it_is(tmp_path: Path) -> None:
-    assert locfuse("export", "ros", SAMPLE, "--to", "amcl", "--as-set", "-o", tmp_path / "real").exit_code == 0
+    ok("export", "ros", SAMPLE, "--to", "amcl", "--as-set", "-o", tmp_path / "real")
+    (tmp_path / "real").chmod(0o640)
     link = tmp_path / "nav2.yaml"
     link.symlink_to("real")
     words = ("--to", "amcl", "--as-set", "--into", link, "-o", link, "--overwrite")
-    assert locfuse("export", "ros", "disturbed", *words).exit_code == 0
+    ok("export", "ros", "disturbed", *words)
     assert link.is_symlink()
+    assert (tmp_path / "real").stat().st_mode & 0o777 == 0o640
     assert "9108 beams" in (tmp_path / "real").read_text()
 
 
 def test_a_result_is_exported_with_the_fixes_that_were_tried(tmp_path: Path) -> None:
     folder = tmp_path / "out"
-    assert (
-        locfuse("compare", "disturbed", "-o", folder, "-q", "--sensors", "compass", "--no-advice").exit_code == 0
-    )
+    ok("compare", "disturbed", "-o", folder, "-q", "--sensors", "compass", "--no-advice")
     (folder / "fixes.toml").write_text("[compass]\nsigma_deg = 11\n[wheels]\nnoise = 0.001\n")
-    done = locfuse("export", "ros", folder, "--to", "fusioncore", "--to", "diff_drive")
-    assert done.exit_code == 0, done.stderr
+    done = ok("export", "ros", folder, "--to", "fusioncore", "--to", "diff_drive")
     found = parameters(done.stdout, "fusioncore")
     assert found["magnetometer.noise_rad"] == pytest.approx(0.19199, rel=1e-3)
     assert "magnetometer.noise_rad: 0.192  # found: rad; compass.sigma_deg by fixes.toml" in done.stdout
@@ -92,8 +157,7 @@ def test_a_result_whose_log_is_not_there_says_so(tmp_path: Path) -> None:
 def test_on_the_warthog_the_wheels_stand_wider_apart_than_its_data_sheet_says() -> None:
     sets = ("wheels.radius=0.30", "wheels.track=1.14", "truth.topic=/icp_pose")
     words = [word for setting in sets for word in ("--set", setting)]
-    done = locfuse("export", "ros", real_log("warthog/warthog.mcap"), *words, "--to", "diff_drive", "-q")
-    assert done.exit_code == 0, done.stderr
+    done = ok("export", "ros", real_log("warthog/warthog.mcap"), *words, "--to", "diff_drive", "-q")
     found = parameters(done.stdout, "diff_drive_controller")
     assert found["wheel_separation"] == 1.14
     assert 1.56 < found["wheel_separation_multiplier"] < 1.63
@@ -144,7 +208,6 @@ def _same_topics(found: dict[str, Any], robot: str, said: str) -> None:
 
 # --- aMCL's parameters: a likelihood field made by hand prefers the exported sigma_hit; steps are as noisy
 
-Floats = NDArray[np.float64]
 CELL_M = 0.05
 WALLS = [  # of the sample log's room, m
     *((0, 0, 8, 0), (8, 0, 8, 6), (8, 6, 0, 6), (0, 6, 0, 0)),
@@ -154,12 +217,11 @@ WALLS = [  # of the sample log's room, m
 
 @pytest.fixture(scope="module")
 def amcl() -> dict[str, Any]:
-    done = locfuse("export", "ros", "rounded_rectangle", "--to", "amcl", "--as-set", "-q")
-    assert done.exit_code == 0, done.stderr
+    done = ok("export", "ros", "rounded_rectangle", "--to", "amcl", "--as-set", "-q")
     return parameters(done.stdout, "amcl")
 
 
-def field() -> Floats:
+def field() -> Array:
     """Distance [m] of every cell from the nearest cell with a wall, as AMCL makes it from a map of 5 cm cells."""
     cells = np.zeros((140, 180), bool)  # from (-0.5, -0.5) m
     for x1, y1, x2, y2 in WALLS:
@@ -170,12 +232,12 @@ def field() -> Floats:
     return np.asarray(CELL_M * distance_transform_edt(~cells))
 
 
-def ends() -> Floats:
+def ends() -> Array:
     """Where beams end [m], each seen from the true pose at its own instant."""
     log = load("rounded_rectangle").log
     truth, scans = log.stream("/ground_truth/pose"), log.stream("/scan")
-    pose = cast("dict[str, Floats]", truth.columns("pose.position.x", "pose.position.y"))
-    turn = cast("dict[str, Floats]", truth.columns("pose.orientation.z", "pose.orientation.w"))
+    pose = cast("dict[str, Array]", truth.columns("pose.position.x", "pose.position.y"))
+    turn = cast("dict[str, Array]", truth.columns("pose.orientation.z", "pose.orientation.w"))
     yaw = np.unwrap(2.0 * np.arctan2(turn["pose.orientation.z"], turn["pose.orientation.w"]))
     fields = ("ranges", "angle_min", "angle_increment", "time_increment")
     columns: dict[str, Any] = scans.columns(*fields)
@@ -233,8 +295,7 @@ def test_values_go_into_the_users_file_and_nothing_else_changes(tmp_path: Path) 
         "    z_hit: 0.5\nbt_navigator:\n  ros__parameters:\n    alpha1: 7\n"
     )
     file.write_text(text.replace("    alpha1: 7\n", "    x: 7\n"))
-    done = locfuse("export", "ros", "rounded_rectangle", "--to", "amcl", "--as-set", "--into", file)
-    assert done.exit_code == 0, done.stderr
+    done = ok("export", "ros", "rounded_rectangle", "--to", "amcl", "--as-set", "--into", file)
     now = file.read_text().splitlines()
     assert [line.partition(":")[0] for line in now] == [
         line.partition(":")[0] for line in text.replace("alpha1: 7", "x: 7").splitlines()
@@ -339,8 +400,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def exported(log: Path) -> str:
     sets = ("--set", "pose.topic=/amcl_pose", "--set", "pose.frame=map")
-    done = locfuse("export", "ros", log, *sets, "--to", "ekf", "--to", "diff_drive", "-q")
-    assert done.exit_code == 0, done.stderr
+    done = ok("export", "ros", log, *sets, "--to", "ekf", "--to", "diff_drive", "-q")
     return done.stdout
 
 
@@ -389,8 +449,7 @@ def test_by_the_wheels_alone_it_is_as_uncertain_as_our_filter_and_its_twists_are
 
 def test_fusioncore_names_every_sensor_that_it_has_no_parameters_for(log: Path) -> None:
     sets = ("--set", "pose.topic=/amcl_pose", "--set", "pose.frame=map")
-    done = locfuse("export", "ros", log, *sets, "--to", "fusioncore", "--as-set", "-q")
-    assert done.exit_code == 0, done.stderr
+    done = ok("export", "ros", log, *sets, "--to", "fusioncore", "--as-set", "-q")
     comments = [line.split(":")[0].strip("# ") for line in done.stdout.splitlines() if "cannot be mapped" in line]
     assert comments == ["compass", "pose"]
     assert "gyro_noise" in done.stdout

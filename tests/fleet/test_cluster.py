@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
 import socket
 import sys
 from collections.abc import Iterator
-from concurrent.futures import Executor, Future
+from concurrent.futures import Future
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from commands import locfuse, ok
@@ -17,7 +19,7 @@ from many_logs import tables, write_logs
 from locfuse.cli.analysis.settings import Asked, LogOptions, Outputs
 from locfuse.cli.fleet import process
 from locfuse.cli.fleet import queue as clusters
-from locfuse.cli.fleet.job import Job, JobOutcome
+from locfuse.cli.fleet.jobs import Job, JobOutcome
 from locfuse.cli.fleet.queue import run_all
 from locfuse.fusion.data import LocfuseError
 
@@ -69,46 +71,20 @@ def test_a_worker_of_another_version_or_without_the_folder_is_a_row(tmp_path: Pa
     assert f"does not see the folder {tmp_path / 'gone'}" in found.reason
 
 
-class Workers:
-    """What a scheduler says of its workers."""
-
-    def __init__(self, found: dict[str, Any], none: bool = False) -> None:
-        self.found = found
-        self.none = none
-
-    def wait_for_workers(self, _n: int, timeout: float) -> None:
-        if self.none:
-            raise TimeoutError(f"none in {timeout} s")
-
-    def run(self, _function: Any, _package: str, on_error: str) -> dict[str, Any]:
-        assert on_error == "return"
-        return self.found
-
-
 @pytest.mark.parametrize(
     ("workers", "said"),
     [
-        (Workers({"tcp://10.0.0.2:1": ModuleNotFoundError("locfuse")}), "10.0.0.2:1 has no locfuse: pip install"),
-        (Workers({"tcp://10.0.0.2:1": "0.0.1"}), "has locfuse 0.0.1, this is"),
-        (Workers({}, none=True), "has no workers; start some with: dask worker tcp://10.0.0.1:1"),
+        (
+            {"run.return_value": {"tcp://w:1": ModuleNotFoundError("locfuse")}},
+            "tcp://w:1 has no locfuse: pip",
+        ),
+        ({"run.return_value": {"tcp://w:1": "0.0.1"}}, "worker tcp://w:1 has locfuse 0.0.1, this is"),
+        ({"wait_for_workers.side_effect": TimeoutError}, "no workers; start some with: dask worker tcp://s:1"),
     ],
 )
-def test_workers_that_cannot_do_it_are_named_before_anything_is_sent(workers: Any, said: str) -> None:
-    with pytest.raises(LocfuseError, match=r".") as refused:
-        clusters._check_workers("tcp://10.0.0.1:1", workers)
-    assert said in str(refused.value)
-
-
-class Dying(Executor):
-    """An executor whose workers die, lose the connection, or cannot import."""
-
-    def __init__(self, *problems: BaseException) -> None:
-        self.problems = list(problems)
-
-    def submit(self, _fn: Any, /, *_given: Any, **_named: Any) -> Future[Any]:
-        future: Future[JobOutcome] = Future()
-        future.set_exception(self.problems.pop())
-        return future
+def test_workers_that_cannot_do_it_are_named_before_anything_is_sent(workers: dict[str, Any], said: str) -> None:
+    with pytest.raises(LocfuseError, match=re.escape(said)):
+        clusters._check_workers("tcp://s:1", Mock(**workers))
 
 
 def test_what_the_cluster_fails_is_a_row(tmp_path: Path) -> None:
@@ -116,8 +92,11 @@ def test_what_the_cluster_fails_is_a_row(tmp_path: Path) -> None:
         pass
 
     problems = (KilledWorker("x"), ModuleNotFoundError("No module named 'cv2'"), ValueError("odd\nthing"))
-    jobs = [job(str(i), tmp_path) for i in range(3)]
-    ended = run_all(jobs, Dying(*problems), 1, None, lambda standing, outcome: None)
+    futures = [Future[JobOutcome]() for _ in problems]
+    for future, problem in zip(futures, problems, strict=True):
+        future.set_exception(problem)
+    pool = Mock(**{"submit.side_effect": futures})
+    ended = run_all([job(str(i), tmp_path) for i in range(3)], pool, None, lambda standing, outcome: None)
     reasons = " ".join(outcome.reason for outcome in ended.outcomes.values())
     assert "every worker that ran it died" in reasons
     assert "a worker cannot import what it needs: No module named 'cv2'" in reasons

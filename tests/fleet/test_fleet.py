@@ -14,7 +14,7 @@ import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import Executor, Future
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,7 @@ from locfuse.cli.analysis.grouping import _regex, expanded
 from locfuse.cli.analysis.robot_tables import given_tables
 from locfuse.cli.analysis.settings import Asked, LogOptions, Outputs
 from locfuse.cli.fleet import process
-from locfuse.cli.fleet.job import Job, JobOutcome
+from locfuse.cli.fleet.jobs import Job, JobOutcome
 from locfuse.cli.fleet.queue import QueueState, duration, run_all
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.whole_files import RUN_LOCK, sole_writer
@@ -247,27 +247,19 @@ def test_two_runs_do_not_share_a_folder(logs: list[Path], tmp_path: Path) -> Non
     assert f"is being written by process {os.getpid()}" in done.stderr
 
 
-class Failing(Executor):
-    """An executor that runs nothing and fails everything."""
-
-    def submit(self, _fn: Any, /, *given: Any, **_named: Any) -> Future[Any]:
-        future: Future[JobOutcome] = Future()
-        future.set_result(JobOutcome(given[0].name, "failed", "no luck"))
-        return future
-
-
 def job(name: str) -> Job:
     return Job(name, (name,), Path(name), LogOptions(), Asked(), Outputs())
 
 
-def test_too_many_failures_stop_the_queue() -> None:
-    jobs = [job(str(i)) for i in range(100)]
-    seen: list[str] = []
-    ended = run_all(jobs, Failing(), 1, 2, lambda standing, outcome: seen.append(standing.words()))
-    assert 3 <= len(ended.outcomes) < 100
+def test_too_many_failures_stop_the_queue(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(process, "run", lambda job, *_: JobOutcome(job.name, "failed", "no luck"))
+    jobs, seen = [job(str(i)) for i in range(100)], list[str]()
+    with ThreadPoolExecutor(1) as pool:
+        ended = run_all(jobs, pool, 2, lambda standing, outcome: seen.append(standing.words()))
+        assert len(run_all(jobs, pool, None, lambda standing, outcome: None).outcomes) == 100
     assert "more than 2 logs failed" in ended.stopped
     assert seen[0].startswith("0 done, 1 failed, 99 left")
-    assert len(run_all(jobs, Failing(), 1, None, lambda standing, outcome: None).outcomes) == 100
+    assert seen[-1].startswith("0 done, 3 failed, 97 left")
 
 
 def test_progress_says_how_long_it_will_take() -> None:

@@ -28,15 +28,19 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return places
 
 
+@pytest.fixture(autouse=True)
+def no_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    jobs_here(monkeypatch)
+
+
 def summary(folder: Path) -> dict[str, Any]:
     found: dict[str, Any] = json.loads((folder / "summary.json").read_text())
     return found
 
 
-def test_one_clock_that_is_late_in_all_logs_gets_one_fix_which_helps_where_it_is_obeyed(
-    logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_one_late_clock_in_all_logs_gets_one_fix_which_helps_where_it_is_set(
+    logs: list[Path], tmp_path: Path
 ) -> None:
-    jobs_here(monkeypatch)
     out = tmp_path / "out"
     wrong = (*RIGHT, "--set", "compass.time_offset=0.2", "--write", "json,md,html")
     done = ok("compare", *logs, *wrong, "-o", out)
@@ -63,7 +67,6 @@ def test_one_clock_that_is_late_in_all_logs_gets_one_fix_which_helps_where_it_is
 def test_a_right_robot_costs_no_second_run(
     logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    jobs_here(monkeypatch)
     ran = counted_jobs(monkeypatch)
     ok("compare", *logs, *RIGHT, "--write", "json", "-o", tmp_path / "out")
     (robot,) = summary(tmp_path / "out")["robots"]
@@ -72,10 +75,7 @@ def test_a_right_robot_costs_no_second_run(
     assert len(ran) == len(logs)
 
 
-def test_one_log_that_disagrees_is_named_and_two_robots_have_nothing_in_common(
-    logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    jobs_here(monkeypatch)
+def test_one_log_that_disagrees_is_named_and_two_have_nothing_in_common(logs: list[Path], tmp_path: Path) -> None:
     late = tmp_path / "late.mcap"
     fault = 'faults=[{kind="clock_offset", sensor="compass", seconds=0.3}]'
     write_log(scenario_of("rounded_rectangle", (*LIGHT, fault)), 43, on_truth, late)
@@ -87,10 +87,7 @@ def test_one_log_that_disagrees_is_named_and_two_robots_have_nothing_in_common(
     assert summary(tmp_path / "two")["robots"][0]["fixes"] == []
 
 
-def test_robots_with_names_are_asked_one_by_one(
-    logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    jobs_here(monkeypatch)
+def test_robots_with_names_are_asked_one_by_one(logs: list[Path], tmp_path: Path) -> None:
     names = ("--robot-from", "(monday|tuesday|friday)")
     words = (*RIGHT, "--set", "compass.time_offset=0.2", "--write", "json", "-q")
     ok("fleet", *logs, *words, *names, "-o", tmp_path / "each")
@@ -100,8 +97,7 @@ def test_robots_with_names_are_asked_one_by_one(
     assert summary(tmp_path / "all")["robots"][0]["robot"] == "day"
 
 
-def test_no_advice_tries_nothing(logs: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    jobs_here(monkeypatch)
+def test_no_advice_tries_nothing(logs: list[Path], tmp_path: Path) -> None:
     words = (*RIGHT, "--set", "compass.time_offset=0.2", "--write", "json", "-q", "--no-advice")
     ok("compare", *logs, *words, "-o", tmp_path / "out")
     assert summary(tmp_path / "out")["robots"] == []

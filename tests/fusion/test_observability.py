@@ -9,14 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from worlds import World
+from worlds import World, instants
 
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements
 from locfuse.fusion.ekf.map_frame import InMap
 from locfuse.fusion.fuse import Filter, fuse
-from locfuse.fusion.instants import due_readings, steps_of
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot, StartSettings
 from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 
@@ -25,9 +23,7 @@ TRUE = (1.5, 1.5, 0.0)
 
 
 def drive_of(settings: Mapping[str, Any] | None = None, seconds: float = 12.0) -> tuple[Drive, Robot]:
-    world = World(seconds=seconds, settings=dict(settings or {}))
-    robot = world.robot()
-    return measure(world.streams(), robot), robot
+    return World(seconds=seconds, settings=dict(settings or {})).measured()
 
 
 def begun(robot: Robot, sigma_deg: float, off_deg: float = 0.0, sigma_xy: float = 0.3) -> Robot:
@@ -39,9 +35,7 @@ def begun(robot: Robot, sigma_deg: float, off_deg: float = 0.0, sigma_xy: float 
 
 def run_of(drive: Drive, robot: Robot, sensors: list[str]) -> Filter:
     run = Filter(robot, sensors)
-    steps = steps_of(drive)
-    for k, due in enumerate(due_readings(drive, sensors)):
-        run.advance(k, steps, due, drive.measurements)
+    assert len(list(instants(run, drive, *sensors))) == len(drive.t)
     return run
 
 
@@ -116,9 +110,7 @@ def test_a_frame_begins_only_with_a_map_of_ones_own() -> None:
     robot = begun(robot, 5.0)
     every = np.ones(len(drive.measurements["lrf"].t), bool)
     listening = Filter(robot, ["compass"], {"lrf": every})
-    steps = steps_of(drive)
-    for k, due in enumerate(due_readings(drive, ["compass", "lrf"])):
-        listening.advance(k, steps, due, drive.measurements)
+    assert len(list(instants(listening, drive, "compass", "lrf"))) == len(drive.t)
     for run in (run_of(drive, robot, []), run_of(drive, robot, ["compass"]), listening):
         assert not run.belief.framed
     assert run_of(drive, robot, ["lrf"]).belief.framed
@@ -129,14 +121,12 @@ def test_a_map_that_is_lost_begins_anew_in_a_frame_of_its_own() -> None:
     robot = begun(robot, 2.0)
     run, lrf = Filter(robot, ["lrf"]), drive.measurements["lrf"]
     belief: Any = None
-    steps = steps_of(drive)
-    for k, due in enumerate(due_readings(drive, ["lrf"])):
+    for k in instants(run, drive, "lrf"):
         if k == len(drive.t) // 2:  # forget every wall
             belief = run.belief
             lines = run.models["lrf"].map  # type: ignore[attr-defined]
             belief.remove(lines.drop(np.arange(len(lines))))
             before, spread = InMap(belief).pose(), InMap(belief).matrix()
-        run.advance(k, steps, due, drive.measurements)
     assert len(lrf.t) > 10
     assert belief.frame_pose()[:2] != TRUE[:2]
     assert math.hypot(belief.frame_pose()[0] - before[0], belief.frame_pose()[1] - before[1]) < 0.1

@@ -92,3 +92,18 @@ def test_derivatives_of_between_are_finite_differences(a: np.ndarray, b: np.ndar
     by_a, by_b = se2.between_jacobians(a, b)
     np.testing.assert_allclose(by_a, numeric_jacobian(lambda p: se2.between(p, b), a), atol=1e-8)
     np.testing.assert_allclose(by_b, numeric_jacobian(lambda p: se2.between(a, p), b), atol=1e-8)
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_derivatives_of_a_bearing_are_finite_differences(pose: np.ndarray) -> None:
+    point, mount = (2.5, -1.2), np.array([0.3, -0.2, 0.7])
+
+    def bearing(p: np.ndarray, m: np.ndarray) -> np.ndarray:
+        seen = se2.sight(tuple(p), point, tuple(m), 0.1)
+        assert seen is not None
+        return np.array([seen[0]])
+
+    seen = se2.sight(tuple(pose), point, tuple(mount), 0.1)
+    assert seen is not None
+    np.testing.assert_allclose([seen[2]], numeric_jacobian(lambda p: bearing(p, mount), pose), atol=1e-7)
+    np.testing.assert_allclose([seen[3]], numeric_jacobian(lambda m: bearing(pose, m), mount), atol=1e-7)

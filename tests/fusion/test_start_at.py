@@ -9,18 +9,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import locfuse
+from commands import locfuse, ok
 from msgspec.structs import replace
 from rewrite_log import rewritten
-from worlds import World
+from worlds import World, instants
 
 import locfuse as api
 from locfuse.fusion.data import VERDICTS, Array, Drive, LocfuseError
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import Filter
-from locfuse.fusion.instants import due_readings, steps_of
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot, StartSettings
 from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 
@@ -164,8 +162,7 @@ def test_the_commands_take_it_and_refuse_what_holds_nothing(tmp_path: Path) -> N
         "json",
         "--overwrite",
     )
-    done = locfuse(*words, "--from", 10, "--to", 25)
-    assert done.exit_code == 0
+    ok(*words, "--from", 10, "--to", 25)
     report = json.loads((tmp_path / "o" / "report.json").read_text())
     assert report["configurations"]["odometry"]["duration_s"] == pytest.approx(15.0, abs=0.1)
     done = locfuse(*words, "--from", 1000)
@@ -204,9 +201,7 @@ def correlation(P: Array) -> Array:
 def positive_throughout(drive: Drive, robot: Robot, sensors: list[str]) -> Filter:
     """Run the filter; its state and the pose in the map have a positive covariance at every instant."""
     run = Filter(robot, sensors)
-    steps = steps_of(drive)
-    for k, due in enumerate(due_readings(drive, sensors)):
-        run.advance(k, steps, due, drive.measurements)
+    for _ in instants(run, drive, *sensors):
         belief = run.belief
         for P in (belief.covariance, run._in_map.matrix()):
             assert np.isfinite(P).all()
@@ -216,9 +211,7 @@ def positive_throughout(drive: Drive, robot: Robot, sensors: list[str]) -> Filte
 
 @pytest.fixture(scope="module")
 def driven() -> tuple[Drive, Robot]:
-    world = World(seconds=3.0, settings={"compass": {"offset_deg": math.degrees(0.7)}})
-    robot = world.robot()
-    return measure(world.streams(), robot), robot
+    return World(seconds=3.0, settings={"compass": {"offset_deg": math.degrees(0.7)}}).measured()
 
 
 @pytest.mark.parametrize("sensors", [["lrf"], ["compass", "lrf"]], ids="+".join)
@@ -244,8 +237,8 @@ def test_a_robot_at_rest_without_floors_keeps_a_positive_covariance(mode: str, s
     """Nothing then stops a wall from being known exactly but the number of scans that count."""
     settings = {"floor_range": 0.0, "floor_angle_deg": 0.0, "walls": "flat", "map": mode}
     world = World(seconds=seconds, speed=0.0, turning=0.0, settings={"lrf": settings})
-    robot = replace(world.robot(), start=StartSettings(x=1.5, y=1.5, sigma_theta_deg=2.0, sigma_xy=0.1))
-    drive = measure(world.streams(), robot)
+    drive, robot = world.measured()
+    robot = replace(robot, start=StartSettings(x=1.5, y=1.5, sigma_theta_deg=2.0, sigma_xy=0.1))
     run = positive_throughout(drive, robot, ["lrf"])
     np.testing.assert_allclose(run.pose(), (1.5, 1.5, 0.0), atol=1e-3)
     assert run._in_map.matrix()[2, 2] > 0.999 * np.radians(2.0) ** 2

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from locfuse.cli.fleet import process
-from locfuse.cli.fleet.job import Job, JobOutcome
+from locfuse.cli.fleet.jobs import Job, JobOutcome
 from locfuse.cli.main import main
 
 

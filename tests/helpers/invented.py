@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, json_format, message_factory, timestamp_pb2
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from locfuse.formats.messages.schema import Decoded
 from locfuse.fusion.data import Ragged
@@ -171,3 +172,20 @@ def _json(value: Any) -> Any:
     if isinstance(value, list):
         return ["NaN" if one is None else _json(one) for one in value]
     return value
+
+
+def invented(seed: int, n: int) -> tuple[str, Any, list[Any]]:
+    """The definition of a type t/msg/Top that nobody wrote, its rosbags store, and n messages."""
+    rng = random.Random(seed)
+    text, store = invented_type(rng), get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(text, "t/msg/Top"))
+    fields = store.get_msgdef("t/msg/Top").fields
+    made = [{name: invented_value(rng, desc, store) for name, desc in fields} for _ in range(n)]
+    return text, store, [store.types["t/msg/Top"](**values) for values in made]
+
+
+def written(store: Any, message: Any, kind: str) -> bytes:
+    """The bytes of a t/msg/Top by rosbags: as CDR, little or big endian, or as ROS 1 has it."""
+    if kind == "ros1":
+        return bytes(store.serialize_ros1(message, "t/msg/Top"))
+    return bytes(store.serialize_cdr(message, "t/msg/Top", little_endian=kind == "little"))

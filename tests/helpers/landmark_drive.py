@@ -11,6 +11,7 @@ import numpy as np
 from bags import T0, S, Said
 from commands import locfuse
 from numpy.typing import NDArray
+from pose_streams import reckoned
 from wheel_bags import GEOMETRY, RADIUS, TRACK, angles, messages, turned
 
 from locfuse.fusion import se2
@@ -21,20 +22,17 @@ TO_OPTICAL = np.array([-0.5, 0.5, -0.5, 0.5])  # x, y, z, w: z ahead, x right
 TF = "tf2_msgs/msg/TFMessage"
 
 
-def path_of(t: Array, angle: Array) -> Array:
+def path_of(angle: Array) -> Array:
     """Poses (n, 3) of dead reckoning along chords: the truth of these logs."""
-    ds, turn = np.diff(angle, axis=0).mean(axis=1) * RADIUS, np.diff(angle, axis=0) @ [-1, 1] * RADIUS / TRACK
-    theta = np.concatenate(([0.0], np.cumsum(turn)))
-    middle = theta[:-1] + turn / 2
-    steps = np.stack((ds * np.cos(middle), ds * np.sin(middle)), axis=-1)
-    return np.column_stack((np.vstack(([0.0, 0.0], np.cumsum(steps, axis=0))), theta))
+    rolled = np.diff(angle, axis=0) * RADIUS
+    return reckoned(np.column_stack((rolled.mean(axis=1), rolled @ [-1, 1] / TRACK)))
 
 
 def slipping(share: float = 0.05, seconds: float = 60.0) -> tuple[Array, Array, Array]:
     """Times (n,), angles (n, 2) of wheels that slip by a share of every turn, true poses (n, 3)."""
     t, angle = angles(seconds)
     slip = share * (angle[:, 1] - angle[:, 0]) / 2
-    return t, angle + np.stack((-slip, slip), axis=-1), path_of(t, angle)
+    return t, angle + np.stack((-slip, slip), axis=-1), path_of(angle)
 
 
 def truth_file(folder: Path, t: Array, true: Array) -> Path:

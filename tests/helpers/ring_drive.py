@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import rooms
@@ -68,21 +68,31 @@ def scan(pose: Array, segments: Array, rng: np.random.Generator) -> Array:
 class Held:
     """Points in memory, of a robot whose wheels say nothing here."""
 
-    scans: list[Array]
-    origin: tuple[float, float] = (0.0, 0.0)
+    scans: list[Array]  # in the laser's frame
+    mount: Array = field(default_factory=lambda: np.zeros(3))
 
     def take(self, readings: Ints) -> Held:
-        return Held([self.scans[i] for i in readings.tolist()])
+        return Held([self.scans[i] for i in readings.tolist()], self.mount)
+
+    def mounted(self, mount: Array) -> Held:
+        return Held(self.scans, mount)
 
     def moved(self, t_from: Array, t_to: Array) -> Array:
         return np.zeros((len(t_to), 3))
 
     def read(self, readings: Ints) -> list[Array]:
-        return [self.scans[i] for i in readings.tolist()]
+        seen = [self.scans[i] for i in readings.tolist()]
+        return [se2.transform(np.broadcast_to(self.mount, (len(p), 3)), p) for p in seen]
 
 
-def ring_drive(seed: int, laps: float = 2.25, alike: bool = False, drift: float = 0.004) -> tuple[Drive, Array]:
-    """Return a drive and its true poses at the drive's instants; the wheels' turns drift by `drift` [rad/m]."""
+def ring_drive(
+    seed: int, laps: float = 2.25, alike: bool = False, drift: float = 0.004, mount: Array | None = None
+) -> tuple[Drive, Array]:
+    """Return a drive and its true poses at the drive's instants; the wheels' turns drift by `drift` [rad/m].
+
+    `mount` (3,) is where the laser truly sits, if not at the axle, where it is configured.
+    """
+    sits = np.zeros(3) if mount is None else mount
     rng = np.random.default_rng(seed)
     t, truth = path(laps)
     motion = se2.between(truth[:-1], truth[1:])
@@ -91,7 +101,7 @@ def ring_drive(seed: int, laps: float = 2.25, alike: bool = False, drift: float 
     twist[:, 0] *= 1.01
     segments, every = walls(alike), int(SCAN_S / STEP_S)
     at = np.arange(0, len(t), every)
-    scans = [scan(truth[k], segments, rng) for k in at]
+    scans = [scan(se2.compose(truth[k], sits), segments, rng) for k in at]
     nothing = np.zeros(len(at) + 1, np.int64)
     m = Measurements(
         t[at],

@@ -25,16 +25,20 @@ ARENA: Segments = np.array(
 )
 
 
+def ring(corners: Array) -> Segments:
+    """The walls of a closed way through corners (q, 2)."""
+    return np.hstack((corners, np.roll(corners, -1, axis=0)))
+
+
 def box(x0: float, y0: float, x1: float, y1: float) -> Segments:
     """The four walls of a rectangle."""
-    return np.array([(x0, y0, x1, y0), (x1, y0, x1, y1), (x1, y1, x0, y1), (x0, y1, x0, y0)])
+    return ring(np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)]))
 
 
 def pole(x: float, y: float, radius: float) -> Segments:
     """A round pole, as a polygon of 60 sides."""
-    a = np.linspace(0.0, 2.0 * math.pi, 61)
-    px, py = x + radius * np.cos(a), y + radius * np.sin(a)
-    return np.stack((px[:-1], py[:-1], px[1:], py[1:]), axis=1)
+    a = np.linspace(0.0, 2.0 * math.pi, 60, endpoint=False)
+    return ring(np.stack((x + radius * np.cos(a), y + radius * np.sin(a)), axis=1))
 
 
 def ranges(walls: Segments, origins: Array, angle: Array) -> Array:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from locfuse.fusion.data import Array, Ints
+from locfuse.fusion.data import Array, Ints, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.kernels.ekf import Innovation, Steps
 from locfuse.fusion.kernels.sight import Audit
@@ -65,6 +65,13 @@ def correct(belief: Any, *told: Told) -> None:
     for seen in [s.judged(belief) for s in told]:
         belief.queue(seen)
     belief.correct()
+
+
+def readings(t: Array, z: Array, sigma: float, **extra: Array) -> Measurements:
+    """One row z (n, d) per reading, of noise sigma in every number and without a floor."""
+    n, d = z.shape
+    R_unit = np.broadcast_to(np.eye(d), (n, d, d)).copy()
+    return Measurements(t, np.arange(n + 1), z, R_unit, sigma, np.zeros((d, d)), extra)
 
 
 # --- what sensors say of their readings, as plain matrices and single innovations

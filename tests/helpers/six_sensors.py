@@ -9,9 +9,10 @@ from functools import cache
 from typing import Any, cast
 
 import numpy as np
+from pose_streams import pose_columns
 
 from locfuse.cli.analysis.robot_tables import make_robot
-from locfuse.fusion.data import ArrayStream, Drive, Stream
+from locfuse.fusion.data import Array, ArrayStream, Drive, Stream
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -62,19 +63,22 @@ def ranges(truth: Stream) -> Stream:
     return ArrayStream("/uwb", "locfuse/msg/Ranges", seen.t_ns[::2], data)
 
 
+def true_poses(truth: Stream) -> tuple[Array, Array, Array]:
+    """The true x, y and unwrapped headings, (n,) each."""
+    names = ("position.x", "position.y", "orientation.z", "orientation.w")
+    x, y, z, w = cast("dict[str, Array]", truth.columns(*(f"pose.{name}" for name in names))).values()
+    return x, y, np.unwrap(2.0 * np.arctan2(z, w))
+
+
 def detections(truth: Stream) -> Stream:
     """Range and bearing to four landmarks at the true poses, two of them at every third stamp."""
-    columns = cast("dict[str, Any]", truth.columns("pose.position.x", "pose.position.y"))
-    turn = cast("dict[str, Any]", truth.columns("pose.orientation.z", "pose.orientation.w"))
-    theta = 2.0 * np.arctan2(turn["pose.orientation.z"], turn["pose.orientation.w"])
     rows = []
-    for i in range(0, len(theta), 3):
-        c, s = np.cos(theta[i]), np.sin(theta[i])
-        x = columns["pose.position.x"][i] + c * 0.1 + s * 0.05
-        y = columns["pose.position.y"][i] + s * 0.1 - c * 0.05
+    for i, (x, y, theta) in list(enumerate(zip(*true_poses(truth), strict=True)))[::3]:
+        eye_x = x + 0.1 * np.cos(theta) + 0.05 * np.sin(theta)
+        eye_y = y + 0.1 * np.sin(theta) - 0.05 * np.cos(theta)
         for key in sorted(LANDMARKS)[(i // 3) % 2 :: 2]:
-            dx, dy = LANDMARKS[key][0] - x, LANDMARKS[key][1] - y
-            rows.append((int(truth.t_ns[i]), key, np.hypot(dx, dy), np.arctan2(dy, dx) - theta[i]))
+            dx, dy = LANDMARKS[key][0] - eye_x, LANDMARKS[key][1] - eye_y
+            rows.append((int(truth.t_ns[i]), key, np.hypot(dx, dy), np.arctan2(dy, dx) - theta))
     t_ns, ids, ranges, bearings = (np.array(column) for column in zip(*rows, strict=True))
     data: dict[str, Any] = {"id": ids.astype(np.int64), "range": ranges, "bearing": bearings}
     return ArrayStream("detections.csv", "locfuse/msg/Detections", t_ns.astype(np.int64), data)
@@ -82,43 +86,33 @@ def detections(truth: Stream) -> Stream:
 
 def poses(truth: Stream) -> Stream:
     """The true poses in a frame of their own, turned by 0.7 rad: every fourth, with a covariance."""
-    fields = ("position.x", "position.y", "orientation.x", "orientation.y", "orientation.z", "orientation.w")
-    columns = cast("dict[str, Any]", truth.columns(*(f"pose.{field}" for field in fields)))
-    x, y, _, _, z, w = (column[::4] for column in columns.values())
-    c, s, half = np.cos(0.7), np.sin(0.7), np.arctan2(z, w) + 0.35
-    data = {"x": c * x - s * y + 3.0, "y": s * x + c * y - 2.0}
-    turned = {"x": 0.0 * half, "y": 0.0 * half, "z": np.sin(half), "w": np.cos(half)}
+    x, y, theta = (column[::4] for column in true_poses(truth))
+    n, c, s = len(x), np.cos(0.7), np.sin(0.7)
+    data = pose_columns(np.column_stack((c * x - s * y + 3.0, s * x + c * y - 2.0, theta + 0.7)), "pose.pose")
     P = np.diag([4e-4, 1e-4, 0.0, 0.0, 0.0, 1e-4])
     P[0, 1] = P[1, 0] = 5e-5
-    fields_of = {f"pose.pose.position.{axis}": column for axis, column in data.items()}
-    fields_of |= {f"pose.pose.orientation.{axis}": column for axis, column in turned.items()}
-    fields_of["pose.covariance"] = (
-        np.tile(P.reshape(36), (len(half), 1)) * (1.0 + np.arange(len(half)) % 2)[:, None]
-    )
-    return ArrayStream("/other/pose", "geometry_msgs/msg/PoseWithCovarianceStamped", truth.t_ns[::4], fields_of)
+    data["pose.covariance"] = np.tile(P.reshape(36), (n, 1)) * (1.0 + np.arange(n) % 2)[:, None]
+    return ArrayStream("/other/pose", "geometry_msgs/msg/PoseWithCovarianceStamped", truth.t_ns[::4], data)
 
 
 def speeds(truth: Stream) -> Stream:
     """What speeds the true poses have, between neighbours."""
-    columns = cast("dict[str, Any]", truth.columns("pose.position.x", "pose.position.y"))
-    turn = cast("dict[str, Any]", truth.columns("pose.orientation.z", "pose.orientation.w"))
-    theta = np.unwrap(2.0 * np.arctan2(turn["pose.orientation.z"], turn["pose.orientation.w"]))
-    t = truth.t_ns * 1e-9
-    vx, vy = (np.gradient(columns[f"pose.position.{axis}"], t) for axis in "xy")
-    forward = np.cos(theta) * vx + np.sin(theta) * vy
-    data = {"twist.linear.x": forward, "twist.angular.z": np.gradient(theta, t)}
+    x, y, theta = true_poses(truth)
+    vx, vy, rate = (np.gradient(column, truth.t_ns * 1e-9) for column in (x, y, theta))
+    data = {"twist.linear.x": np.cos(theta) * vx + np.sin(theta) * vy, "twist.angular.z": rate}
     return ArrayStream("/flow/twist", "geometry_msgs/msg/TwistStamped", truth.t_ns, data)
 
 
 def imu(truth: Stream) -> Stream:
     """What a gyro with a bias of 0.01 rad/s says of the true turning."""
-    columns = cast("dict[str, Any]", truth.columns("pose.orientation.z", "pose.orientation.w"))
-    theta = np.unwrap(2.0 * np.arctan2(columns["pose.orientation.z"], columns["pose.orientation.w"]))
-    n, zero = len(theta), np.zeros(len(theta))
+    theta = true_poses(truth)[2]
+    zero = np.zeros(len(theta))
     rate = np.gradient(theta, truth.t_ns * 1e-9) + 0.01
-    data = {"x": zero, "y": zero, "z": rate}
-    fields = {f"angular_velocity.{axis}": values for axis, values in data.items()}
-    return ArrayStream("/imu", IMU, truth.t_ns, {**fields, "angular_velocity_covariance": np.zeros((n, 9))})
+    data: dict[str, Any] = {
+        f"angular_velocity.{axis}": v for axis, v in zip("xyz", (zero, zero, rate), strict=True)
+    }
+    data["angular_velocity_covariance"] = np.zeros((len(theta), 9))
+    return ArrayStream("/imu", IMU, truth.t_ns, data)
 
 
 @cache

@@ -12,9 +12,11 @@ from typing import Any, cast
 import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
+from pose_streams import pose_stream
+from rows import readings
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import ArrayStream, Drive, Measurements, Stream
+from locfuse.fusion.data import Drive, Measurements, Stream
 from locfuse.fusion.measure import cut
 from locfuse.fusion.robot import Robot, StartSettings, WheelSettings
 from locfuse.fusion.sensors.compass import CompassSettings
@@ -80,14 +82,17 @@ def drive(
     if "compass" in sensors:
         at = np.arange(0.013, t[-1], 1.0 / headings)
         z = _at(at, t, pose)[:, 2] + np.radians(compass_bias_deg + compass_noise_deg * rng.normal(size=len(at)))
-        measurements["compass"] = _headings(at, z, robot.settings("compass"))
+        sigma = math.radians(robot.settings("compass").sigma_deg)
+        measurements["compass"] = readings(at, se2.wrap_all(z)[:, None], sigma, strength=np.ones(len(at)))
     if "lrf" in sensors:
         at = np.arange(0.031, t[-1], 1.0 / scans)
         measurements["lrf"] = _walls(at, _at(at, t, pose), robot.settings("lrf"), rng)
     absent = {s: "no topic of its type" for s in ("compass", "lrf") if s not in measurements}
     epoch_ns, read, dropped = 1_700_000_000_000_000_000, None, {"wheels": dict[str, int]()}
     if truth:
-        read, dropped["truth"] = read_truth(cast("Stream", _truth(t, pose)), robot.truth, epoch_ns)
+        rows = slice(1, None, 5)  # 10 Hz
+        stream = pose_stream("/ground_truth", epoch_ns + np.rint(t[rows] * 1e9).astype(np.int64), pose[rows])
+        read, dropped["truth"] = read_truth(cast("Stream", stream), robot.truth, epoch_ns)
     return Drive(
         epoch_ns=epoch_ns,
         measurements=measurements,
@@ -112,19 +117,6 @@ def _wheels(t: Array, pose: Array, rng: np.random.Generator) -> Wheels:
     return Wheels.from_wheels(t, left, right, TRACK, NOISE)
 
 
-def _headings(t: Array, z: Array, settings: CompassSettings) -> Measurements:
-    n = len(t)
-    return Measurements(
-        t=t,
-        first=np.arange(n + 1),
-        z=se2.wrap_all(z)[:, None],
-        R_unit=np.ones((n, 1, 1)),
-        scale=math.radians(settings.sigma_deg),
-        floor=np.zeros((1, 1)),
-        extra={"strength": np.ones(n)},
-    )
-
-
 def _walls(t: Array, pose: Array, settings: LrfSettings, rng: np.random.Generator) -> Measurements:
     """The four walls of the room as (r, psi) from every pose, in full length."""
     sigma = np.array([0.005, math.radians(0.2)])
@@ -144,19 +136,6 @@ def _walls(t: Array, pose: Array, settings: LrfSettings, rng: np.random.Generato
         scale=settings.sigma_range,
         floor=np.zeros((2, 2)),
         extra={"ends": np.array(ends)},
-    )
-
-
-def _truth(t: Array, pose: Array) -> ArrayStream:
-    """The true poses at 10 Hz."""
-    rows = slice(1, None, 5)
-    half = 0.5 * pose[rows, 2]
-    zero = np.zeros(len(half))
-    columns = (pose[rows, 0], pose[rows, 1], zero, zero, np.sin(half), np.cos(half))
-    names = [f"pose.position.{a}" for a in "xy"] + [f"pose.orientation.{a}" for a in "xyzw"]
-    t_ns = 1_700_000_000_000_000_000 + np.rint(t[rows] * 1e9).astype(np.int64)
-    return ArrayStream(
-        "/ground_truth", "geometry_msgs/msg/PoseStamped", t_ns, dict(zip(names, columns, strict=True))
     )
 
 

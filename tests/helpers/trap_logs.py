@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import tomli_w
 from numpy.typing import NDArray
+from pose_streams import reckoned
 
-from locfuse.formats.container.mcap_write import LogWriter
+from locfuse.formats.container.mcap_write import log_writer
 from locfuse.sample_logs import load
 from locfuse.sample_logs.messages import RawMessage
 from locfuse.sample_logs.simulate import EPOCH_NS, Simulation
@@ -83,7 +84,7 @@ class Drive:
 
     def record(self, path: Path) -> Path:
         """Write it as a log."""
-        with LogWriter(path) as log:
+        with log_writer(path) as log:
             log.attach("robot.toml", tomli_w.dumps(self.tables).encode())
             for m in self.messages:
                 log.write(m.topic, m.msgtype, m.fields, m.log_ns, stamp_ns=m.stamp_ns, frame_id=m.frame_id)
@@ -101,13 +102,9 @@ def angles(drive: Drive) -> Array:
 
 
 def dead_reckoning(drive: Drive) -> Array:
-    """What a driver would publish as its odometry: poses (n, 3) by arcs, from 0."""
+    """What a driver would publish as its odometry: poses (n, 3), from 0."""
     rolled = np.diff(angles(drive), axis=0) * RADIUS
-    turn, way = (rolled[:, 1] - rolled[:, 0]) / TRACK, rolled.mean(axis=1)
-    theta = np.concatenate(([0.0], np.cumsum(turn)))
-    middle = theta[:-1] + turn / 2
-    x, y = (np.concatenate(([0.0], np.cumsum(way * f(middle)))) for f in (np.cos, np.sin))
-    return np.stack((x, y, theta), axis=-1)
+    return reckoned(np.column_stack((rolled.mean(axis=1), rolled @ [-1, 1] / TRACK)))
 
 
 def odometry(drive: Drive, poses: Array, twist: Mapping[str, Array]) -> list[RawMessage]:

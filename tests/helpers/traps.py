@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from pose_streams import reckoned
 from scipy.spatial.transform import Rotation
 from trap_logs import (
     COMPASS,
@@ -149,12 +150,8 @@ def only_odometry(drive: Drive, poses: Array | None = None) -> None:
 
 def blind_to_reverse(drive: Drive) -> None:
     """The driver puts wheel turns without their sign into the pose; its twist knows better."""
-    poses = dead_reckoning(drive)
-    step, turn = np.hypot(*np.diff(poses[:, :2], axis=0).T), np.diff(poses[:, 2])
-    middle = poses[:-1, 2] + turn / 2
-    for axis, f in enumerate((np.cos, np.sin)):
-        poses[1:, axis] = np.cumsum(step * f(middle))
-    only_odometry(drive, poses)
+    step = np.diff(dead_reckoning(drive), axis=0)
+    only_odometry(drive, reckoned(np.column_stack((np.hypot(step[:, 0], step[:, 1]), step[:, 2]))))
 
 
 def relocalised(drive: Drive) -> None:
@@ -441,6 +438,7 @@ def two_lasers(drive: Drive) -> None:
 
 
 QUARTER = math.pi / 2
+LONG_RANGES = field(SCAN, ranges=lambda r: r + np.float32(0.08))
 # a short-sighted laser: what is further than 5 m comes back as 5 m
 SATURATED = field(SCAN, ranges=lambda r: np.minimum(r, np.float32(5.0)), range_max=5.0)
 LASER_TRAPS = (
@@ -464,6 +462,7 @@ LASER_TRAPS = (
     Trap("a laser late by 0.4 s", late(SCAN, 0.4), "stamps look 0.4", True, "lrf"),
     Trap("a laser on another clock", late(SCAN, 3600.0), "stamped 3600.0 s after the wheels", True, "lrf"),
     Trap("a laser whose ranges are short", short_metre, "it measures 9.", True, "lrf"),
+    Trap("a laser whose ranges are all 8 cm long", LONG_RANGES, "as if every range were", True, "lrf"),
     Trap("two lasers", two_lasers, "2 topics that fit", False, "lrf"),
 )  # fmt: skip
 

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, cast
 
 import msgspec
 import numpy as np
 from msgspec import field
 from numpy.typing import NDArray
+from pose_streams import pose_stream
 from rooms import scan
 
-from locfuse.fusion.data import ArrayStream, Ragged
+from locfuse.fusion.data import ArrayStream, Drive, Ragged, Stream
+from locfuse.fusion.fuse import Filter
+from locfuse.fusion.instants import due_readings, steps_of
+from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot, StartSettings, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -121,21 +126,7 @@ class World(msgspec.Struct):
 
     def _truth(self) -> ArrayStream:
         t = np.arange(0.0, self.seconds - 0.05, 0.04) + self.truth_shift
-        x, y, theta = self.pose(t).T
-        zero = np.zeros(len(t))
-        return stream(
-            "/ground_truth",
-            "geometry_msgs/msg/PoseStamped",
-            t,
-            {
-                "pose.position.x": x,
-                "pose.position.y": y,
-                "pose.orientation.x": zero,
-                "pose.orientation.y": zero,
-                "pose.orientation.z": np.sin(theta / 2),
-                "pose.orientation.w": np.cos(theta / 2),
-            },
-        )
+        return pose_stream("/ground_truth", stamps(t), self.pose(t))
 
     def robot(self) -> Robot:
         lx, ly, yaw = self.mount
@@ -160,6 +151,23 @@ class World(msgspec.Struct):
         )
         return Robot(wheels=wheels, start=StartSettings(x=x, y=y, theta_deg=math.degrees(a)), sensors=sensors)
 
+    def measured(self) -> tuple[Drive, Robot]:
+        """The drive as it is measured, and its robot."""
+        robot = self.robot()
+        return measure(cast("dict[str, Stream]", self.streams()), robot), robot
+
+
+def instants(run: Filter, drive: Drive, *sensors: str) -> Iterator[int]:
+    """Let a filter run through a drive; yield every instant once it is done."""
+    steps = steps_of(drive)
+    for k, due in enumerate(due_readings(drive, sensors)):
+        run.advance(k, steps, due, drive.measurements)
+        yield k
+
+
+def stamps(t: Array) -> NDArray[np.int64]:
+    return EPOCH + np.rint(t * 1e9).astype(np.int64)
+
 
 def stream(topic: str, msgtype: str, t: Array, data: dict[str, Any]) -> ArrayStream:
-    return ArrayStream(topic, msgtype, EPOCH + np.rint(t * 1e9).astype(np.int64), data)
+    return ArrayStream(topic, msgtype, stamps(t), data)

@@ -22,7 +22,6 @@ from benchmarks.fuzz_parsers import PARSERS, corpus, fuzz_parser, wrong
 from locfuse.cli.analysis.robot_tables import make_robot, table_types
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion import se2
-from locfuse.fusion.checks.clocks import clock_lags
 from locfuse.fusion.data import Array, Drive, Evaluation
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
@@ -271,14 +270,6 @@ def test_a_fault_costs_no_more_than_is_allowed_and_passes(case: faults.Case) -> 
     yard = [driven(seed, case.fault if case.sensor else "", case.sensor) for seed in SEEDS]
     assert sum(faults.rmse(e) for _, e in drives) <= case.factor * sum(faults.rmse(e) for _, e in yard)
     assert max(faults.anees_outside(e) for _, e in drives) < 2.0
-
-
-def test_a_clock_that_is_off_is_reported_within_20_ms() -> None:
-    for seed in SEEDS:
-        drive, _ = driven(seed, f'{{kind="clock_offset", sensor="lrf", seconds={faults.OFFSET}}}')
-        lag = clock_lags(drive.measurements, drive.wheels).get("lrf")
-        assert lag is not None
-        assert lag.offset == pytest.approx(-faults.OFFSET, abs=0.02)
 
 
 # --- relation errors of a building, as they are defined

@@ -221,47 +221,27 @@ def commands() -> Commands:
     return Commands(t, way, turned, (truth.t_ns * 1e-9 - zero, x, y, np.unwrap(2.0 * np.arctan2(z, w))), seen)
 
 
-def reckoned(log: Commands, gains: tuple[float, float], closed: bool) -> tuple[float, float]:
-    """Return rms errors [m, degrees] of a robot that is at its true pose at every detection.
+def test_the_commands_of_this_log_bound_what_any_estimator_can_reach() -> None:
+    """The rms errors of a robot that is at its true pose at every detection, and in between as it was commanded.
 
-    In between it is driven by its commands times two gains (way, turn); `closed`: the errors at the end of every
-    stretch are spread over its turning and its way, as only who knows the next detection can do.
+    The goals of 0.10 m and 3 degrees lie at or below what perfect detections would give.
     """
+    log = commands()
     first, last = 1.0, float(log.truth[0][-1]) - 1.0
     ends = np.concatenate(([first], log.seen[(log.seen > first) & (log.seen < last)], [last]))
     off = []
     for begin, end in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
         t = np.append(np.arange(begin, end, 0.05), end)
-        way, turned = (g * np.interp(t - LAG_S, log.t, v) for g, v in zip(gains, log[1:3], strict=True))
+        way, turned = (np.interp(t - LAG_S, log.t, v) for v in log[1:3])
         real = log.at(t)
         theta = real[0, 2] + turned - turned[0]
-        if closed:
-            theta += _share(np.abs(np.diff(turned)) + 1e-3 * np.diff(t)) * (real[-1, 2] - theta[-1])
         middle = 0.5 * (theta[1:] + theta[:-1])
         steps = np.diff(way)[:, None] * np.stack((np.cos(middle), np.sin(middle)), axis=-1)
         place = real[0, :2] + np.vstack((np.zeros(2), np.cumsum(steps, axis=0)))
-        if closed:
-            place += _share(np.diff(way) + 1e-4 * np.diff(t))[:, None] * (real[-1, :2] - place[-1])
         off.append(np.column_stack((place, theta))[:-1] - real[:-1])
     dx, dy, turn = np.concatenate(off).T
-    return float(np.sqrt((dx**2 + dy**2).mean())), float(np.degrees(np.sqrt((turn**2).mean())))
-
-
-def _share(parts: Array) -> Array:
-    done = np.append(0.0, np.cumsum(parts))
-    share: Array = done / done[-1]
-    return share
-
-
-@pytest.mark.parametrize(
-    ("gains", "closed", "bound"),
-    [((1.0, 1.0), False, (0.097, 5.1)), ((0.94, 0.89), False, (0.100, 3.8)), ((1.0, 1.0), True, (0.050, 2.6))],
-)
-def test_the_commands_of_this_log_bound_what_any_estimator_can_reach(
-    gains: tuple[float, float], closed: bool, bound: tuple[float, float]
-) -> None:
-    """The goals of 0.10 m and 3 degrees lie at or below what perfect detections would give."""
-    assert reckoned(commands(), gains, closed) == pytest.approx(bound, rel=0.02)
+    rms = np.sqrt((dx**2 + dy**2).mean()), np.degrees(np.sqrt((turn**2).mean()))
+    assert rms == pytest.approx((0.097, 5.1), rel=0.02)
 
 
 def test_without_truth_less_noise_of_the_landmarks_is_only_advised_with_more_of_the_wheels() -> None:

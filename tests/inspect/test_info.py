@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bags import T0, S, Said, cdr, definition, drive, header, real_log, write
-from commands import Done, locfuse
+from commands import Done, locfuse, ok
 from laser_room import circle, scans_of
 from mcap.reader import make_reader
 from mcap.writer import Writer
@@ -41,8 +41,7 @@ def section(done: Done, title: str) -> list[str]:
 
 @pytest.mark.parametrize("name", SAMPLES)
 def test_nothing_is_odd_about_the_sample_logs(name: str) -> None:
-    done = locfuse("info", name, "--check")
-    assert done.exit_code == 0
+    done = ok("info", name, "--check")
     assert section(done, "configurations") == [
         "  ready    odometry, compass, lrf, camera, all",
         "  no topic sonar, gps, gyro",
@@ -151,8 +150,7 @@ def test_a_table_keeps_its_first_column_and_the_ends_of_long_words() -> None:
 
 def test_what_is_missing_of_the_wheels_is_told_with_what_to_do(tmp_path: Path) -> None:
     path = write(tmp_path / "x.mcap", [m for m in drive(100) if m.topic != "/scan"])
-    done = locfuse("info", path)
-    assert done.exit_code == 0
+    done = ok("info", path)
     assert locfuse("info", path, "--check").exit_code == 3
     assert "nothing says radius, track" in section(done, "would spoil an estimate")[0]
     assert section(done, "next") == [f"  locfuse init {path} > robot.toml"]
@@ -169,8 +167,7 @@ def test_the_next_command_is_one_that_cures(tmp_path: Path) -> None:
     words = shlex.split(command)
     assert "wheels.track=0.5" not in words
     assert "lrf.gate=0.99" in words
-    again = locfuse(*words[1:], "--check")
-    assert again.exit_code == 0, again.stdout
+    again = ok(*words[1:], "--check")
     (compare,) = section(again, "next")
     assert shlex.split(compare)[:2] == ["locfuse", "compare"]
 

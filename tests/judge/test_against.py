@@ -137,7 +137,7 @@ class Path:
     """Estimates with nothing but poses."""
 
     def __init__(self, pose: Array) -> None:
-        self.pose = pose
+        self.pose, self.blocks = pose, dict[str, Array]()
 
 
 def twice(offset: float) -> tuple[OwnScans, Any]:
@@ -147,7 +147,7 @@ def twice(offset: float) -> tuple[OwnScans, Any]:
     seen = [se2.transform(np.broadcast_to(se2.inverse(p), (len(WALL), 3)), WALL) for p in true]
     believed = true + np.outer(np.repeat((0.0, offset), 10), (0.0, 1.0, 0.0))
     t = np.concatenate((np.arange(10.0), 60.0 + np.arange(10.0)))
-    return OwnScans(t, np.arange(20), seen), Path(believed)
+    return OwnScans(t, np.arange(20), seen, np.zeros(3)), Path(believed)
 
 
 def test_a_path_that_sees_a_wall_where_it_was_agrees_with_itself() -> None:
@@ -168,9 +168,9 @@ def test_a_wall_that_is_seen_twice_fills_more_cells_than_one() -> None:
 
 def test_where_no_place_was_seen_twice_nothing_is_said() -> None:
     scans, path = twice(0.0)
-    first = OwnScans(scans.t[:10], scans.instants[:10], scans.points[:10])
+    first = OwnScans(scans.t[:10], scans.instants[:10], scans.points[:10], scans.mount)
     assert first.judge(path)[0] is None
-    alone = OwnScans(scans.t[:1], scans.instants[:1], scans.points[:1])
+    alone = OwnScans(scans.t[:1], scans.instants[:1], scans.points[:1], scans.mount)
     assert alone.judge(path)[2] == 1.0
 
 

@@ -1,4 +1,4 @@
-"""The line fit is held to closed forms, to SciPy's least squares and to Monte Carlo."""
+"""The line fit is held to SciPy's least squares and to rooms whose shape is known."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from interpreted import interpreted
+from rooms import ring, scan
 from scipy.optimize import least_squares
 
 from locfuse.fusion.data import Array
 from locfuse.fusion.lines.extract import Lines, LineSettings, extract_lines
 
-core, segments = interpreted("line_fits"), interpreted("segments")
-NOISE = {"30mm_0.25deg": (0.03, math.radians(0.25)), "5mm_0.1deg": (0.005, math.radians(0.1))}
+core = interpreted("line_fits")
+SIGMA_RANGE, SIGMA_ANGLE = 0.03, math.radians(0.25)
 WALLS = {  # r [m], psi [rad], from where to where along the tangent [m]
     "head_on": (2.0, 0.3, -1.0, 1.0),
     "off_centre": (2.0, 0.3, 1.0, 4.0),
@@ -23,7 +24,6 @@ WALLS = {  # r [m], psi [rad], from where to where along the tangent [m]
     "grazing": (0.6, 3.1, 1.5, 4.5),
     "short": (2.0, -3.1, 0.2, 0.9),
 }
-RUNS = 500
 Wall = tuple[float, float, float, float]
 
 
@@ -45,151 +45,88 @@ def moving(beams: int, side: float) -> tuple[Array, Array]:
 
 
 class Rays(NamedTuple):
-    """Beams of all lines, one line after another: range, direction, origin."""
+    """Beams of one line: range, direction, origin."""
 
-    d: Array
-    c: Array
-    s: Array
+    ranges: Array
+    ux: Array
+    uy: Array
     ox: Array
     oy: Array
 
-    def take(self, rows: slice | Array) -> Rays:
-        return Rays(*(column[rows] for column in self))
 
+class Fit(NamedTuple):
+    """A line, its covariance over that of a range, and the weighted squares that are left."""
 
-class Fits(NamedTuple):
-    """A value per line."""
-
-    r: Array
-    psi: Array
+    r: float
+    psi: float
     R_unit: Array
-    misfit: Array
-    bend: Array
-    curvature: Array
+    misfit: float
 
 
-def fit(rays: Rays, lines: int, r: float, psi: float, ratio: float, steps: int = 2) -> Fits:
+def fit(rays: Rays, r: float, psi: float, ratio: float, steps: int = 2) -> Fit:
     """As `fit_wall` does it: Gauss-Newton steps from (r, psi), the last of them with the covariance."""
-    n = len(rays.d) // lines
-    found = [one_line(rays.take(slice(n * i, n * i + n)), r, psi, ratio, steps) for i in range(lines)]
-    return Fits(*(np.array(column) for column in zip(*found, strict=True)))
-
-
-def one_line(
-    rays: Rays, r: float, psi: float, ratio: float, steps: int, used: list[int] | None = None
-) -> tuple[float, float, list[list[float]], float, float, float]:
-    rows = np.arange(len(rays.d)) if used is None else used
-    found = core.Fit(len(rows))
-    found.row, found.count, found.r, found.psi = rows, len(rows), r, psi
+    n = len(rays.ranges)
+    found = core.Fit(n)
+    found.row, found.count, found.r, found.psi = np.arange(n), n, r, psi
+    returns = SimpleNamespace(**{name: column.tolist() for name, column in rays._asdict().items()})
     for _ in range(steps):
-        core.residuals(returns_of(rays), SimpleNamespace(ratio=ratio), found)
+        core.residuals(returns, SimpleNamespace(ratio=ratio), found)
         core.normal_equations(found)
         core.parabola(found)
         core.take_step(found)
-    det = core.determinant(found)
-    R_unit = [[found.sum_wqq / det, found.sum_wq / det], [found.sum_wq / det, found.sum_w / det]]
-    return found.r, found.psi, R_unit, core.misfit_of(found), core.bend(found), core.curvature(found)
+    information = np.array([[found.sum_w, -found.sum_wq], [-found.sum_wq, found.sum_wqq]])
+    return Fit(found.r, found.psi, np.linalg.inv(information), core.misfit_of(found))
 
 
-def returns_of(rays: Rays) -> Any:
-    """The rays as the kernel takes them."""
-    d, c, s, ox, oy = (column.tolist() for column in rays)
-    return SimpleNamespace(ranges=d, ux=c, uy=s, ox=ox, oy=oy)
-
-
-def fit_of(row: Any, e: Any, q: Any, w: Any) -> Any:
-    """Returns in the fit: their distances e [m] from the line, feet q [m] and weights w."""
-    found = core.Fit(len(row))
-    found.count = len(row)
-    found.row, found.error, found.foot, found.weight = list(row), list(e), list(q), list(w)
-    return found
-
-
-def wrapped(angle: Array) -> Array:
-    return np.asarray(np.arctan2(np.sin(angle), np.cos(angle)))
-
-
-def simulated(wall: Wall, noise: tuple[float, float], side: float | None) -> Rays:
-    """RUNS noisy views of one wall: every beam really leaves at a wrong angle, and its range is wrong too."""
-    rng = np.random.default_rng(1)
-    nominal = directions(wall, 60)
+def seen(wall: Wall, side: float | None) -> Rays:
+    """A noisy view of a wall: every beam really leaves at a wrong angle, and its range is wrong too."""
+    rng, nominal = np.random.default_rng(1), directions(wall, 60)
     ox, oy = (np.zeros(60), np.zeros(60)) if side is None else moving(60, side)
-    size = (RUNS, 60)
-    real = nominal + rng.normal(0.0, noise[1], size)
-    d = ranges(wall[0], wall[1], real, ox, oy) + rng.normal(0.0, noise[0], size)
-    told = np.tile(nominal, RUNS)
-    return Rays(d.ravel(), np.cos(told), np.sin(told), np.tile(ox, RUNS), np.tile(oy, RUNS))
+    real = nominal + rng.normal(0.0, SIGMA_ANGLE, 60)
+    d = ranges(wall[0], wall[1], real, ox, oy) + rng.normal(0.0, SIGMA_RANGE, 60)
+    return Rays(d, np.cos(nominal), np.sin(nominal), ox, oy)
 
 
 @pytest.mark.parametrize("wall", WALLS.values(), ids=WALLS.keys())
 @pytest.mark.parametrize("side", [None, 0.4, -0.4])
-def test_a_wall_without_noise_is_found_exactly(wall: Wall, side: float | None) -> None:
-    angle = directions(wall, 25)
-    ox, oy = (np.zeros(25), np.zeros(25)) if side is None else moving(25, side)
-    d = ranges(wall[0], wall[1], angle, ox, oy)
-    found = fit(Rays(d, np.cos(angle), np.sin(angle), ox, oy), 1, wall[0] + 0.02, wall[1] - 0.01, 0.15, steps=6)
-    assert found.r[0] == pytest.approx(wall[0], abs=1e-12)
-    assert wrapped(found.psi - wall[1])[0] == pytest.approx(0.0, abs=1e-12)
-    assert found.misfit[0] == pytest.approx(0.0, abs=1e-20)
-
-
-@pytest.mark.parametrize("wall", WALLS.values(), ids=WALLS.keys())
-@pytest.mark.parametrize("noise", NOISE.values(), ids=NOISE.keys())
-@pytest.mark.parametrize("side", [None, 0.4])
-def test_the_covariance_is_honest(wall: Wall, noise: tuple[float, float], side: float | None) -> None:
-    """Normalised squared error of (r, psi): chi-square, 2 degrees; its mean within 95 % bounds of 2."""
-    found = fit(simulated(wall, noise, side), RUNS, wall[0], wall[1], noise[1] / noise[0])
-    error = np.stack((found.r - wall[0], wrapped(found.psi - wall[1])), axis=1)
-    inverse = np.linalg.inv(found.R_unit * noise[0] ** 2)
-    nees = np.einsum("ni,nij,nj->n", error, inverse, error)
-    assert nees.mean() == pytest.approx(2.0, abs=1.96 * 2.0 / math.sqrt(RUNS))
-    assert (nees > 13.8).mean() < 0.005  # 0.1 % expected
-
-
-@pytest.mark.parametrize("wall", WALLS.values(), ids=WALLS.keys())
-@pytest.mark.parametrize("side", [None, 0.4])
 def test_the_fit_equals_scipy_on_the_ranges(wall: Wall, side: float | None) -> None:
-    noise = NOISE["30mm_0.25deg"]
-    rays = simulated(wall, noise, side)
-    one = rays.take(slice(60))
-    angle, ox, oy = np.arctan2(one.s, one.c), one.ox, one.oy
+    rays = seen(wall, side)
+    angle, ox, oy = np.arctan2(rays.uy, rays.ux), rays.ox, rays.oy
 
     def sigma(x: Array) -> Array:
         p = ranges(x[0], x[1], angle, ox, oy)
-        return np.asarray(np.hypot(noise[0], noise[1] * p * np.tan(angle - x[1])))
+        return np.asarray(np.hypot(SIGMA_RANGE, SIGMA_ANGLE * p * np.tan(angle - x[1])))
 
     x, s = np.array(wall[:2]), np.ones(60)
     for _ in range(20):  # the weights belong to the solution: iterate until they do
         s = sigma(x)
         solved = least_squares(
-            lambda v, s=s: (one.d - ranges(v[0], v[1], angle, ox, oy)) / s, x, xtol=1e-15, ftol=1e-15, gtol=1e-15
-        )
+            lambda v, s=s: (rays.ranges - ranges(v[0], v[1], angle, ox, oy)) / s,
+            x, xtol=1e-15, ftol=1e-15, gtol=1e-15,
+        )  # fmt: skip
         x = solved.x
-    found = fit(one, 1, wall[0], wall[1], noise[1] / noise[0], steps=30)
-    assert [found.r[0], found.psi[0]] == pytest.approx(x.tolist(), abs=1e-8)
+    found = fit(rays, wall[0], wall[1], SIGMA_ANGLE / SIGMA_RANGE, steps=30)
+    assert [found.r, found.psi] == pytest.approx(x.tolist(), abs=1e-8)
     covariance = np.linalg.inv(solved.jac.T @ solved.jac)
-    np.testing.assert_allclose(found.R_unit[0] * noise[0] ** 2, covariance, rtol=1e-5)
-    assert found.misfit[0] / noise[0] ** 2 == pytest.approx(2.0 * solved.cost, rel=1e-6)
+    np.testing.assert_allclose(found.R_unit * SIGMA_RANGE**2, covariance, rtol=1e-5)
+    assert found.misfit / SIGMA_RANGE**2 == pytest.approx(2.0 * solved.cost, rel=1e-6)
     sigmas = np.sqrt(np.diag(covariance))
-    usual = fit(one, 1, wall[0], wall[1], noise[1] / noise[0])
-    assert np.abs([usual.r[0], usual.psi[0]] - x).tolist() <= (0.05 * sigmas).tolist()
+    usual = fit(rays, wall[0], wall[1], SIGMA_ANGLE / SIGMA_RANGE)
+    assert np.abs([usual.r, usual.psi] - x).tolist() <= (0.05 * sigmas).tolist()
 
 
 def random_fit(seed: int) -> tuple[Array, Array, Array, Any]:
-    """Distances e [m] at feet q [m] with weights w, and the fit of one step."""
+    """Distances e [m] from the line at feet q [m] with weights w, and the fit of one step with all its sums."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(4, 40))
     e, q, w = rng.normal(0.0, 0.05, n), rng.uniform(-1.0, 3.0, n), rng.uniform(0.2, 1.0, n)
     e += 0.04 * q * q
-    return e, q, w, summed(e, q, w)
-
-
-def summed(e: Array, q: Array, w: Array) -> Any:
-    """The fit with all its sums."""
-    found = fit_of(range(len(e)), e.tolist(), q.tolist(), w.tolist())
+    found = core.Fit(n)
+    found.count = n
+    found.row, found.error, found.foot, found.weight = list(range(n)), e.tolist(), q.tolist(), w.tolist()
     core.normal_equations(found)
     core.parabola(found)
-    return found
+    return e, q, w, found
 
 
 def solved(e: Array, w: Array, *columns: Array) -> tuple[Array, float]:
@@ -214,32 +151,6 @@ def test_a_step_and_what_it_leaves_are_those_of_least_squares(seed: int) -> None
     assert core.stiffness(sums) == pytest.approx(alone)
 
 
-@pytest.mark.parametrize("seed", range(10))
-def test_the_foot_and_the_distance_of_a_return_are_those_of_the_ray_and_the_line(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    r, psi, ratio = rng.uniform(0.5, 3.0), rng.uniform(-3.0, 3.0), 0.15
-    n, t = np.array([math.cos(psi), math.sin(psi)]), np.array([-math.sin(psi), math.cos(psi)])
-    angle = psi + rng.uniform(-1.2, 1.2, 5)
-    u, o, d = (
-        np.column_stack((np.cos(angle), np.sin(angle))),
-        rng.normal(0.0, 0.3, (5, 2)),
-        rng.uniform(1.0, 4.0, 5),
-    )
-    returns = returns_of(Rays(d, *u.T, *o.T))
-    found = fit_of(range(5), [0.0] * 5, [0.0] * 5, [0.0] * 5)
-    found.r, found.psi = r, psi
-    core.residuals(returns, SimpleNamespace(ratio=ratio), found)
-    e, q, w = found.error, found.foot, found.weight
-    for i in range(5):
-        p, foot = np.linalg.solve(np.column_stack((u[i], -t)), r * n - o[i])  # the ray o + p u meets r n + foot t
-        assert q[i] == pytest.approx(foot)
-        assert core.foot_of(returns, i, r, psi) == pytest.approx(foot)
-        assert e[i] == pytest.approx(n @ (o[i] + d[i] * u[i]) - r)
-        cosine = float(n @ u[i])
-        across = ratio * p * math.sqrt(1.0 - cosine**2)  # what s_phi moves the end along the normal, over s_d
-        assert w[i] == pytest.approx(1.0 / (across**2 + cosine**2))
-
-
 @pytest.mark.parametrize("angle", [0.0, 3.0, -3.0, math.pi, -math.pi, 4.0, -4.0, 9.0, -100.0, 1e4])
 def test_an_angle_is_wrapped_into_half_a_turn_to_either_side(angle: float) -> None:
     found = interpreted("angles").wrapped(angle)
@@ -256,11 +167,6 @@ FINE = LineSettings(sigma_range=0.008, sigma_angle=math.radians(0.1))
 ANGLES = np.linspace(-math.pi, math.pi, 361, endpoint=False)
 
 
-def ring(corners: Array) -> Array:
-    """Segments (n, 4) round a closed way through corners (n, 2)."""
-    return np.hstack((corners, np.roll(corners, -1, axis=0)))
-
-
 def regular(sides: int, side: float) -> Array:
     """A room of `sides` straight walls of `side` [m] each."""
     at = (np.arange(sides) + 0.31) * 2.0 * math.pi / sides
@@ -272,25 +178,13 @@ def circle(radius: float) -> Array:
     return regular(1500, 2.0 * radius * math.sin(math.pi / 1500))
 
 
-def look(segments: Array, place: Array, angles: Array) -> Array:
-    """Range along each angle from a place (2,), to the nearest segment; inf where there is none."""
-    u = np.stack((np.cos(angles), np.sin(angles)), axis=-1)[:, None]
-    a, along = segments[:, :2] - place, segments[:, 2:] - segments[:, :2]
-    det = u[..., 0] * along[:, 1] - u[..., 1] * along[:, 0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        d = (a[:, 0] * along[:, 1] - a[:, 1] * along[:, 0]) / det
-        s = (a[:, 0] * u[..., 1] - a[:, 1] * u[..., 0]) / det
-    nearest: Array = np.where((s >= 0.0) & (s < 1.0) & (d > 0.0), d, np.inf).min(axis=1)
-    return nearest
-
-
 def lines_of(segments: Array, laser: LineSettings, reach: float) -> Lines:
     """The lines of noisy scans from places within `reach` [m] of the middle, each turned at random."""
     rng = np.random.default_rng(5)
     turned = ANGLES + rng.uniform(-math.pi, math.pi, (SCANS, 1))
     aimed = turned + rng.normal(0.0, laser.sigma_angle, turned.shape)
-    places = rng.uniform(-reach, reach, (SCANS, 2))
-    d = np.array([look(segments, p, a) for p, a in zip(places, aimed, strict=True)])
+    places = np.column_stack((rng.uniform(-reach, reach, (SCANS, 2)), np.zeros(SCANS)))
+    d = np.array([scan(segments, p, a) for p, a in zip(places, aimed, strict=True)])
     return extract_lines(d + rng.normal(0.0, laser.sigma_range, d.shape), ANGLES, laser)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -119,8 +118,3 @@ def test_runs_end_where_neighbours_lie_farther_apart_than_a_wall_allows(seed: in
     for i in range(39):
         found = segments.gap(returns, i, i + 1, 0.1, 0.3)
         assert found == pytest.approx((apart[i] / allowed(d[i], d[i + 1])) ** 2)
-
-
-def laser(sigma_range: float, sigma_angle: float, **limits: float) -> Any:
-    """What the functions under test ask of a laser's limits."""
-    return SimpleNamespace(sigma_range=sigma_range, sigma_angle=sigma_angle, **limits)

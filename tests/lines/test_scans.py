@@ -202,29 +202,14 @@ def test_scans_without_lines_have_no_turns() -> None:
 FIT = math.radians(0.2)
 
 
-class Straight:
-    """A robot that drives 0.1 m from scan to scan along x."""
-
-    def relative(self, t_from: Array, t_to: Array) -> Array:
-        ahead = np.asarray(t_to - t_from)
-        return np.stack((0.1 * ahead, 0.0 * ahead, 0.0 * ahead), axis=-1)
-
-    track = 1.0
-
-    def slips(self, t: Array) -> Array:
-        return np.zeros((*t.shape[:-1], t.shape[-1] - 1, 2))
-
-    def heading(self, t: Array) -> Array:
-        return np.zeros_like(t)
-
-
 def corridor(bend: float, seed: int, scans: int = 600) -> tuple[float, float]:
     """Floors found from a corridor whose walls point off by `bend` [rad], anew wherever they are looked at."""
     rng = np.random.default_rng(seed)
     t = np.arange(scans, dtype=float)
     psi = np.tile([math.pi / 2, -math.pi / 2], scans) + rng.normal(0.0, math.hypot(FIT, bend), 2 * scans)
     z = np.stack((np.ones(2 * scans), wrap_all(psi)), axis=-1)
-    return wall_floor(t, np.arange(scans + 1) * 2, z, np.full(2 * scans, FIT**2), Straight())
+    wheels = Wheels.from_wheels(t, 0.1 * t, 0.1 * t, TRACK, 0.0)  # 0.1 m ahead from scan to scan
+    return wall_floor(t, np.arange(scans + 1) * 2, z, np.full(2 * scans, FIT**2), wheels)
 
 
 @pytest.mark.parametrize("seed", range(5))

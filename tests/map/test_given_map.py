@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import msgspec
 import numpy as np
 import pytest
 from bags import T0, Said, cdr, header, write
-from commands import locfuse
+from commands import locfuse, ok
 from laser_room import scans_of
 from msgspec.structs import replace
 from numpy.typing import NDArray
@@ -30,8 +29,6 @@ from locfuse.fusion import se2
 from locfuse.fusion.data import LocfuseError, MapLine
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
-from locfuse.fusion.measure import measure
-from locfuse.fusion.robot import StartSettings
 from locfuse.sample_logs import load
 from locfuse.sample_logs.building_scene import scene_of
 
@@ -83,13 +80,11 @@ def test_what_is_no_map_is_refused_in_one_line(text: str, says: str) -> None:
 
 
 def test_a_robot_localises_in_the_map_of_another_drive_and_leaves_it_as_it_is() -> None:
-    first = World(seed=1)
-    robot = first.robot()
-    lines = fuse(measure(first.streams(), robot), robot, ["lrf"]).final_map
+    lines = fuse(*World(seed=1).measured(), ["lrf"]).final_map
     second = World(seed=2, start=(2.0, 2.0, 0.5), settings={"lrf": {"map": "given"}})
-    robot = second.robot()
-    robot = replace(robot, lines=tuple(lines), start=replace_start(robot.start))
-    drive = measure(second.streams(), robot)
+    drive, robot = second.measured()
+    start = replace(robot.start, sigma_xy=0.05, sigma_theta_deg=1.0)
+    robot = replace(robot, lines=tuple(lines), start=start)
     found = fuse(drive, robot, ["lrf"])
     figures = evaluate(found, drive).figures
     assert figures["position_rmse_m"] is not None
@@ -99,15 +94,10 @@ def test_a_robot_localises_in_the_map_of_another_drive_and_leaves_it_as_it_is() 
     assert [line.rho for line in found.final_map] == pytest.approx([line.rho for line in lines], abs=1e-9)
 
 
-def replace_start(start: StartSettings) -> StartSettings:
-    return msgspec.structs.replace(start, sigma_xy=0.05, sigma_theta_deg=1.0)
-
-
 def test_localising_in_no_map_says_what_is_missing() -> None:
-    world = World(seconds=2.0, settings={"lrf": {"map": "given"}})
-    robot = world.robot()
+    drive, robot = World(seconds=2.0, settings={"lrf": {"map": "given"}}).measured()
     with pytest.raises(LocfuseError, match="--map FILE"):
-        fuse(measure(world.streams(), robot), robot, ["lrf"])
+        fuse(drive, robot, ["lrf"])
 
 
 # --- `--map map.yaml` and `lrf.map_topic`: a log is localised in a floor plan, from a start that nobody says
@@ -129,7 +119,7 @@ def given(tmp_path: Path) -> Path:
 
 def judged(given: Path, *words: Any) -> tuple[dict[str, Any], str]:
     out = given.parent / "out"
-    done = locfuse(
+    done = ok(
         "compare",
         LOG,
         "--map",
@@ -144,7 +134,6 @@ def judged(given: Path, *words: Any) -> tuple[dict[str, Any], str]:
         "--write",
         "json",
     )
-    assert done.exit_code == 0, done.stderr
     report: dict[str, Any] = json.loads((out / "report.json").read_text())
     return report, done.stderr
 
@@ -260,10 +249,7 @@ def with_map(folder: Path, cells: int | None = None) -> Path:
 
 def test_the_map_may_be_a_topic_of_the_log(tmp_path: Path) -> None:
     log = with_map(tmp_path)
-    done = locfuse(
-        "run", log, "-v", *GEOMETRY, "--set", "lrf.map_topic=/map", "-o", tmp_path / "out", "--write", "tum"
-    )
-    assert done.exit_code == 0, done.stderr
+    done = ok("run", log, "-v", *GEOMETRY, "--set", "lrf.map_topic=/map", "-o", tmp_path / "out", "--write", "tum")
     assert "the drive begins in /map at x" in done.stderr
     path = np.loadtxt(tmp_path / "out/trajectory.tum")
     _, _, pose = drive()
@@ -284,23 +270,17 @@ def test_info_and_init_offer_a_map_of_the_log_and_leave_it_to_the_user(tmp_path:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("topic", "cells", "said"),
     [
-        (("lrf.map_topic=/scan",), "lrf.map_topic: /scan is sensor_msgs/msg/LaserScan; it takes"),
-        (("lrf.map_topic=/gone",), "lrf.map_topic: /gone is not there"),
+        ("/scan", None, "lrf.map_topic: /scan is sensor_msgs/msg/LaserScan; it takes"),
+        ("/gone", None, "lrf.map_topic: /gone is not there"),
+        ("/map", 7, "are no map of 150 x 7"),  # not all of its cells are there
     ],
 )
-def test_a_topic_that_is_no_map_is_one_line(tmp_path: Path, words: tuple[str, ...], said: str) -> None:
-    sets = [word for one in words for word in ("--set", one)]
-    done = locfuse("run", with_map(tmp_path), *GEOMETRY, *sets)
+def test_a_topic_that_is_no_map_is_one_line(tmp_path: Path, topic: str, cells: int | None, said: str) -> None:
+    done = locfuse("run", with_map(tmp_path, cells), *GEOMETRY, "--set", f"lrf.map_topic={topic}")
     assert done.exit_code == 1
     assert said in " ".join(done.stderr.split())
-
-
-def test_a_grid_whose_cells_are_not_all_there_is_one_line(tmp_path: Path) -> None:
-    done = locfuse("run", with_map(tmp_path, cells=7), *GEOMETRY, "--set", "lrf.map_topic=/map")
-    assert done.exit_code == 1
-    assert "are no map of 150 x 7" in " ".join(done.stderr.split())
 
 
 # --- a picture of the room, drawn cell by cell here, lies where map_server says: nothing is shifted by half a cell
@@ -341,7 +321,6 @@ def test_a_picture_lies_where_its_origin_says(wall: object, begin: tuple[float, 
     assert callable(wall)
     given = draw(tmp_path / "room.yaml", wall(x, y), x, y)
     words = ("--no-advice", "--sensors", "lrf", "-o", tmp_path / "out", "--write", "json,csv")
-    done = locfuse("compare", LOG, "--map", given, *words)
-    assert done.exit_code == 0, done.stderr
+    ok("compare", LOG, "--map", given, *words)
     found = json.loads((tmp_path / "out/report.json").read_text())["configurations"]["lrf"]
     assert found["position_rmse_m"] < 0.1 * CELL

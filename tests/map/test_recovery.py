@@ -29,7 +29,6 @@ from locfuse.fusion.map.slips import (
     expected_share,
 )
 from locfuse.fusion.map.tracker import LineTracker
-from locfuse.fusion.measure import measure
 from locfuse.fusion.se2 import wrap
 
 Array = NDArray[np.float64]
@@ -50,8 +49,7 @@ class Carried(World):
 
 
 def judged(world: World, sensors: list[str]) -> tuple[Estimates, Evaluation]:
-    robot = world.robot()
-    drive = measure(world.streams(), robot)
+    drive, robot = world.measured()
     estimates = fuse(drive, robot, sensors)
     return estimates, evaluate(estimates, drive)
 
@@ -202,9 +200,8 @@ def test_a_slip_that_nothing_but_one_scan_asks_for_does_not_turn_the_pose(monkey
     monkeypatch.setattr("locfuse.fusion.map.guard.slip_turn", wrong)
     monkeypatch.setattr(Association, "share", share)
     monkeypatch.setattr(LineTracker, "innovations", innovations)
-    world = World(seconds=16.0)
-    drive = measure(world.streams(), world.robot())
-    found = fuse(drive, world.robot(), ["lrf"])
+    drive, robot = World(seconds=16.0).measured()
+    found = fuse(drive, robot, ["lrf"])
     assert made_up
     assert not found.lost
     assert not found.slips

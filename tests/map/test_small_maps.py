@@ -18,7 +18,6 @@ from locfuse.fusion.map.line_map import LineMap
 from locfuse.fusion.map.place_search import Here, find_closure, left_open
 from locfuse.fusion.map.small_maps import cross, heading_among, seen_from_here
 from locfuse.fusion.map.way import Way
-from locfuse.fusion.measure import measure
 
 P_STEP = np.diag(np.square((0.1, 0.05, 0.02)))
 
@@ -264,8 +263,7 @@ class Visiting(World):
 
 def known_errors(world: World) -> tuple[Estimates, Array, Array]:
     """Fuse; return the position errors [m] outside of being lost, and the sigmas [m] there."""
-    robot = world.robot()
-    drive = measure(world.streams(), robot)
+    drive, robot = world.measured()
     found = fuse(drive, robot, ["lrf"])
     judged = evaluate(found, drive)
     known = np.ones(len(judged.t), bool)

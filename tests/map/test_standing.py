@@ -10,15 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import locfuse
+from commands import ok
 from hostile import Put, write
-from worlds import World
+from worlds import World, instants
 
 from locfuse.fusion.data import VERDICTS, Array, Drive
 from locfuse.fusion.fuse import Filter, fuse
-from locfuse.fusion.instants import due_readings, steps_of
 from locfuse.fusion.map.scan import SAME_D2, SAME_LENGTH, Scan, Standing
-from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot
 
 R = np.diag([1e-4, 4e-4])
@@ -124,8 +122,7 @@ def rested(seconds: float, sigma: float = 0.004) -> tuple[Drive, Robot]:
         sigma_range=sigma,
         settings={"compass": {"offset_deg": math.degrees(0.7)}, "lrf": {"walls": "flat"}},
     )
-    robot = world.robot()
-    return measure(world.streams(), robot), robot
+    return world.measured()
 
 
 def test_most_of_the_scans_of_a_minute_at_rest_are_repeated_and_no_wall_is_known_below_its_floor() -> None:
@@ -144,13 +141,10 @@ def test_most_of_the_scans_of_a_minute_at_rest_are_repeated_and_no_wall_is_known
 @pytest.mark.parametrize("mode", ["refine", "grow"])
 def test_no_wall_is_ever_known_below_its_floor_while_driving(mode: str) -> None:
     world = World(seconds=15.0, sigma_range=0.004, settings={"lrf": {"walls": "flat", "map": mode}})
-    robot = world.robot()
-    drive = measure(world.streams(), robot)
+    drive, robot = world.measured()
     run = Filter(robot, ["lrf"])
     floor = np.diagonal(drive.measurements["lrf"].floor)
-    steps = steps_of(drive)
-    for k, due in enumerate(due_readings(drive, ["lrf"])):
-        run.advance(k, steps, due, drive.measurements)
+    for _ in instants(run, drive, "lrf"):
         lines = run.models["lrf"].map  # type: ignore[attr-defined]
         spread = np.diagonal(lines.covariances(run.belief), axis1=1, axis2=2)
         assert (spread >= (1.0 - 1e-9) * floor).all()
@@ -174,8 +168,7 @@ def test_pairs_of_scans_are_fused_and_the_error_stays_that_of_single_ones(tmp_pa
     rmse = {}
     for name, change in (("single", lambda put: put), ("pairs", coarsely_stamped)):
         log = write(tmp_path / f"{name}.mcap", change, seconds=40.0)
-        done = locfuse("run", log, "-o", tmp_path / name, "--sensors", "lrf", "--no-smooth", "--write", "json")
-        assert done.exit_code == 0, done.stderr
+        ok("run", log, "-o", tmp_path / name, "--sensors", "lrf", "--no-smooth", "--write", "json")
         report = json.loads((tmp_path / name / "run.json").read_bytes())
         (found,) = report["configurations"].values()
         rmse[name] = found["position_rmse_m"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ from locfuse.fusion.sensors.lrf import LrfSettings
 
 MATCHED = np.diag([1.0 / 0.02**2, 1.0 / 0.02**2, 1.0 / math.radians(0.3) ** 2])
 CORNERS = np.array([(-4.0, -3.0), (6.0, -3.0), (6.0, 5.0), (4.0, 5.0), (4.0, 7.0), (-4.0, 7.0)])  # m
-ROOM = np.hstack((CORNERS, np.roll(CORNERS, -1, axis=0)))
+ROOM = rooms.ring(CORNERS)
 
 
 def keys_along(way: Array, rng: np.random.Generator) -> tuple[Array, Edges]:
@@ -91,10 +91,13 @@ class InRoom:
 
     way: Array  # (n, 3) where it was, a reading a second
     wheels: Array  # (n, 3) where the wheels say it was
-    origin: tuple[float, float] = (0.0, 0.0)
+    mount: Array = field(default_factory=lambda: np.zeros(3))
 
     def take(self, readings: Ints) -> Points:
         return InRoom(self.way[readings], self.wheels[readings])
+
+    def mounted(self, mount: Array) -> Points:
+        return InRoom(self.way, self.wheels, mount)
 
     def moved(self, t_from: Array, t_to: Array) -> Array:
         return se2.between(self.wheels[np.rint(t_from).astype(int)], self.wheels[np.rint(t_to).astype(int)])

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bags import build, rows
-from invented import assert_same, at_path, decode, invented_type, invented_value
+from invented import decode, invented, written
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from benchmarks.field_paths import paths
@@ -66,25 +66,6 @@ def test_the_size_of_a_fixed_value_is_that_of_a_naive_walk(aligned: bool) -> Non
     assert 300 < fixed < 600
 
 
-@pytest.mark.parametrize("seed", range(40))
-def test_invented_types_of_ros_1_read_the_same_as_by_rosbags(seed: int) -> None:
-    rng = random.Random(seed)
-    text = invented_type(rng)
-    store = get_typestore(Stores.EMPTY)
-    store.register(get_types_from_msg(text, "t/msg/Top"))
-    fields = store.get_msgdef("t/msg/Top").fields
-    messages = [
-        store.types["t/msg/Top"](**{n: invented_value(rng, d, store) for n, d in fields}) for _ in range(5)
-    ]
-    raw = [bytes(store.serialize_ros1(m, "t/msg/Top")) for m in messages]
-    decoder = Decoder(parse("t/Top", "ros1msg", text, filler=False), ROS1)
-    decoded = decode(decoder, raw, paths(decoder.message))
-    assert decoded.good.all(), decoded.bad
-    for field, column in decoded.columns.items():
-        for i, message in enumerate(messages):
-            assert_same(column[i], at_path(message, field))
-
-
 TYPES = {
     "a text": "uint8 a\nstring b\nuint16 c",
     "texts": "string[] b\nuint8 c",
@@ -115,10 +96,8 @@ def example(name: str, kind: str) -> tuple[Decoder, bytes]:
     store.register(get_types_from_msg(TYPES[name], "t/msg/Top"))
     message = build("t/msg/Top", store, **VALUES.get(name, {}))
     if kind == "ros1":
-        return Decoder(parse("t/Top", "ros1msg", TYPES[name], filler=False), ROS1), bytes(
-            store.serialize_ros1(message, "t/msg/Top")
-        )
-    return Decoder(parse("t/Top", "ros2msg", TYPES[name])), bytes(store.serialize_cdr(message, "t/msg/Top"))
+        return Decoder(parse("t/Top", "ros1msg", TYPES[name], filler=False), ROS1), written(store, message, kind)
+    return Decoder(parse("t/Top", "ros2msg", TYPES[name])), written(store, message, "little")
 
 
 @pytest.mark.parametrize("kind", ["cdr", "ros1"])
@@ -256,13 +235,8 @@ def test_length_words_are_compared_in_pieces_of_a_bounded_size(monkeypatch: pyte
 
 @pytest.mark.parametrize("seed", range(20))
 def test_columns_of_no_message_are_of_the_kind_that_those_of_messages_are(seed: int) -> None:
-    rng = random.Random(1000 + seed)
-    text = invented_type(rng)
-    store = get_typestore(Stores.EMPTY)
-    store.register(get_types_from_msg(text, "t/msg/Top"))
-    fields = store.get_msgdef("t/msg/Top").fields
-    message = store.types["t/msg/Top"](**{n: invented_value(rng, d, store) for n, d in fields})
-    raw = bytes(store.serialize_cdr(message, "t/msg/Top"))
+    text, store, (message,) = invented(1000 + seed, 1)
+    raw = written(store, message, "little")
     decoder = Decoder(parse("t/Top", "ros2msg", text))
     names = paths(decoder.message)
     one, none = (decode(decoder, some, names).columns for some in ([raw], []))

@@ -196,18 +196,6 @@ def test_what_is_no_message_is_counted_with_its_reason(data: bytes, says: str) -
     assert found.bad == {says: 1}
 
 
-def test_structures_in_structures_and_their_number_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    deep = All()
-    at = deep
-    for _ in range(40):
-        at = at.itself
-        at.text = "x"
-    many = All(texts=["a"] * 11)
-    monkeypatch.setattr(protobuf_messages, "MAX_ITEMS", 10)
-    found = decode([deep.SerializeToString(), many.SerializeToString()])
-    assert not found.good.any()
-
-
 def reason(message: bytes, fields: tuple[str, ...] = FIELDS) -> str:
     """Why a message is refused, "" where it is read."""
     return next(iter(decode([message], fields).bad), "")

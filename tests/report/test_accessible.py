@@ -9,7 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import pytest
-from commands import locfuse
+from commands import ok
 
 from locfuse.formats.fleet.page import MAX_TINT_PERCENT
 
@@ -120,8 +120,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     out: Path = tmp_path_factory.mktemp("fleet") / "out"
     logs = ("rounded_rectangle", "rounded_triangle", "labyrinth")
     words = ("--sensors", "odometry", "--sensors", "all", "-o", out, "--write", "html,json", "-q")
-    done = locfuse("fleet", *logs, *words)
-    assert done.exit_code == 0, done.stderr
+    ok("fleet", *logs, *words)
     places = {"fleet": out / "summary.html", "report": out / "rounded_rectangle" / "report.html"}
     return {name: path.read_text(encoding="utf-8") for name, path in places.items()}
 

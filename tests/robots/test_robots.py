@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bags import T0, Said, cdr, header, real_log, write
-from commands import locfuse
+from commands import locfuse, ok
 from wheel_bags import CREATE, CREATE_TEXT, TURTLE, TURTLE_TEXT, angles, custom, joint_states, log_of
 
 from locfuse import robots
@@ -42,8 +42,7 @@ def ticks(folder: Path, msgtype: str, text: str, fields: tuple[str, str], turns:
 
 def test_ticks_of_a_create_get_its_wheels(tmp_path: Path) -> None:
     log = ticks(tmp_path, CREATE, CREATE_TEXT, ("ticks_left", "ticks_right"), 508.8)
-    done = locfuse("init", log)
-    assert done.exit_code == 0, done.stderr
+    done = ok("init", log)
     wheels = tomllib.loads(done.stdout)["wheels"]
     assert (wheels["radius"], wheels["track"], wheels["ticks_per_revolution"]) == (0.03575, 0.233, 508.8)
     assert "robots/create3.toml" in done.stdout

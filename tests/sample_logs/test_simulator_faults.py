@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from locfuse.fusion.data import ArrayStream, LocfuseError, Ragged
+from locfuse.fusion.data import ArrayStream, Ragged
 from locfuse.sample_logs import faults, load
 from locfuse.sample_logs.camera import Painter
 from locfuse.sample_logs.messages import RawMessage
@@ -398,19 +398,3 @@ def test_a_hidden_landmark_is_not_red_and_a_red_object_is() -> None:
     impostor = faults.RedObject(start=2.0, end=5.0, x=2.0, y=2.0, radius=0.08)
     assert red_pixels(1.9, impostor) == red_pixels(1.9)
     assert red_pixels(2.1, impostor) > 1.5 * red_pixels(1.9)
-
-
-@pytest.mark.parametrize(
-    ("table", "what"),
-    [
-        ({"kind": "magnetic", "x": 1, "y": 1, "strength": 1, "start": 5, "end": 4}, "end = 4 must come after"),
-        ({"kind": "people", "path": [[1, 1], [2, 2]]}, "a walk needs an `end`"),
-        ({"kind": "kidnap", "x": 1, "y": 1}, "a kidnapping needs an `end`"),
-        ({"kind": "slip", "wheel": "left", "ratio": 1.5}, "`float` <= 1.0 - at `faults[0].ratio`"),
-    ],
-)  # fmt: skip
-def test_impossible_faults_are_refused_with_their_place(table: dict[str, Any], what: str) -> None:
-    with pytest.raises(LocfuseError) as error:
-        load.convert({"faults": [table]}, "mine.toml", LocfuseError)
-    assert what in str(error.value)
-    assert "faults[0]" in str(error.value)

@@ -7,25 +7,21 @@ import math
 import msgspec
 import numpy as np
 import pytest
+import rooms
 
 from locfuse.fusion.data import Array
 from locfuse.sample_logs.camera import Painter, expose
+from locfuse.sample_logs.messages import streams
 from locfuse.sample_logs.mirror import rays, slope
 from locfuse.sample_logs.render import Surface
-from locfuse.sample_logs.scenario import Camera, Landmark, Room, Scenario
+from locfuse.sample_logs.robot import Robot
+from locfuse.sample_logs.scenario import Camera, Landmark, Lrf, Room, Scenario
+from locfuse.sample_logs.sensors import Laser
 from locfuse.sample_logs.table import Pillar
-from locfuse.sample_logs.world import Plan, Scene, cast, clearance
+from locfuse.sample_logs.world import Plan, Scene, cast, clearance, rings
 
 NOTHING = np.zeros((0, 3))
 PLACES = [(1.5, 1.5, 0.0), (5.0, 3.0, 1.2), (2.0, 4.5, -2.9), (6.1, 2.1, math.pi / 2), (7.0, 5.0, 3.1)]
-
-
-def in_a_rectangle(width: float, height: float, origin: Array, angle: Array) -> Array:
-    """How far a ray goes inside the rectangle (0, 0)-(width, height): the nearer of two crossings."""
-    with np.errstate(divide="ignore"):
-        to_x = np.where(np.cos(angle) > 0, width - origin[:, 0], -origin[:, 0]) / np.cos(angle)
-        to_y = np.where(np.sin(angle) > 0, height - origin[:, 1], -origin[:, 1]) / np.sin(angle)
-    return np.asarray(np.minimum(to_x, to_y))
 
 
 def test_rays_in_an_empty_room_end_where_the_rectangle_does() -> None:
@@ -33,7 +29,9 @@ def test_rays_in_an_empty_room_end_where_the_rectangle_does() -> None:
     origin = rng.uniform((0.1, 0.1), (7.9, 5.9), (5000, 2))
     angle = rng.uniform(-np.pi, np.pi, 5000)
     plan = Plan(Scene(Scenario(room=Room(plates=()))).walls, NOTHING)
-    np.testing.assert_allclose(cast(plan, origin, angle), in_a_rectangle(8, 6, origin, angle), atol=1e-9)
+    np.testing.assert_allclose(
+        cast(plan, origin, angle), rooms.ranges(rooms.box(0, 0, 8, 6), origin, angle), atol=1e-9
+    )
 
 
 def test_rays_meet_a_circle_at_the_law_of_cosines() -> None:
@@ -158,15 +156,6 @@ def test_a_higher_landmark_reaches_further_out_in_the_image() -> None:
         assert radius.min() == pytest.approx(low, abs=1.0)
 
 
-def test_moving_the_camera_off_the_axle_moves_the_landmark_in_the_image() -> None:
-    place = (6.0, 3.0, 0.0)
-    there, here = (Scenario(camera=Camera(x=x), room=Room(plates=())) for x in (0.3, -0.3))
-    columns = [mean_angle(angle, 1 / radius) for angle, radius in (painted(there, place), painted(here, place))]
-    parallax = turn_deg(bearing(there, place), bearing(here, place))
-    assert parallax > 5
-    assert turn_deg(*columns) == pytest.approx(parallax, abs=0.1)
-
-
 def test_camera_and_laser_see_the_same_room() -> None:
     """Two ray casters, written apart: along a level ray both find the same distance."""
     scenario = Scenario(room=Room(pillars=(Pillar(x=4.0, y=2.5, radius=0.3, top=2.0),)))
@@ -206,3 +195,60 @@ def test_image_noise_has_the_deviation_that_was_asked_for() -> None:
     # truncation to whole grey levels adds 1/12 of variance
     assert image.std() == pytest.approx(math.sqrt(16 + 1 / 12), rel=0.01)
     assert abs(np.corrcoef(image[:, :-1, 0].ravel(), image[:, 1:, 0].ravel())[0, 1]) < 0.01
+
+
+# --- a round room
+
+ROUND = Room(size=(8.0, 8.0), radius=4.0, plates=())
+CENTRE = np.array([4.0, 4.0])
+
+
+def to_round_wall(origin: Array, angle: Array) -> Array:
+    """Return how far each ray goes in the round room, (n,) m: the larger root of |p + s d - c|^2 = r^2."""
+    p = origin - CENTRE
+    b = np.cos(angle) * p[:, 0] + np.sin(angle) * p[:, 1]
+    return np.asarray(-b + np.sqrt(b * b + 4.0**2 - (p * p).sum(axis=1)))
+
+
+def test_ranges_in_a_round_room_equal_the_closed_form() -> None:
+    lrf = Lrf(sigma_range=0.0, sigma_angle_deg=0.0, lost=0.0, x=0.2, y=-0.1, yaw_deg=10.0)
+    scenario = Scenario(lrf=lrf, room=ROUND, landmark=Landmark(bottom=1.0))
+    robot = Robot(scenario, (2.5, 3.0, 0.5), streams(1))
+    for _ in range(3):
+        robot.drive((3.0, 4.0))  # every ray leaves from a place of its own
+    laser = Laser(lrf, Scene(scenario), robot, np.random.default_rng(7))
+    measured = laser.read(0.01)["ranges"]
+    pose = robot.trail.pose(0.01 + laser.times)
+    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    origin = pose[:, :2] + np.stack((0.2 * c + 0.1 * s, 0.2 * s - 0.1 * c), axis=-1)
+    angle = pose[:, 2] + np.radians(10.0 + np.arange(181) - 90.0)
+    assert np.abs(measured - to_round_wall(origin, angle)).max() < 1e-6
+
+
+def test_a_round_wall_is_seen_from_inside_only_and_hides_nothing_before_it() -> None:
+    plan = Plan(np.zeros((0, 4)), np.array([[6.0, 4.0, 0.5]]), rings(ROUND))
+    origin = np.array([[4.0, 4.0], [4.0, 4.0], [9.0, 4.0]])
+    assert cast(plan, origin, np.array([0.0, np.pi, np.pi])) == pytest.approx([1.5, 4.0, 2.5])
+    empty = Plan(np.zeros((0, 4)), np.zeros((0, 3)), rings(ROUND))
+    assert np.isinf(cast(empty, np.array([[9.0, 4.0]]), np.array([np.pi]))).all()
+
+
+def test_clearance_in_a_round_room_is_the_distance_to_the_circle() -> None:
+    points = np.array([[4.0, 4.0], [6.0, 4.0], [4.0, 7.9], [8.5, 4.0]])
+    assert clearance(
+        Scene(Scenario(room=ROUND, landmark=Landmark(bottom=1.0))).plan(0.25), points
+    ) == pytest.approx([4.0, 2.0, 0.1, -0.5])
+
+
+def test_the_camera_sees_the_round_wall_where_it_is() -> None:
+    painter = Painter(Camera(), Scene(Scenario(room=ROUND, landmark=Landmark(x=4.0, y=7.8, radius=0.01))))
+    eye = np.array([5.0, 3.0, 0.9, 0.7])
+    hits = painter.trace(eye, 0.0)
+    wall = hits.surface == 2
+    assert wall.mean() > 0.1
+    angle = np.arctan2(hits.dy[wall], hits.dx[wall]).astype(float)
+    expected = to_round_wall(np.broadcast_to(eye[:2], (len(angle), 2)), angle)
+    assert np.abs(hits.way[wall] - expected).max() < 1e-4
+    inward = hits.nx[wall] * hits.dx[wall] + hits.ny[wall] * hits.dy[wall]
+    assert (inward < 0).all()  # the wall's normal turns against the ray
+    assert np.abs(np.hypot(hits.nx[wall], hits.ny[wall]) - 1.0).max() < 1e-5

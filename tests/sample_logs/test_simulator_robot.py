@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 import pytest
-from reckoning import dead_reckoning
 
+from locfuse.cli.session.simulate import localise
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.sample_logs import load
 from locfuse.sample_logs.follow import LegFollower, PathFollower
@@ -50,15 +50,6 @@ def test_a_decoder_that_looks_too_seldom_reports_what_it_missed() -> None:
     assert seen.counts.tolist() == [0, 0, 0]
 
 
-def test_every_single_transition_has_the_sign_of_its_direction() -> None:
-    states = [(False, False), (True, False), (True, True), (False, True)]  # A leads B turning forward
-    for i, before in enumerate(states):
-        for step, expected in ((1, 1), (-1, -1), (0, 0)):
-            after = states[(i + step) % 4]
-            a, b = (np.array(pair) for pair in zip(before, after, strict=True))
-            assert decode(a, b).counts.tolist() == [expected]
-
-
 def test_encoder_counts_never_leave_the_true_wheel_angle() -> None:
     robot = Robot(Scenario(), (0.0, 0.0, 0.0), streams(3))
     rng = np.random.default_rng(3)
@@ -91,17 +82,10 @@ def test_the_trail_between_knots_is_the_circular_arc() -> None:
         assert y == pytest.approx(2.0 - radius * (math.cos(0.5 + turned) - math.cos(0.5)), abs=1e-12)
 
 
-def test_cutting_a_motion_in_steps_changes_nothing() -> None:
-    once, often = Trail(1.0, (0.0, 0.0, 0.0)), Trail(0.01, (0.0, 0.0, 0.0))
-    once.extend(np.array([[1.0, 0.0, 2.0]]))
-    often.extend(np.full((100, 3), (0.01, 0.0, 0.02)))
-    np.testing.assert_allclose(once.knots()[-1], often.knots()[-1], atol=1e-12)
-
-
 @pytest.mark.parametrize("name", ["rounded_rectangle", "rounded_triangle", "disturbed"])
 def test_the_motors_hold_their_speed_within_5_percent(name: str) -> None:
     scenario = load.load(name, BLIND)
-    _, _, outcome = in_memory(scenario, scenario.seed, dead_reckoning)
+    _, _, outcome = in_memory(scenario, scenario.seed, localise("odometry"))
     stability = speed_stability(outcome)
     assert stability.worst <= 0.05
     assert stability.rms > 0.005  # a real motor is not perfect
@@ -189,10 +173,12 @@ def test_the_path_follower_is_not_confused_where_the_path_crosses_itself() -> No
 
 
 class Listener:
-    """A localisation that reckons, and remembers what it was told at each call."""
+    """A localisation by odometry that remembers what it was told at each call."""
 
     def __init__(self, tables: dict[str, dict[str, object]]) -> None:
-        self.reckon = dead_reckoning(tables)
+        reckon = localise("odometry")(tables)
+        assert reckon is not None
+        self.reckon = reckon
         self.heard: list[list[RawMessage]] = []
 
     def __call__(self, messages: list[RawMessage]) -> Pose:
@@ -237,20 +223,10 @@ def test_a_scan_is_cast_from_where_the_robot_is_at_each_ray() -> None:
     assert np.ptp(y[ahead]) < 0.01
 
 
-def test_steering_on_odometry_drifts_and_steering_on_the_truth_does_not() -> None:
-    scenario = load.load("rounded_rectangle", BLIND)
-    end = []
-    for localise in (dead_reckoning, lambda tables: None):
-        _, _, outcome = in_memory(scenario, 1, localise)
-        end.append(math.hypot(outcome.truth[-1, 0] - 1.5, outcome.truth[-1, 1] - 1.5))
-    assert end[0] > 0.3
-    assert end[1] < 0.15
-
-
 def test_a_robot_that_would_drive_into_a_wall_says_so() -> None:
     scenario = load.load("disturbed", BLIND)
     with pytest.raises(LocfuseError, match=r"the robot hits something after 5\d.\d s: at \(2.\d\d, 0.\d\d\)"):
-        in_memory(scenario, 1, dead_reckoning)
+        in_memory(scenario, 1, localise("odometry"))
 
 
 def test_a_drive_that_never_ends_is_stopped() -> None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from pose_streams import odometry_stream, reckoned, slipping
 
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion.data import ArrayStream, Column, Drive, Estimates, Measurements
@@ -40,12 +41,8 @@ def drive_of(
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, length / 1.0, 0.1)
     turning = 0.06 * np.sin(t / 17.0) + 0.025
-    pose = np.zeros((len(t), 3))
-    pose[0] = start
-    for i in range(1, len(t)):
-        x, y, theta = pose[i - 1]
-        middle = theta + 0.05 * turning[i]
-        pose[i] = x + 0.1 * math.cos(middle), y + 0.1 * math.sin(middle), theta + 0.1 * turning[i]
+    steps = np.column_stack((np.full(len(t) - 1, 0.1), 0.1 * turning[1:]))
+    pose = reckoned(steps, start)
     at = np.arange(3, len(t), 10)
     fixes = fixes_of(t[at], pose[at], east_deg, antenna, rng, columns or {})
     described = make_robot(
@@ -55,33 +52,10 @@ def drive_of(
             "gps": {"x": antenna[0], "y": antenna[1], **(gps or {})},
         }
     )
-    drive = measure({"wheels": odometry(t, pose, rng, noise), "gps": fixes}, described)
+    stamps = T0 + np.rint(t * 1e9).astype(np.int64)
+    wheels = odometry_stream(stamps, reckoned(slipping(steps, 0.5, noise, rng)))  # as robot.toml says
+    drive = measure({"wheels": wheels, "gps": fixes}, described)
     return drive, described, pose[at]
-
-
-def odometry(t: Array, pose: Array, rng: np.random.Generator, k: float) -> ArrayStream:
-    """Dead reckoning with the noise that robot.toml says, from (0, 0, 0)."""
-    track = 0.5
-    ds = np.full(len(t) - 1, 0.1)
-    turn = np.diff(pose[:, 2])
-    sides = np.stack((ds - 0.5 * track * turn, ds + 0.5 * track * turn), axis=-1)
-    sides += np.sqrt(k * np.abs(sides)) * rng.normal(size=sides.shape)
-    ds, turn = sides.mean(axis=1), np.diff(sides, axis=1)[:, 0] / track
-    theta = np.concatenate(([0.0], np.cumsum(turn)))
-    middle = theta[:-1] + 0.5 * turn
-    x, y = (np.concatenate(([0.0], np.cumsum(ds * f(middle)))) for f in (np.cos, np.sin))
-    zero = np.zeros(len(t))
-    data: dict[str, Column] = {
-        "pose.pose.position.x": x,
-        "pose.pose.position.y": y,
-        "pose.pose.orientation.x": zero,
-        "pose.pose.orientation.y": zero,
-        "pose.pose.orientation.z": np.sin(0.5 * theta),
-        "pose.pose.orientation.w": np.cos(0.5 * theta),
-        "twist.twist.linear.x": zero,
-        "twist.twist.angular.z": zero,
-    }
-    return ArrayStream("/odom", "nav_msgs/msg/Odometry", T0 + np.rint(t * 1e9).astype(np.int64), data)
 
 
 def fixes_of(

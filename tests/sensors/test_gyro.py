@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from pose_streams import reckoned
 from rows import one_by_one, said, step
 
 from locfuse.cli.analysis.robot_tables import make_robot
@@ -212,14 +213,13 @@ def stopping(bias_deg: float, stop: tuple[float, float], seed: int = 3) -> tuple
     t = np.arange(0.0, stop[1] + 5.0, 0.02)
     moves = (t < stop[0]) | (t > stop[1])
     speed, turning = np.where(moves, 0.5, 0.0), np.where(moves, 0.1, 0.0)
-    theta = np.concatenate(([0.0], np.cumsum(0.5 * (turning[1:] + turning[:-1]) * 0.02)))
-    ds = 0.5 * (speed[1:] + speed[:-1]) * 0.02
-    middle = 0.5 * (theta[1:] + theta[:-1])
-    places = np.vstack(([0.0, 0.0], np.cumsum(np.stack((ds * np.cos(middle), ds * np.sin(middle)), -1), axis=0)))
+    rates = np.column_stack((speed, turning))
+    pose = reckoned(0.5 * (rates[1:] + rates[:-1]) * 0.02)
+    theta = pose[:, 2]
     described = robot({"sigma_scale": 0.0}, wheels={"radius": RADIUS, "track": TRACK, "noise": 0.3})
     slipping = wheels(t, theta, speed, np.random.default_rng(seed + 1))
     drive = measure({"wheels": slipping, "gyro": imu(t, theta, rng, math.radians(bias_deg), 1e-4)}, described)
-    at = np.stack([np.interp(drive.t, t, places[:, i]) for i in (0, 1)], axis=-1)
+    at = np.stack([np.interp(drive.t, t, pose[:, i]) for i in (0, 1)], axis=-1)
     return drive, at, described
 
 

@@ -10,7 +10,7 @@ import landmark_drive
 import numpy as np
 import pytest
 from bags import T0, S
-from commands import locfuse
+from commands import locfuse, ok
 from landmark_drive import MAP, map_file, path_of, sets, slipping, truth_file
 from numpy.typing import NDArray
 from rewrite_log import rewritten
@@ -183,8 +183,7 @@ def test_info_finds_the_file_and_init_writes_it(tmp_path: Path, monkeypatch: pyt
     assert "detections.csv, named in the settings" in said
     assert "ready    odometry, landmarks" in said
     (tmp_path / "robot.toml").write_text(locfuse("init", log, *words).stdout)
-    done = locfuse("compare", log, "--robot", "robot.toml", "-o", "out")
-    assert done.exit_code == 0, done.stderr
+    done = ok("compare", log, "--robot", "robot.toml", "-o", "out")
     assert "landmarks" in done.stdout
 
 
@@ -287,8 +286,7 @@ def test_a_log_names_no_file_outside_its_own_folder(tmp_path: Path, lines: str, 
     assert f"attachment robot.toml: {key} names the file" in done.stderr
     assert f"give {key} in a file of your own: --robot FILE" in done.stderr
     assert len(done.stderr.splitlines()) == 1
-    done = locfuse(*words, *sets(f"{key}={tmp_path / file}"))
-    assert done.exit_code == 0, done.stderr
+    done = ok(*words, *sets(f"{key}={tmp_path / file}"))
 
 
 def test_a_log_names_files_in_its_own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -301,8 +299,7 @@ def test_a_log_names_files_in_its_own_folder(tmp_path: Path, monkeypatch: pytest
     for folder, place in ((tmp_path, log), (log.parent, log.name)):
         monkeypatch.chdir(folder)
         out = tmp_path / f"of_{folder.name}"
-        done = locfuse("run", place, *GEOMETRY, "--sensors", "landmarks", "--no-advice", "-o", out)
-        assert done.exit_code == 0, done.stderr
+        ok("run", place, *GEOMETRY, "--sensors", "landmarks", "--no-advice", "-o", out)
 
 
 # --- ranges to anchors with ids: a map that is given or made, a start that nobody gave, and what is refused
@@ -328,7 +325,7 @@ def by_ranges(
     t, angle = angles(60.0)
     if not turns:
         angle = np.repeat(angle[:, :1], 2, axis=1)
-    true, rng = moved(path_of(t, angle)), np.random.default_rng(seed)
+    true, rng = moved(path_of(angle)), np.random.default_rng(seed)
     lines = ["t,id,range"]
     for n, i in enumerate(range(5, len(t), 5)):
         key = sorted(anchors)[n % len(anchors)]
@@ -382,8 +379,7 @@ def test_without_a_map_the_anchors_are_found_beside_the_drive(tmp_path: Path) ->
     by_ranges(tmp_path, "--sensors", "odometry")
     own = sets(f"ranges.file={tmp_path / 'ranges.csv'}", "ranges.map=grow", f"ranges.sigma={SIGMA}")
     words = ("--sensors", "ranges", "--save-map", tmp_path / "found.csv", "-o", tmp_path / "run")
-    done = locfuse("run", tmp_path / "x.mcap", *GEOMETRY, *own, *words)
-    assert done.exit_code == 0, done.stderr
+    ok("run", tmp_path / "x.mcap", *GEOMETRY, *own, *words)
     found = landmark_map.read(tmp_path / "found.csv")
     for key, place in ANCHORS.items():  # in the frame of the start
         expected = se2.transform(se2.inverse(np.array(START)), np.array(place))
@@ -438,7 +434,7 @@ def test_the_labyrinth_is_driven_from_an_unknown_start() -> None:
 
 def test_the_start_is_exact_where_the_ranges_are() -> None:
     t, angle = angles(20.0)
-    rel = path_of(t, angle)[::10]
+    rel = path_of(angle)[::10]
     true, ids = moved(rel), np.arange(len(rel)) % 4 + 1
     at = np.array([ANCHORS[int(i)] for i in ids])
     ranges = np.hypot(*(true[:, :2] - at).T) + TOO_LONG
@@ -449,7 +445,7 @@ def test_the_start_is_exact_where_the_ranges_are() -> None:
 
 def test_an_anchor_is_exact_where_the_ranges_are() -> None:
     t, angle = angles(20.0)
-    rel = path_of(t, angle)[::10]
+    rel = path_of(angle)[::10]
     ranges = np.hypot(*(rel[:, :2] - ANCHORS[1]).T)
     found = anchor_beside(rel[:, :2], t[::10], ranges, (0.05, 0.2))
     assert found is not None

@@ -72,8 +72,7 @@ def test_past_parallel_walls_and_through_a_doorway_no_line_is_matched_wrongly(mo
         settings={"lrf": {"map": mode}},
         mount=(0.0, 0.0, 0.0),
     )
-    robot = world.robot()
-    drive = measure(world.streams(), robot)
+    drive, robot = world.measured()
     found = fuse(drive, robot, ["lrf"])
     audit, lrf = found.audits["lrf"], drive.measurements["lrf"]
     lines = {line.id: line for line in (*found.first_map, *found.final_map)}
@@ -101,8 +100,7 @@ def test_the_mount_moves_lines_into_the_base_frame() -> None:
     turned = replace(base, mount=(0.2, -0.1, 0.4))
     poses = []
     for world in (base, turned):
-        robot = world.robot()
-        drive = measure(world.streams(), robot)
+        drive, _ = world.measured()
         lrf = drive.measurements["lrf"]
         z = lrf.z[lrf.first[5] : lrf.first[6]]
         poses.append({(round(float(r), 1), round(float(p), 1)) for r, p in z})

@@ -17,7 +17,7 @@ import beacon
 import numpy as np
 import pytest
 import recordings
-from commands import locfuse
+from commands import locfuse, ok
 from trap_logs import TRUTH, Drive, numbers
 
 from locfuse import LocfuseError, register
@@ -93,10 +93,9 @@ SET = ("--set", f"beacon.place=[{PLACE[0]}, {PLACE[1]}]")
 def compared(log: Path) -> Path:
     out = log.parent / "out"
     words = ("--sensors", "odometry", "--sensors", "beacon", "--sensors", "all")
-    done = locfuse(
+    done = ok(
         "compare", log, "-v", "--write", "all", *SET, "-o", out, "--rerun-save", log.parent / "beacon.rrd", *words
     )
-    assert done.exit_code == 0, done.stderr
     (log.parent / "stdout.txt").write_text(done.stdout)
     return out
 
@@ -149,8 +148,7 @@ def test_a_recording_names_it_with_its_unit(compared: Path) -> None:
 def test_a_constant_error_is_named_with_the_key_that_takes_it_out(tmp_path: Path) -> None:
     """In metres: nothing is wrapped as an angle would be."""
     log, out = write(tmp_path / "far.mcap", TOO_MUCH), tmp_path / "out"
-    done = locfuse("compare", log, *SET, "--set", "beacon.gate=1", "-o", out, "--write", "json")
-    assert done.exit_code == 0, done.stderr
+    done = ok("compare", log, *SET, "--set", "beacon.gate=1", "-o", out, "--write", "json")
     said = next(line for line in done.stdout.splitlines() if line.startswith("beacon: "))
     assert "on average" in said
     assert said.endswith(f"--set beacon.offset={TOO_MUCH}")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bags import STORE, T0, S, Said, build, cdr, header
-from commands import locfuse
+from commands import locfuse, ok
 from landmark_drive import MAP, TF, TO_OPTICAL, compared, map_file, optical, seen_by, sets, slipping, truth_file
 from mcap.writer import Writer
 from numpy.typing import NDArray
@@ -175,8 +175,7 @@ def test_an_unknown_map_is_made_saved_and_used(tmp_path: Path) -> None:
     assert found["landmarks"]["anees"] < 2.0
     made = tmp_path / "made.csv"
     words = ("--sensors", "landmarks", "--save-map", made, "-o", tmp_path / "run")
-    done = locfuse("run", files[0], "-v", *GEOMETRY, *grow, *words)
-    assert done.exit_code == 0, done.stderr
+    ok("run", files[0], "-v", *GEOMETRY, *grow, *words)
     places = landmark_map.read(made)
     assert {int(k) for k in places} == set(MAP)
     for key, place in places.items():

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import small_drive
 from bags import real_log
-from commands import locfuse
+from commands import locfuse, ok
 from msgspec.structs import replace
 from scipy.stats import norm
 from trap_logs import Drive as LogDrive
@@ -167,8 +167,7 @@ def test_noise_that_nothing_depends_on_is_left_as_it_was() -> None:
 def test_the_command_writes_a_robot_that_the_next_command_takes(tmp_path: Path) -> None:
     out = tmp_path / "tuned.toml"
     start = ("--set", "compass.sigma_deg=30")
-    done = locfuse("tune", "rounded_rectangle", "--sensors", "compass", *start, "-o", out, "--json", "-q")
-    assert done.exit_code == 0, done.stderr
+    done = ok("tune", "rounded_rectangle", "--sensors", "compass", *start, "-o", out, "--json", "-q")
     report = json.loads(done.stdout)
     sigma = report["noise"]["compass.sigma_deg"]
     assert sigma["before"] == 30.0

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 from bags import Said
-from commands import locfuse
+from commands import locfuse, ok
 from numpy.typing import NDArray
 from wheel_bags import (
     GEOMETRY,
@@ -60,8 +60,7 @@ def speeds(topic: str, factor: float = 1.0, **how: Any) -> list[Said]:
 
 
 def final(log: Path, *words: Any) -> tuple[list[float], dict[str, Any]]:
-    done = locfuse("run", log, "-o", log.parent / "out", "--overwrite", "--write", "csv,json", *words)
-    assert done.exit_code == 0, done.stderr
+    ok("run", log, "-o", log.parent / "out", "--overwrite", "--write", "csv,json", *words)
     last = (log.parent / "out" / "trajectory.csv").read_text().splitlines()[-1].split(",")
     return [float(v) for v in last[1:4]], json.loads((log.parent / "out" / "run.json").read_text())
 
@@ -125,8 +124,7 @@ def test_two_frames_of_tf_are_the_truth_where_they_are_named(tmp_path: Path) -> 
     log = log_of(tmp_path / "x.mcap", odometry(T, short), tf(T, CIRCLE, "map", "base_link"))
     out = tmp_path / "out"
     words = ("--no-advice", "--sensors", "odometry", "-o", out, "--write", "json")
-    done = locfuse("compare", log, "--set", "truth.topic=/tf:map:base_link", *words)
-    assert done.exit_code == 0, done.stderr
+    ok("compare", log, "--set", "truth.topic=/tf:map:base_link", *words)
     found = json.loads((out / "report.json").read_text())["configurations"]["odometry"]
     expected = 0.1 * math.sqrt(float(np.square(CIRCLE[:, :2]).sum(axis=1).mean()))
     assert found["position_rmse_m"] == pytest.approx(expected, rel=1e-3)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import locfuse
+from commands import locfuse, ok
 from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy.stats import chi2
@@ -223,15 +223,13 @@ def strong_iron(tmp_path_factory: pytest.TempPathFactory) -> Path:
     log = tmp_path_factory.mktemp("iron") / "drive.mcap"
     words = ("lrf.enabled=false", "camera.enabled=false", "control.estimator=truth")
     iron = ("compass.hard_iron=[9e-6, -6e-6]", "compass.soft_iron=[1.25, 0.85, 0.1]")
-    done = locfuse("simulate", "rounded_rectangle", "-o", log, *(w for s in (*words, *iron) for w in ("--set", s)))
-    assert done.exit_code == 0, done.stderr
+    ok("simulate", "rounded_rectangle", "-o", log, *(w for s in (*words, *iron) for w in ("--set", s)))
     return log
 
 
 def test_iron_found_without_truth_makes_the_headings_right(strong_iron: Path, tmp_path: Path) -> None:
     robot = tmp_path / "robot.toml"
-    done = locfuse("calibrate", strong_iron, "-o", robot)
-    assert done.exit_code == 0, done.stderr
+    done = ok("calibrate", strong_iron, "-o", robot)
     assert "compass.hard_iron x" in done.stdout
     before, after = (
         json.loads(

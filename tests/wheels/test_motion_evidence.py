@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bags import Said, real_log
-from commands import locfuse
+from commands import locfuse, ok
 from laser_room import ROOM, circle, ranges_of, scan_stream, scans_of
 from wheel_bags import joint_states, log_of, odometry, poses_in, stamps, twists
 
@@ -236,8 +236,7 @@ def test_bags_of_strangers_without_a_motion_of_the_robot_are_refused(bag: str, t
 
 def test_the_scans_of_a_robot_whose_controller_was_recorded_give_its_path(tmp_path: Path) -> None:
     log = real_log("strangers/controller_twist.bag")
-    done = locfuse("run", log, "--sensors", "lrf", "--align", "origin", "--no-advice", "-o", tmp_path / "out")
-    assert done.exit_code == 0
+    ok("run", log, "--sensors", "lrf", "--align", "origin", "--no-advice", "-o", tmp_path / "out")
     report = json.loads((tmp_path / "out/run.json").read_text())
     assert report["configurations"]["lrf"]["position_rmse_m"] < 0.03
 
@@ -313,8 +312,7 @@ def test_encoders_that_are_told_a_wrong_track_do_not_lose_to_scan_matching_witho
 ) -> None:
     log = wheels_and_laser(tmp_path / "x.mcap")
     told = ("--set", "wheels.radius=0.05", "--set", f"wheels.track={track}", "--set", "lrf.x=0.0")
-    done = locfuse("compare", log, *told, "-o", tmp_path / "out", "--write", "json", "--sensors", "odometry")
-    assert done.exit_code == 0, done.stderr
+    ok("compare", log, *told, "-o", tmp_path / "out", "--write", "json", "--sensors", "odometry")
     report = json.loads((tmp_path / "out/report.json").read_text())
     words = [note for note in report["notes"] if "by matching the scans" in note]
     assert bool(words) == said

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bags import Said
-from commands import locfuse
+from commands import locfuse, ok
 from wheel_bags import log_of, messages, odometry, turned, twists
 
 from locfuse.cli.analysis.choose import choose
@@ -136,8 +136,7 @@ def test_what_makes_the_figures_doubtful_comes_before_them(
     said: list[list[Said]], words: str, tmp_path: Path
 ) -> None:
     log = log_of(tmp_path / "x.mcap", *said)
-    done = locfuse("compare", log, "--no-advice", "-o", tmp_path / "out")
-    assert done.exit_code == 0
+    done = ok("compare", log, "--no-advice", "-o", tmp_path / "out")
     assert done.stdout.startswith(words)
     assert ("next:" in locfuse("init", log).stderr) == ("not move" not in words)
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bags import real_log, write
-from commands import locfuse
+from commands import locfuse, ok
 from laser_room import PERIOD, ROOM, circle, ranges_of, scan_stream, scans_of
 from msgspec.structs import replace
 from ring_drive import box
@@ -214,11 +214,9 @@ def test_info_init_and_compare_take_a_log_with_a_laser_and_nothing_else(tmp_path
     assert "matched with each other" in known["roles"]["wheels"]["why"]
     assert known["roles"]["lrf"]["topics"] == ["/scan"]
     robot = tmp_path / "robot.toml"
-    written = locfuse("init", log)
-    assert written.exit_code == 0, written.stderr
+    written = ok("init", log)
     robot.write_text(written.stdout)
-    done = locfuse("compare", log, "-v", "--robot", robot, "-o", tmp_path / "out", "--write", "json,tum")
-    assert done.exit_code == 0, done.stderr
+    done = ok("compare", log, "-v", "--robot", robot, "-o", tmp_path / "out", "--write", "json,tum")
     assert "the motion is matched from scan to scan of /scan" in done.stderr
     _, truth = circle(8.0)
     for name in ("scan matching", "lrf"):
@@ -247,15 +245,13 @@ def test_another_clock_of_the_laser_moves_all_sensors_with_it(tmp_path: Path) ->
 
 def test_a_recording_for_rerun_holds_a_drive_without_wheels(tmp_path: Path) -> None:
     log = laser_bag(tmp_path / "laser.mcap")
-    done = locfuse("run", log, "--sensors", "lrf", "-o", tmp_path / "out", "--rerun-save", tmp_path / "x.rrd")
-    assert done.exit_code == 0, done.stderr
+    ok("run", log, "--sensors", "lrf", "-o", tmp_path / "out", "--rerun-save", tmp_path / "x.rrd")
     assert (tmp_path / "x.rrd").stat().st_size > 10_000
 
 
 def test_a_real_log_of_a_laser_alone_is_used(tmp_path: Path) -> None:
     log = real_log("strangers/laser_only")
-    done = locfuse("compare", log, "--no-advice", "-o", tmp_path / "out", "--write", "json")
-    assert done.exit_code == 0, done.stderr
+    ok("compare", log, "--no-advice", "-o", tmp_path / "out", "--write", "json")
     lrf = json.loads((tmp_path / "out/report.json").read_text())["configurations"]["lrf"]
     assert lrf["sensors"]["lrf"]["accepted"] > 500
 

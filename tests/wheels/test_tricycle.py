@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bags import real_log
-from commands import locfuse
+from commands import locfuse, ok
 from msgspec.structs import replace
 from wheel_bags import log_of, messages, numbers
 
@@ -149,8 +149,7 @@ def tricycle_log(path: Path, gyro: bool) -> Path:
 def test_calibrate_uses_a_gyro_where_a_tricycle_has_no_truth_and_asks_without_any(tmp_path: Path) -> None:
     known = {"radius": RADIUS, "ticks_per_revolution": TICKS, "servo_gain": 2.0 * GAIN, "wheelbase": 1.0}
     words = [word for key, value in known.items() for word in ("--set", f"wheels.{key}={value}")]
-    done = locfuse("calibrate", tricycle_log(tmp_path / "gyro.mcap", True), *words, "--json")
-    assert done.exit_code == 0, done.stderr
+    done = ok("calibrate", tricycle_log(tmp_path / "gyro.mcap", True), *words, "--json")
     found = json.loads(done.stdout)
     assert found["tricycle"]["by"] == "gyro"
     assert found["robot"]["wheels"]["servo_gain"] == pytest.approx(GAIN, rel=0.03)
@@ -168,11 +167,9 @@ def test_a_real_tricycle_calibrated_by_its_tracker_is_near_it_by_odometry(tmp_pa
     nominal = ("wheels.radius=0.0016893", "wheels.servo_gain=13038", "wheels.wheelbase=1.4")
     words = [word for key in known for word in ("--set", key)]
     first = [word for key in nominal for word in ("--set", key)]
-    found = locfuse("calibrate", log, *words, *first, "-o", tmp_path / "robot.toml")
-    assert found.exit_code == 0, found.stderr
+    ok("calibrate", log, *words, *first, "-o", tmp_path / "robot.toml")
     odometry = ("--sensors", "odometry", "--align", "origin", "--no-advice")
-    done = locfuse("run", log, "--robot", tmp_path / "robot.toml", *words, *odometry, "-o", tmp_path / "out")
-    assert done.exit_code == 0, done.stderr
+    ok("run", log, "--robot", tmp_path / "robot.toml", *words, *odometry, "-o", tmp_path / "out")
     report = json.loads((tmp_path / "out/run.json").read_text())
     assert report["configurations"]["odometry"]["position_rmse_m"] < 0.15
 
@@ -184,8 +181,7 @@ def test_what_init_writes_of_a_real_tricycle_leads_from_16_m_to_its_tracker(tmp_
     assert f"`locfuse init {log} --set truth.topic=/tracker -o robot.toml` finds them by the truth" in headline
     assert first.exit_code == 0, first.stderr
     assert locfuse("init", log, *named, "-o", tmp_path / "robot.toml").exit_code == 0
-    done = locfuse("compare", log, "--robot", tmp_path / "robot.toml", "--no-advice", "-o", tmp_path / "out")
-    assert done.exit_code == 0, done.stderr
+    ok("compare", log, "--robot", tmp_path / "robot.toml", "--no-advice", "-o", tmp_path / "out")
     odometry = json.loads((tmp_path / "out/report.json").read_text())["configurations"]["odometry"]
     assert odometry["position_rmse_m"] < 0.15
     assert 0.4 < odometry["anees"] < 2.0

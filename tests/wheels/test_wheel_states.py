@@ -48,7 +48,7 @@ def test_a_wrong_track_is_found(told: float) -> None:
 
 def test_wheels_told_10_percent_too_small_leave_the_metre_in_doubt() -> None:
     (words,) = [n for n in drive(["lrf"], "wheels.radius=0.045").notes if "not identifiable" in n]
-    assert "larger than told" in words
+    assert "larger than configured" in words
     scale = float(words.split("lrf.range_scale should be ")[1].split()[0])
     assert scale == pytest.approx(0.9, abs=0.03)  # the prior of 2 % holds back a little
 

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import locfuse
+from commands import locfuse, ok
 from numpy.typing import NDArray
+from pose_streams import odometry_stream, reckoned
 from wheel_bags import (
     CREATE,
     CREATE_TEXT,
@@ -231,8 +232,7 @@ def test_names_decide_and_not_positions(truth: tuple[Array, Array]) -> None:
 
 
 def run(tmp_path: Path, log: Path, *words: str) -> tuple[dict[str, Any], Array, str]:
-    done = locfuse("run", log, "-v", "--sensors", "odometry", "-o", tmp_path / "out", "--overwrite", *words)
-    assert done.exit_code == 0, done.stderr
+    done = ok("run", log, "-v", "--sensors", "odometry", "-o", tmp_path / "out", "--overwrite", *words)
     tum = np.loadtxt(tmp_path / "out" / "trajectory.tum")
     theta = 2 * np.arctan2(tum[-1, 6], tum[-1, 7])
     return json.loads((tmp_path / "out" / "run.json").read_text()), np.array([*tum[-1, 1:3], theta]), done.stderr
@@ -339,31 +339,11 @@ def test_ticks_beat_the_joints_of_an_arm(tmp_path: Path, truth: tuple[Array, Arr
 
 
 def odometry(t: Array, pose: Array, speed: Array, turn: Array) -> ArrayStream:
-    half = 0.5 * pose[:, 2]
-    zero = np.zeros(len(t))
-    data = {
-        "pose.pose.position.x": pose[:, 0],
-        "pose.pose.position.y": pose[:, 1],
-        "pose.pose.orientation.x": zero,
-        "pose.pose.orientation.y": zero,
-        "pose.pose.orientation.z": np.sin(half),
-        "pose.pose.orientation.w": np.cos(half),
-        "twist.twist.linear.x": speed,
-        "twist.twist.angular.z": turn,
-    }
-    return ArrayStream("/odom", ODOMETRY, np.rint(t * 1e9).astype(np.int64), data)
+    return odometry_stream(np.rint(t * 1e9).astype(np.int64), pose, speed, turn)
 
 
 def driven(speed: Array, turn: Array, dt: float) -> Array:
-    pose = np.zeros((len(speed) + 1, 3))
-    for i, (v, w) in enumerate(zip(speed.tolist(), turn.tolist(), strict=True)):
-        x, y, theta = pose[i]
-        pose[i + 1] = (
-            x + v * dt * np.cos(theta + w * dt / 2),
-            y + v * dt * np.sin(theta + w * dt / 2),
-            theta + w * dt,
-        )
-    return pose
+    return reckoned(np.column_stack((speed, turn)) * dt)
 
 
 def way() -> tuple[Array, Array, Array]:

@@ -1,0 +1,252 @@
+"""What a laser's raw ranges show without a pose, a map or a line: noise, a constant error, what came back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any, cast
+
+import numpy as np
+
+from locfuse.fusion.chi_square import MAD
+from locfuse.fusion.data import Array, Ints, Ragged, Stream
+from locfuse.fusion.lines.scans import MAX_BEAMS, equal_scans, returns
+from locfuse.fusion.sensors.lrf import Lrf, LrfSettings, laser_of
+
+from .finding import Finding
+
+MIN_IN_TURN = 5  # scans that begin at another angle than most
+SAMPLE_SCANS = 300  # looked at
+MIN_TRIPLES = 1000  # of neighbouring ranges, by which noise is judged
+MAX_SCATTER = 1.4  # times sigma_range: more is named
+# shares of normal numbers, and how near to 0 they are in standard deviations; clutter and rounding lie elsewhere
+NORMAL_SHARES, NORMAL_SIZES = (0.1, 0.25, 0.5), (0.1257, 0.3186, 0.6745)
+MAX_NOISE_M = 0.1  # of a laser: more is leaves
+MAX_UNLIKE = 1.2  # times the smallest of the sigmas that these say
+OFFSET = "range offset"  # code of the finding
+LOOKED_AT = 3000  # scans, of which SAMPLE_SCANS are taken evenly
+HALF_SPAN_RAD = math.radians(20.0)  # from the middle beam to the two others
+MAX_OFF_WALL_M = 0.1  # between the three beams everything is so near to one straight wall
+MIN_STRETCH_TRIPLES, STRETCHES = 200, 8  # in each of the stretches whose values must agree
+MIN_OFFSET_M, SEVERE_OFFSET_M, OFFSET_SIGMAS = 0.01, 0.03, 5.0  # m; standard errors
+
+
+def driver(stream: Stream) -> list[Finding]:
+    """Return what is unusual about the first scans of a stream."""
+    parts = [columns for _, columns in _first(stream)]
+    if not parts:
+        return []
+    column = {k: np.concatenate([np.asarray(p[k]) for p in parts]) for k in parts[0] if k != "ranges"}
+    ranges = [cast("Ragged", p["ranges"]) for p in parts]
+    lengths = np.concatenate([r.lengths for r in ranges])
+    values = np.concatenate([r.values[r.first[0] : r.first[-1]] for r in ranges]).astype(np.float64)
+    far = np.repeat(column["range_max"].astype(np.float64), lengths)
+    return [*_nothing(values, far), *_angles(column, lengths), *_in_turn(column)]
+
+
+def of_scatter(stream: Stream, settings: LrfSettings) -> list[Finding]:
+    """Return the noise that the ranges show, where it is more than the settings say.
+
+    Nothing of the map, the pose or the line extraction comes in: a noise that is set too low splits the lines, and
+    what is left of them fits well.
+    """
+    sigma = ranges_sigma(stream, settings)
+    if sigma is None or not scatter_more(sigma, settings.sigma_range):
+        return []
+    words = (
+        f"neighbouring ranges scatter by {sigma:.3f} m (1 sigma), and sigma_range is {settings.sigma_range:g} m"
+    )
+    return [Finding("lrf", "noise", words, (f"lrf.sigma_range={sigma:.2g}",))]
+
+
+def of_offset(stream: Stream, settings: LrfSettings) -> list[Finding]:
+    """Return the constant error of the ranges that bends straight walls, where it is certain."""
+    found = ranges_offset(stream, settings)
+    if found is None or abs(found[0]) < max(MIN_OFFSET_M, OFFSET_SIGMAS * found[1]):
+        return []
+    add, sigma = found
+    words = (
+        f"straight walls look bent as if every range were {abs(add):.3f} m too {'short' if add > 0.0 else 'long'} "
+        f"(1 sigma {sigma:.1g})"
+    )
+    fix = f"lrf.range_offset={settings.range_offset + add:z.3f}"
+    return [Finding("lrf", OFFSET, words, (fix,), abs(add) > SEVERE_OFFSET_M)]
+
+
+def ranges_offset(stream: Stream, settings: LrfSettings) -> tuple[float, float] | None:
+    """Return what has to be added to every range [m] for straight walls to be straight, and its sigma.
+
+    Three beams an angle a apart meet a straight wall where r1 = 2 cos(a) r0 r2 / (r0 + r2). A constant error adds
+    1 - 2 cos(a) (r0^2 + r2^2) / (r0 + r2)^2 of itself to the difference of the two sides, a scale error nothing.
+    None with too few such walls.
+    """
+    laser, sampled, add = laser_of(settings), list(_spread_over(stream)), 0.0
+    for _ in range(2):  # the second time about the first value: the slope is that of a small error
+        parts = [
+            bends
+            for scans in sampled
+            for bends in _bends(*returns(scans, laser._replace(offset=laser.offset + add)))
+        ]
+        if len(parts) < STRETCHES:
+            return None
+        some = [np.concatenate([parts[i] for i in k]) for k in np.array_split(np.arange(len(parts)), STRETCHES)]
+        if min(map(len, some)) < MIN_STRETCH_TRIPLES:
+            return None
+        others = [_added(np.concatenate(some[:k] + some[k + 1 :])) for k in range(STRETCHES)]
+        add += _added(np.concatenate(some))
+    return add, float(np.std(others)) * math.sqrt(STRETCHES - 1)  # jackknife
+
+
+def _bends(ranges: Array, angles: Array) -> Iterator[Array]:
+    """Yield for each scan (k, b) of beams at `angles` how walls bend (n, 2): r1 less its value, and its slope."""
+    step = float(np.abs(np.diff(angles, axis=-1)).mean())
+    k = round(HALF_SPAN_RAD / step) if step > 0.0 else 0
+    if k < 2 or ranges.shape[1] <= 2 * k:
+        return
+    a = k * step
+    before, here, after = ranges[:, : -2 * k], ranges[:, k:-k], ranges[:, 2 * k :]
+    total = before + after
+    one_wall = np.isfinite(before + here + after)
+    for j in range(1, 2 * k):  # everything between the two outer beams lies near the line through their ends
+        wall = (
+            before
+            * after
+            * math.sin(2.0 * a)
+            / (before * math.sin(j * step) + after * math.sin(2.0 * a - j * step))
+        )
+        one_wall &= ~(np.abs(ranges[:, j : j - 2 * k] - wall) > MAX_OFF_WALL_M)
+    bend = here - 2.0 * math.cos(a) * before * after / total
+    slope = 1.0 - 2.0 * math.cos(a) * (np.square(before) + np.square(after)) / np.square(total)
+    for row, on in enumerate(one_wall):
+        yield np.stack((bend[row, on], slope[row, on]), axis=-1)
+
+
+def _added(bends: Array) -> float:
+    """Return the constant [m] that straightens bends (n, 2), by least squares without what lies far off."""
+    bend, slope = bends.T
+    add = 0.0
+    for _ in range(4):
+        rest = bend + add * slope
+        near = np.abs(rest) <= 3.0 / MAD * max(float(np.median(np.abs(rest))), 1e-4)
+        squares = float(slope[near] @ slope[near])
+        add = -float(slope[near] @ bend[near]) / squares if squares > 0.0 else 0.0
+    return add
+
+
+def _spread_over(stream: Stream) -> Iterator[dict[str, Any]]:
+    """Yield SAMPLE_SCANS scans, spread evenly over the first LOOKED_AT, in groups of equally many beams."""
+    last = min(len(stream.t_ns), LOOKED_AT)
+    every = max(1, last // SAMPLE_SCANS)
+    for rows, columns in stream.blocks(*Lrf.reads[stream.msgtype], rows=SAMPLE_SCANS):
+        some = np.flatnonzero((rows % every == 0) & (rows < last))
+        if len(some):
+            yield from (scans for _, scans in equal_scans(_some(columns, some)))
+        if rows[-1] >= last:
+            return
+
+
+def scatter_more(shown: float | None, sigma: float) -> bool:
+    """Return whether ranges with the noise `shown` [m] (`ranges_sigma`) surely scatter more than `sigma` [m]."""
+    return shown is not None and MAX_SCATTER * sigma < shown < MAX_NOISE_M
+
+
+def ranges_sigma(stream: Stream, settings: LrfSettings) -> float | None:
+    """Return the noise of one range [m] by neighbouring ranges on walls; None if they do not show noise."""
+    found = [scatter(columns) for _, columns in _first(stream)]
+    each = np.abs(np.concatenate(found)) if found else np.empty(0)
+    if len(each) < MIN_TRIPLES:
+        return None
+    sigmas = settings.range_scale * np.quantile(each, NORMAL_SHARES) / NORMAL_SIZES
+    sigma = float(sigmas.min())
+    return sigma if sigmas.max() <= MAX_UNLIKE * sigma else None
+
+
+def scatter(columns: dict[str, Any]) -> Array:
+    """Return the residuals of three neighbouring ranges on a wall, scaled to the noise of one range [m].
+
+    Beams that are `a` apart meet a straight wall where 1 / r0 + 1 / r2 = 2 cos(a) / r1, however it lies. Corners
+    and clutter leave much more than noise does.
+    """
+    ranges = cast("Ragged", columns["ranges"])
+    lengths = ranges.lengths
+    r = ranges.values[ranges.first[0] : ranges.first[-1]].astype(np.float64)
+    scan = np.repeat(np.arange(len(lengths)), lengths)
+    low, far, step = (
+        np.asarray(columns[k], np.float64)[scan] for k in ("range_min", "range_max", "angle_increment")
+    )
+    seen = np.isfinite(r) & (r > 0.0) & (r >= low) & (r < far)
+    at = np.flatnonzero(seen[:-2] & seen[1:-1] & seen[2:] & (scan[:-2] == scan[2:])) + 1
+    before, here, after, cos = r[at - 1], r[at], r[at + 1], np.cos(step[at])
+    total = before + after
+    by = 2.0 * cos * np.square(np.stack((before, after)) / total)  # derivatives by `after` and `before`
+    return np.asarray((here - 2.0 * cos * before * after / total) / np.sqrt(1.0 + np.square(by).sum(axis=0)))
+
+
+def _first(stream: Stream) -> list[tuple[Any, dict[str, Any]]]:
+    """Return rows and columns of the first scans but for those that have more beams than a laser has."""
+    found: list[tuple[Any, dict[str, Any]]] = []
+    fields, seen = (*Lrf.reads[stream.msgtype],), 0
+    for rows, columns in stream.blocks(*fields, rows=SAMPLE_SCANS):
+        ranges = cast("Ragged", columns["ranges"])
+        use = np.flatnonzero(ranges.lengths <= MAX_BEAMS)
+        if len(use) == len(rows):
+            found.append((rows, columns))
+        elif len(use):
+            found.append((rows[use], _some(columns, use)))
+        seen += len(rows)
+        if seen >= SAMPLE_SCANS:
+            break
+    return found
+
+
+def _some(columns: dict[str, Any], use: Ints) -> dict[str, Any]:
+    """Return some of the scans (k,) of a block."""
+    ranges = cast("Ragged", columns["ranges"])
+    values = np.concatenate([ranges[i] for i in use.tolist()])
+    first = np.append(0, np.cumsum(ranges.lengths[use]))
+    return {
+        **{k: np.asarray(v)[use] for k, v in columns.items() if k != "ranges"},
+        "ranges": Ragged(values, first),
+    }
+
+
+def _nothing(values: Array, far: Array) -> list[Finding]:
+    """Count the ranges without a return, by the value that marks them."""
+    shares = {
+        "inf": np.isinf(values).mean() if len(values) else 0.0,
+        "NaN": np.isnan(values).mean() if len(values) else 0.0,
+        "zero": (values == 0.0).mean() if len(values) else 0.0,
+        "beyond range_max": ((values > far) & np.isfinite(values)).mean() if len(values) else 0.0,
+    }
+    words = ", ".join(f"{share:.0%} {how}" for how, share in shares.items() if share >= 0.005)
+    return [Finding("lrf", "no return", f"of its ranges {words}: nothing came back there")] if words else []
+
+
+def _in_turn(column: dict[str, Array]) -> list[Finding]:
+    """Report that scans begin at two angles in turn: two lasers, or one that sends a revolution in parts."""
+    angles, which, counts = np.unique(column["angle_min"].round(3), return_inverse=True, return_counts=True)
+    if len(angles) < 2:
+        return []
+    a, b = np.argsort(-counts)[:2].tolist()
+    changes = int((np.diff(which[np.isin(which, (a, b))]) != 0).sum())
+    if counts[b] < MIN_IN_TURN or changes < counts[b]:
+        return []
+    parts = " and ".join(f"{counts[k]} scans at {math.degrees(angles[k]):.0f}°" for k in (a, b))
+    words = (
+        f"angle_min changes in turn ({parts}): two publishers on one topic? Record each laser on a topic of its "
+        "own. If one laser sends each turn in parts, nothing is wrong"
+    )
+    return [Finding("lrf", "scan angles", words)]
+
+
+def _angles(column: dict[str, Array], lengths: Array) -> list[Finding]:
+    found = []
+    if (column["angle_increment"] < 0.0).any():
+        found.append(Finding("lrf", "clockwise", "its angles decrease: it scans clockwise, and is read so"))
+    if len(np.unique(lengths)) > 1:
+        words = f"its scans have {int(lengths.min())} to {int(lengths.max())} beams; each is read with its own"
+        found.append(Finding("lrf", "beams", words))
+    if not (column["time_increment"] > 0.0).any():
+        words = "time_increment is 0: points are not corrected for the motion during a scan"
+        found.append(Finding("lrf", "not deskewed", words))
+    return found

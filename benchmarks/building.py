@@ -19,9 +19,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
-from functools import cache
+from functools import cache, partial
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from msgspec.structs import replace
@@ -36,6 +36,7 @@ from locfuse.fusion.data import Array, Drive, Estimates, Ints, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.judge.own_scans import Distance
+from locfuse.fusion.lines.scans import lines_in_base
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors import lrf
 from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
@@ -76,33 +77,22 @@ def scenario_of(name: str) -> str:
 
 def measured(name: str, number: int, sets: tuple[str, ...]) -> tuple[Drive, Robot]:
     """Return a recorded log; as it is if `number` is 0, else measured anew."""
-    rng = np.random.default_rng(number - 1) if number else None
-    heading = () if rng is None else (f"start.theta_deg={rng.uniform(-180.0, 180.0):.3f}",)
-    how = LogOptions(None, (*set_words(KNOWN.get(name)), *heading, *sets), None, False, True)
-    with noisier(rng):
-        loaded = load([folder() / FILES[name]], how)
-    drive = loaded.drive
-    if rng is not None:
-        scans = without_some(drive.measurements["lrf"], rng)
-        drive = replace(drive, measurements={**drive.measurements, "lrf": scans})
-    return drive, loaded.robot
+    path, known = folder() / FILES[name], set_words(KNOWN.get(name))
+    if not number:
+        loaded = load([path], LogOptions(None, (*known, *sets), None, False, True))
+        return loaded.drive, loaded.robot
+    rng = np.random.default_rng(number - 1)
+    heading = f"start.theta_deg={rng.uniform(-180.0, 180.0):.3f}"
+    with patch.object(lrf, "lines_in_base", partial(noisier, rng)):
+        loaded = load([path], LogOptions(None, (*known, heading, *sets), None, False, True))
+    scans = without_some(loaded.drive.measurements["lrf"], rng)
+    return replace(loaded.drive, measurements={**loaded.drive.measurements, "lrf": scans}), loaded.robot
 
 
-@contextmanager
-def noisier(rng: np.random.Generator | None) -> Iterator[None]:
-    """Add noise to every range before lines are extracted, for as long as the block lasts."""
-    plain = vars(lrf)["lines_in_base"]
-
-    def noisy(scans: dict[str, Any], *rest: Any) -> Any:
-        ranges = scans["ranges"]
-        more = 0.0 if rng is None else EXTRA_RANGE * rng.normal(size=ranges.shape)
-        return plain({**scans, "ranges": ranges + more}, *rest)
-
-    vars(lrf)["lines_in_base"] = noisy
-    try:
-        yield
-    finally:
-        vars(lrf)["lines_in_base"] = plain
+def noisier(rng: np.random.Generator, scans: dict[str, Any], *rest: Any) -> Any:
+    """Extract the lines of scans whose ranges have more noise."""
+    more = EXTRA_RANGE * rng.normal(size=scans["ranges"].shape)
+    return lines_in_base({**scans, "ranges": scans["ranges"] + more}, *rest)
 
 
 def without_some(m: Measurements, rng: np.random.Generator) -> Measurements:

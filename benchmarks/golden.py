@@ -182,11 +182,11 @@ def read(file: Path) -> Found:
     return Found(columns, json.loads(columns.pop(VALUES).tobytes()))
 
 
-def differences(before: Found, now: Found, slack: float) -> tuple[list[str], set[str]]:
-    """Return how two results of a case differ, in words, and in which runs."""
+def differences(before: Found, now: Found, slack: float) -> list[str]:
+    """Return how two results of a case differ, in words."""
     if ("error" in before.values) != ("error" in now.values):
         errors = [found.values.get("error", "a result") for found in (before, now)]
-        return [f"{errors[0]} before, {errors[1]} now"], before.runs | now.runs
+        return [f"{errors[0]} before, {errors[1]} now"]
     names = before.columns | now.columns
     slack *= LOOPS if any(len(column) for name, column in names.items() if name.endswith("/loops")) else 1.0
     other = before.runs ^ now.runs
@@ -200,14 +200,13 @@ def differences(before: Found, now: Found, slack: float) -> tuple[list[str], set
     for what in sorted(columns, key=lambda what: ([word not in what.split() for word in FIRST], what))[:LISTED]:
         _, how, run = max(columns[what])
         words.append(f"{what}: {how} ({run}, one of {len(columns[what])} runs)")
-    values = {
-        k: (before.values.get(k, "nothing"), now.values.get(k, "nothing")) for k in before.values | now.values
-    }
-    report = {k: ab for k, ab in values.items() if k not in NOT_COMPARED and not _equal(*ab, slack)}
-    words += [f"{k}: {a} before, {b} now" for k, (a, b) in list(report.items())[:LISTED]]
+    report = []
+    for key in [key for key in before.values | now.values if key not in NOT_COMPARED]:
+        a, b = before.values.get(key, "nothing"), now.values.get(key, "nothing")
+        report += [] if _equal(a, b, slack) else [f"{key}: {a} before, {b} now"]
+    words += report[:LISTED]
     more = max(len(columns) - LISTED, 0), max(len(report) - LISTED, 0)
-    words += [f"and {more[0]} more columns, {more[1]} more values of the report"] * any(more)
-    return words, other | {run for found in columns.values() for _, _, run in found}
+    return words + [f"and {more[0]} more columns, {more[1]} more values of the report"] * any(more)
 
 
 def _equal(a: Any, b: Any, slack: float) -> bool:
@@ -251,13 +250,9 @@ def _differs(what: str, a: NDArray[Any] | None, b: NDArray[Any] | None, slack: f
 @click.option("--only", default="", help="Only cases whose name holds this.")
 @click.option("--quick", is_flag=True, help="Some of every kind, in two minutes.")
 @click.option("--jobs", default=1, show_default=True)
-@click.option("--list", "listing", is_flag=True, help="Print the names of the cases.")
-def main(record: Path | None, check: Path | None, only: str, quick: bool, jobs: int, listing: bool) -> None:
+def main(record: Path | None, check: Path | None, only: str, quick: bool, jobs: int) -> None:
     """Record what the filter does on many logs under many options, or check that it still does the same."""
     chosen = [c for c in cases() if only in c.name and (c.quick or not quick)]
-    if listing:
-        click.echo("\n".join(c.name for c in chosen))
-        return
     if (record is None) == (check is None):
         raise click.UsageError("give --write FOLDER or --check FOLDER")
     logs = ((record or check or Path()) / "logs").absolute()
@@ -270,22 +265,19 @@ def main(record: Path | None, check: Path | None, only: str, quick: bool, jobs: 
     for name, failed in in_processes(partial(simulate, logs), needed, 1):  # cv2's threads would not outlive a fork
         if failed:
             raise click.ClickException(f"the log {name} could not be simulated: {failed}")
-    cpu, equal, same, runs = 0.0, 0, 0, 0
+    cpu, equal = 0.0, 0
     with tempfile.TemporaryDirectory() as spare:
         into = record or Path(spare)
         for case, _ in in_processes(partial(run, logs, into), chosen, jobs):
-            now, before = read(into / file_of(case)), None if check is None else read(check / file_of(case))
-            of_case, took = len((before or now).runs or now.runs) or 1, now.values.get("cpu_s", 0.0)
-            said, others = ([], set[str]()) if before is None else differences(before, now, case.slack)
-            cpu, runs = cpu + took, runs + of_case
-            equal, same = equal + (not said), same + of_case - min(of_case, len(others) or len(said))
-            words = f"{of_case} runs, {took:.1f} s {now.values.get('error', '')}"
-            verdict = words if before is None else "differs" if said else "ok"
+            now = read(into / file_of(case))
+            took = now.values.get("cpu_s", 0.0)
+            said = [] if check is None else differences(read(check / file_of(case)), now, case.slack)
+            cpu, equal = cpu + took, equal + (not said)
+            kept = f"{len(now.runs) or 1} runs, {took:.1f} s {now.values.get('error', '')}"
+            verdict = kept if check is None else "differs" if said else "ok"
             click.echo("\n  ".join([f"{case.name}: {verdict}", *said]))
-    if check is None:
-        click.echo(f"{runs} runs of {len(chosen)} cases kept in {cpu:.0f} s of CPU time")
-        return
-    click.echo(f"{equal} of {len(chosen)} cases equal, {same} of {runs} runs, {cpu:.0f} s of CPU time")
+    what = "kept" if check is None else "equal"
+    click.echo(f"{equal} of {len(chosen)} cases {what}, {cpu:.0f} s of CPU time")
     sys.exit(equal != len(chosen))
 
 

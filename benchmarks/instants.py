@@ -17,8 +17,7 @@ import numpy as np
 import locfuse
 from benchmarks import experiment, golden_cases
 from benchmarks.__main__ import TEN, module
-from locfuse.fusion.fuse import Filter
-from locfuse.fusion.instants import due_readings, steps_of
+from locfuse.fusion.fuse import Filter, due_readings, steps_of
 
 
 class Kind(NamedTuple):

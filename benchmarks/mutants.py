@@ -40,8 +40,8 @@ fusion/kernels/line_fits: kernels/line_fits lines/lines
 fusion/kernels/places: map/places
 fusion/kernels/segments: kernels/segments lines/lines
 fusion/kernels/sight: kernels/sight map/line_map sensors/lrf
-fusion/wheels/motion: wheels/motion wheels/intervals wheels/wheel_states
-fusion/wheels/repairs: wheels/rollover wheels/wheels
+fusion/wheels/motion: wheels/motion wheels/wheel_states
+fusion/wheels/repairs: wheels/wheels
 fusion/sensors/compass: sensors/compass sensors/contract
 fusion/sensors/gyro: sensors/gyro sensors/contract
 fusion/sensors/gps: sensors/gps sensors/contract
@@ -53,11 +53,10 @@ fusion/sensors/camera: camera/camera sensors/contract
 fusion/map/line_map: map/line_map map/given_map kernels/sight sensors/lrf fusion/mount
 fusion/map/scan: map/standing map/line_map sensors/lrf
 fusion/map/sonar_echo: sensors/lrf
-fusion/judge/evaluate: judge/evaluate
+fusion/judge/evaluate: judge/evaluate judge/consistency
 fusion/judge/bootstrap fusion/judge/credit: judge/credit
 fusion/judge/consistency: judge/noise_verdicts judge/consistency
 fusion/judge/events: judge/against
-fusion/judge/covariance: judge/consistency
 fusion/judge/innovations: judge/consistency
 fusion/judge/predictive: judge/against
 fusion/judge/against: judge/against

@@ -16,8 +16,7 @@ import numpy as np
 from benchmarks.consistency import MOVING, SCENARIO
 from benchmarks.experiment import simulated
 from locfuse.fusion.data import Array, Drive, Measurements
-from locfuse.fusion.fuse import Filter
-from locfuse.fusion.instants import Due, due_readings, steps_of
+from locfuse.fusion.fuse import Due, Filter, due_readings, steps_of
 from locfuse.fusion.robot import Robot
 
 SEED = 1000

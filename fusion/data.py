@@ -464,6 +464,15 @@ def upper_triangles(P: Array) -> Array:
 NONE, NO_POINTS, NO_POSES = np.zeros(0), np.zeros((0, 2)), np.zeros((0, 3))
 
 
+class RunningNis(NamedTuple):
+    """Mean NIS per degree of freedom of intervals of a drive; NaN for an interval without values."""
+
+    t: Array  # (n,) s, middle of each stretch
+    mean: Array  # (n,)
+    low: Array  # (n,) 95 % bounds of innovations that are white and as large as they should be
+    high: Array  # (n,)
+
+
 class SensorFigures(msgspec.Struct, frozen=True):
     """Counts and figures of one sensor's measurements in one configuration."""
 
@@ -471,8 +480,8 @@ class SensorFigures(msgspec.Struct, frozen=True):
     rejected: int
     absent: int  # readings that gave no measurement
     nis: float | None  # mean squared Mahalanobis distance of what was accepted, per degree of freedom
+    joint_nis: float | None  # as `nis`, of readings as a whole: of all lines of a scan at once
     verdicts: dict[str, int]  # count of every verdict that occurred
-    joint_nis: float | None = None  # as `nis`, of readings as a whole: of all lines of a scan at once
 
 
 class Evaluation(msgspec.Struct, frozen=True):

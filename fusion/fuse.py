@@ -15,18 +15,21 @@ from numpy.typing import NDArray
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.equations import predicted
 from locfuse.fusion.ekf.events import Before, Events
-from locfuse.fusion.ekf.map_frame import InMap, Pose, Triangle
+from locfuse.fusion.ekf.map_frame import InMap, Pose
 from locfuse.fusion.ekf.record import FIRST_CAPACITY, Record, Track
+from locfuse.fusion.kernels.arrays import view
 from locfuse.fusion.kernels.ekf import Innovation, State, Steps
 from locfuse.fusion.sensors.registry import REGISTRY
+from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.states import WHEELS, wheel_block, wheel_words
 
-from .data import BY_SCANS, ODOMETRY, Array, Drive, Estimates, Measurements, matrices
-from .instants import BLOCK_INSTANTS, Due, due_readings, steps_of
+from .data import BY_SCANS, ODOMETRY, Array, Drive, Estimates, Ints, Measurements, Motions, matrices
 from .progress import say_done
-from .robot import Robot, StartSettings
+from .robot import Robot
 from .sensor import GATE, Model, Reading
 
+BLOCK_INSTANTS = 256
+Due = tuple[str, int]  # sensor, reading
 AT_ONCE = 4096  # stamps of the truth: what is needed on the way is many times larger than the result
 Passed = tuple[Sequence[Innovation | Reading], int]  # what passed its gate of one reading, and how many rows
 Fit = tuple[Record, int, float]  # of a reading: its sensor's record, how many numbers, y' S^-1 y of all of them
@@ -253,16 +256,13 @@ class Filter:
 def _begin(robot: Robot, models: Sequence[Model]) -> JointBelief:
     """Return the belief at the start."""
     blocks = [block for model in models for block in model.blocks()]
+    xx, yy, tt = robot.start.variances
+    start = robot.start.pose, (xx, 0.0, 0.0, yy, 0.0, tt)
     if not robot.wheels.estimate:
-        return JointBelief(*_start(robot.start), blocks)
-    belief = JointBelief(*_start(robot.start), [*blocks, wheel_block(robot.wheels)])
+        return JointBelief(*start, blocks)
+    belief = JointBelief(*start, [*blocks, wheel_block(robot.wheels)])
     belief.drive_with(WHEELS)
     return belief
-
-
-def _start(start: StartSettings) -> tuple[tuple[float, float, float], Triangle]:
-    xx, yy, tt = start.variances
-    return start.pose, (xx, 0.0, 0.0, yy, 0.0, tt)
 
 
 def _at_truth(
@@ -296,3 +296,42 @@ def inflate(seen: Innovation, state: State) -> None:
     needed = seen.y[0] ** 2 / seen.threshold
     state.loosen_row(seen.first, needed - seen.sigma[0] ** 2)
     seen.verdict, seen.nis, seen.sigma = 0, seen.threshold, (math.sqrt(needed),)
+
+
+# ---- the input of the loop at each instant: the motion that leads there and the readings that are due ----
+#
+# Readings become plain Python values a block of instants at a time: an hour's are never all in memory as objects.
+
+
+def steps_of(drive: Drive) -> Steps:
+    """Return the motions of a whole drive: step k leads to instant k."""
+    return _steps(drive.motions, np.diff(drive.t, prepend=drive.t[:1]))
+
+
+def step_between(wheels: Wheels, t_from: float, t_to: float, parameters: bool = False) -> Steps:
+    """Return the one motion from t_from to t_to [s], as step 0."""
+    motions = wheels.between(np.array([t_from]), np.array([t_to]), parameters)
+    return _steps(motions, np.array([t_to - t_from]))
+
+
+def _steps(motions: Motions, dt: Array) -> Steps:
+    n = len(dt)
+    Q, J = motions.Q.reshape(n, 9), motions.J.reshape(n, 3 * motions.J.shape[2])
+    return Steps(view(motions.u), view(Q), view(dt), view(J))
+
+
+def due_readings(drive: Drive, sensors: Sequence[str]) -> Iterator[list[Due]]:
+    """Yield for every instant the readings (sensor, i) that belong to it, in registry order."""
+    owners, n = {s: drive.instant[s] for s in REGISTRY if s in sensors}, len(drive.t)
+    for a in range(0, n, BLOCK_INSTANTS):
+        yield from _due(owners, a, min(a + BLOCK_INSTANTS, n))
+
+
+def _due(owners: Mapping[str, Ints], begin: int, end: int) -> list[list[Due]]:
+    """Return the readings of the instants begin:end, sensor by sensor."""
+    due: list[list[Due]] = [[] for _ in range(end - begin)]
+    for sensor, instant in owners.items():
+        first, last = np.searchsorted(instant, (begin, end)).tolist()
+        for i, k in enumerate((instant[first:last] - begin).tolist(), first):
+            due[k].append((sensor, i))
+    return due

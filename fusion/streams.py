@@ -91,6 +91,18 @@ def merged(streams: Sequence[Stream]) -> Stream | MergedStream:
     return streams[0] if len(streams) == 1 else MergedStream(tuple(streams))
 
 
+def summed(t: Array, rates: Array) -> tuple[Array, Ints]:
+    """Return the integrals (n, ...) of rates (n, ...) since the first reading, by trapezoids, and the gaps so far.
+
+    Over a gap the way is unknown: nothing is added there.
+    """
+    gap = np.diff(t) > gap_limit(t)
+    held = np.where(gap, 0.0, np.diff(t)).reshape(-1, *[1] * (rates.ndim - 1))
+    total = np.zeros_like(rates)
+    np.cumsum(0.5 * (rates[1:] + rates[:-1]) * held, axis=0, out=total[1:])
+    return total, np.concatenate(([0], np.cumsum(gap)))[: len(t)]
+
+
 def last_of_periods(t: Array, period: float) -> Ints:
     """Return the last reading of every period, at strictly increasing times (n,) [s]."""
     cell = np.floor(t / period) if period > 0.0 else t

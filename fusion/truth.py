@@ -8,23 +8,20 @@ from typing import cast
 
 import numpy as np
 
-from locfuse.fusion.wheels.odometry import POSE
+from locfuse.fusion.wheels.odometry import POSE, pose_fields
 from locfuse.fusion.wheels.repairs import limits, spikes
 
 from . import se2
 from .data import Array, Column, LocfuseError, Ragged, Stream, Truth, plausible
 from .geodesy import east_north
 from .robot import TruthSettings
+from .streams import count_dropped
 
 BODIES = "mocap4r2_msgs/msg/RigidBodies"
 FIX = "sensor_msgs/msg/NavSatFix"
 # Types that hold several bodies -> the fields of their names and poses: motion capture, and what Gazebo simulates.
 SEVERAL: Mapping[str, tuple[str, ...]] = {
-    kind: (
-        names,
-        *(f"{pose}.position.{axis}" for axis in "xy"),
-        *(f"{pose}.orientation.{axis}" for axis in "xyzw"),
-    )
+    kind: (names, *pose_fields(pose))
     for kind, names, pose in (
         (BODIES, "rigidbodies.rigid_body_name", "rigidbodies.pose"),
         ("gazebo_msgs/msg/ModelStates", "name", "pose"),
@@ -39,18 +36,10 @@ TRUTH_READS: Mapping[str, tuple[str, ...]] = {
     FIX: ("latitude", "longitude"),
 }
 MIN_MOVED_M = 0.1  # m: a body that goes less far is no robot on a drive
-TRUTH_NAMES = (
-    "ground_truth",
-    "groundtruth",
-    "gt",
-    "mocap",
-    "vicon",
-    "optitrack",
-    "vrpn",
-    "qualisys",
-    "natnet",
-    "leica",
-)  # never /odom, never /amcl_pose
+TRUTH_NAMES = (  # never /odom, never /amcl_pose
+    *("ground_truth", "groundtruth", "gt", "mocap"),
+    *("vicon", "optitrack", "vrpn", "qualisys", "natnet", "leica"),
+)
 
 
 def looks_like_truth(topic: str) -> bool:
@@ -64,9 +53,7 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
     dropped = dict(stream.dropped)
     values = _values(stream, settings, dropped)
     finite = plausible(values).all(axis=1)
-    if not finite.all():
-        missing = int((~finite).sum()) - dropped.get("other_bodies", 0)
-        dropped |= {"not_finite": missing} if missing else {}
+    count_dropped(dropped, not_finite=int((~finite).sum()) - dropped.get("other_bodies", 0))
     rows = np.flatnonzero(finite)
     later = np.diff(stream.t_ns[rows], prepend=-1) > 0
     if not later.all():
@@ -76,12 +63,12 @@ def read_truth(stream: Stream, settings: TruthSettings, epoch_ns: int) -> tuple[
         t = (stream.t_ns[rows] - stream.t_ns[rows[0]]) * np.float64(1e-9)
         xy = values[rows, :2]
         away = spikes(t, xy, limits(t, np.hypot(*np.diff(xy, axis=0).T), settings.max_speed))
-        if away.any():
-            dropped["jump"] = int(away.sum())
+        count_dropped(dropped, jump=away)
         rows = rows[~away]
     if len(rows) == 0:
         raise LocfuseError(f"{stream.topic} has no usable reading of {len(stream.t_ns)}", role="truth")
-    theta = _yaw(values[rows, 2:]) if values.shape[1] == 6 else None
+    # all zero: no heading was recorded
+    theta = se2.yaw(*values[rows, 2:].T) if values.shape[1] == 6 and values[rows, 2:].any() else None
     return (
         Truth(
             topic=stream.topic,
@@ -119,8 +106,7 @@ def _of_body(topic: str, columns: dict[str, Column], body: str | None, dropped: 
         raise LocfuseError(f"{said}.", role="truth", fixes=(fix,) if fix and len(known) == 1 else (), hint=hint)
     place = np.array([row.index(body) if body in row else -1 for row in rows])
     held = place >= 0
-    if not held.all():
-        dropped["other_bodies"] = int((~held).sum())
+    count_dropped(dropped, other_bodies=~held)
     values = np.full((len(rows), len(fields)), np.nan)
     for i, column in enumerate(cast("list[Ragged]", fields)):
         values[held, i] = column.values[column.first[:-1][held] + place[held]]
@@ -151,18 +137,8 @@ def _in_plane(where: Array, settings: TruthSettings) -> Array:
     return turned
 
 
-def _yaw(q: Array) -> Array | None:
-    """Yaw of quaternions (n, 4) x, y, z, w; None if no heading was recorded (all zero)."""
-    x, y, z, w = q.T
-    if not q.any():
-        return None
-    return se2.yaw(x, y, z, w)
-
-
 def body_poses(truth: Truth, t: Array) -> Array:
     """Return the body's poses (n, 3) by a truth with headings, at times t (n,) within it; not wrapped."""
     assert truth.theta is not None
     x, y, theta = (np.interp(t, truth.t, column) for column in (*truth.xy.T, np.unwrap(truth.theta)))
-    c, s = np.cos(theta), np.sin(theta)
-    px, py = truth.point
-    return np.stack((x - c * px + s * py, y - s * px - c * py, theta), axis=-1)
+    return se2.compose(np.stack((x, y, theta), axis=-1), np.array([*(-np.array(truth.point)), 0.0]))

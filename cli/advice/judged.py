@@ -22,7 +22,7 @@ from locfuse.fusion.checks.slip import Slip, slip
 from locfuse.fusion.checks.tried import Candidate, Fixes
 from locfuse.fusion.data import BASES, Estimates
 from locfuse.fusion.judge.consistency import MAX_SIGMA_FACTOR, Consistency, many_refused
-from locfuse.fusion.judge.covariance import honesty
+from locfuse.fusion.judge.evaluate import honesty
 from locfuse.fusion.judge.innovations import Own, own
 from locfuse.fusion.sensors.registry import REGISTRY
 

@@ -246,8 +246,12 @@ HELPS, HURTS = ("helps", "seems to help"), ("hurts", "seems to hurt")
 
 
 def headline(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:
-    """Return one or two sentences; `sets` are the sensors of every configuration that the report may name."""
-    return " ".join(filter(None, (report.get("doubt"), _verdict(report, sets))))
+    """Return one or two sentences; `sets` are the sensors of every configuration that the report may name.
+
+    The laser is named beside its table once: "the laser (lrf)".
+    """
+    words = " ".join(filter(None, (report.get("doubt"), _verdict(report, sets))))
+    return re.sub(r"\bthe laser\b(?!')", "the laser (lrf)", words, count=1)
 
 
 def _verdict(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:

@@ -23,8 +23,7 @@ from locfuse.fusion.checks.tried import (
     keys,
 )
 from locfuse.fusion.data import Drive, Estimates, Evaluation, LocfuseError
-from locfuse.fusion.judge.covariance import honesty
-from locfuse.fusion.judge.evaluate import Align, evaluate, shape_error
+from locfuse.fusion.judge.evaluate import Align, evaluate, honesty, shape_error
 from locfuse.fusion.judge.own_scans import LASER, OwnScans
 from locfuse.fusion.judge.predictive import listeners, mean_density
 from locfuse.fusion.measure import windowed

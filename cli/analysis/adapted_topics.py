@@ -27,7 +27,7 @@ from locfuse.formats.logs.transform_stream import tags_of
 from locfuse.formats.robot.tag_frames import OF_CAMERA, ancestors, named_as_tag
 from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.fusion.robot import Robot
-from locfuse.fusion.sensors.landmark_messages import POSES
+from locfuse.fusion.sensors.landmarks import POSES
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .mounts import BASE_FRAMES, CAMERA_INFO, last_word

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from locfuse.fusion.data import LocfuseError, Measurements
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.wheels.motion_agreement import turns_explained, ways_explained
+from locfuse.fusion.wheels.motion import turns_explained, ways_explained
 from locfuse.fusion.wheels.read import WheelReading
 
 from .motion_evidence import Read, motion_of

@@ -5,7 +5,7 @@ Each kind imports what it needs: `--write json` needs no plotting.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +13,8 @@ import numpy as np
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Estimates, Evaluation, Event
-from locfuse.fusion.judge.covariance import Running, running_nis
+from locfuse.fusion.data import Estimates, Evaluation, Event, RunningNis
+from locfuse.fusion.judge.evaluate import running_nis
 from locfuse.fusion.judge.events import events_of_drive, events_of_run
 from locfuse.fusion.measure import thinned
 from locfuse.fusion.sensors.registry import REGISTRY, colours, of_points
@@ -40,7 +40,7 @@ class Drawn:
     """Parts of the audits for figures, kept as each configuration is judged."""
 
     def __init__(self) -> None:
-        self.nis: dict[tuple[str, str], Running] = {}  # (configuration, sensor)
+        self.nis: dict[tuple[str, str], RunningNis] = {}  # (configuration, sensor)
         self.best: Estimates | None = None  # with most sensors: its audit is drawn reading by reading
 
     def take(self, e: Estimates, _evaluation: Evaluation) -> None:
@@ -109,7 +109,7 @@ def figure_files(compared: Compared, drawn: Drawn) -> dict[str, bytes]:
 
 def scene(compared: Compared, drawn: Drawn) -> Scene:
     """Return the content of the figures: estimates, evaluations, and consistency with its chi-square bounds."""
-    from locfuse.formats.figures.scene import Scene, Stretches
+    from locfuse.formats.figures.scene import Scene
 
     drive = compared.loaded.drive
     dof = 3 if any(j.heading is not None for j in compared.evaluations) else 2
@@ -117,7 +117,7 @@ def scene(compared: Compared, drawn: Drawn) -> Scene:
         drive=drive,
         estimates=[drawn.best if drawn.best and drawn.best.name == e.name else e for e in compared.estimates],
         evaluations=compared.evaluations,
-        nis={run: Stretches(*running) for run, running in drawn.nis.items()},
+        nis=drawn.nis,
         nees_bounds=(chi_square(0.025, dof) / dof, chi_square(0.975, dof) / dof),
         components={sensor: REGISTRY[sensor].components for sensor in drive.measurements},
         credit=credit_values(compared.credit) if compared.credit else None,
@@ -153,15 +153,14 @@ def exported_files(kinds: Collection[str], loaded: Loaded, found: Mapping[str, E
     from locfuse.formats.results import trajectory as to
 
     out: dict[str, Content] = {}
-    writers: dict[str, dict[str, Callable[[Drive, Estimates], str]]] = {
-        "kitti": {"_kitti.txt": to.estimates_kitti, "_kitti_times.txt": to.kitti_times},
-        "tum": {".tum": to.estimates_tum},
-        "tum-cov": {"_cov.tum": to.estimates_tum_covariance},
-        "csv": {".csv": to.estimates_csv},
+    writers: dict[str, dict[str, Callable[[Drive, Estimates], Iterator[str]]]] = {
+        "kitti": {"_kitti.txt": to.kitti_blocks, "_kitti_times.txt": to.kitti_times},
+        "tum": {".tum": to.tum_blocks},
+        "tum-cov": {"_cov.tum": to.tum_covariance_blocks},
+        "csv": {".csv": to.csv_blocks},
     }
-    for kind, endings in writers.items():
-        if kind in kinds:
-            out |= {f"{n}{end}": w(loaded.drive, e) for n, e in found.items() for end, w in endings.items()}
+    for ending, blocks in ((end, b) for kind in kinds for end, b in writers.get(kind, {}).items()):
+        out |= {f"{n}{ending}": partial(to.write_blocks, blocks(loaded.drive, e)) for n, e in found.items()}
     if {"mcap", "log"} & set(kinds):
         out |= _mcap(loaded, found, "log" in kinds)
     return out

@@ -12,7 +12,6 @@ from locfuse.formats.report.findings import length
 from locfuse.fusion.data import ODOMETRY, Drive, Estimates, Evaluation
 from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.consistency import Consistency, Run, judge
-from locfuse.fusion.judge.covariance import Honesty, honesty
 from locfuse.fusion.judge.credit import (
     MAX_UNSURE,
     MIN_EFFECT,
@@ -22,6 +21,7 @@ from locfuse.fusion.judge.credit import (
     overconfident,
     verdict,
 )
+from locfuse.fusion.judge.evaluate import Honesty, honesty
 from locfuse.fusion.judge.predictive import MIN_GAIN_NATS, Score, contradictions, ranking
 from locfuse.fusion.robot import Robot
 

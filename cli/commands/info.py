@@ -137,14 +137,14 @@ def _list_topics(words: tuple[str, ...], as_json: bool, quiet: bool) -> int:
 
 def _preview(overview: Overview, folder: Path) -> list[str]:
     """Write preview pictures; return what to print of them."""
-    from locfuse.formats.results.preview import write_pictures
+    from locfuse.formats.whole_files import write_results
     from locfuse.fusion.checks.preview import preview as pictures_of
 
     topic = _topic_of_pictures(overview)
     shown = pictures_of(overview.log.stream(topic, overview.robot.order), overview.robot.settings("camera"))
     lines = ["", PICTURES]
     for one in shown:
-        write_pictures(folder, one.named())
+        write_results(folder, one.named(), overwrite=True)
         found = ", ".join(f"{b:.1f}" for b in one.bearings_deg)
         what = f"something red at {found} deg" if found else "nothing red and upright"
         lines.append(f"  {folder}/{one.row:06d}-*.png: {what}")

@@ -146,10 +146,8 @@ def _with(
 def _given(overview: Overview, how: LogOptions, said: Mapping[str, Mapping[str, Any]]) -> Known:
     """Return the given settings: the log's attachment, --robot, another program's file, --set."""
     layers: list[tuple[str, Mapping[str, Any]]] = []
-    if ATTACHMENT in overview.log.attachments:
-        layers.append(
-            ("the log's own robot.toml", robot_toml.parse(overview.log.attachments[ATTACHMENT], ATTACHMENT))
-        )
+    if (own := overview.log.attachments.get(ATTACHMENT)) is not None:
+        layers.append(("the log's own robot.toml", robot_toml.parse(own, ATTACHMENT)))
     layers += [(file.name, robot_toml.parse(file.read_bytes(), file.name)) for file in how.robot_files]
     layers += said.items()
     layers.append(("--set", robot_toml.apply_sets(how.sets)))
@@ -187,7 +185,7 @@ def _read(fixes: Mapping[str, tuple[str, str]]) -> Known:
 
 
 class Facts(NamedTuple):
-    """The inputs of the lines."""
+    """What the lines of robot.toml are made from."""
 
     overview: Overview
     known: Known  # active lines

@@ -35,20 +35,22 @@ DRIVERS_TOPIC = "/odom"  # where the log has no odometry: what most drivers call
 STATES = ("x", "y", "z", "roll", "pitch", "yaw", "vx", "vy", "vz", "vroll", "vpitch", "vyaw", "ax", "ay", "az")
 SURE_SIGMAS = 3.0  # an offset farther from 0 is real
 TINY = 1e-9  # per second: nothing that is estimated changes by so little, and P stays positive
-OPTION_WORDS = {
-    (
-        "differential",
-        True,
-    ): "only its changes count: it drifts, or has an offset that robot_localization does not estimate",
-    ("differential", False): "it does not drift in the frame of the filter",
-    ("relative", True): "counted from its first reading: robot_localization does not estimate its offset",
-    ("relative", False): "its zero is that of the filter",
+OPTION_WORDS = {  # of False, of True
+    "differential": (
+        "it does not drift in the frame of the filter",
+        "only its changes count: it drifts, or has an offset that robot_localization does not estimate",
+    ),
+    "relative": (
+        "its zero is that of the filter",
+        "counted from its first reading: robot_localization does not estimate its offset",
+    ),
 }
 REASONS = {
     "lrf": "robot_localization reads no laser: fuse the pose of AMCL as pose0 (--to amcl)",
     "gps": "satellite fixes come through navsat_transform_node: fuse its odometry/gps as another odom input",
 }
 POSES, TWISTS = (X, Y, YAW), (SPEED, TURN)
+FRAMES = ("map", "odom", "base_link")
 
 
 class Source(NamedTuple):
@@ -71,10 +73,7 @@ def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
     made = [
         Setting("frequency", float(max(1, round(rate))), "Hz, as the wheels report", KEPT),
         Setting("two_d_mode", True, "locfuse estimates in the plane", KEPT),
-        *(
-            Setting(f"{frame}_frame", name, "REP 105; name your own", KEPT)
-            for frame, name in (("map", "map"), ("odom", "odom"), ("base_link", "base_link"))
-        ),
+        *(Setting(f"{frame}_frame", frame, "REP 105; name your own", KEPT) for frame in FRAMES),
         Setting("world_frame", _world(found), "odom, or map where a pose is of the map", KEPT),
     ]
     count = Counter[str]()
@@ -107,7 +106,7 @@ def _input(name: str, source: Source, there: Mapping[str, Any]) -> Iterator[Sett
     rows = ("x y z", "roll pitch yaw", "their speeds", "their rates", "accelerations")
     yield Setting(f"{name}_config", on, rows[0], KEPT, row=3, row_words=rows)
     for option, value in source.options.items():
-        yield Setting(f"{name}_{option}", value, OPTION_WORDS[option, value], KEPT)
+        yield Setting(f"{name}_{option}", value, OPTION_WORDS[option][value], KEPT)
     config = there.get(f"{name}_config")
     used = on if not isinstance(config, list) else config
     for part, (gate, words) in source.gates.items():
@@ -256,10 +255,7 @@ def _process_noise(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
         for key, config in there.items()
         if re.fullmatch(r"imu\d+_config", key)
     )
-    named = (
-        *reasons,
-        *(() if fuses else (ACCELERATION,)),
-    )  # an acceleration that nothing measures must not wander
+    named = [*reasons, *([] if fuses else [ACCELERATION])]  # one that nothing measures must not wander
     old = there.get("process_noise_covariance")
     if isinstance(old, list) and len(old) == SWITCHES:
         value, places = diagonal, tuple(named)

@@ -19,11 +19,10 @@ from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream
 from locfuse.fusion.wheels import calibrate_by_scans
-from locfuse.fusion.wheels.calibrate import PAPER_PERIOD_S, WheelCalibration, calibrate_wheels
+from locfuse.fusion.wheels.calibrate import PAPER_PERIOD_S, Figure, WheelCalibration, calibrate_wheels
 from locfuse.fusion.wheels.calibrate_by_gyro import GyroCalibration, calibrate_by_gyro
 from locfuse.fusion.wheels.calibrate_by_scans import LaserCalibration, Motion
 from locfuse.fusion.wheels.calibrate_tricycle import Reference, TricycleCalibration, calibrate_tricycle, of_truth
-from locfuse.fusion.wheels.likelihood import Figure
 from locfuse.fusion.wheels.motion_by_scans import match_scans
 from locfuse.fusion.wheels.steered import is_tricycle, read_encoders
 

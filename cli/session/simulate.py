@@ -20,8 +20,7 @@ from locfuse.cli.analysis.settings import PathLike, Progress, Sets, path_of, set
 from locfuse.formats.whole_files import may_replace, scratch_prefix
 from locfuse.fusion import se2
 from locfuse.fusion.data import ArrayStream, Column, LocfuseError, Measurements, Ragged, UsageError
-from locfuse.fusion.fuse import Filter
-from locfuse.fusion.instants import step_between
+from locfuse.fusion.fuse import Filter, step_between
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.motion import Wheels

@@ -24,7 +24,7 @@ from locfuse.fusion.judge.consistency import Run, judge
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY, needed
-from locfuse.fusion.tune.likelihood import Figures
+from locfuse.fusion.tune.tape import Figures
 from locfuse.fusion.tune.tune import Row as TunedRow
 from locfuse.fusion.tune.tune import Trial, Tuned, tune
 

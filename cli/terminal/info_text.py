@@ -230,9 +230,8 @@ def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None
     """
     if overview.choice.unused_wheels:  # wheels first: with their size much of the rest looks different
         return [shlex.join(("locfuse", "init", *typed, "-o", "robot.toml"))]
-    worst = [
-        f for f in overview.findings if f.severe and f.code not in {OPEN_SCALE, OPEN_CLOCK}
-    ]  # there the reader has to choose
+    open_codes = {OPEN_SCALE, OPEN_CLOCK}  # there the reader has to choose
+    worst = [f for f in overview.findings if f.severe and f.code not in open_codes]
     fixes = by_key(fix for f in worst for fix in f.fixes)
     if fixes and helped is not None:
         fixes = by_key(helped)

@@ -108,13 +108,8 @@ class Grouped(click.Command):
 
     def __init__(self, *args: Any, **given: Any) -> None:
         super().__init__(*args, **given)
-        help_all: dict[str, Any] = {
-            "is_flag": True,
-            "is_eager": True,
-            "expose_value": False,
-            "callback": _help_all,
-        }
-        self.params.append(click.Option(["--help-all"], help="Show all options.", **help_all))
+        own: dict[str, Any] = {"is_flag": True, "is_eager": True, "expose_value": False, "callback": _help_all}
+        self.params.append(click.Option(["--help-all"], help="Show all options.", **own))
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the groups; other options only with --help-all."""

@@ -36,10 +36,6 @@ REFERENCE_NOTE = (
     "Distances are to a reference, not to truth; *: it uses the same sensors, ?: it may be wrong. "
     "See: locfuse explain reference"
 )
-SENSORS_NOTE = (
-    "NIS: 1 is right. Above 1: noise set too low, or clock, mount or scale wrong. "
-    "absent: nothing usable in the reading"
-)
 NO_TOPIC = "no topic"  # begins why most sensors are absent, which is expected
 SENTENCE_END = re.compile(r"(?<=[.?]) (?=[A-Z])")
 VERDICT_COLOURS = {"helps": "green", "hurts": "red"}  # of verdicts; the others need none
@@ -97,7 +93,9 @@ def outcome(found: Result, files: Sequence[Path], options: Options) -> list[str]
     """
     how, outputs, lost = options.how, options.outputs, found.losses(options.how.strict)
     said = notes_in_words(found.report)
-    unusable = [f"absent: {s}: {why}" for s, why in found.report["absent"].items() if not why.startswith(NO_TOPIC)]
+    unusable = [
+        f"not used: {s}: {why}" for s, why in found.report["absent"].items() if not why.startswith(NO_TOPIC)
+    ]
     with reader_may_leave():
         if outputs.as_json:
             put(json_report.encode(found.report))
@@ -159,7 +157,7 @@ def result(report: Mapping[str, Any], folder: Path, verbose: bool) -> None:
     if verbose:
         of_sensors = tables.sensors(report).without("verdicts", "joint_nis")
         table(of_sensors)
-        lines([SENSORS_NOTE] if of_sensors.rows else [])
+        lines([tables.SENSORS_NOTE] if of_sensors.rows else [])
     verdicts(report)
     findings(report, folder, verbose)
 
@@ -173,7 +171,7 @@ def table(shown: Table) -> None:
 
 def notes_in_words(report: Mapping[str, Any]) -> list[str]:
     """Return further notes on the figures: absent sensors, notes, dropped readings."""
-    found = [f"absent: {sensor}: {why}" for sensor, why in report["absent"].items()]
+    found = [f"not used: {sensor}: {why}" for sensor, why in report["absent"].items()]
     found += [f"note: {note}" for note in notes_of(report)]
     for stream, reasons in report["input"]["dropped"].items():
         counted = ", ".join(f"{count} {reason.replace('_', ' ')}" for reason, count in reasons.items())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -14,14 +14,16 @@ from .panels import TIME, Band, Curve, Mark, Panel, Section, Spots, Strokes
 from .scene import Scene, metres
 
 BAND_SIGMAS = 3.0
+COMPONENTS = ("x", "y", "heading")
 MIN_ENLARGED_RATIO = 5.0  # times: where curves differ by more in size, the small ones are drawn once more
 MAX_SIMILAR_RATIO = 2.5  # times the smallest rms: such curves are enlarged together
 MIN_ERROR_M = 1e-4  # m: a position error below is drawn there on logarithmic axes
-OVERLAYS = {  # title, and its figure in the report
-    "deviation_x": ("Deviation in x", "x_rmse_m"),
-    "deviation_y": ("Deviation in y", "y_rmse_m"),
-    "deviation_along": ("Deviation along the way", "along_rmse_m"),
-    "deviation_cross": ("Deviation left of the way", "cross_rmse_m"),
+OVERLAYS: Mapping[str, tuple[str, str, Callable[[Evaluation], Array]]] = {  # title, figure in the report, (n,)
+    "deviation_x": ("Deviation in x", "x_rmse_m", lambda j: j.deviation[:, 0]),
+    "deviation_y": ("Deviation in y", "y_rmse_m", lambda j: j.deviation[:, 1]),
+    "deviation_along": ("Deviation along the way", "along_rmse_m", lambda j: j.along_cross[:, 0]),
+    "deviation_cross": ("Deviation left of the way", "cross_rmse_m", lambda j: j.along_cross[:, 1]),
+    "deviation_heading": ("Deviation in heading", "heading_rmse_deg", lambda j: np.degrees(_components(j)[2])),
 }
 
 
@@ -29,40 +31,34 @@ def deviations(scene: Scene) -> Section:
     """Return the overlaid deviations: x, y, along, across, heading, and position error over time and way."""
     judged = [j for _, j in scene.shown() if len(j.t)]
     span = (0.0, float(scene.drive.t[-1]))
-    columns = {
-        "deviation_x": [j.deviation[:, 0] for j in judged],
-        "deviation_y": [j.deviation[:, 1] for j in judged],
-        "deviation_along": [j.along_cross[:, 0] for j in judged],
-        "deviation_cross": [j.along_cross[:, 1] for j in judged],
-    }
-    panels = [_overlay(judged, name, values, span) for name, values in columns.items()]
-    near = [_enlarged(p, [j.name for j in judged], columns[p.name]) for p in panels[:2]]
-    panels[2:2] = [p for p in near if p is not None]
+    panels = {name: _overlay(judged, name, span) for name in OVERLAYS if "heading" not in name}
+    near = [_enlarged(panels[name], judged) for name in ("deviation_x", "deviation_y")]
+    shown = list(panels.values())
+    shown[2:2] = [p for p in near if p is not None]
     with_heading = [j for j in judged if j.heading is not None]
-    if with_heading:
-        panels.append(_heading(with_heading, span))
-    panels.append(_error(judged, scene.judged_by))
+    shown += [_overlay(with_heading, "deviation_heading", span)] if with_heading else []
+    shown.append(_error(judged, scene.judged_by))
     text = f"Estimate minus {scene.judged_by}. Curves are thinned; peaks are kept."
-    return Section("deviation", f"Deviation from {scene.judged_by}", text, tuple(panels))
+    return Section("deviation", f"Deviation from {scene.judged_by}", text, tuple(shown))
 
 
-def _overlay(judged: list[Evaluation], name: str, columns: list[Array], span: tuple[float, float]) -> Panel:
-    title, key = OVERLAYS[name]
-    scale, unit = metres(columns)
+def _overlay(judged: list[Evaluation], name: str, span: tuple[float, float]) -> Panel:
+    title, key, column = OVERLAYS[name]
+    columns = [column(j) for j in judged]
+    scale, unit = (1.0, "°") if key.endswith("_deg") else metres(columns)
     marks = tuple(Curve(j.name, j.t, scale * c) for j, c in zip(judged, columns, strict=True))
-    summary = f"{title} over time; " + _figures_words(judged, key, "m")
+    summary = f"{title} over time; " + _figures_words(judged, key, "°" if key.endswith("_deg") else "m")
     return Panel(name, title, f"{title.lower()}, {unit}", TIME, marks, summary, x_range=span)
 
 
-def _enlarged(panel: Panel, names: list[str], columns: list[Array]) -> Panel | None:
+def _enlarged(panel: Panel, judged: list[Evaluation]) -> Panel | None:
     """Return a panel again at the scale of its smallest curves; None if all are of similar size."""
-    rms = {
-        n: float(np.sqrt(np.nanmean(c**2))) for n, c in zip(names, columns, strict=True) if np.isfinite(c).any()
-    }
-    least = min(rms.values(), default=0.0)
-    if least <= 0.0 or max(rms.values()) < MIN_ENLARGED_RATIO * least:
+    columns = [OVERLAYS[panel.name][2](j) for j in judged]
+    rms = [float(np.sqrt(np.nanmean(c**2))) if np.isfinite(c).any() else np.nan for c in columns]
+    least = min(filter(np.isfinite, rms), default=0.0)
+    if least <= 0.0 or np.nanmax(rms) < MIN_ENLARGED_RATIO * least:
         return None
-    small = [c for n, c in zip(names, columns, strict=True) if rms.get(n, np.inf) <= MAX_SIMILAR_RATIO * least]
+    small = [c for c, size in zip(columns, rms, strict=True) if size <= MAX_SIMILAR_RATIO * least]
     scale, unit = metres(small)
     reach = 1.1 * scale * max(float(np.nanmax(np.abs(c))) for c in small)
     return replace(
@@ -70,21 +66,9 @@ def _enlarged(panel: Panel, names: list[str], columns: list[Array]) -> Panel | N
         name=f"{panel.name}_enlarged",
         title=f"{panel.title}, enlarged",
         y_label=f"{panel.title.lower()}, enlarged, {unit}",
-        marks=tuple(
-            Curve(n, m.x, scale * c)
-            for n, m, c in zip(names, panel.marks, columns, strict=True)
-            if isinstance(m, Curve)
-        ),
+        marks=tuple(Curve(j.name, j.t, scale * c) for j, c in zip(judged, columns, strict=True)),
         y_range=(-reach, reach),
     )
-
-
-def _heading(judged: list[Evaluation], span: tuple[float, float]) -> Panel:
-    columns = [np.degrees(j.heading) for j in judged if j.heading is not None]
-    marks = tuple(Curve(j.name, j.t, c) for j, c in zip(judged, columns, strict=True))
-    summary = "Heading deviation over time; " + _figures_words(judged, "heading_rmse_deg", "°")
-    label = "deviation in heading, °"
-    return Panel("deviation_heading", "Deviation in heading", label, TIME, marks, summary, x_range=span)
 
 
 def _error(judged: list[Evaluation], by: str) -> Panel:
@@ -104,38 +88,34 @@ def _error(judged: list[Evaluation], by: str) -> Panel:
 
 def bands(scene: Scene) -> Section:
     """Return x, y and heading of each configuration alone, with its own 3 sigma band."""
-    panels: list[Panel] = []
-    names: list[str] = []
-    columns = 2
-    for _, judged in scene.shown():
-        if len(judged.t) == 0:
-            continue
-        row = [_band(judged, "x", judged.deviation[:, 0], 0), _band(judged, "y", judged.deviation[:, 1], 1)]
-        if judged.heading is not None:
-            row.append(_band(judged, "heading", judged.heading, 2))
-        columns = len(row)
-        panels += row
-        names.append(judged.name)
+    judged = [j for _, j in scene.shown() if len(j.t)]
+    rows = [[_band(j, i, c) for i, c in enumerate(_components(j))] for j in judged]
     text = (
         "Each configuration on its own scale. The band is the 3 sigma that the filter claims: "
         "a curve that leaves it is an overconfident estimate."
     )
-    return Section("bands", "Deviation and claimed 3 sigma", text, tuple(panels), columns, tuple(names))
+    panels = tuple(panel for row in rows for panel in row)
+    columns = max(map(len, rows), default=2)
+    return Section("bands", "Deviation and claimed 3 sigma", text, panels, columns, tuple(j.name for j in judged))
 
 
-def _band(judged: Evaluation, what: str, deviation: Array, column: int) -> Panel:
-    sigma = BAND_SIGMAS * judged.sigma[:, column]
+def _components(judged: Evaluation) -> list[Array]:
+    """Return the deviations in x and y [m], and in heading [rad] where the truth has one, (n,) each."""
+    return [*judged.deviation.T, *([] if judged.heading is None else [judged.heading])]
+
+
+def _band(judged: Evaluation, column: int, deviation: Array) -> Panel:
+    what, sigma = COMPONENTS[column], BAND_SIGMAS * judged.sigma[:, column]
     scale, unit = (180.0 / np.pi, "°") if what == "heading" else metres([deviation, np.minimum(sigma, 10.0)])
-    marks: tuple[Mark, ...] = (
-        Band(judged.name, judged.t, -scale * sigma, scale * sigma),
-        Curve(judged.name, judged.t, scale * deviation),
-    )
     return Panel(
         name=f"band_{judged.name}_{what}",
         title=f"{judged.name}: deviation in {what} with 3 sigma",
         y_label=f"{what}, {unit}",
         x_label=TIME,
-        marks=marks,
+        marks=(
+            Band(judged.name, judged.t, -scale * sigma, scale * sigma),
+            Curve(judged.name, judged.t, scale * deviation),
+        ),
         summary=f"Deviation of {judged.name} in {what} over time, in the band of its 3 sigma.",
         x_range=(0.0, float(judged.t[-1])),
     )
@@ -145,7 +125,7 @@ def uncertainty(scene: Scene) -> Section:
     """Return the standard deviations of the filters: the only error figure without truth."""
     panels = []
     names = {shown.name for shown, _ in scene.shown()}
-    for what, column in (("x", 0), ("y", 1), ("heading", 2)):
+    for column, what in enumerate(COMPONENTS):
         sigmas = [BAND_SIGMAS * np.sqrt(np.maximum(e.P[:, column, column], 0.0)) for e in scene.estimates]
         scale, unit = (180.0 / np.pi, "°") if what == "heading" else metres(sigmas)
         marks = tuple(

@@ -30,44 +30,43 @@ def consistency(scene: Scene) -> Section:
 
 
 def _nees(judged: list[Evaluation], bounds: tuple[float, float], span: tuple[float, float]) -> Panel:
-    low, high = (np.full(2, b) for b in bounds)
-    marks: list[Mark] = [Band("bounds", np.array(span), low, high)]
-    marks += [Curve(j.name, *means(j.t, j.nees, MAX_NEES_STRETCHES)) for j in judged]
+    curves = [Curve(j.name, *means(j.t, j.nees, MAX_NEES_STRETCHES)) for j in judged]
     words = ", ".join(f"{j.name} {value:.2f}" for j in judged if (value := j.figures.get("anees")) is not None)
-    return Panel(
-        "nees",
-        "NEES per degree of freedom",
-        "NEES / dof",
-        TIME,
-        tuple(marks),
-        f"Normalised estimation error squared over time; means: {words}.",
-        log=True,
-        x_range=span,
-        y_range=_log_range([m.y for m in marks if isinstance(m, Curve)], bounds),
-    )
+    low, high = (np.full(2, b) for b in bounds)
+    band = Band("bounds", np.array(span), low, high)
+    summary = f"Normalised estimation error squared over time; means: {words}."
+    return _ratios("nees", "NEES", "", band, curves, summary, span)
 
 
 def _nis(scene: Scene, sensor: str, span: tuple[float, float]) -> Panel | None:
-    found = {name: v for (name, s), v in scene.nis.items() if s == sensor and np.isfinite(v.value).any()}
-    names = [e.name for e, _ in scene.shown() if e.name in found]
-    if not names:
+    found = {name: v for (name, s), v in scene.nis.items() if s == sensor and np.isfinite(v.mean).any()}
+    shown = [j for e, j in scene.shown() if e.name in found]
+    if not shown:
         return None
-    widest = found[names[-1]]
-    marks: list[Mark] = [Band("bounds", widest.t, widest.low, widest.high)]
-    marks += [Curve(name, found[name].t, found[name].value) for name in names]
-    limits = (float(np.nanmin(widest.low)), float(np.nanmax(widest.high)))
-    figures = {j.name: j.sensors[sensor].nis for _, j in scene.shown() if j.name in names}
-    words = ", ".join(f"in {n} {value:.2f}" for n, value in figures.items() if value is not None)
+    widest = found[shown[-1].name]
+    band = Band("bounds", widest.t, widest.low, widest.high)
+    curves = [Curve(j.name, found[j.name].t, found[j.name].mean) for j in shown]
+    means_of = ((j.name, j.sensors[sensor].nis) for j in shown)
+    words = ", ".join(f"in {name} {value:.2f}" for name, value in means_of if value is not None)
+    summary = f"Normalised innovation squared of {sensor} over stretches of the drive; means: {words}."
+    return _ratios(f"nis_{sensor}", "NIS", f"{sensor}: ", band, curves, summary, span)
+
+
+def _ratios(
+    name: str, what: str, of: str, band: Band, curves: list[Curve], summary: str, span: tuple[float, float]
+) -> Panel:
+    """Return squared errors over their expected size, between bounds, on a logarithmic axis."""
+    limits = (float(np.nanmin(band.low)), float(np.nanmax(band.high)))
     return Panel(
-        f"nis_{sensor}",
-        f"{sensor}: NIS per degree of freedom",
-        f"{sensor}: NIS / dof",
+        name,
+        f"{of}{what} per degree of freedom",
+        f"{of}{what} / dof",
         TIME,
-        tuple(marks),
-        f"Normalised innovation squared of {sensor} over stretches of the drive; means: {words}.",
+        (band, *curves),
+        summary,
         log=True,
         x_range=span,
-        y_range=_log_range([found[n].value for n in names], limits),
+        y_range=_log_range([c.y for c in curves], limits),
     )
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
 from typing import Any
 
 import numpy as np
@@ -88,7 +87,7 @@ def paper_figures(
 def _inks(names: Sequence[str], traces: Mapping[str, Trace], sensors: Mapping[str, Colour]) -> dict[str, str]:
     """Return the print colour of every name used by marks."""
     every = {**{s: Trace(s, (s,)) for s in names if s in sensors}, **traces}
-    return {**{n: c.light for n, c in palette.colours(every, sensors).items()}, **_light_roles()}
+    return {name: colour.light for name, colour in {**palette.colours(every, sensors), **palette.ROLES}.items()}
 
 
 def on_axes(axes: Any, panel: Panel, traces: Mapping[str, Trace], sensors: Mapping[str, Colour]) -> Any:
@@ -108,9 +107,10 @@ def file_name(panel: str) -> str:
 
 def draw(panel: Panel, inks: dict[str, str], looks: Mapping[str, str] | None = None) -> tuple[bytes, bytes]:
     """Return one panel as (SVG, PDF)."""
+    from matplotlib import rc_context
     from matplotlib.figure import Figure
 
-    with _style():
+    with rc_context(STYLE):
         figure = Figure(figsize=SQUARE_SIZE_IN if panel.equal else PANEL_SIZE_IN)
         _fill(figure.add_axes(LANES_AREA if panel.lanes else AXES_AREA), panel, inks, looks or {})
         return _saved(figure)
@@ -120,20 +120,22 @@ def draw_column(
     panels: Sequence[Panel], inks: dict[str, str], looks: Mapping[str, str] | None = None
 ) -> tuple[bytes, bytes]:
     """Return panels over each other on one x axis, such as the deviations in x and in y, as (SVG, PDF)."""
+    from matplotlib import rc_context
     from matplotlib.figure import Figure
 
-    with _style():
+    with rc_context(STYLE):
         n = len(panels)
         figure = Figure(figsize=(PANEL_SIZE_IN[0], 0.45 + HEIGHT_IN_COLUMN * n))
         grid = figure.add_gridspec(n, 1, left=AXES_AREA[0], right=AXES_AREA[0] + AXES_AREA[2], **COLUMN)
         axes = [figure.add_subplot(grid[i]) for i in range(n)]
-        for i, (own, panel) in enumerate(zip(axes, panels, strict=True)):
+        for own, panel in zip(axes, panels, strict=True):
             _fill(own, panel, inks, looks or {})
-            if i and (legend := own.get_legend()) is not None:
+        for own in axes[1:]:
+            if (legend := own.get_legend()) is not None:
                 legend.remove()
-            if i < n - 1:
-                own.set_xlabel("")
-                own.tick_params(labelbottom=False)
+        for own in axes[:-1]:
+            own.set_xlabel("")
+            own.tick_params(labelbottom=False)
         return _saved(figure)
 
 
@@ -153,16 +155,6 @@ def _saved(figure: Any) -> tuple[bytes, bytes]:
     to_svg.print_svg(svg, metadata={"Date": None, "Creator": "locfuse"})
     to_pdf.print_pdf(pdf, metadata={"CreationDate": None, "Creator": "locfuse", "Producer": None})
     return svg.getvalue(), pdf.getvalue()
-
-
-def _style() -> AbstractContextManager[Any]:
-    from matplotlib import rc_context
-
-    return rc_context(STYLE)
-
-
-def _light_roles() -> dict[str, str]:
-    return {role: colour.light for role, colour in palette.ROLES.items()}
 
 
 def _dress(axes: Any, panel: Panel) -> None:
@@ -194,8 +186,7 @@ def _scales(axes: Any, panel: Panel, x: tuple[float, float], y: tuple[float, flo
     axes.set_xlim(*x)
     axes.set_ylim(*y)
     if not panel.lanes:
-        marks = ticks.logarithmic(*y) if panel.log else ticks.linear(*y)
-        axes.set_yticks(*map(list, zip(*marks, strict=True)))
+        axes.set_yticks(*map(list, zip(*ticks.of(*y, panel.log), strict=True)))
         axes.minorticks_off()
 
 

@@ -1,7 +1,6 @@
 """The content of figures as values: series with their roles, axes with their labels. Two renderers draw them.
 
-`drawing.svg` draws for the page (theme, phone, toggles, pointer), `drawing.for_paper` for print (PDF, SVG by
-matplotlib).
+`svg` draws for the page (theme, phone, toggles, pointer), `for_paper` for print (PDF, SVG by matplotlib).
 """
 
 from __future__ import annotations
@@ -24,7 +23,6 @@ class Curve(msgspec.Struct, frozen=True):
     of: str
     x: Array  # (n,)
     y: Array  # (n,)
-    faint: bool = False
     wide: bool = False  # where the colour is what is to be read
 
 
@@ -108,20 +106,17 @@ class Section(msgspec.Struct, frozen=True):
 
 def ranges(panel: Panel) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the limits of x and y: as given, else the marks' range with a small margin."""
-    xs = [_x(m) for m in panel.marks]
-    ys = [v for m in panel.marks for v in _y(m)]
-    x = panel.x_range or _span(xs, 0.0, panel.x_log)
-    y = panel.y_range or _span(ys, 0.04, panel.log)
+    x = panel.x_range or _span([v for m in panel.marks for v in values_of(m, 0)], 0.0, panel.x_log)
+    y = panel.y_range or _span([v for m in panel.marks for v in values_of(m, 1)], 0.04, panel.log)
     return _opened(*x), _opened(*y)
 
 
-def _x(mark: Mark) -> Array:
-    return mark.ends[:, :, 0].ravel() if isinstance(mark, Strokes) else mark.x
-
-
-def _y(mark: Mark) -> tuple[Array, ...]:
+def values_of(mark: Mark, axis: int) -> tuple[Array, ...]:
+    """Return the values of a mark along x (0) or y (1)."""
     if isinstance(mark, Strokes):
-        return (mark.ends[:, :, 1].ravel(),)
+        return (mark.ends[:, :, axis].ravel(),)
+    if axis == 0:
+        return (mark.x,)
     return (mark.low, mark.high) if isinstance(mark, Band) else (mark.y,)
 
 

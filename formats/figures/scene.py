@@ -3,24 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 import numpy as np
 from msgspec import field
 
-from locfuse.fusion.data import Array, Component, Drive, Estimates, Evaluation, Event
+from locfuse.fusion.data import Array, Component, Drive, Estimates, Evaluation, Event, RunningNis
 
 MAX_CONFIGURATIONS = 8  # more curves in one panel say nothing
-
-
-class Stretches(NamedTuple):
-    """A figure of merit over intervals of the drive, with its bounds."""
-
-    t: Array  # (n,) s
-    value: Array  # (n,)
-    low: Array  # (n,)
-    high: Array  # (n,)
 
 
 class Scene(msgspec.Struct, frozen=True):
@@ -29,7 +20,7 @@ class Scene(msgspec.Struct, frozen=True):
     drive: Drive
     estimates: Sequence[Estimates]
     evaluations: Sequence[Evaluation]
-    nis: Mapping[tuple[str, str], Stretches] = field(default_factory=dict)  # (configuration, sensor)
+    nis: Mapping[tuple[str, str], RunningNis] = field(default_factory=dict)  # (configuration, sensor)
     nees_bounds: tuple[float, float] = (0.0, 0.0)  # of a single value per degree of freedom, 95 %
     components: Mapping[str, Sequence[Component]] = field(default_factory=dict)  # of innovations, by sensor
     states: Mapping[str, Sequence[Component]] = field(default_factory=dict)  # beyond the pose, by block

@@ -18,11 +18,6 @@ def sections(scene: Scene) -> list[Section]:
     found += [deviations(scene), spread(scene), bands(scene)] if scene.has_truth else [uncertainty(scene)]
     found += [consistency(scene), innovations(scene), gates(scene), learnt(scene)]
     found += [credit(scene)]
-    return [_with_events(s, scene) for s in found if s.panels]
-
-
-def _with_events(section: Section, scene: Scene) -> Section:
-    """Return a section whose time axes show the events of the drive."""
-    events = tuple(scene.events)
-    panels = (replace(p, events=events) if p.x_label == TIME else p for p in section.panels)
-    return replace(section, panels=tuple(panels))
+    events = tuple(scene.events)  # on every time axis
+    dated = {s.name: [replace(p, events=events) if p.x_label == TIME else p for p in s.panels] for s in found}
+    return [replace(s, panels=tuple(dated[s.name])) for s in found if s.panels]

@@ -165,7 +165,7 @@ class Axis(msgspec.Struct, frozen=True):
 
     def ticks(self, most: int) -> list[tuple[float, str]]:
         """Return ticks as (px, label)."""
-        found = (ticks.logarithmic if self.log else ticks.linear)(self.low, self.high, most)
+        found = ticks.of(self.low, self.high, self.log, most)
         return [(float(self.px(np.array([v]))[0]), label) for v, label in found]
 
 
@@ -219,8 +219,8 @@ def _left(panel: Panel, y0: float, y1: float) -> float:
     """Return the left margin for the y labels."""
     if panel.lanes:
         return 12 + CHARACTER_WIDTH_PX * max(len(lane) for lane in panel.lanes)
-    found = (ticks.logarithmic if panel.log else ticks.linear)(y0, y1, 6)
-    return round(12 + CHARACTER_WIDTH_PX * max([len(label) for _, label in found] or [1]))
+    labels = [label for _, label in ticks.of(y0, y1, panel.log)]
+    return round(12 + CHARACTER_WIDTH_PX * max([len(label) for label in labels] or [1]))
 
 
 def _equal(
@@ -300,7 +300,7 @@ def _drawn(mark: Mark, x: Axis, y: Axis) -> tuple[str, str]:
         shape = SHAPES[mark.of]
         return f"spot {shape}", spots_path(px, py, crossed=shape == "cross")
     grows = len(px) < 2 or bool((np.diff(px) >= 0).all())
-    kind = "faint" if mark.faint else "curve wide" if mark.wide else "curve"
+    kind = "curve wide" if mark.wide else "curve"
     return kind, curve_path(px, py, pixels) if grows else free_path(px, py)
 
 

@@ -20,6 +20,11 @@ def linear(low: float, high: float, most: int = 6) -> list[tuple[float, str]]:
     return [(k * step, _plain(k * step, decimals)) for k in range(first, last + 1)]
 
 
+def of(low: float, high: float, log: bool, most: int = 6) -> list[tuple[float, str]]:
+    """Return ticks (value, label) of a linear or a logarithmic axis."""
+    return logarithmic(low, high, most) if log else linear(low, high, most)
+
+
 def _count(low: float, high: float, step: float) -> int:
     return math.floor(high / step + 1e-9) - math.ceil(low / step - 1e-9) + 1
 
@@ -48,8 +53,5 @@ def _plain(value: float, decimals: int) -> str:
 
 
 def _compact(value: float) -> str:
-    return f"{value:g}" if 1e-4 <= value < 1e5 else f"10{_superscript(round(math.log10(value)))}"
-
-
-def _superscript(power: int) -> str:
-    return str(power).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    power = str(round(math.log10(value))).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return f"{value:g}" if 1e-4 <= value < 1e5 else f"10{power}"

@@ -10,10 +10,10 @@ import numpy as np
 
 from locfuse.formats.geometry import segments
 from locfuse.formats.thin import evenly
-from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, Evaluation, MapLine
+from locfuse.fusion.data import VERDICTS, Array, Estimates, Evaluation, MapLine
 
 from .palette import LEVELS
-from .panels import Band, Curve, Mark, Panel, Section, Spots, Strokes, TimedPlaces
+from .panels import Curve, Mark, Panel, Section, Spots, Strokes, TimedPlaces, values_of
 from .scene import Scene
 
 STEPS_S = (10.0, 30.0, 60.0, 300.0, 600.0, 3600.0)
@@ -37,6 +37,11 @@ def spots(t: Array, xy: Array) -> list[Spots]:
         return []
     at = between(t, xy, np.arange(t[0] + step(t), t[-1], step(t)))
     return [Spots("time", *at.T), Spots("end", *xy[-1:].T), Spots("start", *xy[:1].T)]
+
+
+def landmarks(scene: Scene) -> list[Spots]:
+    """Return what sensors' bearings and ranges point at."""
+    return [Spots("landmark", np.array([x]), np.array([y])) for x, y in scene.landmarks]
 
 
 def step(t: Array) -> float:
@@ -84,7 +89,7 @@ def trajectories(scene: Scene) -> Section:
     if truth is not None:
         paths["truth"] = truth.t, truth.xy
         marks.append(_curve("truth", truth.xy, most))
-    marks += [Spots("landmark", np.array([x]), np.array([y])) for x, y in scene.landmarks]
+    marks += landmarks(scene)
     led = paths["truth"] if truth is not None else paths.get(scene.best.name, paths[list(paths)[-1]])
     x_range, y_range = framed(led[1], marks)
     marks += spots(*led)
@@ -121,16 +126,10 @@ def framed(path: Array, marks: Sequence[Mark]) -> list[tuple[float, float] | Non
     around = max(AROUND * float((most - least).max()), MIN_AROUND_M)
     found: list[tuple[float, float] | None] = []
     for axis, (low, high) in enumerate(zip(least - around, most + around, strict=True)):
-        shown = np.concatenate([np.atleast_1d(v).ravel() for m in marks for v in _places(m, axis)])
+        shown = np.concatenate([v for m in marks for v in values_of(m, axis)])
         inside = shown[(shown >= low) & (shown <= high)]
         found.append((float(inside.min()), float(inside.max())) if len(inside) else None)
     return found
-
-
-def _places(mark: Mark, axis: int) -> list[Array]:
-    if isinstance(mark, Strokes):
-        return [mark.ends[:, :, axis]]
-    return [] if isinstance(mark, Band) else [(mark.x, mark.y)[axis]]
 
 
 def _curve(name: str, xy: Array, most: int) -> Curve:
@@ -182,17 +181,12 @@ def where(scene: Scene) -> Section:
 
 
 def _route(e: Estimates, judged: Evaluation, has_truth: bool) -> Route:
-    refused = [_refused(audit, e.t) for audit in e.audits.values()]
+    refused = [e.t[audit.instant[audit.verdict == GATE]] for audit in e.audits.values()]
     times = np.unique(np.concatenate([np.zeros(0), *refused]))
     if has_truth:
         return Route(e.name, judged.t, judged.estimate_xy, np.hypot(*judged.deviation.T), times)
     t, xy = timed_path(e, judged)
     return Route(e.name, t, xy, np.sqrt(np.maximum(e.triangles[:, 0] + e.triangles[:, 3], 0.0)), times)
-
-
-def _refused(audit: Audit, t: Array) -> Array:
-    found: Array = t[audit.instant[audit.verdict == GATE]]
-    return found
 
 
 def _edges(largest: float) -> Array:
@@ -213,7 +207,7 @@ def _panel(scene: Scene, route: Route, edges: Array, what: str, said: dict[str, 
     marks: list[Mark] = list(_coloured(route, edges))
     crosses = _crosses(route)
     marks += [Spots("gate", *crosses.T)] if len(crosses) else []
-    marks += [Spots("landmark", np.array([x]), np.array([y])) for x, y in scene.landmarks]
+    marks += landmarks(scene)
     marks += spots(route.t, route.xy)
     rms = float(np.sqrt(np.nanmean(route.value**2)))
     return Panel(

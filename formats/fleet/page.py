@@ -13,19 +13,20 @@ from datetime import date
 from importlib.resources import files
 from pathlib import PurePosixPath
 from statistics import median
-from typing import Any, Literal
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
+from markupsafe import Markup
+from msgspec.structs import replace
 
 from locfuse.formats.figures import palette
 from locfuse.formats.figures.palette import Trace
 from locfuse.formats.figures.panels import Band, Curve, Dots, Panel, Section
-from locfuse.formats.figures.svg import slugs_of
 from locfuse.formats.report import summary as over
-from locfuse.formats.report.html import TONES, section_drawings, style_sheet
-from locfuse.formats.report.render import SIGNS, Swatches, html, html_text
-from locfuse.formats.report.table import Column, Table, of_values
+from locfuse.formats.report.html import page_of, section_drawings
+from locfuse.formats.report.render import SIGNS, Swatches, html
+from locfuse.formats.report.table import Cell, Column, Table, of_rows
 from locfuse.formats.report.tables import RMSE
 from locfuse.fusion.data import Array, Colour
 
@@ -33,45 +34,39 @@ from .entry import Entry
 
 MAX_ROWS = 200  # of each table on the page; all rows are in summary.csv
 MAX_CONFIGURATIONS = 12  # columns of the table of logs
+LOG, ROBOT = (Column(key, key, kind="text") for key in ("log", "robot"))
 MAX_TINT_RATIO, MAX_TINT_PERCENT = 10.0, 30  # an error so many times the least of its log has the strongest tint
-TEXT: Literal["text"] = "text"
 
 
 def render(summary: Mapping[str, Any], entries: Sequence[Entry], sensors: Mapping[str, Colour]) -> str:
     """Return the page. `sensors` are all sensors known to the product, with their colours."""
-    from jinja2 import Environment, StrictUndefined
-    from markupsafe import Markup
-
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    template = environment.from_string((files(__package__) / "fleet.html.j2").read_text(encoding="utf-8"))
-    css = (files("locfuse.formats.report") / "report.css").read_text(encoding="utf-8")
     figures = sections(summary, entries)
     traces = _traces(entries)
     inks = palette.colours({**traces, **{s: Trace(s, (s,)) for s in sensors if s not in traces}}, sensors)
-    slugs = slugs_of(list(inks))
-    swatches = Swatches(slugs, palette.looks_of(traces))
+    swatches = Swatches(inks, palette.looks_of(traces))
     shown = {mark.of for s in figures for p in s.panels for mark in p.marks}
-    page = template.render(
+    return page_of(
+        files(__package__) / "fleet.html.j2",
+        summary["locfuse"],
+        swatches,
+        script=False,
         summary=summary,
         headline=over.headline(summary),
         replicates=_replicates(summary),
-        style=Markup(style_sheet(css, inks, slugs)),
-        table=lambda found, painted=False: Markup(html(found, swatches if painted else None)),
+        table=lambda found, painted=False, most=None: Markup(
+            html(replace(found, rows=found.rows[:most]), swatches if painted else None)
+        ),
+        max_rows=MAX_ROWS,
         over=over,
-        sections=[section_drawings(s, slugs, swatches.looks) for s in figures],
-        legend=[(name, slugs[name]) for name in summary["configurations"] if name in shown],
-        swatch=lambda name: Markup(swatches.of(name)),
+        sections=[section_drawings(s, swatches) for s in figures],
+        legend=[(name, swatches.slugs[name]) for name in summary["configurations"] if name in shown],
         logs=logs(summary, entries),
-        findings=_cut(findings(entries)),
-        robots=_cut(robots(summary, entries)),
-        matrix=_cut(matrix(entries)),
-        failures=_cut(_without_figure(entries)),
-        losses=_cut(_losses(entries)),
-        signs=SIGNS,
-        slugs=slugs,
-        tones=TONES,
+        findings=findings(entries),
+        robots=robots(summary, entries),
+        matrix=matrix(entries),
+        failures=_without_figure(entries),
+        losses=_losses(entries),
     )
-    return str(page).strip() + "\n"
 
 
 def _traces(entries: Sequence[Entry]) -> dict[str, Trace]:
@@ -99,58 +94,45 @@ def _replicates(summary: Mapping[str, Any]) -> str:
     )
 
 
-def _cut(table: Table) -> tuple[Table, int]:
-    """Return the first rows of a table, and the number of rows left out."""
-    return Table(table.columns, table.rows[:MAX_ROWS], table.label), max(len(table.rows) - MAX_ROWS, 0)
-
-
 def _error(entry: Entry, configuration: str) -> float | None:
     value = entry.report.get("configurations", {}).get(configuration, {}).get(RMSE.key)
     return None if value is None else float(value)
 
 
-def logs(summary: Mapping[str, Any], entries: Sequence[Entry]) -> tuple[str, list[str]]:
-    """Return logs x configurations as HTML, the worst log first, and what was left out.
+def logs(summary: Mapping[str, Any], entries: Sequence[Entry]) -> tuple[Table, list[str]]:
+    """Return logs x configurations, the worst log first, and what was left out.
 
     Each log links to its page, colours compare a row.
     """
-    from markupsafe import Markup
-
     best, every = summary["best"], list(summary["configurations"])
     names = every[:MAX_CONFIGURATIONS]
-    known = sorted(((e, error) for e in entries if best and (error := _error(e, best)) is not None), key=_of_error)
-    rows, named = [], any(entry.robot for entry, _ in known)
-    for entry, _ in known[:MAX_ROWS]:
-        folder = PurePosixPath(entry.name, entry.report["configurations"][best]["cell"].replace(" ", ","))
-        link = f'<a href="{quote(str(folder))}/report.html">{html_text(entry.name)}</a>'
-        errors = [_error(entry, name) for name in names]
-        least = min((e for e in errors if e), default=0.0)
-        cells = "".join(f"<td{_tint(e, least)}>{'–' if e is None else RMSE.form.format(e)}</td>" for e in errors)
-        robot = f'<td class="left">{html_text(entry.robot or "–")}</td>' if named else ""
-        rows.append(f"<tr><th scope=row>{link}</th>{robot}{cells}</tr>")
-    if not rows:
-        return "", []
-    left = [(len(known) - len(rows), "logs"), (len(every) - len(names), "configurations")]
-    heads = "".join(f"<th scope=col>{html_text(h)}</th>" for h in names)
-    robot = '<th scope=col class="left">robot</th>' if named else ""
-    head = f"<tr><th scope=col>log</th>{robot}{heads}</tr>"
-    label = 'tabindex="0" role="region" aria-label="Position error of every log"'
-    body = "\n".join(rows)
-    table = f'<div class="scroll tall" {label}><table><thead>{head}</thead><tbody>{body}</tbody></table></div>'
-    return Markup(table), [f"{n} more {what}" for n, what in left if n]
+    known = [(error, entry) for entry in entries if best and (error := _error(entry, best)) is not None]
+    worst = [entry for _, entry in sorted(known, key=lambda pair: -pair[0])]
+    rows = [_log(entry, best, names) for entry in worst[:MAX_ROWS]]
+    columns = (LOG, ROBOT, *(Column(name, name, form=RMSE.form) for name in names))
+    table = Table(columns, tuple(rows), "Position error of every log")
+    if not any(entry.robot for entry in worst):
+        table = table.without("robot")
+    left = [(len(worst) - len(rows), "logs"), (len(every) - len(names), "configurations")] if rows else []
+    return table, [f"{n} more {what}" for n, what in left if n]
 
 
-def _of_error(pair: tuple[Entry, float]) -> float:
-    return -pair[1]
+def _log(entry: Entry, best: str, names: Sequence[str]) -> tuple[Cell, ...]:
+    """Return a log's row: its name, its robot, and the position error of each configuration."""
+    folder = PurePosixPath(entry.name, entry.report["configurations"][best]["cell"].replace(" ", ","))
+    errors = [_error(entry, name) for name in names]
+    least = min((e for e in errors if e), default=0.0)
+    shown = (Cell(e, tint=_tint(e, least)) for e in errors)
+    return (Cell(entry.name, link=f"{quote(str(folder))}/report.html"), Cell(entry.robot), *shown)
 
 
 def _tint(error: float | None, least: float) -> str:
-    """Return the style of a cell: green for the least error of its row, the redder the more times it is larger."""
+    """Return a cell's colour: green for the least error of its row, the redder the more times it is larger."""
     if not error or not least:
         return ""
     share = min(math.log(error / least) / math.log(MAX_TINT_RATIO), 1.0)
     colour = f"var(--bad) {MAX_TINT_PERCENT * share:.0f}%" if error > least else f"var(--good) {MAX_TINT_PERCENT}%"
-    return f' style="background:color-mix(in srgb,{colour},transparent)"'
+    return f"color-mix(in srgb,{colour},transparent)"
 
 
 def robots(summary: Mapping[str, Any], entries: Sequence[Entry]) -> Table:
@@ -174,15 +156,15 @@ def robots(summary: Mapping[str, Any], entries: Sequence[Entry]) -> Table:
     rows.sort(key=lambda row: -(row["median"] or 0.0))
     of = f"{best}: " if best else ""
     columns = (
-        Column("robot", "robot", kind=TEXT),
+        ROBOT,
         Column("logs", "logs"),
         Column("failed", "failed"),
-        Column("best", "best on it", kind=TEXT),
+        Column("best", "best on it", kind="text"),
         Column("median", f"{of}median", "m", "{:.4f}"),
         Column("p90", "p90", "m", "{:.4f}"),
         Column("worst", "worst", "m", "{:.4f}"),
     )
-    return of_values(columns, ((row, ()) for row in rows))
+    return of_rows(columns, rows)
 
 
 def best_of(entries: Sequence[Entry]) -> str | None:
@@ -206,9 +188,9 @@ def matrix(entries: Sequence[Entry]) -> Table:
         counts = {s: Counter(v for e in own if (v := e.report["verdicts"].get(s))) for s in sensors}
         rows.append((-sum(c["hurts"] for c in counts.values()) / len(own), robot, counts))
     rows.sort(key=lambda row: row[:2])
-    columns = (Column("robot", "robot", kind=TEXT), *(Column(f"of {s}", s, kind=TEXT) for s in sensors))
+    columns = (ROBOT, *(Column(f"of {s}", s, kind="text") for s in sensors))
     shown = ({"robot": robot, **{f"of {s}": _counted(c) for s, c in counts.items()}} for _, robot, counts in rows)
-    return of_values(columns, ((row, ()) for row in shown))
+    return of_rows(columns, shown)
 
 
 def _counted(verdicts: Counter[str]) -> str | None:
@@ -229,20 +211,20 @@ def findings(entries: Sequence[Entry]) -> Table:
             row["logs"] += 1
             row["fixed"] += fixed
     columns = (
-        Column("role", "of", kind=TEXT),
+        Column("role", "of", kind="text"),
         Column("logs", "logs"),
         Column("fixed", "with a fix"),
         Column("example", "for example", kind="long"),
     )
-    return of_values(columns, ((row, ()) for row in sorted(found.values(), key=lambda row: -row["logs"])))
+    return of_rows(columns, sorted(found.values(), key=lambda row: -row["logs"]))
 
 
 def _without_figure(entries: Sequence[Entry]) -> Table:
     """Return the logs that failed, are void or have no truth, with the reason."""
     columns = (
-        Column("log", "log", kind=TEXT),
-        Column("robot", "robot", kind=TEXT),
-        Column("state", "state", kind=TEXT),
+        LOG,
+        ROBOT,
+        Column("state", "state", kind="text"),
         Column("reason", "reason", kind="long", missing=""),
     )
     rows = []
@@ -251,19 +233,15 @@ def _without_figure(entries: Sequence[Entry]) -> Table:
         state = e.state if e.state != "done" else "void" if e.void else "no truth" if unjudged else ""
         if state:
             rows.append({"log": e.name, "robot": e.robot, "state": state, "reason": e.reason or "; ".join(e.void)})
-    return of_values(columns, ((row, ()) for row in rows))
+    return of_rows(columns, rows)
 
 
 def _losses(entries: Sequence[Entry]) -> Table:
-    columns = (
-        Column("log", "log", kind=TEXT),
-        Column("bytes", "bytes"),
-        Column("messages", "messages"),
-        Column("reasons", "reasons", kind="long"),
-    )
+    numbers = (Column("bytes", "bytes"), Column("messages", "messages"))
+    columns = (LOG, *numbers, Column("reasons", "reasons", kind="long"))
     found = (e for e in entries if e.report.get("input", {}).get("losses"))
     rows = ({"log": e.name, **e.losses, "reasons": ", ".join(e.report["input"]["losses"])} for e in found)
-    return of_values(columns, ((row, ()) for row in rows))
+    return of_rows(columns, rows)
 
 
 # --- Figures: how errors are distributed over the logs, and how they change from day to day

@@ -69,7 +69,7 @@ def joints_of_feedback(columns: Columns, fields: tuple[str, ...], frame_id: str)
 
 
 def _interface(columns: Columns, names: list[tuple[str, ...]], field: str) -> Array:
-    """Return one interface of every joint of every message, end to end; equal messages share the search."""
+    """Return the value of one interface, such as position, of every joint of every message, end to end."""
     interfaces = cast("list[tuple[str, ...]]", columns[INTERFACES])
     values, lengths = _ragged(columns, VALUES), _ragged(columns, f"{VALUES}.length")
     places: dict[tuple[object, ...], Ints] = {}

@@ -18,11 +18,12 @@ COLUMNS = texts("configuration", "figure", "before", "after", "change", left=2)
 def changes(before: Report, after: Report) -> dict[str, Any]:
     """Return every figure of both reports with its change, and other differences between them."""
     a, b = before["configurations"], after["configurations"]
+    was, now = dict(_flat(before["settings"])), dict(_flat(after["settings"]))
     return {
         "same_input": same_input(before["input"], after["input"]),
         "inputs": [before["input"]["name"], after["input"]["name"]],
         "versions": [before["locfuse"], after["locfuse"]],
-        "settings": _settings(before["settings"], after["settings"]),
+        "settings": {k: [was.get(k), now.get(k)] for k in sorted(was | now) if was.get(k) != now.get(k)},
         "judged_by": [judged_by(before), judged_by(after)],
         "configurations": {name: _figures(a[name], b[name]) for name in a if name in b},
         "only_before": [name for name in a if name not in b],
@@ -44,24 +45,15 @@ def _figures(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, d
 
 
 def _change(before: float | None, after: float | None) -> dict[str, float | None]:
-    known = before is not None and after is not None
-    return {
-        "before": before,
-        "after": after,
-        "change": after - before if before is not None and after is not None else None,
-        "share": after / before - 1.0
-        if before is not None and after is not None and known and before > 0.0
-        else None,
-    }
-
-
-def _settings(before: Mapping[str, Any], after: Mapping[str, Any]) -> dict[str, list[Any]]:
-    """Return the settings that differ by their dotted key: [before, after]."""
-    a, b = dict(_flat(before)), dict(_flat(after))
-    return {key: [a.get(key), b.get(key)] for key in sorted(a.keys() | b.keys()) if a.get(key) != b.get(key)}
+    change = share = None
+    if before is not None and after is not None:
+        change = after - before
+        share = after / before - 1.0 if before > 0.0 else None
+    return {"before": before, "after": after, "change": change, "share": share}
 
 
 def _flat(tables: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the dotted key and the value of every setting."""
     for key, value in tables.items():
         if isinstance(value, Mapping):
             yield from _flat(value, f"{path}{key}.")
@@ -82,18 +74,10 @@ def table(found: Mapping[str, Any]) -> Table:
 
 def _sides(column: Column, figure: Mapping[str, float | None]) -> tuple[str, str, str]:
     """Return before, after and change as text; a column may hold figures of different units."""
-    share = figure["share"]
-    change = (
-        ""
-        if share is None
-        else "="
-        if share == 0.0
-        else f"{share:+.1%}"
-        if abs(share) < 10.0
-        else f"x {share + 1:.3g}"
-    )
-    before, after = (column.with_unit(figure[side]) for side in ("before", "after"))
-    return before, after, change
+    share, change = figure["share"], ""
+    if share is not None:
+        change = "=" if share == 0.0 else f"{share:+.1%}" if abs(share) < 10.0 else f"x {share + 1:.3g}"
+    return column.with_unit(figure["before"]), column.with_unit(figure["after"]), change
 
 
 def remarks(found: Mapping[str, Any]) -> list[str]:
@@ -105,15 +89,11 @@ def remarks(found: Mapping[str, Any]) -> list[str]:
         lines.append("different versions of locfuse: {} and {}".format(*found["versions"]))
     if len(set(found["judged_by"])) > 1 and None not in found["judged_by"]:
         lines.append("errors cannot be compared: before against {}, after against {}".format(*found["judged_by"]))
-    lines += [f"setting {key}: {_said(a)} -> {_said(b)}" for key, (a, b) in found["settings"].items()]
-    for which in ("before", "after"):
-        if found[f"only_{which}"]:
-            lines.append(f"only {which}: {', '.join(found[f'only_{which}'])}")
-    return lines
-
-
-def _said(value: Any) -> str:
-    return "not set" if value is None else str(value)
+    for key, values in found["settings"].items():
+        before, after = ("not set" if value is None else str(value) for value in values)
+        lines.append(f"setting {key}: {before} -> {after}")
+    only = {which: ", ".join(found[f"only_{which}"]) for which in ("before", "after")}
+    return [*lines, *(f"only {which}: {names}" for which, names in only.items() if names)]
 
 
 def render(folders: tuple[str, str], found: Mapping[str, Any]) -> str:

@@ -66,7 +66,7 @@ def _in_vain(finding: Mapping[str, Any]) -> str:
         return ""
     if finding.get("harmless"):
         return f" With {tried} little changes on this drive."
-    return f" No setting found that helps (tried {tried})."
+    return f" No setting found that helps ({tried} could explain it, but the result gets no better)."
 
 
 def options(fixes: Sequence[str]) -> str:
@@ -176,7 +176,7 @@ def _whose(own: Mapping[str, str]) -> str:
     if not own[first].startswith(f"{first}: "):
         return f"{', '.join(own)}: {words}"
     alike = [name for name in others if own[name] == own[first]]
-    return f"{words} ({', '.join(alike)}: alike)" if alike else words
+    return f"{words} (the same in {', '.join(alike)})" if alike else words
 
 
 def _with_others(own: Mapping[str, str]) -> str:

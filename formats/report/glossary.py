@@ -37,7 +37,7 @@ GLOSSARY: Mapping[str, str] = {
     "gate": "The NIS above which a reading is rejected as an outlier.",
     "accepted": "Readings (of a laser: lines) that corrected the filter.",
     "rejected": "Readings that were compared with the prediction and not used, mostly by the gate.",
-    "absent": "Readings that gave no measurement: a picture without the landmark, a scan without lines.",
+    "unusable, absent": "Readings that gave no measurement: a picture without the landmark, a scan without lines.",
     "ambiguous": "A measured line that could be either of two walls. It is not used.",
     "NEES, ANEES": (
         "Normalised estimation error squared: the squared error over the variance that the filter claims, per "
@@ -49,7 +49,8 @@ GLOSSARY: Mapping[str, str] = {
     "underconfident": "Errors are smaller than the filter claims: ANEES is below its range.",
     "NIS": (
         "Normalised innovation squared: how far a reading was from its prediction, squared, over the predicted "
-        "variance, per number. 1 is right on average. It needs no truth, and it can be 1 although everything is "
+        "variance, per number. 1 is right on average. Above 1 the noise is set too low, or a clock, a mount or a "
+        "scale is wrong; below 1 the noise is set too high. It needs no truth, and it can be 1 although all is "
         "wrong."
     ),
     "lost": (

@@ -10,26 +10,29 @@ import base64
 import hashlib
 import math
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
+from markupsafe import Markup
+
 from locfuse.formats.figures import palette
 from locfuse.formats.figures.palette import Trace
 from locfuse.formats.figures.panels import Section
-from locfuse.formats.figures.svg import HEIGHT, WIDTH, slugs_of, svg
+from locfuse.formats.figures.svg import HEIGHT, WIDTH, svg
 from locfuse.fusion.data import REFUSED, Colour
 
 from . import tables
 from .findings import boxed, fingerprint, in_parts, notes_of, options, title_of, together
 from .glossary import GLOSSARY
 from .render import SIGNS, Swatches, data, html
-from .table import Path, Piece, Table, written
+from .table import Path, Piece, written
 
 if TYPE_CHECKING:
+    from importlib.resources.abc import Traversable
+
     from jinja2 import Template
-    from markupsafe import Markup
 
 TONES = {"helps": "good", "seems to help": "good", "seems to hurt": "bad", "hurts": "bad"}
 SIZES = {1: (860, 500), 2: (WIDTH, HEIGHT), 3: (330, 190)}  # px of a panel by columns in its section
@@ -41,59 +44,74 @@ STRIP_WIDTH_PX = 200.0  # px, width of an effect strip
 
 def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapping[str, Colour]) -> str:
     """Return the page. `sensors` are all sensors known to the product, with their colours."""
-    from markupsafe import Markup
-
-    folder = files(__package__)
-    script = compact((folder / "report.js").read_text(encoding="utf-8"))
     names, bars = list(report["configurations"]), _bars(report)
     smoothed = {name for name, values in report["configurations"].items() if values.get("smoothed")}
     traces = palette.traces_in(report)
     looks = palette.looks_of(traces)
     inks = palette.colours({**traces, **{s: Trace(s, (s,)) for s in sensors if s not in names}}, sensors)
-    roles = {**inks, **palette.ROLES}
-    slugs = slugs_of(list(roles))
-    swatches = Swatches(slugs, {**palette.SHAPES, **looks})
+    swatches = Swatches({**inks, **palette.ROLES}, {**palette.SHAPES, **looks})
     drawn = {m.of for s in sections for p in s.panels for m in p.marks}
-    drawings = [section_drawings(s, slugs, looks) for s in sections]
-    page = _template().render(
+    shaded = dict.fromkeys(e.kind for s in sections for p in s.panels for e in p.events)
+    drawings = [section_drawings(s, swatches) for s in sections]
+    page = page_of(
+        files(__package__) / "report.html.j2",
+        report["locfuse"],
+        swatches,
         report=report,
         title=title_of(report),
         fingerprint=fingerprint(report["input"]),
-        script=Markup(script),
-        script_hash=hash_of(script),
-        style=Markup(style_sheet((folder / "report.css").read_text(encoding="utf-8"), roles, slugs)),
         figures=ReportFigures(report),
         tables=tables,
-        table=lambda shown, painted=True: _table(shown, swatches if painted else None, bars, smoothed),
+        table=lambda shown, painted=True: Markup(html(shown, swatches if painted else None, bars, smoothed)),
         picture=next((d for d in drawings if d["section"].name == PICTURE), None),
         sections=[d for d in drawings if d["section"].name not in {"credit", PICTURE}],
         credit=[d for d in drawings if d["section"].name == "credit"],
-        legend=[(name, slugs[name]) for name in names if name in drawn],
-        slugs=slugs,
-        swatch=lambda name: Markup(swatches.of(name)),
-        signs=SIGNS,
-        tones=TONES,
+        legend=[(name, swatches.slugs[name]) for name in names if name in drawn],
         strips=_strips(report),
         notes=notes_of(report),
         findings=[in_parts(f) for f in report.get("findings") or ()],
         together=together(report) is not None,
         fixes=options(report.get("fixes") or ()),
         boxed=boxed(report),
-        events=_shaded(sections),
+        events=[("rejected in a row" if kind == REFUSED else kind, palette.EVENTS[kind]) for kind in shaded],
         glossary=GLOSSARY,
-        roles=("truth", "bounds") if report["truth"] else ("bounds",),
+        extras=("truth", "bounds") if report["truth"] else ("bounds",),
     )
     contents = (f'<a href="#{ident}">{words}</a>' for ident, words in HEADING.findall(page))
-    return page.replace("<!--contents-->", " ".join(contents), 1).strip() + "\n"
+    return page.replace("<!--contents-->", " ".join(contents), 1)
+
+
+def page_of(template: Traversable, version: str, swatches: Swatches, script: bool = True, **values: Any) -> str:
+    """Return a self-contained page: a template in the body of page.html.j2, with the colours of all in it."""
+    folder = files(__package__)
+    code = compact((folder / "report.js").read_text(encoding="utf-8")) if script else ""
+    page = _compiled(template.read_text(encoding="utf-8")).render(
+        values,
+        version=version,
+        script=Markup(code),
+        script_hash=hash_of(code),
+        style=Markup(style_sheet((folder / "report.css").read_text(encoding="utf-8"), swatches)),
+        swatch=lambda name: Markup(swatches.of(name)),
+        slugs=swatches.slugs,
+        signs=SIGNS,
+        tones=TONES,
+    )
+    return page.strip() + "\n"
 
 
 @cache
-def _template() -> Template:
-    """Return the compiled template, cached because compiling it takes as long as a page."""
-    from jinja2 import Environment, StrictUndefined
+def _compiled(source: str) -> Template:
+    """Return a compiled template, cached because compiling it takes as long as a page."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    return environment.from_string((files(__package__) / "report.html.j2").read_text(encoding="utf-8"))
+    environment = Environment(
+        loader=PackageLoader(__package__, ""),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.from_string(source)
 
 
 class ReportFigures:
@@ -104,8 +122,6 @@ class ReportFigures:
 
     def __call__(self, path: Sequence[str | int], form: str = "{}") -> Markup:
         """Return the figure at `path`, formatted; a dash if it does not exist."""
-        from markupsafe import Markup
-
         value: Any = self._report
         for key in path:
             value = value[key]
@@ -114,22 +130,11 @@ class ReportFigures:
         return Markup(data(Piece(written(value, form), value, tuple(path))))
 
 
-def _table(shown: Table, swatches: Swatches | None, bars: Mapping[Path, float], tinted: Collection[str]) -> Markup:
-    from markupsafe import Markup
-
-    return Markup(html(shown, swatches, bars, tinted))
-
-
-def _shaded(sections: Sequence[Section]) -> list[tuple[str, str]]:
-    """Return (words, role) of the kinds of events that are shaded in some figure."""
-    kinds = dict.fromkeys(e.kind for s in sections for p in s.panels for e in p.events)
-    return [("rejected in a row" if kind == REFUSED else kind, palette.EVENTS[kind]) for kind in kinds]
-
-
-def style_sheet(css: str, roles: Mapping[str, Colour], slugs: Mapping[str, str]) -> str:
+def style_sheet(css: str, swatches: Swatches) -> str:
     """Return the style sheet with one variable per role for a light page and for a dark one."""
-    light = "".join(f"--{slugs[r]}:{c.light};" for r, c in roles.items())
-    dark = "".join(f"--{slugs[r]}:{c.dark};" for r, c in roles.items())
+    slugs = swatches.slugs
+    light = "".join(f"--{slugs[r]}:{c.light};" for r, c in swatches.inks.items())
+    dark = "".join(f"--{slugs[r]}:{c.dark};" for r, c in swatches.inks.items())
     uses = "".join(f".{s}{{--c:var(--{s})}}" for s in slugs.values())
     hides = "".join(f":root:has(#show-{s}:not(:checked)) .fig .{s}{{display:none}}" for s in slugs.values())
     return css.replace("/*light*/", light).replace("/*dark*/", dark) + uses + f"@media screen{{{hides}}}"
@@ -147,28 +152,19 @@ def hash_of(script: str) -> str:
     return base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
 
 
-def section_drawings(section: Section, slugs: dict[str, str], looks: Mapping[str, str]) -> dict[str, Any]:
+def section_drawings(section: Section, swatches: Swatches) -> dict[str, Any]:
     """Return a section with its panels as SVG, row by row."""
-    from markupsafe import Markup
-
     width, height = FIRST_SIZE if section.name == PICTURE else SIZES[section.columns]
+    idents = (f"{section.name}-{i}" for i in range(len(section.panels)))  # without any text from a log
     drawn = [
-        (p, Markup(svg(p, p_id(section, i), slugs, width, height, looks))) for i, p in enumerate(section.panels)
+        (p, Markup(svg(p, ident, swatches.slugs, width, height, swatches.looks)))
+        for p, ident in zip(section.panels, idents, strict=True)
     ]
     per_row = section.columns if section.rows else max(1, len(drawn))
     rows = [drawn[i : i + per_row] for i in range(0, len(drawn), per_row)]
     keys = {k: p.said.get(k, "rejected" if k == "gate" else k) for p in section.panels for k in p.keys}
-    return {"section": section, "rows": rows, "keys": dict(sorted(keys.items(), key=_level_first))}
-
-
-def _level_first(key: tuple[str, str]) -> tuple[bool, str]:
-    """Order the entries of a legend: the colours of a scale first, in their order."""
-    return (not key[0].startswith("level "), key[0] if key[0].startswith("level ") else "")
-
-
-def p_id(section: Section, number: int) -> str:
-    """Return an id for a panel that contains no text from a log."""
-    return f"{section.name}-{number}"
+    scale = {k: keys.pop(k) for k in sorted(keys) if k.startswith("level ")}  # its colours first, in their order
+    return {"section": section, "rows": rows, "keys": scale | keys}
 
 
 def _bars(report: Mapping[str, Any]) -> dict[Path, float]:
@@ -189,7 +185,8 @@ def _strips(report: Mapping[str, Any]) -> dict[str, dict[str, float | str]]:
     if not credit:
         return {}
     judged = {s: v for s, v in credit["sensors"].items() if report["verdicts"][s]["verdict"] != "no verdict"}
-    effects = {s: (kind, v[kind]) for s, v in judged.items() for kind in _kind(v)}
+    kinds = {s: [k for k in ("credit", "alone", "leave_one_out") if v[k] is not None] for s, v in judged.items()}
+    effects = {s: (found[0], judged[s][found[0]]) for s, found in kinds.items() if found}
     effects = {s: (kind, e) for s, (kind, e) in effects.items() if None not in (e["low"], e["high"], e["factor"])}
     ln = [math.log(max(e[k], 1e-6)) for _, e in effects.values() for k in ("low", "high", "factor")]
     low, high = max(-5.0, min([*ln, -0.2])), min(7.0, max([*ln, 0.2]))
@@ -202,7 +199,3 @@ def _strips(report: Mapping[str, Any]) -> dict[str, dict[str, float | str]]:
         s: {"kind": kind, "low": px(e["low"]), "high": px(e["high"]), "value": px(e["factor"]), "none": px(1.0)}
         for s, (kind, e) in effects.items()
     }
-
-
-def _kind(values: Mapping[str, Any]) -> list[str]:
-    return [k for k in ("credit", "alone", "leave_one_out") if values[k] is not None][:1]

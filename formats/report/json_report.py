@@ -8,24 +8,17 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
+from msgspec.structs import asdict
 
 from locfuse.formats.versions import installed
 from locfuse.formats.visible import escaped, writable
-from locfuse.fusion.data import Drive, Evaluation, LocfuseError, SensorFigures
+from locfuse.fusion.data import Drive, Evaluation, LocfuseError, Truth
 from locfuse.fusion.kernels.built import how
 
 SCHEMA_VERSION = 1  # of report.json and run.json; locfuse 0.1 wrote none
 
-# library -> the distributions that carry it
-LIBRARIES = {
-    "numpy": ("numpy",),
-    "opencv": (
-        "opencv-python-headless",
-        "opencv-python",
-        "opencv-contrib-python-headless",
-        "opencv-contrib-python",
-    ),
-}
+OPENCV = "opencv-python-headless opencv-python opencv-contrib-python-headless opencv-contrib-python"
+LIBRARIES = {"numpy": ["numpy"], "opencv": OPENCV.split()}  # library -> the distributions that carry it
 
 
 def report(
@@ -42,7 +35,7 @@ def report(
         "made_with": made_with(),
         "input": {**source, "dropped": {k: dict(v) for k, v in drive.dropped.items() if v}},
         "configurations": {e.name: _configuration(e) for e in evaluations},
-        "truth": None if drive.truth is None else _truth(drive, evaluations),
+        "truth": None if drive.truth is None else _truth(drive.truth, evaluations),
         "absent": drive.absent,
         "notes": list(drive.notes),
         "settings": dict(settings),
@@ -100,25 +93,11 @@ def _configuration(evaluation: Evaluation) -> dict[str, Any]:
         "lost": [list(interval) for interval in evaluation.lost],
         "lost_share": evaluation.lost_share,
         "notes": list(evaluation.notes),
-        "sensors": {name: _sensor(s) for name, s in evaluation.sensors.items()},
+        "sensors": {name: asdict(s) for name, s in evaluation.sensors.items()},
     }
 
 
-def _sensor(figures: SensorFigures) -> dict[str, Any]:
-    return {
-        "accepted": figures.accepted,
-        "rejected": figures.rejected,
-        "absent": figures.absent,
-        "nis": figures.nis,
-        "joint_nis": figures.joint_nis,
-        "verdicts": figures.verdicts,
-    }
-
-
-def _truth(drive: Drive, evaluations: Sequence[Evaluation]) -> dict[str, Any]:
-    truth = drive.truth
-    if truth is None:
-        return {}
+def _truth(truth: Truth, evaluations: Sequence[Evaluation]) -> dict[str, Any]:
     used = len(evaluations[0].t) if evaluations else 0
     return {
         "topic": truth.topic,

@@ -13,11 +13,12 @@ from .render import SIGNS, code, escape, markdown
 def render(report: Mapping[str, Any]) -> str:
     """Return the report as Markdown. Text from the log is escaped."""
     source, sensors = report["input"], tables.sensors(report)
+    compared_with = "reference" if report.get("reference") else "truth"
     known_by = code(fingerprint(source, 16).split()[1])
     details = [
         markdown(tables.configurations(report, main=False)) if tables.has_figures(report) else "",
         markdown(sensors) if sensors.rows else "",
-        _listing("Absent", dict(report["absent"])),
+        _listing("Not used", dict(report["absent"])),
         _listing("Dropped", {k: counts(v) for k, v in source["dropped"].items()}),
         _listing("Lost", {k: counts(v) for k, v in source["losses"].items()}),
     ]
@@ -34,14 +35,9 @@ def render(report: Mapping[str, Any]) -> str:
         _findings(report),
         _listing("Notes", dict.fromkeys(notes_of(report), "")),
         _folded("All figures, sensors, and what was dropped", details),
-        f"Input {known_by}, locfuse {escape(report['locfuse'])}. Deviation = estimate - {compared_with(report)}.",
+        f"Input {known_by}, locfuse {escape(report['locfuse'])}. Deviation = estimate - {compared_with}.",
     ]
     return "\n\n".join(p for p in parts if p) + "\n"
-
-
-def compared_with(report: Mapping[str, Any]) -> str:
-    """Return the reference of the errors, in words."""
-    return "reference" if report.get("reference") else "truth"
 
 
 def _verdicts(report: Mapping[str, Any]) -> str:

@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 from locfuse.formats.figures import palette
 from locfuse.formats.figures.palette import Trace
 from locfuse.formats.figures.panels import Panel
-from locfuse.formats.figures.svg import slugs_of, svg
+from locfuse.formats.figures.svg import svg
 from locfuse.fusion.data import Colour
 
 from . import summary as over
 from .findings import banner_of, findings_of, together
 from .html import style_sheet
-from .render import html, html_text
+from .render import Swatches, html, html_text
 from .table import of_words, texts
 from .tables import configurations
 
@@ -33,11 +33,11 @@ class Picture(NamedTuple):
     def _repr_svg_(self) -> str:
         """Return the figure as an SVG document with its own colours, for a light page and a dark one."""
         roles = {**palette.colours(self.traces, self.sensors), **palette.ROLES}
-        slugs, looks = slugs_of(list(roles)), palette.looks_of(self.traces)
+        swatches = Swatches(roles, palette.looks_of(self.traces))
         css = (files(__package__) / "report.css").read_text(encoding="utf-8").splitlines()
         of_figures = [line for line in css if line.startswith((":root", "@media (prefers", ".fig"))]
-        style = style_sheet("".join(of_figures), roles, slugs).replace("<", "\\3c ")
-        drawn = svg(self.panel, "paths", slugs, WIDTH, HEIGHT, looks)
+        style = style_sheet("".join(of_figures), swatches).replace("<", "\\3c ")
+        drawn = svg(self.panel, "paths", swatches.slugs, WIDTH, HEIGHT, swatches.looks)
         opening = f'<svg xmlns="http://www.w3.org/2000/svg" font-family="sans-serif" width="{WIDTH}"'
         return f"{opening}{drawn.removeprefix('<svg')}".replace("<title", f"<style>{style}</style><title", 1)
 

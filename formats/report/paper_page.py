@@ -6,13 +6,15 @@ from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
+from markupsafe import Markup
+from msgspec.structs import replace
+
 from locfuse.formats.figures.palette import SHAPES
 from locfuse.formats.figures.panels import Panel, Section
-from locfuse.formats.figures.svg import slugs_of
 from locfuse.fusion.data import Colour
 
 from .findings import length
-from .html import compact, hash_of, section_drawings, style_sheet
+from .html import page_of, section_drawings
 from .render import Swatches, html
 from .render import csv as csv_of
 from .render import latex as latex_of
@@ -91,35 +93,21 @@ def render(
     looks: Mapping[str, str],
 ) -> str:
     """Return the page. `figures` are panels by the figure's name, `inks` the colours of everything in them."""
-    from jinja2 import Environment, StrictUndefined
-    from markupsafe import Markup
-
-    folder = files(__package__)
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    template = environment.from_string((folder / "paper.html.j2").read_text(encoding="utf-8"))
-    script = compact((folder / "report.js").read_text(encoding="utf-8"))
-    slugs = slugs_of(list(inks))
-    swatches = Swatches(slugs, {**SHAPES, **looks})
-    page = template.render(
+    swatches = Swatches(inks, {**SHAPES, **looks})
+    return page_of(
+        files(__package__) / "paper.html.j2",
+        values["locfuse"],
+        swatches,
         values=values,
-        style=Markup(style_sheet((folder / "report.css").read_text(encoding="utf-8"), inks, slugs)),
-        script=Markup(script),
-        script_hash=hash_of(script),
         table=Markup(html(table(values), swatches)),
         conclusion=conclusion(values),
         distances=Markup(html(distances(values))),
-        sections=[section_drawings(_section(name, figures[name]), slugs, looks) for name in FIGURES],
-        swatch=lambda name: Markup(swatches.of(name)),
-        keys=[_drawn(figures[name]) for name in FIGURES],
+        sections=[section_drawings(_section(name, figures[name]), swatches) for name in FIGURES],
     )
-    return page.strip() + "\n"
 
 
 def _section(name: str, panels: Sequence[Panel]) -> Section:
+    """Return a figure of the paper, with the names of everything in it as its legend."""
     title, columns = FIGURES[name]
-    return Section(name, title, "", tuple(panels), columns=columns)
-
-
-def _drawn(panels: Sequence[Panel]) -> list[str]:
-    """Return the names of everything in the figures, for a legend."""
-    return list(dict.fromkeys(mark.of for panel in panels for mark in panel.marks))
+    keyed = tuple(replace(panel, keys=tuple(mark.of for mark in panel.marks)) for panel in panels)
+    return Section(name, title, "", keyed, columns=columns)

@@ -10,10 +10,15 @@ import io
 import math
 import re
 from collections.abc import Collection, Iterable, Mapping
+from functools import cached_property
 from html import escape as _escaped
-from typing import Any, NamedTuple
+from typing import Any
 
+import msgspec
+
+from locfuse.formats.figures.svg import slugs_of
 from locfuse.formats.visible import visible, visible_lines
+from locfuse.fusion.data import Colour
 
 from .table import Cell, Column, Path, Piece, Table, heading, pieces, records, text
 
@@ -36,15 +41,19 @@ SIGNS = {
     "no effect seen": "■",
     "seems to hurt": "▽",
     "hurts": "▼",
-    "does nothing": "■",  # up to 0.1
 }  # of a sensor's verdict
 
 
-class Swatches(NamedTuple):
+class Swatches(msgspec.Struct, frozen=True, dict=True):
     """Spots in the colours of configurations, sensors and roles."""
 
-    slugs: Mapping[str, str]  # name -> class of its colour
-    looks: Mapping[str, str] = {}  # name -> how its spot is drawn: "dash", "over", or the shape of a spot
+    inks: Mapping[str, Colour]  # name -> its colour
+    looks: Mapping[str, str]  # name -> how its spot is drawn: "dash", "over", or the shape of a spot
+
+    @cached_property
+    def slugs(self) -> dict[str, str]:
+        """The class of the colour of each name."""
+        return slugs_of(list(self.inks))
 
     def of(self, name: str) -> str:
         """Return the coloured spot of a configuration, sensor or role as HTML."""
@@ -95,12 +104,15 @@ def _html_row(
     if swatches is not None:
         slug = swatches.slugs.get(name, "")
         head = f'<span class="name">{swatches.of(name)}{head}</span>'
+    if row[0].link:
+        head = f'<a href="{row[0].link}">{head}</a>'
     cells = []
     for column, cell in zip(columns[1:], row[1:], strict=True):
         bar = f'<span class="bar {slug}" style="width:{bars[cell.at]:.1f}%"></span>' if cell.at in bars else ""
-        cells.append(f"<td{_class(column)}>{_html_cell(column, cell)}{bar}</td>")
-    tint = ' class="tint"' if name in tinted else ""
-    return f'<tr{tint}><th scope="row">{head}</th>{"".join(cells)}</tr>\n'
+        tint = f' style="background:{cell.tint}"' if cell.tint else ""
+        cells.append(f"<td{_class(column)}{tint}>{_html_cell(column, cell)}{bar}</td>")
+    kind = ' class="tint"' if name in tinted else ""
+    return f'<tr{kind}><th scope="row">{head}</th>{"".join(cells)}</tr>\n'
 
 
 def _class(column: Column, head: bool = False) -> str:

@@ -10,15 +10,11 @@ from msgspec.structs import replace
 
 from .findings import effect_of, options
 from .render import escape, markdown
-from .table import Column, Table, of_values
+from .table import Column, Table, of_rows
 from .tables import CONFIGURATION, DURATION, MAIN, RMSE
 
 OVER_LOGS = ("mean", "median", "p90", "worst")  # of a figure over the logs
-BRIEF = (
-    RMSE.key,
-    "heading_rmse_deg",
-    "anees",
-)  # on a terminal; all of OVER_LOGS of the first, the mean of the others
+BRIEF = (RMSE.key, "heading_rmse_deg", "anees")  # on a terminal: OVER_LOGS of the first, the mean of the others
 OF = Column("of", "of", kind="text")
 BEST_IN = Column("best_in", "best in")
 SOME_TIES = 3  # configurations named in one sentence
@@ -126,8 +122,8 @@ def table(summary: Mapping[str, Any]) -> Table:
         for which in OVER_LOGS:
             own = {key: figure[which] for key, figure in values["figures"].items()}
             best_in = _best_in(values, summary) if which == "mean" else ""
-            rows.append(({**own, "configuration": name, "of": which, "best_in": best_in}, ()))
-    return of_values((CONFIGURATION, OF, *columns_of(summary), BEST_IN), rows).once()
+            rows.append({**own, "configuration": name, "of": which, "best_in": best_in})
+    return of_rows((CONFIGURATION, OF, *columns_of(summary), BEST_IN), rows).once()
 
 
 def brief(summary: Mapping[str, Any]) -> Table:
@@ -139,8 +135,8 @@ def brief(summary: Mapping[str, Any]) -> Table:
             columns.append(replace(c, key=f"{c.key} {which}", brief=heading, brief_form=c.form))
     for name, values in summary["configurations"].items():
         own = {f"{key} {w}": figure[w] for key, figure in values["figures"].items() for w in OVER_LOGS}
-        rows.append(({**own, "configuration": name, "best_in": _best_in(values, summary)}, ()))
-    return of_values((CONFIGURATION, *columns, BEST_IN), rows)
+        rows.append({**own, "configuration": name, "best_in": _best_in(values, summary)})
+    return of_rows((CONFIGURATION, *columns, BEST_IN), rows)
 
 
 def _best_in(values: Mapping[str, Any], summary: Mapping[str, Any]) -> str:
@@ -154,7 +150,7 @@ def _logs(summary: Mapping[str, Any]) -> Table:
     rows = {name: {**v, "reason": _not_judged(v)} for name, v in summary["logs"].items()}
     if any(row["reason"] for row in rows.values()):
         columns.append(Column("reason", "not judged", kind="text", missing=""))
-    return of_values(columns, (({**row, "log": name}, ()) for name, row in rows.items()))
+    return of_rows(columns, ({**row, "log": name} for name, row in rows.items()))
 
 
 def _not_judged(log: Mapping[str, Any]) -> str | None:

@@ -52,6 +52,8 @@ class Cell(NamedTuple):
 
     value: Any = None
     at: Path = ()
+    link: str = ""  # on a page, of the first cell of a row
+    tint: str = ""  # on a page, a CSS colour
 
 
 class Piece(NamedTuple):
@@ -110,9 +112,14 @@ def of_values(columns: Sequence[Column], rows: Iterable[tuple[Mapping[str, Any],
     )
 
 
+def of_rows(columns: Sequence[Column], rows: Iterable[Mapping[str, Any]]) -> Table:
+    """Return a row of the columns' keys for every mapping that is no part of report.json."""
+    return of_values(columns, ((row, ()) for row in rows))
+
+
 def pieces(column: Column, cell: Cell) -> list[Piece]:
     """Return a cell's text in parts, each number by itself; empty without a value."""
-    value, at = cell
+    value, at = cell.value, cell.at
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return []
     if isinstance(value, Mapping):

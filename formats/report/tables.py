@@ -47,7 +47,7 @@ GAIN = Column("gain_nats", "predicts the rest", "nats", "{:+.2f}")
 COUNTS = (
     Column("accepted", "accepted"),
     Column("rejected", "rejected"),
-    Column("absent", "absent"),
+    Column("absent", "unusable"),
     Column("nis", "NIS / dof", form="{:.2f}", brief="NIS"),
 )
 SENSORS = (
@@ -101,12 +101,16 @@ CHANGED = (
 )
 INPUT = (
     Column("stream", "stream", kind="text"),
-    Column("topic", "topic", kind="code", missing="absent"),
+    Column("topic", "topic", kind="code", missing="not used"),
     Column("messages", "messages", missing=""),
     Column("dropped", "dropped, and why", kind="long", missing="nothing"),
 )
 
 
+SENSORS_NOTE = (
+    "NIS: 1 is right. Above 1: noise set too low, or clock, mount or scale wrong. Below: noise set too high. "
+    "unusable: readings that gave no measurement"
+)
 MAX_JUMPS = 30  # rows: the largest
 MIN_AGREEMENT = 0.3  # of a path where it was before: below, it is wrong, and its crispness is not compared
 AGREEMENT = Column("revisit_agreement", "revisits agree", form="{:.0%}", rank=5)
@@ -135,14 +139,11 @@ def configurations(report: Report, main: bool = True) -> Table:
     found += [JUDGED_BY] if report.get("reference") else []
     errors = [e for c in found if c.unit == "m" for v in rows if (e := v.get(c.key))]
     if errors and min(errors) < IN_MM[0] and max(errors) < IN_MM[1]:
-        found = [_in_mm(c) if c.unit == "m" else c for c in found]
+        in_mm = {"unit": "mm", "scale": 1000.0, "form": "{:.1f}", "brief_form": "{:.1f}"}
+        found = [replace(c, **in_mm) if c.unit == "m" else c for c in found]
     found = [*(found or (DISTANCE, DURATION)), *([] if main and report.get("truth") else _by_own_scans(report))]
     label = "Main figures of every configuration" if main else "All figures of every configuration"
     return of_values(_readable((CONFIGURATION, *found), report), _configurations(report), label)
-
-
-def _in_mm(column: Column) -> Column:
-    return replace(column, unit="mm", scale=1000.0, form="{:.1f}", brief_form="{:.1f}")
 
 
 def _readable(columns: Iterable[Column], report: Report) -> tuple[Column, ...]:
@@ -159,23 +160,17 @@ def _configurations(report: Report, key: str | None = None) -> Rows:
     fewest = min(filter(None, hit), default=0)
     for name, values in runs.items():
         own = values if key is None else values.get(key)
+        judged_by, crispness = _judged_by(values.get("reference")), _crispness(values, fewest)
+        more = {"configuration": name, JUDGED_BY.key: judged_by, CRISPNESS.key: crispness}
         if own:
-            yield (
-                {
-                    **own,
-                    "configuration": name,
-                    JUDGED_BY.key: _judged_by(values.get("reference")),
-                    CRISPNESS.key: _crispness(values, fewest),
-                },
-                ("configurations", name, *([key] if key else [])),
-            )
+            yield {**own, **more}, ("configurations", name, *([key] if key else []))
 
 
 def _by_own_scans(report: Report) -> list[Column]:
     """Return the columns on map quality, which the scans laid along the path give; [] without any."""
     runs = report["configurations"].values()
-    found = [AGREEMENT] if any(v.get(AGREEMENT.key) is not None for v in runs) else []
-    return found + ([CRISPNESS] if any(_crispness(v, 1) for v in runs) else [])
+    seen_twice, crisp = any(v.get(AGREEMENT.key) is not None for v in runs), any(_crispness(v, 1) for v in runs)
+    return [*([AGREEMENT] if seen_twice else []), *([CRISPNESS] if crisp else [])]
 
 
 def _agrees(values: Mapping[str, Any]) -> bool:
@@ -227,9 +222,7 @@ def brief(report: Report, short: bool = False) -> Table:
     columns = [CONFIGURATION, DISTANCE]
     columns += [GAIN] if ranking else []
     columns += _by_own_scans(report)
-    rows = []
-    for values, at in _configurations(report):
-        rows.append(({**values, GAIN.key: gains.get(at[1])}, at))
+    rows = (({**values, GAIN.key: gains.get(at[1])}, at) for values, at in _configurations(report))
     return of_values(columns, rows)
 
 
@@ -279,11 +272,8 @@ def scores(report: Report) -> Table:
 
 def consistency(report: Report) -> Table:
     """Return whether every configuration's covariance matches its error."""
-    return of_values(
-        _readable(CONSISTENCY, report),
-        _configurations(report, "consistency"),
-        "Consistency of every configuration",
-    )
+    rows = _configurations(report, "consistency")
+    return of_values(_readable(CONSISTENCY, report), rows, "Consistency of every configuration")
 
 
 def jitter(report: Report) -> Table:
@@ -302,10 +292,8 @@ def credit(report: Report) -> Table:
         )
         effects = {"credit": "credit", "alone": beside, "leave_one_out": "last, beside all others"}
         for kind, title in effects.items():
-            if values[kind]:
-                rows.append(
-                    ({**values[kind], "sensor": sensor, "effect": title}, ("credit", "sensors", sensor, kind))
-                )
+            at = ("credit", "sensors", sensor, kind)
+            rows += [({**values[kind], "sensor": sensor, "effect": title}, at)] if values[kind] else []
     return of_values(CREDIT, rows, "Credit of every sensor")
 
 

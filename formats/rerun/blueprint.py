@@ -124,14 +124,14 @@ def _deviations(scene: RerunScene, judged: list[Evaluation], name: str, close: l
     """Return the plots of estimate - truth; `close` (one per component) limits them."""
     count = 2 if judged[0].heading is None else 3
     views = []
-    for i, component in enumerate(list(series.DEVIATIONS)[:count]):
-        origin = f"/deviation/{series.entity(component)}"
+    for i, (component, (unit, _)) in enumerate(list(series.DEVIATIONS.items())[:count]):
+        origin = f"/deviation/{component}"
         bands = {
             f"{origin}/{part(e.name)}/three_sigma": [rrb.EntityBehavior(visible=e.name == scene.best.name)]
             for e in judged
         }
         span = close[i] if close else None
-        views.append(_plot(component, origin, span, legend=i == 0, overrides=bands))
+        views.append(_plot(f"{component} [{unit}]", origin, span, legend=i == 0, overrides=bands))
     label = f"{name} (reference)" if judged[0].reference else name
     return rrb.Vertical(contents=views, name=label, row_shares=[1.35, *[1.0] * (count - 1)])  # room for the legend
 

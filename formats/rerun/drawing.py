@@ -36,7 +36,7 @@ GROUPS: dict[str, Rgb] = {MATCHED: (40, 185, 50), REJECTED: (240, 60, 50), NEW: 
 STATES: dict[str, Rgb] = {  # of one reading on the gate timeline, the worst last
     "accepted": (60, 150, 85),
     "new": (70, 125, 205),
-    "absent": (95, 95, 100),
+    "unusable": (95, 95, 100),
     "partly": (200, 165, 60),
     "rejected": (205, 70, 60),
 }

@@ -15,15 +15,15 @@ from . import drawing as ink
 from .drawing import TimelineRecorder, part
 from .scene import RerunScene, Rgb, SensorLook
 
-DEVIATIONS = {"x [m]": 1.0, "y [m]": 1.0, "heading [deg]": float(np.degrees(1.0))}  # in the plot's unit
+DEVIATIONS = {
+    "x": ("m", 1.0),
+    "y": ("m", 1.0),
+    "heading": ("deg", float(np.degrees(1.0))),
+}  # unit of the plot, its size
 DEVIATION_BAND_SIGMAS = 3.0  # sigmas of a deviation
 INNOVATION_BAND_SIGMAS = 2.0  # sigmas of an innovation
 EVENTS = "events"
-LEVELS = {
-    data.LOST: "ERROR",
-    data.FAULT: "WARN",
-    data.REFUSED: "WARN",
-}  # what asks for attention first; the rest is INFO
+LEVELS = {data.LOST: "ERROR", data.FAULT: "WARN", data.REFUSED: "WARN"}  # asks for attention; the rest is INFO
 ACCEPTED, NEW, REPEATED = (VERDICTS.index(v) for v in ("accepted", "new", "repeated"))
 
 
@@ -85,11 +85,6 @@ def draw_series(to: TimelineRecorder, scene: RerunScene) -> None:
         to.send(f"{EVENTS}/{part(kind)}", np.array([t for t, _ in some]), columns)
 
 
-def entity(name: str) -> str:
-    """Return a deviation's name without its unit: what its entity is called."""
-    return name.split(" ", 1)[0]
-
-
 def component(sight: SensorLook | None, i: int) -> Component:
     """Return the name of number i of a sensor's innovation; y0, y1, ... for a sensor without a description."""
     return sight.components[i] if sight else Component(f"y{i}", "")
@@ -103,11 +98,11 @@ def raw_path(topic: str, name: str = "") -> str:
 def _draw_deviation(pen: Pen, judged: Evaluation) -> None:
     """Draw estimate - truth in x, y, heading, and the filter's 3 sigma around zero."""
     columns = [*judged.deviation.T, *([] if judged.heading is None else [judged.heading])]
-    for (name, unit), values, sigma in zip(DEVIATIONS.items(), columns, judged.sigma.T, strict=False):
-        path = f"deviation/{entity(name)}/{part(judged.name)}"
-        pen.curve(path, judged.t, unit * values)
+    for (name, (_, scale)), values, sigma in zip(DEVIATIONS.items(), columns, judged.sigma.T, strict=False):
+        path = f"deviation/{name}/{part(judged.name)}"
+        pen.curve(path, judged.t, scale * values)
         if sigma.any():
-            pen.band(f"{path}/three_sigma", judged.t, DEVIATION_BAND_SIGMAS * unit * sigma)
+            pen.band(f"{path}/three_sigma", judged.t, DEVIATION_BAND_SIGMAS * scale * sigma)
 
 
 def _draw_innovation(pen: Pen, root: str, e: Estimates, audit: Audit, sight: SensorLook | None) -> None:
@@ -128,12 +123,12 @@ def _draw_limits(to: TimelineRecorder, scene: RerunScene, sensor: str, sight: Se
     if gate is None:
         return
     low, high = sight.bounds
-    levels = {
-        "low": (low, "95 %", ink.LEVEL),
-        "high": (high, "95 %", ink.LEVEL),
-        "gate": (gate, "gate", ink.LIMIT),
-    }
-    for level, (value, name, colour) in levels.items():
+    levels = (
+        ("low", low, "95 %", ink.LEVEL),
+        ("high", high, "95 %", ink.LEVEL),
+        ("gate", gate, "gate", ink.LIMIT),
+    )
+    for level, value, name, colour in levels:
         if np.isfinite(value):
             pen = Pen(to, name, colour, 2)
             pen.curve(f"nis/{sensor}/limits/{level}", scene.drive.t[[0, -1]], np.full(2, value))
@@ -160,7 +155,7 @@ def reading_states(m: Measurements, audit: Audit) -> Ints:
     refused = any_of(~np.isin(audit.verdict, (ACCEPTED, NEW, REPEATED)))
     cases = {"rejected": refused & ~accepted, "partly": refused, "accepted": accepted, "new": new}
     order = list(ink.STATES)
-    return np.select(list(cases.values()), [order.index(name) for name in cases], order.index("absent"))
+    return np.select(list(cases.values()), [order.index(name) for name in cases], order.index("unusable"))
 
 
 def thinned_states(code: Ints, limit: int) -> tuple[Ints, Ints]:

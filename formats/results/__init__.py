@@ -1,1 +1,1 @@
-"""Results as files for other tools: trajectories, audit trail, MCAP, preview pictures."""
+"""Results as files for other tools: trajectories, audit trail, MCAP."""

@@ -7,10 +7,10 @@ frame on /tf; the truth; optionally every message of the log itself, with its by
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import msgspec
 import numpy as np
@@ -44,27 +44,6 @@ def stamp_columns(path: str, t_ns: Ints) -> dict[str, Ints]:
     return {f"{path}.sec": t_ns // 1_000_000_000, f"{path}.nanosec": t_ns % 1_000_000_000}
 
 
-class Template:
-    """A message with fixed texts and lengths; some of its numbers are columns, all others are zero."""
-
-    def __init__(self, msgtype: str, constant: Mapping[str, Any], columns: Collection[str]) -> None:
-        one = MESSAGES.cdr(msgtype, nested(constant))
-        message = parse(msgtype, "ros2msg", MESSAGES.schema(msgtype))
-        layout = read_layout(message, nested({path: path for path in columns}), memoryview(one), CDR)
-        self._bytes = np.frombuffer(one, np.uint8)
-        self._at = {path: layout.leaves[path].offsets[0] for path in columns}
-        self._dtype = {path: _number(resolve(message, path)[0].node) for path in columns}
-
-    def filled(self, columns: Columns) -> NDArray[np.uint8]:
-        """Return n messages as CDR bytes, (n, size)."""
-        n = len(next(iter(columns.values())))
-        out = np.tile(self._bytes, (n, 1))
-        for path, values in columns.items():
-            data = np.ascontiguousarray(values, self._dtype[path]).view(np.uint8).reshape(n, -1)
-            out[:, self._at[path] : self._at[path] + data.shape[1]] = data
-        return out
-
-
 def _number(node: Node) -> np.dtype[Any]:
     scalar = cast("Scalar", node.element if isinstance(node, Many) else node)
     return np.dtype(scalar.dtype).newbyteorder("<")
@@ -79,7 +58,7 @@ MAX_PATH_POSES = 2000  # of a path, which is to be looked at; every pose is on t
 
 
 class PoseSeries(msgspec.Struct, frozen=True, dict=True):
-    """Messages of one type, stamped t_ns (n,), built on request."""
+    """Messages of one type, stamped t_ns (n,): `constant` texts and lengths, numbers of `columns`, else zero."""
 
     msgtype: str
     t_ns: Ints
@@ -87,12 +66,25 @@ class PoseSeries(msgspec.Struct, frozen=True, dict=True):
     columns: Callable[[slice], Columns]  # of these rows
 
     @cached_property
-    def _template(self) -> Template:
-        return Template(self.msgtype, self.constant, self.columns(slice(1)).keys())
+    def _template(self) -> tuple[NDArray[np.uint8], dict[str, tuple[int, np.dtype[Any]]]]:
+        """Return one message as CDR bytes, and where each column's number begins in it, with its type."""
+        one = MESSAGES.cdr(self.msgtype, nested(self.constant))
+        message = parse(self.msgtype, "ros2msg", MESSAGES.schema(self.msgtype))
+        paths = self.columns(slice(1)).keys()
+        layout = read_layout(message, nested({path: path for path in paths}), memoryview(one), CDR)
+        types = {path: _number(resolve(message, path)[0].node) for path in paths}
+        return np.frombuffer(one, np.uint8), {p: (layout.leaves[p].offsets[0], types[p]) for p in paths}
 
     def messages(self, rows: slice) -> NDArray[np.uint8]:
         """Return the given rows as CDR bytes (k, size)."""
-        return self._template.filled(self.columns(rows))
+        one, places = self._template
+        columns = self.columns(rows)
+        out = np.tile(one, (len(self.t_ns[rows]), 1))
+        for path, values in columns.items():
+            at, dtype = places[path]
+            data = np.ascontiguousarray(values, dtype).view(np.uint8).reshape(len(out), -1)
+            out[:, at : at + data.shape[1]] = data
+        return out
 
 
 def odometry(t_ns: Ints, pose: Array, triangles: Array, twist: Array, child: str) -> PoseSeries:
@@ -250,11 +242,6 @@ def _truth(topics: _Topics, truth: Truth, epoch_ns: int) -> None:
     topics.once(TRUTH_PATH, t_ns, pose)
 
 
-class _Part(NamedTuple):
-    channel: int
-    series: PoseSeries
-
-
 class _Topics:
     """Channels by topic, with their series of messages."""
 
@@ -262,11 +249,11 @@ class _Topics:
         self._writer, self._clock_ns = writer, clock_ns
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
-        self._parts: list[_Part] = []
+        self._parts: list[tuple[int, PoseSeries]] = []  # channel, its messages
 
     def add(self, topic: str, series: PoseSeries) -> None:
         """Take a series of messages for a topic."""
-        self._parts.append(_Part(self._channel(topic, series.msgtype), series))
+        self._parts.append((self._channel(topic, series.msgtype), series))
 
     def once(self, topic: str, t_ns: Ints, pose: Array) -> None:
         """Write a latched path at the beginning."""
@@ -291,19 +278,16 @@ class _Topics:
 
     def write(self) -> None:
         """Write all series in chunks, each of which holds one time interval of all series."""
-        t = np.sort(np.concatenate([part.series.t_ns for part in self._parts]))
-        size = sum(part.series.messages(slice(1)).size * len(part.series.t_ns) for part in self._parts)
+        t = np.sort(np.concatenate([series.t_ns for _, series in self._parts]))
+        size = sum(series.messages(slice(1)).size * len(series.t_ns) for _, series in self._parts)
         number = -(-size // CHUNK_BYTES)
         cuts = t[np.linspace(0, len(t) - 1, number + 1).astype(np.int64)[1:-1]]
         ends = [[0, *np.searchsorted(s.t_ns, cuts).tolist(), len(s.t_ns)] for _, s in self._parts]
         for i in range(number):
-            for part, e in zip(self._parts, ends, strict=True):
-                self._block(part, slice(e[i], e[i + 1])).write(self._writer)
-
-    def _block(self, part: _Part, rows: slice) -> MessageBlock:
-        t_ns = part.series.t_ns[rows]
-        sequence = np.arange(rows.start + 1, rows.stop + 1)
-        return MessageBlock(part.channel, self._recorded(t_ns), sequence, part.series.messages(rows))
+            for (channel, series), e in zip(self._parts, ends, strict=True):
+                rows = slice(e[i], e[i + 1])
+                recorded, sequence = self._recorded(series.t_ns[rows]), np.arange(rows.start + 1, rows.stop + 1)
+                MessageBlock(channel, recorded, sequence, series.messages(rows)).write(self._writer)
 
 
 def ros_name(configuration: str) -> str:

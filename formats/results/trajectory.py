@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Ints, Truth, upper_triangles
+from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Ints, Truth, matrices, upper_triangles
 
 LINES_AT_ONCE = 4096  # lines at a time: an hour's lines as Python values take ten times their file
 SIX = (0, 1, 5)  # where x, y, theta stand among x, y, z, roll, pitch, yaw
-TRIANGLE = [(i, j) for i in range(6) for j in range(i, 6)]
 TUM_COVARIANCE_HEADER = "# t x y z qx qy qz qw, then P by rows, upper triangle: " + " ".join(
     f"P_{i}_{j}" for i, j in itertools.combinations_with_replacement(("x", "y", "z", "roll", "pitch", "yaw"), 2)
 )
@@ -68,56 +67,43 @@ def write_blocks(blocks: Iterable[str], path: Path) -> None:
         file.writelines(block.encode() for block in blocks)
 
 
-def estimates_tum(drive: Drive, estimates: Estimates) -> str:
-    """Return one configuration's trajectory in TUM format."""
-    return "".join(tum_blocks(drive, estimates))
-
-
 def tum_blocks(drive: Drive, estimates: Estimates) -> Iterator[str]:
     """Yield one configuration's trajectory in TUM format, block by block."""
     t, pose, _ = with_truth_rows(drive, estimates)
     yield from tum(drive.epoch_ns, t, pose[:, :2], pose[:, 2])
 
 
-def estimates_tum_covariance(drive: Drive, estimates: Estimates) -> str:
-    """Return the trajectory in TUM format with 21 more columns: the upper triangle of the 6 x 6 pose covariance.
+def tum_covariance_blocks(drive: Drive, estimates: Estimates) -> Iterator[str]:
+    """Yield the trajectory in TUM format with 21 more columns: the upper triangle of the 6 x 6 pose covariance.
 
     Rows and columns are x, y, z, roll, pitch, yaw, as in geometry_msgs/PoseWithCovariance; line 1 says so.
     """
+    yield f"{TUM_COVARIANCE_HEADER}\n"
     _, _, triangles = with_truth_rows(drive, estimates)
-    upper = np.zeros((len(triangles), len(TRIANGLE)))
-    for (i, j), column in zip(itertools.combinations_with_replacement(SIX, 2), triangles.T, strict=True):
-        upper[:, TRIANGLE.index((i, j))] = column
-    rows = estimates_tum(drive, estimates).splitlines()
-    lines = [f"{row} {' '.join(map(repr, values))}" for row, values in zip(rows, upper.tolist(), strict=True)]
-    return "\n".join((TUM_COVARIANCE_HEADER, *lines)) + "\n"
+    P = np.zeros((len(triangles), 6, 6))
+    P[:, np.array(SIX)[:, None], SIX] = matrices(triangles)
+    rows = "".join(tum_blocks(drive, estimates)).splitlines()
+    for row, upper in zip(rows, P[:, *np.triu_indices(6)].tolist(), strict=True):
+        yield f"{row} {' '.join(map(repr, upper))}\n"
 
 
-def estimates_kitti(drive: Drive, estimates: Estimates) -> str:
-    """Return the trajectory in KITTI format: rows 1 to 3 of T_map_base in 12 numbers a line, without stamps."""
+def kitti_blocks(drive: Drive, estimates: Estimates) -> Iterator[str]:
+    """Yield the trajectory in KITTI format: rows 1 to 3 of T_map_base in 12 numbers a line, without stamps."""
     _, pose, _ = with_truth_rows(drive, estimates)
-    c, s = np.cos(pose[:, 2]).tolist(), np.sin(pose[:, 2]).tolist()
-    lines = [
-        f"{c!r} {-s!r} 0 {x!r} {s!r} {c!r} 0 {y!r} 0 0 1 0"
-        for c, s, (x, y) in zip(c, s, pose[:, :2].tolist(), strict=True)
-    ]
-    return "\n".join(lines) + "\n"
+    cosines, sines = np.cos(pose[:, 2]).tolist(), np.sin(pose[:, 2]).tolist()
+    for c, s, (x, y) in zip(cosines, sines, pose[:, :2].tolist(), strict=True):
+        yield f"{c!r} {-s!r} 0 {x!r} {s!r} {c!r} 0 {y!r} 0 0 1 0\n"
 
 
-def kitti_times(drive: Drive, estimates: Estimates) -> str:
-    """Return the stamp of every line of the KITTI file."""
+def kitti_times(drive: Drive, estimates: Estimates) -> Iterator[str]:
+    """Yield the stamp of every line of the KITTI file."""
     t, _, _ = with_truth_rows(drive, estimates)
-    return "".join(f"{seconds(s)}\n" for s in stamps(drive.epoch_ns, t))
+    yield from (f"{seconds(s)}\n" for s in stamps(drive.epoch_ns, t))
 
 
 def truth_tum(drive: Drive, truth: Truth) -> str:
     """Return the truth in TUM format, of the body point that was tracked."""
     return "".join(tum(drive.epoch_ns, truth.t, truth.xy, truth.theta))
-
-
-def estimates_csv(drive: Drive, estimates: Estimates) -> str:
-    """Return `t,x,y,theta` and the upper triangle of P, one row per instant and truth stamp."""
-    return "".join(csv_blocks(drive, estimates))
 
 
 def csv_blocks(drive: Drive, estimates: Estimates) -> Iterator[str]:

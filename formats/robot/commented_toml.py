@@ -18,6 +18,7 @@ from locfuse.fusion.data import LocfuseError
 from . import robot_toml
 
 MAX_LINE_CHARACTERS = 100
+WRAPPER = textwrap.TextWrapper(MAX_LINE_CHARACTERS - 2, break_long_words=False, break_on_hyphens=False)
 
 
 class TomlLine(NamedTuple):
@@ -47,7 +48,7 @@ def comment(text: str) -> str:
     lines: list[str] = []
     for paragraph in text.splitlines():
         plain = printable(paragraph)
-        lines += [plain] if plain[:1] == " " else textwrap.wrap(plain, MAX_LINE_CHARACTERS - 2, **_WHOLE) or [""]
+        lines += [plain] if plain[:1] == " " else WRAPPER.wrap(plain) or [""]
     return "\n".join(f"# {line}".rstrip() for line in lines)
 
 
@@ -69,7 +70,8 @@ def _section(section: TomlSection) -> Iterator[str]:
     if section.name:
         yield f"[{section.name}]" if any(line.holds for line in section.lines) else f"# [{section.name}]"
     for words, group in itertools.groupby(section.lines, key=lambda line: line.words):
-        lines = [("" if line.holds else "# ") + _assigned(line) for line in group]
+        pairs = [(line, "" if line.value is None else f" {as_toml(line.value)}") for line in group]
+        lines = [f"{'' if line.holds else '# '}{line.key} ={value}" for line, value in pairs]
         beside = f"{lines[0]}  # {printable(words)}"
         if not words:
             yield from lines
@@ -77,13 +79,6 @@ def _section(section: TomlSection) -> Iterator[str]:
             yield beside
         else:
             yield from (comment(words), *lines)
-
-
-def _assigned(line: TomlLine) -> str:
-    return f"{line.key} =" if line.value is None else f"{line.key} = {as_toml(line.value)}"
-
-
-_WHOLE: Mapping[str, Any] = {"break_long_words": False, "break_on_hyphens": False}
 
 
 # --- New values in a robot.toml that people have written: comments, order and everything else stay as they are
@@ -126,9 +121,10 @@ def _in_table(lines: list[str], table: str, values: Mapping[str, Any], who: str)
     if start is None:
         return [*lines, *([""] if lines and lines[-1] else []), f"[{table}]", *_added(values, who)]
     body, missing = lines[start:end], dict(values)
+    active = {found[1] for line in body if (found := re.match(r"\s*([\w-]+)\s*=", line))}
     for i, line in enumerate(body):
         found = re.match(r"\s*(?:#\s*)?([\w-]+)\s*=(.*)$", line)
-        if found and found[1] in missing and (not line.lstrip().startswith("#") or not _holds(body, found[1])):
+        if found and found[1] in missing and (not line.lstrip().startswith("#") or found[1] not in active):
             comment = COMMENT.match(found[2])
             body[i] = f"{found[1]} = {as_toml(missing.pop(found[1]))}{(comment and comment[2]) or ''}"
     if table:  # it may have stood behind a #
@@ -149,11 +145,6 @@ def _bounds(lines: list[str], table: str) -> tuple[int | None, int]:
             if name == table and behind == hidden:
                 return i + 1, heads[n + 1][0] if n + 1 < len(heads) else len(lines)
     return None, len(lines)
-
-
-def _holds(body: list[str], key: str) -> bool:
-    """Return whether a key has an active line."""
-    return any(re.match(rf"\s*{re.escape(key)}\s*=", line) for line in body)
 
 
 def _added(values: Mapping[str, Any], who: str) -> list[str]:

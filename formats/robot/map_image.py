@@ -119,8 +119,7 @@ def _origin(keys: dict[str, Any], path: Path) -> Array:
 
 def _pixels(file: Path) -> NDArray[Any]:
     """Return a picture as it is stored, (rows, columns) or (rows, columns, colours)."""
-    from locfuse.fusion.camera.decoder_words import listened
-    from locfuse.fusion.camera.opencv import MAX_MAP_PIXELS, cv2
+    from locfuse.fusion.camera.opencv import MAX_MAP_PIXELS, cv2, listened
 
     data = read_small(file, MAX_MAP_PICTURE)
     size = _size(data)

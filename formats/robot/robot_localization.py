@@ -26,58 +26,33 @@ SWITCHES = 15
 INPUT = re.compile(r"(odom|twist|pose|imu)(\d+)")
 OF_INPUT = re.compile(r"((?:odom|twist|pose|imu)\d+)_(.+)")
 USED_OF_INPUT = ("config", "differential", "relative")
-IDLE_OF_INPUT = (
-    "queue_size",
-    "nodelay",
-    "remove_gravitational_acceleration",
-    "use_sim_time",
-)
+IDLE_OF_INPUT = ("queue_size", "nodelay", "remove_gravitational_acceleration", "use_sim_time")
 UNUSED_OF_INPUT = (
-    "rejection_threshold",
-    "pose_rejection_threshold",
-    "twist_rejection_threshold",
-    "linear_acceleration_rejection_threshold",
+    *(f"{part}rejection_threshold" for part in ("", "pose_", "twist_", "linear_acceleration_")),
     "pose_use_child_frame",
 )
 KNOWN_OF_INPUT = (*USED_OF_INPUT, *IDLE_OF_INPUT, *UNUSED_OF_INPUT)
 USED = ("initial_state", "two_d_mode", "world_frame", "map_frame", "odom_frame", "base_link_frame")
 IDLE = (  # of a node that runs live; a log has its own time
-    "frequency",
-    "sensor_timeout",
-    "transform_time_offset",
-    "transform_timeout",
-    "print_diagnostics",
-    "debug",
-    "debug_out_file",
-    "publish_tf",
-    "publish_acceleration",
-    "permit_corrected_publication",
-    "predict_to_current_time",
-    "reset_on_time_jump",
-    "use_sim_time",
-    "qos_overrides",
-    "disabled_at_startup",
-    "tf_prefix",
-    "base_link_frame_output",
-    "smooth_lagged_data",
-    "history_length",
-)
+    "frequency", "sensor_timeout", "transform_time_offset", "transform_timeout", "predict_to_current_time",
+    "print_diagnostics", "debug", "debug_out_file", "publish_tf", "publish_acceleration", "tf_prefix",
+    "permit_corrected_publication", "reset_on_time_jump", "use_sim_time", "qos_overrides", "history_length",
+    "disabled_at_startup", "base_link_frame_output", "smooth_lagged_data",
+)  # fmt: skip
 UNUSED = {
-    "use_control": "commanded speeds are no measurement",
-    "stamped_control": "commanded speeds are no measurement",
-    "control_config": "commanded speeds are no measurement",
-    "control_timeout": "commanded speeds are no measurement",
-    "acceleration_limits": "there are no accelerations in the state",
-    "deceleration_limits": "there are no accelerations in the state",
-    "acceleration_gains": "there are no accelerations in the state",
-    "deceleration_gains": "there are no accelerations in the state",
+    **dict.fromkeys(
+        ("use_control", "stamped_control", "control_config", "control_timeout"),
+        "commanded speeds are no measurement",
+    ),
+    **dict.fromkeys(
+        ("acceleration_limits", "deceleration_limits", "acceleration_gains", "deceleration_gains"),
+        "there are no accelerations in the state",
+    ),
     "process_noise_covariance": "noise grows with the way: wheels.noise (locfuse calibrate and tune find it)",
     "dynamic_process_noise_covariance": "noise grows with the way: wheels.noise",
     "initial_estimate_covariance": "start.sigma_xy and start.sigma_theta_deg say how well the start is known",
     "gravitational_acceleration": "accelerations are not used",
-    "alpha": "this filter is no unscented one",
-    "kappa": "this filter is no unscented one",
-    "beta": "this filter is no unscented one",
+    **dict.fromkeys(("alpha", "kappa", "beta"), "this filter is no unscented one"),
 }
 
 

@@ -35,7 +35,7 @@ def parse(text: str | bytes, source: str) -> Tables:
     except UnicodeDecodeError as problem:
         raise LocfuseError(f"{source}: not UTF-8 text (byte {problem.start})") from None
     except ValueError as problem:  # tomllib's own, and that of int() for thousands of digits
-        raise LocfuseError(f"{source}: not valid TOML: {_one_line(str(problem))}") from None
+        raise LocfuseError(f"{source}: not valid TOML: {' '.join(str(problem).split())}") from None
     except RecursionError:
         raise LocfuseError(f"{source}: not valid TOML: nested too deeply") from None
     _refuse_absurd(tables, source)
@@ -260,10 +260,6 @@ def _shown(value: Any) -> str:
     except ValueError:  # Python writes no integer of more than 4300 digits
         return "an integer of more than 4300 digits"
     return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
 
 
 def dump(tables: Mapping[str, Any]) -> str:

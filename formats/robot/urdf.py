@@ -12,6 +12,9 @@ import numpy as np
 from locfuse.formats.caps import MAX_JOINTS, MAX_TEXT
 from locfuse.fusion.data import Array
 
+from .tag_frames import ancestors
+from .transforms import StaticTransforms, Transform
+
 TURNS = ("continuous", "revolute")
 
 
@@ -43,34 +46,22 @@ def wheel_geometry(text: str) -> WheelGeometry | None:
     right = [n for n in wheels if "right" in n.lower() or n.lower().startswith("r")]
     if len(left) != 1 or len(right) != 1:
         return None
-    places = [_place(robot, joints[name]) for name in (left[0], right[0])]
-    track = abs(float(places[0][1] - places[1][1]))
+    hanging = [joint for joint in robot.iter("joint") if _link(joint, "child")]
+    tree = StaticTransforms(tuple(Transform(_link(j, "parent"), _link(j, "child"), _origin(j)) for j in hanging))
+    in_root = [ancestors(tree, _link(joints[name], "child")) for name in (left[0], right[0])]
+    if not all(in_root):
+        return None
+    y_left, y_right = (float(above[-1][1][1, 3]) for above in in_root)
+    track = abs(y_left - y_right)
     if not 0.01 < track < 10.0:
         return None
     return WheelGeometry(left[0], right[0], _radius(robot, joints[left[0]]), track)
 
 
-def _place(robot: ET.Element, joint: ET.Element) -> Array:
-    """Return the position of a joint in the root link (3,), over the fixed joints above it."""
-    T = np.eye(4)
-    seen: set[str] = set()
-    above: dict[str | None, ET.Element] = {}  # link -> the joint on which it hangs
-    for one in robot.iter("joint"):
-        above.setdefault(_child(one), one)
-    here: ET.Element | None = joint
-    while here is not None and here.get("name", "") not in seen:
-        seen.add(here.get("name", ""))
-        T = _origin(here) @ T
-        parent = here.find("parent")
-        link = parent.get("link") if parent is not None else None
-        here = above.get(link) if link is not None else None
-    place: Array = T[:3, 3]
-    return place
-
-
-def _child(joint: ET.Element) -> str | None:
-    child = joint.find("child")
-    return child.get("link") if child is not None else None
+def _link(joint: ET.Element, end: str) -> str:
+    """Return the link at an end of a joint, "parent" or "child"; "" without one."""
+    found = joint.find(end)
+    return "" if found is None else found.get("link", "")
 
 
 def _origin(joint: ET.Element) -> Array:
@@ -99,7 +90,7 @@ def _numbers(text: str | None) -> Sequence[float]:
 
 def _radius(robot: ET.Element, joint: ET.Element) -> float | None:
     """Return the radius of the wheel on a joint, by its collision shape, else by its visual shape."""
-    link = next((ln for ln in robot.iter("link") if ln.get("name") == _child(joint)), None)
+    link = next((ln for ln in robot.iter("link") if ln.get("name") == _link(joint, "child")), None)
     if link is None:
         return None
     for part in ("collision", "visual"):

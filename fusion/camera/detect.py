@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import msgspec
@@ -52,7 +52,11 @@ class Detector(msgspec.Struct, frozen=True):
 
     def optics(self, shape: tuple[int, ...]) -> Optics:
         """Return the calibration for pictures (h, w, 3); by default centred, and as large as fits."""
-        return _optics(shape[:2], self.centre, self.inner, self.outer, (self.width, self.zero, self.clockwise))
+        height, width = shape[:2]
+        x, y = self.centre or ((width - 1) / 2.0, (height - 1) / 2.0)
+        outer = self.outer or max(1.0, min(x, y, width - 1 - x, height - 1 - y))
+        inner = outer / 4.0 if self.inner is None else self.inner
+        return Optics(x, y, inner, outer, self.width, self.zero, self.clockwise)
 
     def looks_like(self, other: Detector) -> bool:
         """Return whether another detector finds the same in every picture; its names of directions may differ."""
@@ -78,27 +82,8 @@ class Detector(msgspec.Struct, frozen=True):
     def find_in_half(self, picture: Picture, shape: tuple[int, int]) -> Detection:
         """Return the candidates, in pixels of the whole picture `shape` (h, w), of a picture at half its size."""
         optics = self.optics(shape)
-        found = radial.candidates(self.coloured(picture), *_halved(optics, self.red))
+        found = radial.candidates(self.coloured(picture), optics.halved(), self.red.halved())
         return Detection(shape, optics, [candidate.doubled() for candidate in found])
-
-
-@lru_cache(maxsize=4)
-def _optics(
-    shape: tuple[int, ...],
-    centre: tuple[float, float] | None,
-    inner: float | None,
-    outer: float | None,
-    looks: tuple[int, float, bool],
-) -> Optics:
-    height, width = shape
-    x, y = centre or ((width - 1) / 2.0, (height - 1) / 2.0)
-    outer = outer or max(1.0, min(x, y, width - 1 - x, height - 1 - y))
-    return Optics(x, y, outer / 4.0 if inner is None else inner, outer, *looks)
-
-
-@lru_cache(maxsize=4)
-def _halved(optics: Optics, red: Red) -> tuple[Optics, Red]:
-    return optics.halved(), red.halved()
 
 
 def detect(message: tuple[Any, ...], detector: Detector) -> Detection | str:

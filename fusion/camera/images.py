@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Stream
 
-from .decoder_words import listened, tells_of_damage
-from .opencv import MAX_PIXELS, cv2
+from .opencv import MAX_PIXELS, cv2, listened, tells_of_damage
 from .optics import FIELDS
 
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -46,12 +45,6 @@ def image_size(data: memoryview) -> tuple[int, int] | None:
     if bytes(data[:8]) == PNG and bytes(data[12:16]) == b"IHDR" and b"IEND" in bytes(data[24:]):
         return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
     return _jpeg_size(data, _frame(data)) if bytes(data[:2]) == JPEG else None
-
-
-def _coarse_size(data: memoryview) -> tuple[int, int] | None:
-    """Return (width, height) [px] of a JPEG that keeps its colour at half the resolution; None of all else."""
-    at = _frame(data) if bytes(data[:2]) == JPEG else None
-    return _jpeg_size(data, at) if _is_coarse(data, at) else None
 
 
 def _is_coarse(data: memoryview, at: int | None) -> bool:
@@ -121,7 +114,9 @@ def coarse_size(message: tuple[Any, ...]) -> tuple[int, int] | None:
     """Return (height, width) [px] of a message's picture if it is a JPEG with colour at half resolution."""
     if len(message) != 2:
         return None
-    size = _coarse_size(memoryview(message[0]).cast("B"))
+    data = memoryview(message[0]).cast("B")
+    at = _frame(data) if bytes(data[:2]) == JPEG else None
+    size = _jpeg_size(data, at) if _is_coarse(data, at) else None
     return None if size is None else (size[1], size[0])
 
 

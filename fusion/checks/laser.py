@@ -360,8 +360,6 @@ def _who_is_right(robot: Robot, scale: float, fix: str) -> str:
     """Report what to set if laser and wheels disagree; an odometry topic's own wheels cannot be set here."""
     wheels = robot.wheels
     if wheels.radius is None:
-        return f". If the odometry is right, set {fix}; if the laser is, the odometry has a wrong wheel radius"
+        return f". If the odometry is right, set {fix}; if lrf is, the odometry has a wrong wheel radius"
     track = "" if wheels.track is None else f" and wheels.track={wheels.track / scale:.4g}"
-    return (
-        f". If the wheels are right, set {fix}; if the laser is, wheels.radius={wheels.radius / scale:.4g}{track}"
-    )
+    return f". If the wheels are right, set {fix}; if lrf is, wheels.radius={wheels.radius / scale:.4g}{track}"

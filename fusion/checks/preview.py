@@ -28,10 +28,11 @@ class PreviewPictures(NamedTuple):
     detection: Picture  # (h, w, 3) calibration and candidates drawn over the raw picture
     bearings_deg: tuple[float, ...]  # of the candidates, camera frame, the largest first
 
-    def named(self) -> dict[str, Picture]:
-        """Return the pictures by file name, such as "000012-mask"."""
+    def named(self) -> dict[str, bytes]:
+        """Return the pictures as PNG by file name, such as "000012-mask.png"."""
         pictures = {key: getattr(self, key) for key in ("raw", "mask", "panorama", "detection")}
-        return {f"{self.row:06d}-{key}": picture for key, picture in pictures.items()}
+        encoded = {key: cv2.imencode(".png", picture)[1].tobytes() for key, picture in pictures.items()}
+        return {f"{self.row:06d}-{key}.png": png for key, png in encoded.items()}
 
 
 def preview(stream: Stream, settings: CameraSettings, count: int = 4) -> list[PreviewPictures]:

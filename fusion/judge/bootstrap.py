@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -24,13 +23,6 @@ CHANCE_DRAWS = 20_000  # of an effect of chance: its tails are thin
 MIN_REPLICATES = 4  # drives or robots: of fewer, Student's interval says nothing, and none is given
 MAX_BLOCKS = 200  # longer blocks do no harm, shorter ones cost memory
 MIN_MSE_M2 = 1e-18  # m^2: a mean squared error below is taken as this
-
-
-class Interval(NamedTuple):
-    """The interval of a contrast, at CONFIDENCE."""
-
-    low: float
-    high: float
 
 
 class Errors(msgspec.Struct, frozen=True):
@@ -59,13 +51,13 @@ class Errors(msgspec.Struct, frozen=True):
             block,
         )
 
-    def interval(self, weights: Array) -> Interval:
-        """Return the interval of sum(weights * ln_rmse) for weights (k,) that sum to zero."""
+    def interval(self, weights: Array) -> tuple[float, float]:
+        """Return the interval of sum(weights * ln_rmse) for weights (k,) that sum to zero, at CONFIDENCE."""
         value = float(weights @ self.ln_rmse)
         tail = 50.0 * (1.0 - CONFIDENCE)
         low, high = np.percentile(self.resampled @ weights, (tail, 100.0 - tail))
         least = self._gaussian(weights)
-        return Interval(min(float(low), value - least), max(float(high), value + least))
+        return min(float(low), value - least), max(float(high), value + least)
 
     def _gaussian(self, weights: Array) -> float:
         """Half width for Gaussian errors with so many independent pairs (x and y count)."""
@@ -97,7 +89,7 @@ def effective_samples(deviation: Array) -> float:
     return max(1.0, q / (1.0 + 2.0 * float(rho[1:until].sum())))
 
 
-def block_means(values: Array, block: int, seed: int = 1) -> Array:
+def block_means(values: Array, block: int) -> Array:
     """Return means of `values` (k, q) over RESAMPLES drives pieced together from blocks, (RESAMPLES, k).
 
     Blocks start anywhere and wrap around the end; all k rows use the same blocks, so that pairs stay pairs.
@@ -106,7 +98,7 @@ def block_means(values: Array, block: int, seed: int = 1) -> Array:
     count = math.ceil(q / block)
     twice = np.concatenate((np.zeros((k, 1)), values, values), axis=1)
     sums = np.cumsum(twice, axis=1)
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(1)
     at_once = max(1, STARTS_AT_ONCE // count)
     totals = np.empty((RESAMPLES, k))
     for first in range(0, RESAMPLES, at_once):
@@ -137,12 +129,12 @@ def _correlation(deviation: Array, samples: Array) -> Array:
 
 
 @cache
-def by_chance(move: float, n: float, seed: int = 1) -> tuple[float, float]:
+def by_chance(move: float, n: float) -> tuple[float, float]:
     """Return the interval of ln(error before / after) when n >= 1 Gaussian moves are added to n equal errors.
 
     `move` is a move's standard deviation over an error's. |e + d|^2 = (sqrt(n) e + d_1)^2 + d_2^2 + ... + d_n^2.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(1)
     along = (math.sqrt(n) + move * rng.standard_normal(CHANCE_DRAWS)) ** 2
     across = 2.0 * move**2 * rng.standard_gamma(0.5 * (n - 1.0), CHANCE_DRAWS)
     tail = 50.0 * (1.0 - CONFIDENCE)

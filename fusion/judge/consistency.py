@@ -136,7 +136,7 @@ def by_scale(sensor: str, settings: Any, factor: float) -> Consistency:
     cures = {f"{sensor}.{k}": rounded(getattr(settings, k) * factor) for k in keys}
     verdict: Verdict = "understated" if factor > 1.0 else "overstated"
     first = keys[0]
-    unit = _sign(REGISTRY[sensor].components[0].sign)
+    unit = _sign(sensor)
     words = (
         f"noise is set too {'low' if factor > 1.0 else 'high'}: {getattr(settings, first):g}{unit} configured, "
         f"{cures[f'{sensor}.{first}']:g}{unit} observed"
@@ -196,13 +196,14 @@ def _accepts(settings: Any, key: str, value: float) -> bool:
 def correlated(sensor: str, settings: Any, sigma: float, repeats: float, period: float) -> Consistency:
     """Report slow errors: `sigma` [rad or m], correlated over so many readings."""
     memory = repeats * period
-    amount, unit = _human(sigma, sensor)
+    amount, _ = _human(sigma, sensor)
     key = REGISTRY[sensor].noise_keys[0]
     value = rounded(amount * math.sqrt(repeats))
     cures = {f"{sensor}.{key}": value, **drift_cures(sensor, settings, 2.0 * amount, memory)}
+    sign = _sign(sensor)
     words = (
-        f"errors of {rounded(amount):g}{_sign(unit.replace('deg', '°'))} last about {rounded(memory):g} s, but "
-        "the filter assumes independent readings"
+        f"errors of {rounded(amount):g}{sign} last about {rounded(memory):g} s, so {rounded(repeats):g} readings "
+        f"count as one (a sigma of up to {value:g}{sign}), but the filter assumes independent readings"
     )
     return Consistency("correlated", words, math.sqrt(repeats), cures)
 
@@ -211,8 +212,7 @@ def changing(sensor: str, settings: Any, h: Heard) -> Consistency | None:
     """Report a mean that steps or drifts by more than half of the noise of one reading; None where it stays."""
     if h.change is None or abs(h.change.amount) < max(MIN_BIAS_SIGMAS * math.sqrt(h.white), MIN_SIGMAS * h.sure):
         return None
-    amount, unit = _human(h.change.amount, sensor)
-    sign = _sign(unit.replace("deg", "°"))
+    amount, sign = _human(h.change.amount, sensor)[0], _sign(sensor)
     if h.change.step_s is None:
         words = f"drifts by {amount:+.2g}{sign} in {h.change.span:.0f} s"
     else:
@@ -254,9 +254,10 @@ def by_share(sensor: str, share: float, rest: Consistency) -> Consistency:
     return Consistency("outliers", words)
 
 
-def _sign(unit: str) -> str:
-    """Return a unit as it follows a number: "°", " m"."""
-    return unit if unit.startswith("°") else f" {unit}"
+def _sign(sensor: str) -> str:
+    """Return the unit of the sensor's first component as it follows a number: "°", " m"."""
+    sign = REGISTRY[sensor].components[0].sign
+    return sign if sign.startswith("°") else f" {sign}"
 
 
 def _human(value: float, sensor: str) -> tuple[float, str]:

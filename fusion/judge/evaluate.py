@@ -11,17 +11,33 @@ readings that lie further apart than noise can move them.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
+import msgspec
 import numpy as np
+from msgspec import field
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from locfuse.fusion import se2
-from locfuse.fusion.chi_square import MAD
-from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Estimates, Evaluation, Ints, SensorFigures, Truth
+from locfuse.fusion.chi_square import MAD, mean_bounds
+from locfuse.fusion.data import (
+    VERDICTS,
+    Array,
+    Audit,
+    Drive,
+    Estimates,
+    Evaluation,
+    Ints,
+    RunningNis,
+    SensorFigures,
+    Truth,
+)
 from locfuse.fusion.ekf.map_frame import by_frame
 from locfuse.fusion.streams import gap_limit
+
+from .bootstrap import effective_samples
 
 CHORD_SIGMAS = 10.0  # sigmas of the truth's noise, per axis: two readings of one place do not lie so far apart
 TANGENT_SIGMAS = 30.0  # the same for chords that give directions: noise turns them by 3 degrees (1 sigma)
@@ -139,7 +155,8 @@ class _Pairs(NamedTuple):
 def evaluate(estimates: Estimates, drive: Drive, align: Align = "none") -> Evaluation:
     """Return deviations and figures of one configuration."""
     sensors = {s: _sensor_figures(a, drive.measurements[s].absent) for s, a in estimates.audits.items()}
-    own = {"duration_s": float(drive.t[-1] - drive.t[0]), "distance_m": _length(estimates.pose[:, :2])}
+    way = float(np.hypot(*np.diff(estimates.pose[:, :2], axis=0).T).sum())
+    own = {"duration_s": float(drive.t[-1] - drive.t[0]), "distance_m": way}
     truth = drive.truth
     pairs = _pairs(estimates, truth) if truth is not None else None
     found = Evaluation(
@@ -161,9 +178,7 @@ def evaluate(estimates: Estimates, drive: Drive, align: Align = "none") -> Evalu
     sigma, nees = _expected(pairs, deviation, heading, truth)
     if align != "none":
         nees[:] = np.nan
-    segments: Ints = np.cumsum(
-        np.diff(pairs.t, prepend=pairs.t[0]) > gap_limit(pairs.t)
-    )  # pieces between gaps, (q,)
+    segments: Ints = np.cumsum(np.diff(pairs.t, prepend=pairs.t[0]) > gap_limit(pairs.t))  # (q,) between gaps
     ahead = directions(pairs.t, pairs.xy, segments) if pairs.theta is None else pairs.theta
     along_cross = se2.rotated(-ahead, deviation)
     distance = np.cumsum(np.hypot(*steps_of(pairs.t, pairs.xy, segments).T))
@@ -320,11 +335,7 @@ def _sensor_figures(audit: Audit, absent: int) -> SensorFigures:
     refused = sum(verdicts.values()) - accepted - verdicts.get("new", 0) - verdicts.get("repeated", 0)
     nis = _mean(audit.nis[audit.verdict == 0] / audit.y.shape[1])
     joint, dof = audit.joint.sum(axis=0).tolist()
-    return SensorFigures(accepted, refused, absent, nis, verdicts, joint / dof if dof else None)
-
-
-def _length(xy: Array) -> float:
-    return float(np.hypot(*np.diff(xy, axis=0).T).sum())
+    return SensorFigures(accepted, refused, absent, nis, joint / dof if dof else None, verdicts)
 
 
 def _rms(values: Array) -> float:
@@ -334,3 +345,75 @@ def _rms(values: Array) -> float:
 def _mean(values: Array) -> float | None:
     finite = values[np.isfinite(values)]
     return float(finite.mean()) if len(finite) else None
+
+
+# ---- is the covariance right? ----
+#
+# With truth: are the errors as large as claimed, for all states and for each. Without truth: the mean NIS of short
+# intervals, with its bounds for so many values.
+
+STRETCHES = 80
+MIN_MEASUREMENTS = 8  # accepted measurements that a stretch should hold
+CONFIDENCE = 0.95
+STATES = ("x", "y", "theta")
+
+
+def running_nis(audit: Audit, t: Array) -> RunningNis:
+    """Return the running NIS of one run's accepted innovations; `t` (n,) are the drive's instants [s]."""
+    accepted = audit.verdict == 0
+    stretches = int(np.clip(int(accepted.sum()) // MIN_MEASUREMENTS, 1, STRETCHES))
+    edges = np.linspace(t[0], t[-1], stretches + 1)
+    dof = audit.y.shape[1]
+    nis = audit.nis[accepted] / dof
+    place = np.clip(np.searchsorted(edges, t[audit.instant[accepted]], side="right") - 1, 0, stretches - 1)
+    counts = np.bincount(place, minlength=stretches)
+    sums = np.bincount(place, weights=nis, minlength=stretches)
+    mean = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
+    bounds = np.array([mean_bounds(CONFIDENCE, dof, int(c)) if c else (np.nan, np.nan) for c in counts])
+    return RunningNis(0.5 * (edges[1:] + edges[:-1]), mean, bounds[:, 0], bounds[:, 1])
+
+
+class Honesty(msgspec.Struct, frozen=True):
+    """Mean squared error over predicted variance: 1 is right, more is overconfident."""
+
+    anees: float
+    bounds: tuple[float, float]  # of a consistent filter's ANEES at CONFIDENCE, for one drive's worth of errors
+    states: Mapping[str, float] = field(default_factory=dict)  # of x, y and theta, each on its own
+    state_bounds: tuple[float, float] = (0.0, math.inf)
+    independent: float = math.nan  # how many independent errors the drive is worth
+    words: str = ""
+
+    @property
+    def overconfident(self) -> bool:
+        """Whether the errors are larger than those of a consistent filter by more than chance."""
+        return self.anees > self.bounds[1]
+
+    @property
+    def consistent(self) -> bool:
+        """Whether the ANEES is one that a consistent filter can have."""
+        return self.bounds[0] <= self.anees <= self.bounds[1]
+
+
+def honesty(judged: Evaluation) -> Honesty | None:
+    """Return the consistency of a configuration's covariance; None without truth or after alignment."""
+    anees = judged.figures.get("anees")
+    e = judged.deviation if judged.heading is None else np.column_stack((judged.deviation, judged.heading))
+    sigma = judged.sigma[:, : e.shape[1]]
+    good = np.isfinite(judged.nees) & (sigma > 0).all(axis=1)
+    if anees is None or good.sum() < 2:
+        return None
+    unit = e[good] / sigma[good]
+    independent = effective_samples(unit)
+    bounds = mean_bounds(CONFIDENCE, unit.shape[1], independent)
+    states = dict(zip(STATES, (unit**2).mean(axis=0).tolist(), strict=False))
+    alone = mean_bounds(CONFIDENCE, 1, independent)
+    return Honesty(anees, bounds, states, alone, independent, _words(anees, bounds))
+
+
+def _words(anees: float, bounds: tuple[float, float]) -> str:
+    low, high = bounds
+    if anees > high:
+        return f"overconfident: errors are about {math.sqrt(anees):.1f} times what the covariance says"
+    if anees < low:
+        return f"underconfident: errors are about {math.sqrt(anees):.1f} times what the covariance says"
+    return "consistent"

@@ -86,17 +86,16 @@ def own(audit: Audit, m: Measurements) -> Own | None:
     refused = int(np.isin(audit.verdict, (GATE, UNMATCHED, LOST)).sum())
     nis, bounds, raw = _accepted(audit, int(far.sum()), d)
     told, R = _told(audit, m, compared)
-    shape = _shape(audit, compared)
-    whiteness = shape.whiteness
+    middle, deviation, bias, whiteness = _shape(audit, compared)
     lasts = math.sqrt(_memory(np.append(1.0, whiteness)) / len(compared))
     return Own(
         compared=len(compared),
         refused=refused / (accepted + refused),
         nis=nis,
         bounds=bounds,
-        bias=tuple(shape.bias.tolist()),
-        middle=tuple(shape.middle.tolist()),
-        sure=tuple((shape.deviation * lasts).tolist()),
+        bias=tuple(bias.tolist()),
+        middle=tuple(middle.tolist()),
+        sure=tuple((deviation * lasts).tolist()),
         whiteness=tuple(whiteness.tolist()),
         raw=raw,
         scale=raw * min(max(1.0 - whiteness[0] * told, 0.3), 2.0),
@@ -122,17 +121,11 @@ def _accepted(audit: Audit, far: int, d: int) -> tuple[float, tuple[float, float
     return float(nis.mean()) / d if len(nis) else math.nan, bounds, scale
 
 
-class _Shape(NamedTuple):
-    """Innovations of d numbers: their mean, and how long they stay correlated."""
+def _shape(audit: Audit, compared: Ints) -> tuple[Array, Array, Array, Array]:
+    """Return median, deviation by the median, and mean in predicted standard deviations (d,) at these rows (k,).
 
-    middle: Array  # (d,) median
-    deviation: Array  # (d,) by the median deviation
-    bias: Array  # (d,) mean in predicted standard deviations
-    whiteness: Array  # (MAX_LAG_READINGS,)
-
-
-def _shape(audit: Audit, compared: Ints) -> _Shape:
-    """Return the figures of the innovations at these rows (k,); in place, since an hour of lines is big."""
+    And their autocorrelation (MAX_LAG_READINGS,). In place, since an hour of lines is big.
+    """
     y = audit.y.take(compared, axis=0)  # whole rows: ten times faster than audit.y[compared]
     middle = _medians(y)
     deviation = np.array([np.median(np.abs(c - centre)) for c, centre in zip(y.T, middle, strict=True)]) / MAD
@@ -141,7 +134,7 @@ def _shape(audit: Audit, compared: Ints) -> _Shape:
     y -= _medians(y)
     order = np.argsort(audit.landmark[compared], kind="stable")  # in time for each landmark
     y, mark = y.take(order, axis=0), audit.landmark[compared[order]]
-    return _Shape(middle, deviation, bias, _whiteness(y, mark))
+    return middle, deviation, bias, _whiteness(y, mark)
 
 
 def _told(audit: Audit, m: Measurements, compared: Ints) -> tuple[float, Array]:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array, Audit, Drive, Estimates
 
-from .bootstrap import Interval, block_means
+from .bootstrap import block_means
 
 OUTLIER_SHARE = 0.05  # share of readings that may be anything: one wild reading must not decide
 MIN_GAIN_NATS = 0.02  # nats per number: less is none
@@ -170,10 +170,10 @@ def _later(audit: Audit, rows: int) -> NDArray[np.bool_]:
     return out
 
 
-def interval(values: Array, t: Array) -> Interval:
+def interval(values: Array, t: Array) -> tuple[float, float]:
     """Return the 95 % interval of the mean of `values` (n,) at times t (n,), by blocks of BLOCK_S."""
     duration = float(t[-1] - t[0])
     share = BLOCK_S / duration if duration > BLOCK_S else 1.0
     block = max(1, min(len(values), math.ceil(share * len(values))))
     low, high = np.percentile(block_means(values[None], block)[:, 0], (2.5, 97.5))
-    return Interval(float(low), float(high))
+    return float(low), float(high)

@@ -1,4 +1,4 @@
-"""Angles."""
+"""Angles wrapped to half a turn either way."""
 
 from __future__ import annotations
 

@@ -198,7 +198,7 @@ def allow(returns: Returns, limits: Limits) -> None:
 
 
 def farthest(returns: Returns, begin: int, end: int) -> int:
-    """Return the point farthest from the chord between `begin` and the last before `end`, in tolerances.
+    """Return the point of [begin, end) whose distance from their chord is most, relative to its tolerance.
 
     -1 where every point lies within its tolerance. The earliest of equals.
     """

@@ -124,11 +124,9 @@ class Lines(msgspec.Struct, frozen=True):
 class Scans(NamedTuple):
     """Scans of one laser as it delivers them."""
 
-    ranges: Array  # (n, b) m; NaN, Inf and what lies outside [range_min, range_max) is no return
+    ranges: Array  # (n, b) m; NaN, Inf and 0 are no return
     angles: Array  # (b,) or (n, b) rad, steadily growing or falling along the beams
     offsets: Array | None  # (n, b, 3) each beam's laser pose in the scan's frame; None: all at its origin
-    range_min: float
-    range_max: float
 
     def take(self, rows: slice) -> Scans:
         """Return some of the scans."""
@@ -160,18 +158,16 @@ def extract_lines(
     angles: Array,
     settings: LineSettings = PAPER_LASER,
     offsets: Array | None = None,
-    range_min: float = 0.0,
-    range_max: float = math.inf,
     motion: Motion | None = None,
 ) -> Lines:
     """Return the straight walls in `ranges` (n, b) [m], seen along `angles` (b,) or (n, b) [rad].
 
     `offsets` (n, b, 3) is each beam's laser pose (x [m], y [m], theta [rad]) in the frame of its scan: deskewing.
     `motion`, where the beams' errors of deskewing are wanted, is how they move with the base (sweep).
-    NaN, Inf, and ranges outside [range_min, range_max) are no returns. Angles grow or fall steadily; scans of the
+    NaN, Inf and 0 are no returns. Angles grow or fall steadily; scans of the
     whole circle may have walls across beam 0. The result of a scan does not depend on the scans beside it.
     """
-    scans = Scans(ranges, angles, offsets, range_min, range_max)
+    scans = Scans(ranges, angles, offsets)
     batch = min(_BATCH, max(_BEAMS // max(ranges.shape[1], 1), 1))
     parts = [
         lines_of(scans.take(slice(i, i + batch)), settings, motion) for i in range(0, max(len(ranges), 1), batch)
@@ -210,7 +206,7 @@ def to_base(z: Array, R_unit: Array, ends: Array, x: float, y: float, yaw: float
 def lines_of(scans: Scans, settings: LineSettings, motion: Motion | None) -> Lines:
     """Return the lines of one batch."""
     spacing, beams = scans.spacing(), scans.ranges.shape[1]
-    limits = max(scans.range_min, float(np.finfo(float).tiny)), min(scans.range_max, MAX_RANGE_M)
+    limits = float(np.finfo(float).tiny), MAX_RANGE_M
     ring = spacing * (beams + 0.5) > 2.0 * math.pi
     given = segments.Scans(scans.ranges, scans.rays(), settings.gap_spacings * spacing, ring, limits)
     share = np.zeros((0, beams)) if motion is None else shares(beams)

@@ -35,7 +35,7 @@ from locfuse.fusion.ekf.map_frame import Pose, by_frame
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.kernels.sight import Rules
 from locfuse.fusion.lines.extract import rows_in_base
-from locfuse.fusion.lines.flatness import bend
+from locfuse.fusion.lines.scans import bend
 from locfuse.fusion.mount import Mount
 from locfuse.fusion.scan_matching.neighbours import turned_beyond_wheels
 from locfuse.fusion.scan_matching.solve import NOWHERE

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from locfuse.fusion.data import Array, Drive, Estimates, Ints, LocfuseError, upper_triangles
 from locfuse.fusion.ekf.record import Record
-from locfuse.fusion.fuse import configuration_name
-from locfuse.fusion.instants import BLOCK_INSTANTS
+from locfuse.fusion.fuse import BLOCK_INSTANTS, configuration_name
 from locfuse.fusion.progress import say_done
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.wheels.motion import Wheels

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping
+from operator import attrgetter
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -292,16 +293,13 @@ def choose(judged: list[Innovation]) -> list[Innovation]:
 
     It is the best, if it is within the gate and no other within it is worse by less than MIN_CANDIDATE_MARGIN.
     """
-    best = min(judged, key=_misfit)
+    by_nis = attrgetter("nis")
+    best = min(judged, key=by_nis)
     gate, others = best.threshold, [s for s in judged if s is not best]
     best.verdict = 0 if best.nis <= gate else GATE
-    if others and best.verdict == 0 and min(others, key=_misfit).nis <= min(gate, best.nis + MIN_CANDIDATE_MARGIN):
+    if others and best.verdict == 0 and min(others, key=by_nis).nis <= min(gate, best.nis + MIN_CANDIDATE_MARGIN):
         best.verdict = AMBIGUOUS
     best.landmark = 0
     for s in others:
         s.verdict = AMBIGUOUS if best.verdict == AMBIGUOUS and s.nis <= gate else UNMATCHED
     return [best, *others]
-
-
-def _misfit(candidate: Innovation) -> float:
-    return candidate.nis

@@ -29,7 +29,7 @@ from locfuse.fusion.data import VERDICTS, Array, Colour, Component, Ints, Locfus
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.mount import BARE_NUMBERS, NOT_ON_BODY, rotation
 from locfuse.fusion.sensor import Block, Matrix, Model, Sensor, SensorSettings, WheelMotion
-from locfuse.fusion.streams import count_dropped, gap_limit, last_of_periods
+from locfuse.fusion.streams import count_dropped, last_of_periods, summed
 
 MAX_REST_ROLLED_M, MAX_REST_TURNED_RAD = 0.001, math.radians(0.1)  # over a whole rest: encoders tremble by a tick
 WILD_SIGMAS = 4.0  # prior sigmas by which a bias at rest is none: somebody turned the robot by hand
@@ -102,7 +102,7 @@ class Gyro(Sensor):
         dropped = dict(stream.dropped)
         count_dropped(dropped, not_finite=~good)
         t, rate = t[good], rate[good]
-        angle, piece = _summed(t, rate)
+        angle, piece = summed(t, rate)
         keep = last_of_periods(t, settings.period)
         _check_against(t[keep], angle[keep], piece[keep], wheels, stream.topic, settings)
         n = len(keep)
@@ -181,10 +181,9 @@ class GyroModel(Model):
 
     def _begin(self, m: Measurements, i: int, belief: Any) -> None:
         """Measure the bias at rest, with the first reading; until then it drifts."""
-        self.rest = rest_in(m)
-        if self.rest is None or self.given is not None:
-            self.rest = None
+        if "rest_begin" not in m.extra or self.given is not None:
             return
+        self.rest = Rest(*(float(m.extra[f"rest_{name}"][0]) for name in Rest._fields))
         at, now = belief.block(BIAS)
         span = self.rest.end - self.rest.begin
         apart = abs(0.5 * (self.rest.begin + self.rest.end) - float(m.t[i]))
@@ -227,16 +226,6 @@ def up_rate(columns: dict[str, Array], settings: GyroSettings, topic: str) -> Ar
     return np.radians(rate) if settings.unit == "deg" else rate
 
 
-def _summed(t: Array, rate: Array) -> tuple[Array, Ints]:
-    """Return the angle turned since the first reading (n,), by trapezoids, and the number of gaps before (n,)."""
-    dt = np.diff(t)
-    if not len(dt):
-        return np.zeros(len(t)), np.zeros(len(t), dtype=np.int64)
-    gap = dt > gap_limit(t)  # over a longer silence the turn is not known
-    steps = np.where(gap, 0.0, 0.5 * (rate[1:] + rate[:-1]) * dt)
-    return np.concatenate(([0.0], np.cumsum(steps))), np.concatenate(([0], np.cumsum(gap)))
-
-
 def _rest_of(t: Array, angle: Array, piece: Ints, wheels: WheelMotion, settings: GyroSettings) -> dict[str, Array]:
     """Return columns (n,) of rests and the gyro's turn in them; none without a rest.
 
@@ -270,13 +259,6 @@ def rests(where: Array, piece: Ints) -> Iterator[tuple[int, int]]:
             a = i
     if len(poses) - a > 2:
         yield a, len(poses) - 1
-
-
-def rest_in(m: Measurements) -> Rest | None:
-    """Return the rest that measured the bias; None without one."""
-    if "rest_begin" not in m.extra or not len(m.t):
-        return None
-    return Rest(*(float(m.extra[f"rest_{name}"][0]) for name in Rest._fields))
 
 
 def _check_against(

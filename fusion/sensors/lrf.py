@@ -13,11 +13,19 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from locfuse.fusion.data import Array, Colour, Component, Ints, Measurements, Stream
+from locfuse.fusion.data import Array, Colour, Component, Measurements, Stream
 from locfuse.fusion.lines.extract import LineSettings
-from locfuse.fusion.lines.flatness import wall_floor
 from locfuse.fusion.lines.points import SCANS_PER_BLOCK, Longest, ScanPoints, left_out
-from locfuse.fusion.lines.scans import Gathered, Laser, equal_scans, lines_in_base, too_many_beams, turns
+from locfuse.fusion.lines.scans import (
+    SCAN_FIELDS,
+    Gathered,
+    Laser,
+    equal_scans,
+    lines_in_base,
+    too_many_beams,
+    turns,
+    wall_floor,
+)
 from locfuse.fusion.map.tracker import AtlasTracker
 from locfuse.fusion.mount import ASK_MOUNT, Mount, MountedSettings, mount_states
 from locfuse.fusion.sensor import Ask, Reversal, Sensor, WheelMotion
@@ -72,16 +80,7 @@ class Lrf(Sensor):
         **dict.fromkeys(("x", "y", "yaw_deg"), Ask(f"m, m, degrees: {ASK_MOUNT}", blank=True)),
         "sigma_range": Ask("m: noise of one range, by the data sheet"),
     }
-    reads: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        "sensor_msgs/msg/LaserScan": (
-            "angle_min",
-            "angle_increment",
-            "time_increment",
-            "range_min",
-            "range_max",
-            "ranges",
-        ),
-    }
+    reads: ClassVar[Mapping[str, tuple[str, ...]]] = {"sensor_msgs/msg/LaserScan": SCAN_FIELDS}
 
     def measure(self, stream: Stream, settings: LrfSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
         """Extract the lines of every scan, deskewed to the middle of the scan, in the base frame."""
@@ -90,7 +89,10 @@ class Lrf(Sensor):
             laser_of(settings), lambda laser, longest: self._lines(stream, stamps, laser, wheels, longest)
         )
         first, z, R_unit, ends, sweep = found.in_order(len(t))
-        uneven = unevenness(settings, t, first, z, R_unit, sweep[:, 1], wheels)
+        uneven = np.zeros(2)  # variances of r [m^2] and psi [rad^2] from uneven walls
+        if settings.walls == "found":
+            own = settings.sigma_range**2 * R_unit[:, 1, 1]
+            uneven = np.square(wall_floor(t, first, z, own, wheels, sweep[:, 1]))
         floor = np.maximum(uneven, np.square((settings.floor_range, math.radians(settings.floor_angle_deg))))
         extra = {"ends": ends}
         if sweep.any():
@@ -142,15 +144,6 @@ class Lrf(Sensor):
             settings.recover,
             Mount(self.name, settings, tells=settings.map in TELL_MOUNT),
         )
-
-
-def unevenness(
-    settings: LrfSettings, t: Array, first: Ints, z: Array, R_unit: Array, sweep: Array, wheels: WheelMotion
-) -> Array:
-    """Return the variances (2,) of r [m^2] and psi [rad^2] from uneven walls; 0 where walls are flat."""
-    if settings.walls == "flat":
-        return np.zeros(2)
-    return np.square(wall_floor(t, first, z, settings.sigma_range**2 * R_unit[:, 1, 1], wheels, sweep))
 
 
 def laser_of(settings: LrfSettings) -> Laser:

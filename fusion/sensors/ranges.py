@@ -86,7 +86,6 @@ def start_among(
     x, y = (np.linspace(a - margin, b + margin, GRID) for a, b in zip(low, high, strict=True))
     turns = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
     guesses = np.stack([g.ravel() for g in np.meshgrid(x, y, turns, [0.0], indexing="ij")], axis=-1)
-
     return _shortest(anchors, seen, guesses, t, ranges, sigmas)
 
 
@@ -95,7 +94,6 @@ def anchor_beside(seen: Array, t: Array, ranges: Array, sigmas: tuple[float, flo
     turns = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
     around = seen[0] + ranges[0] * np.stack((np.cos(turns), np.sin(turns)), axis=-1)
     guesses = np.column_stack((around, np.zeros(DIRECTIONS)))
-
     return _shortest(np.zeros_like(seen), -seen, guesses, t, ranges, sigmas)
 
 

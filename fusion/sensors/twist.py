@@ -22,7 +22,7 @@ from locfuse.fusion.data import Array, Colour, Component, Ints, LocfuseError, Me
 from locfuse.fusion.kernels.ekf import Innovation
 from locfuse.fusion.se2 import direction, wrap
 from locfuse.fusion.sensor import Ask, Block, Model, PoseRows, Sensor, SensorSettings, WheelMotion
-from locfuse.fusion.streams import count_dropped, gap_limit, last_of_periods
+from locfuse.fusion.streams import count_dropped, last_of_periods, summed
 from locfuse.fusion.wheels.odometry import SPEED
 
 from .pose import plane_covariance, seen_from
@@ -79,7 +79,11 @@ class Twist(Sensor):
         sigmas = np.array([settings.sigma, math.radians(settings.sigma_turn_deg)])
         own = np.broadcast_to(sigmas**2, (len(t), 2))
         P, told = plane_covariance(columns.get("twist.covariance"), keep, settings.covariance, own, FORWARD_TURN)
-        way, variance, piece = _summed(t, speeds[keep], np.diagonal(P, axis1=1, axis2=2))
+        way, piece = summed(t, speeds[keep])
+        # the errors of two readings are independent: 0.5 (v + v') dt^2 between them, but across a gap
+        held = np.where(np.diff(piece) > 0, 0.0, np.diff(t))[:, None]
+        variances, variance = np.diagonal(P, axis1=1, axis2=2), np.zeros_like(way)
+        np.cumsum(0.5 * (variances[1:] + variances[:-1]) * held**2, axis=0, out=variance[1:])
         rows = last_of_periods(t, settings.period)
         n = len(rows)
         R = np.zeros((n, 2, 2))
@@ -122,20 +126,6 @@ def _usable(speeds: Array, stream: Stream, dropped: dict[str, int]) -> Ints:
             f"{stream.topic} says 0 in all {len(keep)} messages: no sensor measures it", role="twist"
         )
     return keep
-
-
-def _summed(t: Array, speeds: Array, variances: Array) -> tuple[Array, Array, Array]:
-    """Return distance and turn (n, 2) since the first reading, their variance (n, 2), and the gaps so far (n,).
-
-    By trapezoids; the errors of two readings are independent.
-    """
-    dt = np.diff(t)
-    gap = dt > gap_limit(t)  # over a longer gap the distance is unknown
-    held = np.where(gap, 0.0, dt)[:, None]
-    steps, spread = 0.5 * (speeds[1:] + speeds[:-1]) * held, 0.5 * (variances[1:] + variances[:-1]) * held**2
-    zero = np.zeros((1, 2))
-    ways, total = (np.concatenate((zero, np.cumsum(part, axis=0))) for part in (steps, spread))
-    return ways, total, np.concatenate((np.zeros(1), np.cumsum(gap)))
 
 
 class TwistModel(Model):

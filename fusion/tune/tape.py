@@ -9,7 +9,7 @@ leading axis: NumPy's call overhead is most of the cost (27 filters take three t
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import msgspec
@@ -227,3 +227,217 @@ class Head:
 def bends(op: Moved, bend: float) -> bool:
     """Return whether a motion's path bends by more than `bend` [1/m]: also on the spot, not at rest."""
     return abs(op.turned) > bend * op.driven
+
+
+# ---- the likelihood of tapes, its peak and its curvature ----
+
+WHEELS = "wheels.noise"
+DRIFT = ":drift"  # of a sensor's estimated offset
+DRIFT_START = 0.1  # degrees per sqrt(s)
+SEARCH_BOUND_LOG = math.log(1e3)  # of one search
+STEP_LOG, HESSIAN_STEP_LOG = 0.02, 0.1
+MAX_SIGMA_LOG = 0.5  # standard error of a logarithm: more is not identifiable
+MIN_CURVATURE_PER_M = 0.5  # 1/m: a path that bends more is turning
+MIN_CURVATURE_NATS = 1e-3  # curvature that counts as none
+PROFILE_DROP_NATS, PROFILE_REACH_LOG, PROFILE_POINTS = 0.5, math.log(30.0), 25  # the search beyond the peak
+NO_TURNS = (
+    "rotation noise is not identifiable: these logs turn by only {turned:.0f} deg. wheels.noise was found on "
+    "straights and may be wrong in turns"
+)
+NO_STRAIGHTS = (
+    "translation noise is not identifiable: these logs drive only {driven:.1f} m straight on. wheels.noise was "
+    "found in turns and may be wrong on straights"
+)
+
+
+class Figures(msgspec.Struct):
+    """The present noise figures: `factors`: ln(present / configured), of a variance for wheels, else of sigmas."""
+
+    told: Robot
+    sensors: tuple[str, ...]
+    drift: str | None = None  # the sensor whose estimated offset may drift
+    factors: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the logarithms in the order of the search."""
+        return [WHEELS, *self.sensors, *([self.drift + DRIFT] if self.drift else [])]
+
+    def factor(self, name: str) -> float:
+        """Return the present figure over the configured one."""
+        return math.exp(self.factors.get(name, 0.0))
+
+    def values(self) -> dict[str, float]:
+        """Return every present figure by its key in robot.toml."""
+        out = {WHEELS: self.told.wheels.noise * self.factor(WHEELS)}
+        for s in self.sensors:
+            settings = self.told.settings(s)
+            out |= {f"{s}.{k}": getattr(settings, k) * self.factor(s) for k in REGISTRY[s].noise_keys}
+        if self.drift:
+            key = drift_key(self.drift)
+            start = getattr(self.told.settings(self.drift), key) or DRIFT_START
+            out[f"{self.drift}.{key}"] = start * self.factor(self.drift + DRIFT)
+        return out
+
+    def name_of(self, key: str) -> str:
+        """Return the logarithm behind a key of robot.toml."""
+        table, _, name = key.partition(".")
+        if key == WHEELS:
+            return WHEELS
+        return table + DRIFT if table == self.drift and name == drift_key(table) else table
+
+    def tables(self) -> dict[str, dict[str, float]]:
+        """Return the figures as tables of robot.toml."""
+        tables: dict[str, dict[str, float]] = {}
+        for key, value in self.values().items():
+            table, _, name = key.partition(".")
+            tables.setdefault(table, {})[name] = value
+        return tables
+
+    def robot(self, robot: Robot) -> Robot:
+        """Return a robot with the present figures."""
+        tables = self.tables()
+        wheels = msgspec.structs.replace(robot.wheels, **tables.pop("wheels"))
+        settings = {s: msgspec.structs.replace(c, **tables.get(s, {})) for s, c in robot.sensors.items()}
+        return replace(robot, wheels=wheels, sensors=settings)
+
+
+def drift_key(sensor: str) -> str:
+    """Return the key for the drift of a sensor's estimated offset, "" without one."""
+    return REGISTRY[sensor].drift_key or ""
+
+
+def drifting(robot: Robot, sensors: Sequence[str], wanted: bool) -> str | None:
+    """Return the sensor whose offset is estimated and drifts, or may drift."""
+    for s in sensors:
+        offset, key = REGISTRY[s].bias, drift_key(s)
+        if key and offset is not None and getattr(robot.settings(s), offset.key) is None:
+            return s if wanted or getattr(robot.settings(s), key) > 0.0 else None
+    return None
+
+
+class Problem(msgspec.Struct):
+    """The likelihood of tapes as a function of logarithms relative to what was recorded."""
+
+    tapes: Sequence[Tape]
+    until: Sequence[float]  # s: what is later is held out
+    names: Sequence[str]  # of the logarithms
+
+    def __call__(self, theta: Array, turns: Array | None = None, least: Sequence[float] | None = None) -> Array:
+        """Return the log likelihood in training of B points (B, p).
+
+        `turns` (B,) is the logarithm of the wheels' noise in turns, `least` ends the tapes even earlier [s].
+        """
+        total = np.zeros(len(theta))
+        for tape, end in zip(
+            self.tapes, self.until if least is None else map(min, self.until, least), strict=True
+        ):
+            if end > tape.t[0]:
+                total += play(tape, self._noise(tape, theta, turns), MIN_CURVATURE_PER_M, end).scores.sum(axis=1)
+        return total
+
+    def means(self, theta: Array) -> tuple[list[tuple[float, ...] | None], tuple[int, int]]:
+        """Return mean scores per number of B points, in training and held out, and the counts of these numbers."""
+        sums, counts = np.zeros((2, len(theta))), np.zeros(2)
+        for tape, end in zip(self.tapes, self.until, strict=True):
+            played = play(tape, self._noise(tape, theta))
+            training = (tape.t[played.instant] < end).astype(np.float64)
+            for i, part in enumerate((training, 1.0 - training)):
+                sums[i] += played.scores @ part
+                counts[i] += played.numbers @ part
+        found = [tuple((s / n).tolist()) if n else None for s, n in zip(sums, counts.tolist(), strict=True)]
+        return found, (int(counts[0]), int(counts[1]))
+
+    def _noise(self, tape: Tape, theta: Array, turns: Array | None = None) -> Noise:
+        """Turn logarithms into factors on the variances of one tape."""
+        sensors = [np.exp(2.0 * theta[:, self.names.index(s)]) for s in tape.sensors]
+        drifts = {}
+        if self.names[-1].endswith(DRIFT):
+            drifts = dict.fromkeys(tape.drifts, np.exp(2.0 * theta[:, -1]))
+        columns = np.stack(sensors, axis=1) if sensors else np.ones((len(theta), 0))
+        wheels = theta[:, self.names.index(WHEELS)]
+        return Noise(np.exp(wheels), columns, drifts, None if turns is None else np.exp(turns))
+
+
+def best(problem: Problem, starts: Sequence[float], least: Sequence[float] | None = None) -> Array:
+    """Return the most likely logarithms (p,) relative to the recording; a start is all of them at once.
+
+    `least` ends the tapes early [s]: to tell the starts apart, a part of the logs is enough.
+    """
+    from scipy.optimize import minimize
+
+    p = len(problem.names)
+    steps = np.concatenate((np.zeros((1, p)), STEP_LOG * np.eye(p), -STEP_LOG * np.eye(p)))
+
+    def cost(theta: Array) -> tuple[float, Array]:
+        values = -problem(theta + steps, least=least)
+        return float(values[0]), (values[1 : p + 1] - values[p + 1 :]) / (2.0 * STEP_LOG)
+
+    limits = [(-SEARCH_BOUND_LOG, SEARCH_BOUND_LOG)] * p
+    found = [
+        minimize(cost, np.full(p, s), jac=True, method="L-BFGS-B", bounds=limits, options={"ftol": 1e-8})
+        for s in starts
+    ]
+    return np.asarray(min(found, key=lambda f: float(f.fun)).x, np.float64)
+
+
+def identify(problem: Problem) -> tuple[Array, list[str]]:
+    """Return the standard error of every logarithm (p,), and in words why the wheels' noise was not identified.
+
+    From the likelihood's curvature with the wheels' noise split: on straights, and in turns.
+    """
+    p = len(problem.names)
+    H = -hessian(lambda v: problem(v[:, :p], v[:, p]), p + 1)
+    whole = np.vstack((np.eye(p), np.eye(p)[:1]))  # the split noise follows from the one
+    split = standard_errors(H)
+    flags = []
+    if split[p] > MAX_SIGMA_LOG:
+        flags.append(NO_TURNS.format(turned=math.degrees(sum(abs(m.turned) for m in _moves(problem, True)))))
+    if split[0] > MAX_SIGMA_LOG:
+        flags.append(NO_STRAIGHTS.format(driven=sum(m.driven for m in _moves(problem, False))))
+    return standard_errors(whole.T @ H @ whole), flags
+
+
+def at_most(problem: Problem, which: int, told: float) -> float:
+    """Return the largest value of one logarithm, up to `told`, that is hardly less likely than 0, the peak.
+
+    Where the likelihood is flat towards small noise, the end of the flat part is returned.
+    """
+    grid = np.linspace(0.0, max(told, PROFILE_REACH_LOG), PROFILE_POINTS)
+    theta = np.zeros((PROFILE_POINTS, len(problem.names)))
+    theta[:, which] = grid
+    likelihood = problem(theta)
+    worse = np.flatnonzero(likelihood < likelihood[0] - PROFILE_DROP_NATS)
+    return float(grid[worse[0] - 1]) if len(worse) else math.inf
+
+
+def _moves(problem: Problem, turning: bool) -> list[Moved]:
+    """Return the motions in training that turn, or those that do not."""
+    return [
+        op
+        for tape, end in zip(problem.tapes, problem.until, strict=True)
+        for instant, op in tape.ops
+        if isinstance(op, Moved) and tape.t[instant] < end and bends(op, MIN_CURVATURE_PER_M) == turning
+    ]
+
+
+def hessian(f: Callable[[Array], Array], p: int) -> Array:
+    """Second derivatives (p, p) of f: (B, p) -> (B,) at zero, by central differences in one call."""
+    signs = np.array(((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)))
+    pairs = [(i, j) for i in range(p) for j in range(i, p)]
+    points = np.zeros((len(pairs), 4, p))
+    for point, (i, j) in zip(points, pairs, strict=True):
+        point[:, i] += HESSIAN_STEP_LOG * signs[:, 0]
+        point[:, j] += HESSIAN_STEP_LOG * signs[:, 1]
+    values = f(points.reshape(-1, p)).reshape(-1, 4) @ (signs[:, 0] * signs[:, 1])
+    out = np.zeros((p, p))
+    for (i, j), value in zip(pairs, values.tolist(), strict=True):
+        out[i, j] = out[j, i] = value / (4.0 * HESSIAN_STEP_LOG**2)
+    return out
+
+
+def standard_errors(H: Array) -> Array:
+    """Return standard errors (p,) from the curvature H of -ln L; enormous along directions without any."""
+    values, vectors = np.linalg.eigh(H)
+    errors: Array = np.sqrt((vectors**2 / np.maximum(values, MIN_CURVATURE_NATS)).sum(axis=1))
+    return errors

@@ -22,7 +22,7 @@ from locfuse.fusion.judge.innovations import Own, own
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .likelihood import (
+from .tape import (
     DRIFT,
     MAX_SIGMA_LOG,
     WHEELS,
@@ -33,8 +33,8 @@ from .likelihood import (
     drift_key,
     drifting,
     identify,
+    record,
 )
-from .tape import record
 
 MAX_ROUNDS, MIN_LOG_CHANGE = 6, 0.03  # a smaller change of a logarithm ends the rounds
 START_LOG_FACTORS = (0.0, math.log(6.0), -math.log(6.0))

@@ -20,10 +20,91 @@ from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
-from locfuse.fusion.data import Array, Drive, Ints, LocfuseError, Truth
+from locfuse.fusion.data import Array, Drive, Ints, LocfuseError, Truth, stretches
 
-from .likelihood import Figure, Residuals
 from .motion import Wheels
+
+# ---- the size of a noise of known shape: restricted likelihood with linear nuisance parameters ----
+#
+# e_i = X_i p + noise, noise ~ N(0, s Q_i + T_i), p ~ N(0, P0): p is integrated out, so that what p explains is not
+# counted as noise (Patterson and Thompson 1971). With T = 0 and a vague prior, s is the sum of squares over its
+# degrees of freedom, and the interval is the chi-square one.
+
+CONFIDENCE = 0.95
+S_BOUNDS = (1e-10, 10.0)  # where s is looked for
+LN_S_TOLERANCE = 1e-6  # of ln s
+
+
+class Figure(msgspec.Struct, frozen=True):
+    """An estimate with its interval at CONFIDENCE."""
+
+    value: float
+    low: float
+    high: float
+
+
+class Residuals(msgspec.Struct, frozen=True):
+    """Errors of n pieces with d components, their regressors, and their covariances."""
+
+    e: Array  # (n, d)
+    X: Array  # (n, d, p)
+    Q: Array  # (n, d, d) per unit of the scale that is looked for
+    T: Array  # (n, d, d) known
+    prior: Array  # (p,) standard deviations of the nuisance parameters
+
+    def parameters(self, scale: float) -> tuple[Array, Array]:
+        """Return the nuisance parameters (p,) and their covariance (p, p) at a scale."""
+        V = scale * self.Q + self.T
+        VX = np.linalg.solve(V, self.X)
+        M = np.diag(self.prior**-2.0) + np.einsum("nij,nik->jk", self.X, VX)
+        b = np.einsum("nij,ni->j", VX, self.e)
+        return np.linalg.solve(M, b), np.linalg.inv(M)
+
+    def squares(self, scale: float, p: Array) -> Array:
+        """Return the squared Mahalanobis distance of each piece, (n,)."""
+        r = self.e - self.X @ p
+        distances: Array = np.einsum("ni,ni->n", r, np.linalg.solve(scale * self.Q + self.T, r[..., None])[..., 0])
+        return distances
+
+    def ln_likelihood(self, scale: float) -> float:
+        """Return ln of the likelihood of a scale, up to a constant."""
+        V = scale * self.Q + self.T
+        p, spread = self.parameters(scale)
+        Ve = np.linalg.solve(V, self.e[..., None])[..., 0]
+        explained = p @ np.linalg.solve(spread, p)
+        quadratic = float((self.e * Ve).sum()) - float(explained)
+        determinants = float(np.linalg.slogdet(V)[1].sum()) - float(np.linalg.slogdet(spread)[1])
+        return -0.5 * (quadratic + determinants)
+
+    def best(self) -> tuple[float, float]:
+        """Return the likeliest scale, and ln of its likelihood."""
+        from scipy.optimize import minimize_scalar
+
+        bounds = tuple(map(math.log, S_BOUNDS))
+        tight = {"xatol": LN_S_TOLERANCE}
+        found = minimize_scalar(
+            lambda x: -self.ln_likelihood(math.exp(x)), bounds=bounds, method="bounded", options=tight
+        )
+        return math.exp(found.x), -float(found.fun)
+
+    def fit(self) -> tuple[Figure, float]:
+        """Return the likeliest scale with its likelihood-ratio interval, and ln of its likelihood."""
+        scale, top = self.best()
+        low, high = (math.exp(self._edge(math.log(scale), math.log(end), top)) for end in S_BOUNDS)
+        return Figure(scale, low, high), top
+
+    def _edge(self, inside: float, outside: float, top: float) -> float:
+        """Return ln of the scale, between two, at which the likelihood falls to the interval's edge."""
+        from scipy.optimize import brentq
+
+        drop = 0.5 * chi_square(CONFIDENCE, 1)
+        if top - self.ln_likelihood(math.exp(outside)) <= drop:
+            return outside
+        edge: float = brentq(
+            lambda x: top - self.ln_likelihood(math.exp(x)) - drop, inside, outside, xtol=LN_S_TOLERANCE
+        )
+        return edge
+
 
 STRAIGHT, TURN = 0, 1
 WINDOW_S = 0.3  # s over which the motion is looked at
@@ -32,9 +113,8 @@ MAX_OTHER_SHARE = 0.2  # at most this share of the rim's motion may be of the ot
 MAX_BEND_RAD_PER_M = 0.7  # rad/m: a straight run may wobble, but not turn more than that
 MIN_RUNS = (0.5, math.radians(45.0))  # m, rad: shorter runs are not used
 PAPER_PERIOD_S = 0.1  # s, the paper's sampling time: what its delta refers to
-PRIOR_SIGMAS = np.array(
-    [0.1, 0.1, 0.3]
-)  # relative, of mean scale, scale difference, track: wide enough to say nothing
+# relative, of mean scale, scale difference, track: wide enough to say nothing
+PRIOR_SIGMAS = np.array([0.1, 0.1, 0.3])
 FIXED_SIGMA = 1e-9  # prior of what the log cannot tell
 UNSEEN_VARIANCE = 1e6  # m^2, rad^2: variance of what the truth does not say
 FROM_PARAMETERS = np.array([[1.0, -0.5, 0.0], [1.0, 0.5, 0.0], [0.0, 0.0, 1.0]])  # to left, right, track
@@ -139,7 +219,9 @@ def find_pieces(drive: Drive, moved: Array) -> Pieces:
         )
     wheels = adjusted(drive.wheels, moved)
     inside = (truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1])
-    stamps, pose = truth.t[inside], _body(truth)[inside]
+    theta = np.zeros(len(truth.t)) if truth.theta is None else truth.theta
+    body = se2.compose(np.column_stack((truth.xy, theta)), np.array([*(-np.array(truth.point)), 0.0]))
+    stamps, pose = truth.t[inside], body[inside]
     sigma = truth_sigma(truth, wheels)
     kind, a, b = cut_runs(find_runs(wheels), wheels, stamps, piece_length(sigma, wheels))
     if truth.theta is None:  # a turn cannot be seen
@@ -192,11 +274,10 @@ def truth_sigma(truth: Truth, wheels: Wheels) -> Sigma:
     """Return the truth's noise: as configured, else its scatter while the robot stands."""
     middle = 0.5 * (wheels.t[1:] + wheels.t[:-1])
     still = np.abs(wheels.rolled).max(axis=1) < STANDSTILL_MPS * np.diff(wheels.t)
-    edges = np.flatnonzero(np.diff(still, prepend=False, append=False))
     xy, theta = [np.zeros(0)], [np.zeros(0)]
-    for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        rows = (truth.t >= middle[a]) & (truth.t <= middle[b - 1])
-        if middle[b - 1] - middle[a] < MIN_STANDSTILL_S or rows.sum() < 3:
+    for first, last in stretches(still):
+        rows = (truth.t >= middle[first]) & (truth.t <= middle[last])
+        if middle[last] - middle[first] < MIN_STANDSTILL_S or rows.sum() < 3:
             continue
         xy.append((truth.xy[rows] - truth.xy[rows].mean(axis=0)).ravel())
         if truth.theta is not None:
@@ -212,14 +293,6 @@ def piece_length(sigma: Sigma, wheels: Wheels) -> tuple[float, float]:
     straight = 16.0 * sigma.xy**2 / noise
     turn = 8.0 * sigma.theta**2 * wheels.track / noise
     return max(MIN_RUNS[STRAIGHT], straight), max(MIN_RUNS[TURN], turn)
-
-
-def _body(truth: Truth) -> Array:
-    """Poses of the body (n, 3) from those of the tracked point; heading 0 if the truth has none."""
-    theta = np.zeros(len(truth.t)) if truth.theta is None else truth.theta
-    c, s = np.cos(theta), np.sin(theta)
-    x, y = truth.point
-    return np.stack((truth.xy[:, 0] - c * x + s * y, truth.xy[:, 1] - s * x - c * y, theta), axis=-1)
 
 
 def _truth_noise(seen: Array, sigma: Sigma) -> Array:
@@ -249,15 +322,10 @@ def _too_few(n: int) -> str:
 # ---- straight runs and turns on the spot ----
 
 
-class Runs(msgspec.Struct, frozen=True):
-    """Pieces of one kind of motion in one direction, n of them."""
-
-    kind: Ints  # (n,) STRAIGHT or TURN
-    start: Array  # (n,) s
-    end: Array  # (n,) s
+Run = tuple[int, float, float]  # of one motion in one direction: STRAIGHT or TURN, start and end [s]
 
 
-def find_runs(wheels: Wheels) -> Runs:
+def find_runs(wheels: Wheels) -> list[Run]:
     """Return the straight runs and turns on the spot of a drive, in time order."""
     label = _labels(wheels)
     edges = np.flatnonzero(np.diff(label, prepend=0, append=0))
@@ -268,8 +336,7 @@ def find_runs(wheels: Wheels) -> Runs:
         kind = STRAIGHT if abs(label[a]) == 1 else TURN
         if abs(float(wheels.twist[a:b, (0, 2)[kind]].sum())) >= MIN_RUNS[kind]:
             found.append((kind, float(wheels.t[a]), float(wheels.t[b])))
-    kinds, starts, ends = zip(*found, strict=True) if found else ((), (), ())
-    return Runs(np.array(kinds, np.int64), np.array(starts, float), np.array(ends, float))
+    return found
 
 
 def _labels(wheels: Wheels) -> Ints:
@@ -289,7 +356,9 @@ def _labels(wheels: Wheels) -> Ints:
     return np.where(moving, label, 0.0).astype(np.int64)
 
 
-def cut_runs(runs: Runs, wheels: Wheels, stamps: Array, least: tuple[float, float]) -> tuple[Ints, Ints, Ints]:
+def cut_runs(
+    runs: Sequence[Run], wheels: Wheels, stamps: Array, least: tuple[float, float]
+) -> tuple[Ints, Ints, Ints]:
     """Cut runs at `stamps` (m,) [s] into equal pieces of about `least` (m, rad), or leave them whole.
 
     Returns (kind, first stamp, last stamp) of each piece, (k,) each; pieces follow each other and do not overlap.
@@ -297,7 +366,7 @@ def cut_runs(runs: Runs, wheels: Wheels, stamps: Array, least: tuple[float, floa
     rolled = np.concatenate((np.zeros((1, 2)), np.cumsum(np.abs(wheels.twist[:, [0, 2]]), axis=0)))
     way = [np.interp(stamps, wheels.t, column) for column in rolled.T]
     pieces = [np.zeros((0, 3), np.int64)]
-    for kind, start, end in zip(runs.kind.tolist(), runs.start.tolist(), runs.end.tolist(), strict=True):
+    for kind, start, end in runs:
         a, b = np.searchsorted(stamps, start).item(), np.searchsorted(stamps, end, side="right").item() - 1
         if a >= b or (total := float(way[kind][b] - way[kind][a])) < 0.5 * MIN_RUNS[kind]:
             continue

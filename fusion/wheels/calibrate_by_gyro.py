@@ -26,7 +26,7 @@ import numpy as np
 from locfuse.fusion.chi_square import SIGMAS_95
 from locfuse.fusion.data import Array, LocfuseError
 
-from .likelihood import Figure
+from .calibrate import Figure
 from .motion import Wheels
 
 WINDOW_S = 2.0  # s: long beside the delay between two clocks, short beside a drive

@@ -9,7 +9,7 @@ Where the wheels' scales and track and the mount l are unknown, intervals of dif
 (Censi, Franchi, Marchionni and Oriolo, IEEE T-RO 2013). Their closed form gives the first mount: turns tell how
 far the wheels roll apart, and then (b, l_x, l_y, cos, sin) is linear up to cos^2 + sin^2 = 1. From there all
 parameters, the laser's delay among them, are fitted by weighted least squares: wheel noise by the way, matches by
-their covariance, the scale of either by restricted likelihood (fusion.wheels.likelihood). The laser's metre is
+their covariance, the scale of either by restricted likelihood (fusion.wheels.calibrate). The laser's metre is
 taken for the right one.
 """
 
@@ -27,24 +27,20 @@ from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import Array, LocfuseError
 
-from .calibrate import CHI_SQUARE_MEDIANS, FROM_PARAMETERS, OUTLIER_CONFIDENCE
-from .likelihood import Residuals
+from .calibrate import CHI_SQUARE_MEDIANS, FROM_PARAMETERS, OUTLIER_CONFIDENCE, Residuals
 from .motion import Wheels
 
 NAMES = ("scale", "difference", "track", "x", "y", "yaw", "delay")
 # of numerical derivatives; that by the delay is long, so that it is of the motion and not of the wheels' noise
 STEPS = np.array([1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 0.15])
 PRIOR = np.array([0.1, 0.1, 0.3, 0.5, 0.5, 1.0, 0.5])  # 1 sigma: relative (3), m (2), rad, s; wide, to say nothing
-BY_WAY, BY_TURN = (
-    [0, 3, 4, 5],
-    [2, 3, 4],
-)  # what only ways tell of: scale and mount; what only turns do: track, x, y
+BY_WAY, BY_TURN = [0, 3, 4, 5], [2, 3, 4]  # what only ways tell of: scale and mount; only turns: track, x, y
 UNTOLD = 0.3  # share of the prior's sigma that is left where a drive does not tell
 WAY_M, TURN_RAD, SPAN_S = (
     0.4,
     np.radians(25.0),
     3.0,
-)  # an interval ends when the laser moved so far, or after so long
+)  # an interval ends when the laser moved so far, or so long after
 MOVED_M, MOVED_RAD = 0.03, np.radians(1.5)  # less is standing still, which tells nothing
 MIN_INTERVALS = 12
 DELAYS_S = sorted(np.linspace(-1.0, 1.0, 41).tolist(), key=abs)  # tried for the first guess, the smallest first
@@ -108,7 +104,8 @@ class Intervals(msgspec.Struct, frozen=True):
         """Return the laser's motions (n, 3) predicted by the wheels and parameters p (7,)."""
         wheels = corrected(self.motion.wheels, p[:3])
         u = wheels.relative(self.t_from + p[6], self.t_to + p[6])
-        return seen_from_laser(u, p[3:6])
+        mount = np.broadcast_to(p[3:6], u.shape)
+        return se2.between(mount, se2.compose(u, mount))
 
     def errors(self, p: Array) -> Array:
         """Return the laser's motions less the predicted ones, (n, 3)."""
@@ -204,12 +201,6 @@ def corrected(wheels: Wheels, p: Array) -> Wheels:
         twist[:, 2] /= 1.0 + track
         twist[:, 2] += (right - left) * wheels.twist[:, 0] / wheels.track
     return Wheels.from_twists(wheels.t, twist, wheels.track * (1.0 + track), wheels.noise)
-
-
-def seen_from_laser(u: Array, mount: Array) -> Array:
-    """Return motions (n, 3) of the robot as those of a laser at mount (3,), in its earlier frame."""
-    at = np.broadcast_to(mount, u.shape)
-    return se2.between(at, se2.compose(u, at))
 
 
 def first_guess(every: Sequence[Intervals]) -> Array:

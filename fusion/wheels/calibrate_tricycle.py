@@ -20,7 +20,7 @@ from locfuse.fusion.data import Array, LocfuseError, Truth
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import MergedStream
 
-from .likelihood import Figure
+from .calibrate import Figure
 from .motion import dead_reckoning
 from .steered import Encoders, read_encoders, rolled_by
 

@@ -19,22 +19,27 @@ spreads as independent steps of covariance dt^2 (P + M + M') do, with M = (1 - A
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, LocfuseError, Stream
-from locfuse.fusion.lines.scans import Laser
+from locfuse.fusion.lines.points import SCANS_PER_BLOCK, Longest, left_out
+from locfuse.fusion.lines.scans import SCAN_FIELDS, Laser, equal_scans, points_in_base
 from locfuse.fusion.robot import VIRTUAL_TRACK, WheelSettings
-from locfuse.fusion.scan_matching.clouds import Clouds
+from locfuse.fusion.scan_matching.clouds import MAX_RANGE_M, Clouds
 from locfuse.fusion.scan_matching.match import Matches, Targets, match, overlap, se2_difference, sources_of
+from locfuse.fusion.sensor import WheelMotion
 
 from .motion import Wheels
 from .read import WheelReading
-from .scan_clouds import STANDING, Scans, read_scans
 
+MAX_POINTS = 240  # of a scan: neighbouring beams say nothing new
+# the motion of a robot of which nothing is known yet: none
+STANDING = Wheels.from_twists(np.array([0.0, 1.0]), np.zeros((1, 3)), 1.0, 0.0)
 SCANS_AT_ONCE = 400
 MIN_PAIR_S = 0.15  # between the two scans that tell the speed: in less the robot moves less than a match errs
 # of the prior's information while points are paired: it counts in full where the match is fused with it, once
@@ -343,3 +348,51 @@ class Velocity(NamedTuple):
 def standing() -> Velocity:
     """Return the prior before the first scan: at rest, since a recording starts before the robot does."""
     return Velocity(np.zeros(3), 0.25 * np.diag(USUAL))
+
+
+# ---- the scans of a whole log as thinned points in the base frame, and the surfaces of some at a time ----
+
+
+class Scans(msgspec.Struct, frozen=True):
+    """All scans of a log in time order: their points in the base frame, evenly thinned."""
+
+    t: Array  # (n,) s since the stream's first stamp: the instants to which they are deskewed
+    points: list[NDArray[np.float32]]  # n of (k, 2) [m], in the order of the beams: an hour of them fits in memory
+    origin: Array  # (2,) m, the laser on the base
+    skewed: bool  # whether any scan takes time
+
+    def clouds(self, rows: Ints) -> Clouds:
+        """Return the points and surfaces of some scans."""
+        return Clouds.of_scans([self.points[row].astype(np.float64) for row in rows.tolist()], self.origin)
+
+
+def read_scans(stream: Stream, laser: Laser, wheels: WheelMotion) -> Scans:
+    """Return the scans of a stream; `wheels` gives the robot's motion during each.
+
+    A range that the driver writes where nothing came back is left out, unless `laser` says how far it sees.
+    """
+    return left_out(laser, lambda understood, longest: _read(stream, understood, wheels, longest))[0]
+
+
+def _read(stream: Stream, laser: Laser, wheels: WheelMotion, longest: Longest) -> Scans:
+    """Return the scans of a stream; `longest` counts all of its ranges."""
+    stamps: Array = (stream.t_ns - stream.t_ns[0]) * np.float64(1e-9)
+    t = stamps.copy()
+    points: list[NDArray[np.float32]] = [np.zeros((0, 2), np.float32)] * len(t)
+    skewed = False
+    for rows, columns in stream.blocks(*SCAN_FIELDS, rows=SCANS_PER_BLOCK):
+        skewed |= bool(np.any(cast("Array", columns["time_increment"]) > 0.0)) and laser.deskew
+        for group, scans in equal_scans(columns):
+            longest.add(scans["ranges"], scans["range_max"])
+            at = rows[group]
+            xy, t[at] = points_in_base(scans, stamps[at], laser, wheels)
+            for row, p in zip(at.tolist(), xy, strict=True):
+                points[row] = _thinned(p, laser.mount[:2]).astype(np.float32)
+    return Scans(np.maximum.accumulate(t), points, laser.mount[:2], skewed)  # sweeps of different lengths overlap
+
+
+def _thinned(points: Array, origin: Array) -> Array:
+    """Return the points (k, 2) that are near enough to be useful, evenly thinned."""
+    near = points[np.hypot(*(points - origin).T) < MAX_RANGE_M]  # False for NaN: no return
+    thinned: Array = near[:: max(1, -(-len(near) // MAX_POINTS))]
+    return thinned

@@ -22,7 +22,7 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
 
 
-def _pose(prefix: str, position: str = "position", orientation: str = "orientation") -> tuple[str, ...]:
+def pose_fields(prefix: str, position: str = "position", orientation: str = "orientation") -> tuple[str, ...]:
     """Return the six fields of a planar pose: x, y, and a quaternion x, y, z, w."""
     return (
         *(f"{prefix}.{position}.{axis}" for axis in "xy"),
@@ -33,13 +33,13 @@ def _pose(prefix: str, position: str = "position", orientation: str = "orientati
 TURTLESIM = "turtlesim/msg/Pose"
 # Message type -> fields of its pose: x, y and a quaternion (6).
 POSE: Mapping[str, tuple[str, ...]] = {
-    ODOMETRY: _pose("pose.pose"),
-    TRANSFORM: _pose("transform", "translation", "rotation"),
-    "geometry_msgs/msg/PoseStamped": _pose("pose"),
-    "geometry_msgs/msg/PoseWithCovarianceStamped": _pose("pose.pose"),
-    "geometry_msgs/msg/Pose": tuple(name.removeprefix("pose.") for name in _pose("pose")),
-    "foxglove.PoseInFrame": _pose("pose"),
-    "foxglove_msgs/msg/PoseInFrame": _pose("pose"),
+    ODOMETRY: pose_fields("pose.pose"),
+    TRANSFORM: pose_fields("transform", "translation", "rotation"),
+    "geometry_msgs/msg/PoseStamped": pose_fields("pose"),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": pose_fields("pose.pose"),
+    "geometry_msgs/msg/Pose": tuple(name.removeprefix("pose.") for name in pose_fields("pose")),
+    "foxglove.PoseInFrame": pose_fields("pose"),
+    "foxglove_msgs/msg/PoseInFrame": pose_fields("pose"),
 }
 # Message type -> fields of x, y [m] and the heading [rad].
 PLANAR: Mapping[str, tuple[str, str, str]] = {

@@ -109,22 +109,15 @@ def _rolled(
     left, right = (
         repaired(side, metres, settings.rollover, settings.max_speed) for side in (counters.left, counters.right)
     )
-    if left.spikes or right.spikes:
-        counters.dropped["spike"] = counters.dropped.get("spike", 0) + left.spikes + right.spikes
+    count_dropped(counters.dropped, spike=left.spikes + right.spikes)
     t_left, t_right = counters.left.t[left.keep], counters.right.t[right.keep]
-    t = _common(t_left, t_right, synchronised=counters.left.t is counters.right.t)
+    if counters.left.t is counters.right.t:
+        t = np.intersect1d(t_left, t_right)
+    else:  # of two topics the instants of the left one
+        t = t_left[(t_left >= t_right[0]) & (t_left <= t_right[-1])]
     s_left, s_right = (s * share for s, share in zip(SIGNS[settings.mirrored], settings.shares, strict=True))
     ways = s_left * np.interp(t, t_left, left.rolled), s_right * np.interp(t, t_right, right.rolled)
     return t, *ways, (*left.notes, *right.notes)
-
-
-def _common(left: Array, right: Array, synchronised: bool) -> Array:
-    """Return the instants at which both wheels are known; for two topics, those of the left one."""
-    if synchronised:
-        common: Array = np.intersect1d(left, right)
-        return common
-    within: Array = left[(left >= right[0]) & (left <= right[-1])]
-    return within
 
 
 def _geometry(settings: WheelSettings, stream: Stream) -> tuple[float, float]:
@@ -176,8 +169,7 @@ def _from_body(stream: Stream, values: Array, settings: WheelSettings, posed: bo
         can = odometry.possible(values[keep, 3:], settings.max_speed)
         count_dropped(dropped, spike=~can)
         t, twist = odometry.obeyed(t[can], values[keep[can], 3:])
-        notes: tuple[str, ...] = ()
-        doubt = ""
+        notes, doubt = tuple[str, ...](), ""
     else:
         way = odometry.travelled(t, values[keep], settings.reverse_by_twist, settings.max_speed, posed)
         count_dropped(dropped, spike=way.spikes)

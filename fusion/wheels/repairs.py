@@ -47,7 +47,8 @@ def repaired(side: Side, metres: float, modulus: float | None, max_speed: float 
     `modulus` and `max_speed` are wheels.rollover and wheels.max_speed.
     """
     count = unrolled(side.value, modulus, side.likely)
-    bad = _spikes(side.t, count.values * metres, max_speed)
+    rolled = count.values * metres
+    bad = spikes(side.t, rolled[:, None], limits(side.t, np.diff(rolled), max_speed))
     if bad.any():  # a spike may have hidden the modulus, or looked like a rollover
         count = unrolled(side.value[~bad], modulus, side.likely)
     keep = np.flatnonzero(~bad)
@@ -57,10 +58,6 @@ def repaired(side: Side, metres: float, modulus: float | None, max_speed: float 
     way = np.concatenate(([0.0], np.cumsum(restarted(t, steps[:, None], start_anew))))
     jumps = steps[start_anew] / metres
     return Repaired(keep, way, int(bad.sum()), tuple(_words(side.name, count, int(bad.sum()), jumps.tolist())))
-
-
-def _spikes(t: Array, rolled: Array, max_speed: float | None) -> Mask:
-    return spikes(t, rolled[:, None], limits(t, np.diff(rolled), max_speed))
 
 
 def _words(name: str, count: Unrolled, spiked: int, jumps: Sequence[float]) -> list[str]:

@@ -20,12 +20,12 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints, Stream
 from locfuse.fusion.lines.points import ScanPoints
-from locfuse.fusion.lines.scans import Laser
+from locfuse.fusion.lines.scans import SCAN_FIELDS, Laser
 from locfuse.fusion.scan_matching.clouds import MAX_RANGE_M, Clouds
 from locfuse.fusion.scan_matching.match import FLOOR_RAD, Targets, match, sources_of
 
+from .motion_by_scans import STANDING
 from .read import WheelReading
-from .scan_clouds import FIELDS, STANDING
 
 PAIRS, MIN_MOVING = 60, 20  # pairs that are looked at; so many that move: standing ones are not needed
 PAIR_S, MAX_PAIR_S = 1.0, 3.0  # s from the earlier to the later scan of a pair; scans further apart make none
@@ -119,7 +119,9 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         targets, sources = Targets(clouds), sources_of(clouds, MATCHED_POINTS)
         ends = np.cumsum([len(chain) for chain in chains])
         step = np.setdiff1d(np.arange(len(at) - 1), ends - 1)
-        found = _steps(targets, sources, at[step], at[step + 1])
+        i, j, start = at[step], at[step + 1], np.zeros((len(step), 3))
+        prior = np.broadcast_to(STEP_PRIOR, (len(step), 3, 3))
+        found = match(targets, i, sources, j, start, prior, STEP_REACH_M).pose
         moved = np.stack([se2.chain(part)[-1] for part in np.split(found, ends[:-1] - np.arange(1, len(chains)))])
         i, j = at[ends - [len(chain) for chain in chains]], at[ends - 1]
         prior = np.broadcast_to(BETWEEN_PRIOR, (len(i), 3, 3))
@@ -178,12 +180,6 @@ def scan_pairs(stream: Stream, laser: Laser, motions: Sequence[WheelReading]) ->
     return ScanPairs(stream, laser, t, first, later, surface, points)
 
 
-def _steps(targets: Targets, sources: Clouds, i: Ints, j: Ints) -> Array:
-    """Return the laser's motion from scan i to scan j (k,) each, matched without a prior, (k, 3)."""
-    start = np.zeros((len(i), 3))
-    return match(targets, i, sources, j, start, np.broadcast_to(STEP_PRIOR, (len(i), 3, 3)), STEP_REACH_M).pose
-
-
 def _times(stream: Stream, motion: WheelReading, t_from: Array, t_to: Array) -> tuple[Array, Array]:
     """Return times (p,) [s] since the first scan on the clock of a motion; outside its range it is at rest."""
     shift = (int(stream.t_ns[0]) - motion.epoch_ns) * 1e-9
@@ -194,6 +190,6 @@ def _times(stream: Stream, motion: WheelReading, t_from: Array, t_to: Array) -> 
 def _points(stream: Stream, laser: Laser, rows: Ints, most: int) -> list[Array]:
     """Return the points of some scans in the laser's frame, about `most` each, in the order of beams."""
     plain = laser._replace(mount=np.zeros(3), deskew=False)
-    scans = ScanPoints(stream, FIELDS, np.zeros(len(stream.t_ns)), plain, STANDING, rows)
+    scans = ScanPoints(stream, SCAN_FIELDS, np.zeros(len(stream.t_ns)), plain, STANDING, rows)
     near = (p[np.hypot(*p.T) < MAX_RANGE_M] for p in scans.read(np.arange(len(rows))))
     return [p[:: max(1, -(-len(p) // most))] for p in near]

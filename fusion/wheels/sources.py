@@ -52,19 +52,8 @@ SIDE_LETTERS = {"left": {"l", "fl", "rl", "bl"}, "right": {"r", "fr", "rr", "br"
 REAR_WORDS, REAR_LETTERS = ("rear", "back"), {"rl", "rr", "bl", "br"}
 NO_DRIVE = ("caster", "steer", "drop", "suspension")  # joints of a wheel that say nothing of the way it rolls
 LIMBS = (
-    "hip",
-    "knee",
-    "thigh",
-    "calf",
-    "ankle",
-    "leg",
-    "foot",
-    "arm",
-    "shoulder",
-    "elbow",
-    "wrist",
-    "finger",
-    "gripper",
+    *("hip", "knee", "thigh", "calf", "ankle", "leg", "foot"),
+    *("arm", "shoulder", "elbow", "wrist", "finger", "gripper"),
 )
 
 

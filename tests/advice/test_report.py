@@ -16,11 +16,11 @@ from locfuse.fusion.checks.tried import Advice
 @pytest.mark.parametrize(
     ("verdicts", "end"),
     [
-        ({"lrf": "no verdict"}, "the laser itself cannot be checked."),
+        ({"lrf": "no verdict"}, "the laser (lrf) itself cannot be checked."),
         ({"lrf": "no verdict", "compass": "no verdict"}, "of the sensors nothing is sure."),
         ({"lrf": "no effect seen"}, "of the sensors nothing is sure."),
-        ({"lrf": "helps", "compass": "no verdict"}, "the laser helps."),
-        ({"lrf": "helps", "compass": "hurts"}, "the laser helps; the compass hurts."),
+        ({"lrf": "helps", "compass": "no verdict"}, "the laser (lrf) helps."),
+        ({"lrf": "helps", "compass": "hurts"}, "the laser (lrf) helps; the compass hurts."),
     ],
 )
 def test_a_reference_says_which_sensors_help_and_what_nobody_judges(verdicts: dict[str, str], end: str) -> None:
@@ -36,7 +36,7 @@ def test_a_reference_says_which_sensors_help_and_what_nobody_judges(verdicts: di
 @pytest.mark.parametrize(
     ("after", "aligned", "end"),
     [
-        (0.0035, False, "With the laser and the fixes found it is 3.5 mm."),
+        (0.0035, False, "With the laser (lrf) and the fixes found it is 3.5 mm."),
         (0.0320, False, "before the fixes."),  # as good as the best without it
         (0.0035, True, "before the fixes."),  # of the path's shape: another figure
     ],
@@ -72,7 +72,7 @@ def test_hurts_is_said_only_of_a_sensor_whose_verdict_says_so(compass: str, came
         "verdicts": {"lrf": {"verdict": "helps"}, "compass": {"verdict": compass}, "camera": {"verdict": camera}},
     }
     found = headline(report, {"odometry": (), "lrf": ("lrf",), "all": ("lrf", "compass", "camera")})
-    assert found == f"Keep the laser: 0.75 m. With all sensors it is 4.20 m: {end}"
+    assert found == f"Keep the laser (lrf): 0.75 m. With all sensors it is 4.20 m: {end}"
 
 
 def test_while_a_setting_is_surely_wrong_no_sensor_is_to_be_left_out() -> None:

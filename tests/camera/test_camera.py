@@ -23,10 +23,10 @@ from omni_scene import Lens, Picture, Pole, picture, wrapped_deg
 from rows import one_by_one, said
 
 import locfuse as api
-from locfuse.formats.results.preview import write_pictures
+from locfuse.formats.whole_files import write_results
 from locfuse.fusion.camera import images
-from locfuse.fusion.camera.decoder_words import listened, tells_of_damage
 from locfuse.fusion.camera.images import image_size
+from locfuse.fusion.camera.opencv import listened, tells_of_damage
 from locfuse.fusion.checks.preview import preview
 from locfuse.fusion.data import VERDICTS, ArrayStream, LocfuseError, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
@@ -352,21 +352,16 @@ def test_a_preview_shows_pictures_evenly_spread_with_what_was_found(tmp_path: Pa
         assert set(np.unique(p.mask)) == {0, 255}
         assert p.panorama.shape == (173, 720, 3)
         assert (p.detection != p.raw).any()
-    paths = write_pictures(tmp_path / "a" / "b", shown[1].named())
-    assert [p.name for p in paths] == [f"000003-{k}.png" for k in ("raw", "mask", "panorama", "detection")]
-    np.testing.assert_array_equal(cv2.imread(str(paths[0])), shown[1].raw)
-    assert sorted(p.name for p in (tmp_path / "a" / "b").iterdir()) == sorted(p.name for p in paths)
+    files = shown[1].named()
+    assert list(files) == [f"000003-{k}.png" for k in ("raw", "mask", "panorama", "detection")]
+    write_results(tmp_path / "a" / "b", files)
+    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "a" / "b" / "000003-raw.png")), shown[1].raw)
+    assert sorted(p.name for p in (tmp_path / "a" / "b").iterdir()) == sorted(files)
 
 
 def test_a_preview_needs_no_landmark_and_no_calibration() -> None:
     (shown,) = preview(compressed(coded(picture(LENS, Pole(10.0)))), CameraSettings(), count=4)
     assert shown.row == 0
-
-
-def test_pictures_that_cannot_be_written_are_one_line(tmp_path: Path) -> None:
-    (tmp_path / "taken").write_text("a file")
-    with pytest.raises(LocfuseError, match="cannot write"):
-        write_pictures(tmp_path / "taken", {"a": picture(LENS)})
 
 
 def in_fresh_python(code: str) -> str:

@@ -15,10 +15,11 @@ from bags import T0, cdr, header
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_ros2.decoder import DecoderFactory
+from numpy.typing import NDArray
 from zstandard import ZstdError
 
 from locfuse.formats.container.mcap_write import MessageBlock, log_writer, open_writer
-from locfuse.formats.results.mcap_export import Template, stamp_columns
+from locfuse.formats.results.mcap_export import PoseSeries, stamp_columns
 from locfuse.fusion.data import LocfuseError
 
 EPOCH = 1_700_000_000_000_000_000
@@ -231,15 +232,22 @@ def test_columns_are_laid_over_the_bytes_of_one_message() -> None:
         "ranges": np.arange(3.0 * n).reshape(n, 3),
         "scan_time": np.linspace(0.0, 1.0, n),
     }
-    template = Template("sensor_msgs/msg/LaserScan", constant, columns.keys())
-    found = template.filled(columns)
+
+    def messages(msgtype: str, constant: dict[str, Any], columns: dict[str, Any]) -> NDArray[np.uint8]:
+        def rows_of(rows: slice) -> dict[str, Any]:
+            return {path: values[rows] for path, values in columns.items()}
+
+        stamped = t[: len(next(iter(columns.values())))]
+        return PoseSeries(msgtype, stamped, constant, rows_of).messages(slice(None))
+
+    found = messages("sensor_msgs/msg/LaserScan", constant, columns)
     for i in range(n):
         expected = cdr(
             "sensor_msgs/msg/LaserScan", header=header(int(t[i]), "laser"), angle_min=-1.5,
             ranges=columns["ranges"][i].astype(np.float32), scan_time=columns["scan_time"][i],
         )  # fmt: skip
         assert found[i].tobytes() == expected
-    whole = Template("std_msgs/msg/Int16", {}, ["data"]).filled({"data": np.array([3, -4])})
+    whole = messages("std_msgs/msg/Int16", {}, {"data": np.array([3, -4])})
     assert [row.tobytes() for row in whole] == [cdr("std_msgs/msg/Int16", data=v) for v in (3, -4)]
 
 

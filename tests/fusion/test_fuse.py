@@ -20,8 +20,7 @@ from locfuse.cli.analysis.load import load
 from locfuse.cli.analysis.settings import Asked, LogOptions
 from locfuse.fusion.data import VERDICTS, ArrayStream, Drive, Estimates, MapLine
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.fuse import Filter, fuse, inflate
-from locfuse.fusion.instants import due_readings, steps_of
+from locfuse.fusion.fuse import Filter, due_readings, fuse, inflate, steps_of
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot

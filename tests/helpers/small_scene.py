@@ -10,7 +10,7 @@ import small_drive
 from numpy.typing import NDArray
 
 from locfuse.cli.analysis.verdicts import prediction_values, verdicts
-from locfuse.formats.figures.scene import Scene, Stretches
+from locfuse.formats.figures.scene import Scene
 from locfuse.formats.report import json_report
 from locfuse.fusion.data import (
     Audit,
@@ -25,8 +25,7 @@ from locfuse.fusion.data import (
     upper_triangles,
 )
 from locfuse.fusion.fuse import fuse
-from locfuse.fusion.judge.covariance import running_nis
-from locfuse.fusion.judge.evaluate import evaluate
+from locfuse.fusion.judge.evaluate import evaluate, running_nis
 from locfuse.fusion.judge.predictive import listeners, scores
 
 Array = NDArray[np.float64]
@@ -58,7 +57,7 @@ def long(minutes: float, configurations: int) -> tuple[Scene, dict[str, Any]]:
         drive=drive,
         estimates=estimates,
         evaluations=judged,
-        nis={(e.name, s): Stretches(*running_nis(a, e.t)) for e in estimates for s, a in e.audits.items()},
+        nis={(e.name, s): running_nis(a, e.t) for e in estimates for s, a in e.audits.items()},
         nees_bounds=(0.07, 3.1),
         components=COMPONENTS,
     )
@@ -107,7 +106,7 @@ def _configuration(
         {k: np.full_like(v, 0.01) for k, v in blocks.items()}, walls[:2], walls,
     )  # fmt: skip
     figures = dict.fromkeys(("position_rmse_m", "x_rmse_m", "heading_rmse_deg", "anees"), 0.5)
-    counts = {s: SensorFigures(9, 1, 0, 1.0, {"accepted": 9, "gate": 1}) for s in sensors}
+    counts = {s: SensorFigures(9, 1, 0, 1.0, None, {"accepted": 9, "gate": 1}) for s in sensors}
     judged = Evaluation(
         name, counts, {**figures, "duration_s": 60.0, "distance_m": 9.0}, q, noise, heading, noise,
         np.full((len(q), 3), 0.01) * (1 + 0.3 * rng.random((len(q), 1))), rng.chisquare(3, len(q)) / 3,

@@ -13,6 +13,11 @@ from mcap.writer import Writer
 from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from locfuse.cli.analysis.choose import choose
+from locfuse.cli.analysis.robot_tables import make_robot
+from locfuse.cli.analysis.topics import Choice
+from locfuse.formats.logs.log import open_log
+
 Array = NDArray[np.float64]
 RADIUS, TRACK, TICKS = 0.05, 0.3, 1000.0
 GEOMETRY = ("--set", f"wheels.radius={RADIUS}", "--set", f"wheels.track={TRACK}")
@@ -148,3 +153,8 @@ def custom(path: Path, topic: str, msgtype: str, text: str, t: Array, rows: list
 
 def log_of(path: Path, *said: list[Said]) -> Path:
     return write(path, sorted((m for part in said for m in part), key=lambda m: m.log_time))
+
+
+def chosen(folder: Path, *said: list[Said], **tables: Any) -> Choice:
+    """What is taken of a log of these messages under tables of robot.toml."""
+    return choose(open_log([log_of(folder / "x.mcap", *said)]), make_robot(tables))

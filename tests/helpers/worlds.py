@@ -14,8 +14,7 @@ from pose_streams import pose_stream
 from rooms import scan
 
 from locfuse.fusion.data import ArrayStream, Drive, Ragged, Stream
-from locfuse.fusion.fuse import Filter
-from locfuse.fusion.instants import due_readings, steps_of
+from locfuse.fusion.fuse import Filter, due_readings, steps_of
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot, StartSettings, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -78,16 +77,7 @@ class World(msgspec.Struct):
                     0.0, np.cumsum(steps + np.sqrt(self.wheel_noise * np.abs(steps)) * rng.normal(size=len(steps)))
                 )
             )
-        angles = np.stack(rolled, axis=-1) / self.radius
-        return stream(
-            "/joint_states",
-            "sensor_msgs/msg/JointState",
-            t,
-            {
-                "name": [("left_wheel_joint", "right_wheel_joint")] * len(t),
-                "position": Ragged(angles.ravel(), np.arange(len(t) + 1) * 2),
-            },
-        )
+        return joints(t, np.stack(rolled, axis=-1) / self.radius)
 
     def _compass(self, rng: np.random.Generator) -> ArrayStream:
         t = np.arange(0.013, self.seconds, 0.05)
@@ -171,3 +161,12 @@ def stamps(t: Array) -> NDArray[np.int64]:
 
 def stream(topic: str, msgtype: str, t: Array, data: dict[str, Any]) -> ArrayStream:
     return ArrayStream(topic, msgtype, stamps(t), data)
+
+
+def joints(t: Array, angle: Array) -> ArrayStream:
+    """Angles (n, 2) of a left and a right wheel."""
+    data = {
+        "name": [("left_wheel_joint", "right_wheel_joint")] * len(t),
+        "position": Ragged(angle.ravel(), np.arange(len(t) + 1) * 2),
+    }
+    return stream("/joint_states", "sensor_msgs/msg/JointState", t, data)

@@ -36,7 +36,7 @@ FLOORS: dict[str, tuple[str, ...]] = {
         "wheels",
         "map truth",
         "sensors",
-        "checks instants measure",
+        "checks measure",
         "fuse judge",
         "paper tune whole_drive",
     ),
@@ -73,7 +73,6 @@ OURS = {
         "fusion.kernels.built",
         "fusion.progress",
         "fusion.camera.opencv",  # pictures are decoded in one place, whose limits and silence maps need too
-        "fusion.camera.decoder_words",
     },
     "sample_logs": {"formats", "fusion.se2", "fusion.data"},
 }
@@ -86,7 +85,7 @@ TERMINAL = {  # only here: click, rich, print
     "cli/terminal",
     "cli/main.py",
 }
-CV2 = {"fusion/camera", "formats/results/preview.py", "formats/robot/map_image.py", "fusion/checks/preview.py"}
+CV2 = {"fusion/camera", "formats/robot/map_image.py", "fusion/checks/preview.py"}
 
 
 def files(folder: str) -> list[Path]:

@@ -181,7 +181,7 @@ def test_of_two_ways_to_set_a_distance_none_is_called_the_fix(tmp_path: Path) ->
     alone = locfuse("info", log, "--set", "truth.topic=none").stdout
     (line,) = (x for x in alone.splitlines() if x.startswith("  lrf: it measures"))
     assert "If the wheels are right, set lrf.range_scale=1.1" in line
-    assert "if the laser is, wheels.radius=0.04" in line
+    assert "if lrf is, wheels.radius=0.04" in line
     assert "fix: --set lrf.range_scale" not in alone
 
 

@@ -27,7 +27,6 @@ from locfuse.fusion.data import (
     REST,
     SLIP,
     VERDICTS,
-    Array,
     Audit,
     Drive,
     Estimates,
@@ -50,6 +49,16 @@ N = 400
 SIGMA = 0.02  # m, of each axis of the solved drive
 
 
+MOVED, STOOD = (0.1, 0.0, 0.0), (0.0, 0.0, 0.0)
+
+
+def rolled(steps: list[tuple[float, float, float]], period: float = 0.5) -> Drive:
+    """A drive of these steps of the wheels (forward, left [m], turn [rad]), one every half second."""
+    u, n = np.array(steps), len(steps)
+    motions = Motions(u, np.zeros((n, 3, 3)), np.zeros((n, 3, 0)))
+    return Drive(0, np.linspace(0.0, period * (n - 1), n), motions, {}, {}, {})
+
+
 def path() -> NDArray[np.float64]:
     t = np.linspace(0.0, 40.0, N)
     return np.column_stack((np.cos(0.2 * t), np.sin(0.2 * t), 0.2 * t + np.pi / 2.0))
@@ -61,8 +70,7 @@ def of_poses(pose: NDArray[np.float64], name: str = "lrf", sigma: float = SIGMA)
 
 
 def drive() -> Drive:
-    motions = Motions(np.zeros((N, 3)), np.zeros((N, 3, 3)), np.zeros((N, 3, 0)))
-    return Drive(0, np.linspace(0.0, 40.0, N), motions, {}, {}, {})
+    return rolled([STOOD] * N, 40.0 / (N - 1))
 
 
 def reference() -> Reference:
@@ -133,13 +141,6 @@ def test_the_widened_interval_has_the_true_ratio_whether_or_not_errors_are_share
 WALL = np.column_stack((np.linspace(-3.0, 3.0, 301), np.full(301, 2.0)))
 
 
-class Path:
-    """Estimates with nothing but poses."""
-
-    def __init__(self, pose: Array) -> None:
-        self.pose, self.blocks = pose, dict[str, Array]()
-
-
 def twice(offset: float) -> tuple[OwnScans, Any]:
     """Drive along a straight wall and, a minute later, along it again, believed `offset` [m] aside of it."""
     x = np.tile(np.arange(0.0, 7.0, 0.7), 2)
@@ -147,17 +148,13 @@ def twice(offset: float) -> tuple[OwnScans, Any]:
     seen = [se2.transform(np.broadcast_to(se2.inverse(p), (len(WALL), 3)), WALL) for p in true]
     believed = true + np.outer(np.repeat((0.0, offset), 10), (0.0, 1.0, 0.0))
     t = np.concatenate((np.arange(10.0), 60.0 + np.arange(10.0)))
-    return OwnScans(t, np.arange(20), seen, np.zeros(3)), Path(believed)
+    return OwnScans(t, np.arange(20), seen, np.zeros(3)), SimpleNamespace(pose=believed, blocks={})
 
 
-def test_a_path_that_sees_a_wall_where_it_was_agrees_with_itself() -> None:
-    scans, path = twice(0.0)
-    assert scans.judge(path)[0] == pytest.approx(1.0)
-
-
-def test_a_path_that_sees_the_wall_twenty_centimetres_aside_does_not() -> None:
-    scans, path = twice(0.2)
-    assert scans.judge(path)[0] == 0.0
+@pytest.mark.parametrize(("aside", "agreement"), [(0.0, 1.0), (0.2, 0.0)])
+def test_a_path_agrees_with_itself_where_it_sees_the_wall_where_it_was(aside: float, agreement: float) -> None:
+    scans, path = twice(aside)
+    assert scans.judge(path)[0] == pytest.approx(agreement)
 
 
 def test_a_wall_that_is_seen_twice_fills_more_cells_than_one() -> None:
@@ -238,16 +235,8 @@ def test_a_listening_sensor_of_an_honest_filter_is_predicted_as_well_as_claimed(
 
 def test_the_score_is_the_mixture_of_the_predicted_normal_and_anything() -> None:
     y, sigma = np.array([[0.5], [math.nan]]), np.array([[2.0], [math.nan]])
-    audit = Audit(
-        np.array([0, 1]),
-        np.array([0, 2]),
-        np.zeros(2, dtype=np.int8),
-        np.full(2, -1),
-        np.zeros(2),
-        np.zeros(2),
-        y,
-        sigma,
-    )
+    zero = np.zeros(2)
+    audit = Audit(np.arange(2), np.array([0, 2]), np.zeros(2, np.int8), np.full(2, -1), zero, zero, y, sigma)
     z = np.array([[0.0], [4.0], [10.0]])
     found = log_density(audit, z)
     density = (1 - OUTLIER_SHARE) * stats.norm.pdf(0.5, scale=2.0) + OUTLIER_SHARE / 10.0
@@ -261,13 +250,12 @@ READINGS = 40
 
 def laid(matched: object = None) -> Drive:
     """Forty readings of two sensors, one each half second, with values from -5 to 5."""
-    n, t = READINGS, np.linspace(0.0, 19.5, READINGS)
-    m = Measurements(
-        t, np.arange(n + 1), np.linspace(-5.0, 5.0, n)[:, None], np.ones((n, 1, 1)), 1.0, np.zeros((1, 1))
-    )
-    motions = Motions(np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3, 0)))
+    n, drive = READINGS, rolled([STOOD] * READINGS)
+    z = np.linspace(-5.0, 5.0, n)[:, None]
+    m = Measurements(drive.t, np.arange(n + 1), z, np.ones((n, 1, 1)), 1.0, np.zeros((1, 1)))
     at = {sensor: np.arange(n) for sensor in ("compass", "lrf")}
-    return Drive(0, t, motions, dict.fromkeys(at, m), at, {}, wheels=SimpleNamespace(matched=matched))
+    wheels = SimpleNamespace(matched=matched)
+    return replace(drive, measurements=dict.fromkeys(at, m), instant=at, wheels=wheels)
 
 
 def test_sensors_take_turns_of_five_seconds_where_none_is_left_out() -> None:
@@ -336,18 +324,6 @@ def test_readings_refused_in_a_row_are_told(refused: int, told: int) -> None:
         assert f"{refused} readings in a row" in event.words
 
 
-def rolled(steps: list[tuple[float, float, float]], period: float = 0.5) -> Drive:
-    """A drive of these steps of the wheels (forward, left [m], turn [rad]), one every half second."""
-    u = np.array(steps)
-    n = len(u)
-    return Drive(
-        0, np.linspace(0.0, period * (n - 1), n), Motions(u, np.zeros((n, 3, 3)), np.zeros((n, 3, 0))), {}, {}, {}
-    )
-
-
-MOVED, STOOD = (0.1, 0.0, 0.0), (0.0, 0.0, 0.0)
-
-
 def test_stretches_are_runs_of_true_values() -> None:
     assert stretches(np.array([], bool)) == []
     assert stretches(np.array([True, True, False, True, False, False, True])) == [(0, 1), (3, 3), (6, 6)]
@@ -360,17 +336,8 @@ def test_a_reading_counts_as_taken_by_any_of_its_lines_and_an_empty_scan_does_no
     for taken, told in (("accepted", 1), ("new", 1), ("repeated", 1), ("unmatched", 0)):
         verdict = np.full(16, VERDICTS.index("gate"), np.int8)
         verdict[[5, 15]] = VERDICTS.index(taken)
-        nothing = np.zeros((16, 2))
-        audit = Audit(
-            first[:-1].repeat(np.diff(first)),
-            np.arange(16),
-            verdict,
-            np.full(16, -1),
-            nothing[:, 0],
-            nothing[:, 0],
-            nothing,
-            nothing,
-        )
+        instant, zero, zeros = first[:-1].repeat(np.diff(first)), np.zeros(16), np.zeros((16, 2))
+        audit = Audit(instant, np.arange(16), verdict, np.full(16, -1), zero, zero, zeros, zeros)
         drive = rolled([MOVED] * 9)
         drive = replace(drive, measurements={"lrf": m}, instant={"lrf": np.arange(9)})
         run = Estimates("lrf", ("lrf",), drive.t, np.zeros((9, 3)), np.zeros((9, 6)), {"lrf": audit})

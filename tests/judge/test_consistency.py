@@ -22,7 +22,7 @@ from locfuse.cli.analysis.verdicts import unless_overconfident
 from locfuse.fusion.data import VERDICTS, Audit, Drive, Evaluation, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import Consistency, Evidence, Run, as_run, biased_against, judge
-from locfuse.fusion.judge.covariance import Honesty, honesty
+from locfuse.fusion.judge.evaluate import Honesty, honesty
 from locfuse.fusion.judge.innovations import (
     MAX_LISTENED_READINGS,
     STRETCH_READINGS,
@@ -106,6 +106,13 @@ def told(drive: Drive, sensor: str, factor: float) -> Drive:
     return replace(drive, measurements={**drive.measurements, sensor: replace(m, scale=factor * m.scale)})
 
 
+def turned(drive: Drive, by: Any) -> Drive:
+    """The drive whose compass reads so much more [rad]: one angle, or one for each reading (n,)."""
+    m = drive.measurements["compass"]
+    moved = replace(m, z=m.z + np.broadcast_to(by, len(m.z))[:, None])
+    return replace(drive, measurements={**drive.measurements, "compass": moved})
+
+
 SEEDS = (1, 2)
 
 
@@ -137,9 +144,7 @@ def test_noise_that_lasts_is_not_called_white(seed: int) -> None:
     robot = small_drive.robot(compass={"sigma_deg": 2.0})
     drive = small_drive.drive(seed, robot, compass_noise_deg=0.3)
     slow = markov(drive.measurements["compass"].t, math.radians(2.0), 3.0, seed)
-    m = drive.measurements["compass"]
-    drive = replace(drive, measurements={**drive.measurements, "compass": replace(m, z=m.z + slow[:, None])})
-    found = court(seed, robot, drive)["compass"]
+    found = court(seed, robot, turned(drive, slow))["compass"]
     assert found.verdict == "correlated"
     assert found.cures["compass.sigma_deg"] > 4.0
     assert found.cures["compass.offset_drift_deg"] == pytest.approx(2.0 * math.sqrt(2.0 / 3.0), rel=0.6)
@@ -154,8 +159,7 @@ def test_an_offset_that_steps_or_drifts_is_named_with_when_and_how_far(seed: int
     m = drive.measurements["compass"]
     middle, share = float(m.t[len(m.t) // 2]), np.linspace(0.0, 1.0, len(m.t))
     extra = np.where(m.t < middle, 0.0, math.radians(-12.0)) if step else math.radians(-12.0) * share
-    drive = replace(drive, measurements={**drive.measurements, "compass": replace(m, z=m.z + extra[:, None])})
-    found = court(seed, robot, drive)["compass"]
+    found = court(seed, robot, turned(drive, extra))["compass"]
     assert found.verdict == "correlated", found.words
     kind, amount, when = re.findall(r"(steps|drifts) by (-\d+)° (?:at|in) ([\d.]+) s", found.words)[0]
     assert kind == ("steps" if step else "drifts")
@@ -320,9 +324,7 @@ def test_a_wrong_run_accuses_no_sensor_that_truth_finds_right(right: tuple[Drive
 @pytest.mark.parametrize("off_deg", [-4.0, 2.0])
 def test_an_offset_is_measured_against_the_truth(right: tuple[Drive, Robot], off_deg: float) -> None:
     drive, robot = right
-    m = drive.measurements["compass"]
-    off = replace(drive, measurements={**drive.measurements, "compass": replace(m, z=m.z + math.radians(off_deg))})
-    found = judge(runs(off, robot, 1.0), robot)["compass"]["compass"]
+    found = judge(runs(turned(drive, math.radians(off_deg)), robot, 1.0), robot)["compass"]["compass"]
     assert found.verdict == "biased"
     # of some hundred readings of half a degree
     assert found.cures["compass.offset_deg"] == pytest.approx(off_deg, abs=0.15)
@@ -332,10 +334,7 @@ def test_an_offset_is_measured_against_the_truth(right: tuple[Drive, Robot], off
 def test_an_offset_by_a_run_is_set_with_how_well_that_run_knows_its_heading(right: tuple[Drive, Robot]) -> None:
     """One that was set as exact would pull the estimate to the run's own error with the weight of all readings."""
     drive, robot = right
-    m = drive.measurements["compass"]
-    off = replace(m, z=m.z + math.radians(8.0))
-    blind = replace(drive, truth=None, measurements={**drive.measurements, "compass": off})
-    found = runs(blind, robot, 0.0)
+    found = runs(replace(turned(drive, math.radians(8.0)), truth=None), robot, 0.0)
     laser = found[2].estimates
     for sigma_deg in (0.5, 1.5):
         triangles = laser.triangles.copy()
@@ -357,9 +356,7 @@ def test_a_sensor_that_takes_no_sigma_of_its_offset_gets_none(right: tuple[Drive
 
 def test_an_offset_that_is_too_small_to_be_sure_of_is_still_known(right: tuple[Drive, Robot]) -> None:
     drive, robot = right
-    m = drive.measurements["compass"]
-    off = replace(drive, measurements={**drive.measurements, "compass": replace(m, z=m.z + math.radians(0.4))})
-    found = Evidence(runs(off, robot, 0.0), robot).bias("compass")
+    found = Evidence(runs(turned(drive, math.radians(0.4)), robot, 0.0), robot).bias("compass")
     assert found is not None
     assert found.cures["compass.offset_deg"] == pytest.approx(0.4, abs=0.15)
     assert Evidence(runs(drive, robot, 0.0), robot).bias("compass") is None
@@ -444,10 +441,7 @@ def test_the_figures_of_a_run_are_those_written_out(d: int, keep: float) -> None
     verdict = np.zeros(n, np.int8)
     verdict[5::40], verdict[7::40], verdict[9::40], verdict[11::40] = GATE, UNMATCHED, DISTURBED, LOST
     verdict[13::80], verdict[15::80] = GATE, UNMATCHED
-    for refused in (
-        GATE,
-        UNMATCHED,
-    ):  # every other one lies beyond the gate; the rest is refused for other reasons
+    for refused in (GATE, UNMATCHED):  # every other one lies beyond the gate; the rest has other reasons
         y[np.flatnonzero(verdict == refused)[::2]] += 12.0
     audit, m = audited(y, sigma, verdict, landmark, gate)
     found = own(audit, m)

@@ -49,8 +49,14 @@ def judged(point: tuple[float, float], truth_sigma: float, heading: bool = True)
     pose = np.asarray(true + rng.multivariate_normal(np.zeros(3), claimed(), N), np.float64)
     xy = se2.transform(true, np.broadcast_to(np.array(point), (N, 2))) + truth_sigma * rng.normal(size=(N, 2))
     truth = Truth("/truth", t, xy, true[:, 2] if heading else None, point, truth_sigma)
-    motions = Motions(np.zeros((N, 3)), np.zeros((N, 3, 3)), np.zeros((N, 3, 0)))
-    drive = Drive(0, t, motions, {}, {}, {}, truth)
+    return beside(t, pose, P, truth)
+
+
+def beside(t: Array, pose: Array, P: Array, truth: Truth, after: float = 0.0) -> tuple[Estimates, Drive]:
+    """Estimates (n, 3) at the stamps of a truth, and the drive, which goes on for `after` [s] without it."""
+    n = len(t)
+    motions = Motions(np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3, 0)))
+    drive = Drive(0, np.append(t, t[-1] + after) if after else t, motions, {}, {}, {}, truth)
     return Estimates("all", (), t, pose, upper_triangles(P), {}, truth_pose=pose, truth_P=P), drive
 
 
@@ -139,12 +145,9 @@ def test_there_is_no_error_of_the_shape_without_truth() -> None:
     for n, error in (
         (0, None),
         (1, pytest.approx(0.0, abs=1e-12)),
-    ):  # so many stamps of the truth lie in the drive
-        known = np.arange(N)[:, None] < n
-        assert (
-            shape_error(replace(estimates, truth_pose=np.where(known, estimates.truth_pose, np.nan)), drive)
-            == error
-        )
+    ):  # stamps that lie in the drive
+        known = np.where(np.arange(N)[:, None] < n, estimates.truth_pose, np.nan)
+        assert shape_error(replace(estimates, truth_pose=known), drive) == error
 
 
 def exact(point: tuple[float, float]) -> tuple[Estimates, Drive]:
@@ -174,10 +177,7 @@ def wandering(heading: bool, n: int = 90, gap: int | None = None) -> tuple[Estim
     true = np.vstack(([3.0, -2.0, 0.5], true))
     pose = true + np.cumsum(rng.normal(0.0, 0.02, (n, 3)), axis=0)
     truth = Truth("/truth", t, true[:, :2], true[:, 2] if heading else None, (0.0, 0.0), 0.0)
-    motions = Motions(np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3, 0)))
-    drive = Drive(0, np.append(t, t[-1] + 5.0), motions, {}, {}, {}, truth)  # the drive goes on without a truth
-    P = np.broadcast_to(claimed(), (n, 3, 3))
-    return Estimates("all", (), t, pose, upper_triangles(P), {}, truth_pose=pose, truth_P=P), drive
+    return beside(t, pose, np.broadcast_to(claimed(), (n, 3, 3)), truth, 5.0)
 
 
 def matrix(pose: Array) -> Array:
@@ -246,16 +246,8 @@ def test_without_a_truth_in_the_drive_columns_are_empty_and_figures_none(away: b
         found = evaluate(replace(estimates, truth_pose=never), drive)
     else:
         found = evaluate(estimates, replace(drive, truth=None))
-    columns = (
-        found.t,
-        found.deviation,
-        found.along_cross,
-        found.sigma,
-        found.nees,
-        found.distance,
-        found.estimate_xy,
-    )
-    assert [c.shape for c in columns] == [(0,), (0, 2), (0, 2), (0, 3), (0,), (0,), (0, 2)]
+    names = ("t", "deviation", "along_cross", "sigma", "nees", "distance", "estimate_xy")
+    assert [getattr(found, name).shape for name in names] == [(0,), (0, 2), (0, 2), (0, 3), (0,), (0,), (0, 2)]
     assert found.heading is None
     assert {name for name, value in found.figures.items() if value is not None} == {"duration_s", "distance_m"}
     assert found.figures.keys() == evaluate(estimates, drive).figures.keys()
@@ -350,13 +342,8 @@ def way(t: Array, xy: Array) -> float:
 
 def judged_way(t: Array, pose: Array, xy: Array, theta: Array | None) -> Evaluation:
     """The evaluation of an estimate (q, 3) against a truth (q, 2) at the same stamps."""
-    n = len(t)
-    P = np.broadcast_to(np.diag([1e-4, 1e-4, 1e-4]), (n, 3, 3))
-    drive = Drive(
-        0, t, Motions(np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3, 0))), {}, {}, {},
-        Truth("/truth", t, xy, theta, (0.0, 0.0), 0.0),
-    )  # fmt: skip
-    return evaluate(Estimates("all", (), t, pose, upper_triangles(P), {}, truth_pose=pose, truth_P=P), drive)
+    P = np.broadcast_to(1e-4 * np.eye(3), (len(t), 3, 3))
+    return evaluate(*beside(t, pose, P, Truth("/truth", t, xy, theta, (0.0, 0.0), 0.0)))
 
 
 STOPS = np.where((T > 20.0) & (T < 25.0), 0.0, 1.0)  # the robot stands for five seconds

@@ -84,7 +84,7 @@ def test_errors_that_last_matter_where_they_double_a_mean_s_error(repeats: float
             "compass.sigma_deg": float(f"{3.0 * math.sqrt(repeats):.2g}"),
             "compass.offset_drift_deg": float(f"{3.0 * math.sqrt(4.0 / memory):.2g}"),
         }
-        assert found.words.startswith("errors of 3° last about 2 s, but")
+        assert found.words.startswith("errors of 3° last about 2 s, so ")
     assert by_memory("compass", given, 0.5, 0.5, 0.1, 1.0).scale == pytest.approx(0.5)
     assert by_memory("compass", given, 2.0, 1.5, 0.1, 1.0).scale == 1.0
 
@@ -149,18 +149,11 @@ def test_an_offset_comes_with_its_sigma_where_another_error_is_in_it(sure: float
 # --- who is to blame where runs disagree: what each run says of each sensor is laid by hand
 
 
-FINE = Heard(
-    readings=400, wild=0.0, bias=0.0, sure=0.01, white=1.0, slow=0.0, spread=1.0, memory=1.0, period=0.1,
-    reference=0.01, R=1.0,
-)  # fmt: skip
+FINE = HEARD._replace(sure=0.01, white=1.0, spread=1.0, reference=0.01, R=1.0)
 OFF = FINE._replace(bias=2.0)
-OWN_RUN = Own(
-    compared=400, refused=0.0, nis=1.0, bounds=(0.9, 1.1), bias=(0.0,), middle=(0.0,), sure=(0.1,),
-    whiteness=(0.0,) * 5, raw=1.0, scale=1.0, white=0.9, share=0.9, R=(1.0,),
-)  # fmt: skip
+OWN_RUN = OWN._replace(sure=(0.1,), R=(1.0,))
 ROBOT: Robot = small_drive.robot()
-SENSORS = ("compass", "gyro", "lrf")
-N = 30
+SENSORS, N = ("compass", "gyro", "lrf"), 30
 T: NDArray[np.float64] = np.linspace(0.0, 2.9, N)
 
 

@@ -20,17 +20,15 @@ from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.kernels.sight import Rules
 from locfuse.fusion.lines import scans
 from locfuse.fusion.lines.extract import Lines, LineSettings
-from locfuse.fusion.lines.flatness import LAG_SCANS, bend, wall_floor
 from locfuse.fusion.lines.points import Longest, ScanPoints
-from locfuse.fusion.lines.scans import Laser, lines_in_base, sweep_time
+from locfuse.fusion.lines.scans import LAG_SCANS, Laser, bend, lines_in_base, sweep_time, wall_floor
 from locfuse.fusion.map.line_map import Association, LineMap, seat_of
 from locfuse.fusion.map.scan import Scan
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.se2 import wrap_all
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings, laser_of
 from locfuse.fusion.wheels.motion import Wheels
-from locfuse.fusion.wheels.motion_by_scans import match_scans
-from locfuse.fusion.wheels.scan_clouds import STANDING
+from locfuse.fusion.wheels.motion_by_scans import STANDING, match_scans
 
 BEAMS, SCANS, WORD = 120, 60, 8.0  # m; range_max of the scans is 12 m
 YARD = np.array(box(-4.0, -3.0, 4.5, 3.5)[:3] + box(1.0, 2.6, 2.2, 3.4))  # a room without its fourth wall

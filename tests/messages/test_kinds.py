@@ -104,7 +104,7 @@ def test_the_line_names_topic_field_kind_found_and_kind_accepted(tmp_path: Path)
     log = write(tmp_path / "f.mcap", lies("/scan", b"float32[] ranges", b"float64 ranges"), seconds=1.0)
     done = locfuse("run", log, "-o", tmp_path / "o")
     line = "/scan (sensor_msgs/msg/LaserScan): ranges is a number by its definition; accepted: an array of numbers"
-    assert f"absent: lrf: {line}\n" in done.stderr
+    assert f"not used: lrf: {line}\n" in done.stderr
     assert done.exit_code in {0, 1}
 
 

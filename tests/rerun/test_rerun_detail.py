@@ -147,7 +147,7 @@ def test_a_reading_is_as_good_as_what_became_of_its_parts() -> None:
     )
     audit = audit_of(range(6), ["accepted", "accepted", "accepted", "gate", "ambiguous", "new"])  # type: ignore[arg-type]
     names = list(STATES)
-    assert [names[c] for c in reading_states(m, audit)] == ["accepted", "partly", "rejected", "absent", "new"]
+    assert [names[c] for c in reading_states(m, audit)] == ["accepted", "partly", "rejected", "unusable", "new"]
 
 
 def test_a_stretch_of_states_that_is_drawn_as_one_shows_its_worst() -> None:

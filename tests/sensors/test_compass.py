@@ -63,16 +63,9 @@ def test_a_field_to_the_north_gives_the_heading_and_iron_is_taken_out(theta: flo
     field = np.array([[c, s], [-s, c]]) @ north  # the field in the robot's frame
     soft = np.array([[1.1, 0.1], [0.2, 0.9]])
     raw = np.linalg.solve(soft, field) + np.array((3e-6, -1e-6))
-    m = measured(
-        stream(
-            "/mag",
-            "sensor_msgs/msg/MagneticField",
-            T,
-            {"magnetic_field.x": np.full(5, raw[0]), "magnetic_field.y": np.full(5, raw[1])},
-        ),
-        hard_iron=(3e-6, -1e-6),
-        soft_iron=(1.1, 0.1, 0.2, 0.9),
-    )
+    axes = {"magnetic_field.x": np.full(5, raw[0]), "magnetic_field.y": np.full(5, raw[1])}
+    iron: dict[str, Any] = {"hard_iron": (3e-6, -1e-6), "soft_iron": (1.1, 0.1, 0.2, 0.9)}
+    m = measured(stream("/mag", "sensor_msgs/msg/MagneticField", T, axes), **iron)
     np.testing.assert_allclose(np.cos(m.z[:, 0] + math.pi / 2 - theta), 1.0, atol=1e-12)
 
 
@@ -98,11 +91,8 @@ def test_the_innovation_wraps_and_its_jacobian_is_one(theta: float) -> None:
     h = 1e-6
     y = []
     for d in (-h, h):
-        m = measured(
-            stream(
-                "/heading", "std_msgs/msg/Float64", T, {"data": np.full(5, math.remainder(theta + 0.2, math.tau))}
-            )
-        )
+        heading = {"data": np.full(5, math.remainder(theta + 0.2, math.tau))}
+        m = measured(stream("/heading", "std_msgs/msg/Float64", T, heading))
         belief = JointBelief((0.0, 0.0, theta + d), (0, 0, 0, 0, 0, 0.01))
         y.append(CompassModel(settings).innovations(m, 0, belief)[0].y[0])
     assert y[0] == pytest.approx(0.2 - math.radians(10), abs=1e-5)
@@ -308,8 +298,7 @@ def streams(data: dict[str, Any], field: Array, t: Array = AT) -> tuple[ArrayStr
 
 
 def headings(field: Any, **settings: Any) -> Measurements:
-    wheels = Wheels.from_wheels(np.array([0.0, 100.0]), np.zeros(2), np.zeros(2), 0.5, 1e-4)
-    return Compass().measure(field, CompassSettings(**settings), wheels, T0)
+    return Compass().measure(field, CompassSettings(**settings), STILL, T0)
 
 
 def error_deg(m: Measurements, yaw: Array) -> float:

@@ -22,8 +22,7 @@ from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import ArrayStream, LocfuseError, Measurements, Ragged
 from locfuse.fusion.ekf.belief_arrays import JointBelief
-from locfuse.fusion.fuse import Filter
-from locfuse.fusion.instants import due_readings, steps_of
+from locfuse.fusion.fuse import Filter, due_readings, steps_of
 from locfuse.fusion.kernels.ekf import Innovation, Loosening
 from locfuse.fusion.kernels.sight import Walls
 from locfuse.fusion.map.line_map import Association

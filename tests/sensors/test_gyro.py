@@ -10,9 +10,10 @@ import pytest
 from numpy.typing import NDArray
 from pose_streams import reckoned
 from rows import one_by_one, said, step
+from worlds import EPOCH, joints, stream
 
 from locfuse.cli.analysis.robot_tables import make_robot
-from locfuse.fusion.data import ArrayStream, Column, Drive, LocfuseError, Measurements, Ragged
+from locfuse.fusion.data import ArrayStream, Column, Drive, LocfuseError, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
@@ -24,7 +25,6 @@ from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 
 Array = NDArray[np.float64]
-T0 = 1_700_000_000_000_000_000
 RADIUS, TRACK, NOISE = 0.05, 0.4, 1e-3
 IMU = "sensor_msgs/msg/Imu"
 
@@ -38,10 +38,6 @@ def way(duration: float = 30.0, rate: float = 50.0) -> tuple[Array, Array, Array
     return t, theta, speed
 
 
-def stamps(t: Array) -> NDArray[np.int64]:
-    return T0 + np.rint(t * 1e9).astype(np.int64)
-
-
 def wheels(
     t: Array, theta: Array, speed: Array, rng: np.random.Generator, slip: Array | None = None
 ) -> ArrayStream:
@@ -51,13 +47,7 @@ def wheels(
     sides = sides + np.sqrt(NOISE * np.abs(sides)) * rng.normal(size=sides.shape)
     if slip is not None:
         sides[:, 0] += slip
-    angle = np.concatenate((np.zeros((1, 2)), np.cumsum(sides, axis=0))) / RADIUS
-    n = len(t)
-    data: dict[str, Column] = {
-        "name": [("left", "right")] * n,
-        "position": Ragged(angle.ravel(), np.arange(0, 2 * n + 1, 2)),
-    }
-    return ArrayStream("/joint_states", "sensor_msgs/msg/JointState", stamps(t), data)
+    return joints(t, np.concatenate((np.zeros((1, 2)), np.cumsum(sides, axis=0))) / RADIUS)
 
 
 def imu(
@@ -76,7 +66,7 @@ def imu(
     up = np.array([0.0, 0.0, 1.0]) if mount is None else mount[2]
     data: dict[str, Column] = {f"angular_velocity.{a}": rate * up[i] for i, a in enumerate("xyz")}
     data["angular_velocity_covariance"] = np.zeros((len(t), 9))
-    return ArrayStream("/imu", IMU, stamps(t), {**data, **columns})
+    return stream("/imu", IMU, t, {**data, **columns})
 
 
 def robot(gyro: dict[str, Any] | None = None, **tables: Any) -> Robot:
@@ -84,9 +74,7 @@ def robot(gyro: dict[str, Any] | None = None, **tables: Any) -> Robot:
 
 
 def compass(t: Array, theta: Array, rng: np.random.Generator, sigma: float) -> ArrayStream:
-    return ArrayStream(
-        "/heading", "std_msgs/msg/Float64", stamps(t), {"data": theta + sigma * rng.normal(size=len(t))}
-    )
+    return stream("/heading", "std_msgs/msg/Float64", t, {"data": theta + sigma * rng.normal(size=len(t))})
 
 
 def drive_with_all(seed: int) -> tuple[Drive, Robot]:
@@ -196,12 +184,12 @@ def test_an_imu_without_angular_velocity_is_no_gyro() -> None:
     t, theta, speed = way()
     n = len(t)
     none = np.tile(np.array([-1.0, 0, 0, 0, 0, 0, 0, 0, 0]), (n, 1))
-    for stream, word in (
+    for readings, word in (
         (imu(t, theta, rng, angular_velocity_covariance=none), "covariance"),
         (imu(t, 0.0 * theta, rng), f"/imu says 0 in all {n} messages"),
         (imu(t, np.nan * theta, rng), f"/imu has no finite angular velocity in all {n} messages"),
     ):
-        drive = measure({"wheels": wheels(t, theta, speed, rng), "gyro": stream}, robot())
+        drive = measure({"wheels": wheels(t, theta, speed, rng), "gyro": readings}, robot())
         assert word in drive.absent["gyro"]
         with pytest.raises(LocfuseError, match="gyro"):
             fuse(drive, robot(), ("gyro",))
@@ -289,10 +277,6 @@ def drive_at(speed: Array, turning: Array, t: Array) -> Wheels:
     return Wheels.from_wheels(t, way - 0.5 * TRACK * turn, way + 0.5 * TRACK * turn, TRACK, 1e-6)
 
 
-def rates(t: Array, rate: Array) -> ArrayStream:
-    return ArrayStream("/rate", "std_msgs/msg/Float64", stamps(t), {"data": rate})
-
-
 @pytest.mark.parametrize(
     ("factor", "says"),
     [(1.0, None), (1.8, None), (0.56, None), (2.3, "2.3 times"), (0.4, "0.4 times"), (3.0, "check wheels"),
@@ -302,10 +286,11 @@ def rates(t: Array, rate: Array) -> ArrayStream:
 def test_a_gyro_that_turns_by_another_factor_is_refused_with_a_reason(factor: float, says: str | None) -> None:
     t = np.arange(0.0, 20.0, 0.1)
     turning = 0.4 * np.sin(1.3 * t)
-    wheels, stream = drive_at(np.zeros_like(t), turning, t), rates(t, factor * turning)
+    wheels = drive_at(np.zeros_like(t), turning, t)
+    rates = stream("/rate", "std_msgs/msg/Float64", t, {"data": factor * turning})
     if says is None:
-        assert len(Gyro().measure(stream, GyroSettings(), wheels, T0).z) > 100
+        assert len(Gyro().measure(rates, GyroSettings(), wheels, EPOCH).z) > 100
         return
     with pytest.raises(LocfuseError, match=says) as raised:
-        Gyro().measure(stream, GyroSettings(), wheels, T0)
+        Gyro().measure(rates, GyroSettings(), wheels, EPOCH)
     assert ("in degrees" in str(raised.value)) is (says == "in degrees")

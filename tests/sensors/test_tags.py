@@ -23,7 +23,7 @@ from locfuse.formats.messages.schema import Scalar, Structure
 from locfuse.formats.robot import landmark_map
 from locfuse.formats.robot.tag_frames import named_as_tag, number_of
 from locfuse.fusion.data import ArrayStream, LocfuseError, Ragged
-from locfuse.fusion.sensors.landmark_messages import NO_ID, Looks, Sighted, sighted
+from locfuse.fusion.sensors.landmarks import NO_ID, Looks, Sighted, sighted
 
 Array = NDArray[np.float64]
 Make = Callable[[str, list[tuple[int, Array]]], dict[str, Any]]
@@ -186,7 +186,7 @@ def test_an_unknown_map_is_made_saved_and_used(tmp_path: Path) -> None:
 
 def test_bearings_alone_make_no_map_and_stop_no_other_sensor(tmp_path: Path) -> None:
     _, said = compared(*written(tmp_path, APRIL, april(np.random.default_rng(4))))
-    assert "absent: landmarks: /camera/tags says bearings only, and a map is made of ranges" in said
+    assert "not used: landmarks: /camera/tags says bearings only, and a map is made of ranges" in said
     assert "--set landmarks.map=landmarks.csv" in said
 
 

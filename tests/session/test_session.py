@@ -16,7 +16,7 @@ from rewrite_log import rewritten
 import locfuse
 from locfuse.cli.analysis import load
 from locfuse.fusion.camera import detect
-from locfuse.fusion.instants import BLOCK_INSTANTS
+from locfuse.fusion.fuse import BLOCK_INSTANTS
 from locfuse.fusion.lines.scans import lines_in_base
 from locfuse.fusion.progress import heard_by
 from locfuse.fusion.sensors import lrf

@@ -20,12 +20,12 @@ from locfuse.fusion.measure import measure
 from locfuse.fusion.wheels.calibrate import (
     STRAIGHT,
     TURN,
+    Residuals,
     WheelCalibration,
     calibrate_wheels,
     find_pieces,
     find_runs,
 )
-from locfuse.fusion.wheels.likelihood import Residuals
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import in_memory
@@ -88,16 +88,17 @@ def legs(
 
 def test_straight_runs_and_turns_are_found_with_their_directions() -> None:
     runs = find_runs(legs(0, [("forward", 3.0), ("turn", 2.0), ("forward", -2.0), ("turn", -6.0)]).wheels)
-    assert runs.kind.tolist() == [STRAIGHT, TURN, STRAIGHT, TURN]
-    lengths = (runs.end - runs.start) * 0.3 / np.array([3.0, 0.3 * 2.0, 2.0, 0.3 * 6.0])
+    kinds, starts, ends = zip(*runs, strict=True)
+    assert kinds == (STRAIGHT, TURN, STRAIGHT, TURN)
+    lengths = (np.array(ends) - starts) * 0.3 / np.array([3.0, 0.3 * 2.0, 2.0, 0.3 * 6.0])
     np.testing.assert_allclose(lengths, 1.0, atol=0.15)
 
 
 def test_arcs_and_short_moves_are_neither() -> None:
     t = np.arange(0.0, 20.0, 0.02)
     arc = Wheels.from_wheels(t, 0.2 * t, 0.4 * t, TRACK, K)
-    assert len(find_runs(arc).kind) == 0
-    assert len(find_runs(legs(0, [("forward", 0.3), ("turn", 0.5)] * 5).wheels).kind) == 0
+    assert len(find_runs(arc)) == 0
+    assert len(find_runs(legs(0, [("forward", 0.3), ("turn", 0.5)] * 5).wheels)) == 0
 
 
 def test_straight_pieces_and_turns_have_the_closed_form_covariances_and_delta_is_that_of_one_period() -> None:

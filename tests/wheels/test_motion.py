@@ -64,20 +64,33 @@ def test_cutting_an_arc_anywhere_moves_the_result_by_nothing() -> None:
     np.testing.assert_allclose(pose, wheels.pose[-1], atol=1e-12)
 
 
-def test_covariance_does_not_depend_on_where_the_drive_is_cut() -> None:
-    wheels = wheels_from(random_drive())
-    ends = np.sort(RNG.uniform(0, wheels.t[-1], 31))
-    ends[-1] = wheels.t[-1]
-    cut = wheels.between(np.append(0.0, ends[:-1]), ends)
-    P, x = np.zeros((3, 3)), np.zeros(3)
-    for u, Q in zip(cut.u, cut.Q, strict=True):
-        c, s = math.cos(x[2]), math.sin(x[2])
-        A = np.array([[1, 0, -s * u[0] - c * u[1]], [0, 1, c * u[0] - s * u[1]], [0, 0, 1]])
-        T = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-        P, x = A @ P @ A.T + T @ Q @ T.T, se2.compose(x, u)
-    whole = wheels.between(np.array([0.0]), np.array([wheels.t[-1]])).Q[0]
-    # a cut through a piece adds eq. 8 at two midpoints instead of one: second order in the piece's turn
-    np.testing.assert_allclose(P, whole, rtol=1e-5)
+def wheels_of(kind: str) -> Wheels:
+    """Wheels, with a silence or not, an odometry that also moves sideways, or scans that were matched."""
+    rng, a = np.random.default_rng(1), np.random.default_rng(4).normal(0.03, 0.02, (40, 3))
+    t = np.cumsum(rng.uniform(0.01, 0.1, 41))
+    if kind == "gap":
+        t[21:] += 7.0
+    if kind in {"wheels", "gap"}:
+        left, right = np.concatenate((np.zeros((1, 2)), np.cumsum(a[:, :2], axis=0))).T
+        return Wheels.from_wheels(t, left, right, 0.4, 1e-3)
+    if kind == "twists":
+        return Wheels.from_twists(t, a, 0.4, 1e-3)
+    root = rng.normal(0.0, 0.01, (40, 3, 3))
+    return Wheels.from_matches(t, a, root @ root.transpose(0, 2, 1), 0.4, 1e-3)
+
+
+@pytest.mark.parametrize("kind", ["wheels", "gap", "twists", "matches"])
+def test_two_intervals_on_end_are_one(kind: str) -> None:
+    """Motion, and covariance where the noise of either is its own: J Q J' + Q of the second (eq. 6)."""
+    wheels = wheels_of(kind)
+    a, b, c = (wheels.t[[k]] for k in (0, 13, 31))
+    first, second, whole = wheels.between(a, b), wheels.between(b, c), wheels.between(a, c)
+    np.testing.assert_allclose(se2.compose(first.u, second.u), whole.u, atol=1e-13)
+    (u,), (x, y, _) = first.u, second.u[0]
+    cos, sin = math.cos(u[2]), math.sin(u[2])
+    A = np.array([[1.0, 0.0, -sin * x - cos * y], [0.0, 1.0, cos * x - sin * y], [0.0, 0.0, 1.0]])
+    W = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    np.testing.assert_allclose(A @ first.Q[0] @ A.T + W @ second.Q[0] @ W.T, whole.Q[0], rtol=1e-9, atol=1e-18)
 
 
 def test_covariance_equals_monte_carlo_over_wheel_noise() -> None:

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from bags import Said, real_log
+from bags import real_log
 from commands import locfuse, ok
 from laser_room import ROOM, circle, ranges_of, scan_stream, scans_of
-from wheel_bags import joint_states, log_of, odometry, poses_in, stamps, twists
+from wheel_bags import chosen, joint_states, log_of, odometry, poses_in, stamps, twists
 
 from locfuse.cli.analysis.choose import choose
 from locfuse.cli.analysis.robot_tables import make_robot
-from locfuse.cli.analysis.topics import Choice
 from locfuse.formats.logs.log import open_log
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array
@@ -27,10 +25,6 @@ from locfuse.fusion.wheels.read import WheelReading, read_wheels
 from locfuse.fusion.wheels.scan_agreement import ScanPairs, scan_pairs
 
 T, TRUTH = circle()
-
-
-def chosen(path: Path, *said: list[Said], **tables: Any) -> Choice:
-    return choose(open_log([log_of(path / "x.mcap", *said)]), make_robot(tables))
 
 
 # ---- the share itself ----

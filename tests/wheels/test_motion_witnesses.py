@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from bags import Said
 from commands import locfuse, ok
-from wheel_bags import log_of, messages, odometry, turned, twists
+from wheel_bags import chosen, log_of, messages, odometry, turned, twists
 
-from locfuse.cli.analysis.choose import choose
 from locfuse.cli.analysis.load import load
-from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.cli.analysis.settings import LogOptions
-from locfuse.cli.analysis.topics import Choice
-from locfuse.formats.logs.log import open_log
 from locfuse.fusion.data import Array, LocfuseError
-from locfuse.fusion.wheels.motion import Wheels
-from locfuse.fusion.wheels.motion_agreement import turns_explained, ways_explained
+from locfuse.fusion.wheels.motion import Wheels, turns_explained, ways_explained
 
 T = np.arange(0.0, 40.0, 0.1)
 TURN = 1.5 * np.sin(0.3 * T)  # rad; 1 m/s along it
@@ -47,10 +41,6 @@ def fixes(places: Array) -> list[Said]:
 
 def speeds(topic: str, turn: Array, frame: str | None = "base_link") -> list[Said]:
     return twists(T, topic, 1.0, np.gradient(turn, T), frame)
-
-
-def chosen(path: Path, *said: list[Said], **tables: Any) -> Choice:
-    return choose(open_log([log_of(path / "x.mcap", *said)]), make_robot(tables))
 
 
 # ---- the shares ----

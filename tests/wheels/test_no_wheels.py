@@ -26,13 +26,14 @@ from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.motion_by_scans import (
     FORGOTTEN_S,
     USUAL,
+    Scans,
     Velocity,
     match_scans,
+    read_scans,
     seen,
     standing,
 )
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
-from locfuse.fusion.wheels.scan_clouds import Scans, read_scans
 
 CORRIDOR = np.array([(-90.0, -1.0, 90.0, -1.0), (-90.0, 1.0, 90.0, 1.0)])
 

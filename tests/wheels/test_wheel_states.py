@@ -61,7 +61,7 @@ def test_a_compass_sees_neither_radius_nor_track_but_their_quotient() -> None:
 
 def test_what_several_configurations_say_is_said_once() -> None:
     runs = {"odometry": {"notes": []}, "lrf": {"notes": ["lrf: slipped"]}, "all": {"notes": ["lrf: slipped"]}}
-    assert notes_of({"notes": ["clock"], "configurations": runs}) == ["clock", "lrf: slipped (all: alike)"]
+    assert notes_of({"notes": ["clock"], "configurations": runs}) == ["clock", "lrf: slipped (the same in all)"]
     assert notes_of({"notes": [], "configurations": {"all": runs["all"]}}) == ["lrf: slipped"]
 
 
@@ -77,6 +77,6 @@ def test_where_notes_differ_in_numbers_those_of_every_configuration_and_stream_a
         "lrf, compass: 0.05 (compass: 0.12) s late (3%)",
         "3 readings share a stamp",
         "lrf: 9 (all: 8) submaps, 19 (lrf@2Hz, all: 5) revisited places",
-        "lrf: 29 slips (lrf@2Hz, all: alike)",
+        "lrf: 29 slips (the same in lrf@2Hz, all)",
         "lrf: 30 (lrf@2Hz: 4) slips",
     ]

@@ -22,7 +22,19 @@ from .clocks import MIN_LAG_S, SPEED_SIGMA_S, Pair, differences, explained, wron
 from .lag import SAID_SIGMAS, Lag
 from .laser import laser_motion
 from .probes import MIN_SCALE, MOUNT_KEYS, path_scale
-from .tried import MIN_GAIN, MIN_GAIN_NATS, Fixes, Marks, gain, improves, keys, ruins, spoils_alone, together
+from .tried import (
+    MIN_GAIN,
+    MIN_GAIN_NATS,
+    Fixes,
+    Marks,
+    gain,
+    improves,
+    keys,
+    readable,
+    ruins,
+    spoils_alone,
+    together,
+)
 from .truth import axle_path, swing, wheels_metre
 from .turning import aligned, observed_track, turnings, turns_by_truth
 
@@ -44,7 +56,6 @@ RELATIVE = {  # the same, the last two of the configured value
 }
 CLASSES = ("radius range_scale", "track", "x y yaw_deg")  # ends of keys; an earlier one looks like a later one
 MAX_PRIOR_SHARE = 0.7  # of the prior's sigma: a state that is known no better tells of the prior
-MAX_ANEES = 50.0  # above, it only says that the noise is wrong
 MAX_MEAN_LOSS = 0.02  # ln, of the mean over the logs of any configuration with sensors
 MAX_STEPS = 6  # fixes of one robot
 
@@ -364,7 +375,7 @@ def judged(fixes: Fixes, kept: Fixes, found: Mapping[str, Mapping[Fixes, Look]],
         using = [n for n in one.marks if n in other.marks and (roles & EVERY or roles & set(one.sensors[n]))]
         if not using:
             continue
-        pairs = of[log] = {name: _fair(one.marks[name], other.marks[name]) for name in using}
+        pairs = of[log] = {name: readable(one.marks[name], other.marks[name]) for name in using}
         if log in apart:
             continue
         kept_by_user = {max(using, key=lambda n: len(one.sensors[n])), _best(using, one.marks)}
@@ -386,13 +397,6 @@ def judged(fixes: Fixes, kept: Fixes, found: Mapping[str, Mapping[Fixes, Look]],
     helps = helps and min(kept_gains) > -MAX_MEAN_LOSS
     shown_by = {log: pairs[most] for log, pairs in of.items() if most in pairs}
     return Step(fixes, most, shown_by, tuple(losers), helps, gains[most])
-
-
-def _fair(before: Marks, after: Marks) -> tuple[Marks, Marks]:
-    """Return figures to compare; an ANEES of thousands tells nothing of a setting but that the noise is wrong."""
-    if min(before.anees or 0.0, after.anees or 0.0) > MAX_ANEES:
-        return before._replace(anees=None), after._replace(anees=None)
-    return before, after
 
 
 def _best(names: Sequence[str], marks: Mapping[str, Marks]) -> str:

@@ -30,6 +30,7 @@ MAX_TURNED_SHARE = 1.0 / 3.0  # of the heading error: a fix that takes more away
 MIN_GAIN_M = 2e-4  # m: smaller gains of the position error are none, however large their share
 MAX_LOSS_NATS, MIN_GAIN_NATS = 0.02, 0.05  # nats per number; a sigma 10 % off costs about 0.01, 50 % about 0.1
 MAX_CHANCE_LOSS_NATS = MIN_GAIN_NATS  # nats per number, of a configuration that no user would keep
+MAX_ANEES = 50.0  # above, it only says that the noise is wrong
 MAX_LOST_SHARE = 0.005  # of the drive: by which being lost may grow
 WEIGHT_OF_HEADING = 0.5  # of a factor on the heading error, against one on the position error
 WEIGHT_OF_ANEES = 0.5  # of a factor on ANEES, against one on the position error
@@ -50,6 +51,13 @@ class Marks(NamedTuple):
     def of_shape(self) -> Marks:
         """Return the score of the path's shape alone: where it lies in the world does not count."""
         return self._replace(position=self.shape, anees=None, bounds=None, aligned=True, heading=None)
+
+
+def readable(before: Marks, after: Marks) -> tuple[Marks, Marks]:
+    """Return figures to compare; an ANEES of thousands tells nothing of a setting but that the noise is wrong."""
+    if min(before.anees or 0.0, after.anees or 0.0) > MAX_ANEES:
+        return before._replace(anees=None), after._replace(anees=None)
+    return before, after
 
 
 def spoils(before: Marks, after: Marks, allowed: float = MAX_LOSS, allowed_nats: float = MAX_LOSS_NATS) -> bool:
@@ -545,15 +553,16 @@ def judged_pairs(
             return {}
         if shape:
             before, after = ({name: scores[name].of_shape()} for scores in (before, after))
+        one, other = readable(before[name], after[name])
         # what takes one configuration's error to less than half is right: another one's may lose what chance does
-        right = candidate.measured and turns_right(before[name], after[name])
+        right = candidate.measured and turns_right(one, other)
         chance = name in candidate.minor or settled or right
         worse = ruins if name in candidate.others else spoils_alone if chance else spoils
-        if worse(before[name], after[name]):
-            if name not in candidate.minor or not was_chance(before[name], after[name]):
+        if worse(one, other):
+            if name not in candidate.minor or not was_chance(one, other):
                 return {}
             chance_alone = True  # which excuses nothing unless the fix is right
-        pairs[name] = before[name], after[name]
+        pairs[name] = one, other
         observed = candidate.measured or not candidate.offer
-        settled = settled or (observed and settles(before[name], after[name]))
+        settled = settled or (observed and settles(one, other))
     return {} if chance_alone and not settled else pairs

@@ -21,7 +21,7 @@ from locfuse.fusion.sensors.registry import REGISTRY
 
 from .odometry import Odometry, by_lever
 
-READINGS_PER_KEY = 4  # of one sensor; each stands for its share of all
+READINGS_PER_KEY = 4  # of one sensor; no reading counts for one that is left out: its noise would too
 WIDTH_SIGMAS = 3.0  # sigmas at which a reading loses weight (Cauchy)
 REFUSED_VERDICT = VERDICTS.index("disturbed")
 
@@ -34,7 +34,6 @@ class Seen(NamedTuple):
     key: int
     u: Array  # (3,) the pose at the reading, seen from the key
     C: Array  # (3, 3) its covariance
-    share: float  # how many readings it stands for
 
 
 class Others:
@@ -86,7 +85,7 @@ class Others:
                 J = np.hstack((moved, by_state[:, 3:]))
                 turned = se2.rotation(pose[2] - seen.u[2]) @ seen.C @ se2.rotation(pose[2] - seen.u[2]).T
                 W = np.linalg.inv(R + H @ turned @ H.T)
-                W *= seen.share / (1.0 + float(y @ W @ y) / (WIDTH_SIGMAS**2 * len(y)))
+                W /= 1.0 + float(y @ W @ y) / (WIDTH_SIGMAS**2 * len(y))
                 columns: Any = np.concatenate((3 * seen.key + np.arange(3), n + states[3:] - 3))
                 blocks.setdefault(J.shape[1], []).append((columns, J.T @ W @ J, J.T @ W @ y))
         rows = [Rows(*(np.array(part) for part in zip(*block, strict=True))) for block in blocks.values()]
@@ -99,7 +98,7 @@ class Others:
 
 
 def _chosen(sensor: str, drive: Drive, odometry: Odometry, keys: Ints) -> list[Seen]:
-    """Return a few readings after each key, evenly spread, each weighted for its share of all."""
+    """Return a few readings after each key, evenly spread."""
     instants = drive.instant[sensor]
     key = np.searchsorted(keys, instants, side="right") - 1
     found = []
@@ -109,6 +108,5 @@ def _chosen(sensor: str, drive: Drive, odometry: Odometry, keys: Ints) -> list[S
         at = instants[some]
         u, C = odometry.between(np.full(len(at), keys[k]), at)
         C = by_lever(C, -u[:, 1], u[:, 0])
-        share = len(rows) / len(some)
-        found += [Seen(sensor, int(r), k, u[n], C[n], share) for n, r in enumerate(some.tolist())]
+        found += [Seen(sensor, int(r), k, u[n], C[n]) for n, r in enumerate(some.tolist())]
     return found

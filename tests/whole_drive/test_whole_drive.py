@@ -13,7 +13,7 @@ from rows import readings
 
 import locfuse
 from locfuse.fusion import se2
-from locfuse.fusion.data import Array, Drive, Estimates, UsageError
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, UsageError
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.robot import Robot
@@ -131,7 +131,7 @@ def test_without_a_search_what_the_filter_recognised_is_closed(
     assert lone is not None
     assert known is not None
     assert len(lone.closures) == 0
-    assert worst(lone.poses()[0], truth) > 0.5
+    assert worst(lone.poses()[0], truth) > 0.25
     assert len(known.closures) >= 3
     assert worst(known.poses()[0], truth) < 0.12
 
@@ -415,6 +415,29 @@ def test_what_a_sensor_adds_pulls_the_poses_towards_its_readings() -> None:
     assert (np.linalg.eigvalsh(H) > -1e-6 * np.abs(H).max()).all()
 
 
+def test_readings_that_are_left_out_of_a_fast_sensor_make_the_others_no_surer() -> None:
+    """Of ten a key four are taken, each with its own noise: they know the heading as they do without the six."""
+    log, truth = drive()
+    keys = np.arange(len(log.t))[::10]
+    sensors = {**described().sensors, "compass": CompassSettings(offset_deg=0.0)}
+
+    def known(at: Ints) -> float:
+        compass = readings(
+            log.t[at], truth[at, 2:], COMPASS_RAD, strength=np.ones(len(at)), rest=np.zeros(len(at))
+        )
+        seen = replace(
+            log,
+            measurements={**log.measurements, "compass": compass},
+            instant={**log.instant, "compass": at},
+        )
+        robot = replace(described(), sensors=sensors)
+        rows = Others(seen, robot, ["compass"], odometry_of(log), keys).rows(truth[keys])
+        return sum(float(block.H[:, 2, 2].sum()) for block in rows)
+
+    every = np.arange(len(keys[:-1]) * 10)
+    assert known(every) == pytest.approx(known(every[np.isin(every % 10, (0, 3, 6, 9))]))
+
+
 # --- references of a drive without truth: which sets of sensors are solved, and which of them judges what
 
 NO_TRUTH = {"truth.topic": "none"}
@@ -449,7 +472,7 @@ def test_all_sensors_are_solved_and_all_but_each_that_leave_one_which_locates() 
 
 
 def test_where_no_sensor_says_where_the_robot_is_there_is_no_reference() -> None:
-    with pytest.raises(UsageError, match="no sensor of this log says where"):
+    with pytest.raises(UsageError, match="no sensor of this log shows where"):
         refuse(only("compass"), session().robot)
 
 
@@ -460,7 +483,7 @@ def test_a_sensor_that_measured_nothing_makes_no_reference() -> None:
     none = replace(lrf, t=lrf.t[:0], first=lrf.first[:1], z=lrf.z[:0], R_unit=lrf.R_unit[:0])
     dead = replace(both, measurements={**both.measurements, "lrf": none})
     assert sets(dead) == []
-    with pytest.raises(UsageError, match="no sensor of this log says where"):
+    with pytest.raises(UsageError, match="no sensor of this log shows where"):
         refuse(dead, session().robot)
 
 

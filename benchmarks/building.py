@@ -79,12 +79,12 @@ def measured(name: str, number: int, sets: tuple[str, ...]) -> tuple[Drive, Robo
     """Return a recorded log; as it is if `number` is 0, else measured anew."""
     path, known = folder() / FILES[name], set_words(KNOWN.get(name))
     if not number:
-        loaded = load([path], LogOptions(None, (*known, *sets), None, False, True))
+        loaded = load([path], LogOptions(sets=(*known, *sets), quiet=True))
         return loaded.drive, loaded.robot
     rng = np.random.default_rng(number - 1)
     heading = f"start.theta_deg={rng.uniform(-180.0, 180.0):.3f}"
     with patch.object(lrf, "lines_in_base", partial(noisier, rng)):
-        loaded = load([path], LogOptions(None, (*known, heading, *sets), None, False, True))
+        loaded = load([path], LogOptions(sets=(*known, heading, *sets), quiet=True))
     scans = without_some(loaded.drive.measurements["lrf"], rng)
     return replace(loaded.drive, measurements={**loaded.drive.measurements, "lrf": scans}), loaded.robot
 

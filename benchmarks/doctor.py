@@ -42,7 +42,7 @@ WRONG: tuple[tuple[str, str, str, float, str], ...] = (
 
 def findings(log: Path, *sets: str) -> list[Finding]:
     """Return what would spoil an estimate under these settings."""
-    overview = inspect_log([log], LogOptions(None, sets, None, strict=False, quiet=True))
+    overview = inspect_log([log], LogOptions(sets=sets, quiet=True))
     return [o for o in overview.findings if o.severe]
 
 

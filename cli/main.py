@@ -18,7 +18,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # 3 x 3 matrices need no thr
 import click
 
 from locfuse.cli.analysis.errors import expected, silence_overflows
-from locfuse.cli.analysis.memory import leave_as_it_is, settle_heap
 from locfuse.cli.terminal.screen import reader_may_leave, say, settle_streams
 
 COMMANDS = {
@@ -111,7 +110,6 @@ def main(arguments: list[str] | None = None) -> NoReturn:
     on_interrupt = signal.getsignal(signal.SIGINT)
     if on_interrupt is signal.default_int_handler:  # not where `nohup` or `&` has it ignored
         signal.signal(signal.SIGINT, _stop)  # click would print an empty line first
-    settle_heap()
     if arguments is None and not sys.warnoptions:
         silence_overflows()
     code: Any = 0
@@ -122,8 +120,6 @@ def main(arguments: list[str] | None = None) -> NoReturn:
         code = _exit_code(problem)
     finally:
         signal.signal(signal.SIGINT, on_interrupt)
-    if arguments is None:
-        leave_as_it_is()
     sys.exit(code if isinstance(code, int) else 0)
 
 

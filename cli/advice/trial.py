@@ -15,7 +15,6 @@ from msgspec.structs import replace
 from locfuse.cli.analysis.compare import PLAIN_FRAME, Compared
 from locfuse.cli.analysis.configurations import Configuration
 from locfuse.cli.analysis.load import Loaded, with_settings
-from locfuse.cli.analysis.memory import lean
 from locfuse.cli.analysis.settings import Asked, Progress
 from locfuse.fusion.checks.tried import (
     Fixes,
@@ -155,13 +154,13 @@ class Trial:
         if self._end is None:
             return loaded
         drive, robot = windowed(loaded.drive, loaded.robot, None, self._end)
-        return replace(loaded, drive=drive, robot=robot, window=(loaded.window[0], self._end))
+        return replace(loaded, drive=drive, robot=robot, how=replace(loaded.how, end=self._end))
 
     def fused(self, loaded: Loaded, name: str, smooth: bool = False) -> Estimates | None:
         """Return one configuration's run, None if the log lacks a sensor under these settings."""
         self.fusions += 1
         try:
-            return lean(self.configurations[name].fuse, loaded.drive, loaded.robot, smooth)[-1]
+            return self.configurations[name].fuse(loaded.drive, loaded.robot, smooth)[-1]
         except LocfuseError:
             return None
 
@@ -172,7 +171,7 @@ class Trial:
         if any(s not in drive.measurements for s in c.sensors):
             return None
         flags = listeners(drive, c.sensors)
-        e = lean(fuser(loaded.robot.preset), drive, loaded.robot, c.sensors, c.name, flags)
+        e = fuser(loaded.robot.preset)(drive, loaded.robot, c.sensors, c.name, flags)
         return predicted(drive, e)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
 from locfuse.formats.logs.adapters import (
@@ -31,7 +32,7 @@ from locfuse.fusion.sensors.landmarks import POSES
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .mounts import BASE_FRAMES, CAMERA_INFO, last_word
-from .topics import of_type
+from .topics import filled
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
@@ -69,11 +70,11 @@ NOT_READ: dict[str, dict[str, str]] = {
         "unitree_legged_msgs/msg/HighState": LEGS,
     },
 }
-LASERS = ("velodyne", "lidar", "ouster", "hesai", "rslidar", "laser", "points_raw", "livox", "scan")
+LASERS = re.compile("velodyne|lidar|ouster|hesai|rslidar|laser|points_raw|livox|scan")  # in names of topics
 STILL_FRAMES = ("map", "odom", "world", "earth", "camera_init")  # clouds in them are maps, or were moved there
 MIN_CLOUDS = 5  # of a topic: fewer are maps
 MIN_TAGS = 2  # frames of tags: one may be anything
-CAMERA_WORDS = ("camera", "cam_", "_cam", "optical", "webcam", "realsense", "kinect", "oak", "zed", "rgb")
+CAMERAS = re.compile("camera|cam_|_cam|optical|webcam|realsense|kinect|oak|zed|rgb")  # in names of frames
 ROOM_FRAMES = ("map", "world", "earth", "odom")  # a camera that hangs there is not on the robot
 
 
@@ -93,22 +94,22 @@ def offer_presented(log: Log) -> None:
 
     Of a laser's scans of Foxglove's kind and of its echoes all are offered, of clouds the likeliest one.
     """
-    if not _filled(log, SCAN):
-        for topic in _filled(log, *FOXGLOVE) or _filled(log, ECHOES) or _clouds(log)[:1]:
+    if not filled(log, SCAN):
+        for topic in filled(log, *FOXGLOVE) or filled(log, ECHOES) or _clouds(log)[:1]:
             _present(log, topic)
-    if not _filled(log, JOINTS):
-        for topic in _filled(log, DYNAMIC) or _filled(log, *FOXGLOVE_JOINTS) or _filled(log, *FEEDBACK):
+    if not filled(log, JOINTS):
+        for topic in filled(log, DYNAMIC) or filled(log, *FOXGLOVE_JOINTS) or filled(log, *FEEDBACK):
             _present(log, topic)
-    if not _filled(log, ODOMETRY):
+    if not filled(log, ODOMETRY):
         for topic in (
-            _filled(log, *FOXGLOVE_ODOMETRY)
-            or _filled(log, VEHICLE_ODOMETRY)[:1]
-            or _filled(log, LOCAL_POSITION)[:1]
-            or _filled(log, SPORT_STATE)[:1]
+            filled(log, *FOXGLOVE_ODOMETRY)
+            or filled(log, VEHICLE_ODOMETRY)[:1]
+            or filled(log, LOCAL_POSITION)[:1]
+            or filled(log, SPORT_STATE)[:1]
         ):
             _present(log, topic)
-    if not _filled(log, IMU):
-        for topic in _filled(log, SENSOR_COMBINED)[:1]:
+    if not filled(log, IMU):
+        for topic in filled(log, SENSOR_COMBINED)[:1]:
             _present(log, topic)
 
 
@@ -118,15 +119,11 @@ def _present(log: Log, topic: str) -> None:
         log.find(name)
 
 
-def _filled(log: Log, *msgtypes: str) -> list[str]:
-    return [t for t in of_type(log, msgtypes) if log.topics[t].count]
-
-
 def _clouds(log: Log) -> list[str]:
     """Return topics of clouds that a sensor sees, those of lasers first, then the busiest."""
-    clouds = [t for t in _filled(log, CLOUD, *FOXGLOVE_CLOUD) if log.topics[t].count >= MIN_CLOUDS]
+    clouds = [t for t in filled(log, CLOUD, *FOXGLOVE_CLOUD) if log.topics[t].count >= MIN_CLOUDS]
     clouds = [t for t in clouds if log.stream(t).frame_id.rpartition("/")[2] not in STILL_FRAMES]
-    return sorted(clouds, key=lambda t: (not any(w in t.lower() for w in LASERS), -log.topics[t].count, t))
+    return sorted(clouds, key=lambda t: (not LASERS.search(t.lower()), -log.topics[t].count, t))
 
 
 def offer_tags(log: Log, robot: Robot) -> None:
@@ -138,7 +135,7 @@ def offer_tags(log: Log, robot: Robot) -> None:
     Reading /tf takes time: for callers who need landmarks. Raises LocfuseError where its frames form a loop.
     """
     settings = robot.settings("landmarks")
-    if settings.topic or settings.file or any(log.topics[t].count for t in of_type(log, POSES)):
+    if settings.topic or settings.file or filled(log, *POSES):
         return
     for topic in log.transform_topics:
         for camera in _cameras(log, topic):
@@ -164,7 +161,7 @@ def _on_robot(frame: str, transforms: StaticTransforms) -> bool:
 
 def _is_camera(log: Log, frame: str) -> bool:
     """Return whether a frame has a camera's name, or is the frame of pictures."""
-    if any(word in frame.lower() for word in CAMERA_WORDS):
+    if CAMERAS.search(frame.lower()):
         return True
-    pictures = [t for t in of_type(log, (*REGISTRY["camera"].reads, CAMERA_INFO)) if log.topics[t].count]
+    pictures = filled(log, *REGISTRY["camera"].reads, CAMERA_INFO)
     return any(log.stream(t).frame_id.lstrip("/") == frame for t in pictures)

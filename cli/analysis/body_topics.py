@@ -7,6 +7,7 @@ never comes before scans. Last come commands and poses that are not the robot's,
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -19,54 +20,30 @@ from locfuse.fusion.wheels.read import WHEEL_READS
 from locfuse.fusion.wheels.steered import GAIN_HINT, MOTOR, SERVO
 
 from .adapted_topics import not_read
-from .motion_evidence import Evidence
-from .motion_witnesses import Witnesses
-from .mounts import is_base, is_odometry, is_room
-from .topics import ONLY, Choice, checked, of_sensor, of_type, one
+from .motion_evidence import Evidence, Witnesses
+from .mounts import is_base, is_fixed, is_odometry, is_room
+from .topics import ONLY, Choice, checked, filled, of_sensor, one
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
 
 TWISTS = tuple(kind for kind in SPEED if kind not in (*POSE, *PLANAR))
 POSES = tuple(kind for kind in (*POSE, *PLANAR) if kind not in (ODOMETRY, TRANSFORM))
-MADE_OF_MORE = (
-    "filter",
-    "ekf",
-    "ukf",
-    "fused",
-    "visual",
-    "vio",
-    "camera",
-    "icp",
-    "slam",
-    "map",
-    "amcl",
-    "lidar",
-    "zed",
-    "vins",
-    "loam",
-    "lio",
-    "rtabmap",
-    "realsense",
-    "t265",
-    "combined",
-    "global",
-    "rf2o",
-    "kiss",
-    "laser",
-    "scan",
-    "mavros",
+# words in the names of topics
+MADE_OF_MORE = re.compile(
+    "filter|ekf|ukf|fused|visual|vio|camera|icp|slam|map|amcl|lidar|zed|vins|loam|lio|rtabmap|realsense|t265"
+    "|combined|global|rf2o|kiss|laser|scan|mavros"
 )
-OF_FILTERS = ("filter", "ekf", "ukf", "fused", "combined", "global")  # of these: IMU and fixes are in the estimate
-BY_FIXES = ("fix_vel", "gps", "gnss", "navsat", "ublox", "novatel", "septentrio")  # speeds north and east
-MADE_OF_FIXES = ("gps", "gnss", "navsat")  # navsat_transform's has no heading
+OF_FILTERS = re.compile("filter|ekf|ukf|fused|combined|global")  # of these: IMU and fixes are in the estimate
+BY_FIXES = re.compile("fix_vel|gps|gnss|navsat|ublox|novatel|septentrio")  # speeds north and east
+MADE_OF_FIXES = re.compile("gps|gnss|navsat")  # navsat_transform's has no heading
 ONLY_CORRECT = ("sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Imu")  # types that make no motion by themselves
-RAW = ("unfiltered", "raw", "wheel", "encoder", "_enc")
-PRESENTED_AS = ("odometry",)  # how topics end that are another type made into an Odometry
+RAW = re.compile("unfiltered|raw|wheel|encoder|_enc")
+ADAPTED_SUFFIX = ":odometry"  # of topics of another type that were made into an Odometry
 NOTHING_ELSE = "nothing else says how the robot moved"
 NEAREST = "the odometry nearest to the wheels"
 OBEYED = ("cmd_vel", "ackermann_cmd")  # what drivers of bases listen to: the end of a chain of commands
-PASSED_ON = ("teleop", "joy", "key", "nav", "raw", "smooth", "mux", "input", "plan", "auto", "unstamped")
+PASSED_ON = re.compile("teleop|joy|key|nav|raw|smooth|mux|input|plan|auto|unstamped")
 OF_COMMANDS = "; of several commands ({others} beside it) the base obeys it, by its name"
 ESTIMATED = (
     "{topic} holds poses that another program estimated. They are taken, since nothing else in this log says how "
@@ -87,7 +64,7 @@ IN_CAMERA = (
     "{topic} holds poses in the frame {frame}: of something that a camera sees. Nothing in this log says how the "
     "robot moved"
 )
-CAMERA_WORDS = ("camera", "optical", "marker", "aruco", "tag")  # of frames whose poses are no robot's
+CAMERA_FRAMES = re.compile("camera|optical|marker|aruco|tag")  # frames whose poses are no robot's
 
 
 class Body(NamedTuple):
@@ -165,15 +142,15 @@ def _measured(log: Log, robot: Robot, choice: Choice, speeds: bool) -> Iterator[
     An odometry that says where the robot is in the room is somebody's estimate: what was measured comes before it.
     """
     odometry = _filled(log, robot, choice, (ODOMETRY,))
-    estimated = [t for t in odometry if in_room(log, t)]
+    estimated = [t for t in odometry if is_room(log.stream(t).frame_id)]
     rolled = [t for t in odometry if t not in estimated]
     ranks = [[t for t in rolled if _made(t) == rank] for rank in range(4)]
     for same in filter(None, ranks):
         others = [t for t in odometry if t not in same]
         yield [_beside(t, NEAREST if others else ONLY, others) for t in same]
     if not rolled:
-        yield [_beside(t, "the only odometry in /tf", estimated) for t in odometry_frames(log)]
-        poses = [t for t in _poses(log, robot, choice) if is_odometry(log.stream(t).frame_id)]
+        yield [_beside(t, "the only odometry in /tf", estimated) for t in moving_frames(log, is_odometry)]
+        poses = [t for t in _filled(log, robot, choice, POSES) if is_odometry(log.stream(t).frame_id)]
         yield [_beside(t, "poses in the frame of an odometry", estimated) for t in poses]
     measured = _twists(log, robot, choice, asked=False)
     twists = [t for t in measured if _is_twist(log, t)]
@@ -200,10 +177,10 @@ def _is_twist(log: Log, topic: str) -> bool:
 
 def _stand_in(log: Log, robot: Robot, choice: Choice) -> Body | None:
     """Return a substitute for a measured motion: poses, else commands, else a steering angle, else no motion."""
-    poses = _poses(log, robot, choice)
+    poses = _filled(log, robot, choice, POSES)
     of_robot = [t for t in poses if not (of_camera(log, t) or commanded(t, log.topics[t].msgtype))]
     if not of_robot:
-        of_robot = moving_frames(log, lambda frame: is_odometry(frame) or is_room(frame))
+        of_robot = moving_frames(log, is_fixed)
     if (
         body := _one_of(log, [Body(t, NOTHING_ELSE, ESTIMATED.format(topic=t)) for t in of_robot], None)
     ) is not None:
@@ -231,7 +208,7 @@ def nearest_to_base(topics: Sequence[str]) -> tuple[list[str], list[str]]:
 
     def rank(topic: str) -> int:
         name = topic.rpartition("/")[2].lower()
-        return 0 if name in OBEYED else 2 if any(word in topic.lower() for word in PASSED_ON) else 1
+        return 0 if name in OBEYED else 2 if PASSED_ON.search(topic.lower()) else 1
 
     least = min(map(rank, topics), default=0)
     best = [t for t in topics if rank(t) == least]
@@ -246,31 +223,29 @@ def _filled(log: Log, robot: Robot, choice: Choice, kinds: Sequence[str]) -> lis
     taken = {topic for role in choice.topics for topic in choice.of(role)}
     found = [
         t
-        for t in of_type(log, kinds)
-        if log.topics[t].count and t not in taken and _a_topic(t) and not looks_like_truth(t)
+        for t in filled(log, *kinds)
+        if t not in taken
+        and (":" not in t or t.endswith(ADAPTED_SUFFIX))  # not frames of /tf, nor a field
+        and not looks_like_truth(t)
     ]
     asked = {robot.settings(name).topic for name, sensor in REGISTRY.items() if sensor.asked_only}
     return [t for t in found if t not in asked] or found
 
 
-def _a_topic(name: str) -> bool:
-    """Return whether a name is a topic or an adapted topic: not frames of /tf, nor a field."""
-    return ":" not in name or name.rpartition(":")[2] in PRESENTED_AS
-
-
 def _of_filter(topic: str) -> bool:
     """Return whether an odometry's name shows that other sensors are in it."""
-    return _made(topic) > 1 and any(word in topic.lower() for word in (*OF_FILTERS, *MADE_OF_FIXES))
+    name = topic.lower()
+    return _made(topic) > 1 and bool(OF_FILTERS.search(name) or MADE_OF_FIXES.search(name))
 
 
 def _made(topic: str) -> int:
     """Return an odometry's rank by its name: 0 raw, 1 unknown, 2 of more than wheels, 3 of satellite fixes."""
     name = topic.lower()
-    if any(word in name for word in RAW):
+    if RAW.search(name):
         return 0
-    if any(word in name for word in MADE_OF_FIXES):
+    if MADE_OF_FIXES.search(name):
         return 3
-    return 2 if any(word in name for word in MADE_OF_MORE) else 1
+    return 2 if MADE_OF_MORE.search(name) else 1
 
 
 def _twists(log: Log, robot: Robot, choice: Choice, asked: bool) -> list[str]:
@@ -281,36 +256,17 @@ def _twists(log: Log, robot: Robot, choice: Choice, asked: bool) -> list[str]:
     steers = robot.wheels.wheelbase or robot.wheels.steering != "angle"
     kinds = (*TWISTS, *STEERED) if steers else TWISTS
     found = [t for t in _filled(log, robot, choice, kinds) if commanded(t, log.topics[t].msgtype) == asked]
-    return [t for t in found if asked or not (_beside_body(log.stream(t).frame_id) or by_fixes(t))]
+    return [t for t in found if asked or not (is_fixed(log.stream(t).frame_id) or by_fixes(t))]
 
 
 def by_fixes(topic: str) -> bool:
     """Return whether a satellite receiver measured the speeds, by the topic's name: along east and north."""
-    return any(word in topic.lower() for word in BY_FIXES)
-
-
-def _beside_body(frame: str) -> bool:
-    return is_odometry(frame) or is_room(frame)
-
-
-def _poses(log: Log, robot: Robot, choice: Choice) -> list[str]:
-    """Return topics of poses of any source."""
-    return _filled(log, robot, choice, POSES)
+    return BY_FIXES.search(topic.lower()) is not None
 
 
 def of_camera(log: Log, topic: str) -> bool:
     """Return whether poses are in the frame of a camera or a marker: they are not the robot's."""
-    return any(word in log.stream(topic).frame_id.lower() for word in CAMERA_WORDS)
-
-
-def odometry_frames(log: Log) -> list[str]:
-    """Return the pairs of frames in /tf that are an odometry, as topics: a base in a frame odom."""
-    return moving_frames(log, is_odometry)
-
-
-def in_room(log: Log, topic: str) -> bool:
-    """Return whether a topic's poses are in a frame that is fixed in the room."""
-    return is_room(log.stream(topic).frame_id)
+    return CAMERA_FRAMES.search(log.stream(topic).frame_id.lower()) is not None
 
 
 def moving_frames(log: Log, fixed: Callable[[str], bool]) -> list[str]:
@@ -318,7 +274,7 @@ def moving_frames(log: Log, fixed: Callable[[str], bool]) -> list[str]:
     found: dict[str, bool] = {}
     for topic in log.transform_topics:
         for (parent, child), edge in log.frames(topic).items():
-            if edge.moves and fixed(parent) and not (is_odometry(child) or is_room(child)):
+            if edge.moves and fixed(parent) and not is_fixed(child):
                 found[f"{topic}:{parent}:{child}"] = is_base(child)
     based = [name for name, base in found.items() if base]
     names = based or list(found)
@@ -337,7 +293,7 @@ def nothing_moves(log: Log) -> NoWheelsError:
         "poses and no speeds"
     )
     others = [other for role in ("wheels", "lrf") if (other := not_read(log, role))]
-    beside = [t for t in of_type(log, ONLY_CORRECT) if log.topics[t].count]
+    beside = filled(log, *ONLY_CORRECT)
     corrects = f"; {' and '.join(beside)} can only correct a motion (a fix has no heading, an IMU no speed)"
     return NoWheelsError(
         ". ".join([f"{words}{corrects if beside else ''}", *others]) + ".",
@@ -349,18 +305,13 @@ def nothing_moves(log: Log) -> NoWheelsError:
 # ---- a car's motor controller: its topic, that of the steering, and what they lack ----
 
 
-def motors(log: Log) -> list[str]:
-    """Return topics with the speed of a car's motor."""
-    return [t for t in of_type(log, MOTOR) if log.topics[t].count]
-
-
 def steering_of(log: Log, robot: Robot) -> str | None:
     """Return the topic of a car's steering: as configured, else an Ackermann command, else a servo."""
     named = robot.wheels.steering_topic
     if named is not None:
         return checked(log, "wheels", named, (*STEERED, SERVO))
-    commands = [t for t in of_type(log, STEERED) if log.topics[t].count]
-    servos = [t for t in of_type(log, (SERVO,)) if log.topics[t].count and "servo" in t.lower()]
+    commands = filled(log, *STEERED)
+    servos = [t for t in filled(log, SERVO) if "servo" in t.lower()]
     if robot.wheels.servo_gain and servos:
         return servos[0]
     obeyed = [t for t in commands if t.rpartition("/")[2] == "ackermann_cmd"]
@@ -382,14 +333,14 @@ def with_steering(log: Log, robot: Robot, motor: str) -> list[str]:
 
 def motor_of(log: Log, robot: Robot) -> Sequence[str]:
     """Return the topics of a motor and of its steering, if the settings convert them to metres; else none."""
-    found, settings = motors(log), robot.wheels
+    found, settings = filled(log, *MOTOR), robot.wheels
     known = settings.erpm_per_mps and settings.wheelbase and steering_of(log, robot) is not None
     return with_steering(log, robot, found[0]) if len(found) == 1 and known else ()
 
 
 def motor_words(log: Log, robot: Robot) -> str:
     """Return the settings needed to use a motor controller's data as motion; "" without a controller."""
-    found = motors(log)
+    found = filled(log, *MOTOR)
     if not found or motor_of(log, robot):
         return ""
     if steering_of(log, robot) is None:

@@ -18,7 +18,7 @@ from locfuse.fusion.wheels.odometry import SCANS, commanded
 
 from .adapted_topics import not_read, offer_presented, offer_tags
 from .body_topics import by_fixes
-from .topics import NAMED, ONLY, Choice, Note, checked, likeliest, of_type, one, several_fit, types
+from .topics import NAMED, ONLY, Choice, Note, checked, filled, likeliest, of_type, one, several_fit, types
 from .wheel_topics import choose_wheels
 
 NO_TRUTH = "none"  # truth.topic: the log's truth is left out
@@ -100,12 +100,10 @@ def _offer(log: Log, name: str, candidates: Sequence[str], choice: Choice) -> No
 
 def _refuse_twice(named: Collection[str], sensor: Sensor, choice: Choice) -> None:
     """Raise LocfuseError if an independent sensor would read the topic of the wheels or of the truth."""
-    for role, why in (
-        ("wheels", "what counts twice makes the filter overconfident"),
-        ("truth", "it would judge itself"),
-    ):
+    reasons = {"wheels": "what counts twice makes the filter overconfident", "truth": "it would judge itself"}
+    for role, why in reasons.items() if sensor.asked_only else ():
         for topic in choice.of(role):
-            if sensor.asked_only and topic in named:
+            if topic in named:
                 raise LocfuseError(f"{topic} is read as {role} already: {why}", role=sensor.name)
 
 
@@ -124,7 +122,10 @@ def _candidates(log: Log, name: str, choice: Choice) -> list[str]:
     wheels = [t for t in choice.of("wheels") if log.topics[t].msgtype != SCANS]  # without wheels: scans serve both
     taken = {*choice.of("truth"), *wheels}
     found = [t for t in of_type(log, sensor.reads) if t not in taken]
-    found = [t for t in found if _named_well(t, log.topics[t].msgtype, sensor)]
+    words = {
+        t: sensor.named.get(log.topics[t].msgtype) for t in found
+    }  # of a bare number's name; other types: None
+    found = [t for t in found if (w := words[t]) is None or any(word in t.lower() for word in w)]
     found = [t for t in found if log.topics[t].count != 0] or found
     if len(found) > 1 and type(sensor).carries is not Sensor.carries:  # to ask costs reading the topics
         found = [t for t in found if sensor.carries(log.stream(t))] or [likeliest(found, sensor.unlikely or ())]
@@ -140,7 +141,7 @@ def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None
     """Choose the only candidate, or all, or the likeliest; if a related sensor has a topic, the same."""
     sensor = REGISTRY[name]
     if len(candidates) == 1:
-        same = [t for t in of_type(log, [log.topics[candidates[0]].msgtype]) if log.topics[t].count]
+        same = filled(log, log.topics[candidates[0]].msgtype)
         choice.take(name, candidates, ONLY if len(same) < 2 else "the only one of its type that fits")
     elif sensor.extra and (shared := [t for t in candidates if t in choice.topics.values()]):
         choice.take(name, shared[:1], "another sensor reads it too")
@@ -162,11 +163,6 @@ def _of_frames(log: Log, topics: Sequence[str]) -> bool:
     """Return whether topics have one type and one frame each: several sensors at different places."""
     frames = {log.stream(t).frame_id for t in topics}
     return len({log.topics[t].msgtype for t in topics}) == 1 and len(frames - {""}) == len(topics)
-
-
-def _named_well(topic: str, msgtype: str, sensor: Sensor) -> bool:
-    """Return whether a bare number's topic has a name that fits the sensor; other types need no such name."""
-    return msgtype not in sensor.named or any(word in topic.lower() for word in sensor.named[msgtype])
 
 
 def choose_truth(log: Log, robot: Robot, insisted: bool, choice: Choice) -> None:

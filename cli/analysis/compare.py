@@ -28,7 +28,6 @@ from locfuse.fusion.sensors.registry import REGISTRY, needed
 from . import results
 from .configurations import Configuration
 from .load import Loaded
-from .memory import lean
 from .robot_tables import key
 from .settings import Asked, Progress, one_of
 from .verdicts import (
@@ -62,8 +61,8 @@ class Compared(msgspec.Struct, frozen=True):
     estimates: Sequence[Estimates]  # without audits, unless they were to be kept
     evaluations: Sequence[Evaluation]
     runs: Sequence[Run]  # evidence of the sensors' noise
-    credit: Credit | None  # where there is truth
-    scores: Sequence[Score]  # where there is none
+    credit: Credit | None = None  # where there is truth
+    scores: Sequence[Score] = ()  # where there is none
     reference: Referenced | None = None  # where there is none, and a reference takes its place
     smoothed: Mapping[str, Estimates] = {}  # by the name of what they smooth, shown or for the reference alone
 
@@ -87,6 +86,14 @@ class JudgedRun(NamedTuple):
     estimates: Estimates
     evaluation: Evaluation
     evidence: list[Run]
+
+
+def run_log(loaded: Loaded, c: Configuration, asked: Asked) -> Compared:
+    """Run and judge one configuration; smoothed, it comes last."""
+    first, *after = _judged(c, loaded, asked)
+    estimates, evaluations = zip(*(j[:2] for j in (first, *after)), strict=True)
+    smoothed = dict(zip([first.estimates.name], (j.estimates for j in after), strict=False))
+    return Compared(loaded, [c], estimates, evaluations, first.evidence, smoothed=smoothed)
 
 
 def compare_log(
@@ -124,7 +131,7 @@ def compare_log(
     for c in configurations:
         progress(f"fusing {c.name}")
         solve = frozenset(c.sensors) in solves and not c.rates
-        first, *after = lean(_judged, c, loaded, asked, solve, watch)
+        first, *after = _judged(c, loaded, asked, solve, watch)
         filtered.append(first)
         smoothed += after if c.is_smoothed(asked, robot) else []
         if after:
@@ -138,44 +145,30 @@ def compare_log(
     predicted = [] if found is not None else predict(drive, robot, configurations, progress, heard)
     progress("solving the whole drive" if reference else "judging")
     runs = [run for j in filtered for run in j.evidence]
-    references = (
-        lean(_references, drive, robot, solved, noise_factors(runs, robot), quarrels(configurations, predicted))
-        if reference
-        else None
-    )
+    references = None
+    if reference:
+        from locfuse.fusion.whole_drive.reference import References
+
+        alone = {c.sensors[0]: c.name for c in configurations if len(c.sensors) == 1 and not c.rates}
+        quarrels = contradictions(predicted, alone)
+        references = References.of(drive, robot, solved, noise_factors(runs, robot), quarrels)
     others = [_in_frame_of(e, drive, references, align) for e in foreign]
     every = [*filtered, *smoothed, *(JudgedRun(e, evaluate(e, drive, how), []) for e, how in others)]
     hows = [*([align] * (len(every) - len(others))), *(how for _, how in others)]
-    referenced = None if references is None else _referenced(references, every, hows, filtered)
-    return Compared(
+    compared = Compared(
         loaded=loaded,
         configurations=configurations,
         estimates=[j.estimates for j in every],
-        evaluations=[j.evaluation for j in every] if referenced is None else referenced[1],
+        evaluations=[j.evaluation for j in every],
         runs=[run for j in every for run in j.evidence],
         credit=found,
         scores=predicted,
         smoothed=wholes,
-        reference=None if referenced is None else referenced[0],
     )
-
-
-def _references(
-    drive: Drive,
-    robot: Robot,
-    solved: Mapping[frozenset[str], tuple[Estimates, Estimates]],
-    noise: Mapping[str, float],
-    contradict: Sequence[tuple[str, str]],
-) -> References | None:
-    from locfuse.fusion.whole_drive.reference import References
-
-    return References.of(drive, robot, solved, noise, contradict)
-
-
-def quarrels(configurations: Sequence[Configuration], found: Sequence[Score]) -> list[tuple[str, str]]:
-    """Return pairs of sensors that contradict each other by prediction."""
-    alone = {c.sensors[0]: c.name for c in configurations if len(c.sensors) == 1 and not c.rates}
-    return contradictions(found, alone)
+    if references is None:
+        return compared
+    referenced, evaluations = _referenced(references, every, hows, filtered)
+    return replace(compared, reference=referenced, evaluations=evaluations)
 
 
 def _referenced(
@@ -208,14 +201,14 @@ def _effect(
 
 
 def _judged(
-    c: Configuration, loaded: Loaded, asked: Asked, solve: bool, watch: Sequence[Watch]
+    c: Configuration, loaded: Loaded, asked: Asked, solve: bool = False, watch: Sequence[Watch] = ()
 ) -> list[JudgedRun]:
     """Fuse and judge one configuration; smooth it for display, or to `solve` a reference."""
     drive, robot, judged = c.drive(loaded.drive), loaded.robot, []
     shown = c.is_smoothed(asked, robot)
     how = cast("Align", asked.align)
-    for e in lean(c.fuse, loaded.drive, robot, shown or solve):
-        evaluation = lean(evaluate, e, drive, how)
+    for e in c.fuse(loaded.drive, robot, shown or solve):
+        evaluation = evaluate(e, drive, how)
         for look in watch if shown or not e.smoothed else ():
             look(e, evaluation)
         kept = e if asked.audits else replace(e, audits={})
@@ -267,7 +260,7 @@ def predict(
     def tried() -> Iterator[Estimates]:
         for sensors, name in sets:
             progress(f"trying how {name} predicts the rest")
-            e = lean(fuser(robot.preset), drive, robot, sensors, name, listeners(drive, sensors))
+            e = fuser(robot.preset)(drive, robot, sensors, name, listeners(drive, sensors))
             for take in heard:
                 take(e)
             yield e
@@ -350,13 +343,10 @@ def add_reference(report: dict[str, Any], compared: Compared) -> None:
             report["verdicts"][sensor] = by_reference(own, reference, effect, quarrel)
 
 
-def report_of_run(
-    loaded: Loaded, c: Configuration, estimates: Sequence[Estimates], evaluations: Sequence[Evaluation]
-) -> dict[str, Any]:
+def report_of_run(compared: Compared) -> dict[str, Any]:
     """Return the report of one configuration, filtered and perhaps smoothed, as plain values: run.json."""
-    report = results.build(loaded, evaluations)
-    runs = evidence(c.drive(loaded.drive), estimates[0], loaded.robot)
-    add_consistency(report, runs, evaluations, loaded.robot)
-    filtered, *smoothed = estimates
-    add_own_scans(report, c.drive(loaded.drive), estimates, dict(zip([filtered.name], smoothed, strict=False)))
+    report = results.build(compared.loaded, compared.evaluations)
+    add_consistency(report, compared.runs, compared.evaluations, compared.loaded.robot)
+    drive = compared.configurations[0].drive(compared.loaded.drive)
+    add_own_scans(report, drive, compared.estimates, compared.smoothed)
     return json_report.plain(report)

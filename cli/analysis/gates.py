@@ -11,7 +11,7 @@ import json
 import math
 import operator
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -86,50 +86,56 @@ class Baseline(msgspec.Struct, frozen=True):
     path: Path
     values: Mapping[str, Any]
     tolerance: Tolerance
+    of_fleet: bool = False
+
+    def grown(self, later: Mapping[str, Any], what: str) -> list[str]:
+        """Return a line per error figure in common that grew by more than the tolerance; one if there is none."""
+        old, new = (_error_figures(v["configurations"], self.of_fleet) for v in (self.values, later))
+        common = [at for at in old if at in new]
+        if not common:
+            return [f"--baseline {self.path}: it has no {what}"]
+        return [
+            f"{at[0]}: {new[at]:.6g} is {f'{new[at] / old[at] - 1.0:.1%} more' if old[at] > 0.0 else 'more'} than "
+            f"the baseline's {old[at]:.6g} (tolerance {self.tolerance.text})"
+            for at in common
+            if new[at] > self.tolerance.limit(at[1], old[at])
+        ]
 
 
 class Gates(msgspec.Struct, frozen=True):
-    """Gates on the report of one log."""
+    """Gates on one log, or on each log of a fleet and on all of them together."""
 
-    limits: Sequence[Gate]
+    limits: Sequence[Gate]  # of each log
     baseline: Baseline | None = None
+    together: Sequence[Gate] = ()  # of all logs
 
     @classmethod
-    def read(cls, typed: GateOptions) -> Gates:
+    def read(cls, typed: GateOptions, of_fleet: bool = False) -> Gates:
         """Return the gates of --fail-if, --baseline, --tolerance. Raises LocfuseError for an invalid one."""
-        limits = [known_figure(parse_gate(text)) for text in typed.fail_if]
-        return cls(limits, read_baseline(typed.baseline, typed.tolerance) if typed.baseline else None)
+        limits = [parse_gate(text) for text in typed.fail_if]
+        together = [gate for gate in limits if of_fleet and gate.figure.startswith(OF_FLEET)]
+        each = [known_figure(gate) for gate in limits if gate not in together]
+        earlier = read_baseline(typed.baseline, typed.tolerance, of_fleet) if typed.baseline else None
+        return cls(each, earlier, together)
 
     def failures(self, report: Mapping[str, Any]) -> list[str]:
-        """Return one line per gate that failed or whose figure does not exist."""
+        """Return one line per gate on one log that failed or whose figure does not exist."""
         lines = []
         for gate in self.limits:
             path = gate.figure.removeprefix(OF_REFERENCE)
             name, value = figure(report["configurations"], path)
             mixed = _mixed(report, gate)
             lines.append(gate.line(None if mixed else value, mixed or _missing(report, path, name)))
-        return [line for line in lines if line] + (_worse(report, self.baseline) if self.baseline else [])
+        worse = _worse(report, self.baseline) if self.baseline and not self.baseline.of_fleet else []
+        return [line for line in lines if line] + worse
 
-
-class FleetGates(msgspec.Struct, frozen=True):
-    """Gates on a fleet."""
-
-    each: Gates  # for every log
-    together: Sequence[Gate]  # for all logs
-    baseline: Baseline | None
-
-    @classmethod
-    def read(cls, typed: GateOptions) -> FleetGates:
-        """Return the gates of --fail-if, --baseline, --tolerance. Raises LocfuseError for an invalid one."""
-        limits = [parse_gate(text) for text in typed.fail_if]
-        together = [gate for gate in limits if gate.figure.startswith(OF_FLEET)]
-        earlier = read_baseline(typed.baseline, typed.tolerance, True) if typed.baseline else None
-        return cls(Gates([known_figure(gate) for gate in limits if gate not in together]), together, earlier)
-
-    def failures(self, summary: Mapping[str, Any]) -> list[str]:
-        """Return one line per gate that all logs together fail."""
+    def failures_together(self, summary: Mapping[str, Any]) -> list[str]:
+        """Return one line per gate on all logs together that failed or whose figure does not exist."""
         lines = [line for gate in self.together if (line := _violated_together(summary, gate))]
-        return lines + (_worse_together(summary, self.baseline) if self.baseline else [])
+        if self.baseline is None:
+            return lines
+        other = _other_logs(summary, self.baseline)
+        return [*lines, *([other] if other else self.baseline.grown(summary, "figure in common with these logs"))]
 
 
 def parse_gate(text: str) -> Gate:
@@ -185,7 +191,7 @@ def read_baseline(path: Path, tolerance: str, of_fleet: bool = False) -> Baselin
         raise LocfuseError(
             f"--baseline {path}: not a {wanted[0]} of locfuse; make one with: locfuse {wanted[1]} -o DIR"
         ) from None
-    return Baseline(path, values, parse_tolerance(tolerance))
+    return Baseline(path, values, parse_tolerance(tolerance), of_fleet)
 
 
 def refuse_another_log(baseline: Baseline | None, log: Log) -> None:
@@ -243,38 +249,29 @@ def _is_number(value: Any) -> bool:
 def _worse(report: Mapping[str, Any], baseline: Baseline) -> list[str]:
     """Return error figures of both reports that grew by more than the tolerance."""
     from locfuse.formats.report.changes import judged_by
-    from locfuse.fusion.judge.evaluate import ERROR_KEYS
 
     then, now = judged_by(baseline.values), judged_by(report)
     if then != now and None not in (then, now):
         return [f"--baseline {baseline.path}: its errors are against {then}, these against {now}: no comparison"]
-    pairs = [
-        (f"{name}.{key}", key, figure({name: old}, f"{name}.{key}")[1], figure({name: new}, f"{name}.{key}")[1])
-        for name, old in baseline.values["configurations"].items()
-        if (new := report["configurations"].get(name)) and _reference_of(old) == _reference_of(new)
-        for key in ERROR_KEYS
-    ]
-    return _grown(baseline, pairs, "error figure in common with this report")
+    return baseline.grown(report, "error figure in common with this report")
 
 
-def _grown(
-    baseline: Baseline, pairs: Iterable[tuple[str, str, float | None, float | None]], what: str
-) -> list[str]:
-    """Return a line per figure (its path, its key, old, new) that grew by more than the tolerance."""
-    known = [(path, key, old, new) for path, key, old, new in pairs if old is not None and new is not None]
-    if not known:
-        return [f"--baseline {baseline.path}: it has no {what}"]
-    return [
-        f"{path}: {new:.6g} is {f'{new / old - 1.0:.1%} more' if old > 0.0 else 'more'} than the baseline's "
-        f"{old:.6g} (tolerance {baseline.tolerance.text})"
-        for path, key, old, new in known
-        if new > baseline.tolerance.limit(key, old)
-    ]
+def _error_figures(configurations: Mapping[str, Any], of_fleet: bool) -> dict[tuple[str, ...], float]:
+    """Return the error figures of a report, or the statistics of a summary, by path, key, and what judged them."""
+    from locfuse.fusion.judge.evaluate import ERROR_KEYS
 
-
-def _reference_of(values: Mapping[str, Any]) -> Any:
-    """Return the sensors of the reference that judged a result; None if it was no reference."""
-    return (values.get("reference") or {}).get("sensors")
+    found: dict[tuple[str, ...], float] = {}
+    for name, values in configurations.items():
+        reference = (values.get("reference") or {}).get("sensors") or ()
+        for key in ERROR_KEYS:
+            figures: dict[str, Any] = {f"{name}.{key}": values.get(key)}
+            if of_fleet:
+                of_logs = values["figures"].get(key) or {}
+                figures = {f"{OF_FLEET}{name}.{key}.{which}": of_logs.get(which) for which in OVER_LOGS}
+            for path, value in figures.items():
+                if _is_number(value) and math.isfinite(value):
+                    found[path, key, *reference] = float(value)
+    return found
 
 
 def _violated_together(summary: Mapping[str, Any], gate: Gate) -> str | None:
@@ -290,23 +287,6 @@ def _violated_together(summary: Mapping[str, Any], gate: Gate) -> str | None:
         return gate.line(value, f"name a statistic: {OF_FLEET}{name}.{key}.{'|'.join(OVER_LOGS)}")
     known = ", ".join(configurations[name]) or "none: no log has a truth"
     return gate.line(value, f"no such figure; there are {known}")
-
-
-def _worse_together(summary: Mapping[str, Any], baseline: Baseline) -> list[str]:
-    """Return statistics of both summaries that grew by more than the tolerance."""
-    from locfuse.fusion.judge.evaluate import ERROR_KEYS
-
-    if other := _other_logs(summary, baseline):
-        return [other]
-    pairs = [
-        (f"{OF_FLEET}{name}.{key}.{which}", key, old["figures"][key].get(which), new[key].get(which))
-        for name, old in baseline.values["configurations"].items()
-        if (new := summary["configurations"].get(name, {}).get("figures"))
-        for key in ERROR_KEYS
-        if key in old["figures"] and key in new
-        for which in OVER_LOGS
-    ]
-    return _grown(baseline, pairs, "figure in common with these logs")
 
 
 def _other_logs(summary: Mapping[str, Any], baseline: Baseline) -> str | None:

@@ -72,12 +72,8 @@ def _regex(pattern: str) -> str:
     """Return a pattern of the shell as a regular expression."""
     whole = {"**/": "(?:.*/)?", "**": ".*", "*": "[^/]*", "?": "[^/]"}
     parts = re.split(r"(\*\*/|\*\*|\*|\?|\[[^\]]*\])", pattern)
-    return "".join(_characters(p) if p.startswith("[") else whole.get(p) or re.escape(p) for p in parts)
-
-
-def _characters(word: str) -> str:
-    """Return "[abc]", "[a-c]" or "[!abc]" of the shell as a regular expression, as fnmatch reads it."""
-    return fnmatch.translate(word).removeprefix("(?s:")[:-3]  # without the marks of a whole name
+    some = {p: fnmatch.translate(p).removeprefix("(?s:")[:-3] for p in parts if p.startswith("[")}  # "[!a-c]"
+    return "".join((whole | some).get(p) or re.escape(p) for p in parts)
 
 
 def _objects(folder: Url) -> Iterator[str]:

@@ -32,7 +32,6 @@ from locfuse.fusion.wheels.odometry import SCANS
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
 from .choose import choose
-from .memory import give_back
 from .motion_evidence import path_of
 from .mounts import level_compass, mount_tables, on_moving_parts, optics_tables, shared_turns, transforms_of
 from .refused_motion import spoiling, standing_notes
@@ -73,7 +72,7 @@ class Loaded(msgspec.Struct, frozen=True, dict=True):
     tables: Mapping[str, Any] = field(default_factory=dict)  # robot.toml as merged, without mounts from /tf_static
     sources: Mapping[str, str] = field(default_factory=dict)  # "lrf.x" -> what set it, of keys that are set
     given: Mapping[str, Any] | None = None  # what the user gave of them; None: the result has no key
-    hash_all: bool = False  # whether every byte is to be hashed
+    how: LogOptions = LogOptions()  # how it was read
     matched: MatchedScans | None = None  # the motion by scans, where there are no wheels
     reading: WheelReading | None = None  # the motion of the whole log; None: it has to be read again
     spoils: tuple[Note, ...] = ()  # why the motion is not the robot's: no figure means anything then
@@ -87,10 +86,10 @@ class Loaded(msgspec.Struct, frozen=True, dict=True):
         """Fault labels in the log, read when a figure needs them."""
         return tuple(labels(self.log, self.drive, self.robot.order))
 
-    window: tuple[float | None, float | None] = (
-        None,
-        None,
-    )  # s: the part of the drive that is used; None: no bound
+    @property
+    def window(self) -> tuple[float | None, float | None]:
+        """The part of the drive that is used [s]; None: no bound."""
+        return self.how.begin, self.how.end
 
 
 def find_log(words: Sequence[str]) -> list[Place]:
@@ -138,16 +137,15 @@ def load(
     tables = merged_tables(log, how)
     choice = choose(log, make_robot(tables), named_by_hand(how.sets))
     found = measured(log, tables, choice, progress, only, aside)
-    found = replace(found, sources=sources_of(log, how), given=given, hash_all=how.hash_all)
-    return _within(found, (how.begin, how.end))
+    return _within(replace(found, sources=sources_of(log, how), given=given, how=how))
 
 
-def _within(loaded: Loaded, window: tuple[float | None, float | None]) -> Loaded:
-    """Return the part of a drive between two times [s]; None: no bound."""
-    if window == (None, None):
+def _within(loaded: Loaded) -> Loaded:
+    """Return the part of a drive within its window."""
+    if loaded.window == (None, None):
         return loaded
-    drive, robot = windowed(loaded.drive, loaded.robot, *window)
-    return replace(loaded, drive=drive, robot=robot, window=window)
+    drive, robot = windowed(loaded.drive, loaded.robot, *loaded.window)
+    return replace(loaded, drive=drive, robot=robot)
 
 
 def load_to_fuse(paths: Sequence[Place], how: LogOptions, progress: Progress, read_again: bool = False) -> Loaded:
@@ -155,7 +153,6 @@ def load_to_fuse(paths: Sequence[Place], how: LogOptions, progress: Progress, re
     loaded = load(paths, how, progress)
     if not read_again:
         loaded.log.forget()
-    give_back()
     return loaded
 
 
@@ -294,7 +291,8 @@ def with_settings(loaded: Loaded, words: Sequence[str], progress: Progress = sil
     before = loaded if wheels else replace(loaded, reading=None)
     found = measured(loaded.log, tables, choice, progress, known=unchanged, before=before)
     sources = {**loaded.sources, **dict.fromkeys(flat(sets), "--set")}
-    return _within(replace(found, sources=sources, given=given, hash_all=loaded.hash_all), loaded.window)
+    how = replace(loaded.how, sets=(*loaded.how.sets, *words))
+    return _within(replace(found, sources=sources, given=given, how=how))
 
 
 def _measured_by(tables: Mapping[str, Any], table: str) -> Any:

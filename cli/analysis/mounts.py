@@ -18,7 +18,7 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.level import FIELD, IMU, LevelledField, tilt_of
 from locfuse.fusion.sensors.registry import REGISTRY
 
-from .topics import of_type
+from .topics import filled
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
@@ -47,7 +47,7 @@ def transforms_of(log: Log, frames: Iterable[str]) -> StaticTransforms:
 def _bodies(log: Log) -> list[str]:
     """Return the frames of /tf that move in the frame of an odometry, else in that of a room."""
     edges = [edge for topic in log.transform_topics for edge in log.frames(topic).values() if edge.moves]
-    bodies = [e for e in edges if not (is_odometry(e.child) or is_room(e.child))]
+    bodies = [e for e in edges if not is_fixed(e.child)]
     return [e.child for e in bodies if is_odometry(e.parent)] or [e.child for e in bodies if is_room(e.parent)]
 
 
@@ -65,6 +65,11 @@ def is_odometry(frame: str) -> bool:
 def is_room(frame: str) -> bool:
     """Return whether a frame has the name of one that is fixed in the room."""
     return last_word(frame) in ROOM_FRAMES
+
+
+def is_fixed(frame: str) -> bool:
+    """Return whether a frame has the name of one in which the robot moves."""
+    return is_odometry(frame) or is_room(frame)
 
 
 def last_word(frame: str) -> str:
@@ -126,7 +131,7 @@ def optics_tables(log: Log, streams: Mapping[str, Sequence[Stream]], tables: Map
 
     The CameraInfo is the one of the sensor's frame, else the only one.
     """
-    infos = [t for t in of_type(log, (CAMERA_INFO,)) if log.topics[t].count]
+    infos = filled(log, CAMERA_INFO)
     found: dict[str, Any] = {}
     for sensor, parts in streams.items():
         if "fx" not in REGISTRY[sensor].Settings.__struct_fields__ or "fx" in tables.get(sensor, {}):
@@ -221,9 +226,8 @@ def level_compass(
 
 def _imu(log: Log, robot: Robot, field: Stream) -> Stream | None:
     """Return the IMU in the magnetometer's frame, else the only one; None if that is ambiguous."""
-    topics = [t for t in of_type(log, (IMU,)) if log.topics[t].count]
     try:
-        found = [log.stream(t, robot.order) for t in topics]
+        found = [log.stream(t, robot.order) for t in filled(log, IMU)]
         beside = [imu for imu in found if field.frame_id and imu.frame_id == field.frame_id]
     except LocfuseError:  # a topic that cannot be read has its own finding
         return None

@@ -177,12 +177,13 @@ def _mcap(loaded: Loaded, found: Mapping[str, Estimates], with_log: bool) -> dic
         if not loaded.log.recorded(text):  # a file of this machine: it does not go with the copy
             tables[table].pop(key, None)
     drive = loaded.drive
+    delay_s = loaded.log.stream(loaded.choice.topics["wheels"], loaded.robot.order).delay_s or 0.0
     export = Export(
         drive=drive,
         estimates=tuple(found.values()),
         twist=_twist(drive),
         robot_toml=robot_toml.dump(tables).encode(),
-        clock_ns=_other_clock(loaded),
+        clock_ns=round(delay_s * 1e9) if abs(delay_s) > OTHER_CLOCK_S else 0,
         log=loaded.log if with_log else None,
     )
     return {MCAP: export.write, **layouts(export.topics)}
@@ -193,9 +194,3 @@ def _twist(drive: Drive) -> Array:
     dt = np.diff(drive.t, prepend=drive.t[0])
     twist: Array = se2.log(drive.motions.u) / np.where(dt > 0.0, dt, np.inf)[:, None]
     return twist
-
-
-def _other_clock(loaded: Loaded) -> int:
-    """Return how far the recording's clock is ahead of the stamps, 0 for one clock [ns]."""
-    delay = loaded.log.stream(loaded.choice.topics["wheels"], loaded.robot.order).delay_s or 0.0
-    return round(delay * 1e9) if abs(delay) > OTHER_CLOCK_S else 0

@@ -20,8 +20,8 @@ from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.odometry import SPEED, commanded
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
-from .motion_witnesses import FIX, seen
-from .topics import Choice, Note, of_type
+from .motion_evidence import FIX, seen
+from .topics import Choice, Note, filled, of_type
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
@@ -63,14 +63,9 @@ def _standing(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> I
     if not motion.wheels.stands:
         return
     own = " and ".join(choice.of("wheels"))
-    taken = set(choice.of("wheels"))
-    for topic in of_type(log, SPEED):
-        if (
-            topic in taken
-            or commanded(topic, log.topics[topic].msgtype)
-            or looks_like_truth(topic)
-            or not log.topics[topic].count
-        ):
+    for topic in filled(log, *SPEED):
+        kind = log.topics[topic].msgtype
+        if topic in choice.of("wheels") or commanded(topic, kind) or looks_like_truth(topic):
             continue
         if (moved := _moved(log, topic)) > MIN_WAY_M:
             words = f"{own} never moves, but {topic} moves {moved:.1f} m"
@@ -91,13 +86,9 @@ def standing_notes(wheels: Wheels) -> tuple[str, ...]:
 def _moved(log: Log, topic: str) -> float:
     """Return the body's distance by a topic [m], 0 if it cannot be read."""
     with suppress(LocfuseError):
-        return way(read_wheels(log.stream(topic), WheelSettings()).wheels)
+        wheels = read_wheels(log.stream(topic), WheelSettings()).wheels
+        return float(np.hypot(*np.diff(wheels.pose[:, :2], axis=0).T).sum())
     return 0.0
-
-
-def way(wheels: Wheels) -> float:
-    """Return the body's total distance [m]."""
-    return float(np.hypot(*np.diff(wheels.pose[:, :2], axis=0).T).sum())
 
 
 def _spread(fixes: Measurements | None) -> float:

@@ -101,7 +101,7 @@ def source(loaded: Loaded) -> dict[str, Any]:
         "files": [p.name for p in log.paths],
         "size": log.identity.size,
         "identity": log.identity.digest,
-        "sha256": log.sha256 if loaded.hash_all or log.all_read else None,
+        "sha256": log.sha256 if loaded.how.hash_all or log.all_read else None,
         **({"etag": ", ".join(log.etags)} if log.etags else {}),  # of a log that is elsewhere
         "start": _date(loaded.drive.epoch_ns),
         "topics": dict(loaded.choice.topics),

@@ -26,8 +26,7 @@ from locfuse.fusion.sensors.registry import REGISTRY, SOURCES, of_points
 
 from .settings import ORDERS, PRESETS, Asked, LogOptions
 
-# what figures depend on, in the order in which it is hashed
-Keyed = msgspec.defstruct("Keyed", ("sensors", "all_subsets", "align", "smooth", "jitter", "reference"))
+KEYED = ("sensors", "all_subsets", "align", "smooth", "jitter", "reference")  # options that figures depend on
 FILES = "files"  # beside the settings: the files that they name -> the hash of their content
 ATTACHMENT = "robot.toml"  # of a log
 BASE_TABLES: dict[str, type[msgspec.Struct]] = {
@@ -85,7 +84,7 @@ def key(content: Identity, tables: Mapping[str, Any], asked: Asked) -> str:
     parts = {
         "content": content._asdict(),
         "settings": tables,
-        "asked": msgspec.convert(asked, Keyed, from_attributes=True),
+        "asked": {name: getattr(asked, name) for name in KEYED},
         "locfuse": own(),
         "schema_version": SCHEMA_VERSION,
         "made_with": {**made_with(), **SOURCES},
@@ -105,7 +104,7 @@ def given_layers(how: LogOptions, more: Sequence[str] = ()) -> dict[str, dict[st
 
     Raises LocfuseError for settings that fit no log at all.
     """
-    files = [_checked(read_small(file, MAX_ROBOT_TOML), str(file)) for file in how.robot_files]
+    files = [_checked(read_small(file, MAX_ROBOT_TOML), str(file)) for file in how.robots]
     sets = set_tables((*how.sets, *more))
     sets |= {key: word for key, word in (("order", how.order), ("preset", how.preset)) if word}
     return {**({"--robot": robot_toml.merge(*files)} if files else {}), "--set": sets}

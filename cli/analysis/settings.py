@@ -6,7 +6,10 @@ Every command imports this for its options, so NumPy is imported inside the func
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import product
+from math import prod
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -31,6 +34,9 @@ EXPORTS = {  # formats of other tools
 }
 PRESETS = ("default", "paper")
 ORDERS = ("auto", "stamp", "recorded")
+MAX_CELLS = 1000  # of a sweep
+BETWEEN_VALUES = re.compile(r",(?![^\[{]*[\]}])")  # a comma that is not inside a list or a table
+UNFIT_FOR_FOLDER = re.compile(r"[\s/\\]")  # cannot stand in the name of a folder
 
 
 def silent(step: str) -> None:
@@ -40,7 +46,7 @@ def silent(step: str) -> None:
 class LogOptions(msgspec.Struct, frozen=True):
     """How to read a log."""
 
-    robot: Path | None = None
+    robots: tuple[Path, ...] = ()  # robot.toml files, later ones over earlier ones
     sets: tuple[str, ...] = ()
     order: str | None = None
     strict: bool = False
@@ -49,18 +55,12 @@ class LogOptions(msgspec.Struct, frozen=True):
     begin: float | None = None  # s since the first wheel reading: only what comes later is used
     end: float | None = None  # s: only what comes earlier
     hash_all: bool = False  # hash every byte of the log for the report
-    over: tuple[Path, ...] = ()  # more robot.toml files, merged over `robot`, later ones over earlier ones
     given_map: Path | None = None  # the laser localises in it
-
-    @property
-    def robot_files(self) -> tuple[Path, ...]:
-        """Every robot.toml, in merging order."""
-        return () if self.robot is None else (self.robot, *self.over)
 
     @property
     def words(self) -> list[str]:
         """The options that describe the robot, as they were typed."""
-        robot = [word for file in self.robot_files for word in ("--robot", str(file))]
+        robot = [word for file in self.robots for word in ("--robot", str(file))]
         return [*robot, *(word for setting in self.sets for word in ("--set", setting))]
 
 
@@ -165,7 +165,7 @@ def log_options(robot: PathLike | None, sets: Sets | None, order: str | None, pr
     file = None if robot is None else path_of(robot)
     if file is not None and not file.is_file():
         raise UsageError(f"robot: {file} is no file; make one with: locfuse init LOG > robot.toml")
-    return LogOptions(file, set_words(sets), order, quiet=True, preset=preset)
+    return LogOptions(() if file is None else (file,), set_words(sets), order, quiet=True, preset=preset)
 
 
 def set_words(sets: Sets | None) -> tuple[str, ...]:
@@ -233,3 +233,35 @@ def chosen(
     if unknown := sorted(names - set(known)):
         raise UsageError(f"{what} {unknown[0]!r}; choose from {', '.join(known)}")
     return names
+
+
+def swept(words: Sequence[str]) -> dict[str, list[str]]:
+    """Return the words of --sweep by key: "lrf.x=0.1,0.2" is {"lrf.x": ["lrf.x=0.1", "lrf.x=0.2"]}."""
+    from locfuse.fusion.data import UsageError
+
+    found: dict[str, list[str]] = {}
+    for word in words:
+        key, equals, values = word.partition("=")
+        if not equals or not key.strip() or not values.strip():
+            raise UsageError(f'--sweep {word!r}: write it like "lrf.sigma_range=0.01,0.03,0.1"')
+        if key.strip() in found:
+            raise UsageError(f"--sweep {key.strip()} is given twice: name all its values in one")
+        parts = [value.strip() for value in BETWEEN_VALUES.split(values)]
+        found[key.strip()] = [f"{key.strip()}={value}" for value in parts if value]
+    return found
+
+
+def cells(sets: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
+    """Return the --set words of every combination by its name, which is these words joined by a blank.
+
+    Raises UsageError for more than MAX_CELLS, and for a value that cannot be part of a folder's name.
+    """
+    from locfuse.fusion.data import UsageError
+
+    for word in (word for words in sets.values() for word in words):
+        if UNFIT_FOR_FOLDER.search(word):
+            raise UsageError(f"--sweep {word!r}: a value with blanks or slashes cannot name a folder")
+    count = prod(len(words) for words in sets.values())
+    if count > MAX_CELLS:
+        raise UsageError(f"--sweep: {count} combinations, more than {MAX_CELLS}; sweep fewer values")
+    return {" ".join(combination): combination for combination in product(*sets.values())}

@@ -66,14 +66,19 @@ def of_type(log: Log, reads: Iterable[str]) -> list[str]:
     return [t for t, info in sorted(log.topics.items()) if info.msgtype in reads and info.problem is None]
 
 
+def filled(log: Log, *msgtypes: str) -> list[str]:
+    """Return the readable topics of these types that have messages."""
+    return [t for t in of_type(log, msgtypes) if log.topics[t].count]
+
+
 def one(log: Log, role: str, named: str | None, candidates: list[str], reads: Iterable[str]) -> str | None:
     """Return the named topic if it fits, else the only candidate with messages, else None."""
     if named is not None:
         return checked(log, role, named, reads)
-    filled = [t for t in candidates if log.topics[t].count != 0]
-    if len(filled) > 1:
-        raise several_fit(log, role, filled)
-    fit = filled or candidates
+    with_messages = [t for t in candidates if log.topics[t].count != 0]
+    if len(with_messages) > 1:
+        raise several_fit(log, role, with_messages)
+    fit = with_messages or candidates
     return fit[0] if fit else None
 
 
@@ -85,9 +90,8 @@ def likeliest(topics: Sequence[str], unlikely: Iterable[str], beside: str = "") 
 
 def of_sensor(log: Log, robot: Robot, sensor: str, kinds: Iterable[str]) -> str | None:
     """Return the topic of these types for a sensor, among those with messages; None without one."""
-    filled = [t for t in of_type(log, kinds) if log.topics[t].count]
-    named = robot.settings(sensor).topic
-    return named if named in filled else likeliest(filled, REGISTRY[sensor].unlikely or ()) if filled else None
+    found, named = filled(log, *kinds), robot.settings(sensor).topic
+    return named if named in found else likeliest(found, REGISTRY[sensor].unlikely or ()) if found else None
 
 
 def _robot(topic: str) -> str:

@@ -15,26 +15,14 @@ from locfuse.fusion.wheels.sources import ARRAYS, JOINTS, NUMBERS, SPEEDS, TICKS
 from locfuse.fusion.wheels.steered import MOTOR, STEERING_WORD
 
 from .body_topics import choose_body, nothing_moves, with_steering
-from .topics import NAMED, ONLY, Choice, Note, checked, of_type, several_fit
+from .topics import NAMED, ONLY, Choice, Note, checked, filled, of_type, several_fit
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
 
 OTHER_SIDE = {"left": "right", "l": "r", "lwheel": "rwheel", "lw": "rw"}
-COUNTER_WORDS = ("tick", "enc", "wheel", "count", "angle")  # what a wheel's own topic is called ...
-COMMAND_WORDS = (
-    "cmd",
-    "command",
-    "speed",
-    "vel",
-    "power",
-    "pwm",
-    "current",
-    "effort",
-    "target",
-    "setpoint",
-    "rpm",
-)
+COUNTERS = re.compile("tick|enc|wheel|count|angle")  # in the names of wheels' own topics ...
+COMMANDS = re.compile("cmd|command|speed|vel|power|pwm|current|effort|target|setpoint|rpm")  # ... without these
 
 
 def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
@@ -119,13 +107,13 @@ def steering_ticks(log: Log, robot: Robot, traction: str) -> str | None:
     named = robot.wheels.steering_topic
     if named is not None:
         return checked(log, "wheels", named, NUMBERS)
-    found = [t for t in of_type(log, NUMBERS) if STEERING_WORD in t.lower() and log.topics[t].count]
+    found = [t for t in filled(log, *NUMBERS) if STEERING_WORD in t.lower()]
     return found[0] if len(found) == 1 and found[0] != traction else None
 
 
 def _tricycle(log: Log, robot: Robot) -> list[str]:
     """Return a counter named traction or drive and its steering; none without such a pair."""
-    numbers = [t for t in of_type(log, NUMBERS) if log.topics[t].count and _counts_by_name(t)]
+    numbers = [t for t in filled(log, *NUMBERS) if _counts_by_name(t)]
     rolls = [t for t in numbers if any(word in t.lower() for word in ("traction", "drive"))]
     steering = steering_ticks(log, robot, rolls[0]) if len(rolls) == 1 else None
     return [] if steering is None else [rolls[0], steering]
@@ -173,7 +161,7 @@ def counters_of(log: Log, robot: Robot) -> tuple[list[str], str]:
     joints, ticks, speeds = (
         [t for t in of_type(log, kind) if log.topics[t].count != 0] for kind in ((JOINTS,), TICKS, SPEEDS)
     )
-    arrays = array_topics(log)
+    arrays = [t for t in filled(log, *ARRAYS) if _counts_by_name(t)]
     pairs = pair_topics(log)
     if len(joints) + len(ticks) + len(speeds) + len(pairs) > 1:
         joints = [t for t in joints if are_wheels(log, t, robot)]
@@ -207,25 +195,15 @@ def are_wheels(log: Log, topic: str, robot: Robot) -> bool:
     return False
 
 
-def array_topics(log: Log) -> list[str]:
-    """Return topics of arrays whose names fit counters of wheels."""
-    return [t for t in of_type(log, ARRAYS) if log.topics[t].count and _counts_by_name(t)]
-
-
 def _counts_by_name(topic: str) -> bool:
-    low = topic.lower()
-    return any(w in low for w in COUNTER_WORDS) and not any(w in low for w in COMMAND_WORDS)
+    return bool(COUNTERS.search(topic.lower())) and not COMMANDS.search(topic.lower())
 
 
 def pair_topics(log: Log) -> list[tuple[str, str]]:
     """Return pairs of topics with one number each, with equal names but for left and right, that fit wheels."""
     numbers = [t for t in of_type(log, NUMBERS) if log.topics[t].count != 0]
-    found = []
-    for topic in numbers:
-        partner = other_side(topic)
-        if partner in numbers and _counts_by_name(topic):
-            found.append((topic, partner))
-    return found
+    named = ((t, other_side(t)) for t in numbers if _counts_by_name(t))
+    return [(left, right) for left, right in named if right in numbers]
 
 
 def other_side(topic: str) -> str | None:

@@ -66,21 +66,18 @@ def fleet(log: tuple[str, ...], options: o.Options) -> int:
 
 def many(words: Sequence[str], options: o.Options) -> int:
     """Compare every log, write and print the summary; return the exit code."""
-    from locfuse.cli.advice.report import forget_fixes
-    from locfuse.cli.advice.together import fixes_files
-    from locfuse.cli.analysis.gates import FleetGates
+    from locfuse.cli.analysis.gates import Gates
+    from locfuse.cli.analysis.results import default_folder
+    from locfuse.cli.analysis.settings import swept
     from locfuse.cli.fleet.jobs import gather, plan
     from locfuse.cli.fleet.queue import NOT_RUN
-    from locfuse.cli.session import sweep
-    from locfuse.cli.session.summary import default_folder, summarised
-    from locfuse.formats.fleet.files import summary_files
-    from locfuse.formats.whole_files import RUN_LOCK, UNFINISHED, may_write, sole_writer, write_results
-    from locfuse.fusion.sensors.registry import colours
+    from locfuse.cli.session.summary import SUMMARY, summarised, write_summary
+    from locfuse.formats.whole_files import RUN_LOCK, UNFINISHED, may_write, sole_writer
 
     how, outputs, fleet = options.how, options.outputs, options.fleet
-    folder = outputs.out or default_folder()
+    folder = outputs.out or default_folder(SUMMARY)
     every = _every(options, folder)
-    gates = FleetGates.read(options.gates)
+    gates = Gates.read(options.gates, of_fleet=True)
     may_write(folder, outputs.overwrite, options.inputs)
     todo = plan(words, every, fleet.robot_from, fleet.sweep)
     with sole_writer(folder, RUN_LOCK, patience_s=0.0):
@@ -96,20 +93,19 @@ def many(words: Sequence[str], options: o.Options) -> int:
             **summarised(found.entries),
             "robots": _robots(todo, found, options) if ended.by is None else [],
         }
-        files = summary_files(summary, found.entries, outputs.write, colours(), tuple(sweep.parse(fleet.sweep)))
-        files |= fixes_files(summary["robots"])
-        write_results(folder, files, overwrite=True)
-        written = [folder / name for name in files]
-        forget_fixes(written)
+        keys = tuple(swept(fleet.sweep))
+        written = write_summary(folder, summary, found.entries, outputs.write, keys)
         (folder / UNFINISHED).unlink(missing_ok=True)
     if ended.by is not None:
         show.say(f"{folder}: {_standing(found)}; the same command goes on with the rest")
         raise ended.by
     _print(summary, written, outputs.as_json)
-    _say_recordings(ended, every.recordings)
+    _say_some([line for outcome in ended.outcomes.values() for line in outcome.warnings], "warnings")
+    if every.recordings is not None and any(every.recordings.glob("*.rrd")):
+        show.say(f"all drives in one viewer: {catalog(every.recordings)}")
     if outputs.open:
         show.open_page(written)
-    return _code(found, gates.failures(summary), ended)
+    return _code(found, gates.failures_together(summary), ended)
 
 
 def _every(options: o.Options, folder: Path) -> Job:
@@ -145,7 +141,7 @@ def _mark(folder: Path, todo: FleetPlan) -> None:
 
 
 def _run(jobs: Sequence[Job], options: o.Options, max_failures: int | None) -> Ended:
-    """Run the jobs on this machine, or on a cluster."""
+    """Run jobs on this machine, or on a cluster."""
     from locfuse.cli.fleet.queue import executor, run_all
 
     quiet = options.how.quiet
@@ -214,13 +210,6 @@ def _print(summary: Mapping[str, Any], files: Sequence[Path], as_json: bool) -> 
         show.verdicts(summary)
         show.lines(" ".join(line).strip() for line in over.robots(summary))
         show.end(files)
-
-
-def _say_recordings(ended: Ended, recordings: Path | None) -> None:
-    """Print which recordings failed, and how to open all recordings."""
-    _say_some([line for outcome in ended.outcomes.values() for line in outcome.warnings], "warnings")
-    if recordings is not None and any(recordings.glob("*.rrd")):
-        show.say(f"all drives in one viewer: {catalog(recordings)}")
 
 
 def _code(found: FleetRows, failed_gates: Sequence[str], ended: Ended) -> int:

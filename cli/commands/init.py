@@ -62,9 +62,9 @@ def init(log: tuple[str, ...], options: o.Options, update: Path | None, ekf: Pat
 
     how, out = options.how, options.outputs.out
     if update is not None:
-        if out is not None or how.robot is not None:
+        if out is not None or how.robots:
             raise click.UsageError("--update FILE reads and writes FILE: leave out -o and --robot")
-        how = replace(how, robot=update)
+        how = replace(how, robots=(update,))
     may_replace(out, options.outputs.overwrite, log)
     place = update or out
     with show.progress(how.quiet) as progress:

@@ -127,7 +127,6 @@ class Tools:
         """
         if not log:
             return self._listed()
-
         words, how = [str(self._below(log))], self._how(settings)
         found = inspected(words, how, silent)
         tried = tried_by_fusing(words, how, silent) if check else {}
@@ -199,7 +198,6 @@ class Tools:
         return Answer(headline, [], {"settings": found.tables(), "found": rows, "notes": list(found.notes)}, files)
 
     def _listed(self) -> Answer:
-
         there = (path for folder in self._folders for ending in ENDINGS for path in folder.rglob(ending))
         logs = sorted(path for path in there if path.is_file() and self._inside(path))
         names = {str(path): path.stat().st_size for path in logs[:MAX_LISTED]}

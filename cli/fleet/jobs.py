@@ -18,14 +18,13 @@ from msgspec import field
 from msgspec.structs import replace
 
 from locfuse.cli.advice.together import ask
-from locfuse.cli.analysis.gates import FleetGates
+from locfuse.cli.analysis.gates import Gates
 from locfuse.cli.analysis.grouping import logs_of, named
 from locfuse.cli.analysis.load import find_log
 from locfuse.cli.analysis.results import lost_in
 from locfuse.cli.analysis.robot_tables import given_layers, given_tables, key
-from locfuse.cli.analysis.settings import OF_COMPARISON, Asked, LogOptions, Outputs
+from locfuse.cli.analysis.settings import OF_COMPARISON, Asked, LogOptions, Outputs, cells, swept
 from locfuse.cli.rerun.record import file_in
-from locfuse.cli.session import sweep
 from locfuse.formats.caps import MAX_REPORT
 from locfuse.formats.fleet.entry import Entry, slim
 from locfuse.formats.inputs import read_small
@@ -155,14 +154,12 @@ def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Seque
 
     Raises UsageError for settings, a pattern or a sweep that fit no log at all.
     """
-    pattern = _pattern(robot_from, every.how.robot_files)
-    fixed = tuple(file for file in every.how.robot_files if ROBOT_PLACEHOLDER not in str(file))
+    pattern = _pattern(robot_from, every.how.robots)
+    fixed = tuple(file for file in every.how.robots if ROBOT_PLACEHOLDER not in str(file))
     given_layers(_with_robots(every, fixed).how)
-    cells = (
-        tuple(SweepCell(*found) for found in sweep.cells(sweep.parse(sweeps)).items()) if sweeps else every.cells
-    )
-    for cell in cells:
-        given_layers(replace(every.how, robot=None, over=(), sets=(*every.how.sets, *cell.sets)))
+    of_sweep = tuple(SweepCell(*found) for found in cells(swept(sweeps)).items()) if sweeps else every.cells
+    for cell in of_sweep:
+        given_layers(replace(every.how, robots=(), sets=(*every.how.sets, *cell.sets)))
     figures = every.outputs.figures
     robots: dict[str, str | None] = {}
     jobs, refused = {}, {}
@@ -171,13 +168,13 @@ def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Seque
         try:
             find_log(log)
             jobs[name] = replace(
-                _with_robots(every, [_file_of(file, robot) for file in every.how.robot_files]),
+                _with_robots(every, [_file_of(file, robot) for file in every.how.robots]),
                 name=name,
                 log=tuple(log),
                 folder=every.folder / name,
                 outputs=replace(every.outputs, figures=figures and figures / name),
                 robot=robot,
-                cells=cells,
+                cells=of_sweep,
             )
         except UsageError as problem:
             refused[name] = JobOutcome(name, "failed", str(problem), misused=True)
@@ -185,7 +182,7 @@ def plan(words: Sequence[str], every: Job, robot_from: str | None, sweeps: Seque
 
 
 def _with_robots(job: Job, files: Sequence[Path]) -> Job:
-    return replace(job, how=replace(job.how, robot=files[0] if files else None, over=tuple(files[1:])))
+    return replace(job, how=replace(job.how, robots=tuple(files)))
 
 
 def _pattern(text: str | None, files: Sequence[Path]) -> re.Pattern[str] | None:
@@ -239,7 +236,7 @@ class FleetRows(msgspec.Struct, frozen=True):
 
 
 def gather(
-    plan: FleetPlan, outcomes: Mapping[str, JobOutcome], stopped: str, gates: FleetGates, strict: bool
+    plan: FleetPlan, outcomes: Mapping[str, JobOutcome], stopped: str, gates: Gates, strict: bool
 ) -> FleetRows:
     """Read the report of every finished job; the reason for the others is what `stopped` them.
 
@@ -257,7 +254,7 @@ def gather(
     return found
 
 
-def _entry(job: Job, found: FleetRows, gates: FleetGates, strict: bool) -> Entry:
+def _entry(job: Job, found: FleetRows, gates: Gates, strict: bool) -> Entry:
     """Return the short form of one log; its full report is freed."""
     reports = {cell.name: read_report(job.place(cell)) for cell in job.cells}
     whole = {cell: report for cell, report in reports.items() if report is not None}
@@ -266,7 +263,7 @@ def _entry(job: Job, found: FleetRows, gates: FleetGates, strict: bool) -> Entry
     lost: list[str] = []
     for cell, report in whole.items():
         title = f"{job.name} [{cell}]" if cell else job.name
-        found.gates.extend(f"{title}: {line}" for line in gates.each.failures(report))
+        found.gates.extend(f"{title}: {line}" for line in gates.failures(report))
         lost = lost_in(report, strict) or lost
     found.lost.extend(f"{job.name}: {line}" for line in lost)
     return Entry(job.name, job.robot, report=slim(whole), cells=tuple(whole))

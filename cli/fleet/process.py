@@ -20,7 +20,6 @@ from locfuse.cli.advice.together import looks, numbers_of
 from locfuse.cli.analysis import maps
 from locfuse.cli.analysis.errors import expected
 from locfuse.cli.analysis.load import find_log, load_to_fuse, with_settings
-from locfuse.cli.analysis.memory import settle_heap
 from locfuse.cli.analysis.settings import silent
 from locfuse.cli.rerun.record import record_drive
 from locfuse.cli.session.session import Session
@@ -98,7 +97,6 @@ def main() -> None:
         os.dup2(2, 1)  # what a library prints is no answer
         job: Job = pickle.load(sys.stdin.buffer)
         threading.Thread(target=_end_with_parent, daemon=True).start()
-        settle_heap()
         answer.write(pickle.dumps(outcome(job)))
 
 

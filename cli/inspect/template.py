@@ -11,12 +11,11 @@ from typing import Any, NamedTuple
 import msgspec
 from msgspec.structs import replace
 
-from locfuse.cli.analysis.body_topics import motors
 from locfuse.cli.analysis.choose import best_of
 from locfuse.cli.analysis.mounts import is_base, mount_tables
 from locfuse.cli.analysis.robot_tables import ATTACHMENT, flat, make_robot, table_types
 from locfuse.cli.analysis.settings import LogOptions, set_words
-from locfuse.cli.analysis.topics import of_type
+from locfuse.cli.analysis.topics import filled
 from locfuse.cli.analysis.wheel_topics import steers
 from locfuse.formats.container.url import Place
 from locfuse.formats.robot import robot_toml
@@ -148,7 +147,7 @@ def _given(overview: Overview, how: LogOptions, said: Mapping[str, Mapping[str, 
     layers: list[tuple[str, Mapping[str, Any]]] = []
     if (own := overview.log.attachments.get(ATTACHMENT)) is not None:
         layers.append(("the log's own robot.toml", robot_toml.parse(own, ATTACHMENT)))
-    layers += [(file.name, robot_toml.parse(file.read_bytes(), file.name)) for file in how.robot_files]
+    layers += [(file.name, robot_toml.parse(file.read_bytes(), file.name)) for file in how.robots]
     layers += said.items()
     layers.append(("--set", robot_toml.apply_sets(how.sets)))
     merged = flat(overview.tables)
@@ -214,7 +213,7 @@ def found(overview: Overview) -> Known:
 def _topics(overview: Overview, role: str) -> Known:
     topics, why = overview.choice.of(role), overview.choice.why.get(role, "")
     if not topics and role in REGISTRY:  # a sensor that lacks a setting may have its topic all the same
-        fit = [t for t in of_type(overview.log, REGISTRY[role].reads) if overview.log.topics[t].count]
+        fit = filled(overview.log, *REGISTRY[role].reads)
         fit = best_of(overview.log, REGISTRY[role], fit)
         settings = overview.robot.settings(role)
         unset = role in overview.choice.absent and len(fit) == 1 and REGISTRY[role].missing(settings) is not None
@@ -327,7 +326,7 @@ def _concerns_wheels(overview: Overview, key: str) -> bool:
         **dict.fromkeys(("radius", "track", "mirrored"), counts),
         "ticks_per_revolution": counts and counts_ticks(kind),
         "wheelbase": kind in MOTOR or (kind in STEERED and overview.robot.wheels.steering == "angle"),
-        "erpm_per_mps": bool(motors(overview.log)),
+        "erpm_per_mps": bool(filled(overview.log, *MOTOR)),
         "servo_gain": others[:1] == [SERVO],
         "steering": kind in STEERED,
     }

@@ -57,13 +57,11 @@ def saved(path: Path, result: Result, identity: str | None = None) -> str:
     from locfuse.fusion.data import LocfuseError
 
     try:
-        from locfuse.cli.analysis.memory import give_back
         from locfuse.formats.rerun.recording import save_recording
 
         from .scene import make_scene
 
         scene = make_scene(result.loaded, result.estimates, result.evaluations, result.report)
-        give_back()  # before Rerun is imported, which takes 90 MB
         save_recording(path, scene, identity=identity)
     except LocfuseError as problem:
         return str(problem)

@@ -202,7 +202,7 @@ def _tuned(found: Tuning) -> dict[str, str]:
 def _by_files(how: LogOptions) -> dict[str, str]:
     """Return the settings of robot files in words, and the commands that wrote them."""
     words: dict[str, str] = {}
-    for file in how.robot_files:
+    for file in how.robots:
         text = read_small(file, MAX_ROBOT_TOML).decode("utf-8", "replace")
         by = next(
             (f" (locfuse {name})" for name in ("tune", "calibrate", "compare") if f"locfuse {name}" in text), ""
@@ -233,8 +233,8 @@ def _of_result(log: Sequence[str], how: LogOptions) -> tuple[Sequence[str], LogO
     names = words[: next((i for i, word in enumerate(words) if word.startswith("-")), len(words))]
     places = [str(folder / name) if (folder / name).exists() else name for name in names]
     fixes = folder / FIXES_FILE
-    robots = [file for file in (folder / "robot.toml", fixes) if file.is_file()] + list(how.robot_files)
-    used = replace(how, robot=robots[0] if robots else None, over=tuple(robots[1:]))
+    robots = [file for file in (folder / "robot.toml", fixes) if file.is_file()] + list(how.robots)
+    used = replace(how, robots=tuple(robots))
     sources = {key: f"{key} by {source} (compared)" for key, source in changed.items()}
     if fixes.is_file():
         tables = parse(read_small(fixes, MAX_ROBOT_TOML), str(fixes))

@@ -221,16 +221,14 @@ def calibrated(logs: Sequence[Sequence[str]], how: LogOptions, progress: Progres
     """Read logs by command-line words, and calibrate what they allow."""
     loaded = [load(find_log(parts), how, progress, only=USED, aside=("lrf",)) for parts in logs]
     progress("calibrating")
-    return calibrate_logs(loaded, progress, how)
+    return calibrate_logs(loaded, progress)
 
 
-def calibrate_logs(
-    loaded: Sequence[Loaded], progress: Progress = silent, how: LogOptions | None = None
-) -> Calibration:
+def calibrate_logs(loaded: Sequence[Loaded], progress: Progress = silent) -> Calibration:
     """Calibrate what the logs of one robot allow. Raises LocfuseError where they allow nothing."""
-    how, settings = how or LogOptions(), _one_robot(loaded)
+    settings = _one_robot(loaded)
     if is_tricycle(loaded[0].stream("wheels")):
-        return _tricycle(loaded, settings, progress, how)
+        return _tricycle(loaded, settings, progress)
     for one in loaded:
         refuse_doubtful(one, "what is calibrated now", CALIBRATED)
     notes: list[str] = []
@@ -256,9 +254,7 @@ def calibrate_logs(
             f"compass: iron bends the raw headings by {iron.error_before_deg:.1f} degrees (rms over a turn); the "
             f"field scatters by {math.degrees(iron.scatter):.2f} degrees about the fit"
         )
-    found = Calibration(
-        loaded=loaded, how=how, settings=settings, wheels=wheels, laser=laser, gyro=gyro, iron=iron
-    )
+    found = Calibration(loaded=loaded, settings=settings, wheels=wheels, laser=laser, gyro=gyro, iron=iron)
     stays = [f.key.removeprefix("wheels.") for f in found.fitted() if f.stays and f.key.startswith("wheels.")]
     if stays:
         notes.append(f"wheels: {', '.join(stays)} left as set: inside the interval, so nothing speaks against it")
@@ -332,9 +328,7 @@ def _wheel_notes(found: WheelCalibration, settings: WheelSettings, by_gyro: bool
     return notes
 
 
-def _tricycle(
-    loaded: Sequence[Loaded], settings: WheelSettings, progress: Progress, how: LogOptions
-) -> Calibration:
+def _tricycle(loaded: Sequence[Loaded], settings: WheelSettings, progress: Progress) -> Calibration:
     """Calibrate the encoders of a steered wheel by the truth of one drive, else its laser, else its gyro."""
     one, stream = loaded[0], loaded[0].stream("wheels")
     reference = None if len(loaded) > 1 else _reference(one, progress)
@@ -359,7 +353,7 @@ def _tricycle(
         "(rms); a gyro knows no lengths: the radius is left as it was set",
     }
     notes = (f"tricycle: {', '.join((*found.wheels, *found.mount))}: {left[found.by]}",)
-    return Calibration(loaded=loaded, how=how, settings=settings, notes=notes, tricycle=found)
+    return Calibration(loaded=loaded, settings=settings, notes=notes, tricycle=found)
 
 
 def _reference(one: Loaded, progress: Progress) -> Reference | None:

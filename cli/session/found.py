@@ -26,7 +26,6 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
     """Settings estimated from logs, with intervals; `with_settings` and `sets=` accept `tables()`."""
 
     loaded: Sequence[Loaded]  # the logs
-    how: LogOptions = LogOptions()  # under which settings they were read
     notes: tuple[str, ...] = ()
 
     command: ClassVar[str]
@@ -44,6 +43,11 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
         """Return the estimated settings as rows of words."""
         raise NotImplementedError
 
+    @property
+    def how(self) -> LogOptions:
+        """The options under which the logs were read."""
+        return self.loaded[0].how
+
     def losses(self) -> list[str]:
         """Return the losses of the logs and of the used readings, in words."""
         return [line for one in self.loaded for line in loss_lines(one, self.used(one), self.how.strict)]
@@ -58,7 +62,7 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
 
     def given(self) -> dict[str, Any]:
         """Return the user's tables beside the first robot.toml."""
-        return robot_toml.merge(*(robot_toml.parse(file.read_bytes(), str(file)) for file in self.how.over))
+        return robot_toml.merge(*(robot_toml.parse(file.read_bytes(), str(file)) for file in self.how.robots[1:]))
 
     @speaks_python
     def write(self, file: PathLike, overwrite: bool = False) -> Path:
@@ -68,7 +72,7 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
         """
         path = path_of(file)
         may_replace(path, overwrite)
-        text = commented_toml.text_of(self.how.robot) or self.before()
+        text = commented_toml.text_of(next(iter(self.how.robots), None)) or self.before()
         changes = robot_toml.merge(self.given(), self.tables())
         write_text(path, commented_toml.updated(text, changes, f"locfuse {self.command}"))
         return path

@@ -8,16 +8,13 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.compare import Compared, compare_log
-from locfuse.cli.analysis.configurations import Configuration
-from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import Asked, Progress, silent
 from locfuse.cli.analysis.verdicts import verdicts
 from locfuse.fusion.data import Estimates, UsageError
@@ -40,7 +37,7 @@ def check_runs(runs: int) -> int:
     return runs
 
 
-class Jittered(msgspec.Struct, frozen=True):
+class Jittered(NamedTuple):
     """The result of one run on a jittered drive."""
 
     figures: Mapping[str, Mapping[str, float | None]]  # result -> figure -> value
@@ -48,24 +45,17 @@ class Jittered(msgspec.Struct, frozen=True):
     verdicts: Mapping[str, str]  # sensor -> verdict
 
 
-def jitter_runs(
-    loaded: Loaded,
-    configurations: Sequence[Configuration],
-    asked: Asked,
-    plain: Mapping[str, Estimates],
-    progress: Progress,
-) -> Iterator[Jittered]:
-    """Fuse and judge every configuration on jittered drives; `plain` are the estimates of the unchanged drive."""
-    once = replace(asked, reference=False, audits=False)
+def add_jitter(report: dict[str, Any], compared: Compared, asked: Asked, progress: Progress) -> None:
+    """Fuse and judge every configuration on jittered drives, and add the ranges to a report."""
+    loaded, plain = compared.loaded, {e.name: e for e in compared.estimates}
+    once, found = replace(asked, reference=False, audits=False), []
     for seed in range(asked.jitter):
         progress(f"jitter {seed + 1} of {asked.jitter}")
         other = replace(loaded, drive=jittered(loaded.drive, loaded.robot, seed))
-        found = compare_log(other, configurations, once, silent)
-        yield Jittered(
-            {e.name: e.figures for e in found.evaluations},
-            {e.name: _away(plain[e.name], e) for e in found.estimates},
-            _verdicts(found),
-        )
+        run = compare_log(other, compared.configurations, once, silent)
+        away = {e.name: _away(plain[e.name], e) for e in run.estimates}
+        found.append(Jittered({e.name: e.figures for e in run.evaluations}, away, _verdicts(run)))
+    add_ranges(report, found)
 
 
 def _verdicts(found: Compared) -> dict[str, str]:
@@ -79,7 +69,7 @@ def _away(plain: Estimates, other: Estimates) -> float:
     return float(np.hypot(x, y).max())
 
 
-def add_jitter(report: dict[str, Any], found: Sequence[Jittered]) -> None:
+def add_ranges(report: dict[str, Any], found: Sequence[Jittered]) -> None:
     """Add the range of every figure over all runs and the drive's own, and withdraw verdicts that change."""
     if not found:
         return

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 import numpy as np
+from msgspec import field
 from numpy.typing import NDArray
 
 from locfuse.cli.advice.report import fixes_file, forget_fixes
@@ -42,39 +43,26 @@ class UnknownNameError(UsageError, KeyError):
     __str__ = Exception.__str__
 
 
-class Named(Mapping[str, V]):
-    """A read-only mapping; `what` is the kind of its values in errors: "configuration"."""
+class Named(dict[str, V]):
+    """Values by their names; `what` is their kind in errors: "configuration"."""
 
     def __init__(self, what: str, values: Mapping[str, V]) -> None:
-        self._what, self._values = what, dict(values)
+        super().__init__(values)
+        self._what = what
 
-    def __getitem__(self, name: str) -> V:
-        """Return a value. Raises UnknownNameError."""
-        if name in self._values:
-            return self._values[name]
-        near = difflib.get_close_matches(str(name), self._values, 1)
+    def __missing__(self, name: str) -> V:
+        """Raise UnknownNameError with the most similar name."""
+        near = difflib.get_close_matches(str(name), self, 1)
         hint = f"; did you mean {near[0]}?" if near else "."
-        known = ", ".join(self._values) or "none"
+        known = ", ".join(self) or "none"
         raise UnknownNameError(f"no {self._what} {name!r} in this result{hint} There are: {known}")
-
-    def __iter__(self) -> Iterator[str]:
-        """Yield the names in order."""
-        return iter(self._values)
-
-    def __len__(self) -> int:
-        """Return the number of values."""
-        return len(self._values)
 
     def __repr__(self) -> str:
         """Return the names only, since values are long columns."""
         return f"<{len(self)} by {self._what}: {', '.join(self)}>"
 
-    def _ipython_key_completions_(self) -> list[str]:
-        """Return the names for `result.estimates["<TAB>`."""
-        return list(self)
 
-
-class Result(msgspec.Struct, frozen=True, eq=False):
+class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
     """One or several configurations over one log.
 
     `estimates["all"].pose` is (n, 3): x, y [m], theta [rad], map frame, at `estimates["all"].t` [s since the first
@@ -83,10 +71,24 @@ class Result(msgspec.Struct, frozen=True, eq=False):
     or run.json holds.
     """
 
-    loaded: Loaded
-    estimates: Named[Estimates]  # by the name of the result: "all", "all-smoothed"
-    evaluations: Named[Evaluation]  # by the same names
+    compared: Compared
     report: dict[str, Any]
+    drawn: outputs.Drawn = field(default_factory=outputs.Drawn)
+
+    @property
+    def loaded(self) -> Loaded:
+        """The log and its settings."""
+        return self.compared.loaded
+
+    @cached_property
+    def estimates(self) -> Named[Estimates]:
+        """The estimates by the name of the result: "all", "all-smoothed"."""
+        return Named("configuration", {e.name: e for e in self.compared.estimates})
+
+    @cached_property
+    def evaluations(self) -> Named[Evaluation]:
+        """The evaluations by the name of the result."""
+        return Named("configuration", {e.name: e for e in self.compared.evaluations})
 
     @property
     def drive(self) -> Drive:
@@ -167,12 +169,8 @@ class Result(msgspec.Struct, frozen=True, eq=False):
         from locfuse.formats.figures.palette import traces_of
         from locfuse.formats.figures.where import trajectories
 
-        scene = outputs.scene(self._compared(), outputs.Drawn())
+        scene = outputs.scene(self.compared, outputs.Drawn())
         return trajectories(scene).panels[0], traces_of(self.estimates.values())
-
-    def _compared(self) -> Compared:
-        estimates, evaluations = list(self.estimates.values()), list(self.evaluations.values())
-        return Compared(self.loaded, [], estimates, evaluations, [], credit=None, scores=[])
 
     def table(self) -> list[dict[str, Any]]:
         """Return one row per result, for pandas.DataFrame or polars.DataFrame: the columns of report.csv.
@@ -180,11 +178,11 @@ class Result(msgspec.Struct, frozen=True, eq=False):
         "configuration" is the result's name; figures are in SI units with the unit in the key, None where a
         figure does not exist; `<sensor>_accepted`, `_rejected`, `_absent`, `_nis` count its measurements.
         """
-        sensors = list(dict.fromkeys(s for v in self.report["configurations"].values() for s in v["sensors"]))
-        return [
-            {**_scalars(values), "configuration": name, **_counts(values["sensors"], sensors)}
-            for name, values in self.report["configurations"].items()
-        ]
+        from locfuse.formats.report.tables import everything
+
+        table = everything(self.report)
+        keys = [column.key for column in table.columns]
+        return [dict(zip(keys, (cell.value for cell in row), strict=True)) for row in table.rows]
 
     def losses(self, strict: bool = False) -> list[str]:
         """Return losses in words: bytes of the file, or more than 1 % of a used sensor's readings.
@@ -301,14 +299,8 @@ class Run(Result, frozen=True, eq=False):
         write_text(path_of(file), line_map.encode(self.filtered.final_map, self.loaded.log.name))
 
 
-class Comparison(Result, frozen=True, eq=False, dict=True):
+class Comparison(Result, frozen=True, eq=False):
     """Several configurations over one log, and the effect of each sensor."""
-
-    compared: Compared
-    drawn: outputs.Drawn
-
-    def _compared(self) -> Compared:
-        return self.compared
 
     @cached_property
     def verdicts(self) -> Named[dict[str, Any]]:
@@ -327,13 +319,3 @@ class Comparison(Result, frozen=True, eq=False, dict=True):
     def write_figures(self, folder: PathLike) -> list[Path]:
         """Write every figure as SVG and PDF, for a paper, and return the files."""
         return self._written(folder, outputs.figure_files(self.compared, self.drawn), overwrite=True)
-
-
-def _scalars(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values that a cell can hold; lists and tables are only in the report."""
-    return {"configuration": "", **{k: v for k, v in values.items() if not isinstance(v, Mapping | list)}}
-
-
-def _counts(found: Mapping[str, Mapping[str, Any]], sensors: Iterable[str]) -> dict[str, Any]:
-    counts = ("accepted", "rejected", "absent", "nis")
-    return {f"{s}_{count}": found.get(s, {}).get(count) for s in sensors for count in counts}

@@ -13,10 +13,9 @@ from msgspec.structs import replace
 
 from locfuse.cli.advice.report import Advised, complete
 from locfuse.cli.analysis import maps
-from locfuse.cli.analysis.compare import Compared, compare_log, report_of, report_of_run
+from locfuse.cli.analysis.compare import Compared, compare_log, report_of, report_of_run, run_log
 from locfuse.cli.analysis.configurations import Configuration, Sensors, configuration_words, for_comparison, parse
 from locfuse.cli.analysis.load import Loaded, find_log, load_to_fuse, start_error, with_settings
-from locfuse.cli.analysis.memory import lean
 from locfuse.cli.analysis.motion_words import say_motion
 from locfuse.cli.analysis.outputs import Drawn
 from locfuse.cli.analysis.settings import (
@@ -27,6 +26,7 @@ from locfuse.cli.analysis.settings import (
     PathLike,
     Progress,
     Sets,
+    cells,
     log_options,
     one_of,
     path_of,
@@ -34,7 +34,6 @@ from locfuse.cli.analysis.settings import (
     silent,
     words_of,
 )
-from locfuse.cli.analysis.verdicts import evidence
 from locfuse.formats.logs import log as logs
 from locfuse.formats.logs.log import Log
 from locfuse.formats.robot.robot_toml import as_set
@@ -47,14 +46,11 @@ from locfuse.fusion.measure import thinned
 from locfuse.fusion.robot import Robot
 
 from .foreign import foreign_estimates, named_sources
-from .jitter import add_jitter, check_runs, jitter_runs
+from .jitter import add_jitter, check_runs
 from .python_words import speaks_python
 from .result import Comparison, Named, Run
-from .sweep import cells
 
 if TYPE_CHECKING:
-    from locfuse.cli.advice.evaluator import Evaluator
-
     from .calibrate import Calibration
     from .tune import Tuning
 
@@ -92,7 +88,7 @@ def load(
 
 def opened(log: Sequence[str], how: LogOptions, progress: Progress, read_again: bool = False) -> Session:
     """Return the session of a log by command-line words; `read_again`: its columns are needed once more."""
-    session = Session(maps.give_topic(load_to_fuse(find_log(log), how, progress, read_again)), progress, how)
+    session = Session(maps.give_topic(load_to_fuse(find_log(log), how, progress, read_again)), progress)
     return session if how.given_map is None else session.with_map(how.given_map)
 
 
@@ -147,7 +143,6 @@ class Session(msgspec.Struct, frozen=True, eq=False):
 
     loaded: Loaded
     progress: Progress = silent
-    how: LogOptions = LogOptions(quiet=True)  # the options under which the log was read
 
     @property
     def log(self) -> Log:
@@ -196,25 +191,9 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         asked = Asked(align=align, smooth=smooth, jitter=check_runs(jitter))
         used = sensors if isinstance(sensors, Configuration) else self.configuration(sensors)
         self.progress("fusing")
-        estimates = lean(used.fuse, self.drive, self.robot, used.is_smoothed(asked, self.robot))
-        evaluations = [judge.evaluate(e, used.drive(self.drive), cast("Align", align)) for e in estimates]
-        report = report_of_run(self.loaded, used, estimates, evaluations)
-        self._add_jitter(report, [used], asked, estimates)
-        complete(
-            report,
-            self._advice_on_run(used, estimates[0], evaluations[0], align) if advice else None,
-            start_error(self.robot, self.drive),
-            stands=self.drive.wheels.stands,
-            jumps=jumps_of(self.drive),
-        )
-        say_motion(report, self.loaded)
-        self.progress("writing")
-        return Run(
-            self.loaded,
-            Named("configuration", {e.name: e for e in estimates}),
-            Named("configuration", {e.name: e for e in evaluations}),
-            report,
-        )
+        compared = run_log(self.loaded, used, asked)
+        advised = self._advice_on_run(compared, align) if advice else None
+        return Run(compared, self._reported(report_of_run(compared), compared, asked, advised))
 
     @speaks_python
     def compare(
@@ -253,25 +232,19 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         foreign = foreign_estimates(self.loaded, named_sources(asked.estimates), [c.name for c in wanted])
         drawn = Drawn()
         moves = not (self.drive.wheels.stands or self.loaded.spoils)
-        evaluator = self._evaluator(asked.align) if asked.advice and moves else None
+        evaluator = None
+        if asked.advice and moves:
+            from locfuse.cli.advice.evaluator import Evaluator  # the checks come with it
+
+            evaluator = Evaluator(self.loaded, self.progress, asked.align)
         takes, hears = ([], []) if evaluator is None else (evaluator.takes, evaluator.hears)
         watch = [drawn.take, *takes]
         compared = compare_log(self.loaded, wanted, asked, self.progress, watch, foreign, hears)
         report = report_of(compared, None if foreign or self.loaded.given is None else asked)
-        self._add_jitter(report, wanted, asked, compared.estimates)
         advised = None if evaluator is None else evaluator.advised()
-        stands, jumps = self.drive.wheels.stands, jumps_of(self.drive)
-        complete(report, advised, start_error(self.robot, self.drive), [e.name for e in foreign], stands, jumps)
-        say_motion(report, self.loaded, asked.advice and moves)
-        self.progress("writing")
-        return Comparison(
-            self.loaded,
-            Named("configuration", {e.name: e for e in compared.estimates}),
-            Named("configuration", {e.name: e for e in compared.evaluations}),
-            report,
-            compared,
-            drawn,
-        )
+        others = [e.name for e in foreign]
+        report = self._reported(report, compared, asked, advised, evaluator is not None, others)
+        return Comparison(compared, report, drawn)
 
     def _refers(self, asked: Asked) -> bool:
         """Return whether a reference is used instead of truth. Raises UsageError for an impossible one."""
@@ -292,7 +265,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
     @speaks_python
     def info(self) -> dict[str, Any]:
         """Return what is in the log and what looks wrong, as `locfuse.info` does, under the session's settings."""
-        return inspected(self._words, self.how, self.progress)
+        return inspected(self._words, self.loaded.how, self.progress)
 
     @speaks_python
     def tune(
@@ -317,7 +290,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
 
         paths = [self.log.paths, *(find_log(words_of(log)) for log in more)]
         held = [find_log(words_of(log)) for log in hold_out]
-        return tune.tune_logs(paths, held, tune.sensor_names(sensors), drift, self.how, self.progress)
+        return tune.tune_logs(paths, held, tune.sensor_names(sensors), drift, self.loaded.how, self.progress)
 
     @speaks_python
     def calibrate(self, *more: PathLike | Sequence[PathLike]) -> Calibration:
@@ -327,7 +300,9 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         """
         from . import calibrate
 
-        return calibrate.calibrated([self._words, *(words_of(log) for log in more)], self.how, self.progress)
+        return calibrate.calibrated(
+            [self._words, *(words_of(log) for log in more)], self.loaded.how, self.progress
+        )
 
     @property
     def _words(self) -> list[str]:
@@ -342,32 +317,31 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         report = self.compare(audits=False, smooth=False).report
         return {key: report[key] for key in ADVICE_KEYS}
 
-    def _add_jitter(
+    def _reported(
         self,
         report: dict[str, Any],
-        configurations: Sequence[Configuration],
+        compared: Compared,
         asked: Asked,
-        estimates: Sequence[Estimates],
-    ) -> None:
-        """Add the range of every figure over the jittered runs to a report, if any were asked for."""
-        plain = {e.name: e for e in estimates}
-        add_jitter(report, list(jitter_runs(self.loaded, configurations, asked, plain, self.progress)))
+        advised: Advised | None,
+        judged: bool = False,
+        foreign: Sequence[str] = (),
+    ) -> dict[str, Any]:
+        """Return a report with the ranges under jitter, the advice, and what the motion makes void."""
+        add_jitter(report, compared, asked, self.progress)
+        stands, jumps = self.drive.wheels.stands, jumps_of(self.drive)
+        complete(report, advised, start_error(self.robot, self.drive), foreign, stands, jumps)
+        say_motion(report, self.loaded, judged)
+        self.progress("writing")
+        return report
 
-    def _advice_on_run(self, c: Configuration, e: Estimates, judged: Evaluation, align: str) -> Advised:
+    def _advice_on_run(self, compared: Compared, align: str) -> Advised:
         """Evaluate the log if this one run gives a reason."""
-        from locfuse.cli.advice.evaluator import looks_wrong
+        from locfuse.cli.advice.evaluator import Evaluator, looks_wrong
 
-        runs = evidence(c.drive(self.drive), e, self.robot)
-        one = Compared(self.loaded, [c], [e], [judged], runs, credit=None, scores=[])
-        if self.drive.wheels.stands or self.loaded.spoils or not looks_wrong(self.loaded, one):
+        filtered = replace(compared, estimates=compared.estimates[:1], evaluations=compared.evaluations[:1])
+        if self.drive.wheels.stands or self.loaded.spoils or not looks_wrong(self.loaded, filtered):
             return Advised()
-        return self._evaluator(align).advised()
-
-    def _evaluator(self, align: str) -> Evaluator:
-        """Return the evaluator of this log, before its first step."""
-        from locfuse.cli.advice.evaluator import Evaluator  # the doctor comes with it: 15 ms
-
-        return Evaluator(self.loaded, self.progress, align)
+        return Evaluator(self.loaded, self.progress, align).advised()
 
     def configuration(self, sensors: Sensors) -> Configuration:
         """Return the configuration of some words. Raises LocfuseError for a sensor that this log lacks."""
@@ -380,9 +354,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         The result equals that of `load` with these `sets`, bit for bit. Raises UsageError for an unknown key, and
         for a topic, `order` or `preset`: these decide what is read.
         """
-        words = set_words(sets)
-        how = replace(self.how, sets=(*self.how.sets, *words))
-        return replace(self, loaded=with_settings(self.loaded, words, self.progress), how=how)
+        return replace(self, loaded=with_settings(self.loaded, set_words(sets), self.progress))
 
     @speaks_python
     def sweep(

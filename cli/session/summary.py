@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import fmean, stdev
@@ -47,7 +47,7 @@ from .python_words import speaks_python
 from .result import Comparison, Kinds, Named
 from .session import opened
 
-DEFAULT_FOLDER = "summary"
+SUMMARY = "summary"  # the name of the folder of results
 RMSE = "position_rmse_m"
 
 
@@ -79,16 +79,11 @@ class Summary:
 
         Raises LocfuseError where the folder holds something else, unless `overwrite`.
         """
-        place = default_folder() if folder is None else path_of(folder)
+        place = results.default_folder(SUMMARY) if folder is None else path_of(folder)
         may_write(place, overwrite)
         for name, result in self.results.items():
             result.write(place / name, write=of_each(write), overwrite=overwrite)
-        files = summary_files(self.report, self._entries, chosen(write, OF_COMPARISON), colours())
-        files |= fixes_files(self.report["robots"])
-        write_results(place, files, overwrite=True)
-        written = [place / name for name in sorted(files)]
-        forget_fixes(written)
-        return written
+        return sorted(write_summary(place, self.report, self._entries, chosen(write, OF_COMPARISON)))
 
     def __repr__(self) -> str:
         """Return the logs and the best configuration."""
@@ -149,19 +144,17 @@ def compare(
     asked = Asked(configuration_words(sensors), **choices)
     if len(logs) == 1:
         return opened(words_of(logs[0]), how, progress).compared(asked)
-    found = {}
+    found: dict[str, Comparison] = {}
+    known: dict[str, Any] = {}
     for name, parts in named(_each(logs)).items():
         with naming(name):
             found[name] = result = opened(parts, how, progress).compared(asked.of_each())
-            result.report["measured"] = numbers_of(result.loaded, tuple(result.estimates.values()))
-    return Summary(found, _together(found, asked.align, progress) if asked.advice else ())
-
-
-def _together(found: Mapping[str, Comparison], align: str, progress: Progress) -> list[dict[str, Any]]:
-    """Return what the logs, all of one robot, have in common."""
-    known = {name: r.report["measured"] for name, r in found.items() if r.report["measured"] is not None}
-    look = here({name: r.loaded for name, r in found.items()}, align, progress)
-    return [{"robot": None, **ask(known, look)}] if len(known) > 1 else []
+            result.report["measured"] = numbers = numbers_of(result.loaded, tuple(result.estimates.values()))
+            known |= {name: numbers} if numbers is not None else {}
+    if not asked.advice or len(known) < 2:
+        return Summary(found)
+    look = here({name: r.loaded for name, r in found.items()}, asked.align, progress)
+    return Summary(found, [{"robot": None, **ask(known, look)}])  # what the logs, all of one robot, have in common
 
 
 def _each(logs: Sequence[PathLike | Sequence[PathLike]]) -> list[list[str]]:
@@ -179,6 +172,21 @@ def naming(log: str) -> Iterator[None]:
         yield
     except LocfuseError as problem:
         raise type(problem)(str(problem) if log in str(problem) else f"{log}: {problem}") from None
+
+
+def write_summary(
+    folder: Path,
+    summary: Mapping[str, Any],
+    entries: Sequence[Entry],
+    kinds: Collection[str],
+    keys: Sequence[str] = (),
+) -> list[Path]:
+    """Write a summary and the fixes of its robots, and return the files; `keys` are those of a sweep."""
+    files = summary_files(summary, entries, kinds, colours(), tuple(keys)) | fixes_files(summary["robots"])
+    write_results(folder, files, overwrite=True)
+    written = [folder / name for name in files]
+    forget_fixes(written)
+    return written
 
 
 def summarised(entries: Sequence[Entry]) -> dict[str, Any]:
@@ -206,11 +214,6 @@ def summarised(entries: Sequence[Entry]) -> dict[str, Any]:
         summary["credit"] = credit_values(credit)
         summary["verdicts"] = verdicts(credit, [], {}, of)
     return json_report.plain(summary)
-
-
-def default_folder() -> Path:
-    """Return the default folder of a summary."""
-    return results.default_folder(DEFAULT_FOLDER)
 
 
 def of_each(write: Kinds) -> set[str]:

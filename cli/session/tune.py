@@ -215,7 +215,7 @@ def tune_logs(
     if found is not None and found[0] - MAX_LOSS_NATS <= found[1] < found[0]:
         again.append(f"{_less_likely(*found)}, by no more than chance: a longer log would settle it")
     notes = [*worse, *tuned.flags, *again, *notes]
-    return Tuning(loaded=loaded, how=how, notes=tuple(notes), tuned=tuned, judged=judged, refused=bool(worse))
+    return Tuning(loaded=loaded, notes=tuple(notes), tuned=tuned, judged=judged, refused=bool(worse))
 
 
 def _worse(tuned: Tuned, judged: Sequence[Judged]) -> list[str]:

@@ -24,7 +24,7 @@ Declared = Callable[[Any], Any]  # what click.option returns
 P = TypeVar("P", bound=msgspec.Struct)
 SECONDS = "s since the first wheel reading"
 CARRIED = {  # parameters that fill the parts of Options
-    *("robots", "truth"),
+    "truth",
     *(name for part in (LogOptions, Asked, Outputs, GateOptions, FleetOptions) for name in part.__struct_fields__),
 }
 HELP_ALL = "locfuse.help_all"  # in a context's meta: every option is shown
@@ -48,7 +48,7 @@ class Options(msgspec.Struct, frozen=True):
     @property
     def inputs(self) -> tuple[Path | None, ...]:
         """Input files beside the log, which must not be overwritten."""
-        return (*self.how.robot_files, self.gates.baseline, self.how.given_map)
+        return (*self.how.robots, self.gates.baseline, self.how.given_map)
 
 
 def carried(*declared: Declared) -> Callable[[F], F]:
@@ -88,7 +88,7 @@ def _part(kind: type[P], given: Mapping[str, Any]) -> P:
 
 
 def _how(given: Mapping[str, Any]) -> LogOptions:
-    robots, sets, truth = given["robots"], given["sets"], given["truth"]
+    sets, truth = given["sets"], given["truth"]
     begin, end = given.get("begin"), given.get("end")
     if begin is not None and end is not None and begin >= end:
         raise click.UsageError(f"--from {begin:g} --to {end:g}: the first must be the earlier one")
@@ -99,8 +99,7 @@ def _how(given: Mapping[str, Any]) -> LogOptions:
         if truth.suffix.lower() not in SUFFIXES:
             raise click.UsageError(f"--truth {truth}: a .tum, or a .csv whose first line names t, x, y, is needed")
         sets = (*sets, as_set("truth.topic", str(truth)))
-    named = {"robot": robots[0] if robots else None, "over": robots[1:], "sets": sets}
-    return _part(LogOptions, {**given, **named})
+    return _part(LogOptions, {**given, "sets": sets})
 
 
 class Grouped(click.Command):

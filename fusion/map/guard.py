@@ -23,7 +23,7 @@ from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import Pose
 
 from .line_map import Association, LineMap
-from .place_search import behind_walls, find_pose
+from .place_search import behind_walls, find_pose, walls_of
 from .scan import Scan
 from .slips import (
     SLIP_SIGMA_M,
@@ -373,7 +373,7 @@ def _sees_through(scan: Scan, lines: LineMap, belief: JointBelief) -> bool:
 
     One wall may be seen through a door of a wall that is known as one; what was never seen contradicts nothing.
     """
-    behind = behind_walls(scan, lines, lines.values(belief), (belief.x, belief.y, belief.theta))
+    behind = behind_walls(scan, walls_of(lines, lines.values(belief)), belief.pose())
     length = scan.ends[:, 1] - scan.ends[:, 0]
     return bool(
         (behind * length).sum() >= MIN_THROUGH_SHARE * length.sum() and (behind > 0.5).sum() >= MIN_WALLS_BEHIND

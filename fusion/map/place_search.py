@@ -12,7 +12,7 @@ looks for its small map (`find_closure`): the best place is refined by its walls
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from itertools import combinations
 from typing import NamedTuple
 
@@ -87,9 +87,7 @@ class Places(NamedTuple):
 
 def search(
     scan: Scan,
-    lines: LineMap,
-    values: Array,
-    known: Ints,
+    walls: Array,
     most: int,
     allowed: Callable[[Array], NDArray[np.bool_]],
     enough: Callable[[Array, Ints], NDArray[np.bool_]],
@@ -98,17 +96,17 @@ def search(
 
     `allowed` says which poses (h, 3) are possible, `enough` by share (h,) and count of walls which of them count.
     """
-    poses = hypotheses(scan, lines, values, known, most)
+    poses = hypotheses(scan, walls, most)
     poses = poses[allowed(poses)]
     if not len(poses):
         return None
-    share, possible, count = explained(poses, scan, lines, values, known)
+    share, possible, count = explained(poses, scan, walls)
     share = np.where(enough(share, count), share, 0.0)
     best = int(np.argmax(share))
     return Places(poses, share, possible, best) if share[best] > 0.0 else None
 
 
-def hypotheses(scan: Scan, lines: LineMap, values: Array, known: Ints, most: int = LONGEST_WALLS) -> Array:
+def hypotheses(scan: Scan, walls: Array, most: int = LONGEST_WALLS) -> Array:
     """Return poses (h, 3) from pairs of the longest seen walls laid onto pairs of known ones at the same angle."""
     longest = np.argsort(-(scan.ends[:, 1] - scan.ends[:, 0]), kind="stable")[:most]
     pairs = [
@@ -116,8 +114,8 @@ def hypotheses(scan: Scan, lines: LineMap, values: Array, known: Ints, most: int
         for a, b in combinations(longest.tolist(), 2)
         if abs(math.sin(scan.z.item(b, 1) - scan.z.item(a, 1))) >= math.sin(MIN_SKEW_RAD)
     ]
-    poses, found = np.empty((len(pairs) * len(known) ** 2, 3)), 0
-    rows, walls, out = view(scan.rows), _walls(lines, values, known), view(poses)
+    poses, found = np.empty((len(pairs) * len(walls) ** 2, 3)), 0
+    rows, out = view(scan.rows), view(poses)
     for a, b in pairs:
         found = places.hypotheses(rows, a, b, walls, found, out)
     return poses[:found]
@@ -131,9 +129,7 @@ def distinct(poses: Array) -> Array:
     return poses[np.sort(np.unique(cells, axis=0, return_index=True)[1])]
 
 
-def explained(
-    poses: Array, scan: Scan, lines: LineMap, values: Array, known: Ints, slack: float = 1.0
-) -> tuple[Array, Array, Ints]:
+def explained(poses: Array, scan: Scan, walls: Array, slack: float = 1.0) -> tuple[Array, Array, Ints]:
     """Return (h,) each: share of the seen length explained, the same if walls were longer than known, and walls.
 
     What is known of a wall grows with what was seen of it: a rival may look at a part not seen yet. `slack`
@@ -141,36 +137,35 @@ def explained(
     """
     out = np.empty((len(poses), 3))
     if len(poses):
-        places.explained(view(scan.rows), _walls(lines, values, known), view(poses), slack, view(out))
+        places.explained(view(scan.rows), walls, view(poses), slack, view(out))
     return out[:, 0], out[:, 1], out[:, 2].astype(np.int64)
 
 
-def seen_through(
-    scan: Scan, lines: LineMap, values: Array, x: float, y: float, theta: float, both: bool = False
-) -> float:
-    """Return the share of the seen wall length that lies behind known walls, from a supposed pose."""
+def seen_through(scan: Scan, walls: Array, pose: Sequence[float], both: bool = False) -> float:
+    """Return the share of the seen wall length that lies behind map walls, from a supposed pose."""
     if len(scan.z) == 0:
         return 0.0
     length = scan.ends[:, 1] - scan.ends[:, 0]
-    return float(behind_walls(scan, lines, values, (x, y, theta), both) @ length / length.sum())
+    return float(behind_walls(scan, walls, pose, both) @ length / length.sum())
 
 
-def behind_walls(
-    scan: Scan, lines: LineMap, values: Array, pose: tuple[float, float, float], both: bool = False
-) -> Array:
-    """Return the share of every seen wall (k,) that lies behind known walls, from a supposed pose.
+def behind_walls(scan: Scan, walls: Array, pose: Sequence[float], both: bool = False) -> Array:
+    """Return the share of every seen wall (k,) that lies behind map walls, from a supposed pose (3,).
 
-    `values` (J, 2) are rho and beta of the map's lines; `both`: walls block the sight from their unseen side too.
+    `both`: walls block the sight from their unseen side too.
     """
-    known = np.flatnonzero(lines.hits >= MIN_HITS)
-    out = np.zeros(len(scan.z))
-    if len(known) and len(out):
-        places.behind(view(scan.rows), _walls(lines, values, known), *pose, both, view(out))
+    out, (x, y, theta) = np.zeros(len(scan.z)), pose
+    if len(walls) and len(out):
+        places.behind(view(scan.rows), walls, x, y, theta, both, view(out))
     return out
 
 
-def _walls(lines: LineMap, values: Array, known: Ints) -> Array:
-    """Return map lines in the form of kernels.places, (m, COLUMNS)."""
+def walls_of(lines: LineMap, values: Array, known: Ints | None = None) -> Array:
+    """Return map lines in the form of kernels.places, (m, COLUMNS): all that were seen often enough, or `known`.
+
+    `values` (J, 2) are rho and beta of the map's lines.
+    """
+    known = np.flatnonzero(lines.hits >= MIN_HITS) if known is None else known
     walls = np.empty((len(known), places.COLUMNS))
     walls[:, :2], walls[:, 2:4] = values[known], lines.anchor[known]
     walls[:, 4], walls[:, 5] = lines.lo[known], lines.hi[known]
@@ -190,11 +185,10 @@ def find_pose(scan: Scan, lines: LineMap, belief: JointBelief, trail: Trail) -> 
         return None
     # a compass may have kept the heading while the place was lost
     slack = HEADING_SIGMAS * math.sqrt(max(float(belief.matrix()[2, 2]), 0.0)) + HEADING_SLACK_RAD
+    walls, all_walls = walls_of(lines, values, known), walls_of(lines, values)
     found = search(
         scan,
-        lines,
-        values,
-        known,
+        walls,
         LONGEST_WALLS,
         lambda poses: np.abs(se2.wrap_all(poses[:, 2] - belief.theta)) <= slack,
         lambda share, count: (share >= MIN_SHARE) & (count >= MIN_WALLS),
@@ -208,30 +202,28 @@ def find_pose(scan: Scan, lines: LineMap, belief: JointBelief, trail: Trail) -> 
     rivals = distinct(poses[apart & (possible >= RIVAL_SHARE * share[best])])
     here = np.array([belief.x, belief.y, belief.theta])
     tried = np.vstack((pose, rivals))
-    tried = tried[_through_both(tried, scan, lines, values) < MAX_THROUGH_SHARE]
-    last = _lasting(tried, trail.back_from(here), lines, values, known)
+    tried = tried[_through_both(tried, scan, all_walls) < MAX_THROUGH_SHARE]
+    last = _lasting(tried, trail.back_from(here), walls, all_walls)
     if len(last) != 1 or (last[0] != pose).any():
         return None
     x, y, theta = pose.tolist()
     return x, y, belief.theta + float(se2.wrap_all(np.array(theta - belief.theta)))
 
 
-def _through_both(poses: Array, scan: Scan, lines: LineMap, values: Array) -> Array:
-    """Return the share of the scan that lies behind known walls, from either side, from poses (h, 3)."""
-    return np.array([seen_through(scan, lines, values, x, y, theta, both=True) for x, y, theta in poses.tolist()])
+def _through_both(poses: Array, scan: Scan, walls: Array) -> Array:
+    """Return the share of the scan that lies behind walls, from either side, from poses (h, 3)."""
+    return np.array([seen_through(scan, walls, pose, both=True) for pose in poses.tolist()])
 
 
-def _lasting(
-    poses: Array, before: Iterable[tuple[Array, Scan]], lines: LineMap, values: Array, known: Ints
-) -> Array:
+def _lasting(poses: Array, before: Iterable[tuple[Array, Scan]], walls: Array, all_walls: Array) -> Array:
     """Return the poses (h, 3) that few earlier scans contradict; each is at (3,) relative to this scan."""
     against = np.zeros(len(poses), dtype=np.int64)
     for step, scan in before:
         if not len(poses):
             break
         then = se2.compose(poses, step)
-        _, possible, _ = explained(then, scan, lines, values, known, TRAIL_SLACK)
-        through = _through_both(then, scan, lines, values)
+        _, possible, _ = explained(then, scan, walls, TRAIL_SLACK)
+        through = _through_both(then, scan, all_walls)
         against += (possible < RIVAL_SHARE * MIN_SHARE) | (through >= AGAINST_SHARE)
         poses, against = poses[against < MAX_AGAINST], against[against < MAX_AGAINST]
     return poses
@@ -249,9 +241,7 @@ class Closure(NamedTuple):
 class Here(NamedTuple):
     """A map with its path, in its own frame."""
 
-    lines: LineMap
-    values: Array  # (J, 2)
-    P: Array  # (J, 2, 2)
+    lines: LineMap  # none of them is a state
     way: Way
 
 
@@ -260,16 +250,14 @@ def find_closure(there: Here, here: Here, expected: Array, P: Array) -> Closure 
 
     `expected` (3,) and P (3, 3) are what is known of it already.
     """
-    scan = as_scan(here.lines, here.values, here.P, MIN_HITS)
+    scan = as_scan(here.lines, MIN_HITS)
     known = np.flatnonzero(there.lines.hits >= MIN_HITS)
     if min(len(scan.z), len(known)) < MAP_MIN_WALLS:
         return None
     total = float((scan.ends[:, 1] - scan.ends[:, 0]).sum())
     places = search(
         scan,
-        there.lines,
-        there.values,
-        known,
+        walls_of(there.lines, there.lines.value),
         MAP_LONGEST_WALLS,
         lambda poses: chi2_of(poses, expected, EXPECTED_P_FACTOR * P + SLACK_P) <= MAX_CHI2,
         lambda share, count: (share * total >= 0.5 * MIN_WALLS_M[1]) & (count >= 3),
@@ -315,24 +303,18 @@ def contradicted(there: Here, here: Here, pose: Array) -> bool:
 
     What is known of a wall reaches over its doors, so that a little is seen through any.
     """
-    across = _through(here.way, pose, there) + _through(there.way, se2.inverse(pose), here)
-    within = _through(here.way, np.zeros(3), here) + _through(there.way, np.zeros(3), there)
+    ours, theirs = walls_of(here.lines, here.lines.value), walls_of(there.lines, there.lines.value)
+    across = _through(here.way, pose, theirs) + _through(there.way, se2.inverse(pose), ours)
+    within = _through(here.way, np.zeros(3), ours) + _through(there.way, np.zeros(3), theirs)
     return 0.5 * (across - within) > MAX_MAP_THROUGH_SHARE
 
 
-def _through(way: Way, frame: Array, other: Here) -> float:
-    """Return the mean share of scans that lies behind the walls of a map, for their frame at `frame`."""
+def _through(way: Way, frame: Array, walls: Array) -> float:
+    """Return the mean share of a path's scans that lies behind walls, for their frame at `frame`."""
     if not way.sights:
         return 0.0
-    places = [se2.compose(frame, sight.pose).tolist() for sight in way.sights]
-    return float(
-        np.mean(
-            [
-                seen_through(sight.scan, other.lines, other.values, x, y, theta)
-                for sight, (x, y, theta) in zip(way.sights, places, strict=True)
-            ]
-        )
-    )
+    seen = (seen_through(s.scan, walls, se2.compose(frame, s.pose).tolist()) for s in way.sights)
+    return float(np.mean(list(seen)))
 
 
 def _refined(pose: Array, scan: Scan, there: Here, known: Ints, expected: Array, P: Array) -> Closure | None:
@@ -356,7 +338,7 @@ def _same_walls(
     x: Array, scan: Scan, there: Here, known: Ints, near: float, turned: float
 ) -> tuple[Array, Array, Array, Array]:
     """Return J (2p, 3), residuals (2p,), weights (2p,) of p pairs of walls, and the lengths (p,) they share."""
-    lines, values = there.lines, there.values[known]
+    lines, values = there.lines, there.lines.value[known]
     beta = values[:, 1]
     c, s = np.cos(beta), np.sin(beta)
     cb, sb = np.cos(scan.z[:, 1] + x[2]), np.sin(scan.z[:, 1] + x[2])
@@ -380,7 +362,7 @@ def _same_walls(
     point = ends[k, 0] + share[k, j, None] * (ends[k, 1] - ends[k, 0])
     arm = point - x[:2]
     length = hi[k, j] - lo[k, j]
-    own, other = scan.R[k], there.P[known][j]
+    own, other = scan.R[k], lines.P[known][j]
     J = np.zeros((2 * len(k), 3))
     J[::2, 0], J[::2, 1], J[::2, 2] = c[j], s[j], -c[j] * arm[:, 1] + s[j] * arm[:, 0]
     J[1::2, 2] = 1.0

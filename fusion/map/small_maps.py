@@ -113,9 +113,11 @@ def joint_covariance(lines: LineMap, belief: JointBelief) -> Array:
     return P
 
 
-def box_of(lines: LineMap, values: Array, way: Way) -> tuple[Array, Array]:
+def box_of(lines: LineMap, way: Way) -> tuple[Array, Array]:
     """Return the least and the greatest x, y of lines and path, (2,) each [m]."""
-    points = np.vstack((ends_of(lines, values).reshape(-1, 2), *[sight.pose[None, :2] for sight in way.sights]))
+    points = np.vstack(
+        (ends_of(lines, lines.value).reshape(-1, 2), *[sight.pose[None, :2] for sight in way.sights])
+    )
     return points.min(axis=0), points.max(axis=0)
 
 
@@ -127,9 +129,9 @@ def ends_of(lines: LineMap, values: Array) -> Array:
     return np.stack((foot + lines.lo[:, None] * tangent, foot + lines.hi[:, None] * tangent), axis=1)
 
 
-def as_scan(lines: LineMap, values: Array, P: Array, least_hits: int) -> Scan:
+def as_scan(lines: LineMap, least_hits: int) -> Scan:
     """Return a map as one scan from the origin of its frame: (rho, beta) there, with the ends along each line."""
-    at = np.flatnonzero(lines.hits >= least_hits)
+    at, values, P = np.flatnonzero(lines.hits >= least_hits), lines.value, lines.P
     c, s = np.cos(values[at, 1]), np.sin(values[at, 1])
     ax, ay = lines.anchor[at].T
     along = ay * c - ax * s

@@ -390,7 +390,7 @@ class AtlasTracker(LineTracker):
         """Freeze the present submap; the pose becomes the next one's anchor if walls connect both."""
         self._take_in_absolutes(belief)
         lines = frozen(self.map, belief)
-        box = box_of(lines, lines.value, self._way)
+        box = box_of(lines, self._way)
         joint = joint_covariance(self.map, belief)
         self._frozen.append(FrozenMap(self._at, lines, self._way, box, self._origin, joint))
         if bridges:
@@ -498,10 +498,10 @@ class AtlasTracker(LineTracker):
 
     def _look(self, t: float, belief: JointBelief) -> None:
         """Search for the present submap in frozen ones."""
-        here = Here(self.map, self.map.values(belief), self.map.covariances(belief), self._way)
+        here = Here(frozen(self.map, belief), self._way)
         at, beside = self._at, self._anchors.beside(self._at)
         known = {e.of if e.to == at else e.to for e in self._loops if at in (e.of, e.to)}
-        low, high = box_of(here.lines, here.values, here.way)
+        low, high = box_of(here.lines, here.way)
         corners = np.array([(x, y) for x in (low[0], high[0]) for y in (low[1], high[1])])
         for old in self._frozen:
             k = old.anchor
@@ -515,7 +515,7 @@ class AtlasTracker(LineTracker):
             there = se2.transform(expected, corners)
             if (there.min(axis=0) > old.box[1] + slack).any() or (there.max(axis=0) < old.box[0] - slack).any():
                 continue
-            found = find_closure(Here(old.lines, old.lines.value, old.lines.P, old.way), here, expected, P)
+            found = find_closure(Here(old.lines, old.way), here, expected, P)
             if self._looks.agree(k, found, unknown, self._anchors):
                 assert found is not None
                 self._close(t, old, at, found, belief)

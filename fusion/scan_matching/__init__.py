@@ -1,1 +1,1 @@
-"""Scans as points with surfaces, matched with each other (point to line), and checked by free space."""
+"""Scans as points with surfaces, matched with each other (point to line)."""

@@ -27,6 +27,8 @@ DEPENDENT_POINTS = 16.0  # neighbouring points are not independent: so many coun
 FLOOR_M, FLOOR_RAD = 0.01, np.radians(0.2)  # no pair is known better
 MIN_FACING = 0.7  # cosine between the normals of two points that are paired, at least: a wall has two sides
 INLIER_M = 0.1  # a point closer to its line fits
+# m, rad: 1 sigma of what the points say of a direction, at least that they are asked without the prior
+MAX_ALONE_SIGMAS = (0.3, 0.3, np.radians(10.0))
 MATCHED_POINTS = 120  # of one cloud: more cost time and, being neighbours, add little
 POINTS_AT_ONCE = 1_000_000
 SETTLED_M = 2e-4
@@ -36,7 +38,8 @@ class Matches(Columns, frozen=True):
     """Relative poses of p pairs of clouds."""
 
     pose: Array  # (p, 3)
-    information: Array  # (p, 3, 3) by the points alone, without the prior
+    alone: Array  # (p, 3) by the points without the prior, for a graph that has the prior as an edge of its own
+    information: Array  # (p, 3, 3) of `alone`
     inliers: Array  # (p,) share of the points within reach of the other cloud that fit
     overlap: Array  # (p,) share of all points that have a partner
     rms: Array  # (p,) m, of those that fit
@@ -117,7 +120,9 @@ def _match(
             break
     last = _Pairs.made(targets, i, sources, j, pose, RADII_M[0])
     H, _ = last.normal_equations()
-    return Matches(pose, floored(H), *last.quality(np.diff(sources.first)[j]))
+    pulled = np.einsum("nij,nj->ni", prior, se2_difference(pose, guess))
+    alone = pose + np.linalg.solve(H + np.diag(1.0 / np.square(MAX_ALONE_SIGMAS)), pulled[..., None])[..., 0]
+    return Matches(pose, alone, floored(H), *last.quality(np.diff(sources.first)[j]))
 
 
 def se2_difference(a: Array, b: Array) -> Array:

@@ -222,7 +222,7 @@ def both_ends(clouds: Clouds, x: Array, keys: Ints) -> Clouds:
 
 def as_errors(found: Matches, u: Array, guess: Array) -> tuple[Array, Array]:
     """Return the matches as errors xi (n, 3) of the wheels' ways u (n, 3), and their information (n, 3, 3)."""
-    xi = se2.compose(found.pose, se2.inverse(u))
+    xi = se2.compose(found.alone, se2.inverse(u))
     xi[:, 2] = guess[:, 2] + se2.wrap_all(xi[:, 2] - guess[:, 2])
     L = np.broadcast_to(np.eye(3), (len(u), 3, 3)).copy()
     L[:, 0, 2], L[:, 1, 2] = -u[:, 1], u[:, 0]

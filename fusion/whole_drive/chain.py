@@ -39,7 +39,7 @@ def wheel_edges(odometry: Odometry, instants: Ints) -> Edges:
 
 def edges_of(i: Ints, j: Ints, found: Matches, way: Array | None = None) -> Edges:
     """Return matches of clouds j in the frames of clouds i as edges; along the `way` (n,) headings may drift."""
-    edges = Edges.of(i, j, found.pose, INFORMATION_SHARE * found.information, SCAN_WIDTH_SIGMAS)
+    edges = Edges.of(i, j, found.alone, INFORMATION_SHARE * found.information, SCAN_WIDTH_SIGMAS)
     if way is not None:
         edges.by[:, 2, 0] = way[j] - way[i]
     return edges

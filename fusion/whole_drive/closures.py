@@ -11,6 +11,8 @@ asked again after each solve, since a loop that closes elsewhere narrows every w
 
 from __future__ import annotations
 
+from typing import Any
+
 import msgspec
 import numpy as np
 from msgspec import field
@@ -19,7 +21,6 @@ from numpy.typing import NDArray
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Estimates, Ints
 from locfuse.fusion.scan_matching.clouds import Clouds, Columns, merged, thinned
-from locfuse.fusion.scan_matching.free_space import MIN_POINTS, Views
 from locfuse.fusion.scan_matching.match import Matches, Targets, match, sources_of
 from locfuse.fusion.scan_matching.solve import Edges, Normal, Problem, chi2_of, relative
 
@@ -40,6 +41,10 @@ MAX_VISITS = 6  # candidates of one submap in a round
 MAX_SEARCHES = 100  # correlations in a round: those of the smallest windows
 MIN_INLIERS, MIN_OVERLAP, MAX_RMS_M = 0.65, 0.4, 0.05
 MAX_THROUGH = 0.05  # share of the points that look through walls
+# free space: directions of a view; a point must lie so much before what was seen behind it; how many points of two
+# scans in each other's view decide, at least
+BIN_COUNT, MARGIN_M, MARGIN_SHARE, MIN_POINTS = 360, 0.3, 0.03, 20
+PAIRS_AT_ONCE = 2000  # of keys: the points of more take hundreds of MB
 MAX_CONDITION = 1e4
 MAX_CHI2 = 16.3  # of three numbers: 99.9 %
 GRAPH_P_FACTOR = 4.0  # the graph's covariance is taken for so much larger when a candidate is judged
@@ -52,6 +57,50 @@ SUPPORT_WAY_M = 12.0
 # of a place that the filter recognised, half of what a match needs no search for: the keys lie beside it
 SIGMA_M, SIGMA_RAD = 0.5 * NARROW_M, 0.5 * NARROW_RAD
 KERNEL_WIDTH_FACTORS = (1e4, 1e3, 1e2, 10.0, 1.0)
+
+
+class Views(msgspec.Struct, frozen=True):
+    """The free range of every key scan in each direction.
+
+    If a scan looks through a wall that another scan saw, one of the two poses is wrong.
+    """
+
+    origin: Array  # (2,) the laser on the base
+    depth: Array  # (n, BINS) m; NaN where nothing returned
+
+    @classmethod
+    def of(cls, clouds: Clouds, origin: Array) -> Views:
+        """Return the views of scans; in each direction the shortest range there and beside it."""
+        depth = np.full((len(clouds), BIN_COUNT), np.inf)
+        bins, ranges = _polar(clouds.xy - origin)
+        np.minimum.at(depth, (clouds.owner, bins), ranges)
+        nearest = np.minimum.reduce([np.roll(depth, s, axis=1) for s in (-1, 0, 1)])
+        return cls(origin, np.where(np.isfinite(nearest), nearest, np.nan))
+
+    def contradicted(self, clouds: Clouds, i: Ints, j: Ints, pose: Array) -> tuple[Any, Any]:
+        """Count for pairs of keys (p,) the points of j that i looked through, and those within the view of i."""
+        pieces = np.array_split(np.arange(len(i)), len(i) // PAIRS_AT_ONCE + 1)
+        counts = [self._counted(clouds, i[some], j[some], pose[some]) for some in pieces]
+        bad, judged = (np.concatenate(each) for each in zip(*counts, strict=True))
+        return bad, judged
+
+    def _counted(self, clouds: Clouds, i: Ints, j: Ints, pose: Array) -> tuple[Any, Any]:
+        rows, of = clouds.rows(j)
+        at = se2.transform(pose[of], clouds.xy[rows]) - self.origin
+        bins, ranges = _polar(at)
+        seen = self.depth[i[of], bins]
+        judged = np.isfinite(seen)
+        with np.errstate(invalid="ignore"):
+            through = ranges < seen * (1.0 - MARGIN_SHARE) - MARGIN_M
+        return np.bincount(of, through, len(i)), np.bincount(of, judged, len(i))
+
+
+def _polar(points: Array) -> tuple[Ints, Array]:
+    bins = (
+        np.floor((np.arctan2(points[:, 1], points[:, 0]) / (2.0 * np.pi) % 1.0) * BIN_COUNT).astype(np.int64)
+        % BIN_COUNT
+    )
+    return bins, np.hypot(points[:, 0], points[:, 1])
 
 
 class Submaps(msgspec.Struct, frozen=True):
@@ -273,7 +322,7 @@ def judged(
     for pair in zip(c.a.tolist(), c.b.tolist(), strict=True):
         loops.undecided.pop(pair, None)
     i, j = maps.middle[c.a], maps.middle[c.b]
-    return Edges.of(i, j, found.pose, found.information, CLOSURE_WIDTH_SIGMAS)
+    return Edges.of(i, j, found.alone, found.information, CLOSURE_WIDTH_SIGMAS)
 
 
 def through_walls(c: Candidates, pose: Array, maps: Submaps, x: Array) -> Array:

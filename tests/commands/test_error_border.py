@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import signal
-import subprocess
 import sys
 
 import click
@@ -13,7 +12,6 @@ import pytest
 from commands import locfuse, ok
 
 from locfuse.cli import main as border
-from locfuse.cli.analysis import memory
 from locfuse.fusion.data import LocfuseError, UsageError
 
 
@@ -136,37 +134,3 @@ def test_an_ignored_interrupt_stays_ignored(monkeypatch: pytest.MonkeyPatch) -> 
         assert seen == [signal.SIG_IGN]
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-# --- what the process tells its allocator and its garbage collector
-
-
-@pytest.mark.parametrize(("peak", "trimmed"), [(memory.SMALL_KB, 0), (memory.SMALL_KB + 1, 1)])
-def test_free_pages_go_back_to_the_kernel_once_a_process_was_large(
-    peak: int, trimmed: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    calls: list[int] = []
-
-    class GnuC:
-        def __init__(self, name: None) -> None:
-            self.malloc_trim = calls.append
-
-    monkeypatch.setattr("ctypes.CDLL", GnuC)
-    monkeypatch.setattr(memory, "_peak_kb", lambda: peak)
-    assert memory.lean(lambda a, b: a + b, 1, b=2) == 3
-    assert calls == [0] * trimmed
-
-
-@pytest.mark.parametrize(("given", "frozen"), [("", True), ("['explain', 'ANEES']", False)])
-def test_only_a_process_of_the_command_line_ends_without_looking_for_cycles(given: str, frozen: bool) -> None:
-    code = f"""
-import gc, sys
-from locfuse.cli.main import main
-sys.argv = ["locfuse", "explain", "ANEES"]
-try:
-    main({given})
-finally:
-    assert (gc.get_freeze_count() > 0) is {frozen}, gc.get_freeze_count()
-"""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr

@@ -133,7 +133,7 @@ def test_a_setting_in_a_file_is_the_setting_on_the_command_line(
 @pytest.mark.parametrize("key", ["truth.topic", "landmarks.topic", "landmarks.map"])
 def test_a_file_that_a_setting_names_is_part_of_the_key_by_its_content(key: str, tmp_path: Path) -> None:
     file = tmp_path / "beside.csv"
-    how = LogOptions(None, (f'{key}="{file}"',), None, strict=False, quiet=True)
+    how = LogOptions(sets=(f'{key}="{file}"',), quiet=True)
     file.write_text("t,x,y\n0,0,0\n")
     before = given_tables(how)
     os.utime(file, (1, 1))

@@ -19,10 +19,9 @@ from many_logs import simulated_files, simulated_report
 from scipy import stats
 
 import locfuse
-from locfuse.cli.analysis.gates import FleetGates
-from locfuse.cli.analysis.settings import GateOptions
+from locfuse.cli.analysis.gates import Gates
+from locfuse.cli.analysis.settings import GateOptions, cells, swept
 from locfuse.cli.session.summary import mean_over, summarised
-from locfuse.cli.session.sweep import cells, parse
 from locfuse.formats.fleet.entry import Entry, slim
 from locfuse.formats.fleet.files import KINDS, Rows, csv, summary_files
 from locfuse.formats.report import summary as over
@@ -148,32 +147,30 @@ def fleet(scale: float = 1.0, count: int = 11) -> dict[str, Any]:
 def test_a_gate_over_all_logs(gate: str, line: str | None) -> None:
     summary = fleet()
     summary["logs"]["broken"] = {"state": "failed"}
-    found = FleetGates.read(GateOptions((gate,))).failures(summary)
+    found = Gates.read(GateOptions((gate,)), of_fleet=True).failures_together(summary)
     assert bool(found) == (line is not None)
     assert line is None or line in found[0]
 
 
 def test_gates_without_fleet_are_for_every_log() -> None:
-    gates = FleetGates.read(GateOptions(("all.position_rmse_m > 0.1",)))
-    assert gates.failures(fleet()) == []
-    assert gates.each.failures({"configurations": {"all": {RMSE: 0.2}}}) == [
-        "all.position_rmse_m > 0.1: it is 0.2"
-    ]
+    gates = Gates.read(GateOptions(("all.position_rmse_m > 0.1",)), of_fleet=True)
+    assert gates.failures_together(fleet()) == []
+    assert gates.failures({"configurations": {"all": {RMSE: 0.2}}}) == ["all.position_rmse_m > 0.1: it is 0.2"]
 
 
 def test_a_baseline_is_a_summary_of_the_same_logs(tmp_path: Path) -> None:
     path = tmp_path / "summary.json"
     path.write_text(json.dumps(fleet()))
-    gates = FleetGates.read(GateOptions(baseline=path))
-    assert gates.failures(fleet()) == []
-    assert gates.failures(fleet(1.04)) == []
-    worse = gates.failures(fleet(1.06))
+    gates = Gates.read(GateOptions(baseline=path), of_fleet=True)
+    assert gates.failures_together(fleet()) == []
+    assert gates.failures_together(fleet(1.04)) == []
+    worse = gates.failures_together(fleet(1.06))
     assert any(line.startswith("fleet.all.position_rmse_m.p90: 0.02014 is 6.0% more") for line in worse)
-    assert "1 of its logs have no result now (10)" in gates.failures(fleet(count=10))[0]
-    assert "1 logs are not in it (11)" in gates.failures(fleet(count=12))[0]
+    assert "1 of its logs have no result now (10)" in gates.failures_together(fleet(count=10))[0]
+    assert "1 logs are not in it (11)" in gates.failures_together(fleet(count=12))[0]
     path.write_text("{}")
     with pytest.raises(LocfuseError, match=r"not a summary\.json"):
-        FleetGates.read(GateOptions(baseline=path))
+        Gates.read(GateOptions(baseline=path), of_fleet=True)
 
 
 def page(entries: list[Entry]) -> str:
@@ -269,7 +266,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_words_and_combinations() -> None:
-    found = parse(["lrf.sigma_range=0.01,0.03", "lrf.map=grow", "truth.x=[1,2],{a=1,b=2}"])
+    found = swept(["lrf.sigma_range=0.01,0.03", "lrf.map=grow", "truth.x=[1,2],{a=1,b=2}"])
     assert found["lrf.sigma_range"] == ["lrf.sigma_range=0.01", "lrf.sigma_range=0.03"]
     assert found["truth.x"] == ["truth.x=[1,2]", "truth.x={a=1,b=2}"]
     assert list(cells({"a.b": ["a.b=1", "a.b=2"], "c": ["c=3"]})) == ["a.b=1 c=3", "a.b=2 c=3"]
@@ -278,7 +275,7 @@ def test_words_and_combinations() -> None:
     with pytest.raises(UsageError, match="cannot name a folder"):
         cells({"a": ["a=../x"]})
     with pytest.raises(UsageError, match="twice"):
-        parse(["a=1", "a=2"])
+        swept(["a=1", "a=2"])
 
 
 def test_the_command_writes_a_folder_for_each_cell(log: Path, tmp_path: Path) -> None:

@@ -260,7 +260,7 @@ def size(table: Any) -> int:
 @pytest.fixture(scope="module")
 def compared() -> tuple[Compared, list[Estimates]]:
     seen: list[Estimates] = []
-    loaded = load([sample_logs.path("rounded_rectangle")], LogOptions(None, (), None, strict=False, quiet=True))
+    loaded = load([sample_logs.path("rounded_rectangle")], LogOptions(quiet=True))
     wanted = for_comparison((), loaded.drive)
     asked = Asked(audits=False)
     return compare_log(loaded, wanted, asked, lambda _: None, watch=[lambda e, _: seen.append(e)]), seen

@@ -181,7 +181,7 @@ def direction_of_scans(drive: Drive) -> float:
     ],
 )
 def test_a_laser_is_found_turned_as_matched_scans_say(log: str, sets: tuple[str, ...], configured: float) -> None:
-    loaded = load([real_log(log)], LogOptions(None, sets, None, False, True))
+    loaded = load([real_log(log)], LogOptions(sets=sets, quiet=True))
     assert loaded.robot.settings("lrf").mount[2] == pytest.approx(math.radians(configured), abs=1e-3)
     found = fuse(loaded.drive, loaded.robot, ["lrf"])
     off = math.degrees(found.blocks["lrf_yaw"][-1, 0]) - configured

@@ -26,7 +26,7 @@ from locfuse.cli.analysis.settings import LogOptions
 from locfuse.fusion.fuse import fuse
 
 Array = NDArray[np.float64]
-PLAIN = LogOptions(None, (), None, strict=False, quiet=True)
+PLAIN = LogOptions(quiet=True)
 
 
 @pytest.fixture(scope="module")

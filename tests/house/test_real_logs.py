@@ -152,7 +152,7 @@ def first(drive: Drive, seconds: float) -> Drive:
 @pytest.mark.skipif(DATA is None, reason="LOCFUSE_DATA is not set: no real building to map")
 def test_the_map_of_a_real_corridor_is_as_good_as_its_covariance_says() -> None:
     folder = Path(str(DATA)) / "fr079"
-    loaded = load([folder / "fr079.mcap"], LogOptions(None, set_words(KNOWN["fr079"]), None, False, True))
+    loaded = load([folder / "fr079.mcap"], LogOptions(sets=set_words(KNOWN["fr079"]), quiet=True))
     drive = first(loaded.drive, 60.0 * MINUTES)
     found = fuse(drive, loaded.robot, ["lrf"])
     table = np.loadtxt(folder / "fr079.relations")

@@ -376,7 +376,7 @@ def test_loops_that_follow_close_upon_each_other_are_told_as_one() -> None:
 
 
 def test_the_faults_that_a_log_labels_are_events_with_their_times() -> None:
-    loaded = load([sample_logs.path("disturbed")], LogOptions(None, (), None, strict=False, quiet=True))
+    loaded = load([sample_logs.path("disturbed")], LogOptions(quiet=True))
     kinds = {event.words.split(" ")[0]: event for event in loaded.labels}
     assert all(event.kind == FAULT for event in loaded.labels)
     assert {"people", "magnetic", "slip", "hidden_landmark", "red_object"} <= set(kinds)

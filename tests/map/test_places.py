@@ -18,7 +18,7 @@ from locfuse.fusion.lines import extract
 from locfuse.fusion.lines.extract import rows_in_base
 from locfuse.fusion.map import place_search
 from locfuse.fusion.map.line_map import LineMap
-from locfuse.fusion.map.place_search import behind_walls, explained, hypotheses, seen_through
+from locfuse.fusion.map.place_search import behind_walls, explained, hypotheses, seen_through, walls_of
 from locfuse.fusion.map.scan import Scan
 
 SEEDS = range(40)
@@ -68,10 +68,10 @@ def test_what_lies_behind_walls_is_what_sight_lines_say(both: bool) -> None:
                 local[:2] += along * np.array([-math.sin(psi), math.cos(psi)])
                 point = se2.compose(np.array(pose), local)[:2]
                 shares[i] += hidden(point, np.array(pose[:2]), lines, values, both) / 5
-        np.testing.assert_allclose(behind_walls(scan, lines, values, pose, both), shares, atol=1e-12)
+        np.testing.assert_allclose(behind_walls(scan, walls_of(lines, values), pose, both), shares, atol=1e-12)
         length = scan.ends[:, 1] - scan.ends[:, 0]
         expected = (shares * length).sum() / length.sum()
-        assert seen_through(scan, lines, values, *pose, both) == pytest.approx(expected, abs=1e-12)
+        assert seen_through(scan, walls_of(lines, values), pose, both) == pytest.approx(expected, abs=1e-12)
         total += shares.sum()
     assert total > 5.0
 
@@ -82,7 +82,7 @@ def test_what_a_place_explains_is_what_its_walls_overlap() -> None:
         scan, lines, values, pose = known_scene(seed)
         known = np.flatnonzero(lines.hits >= 4)
         poses = np.array(pose) + np.random.default_rng(seed).normal(0.0, 0.2, (20, 3))
-        found = explained(poses, scan, lines, values, known, 2.0)
+        found = explained(poses, scan, walls_of(lines, values), 2.0)
         for p, (x, y, theta) in enumerate(poses.tolist()):
             share = possible = total = 0.0
             count = 0
@@ -115,7 +115,7 @@ def test_a_hypothesis_lays_both_walls_onto_theirs_and_shares_what_their_angles_m
     theta, noise = 0.7, np.array([0.02, -0.03, 0.01])
     z = np.column_stack(([2.0, 1.7, 2.2], lines.value[:, 1] - theta + noise))
     scan = Scan.of(z, np.tile(1e-6 * np.eye(2), (3, 1, 1)), np.tile((-1.0, 1.0), (3, 1)))
-    poses = hypotheses(scan, lines, lines.value, np.arange(3))
+    poses = hypotheses(scan, walls_of(lines, lines.value))
     n = np.column_stack((np.cos(lines.value[:, 1]), np.sin(lines.value[:, 1])))
     distance = lines.value[:, 0] + (n * lines.anchor).sum(axis=1) - z[:, 0]
     for a, b in ((0, 1), (0, 2), (1, 2)):
@@ -136,7 +136,7 @@ def test_every_two_seen_walls_lie_on_every_two_known_ones_at_their_angle() -> No
                 if abs(math.sin(psi[b] - psi[a])) >= math.sin(math.radians(25.0)):
                     apart = beta[None, :] - beta[:, None] - (psi[b] - psi[a])
                     count += int((np.abs(se2.wrap_all(apart)) < math.radians(5.0)).sum())
-        assert len(hypotheses(scan, lines, values, np.arange(len(lines)))) == count
+        assert len(hypotheses(scan, walls_of(lines, values, np.arange(len(lines))))) == count
         total += count
     assert total > 200
 
@@ -144,13 +144,13 @@ def test_every_two_seen_walls_lie_on_every_two_known_ones_at_their_angle() -> No
 def test_the_interpreted_kernel_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
     for seed in SEEDS:
         scan, lines, values, pose = known_scene(seed)
-        known = np.flatnonzero(lines.hits >= 4)
 
         def everything() -> list[Any]:
-            poses = hypotheses(scan, lines, values, known)  # noqa: B023
-            found = poses, behind_walls(scan, lines, values, pose, True)  # noqa: B023
+            walls = walls_of(lines, values)  # noqa: B023
+            poses = hypotheses(scan, walls)  # noqa: B023
+            found = poses, behind_walls(scan, walls, pose, True)  # noqa: B023
             scan_in_base = rows_in_base(scan.rows, 0.3, -0.2, 0.7)  # noqa: B023
-            return [*found, scan_in_base, *explained(poses, scan, lines, values, known)]  # noqa: B023
+            return [*found, scan_in_base, *explained(poses, scan, walls)]  # noqa: B023
 
         one = everything()
         with monkeypatch.context() as patch:

@@ -190,7 +190,7 @@ def map_of(walls: Array, frame: Array) -> Here:
         beta = math.atan2(along[1], along[0]) - math.pi / 2
         lines.append(middle, np.array([0.0, beta]), SIGMA, -1, (-half, half), 0)
     lines.hits = np.full(len(walls), 20)
-    return Here(lines, lines.value, lines.P, Way())
+    return Here(lines, Way())
 
 
 def corridor(doors: float) -> Array:

@@ -37,7 +37,7 @@ class Made(NamedTuple):
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
     path = tmp_path_factory.mktemp("rerun") / "drive.rrd"
-    how = LogOptions(None, ("lrf.deskew=false",), None, strict=False, quiet=True)
+    how = LogOptions(sets=("lrf.deskew=false",), quiet=True)
     loaded = load([sample_logs.path(LOG)], how)
     words = ["odometry", "compass", "lrf", "camera", "all", "lrf@2Hz"]
     configurations = for_comparison(words, loaded.drive)

@@ -10,10 +10,9 @@ from scipy.optimize import least_squares
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array
 from locfuse.fusion.scan_matching.clouds import CELL_M, Clouds, normals, thinned
-from locfuse.fusion.scan_matching.free_space import Views
 from locfuse.fusion.scan_matching.match import Targets, match, sources_of
 from locfuse.fusion.scan_matching.solve import Edges, Normal, Problem
-from locfuse.fusion.whole_drive.closures import correlate
+from locfuse.fusion.whole_drive.closures import Views, correlate
 
 LOOSE = np.diag([1.0 / 0.3**2, 1.0 / 0.3**2, 1.0 / np.radians(10.0) ** 2])[None]
 
@@ -52,9 +51,20 @@ def test_along_a_corridor_without_ends_the_prior_holds() -> None:
     guess = np.array([0.45, 0.1, 0.05])
     found = matched(c, guess)
     assert abs(found.pose[0, 0] - guess[0]) < 0.02, "nothing but the prior says how far it went"
+    assert abs(found.alone[0, 0] - guess[0]) < 0.02
     assert abs(found.pose[0, 1]) < 0.02
     weak = np.linalg.eigvalsh(found.information[0][:2, :2])
     assert weak[0] < 0.02 * weak[1]
+
+
+def test_a_strong_prior_pulls_the_pose_but_not_what_the_points_say_alone() -> None:
+    step, off = np.array([0.4, 0.0, 0.1]), np.array([0.05, -0.05, np.radians(2.0)])
+    c = two(walls(alike=False), np.zeros(3), step)
+    prior = np.diag([0.03**-2, 0.03**-2, np.radians(0.5) ** -2])[None]
+    found, free = matched(c, step + off, prior), matched(c, step + off, 1e-6 * prior)
+    pulled = np.abs(found.pose[0] - free.pose[0]).max()
+    assert pulled > 0.01
+    assert np.abs(found.alone[0] - free.pose[0]).max() < 0.3 * pulled
 
 
 def test_the_other_side_of_a_wall_is_not_the_wall() -> None:

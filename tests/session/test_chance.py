@@ -12,7 +12,7 @@ import small_drive
 from commands import ok
 
 from locfuse import sample_logs
-from locfuse.cli.session.jitter import Jittered, add_jitter
+from locfuse.cli.session.jitter import Jittered, add_ranges
 from locfuse.fusion.measure import DROPPED_SHARE, MOVED_S, jittered
 
 
@@ -60,7 +60,7 @@ def test_a_verdict_that_changes_its_direction_is_none() -> None:
         {"compass": "hurts", "lrf": "helps", "gyro": "seems to hurt"},
         {"compass": "helps", "lrf": "helps", "gyro": "no effect seen"},
     ]
-    add_jitter(report, runs(*seen))
+    add_ranges(report, runs(*seen))
     found = {sensor: v["verdict"] for sensor, v in report["verdicts"].items()}
     assert found == {"compass": "no effect seen", "lrf": "helps", "gyro": "no effect seen"}
     words = "The verdict is chance: it changes under jitter (helps 2, hurts 1). As recorded: helps. Why."
@@ -70,7 +70,7 @@ def test_a_verdict_that_changes_its_direction_is_none() -> None:
 
 def test_the_range_holds_the_drive_itself_and_every_run() -> None:
     report = with_verdicts()
-    add_jitter(report, runs({}, {}, {}))
+    add_ranges(report, runs({}, {}, {}))
     assert report["configurations"]["all"]["jitter"] == {
         "anees": [1.0, 1.0],
         "position_rmse_m": [0.1, pytest.approx(0.3)],

@@ -186,7 +186,7 @@ def test_the_command_writes_a_robot_that_the_next_command_takes(tmp_path: Path) 
 def test_errors_that_last_are_named_because_no_sigma_describes_them() -> None:
     loaded = load(
         find_log(["rounded_rectangle"]),
-        LogOptions(None, (), None, strict=False, quiet=True),
+        LogOptions(quiet=True),
         only=("compass", "lrf"),
     )
     trial = Trial("drive", loaded.drive, loaded.robot)
@@ -199,7 +199,7 @@ def test_errors_that_last_are_named_because_no_sigma_describes_them() -> None:
 
 def test_a_sensor_whose_errors_last_does_not_spoil_the_noise_of_the_others() -> None:
     """With the compass's white noise alone, all sensors would have three times the error."""
-    how = LogOptions(None, (), None, strict=False, quiet=True, end=30.0)
+    how = LogOptions(quiet=True, end=30.0)
     found = tune_logs([find_log(["rounded_rectangle"])], [], ("compass", "lrf"), False, how, lambda what: None)
     assert not found.refused
     assert set(found.tables()) == {"wheels", "lrf"}

@@ -353,7 +353,7 @@ def test_speeds_along_the_axes_of_odom_are_not_speeds_ahead(tmp_path: Path) -> N
 
 
 def options(*sets: str) -> LogOptions:
-    return LogOptions(None, sets, None, strict=False, quiet=True)
+    return LogOptions(sets=sets, quiet=True)
 
 
 def test_scans_that_say_how_the_robot_moved_say_nothing_of_where_their_laser_sits(tmp_path: Path) -> None:

@@ -131,7 +131,7 @@ def test_without_a_search_what_the_filter_recognised_is_closed(
     assert lone is not None
     assert known is not None
     assert len(lone.closures) == 0
-    assert worst(lone.poses()[0], truth) > 0.5
+    assert worst(lone.poses()[0], truth) > 0.25
     assert len(known.closures) >= 3
     assert worst(known.poses()[0], truth) < 0.12
 
@@ -491,7 +491,7 @@ def test_all_sensors_are_solved_and_all_but_each_that_leave_one_which_locates() 
 
 
 def test_where_no_sensor_says_where_the_robot_is_there_is_no_reference() -> None:
-    with pytest.raises(UsageError, match="no sensor of this log says where"):
+    with pytest.raises(UsageError, match="no sensor of this log shows where"):
         refuse(only("compass"), session().robot)
 
 
@@ -502,7 +502,7 @@ def test_a_sensor_that_measured_nothing_makes_no_reference() -> None:
     none = replace(lrf, t=lrf.t[:0], first=lrf.first[:1], z=lrf.z[:0], R_unit=lrf.R_unit[:0])
     dead = replace(both, measurements={**both.measurements, "lrf": none})
     assert sets(dead) == []
-    with pytest.raises(UsageError, match="no sensor of this log says where"):
+    with pytest.raises(UsageError, match="no sensor of this log shows where"):
         refuse(dead, session().robot)
 
 

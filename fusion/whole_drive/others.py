@@ -108,7 +108,7 @@ class Others:
 
 
 def _used(instants: Ints, audit: Audit | None) -> Ints:
-    """Return the readings (k,), of those at `instants` (n,), that a run did not refuse; none if it refused most."""
+    """Return which readings (k,) of those at `instants` (n,) a run took; none if it refused most of them."""
     if audit is None:
         return np.arange(len(instants))
     refused, accepted = (audit.instant[audit.verdict == VERDICTS.index(v)] for v in ("gate", "accepted"))

@@ -203,7 +203,7 @@ def correlated(sensor: str, settings: Any, sigma: float, repeats: float, period:
     sign = _sign(sensor)
     words = (
         f"errors of {rounded(amount):g}{sign} last about {rounded(memory):g} s, so {rounded(repeats):g} readings "
-        f"count as one (a sigma of up to {value:g}{sign}), but the filter assumes independent readings"
+        "count as one, but the filter assumes independent readings"
     )
     return Consistency("correlated", words, math.sqrt(repeats), cures)
 

@@ -59,7 +59,7 @@ def test_the_logs_are_listed(tools: Tools) -> None:
 
 def test_which_sensor_is_kept_and_which_adds_nothing(tools: Tools) -> None:
     answer = asked(tools, "compare", log="rounded_rectangle.mcap")
-    assert answer["headline"].startswith("Keep the laser: 3.9 mm")
+    assert answer["headline"].startswith("Keep the laser (lrf): 3.9 mm")
     assert re.search(r"compass and the camera add nothing", answer["headline"])
     assert answer["values"]["configurations"]["lrf"]["position_rmse_m"] == pytest.approx(0.0039, abs=1e-4)
     (report,) = (Path(file) for file in answer["files"] if file.endswith("report.json"))

@@ -15,7 +15,7 @@ from locfuse import sample_logs
 from locfuse.cli.commands.compare import compare
 from locfuse.cli.terminal.options import FIRST
 
-MAX_LINES, MAX_WORDS, MAX_OPTIONS = 12, 120, 14
+MAX_LINES, MAX_WORDS, MAX_OPTIONS = 12, 128, 14
 OPTION = re.compile(r"^  (?:-\w, )?(--[a-z-]+)", re.MULTILINE)
 
 

@@ -146,7 +146,7 @@ class Camera(Sensor):
 
 
 def detector(settings: CameraSettings) -> Any:
-    """Return the `fusion.landmark.Detector` that these settings describe."""
+    """Return the `fusion.camera.detect.Detector` that these settings describe."""
     from locfuse.fusion.camera.detect import Detector
     from locfuse.fusion.camera.panorama import Red
 

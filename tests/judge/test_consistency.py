@@ -88,7 +88,7 @@ def test_right_noise_lies_within_its_bounds_and_is_white() -> None:
     assert inside >= 34, f"{inside} of 40 within bounds that should hold 95 %"
 
 
-def court(seed: int, robot: Robot, drive: Drive) -> dict[str, Consistency]:
+def complaints(robot: Robot, drive: Drive) -> dict[str, Consistency]:
     runs = [Run.of(drive, fuse(drive, robot, s)) for s in ((), ("compass",), ("lrf",), ("compass", "lrf"))]
     found = judge(runs, robot)
     assert set(found) == {"odometry", "compass", "lrf", "all"}
@@ -119,7 +119,7 @@ SEEDS = (1, 2)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_drive_with_the_right_noise_gets_no_complaint(seed: int) -> None:
     robot = small_drive.robot()
-    found = court(seed, robot, small_drive.drive(seed, robot))
+    found = complaints(robot, small_drive.drive(seed, robot))
     assert {s: c.verdict for s, c in found.items()} == {"compass": "consistent", "lrf": "consistent"}
 
 
@@ -129,7 +129,7 @@ def test_a_drive_with_the_right_noise_gets_no_complaint(seed: int) -> None:
 def test_a_sigma_wrong_by_three_is_named_with_its_key(seed: int, sensor: str, factor: float, verdict: str) -> None:
     robot = small_drive.robot()
     drive = told(small_drive.drive(seed, robot), sensor, factor)
-    found = court(seed, robot, drive)
+    found = complaints(robot, drive)
     mine = found.pop(sensor)
     assert mine.verdict == verdict, mine.words
     assert mine.scale is not None
@@ -144,7 +144,7 @@ def test_noise_that_lasts_is_not_called_white(seed: int) -> None:
     robot = small_drive.robot(compass={"sigma_deg": 2.0})
     drive = small_drive.drive(seed, robot, compass_noise_deg=0.3)
     slow = markov(drive.measurements["compass"].t, math.radians(2.0), 3.0, seed)
-    found = court(seed, robot, turned(drive, slow))["compass"]
+    found = complaints(robot, turned(drive, slow))["compass"]
     assert found.verdict == "correlated"
     assert found.cures["compass.sigma_deg"] > 4.0
     assert found.cures["compass.offset_drift_deg"] == pytest.approx(2.0 * math.sqrt(2.0 / 3.0), rel=0.6)
@@ -159,7 +159,7 @@ def test_an_offset_that_steps_or_drifts_is_named_with_when_and_how_far(seed: int
     m = drive.measurements["compass"]
     middle, share = float(m.t[len(m.t) // 2]), np.linspace(0.0, 1.0, len(m.t))
     extra = np.where(m.t < middle, 0.0, math.radians(-12.0)) if step else math.radians(-12.0) * share
-    found = court(seed, robot, turned(drive, extra))["compass"]
+    found = complaints(robot, turned(drive, extra))["compass"]
     assert found.verdict == "correlated", found.words
     kind, amount, when = re.findall(r"(steps|drifts) by (-\d+)° (?:at|in) ([\d.]+) s", found.words)[0]
     assert kind == ("steps" if step else "drifts")

@@ -252,7 +252,7 @@ def test_text_from_logs_stays_text(written: str) -> None:
         assert r"\textbackslash" in tables.latex(report)
 
 
-def test_a_report_without_truth_says_so_and_ranks_by_prediction(tmp_path: Path) -> None:
+def test_a_report_without_truth_says_so_and_ranks_by_prediction() -> None:
     scene, report = small_scene.untrue()
     html = report_html.render(report, sections(scene), SENSORS)
     words = " ".join(read(html).words)

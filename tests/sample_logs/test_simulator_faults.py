@@ -230,7 +230,7 @@ def truth_of(streams: dict[str, ArrayStream]) -> Any:
     return np.stack((np.asarray(data["pose.position.x"]), np.asarray(data["pose.position.y"]), turn), axis=-1)
 
 
-def test_a_marker_off_the_axle_is_carried_round_by_the_heading(clean: Drive) -> None:
+def test_a_marker_off_the_axle_is_carried_round_by_the_heading() -> None:
     curve = msgspec.structs.replace(SHORT, path=Legs(legs=(Leg(turn_deg=90.0),), x=4.0, y=3.0))
     marker = faults.Displaced(sensor="truth", x=0.06, y=0.03)
     at, axle = truth_of(drive(marker, scenario=curve)[0]), truth_of(drive(scenario=curve)[0])

@@ -210,7 +210,7 @@ def test_two_packages_with_one_sensor_are_refused(tmp_path: Path, monkeypatch: p
         registry.register_installed()
 
 
-def test_a_sensor_of_a_script_is_registered_by_a_call(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sensor_of_a_script_is_registered_by_a_call() -> None:
     class Here(beacon.Beacon):
         name = "here"
 

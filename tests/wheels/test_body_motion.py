@@ -270,7 +270,7 @@ def test_joint_states_of_speeds_alone_are_integrated_and_that_is_said(tmp_path: 
     assert "it gives speeds and no angles: they are integrated" in json.dumps(report)
 
 
-def test_ticks_of_a_duckiebot_come_one_wheel_a_topic(tmp_path: Path) -> None:
+def test_ticks_of_a_duckiebot_come_one_wheel_a_topic() -> None:
     t, angle = angles()
     ticks = np.round(angle * 135 / (2 * math.pi))
     kind = "duckietown_msgs/msg/WheelEncoderStamped"

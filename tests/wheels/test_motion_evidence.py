@@ -235,9 +235,7 @@ def test_the_scans_of_a_robot_whose_controller_was_recorded_give_its_path(tmp_pa
     assert report["configurations"]["lrf"]["position_rmse_m"] < 0.03
 
 
-def test_speeds_along_the_frame_of_the_poses_turn_nothing_and_no_reading_is_lost_to_swapped_stamps(
-    tmp_path: Path,
-) -> None:
+def test_speeds_along_the_frame_of_the_poses_turn_nothing_and_no_reading_is_lost_to_swapped_stamps() -> None:
     """74 pairs of neighbours of this bag were recorded together with their stamps swapped."""
     log = open_log([real_log("strangers/world_frame_twist.bag")])
     stream = log.stream("/gazebo_odom")

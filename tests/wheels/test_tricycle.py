@@ -117,7 +117,7 @@ def test_a_laser_that_drifts_and_is_late_tells_the_same_and_where_it_sits() -> N
     assert values == pytest.approx([0.4, -0.1, np.degrees(0.3), -late], abs=0.05, rel=0.05)
 
 
-def test_a_gyro_tells_steering_and_wheelbase_and_leaves_the_radius(tmp_path: Path) -> None:
+def test_a_gyro_tells_steering_and_wheelbase_and_leaves_the_radius() -> None:
     late, bias = 0.1, 0.01
     heading = true_path()[:, 2] + bias * T + np.random.default_rng(2).normal(0.0, 0.001, len(T))
     reference = Reference("gyro", T + late, np.column_stack((np.zeros((len(T), 2)), heading)))

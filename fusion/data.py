@@ -275,9 +275,8 @@ class Drive(msgspec.Struct, frozen=True):
     wheels: Any = None  # fusion.wheels.motion.Wheels: the odometry behind `motions`
     notes: tuple[str, ...] = ()  # in words: choices made, repairs, lags found
     repairs: tuple[str, ...] = ()  # of the wheels, in words: without "wheels: ", which they have among the notes
-    fixes: dict[str, tuple[str, ...]] = field(
-        default_factory=dict
-    )  # absent sensor -> settings that may bring it in
+    # absent sensor -> settings that may bring it in
+    fixes: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     def lacks(self, sensor: str) -> LocfuseError:
         """Return the error to raise if the drive has no measurements of a sensor."""

@@ -132,9 +132,9 @@ class Mount:
         return tuple(tuple(row[i] for i in self.free) for row in by_mount)
 
 
-def found_mount(sensor: str, told: Array, blocks: Mapping[str, Array]) -> Array:
-    """Return x [m], y [m], yaw [rad] as a run's states found them in the end; `told` (3,) where they are none."""
-    return np.array([blocks[n][-1, 0] if n in blocks else t for n, t in _by_name(sensor, told)])
+def found_mount(sensor: str, configured: Array, blocks: Mapping[str, Array]) -> Array:
+    """Return x [m], y [m], yaw [rad], (3,): the last values of a run's states, as `configured` without a state."""
+    return np.array([blocks[n][-1, 0] if n in blocks else value for n, value in _by_name(sensor, configured)])
 
 
 def mount_blocks(sensor: str, mount: Array, blocks: Mapping[str, Array]) -> dict[str, Array]:

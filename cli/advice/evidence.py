@@ -53,7 +53,7 @@ CAMERA_LAGS_S = (-0.2, -0.1, 0.1, 0.2)  # s
 
 SUSPICIOUS = Least(0.005, 2.5)  # what is reason enough to fuse again where nothing else looks wrong
 
-# codes of findings whose value the truth itself or the field shows beyond chance
+# codes of findings whose value the truth itself, the field or straight walls show beyond chance
 MEASURED = (OFFSET, WHEEL_SCALE, POINT, "iron", ROOM, CREEP, RIMS)
 MAX_SCAN_PERIOD_S = 0.4  # s: between two scans the laser's path is the wheels'
 Key = tuple[str, str]  # role and code of a finding

@@ -122,9 +122,8 @@ def _candidates(log: Log, name: str, choice: Choice) -> list[str]:
     wheels = [t for t in choice.of("wheels") if log.topics[t].msgtype != SCANS]  # without wheels: scans serve both
     taken = {*choice.of("truth"), *wheels}
     found = [t for t in of_type(log, sensor.reads) if t not in taken]
-    words = {
-        t: sensor.named.get(log.topics[t].msgtype) for t in found
-    }  # of a bare number's name; other types: None
+    # of the name that a bare number's topic must have; other types: None
+    words = {t: sensor.named.get(log.topics[t].msgtype) for t in found}
     found = [t for t in found if (w := words[t]) is None or any(word in t.lower() for word in w)]
     found = [t for t in found if log.topics[t].count != 0] or found
     if len(found) > 1 and type(sensor).carries is not Sensor.carries:  # to ask costs reading the topics

@@ -217,9 +217,8 @@ class SqliteSource(Source):
 
 def _channels(database: sqlite3.Connection, leash: Leash) -> tuple[dict[int, ChannelInfo], dict[int, int]]:
     database.text_factory = lambda text: text.decode("utf-8", "replace")
-    defined = (
-        "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"  # since ROS 2 Iron
-    )
+    # since ROS 2 Iron
+    defined = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
     texts = {
         str(name): (str(language), str(text)) for name, language, text in leash.rows(database, defined) if text
     }

@@ -15,11 +15,8 @@ from . import drawing as ink
 from .drawing import TimelineRecorder, part
 from .scene import RerunScene, Rgb, SensorLook
 
-DEVIATIONS = {
-    "x": ("m", 1.0),
-    "y": ("m", 1.0),
-    "heading": ("deg", float(np.degrees(1.0))),
-}  # unit of the plot, its size
+# name -> unit of the plot, and what a deviation is multiplied by for it
+DEVIATIONS = {"x": ("m", 1.0), "y": ("m", 1.0), "heading": ("deg", float(np.degrees(1.0)))}
 DEVIATION_BAND_SIGMAS = 3.0  # sigmas of a deviation
 INNOVATION_BAND_SIGMAS = 2.0  # sigmas of an innovation
 EVENTS = "events"

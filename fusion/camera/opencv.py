@@ -25,7 +25,7 @@ import cv2  # noqa: E402
 # One picture per core (camera.py) beats many cores per picture, and keeps results free of the core count.
 cv2.setNumThreads(1)
 
-__all__ = ["MAX_MAP_PIXELS", "MAX_PIXELS", "cv2"]
+__all__ = ["MAX_MAP_PIXELS", "MAX_PIXELS", "cv2", "listened", "tells_of_damage"]
 
 
 # ---- messages of the picture libraries about damaged pictures: kept off the terminal, and recognised ----

@@ -27,17 +27,11 @@ from .finding import Finding, Least
 PAIR_DISTANCE_M, PAIR_TURN_RAD = 0.3, 0.35  # m, rad between the two places, whichever comes first
 MAX_PAIR_TIME_S = 4.0  # s at most between them
 MAX_PAIRS = 1500
-MAX_WALL_TURN_RAD, MAX_WALL_SHIFT_M = (
-    math.radians(8.0),
-    0.25,
-)  # rad, m: further off than the wheels say is another wall
+MAX_WALL_TURN_RAD, MAX_WALL_SHIFT_M = math.radians(8.0), 0.25  # further off than the wheels say is another wall
 MIN_WALLS = 60  # walls seen twice
 MAX_ITERATIONS = 3  # times at most
-OTHER_YAWS_RAD = (
-    math.pi,
-    0.5 * math.pi,
-    -0.5 * math.pi,
-)  # first guesses where the configured direction fits nothing
+# first guesses where the configured direction fits nothing
+OTHER_YAWS_RAD = (math.pi, 0.5 * math.pi, -0.5 * math.pi)
 MAX_REST = 0.5  # of the walls' approach that may be left unexplained; paired wrongly they leave all of it
 MIN_APPROACH_M = 0.01  # m
 STRETCHES = 8  # stretches of the drive whose estimates must agree

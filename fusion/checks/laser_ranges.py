@@ -139,14 +139,14 @@ def _added(bends: Array) -> float:
 
 
 def _spread_over(stream: Stream) -> Iterator[dict[str, Any]]:
-    """Yield SAMPLE_SCANS scans, spread evenly over the first LOOKED_AT, in groups of equally many beams."""
+    """Yield SAMPLE_SCANS scans to twice as many, evenly over the first LOOKED_AT, by their number of beams."""
     last = min(len(stream.t_ns), LOOKED_AT)
     every = max(1, last // SAMPLE_SCANS)
     for rows, columns in stream.blocks(*Lrf.reads[stream.msgtype], rows=SAMPLE_SCANS):
         some = np.flatnonzero((rows % every == 0) & (rows < last))
         if len(some):
             yield from (scans for _, scans in equal_scans(_some(columns, some)))
-        if rows[-1] >= last:
+        if rows[-1] + 1 >= last:
             return
 
 

@@ -332,10 +332,7 @@ def _robust(A: Array, y: Array) -> Array:
 
 START = "start"  # code of the finding
 SEVERE_START_ERROR_M, SEVERE_START_ERROR_RAD = 0.1, math.radians(5.0)
-MIN_START_ERROR_M, MIN_START_ERROR_RAD = (
-    0.02,
-    math.radians(1.0),
-)  # by poses; the shape of points tells it less exactly
+MIN_START_ERROR_M, MIN_START_ERROR_RAD = 0.02, math.radians(1.0)  # by poses; the shape of points is less exact
 SIGMAS = 3.0  # standard deviations of the start, as it is configured and as the truth shows it
 SHAPE_WAY_M, POSE_WAY_M = 3.0, 0.1  # m of the drive from which the start pose is found: by points, by poses
 MIN_SHAPE_EXTENT_M = 0.3  # m, extent of the points

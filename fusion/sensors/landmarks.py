@@ -270,9 +270,8 @@ class Landmarks(Sensor):
     extra = True
     several_frames = True
     sees = "landmark"
-    second_best = tuple(
-        PIXELS
-    )  # a detector that says where a tag is in the picture often says where it stands, too
+    # a detector that says where a tag is in the picture often says where it stands, too
+    second_best = tuple(PIXELS)
     asks: ClassVar[Mapping[str, Ask]] = {
         "map": Ask(
             "landmarks.csv with columns id, x, y in m: where the landmarks stand. Without it they are estimated",

@@ -36,11 +36,8 @@ STEPS = np.array([1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 0.15])
 PRIOR = np.array([0.1, 0.1, 0.3, 0.5, 0.5, 1.0, 0.5])  # 1 sigma: relative (3), m (2), rad, s; wide, to say nothing
 BY_WAY, BY_TURN = [0, 3, 4, 5], [2, 3, 4]  # what only ways tell of: scale and mount; only turns: track, x, y
 UNTOLD = 0.3  # share of the prior's sigma that is left where a drive does not tell
-WAY_M, TURN_RAD, SPAN_S = (
-    0.4,
-    np.radians(25.0),
-    3.0,
-)  # an interval ends when the laser moved so far, or so long after
+# an interval ends when the laser moved so far, or so long after
+WAY_M, TURN_RAD, SPAN_S = 0.4, np.radians(25.0), 3.0
 MOVED_M, MOVED_RAD = 0.03, np.radians(1.5)  # less is standing still, which tells nothing
 MIN_INTERVALS = 12
 DELAYS_S = sorted(np.linspace(-1.0, 1.0, 41).tolist(), key=abs)  # tried for the first guess, the smallest first

@@ -66,7 +66,7 @@ class Views(msgspec.Struct, frozen=True):
     """
 
     origin: Array  # (2,) the laser on the base
-    depth: Array  # (n, BINS) m; NaN where nothing returned
+    depth: Array  # (n, BIN_COUNT) m; NaN where nothing returned
 
     @classmethod
     def of(cls, clouds: Clouds, origin: Array) -> Views:

@@ -113,9 +113,8 @@ def _used(instants: Ints, audit: Audit | None) -> Ints:
         return np.arange(len(instants))
     refused, accepted = (audit.instant[audit.verdict == VERDICTS.index(v)] for v in ("gate", "accepted"))
     kept = np.flatnonzero(~np.isin(instants, np.setdiff1d(refused, accepted)))
-    return (
-        kept if 2 * len(kept) > len(instants) else kept[:0]
-    )  # the few that it took of a wrong sensor are wrong too
+    # the few that it took of a wrong sensor are wrong too
+    return kept if 2 * len(kept) > len(instants) else kept[:0]
 
 
 def _chosen(sensor: str, drive: Drive, odometry: Odometry, keys: Ints, used: Ints) -> list[Seen]:

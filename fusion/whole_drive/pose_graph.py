@@ -47,8 +47,8 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
     """The key poses of a drive, with its edges and closures."""
 
     drive: Drive
-    told: Array  # (3,) mount of the laser as configured
-    mount: Array  # (3,) as it was used
+    configured_mount: Array  # (3,) of the laser on the base: x, y [m], yaw [rad]
+    mount: Array  # (3,) as it was used: where the filter found it
     start: Start
     odometry: Odometry  # with what the wheels' own noise leaves out
     readings: Ints  # (m,) of the laser: the keys
@@ -115,7 +115,7 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
 
     def walls(self) -> list[MapLine]:
         """Return the straightened map."""
-        seen_from = se2.compose(self.x, se2.compose(self.mount, se2.inverse(self.told)))
+        seen_from = se2.compose(self.x, se2.compose(self.mount, se2.inverse(self.configured_mount)))
         return straightened(self.drive.measurements[LASER], self.readings, seen_from, self.spread[0])
 
     def misfit(self, pose: Array) -> float:
@@ -183,9 +183,9 @@ def whole_drive(
     m = drive.measurements.get(LASER)
     if m is None or m.points is None or not room_for_loops(drive, robot, sensors):
         return None
-    lag, told = clock_lag(drive), m.points.mount
+    lag, configured = clock_lag(drive), m.points.mount
     # a filter that knows of no late clock takes it for a mount further ahead: v times the lag
-    mount = told if filtered is None or lag else found_mount(LASER, told, filtered.blocks)
+    mount = configured if filtered is None or lag else found_mount(LASER, configured, filtered.blocks)
     m = replace(m, points=m.points.mounted(mount))
     drive = replace(drive, measurements={**drive.measurements, LASER: m})
     estimated = None if filtered is None else filtered.blocks.get(WHEELS)
@@ -219,7 +219,7 @@ def whole_drive(
     fixes = scans_between(loosened, drive, LASER, readings, clouds, x)
     return Graph(
         drive=drive,
-        told=told,
+        configured_mount=configured,
         mount=mount,
         start=start,
         odometry=loosened,

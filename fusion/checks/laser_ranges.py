@@ -26,6 +26,7 @@ MAX_UNLIKE = 1.2  # times the smallest of the sigmas that these say
 OFFSET = "range offset"  # code of the finding
 LOOKED_AT = 3000  # scans, of which SAMPLE_SCANS are taken evenly
 HALF_SPAN_RAD = math.radians(20.0)  # from the middle beam to the two others
+CHECKED_BEAMS = 16  # of those on either side of the middle one
 MAX_OFF_WALL_M = 0.1  # between the three beams everything is so near to one straight wall
 MIN_STRETCH_TRIPLES, STRETCHES = 200, 8  # in each of the stretches whose values must agree
 MIN_OFFSET_M, SEVERE_OFFSET_M, OFFSET_SIGMAS = 0.01, 0.03, 5.0  # m; standard errors
@@ -93,7 +94,10 @@ def ranges_offset(stream: Stream, settings: LrfSettings) -> tuple[float, float] 
         if min(map(len, some)) < MIN_STRETCH_TRIPLES:
             return None
         others = [_added(np.concatenate(some[:k] + some[k + 1 :])) for k in range(STRETCHES)]
-        add += _added(np.concatenate(some))
+        more = _added(np.concatenate(some))
+        add += more
+        if abs(more) < MIN_OFFSET_M:
+            break
     return add, float(np.std(others)) * math.sqrt(STRETCHES - 1)  # jackknife
 
 
@@ -107,7 +111,8 @@ def _bends(ranges: Array, angles: Array) -> Iterator[Array]:
     before, here, after = ranges[:, : -2 * k], ranges[:, k:-k], ranges[:, 2 * k :]
     total = before + after
     one_wall = np.isfinite(before + here + after)
-    for j in range(1, 2 * k):  # everything between the two outer beams lies near the line through their ends
+    # everything between the two outer beams lies near the line through their ends
+    for j in range(1, 2 * k, max(1, k // CHECKED_BEAMS)):
         wall = (
             before
             * after

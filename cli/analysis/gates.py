@@ -85,12 +85,13 @@ class Baseline(msgspec.Struct, frozen=True):
 
     path: Path
     values: Mapping[str, Any]
+    figures: Mapping[tuple[str, ...], float]  # its error figures (`_error_figures`)
     tolerance: Tolerance
     of_fleet: bool = False
 
     def grown(self, later: Mapping[str, Any], what: str) -> list[str]:
         """Return a line per error figure in common that grew by more than the tolerance; one if there is none."""
-        old, new = (_error_figures(v["configurations"], self.of_fleet) for v in (self.values, later))
+        old, new = self.figures, _error_figures(later["configurations"], self.of_fleet)
         common = [at for at in old if at in new]
         if not common:
             return [f"--baseline {self.path}: it has no {what}"]
@@ -186,12 +187,13 @@ def read_baseline(path: Path, tolerance: str, of_fleet: bool = False) -> Baselin
             tables = [values.get("input", {}), *values["configurations"].values()]
         if not all(isinstance(table, dict) for table in tables):
             raise TypeError
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        errors = _error_figures(values["configurations"], of_fleet)
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
         wanted = ("summary.json", "fleet LOGS...") if of_fleet else ("report.json", "compare LOG")
         raise LocfuseError(
             f"--baseline {path}: not a {wanted[0]} of locfuse; make one with: locfuse {wanted[1]} -o DIR"
         ) from None
-    return Baseline(path, values, parse_tolerance(tolerance), of_fleet)
+    return Baseline(path, values, errors, parse_tolerance(tolerance), of_fleet)
 
 
 def refuse_another_log(baseline: Baseline | None, log: Log) -> None:

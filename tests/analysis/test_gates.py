@@ -45,6 +45,8 @@ REPORT: dict[str, Any] = {
     },
 }
 
+WITH_VERSION = '{"locfuse": "0.2.0", "schema_version": 1, %s}'
+
 
 def lines(*gates: str) -> list[str]:
     return Gates([parse_gate(g) for g in gates]).failures(REPORT)
@@ -182,11 +184,14 @@ def test_a_baseline_with_nothing_in_common_fails(tmp_path: Path) -> None:
         "",
         "[]",
         "{}",
-        '{"configurations": 3}',
-        '{"configurations": {"all": 1}}',
         "\xff",
         "[" * 200_000,
-        '{"configurations": {"all": {}}, "input": []}',
+        WITH_VERSION % '"configurations": 3',
+        WITH_VERSION % '"configurations": {"all": 1}',
+        WITH_VERSION % '"configurations": {"all": {}}, "input": []',
+        WITH_VERSION % '"configurations": {"all": {"reference": "x"}}',
+        WITH_VERSION % '"configurations": {"all": {"reference": {"sensors": [{}]}, "position_rmse_m": 1}}',
+        WITH_VERSION % f'"configurations": {{"all": {{"position_rmse_m": 1{"0" * 400}}}}}',
     ],
 )
 def test_a_baseline_that_is_no_report_is_one_line(tmp_path: Path, text: str) -> None:

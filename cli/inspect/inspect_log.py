@@ -30,7 +30,7 @@ from locfuse.fusion.checks.examine import examine
 from locfuse.fusion.checks.finding import Finding, of_error
 from locfuse.fusion.checks.laser_ranges import driver
 from locfuse.fusion.checks.truth import POINT, START
-from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.data import LocfuseError, Stream
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -110,11 +110,10 @@ def _placed(
     log: Log, tables: dict[str, Any], choice: Choice, found: list[Finding]
 ) -> tuple[StaticTransforms, Robot]:
     """Return /tf_static, and the robot with its mounts, which are known before measuring."""
-    streams = {}
-    for name in REGISTRY:
+    streams: dict[str, list[Stream]] = {}
+    for sensor, topic in ((sensor, topic) for sensor in REGISTRY for topic in choice.of(sensor)):
         with suppress(LocfuseError):  # a topic that cannot be read has its own finding
-            if topics := choice.of(name):
-                streams[name] = [log.stream(topic) for topic in topics]
+            streams.setdefault(sensor, []).append(log.stream(topic))
     transforms = StaticTransforms()
     try:
         transforms = transforms_of(log, [part.frame_id for parts in streams.values() for part in parts])

@@ -111,9 +111,10 @@ def _placed(
 ) -> tuple[StaticTransforms, Robot]:
     """Return /tf_static, and the robot with its mounts, which are known before measuring."""
     streams: dict[str, list[Stream]] = {}
-    for sensor, topic in ((sensor, topic) for sensor in REGISTRY for topic in choice.of(sensor)):
-        with suppress(LocfuseError):  # a topic that cannot be read has its own finding
-            streams.setdefault(sensor, []).append(log.stream(topic))
+    for name in REGISTRY:
+        for topic in choice.of(name):
+            with suppress(LocfuseError):  # a topic that cannot be read has its own finding
+                streams.setdefault(name, []).append(log.stream(topic))
     transforms = StaticTransforms()
     try:
         transforms = transforms_of(log, [part.frame_id for parts in streams.values() for part in parts])

@@ -41,7 +41,7 @@ SEVERE_SCALE_ERROR, SEVERE_YAW_ERROR_RAD = 0.05, math.radians(8.0)
 OPEN_SCALE = "distances"  # laser or wheels: what a fix assumes, nothing in the log shows
 BUMP = "bumped"  # code of the finding that its direction on the robot changes
 MIN_BUMP_RAD, BUMP_SIGMAS = math.radians(1.5), 8.0  # rad; standard errors of walls that know nothing of each other
-BUMP_STRETCHES = 16  # of the drive, each with an error of its own
+BUMP_STRETCHES, BUMP_STRETCH_SIGMAS = 16, 5.0  # of the drive, each with an error of its own; their standard errors
 MIN_BUMP_SHARE = 0.1  # of the walls, before it and after it
 MAX_RADIUS_MISFIT = 0.5  # of the smaller error: two errors that differ by more have two causes
 MIN_CORRELATION = 0.9  # correlation of both turns: less, and what the wheels tell is noise
@@ -118,9 +118,10 @@ def bumped(walls: Walls, scale: float) -> tuple[float, float] | None:
     parts = [float(a @ b) / max(float(a @ a), MIN_SQUARES) for a, b in zip(*stretches, strict=True)]
     share = (split.at + 1) / n
     by_stretches = float(np.std(parts)) * math.sqrt((1.0 / share + 1.0 / (1.0 - share)) / BUMP_STRETCHES)
-    sigma = max(float(left.std()) * math.hypot(*split.sigmas), by_stretches)
+    by_walls = float(left.std()) * math.hypot(*split.sigmas)
     change = split.before - split.after  # of the true yaw: these are assumed less true
-    return (float(walls.t[split.at]), change) if abs(change) > max(MIN_BUMP_RAD, BUMP_SIGMAS * sigma) else None
+    least = max(MIN_BUMP_RAD, BUMP_SIGMAS * by_walls, BUMP_STRETCH_SIGMAS * by_stretches)
+    return (float(walls.t[split.at]), change) if abs(change) > least else None
 
 
 def _along_across(walls: Walls) -> tuple[Array, Array]:

@@ -121,7 +121,10 @@ def _bends(ranges: Array, angles: Array) -> Iterator[Array]:
         )
         one_wall &= ~(np.abs(ranges[:, j : j - 2 * k] - wall) > MAX_OFF_WALL_M)
     bend = here - 2.0 * math.cos(a) * before * after / total
-    slope = 1.0 - 2.0 * math.cos(a) * (np.square(before) + np.square(after)) / np.square(total)
+    # by the beams beside the outer two: with their own the noise of both factors would not cancel (instruments)
+    left, right = ranges[:, 1 : 1 - 2 * k], ranges[:, 2 * k - 1 : -1]
+    slope = 1.0 - 2.0 * math.cos(a) * (np.square(left) + np.square(right)) / np.square(left + right)
+    one_wall &= np.isfinite(slope)
     for row, on in enumerate(one_wall):
         yield np.stack((bend[row, on], slope[row, on]), axis=-1)
 

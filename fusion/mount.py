@@ -23,6 +23,7 @@ ASK_MOUNT = (
     "not in this log (no /tf_static says it). Measure from the middle between the wheels: forward, left, turned. "
     "How well they are known: sigma_x, sigma_y, sigma_yaw_deg (of a laser 0.01 m and 0.5 degrees unless set)"
 )
+PARTS = ("x", "y", "yaw")  # of a mount, as the names of its states end
 SIGMA_M, SIGMA_DEG = 0.01, 0.5  # m, degrees: of a mount, wherever it comes from
 MAX_PRIOR_SIGMAS = 3.0  # of what is configured: a mount found further off may be another error that looks like one
 OTHER_MOUNT = "it seems to sit at"  # how the note on another mount begins
@@ -83,7 +84,7 @@ class Mount:
         self.sensor, self.told = sensor, settings.mount
         sigmas = settings.sigmas(tells)
         self.free = tuple(i for i in range(3) if sigmas[i] > 0.0)  # which of x, y, yaw are states
-        self._names = {i: f"{sensor}_{('x', 'y', 'yaw')[i]}" for i in self.free}
+        self._names = {i: f"{sensor}_{PARTS[i]}" for i in self.free}
         self._variances = {i: sigmas[i] ** 2 for i in self.free}
 
     def blocks(self) -> list[Block]:
@@ -143,7 +144,7 @@ def mount_blocks(sensor: str, mount: Array, blocks: Mapping[str, Array]) -> dict
 
 
 def _by_name(sensor: str, mount: Array) -> list[tuple[str, float]]:
-    return [(f"{sensor}_{part}", value) for part, value in zip(("x", "y", "yaw"), mount.tolist(), strict=True)]
+    return [(f"{sensor}_{part}", value) for part, value in zip(PARTS, mount.tolist(), strict=True)]
 
 
 def mount_states(sensor: str) -> dict[str, tuple[Component, ...]]:

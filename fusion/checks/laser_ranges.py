@@ -34,7 +34,7 @@ MIN_OFFSET_M, SEVERE_OFFSET_M, OFFSET_SIGMAS = 0.02, 0.03, 5.0  # m: corners and
 
 def driver(stream: Stream) -> list[Finding]:
     """Return what is unusual about the first scans of a stream."""
-    parts = [columns for _, columns in _first(stream)]
+    parts = [columns for _, columns in _sample(stream, SAMPLE_SCANS)]
     if not parts:
         return []
     column = {k: np.concatenate([np.asarray(p[k]) for p in parts]) for k in parts[0] if k != "ranges"}
@@ -81,7 +81,8 @@ def ranges_offset(stream: Stream, settings: LrfSettings) -> tuple[float, float] 
     1 - 2 cos(a) (r0^2 + r2^2) / (r0 + r2)^2 of itself to the difference of the two sides, a scale error nothing.
     None with too few such walls.
     """
-    laser, sampled, add = laser_of(settings), list(_spread_over(stream)), 0.0
+    laser, add = laser_of(settings), 0.0
+    sampled = [scans for _, columns in _sample(stream, LOOKED_AT) for _, scans in equal_scans(columns)]
     for _ in range(2):  # the second time about the first value: the slope is that of a small error
         parts = [
             bends
@@ -109,7 +110,6 @@ def _bends(ranges: Array, angles: Array) -> Iterator[Array]:
         return
     a = k * step
     before, here, after = ranges[:, : -2 * k], ranges[:, k:-k], ranges[:, 2 * k :]
-    total = before + after
     one_wall = np.isfinite(before + here + after)
     # everything between the two outer beams lies near the line through their ends
     for j in range(1, 2 * k, max(1, k // CHECKED_BEAMS)):
@@ -120,7 +120,7 @@ def _bends(ranges: Array, angles: Array) -> Iterator[Array]:
             / (before * math.sin(j * step) + after * math.sin(2.0 * a - j * step))
         )
         one_wall &= ~(np.abs(ranges[:, j : j - 2 * k] - wall) > MAX_OFF_WALL_M)
-    bend = here - 2.0 * math.cos(a) * before * after / total
+    bend = _bend(before, here, after, math.cos(a))
     # by the beams beside the outer two: with their own the noise of both factors would not cancel (instruments)
     left, right = ranges[:, 1 : 1 - 2 * k], ranges[:, 2 * k - 1 : -1]
     slope = 1.0 - 2.0 * math.cos(a) * (np.square(left) + np.square(right)) / np.square(left + right)
@@ -141,18 +141,6 @@ def _added(bends: Array) -> float:
     return add
 
 
-def _spread_over(stream: Stream) -> Iterator[dict[str, Any]]:
-    """Yield SAMPLE_SCANS scans to twice as many, evenly over the first LOOKED_AT, by their number of beams."""
-    last = min(len(stream.t_ns), LOOKED_AT)
-    every = max(1, last // SAMPLE_SCANS)
-    for rows, columns in stream.blocks(*Lrf.reads[stream.msgtype], rows=SAMPLE_SCANS):
-        some = np.flatnonzero((rows % every == 0) & (rows < last))
-        if len(some):
-            yield from (scans for _, scans in equal_scans(_some(columns, some)))
-        if rows[-1] + 1 >= last:
-            return
-
-
 def scatter_more(shown: float | None, sigma: float) -> bool:
     """Return whether ranges with the noise `shown` [m] (`ranges_sigma`) surely scatter more than `sigma` [m]."""
     return shown is not None and MAX_SCATTER * sigma < shown < MAX_NOISE_M
@@ -160,7 +148,7 @@ def scatter_more(shown: float | None, sigma: float) -> bool:
 
 def ranges_sigma(stream: Stream, settings: LrfSettings) -> float | None:
     """Return the noise of one range [m] by neighbouring ranges on walls; None if they do not show noise."""
-    found = [scatter(columns) for _, columns in _first(stream)]
+    found = [scatter(columns) for _, columns in _sample(stream, SAMPLE_SCANS)]
     each = np.abs(np.concatenate(found)) if found else np.empty(0)
     if len(each) < MIN_TRIPLES:
         return None
@@ -185,37 +173,35 @@ def scatter(columns: dict[str, Any]) -> Array:
     seen = np.isfinite(r) & (r > 0.0) & (r >= low) & (r < far)
     at = np.flatnonzero(seen[:-2] & seen[1:-1] & seen[2:] & (scan[:-2] == scan[2:])) + 1
     before, here, after, cos = r[at - 1], r[at], r[at + 1], np.cos(step[at])
-    total = before + after
-    by = 2.0 * cos * np.square(np.stack((before, after)) / total)  # derivatives by `after` and `before`
-    return np.asarray((here - 2.0 * cos * before * after / total) / np.sqrt(1.0 + np.square(by).sum(axis=0)))
+    by = 2.0 * cos * np.square(np.stack((before, after)) / (before + after))  # derivatives by `after`, `before`
+    return np.asarray(_bend(before, here, after, cos) / np.sqrt(1.0 + np.square(by).sum(axis=0)))
 
 
-def _first(stream: Stream) -> list[tuple[Any, dict[str, Any]]]:
-    """Return rows and columns of the first scans but for those that have more beams than a laser has."""
-    found: list[tuple[Any, dict[str, Any]]] = []
-    fields, seen = (*Lrf.reads[stream.msgtype],), 0
-    for rows, columns in stream.blocks(*fields, rows=SAMPLE_SCANS):
+def _bend(before: Array, here: Array, after: Array, cos: Array | float) -> Array:
+    """Return how far the middle one of three ranges [m] is from the wall; `cos` is of the angle to either side."""
+    bend: Array = here - 2.0 * cos * before * after / (before + after)
+    return bend
+
+
+def _sample(stream: Stream, last: int) -> Iterator[tuple[Ints, dict[str, Any]]]:
+    """Yield rows and columns of SAMPLE_SCANS scans to twice as many, evenly over the first `last`.
+
+    Scans that have more beams than a laser has are left out.
+    """
+    every, seen = max(1, min(len(stream.t_ns), last) // SAMPLE_SCANS), 0
+    for rows, columns in stream.blocks(*Lrf.reads[stream.msgtype], rows=SAMPLE_SCANS):
         ranges = cast("Ragged", columns["ranges"])
-        use = np.flatnonzero(ranges.lengths <= MAX_BEAMS)
+        use = np.flatnonzero(((seen + np.arange(len(rows))) % every == 0) & (ranges.lengths <= MAX_BEAMS))
         if len(use) == len(rows):
-            found.append((rows, columns))
+            yield rows, columns
         elif len(use):
-            found.append((rows[use], _some(columns, use)))
+            values = np.concatenate([ranges[i] for i in use.tolist()])
+            first = np.append(0, np.cumsum(ranges.lengths[use]))
+            numbers = {k: np.asarray(v)[use] for k, v in columns.items() if k != "ranges"}
+            yield rows[use], {**numbers, "ranges": Ragged(values, first)}
         seen += len(rows)
-        if seen >= SAMPLE_SCANS:
-            break
-    return found
-
-
-def _some(columns: dict[str, Any], use: Ints) -> dict[str, Any]:
-    """Return some of the scans (k,) of a block."""
-    ranges = cast("Ragged", columns["ranges"])
-    values = np.concatenate([ranges[i] for i in use.tolist()])
-    first = np.append(0, np.cumsum(ranges.lengths[use]))
-    return {
-        **{k: np.asarray(v)[use] for k, v in columns.items() if k != "ranges"},
-        "ranges": Ragged(values, first),
-    }
+        if seen >= last:
+            return
 
 
 def _nothing(values: Array, far: Array) -> list[Finding]:

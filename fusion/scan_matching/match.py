@@ -27,7 +27,7 @@ DEPENDENT_POINTS = 16.0  # neighbouring points are not independent: so many coun
 FLOOR_M, FLOOR_RAD = 0.01, np.radians(0.2)  # no pair is known better
 MIN_FACING = 0.7  # cosine between the normals of two points that are paired, at least: a wall has two sides
 INLIER_M = 0.1  # a point closer to its line fits
-# m, rad: 1 sigma of what the points say of a direction, at least that they are asked without the prior
+# m, rad: 1 sigma of a weak prior: a direction that no point shows (along a corridor) has no solution without it
 MAX_ALONE_SIGMAS = (0.3, 0.3, np.radians(10.0))
 MATCHED_POINTS = 120  # of one cloud: more cost time and, being neighbours, add little
 POINTS_AT_ONCE = 1_000_000

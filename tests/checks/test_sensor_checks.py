@@ -21,7 +21,8 @@ from locfuse.fusion import se2
 from locfuse.fusion.checks.compass import of_iron
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser_ranges import (
-    _first,
+    SAMPLE_SCANS,
+    _sample,
     of_offset,
     of_scatter,
     ranges_offset,
@@ -245,11 +246,12 @@ def test_scans_of_more_beams_than_a_laser_has_are_not_looked_at() -> None:
 
     class Stream:
         msgtype = SCAN
+        t_ns = np.arange(40)
 
         def blocks(self, *_: str, rows: int) -> Any:
             yield np.arange(40), columns
 
-    ((rows, kept),) = _first(cast("Any", Stream()))
+    ((rows, kept),) = _sample(cast("Any", Stream()), SAMPLE_SCANS)
     assert rows.tolist() == [3, 7]
     assert kept["ranges"].lengths.tolist() == [5, 5]
     assert {len(v) for k, v in kept.items() if k != "ranges"} == {2}

@@ -143,8 +143,8 @@ def _preview(overview: Overview, folder: Path) -> list[str]:
     topic = _topic_of_pictures(overview)
     shown = pictures_of(overview.log.stream(topic, overview.robot.order), overview.robot.settings("camera"))
     lines = ["", PICTURES]
+    write_results(folder, {name: file for one in shown for name, file in one.named().items()}, overwrite=True)
     for one in shown:
-        write_results(folder, one.named(), overwrite=True)
         found = ", ".join(f"{b:.1f}" for b in one.bearings_deg)
         what = f"something red at {found} deg" if found else "nothing red and upright"
         lines.append(f"  {folder}/{one.row:06d}-*.png: {what}")

@@ -405,6 +405,7 @@ def _nanoseconds(seconds: Column, nanoseconds: Column) -> Column:
 
 def _leaf(data: Bytes, start: Ints, group: Group, part: Part) -> Column:
     """Gather one field of messages that share a layout."""
+    # of no messages at all only the shape of the column counts: that of one element, wherever it is
     leaf = group.layout.leaves.get(part.path, Leaf() if len(start) else Leaf([0], [0]))
     node = part.node
     if isinstance(node, Scalar):

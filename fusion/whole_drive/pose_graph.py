@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from locfuse.fusion import se2
 from locfuse.fusion.checks.clocks import clock_lags
 from locfuse.fusion.checks.lag import worth_saying
-from locfuse.fusion.data import Array, Drive, Estimates, Ints, MapLine
+from locfuse.fusion.data import Array, Drive, Estimates, Ints, MapLine, Measurements
 from locfuse.fusion.mount import found_mount
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.scan_matching.clouds import clouds_of
@@ -35,6 +35,7 @@ LASER = "lrf"
 MIN_KEYS = 10
 KEY_WAY_M, KEY_TURN_RAD = 0.5, np.radians(20.0)  # between two keys
 START_FLOOR_P = np.diag([1e-4**2, 1e-4**2, 1e-5**2])  # m^2, rad^2: a start that is known exactly
+MAX_STRAIGHT_RAD = np.radians(5.0)  # from key to key: what counts as straight ahead
 SPAN_GAP_S = 30.0  # closures further apart in time are listed apart
 MAX_EXTENT_VIEWS = 1.5  # extent of a drive over how far its scans reach, up to which there is no loop to close
 SAMPLE_SCANS = 20
@@ -186,8 +187,6 @@ def whole_drive(
     lag, configured = clock_lag(drive), m.points.mount
     # a filter that knows of no late clock takes it for a mount further ahead: v times the lag
     mount = configured if filtered is None or lag else found_mount(LASER, configured, filtered.blocks)
-    m = replace(m, points=m.points.mounted(mount))
-    drive = replace(drive, measurements={**drive.measurements, LASER: m})
     estimated = None if filtered is None else filtered.blocks.get(WHEELS)
     wheels = None if estimated is None else estimated[-1]
     odometry = odometry_of(drive, lag, wheels)
@@ -196,27 +195,32 @@ def whole_drive(
     if len(readings) < MIN_KEYS:
         return None
     keys = drive.instant[LASER][readings]
-    clouds = clouds_of(m, readings)
-    if not np.isfinite(clouds.normal[:, 0]).any():
+    scans = Scans(m, readings, mount)
+    if not np.isfinite(scans.clouds.normal[:, 0]).any():
         return None
-    targets, sources = Targets(clouds), sources_of(clouds)
     # a filter that was lost refuses what is right
     audits = None if filtered is None or filtered.lost else filtered.audits
     others = Others(drive, robot, [s for s in sensors if s != LASER], odometry, keys, audits)
     start = Start.of(robot, odometry, int(keys[0]))
     problem = Problem(start.at_first_key, others if others.sensors else None)
     way = driven[readings]
-    x, edges = sequential(targets, sources, wheel_edges(odometry, keys), way, problem)
+    wheels_only = wheel_edges(odometry, keys)
+    x, edges = sequential(scans.targets, scans.sources, wheels_only, way, problem)
+    straighter = straight_mount(mount, configured, x, wheels_only.z)
+    if not np.array_equal(straighter, mount):
+        mount, scans = straighter, Scans(m, readings, straighter)
+        x, edges = sequential(scans.targets, scans.sources, wheels_only, way, problem)
+    drive = replace(drive, measurements={**drive.measurements, LASER: scans.m})
     start = Start.of(robot, odometry.scaled(wheels_share(odometry, keys, x)), int(keys[0]))
     problem.start = start.at_first_key
-    maps = submaps_of(clouds, mount[:2], x, way)
+    maps = submaps_of(scans.clouds, mount[:2], x, way)
     hints = Edges.none() if filtered is None else recognised(filtered, odometry, keys)
     x, closed, loops = close(x, edges, problem, maps, hints)
     if len(loops.edges):
-        closed = Edges.joined(closed, again(targets, sources, x, way))
+        closed = Edges.joined(closed, again(scans.targets, scans.sources, x, way))
     x, normal = problem.solve(x, closed, KERNEL_WIDTH_FACTORS if len(loops.edges) else (1.0,))
     loosened = odometry.loosened()
-    fixes = scans_between(loosened, drive, LASER, readings, clouds, x)
+    fixes = scans_between(loosened, drive, LASER, readings, scans.clouds, x)
     return Graph(
         drive=drive,
         configured_mount=configured,
@@ -231,6 +235,35 @@ def whole_drive(
         lag=lag,
         wheels=wheels,
     )
+
+
+class Scans:
+    """The scans of the keys `readings` (m,) as points of the base, for a `mount` (3,) of the laser."""
+
+    def __init__(self, m: Measurements, readings: Ints, mount: Array) -> None:
+        self.m = replace(m, points=m.points.mounted(mount)) if m.points is not None else m
+        self.clouds = clouds_of(self.m, readings)
+        self.targets, self.sources = Targets(self.clouds), sources_of(self.clouds)
+
+
+def straight_mount(found: Array, configured: Array, x: Array, u: Array) -> Array:
+    """Return the mount `found` (3,), with the configured yaw if robots on wheels go straighter under that.
+
+    Of the motions that scans show between key poses x (m, 3) with `found`; u (m - 1, 3) by the wheels. A filter that
+    drifts may hold an error of its headings for one of the mount, and half a degree turns a whole drive.
+    """
+    with_yaw = np.array([*found[:2], configured[2]])
+    straight = np.abs(u[:, 2]) < MAX_STRAIGHT_RAD
+    side = []
+    for mount in (found, with_yaw):
+        seen = se2.compose(x, se2.compose(found, se2.inverse(mount)))
+        side.append(abs(float((_halfway(se2.between(seen[:-1], seen[1:])) - _halfway(u))[straight, 1].sum())))
+    return found if side[0] <= side[1] else with_yaw
+
+
+def _halfway(u: Array) -> Array:
+    """Return the translations of motions u (n, 3) as seen in the middle of their turn, (n, 2)."""
+    return se2.rotated(-u[:, 2] / 2.0, u[:, :2])
 
 
 def room_for_loops(drive: Drive, robot: Robot, sensors: Sequence[str]) -> bool:

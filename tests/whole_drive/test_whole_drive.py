@@ -35,7 +35,14 @@ from locfuse.fusion.whole_drive.between import (
 from locfuse.fusion.whole_drive.closures import recognised
 from locfuse.fusion.whole_drive.odometry import Odometry, odometry_of
 from locfuse.fusion.whole_drive.others import Others
-from locfuse.fusion.whole_drive.pose_graph import KEY_TURN_RAD, KEY_WAY_M, Graph, wheels_share, whole_drive
+from locfuse.fusion.whole_drive.pose_graph import (
+    KEY_TURN_RAD,
+    KEY_WAY_M,
+    Graph,
+    straight_mount,
+    wheels_share,
+    whole_drive,
+)
 from locfuse.fusion.whole_drive.reference import References, refuse, sets
 
 
@@ -158,6 +165,19 @@ def test_a_laser_that_the_filter_found_elsewhere_is_taken_to_be_there() -> None:
         apart.append(worst(graph.poses()[0], truth))
     assert apart[0] > 0.2
     assert apart[1] < 0.12
+
+
+@pytest.mark.parametrize(("true_deg", "found_deg", "taken_deg"), [(2.0, 2.0, 2.0), (0.0, 2.0, 0.0)])
+def test_a_yaw_under_which_the_robot_would_go_sideways_is_not_taken_over(
+    true_deg: float, found_deg: float, taken_deg: float
+) -> None:
+    """Half a metre ahead, ten times, then a turn; scans show it from a laser turned by `true_deg` on the robot."""
+    u = np.array([[0.5, 0.0, 0.0]] * 10 + [[0.4, 0.1, 0.6]])
+    base = se2.chain(u)
+    true, found = (np.array([0.2, 0.05, np.radians(deg)]) for deg in (true_deg, found_deg))
+    x = se2.compose(base, se2.compose(true, se2.inverse(found)))  # key poses as they follow from `found`
+    taken = straight_mount(found, np.array([0.2, 0.0, 0.0]), x, u)
+    assert taken == pytest.approx([0.2, 0.05, np.radians(taken_deg)])
 
 
 def test_without_a_laser_or_with_a_given_map_there_is_no_graph() -> None:

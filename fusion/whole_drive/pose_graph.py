@@ -249,8 +249,8 @@ class Scans:
 def straight_mount(found: Array, configured: Array, x: Array, u: Array) -> Array:
     """Return the mount `found` (3,), with the configured yaw if robots on wheels go straighter under that.
 
-    Of the motions that scans show between key poses x (m, 3) with `found`; u (m - 1, 3) by the wheels. A filter that
-    drifts may hold an error of its headings for one of the mount, and half a degree turns a whole drive.
+    Of the motions that scans show between key poses x (m, 3) with `found`; u (m - 1, 3) by the wheels. A filter
+    that drifts may take an error of its headings for one of the mount, and half a degree turns a whole drive.
     """
     with_yaw = np.array([*found[:2], configured[2]])
     straight = np.abs(u[:, 2]) < MAX_STRAIGHT_RAD

@@ -331,8 +331,8 @@ def _clock_notes(streams: Mapping[str, Any]) -> list[str]:
     notes: dict[str, None] = {}  # as a set in order: several topics of one role may say the same
     for role, stream in streams.items():
         for part in parts_of(stream):
-            words = [] if part.as_stamped else [part.clock]
-            notes |= dict.fromkeys(f"{role}: {word}" for word in (*words, *part.notes))
+            words = [] if part.clock.as_stamped else [part.clock.words]
+            notes |= dict.fromkeys(f"{role}: {word}" for word in (*words, *part.clock.notes))
     return list(notes)
 
 

@@ -10,8 +10,7 @@ wall's clock. What has no header is then dated by when it was recorded, read on 
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import msgspec
 import numpy as np
@@ -19,7 +18,7 @@ from msgspec import field
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from locfuse.fusion.data import Block, Column, Ints
+from locfuse.fusion.data import ArrayStream, Ints
 
 from . import jitter
 
@@ -58,51 +57,11 @@ class Clock(msgspec.Struct, frozen=True):
         return self.by_stamps and self.rows is None and not self.repaired
 
 
-class Dated(ABC):
-    """A stream with its chosen times; all rows come as one block if they need little memory."""
+class MadeStream(ArrayStream, frozen=True, kw_only=True):
+    """A topic that is made of another one or of a file: all its rows are in memory (fusion.data.Stream)."""
 
-    @property
-    @abstractmethod
-    def _clock(self) -> Clock:
-        """Return the chosen times."""
-
-    @abstractmethod
-    def columns(self, *fields: str) -> dict[str, Column]:
-        """Return whole columns by dotted field path, each with n rows."""
-
-    def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
-        """Yield (row numbers (k,), columns), k at most `rows`, in file order; small streams as one block."""
-        yield np.arange(len(self.t_ns)), self.columns(*fields)
-
-    @property
-    def t_ns(self) -> Ints:
-        """The times of the readings, (n,) ns, never decreasing."""
-        return self._clock.t_ns
-
-    @property
-    def clock(self) -> str:
-        """The source of the times, in words."""
-        return self._clock.words
-
-    @property
-    def by_stamps(self) -> bool:
-        """Whether the times are header stamps, perhaps sorted or repaired."""
-        return self._clock.by_stamps
-
-    @property
-    def as_stamped(self) -> bool:
-        """Whether every time is the unchanged header stamp."""
-        return self._clock.as_stamped
-
-    @property
-    def repaired(self) -> Mapping[str, int]:
-        """Stamps that were replaced, by reason."""
-        return self._clock.repaired
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What is unusual about the stream's times, in words."""
-        return self._clock.notes
+    clock: Clock  # by which the times were chosen
+    delay_s: float | None = None  # median delay of recording after the stamps
 
 
 def settle(log_time: Ints, stamp: Ints | None, order: str = "auto") -> Clock:

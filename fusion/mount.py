@@ -38,7 +38,7 @@ BARE_NUMBERS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")  # they say no u
 
 
 class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Keys of a sensor whose mount matters."""
+    """Settings of a sensor whose mount on the base matters."""
 
     x: float = 0.0  # m, sensor on the base
     y: float = 0.0  # m, likewise, to the left
@@ -134,7 +134,7 @@ class Mount:
 
 
 def found_mount(sensor: str, configured: Array, blocks: Mapping[str, Array]) -> Array:
-    """Return x [m], y [m], yaw [rad], (3,): the last values of a run's states, as `configured` without a state."""
+    """Return the mount (3,) x [m], y [m], yaw [rad]: last values of its states, else `configured` values."""
     return np.array([blocks[n][-1, 0] if n in blocks else value for n, value in _by_name(sensor, configured)])
 
 

@@ -186,7 +186,7 @@ def _referenced(
 def _effect(
     references: References, sensor: str, plain: Mapping[frozenset[str], JudgedRun], align: Align
 ) -> ByReference | None:
-    """Return the effect of a sensor on the error, by a reference without it; None if nothing was run."""
+    """Return errors without and with a sensor, by a reference that does not use it; None if they were not run."""
     reference, before = references.without(sensor), frozenset(needed(sensor))
     after = before | {sensor}
     if reference is None or before not in plain or after not in plain:
@@ -232,7 +232,7 @@ def _other_frame(estimates: Estimates, drive: Drive) -> float | None:
 
 
 def _in_frame_of(e: Estimates, drive: Drive, references: References | None, align: str) -> tuple[Estimates, Align]:
-    """Return a foreign estimate and its alignment: one in another frame is moved at its first pose."""
+    """Return a foreign estimate and its alignment; if it starts in another frame, its first pose is aligned."""
     whole = None if references is None else references.whole
     seen, judge, what = (e, drive, "truth") if whole is None else (whole.seen(e), whole.drive, "reference")
     away = _other_frame(seen, judge) if align == "none" else None

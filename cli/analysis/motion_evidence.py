@@ -121,7 +121,7 @@ class Evidence:
                 self._gone[topic,] = f"by {topic}, speeds, {self._pairs.of(motion):.0%}"
 
     def behind(self, topics: Sequence[str], motion: WheelReading) -> str:
-        """Return by how much scan matching agrees better than the used motion; "" if it does not."""
+        """Return a note if scan matching fits the laser clearly better than the chosen motion, else ""."""
         self._look([motion])
         if self._pairs is None or not self._pairs.judge:
             return ""
@@ -166,7 +166,7 @@ class Evidence:
 
     @cached_property
     def _matched(self) -> float:
-        """The share s of the scans' own matching: of the path that a run takes where the motion is by scans."""
+        """The share s of the motion by scan matching: of the path if the run uses it, else of single pairs."""
         assert self._pairs is not None
         if not self._by_scans:
             return self._pairs.matched()
@@ -196,7 +196,7 @@ class Evidence:
 
 
 class Witness(NamedTuple):
-    """A sensor that measures the robot's motion, and the share of it that each motion explains."""
+    """A sensor that measures motion, and the share of its measured motion that each candidate explains."""
 
     name: str  # "the turning of /imu"
     shares: dict[Topics, float]  # by the topics of a motion
@@ -236,7 +236,7 @@ class Witnesses:
         return f"{'; '.join(parts)} of {self._found.name}"
 
     def unjudged(self, topics: Sequence[str]) -> str:
-        """Return another motion that disagrees with the chosen one, if no sensor judges them; else ""."""
+        """Return a note on a motion that disagrees with the chosen one, if no sensor can judge them; else ""."""
         own = self._known.get(tuple(topics))
         if self._found is not None or own is None:
             return ""

@@ -236,7 +236,7 @@ def chosen(
 
 
 def swept(words: Sequence[str]) -> dict[str, list[str]]:
-    """Return the words of --sweep by key: "lrf.x=0.1,0.2" is {"lrf.x": ["lrf.x=0.1", "lrf.x=0.2"]}."""
+    """Return the --sweep words of each key: "lrf.x=0.1,0.2" gives {"lrf.x": ["lrf.x=0.1", "lrf.x=0.2"]}."""
     from locfuse.fusion.data import UsageError
 
     found: dict[str, list[str]] = {}

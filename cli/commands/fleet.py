@@ -150,7 +150,7 @@ def _run(jobs: Sequence[Job], options: o.Options, max_failures: int | None) -> E
 
 
 def _robots(todo: FleetPlan, found: FleetRows, options: o.Options) -> list[dict[str, Any]]:
-    """Ask the logs of each robot together: what all of them show is tried on each."""
+    """Return what the logs of each robot show together; common settings are tried on each of its logs."""
     from locfuse.cli.fleet.jobs import robots
 
     def run(jobs: Sequence[Job]) -> Mapping[str, JobOutcome]:

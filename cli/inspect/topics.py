@@ -42,7 +42,7 @@ class StampFacts(msgspec.Struct, frozen=True):
 
     @property
     def beside_s(self) -> float:
-        """How far the times are before those of the recording, 0 for an ordinary delay [s]."""
+        """How much earlier the times are than those of the recording [s]; 0 for an ordinary delay."""
         delay = self.delay_s
         return delay if delay is not None and abs(delay) > OTHER_CLOCK_S and self.by_stamps else 0.0
 

@@ -167,7 +167,7 @@ def free_port(wanted: int) -> int:
 
 
 def _hand_over(path: str, url: str) -> None:
-    """Send the recording and its blueprint under their own names."""
+    """Send a recording file to the viewer at `url`, under the names that the file has."""
     from locfuse.formats.rerun.recording import quiet_rust
 
     quiet_rust()

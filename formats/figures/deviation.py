@@ -138,7 +138,7 @@ def uncertainty(scene: Scene) -> Section:
 
 
 def _figures_words(judged: list[Evaluation], key: str, unit: str) -> str:
-    """Return one figure of the report of every configuration, in words."""
+    """Return one figure of every configuration as a sentence."""
     known = [(j.name, value) for j in judged if (value := j.figures.get(key)) is not None]
     return ", ".join(f"{name} rms {value:.4f} {unit}" for name, value in known) + "."
 

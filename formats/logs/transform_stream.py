@@ -106,7 +106,7 @@ class TransformStream(clocks.Dated):
 
     @cached_property
     def _steps(self) -> list[tuple[FrameEdge | Array, bool]]:
-        """The path from parent to child: each edge (a matrix (4, 4) if it never moves), and if it leads back.
+        """The edges on the path from parent to child (a matrix (4, 4) if constant), each with "is inverted".
 
         Raises LocfuseError if there is none.
         """
@@ -232,7 +232,7 @@ def _again(edge: FrameEdge) -> NDArray[np.bool_]:
 
 
 def _at(edge: FrameEdge, t_ns: Ints) -> Array:
-    """Return the transforms (n, 4, 4) at times within those of the edge, interpolated."""
+    """Return the interpolated transforms (n, 4, 4) of an edge at times t_ns (n,) within its range."""
     rows = edge.clock.rows
     values = edge.values if rows is None else edge.values[rows]
     last = np.append(np.diff(edge.clock.t_ns) > 0, True)  # of several at one time the last one counts

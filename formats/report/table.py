@@ -48,7 +48,7 @@ class Column(msgspec.Struct, frozen=True):
 
 
 class Cell(NamedTuple):
-    """A text, a number, a range (low, high), counts by reason, or None; with its path in report.json."""
+    """One value of a table: text, number, range (low, high), counts by reason, or None; and its report path."""
 
     value: Any = None
     at: Path = ()

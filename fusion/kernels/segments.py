@@ -189,7 +189,7 @@ def cut_at_gaps(returns: Returns, growth: float, max_gap: float, segments: Segme
 
 
 def allow(returns: Returns, limits: Limits) -> None:
-    """Write how far every return may lie from a straight piece [m], for any direction of the piece."""
+    """Write the tolerance [m] of every return: its largest distance from a straight piece in any direction."""
     least = max(limits.split_floor, MIN_DIVISOR)
     for i in range(returns.count):
         across = limits.sigma_angle * returns.ranges[i]
@@ -405,7 +405,7 @@ def long_enough(returns: Returns, limits: Limits, segments: Segments) -> None:
 def near(
     returns: Returns, limits: Limits, head: int, tail: int, next_head: int, next_tail: int, between: int
 ) -> bool:
-    """Return whether one line may continue in the next part of its scan, by both parts' end returns.
+    """Return whether the same line may continue in the next part of its scan, by the gap between both parts.
 
     It may if next to no beams are `between` them, or if they are closer than the bridge [m] and than both lengths.
     """
@@ -440,7 +440,7 @@ def close_ring(returns: Returns, limits: Limits, segments: Segments) -> None:
 
 
 def rotate(values: Ints, count: int, by: int, room: Ints) -> None:
-    """Move the first `by` of the values behind the others."""
+    """Move the first `by` values behind the others."""
     for i in range(count):
         room[i] = values[i]
     for i in range(count):
@@ -463,7 +463,7 @@ def perpendicular_fit(segments: Segments) -> None:
 
 
 def corner_limits(returns: Returns, limits: Limits, segments: Segments) -> None:
-    """Write the feet [m] along each wall's tangent between which its returns are used.
+    """Write for each wall the limits [m] along its tangent within which its returns are used.
 
     Near a corner the noise decides which wall a beam is counted to, so those beams are biased, and at the end of a
     wall they turn it most. A corner is where the next wall begins within a few beams and `max_gap` [m]; behind the

@@ -75,7 +75,7 @@ def _mixture(d: Array, reach: float) -> tuple[float, float]:
 
 
 def _hits(d: Array, hit: float, sigma: float, reach: float) -> Array:
-    """Return the probability (n,) of each distance to be of a wall."""
+    """Return the probability (n,) that each distance belongs to a wall."""
     near = hit * np.exp(-0.5 * (d / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma)
     return np.asarray(near / (near + (1.0 - hit) / reach + 1e-300))
 

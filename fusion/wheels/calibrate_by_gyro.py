@@ -106,7 +106,7 @@ def _delay(wheels: Wheels, t: Array, own: Array) -> float:
 
 
 def _windows(wheels: Wheels, t: Array, own: Array, delay: float, length: float) -> tuple[Array, Array]:
-    """Return the gyro's turns (n,) in windows with motion, and (n, 4): right, left [m], s, both [m]."""
+    """Return windows with motion: the gyro's turns (n,), and (n, 4) right [m], left [m], s, both [m]."""
     first, last = max(t[0], wheels.t[0] - delay), min(t[-1], wheels.t[-1] - delay)
     start = np.arange(first, last - length, length)
     turn = np.interp(start + length, t, own) - np.interp(start, t, own)

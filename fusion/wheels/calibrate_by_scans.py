@@ -71,12 +71,12 @@ class LaserCalibration(msgspec.Struct, frozen=True):
     turned_rad: float
 
     def untold(self) -> list[str]:
-        """Return the names of parameters that the drives do not show."""
+        """Return the names of parameters that the drives do not determine."""
         return [name for name, sigma in zip(NAMES, self.sigmas.tolist(), strict=True) if np.isnan(sigma)]
 
 
 class Intervals(msgspec.Struct, frozen=True):
-    """Times (n,) between which wheels and laser are compared, and the laser's motions."""
+    """Times (n,) between which wheels and laser are compared, and the laser's motions in between."""
 
     motion: Motion
     t_from: Array
@@ -240,7 +240,7 @@ def _straight(s: Array) -> bool:
 
 
 def _turn_mismatch(every: Sequence[Intervals], s: Array, delay: float) -> float:
-    """Return the part of the turns of s (n, 3) that is no multiple of the wheels' turns."""
+    """Return the sum of squares [rad^2] of the laser's turns s (n, 3) not explained by the wheels' turns."""
     turn = _moved(every, delay)[:, 2]
     left = s[:, 2] - turn * (float(turn @ s[:, 2]) / max(float(turn @ turn), 1e-12))
     return float(left @ left)

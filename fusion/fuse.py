@@ -136,7 +136,7 @@ class Filter:
         self._track.note(belief)
 
     def _compare(self, k: int, sensor: str, i: int, m: Measurements) -> Passed:
-        """Compare reading i of a sensor with the prior, record that, and return what passed the gate."""
+        """Compare reading i of a sensor with the prior, record the result, and return what passed the gate."""
         model = self.models[sensor]
         seen = model.innovations(m, i, self.belief if model.local else self._in_map)
         if sensor in self._inflates and not isinstance(seen, Reading):

@@ -63,7 +63,7 @@ class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
                 raise ValueError(f"{key} = {getattr(self, key)} must be 0 (known exactly) or above")
 
     def sigmas(self, tells: bool) -> tuple[float, float, float]:
-        """Return the standard deviations of x, y [m] and yaw [rad]; `tells`: the drive shows the mount."""
+        """Return the sigmas of x, y [m] and yaw [rad]; by default 0 unless the drive shows the mount (`tells`)."""
         place, turn = (SIGMA_M, SIGMA_DEG) if tells else (0.0, 0.0)
         x, y = (place if sigma is None else sigma for sigma in (self.sigma_x, self.sigma_y))
         return x, y, math.radians(turn if self.sigma_yaw_deg is None else self.sigma_yaw_deg)
@@ -129,7 +129,7 @@ class Mount:
         return [f"{OTHER_MOUNT} {'; '.join(parts)}{doubt}"] if parts else []
 
     def rows(self, by_mount: tuple[Row, ...]) -> tuple[Row, ...]:
-        """Return the columns of a derivative by (x, y, yaw), (d, 3), that are states."""
+        """Return those columns of a derivative by (x, y, yaw), (d, 3), whose numbers are states."""
         return tuple(tuple(row[i] for i in self.free) for row in by_mount)
 
 

@@ -263,6 +263,6 @@ def number(robot: Robot, key: str) -> float | None:
 
 
 def _is_configured(key: str, value: str, robot: Robot) -> bool:
-    """Return whether a setting has this value, to its written digits."""
+    """Return whether a setting is configured with this value, compared as written digits."""
     now = number(robot, key)
     return now is not None and math.isclose(float(value), now, abs_tol=5e-5)

@@ -255,7 +255,7 @@ class Evidence(Noise):
                 yield from of_point(truth, swing(truth, self.loaded.drive, e.truth_pose[:, :2]))
 
     def _probed(self) -> Iterator[Finding]:
-        """Yield mounts and track as estimated by a run with `all` sensors, one sensor at a time."""
+        """Yield findings on mounts and track from a run with `all` sensors, one sensor's mount at a time."""
         drive, robot = self.loaded.drive, self.loaded.robot
         for sensor in filter(self._using, drive.measurements):
             if sensor == LASER and drive.wheels.matched is not None:
@@ -356,7 +356,7 @@ class Evidence(Noise):
         return {s: verdict for s, verdict in found.items() if verdict is not None}
 
     def unexplained(self) -> list[Candidate]:
-        """Return unusual residuals of a sensor for which no fixing setting is known."""
+        """Return findings on unusual residuals for which no fixing setting is known."""
         unusual = [
             Finding(sensor, verdict.verdict, verdict.words)
             for sensor, verdict in self.consistency.items()
@@ -366,7 +366,7 @@ class Evidence(Noise):
 
     @cached_property
     def _spins(self) -> list[Finding]:
-        """Return when both wheels slipped, by the truth, else by the laser's own run."""
+        """Return findings on times at which both wheels slipped, by truth, else by the laser's own run."""
         drive = self.loaded.drive
         if drive.truth is not None and drive.truth.theta is not None:
             return of_spins(drive, drive.truth.t, body_poses(drive.truth, drive.truth.t), "truth")

@@ -80,7 +80,7 @@ class Judged:
         return "unclear" if verdict is None else verdict.verdict
 
     def _doubtful(self, name: str) -> bool:
-        """Return whether a configuration is inconsistent by truth; without truth, whether any looks so."""
+        """Return whether truth shows a configuration to be inconsistent; without truth, whether any looks so."""
         honest = self.honesty.get(name)
         lost = any(e.lost for e in self.compared.estimates if e.name == name)
         return honest is None or lost or not honest.consistent
@@ -137,7 +137,7 @@ class Judged:
         return max(self.trial.configurations, key=lambda n: len(self.trial.configurations[n].sensors))
 
     def _alone(self, sensor: str) -> str:
-        """Return the configuration with the fewest sensors that uses this one."""
+        """Return the configuration with the fewest sensors among those with this sensor."""
         using = {n: c for n, c in self.trial.configurations.items() if sensor in c.sensors}
         return min(using, key=lambda n: len(using[n].sensors))
 
@@ -150,7 +150,7 @@ class Judged:
         return max(names, key=lambda n: len(self.trial.configurations[n].sensors))
 
     def _reference(self, sensor: str) -> Estimates | None:
-        """Return the run of one other sensor without complaints that knows its heading best."""
+        """Return the run of another single sensor, without complaints, whose heading is most certain."""
         fine = {s for s in self.loaded.drive.measurements if s != sensor and not self._complained_itself(s)}
         runs = [
             e
@@ -279,7 +279,7 @@ class Noise(Judged):
         return found is not None and found.unusual and (found.factor > 1.0 or truth is not None or found.agreed)
 
     def _too_sure(self, sensor: str, verdict: Consistency) -> bool:
-        """Whether truth shows that a filter that would trust a sensor more is overconfident already."""
+        """Whether truth shows that runs with a sensor are overconfident; then it must not be trusted more."""
         honest = self.honesty.get(self._alone(sensor))
         return verdict.verdict == "overstated" and honest is not None and honest.overconfident
 
@@ -383,7 +383,7 @@ class Noise(Judged):
 
 
 def _smaller_range_noise(sensor: str, verdict: Consistency) -> float | None:
-    """Return the smaller noise of a range [m] by the lines of a laser, None if they show none."""
+    """Return a range noise [m] below the configured one if a laser's lines show it, else None."""
     return (
         verdict.cures.get(f"{LASER}.sigma_range") if sensor == LASER and verdict.verdict == "overstated" else None
     )
@@ -397,7 +397,7 @@ def useful(fixes: Fixes, settings: Any) -> bool:
 
 
 def _noise_options(sensor: str, verdict: Consistency) -> list[Fixes]:
-    """Return the alternatives of one noise verdict: all keys of a sigma at once, else one key after another."""
+    """Return the alternative fixes of one noise verdict: all sigma keys together, else one key after another."""
     if verdict.verdict not in NOISE or not verdict.cures:
         return []
     if verdict.verdict == "correlated":  # a larger sigma, or an offset that walks

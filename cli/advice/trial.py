@@ -74,7 +74,7 @@ class Trial:
         return self._of(TRIED if self.loaded is self.whole else WHOLE, fixes, names)
 
     def smoothed(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Marks]:
-        """Return position and heading of those smoothed paths that a comparison shows; {} without truth."""
+        """Return position and heading errors of the smoothed paths that a comparison shows; {} without truth."""
         if self.whole.drive.truth is None:
             return {}
         shown = [n for n in names if self.configurations[n].is_smoothed(Asked(), self.whole.robot)]

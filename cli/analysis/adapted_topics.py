@@ -79,7 +79,7 @@ ROOM_FRAMES = ("map", "world", "earth", "odom")  # a camera that hangs there is 
 
 
 def not_read(log: Log, role: str) -> str:
-    """Return a log's topics for a role in types that are not read, in words; "" without any."""
+    """Return a sentence with a role's topics whose message types are not read; "" without any."""
     kinds = NOT_READ.get(role, {})
     found = [
         f"{topic} ({info.msgtype.replace('/msg/', '/')}) holds {kinds[info.msgtype].format(topic=topic)}"

@@ -270,7 +270,7 @@ def predict(
 
 
 def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
-    """Return the report as plain values: report.json. With the options `asked` it has a key."""
+    """Return the report as plain values: report.json. `asked` adds the key and the command to repeat it."""
     report = results.build(compared.loaded, compared.evaluations)
     tables = compared.loaded.given
     report["key"] = key(compared.loaded.log.identity, tables, asked) if asked and tables is not None else None
@@ -294,7 +294,7 @@ def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
 def add_own_scans(
     report: dict[str, Any], drive: Drive, estimates: Sequence[Estimates], smoothed: Mapping[str, Estimates]
 ) -> None:
-    """Add figures by the laser's scans to each result if a path was smoothed, and whether it is doubted."""
+    """Add pose corrections to each result; if a path was smoothed, also figures by the laser's scans."""
     report["doubt"] = None
     for e in estimates:  # corrections of the pose that are no motion
         report["configurations"][e.name]["events"] = [

@@ -90,7 +90,7 @@ class Baseline(msgspec.Struct, frozen=True):
     of_fleet: bool = False
 
     def grown(self, later: Mapping[str, Any], what: str) -> list[str]:
-        """Return a line per error figure in common that grew by more than the tolerance; one if there is none."""
+        """Return a line per error figure that grew beyond the tolerance; one line if no figure is common."""
         old, new = self.figures, _error_figures(later["configurations"], self.of_fleet)
         common = [at for at in old if at in new]
         if not common:

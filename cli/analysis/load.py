@@ -337,7 +337,7 @@ def _clock_notes(streams: Mapping[str, Any]) -> list[str]:
 
 
 def start_error(robot: Robot, drive: Drive) -> float | None:
-    """Return the distance [m] between truth and wheels at the truth's begin; None: no truth, or [start] is given.
+    """Return the distance [m] between truth and wheels where the truth begins; None if it is not known.
 
     The wheels count from the configured start: a truth that begins metres later has not begun elsewhere.
     """

@@ -54,7 +54,7 @@ Read = dict[Topics, WheelReading]  # motions that were read while one was chosen
 
 
 def motion_of(log: Log, robot: Robot, topics: Sequence[str], read: Read) -> WheelReading | None:
-    """Return the motion of topics; None if they cannot be read, which is reported at their use."""
+    """Return the motion of topics; None if they cannot be read, which is reported where they are used."""
     if tuple(topics) not in read:
         with suppress(LocfuseError):
             streams = [log.stream(topic, robot.order) for topic in topics]
@@ -166,7 +166,7 @@ class Evidence:
 
     @cached_property
     def _matched(self) -> float:
-        """The share s of the motion by scan matching: of the path if the run uses it, else of single pairs."""
+        """The share s of scan points that agree under scan matching, the best that a motion can reach."""
         assert self._pairs is not None
         if not self._by_scans:
             return self._pairs.matched()
@@ -203,7 +203,7 @@ class Witness(NamedTuple):
 
 
 class Witnesses:
-    """Judges all motions of a log by the first sensor that one of them explains."""
+    """Judges the motions of a log by the first sensor whose measurements one of them explains."""
 
     agrees = "it agrees best with the other sensors"
 
@@ -289,7 +289,7 @@ class Witnesses:
 
 
 def seen(log: Log, robot: Robot, name: str, topic: str, motion: WheelReading) -> Measurements | None:
-    """Return what a sensor measures on a topic; None if it cannot be read, which is reported at its use."""
+    """Return a sensor's measurements on a topic; None if it cannot be read (reported where it is used)."""
     with suppress(LocfuseError):
         stream = log.stream(topic, robot.order)
         return REGISTRY[name].measure(stream, robot.settings(name), motion.wheels, motion.epoch_ns)

@@ -78,7 +78,7 @@ def last_word(frame: str) -> str:
 
 
 def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[Stream]]) -> dict[str, Any]:
-    """Return the sensors' mounts by /tf_static (name -> its topics' streams), for the keys they have."""
+    """Return tables with the sensors' mounts by /tf_static, limited to the keys that each sensor has."""
     tables: dict[str, Any] = {}
     for sensor, parts in streams.items():
         keys = set(REGISTRY[sensor].Settings.__struct_fields__)

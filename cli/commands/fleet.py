@@ -109,7 +109,7 @@ def many(words: Sequence[str], options: o.Options) -> int:
 
 
 def _every(options: o.Options, folder: Path) -> Job:
-    """Return the job of every log, without the log. Raises UsageError for options that need a single drive."""
+    """Return the options for each log as a job without a log. Raises UsageError for options of a single drive."""
     from locfuse.cli.fleet.jobs import Job
     from locfuse.cli.session.summary import of_each
 

@@ -30,7 +30,7 @@ START_TIMEOUT_S = 2.0  # s in which a viewer that cannot start has ended
 
 
 def show(path: Path) -> subprocess.Popen[bytes] | None:
-    """Show a recording in a running viewer, else in a new one, which is returned. Raises LocfuseError without."""
+    """Show a recording in a running viewer, else start one and return it. Raises LocfuseError if that fails."""
     if listening(HOST, PORT):
         try:
             send(path, LOCAL_VIEWER)

@@ -92,7 +92,7 @@ def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
 
 
 def _named(source: Source, there: Mapping[str, Any]) -> str | None:
-    """Return the input of a file with a topic."""
+    """Return the key of the input in a parameter file that has a source's topic, None without one."""
     bare = source.topic.strip("/")
     inputs = ((key, str(value).strip("/")) for key, value in there.items() if INPUT.fullmatch(key))
     if source.origin == ASSUMED:  # the log has no odometry: the file's first is of the same wheels

@@ -198,7 +198,7 @@ class Calibration(Found, frozen=True, kw_only=True):
 
 
 def _figures(keys: Mapping[str, str] | Sequence[str], values: Array, sigmas: Array) -> dict[str, Figure]:
-    """Return values with 95 % intervals by their keys, those with a sigma."""
+    """Return values with 95 % intervals by their keys; values without a finite sigma are left out."""
     found = zip(keys, values.tolist(), (SIGMAS_95 * sigmas).tolist(), strict=True)
     return {key: Figure(value, value - half, value + half) for key, value, half in found if math.isfinite(half)}
 
@@ -400,7 +400,7 @@ def _gyro_notes(found: GyroCalibration, settings: WheelSettings) -> list[str]:
 
 
 def _by_laser(loaded: Sequence[Loaded], progress: Progress) -> LaserCalibration:
-    """Compare wheels and laser of all logs with both. Raises LocfuseError if none has both or shows enough."""
+    """Compare wheels and laser over the logs that have both. Raises LocfuseError if they show too little."""
     both = [one for one in loaded if has_both(one)]
     if not both:
         names = ", ".join(one.log.name for one in loaded)

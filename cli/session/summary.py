@@ -167,7 +167,7 @@ def _each(logs: Sequence[PathLike | Sequence[PathLike]]) -> list[list[str]]:
 
 @contextmanager
 def naming(log: str) -> Iterator[None]:
-    """Add the log's name to errors inside, unless they have it."""
+    """Add the log's name to errors raised inside this context, unless they have it."""
     try:
         yield
     except LocfuseError as problem:

@@ -245,7 +245,7 @@ def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None
 
 
 def _without(typed: Sequence[str], fixes: Collection[str]) -> list[str]:
-    """Return what was typed without the --set of keys that are fixed."""
+    """Return the typed words without the --set of keys that a fix sets."""
     kept: list[str] = []
     for word in typed:
         if kept and kept[-1] == "--set" and word.partition("=")[0] in fixes:

@@ -41,7 +41,7 @@ class Channel(NamedTuple):
 
 
 class ChunkIndex(NamedTuple):
-    """A chunk's place by the summary, and the bytes of message indexes after it."""
+    """A chunk's place in the file by the summary, and the size and places of its message indexes."""
 
     offset: int
     length: int

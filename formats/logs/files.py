@@ -106,7 +106,7 @@ def open_bytes(file: Place, losses: Losses) -> FileBytes:
 
 
 def open_source(file: Place, losses: Losses) -> Source:
-    """Open one file of a log by its first bytes."""
+    """Open one file of a log; its first bytes show its format."""
     try:
         data = open_bytes(file, losses)
         if data.far and data.read(max(data.size - len(MAGIC), 0), len(MAGIC)) != MAGIC:

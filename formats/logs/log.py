@@ -140,7 +140,7 @@ class TopicChannels:
 
 
 def by_topic(sources: Sequence[Source]) -> Mapping[str, TopicChannels]:
-    """Return topic -> its channels in all files, by topic name."""
+    """Return the channels of each topic in all files, by topic name."""
     carriers: dict[str, list[Carrier]] = {}
     for source in sources:
         for ident, channel in source.channels.items():

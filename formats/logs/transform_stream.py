@@ -225,7 +225,7 @@ def tags_of(edges: Mapping[tuple[str, str], FrameEdge], camera: str) -> list[Fra
 
 
 def _again(edge: FrameEdge) -> NDArray[np.bool_]:
-    """Mark the transforms (n,) that are equal to the one before, to the bit."""
+    """Mark the transforms (n,) that exactly equal the one before."""
     same = np.zeros(len(edge.stamp), dtype=bool)
     same[1:] = (edge.values[1:] == edge.values[:-1]).all(axis=1)
     return same

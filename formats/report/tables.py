@@ -154,7 +154,7 @@ def _readable(columns: Iterable[Column], report: Report) -> tuple[Column, ...]:
 
 
 def _configurations(report: Report, key: str | None = None) -> Rows:
-    """Yield every configuration's values, or those below a key, with its name."""
+    """Yield (values, path) of every configuration, or of the part of it at `key`, with its name."""
     runs = report["configurations"]
     hit = (v.get("crispness_cells") for v in runs.values() if _agrees(v))
     fewest = min(filter(None, hit), default=0)

@@ -82,7 +82,7 @@ def clock_words(clock: Clock) -> str:
 
 
 def offset_of(clock: Clock, robot: Robot, digits: int = 3, sigmas: float = 0.0) -> str:
-    """Return the setting that corrects a clock, or one that lies `sigmas` standard deviations beside it."""
+    """Return the setting that corrects a clock; `sigmas` standard deviations are added to its value."""
     tables: dict[str, Any] = {"wheels": robot.wheels, "truth": robot.truth}
     now = float((tables.get(clock.name) or robot.settings(clock.name)).time_offset)
     return f"{clock.name}.time_offset={now + clock.offset + sigmas * clock.sigma:z.{digits}f}"

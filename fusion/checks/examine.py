@@ -110,7 +110,7 @@ def _scales(
 
 
 def _refused(drive: Drive) -> list[Finding]:
-    """Count the readings that are not used, by reason; readings that were repaired are counted with the repair."""
+    """Return findings that count unused readings by reason; repaired readings have findings of their own."""
     found = []
     for stream, reasons in drive.dropped.items():
         words = [

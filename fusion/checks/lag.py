@@ -217,7 +217,7 @@ def _without(column: Array, others: Array) -> Array:
 
 
 def _changing(turns: _Turns, reference: Reference, lag: float) -> NDArray[np.bool_]:
-    """Return where the turning changes by more than its rms; at least a tenth of the windows."""
+    """Return in which windows the turn rate changes most: above the rms, at least a share of them."""
     middle = 0.5 * (turns.start + turns.end) + lag
     before, now, after = reference.wheels(middle + RATE_CHANGE_SPAN_S * np.array([[-1.0], [0.0], [1.0]]))
     change = np.abs(after - 2.0 * now + before)

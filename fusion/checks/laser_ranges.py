@@ -75,7 +75,7 @@ def of_offset(stream: Stream, settings: LrfSettings) -> list[Finding]:
 
 
 def ranges_offset(stream: Stream, settings: LrfSettings) -> tuple[float, float] | None:
-    """Return what has to be added to every range [m] for straight walls to be straight, and its sigma.
+    """Return the offset [m] to add to every range so that walls become straight, and its sigma.
 
     Three beams an angle a apart meet a straight wall where r1 = 2 cos(a) r0 r2 / (r0 + r2). A constant error adds
     1 - 2 cos(a) (r0^2 + r2^2) / (r0 + r2)^2 of itself to the difference of the two sides, a scale error nothing.
@@ -184,7 +184,7 @@ def _bend(before: Array, here: Array, after: Array, cos: Array | float) -> Array
 
 
 def _sample(stream: Stream, last: int) -> Iterator[tuple[Ints, dict[str, Any]]]:
-    """Yield rows and columns of SAMPLE_SCANS to twice as many scans, evenly spread over the first `last`.
+    """Yield rows and columns of a sample of scans, evenly spread over the first `last` scans.
 
     Scans that have more beams than a laser has are left out.
     """

@@ -174,7 +174,7 @@ def settles(before: Marks, after: Marks) -> bool:
 
 
 def gain(before: Marks, after: Marks) -> float:
-    """Return the worth of a fix: ln(error before / after), plus half of the same of heading and of ANEES."""
+    """Return the worth of a fix: ln(error before / after) of position, plus half of heading's and of ANEES'."""
     if before.position is not None and after.position is not None:
         turned = WEIGHT_OF_HEADING * _turned(before, after)
         return (
@@ -263,17 +263,17 @@ class Advice(msgspec.Struct, frozen=True):
 
     @property
     def judges(self) -> tuple[str, ...]:
-        """The configurations by which it is judged, as the candidate's."""
+        """The configurations by which the fix is judged, as in the candidate."""
         return () if self.candidate is None else self.candidate.judges
 
     @property
     def measured(self) -> bool:
-        """Whether the drive shows the value, as the candidate's."""
+        """Whether the drive shows the fix's value, as in the candidate."""
         return self.candidate is not None and self.candidate.measured
 
     @property
     def proven(self) -> bool:
-        """Whether several others agree on the value, as the candidate's."""
+        """Whether several other logs agree on the fix's value, as in the candidate."""
         return self.candidate is not None and self.candidate.proven
 
     @property

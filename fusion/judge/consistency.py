@@ -69,7 +69,7 @@ def notable(h: Heard) -> bool:
 
 
 def by_reference_run(sensor: str, settings: Any, h: Heard) -> Consistency | None:
-    """Judge a sensor by a run that does not use it; None where that run is too vague."""
+    """Judge a sensor by a run that does not use it; None where that run is too uncertain."""
     noise = min(h.white, max(h.spread - h.reference, 0.5 * h.white))
     is_slow = h.slow > max(MIN_SLOW_VARIANCE_RATIO * h.reference, 0.1 * h.white)
     if is_slow and not _drifts(sensor, settings, h):

@@ -421,7 +421,7 @@ def gain(returns: Returns, limits: Limits, segments: Segments, wall: int, fit: F
 
 
 def goes_on(curves: Curves, walls: int, closed: bool, i: int, step: int) -> None:
-    """Add the chi2 that a curve saves beyond wall i in one direction (step 1, -1), and its pieces there."""
+    """Add the chi2 gains and the number of pieces of a curve beyond wall i, in one direction (1 or -1)."""
     sign = 0.0
     for _ in range(walls - 1):
         at = i if step > 0 else i - 1 if i > 0 else walls - 1

@@ -126,7 +126,7 @@ def blocked(walls: Array, x: float, y: float, dx: float, dy: float, reach: float
 
 
 def explained(rows: Array, walls: Array, poses: Array, slack: float, out: Array) -> None:
-    """Write how much of a scan's lines (k, 7) map lines (m, 8) explain from every pose (h, 3), out (h, 3).
+    """Write how much of a scan's lines (k, 7) the map lines (m, 8) explain, for poses (h, 3), out (h, 3).
 
     These are the share of the measured length, the share were the map lines longer than known, and how many lines.
     A line is explained by a map line that is the same, within `slack` times the usual limits, where both overlap.

@@ -326,7 +326,7 @@ def merge(segments: Segments, count: int, limit: float) -> int:
 
 
 def cheapest(segments: Segments, count: int, limit: float) -> int:
-    """Write the first of each pair to join now into `best`; return their number."""
+    """Write into `best` the first segment of each pair to merge now; return the number of pairs."""
     chosen, cost = 0, segments.cost
     for i in range(count):
         if cost[i] < limit and cost[i] < cost[segments.before[i]] and cost[i] <= cost[segments.after[i]]:
@@ -348,7 +348,7 @@ def join_pairs(segments: Segments, chosen: int) -> None:
 
 
 def renew_cost(segments: Segments, i: int) -> None:
-    """Compute again the cost of joining i with the one after it, if they may be joined."""
+    """Compute again the cost of merging segment i with the next one, unless it is never merged."""
     if segments.cost[i] < JOINS_NEVER_CHI2:
         j = segments.after[i]
         segments.cost[i] = joint_misfit(segments, i, j) - segments.own[i] - segments.own[j]
@@ -493,7 +493,7 @@ def corner_limits(returns: Returns, limits: Limits, segments: Segments) -> None:
 def limit_by_corner(
     returns: Returns, segments: Segments, wall: int, end: int, other: int, corner: float, margin: float
 ) -> None:
-    """Leave out a wall's end near a corner at the foot `corner` [m], but only a limited share of the wall.
+    """Leave out a wall's end near a corner at the foot `corner` [m], but at most a limited share of the wall.
 
     By the wall's last returns at this `end` and at the `other`.
     """

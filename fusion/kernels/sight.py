@@ -373,7 +373,7 @@ class Sight:
         return self.pairs[p, WALL_OF] == self.pairs[q, WALL_OF] and common > COMMON_M
 
     def fits_well(self, p: int, i: int) -> bool:
-        """Return whether a pair of measured line i may match: by its distance and the overlap."""
+        """Return whether the pair of measured line i may be a match, by its distance and overlap."""
         length = min(self.rows[i, END_LINE] - self.rows[i, BEGIN_LINE], MAX_LENGTH_M)
         return self.pairs[p, D2] <= self.rules.gate and self.pairs[p, OVERLAP] > MIN_OVERLAP_SHARE * length
 

@@ -31,7 +31,7 @@ MAX_SAME_TURN_RAD, MAX_SAME_SHIFT_M = 0.6, 0.4  # lines of neighbouring scans fu
 
 
 class Padded(NamedTuple):
-    """Rows of k readings side by side, at most w each."""
+    """Rows of k readings side by side as one table, at most w rows each."""
 
     row: Ints  # (k, w) row in Measurements.z; any row where there is none
     there: NDArray[np.bool_]  # (k, w)
@@ -225,7 +225,7 @@ class Gathered:
 
 
 def _as_wide(pieces: list[Array]) -> list[Array]:
-    """Return loadings (m, 2, k) padded to the same number of columns: 0 for lines that share no error."""
+    """Return derivatives (m, 2, k) of equal width k; pieces without shared errors become zeros."""
     widest = max([piece.shape[2] for piece in pieces], default=0)
     return [p if p.shape[2] else np.zeros((*p.shape[:2], widest), p.dtype) for p in pieces]
 

@@ -81,7 +81,7 @@ def _hits(d: Array, hit: float, sigma: float, reach: float) -> Array:
 
 
 def _beside_walls(origins: Array, points: Array, lines: Sequence[MapLine]) -> tuple[Array, Array]:
-    """Return each point's (n, 2) distance from the nearest wall, and from the first wall in its direction.
+    """Return each point's (n, 2) distance to the nearest wall, and to the first wall along its beam.
 
     The second is measured from the point's origin (n, 2), and inf where no wall is there; all in m.
     """

@@ -164,7 +164,7 @@ class _Places:
         return share
 
     def _thin(self) -> None:
-        """Keep one of equal places, then the better half of the rest."""
+        """Keep one of equal places, then only the better half."""
         order = np.argsort(-self._sums, kind="stable")
         same = SAME_M / self._grid.cell
         turned = self._poses[order, 2] % math.tau

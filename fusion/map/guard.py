@@ -236,7 +236,7 @@ class Guard:
         return self._wheels
 
     def enter_map(self) -> None:
-        """Continue in another map: scans in the frame of this one are dropped."""
+        """Continue in another map; earlier scans, in the frame of the old map, are dropped."""
         self._before.clear()
         self._since = self._after = self._suspicion = None
         self._last = (math.inf, math.inf, math.inf)
@@ -247,7 +247,7 @@ class Guard:
         return self._lost_from is not None and self._tried >= MAX_LOST_SCANS
 
     def leave(self) -> None:
-        """Leave the map with an unknown pose in it; the next map has no known place until it is recognised."""
+        """Leave the map at an unknown pose; the next map's place is unknown until the map is recognised."""
         self._adrift, self._lost_from = self._since_lost(), None
 
     def recognised(self, t: float) -> None:
@@ -362,7 +362,7 @@ def _jumped(before: Sequence[Seen], now: Seen) -> bool:
 
 
 def _view(scan: Scan) -> float:
-    """Return the angle over which the walls of a scan extend, seen from the robot [rad]."""
+    """Return the angle [rad] that the walls of a scan cover, seen from the robot."""
     r = np.abs(scan.z[:, :1])
     bearings = np.arctan2(scan.ends, np.maximum(r, 1e-6))
     return float((bearings[:, 1] - bearings[:, 0]).sum())

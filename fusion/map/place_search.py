@@ -277,7 +277,7 @@ def find_closure(there: Here, here: Here, expected: Array, P: Array) -> Closure 
 
 
 def _enough(found: Closure, expected: Array, P: Array) -> bool:
-    """Return whether a place explains enough walls; an unexpected place must explain more."""
+    """Return whether a place explains enough walls; a place far from the expected one must explain more."""
     asked: tuple[tuple[int, float], ...] = (MIN_WALLS_M,)
     if chi2_of(found.pose[None], expected, P + SLACK_P)[0] > MAX_CHI2:
         asked = (MIN_UNEXPECTED_WALLS_M,)
@@ -379,7 +379,7 @@ class Looks:
         self._found: dict[int, tuple[Closure, int]] = {}  # anchor -> the last look, how many agree with it
 
     def count(self, anchor: int) -> int:
-        """Return how many candidates agree on the map's pose in that of an anchor."""
+        """Return the number of candidates that agree on the map's pose in an anchor's map."""
         return self._found[anchor][1] if anchor in self._found else 0
 
     def agree(self, anchor: int, found: Closure | None, unknown: bool, anchors: Anchors) -> bool:
@@ -398,14 +398,14 @@ class Looks:
         return self.count(anchor) >= UNKNOWN_LOOKS and not self._rivalled(anchor, anchors)
 
     def _rivalled(self, anchor: int, anchors: Anchors) -> bool:
-        """Return whether the present map may also lie elsewhere, by candidates in other maps."""
+        """Return whether candidates in other maps show that the present map may also lie elsewhere."""
         places = {k: se2.compose(anchors.pose[k], found.pose) for k, (found, _) in self._found.items()}
         x, y, _ = places[anchor].tolist()
         return any(math.hypot(place[0] - x, place[1] - y) > ELSEWHERE_M for place in places.values())
 
 
 def _same(one: Closure, other: Closure) -> bool:
-    """Return whether two looks found the same place, within their covariances."""
+    """Return whether two candidates agree on a pose, within their covariances."""
     return bool(chi2_of(other.pose[None], one.pose, one.P + other.P)[0] < SAME_CHI2)
 
 

@@ -119,7 +119,7 @@ Seen = tuple[float, Pose, Scan]  # a scan: when [s], and where the wheels alone 
 
 
 class Series:
-    """Scans in a row that suggest a slip."""
+    """Scans in a row that each suggest a slip."""
 
     def __init__(self) -> None:
         self.begun = 0.0  # s

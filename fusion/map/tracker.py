@@ -236,7 +236,7 @@ class LineTracker(Model):
             self._revise(found, belief)
 
     def _revise(self, found: Association, belief: JointBelief) -> None:
-        """Add variance to uneven walls, add new lines; now and then drop rare lines and merge doubles (`grow`)."""
+        """Add variance to uneven walls; in `grow` add new lines, now and then drop rare lines, merge doubles."""
         uneven, floor, bent = self._walls
         if uneven[0] > 0.0 or uneven[1] > 0.0:
             found.bend(belief, uneven, bent)

@@ -383,7 +383,7 @@ def _levers(parts: Sequence[Stream], camera: Ints, settings: LandmarksSettings) 
 
 
 def mounts_of(m: Measurements, usual: tuple[float, float, float]) -> Array:
-    """Return the detector's mount of every row, (m, 3) x, y [m], yaw [rad]."""
+    """Return the mount of the detector of every row, (m, 3): x, y [m], yaw [rad]."""
     if LEVER[0] not in m.extra:
         return np.tile(np.array(usual, np.float64), (len(m.z), 1))
     return np.stack([m.extra[name] for name in LEVER], axis=-1)
@@ -501,7 +501,7 @@ class LandmarksModel(PointsModel):
             self._seen_at[landmark].append(place)
 
     def notes(self, belief: Any) -> list[str]:
-        """Return which landmarks are at other places than in the map, and which two are exchanged."""
+        """Return notes on landmarks that are elsewhere than in the map, and on two that are exchanged."""
         seen = {key: np.array(rows) for key, rows in self._seen_at.items()}
         return [*self._depth_notes(belief), *wrong_places(self.places, seen)]
 

@@ -98,7 +98,7 @@ def anchor_beside(seen: Array, t: Array, ranges: Array, sigmas: tuple[float, flo
 
 
 def _predicted(v: Array, anchors: Array, seen: Array) -> tuple[Array, Array]:
-    """Return ranges (s, n) and derivatives (s, n, k) of guesses v (s, k): place, perhaps heading, and offset."""
+    """Return predicted ranges (s, n) and derivatives (s, n, k) for guesses v (s, k): place, heading, offset."""
     turns = v.shape[1] == 4
     c, s = (np.cos(v[:, 2:3]), np.sin(v[:, 2:3])) if turns else (np.ones((1, 1)), np.zeros((1, 1)))
     ahead, left = c * seen[:, 0] - s * seen[:, 1], s * seen[:, 0] + c * seen[:, 1]

@@ -111,7 +111,7 @@ class Noise(NamedTuple):
 
 
 class Played(NamedTuple):
-    """The likelihood of c corrections under B sets of noise."""
+    """The likelihood of c corrections, under each of B sets of noise."""
 
     scores: Array  # (B, c) log likelihood [nats]
     instant: Ints  # (c,)
@@ -251,7 +251,7 @@ NO_STRAIGHTS = (
 
 
 class Figures(msgspec.Struct):
-    """The present noise figures: `factors`: ln(present / configured), of a variance for wheels, else of sigmas."""
+    """The present noise. `factors`: ln(present / configured) of a variance for wheels, else of a sigma."""
 
     told: Robot
     sensors: tuple[str, ...]

@@ -121,7 +121,7 @@ def _windows(wheels: Wheels, t: Array, own: Array, delay: float, length: float) 
 
 
 def _fit(rows: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, float]:
-    """Return (a, b), their covariance (2, 2), and the share explained; every drive has its own bias."""
+    """Return the turn per metre of either wheel (2,), its covariance (2, 2), and the explained share."""
     own = np.concatenate([turn for turn, _ in rows])
     by = np.zeros((len(own), 2 + len(rows)))
     at = 0

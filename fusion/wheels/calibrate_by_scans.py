@@ -259,7 +259,7 @@ def _cut(t: Array, pose: Array) -> tuple[Array, Array]:
 
 
 def _residuals(every: Sequence[Intervals], p: Array) -> Residuals:
-    """Return the linear problem about p: errors, derivatives, covariances."""
+    """Return the linearised least squares about p: errors, derivatives, covariances."""
     return Residuals(
         np.concatenate([one.errors(p) for one in every]),
         np.concatenate([one.derivative(p) for one in every]),
@@ -298,7 +298,7 @@ def _fitted(every: Sequence[Intervals], p: Array, guess: Array) -> tuple[Array, 
 
 
 def _inside(one: Intervals, p: Array) -> NDArray[np.bool_]:
-    """Return which intervals are plausible, given the median one (n,): no slip, no wrong match."""
+    """Return which intervals (n,) are plausible, compared with the median: no slip, no wrong match."""
     residuals = _residuals([one], p)
     match, noise = _noise(residuals)
     squares = _scaled(residuals, match).squares(noise, np.zeros(7))

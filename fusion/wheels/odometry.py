@@ -241,7 +241,7 @@ def _words(spiked: int, restarts: int, turned: int) -> list[str]:
 
 
 def backing_up(steps: Array, said: Array) -> Mask:
-    """Mark steps (n-1, 3) that go forward while the twist says backward: `said` (n-1,) [m].
+    """Mark steps (n-1, 3) that go forward while the twist `said` (n-1,) [m] says backward.
 
     None where the twist is not to be believed (it disagrees with most steps), or where the pose does know how to
     back up, so that a disagreement is something else.

@@ -74,7 +74,7 @@ def wheel_words(
 
 
 def _metres(settings: WheelSettings, found: Array, prior: float, metric: Mapping[str, str | None]) -> list[str]:
-    """Return notes on a distance scale that differs between wheels and sensors: only their ratio is observed."""
+    """Return notes on a distance scale that differs between wheels and sensors: only the ratio is observed."""
     if not metric:
         return []
     scale, _, track = found.tolist()

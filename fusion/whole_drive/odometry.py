@@ -87,7 +87,7 @@ def evenly(u: Array, variances: Array) -> Array:
 
 
 def at_origin(start: Array, u: Array, Q: Array) -> Array:
-    """Return covariances (n, 3, 3) of xi at the odometry's origin for motions u (n, 3) from `start` (n, 3).
+    """Return Q of motions u (n, 3) from poses `start` (n, 3) as covariances of xi at the odometry's origin.
 
     Q is that of the motion's end as it is seen from its start: first its lever about the end is taken back.
     """

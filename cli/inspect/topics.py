@@ -48,7 +48,7 @@ class TopicFacts(msgspec.Struct, frozen=True):
 
     @property
     def beside_s(self) -> float:
-        """How far the times are before those of the recording, 0 for an ordinary delay [s]."""
+        """How much earlier the times are than those of the recording [s]; 0 for an ordinary delay."""
         stamped = self.clock is not None and self.clock.by_stamps
         return self.delay_s if self.delay_s and abs(self.delay_s) > OTHER_CLOCK_S and stamped else 0.0
 

@@ -93,7 +93,7 @@ def _by_stamp(log_time: Ints, stamp: Ints) -> Clock:
 
 
 def _recorded(log_time: Ints, stamp: Ints, trusted: Mask, words: str) -> Clock:
-    """Use recording times, minus the usual delay if there is one."""
+    """Use the recording times, shifted by the usual delay if it is known."""
     delay = int(np.median((log_time - stamp)[trusted])) if trusted.any() else 0
     if abs(delay) > LATENCY_NS:
         return Clock(log_time, None, f"{words}; log time", notes=_differ(log_time, stamp))
@@ -114,7 +114,7 @@ def _repaired(log_time: Ints, stamp: Ints, trusted: Mask, bad: dict[str, Mask]) 
 
 
 def _untrusted(log_time: Ints, stamp: Ints) -> dict[str, Mask]:
-    """Return reason -> the stamps (n,) that are untrusted for it."""
+    """Return the stamps (n,) that cannot be trusted, as a mask per reason."""
     zero = stamp == 0
     negative = stamp < 0
     off = np.zeros(len(stamp), bool)
@@ -159,7 +159,7 @@ def _bunched(log_time: Ints) -> Mask:
 
 
 def _off_the_clock(log_time: Ints, stamp: Ints) -> Mask:
-    """Split the stream where stamps jump against recording; mark pieces far from the delay of the longest one."""
+    """Split the stream where stamps jump against recording; mark pieces with another delay than the longest."""
     delay = log_time - stamp
     cuts = np.flatnonzero(np.abs(np.diff(delay)) > JUMP_NS) + 1
     if not len(cuts):
@@ -172,7 +172,7 @@ def _off_the_clock(log_time: Ints, stamp: Ints) -> Mask:
 
 
 def _differ(log_time: Ints, stamp: Ints) -> tuple[str, ...]:
-    """Report stamps and recording times of two different clocks."""
+    """Return a note if stamps and recording times are of two different clocks, else ()."""
     delay = float(np.median(log_time - stamp)) / 1e9
     if abs(delay) * 1e9 <= LATENCY_NS:
         return ()
@@ -186,7 +186,7 @@ def stamped_topics(types: Mapping[str, str], counts: Mapping[str, int]) -> list[
 
 
 def common_clock(pairs: Sequence[tuple[Ints, Ints]]) -> tuple[Ints, Ints] | None:
-    """Return log times and stamps (n,) of one clock, both rising, if the stamps of all topics are of another one.
+    """Return log times and stamps (n,), both rising, if all topics have stamps of one other clock; else None.
 
     `pairs` are log times and stamps (m,) of each topic. None where any is stamped as it was recorded, where they
     differ, or where stamps run backwards.
@@ -202,7 +202,7 @@ def common_clock(pairs: Sequence[tuple[Ints, Ints]]) -> tuple[Ints, Ints] | None
 
 
 def on_clock(clock: Clock, known: tuple[Ints, Ints]) -> Clock:
-    """Return the clock of messages without a header, which has log times, converted to the clock of the stamps."""
+    """Return recording times converted to the clock of the stamps, for messages without a header."""
     log_time, stamp = known
     inside = np.clip(clock.t_ns, log_time[0], log_time[-1])
     # beyond either end both clocks are taken to run alike

@@ -177,7 +177,7 @@ def _number(path: Path, line: int, word: str) -> float:
 
 
 def _ident(path: Path, line: int, word: str) -> int:
-    """Return the number of a landmark: a whole one."""
+    """Return the number of a landmark, which must be whole."""
     value = _number(path, line, word)
     if not abs(value) < MAX_IDENT or value != round(value):
         raise LocfuseError(f"{path}: line {line}: {word.strip()[:40]!r} is no id: whole numbers are read")

@@ -141,7 +141,7 @@ class TopicChannels:
 
 
 def by_topic(sources: Sequence[Source]) -> Mapping[str, TopicChannels]:
-    """Return topic -> its channels in all files, by topic name."""
+    """Return the channels of each topic in all files, by topic name."""
     carriers: dict[str, list[Carrier]] = {}
     for source in sources:
         for ident, channel in source.channels.items():
@@ -279,7 +279,7 @@ class Log:
         return self.topics.get(name)
 
     def _derive(self, name: str) -> tuple[Topic, Callable[[str], AnyStream]] | None:
-        """Return a topic that is made of another one or of a file, and what makes its stream in an order."""
+        """Return a topic derived from another topic or a file, and the function that makes its stream."""
         pair, number, source = pair_of(name), field_of(name), name.rpartition(":")[0]
         if pair is not None and self._is_tf(pair[0]):
             return self._of_frames(name, pair)
@@ -305,7 +305,7 @@ class Log:
         return LogStream(self, topic, self.topics[topic].msgtype, order)
 
     def _of_frames(self, name: str, pair: tuple[str, str, str]) -> tuple[Topic, Callable[[str], AnyStream]] | None:
-        """Return two frames of /tf, or the tags seen in a frame, as a topic; None without any tag."""
+        """Return a topic made of two frames of /tf, or of the tags seen in a frame; None if there is no tag."""
         tf, parent, child = pair
         source, edges = self.topics[tf], self.frames(tf)
         if child != OF_CAMERA:
@@ -399,7 +399,7 @@ class Log:
 
     @cached_property
     def stamps_clock(self) -> tuple[Ints, Ints] | None:
-        """Log times and stamps (n,) of the small topics, if their stamps are not of the recording's clock."""
+        """Log times and stamps (n,) of small topics, if stamps and recording use different clocks; else None."""
         readable = {name: t for name, t in self.topics.items() if self.recorded(name) and not t.problem}
         types = {name: topic.msgtype for name, topic in readable.items()}
         counts = {name: topic.count for name, topic in readable.items()}
@@ -503,7 +503,7 @@ class Log:
             yield raw
 
     def in_turn(self, topic: str) -> list[int]:
-        """Count the messages of channels of one file that write to a topic in turn; none for a single channel.
+        """Count each channel's messages if several channels of one file write to a topic alternately; else [].
 
         A recorder gives each publisher of a topic its own channel. One that starts again, and one whose messages
         are recorded twice, are no second publisher.
@@ -527,7 +527,7 @@ class Log:
 
 
 def _in_turn(source: Source, idents: Sequence[int]) -> list[int]:
-    """Return the counts of channels whose messages alternate and differ."""
+    """Return the message counts of channels that alternate in time with different messages; else []."""
     times: dict[int, list[Ints]] = {ident: [] for ident in idents}
     seen: dict[int, set[int]] = {ident: set() for ident in idents}
     for batch in source.batches(idents):
@@ -548,7 +548,7 @@ def _in_turn(source: Source, idents: Sequence[int]) -> list[int]:
 
 
 def _at_first(edge: FrameEdge) -> transforms.Transform:
-    """Return the first value of a transform."""
+    """Return the first recorded value of a transform."""
     return transforms.Transform(edge.parent, edge.child, transforms.matrices_of(edge.values[:1])[0])
 
 

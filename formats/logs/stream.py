@@ -83,7 +83,7 @@ class TopicTable:
         self._times = NO_TIMES  # log time and sequence in walk order, until the rows are sorted
 
     def missing(self, fields: Sequence[str]) -> tuple[str, ...]:
-        """Return the fields that still have to be read, with the stamp."""
+        """Return the fields, the stamp included, that still have to be read."""
         wanted = dict.fromkeys(fields)
         if self.stamp:
             wanted[self.stamp] = None
@@ -95,7 +95,7 @@ class TopicTable:
         return self.log_time is not None
 
     def begin(self, fields: Sequence[str]) -> None:
-        """Start collecting the missing ones of `fields`."""
+        """Start a pass that collects those of `fields` that are not read yet."""
         self._pass = Pass(self.missing(fields), self._expected)
 
     def feed(self, raw: Raw) -> None:
@@ -138,7 +138,7 @@ class TopicTable:
             self.frame_id = str(one.columns((path,)).columns[path][0])
 
     def end(self) -> bool:
-        """End the pass; return whether messages share a log time, so that their bytes must decide the order."""
+        """End the pass; return whether messages have equal log times, so that their bytes decide the order."""
         collected, self._pass = self._pass, Pass((), 0)
         columns = {name: self._finished(name, column) for name, column in collected.columns.items()}
         log_time, sequence = collected.log_time.array(), collected.sequence.array()
@@ -258,7 +258,7 @@ class Reader(Protocol):
 
     @property
     def stamps_clock(self) -> tuple[Ints, Ints] | None:
-        """Log times and stamps of the other topics, if these are not of the recording's clock."""
+        """Log times and stamps (n,) of other topics, if stamps and recording use different clocks; else None."""
 
 
 class LogStream:
@@ -459,7 +459,7 @@ def path_in(name: str, source: LogStream) -> clocks.MadeStream:
 
 
 def _last_message(source: LogStream) -> dict[str, Column]:
-    """Return the columns of the poses in the last message only."""
+    """Return the columns of only those poses that the last message holds."""
     found: dict[str, Column] = {name: np.empty(0) for name in OF_PATH}
     latest = -1
     for rows, columns in source.blocks(*OF_PATH, rows=16):

@@ -130,7 +130,7 @@ def frame_in(topic: str, edges: Sequence[FrameEdge], static: StaticTransforms) -
 def _path(
     source: str, parent: str, child: str, edges: Sequence[FrameEdge], static: StaticTransforms
 ) -> list[tuple[FrameEdge | Array, bool]]:
-    """Return the path from parent to child: each edge (a matrix (4, 4) if it never moves), and if it leads back.
+    """Return the edges on the path from parent to child (a matrix (4, 4) if constant), each with "is inverted".
 
     Raises LocfuseError if there is none.
     """
@@ -189,14 +189,14 @@ def tags_of(edges: Mapping[tuple[str, str], FrameEdge], camera: str) -> list[Fra
 
 
 def _again(edge: FrameEdge) -> NDArray[np.bool_]:
-    """Mark the transforms (n,) that are equal to the one before, to the bit."""
+    """Mark the transforms (n,) that exactly equal the one before."""
     same = np.zeros(len(edge.stamp), dtype=bool)
     same[1:] = (edge.values[1:] == edge.values[:-1]).all(axis=1)
     return same
 
 
 def _at(edge: FrameEdge, t_ns: Ints) -> Array:
-    """Return the transforms (n, 4, 4) at times within those of the edge, interpolated."""
+    """Return the interpolated transforms (n, 4, 4) of an edge at times t_ns (n,) within its range."""
     rows = edge.clock.rows
     values = edge.values if rows is None else edge.values[rows]
     last = np.append(np.diff(edge.clock.t_ns) > 0, True)  # of several at one time the last one counts

@@ -40,7 +40,7 @@ SPIN = "spin"  # code of the finding
 
 
 class Slip(NamedTuple):
-    """What the wheels' turning shows of their noise."""
+    """The noise of the wheels as their turning shows it."""
 
     factor: float  # by which `wheels.noise` should be multiplied
     seen: float  # rad, over LONG_S: 1 sigma of the turn that slips add
@@ -138,7 +138,7 @@ def _growth(short: _Spread, long: _Spread, least: float) -> tuple[float, float] 
 
 
 def _turns(t: Array, heading: Array, window: float, wheels: Wheels) -> _Spread | None:
-    """Return the differences of a sensor's turns from the wheels', and the differences that slip should cause."""
+    """Return the turn differences between sensor and wheels over windows, and the part that slip explains."""
     last = np.searchsorted(t, t + window)
     first = np.flatnonzero(last < len(t))
     start, end = t[first], t[last[first]]
@@ -184,7 +184,7 @@ def _robust_sigma(rest: Array) -> float:
 
 
 def of_spins(drive: Drive, t: Array, pose: Array, name: str, jumps: Sequence[float] = ()) -> list[Finding]:
-    """Return when the wheels rolled on while a path, poses (n, 3) at times t (n,), did not move as far.
+    """Return a finding on times at which the wheels rolled further than a path (n, 3) at t (n,) moved.
 
     A path may jump at the times `jumps` [s] where it was corrected: these tell nothing of the wheels.
 

@@ -177,6 +177,10 @@ class Evidence(Noise):
         open_ = [f for f in found if not f.fixes] + ([] if self._open_scale else self._distances)
         return [*known, *(self._candidate(f, ()) for f in open_)]
 
+    def slips(self) -> list[Candidate]:
+        """Return the wheels' noise if their turning shows it, and their distances are not in doubt."""
+        return [] if self._open_scale or self._distances else super().slips()
+
     @cached_property
     def _distances(self) -> list[Finding]:
         """Return a finding if the laser's path and the wheels differ in distance and there is no truth."""
@@ -374,7 +378,11 @@ class Evidence(Noise):
         scans = drive.measurements.get(LASER)
         if scans is None or np.median(np.diff(scans.t, append=np.inf)) > MAX_SCAN_PERIOD_S:
             return []
-        return [f for e in runs for f in of_spins(drive, e.t, e.pose, "laser's path", [j.t for j in e.jumps])]
+        return [
+            f
+            for e in runs
+            for f in of_spins(drive, e.t, e.pose, "laser's path", [j.t for j in e.jumps if j.step[2]])
+        ]
 
 
 def _ways(finding: Finding) -> tuple[Fixes, ...]:

@@ -371,10 +371,10 @@ class JointBelief(ekf.State):
 
     # ---- the pose is set ----
 
-    def shift(self, turn: float, xy: float, theta: float) -> None:
-        """Turn the pose by `turn` [rad] and add variances xy [m^2] and theta [rad^2], after a slip was found."""
+    def shift(self, step: Pose, xy: float, theta: float) -> None:
+        """Add a step (3,) [m, m, rad] to the pose, and variances xy [m^2] and theta [rad^2], after a slip."""
         behind, before = self._behind(), self._before()
-        self._x[2] += turn
+        self._x[:3] += step
         self._P[(0, 1, 2), (0, 1, 2)] += (xy, xy, theta)
         if self.events is not None:
             noise = np.diag((xy, xy, theta))

@@ -26,6 +26,7 @@ from .line_map import Association, LineMap
 from .place_search import behind_walls, find_pose, walls_of
 from .scan import Scan
 from .slips import (
+    DECIDING_SCANS,
     SLIP_SIGMA_M,
     SLIP_SIGMA_RAD,
     Seen,
@@ -35,6 +36,7 @@ from .slips import (
     agree,
     continues,
     slip_turn,
+    tried,
     with_slip,
 )
 
@@ -53,6 +55,11 @@ MIN_VIEW_RAD, SCANS_BEFORE_JUMP = math.radians(90.0), 5
 # that walls must fill to show a slip: a few short lines match at some heading
 MIN_SLIP_VIEW_RAD = math.radians(45.0)
 SLIP_MAX_SHARE = 0.2  # a slip turns everything: where more than this share still matches, there was none
+# m by which a slip ahead may move walls from one scan to the next: several, as a wide gate may fit two walls
+SLIDE_SIGMAS_M = (0.03, 0.1)
+MIN_SLIDE_M, MIN_SLIDE_SHARE = 0.02, 0.2  # m, share of what was rolled: less is no slip ahead
+MIN_SLIDE_RATIO = 3.0  # of ahead over aside
+MIN_SLIDE_GAIN = 0.1  # share of the seen length that must match beyond what did before
 LOST_SIGMA_M = 5.0  # m: standard deviation of a robot that does not know where it is
 PLACED_SIGMA_M, PLACED_SIGMA_RAD = 0.15, math.radians(3.0)  # m, rad: after it was found again
 CARRY_M_PER_S, CARRY_RAD_PER_S = 0.5, math.radians(30.0)  # m, rad within a second: somebody may carry a lost robot
@@ -65,7 +72,8 @@ SAME_PLACE_M, SAME_PLACE_RAD = 0.12, math.radians(4.0)  # m, rad: within which t
 MAX_LOST_SCANS = 60
 
 Again = Callable[[], Association]  # associates the scan at hand with the belief as it is now
-Slipped = Callable[[], float | None]  # rad by which the robot has turned more than its wheels say; None: not known
+# (3,) m, m, rad: how much more the robot moved than its wheels say; None: not known
+Slipped = Callable[[], Array | None]
 
 
 class Guard:
@@ -81,12 +89,13 @@ class Guard:
         self._place: tuple[Array, Pose, int] | None = None  # belief and pose found first, scans that agree
         self._suspicion: Suspicion | None = None
         self._series = Series()
+        self._slide: tuple[Array, ...] = ()  # (3,) each: slips that the last scans show, not yet confirmed
+        self._slide_id = 0  # of the first line born since the first of them
         self._trail = Trail()  # since it is lost
         self._well = (0.0, 0)  # when a scan last fitted well, and the number of the first line born after it
         self._before: deque[Seen] = deque(maxlen=SCANS_BEFORE_JUMP)  # the last scans
         self._before_torn: Sequence[Seen] = ()  # the last ones before the walls jumped
         self._torn = False  # the walls jumped, and little has matched since
-        self._last = (math.inf, math.inf, math.inf)
         self._now = 0.0
         self._after: Pose | None = None  # where the robot was believed to be once the last scan had corrected it
         self._wheels: Pose = (0.0, 0.0, 0.0)  # by the wheels alone
@@ -97,14 +106,14 @@ class Guard:
         """Note the pose after a scan; the wheels predict from there."""
         self._after = pose
 
-    def fits(self, t: float, share: float, pose: Pose, scan: Scan, next_id: int) -> bool:
-        """Return whether enough of a scan matches to use it; False: `watch` decides. The scan is stored.
+    def _fits(self, t: float, share: float, pose: Pose, scan: Scan, next_id: int) -> bool:
+        """Return whether enough of a scan matches to use it, and store the scan then.
 
         `pose` is predicted, `next_id` the number of the next map line.
         """
         if self._lost_from is not None or self._suspicion is not None or not share >= MIN_MATCHED_SHARE:
             return False
-        self._now, self._last = t, pose
+        self._now = t
         self._before.append((t, self._rolled(pose), scan))
         if share >= WELL_SHARE:
             self._well = (t, next_id)
@@ -123,15 +132,19 @@ class Guard:
         slipped: Slipped,
     ) -> tuple[Association, bool]:
         """Return the association to use and whether the scan may correct pose and map."""
+        share, moved = found.share(), self._moved(belief.pose())
+        if moved and share < WELL_SHARE and self._slid(share, lines, belief, again, slipped):
+            found = again()
+            share = found.share()
+        if self._fits(t, share, belief.pose(), scan, lines.next_id):
+            return found, True
         dt, self._now = t - self._now, t
-        moved = self._moved(belief)
         now = (t, self._rolled(belief.pose()), scan)
         before = tuple(self._before)
         self._before.append(now)
         if self._lost_from is not None:
             _keep_open(belief, dt)
             return self._search(t, scan, found, lines, belief, again)
-        share = found.share()
         if share >= MIN_MATCHED_SHARE:
             self._series.ends()
         turn, asked = None, self._suspicion is not None
@@ -148,6 +161,53 @@ class Guard:
         teach = self._believed(before, now, share, lines, belief)
         return again(), teach and self._suspicion is None
 
+    def _slid(self, share: float, lines: LineMap, belief: JointBelief, again: Again, slipped: Slipped) -> bool:
+        """Move the pose back or on where both wheels slipped alike; return whether they did.
+
+        Against an obstacle or on a smooth floor walls along the way still match, and those across it do once the
+        pose is where matched scans put it. Several in a row must show the slip.
+        """
+        before, self._slide = self._slide, ()
+        if self._lost_from is not None or self._suspicion is not None:
+            return False
+
+        def gains(x: float, y: float, sigma: float) -> bool:
+            with tried(belief, (x, y, 0.0), sigma**2, 0.0):
+                return bool(again().share() >= share + MIN_SLIDE_GAIN)
+
+        if not before and not any(gains(0.0, 0.0, sigma) for sigma in SLIDE_SIGMAS_M):
+            return False
+        step = slipped()
+        if step is None or abs(step[2]) > SLIP_SIGMA_RAD or not self._is_ahead(step, belief.pose()):
+            return False
+        steps = np.array((*before, step)) if not before or step[0] * before[-1][0] >= 0.0 else step[None]
+        if len(steps) == 1:
+            self._slide_id = lines.next_id
+        if len(steps) < DECIDING_SCANS:
+            self._slide = tuple(steps)
+            return False
+        x, y = se2.rotated(np.array(belief.theta), steps[:, :2].sum(axis=0)).tolist()
+        self._slide = tuple(np.zeros((DECIDING_SCANS - 1, 3)))  # confirmed: the next scan counts at once
+        _forget_since(self._slide_id, lines, belief)
+        self._slide_id = lines.next_id
+        belief.shift((x, y, 0.0), SLIP_SIGMA_M**2, 0.0)
+        self._note_slide(x, y)
+        return True
+
+    def _is_ahead(self, step: Array, pose: Pose) -> bool:
+        """Return whether a slip (3,) is along the way, and large beside the way since the last scan."""
+        x, y, _ = self._after or pose
+        least = max(MIN_SLIDE_M, MIN_SLIDE_SHARE * math.hypot(pose[0] - x, pose[1] - y))
+        return bool(abs(step[0]) >= max(least, MIN_SLIDE_RATIO * abs(step[1])))
+
+    def _note_slide(self, x: float, y: float) -> None:
+        """Note a slip ahead [m, map]; what goes on from scan to scan is one jump."""
+        last = self._jumps[-1] if self._jumps else None
+        if last is not None and last.kind == SLIP and not last.step[2] and self._now - last.t < MAX_GAP_S:
+            x, y = x + last.step[0], y + last.step[1]
+            self._jumps.pop()
+        self._jumps.append(Jump(self._now, SLIP, (x, y, 0.0)))
+
     def _suspected(
         self, scan: Scan, lines: LineMap, belief: JointBelief, again: Again, slipped: Slipped
     ) -> float | None:
@@ -158,7 +218,8 @@ class Guard:
         if Suspicion.waits(turn):
             self._suspicion = Suspicion(turn)
             return None
-        return turn if agree(slipped(), turn) else None
+        step = slipped()
+        return turn if step is not None and agree(float(step[2]), turn) else None
 
     def _weighed(
         self,
@@ -177,7 +238,8 @@ class Guard:
         suspicion.look(kept, with_slip(belief, suspicion.turn, again).share())
         if not suspicion.decided:
             return None
-        self._suspicion, by_scans = None, slipped()
+        step = slipped()
+        self._suspicion, by_scans = None, None if step is None else float(step[2])
         if by_scans is not None and abs(by_scans) < SLIP_SIGMA_RAD:
             return None
         turns = [turn for turn in (suspicion.turn, slip_turn(scan, lines, belief, again)) if turn is not None]
@@ -189,7 +251,7 @@ class Guard:
 
     def _turned(self, turn: float, belief: JointBelief, again: Again) -> Association:
         """Turn the pose by a slip [rad]."""
-        belief.shift(turn, SLIP_SIGMA_M**2, SLIP_SIGMA_RAD**2)
+        belief.shift((0.0, 0.0, turn), SLIP_SIGMA_M**2, SLIP_SIGMA_RAD**2)
         self._jumps.append(Jump(self._now, SLIP, (0.0, 0.0, turn)))
         self._since, self._torn = None, False
         return again()
@@ -219,15 +281,10 @@ class Guard:
         if self._intervals and self._lost_from <= self._intervals[-1][1]:  # what was found was no place
             self._lost_from = min(self._lost_from, self._intervals.pop()[0])
         belief.lost, self._suspicion = True, None
-        self._forget_since_well(lines, belief)
+        _forget_since(self._well[1], lines, belief)
         self._trail.forget()
         self._tried = 0
         belief.place((belief.x, belief.y, belief.theta), LOST_SIGMA_M**2, math.pi**2 / 3.0)
-
-    def _forget_since_well(self, lines: LineMap, belief: JointBelief) -> None:
-        gone = np.flatnonzero(lines.ids >= self._well[1])
-        if len(gone) < len(lines):
-            belief.remove(lines.drop(gone))
 
     def _rolled(self, here: Pose) -> Pose:
         """Return the pose by the wheels alone, continued from the last scan."""
@@ -239,7 +296,6 @@ class Guard:
         """Continue in another map; earlier scans, in the frame of the old map, are dropped."""
         self._before.clear()
         self._since = self._after = self._suspicion = None
-        self._last = (math.inf, math.inf, math.inf)
         self._torn = False
 
     def gives_up(self) -> bool:
@@ -260,7 +316,6 @@ class Guard:
         """Continue with a new map, in which the robot's pose is known exactly."""
         self._before.clear()
         self._since = self._place = self._suspicion = None
-        self._last = (math.inf, math.inf, math.inf)
         self._trail.forget()
         self._after = None
         if self._lost_from is not None or belief.lost:
@@ -312,10 +367,10 @@ class Guard:
         self._place = (here, pose, 1)
         return False
 
-    def _moved(self, belief: JointBelief) -> bool:
-        x, y, theta = self._last
-        self._last = (belief.x, belief.y, belief.theta)
-        return math.hypot(belief.x - x, belief.y - y) > MIN_MOVED_M or abs(belief.theta - theta) > MIN_TURNED_RAD
+    def _moved(self, pose: Pose) -> bool:
+        """Return whether the wheels moved since the last scan."""
+        x, y, theta = self._after or (math.inf, math.inf, math.inf)
+        return math.hypot(pose[0] - x, pose[1] - y) > MIN_MOVED_M or abs(pose[2] - theta) > MIN_TURNED_RAD
 
     def intervals(self) -> list[tuple[float, float]]:
         """Return when the robot was lost, (start, end) [s]; an interval without end is open (infinite)."""
@@ -335,6 +390,13 @@ class Guard:
             slips = "1 wheel slip" if n == 1 else f"{n} wheel slips"
             words.append(f"{slips} recovered by the lines of the map")
         return words
+
+
+def _forget_since(first: int, lines: LineMap, belief: JointBelief) -> None:
+    """Drop the lines with the number `first` and later ones, unless these are all."""
+    gone = np.flatnonzero(lines.ids >= first)
+    if len(gone) < len(lines):
+        belief.remove(lines.drop(gone))
 
 
 def in_map(belief: JointBelief) -> Array:
@@ -384,4 +446,4 @@ def _keep_open(belief: JointBelief, dt: float) -> None:
     """Add noise to the pose of a lost robot, whose wheels may turn in the air."""
     theta = float(belief.matrix()[2, 2])
     fades = min(CARRY_RAD_PER_S**2 * dt, max(math.pi**2 / 3.0 - theta, 0.0))
-    belief.shift(0.0, CARRY_M_PER_S**2 * dt, fades)
+    belief.shift((0.0, 0.0, 0.0), CARRY_M_PER_S**2 * dt, fades)

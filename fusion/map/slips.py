@@ -208,18 +208,21 @@ def slip_turn(scan: Scan, lines: LineMap, belief: JointBelief, again: Callable[[
 
 def with_slip(belief: JointBelief, turn: float, again: Callable[[], Association]) -> Association:
     """Return the association of the present scan with the heading turned by a slip [rad]."""
-    with tried(belief, turn, SLIP_SIGMA_M**2, SLIP_SIGMA_RAD**2):
+    with tried(belief, (0.0, 0.0, turn), SLIP_SIGMA_M**2, SLIP_SIGMA_RAD**2):
         return again()
 
 
 @contextmanager
-def tried(belief: JointBelief, turn: float, xy: float, theta: float) -> Iterator[None]:
-    """Shift the belief inside this context."""
-    belief.shift(turn, xy, theta)
+def tried(belief: JointBelief, step: Pose, xy: float, theta: float) -> Iterator[None]:
+    """Shift the belief by a step (3,) with variances xy [m^2], theta [rad^2] inside this context, unrecorded."""
+    events, belief.events = belief.events, None
+    belief.shift(step, xy, theta)
     try:
         yield
     finally:
-        belief.shift(-turn, -xy, -theta)
+        x, y, turn = step
+        belief.shift((-x, -y, -turn), -xy, -theta)
+        belief.events = events
 
 
 def _turns(scan: Scan, lines: LineMap, recent: Ints, belief: JointBelief) -> list[float]:

@@ -37,7 +37,7 @@ from locfuse.fusion.kernels.sight import Rules
 from locfuse.fusion.lines.extract import rows_in_base
 from locfuse.fusion.lines.scans import bend
 from locfuse.fusion.mount import Mount
-from locfuse.fusion.scan_matching.neighbours import turned_beyond_wheels
+from locfuse.fusion.scan_matching.neighbours import beyond_wheels
 from locfuse.fusion.scan_matching.solve import NOWHERE
 from locfuse.fusion.sensor import Block, Model
 
@@ -176,13 +176,11 @@ class LineTracker(Model):
             self._sight = Association(self.rules, seat_of(self.mount, belief))
         shared = self._shared(m, first, last)
         found = self._sight
-        share = found.compare(belief, self.map, rows, shared)
+        found.compare(belief, self.map, rows, shared)
         scan = self._seen = _in_base(rows, None if self.mount is None else found.moved())
-        if self.guard is not None and not self.guard.fits(
-            self._t[i], share, belief.pose(), scan, self.map.next_id
-        ):
+        if self.guard is not None:
             again = partial(associate, rows, self.map, belief, found, shared)
-            slipped = partial(turned_beyond_wheels, m, self._fitted, i)
+            slipped = partial(beyond_wheels, m, self._fitted, i)
             found, self._teach = self.guard.watch(self._t[i], scan, found, self.map, belief, again, slipped)
         if not self._teach:
             self._standing.forget()

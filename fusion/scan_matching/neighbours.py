@@ -103,14 +103,18 @@ def _scan_after(m: Measurements, points: Points, scans: Ints) -> Array:
     return np.where(good(found)[:, None], found.pose, u)
 
 
-def turned_beyond_wheels(m: Measurements, a: int, b: int) -> float | None:
-    """Return the turn from reading a to b by scan matching, minus the turn by the wheels [rad].
+def beyond_wheels(m: Measurements, a: int, b: int) -> Array | None:
+    """Return the motion from reading a to b by scan matching, minus that by the wheels: (3,) m, m, rad.
 
-    None where they do not match.
+    In the frame of a; None where they do not match.
     """
     if m.points is None or a < 0:
         return None
     u = m.points.moved(m.t[[a]], m.t[[b]])
     clouds = clouds_of(m, np.array([a, b]))
     found = next_scans(Targets(clouds), np.array([0]), sources_of(clouds), np.array([1]), u, by_wheels(u))
-    return se2.wrap(float(found.pose[0, 2] - u[0, 2])) if good(found)[0] else None
+    if not good(found)[0]:
+        return None
+    more: Array = found.pose[0] - u[0]
+    more[2] = se2.wrap(float(more[2]))
+    return more

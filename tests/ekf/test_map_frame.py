@@ -186,7 +186,7 @@ def test_a_slip_turns_the_pose_and_leaves_the_way_from_what_is_kept_as_it_was() 
     belief.clone_pose(4)
     belief.predict(STEP, 0)
     x, P = belief.state.copy(), belief.covariance.copy()
-    belief.shift(0.2, 0.01, 0.02)
+    belief.shift((0.0, 0.0, 0.2), 0.01, 0.02)
     after = belief.state
     np.testing.assert_allclose(after[:3], (x[0], x[1], x[2] + 0.2), atol=1e-15)
     np.testing.assert_allclose(belief.matrix(), P[:3, :3] + np.diag([0.01, 0.01, 0.02]), atol=1e-15)

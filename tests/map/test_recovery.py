@@ -176,6 +176,22 @@ def test_a_slip_of_a_wheel_is_found_and_turned_back() -> None:
     assert found.notes == ("lrf: 1 wheel slip recovered by the lines of the map",)
 
 
+@pytest.mark.parametrize("begin", [4.0, 7.0])
+def test_a_slip_of_both_wheels_ahead_is_found_and_taken_back(begin: float) -> None:
+    """The wheels roll on for a second, 0.5 m, in which the robot stands."""
+
+    class Spinning(World):
+        def pose(self, t: Array, x0: tuple[float, float, float] | None = None) -> Array:
+            return super().pose(np.where(t < begin, t, np.maximum(begin, t - 1.0)), x0)
+
+    found, figures = judged(Spinning(seconds=10.0, turning=0.0, speed=0.5, sigma_range=0.01), ["lrf"])
+    after = figures.t > begin + 1.5
+    assert np.hypot(*figures.deviation[after].T).max() < 0.05
+    assert found.notes == ("lrf: 1 wheel slip recovered by the lines of the map",)
+    (slip,) = found.jumps
+    assert slip.step == pytest.approx((-0.5, 0.0, 0.0), abs=0.1)
+
+
 # --- a slip turns the pose only where the next scans and matched scans confirm it; a carried robot slips for ever
 
 FALSE_TURN = math.radians(-8.0)

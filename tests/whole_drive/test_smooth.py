@@ -197,7 +197,7 @@ def _see(belief: JointBelief, columns: list[int], k: int) -> None:
     G = np.array([[0.6, 0.8, 0.2], [0.0, 0.0, 1.0]])
     columns.append(belief.augment(rng.normal(size=2), G, 0.02 * np.eye(2)))
     if k == 4:
-        belief.shift(0.2, 0.01, 0.02)
+        belief.shift((0.0, 0.0, 0.2), 0.01, 0.02)
     if k == 7:
         belief.place((3.0, 2.0, 1.0), 4.0, 2.0)
     if k % 3 == 2:

@@ -13,12 +13,12 @@ from locfuse.fusion.data import ODOMETRY, Drive, Estimates, Evaluation
 from locfuse.fusion.judge.against import Reference
 from locfuse.fusion.judge.consistency import Consistency, Run, judge
 from locfuse.fusion.judge.credit import (
-    MAX_UNSURE,
     MIN_EFFECT,
     Credit,
     Effect,
     SensorCredit,
     overconfident,
+    unsure,
     verdict,
 )
 from locfuse.fusion.judge.evaluate import Honesty, honesty
@@ -39,6 +39,7 @@ TRUST_SENSORS = (
 TRUST_STRETCHES = (
     "Self-check: the only sensor was switched off every other five seconds, and its readings there were predicted."
 )
+MIN_UNPROVEN_NATS = 0.1  # nats per number: less that is not proven is chance
 MIN_HARM_RATIO = 1.25  # of position errors with and without a sensor: less is not reported
 
 
@@ -235,7 +236,7 @@ def _main_words(c: SensorCredit, main: Effect, several: bool, few: str, base: st
     if c.verdict == "no effect seen":
         if abs(main.value) < MIN_EFFECT:
             return what
-        if min(-main.low, main.high) > MAX_UNSURE:
+        if unsure(main):
             return f"{what} {few}"
         return f"{what} The filter gives it almost no weight, so this change is probably chance." if sure else what
     return what if sure else f"{what} {few}"
@@ -401,9 +402,10 @@ def by_reference(
 def _grade(mine: Sequence[Score], gain: float) -> str:
     if abs(gain) <= MIN_GAIN_NATS or (gain < 0.0 and all(s.shared for s in mine)):
         return "no effect seen"
-    if gain > 0.0:
-        return "helps" if all(s.low > 0.0 for s in mine) else "seems to help"
-    return "hurts" if all(s.high < 0.0 for s in mine) else "seems to hurt"
+    does = "help" if gain > 0.0 else "hurt"
+    if all(s.low > 0.0 if gain > 0.0 else s.high < 0.0 for s in mine):
+        return f"{does}s"
+    return f"seems to {does}" if abs(gain) >= MIN_UNPROVEN_NATS else "no effect seen"
 
 
 def _by_itself(score: Score, base: str) -> dict[str, Any]:

@@ -25,7 +25,7 @@ Verdict = Literal["helps", "seems to help", "no effect seen", "seems to hurt", "
 
 MIN_EFFECT = 0.02  # an effect below 2 % is none, however certain
 MIN_EXPECTED_EFFECT = 0.15  # an effect whose interval includes none is only seen from 15 % on
-MAX_UNSURE = math.log(10.0)  # an interval that reaches ten times smaller and ten times larger shows nothing
+MAX_UNSURE = math.log(10.0)  # of an effect's interval, the other way: beyond it shows nothing
 MIN_HARM_LAST = 0.10  # a set that is surely 10 % better without the sensor is hurt by it
 MAX_ANEES, MAX_ANEES_RATIO = 10.0, 5.0  # overconfident: ANEES above this, and this many times the one before
 MAX_CONSISTENT_ANEES = 3.0  # a run with more is inconsistent, and its covariance is no evidence
@@ -50,9 +50,9 @@ def verdict(
     """Return the grade of a sensor; "no verdict" if nothing was compared.
 
     Helps or hurts: the interval of the effect excludes none (or the set is surely better off without the sensor).
-    Seems to: the effect is large and its interval includes none. The filter's own covariance has a veto where it
-    is consistent (ANEES): a sensor from which it takes nothing changed the error by chance. Being overconfident is
-    no reason to be called harmful: `overconfident` says it beside the grade.
+    Seems to: the effect is large and its interval includes none, but not far the other way (`unsure`). The own
+    covariance of the filter has a veto where it is consistent (ANEES): a sensor from which it takes nothing
+    changed the error by chance. Being overconfident is no harm: `overconfident` says it beside the grade.
     """
     main = shapley or alone or last
     if main is None:
@@ -61,13 +61,18 @@ def verdict(
         return "hurts"
     if _surely(main, 1.0):
         return "helps"
-    if min(-main.low, main.high) > MAX_UNSURE:
+    if unsure(main):
         return "no effect seen"
     consistent = anees is None or anees[1] <= MAX_CONSISTENT_ANEES
     vetoed = consistent and main.expected is not None and abs(main.expected) < MIN_EXPECTED_EFFECT
     if abs(main.value) <= MIN_EXPECTED_EFFECT or vetoed:
         return "no effect seen"
     return "seems to help" if main.value > 0.0 else "seems to hurt"
+
+
+def unsure(effect: Effect) -> bool:
+    """Return whether an effect may as well be ten times the other way."""
+    return (-effect.low if effect.value > 0.0 else effect.high) > MAX_UNSURE
 
 
 def overconfident(anees: tuple[float, float] | None) -> bool:

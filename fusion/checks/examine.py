@@ -97,12 +97,7 @@ def _scales(
     radius = [] if by_truth else of_radius(motion, robot, **named)
     if radius and least is None:
         return radius  # one cause of what looks like a wrong track and a wrong range scale
-    by_wheels = robot.wheels.radius is not None
-    track = (
-        of_track(drive, robot.wheels, by_sensor, motion, factor if least is None else 1.0, **named)
-        if by_wheels
-        else []
-    )
+    track = of_track(drive, robot.wheels, by_sensor, motion, factor if least is None else 1.0, **named)
     if track:
         scaled = [replace(o, fixes=o.fixes[:1]) for o in scaled]
     # who tries fixes tries all three

@@ -223,7 +223,7 @@ def wheels_metre(drive: Drive) -> tuple[float, float] | None:
 def metre(drive: Drive, robot: Robot, least: Least = WORTH_SAYING) -> tuple[float, list[Finding]]:
     """Return the scale factor of the wheels' distances and its fix, if it is off by `least` or more."""
     found = wheels_metre(drive)
-    if found is None or robot.wheels.radius is None:
+    if found is None or drive.wheels.matched is not None:
         return 1.0, []
     factor, sigma = found
     if abs(factor - 1.0) < least.error + least.sigmas * sigma:
@@ -232,10 +232,15 @@ def metre(drive: Drive, robot: Robot, least: Least = WORTH_SAYING) -> tuple[floa
         f"they measure {abs(1.0 / factor - 1.0):.1%} too {'short' if factor > 1.0 else 'long'} by the truth "
         f"(± {sigma:.1%})"
     )
-    radius = robot.wheels.radius * factor
-    fixes = [f"wheels.radius={radius:.4g}"]
-    if robot.wheels.track is not None:  # what turns right must go on turning right
-        fixes.append(f"wheels.track={robot.wheels.track * factor:.4g}")
+    fixes = []
+    if robot.wheels.radius is not None:
+        fixes.append(f"wheels.radius={robot.wheels.radius * factor:.4g}")
+        if robot.wheels.track is not None:  # what turns right must go on turning right
+            fixes.append(f"wheels.track={robot.wheels.track * factor:.4g}")
+    elif robot.wheels.estimate:
+        return factor, []
+    else:  # the driver's radius, which no setting here changes: the filter may find the scale
+        fixes.append("wheels.estimate=true")
     return factor, [Finding("wheels", WHEEL_SCALE, words, tuple(fixes), abs(factor - 1.0) > SEVERE_SCALE_ERROR)]
 
 

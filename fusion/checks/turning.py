@@ -206,7 +206,10 @@ def of_track(
     `metre` is by how much another fix will scale the wheels' metre: the track follows. A track that is off by less
     than `least` is not named; slips, which turn the robot by chance, are part of its sigma.
     """
-    configured = settings.track
+    of_driver = settings.track is None and settings.radius is None  # an odometry turns by its own track
+    if of_driver and (settings.estimate or drive.wheels.matched is not None or settings.wheelbase is not None):
+        return []
+    configured = 1.0 if of_driver else settings.track
     found = observed_track(configured or 0.0, drive, by_sensor, motion)
     if configured is None or found is None:
         return []
@@ -217,6 +220,9 @@ def of_track(
     slips = sigma if least == WORTH_SAYING else 0.0
     if abs(off) < max(least.error + least.sigmas * own / track, least.sigmas * slips / track):
         return []
+    if of_driver:
+        words = f"they turn {abs(off):.1%} too {'far' if off > 0.0 else 'little'} by {by} (1 sigma {sigma:.1%})"
+        return [Finding("wheels", "track", words, ("wheels.estimate=true",), abs(off) > SEVERE_TRACK_ERROR)]
     words = (
         f"the track is {configured:g} m, but the turning of {by} says {track:.3f} m (1 sigma {sigma:.3f}); "
         "or let the filter find it (wheels.estimate=true)"

@@ -44,7 +44,7 @@ class Steered(NamedTuple):
 
 
 class RobotFacts(msgspec.Struct, frozen=True):
-    """Facts about the robot from the log, beside robot.toml."""
+    """Facts about the robot that its log shows, in addition to robot.toml."""
 
     described: WheelGeometry | None = None  # by /robot_description
     fitted: Geometry | None = None  # by an odometry topic made from the same wheels
@@ -84,7 +84,7 @@ class Overview(msgspec.Struct):
 
 
 def find_robot_facts(log: Log, robot: Robot, choice: Choice, loaded: Loaded | None = None) -> RobotFacts:
-    """Search for wheel geometry beyond robot.toml; by a truth or by matched scans, if the log was `loaded`."""
+    """Search for wheel geometry in the log; if it was `loaded`, also by truth or by matched scans."""
     described = _described(log)
     counters = _counters(log, robot, choice)
     if not counters:
@@ -209,7 +209,7 @@ def _joints(log: Log, topic: str, robot: Robot) -> tuple[str, str] | None:
 
 
 def _ways(names: list[tuple[str, ...]], positions: Ragged) -> dict[str, float]:
-    """Return the total movement of every joint, in its unit."""
+    """Return the total movement of every joint, in the joint's unit."""
     at: dict[str, list[float]] = {}
     for i, row in enumerate(names):
         values = positions[i]

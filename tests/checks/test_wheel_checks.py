@@ -13,8 +13,9 @@ from present import present
 from small_drive import NOISE, drive, robot
 
 from locfuse.cli.session.session import load
+from locfuse.fusion import se2
 from locfuse.fusion.checks.finding import Finding
-from locfuse.fusion.checks.slip import LONG_S, MAX_FACTOR, SHORT_S, of_spins, slip
+from locfuse.fusion.checks.slip import LONG_S, MAX_FACTOR, SHORT_S, beside_path, of_spins, slip
 from locfuse.fusion.checks.turning import of_turning
 from locfuse.fusion.checks.unseen import unseen
 from locfuse.fusion.data import Drive
@@ -107,6 +108,24 @@ def test_sensors_that_disagree_about_slip_vouch_for_nothing() -> None:
     found = present(slip(replace(one, measurements=wandering)))
     assert found.by == "lrf"
     assert not found.agreed
+
+
+@pytest.mark.parametrize("noise", [0.0, 4.0 * NOISE])
+def test_noise_ahead_counts_where_the_turns_show_less(noise: float) -> None:
+    """A path beside which the wheels err ahead by `noise`, and in turns by NOISE: variances of a wheel."""
+    one = configured(drawn(7), 12.0)
+    turns = slip(one)
+    assert turns is not None
+    assert turns.unusual
+    t = np.arange(one.wheels.t[0], one.wheels.t[-1], 0.1)
+    steps = one.wheels.relative(t[:-1], t[1:])
+    steps[:, 0] += np.random.default_rng(7).normal(size=len(steps)) * np.sqrt(0.5 * noise * np.abs(steps[:, 0]))
+    found = beside_path(turns, one, t, se2.chain(steps))
+    if noise:
+        assert found.factor == pytest.approx(4.0 / 12.0, rel=0.35)
+        assert " mm in 2 s" in found.words
+    else:
+        assert found == turns
 
 
 def test_wheels_that_spin_together_are_named_with_their_time_and_way() -> None:

@@ -136,7 +136,8 @@ def compare_log(
         filtered.append(first)
         smoothed += after if c.is_smoothed(asked, robot) else []
         plain |= {} if c.rates else {frozenset(c.sensors): first}
-        wholes |= {first.estimates.name: j.estimates for j in after}
+        if after:
+            wholes[first.estimates.name] = after[0].estimates
     present = [s for s in REGISTRY if s in drive.measurements]
     judged = {sensors: j.evaluation for sensors, j in plain.items()}
     found = credit(judged, present) if drive.truth is not None else None
@@ -173,9 +174,7 @@ def compare_log(
     return replace(compared, reference=referenced, evaluations=[e for e, _ in again.values()])
 
 
-def _effect(
-    references: References, sensor: str, plain: Mapping[frozenset[str], JudgedRun]
-) -> ByReference | None:
+def _effect(references: References, sensor: str, plain: Mapping[frozenset[str], JudgedRun]) -> ByReference | None:
     """Return the effect of a sensor on the error, by a reference without it; None if nothing was run."""
     reference, before = references.without(sensor), frozenset(needed(sensor))
     after = before | {sensor}

@@ -175,7 +175,7 @@ def compare_log(
 
 
 def _effect(references: References, sensor: str, plain: Mapping[frozenset[str], JudgedRun]) -> ByReference | None:
-    """Return the effect of a sensor on the error, by a reference without it; None if nothing was run."""
+    """Return errors without and with a sensor, by a reference that does not use it; None if they were not run."""
     reference, before = references.without(sensor), frozenset(needed(sensor))
     after = before | {sensor}
     if reference is None or before not in plain or after not in plain:
@@ -222,7 +222,7 @@ def _other_frame(estimates: Estimates, drive: Drive) -> float | None:
 
 
 def _in_frame_of(e: Estimates, drive: Drive, references: References | None, align: str) -> tuple[Estimates, Align]:
-    """Return a foreign estimate and its alignment: one in another frame is moved at its first pose."""
+    """Return a foreign estimate and its alignment; if it starts in another frame, its first pose is aligned."""
     whole = None if references is None else references.whole
     seen, judge, what = (e, drive, "truth") if whole is None else (whole.seen(e), whole.drive, "reference")
     away = _other_frame(seen, judge) if align == "none" else None
@@ -260,7 +260,7 @@ def predict(
 
 
 def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
-    """Return the report as plain values: report.json. With the options `asked` it has a key."""
+    """Return the report as plain values: report.json. `asked` adds the key and the command to repeat it."""
     report = results.build(compared.loaded, compared.evaluations)
     tables = compared.loaded.given
     report["key"] = key(compared.loaded.log.identity, tables, asked) if asked and tables is not None else None
@@ -284,7 +284,7 @@ def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
 def add_own_scans(
     report: dict[str, Any], drive: Drive, estimates: Sequence[Estimates], smoothed: Mapping[str, Estimates]
 ) -> None:
-    """Add figures by the laser's scans to each result if a path was smoothed, and whether it is doubted."""
+    """Add pose corrections to each result; if a path was smoothed, also figures by the laser's scans."""
     report["doubt"] = None
     for e in estimates:  # corrections of the pose that are no motion
         report["configurations"][e.name]["events"] = [

@@ -70,7 +70,7 @@ def _say_unused(log: Log, choice: Choice, counters: Sequence[str], lacks: str) -
 
 
 def unused_words(choice: Choice) -> str:
-    """Return that the log has wheels and which figures are unknown; "" if all wheels are used."""
+    """Return a sentence on wheels that are not used and their missing settings; "" if all wheels are used."""
     if not choice.unused_wheels:
         return ""
     words = _of_wheels(choice.unused_wheels, choice.lacks)

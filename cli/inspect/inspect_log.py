@@ -152,7 +152,7 @@ def _measure(overview: Overview, progress: Callable[[str], None]) -> None:
 
 
 def _not_measured(overview: Overview, error: LocfuseError) -> list[Finding]:
-    """Return why nothing could be measured, unless a finding says so already."""
+    """Return the losses of the log's files, and whether changed bytes would be detected."""
     role = error.role if error.role in {"wheels", "truth", *REGISTRY} else "log"
     known = any(f.role == role and f.severe for f in overview.findings)
     return [] if known else [of_error(error, role, "unusable")]

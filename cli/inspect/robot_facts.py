@@ -44,7 +44,7 @@ class Steered(NamedTuple):
 
 
 class RobotFacts(msgspec.Struct, frozen=True):
-    """Facts about the robot from the log, beside robot.toml."""
+    """Facts about the robot that its log shows, in addition to robot.toml."""
 
     described: WheelGeometry | None = None  # by /robot_description
     counters: tuple[str, ...] = ()  # topics of wheel turns: those in use, else those whose geometry is unknown
@@ -85,7 +85,7 @@ class Overview(msgspec.Struct):
 
 
 def find_robot_facts(overview: Overview) -> RobotFacts:
-    """Search for wheel geometry beyond robot.toml; by a truth or by matched scans, if the log was measured."""
+    """Search for wheel geometry in the log; if it was measured, also by truth or by matched scans."""
     log, robot, loaded = overview.log, overview.robot, overview.loaded
     described = _described(log)
     counters = _counters(log, robot, overview.choice)
@@ -207,7 +207,7 @@ def _joints(log: Log, topic: str, robot: Robot) -> tuple[str, str] | None:
 
 
 def _ways(names: list[tuple[str, ...]], positions: Ragged) -> dict[str, float]:
-    """Return the total movement of every joint, in its unit."""
+    """Return the total movement of every joint, in the joint's unit."""
     at: dict[str, list[float]] = {}
     for i, row in enumerate(names):
         values = positions[i]

@@ -155,7 +155,7 @@ def _salvage(data: NDArray[np.uint8], scanned: Records, index: Index) -> Records
 
 
 def _followed(data: NDArray[np.uint8], offsets: Ints) -> Ints:
-    """Leave out messages that are followed by no record: the damage began inside them."""
+    """Return the messages (offsets) after which a valid record follows; others contain the damage."""
     ends = offsets + RECORD.size + view(data, "<u8", offsets + 1).astype(np.int64)
     inside = ends < len(data)
     opcode = data[np.where(inside, ends, 0)]

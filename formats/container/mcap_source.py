@@ -112,7 +112,7 @@ class McapSource(ChunkedSource):
         self._take(survey(self.data, self.losses))
 
     def search(self, part: Part, data: Bytes) -> Records:
-        """Find the records in a part's bytes: by the message indexes after a chunk, if they are whole."""
+        """Find the records in a part's bytes, by the message indexes after a chunk if these are intact."""
         index: Index = {}
         if isinstance(part, ChunkRef) and not part.cut_off:
             with suppress(DamagedError):

@@ -39,7 +39,7 @@ SPIN = "spin"  # code of the finding
 
 
 class Slip(NamedTuple):
-    """What the wheels' turning shows of their noise."""
+    """The noise of the wheels as their turning shows it."""
 
     factor: float  # by which `wheels.noise` should be multiplied
     seen: float  # rad, over LONG_S: 1 sigma of the turn that slips add
@@ -109,7 +109,7 @@ def _by(name: str, t: Array, heading: Array, wheels: Wheels) -> Slip | None:
 
 
 def _differences(t: Array, heading: Array, window: float, wheels: Wheels) -> _Spread | None:
-    """Return the differences of a sensor's turns from the wheels', and the differences that slip should cause.
+    """Return the turn differences between sensor and wheels over windows, and the part that slip explains.
 
     A wrong track, or a sensor whose scale is off, is no noise: the slope between the two turnings is taken out.
     """
@@ -135,7 +135,7 @@ def _robust_sigma(rest: Array) -> float:
 
 
 def of_spins(drive: Drive, t: Array, pose: Array, name: str, jumps: Sequence[float] = ()) -> list[Finding]:
-    """Return when the wheels rolled on while a path, poses (n, 3) at times t (n,), did not move as far.
+    """Return a finding on times at which the wheels rolled further than a path (n, 3) at t (n,) moved.
 
     A path may jump at the times `jumps` [s] where it was corrected: these tell nothing of the wheels.
 

@@ -23,7 +23,8 @@ from locfuse.cli.analysis.choose import choose_truth
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.cli.analysis.topics import Choice
 from locfuse.formats import inputs
-from locfuse.formats.logs.file_stream import FileStream, read_file
+from locfuse.formats.logs.clock import MadeStream
+from locfuse.formats.logs.file_stream import read_file
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.report.html import _strips
 from locfuse.fusion.data import LocfuseError
@@ -171,7 +172,7 @@ def test_satellite_fixes_are_metres_east_and_north_turned_into_the_map(tmp_path:
     np.testing.assert_allclose(truth.xy[1], [-meridian * math.pi / 10800, 0.0], rtol=2e-4, atol=0.01)
 
 
-def streamed(path: Path, text: str | bytes) -> FileStream:
+def streamed(path: Path, text: str | bytes) -> MadeStream:
     path.write_bytes(text.encode() if isinstance(text, str) else text)
     return read_file(str(path))
 

@@ -77,7 +77,7 @@ def shown(row: Row) -> list[str]:
     """Return the configurations that are worth a line: the best ones before and after, odometry and `all`."""
     by_truth = [{n: v[0] for n, v in row[when].items() if len(v) > 1 and v[0] is not None} for when in WHEN]
     if not all(by_truth):
-        return [n for n in row["before"] if "reference" not in n][-1:]
+        return [n for n, found in row["before"].items() if None not in (*found, *row["after"][n])][-1:]
     best = (min(found, key=lambda n: found[n]) for found in by_truth)
     return [n for n in dict.fromkeys((*best, "odometry", "all")) if all(n in found for found in by_truth)]
 

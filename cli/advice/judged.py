@@ -18,7 +18,7 @@ from locfuse.cli.analysis.verdicts import sensors_consistency
 from locfuse.fusion.checks.examine import examine
 from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.laser_ranges import ranges_sigma, scatter_more
-from locfuse.fusion.checks.slip import Slip, slip
+from locfuse.fusion.checks.slip import Slip, beside_path, slip
 from locfuse.fusion.checks.tried import Candidate, Fixes
 from locfuse.fusion.data import BASES, Estimates
 from locfuse.fusion.judge.consistency import MAX_SIGMA_FACTOR, Consistency, many_refused
@@ -266,7 +266,12 @@ class Noise(Judged):
 
     @cached_property
     def _slip(self) -> Slip | None:
-        return slip(self.loaded.drive)
+        """The slip by turns, and by the distances of the laser's own run where these need more noise."""
+        drive, found = self.loaded.drive, slip(self.loaded.drive)
+        for e in self.compared.estimates:
+            if found is not None and found.factor < 1.0 and e.sensors == (LASER,) and not (e.smoothed or e.lost):
+                found = beside_path(found, drive, e.t, e.pose)
+        return found
 
     @property
     def _slips_unusually(self) -> bool:

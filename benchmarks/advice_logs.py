@@ -78,7 +78,7 @@ def shown(row: Row) -> list[str]:
     both = (row["before"], row["after"])
     by_truth = [{n: v[0] for n, v in found.items() if len(v) > 1 and v[0] is not None} for found in both]
     if not all(by_truth):
-        return [n for n in row["before"] if "reference" not in n][-1:]
+        return [n for n, found in row["before"].items() if None not in (*found, *row["after"][n])][-1:]
     best = (min(found, key=lambda n: found[n]) for found in by_truth)
     return [n for n in dict.fromkeys((*best, "odometry", "all")) if all(n in found for found in by_truth)]
 

@@ -152,7 +152,7 @@ def _say(text: str, code: int) -> int:
 
 
 class _Stopped(BaseException):
-    """SIGINT or SIGTERM was received."""
+    """Raised when SIGINT or SIGTERM is received."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)

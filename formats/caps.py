@@ -45,7 +45,7 @@ MAX_TRANSFORMS = 10_000  # child frames of /tf_static
 
 
 def names_its_cap(what: str, found: float, cap: float, unit: str = "") -> str:
-    """Return the line of a refusal: "what: 12 units, more than the cap of 10 units"."""
+    """Return the error line for an input above its cap: "what: 12 units, more than the cap of 10 units"."""
     units = f" {unit}" if unit else ""
     return f"{what}: {_grouped(found)}{units}, more than the cap of {_grouped(cap)}"
 

@@ -122,5 +122,5 @@ class GrowingArray:
         self.used = end
 
     def array(self) -> NDArray[Any]:
-        """Return all rows."""
+        """Return all rows that were added."""
         return np.empty(0, np.int64) if self._data is None else self._data[: self.used]

@@ -88,7 +88,7 @@ def read_small(path: Path, cap: int) -> bytes:
 
 
 def csv_rows(path: Path, cap: int) -> list[tuple[int, list[str]]]:
-    """Return (line, values) of every line of a .csv that is not blank; a line may end in any of the three ways."""
+    """Return (line number, values) of every line of a .csv that is not blank; any kind of line end works."""
     text = read_small(path, cap).decode("utf-8", "replace").lstrip("\ufeff")
     rows = csv.reader(io.StringIO(text, newline=""))
     try:

@@ -126,7 +126,7 @@ def _encoded(name: str, text: str) -> bytes:
 
 
 def _prepare(folder: Path, overwrite: bool) -> list[Path]:
-    """Check the folder rules and make the folder; return the folders made, innermost first."""
+    """Check the rules for a results' folder and create it; return the created folders, innermost first."""
     try:
         if folder.exists() and not folder.is_dir():
             raise LocfuseError(f"{folder} is a file, not a folder: choose another with -o")

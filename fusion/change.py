@@ -15,7 +15,7 @@ MIN_SQUARES = 1e-12  # of x on one side: with less its slope is not known
 
 
 class Split(NamedTuple):
-    """The slopes of y by x in the first values, up to and with `at`, and in the others."""
+    """Two slopes of y over x: of the first values up to `at`, and of the values after it."""
 
     at: int
     before: float
@@ -25,7 +25,7 @@ class Split(NamedTuple):
 
 
 def best_split(x: Array, y: Array, edge: int) -> Split:
-    """Return where two slopes through 0 leave least of y (n,) by x (n,), `edge` values or more from either end."""
+    """Return the two slopes through 0 with least squared error; the change is `edge` values from the ends."""
     inner = slice(edge, len(y) - edge)
     seen, weight = np.cumsum(x * y)[inner], np.cumsum(np.square(x))[inner]
     rest, other = float(x @ y) - seen, np.maximum(float(x @ x) - weight, MIN_SQUARES)

@@ -136,7 +136,7 @@ class Filter:
         self._track.note(belief)
 
     def _compare(self, k: int, sensor: str, i: int, m: Measurements) -> Passed:
-        """Compare reading i of a sensor with the prior, record that, and return what passed the gate."""
+        """Compare reading i of a sensor with the prior, record the result, and return what passed the gate."""
         model = self.models[sensor]
         seen = model.innovations(m, i, self.belief if model.local else self._in_map)
         if sensor in self._inflates and not isinstance(seen, Reading):
@@ -177,7 +177,7 @@ class Filter:
         return fits
 
     def _note_fits(self, fits: Sequence[Fit]) -> None:
-        """Record how well readings of several rows fit as a whole."""
+        """Record the joint NIS of each reading that has several rows."""
         for n, (record, numbers, nis) in enumerate(fits):
             record.joint.extend((nis if n else self.belief.fit(numbers), numbers))
 
@@ -207,7 +207,7 @@ class Filter:
         return self.belief if model.local else self._in_map
 
     def _follow_frame(self) -> None:
-        """Set up the view of the pose in the map through the local frame, once there is one."""
+        """If a local frame has begun, create the view that gives the pose in the map."""
         if self.belief.framed:
             self._in_map = InMap(self.belief)
 
@@ -285,7 +285,7 @@ def _at_truth(
 
 
 def inflate(seen: Innovation, state: State) -> None:
-    """Accept a rejected innovation of one number with the R that puts it on its gate; leave others unchanged.
+    """Accept a rejected one-number innovation by enlarging R until it lies on the gate; others stay.
 
     A reading beyond the gate is refused by default. Where a sensor's errors have heavy tails, refusing loses the
     information that the heading did jump; inflating R until the reading lies on the gate keeps what it still says

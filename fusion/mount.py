@@ -38,7 +38,7 @@ BARE_NUMBERS = ("std_msgs/msg/Float64", "std_msgs/msg/Float32")  # they say no u
 
 
 class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Keys of a sensor whose mount matters."""
+    """Settings of a sensor whose mount on the base matters."""
 
     x: float = 0.0  # m, sensor on the base
     y: float = 0.0  # m, likewise, to the left
@@ -63,7 +63,7 @@ class MountedSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, k
                 raise ValueError(f"{key} = {getattr(self, key)} must be 0 (known exactly) or above")
 
     def sigmas(self, tells: bool) -> tuple[float, float, float]:
-        """Return the standard deviations of x, y [m] and yaw [rad]; `tells`: the drive shows the mount."""
+        """Return the sigmas of x, y [m] and yaw [rad]; by default 0 unless the drive shows the mount (`tells`)."""
         place, turn = (SIGMA_M, SIGMA_DEG) if tells else (0.0, 0.0)
         x, y = (place if sigma is None else sigma for sigma in (self.sigma_x, self.sigma_y))
         return x, y, math.radians(turn if self.sigma_yaw_deg is None else self.sigma_yaw_deg)
@@ -129,12 +129,12 @@ class Mount:
         return [f"{OTHER_MOUNT} {'; '.join(parts)}{doubt}"] if parts else []
 
     def rows(self, by_mount: tuple[Row, ...]) -> tuple[Row, ...]:
-        """Return the columns of a derivative by (x, y, yaw), (d, 3), that are states."""
+        """Return those columns of a derivative by (x, y, yaw), (d, 3), whose numbers are states."""
         return tuple(tuple(row[i] for i in self.free) for row in by_mount)
 
 
 def found_mount(sensor: str, configured: Array, blocks: Mapping[str, Array]) -> Array:
-    """Return x [m], y [m], yaw [rad], (3,): the last values of a run's states, as `configured` without a state."""
+    """Return the mount (3,) x [m], y [m], yaw [rad]: last values of its states, else `configured` values."""
     return np.array([blocks[n][-1, 0] if n in blocks else value for n, value in _by_name(sensor, configured)])
 
 

@@ -62,7 +62,7 @@ class WheelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
     @property
     def shares(self) -> tuple[float, float]:
-        """Radius of the left and of the right wheel over their mean."""
+        """Radius of the left and of the right wheel, each divided by their mean."""
         left = 2.0 / (1.0 + self.ratio)
         return left, left * self.ratio
 

@@ -181,7 +181,7 @@ class Model:
         """Load a map that was made before this run. Raises LocfuseError if it is needed and missing."""
 
     def meet(self, others: Mapping[str, Model]) -> None:
-        """Link the other models of the run, by sensor: one may read the map of another."""
+        """Receive the other models of the run, by sensor name; a model may use the map of another one."""
 
     def rolled(self, u: Sequence[float]) -> None:
         """Receive the wheels' motion (x [m], y [m], theta [rad]) since the instant before, in its frame."""
@@ -327,7 +327,7 @@ class Sensor(ABC):
         """
 
     def again(self, before: Measurements, settings: Any, epoch_ns: int) -> Measurements | None:
-        """Return the result of `measure` under these settings, computed from that under others.
+        """Return the result of `measure` under new settings, computed from the result under other settings.
 
         None where the readings have to be looked at again.
         """

@@ -128,7 +128,7 @@ def _moving(rows: list[tuple[str, ...]], fields: list[Ragged], known: list[str])
 
 
 def _in_plane(where: Array, settings: TruthSettings) -> Array:
-    """Return fixes (n, 2) latitude, longitude [deg] as x, y [m] of the map: east and north, turned by east_deg."""
+    """Convert fixes (n, 2: latitude, longitude [deg]) to x, y [m] of the map, turned by east_deg."""
     finite = where[plausible(where).all(axis=1)]
     origin = settings.origin or (tuple(finite[0].tolist()) if len(finite) else (0.0, 0.0))
     xy = east_north(where[:, 0], where[:, 1], (origin[0], origin[1]))

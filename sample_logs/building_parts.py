@@ -60,7 +60,7 @@ def hollows(building: Building) -> list[Segment]:
 
 
 def ends(space: Space, opening: Opening) -> tuple[Array, Array]:
-    """Return both ends of an opening on the centre line of its wall, and the unit vector into the space.
+    """Return both ends of an opening on its wall's centre line, and the unit vector into the space.
 
     Returns:
         (2, 2) m and (2,), map frame.
@@ -107,7 +107,7 @@ def _faces(solid: Mask, x: Array, y: Array) -> list[Array]:
 
 
 def bent(faces: Array, bow: float, streams: Streams) -> Array:
-    """Return straight faces (m, 4), parallel to the axes, as chains of short segments (k, 4) m.
+    """Return straight faces (m, 4) as chains of short segments (k, 4) [m] that deviate from the line.
 
     Args:
         faces: m, map frame.
@@ -121,7 +121,7 @@ def bent(faces: Array, bow: float, streams: Streams) -> Array:
 
 
 def deviation(bow: float, rng: np.random.Generator) -> Deviation:
-    """Return a smooth function of the place along a line, bounded by `bow` within REACH [m to m]."""
+    """Return a random smooth function: deviation [m] of a wall by the place along it [m], at most `bow`."""
     amplitude = np.sqrt(WAVES) * rng.standard_normal(len(WAVES))
     phase = rng.uniform(0, 2 * np.pi, len(WAVES))
 
@@ -134,7 +134,7 @@ def deviation(bow: float, rng: np.random.Generator) -> Deviation:
 
 
 class _Lines:
-    """The deviation of every straight line, drawn on first use."""
+    """The random deviation of each wall line, drawn when it is first asked for."""
 
     def __init__(self, bow: float, streams: Streams) -> None:
         self.bow = bow
@@ -142,7 +142,7 @@ class _Lines:
         self.known: dict[tuple[int, float], Deviation] = {}
 
     def off(self, axis: int, offset: float, s: Array) -> Array:
-        """Return how far the line "coordinate `axis` = `offset`" is off at the places s (n,) along it, (n,) m."""
+        """Return the deviation (n,) m of the line "coordinate `axis` = `offset`" at places s (n,) along it."""
         key = axis, round(offset, 6)
         if key not in self.known:
             name = f"wall {'xy'[axis]} = {key[1]:.6f}"
@@ -230,7 +230,7 @@ def glass_walls(building: Building) -> list[Array]:
 
 
 def returned(distance: Array, pane: Array, direction: Array, glass: Glass, chance: Array) -> Array:
-    """Return the distances (n, g) with inf where the pane lets the beam pass.
+    """Return distances (n, g) of rays to panes; inf where the glass lets the beam pass.
 
     Args:
         distance: (n, g) m, of every ray to every pane, inf for a miss.

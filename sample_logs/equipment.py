@@ -68,7 +68,7 @@ def static_transforms(scenario: Scenario, epoch_ns: int) -> RawMessage:
 
 
 def stated_start(scenario: Scenario, true: Pose, streams: Streams) -> Pose:
-    """Return the user's start pose: the true one plus the user's error plus one draw of the sigmas."""
+    """Return the start pose in robot.toml: the true one plus the user's error plus one random draw."""
     s = scenario.start
     sigma = np.array([s.sigma_xy, s.sigma_xy, math.radians(s.sigma_theta_deg)])
     wrong = np.array([*s.error[:2], math.radians(s.error[2])])

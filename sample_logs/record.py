@@ -71,7 +71,7 @@ class Columns:
         self._messages: dict[str, list[RawMessage]] = {}
 
     def emit(self, message: RawMessage) -> None:
-        """Add one message."""
+        """Keep one message, in the order of its topic."""
         self._messages.setdefault(message.topic, []).append(message)
 
     def streams(self) -> dict[str, ArrayStream]:

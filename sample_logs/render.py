@@ -48,7 +48,7 @@ COLOUR: dict[int, Colour] = {  # red, green, blue
 
 @dataclass
 class Hits:
-    """The nearest hits of every ray so far."""
+    """The nearest hit of every ray so far: its distance, surface and normal."""
 
     dx: Floats  # (n,) direction in plan, unit length, map frame
     dy: Floats
@@ -240,7 +240,7 @@ class View:
             hits.put(part, seen, way, surface, np.zeros_like(way), nx, ny)
 
     def _slices(self, ends: Array, heading: float) -> Iterator[slice]:
-        """Yield the slices of rays between two directions (2, 2) less than half a turn apart."""
+        """Yield the slices of rays whose azimuth is between two directions `ends` (2, 2)."""
         a, b = np.arctan2(ends[:, 1], ends[:, 0]) - heading
         span = (b - a + np.pi) % (2 * np.pi) - np.pi
         first = (min(a, a + span) - MARGIN + np.pi) % (2 * np.pi) - np.pi

@@ -63,7 +63,7 @@ class Walk:
 
 
 def stepped_aside(middle: Array, robot: Array) -> Array:
-    """Return the places (n, 2), those closer to the robot than AWAY moved straight away from it."""
+    """Return the places (n, 2); a person closer to the robot than AWAY is moved away from it."""
     gap = middle - robot
     distance = np.maximum(np.hypot(gap[:, 0], gap[:, 1]), 1e-9)[:, None]
     return np.where(distance < AWAY, robot + AWAY * gap / distance, middle)

@@ -102,7 +102,7 @@ class Scene:
         return tuple(f.pillar() for f in self.faults if isinstance(f, RedObject) and f.active(t))
 
     def _people(self, present: float, t: float) -> tuple[Pillar, ...]:
-        """Return the legs and bodies, at t [s], of the people who are in the room at the time `present` [s]."""
+        """Return legs and bodies at t [s] of the people that the faults at time `present` [s] include."""
         found = [f for f in self.faults if isinstance(f, People) and f.active(present)]
         return tuple(solid for person in found for solid in person.solids(t))
 

@@ -52,7 +52,7 @@ def standard(loaded: Loaded) -> list[Configuration]:
 
 
 class Evaluator:
-    """The evaluation of one log. It reuses the runs of a comparison (`takes`, `hears`)."""
+    """The evaluation of one log. It reuses the finished runs of a comparison."""
 
     def __init__(self, loaded: Loaded, progress: Progress, align: str = "none") -> None:
         self.trial = Trial(loaded, {c.name: c for c in standard(loaded)}, align, progress)
@@ -63,16 +63,16 @@ class Evaluator:
 
     @property
     def takes(self) -> list[Watch]:
-        """The receiver of a comparison's finished runs."""
+        """The function that receives each finished run of a comparison."""
         return [self._take] if self.may_judge else []
 
     @property
     def hears(self) -> list[Heard]:
-        """Functions that receive each run with sensors that only listen; none if the log cannot be judged."""
+        """The functions that receive each run with sensors that only listen; none if the log cannot be judged."""
         return [self._hear] if self.may_judge else []
 
     def _take(self, e: Estimates, judged: Evaluation) -> None:
-        """Receive a run while it has its audits; if only the beginning of a drive is tried, only its score."""
+        """Store a comparison's finished run; if trials use only the drive's beginning, store only its score."""
         trial, whole = self.trial, self.trial.whole
         if e.rates or e.configuration not in trial.configurations:
             return
@@ -84,7 +84,7 @@ class Evaluator:
             trial.know(WHOLE, (), e, marks_of(e, judged, whole.drive))
 
     def _hear(self, e: Estimates) -> None:
-        """Receive a run with sensors that only listen, while it has its audits; odometry's run comes first."""
+        """Store the scores of a run with sensors that only listen; odometry's run must come first."""
         trial, drive = self.trial, self.trial.whole.drive
         if trial.loaded is trial.whole:
             self._odometry = self._odometry or e
@@ -94,7 +94,7 @@ class Evaluator:
             trial.know(WHOLE, (), e, predicted(drive, e))
 
     def _first(self) -> Compared:
-        """Return the comparison under the present settings, from received runs if these are all it needs."""
+        """Return the comparison under the present settings, built from received runs where these are enough."""
         trial = self.trial
         if not set(trial.configurations) <= set(self._seen):
             return _compared((), trial.loaded, trial)
@@ -110,7 +110,7 @@ class Evaluator:
         )
 
     def advised(self) -> Advised:
-        """Return all findings, by the received runs; by a new comparison if these are not enough."""
+        """Return all findings with the fixes that were tried; received runs are used where they are enough."""
         if not self.may_judge:
             return Advised()
         trial = self.trial
@@ -135,7 +135,7 @@ class Evaluator:
 def _worse_afterwards(
     found: Sequence[Advice], before: Fixes, after: Fixes, names: Sequence[str], trial: Trial
 ) -> str:
-    """Return in words what gets worse in a finished path though not while driving, "" if nothing does.
+    """Return in words how fixes harm the smoothed path or the map, although the filter improves; "" if not.
 
     With truth the error of its smoothed path; without, how well places seen twice fit: a fix by which the laser
     predicts other sensors better may still break its map.
@@ -151,7 +151,7 @@ def _worse_afterwards(
 def smoothed_worse(
     found: Sequence[Advice], before: Fixes, after: Fixes, names: Sequence[str], trial: Trial
 ) -> tuple[float, float] | None:
-    """Return the errors [m] of the first smoothed path that other fixes make worse, None without one.
+    """Return the errors before and after [m] of the first smoothed path that gets worse, None if none does.
 
     Where a fix of `found` was judged by the path's shape, the shape of the smoothed paths counts.
     """
@@ -167,7 +167,7 @@ def smoothed_worse(
 def on_the_whole_drive(
     found: Sequence[Advice], trial: Trial, afterwards: bool = False
 ) -> tuple[list[Advice], Fixes]:
-    """Return advice judged by the whole drive, in every configuration that uses the sensor, and its fixes.
+    """Judge advice again on the whole drive, by every configuration with its sensor; return advice and fixes.
 
     A fix is none if one of them gets worse, or none of them better; with `afterwards` also where a path loses what
     its filter does not show. What surely looks wrong and changes little on the beginning is tried too: slow
@@ -209,7 +209,7 @@ def on_the_whole_drive(
 
 
 def _everywhere(advice: Advice, names: Sequence[str]) -> Candidate:
-    """Return a candidate that all these configurations judge; the first are `minor`: no user would keep them."""
+    """Return the advice as a candidate that all of `names` judge; those new to it count as `minor`."""
     one = advice.candidate or Candidate(advice.finding, (advice.fixes,), tuple(names))
     kept = [n for n in one.judges if n not in one.minor]
     minor = tuple(n for n in names if n not in kept)
@@ -245,7 +245,7 @@ def _compared(fixes: Fixes, loaded: Loaded, trial: Trial) -> Compared:
 
 
 def changing(found: Sequence[Advice], kept: Fixes, robot: Robot) -> list[Advice]:
-    """Return advice without fixes whose values are configured already.
+    """Return advice; fixes that only repeat configured values are removed.
 
     A clock that was moved because another sensor's distances were wrong is moved back once these are right.
     """
@@ -263,6 +263,6 @@ def number(robot: Robot, key: str) -> float | None:
 
 
 def _is_configured(key: str, value: str, robot: Robot) -> bool:
-    """Return whether a setting has this value, to its written digits."""
+    """Return whether a setting is configured with this value, compared as written digits."""
     now = number(robot, key)
     return now is not None and math.isclose(float(value), now, abs_tol=5e-5)

@@ -88,7 +88,7 @@ class Evidence(Noise):
         )
 
     def classes(self) -> Sequence[Sequence[Callable[[], Sequence[Candidate]]]]:
-        """Return possible faults by class of evidence: a later group waits while an earlier one is open."""
+        """Return functions that find faults, by class; a class waits while an earlier class has an open fault."""
         return (
             (self.truth,),
             (self.start, self.clocks, self.other_clocks, self.geometry),
@@ -103,11 +103,11 @@ class Evidence(Noise):
         return any(s.high < 0.0 for s in self.compared.scores)
 
     def truth(self) -> list[Candidate]:
-        """Return the finding that the truth jumps aside: errors after that cannot be used."""
+        """Return a finding if the truth jumps sideways: errors after the jump cannot be used."""
         return [self._candidate(f, ()) for f in self.doctor if f.code == STEP]
 
     def start(self) -> list[Candidate]:
-        """Return the finding on the start: while it is wrong, no error tells a good setting from a bad one."""
+        """Return the finding on a wrong start. It is fixed first: until then errors cannot rank settings."""
         found = [f for f in self.doctor if f.code == START]
         return self._candidates(found, (), [(f.role, f.code) for f in found], ())
 
@@ -123,7 +123,7 @@ class Evidence(Noise):
         return [*self._late(self.wrong[:1]), *self._late_pictures()]
 
     def other_clocks(self) -> list[Candidate]:
-        """Return the clocks that explain the same lags: where only two can be compared, either may be off."""
+        """Return clocks that explain the same lags as the best explanation: of two clocks, either may be off."""
         first = {clock.name for clocks in self.wrong[:1] for clock in clocks}
         return [one for one in self._late(self.wrong[1:]) if one.finding.role not in first]
 
@@ -179,7 +179,7 @@ class Evidence(Noise):
 
     @cached_property
     def _distances(self) -> list[Finding]:
-        """Return the finding that laser and wheels differ in distance, by the laser's run: only truth decides."""
+        """Return a finding if the laser's path and the wheels differ in distance and there is no truth."""
         if self.loaded.drive.truth is not None or self.loaded.drive.wheels.matched is not None:
             return []
         runs = (e for e in self.compared.estimates if e.sensors == (LASER,) and not e.smoothed and not e.lost)
@@ -192,7 +192,7 @@ class Evidence(Noise):
         by_measuring: Collection[Key],
         by_offers: Collection[Key],
     ) -> list[Candidate]:
-        """Return candidates; a sensor whose readings are all rejected at present has no judge.
+        """Return findings as candidates; a sensor whose readings are all rejected gets no judge.
 
         `by_measuring` names those of `seen` whose value the drive shows beyond chance, `by_offers` of `offers`.
         """
@@ -212,7 +212,7 @@ class Evidence(Noise):
         ]
 
     def _aimed(self, finding: Finding) -> tuple[Fixes, ...]:
-        """Return the fix of a mirrored picture or of its circles, with the camera's zero direction set too.
+        """Return the fix of a mirrored picture or of its circles, together with the camera's zero direction.
 
         The zero direction comes from a run of other sensors: the wheels alone turn too far if the track is wrong.
         """
@@ -232,7 +232,7 @@ class Evidence(Noise):
         return any(f.severe and not self._decided(f).fixes for f in self.doctor if f.code == OPEN_SCALE)
 
     def _decided(self, finding: Finding) -> Finding:
-        """Return a finding, without its fix where laser and wheels differ in distance and either may be right.
+        """Return a finding; remove its fix if nothing shows whether laser or wheels have the right distance scale.
 
         The laser's own readings are predicted better if its distances are the wheels', whoever is wrong.
         """
@@ -243,7 +243,7 @@ class Evidence(Noise):
         return replace(finding, fixes=(), message=f"{finding.message}. Nothing in this log says which")
 
     def _points(self) -> Iterator[Finding]:
-        """Yield the body point of the truth by the run of all sensors, which does not slip as wheels do."""
+        """Yield the truth's body point, found with the run of all sensors, which does not slip as wheels do."""
         truth = self.loaded.drive.truth
         for e in self.compared.estimates:
             if (
@@ -255,7 +255,7 @@ class Evidence(Noise):
                 yield from of_point(truth, swing(truth, self.loaded.drive, e.truth_pose[:, :2]))
 
     def _probed(self) -> Iterator[Finding]:
-        """Yield mounts and track as estimated by a run with `all` sensors, one sensor at a time."""
+        """Yield findings on mounts and track from a run with `all` sensors, one sensor's mount at a time."""
         drive, robot = self.loaded.drive, self.loaded.robot
         for sensor in filter(self._using, drive.measurements):
             if sensor == LASER and drive.wheels.matched is not None:
@@ -272,7 +272,7 @@ class Evidence(Noise):
 
     @cached_property
     def _mounts_found(self) -> list[Finding]:
-        """Mounts that are states already, if the run of their sensor alone finds them elsewhere."""
+        """Findings on mounts that are states: the run of one sensor alone found another mount than configured."""
         return [
             finding
             for e in self.compared.estimates
@@ -289,7 +289,7 @@ class Evidence(Noise):
         return {e.sensors[0] for e in alone if beyond_prior(self.loaded.robot, e.sensors[0], e)}
 
     def _scaled(self) -> Iterator[Finding]:
-        """Yield the laser's range scale by the size of its own run, after clocks and mounts are right."""
+        """Yield the laser's range scale, found by the length of the laser's own path; clocks must be right."""
         for e in self.compared.estimates:
             if e.sensors == (LASER,) and not e.smoothed and not e.lost and self._complained(LASER):
                 yield from of_scale(self.loaded.robot, e, self.loaded.drive)
@@ -321,7 +321,7 @@ class Evidence(Noise):
         return found
 
     def _start_heading(self) -> list[Candidate]:
-        """Return that the start and a compass with a configured offset differ.
+        """Return a finding if the start and a compass with a configured offset show different headings.
 
         A sensor that locates the robot in the map tells which is wrong; without one the two look the same.
         """
@@ -344,7 +344,7 @@ class Evidence(Noise):
 
     @cached_property
     def _biases_again(self) -> dict[str, Consistency]:
-        """Offsets that were fixed before another fix: measured again, since that fix moved them."""
+        """Verdicts on offsets that a fix has set: they are measured again, since a later fix may change them."""
         keys = [fix.partition("=")[0] for fix in self.fixes]
         fixed = [
             s for s in self.consistency if (b := REGISTRY[s].bias) is not None and f"{s}.{b.key}" in keys[:-1]
@@ -356,7 +356,7 @@ class Evidence(Noise):
         return {s: verdict for s, verdict in found.items() if verdict is not None}
 
     def unexplained(self) -> list[Candidate]:
-        """Return unusual residuals of a sensor for which no fixing setting is known."""
+        """Return findings on unusual residuals for which no fixing setting is known."""
         unusual = [
             Finding(sensor, verdict.verdict, verdict.words)
             for sensor, verdict in self.consistency.items()
@@ -366,7 +366,7 @@ class Evidence(Noise):
 
     @cached_property
     def _spins(self) -> list[Finding]:
-        """Return when both wheels slipped, by the truth, else by the laser's own run."""
+        """Return findings on times at which both wheels slipped, by truth, else by the laser's own run."""
         drive = self.loaded.drive
         if drive.truth is not None and drive.truth.theta is not None:
             return of_spins(drive, drive.truth.t, body_poses(drive.truth, drive.truth.t), "truth")
@@ -378,7 +378,7 @@ class Evidence(Noise):
 
 
 def _ways(finding: Finding) -> tuple[Fixes, ...]:
-    """Return the ways to fix what measuring shows; a wrong radius alone also makes turns wrong."""
+    """Return the alternative fixes of a measured finding; for radius and track also the radius alone."""
     if finding.code == WHEEL_SCALE and len(finding.fixes) > 1:
         return finding.fixes, finding.fixes[:1]
     return (finding.fixes,) if finding.fixes else ()

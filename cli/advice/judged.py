@@ -18,7 +18,7 @@ from locfuse.cli.analysis.verdicts import sensors_consistency
 from locfuse.fusion.checks.examine import examine
 from locfuse.fusion.checks.finding import Finding, Least
 from locfuse.fusion.checks.laser_ranges import ranges_sigma, scatter_more
-from locfuse.fusion.checks.slip import Slip, slip
+from locfuse.fusion.checks.slip import Slip, beside_path, slip
 from locfuse.fusion.checks.tried import Candidate, Fixes
 from locfuse.fusion.data import BASES, Estimates
 from locfuse.fusion.judge.consistency import MAX_SIGMA_FACTOR, Consistency, many_refused
@@ -35,7 +35,7 @@ FINE = {"consistent", "unclear"}  # verdicts on a sensor that are no complaint
 
 
 def as_fixes(cures: Mapping[str, float]) -> Fixes:
-    """Return settings as written in fixes."""
+    """Return settings as fixes, "key=value" each."""
     return tuple(f"{key}={value:g}" for key, value in cures.items())
 
 
@@ -80,17 +80,17 @@ class Judged:
         return "unclear" if verdict is None else verdict.verdict
 
     def _doubtful(self, name: str) -> bool:
-        """Return whether a configuration is inconsistent by truth; without truth, whether any looks so."""
+        """Return whether truth shows a configuration to be inconsistent; without truth, whether any looks so."""
         honest = self.honesty.get(name)
         lost = any(e.lost for e in self.compared.estimates if e.name == name)
         return honest is None or lost or not honest.consistent
 
     def constant(self, verdict: Consistency) -> tuple[Fixes, ...]:
-        """Return the fix of a constant error, empty if a verdict is about something else."""
+        """Return the fix of a constant error; empty if the verdict is not "biased"."""
         return (as_fixes(verdict.cures),) if verdict.verdict == "biased" and verdict.cures else ()
 
     def _was_set(self, role: str, key: str) -> bool:
-        """Return whether a kept fix sets this."""
+        """Return whether a kept fix sets this key of a role."""
         return any(fix.startswith(f"{role}.{key}=") for fix in self.fixes)
 
     def _candidate(self, finding: Finding, alternatives: tuple[Fixes, ...], offer: bool = False) -> Candidate:
@@ -101,7 +101,7 @@ class Judged:
         return Candidate(finding, alternatives, judges, minor, others, offer)
 
     def kept(self, role: str) -> set[str]:
-        """Return the configurations that a user of a sensor would keep."""
+        """Return the configurations with a sensor that a user would keep: all sensors, and the best one."""
         return {self._all(), self._best(self._using(role))}
 
     def _using(self, role: str) -> list[str]:
@@ -137,12 +137,12 @@ class Judged:
         return max(self.trial.configurations, key=lambda n: len(self.trial.configurations[n].sensors))
 
     def _alone(self, sensor: str) -> str:
-        """Return the configuration with the fewest sensors that uses this one."""
+        """Return the configuration with the fewest sensors among those with this sensor."""
         using = {n: c for n, c in self.trial.configurations.items() if sensor in c.sensors}
         return min(using, key=lambda n: len(using[n].sensors))
 
     def _best(self, names: Iterable[str]) -> str:
-        """Return the configuration with the smallest error, without truth the one with most sensors."""
+        """Return the configuration with the smallest error; without truth, the one with most sensors."""
         errors = {e.name: e.figures.get("position_rmse_m") for e in self.compared.evaluations}
         known = {n: e for n in names if (e := errors.get(n)) is not None}
         if known:
@@ -150,7 +150,7 @@ class Judged:
         return max(names, key=lambda n: len(self.trial.configurations[n].sensors))
 
     def _reference(self, sensor: str) -> Estimates | None:
-        """Return the run of one other sensor without complaints that knows its heading best."""
+        """Return the run of another single sensor, without complaints, whose heading is most certain."""
         fine = {s for s in self.loaded.drive.measurements if s != sensor and not self._complained_itself(s)}
         runs = [
             e
@@ -234,7 +234,7 @@ class Noise(Judged):
 
     @cached_property
     def _ranges_sigma(self) -> float | None:
-        """The noise of a range by the laser's raw ranges [m]; None if they show none."""
+        """Noise of one range [m], measured from the laser's raw ranges; None if they do not show it."""
         if LASER not in self.loaded.drive.measurements:
             return None
         return ranges_sigma(self.loaded.stream(LASER), self.loaded.robot.settings(LASER))
@@ -245,7 +245,7 @@ class Noise(Judged):
         return scatter_more(self._ranges_sigma, self.loaded.robot.settings(LASER).sigma_range)
 
     def _as_ranges_scatter(self, sensor: str, verdict: Consistency) -> Fixes:
-        """Return the laser's noise by its raw ranges, if its lines show about the same.
+        """Return the laser's noise as its raw ranges show it, if its lines show about the same noise.
 
         A sigma that is far too high also joins walls that are two, and these lines fit worse than others.
         """
@@ -257,7 +257,7 @@ class Noise(Judged):
         return tuple(f"{LASER}.{k}={getattr(settings, k) * share:.2g}" for k in REGISTRY[LASER].noise_keys)
 
     def _ranges_show_more(self, sensor: str, verdict: Consistency) -> bool:
-        """Whether the laser's raw ranges scatter more than a smaller sigma allows: then it is not proposed.
+        """Whether the raw ranges are noisier than a smaller sigma; then the smaller sigma is not proposed.
 
         The lines' residuals show the noise of ranges and angles together; the ranges show their own.
         """
@@ -266,7 +266,12 @@ class Noise(Judged):
 
     @cached_property
     def _slip(self) -> Slip | None:
-        return slip(self.loaded.drive)
+        """The slip by turns, and by the distances of the laser's own run where these need more noise."""
+        drive, found = self.loaded.drive, slip(self.loaded.drive)
+        for e in self.compared.estimates:
+            if found is not None and found.factor < 1.0 and e.sensors == (LASER,) and not (e.smoothed or e.lost):
+                found = beside_path(found, drive, e.t, e.pose)
+        return found
 
     @property
     def _slips_unusually(self) -> bool:
@@ -279,12 +284,12 @@ class Noise(Judged):
         return found is not None and found.unusual and (found.factor > 1.0 or truth is not None or found.agreed)
 
     def _too_sure(self, sensor: str, verdict: Consistency) -> bool:
-        """Whether truth shows that a filter that would trust a sensor more is overconfident already."""
+        """Whether truth shows that runs with a sensor are overconfident; then it must not be trusted more."""
         honest = self.honesty.get(self._alone(sensor))
         return verdict.verdict == "overstated" and honest is not None and honest.overconfident
 
     def _beside_the_wheels(self, sensor: str, seen: list[Fixes], words: str) -> tuple[list[Fixes], str]:
-        """Return smaller noise with more wheel noise, if the smaller alone makes the gate reject too much.
+        """Return fixes with a smaller sensor noise; add wheel noise where the gate would reject too much.
 
         Noise of a sensor that is set too high can hide noise of the wheels that is set too low: with the first
         alone the filter trusts its prediction too much. Truth shows that by itself (`_too_sure`).
@@ -383,21 +388,21 @@ class Noise(Judged):
 
 
 def _smaller_range_noise(sensor: str, verdict: Consistency) -> float | None:
-    """Return the smaller noise of a range [m] by the lines of a laser, None if they show none."""
+    """Return a range noise [m] below the configured one if a laser's lines show it, else None."""
     return (
         verdict.cures.get(f"{LASER}.sigma_range") if sensor == LASER and verdict.verdict == "overstated" else None
     )
 
 
 def useful(fixes: Fixes, settings: Any) -> bool:
-    """Return whether a sigma is plausible: a much larger one would mean not to use the sensor."""
+    """Return whether a proposed sigma is plausible; a much larger one would switch the sensor off."""
     changed = (fix.partition("=") for fix in fixes)
     pairs = ((float(value), getattr(settings, key.partition(".")[2], None)) for key, _, value in changed)
     return all(not now or value <= MAX_OFFERED_FACTOR * now for value, now in pairs)
 
 
 def _noise_options(sensor: str, verdict: Consistency) -> list[Fixes]:
-    """Return the alternatives of one noise verdict: all keys of a sigma at once, else one key after another."""
+    """Return the alternative fixes of one noise verdict: all sigma keys together, else one key after another."""
     if verdict.verdict not in NOISE or not verdict.cures:
         return []
     if verdict.verdict == "correlated":  # a larger sigma, or an offset that walks

@@ -95,7 +95,7 @@ def _joined(found: Sequence[Advice]) -> Advice:
 
 
 def _moved(before: Iterable[str], after: Iterable[str]) -> bool:
-    """Return whether a value changed in the end, by more than measuring again changes it."""
+    """Return whether a value of two sets of settings differs by more than a repeated measurement does."""
     first, last = by_key(before), by_key(after)
     return any(_apart(value, last[key]) for key, value in first.items() if key in last)
 
@@ -322,7 +322,7 @@ def _as_configured(
 
 
 def covariance(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]]) -> str:
-    """Return that the covariance of all sensors is too small, if no finding explains it, else ""."""
+    """Return a warning if the covariance of all sensors is too small and no finding explains it, else ""."""
     name = max(sets, key=lambda n: len(sets[n]), default="")
     anees = report["configurations"][name].get("anees") if name else None
     found = report.get("findings") or ()
@@ -351,7 +351,7 @@ def _ties(errors: Mapping[str, float]) -> list[str]:
 
 
 def _with_fixes(report: Mapping[str, Any], sets: Mapping[str, Sequence[str]], least: float) -> str:
-    """Return " With ... and the fixes found it is ..." if no error without the fixes [m] is as small, else ""."""
+    """Return a sentence with the error after all fixes, if no error without the fixes [m] is as small, else ""."""
     tried = [f["tried"] for f in report.get("findings") or () if f["fixes"] and f["tried"]]
     after = {
         t["configuration"]: t["after"]["position_rmse_m"]
@@ -386,7 +386,7 @@ def _by_reference(report: Mapping[str, Any], errors: Mapping[str, float]) -> str
 
 
 def _without_truth(report: Mapping[str, Any], places: str) -> str:
-    """Return the order of the sensors by prediction, no error in metres, and what places seen twice show."""
+    """Return the headline without truth: which sensors help to predict the others, and how revisits agree."""
     verdicts = report.get("verdicts", {})
     good = [s for s, v in verdicts.items() if v["verdict"] in HELPS]
     bad = [s for s, v in verdicts.items() if v["verdict"] in HURTS]
@@ -402,7 +402,7 @@ def _without_truth(report: Mapping[str, Any], places: str) -> str:
 
 
 def _by_places(report: Mapping[str, Any]) -> str:
-    """Return a sentence on how well points agree at places seen twice, driving and smoothed; "" if unknown."""
+    """Return a sentence on how well scans agree at places seen twice, filtered and smoothed; "" if unknown."""
     rows = report["configurations"]
     for name, values in rows.items():
         row = result_name(name, smoothed=True)

@@ -26,7 +26,7 @@ LooksOf = Callable[[Sequence[str], Sequence[Fixes]], Mapping[str, Mapping[Fixes,
 
 
 def looks(loaded: Loaded, sets: Sequence[Fixes], align: str, progress: Progress) -> dict[Fixes, Look]:
-    """Return what a log shows under each of several settings that fit it, fused over the whole drive."""
+    """Fuse a log's whole drive under each of several settings; settings that do not fit it are left out."""
     if not may_judge(loaded):
         return {}
     trial = Trial(loaded, {c.name: c for c in standard(loaded)}, align, progress)
@@ -48,7 +48,7 @@ def looks(loaded: Loaded, sets: Sequence[Fixes], align: str, progress: Progress)
 
 
 def numbers_of(loaded: Loaded, runs: Sequence[Estimates] = ()) -> dict[str, Any] | None:
-    """Return what a log shows of its robot for its report; None where it cannot be judged."""
+    """Return the numbers of robot.toml that a log shows, for its report; None if it cannot be judged."""
     if loaded.spoils or loaded.drive.wheels.stands or not may_judge(loaded):
         return None
     found: dict[str, Any] = msgspec.to_builtins(shown(loaded.drive, loaded.robot, runs))
@@ -56,7 +56,7 @@ def numbers_of(loaded: Loaded, runs: Sequence[Estimates] = ()) -> dict[str, Any]
 
 
 def ask(logs: Mapping[str, Mapping[str, Any]], look: LooksOf) -> dict[str, Any]:
-    """Return the common numbers and settings of logs of one robot, by their `numbers_of`, for a summary.
+    """Return the values that logs of one robot share and the settings that help all, for a summary.
 
     Settings are tried on at most MAX_TRIED_LOGS logs.
     """
@@ -83,7 +83,7 @@ def fixes_files(robots: Sequence[Mapping[str, Any]]) -> dict[str, str]:
 
 
 def here(logs: Mapping[str, Loaded], align: str, progress: Progress) -> LooksOf:
-    """Return the function that fuses these logs in this process, under settings that it is given."""
+    """Return a function that fuses these logs in this process, under the settings that it is called with."""
     return lambda names, sets: {name: looks(logs[name], sets, align, progress) for name in names}
 
 

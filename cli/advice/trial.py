@@ -70,18 +70,18 @@ class Trial:
         return self._of(TRIED, fixes, names)
 
     def on_whole(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Marks]:
-        """Return the figures of these configurations on the whole drive, also where its beginning is tried."""
+        """Return the figures of these configurations on the whole drive, even if trials use only its beginning."""
         return self._of(TRIED if self.loaded is self.whole else WHOLE, fixes, names)
 
     def smoothed(self, fixes: Fixes, names: Sequence[str]) -> dict[str, Marks]:
-        """Return position and heading of those smoothed paths that a comparison shows; {} without truth."""
+        """Return position and heading errors of the smoothed paths that a comparison shows; {} without truth."""
         if self.whole.drive.truth is None:
             return {}
         shown = [n for n in names if self.configurations[n].is_smoothed(Asked(), self.whole.robot)]
         return self._of(SMOOTHED, fixes, shown)
 
     def agreement(self, fixes: Fixes) -> float | None:
-        """Return the revisit agreement of the laser's own run, whole drive; None with a truth or without any."""
+        """Return the revisit agreement of the run with the laser alone; None with truth or without such a run."""
         name = next((n for n, c in self.configurations.items() if c.sensors == (LASER,)), None)
         if self.whole.drive.truth is not None or name is None:
             return None
@@ -118,7 +118,7 @@ class Trial:
             self._marks[kind, fixes, e.configuration] = marks
 
     def seed(self, fixes: Fixes, compared: Compared) -> None:
-        """Receive the runs of a comparison under these settings; without truth they come one by one (`know`)."""
+        """Store the figures of a comparison's runs; without truth they are stored one by one by `know`."""
         if compared.loaded.drive.truth is None:
             return
         for e, judged in zip(compared.estimates, compared.evaluations, strict=True):
@@ -176,7 +176,7 @@ class Trial:
 
 
 def predicted(drive: Drive, e: Estimates) -> Marks:
-    """Return a run's predictions of the sensors that only listened to it.
+    """Return how well a run predicts the sensors that only listened to it.
 
     That it is lost with half of its readings taken away says nothing of a drive that has them all.
     """

@@ -79,7 +79,7 @@ ROOM_FRAMES = ("map", "world", "earth", "odom")  # a camera that hangs there is 
 
 
 def not_read(log: Log, role: str) -> str:
-    """Return a log's topics for a role in types that are not read, in words; "" without any."""
+    """Return a sentence with a role's topics whose message types are not read; "" without any."""
     kinds = NOT_READ.get(role, {})
     found = [
         f"{topic} ({info.msgtype.replace('/msg/', '/')}) holds {kinds[info.msgtype].format(topic=topic)}"
@@ -143,7 +143,7 @@ def offer_tags(log: Log, robot: Robot) -> None:
 
 
 def _cameras(log: Log, topic: str) -> list[str]:
-    """Return the cameras of the robot in which several frames are tags, by name."""
+    """Return the frames of the robot's cameras that see several tags, by name."""
     edges = log.frames(topic)
     parents = sorted({parent for parent, child in edges if named_as_tag(child)})
     several = [p for p in parents if sum(named_as_tag(edge.child) for edge in tags_of(edges, p)) >= MIN_TAGS]
@@ -154,7 +154,7 @@ def _cameras(log: Log, topic: str) -> list[str]:
 
 
 def _on_robot(frame: str, transforms: StaticTransforms) -> bool:
-    """Return whether a frame is not fixed in the room, as far as its parents show."""
+    """Return whether a frame may be on the robot: none of its parents is a frame of the room."""
     above = [last_word(parent) for parent, _ in ancestors(transforms, frame)]
     return any(parent in BASE_FRAMES for parent in above) or not any(parent in ROOM_FRAMES for parent in above)
 

@@ -105,7 +105,7 @@ def choose_body(log: Log, robot: Robot, choice: Choice, scans: bool, stand_in: b
 
 
 def _best_witnessed(log: Log, robot: Robot, choice: Choice, kinds: Sequence[Sequence[Body]]) -> Body | None:
-    """Return the best kind's motion that other sensors do not contradict; None without any motion."""
+    """Return the motion of the best kind that no other sensor contradicts; None if there is no such motion."""
     witnesses = Witnesses(log, robot, [body.topics for same in kinds for body in same], choice.read)
     for same in kinds:
         if (body := _one_of(log, same, witnesses)) is not None:
@@ -129,7 +129,7 @@ def _judged(body: Body, evidence: Evidence | Witnesses) -> Body:
 
 
 def _one_of(log: Log, same: Sequence[Body], evidence: Evidence | Witnesses | None) -> Body | None:
-    """Return the motion of several of one kind; None for none, or none that agrees with the other sensors."""
+    """Return the motion, of several of one kind, that agrees with the other sensors; None if there is none."""
     if evidence is not None:
         same = [body for body, kept in zip(same, evidence.keep([b.topics for b in same]), strict=True) if kept]
     topic = one(log, "wheels", None, [body.topic for body in same], WHEEL_READS)
@@ -137,7 +137,7 @@ def _one_of(log: Log, same: Sequence[Body], evidence: Evidence | Witnesses | Non
 
 
 def _measured(log: Log, robot: Robot, choice: Choice, speeds: bool) -> Iterator[Sequence[Body]]:
-    """Yield measured motions, kind by kind, the best first; twists only if `speeds` suffice.
+    """Yield measured motions kind by kind, the best kind first; twists only if `speeds` are enough.
 
     An odometry that says where the robot is in the room is somebody's estimate: what was measured comes before it.
     """
@@ -163,7 +163,7 @@ def _measured(log: Log, robot: Robot, choice: Choice, speeds: bool) -> Iterator[
 
 
 def _beside(topic: str, why: str, others: Sequence[str]) -> Body:
-    """Return the preferred odometry, with a note on the others, or on other sensors that it uses."""
+    """Return the chosen odometry with a note: on other odometries, or that it uses more than the wheels."""
     if not others:
         return Body(topic, why, HOLDS_MORE.format(topic=topic) if _of_filter(topic) else "")
     looks = "looks" if len(others) == 1 else "look"
@@ -260,7 +260,7 @@ def _twists(log: Log, robot: Robot, choice: Choice, asked: bool) -> list[str]:
 
 
 def by_fixes(topic: str) -> bool:
-    """Return whether a satellite receiver measured the speeds, by the topic's name: along east and north."""
+    """Return whether a topic's name shows that a satellite receiver measured its speeds (east and north)."""
     return BY_FIXES.search(topic.lower()) is not None
 
 
@@ -270,7 +270,7 @@ def of_camera(log: Log, topic: str) -> bool:
 
 
 def moving_frames(log: Log, fixed: Callable[[str], bool]) -> list[str]:
-    """Return pairs of frames in /tf, as topics, that move in a fixed one; only those of a base if there is one."""
+    """Return pairs of frames in /tf that move relative to a fixed frame, as topics; preferably those of a base."""
     found: dict[str, bool] = {}
     for topic in log.transform_topics:
         for (parent, child), edge in log.frames(topic).items():

@@ -137,7 +137,7 @@ def best_of(log: Log, sensor: Sensor, topics: list[str]) -> list[str]:
 
 
 def _by_type(log: Log, name: str, candidates: list[str], choice: Choice) -> None:
-    """Choose the only candidate, or all, or the likeliest; if a related sensor has a topic, the same."""
+    """Choose a sensor's topics by type: the only one, one that another sensor reads, all, or the likeliest."""
     sensor = REGISTRY[name]
     if len(candidates) == 1:
         same = filled(log, log.topics[candidates[0]].msgtype)

@@ -151,7 +151,7 @@ def refuse_beside_others(words: str, names: Sequence[str]) -> None:
 
 
 def _rate(name: str, text: str) -> float:
-    """Return Hz. Raises UsageError for anything but a positive number followed by Hz."""
+    """Return the rate [Hz] of a word such as "2Hz". Raises UsageError unless it is a positive number."""
     found = RATE_PATTERN.fullmatch(text.strip())
     if found is None or float(found[1]) <= 0.0:
         raise UsageError(f"--sensors {name}: a lower rate reads like lrf@2Hz")

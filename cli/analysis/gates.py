@@ -90,7 +90,7 @@ class Baseline(msgspec.Struct, frozen=True):
     of_fleet: bool = False
 
     def grown(self, later: Mapping[str, Any], what: str) -> list[str]:
-        """Return a line per error figure in common that grew by more than the tolerance; one if there is none."""
+        """Return a line per error figure that grew beyond the tolerance; one line if no figure is common."""
         old, new = self.figures, _error_figures(later["configurations"], self.of_fleet)
         common = [at for at in old if at in new]
         if not common:
@@ -210,7 +210,7 @@ def refuse_another_log(baseline: Baseline | None, log: Log) -> None:
 
 
 def _mixed(report: Mapping[str, Any], gate: Gate) -> str | None:
-    """Return why a gate cannot be applied: errors against truth and against a reference differ in kind."""
+    """Return why a gate cannot be applied: one error is against truth, the other one against a reference."""
     from locfuse.fusion.judge.evaluate import ERROR_KEYS
 
     asked = gate.figure.startswith(OF_REFERENCE) and gate.figure not in report["configurations"]
@@ -302,7 +302,7 @@ def _other_logs(summary: Mapping[str, Any], baseline: Baseline) -> str | None:
 
 
 def _contents(summary: Mapping[str, Any]) -> dict[str, str]:
-    """Return the name of each log with a result, by the identity of its content."""
+    """Return the name of each log that has a result, by the identity of the log's content."""
     logs = summary["logs"].items()
     return {str(v.get("identity")): n for n, v in logs if v.get("state", "done") == "done"}
 

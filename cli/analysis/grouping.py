@@ -155,7 +155,7 @@ def logs_of(words: Sequence[str]) -> list[list[str]]:
 
 
 def named(logs: Sequence[Sequence[str]]) -> dict[str, Sequence[str]]:
-    """Return the logs by a name for the folder of each; repeated names are numbered."""
+    """Return the logs by the names of their result folders; repeated names are numbered."""
     found: dict[str, Sequence[str]] = {}
     numbers: dict[str, int] = {}
     for parts in logs:

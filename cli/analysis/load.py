@@ -113,7 +113,7 @@ def _find(word: str) -> Place:
 
 
 def _beside(path: Path) -> list[str]:
-    """Return the content of the folder of a missing path, as paths of the same form."""
+    """Return what the parent folder of a missing path holds, as paths of the same form."""
     try:
         return [str(path.parent / entry.name) for entry in itertools.islice(path.parent.iterdir(), MAX_LISTED)]
     except OSError:
@@ -327,17 +327,17 @@ def _light(role: str, msgtype: str) -> tuple[str, ...]:
 
 
 def _clock_notes(streams: Mapping[str, Any]) -> list[str]:
-    """Return a note per role whose times are not the plain header stamps, with what is unusual about them."""
+    """Return notes on streams whose times are not plain header stamps, and on unusual times, role by role."""
     notes: dict[str, None] = {}  # as a set in order: several topics of one role may say the same
     for role, stream in streams.items():
         for part in parts_of(stream):
-            words = [] if part.as_stamped else [part.clock]
-            notes |= dict.fromkeys(f"{role}: {word}" for word in (*words, *part.notes))
+            words = [] if part.clock.as_stamped else [part.clock.words]
+            notes |= dict.fromkeys(f"{role}: {word}" for word in (*words, *part.clock.notes))
     return list(notes)
 
 
 def start_error(robot: Robot, drive: Drive) -> float | None:
-    """Return the distance [m] between truth and wheels at the truth's begin; None: no truth, or [start] is given.
+    """Return the distance [m] between truth and wheels where the truth begins; None if it is not known.
 
     The wheels count from the configured start: a truth that begins metres later has not begun elsewhere.
     """
@@ -355,7 +355,7 @@ def _first_places(robot: Robot, drive: Drive) -> tuple[Array, Array] | None:
 
 
 def start_notes(robot: Robot, drive: Drive) -> list[str]:
-    """Return a note if the truth begins elsewhere than the wheels, and [start] is not set."""
+    """Return a note if truth and wheels begin at different places and [start] is not set."""
     places = _first_places(robot, drive)
     if places is None or math.hypot(*(places[0] - places[1])) < 0.05:
         return []

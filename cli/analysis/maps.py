@@ -44,7 +44,7 @@ def give(loaded: Loaded, file: Path) -> Loaded:
 
 
 def give_topic(loaded: Loaded) -> Loaded:
-    """Return the log with a robot that localises in the map of `[lrf] map_topic`, if that is set.
+    """Return the log with a robot that localises in the map of `[lrf] map_topic`; unchanged without that key.
 
     Raises LocfuseError where the topic is missing, holds no map, or one of another building.
     """
@@ -115,7 +115,7 @@ def _begun(loaded: Loaded, grid: Grid, name: str) -> Loaded:
 
 
 def _within(robot: Robot, lines: list[MapLine], name: str) -> Robot:
-    """Return the robot with a map. Raises LocfuseError if it has too many walls for a filter."""
+    """Return the robot with a given map. Raises LocfuseError if the map has too many walls for a filter."""
     if len(lines) > MAX_WALLS:
         many = names_its_cap(name, len(lines), MAX_WALLS, "walls")
         raise LocfuseError(f"{many}; keep only the part that the drive is in", role="map")

@@ -54,7 +54,7 @@ Read = dict[Topics, WheelReading]  # motions that were read while one was chosen
 
 
 def motion_of(log: Log, robot: Robot, topics: Sequence[str], read: Read) -> WheelReading | None:
-    """Return the motion of topics; None if they cannot be read, which is reported at their use."""
+    """Return the motion of topics; None if they cannot be read, which is reported where they are used."""
     if tuple(topics) not in read:
         with suppress(LocfuseError):
             streams = [log.stream(topic, robot.order) for topic in topics]
@@ -121,7 +121,7 @@ class Evidence:
                 self._gone[topic,] = f"by {topic}, speeds, {self._pairs.of(motion):.0%}"
 
     def behind(self, topics: Sequence[str], motion: WheelReading) -> str:
-        """Return by how much scan matching agrees better than the used motion; "" if it does not."""
+        """Return a note if scan matching fits the laser clearly better than the chosen motion, else ""."""
         self._look([motion])
         if self._pairs is None or not self._pairs.judge:
             return ""
@@ -166,7 +166,7 @@ class Evidence:
 
     @cached_property
     def _matched(self) -> float:
-        """The share s of the scans' own matching: of the path that a run takes where the motion is by scans."""
+        """The share s of scan points that agree under scan matching, the best that a motion can reach."""
         assert self._pairs is not None
         if not self._by_scans:
             return self._pairs.matched()
@@ -196,14 +196,14 @@ class Evidence:
 
 
 class Witness(NamedTuple):
-    """A sensor that measures the robot's motion, and the share of it that each motion explains."""
+    """A sensor that measures motion, and the share of its measured motion that each candidate explains."""
 
     name: str  # "the turning of /imu"
     shares: dict[Topics, float]  # by the topics of a motion
 
 
 class Witnesses:
-    """Judges all motions of a log by the first sensor that one of them explains."""
+    """Judges the motions of a log by the first sensor whose measurements one of them explains."""
 
     agrees = "it agrees best with the other sensors"
 
@@ -236,7 +236,7 @@ class Witnesses:
         return f"{'; '.join(parts)} of {self._found.name}"
 
     def unjudged(self, topics: Sequence[str]) -> str:
-        """Return another motion that disagrees with the chosen one, if no sensor judges them; else ""."""
+        """Return a note on a motion that disagrees with the chosen one, if no sensor can judge them; else ""."""
         own = self._known.get(tuple(topics))
         if self._found is not None or own is None:
             return ""
@@ -289,7 +289,7 @@ class Witnesses:
 
 
 def seen(log: Log, robot: Robot, name: str, topic: str, motion: WheelReading) -> Measurements | None:
-    """Return what a sensor measures on a topic; None if it cannot be read, which is reported at its use."""
+    """Return a sensor's measurements on a topic; None if it cannot be read (reported where it is used)."""
     with suppress(LocfuseError):
         stream = log.stream(topic, robot.order)
         return REGISTRY[name].measure(stream, robot.settings(name), motion.wheels, motion.epoch_ns)

@@ -39,7 +39,7 @@ def say_motion(report: dict[str, Any], loaded: Loaded, judged: bool = False) -> 
 
 
 def _behind_scans(loaded: Loaded) -> str:
-    """Return that scan matching agrees better with the laser than the wheels; "" without encoders or laser."""
+    """Return a warning if scan matching fits the laser better than the encoders do; "" if it does not."""
     topics, lasers = loaded.choice.of("wheels"), loaded.choice.of("lrf")
     encoders = loaded.log.topics[topics[0]].msgtype not in BODY_READS
     if not encoders or len(lasers) != 1 or loaded.reading is None or not has_scipy():
@@ -48,7 +48,7 @@ def _behind_scans(loaded: Loaded) -> str:
 
 
 def _part(loaded: Loaded) -> str:
-    """Return that the motion covers a part of the log only; "" if it covers most."""
+    """Return a warning if the motion covers only a part of the log; "" if it covers most of it."""
     span, t = loaded.log.time_span_ns, loaded.drive.wheels.t
     if span is None or loaded.window != (None, None):
         return ""

@@ -78,7 +78,7 @@ def last_word(frame: str) -> str:
 
 
 def mount_tables(transforms: StaticTransforms, streams: Mapping[str, Sequence[Stream]]) -> dict[str, Any]:
-    """Return the sensors' mounts by /tf_static (name -> its topics' streams), for the keys they have."""
+    """Return tables with the sensors' mounts by /tf_static, limited to the keys that each sensor has."""
     tables: dict[str, Any] = {}
     for sensor, parts in streams.items():
         keys = set(REGISTRY[sensor].Settings.__struct_fields__)
@@ -192,7 +192,7 @@ def moved_by(transforms: StaticTransforms, frame: str) -> str:
 
 
 def _bases_in(transforms: StaticTransforms) -> list[str]:
-    """Return the frames that may be the body: by name, with a robot's name before it, by motion."""
+    """Return possible base frames: the usual names, these after a robot's name, and frames that move."""
     frames = dict.fromkeys(name for edge in transforms.edges for name in (edge.parent, edge.child))
     named = [frame for base in BASE_FRAMES for frame in frames if last_word(frame) == base]
     return [*BASE_FRAMES, *named, *transforms.bases]

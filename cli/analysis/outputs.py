@@ -128,7 +128,7 @@ def scene(compared: Compared, drawn: Drawn) -> Scene:
 
 
 def _landmarks(compared: Compared) -> list[tuple[float, float]]:
-    """Return the places [m, map] that the log's sensors measure to: landmarks, anchors given or estimated."""
+    """Return the places [m, map] of landmarks and anchors, given or estimated."""
     robot, found = compared.loaded.robot, []
     for sensor in compared.loaded.drive.measurements:
         settings = robot.settings(sensor)

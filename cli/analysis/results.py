@@ -112,7 +112,7 @@ def source(loaded: Loaded) -> dict[str, Any]:
 
 
 def _refusals(loaded: Loaded) -> dict[str, dict[str, int]]:
-    """Return how many readings of each stream were not used, of how many; streams without any are left out."""
+    """Return (unused readings, all readings) of each stream that has unused ones."""
     found = {
         stream: {
             "readings": _refused(reasons),

@@ -100,7 +100,7 @@ def merged_tables(log: Log, how: LogOptions) -> dict[str, Any]:
 
 
 def given_layers(how: LogOptions, more: Sequence[str] = ()) -> dict[str, dict[str, Any]]:
-    """Return the tables of --robot and of --set, of which the latter win; `more` are further words of --set.
+    """Return the tables of --robot and --set; --set wins. `more` are further words of --set.
 
     Raises LocfuseError for settings that fit no log at all.
     """
@@ -161,7 +161,7 @@ def _is_below(folder: Path, text: str) -> bool:
 
 
 def sources_of(log: Log, how: LogOptions) -> dict[str, str]:
-    """Return the source of each key that is set, "lrf.x" -> "--robot"."""
+    """Return the source of each setting: "lrf.x" -> "--robot"."""
     return {key: who for who, tables in _layers(log, how).items() for key in flat(tables)}
 
 

@@ -212,7 +212,7 @@ def one_of(word: str, known: Sequence[str], what: str) -> str:
 
 
 def by_default(known: Sequence[str]) -> list[str]:
-    """Return the kinds of output written by default; for a command without a page, all of its few."""
+    """Return the kinds of output written by default; all kinds if the command has no report.html."""
     return [kind for kind in known if kind in WRITTEN or "html" not in known]
 
 
@@ -236,7 +236,7 @@ def chosen(
 
 
 def swept(words: Sequence[str]) -> dict[str, list[str]]:
-    """Return the words of --sweep by key: "lrf.x=0.1,0.2" is {"lrf.x": ["lrf.x=0.1", "lrf.x=0.2"]}."""
+    """Return the --sweep words of each key: "lrf.x=0.1,0.2" gives {"lrf.x": ["lrf.x=0.1", "lrf.x=0.2"]}."""
     from locfuse.fusion.data import UsageError
 
     found: dict[str, list[str]] = {}
@@ -252,7 +252,7 @@ def swept(words: Sequence[str]) -> dict[str, list[str]]:
 
 
 def cells(sets: Mapping[str, Sequence[str]]) -> dict[str, tuple[str, ...]]:
-    """Return the --set words of every combination by its name, which is these words joined by a blank.
+    """Return the --set words of every combination of swept values, by the combination's name.
 
     Raises UsageError for more than MAX_CELLS, and for a value that cannot be part of a folder's name.
     """

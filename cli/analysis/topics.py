@@ -23,7 +23,7 @@ ONLY = "the only topic of its type"
 
 
 class Note(NamedTuple):
-    """A choice that the user should know."""
+    """A choice of a topic that the user should know about."""
 
     role: str
     words: str

@@ -163,7 +163,7 @@ def verdicts(
 
 
 def credit_values(credit: Credit) -> dict[str, Any]:
-    """Return the credit as plain values; effects are factors on the position error."""
+    """Return the credit of all sensors as plain values; effects are factors on the position error."""
     return {
         "figure": "position_rmse_m",
         "complete": credit.complete,
@@ -242,7 +242,7 @@ def _main_words(c: SensorCredit, main: Effect, several: bool, few: str, base: st
 
 
 def _few(samples: int, over: str) -> str:
-    """Return the sentence on an effect that is not proven: its interval includes no effect."""
+    """Return the sentence for an effect that is not proven, since its interval includes no effect."""
     by = "this drive" if samples == 1 else f"{samples} {over}"
     return f"Not proven by {by}. Record more."
 
@@ -311,7 +311,7 @@ def add_pairs(
     errors: Mapping[str, float | None],
     by_truth: bool,
 ) -> None:
-    """Add to verdicts what pairs of configurations show: a lower rate, and beside which sensors one harms most.
+    """Add to verdicts the effect of a lower rate, and the sensors beside which a sensor does most harm.
 
     `sets` are the sensors by configuration, those of a lower rate apart: `slower`. `errors` are in m. References
     of two sets differ, so only errors `by_truth` show harm.
@@ -377,7 +377,7 @@ def by_reference(
     found: ByReference | None,
     quarrel: tuple[str, str] | None,
 ) -> dict[str, Any]:
-    """Return a sensor's verdict without truth: by a reference that does not use it, else by `own` readings."""
+    """Return a sensor's verdict without truth, by a reference that does not use it, else by `own` readings."""
     own = own or {"verdict": "no verdict", "words": ""}
     if reference is None:
         words = "Without it nothing in this log says where the robot is, so no reference can judge it."

@@ -106,7 +106,7 @@ def one(log: Sequence[str], options: o.Options) -> int:
 
 
 def changes(files: Sequence[Path], outputs: Outputs) -> int:
-    """Set finished results beside the first of them and print what changed."""
+    """Compare finished results with the first of them, and print the changes."""
     from locfuse.cli.terminal import show
     from locfuse.formats.report import changes as sides
     from locfuse.formats.report import json_report

@@ -89,7 +89,7 @@ def tune(log: tuple[str, ...], options: o.Options, hold_out: tuple[str, ...], dr
 
 
 def _finish(found: Found, tables: Iterable[Table], options: o.Options, held: str = "") -> int:
-    """Write and print what was found; return the exit code; `held`: what the file holds instead of settings."""
+    """Write and print estimated settings; return the exit code. `held` describes a file without estimates."""
     from locfuse.cli.terminal import show
     from locfuse.formats.report import json_report
     from locfuse.formats.report.table import of_words, texts

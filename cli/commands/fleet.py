@@ -109,7 +109,7 @@ def many(words: Sequence[str], options: o.Options) -> int:
 
 
 def _every(options: o.Options, folder: Path) -> Job:
-    """Return the job of every log, without the log. Raises UsageError for options that need a single drive."""
+    """Return the options for each log as a job without a log. Raises UsageError for options of a single drive."""
     from locfuse.cli.fleet.jobs import Job
     from locfuse.cli.session.summary import of_each
 
@@ -150,7 +150,7 @@ def _run(jobs: Sequence[Job], options: o.Options, max_failures: int | None) -> E
 
 
 def _robots(todo: FleetPlan, found: FleetRows, options: o.Options) -> list[dict[str, Any]]:
-    """Ask the logs of each robot together: what all of them show is tried on each."""
+    """Return what the logs of each robot show together; common settings are tried on each of its logs."""
     from locfuse.cli.fleet.jobs import robots
 
     def run(jobs: Sequence[Job]) -> Mapping[str, JobOutcome]:

@@ -161,7 +161,7 @@ def _head(made: Draft, words: str, name: str) -> str:
 
 
 def _foot(made: Draft) -> str:
-    """Return which sensors the log lacks, with the reason if it is not obvious."""
+    """Return a comment on sensors without a topic, with the reason if it is not obvious."""
     written = {section.name for section in made.sections if section.lines}
     absent = {name: why for name, why in made.overview.choice.absent.items() if name not in written - {"wheels"}}
     plain = [name for name in absent if name in made.overview.choice.foreign]
@@ -170,7 +170,7 @@ def _foot(made: Draft) -> str:
 
 
 def _notes(made: Draft, words: str, name: str) -> list[str]:
-    """Return what was guessed, and what to do next."""
+    """Return comments on guessed values and on the next steps."""
     from locfuse.cli.analysis.refused_motion import STANDS
 
     loaded = made.overview.loaded

@@ -209,7 +209,7 @@ class Tools:
         return any(place.is_relative_to(folder) for folder in self._folders)
 
     def _below(self, word: str) -> Path:
-        """Return the path of a file or folder, given whole or below one of the folders. Raises UsageError."""
+        """Return the path of a file or folder inside the allowed folders. Raises UsageError for any other path."""
         there = (folder / word for folder in self._folders if "\0" not in word and (folder / word).exists())
         found = next(there, None)
         parts: list[Any] = [] if found is None else [found]
@@ -253,7 +253,7 @@ def _findings(found: Iterable[Mapping[str, Any]]) -> list[AgentFinding]:
 
 
 def _spoken(part: Any) -> Any:
-    """Return an answer, or a part of it, whose messages name settings in the words of these tools."""
+    """Return an answer, or a part of it, with the command-line options in it renamed to the tools' arguments."""
     if isinstance(part, Answer):
         words = {name: _spoken(getattr(part, name)) for name in ("headline", "findings", "values")}
         return replace(part, **words)

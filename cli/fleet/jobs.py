@@ -42,7 +42,7 @@ OF_KIND = {kind: f"report.{kind}" for kind in OF_COMPARISON if kind != "tum"}
 
 
 class SweepCell(msgspec.Struct, frozen=True):
-    """One cell of a sweep: settings on top of the job's own. Without a sweep there is one without a name."""
+    """One combination of swept settings, on top of the job's own. Without a sweep: one cell with an empty name."""
 
     name: str = ""  # "lrf.sigma_range=0.03 compass.sigma_deg=2"
     sets: tuple[str, ...] = ()
@@ -69,7 +69,7 @@ class Job(msgspec.Struct, frozen=True):
     tries: tuple[Fixes, ...] = ()  # settings to fuse it under, instead of being compared
 
     def recording_of(self, cell: SweepCell) -> str:
-        """Return the name of a cell's recording."""
+        """Return the name of the Rerun recording of a cell."""
         return f"{self.name},{cell.folder}" if cell.name else self.name
 
     def place(self, cell: SweepCell) -> Path:
@@ -272,7 +272,7 @@ def _entry(job: Job, found: FleetRows, gates: Gates, strict: bool) -> Entry:
 def robots(
     entries: Sequence[Entry], jobs: Mapping[str, Job], run: Callable[[Sequence[Job]], Mapping[str, JobOutcome]]
 ) -> list[dict[str, Any]]:
-    """Return for each robot with several logs what they have in common; logs of unnamed robots count as of one."""
+    """Return what logs show together, for each robot with several logs; unnamed robots count as one robot."""
     of: dict[str | None, dict[str, Mapping[str, Any]]] = {}
     for e in entries:
         if e.report.get("measured"):

@@ -48,7 +48,7 @@ class QueueState:
 
     @property
     def left(self) -> int:
-        """Jobs without an outcome."""
+        """Number of jobs without an outcome."""
         return self.total - self.done - self.failed
 
     @property
@@ -115,7 +115,7 @@ def run_all(jobs: Sequence[Job], pool: Executor, max_failures: int | None, watch
 def _outcomes(
     jobs: Sequence[Job], pool: Executor, running: dict[Future[JobOutcome], Job]
 ) -> Iterator[JobOutcome | None]:
-    """Yield the outcome of each job when it is known, and None at every look at the clock."""
+    """Yield the outcome of each job when it is known, and None every POLL_S seconds."""
     for job in jobs:
         if (outcome := already(job)) is not None:
             yield outcome

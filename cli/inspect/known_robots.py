@@ -66,7 +66,7 @@ def recognise(overview: Overview) -> Recognised | None:
 
 
 def open_figures(known: Recognised, overview: Overview, given: Collection[str]) -> dict[str, tuple[str, str]]:
-    """Return the figures of a known robot that this log needs: key -> ("key=value", words).
+    """Return figures of a known robot for settings that this log needs: key -> ("key=value", words).
 
     `given` are the keys that have a value already.
     """

@@ -60,7 +60,7 @@ def unplaced(overview: Overview) -> list[Finding]:
 
 
 def conflicts(overview: Overview) -> list[Finding]:
-    """Return a finding per frame with two mounts: those in use one by one, the others together."""
+    """Return a finding for each used frame with two mounts, and one finding for all unused frames."""
     roles = {frame: role for role in overview.choice.topics for frame in overview.frames_of(role)}
     mounts = extrinsics(overview)
     found, others = [], []

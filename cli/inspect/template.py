@@ -106,7 +106,7 @@ def draft(
     progress: Callable[[str], None] = lambda step: None,
     said: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Draft:
-    """Inspect a log until no fix changes anything, and return the final settings.
+    """Inspect a log, apply the fixes found, and repeat until nothing changes; return the final settings.
 
     `said` are tables that another program's configuration gives, by the name of its file.
     """
@@ -160,7 +160,7 @@ def _fixes(findings: Iterable[Finding]) -> dict[str, tuple[str, str]]:
 
 
 def _certain(f: Finding) -> bool:
-    """Whether the log shows that a fix is right, it was chosen already, or it is required."""
+    """Whether a fix may be applied without asking: it is measured, already chosen, or required."""
     return f.code not in {OPEN_SCALE, OPEN_CLOCK} and (f.severe or f.code in {*MEASURED_CODES, "choice"})
 
 

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
-from msgspec import field
 
 from locfuse.cli.analysis.topics import Choice
-from locfuse.formats.logs.clock import ON_STAMPS
+from locfuse.formats.logs.clock import ON_STAMPS, Clock
 from locfuse.formats.logs.log import UnreadableTopicError
 from locfuse.fusion.checks.examine import gaps
 from locfuse.fusion.checks.finding import Finding
@@ -31,22 +30,6 @@ MIN_MESSAGES = 3  # messages before there is a rate
 MIN_JUDGED = 5  # messages from which a clock is judged
 
 
-class StampFacts(msgspec.Struct, frozen=True):
-    """The time stamps of one topic's messages."""
-
-    clock: str = ""  # which times were taken, in words
-    by_stamps: bool = False  # whether they are those of the headers, sorted or repaired perhaps,
-    as_stamped: bool = False  # and whether every one of them is simply its header's
-    repaired: Mapping[str, int] = field(default_factory=dict)  # stamps replaced, by reason
-    delay_s: float | None = None  # recording behind header stamps, median
-
-    @property
-    def beside_s(self) -> float:
-        """How far the times are before those of the recording, 0 for an ordinary delay [s]."""
-        delay = self.delay_s
-        return delay if delay is not None and abs(delay) > OTHER_CLOCK_S and self.by_stamps else 0.0
-
-
 class TopicFacts(msgspec.Struct, frozen=True):
     """One topic."""
 
@@ -57,10 +40,17 @@ class TopicFacts(msgspec.Struct, frozen=True):
     rate_hz: float | None = None
     period_s: float | None = None  # median
     gaps: tuple[tuple[float, float], ...] = ()  # (start, end) [s] since the log began
-    stamps: StampFacts = field(default_factory=StampFacts)
+    clock: Clock | None = None  # of its times
+    delay_s: float | None = None  # recording behind header stamps, median
     dropped: dict[str, int] | None = None
     problem: str | None = None  # why it cannot be read
     derived: bool = False  # made of another topic, or a file: it holds no messages of its own
+
+    @property
+    def beside_s(self) -> float:
+        """How much earlier the times are than those of the recording [s]; 0 for an ordinary delay."""
+        stamped = self.clock is not None and self.clock.by_stamps
+        return self.delay_s if self.delay_s and abs(self.delay_s) > OTHER_CLOCK_S and stamped else 0.0
 
     def values(self) -> dict[str, Any]:
         """Return the facts for report and JSON."""
@@ -72,9 +62,9 @@ class TopicFacts(msgspec.Struct, frozen=True):
             "period_s": self.period_s,
             "gaps": [list(g) for g in self.gaps[:MAX_GAPS_LISTED]],
             "longest_gap_s": max((b - a for a, b in self.gaps), default=None),
-            "clock": self.stamps.clock or None,
-            "delay_s": self.stamps.delay_s,
-            "stamps_repaired": dict(self.stamps.repaired),
+            "clock": self.clock.words if self.clock else None,
+            "delay_s": self.delay_s,
+            "stamps_repaired": dict(self.clock.repaired) if self.clock else {},
             "dropped": self.dropped or {},
             "problem": self.problem,
         }
@@ -82,14 +72,13 @@ class TopicFacts(msgspec.Struct, frozen=True):
 
 def clock_word(f: TopicFacts) -> str:
     """Return the clock of a topic in a word or two: stamps, their delay to recording, or another source."""
-    delay = f.stamps.delay_s
-    if delay is None:
+    if f.clock is None or f.delay_s is None:
         return "no stamps" if f.count else ""
-    if f.stamps.repaired:
+    if f.clock.repaired:
         return "repaired"
-    if not f.stamps.by_stamps:
+    if not f.clock.by_stamps:
         return "recorded"
-    return f"{delay * 1e3:.0f} ms late" if abs(delay) < OTHER_CLOCK_S else "two clocks"
+    return f"{f.delay_s * 1e3:.0f} ms late" if abs(f.delay_s) < OTHER_CLOCK_S else "two clocks"
 
 
 def topic_facts(log: Log, order: str) -> list[TopicFacts]:
@@ -127,9 +116,8 @@ def _facts(log: Log, name: str, order: str) -> TopicFacts:
         rate_hz=float((len(t) - 1) / (t[-1] - t[0])) if len(t) >= MIN_MESSAGES and t[-1] > t[0] else None,
         period_s=float(np.median(moving)) if len(moving) else None,
         gaps=tuple(gaps(t)),
-        stamps=StampFacts(
-            stream.clock, stream.by_stamps, stream.as_stamped, dict(stream.repaired), stream.delay_s
-        ),
+        clock=stream.clock,
+        delay_s=stream.delay_s,
         dropped=dict(stream.dropped),
         derived=not log.recorded(name),
     )
@@ -152,12 +140,12 @@ def of_stamps(facts: Sequence[TopicFacts], choice: Choice, robot: Robot) -> list
     known = {f.topic: f for f in facts if f.count >= MIN_JUDGED and f.problem is None}
     used = {t: (role, known[t]) for role in choice.topics for t in choice.of(role) if t in known}
     found = [
-        Finding(role, "stamps", f"{topic}: {f.stamps.clock}")
+        Finding(role, "stamps", f"{topic}: {f.clock.words}")
         for topic, (role, f) in used.items()
-        if f.stamps.delay_s is not None and not f.stamps.as_stamped
+        if f.clock is not None and f.delay_s is not None and not f.clock.as_stamped
     ]
     apart = _other_clocks(known, choice, robot)
-    seconds = max((f.stamps.beside_s for _, f in used.values()), key=abs, default=0.0)
+    seconds = max((f.beside_s for _, f in used.values()), key=abs, default=0.0)
     if not apart and seconds:
         words = f"header stamps and log times are {abs(seconds):.1f} s apart: two clocks; header stamps are used"
         found.append(Finding("log", "two clocks", words))
@@ -172,9 +160,9 @@ def _other_clocks(known: Mapping[str, TopicFacts], choice: Choice, robot: Robot)
         return found
     for role, topic in choice.topics.items():
         f = known.get(topic)
-        if f is None or ON_STAMPS in (f.stamps.clock, wheels.stamps.clock):
+        if f is None or any(one.clock is not None and one.clock.words == ON_STAMPS for one in (f, wheels)):
             continue  # dated on the clock that the stamps are of
-        off = f.stamps.beside_s - wheels.stamps.beside_s
+        off = f.beside_s - wheels.beside_s
         settings = robot.truth if role == "truth" else robot.settings(role) if role in REGISTRY else None
         if abs(off) > OTHER_CLOCK_S and settings and abs(off - settings.time_offset) > OTHER_CLOCK_S:
             side = "before" if off > 0 else "after"

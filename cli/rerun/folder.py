@@ -37,7 +37,7 @@ def scene_of(report_file: Path) -> RerunScene:
 
 
 def _scene(folder: Path, report: Mapping[str, Any], by_run: bool) -> RerunScene:
-    """Return the scene; `run` names a trajectory by its kind, `compare` by its result."""
+    """Return the scene of a results' folder; `by_run`: files are named trajectory.tum and smoothed.tum."""
     rows = report["configurations"]
     tracks = {}
     for name, row in rows.items():

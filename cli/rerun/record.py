@@ -85,7 +85,7 @@ def file_in(folder: Path, drive: str) -> Path:
 
 
 def record_drive(folder: Path, drive: str, result: Result) -> str:
-    """Write the recording of a result with its audits; return the reason in one line if it fails, else ""."""
+    """Write a drive's recording with its audits; return the reason in one line if it fails, else ""."""
     path = file_in(folder, drive)
     problem = saved(path, result, identity=path.stem)  # by which the catalog lists it
     return f"{drive}: {_warning(problem)}" if problem else ""

@@ -207,7 +207,7 @@ def _panorama_rows(stream: Stream, settings: Any) -> int | None:
 
 
 def _picture(t: float, message: Any, picture: Any, optics: Any, found: tuple[Array, Any]) -> Picture:
-    """Return a picture with its panorama; of a JPEG or PNG its own bytes. `found`: bearings and verdicts (k,)."""
+    """Return a picture with its panorama; JPEG and PNG bytes are reused. `found`: bearings and verdicts (k,)."""
     from locfuse.fusion.camera.optics import angle_of_bearing, column
     from locfuse.fusion.camera.panorama import unwrap
 

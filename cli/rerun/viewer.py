@@ -30,7 +30,7 @@ START_TIMEOUT_S = 2.0  # s in which a viewer that cannot start has ended
 
 
 def show(path: Path) -> subprocess.Popen[bytes] | None:
-    """Show a recording in a running viewer, else in a new one, which is returned. Raises LocfuseError without."""
+    """Show a recording in a running viewer, else start one and return it. Raises LocfuseError if that fails."""
     if listening(HOST, PORT):
         try:
             send(path, LOCAL_VIEWER)
@@ -167,7 +167,7 @@ def free_port(wanted: int) -> int:
 
 
 def _hand_over(path: str, url: str) -> None:
-    """Send the recording and its blueprint under their own names."""
+    """Send a recording file to the viewer at `url`, under the names that the file has."""
     from locfuse.formats.rerun.recording import quiet_rust
 
     quiet_rust()

@@ -37,7 +37,7 @@ NO_RANGE_M = 1e3  # a range_max beyond is none
 
 
 def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
-    """Return the parameters; `there` are those of the file to change."""
+    """Return the node's parameters; `there` holds the values of the file that will be changed."""
     return [*_motion(found, there), *_laser(found, there)]
 
 
@@ -59,7 +59,7 @@ def _motion(found: Found, there: Mapping[str, Any]) -> Iterator[Setting]:
 
 
 def _noise(found: Found) -> tuple[float, float]:
-    """Return the variance per metre of a wheel [m] and the track [m] that give the drive's turning noise."""
+    """Return the noise of a wheel [variance per m] and the track [m] that give the drive's turning noise."""
     wheels = found.loaded.drive.wheels
     if wheels.matched is None:
         return wheels.noise, wheels.track

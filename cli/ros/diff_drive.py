@@ -29,7 +29,7 @@ SEPARATION, *RADII = MULTIPLIERS = (
 
 
 def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
-    """Return the parameters; `there` are those of the file to change. Raises LocfuseError without wheels."""
+    """Return the node's parameters; `there` holds the values of the file. Raises LocfuseError without wheels."""
     wheels = found.loaded.drive.wheels
     if wheels.matched is not None or found.robot.wheels.wheelbase is not None:
         raise LocfuseError(
@@ -67,7 +67,7 @@ def _of_wheels(found: Found, there: Mapping[str, Any]) -> list[Setting]:
 
 
 def _of_odometry(found: Found, there: Mapping[str, Any]) -> list[Setting]:
-    """Return the multipliers, relative to those of the log's odometry: the file's, else 1."""
+    """Return multipliers for the log's odometry: those of the file, else 1, corrected by the calibration."""
     old = {key: positive(there, key) or 1.0 for key in MULTIPLIERS}
     relative = None if found.calibration is None else found.calibration.relative()
     if relative is None:

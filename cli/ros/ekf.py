@@ -67,7 +67,7 @@ class Source(NamedTuple):
 
 
 def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
-    """Return the parameters; `there` are those of the file to change."""
+    """Return the node's parameters; `there` holds the values of the file that will be changed."""
     rate = 1.0 / found.velocity.period
     sources = list(_sources(found))
     made = [
@@ -92,7 +92,7 @@ def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
 
 
 def _named(source: Source, there: Mapping[str, Any]) -> str | None:
-    """Return the input of a file with a topic."""
+    """Return the key of the input in a parameter file that has a source's topic, None without one."""
     bare = source.topic.strip("/")
     inputs = ((key, str(value).strip("/")) for key, value in there.items() if INPUT.fullmatch(key))
     if source.origin == ASSUMED:  # the log has no odometry: the file's first is of the same wheels
@@ -175,7 +175,7 @@ def _imu(found: Found) -> Iterator[Source]:
 
 
 def _heading_options(found: Found) -> dict[str, bool]:
-    """Return the options of a compass: only locfuse estimates its offset, robot_localization does not."""
+    """Return robot_localization's options for a compass, whose offset that program does not estimate."""
     pose = found.robot.settings("pose")
     if not (found.has("pose") and pose.heading and pose.frame in {"map", "own"}):
         return {"relative": found.robot.settings("compass").offset_deg != 0.0}
@@ -224,7 +224,7 @@ def gyro_variance(found: Found, with_bias: bool = True) -> float:
 
 
 def _turn_walk(found: Found) -> float:
-    """Return the random walk of the turning rate [(rad/s)^2 per s], by the gyro, finer than the wheels."""
+    """Return the random walk of the turning rate [(rad/s)^2 per s], by the gyro, else by the wheels."""
     if not found.has("gyro") or found.topic("gyro")[1] != IMU:
         return float(found.velocity.walk[1])
     stream, settings = found.loaded.stream("gyro"), found.robot.settings("gyro")

@@ -216,7 +216,7 @@ def _keys(tables: Mapping[str, Any]) -> list[str]:
 
 
 def _of_result(log: Sequence[str], how: LogOptions) -> tuple[Sequence[str], LogOptions, dict[str, str]]:
-    """Return the log of a folder of results, its options with their settings, and the sources of these.
+    """Return the log and the options with which a folder of results was made, and the source of each setting.
 
     Of a log this is the log itself, and no sources. Raises LocfuseError where the log of a result is not there.
     """

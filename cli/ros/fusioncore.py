@@ -23,7 +23,7 @@ FIELD = "sensor_msgs/msg/MagneticField"
 
 
 def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:
-    """Return the parameters; `there` are those of the file to change."""
+    """Return the node's parameters; `there` holds the values of the file that will be changed."""
     parts = {sensor: of(found) for sensor, of in SENSORS.items() if found.has(sensor)}
     mapped = [sensor for sensor, part in parts.items() if part]
     made = [setting for part in parts.values() for setting in part]

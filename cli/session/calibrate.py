@@ -50,7 +50,7 @@ LACKING_BY_LASER = {
 
 
 class Fitted(NamedTuple):
-    """One setting that the logs show."""
+    """One estimated setting with its old value."""
 
     key: str  # "wheels.radius"
     figure: Figure
@@ -198,7 +198,7 @@ class Calibration(Found, frozen=True, kw_only=True):
 
 
 def _figures(keys: Mapping[str, str] | Sequence[str], values: Array, sigmas: Array) -> dict[str, Figure]:
-    """Return values with 95 % intervals by their keys, those with a sigma."""
+    """Return values with 95 % intervals by their keys; values without a finite sigma are left out."""
     found = zip(keys, values.tolist(), (SIGMAS_95 * sigmas).tolist(), strict=True)
     return {key: Figure(value, value - half, value + half) for key, value, half in found if math.isfinite(half)}
 
@@ -400,7 +400,7 @@ def _gyro_notes(found: GyroCalibration, settings: WheelSettings) -> list[str]:
 
 
 def _by_laser(loaded: Sequence[Loaded], progress: Progress) -> LaserCalibration:
-    """Compare wheels and laser of all logs with both. Raises LocfuseError if none has both or shows enough."""
+    """Compare wheels and laser over the logs that have both. Raises LocfuseError if they show too little."""
     both = [one for one in loaded if has_both(one)]
     if not both:
         names = ", ".join(one.log.name for one in loaded)
@@ -410,7 +410,7 @@ def _by_laser(loaded: Sequence[Loaded], progress: Progress) -> LaserCalibration:
 
 
 def _laser_notes(fit: LaserCalibration, settings: WheelSettings) -> list[str]:
-    """Return notes: how much was seen, what it does not show, and which sensor defines the distance scale."""
+    """Return notes on a calibration: how much was seen, what it does not show, which sensor sets the scale."""
     notes = [
         f"laser: {fit.intervals} pieces of way by wheels and laser ({fit.way_m:.1f} m, "
         f"{math.degrees(fit.turned_rad):.0f} degrees); the laser's metre is taken for the right one "
@@ -442,7 +442,7 @@ def has_both(one: Loaded) -> bool:
 
 
 def motion_of_both(one: Loaded) -> Motion:
-    """Return the motion of wheels and laser in one log, the laser's in its own frame."""
+    """Return the motion of wheels and laser in one log; the laser's motion is in the laser's frame."""
     lrf: Any = one.robot.settings("lrf")
     laser = laser_of(lrf)._replace(mount=np.zeros(3))
     stream = one.log.stream(one.choice.topics["lrf"], one.robot.order)

@@ -36,7 +36,7 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
         raise NotImplementedError
 
     def values(self) -> dict[str, Any]:
-        """Return everything as plain values, as --json prints it: `locfuse schema` has keys, units and words."""
+        """Return all results as plain values for --json; `locfuse schema` describes the keys and units."""
         raise NotImplementedError
 
     def rows(self) -> list[Row]:
@@ -45,7 +45,7 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def how(self) -> LogOptions:
-        """The options under which the logs were read."""
+        """Options with which the logs were read."""
         return self.loaded[0].how
 
     def losses(self) -> list[str]:
@@ -90,7 +90,7 @@ class Found(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def refuse_doubtful(one: Loaded, what: str, own: Collection[str] = ()) -> None:
-    """Raise LocfuseError for a certain fault of the settings that `what` would hide; `own` are codes it can find.
+    """Raise LocfuseError for a certain fault that `what` would hide, except those with a code in `own`.
 
     `info --check` would exit with 3. Where the drive starts spoils neither noise nor wheels.
     """

@@ -64,7 +64,7 @@ def _verdicts(found: Compared) -> dict[str, str]:
 
 
 def _away(plain: Estimates, other: Estimates) -> float:
-    """Return the largest distance [m] of two paths at the times of the first."""
+    """Return the largest distance [m] between two paths at the times of the first path."""
     x, y = (np.interp(plain.t, other.t, other.pose[:, k]) - plain.pose[:, k] for k in (0, 1))
     return float(np.hypot(x, y).max())
 
@@ -95,7 +95,7 @@ def _ranges(own: Mapping[str, Any], runs: Sequence[Mapping[str, float | None]]) 
 
 
 def _unless_it_flips(verdict: Mapping[str, Any], seen: Counter[str]) -> dict[str, Any]:
-    """Return a verdict unchanged if all runs agree in direction, else no effect seen, with the reason."""
+    """Return a verdict unchanged if all runs agree in direction; else "no effect seen" with the reason."""
     directions = {DIRECTIONS.get(word, 0) for word in (verdict["verdict"], *seen)}
     if len(directions) == 1:
         return dict(verdict)

@@ -70,7 +70,7 @@ def drive(scenario: str) -> Driven:
 
 
 def distances(driven: Driven) -> Array:
-    """Return the distance of every point driven from the path, which has a point every cm, (n,) m."""
+    """Return the distance of every driven point from the planned path, (n,) m."""
     return np.array([np.hypot(*(driven.path - p).T).min() for p in driven.xy])
 
 

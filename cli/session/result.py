@@ -250,7 +250,7 @@ class Run(Result, frozen=True, eq=False):
 
     @property
     def filtered(self) -> Estimates:
-        """What the filter estimated, with an audit of every measurement."""
+        """The filter's estimates, with an audit of every measurement."""
         return next(e for e in self.estimates.values() if not e.smoothed)
 
     @property

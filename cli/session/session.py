@@ -247,7 +247,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         return Comparison(compared, report, drawn)
 
     def _refers(self, asked: Asked) -> bool:
-        """Return whether a reference is used instead of truth. Raises UsageError for an impossible one."""
+        """Return whether a reference judges instead of truth. Raises UsageError if this log can have none."""
         wanted = asked.reference
         if wanted and asked.jitter:
             raise UsageError(

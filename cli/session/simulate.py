@@ -204,7 +204,7 @@ class Localiser:
 
 
 def _column(value: Any) -> Column:
-    """Return one message's value as a column of one row."""
+    """Return a message's value as a column with one row."""
     if isinstance(value, np.ndarray) and value.ndim == 1:
         return Ragged(value, np.array([0, len(value)]))
     if isinstance(value, (int, float)):

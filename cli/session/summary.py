@@ -68,7 +68,7 @@ class Summary:
         return over.headline(self.report)
 
     def table(self) -> list[dict[str, Any]]:
-        """Return one row per log and configuration, as `Comparison.table`, with the log's name in "log"."""
+        """Return one row per log and configuration, as `Comparison.table` does, with the log's name in "log"."""
         return [{"log": name, **row} for name, result in self.results.items() for row in result.table()]
 
     def write(self, folder: PathLike | None = None, *, write: Kinds = None, overwrite: bool = False) -> list[Path]:
@@ -167,7 +167,7 @@ def _each(logs: Sequence[PathLike | Sequence[PathLike]]) -> list[list[str]]:
 
 @contextmanager
 def naming(log: str) -> Iterator[None]:
-    """Add the log's name to errors inside, unless they have it."""
+    """Add the log's name to errors raised inside this context, unless they have it."""
     try:
         yield
     except LocfuseError as problem:
@@ -231,7 +231,7 @@ class Mean(NamedTuple):
 
 
 def mean_over(values: Sequence[float], fewest: int = MIN_REPLICATES) -> Mean:
-    """Return the mean of independent values and, of at least `fewest`, Student's interval."""
+    """Return the mean of independent values; with at least `fewest` values also Student's interval."""
     mean = fmean(values)
     if len(values) < fewest:
         return Mean(mean, None, None, len(values))

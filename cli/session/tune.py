@@ -89,7 +89,7 @@ class Tuning(Found, frozen=True, kw_only=True):
         }
 
     def _likelihoods(self, *parts: str) -> Iterator[tuple[str, tuple[float, ...] | None, int]]:
-        """Return what was tuned on and what was held out: the ln likelihood before and after, and its numbers."""
+        """Yield for training and held-out logs: name, ln likelihoods before and after, number of values."""
         return zip(parts, (self.tuned.train, self.tuned.held_out), self.tuned.numbers, strict=True)
 
     def rows(self) -> list[Row]:

@@ -65,7 +65,7 @@ def lines(
 
 
 def together(overviews: Mapping[str, Overview], shown: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what several logs of one robot show together; a finding of several logs once, by its first log."""
+    """Yield lines on several logs of one robot: common values, then findings, those of several logs once."""
     yield from map(_headline, overviews.values())
     yield from _section(TOGETHER, [f"  {value['words']}" for value in shown["values"]])
     common = {value["key"] for value in shown["values"]}
@@ -165,7 +165,7 @@ def _place(mount: dict[str, Any], frame: str) -> str:
 
 
 def _configurations(overview: Overview, width: int | None) -> Iterator[str]:
-    """Yield what can be estimated, what lacks a setting, and last what the log does not contain."""
+    """Yield lines on what can be estimated, what lacks a setting, and which sensors have no topic."""
     known, why = configurations(overview), absent(overview)
     base = wheels_missing(overview)
     ready = [name for name, what in known.items() if what is None]
@@ -245,7 +245,7 @@ def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None
 
 
 def _without(typed: Sequence[str], fixes: Collection[str]) -> list[str]:
-    """Return what was typed without the --set of keys that are fixed."""
+    """Return the typed words without the --set of keys that a fix sets."""
     kept: list[str] = []
     for word in typed:
         if kept and kept[-1] == "--set" and word.partition("=")[0] in fixes:

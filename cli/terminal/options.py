@@ -131,10 +131,10 @@ def _help_all(ctx: click.Context, param: click.Parameter, wanted: bool) -> None:
 
 
 class RobotFile(click.Path):
-    """A robot.toml, or one for each robot of a fleet: these are found when the robots are known."""
+    """A robot.toml, or with {robot} in its name one file for each robot of a fleet."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Return the path."""
+        """Return the path; one with {robot} need not exist."""
         return Path(value) if "{robot}" in str(value) else super().convert(value, param, ctx)
 
 

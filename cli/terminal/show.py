@@ -231,7 +231,7 @@ def findings(report: Mapping[str, Any], folder: Path | None = None, verbose: boo
 
 
 def _idle(finding: Mapping[str, Any]) -> bool:
-    """Return whether no part of a finding changes this drive: it counts as a note."""
+    """Return whether a finding is harmless and has no fix; then it counts as a note."""
     return not finding["fixes"] and bool(finding.get("harmless"))
 
 

@@ -45,7 +45,7 @@ def lines(table: Table, width: int | None, gap: str = "  ") -> list[str]:
 
 
 def _text(column: Column, cell: Cell) -> str:
-    """Return a cell; a number in as few decimals as a terminal needs."""
+    """Return a cell as text; a number gets only the decimals that a terminal needs."""
     number = isinstance(cell.value, int | float) and not isinstance(cell.value, bool)
     return text(replace(column, form=column.brief_form) if number and column.brief_form else column, cell)
 

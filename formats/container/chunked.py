@@ -43,7 +43,7 @@ class Records(NamedTuple):
 
 
 def most_records(packed: int) -> int:
-    """Return how many records this many bytes of a file may unpack to: every real one takes at least one byte."""
+    """Return the most records that this many bytes of a file may unpack to: at least one byte per record."""
     return FREE_RECORDS + packed
 
 

@@ -102,7 +102,7 @@ Bytes = NDArray[np.uint8]
 
 
 def unpack(data: Bytes, messages: Messages) -> Iterator[tuple[Bytes, Messages]]:
-    """Yield the messages as they are, or unpacked in portions; one that does not unpack comes out empty."""
+    """Yield messages unpacked, in portions; a message that cannot be unpacked becomes empty."""
     if not _packed(data, messages):
         yield data, messages
         return
@@ -201,7 +201,7 @@ def _unpack(path: Path, name: Place, plain: BinaryIO, losses: Losses) -> None:
 
 
 def _declared_size(head: bytes) -> int:
-    """Return the size that the first frame declares, 0 where it declares none."""
+    """Return the unpacked size that the first frame declares, 0 where it declares none."""
     try:
         return max(zstandard.frame_content_size(head), 0)
     except zstandard.ZstdError:

@@ -66,7 +66,7 @@ class FileBytes:
         """Copy all bytes to this machine, unless they are here."""
 
     def unpack(self, unpack: Callable[[Path], Path]) -> None:
-        """Read from now on the temporary file that `unpack` makes of this one, under the same name."""
+        """Copy the file here, unpack it by `unpack`, and read the unpacked temporary file from now on."""
         self.copy_here()
         self._read_from(unpack(self._file))
         weakref.finalize(self, self.where.unlink, missing_ok=True)

@@ -32,7 +32,7 @@ def definition(msgtype: str, sample: bytes = b"") -> str | None:
 
 @cache
 def _fields() -> dict[str, list[str]]:
-    """Return the fields of all types of the table, one line each; the newest definition of a type is first."""
+    """Return the field definitions of every type in known_types.toml, one field per line, newest first."""
     table = tomllib.loads((files(__package__) / "known_types.toml").read_text(encoding="utf-8"))
     return {name: [re.sub(r",\s+", "\n", text) + "\n" for text in texts] for name, texts in table.items()}
 

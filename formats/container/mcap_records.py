@@ -41,7 +41,7 @@ class Channel(NamedTuple):
 
 
 class ChunkIndex(NamedTuple):
-    """A chunk's place by the summary, and the bytes of message indexes after it."""
+    """A chunk's place in the file by the summary, and the size and places of its message indexes."""
 
     offset: int
     length: int
@@ -55,7 +55,7 @@ class ChunkIndex(NamedTuple):
 
     @property
     def channels(self) -> frozenset[int]:
-        """The channels with messages in the file."""
+        """The channels that have messages in the file."""
         return frozenset(self.indexes)
 
 
@@ -73,7 +73,7 @@ LENGTH = {"s": "I", "b": "I", "d": "Q", "m": "I"}
 
 
 def values(data: bytes, layout: str, at: int = 0) -> list[Any]:
-    """Return values from `at` on, and last the place behind them. Raises DamagedError if one does not fit.
+    """Return the values from offset `at` on, then the end offset. Raises DamagedError if one does not fit.
 
     Letters of the layout: B, H, I, Q integers, s a text, b and d bytes, m a map from 2-byte keys to 8-byte values.
     """

@@ -39,7 +39,7 @@ class ChunkRef(Part):
 
     @property
     def place(self) -> tuple[int, int]:
-        """Where it begins in the file, and where its message indexes end."""
+        """Offsets in the file: the chunk's begin, and the end of its message indexes."""
         return self.offset, max(at + length for at, length in self.index.values())
 
 
@@ -54,7 +54,7 @@ def chunk_at(offset: int, data: FileBytes) -> ChunkRef:
 
 
 def put_in_order(parts: list[Part]) -> None:
-    """Sort parts by time if one of them ends before an earlier one begins: chunks may have any order.
+    """Sort parts by time if a later part ends before an earlier one begins: chunks may have any order.
 
     Those whose times overlap stay as they are: stamps jitter, the order of a file does not.
     """
@@ -100,7 +100,7 @@ TAIL_BYTES = rec.RECORD.size + rec.FOOTER_LENGTH + len(rec.MAGIC)  # bytes of fo
 
 
 def _footer(data: FileBytes) -> tuple[int, int, bytes] | None:
-    """Return the summary's place and checksum, and the footer's bytes under that; None without a whole footer."""
+    """Return the summary's offset, its checksum, and the footer bytes in that checksum; None without a footer."""
     foot = data.read(max(data.size - TAIL_BYTES, 0), TAIL_BYTES)
     if len(foot) < TAIL_BYTES or foot[-len(rec.MAGIC) :] != rec.MAGIC or foot[0] != rec.FOOTER:
         return None
@@ -217,7 +217,7 @@ def _promised_chunk(entry: rec.ChunkIndex) -> ChunkRef | None:
 
 
 def confirm(data: FileBytes, chunk: ChunkRef) -> None:
-    """Read the own header of a chunk that is known by the summary. Raises DamagedError if it differs."""
+    """Check a chunk that the summary names against the chunk's own header. Raises DamagedError if they differ."""
     if chunk.promised:
         own = None
         with suppress(DamagedError):

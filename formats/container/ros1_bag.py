@@ -263,6 +263,6 @@ class BagSource(ChunkedSource):
 
 
 def _heads(window: bytes, start: int, end: int) -> bool:
-    """Return whether the header of a record here reaches `end` and is as short as a chunk's."""
+    """Return whether the record header at `start` reaches to `end` and is as short as a chunk's header."""
     length = int(WORD.unpack_from(window, start)[0])
     return end <= start + WORD.size + length <= start + 2 * BEFORE.stop

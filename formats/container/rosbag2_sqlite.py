@@ -142,7 +142,7 @@ class SqliteSource(Source):
             self.losses.add(str(self.path), DAMAGED, 0, 0)
 
     def _connect(self) -> sqlite3.Connection:
-        """Open read-only; with the journal of a crashed recording if it can be read."""
+        """Open the database read-only, with the journal of a crashed recording if the journal can be read."""
         self.data.still_the_same()
         where = self.data.where.resolve()
         if self._has_journal:
@@ -268,7 +268,7 @@ JOURNAL_LOST = "the end of its journal (-wal) is damaged or was not finished: it
 
 
 def journal_of(database: Path) -> tuple[int, int]:
-    """Return the bytes of a database's journal that sqlite reads, and those that it leaves out.
+    """Return how many bytes of a database's journal sqlite reads, and how many it leaves out.
 
     sqlite is asked on a copy of the journal: to count its frames it must write.
     """

@@ -99,6 +99,6 @@ class Recorded(NamedTuple):
 
 
 def message_type(name: str) -> str:
-    """Spell a type name as pkg/msg/Name: "pkg/Name" and "pkg::msg::Name" are spellings of the same."""
+    """Return a type name as pkg/msg/Name; it may be given as "pkg/Name" or "pkg::msg::Name"."""
     parts = name.replace("::", "/").split("/")
     return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else "/".join(parts)

@@ -93,5 +93,5 @@ def is_url(word: str) -> bool:
 
 
 def place(word: str) -> Place:
-    """Return where a word points to. Raises UsageError for an address that cannot be read."""
+    """Return the local path or the address that a word names. Raises UsageError for an unreadable address."""
     return Url(word) if is_url(word) else Path(word)

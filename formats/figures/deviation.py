@@ -52,7 +52,7 @@ def _overlay(judged: list[Evaluation], name: str, span: tuple[float, float]) -> 
 
 
 def _enlarged(panel: Panel, judged: list[Evaluation]) -> Panel | None:
-    """Return a panel again at the scale of its smallest curves; None if all are of similar size."""
+    """Return a panel enlarged to its smallest curves; None if all curves are of similar size."""
     columns = [OVERLAYS[panel.name][2](j) for j in judged]
     rms = [float(np.sqrt(np.nanmean(c**2))) if np.isfinite(c).any() else np.nan for c in columns]
     least = min(filter(np.isfinite, rms), default=0.0)
@@ -138,7 +138,7 @@ def uncertainty(scene: Scene) -> Section:
 
 
 def _figures_words(judged: list[Evaluation], key: str, unit: str) -> str:
-    """Return one figure of the report of every configuration, in words."""
+    """Return one figure of every configuration as a sentence."""
     known = [(j.name, value) for j in judged if (value := j.figures.get(key)) is not None]
     return ", ".join(f"{name} rms {value:.4f} {unit}" for name, value in known) + "."
 
@@ -207,7 +207,7 @@ def _histograms(what: str, errors: Mapping[str, Array], scale: float, unit: str)
 
 
 def _bins(errors: Array) -> Array:
-    """Return edges of bins of equal ratio for all errors; with many decades, for the largest."""
+    """Return bin edges of equal ratio that cover all errors, or their largest MAX_DECADES decades."""
     high = np.ceil(BINS_PER_DECADE * np.log10(errors.max()) + 1e-9)
     low = np.floor(BINS_PER_DECADE * np.log10(errors.min()) - 1e-9)
     low = max(low, high - MAX_DECADES * BINS_PER_DECADE)

@@ -29,7 +29,7 @@ class Trace(NamedTuple):
 
     @property
     def look(self) -> str:
-        """The line style: "" solid, "dash", or "over" for `all`, whose gaps show the curves below.
+        """The line style: "" solid, "dash", or "over" for `all`: broken, so that curves below it are visible.
 
         `all` is drawn last and often lies on the laser's curve: both are seen.
         """
@@ -109,7 +109,7 @@ def traces_in(report: Mapping[str, Any]) -> dict[str, Trace]:
 
 
 def looks_of(traces: Mapping[str, Trace]) -> dict[str, str]:
-    """Return how each result's line is broken ("dash", "over"), by its name; solid lines are left out."""
+    """Return the line style ("dash", "over") of each result by its name; solid lines are left out."""
     return {name: trace.look for name, trace in traces.items() if trace.look}
 
 

@@ -133,7 +133,7 @@ def _span(columns: list[Array], air: float, log: bool = False) -> tuple[float, f
 
 
 def _opened(low: float, high: float) -> tuple[float, float]:
-    """Return limits that differ: a log may be one instant long, a value constant."""
+    """Return limits that differ, also if the log is one instant long or a value constant."""
     low, high = max(low, -MAX_AXIS_VALUE), min(high, MAX_AXIS_VALUE)
     if high - low >= 1e-12 * max(1.0, abs(high)):
         return low, high

@@ -78,7 +78,7 @@ def strokes_path(ends: Array) -> str:
 
 
 def spots_path(x: Array, y: Array, crossed: bool = False) -> str:
-    """Return one point per place, drawn as a spot of fixed size by its round or square cap; or a cross."""
+    """Return an SVG path that draws each place as a spot of fixed size: round, square or a cross."""
     good = np.isfinite(x) & np.isfinite(y)
     tenths = np.rint(10.0 * np.clip(np.stack((x[good], y[good]), axis=-1), -MAX_COORDINATE_PX, MAX_COORDINATE_PX))
     r = round(10 * CROSS_PX)
@@ -87,7 +87,7 @@ def spots_path(x: Array, y: Array, crossed: bool = False) -> str:
 
 
 def places(x: Array, y: Array) -> str:
-    """Return points in whole px, each as the step from the one before: "x y dx dy ..."."""
+    """Return points in whole px as text "x y dx dy ...": the first point, then steps."""
     limit = MAX_COORDINATE_PX
     whole = np.rint(np.clip(np.stack((x, y), axis=-1), -limit, limit)).astype(np.int64)
     steps = np.diff(whole, axis=0, prepend=np.zeros((1, 2), np.int64))
@@ -270,7 +270,7 @@ def _mark(mark: Mark, x: Axis, y: Axis, slugs: dict[str, str], looks: Mapping[st
 
 
 def _track(track: TimedPlaces, x: Axis, y: Axis, slugs: dict[str, str]) -> str:
-    """Return an invisible path with its places at even times, for the cursor."""
+    """Return an invisible path through places at even times, which the page's cursor follows."""
     at = places(x.px(track.x), y.px(track.y))
     name = f"<title>{escape(track.of)}</title>"
     return f'<path class="here {slugs[track.of]}" data-at="{track.start:.9g} {track.end:.9g} {at}">{name}</path>'
@@ -286,7 +286,7 @@ def _shade(event: Event, x: Axis, y: Axis, slugs: dict[str, str]) -> str:
 
 
 def _drawn(mark: Mark, x: Axis, y: Axis) -> tuple[str, str]:
-    """Return the CSS classes of a mark, and its path."""
+    """Return a mark's CSS classes and its SVG path."""
     pixels = max(16, round(x.end - x.start))
     if isinstance(mark, Strokes):
         return "stroke", strokes_path(np.stack((x.px(mark.ends[:, :, 0]), y.px(mark.ends[:, :, 1])), axis=-1))

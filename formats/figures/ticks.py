@@ -6,7 +6,7 @@ import math
 
 
 def linear(low: float, high: float, most: int = 6) -> list[tuple[float, str]]:
-    """Return ticks (value, label) within [low, high]: at most `most`, but three where that few steps fit.
+    """Return ticks (value, label) within [low, high]: about `most` at most, but two at least.
 
     There are two at least, whatever `most` is: one tick alone shows no scale.
     """

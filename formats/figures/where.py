@@ -241,7 +241,7 @@ def _coloured(route: Route, edges: Array) -> list[Curve]:
 
 
 def _extend(found: list[Array], stretch: Array) -> None:
-    """Extend a curve from its end, else begin a new one after a break."""
+    """Extend a curve if the new piece begins at its end; else begin a new curve."""
     if found and (found[-1][-1] == stretch[0]).all():
         found.append(stretch[1:])
     else:

@@ -79,7 +79,7 @@ def _scalars(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _effects(credit: Mapping[str, Any] | None) -> dict[str, Any] | None:
-    """Return each sensor's effects without intervals, since intervals over logs come from the logs."""
+    """Return each sensor's effects without intervals: intervals over logs are computed from all logs."""
     if not credit:
         return None
     sensors = {

@@ -25,7 +25,7 @@ def summary_files(
     colours: Mapping[str, Colour],
     sweep: Sequence[str] = (),
 ) -> dict[str, Content]:
-    """Return the content of every file by its name: .json always, others as `asked`, or all if none is.
+    """Return the content of every file by its name: .json always, the kinds `asked`, or all kinds if none is.
 
     `colours` are those of all sensors known to the product.
     """

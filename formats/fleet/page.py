@@ -100,7 +100,7 @@ def _error(entry: Entry, configuration: str) -> float | None:
 
 
 def logs(summary: Mapping[str, Any], entries: Sequence[Entry]) -> tuple[Table, list[str]]:
-    """Return logs x configurations, the worst log first, and what was left out.
+    """Return a table of errors, logs x configurations, the worst log first, and notes on left-out parts.
 
     Each log links to its page, colours compare a row.
     """
@@ -127,7 +127,7 @@ def _log(entry: Entry, best: str, names: Sequence[str]) -> tuple[Cell, ...]:
 
 
 def _tint(error: float | None, least: float) -> str:
-    """Return a cell's colour: green for the least error of its row, the redder the more times it is larger."""
+    """Return a cell's colour: green for the row's smallest error, more red for larger errors."""
     if not error or not least:
         return ""
     share = min(math.log(error / least) / math.log(MAX_TINT_RATIO), 1.0)
@@ -136,7 +136,7 @@ def _tint(error: float | None, least: float) -> str:
 
 
 def robots(summary: Mapping[str, Any], entries: Sequence[Entry]) -> Table:
-    """Return a row per robot, worst first: its best configuration, and the error of the overall best on it."""
+    """Return a row per robot, worst first: its best configuration, and its error with the overall best one."""
     best = summary["best"]
     rows: list[dict[str, Any]] = []
     for robot in dict.fromkeys(e.robot for e in entries if e.robot is not None):
@@ -252,7 +252,7 @@ FEW_LOGS = 3  # below, a distribution is the table's numbers
 
 
 def sections(summary: Mapping[str, Any], entries: Sequence[Entry]) -> list[Section]:
-    """Return the figures that these logs allow."""
+    """Return the figures of a fleet that its number of logs allows."""
     errors = {
         name: np.array([v for e in entries if (v := _error(e, name)) is not None])
         for name in summary["configurations"]

@@ -83,7 +83,7 @@ def _interface(columns: Columns, names: list[tuple[str, ...]], field: str) -> Ar
 
 
 def _places(joints: int, interfaces: tuple[str, ...], lengths: Ints, field: str) -> Ints:
-    """Return the position of each joint's value of an interface among all values of a message, -1 if missing."""
+    """Return for each joint the index of its value of one interface among all values, -1 if missing."""
     at = np.full(joints, -1)
     if len(interfaces) != lengths.sum() or len(lengths) != joints:
         return at
@@ -145,7 +145,7 @@ def odometry_of_sport_state(columns: Columns, fields: tuple[str, ...], frame_id:
 
 
 def _six_by_six(column: Column) -> Array:
-    """Return covariances as (n, 36); one of another length becomes zeros."""
+    """Return covariances as (n, 36); a covariance of another length becomes zeros."""
     if not isinstance(column, Ragged):
         return _numbers(column).reshape(-1, 36)
     matrix = np.zeros((len(column), 36))
@@ -246,7 +246,7 @@ def _as_scans(n: int, cloud: Callable[[int], Array], fields: tuple[str, ...], fr
 
 
 def foxglove_clouds_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
-    """Return LaserScan fields of Foxglove's clouds, placed by their pose."""
+    """Return LaserScan fields of Foxglove's point clouds, moved by the pose of each cloud."""
     step, kinds = _numbers(columns["point_stride"]), _ragged(columns, "fields.type")
     bytes_of = np.array([len(one) for one in cast("list[bytes]", columns["data"])], np.float64)
     known = (kinds.values >= 0) & (kinds.values < len(PACKED))

@@ -10,8 +10,7 @@ wall's clock. What has no header is then dated by when it was recorded, read on 
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import msgspec
 import numpy as np
@@ -19,7 +18,7 @@ from msgspec import field
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from locfuse.fusion.data import Block, Column, Ints
+from locfuse.fusion.data import ArrayStream, Ints
 
 from . import jitter
 
@@ -58,51 +57,11 @@ class Clock(msgspec.Struct, frozen=True):
         return self.by_stamps and self.rows is None and not self.repaired
 
 
-class Dated(ABC):
-    """A stream with its chosen times; all rows come as one block if they need little memory."""
+class MadeStream(ArrayStream, frozen=True, kw_only=True):
+    """A topic that is made of another one or of a file: all its rows are in memory (fusion.data.Stream)."""
 
-    @property
-    @abstractmethod
-    def _clock(self) -> Clock:
-        """Return the chosen times."""
-
-    @abstractmethod
-    def columns(self, *fields: str) -> dict[str, Column]:
-        """Return whole columns by dotted field path, each with n rows."""
-
-    def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
-        """Yield (row numbers (k,), columns), k at most `rows`, in file order; small streams as one block."""
-        yield np.arange(len(self.t_ns)), self.columns(*fields)
-
-    @property
-    def t_ns(self) -> Ints:
-        """The times of the readings, (n,) ns, never decreasing."""
-        return self._clock.t_ns
-
-    @property
-    def clock(self) -> str:
-        """The source of the times, in words."""
-        return self._clock.words
-
-    @property
-    def by_stamps(self) -> bool:
-        """Whether the times are header stamps, perhaps sorted or repaired."""
-        return self._clock.by_stamps
-
-    @property
-    def as_stamped(self) -> bool:
-        """Whether every time is the unchanged header stamp."""
-        return self._clock.as_stamped
-
-    @property
-    def repaired(self) -> Mapping[str, int]:
-        """Stamps that were replaced, by reason."""
-        return self._clock.repaired
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What is unusual about the stream's times, in words."""
-        return self._clock.notes
+    clock: Clock  # by which the times were chosen
+    delay_s: float | None = None  # median delay of recording after the stamps
 
 
 def settle(log_time: Ints, stamp: Ints | None, order: str = "auto") -> Clock:
@@ -134,7 +93,7 @@ def _by_stamp(log_time: Ints, stamp: Ints) -> Clock:
 
 
 def _recorded(log_time: Ints, stamp: Ints, trusted: Mask, words: str) -> Clock:
-    """Use recording times, minus the usual delay if there is one."""
+    """Use the recording times, shifted by the usual delay if it is known."""
     delay = int(np.median((log_time - stamp)[trusted])) if trusted.any() else 0
     if abs(delay) > LATENCY_NS:
         return Clock(log_time, None, f"{words}; log time", notes=_differ(log_time, stamp))
@@ -155,7 +114,7 @@ def _repaired(log_time: Ints, stamp: Ints, trusted: Mask, bad: dict[str, Mask]) 
 
 
 def _untrusted(log_time: Ints, stamp: Ints) -> dict[str, Mask]:
-    """Return reason -> the stamps (n,) that are untrusted for it."""
+    """Return the stamps (n,) that cannot be trusted, as a mask per reason."""
     zero = stamp == 0
     negative = stamp < 0
     off = np.zeros(len(stamp), bool)
@@ -200,7 +159,7 @@ def _bunched(log_time: Ints) -> Mask:
 
 
 def _off_the_clock(log_time: Ints, stamp: Ints) -> Mask:
-    """Split the stream where stamps jump against recording; mark pieces far from the delay of the longest one."""
+    """Split the stream where stamps jump against recording; mark pieces with another delay than the longest."""
     delay = log_time - stamp
     cuts = np.flatnonzero(np.abs(np.diff(delay)) > JUMP_NS) + 1
     if not len(cuts):
@@ -213,7 +172,7 @@ def _off_the_clock(log_time: Ints, stamp: Ints) -> Mask:
 
 
 def _differ(log_time: Ints, stamp: Ints) -> tuple[str, ...]:
-    """Report stamps and recording times of two different clocks."""
+    """Return a note if stamps and recording times are of two different clocks, else ()."""
     delay = float(np.median(log_time - stamp)) / 1e9
     if abs(delay) * 1e9 <= LATENCY_NS:
         return ()
@@ -227,7 +186,7 @@ def stamped_topics(types: Mapping[str, str], counts: Mapping[str, int]) -> list[
 
 
 def common_clock(pairs: Sequence[tuple[Ints, Ints]]) -> tuple[Ints, Ints] | None:
-    """Return log times and stamps (n,) of one clock, both rising, if the stamps of all topics are of another one.
+    """Return log times and stamps (n,), both rising, if all topics have stamps of one other clock; else None.
 
     `pairs` are log times and stamps (m,) of each topic. None where any is stamped as it was recorded, where they
     differ, or where stamps run backwards.
@@ -243,7 +202,7 @@ def common_clock(pairs: Sequence[tuple[Ints, Ints]]) -> tuple[Ints, Ints] | None
 
 
 def on_clock(clock: Clock, known: tuple[Ints, Ints]) -> Clock:
-    """Return the clock of messages without a header, which has log times, converted to the clock of the stamps."""
+    """Return recording times converted to the clock of the stamps, for messages without a header."""
     log_time, stamp = known
     inside = np.clip(clock.t_ns, log_time[0], log_time[-1])
     # beyond either end both clocks are taken to run alike

@@ -21,7 +21,7 @@ from locfuse.formats.inputs import csv_rows, read_small
 from locfuse.formats.visible import visible
 from locfuse.fusion.data import END_OF_TIME, Array, Column, Ints, LocfuseError
 
-from .clock import Clock, Dated
+from .clock import Clock, MadeStream
 
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 POINT = "geometry_msgs/msg/PointStamped"
@@ -36,30 +36,14 @@ MAX_IDENT = 2**53  # whole numbers below it are exact as floats
 MIN_NS = 1e14  # a time beyond this is no number of seconds, but of nanoseconds
 
 
-class FileStream(Dated):
-    """A text file with the interface of a topic (formats.logs.stream.LogStream): its readings in time order."""
-
-    words = "times of the file"
-    delay_s: float | None = None
-
-    def __init__(self, path: Path, msgtype: str, t_ns: Ints, data: Mapping[str, Column]) -> None:
-        order = np.argsort(t_ns, kind="stable")
-        self.topic = str(path)
-        self.msgtype = msgtype
-        self.frame_id = ""
-        self._times = Clock(t_ns[order], None, self.words, by_stamps=True)
-        self.dropped: Mapping[str, int] = {}
-        self._data = {name: np.asarray(column)[order] for name, column in data.items()}
-
-    @property
-    def _clock(self) -> Clock:
-        return self._times
-
-    def columns(self, *fields: str) -> dict[str, Column]:
-        """Return whole columns; a pose without a covariance, or a point without height, has zeros there."""
-        n = len(self.t_ns)
-        empty = {"pose.covariance": (n, 36)}
-        return {name: self._data.get(name, np.zeros(empty.get(name, (n,)))) for name in fields}
+def in_time_order(
+    topic: str, msgtype: str, t_ns: Ints, data: Mapping[str, Column], words: str = "times of the file"
+) -> MadeStream:
+    """Return readings at the times (n,) as a topic; `words` say where the times come from."""
+    order = np.argsort(t_ns, kind="stable")
+    t_ns = t_ns[order]
+    columns = {name: np.asarray(column)[order] for name, column in data.items()}
+    return MadeStream(topic, msgtype, t_ns, columns, clock=Clock(t_ns, None, words, by_stamps=True))
 
 
 def is_file_topic(name: str) -> bool:
@@ -68,7 +52,7 @@ def is_file_topic(name: str) -> bool:
     return path.suffix.lower() in SUFFIXES and path.is_file()
 
 
-def read_file(name: str) -> FileStream:
+def read_file(name: str) -> MadeStream:
     """Return a text file as a stream. Raises LocfuseError with the line that cannot be read."""
     path = Path(name).expanduser()
     made = _csv(path) if path.suffix.lower() == ".csv" else _tum(path)
@@ -77,7 +61,7 @@ def read_file(name: str) -> FileStream:
     return made
 
 
-def _tum(path: Path) -> FileStream:
+def _tum(path: Path) -> MadeStream:
     """Read `t x y z qx qy qz qw` lines, perhaps with the 21 numbers of a covariance's upper triangle."""
     text = read_small(path, MAX_TEXT_FILE).decode("utf-8", "replace").lstrip("\ufeff")
     times, rows = [], []
@@ -104,7 +88,7 @@ def _tum(path: Path) -> FileStream:
     return _poses(path, times, position, q, P)
 
 
-def _csv(path: Path) -> FileStream:
+def _csv(path: Path) -> MadeStream:
     """Read a table whose header has t and x, y (theta) of poses, or t and id, range, bearing."""
     lines = csv_rows(path, MAX_TEXT_FILE)
     if not lines:
@@ -140,19 +124,19 @@ def _few(names: Sequence[str]) -> str:
 
 def _detections(
     path: Path, times: Sequence[int], idents: Sequence[int], at: Mapping[str, int], column: Callable[[str], Array]
-) -> FileStream:
+) -> MadeStream:
     missing = np.full(len(times), np.nan)
     data: dict[str, Column] = {
         "id": np.array(idents, np.int64),
         **{name: column(name) if name in at else missing for name in ("range", "bearing")},
     }
     kind = DETECTIONS if "bearing" in at else RANGES
-    return FileStream(path, kind, np.array(times, np.int64), data)
+    return in_time_order(str(path), kind, np.array(times, np.int64), data)
 
 
 def _table_of_poses(
     path: Path, times: Sequence[int], at: Mapping[str, int], column: Callable[[str], Array]
-) -> FileStream:
+) -> MadeStream:
     position = np.stack((column("x"), column("y")), axis=-1)
     heading = next((name for name in HEADINGS if name in at), None)
     if heading is None and "qw" in at:
@@ -172,16 +156,15 @@ def _table_of_poses(
     return _poses(path, times, position, q, P)
 
 
-def _points(path: Path, times: Sequence[int], xy: Array) -> FileStream:
-    return FileStream(path, POINT, np.array(times, np.int64), {"point.x": xy[:, 0], "point.y": xy[:, 1]})
+def _points(path: Path, times: Sequence[int], xy: Array) -> MadeStream:
+    return in_time_order(str(path), POINT, np.array(times, np.int64), {"point.x": xy[:, 0], "point.y": xy[:, 1]})
 
 
-def _poses(path: Path, times: Sequence[int], xy: Array, q: Array, P: Array | None) -> FileStream:
+def _poses(path: Path, times: Sequence[int], xy: Array, q: Array, P: Array | None) -> MadeStream:
     data: dict[str, Column] = {"pose.pose.position.x": xy[:, 0], "pose.pose.position.y": xy[:, 1]}
     data |= {f"pose.pose.orientation.{axis}": column for axis, column in zip("xyzw", q.T, strict=True)}
-    if P is not None:
-        data["pose.covariance"] = P.reshape(len(P), 36)
-    return FileStream(path, POSE, np.array(times, np.int64), data)
+    data["pose.covariance"] = np.zeros((len(xy), 36)) if P is None else P.reshape(len(P), 36)
+    return in_time_order(str(path), POSE, np.array(times, np.int64), data)
 
 
 def _number(path: Path, line: int, word: str) -> float:
@@ -194,7 +177,7 @@ def _number(path: Path, line: int, word: str) -> float:
 
 
 def _ident(path: Path, line: int, word: str) -> int:
-    """Return the number of a landmark: a whole one."""
+    """Return the number of a landmark, which must be whole."""
     value = _number(path, line, word)
     if not abs(value) < MAX_IDENT or value != round(value):
         raise LocfuseError(f"{path}: line {line}: {word.strip()[:40]!r} is no id: whole numbers are read")

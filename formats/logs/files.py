@@ -45,7 +45,7 @@ def log_files(path: Place) -> list[Place]:
 
 
 def _objects(url: Url) -> list[Place]:
-    """Return the objects of the log at an address: itself, or for a folder those with the first ending found."""
+    """Return the log's objects at an address: the object itself, or those of one kind in a folder."""
     if not url.is_folder:
         return [url]
     from locfuse.formats.container.remote_objects import below
@@ -67,7 +67,7 @@ def _folder(folder: Path) -> list[Place]:
 
 
 def _by_ending(folder: Path) -> list[Path]:
-    """Return the files with the first ending found: kinds are not mixed."""
+    """Return the files of the first kind (.mcap, .db3, .bag) that the folder holds."""
     return next(
         (files for ending in ENDINGS if (files := sorted(f for f in folder.glob(ending) if f.is_file()))),
         [],
@@ -106,7 +106,7 @@ def open_bytes(file: Place, losses: Losses) -> FileBytes:
 
 
 def open_source(file: Place, losses: Losses) -> Source:
-    """Open one file of a log by its first bytes."""
+    """Open one file of a log; its first bytes show its format."""
     try:
         data = open_bytes(file, losses)
         if data.far and data.read(max(data.size - len(MAGIC), 0), len(MAGIC)) != MAGIC:
@@ -157,7 +157,7 @@ def identity_of(files: Sequence[Place], states: Sequence[tuple[int, str] | None]
 
 
 def _seen(file: Place, state: tuple[int, str] | None) -> tuple[str, int, bytes]:
-    """Return the kind ("summary", "ends" or "etag") of the content that identifies a file, its size, and that."""
+    """Return how a file is identified ("summary", "ends" or "etag"), its size, and the identifying bytes."""
     if isinstance(file, Url):
         from locfuse.formats.container.remote_objects import state_of
 

@@ -92,7 +92,7 @@ def in_order(times: Ints) -> Ints:
 
 
 def filled(times: Ints, keep: NDArray[np.bool_], at: Ints, pace: int) -> Ints:
-    """Replace the times (n,) that are not kept: between neighbours in proportion to `at`, outside at a `pace`."""
+    """Replace times (n,) not in `keep`: interpolated over `at` between kept times, else extrapolated by `pace`."""
     known = np.flatnonzero(keep)
     first, last = known[0], known[-1]
     x, lost = at - at[first], np.flatnonzero(~keep)
@@ -105,13 +105,13 @@ def filled(times: Ints, keep: NDArray[np.bool_], at: Ints, pace: int) -> Ints:
 
 
 def _evenly_filled(times: Ints, keep: NDArray[np.bool_]) -> Ints:
-    """Replace times that are not kept: evenly between neighbours, after the last one by the usual period."""
+    """Replace times that are not kept: evenly between kept times, after the last one by the usual period."""
     period = int(np.median(np.diff(times[keep]))) if keep.sum() > 1 else 0
     return filled(times, keep, np.arange(len(times)), period)
 
 
 def _room_in_file(times: Ints, keep: NDArray[np.bool_], wrong: Ints) -> bool:
-    """Return whether most of the `wrong` times fit at their places in the file, rather than at their times."""
+    """Return whether most `wrong` times fit better at their place in the file than at their time."""
     known, kept = np.flatnonzero(keep), times[keep]
     after = np.searchsorted(known, wrong)
     inner = (after > 0) & (after < len(known))

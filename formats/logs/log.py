@@ -30,29 +30,30 @@ from locfuse.fusion.progress import say_done
 
 from . import clock as clocks
 from .adapters import PRESENTED, presented_name
-from .file_stream import FileStream, is_file_topic, read_file
+from .file_stream import RANGES, is_file_topic, read_file
 from .files import Identity, files_of, identity_of, log_name, open_source
 from .stream import (
+    NUMBER,
     LogStream,
-    NumberStream,
-    PathStream,
     PresentedStream,
-    RangeStream,
     Raw,
     TopicTable,
     dated,
     digest,
     field_of,
+    number_in,
+    path_in,
+    ranges_in,
 )
 from .transform_stream import (
     TF_FIELDS,
     TRANSFORM,
     FrameEdge,
-    TagStream,
-    TransformStream,
     edges_of,
+    frame_in,
     loop_in,
     pair_of,
+    tags_in,
     tags_of,
 )
 
@@ -140,7 +141,7 @@ class TopicChannels:
 
 
 def by_topic(sources: Sequence[Source]) -> Mapping[str, TopicChannels]:
-    """Return topic -> its channels in all files, by topic name."""
+    """Return the channels of each topic in all files, by topic name."""
     carriers: dict[str, list[Carrier]] = {}
     for source in sources:
         for ident, channel in source.channels.items():
@@ -154,7 +155,7 @@ def _same_kind(one: ChannelInfo, other: ChannelInfo) -> bool:
 
 # --- The log
 
-AnyStream = LogStream | TransformStream | TagStream | FileStream | NumberStream | RangeStream | PresentedStream
+AnyStream = LogStream | clocks.MadeStream
 MIN_CHANGES = 10  # from channel to channel, before two publishers write to a topic in turn
 MIN_MOTION_M = 0.005  # m, and of a quaternion (0.6 degrees): a mount that gives less is one
 FOXGLOVE_TF = tuple(f"foxglove{dot}FrameTransform{s}" for dot in (".", "_msgs/msg/") for s in ("", "s"))
@@ -268,7 +269,7 @@ class Log:
     def streams(self, wants: Mapping[str, Sequence[str]], order: str = "auto") -> dict[str, AnyStream]:
         """Return the streams of several topics, their named fields read in one walk over the log."""
         streams = {topic: self.stream(topic, order) for topic in wants}
-        self.read({topic: fields for topic, fields in wants.items() if isinstance(streams[topic], LogStream)})
+        self.read({topic: fields for topic, fields in wants.items() if self.recorded(topic)})
         return streams
 
     def find(self, name: str) -> Topic | None:
@@ -278,23 +279,22 @@ class Log:
         return self.topics.get(name)
 
     def _derive(self, name: str) -> tuple[Topic, Callable[[str], AnyStream]] | None:
-        """Return a topic that is made of another one or of a file, and what makes its stream in an order."""
+        """Return a topic derived from another topic or a file, and the function that makes its stream."""
         pair, number, source = pair_of(name), field_of(name), name.rpartition(":")[0]
         if pair is not None and self._is_tf(pair[0]):
             return self._of_frames(name, pair)
         if source in self._channels and presented_name(source, self.topics[source].msgtype) == name:
             self._check(source)
             how = PRESENTED[self.topics[source].msgtype]
-            shown: type[PathStream | PresentedStream] = PathStream if how.make is None else PresentedStream
-            return replace(self.topics[source], msgtype=how.msgtype), lambda o: shown(
-                name, self._stream_of(source, o)
-            )
+            made = replace(self.topics[source], msgtype=how.msgtype)
+            shown: Callable[[str, LogStream], AnyStream] = path_in if how.make is None else PresentedStream
+            return made, lambda order: shown(name, self._stream_of(source, order))
         if number is not None and number[0] in self._channels:
             topic, field = number
             self._check_numbers(topic, field.split(","))
-            made_of: type[RangeStream | NumberStream] = RangeStream if "," in field else NumberStream
-            made = replace(self.topics[topic], msgtype=made_of.msgtype)
-            return made, lambda order: made_of(name, self._stream_of(topic, order), field)
+            msgtype, taken = (RANGES, ranges_in) if "," in field else (NUMBER, number_in)
+            made = replace(self.topics[topic], msgtype=msgtype)
+            return made, lambda order: taken(name, self._stream_of(topic, order), field)
         if is_file_topic(name):
             file = read_file(name)
             self._files.add(name)
@@ -305,20 +305,18 @@ class Log:
         return LogStream(self, topic, self.topics[topic].msgtype, order)
 
     def _of_frames(self, name: str, pair: tuple[str, str, str]) -> tuple[Topic, Callable[[str], AnyStream]] | None:
-        """Return two frames of /tf, or the tags seen in a frame, as a topic; None without any tag."""
+        """Return a topic made of two frames of /tf, or of the tags seen in a frame; None if there is no tag."""
         tf, parent, child = pair
         source, edges = self.topics[tf], self.frames(tf)
         if child != OF_CAMERA:
             count = len(edges[parent, child].stamp) if (parent, child) in edges else source.count
             made = Topic(TRANSFORM, count, source.encoding, source.schema_encoding)
-            return made, lambda o: TransformStream(
-                name, o, tuple(self.frames(tf, o).values()), self.static_transforms()
-            )
+            return made, lambda o: frame_in(name, tuple(self.frames(tf, o).values()), self.static_transforms())
         seen = sum(len(edge.stamp) for edge in tags_of(edges, parent))
         made = Topic(TAGS, seen, source.encoding, source.schema_encoding)
         if not seen:
             return None
-        return made, lambda o: TagStream(name, o, tags_of(self.frames(tf, o), parent), self.all_mounts())
+        return made, lambda o: tags_in(name, o, tags_of(self.frames(tf, o), parent), self.all_mounts())
 
     def _check_numbers(self, topic: str, fields: Sequence[str]) -> None:
         """Raise LocfuseError if a field is missing or is no number; id and range may be two lists of numbers."""
@@ -401,7 +399,7 @@ class Log:
 
     @cached_property
     def stamps_clock(self) -> tuple[Ints, Ints] | None:
-        """Log times and stamps (n,) of the small topics, if their stamps are not of the recording's clock."""
+        """Log times and stamps (n,) of small topics, if stamps and recording use different clocks; else None."""
         readable = {name: t for name, t in self.topics.items() if self.recorded(name) and not t.problem}
         types = {name: topic.msgtype for name, topic in readable.items()}
         counts = {name: topic.count for name, topic in readable.items()}
@@ -505,7 +503,7 @@ class Log:
             yield raw
 
     def in_turn(self, topic: str) -> list[int]:
-        """Count the messages of channels of one file that write to a topic in turn; none for a single channel.
+        """Count each channel's messages if several channels of one file write to a topic alternately; else [].
 
         A recorder gives each publisher of a topic its own channel. One that starts again, and one whose messages
         are recorded twice, are no second publisher.
@@ -529,7 +527,7 @@ class Log:
 
 
 def _in_turn(source: Source, idents: Sequence[int]) -> list[int]:
-    """Return the counts of channels whose messages alternate and differ."""
+    """Return the message counts of channels that alternate in time with different messages; else []."""
     times: dict[int, list[Ints]] = {ident: [] for ident in idents}
     seen: dict[int, set[int]] = {ident: set() for ident in idents}
     for batch in source.batches(idents):
@@ -550,7 +548,7 @@ def _in_turn(source: Source, idents: Sequence[int]) -> list[int]:
 
 
 def _at_first(edge: FrameEdge) -> transforms.Transform:
-    """Return the first value of a transform."""
+    """Return the first recorded value of a transform."""
     return transforms.Transform(edge.parent, edge.child, transforms.matrices_of(edge.values[:1])[0])
 
 

@@ -9,7 +9,6 @@ import hashlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
-from pathlib import Path
 from typing import NamedTuple, Protocol, cast
 
 import numpy as np
@@ -26,7 +25,7 @@ from locfuse.fusion.data import END_OF_TIME, Block, Column, Ints, LocfuseError, 
 from . import clock as clocks
 from . import jitter
 from .adapters import OF_PATH, POSE, PRESENTED
-from .file_stream import RANGES, FileStream
+from .file_stream import RANGES, in_time_order
 
 
 class Raw(NamedTuple):
@@ -84,7 +83,7 @@ class TopicTable:
         self._times = NO_TIMES  # log time and sequence in walk order, until the rows are sorted
 
     def missing(self, fields: Sequence[str]) -> tuple[str, ...]:
-        """Return the fields that still have to be read, with the stamp."""
+        """Return the fields, the stamp included, that still have to be read."""
         wanted = dict.fromkeys(fields)
         if self.stamp:
             wanted[self.stamp] = None
@@ -96,7 +95,7 @@ class TopicTable:
         return self.log_time is not None
 
     def begin(self, fields: Sequence[str]) -> None:
-        """Start collecting the missing ones of `fields`."""
+        """Start a pass that collects those of `fields` that are not read yet."""
         self._pass = Pass(self.missing(fields), self._expected)
 
     def feed(self, raw: Raw) -> None:
@@ -139,7 +138,7 @@ class TopicTable:
             self.frame_id = str(one.columns((path,)).columns[path][0])
 
     def end(self) -> bool:
-        """End the pass; return whether messages share a log time, so that their bytes must decide the order."""
+        """End the pass; return whether messages have equal log times, so that their bytes decide the order."""
         collected, self._pass = self._pass, Pass((), 0)
         columns = {name: self._finished(name, column) for name, column in collected.columns.items()}
         log_time, sequence = collected.log_time.array(), collected.sequence.array()
@@ -259,24 +258,25 @@ class Reader(Protocol):
 
     @property
     def stamps_clock(self) -> tuple[Ints, Ints] | None:
-        """Log times and stamps of the other topics, if these are not of the recording's clock."""
+        """Log times and stamps (n,) of other topics, if stamps and recording use different clocks; else None."""
 
 
-class LogStream(clocks.Dated):
+class LogStream:
     """One topic with chosen times and fields as columns on request (fusion.data.Stream)."""
 
     def __init__(self, log: Reader, topic: str, msgtype: str, order: str) -> None:
-        self.topic = topic
+        self.topic = self._recorded = topic
         self.msgtype = msgtype
         self.order = order
         self._log = log
 
     @property
     def _table(self) -> TopicTable:
-        return self._log.read({self.topic: ()})[self.topic]
+        return self._log.read({self._recorded: ()})[self._recorded]
 
     @cached_property
-    def _clock(self) -> clocks.Clock:
+    def clock(self) -> clocks.Clock:
+        """The chosen times."""
         table = self._table
         assert table.log_time is not None
         stamp = np.asarray(table.columns[table.stamp]) if table.stamp else None
@@ -284,6 +284,11 @@ class LogStream(clocks.Dated):
         if stamp is None and self.order == "auto" and (known := self._log.stamps_clock) is not None:
             clock = clocks.on_clock(clock, known)
         return replace(clock, notes=(*clock.notes, _jittered(table.jittered))) if table.jittered else clock
+
+    @property
+    def t_ns(self) -> Ints:
+        """The times of the readings, (n,) ns, never decreasing."""
+        return self.clock.t_ns
 
     @property
     def frame_id(self) -> str:
@@ -301,12 +306,12 @@ class LogStream(clocks.Dated):
     @property
     def dropped(self) -> Mapping[str, int]:
         """Messages that gave no row, by reason."""
-        return {**self._log.left_out(self.topic), **self._table.bad, **self._clock.dropped}
+        return {**self._log.left_out(self._recorded), **self._table.bad, **self.clock.dropped}
 
     def columns(self, *fields: str) -> dict[str, Column]:
         """Return whole columns by dotted field path, each with n rows."""
-        table = self._log.read({self.topic: fields})[self.topic]
-        rows = self._clock.rows
+        table = self._log.read({self._recorded: fields})[self._recorded]
+        rows = self.clock.rows
         return {name: table.columns[name] if rows is None else take(table.columns[name], rows) for name in fields}
 
     def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
@@ -314,7 +319,7 @@ class LogStream(clocks.Dated):
         row_of = self._row_of_walk()
         waiting: list[Block] = []
         room, size, at = rows, 0, 0
-        for raw in self._log.raw(self.topic, fields):
+        for raw in self._log.raw(self._recorded, fields):
             while len(raw.messages.start):
                 some, raw = raw.split(min(room, _at_once(raw.messages.length)))  # noqa: PLW2901
                 decoded = some.columns(fields)
@@ -334,10 +339,10 @@ class LogStream(clocks.Dated):
     def _row_of_walk(self) -> Ints:
         """Return the row of every readable message in file order, -1 for none."""
         recorded = self._table.row
-        if self._clock.rows is None:
+        if self.clock.rows is None:
             return recorded
         row = np.full(len(recorded) + 1, -1, np.int64)  # the last one answers for -1
-        row[self._clock.rows] = np.arange(len(self._clock.rows))
+        row[self.clock.rows] = np.arange(len(self.clock.rows))
         return row[recorded]
 
 
@@ -377,145 +382,84 @@ def field_of(name: str) -> tuple[str, str] | None:
     return (parts[0], parts[1]) if len(parts) == 2 and all(parts) else None
 
 
-class DerivedStream(clocks.Dated):
-    """A topic derived from another one, with its clock and interface (formats.logs.stream.LogStream)."""
+class PresentedStream(LogStream):
+    """Messages of one type adapted to another (formats.logs.adapters), read block by block."""
 
-    msgtype = ""
-
-    def __init__(self, topic: str, source: LogStream) -> None:
-        self.topic = topic
-        self._source = source
-
-    @property
-    def order(self) -> str:
-        """The order in which the source is read."""
-        return self._source.order
-
-    @property
-    def frame_id(self) -> str:
-        """The frame of the first message's header, "" without one."""
-        return self._source.frame_id
-
-    @property
-    def delay_s(self) -> float | None:
-        """The median delay of recording after the header stamps [s]."""
-        return self._source.delay_s
-
-    @property
-    def _clock(self) -> clocks.Clock:
-        return self._source._clock
-
-    @property
-    def dropped(self) -> Mapping[str, int]:
-        """Messages that gave no row, by reason."""
-        return self._source.dropped
-
-
-class NumberStream(DerivedStream):
-    """A field of a topic."""
-
-    msgtype = NUMBER
-
-    def __init__(self, topic: str, source: LogStream, field: str) -> None:
-        super().__init__(topic, source)
-        self._field = field
-
-    def columns(self, *fields: str) -> dict[str, Column]:
-        """Return the number as the column "data"."""
-        values = np.asarray(self._source.columns(self._field)[self._field], dtype=np.float64)
-        return dict.fromkeys(fields, values)
-
-
-class RangeStream(DerivedStream):
-    """Two fields of a topic as ids and ranges; two lists give one row per entry."""
-
-    msgtype = RANGES
-
-    def __init__(self, topic: str, source: LogStream, fields: str) -> None:
-        super().__init__(topic, source)
-        self._fields = tuple(fields.split(","))
-
-    @cached_property
-    def _columns(self) -> tuple[Ints, dict[str, Column]]:
-        """Return the times (n,) and the columns (n,) of all rows."""
-        ids, ranges = self._source.columns(*self._fields).values()
-        t_ns = self._source.t_ns
-        if isinstance(ids, Ragged) and isinstance(ranges, Ragged):
-            if not np.array_equal(ids.lengths, ranges.lengths):
-                i = int(np.flatnonzero(ids.lengths != ranges.lengths)[0])
-                raise LocfuseError(
-                    f"{self.topic}: message {i} has {ids.lengths[i]} ids and {ranges.lengths[i]} ranges"
-                )
-            t_ns = np.repeat(t_ns, ids.lengths)
-            ids, ranges = (c.values[c.first[0] : c.first[-1]] for c in (ids, ranges))
-        return t_ns, {"id": np.asarray(ids), "range": np.asarray(ranges)}
-
-    @property
-    def t_ns(self) -> Ints:
-        """The times of the ranges, (n,) ns, never decreasing."""
-        return self._columns[0]
-
-    def columns(self, *fields: str) -> dict[str, Column]:
-        """Return the columns id and range."""
-        return {name: self._columns[1][name] for name in fields}
-
-
-class PresentedStream(DerivedStream):
-    """Messages of one type adapted to another (formats.logs.adapters)."""
-
-    def __init__(self, topic: str, source: LogStream) -> None:
-        super().__init__(topic, source)
+    def __init__(self, name: str, source: LogStream) -> None:
         self._how = PRESENTED[source.msgtype]
-        self.msgtype = self._how.msgtype
+        super().__init__(source._log, source.topic, self._how.msgtype, source.order)
+        self.topic = name
 
     @property
     def frame_id(self) -> str:
         """The frame of the adapted messages."""
-        return self._how.frame(self._source.frame_id)
+        return self._how.frame(super().frame_id)
 
     def columns(self, *fields: str) -> dict[str, Column]:
         """Return whole columns of the adapted type; the source is read block by block."""
         blocks = list(self.blocks(*fields))
         if not blocks:
-            return self._made(self._source.columns(*self._how.fields), fields)
+            return self._made(super().columns(*self._how.fields), fields)
         order = np.argsort(np.concatenate([rows for rows, _ in blocks]), kind="stable")
         return {name: take(concat([made[name] for _, made in blocks]), order) for name in fields}
 
     def blocks(self, *fields: str, rows: int = 256) -> Iterator[Block]:
         """Yield (row numbers (k,), columns), k at most `rows`, in file order; every row exactly once."""
-        for numbers, columns in self._source.blocks(*self._how.fields, rows=rows):
+        for numbers, columns in super().blocks(*self._how.fields, rows=rows):
             yield numbers, self._made(columns, fields)
 
     def _made(self, columns: Mapping[str, Column], fields: tuple[str, ...]) -> dict[str, Column]:
         assert self._how.make is not None
-        made = self._how.make(columns, fields, self._source.frame_id)
+        made = self._how.make(columns, fields, super().frame_id)
         return {name: made[name] for name in fields}
 
 
-class PathStream(FileStream):
-    """The poses of the last nav_msgs/Path of a topic, each at its own stamp.
+def number_in(name: str, source: LogStream, field: str) -> clocks.MadeStream:
+    """Return a field of a topic as a topic of numbers."""
+    values = np.asarray(source.columns(field)[field], dtype=np.float64)
+    return _made_of(name, source, NUMBER, source.t_ns, {"data": values})
+
+
+def ranges_in(name: str, source: LogStream, fields: str) -> clocks.MadeStream:
+    """Return two fields of a topic, "ids,ranges", as a topic of these; two lists give one row per entry."""
+    ids, ranges = source.columns(*fields.split(",")).values()
+    t_ns = source.t_ns
+    if isinstance(ids, Ragged) and isinstance(ranges, Ragged):
+        if not np.array_equal(ids.lengths, ranges.lengths):
+            i = int(np.flatnonzero(ids.lengths != ranges.lengths)[0])
+            raise LocfuseError(f"{name}: message {i} has {ids.lengths[i]} ids and {ranges.lengths[i]} ranges")
+        t_ns = np.repeat(t_ns, ids.lengths)
+        ids, ranges = (c.values[c.first[0] : c.first[-1]] for c in (ids, ranges))
+    return _made_of(name, source, RANGES, t_ns, {"id": np.asarray(ids), "range": np.asarray(ranges)})
+
+
+def _made_of(
+    name: str, source: LogStream, msgtype: str, t_ns: Ints, data: Mapping[str, Column]
+) -> clocks.MadeStream:
+    """Return columns made of a topic as a topic on its clock."""
+    of = source.frame_id, source.dropped
+    return clocks.MadeStream(name, msgtype, t_ns, data, *of, clock=source.clock, delay_s=source.delay_s)
+
+
+def path_in(name: str, source: LogStream) -> clocks.MadeStream:
+    """Return the poses of the last nav_msgs/Path of a topic, each at its own stamp.
 
     A program that draws the way it thinks the robot took publishes it again and again, longer each time and with
     what it corrected since. Raises LocfuseError where the poses have no times of their own: a plan.
     """
-
-    words = "stamps of its poses"
-
-    def __init__(self, topic: str, source: LogStream) -> None:
-        last = _last_message(source)
-        stamps: Ints = np.asarray(last.pop(OF_PATH[0]), np.int64)
-        if len(stamps) < 2 or np.ptp(stamps) == 0:
-            raise LocfuseError(
-                f"{source.topic}: the {len(stamps)} poses of its last message have no times of their own: a plan, "
-                "not a way that was driven"
-            )
-        super().__init__(Path(topic), POSE, stamps, {name.removeprefix("poses."): c for name, c in last.items()})
-        self.frame_id = source.frame_id
-        self.order = source.order
+    last = _last_message(source)
+    stamps: Ints = np.asarray(last.pop(OF_PATH[0]), np.int64)
+    if len(stamps) < 2 or np.ptp(stamps) == 0:
+        raise LocfuseError(
+            f"{source.topic}: the {len(stamps)} poses of its last message have no times of their own: a plan, "
+            "not a way that was driven"
+        )
+    poses = {field.removeprefix("poses."): column for field, column in last.items()}
+    return replace(in_time_order(name, POSE, stamps, poses, "stamps of its poses"), frame_id=source.frame_id)
 
 
 def _last_message(source: LogStream) -> dict[str, Column]:
-    """Return the columns of the poses in the last message only."""
+    """Return the columns of only those poses that the last message holds."""
     found: dict[str, Column] = {name: np.empty(0) for name in OF_PATH}
     latest = -1
     for rows, columns in source.blocks(*OF_PATH, rows=16):

@@ -11,7 +11,6 @@ Tags that a detector publishes as frames of its camera are a topic too, "/tf:cam
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -91,124 +90,89 @@ def edges_of(log_time: Ints, columns: Mapping[str, Column], order: str) -> dict[
     return found
 
 
-class TransformStream(clocks.Dated):
-    """One frame in another over time, with the interface of a topic (formats.logs.stream.LogStream)."""
+def frame_in(topic: str, edges: Sequence[FrameEdge], static: StaticTransforms) -> clocks.MadeStream:
+    """Return one frame in another over time, "/tf:odom:base_link", as a topic of TransformStamped.
 
-    def __init__(self, topic: str, order: str, edges: Sequence[FrameEdge], static: StaticTransforms) -> None:
-        self.topic = topic
-        self.msgtype = TRANSFORM
-        self.order = order
-        pair = pair_of(topic)
-        assert pair is not None
-        self.source, self._parent, self._child = pair
-        self._edges = edges
-        self._static = static
-
-    @cached_property
-    def _steps(self) -> list[tuple[FrameEdge | Array, bool]]:
-        """The path from parent to child: each edge (a matrix (4, 4) if it never moves), and if it leads back.
-
-        Raises LocfuseError if there is none.
-        """
-        moving: list[tuple[str, str, FrameEdge | Array]] = [(e.parent, e.child, e) for e in self._edges]
-        at = neighbours([*moving, *((e.parent, e.child, e.T_parent_child) for e in self._static.edges)])
-        if missing := [frame for frame in (self._parent, self._child) if frame not in at]:
-            have = ", ".join(sorted(at)[:12]) or "no frames"
-            raise LocfuseError(f"{self.source} has no frame {missing[0]}; it has {have}")
-        if (path := path_between(at, self._parent, self._child)) is None:
-            raise LocfuseError(f"{self.source}: nothing connects the frames {self._parent} and {self._child}")
-        return path
-
-    @cached_property
-    def _main(self) -> FrameEdge:
-        """The transform that gives the times of the stream: the most frequent one on the path."""
-        moving = [edge for edge, _ in self._steps if isinstance(edge, FrameEdge)]
-        if not moving:
-            words = f"{self.source}: {self._child} never moves in {self._parent}: both are on one rigid body"
-            raise LocfuseError(words)
-        return max(moving, key=lambda edge: (edge.moves, len(edge.stamp)))
-
-    @property
-    def _clock(self) -> clocks.Clock:
-        return self._main.clock
-
-    @cached_property
-    def _keep(self) -> NDArray[np.bool_]:
-        """Which times of the main transform lie within those of all others."""
-        t = self._main.clock.t_ns
-        keep = np.ones(len(t), dtype=bool)
-        for edge, _ in self._steps:
-            if isinstance(edge, FrameEdge) and edge is not self._main and edge.moves:
-                keep &= (t >= edge.clock.t_ns[0]) & (t <= edge.clock.t_ns[-1])
-        return keep
-
-    @property
-    def frame_id(self) -> str:
-        """The parent frame."""
-        return self._parent
-
-    @property
-    def t_ns(self) -> Ints:
-        """The times of the transforms, (n,) ns, never decreasing."""
-        return self._main.clock.t_ns[self._keep]
-
-    @property
-    def delay_s(self) -> float | None:
-        """The median delay of recording after the stamps [s]."""
-        return float(np.median(self._main.log_time - self._main.stamp)) * 1e-9
-
-    @property
-    def dropped(self) -> Mapping[str, int]:
-        """Transforms that gave no row, by reason."""
-        outside = int((~self._keep).sum())
-        return {**self._main.clock.dropped, **({"outside_chain": outside} if outside else {})}
-
-    @cached_property
-    def _values(self) -> Array:
-        """Positions and quaternions (n, 7) of the child in the parent."""
-        T = np.broadcast_to(np.eye(4), (len(self.t_ns), 4, 4))
-        for edge, backward in self._steps:
-            one = _at(edge, self.t_ns) if isinstance(edge, FrameEdge) else edge
-            T = T @ (inverse_of(one) if backward else one)
-        return np.concatenate((T[:, :3, 3], quaternions_of(T[:, :3, :3])), axis=1)
-
-    def columns(self, *fields: str) -> dict[str, Column]:
-        """Return columns of a TransformStamped."""
-        return {name: self._values[:, NAMES.index(name)] for name in fields}
+    Its times are those of the most frequent transform between the two. Raises LocfuseError where nothing that
+    moves connects them.
+    """
+    pair = pair_of(topic)
+    assert pair is not None
+    source, parent, child = pair
+    path = _path(source, parent, child, edges, static)
+    moving = [edge for edge, _ in path if isinstance(edge, FrameEdge)]
+    if not moving:
+        raise LocfuseError(f"{source}: {child} never moves in {parent}: both are on one rigid body")
+    main = max(moving, key=lambda edge: (edge.moves, len(edge.stamp)))
+    t_ns = main.clock.t_ns
+    inside = np.ones(len(t_ns), dtype=bool)  # which times lie within those of all others
+    for other in moving:
+        if other is not main and other.moves:
+            inside &= (t_ns >= other.clock.t_ns[0]) & (t_ns <= other.clock.t_ns[-1])
+    outside, t_ns = int((~inside).sum()), t_ns[inside]
+    T = np.broadcast_to(np.eye(4), (len(t_ns), 4, 4))
+    for edge, backward in path:
+        one = _at(edge, t_ns) if isinstance(edge, FrameEdge) else edge
+        T = T @ (inverse_of(one) if backward else one)
+    columns = (*T[:, :3, 3].T, *quaternions_of(T[:, :3, :3]).T)
+    return clocks.MadeStream(
+        topic,
+        TRANSFORM,
+        t_ns,
+        dict(zip(NAMES, columns, strict=True)),
+        parent,
+        {**main.clock.dropped, **({"outside_chain": outside} if outside else {})},
+        clock=main.clock,
+        delay_s=_delay_s(main.log_time, main.stamp),
+    )
 
 
-class TagStream(clocks.Dated):
-    """The tags seen by a camera, one row each, with the interface of a topic; derived from frames of /tf.
+def _path(
+    source: str, parent: str, child: str, edges: Sequence[FrameEdge], static: StaticTransforms
+) -> list[tuple[FrameEdge | Array, bool]]:
+    """Return the edges on the path from parent to child (a matrix (4, 4) if constant), each with "is inverted".
+
+    Raises LocfuseError if there is none.
+    """
+    moving: list[tuple[str, str, FrameEdge | Array]] = [(e.parent, e.child, e) for e in edges]
+    at = neighbours([*moving, *((e.parent, e.child, e.T_parent_child) for e in static.edges)])
+    if missing := [frame for frame in (parent, child) if frame not in at]:
+        have = ", ".join(sorted(at)[:12]) or "no frames"
+        raise LocfuseError(f"{source} has no frame {missing[0]}; it has {have}")
+    if (path := path_between(at, parent, child)) is None:
+        raise LocfuseError(f"{source}: nothing connects the frames {parent} and {child}")
+    return path
+
+
+def _delay_s(log_time: Ints, stamp: Ints) -> float:
+    """Return the median delay of recording after the stamps [s]."""
+    return float(np.median(log_time - stamp)) * 1e-9
+
+
+def tags_in(topic: str, order: str, edges: Sequence[FrameEdge], static: StaticTransforms) -> clocks.MadeStream:
+    """Return the tags seen by a camera as a topic, one row each: id, and x, y, z [m] in optical axes.
 
     A transform equal to the bit to the one before of its tag was published again, not seen again.
     """
-
-    msgtype = TAGS
-
-    def __init__(self, topic: str, order: str, edges: Sequence[FrameEdge], static: StaticTransforms) -> None:
-        self.topic = topic
-        self.order = order
-        self.frame_id = edges[0].parent
-        recorded, stamps = (np.concatenate([getattr(e, name) for e in edges]) for name in ("log_time", "stamp"))
-        ids = np.concatenate([np.full(len(e.stamp), number_of(e.child)) for e in edges])
-        places = in_optical_axes(np.concatenate([e.values for e in edges])[:, :3], self.frame_id, static)
-        again = np.concatenate([_again(e) for e in edges])
-        self.delay_s = float(np.median(recorded - stamps)) * 1e-9
-        by_record = np.argsort(recorded, kind="stable")
-        by_record = by_record[~again[by_record]]
-        self._settled = settled = clocks.settle(recorded[by_record], stamps[by_record], order)
-        rows = by_record if settled.rows is None else by_record[settled.rows]
-        self.dropped = {**settled.dropped, **({"repeat": int(again.sum())} if again.any() else {})}
-        self._data: dict[str, Column] = {"id": ids[rows].astype(np.int64)}
-        self._data |= {axis: places[rows, k] for k, axis in enumerate("xyz")}
-
-    @property
-    def _clock(self) -> clocks.Clock:
-        return self._settled
-
-    def columns(self, *fields: str) -> dict[str, Column]:
-        """Return columns: id, and x, y, z [m] in optical axes."""
-        return {name: self._data[name] for name in fields}
+    camera = edges[0].parent
+    recorded, stamps = (np.concatenate([getattr(e, name) for e in edges]) for name in ("log_time", "stamp"))
+    ids = np.concatenate([np.full(len(e.stamp), number_of(e.child)) for e in edges])
+    places = in_optical_axes(np.concatenate([e.values for e in edges])[:, :3], camera, static)
+    again = np.concatenate([_again(e) for e in edges])
+    by_record = np.argsort(recorded, kind="stable")
+    by_record = by_record[~again[by_record]]
+    clock = clocks.settle(recorded[by_record], stamps[by_record], order)
+    rows = by_record if clock.rows is None else by_record[clock.rows]
+    return clocks.MadeStream(
+        topic,
+        TAGS,
+        clock.t_ns,
+        {"id": ids[rows].astype(np.int64), **dict(zip("xyz", places[rows].T, strict=True))},
+        camera,
+        {**clock.dropped, **({"repeat": int(again.sum())} if again.any() else {})},
+        clock=clock,
+        delay_s=_delay_s(recorded, stamps),
+    )
 
 
 def tags_of(edges: Mapping[tuple[str, str], FrameEdge], camera: str) -> list[FrameEdge]:
@@ -225,14 +189,14 @@ def tags_of(edges: Mapping[tuple[str, str], FrameEdge], camera: str) -> list[Fra
 
 
 def _again(edge: FrameEdge) -> NDArray[np.bool_]:
-    """Mark the transforms (n,) that are equal to the one before, to the bit."""
+    """Mark the transforms (n,) that exactly equal the one before."""
     same = np.zeros(len(edge.stamp), dtype=bool)
     same[1:] = (edge.values[1:] == edge.values[:-1]).all(axis=1)
     return same
 
 
 def _at(edge: FrameEdge, t_ns: Ints) -> Array:
-    """Return the transforms (n, 4, 4) at times within those of the edge, interpolated."""
+    """Return the interpolated transforms (n, 4, 4) of an edge at times t_ns (n,) within its range."""
     rows = edge.clock.rows
     values = edge.values if rows is None else edge.values[rows]
     last = np.append(np.diff(edge.clock.t_ns) > 0, True)  # of several at one time the last one counts

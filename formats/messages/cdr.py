@@ -230,7 +230,7 @@ def fixed_size(node: Node, phase: int, aligned: bool) -> int | None:
 
 
 def _fixed_run(element: Node, count: int, phase: int, aligned: bool) -> int | None:
-    """Return the bytes of `count` elements in a row; strides repeat with the phase."""
+    """Return the number of bytes of `count` elements in a row, aligned from `phase` on; None if it varies."""
     size, i = 0, 0
     seen: dict[int, tuple[int, int]] = {}
     while i < count:

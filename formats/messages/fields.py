@@ -220,7 +220,7 @@ TF_TEXTS = ("frame_id",)
 
 
 def kind_of(parts: Sequence[Part]) -> str:
-    """Return the kind of column for a resolved field."""
+    """Return the kind of column (numbers, ragged rows, texts) that a resolved field becomes."""
     first = parts[0]
     if len(parts) == 2:
         return TIMES if first.inside else TIME

@@ -79,7 +79,7 @@ def _flat(values: list[Any], depth: int) -> list[Any]:
 
 
 def _at(value: Any, names: Sequence[str]) -> Any:
-    """Follow a path; through an array of objects it gives one value per element."""
+    """Return the value at a path of names; through an array of objects, a list with one value each."""
     for i, name in enumerate(names):
         if isinstance(value, list):
             return [_at(one, names[i:]) for one in value]

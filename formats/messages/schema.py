@@ -97,7 +97,7 @@ def parse(name: str, encoding: str, text: str, filler: bool = True) -> Structure
 
 
 def refuse_many_fields(tree: Structure) -> None:
-    """Raise SchemaError for a message with more fields than any; those of a nested type count at every use."""
+    """Raise SchemaError for a message with more than MAX_FIELDS fields, nested types counted at every use."""
     if (fields := count_fields(tree, {})) > MAX_FIELDS:
         raise SchemaError(
             names_its_cap(f"its definition of {tree.name} unfolds to too many fields", fields, MAX_FIELDS)

@@ -60,7 +60,7 @@ def _worse(tried: Mapping[str, Any]) -> bool:
 
 
 def _in_vain(finding: Mapping[str, Any]) -> str:
-    """Return the fixes that were tried without success, "" without any."""
+    """Return the fixes that were tried without success, as a sentence; "" if there are none."""
     tried = ", or ".join(" and ".join(fixes) for fixes in finding.get("alternatives", ()))
     if not tried:
         return ""
@@ -149,7 +149,7 @@ def notes_of(report: Mapping[str, Any]) -> list[str]:
 
 
 def _form(words: str) -> str:
-    """Return words without their numbers: notes that differ only in numbers are one note."""
+    """Return words without their numbers, to find notes that differ only in numbers."""
     return NUMBER.sub("#", words)
 
 
@@ -180,7 +180,7 @@ def _whose(own: Mapping[str, str]) -> str:
 
 
 def _with_others(own: Mapping[str, str]) -> str:
-    """Return the first configuration's words, with differing numbers of the others: "0.4 m (lrf: 0.5)"."""
+    """Return the first configuration's words; numbers of others are added if they differ: "0.4 m (lrf: 0.5)"."""
     first, *others = own
     numbers = {name: iter(NUMBER.findall(words)) for name, words in own.items()}
 

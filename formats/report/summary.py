@@ -99,7 +99,7 @@ def quantile(ordered: Sequence[float], share: float) -> float:
 
 
 def _p90_anees(values: Mapping[str, float], far: Mapping[str, float]) -> float:
-    """Return the ANEES at the 90 % quantile of distance from 1."""
+    """Return the ANEES at the 90 % quantile of the logs, ordered by distance from 1."""
     order = sorted(values, key=lambda log: far[log])
     return values[order[round(0.9 * (len(order) - 1))]]
 
@@ -154,7 +154,7 @@ def _logs(summary: Mapping[str, Any]) -> Table:
 
 
 def _not_judged(log: Mapping[str, Any]) -> str | None:
-    """Return why a log was not run, or why its figures are void."""
+    """Return the reason why a log was not run or why its figures are void."""
     return log.get("reason") or "; ".join(f"void: {line}" for line in log.get("void") or ()) or None
 
 
@@ -247,7 +247,7 @@ def _of_robot(robot: Mapping[str, Any]) -> list[Line]:
 
 
 def fix_of(robot: Mapping[str, Any]) -> list[Line]:
-    """Return the setting that helps in all logs of a robot, with its effect in each, or what was tried."""
+    """Return the setting that helps in all logs of a robot, with its effects; else the settings tried."""
     helped = [tried for tried in robot["tried"] if tried["helps"]]
     for tried in helped[:1]:
         each = [f"{log} {effect_of(pair, True)}" for log, pair in tried["logs"].items()]

@@ -48,7 +48,7 @@ class Column(msgspec.Struct, frozen=True):
 
 
 class Cell(NamedTuple):
-    """A text, a number, a range (low, high), counts by reason, or None; with its path in report.json."""
+    """One value of a table: text, number, range (low, high), counts by reason, or None; and its report path."""
 
     value: Any = None
     at: Path = ()
@@ -104,7 +104,7 @@ def of_words(columns: tuple[Column, ...], rows: Iterable[Sequence[str | None]]) 
 
 
 def of_values(columns: Sequence[Column], rows: Iterable[tuple[Mapping[str, Any], Path]], label: str = "") -> Table:
-    """Return a table with a row for every (values by key, their path in report.json, () if they are not in it)."""
+    """Return a table of rows (values by key, path in report.json); the path is () for values not in it."""
     return Table(
         tuple(columns),
         tuple(tuple(Cell(values.get(c.key), _below(at, c.key)) for c in columns) for values, at in rows),
@@ -113,7 +113,7 @@ def of_values(columns: Sequence[Column], rows: Iterable[tuple[Mapping[str, Any],
 
 
 def of_rows(columns: Sequence[Column], rows: Iterable[Mapping[str, Any]]) -> Table:
-    """Return a row of the columns' keys for every mapping that is no part of report.json."""
+    """Return a table of rows (values by key) that are not part of report.json."""
     return of_values(columns, ((row, ()) for row in rows))
 
 

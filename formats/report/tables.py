@@ -147,14 +147,14 @@ def configurations(report: Report, main: bool = True) -> Table:
 
 
 def _readable(columns: Iterable[Column], report: Report) -> tuple[Column, ...]:
-    """Return columns in which an absurdly large ANEES, by a truth without noise, is not printed as a number."""
+    """Return the columns; if the truth has no noise, very large ANEES are printed as "over MAX_ANEES"."""
     truth = report.get("settings", {}).get("truth", {})
     known = report["truth"] is None or truth.get("sigma") or truth.get("sigma_theta_deg")
     return tuple(replace(c, most=MAX_ANEES) if c == ANEES and not known else c for c in columns)
 
 
 def _configurations(report: Report, key: str | None = None) -> Rows:
-    """Yield every configuration's values, or those below a key, with its name."""
+    """Yield (values, path) of every configuration, or of the part of it at `key`, with its name."""
     runs = report["configurations"]
     hit = (v.get("crispness_cells") for v in runs.values() if _agrees(v))
     fewest = min(filter(None, hit), default=0)
@@ -167,20 +167,20 @@ def _configurations(report: Report, key: str | None = None) -> Rows:
 
 
 def _by_own_scans(report: Report) -> list[Column]:
-    """Return the columns on map quality, which the scans laid along the path give; [] without any."""
+    """Return the columns on map quality (revisit agreement, crispness) that any configuration has."""
     runs = report["configurations"].values()
     seen_twice, crisp = any(v.get(AGREEMENT.key) is not None for v in runs), any(_crispness(v, 1) for v in runs)
     return [*([AGREEMENT] if seen_twice else []), *([CRISPNESS] if crisp else [])]
 
 
 def _agrees(values: Mapping[str, Any]) -> bool:
-    """Return whether a path agrees with itself at places seen twice, if known."""
+    """Return whether a path agrees with itself at places seen twice; None if unknown."""
     agreement = values.get(AGREEMENT.key)
     return agreement is None or agreement >= MIN_AGREEMENT
 
 
 def _crispness(values: Mapping[str, Any], fewest: int) -> str | None:
-    """Return the number of cells over the smallest one; "bad" for a path that does not agree with itself."""
+    """Return the crispness: cells over the least number of cells; "bad" if the path contradicts itself."""
     cells = values.get("crispness_cells")
     return "bad" if not _agrees(values) else f"x {cells / fewest:.2f}" if cells and fewest else None
 
@@ -202,7 +202,7 @@ def jumps(report: Report) -> Table:
 
 
 def _judged_by(reference: Mapping[str, Any] | None) -> str | None:
-    """Return the reference that judged a result: "all", "all *" if it shares sensors, "camera ?" if in doubt."""
+    """Return the reference that judged a result: "all"; "all *" if it shares sensors; "camera ?" if doubtful."""
     if reference is None:
         return None
     every = not reference["left_out"] and len(reference["sensors"]) > 1

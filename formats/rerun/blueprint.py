@@ -153,7 +153,7 @@ def _nis(scene: RerunScene, sensor: str) -> Any:
 
 
 def _innovations(scene: RerunScene, sensor: str) -> list[Any]:
-    """Return a plot of each component, with limits for 99 % of the values: the first ones may hold an offset."""
+    """Return one plot per component of a sensor's innovations; the limits show 99 % of the values."""
     audits = [e.audits[sensor].y for e in scene.estimates if sensor in e.audits]
     views = []
     for i in range(audits[0].shape[1]):

@@ -152,7 +152,7 @@ def _draw_sights(to: TimelineRecorder, root: str, scene: RerunScene, e: Estimate
 
 
 def _strips(m: Measurements, seen: Audit, pose: Array, sight: SensorLook, track: float) -> Array:
-    """Return the drawing of each audit row (k,) on the map, (k, 2, 2) m, from the poses (k, 3) then."""
+    """Return a line on the map for each audit row (k,), (k, 2, 2) m, drawn from the pose (k, 3) at that time."""
     z = m.z[seen.row]
     if sight.kind == "segments":
         return to_map(pose[:, None], segments(z, m.extra["ends"][seen.row]))

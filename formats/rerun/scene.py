@@ -112,5 +112,5 @@ class RerunScene(msgspec.Struct, frozen=True, dict=True):
         return self.palette.get(configuration, GREY)
 
     def seen_by(self, configuration: str) -> Drive:
-        """Return the drive of a configuration, whose readings its audit counts."""
+        """Return the drive with the readings that a configuration used, to which its audit refers."""
         return self.thinned.get(configuration, self.drive)

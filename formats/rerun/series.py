@@ -42,7 +42,7 @@ class Pen(NamedTuple):
         self._draw(path, t, values, look)
 
     def band(self, path: str, t: Array, bound: Array) -> None:
-        """Draw two lines at +-bound (n,); under the curve's own name the legend switches both."""
+        """Draw two lines at +-bound (n,) with the curve's name, so that the legend switches them together."""
         look = rr.SeriesLines(colors=[(*self.colour, 200)] * 2, names=[self.name] * 2, widths=[0.75] * 2)
         self._draw(path, t, np.column_stack((bound, -bound)), look)
 
@@ -132,7 +132,7 @@ def _draw_limits(to: TimelineRecorder, scene: RerunScene, sensor: str, sight: Se
 
 
 def _draw_gate(pen: Pen, path: str, t: Array, codes: Ints) -> None:
-    """Draw the state of each reading where it changes."""
+    """Draw the verdict on each reading, at the readings where it changes."""
     names = list(ink.STATES)
     reading, code = thinned_states(codes, pen.limit)
     changes = np.flatnonzero(np.diff(code, prepend=-1))
@@ -156,7 +156,7 @@ def reading_states(m: Measurements, audit: Audit) -> Ints:
 
 
 def thinned_states(code: Ints, limit: int) -> tuple[Ints, Ints]:
-    """Return readings (k,) and their states (k,): all, or of `limit` intervals of them the worst in each."""
+    """Return readings (k,) and their states (k,): all, or the worst state in each of `limit` intervals."""
     n = len(code)
     if np.count_nonzero(np.diff(code)) < limit:
         return np.arange(n), code

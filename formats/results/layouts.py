@@ -91,7 +91,7 @@ def _plotjuggler(shown: Sequence[Shown]) -> str:
 
 
 def _tab(tabs: ET.Element, name: str, plots: int) -> ET.Element:
-    """Return where the plots of a new tab go, one below the other."""
+    """Return the position of a new tab's plots in the layout, one below the other."""
     container = ET.SubElement(ET.SubElement(tabs, "Tab", tab_name=name, containers="1"), "Container")
     sizes = ";".join([f"{1 / plots:.6f}"] * plots)
     return ET.SubElement(container, "DockSplitter", orientation="-", count=str(plots), sizes=sizes)

@@ -58,7 +58,7 @@ MAX_PATH_POSES = 2000  # of a path, which is to be looked at; every pose is on t
 
 
 class PoseSeries(msgspec.Struct, frozen=True, dict=True):
-    """Messages of one type, stamped t_ns (n,): `constant` texts and lengths, numbers of `columns`, else zero."""
+    """Messages of one type at times t_ns (n,): `constant` parts, numbers by `columns`, the rest zero."""
 
     msgtype: str
     t_ns: Ints
@@ -67,7 +67,7 @@ class PoseSeries(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def _template(self) -> tuple[NDArray[np.uint8], dict[str, tuple[int, np.dtype[Any]]]]:
-        """Return one message as CDR bytes, and where each column's number begins in it, with its type."""
+        """Return one message as CDR bytes, and for each column the offset and type of its number in it."""
         one = MESSAGES.cdr(self.msgtype, nested(self.constant))
         message = parse(self.msgtype, "ros2msg", MESSAGES.schema(self.msgtype))
         paths = self.columns(slice(1)).keys()
@@ -187,7 +187,7 @@ class Export(msgspec.Struct, frozen=True):
         return found if truth is None else {**found, TRUTH_POSE: POSE, TRUTH_PATH: PATH}
 
     def write(self, file: Path) -> None:
-        """Write the file. Raises LocfuseError if its times do not fit a ROS stamp."""
+        """Write the file. Raises LocfuseError if a time is outside the range of ROS stamps."""
         self._check("the drive", self.drive.t)
         if self.drive.truth is not None:
             self._check("the truth", self.drive.truth.t)
@@ -227,7 +227,7 @@ class Export(msgspec.Struct, frozen=True):
             topics.add("/tf", transforms(t_ns, pose, BASE))
 
     def _base_is_free(self) -> bool:
-        """Whether the last configuration may publish the robot's own frame: a frame has one parent."""
+        """Whether no topic of the log is a /tf, so that a configuration may publish the robot's own frame."""
         topics = self.log.topics if self.log is not None else {}
         return not any(t.msgtype in TF_TYPES and not name.endswith("tf_static") for name, t in topics.items())
 

@@ -33,7 +33,7 @@ class Recovered(msgspec.Struct, frozen=True):
 
 
 def recover(log: Log, path: Path) -> Recovered:
-    """Write all readable messages of a log to `path`, whole or not at all. Raises LocfuseError for none."""
+    """Write all readable messages of a log to `path`, or no file. Raises LocfuseError if none is readable."""
     encodings = {topic.encoding for topic in log.topics.values()}
     with whole_file(path) as temporary, temporary.open("wb") as file:
         writer = open_writer(file, "ros1" if encodings == {"ros1"} else "ros2")

@@ -36,5 +36,5 @@ def read(path: Path) -> dict[str, tuple[float, float]]:
 
 
 def encode(points: Iterable[tuple[int, float, float]]) -> str:
-    """Return landmarks (id, x, y [m, map frame]) as such a file."""
+    """Return landmarks (id, x, y [m, map frame]) as the text of a map file."""
     return "id,x,y\n" + "".join(f"{ident},{x!r},{y!r}\n" for ident, x, y in points)

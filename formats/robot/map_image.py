@@ -70,7 +70,7 @@ def of_message(data: Any, width: int, height: int, cell: float, origin: Array, n
 
 
 def checked(found: MapImage, name: str) -> MapImage:
-    """Return a map with walls that are visible from free space. Raises LocfuseError for others."""
+    """Return a map unchanged. Raises LocfuseError if it has no wall or no free cell."""
     for cells, what in ((found.occupied, "wall"), (found.free, "free cell")):
         if not cells.any():
             raise LocfuseError(f"{name} has no {what}: nothing can be localised in it (negate, thresholds)")

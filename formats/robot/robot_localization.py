@@ -139,7 +139,7 @@ def _in_log(topic: str, topics: Sequence[str]) -> str | None:
 
 
 def _placed(source: EkfInput, tables: dict[str, dict[str, Any]]) -> list[str]:
-    """Assign an input to a table; return notes on the parts without a counterpart."""
+    """Assign an input of an ekf.yaml to a table; return notes on its settings without a counterpart."""
     if source.kind == "imu":
         return _imu(source, tables)
     on = source.switches

@@ -76,7 +76,7 @@ def layered(*tables: Mapping[str, Any]) -> Tables:
 
 
 def _without_void(before: Any, above: Any) -> Any:
-    """Return a table without the sigmas of 0 of mount values that a later table changes."""
+    """Return a table without zero sigmas of mount values that a later table changes: they are not exact now."""
     if not (isinstance(before, Mapping) and isinstance(above, Mapping)):
         return before
     moved = (key for key in MOUNT_KEYS if key in above and above[key] != before.get(key, 0.0))
@@ -241,7 +241,7 @@ def _choices(kind: Any, key: str) -> str:
 
 
 def _needed(table: str, key: str, reason: str) -> str:
-    """Return "must be a number, in metres" for a value of the wrong kind; else the error of msgspec."""
+    """Return the error in words: "must be a number, in metres" for a wrong kind of value, else msgspec's."""
     unit = units.in_words(table, key)
     found = re.match(r"Expected `(int|float)(?: \| null)?`( [<>]=? [-\d.e+]+)?", reason)
     if not found:

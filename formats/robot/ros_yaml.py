@@ -64,7 +64,7 @@ class Setting(msgspec.Struct, frozen=True):
 
     @property
     def replaces(self) -> bool:
-        """Whether the value replaces one in an existing file."""
+        """The first words of a comment on a setting."""
         return self.value is not None and self.origin in {FOUND, SET}
 
     def words_at(self, place: int | None) -> str:
@@ -324,7 +324,7 @@ def _end(file: RosFile, node: Any) -> int:
 
 
 def _span(file: RosFile, key: str, node: Any, value: float | bool | str) -> dict[tuple[int, int], str]:
-    """Return where a value begins and ends in the text, and what comes there."""
+    """Return {(begin, end): new text} for a value in the text of the file."""
     end = _end(file, node)
     begin = end - (node.end_mark.index - node.start_mark.index)
     if begin == end or not isinstance(node.value, str) or node.style in {"|", ">"} or file.text[begin] in "!&*":
@@ -334,7 +334,7 @@ def _span(file: RosFile, key: str, node: Any, value: float | bool | str) -> dict
 
 
 def _reread(node: Any, value: float | bool | str) -> float | bool | str:
-    """Return a value as written at a node's place: with the digits written, in quotes as text."""
+    """Return the value that a reader of the file will get: rounded to the written digits, or quoted text."""
     if node.style:
         return in_yaml(value).strip('"')
     return value if isinstance(value, bool | str) else float(in_yaml(value))

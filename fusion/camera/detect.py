@@ -1,4 +1,4 @@
-"""From image messages to red vertical candidates: which chain, which calibration, on all cores.
+"""Detection of red vertical objects in image messages, on all cores.
 
 OpenCV lets go of the interpreter while it decodes, so a few threads share a block of pictures. Every picture is
 looked at alone and answers are taken in order: the number of threads does not change the result.
@@ -59,7 +59,7 @@ class Detector(msgspec.Struct, frozen=True):
         return Optics(x, y, inner, outer, self.width, self.zero, self.clockwise)
 
     def looks_like(self, other: Detector) -> bool:
-        """Return whether another detector finds the same in every picture; its names of directions may differ."""
+        """Return whether another detector finds the same candidates: only zero and direction may differ."""
         return replace(self, zero=other.zero, clockwise=other.clockwise) == other
 
     def coloured(self, picture: Picture) -> Picture:
@@ -76,18 +76,18 @@ class Detector(msgspec.Struct, frozen=True):
         return Detection((picture.shape[0], picture.shape[1]), optics, found)
 
     def is_half_enough(self, shape: tuple[int, int]) -> bool:
-        """Return whether a picture (h, w) with coarse colour loses nothing that is detected at half its size."""
+        """Return whether half resolution is enough to detect in a picture (h, w) with coarse colour."""
         return self.chain == "fast" and self.optics(shape).outer >= MIN_HALF_RADIUS_PX
 
     def find_in_half(self, picture: Picture, shape: tuple[int, int]) -> Detection:
-        """Return the candidates, in pixels of the whole picture `shape` (h, w), of a picture at half its size."""
+        """Return the candidates found in a half-size picture, in pixels of the full picture `shape` (h, w)."""
         optics = self.optics(shape)
         found = radial.candidates(self.coloured(picture), optics.halved(), self.red.halved())
         return Detection(shape, optics, [candidate.doubled() for candidate in found])
 
 
 def detect(message: tuple[Any, ...], detector: Detector) -> Detection | str:
-    """Return what the picture of one message shows, or the reason why there is no picture.
+    """Detect red objects in one message's picture; return the reason instead if it cannot be decoded.
 
     A JPEG that keeps colour at half resolution is decoded at that: a third of the work, and nothing red is lost.
     """
@@ -100,7 +100,7 @@ def detect(message: tuple[Any, ...], detector: Detector) -> Detection | str:
 
 
 def detections(stream: Stream, detector: Detector) -> Iterator[tuple[int, Detection | str]]:
-    """Yield (row number, what it showed or why it did not) for every message of a stream, in order."""
+    """Yield (row number, detection or reason why there is none) for every message of a stream, in order."""
     with ThreadPoolExecutor(min(MAX_THREADS, os.cpu_count() or 1)) as pool:
         for block in messages(stream):
             found = pool.map(partial(detect, detector=detector), [fields for _, fields in block])

@@ -53,7 +53,7 @@ class _Listener:
 
     @contextmanager
     def listening(self, alone: bool) -> Iterator[int]:
-        """Decode beside other threads, or alone so that every message on stderr belongs to one picture."""
+        """Let a thread decode: beside others, or alone, so that each message on stderr belongs to one picture."""
         with self._change:
             while alone and self._decoding:
                 self._change.wait()

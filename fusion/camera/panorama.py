@@ -157,7 +157,7 @@ def candidates(picture: Picture, optics: Optics, red: Red, printed: bool = False
 
 
 def _blob(band: Picture, x_p: int) -> tuple[NDArray[np.int64], Array]:
-    """Return the columns (k,) of the red blob around column x_p, counted on past the edges, and their weights."""
+    """Return columns (k,) and weights (k,) of the red blob around column x_p; columns may exceed the width."""
     width = band.shape[1]
     bright = band[band > 0]
     weight = np.minimum(band, cap(bright)).sum(axis=0, dtype=float) if len(bright) else np.zeros(width)
@@ -170,7 +170,7 @@ def _blob(band: Picture, x_p: int) -> tuple[NDArray[np.int64], Array]:
 
 
 def _measured(panorama: Picture, columns: NDArray[np.int64], weight: Array, inner: float) -> Candidate:
-    """Return the candidate that fills these columns of the panorama; x_p is the columns' centre of weight."""
+    """Return the candidate in these columns of the panorama; its x_p is their weighted mean."""
     width = panorama.shape[1]
     area = panorama[:, columns % width] > 0
     rows = np.flatnonzero(area.any(axis=1))

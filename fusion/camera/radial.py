@@ -69,7 +69,7 @@ def candidates(picture: Picture, optics: Optics, red: Red) -> list[Candidate]:
 
 
 def _things(pixels: Array) -> list[Array]:
-    """Return the red objects of pixels (4, n: angle [rad], radius [px], level, whether on the edge).
+    """Group red pixels (4, n: angle [rad], radius [px], level, whether on the edge) into objects.
 
     The pixels of a thing, (4, k), follow each other along the circle by no more than MAX_GAP_PX.
     """
@@ -85,13 +85,13 @@ def _things(pixels: Array) -> list[Array]:
 
 
 def _whole(thing: Array) -> Array:
-    """Return the pixels of an object without those on circles that the picture's edge cuts at an angle."""
+    """Return an object's pixels; circles on which it touches the picture's edge are left out."""
     edge = thing[3] > 0.0
     return thing[:3, thing[1] < thing[1, edge].min() - 1.0] if edge.any() else thing[:3]
 
 
 def _measured(theta: Array, radius: Array, level: Array) -> Candidate | None:
-    """Return the candidate of these pixels (k,), None if no pixel is left or it lies on the axis.
+    """Return the candidate made of these pixels (k,); None if there are none or they lie on the axis.
 
     Its middle is their centre of weight, which may lie across pi. A pixel's weight is its level, at most `cap`.
     """

@@ -82,14 +82,14 @@ def clock_words(clock: Clock) -> str:
 
 
 def offset_of(clock: Clock, robot: Robot, digits: int = 3, sigmas: float = 0.0) -> str:
-    """Return the setting that corrects a clock, or one that lies `sigmas` standard deviations beside it."""
+    """Return the setting that corrects a clock; `sigmas` standard deviations are added to its value."""
     tables: dict[str, Any] = {"wheels": robot.wheels, "truth": robot.truth}
     now = float((tables.get(clock.name) or robot.settings(clock.name)).time_offset)
     return f"{clock.name}.time_offset={now + clock.offset + sigmas * clock.sigma:z.{digits}f}"
 
 
 def differences(drive: Drive, robot: Robot, runs: Iterable[Estimates] = ()) -> dict[Pair, Lag]:
-    """Return what has to be added to the first clock's stamps of every pair so that it agrees with the second.
+    """Return for every pair of clocks the lag: the time to add to the first clock to match the second.
 
     `runs` may hold the laser's own: its map holds the heading at each scan, which shows its clock better. It goes
     by the wheels too, and is late by a part of what they are.
@@ -118,20 +118,20 @@ def differences(drive: Drive, robot: Robot, runs: Iterable[Estimates] = ()) -> d
 
 
 def _known(lag: Lag, pair: Pair) -> Lag:
-    """Return a lag with the sigma of two clocks' difference; one found by speed is 0 unless significant."""
+    """Return a lag with a realistic sigma; a lag found only by speed is set to 0 unless significant."""
     if math.isfinite(lag.sigma):
         return lag._replace(sigma=math.hypot(lag.sigma, MODEL_SIGMA_S))
     return lag._replace(offset=lag.offset if off_by(lag) else 0.0, sigma=SPEED_SIGMA_S)
 
 
 def _of_a_run(lag: Lag, by_wheels: Lag | None) -> Lag:
-    """Return the lag of a run; its sigma includes that the wheels themselves may be late."""
+    """Return a run's lag; its sigma is increased by the share of the wheels' lag that the run may contain."""
     drawn = 0.0 if by_wheels is None else RUN_BY_WHEELS * by_wheels.offset
     return lag._replace(sigma=math.hypot(lag.sigma, drawn))
 
 
 def _between_two(one: tuple[Array, Array], other: tuple[Array, Array], wheels: Wheels) -> Lag | None:
-    """Return the time to add to one heading's stamps so that it turns with the other, by the more certain way."""
+    """Return the lag of one heading to another one, found in both directions; the more certain one wins."""
     spans = [(float(t[0]), float(t[-1])) for t, _ in (one, other)]
     there = find_lag(*one, Reference(partial(_interpolated, *other), spans[1], wheels.heading))
     back = find_lag(*other, Reference(partial(_interpolated, *one), spans[0], wheels.heading))
@@ -140,7 +140,7 @@ def _between_two(one: tuple[Array, Array], other: tuple[Array, Array], wheels: W
 
 
 def wrong_clocks(pairs: Mapping[Pair, Lag], sigmas: float, least: float = MIN_LAG_S) -> list[tuple[Clock, ...]]:
-    """Return the fewest clocks that explain the differences if they are off, best explanation first; [] for none.
+    """Return the smallest set of wrong clocks that explains the lags; equally good sets follow; [] for none.
 
     A clock that is off costs the square of `sigmas`; others that explain as much are returned too. With three
     clocks the one that two others contradict is off; of two clocks alone either may be. Lags against wheels that
@@ -167,7 +167,7 @@ def wrong_clocks(pairs: Mapping[Pair, Lag], sigmas: float, least: float = MIN_LA
 def explained(
     pairs: Mapping[Pair, Lag], sizes: Mapping[Pair, float], off: Sequence[str]
 ) -> tuple[float, tuple[Clock, ...]]:
-    """Return chi-square of the differences if these clocks are off, and by how much (least squares)."""
+    """Fit the offsets of these clocks to the lags (least squares); return chi-square and the clocks."""
     rows = [p for p in pairs if p[0] in off or p[1] in off]
     A = np.array([[(p[0] == name) - float(p[1] == name) for name in off] for p in pairs]).reshape(
         len(pairs), len(off)
@@ -188,7 +188,7 @@ def explained(
 
 
 def _on_truths_clock(drive: Drive, robot: Robot, lag: Lag | None) -> list[Pair]:
-    """Return the sensors, each with the truth, whose readings fit it clearly better as stamped than shifted.
+    """Return (sensor, truth) pairs of sensors that fit the truth clearly better with unshifted stamps.
 
     They know places, not turning: landmarks. A robot that follows its commands late looks like a late truth.
     """
@@ -300,7 +300,7 @@ def clock_lags(measurements: Mapping[str, Measurements], wheels: Wheels) -> dict
 
 
 def _heading(name: str, m: Measurements) -> tuple[Array, Array] | None:
-    """Return times (n,) [s] and headings (n,) [rad] of a sensor that knows its own turning."""
+    """Return times (n,) [s] and headings (n,) [rad] of a sensor that measures its own turning, else None."""
     if len(m.t) < MIN_READINGS:
         return None
     heading = REGISTRY[name].heading(m.take(np.arange(min(len(m.t), MAX_READINGS))))

@@ -23,7 +23,7 @@ MAX_HEADING_RAD = 4.0 * math.pi  # a heading beyond two turns is in degrees
 
 
 def of_convention(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Finding]:
-    """Return the convention under which a heading that could not be read turns as the wheels do."""
+    """Return the convention under which an unread compass number turns as the wheels do."""
     stream = streams.get("compass")
     if stream is None or "compass" in drive.measurements or not stream.msgtype.startswith("std_msgs/"):
         return []
@@ -61,7 +61,7 @@ def tilted(
     by_wheels: bool = True,
     by_sensor: Mapping[str, Turning] | None = None,
 ) -> list[Finding]:
-    """Return the mounts that gravity contradicts, or the field as the wheels turned the robot in it.
+    """Return findings on wrong mounts of compass and gyro, by gravity, or by a field that turns with the robot.
 
     Where gravity says upside-down but the gyro turns with the wheels, gravity has the other sign.
     """
@@ -162,7 +162,7 @@ MIN_READINGS, MAX_PLACE_M = 10, 1.5  # disturbed readings; m that most of them l
 
 
 def of_iron(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Finding]:
-    """Return iron that turns a level magnetometer's headings: on the robot with its fix, in the room by place."""
+    """Return findings on iron near a level magnetometer: on the robot (with a fix), or in the room."""
     stream, settings = streams.get("compass"), cast(CompassSettings, robot.settings("compass"))
     if stream is None or stream.msgtype != FIELD_TYPE or settings.roll_deg or settings.pitch_deg:
         return []
@@ -200,7 +200,7 @@ def _on_robot(iron: Iron, settings: CompassSettings) -> list[Finding]:
 
 
 def _in_room(iron: Iron, field: Array, t: Array, drive: Drive, robot: Robot) -> list[Finding]:
-    """Return where and when the field's strength differs, which no calibration of the compass corrects."""
+    """Return a finding on where and when the field's strength changes; no compass calibration corrects that."""
     strength = np.linalg.norm((field - iron.hard) @ iron.soft.T, axis=1) / iron.strength
     off = np.abs(strength - 1.0) > max(MIN_DISTURBED, 5.0 * iron.scatter)
     if off.sum() < MIN_READINGS:

@@ -87,7 +87,7 @@ def _scales(
     turning: Sequence[Finding],
     least: Least | None,
 ) -> list[Finding]:
-    """Return the findings about distance scales and the track; each fix assumes that the other fixes are set."""
+    """Return findings on distance scales and the track; each fix assumes that the other fixes are set too."""
     named = {} if least is None else {"least": least}
     motion, lrf = None, drive.measurements.get("lrf")
     if lrf is not None and len(lrf.t) > 20 and not any(o.role == "lrf" for o in turning):
@@ -110,7 +110,7 @@ def _scales(
 
 
 def _refused(drive: Drive) -> list[Finding]:
-    """Count the readings that are not used, by reason; readings that were repaired are counted with the repair."""
+    """Return findings that count unused readings by reason; repaired readings have findings of their own."""
     found = []
     for stream, reasons in drive.dropped.items():
         words = [
@@ -142,7 +142,7 @@ def gaps(t: Array) -> list[tuple[float, float]]:
 
 
 def blind(name: str, m: Measurements) -> list[Finding]:
-    """Report that a sensor detected next to nothing, with the reason that its measurement gives."""
+    """Report a sensor that detected almost nothing, with the reason if known."""
     n = len(m.t)
     if n >= MIN_READINGS and m.absent > MAX_EMPTY_SHARE * n:
         words = f"no {REGISTRY[name].sees} in {m.absent} of {n} readings: it is dead, or its settings do not fit"

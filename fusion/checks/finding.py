@@ -10,7 +10,7 @@ from locfuse.fusion.data import LocfuseError
 
 
 class Least(NamedTuple):
-    """The smallest error that is reported."""
+    """Limits below which an error is not reported."""
 
     error: float  # relative
     sigmas: float  # standard errors that it must exceed besides
@@ -48,6 +48,6 @@ class Finding(msgspec.Struct, frozen=True):
 
 
 def of_error(error: LocfuseError, role: str, code: str, severe: bool = True) -> Finding:
-    """Return the finding of an error about a role; if the error is about another role or a file, it names that."""
+    """Return the finding of a role that an error makes; the message names another role if the error does."""
     message = error.message if error.role in {role, ""} else f"{error.role}: {error.message}"
     return Finding(role, code, message, error.fixes, severe, hint=error.hint)

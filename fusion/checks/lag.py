@@ -59,7 +59,7 @@ class Reference(NamedTuple):
 
 
 class Lag(NamedTuple):
-    """The time_offset under which a sensor's turning agrees best with another record of it."""
+    """The time offset with which a sensor's turning agrees best with a reference."""
 
     offset: float  # s to add to the sensor's stamps
     correlation: float  # at that offset
@@ -149,7 +149,7 @@ def _best(turns: _Turns, heading: Heading) -> float | None:
 
 
 def _least_squares(start: float, turns: _Turns, reference: Reference) -> _Fit | None:
-    """Return the lag near `start` [s]; None where the two hardly agree over such windows.
+    """Refine a lag near `start` [s] by least squares; None if the turns hardly agree.
 
     Gauss-Newton: a turn is the reference's, scaled, and the lag times how much the rate changed in the meantime.
     """
@@ -178,7 +178,7 @@ def _least_squares(start: float, turns: _Turns, reference: Reference) -> _Fit | 
 
 
 def _by_residuals(start: float, t: Array, heading: Array, reference: Reference) -> _Fit | None:
-    """Return the lag near `start` [s] that explains the residuals of a heading; None where errors last.
+    """Refine a lag near `start` [s] by the residuals of headings; None where the errors are slow.
 
     Its standard deviation is that of sums over stretches of the drive: it holds for errors that last a little.
     """
@@ -210,14 +210,14 @@ def _by_residuals(start: float, t: Array, heading: Array, reference: Reference) 
 
 
 def _without(column: Array, others: Array) -> Array:
-    """Return a column (n,) minus what other columns (n, k) explain of it."""
+    """Return a column (n,) minus its least-squares fit by other columns (n, k)."""
     x, *_ = np.linalg.lstsq(others, column, rcond=None)
     rest: Array = column - others @ x
     return rest
 
 
 def _changing(turns: _Turns, reference: Reference, lag: float) -> NDArray[np.bool_]:
-    """Return where the turning changes by more than its rms; at least a tenth of the windows."""
+    """Return in which windows the turn rate changes most: above the rms, at least a share of them."""
     middle = 0.5 * (turns.start + turns.end) + lag
     before, now, after = reference.wheels(middle + RATE_CHANGE_SPAN_S * np.array([[-1.0], [0.0], [1.0]]))
     change = np.abs(after - 2.0 * now + before)

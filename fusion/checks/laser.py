@@ -60,7 +60,7 @@ class Walls(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """What the walls show of scale, yaw and track."""
+    """The laser's scale, yaw and track error as walls show them."""
 
     scale: float  # that makes the laser's metre the wheels'
     scale_sigma: float
@@ -74,7 +74,7 @@ class Motion(NamedTuple):
 
     @property
     def turns_anywhere(self) -> float:
-        """Sigma of `turns` for any drive: eight stretches of a lap may slip alike."""
+        """Sigma of `turns` on any drive: at least that of slip, which is alike in the laps of one drive."""
         return max(self.turns_sigma, self.by_slips)
 
 
@@ -125,13 +125,13 @@ def bumped(walls: Walls, scale: float) -> tuple[float, float] | None:
 
 
 def _along_across(walls: Walls) -> tuple[Array, Array]:
-    """Return how far the laser moved along each wall's normal, and across it, to the left (k,) [m]."""
+    """Return the laser's motion along each wall's normal, and to the left of the normal, (k,) [m] each."""
     n, d = walls.n, walls.d
     return (n * d).sum(axis=1), n[:, 1] * d[:, 0] - n[:, 0] * d[:, 1]
 
 
 class Looking(NamedTuple):
-    """What the walls show of the laser's yaw, from a first guess."""
+    """The laser's scale and yaw error as the walls show them, from one first guess of the yaw."""
 
     walls: Walls
     scale: float  # that makes the laser's metre the wheels'
@@ -140,7 +140,7 @@ class Looking(NamedTuple):
 
 
 def _looking(m: Measurements, t: Array, drive: Drive, mount: Array, yaw: float) -> Looking | None:
-    """Return what the walls show if the laser's yaw is about `yaw` [rad] less than configured, or None."""
+    """Fit the laser's scale and yaw error by walls, starting from the error `yaw` [rad]; None if impossible."""
     for _ in range(MAX_ITERATIONS):  # walls pair badly while the laser is thought to look elsewhere
         walls = seen_twice(_turned(m, yaw, mount), t, drive, mount)
         if (fit := fitted(walls)) is None:
@@ -154,7 +154,7 @@ def _looking(m: Measurements, t: Array, drive: Drive, mount: Array, yaw: float) 
 
 
 def _turned(m: Measurements, yaw: float, mount: Array) -> Measurements:
-    """Return the lines in the base frame if the laser's yaw is `yaw` less than configured."""
+    """Return the measured lines in the base frame for a laser whose yaw is `yaw` less than configured."""
     r, psi = m.z.T
     own = r - np.cos(psi) * mount[0] - np.sin(psi) * mount[1]
     psi = psi - yaw
@@ -352,7 +352,7 @@ def _paired(a: Array, b: Array, moved: Array, d: Array, mount: Array, t: float) 
 
 
 def _who_is_right(robot: Robot, scale: float, fix: str) -> str:
-    """Report what to set if laser and wheels disagree; an odometry topic's own wheels cannot be set here."""
+    """Return a hint: the fix if the wheels are right, and the fix if the laser is right."""
     wheels = robot.wheels
     if wheels.radius is None:
         return f". If the odometry is right, set {fix}; if lrf is, the odometry has a wrong wheel radius"

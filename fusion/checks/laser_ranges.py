@@ -33,7 +33,7 @@ MIN_OFFSET_M, SEVERE_OFFSET_M, OFFSET_SIGMAS = 0.02, 0.03, 5.0  # m: corners and
 
 
 def driver(stream: Stream) -> list[Finding]:
-    """Return what is unusual about the first scans of a stream."""
+    """Return findings on a laser's driver, from the first scans of a stream."""
     parts = [columns for _, columns in _sample(stream, SAMPLE_SCANS)]
     if not parts:
         return []
@@ -75,7 +75,7 @@ def of_offset(stream: Stream, settings: LrfSettings) -> list[Finding]:
 
 
 def ranges_offset(stream: Stream, settings: LrfSettings) -> tuple[float, float] | None:
-    """Return what has to be added to every range [m] for straight walls to be straight, and its sigma.
+    """Return the offset [m] to add to every range so that walls become straight, and its sigma.
 
     Three beams an angle a apart meet a straight wall where r1 = 2 cos(a) r0 r2 / (r0 + r2). A constant error adds
     1 - 2 cos(a) (r0^2 + r2^2) / (r0 + r2)^2 of itself to the difference of the two sides, a scale error nothing.
@@ -103,7 +103,7 @@ def ranges_offset(stream: Stream, settings: LrfSettings) -> tuple[float, float] 
 
 
 def _bends(ranges: Array, angles: Array) -> Iterator[Array]:
-    """Yield for each scan (k, b) of beams at `angles` how walls bend (n, 2): r1 less its value, and its slope."""
+    """Yield for each scan (k, b) of beams at `angles` the bend of walls (n, 2): size, and slope by an offset."""
     step = float(np.abs(np.diff(angles, axis=-1)).mean())
     k = round(HALF_SPAN_RAD / step) if step > 0.0 else 0
     if k < 2 or ranges.shape[1] <= 2 * k:
@@ -130,7 +130,7 @@ def _bends(ranges: Array, angles: Array) -> Iterator[Array]:
 
 
 def _added(bends: Array) -> float:
-    """Return the constant [m] that straightens bends (n, 2), by least squares without what lies far off."""
+    """Return the range offset [m] that makes bends (n, 2) zero: least squares without outliers."""
     bend, slope = bends.T
     add = 0.0
     for _ in range(4):
@@ -142,7 +142,7 @@ def _added(bends: Array) -> float:
 
 
 def scatter_more(shown: float | None, sigma: float) -> bool:
-    """Return whether ranges with the noise `shown` [m] (`ranges_sigma`) surely scatter more than `sigma` [m]."""
+    """Return whether the observed noise `shown` [m] of ranges is clearly larger than `sigma` [m]."""
     return shown is not None and MAX_SCATTER * sigma < shown < MAX_NOISE_M
 
 
@@ -184,7 +184,7 @@ def _bend(before: Array, here: Array, after: Array, cos: Array | float) -> Array
 
 
 def _sample(stream: Stream, last: int) -> Iterator[tuple[Ints, dict[str, Any]]]:
-    """Yield rows and columns of SAMPLE_SCANS scans to twice as many, evenly over the first `last`.
+    """Yield rows and columns of a sample of scans, evenly spread over the first `last` scans.
 
     Scans that have more beams than a laser has are left out.
     """
@@ -205,7 +205,7 @@ def _sample(stream: Stream, last: int) -> Iterator[tuple[Ints, dict[str, Any]]]:
 
 
 def _nothing(values: Array, far: Array) -> list[Finding]:
-    """Count the ranges without a return, by the value that marks them."""
+    """Return a finding that counts ranges without a return, by the value that marks them."""
     shares = {
         "inf": np.isinf(values).mean() if len(values) else 0.0,
         "NaN": np.isnan(values).mean() if len(values) else 0.0,

@@ -41,7 +41,7 @@ PROBLEMS = {
 
 
 def of_pictures(stream: Stream, settings: CameraSettings) -> list[Finding]:
-    """Return what is unusual about some pictures of a stream, evenly spread."""
+    """Return findings on the pictures of a stream, from an evenly spread sample."""
     decoded = _sampled(stream)
     found, total = [], len(decoded)
     for why, n in Counter(one for one in decoded if isinstance(one, str)).items():
@@ -58,7 +58,7 @@ def of_pictures(stream: Stream, settings: CameraSettings) -> list[Finding]:
 
 
 def _sampled(stream: Stream) -> list[Picture | str]:
-    """Return some pictures of a stream, evenly spread, or why one cannot be used."""
+    """Return an evenly spread sample of a stream's pictures; a reason in place of one that cannot be used."""
     from locfuse.fusion.camera.images import decode, messages  # OpenCV: for logs with a camera only
 
     wanted = set(range(0, len(stream.t_ns), max(1, len(stream.t_ns) // SAMPLE_PICTURES)))
@@ -131,7 +131,7 @@ def _alone(drive: Drive) -> tuple[Array, Array]:
 
 
 def _zero(drive: Drive, robot: Robot, t: Array, z: Array) -> float | None:
-    """Return the offset of bearings z (n,) at t (n,) from those expected on the first metres; None if unknown."""
+    """Return the mean offset of bearings z (n,) at t (n,) on the first metres of the drive; None if unknown."""
     settings, start = robot.settings("camera"), robot.start
     near = drive.wheels.driven(t) < START_WAY_M
     early = t[near]
@@ -190,7 +190,7 @@ def of_rims(pictures: Sequence[Picture], settings: CameraSettings) -> list[Findi
 
 
 def _circle(grey: Array, within: Circle, inward: bool) -> Circle | None:
-    """Return the circle at the first step in brightness along rays of a disc: from its edge inward, or outward."""
+    """Return the circle of the first brightness step along the rays of a disc, searched inward or outward."""
     angle = np.arange(RAYS) * (2.0 * np.pi / RAYS)
     r = np.arange(2.0, within.radius)
     x, y = (c + np.outer(w, r) for c, w in ((within.x, np.cos(angle)), (within.y, np.sin(angle))))

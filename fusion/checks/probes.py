@@ -1,4 +1,4 @@
-"""Fixes that a run estimates: a mount, the track or an offset that were states, once they are known well."""
+"""Fixes taken from estimated states: a mount, the track or an offset, once their sigma is small."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def probe_of(robot: Robot, sensor: str) -> tuple[str, ...]:
 
 
 def of_probe(robot: Robot, sensor: str, e: Estimates, judged: bool) -> Iterator[Finding]:
-    """Yield the mount and the track that a probe's run estimates, where they differ from what is configured."""
+    """Yield findings on mount and track, where a probe's run estimates other values than configured."""
     yield from of_mount(robot, sensor, e, judged, PROBE_XY_M, PROBE_YAW_DEG)
     yield from _track(robot, e)
 
@@ -150,7 +150,7 @@ def path_scale(e: Estimates, drive: Drive) -> float | None:
 
 
 def of_offsets(robot: Robot, e: Estimates) -> Iterator[Finding]:
-    """Yield the offsets that a run estimated as states: configured beforehand, they help from the start."""
+    """Yield findings on offsets that a run estimated as states; configured, they help from the start."""
     for sensor in e.sensors:
         bias: Any = REGISTRY[sensor].bias
         name = f"{sensor}_offset"

@@ -28,6 +28,7 @@ SHORT_S, LONG_S = 0.5, 2.0  # s: windows over which turns are compared
 MAX_STRETCH = 1.5  # of a window: a pair of readings further apart lies across a gap
 MIN_WINDOWS = 15  # long ones side by side: their variance is then known to a third
 MIN_EXPECTED_RAD = math.radians(0.05)  # by which slips spread a long window: less, and the robot stood
+MIN_EXPECTED_M = 1e-4  # likewise, of distances
 MAX_READINGS = 3000
 MAX_FACTOR = 3.0  # on the variance, either way: what lies between is no finding
 DOUBT_SIGMAS = 2.0  # by which the factor must lie outside that
@@ -39,7 +40,7 @@ SPIN = "spin"  # code of the finding
 
 
 class Slip(NamedTuple):
-    """What the wheels' turning shows of their noise."""
+    """The noise of the wheels as their turning shows it."""
 
     factor: float  # by which `wheels.noise` should be multiplied
     seen: float  # rad, over LONG_S: 1 sigma of the turn that slips add
@@ -47,6 +48,7 @@ class Slip(NamedTuple):
     by: str  # the sensor whose turning it was held against; several that agree: "compass and lrf"
     agreed: bool = False  # whether several sensors show about the same
     sigma: float = 0.0  # of the factor, by the sensor's own noise
+    ahead: tuple[float, float] | None = None  # m, over LONG_S: seen and expected, if distances decide
 
     @property
     def unusual(self) -> bool:
@@ -57,14 +59,16 @@ class Slip(NamedTuple):
     @property
     def words(self) -> str:
         """The observed and the configured noise, in words."""
+        turns = f"{math.degrees(self.seen):.2g}°", f"{math.degrees(self.expected):.2g}°"
+        ways = ("", "") if self.ahead is None else tuple(f" and {1000.0 * way:.2g} mm" for way in self.ahead)
         return (
-            f"slips turn the robot by {math.degrees(self.seen):.2g}° in {LONG_S:g} s (1 sigma, by the {self.by}); "
-            f"wheels.noise says {math.degrees(self.expected):.2g}°"
+            f"slips are {turns[0]}{ways[0]} in {LONG_S:g} s (1 sigma, by the {self.by}); "
+            f"wheels.noise says {turns[1]}{ways[1]}"
         )
 
 
 class _Spread(NamedTuple):
-    """Variances of turns over one window, rad^2."""
+    """Variances of turns [rad^2] or distances [m^2] over one window."""
 
     seen: tuple[float, float]  # usually (by the median, which a turn that a scan missed does not move), and in all
     expected: float  # that slips should add
@@ -91,28 +95,50 @@ def slip(drive: Drive) -> Slip | None:
     return min(found, key=lambda s: s.factor, default=None)
 
 
+def beside_path(found: Slip, drive: Drive, t: Array, pose: Array) -> Slip:
+    """Return a slip with the noise that distances show beside a path, if that is more: poses (n, 3) at t (n,).
+
+    One number is the noise of distances and of turns. A driver that takes its turns from a gyro hardly turns
+    wrongly, and its wheels slip ahead all the same.
+    """
+    begin = np.unique(np.floor(t / STEP_S)) * STEP_S
+    short, long = (_distances(drive.wheels, begin, t, pose, window) for window in (SHORT_S, LONG_S))
+    growth = None if short is None or long is None else _growth(short, long, MIN_EXPECTED_M)
+    if growth is None or long is None or growth[0] <= found.factor:
+        return found
+    factor, sigma = growth
+    return found._replace(
+        factor=factor, sigma=sigma, ahead=(math.sqrt(factor * long.expected), long.expected**0.5)
+    )
+
+
 def _by(name: str, t: Array, heading: Array, wheels: Wheels) -> Slip | None:
     known = np.isfinite(heading)
-    short, long = (_differences(t[known], heading[known], window, wheels) for window in (SHORT_S, LONG_S))
-    if short is None or long is None:
+    short, long = (_turns(t[known], heading[known], window, wheels) for window in (SHORT_S, LONG_S))
+    found = None if short is None or long is None else _growth(short, long, MIN_EXPECTED_RAD)
+    if found is None or long is None:
         return None
-    expected = long.expected
-    growth = expected - short.expected
-    if growth < MIN_EXPECTED_RAD**2 * (1.0 - SHORT_S / LONG_S):
+    factor, sigma = found
+    return Slip(factor, math.sqrt(factor * long.expected), math.sqrt(long.expected), name, sigma=sigma)
+
+
+def _growth(short: _Spread, long: _Spread, least: float) -> tuple[float, float] | None:
+    """Return how much of the expected growth from short to long windows is seen, and its standard deviation.
+
+    None where slips are expected to add less than `least` (m or rad) to a long window.
+    """
+    growth = long.expected - short.expected
+    if growth < least**2 * (1.0 - SHORT_S / LONG_S):
         return None
     usual, whole = (max(b - a, 0.0) / growth for a, b in zip(short.seen, long.seen, strict=True))
     # rare slips are slips: wheels are only called better than configured if all that was seen says so
     factor = usual if usual > 1.0 else min(max(whole, usual), 1.0)
     # of white noise, the variance of a variance of n values is 2 / n of its square
-    sigma = math.sqrt(sum(2.0 * s.seen[1] ** 2 / s.number for s in (short, long))) / growth
-    return Slip(factor, math.sqrt(factor * expected), math.sqrt(expected), name, sigma=sigma)
+    return factor, math.sqrt(sum(2.0 * s.seen[1] ** 2 / s.number for s in (short, long))) / growth
 
 
-def _differences(t: Array, heading: Array, window: float, wheels: Wheels) -> _Spread | None:
-    """Return the differences of a sensor's turns from the wheels', and the differences that slip should cause.
-
-    A wrong track, or a sensor whose scale is off, is no noise: the slope between the two turnings is taken out.
-    """
+def _turns(t: Array, heading: Array, window: float, wheels: Wheels) -> _Spread | None:
+    """Return the turn differences between sensor and wheels over windows, and the part that slip explains."""
     last = np.searchsorted(t, t + window)
     first = np.flatnonzero(last < len(t))
     start, end = t[first], t[last[first]]
@@ -121,12 +147,35 @@ def _differences(t: Array, heading: Array, window: float, wheels: Wheels) -> _Sp
         return None
     own = (heading[last[first]] - heading[first])[whole]
     start, end = start[whole], end[whole]
-    by_wheels = wheels.heading(end) - wheels.heading(start)
+    slips = wheels.slips(np.stack((start, end), axis=-1))[:, 0].sum(axis=-1) / wheels.track**2
+    return _spread(own, wheels.heading(end) - wheels.heading(start), slips)
+
+
+def _distances(wheels: Wheels, begin: Array, t: Array, pose: Array, window: float) -> _Spread | None:
+    """Return the differences of a path's distances from the wheels', and those that slip should cause."""
+    begin = begin[(begin >= max(t[0], wheels.t[0])) & (begin + window <= min(t[-1], wheels.t[-1]))]
+    if len(begin) < 2 or np.ptp(begin) < MIN_WINDOWS * window:
+        return None
+    slips = wheels.slips(np.stack((begin, begin + window), axis=-1))[:, 0].sum(axis=-1) / 4.0
+    return _spread(_ahead(t, pose, begin, window), wheels.relative(begin, begin + window)[:, 0], slips)
+
+
+def _ahead(t: Array, pose: Array, begin: Array, window: float) -> Array:
+    """Return how far ahead (m,) [m] a path, poses (n, 3) at t (n,), leads from `begin` (m,) in a window [s]."""
+    first, last = (np.stack([np.interp(at, t, c) for c in pose.T], axis=-1) for at in (begin, begin + window))
+    ahead: Array = se2.between(first, last)[:, 0]
+    return ahead
+
+
+def _spread(own: Array, by_wheels: Array, slips: Array) -> _Spread:
+    """Return the spread of differences (n,) from the wheels, and that by slips' variances (n,).
+
+    A wrong track or radius, or a sensor whose scale is off, is no noise: the slope between the two is taken out.
+    """
     A = np.stack((by_wheels, np.ones_like(by_wheels)), axis=-1)
     x, *_ = np.linalg.lstsq(A, own, rcond=None)
-    by_slips = wheels.slips(np.stack((start, end), axis=-1))[:, 0].sum(axis=-1) / wheels.track**2
     rest = own - A @ x
-    return _Spread((_robust_sigma(rest) ** 2, float(rest.var())), float(by_slips.mean()), len(rest))
+    return _Spread((_robust_sigma(rest) ** 2, float(rest.var())), float(slips.mean()), len(rest))
 
 
 def _robust_sigma(rest: Array) -> float:
@@ -135,7 +184,7 @@ def _robust_sigma(rest: Array) -> float:
 
 
 def of_spins(drive: Drive, t: Array, pose: Array, name: str, jumps: Sequence[float] = ()) -> list[Finding]:
-    """Return when the wheels rolled on while a path, poses (n, 3) at times t (n,), did not move as far.
+    """Return a finding on times at which the wheels rolled further than a path (n, 3) at t (n,) moved.
 
     A path may jump at the times `jumps` [s] where it was corrected: these tell nothing of the wheels.
 
@@ -147,8 +196,7 @@ def of_spins(drive: Drive, t: Array, pose: Array, name: str, jumps: Sequence[flo
     begin = begin[(begin >= wheels.t[0]) & (begin + WINDOW_S <= min(t[-1], wheels.t[-1]))]
     if wheels.matched is not None or len(begin) < MIN_WINDOWS:
         return []
-    poses = [np.stack([np.interp(a, t, c) for c in pose.T], axis=-1) for a in (begin, begin + WINDOW_S)]
-    moved = se2.between(*poses)[:, 0]
+    moved = _ahead(t, pose, begin, WINDOW_S)
     rolled = wheels.relative(begin, begin + WINDOW_S)[:, 0]
     drove = np.abs(rolled) > MIN_SPIN_M
     for when in jumps:

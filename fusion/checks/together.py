@@ -69,7 +69,7 @@ class Number(msgspec.Struct, frozen=True):
 
 
 class Shown(msgspec.Struct, frozen=True):
-    """What one log shows of its robot."""
+    """The numbers that one log shows of its robot."""
 
     settings: dict[str, Number] = field(default_factory=dict)  # "wheels.track" -> its value
     lags: dict[str, Number] = field(default_factory=dict)  # "gyro wheels.time_offset" -> s to add to the first's
@@ -183,7 +183,7 @@ def shown(drive: Drive, robot: Robot, runs: Sequence[Estimates] = ()) -> Shown:
 
 
 def _mount(e: Estimates, robot: Robot) -> dict[str, Number]:
-    """Return the mount of a run's only sensor where it is a state, by the drive alone: without its prior.
+    """Return the mount of a run's only sensor, if it is a state, as measured by the drive without the prior.
 
     The state's information is that of the drive and of the prior, at its configured value, added up.
     """
@@ -203,7 +203,7 @@ def _mount(e: Estimates, robot: Robot) -> dict[str, Number]:
 
 
 def _scale(key: str, now: float) -> tuple[str, str, float, float]:
-    """Return a key's digits and unit, by how much logs may differ, and the smallest error that is named."""
+    """Return a key's digits, unit, largest difference between logs, and smallest reported error."""
     end = key.rpartition(".")[2]
     if end in SCALES:
         return SCALES[end]
@@ -223,7 +223,7 @@ def commons(logs: Mapping[str, Mapping[str, Number]]) -> list[Common]:
 
 
 def common(key: str, numbers: Mapping[str, Number]) -> Common:
-    """Return the value on which most logs agree, one at least of every four may not; else one without a value."""
+    """Return the value on which the logs agree; it has no value if too many logs disagree."""
     logs, each = list(numbers), {log: n.value for log, n in numbers.items()}
     now = numbers[logs[0]].now
     close = _scale(key, now)[2]
@@ -245,7 +245,7 @@ def common(key: str, numbers: Mapping[str, Number]) -> Common:
 
 
 def _pooled(numbers: Sequence[Number]) -> tuple[float, float, float]:
-    """Return the weighted mean, its sigma, and the standard deviation of the logs beyond their own sigmas."""
+    """Return the weighted mean, its sigma, and the scatter between logs that their sigmas do not explain."""
     variances = [max(n.sigma, 1e-6) ** 2 for n in numbers]
     scatter = 0.0
     for _ in range(2):
@@ -280,18 +280,18 @@ def clocks_of(logs: Mapping[str, Shown]) -> list[list[Common]]:
 
 
 def lags_of(logs: Mapping[str, Shown]) -> list[Common]:
-    """Return the differences of clocks, two each."""
+    """Return the common values of all clock lags, by pair of clocks."""
     return commons({log: one.lags for log, one in logs.items()})
 
 
 def pair_of(key: str) -> Pair:
-    """Return the two clocks of a difference: of "gyro wheels.time_offset" gyro and wheels."""
+    """Return the two clocks in a key: "gyro wheels.time_offset" gives gyro and wheels."""
     first, second = key.removesuffix(f".{CLOCK}").split()
     return first, second
 
 
 def settings_of(logs: Mapping[str, Shown]) -> list[Common]:
-    """Return the settings but for the clocks."""
+    """Return the common values of all settings except clock offsets."""
     return commons({log: one.settings for log, one in logs.items()})
 
 
@@ -351,7 +351,7 @@ def _offers(logs: Mapping[str, Shown]) -> list[dict[Fixes, set[str]]]:
 
 
 def _with_track(one: Sequence[Common], logs: Mapping[str, Shown]) -> list[Fixes]:
-    """Return settings; beside a wheel radius also the track that goes on turning the robot as far as it does."""
+    """Return the fixes of some values; a new wheel radius also scales the track, so that turns stay equal."""
     fixes, given = tuple(c.setting for c in one), {c.key: c for c in one}
     track = next((n for s in logs.values() if (n := s.settings.get("wheels.track")) is not None), None)
     radius = given.get("wheels.radius")

@@ -54,7 +54,7 @@ class Marks(NamedTuple):
 
 
 def readable(before: Marks, after: Marks) -> tuple[Marks, Marks]:
-    """Return figures to compare; an ANEES of thousands tells nothing of a setting but that the noise is wrong."""
+    """Return figures to compare, without ANEES if both are so large that they only show wrong noise."""
     if min(before.anees or 0.0, after.anees or 0.0) > MAX_ANEES:
         return before._replace(anees=None), after._replace(anees=None)
     return before, after
@@ -118,7 +118,7 @@ def spoils_smoothed(before: Marks, after: Marks) -> bool:
 
 
 def _only_underconfident(before: Marks, after: Marks) -> bool:
-    """Return whether, apart from chance, only the claimed uncertainty grows: no harm."""
+    """Return whether only the claimed uncertainty grows and the error does not: that does no harm."""
     if before.position is None or after.position is None or after.lost > before.lost + MAX_LOST_SHARE:
         return False
     small = after.position <= before.position * (1.0 + MAX_CHANCE_LOSS) + MAX_LOSS_M
@@ -137,7 +137,7 @@ def ruins(before: Marks, after: Marks) -> bool:
 
 
 def was_chance(before: Marks, after: Marks) -> bool:
-    """Return whether a smaller error before was chance: that run was inconsistent, and the new one is not."""
+    """Return whether the smaller error before the fix was chance: only the run before was inconsistent."""
     if before.position is None or not after.anees:
         return False
     return _off(before) > MIN_LN_ANEES_GAIN and _off(after) == 0.0
@@ -174,7 +174,7 @@ def settles(before: Marks, after: Marks) -> bool:
 
 
 def gain(before: Marks, after: Marks) -> float:
-    """Return the worth of a fix: ln(error before / after), plus half of the same of heading and of ANEES."""
+    """Return the worth of a fix: ln(error before / after) of position, plus half of heading's and of ANEES'."""
     if before.position is not None and after.position is not None:
         turned = WEIGHT_OF_HEADING * _turned(before, after)
         return (
@@ -190,7 +190,7 @@ def gain(before: Marks, after: Marks) -> float:
 
 
 def _turned(before: Marks, after: Marks) -> float:
-    """Return ln of how many times smaller the heading error gets, 0 if the change is negligible."""
+    """Return ln(heading error before / after); 0 if the change is negligible."""
     if before.heading is None or after.heading is None:
         return 0.0
     small = abs(before.heading - after.heading) < max(MIN_TURN_DEG, MIN_GAIN * before.heading)
@@ -263,17 +263,17 @@ class Advice(msgspec.Struct, frozen=True):
 
     @property
     def judges(self) -> tuple[str, ...]:
-        """The configurations by which it is judged, as the candidate's."""
+        """The configurations by which the fix is judged, as in the candidate."""
         return () if self.candidate is None else self.candidate.judges
 
     @property
     def measured(self) -> bool:
-        """Whether the drive shows the value, as the candidate's."""
+        """Whether the drive shows the fix's value, as in the candidate."""
         return self.candidate is not None and self.candidate.measured
 
     @property
     def proven(self) -> bool:
-        """Whether several others agree on the value, as the candidate's."""
+        """Whether several other logs agree on the fix's value, as in the candidate."""
         return self.candidate is not None and self.candidate.proven
 
     @property
@@ -291,7 +291,7 @@ class Advice(msgspec.Struct, frozen=True):
 
 
 def together(one: Fixes, other: Fixes) -> Fixes:
-    """Return two sets of settings merged; the second one's value wins."""
+    """Return two sets of settings merged; where both set a key, the second one wins."""
     return tuple(f"{key}={value}" for key, value in by_key((*one, *other)).items())
 
 
@@ -301,12 +301,12 @@ def keys(fixes: Iterable[str]) -> set[str]:
 
 
 def by_key(fixes: Iterable[str]) -> dict[str, str]:
-    """Return what fixes set, by key; the last one of a key wins."""
+    """Return the values that fixes set, by key; of several fixes with one key, the last one counts."""
     return dict(fix.partition("=")[::2] for fix in fixes)
 
 
 class Case(Protocol):
-    """A log under some settings, as the loop uses it."""
+    """A log under some settings, with the methods that the loop of `tried` calls."""
 
     def suspicious(self) -> bool:
         """Return whether anything looks wrong; if not, no fix is tried."""
@@ -370,7 +370,7 @@ def _key(advice: Advice) -> tuple[str, str]:
 
 
 def _moves_on(advice: Advice, helped: Sequence[Advice], now: Now) -> bool:
-    """Return whether a number that is set for the third time moves on by more than half of its largest move.
+    """Return whether a fix moves a number again, after several moves, by more than half of the largest one.
 
     A second move may be large: under a late clock half of the scans were refused, and the rest showed too little.
     """
@@ -429,7 +429,7 @@ def _first_that_helps(case: Case, kept: Fixes, trial: Try, done: Collection[tupl
 
 
 def _weight(advice: Advice) -> float:
-    """Return the weight of a fix against that of a later class, which explains the same error in another way.
+    """Return the weight of a fix when it competes with a fix of a later class for the same error.
 
     A clock that is measured to be off and noise that would hide it: chance alone may make noise look better.
     """
@@ -483,7 +483,7 @@ def worth(advice: Advice) -> float:
 
 
 def _rank(advice: Advice, rivals: Sequence[Advice]) -> float:
-    """Return the rank of a fix among others.
+    """Return a fix's rank for sorting.
 
     Without truth a sensor that is moved to where a wrong one is predicts that one better: two sensors that
     disagree accuse each other. So only configurations that judged all of them are counted, where there are any.
@@ -544,7 +544,7 @@ def _any_loses(pairs: Mapping[str, tuple[Marks, Marks]]) -> bool:
 def judged_pairs(
     candidate: Candidate, kept: Fixes, fixes: Fixes, trial: Try, shape: bool = False
 ) -> dict[str, tuple[Marks, Marks]]:
-    """Return every judge's score before and after; {} as soon as one gets worse, since each score costs a run."""
+    """Return every judge's scores before and after a fix; stop with {} at the first that gets worse."""
     pairs: dict[str, tuple[Marks, Marks]] = {}
     settled = chance_alone = False
     for name in candidate.judges:

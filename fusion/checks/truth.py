@@ -111,7 +111,7 @@ def _gaps(truth: Truth) -> list[Finding]:
 
 
 def _noise(truth: Truth, drive: Drive) -> list[Finding]:
-    """Report more noise of the truth than truth.sigma says: ANEES counts it as an error of the estimate."""
+    """Return a finding if the truth is noisier than truth.sigma; ANEES counts that as an error of the estimate."""
     rest, moving = truth_sigma(truth, drive.wheels), _scatter(truth, drive.wheels)
     place, turn = max(rest.xy, moving.xy), max(rest.theta, moving.theta)
     parts: list[tuple[str, str]] = []
@@ -139,7 +139,7 @@ def _scatter(truth: Truth, wheels: Wheels) -> Sigma:
 
 
 def _taken_back(steps: Array) -> float:
-    """Return the sigma of white noise whose differences are these steps (n,), 0 if it is not certain."""
+    """Return the sigma of white noise whose differences are these steps (n,); 0 if it is not significant."""
     steps = np.clip(steps, *(np.array([-1.0, 1.0]) * CLIPPED_SIGMAS * float(np.median(np.abs(steps)))))
     products = -steps[1:] * steps[:-1]
     variance, sure = float(products.mean()), float(products.std()) / math.sqrt(len(products))
@@ -156,7 +156,7 @@ class Jumps(NamedTuple):
 
     @property
     def spoil(self) -> bool:
-        """Whether there are so many jumps that the truth cannot be used."""
+        """Whether the truth jumps so often that it cannot be used."""
         return self.number > MAX_JUMP_SHARE * self.steps
 
     @property
@@ -221,7 +221,7 @@ def wheels_metre(drive: Drive) -> tuple[float, float] | None:
 
 
 def metre(drive: Drive, robot: Robot, least: Least = WORTH_SAYING) -> tuple[float, list[Finding]]:
-    """Return the factor by which a fix scales the wheels' distances, and the fix, if it is off by `least`."""
+    """Return the scale factor of the wheels' distances and its fix, if it is off by `least` or more."""
     found = wheels_metre(drive)
     if found is None or robot.wheels.radius is None:
         return 1.0, []
@@ -301,7 +301,7 @@ def of_creep(found: Swing | None) -> list[Finding]:
 
 
 def of_ways(drive: Drive, run: Estimates) -> list[Finding]:
-    """Return the difference in distance between a laser's own `run` and the wheels; either may be right."""
+    """Return a finding if the laser's own `run` and the wheels differ in distance; either may be right."""
     rows = np.unique(drive.instant[run.sensors[0]])
     by_laser = Truth("", run.t[rows], run.pose[rows, :2], np.unwrap(run.pose[rows, 2]))
     found = swing(by_laser, drive, axle_path(by_laser, drive.wheels))
@@ -339,7 +339,7 @@ MIN_SHAPE_EXTENT_M = 0.3  # m, extent of the points
 
 
 def of_start(truth: Truth, drive: Drive, robot: Robot, aside: float = 0.0) -> list[Finding]:
-    """Compare the start pose with the one that lays the wheels' first way over the truth's.
+    """Return a finding if the configured start is not the pose with which the wheels' path fits the truth.
 
     Where the robot drives `aside` [rad] of the truth's headings, the shape of the way tells the start's heading.
     """

@@ -69,7 +69,7 @@ def turnings(drive: Drive) -> dict[str, Turning]:
 
 
 def _turns_without_lines(heading: Array) -> Array:
-    """Return how many turns up to each reading (n,) add nothing: the heading is unchanged to the bit."""
+    """Return for each reading (n,) how many turns so far were exactly zero, as without matching lines."""
     return np.cumsum(np.diff(heading, prepend=np.nan) == 0.0).astype(np.float64)
 
 
@@ -112,7 +112,7 @@ def _fit(own: Array, rolled: Array, offset: float) -> Turning | None:
 
 
 def _regression(own: Array, by: Array, shares: Array, offset: float) -> Turning | None:
-    """Fit by least squares, then take the geometric mean of both regressions: the wheels err too.
+    """Fit turns by wheel distances with errors in both: the geometric mean of the two regressions.
 
     `by` (n, k) is what explains, `shares` (k, 2) what each column is per metre of the right and the left wheel.
     """
@@ -162,7 +162,7 @@ def _mirrored(t: Turning) -> str | None:
 
 
 def _also(robot: Robot, wheel: str) -> str:
-    """Return what wheels.mirrored should be when one more wheel is found to count backward."""
+    """Return the new value of wheels.mirrored if one more wheel is found to count backward."""
     now = robot.wheels.mirrored
     other = "right" if wheel == "left" else "left"
     return {"none": wheel, wheel: "none", other: "both", "both": other}[now]
@@ -302,7 +302,7 @@ def _dead_wheel(wheels: Wheels) -> list[Finding]:
 
 
 def _by_the_wheels_alone(wheels: Wheels, robot: Robot) -> list[Finding]:
-    """Report a suspicion if no other sensor turns: wheels that nearly always turn against each other."""
+    """Without another sensor that turns, report wheels that nearly always roll in opposite directions."""
     left, right = wheels.rolled.T
     moving = (np.abs(left) > 1e-5) & (np.abs(right) > 1e-5)
     against = float(np.mean(left[moving] * right[moving] < 0.0)) if moving.any() else 0.0

@@ -1,4 +1,4 @@
-"""What a drive cannot tell, whatever its sensors are, and the manoeuvre that would show it.
+"""Quantities that a drive cannot show with any sensors, and the manoeuvre that would show them.
 
 A clock, a mount and the track all turn a robot that only turns one way by the same amount. Straight ways
 show distances, and standing shows the offset of a turning rate.
@@ -21,7 +21,7 @@ MAX_SPEED_MPS, MAX_RATE_RADPS, MIN_STAND_S = 0.005, 0.005, 5.0  # of a robot tha
 
 
 def unseen(drive: Drive) -> list[Finding]:
-    """Return what the motion of this drive leaves open, by its wheels alone."""
+    """Return findings on quantities that this drive's motion does not determine."""
     t, heading = drive.wheels.t, drive.wheels.heading(drive.wheels.t)
     found = [_turning(heading), _straight(heading, drive.wheels.driven(t))]
     if "gyro" in drive.measurements:
@@ -30,7 +30,7 @@ def unseen(drive: Drive) -> list[Finding]:
 
 
 def _turning(heading: Array) -> str:
-    """Return that a drive with headings (n,) [rad, unwrapped] hardly turns to one side, else ""."""
+    """Return a note if headings (n,) [rad, unwrapped] hardly turn to one side, else ""."""
     turns = np.diff(heading)
     left, right = float(turns[turns > 0.0].sum()), float(-turns[turns < 0.0].sum())
     if min(left, right) >= MIN_TURN_RAD:
@@ -40,7 +40,7 @@ def _turning(heading: Array) -> str:
 
 
 def _straight(heading: Array, way: Array) -> str:
-    """Return that no metre of the way (n,) [m] is straight, else ""."""
+    """Return a note if no metre of the path length (n,) [m] is driven straight, else ""."""
     begin = way[way + MIN_STRAIGHT_M <= way[-1]]
     ahead = [np.interp(begin + part * MIN_STRAIGHT_M, way, heading) for part in (0.0, 0.25, 0.5, 0.75, 1.0)]
     if (np.ptp(ahead, axis=0) <= MAX_BEND_RAD).any():
@@ -49,7 +49,7 @@ def _straight(heading: Array, way: Array) -> str:
 
 
 def _standing(t: Array, heading: Array, way: Array) -> str:
-    """Return that the robot never stands long enough for a gyro's offset, else ""."""
+    """Return a note if the robot never stands long enough to measure a gyro's offset, else ""."""
     period = np.diff(t)
     still = (np.diff(way) <= MAX_SPEED_MPS * period) & (np.abs(np.diff(heading)) <= MAX_RATE_RADPS * period)
     longest = max((float(t[last + 1] - t[first]) for first, last in stretches(still)), default=0.0)

@@ -185,7 +185,7 @@ class JointBelief(ekf.State):
             self._sources += [(sensor, row, seen.numbers // len(rows)) for row in rows]
 
     def fit_of(self, begin: int, end: int) -> float:
-        """Return y' S^-1 y of the queued rows begin:end as a whole."""
+        """Return the joint NIS, y' S^-1 y, of queued rows begin:end."""
         greatest = self.whiten(begin, end)
         if not greatest > 0.0:
             positive(greatest)
@@ -208,7 +208,7 @@ class JointBelief(ekf.State):
             self._note_turn(self.frame_x, self.frame_y)
 
     def know(self, y: Sequence[float], R: Any, columns: Sequence[int], H: Any) -> None:
-        """Correct by a relation of states that needs no reading, such as that two of them are equal.
+        """Correct by an equation between states that needs no reading, such as the equality of two states.
 
         y (d,) = H dx + noise of covariance R (d, d), H (d, c) by the states `columns` (c,).
         """
@@ -323,7 +323,7 @@ class JointBelief(ekf.State):
             self._slices[name] = slice(start, start + 2)
 
     def transform(self, columns: Ints | Sequence[int], values: Array | Sequence[float], G: Any) -> None:
-        """Replace states (k,) by functions of themselves: their values (k,) and derivative G (k, k).
+        """Replace states (k,) by functions of these states, with new values (k,) and derivative G (k, k).
 
         x <- values, P <- T P T' with T the unit matrix but for G.
         """
@@ -343,7 +343,7 @@ class JointBelief(ekf.State):
         self.events.add(Changed(columns, by, np.zeros((k, k)), back))
 
     def loosen(self, columns: Ints, variance: Array) -> None:
-        """Add independent variance (k,) to distinct states."""
+        """Add independent variances (k,) to different states."""
         if self.events is None:
             self._P[columns, columns] += variance
             return
@@ -357,7 +357,7 @@ class JointBelief(ekf.State):
         self.events.add(Loosened(columns, variance, back))
 
     def loosen_all(self, these: Loosening) -> None:
-        """Add variance to the states that a kernel found."""
+        """Add variances to the states that a kernel listed."""
         if self.events is None:
             self.loosen_states(these)
         elif these.count:
@@ -481,7 +481,7 @@ class JointBelief(ekf.State):
         self._P[np.ix_(at, at)] = 0.5 * (P + P.T)
 
     def _move_frame(self) -> None:
-        """Replace G by G o q."""
+        """Move the map frame G to the pose q, which is in the local frame: G becomes G o q."""
         if self.events is not None:
             self.events.add(FrameMoved())
         G, q = np.array(self.frame_pose()), self._x[:3].copy()
@@ -542,7 +542,7 @@ class JointBelief(ekf.State):
             self.events.add(Changed(rows, by, np.zeros((len(rows), len(rows))), back))
 
     def _note_turn(self, dx: float, dy: float) -> None:
-        """Record that the map frame was corrected by (dx, dy) [m] and turned (State.turn_frame)."""
+        """Record a correction of the map frame by (dx, dy) [m] and a rotation (State.turn_frame)."""
         assert self.events is not None
         first = self.frame
         rows = np.array((first, first + 1))
@@ -566,7 +566,7 @@ class JointBelief(ekf.State):
         return slice(n, n + k)
 
     def _hold(self) -> None:
-        """Pass the present arrays to the kernel."""
+        """Give the kernel the present state arrays."""
         self._flags = np.zeros(len(self._x), np.intp)
         self.hold(self._x, self._P, self._flags)
         self._mark_kept()
@@ -587,7 +587,7 @@ class JointBelief(ekf.State):
         self.hold_rows(*new, queue)
 
     def _mark_kept(self, columns: Ints | None = None) -> None:
-        """Mark the states that count but are not corrected; while lost, the map frame is one of them."""
+        """Mark the considered states, which a correction does not change; while lost also the map frame."""
         kept = self._considered
         if columns is not None:
             kept = np.union1d(columns, kept)
@@ -618,7 +618,7 @@ def _copied(value: Any) -> Any:
 
 
 def _moves(gone: Ints, n: int) -> list[tuple[int, slice]]:
-    """Return the new place of each block of n columns once some (k,) are removed, and the blocks in order."""
+    """Return (new begin, old slice) of each run of remaining columns, once the columns `gone` (k,) are removed."""
     found, to = [], int(gone.min())
     after = np.sort(gone) + 1
     for begin, end in zip(after.tolist(), [*(after[1:] - 1).tolist(), n], strict=True):

@@ -50,7 +50,7 @@ class Moved(NamedTuple):
 
     @property
     def driven(self) -> float:
-        """How far it drove, along the chord [m]."""
+        """Length of the motion's chord [m]."""
         return math.hypot(self.end[0] - self.start[0], self.end[1] - self.start[1])
 
 
@@ -66,7 +66,7 @@ class Corrected(NamedTuple):
 
 
 class FrameTurned(NamedTuple):
-    """The map frame was corrected by (dx, dy), and the uncertainty of its place followed (State.turn_frame)."""
+    """The map frame was corrected by (dx, dy), and its covariance was changed with it (State.turn_frame)."""
 
     first: int  # column of the frame
     dx: float  # m
@@ -108,7 +108,7 @@ class Changed(NamedTuple):
 
 
 class FrameMoved(NamedTuple):
-    """From here on the map frame is another one: that of a new map."""
+    """From here on, the map frame is that of a new map."""
 
 
 Event = Moved | Corrected | FrameTurned | Loosened | Added | Dropped | Changed | FrameMoved
@@ -134,7 +134,7 @@ class Events:
         self.wheels: slice | None = None  # columns of the wheel parameters
 
     def add(self, event: Event) -> None:
-        """Note an event."""
+        """Append an event."""
         self.list.append(event)
 
 
@@ -168,7 +168,7 @@ def undone(before: Before, after: Before, rows: Ints, noise: Array, coupling: Ar
 
 
 def by_others(before: Before, rows: Ints, dropped: bool = False) -> Undone:
-    """Return the states `rows` as functions of all others: their only information after they are set.
+    """Return the states `rows` as linear functions of all others, to restore them when events are undone.
 
     G is in the layout of the state before, with zeros at `rows`; without these columns where they are `dropped`.
     """

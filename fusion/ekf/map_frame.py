@@ -70,7 +70,7 @@ class InMap:
 
 
 def in_map_P(G: Array, q: Array, P: Array) -> Array:
-    """Return covariances (n, 3, 3) of G o q from those of (q, G), (n, 6, 6): `State.locate` in NumPy."""
+    """Return covariances (n, 3, 3) of poses G o q in the map, from those of (q, G), (n, 6, 6)."""
     J = np.concatenate((se2.rotation(G[:, 2]), by_frame(G, q)), axis=2)
     r = se2.rotated(G[:, 2], q[:, :2])
     out: Array = J @ P @ J.transpose(0, 2, 1)

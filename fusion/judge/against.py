@@ -73,14 +73,14 @@ class Reference(msgspec.Struct, frozen=True):
         )
 
     def seen(self, e: Estimates) -> Estimates:
-        """Return an estimate with its poses at the reference's stamps, and without its innovations."""
+        """Return an estimate with poses at the reference's stamps, as if these were truth, without audits."""
         t = self.drive.t
         same = len(e.t) == len(t) and bool((e.t == t).all())
         pose, P = (e.pose, matrices(e.triangles)) if same else interpolated(t, e.t, e.pose, e.triangles)
         return replace(e, audits={}, truth_pose=pose, truth_P=P)
 
     def widened(self, effect: Effect, before: float, after: float) -> Effect:
-        """Return an effect ln(before / after) of errors [m] with the uncertainty of the reference added.
+        """Return an effect, ln(before / after) of errors [m]; its interval includes the reference's uncertainty.
 
         Of an estimate that has nothing to do with the reference the squared error is smaller by sigma^2; of one
         that shares its sensors, larger by as much.

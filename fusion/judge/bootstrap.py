@@ -130,7 +130,7 @@ def _correlation(deviation: Array, samples: Array) -> Array:
 
 @cache
 def by_chance(move: float, n: float) -> tuple[float, float]:
-    """Return the interval of ln(error before / after) when n >= 1 Gaussian moves are added to n equal errors.
+    """Return the interval of ln(error before / after) if n random moves are added to n equal errors.
 
     `move` is a move's standard deviation over an error's. |e + d|^2 = (sqrt(n) e + d_1)^2 + d_2^2 + ... + d_n^2.
     """

@@ -59,7 +59,7 @@ class Consistency(msgspec.Struct, frozen=True):
 
 
 def disagrees(h: Heard) -> bool:
-    """Return whether a sensor's mean differs certainly and notably from a run that does not use it."""
+    """Return whether a sensor's mean innovation is significantly and notably off in a run without the sensor."""
     return h.bias is not None and abs(h.bias) > MIN_SIGMAS * h.sure and notable(h)
 
 
@@ -69,7 +69,7 @@ def notable(h: Heard) -> bool:
 
 
 def by_reference_run(sensor: str, settings: Any, h: Heard) -> Consistency | None:
-    """Judge a sensor by a run that does not use it; None where that run is too vague."""
+    """Judge a sensor by a run that does not use it; None where that run is too uncertain."""
     noise = min(h.white, max(h.spread - h.reference, 0.5 * h.white))
     is_slow = h.slow > max(MIN_SLOW_VARIANCE_RATIO * h.reference, 0.1 * h.white)
     if is_slow and not _drifts(sensor, settings, h):
@@ -116,14 +116,14 @@ def _drifts(sensor: str, settings: Any, h: Heard) -> bool:
 
 
 def by_memory(sensor: str, settings: Any, variance: float, repeats: float, period: float, R: float) -> Consistency:
-    """Judge slow errors: the variance of a mean of n readings is variance * repeats / n."""
+    """Judge slow errors, whose mean over n readings has the variance `variance` * `repeats` / n."""
     if variance * repeats > MIN_MEAN_VARIANCE_RATIO * R:
         return correlated(sensor, settings, math.sqrt(variance), repeats, period)
     return by_scale(sensor, settings, min(1.0, math.sqrt(variance * repeats / R)))
 
 
 def _on_sigma(o: Own, floor: Sequence[float]) -> float:
-    """Turn a factor on R = sigma^2 R_unit + floor into the factor on sigma."""
+    """Convert a factor on R, where R = sigma^2 R_unit + floor, into the factor on sigma."""
     parts = [(max(o.scale * r - f, 0.0) / (r - f)) for r, f in zip(o.R, floor, strict=True) if r > 1.1 * f]
     return max(math.sqrt(sum(parts) / len(parts)) if parts else math.sqrt(o.scale), 0.1)
 
@@ -185,7 +185,7 @@ def biased(sensor: str, settings: Any, bias: float, sure: float, drawn: float) -
 
 
 def _accepts(settings: Any, key: str, value: float) -> bool:
-    """Return whether settings allow a value beside the others; without mount states they have no sigmas."""
+    """Return whether the settings class accepts a value for a key together with the other values."""
     try:
         type(settings)(**{**asdict(settings), key: value})
     except ValueError:
@@ -255,13 +255,13 @@ def by_share(sensor: str, share: float, rest: Consistency) -> Consistency:
 
 
 def _sign(sensor: str) -> str:
-    """Return the unit of the sensor's first component as it follows a number: "°", " m"."""
+    """Return the unit of the sensor's first component as written after a number: "°", " m"."""
     sign = REGISTRY[sensor].components[0].sign
     return sign if sign.startswith("°") else f" {sign}"
 
 
 def _human(value: float, sensor: str) -> tuple[float, str]:
-    """Return an amount [rad or m] of the sensor's first component in its unit, which is the sigma's too."""
+    """Convert an amount [rad or m] of the sensor's first component to the unit of its settings."""
     first = REGISTRY[sensor].components[0]
     return value * first.scale, first.unit
 
@@ -370,7 +370,7 @@ class Evidence:
         return sorted(found, key=lambda w: w[1].reference)
 
     def bias(self, sensor: str) -> Consistency | None:
-        """Return a sensor's mean innovation if it is notable, certain or not; None if no run shows it."""
+        """Return a verdict if a sensor's mean innovation is notable, even if uncertain; None if it is not."""
         found = self._hear_by_truth(sensor) or next((h for _, h in self.reference_runs(sensor)), None)
         if found is None or not notable(found):
             return None
@@ -387,7 +387,7 @@ class Evidence:
         return self._heard[key]
 
     def _healthy(self, run: Run, but: str = "") -> bool:
-        """Return whether no sensor of a run (except one) has understated noise or is mostly rejected."""
+        """Return whether every sensor of a run, except `but`, has plausible noise and few rejections."""
         found = [self.own[run.estimates.name, s] for s in run.estimates.sensors if s != but]
         return all(
             o is not None and o.scale < MAX_REFERENCE_NIS_RATIO and o.refused < MAX_REFUSED_LINE_SHARE

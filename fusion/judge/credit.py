@@ -76,7 +76,7 @@ def overconfident(anees: tuple[float, float] | None) -> bool:
 
 
 def _surely(effect: Effect, sign: float) -> bool:
-    """Whether an effect of this sign matters and its interval excludes none (twice, if no effect is expected).
+    """Whether an effect of this sign is large enough and its interval excludes zero.
 
     The filter itself takes little from a sensor that its covariances expect little of: there chance is the
     likelier reason for an effect, and 1 in 20 would be too often.
@@ -210,7 +210,7 @@ class _Book(msgspec.Struct, frozen=True):
         return Effect(value, min(low, value - most), max(high, value - least), expected)
 
     def _luck(self, i: int, j: int) -> tuple[float, float]:
-        """Return the range of ln(RMSE before / after) for a sensor without information that moves the estimate.
+        """Return the range of ln(RMSE before / after) that chance alone can give when a sensor moves the estimate.
 
         A sensor that shrinks the predicted variance has moved the estimate by the square root of what it shrank
         it by. On a drive worth few independent stretches such a move helps or hurts by its direction alone, and
@@ -235,7 +235,7 @@ class _Book(msgspec.Struct, frozen=True):
         return SensorCredit(verdict(shapley, alone, last, anees), shapley, alone, last, share, anees, beside)
 
     def _beside(self, sensor: str, sensors: Sequence[str]) -> tuple[str, ...]:
-        """Return the sensors beside it: those it needs, else the smallest set that was run with and without it."""
+        """Return the sensors that "alone" includes: those this one needs, else the smallest set run both ways."""
         usual = needed(sensor)  # its effect "alone" is what it adds to them
         run = [s for s in self.sets if sensor not in s and s | {sensor} in self.sets]
         if not run or frozenset(usual) in run:
@@ -244,7 +244,7 @@ class _Book(msgspec.Struct, frozen=True):
         return tuple(s for s in sensors if s in fewest)
 
     def _worst_anees(self, sensor: str) -> tuple[float, float] | None:
-        """Return ANEES without and with the sensor, for the consistent set whose ANEES it multiplies most."""
+        """Return ANEES without and with a sensor, for the set of sensors whose ANEES grows most by it."""
         pairs = [
             (a, b)
             for s, a in zip(self.sets, self.anees, strict=True)
@@ -256,7 +256,7 @@ class _Book(msgspec.Struct, frozen=True):
 
 
 def _expected(judged: Iterable[Evaluation]) -> Array | None:
-    """Return ln of the position deviation that each filter predicts for itself, (k,)."""
+    """Return ln of the position error that each filter expects by its covariance, (k,)."""
     mean = np.array([float((e.sigma[:, :2] ** 2).sum(axis=1).mean()) for e in judged])
     return 0.5 * np.log(mean) if (mean > 0.0).all() else None
 

@@ -374,7 +374,7 @@ def running_nis(audit: Audit, t: Array) -> RunningNis:
 
 
 class Honesty(msgspec.Struct, frozen=True):
-    """Mean squared error over predicted variance: 1 is right, more is overconfident."""
+    """ANEES: mean squared error over predicted variance. 1 is right, above 1 is overconfident."""
 
     anees: float
     bounds: tuple[float, float]  # of a consistent filter's ANEES at CONFIDENCE, for one drive's worth of errors

@@ -122,7 +122,7 @@ def _accepted(audit: Audit, far: int, d: int) -> tuple[float, tuple[float, float
 
 
 def _shape(audit: Audit, compared: Ints) -> tuple[Array, Array, Array, Array]:
-    """Return median, deviation by the median, and mean in predicted standard deviations (d,) at these rows (k,).
+    """Return medians, robust deviations and normalised means (d,) of innovations in these rows (k,).
 
     And their autocorrelation (MAX_LAG_READINGS,). In place, since an hour of lines is big.
     """
@@ -138,7 +138,7 @@ def _shape(audit: Audit, compared: Ints) -> tuple[Array, Array, Array, Array]:
 
 
 def _told(audit: Audit, m: Measurements, compared: Ints) -> tuple[float, Array]:
-    """Return the median of S / R (the first S of an unknown offset is enormous), and the mean R (d,)."""
+    """Return the median of S / R, where S is the predicted and R the configured variance, and mean R (d,)."""
     R = np.diagonal(m.R_unit, axis1=1, axis2=2)[audit.row[compared]]
     R *= m.scale**2
     R += np.diagonal(m.floor)
@@ -168,7 +168,7 @@ def _whiteness(v: Array, mark: Counts) -> Array:
 
 
 def heard(drive: Drive, robot: Robot, run: Estimates, sensor: str) -> Heard | None:
-    """Return how a sensor of one number agrees with a run that did not use it; None if they cannot be compared."""
+    """Compare a one-number sensor with a run that does not use it; None if they cannot be compared."""
     m = drive.measurements[sensor]
     model = REGISTRY[sensor].model(robot.settings(sensor))
     if model.joint or m.z.shape[1] != 1 or len(m.t) < 2 * MAX_LAG_READINGS:
@@ -206,7 +206,7 @@ def usual_period(t: Array) -> float | None:
 
 
 def _agreement(rows: Array, unknown: bool, angular: bool) -> Heard | None:
-    """Return the figures of readings (k, 5): t, y, variance of the reference, R, heading. `unknown`: y has offset.
+    """Compare readings (k, 5: t, y, variance of the reference, R, heading); `unknown`: y has an offset.
 
     Innovations y [rad where `angular`, else m]: the mean of angles is that of their directions.
 
@@ -252,7 +252,7 @@ def _agreement(rows: Array, unknown: bool, angular: bool) -> Heard | None:
 
 
 def _change(t: Array, y: Array, white: float, theta: Array) -> Change | None:
-    """Return a step or a steady drift of errors y (k,), mean 0, at t [s], if most of what is not white is that.
+    """Return a step or steady drift of errors y (k,), mean 0, at t [s], if it explains most slow errors.
 
     None where the robot's heading `theta` [rad] explains more: iron on the robot, in a drive of few turns.
     """
@@ -289,7 +289,7 @@ def _autocorrelation(y: Array, t: Array, period: float) -> Array:
 
 
 def _memory(correlation: Array) -> float:
-    """Return over how many values errors repeat: 1 + 2 sum of the autocorrelation up to its first zero."""
+    """Return the correlation length in values: 1 + 2 sum of the autocorrelation up to its first zero."""
     forgotten = np.flatnonzero(correlation < MIN_AUTOCORRELATION)
     end = int(forgotten[0]) if len(forgotten) else len(correlation)
     return 1.0 + 2.0 * float(correlation[1:end].sum())

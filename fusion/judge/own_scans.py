@@ -103,7 +103,7 @@ class OwnScans(msgspec.Struct, frozen=True):
 
 
 def _cells(placed: list[Array]) -> tuple[int, float]:
-    """Return the number of cells that hold points, and the cells of single scans for each of them."""
+    """Return the number of map cells that hold points, and the mean number of scans per cell."""
     cells = [np.unique(np.floor(p / CELL_M).astype(np.int64) @ (1 << 32, 1)) for p in placed]
     every = len(np.unique(np.concatenate([np.zeros(0, np.int64), *cells])))
     return every, sum(len(c) for c in cells) / max(every, 1)

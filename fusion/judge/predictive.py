@@ -163,7 +163,7 @@ def contradictions(found: Sequence[Score], alone: Mapping[str, str]) -> list[tup
 
 
 def _later(audit: Audit, rows: int) -> NDArray[np.bool_]:
-    """Whether a row comes after the first reading, which only initialises its sensor's own map or offset."""
+    """Return which rows come after the sensor's first reading, which only initialises its map or offset."""
     out = np.ones(rows, dtype=bool)
     if len(audit.instant):
         out[audit.row[audit.instant == audit.instant[0]]] = False

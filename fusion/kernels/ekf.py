@@ -243,7 +243,7 @@ class State:
             self.more_rows(self.written + rows + 1)
 
     def put(self, k: int, w: int, column: int, h: float) -> int:
-        """Make row k depend on one more state, its (w + 1)th; return their number. Zeros are left out."""
+        """Add the derivative h by a state to row k, as entry w; return the next free entry. Zeros are left out."""
         if h == 0.0:
             return w
         self.row_at[k, w], self.row_H[k, w] = column, h
@@ -435,7 +435,7 @@ class State:
             self.mirror(i, i, least)
 
     def correct_some(self, m: int) -> None:
-        """The same for Schmidt-Kalman: considered states count, but neither they nor their covariance change."""
+        """Correct by m rows with considered states (Schmidt-Kalman), which count but do not change."""
         n = self.n
         for j in range(n):
             for k in range(0 if self.kept[j] else m):
@@ -452,7 +452,7 @@ class State:
             self.mirror(i, 0, least)
 
     def mirror(self, i: int, first: int, least: float) -> None:
-        """Copy row i to column i from column `first` on, and keep variance i at `least` or more."""
+        """Copy row i of P to column i, from element `first` on; keep the variance at `least` or more."""
         if self.P[i, i] < least:
             self.P[i, i] = least
         for j in range(first, self.n):
@@ -511,7 +511,7 @@ class State:
             self.mean[self.row_at[first, a]] = values[a]
 
     def turn_rows(self, first: int, k: int) -> None:
-        """P <- T P T', T the identity except for the k rows of the table from `first` on."""
+        """Apply P <- T P T', where T is the identity except for k rows of the table from `first` on."""
         n = self.n
         for i in range(n):
             for a in range(k):
@@ -620,7 +620,7 @@ class State:
 
 
 def bent(tt: float) -> float:
-    """Return how much variance along a lever r a heading variance tt [rad^2] causes, per r^2.
+    """Return the variance along a lever that a heading variance tt [rad^2] causes, per squared length.
 
     To first order a heading moves the end of a lever across it only. With a Gaussian angle a the end is at cos(a)
     along the lever: E (cos a - 1)^2 = 1 - 2 exp(-tt / 2) + (1 + exp(-2 tt)) / 2. That is 3/4 tt^2 for small

@@ -54,7 +54,7 @@ class Fit:
 
 
 class Curves:
-    """Which walls are `curved`, the curvature [1/m] at which each joins the next, and the chi2 of a curve."""
+    """Working arrays for curved walls: curvature [1/m] at each joint, chi2 gain and verdict of each wall."""
 
     def __init__(self, beams: int) -> None:
         self.joint, self.gains, self.curved = floats(beams), floats(beams), wholes(beams)
@@ -62,7 +62,7 @@ class Curves:
 
 
 class Sweep:
-    """Motion of the base during a scan: the `share` (pieces, beams) of every piece of the sweep.
+    """The base's motion during a scan; `share` (pieces, beams) is the part of each piece at each beam.
 
     The lever [m] from the base to the laser and the base's forward direction are in the laser's axes.
     """
@@ -169,7 +169,7 @@ def finish(returns: Returns, limits: Limits, fit: Fit, found: Found) -> bool:
 
 
 def loadings(returns: Returns, fit: Fit, sweep: Sweep, found: Found) -> None:
-    """Write the change of (r, psi) of a line for a turn [rad] and a move [m] of 1 in each piece of the sweep.
+    """Write the derivatives of a line's (r, psi) by turn [rad] and move [m] of each piece of the sweep.
 
     A beam's end moves across its line by lever - q per radian and by n.ahead per metre; the fit passes that on.
     """
@@ -230,7 +230,7 @@ def residuals(returns: Returns, limits: Limits, fit: Fit) -> None:
 
 
 def keep(fit: Fit, k: int, kept: int) -> None:
-    """Move return k of the fit to the kept ones."""
+    """Move return k of the fit to the end of the kept ones."""
     fit.row[kept], fit.error[kept] = fit.row[k], fit.error[k]
     fit.foot[kept], fit.weight[kept] = fit.foot[k], fit.weight[k]
 
@@ -292,7 +292,7 @@ def singular(fit: Fit) -> bool:
 
 
 def misfit_of(fit: Fit) -> float:
-    """Return the sum of squares [m^2] that is left after the step."""
+    """Return the sum of squares [m^2] that remains after the step."""
     return max(fit.sum_wee - step_r(fit) * fit.sum_we + step_psi(fit) * fit.sum_wqe, 0.0)
 
 
@@ -322,20 +322,20 @@ def foot_of(returns: Returns, i: int, r: float, psi: float) -> float:
 
 
 def stiffness(fit: Fit) -> float:
-    """Return the weight of q^2 without its part along 1 and q, which the line already explains."""
+    """Return the curvature term's weight: that of q^2, orthogonal to the terms 1 and q of the line."""
     a, b, c, cubic = fit.sum_w, fit.sum_wq, fit.sum_wqq, fit.sum_wqqq
     return fit.sum_wqqqq - (c * (c * c - b * cubic) + cubic * (a * cubic - b * c)) / determinant(fit)
 
 
 def curvature(fit: Fit) -> float:
-    """Return the coefficient [1/m] of the parabola on top of the line; 0 if it cannot be found."""
+    """Return the coefficient [1/m] of a parabola added to the line; 0 if it cannot be fitted."""
     norm = stiffness(fit)
     left = fit.sum_wqqe - step_r(fit) * fit.sum_wqq + step_psi(fit) * fit.sum_wqqq
     return left / norm if norm > 0.0 else 0.0
 
 
 def bend(fit: Fit) -> float:
-    """Return how much that parabola would lower the sum of squares [m^2]."""
+    """Return the reduction of the sum of squares [m^2] if a parabola is added to the line."""
     coefficient = curvature(fit)
     return stiffness(fit) * coefficient * coefficient
 
@@ -371,7 +371,7 @@ def find_curves(returns: Returns, limits: Limits, segments: Segments, fit: Fit, 
 
 
 def joints(returns: Returns, segments: Segments, curves: Curves) -> int:
-    """Write the curvature [1/m] at which each wall joins the next, 0 where it does not; return how many do.
+    """Write the curvature [1/m] between each wall and the next, 0 if they do not touch; return their number.
 
     Positive where psi grows along the tangent (-sin psi, cos psi).
     """
@@ -406,7 +406,7 @@ def curvature_of(curves: Curves, walls: int, closed: bool, i: int) -> float:
 
 
 def gain(returns: Returns, limits: Limits, segments: Segments, wall: int, fit: Fit, bent: float) -> float:
-    """Return how much the chi2 of a wall's returns falls with curvature `bent` [1/m] instead of 0."""
+    """Return the reduction of a wall's chi2 if its curvature is `bent` [1/m] instead of 0."""
     if bent == 0.0:
         return 0.0
     rows_of(segments, wall, fit)
@@ -421,7 +421,7 @@ def gain(returns: Returns, limits: Limits, segments: Segments, wall: int, fit: F
 
 
 def goes_on(curves: Curves, walls: int, closed: bool, i: int, step: int) -> None:
-    """Add the chi2 that a curve saves beyond wall i in one direction (step 1, -1), and its pieces there."""
+    """Add the chi2 gains and the number of pieces of a curve beyond wall i, in one direction (1 or -1)."""
     sign = 0.0
     for _ in range(walls - 1):
         at = i if step > 0 else i - 1 if i > 0 else walls - 1

@@ -58,7 +58,7 @@ def into_base(rows: Array, lines: int, x: float, y: float, yaw: float, out: Arra
 
 
 def moved(place: Array, told: Array, out: Array) -> None:
-    """Write the motion from the base by the mount `told` to that by the one at `place`: x, y [m], yaw [rad]."""
+    """Write the transform x, y [m], yaw [rad] that turns base points by the mount `told` into those by `place`."""
     turn = place[2] - told[2]
     c, s = cos(turn), sin(turn)
     out[0], out[1], out[2] = place[0] - c * told[0] + s * told[1], place[1] - s * told[0] - c * told[1], turn
@@ -67,7 +67,7 @@ def moved(place: Array, told: Array, out: Array) -> None:
 def shares_into_base(
     rows: Array, lines: int, x: float, y: float, yaw: float, shared: Array, first: int, out: Array
 ) -> None:
-    """Write unit errors (lines, 2, parts) of r and psi of the lines, moved as `into_base` moves the lines.
+    """Transform shared errors (lines, 2, parts) of r and psi into the base, as `into_base` does with lines.
 
     They stand in `shared` from line `first` on.
     """
@@ -91,7 +91,7 @@ def face(walls: Array) -> None:
 
 
 def behind(rows: Array, walls: Array, x: float, y: float, theta: float, both: bool, out: Array) -> None:
-    """Write which share of every line (k, 7) lies behind map lines `walls` (m, 8), from a pose.
+    """Write the share of each line (k, 7) that is hidden behind map lines `walls` (m, 8), seen from a pose.
 
     A point of a line lies behind where its sight line meets a wall clearly before it, away from the wall's ends
     and not too flat, on the face that was seen or on `both`.
@@ -126,7 +126,7 @@ def blocked(walls: Array, x: float, y: float, dx: float, dy: float, reach: float
 
 
 def explained(rows: Array, walls: Array, poses: Array, slack: float, out: Array) -> None:
-    """Write how much of a scan's lines (k, 7) map lines (m, 8) explain from every pose (h, 3), out (h, 3).
+    """Write how much of a scan's lines (k, 7) the map lines (m, 8) explain, for poses (h, 3), out (h, 3).
 
     These are the share of the measured length, the share were the map lines longer than known, and how many lines.
     A line is explained by a map line that is the same, within `slack` times the usual limits, where both overlap.
@@ -149,7 +149,7 @@ def explained(rows: Array, walls: Array, poses: Array, slack: float, out: Array)
 
 
 def likeness(rows: Array, walls: Array, i: int, x: float, y: float, theta: float, slack: float) -> int:
-    """Return 2 if a map line explains line i from a pose, 1 if it would if it were longer, else 0."""
+    """Return 2 if a map line explains line i from a pose, 1 if only a longer map line would, else 0."""
     kind, angle, offset = 0, slack * SAME_ANGLE_RAD, slack * SAME_OFFSET_M
     least = MIN_OVERLAP_SHARE * (rows[i, END] - rows[i, BEGIN])
     for j in range(walls.shape[0]):

@@ -189,7 +189,7 @@ def cut_at_gaps(returns: Returns, growth: float, max_gap: float, segments: Segme
 
 
 def allow(returns: Returns, limits: Limits) -> None:
-    """Write how far every return may lie from a straight piece [m], for any direction of the piece."""
+    """Write the tolerance [m] of every return: its largest distance from a straight piece in any direction."""
     least = max(limits.split_floor, MIN_DIVISOR)
     for i in range(returns.count):
         across = limits.sigma_angle * returns.ranges[i]
@@ -326,7 +326,7 @@ def merge(segments: Segments, count: int, limit: float) -> int:
 
 
 def cheapest(segments: Segments, count: int, limit: float) -> int:
-    """Write the first of each pair to join now into `best`; return their number."""
+    """Write into `best` the first segment of each pair to merge now; return the number of pairs."""
     chosen, cost = 0, segments.cost
     for i in range(count):
         if cost[i] < limit and cost[i] < cost[segments.before[i]] and cost[i] <= cost[segments.after[i]]:
@@ -348,7 +348,7 @@ def join_pairs(segments: Segments, chosen: int) -> None:
 
 
 def renew_cost(segments: Segments, i: int) -> None:
-    """Compute again the cost of joining i with the one after it, if they may be joined."""
+    """Compute again the cost of merging segment i with the next one, unless it is never merged."""
     if segments.cost[i] < JOINS_NEVER_CHI2:
         j = segments.after[i]
         segments.cost[i] = joint_misfit(segments, i, j) - segments.own[i] - segments.own[j]
@@ -405,7 +405,7 @@ def long_enough(returns: Returns, limits: Limits, segments: Segments) -> None:
 def near(
     returns: Returns, limits: Limits, head: int, tail: int, next_head: int, next_tail: int, between: int
 ) -> bool:
-    """Return whether one line may continue in the next part of its scan, by both parts' end returns.
+    """Return whether the same line may continue in the next part of its scan, by the gap between both parts.
 
     It may if next to no beams are `between` them, or if they are closer than the bridge [m] and than both lengths.
     """
@@ -440,7 +440,7 @@ def close_ring(returns: Returns, limits: Limits, segments: Segments) -> None:
 
 
 def rotate(values: Ints, count: int, by: int, room: Ints) -> None:
-    """Move the first `by` of the values behind the others."""
+    """Move the first `by` values behind the others."""
     for i in range(count):
         room[i] = values[i]
     for i in range(count):
@@ -463,7 +463,7 @@ def perpendicular_fit(segments: Segments) -> None:
 
 
 def corner_limits(returns: Returns, limits: Limits, segments: Segments) -> None:
-    """Write the feet [m] along each wall's tangent between which its returns are used.
+    """Write for each wall the limits [m] along its tangent within which its returns are used.
 
     Near a corner the noise decides which wall a beam is counted to, so those beams are biased, and at the end of a
     wall they turn it most. A corner is where the next wall begins within a few beams and `max_gap` [m]; behind the
@@ -493,7 +493,7 @@ def corner_limits(returns: Returns, limits: Limits, segments: Segments) -> None:
 def limit_by_corner(
     returns: Returns, segments: Segments, wall: int, end: int, other: int, corner: float, margin: float
 ) -> None:
-    """Leave out a wall's end near a corner at the foot `corner` [m], but only a limited share of the wall.
+    """Leave out a wall's end near a corner at the foot `corner` [m], but at most a limited share of the wall.
 
     By the wall's last returns at this `end` and at the `other`.
     """

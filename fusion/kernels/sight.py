@@ -237,7 +237,7 @@ class Sight:
         return p
 
     def spread(self, state: State, p: int, i: int, j: int, side: float) -> None:
-        """Write R and S = H P H' + R of a pair, and cos, sin, u, and the measured psi as predicted."""
+        """Write R, S = H P H' + R, cos, sin, u and the measured psi, near the predicted one, of pair p."""
         c, s, P, pairs, row = self.seen[j, 2], self.seen[j, 3], state.P, self.pairs, self.wall_rows
         u = (state.mean[0] - row[j, ANCHOR_X]) * s - (state.mean[1] - row[j, ANCHOR_Y]) * c
         r00, r01, r11 = self.rows[i, R00_LINE], side * self.rows[i, R01_LINE], self.rows[i, R11_LINE]
@@ -280,7 +280,7 @@ class Sight:
                     pairs[p, S11] -= turn * variance
 
     def lever(self, a: int, c: float, s: float) -> float:
-        """Return the derivative of a line's r by free state `a` of the mount; c, s of the line's psi."""
+        """Return the derivative of a line's r by free mount state `a`; c, s are cos and sin of the line's psi."""
         if self.seat.which[a] == 2:
             return self.place[0] * s - self.place[1] * c
         return -c if self.seat.which[a] == 0 else -s
@@ -341,7 +341,7 @@ class Sight:
             self.best[i] = p
 
     def claim(self) -> None:
-        """Make the matching pair the best one, and match each part of a map line only once.
+        """Accept the matches; each part of a map line is matched only once, by the measured line that fits best.
 
         By their scores, lines claim the stretch of the map line that they match; who comes second is ambiguous.
         """
@@ -373,7 +373,7 @@ class Sight:
         return self.pairs[p, WALL_OF] == self.pairs[q, WALL_OF] and common > COMMON_M
 
     def fits_well(self, p: int, i: int) -> bool:
-        """Return whether a pair of measured line i may match: by its distance and the overlap."""
+        """Return whether the pair of measured line i may be a match, by its distance and overlap."""
         length = min(self.rows[i, END_LINE] - self.rows[i, BEGIN_LINE], MAX_LENGTH_M)
         return self.pairs[p, D2] <= self.rules.gate and self.pairs[p, OVERLAP] > MIN_OVERLAP_SHARE * length
 
@@ -396,7 +396,7 @@ class Sight:
         return n
 
     def refuse_alone(self) -> None:
-        """Reject a scan's only match if other lines failed to match and it does not fit nearly perfectly."""
+        """Reject a scan's only match if other lines did not match, unless the match is nearly perfect."""
         alone = -1
         for i in range(self.lines):
             if self.match[i] >= 0:
@@ -513,7 +513,7 @@ class Sight:
         return n
 
     def bends(self, state: State, uneven: float, uneven_angle: float, most: float, most_angle: float) -> None:
-        """Write into `bent` the variance to add to the states of the lines that were seen, `most` of each.
+        """Write into `bent` the variances to add to the states of the seen walls, at most `most` for each.
 
         A wall stays within its unevenness [m^2, rad^2], so a line that is known no better is left alone.
         """
@@ -533,7 +533,7 @@ class Sight:
 
 
 def lacks(state: State, walls: Walls, floor: float, floor_angle: float, missing: Loosening) -> None:
-    """Write which states of the map have less variance than the floor [m^2, rad^2], and how much less.
+    """Write the map states whose variance is below the floor [m^2, rad^2], and the missing variance.
 
     First all offsets, then all angles: room for (2 J,).
     """

@@ -16,7 +16,7 @@ def cos(angle: float) -> float:
 
 
 def floor(value: float) -> float:
-    """Return the greatest whole number that is not greater, as a float; NaN and Inf stay."""
+    """Return the floor of a number as a float; NaN and Inf stay."""
     return float(math.floor(value)) if math.isfinite(value) else value
 
 

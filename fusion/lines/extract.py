@@ -48,7 +48,7 @@ def motion_of(mount: Array) -> Motion:
 
 
 def shares(beams: int) -> Array:
-    """Return the share of each piece's wheel slip in each beam, (pieces, beams), from the middle on."""
+    """Return the share of each piece's slip in each beam, (pieces, beams), relative to the middle beam."""
     at = np.linspace(-0.5, 0.5, beams)
     low, high = PIECE_EDGES[:-1, None], PIECE_EDGES[1:, None]
     after = np.clip((at - low) * SWEEP_PIECES, 0.0, 1.0)
@@ -57,7 +57,7 @@ def shares(beams: int) -> Array:
 
 
 def noise_of(per_unit: Array, scan: Ints, middle: Array, duration: Array, wheels: WheelMotion) -> Array:
-    """Return the loadings G (m, 2, 2 pieces) of lines on the slips of both wheels in every piece of the sweep.
+    """Return derivatives G (m, 2, 2 pieces) of the lines by the slip of both wheels in each piece of the sweep.
 
     `per_unit` (m, 2, 2, pieces) by `kernels.line_fits.loadings`; scan (m,) says whose the lines are;
     middle, duration (n,) [s].

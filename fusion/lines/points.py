@@ -67,7 +67,7 @@ class Longest:
 
 
 def left_out(laser: Laser, read: Callable[[Laser, Longest], T]) -> tuple[T, Laser, tuple[str, ...]]:
-    """Read scans, and again without the range that means no return if there is one; with the laser and a note.
+    """Read scans; if their longest range means "no return", read them again without it; return laser and note.
 
     Not where `laser` says how far it sees: then the user has decided. `read` shows all ranges to what it is given.
     """

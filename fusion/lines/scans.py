@@ -31,7 +31,7 @@ MAX_SAME_TURN_RAD, MAX_SAME_SHIFT_M = 0.6, 0.4  # lines of neighbouring scans fu
 
 
 class Padded(NamedTuple):
-    """Rows of k readings side by side, at most w each."""
+    """Rows of k readings side by side as one table, at most w rows each."""
 
     row: Ints  # (k, w) row in Measurements.z; any row where there is none
     there: NDArray[np.bool_]  # (k, w)
@@ -68,7 +68,7 @@ def turn_of(a: Array, b: Array) -> Array:
 
 
 def nearest(values: Array, cost: Array) -> tuple[Array, Array, Ints]:
-    """Return for each line of a, (k, w_a), value, cost and index of its nearest line of b."""
+    """Return the nearest line of b for each line of a, (k, w_a): its value, its cost and its index."""
     j = cost.argmin(axis=2)
     at = j[:, :, None]
     return np.take_along_axis(values, at, 2)[:, :, 0], np.take_along_axis(cost, at, 2)[:, :, 0], j
@@ -225,7 +225,7 @@ class Gathered:
 
 
 def _as_wide(pieces: list[Array]) -> list[Array]:
-    """Return loadings (m, 2, k) padded to the same number of columns: 0 for lines that share no error."""
+    """Return derivatives (m, 2, k) of equal width k; pieces without shared errors become zeros."""
     widest = max([piece.shape[2] for piece in pieces], default=0)
     return [p if p.shape[2] else np.zeros((*p.shape[:2], widest), p.dtype) for p in pieces]
 
@@ -242,7 +242,7 @@ def _joined(pieces: list[Array], rows: Ints | None) -> Array:
 
 
 def turns(first: Ints, z: Array, variance: Array) -> Array:
-    """Return the robot's turn [rad] since the scan before, (n,), by lines z (m, 2) that `first` (n + 1,) owns.
+    """Return the robot's turn [rad] since the previous scan, (n,), by lines z (m, 2); scan i has first[i]:.
 
     A line of one scan and the line nearest to it in the next are the same wall; the median change of psi, weighed
     by the `variance` (m,) of either's psi, is the turn: short walls say little, and a wrong pair cannot say much.
@@ -315,7 +315,7 @@ def wall_floor(
 
 
 def bend(uneven: Array) -> Array:
-    """Return the variance (2,) by which a wall differs from scan to scan, given that of its unevenness.
+    """Return the random walk's variance per scan (2,) for a wall with this `uneven` variance (2,).
 
     What is uneven about a wall repeats while the same part of it is seen, so it does not average out. As a random
     walk of the line that explains the change over LAG_SCANS scans, 2 `uneven`, it does not either.
@@ -326,7 +326,7 @@ def bend(uneven: Array) -> Array:
 def _changes(
     t: Array, first: Ints, z: Array, variance: Array, wheels: WheelMotion, sweep: Array
 ) -> tuple[Array, Array]:
-    """Return how the angle between two walls changed over LAG_SCANS scans [rad], and its variance by the fits."""
+    """Return changes of the angle between two walls over LAG_SCANS scans [rad], and their variances."""
     sure = variance < MAX_SIGMA_RAD**2
     first = np.concatenate(([0], np.cumsum(sure)))[first]  # from here on the sure lines only
     z, variance, sweep = z[sure], variance[sure], sweep[sure]

@@ -63,7 +63,7 @@ class Anchors:
         self._P = None
 
     def loosen(self, of: int, to: int, factor: float) -> None:
-        """Multiply the covariances of all edges on the path between two anchors by the missing factor.
+        """Multiply the covariances of all edges between two anchors by a variance factor.
 
         That is the variance factor of what was observed, chi-square over degrees of freedom.
         """

@@ -75,13 +75,13 @@ def _mixture(d: Array, reach: float) -> tuple[float, float]:
 
 
 def _hits(d: Array, hit: float, sigma: float, reach: float) -> Array:
-    """Return the probability (n,) of each distance to be of a wall."""
+    """Return the probability (n,) that each distance belongs to a wall."""
     near = hit * np.exp(-0.5 * (d / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma)
     return np.asarray(near / (near + (1.0 - hit) / reach + 1e-300))
 
 
 def _beside_walls(origins: Array, points: Array, lines: Sequence[MapLine]) -> tuple[Array, Array]:
-    """Return each point's (n, 2) distance from the nearest wall, and from the first wall in its direction.
+    """Return each point's (n, 2) distance to the nearest wall, and to the first wall along its beam.
 
     The second is measured from the point's origin (n, 2), and inf where no wall is there; all in m.
     """

@@ -71,7 +71,7 @@ def find_start(grid: Grid, t: Array, points: Points, wheels: Wheels) -> Start:
 
 
 def at_start(found: Start, wheels: Wheels) -> Array:
-    """Return the pose (3,) at the first wheel reading of a robot whose pose at its first scan was found."""
+    """Return the pose (3,) at the first wheel reading, from the pose found at the first scan."""
     back = wheels.relative(np.array([found.t]), wheels.t[:1])[0]
     return np.asarray(se2.compose(found.pose, back))
 
@@ -164,7 +164,7 @@ class _Places:
         return share
 
     def _thin(self) -> None:
-        """Keep one of equal places, then the better half of the rest."""
+        """Keep one of equal places, then only the better half."""
         order = np.argsort(-self._sums, kind="stable")
         same = SAME_M / self._grid.cell
         turned = self._poses[order, 2] % math.tau
@@ -237,7 +237,7 @@ def _rows(t: Array, wheels: Wheels) -> Ints:
 
 
 def _some(scan: Array, count: int) -> Array:
-    """Return `count` of the points of a scan (k, 2), evenly taken, all where there are no more."""
+    """Return at most `count` points of a scan (k, 2), evenly spaced."""
     if len(scan) <= count:
         return scan
     return np.asarray(scan[np.linspace(0, len(scan) - 1, count).round().astype(np.int64)])

@@ -98,7 +98,7 @@ class Guard:
         self._after = pose
 
     def fits(self, t: float, share: float, pose: Pose, scan: Scan, next_id: int) -> bool:
-        """Use the share of a scan that matches; False: it is not used, and `watch` must decide.
+        """Return whether enough of a scan matches to use it; False: `watch` decides. The scan is stored.
 
         `pose` is predicted, `next_id` the number of the next map line.
         """
@@ -151,7 +151,7 @@ class Guard:
     def _suspected(
         self, scan: Scan, lines: LineMap, belief: JointBelief, again: Again, slipped: Slipped
     ) -> float | None:
-        """Return a small slip [rad] on which map and matched scans agree; a large one waits for the next scans."""
+        """Return a small slip [rad] that map and matched scans confirm; a large slip must wait for more scans."""
         turn = slip_turn(scan, lines, belief, again)
         if turn is None:
             return None
@@ -170,7 +170,7 @@ class Guard:
         again: Again,
         slipped: Slipped,
     ) -> float | None:
-        """Compare a scan, of which a share is matched, with both headings; return the slip after some scans.
+        """Compare a scan with both headings of a suspicion; return the slip [rad] once enough scans confirm it.
 
         Matched scans measure the turn without the map: where they match, headings of the map must agree with them.
         """
@@ -236,7 +236,7 @@ class Guard:
         return self._wheels
 
     def enter_map(self) -> None:
-        """Continue in another map: scans in the frame of this one are dropped."""
+        """Continue in another map; earlier scans, in the frame of the old map, are dropped."""
         self._before.clear()
         self._since = self._after = self._suspicion = None
         self._last = (math.inf, math.inf, math.inf)
@@ -247,7 +247,7 @@ class Guard:
         return self._lost_from is not None and self._tried >= MAX_LOST_SCANS
 
     def leave(self) -> None:
-        """Leave the map with an unknown pose in it; the next map has no known place until it is recognised."""
+        """Leave the map at an unknown pose; the next map's place is unknown until the map is recognised."""
         self._adrift, self._lost_from = self._since_lost(), None
 
     def recognised(self, t: float) -> None:
@@ -350,7 +350,7 @@ def jump(t: float, kind: str, before: Array, after: Array) -> Jump:
 
 
 def _jumped(before: Sequence[Seen], now: Seen) -> bool:
-    """Return whether the walls of this scan continue those of no earlier scan, even if a slip is allowed for.
+    """Return whether a scan continues the walls of no earlier scan, even with a slip: the robot was moved.
 
     A robot that explores sees new walls, but not only new ones, and not at once. In clutter lines come and go from
     scan to scan, but some scan of the last ones had them.
@@ -362,7 +362,7 @@ def _jumped(before: Sequence[Seen], now: Seen) -> bool:
 
 
 def _view(scan: Scan) -> float:
-    """Return the angle over which the walls of a scan extend, seen from the robot [rad]."""
+    """Return the angle [rad] that the walls of a scan cover, seen from the robot."""
     r = np.abs(scan.z[:, :1])
     bearings = np.arctan2(scan.ends, np.maximum(r, 1e-6))
     return float((bearings[:, 1] - bearings[:, 0]).sum())
@@ -381,7 +381,7 @@ def _sees_through(scan: Scan, lines: LineMap, belief: JointBelief) -> bool:
 
 
 def _keep_open(belief: JointBelief, dt: float) -> None:
-    """Add noise to a lost pose: its wheels may turn in the air; a compass keeps the heading."""
+    """Add noise to the pose of a lost robot, whose wheels may turn in the air."""
     theta = float(belief.matrix()[2, 2])
     fades = min(CARRY_RAD_PER_S**2 * dt, max(math.pi**2 / 3.0 - theta, 0.0))
     belief.shift(0.0, CARRY_M_PER_S**2 * dt, fades)

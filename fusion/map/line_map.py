@@ -162,7 +162,7 @@ class LineMap(msgspec.Struct):
         ]
 
     def placed_at(self, frame: Array, P: Array) -> list[MapLine]:
-        """Return lines that are no states, in the map, for their local frame (3,) of covariance P (3, 3)."""
+        """Return frozen lines in the map; their local frame (3,) has covariance P (3, 3)."""
         x, y, theta = map(float, frame)
         joint = np.zeros((5, 5))
         joint[2:, 2:] = P
@@ -183,7 +183,7 @@ class LineMap(msgspec.Struct):
         return MapLine(int(self.ids[j]), rho + ax * c + ay * s, beta, ends, G @ P @ G.T, int(self.hits[j]))
 
     def _framed(self, j: int, placed: Placed, P: Array, joint: Array) -> MapLine:
-        """Return line j in the map, and its covariance with the map frame fixed and with it free."""
+        """Return line j in the map with two covariances: with the map frame exact, and with it uncertain."""
         line = self._line(j, placed.value, P, placed.anchor)
         J = line_by_frame(line, placed.anchor, placed.frame)
         return replace(line, P_free=J @ joint @ J.T)
@@ -213,7 +213,7 @@ def _placed(value: Array, anchor: Array, frame: Pose) -> Placed:
 
 
 def line_by_frame(line: MapLine, anchor: Array, frame: Pose) -> Array:
-    """Return d(rho, beta) in the map by (rho about the anchor, beta, X, Y, Th), (2, 5).
+    """Return the derivative (2, 5) of (rho, beta) in the map by rho about the anchor, beta, X, Y, Th.
 
     rho = value + n.a. The anchor a moves with the frame and turns with Th about the frame's place g, and the
     direction n turns with beta and Th: dn.a = a_y c - a_x s.
@@ -278,7 +278,7 @@ class Association(sight.Sight, Reading):
         return self._rows[: self.lines].copy()
 
     def moved(self) -> tuple[float, float, float]:
-        """Return the motion from the lines by the configured mount to those lines: x, y [m], yaw [rad]."""
+        """Return the offset x, y [m], yaw [rad] that moves lines from the configured to the estimated mount."""
         x, y, yaw = self._offset.tolist()
         return x, y, yaw
 
@@ -291,7 +291,7 @@ class Association(sight.Sight, Reading):
         return [self.row + i for i in range(self.lines) if self.is_matched(i)]
 
     def bend(self, belief: JointBelief, uneven: tuple[float, float], most: tuple[float, float]) -> None:
-        """Add variance to the walls that were seen, up to their unevenness [m^2, rad^2], `most` at a time."""
+        """Add variance to the seen walls, at most `most` at a time and up to their unevenness [m^2, rad^2]."""
         self.bends(belief, *uneven, *most)
         belief.loosen_all(self._bent)
 

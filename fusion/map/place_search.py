@@ -92,7 +92,7 @@ def search(
     allowed: Callable[[Array], NDArray[np.bool_]],
     enough: Callable[[Array, Ints], NDArray[np.bool_]],
 ) -> Places | None:
-    """Return the places at which pairs of the `most` longest walls of a scan lie on known walls; None for none.
+    """Return poses at which pairs of the scan's `most` longest walls lie on known walls; None for none.
 
     `allowed` says which poses (h, 3) are possible, `enough` by share (h,) and count of walls which of them count.
     """
@@ -130,7 +130,7 @@ def distinct(poses: Array) -> Array:
 
 
 def explained(poses: Array, scan: Scan, walls: Array, slack: float = 1.0) -> tuple[Array, Array, Ints]:
-    """Return (h,) each: share of the seen length explained, the same if walls were longer than known, and walls.
+    """Return for each pose (h,) the explained share of wall length, that of longer walls, and the wall count.
 
     What is known of a wall grows with what was seen of it: a rival may look at a part not seen yet. `slack`
     widens what counts as the same wall.
@@ -211,12 +211,12 @@ def find_pose(scan: Scan, lines: LineMap, belief: JointBelief, trail: Trail) -> 
 
 
 def _through_both(poses: Array, scan: Scan, walls: Array) -> Array:
-    """Return the share of the scan that lies behind walls, from either side, from poses (h, 3)."""
+    """Return for each pose (h, 3) the share of the scan that is hidden behind walls of either side."""
     return np.array([seen_through(scan, walls, pose, both=True) for pose in poses.tolist()])
 
 
 def _lasting(poses: Array, before: Iterable[tuple[Array, Scan]], walls: Array, all_walls: Array) -> Array:
-    """Return the poses (h, 3) that few earlier scans contradict; each is at (3,) relative to this scan."""
+    """Return those poses (h, 3) that few earlier scans contradict; `before`: relative poses (3,) and scans."""
     against = np.zeros(len(poses), dtype=np.int64)
     for step, scan in before:
         if not len(poses):
@@ -246,7 +246,7 @@ class Here(NamedTuple):
 
 
 def find_closure(there: Here, here: Here, expected: Array, P: Array) -> Closure | None:
-    """Return the pose of map `here` in map `there`; None if there is none or it is not clear.
+    """Return the pose of map `here` in map `there`; None if no pose fits or several fit.
 
     `expected` (3,) and P (3, 3) are what is known of it already.
     """
@@ -277,7 +277,7 @@ def find_closure(there: Here, here: Here, expected: Array, P: Array) -> Closure 
 
 
 def _enough(found: Closure, expected: Array, P: Array) -> bool:
-    """Return whether a place explains enough walls; an unexpected place must explain more."""
+    """Return whether a place explains enough walls; a place far from the expected one must explain more."""
     asked: tuple[tuple[int, float], ...] = (MIN_WALLS_M,)
     if chi2_of(found.pose[None], expected, P + SLACK_P)[0] > MAX_CHI2:
         asked = (MIN_UNEXPECTED_WALLS_M,)
@@ -287,7 +287,7 @@ def _enough(found: Closure, expected: Array, P: Array) -> bool:
 
 
 def left_open(rivals: Array) -> Array:
-    """Return the covariance (3, 3) of the best place given rivals: other places (n, 3) that fit as well.
+    """Return the covariance (3, 3) of the best pose that includes rivals (n, 3), which fit equally well.
 
     Along a corridor there are many; across it and in heading they agree.
     """
@@ -310,7 +310,7 @@ def contradicted(there: Here, here: Here, pose: Array) -> bool:
 
 
 def _through(way: Way, frame: Array, walls: Array) -> float:
-    """Return the mean share of a path's scans that lies behind walls, for their frame at `frame`."""
+    """Return the mean share of a path's scans that is hidden behind walls, with the path's frame at `frame`."""
     if not way.sights:
         return 0.0
     seen = (seen_through(s.scan, walls, se2.compose(frame, s.pose).tolist()) for s in way.sights)
@@ -379,7 +379,7 @@ class Looks:
         self._found: dict[int, tuple[Closure, int]] = {}  # anchor -> the last look, how many agree with it
 
     def count(self, anchor: int) -> int:
-        """Return how many candidates agree on the map's pose in that of an anchor."""
+        """Return the number of candidates that agree on the map's pose in an anchor's map."""
         return self._found[anchor][1] if anchor in self._found else 0
 
     def agree(self, anchor: int, found: Closure | None, unknown: bool, anchors: Anchors) -> bool:
@@ -398,14 +398,14 @@ class Looks:
         return self.count(anchor) >= UNKNOWN_LOOKS and not self._rivalled(anchor, anchors)
 
     def _rivalled(self, anchor: int, anchors: Anchors) -> bool:
-        """Return whether the present map may also lie elsewhere, by candidates in other maps."""
+        """Return whether candidates in other maps show that the present map may also lie elsewhere."""
         places = {k: se2.compose(anchors.pose[k], found.pose) for k, (found, _) in self._found.items()}
         x, y, _ = places[anchor].tolist()
         return any(math.hypot(place[0] - x, place[1] - y) > ELSEWHERE_M for place in places.values())
 
 
 def _same(one: Closure, other: Closure) -> bool:
-    """Return whether two looks found the same place, within their covariances."""
+    """Return whether two candidates agree on a pose, within their covariances."""
     return bool(chi2_of(other.pose[None], one.pose, one.P + other.P)[0] < SAME_CHI2)
 
 

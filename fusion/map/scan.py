@@ -75,7 +75,7 @@ SAME_SHARE = 0.5  # share of the seen length that must be the same: less, and so
 
 
 class Standing:
-    """The scans since the wheels stopped. A scan is a table (k, 7)."""
+    """The scans since the robot stopped, averaged. A scan is a table (k, 7)."""
 
     def __init__(self) -> None:
         self._rolled = (0.0, 0.0, 0.0)  # x, y [m], theta [rad] by the wheels since the first scan
@@ -121,7 +121,7 @@ class Standing:
         self._sums, self._counts = np.zeros((len(rows), 2)), np.zeros(len(rows), np.intp)
 
     def _add(self, rows: Array, same: Ints) -> None:
-        """Add a scan's lines to the sums of the lines that they repeat, `same` (k,); -1 begins a new sum."""
+        """Add a scan's lines to the sums of earlier equal lines, `same` (k,); -1 starts a new sum."""
         new = np.flatnonzero(same < 0)
         if len(new):
             same[new] = len(self._lines) + np.arange(len(new))
@@ -135,7 +135,7 @@ class Standing:
         self._scans += 1
 
     def _same(self, rows: Array) -> Ints:
-        """Return for each line of a scan (k,) the earlier line that it repeats, -1 for none.
+        """Return for each line of a scan (k,) the index of the earlier equal line, -1 for none.
 
         Both are each other's nearest, within SAME_D2, and have a share of the longer in common.
         """

@@ -108,7 +108,7 @@ def expected_share(scan: Scan, before: Scan, step: Array, slip: float = 0.0) -> 
 
 
 def _few(slips: Array) -> Array:
-    """Return evenly spread ones of very many slips (n,) [rad]: much closer to each other than SAME_ANGLE_RAD."""
+    """Return at most MAX_SLIPS of the slips (n,) [rad], evenly spread."""
     if len(slips) <= MAX_SLIPS:
         return slips
     some: Array = np.sort(slips)[np.linspace(0, len(slips) - 1, MAX_SLIPS).astype(np.intp)]
@@ -119,7 +119,7 @@ Seen = tuple[float, Pose, Scan]  # a scan: when [s], and where the wheels alone 
 
 
 class Series:
-    """Scans in a row that suggest a slip."""
+    """Scans in a row that each suggest a slip."""
 
     def __init__(self) -> None:
         self.begun = 0.0  # s
@@ -131,7 +131,7 @@ class Series:
         self._scans = 0
 
     def goes_on(self, now: Seen, before: Sequence[Seen]) -> bool:
-        """Add a scan that suggests a slip, and return whether so many did that the robot is being carried.
+        """Add a scan that suggests a slip; return whether there are so many that the robot is being carried.
 
         Where the walls from before them are where the wheels expect them, it is not carried.
         """
@@ -148,7 +148,7 @@ class Suspicion:
     """A slip suggested by a scan, until the next scans are compared with both headings."""
 
     def __init__(self, turn: float) -> None:
-        """`turn` [rad] is the one by the map."""
+        """`turn` [rad] is the turn found by the map."""
         self.turn = turn
         self.looks = 0
         self._gain = 0.0  # shares of the seen length that match at the turned heading beyond those at the old one
@@ -169,7 +169,7 @@ class Suspicion:
         return self.looks >= DECIDING_SCANS
 
     def confirmed(self, gain: float, by_scans: bool) -> bool:
-        """Return whether a slip explains a `gain` in share of the last scan.
+        """Return whether a slip is confirmed; `gain` is the growth of the last scan's matched share.
 
         A little is enough where matched scans measured it (`by_scans`); else all scans since then must gain much.
         """

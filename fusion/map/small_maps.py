@@ -1,4 +1,4 @@
-"""Small maps: the lines of one that was left, at that time; and the walls that connect it to the next.
+"""Small maps: the frozen lines of a map that was left, and the walls that connect it to the next map.
 
 Seen from the robot, all walls share the error of its pose. It is kept in the covariance: how the walls lie to each
 other is known far better than how they lie to the robot, and the next map begins with just that.
@@ -33,7 +33,7 @@ class Bridge(NamedTuple):
 
 
 def seen_from_here(lines: LineMap, at: Ints, belief: JointBelief) -> Bridge:
-    """Return the walls `at` (k,) of a map, which are states, relative to the pose."""
+    """Return the walls `at` (k,) of a map, which are states, in the robot's frame, with their covariance."""
     rho, beta = lines.values(belief)[at].T
     c, s = np.cos(beta), np.sin(beta)
     dx, dy = (np.array([belief.x, belief.y]) - lines.anchor[at]).T
@@ -50,7 +50,7 @@ def seen_from_here(lines: LineMap, at: Ints, belief: JointBelief) -> Bridge:
 
 
 def heading_among(lines: LineMap, at: Ints, belief: JointBelief) -> float:
-    """Return the sigma of the heading if the walls `at` (k,) are given [rad].
+    """Return the sigma of the heading [rad] relative to the walls `at` (k,).
 
     That is the accuracy of the last scans, without what robot and walls have drifted together.
     """
@@ -62,7 +62,7 @@ def heading_among(lines: LineMap, at: Ints, belief: JointBelief) -> float:
 
 
 def cross(bridge: Bridge, lines: LineMap, belief: JointBelief, scan: int) -> None:
-    """Start a map with the walls of a bridge; the pose is exactly 0. `scan` is the number of the last scan.
+    """Start a map with the walls of a bridge and the pose exactly 0; `scan` is the number of the last scan.
 
     Each wall's anchor is the middle of what was seen of it, so rho about it is 0 and beta is psi.
     """
@@ -100,7 +100,7 @@ def frozen(lines: LineMap, belief: JointBelief) -> LineMap:
 
 
 def thaw(kept: LineMap, lines: LineMap, first_column: int) -> None:
-    """Make the kept lines states again, from a column on; new ids continue after the old ones."""
+    """Load kept lines into `lines` as states that begin at column `first_column`."""
     for name in ("ids", "anchor", "lo", "hi", "hits", "value", "P"):
         setattr(lines, name, getattr(kept, name).copy())
     lines.column = first_column + 2 * np.arange(len(kept))

@@ -1,4 +1,4 @@
-"""The wall of a line map that returns a sonar's echo, and the derivatives of its distance by pose and wall."""
+"""The wall that returns a sonar's echo, and the derivatives of its distance by pose and wall."""
 
 from __future__ import annotations
 

@@ -195,7 +195,7 @@ class LineTracker(Model):
         return found
 
     def _bounds(self, m: Measurements, i: int) -> tuple[int, int]:
-        """Return the first line of scan i and the end; read the numbers again if the log is another one."""
+        """Return the rows first:last of scan i's lines; a new log's columns are loaded first."""
         if m is not self._of:
             self._of, self._first, self._t = m, m.first.tolist(), m.t.tolist()
             uneven, floor = self.loosened(m)
@@ -236,7 +236,7 @@ class LineTracker(Model):
             self._revise(found, belief)
 
     def _revise(self, found: Association, belief: JointBelief) -> None:
-        """Add variance to uneven walls, add new lines; now and then drop rare lines and merge doubles (`grow`)."""
+        """Add variance to uneven walls; in `grow` add new lines, now and then drop rare lines, merge doubles."""
         uneven, floor, bent = self._walls
         if uneven[0] > 0.0 or uneven[1] > 0.0:
             found.bend(belief, uneven, bent)
@@ -459,7 +459,7 @@ class AtlasTracker(LineTracker):
             self.guard.enter_map()
 
     def _enter(self, pose: Array, belief: JointBelief) -> None:
-        """Begin a map at an anchor, which is the map frame."""
+        """Begin a map at a new anchor of the graph; the map frame is the anchor's pose."""
         frame = belief.frame_pose()
         if self._left is None:
             own = np.zeros((3, 3)) if frame is None else belief.frame_covariance()
@@ -477,7 +477,7 @@ class AtlasTracker(LineTracker):
         self._ask_known_at = {}
 
     def _take_in_absolutes(self, belief: JointBelief) -> None:
-        """Add an edge to the graph: the information of other sensors on the map frame since it began."""
+        """Add an edge to the graph with the information of other sensors on the map frame since it began."""
         frame = belief.frame_pose()
         if frame is None:
             return

@@ -147,14 +147,14 @@ def end_of_way(steps: Array, matches: Edges) -> tuple[Array, Array]:
 
 
 def _bent(x: Array) -> Array:
-    """Return the end of a path of poses x (n, 3) if all its headings drift by DRIFT_RAD_PER_M."""
+    """Return the end pose of a path x (n, 3) whose headings drift by DRIFT_RAD_PER_M."""
     steps = se2.between(x[:-1], x[1:])
     steps[:, 2] += DRIFT_RAD_PER_M * np.hypot(steps[:, 0], steps[:, 1])
     return np.asarray(se2.compose(x[0], se2.chain(steps)[-1]))
 
 
 def compared(z: Array, R: Array, begin: Array, back: Array, mount: Mount | None, belief: JointBelief) -> Equation:
-    """Return the information of a path z (3,) by the scans, with covariance R, on pose and mount.
+    """Return the equation by which a path z (3,) from scans, with covariance R, corrects pose and mount.
 
     It led from `begin` (3,) in the map to `back` (3,), which is seen from the pose. The scans are of a base on
     which the laser is mounted as configured; the belief may have another mount.

@@ -104,7 +104,7 @@ def eq12_P(K: Array, H: Array, P: Array) -> Array:
 
 
 def eq13_H_line(C: float, beta: float) -> Array:
-    """Rows of eq. 13 for one line, (2, 3) for (r, psi): the derivative of |C| is taken as C times that of C."""
+    """Rows of eq. 13 for one line, (2, 3) for (r, psi); |C| is differentiated as in the paper."""
     return np.array([[-C * math.cos(beta), -C * math.sin(beta), 0.0], [0.0, 0.0, -1.0]])
 
 

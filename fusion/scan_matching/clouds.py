@@ -49,7 +49,7 @@ class Clouds(msgspec.Struct, frozen=True):
 
     @classmethod
     def of_scans(cls, scans: Sequence[Array], origin: Array) -> Clouds:
-        """Return scans (k, 2) [m], in the order of their beams, with surfaces; `origin` (2,) is the laser."""
+        """Return scans (k, 2) [m], in beam order, as clouds with surfaces; `origin` (2,) is the laser."""
         first = np.concatenate(([0], np.cumsum([len(p) for p in scans]))).astype(np.int64)
         xy = np.concatenate([np.zeros((0, 2)), *scans])
         return cls(first, xy, normals(xy, np.repeat(np.arange(len(scans)), np.diff(first)), origin))
@@ -128,7 +128,7 @@ def _median_of_each(values: Array, owner: Ints) -> Array:
 
 
 def merged(clouds: Clouds, groups: list[Ints], poses: list[Array]) -> Clouds:
-    """Return one cloud for each group of clouds (k,), whose points are put at poses (k, 3) in its frame."""
+    """Return one cloud for each group of clouds (k,); poses (k, 3) place each cloud in the group's frame."""
     xy, normal, counts = [np.zeros((0, 2))], [np.zeros((0, 2))], [0]
     for group, pose in zip(groups, poses, strict=True):
         rows, position = clouds.rows(group)

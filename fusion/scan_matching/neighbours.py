@@ -49,7 +49,7 @@ def next_scans(targets: Targets, i: Ints, clouds: Clouds, j: Ints, wheels: Array
 
 
 def further_scans(targets: Targets, clouds: Clouds, x: Array, n: int, apart: float) -> tuple[Ints, Matches]:
-    """Match every scan with the n-th before it, if nearer than `apart` [m]: return the earlier ones, matches.
+    """Match every scan with the n-th before it if closer than `apart` [m]; return earlier scans and matches.
 
     `x` (k, 3) are the poses that shorter steps led to. Only matches that are to be believed are returned.
     """
@@ -94,7 +94,7 @@ def scan_by_scan(m: Measurements, points: Points, begin: Ints, end: Ints) -> Arr
 
 
 def _scan_after(m: Measurements, points: Points, scans: Ints) -> Array:
-    """Return the pose of the scan after each, relative to it, (k, 3)."""
+    """Return the pose of each scan's next scan relative to it, (k, 3): matched, else by the wheels."""
     u = points.moved(m.t[scans], m.t[scans + 1])
     readings, at = np.unique(np.concatenate((scans, scans + 1)), return_inverse=True)
     clouds = clouds_of(m, readings)
@@ -104,7 +104,7 @@ def _scan_after(m: Measurements, points: Points, scans: Ints) -> Array:
 
 
 def turned_beyond_wheels(m: Measurements, a: int, b: int) -> float | None:
-    """Return how much more the robot turned from reading a to b than by its wheels [rad], by matching the two.
+    """Return the turn from reading a to b by scan matching, minus the turn by the wheels [rad].
 
     None where they do not match.
     """

@@ -171,7 +171,7 @@ class Normal:
         return 0.5 * (own + own.transpose(0, 2, 1)), after
 
     def _dense(self, n: int) -> tuple[Array, Array]:
-        """Invert all of H in place: only one matrix is in memory, filled in its lower triangle."""
+        """Return the covariances of all poses and of neighbours by inverting H in place, to save memory."""
         from scipy.linalg import cho_factor
         from scipy.linalg.lapack import dpotri
 
@@ -197,7 +197,7 @@ class Beside(Protocol):
 
 
 def relative(x: Array, joint: Array, i: Ints, j: Ints) -> tuple[Array, Array]:
-    """Return poses j (c,) of x (n, 3) relative to poses i (c,), (c, 3), and their covariances (c, 3, 3).
+    """Return poses j (c,) relative to poses i (c,), (c, 3), and their covariances (c, 3, 3).
 
     `joint` (n, 3, n, 3) is the covariance of x.
     """

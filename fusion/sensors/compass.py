@@ -48,7 +48,7 @@ SAYS_SO = ("compass", "heading", "yaw", "azimuth", "bearing", "mag")  # topics o
 
 
 class CompassSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """[compass]."""
+    """Settings of [compass] in robot.toml."""
 
     sigma_deg: float = 3.0  # white noise of one reading
     offset_deg: float | None = None  # measured heading minus theta; not set: estimated from the drive
@@ -222,7 +222,7 @@ def _refuse_stuck(t: Array, heading: Array, wheels: WheelMotion, topic: str) -> 
 def from_field(
     columns: dict[str, Array], settings: CompassSettings, up: Array | None = None
 ) -> tuple[Array, Array]:
-    """Return headings by a field in the base's axes, theta = phi_B - atan2(m_y, m_x), and its strength, (n,) each.
+    """Return the headings theta = phi_B - atan2(m_y, m_x) of a magnetic field, and its strength, (n,) each.
 
     The robot's iron, which turns with it, is taken out. `up` (n, 3), in the base's axes, levels the field.
     """

@@ -52,7 +52,7 @@ Geographic = tuple[float, float]
 
 
 class GpsSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """[gps]."""
+    """Settings of [gps] in robot.toml."""
 
     origin: Geographic | None = None  # latitude, longitude [deg] of the map's origin; not set: estimated
     east_deg: float | None = None  # where east lies in the map, ccw from its x axis; not set: estimated

@@ -44,7 +44,7 @@ WRONG_SCALE = 2.0  # a factor that no wheel geometry explains
 
 
 class GyroSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """[gyro]."""
+    """Settings of [gyro] in robot.toml."""
 
     # a turn that the wheels did not see is a slip: the gyro is the one to believe
     gate: float = 1.0
@@ -159,7 +159,7 @@ class GyroModel(Model):
         return [before, Block(BIAS, np.zeros(1), np.array([[variance]]), np.array([drift]))]
 
     def innovations(self, m: Measurements, i: int, belief: Any) -> list[Innovation]:
-        """Compare the turn since the last reading with the belief; the first one, or after a gap, initialises."""
+        """Compare the turn since the last reading with the belief; the first reading only initialises."""
         last, columns_of = self._last, m.plain
         if last is None or columns_of["piece"][i] != columns_of["piece"][last]:
             return []
@@ -200,7 +200,7 @@ class GyroModel(Model):
         return [f"bias at rest: {rate:.3f}°/s over {span:.1f} s, from {max(self.rest.begin, 0.0):.1f} s on"]
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Clone the present heading."""
+        """Copy the present heading into the cloned state, from which the next turn is measured."""
         if self._last is None:
             self._begin(m, i, belief)
         belief.clone_heading(belief.column(BEFORE))
@@ -264,7 +264,7 @@ def rests(where: Array, piece: Ints) -> Iterator[tuple[int, int]]:
 def _check_against(
     t: Array, angle: Array, piece: Ints, wheels: WheelMotion, topic: str, settings: GyroSettings
 ) -> None:
-    """Raise LocfuseError if gyro and wheels turn in opposite senses, or by a factor that shows another unit."""
+    """Raise LocfuseError if the gyro's turns have the wrong sign or unit, compared with the wheels."""
     if len(t) < 20:
         return
     own = np.diff(angle)[np.diff(piece) == 0]

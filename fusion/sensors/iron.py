@@ -152,7 +152,7 @@ def _shape_sigma(A: Array, spread: Array) -> Array:
 
 
 def iron_error_deg(c: Array, A: Array) -> float:
-    """Return the rms heading error of raw readings m = c + A^-1 (cos, sin) over a full turn, without its mean."""
+    """Return the rms heading error, minus its mean, that iron m = c + A^-1 (cos, sin) causes over a full turn."""
     a = np.linspace(0.0, 2.0 * math.pi, 720, endpoint=False)
     raw = c + np.column_stack((np.cos(a), np.sin(a))) @ np.linalg.inv(A)
     error = wrap_all(np.arctan2(raw[:, 1], raw[:, 0]) - a)

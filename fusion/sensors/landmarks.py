@@ -225,7 +225,7 @@ MAX_SIGMA_M = 0.3  # m of the robot's position: beyond it a detection does not t
 
 
 class LandmarksSettings(PointsSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """[landmarks]."""
+    """Settings of [landmarks] in robot.toml."""
 
     table: ClassVar[str] = "landmarks"
     what: ClassVar[str] = "landmarks"
@@ -355,7 +355,7 @@ class Landmarks(Sensor):
 
 
 def _seen(stream: Stream, settings: LandmarksSettings) -> tuple[Sighted, Ints]:
-    """Return the detections of all cameras in the order of time, and which row of them (m,) each is."""
+    """Return the detections of all cameras in time order, and the index of each one's camera (m,)."""
     found = []
     for part in parts_of(stream):
         _, _, _, *down = (*settings.mounts.get(part.topic, (0.0, 0.0, 0.0)), settings.pitch_deg)
@@ -383,7 +383,7 @@ def _levers(parts: Sequence[Stream], camera: Ints, settings: LandmarksSettings) 
 
 
 def mounts_of(m: Measurements, usual: tuple[float, float, float]) -> Array:
-    """Return the detector's mount of every row, (m, 3) x, y [m], yaw [rad]."""
+    """Return the mount of the detector of every row, (m, 3): x, y [m], yaw [rad]."""
     if LEVER[0] not in m.extra:
         return np.tile(np.array(usual, np.float64), (len(m.z), 1))
     return np.stack([m.extra[name] for name in LEVER], axis=-1)
@@ -428,7 +428,7 @@ class LandmarksModel(PointsModel):
         return [Block(name, np.zeros(1), np.array([[s**2]]), np.zeros(1)) for name, s in free.items()]
 
     def innovations(self, m: Measurements, i: int, belief: Belief) -> list[Innovation]:
-        """Compare the detections of one instant with the belief, and keep where they place their landmarks."""
+        """Compare the detections of one instant with the belief, and store where each places its landmark."""
         found = super().innovations(m, i, belief)
         if not found or m.z.shape[1] == 1:
             return found
@@ -494,14 +494,14 @@ class LandmarksModel(PointsModel):
     def _note_place(
         self, landmark: int, distance: float, bearing: float, mount: Row, pose: Row, sigma: float
     ) -> None:
-        """Keep where a detection places its landmark; the robot's own place is known to `sigma` [m]."""
+        """Store where a detection places its landmark; `sigma` [m] is that of the robot's own place."""
         (x, y), (c, s) = detector_at(pose, mount), direction(pose[2] + mount[2] + bearing)
         place = x + distance * c, y + distance * s, math.hypot(sigma, self.sigmas[1], distance * self.sigmas[0])
         if math.isfinite(sum(place)):
             self._seen_at[landmark].append(place)
 
     def notes(self, belief: Any) -> list[str]:
-        """Return which landmarks are at other places than in the map, and which two are exchanged."""
+        """Return notes on landmarks that are elsewhere than in the map, and on two that are exchanged."""
         seen = {key: np.array(rows) for key, rows in self._seen_at.items()}
         return [*self._depth_notes(belief), *wrong_places(self.places, seen)]
 

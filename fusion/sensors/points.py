@@ -244,7 +244,7 @@ class GrowingPoints(PointsModel):
 
 
 def rows_of(m: Measurements, i: int) -> range:
-    """Return the rows of reading i."""
+    """Return the row numbers of reading i."""
     first = m.plain["first"]
     return range(first[i], first[i + 1])
 

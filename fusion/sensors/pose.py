@@ -64,7 +64,7 @@ Pose = tuple[float, float, float]
 
 
 class PoseSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """[pose]."""
+    """Settings of [pose] in robot.toml."""
 
     # not set: "drift" of an Odometry and of /tf, else "own"
     frame: Literal["map", "own", "drift"] | None = None
@@ -183,7 +183,7 @@ def _usable(values: Array, stream: Stream, settings: PoseSettings, dropped: dict
 def plane_covariance(
     column: Any, rows: Ints, which: str, own: Array, axes: Sequence[int] = PLANE
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Return covariances (n, d, d) of some rows: the messages' own where given (n,), else diag(own (n, d)).
+    """Return covariances (n, d, d) of some rows: from the messages where given (n,), else diag(`own` (n, d)).
 
     `column` holds 6 x 6 matrices of x, y, z, roll, pitch, yaw, of which `axes` (d,) are wanted. A covariance of
     zeros, one that is not positive, and NaN say nothing. What is larger than MAX_SIGMA was not measured: it is cut
@@ -312,7 +312,7 @@ def _covariance_of(m: Measurements, i: int) -> Matrix:
 
 
 def _turned(R: Matrix, angle: float) -> Matrix:
-    """Return the covariance R (3, 3) of a pose in a frame turned by an angle [rad]."""
+    """Return the covariance R (3, 3) of a pose, transformed to a frame turned by an angle [rad]."""
     (xx, xy, xt), (_, yy, yt), (_, _, tt) = R
     c, s = se2.direction(angle)
     across = c * s * (xx - yy) + (c * c - s * s) * xy

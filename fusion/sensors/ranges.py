@@ -67,7 +67,7 @@ NO_MAP_NOTE = (
 
 
 class Answer(NamedTuple):
-    """The best fit to the ranges."""
+    """The best fit to ranges."""
 
     values: Array  # (k,) x, y [m], perhaps theta [rad]; last the offset of the ranges [m]
     covariance: Array  # (k, k)
@@ -90,7 +90,7 @@ def start_among(
 
 
 def anchor_beside(seen: Array, t: Array, ranges: Array, sigmas: tuple[float, float]) -> Answer | None:
-    """Return an anchor's place in the frame of `seen` (n, 2) [m], and the offset; None if it is ambiguous."""
+    """Return an anchor's place in the frame of `seen` (n, 2) [m] and the range offset; None if ambiguous."""
     turns = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
     around = seen[0] + ranges[0] * np.stack((np.cos(turns), np.sin(turns)), axis=-1)
     guesses = np.column_stack((around, np.zeros(DIRECTIONS)))
@@ -98,7 +98,7 @@ def anchor_beside(seen: Array, t: Array, ranges: Array, sigmas: tuple[float, flo
 
 
 def _predicted(v: Array, anchors: Array, seen: Array) -> tuple[Array, Array]:
-    """Return ranges (s, n) and derivatives (s, n, k) of guesses v (s, k): place, perhaps heading, and offset."""
+    """Return predicted ranges (s, n) and derivatives (s, n, k) for guesses v (s, k): place, heading, offset."""
     turns = v.shape[1] == 4
     c, s = (np.cos(v[:, 2:3]), np.sin(v[:, 2:3])) if turns else (np.ones((1, 1)), np.zeros((1, 1)))
     ahead, left = c * seen[:, 0] - s * seen[:, 1], s * seen[:, 0] + c * seen[:, 1]
@@ -111,7 +111,7 @@ def _predicted(v: Array, anchors: Array, seen: Array) -> tuple[Array, Array]:
 def _shortest(
     anchors: Array, seen: Array, guesses: Array, t: Array, ranges: Array, sigmas: tuple[float, float]
 ) -> Answer | None:
-    """Return the fit of the shortest part of the drive with a clear one."""
+    """Fit ever longer parts of the drive; return the first clear fit, None if there is none."""
     tried = 0
     for seconds in STRETCHES_S:
         n = int(np.searchsorted(t, t[0] + seconds, side="right"))
@@ -199,7 +199,7 @@ def _normal(predict: Predict, x: Array, ranges: Array, sigmas: tuple[float, floa
 
 
 class RangesSettings(PointsSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """[ranges]."""
+    """Settings of [ranges] in robot.toml."""
 
     table: ClassVar[str] = "ranges"
     what: ClassVar[str] = "anchors"
@@ -309,7 +309,7 @@ class Ranges(Sensor):
 def _places_of(
     t: Array, ids: Ints, z: Array, keep: Any, settings: RangesSettings, wheels: WheelMotion
 ) -> tuple[Array, list[str]]:
-    """Return the anchor's place for every range (n,), relative to the robot then: ahead, left, sigma (n, 3) [m].
+    """Return for each range (n,) its anchor's place in the robot's frame then: x, y and sigma, (n, 3) [m].
 
     NaN, and a note, where this drive does not show the place.
     """
@@ -384,5 +384,5 @@ class GrowingRanges(GrowingPoints, RangesModel):
         return column
 
     def notes(self, belief: Any) -> list[str]:
-        """Return notes: how many anchors the map has."""
+        """Return notes on the map: the number of anchors, rarely seen anchors, and anchors that move."""
         return self.map_notes("are the ranges in m?")

@@ -130,6 +130,6 @@ class SonarModel(Model):
 
 
 def likelier(distance: float, sigma: float) -> float:
-    """Return the NIS up to which N(y; 0, sigma^2) outweighs clutter, uniform over the `distance` [m]."""
+    """Return the NIS limit below which an echo of the wall is likelier than clutter within `distance` [m]."""
     odds = (1.0 - CLUTTER_SHARE) / CLUTTER_SHARE * distance / (math.sqrt(math.tau) * sigma)
     return 2.0 * math.log(odds) if odds > 1.0 else 0.0

@@ -35,7 +35,7 @@ FORWARD_TURN = (0, 5)  # where linear x and angular z stand in a covariance of R
 
 
 class TwistSettings(SensorSettings, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """[twist]."""
+    """Settings of [twist] in robot.toml."""
 
     covariance: Literal["message", "sigma"] = "message"  # "sigma": the keys below, whatever the messages claim
     sigma: float = 0.05  # m/s of one reading, where the messages say nothing
@@ -157,12 +157,12 @@ class TwistModel(Model):
         return [belief.compare(i, y, by_pose, R, self.threshold, columns, by_kept)]
 
     def _variance(self, m: Measurements, of: int, value: float, last: int, i: int) -> float:
-        """Return the variance of distance (of = 0) or turn (of = 1) since `last`: readings, scale and floor."""
+        """Return the variance of distance (of = 0) or turn (of = 1) since reading `last`."""
         variance = m.plain[VARIANCES[of]]
         return float(variance[i] - variance[last] + self.scale * value * value + m.floor.item(of, of))
 
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
-        """Clone the present pose."""
+        """Copy the present pose into the cloned states, from which the next motion is measured."""
         belief.clone_pose(belief.column(CLONE))
         self._last = i
 

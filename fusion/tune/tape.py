@@ -77,7 +77,7 @@ def record(drive: Drive, robot: Robot, sensors: Sequence[str]) -> Tape:
 
 
 def see(event: Corrected, drive: Drive, names: Sequence[str]) -> See:
-    """Return which part of a correction's R grows with the sigma of which sensor."""
+    """Split a correction's R into the part that grows with each sensor's sigma^2, and the rest."""
     R_sigma, sensor, k = np.zeros_like(event.R), np.full(len(event.y), -1), 0
     for name, row, numbers in event.sources:
         at = slice(k, k + numbers)
@@ -89,7 +89,7 @@ def see(event: Corrected, drive: Drive, names: Sequence[str]) -> See:
 
 
 def _of_sigma(R: Array, m: Measurements, row: int) -> Array:
-    """Return the part (d, d) of an innovation's R that grows with the sensor's sigma^2: all but floor and rest."""
+    """Return the part (d, d) of an innovation's R that is proportional to sigma^2 of its sensor."""
     part: Array = m.scale**2 * m.R_unit[row]
     rest = m.extra.get("rest")
     if rest is not None:
@@ -111,7 +111,7 @@ class Noise(NamedTuple):
 
 
 class Played(NamedTuple):
-    """The likelihood of c corrections under B sets of noise."""
+    """The likelihood of c corrections, under each of B sets of noise."""
 
     scores: Array  # (B, c) log likelihood [nats]
     instant: Ints  # (c,)
@@ -225,7 +225,7 @@ class Head:
 
 
 def bends(op: Moved, bend: float) -> bool:
-    """Return whether a motion's path bends by more than `bend` [1/m]: also on the spot, not at rest."""
+    """Return whether a motion's curvature is more than `bend` [1/m]; turning on the spot counts."""
     return abs(op.turned) > bend * op.driven
 
 
@@ -251,7 +251,7 @@ NO_STRAIGHTS = (
 
 
 class Figures(msgspec.Struct):
-    """The present noise figures: `factors`: ln(present / configured), of a variance for wheels, else of sigmas."""
+    """The present noise. `factors`: ln(present / configured) of a variance for wheels, else of a sigma."""
 
     told: Robot
     sensors: tuple[str, ...]
@@ -264,7 +264,7 @@ class Figures(msgspec.Struct):
         return [WHEELS, *self.sensors, *([self.drift + DRIFT] if self.drift else [])]
 
     def factor(self, name: str) -> float:
-        """Return the present figure over the configured one."""
+        """Return the ratio of the present figure to the configured one."""
         return math.exp(self.factors.get(name, 0.0))
 
     def values(self) -> dict[str, float]:
@@ -280,7 +280,7 @@ class Figures(msgspec.Struct):
         return out
 
     def name_of(self, key: str) -> str:
-        """Return the logarithm behind a key of robot.toml."""
+        """Return the name of the search variable (a logarithm) for a key of robot.toml."""
         table, _, name = key.partition(".")
         if key == WHEELS:
             return WHEELS
@@ -337,7 +337,7 @@ class Problem(msgspec.Struct):
         return total
 
     def means(self, theta: Array) -> tuple[list[tuple[float, ...] | None], tuple[int, int]]:
-        """Return mean scores per number of B points, in training and held out, and the counts of these numbers."""
+        """Return mean scores per number for B points, in training and held out, and the counts of numbers."""
         sums, counts = np.zeros((2, len(theta))), np.zeros(2)
         for tape, end in zip(self.tapes, self.until, strict=True):
             played = play(tape, self._noise(tape, theta))
@@ -349,7 +349,7 @@ class Problem(msgspec.Struct):
         return found, (int(counts[0]), int(counts[1]))
 
     def _noise(self, tape: Tape, theta: Array, turns: Array | None = None) -> Noise:
-        """Turn logarithms into factors on the variances of one tape."""
+        """Return the factors on a tape's variances for logarithms theta (B, p)."""
         sensors = [np.exp(2.0 * theta[:, self.names.index(s)]) for s in tape.sensors]
         drifts = {}
         if self.names[-1].endswith(DRIFT):
@@ -360,7 +360,7 @@ class Problem(msgspec.Struct):
 
 
 def best(problem: Problem, starts: Sequence[float], least: Sequence[float] | None = None) -> Array:
-    """Return the most likely logarithms (p,) relative to the recording; a start is all of them at once.
+    """Return the most likely logarithms (p,); the search begins at each of `starts`, set for all variables.
 
     `least` ends the tapes early [s]: to tell the starts apart, a part of the logs is enough.
     """
@@ -399,7 +399,7 @@ def identify(problem: Problem) -> tuple[Array, list[str]]:
 
 
 def at_most(problem: Problem, which: int, told: float) -> float:
-    """Return the largest value of one logarithm, up to `told`, that is hardly less likely than 0, the peak.
+    """Return the largest value of a logarithm with nearly the likelihood of the maximum at 0; inf if flat.
 
     Where the likelihood is flat towards small noise, the end of the flat part is returned.
     """
@@ -412,7 +412,7 @@ def at_most(problem: Problem, which: int, told: float) -> float:
 
 
 def _moves(problem: Problem, turning: bool) -> list[Moved]:
-    """Return the motions in training that turn, or those that do not."""
+    """Return the training motions that turn (`turning`), or those that go straight."""
     return [
         op
         for tape, end in zip(problem.tapes, problem.until, strict=True)

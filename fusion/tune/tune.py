@@ -150,7 +150,7 @@ class Bench:
         return [self.trial(t, self.figures) for t in self.trials]
 
     def bring_near(self, progress: Progress) -> None:
-        """Move sigmas by the sensors' own innovations until most measurements are accepted."""
+        """Scale sigmas to the sensors' own innovations until most measurements are accepted."""
         for n in range(MAX_TRIES):
             progress(f"bringing the noise near ({n + 1})")
             found: dict[str, list[float]] = {}
@@ -220,7 +220,7 @@ class Bench:
         return Tuned(rows, train, held_out, numbers, flags, again, as_used)
 
     def _leave(self, problem: Problem, name: str) -> str:
-        """Reset figures that the likelihood does not identify, as far as it allows, and report it."""
+        """Reset a figure that the likelihood does not determine; return a sentence about it."""
         figures = self.figures
         if name.endswith(DRIFT):
             figures.factors[name] = -math.inf
@@ -243,7 +243,7 @@ def says_noise(sensor: str, trials: Sequence[Trial]) -> bool:
 
 
 def check_told_alike(trials: Sequence[Trial], sensors: Sequence[str]) -> None:
-    """Raise LocfuseError if two logs have different noise figures: all must start from the same ones."""
+    """Raise LocfuseError if two logs have different configured noise: the search needs one start."""
     first = trials[0]
     for t in trials[1:]:
         pairs = [("wheels.noise", first.robot.wheels.noise, t.robot.wheels.noise)]
@@ -262,7 +262,7 @@ def check_told_alike(trials: Sequence[Trial], sensors: Sequence[str]) -> None:
 
 
 def optimal(robot: Robot) -> Robot:
-    """Return the robot with optimal weights for maps, and outliers rejected."""
+    """Return the robot with settings that make the filter optimal: map weights, outliers rejected."""
     settings = {}
     for s, c in robot.sensors.items():
         mode = getattr(c, "map", "")
@@ -288,7 +288,7 @@ def _louder(motions: Motions, factor: float) -> Motions:
 
 
 def _off(o: Own | None) -> float:
-    """Return a factor on sigma that makes a sensor more consistent, 1 if it is close."""
+    """Return the factor on a sensor's sigma that brings its NIS near 1; 1 if it is near already."""
     if o is None or o.refused > MAX_REFUSED_SHARE or math.isinf(o.raw):
         return WIDENING_FACTOR
     if MIN_NIS_RATIO <= o.raw <= MAX_NIS_RATIO or (o.raw < MIN_NIS_RATIO and o.share < MIN_OWN_SHARE):

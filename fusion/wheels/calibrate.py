@@ -53,7 +53,7 @@ class Residuals(msgspec.Struct, frozen=True):
     prior: Array  # (p,) standard deviations of the nuisance parameters
 
     def parameters(self, scale: float) -> tuple[Array, Array]:
-        """Return the nuisance parameters (p,) and their covariance (p, p) at a scale."""
+        """Return the best nuisance parameters (p,) and their covariance (p, p) for a given noise scale."""
         V = scale * self.Q + self.T
         VX = np.linalg.solve(V, self.X)
         M = np.diag(self.prior**-2.0) + np.einsum("nij,nik->jk", self.X, VX)
@@ -94,7 +94,7 @@ class Residuals(msgspec.Struct, frozen=True):
         return Figure(scale, low, high), top
 
     def _edge(self, inside: float, outside: float, top: float) -> float:
-        """Return ln of the scale, between two, at which the likelihood falls to the interval's edge."""
+        """Return ln(scale) at the edge of the likelihood interval, searched between two values."""
         from scipy.optimize import brentq
 
         drop = 0.5 * chi_square(CONFIDENCE, 1)
@@ -161,7 +161,7 @@ class Pieces(msgspec.Struct, frozen=True):
         return np.where(tells, PRIOR_SIGMAS, FIXED_SIGMA)
 
     def residuals(self, Q: Array) -> Residuals:
-        """Return the errors with covariance shapes `Q`."""
+        """Return the residuals; their covariances are a scale times `Q` plus the truth's noise."""
         return Residuals(self.e, self.X, Q, self.T, self.prior)
 
 

@@ -106,7 +106,7 @@ def _delay(wheels: Wheels, t: Array, own: Array) -> float:
 
 
 def _windows(wheels: Wheels, t: Array, own: Array, delay: float, length: float) -> tuple[Array, Array]:
-    """Return the gyro's turns (n,) in windows with motion, and (n, 4): right, left [m], s, both [m]."""
+    """Return windows with motion: the gyro's turns (n,), and (n, 4) right [m], left [m], s, both [m]."""
     first, last = max(t[0], wheels.t[0] - delay), min(t[-1], wheels.t[-1] - delay)
     start = np.arange(first, last - length, length)
     turn = np.interp(start + length, t, own) - np.interp(start, t, own)
@@ -121,7 +121,7 @@ def _windows(wheels: Wheels, t: Array, own: Array, delay: float, length: float) 
 
 
 def _fit(rows: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, float]:
-    """Return (a, b), their covariance (2, 2), and the share explained; every drive has its own bias."""
+    """Return the turn per metre of either wheel (2,), its covariance (2, 2), and the explained share."""
     own = np.concatenate([turn for turn, _ in rows])
     by = np.zeros((len(own), 2 + len(rows)))
     at = 0

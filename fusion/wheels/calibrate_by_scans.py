@@ -71,12 +71,12 @@ class LaserCalibration(msgspec.Struct, frozen=True):
     turned_rad: float
 
     def untold(self) -> list[str]:
-        """Return the names of parameters that the drives do not show."""
+        """Return the names of parameters that the drives do not determine."""
         return [name for name, sigma in zip(NAMES, self.sigmas.tolist(), strict=True) if np.isnan(sigma)]
 
 
 class Intervals(msgspec.Struct, frozen=True):
-    """Times (n,) between which wheels and laser are compared, and the laser's motions."""
+    """Times (n,) between which wheels and laser are compared, and the laser's motions in between."""
 
     motion: Motion
     t_from: Array
@@ -240,7 +240,7 @@ def _straight(s: Array) -> bool:
 
 
 def _turn_mismatch(every: Sequence[Intervals], s: Array, delay: float) -> float:
-    """Return the part of the turns of s (n, 3) that is no multiple of the wheels' turns."""
+    """Return the sum of squares [rad^2] of the laser's turns s (n, 3) not explained by the wheels' turns."""
     turn = _moved(every, delay)[:, 2]
     left = s[:, 2] - turn * (float(turn @ s[:, 2]) / max(float(turn @ turn), 1e-12))
     return float(left @ left)
@@ -259,7 +259,7 @@ def _cut(t: Array, pose: Array) -> tuple[Array, Array]:
 
 
 def _residuals(every: Sequence[Intervals], p: Array) -> Residuals:
-    """Return the linear problem about p: errors, derivatives, covariances."""
+    """Return the linearised least squares about p: errors, derivatives, covariances."""
     return Residuals(
         np.concatenate([one.errors(p) for one in every]),
         np.concatenate([one.derivative(p) for one in every]),
@@ -298,7 +298,7 @@ def _fitted(every: Sequence[Intervals], p: Array, guess: Array) -> tuple[Array, 
 
 
 def _inside(one: Intervals, p: Array) -> NDArray[np.bool_]:
-    """Return which intervals are plausible, given the median one (n,): no slip, no wrong match."""
+    """Return which intervals (n,) are plausible, compared with the median: no slip, no wrong match."""
     residuals = _residuals([one], p)
     match, noise = _noise(residuals)
     squares = _scaled(residuals, match).squares(noise, np.zeros(7))

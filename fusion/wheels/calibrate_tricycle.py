@@ -192,7 +192,7 @@ def _wheels(p: Array, sigmas: Array, settings: WheelSettings) -> dict[str, Figur
 
 
 def _mount(by: By, p: Array, sigmas: Array) -> dict[str, Figure]:
-    """Return the mount of the truth's point or the laser, and the laser's delay."""
+    """Return the fitted mount of the truth's point or of the laser, and the laser's delay, by their keys."""
     found = {"x": (4, 1.0), "y": (5, 1.0), "yaw_deg": (6, math.degrees(1.0)), "time_offset": (DELAY, 1.0)}
     keys = {"truth": ("x", "y"), "lrf": (*found,), "gyro": ()}[by]
     return {

@@ -76,7 +76,7 @@ def _angles(both: Counters, settings: WheelSettings) -> tuple[Array, Array, Arra
 
 
 def _best(left: Array, right: Array, moved: Array) -> Geometry | None:
-    """Return the geometry with the best-fitting signs of the counters: the configured ones if they fit as well."""
+    """Return the geometry with the signs that fit best; the configured signs if they fit as well."""
     agrees = {
         mirrored: _correlation(0.5 * (s_left * left + s_right * right), moved[:, 0])
         for mirrored, (s_left, s_right) in SIGNS.items()

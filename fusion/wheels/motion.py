@@ -70,7 +70,7 @@ class Wheels(msgspec.Struct, frozen=True):
         return max(x, y) <= STANDS_M and theta <= STANDS_RAD
 
     def window(self, begin: float, end: float) -> Wheels:
-        """Return the readings between two times [s]; times and poses stay those of the whole drive."""
+        """Return the wheel readings between two times [s]; times and poses are not shifted."""
         first, last = np.searchsorted(self.t, [begin, end], side="left")
         last = min(last + int(last < len(self.t) and self.t[last] == end), len(self.t))
         rows, between = slice(first, last), slice(first, max(last - 1, first))
@@ -149,7 +149,7 @@ class Wheels(msgspec.Struct, frozen=True):
         return np.clip((t - self.t[k]) / (self.t[k + 1] - self.t[k]), -1.0, 2.0)
 
     def _pieces(self, k: Ints, begin: Array, share: Array, end: Array, parameters: bool) -> tuple[Array, Array]:
-        """Return what pieces (m,) of intervals k do to the poses `end` (m, 3): noise and derivative, (m, 3, 3).
+        """Return noise and derivative (m, 3, 3) that pieces (m,) of intervals k add to poses `end` (m, 3).
 
         Piece i is the `share` of interval k from the share `begin` on. The derivative is by the wheel parameters.
         """
@@ -184,7 +184,7 @@ class Wheels(msgspec.Struct, frozen=True):
 
 
 def _aside(ahead: Array, left: Array) -> Array:
-    """Return the direction of travel from the body's axis (n,) [rad], at most a quarter turn: 0 ahead and back."""
+    """Return the direction of travel relative to the body's axis (n,) [rad], within +-pi/2; 0 is straight."""
     back = np.where(ahead < 0.0, -1.0, 1.0)
     sideways = (left != 0.0) & np.isfinite(left) & np.isfinite(ahead)
     return np.where(sideways, np.arctan2(back * left, back * ahead + 0.0), 0.0)
@@ -199,7 +199,7 @@ def _sums(pieces: Array, count: Ints) -> Array:
 
 
 def silences(t: Array, rolled: Array, turn: Array) -> Array:
-    """Return for each interval the variance of the place reached [m^2] and the turning rate [rad/s], (n-1, 2).
+    """Return for each gap in wheel data the variance of the end place [m^2] and the turn rate [rad/s], else 0.
 
     Both are 0 but where the wheels were silent: there the counters say how far either wheel rolled and not in
     which order, so that a straight line, an arc and two corners look the same. With the fastest usual turning w

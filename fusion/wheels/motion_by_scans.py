@@ -246,7 +246,7 @@ def seen(information: Array) -> Array:
 
 
 def _keys(targets: Targets, sources: Clouds, chain: Array) -> Ints:
-    """Return the key of each scan (m,), an earlier one that still sees most of the same; the first is its own."""
+    """Return the key scan of each scan (m,): the last key that still shares most of its view."""
     key, at, most = np.zeros(len(chain), dtype=np.int64), 0, 0.0
     for k in range(1, len(chain)):
         key[k] = at
@@ -286,7 +286,7 @@ def _to_keys(
 
 
 def _updated(guess: Array, prior: Array, found: Matches) -> tuple[Array, Array]:
-    """Return poses (p, 3) and covariances: those of the matches, and the guess's where walls constrain nothing."""
+    """Return poses (p, 3) and covariances (p, 3, 3) after combining a prior guess with scan matches."""
     full = np.where(_fits(found)[:, None, None], seen(found.information), 0.0)
     off = se2_difference(found.pose, guess)
     step = np.linalg.solve(prior + full, (full @ off[:, :, None]))[:, :, 0]
@@ -294,7 +294,7 @@ def _updated(guess: Array, prior: Array, found: Matches) -> tuple[Array, Array]:
 
 
 def _spread_evenly(C: Array, key: Ints, start: Array) -> Array:
-    """Return a covariance for each step: those of one key add up to that of the key's last match.
+    """Return a covariance for each step: the covariance of a key's last match, divided over the key's steps.
 
     The errors of the scans in between are not the steps': a scan is matched with its key, not with the one before.
     """
@@ -335,7 +335,7 @@ class Velocity(NamedTuple):
         return Velocity(P @ (prior @ self.v + dt * (information @ twist)), 0.5 * (P + P.T))
 
     def spread(self, before: Velocity, dt: float) -> Array:
-        """Return the covariance (3, 3) of a step of dt [s] at this velocity, which was expected to be `before`."""
+        """Return the covariance (3, 3) of a step of dt [s]; `before` is the velocity's prediction."""
         if dt == 0.0:  # two scans of one stamp: no time to move, and A is 1
             return np.zeros((3, 3))
         A = self.P @ inverse(before.P) * np.exp(-dt / FORGOTTEN_S)

@@ -88,7 +88,7 @@ MAX_REVERSE_SHARE = 0.1  # share of backing up that the pose may know of and sti
 
 
 class Way(NamedTuple):
-    """The motion by an odometry topic."""
+    """The motion as an odometry topic gives it."""
 
     keep: Mask  # (n,) readings used
     twist: Array  # (k-1, 3) forward, left [m], turn [rad] between the readings used
@@ -125,7 +125,7 @@ def pose_and_speed(stream: Stream, settings: WheelSettings) -> Array:
 
 
 def has_pose(msgtype: str, settings: WheelSettings) -> bool:
-    """Return whether messages of this type hold poses, or speed and heading, from which poses are computed."""
+    """Return whether messages of this type hold poses, or speed and heading, which give poses."""
     return msgtype in POSE or msgtype in PLANAR or (msgtype in STEERED and settings.steering == "heading")
 
 
@@ -212,7 +212,7 @@ def travelled(t: Array, values: Array, by_twist: bool, max_speed: float | None, 
 
 
 def unlike_a_robot(t: Array, twist: Array, far: Mask) -> str:
-    """Return why steps (n-1, 3) are impossible for a robot; `far` marks those unlike the steps around."""
+    """Return why steps (n-1, 3) are impossible for a robot, else ""; `far` marks outlier steps."""
     dt = np.diff(t)
     dt = np.maximum(dt, np.median(dt)) if len(dt) else dt  # a burst of messages has tiny dt
     sideways = float(np.percentile(np.abs(twist[:, 1]) / dt, 95.0)) if len(dt) else 0.0
@@ -241,7 +241,7 @@ def _words(spiked: int, restarts: int, turned: int) -> list[str]:
 
 
 def backing_up(steps: Array, said: Array) -> Mask:
-    """Mark steps (n-1, 3) that go forward while the twist says backward: `said` (n-1,) [m].
+    """Mark steps (n-1, 3) that go forward while the twist `said` (n-1,) [m] says backward.
 
     None where the twist is not to be believed (it disagrees with most steps), or where the pose does know how to
     back up, so that a disagreement is something else.

@@ -64,7 +64,7 @@ class WheelReading(NamedTuple):
 
 
 def read_wheels(stream: Stream, settings: WheelSettings) -> WheelReading:
-    """Return the wheel motion. Raises LocfuseError if the readings give none or the geometry is not known."""
+    """Return the wheel motion. Raises LocfuseError if readings or geometry are not enough."""
     if stream.msgtype == odometry.SCANS:
         raise LocfuseError(f"{stream.topic} holds scans, whose motion has to be matched first", role="wheels")
     if stream.msgtype in odometry.BODY_READS:
@@ -157,7 +157,7 @@ def counts_ticks(msgtype: str) -> bool:
 
 
 def _from_body(stream: Stream, values: Array, settings: WheelSettings, posed: bool, asked: bool) -> WheelReading:
-    """Use the body's own motion (n, 5); noise grows with a virtual track, since an odometry has no wheels.
+    """Return wheel motion made of the body's own motion (n, 5); a virtual track scales its noise.
 
     `posed` is whether the messages have poses, `asked` whether their speeds were only commanded.
     """

@@ -121,7 +121,7 @@ def unrolled(values: Array, modulus: float | None = None, likely: Sequence[float
 
 
 def _found(values: Array, steps: Array, likely: Sequence[float]) -> float | None:
-    """Return the smallest modulus that the values fit and that turns every long step into a short one."""
+    """Return the smallest plausible modulus with which every long step is a rollover; None without one."""
     if not len(steps):
         return None
     longest = float(np.abs(steps).max())
@@ -131,7 +131,7 @@ def _found(values: Array, steps: Array, likely: Sequence[float]) -> float | None
 
 
 def _explains(modulus: float, steps: Array, span: float, longest: float) -> bool:
-    """Return whether long steps are the counter's modulus minus a normal step, and values fit in one modulus."""
+    """Return whether this modulus turns all long steps into ordinary ones and covers all values."""
     if not 0.5 * modulus < longest < modulus or span > modulus * (1.0 + 1e-6):
         return False
     long = np.abs(steps) > 0.5 * modulus
@@ -141,7 +141,7 @@ def _explains(modulus: float, steps: Array, span: float, longest: float) -> bool
 
 
 def _powers(steps: Array, longest: float) -> list[float]:
-    """Return 2^bits times the quantum of the steps, if they have one (ticks, or angles made of ticks)."""
+    """Return candidate moduli: 2^bits times the smallest step, if all steps are multiples of that."""
     sizes = np.abs(steps[steps != 0.0])
     quantum = float(sizes.min()) if len(sizes) else 0.0
     if quantum <= 1e-12 * longest:

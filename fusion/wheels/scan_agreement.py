@@ -58,7 +58,7 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
 
     @property
     def judge(self) -> bool:
-        """Whether any pair has points."""
+        """Whether any pair of scans has points."""
         return any(len(p) for p in self.points) and any(len(p) for p in self.surface)
 
     def share(self, moved: Array, stride: int = 1) -> float:
@@ -92,7 +92,7 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         return float(np.sqrt(np.median(off**2 / variance) / CHI_SQUARE_MEDIAN))
 
     def _fitted(self, motion: WheelReading) -> Array:
-        """Return turn [rad], lag [s] and way ahead [m] of the laser that suit a motion best, each in turn."""
+        """Search turn [rad], lag [s] and x offset [m] of the laser, one after another, that fit a motion best."""
         best, placed = np.zeros(3), self.laser.mount[:2].any()
         share = self.share(self._by(motion, best), SEARCH_STRIDE)
         for k, steps in enumerate((TURNS_RAD, LAGS_S, FINER_S, () if placed else AHEAD_M)):
@@ -103,7 +103,7 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         return best
 
     def of_path(self, motion: WheelReading) -> float:
-        """Return the share s of a path of the laser by its own scans: clock and mount are right."""
+        """Return the share s of the laser's own scan-matched path, which needs no clock or mount fit."""
         return self.share(self._by(motion, np.zeros(3)))
 
     def matched(self) -> float:
@@ -136,7 +136,7 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         return cKDTree(np.column_stack((np.concatenate(self.surface), LANE_M * lane)))
 
     def _by(self, motion: WheelReading, how: Array) -> Array:
-        """Return the laser's motion over each pair (p, 3) by a motion of the wheels; `how` as in `of`."""
+        """Return the laser's motion over each pair (p, 3) by the wheels; `how` is (turn, lag, x offset)."""
         turn, lag, ahead = how.tolist()
         mount = self.laser.mount + np.array([ahead, 0.0, turn])
         body = motion.wheels.relative(*self._within(motion, lag))
@@ -181,7 +181,7 @@ def scan_pairs(stream: Stream, laser: Laser, motions: Sequence[WheelReading]) ->
 
 
 def _times(stream: Stream, motion: WheelReading, t_from: Array, t_to: Array) -> tuple[Array, Array]:
-    """Return times (p,) [s] since the first scan on the clock of a motion; outside its range it is at rest."""
+    """Convert begin and end times (p,) [s since the first scan] to a motion's clock, limited to its range."""
     shift = (int(stream.t_ns[0]) - motion.epoch_ns) * 1e-9
     begin, end = (np.clip(t + shift, motion.wheels.t[0], motion.wheels.t[-1]) for t in (t_from, t_to))
     return begin, end

@@ -53,7 +53,7 @@ def derivative(x: Array) -> Array:
 def wheel_words(
     settings: WheelSettings, x: Array, P: Array, sensors: Sequence[str], metric: Mapping[str, str | None]
 ) -> list[str]:
-    """Return notes on states x (3,) with covariance P (3, 3), and what these sensors do not show.
+    """Return notes on the wheel states x (3,) with covariance P (3, 3), and on those not determined.
 
     `metric`: those of them that measure metres, and the setting, where there is one, by which theirs are scaled.
     """
@@ -74,7 +74,7 @@ def wheel_words(
 
 
 def _metres(settings: WheelSettings, found: Array, prior: float, metric: Mapping[str, str | None]) -> list[str]:
-    """Return notes on a distance scale that differs between wheels and sensors: only their ratio is observed."""
+    """Return notes on a distance scale that differs between wheels and sensors: only the ratio is observed."""
     if not metric:
         return []
     scale, _, track = found.tolist()
@@ -93,7 +93,7 @@ def _metres(settings: WheelSettings, found: Array, prior: float, metric: Mapping
 
 
 def _told(settings: WheelSettings, found: Array, sigma: Array) -> str:
-    """Return the found radius, ratio and track for robot.toml; relative changes if it has no radius or track."""
+    """Return a sentence with the estimated radius, ratio and track; as changes in % if not configured."""
     parts = []
     for key, change, s in zip(("radius", "ratio", "track"), found.tolist(), sigma.tolist(), strict=True):
         value = getattr(settings, key)

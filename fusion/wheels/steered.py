@@ -60,7 +60,7 @@ def motor_speeds(stream: MergedStream, settings: WheelSettings) -> Array:
 
 
 def _angles(steering: Stream, settings: WheelSettings) -> Array:
-    """Return the angles (n,) [rad] of the front wheels."""
+    """Return the steering angles (n,) [rad] of the front wheels."""
     field = STEERED[steering.msgtype][1] if steering.msgtype in STEERED else "data"
     told = cast("dict[str, Array]", steering.columns(field))[field].astype(np.float64)
     if steering.msgtype in STEERED:
@@ -130,7 +130,7 @@ def twists_of(found: Encoders, settings: WheelSettings, stream: Stream) -> Array
 
 
 def rolled_by(ds: Array, angle: Array, wheelbase: float) -> Array:
-    """Return twists (n-1, 3) for distances ds (n-1,) [m] of a front wheel steered by `angle` (n,) [rad]."""
+    """Return body twists (n-1, 3) of a tricycle for front-wheel distances ds (n-1,) [m] at `angle` (n,) [rad]."""
     middle = 0.5 * (angle[1:] + angle[:-1])
     return np.stack((ds * np.cos(middle), np.zeros_like(ds), ds * np.sin(middle) / wheelbase), axis=-1)
 

@@ -65,7 +65,7 @@ class Spans(Columns, frozen=True):
 
 
 class Fixes(Columns, frozen=True):
-    """Instants with a known wheel error since the key before: both keys of every span, and the scans between.
+    """Instants with a known wheel error since the previous key: the keys and the scans between them.
 
     Sorted by key, then by instant; of every span the first row is its key (no error yet), the last the next one.
     """
@@ -87,7 +87,7 @@ class Fixes(Columns, frozen=True):
         return cls(np.repeat(a, 2), both, xi, np.zeros((len(xi), 3, 3)))
 
     def at(self, odometry: Odometry, k: Ints, spans: Spans) -> tuple[Array, Array]:
-        """Return the wheels' error at stamps after the instants k (n,): xi (n, 3), its covariance (n, 3, 3)."""
+        """Return the wheels' errors xi (n, 3) at stamps after instants k (n,), with covariances (n, 3, 3)."""
         size = len(odometry.pose) + 1
         last = len(self.a) - 1
         f = np.searchsorted(self.a * size + self.instant, spans.a * size + k, side="right") - 1
@@ -200,7 +200,7 @@ def points_of(m: Measurements, chosen: Ints) -> Clouds:
 
 
 def matched(clouds: Clouds, x: Array, a: Ints, sources: Clouds, j: Ints, guess: Array) -> Matches:
-    """Match scans j (n,) of `sources` with the keys a (n,) and a + 1 around them, from poses `guess` (n, 3).
+    """Match scans j (n,) with the keys a (n,) and a + 1 before and after them, from poses `guess` (n, 3).
 
     a rises; the search tree of all keys would take hundreds of MB.
     """
@@ -213,7 +213,7 @@ def matched(clouds: Clouds, x: Array, a: Ints, sources: Clouds, j: Ints, guess: 
 
 
 def both_ends(clouds: Clouds, x: Array, keys: Ints) -> Clouds:
-    """Return a cloud for each of these keys, in the key's frame: its points and those of the next key."""
+    """Return a cloud for each key in its frame: its own points and those of the next key."""
     steps = se2.between(x[keys], x[keys + 1])
     return merged(
         clouds, [np.array([k, k + 1]) for k in keys.tolist()], [np.vstack((np.zeros(3), step)) for step in steps]
@@ -230,7 +230,7 @@ def as_errors(found: Matches, u: Array, guess: Array) -> tuple[Array, Array]:
 
 
 def smoothed(odometry: Odometry, ends: Fixes, a: Ints, k: Ints, xi: Array, information: Array) -> Fixes:
-    """Return smoothed poses of the keys and of the scans at instants k (n,), each between keys a (n,) and a + 1.
+    """Smooth the wheels' errors at keys and at scans (instants k (n,), between keys a (n,) and a + 1).
 
     xi (n, 3) with `information` (n, 3, 3) is the measurement of each scan.
     """

@@ -68,7 +68,7 @@ def skipping(targets: Targets, clouds: Clouds, x: Array, way: Array, n: int) -> 
 
 
 def again(targets: Targets, clouds: Clouds, x: Array, way: Array) -> Edges:
-    """Match every key with the nearest keys of earlier visits, once the loops are closed (Lu and Milios 1997)."""
+    """Match every key with the nearest keys of earlier visits, after loops are closed (Lu and Milios 1997)."""
     from scipy.spatial import cKDTree
 
     near = cKDTree(x[:, :2]).query_ball_point(x[:, :2], MAX_AGAIN_M, return_sorted=True)

@@ -132,7 +132,7 @@ class Peak(msgspec.Struct, frozen=True):
 
     @property
     def decided(self) -> bool:
-        """Whether no other place fits about as well."""
+        """Whether no second pose fits nearly as well as the best one."""
         return not self.edge and self.second < ALIKE_SHARE * self.score
 
 
@@ -167,7 +167,7 @@ def correlate(ours: Array, theirs: Array, guess: Array, sigma: Array) -> Peak:
 
 
 def _raster(points: Array, spread: bool) -> NDArray[np.float32]:
-    """Return which cells (GRID_CELLS, GRID_CELLS) about the origin contain points; `spread`: neighbours a half."""
+    """Return a grid (GRID_CELLS, GRID_CELLS) with 1 where points are; `spread`: 0.5 in neighbouring cells."""
     cells = np.round(points[np.abs(points).max(axis=1) < REACH_M] / CELL_M).astype(np.int64) % GRID_CELLS
     grid = np.zeros((GRID_CELLS, GRID_CELLS), np.float32)
     grid[cells[:, 1], cells[:, 0]] = 1.0
@@ -250,7 +250,7 @@ def candidates(x: Array, normal: Normal, maps: Submaps, loops: Loops) -> Candida
 
 
 def _nearest_visits(b: Ints, cost: Array) -> Ints:
-    """Return the positions of each submap's MAX_VISITS cheapest candidates: a robot in one room has too many."""
+    """Return the positions of the MAX_VISITS cheapest candidates of each submap `b`."""
     order = np.lexsort((cost, b))
     first = np.searchsorted(b[order], b[order])
     return np.sort(order[np.arange(len(order)) - first < MAX_VISITS])
@@ -348,7 +348,7 @@ def through_walls(c: Candidates, pose: Array, maps: Submaps, x: Array) -> Array:
 
 
 def support(c: Candidates, found: Matches, maps: Submaps, x: Array, loops: Loops) -> NDArray[np.bool_]:
-    """Return which candidates agree with another one, or with a closure, at neighbouring submaps, (c,)."""
+    """Return which candidates (c,) agree with another candidate or closure at neighbouring submaps."""
     way, i = maps.way, np.concatenate((maps.middle[c.a], loops.edges.i))
     j = np.concatenate((maps.middle[c.b], loops.edges.j))
     z = np.concatenate((found.pose, loops.edges.z))

@@ -21,7 +21,7 @@ LEFT_OUT_VARIANCES = np.array([2e-4, 2e-4, np.radians(0.5) ** 2])
 
 
 class Odometry(msgspec.Struct, frozen=True):
-    """The wheels' motion at n instants."""
+    """The wheels' motion at n instants: poses, and covariances relative to the first."""
 
     pose: Array  # (n, 3) in the odometry's frame, theta not wrapped
     C: Array  # (n, 3, 3) covariance of xi since the first instant
@@ -36,7 +36,7 @@ class Odometry(msgspec.Struct, frozen=True):
         return Odometry(self.pose[k], self.C[k], self.left_out)
 
     def loosened(self) -> Odometry:
-        """Return the same odometry with the errors that the wheels' own noise leaves out."""
+        """Return the odometry with variances added for errors that the wheels' own noise does not include."""
         u = se2.between(self.pose[:-1], self.pose[1:])
         more = np.cumsum(at_origin(self.pose[:-1], u, evenly(u, LEFT_OUT_VARIANCES)), axis=0)
         return replace(self, C=self.C + np.concatenate((np.zeros((1, 3, 3)), more)), left_out=LEFT_OUT_VARIANCES)
@@ -51,7 +51,7 @@ class Odometry(msgspec.Struct, frozen=True):
         return u, moved(self.C[b] - self.C[a], se2.inverse(self.pose[a]))
 
     def grown(self, k: Ints, motions: Motions, wheels: Array | None) -> Odometry:
-        """Return the odometry at stamps that lie a motion after the instants k (m,)."""
+        """Return the odometry after further motions: motion i begins at instant k[i], k (m,)."""
         u = motions.u if wheels is None else motions.u + motions.J @ wheels
         pose = se2.compose(self.pose[k], u)
         Q = motions.Q if self.left_out is None else motions.Q + evenly(u, self.left_out)
@@ -81,13 +81,13 @@ def dead_reckoned(u: Array) -> Array:
 
 
 def evenly(u: Array, variances: Array) -> Array:
-    """Return covariances (n, 3, 3) of motions u (n, 3) that grow with distance and turn, by variances (3,)."""
+    """Return covariances (n, 3, 3) of motions u (n, 3), proportional to distance and turn, by variances (3,)."""
     far = np.hypot(u[:, 0], u[:, 1]) + np.abs(u[:, 2])
     return far[:, None, None] * np.diag(variances)
 
 
 def at_origin(start: Array, u: Array, Q: Array) -> Array:
-    """Return covariances (n, 3, 3) of xi at the odometry's origin for motions u (n, 3) from `start` (n, 3).
+    """Return Q of motions u (n, 3) from poses `start` (n, 3) as covariances of xi at the odometry's origin.
 
     Q is that of the motion's end as it is seen from its start: first its lever about the end is taken back.
     """
@@ -95,7 +95,7 @@ def at_origin(start: Array, u: Array, Q: Array) -> Array:
 
 
 def at_start(u: Array, Q: Array) -> Array:
-    """Return Q (n, 3, 3) of the numbers of u (n, 3) as that of the rigid motion xi about the frame of u."""
+    """Return Q (n, 3, 3) of motions u (n, 3), converted from numbers at the end to rigid motions at the start."""
     return by_lever(Q, u[:, 1], -u[:, 0])
 
 
@@ -106,7 +106,7 @@ def moved(C: Array, frame: Array) -> Array:
 
 
 def by_lever(C: Array, x: Array, y: Array) -> Array:
-    """Return C with the heading's error times the lever (x, y) added to that of the place."""
+    """Return C with the heading error's effect on the place added, for a lever (x, y) [m]."""
     L = np.broadcast_to(np.eye(3), C.shape).copy()
     L[:, 0, 2], L[:, 1, 2] = x, y
     out: Array = L @ C @ L.transpose(0, 2, 1)

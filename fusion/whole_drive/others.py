@@ -27,7 +27,7 @@ REFUSED_VERDICT = VERDICTS.index("disturbed")
 
 
 class Seen(NamedTuple):
-    """One reading, relative to a key."""
+    """One reading with its pose relative to a key."""
 
     sensor: str
     reading: int

@@ -90,7 +90,7 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def _from_start(self) -> tuple[Ints, Array, Array, Array, Fixes]:
-        """The keys and their terms, with the start before them if no scan was taken there."""
+        """Return keys, poses, covariances and fixes, with the start as first key if no scan was taken there."""
         keys, x, (own, after), fixes = self.keys, self.x, self.spread, self.fixes
         if not keys[0]:
             return keys, x, own, after, fixes
@@ -120,11 +120,11 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
         return straightened(self.drive.measurements[LASER], self.readings, seen_from, self.spread[0])
 
     def misfit(self, pose: Array) -> float:
-        """Return how far poses (n, 3) of the drive are from the closures, rms [m]."""
+        """Return how far poses (n, 3) of the drive contradict the closures, rms [m]."""
         return _rms(self.closures.errors(pose[self.keys]))
 
     def needed(self, filtered: Estimates) -> bool:
-        """Return whether the filter's own map contradicts the closed loops, or it was lost on the way.
+        """Return whether the graph is better than the filter: closed loops contradict it, or it was lost.
 
         Where it does, a backward pass through the filter is better than the graph: it weighs every line of every
         scan. Both are judged by the same closures: how far apart they leave what two visits of a place saw.
@@ -134,7 +134,7 @@ class Graph(msgspec.Struct, frozen=True, dict=True):
         return bool(filtered.lost) or self.misfit(filtered.pose) > MIN_GAIN * self.misfit_of_keys() + MIN_GAIN_M
 
     def misfit_of_keys(self) -> float:
-        """Return how far the graph's own poses are from the closures, rms [m]."""
+        """Return how far the graph's own poses contradict the closures, rms [m]."""
         return _rms(self.closures.errors(self.x))
 
     def notes(self, used: bool = True) -> tuple[str, ...]:
@@ -247,7 +247,7 @@ class Scans:
 
 
 def straight_mount(found: Array, configured: Array, x: Array, u: Array) -> Array:
-    """Return the mount `found` (3,), with the configured yaw if robots on wheels go straighter under that.
+    """Return the mount `found` (3,), or with the configured yaw if the robot then drives straighter.
 
     Of the motions that scans show between key poses x (m, 3) with `found`; u (m - 1, 3) by the wheels. A filter
     that drifts may take an error of its headings for one of the mount, and half a degree turns a whole drive.
@@ -329,7 +329,7 @@ class Start(msgspec.Struct, frozen=True):
         return Edges.known(0, self.at_key, np.asarray(np.linalg.inv(self.P_at_key), np.float64))
 
     def smoothed(self, key: Array, P: Array) -> tuple[Array, Array, Array]:
-        """Return pose, covariance and that with the first key, given the smoothed `key` (3,), P (3, 3)."""
+        """Return the smoothed start: pose, covariance, and cross covariance with the first `key` (3,)."""
         G = self.cross @ np.linalg.inv(self.P_at_key)
         step = key - self.at_key
         step[2] = se2.wrap(float(step[2]))

@@ -49,7 +49,7 @@ def possible(drive: Drive, robot: Robot) -> bool:
 
 
 def sets(drive: Drive) -> list[tuple[str, ...]]:
-    """Return the sets of sensors to solve: all, then all but each one (and what needs it), without repeats.
+    """Return the sets of sensors to solve: all, and all without each one (and without those that need it).
 
     A set in which no sensor locates the robot, is none: a wrong wheel radius would judge the sensors.
     """
@@ -95,7 +95,7 @@ class References(msgspec.Struct, frozen=True):
 
     @property
     def whole(self) -> Reference:
-        """The reference of all sensors, without one that contradicts all others."""
+        """The reference of all sensors, except a sensor that contradicts all others."""
         every = frozenset(self.present)
         return self.solved.get(every - {self.outlier}) or self.solved[every]
 
@@ -121,7 +121,7 @@ class References(msgspec.Struct, frozen=True):
         return next((pair for pair in self.contradict if set(pair) <= known), None)
 
     def judged(self, judged: Evaluation, e: Estimates, align: Align) -> tuple[Evaluation, Reference]:
-        """Return an evaluation against a reference, and which: one without shared sensors if exact enough."""
+        """Judge an evaluation by a reference, if possible one without its sensors; return both."""
         others = [
             r
             for r in self.solved.values()

@@ -120,7 +120,7 @@ def by_graph(filtered: Estimates, graph: Graph) -> Estimates:
 
 
 def smoothed(drive: Drive, filtered: Estimates, events: Events) -> Estimates:
-    """Return the smoothed estimates of a run that recorded `events`. Map and audits are the filter's."""
+    """Return the smoothed estimates of a run with recorded `events`; map and audits stay the filter's."""
     back = Backward(drive, filtered, events)
     back.run(events)
     wheels = back.blocks.get(WHEELS)
@@ -192,7 +192,7 @@ class Backward:
                 self._step(event.back)
 
     def _undo_motion(self, event: Moved, k: int) -> None:
-        """Smooth over the motion to instant k, and keep what `between_instants` needs."""
+        """Smooth over the motion to instant k; store the values for `between_instants`."""
         self.arrived[k], self.arrived_P[k, :, :3] = self._x[:3], self._S[:3, :3]
         if self._frame is not None:
             self.arrived_P[k, :, 3:] = self._S[:3, self._of_frame] @ self._swung[3:, 3:].T
@@ -281,6 +281,6 @@ def between_instants(
 
 
 def _apply(M: Array, x: Array) -> Array:
-    """Matrix (n, 3, 3) times vector (n, 3)."""
+    """Return M x for matrices M (n, 3, 3) and vectors x (n, 3)."""
     product: Array = np.einsum("nij,nj->ni", M, x)
     return product

@@ -20,6 +20,7 @@ from commands import locfuse
 from hostile import Put, write
 from numpy.typing import NDArray
 from omni_scene import Lens, Picture, Pole, picture, wrapped_deg
+from present import present
 from rows import one_by_one, said
 
 import locfuse as api
@@ -262,8 +263,7 @@ def test_the_bearing_is_the_landmark_seen_from_the_cameras_frame(lever: tuple[fl
         turn = theta + yaw
         to_camera = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
         seen = to_camera @ (np.array([4.0, 1.0]) - eye)
-        predicted = sight((x, y, theta), (4.0, 1.0), (*lever, yaw), 0.05)
-        assert predicted is not None
+        predicted = present(sight((x, y, theta), (4.0, 1.0), (*lever, yaw), 0.05))
         assert wrap(predicted[0] - math.atan2(seen[1], seen[0])) == pytest.approx(0.0, abs=1e-12)
 
 

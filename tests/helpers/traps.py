@@ -21,7 +21,6 @@ from trap_logs import (
     TRACK,
     TRUTH,
     WHEELS,
-    Array,
     Change,
     Drive,
     S,
@@ -35,6 +34,7 @@ from trap_logs import (
     truth_headings,
 )  # fmt: skip
 
+from locfuse.fusion.data import Array
 from locfuse.sample_logs.messages import RawMessage
 
 

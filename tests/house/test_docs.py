@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 import pytest
 from commands import locfuse, ok
+from present import present
 
 from benchmarks import readme
 from locfuse.cli import main as cli
@@ -53,8 +54,7 @@ def test_every_command_and_its_options_exist(page: Path) -> None:
             if not name.isalpha() or name.isupper():
                 continue  # locfuse --help
             assert name in COMMANDS, line
-            command = cli.locfuse.get_command(context, name)
-            assert command is not None
+            command = present(cli.locfuse.get_command(context, name))
             assert set(OPTION.findall(line)) <= options(command), line
 
 

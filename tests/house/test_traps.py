@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from commands import locfuse, ok
+from present import present
 from trap_logs import Drive
 from traps import CAMERA_TRAPS, CLOCK_TRAPS, COMPASS_TRAPS, LASER_TRAPS, TRUTH_TRAPS, WHEEL_TRAPS
 
@@ -21,9 +22,7 @@ CURE = re.compile(r"--set (\S+)")
 
 @cache
 def healthy_error(sensors: str, folder: Path) -> float:
-    found = error(Drive(sensors == "camera").record(folder / f"healthy_{sensors}.mcap"), sensors)
-    assert found is not None
-    return found
+    return present(error(Drive(sensors == "camera").record(folder / f"healthy_{sensors}.mcap"), sensors))
 
 
 def error(log: Path, sensors: str, *words: str, void: bool = False) -> float | None:

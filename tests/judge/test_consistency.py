@@ -14,12 +14,13 @@ import small_drive
 from commands import ok
 from msgspec.structs import replace
 from numpy.typing import NDArray
+from present import present
 from scipy import stats
-from small_drive import Array
+from textbook import correlated
 
 import locfuse
 from locfuse.cli.analysis.verdicts import unless_overconfident
-from locfuse.fusion.data import VERDICTS, Audit, Drive, Evaluation, Measurements
+from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Evaluation, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import Consistency, Evidence, Run, as_run, biased_against, judge
 from locfuse.fusion.judge.evaluate import Honesty, honesty
@@ -72,8 +73,7 @@ def test_the_noise_of_a_scalar_filter_is_found_whatever_it_was_told(told: float)
     """True variance 1: the factor asked for is 1 / told, though state and innovation share the error."""
     factors = []
     for seed in range(5):
-        o = own(*scalar_filter(seed, 0.01, 1.0, told))
-        assert o is not None
+        o = present(own(*scalar_filter(seed, 0.01, 1.0, told)))
         factors.append(o.scale * told)
     assert np.mean(factors) == pytest.approx(1.0, rel=0.25)
 
@@ -81,8 +81,7 @@ def test_the_noise_of_a_scalar_filter_is_found_whatever_it_was_told(told: float)
 def test_right_noise_lies_within_its_bounds_and_is_white() -> None:
     inside = 0
     for seed in range(40):
-        o = own(*scalar_filter(seed, 0.05, 1.0, 1.0, n=400))
-        assert o is not None
+        o = present(own(*scalar_filter(seed, 0.05, 1.0, 1.0, n=400)))
         inside += o.bounds[0] <= o.nis <= o.bounds[1]
         assert abs(o.whiteness[0]) < 0.25
     assert inside >= 34, f"{inside} of 40 within bounds that should hold 95 %"
@@ -143,7 +142,9 @@ def test_a_sigma_wrong_by_three_is_named_with_its_key(seed: int, sensor: str, fa
 def test_noise_that_lasts_is_not_called_white(seed: int) -> None:
     robot = small_drive.robot(compass={"sigma_deg": 2.0})
     drive = small_drive.drive(seed, robot, compass_noise_deg=0.3)
-    slow = markov(drive.measurements["compass"].t, math.radians(2.0), 3.0, seed)
+    t = drive.measurements["compass"].t
+    keep = math.exp(-float(np.median(np.diff(t))) / 3.0)  # errors last 3 s
+    slow = math.radians(2.0) * correlated(np.random.default_rng(seed), len(t), keep)[:, 0]
     found = complaints(robot, turned(drive, slow))["compass"]
     assert found.verdict == "correlated"
     assert found.cures["compass.sigma_deg"] > 4.0
@@ -167,15 +168,6 @@ def test_an_offset_that_steps_or_drifts_is_named_with_when_and_how_far(seed: int
     assert float(when) == pytest.approx(middle if step else np.ptp(m.t), rel=0.1)
     assert found.cures["compass.offset_drift_deg"] == pytest.approx(12.0 / math.sqrt(np.ptp(m.t)), rel=0.2)
     assert ("compass.sigma_offset_deg" in found.cures) == exact
-
-
-def markov(t: Array, sigma: float, time: float, seed: int) -> Array:
-    rng = np.random.default_rng(seed)
-    keep = math.exp(-float(np.median(np.diff(t))) / time)
-    out = [rng.normal()]
-    for _ in t[1:]:
-        out.append(keep * out[-1] + math.sqrt(1.0 - keep**2) * rng.normal())
-    return sigma * np.array(out)
 
 
 def judged_with(errors: Array, sigma: float) -> Evaluation:
@@ -209,8 +201,7 @@ def test_honest_errors_lie_within_bounds_that_know_how_few_they_are() -> None:
 def test_over_confidence_is_said_with_its_factor_and_by_state() -> None:
     rng = np.random.default_rng(4)
     errors = rng.normal(size=(800, 2)) * (1.0, 5.0)
-    found = honesty(judged_with(errors, 1.0))
-    assert found is not None
+    found = present(honesty(judged_with(errors, 1.0)))
     assert found.states["x"] == pytest.approx(1.0, rel=0.2)
     assert found.states["y"] == pytest.approx(25.0, rel=0.2)
     assert "overconfident: errors are about 3.6 times" in found.words
@@ -219,14 +210,12 @@ def test_over_confidence_is_said_with_its_factor_and_by_state() -> None:
 def test_only_errors_of_a_regular_claim_count() -> None:
     rng = np.random.default_rng(8)
     errors = rng.normal(size=(300, 2))
-    whole = honesty(judged_with(errors, 1.0))
-    assert whole is not None
+    whole = present(honesty(judged_with(errors, 1.0)))
     wild = np.vstack((errors, np.full((2, 2), 1e3)))
     spoiled = replace(judged_with(wild, 1.0), figures={"anees": whole.anees})
     spoiled.nees[300] = np.nan  # its covariance is singular
     spoiled.sigma[301, 1] = 0.0
-    found = honesty(spoiled)
-    assert found is not None
+    found = present(honesty(spoiled))
     assert found == whole
     for n, known in ((1, False), (2, True)):
         assert (honesty(judged_with(errors[:n], 1.0)) is not None) is known
@@ -356,8 +345,7 @@ def test_a_sensor_that_takes_no_sigma_of_its_offset_gets_none(right: tuple[Drive
 
 def test_an_offset_that_is_too_small_to_be_sure_of_is_still_known(right: tuple[Drive, Robot]) -> None:
     drive, robot = right
-    found = Evidence(runs(turned(drive, math.radians(0.4)), robot, 0.0), robot).bias("compass")
-    assert found is not None
+    found = present(Evidence(runs(turned(drive, math.radians(0.4)), robot, 0.0), robot).bias("compass"))
     assert found.cures["compass.offset_deg"] == pytest.approx(0.4, abs=0.15)
     assert Evidence(runs(drive, robot, 0.0), robot).bias("compass") is None
 
@@ -369,8 +357,7 @@ def test_a_truth_is_no_reference_where_it_has_a_gap_or_another_frame(right: tupl
     assert truth.theta is not None
     kept = (truth.t < 5.0) | (truth.t > 9.0)
     gap = replace(truth, t=truth.t[kept], xy=truth.xy[kept], theta=truth.theta[kept])
-    run = as_run(replace(drive, truth=gap), e)
-    assert run is not None
+    run = present(as_run(replace(drive, truth=gap), e))
     inside = (drive.t > 5.1) & (drive.t < 8.9)
     assert np.isnan(run.estimates.pose[inside]).all()
     assert np.isfinite(run.estimates.pose[(drive.t > 1.0) & (drive.t < 4.9)]).all()
@@ -385,14 +372,6 @@ ACCEPTED, GATE, UNMATCHED, DISTURBED, LOST = (
     VERDICTS.index(v) for v in ("accepted", "gate", "unmatched", "disturbed", "lost")
 )
 LAGS = 5
-
-
-def colored(rng: np.random.Generator, n: int, keep: float, d: int = 1) -> Array:
-    """Series of unit variance (n, d) whose neighbours correlate by `keep`."""
-    out = rng.normal(size=(n, d))
-    for k in range(1, n):
-        out[k] = keep * out[k - 1] + math.sqrt(1.0 - keep**2) * out[k]
-    return out
 
 
 def audited(
@@ -436,7 +415,7 @@ def test_the_figures_of_a_run_are_those_written_out(d: int, keep: float) -> None
     landmark = np.arange(n) % 2 + 7
     y = np.empty((n, d))
     for mark in (7, 8):
-        y[landmark == mark] = 2.0 * colored(rng, n // 2, keep, d) + 0.4
+        y[landmark == mark] = 2.0 * correlated(rng, n // 2, keep, d) + 0.4
     sigma = np.full((n, d), 2.2) + 0.3 * rng.random((n, d))
     verdict = np.zeros(n, np.int8)
     verdict[5::40], verdict[7::40], verdict[9::40], verdict[11::40] = GATE, UNMATCHED, DISTURBED, LOST
@@ -444,8 +423,7 @@ def test_the_figures_of_a_run_are_those_written_out(d: int, keep: float) -> None
     for refused in (GATE, UNMATCHED):  # every other one lies beyond the gate; the rest has other reasons
         y[np.flatnonzero(verdict == refused)[::2]] += 12.0
     audit, m = audited(y, sigma, verdict, landmark, gate)
-    found = own(audit, m)
-    assert found is not None
+    found = present(own(audit, m))
 
     beyond = audit.nis > gate
     accepted = verdict == ACCEPTED
@@ -480,9 +458,7 @@ def test_the_figures_of_a_run_are_those_written_out(d: int, keep: float) -> None
 
 
 def agreed(t: NDArray[Any], y: Array, h: Array, R: Array, unknown: bool = False, angular: bool = False) -> Heard:
-    found = _agreement(np.column_stack((t, y, h, R, 0.1 * t)), unknown, angular)
-    assert found is not None
-    return found
+    return present(_agreement(np.column_stack((t, y, h, R, 0.1 * t)), unknown, angular))
 
 
 @pytest.mark.parametrize("angular", [False, True])
@@ -491,7 +467,7 @@ def test_what_a_run_that_does_not_use_a_sensor_says_of_it(keep: float, angular: 
     rng = np.random.default_rng(5)
     n = 500
     t = 0.2 * np.arange(n)
-    y = 0.05 * colored(rng, n, keep)[:, 0] + 3.1  # as an angle next to where they wrap
+    y = 0.05 * correlated(rng, n, keep)[:, 0] + 3.1  # as an angle next to where they wrap
     wild = np.zeros(n, bool)
     wild[::50] = True
     y[wild] += 2.0

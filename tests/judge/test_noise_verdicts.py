@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import small_drive
 from numpy.typing import NDArray
+from present import present
 
 from locfuse.fusion.data import Drive, Estimates, Measurements, Motions, Truth
 from locfuse.fusion.judge import consistency
@@ -66,8 +67,7 @@ def alone(**changed: Any) -> Consistency:
     ],
 )
 def test_another_run_measures_the_noise(changed: dict[str, float], verdict: str, scale: float) -> None:
-    found = by_run(**changed)
-    assert found is not None
+    found = present(by_run(**changed))
     assert found.verdict == verdict
     assert found.scale == pytest.approx(scale, rel=0.01)
 
@@ -295,6 +295,3 @@ def test_only_noise_that_is_understated_must_be_set_first(told: Told, scale: flo
     own = {"compass": OWN_RUN._replace(compared=3), "gyro": OWN_RUN._replace(scale=scale), "lrf": None}
     pair = run("compass+gyro+lrf", own)
     assert ("the noise of gyro" in verdict_of(told, "compass", pair)[1]) is blamed
-
-
-# --- a truth as a run

@@ -11,14 +11,12 @@ import numpy as np
 import pytest
 from bags import T0, S, Said, cdr, header, write
 from commands import locfuse, ok
-from numpy.typing import NDArray
 from wheel_bags import GEOMETRY, angles, custom, joint_states, log_of, pose_of
 
 from locfuse.formats.logs.adapters import SLICE_BEAMS, level_slice
 from locfuse.formats.logs.log import open_log
-from locfuse.fusion.data import Ragged
+from locfuse.fusion.data import Array, Ragged
 
-Array = NDArray[np.float64]
 CLOUD, ECHOES = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/MultiEchoLaserScan"
 LENGTH, WIDTH = 8.0, 6.0  # m of a room; its walls are the oracle
 RINGS_RAD = np.radians(np.arange(-15.0, 16.0, 2.0))  # as of a laser of 16 rings

@@ -11,20 +11,18 @@ import numpy as np
 import pytest
 from bags import Said, cdr, header, write
 from commands import ok
-from numpy.typing import NDArray
 from wheel_bags import custom, odometry, stamps, turned
 
 from locfuse.cli.analysis.choose import choose
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.logs.log import Log, open_log
-from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.gps import Gps, GpsSettings
 from locfuse.fusion.sensors.gyro import GyroSettings, up_rate
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.read import read_wheels
 
-Array = NDArray[np.float64]
 SPEED, RATE = 0.4, 0.2  # m/s, rad/s: a circle of 2 m radius
 T = np.arange(0.0, 5.01, 0.1)
 POSES = np.stack((2.0 * np.sin(RATE * T), 2.0 * (1.0 - np.cos(RATE * T)), RATE * T), axis=-1)

@@ -16,21 +16,20 @@ from evo.core import metrics, sync
 from evo.tools import file_interface
 from hostile import sample
 from hostile import write as sample_write
-from numpy.typing import NDArray
 from wheel_bags import custom, log_of, stamps
 
 from locfuse.cli.analysis.choose import choose_truth
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.cli.analysis.topics import Choice
 from locfuse.formats import inputs
-from locfuse.formats.logs.file_stream import FileStream, read_file
+from locfuse.formats.logs.clock import MadeStream
+from locfuse.formats.logs.file_stream import read_file
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.report.html import _strips
-from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import TruthSettings
 from locfuse.fusion.truth import read_truth
 
-Array = NDArray[np.float64]
 SAMPLE = "rounded_rectangle"
 WHEELS = ("--sensors", "odometry", "--write", "json,tum,csv")
 
@@ -171,7 +170,7 @@ def test_satellite_fixes_are_metres_east_and_north_turned_into_the_map(tmp_path:
     np.testing.assert_allclose(truth.xy[1], [-meridian * math.pi / 10800, 0.0], rtol=2e-4, atol=0.01)
 
 
-def streamed(path: Path, text: str | bytes) -> FileStream:
+def streamed(path: Path, text: str | bytes) -> MadeStream:
     path.write_bytes(text.encode() if isinstance(text, str) else text)
     return read_file(str(path))
 

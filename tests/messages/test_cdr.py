@@ -12,6 +12,7 @@ import pytest
 from bags import STORE, cdr, header, real_log, real_logs, recorded, rows
 from invented import assert_same, at_path, decode, invented, written
 from mcap_ros2.decoder import DecoderFactory
+from present import present
 from rosbags.serde.errors import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -30,9 +31,7 @@ def by_rosbags(schema: Any) -> Callable[[bytes], Any]:
 
 
 def by_mcap_ros2(schema: Any) -> Callable[[bytes], Any]:
-    decode = DecoderFactory().decoder_for("cdr", schema)
-    assert decode is not None
-    return decode
+    return present(DecoderFactory().decoder_for("cdr", schema))
 
 
 @pytest.mark.parametrize("oracle", [by_rosbags, by_mcap_ros2])

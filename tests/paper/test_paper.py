@@ -14,7 +14,6 @@ import pytest
 import small_drive
 from commands import locfuse, ok
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from locfuse.cli.session import paper
 from locfuse.cli.session.paper import Driven
@@ -22,14 +21,13 @@ from locfuse.cli.session.session import load
 from locfuse.formats.report import paper_page
 from locfuse.formats.robot import line_map
 from locfuse.formats.whole_files import write_results
-from locfuse.fusion.data import Drive, LocfuseError, Measurements
+from locfuse.fusion.data import Array, Drive, LocfuseError, Measurements
 from locfuse.fusion.measure import cut
 from locfuse.fusion.paper import equations
 from locfuse.fusion.paper.filter import PrintedFilter, fuse_as_printed, newest
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.camera import CameraSettings
 
-Array = NDArray[np.float64]
 RNG = np.random.default_rng(0)
 CASES = [pytest.param(*row, id=f"case {i}") for i, row in enumerate(RNG.uniform(-3, 3, (6, 4)).tolist())]
 LANDMARK = (7.9, 5.5)

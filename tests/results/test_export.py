@@ -21,7 +21,6 @@ from hostile import write as sample_write
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_ros2.decoder import DecoderFactory
 from msgspec.structs import replace
-from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
@@ -31,12 +30,11 @@ from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.mcap_source import McapSource
 from locfuse.formats.results.mcap_export import Export, ros_name
-from locfuse.fusion.data import LocfuseError, Truth
+from locfuse.fusion.data import Array, LocfuseError, Truth
 from locfuse.fusion.fuse import fuse
 
 LOG = "rounded_rectangle"
 ROBOT = {"robot.toml": b"[wheels]\nradius = 0.05\ntrack = 0.4\n"}
-Array = NDArray[np.float64]
 Topics = dict[str, list[tuple[Any, int]]]
 LAST_BIT = 3e-16  # NumPy's sine against that of the C library
 

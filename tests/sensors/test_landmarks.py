@@ -12,7 +12,7 @@ import pytest
 from bags import T0, S
 from commands import locfuse, ok
 from landmark_drive import MAP, map_file, path_of, sets, slipping, truth_file
-from numpy.typing import NDArray
+from present import present
 from rewrite_log import rewritten
 from rows import said
 from textbook import numeric_jacobian, wrap
@@ -21,14 +21,13 @@ from wheel_bags import GEOMETRY, angles, custom, joint_states, log_of
 import locfuse as package
 from locfuse.formats.robot import landmark_map
 from locfuse.fusion import se2
-from locfuse.fusion.data import LocfuseError, Measurements
+from locfuse.fusion.data import Array, LocfuseError, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.sensors import points
 from locfuse.fusion.sensors.landmarks import LandmarksModel, LandmarksSettings
 from locfuse.fusion.sensors.points import detector_at, predict
 from locfuse.fusion.sensors.ranges import anchor_beside, start_among
 
-Array = NDArray[np.float64]
 SIGMA_RANGE, SIGMA_BEARING, OFFSET = 0.05, math.radians(1.0), 0.08
 
 
@@ -438,8 +437,7 @@ def test_the_start_is_exact_where_the_ranges_are() -> None:
     true, ids = moved(rel), np.arange(len(rel)) % 4 + 1
     at = np.array([ANCHORS[int(i)] for i in ids])
     ranges = np.hypot(*(true[:, :2] - at).T) + TOO_LONG
-    found = start_among(at, rel[:, :2], t[::10], ranges, (0.05, 0.2))
-    assert found is not None
+    found = present(start_among(at, rel[:, :2], t[::10], ranges, (0.05, 0.2)))
     assert found.values == pytest.approx([*START, TOO_LONG], abs=2e-3)
 
 
@@ -447,6 +445,5 @@ def test_an_anchor_is_exact_where_the_ranges_are() -> None:
     t, angle = angles(20.0)
     rel = path_of(angle)[::10]
     ranges = np.hypot(*(rel[:, :2] - ANCHORS[1]).T)
-    found = anchor_beside(rel[:, :2], t[::10], ranges, (0.05, 0.2))
-    assert found is not None
+    found = present(anchor_beside(rel[:, :2], t[::10], ranges, (0.05, 0.2)))
     assert found.values == pytest.approx([*ANCHORS[1], 0.0], abs=1e-3)

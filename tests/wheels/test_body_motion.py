@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from bags import Said
 from commands import locfuse, ok
-from numpy.typing import NDArray
 from wheel_bags import (
     GEOMETRY,
     RADIUS,
@@ -30,12 +29,11 @@ from wheel_bags import (
 )
 
 from locfuse.formats.logs.log import open_log
-from locfuse.fusion.data import ArrayStream, LocfuseError
+from locfuse.fusion.data import Array, ArrayStream, LocfuseError
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.streams import MergedStream
 from locfuse.fusion.wheels.read import read_wheels
 
-Array = NDArray[np.float64]
 TF = "tf2_msgs/msg/TFMessage"
 ODOMETRY = "nav_msgs/msg/Odometry"
 SPEED, RATE, DURATION = 0.4, 0.2, 20.0  # m/s, rad/s, s: a circle of 2 m radius

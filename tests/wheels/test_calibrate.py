@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from commands import locfuse, ok
 from msgspec.structs import replace
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from locfuse.cli.analysis.robot_tables import make_robot
@@ -30,7 +29,6 @@ from locfuse.fusion.wheels.motion import Wheels
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import in_memory
 
-Array = NDArray[np.float64]
 K, TRACK = 4e-4, 0.6
 STRAIGHT_RUNS = [("forward", way) for _ in range(6) for way in (3.0, -3.0)]
 SHORT = {

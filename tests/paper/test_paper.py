@@ -228,7 +228,9 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_preset_is_said_and_recorded_and_reproduces(log: Path, tmp_path: Path) -> None:
-    done = ok("compare", log, "-v", "--preset", "paper", "--write", "json", "-o", tmp_path / "paper")
+    done = ok(
+        "compare", log, "-v", "--no-advice", "--preset", "paper", "--write", "json", "-o", tmp_path / "paper"
+    )
     assert "note: preset paper" in done.stderr
     report = json.loads((tmp_path / "paper" / "report.json").read_text())
     assert report["settings"]["preset"] == "paper"
@@ -236,10 +238,22 @@ def test_the_preset_is_said_and_recorded_and_reproduces(log: Path, tmp_path: Pat
     assert "no equation" in report["absent"]["sonar"]
     assert list(report["configurations"]) == ["odometry", "compass", "lrf", "all"]
     robot = tmp_path / "paper" / "robot.toml"
-    ok("compare", log, "--robot", robot, "--write", "json", "-o", tmp_path / "again")
+    ok("compare", log, "--no-advice", "--robot", robot, "--write", "json", "-o", tmp_path / "again")
     same = json.loads((tmp_path / "again" / "report.json").read_text())
     assert same["configurations"] == report["configurations"]
-    ok("run", log, "--robot", robot, "--preset", "default", "--sensors", "lrf", "-o", tmp_path / "ours")
+    ok(
+        "run",
+        log,
+        "--no-advice",
+        "--robot",
+        robot,
+        "--preset",
+        "default",
+        "--sensors",
+        "lrf",
+        "-o",
+        tmp_path / "ours",
+    )
     figures = json.loads((tmp_path / "ours" / "run.json").read_text())["configurations"]["lrf"]
     assert figures["position_rmse_m"] != report["configurations"]["lrf"]["position_rmse_m"]
 

@@ -49,23 +49,22 @@ def commands_page() -> str:
         "`locfuse --help` lists the commands, `locfuse COMMAND --help` what you need first of one.",
     ]
     with click.Context(locfuse) as root:
-        commands = {name: locfuse.get_command(root, name) for name in COMMANDS}
+        commands = {name: command for name in COMMANDS if (command := locfuse.get_command(root, name))}
+    contexts = {name: _context(command, f"locfuse {name}") for name, command in commands.items()}
     of = {
         name: [
             record
-            for p in command.get_params(context)
-            if isinstance(p, click.Option) and (record := p.get_help_record(context))
+            for p in command.get_params(contexts[name])
+            if isinstance(p, click.Option) and (record := p.get_help_record(contexts[name]))
         ]
         for name, command in commands.items()
-        if command is not None and (context := _context(command, name))
     }
     counts = Counter(record for records in of.values() for record in records)
     shared = [record for record, n in counts.items() if n > 1 and not record[0].startswith("--help")]
     shared.sort(key=lambda record: record[0].lstrip("-"))
     parts += ["\n## Options of several commands\n", "```text", _definitions(shared), "```"]
     for name, command in commands.items():
-        assert command is not None
-        context = _context(command, f"locfuse {name}")
+        context = contexts[name]
         formatter = context.make_formatter()
         command.format_usage(context, formatter)
         command.format_help_text(context, formatter)

@@ -85,7 +85,8 @@ class JudgedRun(NamedTuple):
 
     estimates: Estimates
     evaluation: Evaluation
-    evidence: list[Run]
+    align: Align
+    evidence: Sequence[Run] = ()  # none of smoothed and foreign estimates
 
 
 def run_log(loaded: Loaded, c: Configuration, asked: Asked) -> Compared:
@@ -120,28 +121,26 @@ def compare_log(
 
         for c in configurations:
             check_smoothing(robot, c.sensors)
-    filtered, smoothed = [], []
-    solved: dict[frozenset[str], tuple[Estimates, Estimates]] = {}  # filtered and smoothed
-    wholes: dict[str, Estimates] = {}  # smoothed estimates by the name of what they smooth
     solves: set[frozenset[str]] = set()
     if reference:
         from locfuse.fusion.whole_drive.reference import sets
 
         solves = {frozenset(sensors) for sensors in sets(drive)}
+    filtered, smoothed = [], []
+    plain: dict[frozenset[str], JudgedRun] = {}  # of sensors at the rates of the log
+    wholes: dict[str, Estimates] = {}  # smoothed estimates by the name of what they smooth
     for c in configurations:
         progress(f"fusing {c.name}")
         solve = frozenset(c.sensors) in solves and not c.rates
         first, *after = _judged(c, loaded, asked, solve, watch)
         filtered.append(first)
         smoothed += after if c.is_smoothed(asked, robot) else []
+        plain |= {} if c.rates else {frozenset(c.sensors): first}
         if after:
             wholes[first.estimates.name] = after[0].estimates
-        solved |= {frozenset(c.sensors): (first.estimates, j.estimates) for j in after if not c.rates}
-    plain = {
-        frozenset(c.sensors): j.evaluation for c, j in zip(configurations, filtered, strict=True) if not c.rates
-    }
     present = [s for s in REGISTRY if s in drive.measurements]
-    found = credit(plain, present) if drive.truth is not None else None
+    judged = {sensors: j.evaluation for sensors, j in plain.items()}
+    found = credit(judged, present) if drive.truth is not None else None
     predicted = [] if found is not None else predict(drive, robot, configurations, progress, heard)
     progress("solving the whole drive" if reference else "judging")
     runs = [run for j in filtered for run in j.evidence]
@@ -151,47 +150,38 @@ def compare_log(
 
         alone = {c.sensors[0]: c.name for c in configurations if len(c.sensors) == 1 and not c.rates}
         quarrels = contradictions(predicted, alone)
+        pairs = ((s, j.estimates, wholes.get(j.estimates.name)) for s, j in plain.items())
+        solved = {s: (e, whole) for s, e, whole in pairs if whole is not None}
         references = References.of(drive, robot, solved, noise_factors(runs, robot), quarrels)
     others = [_in_frame_of(e, drive, references, align) for e in foreign]
-    every = [*filtered, *smoothed, *(JudgedRun(e, evaluate(e, drive, how), []) for e, how in others)]
-    hows = [*([align] * (len(every) - len(others))), *(how for _, how in others)]
+    every = [*filtered, *smoothed, *(JudgedRun(e, evaluate(e, drive, how), how) for e, how in others)]
     compared = Compared(
         loaded=loaded,
         configurations=configurations,
         estimates=[j.estimates for j in every],
         evaluations=[j.evaluation for j in every],
-        runs=[run for j in every for run in j.evidence],
+        runs=runs,
         credit=found,
         scores=predicted,
         smoothed=wholes,
     )
     if references is None:
         return compared
-    referenced, evaluations = _referenced(references, every, hows, filtered)
-    return replace(compared, reference=referenced, evaluations=evaluations)
+    again = {j.estimates.name: references.judged(j.evaluation, j.estimates, j.align) for j in every}
+    judges = {name: reference for name, (_, reference) in again.items()}
+    effects = {s: e for s in references.present if (e := _effect(references, s, plain)) is not None}
+    referenced = Referenced(references, judges, effects)
+    return replace(compared, reference=referenced, evaluations=[e for e, _ in again.values()])
 
 
-def _referenced(
-    references: References, every: Sequence[JudgedRun], hows: Sequence[Align], filtered: Sequence[JudgedRun]
-) -> tuple[Referenced, list[Evaluation]]:
-    """Return every result judged by its reference, aligned as in `hows`, and the name of that reference."""
-    pairs = [references.judged(j.evaluation, j.estimates, how) for j, how in zip(every, hows, strict=True)]
-    plain = {frozenset(j.estimates.sensors): j for j in filtered if not j.estimates.rates}
-    found = {s: _effect(references, s, plain, hows[0]) for s in references.present}
-    effects = {s: effect for s, effect in found.items() if effect is not None}
-    judges = {j.estimates.name: reference for j, (_, reference) in zip(every, pairs, strict=True)}
-    return Referenced(references, judges, effects), [evaluation for evaluation, _ in pairs]
-
-
-def _effect(
-    references: References, sensor: str, plain: Mapping[frozenset[str], JudgedRun], align: Align
-) -> ByReference | None:
+def _effect(references: References, sensor: str, plain: Mapping[frozenset[str], JudgedRun]) -> ByReference | None:
     """Return errors without and with a sensor, by a reference that does not use it; None if they were not run."""
     reference, before = references.without(sensor), frozenset(needed(sensor))
     after = before | {sensor}
     if reference is None or before not in plain or after not in plain:
         return None
-    judged = {s: reference.judge(plain[s].evaluation, plain[s].estimates, align) for s in (before, after)}
+    runs = {s: plain[s] for s in (before, after)}
+    judged = {s: reference.judge(j.evaluation, j.estimates, j.align) for s, j in runs.items()}
     errors = [e.figures["position_rmse_m"] or 0.0 for e in judged.values()]
     some = min(errors) > 0.0  # no error is a share of none
     found = credit(judged, [sensor]) if some and reference.can_judge(max(errors)) else None
@@ -212,7 +202,7 @@ def _judged(
         for look in watch if shown or not e.smoothed else ():
             look(e, evaluation)
         kept = e if asked.audits else replace(e, audits={})
-        judged.append(JudgedRun(kept, evaluation, evidence(drive, e, robot)))
+        judged.append(JudgedRun(kept, evaluation, how, evidence(drive, e, robot)))
     return judged
 
 

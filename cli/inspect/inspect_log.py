@@ -15,14 +15,13 @@ from msgspec.structs import replace
 from locfuse.cli.analysis.adapted_topics import offer_presented, offer_tags
 from locfuse.cli.analysis.body_topics import NoWheelsError
 from locfuse.cli.analysis.choose import choose_sensor, choose_truth
-from locfuse.cli.analysis.load import Loaded, measured
+from locfuse.cli.analysis.load import Loaded, Parts, find_log, measured
 from locfuse.cli.analysis.maps import GRID
 from locfuse.cli.analysis.mounts import mount_tables, shared_turns, transforms_of
 from locfuse.cli.analysis.refused_motion import STANDS
 from locfuse.cli.analysis.robot_tables import make_robot, merged_tables, named_by_hand
-from locfuse.cli.analysis.topics import Choice, of_type
+from locfuse.cli.analysis.topics import Choice, filled, of_type
 from locfuse.cli.analysis.wheel_topics import choose_wheels
-from locfuse.formats.container.url import Place
 from locfuse.formats.logs.log import Log, open_log
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.transforms import StaticTransforms
@@ -35,19 +34,17 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .mounts import conflicts, unplaced
-from .robot_facts import Overview, find_robot_facts, of_robot
+from .robot_facts import Overview, find_robot_facts, possible_truth, wheel_size
 from .topics import derived_facts, of_publishers, of_stamps, topic_facts
 
 if TYPE_CHECKING:
     from locfuse.cli.analysis.settings import LogOptions
 
 
-def inspect_log(
-    paths: Sequence[Place], how: LogOptions, progress: Callable[[str], None] = lambda role: None
-) -> Overview:
+def inspect_log(words: Parts, how: LogOptions, progress: Callable[[str], None] = lambda role: None) -> Overview:
     """Inspect a log. Raises LocfuseError only if it cannot be opened, or robot.toml cannot be read."""
     progress("opening")
-    log = open_log(paths)
+    log = open_log(find_log(words))
     tables = merged_tables(log, how)
     robot = make_robot(tables)
     progress("topics")
@@ -56,25 +53,23 @@ def inspect_log(
     choice = _choose(log, robot, named_by_hand(how.sets), found)
     facts += derived_facts(log, robot.order)
     overview = Overview(log, tables, choice, facts, *_placed(log, tables, choice, found))
-    overview.robot_facts = find_robot_facts(log, robot, choice)
+    overview.robot_facts = find_robot_facts(overview)
     overview.findings = [
         *_of_files(log),
         *found,
-        *of_robot(log, robot, choice, overview.robot_facts),
-        *of_stamps(facts, choice, robot),
+        *wheel_size(overview),
+        *possible_truth(overview),
+        *of_stamps(facts, choice, overview.robot),
         *of_publishers(log, choice),
-    ]
-    overview.findings += [
-        *_said("lrf", choice.of("lrf"), lambda stream, _: driver(stream), log, robot),
-        *_said("camera", pictures_of(log, choice), _pictures, log, robot),
-        *_maps(log, robot, choice),
+        *_said("lrf", choice.of("lrf"), lambda stream, _: driver(stream), overview),
+        *_said("camera", pictures_of(log, choice), _pictures, overview),
+        *_maps(overview),
     ]
     _measure(overview, progress)
     if choice.unused_wheels and overview.loaded is not None:
-        overview.robot_facts = find_robot_facts(log, robot, choice, overview.loaded)
-        sized = [f for f in of_robot(log, robot, choice, overview.robot_facts) if f.code == "geometry"]
+        overview.robot_facts = find_robot_facts(overview)
         gone = {"geometry", *((POINT, START) if overview.robot_facts.steered else ())}  # by another motion
-        overview.findings = [*(f for f in overview.findings if f.code not in gone), *sized]
+        overview.findings = [*(f for f in overview.findings if f.code not in gone), *wheel_size(overview)]
     overview.findings += [*unplaced(overview), *conflicts(overview)]
     return overview
 
@@ -171,11 +166,11 @@ def _unusable(overview: Overview, loaded: Loaded) -> list[Finding]:
     ]
 
 
-def _maps(log: Log, robot: Robot, choice: Choice) -> list[Finding]:
+def _maps(overview: Overview) -> list[Finding]:
     """Report the log's maps as options for its laser; only the user knows whether its scans made them."""
-    topics = [t for t in of_type(log, (GRID,)) if log.topics[t].count and "costmap" not in t.lower()]
+    robot, topics = overview.robot, [t for t in filled(overview.log, GRID) if "costmap" not in t.lower()]
     topics.sort(key=lambda t: t != "/map")
-    if not topics or not choice.of("lrf") or robot.settings("lrf").map_topic is not None or robot.lines:
+    if not topics or not overview.choice.of("lrf") or robot.settings("lrf").map_topic is not None or robot.lines:
         return []
     words = (
         f"{' and '.join(topics)} {'holds a map' if len(topics) == 1 else 'hold maps'}, in which the laser can be "
@@ -191,13 +186,14 @@ def pictures_of(log: Log, choice: Choice) -> tuple[str, ...]:
 
 
 def _said(
-    role: str, topics: Sequence[str], examine: Callable[[Any, Any], list[Finding]], log: Log, robot: Robot
+    role: str, topics: Sequence[str], examine: Callable[[Any, Any], list[Finding]], overview: Overview
 ) -> list[Finding]:
     """Return the findings on the raw messages of a role with exactly one topic."""
     if len(topics) != 1:
         return []
     try:
-        return examine(log.stream(topics[0], robot.order), robot.settings(role))
+        robot = overview.robot
+        return examine(overview.log.stream(topics[0], robot.order), robot.settings(role))
     except LocfuseError as e:
         return [of_error(e, role, "unusable")]
 

@@ -19,7 +19,7 @@ from mcap.writer import CompressionType
 from range_server import Shelf, serving
 from rosbags.rosbag2 import Writer
 
-from benchmarks.make_log import main as make_log
+from benchmarks.__main__ import make_log
 from locfuse.cli.analysis.grouping import expanded
 from locfuse.formats.container import remote_objects as objects
 from locfuse.formats.container.losses import Losses
@@ -42,7 +42,7 @@ def shelf() -> Iterator[Shelf]:
 def logs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Six seconds with raw pictures that nothing reads, by compression."""
     folder = tmp_path_factory.mktemp("logs")
-    make_log([str(folder / "drive.mcap"), "--minutes", "0.1"], standalone_mode=False)
+    make_log(folder / "drive.mcap", minutes=0.1)
     with (folder / "drive.mcap").open("rb") as file:
         reader = make_reader(file)
         robot = next(reader.iter_attachments()).data

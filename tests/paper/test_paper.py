@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from locfuse.cli.session import paper
 from locfuse.cli.session.paper import Driven
 from locfuse.cli.session.session import load
-from locfuse.formats.report import paper_page
+from locfuse.formats.report import json_report, paper_page
 from locfuse.formats.robot import line_map
 from locfuse.formats.whole_files import write_results
 from locfuse.fusion.data import Array, Drive, LocfuseError, Measurements
@@ -308,7 +308,8 @@ def found() -> paper.Repeated:
 @pytest.fixture(scope="module")
 def folder(found: paper.Repeated, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("paper") / "out"
-    write_results(out, paper.files(found), overwrite=False)
+    values = json_report.plain(found.values())
+    write_results(out, paper.files(found, values), overwrite=False)
     return out
 
 

@@ -13,6 +13,7 @@ import msgspec
 from locfuse import sample_logs
 from locfuse.formats.logs.log import Log
 from locfuse.formats.report import json_report
+from locfuse.formats.report.findings import counts
 from locfuse.formats.robot import robot_toml, units
 from locfuse.formats.versions import own
 from locfuse.fusion.data import Evaluation
@@ -115,7 +116,7 @@ def _refusals(loaded: Loaded) -> dict[str, dict[str, int]]:
     """Return (unused readings, all readings) of each stream that has unused ones."""
     found = {
         stream: {
-            "readings": _refused(reasons),
+            "readings": sum(_losses(reasons).values()),
             "of": sum(loaded.log.topics[t].count for t in loaded.choice.of(stream)),
         }
         for stream, reasons in loaded.drive.dropped.items()
@@ -159,13 +160,9 @@ def _refused_lines(
     for stream in (s for s in ("wheels", *used) if s in refused):
         count, total = refused[stream]["readings"], refused[stream]["of"]
         if count > (0 if strict else REFUSED_SHARE * total):
-            lines.append(f"{stream}: {count} of {total} readings refused ({_words(dropped[stream])})")
+            lines.append(f"{stream}: {count} of {total} readings refused ({counts(_losses(dropped[stream]))})")
     return lines
 
 
-def _refused(reasons: Mapping[str, int]) -> int:
-    return sum(count for reason, count in reasons.items() if reason not in NOT_A_LOSS)
-
-
-def _words(reasons: Mapping[str, int]) -> str:
-    return ", ".join(f"{c} {r.replace('_', ' ')}" for r, c in reasons.items() if r not in NOT_A_LOSS)
+def _losses(reasons: Mapping[str, int]) -> dict[str, int]:
+    return {reason: count for reason, count in reasons.items() if reason not in NOT_A_LOSS}

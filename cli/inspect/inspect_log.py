@@ -15,14 +15,13 @@ from msgspec.structs import replace
 from locfuse.cli.analysis.adapted_topics import offer_presented, offer_tags
 from locfuse.cli.analysis.body_topics import NoWheelsError
 from locfuse.cli.analysis.choose import choose_sensor, choose_truth
-from locfuse.cli.analysis.load import Loaded, measured
+from locfuse.cli.analysis.load import Loaded, Parts, find_log, measured
 from locfuse.cli.analysis.maps import GRID
 from locfuse.cli.analysis.mounts import mount_tables, shared_turns, transforms_of
 from locfuse.cli.analysis.refused_motion import STANDS
 from locfuse.cli.analysis.robot_tables import make_robot, merged_tables, named_by_hand
 from locfuse.cli.analysis.topics import Choice, filled, of_type
 from locfuse.cli.analysis.wheel_topics import choose_wheels
-from locfuse.formats.container.url import Place
 from locfuse.formats.logs.log import Log, open_log
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.transforms import StaticTransforms
@@ -42,12 +41,10 @@ if TYPE_CHECKING:
     from locfuse.cli.analysis.settings import LogOptions
 
 
-def inspect_log(
-    paths: Sequence[Place], how: LogOptions, progress: Callable[[str], None] = lambda role: None
-) -> Overview:
+def inspect_log(words: Parts, how: LogOptions, progress: Callable[[str], None] = lambda role: None) -> Overview:
     """Inspect a log. Raises LocfuseError only if it cannot be opened, or robot.toml cannot be read."""
     progress("opening")
-    log = open_log(paths)
+    log = open_log(find_log(words))
     tables = merged_tables(log, how)
     robot = make_robot(tables)
     progress("topics")

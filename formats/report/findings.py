@@ -69,6 +69,11 @@ def _in_vain(finding: Mapping[str, Any]) -> str:
     return f" No setting found that helps ({tried} could explain it, but the result gets no better)."
 
 
+def counts(by_reason: Mapping[str, int]) -> str:
+    """Return "3 out of order, 1 repeat"."""
+    return ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in by_reason.items())
+
+
 def options(fixes: Sequence[str]) -> str:
     """Return settings as options of the command line."""
     return " ".join(f"--set {shlex.quote(fix)}" for fix in fixes)

@@ -25,7 +25,7 @@ PAYLOAD_OFFSET_BYTES = RECORD.size + MESSAGE_HEADER  # bytes from a Message reco
 def records(data: NDArray[np.uint8], packed: int, index: Index) -> Records:
     """Find the records of a chunk's decompressed bytes; `packed` is their number of bytes in the file.
 
-    `index` tells of messages behind damage. Raises DamagedError where so few bytes unpack to absurdly many records.
+    `index` tells of messages behind damage. Raises DamagedError where few bytes unpack to absurdly many records.
     """
     scanned = scan(data, most_records(packed))
     if scanned.end == len(data) or not index:

@@ -120,7 +120,7 @@ def _placed(
 
 
 def _of_files(log: Log) -> list[Finding]:
-    """Return the losses of the files, and whether a loss could be detected."""
+    """Return the losses of the log's files, and whether changed bytes would be detected."""
     found = [Finding("file", "lost", line, severe=True) for line in log.losses.lines()]
     if log.unchecked:
         names = ", ".join(log.unchecked[:3]) + (" ..." if len(log.unchecked) > 3 else "")
@@ -149,7 +149,7 @@ def _measure(overview: Overview, progress: Callable[[str], None]) -> None:
 
 
 def _not_measured(overview: Overview, error: LocfuseError) -> list[Finding]:
-    """Return the losses of the log's files, and whether changed bytes would be detected."""
+    """Return why nothing could be measured, unless a finding says so already."""
     role = error.role if error.role in {"wheels", "truth", *REGISTRY} else "log"
     known = any(f.role == role and f.severe for f in overview.findings)
     return [] if known else [of_error(error, role, "unusable")]

@@ -13,12 +13,12 @@ import numpy as np
 
 from locfuse.fusion.data import LocfuseError, Measurements
 from locfuse.fusion.robot import Robot, WheelSettings
-from locfuse.fusion.truth import looks_like_truth
+from locfuse.fusion.truth import FIX, looks_like_truth
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.odometry import SPEED, commanded
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
-from .motion_evidence import FIX, seen
+from .motion_evidence import seen
 from .topics import Choice, Note, filled, of_type
 
 if TYPE_CHECKING:

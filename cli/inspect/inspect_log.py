@@ -45,7 +45,7 @@ def inspect_log(words: Parts, how: LogOptions, progress: Callable[[str], None] =
     """Inspect a log. Raises LocfuseError only if it cannot be opened, or robot.toml cannot be read."""
     progress("opening")
     log = open_log(find_log(words))
-    tables = merged_tables(log, how)
+    tables, _ = merged_tables(log, how)
     robot = make_robot(tables)
     progress("topics")
     facts = topic_facts(log, robot.order)

@@ -60,6 +60,7 @@ TWICE = (
     "too small where the scans share an error"
 )
 MAX_LISTED = 1000  # entries of a folder among which a mistyped name is looked for
+Parts = Sequence[str | Place]  # of one log: words of the command line, or places
 
 
 class Loaded(msgspec.Struct, frozen=True, dict=True):
@@ -92,9 +93,9 @@ class Loaded(msgspec.Struct, frozen=True, dict=True):
         return self.how.begin, self.how.end
 
 
-def find_log(words: Sequence[str]) -> list[Place]:
+def find_log(words: Parts) -> list[Place]:
     """Return the paths of the logs on the command line; a file takes precedence over a sample log's name."""
-    return [_find(word) for word in words]
+    return [_find(str(word)) for word in words]
 
 
 def _find(word: str) -> Place:
@@ -121,7 +122,7 @@ def _beside(path: Path) -> list[str]:
 
 
 def load(
-    paths: Sequence[Place],
+    log: Parts,
     how: LogOptions,
     progress: Progress = silent,
     only: Collection[str] | None = None,
@@ -131,13 +132,14 @@ def load(
 
     Raises LocfuseError with one line on what is wrong.
     """
+    places = find_log(log)
     progress("opening")
     given = given_tables(how)  # before anything is read: what changes meanwhile has another key
-    log = open_log(paths)
-    tables = merged_tables(log, how)
-    choice = choose(log, make_robot(tables), named_by_hand(how.sets))
-    found = measured(log, tables, choice, progress, only, aside)
-    return _within(replace(found, sources=sources_of(log, how), given=given, how=how))
+    opened = open_log(places)
+    tables = merged_tables(opened, how)
+    choice = choose(opened, make_robot(tables), named_by_hand(how.sets))
+    found = measured(opened, tables, choice, progress, only, aside)
+    return _within(replace(found, sources=sources_of(opened, how), given=given, how=how))
 
 
 def _within(loaded: Loaded) -> Loaded:
@@ -148,9 +150,9 @@ def _within(loaded: Loaded) -> Loaded:
     return replace(loaded, drive=drive, robot=robot)
 
 
-def load_to_fuse(paths: Sequence[Place], how: LogOptions, progress: Progress, read_again: bool = False) -> Loaded:
+def load_to_fuse(log: Parts, how: LogOptions, progress: Progress, read_again: bool = False) -> Loaded:
     """Load a log whose columns can be freed after measuring, unless it is `read_again`."""
-    loaded = load(paths, how, progress)
+    loaded = load(log, how, progress)
     if not read_again:
         loaded.log.forget()
     return loaded

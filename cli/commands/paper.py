@@ -42,16 +42,16 @@ def paper(out: Path, overwrite: bool, jobs: int, as_json: bool, shown: bool, qui
     with show.progress(quiet) as progress:
         found = job.repeat(progress, jobs)
         progress("drawing figures")
-        files = job.files(found)
+        values = json_report.plain(found.values())
+        files = job.files(found, values)
     write_results(out, files, overwrite)
-    values = json_report.plain(found.values())
     with reader_may_leave():
         if as_json:
             put(json_report.encode(values))
         else:
             show.table(paper_page.table(values))
             show.lines([paper_page.conclusion(values)])
-            show.lines(job.lines(found))
+            show.lines(job.lines(values))
             show.end([out / name for name in files])
     if shown:
         show.open_page([out / name for name in files])

@@ -15,14 +15,13 @@ from msgspec.structs import replace
 from locfuse.cli.analysis.adapted_topics import offer_presented, offer_tags
 from locfuse.cli.analysis.body_topics import NoWheelsError
 from locfuse.cli.analysis.choose import choose_sensor, choose_truth
-from locfuse.cli.analysis.load import Loaded, measured
+from locfuse.cli.analysis.load import Loaded, Parts, find_log, measured
 from locfuse.cli.analysis.maps import GRID
 from locfuse.cli.analysis.mounts import mount_tables, shared_turns, transforms_of
 from locfuse.cli.analysis.refused_motion import STANDS
 from locfuse.cli.analysis.robot_tables import make_robot, merged_tables, named_by_hand
 from locfuse.cli.analysis.topics import Choice, filled, of_type
 from locfuse.cli.analysis.wheel_topics import choose_wheels
-from locfuse.formats.container.url import Place
 from locfuse.formats.logs.log import Log, open_log
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.transforms import StaticTransforms
@@ -42,12 +41,10 @@ if TYPE_CHECKING:
     from locfuse.cli.analysis.settings import LogOptions
 
 
-def inspect_log(
-    paths: Sequence[Place], how: LogOptions, progress: Callable[[str], None] = lambda role: None
-) -> Overview:
+def inspect_log(words: Parts, how: LogOptions, progress: Callable[[str], None] = lambda role: None) -> Overview:
     """Inspect a log. Raises LocfuseError only if it cannot be opened, or robot.toml cannot be read."""
     progress("opening")
-    log = open_log(paths)
+    log = open_log(find_log(words))
     tables = merged_tables(log, how)
     robot = make_robot(tables)
     progress("topics")
@@ -123,7 +120,7 @@ def _placed(
 
 
 def _of_files(log: Log) -> list[Finding]:
-    """Return the losses of the files, and whether a loss could be detected."""
+    """Return the losses of the log's files, and whether changed bytes would be detected."""
     found = [Finding("file", "lost", line, severe=True) for line in log.losses.lines()]
     if log.unchecked:
         names = ", ".join(log.unchecked[:3]) + (" ..." if len(log.unchecked) > 3 else "")
@@ -152,7 +149,7 @@ def _measure(overview: Overview, progress: Callable[[str], None]) -> None:
 
 
 def _not_measured(overview: Overview, error: LocfuseError) -> list[Finding]:
-    """Return the losses of the log's files, and whether changed bytes would be detected."""
+    """Return why nothing could be measured, unless a finding says so already."""
     role = error.role if error.role in {"wheels", "truth", *REGISTRY} else "log"
     known = any(f.role == role and f.severe for f in overview.findings)
     return [] if known else [of_error(error, role, "unusable")]

@@ -9,7 +9,8 @@ from typing import Any, ClassVar, NamedTuple, TypeVar
 import numpy as np
 from msgspec.structs import asdict, astuple, replace
 
-from locfuse.cli.analysis.load import Loaded, find_log, load
+from locfuse.cli.analysis.load import Loaded, Parts, load
+from locfuse.cli.analysis.robot_tables import nested
 from locfuse.cli.analysis.settings import LogOptions, Progress, silent
 from locfuse.fusion.chi_square import SIGMAS_95
 from locfuse.fusion.data import Array, LocfuseError
@@ -124,17 +125,11 @@ class Calibration(Found, frozen=True, kw_only=True):
 
     def tables(self) -> dict[str, dict[str, Any]]:
         """Return the results as robot.toml tables, without settings that may be as configured."""
-        tables: dict[str, dict[str, Any]] = {}
-        for table, _, key, value in (
-            (*f.key.partition("."), f.figure.value) for f in self.fitted() if not f.stays
-        ):
-            tables.setdefault(table, {})[key] = _short(value)
+        found: dict[str, Any] = {f.key: _short(f.figure.value) for f in self.fitted() if not f.stays}
         if self.iron is not None:
-            shape = {"hard_iron": self.iron.hard, "soft_iron": self.iron.soft}
-            tables["compass"] = {
-                key: [_short(v) for v in values.ravel().tolist()] for key, values in shape.items()
-            }
-        return tables
+            shape = {"compass.hard_iron": self.iron.hard, "compass.soft_iron": self.iron.soft}
+            found |= {key: [_short(v) for v in values.ravel().tolist()] for key, values in shape.items()}
+        return nested(found)
 
     def values(self) -> dict[str, Any]:
         """Return all results as plain values for --json: SI units, null for unknown ones."""
@@ -217,9 +212,9 @@ def _plain(figures: Mapping[str, Figure]) -> dict[str, dict[str, float]]:
     return {name: asdict(figure) for name, figure in figures.items()}
 
 
-def calibrated(logs: Sequence[Sequence[str]], how: LogOptions, progress: Progress) -> Calibration:
+def calibrated(logs: Sequence[Parts], how: LogOptions, progress: Progress) -> Calibration:
     """Read logs by command-line words, and calibrate what they allow."""
-    loaded = [load(find_log(parts), how, progress, only=USED, aside=("lrf",)) for parts in logs]
+    loaded = [load(parts, how, progress, only=USED, aside=("lrf",)) for parts in logs]
     progress("calibrating")
     return calibrate_logs(loaded, progress)
 

@@ -16,8 +16,8 @@ from locfuse.cli.analysis import maps
 from locfuse.cli.analysis.compare import Compared, compare_log, report_of, report_of_run, run_log
 from locfuse.cli.analysis.configurations import Configuration, Sensors, configuration_words, for_comparison, parse
 from locfuse.cli.analysis.load import Loaded, find_log, load_to_fuse, start_error, with_settings
-from locfuse.cli.analysis.motion_words import say_motion
 from locfuse.cli.analysis.outputs import Drawn
+from locfuse.cli.analysis.results import say_motion
 from locfuse.cli.analysis.settings import (
     MAX_REFERENCE_INSTANTS,
     Asked,
@@ -88,7 +88,7 @@ def load(
 
 def opened(log: Sequence[str], how: LogOptions, progress: Progress, read_again: bool = False) -> Session:
     """Return the session of a log by command-line words; `read_again`: its columns are needed once more."""
-    session = Session(maps.give_topic(load_to_fuse(find_log(log), how, progress, read_again)), progress)
+    session = Session(maps.give_topic(load_to_fuse(log, how, progress, read_again)), progress)
     return session if how.given_map is None else session.with_map(how.given_map)
 
 
@@ -124,7 +124,7 @@ def inspected(log: Sequence[str], how: LogOptions, progress: Progress) -> dict[s
     from locfuse.cli.inspect import values
     from locfuse.cli.inspect.inspect_log import inspect_log
 
-    return values.values(inspect_log(find_log(log), how, progress))
+    return values.values(inspect_log(log, how, progress))
 
 
 def tried_by_fusing(log: Sequence[str], how: LogOptions, progress: Progress) -> dict[str, Any]:
@@ -288,9 +288,8 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         """
         from . import tune
 
-        paths = [self.log.paths, *(find_log(words_of(log)) for log in more)]
-        held = [find_log(words_of(log)) for log in hold_out]
-        return tune.tune_logs(paths, held, tune.sensor_names(sensors), drift, self.loaded.how, self.progress)
+        logs, held = [self._words, *map(words_of, more)], [*map(words_of, hold_out)]
+        return tune.tune_logs(logs, held, tune.sensor_names(sensors), drift, self.loaded.how, self.progress)
 
     @speaks_python
     def calibrate(self, *more: PathLike | Sequence[PathLike]) -> Calibration:
@@ -300,9 +299,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         """
         from . import calibrate
 
-        return calibrate.calibrated(
-            [self._words, *(words_of(log) for log in more)], self.loaded.how, self.progress
-        )
+        return calibrate.calibrated([self._words, *map(words_of, more)], self.loaded.how, self.progress)
 
     @property
     def _words(self) -> list[str]:

@@ -5,8 +5,6 @@ An index entry counts only if it points at a Message record of its channel and l
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,16 +22,15 @@ Definition = tuple[int, int, int]  # opcode, place and length of the content
 PAYLOAD_OFFSET_BYTES = RECORD.size + MESSAGE_HEADER  # bytes from a Message record's start to its payload
 
 
-def records(data: NDArray[np.uint8], packed: int, index: Callable[[], Index]) -> Records:
+def records(data: NDArray[np.uint8], packed: int, index: Index) -> Records:
     """Find the records of a chunk's decompressed bytes; `packed` is their number of bytes in the file.
 
-    `index` reads the chunk's message indexes, which are needed only where the bytes are damaged. Raises
-    DamagedError where so few bytes unpack to absurdly many records.
+    `index` tells of messages behind damage. Raises DamagedError where few bytes unpack to absurdly many records.
     """
     scanned = scan(data, most_records(packed))
-    if scanned.end == len(data) or not (listed := index()):
+    if scanned.end == len(data) or not index:
         return scanned
-    offsets = _disjoint(data, _credible(data, listed))
+    offsets = _disjoint(data, _credible(data, index))
     return Records(_gather(data, _followed(data, offsets)), scanned.definitions, scanned.end)
 
 

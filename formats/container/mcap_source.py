@@ -113,10 +113,13 @@ class McapSource(ChunkedSource):
 
     def search(self, part: Part, data: Bytes) -> Records:
         """Find the records in a part's bytes."""
-        return records(data, part.size, lambda: self._index(part))
+        return records(data, part.size, self._index(part))
 
     def _index(self, part: Part) -> Index:
-        """Return the message indexes after a chunk, none if they are not whole."""
+        """Return the message indexes after a chunk, none if they are not whole.
+
+        They are read with every chunk: after the last one, all bytes of the file were read and can be hashed.
+        """
         if isinstance(part, ChunkRef) and not part.cut_off:
             with suppress(DamagedError):
                 return dict(rec.message_index(self.data.read(at, length)) for at, length in part.index.values())

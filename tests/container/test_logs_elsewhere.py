@@ -76,7 +76,7 @@ def test_every_file_is_that_of_the_log_here_but_for_its_identity(
     kind: str, logs: dict[str, Path], shelf: Shelf, tmp_path: Path
 ) -> None:
     url = shelf.put(f"{kind}.mcap", logs[kind].read_bytes())
-    words = ("--sensors", "odometry", "--sensors", "compass", "--write", "json,tum,csv,md")
+    words = ("--no-advice", "--sensors", "odometry", "--sensors", "compass", "--write", "json,tum,csv,md")
     for where, folder in ((logs[kind], "here"), (url, "there")):
         done = ok("compare", where, "-o", tmp_path / folder, *words)
     assert "MB over the network" in done.stderr

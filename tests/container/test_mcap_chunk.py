@@ -133,7 +133,7 @@ def test_every_byte_of_a_file_may_hold_a_record_beside_those_that_are_free() -> 
 
 
 def found_in(data: bytes, index: Index) -> Records:
-    return records(array(data), len(data), lambda: index)
+    return records(array(data), len(data), index)
 
 
 BROKEN = bytes(9)  # no record: only the index tells of the messages behind it
@@ -235,4 +235,4 @@ def test_few_bytes_that_unpack_to_many_records_are_refused_by_the_index_too() ->
     index = index_of([ROWS[0]], [len(data) - len(message(ROWS[0]))])
     assert rows_of(data, found_in(data, index).messages) == [ROWS[0]]
     with pytest.raises(DamagedError, match="the cap for its size"):
-        records(array(data), 1, lambda: index)
+        records(array(data), 1, index)

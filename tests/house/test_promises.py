@@ -27,7 +27,7 @@ from locfuse import sample_logs
 
 ROBOT = {"robot.toml": b"[wheels]\nradius = 0.05\ntrack = 0.4\n[camera]\nlandmark = [1.0, 1.0]\n"}
 ROBOT["robot.toml"] += b"centre = [8.0, 8.0]\ninner = 2.0\nouter = 7.0\n"
-CAUSAL = ("--no-smooth", "--write", "all")
+CAUSAL = ("--no-smooth", "--no-advice", "--write", "all")
 WHEELS, SCAN = "sensor_msgs/msg/JointState", "sensor_msgs/msg/LaserScan"
 
 
@@ -87,7 +87,7 @@ def test_a_lost_chunk_leaves_seconds_without_wheels_and_no_estimate_that_is_sure
     content = bytearray((Path(str(sample_logs.__path__[0])) / "rounded_rectangle.mcap").read_bytes())
     content[len(content) // 2] ^= 4
     (tmp_path / "flipped.mcap").write_bytes(content)
-    done = locfuse("compare", tmp_path / "flipped.mcap", "--write", "json", "-o", tmp_path / "out")
+    done = locfuse("compare", tmp_path / "flipped.mcap", "--no-advice", "--write", "json", "-o", tmp_path / "out")
     assert done.exit_code == 3
     written = (tmp_path / "out" / "report.json").read_text()
     assert sum(reason["messages"] for reason in json.loads(written)["input"]["losses"].values()) > 10

@@ -183,15 +183,21 @@ def test_of_two_ways_to_set_a_distance_none_is_called_the_fix(tmp_path: Path) ->
     assert "If the wheels are right, set lrf.range_scale=1.1" in line
     assert "if lrf is, wheels.radius=0.04" in line
     assert "fix: --set lrf.range_scale" not in alone
+    assert "\nrange_scale = 1.1" in locfuse("init", log).stdout
+    alone = locfuse("init", log, "--set", "truth.topic=none").stdout
+    assert "\n# range_scale = 1.1" in alone
+    assert "\nrange_scale" not in alone
+    assert "wheels.radius=0.04" in alone
 
 
-def test_a_run_that_is_lost_is_said_by_info_as_by_compare() -> None:
-    tried = as_json("rounded_triangle", "--set", "lrf.yaw_deg=90", "--check")["tried"]
+def test_a_run_that_is_lost_is_said_by_info_as_by_compare(tmp_path: Path) -> None:
+    log = Drive().record(tmp_path / "x.mcap")
+    tried = as_json(log, "--set", "lrf.yaw_deg=90", "--check")["tried"]
     lost = [v for v in tried["validity"] if v["void"] and v["code"] == "lost"]
     assert lost
     assert all({"lrf", "all"} & set(v["configurations"]) for v in lost)
     assert void_reasons(tried)
-    assert "the best is the camera" in tried["headline"]
+    assert "the best is the compass" in tried["headline"]
     assert "lost for" in tried["headline"]
 
 

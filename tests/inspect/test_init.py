@@ -12,8 +12,6 @@ import pytest
 from bags import T0, Said, cdr, header, real_log, real_logs, write
 from commands import Done, locfuse
 from rewrite_log import rewritten
-from trap_logs import Drive
-from traps import short_metre
 from wheel_bags import GEOMETRY, RADIUS, TRACK, angles, joint_states, log_of, pose_of
 
 from locfuse import sample_logs
@@ -173,18 +171,6 @@ def test_what_a_user_said_stays_and_what_the_log_shows_beside_it_is_behind_a_has
     done = init(log, tmp_path / "robot.toml", *(word for s in sets for word in ("--set", s)))
     assert tomllib.loads(done.stdout)["start"]["x"] == 7.25
     assert "\n# x = 1.5" in done.stdout
-
-
-def test_a_range_scale_that_only_the_wheels_ask_for_is_behind_a_hash(tmp_path: Path) -> None:
-    """The laser may be right and the wheels wrong; with truth it is known who is."""
-    drive = Drive()
-    short_metre(drive)
-    log = drive.record(tmp_path / "log.mcap")
-    assert "\nrange_scale = 1.1" in locfuse("init", log).stdout
-    alone = locfuse("init", log, "--set", "truth.topic=none").stdout
-    assert "\n# range_scale = 1.1" in alone
-    assert "\nrange_scale" not in alone
-    assert "wheels.radius=0.04" in alone
 
 
 def test_a_topic_with_an_evil_name_cannot_leave_its_line(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from locfuse.cli.session import paper
 from locfuse.cli.session.paper import Driven
 from locfuse.cli.session.session import load
-from locfuse.formats.report import paper_page
+from locfuse.formats.report import json_report, paper_page
 from locfuse.formats.robot import line_map
 from locfuse.formats.whole_files import write_results
 from locfuse.fusion.data import Array, Drive, LocfuseError, Measurements
@@ -228,7 +228,9 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_preset_is_said_and_recorded_and_reproduces(log: Path, tmp_path: Path) -> None:
-    done = ok("compare", log, "-v", "--preset", "paper", "--write", "json", "-o", tmp_path / "paper")
+    done = ok(
+        "compare", log, "-v", "--no-advice", "--preset", "paper", "--write", "json", "-o", tmp_path / "paper"
+    )
     assert "note: preset paper" in done.stderr
     report = json.loads((tmp_path / "paper" / "report.json").read_text())
     assert report["settings"]["preset"] == "paper"
@@ -236,10 +238,22 @@ def test_the_preset_is_said_and_recorded_and_reproduces(log: Path, tmp_path: Pat
     assert "no equation" in report["absent"]["sonar"]
     assert list(report["configurations"]) == ["odometry", "compass", "lrf", "all"]
     robot = tmp_path / "paper" / "robot.toml"
-    ok("compare", log, "--robot", robot, "--write", "json", "-o", tmp_path / "again")
+    ok("compare", log, "--no-advice", "--robot", robot, "--write", "json", "-o", tmp_path / "again")
     same = json.loads((tmp_path / "again" / "report.json").read_text())
     assert same["configurations"] == report["configurations"]
-    ok("run", log, "--robot", robot, "--preset", "default", "--sensors", "lrf", "-o", tmp_path / "ours")
+    ok(
+        "run",
+        log,
+        "--no-advice",
+        "--robot",
+        robot,
+        "--preset",
+        "default",
+        "--sensors",
+        "lrf",
+        "-o",
+        tmp_path / "ours",
+    )
     figures = json.loads((tmp_path / "ours" / "run.json").read_text())["configurations"]["lrf"]
     assert figures["position_rmse_m"] != report["configurations"]["lrf"]["position_rmse_m"]
 
@@ -294,7 +308,8 @@ def found() -> paper.Repeated:
 @pytest.fixture(scope="module")
 def folder(found: paper.Repeated, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("paper") / "out"
-    write_results(out, paper.files(found), overwrite=False)
+    values = json_report.plain(found.values())
+    write_results(out, paper.files(found, values), overwrite=False)
     return out
 
 

@@ -182,7 +182,7 @@ def test_info_finds_the_file_and_init_writes_it(tmp_path: Path, monkeypatch: pyt
     assert "detections.csv, named in the settings" in said
     assert "ready    odometry, landmarks" in said
     (tmp_path / "robot.toml").write_text(locfuse("init", log, *words).stdout)
-    done = ok("compare", log, "--robot", "robot.toml", "-o", "out")
+    done = ok("compare", log, "--no-advice", "--robot", "robot.toml", "-o", "out")
     assert "landmarks" in done.stdout
 
 
@@ -240,7 +240,9 @@ def grown(tmp_path: Path, detections: list[tuple[float, int]], *words: str, jump
     )
     (tmp_path / "many.csv").write_text(f"t,id,range,bearing\n{rows}")
     file = sets(f"landmarks.file={tmp_path / 'many.csv'}")
-    return locfuse("run", log, *GEOMETRY, *file, "--sensors", "landmarks", "-v", "-o", tmp_path / "o", *words)
+    return locfuse(
+        "run", log, "--no-advice", *GEOMETRY, *file, "--sensors", "landmarks", "-v", "-o", tmp_path / "o", *words
+    )
 
 
 def test_of_too_many_ids_the_most_frequent_are_placed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -378,7 +380,7 @@ def test_without_a_map_the_anchors_are_found_beside_the_drive(tmp_path: Path) ->
     by_ranges(tmp_path, "--sensors", "odometry")
     own = sets(f"ranges.file={tmp_path / 'ranges.csv'}", "ranges.map=grow", f"ranges.sigma={SIGMA}")
     words = ("--sensors", "ranges", "--save-map", tmp_path / "found.csv", "-o", tmp_path / "run")
-    ok("run", tmp_path / "x.mcap", *GEOMETRY, *own, *words)
+    ok("run", tmp_path / "x.mcap", "--no-advice", *GEOMETRY, *own, *words)
     found = landmark_map.read(tmp_path / "found.csv")
     for key, place in ANCHORS.items():  # in the frame of the start
         expected = se2.transform(se2.inverse(np.array(START)), np.array(place))

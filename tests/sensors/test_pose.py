@@ -259,7 +259,7 @@ def test_wishes_and_commands_are_no_estimates(tmp_path: Path) -> None:
 
 def test_compare_uses_it_where_it_is_named(log: Path, tmp_path: Path) -> None:
     words = ("--set", f"pose.topic={SLAM}", "--sensors", "pose", "--sensors", "odometry")
-    ok("compare", log, *words, "-o", tmp_path / "out")
+    ok("compare", log, "--no-advice", *words, "-o", tmp_path / "out")
     report = json.loads((tmp_path / "out/report.json").read_text())["configurations"]
     assert report["pose"]["sensors"]["pose"]["rejected"] == 0
     assert report["pose"]["position_rmse_m"] < report["odometry"]["position_rmse_m"]

@@ -173,7 +173,7 @@ def test_an_unknown_map_is_made_saved_and_used(tmp_path: Path) -> None:
     assert found["landmarks"]["anees"] < 2.0
     made = tmp_path / "made.csv"
     words = ("--sensors", "landmarks", "--save-map", made, "-o", tmp_path / "run")
-    ok("run", files[0], "-v", *GEOMETRY, *grow, *words)
+    ok("run", files[0], "-v", "--no-advice", *GEOMETRY, *grow, *words)
     places = landmark_map.read(made)
     assert {int(k) for k in places} == set(MAP)
     for key, place in places.items():

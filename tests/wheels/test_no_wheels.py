@@ -217,7 +217,7 @@ def test_info_init_and_compare_take_a_log_with_a_laser_and_nothing_else(tmp_path
     robot = tmp_path / "robot.toml"
     written = ok("init", log)
     robot.write_text(written.stdout)
-    done = ok("compare", log, "-v", "--robot", robot, "-o", tmp_path / "out", "--write", "json,tum")
+    done = ok("compare", log, "-v", "--no-advice", "--robot", robot, "-o", tmp_path / "out", "--write", "json,tum")
     assert "the motion is matched from scan to scan of /scan" in done.stderr
     _, truth = circle(8.0)
     for name in ("scan matching", "lrf"):

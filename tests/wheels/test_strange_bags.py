@@ -45,8 +45,6 @@ from locfuse.fusion.wheels.geometry import by_odometry
 from locfuse.fusion.wheels.read import read_wheels
 from locfuse.fusion.wheels.sources import joint_names
 
-TF = "tf2_msgs/msg/TFMessage"
-ODOMETRY = "nav_msgs/msg/Odometry"
 SCAN = "sensor_msgs/msg/LaserScan"
 SPEED, RATE = 0.4, 0.2  # m/s, rad/s: a circle of 2 m radius
 T = np.arange(0.0, 5.01, 0.1)

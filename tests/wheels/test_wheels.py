@@ -273,7 +273,9 @@ def test_steps_are_of_ticks_where_they_miss_whole_numbers_by_a_fiftieth_at_most(
 
 
 def run(tmp_path: Path, log: Path, *words: str) -> tuple[dict[str, Any], Array, str]:
-    done = ok("run", log, "-v", "--sensors", "odometry", "-o", tmp_path / "out", "--overwrite", *words)
+    done = ok(
+        "run", log, "-v", "--no-advice", "--sensors", "odometry", "-o", tmp_path / "out", "--overwrite", *words
+    )
     tum = np.loadtxt(tmp_path / "out" / "trajectory.tum")
     theta = 2 * np.arctan2(tum[-1, 6], tum[-1, 7])
     return json.loads((tmp_path / "out" / "run.json").read_text()), np.array([*tum[-1, 1:3], theta]), done.stderr

@@ -103,8 +103,8 @@ def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) ->
 
 def _placed(
     log: Log, tables: dict[str, Any], choice: Choice, found: list[Finding]
-) -> tuple[StaticTransforms, Robot]:
-    """Return /tf_static, and the robot with its mounts, which are known before measuring."""
+) -> tuple[StaticTransforms, dict[str, Any], Robot]:
+    """Return /tf_static, the mounts by it, and the robot with them: known before measuring."""
     streams: dict[str, list[Stream]] = {}
     for name in REGISTRY:
         for topic in choice.of(name):
@@ -116,7 +116,7 @@ def _placed(
     except LocfuseError as e:
         found.append(Finding("/tf_static", "tf_static", str(e)))
     mounts, turns = mount_tables(transforms, streams), shared_turns(tables, streams)
-    return transforms, make_robot(robot_toml.merge(mounts, turns, tables))
+    return transforms, mounts, make_robot(robot_toml.merge(mounts, turns, tables))
 
 
 def _of_files(log: Log) -> list[Finding]:

@@ -83,7 +83,7 @@ def is_right(case: Case, found: dict[str, Consistency]) -> bool:
     sensor = case.key.partition(".")[0]
     if not sensor:
         return not accused
-    value, (low, high) = found[sensor].cures.get(case.key, math.nan), case.right
+    value, (low, high) = found[sensor].fix_values.get(case.key, math.nan), case.right
     return accused == {sensor} and found[sensor].verdict == case.verdict and low < value < high
 
 

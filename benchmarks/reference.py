@@ -46,7 +46,7 @@ def commands_page() -> str:
     parts = [
         "# Commands",
         MADE,
-        "`locfuse --help` lists the commands, `locfuse COMMAND --help` what you need first of one.",
+        "`locfuse --help` lists the commands, `locfuse COMMAND --help` the most used options of a command.",
     ]
     with click.Context(locfuse) as root:
         commands = {name: command for name in COMMANDS if (command := locfuse.get_command(root, name))}

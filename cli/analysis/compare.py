@@ -49,8 +49,8 @@ if TYPE_CHECKING:
 
 OTHER_FRAME_M, OTHER_FRAME_RAD = 0.5, math.radians(20.0)  # a first pose this far from the truth's: another frame
 PLAIN_FRAME = "none"  # no alignment: the covariance can be judged
-Watch = Callable[[Estimates, Evaluation], None]
-Heard = Callable[[Estimates], None]
+RunReceiver = Callable[[Estimates, Evaluation], None]
+ListenedReceiver = Callable[[Estimates], None]
 
 
 class Compared(msgspec.Struct, frozen=True):
@@ -107,17 +107,17 @@ def compare_log(
     configurations: Sequence[Configuration],
     asked: Asked,
     progress: Progress,
-    watch: Sequence[Watch] = (),
+    receivers: Sequence[RunReceiver] = (),
     foreign: Sequence[Estimates] = (),
-    heard: Sequence[Heard] = (),
+    listened_receivers: Sequence[ListenedReceiver] = (),
 ) -> Compared:
     """Run and judge every configuration; smoothed ones come last.
 
     `foreign` are other people's estimates, judged beside ours. With `asked.reference` the whole drive is solved,
-    and its solution takes the place of a truth that the log lacks; `watch` is given evaluations without it.
+    and its solution takes the place of a truth that the log lacks; `receivers` are given evaluations without it.
 
-    Audits are most of what a run holds. Unless `asked.audits` are kept they end as soon as it is judged: who draws
-    them takes what is drawn then (`watch`). So it is with the runs that other sensors only listen to (`heard`).
+    Audits are most of what a run holds. Unless `asked.audits` are kept they end as soon as the run is judged:
+    `receivers` get each run before that, and `listened_receivers` each run that other sensors only listen to.
     """
     align = cast("Align", one_of(asked.align, get_args(Align), "align"))
     drive, robot, reference = loaded.drive, loaded.robot, bool(asked.reference)
@@ -137,7 +137,7 @@ def compare_log(
     for c in configurations:
         progress(f"fusing {c.name}")
         solve = frozenset(c.sensors) in solves and not c.rates
-        first, *after = _judged(c, loaded, asked, solve, watch)
+        first, *after = _judged(c, loaded, asked, solve, receivers)
         filtered.append(first)
         smoothed += after if c.is_smoothed(asked, robot) else []
         plain |= {} if c.rates else {frozenset(c.sensors): first}
@@ -146,7 +146,7 @@ def compare_log(
     present = [s for s in REGISTRY if s in drive.measurements]
     judged = {sensors: j.evaluation for sensors, j in plain.items()}
     found = credit(judged, present) if drive.truth is not None else None
-    predicted = [] if found is not None else predict(drive, robot, configurations, progress, heard)
+    predicted = [] if found is not None else predict(drive, robot, configurations, progress, listened_receivers)
     progress("solving the whole drive" if reference else "judging")
     runs = [run for j in filtered for run in j.evidence]
     references = None
@@ -154,10 +154,10 @@ def compare_log(
         from locfuse.fusion.whole_drive.reference import References
 
         alone = {c.sensors[0]: c.name for c in configurations if len(c.sensors) == 1 and not c.rates}
-        quarrels = contradictions(predicted, alone)
+        contradicting = contradictions(predicted, alone)
         pairs = ((s, j.estimates, wholes.get(j.estimates.name)) for s, j in plain.items())
         solved = {s: (e, whole) for s, e, whole in pairs if whole is not None}
-        references = References.of(drive, robot, solved, noise_factors(runs, robot), quarrels)
+        references = References.of(drive, robot, solved, noise_factors(runs, robot), contradicting)
     others = [_in_frame_of(e, drive, references, align) for e in foreign]
     every = [*filtered, *smoothed, *(JudgedRun(e, evaluate(e, drive, how), how) for e, how in others)]
     compared = Compared(
@@ -196,7 +196,7 @@ def _effect(references: References, sensor: str, plain: Mapping[frozenset[str], 
 
 
 def _judged(
-    c: Configuration, loaded: Loaded, asked: Asked, solve: bool = False, watch: Sequence[Watch] = ()
+    c: Configuration, loaded: Loaded, asked: Asked, solve: bool = False, receivers: Sequence[RunReceiver] = ()
 ) -> list[JudgedRun]:
     """Fuse and judge one configuration; smooth it for display, or to `solve` a reference."""
     drive, robot, judged = c.drive(loaded.drive), loaded.robot, []
@@ -204,7 +204,7 @@ def _judged(
     how = cast("Align", asked.align)
     for e in c.fuse(loaded.drive, robot, shown or solve):
         evaluation = evaluate(e, drive, how)
-        for look in watch if shown or not e.smoothed else ():
+        for look in receivers if shown or not e.smoothed else ():
             look(e, evaluation)
         kept = e if asked.audits else replace(e, audits={})
         judged.append(JudgedRun(kept, evaluation, how, evidence(drive, e, robot)))
@@ -242,7 +242,7 @@ def predict(
     robot: Robot,
     configurations: Sequence[Configuration],
     progress: Progress,
-    heard: Sequence[Heard] = (),
+    listened_receivers: Sequence[ListenedReceiver] = (),
 ) -> list[Score]:
     """Return how well each configuration predicts the readings of sensors that it does not use."""
     if not drive.measurements:
@@ -256,7 +256,7 @@ def predict(
         for sensors, name in sets:
             progress(f"trying how {name} predicts the rest")
             e = fuser(robot.preset)(drive, robot, sensors, name, listeners(drive, sensors))
-            for take in heard:
+            for take in listened_receivers:
                 take(e)
             yield e
             del e
@@ -307,12 +307,12 @@ def add_own_scans(
         if apart is None:
             continue
         values["smoothed_distance_m"] = msgspec.to_builtins(apart)
-        away = f"lies {length(apart.rms)} away (at most {length(apart.max)}, at {apart.t_s:.0f} s)"
+        away = f"differs by {length(apart.rms)} rms (at most {length(apart.max)}, at {apart.t_s:.0f} s)"
         more = ", which is more than both claim: neither is a reference" if own.contradicted else ""
         values["notes"].append(f"the smoothed path {away}{more}")
         if own.is_overconfident:
             times = apart.rms / max(own.claimed_m, 1e-9)
-            values["notes"].append(f"covariance too small: the smoothed path lies {times:.1f} sigma away")
+            values["notes"].append(f"covariance too small: the smoothed path differs by {times:.1f} sigma")
         if apart.doubted(values["distance_m"]):
             row = result_name(name, smoothed=True)
             use = f"Use {row}" if row in report["configurations"] else "Use the smoothed one: --smooth"
@@ -333,9 +333,9 @@ def add_reference(report: dict[str, Any], compared: Compared) -> None:
     for sensor in references.present:
         own, effect = report["verdicts"].get(sensor), found.effects.get(sensor)
         reference = references.without(sensor)
-        quarrel = None if reference is None else references.quarrel(reference, (sensor,))
+        contradiction = None if reference is None else references.contradiction(reference, (sensor,))
         if own is not None or effect is not None:
-            report["verdicts"][sensor] = by_reference(own, reference, effect, quarrel)
+            report["verdicts"][sensor] = by_reference(own, reference, effect, contradiction)
 
 
 def report_of_run(compared: Compared) -> dict[str, Any]:

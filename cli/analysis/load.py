@@ -34,7 +34,7 @@ from locfuse.fusion.wheels.read import WheelReading, read_wheels
 from .choose import choose
 from .motion_evidence import path_of
 from .mounts import level_compass, mount_tables, on_moving_parts, optics_tables, shared_turns, transforms_of
-from .refused_motion import spoiling, standing_notes
+from .refused_motion import find_motion_faults, standing_notes
 from .robot_tables import (
     flat,
     given_tables,
@@ -75,7 +75,7 @@ class Loaded(msgspec.Struct, frozen=True, dict=True):
     how: LogOptions = LogOptions()  # how it was read
     matched: MatchedScans | None = None  # the motion by scans, where there are no wheels
     reading: WheelReading | None = None  # the motion of the whole log; None: it has to be read again
-    spoils: tuple[Note, ...] = ()  # why the motion is not the robot's: no figure means anything then
+    motion_faults: tuple[Note, ...] = ()  # why the motion is not the robot's: no figure means anything then
 
     def stream(self, role: str) -> Stream:
         """Return the raw readings of a role, of all its topics."""
@@ -214,7 +214,7 @@ def measured(
     robot, drive = led_back(*begun(robot, drive), _first_scan(streams, robot, drive))
     _refuse_other_clock(log, drive)
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
-    chosen = (f"{note.role}: {note.words}" for note in choice.notes if note.role in streams and not note.spoils)
+    chosen = (f"{note.role}: {note.words}" for note in choice.notes if note.role in streams and not note.is_fault)
     notes = (
         *preset,
         *chosen,
@@ -225,8 +225,8 @@ def measured(
         *drive.notes,
     )
     drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})
-    spoils = spoiling(log, robot, choice, motion)
-    return Loaded(log, robot, choice, drive, tables, matched=matched, reading=motion, spoils=spoils)
+    faults = find_motion_faults(log, robot, choice, motion)
+    return Loaded(log, robot, choice, drive, tables, matched=matched, reading=motion, motion_faults=faults)
 
 
 def _first_scan(streams: Mapping[str, Any], robot: Robot, drive: Drive) -> float | None:

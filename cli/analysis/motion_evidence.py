@@ -196,14 +196,14 @@ class Evidence:
         return laser_of(replace(settings, **unset))
 
 
-class Witness(NamedTuple):
+class MotionSensor(NamedTuple):
     """A sensor that measures motion, and the share of its measured motion that each candidate explains."""
 
     name: str  # "the turning of /imu"
     shares: dict[Topics, float]  # by the topics of a motion
 
 
-class Witnesses:
+class MotionSensors:
     """Judges the motions of a log by the first sensor whose measurements one of them explains."""
 
     agrees = "it agrees best with the other sensors"
@@ -262,13 +262,13 @@ class Witnesses:
         return {topics: motion for topics, motion in read.items() if motion is not None}
 
     @cached_property
-    def _found(self) -> Witness | None:
+    def _found(self) -> MotionSensor | None:
         """The first sensor of which a motion explains enough; None without one."""
         for name, explained in self._sensors() if len(self._known) > 1 else ():
             found = {topics: explained(motion) for topics, motion in self._known.items()}
             shares = {topics: share for topics, share in found.items() if share is not None}
             if max(shares.values(), default=0.0) >= MIN_EXPLAINED_SHARE:
-                return Witness(name, shares)
+                return MotionSensor(name, shares)
         return None
 
     def _sensors(self) -> Iterator[tuple[str, Callable[[WheelReading], float | None]]]:

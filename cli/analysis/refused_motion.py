@@ -29,12 +29,12 @@ MIN_WAY_M = 1.0  # m by another topic: more is one
 MIN_FIX_SPREAD_M = 15.0  # m: a standing receiver's fixes wander by some metres
 
 
-def spoiling(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> tuple[Note, ...]:
+def find_motion_faults(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> tuple[Note, ...]:
     """Return why the chosen motion is not the robot's; () without a reason."""
-    found = [note for note in choice.notes if note.spoils]
+    found = [note for note in choice.notes if note.is_fault]
     topics = " and ".join(choice.of("wheels"))
     if motion.doubt:
-        found.append(Note("wheels", f"{topics}: {motion.doubt}", (), spoils=True))
+        found.append(Note("wheels", f"{topics}: {motion.doubt}", (), is_fault=True))
     return (*found, *_standing(log, robot, choice, motion))
 
 
@@ -49,12 +49,12 @@ def _standing(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> I
             continue
         if (moved := _moved(log, topic)) > MIN_WAY_M:
             words = f"{own} never moves, but {topic} moves {moved:.1f} m"
-            yield Note("wheels", words, (f"wheels.topic={topic}",), spoils=True)
+            yield Note("wheels", words, (f"wheels.topic={topic}",), is_fault=True)
             return
     for topic in of_type(log, (FIX,)):
         if (spread := _spread(seen(log, robot, "gps", topic, motion))) > MIN_FIX_SPREAD_M:
             words = f"{own} never moves, but the fixes of {topic} lie up to {spread:.0f} m apart"
-            yield Note("wheels", words, spoils=True)
+            yield Note("wheels", words, is_fault=True)
             return
 
 

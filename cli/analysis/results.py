@@ -184,7 +184,7 @@ def say_motion(report: dict[str, Any], loaded: Loaded, judged: bool = False) -> 
 
     Where it is `judged`, encoders are compared with the matching of the scans beside them.
     """
-    _void_all(report, loaded.spoils)
+    _void_all(report, loaded.motion_faults)
     if judged and (words := _behind_scans(loaded)):
         report["notes"].append(f"wheels: {words}")
     first = [note.words for note in loaded.choice.notes if note.first]

@@ -50,7 +50,7 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
         return
     choice.take("wheels", body.topics, body.why)
     if body.note:
-        choice.notes.append(Note("wheels", body.note, body.fixes, body.spoils, body.unjudged))
+        choice.notes.append(Note("wheels", body.note, body.fixes, body.is_fault, body.unjudged))
     if counters:
         _say_unused(log, choice, counters, unknown if wheeled else "")
 

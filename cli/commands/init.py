@@ -176,9 +176,9 @@ def _notes(made: Draft, words: str, name: str) -> list[str]:
     if (nothing := made.overview.choice.absent.get("wheels")) is not None:
         last = f"this log cannot run: {nothing}"
     elif made.missing:
-        last = f"to be filled in: {', '.join(made.missing)} (their lines say how to measure them)"
-    elif spoils := made.overview.spoils:
-        last = f"no motion to use: {spoils[0].words}"
+        last = f"fill in {', '.join(made.missing)} (their comments say how to measure them)"
+    elif faults := made.overview.motion_faults:
+        last = f"no motion to use: {faults[0].words}"
     elif loaded is not None and loaded.drive.wheels.stands:
         last = STANDS
     else:
@@ -191,4 +191,4 @@ def _notes(made: Draft, words: str, name: str) -> list[str]:
 def _tunes(made: Draft) -> bool:
     """Return whether `tune` finds a sensor beside the wheels."""
     loaded = made.overview.loaded
-    return loaded is not None and bool(loaded.drive.measurements) and not loaded.spoils
+    return loaded is not None and bool(loaded.drive.measurements) and not loaded.motion_faults

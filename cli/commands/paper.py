@@ -18,7 +18,7 @@ from locfuse.cli.terminal.screen import put, reader_may_leave
     default=Path("locfuse-out/paper"),
     show_default=True,
 )
-@o.flag("--overwrite", "Replace files in a folder that holds something else.")
+@o.flag("--overwrite", "Replace existing files, also in a folder that holds other files.")
 @o.option("-j --jobs", "Drives at once.", type=click.IntRange(min=1), default=2, show_default=True)
 @o.flag("--json as_json", "Print the figures as JSON instead of a table.")
 @o.flag("--open shown", "Open the page in the browser when it is written.")

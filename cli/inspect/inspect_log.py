@@ -97,7 +97,7 @@ def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) ->
                 finding = replace(finding, message=finding.brief, hint="")  # info lists the topics
             choice.leave(role, finding.sentence, finding.fixes)
             found.append(finding)
-    found += [Finding(note.role, "choice", note.words, note.fixes) for note in choice.notes if not note.spoils]
+    found += [Finding(note.role, "choice", note.words, note.fixes) for note in choice.notes if not note.is_fault]
     return choice
 
 
@@ -141,7 +141,7 @@ def _measure(overview: Overview, progress: Callable[[str], None]) -> None:
     progress("looking for findings")
     overview.loaded, overview.robot = loaded, loaded.robot
     streams = {role: loaded.stream(role) for role in loaded.choice.topics}
-    overview.findings += [Finding(n.role, "motion", n.words, n.fixes, severe=True) for n in loaded.spoils]
+    overview.findings += [Finding(n.role, "motion", n.words, n.fixes, severe=True) for n in loaded.motion_faults]
     if loaded.drive.wheels.stands:
         overview.findings.append(Finding("wheels", "standing", STANDS))
     overview.findings += examine(loaded.drive, loaded.robot, streams)

@@ -75,9 +75,9 @@ class Overview(msgspec.Struct):
         return [known[topic] for topic in self.choice.of(role) if topic in known]
 
     @property
-    def spoils(self) -> tuple[Note, ...]:
+    def motion_faults(self) -> tuple[Note, ...]:
         """Why the motion of this log is not the robot's; () without a reason."""
-        return () if self.loaded is None else self.loaded.spoils
+        return () if self.loaded is None else self.loaded.motion_faults
 
     @property
     def severe(self) -> bool:
@@ -147,13 +147,13 @@ def wheel_size(overview: Overview) -> list[Finding]:
         fixes.append(f"wheels.mirrored={found.fitted.mirrored}")
     named = robot.wheels.left is not None and robot.wheels.right is not None
     if found.joints is not None and not named and not are_wheels(log, topics[0], robot):
-        words.append("which joints are the wheels'")
+        words.append("the joints of the wheels")
         fixes += [f"wheels.left={found.joints[0]}", f"wheels.right={found.joints[1]}"]
     other = overview.choice.of("wheels") not in ((), topics)  # what is read in their place says what they lack
     if not words or (other and not fixes):
         return []
     counts = "count" if len(topics) > 1 else "counts"
-    message = f"{' and '.join(topics)} {counts} wheel turns, but nothing says {', '.join(words)}"
+    message = f"{' and '.join(topics)} {counts} wheel turns, but these are unknown: {', '.join(words)}"
     severe = not other or found.steered is not None
     return [Finding("wheels", "geometry", message, tuple(fixes), severe, source if fixes else "")]
 
@@ -162,7 +162,7 @@ def geometry(robot: Robot, found: RobotFacts) -> tuple[dict[str, float], str]:
     """Return radius and track, if known, and their source."""
     if found.described is not None and found.described.radius is not None:
         values = {"radius": found.described.radius, "track": found.described.track}
-        return values, "/robot_description tells these"
+        return values, "/robot_description has these"
     if (steered := found.steered) is not None:
         values = {key: figure.value for key, figure in steered.found.wheels.items()}
         values |= {key: getattr(steered.known, key) for key in ("ticks_per_revolution", "max_speed")}

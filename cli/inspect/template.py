@@ -198,7 +198,7 @@ def found(overview: Overview) -> Known:
         known |= _topics(overview, role)
     # left open: with their size filled in, the wheels are used; a motion that is not the robot's is not named,
     # since a named one counts as the robot's
-    if overview.choice.unused_wheels or overview.spoils:
+    if overview.choice.unused_wheels or overview.motion_faults:
         known.pop("wheels.topic", None)
     wheels = overview.choice.unused_wheels or overview.choice.of("wheels")
     if wheels and overview.log.topics[wheels[0]].msgtype == JOINTS and overview.robot_facts.joints is not None:

@@ -413,13 +413,13 @@ def _laser_notes(fit: LaserCalibration, settings: WheelSettings) -> list[str]:
     ]
     if fit.outliers:
         notes.append(f"laser: {fit.outliers} pieces do not fit the others (slip, or a wrong match): not used")
-    untold = set(fit.untold())
+    undetermined = set(fit.undetermined())
     odometry = settings.radius is None or settings.track is None
-    untold -= {"scale", "difference", "track"} if odometry else set()
+    undetermined -= {"scale", "difference", "track"} if odometry else set()
     notes += [
         f"{what} cannot be estimated without {needs}; it is left as it is"
         for name, (what, needs) in LACKING_BY_LASER.items()
-        if name in untold
+        if name in undetermined
     ]
     if odometry:
         scale, _, track = (1.0 + fit.parameters[:3]).tolist()

@@ -231,15 +231,15 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         wanted = for_comparison(asked.sensors, self.drive, asked.all_subsets)
         foreign = foreign_estimates(self.loaded, named_sources(asked.estimates), [c.name for c in wanted])
         drawn = Drawn()
-        moves = not (self.drive.wheels.stands or self.loaded.spoils)
+        moves = not (self.drive.wheels.stands or self.loaded.motion_faults)
         evaluator = None
         if asked.advice and moves:
             from locfuse.cli.advice.evaluator import Evaluator  # the checks come with it
 
             evaluator = Evaluator(self.loaded, self.progress, asked.align)
-        takes, hears = ([], []) if evaluator is None else (evaluator.takes, evaluator.hears)
-        watch = [drawn.take, *takes]
-        compared = compare_log(self.loaded, wanted, asked, self.progress, watch, foreign, hears)
+        runs, listened = ([], []) if evaluator is None else (evaluator.run_receivers, evaluator.listened_receivers)
+        receivers = [drawn.take, *runs]
+        compared = compare_log(self.loaded, wanted, asked, self.progress, receivers, foreign, listened)
         report = report_of(compared, None if foreign or self.loaded.given is None else asked)
         advised = None if evaluator is None else evaluator.advised()
         others = [e.name for e in foreign]
@@ -336,7 +336,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         from locfuse.cli.advice.evaluator import Evaluator, looks_wrong
 
         filtered = replace(compared, estimates=compared.estimates[:1], evaluations=compared.evaluations[:1])
-        if self.drive.wheels.stands or self.loaded.spoils or not looks_wrong(self.loaded, filtered):
+        if self.drive.wheels.stands or self.loaded.motion_faults or not looks_wrong(self.loaded, filtered):
             return Advised()
         return Evaluator(self.loaded, self.progress, align).advised()
 

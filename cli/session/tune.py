@@ -16,7 +16,7 @@ from locfuse.cli.analysis.load import Loaded, Parts, find_log, load, start_error
 from locfuse.cli.analysis.robot_tables import nested
 from locfuse.cli.analysis.settings import LogOptions, set_words
 from locfuse.formats.robot import robot_toml
-from locfuse.fusion.checks.tried import MAX_LOSS_NATS, Marks, spoils
+from locfuse.fusion.checks.tried import MAX_LOSS_NATS, Marks, worsens
 from locfuse.fusion.chi_square import SIGMAS_95
 from locfuse.fusion.data import Evaluation, Measurements
 from locfuse.fusion.fuse import fuse
@@ -230,7 +230,7 @@ def _less_likely(before: float, after: float) -> str:
 def spoiled(j: Judged) -> str | None:
     """Return a note on a log that gets worse with the tuned noise: such noise is not written."""
     before, after = (Marks(e.figures.get("position_rmse_m"), lost=e.lost_share) for e in (j.before, j.after))
-    if not spoils(before, after):
+    if not worsens(before, after):
         return None
     if after.lost > before.lost:
         what = f"is lost for {after.lost:.0%} of the drive, before for {before.lost:.0%}"

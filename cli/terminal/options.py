@@ -187,7 +187,7 @@ READING = (
     ),
     option(
         "--order",
-        "Which clock wins where stamps run backwards.  [default: auto]",
+        "The clock to use where stamps run backwards.  [default: auto]",
         type=click.Choice(settings.ORDERS),
     ),
     option(
@@ -209,8 +209,8 @@ PRESET = option(
     type=click.Choice(settings.PRESETS),
 )
 WINDOW = (
-    option("--from begin", f"Use only what comes after: {SECONDS}.", type=float, metavar="S"),
-    option("--to end", f"Use only what comes before: {SECONDS}.", type=float, metavar="S"),
+    option("--from begin", f"Use only the drive after this time: {SECONDS}.", type=float, metavar="S"),
+    option("--to end", f"Use only the drive before this time: {SECONDS}.", type=float, metavar="S"),
 )
 GIVEN_MAP = option(
     "--map given_map",
@@ -241,7 +241,7 @@ REFERENCE = option(
 )
 ADVICE = option(
     "--no-advice advice",
-    "Try no fixes: report what the settings give as they are, without fusing again.",
+    "Try no fixes: report the results of the present settings.",
     flag_value=False,
     default=True,
 )
@@ -280,7 +280,7 @@ def sensors(words: str) -> Declared:
 GATES = (
     each(
         "--fail-if",
-        'Exit with 4 if it holds, e.g. "all.position_rmse_m > 0.02"; of several logs also '
+        'Exit with 4 if this is true, e.g. "all.position_rmse_m > 0.02"; of several logs also '
         '"fleet.all.position_rmse_m.p90 > 0.05". Repeatable.',
         metavar="GATE",
     ),
@@ -318,7 +318,7 @@ def written(kinds: Sequence[str]) -> tuple[Declared, ...]:
     usual = ",".join(settings.by_default(kinds))
     return (
         option("-o --out", "Folder for the results.  [default: locfuse-out/<log name>]", type=DIRECTORY),
-        flag("--overwrite", "Replace files, and write into a folder that holds something else."),
+        flag("--overwrite", "Replace existing files, also in a folder that holds other files."),
         option(
             "--write",
             f"Comma-separated outputs to write: {', '.join(kinds)}, or all.  [default: {usual}]",
@@ -331,7 +331,7 @@ def written(kinds: Sequence[str]) -> tuple[Declared, ...]:
 
 
 # --- Rerun
-RERUN_SHOW = flag("--rerun", "Show the drive in Rerun. Of several logs: record each. More choices: locfuse view.")
+RERUN_SHOW = flag("--rerun", "Show the drive in Rerun; of several logs, record each. More options: locfuse view.")
 RERUN = (
     RERUN_SHOW,
     option("--rerun-save", "Write the Rerun recording to this file.", type=FILE, metavar="FILE.rrd"),

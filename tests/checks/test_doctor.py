@@ -147,7 +147,7 @@ def test_of_two_clocks_alone_nobody_knows_which_is_off() -> None:
     moved = late(drive(6, robot()), truth=0.3)
     (found,) = of_clocks(replace(moved, measurements={}), robot())
     assert (found.role, found.code) == ("truth", OPEN_CLOCK)  # init leaves it to the user
-    assert "no third clock says which of the two is off: wheels.time_offset=0.3" in found.message
+    assert "no third clock shows which of the two is wrong: wheels.time_offset=0.3" in found.message
     (found,) = of_clocks(moved, robot())
     assert found.role == "truth"
     assert "third clock" not in found.message  # compass and laser agree with the wheels
@@ -310,7 +310,7 @@ def test_a_truth_with_a_jump_in_more_than_one_of_a_hundred_steps_judges_nothing(
     moved = 4.0 * (np.arange(len(truth.t)) // every % 2)
     found = present(jumps_of(replace(healthy, truth=replace(truth, xy=truth.xy + moved[:, None]))))
     assert (found.number, found.steps) == ((len(truth.t) - 1) // every, len(truth.t) - 1)
-    assert found.spoil is spoil
+    assert found.unusable is spoil
 
 
 def test_the_noise_of_a_truth_is_measured_at_rest_unless_it_is_told() -> None:

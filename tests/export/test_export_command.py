@@ -188,7 +188,7 @@ def test_every_real_log_is_exported_and_read_again_or_refused_in_one_line(name: 
     done = locfuse("export", "ros", log, *sets, "--as-set", "--to", "ekf", "-o", out, "-q")
     if name in REFUSED or (name.startswith("bags/") and name not in MOVES):
         assert (done.exit_code, done.stderr.count("\n"), out.exists()) == (1, 1, False), done.stderr
-        assert REFUSED.get(name, "nothing says how the robot moved") in done.stderr
+        assert REFUSED.get(name, "the robot's motion is unknown") in done.stderr
         return
     assert done.exit_code in {0, 3}, done.stderr
     found = parameters(out.read_text(), "ekf_filter_node")

@@ -264,7 +264,7 @@ def compared() -> tuple[Compared, list[Estimates]]:
     loaded = load([sample_logs.path("rounded_rectangle")], LogOptions(quiet=True))
     wanted = for_comparison((), loaded.drive)
     asked = Asked(audits=False)
-    return compare_log(loaded, wanted, asked, lambda _: None, watch=[lambda e, _: seen.append(e)]), seen
+    return compare_log(loaded, wanted, asked, lambda _: None, receivers=[lambda e, _: seen.append(e)]), seen
 
 
 def test_audits_end_with_the_judgement(compared: tuple[Compared, list[Estimates]]) -> None:

@@ -152,10 +152,10 @@ def test_what_is_missing_of_the_wheels_is_told_with_what_to_do(tmp_path: Path) -
     path = write(tmp_path / "x.mcap", [m for m in drive(100) if m.topic != "/scan"])
     done = ok("info", path)
     assert locfuse("info", path, "--check").exit_code == 3
-    assert "nothing says radius, track" in section(done, "would spoil an estimate")[0]
+    assert "these are unknown: radius, track" in section(done, "would spoil an estimate")[0]
     assert section(done, "next") == [f"  locfuse init {path} > robot.toml"]
     configurations = as_json(path)["configurations"]
-    assert "nothing says radius, track" in configurations["odometry"]
+    assert "these are unknown: radius, track" in configurations["odometry"]
     assert as_json(path, *GEOMETRY)["configurations"]["odometry"] is None
 
 
@@ -331,7 +331,7 @@ def test_a_real_turtlebot_as_ros2_records_it() -> None:
     assert mount["by"] == "/tf_static"
     assert mount["yaw_deg"] == pytest.approx(90.0, abs=0.1)
     words = [o["message"] for o in found["findings"]]
-    assert any(w.startswith("21 frames are said to be in two places") for w in words)
+    assert any(w.startswith("21 frames have two different transforms") for w in words)
     assert any(w.startswith("of its ranges 23% inf") for w in words)
     assert [o["code"] for o in found["findings"] if o["severe"]] == ["lag"]
 

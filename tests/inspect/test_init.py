@@ -80,7 +80,7 @@ def test_what_no_log_tells_is_a_line_behind_a_hash_that_says_what_to_measure(tmp
     t, angle = angles()
     log = log_of(tmp_path / "x.mcap", joint_states(t, angle))
     done = init(log, tmp_path / "robot.toml")
-    assert "to be filled in: wheels.radius, wheels.track" in done.stderr
+    assert "fill in wheels.radius, wheels.track" in done.stderr
     refused = locfuse("run", log, "-o", tmp_path / "none")
     assert refused.exit_code == 1
     assert "locfuse init LOG > robot.toml" in refused.stderr
@@ -151,7 +151,7 @@ def test_a_camera_lacks_its_landmark_and_runs_once_it_has_it(tmp_path: Path) -> 
     log = rewritten(tmp_path / "x.mcap", robot="")
     words = ("--set", "wheels.radius=0.05", "--set", "wheels.track=0.6")
     done = init(log, tmp_path / "robot.toml", *words)
-    assert "to be filled in: camera.landmark" in done.stderr
+    assert "fill in camera.landmark" in done.stderr
     robot = tomllib.loads(done.stdout)
     assert robot["camera"]["topic"] == "/omni/image/compressed"
     assert robot["lrf"]["x"] == 0.2  # by /tf_static
@@ -198,7 +198,7 @@ def test_a_damaged_log_is_looked_at_all_the_same_and_the_loss_is_counted(tmp_pat
 def test_a_log_that_cannot_run_still_gives_a_file_that_loads(tmp_path: Path) -> None:
     said = [Said("/chatter", "std_msgs/msg/String", cdr("std_msgs/msg/String", data="hello"), T0)]
     done = init(write(tmp_path / "x.mcap", said), tmp_path / "robot.toml")
-    assert "this log cannot run: nothing says how the robot moved: x has no wheels" in done.stderr
+    assert "this log cannot run: the robot's motion is unknown: x has no wheels" in done.stderr
     assert tomllib.loads(done.stdout) == {}
 
 

@@ -23,14 +23,14 @@ from locfuse.cli.analysis.verdicts import unless_overconfident
 from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Evaluation, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import Consistency, Evidence, Run, as_run, biased_against, judge
-from locfuse.fusion.judge.evaluate import Honesty, honesty
+from locfuse.fusion.judge.evaluate import CovarianceCheck, covariance_check
 from locfuse.fusion.judge.innovations import (
     MAX_LISTENED_READINGS,
     STRETCH_READINGS,
-    Heard,
+    ComparedReadings,
     _agreement,
     _some,
-    heard,
+    compare_readings,
     own,
 )
 from locfuse.fusion.robot import Robot
@@ -133,7 +133,7 @@ def test_a_sigma_wrong_by_three_is_named_with_its_key(seed: int, sensor: str, fa
     assert mine.verdict == verdict, mine.words
     assert mine.scale is not None
     assert mine.scale * factor == pytest.approx(1.0, rel=0.4)
-    assert f"{sensor}.{ {'compass': 'sigma_deg', 'lrf': 'sigma_range'}[sensor] }" in mine.cures
+    assert f"{sensor}.{ {'compass': 'sigma_deg', 'lrf': 'sigma_range'}[sensor] }" in mine.fix_values
     assert f"noise is set too {'low' if verdict == 'understated' else 'high'}" in mine.words
     assert [c.verdict for c in found.values()] in (["consistent"], ["unclear"])
 
@@ -147,8 +147,8 @@ def test_noise_that_lasts_is_not_called_white(seed: int) -> None:
     slow = math.radians(2.0) * correlated(np.random.default_rng(seed), len(t), keep)[:, 0]
     found = complaints(robot, turned(drive, slow))["compass"]
     assert found.verdict == "correlated"
-    assert found.cures["compass.sigma_deg"] > 4.0
-    assert found.cures["compass.offset_drift_deg"] == pytest.approx(2.0 * math.sqrt(2.0 / 3.0), rel=0.6)
+    assert found.fix_values["compass.sigma_deg"] > 4.0
+    assert found.fix_values["compass.offset_drift_deg"] == pytest.approx(2.0 * math.sqrt(2.0 / 3.0), rel=0.6)
 
 
 @pytest.mark.parametrize("exact", [True, False])
@@ -166,8 +166,8 @@ def test_an_offset_that_steps_or_drifts_is_named_with_when_and_how_far(seed: int
     assert kind == ("steps" if step else "drifts")
     assert float(amount) == pytest.approx(-12.0, abs=1.5)
     assert float(when) == pytest.approx(middle if step else np.ptp(m.t), rel=0.1)
-    assert found.cures["compass.offset_drift_deg"] == pytest.approx(12.0 / math.sqrt(np.ptp(m.t)), rel=0.2)
-    assert ("compass.sigma_offset_deg" in found.cures) == exact
+    assert found.fix_values["compass.offset_drift_deg"] == pytest.approx(12.0 / math.sqrt(np.ptp(m.t)), rel=0.2)
+    assert ("compass.sigma_offset_deg" in found.fix_values) == exact
 
 
 def judged_with(errors: Array, sigma: float) -> Evaluation:
@@ -185,7 +185,7 @@ def judged_with(errors: Array, sigma: float) -> Evaluation:
 def test_honest_errors_lie_within_bounds_that_know_how_few_they_are() -> None:
     rng = np.random.default_rng(3)
     slow = np.repeat(rng.normal(size=(12, 2)), 50, axis=0)  # 600 stamps worth a dozen
-    found, fast = (present(honesty(judged_with(e, 1.0))) for e in (slow, rng.normal(size=(600, 2))))
+    found, fast = (present(covariance_check(judged_with(e, 1.0))) for e in (slow, rng.normal(size=(600, 2))))
     assert found.independent < 40
     assert fast.independent > 300
     assert found.bounds[1] - found.bounds[0] > 3 * (fast.bounds[1] - fast.bounds[0])
@@ -199,7 +199,7 @@ def test_honest_errors_lie_within_bounds_that_know_how_few_they_are() -> None:
 def test_over_confidence_is_said_with_its_factor_and_by_state() -> None:
     rng = np.random.default_rng(4)
     errors = rng.normal(size=(800, 2)) * (1.0, 5.0)
-    found = present(honesty(judged_with(errors, 1.0)))
+    found = present(covariance_check(judged_with(errors, 1.0)))
     assert found.states["x"] == pytest.approx(1.0, rel=0.2)
     assert found.states["y"] == pytest.approx(25.0, rel=0.2)
     assert "overconfident: errors are about 3.6 times" in found.words
@@ -208,15 +208,15 @@ def test_over_confidence_is_said_with_its_factor_and_by_state() -> None:
 def test_only_errors_of_a_regular_claim_count() -> None:
     rng = np.random.default_rng(8)
     errors = rng.normal(size=(300, 2))
-    whole = present(honesty(judged_with(errors, 1.0)))
+    whole = present(covariance_check(judged_with(errors, 1.0)))
     wild = np.vstack((errors, np.full((2, 2), 1e3)))
     spoiled = replace(judged_with(wild, 1.0), figures={"anees": whole.anees})
     spoiled.nees[300] = np.nan  # its covariance is singular
     spoiled.sigma[301, 1] = 0.0
-    found = present(honesty(spoiled))
+    found = present(covariance_check(spoiled))
     assert found == whole
     for n, known in ((1, False), (2, True)):
-        assert (honesty(judged_with(errors[:n], 1.0)) is not None) is known
+        assert (covariance_check(judged_with(errors[:n], 1.0)) is not None) is known
 
 
 @pytest.fixture(scope="module")
@@ -232,7 +232,7 @@ def test_the_report_carries_verdicts_figures_and_words(report: tuple[dict[str, A
     mine = found["configurations"]["all"]["sensors"]["compass"]["consistency"]
     assert {"verdict", "words", "nis_bounds", "bias_sigma", "whiteness", "scale"} <= set(mine)
     assert mine["verdict"] == "biased"
-    assert "cures" not in mine  # what nobody tried is no advice
+    assert "fix_values" not in mine  # what nobody tried is no advice
     (advice,) = [f for f in found["findings"] if f["role"] == "compass"]
     fixes = dict(fix.split("=") for fix in advice["fixes"])
     assert float(fixes["compass.offset_deg"]) == pytest.approx(-65.0, abs=1.0)
@@ -248,14 +248,14 @@ def test_the_report_carries_verdicts_figures_and_words(report: tuple[dict[str, A
 
 @pytest.mark.parametrize(("anees", "kept"), [((9.0, 4.0), False), ((9.0, 1.0), True), ((), True)])
 def test_an_overconfident_sensor_is_not_to_be_trusted_more(anees: tuple[float, ...], kept: bool) -> None:
-    found = Consistency("overstated", "lrf noise is overstated", scale=0.1, cures={"lrf.sigma_range": 0.002})
-    judged = unless_overconfident("lrf", found, [Honesty(a, (0.5, 1.5)) for a in anees])
+    found = Consistency("overstated", "lrf noise is overstated", scale=0.1, fix_values={"lrf.sigma_range": 0.002})
+    judged = unless_overconfident("lrf", found, [CovarianceCheck(a, (0.5, 1.5)) for a in anees])
     assert (judged == found) == kept
     if not kept:
         assert judged.words.startswith(
             "residuals are 10 times smaller than configured, yet position errors are 2.0 times"
         )
-        assert not judged.cures
+        assert not judged.fix_values
 
 
 def test_a_heading_in_a_disturbed_field_is_no_evidence() -> None:
@@ -267,7 +267,11 @@ def test_a_heading_in_a_disturbed_field_is_no_evidence() -> None:
     disturbed = np.arange(len(m.t)) % 3 == 0
     moved = replace(m, z=m.z + 0.1 * disturbed[:, None], extra={"strength": np.where(disturbed, 2.0, 1.0)})
     alone, spoiled = (
-        present(heard(replace(drive, measurements={**drive.measurements, "compass": x}), robot, run, "compass"))
+        present(
+            compare_readings(
+                replace(drive, measurements={**drive.measurements, "compass": x}), robot, run, "compass"
+            )
+        )
         for x in (m, moved)
     )
     assert alone.readings + round(alone.wild * alone.readings) == pytest.approx(len(m.t), abs=2)
@@ -311,8 +315,10 @@ def test_an_offset_is_measured_against_the_truth(right: tuple[Drive, Robot], off
     found = judge(runs(turned(drive, math.radians(off_deg)), robot, 1.0), robot)["compass"]["compass"]
     assert found.verdict == "biased"
     # of some hundred readings of half a degree
-    assert found.cures["compass.offset_deg"] == pytest.approx(off_deg, abs=0.15)
-    assert "compass.sigma_offset_deg" not in found.cures  # the truth is exact: nothing but the readings' own noise
+    assert found.fix_values["compass.offset_deg"] == pytest.approx(off_deg, abs=0.15)
+    assert (
+        "compass.sigma_offset_deg" not in found.fix_values
+    )  # the truth is exact: nothing but the readings' own noise
 
 
 def test_an_offset_by_a_run_is_set_with_how_well_that_run_knows_its_heading(right: tuple[Drive, Robot]) -> None:
@@ -324,7 +330,7 @@ def test_an_offset_by_a_run_is_set_with_how_well_that_run_knows_its_heading(righ
         triangles = laser.triangles.copy()
         triangles[:, 5] = math.radians(sigma_deg) ** 2
         found[2] = found[2]._replace(estimates=replace(laser, triangles=triangles))
-        cures = judge(found, robot)["compass"]["compass"].cures
+        cures = judge(found, robot)["compass"]["compass"].fix_values
         assert cures["compass.sigma_offset_deg"] == pytest.approx(sigma_deg, rel=0.1)
         assert cures["compass.offset_deg"] == pytest.approx(8.0, abs=2 * sigma_deg)
 
@@ -334,14 +340,14 @@ def test_a_sensor_that_takes_no_sigma_of_its_offset_gets_none(right: tuple[Drive
     heard = Evidence(runs(drive, robot, 0.0), robot).reference_runs("compass")[0][1]
     off = heard._replace(bias=math.radians(5.0), sure=math.radians(0.4))
     camera: Any = REGISTRY["camera"].Settings
-    assert set(biased_against("camera", camera(), off).cures) == {"camera.zero_deg", "camera.sigma_yaw_deg"}
-    assert set(biased_against("camera", camera(bearing="absolute"), off).cures) == {"camera.zero_deg"}
+    assert set(biased_against("camera", camera(), off).fix_values) == {"camera.zero_deg", "camera.sigma_yaw_deg"}
+    assert set(biased_against("camera", camera(bearing="absolute"), off).fix_values) == {"camera.zero_deg"}
 
 
 def test_an_offset_that_is_too_small_to_be_sure_of_is_still_known(right: tuple[Drive, Robot]) -> None:
     drive, robot = right
     found = present(Evidence(runs(turned(drive, math.radians(0.4)), robot, 0.0), robot).bias("compass"))
-    assert found.cures["compass.offset_deg"] == pytest.approx(0.4, abs=0.15)
+    assert found.fix_values["compass.offset_deg"] == pytest.approx(0.4, abs=0.15)
     assert Evidence(runs(drive, robot, 0.0), robot).bias("compass") is None
 
 
@@ -451,7 +457,9 @@ def test_the_figures_of_a_run_are_those_written_out(d: int, keep: float) -> None
     assert found.scale == pytest.approx(found.raw * np.clip(1.0 - white[0] * ratio, 0.3, 2.0))
 
 
-def agreed(t: NDArray[Any], y: Array, h: Array, R: Array, unknown: bool = False, angular: bool = False) -> Heard:
+def agreed(
+    t: NDArray[Any], y: Array, h: Array, R: Array, unknown: bool = False, angular: bool = False
+) -> ComparedReadings:
     return present(_agreement(np.column_stack((t, y, h, R, 0.1 * t)), unknown, angular))
 
 

@@ -147,7 +147,7 @@ def test_of_what_gazebo_simulates_the_model_that_moves_is_the_robot(tmp_path: Pa
     log = open_log([custom(tmp_path / "x.mcap", "/gazebo/model_states", kind, text, T, rows)])
     choice = Choice()
     choose_truth(log, make_robot({}), False, choice)
-    assert (choice.of("truth"), choice.why["truth"]) == (("/gazebo/model_states",), "its type says so")
+    assert (choice.of("truth"), choice.why["truth"]) == (("/gazebo/model_states",), "by its type")
     stream = log.stream("/gazebo/model_states")
     truth, _ = read_truth(stream, TruthSettings(), int(stream.t_ns[0]))
     np.testing.assert_allclose(truth.xy, PATH, atol=1e-12)

@@ -252,7 +252,7 @@ def test_messages_of_other_packages_drive_their_circle(
     said = rows if isinstance(rows[0], dict) else [dict(zip(names, rows, strict=True))] * len(T)
     log = custom(tmp_path / "x.mcap", topic, kind, text, T, said)
     if kind.endswith("Drive"):
-        assert "to be filled in: wheels.wheelbase" in locfuse("init", log).stderr
+        assert "fill in wheels.wheelbase" in locfuse("init", log).stderr
     pose, _ = final(log, *words)
     assert pose[:2] == pytest.approx(CIRCLE[-1, :2], abs=1e-3)  # the messages hold single precision
 

@@ -72,13 +72,13 @@ def test_several_drives_tell_more_than_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("turns", "straight", "untold"),
+    ("turns", "straight", "undetermined"),
     [(False, True, {"track", "x", "y"}), (True, False, {"scale", "difference", "track", "yaw"})],
 )
-def test_what_a_drive_does_not_tell_is_said(turns: bool, straight: bool, untold: set[str]) -> None:
+def test_what_a_drive_does_not_tell_is_said(turns: bool, straight: bool, undetermined: set[str]) -> None:
     """Straight on nothing says where the laser sits; on the spot nothing says how far a wheel rolls."""
     found = calibrate([drive(0, turns, straight)])
-    assert untold <= set(found.untold()) | _vague(found)
+    assert undetermined <= set(found.undetermined()) | _vague(found)
 
 
 def _vague(found: LaserCalibration) -> set[str]:

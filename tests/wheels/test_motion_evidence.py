@@ -285,7 +285,7 @@ def test_radius_and_track_by_the_scans_are_offered_and_bring_the_wheels_in(tmp_p
     assert float(fixes["wheels.track"]) == pytest.approx(0.3, rel=0.05)
     assert "1 sigma" in found["source"]
     written = locfuse("init", log)
-    assert "to be filled in: wheels.radius, wheels.track" in written.stderr
+    assert "fill in wheels.radius, wheels.track" in written.stderr
     assert "topic = " not in written.stdout.partition("[wheels]")[2].partition("[")[0]
     robot = tmp_path / "robot.toml"
     robot.write_text(written.stdout)

@@ -421,7 +421,7 @@ def test_speeds_of_a_receiver_of_satellites_are_no_motion_of_the_body(tmp_path: 
     log = open_log([log_of(tmp_path / "x.mcap", speeds("/ublox/fix_velocity", "gps"), driven("/slam/odom"))])
     assert chosen(log).topics["wheels"] == "/slam/odom"
     alone = open_log([log_of(tmp_path / "y.mcap", speeds("/ublox/fix_velocity", "gps"))])
-    with pytest.raises(LocfuseError, match="nothing says how the robot moved"):
+    with pytest.raises(LocfuseError, match="the robot's motion is unknown"):
         chosen(alone)
 
 

@@ -111,7 +111,7 @@ def test_a_spike_that_jumps_and_returns_is_left_out_and_counted(
     published[300 : 300 + length, 1] += size
     reading = read(t, published)
     assert reading.dropped == {"spike": length}
-    assert "jumped away and back" in words(reading)
+    assert "jumped away and returned" in words(reading)
     np.testing.assert_allclose(final(reading)[:2], pose_of(angle)[:2], atol=2e-3)
 
 

@@ -101,15 +101,22 @@ def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) ->
     return choice
 
 
-def _placed(
-    log: Log, tables: dict[str, Any], choice: Choice, found: list[Finding]
-) -> tuple[StaticTransforms, Robot]:
-    """Return /tf_static, and the robot with its mounts, which are known before measuring."""
+def streams_of(log: Log, choice: Choice) -> dict[str, list[Stream]]:
+    """Return the streams of each sensor's chosen topics, without those that cannot be read."""
     streams: dict[str, list[Stream]] = {}
     for name in REGISTRY:
         for topic in choice.of(name):
             with suppress(LocfuseError):  # a topic that cannot be read has its own finding
-                streams.setdefault(name, []).append(log.stream(topic))
+                stream = log.stream(topic)
+                streams.setdefault(name, []).append(stream)
+    return streams
+
+
+def _placed(
+    log: Log, tables: dict[str, Any], choice: Choice, found: list[Finding]
+) -> tuple[StaticTransforms, Robot]:
+    """Return /tf_static, and the robot with its mounts, which are known before measuring."""
+    streams = streams_of(log, choice)
     transforms = StaticTransforms()
     try:
         transforms = transforms_of(log, [part.frame_id for parts in streams.values() for part in parts])

@@ -31,7 +31,7 @@ from locfuse.fusion.wheels.read import counts_ticks
 from locfuse.fusion.wheels.sources import JOINTS
 from locfuse.fusion.wheels.steered import MOTOR, SERVO
 
-from .inspect_log import inspect_log
+from .inspect_log import inspect_log, streams_of
 from .known_robots import open_figures, recognise
 from .mounts import placed_by
 from .robot_facts import Overview
@@ -235,11 +235,7 @@ def _topics(overview: Overview, role: str) -> Known:
 
 def _mounts(overview: Overview) -> Known:
     """Return the sensors' mounts by /tf_static; roll and pitch only if not zero."""
-    streams = {
-        name: [overview.log.stream(t) for t in overview.choice.of(name)]
-        for name in REGISTRY
-        if overview.choice.of(name)
-    }
+    streams = streams_of(overview.log, overview.choice)
     known: Known = {}
     for name, table in mount_tables(overview.transforms, streams).items():
         frame = streams[name][0].frame_id

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from locfuse.cli.analysis.choose import best_of
 from locfuse.cli.analysis.load import Parts
-from locfuse.cli.analysis.mounts import is_base, mount_tables
+from locfuse.cli.analysis.mounts import is_base
 from locfuse.cli.analysis.robot_tables import ATTACHMENT, flat, make_robot, table_types
 from locfuse.cli.analysis.settings import LogOptions, set_words
 from locfuse.cli.analysis.topics import filled
@@ -235,14 +235,11 @@ def _topics(overview: Overview, role: str) -> Known:
 
 def _mounts(overview: Overview) -> Known:
     """Return the sensors' mounts by /tf_static; roll and pitch only if not zero."""
-    streams = {
-        name: [overview.log.stream(t) for t in overview.choice.of(name)]
-        for name in REGISTRY
-        if overview.choice.of(name)
-    }
     known: Known = {}
-    for name, table in mount_tables(overview.transforms, streams).items():
-        frame = streams[name][0].frame_id
+    for name, table in overview.mounts.items():
+        if not overview.choice.of(name):  # left out since
+            continue
+        frame = overview.frames_of(name)[0]
         by = f"by {placed_by(overview, frame)}: where {{}} on the base"
         words = f"its frame {frame} is the base" if is_base(frame) else by.format(f"{frame} sits")
         for key, raw in table.items():

@@ -200,8 +200,8 @@ def work(name: str, seed: int) -> Row:
     case = NAMED[name]
     found: Row = {"figures": list(judged(case, seed)), BOUND: None}
     if case.goals.get("aligned", ("", 0.0))[0] == BOUND:
-        scenario = load(case.scenario, case.sets)
-        found[BOUND] = bound(scenario, *drive_once(scenario, seed))
+        outcome = simulated(case.scenario, case.sets, seed).outcome
+        found[BOUND] = bound(load(case.scenario, case.sets), seed, outcome)
     return found
 
 
@@ -266,14 +266,9 @@ class Roll(NamedTuple):
         return pose, np.stack([np.interp(t, self.rolled_t, column) for column in self.rolled.T], axis=-1)
 
 
-def drive_once(scenario: Scenario, seed: int) -> tuple[Roll, Plan]:
-    """Drive a scenario on the truth; return how it rolled and what the laser could see."""
-    simulation = Simulation(scenario, seed)
-    return Roll.of(simulation.run(None, lambda message: None)), simulation.scene.plan(scenario.lrf.z)
-
-
-def bound(scenario: Scenario, roll: Roll, plan: Plan) -> tuple[float, float]:
+def bound(scenario: Scenario, seed: int, outcome: Outcome) -> tuple[float, float]:
     """Return the least rms error of position [m]: at the truth's stamps, and at the end of every scan."""
+    roll, plan = Roll.of(outcome), Simulation(scenario, seed).scene.plan(scenario.lrf.z)
     lrf, wheels, end = scenario.lrf, scenario.wheels, float(roll.t[-1])
     scans = np.arange(lrf.phase, end - lrf.duration, 1.0 / lrf.rate)
     stamps = np.arange(scenario.truth.phase, end, 1.0 / scenario.truth.rate)

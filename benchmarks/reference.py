@@ -148,11 +148,11 @@ def report_page() -> str:
     first = schema["$ref"].rpartition("/")[2]
     for name in (first, *(n for n in schema["$defs"] if n != first)):
         definition = schema["$defs"][name]
-        parts += [f"\n## {name}\n", definition.get("description", ""), "", *_table(schema, definition)]
+        parts += [f"\n## {name}\n", definition.get("description", ""), "", *_table(definition)]
     return "\n".join(parts) + "\n"
 
 
-def _table(schema: Schema, definition: Schema) -> Iterator[str]:
+def _table(definition: Schema) -> Iterator[str]:
     """Yield a table of keys with their meaning, and a line of those whose name says it all."""
     yield from HEAD
     plain = []

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.level import IMU
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.truth import looks_like_truth
+from locfuse.fusion.truth import FIX, looks_like_truth
 from locfuse.fusion.wheels.odometry import ODOMETRY, PLANAR, POSE, SCANS, SPEED, STEERED, TRANSFORM, commanded
 from locfuse.fusion.wheels.read import WHEEL_READS
 from locfuse.fusion.wheels.steered import GAIN_HINT, MOTOR, SERVO
@@ -37,7 +38,7 @@ MADE_OF_MORE = re.compile(
 OF_FILTERS = re.compile("filter|ekf|ukf|fused|combined|global")  # of these: IMU and fixes are in the estimate
 BY_FIXES = re.compile("fix_vel|gps|gnss|navsat|ublox|novatel|septentrio")  # speeds north and east
 MADE_OF_FIXES = re.compile("gps|gnss|navsat")  # navsat_transform's has no heading
-ONLY_CORRECT = ("sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Imu")  # types that make no motion by themselves
+ONLY_CORRECT = (FIX, IMU)  # types that make no motion by themselves
 RAW = re.compile("unfiltered|raw|wheel|encoder|_enc")
 ADAPTED_SUFFIX = ":odometry"  # of topics of another type that were made into an Odometry
 NOTHING_ELSE = "nothing else says how the robot moved"

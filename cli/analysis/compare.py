@@ -67,6 +67,11 @@ class Compared(msgspec.Struct, frozen=True):
     smoothed: Mapping[str, Estimates] = {}  # by the name of what they smooth, shown or for the reference alone
 
     @property
+    def sets(self) -> dict[str, tuple[str, ...]]:
+        """The sensors by configuration, without configurations at a lower rate."""
+        return {c.name: c.sensors for c in self.configurations if not c.rates}
+
+    @property
     def base(self) -> str:
         """The configuration without a sensor: odometry, or scan matching if there are no wheels."""
         return configuration_name((), self.loaded.drive)
@@ -266,7 +271,7 @@ def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
     report["key"] = key(compared.loaded.log.identity, tables, asked) if asked and tables is not None else None
     report["repeat"] = results.repeat(compared.loaded, asked) if asked else None
     report["changed_settings"] = results.changed_settings(compared.loaded)
-    sets = {c.name: c.sensors for c in compared.configurations if not c.rates}
+    sets = compared.sets
     report["verdicts"] = verdicts(compared.credit, compared.scores, sets, base=compared.base)
     report["credit"] = None if compared.credit is None else credit_values(compared.credit)
     report["prediction"] = (

@@ -42,7 +42,6 @@ from .robot_tables import (
     merged_tables,
     named_by_hand,
     set_tables,
-    sources_of,
     table_types,
     with_files,
     with_point_maps,
@@ -136,10 +135,10 @@ def load(
     progress("opening")
     given = given_tables(how)  # before anything is read: what changes meanwhile has another key
     opened = open_log(places)
-    tables = merged_tables(opened, how)
+    tables, sources = merged_tables(opened, how)
     choice = choose(opened, make_robot(tables), named_by_hand(how.sets))
     found = measured(opened, tables, choice, progress, only, aside)
-    return _within(replace(found, sources=sources_of(opened, how), given=given, how=how))
+    return _within(replace(found, sources=sources, given=given, how=how))
 
 
 def _within(loaded: Loaded) -> Loaded:

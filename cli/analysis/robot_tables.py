@@ -92,11 +92,16 @@ def key(content: Identity, tables: Mapping[str, Any], asked: Asked) -> str:
     return hashlib.sha256(msgspec.json.encode(parts, order="deterministic")).hexdigest()
 
 
-def merged_tables(log: Log, how: LogOptions) -> dict[str, Any]:
-    """Return robot.toml as tables: the preset's, then the log's attachment, --robot, and --set, key by key."""
-    tables = robot_toml.layered(*_layers(log, how).values())
+def merged_tables(log: Log, how: LogOptions) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return robot.toml as tables, and what set each key: "lrf.x" -> "--robot".
+
+    The preset's tables come first, then the log's attachment, --robot, and --set, key by key.
+    """
+    layers = _layers(log, how)
+    tables = robot_toml.layered(*layers.values())
     tables.setdefault("preset", "default")
-    return robot_toml.merge(filters.TABLES[tables["preset"]], tables)
+    sources = {key: who for who, above in layers.items() for key in flat(above)}
+    return robot_toml.merge(filters.TABLES[tables["preset"]], tables), sources
 
 
 def given_layers(how: LogOptions, more: Sequence[str] = ()) -> dict[str, dict[str, Any]]:
@@ -158,11 +163,6 @@ def _is_below(folder: Path, text: str) -> bool:
     if path.is_absolute() or ".." in path.parts or text.startswith("~") or "\0" in text:
         return False
     return (folder / path).resolve().is_relative_to(folder.resolve())
-
-
-def sources_of(log: Log, how: LogOptions) -> dict[str, str]:
-    """Return the source of each setting: "lrf.x" -> "--robot"."""
-    return {key: who for who, tables in _layers(log, how).items() for key in flat(tables)}
 
 
 def flat(tables: Mapping[str, Any]) -> dict[str, Any]:

@@ -45,7 +45,7 @@ def inspect_log(words: Parts, how: LogOptions, progress: Callable[[str], None] =
     """Inspect a log. Raises LocfuseError only if it cannot be opened, or robot.toml cannot be read."""
     progress("opening")
     log = open_log(find_log(words))
-    tables = merged_tables(log, how)
+    tables, _ = merged_tables(log, how)
     robot = make_robot(tables)
     progress("topics")
     facts = topic_facts(log, robot.order)
@@ -101,33 +101,27 @@ def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) ->
     return choice
 
 
-def streams_of(log: Log, choice: Choice) -> dict[str, list[Stream]]:
-    """Return the streams of each sensor's chosen topics, without those that cannot be read."""
+def _placed(
+    log: Log, tables: dict[str, Any], choice: Choice, found: list[Finding]
+) -> tuple[StaticTransforms, dict[str, Any], Robot]:
+    """Return /tf_static, the mounts by it, and the robot with them: known before measuring."""
     streams: dict[str, list[Stream]] = {}
     for name in REGISTRY:
         for topic in choice.of(name):
             with suppress(LocfuseError):  # a topic that cannot be read has its own finding
                 stream = log.stream(topic)
                 streams.setdefault(name, []).append(stream)
-    return streams
-
-
-def _placed(
-    log: Log, tables: dict[str, Any], choice: Choice, found: list[Finding]
-) -> tuple[StaticTransforms, Robot]:
-    """Return /tf_static, and the robot with its mounts, which are known before measuring."""
-    streams = streams_of(log, choice)
     transforms = StaticTransforms()
     try:
         transforms = transforms_of(log, [part.frame_id for parts in streams.values() for part in parts])
     except LocfuseError as e:
         found.append(Finding("/tf_static", "tf_static", str(e)))
     mounts, turns = mount_tables(transforms, streams), shared_turns(tables, streams)
-    return transforms, make_robot(robot_toml.merge(mounts, turns, tables))
+    return transforms, mounts, make_robot(robot_toml.merge(mounts, turns, tables))
 
 
 def _of_files(log: Log) -> list[Finding]:
-    """Return the losses of the files, and whether a loss could be detected."""
+    """Return the losses of the log's files, and whether changed bytes would be detected."""
     found = [Finding("file", "lost", line, severe=True) for line in log.losses.lines()]
     if log.unchecked:
         names = ", ".join(log.unchecked[:3]) + (" ..." if len(log.unchecked) > 3 else "")
@@ -156,7 +150,7 @@ def _measure(overview: Overview, progress: Callable[[str], None]) -> None:
 
 
 def _not_measured(overview: Overview, error: LocfuseError) -> list[Finding]:
-    """Return the losses of the log's files, and whether changed bytes would be detected."""
+    """Return why nothing could be measured, unless a finding says so already."""
     role = error.role if error.role in {"wheels", "truth", *REGISTRY} else "log"
     known = any(f.role == role and f.severe for f in overview.findings)
     return [] if known else [of_error(error, role, "unusable")]

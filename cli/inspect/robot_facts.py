@@ -63,6 +63,7 @@ class Overview(msgspec.Struct):
     choice: Choice
     facts: list[TopicFacts]
     transforms: StaticTransforms
+    mounts: dict[str, Any]  # the sensors' tables by these transforms
     robot: Robot  # with mounts where the log could be measured
     loaded: Loaded | None = None
     robot_facts: RobotFacts = field(default_factory=RobotFacts)

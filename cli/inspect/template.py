@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from locfuse.cli.analysis.choose import best_of
 from locfuse.cli.analysis.load import Parts
-from locfuse.cli.analysis.mounts import is_base, mount_tables
+from locfuse.cli.analysis.mounts import is_base
 from locfuse.cli.analysis.robot_tables import ATTACHMENT, flat, make_robot, table_types
 from locfuse.cli.analysis.settings import LogOptions, set_words
 from locfuse.cli.analysis.topics import filled
@@ -31,7 +31,7 @@ from locfuse.fusion.wheels.read import counts_ticks
 from locfuse.fusion.wheels.sources import JOINTS
 from locfuse.fusion.wheels.steered import MOTOR, SERVO
 
-from .inspect_log import inspect_log, streams_of
+from .inspect_log import inspect_log
 from .known_robots import open_figures, recognise
 from .mounts import placed_by
 from .robot_facts import Overview
@@ -235,10 +235,11 @@ def _topics(overview: Overview, role: str) -> Known:
 
 def _mounts(overview: Overview) -> Known:
     """Return the sensors' mounts by /tf_static; roll and pitch only if not zero."""
-    streams = streams_of(overview.log, overview.choice)
     known: Known = {}
-    for name, table in mount_tables(overview.transforms, streams).items():
-        frame = streams[name][0].frame_id
+    for name, table in overview.mounts.items():
+        if not overview.choice.of(name):  # left out since
+            continue
+        frame = overview.frames_of(name)[0]
         by = f"by {placed_by(overview, frame)}: where {{}} on the base"
         words = f"its frame {frame} is the base" if is_base(frame) else by.format(f"{frame} sits")
         for key, raw in table.items():

@@ -16,6 +16,7 @@ from locfuse.fusion.chi_square import SIGMAS_95
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.iron import Iron, fit_iron
+from locfuse.fusion.sensors.level import FIELD
 from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream
@@ -25,14 +26,13 @@ from locfuse.fusion.wheels.calibrate_by_gyro import GyroCalibration, calibrate_b
 from locfuse.fusion.wheels.calibrate_by_scans import LaserCalibration, Motion
 from locfuse.fusion.wheels.calibrate_tricycle import Reference, TricycleCalibration, calibrate_tricycle, of_truth
 from locfuse.fusion.wheels.motion_by_scans import match_scans
+from locfuse.fusion.wheels.odometry import ODOMETRY
 from locfuse.fusion.wheels.steered import is_tricycle, read_encoders
 
 from .found import Found, Row, refuse_doubtful
 
 T = TypeVar("T")
 USED = ("compass", "gyro", "lrf")  # sensors
-FIELD = "sensor_msgs/msg/MagneticField"
-ODOMETRY = "nav_msgs/msg/Odometry"
 CALIBRATED = ("wheel scale", "radius", "track", "iron", "yaw")  # findings that calibrating sets right
 GEOMETRY = ("radius", "ratio", "track")
 MIN_LN_RATIO = 3.0  # ln of a likelihood ratio that is worth saying (20 to 1)

@@ -66,7 +66,7 @@ class MadeStream(ArrayStream, frozen=True, kw_only=True):
 
 
 class UnreadableStream:
-    """A derived topic that cannot be made: who asks for what is not `known` of it, as its rows, gets the reason."""
+    """A derived topic that cannot be made: who asks for what is not `known` of it, its rows, gets the reason."""
 
     frame_id = ""
 

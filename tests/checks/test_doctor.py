@@ -33,8 +33,7 @@ def told(found: list[Finding]) -> dict[str, float]:
 
 
 def truth_of(drive: Drive) -> Truth:
-    assert drive.truth is not None
-    return drive.truth
+    return present(drive.truth)
 
 
 def rolled(drive: Drive, ways: Array, track: float = TRACK) -> Drive:
@@ -205,9 +204,7 @@ def test_a_start_by_points_does_not_depend_on_the_wheels_metre() -> None:
     healthy = drive(17, robot())
     truth = replace(truth_of(healthy), theta=None)
     larger = rolled(healthy, 1.2 * healthy.wheels.rolled, 1.2 * TRACK)
-    one, other = start_pose(truth, healthy), start_pose(truth, larger)
-    assert one is not None
-    assert other is not None
+    one, other = (present(start_pose(truth, drive)) for drive in (healthy, larger))
     assert other.pose == pytest.approx(one.pose, abs=0.01)
 
 

@@ -132,12 +132,9 @@ def test_a_sensor_is_judged_by_sets_that_differ_by_it_alone_and_not_at_all_where
         if others is None:
             assert found.sensors[sensor].verdict == "no verdict"
             continue
-        effect = found.sensors[sensor].alone
-        before, after = (judged[frozenset(s)].figures["position_rmse_m"] for s in (others, (*others, sensor)))
-        assert effect is not None
-        assert before is not None
-        assert after is not None
-        assert effect.value == pytest.approx(math.log(before / after))
+        pair = frozenset(others), frozenset((*others, sensor))
+        before, after = (present(judged[s].figures["position_rmse_m"]) for s in pair)
+        assert present(found.sensors[sensor].alone).value == pytest.approx(math.log(before / after))
         assert found.sensors[sensor].beside == others
     assert verdicts(found, [], {})["compass"]["words"].startswith(words)
 

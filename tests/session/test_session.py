@@ -258,7 +258,7 @@ def test_a_log_opens_without_being_measured() -> None:
 
 def test_progress_names_the_steps() -> None:
     steps: list[str] = []
-    locfuse.load(LOG, progress=steps.append).run("odometry")
+    locfuse.load(LOG, progress=steps.append).run("odometry", advice=False)
     assert steps[:4] == ["opening", "reading", "measuring the wheels", "measuring compass"]
     assert "fusing" in steps
 
@@ -276,7 +276,7 @@ def test_reading_and_fusing_say_which_share_of_the_log_is_done() -> None:
 
     with heard_by(hear):
         session = locfuse.load(LOG, progress=begin)
-        session.run("all")
+        session.run("all", advice=False)
     for step in ("reading", "measuring camera", "fusing"):
         assert heard[step][-1] is None, "the loop has ended: what comes next is unknown"
         shares = [share for share in heard[step][: heard[step].index(None)] if share is not None]

@@ -29,15 +29,12 @@ from wheel_bags import (
 )
 from worlds import joints, stream
 
-from locfuse.cli.analysis.robot_tables import make_robot
+from benchmarks.experiment import simulated
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, ArrayStream, Column, LocfuseError, Ragged
-from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 from locfuse.fusion.wheels.repairs import unrolled
-from locfuse.sample_logs import load as scenarios
-from locfuse.sample_logs.record import in_memory
 
 QUIET = tuple(f"{sensor}.enabled=false" for sensor in ("camera", "lrf", "compass"))
 
@@ -506,9 +503,7 @@ def test_turning_the_reverse_driving_of_fr079_round_brings_its_short_relations_t
 def test_the_bad_electronics_of_the_simulator_cost_less_than_a_millimetre() -> None:
     found = {}
     for name, faults in (("bad", ()), ("good", ("faults=[]",))):
-        streams, tables, _ = in_memory(scenarios.load("bad_electronics", (*QUIET, *faults)), 1)
-        drive = measure({"wheels": streams["/joint_states"]}, make_robot(tables))
-        found[name] = drive
+        found[name], _ = simulated("bad_electronics", (*QUIET, *faults), 1).measured()
     bad, good = found["bad"].wheels, found["good"].wheels
     np.testing.assert_allclose(bad.pose[-1], good.pose[-1], atol=1e-3)
     assert found["bad"].dropped["wheels"] == {"spike": 2}

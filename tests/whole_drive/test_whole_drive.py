@@ -131,10 +131,8 @@ def test_without_a_search_what_the_filter_recognised_is_closed(monkeypatch: pyte
     monkeypatch.setattr(closures, "NARROW_M", 0.05)
     monkeypatch.setattr(closures, "SIGMA_M", 0.02)
     drive, truth, _ = solved()
-    lone = whole_drive(drive, robot(), ["lrf"])
-    known = whole_drive(drive, robot(), ["lrf"], having_recognised(drive, truth, *returns(drive, truth)))
-    assert lone is not None
-    assert known is not None
+    recognised = having_recognised(drive, truth, *returns(drive, truth))
+    lone, known = (present(whole_drive(drive, robot(), ["lrf"], run)) for run in (None, recognised))
     assert len(lone.closures) == 0
     assert worst(lone.poses()[0], truth) > 0.25
     assert len(known.closures) >= 3
@@ -562,8 +560,6 @@ def test_the_one_that_contradicts_all_others_is_judged_by_them_and_judges_nobody
 def test_a_reference_is_solved_with_the_noise_that_residuals_show() -> None:
     robot: Robot = session().robot
     drive = only("compass", "camera")
-    sure, honest = (References.of(drive, robot, {}, {"compass": k}) for k in (1.0, 10.0))
-    assert sure is not None
-    assert honest is not None
+    sure, honest = (present(References.of(drive, robot, {}, {"compass": k})) for k in (1.0, 10.0))
     assert honest.whole.sigma > 1.1 * sure.whole.sigma
     assert np.isfinite(honest.whole.sigma)

@@ -109,7 +109,8 @@ def _placed(
     for name in REGISTRY:
         for topic in choice.of(name):
             with suppress(LocfuseError):  # a topic that cannot be read has its own finding
-                streams.setdefault(name, []).append(log.stream(topic))
+                stream = log.stream(topic)
+                streams.setdefault(name, []).append(stream)
     transforms = StaticTransforms()
     try:
         transforms = transforms_of(log, [part.frame_id for parts in streams.values() for part in parts])

@@ -222,7 +222,7 @@ def test_only_errors_of_a_regular_claim_count() -> None:
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], str, Path]:
     out = tmp_path_factory.mktemp("out") / "out"
-    words = ("--set", "compass.offset_deg=-60", "--write", "json,md", "-v")
+    words = ("--to", "32", "--set", "compass.offset_deg=-60", "--write", "json,md", "-v")
     done = ok("compare", "rounded_rectangle", *words, "-o", out)
     return json.loads((out / "report.json").read_text()), done.stdout, out
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bags import Said, cdr, header, write
-from commands import ok
+from commands import locfuse, ok
 from wheel_bags import custom, odometry, stamps, turned
 
 from locfuse.cli.analysis.choose import choose
@@ -171,7 +171,10 @@ def test_a_plan_is_no_way_that_was_driven(n: int, tmp_path: Path) -> None:
     plans = [path(PATH_T[:n], PATH_POSES[:n], at[i], planned=True) for i in (0, 50)]
     log = open_log([write(tmp_path / "x.mcap", plans)])
     with pytest.raises(LocfuseError, match=f"/slam/path: the {n} poses of its last message have no times"):
-        log.stream("/slam/path:poses")
+        _ = log.stream("/slam/path:poses").t_ns
+    done = locfuse("info", tmp_path / "x.mcap", "--set", "pose.topic=/slam/path:poses")
+    assert (done.exit_code, done.stderr) == (0, "")
+    assert f"not readable: /slam/path:poses: /slam/path: the {n} poses" in done.stdout
 
 
 # --- pX4's messages in north, east, down are read as those of ROS in east, north, up: a circle in closed form

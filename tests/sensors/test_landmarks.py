@@ -317,13 +317,13 @@ def moved(poses: Array) -> Array:
 
 def by_ranges(
     folder: Path, *words: str, seed: int = 1, anchors: Any = ANCHORS, far: float = 0.0, turns: bool = True,
-    code: int = 0,
+    code: int = 0, seconds: float = 60.0,
 ) -> tuple[dict[str, Any], str]:  # fmt: skip
     """Compare a log with its truth, ranges to one anchor every 0.1 s and a map.
 
     `far`: share of ranges that come 1.5 m too long, by way of a wall.
     """
-    t, angle = angles(60.0)
+    t, angle = angles(seconds)
     if not turns:
         angle = np.repeat(angle[:, :1], 2, axis=1)
     true, rng = moved(path_of(angle)), np.random.default_rng(seed)
@@ -370,7 +370,7 @@ def test_a_given_start_is_kept(tmp_path: Path) -> None:
     ("anchors", "turns"), [({1: (3.5, 3.0), 2: (3.5, 0.5)}, False), ({1: (3.5, 3.0)}, True)], ids=["mirror", "one"]
 )
 def test_a_start_that_the_ranges_do_not_tell_is_not_invented(tmp_path: Path, anchors: Any, turns: bool) -> None:
-    rows, stderr = by_ranges(tmp_path, anchors=anchors, turns=turns, code=3)
+    rows, stderr = by_ranges(tmp_path, anchors=anchors, turns=turns, code=3, seconds=25.0)
     assert "ranges" not in rows
     assert "the ranges do not tell where the drive begins" in stderr
     assert "Set [start] x, y, theta_deg" in stderr

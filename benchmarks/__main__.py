@@ -13,7 +13,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,8 +24,6 @@ from benchmarks.real_logs import FILES, are_there
 from benchmarks.real_logs import folder as real_folder
 
 ROOT = Path(__file__).parent.parent
-Row = tuple[str, ...]
-FAILED = ("failed", "", "", "", "no", "")
 Command = tuple[str, ...]
 
 
@@ -61,7 +59,6 @@ class Figure(NamedTuple):
     peak: float | None = None  # MB: our peak memory is a figure too
 
 
-TEN = ("--minutes", "10")
 FROZEN = ("--set", "lrf.map=first-scan")
 
 
@@ -81,76 +78,65 @@ def figures(logs: Sequence[Path], out: Path, minutes: float) -> list[Figure]:
     length = "1 h" if minutes == 60 else f"{minutes:g} min"
     advised = ("--write", "json", "--quiet", "--overwrite", "--no-smooth", "--out", out)
     how = (*advised, "--no-advice")  # how often advice fuses again depends on what looks wrong with the log
-    stock, stock_minute, ours = (
-        module("decode", *of) for of in (("stock", hour), ("stock", minute), ("ours", hour))
-    )
-    one, five = (locfuse(command, hour, *FROZEN, *how) for command in ("run", "compare"))
-    with_advice, grow = locfuse("compare", hour, *FROZEN, *advised), locfuse("run", hour, *how)
-    pictures, pictures_one = (locfuse(command, minute, *how) for command in ("compare", "run"))
+
+    def ours(command: str, log: Path, *words: str) -> Command:
+        return locfuse(command, log, *words, *how)
+
+    def stock(log: Path) -> Command:
+        return module("decode", "stock", log)
+
+    one, five, pictures = ours("run", hour, *FROZEN), ours("compare", hour, *FROZEN), ours("compare", minute)
+    with_advice, recorded = locfuse("compare", hour, *FROZEN, *advised), (*five, "--rerun-save", f"{out}.rrd")
+    only_click = (sys.executable, "-c", "import click")
+    decoded, by_rosbags = (module("decode", reader, hour) for reader in ("ours", "rosbags"))
     found = [
-        Figure("60 s, 600 pictures: five configurations / stock", 1.40, pictures, stock_minute),
-        Figure("60 s, 600 pictures: five configurations / one", 1.25, pictures, pictures_one),
-        Figure(f"{length}: one configuration, frozen map / stock", 0.35, one, stock),
-        Figure(f"{length}: five configurations, frozen map / stock", 0.50, five, stock, peak=200.0),
-        Figure(
-            f"{length}: five configurations with a Rerun recording / without",
-            1.5,
-            (*five, "--rerun-save", f"{out}.rrd"),
-            five,
-            peak=340.0,
-        ),
+        Figure("60 s, 600 pictures: five configurations / stock", 1.40, pictures, stock(minute)),
+        Figure("60 s, 600 pictures: five configurations / one", 1.25, pictures, ours("run", minute)),
+        Figure(f"{length}: one configuration, frozen map / stock", 0.35, one, stock(hour)),
+        Figure(f"{length}: five configurations, frozen map / stock", 0.50, five, stock(hour), 200.0),
+        Figure(f"{length}: five configurations with a Rerun recording / without", 1.5, recorded, five, 340.0),
         Figure(f"{length}: five configurations with advice / without", 3.0, with_advice, five),
-        Figure(f"{length}: one configuration, `grow` / stock", 0.45, grow, stock),
-        Figure(f"{length}: reading and decoding / stock", 0.10, ours, stock),
-        Figure(f"{length}: reading and decoding / rosbags", 0.35, ours, module("decode", "rosbags", hour)),
+        Figure(f"{length}: one configuration, `grow` / stock", 0.45, ours("run", hour), stock(hour)),
+        Figure(f"{length}: reading and decoding / stock", 0.10, decoded, stock(hour)),
+        Figure(f"{length}: reading and decoding / rosbags", 0.35, decoded, by_rosbags),
         Figure(f"{length}: five configurations / one", 1.50, five, one),
+        Figure("10 min, compass and laser: `compare`, `grow` / stock", 0.50, ours("compare", ten), stock(ten)),
+        Figure("`locfuse --help` / `import click`", 1.50, locfuse("--help"), only_click),
     ]
-    more = [("10 min, compass and laser: `compare`, `grow` / stock", 0.50, ten)]
     if are_there():
-        more.append(("aces, a building: `compare` / stock", 15.0, real_folder() / FILES["aces"]))
-    found += [
-        Figure(n, goal, locfuse("compare", log, *how), module("decode", "stock", log)) for n, goal, log in more
-    ]
-    least = (sys.executable, "-c", "import click")
-    return [*found, Figure("`locfuse --help` / `import click`", 1.50, locfuse("--help"), least)]
+        aces = real_folder() / FILES["aces"]
+        found.append(Figure("aces, a building: `compare` / stock", 15.0, ours("compare", aces), stock(aces)))
+    return found
 
 
-def make_logs(folder: Path, minutes: float) -> Iterator[Path]:
-    """Simulate the logs where they are not there yet, and yield them."""
-    for name, options in (
-        ("minute", ("--minutes", "1", "--image-hz", "10")),
-        ("ten", TEN),
-        (f"{minutes:g}_minutes", ("--minutes", str(minutes))),
-    ):
-        path = folder / f"{name}.mcap"
-        if not path.exists():
-            subprocess.run(module("make_log", path, *options), check=True)
-        yield path
+LAP_S = 52.5  # s
+LONG = (
+    *("control.estimator=truth", "control.wait=0", "control.time_limit=1e6", "truth.rate=10"),
+    *("lrf.beams=361", "compass.hard_iron=[0, 0]", "compass.soft_iron=[1, 1, 0]"),
+)
+
+
+def make_log(path: Path, minutes: float, camera: str = "camera.enabled=false") -> Path:
+    """Simulate laps of the rounded rectangle, on the true pose, where the log is not there yet."""
+    sets = [word for key in (*LONG, camera, f"path.laps={60.0 * minutes / LAP_S}") for word in ("--set", key)]
+    if not path.exists():
+        command = locfuse("simulate", "rounded_rectangle", "--seed", "0", "-o", path, *sets)
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    return path
 
 
 def in_turns(commands: Iterable[Command], rounds: int) -> dict[Command, list[Cost]]:
-    """Run every command once per round, so that a slow minute of the machine hits all of them.
-
-    A command that fails says why on stderr, and has no costs.
-    """
+    """Run every command once per round, so that a slow minute of the machine hits all of them."""
     costs: dict[Command, list[Cost]] = {command: [] for command in commands}
-    failed: set[Command] = set()
     for i in range(rounds):
-        for command in [c for c in costs if c not in failed]:
+        for command, seen in costs.items():
             click.echo(f"round {i + 1}: {' '.join(command[2:6])}", err=True)
-            try:
-                costs[command].append(cost(command))
-            except RuntimeError as e:
-                click.echo(str(e), err=True)
-                failed.add(command)
-    return {command: [] if command in failed else seen for command, seen in costs.items()}
+            seen.append(cost(command))
+    return costs
 
 
-def ratio_row(figure: Figure, costs: dict[Command, list[Cost]]) -> Row:
+def ratio_row(figure: Figure, ours: list[Cost], theirs: list[Cost]) -> Sequence[str]:
     """Return the line of the table with CPU times, their ratio and its spread, and whether the goal is met."""
-    ours, theirs = costs[figure.ours], costs[figure.theirs]
-    if not ours or not theirs:
-        return (figure.name, *FAILED)
     ratios = [a.cpu / b.cpu for a, b in zip(ours, theirs, strict=True)]
     ratio = statistics.median(ratios)
     wall = " / ".join(f"{statistics.median(c.wall for c in seen):.2f}" for seen in (ours, theirs))
@@ -159,10 +145,8 @@ def ratio_row(figure: Figure, costs: dict[Command, list[Cost]]) -> Row:
     return (figure.name, *cpu, spread, f"≤ {figure.goal:g}", "yes" if ratio <= figure.goal else "no", f"{wall} s")
 
 
-def memory_row(name: str, goal: float, seen: list[Cost]) -> Row:
+def memory_row(name: str, goal: float, seen: list[Cost]) -> Sequence[str]:
     """Return the line of the table that says how much memory a command held at most, MB."""
-    if not seen:
-        return (name, *FAILED)
     peak = statistics.median(c.peak for c in seen)
     return (name, f"{peak:.0f} MB", "", "", f"≤ {goal:g} MB", "yes" if peak <= goal else "no", "")
 
@@ -177,10 +161,14 @@ def main(rounds: int, minutes: float, only: str, folder: Path | None) -> None:
     compileall.compile_dir(ROOT, quiet=2)  # as pip does when it installs: no process compiles
     place = folder or experiment.scratch()
     place.mkdir(parents=True, exist_ok=True)
-    logs = list(make_logs(place, minutes))
+    logs = [
+        make_log(place / "minute.mcap", 1, "camera.rate=10"),
+        make_log(place / "ten.mcap", 10),
+        make_log(place / f"{minutes:g}_minutes.mcap", minutes),
+    ]
     wanted = [f for f in figures(logs, experiment.scratch() / "out", minutes) if only in f.name]
     costs = in_turns([c for f in wanted for c in (f.ours, f.theirs)], rounds)
-    rows = [ratio_row(f, costs) for f in wanted]
+    rows = [ratio_row(f, costs[f.ours], costs[f.theirs]) for f in wanted]
     rows += [memory_row(f"peak memory, {f.name}", f.peak, costs[f.ours]) for f in wanted if f.peak]
     head = ("figure", "ours", "yardstick", "ratio (min-max)", "goal", "met", "wall")
     click.echo("\n".join(experiment.table(head, rows)))

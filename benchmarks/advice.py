@@ -49,6 +49,7 @@ PLASTER = re.compile(
     r".*\.field_tolerance=|.*\.topic=none"
 )
 USELESS_DEG = 45.0  # a compass or camera with more noise is not used
+QUICK: dict[str, Any] = {"audits": False, "reference": False, "smooth": False}
 LEAVE_OUT = re.compile(r"leave (?:the )?(\w+)[^.]* out")
 Errors = dict[str, tuple[float, float]]  # configuration -> position error [m], heading error [deg]; rms
 
@@ -65,14 +66,13 @@ class Lap:
 
     def report(self, sets: tuple[str, ...], truth: bool, advice: bool = True) -> dict[str, Any]:
         """Return what `compare` says under settings, with the log's truth or without it."""
-        session = self.sessions[truth].with_settings(sets)
-        return session.compare(advice=advice, audits=False, reference=False, smooth=False).report
+        return self.sessions[truth].with_settings(sets).compare(advice=advice, **QUICK).report
 
     def errors(self, sets: tuple[str, ...]) -> Errors:
         """Return the error of every configuration by the simulator's truth, whatever the log's truth says."""
         if sets not in self._errors:
             session = self.sessions[True].with_settings(sets)
-            found = session.compare(advice=False, audits=False, reference=False, smooth=False).estimates
+            found = session.compare(advice=False, **QUICK).estimates
             start = (session.drive.epoch_ns - EPOCH_NS) * 1e-9
             self._errors[sets] = {name: self._error(e.t + start, e.pose) for name, e in found.items()}
         return self._errors[sets]
@@ -117,27 +117,15 @@ def printed(report: Mapping[str, Any]) -> dict[str, float | None]:
 
 def judged(name: str, row: Row) -> Row:
     """Return one side of a case with what is to say of it: named, others, plaster, worse, closed, errors_m."""
-    return {
-        **row,
-        "case": name,
-        **named(CASES[name], row),
-        "worse": worse(row["right"], row["before"], row["after"]),
-        **gap(*_positions(row)),
-    }
-
-
-def _positions(row: Row) -> Iterator[dict[str, float]]:
-    """Yield position errors [m] with the right settings, before and after; those printed where the truth is wrong.
-
-    A withheld error does not mislead, as the right one. Who bends the filter until it agrees with a
-    wrong truth has closed nothing: afterwards the larger counts, of what is printed and what is so.
-    """
+    # position errors [m]
     right, before, after = ({n: e for n, (e, _) in row[key].items()} for key in ("right", "before", "after"))
-    yield right
     if "printed" in row:
+        # A withheld error does not mislead, as the right one. Who bends the filter until it agrees with a wrong
+        # truth has closed nothing: afterwards the larger counts, of what is printed and what is so.
         shown = [{n: right[n] if e is None else e for n, e in one.items() if n in right} for one in row["printed"]]
         before, after = shown[0], {n: max(e, after[n]) for n, e in shown[1].items() if n in after}
-    yield from (before, after)
+    harmed = worse(row["right"], row["before"], row["after"])
+    return {**row, "case": name, **named(CASES[name], row), "worse": harmed, **gap(right, before, after)}
 
 
 def named(case: Case, row: Row) -> Row:

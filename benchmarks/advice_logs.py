@@ -57,8 +57,8 @@ def compared(name: str, sets: Sequence[str], *words: str) -> tuple[dict[str, Any
     start = time.process_time()
     said = locfuse("compare", str(folder() / FILES[name]), *chosen, "--align", align, "-q", "-o", str(out), *words)
     cpu = time.process_time() - start
-    if said.code not in (0, DOUBTFUL):
-        raise RuntimeError(said.err)
+    if said.exit_code not in (0, DOUBTFUL):
+        raise RuntimeError(said.stderr)
     return json.loads((out / "report.json").read_text()), cpu
 
 
@@ -75,14 +75,12 @@ def figures(report: Mapping[str, Any]) -> dict[str, list[float | None]]:
 
 def shown(row: Row) -> list[str]:
     """Return the configurations that are worth a line: the best ones before and after, odometry and `all`."""
-    by_truth = [{n: v[0] for n, v in row[when].items() if len(v) > 1 and v[0] is not None} for when in WHEN]
+    both = (row["before"], row["after"])
+    by_truth = [{n: v[0] for n, v in found.items() if len(v) > 1 and v[0] is not None} for found in both]
     if not all(by_truth):
         return [n for n, found in row["before"].items() if None not in (*found, *row["after"][n])][-1:]
     best = (min(found, key=lambda n: found[n]) for found in by_truth)
     return [n for n in dict.fromkeys((*best, "odometry", "all")) if all(n in found for found in by_truth)]
-
-
-WHEN = ("before", "after")
 
 
 def grew(before: list[float | None], after: list[float | None]) -> bool:
@@ -109,18 +107,8 @@ def table(rows: list[Row]) -> Iterator[str]:
             bad = "**yes**" if row["fixes"] and grew(before, after) else "no"
             lines.append((row["task"][0], fixes, name, *[*cells, "", ""][:3], bad, again, f"{row['cpu']:.1f} x"))
             fixes = again = ""
-    head = (
-        "log",
-        "fixes",
-        "configuration",
-        "position error",
-        "heading",
-        "ANEES",
-        "worse",
-        "compared again",
-        "CPU",
-    )
-    yield from experiment.table(head, lines)
+    figures_of = ("configuration", "position error", "heading", "ANEES", "worse")
+    yield from experiment.table(("log", "fixes", *figures_of, "compared again", "CPU"), lines)
 
 
 main = experiment.command(work, table, LOGS, drives=0)

@@ -9,10 +9,12 @@ an empty one, the least of five. `locfuse --help` imports click only.
 from __future__ import annotations
 
 import contextlib
-import re
 import sys
 from importlib import metadata
 from pathlib import Path
+
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name as plain
 
 from benchmarks.__main__ import cost
 from benchmarks.experiment import table
@@ -42,14 +44,9 @@ RUNS = 5
 def needed(package: str) -> set[str]:
     """Return the packages that a package names itself, extras left out; none of one that is not installed."""
     with contextlib.suppress(metadata.PackageNotFoundError):
-        lines = [line for line in metadata.requires(package) or [] if "extra ==" not in line]
-        return {plain(re.split(r"[<>=!~\[;( ]", line)[0]) for line in lines}
+        wanted = [Requirement(line) for line in metadata.requires(package) or []]
+        return {plain(one.name) for one in wanted if one.marker is None or one.marker.evaluate({"extra": ""})}
     return set()
-
-
-def plain(name: str) -> str:
-    """Return a package's name as indexes compare it."""
-    return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def with_their_own(packages: set[str]) -> set[str]:
@@ -80,7 +77,8 @@ def main() -> None:
     packages, rows, empty = needed("locfuse"), [], seconds("pass")
     assert packages == {plain(name) for name in USES}
     for name in USES:
-        took, own = max(seconds(f"import {MODULES.get(name, name)}") - empty, 0.0), {plain(name)}
+        own: set[str] = {plain(name)}
+        took = max(seconds(f"import {MODULES.get(name, name)}") - empty, 0.0)
         rows.append((megabytes(own), megabytes(with_their_own(own)), name, took))
     lines = [
         (name, f"{own:.1f}", f"{all_:.1f}", f"{took:.2f}", USES[name]) for own, all_, name, took in sorted(rows)

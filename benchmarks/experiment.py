@@ -67,7 +67,7 @@ class Simulated(NamedTuple):
         return measure(self.streams, robot), robot
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=16)
 def simulated(scenario: str, sets: tuple[str, ...], seed: int) -> Simulated:
     """Return a drive of a scenario under more settings of it; tasks in a row often share their drives."""
     topics, tables, outcome = in_memory(load(scenario, sets), seed)
@@ -84,28 +84,26 @@ def scratch() -> Path:
     return Path(folder)
 
 
-class Said(NamedTuple):
-    """What a command left: its exit code, stdout and stderr."""
+class Done(NamedTuple):
+    """What a command left."""
 
-    code: int
-    out: str
-    err: str
+    exit_code: int
+    stdout: str
+    stderr: str
 
 
-def locfuse(*words: str) -> Said:
-    """Run the command line in this process, as the program does; an error that it does not catch is code -1."""
+def locfuse(*words: Any) -> Done:
+    """Run the command line in this process, as the program does; an error that it does not catch is raised."""
     out, err, code = io.StringIO(), io.StringIO(), 0
     handler = signal.getsignal(signal.SIGTERM)
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        try:
-            command_line(list(words))
-        except SystemExit as e:
-            code = int(e.code or 0)
-        except Exception:
-            traceback.print_exc()
-            code = -1
-    signal.signal(signal.SIGTERM, handler)
-    return Said(code, out.getvalue(), err.getvalue())
+    try:
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            command_line([str(word) for word in words])
+    except SystemExit as e:
+        code = int(e.code or 0)
+    finally:
+        signal.signal(signal.SIGTERM, handler)
+    return Done(code, out.getvalue(), err.getvalue())
 
 
 def in_processes(work: Callable[[Any], Any], units: Iterable[Any], jobs: int) -> Iterator[tuple[Any, Any]]:

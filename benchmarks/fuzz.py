@@ -18,6 +18,7 @@ import resource
 import signal
 import tempfile
 import time
+import traceback
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -137,8 +138,8 @@ def judged(make: Callable[[int], Case], seed: int) -> tuple[str, float, str]:
     with tempfile.TemporaryDirectory(dir=scratch()) as folder:
         try:
             wrong = next(problems(case, Path(folder) / "case"), "")
-        except Exception as e:
-            wrong = f"the oracle: {type(e).__name__}: {e}"
+        except Exception:  # of the product, or of what judges it
+            wrong = traceback.format_exc()
     return case.title, time.process_time() - begin, wrong
 
 

@@ -134,17 +134,17 @@ def short_drive() -> Short:
 def bases() -> dict[str, tuple[Case, float]]:
     """Return everything there is to damage, by name, with its weight; small real logs where there is a folder."""
     short, usual = short_drive(), {"compression": CompressionType.NONE, "chunk_size": 4000}
-    kinds: tuple[tuple[str, float, dict[str, Any]], ...] = (
-        ("zstd", 10, {"compression": CompressionType.ZSTD}),
-        ("lz4", 5, {"compression": CompressionType.LZ4}),
-        ("stored", 10, {}),
-        ("rosbag2", 10, {"enable_crcs": False}),
-        ("loose", 5, {"use_chunking": False}),
+    kinds: tuple[tuple[str, float, bool, dict[str, Any]], ...] = (  # name, weight, has checksums, options
+        ("zstd", 10, True, {"compression": CompressionType.ZSTD}),
+        ("lz4", 5, True, {"compression": CompressionType.LZ4}),
+        ("stored", 10, True, {}),
+        ("rosbag2", 10, False, {"enable_crcs": False}),
+        ("loose", 5, False, {"use_chunking": False}),
     )
     found = {}
-    for name, weight, how in kinds:
-        checked = name if not how.keys() & UNCHECKED else ""
-        found[name] = Case(name, recorded(short.spoken, short.robot, **usual | how), healthy=checked), weight
+    for name, weight, checked, how in kinds:
+        log = recorded(short.spoken, short.robot, **usual | how)
+        found[name] = Case(name, log, healthy=name if checked else ""), weight
     for name in sample_logs.names():
         found[name] = Case(name, sample_logs.path(name).read_bytes(), healthy=name), 0.3
     for path in sorted(folder().rglob("*")) if are_there() else []:
@@ -153,7 +153,6 @@ def bases() -> dict[str, tuple[Case, float]]:
     return found
 
 
-UNCHECKED = {"enable_crcs", "use_chunking"}  # what leaves messages without a checksum
 WHEELS = ("--set", "wheels.radius=0.033", "--set", "wheels.track=0.16")  # of a log that does not know them
 
 

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 import locfuse
 from benchmarks.experiment import in_processes
 from benchmarks.experiment import locfuse as run_command
-from benchmarks.golden_cases import HERE, LOGS, SIMULATED, Case, cases, simulate
+from benchmarks.golden_cases import HERE, LOGS, QUICK, SIMULATED, Case, cases, simulate
 from benchmarks.real_logs import DATA
 from locfuse.fusion.data import VERDICTS, Estimates
 from locfuse.fusion.fuse import fuse
@@ -187,26 +187,24 @@ def differences(before: Found, now: Found, slack: float) -> list[str]:
     if ("error" in before.values) != ("error" in now.values):
         errors = [found.values.get("error", "a result") for found in (before, now)]
         return [f"{errors[0]} before, {errors[1]} now"]
-    names = before.columns | now.columns
+    names, other = before.columns | now.columns, before.runs ^ now.runs
     slack *= LOOPS if any(len(column) for name, column in names.items() if name.endswith("/loops")) else 1.0
-    other = before.runs ^ now.runs
     words = [f"{run}: this run is {'new' if run in now.runs else 'missing'}" for run in sorted(other)]
-    columns: dict[str, list[tuple[float, str, str]]] = {}  # what -> size, words and run of each difference
-    for name in sorted(names):
-        run, _, what = name.partition("/")
-        differs = _differs(what, before.columns.get(name), now.columns.get(name), slack)
-        if differs is not None and run not in other:
-            columns.setdefault(what, []).append((*differs, run))
-    for what in sorted(columns, key=lambda what: ([word not in what.split() for word in FIRST], what))[:LISTED]:
-        _, how, run = max(columns[what])
-        words.append(f"{what}: {how} ({run}, one of {len(columns[what])} runs)")
-    report = []
+    columns, report = list[str](), list[str]()
+    for name in sorted(names, key=lambda name: [word not in re.split("[ /]", name) for word in FIRST]):
+        how = _differs(name, before.columns.get(name), now.columns.get(name), slack)
+        if how is not None and name.partition("/")[0] not in other:
+            columns.append(f"{name}: {how}")
     for key in [key for key in before.values | now.values if key not in NOT_COMPARED]:
         a, b = before.values.get(key, "nothing"), now.values.get(key, "nothing")
         report += [] if _equal(a, b, slack) else [f"{key}: {a} before, {b} now"]
-    words += report[:LISTED]
-    more = max(len(columns) - LISTED, 0), max(len(report) - LISTED, 0)
-    return words + [f"and {more[0]} more columns, {more[1]} more values of the report"] * any(more)
+    more = f"and {len(columns[LISTED:])} more columns, {len(report[LISTED:])} more values of the report"
+    return [
+        *words,
+        *columns[:LISTED],
+        *report[:LISTED],
+        *([more] if max(len(columns), len(report)) > LISTED else []),
+    ]
 
 
 def _equal(a: Any, b: Any, slack: float) -> bool:
@@ -215,33 +213,33 @@ def _equal(a: Any, b: Any, slack: float) -> bool:
     return bool(np.isclose(a, b, rtol=WITHIN * slack, atol=FLOOR, equal_nan=True))
 
 
-def _differs(what: str, a: NDArray[Any] | None, b: NDArray[Any] | None, slack: float) -> tuple[float, str] | None:
-    """Return by how much two columns differ and that in words, None where they are equal."""
+def _differs(name: str, a: NDArray[Any] | None, b: NDArray[Any] | None, slack: float) -> str | None:
+    """Return by how much two columns differ, None where they are equal."""
     if a is None or b is None:
-        return np.inf, "new" if a is None else "missing"
+        return "new" if a is None else "missing"
     if a.shape != b.shape:
-        return np.inf, f"{a.shape} before, {b.shape} now"
+        return f"{a.shape} before, {b.shape} now"
     if np.array_equal(a, b, equal_nan=a.dtype.kind == "f"):
         return None
     if a.dtype.kind == "i":
         rows = np.argwhere(a != b)
-        first = [VERDICTS[v] if what.endswith("verdict") else v for v in (a[*rows[0]], b[*rows[0]])]
-        where = f"first in row {rows[0][0]}: {first[0]} before, {first[1]} now"
-        return float(len(rows)), f"{len(rows)} of {a.size} differ, {where}"
+        first = [VERDICTS[v] if name.endswith("verdict") else v for v in (a[*rows[0]], b[*rows[0]])]
+        return f"{len(rows)} of {a.size} differ, first in row {rows[0][0]}: {first[0]} before, {first[1]} now"
     known = np.isfinite(a) & np.isfinite(b)
     if not np.array_equal(a[~known], b[~known], equal_nan=True):
-        return np.inf, f"{(~known).sum()} are no numbers, before or now"
+        return f"{(~known).sum()} are no numbers, before or now"
     off = np.abs(np.where(known, a, 0.0) - np.where(known, b, 0.0))
-    if what == "pose":
+    if name.endswith("/pose"):
         far, turned = float(np.hypot(off[:, 0], off[:, 1]).max()), float(off[:, 2].max())
-        size, limit, words = max(far, turned), WITHIN, f"{far:.2g} m, {turned:.2g} rad"
-    else:
+        return f"{far:.2g} m, {turned:.2g} rad" if max(far, turned) > WITHIN * slack else None
+    if name.endswith("/covariance"):
         i, j = np.triu_indices(3)
-        sigma = np.sqrt(np.abs(a[:, [0, 3, 5]])) if what == "covariance" else None
-        scale = np.abs(np.where(known, a, 0.0)).max(axis=0) if sigma is None else sigma[:, i] * sigma[:, j]
-        size, limit = float((off / (scale + FLOOR)).max()), WITHIN * WIDER
-        words = f"{size:.2g} of its size"
-    return (size, words) if size > limit * slack else None
+        sigma = np.sqrt(np.abs(a[:, [0, 3, 5]]))
+        scale = sigma[:, i] * sigma[:, j]
+    else:
+        scale = np.abs(np.where(known, a, 0.0)).max(axis=0)
+    size = float((off / (scale + FLOOR)).max())
+    return f"{size:.2g} of its size" if size > WITHIN * WIDER * slack else None
 
 
 @click.command()
@@ -252,7 +250,7 @@ def _differs(what: str, a: NDArray[Any] | None, b: NDArray[Any] | None, slack: f
 @click.option("--jobs", default=1, show_default=True)
 def main(record: Path | None, check: Path | None, only: str, quick: bool, jobs: int) -> None:
     """Record what the filter does on many logs under many options, or check that it still does the same."""
-    chosen = [c for c in cases() if only in c.name and (c.quick or not quick)]
+    chosen = [c for c in cases() if only in c.name and (c.name in QUICK or not quick)]
     if (record is None) == (check is None):
         raise click.UsageError("give --write FOLDER or --check FOLDER")
     logs = ((record or check or Path()) / "logs").absolute()

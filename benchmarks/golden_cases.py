@@ -31,7 +31,6 @@ class Case(NamedTuple):
     what: str = "compare"  # or run, listen, given (the map of a first run), image, several, command
     options: Mapping[str, Any] = {}  # of `load` (order, preset, between), and of `compare` or `run`
     words: Words = ()  # of a command, of several logs
-    quick: bool = False
     slack: float = 1.0  # by which larger differences count as equal
 
     def simulated(self) -> list[str]:
@@ -236,6 +235,12 @@ LONG: dict[str, tuple[Words, Words]] = {  # log -> settings, options
     "fr079": (set_words(KNOWN["fr079"]), ("wheels",)),
 }
 SAMPLES = ("disturbed", "rounded_rectangle", "rounded_triangle")
+QUICK = {  # names of cases: some of every kind
+    *(f"disturbed: {option}" for option in ("default", "listen", "given", "smooth", "paper", *FILTER)),
+    *(f"every_5: {option}" for option in ("listen", "image", "smooth", *SENSORS)),
+    *("tune compass", "several logs"),
+    *("brenner: default", "freiburg-101: map=grow", "turtlebot4: map=refine", "fr079: short"),
+}
 
 
 def cases() -> list[Case]:
@@ -245,14 +250,13 @@ def cases() -> list[Case]:
 
 def _samples() -> Iterator[Case]:
     for log in SAMPLES:
-        first = log == SAMPLES[0]
-        yield Case(f"{log}: default", log, quick=first)
-        yield Case(f"{log}: listen", log, what="listen", quick=first)
-        yield Case(f"{log}: given", log, what="given", options=PLAIN, quick=first)
+        yield Case(f"{log}: default", log)
+        yield Case(f"{log}: listen", log, what="listen")
+        yield Case(f"{log}: given", log, what="given", options=PLAIN)
         for name, sets in (FILTER | MORE if log != SAMPLES[-1] else FILTER).items():
-            yield Case(f"{log}: {name}", log, sets, options=PLAIN, quick=first and name in FILTER)
+            yield Case(f"{log}: {name}", log, sets, options=PLAIN)
         for name, asked in ASKED.items():
-            yield Case(f"{log}: {name}", log, options=PLAIN | asked, quick=first and name in {"smooth", "paper"})
+            yield Case(f"{log}: {name}", log, options=PLAIN | asked)
         for name, sets in (MODES | {"wheels": FILTER["wheels"], "mounts": MOUNTS}).items():
             yield Case(f"{log}: smooth, {name}", log, sets, options=PLAIN | {"smooth": True})
             yield Case(f"{log}: listen, {name}", log, sets, "listen")
@@ -264,14 +268,13 @@ def _simulated() -> Iterator[Case]:
         own = (f"landmarks.file={LOGS}/{log}.csv", *TOPICS) if every else ()
         options = FILTER | SENSORS if every else {name: FILTER[name] for name in SHORTER}
         for name, sets in options.items():
-            quick = log == "every_5" and name in SENSORS
-            yield Case(f"{log}: {name}", log, (*own, *sets), options=PLAIN, quick=quick)
+            yield Case(f"{log}: {name}", log, (*own, *sets), options=PLAIN)
         yield Case(f"{log}: default", log, own)
-        yield Case(f"{log}: listen", log, own, "listen", quick=log == "every_5")
+        yield Case(f"{log}: listen", log, own, "listen")
         yield Case(f"{log}: given", log, own, "given", PLAIN)
         if log.startswith(PLANNED):
-            yield Case(f"{log}: image", log, own, "image", PLAIN, quick=log == "every_5")
-        yield Case(f"{log}: smooth", log, own, options=PLAIN | {"smooth": True}, quick=log == "every_5")
+            yield Case(f"{log}: image", log, own, "image", PLAIN)
+        yield Case(f"{log}: smooth", log, own, options=PLAIN | {"smooth": True})
 
 
 def _commands() -> Iterator[Case]:
@@ -282,8 +285,8 @@ def _commands() -> Iterator[Case]:
     tune = ("tune", "rounded_triangle", "--json", "-q")
     yield Case("tune", "rounded_triangle", what="command", words=tune, slack=TUNED)
     short = (*tune, "--sensors", "compass")
-    yield Case("tune compass", "rounded_triangle", what="command", words=short, quick=True, slack=TUNED)
-    yield Case("several logs", SAMPLES[0], what="several", words=SAMPLES, quick=True)
+    yield Case("tune compass", "rounded_triangle", what="command", words=short, slack=TUNED)
+    yield Case("several logs", SAMPLES[0], what="several", words=SAMPLES)
 
 
 CALIBRATE = ("calibrate", f"{LOGS}/straight_runs.mcap", f"{LOGS}/turns.mcap", "--json", "-q")
@@ -293,18 +296,17 @@ TUNED = 1e4  # an optimiser stops at a tolerance
 def _real() -> Iterator[Case]:
     for name, (file, sets) in REAL.items():
         log = f"{HERE}/{FILES[file]}"
-        yield Case(f"{name}: default", log, sets, quick=name == "brenner")
+        yield Case(f"{name}: default", log, sets)
         yield Case(f"{name}: listen", log, sets, "listen")
         yield Case(f"{name}: smooth", log, sets, options=PLAIN | {"smooth": True})
         more = FILTER if name in LASERS + HALLS else {k: FILTER[k] for k in ("wheels", "unsure start")}
         for option, others in more.items():
-            quick = (name, option) in {("freiburg-101", "map=grow"), ("turtlebot4", "map=refine")}
-            yield Case(f"{name}: {option}", log, (*sets, *others), options=PLAIN, quick=quick)
+            yield Case(f"{name}: {option}", log, (*sets, *others), options=PLAIN)
         if name in LASERS + HALLS:
             yield Case(f"{name}: given", log, sets, "given", PLAIN)
     for name, (sets, options) in LONG.items():
         log, short = f"{HERE}/{FILES[name]}", {"between": (0.0, 350.0), **PLAIN}
-        yield Case(f"{name}: short", log, sets, "run", short, quick=name == "fr079")
+        yield Case(f"{name}: short", log, sets, "run", short)
         yield Case(f"{name}: plain", log, sets, options=PLAIN)
         for option in options:
             yield Case(f"{name}: {option}", log, (*sets, *FILTER[option]), "run", PLAIN)

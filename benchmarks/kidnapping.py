@@ -59,9 +59,9 @@ def judged(drive: Drive, robot: Robot, sensors: tuple[str, ...]) -> dict[str, An
 def table(rows: list[Row]) -> Iterator[str]:
     """Yield the results of kidnapped robots."""
     lines = []
-    for room in dict.fromkeys(row["task"][0] for row in rows):
+    for room, mine in experiment.by_case(rows).items():
         for sensors in ("+".join(s) for s in SENSORS):
-            runs = [row["runs"][sensors] for row in rows if row["task"][0] == room and row["runs"]]
+            runs = [row["runs"][sensors] for row in mine if row["runs"]]
             late = f"{float(np.max([r['marked'] for r in runs])):+.1f} s"
             errors = (f"{1000.0 * max(r[key] for r in runs):.0f} mm" for key in ("before", "worst"))
             lines.append((room, sensors, len(runs), late, *errors, sum(r["found"] for r in runs)))

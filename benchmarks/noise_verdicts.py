@@ -31,38 +31,32 @@ SENSORS = ("compass", "lrf", "camera")
 
 
 class Case(NamedTuple):
-    """One wrong setting and what should be said of it."""
+    """Settings of one sensor that are wrong, and what should be said of it."""
 
     sets: tuple[str, ...] = ()
-    sensor: str = ""  # "": none
     verdict: str = ""
-    key: str = ""
-    right: tuple[float, float] = (-math.inf, math.inf)  # between which the value of the key is right
+    right: tuple[float, float] = (-math.inf, math.inf)  # between which the value of the first key is right
 
-
-def off_by(sensor: str, factor: float, right: tuple[float, float], **sigmas: float) -> Case:
-    """Return the case of a sensor whose sigmas are wrong by a factor."""
-    verdict, (key, *_) = "understated" if factor < 1 else "overstated", sigmas
-    sets = tuple(f"{sensor}.{name}={value * factor:.4g}" for name, value in sigmas.items())
-    return Case(sets, sensor, verdict, f"{sensor}.{key}", right)
+    @property
+    def key(self) -> str:
+        """The key that a fix sets; "" where nothing is wrong."""
+        return self.sets[0].partition("=")[0] if self.sets else ""
 
 
 DEGREES, METRES = (0.3, 0.8), (0.015, 0.06)  # around the noise that was drawn
 SLOW_CASE = "compass noise of 2 s"
 CASES = {
     "clean": Case(),
-    "compass sigma / 3": off_by("compass", 1 / 3, DEGREES, sigma_deg=0.5),
-    "compass sigma * 3": off_by("compass", 3.0, DEGREES, sigma_deg=0.5),
-    "lrf sigma / 3": off_by("lrf", 1 / 3, METRES, sigma_range=0.03, sigma_angle_deg=0.25),
-    "lrf sigma * 3": off_by("lrf", 3.0, METRES, sigma_range=0.03, sigma_angle_deg=0.25),
-    "camera sigma / 3": off_by("camera", 1 / 3, DEGREES, sigma_deg=0.5),
-    "camera sigma * 3": off_by("camera", 3.0, DEGREES, sigma_deg=0.5),
+    "compass sigma / 3": Case(("compass.sigma_deg=0.1667",), "understated", DEGREES),
+    "compass sigma * 3": Case(("compass.sigma_deg=1.5",), "overstated", DEGREES),
+    "lrf sigma / 3": Case(("lrf.sigma_range=0.01", "lrf.sigma_angle_deg=0.08333"), "understated", METRES),
+    "lrf sigma * 3": Case(("lrf.sigma_range=0.09", "lrf.sigma_angle_deg=0.75"), "overstated", METRES),
+    "camera sigma / 3": Case(("camera.sigma_deg=0.1667",), "understated", DEGREES),
+    "camera sigma * 3": Case(("camera.sigma_deg=1.5",), "overstated", DEGREES),
     # the scenario's magnetic north is at -65 degrees
-    "compass offset + 5 deg": Case(
-        ("compass.offset_deg=-60.0",), "compass", "biased", "compass.offset_deg", (-66.0, -64.0)
-    ),
-    "camera zero + 3 deg": Case(("camera.zero_deg=3.0",), "camera", "biased", "camera.zero_deg", (-1.0, 1.0)),
-    SLOW_CASE: Case(("compass.sigma_deg=1.0",), "compass", "correlated", "compass.sigma_deg", (3.0, math.inf)),
+    "compass offset + 5 deg": Case(("compass.offset_deg=-60.0",), "biased", (-66.0, -64.0)),
+    "camera zero + 3 deg": Case(("camera.zero_deg=3.0",), "biased", (-1.0, 1.0)),
+    SLOW_CASE: Case(("compass.sigma_deg=1.0",), "correlated", (3.0, math.inf)),
 }
 
 
@@ -86,11 +80,11 @@ def slow_noise(t: Array, rng: np.random.Generator) -> Array:
 def is_right(case: Case, found: dict[str, Consistency]) -> bool:
     """Whether the expected sensor is named, with its fault and a right value of its key, and no other."""
     accused = {s for s, c in found.items() if c.verdict not in {"consistent", "unclear"}}
-    if not case.sensor:
+    sensor = case.key.partition(".")[0]
+    if not sensor:
         return not accused
-    mine = found[case.sensor]
-    value, (low, high) = mine.cures.get(case.key), case.right
-    return accused == {case.sensor} and mine.verdict == case.verdict and value is not None and low < value < high
+    value, (low, high) = found[sensor].fix_values.get(case.key, math.nan), case.right
+    return accused == {sensor} and found[sensor].verdict == case.verdict and low < value < high
 
 
 def work(name: str, seed: int) -> Row:

@@ -46,11 +46,11 @@ def output(command: str, folder: Path) -> str:
     terminal = {"COLUMNS": WIDTH, "NO_COLOR": "1", "TERM": "dumb"}  # plain, of the pages' width
     with contextlib.chdir(folder), patch.dict(os.environ, terminal):
         said = locfuse(*words[1:])
-    if said.code != 0:
-        raise RuntimeError(f"{command}: exit {said.code}\n{said.err}")
+    if said.exit_code != 0:
+        raise RuntimeError(f"{command}: exit {said.exit_code}\n{said.stderr}")
     if command.endswith(NOTHING):
         return ""
-    return "\n".join(line.rstrip() for line in said.out.splitlines() if line.strip())
+    return "\n".join(line.rstrip() for line in said.stdout.splitlines() if line.strip())
 
 
 def replayed(page: str, folder: Path) -> str:

@@ -46,26 +46,25 @@ def commands_page() -> str:
     parts = [
         "# Commands",
         MADE,
-        "`locfuse --help` lists the commands, `locfuse COMMAND --help` what you need first of one.",
+        "`locfuse --help` lists the commands, `locfuse COMMAND --help` the most used options of a command.",
     ]
     with click.Context(locfuse) as root:
-        commands = {name: locfuse.get_command(root, name) for name in COMMANDS}
+        commands = {name: command for name in COMMANDS if (command := locfuse.get_command(root, name))}
+    contexts = {name: _context(command, f"locfuse {name}") for name, command in commands.items()}
     of = {
         name: [
             record
-            for p in command.get_params(context)
-            if isinstance(p, click.Option) and (record := p.get_help_record(context))
+            for p in command.get_params(contexts[name])
+            if isinstance(p, click.Option) and (record := p.get_help_record(contexts[name]))
         ]
         for name, command in commands.items()
-        if command is not None and (context := _context(command, name))
     }
     counts = Counter(record for records in of.values() for record in records)
     shared = [record for record, n in counts.items() if n > 1 and not record[0].startswith("--help")]
     shared.sort(key=lambda record: record[0].lstrip("-"))
     parts += ["\n## Options of several commands\n", "```text", _definitions(shared), "```"]
     for name, command in commands.items():
-        assert command is not None
-        context = _context(command, f"locfuse {name}")
+        context = contexts[name]
         formatter = context.make_formatter()
         command.format_usage(context, formatter)
         command.format_help_text(context, formatter)
@@ -149,11 +148,11 @@ def report_page() -> str:
     first = schema["$ref"].rpartition("/")[2]
     for name in (first, *(n for n in schema["$defs"] if n != first)):
         definition = schema["$defs"][name]
-        parts += [f"\n## {name}\n", definition.get("description", ""), "", *_table(schema, definition)]
+        parts += [f"\n## {name}\n", definition.get("description", ""), "", *_table(definition)]
     return "\n".join(parts) + "\n"
 
 
-def _table(schema: Schema, definition: Schema) -> Iterator[str]:
+def _table(definition: Schema) -> Iterator[str]:
     """Yield a table of keys with their meaning, and a line of those whose name says it all."""
     yield from HEAD
     plain = []

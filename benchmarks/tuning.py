@@ -21,9 +21,7 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.tune.tune import Trial, tune
 
 WHITE = (
-    "compass.hard_iron=[0, 0]",
-    "compass.soft_iron=[1, 1, 0]",
-    "compass.sigma_deg=0.5",
+    *("compass.hard_iron=[0, 0]", "compass.soft_iron=[1, 1, 0]", "compass.sigma_deg=0.5"),
     "camera.enabled=false",
 )
 

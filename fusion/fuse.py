@@ -188,7 +188,7 @@ class Filter:
                 model = self.models[sensor]
                 model.learn(measurements[sensor], i, self.belief if model.local else self._in_map)
         for sensor in self._leads:
-            if self.models[sensor].turn_page(self.belief):
+            if self.models[sensor].begin_next_map(self.belief):
                 self._follow_frame()
 
     def _begin_frame(self, due: Sequence[Due], measurements: Mapping[str, Measurements]) -> None:

@@ -81,7 +81,7 @@ class Mount:
 
     def __init__(self, sensor: str, settings: MountedSettings, tells: bool = False) -> None:
         """`tells`: the drive shows the mount, so it is a state unless configured as exact."""
-        self.sensor, self.told = sensor, settings.mount
+        self.sensor, self.configured = sensor, settings.mount
         sigmas = settings.sigmas(tells)
         self.free = tuple(i for i in range(3) if sigmas[i] > 0.0)  # which of x, y, yaw are states
         self._names = {i: f"{sensor}_{PARTS[i]}" for i in self.free}
@@ -90,15 +90,15 @@ class Mount:
     def blocks(self) -> list[Block]:
         """Return the uncertain parts of the mount, with their configured values."""
         return [
-            Block(name, np.array([self.told[i]]), np.array([[self._variances[i]]]), np.zeros(1))
+            Block(name, np.array([self.configured[i]]), np.array([[self._variances[i]]]), np.zeros(1))
             for i, name in self._names.items()
         ]
 
     def now(self, belief: Belief) -> tuple[float, float, float]:
         """Return x, y, yaw in the belief."""
         if not self.free:
-            return self.told
-        at = list(self.told)
+            return self.configured
+        at = list(self.configured)
         for i, name in self._names.items():
             at[i] = belief.value(belief.column(name))
         return at[0], at[1], at[2]
@@ -113,18 +113,18 @@ class Mount:
         for i, name in self._names.items():
             column, value = belief.block(name)
             found, sigma = float(value[0]), math.sqrt(max(float(belief.covariance[column, column]), 0.0))
-            if abs(found - self.told[i]) <= max(SAID_SIGMAS * sigma, math.sqrt(self._variances[i])):
+            if abs(found - self.configured[i]) <= max(SAID_SIGMAS * sigma, math.sqrt(self._variances[i])):
                 continue
-            far = far or abs(found - self.told[i]) > MAX_PRIOR_SIGMAS * math.sqrt(self._variances[i])
+            far = far or abs(found - self.configured[i]) > MAX_PRIOR_SIGMAS * math.sqrt(self._variances[i])
             key, unit, times = (("x", " m", 1.0), ("y", " m", 1.0), ("yaw_deg", "°", math.degrees(1.0)))[i]
             shown = f"{to_a_tenth_of(times * sigma, times * found):g}"
             sets.append(f"--set {self.sensor}.{key}={shown}")
             parts.append(
                 f"{key} {shown}{unit} (± {times * sigma:.2g}), "
-                f"not {times * self.told[i]:.4g}{unit} as {'set' if any(self.told) else 'assumed'}"
+                f"not {times * self.configured[i]:.4g}{unit} as {'set' if any(self.configured) else 'assumed'}"
             )
         doubt = ". Measure it: if the setting is right, something else is wrong" if far else ""
-        if far and not any(self.told):
+        if far and not any(self.configured):
             doubt = f". Measure it, then: {' '.join(sets)}"
         return [f"{OTHER_MOUNT} {'; '.join(parts)}{doubt}"] if parts else []
 

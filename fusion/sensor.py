@@ -197,7 +197,7 @@ class Model:
     def learn(self, m: Measurements, i: int, belief: Any) -> None:
         """Update the model by reading i (new map lines), after the correction of the pose."""
 
-    def turn_page(self, belief: Any) -> bool:
+    def begin_next_map(self, belief: Any) -> bool:
         """Replace a map that is full by the next one, after all readings of an instant were used.
 
         Only asked of a model that `leads`. Return whether it did: the local frame may have moved on.
@@ -384,12 +384,12 @@ class Sensor(ABC):
     scale_key: ClassVar[str | None] = None
     """The setting by which what it measures in metres is multiplied."""
 
-    def says_noise(self, m: Measurements) -> bool:
+    def brings_covariance(self, m: Measurements) -> bool:
         """Return whether readings come with their own covariance: then no sigma is tuned.
 
-        By default where a column "told" of their extra ones marks such rows.
+        By default where a column "has_covariance" of their extra ones marks such rows.
         """
-        return "told" in m.extra and bool(m.extra["told"].any())
+        return "has_covariance" in m.extra and bool(m.extra["has_covariance"].any())
 
     # ---- where it sits ----
 
@@ -417,7 +417,7 @@ class Sensor(ABC):
     sees: ClassVar[str] = "value"
     """What one reading measures, in one word: line, echo."""
 
-    blind_spoils: ClassVar[bool] = False
+    blind_is_severe: ClassVar[bool] = False
     """Readings that measure nothing mean that it is set up wrongly, not that nothing was there."""
 
     # ---- how it is shown ----

@@ -13,7 +13,7 @@ from functools import partial
 
 from msgspec.structs import replace
 
-from locfuse.cli.analysis.compare import Compared, Heard, Watch, compare_log
+from locfuse.cli.analysis.compare import Compared, ListenedReceiver, RunReceiver, compare_log
 from locfuse.cli.analysis.configurations import Configuration, for_comparison
 from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.settings import Asked, Progress, silent
@@ -27,9 +27,9 @@ from locfuse.fusion.checks.tried import (
     improves,
     judged_pairs,
     keys,
-    spoils_smoothed,
     together,
     tried,
+    worsens_smoothed,
 )
 from locfuse.fusion.data import Estimates, Evaluation
 from locfuse.fusion.judge.consistency import Run
@@ -62,12 +62,12 @@ class Evaluator:
         self.may_judge = may_judge(loaded)
 
     @property
-    def takes(self) -> list[Watch]:
+    def run_receivers(self) -> list[RunReceiver]:
         """The function that receives each finished run of a comparison."""
         return [self._take] if self.may_judge else []
 
     @property
-    def hears(self) -> list[Heard]:
+    def listened_receivers(self) -> list[ListenedReceiver]:
         """The functions that receive each run with sensors that only listen; none if the log cannot be judged."""
         return [self._hear] if self.may_judge else []
 
@@ -160,7 +160,7 @@ def smoothed_worse(
     pairs = [(first[name], last[name]) for name in last]
     if any(score.aligned for advice in found for score in (advice.before or {}).values()):
         pairs = [(b.of_shape(), a.of_shape()) for b, a in pairs]
-    lost = ((b.position, a.position) for b, a in pairs if spoils_smoothed(b, a))
+    lost = ((b.position, a.position) for b, a in pairs if worsens_smoothed(b, a))
     return next(((b, a) for b, a in lost if b is not None and a is not None), None)
 
 
@@ -241,7 +241,7 @@ def _compared(fixes: Fixes, loaded: Loaded, trial: Trial) -> Compared:
         trial.know(TRIED, fixes, e, predicted(loaded.drive, e))
 
     asked = Asked(align=trial.align, smooth=False, audits=False)
-    return compare_log(loaded, configurations, asked, trial.progress, heard=[hear])
+    return compare_log(loaded, configurations, asked, trial.progress, listened_receivers=[hear])
 
 
 def changing(found: Sequence[Advice], kept: Fixes, robot: Robot) -> list[Advice]:

@@ -38,8 +38,8 @@ from locfuse.fusion.checks.tried import Candidate, Fixes, together
 from locfuse.fusion.checks.truth import CREEP, POINT, START, STEP, WHEEL_SCALE, of_point, of_ways, swing
 from locfuse.fusion.data import BASES
 from locfuse.fusion.judge.consistency import Consistency, biased_against
-from locfuse.fusion.judge.consistency import Evidence as Said
-from locfuse.fusion.judge.innovations import heard
+from locfuse.fusion.judge.consistency import Evidence as NoiseEvidence
+from locfuse.fusion.judge.innovations import compare_readings
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.truth import body_poses
 
@@ -66,7 +66,7 @@ class Evidence(Noise):
     def suspicious(self) -> bool:
         """Return whether anything looks wrong; if not, no fix is tried."""
         noise = any(f.verdict not in FINE for f in self.consistency.values())
-        claims_too_much = bool(overconfident_by_truth(self.honesty))
+        claims_too_much = bool(overconfident_by_truth(self.covariance_checks))
         lost = any(e.lost for e in self.compared.estimates)
         seen = (
             noise
@@ -224,11 +224,11 @@ class Evidence(Noise):
         loaded = None if run is None else self.trial.under(together(self.fixes, finding.fixes))
         if run is None or loaded is None:
             return ()
-        found = heard(loaded.drive, loaded.robot, run, "camera")
+        found = compare_readings(loaded.drive, loaded.robot, run, "camera")
         if found is None or found.bias is None:
             return ()
-        cures = biased_against("camera", loaded.robot.settings("camera"), found).cures
-        return (together(finding.fixes, as_fixes(cures)),)
+        fix_values = biased_against("camera", loaded.robot.settings("camera"), found).fix_values
+        return (together(finding.fixes, as_fixes(fix_values)),)
 
     @property
     def _open_scale(self) -> bool:
@@ -307,7 +307,7 @@ class Evidence(Noise):
             for f in of_offsets(self.loaded.robot, e)
         ]
         found += [
-            replace(self._candidate(Finding(s, "biased", v.words), (as_fixes(v.cures),), True), measured=True)
+            replace(self._candidate(Finding(s, "biased", v.words), (as_fixes(v.fix_values),), True), measured=True)
             for s, v in self._biases_again.items()
         ]
         start = self._start_heading()
@@ -335,13 +335,13 @@ class Evidence(Noise):
             return []
         if verdict.verdict != "biased" or robot.start.sigma_theta_deg:
             return []
-        off = math.remainder(verdict.cures["compass.offset_deg"] - offset, 360.0)
+        off = math.remainder(verdict.fix_values["compass.offset_deg"] - offset, 360.0)
         words = f"the compass, whose offset is configured, shows another heading at the start: {off:+.1f}°"
         fixes = (f"start.theta_deg={robot.start.theta_deg + off:.1f}",)
         models = {s: REGISTRY[s].model(robot.settings(s)) for s in self.loaded.drive.measurements}
         if any(REGISTRY[s].locates and not model.local for s, model in models.items()):
             return [self._candidate(Finding("start", "heading", words), (fixes,), True)]
-        either = f"compass.offset_deg={verdict.cures['compass.offset_deg']:g} or {fixes[0]}"
+        either = f"compass.offset_deg={verdict.fix_values['compass.offset_deg']:g} or {fixes[0]}"
         return [
             self._candidate(Finding("start", "heading", f"{words}. Nothing in this log says which: {either}"), ())
         ]
@@ -355,8 +355,10 @@ class Evidence(Noise):
         ]
         if not fixed:
             return {}
-        said = Said(self.compared.runs, self.loaded.robot, overconfident_by_truth(self.honesty))
-        found = {s: said.bias(s) for s in fixed if self._verdict(s) != "biased"}
+        found_noise = NoiseEvidence(
+            self.compared.runs, self.loaded.robot, overconfident_by_truth(self.covariance_checks)
+        )
+        found = {s: found_noise.bias(s) for s in fixed if self._verdict(s) != "biased"}
         return {s: verdict for s, verdict in found.items() if verdict is not None}
 
     def unexplained(self) -> list[Candidate]:
@@ -364,7 +366,7 @@ class Evidence(Noise):
         unusual = [
             Finding(sensor, verdict.verdict, verdict.words)
             for sensor, verdict in self.consistency.items()
-            if verdict.verdict not in FINE and not verdict.cures
+            if verdict.verdict not in FINE and not verdict.fix_values
         ]
         return [self._candidate(finding, ()) for finding in (*self._spins, *unusual)]
 

@@ -22,7 +22,7 @@ from locfuse.fusion.checks.slip import Slip, beside_path, slip
 from locfuse.fusion.checks.tried import Candidate, Fixes
 from locfuse.fusion.data import BASES, Estimates
 from locfuse.fusion.judge.consistency import MAX_SIGMA_FACTOR, Consistency, many_refused
-from locfuse.fusion.judge.evaluate import honesty
+from locfuse.fusion.judge.evaluate import covariance_check
 from locfuse.fusion.judge.innovations import Own, own
 from locfuse.fusion.sensors.registry import REGISTRY
 
@@ -34,9 +34,9 @@ WORTH_TRYING = Least(0.005, 2.0)  # what is worth saying untried is larger
 FINE = {"consistent", "unclear"}  # verdicts on a sensor that are no complaint
 
 
-def as_fixes(cures: Mapping[str, float]) -> Fixes:
+def as_fixes(fix_values: Mapping[str, float]) -> Fixes:
     """Return settings as fixes, "key=value" each."""
-    return tuple(f"{key}={value:g}" for key, value in cures.items())
+    return tuple(f"{key}={value:g}" for key, value in fix_values.items())
 
 
 Offer = tuple[Finding, tuple[Fixes, ...]]  # no observation, only settings that may help
@@ -47,8 +47,8 @@ class Judged:
 
     def __init__(self, compared: Compared, trial: Trial, fixes: Fixes) -> None:
         self.compared, self.trial, self.fixes = compared, trial, fixes
-        self.honesty = {e.name: honesty(e) for e in compared.evaluations if not e.smoothed}
-        by_run = sensors_consistency(compared.runs, compared.loaded.robot, self.honesty)
+        self.covariance_checks = {e.name: covariance_check(e) for e in compared.evaluations if not e.smoothed}
+        by_run = sensors_consistency(compared.runs, compared.loaded.robot, self.covariance_checks)
         self.consistency = {s: found for by_sensor in by_run.values() for s, found in by_sensor.items()}
 
     @property
@@ -81,13 +81,13 @@ class Judged:
 
     def _doubtful(self, name: str) -> bool:
         """Return whether truth shows a configuration to be inconsistent; without truth, whether any looks so."""
-        honest = self.honesty.get(name)
+        check = self.covariance_checks.get(name)
         lost = any(e.lost for e in self.compared.estimates if e.name == name)
-        return honest is None or lost or not honest.consistent
+        return check is None or lost or not check.consistent
 
     def constant(self, verdict: Consistency) -> tuple[Fixes, ...]:
         """Return the fix of a constant error; empty if the verdict is not "biased"."""
-        return (as_fixes(verdict.cures),) if verdict.verdict == "biased" and verdict.cures else ()
+        return (as_fixes(verdict.fix_values),) if verdict.verdict == "biased" and verdict.fix_values else ()
 
     def _was_set(self, role: str, key: str) -> bool:
         """Return whether a kept fix sets this key of a role."""
@@ -212,7 +212,7 @@ class Noise(Judged):
         A depth camera's neighbouring beams are wrong alike (calibration, steps of the disparity): what a line is
         off does not become less with the number of its beams.
         """
-        if sensor != LASER or verdict.verdict != "correlated" or verdict.cures:
+        if sensor != LASER or verdict.verdict != "correlated" or verdict.fix_values:
             return []
         own_run = self._own(sensor, ())
         if own_run is None or own_run.nis < MAX_SIGMA_FACTOR**2:
@@ -285,8 +285,8 @@ class Noise(Judged):
 
     def _too_sure(self, sensor: str, verdict: Consistency) -> bool:
         """Whether truth shows that runs with a sensor are overconfident; then it must not be trusted more."""
-        honest = self.honesty.get(self._alone(sensor))
-        return verdict.verdict == "overstated" and honest is not None and honest.overconfident
+        check = self.covariance_checks.get(self._alone(sensor))
+        return verdict.verdict == "overstated" and check is not None and check.overconfident
 
     def _beside_the_wheels(self, sensor: str, seen: list[Fixes], words: str) -> tuple[list[Fixes], str]:
         """Return fixes with a smaller sensor noise; add wheel noise where the gate would reject too much.
@@ -327,10 +327,10 @@ class Noise(Judged):
     @property
     def _noise_factors(self) -> tuple[float, ...]:
         """Factors on the wheels' noise, tried with truth: a smaller one cannot fix an overconfident filter."""
-        honest = self.honesty.get(self._best(self.trial.configurations))
-        if honest is None:
+        check = self.covariance_checks.get(self._best(self.trial.configurations))
+        if check is None:
             return ()
-        return tuple(factor for factor in WHEEL_NOISE_FACTORS if (factor > 1.0) == (honest.anees > 1.0))
+        return tuple(factor for factor in WHEEL_NOISE_FACTORS if (factor > 1.0) == (check.anees > 1.0))
 
     def _by_anees(self, sensor: str) -> list[Fixes]:
         """Return the sensor's noise scaled by the ANEES of the run that uses it alone.
@@ -339,13 +339,13 @@ class Noise(Judged):
         """
         if sensor != LASER and self._verdict(sensor) == "consistent":
             return []
-        honest = self.honesty.get(self._alone(sensor))
-        if honest is None or honest.consistent or honest.anees <= 0.0:
+        check = self.covariance_checks.get(self._alone(sensor))
+        if check is None or check.consistent or check.anees <= 0.0:
             return []
         settings, keys = self.loaded.robot.settings(sensor), REGISTRY[sensor].noise_keys
         if any(self._was_set(sensor, key) for key in keys):
             return []  # once: what is still wrong then is something else
-        factor = honest.anees**0.5
+        factor = check.anees**0.5
         if not 1.0 / MAX_NOISE_FACTOR <= factor <= MAX_NOISE_FACTOR:
             return []  # that is no noise
         if sensor == LASER and factor > 1.0 and self._ranges_sigma is not None and not self._ranges_scatter:
@@ -354,13 +354,13 @@ class Noise(Judged):
 
     def _by_truth(self, sensor: str) -> str:
         """Return the covariance figures by truth for the run that uses a sensor alone."""
-        honest = self.honesty.get(self._alone(sensor))
-        return "understated" if honest is None or honest.anees > 1.0 else "overstated"
+        check = self.covariance_checks.get(self._alone(sensor))
+        return "understated" if check is None or check.anees > 1.0 else "overstated"
 
     def _errors_in_sigmas(self, sensor: str) -> str:
         """Return the ratio of the errors of the sensor's own run to its claimed sigmas."""
-        honest = self.honesty.get(self._alone(sensor))
-        times = 1.0 if honest is None else honest.anees**0.5
+        check = self.covariance_checks.get(self._alone(sensor))
+        times = 1.0 if check is None else check.anees**0.5
         return f"position errors with it are {times:.2g} times what the covariance claims"
 
     def _wheel_noise(self) -> Candidate:
@@ -390,7 +390,9 @@ class Noise(Judged):
 def _smaller_range_noise(sensor: str, verdict: Consistency) -> float | None:
     """Return a range noise [m] below the configured one if a laser's lines show it, else None."""
     return (
-        verdict.cures.get(f"{LASER}.sigma_range") if sensor == LASER and verdict.verdict == "overstated" else None
+        verdict.fix_values.get(f"{LASER}.sigma_range")
+        if sensor == LASER and verdict.verdict == "overstated"
+        else None
     )
 
 
@@ -403,17 +405,17 @@ def useful(fixes: Fixes, settings: Any) -> bool:
 
 def _noise_options(sensor: str, verdict: Consistency) -> list[Fixes]:
     """Return the alternative fixes of one noise verdict: all sigma keys together, else one key after another."""
-    if verdict.verdict not in NOISE or not verdict.cures:
+    if verdict.verdict not in NOISE or not verdict.fix_values:
         return []
     if verdict.verdict == "correlated":  # a larger sigma, or an offset that walks
-        noise = {k: v for k, v in verdict.cures.items() if k.partition(".")[2] in REGISTRY[sensor].noise_keys}
-        walks = {k: v for k, v in verdict.cures.items() if k not in noise}
-        return [as_fixes(cures) for cures in (noise, walks) if cures]
-    return [as_fixes(verdict.cures)]
+        noise = {k: v for k, v in verdict.fix_values.items() if k.partition(".")[2] in REGISTRY[sensor].noise_keys}
+        walks = {k: v for k, v in verdict.fix_values.items() if k not in noise}
+        return [as_fixes(fix_values) for fix_values in (noise, walks) if fix_values]
+    return [as_fixes(verdict.fix_values)]
 
 
 def _above(verdict: Consistency) -> list[Fixes]:
     """Return a sigma above the observed one, if the configured one was too low."""
-    if verdict.verdict != "understated" or not verdict.cures:
+    if verdict.verdict != "understated" or not verdict.fix_values:
         return []
-    return [as_fixes({key: float(f"{TOO_LOW * value:.2g}") for key, value in verdict.cures.items()})]
+    return [as_fixes({key: float(f"{TOO_LOW * value:.2g}") for key, value in verdict.fix_values.items()})]

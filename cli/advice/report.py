@@ -80,7 +80,7 @@ def _joined(found: Sequence[Advice]) -> Advice:
     for advice in later:
         if advice.finding.code != first.finding.code:
             before_it = first.finding.brief
-        message = f"{before_it}; then {advice.finding.brief}"
+        message = f"{before_it}; after this fix: {advice.finding.brief}"
         if advice.finding.code == first.finding.code:
             moved = _moved(first.fixes, advice.fixes)  # else the same once more, measured better
             message = f"{before_it}, then {advice.finding.brief}" if moved else first.finding.brief
@@ -209,7 +209,7 @@ def _lost(values: dict[str, Any]) -> tuple[str, str] | None:
 
 
 def _jumping(jumps: Jumps | None) -> tuple[str, str] | None:
-    if jumps is None or not jumps.spoil:
+    if jumps is None or not jumps.unusable:
         return None
     return JUMP, f"truth: {jumps.words}. Set truth.max_speed, or truth.sigma if this is its noise"
 

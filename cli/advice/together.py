@@ -49,7 +49,7 @@ def looks(loaded: Loaded, sets: Sequence[Fixes], align: str, progress: Progress)
 
 def numbers_of(loaded: Loaded, runs: Sequence[Estimates] = ()) -> dict[str, Any] | None:
     """Return the numbers of robot.toml that a log shows, for its report; None if it cannot be judged."""
-    if loaded.spoils or loaded.drive.wheels.stands or not may_judge(loaded):
+    if loaded.motion_faults or loaded.drive.wheels.stands or not may_judge(loaded):
         return None
     found: dict[str, Any] = msgspec.to_builtins(shown(loaded.drive, loaded.robot, runs))
     return found

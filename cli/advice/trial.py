@@ -22,7 +22,7 @@ from locfuse.fusion.checks.tried import (
     keys,
 )
 from locfuse.fusion.data import Drive, Estimates, Evaluation, LocfuseError
-from locfuse.fusion.judge.evaluate import Align, evaluate, honesty, shape_error
+from locfuse.fusion.judge.evaluate import Align, covariance_check, evaluate, shape_error
 from locfuse.fusion.judge.own_scans import LASER, OwnScans
 from locfuse.fusion.judge.predictive import listeners, mean_density
 from locfuse.fusion.measure import windowed
@@ -185,7 +185,7 @@ def predicted(drive: Drive, e: Estimates) -> Marks:
 
 def marks_of(e: Estimates, judged: Evaluation, drive: Drive) -> Marks:
     """Return a run's figures against truth."""
-    found = honesty(judged) if judged.align == PLAIN_FRAME else None
+    found = covariance_check(judged) if judged.align == PLAIN_FRAME else None
     return Marks(
         judged.figures.get("position_rmse_m"),
         judged.figures.get("anees"),

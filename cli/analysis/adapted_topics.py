@@ -94,29 +94,19 @@ def offer_presented(log: Log) -> None:
 
     Of a laser's scans of Foxglove's kind and of its echoes all are offered, of clouds the likeliest one.
     """
+    found: list[str] = []
     if not filled(log, SCAN):
-        for topic in filled(log, *FOXGLOVE) or filled(log, ECHOES) or _clouds(log)[:1]:
-            _present(log, topic)
+        found += filled(log, *FOXGLOVE) or filled(log, ECHOES) or _clouds(log)[:1]
     if not filled(log, JOINTS):
-        for topic in filled(log, DYNAMIC) or filled(log, *FOXGLOVE_JOINTS) or filled(log, *FEEDBACK):
-            _present(log, topic)
+        found += filled(log, DYNAMIC) or filled(log, *FOXGLOVE_JOINTS) or filled(log, *FEEDBACK)
     if not filled(log, ODOMETRY):
-        for topic in (
-            filled(log, *FOXGLOVE_ODOMETRY)
-            or filled(log, VEHICLE_ODOMETRY)[:1]
-            or filled(log, LOCAL_POSITION)[:1]
-            or filled(log, SPORT_STATE)[:1]
-        ):
-            _present(log, topic)
+        one_by_one = (filled(log, kind)[:1] for kind in (VEHICLE_ODOMETRY, LOCAL_POSITION, SPORT_STATE))
+        found += filled(log, *FOXGLOVE_ODOMETRY) or next(filter(None, one_by_one), [])
     if not filled(log, IMU):
-        for topic in filled(log, SENSOR_COMBINED)[:1]:
-            _present(log, topic)
-
-
-def _present(log: Log, topic: str) -> None:
-    name = presented_name(topic, log.topics[topic].msgtype)
-    if name is not None:
-        log.find(name)
+        found += filled(log, SENSOR_COMBINED)[:1]
+    for topic in found:
+        if (name := presented_name(topic, log.topics[topic].msgtype)) is not None:
+            log.find(name)
 
 
 def _clouds(log: Log) -> list[str]:

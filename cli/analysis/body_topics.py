@@ -13,14 +13,15 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from locfuse.fusion.data import LocfuseError
 from locfuse.fusion.robot import Robot
+from locfuse.fusion.sensors.level import IMU
 from locfuse.fusion.sensors.registry import REGISTRY
-from locfuse.fusion.truth import looks_like_truth
+from locfuse.fusion.truth import FIX, looks_like_truth
 from locfuse.fusion.wheels.odometry import ODOMETRY, PLANAR, POSE, SCANS, SPEED, STEERED, TRANSFORM, commanded
 from locfuse.fusion.wheels.read import WHEEL_READS
 from locfuse.fusion.wheels.steered import GAIN_HINT, MOTOR, SERVO
 
 from .adapted_topics import not_read
-from .motion_evidence import Evidence, Witnesses
+from .motion_evidence import Evidence, MotionSensors
 from .mounts import is_base, is_fixed, is_odometry, is_room
 from .topics import ONLY, Choice, checked, filled, of_sensor, one
 
@@ -37,7 +38,7 @@ MADE_OF_MORE = re.compile(
 OF_FILTERS = re.compile("filter|ekf|ukf|fused|combined|global")  # of these: IMU and fixes are in the estimate
 BY_FIXES = re.compile("fix_vel|gps|gnss|navsat|ublox|novatel|septentrio")  # speeds north and east
 MADE_OF_FIXES = re.compile("gps|gnss|navsat")  # navsat_transform's has no heading
-ONLY_CORRECT = ("sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Imu")  # types that make no motion by themselves
+ONLY_CORRECT = (FIX, IMU)  # types that make no motion by themselves
 RAW = re.compile("unfiltered|raw|wheel|encoder|_enc")
 ADAPTED_SUFFIX = ":odometry"  # of topics of another type that were made into an Odometry
 NOTHING_ELSE = "nothing else says how the robot moved"
@@ -75,7 +76,7 @@ class Body(NamedTuple):
     note: str = ""  # what a user has to know of it
     fixes: tuple[str, ...] = ()  # settings that choose the same
     beside: tuple[str, ...] = ()  # a car's steering, beside its motor
-    spoils: bool = False  # it is not the robot's motion: the note says why
+    is_fault: bool = False  # it is not the robot's motion: the note says why
     unjudged: bool = False  # another motion disagrees, and nothing judges them: the note says so
 
     @property
@@ -91,7 +92,7 @@ def choose_body(log: Log, robot: Robot, choice: Choice, scans: bool, stand_in: b
     """
     laser = of_sensor(log, robot, "lrf", (SCANS,)) if scans else None
     if laser is None:
-        body = _best_witnessed(log, robot, choice, [*_measured(log, robot, choice, speeds=True)])
+        body = _best_agreeing(log, robot, choice, [*_measured(log, robot, choice, speeds=True)])
         return body or (_stand_in(log, robot, choice) if stand_in else None)
     evidence = Evidence(log, robot, laser, choice.read)
     for same in _measured(log, robot, choice, speeds=False):
@@ -104,31 +105,31 @@ def choose_body(log: Log, robot: Robot, choice: Choice, scans: bool, stand_in: b
     return _judged(body, evidence)
 
 
-def _best_witnessed(log: Log, robot: Robot, choice: Choice, kinds: Sequence[Sequence[Body]]) -> Body | None:
+def _best_agreeing(log: Log, robot: Robot, choice: Choice, kinds: Sequence[Sequence[Body]]) -> Body | None:
     """Return the motion of the best kind that no other sensor contradicts; None if there is no such motion."""
-    witnesses = Witnesses(log, robot, [body.topics for same in kinds for body in same], choice.read)
+    sensors = MotionSensors(log, robot, [body.topics for same in kinds for body in same], choice.read)
     for same in kinds:
-        if (body := _one_of(log, same, witnesses)) is not None:
-            if words := witnesses.unjudged(body.topics):
+        if (body := _one_of(log, same, sensors)) is not None:
+            if words := sensors.unjudged(body.topics):
                 words = f"{body.topic} is used: {words}"
                 note = ". ".join(filter(None, (body.note, words)))
                 body = body._replace(note=note, fixes=(f"wheels.topic={body.topic}",), unjudged=True)
-            return _judged(body, witnesses)
+            return _judged(body, sensors)
     return None
 
 
-def _judged(body: Body, evidence: Evidence | Witnesses) -> Body:
+def _judged(body: Body, evidence: Evidence | MotionSensors) -> Body:
     """Return a motion with notes on its agreement with other sensors, and on the motions left out."""
     why = ": ".join(filter(None, (body.why, share := evidence.why(body.topics))))
     if not evidence.note:
         return body._replace(why=why)
     words = f"{body.topic} is used: {evidence.note}"
-    if share and isinstance(evidence, Witnesses):
+    if share and isinstance(evidence, MotionSensors):
         words = f"{words}; {share}"
     return body._replace(why=evidence.agrees, note=words, fixes=(f"wheels.topic={body.topic}",))
 
 
-def _one_of(log: Log, same: Sequence[Body], evidence: Evidence | Witnesses | None) -> Body | None:
+def _one_of(log: Log, same: Sequence[Body], evidence: Evidence | MotionSensors | None) -> Body | None:
     """Return the motion, of several of one kind, that agrees with the other sensors; None if there is none."""
     if evidence is not None:
         same = [body for body, kept in zip(same, evidence.keep([b.topics for b in same]), strict=True) if kept]
@@ -186,20 +187,20 @@ def _stand_in(log: Log, robot: Robot, choice: Choice) -> Body | None:
     ) is not None:
         return body
     best, others = nearest_to_base(_twists(log, robot, choice, asked=True))
-    obeyed = _best_witnessed(log, robot, choice, [[Body(t, NOTHING_ELSE) for t in best]])
+    obeyed = _best_agreeing(log, robot, choice, [[Body(t, NOTHING_ELSE) for t in best]])
     if obeyed is not None:
         topic = obeyed.topic
         beside = OF_COMMANDS.format(others=" and ".join(others), topic=topic) if others else ""
         words = [ONLY_COMMANDED.format(topic=topic) + beside, motor_words(log, robot), obeyed.note]
         fixes = (f"wheels.topic={topic}",)
-        return Body(topic, NOTHING_ELSE, ". ".join(filter(None, words)), fixes, spoils=_is_twist(log, topic))
+        return Body(topic, NOTHING_ELSE, ". ".join(filter(None, words)), fixes, is_fault=_is_twist(log, topic))
     steered = _filled(log, robot, choice, tuple(STEERED))  # lacks the wheelbase, which its reader asks for
     if (angle := one(log, "wheels", None, steered, WHEEL_READS)) is not None:
         return Body(angle, NOTHING_ELSE, motor_words(log, robot))
     for topic in poses:
         why = IN_CAMERA if of_camera(log, topic) else WISHED
         note = why.format(topic=topic, frame=log.stream(topic).frame_id)
-        return Body(topic, NOTHING_ELSE, note, spoils=True)
+        return Body(topic, NOTHING_ELSE, note, is_fault=True)
     return None
 
 
@@ -289,7 +290,7 @@ def nothing_moves(log: Log) -> NoWheelsError:
     """Return the error with the missing motion and the topics of this log."""
     have = ", ".join(sorted(log.topics)[:12]) or "no topics"
     words = (
-        f"nothing says how the robot moved: {log.name} has no wheels, no odometry (nor one in /tf), no laser, no "
+        f"the robot's motion is unknown: {log.name} has no wheels, no odometry (nor one in /tf), no laser, no "
         "poses and no speeds"
     )
     others = [other for role in ("wheels", "lrf") if (other := not_read(log, role))]

@@ -175,5 +175,5 @@ def choose_truth(log: Log, robot: Robot, insisted: bool, choice: Choice) -> None
     candidates = [t for t in of_type(log, TRUTH_READS) if looks_like_truth(t) or t in known]
     topic = one(log, "truth", named, candidates, TRUTH_READS)
     if topic is not None:
-        why = "its type says so" if topic in known else "its name says so"
+        why = "by its type" if topic in known else "by its name"
         choice.take("truth", [topic], NAMED if named else why)

@@ -49,8 +49,8 @@ if TYPE_CHECKING:
 
 OTHER_FRAME_M, OTHER_FRAME_RAD = 0.5, math.radians(20.0)  # a first pose this far from the truth's: another frame
 PLAIN_FRAME = "none"  # no alignment: the covariance can be judged
-Watch = Callable[[Estimates, Evaluation], None]
-Heard = Callable[[Estimates], None]
+RunReceiver = Callable[[Estimates, Evaluation], None]
+ListenedReceiver = Callable[[Estimates], None]
 
 
 class Compared(msgspec.Struct, frozen=True):
@@ -65,6 +65,11 @@ class Compared(msgspec.Struct, frozen=True):
     scores: Sequence[Score] = ()  # where there is none
     reference: Referenced | None = None  # where there is none, and a reference takes its place
     smoothed: Mapping[str, Estimates] = {}  # by the name of what they smooth, shown or for the reference alone
+
+    @property
+    def sets(self) -> dict[str, tuple[str, ...]]:
+        """The sensors by configuration, without configurations at a lower rate."""
+        return {c.name: c.sensors for c in self.configurations if not c.rates}
 
     @property
     def base(self) -> str:
@@ -85,7 +90,8 @@ class JudgedRun(NamedTuple):
 
     estimates: Estimates
     evaluation: Evaluation
-    evidence: list[Run]
+    align: Align
+    evidence: Sequence[Run] = ()  # none of smoothed and foreign estimates
 
 
 def run_log(loaded: Loaded, c: Configuration, asked: Asked) -> Compared:
@@ -101,17 +107,17 @@ def compare_log(
     configurations: Sequence[Configuration],
     asked: Asked,
     progress: Progress,
-    watch: Sequence[Watch] = (),
+    receivers: Sequence[RunReceiver] = (),
     foreign: Sequence[Estimates] = (),
-    heard: Sequence[Heard] = (),
+    listened_receivers: Sequence[ListenedReceiver] = (),
 ) -> Compared:
     """Run and judge every configuration; smoothed ones come last.
 
     `foreign` are other people's estimates, judged beside ours. With `asked.reference` the whole drive is solved,
-    and its solution takes the place of a truth that the log lacks; `watch` is given evaluations without it.
+    and its solution takes the place of a truth that the log lacks; `receivers` are given evaluations without it.
 
-    Audits are most of what a run holds. Unless `asked.audits` are kept they end as soon as it is judged: who draws
-    them takes what is drawn then (`watch`). So it is with the runs that other sensors only listen to (`heard`).
+    Audits are most of what a run holds. Unless `asked.audits` are kept they end as soon as the run is judged:
+    `receivers` get each run before that, and `listened_receivers` each run that other sensors only listen to.
     """
     align = cast("Align", one_of(asked.align, get_args(Align), "align"))
     drive, robot, reference = loaded.drive, loaded.robot, bool(asked.reference)
@@ -120,29 +126,27 @@ def compare_log(
 
         for c in configurations:
             check_smoothing(robot, c.sensors)
-    filtered, smoothed = [], []
-    solved: dict[frozenset[str], tuple[Estimates, Estimates]] = {}  # filtered and smoothed
-    wholes: dict[str, Estimates] = {}  # smoothed estimates by the name of what they smooth
     solves: set[frozenset[str]] = set()
     if reference:
         from locfuse.fusion.whole_drive.reference import sets
 
         solves = {frozenset(sensors) for sensors in sets(drive)}
+    filtered, smoothed = [], []
+    plain: dict[frozenset[str], JudgedRun] = {}  # of sensors at the rates of the log
+    wholes: dict[str, Estimates] = {}  # smoothed estimates by the name of what they smooth
     for c in configurations:
         progress(f"fusing {c.name}")
         solve = frozenset(c.sensors) in solves and not c.rates
-        first, *after = _judged(c, loaded, asked, solve, watch)
+        first, *after = _judged(c, loaded, asked, solve, receivers)
         filtered.append(first)
         smoothed += after if c.is_smoothed(asked, robot) else []
+        plain |= {} if c.rates else {frozenset(c.sensors): first}
         if after:
             wholes[first.estimates.name] = after[0].estimates
-        solved |= {frozenset(c.sensors): (first.estimates, j.estimates) for j in after if not c.rates}
-    plain = {
-        frozenset(c.sensors): j.evaluation for c, j in zip(configurations, filtered, strict=True) if not c.rates
-    }
     present = [s for s in REGISTRY if s in drive.measurements]
-    found = credit(plain, present) if drive.truth is not None else None
-    predicted = [] if found is not None else predict(drive, robot, configurations, progress, heard)
+    judged = {sensors: j.evaluation for sensors, j in plain.items()}
+    found = credit(judged, present) if drive.truth is not None else None
+    predicted = [] if found is not None else predict(drive, robot, configurations, progress, listened_receivers)
     progress("solving the whole drive" if reference else "judging")
     runs = [run for j in filtered for run in j.evidence]
     references = None
@@ -150,48 +154,39 @@ def compare_log(
         from locfuse.fusion.whole_drive.reference import References
 
         alone = {c.sensors[0]: c.name for c in configurations if len(c.sensors) == 1 and not c.rates}
-        quarrels = contradictions(predicted, alone)
-        references = References.of(drive, robot, solved, noise_factors(runs, robot), quarrels)
+        contradicting = contradictions(predicted, alone)
+        pairs = ((s, j.estimates, wholes.get(j.estimates.name)) for s, j in plain.items())
+        solved = {s: (e, whole) for s, e, whole in pairs if whole is not None}
+        references = References.of(drive, robot, solved, noise_factors(runs, robot), contradicting)
     others = [_in_frame_of(e, drive, references, align) for e in foreign]
-    every = [*filtered, *smoothed, *(JudgedRun(e, evaluate(e, drive, how), []) for e, how in others)]
-    hows = [*([align] * (len(every) - len(others))), *(how for _, how in others)]
+    every = [*filtered, *smoothed, *(JudgedRun(e, evaluate(e, drive, how), how) for e, how in others)]
     compared = Compared(
         loaded=loaded,
         configurations=configurations,
         estimates=[j.estimates for j in every],
         evaluations=[j.evaluation for j in every],
-        runs=[run for j in every for run in j.evidence],
+        runs=runs,
         credit=found,
         scores=predicted,
         smoothed=wholes,
     )
     if references is None:
         return compared
-    referenced, evaluations = _referenced(references, every, hows, filtered)
-    return replace(compared, reference=referenced, evaluations=evaluations)
+    again = {j.estimates.name: references.judged(j.evaluation, j.estimates, j.align) for j in every}
+    judges = {name: reference for name, (_, reference) in again.items()}
+    effects = {s: e for s in references.present if (e := _effect(references, s, plain)) is not None}
+    referenced = Referenced(references, judges, effects)
+    return replace(compared, reference=referenced, evaluations=[e for e, _ in again.values()])
 
 
-def _referenced(
-    references: References, every: Sequence[JudgedRun], hows: Sequence[Align], filtered: Sequence[JudgedRun]
-) -> tuple[Referenced, list[Evaluation]]:
-    """Return every result judged by its reference, aligned as in `hows`, and the name of that reference."""
-    pairs = [references.judged(j.evaluation, j.estimates, how) for j, how in zip(every, hows, strict=True)]
-    plain = {frozenset(j.estimates.sensors): j for j in filtered if not j.estimates.rates}
-    found = {s: _effect(references, s, plain, hows[0]) for s in references.present}
-    effects = {s: effect for s, effect in found.items() if effect is not None}
-    judges = {j.estimates.name: reference for j, (_, reference) in zip(every, pairs, strict=True)}
-    return Referenced(references, judges, effects), [evaluation for evaluation, _ in pairs]
-
-
-def _effect(
-    references: References, sensor: str, plain: Mapping[frozenset[str], JudgedRun], align: Align
-) -> ByReference | None:
+def _effect(references: References, sensor: str, plain: Mapping[frozenset[str], JudgedRun]) -> ByReference | None:
     """Return errors without and with a sensor, by a reference that does not use it; None if they were not run."""
     reference, before = references.without(sensor), frozenset(needed(sensor))
     after = before | {sensor}
     if reference is None or before not in plain or after not in plain:
         return None
-    judged = {s: reference.judge(plain[s].evaluation, plain[s].estimates, align) for s in (before, after)}
+    runs = {s: plain[s] for s in (before, after)}
+    judged = {s: reference.judge(j.evaluation, j.estimates, j.align) for s, j in runs.items()}
     errors = [e.figures["position_rmse_m"] or 0.0 for e in judged.values()]
     some = min(errors) > 0.0  # no error is a share of none
     found = credit(judged, [sensor]) if some and reference.can_judge(max(errors)) else None
@@ -201,7 +196,7 @@ def _effect(
 
 
 def _judged(
-    c: Configuration, loaded: Loaded, asked: Asked, solve: bool = False, watch: Sequence[Watch] = ()
+    c: Configuration, loaded: Loaded, asked: Asked, solve: bool = False, receivers: Sequence[RunReceiver] = ()
 ) -> list[JudgedRun]:
     """Fuse and judge one configuration; smooth it for display, or to `solve` a reference."""
     drive, robot, judged = c.drive(loaded.drive), loaded.robot, []
@@ -209,10 +204,10 @@ def _judged(
     how = cast("Align", asked.align)
     for e in c.fuse(loaded.drive, robot, shown or solve):
         evaluation = evaluate(e, drive, how)
-        for look in watch if shown or not e.smoothed else ():
+        for look in receivers if shown or not e.smoothed else ():
             look(e, evaluation)
         kept = e if asked.audits else replace(e, audits={})
-        judged.append(JudgedRun(kept, evaluation, evidence(drive, e, robot)))
+        judged.append(JudgedRun(kept, evaluation, how, evidence(drive, e, robot)))
     return judged
 
 
@@ -247,7 +242,7 @@ def predict(
     robot: Robot,
     configurations: Sequence[Configuration],
     progress: Progress,
-    heard: Sequence[Heard] = (),
+    listened_receivers: Sequence[ListenedReceiver] = (),
 ) -> list[Score]:
     """Return how well each configuration predicts the readings of sensors that it does not use."""
     if not drive.measurements:
@@ -261,7 +256,7 @@ def predict(
         for sensors, name in sets:
             progress(f"trying how {name} predicts the rest")
             e = fuser(robot.preset)(drive, robot, sensors, name, listeners(drive, sensors))
-            for take in heard:
+            for take in listened_receivers:
                 take(e)
             yield e
             del e
@@ -276,7 +271,7 @@ def report_of(compared: Compared, asked: Asked | None = None) -> dict[str, Any]:
     report["key"] = key(compared.loaded.log.identity, tables, asked) if asked and tables is not None else None
     report["repeat"] = results.repeat(compared.loaded, asked) if asked else None
     report["changed_settings"] = results.changed_settings(compared.loaded)
-    sets = {c.name: c.sensors for c in compared.configurations if not c.rates}
+    sets = compared.sets
     report["verdicts"] = verdicts(compared.credit, compared.scores, sets, base=compared.base)
     report["credit"] = None if compared.credit is None else credit_values(compared.credit)
     report["prediction"] = (
@@ -312,12 +307,12 @@ def add_own_scans(
         if apart is None:
             continue
         values["smoothed_distance_m"] = msgspec.to_builtins(apart)
-        away = f"lies {length(apart.rms)} away (at most {length(apart.max)}, at {apart.t_s:.0f} s)"
+        away = f"differs by {length(apart.rms)} rms (at most {length(apart.max)}, at {apart.t_s:.0f} s)"
         more = ", which is more than both claim: neither is a reference" if own.contradicted else ""
         values["notes"].append(f"the smoothed path {away}{more}")
         if own.is_overconfident:
             times = apart.rms / max(own.claimed_m, 1e-9)
-            values["notes"].append(f"covariance too small: the smoothed path lies {times:.1f} sigma away")
+            values["notes"].append(f"covariance too small: the smoothed path differs by {times:.1f} sigma")
         if apart.doubted(values["distance_m"]):
             row = result_name(name, smoothed=True)
             use = f"Use {row}" if row in report["configurations"] else "Use the smoothed one: --smooth"
@@ -338,9 +333,9 @@ def add_reference(report: dict[str, Any], compared: Compared) -> None:
     for sensor in references.present:
         own, effect = report["verdicts"].get(sensor), found.effects.get(sensor)
         reference = references.without(sensor)
-        quarrel = None if reference is None else references.quarrel(reference, (sensor,))
+        contradiction = None if reference is None else references.contradiction(reference, (sensor,))
         if own is not None or effect is not None:
-            report["verdicts"][sensor] = by_reference(own, reference, effect, quarrel)
+            report["verdicts"][sensor] = by_reference(own, reference, effect, contradiction)
 
 
 def report_of_run(compared: Compared) -> dict[str, Any]:

@@ -34,7 +34,7 @@ from locfuse.fusion.wheels.read import WheelReading, read_wheels
 from .choose import choose
 from .motion_evidence import path_of
 from .mounts import level_compass, mount_tables, on_moving_parts, optics_tables, shared_turns, transforms_of
-from .refused_motion import spoiling, standing_notes
+from .refused_motion import find_motion_faults, standing_notes
 from .robot_tables import (
     flat,
     given_tables,
@@ -42,7 +42,6 @@ from .robot_tables import (
     merged_tables,
     named_by_hand,
     set_tables,
-    sources_of,
     table_types,
     with_files,
     with_point_maps,
@@ -60,6 +59,7 @@ TWICE = (
     "too small where the scans share an error"
 )
 MAX_LISTED = 1000  # entries of a folder among which a mistyped name is looked for
+Parts = Sequence[str | Place]  # of one log: words of the command line, or places
 
 
 class Loaded(msgspec.Struct, frozen=True, dict=True):
@@ -75,7 +75,7 @@ class Loaded(msgspec.Struct, frozen=True, dict=True):
     how: LogOptions = LogOptions()  # how it was read
     matched: MatchedScans | None = None  # the motion by scans, where there are no wheels
     reading: WheelReading | None = None  # the motion of the whole log; None: it has to be read again
-    spoils: tuple[Note, ...] = ()  # why the motion is not the robot's: no figure means anything then
+    motion_faults: tuple[Note, ...] = ()  # why the motion is not the robot's: no figure means anything then
 
     def stream(self, role: str) -> Stream:
         """Return the raw readings of a role, of all its topics."""
@@ -92,9 +92,9 @@ class Loaded(msgspec.Struct, frozen=True, dict=True):
         return self.how.begin, self.how.end
 
 
-def find_log(words: Sequence[str]) -> list[Place]:
+def find_log(words: Parts) -> list[Place]:
     """Return the paths of the logs on the command line; a file takes precedence over a sample log's name."""
-    return [_find(word) for word in words]
+    return [_find(str(word)) for word in words]
 
 
 def _find(word: str) -> Place:
@@ -121,7 +121,7 @@ def _beside(path: Path) -> list[str]:
 
 
 def load(
-    paths: Sequence[Place],
+    log: Parts,
     how: LogOptions,
     progress: Progress = silent,
     only: Collection[str] | None = None,
@@ -131,13 +131,14 @@ def load(
 
     Raises LocfuseError with one line on what is wrong.
     """
+    places = find_log(log)
     progress("opening")
     given = given_tables(how)  # before anything is read: what changes meanwhile has another key
-    log = open_log(paths)
-    tables = merged_tables(log, how)
-    choice = choose(log, make_robot(tables), named_by_hand(how.sets))
-    found = measured(log, tables, choice, progress, only, aside)
-    return _within(replace(found, sources=sources_of(log, how), given=given, how=how))
+    opened = open_log(places)
+    tables, sources = merged_tables(opened, how)
+    choice = choose(opened, make_robot(tables), named_by_hand(how.sets))
+    found = measured(opened, tables, choice, progress, only, aside)
+    return _within(replace(found, sources=sources, given=given, how=how))
 
 
 def _within(loaded: Loaded) -> Loaded:
@@ -148,9 +149,9 @@ def _within(loaded: Loaded) -> Loaded:
     return replace(loaded, drive=drive, robot=robot)
 
 
-def load_to_fuse(paths: Sequence[Place], how: LogOptions, progress: Progress, read_again: bool = False) -> Loaded:
+def load_to_fuse(log: Parts, how: LogOptions, progress: Progress, read_again: bool = False) -> Loaded:
     """Load a log whose columns can be freed after measuring, unless it is `read_again`."""
-    loaded = load(paths, how, progress)
+    loaded = load(log, how, progress)
     if not read_again:
         loaded.log.forget()
     return loaded
@@ -213,7 +214,7 @@ def measured(
     robot, drive = led_back(*begun(robot, drive), _first_scan(streams, robot, drive))
     _refuse_other_clock(log, drive)
     preset = (filters.NOTE,) if robot.preset == "paper" else ()
-    chosen = (f"{note.role}: {note.words}" for note in choice.notes if note.role in streams and not note.spoils)
+    chosen = (f"{note.role}: {note.words}" for note in choice.notes if note.role in streams and not note.is_fault)
     notes = (
         *preset,
         *chosen,
@@ -224,8 +225,8 @@ def measured(
         *drive.notes,
     )
     drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})
-    spoils = spoiling(log, robot, choice, motion)
-    return Loaded(log, robot, choice, drive, tables, matched=matched, reading=motion, spoils=spoils)
+    faults = find_motion_faults(log, robot, choice, motion)
+    return Loaded(log, robot, choice, drive, tables, matched=matched, reading=motion, motion_faults=faults)
 
 
 def _first_scan(streams: Mapping[str, Any], robot: Robot, drive: Drive) -> float | None:

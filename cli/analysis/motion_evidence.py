@@ -17,9 +17,11 @@ from msgspec.structs import replace
 
 from locfuse.fusion.data import LocfuseError, Measurements
 from locfuse.fusion.robot import Robot, WheelSettings
+from locfuse.fusion.sensors.level import FIELD, IMU
 from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import merged
+from locfuse.fusion.truth import FIX
 from locfuse.fusion.wheels.motion import turns_explained, ways_explained
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
@@ -43,8 +45,7 @@ TELLING_SHARE = 0.03  # s by which matching must be better than standing: else t
 ALIKE_SHARE = 0.10  # s by which two motions of one kind must differ: else neither is chosen
 
 # --- without a laser
-FIX = "sensor_msgs/msg/NavSatFix"
-TURNING = {"gyro": ("sensor_msgs/msg/Imu",), "compass": ("sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField")}
+TURNING = {"gyro": (IMU,), "compass": (IMU, FIELD)}
 MIN_EXPLAINED_SHARE = 0.5  # of what a sensor saw must be explained by one motion: else the sensor judges none
 LESS_EXPLAINED_SHARE = 0.3  # by which a motion may explain less than the best one
 MIN_OTHER_WAY_M = 1.0  # m by another motion: less tells nothing
@@ -195,14 +196,14 @@ class Evidence:
         return laser_of(replace(settings, **unset))
 
 
-class Witness(NamedTuple):
+class MotionSensor(NamedTuple):
     """A sensor that measures motion, and the share of its measured motion that each candidate explains."""
 
     name: str  # "the turning of /imu"
     shares: dict[Topics, float]  # by the topics of a motion
 
 
-class Witnesses:
+class MotionSensors:
     """Judges the motions of a log by the first sensor whose measurements one of them explains."""
 
     agrees = "it agrees best with the other sensors"
@@ -261,13 +262,13 @@ class Witnesses:
         return {topics: motion for topics, motion in read.items() if motion is not None}
 
     @cached_property
-    def _found(self) -> Witness | None:
+    def _found(self) -> MotionSensor | None:
         """The first sensor of which a motion explains enough; None without one."""
         for name, explained in self._sensors() if len(self._known) > 1 else ():
             found = {topics: explained(motion) for topics, motion in self._known.items()}
             shares = {topics: share for topics, share in found.items() if share is not None}
             if max(shares.values(), default=0.0) >= MIN_EXPLAINED_SHARE:
-                return Witness(name, shares)
+                return MotionSensor(name, shares)
         return None
 
     def _sensors(self) -> Iterator[tuple[str, Callable[[WheelReading], float | None]]]:

@@ -5,22 +5,20 @@ Such a log is fused, so that its files can be looked at, and every figure is voi
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from locfuse.formats.report.findings import options
 from locfuse.fusion.data import LocfuseError, Measurements
-from locfuse.fusion.judge.evaluate import ERROR_KEYS
 from locfuse.fusion.robot import Robot, WheelSettings
-from locfuse.fusion.truth import looks_like_truth
+from locfuse.fusion.truth import FIX, looks_like_truth
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.odometry import SPEED, commanded
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 
-from .motion_evidence import FIX, seen
+from .motion_evidence import seen
 from .topics import Choice, Note, filled, of_type
 
 if TYPE_CHECKING:
@@ -29,33 +27,15 @@ if TYPE_CHECKING:
 STANDS = "the robot does not move in this log, so no sensor can be judged"
 MIN_WAY_M = 1.0  # m by another topic: more is one
 MIN_FIX_SPREAD_M = 15.0  # m: a standing receiver's fixes wander by some metres
-VOID = (*ERROR_KEYS, "anees")  # figures that mean nothing then
 
 
-def spoiling(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> tuple[Note, ...]:
+def find_motion_faults(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> tuple[Note, ...]:
     """Return why the chosen motion is not the robot's; () without a reason."""
-    found = [note for note in choice.notes if note.spoils]
+    found = [note for note in choice.notes if note.is_fault]
     topics = " and ".join(choice.of("wheels"))
     if motion.doubt:
-        found.append(Note("wheels", f"{topics}: {motion.doubt}", (), spoils=True))
+        found.append(Note("wheels", f"{topics}: {motion.doubt}", (), is_fault=True))
     return (*found, *_standing(log, robot, choice, motion))
-
-
-def void_all(report: dict[str, Any], spoils: Sequence[Note]) -> None:
-    """Void all figures and verdicts of a report whose motion is not the robot's."""
-    if not spoils:
-        return
-    message = "; ".join(f"{n.role}: {n.words}" + (f": {options(n.fixes)}" if n.fixes else "") for n in spoils)
-    for values in report["configurations"].values():
-        known = {key: values[key] for key in VOID if values.get(key) is not None}
-        values["void"] = {"reason": message, "figures": {**values.get("void", {}).get("figures", {}), **known}}
-        values.update(dict.fromkeys(known))
-    for verdict in (report.get("verdicts") or {}).values():
-        verdict.update(verdict="no verdict", words="What is used as the motion is not the robot's.")
-    report.update(dict.fromkeys(key for key in ("credit", "prediction") if report.get(key) is not None))
-    entry = {"code": "motion", "message": message, "since_s": 0.0, "void": True}
-    report["validity"] = [{**entry, "configurations": [*report["configurations"]]}, *report.get("validity", ())]
-    report["headline"] = f"No verdict on this log: {message}."
 
 
 def _standing(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> Iterator[Note]:
@@ -69,12 +49,12 @@ def _standing(log: Log, robot: Robot, choice: Choice, motion: WheelReading) -> I
             continue
         if (moved := _moved(log, topic)) > MIN_WAY_M:
             words = f"{own} never moves, but {topic} moves {moved:.1f} m"
-            yield Note("wheels", words, (f"wheels.topic={topic}",), spoils=True)
+            yield Note("wheels", words, (f"wheels.topic={topic}",), is_fault=True)
             return
     for topic in of_type(log, (FIX,)):
         if (spread := _spread(seen(log, robot, "gps", topic, motion))) > MIN_FIX_SPREAD_M:
             words = f"{own} never moves, but the fixes of {topic} lie up to {spread:.0f} m apart"
-            yield Note("wheels", words, spoils=True)
+            yield Note("wheels", words, is_fault=True)
             return
 
 

@@ -1,4 +1,4 @@
-"""From a measured log to the report, the settings file and the losses."""
+"""From a measured log to the report, the settings file, the losses, and warnings on the motion."""
 
 from __future__ import annotations
 
@@ -13,16 +13,25 @@ import msgspec
 from locfuse import sample_logs
 from locfuse.formats.logs.log import Log
 from locfuse.formats.report import json_report
+from locfuse.formats.report.findings import counts, options
 from locfuse.formats.robot import robot_toml, units
 from locfuse.formats.versions import own
 from locfuse.fusion.data import Evaluation
+from locfuse.fusion.judge.evaluate import ERROR_KEYS
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import SOURCES
+from locfuse.fusion.wheels.odometry import BODY_READS
 
+from .errors import has_scipy
 from .load import Loaded
+from .motion_evidence import Evidence
 from .robot_tables import flat, make_robot
 from .settings import Asked
+from .topics import Note
+from .wheel_topics import steers, unused_words
 
+MIN_COVERED_SHARE = 0.8  # of the log's time: a motion that covers less is said to
+VOID = (*ERROR_KEYS, "anees")  # figures that mean nothing where the motion is not the robot's
 REFUSED_SHARE = 0.01  # of a used sensor's readings: more is a loss
 # exact repeats, readings before or after the wheels, messages of an arm on the wheels' topic
 NOT_A_LOSS = ("repeat", "outside_wheels", "other_joints", "other_bodies", "not_in_map", "ignored")
@@ -115,7 +124,7 @@ def _refusals(loaded: Loaded) -> dict[str, dict[str, int]]:
     """Return (unused readings, all readings) of each stream that has unused ones."""
     found = {
         stream: {
-            "readings": _refused(reasons),
+            "readings": sum(_losses(reasons).values()),
             "of": sum(loaded.log.topics[t].count for t in loaded.choice.of(stream)),
         }
         for stream, reasons in loaded.drive.dropped.items()
@@ -159,13 +168,70 @@ def _refused_lines(
     for stream in (s for s in ("wheels", *used) if s in refused):
         count, total = refused[stream]["readings"], refused[stream]["of"]
         if count > (0 if strict else REFUSED_SHARE * total):
-            lines.append(f"{stream}: {count} of {total} readings refused ({_words(dropped[stream])})")
+            lines.append(f"{stream}: {count} of {total} readings refused ({counts(_losses(dropped[stream]))})")
     return lines
 
 
-def _refused(reasons: Mapping[str, int]) -> int:
-    return sum(count for reason, count in reasons.items() if reason not in NOT_A_LOSS)
+def _losses(reasons: Mapping[str, int]) -> dict[str, int]:
+    return {reason: count for reason, count in reasons.items() if reason not in NOT_A_LOSS}
 
 
-def _words(reasons: Mapping[str, int]) -> str:
-    return ", ".join(f"{c} {r.replace('_', ' ')}" for r, c in reasons.items() if r not in NOT_A_LOSS)
+# --- The motion: what makes figures void, and wheels that could not be used
+
+
+def say_motion(report: dict[str, Any], loaded: Loaded, judged: bool = False) -> None:
+    """Add warnings on the motion to a report, to be read before any figure.
+
+    Where it is `judged`, encoders are compared with the matching of the scans beside them.
+    """
+    _void_all(report, loaded.motion_faults)
+    if judged and (words := _behind_scans(loaded)):
+        report["notes"].append(f"wheels: {words}")
+    first = [note.words for note in loaded.choice.notes if note.first]
+    for words in filter(None, (*first, _part(loaded))):
+        report["headline"] = f"{words[0].upper()}{words[1:]}. {report['headline']}"
+    if words := unused_words(loaded.choice):
+        typed = (f"{key}={flat(loaded.tables)[key]}" for key, who in loaded.sources.items() if who == "--set")
+        sets = (word for setting in typed for word in ("--set", setting))
+        log = log_words(loaded.log, as_given=True)
+        command = shlex.join(("locfuse", "init", *log, *sets, "-o", "robot.toml"))
+        does = "finds them by the truth" if steers(loaded.choice.unused_wheels) else "asks for them"
+        report["headline"] = f"{words}: `{command}` {does}. {report['headline']}"
+
+
+def _behind_scans(loaded: Loaded) -> str:
+    """Return a warning if scan matching fits the laser better than the encoders do; "" if it does not."""
+    topics, lasers = loaded.choice.of("wheels"), loaded.choice.of("lrf")
+    encoders = loaded.log.topics[topics[0]].msgtype not in BODY_READS
+    if not encoders or len(lasers) != 1 or loaded.reading is None or not has_scipy():
+        return ""
+    return Evidence(loaded.log, loaded.robot, lasers[0], {}).behind(topics, loaded.reading)
+
+
+def _part(loaded: Loaded) -> str:
+    """Return a warning if the motion covers only a part of the log; "" if it covers most of it."""
+    span, t = loaded.log.time_span_ns, loaded.drive.wheels.t
+    if span is None or loaded.window != (None, None):
+        return ""
+    covered, whole = float(t[-1] - t[0]), (span[1] - span[0]) * 1e-9
+    if covered >= MIN_COVERED_SHARE * whole:
+        return ""
+    topics = " and ".join(loaded.choice.of("wheels"))
+    return f"The motion by {topics} covers {covered:.1f} s of the {whole:.1f} s of this log"
+
+
+def _void_all(report: dict[str, Any], spoils: Sequence[Note]) -> None:
+    """Void all figures and verdicts of a report whose motion is not the robot's."""
+    if not spoils:
+        return
+    message = "; ".join(f"{n.role}: {n.words}" + (f": {options(n.fixes)}" if n.fixes else "") for n in spoils)
+    for values in report["configurations"].values():
+        known = {key: values[key] for key in VOID if values.get(key) is not None}
+        values["void"] = {"reason": message, "figures": {**values.get("void", {}).get("figures", {}), **known}}
+        values.update(dict.fromkeys(known))
+    for verdict in (report.get("verdicts") or {}).values():
+        verdict.update(verdict="no verdict", words="What is used as the motion is not the robot's.")
+    report.update(dict.fromkeys(key for key in ("credit", "prediction") if report.get(key) is not None))
+    entry = {"code": "motion", "message": message, "since_s": 0.0, "void": True}
+    report["validity"] = [{**entry, "configurations": [*report["configurations"]]}, *report.get("validity", ())]
+    report["headline"] = f"No verdict on this log: {message}."

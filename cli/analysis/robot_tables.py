@@ -92,11 +92,16 @@ def key(content: Identity, tables: Mapping[str, Any], asked: Asked) -> str:
     return hashlib.sha256(msgspec.json.encode(parts, order="deterministic")).hexdigest()
 
 
-def merged_tables(log: Log, how: LogOptions) -> dict[str, Any]:
-    """Return robot.toml as tables: the preset's, then the log's attachment, --robot, and --set, key by key."""
-    tables = robot_toml.layered(*_layers(log, how).values())
+def merged_tables(log: Log, how: LogOptions) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return robot.toml as tables, and what set each key: "lrf.x" -> "--robot".
+
+    The preset's tables come first, then the log's attachment, --robot, and --set, key by key.
+    """
+    layers = _layers(log, how)
+    tables = robot_toml.layered(*layers.values())
     tables.setdefault("preset", "default")
-    return robot_toml.merge(filters.TABLES[tables["preset"]], tables)
+    sources = {key: who for who, above in layers.items() for key in flat(above)}
+    return robot_toml.merge(filters.TABLES[tables["preset"]], tables), sources
 
 
 def given_layers(how: LogOptions, more: Sequence[str] = ()) -> dict[str, dict[str, Any]]:
@@ -160,17 +165,21 @@ def _is_below(folder: Path, text: str) -> bool:
     return (folder / path).resolve().is_relative_to(folder.resolve())
 
 
-def sources_of(log: Log, how: LogOptions) -> dict[str, str]:
-    """Return the source of each setting: "lrf.x" -> "--robot"."""
-    return {key: who for who, tables in _layers(log, how).items() for key in flat(tables)}
-
-
 def flat(tables: Mapping[str, Any]) -> dict[str, Any]:
     """Return {"wheels": {"radius": 1}} as {"wheels.radius": 1}; keys above all tables by their own names."""
     found: dict[str, Any] = {}
     for name, table in tables.items():
         found |= {f"{name}.{k}": v for k, v in table.items()} if isinstance(table, Mapping) else {name: table}
     return found
+
+
+def nested(settings: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return {"wheels.radius": 1} as {"wheels": {"radius": 1}}."""
+    tables: dict[str, dict[str, Any]] = {}
+    for path, value in settings.items():
+        table, _, key = path.partition(".")
+        tables.setdefault(table, {})[key] = value
+    return tables
 
 
 def set_tables(words: Sequence[str]) -> dict[str, Any]:

@@ -28,7 +28,7 @@ class Note(NamedTuple):
     role: str
     words: str
     fixes: tuple[str, ...] = ()  # settings that say the same for good
-    spoils: bool = False  # every figure of this log means nothing
+    is_fault: bool = False  # every figure of this log means nothing
     first: bool = False  # to be read before any figure
 
 

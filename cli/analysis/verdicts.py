@@ -21,7 +21,7 @@ from locfuse.fusion.judge.credit import (
     unsure,
     verdict,
 )
-from locfuse.fusion.judge.evaluate import Honesty, honesty
+from locfuse.fusion.judge.evaluate import CovarianceCheck, covariance_check
 from locfuse.fusion.judge.predictive import MIN_GAIN_NATS, Score, contradictions, ranking
 from locfuse.fusion.robot import Robot
 
@@ -52,15 +52,15 @@ def evidence(drive: Drive, estimates: Estimates, robot: Robot) -> list[Run]:
 
 
 def sensors_consistency(
-    runs: Sequence[Run], robot: Robot, by_truth: Mapping[str, Honesty | None]
+    runs: Sequence[Run], robot: Robot, by_truth: Mapping[str, CovarianceCheck | None]
 ) -> dict[str, dict[str, Consistency]]:
     """Return the verdicts of runs on every sensor's noise, by configuration and sensor; {} for no runs."""
     return judge(runs, robot, overconfident_by_truth(by_truth)) if runs else {}
 
 
-def overconfident_by_truth(honest: Mapping[str, Honesty | None]) -> set[str]:
+def overconfident_by_truth(check: Mapping[str, CovarianceCheck | None]) -> set[str]:
     """Return the configurations that truth shows to be overconfident."""
-    return {name for name, h in honest.items() if h is not None and h.overconfident}
+    return {name for name, h in check.items() if h is not None and h.overconfident}
 
 
 def add_consistency(
@@ -68,9 +68,9 @@ def add_consistency(
 ) -> None:
     """Add `consistency` to every sensor of every configuration, to configurations with truth, and to the whole."""
     rows = report["configurations"]
-    by_truth = {judged.name: honesty(judged) for judged in evaluations}
-    for name, honest in by_truth.items():
-        rows[name]["consistency"] = None if honest is None else asdict(honest)
+    by_truth = {judged.name: covariance_check(judged) for judged in evaluations}
+    for name, check in by_truth.items():
+        rows[name]["consistency"] = None if check is None else asdict(check)
     if not runs:
         return
     verdicts: dict[str, dict[str, Any]] = {}
@@ -80,27 +80,27 @@ def add_consistency(
             using = [by_truth.get(n) for n, used in judged.items() if sensor in used]
             found = unless_overconfident(sensor, consistency, using)
             values = rows[name]["sensors"][sensor]["consistency"] = asdict(found)
-            del values["cures"]  # a fix that was not tried is no advice; `findings` has the tried ones
+            del values["fix_values"]  # a fix that was not tried is no advice; `findings` has the tried ones
             verdicts[sensor] = {key: values[key] for key in ("verdict", "words")}
     report["consistency"] = verdicts
 
 
-def unless_overconfident(sensor: str, found: Consistency, using: Sequence[Honesty | None]) -> Consistency:
+def unless_overconfident(sensor: str, found: Consistency, using: Sequence[CovarianceCheck | None]) -> Consistency:
     """Withdraw the advice to trust a sensor more if by truth every run with it is overconfident.
 
     Its readings repeat well and are wrong together: a mount, a scale or a clock, which no noise figure fixes.
     """
-    wrong = [honest for honest in using if honest is not None]
-    all_wrong = bool(wrong) and all(honest.overconfident for honest in wrong)
+    wrong = [check for check in using if check is not None]
+    all_wrong = bool(wrong) and all(check.overconfident for check in wrong)
     if found.verdict != "overstated" or found.scale is None or not all_wrong:
         return found
-    times = math.sqrt(min(honest.anees for honest in wrong))
+    times = math.sqrt(min(check.anees for check in wrong))
     words = (
         f"residuals are {1.0 / found.scale:.2g} times smaller than configured, yet position errors are "
         f"{times:.1f} times what the covariance says: check mount, scale and clock; a smaller sigma would make "
         "this worse"
     )
-    return replace(found, words=words, cures={})
+    return replace(found, words=words, fix_values={})
 
 
 def noise_factors(runs: Sequence[Run], robot: Robot) -> dict[str, float]:
@@ -109,12 +109,12 @@ def noise_factors(runs: Sequence[Run], robot: Robot) -> dict[str, float]:
     return {s: max(1.0, c.scale) for s, c in found.items() if c.verdict in TOO_SMALL and c.scale is not None}
 
 
-def reference_values(whole: Reference, quarrels: Sequence[tuple[str, str]], base: str) -> dict[str, Any]:
+def reference_values(whole: Reference, contradicting: Sequence[tuple[str, str]], base: str) -> dict[str, Any]:
     """Return the reference of all sensors and of the motion `base` as plain values, with a name in words."""
     sensors = "".join(f", {s}" for s in whole.sensors[:-1]) + f" and {whole.sensors[-1]}"
     words = REFERENCE.format(base=base, sensors=sensors, sigma=length(whole.sigma))
     words += "".join(f" {s} contradicts all others and is left out." for s in whole.left_out)
-    doubtful = [pair for pair in quarrels if set(pair) <= set(whole.sensors)]
+    doubtful = [pair for pair in contradicting if set(pair) <= set(whole.sensors)]
     words += "".join(f" {a} and {b} contradict each other, so it is doubtful." for a, b in doubtful)
     return {
         "sensors": list(whole.sensors),
@@ -341,12 +341,12 @@ def _predicted_verdicts(
     found: Sequence[Score], sets: Mapping[str, Sequence[str]], base: str
 ) -> dict[str, dict[str, Any]]:
     alone = {sensors[0]: name for name, sensors in sets.items() if len(sensors) == 1}
-    quarrels = contradictions(found, alone)
+    contradicting = contradictions(found, alone)
     out = {}
     for sensor, name in alone.items():
         others = [s for s in found if s.configuration == name and not s.stretches]
         own = [s for s in found if s.configuration == name and s.stretches]
-        against = [a if b == sensor else b for a, b in quarrels if sensor in {a, b}]
+        against = [a if b == sensor else b for a, b in contradicting if sensor in {a, b}]
         out[sensor] = _predicted(others or own, against, len(alone), base)
     return out
 
@@ -376,7 +376,7 @@ def by_reference(
     own: Mapping[str, Any] | None,
     reference: Reference | None,
     found: ByReference | None,
-    quarrel: tuple[str, str] | None,
+    contradiction: tuple[str, str] | None,
 ) -> dict[str, Any]:
     """Return a sensor's verdict without truth, by a reference that does not use it, else by `own` readings."""
     own = own or {"verdict": "no verdict", "words": ""}
@@ -387,13 +387,13 @@ def by_reference(
         return dict(own)
     name = f"a reference without it ({' and '.join(reference.sensors)}, 1 sigma {length(reference.sigma)})"
     before, after = f"{length(found.before)} without it and ", f"{length(found.after)} with it"
-    if quarrel is None and (effect := found.effect) is not None:
+    if contradiction is None and (effect := found.effect) is not None:
         bound = f"at {'least' if effect.low > 0.0 else 'most'} {times(effect.low)}"
         span, after = (interval(effect), after) if found.sure else (bound, f"at most {after}")
         words = f"Against {name} the position error is {before}{after} (plausible: {span}). {own['words']}".strip()
         return {"verdict": verdict(None, effect, None, None), "words": words}
-    if quarrel is not None:
-        words = f"{name.capitalize()} cannot judge it: {' and '.join(quarrel)} contradict each other."
+    if contradiction is not None:
+        words = f"{name.capitalize()} cannot judge it: {' and '.join(contradiction)} contradict each other."
     else:
         words = f"{name.capitalize()} is not exact enough to judge errors of {before}{after}."
     return {**own, "words": f"{own['words']} {words}".strip()}

@@ -15,7 +15,7 @@ from locfuse.fusion.wheels.sources import ARRAYS, JOINTS, NUMBERS, SPEEDS, TICKS
 from locfuse.fusion.wheels.steered import MOTOR, STEERING_WORD
 
 from .body_topics import choose_body, nothing_moves, with_steering
-from .topics import NAMED, ONLY, Choice, Note, checked, filled, of_type, several_fit
+from .topics import NAMED, ONLY, Choice, Note, checked, filled, several_fit
 
 if TYPE_CHECKING:
     from locfuse.formats.logs.log import Log
@@ -50,7 +50,7 @@ def choose_wheels(log: Log, robot: Robot, choice: Choice) -> None:
         return
     choice.take("wheels", body.topics, body.why)
     if body.note:
-        choice.notes.append(Note("wheels", body.note, body.fixes, body.spoils, body.unjudged))
+        choice.notes.append(Note("wheels", body.note, body.fixes, body.is_fault, body.unjudged))
     if counters:
         _say_unused(log, choice, counters, unknown if wheeled else "")
 
@@ -158,9 +158,7 @@ def counters_of(log: Log, robot: Robot) -> tuple[list[str], str]:
     tricycle, of_tricycle = _tricycle(log, robot), "the ticks of a steered wheel and of its steering"
     if tricycle and not missing_of(log, robot, tricycle):
         return tricycle, of_tricycle
-    joints, ticks, speeds = (
-        [t for t in of_type(log, kind) if log.topics[t].count != 0] for kind in ((JOINTS,), TICKS, SPEEDS)
-    )
+    joints, ticks, speeds = (filled(log, *kinds) for kinds in ((JOINTS,), TICKS, SPEEDS))
     arrays = [t for t in filled(log, *ARRAYS) if _counts_by_name(t)]
     pairs = pair_topics(log)
     if len(joints) + len(ticks) + len(speeds) + len(pairs) > 1:
@@ -201,7 +199,7 @@ def _counts_by_name(topic: str) -> bool:
 
 def pair_topics(log: Log) -> list[tuple[str, str]]:
     """Return pairs of topics with one number each, with equal names but for left and right, that fit wheels."""
-    numbers = [t for t in of_type(log, NUMBERS) if log.topics[t].count != 0]
+    numbers = filled(log, *NUMBERS)
     named = ((t, other_side(t)) for t in numbers if _counts_by_name(t))
     return [(left, right) for left, right in named if right in numbers]
 

@@ -51,7 +51,7 @@ def compare(log: tuple[str, ...], options: o.Options) -> int:
     """Say what each sensor of LOG adds: all configurations in one pass, and a report.
 
     LOG is an .mcap, the parts of a split one, a rosbag2 folder, or the name of a sample log. Two logs are compared
-    as `locfuse fleet` compares many; folders of finished results are set side by side.
+    as `locfuse fleet` compares many; folders of finished results are compared with each other.
 
     \b
     locfuse compare rounded_rectangle
@@ -151,7 +151,7 @@ def _refuse_what_needs_a_log() -> None:
         given = context.get_parameter_source(str(option.name)) is ParameterSource.COMMANDLINE
         if given and option.name not in ALLOWED_OPTIONS:
             name = max(option.opts, key=len)
-            raise UsageError(f"{name} is for logs; finished results are set side by side as they are")
+            raise UsageError(f"{name} is for logs; finished results are compared unchanged")
 
 
 def _read(file: Path) -> dict[str, Any]:

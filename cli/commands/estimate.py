@@ -73,16 +73,14 @@ def tune(log: tuple[str, ...], options: o.Options, hold_out: tuple[str, ...], dr
     locfuse compare friday.mcap --robot robot.toml
     """
     from locfuse.cli.analysis.grouping import logs_of
-    from locfuse.cli.analysis.load import find_log
     from locfuse.cli.session import tune
     from locfuse.cli.terminal import show
     from locfuse.formats.whole_files import may_replace
 
     how, sensors = options.how, tune.sensor_names(options.asked.sensors[0])
     may_replace(options.outputs.out, options.outputs.overwrite, (*log, *hold_out))
-    paths, held_out = ([find_log(parts) for parts in logs_of(words)] for words in (log, hold_out))
     with show.progress(how.quiet) as progress:
-        found = tune.tune_logs(paths, held_out, sensors, drift, how, progress)
+        found = tune.tune_logs(logs_of(log), logs_of(hold_out), sensors, drift, how, progress)
     judged = (("judged by", "before", "after"), found.judgements(), BELOW_JUDGED)
     held = "the settings as they were given; the noise that was found is not used" if found.refused else ""
     return _finish(found, [(found.titles, found.rows(), BELOW_NOISE), judged], options, held)

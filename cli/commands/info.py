@@ -56,7 +56,6 @@ def info(log: tuple[str, ...], options: o.Options, check: bool, topics: bool, pr
     logs = logs_of(expanded(log))
     if len(logs) > 1:
         return _several(named(logs), options, check, preview)
-    from locfuse.cli.analysis.load import find_log
     from locfuse.cli.inspect import values
     from locfuse.cli.inspect.inspect_log import inspect_log
     from locfuse.cli.terminal import info_text, show
@@ -64,7 +63,7 @@ def info(log: tuple[str, ...], options: o.Options, check: bool, topics: bool, pr
     from locfuse.formats.report.findings import void_reasons
 
     with show.progress(how.quiet) as progress:
-        overview = inspect_log(find_log(log), how, progress)
+        overview = inspect_log(log, how, progress)
         pictures = _preview(overview, preview) if preview is not None else []
         tried: dict[str, Any] = {}
         if check and options.asked.advice and overview.loaded is not None:
@@ -91,7 +90,7 @@ def info(log: tuple[str, ...], options: o.Options, check: bool, topics: bool, pr
 def _several(logs: Mapping[str, Sequence[str]], options: o.Options, check: bool, preview: Path | None) -> int:
     """Print what several logs of one robot show together, and the findings that they share, each once."""
     from locfuse.cli.advice.together import ask, here, numbers_of
-    from locfuse.cli.analysis.load import find_log, load_to_fuse
+    from locfuse.cli.analysis.load import load
     from locfuse.cli.inspect import values
     from locfuse.cli.inspect.inspect_log import inspect_log
     from locfuse.cli.terminal import info_text, show
@@ -102,9 +101,9 @@ def _several(logs: Mapping[str, Sequence[str]], options: o.Options, check: bool,
         raise UsageError(f"--preview {preview}: of one log at a time")
     how, asked = options.how, options.asked
     with show.progress(how.quiet) as progress:
-        overviews = {name: inspect_log(find_log(parts), how, progress) for name, parts in logs.items()}
+        overviews = {name: inspect_log(parts, how, progress) for name, parts in logs.items()}
         shown = {n: found for n, o in overviews.items() if o.loaded and (found := numbers_of(o.loaded))}
-        trying = {n: load_to_fuse(find_log(logs[n]), how, progress, True) for n in shown if check and asked.advice}
+        trying = {n: load(logs[n], how, progress) for n in shown if check and asked.advice}
         look = here(trying, asked.align, progress) if trying else lambda names, sets: {}
         together = {"robot": None, **ask(shown, look)}
     with reader_may_leave():

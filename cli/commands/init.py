@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from locfuse.cli.inspect.template import Draft
-    from locfuse.formats.container.url import Place
 
 SCHEMA = "robot.schema.json"  # beside robot.toml: a path that holds on every machine, and wherever both are moved
 LONGEST_UNIT = 24  # characters, as in "[latitude, longitude]"
@@ -54,7 +53,6 @@ def init(log: tuple[str, ...], options: o.Options, update: Path | None, ekf: Pat
     locfuse init bag/ --set wheels.radius=0.033 --set wheels.track=0.16 > robot.toml
     locfuse compare bag/ --robot robot.toml
     """
-    from locfuse.cli.analysis.load import find_log
     from locfuse.cli.inspect.template import draft
     from locfuse.cli.terminal import show
     from locfuse.formats.robot.commented_toml import printable, render
@@ -68,11 +66,11 @@ def init(log: tuple[str, ...], options: o.Options, update: Path | None, ekf: Pat
     may_replace(out, options.outputs.overwrite, log)
     place = update or out
     with show.progress(how.quiet) as progress:
-        foreign, notes = ({}, ()) if ekf is None else _translated(find_log(log), ekf)
-        made = draft(find_log(log), how, progress, foreign)
+        foreign, notes = ({}, ()) if ekf is None else _translated(log, ekf)
+        made = draft(log, how, progress, foreign)
     if place is not None and made.missing and not how.quiet and (typed := _asked(made)):
         with show.progress(how.quiet) as progress:
-            made = draft(find_log(log), replace(how, sets=(*how.sets, *typed)), progress, foreign)
+            made = draft(log, replace(how, sets=(*how.sets, *typed)), progress, foreign)
     words = printable(shlex.join(log))
     name = printable(shlex.quote(str(place or "robot.toml")))
     fresh = f"#:schema ./{SCHEMA}\n{render(_head(made, words, name), made.sections, _foot(made))}"
@@ -91,12 +89,13 @@ def init(log: tuple[str, ...], options: o.Options, update: Path | None, ekf: Pat
     return code
 
 
-def _translated(places: Sequence[Place], ekf: Path) -> tuple[dict[str, dict[str, Any]], tuple[str, ...]]:
+def _translated(log: Sequence[str], ekf: Path) -> tuple[dict[str, dict[str, Any]], tuple[str, ...]]:
     """Return the tables of an ekf.yaml for a log, by the file's name, and its parts without counterpart."""
+    from locfuse.cli.analysis.load import find_log
     from locfuse.formats.logs.log import open_log
     from locfuse.formats.robot import robot_localization
 
-    found = robot_localization.read(ekf, list(open_log(places).topics))
+    found = robot_localization.read(ekf, list(open_log(find_log(log)).topics))
     return {ekf.name: found.tables}, found.notes
 
 
@@ -177,9 +176,9 @@ def _notes(made: Draft, words: str, name: str) -> list[str]:
     if (nothing := made.overview.choice.absent.get("wheels")) is not None:
         last = f"this log cannot run: {nothing}"
     elif made.missing:
-        last = f"to be filled in: {', '.join(made.missing)} (their lines say how to measure them)"
-    elif spoils := made.overview.spoils:
-        last = f"no motion to use: {spoils[0].words}"
+        last = f"fill in {', '.join(made.missing)} (their comments say how to measure them)"
+    elif faults := made.overview.motion_faults:
+        last = f"no motion to use: {faults[0].words}"
     elif loaded is not None and loaded.drive.wheels.stands:
         last = STANDS
     else:
@@ -192,4 +191,4 @@ def _notes(made: Draft, words: str, name: str) -> list[str]:
 def _tunes(made: Draft) -> bool:
     """Return whether `tune` finds a sensor beside the wheels."""
     loaded = made.overview.loaded
-    return loaded is not None and bool(loaded.drive.measurements) and not loaded.spoils
+    return loaded is not None and bool(loaded.drive.measurements) and not loaded.motion_faults

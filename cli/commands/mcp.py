@@ -183,7 +183,7 @@ class Tools:
 
     def calibrate(self, logs: list[str], settings: Settings | None = None) -> Answer:
         """Find wheel noise, radius and track, laser mount and magnetometer iron from logs of one robot."""
-        found = calibrated([[str(self._below(log))] for log in logs], self._how(settings), silent)
+        found = calibrated([[self._below(log)] for log in logs], self._how(settings), silent)
         return self._found(found, f"Calibration from {_logs(logs)}.")
 
     def explain(self, term: str = "") -> Answer:

@@ -18,7 +18,7 @@ from locfuse.cli.terminal.screen import put, reader_may_leave
     default=Path("locfuse-out/paper"),
     show_default=True,
 )
-@o.flag("--overwrite", "Replace files in a folder that holds something else.")
+@o.flag("--overwrite", "Replace existing files, also in a folder that holds other files.")
 @o.option("-j --jobs", "Drives at once.", type=click.IntRange(min=1), default=2, show_default=True)
 @o.flag("--json as_json", "Print the figures as JSON instead of a table.")
 @o.flag("--open shown", "Open the page in the browser when it is written.")
@@ -42,16 +42,16 @@ def paper(out: Path, overwrite: bool, jobs: int, as_json: bool, shown: bool, qui
     with show.progress(quiet) as progress:
         found = job.repeat(progress, jobs)
         progress("drawing figures")
-        files = job.files(found)
+        values = json_report.plain(found.values())
+        files = job.files(found, values)
     write_results(out, files, overwrite)
-    values = json_report.plain(found.values())
     with reader_may_leave():
         if as_json:
             put(json_report.encode(values))
         else:
             show.table(paper_page.table(values))
             show.lines([paper_page.conclusion(values)])
-            show.lines(job.lines(found))
+            show.lines(job.lines(values))
             show.end([out / name for name in files])
     if shown:
         show.open_page([out / name for name in files])

@@ -19,7 +19,7 @@ from contextlib import suppress
 from locfuse.cli.advice.together import looks, numbers_of
 from locfuse.cli.analysis import maps
 from locfuse.cli.analysis.errors import expected
-from locfuse.cli.analysis.load import find_log, load_to_fuse, with_settings
+from locfuse.cli.analysis.load import load, load_to_fuse, with_settings
 from locfuse.cli.analysis.settings import silent
 from locfuse.cli.rerun.record import record_drive
 from locfuse.cli.session.session import Session
@@ -109,7 +109,7 @@ def outcome(job: Job) -> JobOutcome:
     """Run a job in this process and return its outcome, with one line if it failed."""
     try:
         if job.tries:
-            loaded = load_to_fuse(find_log(job.log), job.how, silent, read_again=True)
+            loaded = load(job.log, job.how)
             return JobOutcome(job.name, "done", looks=looks(loaded, job.tries, job.asked.align, silent))
         return JobOutcome(job.name, "done", warnings=compare(job))
     except Exception as problem:
@@ -123,7 +123,7 @@ def outcome(job: Job) -> JobOutcome:
 def compare(job: Job) -> tuple[str, ...]:
     """Measure a job's log once and write the results of every cell; return warnings about the rest."""
     again = job.cells != (SweepCell(),) or job.recordings is not None
-    measured = load_to_fuse(find_log(job.log), job.how, silent, read_again=again)
+    measured = load_to_fuse(job.log, job.how, silent, read_again=again)
     outputs, warnings = job.outputs, []
     for cell in job.cells:
         loaded = with_settings(measured, cell.sets) if cell.sets else measured

@@ -7,7 +7,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -83,11 +83,9 @@ class Ended:
     by: BaseException | None = None  # Ctrl-C or a signal, to be raised once the results are safe
 
 
-@contextmanager
-def executor(fleet: FleetOptions) -> Iterator[Executor]:
-    """Yield what runs the jobs: threads that each wait for a process, or the workers of a cluster."""
-    with ThreadPoolExecutor(fleet.jobs) if fleet.cluster is None else cluster(fleet.cluster) as pool:
-        yield pool
+def executor(fleet: FleetOptions) -> AbstractContextManager[Executor]:
+    """Return what runs the jobs: threads that each wait for a process, or the workers of a cluster."""
+    return ThreadPoolExecutor(fleet.jobs) if fleet.cluster is None else cluster(fleet.cluster)
 
 
 def run_all(jobs: Sequence[Job], pool: Executor, max_failures: int | None, watch: Watch) -> Ended:

@@ -15,14 +15,13 @@ from msgspec.structs import replace
 from locfuse.cli.analysis.adapted_topics import offer_presented, offer_tags
 from locfuse.cli.analysis.body_topics import NoWheelsError
 from locfuse.cli.analysis.choose import choose_sensor, choose_truth
-from locfuse.cli.analysis.load import Loaded, measured
+from locfuse.cli.analysis.load import Loaded, Parts, find_log, measured
 from locfuse.cli.analysis.maps import GRID
 from locfuse.cli.analysis.mounts import mount_tables, shared_turns, transforms_of
 from locfuse.cli.analysis.refused_motion import STANDS
 from locfuse.cli.analysis.robot_tables import make_robot, merged_tables, named_by_hand
-from locfuse.cli.analysis.topics import Choice, of_type
+from locfuse.cli.analysis.topics import Choice, filled, of_type
 from locfuse.cli.analysis.wheel_topics import choose_wheels
-from locfuse.formats.container.url import Place
 from locfuse.formats.logs.log import Log, open_log
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.transforms import StaticTransforms
@@ -35,20 +34,18 @@ from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
 from .mounts import conflicts, unplaced
-from .robot_facts import Overview, find_robot_facts, of_robot
+from .robot_facts import Overview, find_robot_facts, possible_truth, wheel_size
 from .topics import derived_facts, of_publishers, of_stamps, topic_facts
 
 if TYPE_CHECKING:
     from locfuse.cli.analysis.settings import LogOptions
 
 
-def inspect_log(
-    paths: Sequence[Place], how: LogOptions, progress: Callable[[str], None] = lambda role: None
-) -> Overview:
+def inspect_log(words: Parts, how: LogOptions, progress: Callable[[str], None] = lambda role: None) -> Overview:
     """Inspect a log. Raises LocfuseError only if it cannot be opened, or robot.toml cannot be read."""
     progress("opening")
-    log = open_log(paths)
-    tables = merged_tables(log, how)
+    log = open_log(find_log(words))
+    tables, _ = merged_tables(log, how)
     robot = make_robot(tables)
     progress("topics")
     facts = topic_facts(log, robot.order)
@@ -56,25 +53,23 @@ def inspect_log(
     choice = _choose(log, robot, named_by_hand(how.sets), found)
     facts += derived_facts(log, robot.order)
     overview = Overview(log, tables, choice, facts, *_placed(log, tables, choice, found))
-    overview.robot_facts = find_robot_facts(log, robot, choice)
+    overview.robot_facts = find_robot_facts(overview)
     overview.findings = [
         *_of_files(log),
         *found,
-        *of_robot(log, robot, choice, overview.robot_facts),
-        *of_stamps(facts, choice, robot),
+        *wheel_size(overview),
+        *possible_truth(overview),
+        *of_stamps(facts, choice, overview.robot),
         *of_publishers(log, choice),
-    ]
-    overview.findings += [
-        *_said("lrf", choice.of("lrf"), lambda stream, _: driver(stream), log, robot),
-        *_said("camera", pictures_of(log, choice), _pictures, log, robot),
-        *_maps(log, robot, choice),
+        *_said("lrf", choice.of("lrf"), lambda stream, _: driver(stream), overview),
+        *_said("camera", pictures_of(log, choice), _pictures, overview),
+        *_maps(overview),
     ]
     _measure(overview, progress)
     if choice.unused_wheels and overview.loaded is not None:
-        overview.robot_facts = find_robot_facts(log, robot, choice, overview.loaded)
-        sized = [f for f in of_robot(log, robot, choice, overview.robot_facts) if f.code == "geometry"]
+        overview.robot_facts = find_robot_facts(overview)
         gone = {"geometry", *((POINT, START) if overview.robot_facts.steered else ())}  # by another motion
-        overview.findings = [*(f for f in overview.findings if f.code not in gone), *sized]
+        overview.findings = [*(f for f in overview.findings if f.code not in gone), *wheel_size(overview)]
     overview.findings += [*unplaced(overview), *conflicts(overview)]
     return overview
 
@@ -102,30 +97,31 @@ def _choose(log: Log, robot: Robot, insisted: set[str], found: list[Finding]) ->
                 finding = replace(finding, message=finding.brief, hint="")  # info lists the topics
             choice.leave(role, finding.sentence, finding.fixes)
             found.append(finding)
-    found += [Finding(note.role, "choice", note.words, note.fixes) for note in choice.notes if not note.spoils]
+    found += [Finding(note.role, "choice", note.words, note.fixes) for note in choice.notes if not note.is_fault]
     return choice
 
 
 def _placed(
     log: Log, tables: dict[str, Any], choice: Choice, found: list[Finding]
-) -> tuple[StaticTransforms, Robot]:
-    """Return /tf_static, and the robot with its mounts, which are known before measuring."""
+) -> tuple[StaticTransforms, dict[str, Any], Robot]:
+    """Return /tf_static, the mounts by it, and the robot with them: known before measuring."""
     streams: dict[str, list[Stream]] = {}
     for name in REGISTRY:
         for topic in choice.of(name):
             with suppress(LocfuseError):  # a topic that cannot be read has its own finding
-                streams.setdefault(name, []).append(log.stream(topic))
+                stream = log.stream(topic)
+                streams.setdefault(name, []).append(stream)
     transforms = StaticTransforms()
     try:
         transforms = transforms_of(log, [part.frame_id for parts in streams.values() for part in parts])
     except LocfuseError as e:
         found.append(Finding("/tf_static", "tf_static", str(e)))
     mounts, turns = mount_tables(transforms, streams), shared_turns(tables, streams)
-    return transforms, make_robot(robot_toml.merge(mounts, turns, tables))
+    return transforms, mounts, make_robot(robot_toml.merge(mounts, turns, tables))
 
 
 def _of_files(log: Log) -> list[Finding]:
-    """Return the losses of the files, and whether a loss could be detected."""
+    """Return the losses of the log's files, and whether changed bytes would be detected."""
     found = [Finding("file", "lost", line, severe=True) for line in log.losses.lines()]
     if log.unchecked:
         names = ", ".join(log.unchecked[:3]) + (" ..." if len(log.unchecked) > 3 else "")
@@ -146,7 +142,7 @@ def _measure(overview: Overview, progress: Callable[[str], None]) -> None:
     progress("looking for findings")
     overview.loaded, overview.robot = loaded, loaded.robot
     streams = {role: loaded.stream(role) for role in loaded.choice.topics}
-    overview.findings += [Finding(n.role, "motion", n.words, n.fixes, severe=True) for n in loaded.spoils]
+    overview.findings += [Finding(n.role, "motion", n.words, n.fixes, severe=True) for n in loaded.motion_faults]
     if loaded.drive.wheels.stands:
         overview.findings.append(Finding("wheels", "standing", STANDS))
     overview.findings += examine(loaded.drive, loaded.robot, streams)
@@ -154,7 +150,7 @@ def _measure(overview: Overview, progress: Callable[[str], None]) -> None:
 
 
 def _not_measured(overview: Overview, error: LocfuseError) -> list[Finding]:
-    """Return the losses of the log's files, and whether changed bytes would be detected."""
+    """Return why nothing could be measured, unless a finding says so already."""
     role = error.role if error.role in {"wheels", "truth", *REGISTRY} else "log"
     known = any(f.role == role and f.severe for f in overview.findings)
     return [] if known else [of_error(error, role, "unusable")]
@@ -171,11 +167,11 @@ def _unusable(overview: Overview, loaded: Loaded) -> list[Finding]:
     ]
 
 
-def _maps(log: Log, robot: Robot, choice: Choice) -> list[Finding]:
+def _maps(overview: Overview) -> list[Finding]:
     """Report the log's maps as options for its laser; only the user knows whether its scans made them."""
-    topics = [t for t in of_type(log, (GRID,)) if log.topics[t].count and "costmap" not in t.lower()]
+    robot, topics = overview.robot, [t for t in filled(overview.log, GRID) if "costmap" not in t.lower()]
     topics.sort(key=lambda t: t != "/map")
-    if not topics or not choice.of("lrf") or robot.settings("lrf").map_topic is not None or robot.lines:
+    if not topics or not overview.choice.of("lrf") or robot.settings("lrf").map_topic is not None or robot.lines:
         return []
     words = (
         f"{' and '.join(topics)} {'holds a map' if len(topics) == 1 else 'hold maps'}, in which the laser can be "
@@ -191,13 +187,14 @@ def pictures_of(log: Log, choice: Choice) -> tuple[str, ...]:
 
 
 def _said(
-    role: str, topics: Sequence[str], examine: Callable[[Any, Any], list[Finding]], log: Log, robot: Robot
+    role: str, topics: Sequence[str], examine: Callable[[Any, Any], list[Finding]], overview: Overview
 ) -> list[Finding]:
     """Return the findings on the raw messages of a role with exactly one topic."""
     if len(topics) != 1:
         return []
     try:
-        return examine(log.stream(topics[0], robot.order), robot.settings(role))
+        robot = overview.robot
+        return examine(overview.log.stream(topics[0], robot.order), robot.settings(role))
     except LocfuseError as e:
         return [of_error(e, role, "unusable")]
 

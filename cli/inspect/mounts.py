@@ -54,7 +54,7 @@ def unplaced(overview: Overview) -> list[Finding]:
         moves = any(moved_by(overview.transforms, frame) for frame in overview.frames_of(name))
         if mount["by"] == "nobody" and REGISTRY[name].placed and not moves:
             keys = f"{name}.mounts" if "mounts" in mount else f"{name}.x, {name}.y, {name}.yaw_deg"
-            words = f"nothing says where it sits on the robot: the base's origin is assumed (set {keys})"
+            words = f"its mount on the robot is unknown: the base's origin is assumed (set {keys})"
             found.append(Finding(name, "mount", words))
     return found
 
@@ -76,6 +76,6 @@ def conflicts(overview: Overview) -> list[Finding]:
             found.append(Finding(role, "tf_static", conflict.line, fixes))
     if others:
         listed = ", ".join(others[:3]) + (" ..." if len(others) > 3 else "")
-        words = f"{len(others)} frames are said to be in two places ({listed}); no sensor used here sits there"
+        words = f"{len(others)} frames have two different transforms ({listed}); no used sensor depends on them"
         found.append(Finding("/tf_static", "tf_static", words))
     return found

@@ -11,7 +11,7 @@ from msgspec import field
 
 from locfuse.cli.analysis.body_topics import of_camera
 from locfuse.cli.analysis.load import Loaded
-from locfuse.cli.analysis.topics import Choice, Note, of_type
+from locfuse.cli.analysis.topics import Choice, Note, filled
 from locfuse.cli.analysis.wheel_topics import are_wheels, counters_of, missing_of
 from locfuse.formats.robot.transforms import StaticTransforms
 from locfuse.formats.robot.urdf import WheelGeometry, wheel_geometry
@@ -47,6 +47,7 @@ class RobotFacts(msgspec.Struct, frozen=True):
     """Facts about the robot that its log shows, in addition to robot.toml."""
 
     described: WheelGeometry | None = None  # by /robot_description
+    counters: tuple[str, ...] = ()  # topics of wheel turns: those in use, else those whose geometry is unknown
     fitted: Geometry | None = None  # by an odometry topic made from the same wheels
     odometry: str = ""  # that topic
     ticks: float | None = None  # usual ticks per revolution of the message's type
@@ -62,6 +63,7 @@ class Overview(msgspec.Struct):
     choice: Choice
     facts: list[TopicFacts]
     transforms: StaticTransforms
+    mounts: dict[str, Any]  # the sensors' tables by these transforms
     robot: Robot  # with mounts where the log could be measured
     loaded: Loaded | None = None
     robot_facts: RobotFacts = field(default_factory=RobotFacts)
@@ -73,9 +75,9 @@ class Overview(msgspec.Struct):
         return [known[topic] for topic in self.choice.of(role) if topic in known]
 
     @property
-    def spoils(self) -> tuple[Note, ...]:
+    def motion_faults(self) -> tuple[Note, ...]:
         """Why the motion of this log is not the robot's; () without a reason."""
-        return () if self.loaded is None else self.loaded.spoils
+        return () if self.loaded is None else self.loaded.motion_faults
 
     @property
     def severe(self) -> bool:
@@ -83,22 +85,23 @@ class Overview(msgspec.Struct):
         return any(f.severe for f in self.findings)
 
 
-def find_robot_facts(log: Log, robot: Robot, choice: Choice, loaded: Loaded | None = None) -> RobotFacts:
-    """Search for wheel geometry in the log; if it was `loaded`, also by truth or by matched scans."""
+def find_robot_facts(overview: Overview) -> RobotFacts:
+    """Search for wheel geometry in the log; if it was measured, also by truth or by matched scans."""
+    log, robot, loaded = overview.log, overview.robot, overview.loaded
     described = _described(log)
-    counters = _counters(log, robot, choice)
+    counters = _counters(log, robot, overview.choice)
     if not counters:
         return RobotFacts(described)
     kind, both = log.topics[counters[0]].msgtype, merged([log.stream(t) for t in counters])
     ticks = USUAL_TICKS.get(kind)
     if is_tricycle(both):
-        steered = None if loaded is None or not choice.unused_wheels else _steered(both, loaded)
-        return RobotFacts(described, ticks=ticks, steered=steered)
+        steered = None if loaded is None or not overview.choice.unused_wheels else _steered(both, loaded)
+        return RobotFacts(described, counters, ticks=ticks, steered=steered)
     joints, settings = _joints(log, counters[0], robot) if kind == JOINTS else None, robot.wheels
     if joints is not None:
         settings = msgspec.structs.replace(settings, left=joints[0], right=joints[1])
     fitted, source = None, ""
-    odometry = [t for t in of_type(log, (ODOMETRY,)) if not looks_like_truth(t) and log.topics[t].count]
+    odometry = [t for t in filled(log, ODOMETRY) if not looks_like_truth(t)]
     if odometry:
         source = odometry[0]
         fitted = by_odometry(both, log.stream(source), settings)
@@ -106,7 +109,7 @@ def find_robot_facts(log: Log, robot: Robot, choice: Choice, loaded: Loaded | No
         source = BY_SCANS
         with suppress(LocfuseError):  # said where the counters are used
             fitted = by_motion(both, loaded.reading, settings)
-    return RobotFacts(described, fitted, source, ticks, joints)
+    return RobotFacts(described, counters, fitted, source, ticks, joints)
 
 
 def _steered(both: Stream, loaded: Loaded) -> Steered | None:
@@ -125,13 +128,9 @@ def _steered(both: Stream, loaded: Loaded) -> Steered | None:
     return None
 
 
-def of_robot(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list[Finding]:
-    """Return findings on missing wheel settings, with the values found, and on topics that may be the truth."""
-    return [*_geometry(log, robot, choice, found), *_possible_truth(log, choice)]
-
-
-def _geometry(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list[Finding]:
-    topics = _counters(log, robot, choice)
+def wheel_size(overview: Overview) -> list[Finding]:
+    """Return a finding on missing wheel settings, with the values found."""
+    log, robot, found, topics = overview.log, overview.robot, overview.robot_facts, overview.robot_facts.counters
     if not topics:
         return []
     missing = missing_of(log, robot, topics)
@@ -148,13 +147,13 @@ def _geometry(log: Log, robot: Robot, choice: Choice, found: RobotFacts) -> list
         fixes.append(f"wheels.mirrored={found.fitted.mirrored}")
     named = robot.wheels.left is not None and robot.wheels.right is not None
     if found.joints is not None and not named and not are_wheels(log, topics[0], robot):
-        words.append("which joints are the wheels'")
+        words.append("the joints of the wheels")
         fixes += [f"wheels.left={found.joints[0]}", f"wheels.right={found.joints[1]}"]
-    other = choice.of("wheels") not in ((), topics)  # what is read in their place says what they lack
+    other = overview.choice.of("wheels") not in ((), topics)  # what is read in their place says what they lack
     if not words or (other and not fixes):
         return []
     counts = "count" if len(topics) > 1 else "counts"
-    message = f"{' and '.join(topics)} {counts} wheel turns, but nothing says {', '.join(words)}"
+    message = f"{' and '.join(topics)} {counts} wheel turns, but these are unknown: {', '.join(words)}"
     severe = not other or found.steered is not None
     return [Finding("wheels", "geometry", message, tuple(fixes), severe, source if fixes else "")]
 
@@ -163,7 +162,7 @@ def geometry(robot: Robot, found: RobotFacts) -> tuple[dict[str, float], str]:
     """Return radius and track, if known, and their source."""
     if found.described is not None and found.described.radius is not None:
         values = {"radius": found.described.radius, "track": found.described.track}
-        return values, "/robot_description tells these"
+        return values, "/robot_description has these"
     if (steered := found.steered) is not None:
         values = {key: figure.value for key, figure in steered.found.wheels.items()}
         values |= {key: getattr(steered.known, key) for key in ("ticks_per_revolution", "max_speed")}
@@ -183,7 +182,7 @@ def geometry(robot: Robot, found: RobotFacts) -> tuple[dict[str, float], str]:
 
 
 def _counters(log: Log, robot: Robot, choice: Choice) -> tuple[str, ...]:
-    """Return the topics of wheel turns: those in use, else those whose geometry is unknown; () without any."""
+    """Return the topics of wheel turns (RobotFacts.counters), () without any."""
     topics = choice.of("wheels")
     if topics and log.topics[topics[0]].msgtype not in BODY_READS:
         return topics
@@ -230,8 +229,8 @@ def _sorted_sides(a: str, b: str) -> tuple[str, str]:
 
 def _described(log: Log) -> WheelGeometry | None:
     """Return the wheels of the robot description in the log."""
-    for topic in of_type(log, ("std_msgs/msg/String",)):
-        if topic.rpartition("/")[2] == "robot_description" and log.topics[topic].count:
+    for topic in filled(log, "std_msgs/msg/String"):
+        if topic.rpartition("/")[2] == "robot_description":
             try:
                 texts = log.stream(topic).columns("data")["data"]
             except LocfuseError:
@@ -241,13 +240,13 @@ def _described(log: Log) -> WheelGeometry | None:
     return None
 
 
-def _possible_truth(log: Log, choice: Choice) -> list[Finding]:
+def possible_truth(overview: Overview) -> list[Finding]:
     """Return a finding per topic that may be the truth; the user decides, since it may be an estimate."""
-    if "truth" in choice.topics:
+    log = overview.log
+    if "truth" in overview.choice.topics:
         return []
-    kinds = [k for k in TRUTH_READS if k not in {ODOMETRY, FIX}]
-    filled = [t for t in of_type(log, kinds) if log.topics[t].count]
-    poses = [t for t in filled if not any(word in t.lower() for word in ESTIMATE_WORDS)]
+    found = filled(log, *(kind for kind in TRUTH_READS if kind not in {ODOMETRY, FIX}))
+    poses = [t for t in found if not any(word in t.lower() for word in ESTIMATE_WORDS)]
     poses = [t for t in poses if not (commanded(t, log.topics[t].msgtype) or of_camera(log, t))]
     if not poses:
         return []

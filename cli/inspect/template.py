@@ -5,19 +5,19 @@ Known keys are active; the others have a comment on how to find the value.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import msgspec
 from msgspec.structs import replace
 
 from locfuse.cli.analysis.choose import best_of
-from locfuse.cli.analysis.mounts import is_base, mount_tables
+from locfuse.cli.analysis.load import Parts
+from locfuse.cli.analysis.mounts import is_base
 from locfuse.cli.analysis.robot_tables import ATTACHMENT, flat, make_robot, table_types
 from locfuse.cli.analysis.settings import LogOptions, set_words
 from locfuse.cli.analysis.topics import filled
 from locfuse.cli.analysis.wheel_topics import steers
-from locfuse.formats.container.url import Place
 from locfuse.formats.robot import robot_toml
 from locfuse.formats.robot.commented_toml import TomlLine, TomlSection
 from locfuse.fusion.checks.clocks import OPEN_CLOCK
@@ -101,7 +101,7 @@ class Draft(NamedTuple):
 
 
 def draft(
-    paths: Sequence[Place],
+    log: Parts,
     how: LogOptions,
     progress: Callable[[str], None] = lambda step: None,
     said: Mapping[str, Mapping[str, Any]] | None = None,
@@ -112,20 +112,20 @@ def draft(
     """
     words = [word for tables in (said or {}).values() for word in set_words(tables)]
     typed, how = how, replace(how, sets=(*words, *how.sets))
-    overview = inspect_log(paths, how, progress)
+    overview = inspect_log(log, how, progress)
     given = _given(overview, typed, said or {})
     fixes: dict[str, tuple[str, str]] = {}  # key -> "key=value", why
     robot, shown = "", _fixes(filter(_certain, overview.findings))
     if (known_robot := recognise(overview)) is not None:
         fixes = open_figures(known_robot, overview, {*given, *shown, *found(overview)})
         robot = f"this robot is a {known_robot.name} ({known_robot.sign})" if fixes else ""
-        overview = _with(fixes, paths, how, progress) if fixes else overview
+        overview = _with(fixes, log, how, progress) if fixes else overview
     for _ in range(MAX_ROUNDS):
         new = {key: fix for key, fix in _fixes(filter(_certain, overview.findings)).items() if key not in given}
         if new.items() <= fixes.items():
             break
         fixes |= new
-        overview = _with(fixes, paths, how, progress)
+        overview = _with(fixes, log, how, progress)
     known = {**found(overview), **_read(fixes), **given}
     suggested = _read({key: fix for key, fix in _fixes(overview.findings).items() if key not in fixes})
     facts = Facts(overview, known, suggested)
@@ -136,10 +136,10 @@ def draft(
 
 
 def _with(
-    fixes: Mapping[str, tuple[str, str]], paths: Sequence[Place], how: LogOptions, progress: Callable[[str], None]
+    fixes: Mapping[str, tuple[str, str]], log: Parts, how: LogOptions, progress: Callable[[str], None]
 ) -> Overview:
     """Inspect the log again under these settings."""
-    return inspect_log(paths, replace(how, sets=(*how.sets, *(fix for fix, _ in fixes.values()))), progress)
+    return inspect_log(log, replace(how, sets=(*how.sets, *(fix for fix, _ in fixes.values()))), progress)
 
 
 def _given(overview: Overview, how: LogOptions, said: Mapping[str, Mapping[str, Any]]) -> Known:
@@ -198,7 +198,7 @@ def found(overview: Overview) -> Known:
         known |= _topics(overview, role)
     # left open: with their size filled in, the wheels are used; a motion that is not the robot's is not named,
     # since a named one counts as the robot's
-    if overview.choice.unused_wheels or overview.spoils:
+    if overview.choice.unused_wheels or overview.motion_faults:
         known.pop("wheels.topic", None)
     wheels = overview.choice.unused_wheels or overview.choice.of("wheels")
     if wheels and overview.log.topics[wheels[0]].msgtype == JOINTS and overview.robot_facts.joints is not None:
@@ -235,14 +235,11 @@ def _topics(overview: Overview, role: str) -> Known:
 
 def _mounts(overview: Overview) -> Known:
     """Return the sensors' mounts by /tf_static; roll and pitch only if not zero."""
-    streams = {
-        name: [overview.log.stream(t) for t in overview.choice.of(name)]
-        for name in REGISTRY
-        if overview.choice.of(name)
-    }
     known: Known = {}
-    for name, table in mount_tables(overview.transforms, streams).items():
-        frame = streams[name][0].frame_id
+    for name, table in overview.mounts.items():
+        if not overview.choice.of(name):  # left out since
+            continue
+        frame = overview.frames_of(name)[0]
         by = f"by {placed_by(overview, frame)}: where {{}} on the base"
         words = f"its frame {frame} is the base" if is_base(frame) else by.format(f"{frame} sits")
         for key, raw in table.items():

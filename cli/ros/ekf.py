@@ -21,13 +21,13 @@ from locfuse.formats.robot.ros_yaml import ASSUMED, KEPT, Origin, Setting
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.sensors.compass import OFFSET
 from locfuse.fusion.sensors.gyro import BIAS, up_rate
+from locfuse.fusion.sensors.level import IMU
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.odometry import ODOMETRY
 from locfuse.fusion.wheels.velocity_noise import random_walk
 
 from .found import Found
 
-IMU = "sensor_msgs/msg/Imu"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TWIST = "geometry_msgs/msg/TwistWithCovarianceStamped"
 KINDS = {ODOMETRY: "odom", TWIST: "twist", POSE: "pose", IMU: "imu"}

@@ -113,9 +113,9 @@ def gather(log: Sequence[str], given: LogOptions, known: bool, wheels_only: bool
     """
     words, how, by_result = _of_result(log, given)
     loaded = opened(words, how, progress).loaded
-    if loaded.spoils:
+    if loaded.motion_faults:
         raise LocfuseError(
-            f"{loaded.log.name}: {loaded.spoils[0].words}: nothing is exported from it", role="wheels"
+            f"{loaded.log.name}: {loaded.motion_faults[0].words}: nothing is exported from it", role="wheels"
         )
     by_settings = {key: f"{key} by {source}" for key, source in loaded.sources.items()}
     sources = {**(by_result or by_settings), **_by_files(given)}

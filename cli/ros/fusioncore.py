@@ -13,13 +13,12 @@ from typing import Any
 import numpy as np
 
 from locfuse.formats.robot.ros_yaml import KEPT, Setting
+from locfuse.fusion.sensors.level import FIELD
+from locfuse.fusion.truth import FIX
 from locfuse.fusion.wheels.odometry import ODOMETRY
 
 from .ekf import gyro_variance, readings_per_second
 from .found import Found
-
-FIX = "sensor_msgs/msg/NavSatFix"
-FIELD = "sensor_msgs/msg/MagneticField"
 
 
 def settings(found: Found, there: Mapping[str, Any]) -> list[Setting]:

@@ -9,12 +9,14 @@ from typing import Any, ClassVar, NamedTuple, TypeVar
 import numpy as np
 from msgspec.structs import asdict, astuple, replace
 
-from locfuse.cli.analysis.load import Loaded, find_log, load
+from locfuse.cli.analysis.load import Loaded, Parts, load
+from locfuse.cli.analysis.robot_tables import nested
 from locfuse.cli.analysis.settings import LogOptions, Progress, silent
 from locfuse.fusion.chi_square import SIGMAS_95
 from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.iron import Iron, fit_iron
+from locfuse.fusion.sensors.level import FIELD
 from locfuse.fusion.sensors.lrf import laser_of
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import MergedStream
@@ -24,14 +26,13 @@ from locfuse.fusion.wheels.calibrate_by_gyro import GyroCalibration, calibrate_b
 from locfuse.fusion.wheels.calibrate_by_scans import LaserCalibration, Motion
 from locfuse.fusion.wheels.calibrate_tricycle import Reference, TricycleCalibration, calibrate_tricycle, of_truth
 from locfuse.fusion.wheels.motion_by_scans import match_scans
+from locfuse.fusion.wheels.odometry import ODOMETRY
 from locfuse.fusion.wheels.steered import is_tricycle, read_encoders
 
 from .found import Found, Row, refuse_doubtful
 
 T = TypeVar("T")
 USED = ("compass", "gyro", "lrf")  # sensors
-FIELD = "sensor_msgs/msg/MagneticField"
-ODOMETRY = "nav_msgs/msg/Odometry"
 CALIBRATED = ("wheel scale", "radius", "track", "iron", "yaw")  # findings that calibrating sets right
 GEOMETRY = ("radius", "ratio", "track")
 MIN_LN_RATIO = 3.0  # ln of a likelihood ratio that is worth saying (20 to 1)
@@ -124,17 +125,11 @@ class Calibration(Found, frozen=True, kw_only=True):
 
     def tables(self) -> dict[str, dict[str, Any]]:
         """Return the results as robot.toml tables, without settings that may be as configured."""
-        tables: dict[str, dict[str, Any]] = {}
-        for table, _, key, value in (
-            (*f.key.partition("."), f.figure.value) for f in self.fitted() if not f.stays
-        ):
-            tables.setdefault(table, {})[key] = _short(value)
+        found: dict[str, Any] = {f.key: _short(f.figure.value) for f in self.fitted() if not f.stays}
         if self.iron is not None:
-            shape = {"hard_iron": self.iron.hard, "soft_iron": self.iron.soft}
-            tables["compass"] = {
-                key: [_short(v) for v in values.ravel().tolist()] for key, values in shape.items()
-            }
-        return tables
+            shape = {"compass.hard_iron": self.iron.hard, "compass.soft_iron": self.iron.soft}
+            found |= {key: [_short(v) for v in values.ravel().tolist()] for key, values in shape.items()}
+        return nested(found)
 
     def values(self) -> dict[str, Any]:
         """Return all results as plain values for --json: SI units, null for unknown ones."""
@@ -217,9 +212,9 @@ def _plain(figures: Mapping[str, Figure]) -> dict[str, dict[str, float]]:
     return {name: asdict(figure) for name, figure in figures.items()}
 
 
-def calibrated(logs: Sequence[Sequence[str]], how: LogOptions, progress: Progress) -> Calibration:
+def calibrated(logs: Sequence[Parts], how: LogOptions, progress: Progress) -> Calibration:
     """Read logs by command-line words, and calibrate what they allow."""
-    loaded = [load(find_log(parts), how, progress, only=USED, aside=("lrf",)) for parts in logs]
+    loaded = [load(parts, how, progress, only=USED, aside=("lrf",)) for parts in logs]
     progress("calibrating")
     return calibrate_logs(loaded, progress)
 
@@ -418,13 +413,13 @@ def _laser_notes(fit: LaserCalibration, settings: WheelSettings) -> list[str]:
     ]
     if fit.outliers:
         notes.append(f"laser: {fit.outliers} pieces do not fit the others (slip, or a wrong match): not used")
-    untold = set(fit.untold())
+    undetermined = set(fit.undetermined())
     odometry = settings.radius is None or settings.track is None
-    untold -= {"scale", "difference", "track"} if odometry else set()
+    undetermined -= {"scale", "difference", "track"} if odometry else set()
     notes += [
         f"{what} cannot be estimated without {needs}; it is left as it is"
         for name, (what, needs) in LACKING_BY_LASER.items()
-        if name in untold
+        if name in undetermined
     ]
     if odometry:
         scale, _, track = (1.0 + fit.parameters[:3]).tolist()

@@ -14,6 +14,7 @@ from locfuse.formats.logs.log import Log
 from locfuse.fusion import se2
 from locfuse.fusion.data import BASES, Array, Drive, Estimates, LocfuseError, Stream, UsageError
 from locfuse.fusion.judge.against import interpolated
+from locfuse.fusion.sensors.pose import WITH_COVARIANCE
 from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.odometry import POSE
 
@@ -21,7 +22,6 @@ ESTIMATE_NAME = re.compile(r"[A-Za-z][\w.-]*")
 COVARIANCE = "pose.covariance"
 PLANE_ROWS = (0, 1, 5)  # the rows of x, y and yaw in a pose covariance of ROS
 UPPER_TRIANGLE = np.triu_indices(3)
-WITH_COVARIANCE = ("nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseWithCovarianceStamped")
 
 
 def named_sources(words: Sequence[str] | Mapping[str, str]) -> dict[str, str]:

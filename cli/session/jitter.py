@@ -54,13 +54,9 @@ def add_jitter(report: dict[str, Any], compared: Compared, asked: Asked, progres
         other = replace(loaded, drive=jittered(loaded.drive, loaded.robot, seed))
         run = compare_log(other, compared.configurations, once, silent)
         away = {e.name: _away(plain[e.name], e) for e in run.estimates}
-        found.append(Jittered({e.name: e.figures for e in run.evaluations}, away, _verdicts(run)))
+        words = {s: v["verdict"] for s, v in verdicts(run.credit, run.scores, run.sets).items()}
+        found.append(Jittered({e.name: e.figures for e in run.evaluations}, away, words))
     add_ranges(report, found)
-
-
-def _verdicts(found: Compared) -> dict[str, str]:
-    sets = {c.name: c.sensors for c in found.configurations if not c.rates}
-    return {s: v["verdict"] for s, v in verdicts(found.credit, found.scores, sets).items()}
 
 
 def _away(plain: Estimates, other: Estimates) -> float:

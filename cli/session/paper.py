@@ -163,7 +163,7 @@ def repeat(progress: Progress, jobs: int) -> Repeated:
     return Repeated(compared, drives(jobs=jobs))
 
 
-def files(found: Repeated) -> dict[str, Content]:
+def files(found: Repeated, values: Mapping[str, Any]) -> dict[str, Content]:
     """Return table, figures and page by their file names."""
     from locfuse.formats.figures import palette
     from locfuse.formats.figures.for_paper import draw, draw_column
@@ -184,7 +184,6 @@ def files(found: Repeated) -> dict[str, Content]:
     for panel in path_panels(found.driven):
         shown[panel.name] = [panel]
         out[f"{panel.name}.svg"], out[f"{panel.name}.pdf"] = draw(panel, light, looks)
-    values = json_report.plain(found.values())
     out["paper.json"] = json_report.encode(values)
     out["table.tex"] = paper_page.latex(values)
     out["table.csv"] = paper_page.csv(values)
@@ -192,6 +191,6 @@ def files(found: Repeated) -> dict[str, Content]:
     return out
 
 
-def lines(found: Repeated) -> Sequence[str]:
+def lines(values: Mapping[str, Any]) -> Sequence[str]:
     """Return a line per drive of figure 14."""
-    return [f"fig. {d['figure']}, {d['steered']}: {d['rms']:.3f} m rms from the path" for d in found.distances()]
+    return [f"fig. {d['figure']}, {d['steered']}: {d['rms']:.3f} m rms from the path" for d in values["figure_14"]]

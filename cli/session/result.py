@@ -178,11 +178,10 @@ class Result(msgspec.Struct, frozen=True, eq=False, dict=True):
         "configuration" is the result's name; figures are in SI units with the unit in the key, None where a
         figure does not exist; `<sensor>_accepted`, `_rejected`, `_absent`, `_nis` count its measurements.
         """
+        from locfuse.formats.report.table import records
         from locfuse.formats.report.tables import everything
 
-        table = everything(self.report)
-        keys = [column.key for column in table.columns]
-        return [dict(zip(keys, (cell.value for cell in row), strict=True)) for row in table.rows]
+        return records(everything(self.report))
 
     def losses(self, strict: bool = False) -> list[str]:
         """Return losses in words: bytes of the file, or more than 1 % of a used sensor's readings.

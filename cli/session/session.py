@@ -16,8 +16,8 @@ from locfuse.cli.analysis import maps
 from locfuse.cli.analysis.compare import Compared, compare_log, report_of, report_of_run, run_log
 from locfuse.cli.analysis.configurations import Configuration, Sensors, configuration_words, for_comparison, parse
 from locfuse.cli.analysis.load import Loaded, find_log, load_to_fuse, start_error, with_settings
-from locfuse.cli.analysis.motion_words import say_motion
 from locfuse.cli.analysis.outputs import Drawn
+from locfuse.cli.analysis.results import say_motion
 from locfuse.cli.analysis.settings import (
     MAX_REFERENCE_INSTANTS,
     Asked,
@@ -88,7 +88,7 @@ def load(
 
 def opened(log: Sequence[str], how: LogOptions, progress: Progress, read_again: bool = False) -> Session:
     """Return the session of a log by command-line words; `read_again`: its columns are needed once more."""
-    session = Session(maps.give_topic(load_to_fuse(find_log(log), how, progress, read_again)), progress)
+    session = Session(maps.give_topic(load_to_fuse(log, how, progress, read_again)), progress)
     return session if how.given_map is None else session.with_map(how.given_map)
 
 
@@ -124,7 +124,7 @@ def inspected(log: Sequence[str], how: LogOptions, progress: Progress) -> dict[s
     from locfuse.cli.inspect import values
     from locfuse.cli.inspect.inspect_log import inspect_log
 
-    return values.values(inspect_log(find_log(log), how, progress))
+    return values.values(inspect_log(log, how, progress))
 
 
 def tried_by_fusing(log: Sequence[str], how: LogOptions, progress: Progress) -> dict[str, Any]:
@@ -231,15 +231,15 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         wanted = for_comparison(asked.sensors, self.drive, asked.all_subsets)
         foreign = foreign_estimates(self.loaded, named_sources(asked.estimates), [c.name for c in wanted])
         drawn = Drawn()
-        moves = not (self.drive.wheels.stands or self.loaded.spoils)
+        moves = not (self.drive.wheels.stands or self.loaded.motion_faults)
         evaluator = None
         if asked.advice and moves:
             from locfuse.cli.advice.evaluator import Evaluator  # the checks come with it
 
             evaluator = Evaluator(self.loaded, self.progress, asked.align)
-        takes, hears = ([], []) if evaluator is None else (evaluator.takes, evaluator.hears)
-        watch = [drawn.take, *takes]
-        compared = compare_log(self.loaded, wanted, asked, self.progress, watch, foreign, hears)
+        runs, listened = ([], []) if evaluator is None else (evaluator.run_receivers, evaluator.listened_receivers)
+        receivers = [drawn.take, *runs]
+        compared = compare_log(self.loaded, wanted, asked, self.progress, receivers, foreign, listened)
         report = report_of(compared, None if foreign or self.loaded.given is None else asked)
         advised = None if evaluator is None else evaluator.advised()
         others = [e.name for e in foreign]
@@ -288,9 +288,8 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         """
         from . import tune
 
-        paths = [self.log.paths, *(find_log(words_of(log)) for log in more)]
-        held = [find_log(words_of(log)) for log in hold_out]
-        return tune.tune_logs(paths, held, tune.sensor_names(sensors), drift, self.loaded.how, self.progress)
+        logs, held = [self._words, *map(words_of, more)], [*map(words_of, hold_out)]
+        return tune.tune_logs(logs, held, tune.sensor_names(sensors), drift, self.loaded.how, self.progress)
 
     @speaks_python
     def calibrate(self, *more: PathLike | Sequence[PathLike]) -> Calibration:
@@ -300,9 +299,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         """
         from . import calibrate
 
-        return calibrate.calibrated(
-            [self._words, *(words_of(log) for log in more)], self.loaded.how, self.progress
-        )
+        return calibrate.calibrated([self._words, *map(words_of, more)], self.loaded.how, self.progress)
 
     @property
     def _words(self) -> list[str]:
@@ -339,7 +336,7 @@ class Session(msgspec.Struct, frozen=True, eq=False):
         from locfuse.cli.advice.evaluator import Evaluator, looks_wrong
 
         filtered = replace(compared, estimates=compared.estimates[:1], evaluations=compared.evaluations[:1])
-        if self.drive.wheels.stands or self.loaded.spoils or not looks_wrong(self.loaded, filtered):
+        if self.drive.wheels.stands or self.loaded.motion_faults or not looks_wrong(self.loaded, filtered):
             return Advised()
         return Evaluator(self.loaded, self.progress, align).advised()
 

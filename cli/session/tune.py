@@ -12,11 +12,11 @@ from msgspec.structs import replace
 
 from locfuse.cli.advice.report import MAX_START_ERROR_M
 from locfuse.cli.analysis.configurations import refuse_beside_others, unknown_sensor
-from locfuse.cli.analysis.load import Loaded, load, start_error, with_settings
+from locfuse.cli.analysis.load import Loaded, Parts, find_log, load, start_error, with_settings
+from locfuse.cli.analysis.robot_tables import nested
 from locfuse.cli.analysis.settings import LogOptions, set_words
-from locfuse.formats.container.url import Place
 from locfuse.formats.robot import robot_toml
-from locfuse.fusion.checks.tried import MAX_LOSS_NATS, Marks, spoils
+from locfuse.fusion.checks.tried import MAX_LOSS_NATS, Marks, worsens
 from locfuse.fusion.chi_square import SIGMAS_95
 from locfuse.fusion.data import Evaluation, Measurements
 from locfuse.fusion.fuse import fuse
@@ -137,12 +137,8 @@ def _interval(row: TunedRow) -> tuple[float, float] | None:
 
 
 def _tables(tuned: Tuned) -> dict[str, dict[str, float]]:
-    tables: dict[str, dict[str, float]] = {}
-    for row in tuned.rows:
-        table, _, key = row.key.partition(".")
-        if row.identifiable or row.after != row.before:
-            tables.setdefault(table, {})[key] = float(f"{row.after:.4g}")
-    return tables
+    shown = (row for row in tuned.rows if row.identifiable or row.after != row.before)
+    return nested({row.key: float(f"{row.after:.4g}") for row in shown})
 
 
 def sensor_names(words: str) -> tuple[str, ...]:
@@ -158,8 +154,8 @@ def sensor_names(words: str) -> tuple[str, ...]:
 
 
 def tune_logs(
-    logs: Sequence[Sequence[Place]],
-    held_out: Sequence[Sequence[Place]],
+    logs: Sequence[Parts],
+    held_out: Sequence[Parts],
     sensors: tuple[str, ...],
     drift: bool,
     how: LogOptions,
@@ -170,7 +166,7 @@ def tune_logs(
     Where what was found spoils a log, and a sensor's errors last while the likelihood takes every reading for
     independent, the sigma of that sensor is left as it was, and the others are tuned once more.
     """
-    paths = [*logs, *held_out]
+    paths = [find_log(parts) for parts in (*logs, *held_out)]
     loaded = [load(p, how, progress, only=sensors) for p in paths]
     for one in loaded:
         refuse_doubtful(one, "noise found now")
@@ -234,7 +230,7 @@ def _less_likely(before: float, after: float) -> str:
 def spoiled(j: Judged) -> str | None:
     """Return a note on a log that gets worse with the tuned noise: such noise is not written."""
     before, after = (Marks(e.figures.get("position_rmse_m"), lost=e.lost_share) for e in (j.before, j.after))
-    if not spoils(before, after):
+    if not worsens(before, after):
         return None
     if after.lost > before.lost:
         what = f"is lost for {after.lost:.0%} of the drive, before for {before.lost:.0%}"

@@ -154,7 +154,7 @@ def _roles(overview: Overview, width: int | None) -> Iterator[str]:
 def _place(mount: dict[str, Any], frame: str) -> str:
     """Return in words the mount of a sensor and its source."""
     if mount["by"] == "nobody":
-        return f"nothing says where {f'frame {frame}' if frame else 'it'} sits"
+        return f"the mount of frame {frame} is unknown" if frame else "its mount is unknown"
     if "mounts" in mount:
         return f"{len(mount['mounts'])} places by {mount['by']}"
     parts = [f"{k} {mount[k] + 0.0:.3g} m" for k in ("x", "y") if k in mount]
@@ -240,7 +240,7 @@ def _next(overview: Overview, typed: Sequence[str], helped: Sequence[str] | None
         options = [word for key, value in fixes.items() for word in ("--set", f"{key}={value}")]
         return [shlex.join(("locfuse", "info", *kept, *options))]
     if overview.loaded is not None:  # of a motion that is not the robot's nothing can be compared
-        return [] if overview.loaded.spoils else [shlex.join(("locfuse", "compare", *typed))]
+        return [] if overview.loaded.motion_faults else [shlex.join(("locfuse", "compare", *typed))]
     return [f"{shlex.join(('locfuse', 'init', *typed))} > robot.toml"] if overview.choice.of("wheels") else []
 
 

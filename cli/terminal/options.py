@@ -21,12 +21,7 @@ from . import completion
 
 F = TypeVar("F", bound=Callable[..., Any])
 Declared = Callable[[Any], Any]  # what click.option returns
-P = TypeVar("P", bound=msgspec.Struct)
 SECONDS = "s since the first wheel reading"
-CARRIED = {  # parameters that fill the parts of Options
-    "truth",
-    *(name for part in (LogOptions, Asked, Outputs, GateOptions, FleetOptions) for name in part.__struct_fields__),
-}
 HELP_ALL = "locfuse.help_all"  # in a context's meta: every option is shown
 FIRST = {  # group of --help -> its parameters, in a user's order; all others are shown by --help-all
     "Input": ("sensors", "robots", "sets", "truth", "given_map", "smooth"),
@@ -51,6 +46,11 @@ class Options(msgspec.Struct, frozen=True):
         return (*self.how.robots, self.gates.baseline, self.how.given_map)
 
 
+PARTS = {part.name: part.type for part in msgspec.structs.fields(Options)}
+# the parameters that fill them
+CARRIED = {"truth", *(name for kind in PARTS.values() for name in kind.__struct_fields__)}
+
+
 def carried(*declared: Declared) -> Callable[[F], F]:
     """Add options to a command, which receives them as `options: Options`, and others under their own names."""
 
@@ -71,25 +71,9 @@ def carried(*declared: Declared) -> Callable[[F], F]:
 
 def _options(given: Mapping[str, Any]) -> Options:
     """Return click's values in one carrier. Raises click.UsageError for contradictions."""
-    fleet = _part(FleetOptions, given)
-    if fleet.cluster is not None and fleet.jobs > 1:
+    if given.get("cluster") is not None and given["jobs"] > 1:
         raise click.UsageError("--jobs is for this machine; --cluster runs a job per thread of its workers")
-    return Options(
-        how=_how(given),
-        asked=_part(Asked, given),
-        outputs=_part(Outputs, given),
-        gates=_part(GateOptions, given),
-        fleet=fleet,
-    )
-
-
-def _part(kind: type[P], given: Mapping[str, Any]) -> P:
-    return kind(**{name: given[name] for name in kind.__struct_fields__ if name in given})
-
-
-def _how(given: Mapping[str, Any]) -> LogOptions:
-    sets, truth = given["sets"], given["truth"]
-    begin, end = given.get("begin"), given.get("end")
+    begin, end, truth = given.get("begin"), given.get("end"), given["truth"]
     if begin is not None and end is not None and begin >= end:
         raise click.UsageError(f"--from {begin:g} --to {end:g}: the first must be the earlier one")
     if truth is not None:
@@ -98,8 +82,9 @@ def _how(given: Mapping[str, Any]) -> LogOptions:
 
         if truth.suffix.lower() not in SUFFIXES:
             raise click.UsageError(f"--truth {truth}: a .tum, or a .csv whose first line names t, x, y, is needed")
-        sets = (*sets, as_set("truth.topic", str(truth)))
-    return _part(LogOptions, {**given, "sets": sets})
+        given = {**given, "sets": (*given["sets"], as_set("truth.topic", str(truth)))}
+    parts = ((name, kind, kind.__struct_fields__) for name, kind in PARTS.items())
+    return Options(**{n: kind(**{f: given[f] for f in fields if f in given}) for n, kind, fields in parts})
 
 
 class Grouped(click.Command):
@@ -202,7 +187,7 @@ READING = (
     ),
     option(
         "--order",
-        "Which clock wins where stamps run backwards.  [default: auto]",
+        "The clock to use where stamps run backwards.  [default: auto]",
         type=click.Choice(settings.ORDERS),
     ),
     option(
@@ -224,8 +209,8 @@ PRESET = option(
     type=click.Choice(settings.PRESETS),
 )
 WINDOW = (
-    option("--from begin", f"Use only what comes after: {SECONDS}.", type=float, metavar="S"),
-    option("--to end", f"Use only what comes before: {SECONDS}.", type=float, metavar="S"),
+    option("--from begin", f"Use only the drive after this time: {SECONDS}.", type=float, metavar="S"),
+    option("--to end", f"Use only the drive before this time: {SECONDS}.", type=float, metavar="S"),
 )
 GIVEN_MAP = option(
     "--map given_map",
@@ -256,7 +241,7 @@ REFERENCE = option(
 )
 ADVICE = option(
     "--no-advice advice",
-    "Try no fixes: report what the settings give as they are, without fusing again.",
+    "Try no fixes: report the results of the present settings.",
     flag_value=False,
     default=True,
 )
@@ -295,7 +280,7 @@ def sensors(words: str) -> Declared:
 GATES = (
     each(
         "--fail-if",
-        'Exit with 4 if it holds, e.g. "all.position_rmse_m > 0.02"; of several logs also '
+        'Exit with 4 if this is true, e.g. "all.position_rmse_m > 0.02"; of several logs also '
         '"fleet.all.position_rmse_m.p90 > 0.05". Repeatable.',
         metavar="GATE",
     ),
@@ -333,7 +318,7 @@ def written(kinds: Sequence[str]) -> tuple[Declared, ...]:
     usual = ",".join(settings.by_default(kinds))
     return (
         option("-o --out", "Folder for the results.  [default: locfuse-out/<log name>]", type=DIRECTORY),
-        flag("--overwrite", "Replace files, and write into a folder that holds something else."),
+        flag("--overwrite", "Replace existing files, also in a folder that holds other files."),
         option(
             "--write",
             f"Comma-separated outputs to write: {', '.join(kinds)}, or all.  [default: {usual}]",
@@ -346,7 +331,7 @@ def written(kinds: Sequence[str]) -> tuple[Declared, ...]:
 
 
 # --- Rerun
-RERUN_SHOW = flag("--rerun", "Show the drive in Rerun. Of several logs: record each. More choices: locfuse view.")
+RERUN_SHOW = flag("--rerun", "Show the drive in Rerun; of several logs, record each. More options: locfuse view.")
 RERUN = (
     RERUN_SHOW,
     option("--rerun-save", "Write the Rerun recording to this file.", type=FILE, metavar="FILE.rrd"),

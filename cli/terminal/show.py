@@ -14,7 +14,7 @@ from locfuse.cli.analysis.errors import EXIT_LOSS
 from locfuse.cli.analysis.settings import Progress
 from locfuse.cli.rerun.record import record
 from locfuse.formats.report import json_report, tables
-from locfuse.formats.report.findings import banner_of, notes_of, sentence, together, void_reasons
+from locfuse.formats.report.findings import banner_of, counts, notes_of, sentence, together, void_reasons
 from locfuse.formats.report.table import Table
 from locfuse.fusion.progress import heard_by
 
@@ -173,9 +173,7 @@ def notes_in_words(report: Mapping[str, Any]) -> list[str]:
     """Return further notes on the figures: absent sensors, notes, dropped readings."""
     found = [f"not used: {sensor}: {why}" for sensor, why in report["absent"].items()]
     found += [f"note: {note}" for note in notes_of(report)]
-    for stream, reasons in report["input"]["dropped"].items():
-        counted = ", ".join(f"{count} {reason.replace('_', ' ')}" for reason, count in reasons.items())
-        found.append(f"dropped: {stream}: {counted}")
+    found += [f"dropped: {stream}: {counts(n)}" for stream, n in report["input"]["dropped"].items()]
     if report.get("jitter"):
         found.append(f"note: {report['jitter']['words']}")
     if report.get("reference"):

@@ -112,12 +112,18 @@ class McapSource(ChunkedSource):
         self._take(survey(self.data, self.losses))
 
     def search(self, part: Part, data: Bytes) -> Records:
-        """Find the records in a part's bytes, by the message indexes after a chunk if these are intact."""
-        index: Index = {}
+        """Find the records in a part's bytes."""
+        return records(data, part.size, self._index(part))
+
+    def _index(self, part: Part) -> Index:
+        """Return the message indexes after a chunk, none if they are not whole.
+
+        They are read with every chunk: after the last one, all bytes of the file were read and can be hashed.
+        """
         if isinstance(part, ChunkRef) and not part.cut_off:
             with suppress(DamagedError):
-                index = dict(rec.message_index(self.data.read(at, length)) for at, length in part.index.values())
-        return records(data, index or None, part.size)
+                return dict(rec.message_index(self.data.read(at, length)) for at, length in part.index.values())
+        return {}
 
     def unpacked(self, part: Part) -> bytes:
         """Return the bytes of a part. Raises DamagedError, also where they fail their checksum."""

@@ -11,6 +11,7 @@ wall's clock. What has no header is then dated by when it was recorded, read on 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -18,7 +19,7 @@ from msgspec import field
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from locfuse.fusion.data import ArrayStream, Ints
+from locfuse.fusion.data import ArrayStream, Ints, LocfuseError
 
 from . import jitter
 
@@ -62,6 +63,22 @@ class MadeStream(ArrayStream, frozen=True, kw_only=True):
 
     clock: Clock  # by which the times were chosen
     delay_s: float | None = None  # median delay of recording after the stamps
+
+
+class UnreadableStream:
+    """A derived topic that cannot be made: who asks for what is not `known` of it, its rows, gets the reason."""
+
+    frame_id = ""
+
+    def __init__(self, topic: str, msgtype: str, problem: LocfuseError, **known: Any) -> None:
+        self.topic = topic
+        self.msgtype = msgtype
+        self.problem = problem
+        vars(self).update(known)
+
+    def __getattr__(self, name: str) -> Any:
+        """Raise the reason for times, columns and all else of a MadeStream."""
+        raise self.problem
 
 
 def settle(log_time: Ints, stamp: Ints | None, order: str = "auto") -> Clock:

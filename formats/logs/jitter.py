@@ -7,6 +7,8 @@ then the hole is where the message lies, between the two beside it, and where it
 
 from __future__ import annotations
 
+from bisect import bisect_right
+
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
@@ -147,32 +149,24 @@ def never_decreasing(values: Ints, weights: Array) -> NDArray[np.bool_]:
 
 
 def _heaviest(values: Ints, weights: Array) -> NDArray[np.bool_]:
-    """Search one block by dynamic programming over a Fenwick tree of values: O(n log n)."""
-    n = len(values)
-    place = (np.unique(values, return_inverse=True)[1] + 1).tolist()
-    best = [(0.0, -1)] * (n + 1)  # Fenwick tree of maxima: (weight, last element)
-    before: list[int] = []
-    for i, weight in enumerate(weights.tolist()):
-        so_far, previous = _maximum_up_to(best, place[i])
+    """Search one block in O(n log n): of all series up to an element, only those that another may still extend.
+
+    Their last values rise, and their weights with them: a lighter series that ends higher is never extended.
+    """
+    last_values: list[int] = []
+    series: list[tuple[float, int]] = []  # weight, last element
+    before: list[int] = []  # element -> the one before it in its best series, -1 for none
+    for i, (value, weight) in enumerate(zip(values.tolist(), weights.tolist(), strict=True)):
+        at = bisect_right(last_values, value)
+        so_far, previous = series[at - 1] if at else (0.0, -1)
         before.append(previous)
-        _raise(best, place[i], (so_far + weight, i))
-    keep = np.zeros(n, bool)
-    i = _maximum_up_to(best, n)[1]
+        longer, end = (so_far + weight, i), at
+        while end < len(series) and series[end] < longer:
+            end += 1
+        last_values[at:end], series[at:end] = [value], [longer]
+    keep = np.zeros(len(values), bool)
+    i = series[-1][1]
     while i >= 0:
         keep[i] = True
         i = before[i]
     return keep
-
-
-def _maximum_up_to(tree: list[tuple[float, int]], at: int) -> tuple[float, int]:
-    found = (0.0, -1)
-    while at > 0:
-        found = max(found, tree[at])
-        at -= at & -at
-    return found
-
-
-def _raise(tree: list[tuple[float, int]], at: int, value: tuple[float, int]) -> None:
-    while at < len(tree):
-        tree[at] = max(tree[at], value)
-        at += at & -at

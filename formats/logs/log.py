@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property
-from typing import NamedTuple, Self
+from typing import NamedTuple, Self, cast
 
 import msgspec
 import numpy as np
@@ -262,7 +262,11 @@ class Log:
     def _made(self, topic: str, order: str) -> AnyStream:
         self.find(topic)
         if topic in self._derived:
-            return self._derived[topic](order)
+            try:
+                return self._derived[topic](order)
+            except LocfuseError as problem:
+                unreadable = clocks.UnreadableStream(topic, self.topics[topic].msgtype, problem)
+                return cast("clocks.MadeStream", unreadable)
         self._check(topic)
         return self._stream_of(topic, order)
 

@@ -427,7 +427,10 @@ def ranges_in(name: str, source: LogStream, fields: str) -> clocks.MadeStream:
     if isinstance(ids, Ragged) and isinstance(ranges, Ragged):
         if not np.array_equal(ids.lengths, ranges.lengths):
             i = int(np.flatnonzero(ids.lengths != ranges.lengths)[0])
-            raise LocfuseError(f"{name}: message {i} has {ids.lengths[i]} ids and {ranges.lengths[i]} ranges")
+            words = f"{name}: message {i} has {ids.lengths[i]} ids and {ranges.lengths[i]} ranges"
+            known = {"clock": source.clock, "delay_s": source.delay_s, "dropped": source.dropped}
+            broken = clocks.UnreadableStream(name, RANGES, LocfuseError(words), frame_id=source.frame_id, **known)
+            return cast("clocks.MadeStream", broken)
         t_ns = np.repeat(t_ns, ids.lengths)
         ids, ranges = (c.values[c.first[0] : c.first[-1]] for c in (ids, ranges))
     return _made_of(name, source, RANGES, t_ns, {"id": np.asarray(ids), "range": np.asarray(ranges)})

@@ -11,6 +11,7 @@ Tags that a detector publishes as frames of its camera are a topic too, "/tf:cam
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from graphlib import CycleError, TopologicalSorter
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -209,16 +210,12 @@ def _at(edge: FrameEdge, t_ns: Ints) -> Array:
 
 
 def loop_in(edges: Sequence[FrameEdge]) -> tuple[str, ...]:
-    """Return the frames of a loop in the tree (a frame that is its own ancestor), empty without one."""
-    above: dict[str, set[str]] = {}
-    for edge in edges:
-        above.setdefault(edge.child, set()).add(edge.parent)
-    while free := [child for child, parents in above.items() if not parents & above.keys()]:
-        for child in free:  # its parents have no parents: it is in no loop
-            del above[child]
-    if not above:
-        return ()
-    trail = [min(above)]
-    while trail[-1] not in trail[:-1]:
-        trail.append(min(above[trail[-1]] & above.keys()))
-    return tuple(trail[trail.index(trail[-1]) :])
+    """Return the frames of a loop in the tree (a frame that is its own ancestor), downwards; () without one."""
+    tree = TopologicalSorter[str]()
+    for edge in sorted(edges, key=lambda edge: edge.child):
+        tree.add(edge.child, edge.parent)
+    try:
+        tree.prepare()
+    except CycleError as found:
+        return tuple(found.args[1])
+    return ()

@@ -229,27 +229,16 @@ def fixed_size(node: Node, phase: int, aligned: bool) -> int | None:
     return None
 
 
+@lru_cache(maxsize=4096)
 def _fixed_run(element: Node, count: int, phase: int, aligned: bool) -> int | None:
-    """Return the number of bytes of `count` elements in a row, aligned from `phase` on; None if it varies."""
-    size, i = 0, 0
-    seen: dict[int, tuple[int, int]] = {}
-    while i < count:
-        now = (phase + size) % 8
-        if now in seen:
-            i_before, size_before = seen[now]
-            cycles = (count - i) // (i - i_before)
-            size += cycles * (size - size_before)
-            i += cycles * (i - i_before)
-            seen = {}
-            if i == count:
-                break
-        seen[now] = (i, size)
-        more = fixed_size(element, now, aligned)
-        if more is None:
-            return None
-        size += more
-        i += 1
-    return size
+    """Return the bytes of `count` elements in a row, with alignment: of the first half and of the rest."""
+    if count < 2:
+        return fixed_size(element, phase, aligned) if count else 0
+    first = _fixed_run(element, count // 2, phase, aligned)
+    if first is None:
+        return None
+    rest = _fixed_run(element, count - count // 2, (phase + first) % 8, aligned)
+    return None if rest is None else first + rest
 
 
 # --- Columns of many messages

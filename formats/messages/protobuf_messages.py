@@ -90,7 +90,6 @@ NAME = re.compile(rb"[A-Za-z0-9_.]*")
 LABEL_REPEATED = 3  # FieldDescriptorProto.Label
 TEXT_KIND, MESSAGE_KIND, BYTES_KIND = 9, 11, 12  # FieldDescriptorProto.Type
 TIME_TYPES = ("google.protobuf.Timestamp", "google.protobuf.Duration")
-TIME_PARTS = {1: "sec", 2: "nanosec"}
 # FieldDescriptorProto.Type -> how a number lies on the wire, and as what it is read
 NUMBERS: dict[int, tuple[int, str]] = {
     1: (FIXED_64, "<f8"), 2: (FIXED_32, "<f4"), 3: (VARINT, "i8"), 4: (VARINT, "u8"), 5: (VARINT, "i4"),
@@ -120,6 +119,10 @@ class Message(msgspec.Struct, frozen=True, eq=False):
     def is_time(self) -> bool:
         """Whether it is a stamp or a duration, read as one number of nanoseconds."""
         return self.name in TIME_TYPES
+
+
+# seconds and nanoseconds, by their names in ROS
+TIME_FIELDS = {1: Field("sec", VARINT, repeated=False, dtype="i8"), 2: Field("nanosec", VARINT, False, "i8")}
 
 
 def parse_descriptors(name: str, data: bytes) -> tuple[Message, Structure]:
@@ -165,7 +168,9 @@ def _message(name: str, described: Mapping[str, bytes]) -> Message:
             if kind == MESSAGE_KIND:
                 if held not in described:
                     raise SchemaError(f"its definition names {held} and does not define it")
-                if held not in made:
+                if held not in made and held in TIME_TYPES:
+                    made[held] = Message(held, TIME_FIELDS)
+                elif held not in made:
                     made[held] = Message(held)
                     waiting.append(held)
                 inside = made[held]
@@ -213,6 +218,7 @@ def _node(one: Field, above: tuple[str, ...], made: dict[str, Structure]) -> Nod
 Wanted = Mapping[str, "Wanted"]
 Value = Any
 NOTHING: Wanted = {}
+WHOLE_TIME: Wanted = {field.name: NOTHING for field in TIME_FIELDS.values()}
 
 
 class ProtobufDecoder(MessageDecoder):
@@ -298,20 +304,11 @@ class _Reader:
         if self.items > MAX_ITEMS:
             raise MalformedError(f"more than {MAX_ITEMS} strings and structures of their own length")
 
-    def _time(self, first: int, stop: int) -> dict[str, float]:
-        """Return seconds and nanoseconds."""
-        parts: dict[str, float] = dict.fromkeys(TIME_PARTS.values(), 0)
-        for number, wire, at, end in walk(self.data, first, stop):
-            if number in TIME_PARTS and wire == VARINT:
-                parts[TIME_PARTS[number]] = _number(varint(self.data, at, end)[0], "i8")
-        return parts
-
     def _value(self, field: Field, packed: bool, inner: Wanted | None, first: int, stop: int, depth: int) -> Value:
         """Return a number, the list of a packed array, a text, bytes, or the wanted parts of a message."""
-        if field.inside is not None and field.inside.is_time:
-            return self._time(first, stop)
         if field.inside is not None:
-            return self.parts(field.inside, inner or NOTHING, first, stop, depth + 1)
+            wanted = WHOLE_TIME if field.inside.is_time else inner or NOTHING
+            return self.parts(field.inside, wanted, first, stop, depth + 1)
         if inner is None:
             return None
         if not field.dtype:
@@ -336,7 +333,7 @@ def _defaults(kind: Message, wanted: Wanted) -> dict[str, Value]:
         if field.repeated:
             found[field.name] = []
         elif field.inside is not None:
-            found[field.name] = {} if field.inside.is_time else _defaults(field.inside, wanted[field.name])
+            found[field.name] = _defaults(field.inside, wanted[field.name])
         else:
             found[field.name] = 0.0 if field.dtype else "" if field.text else b""
     return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 CLAUSE_END = re.compile(r"; |, but ")
@@ -67,6 +67,11 @@ def _in_vain(finding: Mapping[str, Any]) -> str:
     if finding.get("harmless"):
         return f" With {tried} little changes on this drive."
     return f" No setting found that helps ({tried} could explain it, but the result gets no better)."
+
+
+def counts(by_reason: Mapping[str, int]) -> str:
+    """Return "3 out of order, 1 repeat"."""
+    return ", ".join(f"{n} {reason.replace('_', ' ')}" for reason, n in by_reason.items())
 
 
 def options(fixes: Sequence[str]) -> str:
@@ -137,15 +142,19 @@ def title_of(report: Mapping[str, Any]) -> str:
 def notes_of(report: Mapping[str, Any]) -> list[str]:
     """Return the log's notes, then those of configurations (slips, an estimated track), with their names."""
     runs = report["configurations"]
-    found: dict[tuple[str, int], dict[str, str]] = {}
-    for name, values in runs.items():
-        times: Counter[str] = Counter()
-        for words in values["notes"]:
-            form = _form(words)
-            found.setdefault((form, times[form]), {})[name] = words
-            times[form] += 1
-    said = (next(iter(own.values())) if len(runs) == 1 else _whose(own) for own in found.values())
+    found = _grouped((name, _form(words), words) for name, values in runs.items() for words in values["notes"])
+    said = (next(iter(own.values())) if len(runs) == 1 else _whose(own) for own in found)
     return [*_of_log(report["notes"]), *said]
+
+
+def _grouped(notes: Iterable[tuple[str, str, str]]) -> Iterable[dict[str, str]]:
+    """Group notes (who, form, words) of one form by who says them; the n-th of each belong together."""
+    found: dict[tuple[str, int], dict[str, str]] = {}
+    times: Counter[tuple[str, str]] = Counter()
+    for who, form, words in notes:
+        found.setdefault((form, times[who, form]), {})[who] = words
+        times[who, form] += 1
+    return found.values()
 
 
 def _form(words: str) -> str:
@@ -155,15 +164,9 @@ def _form(words: str) -> str:
 
 def _of_log(notes: Sequence[str]) -> list[str]:
     """Return the log's notes; one that holds for several streams appears once, with all names."""
-    found: dict[tuple[str, int], dict[str, str]] = {}
-    times: Counter[tuple[str, str]] = Counter()
-    for note in notes:
-        who, colon, words = note.partition(": ")
-        who, words = (who, words) if colon else ("", note)
-        form = _form(words) if colon else note
-        found.setdefault((form, times[who, form]), {})[who] = words
-        times[who, form] += 1
-    return [f"{', '.join(own)}: {_with_others(own)}" if "" not in own else own[""] for own in found.values()]
+    parted = (("", "", note) if ": " not in note else note.partition(": ") for note in notes)
+    found = _grouped((who, _form(words) if who else words, words) for who, _, words in parted)
+    return [f"{', '.join(own)}: {_with_others(own)}" if "" not in own else own[""] for own in found]
 
 
 def _whose(own: Mapping[str, str]) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from . import tables
-from .findings import banner_of, findings_of, fingerprint, notes_of, title_of, together
+from .findings import banner_of, counts, findings_of, fingerprint, notes_of, title_of, together
 from .render import SIGNS, code, escape, markdown
 
 
@@ -74,8 +74,3 @@ def _listing(title: str, entries: Mapping[str, str]) -> str:
         return ""
     lines = [f"- {escape(k)}" + (f": {escape(v)}" if v else "") for k, v in entries.items()]
     return f"**{title}**\n\n" + "\n".join(lines)
-
-
-def counts(by_reason: Mapping[str, int]) -> str:
-    """Return "3 out of order, 1 repeat"."""
-    return ", ".join(f"{v} {k.replace('_', ' ')}" for k, v in by_reason.items())

@@ -54,7 +54,7 @@ class Setting(msgspec.Struct, frozen=True):
 
     @property
     def label(self) -> str:
-        """The first words of a comment."""
+        """The first words of a comment on a setting."""
         return LABELS[self.origin]
 
     @property
@@ -64,7 +64,7 @@ class Setting(msgspec.Struct, frozen=True):
 
     @property
     def replaces(self) -> bool:
-        """The first words of a comment on a setting."""
+        """Whether the value replaces one in an existing file."""
         return self.value is not None and self.origin in {FOUND, SET}
 
     def words_at(self, place: int | None) -> str:

@@ -64,7 +64,9 @@ def of_clocks(drive: Drive, robot: Robot) -> list[Finding]:
         rival = equal[0] if len(explanations[0]) == 1 and equal else None
         words = clock_words(clock)
         if rival is not None:
-            words += f"; no third clock says which of the two is off: {offset_of(rival, robot, 2)} is equal"
+            words += (
+                f"; no third clock shows which of the two is wrong: {offset_of(rival, robot, 2)} is equivalent"
+            )
         severe = abs(clock.offset) > SEVERE_LAG_S
         digits = 2 if clock.sigma > MIN_LAG_S else 3
         code = CLOCK if rival is None or "truth" not in {clock.name, rival.name} else OPEN_CLOCK

@@ -142,7 +142,7 @@ def blind(name: str, m: Measurements) -> list[Finding]:
     if n >= MIN_READINGS and m.absent > MAX_EMPTY_SHARE * n:
         words = f"no {REGISTRY[name].sees} in {m.absent} of {n} readings: it is dead, or its settings do not fit"
         why = (Finding(name, "seen", note) for note in m.notes)
-        return [Finding(name, "blind", words, severe=REGISTRY[name].blind_spoils), *why]
+        return [Finding(name, "blind", words, severe=REGISTRY[name].blind_is_severe), *why]
     if not n:
         return [Finding(name, "blind", "no reading within the wheels' time", severe=True)]
     return [Finding(name, "seen", note) for note in m.notes]

@@ -213,7 +213,7 @@ def _nothing(values: Array, far: Array) -> list[Finding]:
         "beyond range_max": ((values > far) & np.isfinite(values)).mean() if len(values) else 0.0,
     }
     words = ", ".join(f"{share:.0%} {how}" for how, share in shares.items() if share >= 0.005)
-    return [Finding("lrf", "no return", f"of its ranges {words}: nothing came back there")] if words else []
+    return [Finding("lrf", "no return", f"ranges without a return: {words}")] if words else []
 
 
 def _in_turn(column: dict[str, Array]) -> list[Finding]:
@@ -236,7 +236,7 @@ def _in_turn(column: dict[str, Array]) -> list[Finding]:
 def _angles(column: dict[str, Array], lengths: Array) -> list[Finding]:
     found = []
     if (column["angle_increment"] < 0.0).any():
-        found.append(Finding("lrf", "clockwise", "its angles decrease: it scans clockwise, and is read so"))
+        found.append(Finding("lrf", "clockwise", "its angles decrease: it scans clockwise (read correctly)"))
     if len(np.unique(lengths)) > 1:
         words = f"its scans have {int(lengths.min())} to {int(lengths.max())} beams; each is read with its own"
         found.append(Finding("lrf", "beams", words))

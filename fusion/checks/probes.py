@@ -89,7 +89,7 @@ def of_mount(
             unit = "°" if key == "yaw_deg" else " m"
             words.append(f"{part} is {shown:g}{unit} (± {sigma:.1g}), configured {configured:g}{unit}")
     if fixes:
-        yield Finding(sensor, MOUNT, f"mount by the drive itself: {', '.join(words)}", tuple(fixes))
+        yield Finding(sensor, MOUNT, f"the drive shows another mount: {', '.join(words)}", tuple(fixes))
 
 
 def beyond_prior(robot: Robot, sensor: str, e: Estimates) -> bool:
@@ -119,7 +119,7 @@ def _track(robot: Robot, e: Estimates) -> Iterator[Finding]:
     sigma = math.sqrt(float((by**2 * e.block_sigmas[WHEELS][-1] ** 2).sum()))
     if abs(off) > max(MIN_SIGMAS * sigma, MIN_TRACK):
         track = robot.wheels.track * (1.0 + off)
-        words = f"the track by the drive itself is {track:.4g} m, configured {robot.wheels.track:g} m"
+        words = f"the drive shows a track of {track:.4g} m, configured {robot.wheels.track:g} m"
         yield Finding("wheels", "track", words, (f"wheels.track={track:.4g}",))
 
 
@@ -163,5 +163,5 @@ def of_offsets(robot: Robot, e: Estimates) -> Iterator[Finding]:
         scale = REGISTRY[sensor].components[0].scale
         value, sigma = scale * float(e.blocks[name][-1, 0]), scale * float(e.block_sigmas[name][-1, 0])
         value = math.degrees(wrap(math.radians(value)))
-        words = f"its offset is estimated anew on every drive; this one found {value:.2f}° (± {sigma:.1g})"
+        words = f"its offset is estimated on every drive, here {value:.2f}° (± {sigma:.1g})"
         yield Finding(sensor, "offset", words, (f"{sensor}.{bias.key}={value:.2f}",))

@@ -161,7 +161,7 @@ def _distances(wheels: Wheels, begin: Array, t: Array, pose: Array, window: floa
 
 
 def _ahead(t: Array, pose: Array, begin: Array, window: float) -> Array:
-    """Return how far ahead (m,) [m] a path, poses (n, 3) at t (n,), leads from `begin` (m,) in a window [s]."""
+    """Return the distance (m,) [m] that a path (n, 3) at t (n,) moves forward in the window after each `begin`."""
     first, last = (np.stack([np.interp(at, t, c) for c in pose.T], axis=-1) for at in (begin, begin + window))
     ahead: Array = se2.between(first, last)[:, 0]
     return ahead

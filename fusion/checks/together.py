@@ -31,9 +31,9 @@ from .tried import (
     improves,
     keys,
     readable,
-    ruins,
-    spoils_alone,
     together,
+    worsens_alone,
+    worsens_far,
 )
 from .truth import axle_path, swing, wheels_metre
 from .turning import aligned, observed_track, turnings, turns_by_truth
@@ -381,7 +381,8 @@ def judged(fixes: Fixes, kept: Fixes, found: Mapping[str, Mapping[Fixes, Look]],
         kept_by_user = {max(using, key=lambda n: len(one.sensors[n])), _best(using, one.marks)}
         # one log loses by chance, and wheels alone are one random walk: only the mean over the logs tells of these
         if any(
-            spoils_alone(*pairs[n]) if n in kept_by_user else n not in BASES and ruins(*pairs[n]) for n in using
+            worsens_alone(*pairs[n]) if n in kept_by_user else n not in BASES and worsens_far(*pairs[n])
+            for n in using
         ):
             losers.append(log)
         gained += any(improves(*pair) for pair in pairs.values())

@@ -60,7 +60,7 @@ def readable(before: Marks, after: Marks) -> tuple[Marks, Marks]:
     return before, after
 
 
-def spoils(before: Marks, after: Marks, allowed: float = MAX_LOSS, allowed_nats: float = MAX_LOSS_NATS) -> bool:
+def worsens(before: Marks, after: Marks, allowed: float = MAX_LOSS, allowed_nats: float = MAX_LOSS_NATS) -> bool:
     """Return whether any figure gets notably worse or is missing.
 
     `allowed` is the share by which the position error may grow, `allowed_nats` what a prediction may lose.
@@ -91,7 +91,7 @@ def turns_right(before: Marks, after: Marks) -> bool:
     return _turned(before, after) > -math.log(1.0 - MAX_TURNED_SHARE)
 
 
-def spoils_alone(before: Marks, after: Marks) -> bool:
+def worsens_alone(before: Marks, after: Marks) -> bool:
     """Return whether a configuration that no user would keep gets notably worse.
 
     One drive's error moves by many percent with every other way of weighing the same readings, by chance: such a
@@ -99,7 +99,7 @@ def spoils_alone(before: Marks, after: Marks) -> bool:
     or where only the new ones are.
     """
     allowed = MAX_CONSISTENT_LOSS if within_claim(before, after) or was_chance(before, after) else MAX_CHANCE_LOSS
-    return spoils(before, after, allowed, MAX_CHANCE_LOSS_NATS) and not _only_underconfident(before, after)
+    return worsens(before, after, allowed, MAX_CHANCE_LOSS_NATS) and not _only_underconfident(before, after)
 
 
 def within_claim(before: Marks, after: Marks) -> bool:
@@ -108,13 +108,13 @@ def within_claim(before: Marks, after: Marks) -> bool:
     return len(known) == 2 and all(anees <= high for anees, (_, high) in known)
 
 
-def spoils_smoothed(before: Marks, after: Marks) -> bool:
+def worsens_smoothed(before: Marks, after: Marks) -> bool:
     """Return whether a smoothed path gets worse: its errors, since no fix is about its covariance.
 
     One whose errors stay within what it claims may lose by chance.
     """
     allowed = MAX_SMOOTHED_LOSS if within_claim(before, after) else MAX_LOSS
-    return spoils(before._replace(anees=None), after._replace(anees=None), allowed)
+    return worsens(before._replace(anees=None), after._replace(anees=None), allowed)
 
 
 def _only_underconfident(before: Marks, after: Marks) -> bool:
@@ -125,7 +125,7 @@ def _only_underconfident(before: Marks, after: Marks) -> bool:
     return small and after.anees is not None and after.anees < 1.0
 
 
-def ruins(before: Marks, after: Marks) -> bool:
+def worsens_far(before: Marks, after: Marks) -> bool:
     """Return whether a configuration gets worse by far more than chance explains."""
     if after.lost > before.lost + MAX_LOST_SHARE:
         return True
@@ -170,7 +170,7 @@ def settles(before: Marks, after: Marks) -> bool:
     """Return whether a configuration's error falls to less than half: more than chance on one drive."""
     if before.position is None or after.position is None:
         return False
-    return after.position < MAX_SETTLED_SHARE * before.position and not spoils(before, after)
+    return after.position < MAX_SETTLED_SHARE * before.position and not worsens(before, after)
 
 
 def gain(before: Marks, after: Marks) -> float:
@@ -458,15 +458,15 @@ def _beside_another(
             for other in others:
                 both = together(both, other.fixes)
             pairs = scored(kept, both, advice.judges, trial)
-            if others and pairs and not _any_spoiled(pairs, case.kept(advice.finding.role)):
+            if others and pairs and not _any_worsened(pairs, case.kept(advice.finding.role)):
                 before, after = ({name: pair[i] for name, pair in pairs.items()} for i in (0, 1))
                 return [replace(advice, fixes=fixes, before=before, after=after), *others]
     return []
 
 
-def _any_spoiled(pairs: Mapping[str, tuple[Marks, Marks]], kept: Collection[str]) -> bool:
+def _any_worsened(pairs: Mapping[str, tuple[Marks, Marks]], kept: Collection[str]) -> bool:
     """Return whether a configuration gets worse; one that no user would keep may get worse by chance."""
-    return any((spoils if name in kept else spoils_alone)(*pair) for name, pair in pairs.items())
+    return any((worsens if name in kept else worsens_alone)(*pair) for name, pair in pairs.items())
 
 
 def scored(kept: Fixes, fixes: Fixes, judges: Sequence[str], trial: Try) -> dict[str, tuple[Marks, Marks]]:
@@ -538,7 +538,7 @@ def _by_prediction(pairs: Mapping[str, tuple[Marks, Marks]]) -> bool:
 
 
 def _any_loses(pairs: Mapping[str, tuple[Marks, Marks]]) -> bool:
-    return any(spoils(*pair) for pair in pairs.values())
+    return any(worsens(*pair) for pair in pairs.values())
 
 
 def judged_pairs(
@@ -557,7 +557,7 @@ def judged_pairs(
         # what takes one configuration's error to less than half is right: another one's may lose what chance does
         right = candidate.measured and turns_right(one, other)
         chance = name in candidate.minor or settled or right
-        worse = ruins if name in candidate.others else spoils_alone if chance else spoils
+        worse = worsens_far if name in candidate.others else worsens_alone if chance else worsens
         if worse(one, other):
             if name not in candidate.minor or not was_chance(one, other):
                 return {}

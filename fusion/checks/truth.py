@@ -155,7 +155,7 @@ class Jumps(NamedTuple):
     steps: int  # of the whole truth
 
     @property
-    def spoil(self) -> bool:
+    def unusable(self) -> bool:
         """Whether the truth jumps so often that it cannot be used."""
         return self.number > MAX_JUMP_SHARE * self.steps
 

@@ -35,8 +35,8 @@ def _turning(heading: Array) -> str:
     left, right = float(turns[turns > 0.0].sum()), float(-turns[turns < 0.0].sum())
     if min(left, right) >= MIN_TURN_RAD:
         return ""
-    told = f"the robot turns {math.degrees(left):.0f}° to the left and {math.degrees(right):.0f}° to the right"
-    return f"{told}: a late clock, a mount and the track look alike. Turn on the spot, once each way"
+    turned = f"the robot turns {math.degrees(left):.0f}° to the left and {math.degrees(right):.0f}° to the right"
+    return f"{turned}: a late clock, a mount and the track cannot be told apart. Turn on the spot, once each way"
 
 
 def _straight(heading: Array, way: Array) -> str:

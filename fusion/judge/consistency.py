@@ -23,7 +23,7 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import gap_limit
 from locfuse.fusion.truth import body_poses
 
-from .innovations import Heard, Own, heard, own, usual_period
+from .innovations import ComparedReadings, Own, compare_readings, own, usual_period
 
 Verdict = Literal[
     "consistent", "understated", "overstated", "biased", "contradicts", "correlated", "outliers", "unclear"
@@ -51,24 +51,24 @@ class Consistency(msgspec.Struct, frozen=True):
     verdict: Verdict
     words: str
     scale: float | None = None  # by which the sensor's sigma should be multiplied
-    cures: Mapping[str, float] = field(default_factory=dict)  # robot.toml key -> value
+    fix_values: Mapping[str, float] = field(default_factory=dict)  # robot.toml key -> value
     nis_bounds: tuple[float, float] | None = None  # 95 % bounds of the mean NIS per degree of freedom
     bias_sigma: tuple[float, ...] = ()  # mean innovation in predicted standard deviations
     whiteness: tuple[float, ...] = ()  # autocorrelation of the innovations at lags 1, 2, ...
     refused: float | None = None  # share of what was compared
 
 
-def disagrees(h: Heard) -> bool:
+def disagrees(h: ComparedReadings) -> bool:
     """Return whether a sensor's mean innovation is significantly and notably off in a run without the sensor."""
     return h.bias is not None and abs(h.bias) > MIN_SIGMAS * h.sure and notable(h)
 
 
-def notable(h: Heard) -> bool:
+def notable(h: ComparedReadings) -> bool:
     """Return whether a sensor's mean is off by more than half its noise."""
     return h.bias is not None and abs(h.bias) > MIN_BIAS_SIGMAS * math.sqrt(h.white)
 
 
-def by_reference_run(sensor: str, settings: Any, h: Heard) -> Consistency | None:
+def by_reference_run(sensor: str, settings: Any, h: ComparedReadings) -> Consistency | None:
     """Judge a sensor by a run that does not use it; None where that run is too uncertain."""
     noise = min(h.white, max(h.spread - h.reference, 0.5 * h.white))
     is_slow = h.slow > max(MIN_SLOW_VARIANCE_RATIO * h.reference, 0.1 * h.white)
@@ -106,7 +106,7 @@ def by_itself(sensor: str, settings: Any, o: Own, floor: Sequence[float], period
     return by_share(sensor, o.refused, by_scale(sensor, settings, factor))
 
 
-def _drifts(sensor: str, settings: Any, h: Heard) -> bool:
+def _drifts(sensor: str, settings: Any, h: ComparedReadings) -> bool:
     """Whether the drift of an estimated offset already covers the slow errors."""
     key = REGISTRY[sensor].drift_key
     if key is None or h.bias is not None:
@@ -133,15 +133,15 @@ def by_scale(sensor: str, settings: Any, factor: float) -> Consistency:
     if MIN_SIGMA_FACTOR <= factor <= MAX_SIGMA_FACTOR:
         return Consistency("consistent", f"{sensor} noise matches the configured noise", factor)
     keys = REGISTRY[sensor].noise_keys
-    cures = {f"{sensor}.{k}": rounded(getattr(settings, k) * factor) for k in keys}
+    fix_values = {f"{sensor}.{k}": rounded(getattr(settings, k) * factor) for k in keys}
     verdict: Verdict = "understated" if factor > 1.0 else "overstated"
     first = keys[0]
     unit = _sign(sensor)
     words = (
         f"noise is set too {'low' if factor > 1.0 else 'high'}: {getattr(settings, first):g}{unit} configured, "
-        f"{cures[f'{sensor}.{first}']:g}{unit} observed"
+        f"{fix_values[f'{sensor}.{first}']:g}{unit} observed"
     )
-    return Consistency(verdict, words, factor, cures)
+    return Consistency(verdict, words, factor, fix_values)
 
 
 def of_messages(sensor: str, found: Consistency) -> Consistency:
@@ -158,7 +158,7 @@ def of_messages(sensor: str, found: Consistency) -> Consistency:
     return Consistency(found.verdict, words, found.scale)
 
 
-def biased_against(sensor: str, settings: Any, h: Heard) -> Consistency:
+def biased_against(sensor: str, settings: Any, h: ComparedReadings) -> Consistency:
     """Report a mean that differs from a run that does not use the sensor."""
     return biased(sensor, settings, h.bias or 0.0, h.sure, math.sqrt(h.white / h.readings))
 
@@ -177,11 +177,11 @@ def biased(sensor: str, settings: Any, bias: float, sure: float, drawn: float) -
     if fix is None:
         return Consistency("biased", words)
     value = (getattr(settings, fix.key) or 0.0) + fix.sign * amount
-    cures = {f"{sensor}.{fix.key}": _turned(value) if unit == "deg" else rounded(value)}
+    fix_values = {f"{sensor}.{fix.key}": _turned(value) if unit == "deg" else rounded(value)}
     if fix.sigma is not None and sure > MAX_DRAWN_RATIO * drawn and _accepts(settings, fix.sigma, sigma):
-        cures[f"{sensor}.{fix.sigma}"] = sigma
+        fix_values[f"{sensor}.{fix.sigma}"] = sigma
         words += f" (1 sigma {sigma:g})"
-    return Consistency("biased", words, None, cures)
+    return Consistency("biased", words, None, fix_values)
 
 
 def _accepts(settings: Any, key: str, value: float) -> bool:
@@ -199,16 +199,16 @@ def correlated(sensor: str, settings: Any, sigma: float, repeats: float, period:
     amount, _ = _human(sigma, sensor)
     key = REGISTRY[sensor].noise_keys[0]
     value = rounded(amount * math.sqrt(repeats))
-    cures = {f"{sensor}.{key}": value, **drift_cures(sensor, settings, 2.0 * amount, memory)}
+    fix_values = {f"{sensor}.{key}": value, **drift_fix_values(sensor, settings, 2.0 * amount, memory)}
     sign = _sign(sensor)
     words = (
         f"errors of {rounded(amount):g}{sign} last about {rounded(memory):g} s, so {rounded(repeats):g} readings "
         "count as one, but the filter assumes independent readings"
     )
-    return Consistency("correlated", words, math.sqrt(repeats), cures)
+    return Consistency("correlated", words, math.sqrt(repeats), fix_values)
 
 
-def changing(sensor: str, settings: Any, h: Heard) -> Consistency | None:
+def changing(sensor: str, settings: Any, h: ComparedReadings) -> Consistency | None:
     """Report a mean that steps or drifts by more than half of the noise of one reading; None where it stays."""
     if h.change is None or abs(h.change.amount) < max(MIN_BIAS_SIGMAS * math.sqrt(h.white), MIN_SIGMAS * h.sure):
         return None
@@ -217,19 +217,19 @@ def changing(sensor: str, settings: Any, h: Heard) -> Consistency | None:
         words = f"drifts by {amount:+.2g}{sign} in {h.change.span:.0f} s"
     else:
         words = f"steps by {amount:+.2g}{sign} at {h.change.step_s:.1f} s"
-    return Consistency("correlated", words, None, drift_cures(sensor, settings, abs(amount), h.change.span))
+    return Consistency("correlated", words, None, drift_fix_values(sensor, settings, abs(amount), h.change.span))
 
 
-def drift_cures(sensor: str, settings: Any, amount: float, span: float) -> dict[str, float]:
+def drift_fix_values(sensor: str, settings: Any, amount: float, span: float) -> dict[str, float]:
     """Return the keys of an offset that walks by `amount` [unit] in `span` [s]; {} of a sensor without one."""
     drift, offset = REGISTRY[sensor].drift_key, REGISTRY[sensor].bias
     if drift is None or offset is None:
         return {}
-    cures = {f"{sensor}.{drift}": rounded(amount / math.sqrt(span))}
+    fix_values = {f"{sensor}.{drift}": rounded(amount / math.sqrt(span))}
     exact = getattr(settings, offset.key) is not None and offset.sigma and not getattr(settings, offset.sigma)
     if exact and _accepts(settings, str(offset.sigma), amount):
-        cures[f"{sensor}.{offset.sigma}"] = rounded(amount)  # an exact offset does not walk
-    return cures
+        fix_values[f"{sensor}.{offset.sigma}"] = rounded(amount)  # an exact offset does not walk
+    return fix_values
 
 
 def many_refused(sensor: str, share: float) -> bool:
@@ -317,9 +317,9 @@ class Evidence:
         self.own: dict[tuple[str, str], Own | None] = {
             (r.estimates.name, s): found for r in runs for s, found in r.own.items()
         }
-        self._heard: dict[tuple[str, str], Heard | None] = {}
+        self._heard: dict[tuple[str, str], ComparedReadings | None] = {}
         self._truth = as_run(runs[0].drive, runs[0].estimates) if runs else None
-        self.flagged: dict[str, Heard] = {}
+        self.flagged: dict[str, ComparedReadings] = {}
         self.contradict: set[str] = set()
         self._flag()
 
@@ -327,7 +327,7 @@ class Evidence:
         """Return the verdict on a sensor and its words."""
         found = self._finding(sensor)
         m = next(r.drive.measurements[sensor] for r in self.runs if sensor in r.estimates.sensors)
-        return of_messages(sensor, found) if REGISTRY[sensor].says_noise(m) else found
+        return of_messages(sensor, found) if REGISTRY[sensor].brings_covariance(m) else found
 
     def _finding(self, sensor: str) -> Consistency:
         settings = self.robot.settings(sensor)
@@ -356,7 +356,7 @@ class Evidence:
         why = f"the noise of {' and '.join(sorted(found))} must be set first" if found else "too few measurements"
         return Consistency("unclear", f"noise cannot be judged: {why}")
 
-    def reference_runs(self, sensor: str) -> list[tuple[Run, Heard]]:
+    def reference_runs(self, sensor: str) -> list[tuple[Run, ComparedReadings]]:
         """Return consistent runs that use neither the sensor nor a flagged one, the most certain first."""
         found = []
         for run in self.runs:
@@ -376,14 +376,14 @@ class Evidence:
             return None
         return biased_against(sensor, self.robot.settings(sensor), found)
 
-    def _hear_by_truth(self, sensor: str) -> Heard | None:
+    def _hear_by_truth(self, sensor: str) -> ComparedReadings | None:
         found = None if self._truth is None else self._hear(self._truth, sensor)
         return found if found is not None and found.readings >= MIN_READINGS else None
 
-    def _hear(self, run: Run, sensor: str) -> Heard | None:
+    def _hear(self, run: Run, sensor: str) -> ComparedReadings | None:
         key = run.estimates.name, sensor
         if key not in self._heard:
-            self._heard[key] = heard(run.drive, self.robot, run.estimates, sensor)
+            self._heard[key] = compare_readings(run.drive, self.robot, run.estimates, sensor)
         return self._heard[key]
 
     def _healthy(self, run: Run, but: str = "") -> bool:

@@ -373,7 +373,7 @@ def running_nis(audit: Audit, t: Array) -> RunningNis:
     return RunningNis(0.5 * (edges[1:] + edges[:-1]), mean, bounds[:, 0], bounds[:, 1])
 
 
-class Honesty(msgspec.Struct, frozen=True):
+class CovarianceCheck(msgspec.Struct, frozen=True):
     """ANEES: mean squared error over predicted variance. 1 is right, above 1 is overconfident."""
 
     anees: float
@@ -394,7 +394,7 @@ class Honesty(msgspec.Struct, frozen=True):
         return self.bounds[0] <= self.anees <= self.bounds[1]
 
 
-def honesty(judged: Evaluation) -> Honesty | None:
+def covariance_check(judged: Evaluation) -> CovarianceCheck | None:
     """Return the consistency of a configuration's covariance; None without truth or after alignment."""
     anees = judged.figures.get("anees")
     e = judged.deviation if judged.heading is None else np.column_stack((judged.deviation, judged.heading))
@@ -407,7 +407,7 @@ def honesty(judged: Evaluation) -> Honesty | None:
     bounds = mean_bounds(CONFIDENCE, unit.shape[1], independent)
     states = dict(zip(STATES, (unit**2).mean(axis=0).tolist(), strict=False))
     alone = mean_bounds(CONFIDENCE, 1, independent)
-    return Honesty(anees, bounds, states, alone, independent, _words(anees, bounds))
+    return CovarianceCheck(anees, bounds, states, alone, independent, _words(anees, bounds))
 
 
 def _words(anees: float, bounds: tuple[float, float]) -> str:

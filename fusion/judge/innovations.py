@@ -58,7 +58,7 @@ class Change(NamedTuple):
     span: float  # s, of the readings
 
 
-class Heard(NamedTuple):
+class ComparedReadings(NamedTuple):
     """One sensor's readings compared with a run that did not use it."""
 
     readings: int
@@ -85,7 +85,7 @@ def own(audit: Audit, m: Measurements) -> Own | None:
     accepted = int((audit.verdict == ACCEPTED).sum())
     refused = int(np.isin(audit.verdict, (GATE, UNMATCHED, LOST)).sum())
     nis, bounds, raw = _accepted(audit, int(far.sum()), d)
-    told, R = _told(audit, m, compared)
+    ratio, R = _prediction_ratio(audit, m, compared)
     middle, deviation, bias, whiteness = _shape(audit, compared)
     lasts = math.sqrt(_memory(np.append(1.0, whiteness)) / len(compared))
     return Own(
@@ -98,9 +98,9 @@ def own(audit: Audit, m: Measurements) -> Own | None:
         sure=tuple((deviation * lasts).tolist()),
         whiteness=tuple(whiteness.tolist()),
         raw=raw,
-        scale=raw * min(max(1.0 - whiteness[0] * told, 0.3), 2.0),
-        white=max(1.0 / told - whiteness[0], 0.0),
-        share=1.0 / told,
+        scale=raw * min(max(1.0 - whiteness[0] * ratio, 0.3), 2.0),
+        white=max(1.0 / ratio - whiteness[0], 0.0),
+        share=1.0 / ratio,
         R=tuple(R.tolist()),
     )
 
@@ -137,7 +137,7 @@ def _shape(audit: Audit, compared: Ints) -> tuple[Array, Array, Array, Array]:
     return middle, deviation, bias, _whiteness(y, mark)
 
 
-def _told(audit: Audit, m: Measurements, compared: Ints) -> tuple[float, Array]:
+def _prediction_ratio(audit: Audit, m: Measurements, compared: Ints) -> tuple[float, Array]:
     """Return the median of S / R, where S is the predicted and R the configured variance, and mean R (d,)."""
     R = np.diagonal(m.R_unit, axis1=1, axis2=2)[audit.row[compared]]
     R *= m.scale**2
@@ -167,7 +167,7 @@ def _whiteness(v: Array, mark: Counts) -> Array:
     return out
 
 
-def heard(drive: Drive, robot: Robot, run: Estimates, sensor: str) -> Heard | None:
+def compare_readings(drive: Drive, robot: Robot, run: Estimates, sensor: str) -> ComparedReadings | None:
     """Compare a one-number sensor with a run that does not use it; None if they cannot be compared."""
     m = drive.measurements[sensor]
     model = REGISTRY[sensor].model(robot.settings(sensor))
@@ -205,7 +205,7 @@ def usual_period(t: Array) -> float | None:
     return float(np.median(apart)) if len(apart) else None
 
 
-def _agreement(rows: Array, unknown: bool, angular: bool) -> Heard | None:
+def _agreement(rows: Array, unknown: bool, angular: bool) -> ComparedReadings | None:
     """Compare readings (k, 5: t, y, variance of the reference, R, heading); `unknown`: y has an offset.
 
     Innovations y [rad where `angular`, else m]: the mean of angles is that of their directions.
@@ -235,7 +235,7 @@ def _agreement(rows: Array, unknown: bool, angular: bool) -> Heard | None:
     offset = mean + float(y.mean())
     bias = None if unknown else wrap(offset) if angular else offset
     sure = math.sqrt(variance * memory / len(y) + float(h.mean()))
-    return Heard(
+    return ComparedReadings(
         len(y),
         1.0 - float(tame.mean()),
         bias,

@@ -14,7 +14,7 @@ cdef enum:
 
 @cython.locals(psi=double, r=double, cross=double, begin=double, end=double)
 cpdef void into_base(double[:, ::1] rows, Py_ssize_t lines, double x, double y, double yaw, double[:, ::1] out)
-cpdef void moved(double[::1] place, double[::1] told, double[::1] out)
+cpdef void moved(double[::1] place, double[::1] configured, double[::1] out)
 cpdef void shares_into_base(
     double[:, ::1] rows, Py_ssize_t lines, double x, double y, double yaw, double[:, :, ::1] shared,
     Py_ssize_t first, double[:, :, ::1] out)

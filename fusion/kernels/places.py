@@ -57,11 +57,15 @@ def into_base(rows: Array, lines: int, x: float, y: float, yaw: float, out: Arra
         out[i, BEGIN], out[i, END] = min(begin, end), max(begin, end)
 
 
-def moved(place: Array, told: Array, out: Array) -> None:
-    """Write the transform x, y [m], yaw [rad] that turns base points by the mount `told` into those by `place`."""
-    turn = place[2] - told[2]
+def moved(place: Array, configured: Array, out: Array) -> None:
+    """Write the motion x, y [m], yaw [rad] from the base by one mount, `configured`, to that by `place`."""
+    turn = place[2] - configured[2]
     c, s = cos(turn), sin(turn)
-    out[0], out[1], out[2] = place[0] - c * told[0] + s * told[1], place[1] - s * told[0] - c * told[1], turn
+    out[0], out[1], out[2] = (
+        place[0] - c * configured[0] + s * configured[1],
+        place[1] - s * configured[0] - c * configured[1],
+        turn,
+    )
 
 
 def shares_into_base(

@@ -129,7 +129,7 @@ class _Places:
         self._sums = np.zeros(len(self._poses))
 
     def _share(self, poses: Array, beams: Array) -> Array:
-        """Return of each pose (h, 3) the share of the beams (k, 2) that end at walls, (h,)."""
+        """Return for each pose (h, 3) the share (h,) of the beams (k, 2) that end at walls."""
         c, s = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
         dx, dy = c * beams[:, 0] - s * beams[:, 1], s * beams[:, 0] + c * beams[:, 1]
         found = self._field[self._cells(poses, dx, dy)]

@@ -402,7 +402,7 @@ def seat_of(mount: Mount | None, belief: JointBelief) -> sight.Seat:
     if mount is None:
         return sight.Seat(np.zeros(3), np.zeros(0, np.intp), np.zeros(0, np.intp))
     columns = np.array(mount.columns(belief), np.intp)
-    return sight.Seat(np.array(mount.told, np.float64), np.array(mount.free, np.intp), columns)
+    return sight.Seat(np.array(mount.configured, np.float64), np.array(mount.free, np.intp), columns)
 
 
 def by_mount(mount: Mount, belief: JointBelief, psi: float) -> Array:
@@ -416,5 +416,5 @@ def by_mount(mount: Mount, belief: JointBelief, psi: float) -> Array:
 
 def moved_mount(mount: Mount, belief: JointBelief) -> Pose:
     """Return the motion from the base by the configured mount to that by the estimated mount."""
-    x, y, yaw = se2.compose(np.array(mount.now(belief)), se2.inverse(np.array(mount.told))).tolist()
+    x, y, yaw = se2.compose(np.array(mount.now(belief)), se2.inverse(np.array(mount.configured))).tolist()
     return x, y, yaw

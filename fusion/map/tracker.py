@@ -355,7 +355,7 @@ class AtlasTracker(LineTracker):
 
     # ---- from one map to the next ----
 
-    def turn_page(self, belief: JointBelief) -> bool:
+    def begin_next_map(self, belief: JointBelief) -> bool:
         """Leave a map that is full; the next one begins at once, where a scan has just corrected the pose."""
         if self.guard is not None and self.guard.gives_up():
             self._leave(belief, bridges=False)  # the next scan begins a map of unknown place

@@ -161,12 +161,12 @@ def compared(z: Array, R: Array, begin: Array, back: Array, mount: Mount | None,
     """
     free, columns = ([], ()) if mount is None else (list(mount.free), mount.columns(belief))
     place, sits = np.array(belief.pose()), np.zeros(3) if mount is None else np.array(mount.now(belief))
-    told = np.zeros(3) if mount is None else np.array(mount.told)
+    configured = np.zeros(3) if mount is None else np.array(mount.configured)
 
     def way(x: Array) -> Array:
         now = sits.copy()
         now[free] = x[3:]
-        aside = se2.compose(now, se2.inverse(told))
+        aside = se2.compose(now, se2.inverse(configured))
         return se2.between(aside, se2.compose(se2.between(begin, se2.compose(x[:3], back)), aside))
 
     x = np.append(place, sits[free])

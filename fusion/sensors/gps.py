@@ -113,7 +113,7 @@ class Gps(Sensor):
             dropped=dropped,
         )
 
-    def says_noise(self, m: Measurements) -> bool:
+    def brings_covariance(self, m: Measurements) -> bool:
         """Return whether the receiver gives the covariance of its fixes: then `sigma` changes nothing."""
         return bool((m.R_unit != np.eye(2)).any())
 
@@ -135,10 +135,10 @@ def _covariance(columns: Mapping[str, Any], sigma: float) -> Array:
     """Return the covariance of (east, north), (n, 2, 2): the receiver's if it gives one, else sigma^2."""
     matrix = _nine(columns["position_covariance"])
     own = matrix[:, [0, 1, 3, 4]].reshape(-1, 2, 2)
-    told = np.asarray(columns["position_covariance_type"]) > 0
-    told &= (own[:, 0, 0] > MIN_SIGMA_M**2) & (own[:, 1, 1] > MIN_SIGMA_M**2) & np.isfinite(own).all(axis=(1, 2))
-    told &= np.linalg.det(np.where(told[:, None, None], own, np.eye(2))) > 0.0
-    return np.where(told[:, None, None], 0.5 * (own + own.transpose(0, 2, 1)), sigma**2 * np.eye(2))
+    known = np.asarray(columns["position_covariance_type"]) > 0
+    known &= (own[:, 0, 0] > MIN_SIGMA_M**2) & (own[:, 1, 1] > MIN_SIGMA_M**2) & np.isfinite(own).all(axis=(1, 2))
+    known &= np.linalg.det(np.where(known[:, None, None], own, np.eye(2))) > 0.0
+    return np.where(known[:, None, None], 0.5 * (own + own.transpose(0, 2, 1)), sigma**2 * np.eye(2))
 
 
 def _nine(column: Array | Ragged) -> Array:

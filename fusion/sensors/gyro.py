@@ -91,7 +91,7 @@ class Gyro(Sensor):
         return True
 
     def measure(self, stream: Stream, settings: GyroSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
-        """Sum readings up to angles turned since the first one: z (n, 1) [rad], one row every `period`.
+        """Integrate rates to angles z (n, 1) [rad] since the first reading, one row every `period`.
 
         Raises LocfuseError where there is no angular velocity, or where it and the wheels cannot both be right.
         """

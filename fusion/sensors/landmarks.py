@@ -148,8 +148,8 @@ def sighted(stream: Stream, looks: Looks) -> Sighted:
         columns = cast("dict[str, Array]", stream.columns(*READS[DETECTIONS]))
         ranges: Array = np.asarray(columns["range"], np.float64)
         ids = np.asarray(columns["id"]).astype(np.int64)
-        told = None if len(ranges) and np.isnan(ranges).all() else ranges
-        return Sighted(stream.t_ns, ids, told, np.asarray(columns["bearing"], np.float64))
+        given = None if len(ranges) and np.isnan(ranges).all() else ranges
+        return Sighted(stream.t_ns, ids, given, np.asarray(columns["bearing"], np.float64))
     if stream.msgtype == TAGS:
         ids, x, y, z = (np.asarray(column) for column in stream.columns(*READS[TAGS]).values())
         return _placed(stream.t_ns, ids.astype(np.int64), (x, y, z), looks)
@@ -416,8 +416,8 @@ class LandmarksModel(PointsModel):
         self.thresholds = [0.0, *(chi_square(settings.gate, d) for d in (1, 2))]  # by how many numbers are said
         self.given = settings.range_offset
         self.prior = settings.sigma_range_offset
-        told = settings.file is None or settings.range_depth is not None  # positions, or the settings, say it
-        self.depth = (settings.range_depth or 0.0) if told else None
+        given = settings.file is None or settings.range_depth is not None  # positions, or the settings, say it
+        self.depth = (settings.range_depth or 0.0) if given else None
         self.sigmas = math.radians(settings.sigma_bearing_deg), settings.sigma_range
         self._seen_at: dict[int, list[tuple[float, float, float]]] = defaultdict(list)  # id -> x, y, sigma [m]
 

@@ -74,7 +74,7 @@ class Lrf(Sensor):
     heading_holds = True
     placed = True
     sees = "line"
-    blind_spoils = True
+    blind_is_severe = True
     unlikely = ("filter", "rear", "back", "b_scan", "tilt", "depth", "camera")
     asks: ClassVar[Mapping[str, Ask]] = {
         **dict.fromkeys(("x", "y", "yaw_deg"), Ask(f"m, m, degrees: {ASK_MOUNT}", blank=True)),

@@ -133,7 +133,7 @@ class PoseSensor(Sensor):
         _refuse_stuck(t, z, wheels, stream.topic)
         turn = math.radians(settings.sigma_theta_deg) if settings.heading else MAX_SIGMA[1]
         own = np.broadcast_to(np.square((settings.sigma, settings.sigma, turn)), (len(z), 3))
-        R, told = plane_covariance(columns.get("pose.covariance"), keep, settings.covariance, own)
+        R, has_covariance = plane_covariance(columns.get("pose.covariance"), keep, settings.covariance, own)
         off = se2.inverse(np.array(self.mount(settings)))
         J = by_frame(z, np.broadcast_to(off, z.shape))
         n, frame = len(z), settings.frame or ("drift" if stream.msgtype in DRIFTING else "own")
@@ -146,7 +146,7 @@ class PoseSensor(Sensor):
             floor=np.diag([MIN_SIGMAS[0] ** 2, MIN_SIGMAS[0] ** 2, MIN_SIGMAS[1] ** 2]),
             extra={
                 "drifts": np.full(n, float(frame == "drift")),
-                "told": told.astype(np.float64),
+                "has_covariance": has_covariance.astype(np.float64),
             },
             dropped=dropped,
         )
@@ -195,16 +195,16 @@ def plane_covariance(
         return P, np.zeros(n, dtype=bool)
     full = np.asarray(column, np.float64).reshape(-1, 6, 6)[rows][:, axes][:, :, axes]
     diagonal = np.diagonal(full, axis1=1, axis2=2)
-    told = np.asarray(np.isfinite(full).all(axis=(1, 2)) & (diagonal > 0.0).all(axis=1))
+    has_covariance = np.asarray(np.isfinite(full).all(axis=(1, 2)) & (diagonal > 0.0).all(axis=1))
     limit = np.array(MAX_SIGMA)[[0, *([0] * (d - 2)), 1]] ** 2
-    shrink = np.sqrt(np.minimum(1.0, limit / np.where(told[:, None], diagonal, 1.0)))
-    scaled = np.where(told[:, None, None], full, np.eye(d)) * shrink[:, :, None] * shrink[:, None, :]
+    shrink = np.sqrt(np.minimum(1.0, limit / np.where(has_covariance[:, None], diagonal, 1.0)))
+    scaled = np.where(has_covariance[:, None, None], full, np.eye(d)) * shrink[:, :, None] * shrink[:, None, :]
     scaled = 0.5 * (scaled + scaled.transpose(0, 2, 1))
-    told = told & (np.linalg.eigvalsh(scaled)[:, 0] > 0.0)
-    P[told] = scaled[told]
+    has_covariance = has_covariance & (np.linalg.eigvalsh(scaled)[:, 0] > 0.0)
+    P[has_covariance] = scaled[has_covariance]
     unused = own[:, -1] >= MAX_SIGMA[1] ** 2  # its heading does not count
     P[unused, -1, :], P[unused, :, -1], P[unused, -1, -1] = 0.0, 0.0, own[unused, -1]
-    return P, told
+    return P, has_covariance
 
 
 def _refuse_stuck(t: Array, z: Array, wheels: WheelMotion, topic: str) -> None:

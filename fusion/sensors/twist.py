@@ -67,7 +67,7 @@ class Twist(Sensor):
     }
 
     def measure(self, stream: Stream, settings: TwistSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
-        """Sum speeds up to z (n, 2): distance [m] and turn [rad] since the first one, one row every `period`.
+        """Integrate speeds to distance [m] and turn [rad] since the first reading, z (n, 2), one row per `period`.
 
         Raises LocfuseError where no message holds a speed.
         """
@@ -78,7 +78,7 @@ class Twist(Sensor):
         t = (stream.t_ns[keep] - epoch_ns) * np.float64(1e-9) + settings.time_offset
         sigmas = np.array([settings.sigma, math.radians(settings.sigma_turn_deg)])
         own = np.broadcast_to(sigmas**2, (len(t), 2))
-        P, told = plane_covariance(columns.get("twist.covariance"), keep, settings.covariance, own, FORWARD_TURN)
+        P, known = plane_covariance(columns.get("twist.covariance"), keep, settings.covariance, own, FORWARD_TURN)
         way, piece = summed(t, speeds[keep])
         # the errors of two readings are independent: 0.5 (v + v') dt^2 between them, but across a gap
         held = np.where(np.diff(piece) > 0, 0.0, np.diff(t))[:, None]
@@ -99,7 +99,7 @@ class Twist(Sensor):
                 "piece": piece[rows].astype(np.float64),
                 "forward_variance": variance[rows, 0],
                 "turn_variance": variance[rows, 1],
-                "told": told[rows].astype(np.float64),
+                "has_covariance": known[rows].astype(np.float64),
             },
             dropped=dropped,
         )

@@ -253,7 +253,7 @@ NO_STRAIGHTS = (
 class Figures(msgspec.Struct):
     """The present noise. `factors`: ln(present / configured) of a variance for wheels, else of a sigma."""
 
-    told: Robot
+    configured: Robot
     sensors: tuple[str, ...]
     drift: str | None = None  # the sensor whose estimated offset may drift
     factors: dict[str, float] = field(default_factory=dict)
@@ -269,13 +269,13 @@ class Figures(msgspec.Struct):
 
     def values(self) -> dict[str, float]:
         """Return every present figure by its key in robot.toml."""
-        out = {WHEELS: self.told.wheels.noise * self.factor(WHEELS)}
+        out = {WHEELS: self.configured.wheels.noise * self.factor(WHEELS)}
         for s in self.sensors:
-            settings = self.told.settings(s)
+            settings = self.configured.settings(s)
             out |= {f"{s}.{k}": getattr(settings, k) * self.factor(s) for k in REGISTRY[s].noise_keys}
         if self.drift:
             key = drift_key(self.drift)
-            start = getattr(self.told.settings(self.drift), key) or DRIFT_START
+            start = getattr(self.configured.settings(self.drift), key) or DRIFT_START
             out[f"{self.drift}.{key}"] = start * self.factor(self.drift + DRIFT)
         return out
 
@@ -398,12 +398,12 @@ def identify(problem: Problem) -> tuple[Array, list[str]]:
     return standard_errors(whole.T @ H @ whole), flags
 
 
-def at_most(problem: Problem, which: int, told: float) -> float:
+def at_most(problem: Problem, which: int, upper: float) -> float:
     """Return the largest value of a logarithm with nearly the likelihood of the maximum at 0; inf if flat.
 
     Where the likelihood is flat towards small noise, the end of the flat part is returned.
     """
-    grid = np.linspace(0.0, max(told, PROFILE_REACH_LOG), PROFILE_POINTS)
+    grid = np.linspace(0.0, max(upper, PROFILE_REACH_LOG), PROFILE_POINTS)
     theta = np.zeros((PROFILE_POINTS, len(problem.names)))
     theta[:, which] = grid
     likelihood = problem(theta)

@@ -116,7 +116,7 @@ class Bench:
         self, trials: Sequence[Trial], sensors: Sequence[str], drift: bool, remeasure: Remeasure | None
     ) -> None:
         present = {s for t in trials for s in t.drive.measurements}
-        used = tuple(s for s in REGISTRY if s in sensors and s in present and not says_noise(s, trials))
+        used = tuple(s for s in REGISTRY if s in sensors and s in present and not brings_covariance(s, trials))
         if not used:
             raise LocfuseError(f"nothing to tune by: no log has {' or '.join(sensors) or 'a sensor'}", role="tune")
         if trials[0].robot.wheels.noise <= 0.0:
@@ -124,7 +124,7 @@ class Bench:
             raise LocfuseError(
                 "wheels.noise is 0:", role="tune", fixes=(fix,), hint=f"give a start, such as --set {fix}"
             )
-        check_told_alike(trials, used)
+        check_same_noise(trials, used)
         self._given = [t.robot for t in trials]
         self.trials = [t._replace(robot=optimal(t.robot)) for t in trials]
         self.figures = Figures(trials[0].robot, used, drifting(trials[0].robot, used, drift))
@@ -199,14 +199,14 @@ class Bench:
         """Compare the tuned figures with the configured ones on the same measurements."""
         figures, problem = self.figures, self.problem()
         errors, flags = identify(problem)
-        told = -np.array([figures.factors.get(name, 0.0) for name in figures.names])
+        configured = -np.array([figures.factors.get(name, 0.0) for name in figures.names])
         for name, error in zip(figures.names, errors.tolist(), strict=True):
             if error > MAX_SIGMA_LOG:
                 flags.append(self._leave(problem, name))
-        now = told + np.array([figures.factors.get(name, 0.0) for name in figures.names])
+        now = configured + np.array([figures.factors.get(name, 0.0) for name in figures.names])
         now[~np.isfinite(now)] = 0.0
-        (train, held_out), numbers = problem.means(np.stack((told, now)))
-        before = Figures(figures.told, figures.sensors, figures.drift)
+        (train, held_out), numbers = problem.means(np.stack((configured, now)))
+        before = Figures(figures.configured, figures.sensors, figures.drift)
         error_of = dict(zip(figures.names, errors.tolist(), strict=True))
         rows = [
             Row(key, before.values()[key], after, error_of[name], error_of[name] <= MAX_SIGMA_LOG)
@@ -236,13 +236,13 @@ class Bench:
         return f"{key} is not identifiable from these logs: left as it was"
 
 
-def says_noise(sensor: str, trials: Sequence[Trial]) -> bool:
+def brings_covariance(sensor: str, trials: Sequence[Trial]) -> bool:
     """Return whether a sensor's readings come with their own covariance: then its sigma changes nothing."""
     found = [t.drive.measurements[sensor] for t in trials if sensor in t.drive.measurements]
-    return any(map(REGISTRY[sensor].says_noise, found))
+    return any(map(REGISTRY[sensor].brings_covariance, found))
 
 
-def check_told_alike(trials: Sequence[Trial], sensors: Sequence[str]) -> None:
+def check_same_noise(trials: Sequence[Trial], sensors: Sequence[str]) -> None:
     """Raise LocfuseError if two logs have different configured noise: the search needs one start."""
     first = trials[0]
     for t in trials[1:]:

@@ -70,7 +70,7 @@ class LaserCalibration(msgspec.Struct, frozen=True):
     way_m: float
     turned_rad: float
 
-    def untold(self) -> list[str]:
+    def undetermined(self) -> list[str]:
         """Return the names of parameters that the drives do not determine."""
         return [name for name, sigma in zip(NAMES, self.sigmas.tolist(), strict=True) if np.isnan(sigma)]
 

@@ -79,7 +79,7 @@ COMMANDED = ("cmd", "command", "control", "target", "setpoint", "goal", "initial
 MEASURED = ("state", "status", "feedback", "report", "measured", "actual", "odom")  # of a type of commands
 MAX_HOLD_S = 1.0  # s that a command lasts at most: drivers stop the robot when nothing more comes
 MAX_TURN_RADPS = 1e6  # faster than any body, in whatever unit
-SPEED_SETTING = "wheels.max_speed [m/s] says how far it may step"
+SPEED_SETTING = "wheels.max_speed [m/s] limits a step"
 MAX_FRAME_SHARE = 0.5  # of the misfit to the body's axes: a speed that fits those of the frame so much better
 MIN_BODY_MISFIT = 0.3  # of the way that they say: a smaller misfit to the body's axes is none
 MAX_SIDEWAYS_MPS = 3.0  # m/s, 95th percentile: no base drives sideways faster
@@ -227,7 +227,7 @@ def unlike_a_robot(t: Array, twist: Array, far: Mask) -> str:
 def _words(spiked: int, restarts: int, turned: int) -> list[str]:
     words = []
     if spiked:
-        words.append(f"its pose jumped away and back in {spiked} messages, not used; {SPEED_SETTING}")
+        words.append(f"its pose jumped away and returned (messages not used: {spiked}); {SPEED_SETTING}")
     if restarts:
         words.append(
             f"its pose jumped {times(restarts)}; the motion there is taken from around it; {SPEED_SETTING}"

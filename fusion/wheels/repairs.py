@@ -69,14 +69,14 @@ def _words(name: str, count: Unrolled, spiked: int, jumps: Sequence[float]) -> l
         )
     if spiked:
         words.append(
-            f"{name} counter jumped away and back {spiked} readings long, not used; "
-            "wheels.max_speed [m/s] says how far it may step"
+            f"{name} counter jumped away and returned (readings not used: {spiked}); "
+            "wheels.max_speed [m/s] limits a step"
         )
     if jumps:
         sizes = ", ".join(f"{j:+.6g}" for j in jumps[:3])
         words.append(
             f"{name} counter started anew {times(len(jumps))} (by {sizes}{' ...' if len(jumps) > 3 else ''}); "
-            "the motion there is taken from around it; wheels.max_speed [m/s] says how far it may step"
+            "the motion there is taken from around it; wheels.max_speed [m/s] limits a step"
         )
     return words
 

@@ -107,9 +107,9 @@ def _of_array(stream: Stream, settings: WheelSettings) -> Array:
     """
     rows = cast("Ragged", stream.columns("data")["data"])
     long = int(np.median(rows.lengths)) if len(rows) else 0
-    told = (settings.left, settings.right)
-    at = [int(one) if one is not None and one.isdecimal() else -1 for one in told]
-    if long == 2 and told == (None, None):
+    configured = (settings.left, settings.right)
+    at = [int(one) if one is not None and one.isdecimal() else -1 for one in configured]
+    if long == 2 and configured == (None, None):
         at = [0, 1]
     if not all(0 <= k < long for k in at):
         raise LocfuseError(

@@ -60,7 +60,7 @@ def wheel_words(
     found, G = geometry(x), derivative(x)
     sigma = np.sqrt(np.maximum(np.diagonal(G @ P @ G.T), 0.0))
     prior = settings.sigma_scale / math.sqrt(2.0)  # of the radius, the mean of both
-    words = [_told(settings, found, sigma)]
+    words = [_estimate_words(settings, found, sigma)]
     if sigma[0] > MAX_PRIOR_SHARE * prior:
         quotient = G[2] / (1.0 + found[2]) - G[0] / (1.0 + found[0])  # of the logarithm of track over radius
         seen = math.sqrt(float(quotient @ P @ quotient)) < MAX_PRIOR_SHARE * settings.sigma_track
@@ -85,14 +85,14 @@ def _metres(settings: WheelSettings, found: Array, prior: float, metric: Mapping
     keys = [f"{sensor}.{key}" for sensor, key in metric.items() if key]
     if len(metric) > 1 or not keys:
         return [words + "One of the two is wrong, and which is not identifiable here"]
-    told = f", the track is {settings.track * (1.0 + track) / (1.0 + scale):.4g}" if settings.track else ""
+    track_words = f", the track is {settings.track * (1.0 + track) / (1.0 + scale):.4g}" if settings.track else ""
     return [
         words + f"Which is wrong is not identifiable from them: if the radius is right, {keys[0]} should be "
-        f"{1.0 / (1.0 + scale):.4g} times what it is{told}; if {keys[0]} is right, the figures above hold"
+        f"{1.0 / (1.0 + scale):.4g} times what it is{track_words}; if {keys[0]} is right, the figures above hold"
     ]
 
 
-def _told(settings: WheelSettings, found: Array, sigma: Array) -> str:
+def _estimate_words(settings: WheelSettings, found: Array, sigma: Array) -> str:
     """Return a sentence with the estimated radius, ratio and track; as changes in % if not configured."""
     parts = []
     for key, change, s in zip(("radius", "ratio", "track"), found.tolist(), sigma.tolist(), strict=True):

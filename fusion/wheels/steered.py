@@ -62,9 +62,9 @@ def motor_speeds(stream: MergedStream, settings: WheelSettings) -> Array:
 def _angles(steering: Stream, settings: WheelSettings) -> Array:
     """Return the steering angles (n,) [rad] of the front wheels."""
     field = STEERED[steering.msgtype][1] if steering.msgtype in STEERED else "data"
-    told = cast("dict[str, Array]", steering.columns(field))[field].astype(np.float64)
+    steered = cast("dict[str, Array]", steering.columns(field))[field].astype(np.float64)
     if steering.msgtype in STEERED:
-        return told
+        return steered
     if not settings.servo_gain:
         raise LocfuseError(
             f"{steering.topic} gives positions of the servo, so its gain must be known.",
@@ -72,7 +72,7 @@ def _angles(steering: Stream, settings: WheelSettings) -> Array:
             hint="Set them with --set wheels.servo_gain=<gain> --set wheels.servo_offset=<offset> "
             "(steering_angle_to_servo_gain and _offset of vesc.yaml)",
         )
-    return (told - settings.servo_offset) / settings.servo_gain
+    return (steered - settings.servo_offset) / settings.servo_gain
 
 
 class Encoders(NamedTuple):

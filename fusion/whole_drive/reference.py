@@ -112,7 +112,7 @@ class References(msgspec.Struct, frozen=True):
         """Return a reference that does not use the sensor; None if there is none."""
         return self.solved.get(frozenset(_without(sensor, self.present)))
 
-    def quarrel(self, reference: Reference, judged: Collection[str]) -> tuple[str, str] | None:
+    def contradiction(self, reference: Reference, judged: Collection[str]) -> tuple[str, str] | None:
         """Return two sensors that contradict each other, if one judges with or against the other.
 
         All others together may judge the one that contradicts them all.
@@ -125,7 +125,7 @@ class References(msgspec.Struct, frozen=True):
         others = [
             r
             for r in self.solved.values()
-            if e.sensors and not set(r.sensors) & set(e.sensors) and self.quarrel(r, e.sensors) is None
+            if e.sensors and not set(r.sensors) & set(e.sensors) and self.contradiction(r, e.sensors) is None
         ]
         for reference in sorted(others, key=lambda r: r.sigma):
             found = reference.judge(judged, e, align)

@@ -151,7 +151,7 @@ def finding(*advice: Advice) -> Any:
 
 def test_steps_that_set_different_things_are_told_one_after_the_other() -> None:
     found = finding(LATE, HIGH)
-    assert found["message"] == "stamps look 0.1 s late; then noise is set too high"
+    assert found["message"] == "stamps look 0.1 s late; after this fix: noise is set too high"
     assert found["fixes"] == ["lrf.time_offset=-0.1", "lrf.sigma_range=0.01"]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from numpy.typing import NDArray
+from present import present
 from rows import readings
 
 from locfuse.fusion import se2
@@ -18,11 +18,10 @@ from locfuse.fusion.checks.clocks import (
     wrong_clocks,
 )
 from locfuse.fusion.checks.lag import MAX_LAG_S, Lag, by_wheels, find_lag, worth_saying
-from locfuse.fusion.data import Drive, Estimates, Measurements, Motions, Truth
+from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Motions, Truth
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.wheels.motion import Wheels
 
-Array = NDArray[np.float64]
 T = np.arange(0.0, 90.0, 0.02)
 SEEDS = range(12)
 
@@ -153,8 +152,7 @@ def test_a_run_whose_map_holds_the_heading_tells_its_clock_by_the_truth(late: fl
     """As far off as its sigma says, and within 1.5 ms."""
     errors, sigmas = [], []
     for seed in SEEDS:
-        lag = lag_of_run(*a_run(*turned(seed), seed, late))
-        assert lag is not None
+        lag = present(lag_of_run(*a_run(*turned(seed), seed, late)))
         assert lag.against == "truth"
         errors.append(lag.offset + late)
         sigmas.append(lag.sigma)
@@ -206,8 +204,7 @@ def test_the_lag_that_was_put_in_is_found(lag: float) -> None:
     rng = np.random.default_rng(0)
     t = np.arange(3.0, 117.0, 0.1)
     heading = np.interp(t + lag, STAMPS, TURNED) + rng.normal(0.0, 0.002, len(t)) + 0.7
-    found = find_lag(t, heading, by_wheels(wheels()))
-    assert found is not None
+    found = present(find_lag(t, heading, by_wheels(wheels())))
     assert found.offset == pytest.approx(lag, abs=0.005)
     assert found.correlation > 0.999
     assert found.without <= found.correlation + 1e-6
@@ -248,8 +245,7 @@ def test_wheels_that_slip_tell_the_lag_whoever_steers(gain: float) -> None:
     offsets = []
     for seed in range(40):
         rolled, true = steered(seed, gain)
-        lag = find_lag(t, np.interp(t, STAMPS, true), by_wheels(wheels(rolled)))
-        assert lag is not None
+        lag = present(find_lag(t, np.interp(t, STAMPS, true), by_wheels(wheels(rolled))))
         offsets.append(lag.offset)
     assert abs(np.mean(offsets)) < 0.0025
     assert np.std(offsets) < 0.0065
@@ -258,6 +254,5 @@ def test_wheels_that_slip_tell_the_lag_whoever_steers(gain: float) -> None:
 def test_readings_from_either_side_of_a_gap_are_not_compared() -> None:
     t = np.concatenate((np.arange(3.0, 50.0, 0.1), np.arange(70.0, 117.0, 0.1)))
     heading = np.interp(t - 0.2, STAMPS, TURNED) + np.where(t > 60.0, 2.0, 0.0)
-    found = find_lag(t, heading, by_wheels(wheels()))
-    assert found is not None
+    found = present(find_lag(t, heading, by_wheels(wheels())))
     assert found.offset == pytest.approx(-0.2, abs=0.002)

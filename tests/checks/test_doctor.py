@@ -8,7 +8,7 @@ import pickle
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from numpy.typing import NDArray
+from present import present
 from small_drive import NOISE, START, TRACK, drive, path, robot
 
 import locfuse
@@ -20,12 +20,10 @@ from locfuse.fusion.checks.finding import Finding, Least, of_error
 from locfuse.fusion.checks.laser import Motion, Walls, bumped, laser_motion, of_laser, of_radius
 from locfuse.fusion.checks.truth import jumps_of, metre, of_truth, start_pose, wheels_metre
 from locfuse.fusion.checks.turning import explain, of_track, turnings
-from locfuse.fusion.data import Drive, LocfuseError, Measurements, Truth, UsageError
+from locfuse.fusion.data import Array, Drive, LocfuseError, Measurements, Truth, UsageError
 from locfuse.fusion.mount import rotation
 from locfuse.fusion.robot import StartSettings
 from locfuse.fusion.wheels.motion import Wheels
-
-Array = NDArray[np.float64]
 
 
 def told(found: list[Finding]) -> dict[str, float]:
@@ -35,8 +33,7 @@ def told(found: list[Finding]) -> dict[str, float]:
 
 
 def truth_of(drive: Drive) -> Truth:
-    assert drive.truth is not None
-    return drive.truth
+    return present(drive.truth)
 
 
 def rolled(drive: Drive, ways: Array, track: float = TRACK) -> Drive:
@@ -58,8 +55,7 @@ def seen(drive: Drive, m: Measurements | None = None) -> Motion | None:
 def test_the_laser_s_metre_is_measured_by_walls_seen_twice(scale: float) -> None:
     healthy = drive(1, robot())
     m = healthy.measurements["lrf"]
-    motion = seen(healthy, replace(m, z=m.z * [1.0 / scale, 1.0]))
-    assert motion is not None
+    motion = present(seen(healthy, replace(m, z=m.z * [1.0 / scale, 1.0])))
     assert motion.scale == pytest.approx(scale, rel=0.02)
     found = of_laser(motion, robot())
     assert bool(found) == (scale != 1.0)
@@ -74,8 +70,7 @@ def test_the_laser_s_yaw_is_measured_by_how_walls_come_nearer(yaw_deg: float) ->
     """The lines of a laser that looks elsewhere than its settings say."""
     healthy = drive(2, robot())
     m = healthy.measurements["lrf"]
-    motion = seen(healthy, replace(m, z=m.z - [0.0, math.radians(yaw_deg)]))
-    assert motion is not None
+    motion = present(seen(healthy, replace(m, z=m.z - [0.0, math.radians(yaw_deg)])))
     off = (math.degrees(se2.wrap(-motion.yaw)) - yaw_deg + 180) % 360 - 180
     assert abs(off) < 2.0
     assert told(of_laser(motion, robot()))["lrf.yaw_deg"] == pytest.approx(
@@ -134,8 +129,7 @@ def test_how_wheels_turn_the_robot_tells_which_one_counts_backward(signs: tuple[
     twist = se2.log(se2.between(pose[:-1], pose[1:]))
     ways = [np.concatenate(([0.0], np.cumsum(twist[:, 0] + side * 0.5 * TRACK * twist[:, 2]))) for side in (-1, 1)]
     wheels = Wheels.from_wheels(t, signs[0] * ways[0], signs[1] * ways[1], TRACK, 4e-4)
-    found = explain(t[::5], np.unwrap(pose[::5, 2]), wheels, np.zeros(len(t[::5])))
-    assert found is not None
+    found = present(explain(t[::5], np.unwrap(pose[::5, 2]), wheels, np.zeros(len(t[::5]))))
     assert (found.a, found.b) == pytest.approx(tuple(sense / TRACK for sense in SENSES[signs]), rel=0.05)
 
 
@@ -153,7 +147,7 @@ def test_of_two_clocks_alone_nobody_knows_which_is_off() -> None:
     moved = late(drive(6, robot()), truth=0.3)
     (found,) = of_clocks(replace(moved, measurements={}), robot())
     assert (found.role, found.code) == ("truth", OPEN_CLOCK)  # init leaves it to the user
-    assert "no third clock says which of the two is off: wheels.time_offset=0.3" in found.message
+    assert "no third clock shows which of the two is wrong: wheels.time_offset=0.3" in found.message
     (found,) = of_clocks(moved, robot())
     assert found.role == "truth"
     assert "third clock" not in found.message  # compass and laser agree with the wheels
@@ -189,8 +183,7 @@ def test_clocks_that_agree_are_not_mentioned() -> None:
 def test_where_the_drive_started_by_poses_and_by_points_only(headings: bool) -> None:
     healthy = drive(16, robot())
     truth = truth_of(healthy)
-    start = start_pose(truth if headings else replace(truth, theta=None), healthy)
-    assert start is not None
+    start = present(start_pose(truth if headings else replace(truth, theta=None), healthy))
     assert start.pose[:2] == pytest.approx(START[:2], abs=0.01 if headings else 0.1)
     assert abs(se2.wrap(start.pose[2] - START[2])) < math.radians(1.0 if headings else 8.0)
 
@@ -211,9 +204,7 @@ def test_a_start_by_points_does_not_depend_on_the_wheels_metre() -> None:
     healthy = drive(17, robot())
     truth = replace(truth_of(healthy), theta=None)
     larger = rolled(healthy, 1.2 * healthy.wheels.rolled, 1.2 * TRACK)
-    one, other = start_pose(truth, healthy), start_pose(truth, larger)
-    assert one is not None
-    assert other is not None
+    one, other = (present(start_pose(truth, drive)) for drive in (healthy, larger))
     assert other.pose == pytest.approx(one.pose, abs=0.01)
 
 
@@ -245,8 +236,7 @@ def found_of(healthy: Drive, xy: Array, theta: Array | None = None) -> dict[str,
 
 def test_a_marker_six_centimetres_off_the_axle_is_found_to_three_millimetres() -> None:
     healthy = drive(18, robot(), laps=1.5)
-    theta = truth_of(healthy).theta
-    assert theta is not None
+    theta = present(truth_of(healthy).theta)
     c, s = np.cos(theta), np.sin(theta)
     found = found_of(healthy, np.stack((0.06 * c - 0.03 * s, 0.06 * s + 0.03 * c), axis=-1))
     assert found["body point"] == pytest.approx({"truth.x": 0.06, "truth.y": 0.03}, abs=0.003)
@@ -318,10 +308,9 @@ def test_a_truth_with_a_jump_in_more_than_one_of_a_hundred_steps_judges_nothing(
     assert jumps_of(healthy) is None
     truth = truth_of(healthy)
     moved = 4.0 * (np.arange(len(truth.t)) // every % 2)
-    found = jumps_of(replace(healthy, truth=replace(truth, xy=truth.xy + moved[:, None])))
-    assert found is not None
+    found = present(jumps_of(replace(healthy, truth=replace(truth, xy=truth.xy + moved[:, None]))))
     assert (found.number, found.steps) == ((len(truth.t) - 1) // every, len(truth.t) - 1)
-    assert found.spoil is spoil
+    assert found.unusable is spoil
 
 
 def test_the_noise_of_a_truth_is_measured_at_rest_unless_it_is_told() -> None:
@@ -348,8 +337,7 @@ def test_the_noise_of_a_truth_is_measured_at_rest_unless_it_is_told() -> None:
 
 @pytest.mark.parametrize(("roll", "pitch"), [(0, 0), (90, 0), (180, 0), (-90, 0), (0, 90), (0, -90), (30, -20)])
 def test_gravity_tells_roll_and_pitch(roll: int, pitch: int) -> None:
-    up = by_gravity(9.81 * np.tile(rotation(roll, pitch, 0.0)[2], (20, 1)))
-    assert up is not None
+    up = present(by_gravity(9.81 * np.tile(rotation(roll, pitch, 0.0)[2], (20, 1))))
     assert angles(up) == (roll, pitch)
 
 
@@ -414,8 +402,7 @@ def walls(degrees: float, seed: int, scale: float = 1.0, noise: float = 0.01) ->
 @pytest.mark.parametrize("scale", [1.0, 1.1])
 @pytest.mark.parametrize("degrees", [-8.0, 3.0, 6.0])
 def test_a_bump_is_found_with_its_time_and_angle(degrees: float, scale: float) -> None:
-    found = bumped(walls(degrees, 1, scale), scale)
-    assert found is not None
+    found = present(bumped(walls(degrees, 1, scale), scale))
     assert found[0] == pytest.approx(BUMP_S, abs=3.0)
     assert math.degrees(found[1]) == pytest.approx(degrees, abs=0.7)
 

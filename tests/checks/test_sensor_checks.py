@@ -13,6 +13,7 @@ from laser_room import scan_stream
 from lock_step import simulated
 from msgspec.structs import replace
 from numpy.typing import NDArray
+from present import present
 from rows import readings
 
 from locfuse.cli.analysis.robot_tables import make_robot
@@ -208,8 +209,7 @@ def test_rounded_ranges_and_clutter_tell_no_noise() -> None:
 
 @pytest.mark.parametrize(("error", "scale"), [(0.05, 1.0), (-0.03, 1.0), (0.0, 1.0), (0.0, 1.05), (0.04, 0.97)])
 def test_walls_tell_a_constant_error_of_the_ranges_whatever_their_scale(error: float, scale: float) -> None:
-    found = ranges_offset(scan_stream(range(SCANS), scale * room() + error + noise(0.01)), LrfSettings())
-    assert found is not None
+    found = present(ranges_offset(scan_stream(range(SCANS), scale * room() + error + noise(0.01)), LrfSettings()))
     add, sigma = found
     assert add == pytest.approx(-error, abs=0.006)  # what is near a corner takes part
     assert sigma < 0.004

@@ -18,11 +18,11 @@ from locfuse.fusion.checks.tried import (
     gain,
     improves,
     judged_pairs,
-    spoils,
-    spoils_alone,
-    spoils_smoothed,
     together,
     tried,
+    worsens,
+    worsens_alone,
+    worsens_smoothed,
 )
 
 LATE = Candidate(Finding("lrf", "lag", "late"), (("lrf.time_offset=-0.1",),), ("lrf", "all"))
@@ -156,7 +156,7 @@ BOUNDS = (0.5, 2.0)
     ],
 )
 def test_what_counts_as_worse_and_as_better(before: Marks, after: Marks, worse: bool, better: bool) -> None:
-    assert (spoils(before, after), improves(before, after)) == (worse, better)
+    assert (worsens(before, after), improves(before, after)) == (worse, better)
 
 
 RADIUS = Candidate(Finding("wheels", "wheel scale", "6 % long", severe=True), (("wheels.radius=0.05",),),
@@ -246,13 +246,13 @@ def test_errors_within_what_is_claimed_may_move_by_chance() -> None:
     """A compass alone that was lucky, with ANEES in its range before and after; not one that claims too little."""
     claim = (0.5, 1.7)
     lucky, usual = Marks(0.033, anees=1.4, bounds=claim), Marks(0.038, anees=1.0, bounds=claim)
-    assert not spoils_alone(lucky, usual)
-    assert spoils_alone(lucky, usual._replace(position=0.045))
-    assert spoils_alone(lucky._replace(anees=2.5), usual._replace(anees=2.5, position=0.039))
+    assert not worsens_alone(lucky, usual)
+    assert worsens_alone(lucky, usual._replace(position=0.045))
+    assert worsens_alone(lucky._replace(anees=2.5), usual._replace(anees=2.5, position=0.039))
     path, other = Marks(0.0029, anees=0.5, bounds=claim), Marks(0.0052, anees=0.7, bounds=claim)
-    assert not spoils_smoothed(path, other)
-    assert spoils_smoothed(path, other._replace(anees=3.0))
-    assert spoils_smoothed(path, other._replace(position=0.0063))
+    assert not worsens_smoothed(path, other)
+    assert worsens_smoothed(path, other._replace(anees=3.0))
+    assert worsens_smoothed(path, other._replace(position=0.0063))
 
 
 @pytest.mark.parametrize(

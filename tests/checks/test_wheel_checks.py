@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from present import present
 from small_drive import NOISE, drive, robot
 
 from locfuse.cli.session.session import load
@@ -45,8 +46,7 @@ def test_the_noise_that_was_drawn_is_found_whatever_is_configured(factor: float,
 
 def test_what_is_seen_and_expected_are_turns_over_the_long_window() -> None:
     """On a straight 2 sqrt(v T k) / track: each wheel rolls v T."""
-    found = slip(drawn())
-    assert found is not None
+    found = present(slip(drawn()))
     assert found.expected == pytest.approx(np.sqrt(2.0 * 0.3 * LONG_S * NOISE) / 0.6, rel=0.1)
     assert found.seen == pytest.approx(found.expected * np.sqrt(found.factor))
     assert "wheels.noise says" in found.words
@@ -59,8 +59,7 @@ def test_rare_slips_do_not_make_wheels_look_better_than_they_are() -> None:
     jumps = np.random.default_rng(1).choice([-1.0, 1.0], 12) * np.radians(5.0)
     turned = np.cumsum(jumps)[np.minimum((m.t // 10.0).astype(int), 11)]
     z = (one.wheels.heading(m.t) + turned)[:, None]
-    found = slip(replace(one, measurements={"compass": replace(m, z=z)}))
-    assert found is not None
+    found = present(slip(replace(one, measurements={"compass": replace(m, z=z)})))
     assert 1.0 / MAX_FACTOR <= found.factor <= 1.0
 
 
@@ -85,8 +84,7 @@ def test_readings_across_a_gap_are_not_compared() -> None:
     one = drawn(4)
     m = one.measurements["compass"]
     kept = np.flatnonzero(m.t % 6.0 < 3.0)
-    found = slip(replace(one, measurements={"compass": m.take(kept)}))
-    assert found is not None
+    found = present(slip(replace(one, measurements={"compass": m.take(kept)})))
     assert SHORT_S < LONG_S < 3.0
     assert found.factor == pytest.approx(1.0, abs=0.6)
 
@@ -94,8 +92,7 @@ def test_readings_across_a_gap_are_not_compared() -> None:
 def test_two_sensors_that_see_less_slip_vouch_for_the_larger_of_their_answers() -> None:
     one = configured(drive(5, robot(), ("compass", "lrf"), laps=2.0, truth=False), 9.0)
     alone = [slip(replace(one, measurements={name: one.measurements[name]})) for name in ("compass", "lrf")]
-    both = slip(one)
-    assert both is not None
+    both = present(slip(one))
     assert both.agreed
     assert both.by == "compass and lrf"
     assert both.factor == max(found.factor for found in alone if found is not None)
@@ -108,8 +105,7 @@ def test_sensors_that_disagree_about_slip_vouch_for_nothing() -> None:
     m = one.measurements["compass"]
     walk = np.cumsum(np.random.default_rng(6).normal(size=len(m.t))) * np.radians(1.0)
     wandering = {**one.measurements, "compass": replace(m, z=m.z + walk[:, None])}
-    found = slip(replace(one, measurements=wandering))
-    assert found is not None
+    found = present(slip(replace(one, measurements=wandering)))
     assert found.by == "lrf"
     assert not found.agreed
 
@@ -170,8 +166,7 @@ WHEELS_ALONE = ("compass.enabled=false", "camera.enabled=false", "lrf.enabled=fa
 
 def found(log: Path, *sets: str, headings: bool) -> list[Finding]:
     loaded = load(log, sets=sets).loaded
-    truth = loaded.drive.truth
-    assert truth is not None
+    truth = present(loaded.drive.truth)
     drive = loaded.drive if headings else replace(loaded.drive, truth=replace(truth, theta=None))
     return of_turning(drive, loaded.robot, {}, {"wheels": loaded.stream("wheels")})
 

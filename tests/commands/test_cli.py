@@ -117,8 +117,6 @@ BAD = [
     (("run", LOG, "--set", "wheels.radius=big"), 2, "must be a number, in metres"),
     (("run", LOG, "--set", "compass.sigma_deg=true"), 2, "must be a number, in degrees"),
     (("run", LOG, "--set", "wheels.time_offset=[1]"), 2, "must be a number, in seconds"),
-    (("run", LOG, "--set", "start.sigma_xy=-1"), 2, "must be a number >= 0.0, in metres"),
-    (("run", LOG, "--set", "start.sigma_theta_deg=1e17"), 2, "must be a number <= 3600.0, in degrees"),
     (("run", LOG, "--set", "lrf.min_points=2.5"), 2, "must be a whole number"),
     (("run", LOG, "--sensors", "all,lrf"), 2, "write --sensors all or --sensors lrf"),
     (("run", LOG, "--export", "mcap,rosbag"), 2, "'rosbag'; choose from mcap, log, kitti, tum, tum-cov, csv"),

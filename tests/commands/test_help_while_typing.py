@@ -180,7 +180,7 @@ def test_an_empty_answer_leaves_the_line_as_it_was(tmp_path: Path) -> None:
     log, out = a_log(tmp_path), tmp_path / "mine.toml"
     code, screen = at_a_terminal("\n\n", "init", log, "-o", out)
     assert code == 0, screen
-    assert "to be filled in: wheels.radius, wheels.track" in screen
+    assert "fill in wheels.radius, wheels.track" in screen
     ok("init", log, "-o", tmp_path / "other.toml")
     assert out.read_text().replace("mine", "other") == (tmp_path / "other.toml").read_text()
 

@@ -10,6 +10,7 @@ import sys
 import tempfile
 import textwrap
 from pathlib import Path
+from typing import Any
 
 import pytest
 from commands import locfuse, ok
@@ -30,27 +31,32 @@ def log(tmp_path: Path) -> Path:
     return write(tmp_path / "d.mcap")
 
 
-@pytest.mark.parametrize("option", ["--audit", "--save-map", "--rerun-save"])
+def writing(log: Path, command: str, option: str, target: Path) -> tuple[Any, ...]:
+    """The words of a command that reads the log and writes a file by an option; a run has a folder beside it."""
+    return command, log, *(("-o", log.parent / "o") if command == "run" else ()), option, target
+
+
+outputs = pytest.mark.parametrize(
+    ("command", "option"),
+    [("run", "--audit"), ("run", "--save-map"), ("run", "--rerun-save"), ("recover", "-o"), ("view", "--save")],
+)
+
+
+@outputs
 @pytest.mark.parametrize("overwrite", [[], ["--overwrite"]])
-def test_a_named_output_never_replaces_the_log(log: Path, option: str, overwrite: list[str]) -> None:
+def test_a_named_output_never_replaces_the_log(log: Path, command: str, option: str, overwrite: list[str]) -> None:
     before = log.read_bytes()
-    done = locfuse("run", log, "-o", log.parent / "o", option, log, *overwrite)
+    done = locfuse(*writing(log, command, option, log), *overwrite)
     assert (done.exit_code, log.read_bytes() == before) == (2, True)
     assert "it is the input" in done.stderr
     assert not (log.parent / "o").exists()
 
 
-def test_view_never_saves_onto_the_log(log: Path) -> None:
-    before = log.read_bytes()
-    assert locfuse("view", log, "--save", log, "--overwrite").exit_code == 2
-    assert log.read_bytes() == before
-
-
-@pytest.mark.parametrize("option", ["--audit", "--save-map", "--rerun-save"])
-def test_a_named_output_replaces_a_file_only_where_told_to(log: Path, option: str) -> None:
+@outputs
+def test_a_named_output_replaces_a_file_only_where_told_to(log: Path, command: str, option: str) -> None:
     mine = log.parent / "mine"
     mine.write_text("mine")
-    words = ("run", log, "-o", log.parent / "o", option, mine)
+    words = writing(log, command, option, mine)
     done = locfuse(*words)
     assert (done.exit_code, mine.read_text()) == (2, "mine")
     assert "--overwrite" in done.stderr
@@ -59,14 +65,11 @@ def test_a_named_output_replaces_a_file_only_where_told_to(log: Path, option: st
         assert mine.read_text().startswith("t,")
 
 
-@pytest.mark.parametrize(
-    "command", [("run", "--audit"), ("run", "--save-map"), ("recover", "-o"), ("view", "--save")]
-)
-def test_a_result_never_takes_the_place_of_a_device(log: Path, command: tuple[str, str]) -> None:
+@outputs
+def test_a_result_never_takes_the_place_of_a_device(log: Path, command: str, option: str) -> None:
     device = log.parent / "device"
     os.mkfifo(device)
-    results = ["-o", log.parent / "o"] if command[0] == "run" else []
-    done = locfuse(command[0], log, *results, command[1], device, "--overwrite")
+    done = locfuse(*writing(log, command, option, device), "--overwrite")
     assert done.exit_code == 1
     assert "not a regular file" in done.stderr
     assert device.is_fifo()

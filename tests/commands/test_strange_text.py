@@ -99,15 +99,17 @@ def start(*words: object, **options: object) -> subprocess.CompletedProcess[byte
 def test_a_log_whose_name_is_no_text_is_computed_and_written(tmp_path: Path) -> None:
     log = Path(os.fsdecode(os.fsencode(tmp_path) + b"/bad\xff.mcap"))
     write(log)
-    ok("compare", log, "-o", tmp_path / "o", "--export", "mcap")
+    ok("compare", log, "--no-advice", "-o", tmp_path / "o", "--export", "mcap")
     report = json.loads((tmp_path / "o" / "report.json").read_bytes())
     assert report["input"]["name"] == r"bad\udcff"
-    ok("run", log, "-o", tmp_path / "p", "--save-map", tmp_path / "map.json")
+    ok("run", log, "--no-advice", "-o", tmp_path / "p", "--save-map", tmp_path / "map.json")
 
 
 def test_an_encoding_without_degrees_shows_the_rest(tmp_path: Path) -> None:
     log = write(tmp_path / "f.mcap")
-    done = start("compare", log, "-o", tmp_path / "o", env={**os.environ, "PYTHONIOENCODING": "ascii"})
+    done = start(
+        "compare", log, "--no-advice", "-o", tmp_path / "o", env={**os.environ, "PYTHONIOENCODING": "ascii"}
+    )
     assert done.returncode == 0, done.stderr[-500:]
     assert rb"\xb0" in done.stdout  # the degree sign, in letters
 

@@ -11,19 +11,14 @@ from typing import Any
 import pytest
 from bags import Said, drive, write
 from mcap.writer import CompressionType
+from present import present
 from range_server import Shelf, serving
 
 from locfuse.formats.container.chunked import Part
 from locfuse.formats.container.file_bytes import FileBytes
 from locfuse.formats.container.losses import Losses
 from locfuse.formats.container.mcap_source import McapSource
-from locfuse.formats.container.mcap_survey import (
-    ChunkRef,
-    promised,
-    put_in_order,
-    read_summary,
-    summary_section,
-)
+from locfuse.formats.container.mcap_survey import ChunkRef, promised, put_in_order, read_summary, summary_section
 from locfuse.formats.container.remote_objects import RemoteBytes
 from locfuse.formats.container.url import Url
 
@@ -107,8 +102,7 @@ def records(section: bytes) -> list[Record]:
 def lying(path: Path, change: Callable[[list[Record]], None]) -> Path:
     """Rewrite the summary of a file; its checksum fits."""
     data = path.read_bytes()
-    section = summary_section(FileBytes(path, Losses()))
-    assert section is not None
+    section = present(summary_section(FileBytes(path, Losses())))
     start = len(data) - 29 - 8 - len(section)
     change(said := records(section))
     new = b"".join(struct.pack("<BQ", opcode, len(content)) + content for opcode, content in said)
@@ -202,8 +196,7 @@ def test_a_summary_is_believed_where_all_it_says_fits_together(
 
 def test_the_indexes_of_a_chunk_take_the_bytes_behind_it_to_the_last(tmp_path: Path) -> None:
     path = stored(tmp_path / "x.mcap", drive(60), compression=NONE, attachments={"note": b"hello"})
-    survey = promised(FileBytes(path, Losses()))
-    assert survey is not None
+    survey = present(promised(FileBytes(path, Losses())))
     content = path.read_bytes()
     for part in survey.parts:
         assert isinstance(part, ChunkRef)
@@ -223,8 +216,7 @@ def test_a_stored_chunk_as_large_as_can_be_held_is_read_by_the_summary_and_a_lar
     said = drive(60)
     for compression in (NONE, ZSTD):
         path = stored(tmp_path / f"{compression}.mcap", said, compression=compression)
-        summary = read_summary(FileBytes(path, Losses()))
-        assert summary is not None
+        summary = present(read_summary(FileBytes(path, Losses())))
         largest = max(chunk.packed for chunk in summary.chunks.values())
         for cap, believed in ((largest, True), (largest - 1, compression == ZSTD)):
             monkeypatch.setattr("locfuse.formats.container.mcap_survey.LARGE_CHUNK_BYTES", cap)
@@ -238,8 +230,7 @@ def damaged(path: Path, at: int, value: bytes) -> None:
 
 
 def first_chunk(path: Path) -> ChunkRef:
-    survey = promised(FileBytes(path, Losses()))
-    assert survey is not None
+    survey = present(promised(FileBytes(path, Losses())))
     return min((part for part in survey.parts if isinstance(part, ChunkRef)), key=lambda chunk: chunk.offset)
 
 

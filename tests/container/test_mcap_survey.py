@@ -363,10 +363,7 @@ def test_messages_outside_chunks_are_taken_in_runs_with_their_times(tmp_path: Pa
     assert not lost
     assert [
         (part.offset, part.size, part.counts, part.span) for part in found.parts if not isinstance(part, ChunkRef)
-    ] == [
-        (len(FRONT), len(loose), {1: 2, 2: 1}, (40, 60)),
-        (len(FRONT + loose + A.all), 32, {2: 1}, (210, 210)),
-    ]
+    ] == [(len(FRONT), len(loose), {1: 2, 2: 1}, (40, 60)), (len(FRONT + loose + A.all), 32, {2: 1}, (210, 210))]
     assert sorted(times(tmp_path, FRONT + loose + A.all + END + NO_SUMMARY)[0]) == [40, 50, 60, *of(A)]
 
 

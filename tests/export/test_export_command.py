@@ -11,15 +11,14 @@ import numpy as np
 import pytest
 from bags import T0, S, Said, cdr, data_folder, header, real_log, real_logs, write
 from commands import locfuse, ok
-from numpy.typing import NDArray
 from pose_streams import reckoned
 from ruamel.yaml import YAML
 from scipy.ndimage import distance_transform_edt
 from wheel_bags import placed, turned
 
 from locfuse import load
+from locfuse.fusion.data import Array
 
-Array = NDArray[np.float64]
 SAMPLE = "rounded_rectangle"
 BAD: dict[str, tuple[bytes, str]] = {
     "anchor": (b"amcl:\n  ros__parameters:\n    sigma_hit: &a 0.2\n    z_hit: *a\n", "sigma_hit has an anchor"),
@@ -189,7 +188,7 @@ def test_every_real_log_is_exported_and_read_again_or_refused_in_one_line(name: 
     done = locfuse("export", "ros", log, *sets, "--as-set", "--to", "ekf", "-o", out, "-q")
     if name in REFUSED or (name.startswith("bags/") and name not in MOVES):
         assert (done.exit_code, done.stderr.count("\n"), out.exists()) == (1, 1, False), done.stderr
-        assert REFUSED.get(name, "nothing says how the robot moved") in done.stderr
+        assert REFUSED.get(name, "the robot's motion is unknown") in done.stderr
         return
     assert done.exit_code in {0, 3}, done.stderr
     found = parameters(out.read_text(), "ekf_filter_node")
@@ -267,7 +266,6 @@ def test_a_likelihood_field_prefers_the_exported_sigma_to_half_and_to_twice_of_i
         return float(np.log(hit + amcl["z_rand"] / amcl["laser_max_range"]).mean())
 
     best = likelihood(amcl["sigma_hit"])
-    print(amcl["sigma_hit"], best, likelihood(0.5 * amcl["sigma_hit"]), likelihood(2.0 * amcl["sigma_hit"]))
     assert best > likelihood(0.5 * amcl["sigma_hit"]) + 0.05
     assert best > likelihood(2.0 * amcl["sigma_hit"]) + 0.05
 

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import small_scene
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from locfuse.formats.figures import palette, svg, ticks
 from locfuse.formats.figures.deviation import credit, spread
@@ -20,10 +19,9 @@ from locfuse.formats.figures.for_paper import paper_figures
 from locfuse.formats.figures.panels import Band, Curve, Dots, Panel, Spots, Strokes
 from locfuse.formats.figures.sections import sections
 from locfuse.formats.figures.where import spots, step, track, where
-from locfuse.fusion.data import VERDICTS
+from locfuse.fusion.data import VERDICTS, Array
 from locfuse.fusion.sensors.registry import colours
 
-Array = NDArray[np.float64]
 SENSORS = colours()
 LOOKS: list[dict[str, object]] = [
     {},

@@ -74,10 +74,7 @@ def test_a_worker_of_another_version_or_without_the_folder_is_a_row(tmp_path: Pa
 @pytest.mark.parametrize(
     ("workers", "said"),
     [
-        (
-            {"run.return_value": {"tcp://w:1": ModuleNotFoundError("locfuse")}},
-            "tcp://w:1 has no locfuse: pip",
-        ),
+        ({"run.return_value": {"tcp://w:1": ModuleNotFoundError("locfuse")}}, "tcp://w:1 has no locfuse: pip"),
         ({"run.return_value": {"tcp://w:1": "0.0.1"}}, "worker tcp://w:1 has locfuse 0.0.1, this is"),
         ({"wait_for_workers.side_effect": TimeoutError}, "no workers; start some with: dask worker tcp://s:1"),
     ],

@@ -98,16 +98,18 @@ def test_equal_configurations_tie_and_different_ones_do_not() -> None:
     assert "12 robots cannot tell them apart" in over.headline(summary)
 
 
+def having_effect(name: str, robot: str, ln: float) -> Entry:
+    """A log in which every sensor alone makes the error so much smaller, ln(before / after)."""
+    report = simulated_report(np.random.default_rng(0), 0, 0)
+    for sensor in report["credit"]["sensors"].values():
+        sensor["alone"] = {"ln": ln, "expected": 2.0}
+    return Entry(name, robot, report=slim({"": report}))
+
+
 def test_what_a_sensor_does_is_averaged_within_a_robot_first() -> None:
     effects = {"r1": (0.2, 0.4), "r2": (0.9,), "r3": (1.2, 1.0), "r4": (0.8,)}
-    entries = []
-    for robot, found in effects.items():
-        for i, ln in enumerate(found):
-            report = simulated_report(np.random.default_rng(0), 0, 0)
-            for sensor in report["credit"]["sensors"].values():
-                sensor["alone"] = {"ln": ln, "expected": 2.0}
-            entries.append(Entry(f"{robot}{i}", robot, report=slim({"": report})))
-    alone = summarised(entries)["credit"]["sensors"]["lrf"]["alone"]
+    found = [having_effect(f"{robot}{ln}", robot, ln) for robot, lns in effects.items() for ln in lns]
+    alone = summarised(found)["credit"]["sensors"]["lrf"]["alone"]
     means = [np.mean(found) for found in effects.values()]
     low, high = stats.t.interval(0.95, 3, np.mean(means), stats.sem(means))
     assert alone["ln"] == pytest.approx(np.mean(means))
@@ -115,17 +117,10 @@ def test_what_a_sensor_does_is_averaged_within_a_robot_first() -> None:
 
 
 def test_what_is_not_proven_names_the_robots_or_of_one_robot_its_drives() -> None:
-    def words(robots: int) -> str:
-        entries = []
-        for i, ln in enumerate((1.5, -0.9, 1.6, 0.3)):
-            report = simulated_report(np.random.default_rng(0), 0, 0)
-            for sensor in report["credit"]["sensors"].values():
-                sensor["alone"] = {"ln": ln, "expected": 2.0}
-            entries.append(Entry(str(i), f"r{i % robots}", report=slim({"": report})))
-        return str(summarised(entries)["verdicts"]["lrf"]["words"])
-
-    assert "Not proven by 2 robots. Record more." in words(2)
-    assert "Not proven by 4 drives." in words(1)
+    for robots, words in ((2, "Not proven by 2 robots. Record more."), (1, "Not proven by 4 drives.")):
+        effects = enumerate((1.5, -0.9, 1.6, 0.3))
+        found = summarised([having_effect(str(i), f"r{i % robots}", ln) for i, ln in effects])
+        assert words in found["verdicts"]["lrf"]["words"]
 
 
 def fleet(scale: float = 1.0, count: int = 11) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from present import present
 from rows import Told
 from textbook import TextbookEkf, move, numeric_jacobian, wrap
 from worlds import World
@@ -263,7 +264,7 @@ def compared() -> tuple[Compared, list[Estimates]]:
     loaded = load([sample_logs.path("rounded_rectangle")], LogOptions(quiet=True))
     wanted = for_comparison((), loaded.drive)
     asked = Asked(audits=False)
-    return compare_log(loaded, wanted, asked, lambda _: None, watch=[lambda e, _: seen.append(e)]), seen
+    return compare_log(loaded, wanted, asked, lambda _: None, receivers=[lambda e, _: seen.append(e)]), seen
 
 
 def test_audits_end_with_the_judgement(compared: tuple[Compared, list[Estimates]]) -> None:
@@ -275,8 +276,7 @@ def test_audits_end_with_the_judgement(compared: tuple[Compared, list[Estimates]
 
 def test_of_a_run_a_few_numbers_an_instant_remain(compared: tuple[Compared, list[Estimates]]) -> None:
     found, _ = compared
-    truth = found.loaded.drive.truth
-    assert truth is not None
+    truth = present(found.loaded.drive.truth)
     for e, judged in zip(found.estimates, found.evaluations, strict=True):
         assert size(e) <= 8 * (12 * len(e.t) + 12 * len(truth.t))
         assert size(judged) <= 8 * 13 * len(truth.t)

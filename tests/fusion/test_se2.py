@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from present import present
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 from textbook import numeric_jacobian
@@ -99,11 +100,9 @@ def test_derivatives_of_a_bearing_are_finite_differences(pose: np.ndarray) -> No
     point, mount = (2.5, -1.2), np.array([0.3, -0.2, 0.7])
 
     def bearing(p: np.ndarray, m: np.ndarray) -> np.ndarray:
-        seen = se2.sight(tuple(p), point, tuple(m), 0.1)
-        assert seen is not None
+        seen = present(se2.sight(tuple(p), point, tuple(m), 0.1))
         return np.array([seen[0]])
 
-    seen = se2.sight(tuple(pose), point, tuple(mount), 0.1)
-    assert seen is not None
+    seen = present(se2.sight(tuple(pose), point, tuple(mount), 0.1))
     np.testing.assert_allclose([seen[2]], numeric_jacobian(lambda p: bearing(p, mount), pose), atol=1e-7)
     np.testing.assert_allclose([seen[3]], numeric_jacobian(lambda m: bearing(pose, m), mount), atol=1e-7)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from commands import locfuse, ok
 from msgspec.structs import replace
+from present import present
 from rewrite_log import rewritten
 from worlds import World, instants
 
@@ -78,8 +79,7 @@ def test_a_truth_that_begins_later_gives_the_start_of_its_moment(tmp_path: Path)
     fixes = dict(fix.split("=") for fix in finding["fixes"])
     assert 12.0 < float(fixes["start.at"]) < 12.2
     session = api.load(log, sets={key: float(value) for key, value in fixes.items()})
-    truth = session.drive.truth
-    assert truth is not None
+    truth = present(session.drive.truth)
     found = session.run("odometry", advice=False).estimates["odometry"]
     there = [np.interp(truth.t[0], found.t, found.pose[:, axis]) for axis in (0, 1)]
     assert there == pytest.approx(truth.xy[0].tolist(), abs=0.06)
@@ -126,8 +126,7 @@ def test_a_window_holds_what_lies_in_it_and_its_motion_is_that_of_the_whole_driv
 
 def test_it_starts_at_the_truths_pose_and_says_so() -> None:
     session = api.load(SAMPLE, between=(10.0, 25.0))
-    truth = api.load(SAMPLE).drive.truth
-    assert truth is not None
+    truth = present(api.load(SAMPLE).drive.truth)
     start = session.robot.start
     assert start.x == pytest.approx(np.interp(session.drive.t[0], truth.t, truth.xy[:, 0]), abs=1e-9)
     figures = session.run("odometry", advice=False).evaluations["odometry"].figures
@@ -224,8 +223,7 @@ def test_any_start_gives_a_positive_covariance_and_the_same_shape(
     robot = replace(robot, start=start)
     positive_throughout(drive, robot, sensors)
     for run in fuse_and_smooth(drive, robot, sensors):
-        shape = evaluate(run, drive, align="se2").figures["position_rmse_m"]
-        assert shape is not None
+        shape = present(evaluate(run, drive, align="se2").figures["position_rmse_m"])
         assert shape < 0.004
         assert (run.triangles[:, [0, 3, 5]] >= 0.0).all()
         assert run.triangles[-1, 0] >= 0.9 * metres**2

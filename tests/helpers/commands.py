@@ -2,40 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import pickle
-import signal
 import threading
-from dataclasses import dataclass
 from typing import Any
 
 import pytest
 
+from benchmarks import experiment
 from locfuse.cli.fleet import process
 from locfuse.cli.fleet.jobs import Job, JobOutcome
-from locfuse.cli.main import main
 
-
-@dataclass(frozen=True)
-class Done:
-    exit_code: int
-    stdout: str
-    stderr: str
-
-
-def locfuse(*words: Any) -> Done:
-    out, err = io.StringIO(), io.StringIO()
-    handler = signal.getsignal(signal.SIGTERM)
-    code = 0
-    try:
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-            main([str(w) for w in words])
-    except SystemExit as e:
-        code = int(e.code or 0)
-    finally:
-        signal.signal(signal.SIGTERM, handler)
-    return Done(code, out.getvalue(), err.getvalue())
+Done = experiment.Done
+locfuse = experiment.locfuse
 
 
 def ok(*words: Any) -> Done:

@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 from bags import T0, S, Said
 from commands import locfuse
-from numpy.typing import NDArray
 from pose_streams import reckoned
 from wheel_bags import GEOMETRY, RADIUS, TRACK, angles, messages, turned
 
 from locfuse.fusion import se2
+from locfuse.fusion.data import Array
 
-Array = NDArray[np.float64]
 MAP = {6: (2.0, 1.5), 7: (-1.0, 2.0), 8: (1.0, -2.0), 9: (3.0, -1.0), 12: (-2.0, -1.0)}
 TO_OPTICAL = np.array([-0.5, 0.5, -0.5, 0.5])  # x, y, z, w: z ahead, x right
 TF = "tf2_msgs/msg/TFMessage"

@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from locfuse.fusion.data import ArrayStream, Column
-
-Array = NDArray[np.float64]
+from locfuse.fusion.data import Array, ArrayStream, Column
 
 
 def reckoned(steps: Array, start: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Array:

@@ -11,6 +11,7 @@ from typing import Any, cast
 import numpy as np
 from pose_streams import pose_columns
 
+from benchmarks.golden_cases import EVERY, PLACES
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion.data import Array, ArrayStream, Drive, Stream
 from locfuse.fusion.measure import measure
@@ -20,17 +21,7 @@ from locfuse.fusion.streams import merged
 from locfuse.sample_logs.load import load
 from locfuse.sample_logs.record import in_memory
 
-LEGS = (
-    "{turn_deg=80, speed=0.25}, {forward=0.8, speed=0.4}, {turn_deg=60, speed=0.3}, {forward=0.4},"
-    "{turn_deg=-70, speed=0.3}"
-)
-SCENARIO = (
-    f'path={{kind="legs", x=2.2, y=2.4, theta_deg=120.0, legs=[{LEGS}]}}',
-    *("control.estimator=truth", "control.wait=1.5", "camera.enabled=true", "camera.rate=2", "compass.rate=10"),
-    *("camera.size=[240,240]", "camera.centre=[120.7,119.1]", "camera.focal=160", "camera.inner=31"),
-    "camera.outer=116",
-)
-LANDMARKS = {6: (0.5, 0.7), 7: (4.5, 1.0), 11: (4.0, 4.2), 20: (0.8, 3.9)}
+SCENARIO = (*EVERY, "camera.rate=2")
 IMU = "sensor_msgs/msg/Imu"
 
 
@@ -46,7 +37,7 @@ def streams() -> tuple[dict[str, Stream], dict[str, dict[str, Any]]]:
     found["twist"] = speeds(found["truth"])
     found["landmarks"] = detections(found["truth"])
     tables["landmarks"] = {
-        "map": {str(key): list(place) for key, place in LANDMARKS.items()},
+        "map": {str(key): list(place) for key, place in PLACES.items()},
         "x": 0.1,
         "y": -0.05,
     }
@@ -76,8 +67,8 @@ def detections(truth: Stream) -> Stream:
     for i, (x, y, theta) in list(enumerate(zip(*true_poses(truth), strict=True)))[::3]:
         eye_x = x + 0.1 * np.cos(theta) + 0.05 * np.sin(theta)
         eye_y = y + 0.1 * np.sin(theta) - 0.05 * np.cos(theta)
-        for key in sorted(LANDMARKS)[(i // 3) % 2 :: 2]:
-            dx, dy = LANDMARKS[key][0] - eye_x, LANDMARKS[key][1] - eye_y
+        for key in sorted(PLACES)[(i // 3) % 2 :: 2]:
+            dx, dy = PLACES[key][0] - eye_x, PLACES[key][1] - eye_y
             rows.append((int(truth.t_ns[i]), key, np.hypot(dx, dy), np.arctan2(dy, dx) - theta))
     t_ns, ids, ranges, bearings = (np.array(column) for column in zip(*rows, strict=True))
     data: dict[str, Any] = {"id": ids.astype(np.int64), "range": ranges, "bearing": bearings}

@@ -11,12 +11,11 @@ from typing import Any, cast
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 from pose_streams import pose_stream
 from rows import readings
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import Drive, Measurements, Stream
+from locfuse.fusion.data import Array, Drive, Measurements, Stream
 from locfuse.fusion.measure import cut
 from locfuse.fusion.robot import Robot, StartSettings, WheelSettings
 from locfuse.fusion.sensors.compass import CompassSettings
@@ -24,7 +23,6 @@ from locfuse.fusion.sensors.lrf import LrfSettings
 from locfuse.fusion.truth import read_truth
 from locfuse.fusion.wheels.motion import Wheels
 
-Array = NDArray[np.float64]
 ROOM = (  # rho [m], beta [rad], start of the wall along its tangent [m], length [m]
     (0.0, -math.pi / 2, 0.0, 8.0),
     (8.0, 0.0, 0.0, 6.0),

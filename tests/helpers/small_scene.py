@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import small_drive
-from numpy.typing import NDArray
 
 from locfuse.cli.analysis.verdicts import prediction_values, verdicts
 from locfuse.formats.figures.scene import Scene
 from locfuse.formats.report import json_report
 from locfuse.fusion.data import (
+    Array,
     Audit,
     Component,
     Drive,
@@ -28,7 +28,6 @@ from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate, running_nis
 from locfuse.fusion.judge.predictive import listeners, scores
 
-Array = NDArray[np.float64]
 NAMES = ("odometry", "compass", "lrf", "camera", "compass+lrf", "all")
 COMPONENTS = {
     "compass": (Component("heading", "deg", 57.3),),

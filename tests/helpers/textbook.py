@@ -69,6 +69,14 @@ class TextbookEkf:
 # --- split and merge as the textbook has it: recursive, point by point, no batches. An oracle, not a product
 
 
+def correlated(rng: np.random.Generator, n: int, keep: float, d: int = 1) -> Array:
+    """Series of unit variance (n, d) whose neighbours correlate by `keep`: AR(1)."""
+    out = rng.normal(size=(n, d))
+    for k in range(1, n):
+        out[k] = keep * out[k - 1] + math.sqrt(1.0 - keep**2) * out[k]
+    return out
+
+
 def split(points: Array, tolerance: Array, start: int = 0) -> list[int]:
     """Return where the straight pieces of points (k, 2) start: cut at the farthest point from the chord."""
     (x0, y0), (x1, y1) = points[0], points[-1]

@@ -9,15 +9,14 @@ from typing import Any
 
 import numpy as np
 import tomli_w
-from numpy.typing import NDArray
 from pose_streams import reckoned
 
 from locfuse.formats.container.mcap_write import log_writer
+from locfuse.fusion.data import Array
 from locfuse.sample_logs import load
 from locfuse.sample_logs.messages import RawMessage
 from locfuse.sample_logs.simulate import EPOCH_NS, Simulation
 
-Array = NDArray[np.float64]
 Tables = dict[str, dict[str, Any]]
 Change = Callable[["Drive"], None]
 Edit = Callable[[RawMessage], RawMessage | None]

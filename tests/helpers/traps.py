@@ -21,7 +21,6 @@ from trap_logs import (
     TRACK,
     TRUTH,
     WHEELS,
-    Array,
     Change,
     Drive,
     S,
@@ -35,6 +34,7 @@ from trap_logs import (
     truth_headings,
 )  # fmt: skip
 
+from locfuse.fusion.data import Array
 from locfuse.sample_logs.messages import RawMessage
 
 
@@ -181,7 +181,7 @@ WHEEL_TRAPS = (
     Trap("a first sample that is not zero", field(WHEELS, position=lambda p: p + 371.2)),
     Trap("angles that wrap at pi", field(WHEELS, position=lambda p: (p + np.pi) % (2 * np.pi) - np.pi),
          "left counter rolled over"),
-    Trap("a spike that returns", spiked, "left counter jumped away and back"),
+    Trap("a spike that returns", spiked, "left counter jumped away and returned"),
     Trap("a counter that starts anew", each(WHEELS, restart), "counter started anew"),
     Trap("repeats with dt = 0", again(WHEELS, 5), "repeat the one before"),
     Trap("readings that are no numbers", NOT_NUMBERS, "NaN or Inf"),
@@ -189,11 +189,11 @@ WHEEL_TRAPS = (
          spoils=True),
     Trap("left and right swapped", field(WHEELS, name=lambda n: tuple(n)[::-1]), "left and right are swapped",
          spoils=True),
-    Trap("joints of other names", other_names, "which joints are the wheels'", spoils=True, refused=True),
+    Trap("joints of other names", other_names, "the joints of the wheels", spoils=True, refused=True),
     Trap("a wrong track", geometry(track=0.9 * TRACK), "the track is 0.54 m, but the turning of", spoils=True),
     Trap("a wrong radius", WRONG_RADIUS, "they measure", spoils=True),
     Trap("geometry that only /odom knows", no_geometry, "/odom was made with these", spoils=True, refused=True),
-    Trap("geometry that /robot_description knows", described, "/robot_description tells", spoils=True,
+    Trap("geometry that /robot_description knows", described, "/robot_description has", spoils=True,
          refused=True),
     Trap("a pair of Int16 counters", tick_pair, "/odom was made with these"),
     Trap("odometry instead of wheels", only_odometry),
@@ -443,9 +443,9 @@ LONG_RANGES = field(SCAN, ranges=lambda r: r + np.float32(0.08))
 SATURATED = field(SCAN, ranges=lambda r: np.minimum(r, np.float32(5.0)), range_max=5.0)
 LASER_TRAPS = (
     Trap("a laser without time_increment", field(SCAN, time_increment=0.0), "time_increment is 0", False, "lrf"),
-    Trap("no return as NaN", no_returns(math.nan), "NaN: nothing came back", False, "lrf"),
-    Trap("no return as 0", no_returns(0.0), "zero: nothing came back", False, "lrf"),
-    Trap("no return beyond range_max", no_returns(9.0), "beyond range_max: nothing came back", False, "lrf"),
+    Trap("no return as NaN", no_returns(math.nan), "without a return: 17% NaN", False, "lrf"),
+    Trap("no return as 0", no_returns(0.0), "without a return: 17% zero", False, "lrf"),
+    Trap("no return beyond range_max", no_returns(9.0), "without a return: 17% beyond range_max", False, "lrf"),
     Trap("no return as range_max, or as one other range", SATURATED,
          "exactly 5 m, the longest: read as no return", False, "lrf"),
     Trap("a laser that scans clockwise", clockwise, "clockwise", False, "lrf"),

@@ -17,8 +17,8 @@ from locfuse.cli.analysis.choose import choose
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.cli.analysis.topics import Choice
 from locfuse.formats.logs.log import open_log
+from locfuse.fusion.data import Array
 
-Array = NDArray[np.float64]
 RADIUS, TRACK, TICKS = 0.05, 0.3, 1000.0
 GEOMETRY = ("--set", f"wheels.radius={RADIUS}", "--set", f"wheels.track={TRACK}")
 ODOMETRY = "nav_msgs/msg/Odometry"

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from pose_streams import pose_stream
 from rooms import scan
 
-from locfuse.fusion.data import ArrayStream, Drive, Ragged, Stream
+from locfuse.fusion.data import Array, ArrayStream, Drive, Ragged, Stream
 from locfuse.fusion.fuse import Filter, due_readings, steps_of
 from locfuse.fusion.measure import measure
 from locfuse.fusion.robot import Robot, StartSettings, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
 
-Array = NDArray[np.float64]
 ROOM = ((0, 0, 8, 0), (8, 0, 8, 6), (8, 6, 0, 6), (0, 6, 0, 0))
 PLATES = ((3, 0, 3, 1), (5, 6, 5, 4.8), (8, 3, 7, 3), (0, 4, 0.8, 4))
 EPOCH = 1_700_000_000_000_000_000

@@ -10,10 +10,9 @@ import re
 import runpy
 import sys
 import tomllib
-from collections.abc import Mapping
-from functools import cache
+from collections.abc import Callable, Mapping
+from functools import cache, partial
 from graphlib import CycleError, TopologicalSorter
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -289,7 +288,6 @@ def test_the_floors_name_only_rooms_that_exist() -> None:
     for name in named:
         path = ROOT / name.replace(".", "/")
         assert path.is_dir() or path.with_suffix(".py").exists(), name
-    assert all(a != b for a, b in pairwise(sorted(named)))
 
 
 # --- the caps of the house: arguments of a function, fields of a record, what changes in a class, lines of a file
@@ -404,26 +402,22 @@ def functions(files: Mapping[str, str]) -> dict[str, int]:
     return {f"{f}:{name}": arguments(x) for f, text in here.items() for name, x in defined(text, Function)}
 
 
-def records(files: Mapping[str, str]) -> dict[str, int]:
-    return {
-        f"{f}:{name}": record_fields(x) for f, text in files.items() for name, x in defined(text, ast.ClassDef)
-    }
+def classes(files: Mapping[str, str], count: Callable[[ast.AST], int]) -> dict[str, int]:
+    return {f"{f}:{name}": count(x) for f, text in files.items() for name, x in defined(text, ast.ClassDef)}
 
 
-def classes(files: Mapping[str, str]) -> dict[str, int]:
-    return {
-        f"{f}:{name}": changing_fields(x) for f, text in files.items() for name, x in defined(text, ast.ClassDef)
-    }
+records = partial(classes, count=record_fields)
+changing = partial(classes, count=changing_fields)
 
 
 def lengths(files: Mapping[str, str]) -> dict[str, int]:
     return {f: len(text.splitlines()) for f, text in files.items()}
 
 
-CAPS = {
+CAPS: dict[str, tuple[int, Callable[[Mapping[str, str]], dict[str, int]], dict[str, int]]] = {
     "arguments": (MAX_ARGUMENTS, functions, ARGUMENTS),
     "record fields": (MAX_RECORD_FIELDS, records, RECORD_FIELDS),
-    "changing fields": (MAX_CHANGING_FIELDS, classes, CHANGING_FIELDS),
+    "changing fields": (MAX_CHANGING_FIELDS, changing, CHANGING_FIELDS),
     "lines": (MAX_FILE_LINES, lengths, FILE_LINES),
 }
 
@@ -451,5 +445,5 @@ def test_the_caps_see_what_is_over_them() -> None:
     }
     assert over(8, functions(files)) == {"fusion/a.py:far": 9, "fusion/b.py:C.go": 9}
     assert over(12, records(files)) == {"fusion/a.py:A": 13, "fusion/c.py:B": 13}
-    assert over(10, classes(files)) == {"fusion/b.py:C": 11}
+    assert over(10, changing(files)) == {"fusion/b.py:C": 11}
     assert over(600, lengths(files)) == {"fusion/long.py": 601}

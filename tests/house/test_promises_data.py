@@ -16,16 +16,15 @@ import pytest
 from bags import T0, Said, cdr, drive, header, write
 from commands import Done, locfuse, ok
 from msgspec.structs import replace
-from numpy.typing import NDArray
 from rewrite_log import rewritten
 from wheel_bags import GEOMETRY, angles, joint_states, log_of
 from worlds import World
 
 from locfuse.cli.analysis.load import load
 from locfuse.cli.analysis.settings import LogOptions
+from locfuse.fusion.data import Array
 from locfuse.fusion.fuse import fuse
 
-Array = NDArray[np.float64]
 PLAIN = LogOptions(quiet=True)
 
 

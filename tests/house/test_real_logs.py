@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from commands import ok
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 import locfuse as api
 from benchmarks.building import contained, relation_errors
@@ -21,7 +20,7 @@ from benchmarks.real_logs import KNOWN
 from locfuse.cli.analysis.load import load
 from locfuse.cli.analysis.settings import LogOptions, set_words
 from locfuse.formats.logs.log import open_log
-from locfuse.fusion.data import Drive, Motions
+from locfuse.fusion.data import Array, Drive, Motions
 from locfuse.fusion.fuse import fuse
 
 DATA = os.environ.get("LOCFUSE_DATA")
@@ -127,7 +126,6 @@ def test_our_error_is_evos_error(tmp_path: Path, robot: Path) -> None:
 
 # --- a building: relation errors as they are defined, and the growing map on the first minutes of a real one
 
-Array = NDArray[np.float64]
 MINUTES = 3.0
 
 

@@ -152,10 +152,10 @@ def test_what_is_missing_of_the_wheels_is_told_with_what_to_do(tmp_path: Path) -
     path = write(tmp_path / "x.mcap", [m for m in drive(100) if m.topic != "/scan"])
     done = ok("info", path)
     assert locfuse("info", path, "--check").exit_code == 3
-    assert "nothing says radius, track" in section(done, "would spoil an estimate")[0]
+    assert "these are unknown: radius, track" in section(done, "would spoil an estimate")[0]
     assert section(done, "next") == [f"  locfuse init {path} > robot.toml"]
     configurations = as_json(path)["configurations"]
-    assert "nothing says radius, track" in configurations["odometry"]
+    assert "these are unknown: radius, track" in configurations["odometry"]
     assert as_json(path, *GEOMETRY)["configurations"]["odometry"] is None
 
 
@@ -183,15 +183,21 @@ def test_of_two_ways_to_set_a_distance_none_is_called_the_fix(tmp_path: Path) ->
     assert "If the wheels are right, set lrf.range_scale=1.1" in line
     assert "if lrf is, wheels.radius=0.04" in line
     assert "fix: --set lrf.range_scale" not in alone
+    assert "\nrange_scale = 1.1" in locfuse("init", log).stdout
+    alone = locfuse("init", log, "--set", "truth.topic=none").stdout
+    assert "\n# range_scale = 1.1" in alone
+    assert "\nrange_scale" not in alone
+    assert "wheels.radius=0.04" in alone
 
 
-def test_a_run_that_is_lost_is_said_by_info_as_by_compare() -> None:
-    tried = as_json("rounded_triangle", "--set", "lrf.yaw_deg=90", "--check")["tried"]
+def test_a_run_that_is_lost_is_said_by_info_as_by_compare(tmp_path: Path) -> None:
+    log = Drive().record(tmp_path / "x.mcap")
+    tried = as_json(log, "--set", "lrf.yaw_deg=90", "--check")["tried"]
     lost = [v for v in tried["validity"] if v["void"] and v["code"] == "lost"]
     assert lost
     assert all({"lrf", "all"} & set(v["configurations"]) for v in lost)
     assert void_reasons(tried)
-    assert "the best is the camera" in tried["headline"]
+    assert "the best is the compass" in tried["headline"]
     assert "lost for" in tried["headline"]
 
 
@@ -325,7 +331,7 @@ def test_a_real_turtlebot_as_ros2_records_it() -> None:
     assert mount["by"] == "/tf_static"
     assert mount["yaw_deg"] == pytest.approx(90.0, abs=0.1)
     words = [o["message"] for o in found["findings"]]
-    assert any(w.startswith("21 frames are said to be in two places") for w in words)
+    assert any(w.startswith("21 frames have two different transforms") for w in words)
     assert any(w.startswith("of its ranges 23% inf") for w in words)
     assert [o["code"] for o in found["findings"] if o["severe"]] == ["lag"]
 

@@ -12,8 +12,6 @@ import pytest
 from bags import T0, Said, cdr, header, real_log, real_logs, write
 from commands import Done, locfuse
 from rewrite_log import rewritten
-from trap_logs import Drive
-from traps import short_metre
 from wheel_bags import GEOMETRY, RADIUS, TRACK, angles, joint_states, log_of, pose_of
 
 from locfuse import sample_logs
@@ -82,7 +80,7 @@ def test_what_no_log_tells_is_a_line_behind_a_hash_that_says_what_to_measure(tmp
     t, angle = angles()
     log = log_of(tmp_path / "x.mcap", joint_states(t, angle))
     done = init(log, tmp_path / "robot.toml")
-    assert "to be filled in: wheels.radius, wheels.track" in done.stderr
+    assert "fill in wheels.radius, wheels.track" in done.stderr
     refused = locfuse("run", log, "-o", tmp_path / "none")
     assert refused.exit_code == 1
     assert "locfuse init LOG > robot.toml" in refused.stderr
@@ -153,7 +151,7 @@ def test_a_camera_lacks_its_landmark_and_runs_once_it_has_it(tmp_path: Path) -> 
     log = rewritten(tmp_path / "x.mcap", robot="")
     words = ("--set", "wheels.radius=0.05", "--set", "wheels.track=0.6")
     done = init(log, tmp_path / "robot.toml", *words)
-    assert "to be filled in: camera.landmark" in done.stderr
+    assert "fill in camera.landmark" in done.stderr
     robot = tomllib.loads(done.stdout)
     assert robot["camera"]["topic"] == "/omni/image/compressed"
     assert robot["lrf"]["x"] == 0.2  # by /tf_static
@@ -173,18 +171,6 @@ def test_what_a_user_said_stays_and_what_the_log_shows_beside_it_is_behind_a_has
     done = init(log, tmp_path / "robot.toml", *(word for s in sets for word in ("--set", s)))
     assert tomllib.loads(done.stdout)["start"]["x"] == 7.25
     assert "\n# x = 1.5" in done.stdout
-
-
-def test_a_range_scale_that_only_the_wheels_ask_for_is_behind_a_hash(tmp_path: Path) -> None:
-    """The laser may be right and the wheels wrong; with truth it is known who is."""
-    drive = Drive()
-    short_metre(drive)
-    log = drive.record(tmp_path / "log.mcap")
-    assert "\nrange_scale = 1.1" in locfuse("init", log).stdout
-    alone = locfuse("init", log, "--set", "truth.topic=none").stdout
-    assert "\n# range_scale = 1.1" in alone
-    assert "\nrange_scale" not in alone
-    assert "wheels.radius=0.04" in alone
 
 
 def test_a_topic_with_an_evil_name_cannot_leave_its_line(tmp_path: Path) -> None:
@@ -212,7 +198,7 @@ def test_a_damaged_log_is_looked_at_all_the_same_and_the_loss_is_counted(tmp_pat
 def test_a_log_that_cannot_run_still_gives_a_file_that_loads(tmp_path: Path) -> None:
     said = [Said("/chatter", "std_msgs/msg/String", cdr("std_msgs/msg/String", data="hello"), T0)]
     done = init(write(tmp_path / "x.mcap", said), tmp_path / "robot.toml")
-    assert "this log cannot run: nothing says how the robot moved: x has no wheels" in done.stderr
+    assert "this log cannot run: the robot's motion is unknown: x has no wheels" in done.stderr
     assert tomllib.loads(done.stdout) == {}
 
 

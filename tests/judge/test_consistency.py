@@ -14,22 +14,23 @@ import small_drive
 from commands import ok
 from msgspec.structs import replace
 from numpy.typing import NDArray
+from present import present
 from scipy import stats
-from small_drive import Array
+from textbook import correlated
 
 import locfuse
 from locfuse.cli.analysis.verdicts import unless_overconfident
-from locfuse.fusion.data import VERDICTS, Audit, Drive, Evaluation, Measurements
+from locfuse.fusion.data import VERDICTS, Array, Audit, Drive, Evaluation, Measurements
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.consistency import Consistency, Evidence, Run, as_run, biased_against, judge
-from locfuse.fusion.judge.evaluate import Honesty, honesty
+from locfuse.fusion.judge.evaluate import CovarianceCheck, covariance_check
 from locfuse.fusion.judge.innovations import (
     MAX_LISTENED_READINGS,
     STRETCH_READINGS,
-    Heard,
+    ComparedReadings,
     _agreement,
     _some,
-    heard,
+    compare_readings,
     own,
 )
 from locfuse.fusion.robot import Robot
@@ -72,8 +73,7 @@ def test_the_noise_of_a_scalar_filter_is_found_whatever_it_was_told(told: float)
     """True variance 1: the factor asked for is 1 / told, though state and innovation share the error."""
     factors = []
     for seed in range(5):
-        o = own(*scalar_filter(seed, 0.01, 1.0, told))
-        assert o is not None
+        o = present(own(*scalar_filter(seed, 0.01, 1.0, told)))
         factors.append(o.scale * told)
     assert np.mean(factors) == pytest.approx(1.0, rel=0.25)
 
@@ -81,8 +81,7 @@ def test_the_noise_of_a_scalar_filter_is_found_whatever_it_was_told(told: float)
 def test_right_noise_lies_within_its_bounds_and_is_white() -> None:
     inside = 0
     for seed in range(40):
-        o = own(*scalar_filter(seed, 0.05, 1.0, 1.0, n=400))
-        assert o is not None
+        o = present(own(*scalar_filter(seed, 0.05, 1.0, 1.0, n=400)))
         inside += o.bounds[0] <= o.nis <= o.bounds[1]
         assert abs(o.whiteness[0]) < 0.25
     assert inside >= 34, f"{inside} of 40 within bounds that should hold 95 %"
@@ -134,7 +133,7 @@ def test_a_sigma_wrong_by_three_is_named_with_its_key(seed: int, sensor: str, fa
     assert mine.verdict == verdict, mine.words
     assert mine.scale is not None
     assert mine.scale * factor == pytest.approx(1.0, rel=0.4)
-    assert f"{sensor}.{ {'compass': 'sigma_deg', 'lrf': 'sigma_range'}[sensor] }" in mine.cures
+    assert f"{sensor}.{ {'compass': 'sigma_deg', 'lrf': 'sigma_range'}[sensor] }" in mine.fix_values
     assert f"noise is set too {'low' if verdict == 'understated' else 'high'}" in mine.words
     assert [c.verdict for c in found.values()] in (["consistent"], ["unclear"])
 
@@ -143,11 +142,13 @@ def test_a_sigma_wrong_by_three_is_named_with_its_key(seed: int, sensor: str, fa
 def test_noise_that_lasts_is_not_called_white(seed: int) -> None:
     robot = small_drive.robot(compass={"sigma_deg": 2.0})
     drive = small_drive.drive(seed, robot, compass_noise_deg=0.3)
-    slow = markov(drive.measurements["compass"].t, math.radians(2.0), 3.0, seed)
+    t = drive.measurements["compass"].t
+    keep = math.exp(-float(np.median(np.diff(t))) / 3.0)  # errors last 3 s
+    slow = math.radians(2.0) * correlated(np.random.default_rng(seed), len(t), keep)[:, 0]
     found = complaints(robot, turned(drive, slow))["compass"]
     assert found.verdict == "correlated"
-    assert found.cures["compass.sigma_deg"] > 4.0
-    assert found.cures["compass.offset_drift_deg"] == pytest.approx(2.0 * math.sqrt(2.0 / 3.0), rel=0.6)
+    assert found.fix_values["compass.sigma_deg"] > 4.0
+    assert found.fix_values["compass.offset_drift_deg"] == pytest.approx(2.0 * math.sqrt(2.0 / 3.0), rel=0.6)
 
 
 @pytest.mark.parametrize("exact", [True, False])
@@ -165,17 +166,8 @@ def test_an_offset_that_steps_or_drifts_is_named_with_when_and_how_far(seed: int
     assert kind == ("steps" if step else "drifts")
     assert float(amount) == pytest.approx(-12.0, abs=1.5)
     assert float(when) == pytest.approx(middle if step else np.ptp(m.t), rel=0.1)
-    assert found.cures["compass.offset_drift_deg"] == pytest.approx(12.0 / math.sqrt(np.ptp(m.t)), rel=0.2)
-    assert ("compass.sigma_offset_deg" in found.cures) == exact
-
-
-def markov(t: Array, sigma: float, time: float, seed: int) -> Array:
-    rng = np.random.default_rng(seed)
-    keep = math.exp(-float(np.median(np.diff(t))) / time)
-    out = [rng.normal()]
-    for _ in t[1:]:
-        out.append(keep * out[-1] + math.sqrt(1.0 - keep**2) * rng.normal())
-    return sigma * np.array(out)
+    assert found.fix_values["compass.offset_drift_deg"] == pytest.approx(12.0 / math.sqrt(np.ptp(m.t)), rel=0.2)
+    assert ("compass.sigma_offset_deg" in found.fix_values) == exact
 
 
 def judged_with(errors: Array, sigma: float) -> Evaluation:
@@ -193,9 +185,7 @@ def judged_with(errors: Array, sigma: float) -> Evaluation:
 def test_honest_errors_lie_within_bounds_that_know_how_few_they_are() -> None:
     rng = np.random.default_rng(3)
     slow = np.repeat(rng.normal(size=(12, 2)), 50, axis=0)  # 600 stamps worth a dozen
-    found, fast = honesty(judged_with(slow, 1.0)), honesty(judged_with(rng.normal(size=(600, 2)), 1.0))
-    assert found is not None
-    assert fast is not None
+    found, fast = (present(covariance_check(judged_with(e, 1.0))) for e in (slow, rng.normal(size=(600, 2))))
     assert found.independent < 40
     assert fast.independent > 300
     assert found.bounds[1] - found.bounds[0] > 3 * (fast.bounds[1] - fast.bounds[0])
@@ -209,8 +199,7 @@ def test_honest_errors_lie_within_bounds_that_know_how_few_they_are() -> None:
 def test_over_confidence_is_said_with_its_factor_and_by_state() -> None:
     rng = np.random.default_rng(4)
     errors = rng.normal(size=(800, 2)) * (1.0, 5.0)
-    found = honesty(judged_with(errors, 1.0))
-    assert found is not None
+    found = present(covariance_check(judged_with(errors, 1.0)))
     assert found.states["x"] == pytest.approx(1.0, rel=0.2)
     assert found.states["y"] == pytest.approx(25.0, rel=0.2)
     assert "overconfident: errors are about 3.6 times" in found.words
@@ -219,23 +208,21 @@ def test_over_confidence_is_said_with_its_factor_and_by_state() -> None:
 def test_only_errors_of_a_regular_claim_count() -> None:
     rng = np.random.default_rng(8)
     errors = rng.normal(size=(300, 2))
-    whole = honesty(judged_with(errors, 1.0))
-    assert whole is not None
+    whole = present(covariance_check(judged_with(errors, 1.0)))
     wild = np.vstack((errors, np.full((2, 2), 1e3)))
     spoiled = replace(judged_with(wild, 1.0), figures={"anees": whole.anees})
     spoiled.nees[300] = np.nan  # its covariance is singular
     spoiled.sigma[301, 1] = 0.0
-    found = honesty(spoiled)
-    assert found is not None
+    found = present(covariance_check(spoiled))
     assert found == whole
     for n, known in ((1, False), (2, True)):
-        assert (honesty(judged_with(errors[:n], 1.0)) is not None) is known
+        assert (covariance_check(judged_with(errors[:n], 1.0)) is not None) is known
 
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], str, Path]:
     out = tmp_path_factory.mktemp("out") / "out"
-    words = ("--set", "compass.offset_deg=-60", "--write", "json,md", "-v")
+    words = ("--to", "32", "--set", "compass.offset_deg=-60", "--write", "json,md", "-v")
     done = ok("compare", "rounded_rectangle", *words, "-o", out)
     return json.loads((out / "report.json").read_text()), done.stdout, out
 
@@ -245,7 +232,7 @@ def test_the_report_carries_verdicts_figures_and_words(report: tuple[dict[str, A
     mine = found["configurations"]["all"]["sensors"]["compass"]["consistency"]
     assert {"verdict", "words", "nis_bounds", "bias_sigma", "whiteness", "scale"} <= set(mine)
     assert mine["verdict"] == "biased"
-    assert "cures" not in mine  # what nobody tried is no advice
+    assert "fix_values" not in mine  # what nobody tried is no advice
     (advice,) = [f for f in found["findings"] if f["role"] == "compass"]
     fixes = dict(fix.split("=") for fix in advice["fixes"])
     assert float(fixes["compass.offset_deg"]) == pytest.approx(-65.0, abs=1.0)
@@ -261,14 +248,14 @@ def test_the_report_carries_verdicts_figures_and_words(report: tuple[dict[str, A
 
 @pytest.mark.parametrize(("anees", "kept"), [((9.0, 4.0), False), ((9.0, 1.0), True), ((), True)])
 def test_an_overconfident_sensor_is_not_to_be_trusted_more(anees: tuple[float, ...], kept: bool) -> None:
-    found = Consistency("overstated", "lrf noise is overstated", scale=0.1, cures={"lrf.sigma_range": 0.002})
-    judged = unless_overconfident("lrf", found, [Honesty(a, (0.5, 1.5)) for a in anees])
+    found = Consistency("overstated", "lrf noise is overstated", scale=0.1, fix_values={"lrf.sigma_range": 0.002})
+    judged = unless_overconfident("lrf", found, [CovarianceCheck(a, (0.5, 1.5)) for a in anees])
     assert (judged == found) == kept
     if not kept:
         assert judged.words.startswith(
             "residuals are 10 times smaller than configured, yet position errors are 2.0 times"
         )
-        assert not judged.cures
+        assert not judged.fix_values
 
 
 def test_a_heading_in_a_disturbed_field_is_no_evidence() -> None:
@@ -280,11 +267,13 @@ def test_a_heading_in_a_disturbed_field_is_no_evidence() -> None:
     disturbed = np.arange(len(m.t)) % 3 == 0
     moved = replace(m, z=m.z + 0.1 * disturbed[:, None], extra={"strength": np.where(disturbed, 2.0, 1.0)})
     alone, spoiled = (
-        heard(replace(drive, measurements={**drive.measurements, "compass": x}), robot, run, "compass")
+        present(
+            compare_readings(
+                replace(drive, measurements={**drive.measurements, "compass": x}), robot, run, "compass"
+            )
+        )
         for x in (m, moved)
     )
-    assert alone is not None
-    assert spoiled is not None
     assert alone.readings + round(alone.wild * alone.readings) == pytest.approx(len(m.t), abs=2)
     assert spoiled.readings == pytest.approx(int((~disturbed).sum()), abs=2)
     assert spoiled.spread == pytest.approx(alone.spread, rel=0.2)
@@ -298,8 +287,7 @@ def right() -> tuple[Drive, Robot]:
     """Twenty seconds whose compass reads the true heading with white noise of half a degree."""
     session = locfuse.load("rounded_triangle", between=(None, 20.0), sets={"compass.offset_deg": 0.0})
     drive, robot = session.drive, session.robot
-    m, truth = drive.measurements["compass"], drive.truth
-    assert truth is not None
+    m, truth = drive.measurements["compass"], present(drive.truth)
     noise = NOISE_RAD * np.random.default_rng(17).normal(size=len(m.t))
     z = (body_poses(truth, m.t)[:, 2] + noise)[:, None]
     exact = replace(m, z=z, scale=NOISE_RAD, R_unit=np.ones_like(m.R_unit), floor=np.zeros_like(m.floor))
@@ -327,8 +315,10 @@ def test_an_offset_is_measured_against_the_truth(right: tuple[Drive, Robot], off
     found = judge(runs(turned(drive, math.radians(off_deg)), robot, 1.0), robot)["compass"]["compass"]
     assert found.verdict == "biased"
     # of some hundred readings of half a degree
-    assert found.cures["compass.offset_deg"] == pytest.approx(off_deg, abs=0.15)
-    assert "compass.sigma_offset_deg" not in found.cures  # the truth is exact: nothing but the readings' own noise
+    assert found.fix_values["compass.offset_deg"] == pytest.approx(off_deg, abs=0.15)
+    assert (
+        "compass.sigma_offset_deg" not in found.fix_values
+    )  # the truth is exact: nothing but the readings' own noise
 
 
 def test_an_offset_by_a_run_is_set_with_how_well_that_run_knows_its_heading(right: tuple[Drive, Robot]) -> None:
@@ -340,7 +330,7 @@ def test_an_offset_by_a_run_is_set_with_how_well_that_run_knows_its_heading(righ
         triangles = laser.triangles.copy()
         triangles[:, 5] = math.radians(sigma_deg) ** 2
         found[2] = found[2]._replace(estimates=replace(laser, triangles=triangles))
-        cures = judge(found, robot)["compass"]["compass"].cures
+        cures = judge(found, robot)["compass"]["compass"].fix_values
         assert cures["compass.sigma_offset_deg"] == pytest.approx(sigma_deg, rel=0.1)
         assert cures["compass.offset_deg"] == pytest.approx(8.0, abs=2 * sigma_deg)
 
@@ -350,27 +340,24 @@ def test_a_sensor_that_takes_no_sigma_of_its_offset_gets_none(right: tuple[Drive
     heard = Evidence(runs(drive, robot, 0.0), robot).reference_runs("compass")[0][1]
     off = heard._replace(bias=math.radians(5.0), sure=math.radians(0.4))
     camera: Any = REGISTRY["camera"].Settings
-    assert set(biased_against("camera", camera(), off).cures) == {"camera.zero_deg", "camera.sigma_yaw_deg"}
-    assert set(biased_against("camera", camera(bearing="absolute"), off).cures) == {"camera.zero_deg"}
+    assert set(biased_against("camera", camera(), off).fix_values) == {"camera.zero_deg", "camera.sigma_yaw_deg"}
+    assert set(biased_against("camera", camera(bearing="absolute"), off).fix_values) == {"camera.zero_deg"}
 
 
 def test_an_offset_that_is_too_small_to_be_sure_of_is_still_known(right: tuple[Drive, Robot]) -> None:
     drive, robot = right
-    found = Evidence(runs(turned(drive, math.radians(0.4)), robot, 0.0), robot).bias("compass")
-    assert found is not None
-    assert found.cures["compass.offset_deg"] == pytest.approx(0.4, abs=0.15)
+    found = present(Evidence(runs(turned(drive, math.radians(0.4)), robot, 0.0), robot).bias("compass"))
+    assert found.fix_values["compass.offset_deg"] == pytest.approx(0.4, abs=0.15)
     assert Evidence(runs(drive, robot, 0.0), robot).bias("compass") is None
 
 
 def test_a_truth_is_no_reference_where_it_has_a_gap_or_another_frame(right: tuple[Drive, Robot]) -> None:
     drive, robot = right
-    truth, e = drive.truth, fuse(drive, robot, ())
-    assert truth is not None
+    truth, e = present(drive.truth), fuse(drive, robot, ())
     assert truth.theta is not None
     kept = (truth.t < 5.0) | (truth.t > 9.0)
     gap = replace(truth, t=truth.t[kept], xy=truth.xy[kept], theta=truth.theta[kept])
-    run = as_run(replace(drive, truth=gap), e)
-    assert run is not None
+    run = present(as_run(replace(drive, truth=gap), e))
     inside = (drive.t > 5.1) & (drive.t < 8.9)
     assert np.isnan(run.estimates.pose[inside]).all()
     assert np.isfinite(run.estimates.pose[(drive.t > 1.0) & (drive.t < 4.9)]).all()
@@ -385,14 +372,6 @@ ACCEPTED, GATE, UNMATCHED, DISTURBED, LOST = (
     VERDICTS.index(v) for v in ("accepted", "gate", "unmatched", "disturbed", "lost")
 )
 LAGS = 5
-
-
-def colored(rng: np.random.Generator, n: int, keep: float, d: int = 1) -> Array:
-    """Series of unit variance (n, d) whose neighbours correlate by `keep`."""
-    out = rng.normal(size=(n, d))
-    for k in range(1, n):
-        out[k] = keep * out[k - 1] + math.sqrt(1.0 - keep**2) * out[k]
-    return out
 
 
 def audited(
@@ -436,7 +415,7 @@ def test_the_figures_of_a_run_are_those_written_out(d: int, keep: float) -> None
     landmark = np.arange(n) % 2 + 7
     y = np.empty((n, d))
     for mark in (7, 8):
-        y[landmark == mark] = 2.0 * colored(rng, n // 2, keep, d) + 0.4
+        y[landmark == mark] = 2.0 * correlated(rng, n // 2, keep, d) + 0.4
     sigma = np.full((n, d), 2.2) + 0.3 * rng.random((n, d))
     verdict = np.zeros(n, np.int8)
     verdict[5::40], verdict[7::40], verdict[9::40], verdict[11::40] = GATE, UNMATCHED, DISTURBED, LOST
@@ -444,8 +423,7 @@ def test_the_figures_of_a_run_are_those_written_out(d: int, keep: float) -> None
     for refused in (GATE, UNMATCHED):  # every other one lies beyond the gate; the rest has other reasons
         y[np.flatnonzero(verdict == refused)[::2]] += 12.0
     audit, m = audited(y, sigma, verdict, landmark, gate)
-    found = own(audit, m)
-    assert found is not None
+    found = present(own(audit, m))
 
     beyond = audit.nis > gate
     accepted = verdict == ACCEPTED
@@ -479,10 +457,10 @@ def test_the_figures_of_a_run_are_those_written_out(d: int, keep: float) -> None
     assert found.scale == pytest.approx(found.raw * np.clip(1.0 - white[0] * ratio, 0.3, 2.0))
 
 
-def agreed(t: NDArray[Any], y: Array, h: Array, R: Array, unknown: bool = False, angular: bool = False) -> Heard:
-    found = _agreement(np.column_stack((t, y, h, R, 0.1 * t)), unknown, angular)
-    assert found is not None
-    return found
+def agreed(
+    t: NDArray[Any], y: Array, h: Array, R: Array, unknown: bool = False, angular: bool = False
+) -> ComparedReadings:
+    return present(_agreement(np.column_stack((t, y, h, R, 0.1 * t)), unknown, angular))
 
 
 @pytest.mark.parametrize("angular", [False, True])
@@ -491,7 +469,7 @@ def test_what_a_run_that_does_not_use_a_sensor_says_of_it(keep: float, angular: 
     rng = np.random.default_rng(5)
     n = 500
     t = 0.2 * np.arange(n)
-    y = 0.05 * colored(rng, n, keep)[:, 0] + 3.1  # as an angle next to where they wrap
+    y = 0.05 * correlated(rng, n, keep)[:, 0] + 3.1  # as an angle next to where they wrap
     wild = np.zeros(n, bool)
     wild[::50] = True
     y[wild] += 2.0

@@ -9,10 +9,12 @@ from itertools import permutations
 import numpy as np
 import pytest
 import small_drive
-from numpy.typing import NDArray
+from present import present
 from scipy import stats
+from textbook import correlated
 
 from locfuse.cli.analysis.verdicts import credit_values, verdicts
+from locfuse.fusion.data import Array
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.bootstrap import (
     RESAMPLES,
@@ -35,19 +37,8 @@ from locfuse.fusion.judge.credit import (
 )
 from locfuse.fusion.judge.evaluate import evaluate
 
-Array = NDArray[np.float64]
 SENSORS = ("compass", "lrf")
 HELP = {"helps", "seems to help"}  # one short drive seldom proves it
-
-
-def ar1(rng: np.random.Generator, q: int, phi: float, sigma: float = 1.0) -> Array:
-    """Two independent AR(1) series with standard deviation sigma, (q, 2)."""
-    noise = rng.normal(size=(q, 2)) * sigma * math.sqrt(1.0 - phi**2)
-    out = np.empty((q, 2))
-    out[0] = sigma * rng.normal(size=2)
-    for k in range(1, q):
-        out[k] = phi * out[k - 1] + noise[k]
-    return out
 
 
 @cache
@@ -55,9 +46,7 @@ def credit_of(seed: int, noise_deg: float = 1.0, bias_deg: float = 0.0, **compas
     robot = small_drive.robot(compass=compass)
     drive = small_drive.drive(seed, robot, laps=0.7, compass_noise_deg=noise_deg, compass_bias_deg=bias_deg)
     judged = {frozenset(s): evaluate(fuse(drive, robot, s), drive) for s in subsets(SENSORS)}
-    found = credit(judged, SENSORS)
-    assert found is not None
-    return found
+    return present(credit(judged, SENSORS))
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 4])
@@ -87,7 +76,7 @@ def test_the_interval_of_a_ratio_contains_the_truth_as_often_as_it_says() -> Non
     rng = np.random.default_rng(5)
     inside = 0
     for _ in range(100):
-        common, own = ar1(rng, 300, 0.8), ar1(rng, 300, 0.8, 0.5)
+        common, own = correlated(rng, 300, 0.8, 2), 0.5 * correlated(rng, 300, 0.8, 2)
         errors = Errors.of(np.stack((common, 0.6 * common + own)))
         low, high = errors.interval(np.array([1.0, -1.0]))
         truth = -0.5 * math.log(0.6**2 + 0.5**2)
@@ -115,8 +104,7 @@ def test_without_every_subset_only_the_effect_alone_is_known() -> None:
     robot = small_drive.robot()
     drive = small_drive.drive(1, robot)
     judged = {frozenset(s): evaluate(fuse(drive, robot, s), drive) for s in ((), ("compass",), ("lrf",))}
-    found = credit(judged, SENSORS)
-    assert found is not None
+    found = present(credit(judged, SENSORS))
     assert not found.complete
     assert found.sensors["lrf"].credit is None
     assert found.sensors["lrf"].last is None
@@ -138,19 +126,15 @@ def test_a_sensor_is_judged_by_sets_that_differ_by_it_alone_and_not_at_all_where
     robot = small_drive.robot()
     drive = small_drive.drive(1, robot)
     judged = {frozenset(s): evaluate(fuse(drive, robot, s), drive) for s in sets}
-    found = credit(judged, SENSORS)
-    assert found is not None
+    found = present(credit(judged, SENSORS))
     assert list(found.sensors) == list(beside)
     for sensor, others in beside.items():
         if others is None:
             assert found.sensors[sensor].verdict == "no verdict"
             continue
-        effect = found.sensors[sensor].alone
-        before, after = (judged[frozenset(s)].figures["position_rmse_m"] for s in (others, (*others, sensor)))
-        assert effect is not None
-        assert before is not None
-        assert after is not None
-        assert effect.value == pytest.approx(math.log(before / after))
+        pair = frozenset(others), frozenset((*others, sensor))
+        before, after = (present(judged[s].figures["position_rmse_m"]) for s in pair)
+        assert present(found.sensors[sensor].alone).value == pytest.approx(math.log(before / after))
         assert found.sensors[sensor].beside == others
     assert verdicts(found, [], {})["compass"]["words"].startswith(words)
 
@@ -166,8 +150,7 @@ def test_over_several_logs_the_interval_is_students() -> None:
     drives = [credit_of(seed) for seed in range(4)]
     found = credit_over_logs(drives)
     values = [d.sensors["lrf"].credit.value for d in drives if d.sensors["lrf"].credit]
-    effect = found.sensors["lrf"].credit
-    assert effect is not None
+    effect = present(found.sensors["lrf"].credit)
     low, high = stats.t.interval(0.95, 3, loc=np.mean(values), scale=stats.sem(values))
     assert (effect.low, effect.high) == pytest.approx((low, high), rel=1e-4)
     assert found.logs == 4
@@ -177,8 +160,7 @@ def test_over_several_logs_the_interval_is_students() -> None:
 @pytest.mark.parametrize("drives", [2, 3])
 def test_over_fewer_than_four_logs_there_is_no_interval_and_nothing_is_sure(drives: int) -> None:
     found = credit_over_logs([credit_of(seed) for seed in range(drives)])
-    effect = found.sensors["lrf"].credit
-    assert effect is not None
+    effect = present(found.sensors["lrf"].credit)
     assert math.isnan(effect.low)
     assert math.isnan(effect.high)
     assert found.sensors["lrf"].verdict == "seems to help"
@@ -242,8 +224,7 @@ def test_an_effect_says_what_the_filter_expected_of_it() -> None:
     assert (found.last.value, found.last.expected) == pytest.approx((math.log(2.0), math.log(2.5)))
     assert found.credit.expected == pytest.approx(0.5 * (math.log(1.6) + math.log(2.5)))
     assert found.share == pytest.approx(1.0 / 3.0)
-    alone = known().sensor("compass", SENSORS).alone
-    assert alone is not None
+    alone = present(known().sensor("compass", SENSORS).alone)
     assert alone.expected is None
     assert (alone.low, alone.high) == pytest.approx((alone.value, alone.value), abs=1e-3)
 

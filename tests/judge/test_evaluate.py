@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
-from numpy.typing import NDArray
+from pose_streams import reckoned
+from present import present
 from scipy.integrate import quad
 
 import locfuse
@@ -18,6 +19,7 @@ from locfuse.fusion import se2
 from locfuse.fusion.chi_square import chi_square
 from locfuse.fusion.data import (
     VERDICTS,
+    Array,
     Audit,
     Drive,
     Estimates,
@@ -29,7 +31,6 @@ from locfuse.fusion.data import (
 )
 from locfuse.fusion.judge.evaluate import Align, evaluate, nees, noise_of, shape_error, steps_of
 
-Array = NDArray[np.float64]
 N = 6000
 POINTS = [(0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (-0.3, 0.4), (0.3, -0.6)]
 
@@ -82,13 +83,11 @@ def test_the_claimed_sigma_is_that_of_the_tracked_point(point: tuple[float, floa
 
 def test_the_noise_of_the_truths_heading_counts() -> None:
     estimates, drive = judged((0.0, 0.0), 0.0)
-    truth = drive.truth
-    assert truth is not None
+    truth = present(drive.truth)
     assert truth.theta is not None
     noise = np.random.default_rng(5).normal(0.0, 0.05, N)
     noisy = replace(truth, theta=truth.theta + noise)
-    unknown = evaluate(estimates, replace(drive, truth=noisy)).figures["anees"]
-    assert unknown is not None
+    unknown = present(evaluate(estimates, replace(drive, truth=noisy)).figures["anees"])
     assert unknown > 1.5
     known = replace(noisy, sigma_theta=0.05)
     assert evaluate(estimates, replace(drive, truth=known)).figures["anees"] == pytest.approx(1.0, abs=0.05)
@@ -142,10 +141,7 @@ def test_there_is_no_error_of_the_shape_without_truth() -> None:
     estimates, drive = exact((0.0, 0.0))
     assert shape_error(estimates, replace(drive, truth=None)) is None
     assert estimates.truth_pose is not None
-    for n, error in (
-        (0, None),
-        (1, pytest.approx(0.0, abs=1e-12)),
-    ):  # stamps that lie in the drive
+    for n, error in ((0, None), (1, pytest.approx(0.0, abs=1e-12))):  # stamps that lie in the drive
         known = np.where(np.arange(N)[:, None] < n, estimates.truth_pose, np.nan)
         assert shape_error(replace(estimates, truth_pose=known), drive) == error
 
@@ -324,10 +320,7 @@ T: Array = np.linspace(0.0, DURATION_S, round(DURATION_S / FINE_S) + 1)
 
 def driven(speed: Array, turn: Array) -> Array:
     """True poses (n, 3) of a robot at T with this speed [m/s] and turn rate [rad/s]."""
-    theta = np.append(0.0, np.cumsum(turn[:-1] * FINE_S))
-    step = speed[:-1] * FINE_S * np.exp(0.5j * (theta[1:] + theta[:-1]))
-    place = np.append(0.0, np.cumsum(step))
-    return np.column_stack((place.real, place.imag, theta))
+    return reckoned(np.column_stack((speed, turn))[:-1] * FINE_S)
 
 
 def recorded(pose: Array, hz: float, noise_m: float, seed: int = 1) -> tuple[Array, Array]:

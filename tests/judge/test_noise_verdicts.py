@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import small_drive
 from numpy.typing import NDArray
+from present import present
 
 from locfuse.fusion.data import Drive, Estimates, Measurements, Motions, Truth
 from locfuse.fusion.judge import consistency
@@ -24,13 +25,13 @@ from locfuse.fusion.judge.consistency import (
     judge,
     of_messages,
 )
-from locfuse.fusion.judge.innovations import Heard, Own
+from locfuse.fusion.judge.innovations import ComparedReadings, Own
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
 
 DEG = math.radians(1.0)
 # a compass of 3 degrees whose errors are white and as large as configured
-HEARD = Heard(
+HEARD = ComparedReadings(
     readings=400, wild=0.0, bias=0.0, sure=0.1 * DEG, white=(3 * DEG) ** 2, slow=0.0, spread=(3 * DEG) ** 2,
     memory=1.0, period=0.1, reference=(0.1 * DEG) ** 2, R=(3 * DEG) ** 2,
 )  # fmt: skip
@@ -66,8 +67,7 @@ def alone(**changed: Any) -> Consistency:
     ],
 )
 def test_another_run_measures_the_noise(changed: dict[str, float], verdict: str, scale: float) -> None:
-    found = by_run(**changed)
-    assert found is not None
+    found = present(by_run(**changed))
     assert found.verdict == verdict
     assert found.scale == pytest.approx(scale, rel=0.01)
 
@@ -80,7 +80,7 @@ def test_errors_that_last_matter_where_they_double_a_mean_s_error(repeats: float
     if verdict == "correlated":
         assert found.scale == pytest.approx(math.sqrt(repeats))
         memory = 0.5 * repeats
-        assert found.cures == {
+        assert found.fix_values == {
             "compass.sigma_deg": float(f"{3.0 * math.sqrt(repeats):.2g}"),
             "compass.offset_drift_deg": float(f"{3.0 * math.sqrt(4.0 / memory):.2g}"),
         }
@@ -132,7 +132,7 @@ def test_a_sigma_is_too_large_only_where_residuals_show_it(changed: dict[str, fl
 def test_of_noise_that_messages_bring_no_setting_is_the_fix(verdict: Any, scale: float | None, words: str) -> None:
     found = of_messages("compass", Consistency(verdict, "as it was", scale, {"compass.sigma_deg": 2.0}))
     assert (found.verdict, found.scale, found.words) == (verdict, scale, words)
-    assert bool(found.cures) is (words == "as it was")
+    assert bool(found.fix_values) is (words == "as it was")
 
 
 @pytest.mark.parametrize(("sure", "given"), [(0.29, False), (0.31, True)])
@@ -141,8 +141,8 @@ def test_an_offset_comes_with_its_sigma_where_another_error_is_in_it(sure: float
     h = HEARD._replace(bias=5.0 * DEG, sure=sure * DEG)
     found = biased_against("compass", settings("compass", offset_deg=170.0), h)
     assert found.words.startswith("differs from the other sensors by +5 deg on average")
-    assert found.cures["compass.offset_deg"] == pytest.approx(175.0)
-    assert ("compass.sigma_offset_deg" in found.cures) is given
+    assert found.fix_values["compass.offset_deg"] == pytest.approx(175.0)
+    assert ("compass.sigma_offset_deg" in found.fix_values) is given
     assert ("(1 sigma 0.31)" in found.words) is given
 
 
@@ -175,11 +175,13 @@ def run(name: str, own: Mapping[str, Own | None] | None = None, truth: Truth | N
 
 
 class Told:
-    """What runs say of sensors: "run: sensor" -> Heard; nothing of the others."""
+    """What runs say of sensors: "run: sensor" -> ComparedReadings; nothing of the others."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.said: dict[str, Heard] = {}
-        monkeypatch.setattr(consistency, "heard", lambda _, __, e, sensor: self.said.get(f"{e.name}: {sensor}"))
+        self.said: dict[str, ComparedReadings] = {}
+        monkeypatch.setattr(
+            consistency, "compare_readings", lambda _, __, e, sensor: self.said.get(f"{e.name}: {sensor}")
+        )
 
 
 @pytest.fixture
@@ -221,7 +223,7 @@ def test_a_run_that_understates_noise_is_no_reference(told: Told, own: Own | Non
     assert names(evidence, "compass") == (["gyro+lrf"] if healthy else [])
 
 
-def flagged(told: Told, said: dict[str, Heard], *runs: str) -> tuple[set[str], set[str]]:
+def flagged(told: Told, said: dict[str, ComparedReadings], *runs: str) -> tuple[set[str], set[str]]:
     """The sensors whose mean is off, and those that contradict each other."""
     told.said = said
     evidence = Evidence([run(n) for n in ("odometry", *runs)], ROBOT)
@@ -295,6 +297,3 @@ def test_only_noise_that_is_understated_must_be_set_first(told: Told, scale: flo
     own = {"compass": OWN_RUN._replace(compared=3), "gyro": OWN_RUN._replace(scale=scale), "lrf": None}
     pair = run("compass+gyro+lrf", own)
     assert ("the noise of gyro" in verdict_of(told, "compass", pair)[1]) is blamed
-
-
-# --- a truth as a run

@@ -14,18 +14,17 @@ import numpy as np
 import pytest
 from invented import Definition
 from mcap.writer import Writer
-from numpy.typing import NDArray
+from present import present
 from wheel_bags import custom, stamps, turned
 
 from locfuse.cli.analysis.choose import choose
 from locfuse.cli.analysis.mounts import mount_of, transforms_of
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.logs.log import Log, open_log
-from locfuse.fusion.data import Ragged
+from locfuse.fusion.data import Array, Ragged
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.wheels.read import read_wheels
 
-Array = NDArray[np.float64]
 SPEED, RATE = 0.4, 0.2  # m/s, rad/s: a circle of 2 m radius
 T = np.arange(0.0, 5.01, 0.1)
 END = (2.0 * math.sin(RATE * T[-1]), 2.0 * (1.0 - math.cos(RATE * T[-1])), RATE * T[-1])
@@ -155,8 +154,7 @@ def test_transforms_of_foxglove_are_odometry_and_mounts(single: bool, written: W
     assert (choice.of("wheels"), choice.of("lrf")) == ((topic,), ("/scan:scan",))
     assert end_of(log, topic) == pytest.approx(END, abs=1e-9)
     assert log.stream(topic).t_ns.tolist() == stamps(T)
-    mount = mount_of(transforms_of(log, ["laser"]), "laser")
-    assert mount is not None
+    mount = present(mount_of(transforms_of(log, ["laser"]), "laser"))
     assert (mount.x, mount.y, mount.yaw) == pytest.approx((0.2, 0.1, math.pi / 2), abs=1e-9)
 
 

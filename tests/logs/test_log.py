@@ -307,23 +307,6 @@ def test_real_logs_have_the_topics_counts_and_times_the_public_reader_finds(name
     assert not log.losses
 
 
-def test_brenner_is_one_drive_with_61_repeated_wheel_readings() -> None:
-    log = open_log([real_log("brenner/brenner.mcap")])
-    streams = log.streams({"/joint_states": ("name", "position"), "/scan": (), "/ground_truth": ("point.x",)})
-    assert {topic: len(stream.t_ns) for topic, stream in streams.items()} == {
-        "/joint_states": 217,
-        "/scan": 278,
-        "/ground_truth": 278,
-    }
-    assert streams["/joint_states"].dropped == {"repeat": 61}
-    assert streams["/joint_states"].clock.words == "header stamps"
-
-
-def test_two_clocks_are_said_in_words() -> None:
-    stream = open_log([real_log("bags/evo/nav2_turtlebot.mcap")]).stream("/odom")
-    assert "differ by 1778233424" in stream.clock.notes[0]
-
-
 def test_what_a_log_forgot_is_read_again(tmp_path: Path) -> None:
     log = open_log([write(tmp_path / "shuffled.mcap", shuffled(drive()))])
     before = contents(log)

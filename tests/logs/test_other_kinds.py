@@ -10,21 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 from bags import Said, cdr, header, write
-from commands import ok
-from numpy.typing import NDArray
+from commands import locfuse, ok
 from wheel_bags import custom, odometry, stamps, turned
 
 from locfuse.cli.analysis.choose import choose
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.logs.log import Log, open_log
-from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.sensors.gps import Gps, GpsSettings
 from locfuse.fusion.sensors.gyro import GyroSettings, up_rate
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.read import read_wheels
 
-Array = NDArray[np.float64]
 SPEED, RATE = 0.4, 0.2  # m/s, rad/s: a circle of 2 m radius
 T = np.arange(0.0, 5.01, 0.1)
 POSES = np.stack((2.0 * np.sin(RATE * T), 2.0 * (1.0 - np.cos(RATE * T)), RATE * T), axis=-1)
@@ -173,7 +171,10 @@ def test_a_plan_is_no_way_that_was_driven(n: int, tmp_path: Path) -> None:
     plans = [path(PATH_T[:n], PATH_POSES[:n], at[i], planned=True) for i in (0, 50)]
     log = open_log([write(tmp_path / "x.mcap", plans)])
     with pytest.raises(LocfuseError, match=f"/slam/path: the {n} poses of its last message have no times"):
-        log.stream("/slam/path:poses")
+        _ = log.stream("/slam/path:poses").t_ns
+    done = locfuse("info", tmp_path / "x.mcap", "--set", "pose.topic=/slam/path:poses")
+    assert (done.exit_code, done.stderr) == (0, "")
+    assert f"not readable: /slam/path:poses: /slam/path: the {n} poses" in done.stdout
 
 
 # --- pX4's messages in north, east, down are read as those of ROS in east, north, up: a circle in closed form

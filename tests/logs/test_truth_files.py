@@ -16,7 +16,6 @@ from evo.core import metrics, sync
 from evo.tools import file_interface
 from hostile import sample
 from hostile import write as sample_write
-from numpy.typing import NDArray
 from wheel_bags import custom, log_of, stamps
 
 from locfuse.cli.analysis.choose import choose_truth
@@ -27,11 +26,10 @@ from locfuse.formats.logs.clock import MadeStream
 from locfuse.formats.logs.file_stream import read_file
 from locfuse.formats.logs.log import open_log
 from locfuse.formats.report.html import _strips
-from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import TruthSettings
 from locfuse.fusion.truth import read_truth
 
-Array = NDArray[np.float64]
 SAMPLE = "rounded_rectangle"
 WHEELS = ("--sensors", "odometry", "--write", "json,tum,csv")
 
@@ -149,7 +147,7 @@ def test_of_what_gazebo_simulates_the_model_that_moves_is_the_robot(tmp_path: Pa
     log = open_log([custom(tmp_path / "x.mcap", "/gazebo/model_states", kind, text, T, rows)])
     choice = Choice()
     choose_truth(log, make_robot({}), False, choice)
-    assert (choice.of("truth"), choice.why["truth"]) == (("/gazebo/model_states",), "its type says so")
+    assert (choice.of("truth"), choice.why["truth"]) == (("/gazebo/model_states",), "by its type")
     stream = log.stream("/gazebo/model_states")
     truth, _ = read_truth(stream, TruthSettings(), int(stream.t_ns[0]))
     np.testing.assert_allclose(truth.xy, PATH, atol=1e-12)

@@ -13,7 +13,7 @@ from worlds import PLATES, ROOM, World
 
 from locfuse.cli.analysis.load import load
 from locfuse.cli.analysis.settings import LogOptions
-from locfuse.fusion.data import Estimates, Evaluation
+from locfuse.fusion.data import Array, Estimates, Evaluation
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
 from locfuse.fusion.map.line_map import Association
@@ -31,7 +31,6 @@ from locfuse.fusion.map.slips import (
 from locfuse.fusion.map.tracker import LineTracker
 from locfuse.fusion.se2 import wrap
 
-Array = NDArray[np.float64]
 AT = 12.0  # s
 
 

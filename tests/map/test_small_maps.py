@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from present import present
 from worlds import ROOM, World
 
 from locfuse.fusion import se2
@@ -204,8 +205,9 @@ def corridor(doors: float) -> Array:
 def test_along_a_corridor_whose_doors_repeat_the_place_stays_open_and_across_it_does_not() -> None:
     wide = np.diag(np.square((2.0, 2.0, 0.2)))
     frame = np.array([12.0, 0.2, 0.0])
-    found = find_closure(map_of(corridor(2.0), np.zeros(3)), map_of(corridor(2.0)[:12], frame), frame, wide)
-    assert found is not None
+    found = present(
+        find_closure(map_of(corridor(2.0), np.zeros(3)), map_of(corridor(2.0)[:12], frame), frame, wide)
+    )
     assert math.sqrt(found.P[0, 0]) > 1.5  # a door further on fits as well
     assert abs(found.pose[1] - 0.2) < 0.02
     assert math.sqrt(found.P[1, 1]) < 0.1

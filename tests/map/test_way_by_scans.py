@@ -68,7 +68,7 @@ def test_a_chain_is_compared_by_the_mount_that_the_scans_were_told(yaw_deg: floa
     sits = np.array((0.23, 0.04, math.radians(3.0 + yaw_deg)))
     for column, value in zip(mount.columns(belief), sits, strict=True):
         belief.state[column] = value
-    origin, told_mount = np.array((1.0, -2.0, -0.3)), np.array(mount.told)
+    origin, told_mount = np.array((1.0, -2.0, -0.3)), np.array(mount.configured)
     laser = se2.between(se2.compose(origin, sits), se2.compose(np.array(belief.pose()), sits))
     z = se2.compose(se2.compose(told_mount, laser), se2.inverse(told_mount))
     equation = compared(z, np.eye(3), origin, np.zeros(3), mount, belief)

@@ -12,6 +12,7 @@ import pytest
 from bags import STORE, cdr, header, real_log, real_logs, recorded, rows
 from invented import assert_same, at_path, decode, invented, written
 from mcap_ros2.decoder import DecoderFactory
+from present import present
 from rosbags.serde.errors import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -30,9 +31,7 @@ def by_rosbags(schema: Any) -> Callable[[bytes], Any]:
 
 
 def by_mcap_ros2(schema: Any) -> Callable[[bytes], Any]:
-    decode = DecoderFactory().decoder_for("cdr", schema)
-    assert decode is not None
-    return decode
+    return present(DecoderFactory().decoder_for("cdr", schema))
 
 
 @pytest.mark.parametrize("oracle", [by_rosbags, by_mcap_ros2])
@@ -118,30 +117,36 @@ def test_behind_numbers_at_the_end_no_more_than_padding_may_follow(spare: int, g
     assert [row.tolist() for row in rows(decoded.columns["data"])][:3] == [list(range(n)) for n in (2, 4, 6)]
 
 
-def test_arrays_inside_arrays_are_gathered_by_the_lengths_of_their_own_message() -> None:
-    kind = "sensor_msgs/msg/MultiEchoLaserScan"
-    decoder = Decoder(parse(kind, "ros2msg", STORE.generate_msgdef(kind, ros_version=2)[0]))
-    said = [[[1, 2], [3]], [[4], [5, 6]], [[7, 8], [9]], [[1], [2, 3]], [[], [1, 2, 3]]]  # equally many bytes
-    messages = [
-        cdr(kind, header=header(1, "a"), ranges=[{"echoes": np.array(e, np.float32)} for e in m]) for m in said
-    ]
-    assert len({len(m) for m in messages}) == 1
-    decoded = decode(decoder, messages, ["ranges.echoes", "ranges.echoes.length"])
-    values, lengths = (rows(decoded.columns[name]) for name in ("ranges.echoes", "ranges.echoes.length"))
-    assert [row.tolist() for row in lengths] == [[len(e) for e in m] for m in said]
-    assert [row.tolist() for row in values] == [[x for e in m for x in e] for m in said]
+ECHOES = [[[1, 2], [3]], [[4], [5, 6]], [[7, 8], [9]], [[1], [2, 3]], [[], [1, 2, 3]]]  # equally many bytes
+ENDING = [[[1, 2], [3]], [[4, 5], [6, 7]], [[8, 9], []], [[1], [2]], [[1, 2], [3]]]
 
 
-def test_a_message_that_ends_in_arrays_of_arrays_has_its_own_lengths() -> None:
-    text = "Item[] items\n" + "=" * 80 + "\nMSG: pkg/Item\nfloat32[] v\n"
-    decoder = Decoder(parse("pkg/msg/Items", "ros2msg", text))
-    said: list[list[list[float]]] = [[[1, 2], [3]], [[4, 5], [6, 7]], [[8, 9], []], [[1], [2]], [[1, 2], [3]]]
-    messages = [
-        b"\0\1\0\0" + struct.pack("<I", len(m)) + b"".join(struct.pack(f"<I{len(e)}f", len(e), *e) for e in m)
-        for m in said
-    ]
-    decoded = decode(decoder, messages, ["items.v", "items.v.length"])
-    values, lengths = (rows(decoded.columns[name]) for name in ("items.v", "items.v.length"))
+def echoes(said: list[list[int]]) -> bytes:
+    """Arrays amid a message, by rosbags."""
+    ranges = [{"echoes": np.array(one, np.float32)} for one in said]
+    return cdr("sensor_msgs/msg/MultiEchoLaserScan", header=header(1, "a"), ranges=ranges)
+
+
+def ending(said: list[list[int]]) -> bytes:
+    """Arrays at the end of a message, by hand."""
+    items = b"".join(struct.pack(f"<I{len(one)}f", len(one), *one) for one in said)
+    return b"\0\1\0\0" + struct.pack("<I", len(said)) + items
+
+
+@pytest.mark.parametrize(
+    ("kind", "field", "said", "message"),
+    [
+        ("sensor_msgs/msg/MultiEchoLaserScan", "ranges.echoes", ECHOES, echoes),
+        ("pkg/msg/Items", "items.v", ENDING, ending),
+    ],
+)
+def test_arrays_inside_arrays_are_gathered_by_the_lengths_of_their_own_message(
+    kind: str, field: str, said: list[list[list[int]]], message: Callable[[list[list[int]]], bytes]
+) -> None:
+    own = "Item[] items\n" + "=" * 80 + "\nMSG: pkg/Item\nfloat32[] v\n"
+    text = own if kind.startswith("pkg") else STORE.generate_msgdef(kind, ros_version=2)[0]
+    decoded = decode(Decoder(parse(kind, "ros2msg", text)), [*map(message, said)], [field, f"{field}.length"])
+    values, lengths = (rows(column) for column in decoded.columns.values())
     assert [row.tolist() for row in lengths] == [[len(e) for e in m] for m in said]
     assert [row.tolist() for row in values] == [[x for e in m for x in e] for m in said]
 

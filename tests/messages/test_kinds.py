@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from invented import decode
 
 from benchmarks.field_paths import paths
-from locfuse.formats.caps import MAX_DEFINITION, MAX_DEFINITION_LINES, MAX_EXPRESSIONS
+from locfuse.formats.caps import MAX_EXPRESSIONS
 from locfuse.formats.container.source import ChannelInfo
 from locfuse.formats.messages import fields as kinds
 from locfuse.formats.messages.decode import make_decoder
@@ -191,12 +191,10 @@ JSON_LIES: list[dict[str, Any]] = [
 ]
 
 
-@pytest.mark.parametrize("lie", JSON_LIES)
-def test_json_values_that_are_not_what_the_schema_says_are_no_traceback(
-    tmp_path: Path, lie: dict[str, Any]
-) -> None:
+def test_json_values_that_are_not_what_the_schema_says_are_no_traceback(tmp_path: Path) -> None:
+    extra = [fix(i, **lie) for i, lie in enumerate(JSON_LIES * 2)]
+    log = write(tmp_path / "f.mcap", extra=extra, seconds=1.0)
     for command in ("run", "info"):
-        log = write(tmp_path / "f.mcap", extra=[fix(i, **lie) for i in range(9)], seconds=1.0)
         done = locfuse(command, log, *(("-o", tmp_path / "o", "-q") if command == "run" else ()))
         assert done.exit_code in {0, 1, 3}, done
         assert len(done.stderr.splitlines()) <= 1
@@ -223,21 +221,11 @@ def doubling(n: int) -> bytes:
     return f"pkg/T0 a\n{middle}{DIVIDER}pkg/T{n}\nfloat64 x\n".encode()
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (doubling(26), "unfolds to too many fields: 201 326 592, more than the cap of 10 000"),
-        (b"float64 x\n" * (MAX_DEFINITION_LINES + 1), "too long: 4 097 lines"),
-        (b"#" * (MAX_DEFINITION + 1), "more than the cap of 262 144"),
-        (b"pkg/T0 a\n" + f"{DIVIDER}pkg/T0\npkg/T0 a\npkg/T0 b\n".encode(), "contains itself"),
-    ],
-)  # fmt: skip
-def test_a_definition_beyond_a_cap_is_refused_on_a_topic_that_nobody_uses_too(
-    tmp_path: Path, text: bytes, words: str
-) -> None:
-    with pytest.raises(SchemaError, match=words):
-        parse("pkg/msg/Odd", "ros2msg", text.decode())
-    odd = Put("pkg/msg/Odd", "ros2msg", text, "/odd", "cdr", sample()[0][0].log_time, b"\0\1\0\0" + bytes(8))
+def test_a_definition_beyond_a_cap_is_refused_on_a_topic_that_nobody_uses_too(tmp_path: Path) -> None:
+    words = "unfolds to too many fields: 201 326 592, more than the cap of 10 000"
+    odd = Put(
+        "pkg/msg/Odd", "ros2msg", doubling(26), "/odd", "cdr", sample()[0][0].log_time, b"\0\1\0\0" + bytes(8)
+    )
     done = ok("info", write(tmp_path / "f.mcap", extra=[odd], seconds=0.5))
     assert words in done.stdout.replace("\n  ", " ")
 

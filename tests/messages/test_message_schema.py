@@ -7,6 +7,7 @@ import json
 import pytest
 from google.protobuf import descriptor_pb2, timestamp_pb2
 from hostile import DIVIDER
+from present import present
 
 from benchmarks.field_paths import paths
 from locfuse.formats.container.source import ChannelInfo
@@ -340,8 +341,7 @@ def test_every_encoding_has_its_decoder(info: ChannelInfo, kind: type) -> None:
     ],
 )
 def test_what_cannot_be_decoded_says_why(info: ChannelInfo, words: str) -> None:
-    problem = encoding_problem(info)
-    assert problem is not None
+    problem = present(encoding_problem(info))
     assert words in problem
     with pytest.raises(SchemaError, match="are read"):
         make_decoder(info)

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
+from present import present
 from rewrite_log import rewritten
 from ruamel.yaml import YAML
 from trap_logs import Drive
@@ -141,8 +142,7 @@ main({words!r})
 
 
 def run(*words: str) -> subprocess.CompletedProcess[str]:
-    found = re.search(r"pip install --no-deps (.+)", PAGE)
-    assert found is not None
+    found = present(re.search(r"pip install --no-deps (.+)", PAGE))
     installed = [re.sub("[-_.]+", "-", name).lower() for name in found[1].split()]
     code = HIDE.format(installed=installed, words=list(words))
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

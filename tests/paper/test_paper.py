@@ -14,22 +14,20 @@ import pytest
 import small_drive
 from commands import locfuse, ok
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from locfuse.cli.session import paper
 from locfuse.cli.session.paper import Driven
 from locfuse.cli.session.session import load
-from locfuse.formats.report import paper_page
+from locfuse.formats.report import json_report, paper_page
 from locfuse.formats.robot import line_map
 from locfuse.formats.whole_files import write_results
-from locfuse.fusion.data import Drive, LocfuseError, Measurements
+from locfuse.fusion.data import Array, Drive, LocfuseError, Measurements
 from locfuse.fusion.measure import cut
 from locfuse.fusion.paper import equations
 from locfuse.fusion.paper.filter import PrintedFilter, fuse_as_printed, newest
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.camera import CameraSettings
 
-Array = NDArray[np.float64]
 RNG = np.random.default_rng(0)
 CASES = [pytest.param(*row, id=f"case {i}") for i, row in enumerate(RNG.uniform(-3, 3, (6, 4)).tolist())]
 LANDMARK = (7.9, 5.5)
@@ -230,7 +228,9 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_preset_is_said_and_recorded_and_reproduces(log: Path, tmp_path: Path) -> None:
-    done = ok("compare", log, "-v", "--preset", "paper", "--write", "json", "-o", tmp_path / "paper")
+    done = ok(
+        "compare", log, "-v", "--no-advice", "--preset", "paper", "--write", "json", "-o", tmp_path / "paper"
+    )
     assert "note: preset paper" in done.stderr
     report = json.loads((tmp_path / "paper" / "report.json").read_text())
     assert report["settings"]["preset"] == "paper"
@@ -238,10 +238,22 @@ def test_the_preset_is_said_and_recorded_and_reproduces(log: Path, tmp_path: Pat
     assert "no equation" in report["absent"]["sonar"]
     assert list(report["configurations"]) == ["odometry", "compass", "lrf", "all"]
     robot = tmp_path / "paper" / "robot.toml"
-    ok("compare", log, "--robot", robot, "--write", "json", "-o", tmp_path / "again")
+    ok("compare", log, "--no-advice", "--robot", robot, "--write", "json", "-o", tmp_path / "again")
     same = json.loads((tmp_path / "again" / "report.json").read_text())
     assert same["configurations"] == report["configurations"]
-    ok("run", log, "--robot", robot, "--preset", "default", "--sensors", "lrf", "-o", tmp_path / "ours")
+    ok(
+        "run",
+        log,
+        "--no-advice",
+        "--robot",
+        robot,
+        "--preset",
+        "default",
+        "--sensors",
+        "lrf",
+        "-o",
+        tmp_path / "ours",
+    )
     figures = json.loads((tmp_path / "ours" / "run.json").read_text())["configurations"]["lrf"]
     assert figures["position_rmse_m"] != report["configurations"]["lrf"]["position_rmse_m"]
 
@@ -296,7 +308,8 @@ def found() -> paper.Repeated:
 @pytest.fixture(scope="module")
 def folder(found: paper.Repeated, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("paper") / "out"
-    write_results(out, paper.files(found), overwrite=False)
+    values = json_report.plain(found.values())
+    write_results(out, paper.files(found, values), overwrite=False)
     return out
 
 

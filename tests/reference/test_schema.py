@@ -102,7 +102,7 @@ def test_real_reports_are_valid_with_and_without_truth(tmp_path: Path) -> None:
     assert problems("report", report) == []
     nameless = rewritten(tmp_path / "log.mcap", None, "/ground_truth/pose", "rounded_triangle")
     for log in ("rounded_triangle", nameless):
-        some = ("--sensors", "compass", "--write", "json", "--to", "20")
+        some = ("--no-advice", "--sensors", "compass", "--write", "json", "--to", "20")
         ok("run", log, *some, "-o", tmp_path / "run")
         run = json.loads((tmp_path / "run" / "run.json").read_text())
         assert (run["truth"] is None) == (log == nameless)

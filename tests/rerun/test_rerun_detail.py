@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from msgspec.structs import replace
-from numpy.typing import NDArray
 from recordings import read, read_blueprint
 from small_drive import drive as small_drive
 from small_drive import robot as small_robot
@@ -28,6 +27,7 @@ from locfuse.formats.thin import evenly, extremes
 from locfuse.fusion import se2
 from locfuse.fusion.data import (
     VERDICTS,
+    Array,
     Audit,
     Component,
     Drive,
@@ -262,7 +262,6 @@ def test_the_band_of_a_wall_is_three_sigma_of_its_offset_there() -> None:
 # --- a colour on the map means one thing
 
 
-Array = NDArray[np.float64]
 APART = 20.0  # in CIELAB, where 2.3 is just noticeable
 
 

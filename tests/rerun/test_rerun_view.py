@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import locfuse, ok
-from numpy.typing import NDArray
 from recordings import read
 
 LOG = "rounded_triangle"
@@ -46,30 +45,21 @@ def test_a_folder_of_results_is_shown_from_its_files(results: Path, tmp_path: Pa
     assert "world/lrf/sigma" not in entities  # a .tum holds no covariances
 
 
-def test_a_run_folder_keeps_its_covariances(tmp_path: Path) -> None:
+def test_a_run_folder_keeps_its_covariances_and_what_was_smoothed_beside_what_was_not(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    words = ("--no-advice", "--no-smooth", "--sensors", "compass", "--write", "all")
+    words = ("--no-advice", "--smooth", "--sensors", "compass", "--write", "all")
     ok("run", LOG, *words, "-o", out)
     ok("view", out, "--save", tmp_path / "drive.rrd")
+    shown = read(tmp_path / "drive.rrd")
+    for name, file in (("compass", "trajectory.tum"), ("compass-smoothed", "smoothed.tum")):
+        drawn = shown[f"world/{name}/pose"].array("Transform3D:translation")[:, 0, :2]
+        np.testing.assert_allclose(drawn, np.loadtxt(out / file)[:, 1:3], atol=1e-5)
     rows = np.loadtxt(out / "trajectory.csv", delimiter=",", skiprows=1)
     P = rows[:, [4, 5, 5, 7]].reshape(-1, 2, 2)
-    axes = read(tmp_path / "drive.rrd")["world/compass/sigma"].array("Ellipses2D:half_sizes")[:, 0]
+    axes = shown["world/compass/sigma"].array("Ellipses2D:half_sizes")[:, 0]
     np.testing.assert_allclose(
         axes[:, 0], 3.0 * np.sqrt(np.linalg.eigvalsh(P)[:, 1].clip(0)), atol=1e-6, rtol=1e-5
     )
-
-
-def drawn(recording: Path, name: str) -> NDArray[np.float64]:
-    return read(recording)[f"world/{name}/pose"].array("Transform3D:translation")[:, 0, :2]
-
-
-def test_a_smoothed_run_is_drawn_from_its_own_file(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    ok("run", LOG, "--no-advice", "--sensors", "compass", "--smooth", "-o", out)
-    ok("view", out, "--save", tmp_path / "drive.rrd")
-    for name, file in (("compass", "trajectory.tum"), ("compass-smoothed", "smoothed.tum")):
-        tum = np.loadtxt(out / file)
-        np.testing.assert_allclose(drawn(tmp_path / "drive.rrd", name), tum[:, 1:3], atol=1e-5)
 
 
 def test_a_recording_beside_the_results_is_used_while_it_is_not_older(results: Path, tmp_path: Path) -> None:

@@ -113,15 +113,6 @@ def test_a_file_that_writes_itself_appears_whole_or_not_at_all(tmp_path: Path) -
     assert {p.name: p.read_text() for p in tmp_path.iterdir()} == {"run.json": "{}", "estimates.mcap": "before"}
 
 
-def test_a_full_disk_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """/dev/full takes no byte: as the temporary file it stands for a full disk."""
-    target = tmp_path / "x.tum"
-    monkeypatch.setattr(whole_files, "claim", lambda temporary: temporary.symlink_to("/dev/full"))
-    with pytest.raises(LocfuseError, match="No space left on device"), whole_file(target) as path:
-        path.write_text("data")
-    assert names(tmp_path) == []
-
-
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
 def test_a_read_only_folder_is_one_line(tmp_path: Path) -> None:
     tmp_path.chmod(0o500)
@@ -267,16 +258,6 @@ def test_a_crashed_database_becomes_an_mcap(tmp_path: Path) -> None:
     fixed = tmp_path / "fixed.mcap"
     ok("recover", crashed_recording(tmp_path), "-o", fixed)
     assert len(messages(fixed)) == 600
-
-
-def test_the_log_itself_is_never_written_and_other_files_only_where_told_to(tmp_path: Path) -> None:
-    log, mine = sample_write(tmp_path / "a.mcap", seconds=0.5), tmp_path / "mine"
-    before = log.read_bytes()
-    mine.write_text("mine")
-    assert locfuse("recover", log, "-o", log, "--overwrite").exit_code == 2
-    assert locfuse("recover", log, "-o", mine).exit_code == 2
-    assert (log.read_bytes(), mine.read_text()) == (before, "mine")
-    ok("recover", log, "-o", mine, "--overwrite")
 
 
 def test_of_nothing_nothing_is_written(tmp_path: Path) -> None:

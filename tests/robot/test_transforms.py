@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from bags import T0, Said, cdr, real_log, write
+from present import present
 from scipy.spatial.transform import Rotation
 
 from locfuse.formats.caps import MAX_TEXT
@@ -49,9 +50,7 @@ def published(tmp_path: Path, *messages: list[dict[str, Any]], topic: str = "/tf
 
 
 def mount(transforms: StaticTransforms, frame: str) -> Mount:
-    found = planar_mount(transforms, BASES, frame)
-    assert found is not None
-    return found
+    return present(planar_mount(transforms, BASES, frame))
 
 
 def test_a_chain_composes_like_scipy(tmp_path: Path) -> None:
@@ -200,8 +199,7 @@ def robot(*parts: str, left: str = AT.format(0.2), right: str = AT.format(-0.1))
 
 
 def test_the_track_is_the_distance_of_the_two_joints_and_the_names_are_theirs() -> None:
-    found = wheel_geometry(robot())
-    assert found is not None
+    found = present(wheel_geometry(robot()))
     assert (found.left, found.right, found.radius) == ("left_wheel", "right_wheel", None)
     assert found.track == pytest.approx(0.3)
 
@@ -234,8 +232,7 @@ def test_joints_above_a_wheel_turn_and_move_it(rpy: tuple[float, float, float]) 
     ],
 )
 def test_the_radius_is_that_of_the_wheel_which_hangs_on_the_joint(part: str, shape: str, radius: Any) -> None:
-    found = wheel_geometry(robot(WHEEL.format(part, shape, part)))
-    assert found is not None
+    found = present(wheel_geometry(robot(WHEEL.format(part, shape, part))))
     assert found.radius == radius
 
 
@@ -243,15 +240,13 @@ def test_the_collision_shape_is_believed_before_the_one_that_is_drawn() -> None:
     drawn, solid = ('<cylinder radius="0.3"/>', '<sphere radius="0.2"/>')
     link = WHEEL.format("visual", drawn, "visual").replace("</link>", "")
     link += f"<collision><geometry>{solid}</geometry></collision></link>"
-    found = wheel_geometry(robot(link))
-    assert found is not None
+    found = present(wheel_geometry(robot(link)))
     assert found.radius == 0.2
 
 
 @pytest.mark.parametrize("origin", ["", '<origin xyz="a b c"/>', '<origin xyz="0 nan 0"/>', '<origin xyz="1 2"/>'])
 def test_an_origin_that_says_no_place_is_the_parents(origin: str) -> None:
-    found = wheel_geometry(robot(left=origin))
-    assert found is not None
+    found = present(wheel_geometry(robot(left=origin)))
     assert found.track == pytest.approx(0.1)
 
 
@@ -282,13 +277,11 @@ def test_a_robot_that_hangs_on_itself_is_walked_once() -> None:
         '<joint name="a" type="fixed"><parent link="x"/><child link="base"/><origin xyz="0 1 0"/></joint>'
         '<joint name="b" type="fixed"><parent link="base"/><child link="x"/><origin xyz="0 2 0"/></joint>'
     )
-    found = wheel_geometry(robot(loop))
-    assert found is not None
+    found = present(wheel_geometry(robot(loop)))
     assert found.track == pytest.approx(0.3)  # both wheels hang below the loop
 
 
 @pytest.mark.parametrize(("left", "right"), [("l_wheel", "r_wheel"), ("wheel_left_joint", "wheel_right_joint")])
 def test_wheels_are_known_by_their_side(left: str, right: str) -> None:
-    found = wheel_geometry(robot().replace("left_wheel", left).replace("right_wheel", right))
-    assert found is not None
+    found = present(wheel_geometry(robot().replace("left_wheel", left).replace("right_wheel", right)))
     assert (found.left, found.right) == (left, right)

@@ -16,12 +16,13 @@ from benchmarks.consistency import (
     SCENARIO,
     Case,
     Goals,
+    Roll,
     bound,
-    drive_once,
     inside,
     moved,
     without,
 )
+from benchmarks.experiment import simulated
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion.data import Drive, Estimates
@@ -90,7 +91,7 @@ def test_a_goal_is_missed_outside_its_bounds_or_beyond_the_other_case(monkeypatc
 
 def test_on_a_straight_way_the_wheels_noise_grows_as_its_closed_form() -> None:
     """var(along) = k D / 2, var(yaw) = 2 k D / L^2, var(across) = 2 k D^3 / (3 L^2): random walks, summed."""
-    roll, _ = drive_once(load(SCENARIO, STRAIGHT), 1)
+    roll = Roll.of(simulated(SCENARIO, STRAIGHT, 1).outcome)
     t = np.linspace(2.0, 4.0, 201)
     P = np.zeros((3, 3))
     for begin, end in zip(t[:-1].tolist(), t[1:].tolist(), strict=True):
@@ -106,7 +107,7 @@ def test_on_a_straight_way_the_wheels_noise_grows_as_its_closed_form() -> None:
 def test_a_perfect_laser_leaves_what_the_wheels_slip_until_the_truth_s_next_stamp() -> None:
     """The truth is stamped 0.1 s less 25 ms of sweep and 7 ms after the sweep's beginning: 0.082 s of slip."""
     perfect = ("lrf.sigma_range=1e-5", "lrf.sigma_angle_deg=1e-4", "lrf.lost=0")
-    found = bound(load(SCENARIO, (*STRAIGHT, *perfect)), *drive_once(load(SCENARIO, STRAIGHT), 1))
+    found = bound(load(SCENARIO, (*STRAIGHT, *perfect)), 1, simulated(SCENARIO, STRAIGHT, 1).outcome)
     way = SPEED * (0.1 - 0.025 + 0.007)
     assert found[1] < 5e-4
     assert found[0] == pytest.approx(math.sqrt(NOISE * way / 2), rel=0.15)

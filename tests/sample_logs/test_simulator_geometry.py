@@ -92,11 +92,7 @@ def painted(scenario: Scenario, place: tuple[float, float, float]) -> tuple[Arra
     x, y, theta = place
     c, s = math.cos(theta), math.sin(theta)
     eye = np.array(
-        [
-            x + c * camera.x - s * camera.y,
-            y + s * camera.x + c * camera.y,
-            theta + math.radians(camera.yaw_deg),
-        ]
+        [x + c * camera.x - s * camera.y, y + s * camera.x + c * camera.y, theta + math.radians(camera.yaw_deg)]
     )
     image = Painter(camera, Scene(scenario)).paint(eye, 0.0)
     red, green, blue = np.moveaxis(image, -1, 0)

@@ -8,6 +8,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 import rooms
+from present import present
 from scipy.stats import binom, chi2, kstest
 
 from locfuse.fusion.data import Array, ArrayStream, Ragged
@@ -237,8 +238,7 @@ def drive(*sets: str) -> dict[str, ArrayStream]:
 
 def ranges_of(streams_by_topic: dict[str, ArrayStream]) -> Array:
     """Return the ranges of all scans (n, beams) [m]."""
-    matrix = cast(Ragged, streams_by_topic["/scan"].data["ranges"]).matrix()
-    assert matrix is not None
+    matrix = present(cast(Ragged, streams_by_topic["/scan"].data["ranges"]).matrix())
     return matrix.astype(float)
 
 

@@ -11,13 +11,13 @@ import pytest
 from bags import T0, S
 from commands import locfuse
 from landmark_drive import compared, sets, slipping, truth_file
-from numpy.typing import NDArray
+from present import present
 from scipy.spatial.transform import Rotation
 from wheel_bags import GEOMETRY, joint_states, log_of, messages
 from worlds import World, stream
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import VERDICTS, ArrayStream, LocfuseError, Measurements
+from locfuse.fusion.data import VERDICTS, Array, ArrayStream, LocfuseError, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
@@ -166,7 +166,6 @@ def test_a_heading_that_never_changes_is_refused_where_the_robot_turned(turn_deg
 
 # --- hard and soft iron: drawn ellipses are found again, and what is no ellipse is refused with the reason
 
-Array = NDArray[np.float64]
 FIELD = 20e-6
 CASES = [
     ((0.3e-6, -0.2e-6), (1.01, 0.99, 0.005)),
@@ -320,8 +319,7 @@ def test_by_the_orientation_the_heading_is_the_yaw_whatever_roll_and_pitch(sign:
     iron = np.array([5e-6, -3e-6, 0.0])
     imu, field = streams(data, body.inv().apply(DIPPING) + iron)
     assert error_deg(headings(field, hard_iron=(5e-6, -3e-6)), yaw) > 20.0
-    tilt = tilt_of(imu, mount)
-    assert tilt is not None
+    tilt = present(tilt_of(imu, mount))
     levelled = LevelledField(field, tilt)
     assert error_deg(headings(levelled, hard_iron=(5e-6, -3e-6)), yaw) < 1e-6
     assert "by the orientation of /imu" in levelled.note
@@ -336,8 +334,7 @@ def test_gravity_and_rates_do_where_no_orientation_is_said(unit: float) -> None:
     for a in "xyz":
         data[f"linear_acceleration.{a}"] = unit * data[f"linear_acceleration.{a}"]
     imu, field = streams(data, body.inv().apply(DIPPING))
-    tilt = tilt_of(imu, np.eye(3))
-    assert tilt is not None
+    tilt = present(tilt_of(imu, np.eye(3)))
     assert error_deg(headings(field), yaw) > 20.0
     assert error_deg(headings(LevelledField(field, tilt)), yaw) < 4.0
 

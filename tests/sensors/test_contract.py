@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 import six_sensors
 from msgspec.structs import replace
-from numpy.typing import NDArray
+from present import present
 from rows import one_by_one, said
 
 from locfuse.cli.analysis.results import robot_file
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.formats.robot import robot_toml
-from locfuse.fusion.data import ArrayStream, LocfuseError, Measurements, Ragged
+from locfuse.fusion.data import Array, ArrayStream, LocfuseError, Measurements, Ragged
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import Filter, due_readings, steps_of
 from locfuse.fusion.kernels.ekf import Innovation, Loosening
@@ -33,7 +33,6 @@ from locfuse.fusion.sensors.gyro import GyroSettings
 from locfuse.fusion.sensors.lrf import LrfSettings
 from locfuse.fusion.sensors.registry import REGISTRY, needed, unmet
 
-Array = NDArray[np.float64]
 SENSORS = [pytest.param(sensor, id=name) for name, sensor in REGISTRY.items()]
 UNITS = {"m": 1.0, "deg": math.degrees(1.0), "deg/s": math.degrees(1.0), "m/s": 1.0, "%": 100.0}
 each_sensor = pytest.mark.parametrize("sensor", SENSORS)
@@ -380,8 +379,7 @@ def test_a_heading_of_its_own_turns_as_the_robot_does(sensor: Sensor) -> None:
 
 def true_heading(t: Array) -> Array:
     """The heading at times t (n,), (n,) rad, unwrapped."""
-    truth = six_sensors.drive()[0].truth
-    assert truth is not None
+    truth = present(six_sensors.drive()[0].truth)
     assert truth.theta is not None
     return np.interp(t, truth.t, np.unwrap(truth.theta))
 

@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from pose_streams import odometry_stream, reckoned, slipping
 
 from locfuse.cli.analysis.robot_tables import make_robot
-from locfuse.fusion.data import ArrayStream, Column, Drive, Estimates, Measurements
+from locfuse.fusion.data import Array, ArrayStream, Column, Drive, Estimates, Measurements
 from locfuse.fusion.fuse import Filter, fuse
 from locfuse.fusion.geodesy import east_north
 from locfuse.fusion.measure import measure
@@ -21,7 +20,6 @@ from locfuse.fusion.sensors.gps import Gps, GpsSettings
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.sample_logs.sensors import radii
 
-Array = NDArray[np.float64]
 T0 = 1_700_000_000_000_000_000
 ORIGIN = (52.38, 9.72)
 SIGMA = 0.8

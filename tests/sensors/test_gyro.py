@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from pose_streams import reckoned
 from rows import one_by_one, said, step
 from worlds import EPOCH, joints, stream
 
 from locfuse.cli.analysis.robot_tables import make_robot
-from locfuse.fusion.data import ArrayStream, Column, Drive, LocfuseError, Measurements
+from locfuse.fusion.data import Array, ArrayStream, Column, Drive, LocfuseError, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.measure import measure
@@ -24,7 +23,6 @@ from locfuse.fusion.sensors.gyro import BEFORE, BIAS, Gyro, GyroSettings
 from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.whole_drive.smooth import fuse_and_smooth
 
-Array = NDArray[np.float64]
 RADIUS, TRACK, NOISE = 0.05, 0.4, 1e-3
 IMU = "sensor_msgs/msg/Imu"
 

@@ -12,7 +12,7 @@ import pytest
 from bags import T0, S
 from commands import locfuse, ok
 from landmark_drive import MAP, map_file, path_of, sets, slipping, truth_file
-from numpy.typing import NDArray
+from present import present
 from rewrite_log import rewritten
 from rows import said
 from textbook import numeric_jacobian, wrap
@@ -21,14 +21,13 @@ from wheel_bags import GEOMETRY, angles, custom, joint_states, log_of
 import locfuse as package
 from locfuse.formats.robot import landmark_map
 from locfuse.fusion import se2
-from locfuse.fusion.data import LocfuseError, Measurements
+from locfuse.fusion.data import Array, LocfuseError, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.sensors import points
 from locfuse.fusion.sensors.landmarks import LandmarksModel, LandmarksSettings
 from locfuse.fusion.sensors.points import detector_at, predict
 from locfuse.fusion.sensors.ranges import anchor_beside, start_among
 
-Array = NDArray[np.float64]
 SIGMA_RANGE, SIGMA_BEARING, OFFSET = 0.05, math.radians(1.0), 0.08
 
 
@@ -183,7 +182,7 @@ def test_info_finds_the_file_and_init_writes_it(tmp_path: Path, monkeypatch: pyt
     assert "detections.csv, named in the settings" in said
     assert "ready    odometry, landmarks" in said
     (tmp_path / "robot.toml").write_text(locfuse("init", log, *words).stdout)
-    done = ok("compare", log, "--robot", "robot.toml", "-o", "out")
+    done = ok("compare", log, "--no-advice", "--robot", "robot.toml", "-o", "out")
     assert "landmarks" in done.stdout
 
 
@@ -241,7 +240,9 @@ def grown(tmp_path: Path, detections: list[tuple[float, int]], *words: str, jump
     )
     (tmp_path / "many.csv").write_text(f"t,id,range,bearing\n{rows}")
     file = sets(f"landmarks.file={tmp_path / 'many.csv'}")
-    return locfuse("run", log, *GEOMETRY, *file, "--sensors", "landmarks", "-v", "-o", tmp_path / "o", *words)
+    return locfuse(
+        "run", log, "--no-advice", *GEOMETRY, *file, "--sensors", "landmarks", "-v", "-o", tmp_path / "o", *words
+    )
 
 
 def test_of_too_many_ids_the_most_frequent_are_placed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -316,13 +317,13 @@ def moved(poses: Array) -> Array:
 
 def by_ranges(
     folder: Path, *words: str, seed: int = 1, anchors: Any = ANCHORS, far: float = 0.0, turns: bool = True,
-    code: int = 0,
+    code: int = 0, seconds: float = 60.0,
 ) -> tuple[dict[str, Any], str]:  # fmt: skip
     """Compare a log with its truth, ranges to one anchor every 0.1 s and a map.
 
     `far`: share of ranges that come 1.5 m too long, by way of a wall.
     """
-    t, angle = angles(60.0)
+    t, angle = angles(seconds)
     if not turns:
         angle = np.repeat(angle[:, :1], 2, axis=1)
     true, rng = moved(path_of(angle)), np.random.default_rng(seed)
@@ -369,7 +370,7 @@ def test_a_given_start_is_kept(tmp_path: Path) -> None:
     ("anchors", "turns"), [({1: (3.5, 3.0), 2: (3.5, 0.5)}, False), ({1: (3.5, 3.0)}, True)], ids=["mirror", "one"]
 )
 def test_a_start_that_the_ranges_do_not_tell_is_not_invented(tmp_path: Path, anchors: Any, turns: bool) -> None:
-    rows, stderr = by_ranges(tmp_path, anchors=anchors, turns=turns, code=3)
+    rows, stderr = by_ranges(tmp_path, anchors=anchors, turns=turns, code=3, seconds=25.0)
     assert "ranges" not in rows
     assert "the ranges do not tell where the drive begins" in stderr
     assert "Set [start] x, y, theta_deg" in stderr
@@ -379,7 +380,7 @@ def test_without_a_map_the_anchors_are_found_beside_the_drive(tmp_path: Path) ->
     by_ranges(tmp_path, "--sensors", "odometry")
     own = sets(f"ranges.file={tmp_path / 'ranges.csv'}", "ranges.map=grow", f"ranges.sigma={SIGMA}")
     words = ("--sensors", "ranges", "--save-map", tmp_path / "found.csv", "-o", tmp_path / "run")
-    ok("run", tmp_path / "x.mcap", *GEOMETRY, *own, *words)
+    ok("run", tmp_path / "x.mcap", "--no-advice", *GEOMETRY, *own, *words)
     found = landmark_map.read(tmp_path / "found.csv")
     for key, place in ANCHORS.items():  # in the frame of the start
         expected = se2.transform(se2.inverse(np.array(START)), np.array(place))
@@ -438,8 +439,7 @@ def test_the_start_is_exact_where_the_ranges_are() -> None:
     true, ids = moved(rel), np.arange(len(rel)) % 4 + 1
     at = np.array([ANCHORS[int(i)] for i in ids])
     ranges = np.hypot(*(true[:, :2] - at).T) + TOO_LONG
-    found = start_among(at, rel[:, :2], t[::10], ranges, (0.05, 0.2))
-    assert found is not None
+    found = present(start_among(at, rel[:, :2], t[::10], ranges, (0.05, 0.2)))
     assert found.values == pytest.approx([*START, TOO_LONG], abs=2e-3)
 
 
@@ -447,6 +447,5 @@ def test_an_anchor_is_exact_where_the_ranges_are() -> None:
     t, angle = angles(20.0)
     rel = path_of(angle)[::10]
     ranges = np.hypot(*(rel[:, :2] - ANCHORS[1]).T)
-    found = anchor_beside(rel[:, :2], t[::10], ranges, (0.05, 0.2))
-    assert found is not None
+    found = present(anchor_beside(rel[:, :2], t[::10], ranges, (0.05, 0.2)))
     assert found.values == pytest.approx([*ANCHORS[1], 0.0], abs=1e-3)

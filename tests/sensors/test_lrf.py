@@ -10,14 +10,14 @@ import pytest
 import rooms
 from lock_step import simulated
 from msgspec.structs import replace
-from numpy.typing import NDArray
+from present import present
 from textbook import numeric_jacobian
 from worlds import ROOM, World
 
 from locfuse.cli.analysis.configurations import for_comparison, parse
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion.checks.examine import blind
-from locfuse.fusion.data import ArrayStream, Drive, MapLine, UsageError
+from locfuse.fusion.data import Array, ArrayStream, Drive, MapLine, UsageError
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
@@ -119,7 +119,6 @@ def test_a_round_room_leaves_the_pose_to_the_wheels_and_says_why() -> None:
 
 # --- sonar: echoes of the laser's walls, against ray casting and finite differences
 
-Array = NDArray[np.float64]
 RNG = np.random.default_rng(3)
 Segment = tuple[tuple[float, float], tuple[float, float]]
 SQUARE: list[Segment] = [((0, 0), (4, 0)), ((4, 0), (4, 3)), ((4, 3), (0, 3)), ((0, 3), (0, 0))]
@@ -176,8 +175,7 @@ def test_a_nearer_thing_in_the_cone_silences_the_wall_behind() -> None:
     post: list[Segment] = [((2.9, 1.45), (3.1, 1.65))]
     belief = belief_at((2.0, 1.5, 0.0))
     cone = Cone(0.0, 0.0, 0.0, math.radians(10.0), 0.0)
-    free = nearest_echo(map_of(SQUARE), belief, cone, 0.02)
-    assert free is not None
+    free = present(nearest_echo(map_of(SQUARE), belief, cone, 0.02))
     assert free.distance == pytest.approx(2.0)
     assert nearest_echo(map_of(SQUARE + post), belief, cone, 0.02) is None
 
@@ -200,13 +198,11 @@ def test_the_jacobian_agrees_with_finite_differences(frozen: bool, heading: floa
         else:
             moved = belief
             moved.state[:] = np.concatenate((start, *lines.value)) + dx
-        echo = nearest_echo(lines, moved, cone, 0.02)
-        assert echo is not None
+        echo = present(nearest_echo(lines, moved, cone, 0.02))
         return echo.distance
 
     n = 3 if frozen else 3 + 2 * len(lines)
-    echo = nearest_echo(lines, belief, cone, 0.02)
-    assert echo is not None
+    echo = present(nearest_echo(lines, belief, cone, 0.02))
     H = np.zeros(n)
     H[:3] = echo.H[0]
     if not frozen:

@@ -19,7 +19,7 @@ from textbook import move, numeric_jacobian, wrap
 
 from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.fusion import se2
-from locfuse.fusion.data import ArrayStream, Column, Drive, Measurements
+from locfuse.fusion.data import Array, ArrayStream, Column, Drive, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
@@ -30,7 +30,6 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.sensors.twist import Twist, TwistModel, TwistSettings, straight
 from locfuse.sample_logs.messages import RawMessage
 
-Array = NDArray[np.float64]
 # --- a robot that drives round in a wide loop by noisy wheels, with its true poses: for sensors that see no walls
 
 T0 = 1_700_000_000_000_000_000
@@ -260,7 +259,7 @@ def test_wishes_and_commands_are_no_estimates(tmp_path: Path) -> None:
 
 def test_compare_uses_it_where_it_is_named(log: Path, tmp_path: Path) -> None:
     words = ("--set", f"pose.topic={SLAM}", "--sensors", "pose", "--sensors", "odometry")
-    ok("compare", log, *words, "-o", tmp_path / "out")
+    ok("compare", log, "--no-advice", *words, "-o", tmp_path / "out")
     report = json.loads((tmp_path / "out/report.json").read_text())["configurations"]
     assert report["pose"]["sensors"]["pose"]["rejected"] == 0
     assert report["pose"]["position_rmse_m"] < report["odometry"]["position_rmse_m"]

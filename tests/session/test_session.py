@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from commands import locfuse as command
 from commands import ok
-from rewrite_log import rewritten
 
 import locfuse
 from locfuse.cli.analysis import load
@@ -217,6 +216,7 @@ def test_what_is_printed_is_one_short_line(session: locfuse.Session, compared: l
         assert "\n" not in repr(thing)
         assert len(repr(thing)) < 200
     assert "truth /ground_truth/pose" in repr(session)
+    assert "no truth" in repr(locfuse.load(LOG, between=(None, TO), sets={"truth.topic": "none"}))
 
 
 def test_step_by_step_gives_the_numbers_of_the_session(
@@ -258,7 +258,7 @@ def test_a_log_opens_without_being_measured() -> None:
 
 def test_progress_names_the_steps() -> None:
     steps: list[str] = []
-    locfuse.load(LOG, progress=steps.append).run("odometry")
+    locfuse.load(LOG, progress=steps.append).run("odometry", advice=False)
     assert steps[:4] == ["opening", "reading", "measuring the wheels", "measuring compass"]
     assert "fusing" in steps
 
@@ -276,7 +276,7 @@ def test_reading_and_fusing_say_which_share_of_the_log_is_done() -> None:
 
     with heard_by(hear):
         session = locfuse.load(LOG, progress=begin)
-        session.run("all")
+        session.run("all", advice=False)
     for step in ("reading", "measuring camera", "fusing"):
         assert heard[step][-1] is None, "the loop has ended: what comes next is unknown"
         shares = [share for share in heard[step][: heard[step].index(None)] if share is not None]
@@ -300,16 +300,6 @@ def test_losses_are_those_of_the_command(tmp_path: Path) -> None:
     run = locfuse.load(tmp_path / "cut.mcap", sets=sets).run("odometry", advice=False)
     assert [f"lost: {line}" for line in run.losses()] == [x for x in done.stderr.splitlines() if "lost:" in x]
     assert not locfuse.load(LOG).run("odometry", advice=False).losses(strict=True)
-
-
-def test_without_truth_figures_are_none_and_configurations_are_ranked(tmp_path: Path) -> None:
-    log = rewritten(tmp_path / "untrue.mcap", seed=None, without="/ground_truth/pose")
-    session = locfuse.load(log, between=(None, TO))
-    result = session.compare(["odometry", "compass", "lrf"], reference=False, advice=False)
-    assert all(row["position_rmse_m"] is None for row in result.table())
-    assert result.credit is None
-    assert result.report["prediction"]["ranking"]
-    assert "no truth" in repr(locfuse.load(log))
 
 
 def test_a_simulated_drive_is_the_commands_log_and_a_temporary_one_goes_with_its_session(tmp_path: Path) -> None:

@@ -184,11 +184,7 @@ def test_the_command_writes_a_robot_that_the_next_command_takes(tmp_path: Path) 
 
 
 def test_errors_that_last_are_named_because_no_sigma_describes_them() -> None:
-    loaded = load(
-        find_log(["rounded_rectangle"]),
-        LogOptions(quiet=True),
-        only=("compass", "lrf"),
-    )
+    loaded = load(find_log(["rounded_rectangle"]), LogOptions(quiet=True), only=("compass", "lrf"))
     trial = Trial("drive", loaded.drive, loaded.robot)
     found = lasting_errors([trial])
     assert list(found) == [("drive", "compass")]  # iron

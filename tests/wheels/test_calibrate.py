@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 from commands import locfuse, ok
 from msgspec.structs import replace
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from locfuse.cli.analysis.robot_tables import make_robot
+from benchmarks.experiment import simulated
 from locfuse.fusion import se2
 from locfuse.fusion.data import Drive, LocfuseError, Measurements, Truth
-from locfuse.fusion.measure import measure
 from locfuse.fusion.wheels.calibrate import (
     STRAIGHT,
     TURN,
@@ -27,10 +25,7 @@ from locfuse.fusion.wheels.calibrate import (
     find_runs,
 )
 from locfuse.fusion.wheels.motion import Wheels
-from locfuse.sample_logs.load import load
-from locfuse.sample_logs.record import in_memory
 
-Array = NDArray[np.float64]
 K, TRACK = 4e-4, 0.6
 STRAIGHT_RUNS = [("forward", way) for _ in range(6) for way in (3.0, -3.0)]
 SHORT = {
@@ -208,12 +203,10 @@ def test_too_little_motion_is_refused_with_what_is_needed() -> None:
 
 def test_the_simulators_noise_lies_in_the_interval() -> None:
     off = ("camera.enabled=false", "lrf.enabled=false", "compass.enabled=false")
-    drives = []
-    for name in ("straight_runs", "turns_on_the_spot"):
-        topics, tables, _ = in_memory(load(name, (*off, f"path.legs={SHORT[name]}")), 101)
-        streams = {role: topics[tables[role]["topic"]] for role in ("wheels", "truth")}
-        drives.append(measure(streams, make_robot(tables)))
-    found = calibrate_wheels(drives)
+    runs = [
+        simulated(name, (*off, f"path.legs={SHORT[name]}"), 101) for name in ("straight_runs", "turns_on_the_spot")
+    ]
+    found = calibrate_wheels([run.measured()[0] for run in runs])
     assert found.k.low < K < found.k.high
     assert found.prefers_k > 0.0, "the simulator's noise grows per metre, whatever the speed"
     assert within(found, (0.0, 0.0, 0.0))

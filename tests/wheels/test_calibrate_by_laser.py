@@ -9,16 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import locfuse, ok
-from numpy.typing import NDArray
 from wheel_bags import GEOMETRY, angles, joint_states, log_of
 
 from locfuse.fusion import se2
-from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.wheels.calibrate_by_scans import NAMES, LaserCalibration, Motion, calibrate, first_guess
 from locfuse.fusion.wheels.calibrate_by_scans import Intervals as Pieces
 from locfuse.fusion.wheels.motion import Wheels
 
-Array = NDArray[np.float64]
 TRACK, K, DT = 0.5, 4e-4, 0.05
 MOUNT = np.array([0.18, -0.07, math.radians(70.0)])
 MATCH = np.array([0.003, 0.003, math.radians(0.15)])  # noise of one match
@@ -74,13 +72,13 @@ def test_several_drives_tell_more_than_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("turns", "straight", "untold"),
+    ("turns", "straight", "undetermined"),
     [(False, True, {"track", "x", "y"}), (True, False, {"scale", "difference", "track", "yaw"})],
 )
-def test_what_a_drive_does_not_tell_is_said(turns: bool, straight: bool, untold: set[str]) -> None:
+def test_what_a_drive_does_not_tell_is_said(turns: bool, straight: bool, undetermined: set[str]) -> None:
     """Straight on nothing says where the laser sits; on the spot nothing says how far a wheel rolls."""
     found = calibrate([drive(0, turns, straight)])
-    assert untold <= set(found.untold()) | _vague(found)
+    assert undetermined <= set(found.undetermined()) | _vague(found)
 
 
 def _vague(found: LaserCalibration) -> set[str]:

@@ -136,7 +136,7 @@ def test_a_command_is_taken_only_where_nothing_was_measured(tmp_path: Path) -> N
     assert chosen(tmp_path, odometry(T, OTHER), command, imu()).of("wheels") == ("/odom",)
     alone = chosen(tmp_path, command, imu())
     assert alone.of("wheels") == ("/cmd_vel",)
-    assert alone.notes[0].spoils
+    assert alone.notes[0].is_fault
 
 
 def test_of_two_commands_that_are_named_alike_the_one_that_the_gyro_follows_is_taken(tmp_path: Path) -> None:

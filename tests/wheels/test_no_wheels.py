@@ -217,7 +217,7 @@ def test_info_init_and_compare_take_a_log_with_a_laser_and_nothing_else(tmp_path
     robot = tmp_path / "robot.toml"
     written = ok("init", log)
     robot.write_text(written.stdout)
-    done = ok("compare", log, "-v", "--robot", robot, "-o", tmp_path / "out", "--write", "json,tum")
+    done = ok("compare", log, "-v", "--no-advice", "--robot", robot, "-o", tmp_path / "out", "--write", "json,tum")
     assert "the motion is matched from scan to scan of /scan" in done.stderr
     _, truth = circle(8.0)
     for name in ("scan matching", "lrf"):
@@ -229,8 +229,8 @@ def test_one_sensor_alone_moves_as_in_a_comparison(tmp_path: Path) -> None:
     """`run` leaves the laser out as a sensor: where it sits counts all the same."""
     log = laser_bag(tmp_path / "laser.mcap")
     mount = ("--set", "lrf.x=0.3")
-    one = locfuse("run", log, "--sensors", "odometry", "-o", tmp_path / "one", *mount)
-    all_ = locfuse("compare", log, "-o", tmp_path / "all", "--write", "tum", *mount)
+    one = locfuse("run", log, "--no-advice", "--sensors", "odometry", "-o", tmp_path / "one", *mount)
+    all_ = locfuse("compare", log, "--no-advice", "-o", tmp_path / "all", "--write", "tum", *mount)
     assert (one.exit_code, all_.exit_code) == (0, 0), one.stderr + all_.stderr
     a, b = (np.loadtxt(f)[-1] for f in (tmp_path / "one/trajectory.tum", tmp_path / "all/scan matching.tum"))
     np.testing.assert_allclose(a, b, atol=1e-9)
@@ -246,7 +246,7 @@ def test_another_clock_of_the_laser_moves_all_sensors_with_it(tmp_path: Path) ->
 
 def test_a_recording_for_rerun_holds_a_drive_without_wheels(tmp_path: Path) -> None:
     log = laser_bag(tmp_path / "laser.mcap")
-    ok("run", log, "--sensors", "lrf", "-o", tmp_path / "out", "--rerun-save", tmp_path / "x.rrd")
+    ok("run", log, "--no-advice", "--sensors", "lrf", "-o", tmp_path / "out", "--rerun-save", tmp_path / "x.rrd")
     assert (tmp_path / "x.rrd").stat().st_size > 10_000
 
 

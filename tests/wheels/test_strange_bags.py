@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from bags import Said
 from commands import locfuse
-from numpy.typing import NDArray
+from present import present
 from wheel_bags import (
     GEOMETRY,
     RADIUS,
@@ -39,15 +39,12 @@ from locfuse.cli.analysis.robot_tables import make_robot
 from locfuse.cli.analysis.settings import LogOptions
 from locfuse.cli.analysis.topics import Choice
 from locfuse.formats.logs.log import Log, open_log
-from locfuse.fusion.data import LocfuseError
+from locfuse.fusion.data import Array, LocfuseError
 from locfuse.fusion.robot import WheelSettings
 from locfuse.fusion.wheels.geometry import by_odometry
 from locfuse.fusion.wheels.read import read_wheels
 from locfuse.fusion.wheels.sources import joint_names
 
-Array = NDArray[np.float64]
-TF = "tf2_msgs/msg/TFMessage"
-ODOMETRY = "nav_msgs/msg/Odometry"
 SCAN = "sensor_msgs/msg/LaserScan"
 SPEED, RATE = 0.4, 0.2  # m/s, rad/s: a circle of 2 m radius
 T = np.arange(0.0, 5.01, 0.1)
@@ -292,8 +289,7 @@ def test_what_is_not_read_is_named_with_what_to_record_instead(tmp_path: Path) -
     ids=["a robot's name before it", "another name", "slashes of ROS 1", "a name of its own", "moved in the map"],
 )
 def test_a_mount_is_found_on_any_frame_that_is_the_body(said: Sequence[Said], tmp_path: Path) -> None:
-    found = mount_of(transforms_of(opened(tmp_path, list(said)), ["laser"]), "laser")
-    assert found is not None
+    found = present(mount_of(transforms_of(opened(tmp_path, list(said)), ["laser"]), "laser"))
     assert [found.x, found.y, found.yaw] == pytest.approx([0.2, 0.1, math.pi / 2], abs=1e-9)
 
 
@@ -407,8 +403,7 @@ def counters_and_odometry(path: Path, t: Array) -> tuple[Any, Any]:
 
 def test_the_size_of_the_wheels_is_what_an_odometry_of_arcs_was_made_with(tmp_path: Path) -> None:
     """Along an arc the wheels roll further than the robot comes ahead: by the chord they were 0.5 % too small."""
-    found = by_odometry(*counters_and_odometry(tmp_path, np.arange(0.0, 40.0, 0.1)), WheelSettings())
-    assert found is not None
+    found = present(by_odometry(*counters_and_odometry(tmp_path, np.arange(0.0, 40.0, 0.1)), WheelSettings()))
     assert (found.radius, found.track) == pytest.approx((0.05, 0.3), rel=1e-4)
 
 
@@ -426,7 +421,7 @@ def test_speeds_of_a_receiver_of_satellites_are_no_motion_of_the_body(tmp_path: 
     log = open_log([log_of(tmp_path / "x.mcap", speeds("/ublox/fix_velocity", "gps"), driven("/slam/odom"))])
     assert chosen(log).topics["wheels"] == "/slam/odom"
     alone = open_log([log_of(tmp_path / "y.mcap", speeds("/ublox/fix_velocity", "gps"))])
-    with pytest.raises(LocfuseError, match="nothing says how the robot moved"):
+    with pytest.raises(LocfuseError, match="the robot's motion is unknown"):
         chosen(alone)
 
 

@@ -155,7 +155,7 @@ def test_calibrate_uses_a_gyro_where_a_tricycle_has_no_truth_and_asks_without_an
     assert found["robot"]["wheels"]["servo_gain"] == pytest.approx(GAIN, rel=0.03)
     assert "radius" not in found["robot"]["wheels"]
     info = locfuse("info", tricycle_log(tmp_path / "blind.mcap", False)).stdout
-    assert "nothing says radius, servo gain, wheelbase, ticks per revolution" in " ".join(info.split())
+    assert "these are unknown: radius, servo gain, wheelbase, ticks per revolution" in " ".join(info.split())
     blind = locfuse("calibrate", tmp_path / "blind.mcap", *words)
     assert blind.exit_code == 1
     assert "a steered tricycle is calibrated by one log with truth, laser or gyro" in blind.stderr

@@ -260,9 +260,7 @@ def test_smoothed_errors_are_smaller_and_as_large_as_the_smoother_says() -> None
 
 
 @pytest.mark.parametrize("sensors", ["gyro,twist,pose", "compass,gyro,twist,pose,landmarks"])
-def test_states_that_are_copies_of_one_another_leave_every_variance_as_small_as_it_is(
-    sensors: str,
-) -> None:
+def test_states_that_are_copies_of_one_another_leave_every_variance_as_small_as_it_is(sensors: str) -> None:
     """A gyro keeps a heading, a twist and a pose source a pose: at an instant of all, they are the pose."""
     filtered, found = fuse_and_smooth(*six_sensors.drive(), sensors.split(","))
     variances, most = (np.diagonal(run.P, axis1=1, axis2=2) for run in (found, filtered))

@@ -15,7 +15,7 @@ import locfuse
 from locfuse.fusion import se2
 from locfuse.fusion.checks.clocks import OPEN_CLOCK, of_clocks
 from locfuse.fusion.checks.compass import angles, by_gravity
-from locfuse.fusion.checks.examine import gaps
+from locfuse.fusion.checks.examine import _scales, gaps
 from locfuse.fusion.checks.finding import Finding, Least, of_error
 from locfuse.fusion.checks.laser import Motion, Walls, bumped, laser_motion, of_laser, of_radius
 from locfuse.fusion.checks.truth import jumps_of, metre, of_truth, start_pose, wheels_metre
@@ -300,6 +300,23 @@ def test_a_truth_that_does_not_move_measures_no_wheels(place: float) -> None:
     still = replace(healthy, truth=replace(truth, xy=place * rng.integers(0, 3, truth.xy.shape)))
     assert wheels_metre(still) is None
     assert metre(still, robot()) == (1.0, [])
+
+
+@pytest.mark.parametrize("factor", [0.95, 1.05])
+def test_an_odometry_s_wrong_radius_or_track_is_the_wheels_and_not_the_laser_s(factor: float) -> None:
+    """Without a radius and a track of its own the filter may find them; the laser stays as it is."""
+    right, settings = drive(4, robot(), laps=3.0), robot().wheels
+    driver = replace(robot(), wheels=replace(settings, radius=None, track=None))
+    long = rolled(right, factor * right.wheels.rolled, TRACK * factor)
+    found = _scales(long, driver, turnings(long), (), None)
+    assert [(f.role, f.code, f.fixes) for f in found] == [("wheels", "wheel scale", ("wheels.estimate=true",))]
+    turned = rolled(right, right.wheels.rolled, TRACK / factor**4)
+    found = _scales(turned, driver, turnings(turned), (), None)
+    assert [(f.role, f.code, f.fixes) for f in found] == [("wheels", "track", ("wheels.estimate=true",))]
+    assert ("too far by the truth" in found[0].message) == (factor > 1.0)
+    for one in (long, turned):
+        estimated = replace(driver, wheels=replace(driver.wheels, estimate=True))
+        assert _scales(one, estimated, turnings(one), (), None) == []
 
 
 @pytest.mark.parametrize(("every", "spoil"), [(400, False), (50, True)])

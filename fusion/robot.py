@@ -61,6 +61,11 @@ class WheelSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     only_fused: ClassVar[frozenset[str]] = frozenset({"noise", "estimate", "sigma_scale", "sigma_track"})
 
     @property
+    def is_of_driver(self) -> bool:
+        """Whether radius and track are those of an odometry's driver, not settings here."""
+        return self.radius is None and self.wheelbase is None
+
+    @property
     def shares(self) -> tuple[float, float]:
         """Radius of the left and of the right wheel, each divided by their mean."""
         left = 2.0 / (1.0 + self.ratio)

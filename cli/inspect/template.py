@@ -155,8 +155,11 @@ def _given(overview: Overview, how: LogOptions, said: Mapping[str, Mapping[str, 
 
 
 def _fixes(findings: Iterable[Finding]) -> dict[str, tuple[str, str]]:
-    """Return the fixes by key: "key=value", and why."""
-    return {fix.partition("=")[0]: (fix, _why(f)) for f in findings for fix in f.fixes if _loads(fix)}
+    """Return the fixes by key: "key=value", and why. Encoders that are found replace an odometry and its scale."""
+    found = list(findings)
+    replaced = any(f.code == "geometry" and f.fixes for f in found)
+    kept = (f for f in found if not replaced or f.role != "wheels" or f.code == "geometry")
+    return {fix.partition("=")[0]: (fix, _why(f)) for f in kept for fix in f.fixes if _loads(fix)}
 
 
 def _certain(f: Finding) -> bool:

@@ -223,7 +223,8 @@ def wheels_metre(drive: Drive) -> tuple[float, float] | None:
 def metre(drive: Drive, robot: Robot, least: Least = WORTH_SAYING) -> tuple[float, list[Finding]]:
     """Return the scale factor of the wheels' distances and its fix, if it is off by `least` or more."""
     found = wheels_metre(drive)
-    if found is None or drive.wheels.matched is not None:
+    by_driver = robot.wheels.is_of_driver
+    if found is None or drive.wheels.matched is not None or (robot.wheels.radius is None and not by_driver):
         return 1.0, []
     factor, sigma = found
     if abs(factor - 1.0) < least.error + least.sigmas * sigma:

@@ -206,8 +206,10 @@ def of_track(
     `metre` is by how much another fix will scale the wheels' metre: the track follows. A track that is off by less
     than `least` is not named; slips, which turn the robot by chance, are part of its sigma.
     """
-    of_driver = settings.track is None and settings.radius is None  # an odometry turns by its own track
-    if of_driver and (settings.estimate or drive.wheels.matched is not None or settings.wheelbase is not None):
+    of_driver = settings.is_of_driver
+    if of_driver and (settings.track is not None or settings.estimate or drive.wheels.matched is not None):
+        return []
+    if settings.radius is None and not of_driver:
         return []
     configured = 1.0 if of_driver else settings.track
     found = observed_track(configured or 0.0, drive, by_sensor, motion)

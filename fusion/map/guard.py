@@ -26,11 +26,11 @@ from .line_map import Association, LineMap
 from .place_search import behind_walls, find_pose, walls_of
 from .scan import Scan
 from .slips import (
-    DECIDING_SCANS,
     SLIP_SIGMA_M,
     SLIP_SIGMA_RAD,
     Seen,
     Series,
+    Slide,
     Suspicion,
     Trail,
     agree,
@@ -89,8 +89,7 @@ class Guard:
         self._place: tuple[Array, Pose, int] | None = None  # belief and pose found first, scans that agree
         self._suspicion: Suspicion | None = None
         self._series = Series()
-        self._slide: tuple[Array, ...] = ()  # (3,) each: slips that the last scans show, not yet confirmed
-        self._slide_id = 0  # of the first line born since the first of them
+        self._slide = Slide()
         self._trail = Trail()  # since it is lost
         self._well = (0.0, 0)  # when a scan last fitted well, and the number of the first line born after it
         self._before: deque[Seen] = deque(maxlen=SCANS_BEFORE_JUMP)  # the last scans
@@ -125,6 +124,7 @@ class Guard:
         self,
         t: float,
         scan: Scan,
+        share: float,
         found: Association,
         lines: LineMap,
         belief: JointBelief,
@@ -132,8 +132,8 @@ class Guard:
         slipped: Slipped,
     ) -> tuple[Association, bool]:
         """Return the association to use and whether the scan may correct pose and map."""
-        share, moved = found.share(), self._moved(belief.pose())
-        if moved and share < WELL_SHARE and self._slid(share, lines, belief, again, slipped):
+        moved = share < WELL_SHARE and self._moved(belief.pose())
+        if moved and self._slid(share, lines, belief, again, slipped):
             found = again()
             share = found.share()
         if self._fits(t, share, belief.pose(), scan, lines.next_id):
@@ -167,29 +167,26 @@ class Guard:
         Against an obstacle or on a smooth floor walls along the way still match, and those across it do once the
         pose is where matched scans put it. Several in a row must show the slip.
         """
-        before, self._slide = self._slide, ()
+        slide = self._slide
         if self._lost_from is not None or self._suspicion is not None:
+            slide.ends()
             return False
 
-        def gains(x: float, y: float, sigma: float) -> bool:
-            with tried(belief, (x, y, 0.0), sigma**2, 0.0):
+        def gains(sigma: float) -> bool:
+            with tried(belief, (0.0, 0.0, 0.0), sigma**2, 0.0):
                 return bool(again().share() >= share + MIN_SLIDE_GAIN)
 
-        if not before and not any(gains(0.0, 0.0, sigma) for sigma in SLIDE_SIGMAS_M):
-            return False
-        step = slipped()
+        shown = slide.begun or any(gains(sigma) for sigma in SLIDE_SIGMAS_M)
+        step = slipped() if shown else None
         if step is None or abs(step[2]) > SLIP_SIGMA_RAD or not self._is_ahead(step, belief.pose()):
+            slide.ends()
             return False
-        steps = np.array((*before, step)) if not before or step[0] * before[-1][0] >= 0.0 else step[None]
-        if len(steps) == 1:
-            self._slide_id = lines.next_id
-        if len(steps) < DECIDING_SCANS:
-            self._slide = tuple(steps)
+        first_line = slide.first_line
+        off = slide.goes_on(step, lines.next_id)
+        if off is None:
             return False
-        x, y = se2.rotated(np.array(belief.theta), steps[:, :2].sum(axis=0)).tolist()
-        self._slide = tuple(np.zeros((DECIDING_SCANS - 1, 3)))  # confirmed: the next scan counts at once
-        _forget_since(self._slide_id, lines, belief)
-        self._slide_id = lines.next_id
+        x, y = se2.rotated(np.array(belief.theta), off).tolist()
+        _forget_since(first_line, lines, belief)
         belief.shift((x, y, 0.0), SLIP_SIGMA_M**2, 0.0)
         self._note_slide(x, y)
         return True

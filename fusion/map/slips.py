@@ -144,6 +144,38 @@ class Series:
         return not continues(self._before, now, slip=0.0)
 
 
+class Slide:
+    """A slip of both wheels ahead that the last scans show, until enough of them in a row do."""
+
+    def __init__(self) -> None:
+        self.first_line = 0  # the number of the first line born since it began
+        self._steps: tuple[Array, ...] = ()
+
+    @property
+    def begun(self) -> bool:
+        """Whether the last scan showed it."""
+        return bool(self._steps)
+
+    def ends(self) -> None:
+        """Forget it: the last scan did not show it."""
+        self._steps = ()
+
+    def goes_on(self, step: Array, next_line: int) -> Array | None:
+        """Add the slip (3,) since the last scan; return by how much (2,) [m] the pose is off once that is sure.
+
+        A robot cannot slip ahead and back at once. `next_line` is the number of the next map line.
+        """
+        if self._steps and step[0] * self._steps[-1][0] < 0.0:
+            self._steps = ()
+        self.first_line = self.first_line if self._steps else next_line
+        self._steps = (*self._steps, step)
+        if len(self._steps) < DECIDING_SCANS:
+            return None
+        off: Array = np.sum(self._steps, axis=0)[:2]
+        self._steps, self.first_line = (np.zeros(3),) * (DECIDING_SCANS - 1), next_line  # each scan counts now
+        return off
+
+
 class Suspicion:
     """A slip suggested by a scan, until the next scans are compared with both headings."""
 

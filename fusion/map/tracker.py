@@ -176,12 +176,12 @@ class LineTracker(Model):
             self._sight = Association(self.rules, seat_of(self.mount, belief))
         shared = self._shared(m, first, last)
         found = self._sight
-        found.compare(belief, self.map, rows, shared)
+        share = found.compare(belief, self.map, rows, shared)
         scan = self._seen = _in_base(rows, None if self.mount is None else found.moved())
         if self.guard is not None:
             again = partial(associate, rows, self.map, belief, found, shared)
             slipped = partial(beyond_wheels, m, self._fitted, i)
-            found, self._teach = self.guard.watch(self._t[i], scan, found, self.map, belief, again, slipped)
+            found, self._teach = self.guard.watch(self._t[i], scan, share, found, self.map, belief, again, slipped)
         if not self._teach:
             self._standing.forget()
             return [Innovation.unpredicted(row, LOST, 2, self.gate) for row in range(first, last)]

@@ -314,7 +314,7 @@ CHANGING_FIELDS: dict[str, int] = {
     "fusion/ekf/belief_arrays.py:JointBelief": 15,
     "fusion/kernels/ekf.py:State": 20,
     "fusion/kernels/sight.py:Sight": 22,
-    "fusion/map/guard.py:Guard": 14,
+    "fusion/map/guard.py:Guard": 13,
     "fusion/map/line_map.py:LineMap": 15,
     "fusion/map/tracker.py:AtlasTracker": 12,
     "fusion/map/tracker.py:LineTracker": 13,

@@ -81,7 +81,10 @@ class Trial:
         return self._of(SMOOTHED, fixes, shown)
 
     def agreement(self, fixes: Fixes) -> float | None:
-        """Return the revisit agreement of the run with the laser alone; None with truth or without such a run."""
+        """Return the revisit agreement of the run with the laser alone.
+
+        None if the log has a truth, which judges better, or if there is no such run.
+        """
         name = next((n for n, c in self.configurations.items() if c.sensors == (LASER,)), None)
         if self.whole.drive.truth is not None or name is None:
             return None

@@ -95,7 +95,7 @@ class JudgedRun(NamedTuple):
 
 
 def run_log(loaded: Loaded, c: Configuration, asked: Asked) -> Compared:
-    """Run and judge one configuration; smoothed, it comes last."""
+    """Run and judge one configuration. Its smoothed estimate, if there is one, is the last of the estimates."""
     first, *after = _judged(c, loaded, asked)
     estimates, evaluations = zip(*(j[:2] for j in (first, *after)), strict=True)
     smoothed = dict(zip([first.estimates.name], (j.estimates for j in after), strict=False))

@@ -76,7 +76,7 @@ class Overview(msgspec.Struct):
 
     @property
     def motion_faults(self) -> tuple[Note, ...]:
-        """Why the motion of this log is not the robot's; () without a reason."""
+        """Reasons why the motion topic does not describe how the robot moved, such as setpoints; () if none."""
         return () if self.loaded is None else self.loaded.motion_faults
 
     @property

@@ -52,7 +52,7 @@ def has_display() -> bool:
 
 
 def listening(host: str, port: int) -> bool:
-    """Return whether something accepts connections there."""
+    """Return whether a program accepts connections at this host and port."""
     try:
         with socket.create_connection((host, port), timeout=PORT_TIMEOUT_S):
             return True

@@ -35,7 +35,7 @@ class Part(msgspec.Struct):
 
 
 class Records(NamedTuple):
-    """The content of a part."""
+    """The messages and definitions of one part of a file (a chunk)."""
 
     messages: dict[int, Messages]
     definitions: list[Any]  # of channels, as the kind of file has them

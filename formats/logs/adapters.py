@@ -83,7 +83,10 @@ def _interface(columns: Columns, names: list[tuple[str, ...]], field: str) -> Ar
 
 
 def _places(joints: int, interfaces: tuple[str, ...], lengths: Ints, field: str) -> Ints:
-    """Return for each joint the index of its value of one interface among all values, -1 if missing."""
+    """Return where the value of `field` of each joint stands in the list of all values (joints,), -1: nowhere.
+
+    `interfaces` names what each value of that list is, `lengths` says how many values each joint has.
+    """
     at = np.full(joints, -1)
     if len(interfaces) != lengths.sum() or len(lengths) != joints:
         return at
@@ -376,6 +379,6 @@ PRESENTED: Mapping[str, Presented] = {
 
 
 def presented_name(name: str, msgtype: str) -> str | None:
-    """Return the name of a topic of this type after its adapter, None for any other type."""
+    """Return the name of the adapted topic, "TOPIC:SUFFIX"; None for a type that has no adapter."""
     kind = PRESENTED.get(msgtype)
     return f"{name}:{kind.suffix}" if kind is not None else None

@@ -65,7 +65,7 @@ class UnreadableTopicError(LocfuseError):
 
     @classmethod
     def of(cls, log: str, topic: str, problem: str) -> Self:
-        """Return the error of a topic of a log whose messages cannot be read, because of the `problem`."""
+        """Return an exception: the messages of this topic in this log cannot be read, because of the `problem`."""
         error = cls(f"{log}: {topic} cannot be read: {problem}")
         error.problem = problem
         return error
@@ -309,7 +309,10 @@ class Log:
         return LogStream(self, topic, self.topics[topic].msgtype, order)
 
     def _of_frames(self, name: str, pair: tuple[str, str, str]) -> tuple[Topic, Callable[[str], AnyStream]] | None:
-        """Return a topic made of two frames of /tf, or of the tags seen in a frame; None if there is no tag."""
+        """Return a topic made from /tf: one frame relative to another one, or the tags that a camera frame sees.
+
+        None if there is no tag.
+        """
         tf, parent, child = pair
         source, edges = self.topics[tf], self.frames(tf)
         if child != OF_CAMERA:

@@ -76,7 +76,7 @@ def part(name: str) -> str:
 
 
 def on_screen(points: float) -> Any:
-    """Return a half width in points of the screen, the same at every zoom."""
+    """Return the radius of a point or line that is drawn with the same size [screen points] at every zoom."""
     return rr.Radius.ui_points(points)
 
 

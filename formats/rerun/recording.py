@@ -104,7 +104,7 @@ def check(path: Path) -> None:
 
 
 def quiet_rust() -> None:
-    """Set what Rerun reads when it is imported."""
+    """Set the environment variables that keep Rerun's own log messages quiet; call it before importing Rerun."""
     for name, value in QUIET.items():
         os.environ.setdefault(name, value)
 

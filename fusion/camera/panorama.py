@@ -1,4 +1,4 @@
-"""The paper's landmark detection (section II): filter, red, grey, unwrap, Hough, x_p / 2.
+"""The paper's landmark detection (section II): filter, red, grey, unwrap, Hough, bearing.
 
 Slow and plain; `radial` finds the same bearing without unwrapping. What both agree on, the red rule and the
 form of a candidate, is here.

@@ -19,7 +19,7 @@ RING_COLOUR, GRID_COLOUR, CANDIDATE_COLOUR = (255, 200, 0), (0, 200, 255), (80, 
 
 
 class PreviewPictures(NamedTuple):
-    """One message of the stream, with the steps of its detection."""
+    """The pictures of one camera message: as it came, and after each step of the landmark detection."""
 
     row: int  # of the stream
     raw: Picture  # (h, w, 3) BGR

@@ -139,7 +139,10 @@ def _scatter(truth: Truth, wheels: Wheels) -> Sigma:
 
 
 def _taken_back(steps: Array) -> float:
-    """Return the sigma of white noise whose differences are these steps (n,); 0 if it is not significant."""
+    """Return the sigma of white noise on positions, from their steps (n,); 0 if it is not significant.
+
+    Noise of one position adds to one step and is subtracted in the next one.
+    """
     steps = np.clip(steps, *(np.array([-1.0, 1.0]) * CLIPPED_SIGMAS * float(np.median(np.abs(steps)))))
     products = -steps[1:] * steps[:-1]
     variance, sure = float(products.mean()), float(products.std()) / math.sqrt(len(products))

@@ -133,7 +133,7 @@ def _regression(own: Array, by: Array, shares: Array, offset: float) -> Turning 
 def of_turning(
     drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], streams: Mapping[str, Stream]
 ) -> list[Finding]:
-    """Return the findings about the directions of wheels and mounts, by the turning of all sensors together."""
+    """Return findings on directions of wheels and mounts, by rotations: the wheels' against each sensor's."""
     counts_wheels = streams["wheels"].msgtype not in BODY_READS
     found = _dead_wheel(drive.wheels) if counts_wheels else []
     if not found and not by_sensor and counts_wheels:

@@ -310,7 +310,7 @@ class Sight:
     # ---- association ----
 
     def associate(self) -> None:
-        """Write every line's matching pair and best pair (-1: none), and whether it has or is near a rival.
+        """Write for every line its match and best pair (-1: none), and whether it is ambiguous or near a map line.
 
         A pair matches within the gate where it overlaps enough; another such pair that is worse by less than
         RIVAL_SCORE makes it ambiguous. A line is near a map line that it overlaps within NEAR_D2.

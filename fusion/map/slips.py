@@ -180,7 +180,7 @@ class Suspicion:
     """A slip suggested by a scan, until the next scans are compared with both headings."""
 
     def __init__(self, turn: float) -> None:
-        """`turn` [rad] is the turn found by the map."""
+        """Begin with the turn [rad] by which the scan fits the map."""
         self.turn = turn
         self.looks = 0
         self._gain = 0.0  # shares of the seen length that match at the turned heading beyond those at the old one

@@ -140,7 +140,7 @@ def by_gravity(t_ns: Ints, columns: dict[str, Array]) -> Array | None:
 
 
 def _bias(a: Array, w: Array) -> Array:
-    """Return the bias of the rates (3,) about horizontal axes: a wheeled robot does not keep rolling."""
+    """Return the bias of the rates (3,) about horizontal axes: on average a wheeled robot does not tilt."""
     up = np.median(a, axis=0)
     up = up / max(float(np.linalg.norm(up)), 1e-9)
     bias = np.median(w, axis=0)

@@ -220,7 +220,7 @@ class Bench:
         return Tuned(rows, train, held_out, numbers, flags, again, as_used)
 
     def _leave(self, problem: Problem, name: str) -> str:
-        """Reset a figure that the likelihood does not determine; return a sentence about it."""
+        """Reset a value that the likelihood does not determine; return a note on it."""
         figures = self.figures
         if name.endswith(DRIFT):
             figures.factors[name] = -math.inf
@@ -275,7 +275,10 @@ def optimal(robot: Robot) -> Robot:
 
 
 def rescaled(m: Measurements, factor: float) -> Measurements:
-    """Return measurements whose sensor's sigma is `factor` times as large; floor and rest stay."""
+    """Return measurements with a sensor sigma that is `factor` times as large.
+
+    The noise floor, and the variance that is not this sigma's ("rest"), stay as they are.
+    """
     rest = m.extra.get("rest")
     if rest is None:
         return replace(m, scale=m.scale * factor)

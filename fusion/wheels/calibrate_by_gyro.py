@@ -143,9 +143,10 @@ def _noise(
     slides: float,
     white: float,
 ) -> tuple[dict[float, float], int]:
-    """Return by window [s] the variance per metre of a wheel [m], without the gyro's own noise.
+    """Return the wheels' noise for each window length, {s: m}, and how many windows of the longest there are.
 
-    `by` is the turn per metre of the right and the left wheel [rad/m]. And the number of windows of the longest.
+    The noise is a variance per metre that one wheel rolls [m^2/m], without the gyro's own noise. `by` is the turn
+    per metre of the right and the left wheel [rad/m].
     """
     found: dict[float, float] = {}
     track = 2.0 / (by[0] - by[1])

@@ -247,14 +247,15 @@ def with_slip(belief: JointBelief, turn: float, again: Callable[[], Association]
 @contextmanager
 def tried(belief: JointBelief, step: Pose, xy: float, theta: float) -> Iterator[None]:
     """Shift the belief by a step (3,) with variances xy [m^2], theta [rad^2] inside this context, unrecorded."""
-    events, belief.events = belief.events, None
-    belief.shift(step, xy, theta)
+    # in place: `shift` would make copies of the pose (gyro, pose, twist) exact copies again, and record it
+    pose, variances = belief.state[:3], np.einsum("ii->i", belief.covariance[:3, :3])
+    before = pose.copy(), variances.copy()
+    pose += step
+    variances += (xy, xy, theta)
     try:
         yield
     finally:
-        x, y, turn = step
-        belief.shift((-x, -y, -turn), -xy, -theta)
-        belief.events = events
+        pose[:], variances[:] = before
 
 
 def _turns(scan: Scan, lines: LineMap, recent: Ints, belief: JointBelief) -> list[float]:

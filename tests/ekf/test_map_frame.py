@@ -14,6 +14,7 @@ from textbook import move, numeric_jacobian
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.ekf.map_frame import InMap, Triangle, in_map_P
 from locfuse.fusion.kernels.ekf import bent
+from locfuse.fusion.map.slips import tried
 from locfuse.fusion.sensor import Block
 
 Array = np.ndarray
@@ -196,6 +197,19 @@ def test_a_slip_turns_the_pose_and_leaves_the_way_from_what_is_kept_as_it_was() 
     J = numeric_jacobian(lambda v: seen_from(v[:3], v[4:7]), after.copy())
     np.testing.assert_allclose(J @ now @ J.T, 0.0, atol=1e-9)
     assert now[2, 2] + now[3, 3] - 2.0 * now[2, 3] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_pose_that_is_only_tried_leaves_every_bit_of_the_belief_as_it_was() -> None:
+    """A kept heading that has fallen behind is no copy of the pose any more, and must not become one again."""
+    belief = JointBelief(START, P0, [Block("heading", np.zeros(1), np.zeros((1, 1)), np.zeros(1))])
+    belief.clone_heading(3)
+    belief.predict(STEP, 0)
+    x, P = belief.state.copy(), belief.covariance.copy()
+    with tried(belief, (0.1, -0.2, 0.3), 0.01, 0.02):
+        np.testing.assert_allclose(belief.pose(), x[:3] + np.array([0.1, -0.2, 0.3]), atol=1e-15)
+        np.testing.assert_allclose(belief.matrix(), P[:3, :3] + np.diag([0.01, 0.01, 0.02]), atol=1e-15)
+    np.testing.assert_array_equal(belief.state, x)
+    np.testing.assert_array_equal(belief.covariance, P)
 
 
 def test_what_is_local_teaches_the_frame_nothing() -> None:

@@ -186,8 +186,7 @@ class Evidence(Noise):
         """Return a finding if the laser's path and the wheels differ in distance and there is no truth."""
         if self.loaded.drive.truth is not None or self.loaded.drive.wheels.matched is not None:
             return []
-        runs = (e for e in self.compared.estimates if e.sensors == (LASER,) and not e.smoothed and not e.lost)
-        return [finding for e in runs for finding in of_ways(self.loaded.drive, e)]
+        return [finding for e in self.runs_alone(LASER) for finding in of_ways(self.loaded.drive, e)]
 
     def _candidates(
         self,
@@ -279,8 +278,7 @@ class Evidence(Noise):
         """Findings on mounts that are states: the run of one sensor alone found another mount than configured."""
         return [
             finding
-            for e in self.compared.estimates
-            if len(e.sensors) == 1 and not e.smoothed and not e.lost
+            for e in self.runs_alone()
             for finding in of_mount(self.loaded.robot, e.sensors[0], e, self.loaded.drive.truth is not None)
         ]
 
@@ -289,13 +287,12 @@ class Evidence(Noise):
         """Sensors whose mount is a state already and is found further off than its prior allows."""
         if self.loaded.drive.truth is not None:
             return set()  # the truth judges what the state says
-        alone = (e for e in self.compared.estimates if len(e.sensors) == 1 and not e.smoothed and not e.lost)
-        return {e.sensors[0] for e in alone if beyond_prior(self.loaded.robot, e.sensors[0], e)}
+        return {e.sensors[0] for e in self.runs_alone() if beyond_prior(self.loaded.robot, e.sensors[0], e)}
 
     def _scaled(self) -> Iterator[Finding]:
         """Yield the laser's range scale, found by the length of the laser's own path; clocks must be right."""
-        for e in self.compared.estimates:
-            if e.sensors == (LASER,) and not e.smoothed and not e.lost and self._complained(LASER):
+        for e in self.runs_alone(LASER):
+            if self._complained(LASER):
                 yield from of_scale(self.loaded.robot, e, self.loaded.drive)
 
     def offsets(self) -> list[Candidate]:
@@ -376,13 +373,12 @@ class Evidence(Noise):
         drive = self.loaded.drive
         if drive.truth is not None and drive.truth.theta is not None:
             return of_spins(drive, drive.truth.t, body_poses(drive.truth, drive.truth.t), "truth")
-        runs = (e for e in self.compared.estimates if e.sensors == (LASER,) and not e.smoothed and not e.lost)
         scans = drive.measurements.get(LASER)
         if scans is None or np.median(np.diff(scans.t, append=np.inf)) > MAX_SCAN_PERIOD_S:
             return []
         return [
             f
-            for e in runs
+            for e in self.runs_alone(LASER)
             for f in of_spins(drive, e.t, e.pose, "laser's path", [j.t for j in e.jumps if j.step[2]])
         ]
 

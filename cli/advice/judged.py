@@ -152,12 +152,13 @@ class Judged:
     def _reference(self, sensor: str) -> Estimates | None:
         """Return the run of another single sensor, without complaints, whose heading is most certain."""
         fine = {s for s in self.loaded.drive.measurements if s != sensor and not self._complained_itself(s)}
-        runs = [
-            e
-            for e in self.compared.estimates
-            if len(e.sensors) == 1 and e.sensors[0] in fine and not e.smoothed and not e.lost
-        ]
+        runs = self.runs_alone(*fine) if fine else []
         return min(runs, key=lambda e: float(np.median(e.triangles[:, 5])), default=None)
+
+    def runs_alone(self, *sensors: str) -> list[Estimates]:
+        """Return the causal runs of a single sensor that were never lost: of these sensors, without any of all."""
+        runs = (e for e in self.compared.estimates if len(e.sensors) == 1 and not e.smoothed and not e.lost)
+        return [e for e in runs if not sensors or e.sensors[0] in sensors]
 
 
 WHEEL_NOISE_FACTORS = (0.1, 0.3, 3.0, 10.0)
@@ -268,8 +269,8 @@ class Noise(Judged):
     def _slip(self) -> Slip | None:
         """The slip by turns, and by the distances of the laser's own run where these need more noise."""
         drive, found = self.loaded.drive, slip(self.loaded.drive)
-        for e in self.compared.estimates:
-            if found is not None and found.factor < 1.0 and e.sensors == (LASER,) and not (e.smoothed or e.lost):
+        for e in self.runs_alone(LASER):
+            if found is not None and found.factor < 1.0:
                 found = beside_path(found, drive, e.t, e.pose)
         return found
 

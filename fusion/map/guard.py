@@ -133,7 +133,9 @@ class Guard:
     ) -> tuple[Association, bool]:
         """Return the association to use and whether the scan may correct pose and map."""
         moved = share < WELL_SHARE and self._moved(belief.pose())
-        if moved and self._slid(share, lines, belief, again, slipped):
+        if not moved:
+            self._slide.ends()
+        elif self._slid(share, lines, belief, again, slipped):
             found = again()
             share = found.share()
         if self._fits(t, share, belief.pose(), scan, lines.next_id):
@@ -181,10 +183,10 @@ class Guard:
         if step is None or abs(step[2]) > SLIP_SIGMA_RAD or not self._is_ahead(step, belief.pose()):
             slide.ends()
             return False
-        first_line = slide.first_line
-        off = slide.goes_on(step, lines.next_id)
-        if off is None:
+        found = slide.goes_on(step, lines.next_id)
+        if found is None:
             return False
+        off, first_line = found
         x, y = se2.rotated(np.array(belief.theta), off).tolist()
         _forget_since(first_line, lines, belief)
         belief.shift((x, y, 0.0), SLIP_SIGMA_M**2, 0.0)
@@ -293,6 +295,7 @@ class Guard:
         """Continue in another map; earlier scans, in the frame of the old map, are dropped."""
         self._before.clear()
         self._since = self._after = self._suspicion = None
+        self._slide.ends()
         self._torn = False
 
     def gives_up(self) -> bool:
@@ -313,6 +316,7 @@ class Guard:
         """Continue with a new map, in which the robot's pose is known exactly."""
         self._before.clear()
         self._since = self._place = self._suspicion = None
+        self._slide.ends()
         self._trail.forget()
         self._after = None
         if self._lost_from is not None or belief.lost:

@@ -148,32 +148,37 @@ class Slide:
     """A slip of both wheels ahead that the last scans show, until enough of them in a row do."""
 
     def __init__(self) -> None:
-        self.first_line = 0  # the number of the first line born since it began
-        self._steps: tuple[Array, ...] = ()
+        self._scans = 0
+        self._ahead = 0.0  # m, of the last scan
+        self._off: Array = np.zeros(2)  # m, not yet taken back
+        self._first_line = 0  # the number of the first line born since it began
 
     @property
     def begun(self) -> bool:
         """Whether the last scan showed it."""
-        return bool(self._steps)
+        return self._scans > 0
 
     def ends(self) -> None:
         """Forget it: the last scan did not show it."""
-        self._steps = ()
+        self._scans = 0
 
-    def goes_on(self, step: Array, next_line: int) -> Array | None:
-        """Add the slip (3,) since the last scan; return by how much (2,) [m] the pose is off once that is sure.
+    def goes_on(self, step: Array, next_line: int) -> tuple[Array, int] | None:
+        """Add the slip (3,) since the last scan; return the pose's error (2,) [m] and a line once that is sure.
 
-        A robot cannot slip ahead and back at once. `next_line` is the number of the next map line.
+        Lines with the number of that line and above were born since then; `next_line` is the next one's number.
+        A robot cannot slip ahead and back at once. A slip that is sure continues with each scan.
         """
-        if self._steps and step[0] * self._steps[-1][0] < 0.0:
-            self._steps = ()
-        self.first_line = self.first_line if self._steps else next_line
-        self._steps = (*self._steps, step)
-        if len(self._steps) < DECIDING_SCANS:
+        if step[0] * self._ahead < 0.0:
+            self.ends()
+        if not self._scans:
+            self._off, self._first_line = np.zeros(2), next_line
+        self._scans += 1
+        self._ahead, self._off = float(step[0]), self._off + step[:2]
+        if self._scans < DECIDING_SCANS:
             return None
-        off: Array = np.sum(self._steps, axis=0)[:2]
-        self._steps, self.first_line = (np.zeros(3),) * (DECIDING_SCANS - 1), next_line  # each scan counts now
-        return off
+        found = self._off, self._first_line
+        self._off, self._first_line = np.zeros(2), next_line
+        return found
 
 
 class Suspicion:

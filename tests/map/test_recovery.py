@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,12 +17,14 @@ from locfuse.cli.analysis.settings import LogOptions
 from locfuse.fusion.data import Array, Estimates, Evaluation
 from locfuse.fusion.fuse import fuse
 from locfuse.fusion.judge.evaluate import evaluate
+from locfuse.fusion.map.guard import Guard
 from locfuse.fusion.map.line_map import Association
 from locfuse.fusion.map.scan import Scan
 from locfuse.fusion.map.slips import (
     DECIDING_SCANS,
     MIN_GAIN,
     SURE_GAIN,
+    Slide,
     Suspicion,
     Trail,
     agree,
@@ -189,6 +192,36 @@ def test_a_slip_of_both_wheels_ahead_is_found_and_taken_back(begin: float) -> No
     assert found.notes == ("lrf: 1 wheel slip recovered by the lines of the map",)
     (slip,) = found.jumps
     assert slip.step == pytest.approx((-0.5, 0.0, 0.0), abs=0.1)
+
+
+def test_only_slips_that_follow_each_other_one_way_are_a_slip_ahead() -> None:
+    """0.1 m three times is 0.3 m and then 0.1 m a scan; a scan without it, or a step back, begins anew."""
+    slide, ahead = Slide(), np.array([0.1, 0.01, 0.0])
+    assert [slide.goes_on(ahead, line) for line in (5, 6)] == [None, None]
+    off, first_line = slide.goes_on(ahead, 7) or pytest.fail("three in a row are sure")
+    assert off == pytest.approx([0.3, 0.03])
+    assert first_line == 5
+    off, first_line = slide.goes_on(ahead, 9) or pytest.fail("it goes on")
+    assert off == pytest.approx([0.1, 0.01])
+    assert first_line == 7
+    assert slide.goes_on(-ahead, 9) is None  # not ahead and back at once
+    assert slide.goes_on(-ahead, 9) is None
+    slide.ends()
+    assert not slide.begun
+    assert [slide.goes_on(-ahead, 9) for _ in range(DECIDING_SCANS - 1)] == [None] * (DECIDING_SCANS - 1)
+
+
+def test_a_scan_that_fits_ends_a_slip_ahead(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scans must show it one after another: between two of them none may fit."""
+    slide = Slide()
+    monkeypatch.setattr("locfuse.fusion.map.guard.Slide", lambda: slide)
+    guard, scan = Guard([]), Scan.of(np.array([[2.0, 0.0]]), np.zeros((1, 2, 2)), np.array([[-1.0, 1.0]]))
+    lines, belief = SimpleNamespace(next_id=4), SimpleNamespace(pose=lambda: (0.0, 0.0, 0.0))
+    slide.goes_on(np.array([0.1, 0.0, 0.0]), 4)
+    asked: Any = (lines, belief, pytest.fail, pytest.fail)
+    found = Association.__new__(Association)
+    assert guard.watch(0.1, scan, 1.0, found, *asked) == (found, True)
+    assert not slide.begun
 
 
 # --- a slip turns the pose only where the next scans and matched scans confirm it; a carried robot slips for ever

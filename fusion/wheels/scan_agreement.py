@@ -4,8 +4,9 @@ Some pairs of scans are drawn from the whole log. A motion moves the later scan 
 earlier one; a point that comes to lie within 10 cm of a point there agrees. The mean share over all pairs, s, is
 one number for each motion: of the wheels, of a standing robot, and of the matching of the scans themselves.
 
-What it does not see: a reversed motion looks like a laser that is turned by 180 degrees, so the best of four
-directions of the laser counts; along a single wall every motion agrees.
+What it does not see: a reversed motion looks like a laser that is turned by 180 degrees, and one that turns the
+other way like a laser that is upside-down. So the best of four directions of the laser counts, each also mirrored.
+Along a single wall every motion agrees.
 """
 
 from __future__ import annotations
@@ -34,7 +35,9 @@ NEAR_M = 0.1  # a point that lies so near to one of the earlier scan agrees
 POINTS, SURFACE_POINTS = 90, 360  # of the later and of the earlier scan
 MATCHED_POINTS = 40  # of a scan between
 SEARCH_STRIDE = 4  # while clock and mount are searched, every such point counts
-TURNS_RAD = np.radians([0.0, 90.0, 180.0, -90.0])  # of the laser beside its mount
+# turn [rad] of the laser beside its mount, whether it is upside-down, lag [s] of its clock, x offset [m]
+AS_CONFIGURED, LAG, AHEAD = np.zeros(4), np.eye(4)[2], np.eye(4)[3]
+TURNS = np.array([(turn, side, 0.0, 0.0) for side in (0.0, 1.0) for turn in np.radians([0.0, 90.0, 180.0, -90.0])])
 LAGS_S, FINER_S = np.linspace(-0.5, 0.5, 11), np.array([-0.05, 0.05])  # of the laser's clock
 AHEAD_M = np.array([-0.3, -0.2, -0.1, 0.1, 0.2, 0.3])  # of the laser on a base of which nothing says where it is
 STEP_S = 0.2  # s from scan to scan while the scans between a pair are matched
@@ -87,16 +90,17 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         """Return how far a motion turns from the matching of the scans, in sigmas: the median of all pairs."""
         how = self._fitted(motion)
         off = se2.wrap_all(self._by(motion, how)[:, 2] - self._poses[:, 2])
-        begin, end = self._within(motion, how[1])
+        begin, end = self._within(motion, how[2])
         variance = motion.wheels.between(begin, end).Q[:, 2, 2] + FLOOR_RAD**2
         return float(np.sqrt(np.median(off**2 / variance) / CHI_SQUARE_MEDIAN))
 
     def _fitted(self, motion: WheelReading) -> Array:
-        """Search turn [rad], lag [s] and x offset [m] of the laser, one after another, that fit a motion best."""
-        best, placed = np.zeros(3), self.laser.mount[:2].any()
+        """Search turn [rad], mirroring, lag [s] and x offset [m] of the laser that fit a motion best, in turn."""
+        best, placed = AS_CONFIGURED, self.laser.mount[:2].any()
         share = self.share(self._by(motion, best), SEARCH_STRIDE)
-        for k, steps in enumerate((TURNS_RAD, LAGS_S, FINER_S, () if placed else AHEAD_M)):
-            tries = [best + step * np.eye(3)[(0, 1, 1, 2)[k]] for step in steps if step]
+        searched = [TURNS, *(lags[:, None] * LAG for lags in (LAGS_S, FINER_S))]
+        for steps in searched if placed else (*searched, AHEAD_M[:, None] * AHEAD):
+            tries = [best + step for step in steps if step.any()]
             shares = [self.share(self._by(motion, one), SEARCH_STRIDE) for one in tries]
             if shares and max(shares) > share:
                 share, best = max(shares), tries[int(np.argmax(shares))]
@@ -104,7 +108,7 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
 
     def of_path(self, motion: WheelReading) -> float:
         """Return the share s of the laser's own scan-matched path, which needs no clock or mount fit."""
-        return self.share(self._by(motion, np.zeros(3)))
+        return self.share(self._by(motion, AS_CONFIGURED))
 
     def matched(self) -> float:
         """Return the share s of the motion by matching the scans of each pair."""
@@ -136,12 +140,13 @@ class ScanPairs(msgspec.Struct, frozen=True, dict=True):
         return cKDTree(np.column_stack((np.concatenate(self.surface), LANE_M * lane)))
 
     def _by(self, motion: WheelReading, how: Array) -> Array:
-        """Return the laser's motion over each pair (p, 3) by the wheels; `how` is (turn, lag, x offset)."""
-        turn, lag, ahead = how.tolist()
+        """Return the laser's motion over each pair (p, 3) by the wheels, for one of the ways of `_fitted`."""
+        turn, mirrored, lag, ahead = how.tolist()
         mount = self.laser.mount + np.array([ahead, 0.0, turn])
         body = motion.wheels.relative(*self._within(motion, lag))
         laser = np.broadcast_to(mount, body.shape)
-        return se2.between(laser, se2.compose(body, laser))
+        moved = se2.between(laser, se2.compose(body, laser))
+        return moved * [1.0, -1.0, -1.0] if mirrored else moved
 
     def _within(self, motion: WheelReading, lag: float) -> tuple[Array, Array]:
         """Return begin and end of each pair (p,) on the clock of a motion, within its range."""

@@ -62,6 +62,19 @@ def test_a_motion_twice_as_far_agrees_less_and_a_late_clock_and_a_turned_laser_d
     assert turned_laser.of(true) > 0.74
 
 
+def test_a_laser_upside_down_sees_the_mirror_image_and_does_not_speak_against_the_motion(tmp_path: Path) -> None:
+    """A beam to the left is told as one to the right. An odometry that turns wrongly is much rarer."""
+    true, mirrored = moved_by(TRUTH), TRUTH * (1.0, -1.0, -1.0)
+    rng = np.random.default_rng(1)
+    ranges = np.stack([ranges_of(pose, ROOM, rng)[::-1] for pose in TRUTH])
+    scans = scan_stream(stamps(T), ranges)
+    pairs = present(scan_pairs(scans, laser_of(LrfSettings()), [true]))
+    assert pairs.of(true) > 0.74
+    assert pairs.of(moved_by(TRUTH * (2.0, 2.0, 1.0))) < pairs.of(true) - 0.1
+    choice = chosen(tmp_path, odometry(T, mirrored), scans_of(T, TRUTH))
+    assert choice.of("wheels") == ("/odom",)
+
+
 # ---- which topic is taken ----
 
 

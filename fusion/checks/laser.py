@@ -32,7 +32,8 @@ MIN_WALLS = 60  # walls seen twice
 MAX_ITERATIONS = 3  # times at most
 # first guesses where the configured direction fits nothing
 OTHER_YAWS_RAD = (math.pi, 0.5 * math.pi, -0.5 * math.pi)
-MAX_REST = 0.5  # of the walls' approach that may be left unexplained; paired wrongly they leave all of it
+# of the walls' approach that may be left unexplained; paired wrongly they leave all of it, and tell nothing
+MAX_REST, MAX_TELLING_REST = 0.5, 1.0
 MIN_APPROACH_M = 0.01  # m
 STRETCHES = 8  # stretches of the drive whose estimates must agree
 MIN_SCALE_ERROR, MIN_YAW_ERROR_RAD, MIN_SIGMAS = 0.03, math.radians(4.0), 3.0
@@ -40,8 +41,8 @@ WORTH_SAYING = Least(MIN_SCALE_ERROR, MIN_SIGMAS)
 SEVERE_SCALE_ERROR, SEVERE_YAW_ERROR_RAD = 0.05, math.radians(8.0)
 OPEN_SCALE = "distances"  # laser or wheels: what a fix assumes, nothing in the log shows
 BUMP = "bumped"  # code of the finding that its direction on the robot changes
-MIN_BUMP_RAD, BUMP_SIGMAS = math.radians(1.5), 8.0  # rad; standard errors of walls that know nothing of each other
-BUMP_STRETCHES, BUMP_STRETCH_SIGMAS = 16, 5.0  # of the drive, each with an error of its own; their standard errors
+MIN_BUMP_RAD, BUMP_SIGMAS = math.radians(1.5), 5.0  # rad; standard errors: the time is the best of very many
+BUMP_STRETCHES = 16  # of the drive, each with an error of its own
 MIN_BUMP_SHARE = 0.1  # of the walls, before it and after it
 MAX_RADIUS_MISFIT = 0.5  # of the smaller error: two errors that differ by more have two causes
 MIN_CORRELATION = 0.9  # correlation of both turns: less, and what the wheels tell is noise
@@ -91,7 +92,7 @@ def laser_motion(m: Measurements, t: Array, drive: Drive, robot: Robot) -> Motio
     if found is None:
         return None
     walls, scale, yaw = found.walls, found.scale, se2.wrap(found.yaw)
-    scale_sigma, yaw_sigma = _spread(fitted, walls, 2)
+    scale_sigma, yaw_sigma = _spread(fitted, walls, 2) if found.rest < MAX_TELLING_REST else (math.inf, math.inf)
     turns = turned(walls)
     turns_sigma = _spread(lambda part: None if (c := turned(part)) is None else (c,), walls, 1)[0]
     by_slips = slip_sigma(drive.wheels, t)
@@ -113,15 +114,23 @@ def bumped(walls: Walls, scale: float) -> tuple[float, float] | None:
     rest, across = np.clip(rest, -limit, limit), across / scale
     split = best_split(across, rest, edge)
     left = rest - across * np.where(np.arange(n) <= split.at, split.before, split.after)
-    # what slips turn lasts from wall to wall: stretches of the drive scatter by more than its walls say
-    stretches = (np.array_split(column, BUMP_STRETCHES) for column in (across, left))
-    parts = [float(a @ b) / max(float(a @ a), MIN_SQUARES) for a, b in zip(*stretches, strict=True)]
-    share = (split.at + 1) / n
-    by_stretches = float(np.std(parts)) * math.sqrt((1.0 / share + 1.0 / (1.0 - share)) / BUMP_STRETCHES)
     by_walls = float(left.std()) * math.hypot(*split.sigmas)
+    # what slips turn lasts from wall to wall: the walls of a stretch share an error
+    at = split.at + 1
+    counts = [max(3, round(BUMP_STRETCHES * part / n)) for part in (at, n - at)]
+    halves = zip(np.split(across, [at]), np.split(left, [at]), counts, strict=True)
+    by_stretches = math.hypot(*(_slope_sigma(*half) for half in halves))
     change = split.before - split.after  # of the true yaw: these are assumed less true
-    least = max(MIN_BUMP_RAD, BUMP_SIGMAS * by_walls, BUMP_STRETCH_SIGMAS * by_stretches)
+    least = max(MIN_BUMP_RAD, BUMP_SIGMAS * max(by_walls, by_stretches))
     return (float(walls.t[split.at]), change) if abs(change) > least else None
+
+
+def _slope_sigma(across: Array, left: Array, stretches: int) -> float:
+    """Return 1 sigma of the slope of a line through zero, whose residuals (k,) share an error in each stretch."""
+    parts = (np.array_split(column, stretches) for column in (across, left))
+    scores = np.array([float(a @ b) for a, b in zip(*parts, strict=True)])
+    squares = max(float(across @ across), MIN_SQUARES)
+    return math.sqrt(stretches / (stretches - 1) * float(scores @ scores)) / squares
 
 
 def _along_across(walls: Walls) -> tuple[Array, Array]:

@@ -7,11 +7,14 @@ import pickle
 
 import numpy as np
 import pytest
+from bags import real_log
 from msgspec.structs import replace
 from present import present
 from small_drive import NOISE, START, TRACK, drive, path, robot
 
 import locfuse
+from locfuse.cli.analysis.load import load
+from locfuse.cli.analysis.settings import LogOptions
 from locfuse.fusion import se2
 from locfuse.fusion.checks.clocks import OPEN_CLOCK, of_clocks
 from locfuse.fusion.checks.compass import angles, by_gravity
@@ -76,6 +79,17 @@ def test_the_laser_s_yaw_is_measured_by_how_walls_come_nearer(yaw_deg: float) ->
     assert told(of_laser(motion, robot()))["lrf.yaw_deg"] == pytest.approx(
         se2.wrap(math.radians(yaw_deg)) * 57.3, abs=2
     )
+
+
+@pytest.mark.parametrize("yaw_deg", [-8.0, 0.0, 8.0])
+def test_walls_that_come_nearer_by_less_than_their_noise_tell_neither_metre_nor_yaw(yaw_deg: float) -> None:
+    """A depth camera on a robot that mostly turns on the spot."""
+    options = LogOptions(sets=(f"lrf.yaw_deg={yaw_deg}",), quiet=True)
+    loaded = load([real_log("strangers/odometry_in_tf.bag")], options)
+    m = loaded.drive.measurements["lrf"]
+    motion = present(laser_motion(m, m.t, loaded.drive, loaded.robot))
+    assert motion.walls > 100
+    assert of_laser(motion, loaded.robot) == []
 
 
 def test_nothing_is_said_of_a_laser_that_sees_too_few_walls() -> None:
@@ -422,6 +436,17 @@ def test_a_bump_is_found_with_its_time_and_angle(degrees: float, scale: float) -
     found = present(bumped(walls(degrees, 1, scale), scale))
     assert found[0] == pytest.approx(BUMP_S, abs=3.0)
     assert math.degrees(found[1]) == pytest.approx(degrees, abs=0.7)
+
+
+def test_a_robot_that_hardly_moves_for_a_while_hides_no_bump() -> None:
+    """The walls of the first and of the sixth ten seconds tell no direction: 1 cm of way, 1 cm of noise."""
+    few = walls(6.0, 1)
+    stands = (few.t < 10.0) | ((few.t > 50.0) & (few.t < 60.0))
+    d = np.where(stands[:, None], 0.03 * few.d, few.d)
+    y = np.where(stands, np.random.default_rng(2).normal(0.0, 0.01, WALLS), few.y)
+    found = present(bumped(few._replace(y=y, d=d), 1.0))
+    assert found[0] == pytest.approx(BUMP_S, abs=3.0)
+    assert math.degrees(found[1]) == pytest.approx(6.0, abs=1.0)
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -39,6 +39,7 @@ STRETCHES = 8  # stretches of the drive whose estimates must agree
 MIN_SCALE_ERROR, MIN_YAW_ERROR_RAD, MIN_SIGMAS = 0.03, math.radians(4.0), 3.0
 WORTH_SAYING = Least(MIN_SCALE_ERROR, MIN_SIGMAS)
 SEVERE_SCALE_ERROR, SEVERE_YAW_ERROR_RAD = 0.05, math.radians(8.0)
+MIN_RANGE_FACTOR, MAX_RANGE_FACTOR = 0.5, 2.0  # of a laser's distances: beyond, it is no error of its scale
 OPEN_SCALE = "distances"  # laser or wheels: what a fix assumes, nothing in the log shows
 BUMP = "bumped"  # code of the finding that its direction on the robot changes
 MIN_BUMP_RAD, BUMP_SIGMAS = math.radians(1.5), 5.0  # rad; standard errors: the time is the best of very many
@@ -247,10 +248,17 @@ def of_laser(
         f"it measures {abs(1.0 / scale - 1.0):.1%} too {'short' if scale > 1.0 else 'long'} by the {whose} "
         f"(± {motion.scale_sigma:.1%})"
     )
-    fix = f"lrf.range_scale={settings.range_scale * scale:.4g}"
-    words += "" if by_truth else _who_is_right(robot, scale, fix)
+    fixes = range_fix(robot, scale)
+    words += "" if by_truth or not fixes else _who_is_right(robot, scale, fixes[0])
     code = "range scale" if by_truth else OPEN_SCALE
-    return [Finding("lrf", code, words, (fix,), abs(scale - 1.0) > SEVERE_SCALE_ERROR)]
+    return [Finding("lrf", code, words, fixes, abs(scale - 1.0) > SEVERE_SCALE_ERROR)]
+
+
+def range_fix(robot: Robot, factor: float) -> tuple[str, ...]:
+    """Return the setting that makes the laser's distances `factor` times as long; () if no scale is that wrong."""
+    if not MIN_RANGE_FACTOR < factor < MAX_RANGE_FACTOR:
+        return ()
+    return (f"lrf.range_scale={float(robot.settings('lrf').range_scale) * factor:.4g}",)
 
 
 def fitted(walls: Walls) -> tuple[float, float] | None:

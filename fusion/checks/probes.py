@@ -16,6 +16,7 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.wheels.states import WHEELS
 
 from .finding import Finding
+from .laser import range_fix
 
 MOUNT, DIRECTION = "mount", "direction"  # codes of the findings on one, on what creeping wheels explain as well
 MAX_CREEP_DEG = 1.5  # by which wheels may drive beside where they point: 2 % of the way are 1.1 degrees
@@ -24,6 +25,7 @@ DIRECTION_WORDS = (
     "drive sideways. To find out drive 3 m along a line on the floor: if the robot leaves it, it is the wheels"
 )
 MIN_SIGMAS = 4.0  # standard deviations by which an estimate must differ from what is configured
+MIN_EXPLAINED_SHARE = 0.8  # of the true path by the size of the laser's: less, and they are not of one shape
 MIN_MOUNT_M, MIN_MOUNT_DEG, MIN_TRACK = 0.004, 0.2, 0.005  # m, degrees, relative: smaller errors are left alone
 MIN_SCALE, MIN_TRUTH = 0.002, 50  # relative; readings of the truth
 # prior standard deviations of the states of a probe: wide enough for a rough measurement with a ruler
@@ -129,12 +131,11 @@ def of_scale(robot: Robot, e: Estimates, drive: Drive) -> Iterator[Finding]:
     if scale is None or abs(scale - 1.0) < MIN_SCALE:
         return
     words = f"its trajectory is {1.0 / scale:.4f} times as large as the truth's"
-    value = float(robot.settings("lrf").range_scale) * scale
-    yield Finding("lrf", "way", words, (f"lrf.range_scale={value:.4g}",))
+    yield Finding("lrf", "way", words, range_fix(robot, scale))
 
 
 def path_scale(e: Estimates, drive: Drive) -> float | None:
-    """Return the size of the true path over that of a laser's run; None without truth.
+    """Return the size of the true path over that of a laser's run; None without truth, or if the shapes differ.
 
     The least squares of a similarity (Umeyama, PAMI 1991), in complex numbers: walls fix the size of what the
     laser drives along, so that its distance scale is the map's.
@@ -146,7 +147,10 @@ def path_scale(e: Estimates, drive: Drive) -> float | None:
         return None
     own, truth = (xy[found] @ np.array([1.0, 1.0j]) for xy in (e.truth_pose[:, :2], drive.truth.xy))
     own, truth = own - own.mean(), truth - truth.mean()
-    return float(abs(np.vdot(own, truth))) / float(np.vdot(own, own).real)
+    along, squares = float(abs(np.vdot(own, truth))), float(np.vdot(own, own).real)
+    if along**2 < MIN_EXPLAINED_SHARE * squares * float(np.vdot(truth, truth).real):
+        return None
+    return along / squares
 
 
 def of_offsets(robot: Robot, e: Estimates) -> Iterator[Finding]:

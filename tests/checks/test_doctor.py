@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import pickle
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -20,7 +22,8 @@ from locfuse.fusion.checks.clocks import OPEN_CLOCK, of_clocks
 from locfuse.fusion.checks.compass import angles, by_gravity
 from locfuse.fusion.checks.examine import _scales, gaps
 from locfuse.fusion.checks.finding import Finding, Least, of_error
-from locfuse.fusion.checks.laser import Motion, Walls, bumped, laser_motion, of_laser, of_radius
+from locfuse.fusion.checks.laser import Motion, Walls, bumped, laser_motion, of_laser, of_radius, range_fix
+from locfuse.fusion.checks.probes import path_scale
 from locfuse.fusion.checks.truth import jumps_of, metre, of_truth, start_pose, wheels_metre
 from locfuse.fusion.checks.turning import explain, of_track, turnings
 from locfuse.fusion.data import Array, Drive, LocfuseError, Measurements, Truth, UsageError
@@ -342,6 +345,23 @@ def test_a_truth_with_a_jump_in_more_than_one_of_a_hundred_steps_judges_nothing(
     found = present(jumps_of(replace(healthy, truth=replace(truth, xy=truth.xy + moved[:, None]))))
     assert (found.number, found.steps) == ((len(truth.t) - 1) // every, len(truth.t) - 1)
     assert found.unusable is spoil
+
+
+def test_a_scale_that_no_laser_has_is_named_without_a_fix() -> None:
+    assert range_fix(robot(), 1.1) == ("lrf.range_scale=1.1",)
+    assert range_fix(robot(), 0.27) == range_fix(robot(), 4.0) == ()
+    motion = present(seen(drive(1, robot())))._replace(scale=4.2)
+    (found,) = of_laser(motion, robot(), by_truth=True)
+    assert (found.code, found.fixes) == ("range scale", ())
+
+
+def test_a_path_of_another_shape_shows_no_scale() -> None:
+    """A mirror image of a path, fitted by a similarity, looks much too large."""
+    healthy = drive(1, robot())
+    xy = truth_of(healthy).xy
+    right, mirrored = (cast("Any", SimpleNamespace(truth_pose=xy * [1.25, 1.25 * y])) for y in (1.0, -1.0))
+    assert path_scale(right, healthy) == pytest.approx(0.8)
+    assert path_scale(mirrored, healthy) is None
 
 
 def test_the_noise_of_a_truth_is_measured_at_rest_unless_it_is_told() -> None:

@@ -114,6 +114,8 @@ def beside_path(found: Slip, drive: Drive, t: Array, pose: Array) -> Slip:
 
 def _by(name: str, t: Array, heading: Array, wheels: Wheels) -> Slip | None:
     known = np.isfinite(heading)
+    if len(np.unique(heading[known])) < 2:
+        return None  # scans without lines
     short, long = (_turns(t[known], heading[known], window, wheels) for window in (SHORT_S, LONG_S))
     found = None if short is None or long is None else _growth(short, long, MIN_EXPECTED_RAD)
     if found is None or long is None:
@@ -125,7 +127,8 @@ def _by(name: str, t: Array, heading: Array, wheels: Wheels) -> Slip | None:
 def _growth(short: _Spread, long: _Spread, least: float) -> tuple[float, float] | None:
     """Return how much of the expected growth from short to long windows is seen, and its standard deviation.
 
-    None where slips are expected to add less than `least` (m or rad) to a long window.
+    None where slips are expected to add less than `least` (m or rad) to a long window, or where nothing grows: no
+    wheels slip that little, so that other noise hides it.
     """
     growth = long.expected - short.expected
     if growth < least**2 * (1.0 - SHORT_S / LONG_S):
@@ -133,6 +136,8 @@ def _growth(short: _Spread, long: _Spread, least: float) -> tuple[float, float] 
     usual, whole = (max(b - a, 0.0) / growth for a, b in zip(short.seen, long.seen, strict=True))
     # rare slips are slips: wheels are only called better than configured if all that was seen says so
     factor = usual if usual > 1.0 else min(max(whole, usual), 1.0)
+    if factor <= 0.0:
+        return None
     # of white noise, the variance of a variance of n values is 2 / n of its square
     return factor, math.sqrt(sum(2.0 * s.seen[1] ** 2 / s.number for s in (short, long))) / growth
 

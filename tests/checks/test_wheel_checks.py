@@ -184,6 +184,13 @@ def test_exchanged_wheels_are_named_by_their_joints_and_right_ones_are_not(tmp_p
     assert set(one.fixes) == {f"wheels.left={left}", f"wheels.right={right}"}
 
 
+def test_a_heading_that_never_changes_shows_no_slip() -> None:
+    one = drawn()
+    m = one.measurements["compass"]
+    still = replace(one, measurements={"compass": replace(m, z=np.zeros_like(m.z))})
+    assert slip(still) is None
+
+
 # --- what a drive cannot tell is named, with the manoeuvre that would; a drive that has them all is told nothing
 
 PERIOD_S = 0.05

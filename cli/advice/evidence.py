@@ -35,7 +35,8 @@ from locfuse.fusion.checks.pictures import RIMS
 from locfuse.fusion.checks.probes import MOUNT, beyond_prior, of_mount, of_offsets, of_probe, of_scale, probe_of
 from locfuse.fusion.checks.slip import of_spins
 from locfuse.fusion.checks.tried import Candidate, Fixes, together
-from locfuse.fusion.checks.truth import CREEP, POINT, START, STEP, WHEEL_SCALE, of_point, of_ways, swing
+from locfuse.fusion.checks.truth import CREEP, POINT, START, STEP, UNIT, WHEEL_SCALE, of_point, of_ways, swing
+from locfuse.fusion.checks.turning import MIRROR, SWAPPED
 from locfuse.fusion.data import BASES
 from locfuse.fusion.judge.consistency import Consistency, biased_against
 from locfuse.fusion.judge.consistency import Evidence as NoiseEvidence
@@ -57,7 +58,7 @@ SUSPICIOUS = Least(0.005, 2.5)  # what is reason enough to fuse again where noth
 MEASURED = (OFFSET, WHEEL_SCALE, POINT, "iron", ROOM, CREEP, RIMS)
 MAX_SCAN_PERIOD_S = 0.4  # s: between two scans the laser's path is the wheels'
 Key = tuple[str, str]  # role and code of a finding
-SIGNS = {("wheels", "swapped"), ("wheels", "mirrored")}  # judged by the path's shape while the start is not known
+SIGNS = {("wheels", SWAPPED), ("wheels", "mirrored")}  # judged by the path's shape while the start is not known
 
 
 class Evidence(Noise):
@@ -103,8 +104,8 @@ class Evidence(Noise):
         return any(s.high < 0.0 for s in self.compared.scores)
 
     def truth(self) -> list[Candidate]:
-        """Return a finding if the truth jumps sideways: errors after the jump cannot be used."""
-        return [self._candidate(f, ()) for f in self.doctor if f.code == STEP]
+        """Return findings on a truth that steps aside, is a mirror image or not in metres: no error counts."""
+        return [self._candidate(f, ()) for f in self.doctor if f.code in {STEP, MIRROR, UNIT}]
 
     def start(self) -> list[Candidate]:
         """Return the finding on a wrong start. It is fixed first: until then errors cannot rank settings."""
@@ -203,7 +204,9 @@ class Evidence(Noise):
         """
         seen = [self._decided(f) for f in seen]
         known = {(f.role, f.code) for f in seen}
-        judged = [f for f in seen if (f.fixes or f.code in {OPEN_SCALE, CREEP, BUMP}) and self.judges(f.role)]
+        judged = [
+            f for f in seen if (f.fixes or f.code in {OPEN_SCALE, CREEP, BUMP, SWAPPED}) and self.judges(f.role)
+        ]
         coarse = [
             self._candidate(f, (*_ways(f), *self._aimed(f)), not (f.severe or f.code in MEASURED)) for f in judged
         ]

@@ -14,9 +14,10 @@ from locfuse.cli.analysis.refused_motion import STANDS
 from locfuse.formats.report import json_report
 from locfuse.formats.report.findings import MAX_ANEES, length, options, void_reasons
 from locfuse.formats.robot import robot_toml
+from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.probes import MOUNT
 from locfuse.fusion.checks.tried import Advice, Fixes, Marks, by_key, keys, together
-from locfuse.fusion.checks.truth import Jumps
+from locfuse.fusion.checks.turning import MIRROR
 from locfuse.fusion.data import BASES, result_name
 from locfuse.fusion.judge.evaluate import ERROR_KEYS
 from locfuse.fusion.judge.own_scans import is_better
@@ -142,17 +143,21 @@ def score(score: Marks) -> dict[str, float | None]:
 MAX_LOST_SHARE = 0.1  # of the drive for which a filter may be lost before its figures mean nothing
 MAX_START_ERROR_M = 0.5  # m between the first pose of the truth and the start, where no start is configured
 EVERY = ("wheels", "truth")  # roles that every configuration depends on
-JUMP = "jump"  # code of the finding on a truth that jumps
 JUDGED = (*ERROR_KEYS, "anees")
 
 
 def add_validity(
-    report: dict[str, Any], advised: Advised | None, start_error_m: float | None, jumps: Jumps | None = None
+    report: dict[str, Any], advised: Advised | None, start_error_m: float | None, truth: Finding | None = None
 ) -> None:
     """Add `validity`; move void figures out of their configurations to `void`, where they stay readable."""
     found = []
+    known_faults = [truth] if truth is not None else []
+    known_faults += [
+        a.finding for a in (advised.advice if advised is not None else ()) if a.finding.code == MIRROR
+    ]
+    spoilt = next(((f.code, f"truth: {f.brief}") for f in known_faults), None)
     for name, values in report["configurations"].items():
-        reason = _lost(values) or _jumping(jumps) or _elsewhere(start_error_m, values)
+        reason = _lost(values) or spoilt or _elsewhere(start_error_m, values)
         if reason is None:
             continue
         code, message = reason
@@ -161,7 +166,7 @@ def add_validity(
         values.update(dict.fromkeys(known))
         found.append({"configuration": name, "code": code, "message": message, "since_s": _since(values, code)})
     void = {entry["code"] for entry in found}  # what is void is not doubtful as well
-    doubts = [d for d in _doubts(report, advised) if d["code"] != JUMP or JUMP not in void]
+    doubts = [d for d in _doubts(report, advised) if d["code"] not in void]
     report["validity"] = [*_once(found), *doubts]
     if found and all("void" in values for values in report["configurations"].values()):
         report["credit"] = None
@@ -206,12 +211,6 @@ def _lost(values: dict[str, Any]) -> tuple[str, str] | None:
         return None
     name = values["configuration"]  # of its smoothed result too: that is lost where its filter is
     return "lost", f"{name}: lost for {share:.0%} of the drive, first at {values['lost'][0][0]:.1f} s"
-
-
-def _jumping(jumps: Jumps | None) -> tuple[str, str] | None:
-    if jumps is None or not jumps.unusable:
-        return None
-    return JUMP, f"truth: {jumps.words}. Set truth.max_speed, or truth.sigma if this is its noise"
 
 
 def _elsewhere(error_m: float | None, values: dict[str, Any]) -> tuple[str, str] | None:
@@ -431,17 +430,17 @@ def complete(
     start_error_m: float | None = None,
     foreign: Collection[str] = (),
     stands: bool = False,
-    jumps: Jumps | None = None,
+    truth: Finding | None = None,
 ) -> None:
     """Add findings, validity and headline to a finished report; None: the log was not evaluated.
 
     `start_error_m` is how far the truth starts from where the drive does, None where somebody stated the start;
-    `jumps` are those of the truth.
+    `truth` is why no error by it means anything.
     Rows that are `foreign` estimates say nothing of which sensors to keep; of a robot that `stands` nothing does.
     """
     add_findings(report, advised)
     _leave_out_what_findings_say(report)
-    add_validity(report, advised, start_error_m, jumps)
+    add_validity(report, advised, start_error_m, truth)
     sets = {
         name: tuple(values["sensors"])
         for name, values in report["configurations"].items()

@@ -38,7 +38,7 @@ from locfuse.formats.logs import log as logs
 from locfuse.formats.logs.log import Log
 from locfuse.formats.robot.robot_toml import as_set
 from locfuse.formats.visible import visible
-from locfuse.fusion.checks.truth import jumps_of
+from locfuse.fusion.checks.truth import unusable
 from locfuse.fusion.data import Drive, Estimates, Evaluation, LocfuseError, UsageError
 from locfuse.fusion.judge import evaluate as judge
 from locfuse.fusion.judge.evaluate import Align
@@ -325,8 +325,8 @@ class Session(msgspec.Struct, frozen=True, eq=False):
     ) -> dict[str, Any]:
         """Return a report with the ranges under jitter, the advice, and what the motion makes void."""
         add_jitter(report, compared, asked, self.progress)
-        stands, jumps = self.drive.wheels.stands, jumps_of(self.drive)
-        complete(report, advised, start_error(self.robot, self.drive), foreign, stands, jumps)
+        stands, truth = self.drive.wheels.stands, unusable(self.drive)
+        complete(report, advised, start_error(self.robot, self.drive), foreign, stands, truth)
         say_motion(report, self.loaded, judged)
         self.progress("writing")
         return report

@@ -23,8 +23,8 @@ from .compass import of_convention, of_iron, tilted
 from .finding import Finding, Least
 from .laser import laser_motion, of_laser, of_radius
 from .laser_ranges import of_offset, of_scatter
-from .truth import metre, of_truth, wheels_metre
-from .turning import Turning, aligned, of_track, of_turning, turnings
+from .truth import metre, of_truth, of_unit, wheels_metre
+from .turning import MIRROR, Turning, aligned, of_track, of_turning, turnings
 from .unseen import unseen
 
 MIN_READINGS = 10  # readings from which a sensor is judged
@@ -64,6 +64,10 @@ def examine(
     found += [o for o in turning if o.role not in {t.role for t in tilts}]
     if wrong_wheels:
         return found  # nothing can be held against such wheels
+    unit = of_unit(drive)
+    found += unit
+    if unit or any(o.code == MIRROR for o in turning):
+        drive = replace(drive, truth=None)  # nothing can be held against such a truth
     if "camera" in drive.measurements:
         from .pictures import of_calibration, of_handedness  # here: a log without pictures needs no OpenCV
 

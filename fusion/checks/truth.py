@@ -18,6 +18,10 @@ from locfuse.fusion.wheels.repairs import Mask, gaps_of, spikes, times
 from .finding import Finding, Least
 from .laser import OPEN_SCALE
 
+UNIT, JUMP = "unit", "jump"  # codes of the findings on a truth by which no error means anything
+UNITS = {1000.0: "mm", 100.0: "cm", 0.01: "hundreds of metres", 0.001: "km"}  # by the ways in it over those in m
+MAX_UNIT_RATIO = 1.5  # of the ways over what the unit explains, either way
+ROBOT_SPEEDS_MPS = 0.02, 20.0  # m/s: 99th percentile of the speeds of a robot
 STEP = "step"  # code of the finding on a truth that steps aside
 POINT, CREEP = "body point", "sideways"  # codes of the findings on the tracked point, on wheels that creep
 MIN_CREEP, CREEP_SIGMAS = 0.008, 5.0  # m per m; standard errors
@@ -189,9 +193,37 @@ def _jumps(drive: Drive) -> list[Finding]:
     found = jumps_of(drive)
     if found is None:
         return []
-    fastest = float(np.percentile(np.hypot(*drive.wheels.twist[:, :2].T) / np.diff(drive.wheels.t), 99.0))
-    speed = max(1.0, math.ceil(3.0 * fastest))
-    return [Finding("truth", "jump", found.words, (f"truth.max_speed={speed:g}",), True)]
+    speed = max(1.0, math.ceil(3.0 * _fastest(drive)))
+    return [Finding("truth", JUMP, found.words, (f"truth.max_speed={speed:g}",), True)]
+
+
+def _fastest(drive: Drive) -> float:
+    """Return the 99th percentile of the speeds [m/s] by the wheels."""
+    return float(np.percentile(np.hypot(*drive.wheels.twist[:, :2].T) / np.diff(drive.wheels.t), 99.0))
+
+
+def of_unit(drive: Drive) -> list[Finding]:
+    """Return a finding if the truth's unit is not the metre: its ways are another power of ten of the wheels'.
+
+    Wheels of a wrong radius show the same: it is the truth's if a robot drives as fast as the wheels say.
+    """
+    factor, (slowest, fastest), speed = (wheels_metre(drive) or (1.0,))[0], ROBOT_SPEEDS_MPS, _fastest(drive)
+    unit = next((u for f, u in UNITS.items() if 1.0 / MAX_UNIT_RATIO < factor / f < MAX_UNIT_RATIO), None)
+    if unit is None or not slowest < speed < fastest or slowest < factor * speed < fastest:
+        return []
+    words = (
+        f"its ways are {float(f'{factor:.2g}'):g} times as long as the wheels': its unit looks like {unit}. "
+        "Errors by it mean nothing until it is recorded in m"
+    )
+    return [Finding("truth", UNIT, words, (), True)]
+
+
+def unusable(drive: Drive) -> Finding | None:
+    """Return why no error by this truth means anything: its unit, or its many jumps; None if it can be used."""
+    jumps = jumps_of(drive)
+    words = "" if jumps is None or not jumps.unusable else jumps.words
+    words += ". Set truth.max_speed, or truth.sigma if this is its noise" if words else ""
+    return next(iter(of_unit(drive)), Finding("truth", JUMP, words, (), True) if words else None)
 
 
 def step_limits(truth: Truth, drive: Drive) -> Array:

@@ -7,12 +7,14 @@ b = -1/track on a robot that is described as it is. The signs of a and b tell wh
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import cast
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
+from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Drive, Measurements, Stream
 from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -22,8 +24,9 @@ from locfuse.fusion.wheels.odometry import BODY_READS
 from locfuse.fusion.wheels.sources import joint_names
 
 from .finding import Finding, Least
-from .laser import Motion
+from .laser import Motion, laser_motion
 
+MIRROR, SWAPPED = "mirror image", "swapped"  # codes of the findings on a truth, on wheels
 JOINT_STATE = "sensor_msgs/msg/JointState"
 WINDOW_S = 1.0  # s
 MAX_LAG_S, LAG_STEP_S = 1.2, 0.05  # s: clocks may differ
@@ -38,6 +41,7 @@ MAX_READINGS = 3000
 GYRO_SCALE_SIGMA = 0.01  # 1 sigma of a gyro's scale
 CHORD_M, PIECE_RAD, MIN_PIECES = 0.3, 1.5, 6  # m of a direction of travel; rad that the wheels turn in a piece
 MIN_SLOPE, MAX_SLOPE_SIGMA = 0.3, 0.05  # of the truth's turns per the wheels': less, or less sure, is no track
+BOTH_TURNED: Mapping[str, str] = {"none": "both", "both": "none", "left": "right", "right": "left"}
 MIN_PIECES_OF_SIGN, MAX_AGAINST_SIGMA = 3, 0.25  # pieces, share of the slope: the wheels turn against the truth
 
 
@@ -136,20 +140,20 @@ def of_turning(
     """Return findings on directions of wheels and mounts, by rotations: the wheels' against each sensor's."""
     counts_wheels = streams["wheels"].msgtype not in BODY_READS
     found = _dead_wheel(drive.wheels) if counts_wheels else []
-    if not found and not by_sensor and counts_wheels:
-        found = _against_the_truth(drive, robot, streams) or _by_the_wheels_alone(drive.wheels, robot)
-    if found or not by_sensor:
-        return found
     mirrored = [w for t in by_sensor.values() if (w := _mirrored(t)) is not None]
-    if counts_wheels and len(mirrored) > len(by_sensor) / 2:
+    if not found and counts_wheels and len(mirrored) > len(by_sensor) / 2:
         wheel = max(set(mirrored), key=mirrored.count)
         by = " and ".join(name for name, t in by_sensor.items() if _mirrored(t) == wheel)
         words = f"the {wheel} wheel counts backward, by the turning of {by}"
         return [Finding("wheels", "mirrored", words, (f"wheels.mirrored={_also(robot, wheel)}",), True)]
-    back = [name for name, t in by_sensor.items() if t.a < 0.0 < t.b]
+    found = found or _against_the_truth(drive, robot, by_sensor, streams["wheels"])
+    if not found and not by_sensor and counts_wheels:
+        found = _by_the_wheels_alone(drive.wheels, robot)
+    if found or not by_sensor:
+        return found
+    back = _against(by_sensor)
     if len(back) > 1 and len(back) == len(by_sensor):
-        words = f"the wheels turn against {' and '.join(back)}: left and right are swapped"
-        return [Finding("wheels", "swapped", words, _swapped(robot.wheels, streams["wheels"]), True)]
+        return [_exchanged(drive, robot, by_sensor, back, streams["wheels"])]
     return [_reversed(name, robot, streams) for name in back]
 
 
@@ -166,6 +170,39 @@ def _also(robot: Robot, wheel: str) -> str:
     now = robot.wheels.mirrored
     other = "right" if wheel == "left" else "left"
     return {"none": wheel, wheel: "none", other: "both", "both": other}[now]
+
+
+def _against(by_sensor: Mapping[str, Turning]) -> list[str]:
+    """Return the sensors whose turning is opposite to the wheels'."""
+    return [name for name, t in by_sensor.items() if t.a < 0.0 < t.b]
+
+
+def _exchanged(
+    drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], others: Sequence[str], stream: Stream
+) -> Finding:
+    """Return the finding on wheels that turn against `others`: exchanged, or both counting backward."""
+    words = f"the wheels turn against {' and '.join(others)}"
+    if stream.msgtype in BODY_READS:
+        return Finding("wheels", SWAPPED, f"{words}: the odometry turns the wrong way round", (), True)
+    if _backward(drive, robot, by_sensor.get("lrf")):
+        fixes = (f"wheels.mirrored={BOTH_TURNED[robot.wheels.mirrored]}",)
+        return Finding("wheels", SWAPPED, f"{words}: both wheels count backward", fixes, True)
+    return Finding("wheels", SWAPPED, f"{words}: left and right are swapped", _swapped(robot.wheels, stream), True)
+
+
+def _backward(drive: Drive, robot: Robot, turning: Turning | None) -> bool:
+    """Return whether wheels that turn the wrong way also roll backward, by the truth's headings or by walls."""
+    wheels, truth, lrf = drive.wheels, drive.truth, drive.measurements.get("lrf")
+    if truth is not None and truth.theta is not None:
+        middle = 0.5 * (truth.t[1:] + truth.t[:-1])
+        theta = np.interp(middle, truth.t, np.unwrap(truth.theta))
+        moved = se2.rotated(-theta, np.diff(truth.xy, axis=0))[:, 0]
+        return float(moved @ wheels.relative(truth.t[:-1], truth.t[1:])[:, 0]) < 0.0
+    if lrf is None:
+        return False
+    turned = Wheels.from_twists(wheels.t, wheels.twist * [1.0, 1.0, -1.0], wheels.track, wheels.noise)
+    motion = laser_motion(lrf, aligned(lrf, turning), replace(drive, wheels=turned), robot)
+    return motion is not None and abs(motion.yaw) > 0.5 * math.pi
 
 
 def _swapped(settings: WheelSettings, stream: Stream) -> tuple[str, ...]:
@@ -251,21 +288,22 @@ def observed_track(
 
 def turns_by_truth(drive: Drive) -> tuple[float, float] | None:
     """Return the robot's turn per turn of the wheels by the truth, and its sigma; None if it is not shown."""
-    found = _slope_by_truth(drive, MIN_PIECES)
+    found = _slope_by_truth(drive, MIN_PIECES, by_path=False)
     return found if found is not None and found[0] > MIN_SLOPE and found[1] < MAX_SLOPE_SIGMA else None
 
 
-def _slope_by_truth(drive: Drive, fewest: int) -> tuple[float, float] | None:
+def _slope_by_truth(drive: Drive, fewest: int, by_path: bool) -> tuple[float, float] | None:
     """Return the robot's turn per turn of the wheels, with its sign, and sigma; None without `fewest` pieces.
 
-    A truth of points tells the direction of travel. Turns are summed over pieces of the way: each slips by itself.
+    A truth of points, or one that is asked `by_path`, tells the direction of travel. Turns are summed over pieces
+    of the way: each slips by itself.
     """
     truth, wheels = drive.truth, drive.wheels
     if truth is None:
         return None
     rows = np.flatnonzero((truth.t >= wheels.t[0]) & (truth.t <= wheels.t[-1]))
     pose = wheels.at(truth.t[rows])[2]
-    if truth.theta is not None:
+    if truth.theta is not None and not by_path:
         own, at = np.unwrap(truth.theta[rows]), truth.t[rows]
         turned = wheels.heading(at)
     else:
@@ -291,13 +329,44 @@ def _slope_by_truth(drive: Drive, fewest: int) -> tuple[float, float] | None:
     return slope, sigma
 
 
-def _against_the_truth(drive: Drive, robot: Robot, streams: Mapping[str, Stream]) -> list[Finding]:
-    """Report that left and right are exchanged, if no sensor turns and the truth shows it; points are enough."""
-    slope, sigma = _slope_by_truth(drive, MIN_PIECES_OF_SIGN) or (1.0, 0.0)
-    if slope > -MIN_SLOPE or sigma > MAX_AGAINST_SIGMA * abs(slope):
+def _sense_by_truth(drive: Drive, by_path: bool) -> int:
+    """Return 1 if the truth turns as the wheels do, -1 if it turns the other way, 0 if it does not show that."""
+    slope, sigma = _slope_by_truth(drive, MIN_PIECES_OF_SIGN, by_path) or (0.0, 0.0)
+    if abs(slope) < MIN_SLOPE or sigma > MAX_AGAINST_SIGMA * abs(slope):
+        return 0
+    return 1 if slope > 0.0 else -1
+
+
+def _against_the_truth(
+    drive: Drive, robot: Robot, by_sensor: Mapping[str, Turning], stream: Stream
+) -> list[Finding]:
+    """Report that truth and wheels turn in opposite directions: a third sensor tells which of them is right.
+
+    A truth whose path and headings turn in opposite directions is wrong whatever the wheels do.
+    """
+    truth = drive.truth
+    by_path = _sense_by_truth(drive, by_path=True)
+    sense = by_path if truth is None or truth.theta is None else _sense_by_truth(drive, by_path=False)
+    if by_path * sense < 0:
+        words = "its path and its headings turn in opposite directions: one of its axes points the other way"
+        return [Finding("truth", MIRROR, words, (), True)]
+    if sense >= 0:
         return []
-    words = f"the truth turns {slope:.2f} times as far (1 sigma {sigma:.2f}): left and right are swapped"
-    return [Finding("wheels", "swapped", words, _swapped(robot.wheels, streams["wheels"]), True)]
+    matched = drive.wheels.matched is not None  # then the laser is the wheels, and no third sensor
+    others = {name: t for name, t in by_sensor.items() if not (matched and name == "lrf")}
+    back = _against(others)
+    if back and len(back) == len(others) and not matched:
+        return [_exchanged(drive, robot, by_sensor, (*back, "the truth"), stream)]
+    if not others and stream.msgtype not in BODY_READS:
+        found = _exchanged(drive, robot, by_sensor, ("the truth",), stream)
+        return [replace(found, message=f"{found.message}, or the truth is a mirror image")]
+    words = "it is a mirror image of the drive: one of its axes points the other way"
+    if matched:
+        words += "; or the laser, whose scans are the motion here, is mounted upside-down (lrf.flipped)"
+    elif not others:
+        words += "; or the odometry turns the wrong way round"
+    agree = all(t.b < 0.0 < t.a for t in others.values())
+    return [Finding("truth", MIRROR, words, (), True)] if agree else []
 
 
 def _dead_wheel(wheels: Wheels) -> list[Finding]:

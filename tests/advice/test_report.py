@@ -11,6 +11,7 @@ from locfuse.cli.advice.report import Advised, add_findings, add_validity, covar
 from locfuse.formats.report.findings import sentence
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.tried import Advice
+from locfuse.fusion.checks.turning import MIRROR
 
 
 @pytest.mark.parametrize(
@@ -236,6 +237,21 @@ def test_figures_are_doubtful_while_something_is_wrong(advice: Advice, doubt: st
     }
     add_validity(report, Advised((advice,)), None)
     assert [v["message"] for v in report["validity"]] == ([] if doubt is None else [doubt])
+
+
+@pytest.mark.parametrize("by_advice", [False, True])
+def test_errors_by_an_unusable_truth_are_void(by_advice: bool) -> None:
+    report: dict[str, Any] = {
+        "configurations": {
+            "lrf": {"configuration": "lrf", "sensors": {}, "lost_share": 0.0, "position_rmse_m": 0.1}
+        }
+    }
+    fault = Finding("truth", MIRROR, "it is a mirror image of the drive", (), True)
+    advised = Advised((Advice(fault),)) if by_advice else None
+    add_validity(report, advised, 3.0, None if by_advice else fault)
+    (entry,) = report["validity"]
+    assert (entry["message"], entry["void"]) == ("truth: it is a mirror image of the drive", True)
+    assert report["configurations"]["lrf"]["position_rmse_m"] is None
 
 
 def test_a_smoothed_run_is_void_by_the_words_of_its_filter() -> None:

@@ -24,7 +24,16 @@ from locfuse.fusion.checks.examine import _scales, gaps
 from locfuse.fusion.checks.finding import Finding, Least, of_error
 from locfuse.fusion.checks.laser import Motion, Walls, bumped, laser_motion, of_laser, of_radius, range_fix
 from locfuse.fusion.checks.probes import path_scale
-from locfuse.fusion.checks.truth import jumps_of, metre, of_truth, start_pose, wheels_metre
+from locfuse.fusion.checks.truth import (
+    UNIT,
+    jumps_of,
+    metre,
+    of_truth,
+    of_unit,
+    start_pose,
+    unusable,
+    wheels_metre,
+)
 from locfuse.fusion.checks.turning import explain, of_track, turnings
 from locfuse.fusion.data import Array, Drive, LocfuseError, Measurements, Truth, UsageError
 from locfuse.fusion.mount import rotation
@@ -345,6 +354,21 @@ def test_a_truth_with_a_jump_in_more_than_one_of_a_hundred_steps_judges_nothing(
     found = present(jumps_of(replace(healthy, truth=replace(truth, xy=truth.xy + moved[:, None]))))
     assert (found.number, found.steps) == ((len(truth.t) - 1) // every, len(truth.t) - 1)
     assert found.unusable is spoil
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit"), [(1000.0, "mm"), (100.0, "cm"), (0.001, "km"), (1.0, None), (1.2, None), (10.0, None)]
+)
+def test_a_truth_that_is_not_in_metres_is_named_by_its_unit(factor: float, unit: str | None) -> None:
+    healthy = drive(1, robot())
+    truth = truth_of(healthy)
+    scaled = replace(healthy, truth=replace(truth, xy=factor * truth.xy))
+    found = of_unit(scaled)
+    assert [(f.role, f.code, f.fixes, f.severe) for f in found] == ([("truth", UNIT, (), True)] if unit else [])
+    assert unit is None or f"its unit looks like {unit}." in found[0].message
+    assert unit is None or unusable(scaled) == found[0]
+    # the same ratio by wheels of a radius in another unit: then the truth is right
+    assert of_unit(rolled(healthy, healthy.wheels.rolled / factor, TRACK / factor)) == []
 
 
 def test_a_scale_that_no_laser_has_is_named_without_a_fix() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -12,11 +12,11 @@ from msgspec.structs import replace
 from present import present
 from small_drive import NOISE, drive, robot
 
-from locfuse.cli.session.session import load
+from locfuse.cli.session.session import Session, load
 from locfuse.fusion import se2
 from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.slip import LONG_S, MAX_FACTOR, SHORT_S, beside_path, of_spins, slip
-from locfuse.fusion.checks.turning import of_turning
+from locfuse.fusion.checks.turning import MIRROR, SWAPPED, Turning, of_turning
 from locfuse.fusion.checks.unseen import unseen
 from locfuse.fusion.data import Drive
 from locfuse.sample_logs.load import load as scenario_of
@@ -182,6 +182,60 @@ def test_exchanged_wheels_are_named_by_their_joints_and_right_ones_are_not(tmp_p
     (one,) = found(log, *exchanged, headings=headings)
     assert (one.code, one.severe) == ("swapped", True)
     assert set(one.fixes) == {f"wheels.left={left}", f"wheels.right={right}"}
+
+
+@pytest.fixture(scope="module")
+def wheels_alone(tmp_path_factory: pytest.TempPathFactory) -> Session:
+    log = tmp_path_factory.mktemp("wheels") / "wheels.mcap"
+    write_log(scenario_of("rounded_rectangle", WHEELS_ALONE), 3000, on_truth, log)
+    return load(log)
+
+
+def of_mirrored(one: Session, y: int, theta: int | None, sensors: dict[str, Turning], kind: str = "") -> Finding:
+    """The only finding on directions if the truth's y and its headings have these signs; None: of points."""
+    drive = one.loaded.drive
+    truth = present(drive.truth)
+    headings = None if theta is None else present(truth.theta) * theta
+    stream = one.loaded.stream("wheels")
+    wheels = SimpleNamespace(msgtype=kind) if kind else stream
+    drive = replace(drive, truth=replace(truth, xy=truth.xy * [1.0, y], theta=headings))
+    (found,) = of_turning(drive, one.loaded.robot, sensors, {"wheels": cast("Any", wheels)})
+    assert found.severe
+    return found
+
+
+AGREES, AGAINST = {"lrf": Turning(5.0, -5.0, 0.1, 0.99, 0.0)}, {"lrf": Turning(-5.0, 5.0, 0.1, 0.99, 0.0)}
+
+
+@pytest.mark.parametrize("theta", [-1, None])
+def test_a_sensor_shows_whether_truth_or_wheels_turn_wrongly(wheels_alone: Session, theta: int | None) -> None:
+    truth = of_mirrored(wheels_alone, -1, theta, AGREES)
+    assert (truth.role, truth.code, truth.fixes) == ("truth", MIRROR, ())
+    wheels = of_mirrored(wheels_alone, -1, theta, AGAINST)
+    assert (wheels.role, wheels.code, len(wheels.fixes)) == ("wheels", SWAPPED, 2)
+    assert "against lrf and the truth" in wheels.message
+    assert "or the truth is a mirror image" in of_mirrored(wheels_alone, -1, theta, {}).message
+
+
+def test_an_odometry_that_turns_against_a_truth_alone_may_be_wrong_itself(wheels_alone: Session) -> None:
+    found = of_mirrored(wheels_alone, -1, None, {}, "nav_msgs/msg/Odometry")
+    assert (found.role, found.code) == ("truth", MIRROR)
+    assert "or the odometry turns" in found.message
+
+
+@pytest.mark.parametrize(("y", "theta"), [(-1, 1), (1, -1)])
+@pytest.mark.parametrize("sensors", [{}, AGREES, AGAINST])
+def test_a_truth_whose_headings_turn_against_its_path_is_wrong(
+    wheels_alone: Session, y: int, theta: int, sensors: dict[str, Turning]
+) -> None:
+    found = of_mirrored(wheels_alone, y, theta, sensors)
+    assert (found.role, found.code) == ("truth", MIRROR)
+
+
+def test_wheels_that_both_count_backward_are_told_from_swapped_ones(wheels_alone: Session) -> None:
+    loaded = load(wheels_alone.log.paths[0], sets=("wheels.mirrored=both",)).loaded
+    (one,) = of_turning(loaded.drive, loaded.robot, AGAINST, {"wheels": loaded.stream("wheels")})
+    assert (one.code, one.fixes) == (SWAPPED, ("wheels.mirrored=none",))
 
 
 def test_a_heading_that_never_changes_shows_no_slip() -> None:

@@ -24,6 +24,7 @@ from locfuse.formats.robot.ros_yaml import KEPT, Setting
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, Ints
 from locfuse.fusion.lines.points import ScanPoints
+from locfuse.fusion.lines.scans import limits
 from locfuse.fusion.map.beam_model import BeamModel, fit_beams
 from locfuse.fusion.mount import found_mount
 
@@ -125,9 +126,9 @@ def _sizes(points: ScanPoints, rows: Ints) -> tuple[list[int], float]:
     found: dict[int, int] = {}
     farthest = 0.0
     wanted = set(rows.tolist())
-    for at, columns in points.stream.blocks("ranges", "range_max"):
+    for at, columns in points.stream.blocks("ranges", "range_min", "range_max"):
         lengths: Any = columns["ranges"]
-        farthest = max(farthest, float(np.max(np.asarray(columns["range_max"], np.float64), initial=0.0)))
+        farthest = max(farthest, float(limits(columns)[1].max(initial=0.0)))
         found |= {row: len(lengths[i]) for i, row in enumerate(at.tolist()) if row in wanted}
     own = points.laser.range_max
     return [found.get(row, 0) for row in rows.tolist()], own if own is not None else farthest

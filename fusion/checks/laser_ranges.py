@@ -10,7 +10,7 @@ import numpy as np
 
 from locfuse.fusion.chi_square import MAD
 from locfuse.fusion.data import Array, Ints, Ragged, Stream
-from locfuse.fusion.lines.scans import MAX_BEAMS, equal_scans, returns
+from locfuse.fusion.lines.scans import MAX_BEAMS, equal_scans, limits, returns
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings, laser_of
 
 from .finding import Finding
@@ -41,7 +41,7 @@ def driver(stream: Stream) -> list[Finding]:
     ranges = [cast("Ragged", p["ranges"]) for p in parts]
     lengths = np.concatenate([r.lengths for r in ranges])
     values = np.concatenate([r.values[r.first[0] : r.first[-1]] for r in ranges]).astype(np.float64)
-    far = np.repeat(column["range_max"].astype(np.float64), lengths)
+    far = np.repeat(limits(column)[1], lengths)
     return [*_nothing(values, far), *_angles(column, lengths), *_in_turn(column)]
 
 
@@ -167,10 +167,8 @@ def scatter(columns: dict[str, Any]) -> Array:
     lengths = ranges.lengths
     r = ranges.values[ranges.first[0] : ranges.first[-1]].astype(np.float64)
     scan = np.repeat(np.arange(len(lengths)), lengths)
-    low, far, step = (
-        np.asarray(columns[k], np.float64)[scan] for k in ("range_min", "range_max", "angle_increment")
-    )
-    seen = np.isfinite(r) & (r > 0.0) & (r >= low) & (r < far)
+    low, far, step = (c[scan] for c in (*limits(columns), np.asarray(columns["angle_increment"], np.float64)))
+    seen = (r >= low) & (r < far)  # False for NaN and Inf
     at = np.flatnonzero(seen[:-2] & seen[1:-1] & seen[2:] & (scan[:-2] == scan[2:])) + 1
     before, here, after, cos = r[at - 1], r[at], r[at + 1], np.cos(step[at])
     by = 2.0 * cos * np.square(np.stack((before, after)) / (before + after))  # derivatives by `after`, `before`

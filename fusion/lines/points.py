@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from itertools import chain
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from locfuse.fusion.data import Array, Block, Ints, Stream
 from locfuse.fusion.sensor import WheelMotion
 
-from .scans import Laser, equal_scans, points_in_base
+from .scans import Laser, equal_scans, limited, limits, points_in_base
 
 T = TypeVar("T")
 
@@ -31,11 +31,18 @@ class Longest:
         self.count = 0  # of readings of exactly this
         self._near = 0  # of readings up to a hundredth shorter
         self._read = 0
+        self._scans = self._unlimited = 0  # scans; those whose limits the driver did not fill in
+        self._limits = (0.0, 0.0)  # m: range_min and range_max of one of these
 
-    def add(self, ranges: Array, far: Array) -> None:
-        """Count the ranges (k, b) [m] of k scans that lie within range_max `far` (k,) [m]."""
+    def add(self, scans: Mapping[str, Any]) -> None:
+        """Count the ranges (k, b) [m] of k scans that lie within their limits."""
+        ranges, far = scans["ranges"], limits(scans)[1]
         if not ranges.size:
             return
+        unknown = np.flatnonzero(~limited(scans))
+        self._scans, self._unlimited = self._scans + len(far), self._unlimited + len(unknown)
+        if len(unknown):
+            self._limits = float(scans["range_min"][unknown[0]]), float(scans["range_max"][unknown[0]])
         self._read += ranges.size
         longest = float(ranges.max())
         if not longest <= far.min():  # NaN, Inf, or ranges beyond range_max: no wall is there
@@ -57,8 +64,22 @@ class Longest:
         return self.value if repeated else None
 
     @property
-    def note(self) -> str:
-        """The note on ranges that were read as no return."""
+    def notes(self) -> tuple[str, ...]:
+        """The notes on ranges that were read as no return, and on limits that are not filled in."""
+        return (
+            *((self._word(),) if self.no_return is not None else ()),
+            *((self._open(),) if self._unlimited else ()),
+        )
+
+    def _open(self) -> str:
+        near, far = self._limits
+        return (
+            f"range_max is {far:g} m and range_min {near:g} m in {self._unlimited} of {self._scans} scans: these "
+            "limits are not filled in, and every finite range above 0 is used. If the laser sees less far, set "
+            "lrf.range_max in m"
+        )
+
+    def _word(self) -> str:
         share = self.count / self._read
         return (
             f"{share:.{0 if share > 0.02 else 1}%} of its ranges are exactly {self.value:g} m, the longest: "
@@ -67,16 +88,18 @@ class Longest:
 
 
 def left_out(laser: Laser, read: Callable[[Laser, Longest], T]) -> tuple[T, Laser, tuple[str, ...]]:
-    """Read scans; if their longest range means "no return", read them again without it; return laser and note.
+    """Read scans; if their longest range means "no return", read them again without it; return laser and notes.
 
     Not where `laser` says how far it sees: then the user has decided. `read` shows all ranges to what it is given.
     """
     longest = Longest()
     found = read(laser, longest)
-    if laser.range_max is not None or longest.no_return is None:
+    if laser.range_max is not None:
         return found, laser, ()
-    laser = laser._replace(range_max=float(np.nextafter(longest.no_return, 0.0)))
-    return read(laser, Longest()), laser, (longest.note,)
+    if longest.no_return is not None:
+        laser = laser._replace(range_max=float(np.nextafter(longest.no_return, 0.0)))
+        found = read(laser, Longest())
+    return found, laser, longest.notes
 
 
 class ScanPoints(msgspec.Struct, frozen=True, eq=False, weakref=True):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -137,6 +137,18 @@ def points_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: W
     return se2.transform(laser.mount, points), t
 
 
+def limited(scans: Mapping[str, Any]) -> NDArray[np.bool_]:
+    """Return whether the driver filled in the limits of each scan (k,): range_max is above range_min."""
+    return np.asarray(np.asarray(scans["range_max"]) > np.asarray(scans["range_min"]))  # False for NaN
+
+
+def limits(scans: Mapping[str, Any]) -> tuple[Array, Array]:
+    """Return the least and the greatest range (k,) [m] of a return; every finite one above 0 without limits."""
+    near, far = (np.asarray(scans[name], np.float64) for name in ("range_min", "range_max"))
+    known = limited(scans)
+    return np.where(known, np.maximum(near, LEAST), LEAST), np.where(known, np.minimum(far, MOST), MOST)
+
+
 def returns(scans: dict[str, Any], laser: Laser) -> tuple[Array, Array]:
     """Return ranges [m] (NaN without a return) and angles [rad, laser's frame] of k scans, (k, b) each."""
     beams = scans["ranges"].shape[1]
@@ -144,9 +156,9 @@ def returns(scans: dict[str, Any], laser: Laser) -> tuple[Array, Array]:
     if laser.flipped:
         angles = -angles
     ranges = scans["ranges"].astype(np.float64)  # a copy
-    near = np.maximum(scans["range_min"], LEAST)[:, None]
-    far = np.minimum(np.minimum(scans["range_max"], laser.range_max or np.inf), MOST)[:, None]
-    invalid = ~((near <= ranges) & (ranges <= far))  # NaN is neither
+    near, far = limits(scans)
+    far = np.minimum(far, laser.range_max or np.inf)
+    invalid = ~((near[:, None] <= ranges) & (ranges <= far[:, None]))  # NaN is neither
     ranges *= laser.scale
     ranges += laser.offset
     ranges[invalid] = np.nan

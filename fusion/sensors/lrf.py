@@ -122,7 +122,7 @@ class Lrf(Sensor):
         for rows, columns in stream.blocks(*self.reads[stream.msgtype], rows=SCANS_PER_BLOCK):
             found.giants += too_many_beams(columns)
             for group, scans in equal_scans(columns):
-                longest.add(scans["ranges"], scans["range_max"])
+                longest.add(scans)
                 at = rows[group]
                 lines, t[at] = lines_in_base(scans, stamps[at], laser, wheels)
                 found.add(at, lines)

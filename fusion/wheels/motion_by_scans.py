@@ -383,7 +383,7 @@ def _read(stream: Stream, laser: Laser, wheels: WheelMotion, longest: Longest) -
     for rows, columns in stream.blocks(*SCAN_FIELDS, rows=SCANS_PER_BLOCK):
         skewed |= bool(np.any(cast("Array", columns["time_increment"]) > 0.0)) and laser.deskew
         for group, scans in equal_scans(columns):
-            longest.add(scans["ranges"], scans["range_max"])
+            longest.add(scans)
             at = rows[group]
             xy, t[at] = points_in_base(scans, stamps[at], laser, wheels)
             for row, p in zip(at.tolist(), xy, strict=True):

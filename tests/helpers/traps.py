@@ -448,6 +448,8 @@ LASER_TRAPS = (
     Trap("no return beyond range_max", no_returns(9.0), "without a return: 17% beyond range_max", False, "lrf"),
     Trap("no return as range_max, or as one other range", SATURATED,
          "exactly 5 m, the longest: read as no return", False, "lrf"),
+    Trap("a range_max that is not filled in", field(SCAN, range_max=0.0), "these limits are not filled in", False,
+         "lrf"),
     Trap("a laser that scans clockwise", clockwise, "clockwise", False, "lrf"),
     Trap("a laser upside-down", upside_down, "mounted upside-down", True, "lrf"),
     Trap("upside-down, said by /tf_static", told_by_tf(upside_down, HANGING), "upside-down by /tf_static",

@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 from laser_room import SCAN, ranges_of, scan_stream
+from msgspec.structs import replace
 from numpy.typing import NDArray
 from ring_drive import box
 from textbook import wrap
 
 from locfuse.formats.columns import take
 from locfuse.fusion import se2
+from locfuse.fusion.checks.laser_ranges import scatter
 from locfuse.fusion.data import Array, ArrayStream, Block, Measurements
 from locfuse.fusion.ekf.belief_arrays import JointBelief
 from locfuse.fusion.kernels.sight import Rules
@@ -67,6 +69,27 @@ def test_scans_are_matched_as_if_it_were_no_number() -> None:
     np.testing.assert_array_equal(said.wheels.pose, right.wheels.pose)
 
 
+@pytest.mark.parametrize(("near", "far"), [(0.0, 0.0), (0.15, 0.0), (0.0, math.nan), (math.nan, 12.0), (2.0, 1.0)])
+def test_limits_that_the_driver_does_not_fill_in_limit_nothing(near: float, far: float) -> None:
+    right = yard(math.inf)
+    n = len(right.t_ns)
+    stream = replace(right, data={**right.data, "range_min": np.full(n, near), "range_max": np.full(n, far)})
+    found, expected = lines_of(stream), lines_of(right)
+    np.testing.assert_array_equal(found.z, expected.z)
+    (note,) = set(found.notes) - set(expected.notes)
+    assert f"range_max is {far:g} m and range_min {near:g} m in {n} of {n} scans" in note
+    assert not any("not filled in" in note for note in lines_of(stream, range_max=12.0).notes)  # the user decided
+    laser = laser_of(LrfSettings())
+    by_scans = (match_scans(s, laser).reading(WheelSettings(), 0.0) for s in (stream, right))
+    np.testing.assert_array_equal(*(motion.wheels.pose for motion in by_scans))
+    np.testing.assert_array_equal(scatter(stream.data), scatter(right.data))
+
+
+def within(ranges: Array, far: float = 12.0) -> dict[str, Array]:
+    """Return scans of `ranges` (k, b) [m] with a range_max [m]."""
+    return {"ranges": ranges, "range_min": np.zeros(len(ranges)), "range_max": np.full(len(ranges), far)}
+
+
 @pytest.mark.parametrize("step", [0.0, 0.01, 0.05])
 @pytest.mark.parametrize("seed", range(4))
 def test_the_longest_range_of_a_room_is_a_wall(step: float, seed: int) -> None:
@@ -80,28 +103,27 @@ def test_the_longest_range_of_a_room_is_a_wall(step: float, seed: int) -> None:
                 wall = np.minimum(4.0 / np.abs(np.cos(angle)), (3.0 + moves * i) / np.abs(np.sin(angle)))
             noisy = wall + 0.02 * rng.standard_normal(BEAMS)
             row = np.round(noisy / step) * step if step else noisy
-            longest.add(row[None], np.array([12.0]))
+            longest.add(within(row[None]))
         assert longest.no_return is None
 
 
 def test_how_the_log_is_cut_into_blocks_does_not_matter() -> None:
     ranges: Array = np.asarray(yard(WORD).data["ranges"].values).reshape(SCANS, BEAMS)  # type: ignore[union-attr]
-    far = np.full(SCANS, 12.0)
     whole, pieces, backwards = Longest(), Longest(), Longest()
-    whole.add(ranges, far)
+    whole.add(within(ranges))
     for i in range(SCANS):
-        pieces.add(ranges[i : i + 1], far[:1])
-        backwards.add(ranges[-1 - i][None], far[:1])
+        pieces.add(within(ranges[i : i + 1]))
+        backwards.add(within(ranges[-1 - i][None]))
     assert whole.no_return == pieces.no_return == backwards.no_return == WORD
-    assert whole.note == pieces.note == backwards.note
+    assert whole.notes == pieces.notes == backwards.notes
     assert whole.count == int((ranges == WORD).sum())
 
 
 def test_scans_without_a_beam_or_a_return_say_nothing() -> None:
     longest = Longest()
-    longest.add(np.zeros((3, 0)), np.full(3, 12.0))
-    longest.add(np.full((3, 40), np.nan), np.full(3, 12.0))
-    longest.add(np.full((3, 40), 13.0), np.full(3, 12.0))  # beyond range_max: known to be none
+    longest.add(within(np.zeros((3, 0))))
+    longest.add(within(np.full((3, 40), np.nan)))
+    longest.add(within(np.full((3, 40), 13.0)))  # beyond range_max: known to be none
     assert longest.no_return is None
 
 

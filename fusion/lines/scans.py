@@ -27,6 +27,8 @@ MAX_BEAMS = 100_000  # of one scan: no 2D laser has more
 MAX_LINES = 500  # of one scan: no room shows more, and a correction by n of them takes 32 n^2 bytes and n^3 time
 BEAMS_AT_ONCE = 1 << 19  # lines are extracted from scans of at most so many beams together: memory is bounded
 KNOTS_PER_SCAN = 5  # instants of a scan at which the wheels are asked where the robot was
+MIN_MOVED_M, MIN_TURNED_RAD = 0.02, math.radians(1.0)  # of a robot that no longer sees exactly the same
+STANDING_MPS, STANDING_RADPS = 0.005, 0.005  # by which the odometry of a standing robot drifts at most
 MAX_SAME_TURN_RAD, MAX_SAME_SHIFT_M = 0.6, 0.4  # lines of neighbouring scans further apart: different walls
 
 
@@ -108,6 +110,35 @@ def equal_scans(columns: dict[str, Any]) -> list[tuple[Ints, dict[str, Any]]]:
 def too_many_beams(columns: dict[str, Any]) -> int:
     """Count the scans of a block that have more than MAX_BEAMS beams."""
     return int((cast("Ragged", columns["ranges"]).lengths > MAX_BEAMS).sum())
+
+
+def repeats(ranges: Ragged, before: bytes, least: int) -> tuple[NDArray[np.bool_], bytes]:
+    """Return whether each scan (k,) repeats the one before bit for bit, and the bytes of the last one.
+
+    `before` are the bytes of the scan before the first. A scan of fewer than `least` returns shows nothing.
+    """
+    same = np.zeros(len(ranges), bool)
+    for i in range(len(ranges)):
+        data = ranges[i].tobytes()
+        same[i] = data == before and int((np.isfinite(ranges[i]) & (ranges[i] > 0.0)).sum()) >= least
+        before = data
+    return same, before
+
+
+def frozen(same: NDArray[np.bool_], t: Array, wheels: WheelMotion) -> NDArray[np.bool_]:
+    """Return which scans (n,) at t [s] are copies of an earlier one, made while the wheels moved the robot.
+
+    `same` (n,): equal to the scan before. A noise-free simulated laser repeats itself while the robot stands: what
+    a standing robot's odometry may drift is no motion.
+    """
+    first = np.maximum.accumulate(np.where(same, 0, np.arange(len(same))))  # of equal scans in a row
+    at = np.flatnonzero(same)
+    if not len(at):
+        return same
+    u, dt = wheels.relative(t[first[at]], t[at]), t[at] - t[first[at]]
+    moved = np.hypot(u[:, 0], u[:, 1]) > MIN_MOVED_M + STANDING_MPS * dt
+    moved |= np.abs(u[:, 2]) > MIN_TURNED_RAD + STANDING_RADPS * dt
+    return same & np.isin(first, first[at[moved]])
 
 
 def lines_in_base(scans: dict[str, Any], stamps: Array, laser: Laser, wheels: WheelMotion) -> tuple[Lines, Array]:

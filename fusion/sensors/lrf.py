@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
-from locfuse.fusion.data import Array, Colour, Component, Measurements, Stream
+from locfuse.fusion.data import Array, Colour, Component, Measurements, Ragged, Stream
 from locfuse.fusion.lines.extract import LineSettings
 from locfuse.fusion.lines.points import SCANS_PER_BLOCK, Longest, ScanPoints, left_out
 from locfuse.fusion.lines.scans import (
@@ -21,7 +22,9 @@ from locfuse.fusion.lines.scans import (
     Gathered,
     Laser,
     equal_scans,
+    frozen,
     lines_in_base,
+    repeats,
     too_many_beams,
     turns,
     wall_floor,
@@ -85,10 +88,15 @@ class Lrf(Sensor):
     def measure(self, stream: Stream, settings: LrfSettings, wheels: WheelMotion, epoch_ns: int) -> Measurements:
         """Extract the lines of every scan, deskewed to the middle of the scan, in the base frame."""
         stamps: Array = (stream.t_ns - epoch_ns) * np.float64(1e-9) + settings.time_offset
-        (t, found), laser, unseen = left_out(
+        (t, found, same), laser, unseen = left_out(
             laser_of(settings), lambda laser, longest: self._lines(stream, stamps, laser, wheels, longest)
         )
         first, z, R_unit, ends, sweep = found.in_order(len(t))
+        gone = frozen(same, t, wheels)
+        if gone.any():
+            kept = np.repeat(~gone, np.diff(first))
+            z, R_unit, ends, sweep = z[kept], R_unit[kept], ends[kept], sweep[kept]
+            first, t = np.concatenate(([0], np.cumsum(np.diff(first)[~gone]))), t[~gone]
         uneven = np.zeros(2)  # variances of r [m^2] and psi [rad^2] from uneven walls
         if settings.walls == "found":
             own = settings.sigma_range**2 * R_unit[:, 1, 1]
@@ -99,9 +107,9 @@ class Lrf(Sensor):
             extra["shared"] = sweep
         if uneven.any():
             extra["uneven"] = np.broadcast_to(uneven, z.shape)  # m^2, rad^2
-        too_large = {"too_many_beams": found.giants, "too_many_lines": found.crowded}
-        dropped = {**stream.dropped, **{reason: n for reason, n in too_large.items() if n}}
-        points = ScanPoints(stream, self.reads[stream.msgtype], stamps, laser, wheels, np.arange(len(t)))
+        unused = {"repeat": int(gone.sum()), "too_many_beams": found.giants, "too_many_lines": found.crowded}
+        dropped = {**stream.dropped, **{reason: n for reason, n in unused.items() if n}}
+        points = ScanPoints(stream, self.reads[stream.msgtype], stamps, laser, wheels, np.flatnonzero(~gone))
         notes, (offset, angle), walls = [*unseen], np.sqrt(uneven), found.curved + found.straight
         if offset > settings.floor_range or angle > math.radians(settings.floor_angle_deg):
             notes.append(
@@ -116,17 +124,21 @@ class Lrf(Sensor):
 
     def _lines(
         self, stream: Stream, stamps: Array, laser: Laser, wheels: WheelMotion, longest: Longest
-    ) -> tuple[Array, Gathered]:
-        """Return the instants of the scans (n,) [s] and their lines; `longest` counts all ranges."""
-        t, found = stamps.copy(), Gathered()
+    ) -> tuple[Array, Gathered, NDArray[np.bool_]]:
+        """Return the instants of the scans (n,) [s], their lines, and which repeat the one before (n,).
+
+        `longest` counts all ranges.
+        """
+        t, found, same, before = stamps.copy(), Gathered(), np.zeros(len(stamps), bool), b""
         for rows, columns in stream.blocks(*self.reads[stream.msgtype], rows=SCANS_PER_BLOCK):
             found.giants += too_many_beams(columns)
+            same[rows], before = repeats(cast("Ragged", columns["ranges"]), before, laser.lines.min_points)
             for group, scans in equal_scans(columns):
                 longest.add(scans)
                 at = rows[group]
                 lines, t[at] = lines_in_base(scans, stamps[at], laser, wheels)
                 found.add(at, lines)
-        return t, found
+        return t, found, same
 
     def heading(self, m: Measurements) -> tuple[Array, Array]:
         """Return times (n,) and headings (n,) [rad, unwrapped, up to a constant] by lines from scan to scan."""

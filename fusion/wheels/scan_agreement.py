@@ -178,11 +178,12 @@ def scan_pairs(stream: Stream, laser: Laser, motions: Sequence[WheelReading]) ->
     rows, at = np.unique(np.concatenate((first, later)), return_inverse=True)
     found = _points(stream, laser, rows, SURFACE_POINTS)
     surface, points = ([found[k] for k in part.tolist()] for part in np.split(at, 2))
-    moved = [not np.array_equal(a, b) for a, b in zip(surface, points, strict=True)]
-    if not any(moved):  # a laser that repeats itself tells nothing
+    # a laser that repeats itself tells nothing
+    told = [k for k, (a, b) in enumerate(zip(surface, points, strict=True)) if not np.array_equal(a, b)]
+    if not told:
         return None
-    points = [p[:: max(1, len(p) // POINTS)] for p in points]
-    return ScanPairs(stream, laser, t, first, later, surface, points)
+    surface, points = [surface[k] for k in told], [points[k][:: max(1, len(points[k]) // POINTS)] for k in told]
+    return ScanPairs(stream, laser, t, first[told], later[told], surface, points)
 
 
 def _times(stream: Stream, motion: WheelReading, t_from: Array, t_to: Array) -> tuple[Array, Array]:

@@ -370,6 +370,19 @@ def no_returns(word: float) -> Change:
     return field(SCAN, ranges=edit, range_max=8.0)
 
 
+def freezes(drive: Drive) -> None:
+    """The driver sends one scan again and again for a second, under new stamps."""
+    held: list[RawMessage] = []
+
+    def edit(m: RawMessage) -> RawMessage:
+        if not 4.0 <= seconds(m) < 5.0:
+            return m
+        held.append(m)
+        return changed(m, ranges=held[0].fields["ranges"])
+
+    drive.each(SCAN, edit)
+
+
 def flipped(ranges: Array) -> Array:
     return np.ascontiguousarray(ranges[::-1])
 
@@ -450,6 +463,7 @@ LASER_TRAPS = (
          "exactly 5 m, the longest: read as no return", False, "lrf"),
     Trap("a range_max that is not filled in", field(SCAN, range_max=0.0), "these limits are not filled in", False,
          "lrf"),
+    Trap("a laser that freezes while the robot drives", freezes, "repeat the one before", False, "lrf"),
     Trap("a laser that scans clockwise", clockwise, "clockwise", False, "lrf"),
     Trap("a laser upside-down", upside_down, "mounted upside-down", True, "lrf"),
     Trap("upside-down, said by /tf_static", told_by_tf(upside_down, HANGING), "upside-down by /tf_static",

@@ -127,6 +127,44 @@ def test_scans_without_a_beam_or_a_return_say_nothing() -> None:
     assert longest.no_return is None
 
 
+# --- a laser that freezes: its driver sends one scan again and again
+
+
+def rows_of(stream: ArrayStream, rows: Array) -> ArrayStream:
+    return replace(stream, t_ns=stream.t_ns[rows], data={k: take(v, rows) for k, v in stream.data.items()})
+
+
+@pytest.mark.parametrize(("turns", "way"), [(True, True), (False, True), (True, False)])
+def test_copies_of_a_scan_while_the_wheels_move_are_no_measurements(*, turns: bool, way: bool) -> None:
+    """As if the copies were not there; a robot that stands sees exactly the same, and its odometry may drift."""
+    right, n = yard(math.nan), 12
+    ranges = np.array(right.data["ranges"].values).reshape(SCANS, BEAMS)  # type: ignore[union-attr]
+    ranges[21 : 21 + n] = ranges[20]
+    stream, left = scan_stream(STAMPS, ranges), np.r_[0:21, 21 + n : SCANS]
+    twist = np.tile([0.07 * way, 0.0, 0.07 * turns], (SCANS - 1, 1))
+    t = 1e-9 * np.array(STAMPS)
+    driven = Wheels.from_twists(t, twist, 0.3, 1e-4)
+    found = Lrf().measure(stream, LrfSettings(), driven, 0)
+    expected = Lrf().measure(rows_of(right, left), LrfSettings(), driven, 0)
+    assert found.dropped == {"repeat": n}
+    for name in ("t", "first", "z", "R"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    assert found.points is not None
+    (seen,) = found.points.read(np.array([21]))
+    np.testing.assert_array_equal(seen, expected.points.read(np.array([21]))[0])  # type: ignore[union-attr]
+    drifts = Wheels.from_twists(t, 0.004 * twist, 0.3, 1e-4)  # 1.4 mm/s, 0.08 degrees/s
+    stood = Lrf().measure(stream, LrfSettings(), drifts, 0)
+    assert stood.dropped == {}
+    assert len(stood.t) == SCANS
+
+
+def test_scans_that_see_nothing_are_no_copies() -> None:
+    stream = scan_stream(STAMPS, np.full((SCANS, BEAMS), math.inf))
+    twist = np.tile([0.1, 0.0, 0.0], (SCANS - 1, 1))
+    driven = Wheels.from_twists(1e-9 * np.array(STAMPS), twist, 0.3, 1e-4)
+    assert Lrf().measure(stream, LrfSettings(), driven, 0).dropped == {}
+
+
 # --- points of chosen scans: read from the log again, but not again for scans that lie beside the last ones
 
 SEEN, PER_BLOCK, RAYS = 12, 4, 8

@@ -134,6 +134,16 @@ def test_a_laser_that_repeats_one_scan_judges_nothing(tmp_path: Path) -> None:
     assert chosen(tmp_path, odometry(T, TRUTH), scans).of("wheels") == ("/odom",)
 
 
+def test_a_laser_that_freezes_for_some_time_does_not_judge_a_motion_there() -> None:
+    true, rng = moved_by(TRUTH), np.random.default_rng(1)
+    ranges = np.stack([ranges_of(pose, ROOM, rng) for pose in TRUTH])
+    a, b = len(T) // 4, 3 * len(T) // 4
+    ranges[a:b] = ranges[a]
+    pairs = present(scan_pairs(scan_stream(stamps(T), ranges), laser_of(LrfSettings()), [true]))
+    assert not ((pairs.first >= a) & (pairs.later < b)).any()
+    assert len(pairs.points) == len(pairs.surface) == len(pairs.first)
+
+
 def test_a_log_of_five_seconds_is_judged_as_well(tmp_path: Path) -> None:
     t, truth = circle(5.0)
     choice = chosen(tmp_path, odometry(t, truth), scans_of(t, truth))

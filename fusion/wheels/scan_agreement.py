@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 import msgspec
@@ -175,11 +176,14 @@ def scan_pairs(stream: Stream, laser: Laser, motions: Sequence[WheelReading]) ->
     of = np.flatnonzero(moves) if moves.sum() >= MIN_MOVING else np.arange(len(first))
     some = of[np.unique(np.linspace(0, len(of) - 1, min(PAIRS, len(of))).astype(np.int64))]
     first, later = first[some], later[some]
-    rows, at = np.unique(np.concatenate((first, later)), return_inverse=True)
+    both = np.concatenate((first, later))
+    rows, at = np.unique(np.concatenate((both, np.maximum(both - 1, 0))), return_inverse=True)
     found = _points(stream, laser, rows, SURFACE_POINTS)
-    surface, points = ([found[k] for k in part.tolist()] for part in np.split(at, 2))
-    # a laser that repeats itself tells nothing
-    told = [k for k, (a, b) in enumerate(zip(surface, points, strict=True)) if not np.array_equal(a, b)]
+    surface, points, *before = ([found[k] for k in part.tolist()] for part in np.split(at, 4))
+    # a scan that repeats the one before is older than its stamp, or the robot stands: it tells nothing
+    seen = zip(both.tolist(), (*surface, *points), chain(*before), strict=True)
+    new = np.array([row == 0 or not np.array_equal(scan, last) for row, scan, last in seen])
+    told = np.flatnonzero(new.reshape(2, -1).all(axis=0)).tolist()
     if not told:
         return None
     surface, points = [surface[k] for k in told], [points[k][:: max(1, len(points[k]) // POINTS)] for k in told]

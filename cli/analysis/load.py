@@ -21,6 +21,7 @@ from locfuse.formats.logs.log import Log, open_log
 from locfuse.formats.nearest import did_you_mean
 from locfuse.formats.robot import robot_toml
 from locfuse.fusion import se2
+from locfuse.fusion.checks.laser_ranges import of_angles
 from locfuse.fusion.data import Array, Drive, Event, LocfuseError, Measurements, Stream, UsageError
 from locfuse.fusion.measure import begun, led_back, measure, windowed
 from locfuse.fusion.paper import preset as filters
@@ -221,12 +222,18 @@ def measured(
         *_clock_notes(streams),
         *start_notes(robot, drive),
         *standing_notes(drive.wheels),
+        *_laser_notes(streams),
         *((TWICE,) if by_scans and "lrf" in drive.measurements else ()),
         *drive.notes,
     )
     drive = replace(drive, notes=notes, fixes={**choice.fixes, **drive.fixes})
     faults = find_motion_faults(log, robot, choice, motion)
     return Loaded(log, robot, choice, drive, tables, matched=matched, reading=motion, motion_faults=faults)
+
+
+def _laser_notes(streams: Mapping[str, Any]) -> list[str]:
+    """Return the note on scan angles that contradict each other."""
+    return [f.line for f in of_angles(streams["lrf"])] if "lrf" in streams else []
 
 
 def _first_scan(streams: Mapping[str, Any], robot: Robot, drive: Drive) -> float | None:

@@ -202,7 +202,7 @@ OF_CLOUD = (
     *("fields.name", "fields.offset", "fields.datatype"),
     *("height", "width", "point_step", "row_step", "is_bigendian", "data"),
 )
-LIKE_A_SCAN = ("angle_min", "angle_increment", "time_increment", "range_min", "range_max")
+LIKE_A_SCAN = ("angle_min", "angle_max", "angle_increment", "time_increment", "range_min", "range_max")
 OF_ECHOES = (*LIKE_A_SCAN, "ranges.echoes", "ranges.echoes.length")
 TURN, PLACE = _axes("pose.orientation", "xyzw"), _axes("pose.position", "xyz")
 OF_FOXGLOVE_CLOUD = ("point_stride", "fields.name", "fields.offset", "fields.type", "data", *PLACE, *TURN)
@@ -239,7 +239,7 @@ def cloud_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) -> 
 def _as_scans(n: int, cloud: Callable[[int], Array], fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
     """Return LaserScan fields of n clouds; `cloud` gives the points (m, 3) [m] of one of them."""
     step = 2.0 * np.pi / SLICE_BEAMS
-    fixed = zip(LIKE_A_SCAN, (-np.pi + 0.5 * step, step, 0.0, NEAR_M, FAR_M), strict=True)
+    fixed = zip(LIKE_A_SCAN, (-np.pi + 0.5 * step, np.pi - 0.5 * step, step, 0.0, NEAR_M, FAR_M), strict=True)
     made: dict[str, Column] = {name: np.full(n, value) for name, value in fixed}
     if "ranges" in fields:
         ranges = [level_slice(cloud(i), OPTICAL in frame_id) for i in range(n)]
@@ -285,8 +285,10 @@ def foxglove_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) 
     """
     start, end = _numbers(columns["start_angle"]), _numbers(columns["end_angle"])
     ranges, turn = _ragged(columns, "ranges"), headings(*_stacked(columns, TURN).T)
+    turned = np.where(np.isfinite(turn), turn, 0.0)
     return {
-        "angle_min": start + np.where(np.isfinite(turn), turn, 0.0),
+        "angle_min": start + turned,
+        "angle_max": end + turned,
         "angle_increment": (end - start) / np.maximum(ranges.lengths - 1, 1),
         **dict.fromkeys(("time_increment", "range_min"), np.zeros(len(start))),
         "range_max": np.full(len(start), FAR_M),

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from typing import Any, cast
 
 import numpy as np
 
 from locfuse.fusion.chi_square import MAD
-from locfuse.fusion.data import Array, Ints, Ragged, Stream
+from locfuse.fusion.data import Array, Ints, LocfuseError, Ragged, Stream
 from locfuse.fusion.lines.scans import MAX_BEAMS, equal_scans, limits, returns
 from locfuse.fusion.sensors.lrf import Lrf, LrfSettings, laser_of
 
@@ -30,6 +31,8 @@ CHECKED_BEAMS = 16  # of those on either side of the middle one
 MAX_OFF_WALL_M = 0.1  # between the three beams everything is so near to one straight wall
 MIN_STRETCH_TRIPLES, STRETCHES = 200, 8  # in each of the stretches whose values must agree
 MIN_OFFSET_M, SEVERE_OFFSET_M, OFFSET_SIGMAS = 0.02, 0.03, 5.0  # m: corners and noise shift it by less; sigmas
+SPAN_FIELDS = ("angle_min", "angle_max", "angle_increment", "ranges")
+MAX_OFF_STEPS = 3.0  # increments by which angle_max may be off: drivers count a beam or two wrongly
 
 
 def driver(stream: Stream) -> list[Finding]:
@@ -42,7 +45,35 @@ def driver(stream: Stream) -> list[Finding]:
     lengths = np.concatenate([r.lengths for r in ranges])
     values = np.concatenate([r.values[r.first[0] : r.first[-1]] for r in ranges]).astype(np.float64)
     far = np.repeat(limits(column)[1], lengths)
-    return [*_nothing(values, far), *_angles(column, lengths), *_in_turn(column)]
+    return [*_nothing(values, far), *_angles(column, lengths), *_in_turn(column), *of_angles(stream)]
+
+
+def of_angles(stream: Stream) -> list[Finding]:
+    """Return a finding where angle_max contradicts angle_increment and the number of beams, by the first scans.
+
+    Severe where the beams would span more than a whole turn: then angle_increment is wrong, which is what is used.
+    """
+    columns: Mapping[str, Any] | None = None
+    with suppress(LocfuseError):  # a scan without angle_max contradicts nothing
+        columns = next((columns for _, columns in stream.blocks(*SPAN_FIELDS, rows=SAMPLE_SCANS)), None)
+    if columns is None:
+        return []
+    low, high, step = (np.asarray(columns[k], np.float64) for k in SPAN_FIELDS[:3])
+    beams = cast("Ragged", columns["ranges"]).lengths
+    by_ends, by_steps = np.abs(high - low), np.abs(step) * (beams - 1)
+    wrong = (np.abs(by_steps - by_ends) > MAX_OFF_STEPS * np.abs(step)) & (by_ends > 0.0) & (beams > 1)
+    if 2 * wrong.sum() <= len(wrong):
+        return []
+    i = int(np.flatnonzero(wrong)[0])
+    ends, steps, last = math.degrees(by_ends[i]), math.degrees(by_steps[i]), int(beams[i]) - 1
+    too_far = bool(by_steps[i] > 2.0 * math.pi + MAX_OFF_STEPS * abs(step[i]))
+    more = " That is more than a whole turn, so it and all beam directions are wrong." if too_far else ""
+    words = (
+        f"angle_max - angle_min is {ends:.2f}°, but {last} times angle_increment is {steps:.2f}°; "
+        f"angle_increment is used.{more} If angle_max is right, correct angle_increment in the driver: "
+        f"{math.radians(ends / last):.6g} rad"
+    )
+    return [Finding("lrf", "angle increment", words, severe=too_far)]
 
 
 def of_scatter(stream: Stream, settings: LrfSettings) -> list[Finding]:

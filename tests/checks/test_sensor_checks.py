@@ -24,6 +24,7 @@ from locfuse.fusion.checks.finding import Finding
 from locfuse.fusion.checks.laser_ranges import (
     SAMPLE_SCANS,
     _sample,
+    of_angles,
     of_offset,
     of_scatter,
     ranges_offset,
@@ -32,7 +33,7 @@ from locfuse.fusion.checks.laser_ranges import (
 )
 from locfuse.fusion.checks.pictures import of_handedness, of_rims
 from locfuse.fusion.checks.probes import beyond_prior, of_probe
-from locfuse.fusion.data import Array, Drive, Estimates, Ragged, Truth
+from locfuse.fusion.data import Array, ArrayStream, Drive, Estimates, Ragged, Truth
 from locfuse.fusion.lines.scans import MAX_BEAMS
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import wrap_all
@@ -360,3 +361,45 @@ def test_not_where_the_run_is_not_sure_of_it_and_not_for_a_sensor_without_a_moun
     vague = replace(found, block_sigmas={"lrf_yaw": np.array([[math.radians(0.5)]])})
     assert not beyond_prior(robot(), "lrf", vague)
     assert not beyond_prior(robot(), "compass", found)
+
+
+# --- angle_max, which nothing uses, beside angle_increment, which gives every beam its direction
+
+
+def spanned(beams: int, span_deg: float, step_deg: float) -> ArrayStream:
+    """Five scans of `beams` ranges whose angle_max says `span_deg`, and whose angle_increment says `step_deg`."""
+    data = {
+        "angle_min": np.full(5, -math.pi),
+        "angle_max": np.full(5, -math.pi + math.radians(span_deg)),
+        "angle_increment": np.full(5, math.radians(step_deg)),
+        "ranges": Ragged(np.ones(5 * beams), beams * np.arange(6)),
+    }
+    return ArrayStream("/scan", "sensor_msgs/msg/LaserScan", np.arange(5), data)
+
+
+BEAM_SPANS = [
+    (361, 180, 0.5),
+    (360, 180, 0.5),
+    (362, 180, 0.5),
+    (360, -180, -0.5),
+    (360, 0, 1),
+    (1, 1, 1),
+    (0, 1, 1),
+]
+
+
+@pytest.mark.parametrize(("beams", "span", "step"), BEAM_SPANS)
+def test_an_angle_max_that_is_off_by_a_beam_or_not_filled_in_is_no_finding(
+    beams: int, span: float, step: float
+) -> None:
+    assert of_angles(spanned(beams, span, step)) == []
+
+
+def test_angles_that_contradict_each_other_are_severe_where_they_make_more_than_a_whole_turn() -> None:
+    (half,) = of_angles(spanned(361, 180.0, 0.51))
+    assert not half.severe
+    assert "angle_max - angle_min is 180.00°, but 360 times angle_increment is 183.60°" in half.message
+    assert f"{math.radians(0.5):.6g} rad" in half.message
+    (whole,) = of_angles(spanned(720, 359.5, 0.51))
+    assert whole.severe
+    assert "more than a whole turn" in whole.message

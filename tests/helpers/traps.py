@@ -463,6 +463,8 @@ LASER_TRAPS = (
          "exactly 5 m, the longest: read as no return", False, "lrf"),
     Trap("a range_max that is not filled in", field(SCAN, range_max=0.0), "these limits are not filled in", False,
          "lrf"),
+    Trap("an angle_max that contradicts the increment", field(SCAN, angle_max=lambda a: a - 0.2),
+         "angle_increment is used", False, "lrf"),
     Trap("a laser that freezes while the robot drives", freezes, "repeat the one before", False, "lrf"),
     Trap("a laser that scans clockwise", clockwise, "clockwise", False, "lrf"),
     Trap("a laser upside-down", upside_down, "mounted upside-down", True, "lrf"),

@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from locfuse.cli.analysis.topics import Choice
-from locfuse.formats.logs.clock import ON_STAMPS, Clock
+from locfuse.formats.logs.clock import Clock
 from locfuse.formats.logs.log import UnreadableTopicError
 from locfuse.fusion.checks.examine import gaps
 from locfuse.fusion.checks.finding import Finding
@@ -160,7 +160,7 @@ def _other_clocks(known: Mapping[str, TopicFacts], choice: Choice, robot: Robot)
         return found
     for role, topic in choice.topics.items():
         f = known.get(topic)
-        if f is None or any(one.clock is not None and one.clock.words == ON_STAMPS for one in (f, wheels)):
+        if f is None or any(one.clock is not None and one.clock.on_stamps for one in (f, wheels)):
             continue  # dated on the clock that the stamps are of
         off = f.beside_s - wheels.beside_s
         settings = robot.truth if role == "truth" else robot.settings(role) if role in REGISTRY else None

@@ -5,12 +5,13 @@ contradicts it is replaced: it is dated by its recording time, between the trust
 messages were recorded together, stamps are moved as little as their order asks for (isotonic regression).
 
 A simulation that is recorded by wall time has stamps of seconds since its start, and it seldom runs as fast as the
-wall's clock. What has no header is then dated by when it was recorded, read on the clock of the others' stamps.
+wall's clock, and a log that was replayed and recorded again keeps the old stamps. What has no stamps of its own
+is then dated by when it was recorded, read on the clock of the others' stamps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -35,10 +36,10 @@ LIGHT = (
     "sensor_msgs/msg/LaserScan",
 )
 MIN_MESSAGES, MAX_TOPICS = 20, 3
-ON_STAMPS = "log time on the clock of the others' stamps (no header)"
 SAME_CLOCK_NS = 10**9  # offsets from the recording that differ by less are of one clock
 
 Mask = NDArray[np.bool_]
+Others = Callable[[], tuple[Ints, Ints] | None]  # log times and stamps (n,) of another clock (common_clock)
 
 
 class Clock(msgspec.Struct, frozen=True):
@@ -51,6 +52,7 @@ class Clock(msgspec.Struct, frozen=True):
     repaired: dict[str, int] = field(default_factory=dict)  # reason -> stamps replaced
     dropped: dict[str, int] = field(default_factory=dict)  # reason -> messages without a usable time
     notes: tuple[str, ...] = ()
+    on_stamps: bool = False  # whether they are recording times read on the clock of other topics' headers
 
     @property
     def as_stamped(self) -> bool:
@@ -81,14 +83,26 @@ class UnreadableStream:
         raise self.problem
 
 
-def settle(log_time: Ints, stamp: Ints | None, order: str = "auto") -> Clock:
-    """Choose times for readings recorded at `log_time` (n,), never decreasing, by header stamps (n,)."""
+def settle(log_time: Ints, stamp: Ints | None, order: str = "auto", others: Others = lambda: None) -> Clock:
+    """Choose times for readings recorded at `log_time` (n,), never decreasing, by header stamps (n,).
+
+    Without usable stamps they are the recording times, on the clock of the stamps of `others` if that is another.
+    """
+    clock = _settled(log_time, stamp, order)
+    if clock.by_stamps or order != "auto" or (known := others()) is None:
+        return clock
+    return on_clock(clock, known)
+
+
+def _settled(log_time: Ints, stamp: Ints | None, order: str) -> Clock:
     if stamp is None:
         return Clock(log_time, None, "log time (no header)")
     if not len(stamp):
         return Clock(log_time, None, "header stamps", by_stamps=True)
     if order == "stamp":
         return _by_stamp(log_time, stamp)
+    if not stamp.any():
+        return Clock(log_time, None, "log time (all header stamps are zero)")
     bad = _untrusted(log_time, stamp)
     trusted = ~np.any([*bad.values()], axis=0)
     if order == "recorded":
@@ -219,9 +233,11 @@ def common_clock(pairs: Sequence[tuple[Ints, Ints]]) -> tuple[Ints, Ints] | None
 
 
 def on_clock(clock: Clock, known: tuple[Ints, Ints]) -> Clock:
-    """Return recording times converted to the clock of the stamps, for messages without a header."""
+    """Return recording times converted to the clock of the stamps, for messages without usable stamps."""
     log_time, stamp = known
     inside = np.clip(clock.t_ns, log_time[0], log_time[-1])
     # beyond either end both clocks are taken to run alike
     t_ns = stamp[0] + np.interp(inside - log_time[0], log_time - log_time[0], stamp - stamp[0]).astype(np.int64)
-    return replace(clock, t_ns=t_ns + (clock.t_ns - inside), words=ON_STAMPS)
+    apart = float(np.median(log_time - stamp)) * 1e-9
+    words = f"{clock.words}, less the {apart:.3f} s (median) that the stamps of the other topics are behind it"
+    return replace(clock, t_ns=t_ns + (clock.t_ns - inside), words=words, on_stamps=True, notes=())

@@ -365,7 +365,7 @@ class Log:
         if (topic, order) not in self._edges:
             table = self.read({topic: TF_FIELDS})[topic]
             assert table.log_time is not None
-            found = edges_of(table.log_time, table.columns, order)
+            found = edges_of(table.log_time, table.columns, order, lambda: self.stamps_clock)
             if loop := loop_in(tuple(found.values())):
                 raise LocfuseError(f"{topic}: frames form a loop: {' -> '.join(loop)}")
             self._edges[topic, order] = found
@@ -415,7 +415,9 @@ class Log:
             with suppress(LocfuseError):  # a topic that cannot be read is reported elsewhere
                 table = self.read({name: ()})[name]
                 if table.stamp is not None and table.log_time is not None and len(table.log_time):
-                    pairs.append((table.log_time, np.asarray(table.columns[table.stamp]).astype(np.int64)))
+                    stamp = np.asarray(table.columns[table.stamp]).astype(np.int64)
+                    if clocks.settle(table.log_time, stamp).by_stamps:
+                        pairs.append((table.log_time, stamp))
         return clocks.common_clock(pairs)
 
     @property

@@ -280,9 +280,7 @@ class LogStream:
         table = self._table
         assert table.log_time is not None
         stamp = np.asarray(table.columns[table.stamp]) if table.stamp else None
-        clock = clocks.settle(table.log_time, stamp, self.order)
-        if stamp is None and self.order == "auto" and (known := self._log.stamps_clock) is not None:
-            clock = clocks.on_clock(clock, known)
+        clock = clocks.settle(table.log_time, stamp, self.order, lambda: self._log.stamps_clock)
         return replace(clock, notes=(*clock.notes, _jittered(table.jittered))) if table.jittered else clock
 
     @property
@@ -297,8 +295,13 @@ class LogStream:
 
     @property
     def delay_s(self) -> float | None:
-        """The median delay of recording after the header stamps [s]; None without headers or messages."""
+        """The median delay of recording after the header stamps [s]; None without headers or messages.
+
+        Without usable stamps: after the times on the clock of the others' stamps, if that is another clock.
+        """
         table = self._table
+        if self.clock.on_stamps and len(self.t_ns):
+            return float(np.median(cast("Ints", table.log_time) - self.t_ns)) * 1e-9
         if table.stamp is None or table.log_time is None or not len(table.log_time):
             return None
         return float(np.median(table.log_time - np.asarray(table.columns[table.stamp]))) * 1e-9

@@ -63,8 +63,13 @@ def pair_of(name: str) -> tuple[str, str, str] | None:
     return (parts[0], parts[1].lstrip("/"), parts[2].lstrip("/")) if len(parts) == 3 and all(parts) else None
 
 
-def edges_of(log_time: Ints, columns: Mapping[str, Column], order: str) -> dict[tuple[str, str], FrameEdge]:
-    """Return the transforms of a /tf topic by (parent, child); `log_time` (m,) is of its messages."""
+def edges_of(
+    log_time: Ints, columns: Mapping[str, Column], order: str, others: clocks.Others = lambda: None
+) -> dict[tuple[str, str], FrameEdge]:
+    """Return the transforms of a /tf topic by (parent, child); `log_time` (m,) is of its messages.
+
+    Stamps that cannot be used are replaced as in clock.settle.
+    """
     columns = as_lists(columns)
     parents, children = (cast("list[tuple[str, ...]]", columns[name]) for name in FIELDS[:2])
     stamps = cast("Ragged", columns[STAMP])
@@ -87,7 +92,8 @@ def edges_of(log_time: Ints, columns: Mapping[str, Column], order: str) -> dict[
                 np.asarray(stamps.values)[use].astype(np.int64),
                 log_time[np.array(rows[key])[good]],
             )
-            found[key] = FrameEdge(*key, clocks.settle(recorded, stamped, order), recorded, stamped, values[use])
+            clock = clocks.settle(recorded, stamped, order, others)
+            found[key] = FrameEdge(*key, clock, recorded, stamped, values[use])
     return found
 
 
@@ -124,7 +130,7 @@ def frame_in(topic: str, edges: Sequence[FrameEdge], static: StaticTransforms) -
         parent,
         {**main.clock.dropped, **({"outside_chain": outside} if outside else {})},
         clock=main.clock,
-        delay_s=_delay_s(main.log_time, main.stamp),
+        delay_s=_delay_s(main.log_time, main.clock.t_ns if main.clock.on_stamps else main.stamp),
     )
 
 

@@ -212,6 +212,16 @@ def simulated_time(drive: Drive) -> None:
     drive.messages = [m._replace(stamp_ns=m.stamp_ns - first) for m in drive.messages]
 
 
+def replayed(topic: str) -> Change:
+    """A log replayed and recorded again 8 days later; the stamps of one topic are zero."""
+
+    def change(drive: Drive) -> None:
+        again = [m._replace(stamp_ns=m.stamp_ns - 8 * 86400 * S) for m in drive.messages]
+        drive.messages = [m._replace(stamp_ns=0) if m.topic == topic else m for m in again]
+
+    return change
+
+
 def late(topic: str, by: float, only: Callable[[RawMessage], bool] = lambda m: True) -> Change:
     """Stamps, or only those of some messages, are moved by so many seconds."""
     return each(topic, lambda m: m._replace(stamp_ns=m.stamp_ns + round(by * S)) if only(m) else m)
@@ -229,7 +239,9 @@ CLOCK_TRAPS = (
     Trap("absurd stamps", some(WHEELS, 0, 9, lambda m: m._replace(stamp_ns=m.stamp_ns + 3600 * S)),
          "off the stream's clock)"),
     Trap("stamps that are all zero", each(WHEELS, lambda m: m._replace(stamp_ns=0)),
-         "most header stamps contradict it"),
+         "log time (all header stamps are zero)"),
+    Trap("stamps that are all zero beside another clock's", replayed(WHEELS),
+         "less the 691200.027 s (median) that the stamps of the other topics are behind it"),
     Trap("header and log time are two clocks", simulated_time, "two clocks; header stamps are used"),
     Trap("a silence", silent(WHEELS, (8.0, 8.9)), "a gap of 0.9 s"),
     Trap("a truth that repeats", again(TRUTH, 3), "repeat the one before"),

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from present import present
 
 from locfuse.formats.logs import jitter
-from locfuse.formats.logs.clock import ON_STAMPS, Clock, common_clock, on_clock, settle
+from locfuse.formats.logs.clock import Clock, common_clock, on_clock, settle
 from locfuse.formats.logs.jitter import in_order, never_decreasing
 from locfuse.fusion.data import Ints
 
@@ -273,9 +273,24 @@ def test_what_has_no_header_is_dated_on_the_clock_of_the_others_stamps() -> None
     some = Clock(wall[55:900:7] + 2, None, "log time (no header)")
     dated = on_clock(some, known)
     np.testing.assert_allclose(dated.t_ns, true[55:900:7] + 12 * S, atol=1000)
-    assert dated.words == ON_STAMPS
+    assert dated.on_stamps
     outside = on_clock(Clock(wall[[0, -1]] + np.array([-S, S]), None, ""), known)
     np.testing.assert_allclose(outside.t_ns, true[[0, -1]] + 12 * S + np.array([-S, S]), atol=1000)
+
+
+@pytest.mark.parametrize("stamp", [0, -5])
+def test_stamps_that_cannot_be_used_are_dated_on_the_clock_of_the_others_stamps(stamp: int) -> None:
+    """A log that was replayed and recorded again 8 days later, one topic without usable stamps."""
+    log_time, own = recording()
+    behind = 8 * 86400 * S
+    clock = settle(log_time, np.full(200, stamp), "auto", lambda: (log_time, own - behind))
+    np.testing.assert_array_equal(clock.t_ns, own - behind)
+    apart = behind / S + float(np.median(log_time - own)) / S
+    assert f"less the {apart:.3f} s (median)" in clock.words
+    assert clock.notes == ()
+    np.testing.assert_array_equal(settle(log_time, np.full(200, stamp)).t_ns, log_time)
+    plain = settle(log_time, own, "auto", lambda: (log_time, own - behind))
+    assert (plain.as_stamped, plain.t_ns.tolist()) == (True, own.tolist())
 
 
 def test_stamps_of_the_recordings_clock_or_of_several_clocks_date_nothing_else() -> None:

@@ -15,6 +15,7 @@ import numpy as np
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, LocfuseError, Stream
 from locfuse.fusion.robot import WheelSettings
+from locfuse.fusion.streams import gap_limit
 
 from .repairs import MAX_SPEED_MPS, Mask, limits, restarted, spikes, times
 
@@ -201,7 +202,8 @@ def travelled(t: Array, values: Array, by_twist: bool, max_speed: float | None, 
     far = np.hypot(twist[:, 0], twist[:, 1]) > _limits(t, values, max_speed)
     doubt = unlike_a_robot(t, twist, far)
     steps = restarted(t, twist, far)
-    said = 0.5 * (values[1:, 3] + values[:-1, 3]) * np.diff(t)
+    # over a gap the speeds at its ends say nothing about the way between
+    said = 0.5 * (values[1:, 3] + values[:-1, 3]) * np.where(np.diff(t) > gap_limit(t), 0.0, np.diff(t))
     in_frame = bool(said.any()) and along_the_frame(steps[:, 0], np.diff(values[:, 0]), said)
     backing = backing_up(steps, said) if by_twist and not in_frame else np.zeros(len(steps), dtype=bool)
     steps[backing, :2] *= -1.0

@@ -409,6 +409,16 @@ def test_a_pose_that_cannot_back_up_is_turned_round_where_the_twist_says_so() ->
     assert left.notes == ()
 
 
+def test_a_step_over_a_gap_is_not_turned_round_by_the_speeds_at_its_ends() -> None:
+    """Five seconds without messages, 1.5 m ahead; the last speed before and the first after say reverse."""
+    t = np.arange(0, 30, 0.1)
+    pose = driven(np.full(299, 0.3), np.zeros(299), 0.1)
+    heard = (t < 9.95) | (t > 15.05)
+    speed = np.where(heard & np.roll(heard, 1) & np.roll(heard, -1), 0.3, -0.2)
+    reading = read_wheels(odometry(t[heard], pose[heard], speed[heard], np.zeros(heard.sum())), WheelSettings())
+    np.testing.assert_allclose(final(reading)[:2], pose[-1, :2], atol=1e-9)
+
+
 @pytest.mark.parametrize("start", [0.0, 1.0, 2.5, -2.0])
 def test_a_twist_along_the_frame_of_the_poses_turns_nothing_round(start: float) -> None:
     """Simulators say how fast the body goes along x of the world: backward wherever it heads away from there."""

@@ -16,7 +16,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from locfuse.fusion.sensors.registry import REGISTRY, unmet
-from locfuse.fusion.wheels.motion import Wheels
+from locfuse.fusion.wheels.motion import STANDS_M, STANDS_RAD, Wheels
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 from locfuse.fusion.wheels.repairs import gaps_of
 
@@ -24,6 +24,7 @@ from . import se2
 from .data import END_OF_TIME, Array, Drive, LocfuseError, Measurements, Stream, Truth
 from .robot import Robot, StartSettings
 from .sensor import FoundStart
+from .streams import gap_limit
 from .truth import body_poses, read_truth
 
 MOVED_S, DROPPED_SHARE = 1e-6, 0.01  # of jittered drives: by at most how much times are moved, readings left out
@@ -176,14 +177,23 @@ def cut(
 
 
 def _gap_notes(wheels: Wheels) -> list[str]:
-    """Return notes on gaps for which counters give the distance rolled but not the path."""
-    silent = np.flatnonzero(wheels.silence[:, 1] > 0.0)
-    if not len(silent):
-        return []
-    longest = silent[np.argmax(np.diff(wheels.t)[silent])]
-    begin, end = wheels.t[longest], wheels.t[longest + 1]
-    gaps = f"{gaps_of(len(silent), end - begin)} ({begin:.1f}-{end:.1f} s)"
-    return [f"{gaps}: the path in between is unknown, so the covariance grows there"]
+    """Return notes on gaps in which the robot moved: of counters, and of poses or speeds, whose end is known."""
+    unknown = wheels.silence[:, 1] > 0.0
+    way, turn = np.hypot(*wheels.twist[:, :2].T), np.abs(wheels.twist[:, 2])
+    moved = (np.diff(wheels.t) > gap_limit(wheels.t)) & ((way > STANDS_M) | (turn > STANDS_RAD))
+    notes = []
+    for of_counters, silent in ((True, np.flatnonzero(unknown)), (False, np.flatnonzero(moved & ~unknown))):
+        if not len(silent):
+            continue
+        longest = silent[np.argmax(np.diff(wheels.t)[silent])]
+        begin, end = wheels.t[longest], wheels.t[longest + 1]
+        gaps = f"{gaps_of(len(silent), end - begin)} ({begin:.1f}-{end:.1f} s)"
+        if of_counters:
+            notes.append(f"{gaps}: the path in between is unknown, so the covariance grows there")
+        else:
+            moves = f"{way[longest]:.2f} m and {math.degrees(turn[longest]):.0f}°"
+            notes.append(f"{gaps}: the robot moved {moves} there, which is taken for one arc")
+    return notes
 
 
 def instants(wheel_t: Array, sensor_t: list[Array]) -> Array:

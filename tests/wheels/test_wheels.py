@@ -32,7 +32,8 @@ from worlds import joints, stream
 from benchmarks.experiment import simulated
 from locfuse.fusion import se2
 from locfuse.fusion.data import Array, ArrayStream, Column, LocfuseError, Ragged
-from locfuse.fusion.robot import WheelSettings
+from locfuse.fusion.measure import measure
+from locfuse.fusion.robot import Robot, WheelSettings
 from locfuse.fusion.wheels.read import WheelReading, read_wheels
 from locfuse.fusion.wheels.repairs import unrolled
 
@@ -415,8 +416,13 @@ def test_a_step_over_a_gap_is_not_turned_round_by_the_speeds_at_its_ends() -> No
     pose = driven(np.full(299, 0.3), np.zeros(299), 0.1)
     heard = (t < 9.95) | (t > 15.05)
     speed = np.where(heard & np.roll(heard, 1) & np.roll(heard, -1), 0.3, -0.2)
-    reading = read_wheels(odometry(t[heard], pose[heard], speed[heard], np.zeros(heard.sum())), WheelSettings())
+    stream = odometry(t[heard], pose[heard], speed[heard], np.zeros(heard.sum()))
+    reading = read_wheels(stream, WheelSettings())
     np.testing.assert_allclose(final(reading)[:2], pose[-1, :2], atol=1e-9)
+    said = [note for note in measure({"wheels": stream}, Robot(), motion=reading).notes if "gap" in note]
+    assert said == [
+        "wheels: a gap of 5.2 s (9.9-15.1 s): the robot moved 1.56 m and 0° there, which is taken for one arc"
+    ]
 
 
 @pytest.mark.parametrize("start", [0.0, 1.0, 2.5, -2.0])

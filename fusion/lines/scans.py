@@ -86,6 +86,7 @@ class Laser(NamedTuple):
     range_max: float | None  # m, readings beyond are not used
     deskew: bool
     lines: LineSettings
+    backward: bool = False  # the last beam of a scan is taken first, whatever time_increment says
 
 
 def equal_scans(columns: dict[str, Any]) -> list[tuple[Ints, dict[str, Any]]]:
@@ -212,6 +213,8 @@ def deskew(
     base = wheels.relative(np.repeat(middle, KNOTS_PER_SCAN), at.ravel())
     poses = se2.compose(se2.inverse(laser.mount), se2.compose(base, laser.mount))
     poses = poses.reshape(len(stamps), KNOTS_PER_SCAN, 3)
+    if laser.backward:
+        poses = poses[:, ::-1]
     share = np.linspace(0.0, KNOTS_PER_SCAN - 1.0, beams)
     low = np.minimum(share.astype(np.int64), KNOTS_PER_SCAN - 2)
     f = (share - low)[None, :, None]

@@ -48,6 +48,7 @@ class LrfSettings(MountedSettings, frozen=True, forbid_unknown_fields=True, kw_o
     range_offset: float = 0.0  # m
     range_max: float | None = None  # m, readings beyond are not used
     deskew: bool = True  # by time_increment and the wheels
+    sweep: Literal["forward", "backward"] = "forward"  # backward: the last beam of a scan is taken first
     min_points: int = 6  # beams of a line
     min_length: float = 0.3  # m
     floor_range: float = 0.002  # m: walls are not planes to less than this
@@ -167,6 +168,7 @@ def laser_of(settings: LrfSettings) -> Laser:
         offset=settings.range_offset,
         range_max=settings.range_max,
         deskew=settings.deskew,
+        backward=settings.sweep == "backward",
         lines=LineSettings(
             sigma_range=settings.sigma_range,
             sigma_angle=math.radians(settings.sigma_angle_deg),

@@ -431,6 +431,18 @@ def test_slips_within_a_sweep_are_not_taken_for_uneven_walls(seed: int) -> None:
     assert known == 0.0
 
 
+def test_the_last_beam_of_a_backward_sweep_is_taken_first() -> None:
+    """The robot turns on the spot at 1 rad/s in a scan of 0.3 s: a beam looks from where it is then."""
+    t = np.arange(0.0, 4.0, 0.01)
+    wheels = Wheels.from_wheels(t, -0.5 * TRACK * t, 0.5 * TRACK * t, TRACK, 0.0)
+    increment, at = np.array([0.001]), np.arange(301) * 0.001  # s since the stamp, of beam after beam
+    for sweep, taken in (("forward", at), ("backward", at[::-1])):
+        middle, poses = scans.deskew(increment, 301, np.array([2.0]), laser_of(LrfSettings(sweep=sweep)), wheels)
+        assert poses is not None
+        np.testing.assert_allclose(middle, 2.15)
+        np.testing.assert_allclose(poses[0, :, 2], taken - 0.15, atol=1e-9)
+
+
 def test_a_sweep_takes_at_most_a_second_and_no_time_where_its_increment_is_no_number() -> None:
     told = np.array([0.001, -1.0, 0.0, np.nan, np.inf, 5.0])
     np.testing.assert_allclose(sweep_time(told, 101), [0.1, 0.0, 0.0, 0.0, 100.0 / 101.0, 100.0 / 101.0])

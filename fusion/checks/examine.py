@@ -23,6 +23,7 @@ from .compass import of_convention, of_iron, tilted
 from .finding import Finding, Least
 from .laser import laser_motion, of_laser, of_radius
 from .laser_ranges import of_offset, of_scatter
+from .sweep import of_sweep
 from .truth import metre, of_truth, of_unit, wheels_metre
 from .turning import MIRROR, Turning, aligned, of_track, of_turning, turnings
 from .unseen import unseen
@@ -62,6 +63,9 @@ def examine(
     found += [*of_convention(drive, robot, streams), *tilts]
     found += [] if tilts else of_iron(drive, robot, streams)
     found += [o for o in turning if o.role not in {t.role for t in tilts}]
+    if "lrf" in drive.measurements and not any(o.role in {"lrf", "wheels"} for o in turning):
+        t = aligned(drive.measurements["lrf"], by_sensor.get("lrf"))
+        found += of_sweep(streams["lrf"], drive, robot, t)
     if wrong_wheels:
         return found  # nothing can be held against such wheels
     unit = of_unit(drive)

@@ -59,6 +59,7 @@ class Walls(NamedTuple):
     turn: Array  # (k,) by how much the wall's direction says that the robot turned [rad]
     by_wheels: Array  # (k,) by how much the wheels do
     t: Array  # (k,) when it was seen from the second place [s]
+    since: Array  # (k,) when from the first [s]
 
 
 class Motion(NamedTuple):
@@ -326,7 +327,7 @@ def seen_twice(m: Measurements, t: Array, drive: Drive, mount: Array) -> Walls:
     for k, (i, j) in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
         a, b = m.z[m.first[i] : m.first[i + 1]], m.z[m.first[j] : m.first[j + 1]]
         if len(a) and len(b):
-            rows.append(_paired(a, b, moved[k], moved[k, :2] + swing[k], mount, float(t[j])))
+            rows.append(_paired(a, b, moved[k], moved[k, :2] + swing[k], mount, (float(t[i]), float(t[j]))))
     if not rows:
         return Walls(*(np.zeros((0, 2) if name in "nd" else 0) for name in Walls._fields))
     return Walls(*(np.concatenate(column) for column in zip(*rows, strict=True)))
@@ -345,8 +346,8 @@ def _places(t: Array, drive: Drive) -> tuple[Ints, Ints]:
     return first[::every], second[first[::every]]
 
 
-def _paired(a: Array, b: Array, moved: Array, d: Array, mount: Array, t: float) -> Walls:
-    """Pair lines a (k, 2) and b (l, 2) of two scans where they must be the same wall."""
+def _paired(a: Array, b: Array, moved: Array, d: Array, mount: Array, t: tuple[float, float]) -> Walls:
+    """Pair lines a (k, 2) and b (l, 2) of two scans at t [s] where they must be the same wall."""
     n = np.stack((np.cos(a[:, 1]), np.sin(a[:, 1])), axis=-1)
     r, psi = a[:, 0] - n @ moved[:2], a[:, 1] - moved[2]
     turn = np.abs(se2.wrap_all(psi[:, None] - b[None, :, 1]))
@@ -365,7 +366,7 @@ def _paired(a: Array, b: Array, moved: Array, d: Array, mount: Array, t: float) 
     y = (a[good, 0] - n[good] @ mount) - (b_near[:, 0] - n_b @ mount)
     k = int(good.sum())
     own = moved[2] + se2.wrap_all(a[good, 1] - b_near[:, 1] - moved[2])
-    return Walls(y, n[good], np.tile(d, (k, 1)), own, np.full(k, moved[2]), np.full(k, t))
+    return Walls(y, n[good], np.tile(d, (k, 1)), own, np.full(k, moved[2]), np.full(k, t[1]), np.full(k, t[0]))
 
 
 def _who_is_right(robot: Robot, scale: float, fix: str) -> str:

@@ -471,7 +471,7 @@ def walls(degrees: float, seed: int, scale: float = 1.0, noise: float = 0.01) ->
     # a wall whose normal is thought to lie at `normal` lies further to the left by the laser's real yaw
     nearer = 0.3 * np.cos(normal + yaw - heading) / scale + rng.normal(0.0, noise, WALLS)
     n, d = (np.stack((np.cos(a), np.sin(a)), axis=-1) for a in (normal, heading))
-    return Walls(nearer, n, 0.3 * d, np.zeros(WALLS), np.zeros(WALLS), t)
+    return Walls(nearer, n, 0.3 * d, np.zeros(WALLS), np.zeros(WALLS), t, t)
 
 
 @pytest.mark.parametrize("scale", [1.0, 1.1])

@@ -33,8 +33,9 @@ from locfuse.fusion.checks.laser_ranges import (
 )
 from locfuse.fusion.checks.pictures import of_handedness, of_rims
 from locfuse.fusion.checks.probes import beyond_prior, of_probe
-from locfuse.fusion.data import Array, ArrayStream, Drive, Estimates, Ragged, Truth
-from locfuse.fusion.lines.scans import MAX_BEAMS
+from locfuse.fusion.checks.sweep import of_sweep
+from locfuse.fusion.data import Array, ArrayStream, Column, Drive, Estimates, Ragged, Truth
+from locfuse.fusion.lines.scans import MAX_BEAMS, SCAN_FIELDS
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.se2 import wrap_all
 from locfuse.fusion.sensors.camera import CameraSettings
@@ -368,7 +369,7 @@ def test_not_where_the_run_is_not_sure_of_it_and_not_for_a_sensor_without_a_moun
 
 def spanned(beams: int, span_deg: float, step_deg: float) -> ArrayStream:
     """Five scans of `beams` ranges whose angle_max says `span_deg`, and whose angle_increment says `step_deg`."""
-    data = {
+    data: dict[str, Column] = {
         "angle_min": np.full(5, -math.pi),
         "angle_max": np.full(5, -math.pi + math.radians(span_deg)),
         "angle_increment": np.full(5, math.radians(step_deg)),
@@ -403,3 +404,33 @@ def test_angles_that_contradict_each_other_are_severe_where_they_make_more_than_
     (whole,) = of_angles(spanned(720, 359.5, 0.51))
     assert whole.severe
     assert "more than a whole turn" in whole.message
+
+
+# --- the order of the beams of a laser that needs a tenth of a second for a scan
+
+
+@pytest.fixture(scope="module")
+def sweeping(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A lap with a laser that turns once in 0.15 s."""
+    log = tmp_path_factory.mktemp("sweeping") / "log.mcap"
+    sets = ("lrf.duration=0.15", "lrf.rate=6.0", "camera.enabled=false")
+    write_log(scenario_of("rounded_triangle", sets), 3000, on_truth, log)
+    return log
+
+
+@pytest.mark.parametrize("said", ["forward", "backward"])
+@pytest.mark.parametrize("taken", ["forward", "backward"])
+def test_a_laser_that_takes_its_beams_in_the_other_order_is_found(sweeping: Path, said: str, taken: str) -> None:
+    """The driver may hand over the beams from the last to the first, each with its own direction."""
+    loaded = load(sweeping, sets=(f"lrf.sweep={said}",)).loaded
+    stream = loaded.stream("lrf")
+    if taken == "backward":
+        columns = stream.columns(*SCAN_FIELDS)
+        ranges = columns["ranges"]
+        assert isinstance(ranges, Ragged)
+        rows = [ranges[i][::-1] for i in range(len(ranges))]
+        directions = {name: -np.asarray(columns[name]) for name in ("angle_min", "angle_increment")}
+        data = {**columns, **directions, "ranges": Ragged(np.concatenate(rows), ranges.first)}
+        stream = ArrayStream(stream.topic, stream.msgtype, stream.t_ns, data)
+    found = of_sweep(stream, loaded.drive, loaded.robot, loaded.drive.measurements["lrf"].t)
+    assert [f.fixes for f in found] == ([(f"lrf.sweep={taken}",)] if said != taken else [])

@@ -233,7 +233,7 @@ def test_a_truth_whose_headings_turn_against_its_path_is_wrong(
 
 
 def test_wheels_that_both_count_backward_are_told_from_swapped_ones(wheels_alone: Session) -> None:
-    loaded = load(wheels_alone.log.paths[0], sets=("wheels.mirrored=both",)).loaded
+    loaded = load(str(wheels_alone.log.paths[0]), sets=("wheels.mirrored=both",)).loaded
     (one,) = of_turning(loaded.drive, loaded.robot, AGAINST, {"wheels": loaded.stream("wheels")})
     assert (one.code, one.fixes) == (SWAPPED, ("wheels.mirrored=none",))
 

@@ -80,9 +80,9 @@ def test_limits_that_the_driver_does_not_fill_in_limit_nothing(near: float, far:
     assert f"range_max is {far:g} m and range_min {near:g} m in {n} of {n} scans" in note
     assert not any("not filled in" in note for note in lines_of(stream, range_max=12.0).notes)  # the user decided
     laser = laser_of(LrfSettings())
-    by_scans = (match_scans(s, laser).reading(WheelSettings(), 0.0) for s in (stream, right))
-    np.testing.assert_array_equal(*(motion.wheels.pose for motion in by_scans))
-    np.testing.assert_array_equal(scatter(stream.data), scatter(right.data))
+    said, known = (match_scans(s, laser).reading(WheelSettings(), 0.0) for s in (stream, right))
+    np.testing.assert_array_equal(said.wheels.pose, known.wheels.pose)
+    np.testing.assert_array_equal(scatter({**stream.data}), scatter({**right.data}))
 
 
 def within(ranges: Array, far: float = 12.0) -> dict[str, Array]:
@@ -436,8 +436,8 @@ def test_the_last_beam_of_a_backward_sweep_is_taken_first() -> None:
     t = np.arange(0.0, 4.0, 0.01)
     wheels = Wheels.from_wheels(t, -0.5 * TRACK * t, 0.5 * TRACK * t, TRACK, 0.0)
     increment, at = np.array([0.001]), np.arange(301) * 0.001  # s since the stamp, of beam after beam
-    for sweep, taken in (("forward", at), ("backward", at[::-1])):
-        middle, poses = scans.deskew(increment, 301, np.array([2.0]), laser_of(LrfSettings(sweep=sweep)), wheels)
+    for settings, taken in ((LrfSettings(), at), (LrfSettings(sweep="backward"), at[::-1])):
+        middle, poses = scans.deskew(increment, 301, np.array([2.0]), laser_of(settings), wheels)
         assert poses is not None
         np.testing.assert_allclose(middle, 2.15)
         np.testing.assert_allclose(poses[0, :, 2], taken - 0.15, atol=1e-9)

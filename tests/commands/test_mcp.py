@@ -139,7 +139,7 @@ def test_which_sensor_is_kept_among_landmarks_and_how_its_ranges_are_meant(real:
 def test_whether_a_causal_result_is_to_be_trusted_and_what_is_better(real: Tools) -> None:
     values = asked(real, "compare", log="aces/aces.mcap", sensors=["lrf"], smooth=True)["values"]
     assert not values["void"]
-    assert values["path_doubted"] is None
+    assert "Use lrf-smoothed" in values["path_doubted"]  # loops are closed only in the smoothed path
     agreement = {name: v["revisit_agreement"] for name, v in values["configurations"].items()}
     assert agreement["lrf-smoothed"] > agreement["lrf"]
 

@@ -334,7 +334,7 @@ def test_a_real_turtlebot_as_ros2_records_it() -> None:
     words = [o["message"] for o in found["findings"]]
     assert any(w.startswith("21 frames have two different transforms") for w in words)
     assert any(w.startswith("ranges without a return: 23% inf") for w in words)
-    assert [o["code"] for o in found["findings"] if o["severe"]] == ["lag"]
+    assert [o["code"] for o in found["findings"] if o["severe"]] == ["sweep", "lag"]
 
 
 # --- two publishers on one topic are named, with the numbers: by their channels, or by the angles of their scans

@@ -228,13 +228,14 @@ def test_the_turtlebots_laser_stands_turned_by_90_degrees_and_late(tmp_path: Pat
     robot = tomllib.loads(init(log, tmp_path / "robot.toml").stdout)
     assert robot["lrf"]["yaw_deg"] == pytest.approx(90.0, abs=0.1)
     assert robot["lrf"]["time_offset"] == pytest.approx(-0.18, abs=0.03)
+    assert robot["lrf"]["sweep"] == "backward"
     _, without = final(log, tmp_path / "out")
     _, after = final(log, tmp_path / "out", "--robot", tmp_path / "robot.toml")
     before, now = (r["configurations"]["lrf"]["sensors"]["lrf"] for r in (without, after))
     # of two lines that one uneven wall became none is taken: that contradicts nothing, and how many do is chance
     contradicting = [sum(s["verdicts"].get(v, 0) for v in ("unmatched", "lost")) for s in (before, now)]
     assert contradicting[1] < 0.75 * contradicting[0]
-    assert abs(now["nis"] - 1.0) < 0.25 * abs(before["nis"] - 1.0)
+    assert abs(now["nis"] - 1.0) < 0.6 * abs(before["nis"] - 1.0)
     assert not any("slip" in words for words in after["configurations"]["lrf"]["notes"])
 
 

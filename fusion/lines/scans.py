@@ -182,12 +182,16 @@ def limits(scans: Mapping[str, Any]) -> tuple[Array, Array]:
 
 
 def returns(scans: dict[str, Any], laser: Laser) -> tuple[Array, Array]:
-    """Return ranges [m] (NaN without a return) and angles [rad, laser's frame] of k scans, (k, b) each."""
-    beams = scans["ranges"].shape[1]
-    angles = scans["angle_min"][:, None] + scans["angle_increment"][:, None] * np.arange(beams)
+    """Return ranges [m] (NaN without a return) and angles [rad, laser's frame] of k scans, (k, b) each.
+
+    The beams come in the order in which they were taken.
+    """
+    taken = np.s_[::-1] if laser.backward else np.s_[:]
+    beams = np.arange(scans["ranges"].shape[1])[taken]
+    angles = scans["angle_min"][:, None] + scans["angle_increment"][:, None] * beams
     if laser.flipped:
         angles = -angles
-    ranges = scans["ranges"].astype(np.float64)  # a copy
+    ranges = scans["ranges"][:, taken].astype(np.float64)  # a copy
     near, far = limits(scans)
     far = np.minimum(far, laser.range_max or np.inf)
     invalid = ~((near[:, None] <= ranges) & (ranges <= far[:, None]))  # NaN is neither
@@ -213,8 +217,6 @@ def deskew(
     base = wheels.relative(np.repeat(middle, KNOTS_PER_SCAN), at.ravel())
     poses = se2.compose(se2.inverse(laser.mount), se2.compose(base, laser.mount))
     poses = poses.reshape(len(stamps), KNOTS_PER_SCAN, 3)
-    if laser.backward:
-        poses = poses[:, ::-1]
     share = np.linspace(0.0, KNOTS_PER_SCAN - 1.0, beams)
     low = np.minimum(share.astype(np.int64), KNOTS_PER_SCAN - 2)
     f = (share - low)[None, :, None]

@@ -435,12 +435,15 @@ def test_the_last_beam_of_a_backward_sweep_is_taken_first() -> None:
     """The robot turns on the spot at 1 rad/s in a scan of 0.3 s: a beam looks from where it is then."""
     t = np.arange(0.0, 4.0, 0.01)
     wheels = Wheels.from_wheels(t, -0.5 * TRACK * t, 0.5 * TRACK * t, TRACK, 0.0)
-    increment, at = np.array([0.001]), np.arange(301) * 0.001  # s since the stamp, of beam after beam
-    for settings, taken in ((LrfSettings(), at), (LrfSettings(sweep="backward"), at[::-1])):
-        middle, poses = scans.deskew(increment, 301, np.array([2.0]), laser_of(settings), wheels)
-        assert poses is not None
+    bearing, at = np.linspace(-1.5, 1.5, 301), np.arange(301) * 0.001  # rad; s since the stamp, of beam after beam
+    scan = {
+        "angle_min": bearing[:1], "angle_increment": np.diff(bearing[:2]), "time_increment": np.array([0.001]),
+        "range_min": np.zeros(1), "range_max": np.full(1, 9.0), "ranges": np.full((1, 301), 2.0),
+    }  # fmt: skip
+    for settings, order in ((LrfSettings(), np.s_[:]), (LrfSettings(sweep="backward"), np.s_[::-1])):
+        (points,), middle = scans.points_in_base(scan, np.array([2.0]), laser_of(settings), wheels)
         np.testing.assert_allclose(middle, 2.15)
-        np.testing.assert_allclose(poses[0, :, 2], taken - 0.15, atol=1e-9)
+        np.testing.assert_allclose(np.arctan2(*points.T[::-1]), bearing[order] + at - 0.15, atol=1e-4)
 
 
 def test_a_sweep_takes_at_most_a_second_and_no_time_where_its_increment_is_no_number() -> None:

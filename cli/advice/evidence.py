@@ -163,11 +163,11 @@ class Evidence(Noise):
     def geometry(self) -> list[Candidate]:
         """Return findings on mounts, scales and directions, by measuring and by a run with more states."""
         # of a laser that was bumped no mount is right over the whole drive
-        moves = self._open_scale or any(f.code == BUMP for f in self.doctor)
-        probed = [] if moves else [*self._probed(), *self._scaled()]
+        no_mount = self._open_scale or any(f.code == BUMP for f in self.doctor)
+        probed = [] if no_mount else [*self._probed(), *self._scaled()]
         probed = [*self._points(), *probed]
         named = {(f.role, f.code) for f in probed}
-        mounts = [] if moves else self._mounts_found
+        mounts = [] if no_mount else self._mounts_found
         found = [*probed, *(f for f in mounts if (f.role, f.code) not in named)]
         offers = [(f, (f.fixes,)) for f in found if f.fixes]
         # a state's sigma is evidence only where the run is consistent, or less sure than it could be;

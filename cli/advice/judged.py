@@ -156,7 +156,7 @@ class Judged:
         return min(runs, key=lambda e: float(np.median(e.triangles[:, 5])), default=None)
 
     def runs_alone(self, *sensors: str) -> list[Estimates]:
-        """Return the causal runs of a single sensor that were never lost: of these sensors, without any of all."""
+        """Return the causal runs with one sensor alone that were never lost; if sensors are named, only theirs."""
         runs = (e for e in self.compared.estimates if len(e.sensors) == 1 and not e.smoothed and not e.lost)
         return [e for e in runs if not sensors or e.sensors[0] in sensors]
 

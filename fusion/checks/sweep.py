@@ -35,21 +35,19 @@ def of_sweep(stream: Stream, drive: Drive, robot: Robot, t: Array) -> list[Findi
     `t` (n,) [s] are the times of the measured scans on the wheels' clock.
     """
     settings, m = cast("LrfSettings", robot.settings("lrf")), drive.measurements["lrf"]
-    if (
-        not settings.deskew
-        or not len(t)
-        or not np.any(np.asarray(stream.columns("time_increment")["time_increment"]))
-    ):
+    increment = np.asarray(stream.columns("time_increment")["time_increment"])
+    if not settings.deskew or not len(t) or not increment.any():
         return []
     settings = replace(settings, time_offset=settings.time_offset + float(np.median(t - m.t)))
     other = ORDERS[settings.sweep]
-    now, then = (_misfit(stream, drive, replace(settings, sweep=sweep)) for sweep in (settings.sweep, other))
+    now = _misfit(stream, drive, settings)
+    then = None if now is None else _misfit(stream, drive, replace(settings, sweep=other))
     if now is None or then is None or then > MAX_MISFIT_RATIO * now:
         return []
     first = "last" if other == "backward" else "first"
     words = (
-        f"walls seen while the robot turns are off by {math.degrees(now):.1f}°, by {math.degrees(then):.1f}° if "
-        f"the {first} beam of a scan is taken first: it sweeps {other}"
+        f"the directions of walls seen in turns are wrong by {math.degrees(now):.1f}°, but by "
+        f"{math.degrees(then):.1f}° if each scan begins with its {first} beam: it sweeps {other}"
     )
     return [Finding("lrf", "sweep", words, (f"lrf.sweep={other}",), True)]
 

@@ -212,7 +212,7 @@ def of_unit(drive: Drive) -> list[Finding]:
     if unit is None or not slowest < speed < fastest or slowest < factor * speed < fastest:
         return []
     words = (
-        f"its ways are {float(f'{factor:.2g}'):g} times as long as the wheels': its unit looks like {unit}. "
+        f"its distances are {float(f'{factor:.2g}'):g} times the wheels': its unit looks like {unit}. "
         "Errors by it mean nothing until it is recorded in m"
     )
     return [Finding("truth", UNIT, words, (), True)]
@@ -220,10 +220,13 @@ def of_unit(drive: Drive) -> list[Finding]:
 
 def unusable(drive: Drive) -> Finding | None:
     """Return why no error by this truth means anything: its unit, or its many jumps; None if it can be used."""
+    for found in of_unit(drive):
+        return found
     jumps = jumps_of(drive)
-    words = "" if jumps is None or not jumps.unusable else jumps.words
-    words += ". Set truth.max_speed, or truth.sigma if this is its noise" if words else ""
-    return next(iter(of_unit(drive)), Finding("truth", JUMP, words, (), True) if words else None)
+    if jumps is None or not jumps.unusable:
+        return None
+    words = f"{jumps.words}. Set truth.max_speed, or truth.sigma if this is its noise"
+    return Finding("truth", JUMP, words, (), True)
 
 
 def step_limits(truth: Truth, drive: Drive) -> Array:

@@ -163,10 +163,11 @@ class Slide:
         self._scans = 0
 
     def goes_on(self, step: Array, next_line: int) -> tuple[Array, int] | None:
-        """Add the slip (3,) since the last scan; return the pose's error (2,) [m] and a line once that is sure.
+        """Add the slip (3,) since the last scan; None until it is sure.
 
-        Lines with the number of that line and above were born since then; `next_line` is the next one's number.
-        A robot cannot slip ahead and back at once. A slip that is sure continues with each scan.
+        Then return the error (2,) [m] of the pose, and the number of the first map line born since the slip began.
+        `next_line` is the number of the next map line. A robot cannot slip ahead and back at once. A slip that is
+        sure continues with each scan.
         """
         if step[0] * self._ahead < 0.0:
             self.ends()

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from locfuse.fusion.chi_square import MAD
 from locfuse.fusion.data import Array, Drive, Estimates, Measurements, Truth
 from locfuse.fusion.robot import Robot
 from locfuse.fusion.sensors.registry import REGISTRY
@@ -40,6 +41,10 @@ OPEN_CLOCK = "clocks"  # of a truth and one other clock that differ: either may 
 LASER = "lrf"
 MAX_WRONG = 3  # clocks of one log
 RUN_BY_WHEELS = 0.1  # of the wheels' lag, by which a laser's run may be late too
+UNEVEN = "uneven"  # code of the finding that stamps scatter about an even clock
+MIN_SCATTER_S, MIN_SCATTER_SHARE = 0.01, 0.1  # s and share of the period, 1 sigma: less is not reported
+MAX_EVEN_CORRELATION = -0.35  # of neighbouring intervals: -0.5 about an even clock, 0 where periods vary
+MIN_EVEN_PERIODS = 50
 AS_STAMPED = Lag(0.0, 1.0, 1.0)
 Pair = tuple[str, str]  # two clocks
 
@@ -72,6 +77,28 @@ def of_clocks(drive: Drive, robot: Robot) -> list[Finding]:
         code = CLOCK if rival is None or "truth" not in {clock.name, rival.name} else OPEN_CLOCK
         found.append(Finding(clock.name, code, words, (offset_of(clock, robot, digits),), severe))
     return found
+
+
+def of_uneven_stamps(name: str, t: Array) -> list[Finding]:
+    """Report stamps t (n,) [s] that scatter about an even clock: intervals that are too long, then too short.
+
+    Where periods vary by themselves, neighbouring intervals do not depend on each other.
+    """
+    if len(t) <= MIN_EVEN_PERIODS:
+        return []
+    dt = np.diff(t)
+    period = float(np.median(dt))
+    sigma = float(np.median(np.abs(dt - period))) / MAD / math.sqrt(2.0)  # it has the errors of two stamps
+    if sigma < max(MIN_SCATTER_S, MIN_SCATTER_SHARE * period):
+        return []
+    off = np.clip(dt, 0.0, 2.0 * period)  # of dropped readings, a part
+    if np.corrcoef(off[1:], off[:-1])[0, 1] > MAX_EVEN_CORRELATION:
+        return []
+    words = (
+        f"stamps scatter by {sigma:.3f} s (1 sigma) about an even period of {period:.3f} s. If it measures "
+        "evenly, its stamps are wrong by that: let the driver stamp by the sensor's own clock"
+    )
+    return [Finding(name, UNEVEN, words)]
 
 
 def clock_words(clock: Clock) -> str:

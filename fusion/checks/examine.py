@@ -18,7 +18,7 @@ from locfuse.fusion.sensors.registry import REGISTRY
 from locfuse.fusion.streams import gap_limit
 from locfuse.fusion.wheels.repairs import gaps_of
 
-from .clocks import of_clocks
+from .clocks import of_clocks, of_uneven_stamps
 from .compass import of_convention, of_iron, tilted
 from .finding import Finding, Least
 from .laser import laser_motion, of_laser, of_radius
@@ -52,7 +52,8 @@ def examine(
     found = [Finding("wheels", "repaired", repair) for repair in drive.repairs]
     found += _refused(drive)
     found += _gaps("wheels", drive.wheels.t)
-    found += [o for name, m in drive.measurements.items() for o in (*_gaps(name, m.t), *blind(name, m))]
+    for name, m in drive.measurements.items():
+        found += [*_gaps(name, m.t), *blind(name, m), *of_uneven_stamps(name, m.t)]
     if "lrf" in drive.measurements:
         lrf = streams["lrf"], robot.settings("lrf")
         found += [*of_scatter(*lrf), *of_offset(*lrf)]

@@ -15,6 +15,7 @@ from locfuse.fusion.checks.clocks import (
     differences,
     lag_of_run,
     lags_by_truth,
+    of_uneven_stamps,
     wrong_clocks,
 )
 from locfuse.fusion.checks.lag import MAX_LAG_S, Lag, by_wheels, find_lag, worth_saying
@@ -256,3 +257,18 @@ def test_readings_from_either_side_of_a_gap_are_not_compared() -> None:
     heading = np.interp(t - 0.2, STAMPS, TURNED) + np.where(t > 60.0, 2.0, 0.0)
     found = present(find_lag(t, heading, by_wheels(wheels())))
     assert found.offset == pytest.approx(-0.2, abs=0.002)
+
+
+def test_stamps_that_scatter_about_an_even_period_are_named_with_their_sigma() -> None:
+    rng = np.random.default_rng(1)
+    even = 0.1 * np.arange(600.0)
+    (found,) = of_uneven_stamps("lrf", np.sort(even + rng.normal(0.0, 0.03, 600)))
+    assert found.role == "lrf"
+    assert not found.fixes
+    assert float(found.message.split(" s ")[0].removeprefix("stamps scatter by ")) == pytest.approx(
+        0.03, abs=0.003
+    )
+    varying = np.cumsum(rng.normal(0.1, 0.03, 600).clip(0.01))
+    dropped = even[rng.random(600) > 0.2]
+    slight = even + rng.normal(0.0, 0.005, 600)
+    assert not any(of_uneven_stamps("lrf", t) for t in (even, varying, dropped, slight, even[:20]))

@@ -227,6 +227,12 @@ def late(topic: str, by: float, only: Callable[[RawMessage], bool] = lambda m: T
     return each(topic, lambda m: m._replace(stamp_ns=m.stamp_ns + round(by * S)) if only(m) else m)
 
 
+def scattered(topic: str, sigma: float) -> Change:
+    """Stamps have an error of their own each, sigma [s]."""
+    rng = np.random.default_rng(1)
+    return each(topic, lambda m: m._replace(stamp_ns=m.stamp_ns + round(rng.normal(0.0, sigma) * S)))
+
+
 def silent(topic: str, *gaps: tuple[float, float]) -> Change:
     """Without messages in these stretches [s]."""
     return each(topic, lambda m: None if any(a < seconds(m) < b for a, b in gaps) else m)
@@ -490,6 +496,7 @@ LASER_TRAPS = (
     Trap("a wrong publisher of /tf_static", told_by_tf(None, PLACED, LEFT), "not of 90 deg as",
          True, "lrf", blur=0.02),
     Trap("a laser late by 0.4 s", late(SCAN, 0.4), "stamps look 0.4", True, "lrf"),
+    Trap("a laser whose stamps scatter by 0.03 s", scattered(SCAN, 0.03), "stamps scatter by 0.027", False, "lrf"),
     Trap("a laser on another clock", late(SCAN, 3600.0), "stamped 3600.0 s after the wheels", True, "lrf"),
     Trap("a laser whose ranges are short", short_metre, "it measures 9.", True, "lrf"),
     Trap("a laser whose ranges are all 8 cm long", LONG_RANGES, "as if every range were", True, "lrf"),

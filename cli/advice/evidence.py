@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from msgspec.structs import replace
@@ -19,6 +19,7 @@ from locfuse.fusion.checks.clocks import (
     MIN_LAG_S,
     OPEN_CLOCK,
     SEVERE_LAG_S,
+    UNEVEN,
     Clock,
     clock_words,
     differences,
@@ -55,9 +56,10 @@ CAMERA_LAGS_S = (-0.2, -0.1, 0.1, 0.2)  # s
 SUSPICIOUS = Least(0.005, 2.5)  # what is reason enough to fuse again where nothing else looks wrong
 
 # codes of findings whose value the truth itself, the field or straight walls show beyond chance
-MEASURED = (OFFSET, WHEEL_SCALE, POINT, "iron", ROOM, CREEP, RIMS)
+MEASURED = (UNEVEN, OFFSET, WHEEL_SCALE, POINT, "iron", ROOM, CREEP, RIMS)
 MAX_SCAN_PERIOD_S = 0.4  # s: between two scans the laser's path is the wheels'
 Key = tuple[str, str]  # role and code of a finding
+KEYLESS = {OPEN_SCALE, CREEP, BUMP, SWAPPED, UNEVEN}  # findings that are named although no setting fixes them
 SIGNS = {("wheels", SWAPPED), ("wheels", "mirrored")}  # judged by the path's shape while the start is not known
 
 
@@ -93,8 +95,13 @@ class Evidence(Noise):
         return (
             (self.truth,),
             (self.start, self.clocks, self.other_clocks, self.geometry),
-            (self.offsets, self.slips, self.noise, self.unexplained),
+            [partial(self._on_even_clocks, f) for f in (self.offsets, self.slips, self.noise, self.unexplained)],
         )
+
+    def _on_even_clocks(self, find: Callable[[], list[Candidate]]) -> list[Candidate]:
+        """Return what `find` returns, but of no sensor that may be charged with another's scattering stamps."""
+        uneven = {f.role for f in self.doctor if f.code == UNEVEN}
+        return [c for c in find() if c.finding.role not in REGISTRY or not uneven - {c.finding.role}]
 
     def _worse_than_odometry(self) -> bool:
         errors = {e.name: e.figures.get("position_rmse_m") for e in self.compared.evaluations}
@@ -162,8 +169,8 @@ class Evidence(Noise):
 
     def geometry(self) -> list[Candidate]:
         """Return findings on mounts, scales and directions, by measuring and by a run with more states."""
-        # of a laser that was bumped no mount is right over the whole drive
-        no_mount = self._open_scale or any(f.code == BUMP for f in self.doctor)
+        # distances that differ look like a mount, and of a laser that was bumped no mount is right all the time
+        no_mount = self._open_scale or self._distances or any(f.code == BUMP for f in self.doctor)
         probed = [] if no_mount else [*self._probed(), *self._scaled()]
         probed = [*self._points(), *probed]
         named = {(f.role, f.code) for f in probed}
@@ -177,8 +184,9 @@ class Evidence(Noise):
         measured = {(f.role, f.code) for f in found if f.role in fine and (by_truth or f.code != MOUNT)}
         seen = [f for f in self.doctor if f.code not in {CLOCK, OPEN_CLOCK, START}]
         known = self._candidates(seen, offers, [(f.role, f.code) for f in seen if f.code in MEASURED], measured)
-        open_ = [f for f in found if not f.fixes] + ([] if self._open_scale else self._distances)
-        return [*known, *(self._candidate(f, ()) for f in open_)]
+        scales = [] if self._open_scale else [self._decided(f) for f in self._distances]
+        open_ = [self._candidate(f, ()) for f in found if not f.fixes]
+        return [*known, *open_, *(self._candidate(f, (f.fixes,) if f.fixes else ()) for f in scales)]
 
     def slips(self) -> list[Candidate]:
         """Return the wheels' noise if their turning shows it, and their distances are not in doubt."""
@@ -186,10 +194,11 @@ class Evidence(Noise):
 
     @cached_property
     def _distances(self) -> list[Finding]:
-        """Return a finding if the laser's path and the wheels differ in distance and there is no truth."""
-        if self.loaded.drive.truth is not None or self.loaded.drive.wheels.matched is not None:
+        """Findings on the laser's range scale and the wheels', if their distances differ and there is no truth."""
+        drive, robot = self.loaded.drive, self.loaded.robot
+        if drive.truth is not None or drive.wheels.matched is not None:
             return []
-        return [finding for e in self.runs_alone(LASER) for finding in of_ways(self.loaded.drive, e)]
+        return [f for e in self.runs_alone(LASER) for f in of_ways(drive, robot, e)]
 
     def _candidates(
         self,
@@ -204,9 +213,7 @@ class Evidence(Noise):
         """
         seen = [self._decided(f) for f in seen]
         known = {(f.role, f.code) for f in seen}
-        judged = [
-            f for f in seen if (f.fixes or f.code in {OPEN_SCALE, CREEP, BUMP, SWAPPED}) and self.judges(f.role)
-        ]
+        judged = [f for f in seen if (f.fixes or f.code in KEYLESS) and self.judges(f.role)]
         coarse = [
             self._candidate(f, (*_ways(f), *self._aimed(f)), not (f.severe or f.code in MEASURED)) for f in judged
         ]

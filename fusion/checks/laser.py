@@ -250,7 +250,7 @@ def of_laser(
         f"(± {motion.scale_sigma:.1%})"
     )
     fixes = range_fix(robot, scale)
-    words += "" if by_truth or not fixes else _who_is_right(robot, scale, fixes[0])
+    words += "" if by_truth or not fixes else who_is_right(robot, scale, fixes[0])
     code = "range scale" if by_truth else OPEN_SCALE
     return [Finding("lrf", code, words, fixes, abs(scale - 1.0) > SEVERE_SCALE_ERROR)]
 
@@ -369,7 +369,7 @@ def _paired(a: Array, b: Array, moved: Array, d: Array, mount: Array, t: tuple[f
     return Walls(y, n[good], np.tile(d, (k, 1)), own, np.full(k, moved[2]), np.full(k, t[1]), np.full(k, t[0]))
 
 
-def _who_is_right(robot: Robot, scale: float, fix: str) -> str:
+def who_is_right(robot: Robot, scale: float, fix: str) -> str:
     """Return a hint: the fix if the wheels are right, and the fix if the laser is right."""
     wheels = robot.wheels
     if wheels.radius is None:

@@ -16,7 +16,7 @@ from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.repairs import Mask, gaps_of, spikes, times
 
 from .finding import Finding, Least
-from .laser import OPEN_SCALE
+from .laser import OPEN_SCALE, range_fix, who_is_right
 
 UNIT, JUMP = "unit", "jump"  # codes of the findings on a truth by which no error means anything
 UNITS = {1000.0: "mm", 100.0: "cm", 0.01: "hundreds of metres", 0.001: "km"}  # by the ways in it over those in m
@@ -271,16 +271,20 @@ def metre(drive: Drive, robot: Robot, least: Least = WORTH_SAYING) -> tuple[floa
         f"they measure {abs(1.0 / factor - 1.0):.1%} too {'short' if factor > 1.0 else 'long'} by the truth "
         f"(± {sigma:.1%})"
     )
-    fixes = []
-    if robot.wheels.radius is not None:
-        fixes.append(f"wheels.radius={robot.wheels.radius * factor:.4g}")
-        if robot.wheels.track is not None:  # what turns right must go on turning right
-            fixes.append(f"wheels.track={robot.wheels.track * factor:.4g}")
-    elif robot.wheels.estimate:
+    fixes = wheels_fix(robot, factor)
+    if not fixes and robot.wheels.estimate:
         return factor, []
-    else:  # the driver's radius, which no setting here changes: the filter may find the scale
-        fixes.append("wheels.estimate=true")
-    return factor, [Finding("wheels", WHEEL_SCALE, words, tuple(fixes), abs(factor - 1.0) > SEVERE_SCALE_ERROR)]
+    return factor, [Finding("wheels", WHEEL_SCALE, words, fixes, abs(factor - 1.0) > SEVERE_SCALE_ERROR)]
+
+
+def wheels_fix(robot: Robot, factor: float) -> tuple[str, ...]:
+    """Return settings by which the wheels measure `factor` times as far; () if the filter finds the scale."""
+    wheels = robot.wheels
+    if wheels.radius is None:  # the driver's radius, which no setting here changes: the filter may find the scale
+        return () if wheels.estimate else ("wheels.estimate=true",)
+    # what turns right must go on turning right
+    track = () if wheels.track is None else (f"wheels.track={wheels.track * factor:.4g}",)
+    return (f"wheels.radius={wheels.radius * factor:.4g}", *track)
 
 
 class Swing(NamedTuple):
@@ -344,7 +348,7 @@ def of_creep(found: Swing | None) -> list[Finding]:
     return [Finding("wheels", CREEP, words)]
 
 
-def of_ways(drive: Drive, run: Estimates) -> list[Finding]:
+def of_ways(drive: Drive, robot: Robot, run: Estimates) -> list[Finding]:
     """Return a finding if the laser's own `run` and the wheels differ in distance; either may be right."""
     rows = np.unique(drive.instant[run.sensors[0]])
     by_laser = Truth("", run.t[rows], run.pose[rows, :2], np.unwrap(run.pose[rows, 2]))
@@ -355,12 +359,14 @@ def of_ways(drive: Drive, run: Estimates) -> list[Finding]:
     ratio, sigma = float(found.x[2]), max(float(found.sigma[2]), math.sqrt(0.5 * drive.wheels.noise / way))
     if abs(ratio - 1.0) < max(MIN_WAY_ERROR, WAY_SIGMAS * sigma):
         return []
+    fixes = range_fix(robot, 1.0 / ratio)
     words = (
         f"laser and wheels differ by {abs(ratio - 1.0):.1%} in distance (the laser's is {ratio:.3f} times the "
-        f"wheels', 1 sigma {sigma:.3f}): lrf.range_scale, or wheels.radius and wheels.track. To find out drive "
-        "3 m straight along a tape"
+        f"wheels', 1 sigma {sigma:.3f})"
     )
-    return [Finding(run.sensors[0], OPEN_SCALE, words)]
+    hint = who_is_right(robot, 1.0 / ratio, fixes[0]) if fixes else ""
+    found_too = [Finding("wheels", WHEEL_SCALE, words, wheels_fix(robot, ratio))]
+    return [Finding(run.sensors[0], OPEN_SCALE, words + hint, fixes), *found_too]
 
 
 def _robust(A: Array, y: Array) -> Array:

@@ -148,6 +148,25 @@ def test_a_laser_20_ms_late_is_named_with_its_sigma_and_a_right_one_is_not(tmp_p
         assert after["position_rmse_m"] < before["position_rmse_m"]
 
 
+@pytest.fixture(scope="module")
+def with_pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    log = tmp_path_factory.mktemp("pictures") / "log.mcap"
+    write_log(scenario_of(SCENARIO), 3000, on_truth, log)
+    return log
+
+
+@pytest.mark.parametrize("wrong", ["lrf.range_scale=1.05", "wheels.radius=0.053"])
+def test_bearings_to_a_known_mark_decide_whether_laser_or_wheels_measure_wrongly(
+    with_pictures: Path, wrong: str
+) -> None:
+    right = {"lrf.range_scale": 1.0, "wheels.radius": 0.05, "wheels.track": 0.6}
+    found = load(with_pictures, sets=(OFFSET, "camera.sigma_deg=0.18", "truth.topic=none", wrong)).findings()
+    fixes = dict(fix.split("=") for fix in found["fixes"])
+    assert wrong.partition("=")[0] in fixes
+    assert all(float(fixes[key]) == pytest.approx(right[key], rel=0.01) for key in right.keys() & fixes)
+    assert not fixes.keys() & {"lrf.x", "lrf.y", "lrf.yaw_deg"}
+
+
 def test_laser_and_wheels_that_differ_in_distance_are_both_named(log: Path) -> None:
     """The laser's own readings are predicted better by the wheels' distances, even if the wheels are wrong."""
     for wrong in (("lrf.range_scale=1.08",), ("wheels.radius=0.046", "wheels.track=0.552")):

@@ -88,6 +88,7 @@ class Evidence(Noise):
             or self._ranges_scatter
             or bool(self._spins)
             or bool(scales(self.loaded.drive, self.loaded.robot, SUSPICIOUS))
+            or self._walls_bend
         )
 
     def classes(self) -> Sequence[Sequence[Callable[[], Sequence[Candidate]]]]:
@@ -138,6 +139,8 @@ class Evidence(Noise):
     def _late(self, explanations: Sequence[Sequence[Clock]]) -> list[Candidate]:
         found: dict[str, Candidate] = {}
         by_truth = self.loaded.drive.truth is not None
+        if self._bumped and not by_truth:
+            return []  # they are compared with the laser's
         for clock in (clock for clocks in explanations for clock in clocks):
             if clock.name in found or not self.judges(clock.name):
                 continue  # a sensor that no run can use as it is has no judge
@@ -170,7 +173,7 @@ class Evidence(Noise):
     def geometry(self) -> list[Candidate]:
         """Return findings on mounts, scales and directions, by measuring and by a run with more states."""
         # distances that differ look like a mount, and of a laser that was bumped no mount is right all the time
-        no_mount = self._open_scale or self._distances or any(f.code == BUMP for f in self.doctor)
+        no_mount = self._open_scale or self._distances or self._bumped
         probed = [] if no_mount else [*self._probed(), *self._scaled()]
         probed = [*self._points(), *probed]
         named = {(f.role, f.code) for f in probed}
@@ -240,6 +243,11 @@ class Evidence(Noise):
             return ()
         fix_values = biased_against("camera", loaded.robot.settings("camera"), found).fix_values
         return (together(finding.fixes, as_fixes(fix_values)),)
+
+    @property
+    def _bumped(self) -> bool:
+        """Whether the laser's direction on the robot changes during the drive."""
+        return any(f.code == BUMP for f in self.doctor)
 
     @property
     def _open_scale(self) -> bool:

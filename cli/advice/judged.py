@@ -17,7 +17,7 @@ from locfuse.cli.analysis.load import Loaded
 from locfuse.cli.analysis.verdicts import sensors_consistency
 from locfuse.fusion.checks.examine import examine
 from locfuse.fusion.checks.finding import Finding, Least
-from locfuse.fusion.checks.laser_ranges import ranges_sigma, scatter_more
+from locfuse.fusion.checks.laser_ranges import of_offset, ranges_sigma, scatter_more
 from locfuse.fusion.checks.slip import Slip, beside_path, slip
 from locfuse.fusion.checks.tried import Candidate, Fixes
 from locfuse.fusion.data import BASES, Estimates
@@ -239,6 +239,12 @@ class Noise(Judged):
         if LASER not in self.loaded.drive.measurements:
             return None
         return ranges_sigma(self.loaded.stream(LASER), self.loaded.robot.settings(LASER))
+
+    @property
+    def _walls_bend(self) -> bool:
+        """Whether straight walls look bent in the laser's raw ranges, as by a constant error of them."""
+        stream = self.loaded.stream(LASER) if LASER in self.loaded.drive.measurements else None
+        return stream is not None and bool(of_offset(stream, self.loaded.robot.settings(LASER)))
 
     @property
     def _ranges_scatter(self) -> bool:

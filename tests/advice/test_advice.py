@@ -167,6 +167,14 @@ def test_bearings_to_a_known_mark_decide_whether_laser_or_wheels_measure_wrongly
     assert not fixes.keys() & {"lrf.x", "lrf.y", "lrf.yaw_deg"}
 
 
+def test_ranges_that_are_all_too_long_are_named_without_truth_where_nothing_else_looks_wrong(
+    with_pictures: Path,
+) -> None:
+    sets = (OFFSET, "camera.sigma_deg=0.18", "truth.topic=none", "lrf.range_offset=0.05")
+    (fix,) = (f for f in load(with_pictures, sets=sets).findings()["fixes"] if f.startswith("lrf."))
+    assert float(fix.removeprefix("lrf.range_offset=")) == pytest.approx(0.0, abs=0.015)
+
+
 def test_laser_and_wheels_that_differ_in_distance_are_both_named(log: Path) -> None:
     """The laser's own readings are predicted better by the wheels' distances, even if the wheels are wrong."""
     for wrong in (("lrf.range_scale=1.08",), ("wheels.radius=0.046", "wheels.track=0.552")):

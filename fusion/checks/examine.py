@@ -24,7 +24,7 @@ from .finding import Finding, Least
 from .laser import laser_motion, of_laser, of_radius
 from .laser_ranges import of_offset, of_scatter
 from .sweep import of_sweep
-from .truth import metre, of_truth, of_unit, wheels_metre
+from .truth import UNIT, metre, of_size, of_truth, of_unit, wheels_metre
 from .turning import MIRROR, Turning, aligned, of_track, of_turning, turnings
 from .unseen import unseen
 
@@ -81,7 +81,8 @@ def examine(
     if least is None:  # who tries fixes compares the clocks of runs too
         scales += of_clocks(drive, robot)
         scales += unseen(drive) if scales else []  # what looks wrong may be something that this drive cannot tell
-    return [*found, *scales, *of_truth(drive, robot)]
+    truth = [] if any(o.code == UNIT for o in scales) else of_truth(drive, robot)
+    return [*found, *scales, *truth]
 
 
 def scales(drive: Drive, robot: Robot, least: Least) -> list[Finding]:
@@ -101,16 +102,19 @@ def _scales(
     motion, lrf = None, drive.measurements.get("lrf")
     if lrf is not None and len(lrf.t) > 20 and not any(o.role == "lrf" for o in turning):
         motion = laser_motion(lrf, aligned(lrf, by_sensor.get("lrf")), drive, robot)
+    size = of_size(drive, motion)
+    if size:
+        drive = replace(drive, truth=None)  # nothing can be held against such a truth
     factor, scaled = metre(drive, robot, **named)
     by_truth = wheels_metre(drive) is not None
     radius = [] if by_truth else of_radius(motion, robot, **named)
     if radius and least is None:
-        return radius  # one cause of what looks like a wrong track and a wrong range scale
+        return [*size, *radius]  # one cause of what looks like a wrong track and a wrong range scale
     track = of_track(drive, robot.wheels, by_sensor, motion, factor if least is None else 1.0, **named)
     if track:
         scaled = [replace(o, fixes=o.fixes[:1]) for o in scaled]
     # who tries fixes tries all three
-    return [*radius, *scaled, *track, *of_laser(motion, robot, factor, by_truth=by_truth, **named)]
+    return [*size, *radius, *scaled, *track, *of_laser(motion, robot, factor, by_truth=by_truth, **named)]
 
 
 def _refused(drive: Drive) -> list[Finding]:

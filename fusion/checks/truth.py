@@ -16,10 +16,11 @@ from locfuse.fusion.wheels.motion import Wheels
 from locfuse.fusion.wheels.repairs import Mask, gaps_of, spikes, times
 
 from .finding import Finding, Least
-from .laser import OPEN_SCALE, range_fix, who_is_right
+from .laser import OPEN_SCALE, Motion, range_fix, who_is_right
 
 UNIT, JUMP = "unit", "jump"  # codes of the findings on a truth by which no error means anything
 UNITS = {1000.0: "mm", 100.0: "cm", 0.01: "hundreds of metres", 0.001: "km"}  # by the ways in it over those in m
+MAX_SIZE_SIGMAS, MAX_APART_SHARE = 3.0, 0.5  # standard errors; of the truth's error: wheels and laser agree better
 MAX_UNIT_RATIO = 1.5  # of the ways over what the unit explains, either way
 ROBOT_SPEEDS_MPS = 0.02, 20.0  # m/s: 99th percentile of the speeds of a robot
 STEP = "step"  # code of the finding on a truth that steps aside
@@ -214,6 +215,29 @@ def of_unit(drive: Drive) -> list[Finding]:
     words = (
         f"its distances are {float(f'{factor:.2g}'):g} times the wheels': its unit looks like {unit}. "
         "Errors by it mean nothing until it is recorded in m"
+    )
+    return [Finding("truth", UNIT, words, (), True)]
+
+
+def of_size(drive: Drive, motion: Motion | None) -> list[Finding]:
+    """Return a finding if wheels and laser agree on distances, and the truth differs from both.
+
+    `motion`: the laser beside the wheels, by walls. Two that agree are hardly wrong by the same factor.
+    """
+    truth = drive.truth
+    if truth is None or motion is None or drive.wheels.matched is not None:
+        return []
+    swung = swing(truth, drive, axle_path(truth, drive.wheels))  # a tracked point off the axle drives other ways
+    found = wheels_metre(drive) if swung is None else (float(swung.x[2]), float(swung.sigma[2]))
+    if found is None:
+        return []
+    factor, off = found[0], abs(found[0] - 1.0)
+    apart = abs(motion.scale - 1.0) + MAX_SIZE_SIGMAS * motion.scale_sigma
+    if off < max(SEVERE_SCALE_ERROR, MAX_SIZE_SIGMAS * found[1]) or apart > MAX_APART_SHARE * off:
+        return []
+    words = (
+        f"its distances are {factor:.3f} times those of the wheels and of the laser, which agree to "
+        f"{abs(motion.scale - 1.0):.1%}: its scale is wrong. Errors by it mean nothing until it is corrected"
     )
     return [Finding("truth", UNIT, words, (), True)]
 

@@ -28,6 +28,7 @@ from locfuse.fusion.checks.truth import (
     UNIT,
     jumps_of,
     metre,
+    of_size,
     of_truth,
     of_unit,
     start_pose,
@@ -343,6 +344,21 @@ def test_an_odometry_s_wrong_radius_or_track_is_the_wheels_and_not_the_laser_s(f
     for one in (long, turned):
         estimated = replace(driver, wheels=replace(driver.wheels, estimate=True))
         assert _scales(one, estimated, turnings(one), (), None) == []
+
+
+@pytest.mark.parametrize(
+    ("truth", "wheels", "named"), [(1.1, 1.0, True), (1.0, 1.1, False), (1.1, 1.1, False), (1.03, 1.0, False)]
+)
+def test_a_truth_whose_size_wheels_and_laser_both_deny_is_wrong(truth: float, wheels: float, named: bool) -> None:
+    """Where only the wheels are wrong, the laser denies them; where both are right, a small error is no reason."""
+    healthy = drive(4, robot(), laps=3.0)
+    own = rolled(healthy, wheels * healthy.wheels.rolled, TRACK * wheels)
+    scaled = replace(own, truth=replace(truth_of(own), xy=truth * truth_of(own).xy))
+    found = of_size(scaled, seen(scaled))
+    assert [(f.role, f.code, f.fixes, f.severe) for f in found] == ([("truth", UNIT, (), True)] if named else [])
+    scales = _scales(scaled, robot(), turnings(scaled), (), None)
+    assert (("truth", UNIT) in {(f.role, f.code) for f in scales}) == named
+    assert not named or not told(scales)
 
 
 @pytest.mark.parametrize(("every", "spoil"), [(400, False), (50, True)])

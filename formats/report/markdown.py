@@ -1,4 +1,4 @@
-"""report.md: the comparison as Markdown for a pull request: verdicts, one table, the rest folded."""
+"""report.md: the comparison as Markdown for a pull request: verdicts and one table, details folded."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from .render import SIGNS, code, escape, markdown
 
 
 def render(report: Mapping[str, Any]) -> str:
-    """Return the report as Markdown. Text from the log is escaped."""
+    """Return report.md; text from the log is escaped."""
     source, sensors = report["input"], tables.sensors(report)
     compared_with = "reference" if report.get("reference") else "truth"
-    known_by = code(fingerprint(source, 16).split()[1])
+    identity = code(fingerprint(source, 16).split()[1])
     details = [
         markdown(tables.configurations(report, main=False)) if tables.has_figures(report) else "",
         markdown(sensors) if sensors.rows else "",
@@ -35,7 +35,7 @@ def render(report: Mapping[str, Any]) -> str:
         _findings(report),
         _listing("Notes", dict.fromkeys(notes_of(report), "")),
         _folded("All figures, sensors, and what was dropped", details),
-        f"Input {known_by}, locfuse {escape(report['locfuse'])}. Deviation = estimate - {compared_with}.",
+        f"Input {identity}, locfuse {escape(report['locfuse'])}. Deviation = estimate - {compared_with}.",
     ]
     return "\n\n".join(p for p in parts if p) + "\n"
 

@@ -128,7 +128,7 @@ def of_publishers(log: Log, choice: Choice) -> list[Finding]:
     found = []
     for role in choice.topics:
         for topic in choice.of(role):
-            if counts := log.alternating_publishers(topic):
+            if counts := log.in_turn(topic):
                 n = " and ".join(map(str, counts))
                 words = f"{topic} mixes two publishers ({n} messages in turn); record each on a topic of its own"
                 found.append(Finding(role, "publishers", words, severe=True))

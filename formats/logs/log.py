@@ -38,11 +38,11 @@ from .stream import (
     PresentedStream,
     Raw,
     TopicTable,
-    plausibly_recorded,
     digest,
     field_of,
     number_in,
     path_in,
+    plausibly_recorded,
     ranges_in,
 )
 from .transform_stream import (
@@ -496,7 +496,7 @@ class Log:
         for _, raw in self._walk({topic}):
             yield raw
 
-    def alternating_publishers(self, topic: str) -> list[int]:
+    def in_turn(self, topic: str) -> list[int]:
         """Return the message counts of two channels of one file that write to a topic alternately; else [].
 
         A recorder gives each publisher of a topic its own channel. A publisher that was restarted, or whose

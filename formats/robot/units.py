@@ -1,4 +1,4 @@
-"""The unit of every number in robot.toml: by the key's ending, else by the key."""
+"""Units of the numbers in robot.toml, from the key or its ending."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ WORDS = {"m": "metres", "°": "degrees", "s": "seconds", "px": "pixels", "m/s": 
 
 
 def of(table: str, key: str) -> str:
-    """Return the unit of a key's value, "" without one."""
+    """Return the unit of a key's value: "m"; "" without one."""
     if (path := f"{table}.{key}") in EXACT:
         return EXACT[path]
     return "°" if key.endswith("_deg") else "s" if key in SECONDS else "m" if key in METRES else ""
 
 
 def in_words(table: str, key: str) -> str:
-    """Return the unit as a word for a sentence: "metres"; "" without a unit."""
+    """Return the unit of a key's value in words: "metres"; "" without one."""
     unit = of(table, key)
     return WORDS.get(unit, unit)

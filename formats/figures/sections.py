@@ -1,4 +1,4 @@
-"""The figures of a report in reading order, from the map to the estimated states."""
+"""The list of a report's figures in reading order."""
 
 from __future__ import annotations
 

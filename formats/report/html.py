@@ -162,7 +162,7 @@ def section_drawings(section: Section, swatches: Swatches) -> dict[str, Any]:
     ]
     per_row = section.columns if section.rows else max(1, len(drawn))
     rows = [drawn[i : i + per_row] for i in range(0, len(drawn), per_row)]
-    keys = {k: p.said.get(k, "rejected" if k == "gate" else k) for p in section.panels for k in p.keys}
+    keys = {k: p.legend.get(k, "rejected" if k == "gate" else k) for p in section.panels for k in p.keys}
     scale = {
         k: keys.pop(k) for k in sorted(keys) if k.startswith("level ")
     }  # a colour scale comes first, in its order

@@ -34,13 +34,11 @@ def writable(text: str) -> str:
 
 def escaped(text: str) -> str:
     """Return JSON or TOML text with equal values, without characters that a terminal interprets."""
-    return text if text.isascii() and "\x7f" not in text else UNSEEN_IN_JSON.sub(_unicode, text)
+    if text.isascii() and "\x7f" not in text:
+        return text
+    return UNSEEN_IN_JSON.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 def _shown(found: re.Match[str]) -> str:
     code = ord(found[0])
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
-
-
-def _unicode(found: re.Match[str]) -> str:
-    return f"\\u{ord(found[0]):04x}"

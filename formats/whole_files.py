@@ -108,8 +108,11 @@ def _write_all(folder: Path, files: Mapping[str, Content]) -> None:
             claim(temporary[name])
             if callable(content):
                 content(temporary[name])
+            elif isinstance(content, str):
+                text = visible_lines(content) if name.endswith((".md", ".html")) else content
+                temporary[name].write_bytes(text.encode(errors="replace"))
             else:
-                temporary[name].write_bytes(_encoded(name, content) if isinstance(content, str) else content)
+                temporary[name].write_bytes(content)
             _sync(temporary[name])
         for name in files:
             temporary[name].replace(folder / name)
@@ -117,12 +120,6 @@ def _write_all(folder: Path, files: Mapping[str, Content]) -> None:
     finally:
         for path in temporary.values():
             _remove(path)
-
-
-def _encoded(name: str, text: str) -> bytes:
-    """Return a text as UTF-8; in .md and .html with control characters escaped."""
-    shown = visible_lines(text) if name.endswith((".md", ".html")) else text
-    return shown.encode(errors="replace")
 
 
 def _prepare(folder: Path, overwrite: bool) -> list[Path]:

@@ -103,7 +103,8 @@ Bytes = NDArray[np.uint8]
 
 def unpack(data: Bytes, messages: Messages) -> Iterator[tuple[Bytes, Messages]]:
     """Yield the unpacked messages in portions (buffer, messages); a damaged message becomes empty."""
-    if not _packed(data, messages):
+    words = view(data, "<u4", messages.start[messages.length >= 4])
+    if not (words == ZSTD_WORD).any():
         yield data, messages
         return
     pieces: list[bytes] = []
@@ -116,11 +117,6 @@ def unpack(data: Bytes, messages: Messages) -> Iterator[tuple[Bytes, Messages]]:
             pieces, first, size = [], i + 1, 0
     if pieces:
         yield _portion(pieces, messages.take(slice(first, None)))
-
-
-def _packed(data: Bytes, messages: Messages) -> bool:
-    whole = messages.length >= 4
-    return bool(whole.any() and (view(data, "<u4", messages.start[whole]) == ZSTD_WORD).any())
 
 
 def _unpacked_message(message: bytes) -> bytes:

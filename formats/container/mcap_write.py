@@ -109,7 +109,8 @@ class StandardMessages:
         if node == Nodetype.NAME:
             return self._build(inner, value or {})
         if node == Nodetype.BASE:
-            return _default(inner[0]) if value is None else value
+            zero = "" if inner[0] == "string" else 0.0 if inner[0].startswith("float") else 0
+            return zero if value is None else value
         element, length = inner  # an array or a sequence
         if element[0] == Nodetype.NAME:
             return [self._build(element[1], v) for v in (() if value is None else value)]
@@ -119,12 +120,6 @@ class StandardMessages:
         if isinstance(value, bytes | bytearray | memoryview):
             return np.frombuffer(value, np.uint8)
         return np.zeros(length, base) if value is None else np.asarray(value, base)
-
-
-def _default(base: str) -> str | int | float:
-    if base == "string":
-        return ""
-    return 0.0 if base.startswith("float") else 0
 
 
 @contextmanager

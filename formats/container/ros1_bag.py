@@ -236,7 +236,7 @@ class BagSource(ChunkedSource):
         return entry.op == CHUNK and entry.end <= self.data.size
 
     def _complete_counts(self) -> None:
-        """Read the parts without connections or message counts in the index, to get both from their content."""
+        """Get missing connections and message counts from the content of the parts."""
         for part in self.parts:
             if part.counts is not None and part.counts.keys() <= self._connections.keys() and self.time_span_ns:
                 continue

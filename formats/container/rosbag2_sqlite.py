@@ -60,7 +60,7 @@ class TimeLimit:
         database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_CHUNK)
 
     def begin(self) -> None:
-        """Restart the clock."""
+        """Restart the time of the current step."""
         self._end_s = time.thread_time() + self._allowed_s
 
     def _late(self) -> bool:

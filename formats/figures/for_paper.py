@@ -121,9 +121,7 @@ def draw(panel: Panel, inks: dict[str, str], looks: Mapping[str, str] | None = N
         return _saved(figure)
 
 
-def draw_column(
-    panels: Sequence[Panel], inks: dict[str, str], looks: Mapping[str, str] | None = None
-) -> tuple[bytes, bytes]:
+def draw_column(panels: Sequence[Panel], inks: dict[str, str], looks: Mapping[str, str]) -> tuple[bytes, bytes]:
     """Return a column of panels with a common x axis, such as deviations in x and y, drawn as (SVG, PDF)."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
@@ -134,7 +132,7 @@ def draw_column(
         grid = figure.add_gridspec(n, 1, left=AXES_AREA[0], right=AXES_AREA[0] + AXES_AREA[2], **COLUMN)
         axes = [figure.add_subplot(grid[i]) for i in range(n)]
         for own, panel in zip(axes, panels, strict=True):
-            _fill(own, panel, inks, looks or {})
+            _fill(own, panel, inks, looks)
         for own in axes[1:]:
             if (legend := own.get_legend()) is not None:
                 legend.remove()

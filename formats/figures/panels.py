@@ -108,7 +108,7 @@ def ranges(panel: Panel) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the limits of x and y: those of the panel, else the range of its marks with a small margin."""
     x = panel.x_range or _span([v for m in panel.marks for v in values_of(m, 0)], 0.0, panel.x_log)
     y = panel.y_range or _span([v for m in panel.marks for v in values_of(m, 1)], 0.04, panel.log)
-    return _not_equal(*x), _not_equal(*y)
+    return _widened(*x), _widened(*y)
 
 
 def values_of(mark: Mark, axis: int) -> tuple[Array, ...]:
@@ -132,7 +132,7 @@ def _span(columns: list[Array], margin: float, log: bool = False) -> tuple[float
     return low - margin * (high - low), high + margin * (high - low)
 
 
-def _not_equal(low: float, high: float) -> tuple[float, float]:
+def _widened(low: float, high: float) -> tuple[float, float]:
     """Return limits within MAX_AXIS_VALUE, widened if they are equal (constant values)."""
     low, high = max(low, -MAX_AXIS_VALUE), min(high, MAX_AXIS_VALUE)
     if high - low >= 1e-12 * max(1.0, abs(high)):

@@ -72,11 +72,6 @@ def dots_path(x: Array, y: Array) -> str:
     return "".join(f"M{a}0 {b}0v{length}0" for (a, b), length in runs)
 
 
-def strokes_path(ends: Array) -> str:
-    """Return the SVG path of line segments (k, 2, 2) [px]."""
-    return "".join(_path_text(pair) for pair in ends if np.isfinite(pair).all())
-
-
 def spots_path(x: Array, y: Array, crossed: bool = False) -> str:
     """Return the SVG path of symbols of fixed size at positions (n,) [px]; `crossed` draws crosses."""
     good = np.isfinite(x) & np.isfinite(y)
@@ -288,7 +283,8 @@ def _drawn(mark: Mark, x: Axis, y: Axis) -> tuple[str, str]:
     """Return a mark's CSS classes and its SVG path."""
     pixels = max(16, round(x.end - x.start))
     if isinstance(mark, Strokes):
-        return "stroke", strokes_path(np.stack((x.px(mark.ends[:, :, 0]), y.px(mark.ends[:, :, 1])), axis=-1))
+        ends = np.stack((x.px(mark.ends[:, :, 0]), y.px(mark.ends[:, :, 1])), axis=-1)
+        return "stroke", "".join(_path_text(pair) for pair in ends if np.isfinite(pair).all())
     px = x.px(mark.x)
     if isinstance(mark, Band):
         return "solid" if mark.solid else "band", band_path(px, y.px(mark.low), y.px(mark.high), pixels)

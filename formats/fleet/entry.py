@@ -52,7 +52,13 @@ def slim(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     return {
         "input": {key: source.get(key) for key in ("name", "size", "identity", "sha256", "start", "losses")},
         "configurations": {
-            label(name, cell): {**_scalars(values), "configuration": name, "cell": cell, **_marks(report, values)}
+            label(name, cell): {
+                **_scalars(values),
+                "configuration": name,
+                "cell": cell,
+                "slowed": bool(values.get("rates_hz")),
+                "key": report.get("key"),
+            }
             for cell, report in reports.items()
             for name, values in report["configurations"].items()
         },
@@ -67,10 +73,6 @@ def slim(reports: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         "credit": _effects(first.get("credit")),
         "measured": first.get("measured"),
     }
-
-
-def _marks(report: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    return {"slowed": bool(values.get("rates_hz")), "key": report.get("key")}
 
 
 def _scalars(values: Mapping[str, Any]) -> dict[str, Any]:

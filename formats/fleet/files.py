@@ -58,8 +58,11 @@ class Rows:
 
     def __init__(self, entries: Sequence[Entry], sweep: Sequence[str] = ()) -> None:
         self._entries = entries
-        figures = dict.fromkeys(key for e in entries for key in _figures(e))
-        sensors = dict.fromkeys(s for e in entries for found in _sensors(e) for s in found)
+        configurations = [values for e in entries for values in e.report.get("configurations", {}).values()]
+        figures = dict.fromkeys(key for values in configurations for key in values if key not in NOT_FIGURES)
+        sensors = dict.fromkeys(
+            s for e in entries for found in e.report.get("sensors", {}).values() for s in found
+        )
         verdicts = dict.fromkeys(s for e in entries for s in e.report.get("verdicts", {}))
         self.sweep = tuple(sweep)  # settings that a sweep varies; text columns
         self.columns = (
@@ -97,15 +100,6 @@ class Rows:
                 **{f"{s}_verdict": verdict for s, verdict in report["verdicts"].items()},
                 **{f"lost_{unit}": n for unit, n in lost.items()},
             }
-
-
-def _figures(entry: Entry) -> list[str]:
-    found = entry.report.get("configurations", {}).values()
-    return [key for values in found for key in values if key not in NOT_FIGURES]
-
-
-def _sensors(entry: Entry) -> list[Mapping[str, Any]]:
-    return list(entry.report.get("sensors", {}).values())
 
 
 def csv(rows: Rows) -> str:

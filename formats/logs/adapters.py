@@ -215,11 +215,6 @@ PACKED = np.array([0, 2, 1, 4, 3, 6, 5, 7, 8])  # foxglove.PackedElementField's 
 OPTICAL = "_optical"  # a camera's frame: x right, y down, z ahead
 
 
-def level_frame(frame_id: str) -> str:
-    """Return the frame of the scan: a camera's optical frame without its suffix "_optical"."""
-    return frame_id.replace(OPTICAL, "")
-
-
 def echoes_as_scans(columns: Columns, fields: tuple[str, ...], frame_id: str) -> dict[str, Column]:
     """Convert MultiEchoLaserScan columns to LaserScan: the first echo of each beam, Inf without one."""
     echoes, lengths = _ragged(columns, "ranges.echoes"), _ragged(columns, "ranges.echoes.length")
@@ -362,7 +357,7 @@ class Presented(NamedTuple):
 
 
 PRESENTED: Mapping[str, Presented] = {
-    CLOUD: Presented(SCAN, "scan", OF_CLOUD, cloud_as_scans, frame=level_frame),
+    CLOUD: Presented(SCAN, "scan", OF_CLOUD, cloud_as_scans, frame=lambda name: name.replace(OPTICAL, "")),
     ECHOES: Presented(SCAN, "scan", OF_ECHOES, echoes_as_scans),
     **dict.fromkeys(FOXGLOVE, Presented(SCAN, "scan", OF_FOXGLOVE, foxglove_as_scans)),
     **dict.fromkeys(FOXGLOVE_CLOUD, Presented(SCAN, "scan", OF_FOXGLOVE_CLOUD, foxglove_clouds_as_scans)),

@@ -91,7 +91,7 @@ def in_order(times: Ints) -> Ints:
 
 
 def filled(times: Ints, keep: NDArray[np.bool_], at: Ints, pace: int) -> Ints:
-    """Return times (n,) with those not in `keep` interpolated over `at`, or extrapolated with slope `pace`."""
+    """Return times (n,) with those not in `keep` interpolated over `at` (n,), at the ends with slope `pace`."""
     known = np.flatnonzero(keep)
     first, last = known[0], known[-1]
     x, lost = at - at[first], np.flatnonzero(~keep)
@@ -104,13 +104,13 @@ def filled(times: Ints, keep: NDArray[np.bool_], at: Ints, pace: int) -> Ints:
 
 
 def _evenly_filled(times: Ints, keep: NDArray[np.bool_]) -> Ints:
-    """Return times (n,) with those not in `keep` spaced evenly, beyond the kept ones by the median period."""
+    """Return times (n,) with those not in `keep` replaced by evenly spaced ones."""
     period = int(np.median(np.diff(times[keep]))) if keep.sum() > 1 else 0
     return filled(times, keep, np.arange(len(times)), period)
 
 
 def _gap_in_file(times: Ints, keep: NDArray[np.bool_], wrong: Ints) -> bool:
-    """Return whether the gap at its place in the file is larger than at its time, for most `wrong` times."""
+    """Return whether most `wrong` times have a larger gap at their place in the file than at their value."""
     known, kept = np.flatnonzero(keep), times[keep]
     after = np.searchsorted(known, wrong)
     inner = (after > 0) & (after < len(known))

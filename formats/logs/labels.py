@@ -43,7 +43,7 @@ def labels(log: Log, drive: Drive, order: str) -> list[Event]:
 
 
 def _parse_label(text: str) -> tuple[str, str]:
-    """Return (event, words) of a label: event "begin", "end" or ""; text that is not JSON as words."""
+    """Return (event, words) of a label; event is "begin", "end" or ""."""
     try:
         table = msgspec.json.decode(text, type=dict[str, Any])
     except msgspec.DecodeError:

@@ -138,12 +138,15 @@ class TopicTable:
             self.frame_id = str(one.columns((path,)).columns[path][0])
 
     def end(self) -> bool:
-        """End the pass; return whether messages have equal log times, which need digests for their order."""
+        """End the pass; return whether messages have equal log times, whose order needs digests."""
         collected, self._pass = self._pass, Pass((), 0)
         columns = {name: self._finished(name, column) for name, column in collected.columns.items()}
         log_time, sequence = collected.log_time.array(), collected.sequence.array()
         if self.known:
-            self._add(columns, len(log_time))
+            if len(log_time) != self._n:
+                raise LocfuseError(f"{self.topic}: {CHANGED}")
+            rows = self._file_rows
+            self.columns |= {k: c if rows is None else take(c, rows) for k, c in columns.items()}
             return False
         self.columns = columns
         self._n = len(log_time)
@@ -157,12 +160,6 @@ class TopicTable:
             none = np.empty(0, np.int64)
             column = self.decoder.decode(np.empty(0, np.uint8), none, none, (name,)).columns[name]
         return column
-
-    def _add(self, columns: dict[str, Column], n: int) -> None:
-        if n != self._n:
-            raise LocfuseError(f"{self.topic}: {CHANGED}")
-        rows = self._file_rows
-        self.columns |= {k: c if rows is None else take(c, rows) for k, c in columns.items()}
 
     def tied(self) -> Ints:
         """Return the log times (k,) ns that several messages have."""
@@ -276,7 +273,7 @@ class LogStream:
 
     @cached_property
     def clock(self) -> clocks.Clock:
-        """The choice of the times."""
+        """The times of the rows, and how they were chosen."""
         table = self._table
         assert table.log_time is not None
         stamp = np.asarray(table.columns[table.stamp]) if table.stamp else None
@@ -332,7 +329,7 @@ class LogStream:
                     raise LocfuseError(f"{self.topic}: {CHANGED}")
                 waiting.append(_rows(here, decoded.columns))
                 room -= len(waiting[-1][0])
-                size += _bytes(waiting[-1])
+                size += sum(n_bytes(column) for column in waiting[-1][1].values())
                 if room <= 0 or size >= BLOCK_BYTES:
                     yield _joined(waiting)
                     waiting, room, size = [], rows, 0
@@ -368,10 +365,6 @@ def _rows(numbers: Ints, columns: dict[str, Column]) -> Block:
 def _messages_per_block(length: Ints) -> int:
     """Return how many messages of these lengths (k,) [bytes] fit into BLOCK_BYTES; at least one."""
     return max(int(np.searchsorted(np.cumsum(length), BLOCK_BYTES, "right")), 1)
-
-
-def _bytes(block: Block) -> int:
-    return sum(n_bytes(column) for column in block[1].values())
 
 
 def _joined(blocks: list[Block]) -> Block:

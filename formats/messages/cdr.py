@@ -176,29 +176,23 @@ class _LayoutWalk:
         self._store_leaf(wanted, max(n - self.rules.nul, 0))
         self.at += n
 
-    def _tail(self, size: int, wanted: Wanted | str | None) -> Tail:
-        """Return the sequence whose length word was just read as the message's tail."""
-        padding = -(self.at - self.rules.header) % size if self.rules.aligned else 0
-        return Tail(self.at - 4, self.at + padding, size, wanted if isinstance(wanted, str) else None)
-
-    def _count_items(self, count: int) -> None:
-        """Raise MalformedError for messages that would take minutes to parse, for any wanted fields."""
-        self.items += count
-        if self.items > MAX_ITEMS:
-            raise MalformedError(f"more than {MAX_ITEMS} strings and structures of their own length")
-
     def _many(self, node: Many, wanted: Wanted | str | None) -> None:
         count = self._length() if node.count is None else node.count
         if isinstance(node.element, Scalar):
             may_be_tail = node.count is None and not (self.nested and wanted is not None)
             if may_be_tail:
-                self.tail = self._tail(node.element.size, wanted)
+                size = node.element.size
+                padding = -(self.at - self.rules.header) % size if self.rules.aligned else 0
+                path = wanted if isinstance(wanted, str) else None
+                self.tail = Tail(self.at - 4, self.at + padding, size, path)
             self._numbers(node.element, count, wanted)
             self.tail_end = self.at if may_be_tail else -1
             return
         size = _fixed_run(node.element, count, self._phase(), self.rules.aligned)
         if size is None:
-            self._count_items(count)
+            self.items += count
+            if self.items > MAX_ITEMS:  # for any wanted fields, so that validity does not depend on them
+                raise MalformedError(f"more than {MAX_ITEMS} strings and structures of their own length")
         else:
             self.room(size)
             if wanted is None:

@@ -1,4 +1,4 @@
-"""Dotted field paths ("header.stamp", "transforms.child_frame_id"): resolution and check of their kinds."""
+"""Dotted field paths ("header.stamp"): lookup in a message type, and check of the kind of field."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ def changes(before: Report, after: Report) -> dict[str, Any]:
 
 
 def judged_by(report: Report) -> str | None:
-    """Return "truth", or the sensors of the reference solution used instead; None without both."""
+    """Return "truth", or the sensors of the reference solution used instead; None if neither exists."""
     if report.get("truth") is not None:
         return "truth"
     reference = report.get("reference")

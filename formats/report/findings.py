@@ -158,7 +158,7 @@ def notes_of(report: Mapping[str, Any]) -> list[str]:
 
 
 def _grouped(notes: Iterable[tuple[str, str, str]]) -> Iterable[dict[str, str]]:
-    """Group notes (source, form, words): each group maps sources to their n-th note of one form."""
+    """Return groups of notes (source, form, words) of equal form, each group as source -> words."""
     found: dict[tuple[str, int], dict[str, str]] = {}
     times: Counter[tuple[str, str]] = Counter()
     for source, form, words in notes:

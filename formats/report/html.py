@@ -11,7 +11,7 @@ import hashlib
 import math
 import re
 from collections.abc import Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
@@ -60,7 +60,7 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
         report=report,
         title=title_of(report),
         fingerprint=fingerprint(report["input"]),
-        figures=ReportFigures(report),
+        figures=partial(figure, report),
         tables=tables,
         table=lambda shown, painted=True: Markup(html(shown, swatches if painted else None, bars, smoothed)),
         picture=next((d for d in drawings if d["section"].name == PICTURE), None),
@@ -114,20 +114,14 @@ def _compiled(source: str) -> Template:
     return environment.from_string(source)
 
 
-class ReportFigures:
-    """Formats figures of a report as HTML <data> elements with their JSON path."""
-
-    def __init__(self, report: Mapping[str, Any]) -> None:
-        self._report = report
-
-    def __call__(self, path: Sequence[str | int], form: str = "{}") -> Markup:
-        """Return the figure at `path`, formatted; a dash if it does not exist."""
-        value: Any = self._report
-        for key in path:
-            value = value[key]
-        if value is None or (isinstance(value, float) and not math.isfinite(value)):
-            return Markup('<span class="none">–</span>')
-        return Markup(data(Piece(written(value, form), value, tuple(path))))
+def figure(report: Mapping[str, Any], path: Sequence[str | int], form: str = "{}") -> Markup:
+    """Return the figure of a report at a JSON path as an HTML <data> element; a dash for null and NaN."""
+    value: Any = report
+    for key in path:
+        value = value[key]
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return Markup('<span class="none">–</span>')
+    return Markup(data(Piece(written(value, form), value, tuple(path))))
 
 
 def style_sheet(css: str, swatches: Swatches) -> str:

@@ -177,15 +177,19 @@ def render(summary: Mapping[str, Any]) -> str:
 def headline(summary: Mapping[str, Any]) -> str:
     """Return a sentence with the best configuration and its mean position rmse."""
     best, judged = summary["best"], summary["judged"]
-    if not any(log.get("state", "done") == "done" for log in summary["logs"].values()):
+    done = [log for log in summary["logs"].values() if log.get("state", "done") == "done"]
+    if not done:
         return "No log could be compared."
+    unjudged = [log for log in done if log.get("best") is None]  # no truth, or void
     if best is None:
-        return f"{_none_judged(summary)}{not_done(summary)}"
+        void = any(log.get("void") for log in unjudged)
+        without_truth = "None of these logs has a truth: error figures do not exist."
+        reason = f"No log has an error figure: {_left_out(unjudged)}." if void else without_truth
+        return f"{reason}{not_done(summary)}"
     found = summary["configurations"][best]
     mean = found["figures"][RMSE.key]["mean"]
     rivals = {n: c["best_in"] for n, c in summary["configurations"].items() if n != best and c["best_in"]}
     others = "".join(f", {n} in {k}" for n, k in rivals.items())
-    unjudged = _unjudged(summary)
     left = f" {_left_out(unjudged)}." if unjudged else ""
     rest = f"{left}{_ties(summary)}{not_done(summary)}"
     partly = any(summary["configurations"][n]["figures"][RMSE.key]["logs"] < judged for n in rivals)
@@ -198,19 +202,6 @@ def headline(summary: Mapping[str, Any]) -> str:
         )
     wins = f"the best in {found['best_in']} of {judged} logs{others}."
     return f"Best is {best}: mean position rmse {mean:.4f} m; {wins}{rest}"
-
-
-def _unjudged(summary: Mapping[str, Any]) -> list[Mapping[str, Any]]:
-    """Return the logs that were compared and have no error figure (no truth, or void)."""
-    done = (log for log in summary["logs"].values() if log.get("state", "done") == "done")
-    return [log for log in done if log.get("best") is None]
-
-
-def _none_judged(summary: Mapping[str, Any]) -> str:
-    logs = _unjudged(summary)
-    if any(log.get("void") for log in logs):
-        return f"No log has an error figure: {_left_out(logs)}."
-    return "None of these logs has a truth: error figures do not exist."
 
 
 def _left_out(logs: Sequence[Mapping[str, Any]]) -> str:

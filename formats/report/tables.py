@@ -154,7 +154,7 @@ def _readable(columns: Iterable[Column], report: Report) -> tuple[Column, ...]:
 
 
 def _configurations(report: Report, key: str | None = None) -> Rows:
-    """Yield (values, path in report.json) of every configuration; with `key`, of this part of its values."""
+    """Yield (values, path in report.json) of every configuration, or of its sub-table `key`."""
     runs = report["configurations"]
     hit = (v.get("crispness_cells") for v in runs.values() if _agrees(v))
     fewest = min(filter(None, hit), default=0)

@@ -25,7 +25,7 @@ NO_LIMIT = 2**62
 
 
 class SensorLook(msgspec.Struct, frozen=True):
-    """The style and name of one sensor's measurements."""
+    """The components, NIS bounds, shape and mount with which a sensor's measurements are drawn."""
 
     components: tuple[Component, ...]  # of its innovation
     bounds: tuple[float, float]  # 95 % interval of the NIS of consistent measurements

@@ -169,7 +169,8 @@ def convert(tables: Mapping[str, Any], types: Mapping[str, Any]) -> dict[str, An
     converted: dict[str, Any] = {}
     for name, table in tables.items():
         if name not in types:
-            raise LocfuseError(_unknown(name, "", list(types), _tables_with(name, types)))
+            having = [t for t, kind in types.items() if name in getattr(kind, "__struct_encode_fields__", ())]
+            raise LocfuseError(_unknown(name, "", list(types), [f"{table}.{name}" for table in having]))
         kind = types[name]
         if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
             _check_table(name, table, kind)
@@ -198,13 +199,6 @@ def _refuse_far(path: str, value: Any) -> None:
             _refuse_far(path, one)
     elif isinstance(value, int | float) and abs(value) > MAX_METRES:
         raise LocfuseError(f"{path} = {_shown(value)}: it is in metres, and may be {MAX_METRES:g} at most")
-
-
-def _tables_with(key: str, types: Mapping[str, Any]) -> list[str]:
-    """Return the path, "lrf.sigma_range", of this key in every table that has it."""
-    return [
-        f"{name}.{key}" for name, kind in types.items() if key in getattr(kind, "__struct_encode_fields__", ())
-    ]
 
 
 def _unknown(key: str, table: str, known: Sequence[str], paths: Sequence[str] = ()) -> str:

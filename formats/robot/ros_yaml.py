@@ -56,7 +56,7 @@ class Setting(msgspec.Struct, frozen=True):
 
     @property
     def label(self) -> str:
-        """The beginning of the comment on a setting, from its origin."""
+        """The prefix of a setting's comment: "found: ", "carried over: ", ..."""
         return LABELS[self.origin]
 
     @property

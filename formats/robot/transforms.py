@@ -201,7 +201,7 @@ Neighbours = Mapping[str, Sequence[tuple[str, Edge, bool]]]  # frame -> (neighbo
 
 
 def neighbours(edges: Iterable[tuple[str, str, Edge]]) -> Neighbours[Edge]:
-    """Return frame -> its neighbours, from edges (parent, child, edge)."""
+    """Return frame -> [(neighbour, edge, whether inverted)] from edges (parent, child, edge)."""
     at: dict[str, list[tuple[str, Edge, bool]]] = {}
     for parent, child, edge in edges:
         at.setdefault(parent, []).append((child, edge, False))

@@ -25,11 +25,6 @@ def mounted(pose: Array, mount: tuple[float, float, float]) -> Array:
     return np.column_stack((at, pose[:, 2] + mount[2]))
 
 
-def steps(xy: Array) -> Array:
-    """Return the n - 1 segments of a path (n, 2), (n - 1, 2, 2)."""
-    return np.stack((xy[:-1], xy[1:]), axis=1)
-
-
 def ellipses(P: Array) -> tuple[Array, Array]:
     """Return half axes (n, 2) and direction (n,) of the 3-sigma ellipses of position covariances (n, >=2, >=2)."""
     xx, yy, xy = P[:, 0, 0], P[:, 1, 1], P[:, 0, 1]

@@ -181,10 +181,9 @@ class _LayoutWalk:
         if isinstance(node.element, Scalar):
             may_be_tail = node.count is None and not (self.nested and wanted is not None)
             if may_be_tail:
-                size = node.element.size
-                padding = -(self.at - self.rules.header) % size if self.rules.aligned else 0
+                padding = -(self.at - self.rules.header) % node.element.size if self.rules.aligned else 0
                 path = wanted if isinstance(wanted, str) else None
-                self.tail = Tail(self.at - 4, self.at + padding, size, path)
+                self.tail = Tail(self.at - 4, self.at + padding, node.element.size, path)
             self._numbers(node.element, count, wanted)
             self.tail_end = self.at if may_be_tail else -1
             return

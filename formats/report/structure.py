@@ -40,12 +40,12 @@ class Input(Struct):
     name: str
     files: list[str]
     size: Count  # bytes
-    identity: str  # what the content is known by, without reading all of it
-    sha256: str | None  # of all bytes; null where not all were read
-    start: str | None  # time of the first wheel reading, UTC, by the log's clock
+    identity: str  # hash that identifies the content without reading all of it
+    sha256: str | None  # of all bytes; null unless all were read
+    start: str | None  # time of the first wheel reading, UTC, on the log's clock
     topics: dict[str, Any]  # role -> topic, or topics
     messages: dict[str, Count]  # topic -> messages
-    losses: dict[str, Any]  # reason -> what the file lost
+    losses: dict[str, Any]  # reason -> places, bytes and messages that could not be read
     refused: dict[str, Refused]  # stream -> readings not used
     dropped: dict[str, dict[str, Count]]  # stream -> reason -> readings not used
 
@@ -55,8 +55,8 @@ class SensorConsistency(Struct):
 
     verdict: str
     words: str  # the verdict as a sentence
-    scale: Figure = None  # observed standard deviation over the configured one
-    refused: Figure = None  # share of readings that the gate refused
+    scale: Figure = None  # observed / configured standard deviation
+    refused: Figure = None  # share of readings rejected by the gate
 
 
 class SensorResult(Struct):
@@ -64,7 +64,7 @@ class SensorResult(Struct):
 
     accepted: Count
     rejected: Count
-    absent: Count  # readings that gave no measurement
+    absent: Count  # readings without a usable measurement
     nis: Figure  # mean normalised innovation squared per degree of freedom: 1 is right
     verdicts: dict[str, Count]  # verdict -> measurements
     joint_nis: Figure = None  # of whole scans, with the correlation of their lines; null for other sensors
@@ -85,8 +85,8 @@ class Reference(Struct):
 
     sensors: list[str]  # sensors of the solution, besides the wheels
     left_out: list[str]  # sensors of the log that it does not use
-    sigma_m: float  # median over the drive of its claimed standard deviation, sqrt(P_xx + P_yy)
-    shared: list[str] = []  # sensors that it shares with the result that it judged
+    sigma_m: float  # median over the drive of its position sigma, sqrt(P_xx + P_yy)
+    shared: list[str] = []  # sensors of the solution that the judged result uses too
     agrees: bool = True  # with the reference of all sensors, within both covariances
     words: str = ""  # its description, as a sentence
 
@@ -113,7 +113,7 @@ class WithoutTruth(Struct):
     """Figures of a path that need no truth."""
 
     revisit_agreement: Figure = None  # share of a scan's points that lie on an earlier scan of the place
-    crispness_cells: Figure = None  # cells of 5 cm that the points of all scans hit: fewer is better, on one drive
+    crispness_cells: Figure = None  # number of 5 cm cells with points of all scans: on one drive fewer is better
     smoothed_distance_m: SmoothedDistance | None = None  # to the smoothed path; null without one
     events: list[Jump] = []  # jumps of the pose
 
@@ -248,10 +248,12 @@ class Report(_Common):
     reference: Reference | None = None  # reference of all sensors, used instead of truth; null: not used
     verdicts: dict[str, Verdict] = {}  # sensor -> verdict; only of a comparison
     credit: dict[str, Any] | None = None  # factors and intervals behind the verdicts
-    prediction: dict[str, Any] | None = None  # how well each configuration predicts sensors it leaves out
+    prediction: dict[str, Any] | None = (
+        None  # how well each configuration predicts the sensors that it does not use
+    )
     consistency: dict[str, SensorConsistency] = {}  # sensor -> verdict on its noise
     changed_settings: dict[str, dict[str, Any]] = {}  # "table.key" -> value, unit, and who set it
-    repeat: str | None = None  # the command that makes this report again
+    repeat: str | None = None  # the command that repeats this report
     jitter: Jitter | None = None  # null: not asked for
     key: str | None = None  # equal for equal input, settings, configurations and version
     measured: dict[str, Any] | None = None  # for one of several logs: settings and lags measured on its drive
@@ -297,7 +299,7 @@ class InfoFinding(Struct):
     message: str
     fixes: list[str]  # "table.key=value" each
     source: str | None  # where the values of the fixes come from
-    severe: bool  # an estimate would be spoiled, or nothing runs
+    severe: bool  # whether it spoils an estimate or prevents one
 
 
 class InfoTried(Struct):
@@ -418,7 +420,7 @@ class CalibratedWheels(CalibratedGeometry, kw_only=True):
     turn_pieces: Count
     straight_m: float
     turned_deg: float
-    outliers: Count  # pieces that do not fit the others
+    outliers: Count  # pieces of the drive that do not fit the others
 
 
 class CalibratedLaser(CalibratedGeometry, kw_only=True):

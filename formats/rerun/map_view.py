@@ -10,7 +10,7 @@ import numpy as np
 import rerun as rr
 from msgspec.structs import asdict
 
-from locfuse.formats.geometry import ellipses, mounted, quaternions, segments, steps, to_map, wall, wall_band
+from locfuse.formats.geometry import ellipses, mounted, quaternions, segments, to_map, wall, wall_band
 from locfuse.formats.thin import evenly, extremes
 from locfuse.fusion.data import VERDICTS, Array, Audit, Estimates, MapLine, Measurements, matrices
 
@@ -66,7 +66,8 @@ def draw_map(to: TimelineRecorder, scene: RerunScene) -> None:
 def _draw_path(to: TimelineRecorder, path: str, t: Array, xy: Array, limit: int) -> None:
     """Draw a path (n, 2) that grows with time: one line segment per step."""
     picks = extremes(xy, limit)
-    to.send(path, t[picks][1:], rr.LineStrips2D.columns(strips=steps(xy[picks]).astype(np.float32)))
+    points = xy[picks].astype(np.float32)
+    to.send(path, t[picks][1:], rr.LineStrips2D.columns(strips=np.stack((points[:-1], points[1:]), axis=1)))
 
 
 def _draw_pose(to: TimelineRecorder, root: str, e: Estimates, scene: RerunScene) -> None:

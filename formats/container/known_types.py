@@ -9,7 +9,7 @@ from importlib.resources import files
 from typing import Any
 
 DIVIDER = "=" * 80
-USED = re.compile(r"^\s*(\w+/\w+)", re.MULTILINE)  # types of a definition's fields that are messages themselves
+NESTED_TYPE = re.compile(r"^\s*(\w+/\w+)", re.MULTILINE)  # the type of a field that is a message itself
 ALIGNMENT_BYTES = 4  # a message may be padded at its end
 RELEASES = ("LATEST", "ROS2_HUMBLE", "ROS2_FOXY")  # definitions of a type may differ between them
 MAX_SAMPLE = 1 << 16  # bytes: definitions of types with larger messages never changed
@@ -42,7 +42,7 @@ def _texts(name: str) -> list[str]:
     table = _fields()
     used = [name] if name in table else []
     for one in used:
-        used += [other for text in table[one] for other in USED.findall(text) if other not in used]
+        used += [other for text in table[one] for other in NESTED_TYPE.findall(text) if other not in used]
     versions = max((len(table[one]) for one in used), default=0)
     chosen = [[table[one][min(i, len(table[one]) - 1)] for one in used] for i in range(versions)]
     return [f"\n{DIVIDER}\n".join([own, *map("MSG: {}\n{}".format, used[1:], rest)]) for own, *rest in chosen]

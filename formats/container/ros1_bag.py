@@ -22,7 +22,7 @@ from .source import ChannelInfo, Messages, by_channel
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
-WORD = struct.Struct("<I")
+UINT32 = struct.Struct("<I")
 TIME = struct.Struct("<II")  # seconds, nanoseconds
 HEAD_BYTES = 1 << 16  # record headers are read up to this size
 
@@ -45,7 +45,7 @@ class BagRecord(NamedTuple):
 
     def number(self, name: bytes) -> int:
         """Return a 4-byte header field as an integer."""
-        return int(self._values(name, WORD)[0])
+        return int(self._values(name, UINT32)[0])
 
     def time_ns(self, name: bytes) -> int:
         """Return a time field of the header, ns."""
@@ -61,16 +61,16 @@ class BagRecord(NamedTuple):
 
 def read_entry(read: Callable[[int, int], bytes | memoryview], at: int) -> BagRecord:
     """Read the record at an offset; `read` takes (offset, number of bytes). Raises DamagedError if it is none."""
-    word = read(at, WORD.size)
-    n = WORD.unpack(word)[0] if len(word) == WORD.size else HEAD_BYTES
-    header = read(at + WORD.size, min(n, HEAD_BYTES) + WORD.size)
-    if n > HEAD_BYTES - WORD.size or len(header) < n + WORD.size:
+    word = read(at, UINT32.size)
+    n = UINT32.unpack(word)[0] if len(word) == UINT32.size else HEAD_BYTES
+    header = read(at + UINT32.size, min(n, HEAD_BYTES) + UINT32.size)
+    if n > HEAD_BYTES - UINT32.size or len(header) < n + UINT32.size:
         raise DamagedError("bytes that are no record")
     found = fields_of(bytes(header[:n]))
     op = found.get(b"op", b"")
     if len(op) != 1:
         raise DamagedError("bytes that are no record")
-    return BagRecord(at, op[0], found, at + 2 * WORD.size + n, int(WORD.unpack_from(header, n)[0]))
+    return BagRecord(at, op[0], found, at + 2 * UINT32.size + n, int(UINT32.unpack_from(header, n)[0]))
 
 
 def fields_of(header: bytes) -> Fields:
@@ -80,7 +80,7 @@ def fields_of(header: bytes) -> Fields:
     while at < len(header):
         if at + 4 > len(header):
             raise DamagedError("a record header that contradicts itself")
-        (n,) = WORD.unpack_from(header, at)
+        (n,) = UINT32.unpack_from(header, at)
         name, equals, value = header[at + 4 : at + 4 + n].partition(b"=")
         at += 4 + n
         if at > len(header) or not equals:
@@ -264,5 +264,5 @@ class BagSource(ChunkedSource):
 
 def _spans_field(window: bytes, start: int, end: int) -> bool:
     """Return whether a short record header from `start` includes the field that ends at `end`."""
-    length = int(WORD.unpack_from(window, start)[0])
-    return end <= start + WORD.size + length <= start + 2 * FIELD_OFFSETS.stop
+    length = int(UINT32.unpack_from(window, start)[0])
+    return end <= start + UINT32.size + length <= start + 2 * FIELD_OFFSETS.stop

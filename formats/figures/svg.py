@@ -133,7 +133,7 @@ def _path_text(points: Array) -> str:
 # --- Panels
 
 WIDTH, HEIGHT = 460, 216  # px of a usual panel, which the page scales
-TOP, BOTTOM, RIGHT = 20, 34, 10
+TOP, BOTTOM, RIGHT = 20, 34, 10  # px of the margins
 CHARACTER_WIDTH_PX = 6.4  # of a tick label at 11 px
 MIN_SHADE, SHADE_FOOT = 1.0, 6.0  # px: minimum width of an event, height of rejected readings
 FAR_PX = 1e6  # values are clipped to this, far outside the panel

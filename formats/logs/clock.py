@@ -175,7 +175,7 @@ def _out_of_order(log_time: Ints, stamp: Ints) -> tuple[Mask, Mask]:
     backwards = ~jitter.never_decreasing(stamp, jitter.cauchy(deviations) * weights)
     recorded, _ = jitter.credibility(log_time)
     steady = (weights < recorded) & ~_in_bursts(log_time)
-    return backwards, steady & (deviations > jitter.OFF_BEAT) & ~backwards
+    return backwards, steady & (deviations > jitter.MIN_OFF_DEVIATIONS) & ~backwards
 
 
 def _in_bursts(log_time: Ints) -> Mask:

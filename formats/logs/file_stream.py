@@ -29,8 +29,8 @@ RANGES = "locfuse/msg/Ranges"
 SUFFIXES = (".tum", ".csv", ".txt")
 TIMES = ("t", "time", "timestamp", "stamp", "t_s", "time_s", "timestamp [ns]")
 HEADINGS = ("theta", "yaw", "heading", "theta_rad", "yaw_rad")
-PLANE = (0, 1, 5)  # indices of x, y and yaw in a ROS pose covariance
-TRIANGLE = ("p_xx", "p_xy", "p_xt", "p_yy", "p_yt", "p_tt")
+PLANAR = (0, 1, 5)  # indices of x, y and yaw in a ROS pose covariance
+COVARIANCE_COLUMNS = ("p_xx", "p_xy", "p_xt", "p_yy", "p_yt", "p_tt")
 MAX_IDENT = 2**53  # integers below are exact as floats
 MIN_NS = 1e14  # larger times are nanoseconds, smaller ones seconds
 
@@ -147,10 +147,10 @@ def _table_of_poses(
         return _points(path, times, position)
     theta = column(heading)
     q = quaternions(np.where(np.isfinite(theta), theta, np.nan))  # an infinite heading is none; sin() would warn
-    if not set(TRIANGLE) <= at.keys():
+    if not set(COVARIANCE_COLUMNS) <= at.keys():
         return _poses(path, times, position, q, None)
     P = np.zeros((len(times), 6, 6))
-    for (i, j), name in zip(itertools.combinations_with_replacement(PLANE, 2), TRIANGLE, strict=True):
+    for (i, j), name in zip(itertools.combinations_with_replacement(PLANAR, 2), COVARIANCE_COLUMNS, strict=True):
         P[:, i, j] = P[:, j, i] = column(name)
     return _poses(path, times, position, q, P)
 

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from locfuse.fusion.data import Array, Ints
 
 MAX_BACK_NS = 2 * 10**9  # larger steps back are not jitter but another clock or another order of files
-MAX_SHARE = 0.25  # of the times that contradict the order; with more, the right ones are unknown
+MAX_BACK_SHARE = 0.25  # of the times that contradict the order; with more, the right ones are unknown
 
 WINDOW_READINGS = 7  # neighbours on either side that determine the expected time
-OFF_BEAT, OFF_PERIODS = 8.0, 0.25  # a time is wrong if it is off by this many robust deviations and periods
+MIN_OFF_DEVIATIONS, MIN_OFF_PERIODS = 8.0, 0.25  # a time that is off by both is wrong
 
 
 def credibility(times: Ints) -> tuple[Array, NDArray[np.bool_]]:
@@ -40,7 +40,7 @@ def credibility(times: Ints) -> tuple[Array, NDArray[np.bool_]]:
     expected[inner] = np.median(t[inner[:, None] + places] - places * period[inner, None], axis=1)
     off = np.abs(t - expected)
     scale = max(float(np.median(off[inner])), 1e6)
-    return cauchy(off / scale), (off > OFF_BEAT * scale) & (off > OFF_PERIODS * period)
+    return cauchy(off / scale), (off > MIN_OFF_DEVIATIONS * scale) & (off > MIN_OFF_PERIODS * period)
 
 
 def cauchy(deviations: Array) -> Array:
@@ -60,11 +60,11 @@ def pooled(times: Ints) -> tuple[Ints, int] | None:
     weights, off = credibility(times)
     keep = never_decreasing(times, weights)
     backwards = np.flatnonzero(~keep)
-    if len(backwards) > MAX_SHARE * len(times) or not _gap_in_file(times, keep, backwards):
+    if len(backwards) > MAX_BACK_SHARE * len(times) or not _gap_in_file(times, keep, backwards):
         return None
     keep &= ~off
     wrong = np.flatnonzero(~keep)
-    if len(wrong) > MAX_SHARE * len(times):
+    if len(wrong) > MAX_BACK_SHARE * len(times):
         return None
     even = _evenly_filled(times, keep)
     if np.abs(even - times)[wrong].max() > MAX_BACK_NS:

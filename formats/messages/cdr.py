@@ -26,7 +26,7 @@ from locfuse.fusion.data import Column, Ints, Ragged
 from .fields import Part, resolve
 from .schema import Decoded, LengthCounts, Many, MessageDecoder, Node, Scalar, Structure, Text
 
-WORD = struct.Struct("<I")
+UINT32 = struct.Struct("<I")
 
 
 class MalformedError(ValueError):
@@ -92,7 +92,7 @@ def read_layout(message: Structure, wanted: Wanted, payload: memoryview, rules: 
     tail = walk.tail if walk.at == walk.tail_end else None
     if tail:
         walk.spots.pop()
-    words = np.array([WORD.unpack_from(payload, spot)[0] for spot in walk.spots], "<u4")
+    words = np.array([UINT32.unpack_from(payload, spot)[0] for spot in walk.spots], "<u4")
     return Layout(len(payload), walk.little, np.array(walk.spots, np.int64), words, walk.leaves, tail)
 
 

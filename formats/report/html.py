@@ -34,10 +34,10 @@ if TYPE_CHECKING:
 
     from jinja2 import Template
 
-TONES = {"helps": "good", "seems to help": "good", "seems to hurt": "bad", "hurts": "bad"}
+VERDICT_CLASSES = {"helps": "good", "seems to help": "good", "seems to hurt": "bad", "hurts": "bad"}
 SIZES = {1: (860, 500), 2: (WIDTH, HEIGHT), 3: (330, 190)}  # px of a panel by columns in its section
 FIRST_SIZE = (620, 470)  # px of the picture of the paths, beside the verdicts
-PICTURE = "trajectories"  # the section whose figure is beside the verdicts
+FIRST_SECTION = "trajectories"  # the section whose figure is beside the verdicts
 HEADING = re.compile(r'<section id="([\w-]+)">\s*(?:<details>\s*<summary>)?<h2>(.*?)</h2>')
 STRIP_WIDTH_PX = 200.0  # px, width of an effect strip
 
@@ -63,8 +63,8 @@ def render(report: Mapping[str, Any], sections: Sequence[Section], sensors: Mapp
         figures=partial(figure, report),
         tables=tables,
         table=lambda shown, painted=True: Markup(html(shown, swatches if painted else None, bars, smoothed)),
-        picture=next((d for d in drawings if d["section"].name == PICTURE), None),
-        sections=[d for d in drawings if d["section"].name not in {"credit", PICTURE}],
+        picture=next((d for d in drawings if d["section"].name == FIRST_SECTION), None),
+        sections=[d for d in drawings if d["section"].name not in {"credit", FIRST_SECTION}],
         credit=[d for d in drawings if d["section"].name == "credit"],
         legend=[(name, swatches.slugs[name]) for name in names if name in drawn],
         strips=_strips(report),
@@ -94,7 +94,7 @@ def page_of(template: Traversable, version: str, swatches: Swatches, script: boo
         swatch=lambda name: Markup(swatches.of(name)),
         slugs=swatches.slugs,
         signs=SIGNS,
-        tones=TONES,
+        tones=VERDICT_CLASSES,
     )
     return page.strip() + "\n"
 
@@ -148,7 +148,7 @@ def hash_of(script: str) -> str:
 
 def section_drawings(section: Section, swatches: Swatches) -> dict[str, Any]:
     """Return template values of a section: its panels drawn as SVG, by row, and its legend."""
-    width, height = FIRST_SIZE if section.name == PICTURE else SIZES[section.columns]
+    width, height = FIRST_SIZE if section.name == FIRST_SECTION else SIZES[section.columns]
     idents = (f"{section.name}-{i}" for i in range(len(section.panels)))  # without any text from a log
     drawn = [
         (p, Markup(svg(p, ident, swatches.slugs, width, height, swatches.looks)))

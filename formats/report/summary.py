@@ -17,7 +17,7 @@ OVER_LOGS = ("mean", "median", "p90", "worst")  # statistics of a figure over th
 BRIEF = (RMSE.key, "heading_rmse_deg", "anees")  # on a terminal: OVER_LOGS of the first, the mean of the others
 OF = Column("of", "of", kind="text")
 BEST_IN = Column("best_in", "best in")
-SOME_TIES = 3  # configurations named in one sentence
+MAX_NAMED_TIES = 3  # configurations named in one sentence
 MAX_LISTED = 6  # logs whose figures fit into one sentence
 NOT_ERRORS = ("duration_s", "distance_m", "truth_coverage")
 Reports = Mapping[str, Mapping[str, Any]]  # name of the log -> its report.json
@@ -218,7 +218,7 @@ def _ties(summary: Mapping[str, Any]) -> str:
         return ""
     one = next(iter(ties.values()))["replicates"]
     what = of.get("of", "logs") if one != 1 else of.get("of", "logs").removesuffix("s")
-    names = list(ties)[:SOME_TIES]
+    names = list(ties)[:MAX_NAMED_TIES]
     more = [f"{len(ties) - len(names)} more"] if len(ties) > len(names) else []
     return f" A tie with {' and '.join([*names, *more])}: {one} {what} cannot tell them apart."
 

@@ -24,7 +24,7 @@ FOUND_ORDER = 10.0  # draw order of detections, above the picture
 PICTURES_IN_MEMORY = 16
 
 TRUTH: Rgb = (244, 245, 247)
-FIELDS: tuple[Rgb, ...] = ((240, 165, 40), (80, 165, 235), (215, 110, 190), (150, 120, 240), (60, 190, 190))
+FIELD_COLOURS: tuple[Rgb, ...] = ((240, 165, 40), (80, 165, 235), (215, 110, 190), (150, 120, 240), (60, 190, 190))
 LANDMARK: Rgb = (255, 60, 230)
 FIRST_WALL: Rgb = (120, 80, 40)
 WALL: Rgb = (225, 205, 150)

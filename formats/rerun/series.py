@@ -73,7 +73,7 @@ def draw_series(to: TimelineRecorder, scene: RerunScene) -> None:
         _draw_limits(to, scene, sensor, sight)
     for topic in scene.raw:
         for i, (name, values) in enumerate(topic.fields.items()):
-            colour = ink.FIELDS[i % len(ink.FIELDS)]
+            colour = ink.FIELD_COLOURS[i % len(ink.FIELD_COLOURS)]
             Pen(to, name, colour, limit).curve(raw_path(topic.topic, name), topic.t, values)
     for kind in dict.fromkeys(e.kind for e in scene.events):
         some = sorted(line for e in scene.events if e.kind == kind for line in _lines(e))

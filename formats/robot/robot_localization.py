@@ -24,7 +24,7 @@ from .ros_yaml import by_yaml
 X, Y, YAW, SPEED, TURN, ACCELERATION = 0, 1, 5, 6, 11, 12  # indices of the switches
 SWITCHES = 15
 INPUT = re.compile(r"(odom|twist|pose|imu)(\d+)")
-OF_INPUT = re.compile(r"((?:odom|twist|pose|imu)\d+)_(.+)")
+INPUT_KEY = re.compile(r"((?:odom|twist|pose|imu)\d+)_(.+)")
 USED_OF_INPUT = ("config", "differential", "relative")
 IDLE_OF_INPUT = ("queue_size", "nodelay", "remove_gravitational_acceleration", "use_sim_time")
 UNUSED_OF_INPUT = (
@@ -197,7 +197,7 @@ def _notes_on_keys(parameters: Mapping[str, Any]) -> list[str]:
     if parameters.get("two_d_mode") is False:
         notes.append("two_d_mode: false: only the plane is estimated here")
     for key in parameters:
-        of_input = OF_INPUT.fullmatch(key)
+        of_input = INPUT_KEY.fullmatch(key)
         if of_input is None and (key in USED or key in IDLE or INPUT.fullmatch(key)):
             continue
         if key in UNUSED:
